@@ -1,0 +1,63 @@
+"""Print benchmark tables and keep them, with the machine named, where the book finds them."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+import pandas as pd
+
+__all__ = ["machine", "paired_times", "publish"]
+
+RESULTS = Path(__file__).parent / "results"
+
+
+def machine() -> dict[str, str]:
+    """Return what a reader needs to judge a timing: processor, cores, Python and library versions."""
+    model = platform.processor() or platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        names = [line for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
+        model = names[0].split(":", 1)[1].strip() if names else model
+    packages = ("numpy", "scipy", "scikit-image", "opencv-python-headless")
+    return {
+        "processor": model,
+        "cores": str(os.cpu_count()),
+        "python": platform.python_version(),
+        **{name: version(name) for name in packages},
+    }
+
+
+def paired_times(
+    ours: Callable[[], object], peer: Callable[[], object], *, rounds: int = 7
+) -> tuple[float, float, float]:
+    """Time two callables in turn; return both medians in seconds and the median of the paired ratios."""
+    ours(), peer()
+    times = np.empty((rounds, 2))
+    for row in times:
+        for column, call in enumerate((ours, peer)):
+            start = perf_counter()
+            call()
+            row[column] = perf_counter() - start
+    medians = np.median(times, axis=0)
+    return float(medians[0]), float(medians[1]), float(np.median(times[:, 0] / times[:, 1]))
+
+
+def publish(name: str, tables: dict[str, pd.DataFrame], *, note: str = "") -> None:
+    """Print `tables` (title to frame) and write ``results/NAME.json``, which the book's page shows."""
+    for title, frame in tables.items():
+        print(f"\n{title}\n{frame.to_string(index=False)}")
+    record = {
+        "machine": machine(),
+        "note": note,
+        "tables": {title: frame.to_dict(orient="split", index=False) for title, frame in tables.items()},
+    }
+    RESULTS.mkdir(exist_ok=True)
+    path = RESULTS / f"{name}.json"
+    path.write_text(json.dumps(record, indent=1, ensure_ascii=False, default=float) + "\n")

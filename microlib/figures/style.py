@@ -1,0 +1,43 @@
+"""One look for every figure of the book: legible, colour-blind safe, with room for labels."""
+
+from __future__ import annotations
+
+import matplotlib as mpl
+
+__all__ = ["COLORS", "use_style"]
+
+#: Okabe and Ito's colours, distinguishable with every common colour deficiency.
+COLORS = {
+    "blue": "#0072B2",
+    "orange": "#D55E00",
+    "green": "#009E73",
+    "pink": "#CC79A7",
+    "yellow": "#E69F00",
+    "sky": "#56B4E9",
+    "grey": "#6E6E6E",
+    "black": "#000000",
+}
+
+
+def use_style() -> None:
+    """Set matplotlib up for the book: font size of the body text, tight boxes, constrained layout."""
+    mpl.rcParams.update(
+        {
+            "figure.figsize": (7.2, 4.2),
+            "figure.dpi": 110,
+            "figure.constrained_layout.use": True,
+            "savefig.bbox": "tight",
+            "font.size": 12,
+            "axes.titlesize": 12,
+            "axes.grid": True,
+            "axes.axisbelow": True,
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+            "grid.alpha": 0.3,
+            "image.cmap": "gray",
+            "legend.frameon": False,
+            "lines.linewidth": 2.0,
+            "axes.prop_cycle": mpl.cycler(color=[v for k, v in COLORS.items() if k != "black"]),
+            "svg.hashsalt": "microlib",
+        }
+    )
