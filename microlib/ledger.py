@@ -396,7 +396,8 @@ def check(
         printed = stated.corrected or stated.printed
         raise ClaimError(
             f"claim {id}: printed {printed} {stated.unit}, tolerance {stated.tolerance:g}, "
-            f"ours {value:.8g} in [{low:.8g}, {high:.8g}]: {verdict}, but the book says {stated.verdict}"
+            f"ours {value:.8g} in [{low:.8g}, {high:.8g}]: "
+            f"{verdict}, but the book says {stated.verdict}"
         )
     return _add(
         Record(id, float(value), float(low), float(high), stated.unit, verdict, _places(stated))
