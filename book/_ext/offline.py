@@ -1,11 +1,13 @@
 """Make the built book whole in its own folder: no page asks another server for anything.
 
 MathJax comes from a package on disk as one file; the inert thebe loader goes; plotly's library is
-copied once and loaded only by pages that hold one of its figures.
+copied once and loaded only by pages that hold one of its figures. Font preloads go too: a browser
+refuses them for a page opened from a file, and loads the fonts from the style sheet anyway.
 """
 
 from __future__ import annotations
 
+import re
 import shutil
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,6 +18,7 @@ from sphinx.util.fileutil import copy_asset_file
 
 MATHJAX = "mathjax/tex-svg-full.js"
 PLOTLY = "plotly.min.js"
+FONT_PRELOAD = re.compile(r'<link rel="preload" as="font"[^>]*>')
 
 
 def package_folder(name: str) -> Path:
@@ -48,10 +51,14 @@ def copy_libraries(app: Sphinx, error: Exception | None) -> None:
     (static / "mathjax").mkdir(parents=True, exist_ok=True)
     source = package_folder("sphinx-mathjax-offline") / "static" / MATHJAX
     copy_asset_file(str(source), str(static / MATHJAX))
-    if any(PLOTLY in path.read_text(encoding="utf-8") for path in Path(app.outdir).rglob("*.html")):
-        copy_asset_file(
-            str(package_folder("plotly") / "package_data" / PLOTLY), str(static / PLOTLY)
-        )
+    needs_plotly = False
+    for page in Path(app.outdir).rglob("*.html"):
+        html = page.read_text(encoding="utf-8")
+        needs_plotly |= PLOTLY in html
+        page.write_text(FONT_PRELOAD.sub("", html), encoding="utf-8")
+    if needs_plotly:
+        library = package_folder("plotly") / "package_data" / PLOTLY
+        copy_asset_file(str(library), str(static / PLOTLY))
     shutil.rmtree(static / "sphinx-thebe", ignore_errors=True)
 
 
