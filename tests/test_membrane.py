@@ -37,29 +37,32 @@ ratios = st.floats(0.01, 0.99)
 
 def test_printed_profile_and_force_follow_from_the_balance() -> None:
     """(4.2), (4.7) and (5.2) derived from (4.1), (4.5) and (4.6), symbolically."""
-    r, a, c, force, h, stress, modulus, nu, depth = sp.symbols("r a c F h s E nu w", positive=True)
-    slope = (force - sp.pi * r**2 * force / (sp.pi * a**2)) / (stress * 2 * sp.pi * r * h)
+    r, a, force, h, stress, nu, depth = sp.symbols("r a F h s nu w", positive=True)
+    zeta = sp.Symbol("zeta", positive=True)
+    slope = force / (2 * sp.pi * stress * h) * (1 / r - r / a**2)
+    balance = sp.pi * r**2 * force / (sp.pi * a**2) + stress * slope * 2 * sp.pi * r * h
+    assert sp.simplify(balance - force) == 0  # (4.1) with p = F/(πa²)
     profile = sp.integrate(slope, (r, r, a))
     printed = -force / (4 * sp.pi * stress * h) * (1 - (r / a) ** 2 + sp.log((r / a) ** 2))
-    assert sp.simplify(profile - printed) == 0
+    assert sp.simplify(profile - printed) == 0  # (4.2)
 
-    strain = (
-        sp.Rational(1, 4) * sp.integrate(sp.expand(slope**2 * r), (r, c, a)) / ((a**2 - c**2) / 2)
-    )
-    stress_of_depth = sp.solve(sp.Eq(depth, printed.subs(r, c)), stress)[0]
-    balance = sp.Eq(stress_of_depth, (modulus / (1 - nu) * strain).subs(stress, stress_of_depth))
-    derived = sp.solve(balance, modulus)[0]
-    for force_, a_, c_, depth_ in (
-        (50, 250, 25, 40),
-        (3, 80, 60, 9),
-        (sp.Rational(1, 5), 30, 1, 2),
-    ):
-        numbers = {force: force_, a: a_, c: c_, depth: depth_, h: 3, nu: sp.Rational(2, 5)}
-        want = float(derived.subs(numbers).evalf(30))
+    bracket = 1 - zeta**2 + sp.log(zeta**2)
+    stress_of_depth = -force / (4 * sp.pi * depth * h) * bracket  # (4.3)
+    squared = sp.expand(slope**2 * r)
+    strain = sp.integrate(squared, (r, zeta * a, a)) / (2 * a**2 * (1 - zeta**2))  # (4.5)
+    derived = stress_of_depth * (1 - nu) / strain.subs(stress, stress_of_depth)  # (4.6)
+    numerator = 3 - 4 * zeta**2 + zeta**4 + 2 * sp.log(zeta**2)
+    shape = numerator / ((1 - zeta**2) * bracket**3)
+    printed_modulus = force * a**2 * (1 - nu) / (2 * sp.pi * h * depth**3) / shape  # (5.2)
+    assert sp.simplify(sp.expand_log(derived / printed_modulus, force=True)) == 1
+
+    formula = sp.lambdify((force, a, zeta, depth, h, nu), printed_modulus, "numpy")
+    for force_, a_, c_, depth_ in ((50.0, 250.0, 25.0, 40.0), (3.0, 80.0, 60.0, 9.0)):
+        want = formula(force_, a_, c_ / a_, depth_, 3.0, 0.4)
         got = elastic_modulus(
-            float(force_), a_, depth_, thickness=3, probe_half_width=c_, poisson_ratio=0.4
+            force_, a_, depth_, thickness=3.0, probe_half_width=c_, poisson_ratio=0.4
         )
-        # Both are one formula in double precision; 1e-12 allows a few thousand roundings.
+        # One formula, two codes in double precision, where its cancellations cost a few digits.
         assert float(got) == pytest.approx(want, rel=1e-12)
 
 
