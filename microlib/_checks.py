@@ -59,7 +59,7 @@ def as_image(name: str, value: ArrayLike, *, smallest: int = 1) -> NDArray:
 def between(
     name: str, value: ArrayLike, low: float, high: float, *, closed: bool = False
 ) -> NDArray[np.float64]:
-    """Return `value` as float64, every element in (`low`, `high`), or [`low`, `high`] if `closed`."""
+    """Return `value` as float64, all in (`low`, `high`), or [`low`, `high`] if `closed`."""
     array = as_array(name, value)
     inside = (array >= low) & (array <= high) if closed else (array > low) & (array < high)
     if not inside.all():

@@ -1,4 +1,4 @@
-r"""The biomembrane point-load model: from a dimple's shape and the force that made it to an elastic modulus.
+r"""The biomembrane point-load model: from a dimple's shape and its force to an elastic modulus.
 
 A probe of half-width :math:`c` presses with the force :math:`F` on a membrane of thickness
 :math:`h`. The dimple has the radius :math:`a`, measured at its rim, and the depth :math:`w_d`.
@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._checks import as_array, between, positive, whole
+from microlib._checks import as_array, between, positive
 
 __all__ = [
     "SMALL_SLOPE_LIMIT",
@@ -30,9 +30,7 @@ __all__ = [
     "indentation_force",
     "mean_strain",
     "membrane_stress",
-    "modulus_samples",
     "modulus_sensitivity",
-    "modulus_std",
     "shape_factor",
 ]
 
@@ -54,7 +52,8 @@ def shape_factor(zeta: ArrayLike) -> NDArray[np.float64]:
     r"""
     Bracket of the force equation (4.7), a function of the relative probe width alone.
 
-    .. math:: S(\zeta) = \frac{3 - 4\zeta^2 + \zeta^4 + 2\ln\zeta^2}{(1-\zeta^2)(1-\zeta^2+\ln\zeta^2)^3}
+    .. math:: S(\zeta) =
+              \frac{3 - 4\zeta^2 + \zeta^4 + 2\ln\zeta^2}{(1-\zeta^2)(1-\zeta^2+\ln\zeta^2)^3}
 
     Parameters
     ----------
@@ -533,8 +532,8 @@ def modulus_sensitivity(
     Examples
     --------
     >>> s = modulus_sensitivity(250.0, probe_half_width=25.0, poisson_ratio=0.5)
-    >>> print(f"{s.dimple_radius:.3f} {s.dimple_depth:.0f} {s.probe_half_width:.3f} {s.poisson_ratio:.0f}")
-    3.036 -3 -1.036 -1
+    >>> print(f"{s.dimple_radius:.3f} {s.dimple_depth:.0f} {s.probe_half_width:.3f}")
+    3.036 -3 -1.036
     """
     values = _checked(
         dimple_radius=dimple_radius, probe_half_width=probe_half_width, poisson_ratio=poisson_ratio
@@ -554,113 +553,13 @@ def modulus_sensitivity(
     )
 
 
-def modulus_std(values: Mapping[str, float], stds: Mapping[str, float]) -> float:
-    """
-    Standard deviation of the modulus to first order, for independent input errors.
-
-    Parameters
-    ----------
-    values : mapping of str to float
-        The six arguments of `elastic_modulus` by name, in their units.
-    stds : mapping of str to float
-        Standard deviations by the same names and in the same units; an input left out is exact.
-
-    Returns
-    -------
-    float
-        Standard deviation of E, in MPa.
-
-    Raises
-    ------
-    ValueError
-        If a name is missing or unknown, a standard deviation is negative, or a value is out of
-        range.
-
-    See Also
-    --------
-    modulus_samples : The whole distribution; w_d enters with power −3, so it is skewed for large
-    errors.
-
-    Examples
-    --------
-    >>> values = dict(force=50.0, dimple_radius=250.0, dimple_depth=40.0, thickness=3.0,
-    ...               probe_half_width=25.0, poisson_ratio=0.5)
-    >>> print(f"{modulus_std(values, dict(dimple_depth=0.4)):.3f} MPa")  # 1 % of w_d, 3 % of E
-    0.291 MPa
-    """
-    _check_names(values, stds)
-    modulus = elastic_modulus(**values)
-    exponents = modulus_sensitivity(
-        values["dimple_radius"],
-        probe_half_width=values["probe_half_width"],
-        poisson_ratio=values["poisson_ratio"],
-    )
-    names = [field.name for field in fields(exponents)]
-    # ν may be zero, where ∂ ln E / ∂ ln ν vanishes but ∂ ln E / ∂ν = −1/(1−ν) does not.
-    relative = [
-        stds.get(name, 0.0)
-        * (-1 / (1 - values[name]) if name == "poisson_ratio" else exponent / values[name])
-        for name, exponent in zip(names, astuple(exponents), strict=True)
-    ]
-    return float(modulus * np.linalg.norm(relative))
-
-
-def modulus_samples(
-    values: Mapping[str, float],
-    stds: Mapping[str, float],
-    *,
-    size: int,
-    rng: np.random.Generator,
-) -> NDArray[np.float64]:
-    """
-    Draw moduli for normally distributed, independent input errors.
-
-    Parameters
-    ----------
-    values, stds : mapping of str to float
-        As for `modulus_std`.
-    size : int
-        How many samples.
-    rng : numpy.random.Generator
-        Source of randomness.
-
-    Returns
-    -------
-    ndarray, shape (size,)
-        Samples of E, in MPa.
-
-    Raises
-    ------
-    ValueError
-        As for `modulus_std`, or if an error is so large that a sampled input is impossible (a
-        negative depth, say).
-
-    Examples
-    --------
-    >>> values = dict(force=50.0, dimple_radius=250.0, dimple_depth=40.0, thickness=3.0,
-    ...               probe_half_width=25.0, poisson_ratio=0.5)
-    >>> samples = modulus_samples(values, dict(dimple_depth=0.4), size=20_000,
-    ...                           rng=np.random.default_rng(1))
-    >>> print(f"{samples.std():.2f} MPa")
-    0.29 MPa
-    """
-    _check_names(values, stds)
-    count = whole("size", size, least=1)
-    # In the arguments' own order, so that the same seed gives the same samples for any mapping.
-    drawn = {
-        field.name: rng.normal(values[field.name], stds.get(field.name, 0.0), count)
-        for field in fields(ModulusSensitivity)
-    }
-    return elastic_modulus(**drawn)
-
-
 def _annulus(zeta: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return 1 − ζ² without cancellation near ζ = 1."""
     return (1 - zeta) * (1 + zeta)
 
 
 def _log_remainder(zeta: NDArray[np.float64], first: int) -> NDArray[np.float64]:
-    """Return ln(1 − x), x = 1 − ζ², without the terms of its series below x**first: −Σ_{k ≥ first} x**k / k."""
+    """Return −Σ_{k ≥ first} x**k / k with x = 1 − ζ²: ln ζ² less its series' first terms."""
     x = _annulus(zeta)
     order = np.arange(first, first + _SERIES_TERMS)
     # Elsewhere than at small x the series is not used, and a zero keeps its powers harmless.
@@ -717,22 +616,12 @@ def _within(
     return array
 
 
-def _check_names(values: Mapping[str, float], stds: Mapping[str, float]) -> None:
-    names = {field.name for field in fields(ModulusSensitivity)}
-    if set(values) != names:
-        raise ValueError(f"values must have the keys {sorted(names)}, got {sorted(values)}")
-    if not set(stds) <= names:
-        raise ValueError(f"stds must have keys among {sorted(names)}, got {sorted(stds)}")
-    for name, std in stds.items():
-        positive(f"stds[{name!r}]", std, zero=True)
-
-
 def _warn_if_steep(dimple_radius: NDArray[np.float64], depth: NDArray[np.float64]) -> None:
     steepest = float(np.max(depth / dimple_radius))
     if steepest > SMALL_SLOPE_LIMIT:
         warnings.warn(
-            f"w_d/a = {steepest:.2f} is above {SMALL_SLOPE_LIMIT}: the small-slope model overstates the strain "
-            "and so understates the modulus; compare mean_strain with areal_strain",
+            f"w_d/a = {steepest:.2f} > {SMALL_SLOPE_LIMIT}: the small-slope model overstates "
+            "the strain and so understates the modulus; compare mean_strain with areal_strain",
             SmallSlopeWarning,
             stacklevel=3,
         )
