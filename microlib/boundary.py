@@ -341,14 +341,16 @@ def _trace(filled: NDArray[np.float32], probe: Probe) -> list[NDArray[np.float64
     """Follow the uppermost Canny edge from the probe outwards; (2, n) image points of each side."""
     smooth = cv2.GaussianBlur(filled, (0, 0), 1.4)
     dx, dy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
-    # Thresholds in units of the noise, whose median absolute gradient the flat ground gives.
-    noise = max(float(np.median(np.abs(dx) + np.abs(dy))), 1e-3 * float(np.ptp(filled)))
-    scale = 8000.0 / max(float(np.abs(dx).max()), float(np.abs(dy).max()))
+    # The threshold stands above the noise, whose gradient the flat ground shows, and above what
+    # uneven light does to a picture without noise.
+    dark, bright = np.percentile(filled, [1, 99])
+    least = max(4 * float(np.median(np.abs(dx) + np.abs(dy))), 0.15 * float(bright - dark))
+    scale = 8000.0 / max(float(np.abs(dx).max()), float(np.abs(dy).max()), 1e-6)
     edges = cv2.Canny(
         np.rint(dx * scale).astype(np.int16),
         np.rint(dy * scale).astype(np.int16),
-        4 * noise * scale,
-        8 * noise * scale,
+        least * scale,
+        2 * least * scale,
     )
     count, labels, stats, _ = cv2.connectedComponentsWithStats(edges, connectivity=8)
     long = stats[:, cv2.CC_STAT_AREA] >= _SHORTEST_EDGE
