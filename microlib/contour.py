@@ -96,7 +96,8 @@ class GaussianSum:
         samples = int(np.ceil((high - low) / self.widths.min() * 40)) + 2
         grid = np.linspace(low, high, samples)
         slope = self.slope(grid)
-        maxima, minima = [], []
+        maxima: list[float] = []
+        minima: list[float] = []
         for k in np.flatnonzero(slope[:-1] * slope[1:] < 0):
             root = brentq(self.slope, grid[k], grid[k + 1], xtol=1e-10)
             (maxima if slope[k] > 0 else minima).append(root)

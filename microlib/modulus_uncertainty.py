@@ -38,8 +38,7 @@ def modulus_std(values: Mapping[str, float], stds: Mapping[str, float]) -> float
 
     See Also
     --------
-    modulus_samples : The whole distribution; w_d enters with power −3, so it is skewed for large
-    errors.
+    modulus_samples : The whole distribution, which the power −3 of w_d makes skewed.
 
     Examples
     --------
