@@ -187,7 +187,7 @@ def find_probe(image: ArrayLike) -> Probe:
     >>> [round(float(v), 1) for v in (*probe.tip, probe.slope, probe.half_width)]
     [80.0, 69.5, 0.0, 6.5]
     """
-    grey = cv2.GaussianBlur(as_image("image", image, smallest=64), (0, 0), 1.0)
+    grey = _blurred(as_image("image", image, smallest=64), 1.0)
     top = grey[:_TOP_ROWS].mean(axis=0)
     widest = int(_WIDEST * grey.shape[1])
     ground = median_filter(top, 4 * widest + 1, mode="nearest")
@@ -285,6 +285,10 @@ def remove_probe(image: ArrayLike, probe: Probe) -> NDArray[np.float32]:
     return filled
 
 
+def _blurred(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), dtype=np.float32)
+
+
 def _refuse_saturated(image: NDArray, grey: NDArray[np.float32]) -> None:
     """Refuse an image in which the ground has reached the top of its scale."""
     if image.dtype.kind in "ui":
@@ -339,7 +343,7 @@ def _tip_row(grey: NDArray[np.float32], upper: Probe, end: int, bar: float) -> f
 
 def _trace(filled: NDArray[np.float32], probe: Probe) -> list[NDArray[np.float64]]:
     """Follow the uppermost Canny edge from the probe outwards; (2, n) image points of each side."""
-    smooth = cv2.GaussianBlur(filled, (0, 0), 1.4)
+    smooth = _blurred(filled, 1.4)
     dx, dy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
     # The threshold stands above the noise, whose gradient the flat ground shows, and above what
     # uneven light does to a picture without noise.
@@ -352,7 +356,7 @@ def _trace(filled: NDArray[np.float32], probe: Probe) -> list[NDArray[np.float64
         least * scale,
         2 * least * scale,
     )
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(edges, connectivity=8)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(edges, connectivity=8)
     long = stats[:, cv2.CC_STAT_AREA] >= _SHORTEST_EDGE
     long[0] = False
     edge = long[labels]
@@ -413,7 +417,7 @@ def _refine(
 
 
 def _refuse_without_dimple(sides: list[NDArray[np.float64]], probe: Probe) -> None:
-    """Refuse an outline whose highest point is not away from the probe and above the probe's end."""
+    """Refuse an outline whose highest points are not beside the probe and above its end."""
     for name, (x, y) in zip(("left", "right"), sides, strict=True):
         rim = int(y.argmin())
         depth = probe.tip[1] - y[rim]

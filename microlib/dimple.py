@@ -1,8 +1,9 @@
-r"""From an outline to the dimple's radius and depth, by fitting the membrane's own profile (4.2).
+"""From an outline to the radius and depth of its dimple: by extrema, and by the model's profile.
 
-The thesis reads the dimple off the extrema of a smooth curve. The bottom of a dimple is no smooth
-minimum, though: the profile falls like a logarithm until the probe cuts it off, just where the probe
-hides it, and every smooth curve rounds that corner. Fitting (4.2) uses the flanks, which are seen.
+The thesis reads the dimple off the extrema of a smooth curve, (5.3): `dimple_geometry`. The bottom
+of a dimple is no smooth minimum, though. The profile (4.2) falls like a logarithm until the probe
+cuts it off, just where the probe hides it, and every smooth curve rounds that corner. `fit_dimple`
+fits (4.2) itself, to the flanks, which are seen.
 """
 
 from __future__ import annotations
@@ -11,17 +12,112 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 
 from microlib._checks import as_array, positive
 from microlib.boundary import Boundary
+from microlib.gaussian_sum import GaussianSum
 from microlib.membrane import dimple_profile
 
-__all__ = ["DimpleFit", "fit_dimple"]
+__all__ = ["DimpleFit", "DimpleGeometry", "dimple_geometry", "fit_dimple"]
 
 _BEYOND_RIM = 1.3  # radii up to which the outline enters the fit
 _LARGEST_MISFIT = 0.03  # of the depth
+_MOST_LEFT_OUT = 0.15  # of the points
 _LAGS = 6  # points over which neighbouring residuals may be correlated
+
+
+@dataclass(frozen=True)
+class DimpleGeometry:
+    """
+    Size of a dimple and the two points of the outline that define it.
+
+    Attributes
+    ----------
+    dimple_radius, dimple_depth : float
+        a and w_d of (5.3), in µm.
+    covariance : ndarray, shape (2, 2)
+        Of (a, w_d), in µm²; NaN where that of the curve is not known.
+    rim, bottom : tuple of float
+        The maximum left of the dimple and its lowest point, (x, y) in px with y up.
+    """
+
+    dimple_radius: float
+    dimple_depth: float
+    covariance: NDArray[np.float64]
+    rim: tuple[float, float]
+    bottom: tuple[float, float]
+
+
+def dimple_geometry(curve: GaussianSum, *, pixel_size: float) -> DimpleGeometry:
+    """
+    Measure the dimple of an outline from its left rim and its bottom, equation (5.3).
+
+    Parameters
+    ----------
+    curve : GaussianSum
+        Outline, in px, with y up.
+    pixel_size : float
+        Size of a pixel in the object plane, cell size over magnification CS/M, in µm/px.
+
+    Returns
+    -------
+    DimpleGeometry
+        Radius and depth in µm, and the two points in px.
+
+    Raises
+    ------
+    ValueError
+        If the outline has no minimum with a maximum to its left, so that there is no dimple, or
+        `pixel_size` is not positive.
+
+    See Also
+    --------
+    fit_dimple : Without the bias of a smooth curve at the bottom of a dimple.
+
+    Notes
+    -----
+    The bottom is the lowest minimum that has a maximum on either side, and the rim the nearest
+    maximum to its left in the upper half of the dimple: a sum of Gaussians may ripple at the
+    bottom. The text of the thesis speaks of two local maxima; the printed coefficients of Table 5.5
+    have three, and this rule picks the pair that the thesis used.
+
+    The covariance is that of the curve's coefficients, to first order: an extremum moves by
+    −(∂f'/∂p)/f'' for a change of a coefficient p, its height by ∂f/∂p.
+
+    Examples
+    --------
+    >>> curve = GaussianSum([10.0, 10.0], [0.0, 30.0], [12.0, 12.0], domain=(-5.0, 35.0))
+    >>> dimple = dimple_geometry(curve, pixel_size=2.0)
+    >>> print(f"a = {dimple.dimple_radius:.3f} µm, w_d = {dimple.dimple_depth:.3f} µm")
+    a = 29.882 µm, w_d = 11.655 µm
+    """
+    size = float(positive("pixel_size", as_array("pixel_size", pixel_size, shape=())))
+    maxima, minima = curve.extrema()
+    between_maxima = [x for x in minima if (maxima < x).any() and (maxima > x).any()]
+    if not between_maxima:
+        raise ValueError(
+            "curve must have a minimum between two maxima (a dimple), "
+            f"got {len(maxima)} maxima and {len(minima)} minima"
+        )
+    bottom = min(between_maxima, key=curve)
+    left = maxima[maxima < bottom]
+    half_way = (curve(left).max() + curve(bottom)) / 2
+    rim = left[curve(left) > half_way].max()
+    covariance = np.full((2, 2), np.nan)
+    if curve.covariance is not None:
+        moved = [-curve.slope_gradient(x) / curve.bend(x) for x in (bottom, rim)]
+        change = size * np.stack(
+            [moved[0] - moved[1], curve.gradient(rim) - curve.gradient(bottom)]
+        )
+        covariance = change @ curve.covariance @ change.T
+    return DimpleGeometry(
+        dimple_radius=size * float(bottom - rim),
+        dimple_depth=size * float(curve(rim) - curve(bottom)),
+        covariance=covariance,
+        rim=(float(rim), float(curve(rim))),
+        bottom=(float(bottom), float(curve(bottom))),
+    )
 
 
 @dataclass(frozen=True)
@@ -60,8 +156,8 @@ class DimpleFit:
     def __call__(self, x: ArrayLike) -> NDArray[np.float64]:
         """Return the height y of the fitted outline at `x`, both in px."""
         along = as_array("x", x) - self.center[0]
-        # Turned by a small angle, a steep curve is no function of x along itself: two steps of a
-        # fixed point find the place on the upright dimple above which the turned one has this x.
+        # A point of the upright dimple moves sideways when it is turned: a few steps of a fixed
+        # point find the one that comes to lie at x.
         cos, sin = np.cos(self.tilt), np.sin(self.tilt)
         u = along / cos
         for _ in range(8):
@@ -105,11 +201,12 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     Notes
     -----
     Between probe and rim the outline is (4.2), beyond the rim an arc on each side, as the model
-    draws it; the dimple may be shifted and turned. Seven numbers and the two curvatures are fitted by
-    least squares of the distances across the outline, each weighted by its standard deviation;
-    points further than four deviations off are left out and the fit repeated. Points under the probe
-    do not enter: the depth is that of the flanks, continued to r = c. The covariance is scaled to
-    the residuals, and widened for the correlation of neighbouring ones.
+    draws it; the dimple may be shifted and turned. Shift, turn, radius, depth and the two
+    curvatures, seven numbers, are fitted by least squares of the distances across the outline, each
+    weighted by its standard deviation; points further than four deviations off are left out and the
+    fit repeated. Points under the probe do not enter: the depth is that of the flanks, continued to
+    r = c. The covariance is scaled to the residuals, and widened for the correlation of
+    neighbouring ones.
 
     Examples
     --------
@@ -119,42 +216,36 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     >>> outline = extract_boundary(scene.image)
     >>> dimple = fit_dimple(outline, pixel_size=scene.pixel_size, probe_half_width=25.0)
     >>> print(f"{dimple.dimple_depth:.0f} µm, truth {scene.embryo.dimple_depth:.0f} µm")
-    120 µm, truth 121 µm
+    121 µm, truth 121 µm
     """
     size = float(positive("pixel_size", as_array("pixel_size", pixel_size, shape=())))
-    c = float(positive("probe_half_width", as_array("probe_half_width", probe_half_width, shape=())))
-    c /= size
-    seen = ~boundary.under_probe & (np.abs(boundary.x - boundary.probe.axis(0)) > c)
-    x, y, std = boundary.x[seen], boundary.y[seen], boundary.std[seen]
-    start = _start(x, y, boundary)
+    half_width = as_array("probe_half_width", probe_half_width, shape=())
+    c = float(positive("probe_half_width", half_width)) / size
+    columns, rows = boundary.points.T
+    seen = ~boundary.under_probe & (np.abs(columns - boundary.probe.axis(rows)) > c)
+    outline = np.stack([boundary.x, boundary.y, boundary.std])[:, seen]
+    start = _start(outline[0], outline[1], boundary)
     if start[3] <= c:
         raise ValueError(
             f"probe_half_width must be below the dimple's radius, got {c * size:g} µm and a radius "
             f"of about {start[3] * size:.0f} µm"
         )
-    near = np.abs(x - start[0]) < _BEYOND_RIM * start[3]
-    x, y, std = x[near], y[near], std[near]
+    near = outline[:, np.abs(outline[0] - start[0]) < _BEYOND_RIM * start[3]]
+    first = _least_squares(near, start, c)
+    off = np.abs(first.fun)
+    kept = near[:, off < 4 * 1.4826 * np.median(off)]
+    fit = _least_squares(kept, first.x, c)
 
-    lower = [-np.inf, -np.inf, -0.3, 1.01 * c, 0.0, 0.0, 0.0]
-    upper = [np.inf, np.inf, 0.3, np.inf, np.inf, 1 / start[3], 1 / start[3]]
-    for _ in range(2):
-
-        def residuals(p: NDArray, x: NDArray = x, y: NDArray = y, std: NDArray = std) -> NDArray:
-            return _distance(p, x, y, c) / std
-
-        fit = least_squares(residuals, start, bounds=(lower, upper), x_scale="jac")
-        off = np.abs(fit.fun)
-        kept = off < 4 * 1.4826 * np.median(off)
-        start, x, y, std = fit.x, x[kept], y[kept], std[kept]
-
-    covariance = np.linalg.inv(fit.jac.T @ fit.jac) * _inflation(fit.fun, len(start))
-    misfit = float(np.sqrt(np.mean(_distance(fit.x, x, y, c) ** 2)))
     x0, y0, tilt, a, depth, *curvatures = fit.x.tolist()
-    if misfit > _LARGEST_MISFIT * depth:
+    misfit = float(np.sqrt(np.mean(_distance(fit.x, kept[0], kept[1], c) ** 2)))
+    left_out = 1 - kept.shape[1] / near.shape[1]
+    if misfit > _LARGEST_MISFIT * depth or left_out > _MOST_LEFT_OUT:
         raise ValueError(
             "boundary must follow the membrane's profile (4.2) to within "
-            f"{_LARGEST_MISFIT:.0%} of the dimple's depth, got {misfit:.2f} px of {depth:.1f} px"
+            f"{_LARGEST_MISFIT:.0%} of the dimple's depth, got {misfit:.2f} px of {depth:.1f} px "
+            f"with {left_out:.0%} of its points left out"
         )
+    covariance = np.linalg.inv(fit.jac.T @ fit.jac) * _inflation(fit.fun, len(fit.x))
     return DimpleFit(
         dimple_radius=a * size,
         dimple_depth=depth * size,
@@ -169,7 +260,7 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
 
 
 def _start(x: NDArray, y: NDArray, boundary: Boundary) -> NDArray[np.float64]:
-    """Axis, rim height, tilt, radius, depth and curvatures read off the outline's highest points."""
+    """Axis, rim height, tilt, radius, depth and curvatures from the outline's highest points."""
     axis = boundary.probe.tip[0]
     left = x < axis
     rims = []
@@ -182,6 +273,23 @@ def _start(x: NDArray, y: NDArray, boundary: Boundary) -> NDArray[np.float64]:
     height = (y1 + y2) / 2
     return np.array(
         [(x1 + x2) / 2, height, (y2 - y1) / (x2 - x1), a, height - bottom, 0.3 / a, 0.3 / a]
+    )
+
+
+def _least_squares(
+    outline: NDArray[np.float64], start: NDArray[np.float64], c: float
+) -> OptimizeResult:
+    """Fit the seven numbers to the rows x, y, std of `outline`."""
+    x, y, std = outline
+    flattest, sharpest = 0.0, 1 / start[3]
+    return least_squares(
+        lambda p: _distance(p, x, y, c) / std,
+        start,
+        bounds=(
+            [-np.inf, -np.inf, -0.3, 1.01 * c, 0.0, flattest, flattest],
+            [np.inf, np.inf, 0.3, np.inf, np.inf, sharpest, sharpest],
+        ),
+        x_scale="jac",
     )
 
 

