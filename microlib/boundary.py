@@ -140,8 +140,8 @@ def extract_boundary(image: ArrayLike) -> Boundary:
     probe = find_probe(grey)
     sides = [_resample(side) for side in _trace(remove_probe(grey, probe), probe)]
     _refuse_without_dimple(sides, probe)
-    for _ in range(2):
-        sides, blur = _refine(grey, sides, probe)
+    sides, blur = _refine(grey, sides, probe, _CLEARANCE)
+    sides, blur = _refine(grey, sides, probe, max(_CLEARANCE, 3 * blur))
 
     reach = int(probe.half_width)
     hidden = probe.tip[0] + np.arange(-reach, reach + 1.0)
@@ -386,7 +386,7 @@ def _resample(curve: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _refine(
-    grey: NDArray[np.float32], sides: list[NDArray[np.float64]], probe: Probe
+    grey: NDArray[np.float32], sides: list[NDArray[np.float64]], probe: Probe, clearance: float
 ) -> tuple[list[NDArray[np.float64]], float]:
     """Move the curves onto the middle of the wall: x, y, std of each side, and the blur."""
     smooth = [savgol_filter(side[:2], _SMOOTHING, 2, axis=1) for side in sides]
@@ -396,8 +396,8 @@ def _refine(
     normal = np.stack([-along[1], along[0]]) / np.hypot(*along)
     x, y = start[:, :, np.newaxis] + normal[:, :, np.newaxis] * _PROFILE
     profiles = map_coordinates(spline_filter(grey, 3), [y, x], order=3, prefilter=False)
-    beside = np.abs(x - probe.axis(y)) > probe.half_width + _CLEARANCE
-    clear = beside | (y > probe.tip[1] + _CLEARANCE + 2)
+    beside = np.abs(x - probe.axis(y)) > probe.half_width + clearance
+    clear = beside | (y > probe.tip[1] + clearance + 2)
     wall = locate_wall(profiles, _PROFILE, weights=clear)
     points = start + normal * wall.position
     usual = np.nanmedian(wall.std)

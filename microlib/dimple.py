@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import median_filter
 from scipy.optimize import OptimizeResult, least_squares
 
 from microlib._checks import as_array, positive
@@ -24,6 +25,8 @@ __all__ = ["DimpleFit", "DimpleGeometry", "dimple_geometry", "fit_dimple"]
 _BEYOND_RIM = 1.3  # radii up to which the outline enters the fit
 _LARGEST_MISFIT = 0.03  # of the depth
 _MOST_LEFT_OUT = 0.15  # of the points
+_STEEPEST_TILT = 0.3  # rad
+_TIP_OFF = 0.15  # of the depth: how far the probe's end may lie from the fitted bottom
 _LAGS = 6  # points over which neighbouring residuals may be correlated
 
 
@@ -194,9 +197,9 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     Raises
     ------
     ValueError
-        If an argument is not positive, the probe is wider than the dimple, or the outline departs
-        from (4.2) by more than 3 % of the depth (root mean square): then (4.7) does not hold for it
-        either.
+        If an argument is not positive, the probe is wider than the dimple, its end is not where the
+        dimple's bottom should be, or the outline departs from (4.2) by more than 3 % of the depth
+        (root mean square): then (4.7) does not hold for it either.
 
     Notes
     -----
@@ -230,9 +233,9 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
             f"probe_half_width must be below the dimple's radius, got {c * size:g} µm and a radius "
             f"of about {start[3] * size:.0f} µm"
         )
-    near = outline[:, np.abs(outline[0] - start[0]) < _BEYOND_RIM * start[3]]
-    first = _least_squares(near, start, c)
-    off = np.abs(first.fun)
+    first = _least_squares(_near(outline, start), start, c)
+    near = _near(outline, first.x)
+    off = np.abs(_distance(first.x, near[0], near[1], c) / near[2])
     kept = near[:, off < 4 * 1.4826 * np.median(off)]
     fit = _least_squares(kept, first.x, c)
 
@@ -244,6 +247,14 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
             "boundary must follow the membrane's profile (4.2) to within "
             f"{_LARGEST_MISFIT:.0%} of the dimple's depth, got {misfit:.2f} px of {depth:.1f} px "
             f"with {left_out:.0%} of its points left out"
+        )
+    off_axis = abs(float(boundary.probe.axis(boundary.image_height - 1 - y0)) - x0)
+    tip_off = abs(y0 - depth - (boundary.image_height - 1 - boundary.probe.tip[1]))
+    if off_axis > c or tip_off > 2 + _TIP_OFF * depth:
+        raise ValueError(
+            "boundary must have the probe's end at the bottom of the dimple, for this "
+            f"probe_half_width, got it {off_axis:.1f} px beside the axis and {tip_off:.1f} px off "
+            "in height"
         )
     covariance = np.linalg.inv(fit.jac.T @ fit.jac) * _inflation(fit.fun, len(fit.x))
     return DimpleFit(
@@ -263,17 +274,21 @@ def _start(x: NDArray, y: NDArray, boundary: Boundary) -> NDArray[np.float64]:
     """Axis, rim height, tilt, radius, depth and curvatures from the outline's highest points."""
     axis = boundary.probe.tip[0]
     left = x < axis
-    rims = []
-    for side in (left, ~left):
-        top = int(y[side].argmax())
-        rims.append((x[side][top], y[side][top]))
-    (x1, y1), (x2, y2) = rims
+    # A running median keeps a stray point from passing for the rim.
+    smooth = median_filter(y, 9, mode="nearest")
+    (x1, y1), (x2, y2) = (
+        (x[side][smooth[side].argmax()], smooth[side].max()) for side in (left, ~left)
+    )
     a = (x2 - x1) / 2
     bottom = boundary.image_height - 1 - boundary.probe.tip[1]
     height = (y1 + y2) / 2
-    return np.array(
-        [(x1 + x2) / 2, height, (y2 - y1) / (x2 - x1), a, height - bottom, 0.3 / a, 0.3 / a]
-    )
+    tilt = np.clip((y2 - y1) / (x2 - x1), -0.9 * _STEEPEST_TILT, 0.9 * _STEEPEST_TILT)
+    return np.array([(x1 + x2) / 2, height, tilt, a, height - bottom, 0.3 / a, 0.3 / a])
+
+
+def _near(outline: NDArray[np.float64], p: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The part of the outline that enters the fit."""
+    return outline[:, np.abs(outline[0] - p[0]) < _BEYOND_RIM * p[3]]
 
 
 def _least_squares(
@@ -281,13 +296,13 @@ def _least_squares(
 ) -> OptimizeResult:
     """Fit the seven numbers to the rows x, y, std of `outline`."""
     x, y, std = outline
-    flattest, sharpest = 0.0, 1 / start[3]
+    turn, sharpest = _STEEPEST_TILT, 1 / start[3]
     return least_squares(
         lambda p: _distance(p, x, y, c) / std,
         start,
         bounds=(
-            [-np.inf, -np.inf, -0.3, 1.01 * c, 0.0, flattest, flattest],
-            [np.inf, np.inf, 0.3, np.inf, np.inf, sharpest, sharpest],
+            [-np.inf, -np.inf, -turn, 1.01 * c, 0.0, 0.0, 0.0],
+            [np.inf, np.inf, turn, np.inf, np.inf, sharpest, sharpest],
         ),
         x_scale="jac",
     )
