@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 from scipy.special import beta, ndtr
@@ -160,6 +159,54 @@ class Embryo:
                 f"is {rim_radius:g} µm, got {force:g} µN"
             )
         return cls(modulus, force, brentq(excess, narrowest, widest), **properties)
+
+    @classmethod
+    def dented(
+        cls, depth: float, *, modulus: float, rim_radius: float = 450.0, **properties: float
+    ) -> Embryo:
+        """
+        Return the embryo with a dimple of a given depth; radius and force follow.
+
+        Parameters
+        ----------
+        depth : float
+            Dimple depth w_d, in µm, positive.
+        modulus, rim_radius, **properties : float
+            As in `Embryo.pressed`.
+
+        Returns
+        -------
+        Embryo
+
+        Raises
+        ------
+        ValueError
+            If no dimple between the probe's width and the embryo's has such a depth and rim.
+
+        Examples
+        --------
+        >>> embryo = Embryo.dented(121.22, modulus=1.3237)
+        >>> print(f"radius {embryo.dimple_radius:.0f} µm, force {embryo.force:.0f} µN")
+        radius 246 µm, force 197 µN
+        """
+        positive("depth", depth)
+        positive("rim_radius", rim_radius)
+        untouched = cls(modulus, 0.0, 1.0, **properties)
+        c = untouched.probe_half_width
+
+        def excess(radius: float) -> float:
+            return _rim_radius(radius, depth, c) - rim_radius
+
+        narrowest, widest = 1.01 * c, 0.95 * untouched.radius
+        if not excess(narrowest) < 0 < excess(widest):
+            raise ValueError(
+                "depth must suit a dimple between the probe and the equator when the rim's radius "
+                f"is {rim_radius:g} µm, got {depth:g} µm"
+            )
+        radius = brentq(excess, narrowest, widest)
+        # The depth grows with the cube root of the force.
+        force = (depth / _depth(untouched, 1.0, radius)) ** 3
+        return cls(modulus, force, radius, **properties)
 
     @property
     def dimple_depth(self) -> float:
@@ -434,8 +481,8 @@ def _draw(frame: EmbryoImage, rng: np.random.Generator, probe: bool) -> NDArray[
 
     x, y = _embryo_coordinates(frame)
     yolk = body * ndtr(_yolk_depth(embryo, x, y) / (3 * pixel))
-    texture = gaussian_filter(rng.standard_normal(x.shape, dtype=np.float32), 6.0)
-    scene += yolk * (_YOLK - _FLUID + 8.0 * texture / texture.std())
+    texture = cv2.GaussianBlur(rng.standard_normal(x.shape, dtype=np.float32), (0, 0), 6.0)
+    scene += yolk * (_YOLK - _FLUID + 8.0 * texture / np.std(texture))
 
     half = embryo.thickness / pixel / 2
     line = ndtr((inside + half) / _DRAWN_BLUR) - ndtr((inside - half) / _DRAWN_BLUR)
