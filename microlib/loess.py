@@ -98,13 +98,20 @@ def loess(
     tricube = (1 - np.abs(u) ** 3) ** 3 * given[members]
 
     smooth = _local_fits(u, y[members], tricube, degree)
+    if np.isnan(smooth).any():
+        raise ValueError(
+            f"x must hold {degree + 1} different values in each neighbourhood of {k} points, got "
+            "fewer"
+        )
     for _ in range(rounds):
         residual = y - smooth
         scale = 6 * np.median(np.abs(residual))
         if scale == 0:
             break
         bisquare = np.clip(1 - (residual / scale) ** 2, 0, None) ** 2
-        smooth = _local_fits(u, y[members], tricube * bisquare[members], degree)
+        again = _local_fits(u, y[members], tricube * bisquare[members], degree)
+        # Where a whole neighbourhood is left out there is nothing better than what was.
+        smooth = np.where(np.isnan(again), smooth, again)
     result = np.empty_like(smooth)
     result[order] = smooth
     return result
@@ -113,8 +120,9 @@ def loess(
 def _local_fits(
     u: NDArray[np.float64], y: NDArray[np.float64], weights: NDArray[np.float64], degree: int
 ) -> NDArray[np.float64]:
-    """Value at u = 0 of the weighted polynomial of each row, by its normal equations."""
-    # On |u| ≤ 1 their condition stays below about 1e5, so that ten digits remain.
+    """Value at u = 0 of the weighted polynomial of each row; NaN where it is not determined."""
+    # The normal equations: on |u| ≤ 1 their condition stays below about 1e5, which leaves ten
+    # digits.
     moments = np.empty((len(u), 2 * degree + 1))
     right = np.empty((len(u), degree + 1))
     term = weights
@@ -125,8 +133,7 @@ def _local_fits(
         term = term * u
     rows = np.arange(degree + 1)
     normal = moments[:, rows[:, np.newaxis] + rows]
-    if (np.linalg.det(normal) <= 1e-14 * moments[:, 0] ** (degree + 1)).any():
-        raise ValueError(
-            f"x must hold {degree + 1} different values in each neighbourhood, got fewer"
-        )
-    return np.asarray(np.linalg.solve(normal, right[..., np.newaxis])[:, 0, 0], dtype=np.float64)
+    poor = np.linalg.det(normal) <= 1e-14 * moments[:, 0] ** (degree + 1)
+    normal[poor] = np.eye(degree + 1)
+    fitted = np.linalg.solve(normal, right[..., np.newaxis])[:, 0, 0]
+    return np.where(poor, np.nan, fitted)
