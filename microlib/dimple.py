@@ -16,6 +16,7 @@ from scipy.ndimage import median_filter
 from scipy.optimize import OptimizeResult, least_squares
 
 from microlib._checks import as_array, positive
+from microlib._covariance import inverse_normal
 from microlib.boundary import Boundary
 from microlib.gaussian_sum import GaussianSum
 from microlib.membrane import dimple_profile
@@ -27,7 +28,6 @@ _LARGEST_MISFIT = 0.03  # of the depth
 _MOST_LEFT_OUT = 0.15  # of the points
 _STEEPEST_TILT = 0.3  # rad
 _TIP_OFF = 0.15  # of the depth: how far the probe's end may lie from the fitted bottom
-_LAGS = 6  # points over which neighbouring residuals may be correlated
 
 
 @dataclass(frozen=True)
@@ -224,15 +224,14 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     size = float(positive("pixel_size", as_array("pixel_size", pixel_size, shape=())))
     half_width = as_array("probe_half_width", probe_half_width, shape=())
     c = float(positive("probe_half_width", half_width)) / size
-    columns, rows = boundary.points.T
-    seen = ~boundary.under_probe & (np.abs(columns - boundary.probe.axis(rows)) > c)
-    outline = np.stack([boundary.x, boundary.y, boundary.std])[:, seen]
+    outline = np.stack([boundary.x, boundary.y, boundary.std])[:, ~boundary.under_probe]
     start = _start(outline[0], outline[1], boundary)
     if start[3] <= c:
         raise ValueError(
             f"probe_half_width must be below the dimple's radius, got {c * size:g} µm and a radius "
             f"of about {start[3] * size:.0f} µm"
         )
+    outline = outline[:, np.abs(outline[0] - boundary.probe.tip[0]) > c]
     first = _least_squares(_near(outline, start), start, c)
     near = _near(outline, first.x)
     off = np.abs(_distance(first.x, near[0], near[1], c) / near[2])
@@ -256,7 +255,7 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
             f"probe_half_width, got it {off_axis:.1f} px beside the axis and {tip_off:.1f} px off "
             "in height"
         )
-    covariance = np.linalg.inv(fit.jac.T @ fit.jac) * _inflation(fit.fun, len(fit.x))
+    covariance = inverse_normal(fit.jac) * _inflation(fit.fun, len(fit.x))
     return DimpleFit(
         dimple_radius=a * size,
         dimple_depth=depth * size,
@@ -297,13 +296,12 @@ def _least_squares(
     """Fit the seven numbers to the rows x, y, std of `outline`."""
     x, y, std = outline
     turn, sharpest = _STEEPEST_TILT, 1 / start[3]
+    lower = np.array([-np.inf, -np.inf, -turn, 1.01 * c, 0.0, 0.0, 0.0])
+    upper = np.array([np.inf, np.inf, turn, np.inf, np.inf, sharpest, sharpest])
     return least_squares(
         lambda p: _distance(p, x, y, c) / std,
-        start,
-        bounds=(
-            [-np.inf, -np.inf, -turn, 1.01 * c, 0.0, 0.0, 0.0],
-            [np.inf, np.inf, turn, np.inf, np.inf, sharpest, sharpest],
-        ),
+        np.clip(start, lower, upper),
+        bounds=(lower, upper),
         x_scale="jac",
     )
 
@@ -337,7 +335,10 @@ def _distance(p: NDArray, x: NDArray, y: NDArray, c: float) -> NDArray[np.float6
 
 def _inflation(residuals: NDArray[np.float64], parameters: int) -> float:
     """Factor from a covariance of unit, independent errors to that of these residuals."""
-    variance = np.sum(residuals**2) / (residuals.size - parameters)
-    lagged = [np.mean(residuals[k:] * residuals[:-k]) for k in range(1, _LAGS + 1)]
-    taper = 1 - np.arange(1, _LAGS + 1) / (_LAGS + 1)
-    return float(variance * max(1.0, 1 + 2 * np.sum(taper * lagged) / np.mean(residuals**2)))
+    freedom = residuals.size - parameters
+    variance = np.sum(residuals**2) / freedom
+    # Neighbouring points share pixels, points further apart do not. The fit itself makes
+    # residuals look less alike, by about its number of parameters over that of points.
+    alike = np.sum(residuals[1:] * residuals[:-1]) / np.sum(residuals**2)
+    alike += parameters / residuals.size
+    return float(variance * max(1.0, 1.0 + 2.0 * alike))

@@ -6,6 +6,7 @@ its bottom a minimum.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import brentq, least_squares
 
 from microlib._checks import as_array, positive, same_length, whole
+from microlib._covariance import inverse_normal
 
 __all__ = ["GaussianSum", "fit_gaussians"]
 
@@ -162,17 +164,18 @@ def fit_gaussians(
     Raises
     ------
     ValueError
-        If x and y differ in length or hold NaN, there are no more points than the 3 × `terms`
+        If x and y differ in length or hold NaN, there are fewer points than the 3 × `terms`
         parameters, or x has no extent.
 
     Notes
     -----
     The solver is scipy's trust-region reflective Newton method, as the thesis names it, with the
-    analytic Jacobian. It needs a good start: terms are placed so that each holds the same share of
-    the outline's bending, crowded where the outline turns sharply, and their amplitudes are solved
-    for linearly. Evenly spaced starts often end several times further from the outline.
+    analytic Jacobian. Where it ends depends on where it starts, so it starts twice, from evenly
+    spaced terms and from terms that share the outline's bending, crowded where it turns sharply,
+    and the better end counts. The amplitudes of a start are solved for linearly.
 
-    The covariance is that of least squares, scaled to the residuals. Neighbouring terms trade off
+    The covariance is that of least squares, scaled to the residuals; with as many parameters as
+    points it is not known and left out. Neighbouring terms trade off
     against each other, so single coefficients are hardly determined; combinations, such as the
     curve and its extrema, are. It covers random errors only and not that a sum of Gaussians rounds
     the corners at the bottom of a dimple.
@@ -189,9 +192,9 @@ def fit_gaussians(
     y = as_array("y", y, shape=(None,))
     same_length(("x", "y"), x, y)
     n = whole("terms", terms, least=1)
-    if len(x) <= 3 * n:
+    if len(x) < 3 * n:
         raise ValueError(
-            f"x must hold more than {3 * n} points for {n} terms of three parameters, got {len(x)}"
+            f"x must hold at least {3 * n} points for {n} terms of three parameters, got {len(x)}"
         )
     low, span = x.min(), np.ptp(x)
     if span == 0:
@@ -199,22 +202,21 @@ def fit_gaussians(
 
     lower = np.repeat([-np.inf, low - span, _LEAST_WIDTH * span], n)
     upper = np.repeat([np.inf, low + 2 * span, 2 * span], n)
-    solution = least_squares(
-        lambda parameters: _sum(x, parameters) - y,
-        _start(x, y, n),
-        jac=lambda parameters: _jacobian(x, parameters),
-        bounds=(lower, upper),
-        x_scale="jac",
-        max_nfev=whole("max_iterations", max_iterations, least=1),
-    )
-    # A pseudo-inverse in scaled parameters: a direction that the outline does not determine must
-    # not swamp those that it does.
-    scale = np.maximum(np.linalg.norm(solution.jac, axis=0), 1e-12)
-    variance = 2 * solution.cost / (len(x) - 3 * n)
-    jacobian = solution.jac / scale
-    covariance = variance * np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-10, hermitian=True)
-    covariance /= np.outer(scale, scale)
-
+    attempts = [
+        least_squares(
+            lambda parameters: _sum(x, parameters) - y,
+            start,
+            jac=lambda parameters: _jacobian(x, parameters),
+            bounds=(lower, upper),
+            x_scale="jac",
+            max_nfev=whole("max_iterations", max_iterations, least=1),
+        )
+        for start in _starts(x, y, n)
+    ]
+    solution = min(attempts, key=lambda attempt: attempt.cost)
+    freedom = len(x) - 3 * n
+    variance = 2 * solution.cost / freedom if freedom > 0 else np.nan
+    covariance = variance * inverse_normal(solution.jac)
     order = np.argsort(solution.x[n : 2 * n])
     rows = np.concatenate([order, order + n, order + 2 * n])
     a, b, c = solution.x[rows].reshape(3, n)
@@ -223,12 +225,14 @@ def fit_gaussians(
         b,
         c,
         domain=(float(low), float(low + span)),
-        covariance=covariance[np.ix_(rows, rows)],
+        covariance=covariance[np.ix_(rows, rows)] if freedom > 0 else None,
     )
 
 
-def _start(x: NDArray[np.float64], y: NDArray[np.float64], n: int) -> NDArray[np.float64]:
-    """Terms that share the outline's bending evenly, with their best amplitudes."""
+def _starts(
+    x: NDArray[np.float64], y: NDArray[np.float64], n: int
+) -> Iterator[NDArray[np.float64]]:
+    """Evenly spaced terms, then terms that share the outline's bending; best amplitudes each."""
     span = np.ptp(x)
     grid = np.linspace(x.min(), x.max(), 256)
     order = np.argsort(x)
@@ -238,12 +242,14 @@ def _start(x: NDArray[np.float64], y: NDArray[np.float64], n: int) -> NDArray[np
     bending[:8], bending[-8:] = bending[8], bending[-9]
     share = np.cumsum(bending + 0.1 * bending.mean() + 1e-12)
     share /= share[-1]
-    centers = np.interp((np.arange(n) + 0.5) / n, share, grid)
-    edges = np.interp(np.arange(n + 1) / n, share, grid)
-    widths = np.clip(1.2 * np.diff(edges), 2 * _LEAST_WIDTH * span, span)
-    basis = np.exp(-(((x[:, np.newaxis] - centers) / widths) ** 2))
-    amplitudes = np.linalg.lstsq(basis, y, rcond=1e-6)[0]
-    return np.concatenate([amplitudes, centers, widths])
+    even = np.linspace(0.0, 1.0, grid.size)
+    for progress in (even, share):
+        centers = np.interp((np.arange(n) + 0.5) / n, progress, grid)
+        edges = np.interp(np.arange(n + 1) / n, progress, grid)
+        widths = np.clip(1.2 * np.diff(edges), 2 * _LEAST_WIDTH * span, span)
+        basis = np.exp(-(((x[:, np.newaxis] - centers) / widths) ** 2))
+        amplitudes = np.linalg.lstsq(basis, y, rcond=1e-6)[0]
+        yield np.concatenate([amplitudes, centers, widths])
 
 
 def _sum(x: NDArray[np.float64], parameters: NDArray[np.float64]) -> NDArray[np.float64]:

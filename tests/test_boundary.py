@@ -77,27 +77,31 @@ def test_filled_probe_leaves_the_ground(scene):
 @pytest.mark.parametrize(
     "change",
     [
-        lambda image: image[:, ::-1],
         lambda image: image.astype(np.uint16) * 257,
         lambda image: image / 255.0,
         lambda image: image * 0.5 + 10.0,
     ],
-    ids=["mirrored", "16 bit", "0 to 1", "dimmer"],
+    ids=["16 bit", "0 to 1", "dimmer"],
 )
-def test_grey_scale_and_side_do_not_matter(scene, change):
-    plain = extract_boundary(scene.image)
-    other = extract_boundary(change(scene.image))
-    x = other.x
-    if change(scene.image).strides[1] < 0:
-        x = scene.image.shape[1] - 1 - x[::-1]
-    middle = np.linspace(plain.x[20], plain.x[-20], 50)
-    middle = middle[np.abs(middle - plain.probe.tip[0]) > 14]
-    y = other.y[::-1] if change(scene.image).strides[1] < 0 else other.y
-    # The same numbers up to the rounding of float32 and where the curve is cut into points.
-    np.testing.assert_allclose(
-        np.interp(middle, x, y), np.interp(middle, plain.x, plain.y), atol=0.25
-    )
-    assert other.probe.half_width == pytest.approx(plain.probe.half_width, abs=1e-3)
+def test_scale_of_the_grey_levels_does_not_matter(scene, change):
+    plain, other = extract_boundary(scene.image), extract_boundary(change(scene.image))
+    np.testing.assert_array_equal(other.under_probe, plain.under_probe)
+    # float32 keeps seven digits of a grey level, which are 1e-6 px of an edge; a wall's place is
+    # polished to about 1e-3 px.
+    np.testing.assert_allclose(other.points, plain.points, atol=5e-3)
+
+
+def test_mirror_image_gives_the_mirrored_outline(scene):
+    plain, other = extract_boundary(scene.image), extract_boundary(scene.image[:, ::-1])
+    columns = scene.image.shape[1]
+    x = np.arange(300.0, 640.0)
+    x = x[np.abs(x - scene.centre[0]) > 16]
+    mirrored = np.interp(columns - 1 - x, other.x, other.y)
+    # The curve is cut into points at other places: each carries its own noise of 0.065 px, more
+    # across the steep wall near the probe.
+    off = mirrored - np.interp(x, plain.x, plain.y)
+    assert np.abs(off).max() < 0.4
+    assert abs(off.mean()) < 0.02
 
 
 def spoiled(name: str) -> np.ndarray:

@@ -30,11 +30,11 @@ def draw(seed: int) -> EmbryoImage:
 
 @pytest.fixture(scope="module")
 def study() -> pd.DataFrame:
-    """ln(E / truth) of 12 embryos by both methods, with the stated standard deviation."""
+    """ln(E / truth) of ten embryos, and of five by the thesis' method, with the stated deviation."""
     rows = []
-    for seed in range(500, 512):
+    for seed in range(500, 510):
         scene = draw(seed)
-        for method in ("membrane", "gaussians"):
+        for method in ("membrane", "gaussians")[: 2 if seed < 505 else 1]:
             estimate = modulus_from_image(
                 scene.image,
                 scene.embryo.force,
@@ -57,13 +57,13 @@ def study() -> pd.DataFrame:
 
 def test_modulus_is_unbiased_and_its_interval_honest(study):
     ours = study[study["method"] == "membrane"]
-    # The mean of 12 errors of 1.5 % is known to 0.45 %: 1 % and three of those.
-    assert abs(ours["error"].mean()) < 0.01 + 3 * 0.0045
+    # The mean of ten errors of 1.5 % is known to 0.5 %: three of those.
+    assert abs(ours["error"].mean()) < 0.015
     assert ours["error"].std() < 0.05
-    # Of 12 intervals of 95 % nine or fewer hold once in 400.
-    assert ours["inside"].sum() >= 10
-    # Intervals too wide would hold as well: the pulls must not be small (χ², 12 pulls, 0.1 %).
-    assert np.sum((ours["error"] / ours["std"]) ** 2) > 2.2
+    # Of ten intervals of 95 % seven or fewer hold once in 90.
+    assert ours["inside"].sum() >= 8
+    # Intervals too wide would hold as well: the pulls must not be small (χ², ten pulls, 0.1 %).
+    assert np.sum((ours["error"] / ours["std"]) ** 2) > 1.48
 
 
 def test_the_profile_beats_eight_gaussians(study):

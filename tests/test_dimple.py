@@ -93,13 +93,11 @@ def test_stray_points_are_left_out():
 
 
 def test_a_dimple_of_another_shape_is_refused():
-    """The printed outline of the thesis is of this kind: a plateau with a narrow pit."""
+    """A ripple of 3 px in a dimple 30 px deep."""
     boundary = outline(Embryo.dented(120.0, modulus=1.0))
-    u = (boundary.x - CENTER[0]) / 25.0
-    pit = CENTER[1] - 30 * np.exp(-(u**2)) - 2e-4 * (boundary.x - CENTER[0]) ** 2
-    pitted = Boundary(
+    rippled = Boundary(
         boundary.x,
-        pit,
+        boundary.y + 3 * np.sin(np.abs(boundary.x - CENTER[0]) / 6.0),
         boundary.std,
         boundary.under_probe,
         boundary.probe,
@@ -107,7 +105,7 @@ def test_a_dimple_of_another_shape_is_refused():
         boundary.image_height,
     )
     with pytest.raises(ValueError, match=r"follow the membrane's profile \(4.2\)"):
-        fit_dimple(pitted, pixel_size=PIXEL, probe_half_width=25.0)
+        fit_dimple(rippled, pixel_size=PIXEL, probe_half_width=25.0)
 
 
 @pytest.mark.parametrize(
@@ -115,7 +113,7 @@ def test_a_dimple_of_another_shape_is_refused():
     [
         ({"pixel_size": 0.0}, "pixel_size must be positive"),
         ({"probe_half_width": -1.0}, "probe_half_width must be positive"),
-        ({"probe_half_width": 400.0}, "probe_half_width must be below the dimple's radius"),
+        ({"probe_half_width": 260.0}, "probe_half_width must be below the dimple's radius"),
         ({"probe_half_width": 45.0}, "probe's end at the bottom of the dimple"),
         ({"probe_half_width": 12.0}, "probe's end at the bottom of the dimple"),
     ],
