@@ -30,7 +30,7 @@ def draw(seed: int) -> EmbryoImage:
 
 @pytest.fixture(scope="module")
 def study() -> pd.DataFrame:
-    """ln(E / truth) of ten embryos, and of five by the thesis' method, with the stated deviation."""
+    """ln(E / truth) of ten embryos, of five by the thesis' method too, and the stated deviation."""
     rows = []
     for seed in range(500, 510):
         scene = draw(seed)
