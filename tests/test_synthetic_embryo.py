@@ -122,7 +122,7 @@ def test_noise_light_and_seed():
 
 
 def test_sequence_rises_on_a_fixed_seat():
-    scenes = list(embryo_sequence([30.0, 120.0], modulus=1.0, rng=np.random.default_rng(0)))
+    scenes = embryo_sequence([30.0, 120.0], modulus=1.0, rng=np.random.default_rng(0))
     depths = [s.embryo.dimple_depth for s in scenes]
     # At a constant rim radius the depth grows roughly as √F.
     assert depths[1] / depths[0] == pytest.approx(2.0, rel=0.1)

@@ -7,7 +7,7 @@ Lengths are in µm, forces in µN, moduli in MPa; image coordinates in px.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -434,7 +434,7 @@ def embryo_image(
 
 def embryo_sequence(
     forces: Iterable[float], *, modulus: float, rng: np.random.Generator, rim_radius: float = 450.0
-) -> Iterator[EmbryoImage]:
+) -> list[EmbryoImage]:
     """
     Render one embryo under each of `forces`, as the probe is driven into it.
 
@@ -449,9 +449,9 @@ def embryo_sequence(
     rim_radius : float
         As in `Embryo.pressed`.
 
-    Yields
-    ------
-    EmbryoImage
+    Returns
+    -------
+    list of EmbryoImage
         Images of the workstation's camera. The far side of the embryo stays on the sensor.
 
     Raises
@@ -465,11 +465,13 @@ def embryo_sequence(
     >>> [round(scene.embryo.dimple_depth) for scene in scenes]
     [66, 97]
     """
+    scenes = []
     for force in forces:
         embryo = Embryo.pressed(force, modulus=modulus, rim_radius=rim_radius)
         bottom = 0.9 * _SONY_SHAPE[0]
         centre = ((_SONY_SHAPE[1] - 1) / 2, bottom - embryo.height / SONY_PIXEL_SIZE)
-        yield embryo_image(embryo, rng=rng, centre=centre)
+        scenes.append(embryo_image(embryo, rng=rng, centre=centre))
+    return scenes
 
 
 def _draw(frame: EmbryoImage, rng: np.random.Generator, probe: bool) -> NDArray[np.float32]:
