@@ -11,7 +11,7 @@ from scipy.special import ndtr
 
 from microlib.dark_blobs import find_blobs
 from microlib.detection import Detection, keep_sound, margin_for
-from microlib.edge_fit import Patches, cut_patches, fit_outlines, ground
+from microlib.edge_fit import OutlineFit, Patches, cut_patches, fit_outlines, ground, share
 from microlib.grid_order import order_grid
 from microlib.microscope import distort
 
@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 # Places of the parameters: centre, shape matrix A (|A·(x − centre)| = 1 on the ellipse), blur,
 # contrast, ground.
 CENTRE, SHAPE, BLUR, CONTRAST, GROUND = slice(0, 2), slice(2, 5), 5, 6, slice(7, 10)
+# What varies smoothly across the image: blur, contrast, slope of the ground.
+SHARED = [5, 6, 8, 9]
 
 
 def detect_circles(
@@ -62,9 +64,9 @@ def detect_circles(
     >>> from microlib.pattern_rendering import render_circles
     >>> scope = Microscope(200000, 126000, 79380, tx=-300, ty=-300, image_size=(160, 120))
     >>> found = detect_circles(render_circles(scope))
-    >>> error = found.points - scope.project(280.0 * found.grid - [0, 0])
+    >>> error = found.points - scope.project(280.0 * found.grid)
     >>> len(found.points), bool(abs(error).max() < 0.01)
-    (6, True)
+    (9, True)
     """
     blobs = find_blobs(image)
     try:
@@ -78,14 +80,22 @@ def detect_circles(
     found = fit.parameters
     points = found[:, CENTRE] + patches.centres
     reach = _reach(found)
-    sound = keep_sound(blobs.image.shape, points - reach, points + reach, fit, found[:, CONTRAST])
+    sound = keep_sound(
+        blobs.image.shape, points - reach, points + reach, fit.rms, found[:, CONTRAST], _sigma(fit)
+    )
     if sound.sum() < 4:
         raise ValueError(f"image must show a grid of circles, got {int(sound.sum())} whole ones")
-    points, grid, found = points[sound], grid[sound], found[sound]
-    area = np.pi / np.abs(np.linalg.det(_shape(found)))
+    fit, origins = share(fit[sound], patches.centres[sound], SHARED), patches.centres[sound]
+    points = fit.parameters[:, CENTRE] + origins
+    grid = grid[sound] - grid[sound].min(axis=0)
+    area = np.pi / np.abs(np.linalg.det(_shape(fit.parameters)))
     points = points - _centre_bias(points, grid, area, blobs.image.shape)
-    sigma = np.sqrt(np.einsum("nii->ni", fit.covariance[sound][:, CENTRE, CENTRE]).mean(axis=1))
-    return Detection(points, grid - grid.min(axis=0), sigma)
+    return Detection(points, grid, _sigma(fit), np.arange(len(points)))
+
+
+def _sigma(fit: OutlineFit) -> Array:
+    """Standard deviation of a coordinate of each centre, px."""
+    return np.sqrt(np.einsum("nii->ni", fit.covariance[:, CENTRE, CENTRE]).mean(axis=1))
 
 
 def _shape(parameters: Array) -> Array:

@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from microlib.edge_fit import OutlineFit
-
 __all__ = ["Detection", "keep_sound", "margin_for"]
 
 #: Pixels further from an outline than this say little about it, px.
@@ -29,11 +27,14 @@ class Detection:
         shift.
     sigma : ndarray, shape (N,)
         Standard deviation of a coordinate of each point as the fit's residual tells it, px.
+    group : ndarray of int, shape (N,)
+        Number of the shape that each point belongs to: errors within one shape are correlated.
     """
 
     points: NDArray[np.float64]
     grid: NDArray[np.intp]
     sigma: NDArray[np.float64]
+    group: NDArray[np.intp]
 
 
 def margin_for(centres: NDArray[np.float64], radius: float) -> float:
@@ -46,21 +47,24 @@ def keep_sound(
     shape: tuple[int, ...],
     low: NDArray[np.float64],
     high: NDArray[np.float64],
-    fit: OutlineFit,
+    rms: NDArray[np.float64],
     contrast: NDArray[np.float64],
+    sigma: NDArray[np.float64],
 ) -> NDArray[np.bool_]:
-    """Outlines inside the image (their box is `low` to `high`) whose fit stands out of its
-    residual.
+    """Outlines inside the image (their box is `low` to `high`) that are fitted as well as the
+    others.
 
-    A fit is dropped if its residual is three times the median one, or its contrast is less than
-    half of the median: dirt, a reflection, or something that is not of the pattern's shape.
+    One is dropped if its residual exceeds three times the median (dirt, a reflection, another
+    shape), its contrast half of the median or less, or its uncertainty five times the median (a
+    side that the image cuts off).
     """
     inside = ((low >= 0) & (high <= [shape[1] - 1, shape[0] - 1])).all(axis=1)
-    good = inside & np.isfinite(fit.rms)
+    good = inside & np.isfinite(rms) & np.isfinite(sigma)
     if not good.any():
         return good
     return (
         good
-        & (fit.rms <= 3 * np.median(fit.rms[good]))
-        & (contrast >= np.median(contrast[good]) / 2)
+        & (rms <= 3 * np.median(rms[good]))
+        & (contrast > np.median(contrast[good]) / 2)
+        & (sigma <= 5 * np.median(sigma[good]))
     )

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["OutlineFit", "Patches", "cut_patches", "fit_outlines", "ground"]
+__all__ = ["OutlineFit", "Patches", "cut_patches", "fit_outlines", "ground", "share"]
 
 Array = NDArray[np.float64]
 #: From parameters (n, p) to grey levels (n, k) and their derivatives (n, k, p).
@@ -62,6 +62,10 @@ class OutlineFit:
     parameters: Array
     covariance: Array
     rms: Array
+
+    def __getitem__(self, index: NDArray[np.bool_]) -> OutlineFit:
+        """The fits that `index` picks."""
+        return OutlineFit(self.parameters[index], self.covariance[index], self.rms[index])
 
 
 def cut_patches(
@@ -144,6 +148,34 @@ def fit_outlines(
     covariance = _invert(normal) * variance[:, None, None]
     failed = ~np.isfinite(covariance).all(axis=(1, 2))
     return OutlineFit(best, covariance, np.where(failed, np.nan, np.sqrt(variance)))
+
+
+def share(fit: OutlineFit, centres: Array, columns: list[int]) -> OutlineFit:
+    """Let the outlines of one image share what varies smoothly across it.
+
+    The parameters in `columns` are replaced by a polynomial of the place in the image that is
+    fitted to all of them (quadratic from 12 outlines on, linear from 6 on, nothing below); the
+    others follow as their covariance says: the fit that would have been found, had the shared ones
+    been known.
+    """
+    degree = 2 if len(centres) >= 12 else 1 if len(centres) >= 6 else 0
+    if degree == 0:
+        return fit
+    x, y = ((centres - centres.mean(axis=0)) / np.ptp(centres)).T
+    basis = np.column_stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)])
+    inverse = np.linalg.pinv(basis)
+    own = fit.parameters[:, columns]
+    shared = basis @ (inverse @ own)
+    across = fit.covariance[:, :, columns]
+    gain = across @ _invert(across[:, columns])
+    # What an outline adds to the shared values itself is its leverage; that much of its own error
+    # stays.
+    leverage = np.einsum("ij,ji->i", basis, inverse)[:, None, None]
+    return OutlineFit(
+        fit.parameters + (gain @ (shared - own)[..., None])[..., 0],
+        fit.covariance - (1 - leverage) * (gain @ across.transpose(0, 2, 1)),
+        fit.rms,
+    )
 
 
 def _eye(like: Array) -> Array:
