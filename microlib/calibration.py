@@ -7,7 +7,7 @@ determine is held or named, never made up.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,10 @@ __all__ = ["Calibration", "ErrorSummary", "calibrate"]
 
 Array = NDArray[np.float64]
 NAMES = ("magnification", "focal_length", "distortion", "alpha", "beta", "gamma", "tx", "ty")
+
+#: 1/f must exceed so many of its standard errors to be told from zero: with the sign of the tilt
+#: unknown, fewer would now and then pass noise off as a focal length.
+CERTAIN = 4.0
 
 
 @dataclass(frozen=True)
@@ -340,7 +344,7 @@ def _report(
 
     if 1 in free:
         power, error = theta[1], np.sqrt(covariance[1, 1])
-        if not power > student.ppf(0.975, freedom) * error:
+        if not power > CERTAIN * error:
             lost |= {"focal_length", "beta", "gamma"}
         theta[1] = max(power, 1e-9)
         to_length = np.ones(len(free))
@@ -355,13 +359,12 @@ def _report(
     theta[3:6] = np.angle(np.exp(1j * theta[3:6]))
     magnification, power, *others = theta.tolist()
     focal_length = 1 / power
-    microscope = Microscope(
-        magnification * focal_length,
-        focal_length,
-        focal_length / magnification,
-        *others,
-        pixel_size=frame.pixel_size,
-        image_size=frame.image_size,
+    microscope = replace(
+        frame,
+        tube_length=magnification * focal_length,
+        focal_length=focal_length,
+        distance=focal_length / magnification,
+        **dict(zip(NAMES[2:], others, strict=True)),
     )
     estimate = np.array([magnification, focal_length, *others])
     _, singular, directions = np.linalg.svd(jacobian / np.linalg.norm(jacobian, axis=0))

@@ -3,17 +3,15 @@ bias."""
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
 from scipy.special import ndtr
 
 from microlib.dark_blobs import find_blobs
 from microlib.detection import Detection, keep_sound, margin_for
 from microlib.edge_fit import OutlineFit, Patches, cut_patches, fit_outlines, ground, share
+from microlib.grid_map import GridMap, fit_grid_map
 from microlib.grid_order import order_grid
-from microlib.microscope import distort
 
 __all__ = ["detect_circles"]
 
@@ -89,7 +87,8 @@ def detect_circles(
     points = fit.parameters[:, CENTRE] + origins
     grid = grid[sound] - grid[sound].min(axis=0)
     area = np.pi / np.abs(np.linalg.det(_shape(fit.parameters)))
-    points = points - _centre_bias(points, grid, area, blobs.image.shape)
+    to_image = fit_grid_map(points, grid.astype(np.float64), blobs.image.shape)
+    points = points - _centre_bias(to_image, grid, area)
     return Detection(points, grid, _sigma(fit), np.arange(len(points)))
 
 
@@ -168,37 +167,12 @@ def _grey_levels(parameters: Array, patches: Patches) -> tuple[Array, Array]:
     return light * (1 - contrast * inside), jacobian
 
 
-def _centre_bias(
-    points: Array, grid: NDArray[np.intp], area: Array, shape: tuple[int, ...]
-) -> Array:
-    """How far the centre of each circle's image lies from the image of its centre, px.
-
-    The map from grid to image is a homography and, from six points on, a radial distortion about
-    the image's centre.
-    """
-    middle = (np.array(shape[::-1], dtype=np.float64) - 1) / 2
-    unit = middle.max()
-    seen = (points - middle) / unit
-    start = cv2.findHomography(grid.astype(np.float64), seen)[0].ravel()[:8]
-    radial = len(points) >= 6
-
-    def to_image(p: Array, at: Array) -> Array:
-        homography = np.append(p[:8], 1).reshape(3, 3)
-        flat = at @ homography[:, :2].T + homography[:, 2]
-        return distort(flat[..., :2] / flat[..., 2:], p[8] if radial else 0.0)
-
-    p = least_squares(
-        lambda p: (to_image(p, grid) - seen).ravel(), np.append(start, 0.0) if radial else start
-    ).x
-    small = 1e-3
-    steps = [
-        (to_image(p, grid + s) - to_image(p, grid - s)) / (2 * small) for s in small * np.eye(2)
-    ]
-    scale = np.abs(np.linalg.det(np.stack(steps, axis=-1))) * unit**2  # px² per cell of the grid
-    radius = np.sqrt(np.median(area / (np.pi * scale)))  # in steps of the grid
+def _centre_bias(to_image: GridMap, grid: Array, area: Array) -> Array:
+    """How far the centre of each circle's image lies from the image of its centre, px."""
+    radius = np.sqrt(np.median(area / (np.pi * to_image.scale(grid))))  # in steps of the grid
     turn = np.linspace(0, 2 * np.pi, 32, endpoint=False)
-    rim = to_image(p, grid[:, None] + radius * np.column_stack([np.cos(turn), np.sin(turn)]))
-    return unit * (_centroid(rim) - to_image(p, grid))
+    rim = to_image(grid[:, None] + radius * np.column_stack([np.cos(turn), np.sin(turn)]))
+    return _centroid(rim) - to_image(grid)
 
 
 def _centroid(polygons: Array) -> Array:

@@ -65,7 +65,7 @@ def find_blobs(image: ArrayLike) -> Blobs:
     image = as_image("image", image, smallest=16)
     if np.ptp(image) == 0:
         raise ValueError(f"image must show a pattern, got the one grey level {image[0, 0]:g}")
-    smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
+    smooth: NDArray = cv2.GaussianBlur(image, (0, 0), 1.0)
     for _ in range(3):
         threshold = _otsu(smooth)
         light = _paraboloid(smooth, smooth > threshold)
@@ -111,14 +111,12 @@ def _paraboloid(image: NDArray[np.float32], bright: NDArray[np.bool_]) -> NDArra
     return (c0 + cx * x + cy * y + cxx * x * x + cxy * x * y + cyy * y * y).astype(np.float32)
 
 
-def _moments(
-    labels: NDArray[np.int32], count: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _moments(labels: NDArray, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Centroid and second central moments of each label."""
     row, column = np.nonzero(labels)
     label = labels[row, column]
 
-    def total(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def total(values: NDArray) -> NDArray:
         return np.bincount(label, values, minlength=count)
 
     size = np.maximum(total(np.ones(len(label))), 1)

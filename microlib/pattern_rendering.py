@@ -215,9 +215,11 @@ def _half_plane(
     length = np.maximum(np.hypot(*step.T), 1e-12)
     a, b = np.sort(step / length[:, None], axis=1).T
     a = np.maximum(a, 1e-4)  # an edge along the cells: the trapezoid becomes a box
-    d, wide, narrow = inside / length, (b + a) / 2, (b - a) / 2
+    wide, narrow = (b + a) / 2, (b - a) / 2
+    d = np.clip(inside / length, -wide, wide)
     ramps = [np.maximum(d + s, 0) ** 2 for s in (wide, narrow, -narrow, -wide)]
-    return np.clip((ramps[0] - ramps[1] - ramps[2] + ramps[3]) / (2 * a * b), 0, 1)
+    area = (ramps[0] - ramps[1] - ramps[2] + ramps[3]) / (2 * a * b)
+    return np.where(d == wide, 1.0, np.where(d == -wide, 0.0, area))
 
 
 def _render(
@@ -239,7 +241,7 @@ def _render(
     plane = microscope.back_project(cells.reshape(-1, 2)).reshape(*shape, 2)
 
     inside = depth(plane)  # NaN, so not covered, where no line of sight meets the plane
-    area = (inside > 0).astype(np.float32)
+    area: NDArray = (inside > 0).astype(np.float32)
     scale = np.nanmax(np.abs(np.diff(plane, axis=1))) + np.nanmax(np.abs(np.diff(plane, axis=0)))
     row, column = np.nonzero(np.abs(inside) < scale)
     before = plane[np.maximum(row - 1, 0), column], plane[row, np.maximum(column - 1, 0)]
@@ -250,10 +252,8 @@ def _render(
     across, down = (after[1] - before[1]) / 2, (after[0] - before[0]) / 2
     area[row, column] = covered(plane[row, column], np.stack([across, down], axis=-1))
 
-    # Cells are boxes themselves: their own width is taken off the blur.
-    sigma = np.sqrt(max((CELLS * imaging.blur) ** 2 - 1 / 12, 0.0))
-    if sigma > 0:
-        area = cv2.GaussianBlur(area, (0, 0), sigma)
+    if imaging.blur > 0:
+        area = cv2.GaussianBlur(area, (0, 0), CELLS * imaging.blur)
     pixels = area.reshape(height + 2 * margin, CELLS, width + 2 * margin, CELLS).mean(axis=(1, 3))
     pixels = pixels[margin:-margin, margin:-margin]
 

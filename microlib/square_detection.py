@@ -11,6 +11,7 @@ from scipy.special import ndtr
 from microlib.dark_blobs import Blobs, find_blobs
 from microlib.detection import Detection, keep_sound, margin_for
 from microlib.edge_fit import OutlineFit, Patches, cut_patches, fit_outlines, ground, share
+from microlib.grid_map import GridMap, fit_grid_map
 from microlib.grid_order import order_grid
 
 __all__ = ["detect_squares"]
@@ -90,6 +91,9 @@ def detect_squares(
     origins = patches.centres[sound]
     corners, sigma = _corners(share(_untangle(fit[sound]), origins, SHARED), origins)
     grid = _corner_grid(corners, grid[sound] - grid[sound].min(axis=0))
+    flat = grid.reshape(-1, 2).astype(np.float64)
+    to_image = fit_grid_map(corners.reshape(-1, 2), flat, blobs.image.shape)
+    corners = corners - _corner_bias(to_image, flat.reshape(corners.shape))
     group = np.repeat(np.arange(len(corners)), 4)
     return Detection(corners.reshape(-1, 2), grid.reshape(-1, 2), sigma.ravel(), group)
 
@@ -108,9 +112,7 @@ def _start(blobs: Blobs, index: NDArray[np.intp]) -> Array:
     return start
 
 
-def _sobel_lines(
-    gx: NDArray[np.float32], gy: NDArray[np.float32], centre: Array, side: float
-) -> tuple[Array, Array]:
+def _sobel_lines(gx: NDArray, gy: NDArray, centre: Array, side: float) -> tuple[Array, Array]:
     """Outward normals' angles and distances from the rounded centre of the four lines of one
     square."""
     origin = np.round(centre).astype(int)
@@ -238,3 +240,18 @@ def _corner_grid(corners: Array, grid: NDArray[np.intp]) -> NDArray[np.intp]:
     steps = np.linalg.lstsq(design, centres, rcond=None)[0][:2]
     local = (corners - centres[:, None]) @ np.linalg.inv(steps)
     return 2 * grid[:, None] + (local > 0)
+
+
+def _corner_bias(to_image: GridMap, grid: Array) -> Array:
+    """How far straight lines through distorted sides cross from the images of the corners, (n, 4,
+    2), px."""
+    first, last = grid[:, :, None], np.roll(grid, -1, axis=1)[:, :, None]
+    sides = to_image(first + (last - first) * np.linspace(0, 1, 9)[:, None])  # (n, 4, 9, 2)
+    middle = sides.mean(axis=2)
+    offset = sides - middle[:, :, None]
+    spread = offset.swapaxes(-1, -2) @ offset
+    normal = np.linalg.eigh(spread)[1][..., 0]  # (n, 4, 2)
+    pair = np.stack([normal, np.roll(normal, 1, axis=1)], axis=2)  # a side and the one before
+    along = np.stack([middle, np.roll(middle, 1, axis=1)], axis=2)
+    distance = (pair * along).sum(axis=-1)
+    return np.linalg.solve(pair, distance[..., None])[..., 0] - to_image(grid)
