@@ -235,34 +235,35 @@ def _render(
         raise ValueError("rng must be a numpy.random.Generator when imaging.noise > 0, got None")
     width, height = microscope.image_size
     margin = int(np.ceil(4 * imaging.blur)) + 1
-    shape = (CELLS * (height + 2 * margin), CELLS * (width + 2 * margin))
-    rows, columns = ((np.arange(n) + 0.5) / CELLS - 0.5 - margin for n in shape)
-    cells = np.stack(np.meshgrid(columns, rows), axis=-1)
-    plane = microscope.back_project(cells.reshape(-1, 2)).reshape(*shape, 2)
+    rows, columns = np.arange(height + 2 * margin) - margin, np.arange(width + 2 * margin) - margin
+    shape = (len(rows), len(columns))
+    pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2).astype(np.float64)
+    plane = microscope.back_project(pixels).reshape(*shape, 2)
+    jacobian = np.stack([np.gradient(plane, axis=1), np.gradient(plane, axis=0)], axis=-1)
 
+    # Only pixels that an outline may cross are cut into cells.
     inside = depth(plane)  # NaN, so not covered, where no line of sight meets the plane
-    area: NDArray = (inside > 0).astype(np.float32)
-    scale = np.nanmax(np.abs(np.diff(plane, axis=1))) + np.nanmax(np.abs(np.diff(plane, axis=0)))
-    row, column = np.nonzero(np.abs(inside) < scale)
-    before = plane[np.maximum(row - 1, 0), column], plane[row, np.maximum(column - 1, 0)]
-    after = (
-        plane[np.minimum(row + 1, shape[0] - 1), column],
-        plane[row, np.minimum(column + 1, shape[1] - 1)],
-    )
-    across, down = (after[1] - before[1]) / 2, (after[0] - before[0]) / 2
-    area[row, column] = covered(plane[row, column], np.stack([across, down], axis=-1))
+    area: NDArray = np.kron(inside > 0, np.ones((CELLS, CELLS), dtype=np.float32))
+    row, column = np.nonzero(np.abs(inside) < np.abs(jacobian).sum(axis=(2, 3)))
+    step = (np.arange(CELLS) + 0.5) / CELLS - 0.5
+    for i, dy in enumerate(step):
+        for j, dx in enumerate(step):
+            cells = np.column_stack([columns[column] + dx, rows[row] + dy])
+            cell = covered(microscope.back_project(cells), jacobian[row, column] / CELLS)
+            area[CELLS * row + i, CELLS * column + j] = cell
 
     if imaging.blur > 0:
         area = cv2.GaussianBlur(area, (0, 0), CELLS * imaging.blur)
-    pixels = area.reshape(height + 2 * margin, CELLS, width + 2 * margin, CELLS).mean(axis=(1, 3))
-    pixels = pixels[margin:-margin, margin:-margin]
+    area = cv2.resize(area, shape[::-1], interpolation=cv2.INTER_AREA)[
+        margin:-margin, margin:-margin
+    ]
 
     x = np.linspace(-0.5, 0.5, width)
     y = np.linspace(-0.5, 0.5, height)[:, None]
     light = (1 + imaging.gradient[0] * x + imaging.gradient[1] * y) * (
         1 - imaging.vignetting * 2 * (x**2 + y**2)
     )
-    image = light * (imaging.bright - (imaging.bright - imaging.dark) * pixels)
+    image = light * (imaging.bright - (imaging.bright - imaging.dark) * area)
     if rng is not None:
         image = image + rng.normal(0, imaging.noise, image.shape)
     return np.clip(image, 0, 255).astype(np.float32)
