@@ -33,7 +33,8 @@ LIMITS = {
     (3.0, 2): (0.016, 0.033),
     (3.0, 8): (0.045, 0.065),
 }
-#: 140 grey levels of contrast: there findCirclesGrid makes about the errors that the limits were set by.
+#: 140 grey levels of contrast: there findCirclesGrid makes about the errors that the limits were
+#: set by.
 DARK, BRIGHT = 55.0, 195.0
 PITCH_PX = 30
 DEGREE = np.pi / 180

@@ -59,7 +59,7 @@ def order_grid(
     if len(points) < 4:
         raise ValueError(f"points must be at least 4 to show a lattice, got {len(points)}")
     steps = _basis(points)
-    index, grid = _grow(points, steps)
+    index, grid = _attach(points, *_grow(points, steps))
     if len(index) < 4 or np.linalg.matrix_rank(grid - grid.mean(axis=0)) < 2:
         raise ValueError(f"points must show a lattice, got {len(points)} that do not")
     axes = _axes(points[index], grid, direction, mirrored)
@@ -135,6 +135,27 @@ def _grow_from(
                 taken.add(int(index))
                 queue.append((target, following))
     return found
+
+
+def _attach(
+    points: NDArray[np.float64], index: NDArray[np.intp], grid: NDArray[np.intp]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Add the points beyond holes: a quadratic map from the image to the lattice finds their
+    place."""
+    rest = np.setdiff1d(np.arange(len(points)), index)
+    if len(index) < 12 or len(rest) == 0:
+        return index, grid
+    centre, size = points[index].mean(axis=0), np.ptp(points[index])
+    x, y = ((points - centre) / size).T
+    basis = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+    place = basis[rest] @ np.linalg.lstsq(basis[index], grid, rcond=None)[0]
+    cell = np.round(place).astype(np.intp)
+    taken = set(map(tuple, grid.tolist()))
+    for k in np.flatnonzero(np.hypot(*(place - cell).T) < REACH / 2):
+        if tuple(cell[k].tolist()) not in taken:
+            taken.add(tuple(cell[k].tolist()))
+            index, grid = np.append(index, rest[k]), np.vstack([grid, cell[k]])
+    return index, grid
 
 
 def _axes(

@@ -172,18 +172,23 @@ def render_squares(
     def offset(plane: NDArray[np.float64]) -> NDArray[np.float64]:
         return plane - half - 2 * side * _nearest((plane - half) / (2 * side), counts)
 
+    def sides(o: NDArray[np.float64], jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
+        normals = np.sign(o)[:, :, None] * np.eye(2)
+        inside = half - np.abs(o)
+        return np.stack([_half_plane(inside[:, k], normals[:, k], jacobian) for k in (0, 1)])
+
     def covered(plane: NDArray[np.float64], jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
-        # The product is exact but for a cell that holds a corner: that one is sampled.
+        # The product of two half-planes is exact but for a cell that holds a corner and is turned
+        # against it: such a cell is cut again.
+        o = offset(plane)
+        parts = sides(o, jacobian)
+        area = parts.prod(axis=0)
+        corner = ((parts > 0) & (parts < 1)).all(axis=0)
         steps = (np.arange(8) + 0.5) / 8 - 0.5
         shifts = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-        o = offset(plane)
-        inside = half - np.abs(o)
-        normal = np.sign(o)[:, :, None] * np.eye(2)
-        parts = [_half_plane(inside[:, k], normal[:, k], jacobian) for k in (0, 1)]
-        area = parts[0] * parts[1]
-        corner = ((np.stack(parts) > 0) & (np.stack(parts) < 1)).all(axis=0)
         fine = o[corner, None] + shifts @ jacobian[corner].transpose(0, 2, 1)
-        area[corner] = (np.abs(fine).max(axis=-1) < half).mean(axis=-1)
+        pieces = sides(fine.reshape(-1, 2), jacobian[corner].repeat(64, axis=0) / 8).prod(axis=0)
+        area[corner] = pieces.reshape(-1, 64).mean(axis=1)
         return area
 
     def depth(plane: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -246,7 +251,7 @@ def _render(
     area: NDArray = np.kron(inside > 0, np.ones((CELLS, CELLS), dtype=np.float32))
     row, column = np.nonzero(np.abs(inside) < np.abs(jacobian).sum(axis=(2, 3)))
     step = (np.arange(CELLS) + 0.5) / CELLS - 0.5
-    for i, dy in enumerate(step):
+    for i, dy in enumerate(step if len(row) else ()):
         for j, dx in enumerate(step):
             cells = np.column_stack([columns[column] + dx, rows[row] + dy])
             cell = covered(microscope.back_project(cells), jacobian[row, column] / CELLS)

@@ -109,7 +109,8 @@ def linear_intrinsics(flat: ArrayLike, depth: ArrayLike, sensor: ArrayLike) -> A
     The thesis neglects the depth and adds the rows of u and v: M (p + q) − κ (u + v) r² = u + v
     (2.18), which makes the row of (2.19) [p + q, −(u + v) r²]: the κ printed in it is the unknown,
     and the sign is lost. A sum loses the points near the line p + q = 0, so here u and v keep their
-    own rows; h adds a third column, −u (Z − T_z).
+    own rows; h adds a third column,
+    −u (Z − T_z); its product with κ, a thousandth of either, is neglected.
 
     Examples
     --------
