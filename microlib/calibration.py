@@ -11,22 +11,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
 from scipy.stats import t as student
 
 from microlib._checks import as_array, between, one_of, positive, same_length
-from microlib.camera_jacobian import information_inverse, project_plane
-from microlib.microscope import Microscope, euler_rotation
-from microlib.radial_alignment import linear_intrinsics, radial_alignment
+from microlib.microscope import Microscope
+from microlib.microscope_fit import NAMES, Fit, Problem, start_values
 
 __all__ = ["Calibration", "ErrorSummary", "calibrate"]
 
 Array = NDArray[np.float64]
-NAMES = ("magnification", "focal_length", "distortion", "alpha", "beta", "gamma", "tx", "ty")
 
 #: 1/f must exceed so many of its standard errors to be told from zero: with the sign of the tilt
 #: unknown, fewer would now and then pass noise off as a focal length.
 CERTAIN = 4.0
+#: Where 1/f is lost it may come out as zero; then f is held at a kilometre, 1/µm.
+SMALLEST_POWER = 1e-9
 
 
 @dataclass(frozen=True)
@@ -219,8 +218,8 @@ def calibrate(
                 f"groups must be more than the {len(free)} parameters, got {len(np.unique(label))}"
             )
 
-    problem = _Problem(world, image - frame.principal_point, frame.cell, np.array(free))
-    fits = [problem.fit(start, loss) for start in _starts(problem, focal_length)]
+    problem = Problem(world, image - frame.principal_point, frame.cell, np.array(free))
+    fits = [problem.fit(start, loss) for start in start_values(problem, focal_length)]
     best, other = sorted(fits, key=lambda fit: fit.cost)
     magnification = best.theta[0]
     if not magnification > 0:
@@ -230,127 +229,23 @@ def calibrate(
     return _report(problem, best, other, frame, label)
 
 
-@dataclass(frozen=True)
-class _Fit:
-    """One minimum: parameters (M, 1/f, κ, α, β, γ, T_x, T_y), cost, and the loss' scale in px (inf:
-    linear)."""
-
-    theta: Array
-    cost: float
-    scale: float
-
-
-@dataclass(frozen=True)
-class _Problem:
-    """World points (µm), image points from the principal point (px), cell (µm), free parameters."""
-
-    world: Array
-    seen: Array
-    cell: Array
-    free: NDArray[np.intp]
-
-    def residuals(self, theta: Array) -> Array:
-        return (project_plane(_visible(theta), self.world, self.cell)[0] - self.seen).ravel()
-
-    def jacobian(self, theta: Array) -> Array:
-        """Derivatives by all eight numbers; h = M/(f (1 + M)) depends on two of them."""
-        by = project_plane(_visible(theta), self.world, self.cell)[1].reshape(-1, 8)
-        magnification, power = theta[:2]
-        by_convergence = by[:, 1].copy()
-        by[:, 0] += by_convergence * power / (1 + magnification) ** 2
-        by[:, 1] = by_convergence * magnification / (1 + magnification)
-        return by
-
-    def fit(self, start: Array, loss: str) -> _Fit:
-        """Least squares; for Huber's loss twice more, its scale taken from the residuals before."""
-        fit = self._minimise(start, np.inf)
-        if loss == "huber":
-            for _ in range(2):
-                spread = 1.4826 * np.median(np.abs(self.residuals(fit.theta)))
-                fit = self._minimise(fit.theta, max(1.345 * spread, 1e-9))
-        return fit
-
-    def _minimise(self, start: Array, scale: float) -> _Fit:
-        def full(free: Array) -> Array:
-            theta = start.copy()
-            theta[self.free] = free
-            return theta
-
-        robust = np.isfinite(scale)
-        solution = least_squares(
-            lambda free: self.residuals(full(free)),
-            start[self.free],
-            lambda free: self.jacobian(full(free))[:, self.free],
-            method="trf" if robust else "lm",
-            x_scale="jac",
-            loss="huber" if robust else "linear",
-            f_scale=scale if robust else 1.0,
-            ftol=1e-15,
-            xtol=1e-15,
-            gtol=1e-15,
-        )
-        theta = full(solution.x)
-        if theta[1] < 0:  # the same image, seen with the tilt turned over
-            theta[[1, 4, 5]] *= -1
-        return _Fit(theta, 2 * float(solution.cost), scale)
-
-
-def _visible(theta: Array) -> Array:
-    """(M, h, κ, α, β, γ, T_x, T_y) of a plane in focus."""
-    return np.concatenate([[theta[0], theta[1] * theta[0] / (1 + theta[0])], theta[2:]])
-
-
-def _starts(problem: _Problem, focal_length: float | None) -> list[Array]:
-    """Two starts, one for each sign of the tilt."""
-    sensor = problem.seen * problem.cell
-    alpha, beta, gamma, tx, ty = radial_alignment(problem.world, sensor)
-    starts = []
-    for sign in (1, -1):
-        rotation = euler_rotation(alpha, sign * beta, sign * gamma)
-        turned = problem.world @ rotation[:, :2].T
-        flat, depth = turned[:, :2] + [tx, ty], turned[:, 2]
-        if focal_length is not None:
-            power = 1 / focal_length
-            magnification, distortion, _ = linear_intrinsics(flat, np.zeros(len(flat)), sensor)
-        else:
-            magnification, distortion, convergence = linear_intrinsics(flat, depth, sensor)
-            power = abs(convergence) * (1 + magnification) / magnification
-        pose = [alpha, sign * beta, sign * gamma, tx, ty]
-        starts.append(np.array([magnification, power, distortion, *pose]))
-    return starts
-
-
 def _report(
-    problem: _Problem, best: _Fit, other: _Fit, frame: Microscope, groups: Array | None
+    problem: Problem, best: Fit, other: Fit, frame: Microscope, groups: Array | None
 ) -> Calibration:
-    theta, free = best.theta.copy(), problem.free
-    residuals, jacobian = problem.residuals(theta), problem.jacobian(theta)[:, free]
-    score = np.clip(residuals, -best.scale, best.scale)
-    bent = np.mean(np.abs(residuals) < best.scale)  # what Huber's loss keeps of the curvature
-    inverse = information_inverse(jacobian) / bent
-    freedom = len(residuals) - len(free)
-    variance = float(score @ score) / freedom
-    names = [NAMES[k] for k in free]
-    lost = {name for name, v in zip(names, np.diag(inverse), strict=True) if np.isinf(v)}
-
-    if groups is None:
-        covariance = inverse * variance / bent
-    else:
-        members = [groups.repeat(2) == g for g in np.unique(groups)]
-        totals = np.stack([score[m] @ jacobian[m] for m in members])
-        freedom = len(members) - 1
-        correction = len(members) / freedom * (len(residuals) - 1) / (len(residuals) - len(free))
-        covariance = correction * inverse @ (totals.T @ totals) @ inverse
-
-    if 1 in free:
-        power, error = theta[1], np.sqrt(covariance[1, 1])
-        if not power > CERTAIN * error:
+    """Covariance in f instead of 1/f, what is lost, and the microscope."""
+    free = problem.free
+    names = tuple(NAMES[k] for k in free)
+    covariance, freedom = problem.covariance(best, groups)
+    lost = {name for name, v in zip(names, np.diag(covariance), strict=True) if np.isinf(v)}
+    theta = best.theta.copy()
+    if "focal_length" in names:
+        if not theta[1] > CERTAIN * np.sqrt(covariance[1, 1]):
             lost |= {"focal_length", "beta", "gamma"}
-        theta[1] = max(power, 1e-9)
+        theta[1] = max(theta[1], SMALLEST_POWER)
         to_length = np.ones(len(free))
         to_length[1] = -1 / theta[1] ** 2
         covariance = covariance * np.outer(to_length, to_length)
-    elif _two_tilts(best, other, covariance, variance):
+    elif _two_tilts(best, other, covariance, freedom):
         lost |= {"beta", "gamma"}
     for k in (names.index(name) for name in lost):
         covariance[k] = covariance[:, k] = np.nan
@@ -358,34 +253,33 @@ def _report(
 
     theta[3:6] = np.angle(np.exp(1j * theta[3:6]))
     magnification, power, *others = theta.tolist()
-    focal_length = 1 / power
     microscope = replace(
         frame,
-        tube_length=magnification * focal_length,
-        focal_length=focal_length,
-        distance=focal_length / magnification,
+        tube_length=magnification / power,
+        focal_length=1 / power,
+        distance=1 / (power * magnification),
         **dict(zip(NAMES[2:], others, strict=True)),
     )
-    estimate = np.array([magnification, focal_length, *others])
-    _, singular, directions = np.linalg.svd(jacobian / np.linalg.norm(jacobian, axis=0))
-    pixels = problem.seen + frame.principal_point
+    jacobian = problem.jacobian(best.theta)[:, free]
+    length = np.linalg.norm(jacobian, axis=0)
+    _, singular, directions = np.linalg.svd(jacobian / np.where(length > 0, length, 1.0))
     return Calibration(
         microscope,
-        tuple(names),
-        estimate[free],
+        names,
+        np.array([magnification, 1 / power, *others])[free],
         covariance,
         tuple(name for name in names if name in lost),
         freedom,
         float(singular[0] / max(singular[-1], 1e-300)),
         directions[-1],
-        -residuals.reshape(-1, 2),
-        microscope.back_project(pixels) - problem.world,
+        -problem.residuals(best.theta).reshape(-1, 2),
+        microscope.back_project(problem.seen + frame.principal_point) - problem.world,
     )
 
 
-def _two_tilts(best: _Fit, other: _Fit, covariance: Array, variance: float) -> bool:
+def _two_tilts(best: Fit, other: Fit, covariance: Array, freedom: int) -> bool:
     """True if the opposite tilt is another minimum, and not worse by more than noise."""
     angles = slice(3, 5)  # β and γ among the parameters without f
     apart = np.abs(best.theta[4:6] - other.theta[4:6])
     distinct = (apart > 3 * np.sqrt(np.diag(covariance)[angles])).any()
-    return bool(distinct and other.cost - best.cost < 3.84 * variance)
+    return bool(distinct and other.cost - best.cost < 3.84 * best.cost / freedom)
