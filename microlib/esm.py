@@ -1,0 +1,347 @@
+"""Efficient second-order minimisation (ESM) of the difference between a template and an image.
+
+The warp is a matrix on homogeneous template coordinates, updated as ``G ← G exp(Σ xᵢ Bᵢ)`` with the
+generators Bᵢ of its group: translation, affine, or the homographies through sl(3). Averaging the gradients
+of the template and of the warped image gives the step second-order convergence at the price of a
+first-order one (Malis 2004, Benhimane and Malis 2004).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["MOTIONS", "Fit", "Stage", "apply_homography", "exponential", "half_pixel"]
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+#: Group of warps to the entries (row, column, value) of each of its generators.
+_GENERATORS: dict[str, list[list[tuple[int, int, float]]]] = {
+    "translation": [[(0, 2, 1)], [(1, 2, 1)]],
+    "affine": [[(0, 2, 1)], [(1, 2, 1)], [(0, 0, 1)], [(0, 1, 1)], [(1, 0, 1)], [(1, 1, 1)]],
+    "homography": [
+        [(0, 2, 1)],
+        [(1, 2, 1)],
+        [(0, 1, 1)],
+        [(1, 0, 1)],
+        [(0, 0, 1), (1, 1, -1)],
+        [(1, 1, -1), (2, 2, 1)],
+        [(2, 0, 1)],
+        [(2, 1, 1)],
+    ],
+}
+MOTIONS = tuple(_GENERATORS)
+
+#: Six-tap half-sample interpolator, exact for quintic polynomials.
+_HALF_SAMPLE = np.array([[3, -25, 150, 150, -25, 3]], np.float32) / 256
+
+#: Relative damping of the normal equations: far below any information in an image, it keeps a direction
+#: that the image does not determine (an aperture problem) at rest instead of dividing by rounding errors.
+_DAMPING = 1e-9
+
+#: A template whose area changes by more than this factor within one frame is not tracked any more.
+_AREA_FACTOR = 4.0
+
+#: Least share of the template's pixels that must lie inside the image.
+_LEAST_VISIBLE = 0.25
+
+
+def generators(motion: str) -> Array:
+    """Return the generators of a group of warps, n×3×3."""
+    basis = np.zeros((len(_GENERATORS[motion]), 3, 3))
+    for matrix, entries in zip(basis, _GENERATORS[motion], strict=True):
+        for row, column, value in entries:
+            matrix[row, column] = value
+    return basis
+
+
+def exponential(matrix: Array) -> Array:
+    """Return the exponential of a small square matrix by scaling, Taylor series and squaring.
+
+    Examples
+    --------
+    >>> exponential(np.array([[0.0, -np.pi / 2], [np.pi / 2, 0.0]])).round(12) + 0.0
+    array([[ 0., -1.],
+           [ 1.,  0.]])
+    """
+    halvings = max(0, int(np.ceil(np.log2(max(np.abs(matrix).sum(), 1e-300)))) + 1)
+    scaled = matrix / 2.0**halvings
+    term = np.eye(len(matrix))
+    total = term.copy()
+    for order in range(1, 13):  # 0.5¹³/13! is below the rounding of a double
+        term = term @ scaled / order
+        total += term
+    for _ in range(halvings):
+        total = total @ total
+    return total
+
+
+def apply_homography(matrix: Array, points: Array) -> Array:
+    """Map N×2 points by a 3×3 homography."""
+    mapped = points @ matrix[:, :2].T + matrix[:, 2]
+    return mapped[:, :2] / mapped[:, 2:]
+
+
+def half_pixel(image: Image) -> Image:
+    """Return the image sampled every half pixel; the even samples are the image itself.
+
+    Bilinear interpolation between these samples has an eighth of the phase error of bilinear interpolation
+    between the pixels, which is what limits the accuracy of a tracker on fine texture.
+    """
+    fine = np.empty((2 * image.shape[0], 2 * image.shape[1]), np.float32)
+    rows = np.empty((image.shape[0], fine.shape[1]), np.float32)
+    rows[:, ::2] = image
+    rows[:, 1::2] = cv2.filter2D(image, -1, _HALF_SAMPLE, anchor=(2, 0))
+    fine[::2] = rows
+    fine[1::2] = cv2.filter2D(rows, -1, _HALF_SAMPLE.T, anchor=(0, 2))
+    return fine
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Where one stage left the warp.
+
+    Attributes
+    ----------
+    pose : ndarray, shape (3, 3)
+        Warp of normalised template coordinates to px of the image.
+    failure : str
+        Empty, or why the stage gave up: ``"singular"``, ``"diverged"`` or ``"out of view"``; the pose is then
+        the last good one.
+    correlation : float
+        Normalised correlation of template and warped image over the visible pixels.
+    gain, bias : float
+        Grey values of the image are ``gain``·template + ``bias``.
+    visible : float
+        Share of the template's pixels that the image shows.
+    iterations : int
+        Steps taken.
+    covariance : ndarray, shape (n, n)
+        Covariance of the motion parameters, from the residual.
+    """
+
+    pose: Array
+    failure: str = ""
+    correlation: float = 0.0
+    gain: float = 1.0
+    bias: float = 0.0
+    visible: float = 0.0
+    iterations: int = 0
+    covariance: Array | None = None
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A template at one resolution, with all that does not change from frame to frame.
+
+    Attributes
+    ----------
+    to_image : ndarray, shape (3, 3)
+        Pixels of the frame to samples of this stage's image.
+    to_template : ndarray, shape (3, 3)
+        Pixels of the padded patch to normalised template coordinates.
+    padded : tuple of int
+        Width and height of the patch with the padding that smoothing and gradients need.
+    smoothing : float
+        Standard deviation, in px of the patch, of the Gaussian applied in the template's frame: smoothing
+        there, and not in the image, commutes with the warp.
+    corners : ndarray, shape (4, 2)
+        Corners of the template in normalised coordinates.
+    basis : ndarray, shape (n, 3, 3)
+        Generators of the motion.
+    flow : ndarray, shape (2, n, N)
+        Velocity (x and y, px of the patch) of each pixel for each generator.
+    template, slopes : ndarray, shapes (N,) and (2, N)
+        Grey values less `mean`, and their gradient along x and y per px of the patch.
+    mean : float
+        Mean grey value of the template.
+    """
+
+    to_image: Array
+    to_template: Array
+    padded: tuple[int, int]
+    smoothing: float
+    corners: Array
+    basis: Array
+    flow: Image
+    template: Image
+    slopes: Image
+    mean: float
+
+    def fit(self, image: Image, pose: Array, *, tolerance: float, iterations: int) -> Fit:
+        """Minimise over the warp, gain and bias until the corners move by less than `tolerance` px."""
+        n = len(self.basis)
+        fit = Fit(pose)
+        before = start = apply_homography(pose, self.corners)
+        gain = 1.0
+        for count in range(1, iterations + 1):
+            warp = self.to_image @ fit.pose @ self.to_template
+            patch = _sample(image, warp, self.padded, self.smoothing)
+            grey, slopes = _values(patch)
+            grey -= self.mean
+            if count == 1:
+                gain = float(grey.std() / self.template.std())
+            slopes += gain * self.slopes
+            # Rows: image Jacobian (the mean of both gradients along the flow), template, one, image. One
+            # product of them with themselves holds the whole of the normal equations.
+            rows = np.empty((n + 3, grey.size), np.float32)
+            np.multiply(self.flow[0], 0.5 * slopes[0], out=rows[:n])
+            rows[:n] += self.flow[1] * (0.5 * slopes[1])
+            rows[n], rows[n + 1], rows[n + 2] = self.template, 1.0, grey
+            seen = _seen(image, warp, self.padded, _padding(self.smoothing))
+            visible = 1.0
+            if seen is not None:
+                rows *= seen
+                visible = float(seen.mean())
+            if visible < _LEAST_VISIBLE:
+                return replace(fit, failure="out of view", visible=visible)
+            rows = rows.astype(np.float64)
+            normal = rows @ rows.T
+            scale = np.sqrt(np.diag(normal))[:-1]
+            if not scale.all():
+                return replace(fit, failure="singular", visible=visible)
+            system = normal[:-1, :-1] / np.outer(scale, scale)
+            system[np.diag_indices_from(system)] += _DAMPING
+            inverse = np.linalg.inv(system) / np.outer(scale, scale)
+            solution = inverse @ normal[:-1, -1]
+            moved = fit.pose @ exponential(np.tensordot(-solution[:n], self.basis, 1))
+            after = apply_homography(moved, self.corners)
+            if _degenerate(moved, after, start):
+                return replace(fit, failure="diverged")
+            gain = float(solution[n])
+            residual = max(float(normal[-1, -1] - normal[-1, :-1] @ solution), 0.0)
+            freedom = visible * grey.size - len(solution)
+            fit = Fit(
+                pose=moved,
+                correlation=_correlation(normal[n:, n:]),
+                gain=gain,
+                bias=float(solution[n + 1]) + self.mean * (1.0 - gain),
+                visible=visible,
+                iterations=count,
+                covariance=residual / freedom * inverse[:n, :n] if freedom > 0 else None,
+            )
+            if np.abs(after - before).max() < tolerance:
+                break
+            before = after
+        return fit
+
+
+def make_stage(
+    image: Image,
+    box: tuple[int, int, int, int],
+    pose: Array,
+    *,
+    step: int,
+    density: int,
+    smoothing: float,
+    motion: str,
+) -> Stage:
+    """Cut a template from an image of the pyramid.
+
+    Parameters
+    ----------
+    image : ndarray, shape (H, W)
+        The whole frame at this resolution, so that the template's gradients see what lies around it.
+    box : tuple of int
+        (x, y, width, height) in px of the frame.
+    pose : ndarray, shape (3, 3)
+        Normalised template coordinates to px of the frame.
+    step : int
+        Px of the frame between neighbouring pixels of the template.
+    density : int
+        Samples of `image` for `step` px of the frame.
+    smoothing : float
+        Standard deviation of the Gaussian in px of the template.
+    motion : str
+        One of `MOTIONS`.
+    """
+    x, y, width, height = box
+    left, top = -(-x // step), -(-y // step)
+    columns, rows = (x + width - 1) // step - left + 1, (y + height - 1) // step - top + 1
+    pad = _padding(smoothing)
+    padded = (columns + 2 * pad, rows + 2 * pad)
+    to_frame = np.array([[step, 0, step * (left - pad)], [0, step, step * (top - pad)], [0, 0, 1.0]])
+    to_image = np.diag([density / step, density / step, 1.0])
+    to_template = np.linalg.inv(pose) @ to_frame
+    template, slopes = _values(_sample(image, to_image @ to_frame, padded, smoothing))
+    mean = float(template.mean())
+    column, row = np.meshgrid(np.arange(columns) + pad, np.arange(rows) + pad)
+    grid = np.stack([column.ravel(), row.ravel(), np.ones(column.size)])
+    points = to_template @ grid
+    basis = generators(motion)
+    velocity = basis @ points
+    flow = (velocity[:, :2] - points[:2] * velocity[:, 2:]) / to_template[0, 0]
+    edges = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [width - 1, height - 1] + [x, y]
+    return Stage(
+        to_image=to_image,
+        to_template=to_template,
+        padded=padded,
+        smoothing=smoothing,
+        corners=apply_homography(np.linalg.inv(pose), edges),
+        basis=basis,
+        flow=np.ascontiguousarray(flow.transpose(1, 0, 2), np.float32),
+        template=template - np.float32(mean),
+        slopes=slopes,
+        mean=mean,
+    )
+
+
+def _padding(smoothing: float) -> int:
+    """Return the margin of a patch: the Gaussian's radius and one pixel for the gradient."""
+    return int(np.ceil(3 * smoothing)) + 1
+
+
+def _sample(image: Image, warp: Array, padded: tuple[int, int], smoothing: float) -> Image:
+    """Warp a patch out of the image and smooth it; one pixel of padding is left for the gradient."""
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    patch = cv2.warpPerspective(image, warp, padded, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    radius = _padding(smoothing) - 1
+    if radius == 0:
+        return patch
+    size = (2 * radius + 1, 2 * radius + 1)
+    return cv2.GaussianBlur(patch, size, smoothing)[radius:-radius, radius:-radius]
+
+
+def _values(patch: Image) -> tuple[Image, Image]:
+    """Return the grey values inside the one-pixel margin, and their central differences along x and y."""
+    slopes = np.stack([patch[1:-1, 2:] - patch[1:-1, :-2], patch[2:, 1:-1] - patch[:-2, 1:-1]])
+    return patch[1:-1, 1:-1].ravel(), 0.5 * slopes.reshape(2, -1)
+
+
+def _seen(image: Image, warp: Array, padded: tuple[int, int], pad: int) -> Image | None:
+    """Return which pixels of the template the image shows, or None if it shows the whole padded patch."""
+    limit = np.array(image.shape[::-1]) - 1.0
+    far = np.array(padded) - 1.0
+    ends = apply_homography(warp, np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * far)
+    if (ends >= 0).all() and (ends <= limit).all():
+        return None
+    column, row = np.meshgrid(np.arange(pad, padded[0] - pad), np.arange(pad, padded[1] - pad))
+    points = apply_homography(warp, np.column_stack([column.ravel(), row.ravel()]))
+    return ((points >= 0) & (points <= limit)).all(axis=1).astype(np.float32)
+
+
+def _correlation(normal: Array) -> float:
+    """Return the correlation of template and image from their products with each other and with one."""
+    template, one, image = range(3)
+    count = normal[one, one]
+    covariance = normal - np.outer(normal[one], normal[one]) / count
+    spread = covariance[template, template] * covariance[image, image]
+    return float(covariance[template, image] / np.sqrt(spread)) if spread > 0 else 0.0
+
+
+def _degenerate(pose: Array, corners: Array, before: Array) -> bool:
+    """Tell whether a warp left the tracked template: not finite, seen from behind, or torn in area."""
+    if not np.isfinite(corners).all() or not np.isfinite(pose).all():
+        return True
+    ratio = _area(corners) / _area(before)
+    return not 1 / _AREA_FACTOR < ratio < _AREA_FACTOR
+
+
+def _area(corners: Array) -> float:
+    """Return the signed area of a quadrilateral."""
+    (ax, ay), (bx, by) = corners[2] - corners[0], corners[3] - corners[1]
+    return 0.5 * float(ax * by - ay * bx)
