@@ -8,7 +8,7 @@ first-order one (Malis 2004, Benhimane and Malis 2004).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -70,11 +70,12 @@ def exponential(matrix: Array) -> Array:
     """
     halvings = max(0, int(np.ceil(np.log2(max(np.abs(matrix).sum(), 1e-300)))) + 1)
     scaled = matrix / 2.0**halvings
-    term = np.eye(len(matrix))
-    total = term.copy()
-    for order in range(1, 13):  # 0.5¹³/13! is below the rounding of a double
+    term, total = scaled, np.eye(len(matrix)) + scaled
+    for order in range(2, 16):  # 0.5¹⁶/16! is far below the rounding of a double
         term = term @ scaled / order
         total += term
+        if np.abs(term).max() < 1e-17:
+            break
     for _ in range(halvings):
         total = total @ total
     return total
@@ -157,8 +158,8 @@ class Stage:
         Velocity (x and y, px of the patch) of each pixel for each generator.
     template, slopes : ndarray, shapes (N,) and (2, N)
         Grey values less `mean`, and their gradient along x and y per px of the patch.
-    mean : float
-        Mean grey value of the template.
+    mean, spread : float
+        Mean and standard deviation of the template's grey values.
     """
 
     to_image: Array
@@ -171,63 +172,65 @@ class Stage:
     template: Image
     slopes: Image
     mean: float
+    spread: float
 
     def fit(self, image: Image, pose: Array, *, tolerance: float, iterations: int) -> Fit:
         """Minimise over the warp, gain and bias until the corners move by less than `tolerance` px."""
         n = len(self.basis)
-        fit = Fit(pose)
-        before = start = apply_homography(pose, self.corners)
-        gain = 1.0
+        first = corners = apply_homography(pose, self.corners)
+        gain = None
         for count in range(1, iterations + 1):
-            warp = self.to_image @ fit.pose @ self.to_template
-            patch = _sample(image, warp, self.padded, self.smoothing)
-            grey, slopes = _values(patch)
-            grey -= self.mean
-            if count == 1:
-                gain = float(grey.std() / self.template.std())
-            slopes += gain * self.slopes
-            # Rows: image Jacobian (the mean of both gradients along the flow), template, one, image. One
-            # product of them with themselves holds the whole of the normal equations.
-            rows = np.empty((n + 3, grey.size), np.float32)
-            np.multiply(self.flow[0], 0.5 * slopes[0], out=rows[:n])
-            rows[:n] += self.flow[1] * (0.5 * slopes[1])
-            rows[n], rows[n + 1], rows[n + 2] = self.template, 1.0, grey
-            seen = _seen(image, warp, self.padded, _padding(self.smoothing))
-            visible = 1.0
-            if seen is not None:
-                rows *= seen
-                visible = float(seen.mean())
+            rows, visible = self._rows(image, pose, gain)
             if visible < _LEAST_VISIBLE:
-                return replace(fit, failure="out of view", visible=visible)
-            rows = rows.astype(np.float64)
+                return Fit(pose, failure="out of view", visible=visible, iterations=count)
             normal = rows @ rows.T
-            scale = np.sqrt(np.diag(normal))[:-1]
-            if not scale.all():
-                return replace(fit, failure="singular", visible=visible)
-            system = normal[:-1, :-1] / np.outer(scale, scale)
-            system[np.diag_indices_from(system)] += _DAMPING
-            inverse = np.linalg.inv(system) / np.outer(scale, scale)
-            solution = inverse @ normal[:-1, -1]
-            moved = fit.pose @ exponential(np.tensordot(-solution[:n], self.basis, 1))
-            after = apply_homography(moved, self.corners)
-            if _degenerate(moved, after, start):
-                return replace(fit, failure="diverged")
-            gain = float(solution[n])
-            residual = max(float(normal[-1, -1] - normal[-1, :-1] @ solution), 0.0)
-            freedom = visible * grey.size - len(solution)
-            fit = Fit(
-                pose=moved,
-                correlation=_correlation(normal[n:, n:]),
-                gain=gain,
-                bias=float(solution[n + 1]) + self.mean * (1.0 - gain),
-                visible=visible,
-                iterations=count,
-                covariance=residual / freedom * inverse[:n, :n] if freedom > 0 else None,
-            )
-            if np.abs(after - before).max() < tolerance:
+            scale = np.sqrt(np.diag(normal))
+            if not scale[:-1].all():
+                return Fit(pose, failure="singular", visible=visible, iterations=count)
+            scaled = normal / np.outer(scale, scale) if scale[-1] else normal
+            system = scaled[:-1, :-1].copy()
+            system.flat[:: n + 3] += _DAMPING
+            solution = np.linalg.solve(system, scaled[:-1, -1]) * scale[-1] / scale[:-1]
+            moved = pose @ exponential((-solution[:n] @ self.basis.reshape(n, 9)).reshape(3, 3))
+            before, corners = corners, apply_homography(moved, self.corners)
+            if _degenerate(corners, first):
+                return Fit(pose, failure="diverged", visible=visible, iterations=count)
+            pose, gain = moved, float(solution[n])
+            if np.abs(corners - before).max() < tolerance:
                 break
-            before = after
-        return fit
+        freedom = visible * self.template.size - len(solution)
+        residual = max(float(normal[-1, -1] - normal[-1, :-1] @ solution), 0.0) / max(freedom, 1.0)
+        return Fit(
+            pose=pose,
+            correlation=_correlation(normal[n:, n:]),
+            gain=gain,
+            bias=float(solution[n + 1]) + self.mean * (1.0 - gain),
+            visible=visible,
+            iterations=count,
+            covariance=residual * (np.linalg.inv(system) / np.outer(scale[:-1], scale[:-1]))[:n, :n],
+        )
+
+    def _rows(self, image: Image, pose: Array, gain: float | None) -> tuple[Array, float]:
+        """Return image Jacobian, template, one and image, row by row, and the share of pixels in view.
+
+        The product of these rows with themselves holds the whole of the normal equations. The Jacobian is
+        the flow times the mean of the image's gradient and `gain` times the template's.
+        """
+        n = len(self.basis)
+        warp = self.to_image @ pose @ self.to_template
+        grey, slopes = _values(_sample(image, warp, self.padded, self.smoothing))
+        grey = grey - np.float32(self.mean)
+        if gain is None:
+            gain = float(grey.std()) / self.spread
+        slopes = 0.5 * (slopes + np.float32(gain) * self.slopes)
+        rows = np.empty((n + 3, grey.size), np.float32)
+        np.multiply(self.flow[0], slopes[0], out=rows[:n])
+        rows[:n] += self.flow[1] * slopes[1]
+        rows[n], rows[n + 1], rows[n + 2] = self.template, 1.0, grey
+        seen = _seen(image, warp, self.padded, _padding(self.smoothing))
+        if seen is None:
+            return rows.astype(np.float64), 1.0
+        return (rows * seen).astype(np.float64), float(seen.mean())
 
 
 def make_stage(
@@ -287,6 +290,7 @@ def make_stage(
         template=template - np.float32(mean),
         slopes=slopes,
         mean=mean,
+        spread=float(template.std()),
     )
 
 
@@ -333,12 +337,10 @@ def _correlation(normal: Array) -> float:
     return float(covariance[template, image] / np.sqrt(spread)) if spread > 0 else 0.0
 
 
-def _degenerate(pose: Array, corners: Array, before: Array) -> bool:
-    """Tell whether a warp left the tracked template: not finite, seen from behind, or torn in area."""
-    if not np.isfinite(corners).all() or not np.isfinite(pose).all():
-        return True
-    ratio = _area(corners) / _area(before)
-    return not 1 / _AREA_FACTOR < ratio < _AREA_FACTOR
+def _degenerate(corners: Array, first: Array) -> bool:
+    """Tell whether a warp tore the template: not finite, turned over, or of quite another area."""
+    ratio = _area(corners) / _area(first)
+    return not 1 / _AREA_FACTOR < ratio < _AREA_FACTOR  # also True for NaN
 
 
 def _area(corners: Array) -> float:
