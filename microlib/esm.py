@@ -1,9 +1,9 @@
 """Efficient second-order minimisation (ESM) of the difference between a template and an image.
 
 The warp is a matrix on homogeneous template coordinates, updated as ``G ← G exp(Σ xᵢ Bᵢ)`` with the
-generators Bᵢ of its group: translation, affine, or the homographies through sl(3). Averaging the gradients
-of the template and of the warped image gives the step second-order convergence at the price of a
-first-order one (Malis 2004, Benhimane and Malis 2004).
+generators Bᵢ of its group: translation, affine, or the homographies through sl(3). Averaging the
+gradients of the template and of the warped image gives the step second-order convergence at the
+price of a first-order one (Malis 2004, Benhimane and Malis 2004).
 """
 
 from __future__ import annotations
@@ -39,8 +39,9 @@ MOTIONS = tuple(_GENERATORS)
 #: Six-tap half-sample interpolator, exact for quintic polynomials.
 _HALF_SAMPLE = np.array([[3, -25, 150, 150, -25, 3]], np.float32) / 256
 
-#: Relative damping of the normal equations: far below any information in an image, it keeps a direction
-#: that the image does not determine (an aperture problem) at rest instead of dividing by rounding errors.
+#: Relative damping of the normal equations: far below any information in an image, it keeps a
+#: direction that the image does not determine (an aperture problem) at rest instead of dividing by
+#: rounding errors.
 _DAMPING = 1e-9
 
 #: A template whose area changes by more than this factor within one frame is not tracked any more.
@@ -90,8 +91,9 @@ def apply_homography(matrix: Array, points: Array) -> Array:
 def half_pixel(image: Image) -> Image:
     """Return the image sampled every half pixel; the even samples are the image itself.
 
-    Bilinear interpolation between these samples has an eighth of the phase error of bilinear interpolation
-    between the pixels, which is what limits the accuracy of a tracker on fine texture.
+    Bilinear interpolation between these samples has an eighth of the phase error of bilinear
+    interpolation between the pixels, which is what limits the accuracy of a tracker on fine
+    texture.
     """
     fine = np.empty((2 * image.shape[0], 2 * image.shape[1]), np.float32)
     rows = np.empty((image.shape[0], fine.shape[1]), np.float32)
@@ -111,8 +113,8 @@ class Fit:
     pose : ndarray, shape (3, 3)
         Warp of normalised template coordinates to px of the image.
     failure : str
-        Empty, or why the stage gave up: ``"singular"``, ``"diverged"`` or ``"out of view"``; the pose is then
-        the last good one.
+        Empty, or why the stage gave up: ``"singular"``, ``"diverged"`` or ``"out of view"``; the
+        pose is then the last good one.
     correlation : float
         Normalised correlation of template and warped image over the visible pixels.
     gain, bias : float
@@ -148,8 +150,8 @@ class Stage:
     padded : tuple of int
         Width and height of the patch with the padding that smoothing and gradients need.
     smoothing : float
-        Standard deviation, in px of the patch, of the Gaussian applied in the template's frame: smoothing
-        there, and not in the image, commutes with the warp.
+        Standard deviation, in px of the patch, of the Gaussian applied in the template's frame:
+        smoothing there, and not in the image, commutes with the warp.
     corners : ndarray, shape (4, 2)
         Corners of the template in normalised coordinates.
     basis : ndarray, shape (n, 3, 3)
@@ -175,7 +177,7 @@ class Stage:
     spread: float
 
     def fit(self, image: Image, pose: Array, *, tolerance: float, iterations: int) -> Fit:
-        """Minimise over the warp, gain and bias until the corners move by less than `tolerance` px."""
+        """Minimise over warp, gain and bias until the corners move by less than `tolerance` px."""
         n = len(self.basis)
         first = corners = apply_homography(pose, self.corners)
         gain = None
@@ -207,14 +209,30 @@ class Stage:
             bias=float(solution[n + 1]) + self.mean * (1.0 - gain),
             visible=visible,
             iterations=count,
-            covariance=residual * (np.linalg.inv(system) / np.outer(scale[:-1], scale[:-1]))[:n, :n],
+            covariance=residual
+            * (np.linalg.inv(system) / np.outer(scale[:-1], scale[:-1]))[:n, :n],
         )
 
-    def _rows(self, image: Image, pose: Array, gain: float | None) -> tuple[Array, float]:
-        """Return image Jacobian, template, one and image, row by row, and the share of pixels in view.
+    def correlate(self, image: Image, pose: Array, reach: int) -> Array:
+        """Return the pose shifted, by up to `reach` px of the patch, to the best correlation."""
+        # In px of the padded patch; smoothing takes the rest of the padding off again.
+        first = 1 - reach
+        size = (self.padded[0] - 2 * first, self.padded[1] - 2 * first)
+        to_window = np.array([[1.0, 0, first], [0, 1, first], [0, 0, 1]])
+        warp = self.to_image @ pose @ self.to_template @ to_window
+        window = _sample(image, warp, size, self.smoothing)
+        width = self.padded[0] - 2 * _padding(self.smoothing)
+        scores = cv2.matchTemplate(window, self.template.reshape(-1, width), cv2.TM_CCOEFF_NORMED)
+        row, column = np.unravel_index(np.argmax(scores), scores.shape)
+        shift = np.eye(3)
+        shift[:2, 2] = self.to_template[0, 0] * (np.array([column, row]) - reach)
+        return pose @ shift
 
-        The product of these rows with themselves holds the whole of the normal equations. The Jacobian is
-        the flow times the mean of the image's gradient and `gain` times the template's.
+    def _rows(self, image: Image, pose: Array, gain: float | None) -> tuple[Array, float]:
+        """Return image Jacobian, template, one and image as rows, and the share of pixels in view.
+
+        The product of these rows with themselves holds the whole of the normal equations. The
+        Jacobian is the flow times the mean of the image's gradient and `gain` times the template's.
         """
         n = len(self.basis)
         warp = self.to_image @ pose @ self.to_template
@@ -248,7 +266,8 @@ def make_stage(
     Parameters
     ----------
     image : ndarray, shape (H, W)
-        The whole frame at this resolution, so that the template's gradients see what lies around it.
+        The whole frame at this resolution, so that the template's gradients see what lies around
+        it.
     box : tuple of int
         (x, y, width, height) in px of the frame.
     pose : ndarray, shape (3, 3)
@@ -267,7 +286,9 @@ def make_stage(
     columns, rows = (x + width - 1) // step - left + 1, (y + height - 1) // step - top + 1
     pad = _padding(smoothing)
     padded = (columns + 2 * pad, rows + 2 * pad)
-    to_frame = np.array([[step, 0, step * (left - pad)], [0, step, step * (top - pad)], [0, 0, 1.0]])
+    to_frame = np.array(
+        [[step, 0, step * (left - pad)], [0, step, step * (top - pad)], [0, 0, 1.0]]
+    )
     to_image = np.diag([density / step, density / step, 1.0])
     to_template = np.linalg.inv(pose) @ to_frame
     template, slopes = _values(_sample(image, to_image @ to_frame, padded, smoothing))
@@ -300,7 +321,7 @@ def _padding(smoothing: float) -> int:
 
 
 def _sample(image: Image, warp: Array, padded: tuple[int, int], smoothing: float) -> Image:
-    """Warp a patch out of the image and smooth it; one pixel of padding is left for the gradient."""
+    """Warp a patch out of the image and smooth it, leaving a margin of 1 px for the gradient."""
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     patch = cv2.warpPerspective(image, warp, padded, flags=flags, borderMode=cv2.BORDER_REPLICATE)
     radius = _padding(smoothing) - 1
@@ -311,13 +332,13 @@ def _sample(image: Image, warp: Array, padded: tuple[int, int], smoothing: float
 
 
 def _values(patch: Image) -> tuple[Image, Image]:
-    """Return the grey values inside the one-pixel margin, and their central differences along x and y."""
+    """Return the grey values inside the margin of 1 px and their central differences in x, y."""
     slopes = np.stack([patch[1:-1, 2:] - patch[1:-1, :-2], patch[2:, 1:-1] - patch[:-2, 1:-1]])
     return patch[1:-1, 1:-1].ravel(), 0.5 * slopes.reshape(2, -1)
 
 
 def _seen(image: Image, warp: Array, padded: tuple[int, int], pad: int) -> Image | None:
-    """Return which pixels of the template the image shows, or None if it shows the whole padded patch."""
+    """Return which pixels of the template the image shows, or None if it shows all of them."""
     limit = np.array(image.shape[::-1]) - 1.0
     far = np.array(padded) - 1.0
     ends = apply_homography(warp, np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * far)
@@ -325,11 +346,12 @@ def _seen(image: Image, warp: Array, padded: tuple[int, int], pad: int) -> Image
         return None
     column, row = np.meshgrid(np.arange(pad, padded[0] - pad), np.arange(pad, padded[1] - pad))
     points = apply_homography(warp, np.column_stack([column.ravel(), row.ravel()]))
-    return ((points >= 0) & (points <= limit)).all(axis=1).astype(np.float32)
+    inside = (points >= 0) & (points <= limit)
+    return (inside[:, 0] & inside[:, 1]).astype(np.float32)
 
 
 def _correlation(normal: Array) -> float:
-    """Return the correlation of template and image from their products with each other and with one."""
+    """Return the correlation from the products of template, one and image with each other."""
     template, one, image = range(3)
     count = normal[one, one]
     covariance = normal - np.outer(normal[one], normal[one]) / count

@@ -1,4 +1,4 @@
-"""A constant-velocity Kalman filter for a point in the image: where will it be in the next frame?"""
+"""Where will a point be in the next frame? A Kalman filter with constant velocity."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ _UNKNOWN_VELOCITY = 1e3
 class KalmanFilter:
     """Constant-velocity Kalman filter of a point in the image (§5.3).
 
-    The state is (x, y, vx, vy). Between frames the velocity performs a random walk driven by a white
-    acceleration, and both axes share one covariance because they share one model.
+    The state is (x, y, vx, vy). Between frames the velocity performs a random walk driven by a
+    white acceleration, and both axes share one covariance because they share one model.
 
     Parameters
     ----------
@@ -33,7 +33,8 @@ class KalmanFilter:
     Raises
     ------
     ValueError
-        If a position is not two finite numbers, or an interval or standard deviation is not positive.
+        If a position is not two finite numbers, or an interval or standard deviation is not
+        positive.
 
     Examples
     --------

@@ -82,7 +82,8 @@ def step_metrics(
     Raises
     ------
     ValueError
-        If shapes do not fit, the time does not increase, the step has no length, or the band is not in (0, 1).
+        If shapes do not fit, the time does not increase, the step has no length, or the band is not
+        in (0, 1).
 
     Examples
     --------
@@ -153,7 +154,7 @@ def circle_path(radius: float, speed: float, interval: float) -> Array:
 
 
 def square_path(side: float, speed: float, interval: float) -> Array:
-    """Return one turn around a square that starts at the origin, K×2; parameters as in `circle_path`."""
+    """Return one turn around a square from the origin, K×2; parameters as in `circle_path`."""
     side = float(positive("side", side))
     arc = _arc_length(4 * side, speed, interval)
     corners = side * np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
@@ -181,5 +182,7 @@ def sinusoid_path(
 def _arc_length(total: float, speed: float, interval: float) -> Array:
     step = float(positive("speed", speed)) * float(positive("interval", interval))
     if step > total:
-        raise ValueError(f"speed must leave more than one sample on a path of {total:g}, got {step:g}")
+        raise ValueError(
+            f"speed must leave more than one sample on a path of {total:g}, got {step:g}"
+        )
     return np.arange(0.0, total, step)

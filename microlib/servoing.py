@@ -1,7 +1,7 @@
-"""Image-based visual servoing: the Jacobian of point features, the control laws, and how the loop behaves.
+"""Image-based visual servoing: the Jacobian of point features and the control laws.
 
-The simulated workstation is in `workstation`, the figures of merit and the paths in `servo_metrics`; their
-public names can be imported from here, too.
+The simulated workstation is in `workstation`, the figures of merit and the paths in
+`servo_metrics`; their public names can be imported from here, too.
 """
 
 from __future__ import annotations
@@ -83,12 +83,13 @@ def point_jacobian(
     Raises
     ------
     ValueError
-        If a shape does not fit, a value is not finite, or the magnification or a pixel size is not positive.
+        If a shape does not fit, a value is not finite, or the magnification or a pixel size is not
+        positive.
 
     Notes
     -----
-    The thesis calls s_x and s_y effective pixel sizes, the name that §5.4 gives to s/M. Equation (2.22)
-    holds for the cells of the sensor; with s/M the magnification would count twice.
+    The thesis calls s_x and s_y effective pixel sizes, the name that §5.4 gives to s/M.
+    Equation (2.22) holds for the cells of the sensor; with s/M the magnification would count twice.
 
     Examples
     --------
@@ -101,7 +102,9 @@ def point_jacobian(
     z = np.atleast_1d(as_array("depth", depth))
     z = as_array("depth", np.broadcast_to(z, len(xy)) if z.size == 1 else z, shape=(None,))
     same_length(("points", "depth"), xy, z)
-    cell = as_array("pixel_size", np.broadcast_to(positive("pixel_size", pixel_size), 2), shape=(2,))
+    cell = as_array(
+        "pixel_size", np.broadcast_to(positive("pixel_size", pixel_size), 2), shape=(2,)
+    )
     scale_x, scale_y = float(positive("magnification", magnification)) / cell
     aspect = cell[1] / cell[0]
     jacobian = np.zeros((len(xy), 2, 6))
@@ -119,8 +122,8 @@ def optimal_gain(
 ) -> Array:
     """Return the matrix of (2.28) that turns a feature error into a velocity, u = −K e.
 
-    Parameters and errors are those of `optimal_control`. The loop's gain is T·J·K: how much of the error one
-    sample takes away.
+    Parameters and errors are those of `optimal_control`. The loop's gain is T·J·K: how much of the
+    error one sample takes away.
 
     Examples
     --------
@@ -131,7 +134,8 @@ def optimal_gain(
     step = float(positive("interval", interval)) * matrix
     q = _weight("feature_weight", feature_weight, matrix.shape[0])
     weight = _weight("control_weight", control_weight, matrix.shape[1])
-    return np.linalg.solve(step.T @ q @ step + weight, step.T @ q)
+    gain: Array = np.linalg.solve(step.T @ q @ step + weight, step.T @ q)
+    return gain
 
 
 def optimal_control(
@@ -170,13 +174,14 @@ def optimal_control(
     Raises
     ------
     ValueError
-        If a shape does not fit, the interval is not positive, a weight is not symmetric and positive
-        definite, or the Jacobian is singular.
+        If a shape does not fit, the interval is not positive, a weight is not symmetric and
+        positive definite, or the Jacobian is singular.
 
     Notes
     -----
-    L has the unit px²·s²/length², so that its number means nothing without the Jacobian's unit of length:
-    the weights of §5.4 make a nearly dead-beat loop with px/mm and one of minutes with px/µm.
+    L has the unit px²·s²/length², so that its number means nothing without the Jacobian's
+    unit of length: the weights of §5.4 make a nearly dead-beat loop with px/mm and one of minutes
+    with px/µm.
 
     Examples
     --------
@@ -233,7 +238,7 @@ def ibvs_control(
 
 
 def loop_poles(gain: float, delay: float = 0.0) -> NDArray[np.complex128]:
-    """Return the closed-loop poles of an integrator under proportional control with a delayed input.
+    """Return the closed-loop poles of an integrator under delayed proportional control.
 
     A command that takes effect `delay` = n + θ samples late moves the feature by
     f(k+1) = f(k) + (1 − θ) u(k−n) + θ u(k−n−1); with u = −g f the poles solve
@@ -274,7 +279,7 @@ def loop_poles(gain: float, delay: float = 0.0) -> NDArray[np.complex128]:
 
 
 class OptimalController:
-    """The thesis' controller: (2.28) with a constant Jacobian, towards the reference one sample ahead.
+    """The controller (2.28) with a constant Jacobian, towards the reference one sample ahead.
 
     Parameters
     ----------
@@ -285,7 +290,9 @@ class OptimalController:
 
     Examples
     --------
-    >>> control = OptimalController(np.eye(2), interval=0.5, feature_weight=(1, 1), control_weight=(0.25, 0.25))
+    >>> control = OptimalController(
+    ...     np.eye(2), interval=0.5, feature_weight=(1, 1), control_weight=(0.25, 0.25)
+    ... )
     >>> control(0, np.zeros(2), np.array([[0.0, 0.0], [1.0, 2.0]]))
     array([1., 2.])
     """
@@ -314,9 +321,10 @@ class OptimalController:
 class PredictiveController:
     """A controller that knows the loop's delay.
 
-    It carries its own estimate of the feature from frame to frame with the commands that it gave, corrects it
-    by a share of what is measured, and applies (2.28) to where the feature will be, and should be, once the
-    command takes effect. Delay then costs no stability, noise is averaged, and a lost frame is bridged.
+    It carries its own estimate of the feature from frame to frame with the commands that it gave,
+    corrects it by a share of what is measured, and applies (2.28) to where the feature will be, and
+    should be, once the command takes effect. Delay then costs no stability, noise is averaged, and
+    a lost frame is bridged.
 
     Parameters
     ----------
@@ -332,7 +340,8 @@ class PredictiveController:
     Raises
     ------
     ValueError
-        As `optimal_control`, and if the delay is negative, or the saturation or the trust is not positive.
+        As `optimal_control`, and if the delay is negative, or the saturation or the trust is not
+        positive.
     """
 
     def __init__(
@@ -392,8 +401,8 @@ def _full_rank(jacobian: ArrayLike) -> Array:
     values = np.linalg.svd(matrix, compute_uv=False)
     if values[-1] <= _RANK * values[0]:
         raise ValueError(
-            f"jacobian must have full rank, got singular values from {values[0]:.3g} to {values[-1]:.3g}; "
-            "leave out the motions that the features do not show"
+            "jacobian must have full rank without the motions that the features do not show, "
+            f"got singular values from {values[0]:.3g} to {values[-1]:.3g}"
         )
     return matrix
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import cv2
@@ -20,15 +21,25 @@ _COARSEST = 6
 #: Below this width or height a template says where it is, but not how it is deformed.
 _DEFORMABLE = 12
 
-#: Corner step (px of the stage) that ends a coarse stage, and the last one: the next step of a second-order
-#: method is smaller than the square of it.
-_TOLERANCE, _LAST_TOLERANCE = 0.3, 0.02
+#: Corner step (px of the stage) that ends a coarse stage, and the last one: the next step of a
+#: second-order method is smaller than the square of it.
+_TOLERANCE, _LAST_TOLERANCE = 0.5, 0.02
 
 #: Most steps of one stage: far beyond the 1 to 6 that a converging one takes.
 _STEPS = 15
 
-#: Margin (px) around the template that the last stage samples; it starts a fraction of a pixel away.
+#: Correlation of the smoothed template at which no coarser start is tried any more.
+_CONVINCING = 0.9
+
+#: Side (px) above which a template is halved for the search by correlation.
+_CORRELATED = 64
+
+#: Margin (px) around the template that the last stage samples; it starts a fraction of a pixel
+#: away.
 _NEAR = 6.0
+
+#: Least share of the template's contrast that a resolution must keep to be used.
+_LEAST_SPREAD = 0.01
 
 #: Least ratio of the weaker to the stronger eigenvalue of the gradients' second moments.
 _LEAST_CORNERNESS = 1e-4
@@ -41,12 +52,14 @@ class Track:
     Attributes
     ----------
     corners : ndarray, shape (4, 2)
-        Corners of the box as (x, y) in px, in the order of the box: first row left and right, last row right
-        and left. The last good ones (moved on by the Kalman filter, if there is one) when `lost`.
+        Corners of the box as (x, y) in px, in the order of the box: first row left and right, last
+        row right and left. The last good ones (moved on by the Kalman filter, if there is one) when
+        `lost`.
     lost : bool
         Whether the template was not found.
     reason : str
-        Empty, or why it was not: ``"singular"``, ``"diverged"``, ``"out of view"`` or ``"low correlation"``.
+        Empty, or why it was not: ``"singular"``, ``"diverged"``, ``"out of view"`` or ``"low
+        correlation"``.
     correlation : float
         Normalised correlation of the template and the frame under the warp, −1 to 1.
     homography : ndarray, shape (3, 3)
@@ -81,42 +94,47 @@ class Track:
 class ESMTracker:
     """Track a template through grey frames by efficient second-order minimisation.
 
-    The warp is refined from the coarsest resolution to the finest. At each one the template and the warped
-    frame are smoothed in the template's coordinates, and gain and bias are estimated along with the motion.
-    A last stage without smoothing samples the frame at half pixels, which removes most of the error of
-    bilinear interpolation. Resolutions with fewer than 12 px a side estimate the translation only.
+    Gain and bias are estimated along with the motion, on a template and a warped frame smoothed in
+    the template's coordinates. A search begins at the finest resolution; while the correlation is
+    not convincing it begins again from coarser ones, and in the end from the best match by
+    correlation in the surroundings. Resolutions with fewer than 12 px a side estimate the
+    translation only. A last stage without smoothing samples the frame at half pixels, which removes
+    most of the error of bilinear interpolation.
 
     Parameters
     ----------
     image : array_like, shape (H, W)
         The frame with the template, grey.
     box : tuple of int
-        (x, y, width, height) of the template in px: columns x … x + width − 1, rows y … y + height − 1.
+        (x, y, width, height) of the template in px: columns x … x + width − 1, rows y … y + height
+        − 1.
     motion : {"homography", "affine", "translation"}
         Group of warps.
     levels : int, optional
-        Resolutions of the pyramid, each half of the one before; 1 means none. By default as many as leave
-        the coarsest template at least 6 px wide and high.
+        Resolutions of the pyramid, each half of the one before; 1 means none. By default as many as
+        leave the coarsest template at least 6 px wide and high.
     smoothing : float, optional
-        Standard deviation of the Gaussian in px of each resolution. Without a pyramid about 3 px reach as
-        far as the default with one.
+        Standard deviation of the Gaussian in px of each resolution. Without a pyramid about 3 px
+        reach as far as the default with one.
     least_correlation : float, optional
         Normalised correlation below which the template counts as lost.
     kalman : KalmanFilter, optional
-        Predicts where each frame's search starts. By default a search starts where the last one ended.
+        Predicts where each frame's search starts. By default a search starts where the last one
+        ended.
 
     Raises
     ------
     ValueError
-        If the box leaves the image or is smaller than 6 px, or the template is flat or has a gradient along
-        one direction only, so that it cannot be located.
+        If the box leaves the image or is smaller than 6 px, or the template is flat or has a
+        gradient along one direction only, so that it cannot be located.
 
     References
     ----------
-    .. [1] E. Malis, "Improving vision-based control using efficient second-order minimization techniques",
-       IEEE International Conference on Robotics and Automation, 2004.
-    .. [2] S. Benhimane and E. Malis, "Real-time image-based tracking of planes using efficient second-order
-       minimization", IEEE/RSJ International Conference on Intelligent Robots and Systems, 2004.
+    .. [1] E. Malis, "Improving vision-based control using efficient second-order minimization
+       techniques", IEEE International Conference on Robotics and Automation, 2004.
+    .. [2] S. Benhimane and E. Malis, "Real-time image-based tracking of planes using efficient
+       second-order minimization", IEEE/RSJ International Conference on Intelligent Robots and
+       Systems, 2004.
 
     Examples
     --------
@@ -147,7 +165,7 @@ class ESMTracker:
         levels = whole("levels", levels, least=1)
         if min(width, height) < _COARSEST * 2 ** (levels - 1):
             raise ValueError(
-                f"levels must leave at least {_COARSEST} px of a box of {width}×{height} px, got {levels}"
+                f"levels must leave {_COARSEST} px or more of a box of {width}×{height} px, got {levels}"
             )
         smoothing = float(positive("smoothing", smoothing))
         self._least = float(between("least_correlation", least_correlation, 0.0, 1.0))
@@ -180,6 +198,8 @@ class ESMTracker:
             motion=motion,
         )
         _check_texture(self._refinement)
+        while self._stages[-1].spread < _LEAST_SPREAD * self._refinement.spread:
+            self._stages.pop()  # a texture too fine for this resolution, which would follow noise
 
     def track(self, frame: ArrayLike) -> Track:
         """Find the template in the next frame.
@@ -192,8 +212,8 @@ class ESMTracker:
         Returns
         -------
         Track
-            ``lost`` says if the template was not found, and ``reason`` why; the next search then starts from
-            the last good pose, moved on by the Kalman filter if there is one.
+            ``lost`` says if the template was not found, and ``reason`` why; the next search then
+            starts from the last good pose, moved on by the Kalman filter if there is one.
 
         Raises
         ------
@@ -224,31 +244,65 @@ class ESMTracker:
         )
 
     def _search(self, frame: NDArray) -> Fit:
-        """Refine the pose from the coarsest stage to the finest, on the surroundings of the last pose."""
+        """Align at the finest resolution, then through ever coarser ones until one attempt is
+        convincing.
+
+        A start close to the truth is thus never led astray by a coarse resolution, where the
+        surroundings of the template weigh most, and costs little; only a distant one pays for the
+        whole pyramid, and only one beyond the reach of any gradient for a search by correlation.
+        """
         corners = self._corners()
-        reach = np.ptp(corners, axis=0).max()
-        region, origin = _cut(frame, corners, reach)
+        region, origin = _cut(frame, corners, np.ptp(corners, axis=0).max())
         if min(region.shape) < 2:
             return Fit(self._pose, failure="out of view")
-        image = as_image("frame", region)
-        fit = Fit(_shifted(self._pose, -origin))
-        iterations = 0
-        for stage, layer in reversed(
-            list(zip(self._stages, _pyramid(image, len(self._stages)), strict=True))
-        ):
-            tolerance = _TOLERANCE / stage.to_image[0, 0]
-            fit = stage.fit(layer, fit.pose, tolerance=tolerance, iterations=_STEPS)
+        start = _shifted(self._pose, -origin)
+        best, iterations = Fit(start, failure="diverged"), 0
+        for pose, layers in self._starts(start, as_image("frame", region)):
+            fit = self._descend(layers, pose)
             iterations += fit.iterations
-            if fit.failure:
-                return replace(fit, iterations=iterations)
-        near, offset = _cut(image, apply_homography(fit.pose, self._refinement.corners), _NEAR)
-        pose = _shifted(fit.pose, -offset)
+            if best.failure or (not fit.failure and fit.correlation > best.correlation):
+                best = fit
+            if not best.failure and best.correlation > _CONVINCING:
+                break
+        if best.failure:
+            return replace(best, pose=self._pose, iterations=iterations)
+        near, offset = _cut(
+            as_image("frame", region), apply_homography(best.pose, self._refinement.corners), _NEAR
+        )
         fit = self._refinement.fit(
-            half_pixel(near), pose, tolerance=_LAST_TOLERANCE, iterations=_STEPS
+            half_pixel(near),
+            _shifted(best.pose, -offset),
+            tolerance=_LAST_TOLERANCE,
+            iterations=_STEPS,
         )
         return replace(
             fit, pose=_shifted(fit.pose, origin + offset), iterations=iterations + fit.iterations
         )
+
+    def _starts(
+        self, pose: NDArray[np.float64], image: NDArray[np.float32]
+    ) -> Iterator[tuple[NDArray[np.float64], list[NDArray[np.float32]]]]:
+        """Yield starting poses and the resolutions to refine them through, the finest first."""
+        layers: list[NDArray[np.float32]] = []
+        for _ in self._stages:
+            layers.append(_halved(layers[-1]) if layers else image)
+            yield pose, layers
+        level = min(int(np.log2(max(self._box[2:]) / _CORRELATED)), len(layers) - 1)
+        level = max(level, 0)
+        reach = max(self._box[2:]) // 2**level
+        yield self._stages[level].correlate(layers[level], pose, reach), layers[: level + 1]
+
+    def _descend(self, layers: list[NDArray[np.float32]], pose: NDArray[np.float64]) -> Fit:
+        """Refine the pose from the last of the layers to the first."""
+        iterations = 0
+        for stage, layer in reversed(list(zip(self._stages, layers, strict=False))):
+            tolerance = _TOLERANCE / stage.to_image[0, 0]
+            fit = stage.fit(layer, pose, tolerance=tolerance, iterations=_STEPS)
+            iterations += fit.iterations
+            if fit.failure:
+                break
+            pose = fit.pose
+        return replace(fit, iterations=iterations)
 
     def _corners(self) -> NDArray[np.float64]:
         return apply_homography(self._pose, self._refinement.corners)
@@ -270,11 +324,16 @@ class ESMTracker:
         return jacobian.T @ fit.covariance @ jacobian
 
 
-def _checked_box(box: tuple[int, int, int, int], shape: tuple[int, ...]) -> tuple[int, ...]:
+def _checked_box(
+    box: tuple[int, int, int, int], shape: tuple[int, ...]
+) -> tuple[int, int, int, int]:
     if len(box) != 4:
         raise ValueError(f"box must be (x, y, width, height), got {len(box)} numbers")
     x, y = whole("box x", box[0], least=0), whole("box y", box[1], least=0)
-    width, height = whole("box width", box[2], least=_COARSEST), whole("box height", box[3], least=_COARSEST)
+    width, height = (
+        whole("box width", box[2], least=_COARSEST),
+        whole("box height", box[3], least=_COARSEST),
+    )
     if x + width > shape[1] or y + height > shape[0]:
         raise ValueError(
             f"box must lie inside the image of {shape[1]}×{shape[0]} px, got {tuple(box)}"
@@ -290,15 +349,20 @@ def _check_texture(stage: Stage) -> None:
         raise ValueError("box must hold a textured template, got a flat one")
     if weak < _LEAST_CORNERNESS * strong:
         raise ValueError(
-            "box must hold gradients in two directions, got a template that can slide along its edges"
+            "box must hold gradients in two directions, got a template that slides along its edges"
         )
 
 
+def _halved(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the image at half its resolution; its pixels are the even ones of the image."""
+    return cv2.pyrDown(image).astype(np.float32, copy=False)
+
+
 def _pyramid(image: NDArray[np.float32], levels: int) -> list[NDArray[np.float32]]:
-    """Return the image and its successive halves; the even pixels of each are those of the next."""
+    """Return the image and its successive halves."""
     layers = [image]
     for _ in range(levels - 1):
-        layers.append(cv2.pyrDown(layers[-1]))
+        layers.append(_halved(layers[-1]))
     return layers
 
 

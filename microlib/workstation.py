@@ -1,7 +1,7 @@
 """A simulated microassembly workstation: stage, camera and the visual loop closed over them.
 
-The stage answers a velocity command exactly, as a saturated first-order lag, so that the loop's time step is
-the camera's and no integration error enters.
+The stage answers a velocity command exactly, as a saturated first-order lag, so that the loop's
+time step is the camera's and no integration error enters.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ __all__ = ["Camera", "Controller", "Observer", "Simulation", "Stage", "simulate"
 
 Array = NDArray[np.float64]
 
-#: Given the number of the sample, the measured feature (px, NaN if lost) and all references, a velocity in µm/s.
+#: Given the number of the sample, the measured feature (px, NaN if lost) and all references, a
+#: velocity in µm/s.
 Controller = Callable[[int, Array, Array], Array]
 
 #: Given where the feature is in the image (px), where it is measured to be; NaN if it is lost.
@@ -78,7 +79,8 @@ class Camera:
     latency : float
         From an exposure until the command computed from it takes effect, s.
     jitter : float
-        Standard deviation in px of a shake of the whole image, along either axis and anew in each frame.
+        Standard deviation in px of a shake of the whole image, along either axis and anew in each
+        frame.
     """
 
     interval: float
@@ -129,7 +131,8 @@ def simulate(
     start: ArrayLike | None = None,
     observer: Observer | None = None,
 ) -> Simulation:
-    """Close the loop of figure 2.3: exposure, measurement, control law, and the stage until the next exposure.
+    """Close the loop of figure 2.3: exposure, measurement, control law, and the stage until the
+    next exposure.
 
     Parameters
     ----------
@@ -146,8 +149,8 @@ def simulate(
     start : array_like, shape (2,), optional
         First feature, px; the first reference by default.
     observer : callable, optional
-        Measures the feature, for example by rendering a frame and tracking it (`tracked_view`). By default
-        it is known up to the jitter: the fast mode.
+        Measures the feature, for example by rendering a frame and tracking it (`tracked_view`). By
+        default it is known up to the jitter: the fast mode.
 
     Returns
     -------
@@ -156,8 +159,9 @@ def simulate(
     Raises
     ------
     ValueError
-        If a shape does not fit, the Jacobian is singular, or the reference lies beyond the stage's travel.
-        A reference that moves faster than the stage is followed as far as it goes and ``saturated`` says so.
+        If a shape does not fit, the Jacobian is singular, or the reference lies beyond the stage's
+        travel. A reference that moves faster than the stage is followed as far as it goes and
+        ``saturated`` says so.
 
     Examples
     --------
@@ -170,14 +174,14 @@ def simulate(
     array([5., 5.])
     """
     wanted = as_array("reference", reference, shape=(None, 2))
-    matrix = as_array("jacobian", jacobian, shape=(2, 2))
+    matrix: Array = as_array("jacobian", jacobian, shape=(2, 2))
     if np.linalg.cond(matrix) > 1e10:
         raise ValueError("jacobian must be regular, got a singular one")
     origin = wanted[0] if start is None else as_array("start", start, shape=(2,))
     needed = np.abs(np.linalg.solve(matrix, (wanted - origin).T)).max()
     if needed > stage.travel:
         raise ValueError(
-            f"reference must lie within the stage's travel of ±{stage.travel:g} µm, got {needed:.0f} µm"
+            f"reference must lie within ±{stage.travel:g} µm of the stage's start, got {needed:.0f} µm"
         )
     count = len(wanted)
     whole, part = divmod(camera.latency / camera.interval, 1.0)
@@ -197,7 +201,7 @@ def simulate(
         for active, share in ((queue[k], part), (queue[k + 1], 1.0 - part)):
             position, velocity = stage.move(position, velocity, active, share * camera.interval)
     return Simulation(
-        time=camera.interval * np.arange(count),
+        time=camera.interval * np.arange(float(count)),
         reference=wanted,
         feature=feature,
         measured=measured,

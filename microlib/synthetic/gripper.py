@@ -1,4 +1,4 @@
-"""Frames with a known motion: warped textures, and a microgripper moving over an out-of-focus ground."""
+"""Frames with a known motion: warped textures, and a microgripper over a blurred ground."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ __all__ = [
 Array = NDArray[np.float64]
 Frame = NDArray[np.uint8]
 
-#: Samples of the gripper's drawing per pixel: bilinear interpolation between them is then exact to 0.001 px.
+#: Samples of the gripper's drawing per pixel: bilinear interpolation between them is then exact to
+#: 0.001 px.
 _DENSITY = 4
 
 #: Standard deviation of the camera's point spread function, px.
@@ -110,7 +111,7 @@ def warped_pair(
     noise: float = 2.0,
     gain: float = 1.05,
 ) -> WarpedPair:
-    """Warp a texture so that the template's corners move by exactly `distance` px (root mean square).
+    """Warp a texture so that the template's corners move by `distance` px (root mean square).
 
     Parameters
     ----------
@@ -119,8 +120,8 @@ def warped_pair(
     distance : float
         Root mean square displacement of the four corners in px.
     warp : {"shift", "affine", "homography"}
-        A shift in a random direction, or corners displaced independently (normal) through the nearest affine
-        map or the homography.
+        A shift in a random direction, or corners displaced independently (normal) through the
+        nearest affine map or the homography.
     size : int, optional
         Width and height of the template in px.
     sigma, noise, gain : float, optional
@@ -252,7 +253,7 @@ class GripperScene:
     ground: NDArray[np.float32]
 
     def box(self, size: int) -> tuple[int, int, int, int]:
-        """Return (x, y, width, height) of a square window of `size` px about the opening at home."""
+        """Return (x, y, width, height) of a window of `size` px about the opening at home."""
         x, y = np.rint(self.home - (size - 1) / 2).astype(int)
         return int(x), int(y), size, size
 
@@ -275,9 +276,7 @@ class GripperScene:
         size = self.shape[::-1]
         drawing = cv2.warpAffine(self.drawing, sampling, size, flags=flags)
         cover = cv2.warpAffine(self.cover, sampling, size, flags=flags)
-        return camera_frame(
-            drawing + (1.0 - cover) * self.ground, rng, noise=noise, gain=gain
-        )
+        return camera_frame(drawing + (1.0 - cover) * self.ground, rng, noise=noise, gain=gain)
 
 
 def gripper_scene(
@@ -319,7 +318,9 @@ def gripper_scene(
     reach = whole("reach", reach, least=1)
     rows, columns = whole("shape[0]", shape[0], least=50), whole("shape[1]", shape[1], least=50)
     if opening > rows / 3:
-        raise ValueError(f"gap must be under a third of the frame's {rows} px, got {opening:.0f} px")
+        raise ValueError(
+            f"gap must be under a third of the frame's {rows} px, got {opening:.0f} px"
+        )
     margin = reach + 2
     height, width = _DENSITY * (rows + 2 * margin), _DENSITY * (columns + 2 * margin)
     middle = np.array([(columns - 1) / 2, (rows - 1) / 2])
@@ -339,14 +340,14 @@ def gripper_scene(
     grain = speckle_texture(
         (height // _DENSITY, width // _DENSITY), rng, sigma=1.5, mean=165.0, contrast=18.0
     )
-    grain = cv2.resize(grain.astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC)
-    cover = cv2.GaussianBlur(cover, (0, 0), _BLUR * _DENSITY)
+    fine = cv2.resize(grain, (width, height), interpolation=cv2.INTER_CUBIC)
+    soft = cv2.GaussianBlur(cover, (0, 0), _BLUR * _DENSITY).astype(np.float32)
     return GripperScene(
         shape=(rows, columns),
         home=middle,
         opening=opening,
-        drawing=cover * grain,
-        cover=cover,
+        drawing=soft * fine.astype(np.float32),
+        cover=soft,
         ground=speckle_texture((rows, columns), rng, sigma=12, mean=70, contrast=4).astype(
             np.float32
         ),
