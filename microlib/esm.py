@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 __all__ = ["MOTIONS", "Fit", "Stage", "apply_homography", "exponential", "half_pixel"]
 
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
+Array = NDArray[np.floating]
+Image = NDArray  # float32
 
 #: Group of warps to the entries (row, column, value) of each of its generators.
 _GENERATORS: dict[str, list[list[tuple[int, int, float]]]] = {
@@ -180,7 +180,7 @@ class Stage:
         """Minimise over warp, gain and bias until the corners move by less than `tolerance` px."""
         n = len(self.basis)
         first = corners = apply_homography(pose, self.corners)
-        gain = None
+        gain = 1.0
         for count in range(1, iterations + 1):
             rows, visible = self._rows(image, pose, gain)
             if visible < _LEAST_VISIBLE:
@@ -228,7 +228,7 @@ class Stage:
         shift[:2, 2] = self.to_template[0, 0] * (np.array([column, row]) - reach)
         return pose @ shift
 
-    def _rows(self, image: Image, pose: Array, gain: float | None) -> tuple[Array, float]:
+    def _rows(self, image: Image, pose: Array, gain: float) -> tuple[Array, float]:
         """Return image Jacobian, template, one and image as rows, and the share of pixels in view.
 
         The product of these rows with themselves holds the whole of the normal equations. The
@@ -238,9 +238,7 @@ class Stage:
         warp = self.to_image @ pose @ self.to_template
         grey, slopes = _values(_sample(image, warp, self.padded, self.smoothing))
         grey = grey - np.float32(self.mean)
-        if gain is None:
-            gain = float(grey.std()) / self.spread
-        slopes = 0.5 * (slopes + np.float32(gain) * self.slopes)
+        slopes = np.float32(0.5) * (slopes + np.float32(gain) * self.slopes)
         rows = np.empty((n + 3, grey.size), np.float32)
         np.multiply(self.flow[0], slopes[0], out=rows[:n])
         rows[:n] += self.flow[1] * slopes[1]
@@ -334,7 +332,7 @@ def _sample(image: Image, warp: Array, padded: tuple[int, int], smoothing: float
 def _values(patch: Image) -> tuple[Image, Image]:
     """Return the grey values inside the margin of 1 px and their central differences in x, y."""
     slopes = np.stack([patch[1:-1, 2:] - patch[1:-1, :-2], patch[2:, 1:-1] - patch[:-2, 1:-1]])
-    return patch[1:-1, 1:-1].ravel(), 0.5 * slopes.reshape(2, -1)
+    return patch[1:-1, 1:-1].ravel(), np.float32(0.5) * slopes.reshape(2, -1)
 
 
 def _seen(image: Image, warp: Array, padded: tuple[int, int], pad: int) -> Image | None:

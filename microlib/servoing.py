@@ -43,7 +43,7 @@ __all__ = [
     "tracked_view",
 ]
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 #: Smallest ratio of singular values of a Jacobian that still counts as full rank.
 _RANK = 1e-10
@@ -134,8 +134,7 @@ def optimal_gain(
     step = float(positive("interval", interval)) * matrix
     q = _weight("feature_weight", feature_weight, matrix.shape[0])
     weight = _weight("control_weight", control_weight, matrix.shape[1])
-    gain: Array = np.linalg.solve(step.T @ q @ step + weight, step.T @ q)
-    return gain
+    return np.linalg.solve(step.T @ q @ step + weight, step.T @ q)
 
 
 def optimal_control(

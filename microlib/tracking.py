@@ -15,6 +15,9 @@ from microlib.kalman import KalmanFilter
 
 __all__ = ["ESMTracker", "KalmanFilter", "Track"]
 
+Array = NDArray[np.floating]
+Image = NDArray  # float32
+
 #: The coarsest template is at least this many pixels wide and high.
 _COARSEST = 6
 
@@ -23,7 +26,7 @@ _DEFORMABLE = 12
 
 #: Corner step (px of the stage) that ends a coarse stage, and the last one: the next step of a
 #: second-order method is smaller than the square of it.
-_TOLERANCE, _LAST_TOLERANCE = 0.5, 0.02
+_TOLERANCE, _LAST_TOLERANCE = 0.5, 0.05
 
 #: Most steps of one stage: far beyond the 1 to 6 that a converging one takes.
 _STEPS = 15
@@ -74,19 +77,19 @@ class Track:
         Covariance of `center` in px², from the residual of the fit; NaN when `lost`.
     """
 
-    corners: NDArray[np.float64]
+    corners: Array
     lost: bool
     reason: str
     correlation: float
-    homography: NDArray[np.float64]
+    homography: Array
     gain: float
     bias: float
     visible: float
     iterations: int
-    covariance: NDArray[np.float64]
+    covariance: Array
 
     @property
-    def center(self) -> NDArray[np.float64]:
+    def center(self) -> Array:
         """Mean of the corners, (x, y) in px: the feature that §5.4 servos on."""
         return self.corners.mean(axis=0)
 
@@ -165,7 +168,7 @@ class ESMTracker:
         levels = whole("levels", levels, least=1)
         if min(width, height) < _COARSEST * 2 ** (levels - 1):
             raise ValueError(
-                f"levels must leave {_COARSEST} px or more of a box of {width}×{height} px, got {levels}"
+                f"levels must leave {_COARSEST} px of a box of {width}×{height} px, got {levels}"
             )
         smoothing = float(positive("smoothing", smoothing))
         self._least = float(between("least_correlation", least_correlation, 0.0, 1.0))
@@ -279,11 +282,9 @@ class ESMTracker:
             fit, pose=_shifted(fit.pose, origin + offset), iterations=iterations + fit.iterations
         )
 
-    def _starts(
-        self, pose: NDArray[np.float64], image: NDArray[np.float32]
-    ) -> Iterator[tuple[NDArray[np.float64], list[NDArray[np.float32]]]]:
+    def _starts(self, pose: Array, image: Image) -> Iterator[tuple[Array, list[Image]]]:
         """Yield starting poses and the resolutions to refine them through, the finest first."""
-        layers: list[NDArray[np.float32]] = []
+        layers: list[Image] = []
         for _ in self._stages:
             layers.append(_halved(layers[-1]) if layers else image)
             yield pose, layers
@@ -292,7 +293,7 @@ class ESMTracker:
         reach = max(self._box[2:]) // 2**level
         yield self._stages[level].correlate(layers[level], pose, reach), layers[: level + 1]
 
-    def _descend(self, layers: list[NDArray[np.float32]], pose: NDArray[np.float64]) -> Fit:
+    def _descend(self, layers: list[Image], pose: Array) -> Fit:
         """Refine the pose from the last of the layers to the first."""
         iterations = 0
         for stage, layer in reversed(list(zip(self._stages, layers, strict=False))):
@@ -304,13 +305,13 @@ class ESMTracker:
             pose = fit.pose
         return replace(fit, iterations=iterations)
 
-    def _corners(self) -> NDArray[np.float64]:
+    def _corners(self) -> Array:
         return apply_homography(self._pose, self._refinement.corners)
 
-    def _move_to(self, center: NDArray[np.float64]) -> None:
+    def _move_to(self, center: Array) -> None:
         self._pose = _shifted(self._pose, center - self._corners().mean(axis=0))
 
-    def _center_covariance(self, fit: Fit) -> NDArray[np.float64]:
+    def _center_covariance(self, fit: Fit) -> Array:
         """Carry the covariance of the motion parameters over to the mean of the corners."""
         if fit.covariance is None:
             return np.full((2, 2), np.nan)
@@ -353,12 +354,12 @@ def _check_texture(stage: Stage) -> None:
         )
 
 
-def _halved(image: NDArray[np.float32]) -> NDArray[np.float32]:
+def _halved(image: Image) -> Image:
     """Return the image at half its resolution; its pixels are the even ones of the image."""
     return cv2.pyrDown(image).astype(np.float32, copy=False)
 
 
-def _pyramid(image: NDArray[np.float32], levels: int) -> list[NDArray[np.float32]]:
+def _pyramid(image: Image, levels: int) -> list[Image]:
     """Return the image and its successive halves."""
     layers = [image]
     for _ in range(levels - 1):
@@ -366,9 +367,7 @@ def _pyramid(image: NDArray[np.float32], levels: int) -> list[NDArray[np.float32
     return layers
 
 
-def _cut(
-    image: NDArray, corners: NDArray[np.float64], margin: float
-) -> tuple[NDArray, NDArray[np.float64]]:
+def _cut(image: NDArray, corners: Array, margin: float) -> tuple[NDArray, Array]:
     """Return the part of an image around some corners and where its first pixel was, (x, y)."""
     size = np.array(image.shape[::-1])
     first = np.clip(np.floor(corners.min(axis=0) - margin), 0, size).astype(int)
@@ -376,11 +375,11 @@ def _cut(
     return image[first[1] : last[1], first[0] : last[0]], first.astype(np.float64)
 
 
-def _unit(homography: NDArray[np.float64]) -> NDArray[np.float64]:
+def _unit(homography: Array) -> Array:
     return homography / homography[2, 2]
 
 
-def _shifted(pose: NDArray[np.float64], by: NDArray[np.float64]) -> NDArray[np.float64]:
+def _shifted(pose: Array, by: Array) -> Array:
     """Return the pose followed by a translation of the image."""
     shift = np.eye(3)
     shift[:2, 2] = by

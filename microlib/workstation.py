@@ -17,7 +17,7 @@ from microlib.tracking import ESMTracker
 
 __all__ = ["Camera", "Controller", "Observer", "Simulation", "Stage", "simulate", "tracked_view"]
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 #: Given the number of the sample, the measured feature (px, NaN if lost) and all references, a
 #: velocity in µm/s.
@@ -174,20 +174,21 @@ def simulate(
     array([5., 5.])
     """
     wanted = as_array("reference", reference, shape=(None, 2))
-    matrix: Array = as_array("jacobian", jacobian, shape=(2, 2))
+    matrix = as_array("jacobian", jacobian, shape=(2, 2))
     if np.linalg.cond(matrix) > 1e10:
         raise ValueError("jacobian must be regular, got a singular one")
     origin = wanted[0] if start is None else as_array("start", start, shape=(2,))
     needed = np.abs(np.linalg.solve(matrix, (wanted - origin).T)).max()
     if needed > stage.travel:
         raise ValueError(
-            f"reference must lie within ±{stage.travel:g} µm of the stage's start, got {needed:.0f} µm"
+            f"reference must lie within ±{stage.travel:g} µm of the start, got {needed:.0f} µm"
         )
     count = len(wanted)
     whole, part = divmod(camera.latency / camera.interval, 1.0)
     first = int(whole) + 1
     queue = np.zeros((count + first, 2))  # queue[k + first] is the command computed at exposure k
-    position, velocity = np.zeros(2), np.zeros(2)
+    position: Array = np.zeros(2)
+    velocity: Array = np.zeros(2)
     feature, measured, positions = np.empty((3, count, 2))
     saturated = np.zeros(count, bool)
     for k in range(count):
@@ -201,7 +202,7 @@ def simulate(
         for active, share in ((queue[k], part), (queue[k + 1], 1.0 - part)):
             position, velocity = stage.move(position, velocity, active, share * camera.interval)
     return Simulation(
-        time=camera.interval * np.arange(float(count)),
+        time=camera.interval * np.arange(count),
         reference=wanted,
         feature=feature,
         measured=measured,
