@@ -39,6 +39,9 @@ MOTIONS = tuple(_GENERATORS)
 #: Six-tap half-sample interpolator, exact for quintic polynomials.
 _HALF_SAMPLE = np.array([[3, -25, 150, 150, -25, 3]], np.float32) / 256
 
+#: Pixels beyond the template that its gradient needs.
+_MARGIN = 2
+
 #: Relative damping of the normal equations: far below any information in an image, it keeps a
 #: direction that the image does not determine (an aperture problem) at rest instead of dividing by
 #: rounding errors.
@@ -216,7 +219,7 @@ class Stage:
     def correlate(self, image: Image, pose: Array, reach: int) -> Array:
         """Return the pose shifted, by up to `reach` px of the patch, to the best correlation."""
         # In px of the padded patch; smoothing takes the rest of the padding off again.
-        first = 1 - reach
+        first = _MARGIN - reach
         size = (self.padded[0] - 2 * first, self.padded[1] - 2 * first)
         to_window = np.array([[1.0, 0, first], [0, 1, first], [0, 0, 1]])
         warp = self.to_image @ pose @ self.to_template @ to_window
@@ -314,15 +317,15 @@ def make_stage(
 
 
 def _padding(smoothing: float) -> int:
-    """Return the margin of a patch: the Gaussian's radius and one pixel for the gradient."""
-    return int(np.ceil(3 * smoothing)) + 1
+    """Return the margin of a patch: the Gaussian's radius and two pixels for the gradient."""
+    return int(np.ceil(3 * smoothing)) + _MARGIN
 
 
 def _sample(image: Image, warp: Array, padded: tuple[int, int], smoothing: float) -> Image:
-    """Warp a patch out of the image and smooth it, leaving a margin of 1 px for the gradient."""
+    """Warp a patch out of the image and smooth it, leaving the margin of the gradient."""
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     patch = cv2.warpPerspective(image, warp, padded, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-    radius = _padding(smoothing) - 1
+    radius = _padding(smoothing) - _MARGIN
     if radius == 0:
         return patch
     size = (2 * radius + 1, 2 * radius + 1)
@@ -330,9 +333,12 @@ def _sample(image: Image, warp: Array, padded: tuple[int, int], smoothing: float
 
 
 def _values(patch: Image) -> tuple[Image, Image]:
-    """Return the grey values inside the margin of 1 px and their central differences in x, y."""
-    slopes = np.stack([patch[1:-1, 2:] - patch[1:-1, :-2], patch[2:, 1:-1] - patch[:-2, 1:-1]])
-    return patch[1:-1, 1:-1].ravel(), np.float32(0.5) * slopes.reshape(2, -1)
+    """Return the grey values inside the margin and their fourth-order differences in x and y."""
+    rows, columns = patch[2:-2], patch[:, 2:-2]
+    near = np.stack([rows[:, 3:-1] - rows[:, 1:-3], columns[3:-1] - columns[1:-3]])
+    far = np.stack([rows[:, 4:] - rows[:, :-4], columns[4:] - columns[:-4]])
+    slopes = np.float32(2 / 3) * near - np.float32(1 / 12) * far
+    return rows[:, 2:-2].ravel(), slopes.reshape(2, -1)
 
 
 def _seen(image: Image, warp: Array, padded: tuple[int, int], pad: int) -> Image | None:
