@@ -47,6 +47,9 @@ _MARGIN = 2
 #: rounding errors.
 _DAMPING = 1e-9
 
+#: Ratio of the norms of two columns of the design at which the smaller one counts as absent.
+_VANISHING = 1e-6
+
 #: A template whose area changes by more than this factor within one frame is not tracked any more.
 _AREA_FACTOR = 4.0
 
@@ -190,7 +193,7 @@ class Stage:
                 return Fit(pose, failure="out of view", visible=visible, iterations=count)
             normal = rows @ rows.T
             scale = np.sqrt(np.diag(normal))
-            if not scale[:-1].all():
+            if scale[:-1].min() <= _VANISHING * scale[:-1].max():
                 return Fit(pose, failure="singular", visible=visible, iterations=count)
             scaled = normal / np.outer(scale, scale) if scale[-1] else normal
             system = scaled[:-1, :-1].copy()

@@ -115,6 +115,14 @@ def test_correlation_finds_what_lies_beyond_any_gradient():
     np.testing.assert_allclose(one.correlate(image, start, 20), POSE, atol=1e-9)
 
 
+def test_a_singular_system_and_a_warp_out_of_view_are_states_not_exceptions():
+    one = stage("affine", texture())
+    blank = one.fit(np.zeros((90, 100), np.float32), POSE, tolerance=0.0, iterations=5)
+    assert blank.failure == "singular"
+    away = np.array([[1.0, 0, 400], [0, 1, 0], [0, 0, 1]]) @ POSE
+    assert one.fit(texture(), away, tolerance=0.1, iterations=5).failure == "out of view"
+
+
 def test_smoothing_in_the_frame_of_the_template_commutes_with_the_warp():
     image = texture(5)
     angle = 0.5
@@ -128,6 +136,5 @@ def test_smoothing_in_the_frame_of_the_template_commutes_with_the_warp():
     fit = one.fit(warped, stretch @ POSE, tolerance=1e-3, iterations=20)
     found = apply_homography(fit.pose, one.corners)
     truth = apply_homography(stretch @ POSE, one.corners)
-    # Interpolation of the test image and of the tracker; smoothing the frames instead moves corners by
-    # 0.3 px here.
-    assert np.abs(found - truth).max() < 0.05
+    # Measured 0.011 px, from two interpolations; smoothing the frames instead leaves 0.060 px.
+    assert np.abs(found - truth).max() < 0.03
