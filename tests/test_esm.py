@@ -22,9 +22,7 @@ POSE = np.array([[20.0, 0, 49.5], [0, 20.0, 41.5], [0, 0, 1]])
 
 
 def stage(motion: str, image: np.ndarray, smoothing: float = 1.0):
-    return make_stage(
-        image, BOX, POSE, step=1, density=1, smoothing=smoothing, motion=motion
-    )
+    return make_stage(image, BOX, POSE, step=1, density=1, smoothing=smoothing, motion=motion)
 
 
 def texture(seed: int = 0) -> np.ndarray:
@@ -63,7 +61,9 @@ def test_the_flow_is_the_derivative_of_the_warp(motion):
         ahead = apply_homography(exponential(step * generator), point)
         back = apply_homography(exponential(-step * generator), point)
         to_patch = np.linalg.inv(one.to_template)
-        numeric = (apply_homography(to_patch, ahead) - apply_homography(to_patch, back)) / (2 * step)
+        numeric = (apply_homography(to_patch, ahead) - apply_homography(to_patch, back)) / (
+            2 * step
+        )
         # Central differences over 1e-6 leave about 1e-8; the flow is kept in single precision.
         stored = one.flow[:, number, row * BOX[2] + column]
         np.testing.assert_allclose(stored, numeric[0], atol=2e-5)
@@ -131,7 +131,9 @@ def test_smoothing_in_the_frame_of_the_template_commutes_with_the_warp():
     )
     stretch = POSE @ turn @ np.diag([1.3, 0.8, 1.0]) @ np.linalg.inv(POSE)
     flags = cv2.INTER_CUBIC
-    warped = cv2.warpPerspective(image, stretch, (100, 90), flags=flags, borderMode=cv2.BORDER_REFLECT)
+    warped = cv2.warpPerspective(
+        image, stretch, (100, 90), flags=flags, borderMode=cv2.BORDER_REFLECT
+    )
     one = stage("affine", image, smoothing=2.0)
     fit = one.fit(warped, stretch @ POSE, tolerance=1e-3, iterations=20)
     found = apply_homography(fit.pose, one.corners)

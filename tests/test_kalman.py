@@ -24,7 +24,8 @@ def peer(position: np.ndarray, covariance: np.ndarray) -> cv2.KalmanFilter:
     return kalman
 
 
-def test_follows_opencv_step_by_step(rng=np.random.default_rng(3)):
+def test_follows_opencv_step_by_step():
+    rng = np.random.default_rng(3)
     ours = KalmanFilter((3.0, -2.0), interval=INTERVAL, acceleration=ACCELERATION, noise=NOISE)
     theirs = peer(ours.position, ours.covariance)
     for measured in rng.normal(0, 5, (30, 2)):
