@@ -25,7 +25,7 @@ from microlib.servoing import (
 )
 
 INTERVAL = 1 / 33
-#: px/µm at 1X: magnification over cell (Table 5.1), and the weights of §5.4, meant for px/mm, in µm.
+#: px/µm at 1X: magnification over cell (Table 5.1), and the weights of §5.4 turned from mm to µm.
 JACOBIAN = 1.5893 / 9.9 * np.eye(2)
 WEIGHTS = {"feature_weight": (0.9, 0.9), "control_weight": (0.025e-6, 0.05e-6)}
 

@@ -30,7 +30,7 @@ def corner_errors(motion, distance, warp, trials, **options):
     return np.array(errors), np.array(iterations)
 
 
-# 200 trials a cell are in benchmarks/tracking.py; 25 trials still fail, with a probability of 90 % or
+# 200 trials a cell are in benchmarks/tracking.py; 25 still fail, with a probability of 90 % or
 # more, for a tracker whose success rate has dropped to 75 %.
 @pytest.mark.parametrize(
     ("motion", "warp", "distance", "least"),
