@@ -311,12 +311,13 @@ def main() -> None:
             "Drift over 1,000 frames of the gripper": drift(),
         },
         note=(
-            "Templates of 50×50 px of white noise blurred by σ = 1 px, camera noise of 2 grey levels, "
-            "5 % gain change. Every trial moves the corners by exactly the displacement named (root "
-            "mean square): a shift in a random direction, or corners displaced independently. "
-            "Success: all four corners within 1 px. ESM by gradients only omits the final search by "
-            "correlation; the single resolution is smoothed by σ = 3 px. A basin is the largest shift "
-            "that 38 of 40 trials survive, sought up to 30 px."
+            "Templates of 50×50 px of white noise blurred by σ = 1 px, camera noise of 2 grey "
+            "levels, 5 % gain change. Every trial moves the corners by exactly the displacement "
+            "named (root mean square): a shift in a random direction, or corners displaced "
+            "independently. Success: all four corners within 1 px. ESM by gradients only omits the "
+            "final search by correlation; the single resolution is smoothed by σ = 3 px. A basin "
+            "is the largest shift that 38 of 40 trials survive, sought up to 30 px. Times are those "
+            "of a frame within a sequence."
         ),
     )
 

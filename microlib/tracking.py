@@ -31,8 +31,11 @@ _TOLERANCE, _LAST_TOLERANCE = 0.5, 0.05
 #: Most steps of one stage: far beyond the 1 to 6 that a converging one takes.
 _STEPS = 15
 
-#: Correlation of the smoothed template at which no coarser start is tried any more.
+#: Correlation that an attempt must reach to be convincing, whatever the noise.
 _CONVINCING = 0.9
+
+#: Loss of correlation that interpolation alone may cause.
+_NOISELESS = 0.002
 
 #: Side (px) above which a template is halved for the search by correlation.
 _CORRELATED = 64
@@ -72,7 +75,7 @@ class Track:
     visible : float
         Share of the template's pixels inside the frame.
     iterations : int
-        Steps taken, all resolutions together.
+        Steps of the attempt that was kept, all resolutions together.
     covariance : ndarray, shape (2, 2)
         Covariance of `center` in px², from the residual of the fit; NaN when `lost`.
     """
@@ -174,6 +177,7 @@ class ESMTracker:
         self._least = float(between("least_correlation", least_correlation, 0.0, 1.0))
         self._shape = frame.shape
         self._kalman = kalman
+        self._typical = 1.0
         size = max(width, height) / 2
         self._start = np.array(
             [[size, 0, x + (width - 1) / 2], [0, size, y + (height - 1) / 2], [0, 0, 1.0]]
@@ -231,6 +235,7 @@ class ESMTracker:
         reason = fit.failure or ("low correlation" if fit.correlation < self._least else "")
         if not reason:
             self._pose = fit.pose
+            self._typical = fit.correlation
             if self._kalman is not None:
                 self._kalman.update(self._corners().mean(axis=0))
         return Track(
@@ -247,40 +252,33 @@ class ESMTracker:
         )
 
     def _search(self, frame: NDArray) -> Fit:
-        """Align at the finest resolution, then through ever coarser ones until one attempt is
-        convincing.
+        """Align from ever more distant starts until one is convincing, and return the best.
 
-        A start close to the truth is thus never led astray by a coarse resolution, where the
-        surroundings of the template weigh most, and costs little; only a distant one pays for the
-        whole pyramid, and only one beyond the reach of any gradient for a search by correlation.
+        The first start is at the finest resolution: one close to the truth is thus never led astray
+        by a coarse resolution, where the surroundings of the template weigh most, and costs little.
+        Only a distant one pays for the pyramid, and only one beyond the reach of any gradient for a
+        search by correlation.
         """
         corners = self._corners()
         region, origin = _cut(frame, corners, np.ptp(corners, axis=0).max())
         if min(region.shape) < 2:
             return Fit(self._pose, failure="out of view")
-        start = _shifted(self._pose, -origin)
-        best, iterations = Fit(start, failure="diverged"), 0
-        for pose, layers in self._starts(start, as_image("frame", region)):
-            fit = self._descend(layers, pose)
-            iterations += fit.iterations
+        best = Fit(self._pose, failure="diverged", correlation=-1.0)
+        for pose, layers in self._starts(_shifted(self._pose, -origin), as_image("frame", region)):
+            fit = self._align(layers, pose)
             if best.failure or (not fit.failure and fit.correlation > best.correlation):
-                best = fit
-            if not best.failure and best.correlation > _CONVINCING:
+                best = replace(fit, pose=_shifted(fit.pose, origin))
+            if not best.failure and best.correlation > self._convincing():
                 break
-        if best.failure:
-            return replace(best, pose=self._pose, iterations=iterations)
-        near, offset = _cut(
-            as_image("frame", region), apply_homography(best.pose, self._refinement.corners), _NEAR
-        )
-        fit = self._refinement.fit(
-            half_pixel(near),
-            _shifted(best.pose, -offset),
-            tolerance=_LAST_TOLERANCE,
-            iterations=_STEPS,
-        )
-        return replace(
-            fit, pose=_shifted(fit.pose, origin + offset), iterations=iterations + fit.iterations
-        )
+        return best
+
+    def _convincing(self) -> float:
+        """Return the correlation at which no further start is tried.
+
+        It follows the last one that was accepted: where much of a template is alike, a wrong place
+        may correlate to 0.95, but the noise of the camera sets how far the right one falls below 1.
+        """
+        return max(_CONVINCING, 1.0 - 2.0 * (1.0 - self._typical) - _NOISELESS)
 
     def _starts(self, pose: Array, image: Image) -> Iterator[tuple[Array, list[Image]]]:
         """Yield starting poses and the resolutions to refine them through, the finest first."""
@@ -293,16 +291,26 @@ class ESMTracker:
         reach = max(self._box[2:]) // 2**level
         yield self._stages[level].correlate(layers[level], pose, reach), layers[: level + 1]
 
-    def _descend(self, layers: list[Image], pose: Array) -> Fit:
-        """Refine the pose from the last of the layers to the first."""
+    def _align(self, layers: list[Image], pose: Array) -> Fit:
+        """Refine a pose from the last of the layers to the first, and then between the pixels."""
         iterations = 0
         for stage, layer in reversed(list(zip(self._stages, layers, strict=False))):
             tolerance = _TOLERANCE / stage.to_image[0, 0]
             fit = stage.fit(layer, pose, tolerance=tolerance, iterations=_STEPS)
             iterations += fit.iterations
-            if fit.failure:
-                break
             pose = fit.pose
+            if fit.failure:
+                return replace(fit, iterations=iterations)
+        if fit.correlation > self._least:
+            near, offset = _cut(layers[0], apply_homography(pose, self._refinement.corners), _NEAR)
+            fit = self._refinement.fit(
+                half_pixel(near),
+                _shifted(pose, -offset),
+                tolerance=_LAST_TOLERANCE,
+                iterations=_STEPS,
+            )
+            fit = replace(fit, pose=_shifted(fit.pose, offset))
+            iterations += fit.iterations
         return replace(fit, iterations=iterations)
 
     def _corners(self) -> Array:
