@@ -226,7 +226,7 @@ def main() -> None:
         },
         note=(
             f"33 frames/s, latency 0.8 frames, saturation 400 µm/s, 50 nm increments, image jitter "
-            f"{CAMERA.jitter} px, calibration known to 1 % and 1°, {SEEDS} seeds. Errors are those of "
+            f"{CAMERA.jitter} px, calibration known to 1 % and 1°, {SEEDS} seeds. Errors are of "
             "the true feature; after a step from 1.5 s on."
         ),
     )

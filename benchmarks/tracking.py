@@ -316,8 +316,8 @@ def main() -> None:
             "named (root mean square): a shift in a random direction, or corners displaced "
             "independently. Success: all four corners within 1 px. ESM by gradients only omits the "
             "final search by correlation; the single resolution is smoothed by σ = 3 px. A basin "
-            "is the largest shift that 38 of 40 trials survive, sought up to 30 px. Times are those "
-            "of a frame within a sequence."
+            "is the largest shift that 38 of 40 trials survive, sought up to 30 px. Times are "
+            "those of a frame within a sequence."
         ),
     )
 
