@@ -1,7 +1,7 @@
 """Mean and Gaussian curvature of a height map and the surface types they tell apart: 3.15 to 3.25.
 
-Heights point to the viewer, so a dome has H < 0 and K > 0 (Table 3.1). Heights and `pixel_size` share one
-unit, here µm; H is then in 1/µm and K in 1/µm².
+Heights point to the viewer, so a dome has H < 0 and K > 0 (Table 3.1). Heights and `pixel_size`
+share one unit, here µm; H is then in 1/µm and K in 1/µm².
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ __all__ = [
     "surface_curvature",
 ]
 
-#: Table 3.1: the surface type of each label. A smooth surface has H² ≥ K, so label 4 (H = 0 and K > 0) cannot
-#: occur but through noise or thresholds that do not match.
+#: Table 3.1: the surface type of each label. A smooth surface has H² ≥ K, so label 4 (H = 0 and K
+#: > 0) cannot occur but through noise or thresholds that do not match.
 HK_NAMES = {
     1: "convex elliptic",
     2: "convex cylindric",
@@ -46,15 +46,15 @@ HK_NAMES = {
 
 @dataclass(frozen=True)
 class Windows:
-    """The one-dimensional windows from which all derivative windows are built; see `curvature_windows`.
+    """The windows from which all derivative windows are built; see `curvature_windows`.
 
     Attributes
     ----------
     smooth : ndarray of float64, shape (size,)
         Binomial smoother s (3.15).
     mean, slope, bend : ndarray of float64, shape (size,)
-        Least-squares value :math:`d_0` (3.17), first derivative :math:`d_1` (3.18, per px) and second derivative
-        :math:`d_2` (3.19 corrected, per px²).
+        Least-squares value :math:`d_0` (3.17), first derivative :math:`d_1` (3.18, per px) and
+        second derivative :math:`d_2` (3.19 corrected, per px²).
     """
 
     smooth: NDArray[np.float64]
@@ -92,8 +92,9 @@ def curvature_windows(size: int = 7) -> Windows:
     Returns
     -------
     Windows
-        Four columns of length `size`. They are written for correlation; (3.16) speaks of convolution, which would
-        flip the sign of the first derivatives and leave H and K as they are.
+        Four columns of length `size`. They are written for correlation; (3.16) speaks of
+        convolution, which would flip the sign of the first derivatives and leave H and K as they
+        are.
 
     Raises
     ------
@@ -102,10 +103,10 @@ def curvature_windows(size: int = 7) -> Windows:
 
     Notes
     -----
-    :math:`d_0, d_1, d_2` are the value, slope and second derivative at the centre of the parabola that fits the
-    window in the least-squares sense. (3.19) prints :math:`d_2` with 1/84, which yields the coefficient of t², half
-    the second derivative: applied to t² it gives 1 instead of 2. Here the factor is 1/42, without which H comes
-    out at half and K at a quarter of the truth.
+    :math:`d_0, d_1, d_2` are the value, slope and second derivative at the centre of the parabola
+    that fits the window in the least-squares sense. (3.19) prints :math:`d_2` with 1/84, which
+    yields the coefficient of t², half the second derivative: applied to t² it gives 1 instead of
+    2. Here the factor is 1/42, without which H comes out at half and K at a quarter of the truth.
 
     Examples
     --------
@@ -138,8 +139,8 @@ def surface_curvature(
     pixel_size : float
         Distance between neighbouring pixels on the object, µm.
     size : int
-        Side of the windows, px, odd, at least 3. The scale of what is seen: a window of `size` smooths and
-        differentiates over 2 `size` - 1 pixels.
+        Side of the windows, px, odd, at least 3. The scale of what is seen: a window of `size`
+        smooths and differentiates over 2 `size` - 1 pixels.
     noise : float
         Standard deviation of the heights, µm, independent from pixel to pixel.
 
@@ -151,18 +152,19 @@ def surface_curvature(
     Raises
     ------
     ValueError
-        If the map is smaller than 2 `size` - 1 on a side or holds an infinity, `pixel_size` is not positive,
-        `noise` is negative, or `size` is not an odd whole number of at least 3.
+        If the map is smaller than 2 `size` - 1 on a side or holds an infinity, `pixel_size` is
+        not positive, `noise` is negative, or `size` is not an odd whole number of at least 3.
 
     Notes
     -----
-    Derivatives are the windows (3.15)–(3.19) applied as in (3.20)–(3.21), divided by the pixel size and its
-    square; H and K follow (3.22)–(3.23). The thesis leaves out the pixel size, which fixes the units of H and K
-    and so the meaning of any threshold.
+    Derivatives are the windows (3.15)–(3.19) applied as in (3.20)–(3.21), divided by the pixel
+    size and its square; H and K follow (3.22)–(3.23). The thesis leaves out the pixel size, which
+    fixes the units of H and K and so the meaning of any threshold.
 
-    The error of a second derivative is `noise` times the root of the sum of the squares of its window. It enters H
-    to first order, K to first and second order, because on a plane K is a product of errors. The errors of the
-    slopes are left out: in pixels they are smaller by the ratio of the window to the radius of curvature.
+    The error of a second derivative is `noise` times the root of the sum of the squares of its
+    window. It enters H to first order, K to first and second order, because on a plane K is a
+    product of errors. The errors of the slopes are left out: in pixels they are smaller by the
+    ratio of the window to the radius of curvature.
 
     Examples
     --------
@@ -202,7 +204,8 @@ def surface_curvature(
     mean = (ex * zyy - 2 * zx * zy * zxy + ey * zxx) / (2 * steep**1.5)
     gaussian = (zxx * zyy - zxy**2) / steep**2
 
-    # Covariance of (zxx, zyy, zxy); the mixed window is odd in x and y and so uncorrelated with the others.
+    # Covariance of (zxx, zyy, zxy); the mixed window is odd in x and y and so uncorrelated with
+    # the others.
     scale = (sigma / pitch**2) ** 2
     straight = scale * np.sum(bend**2) * np.sum(value**2)
     cross = scale * np.sum(bend * value) ** 2
@@ -232,7 +235,10 @@ def _combined(n: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray
 def _correlate(
     image: NDArray[np.float64], along_x: NDArray[np.float64], along_y: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    return cv2.sepFilter2D(image, cv2.CV_64F, along_x, along_y, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(
+        cv2.sepFilter2D(image, cv2.CV_64F, along_x, along_y, borderType=cv2.BORDER_REPLICATE),
+        np.float64,
+    )
 
 
 def hk_labels(
@@ -245,8 +251,8 @@ def hk_labels(
     mean, gaussian : array_like
         H in 1/µm and K in 1/µm², of one shape; NaN where unknown.
     h_zero, k_zero : float or array_like
-        Largest magnitudes of H and K that count as zero, in the same units; a number, or one for each pixel, such
-        as a multiple of the errors in `Curvature`.
+        Largest magnitudes of H and K that count as zero, in the same units; a number, or one for
+        each pixel, such as a multiple of the errors in `Curvature`.
 
     Returns
     -------
@@ -260,7 +266,8 @@ def hk_labels(
 
     Notes
     -----
-    :math:`T = 1 + 3(1 + \\mathrm{sgn}_\\varepsilon H) + (1 - \\mathrm{sgn}_\\varepsilon K)` (3.24, 3.25).
+    :math:`T = 1 + 3(1 + \\mathrm{sgn}_\\varepsilon H) + (1 - \\mathrm{sgn}_\\varepsilon K)`
+    (3.24, 3.25).
 
     Examples
     --------
@@ -287,7 +294,7 @@ def hk_labels(
 
 
 def _regions(labels: ArrayLike) -> tuple[NDArray[np.uint8], NDArray[np.intp]]:
-    """Check a label image and number its regions of one type from 1; 0 where nothing is labelled."""
+    """Check a label image and number its regions from 1; 0 where nothing is labelled."""
     types = as_array("labels", labels, shape=(None, None), dtype=np.uint8)
     if types.max() > 9:
         raise ValueError(f"labels must be 0 to 9, got {types.max()}")
@@ -342,8 +349,9 @@ def region_table(labels: ArrayLike, curvature: Curvature) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        Columns ``label``, ``name``, ``area`` (px), ``mean`` (mean of H, 1/µm), ``gaussian`` (mean of K, 1/µm²) and the
-        centroid ``x``, ``y`` (px). Regions are connected along rows and columns.
+        Columns ``label``, ``name``, ``area`` (px), ``mean`` (mean of H, 1/µm), ``gaussian`` (mean
+        of K, 1/µm²) and the centroid ``x``, ``y`` (px). Regions are connected along rows and
+        columns.
 
     Raises
     ------

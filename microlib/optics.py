@@ -1,7 +1,7 @@
-"""The thin lens and the blur it leaves on a sensor out of focus: equations 3.1 to 3.9 of the thesis.
+"""The thin lens and the blur it leaves on a sensor out of focus: equations 3.1 to 3.9.
 
-Lengths are in µm unless a name says px. The Gaussian blur of an image is given in px, because an image
-knows nothing else; divide a length on the sensor by the pitch of its cells to get there.
+Lengths are in µm unless a name says px. The Gaussian blur of an image is given in px, because an
+image knows nothing else; divide a length on the sensor by the pitch of its cells to get there.
 """
 
 from __future__ import annotations
@@ -22,10 +22,12 @@ __all__ = [
     "working_distance",
 ]
 
-#: Ratio of the standard deviations of neighbouring blur levels. With cubic interpolation between them the
-#: error stays below 0.05 grey levels rms on white noise of 38 grey levels, the hardest texture there is.
+#: Ratio of the standard deviations of neighbouring blur levels. With cubic interpolation between
+#: them the error stays below 0.05 grey levels rms on white noise of 38 grey levels, the hardest
+#: texture there is.
 _LEVEL_RATIO = 1.15
-#: Smallest blurred level in px; below it an image hardly changes (a neighbour weighs exp(-1/(2 * 0.2²)) < 4e-6).
+#: Smallest blurred level in px; below it an image hardly changes (a neighbour weighs exp(-1/(2 *
+#: 0.2²)) < 4e-6).
 _FIRST_LEVEL = 0.2
 
 
@@ -47,7 +49,8 @@ def image_distance(object_distance: ArrayLike, focal_length: float) -> NDArray[n
     Raises
     ------
     ValueError
-        If a length is not positive, or the point lies within the focal length and has no real image.
+        If a length is not positive, or the point lies within the focal length and has no real
+        image.
 
     Examples
     --------
@@ -118,8 +121,8 @@ def blur_radius(
     Returns
     -------
     ndarray of float64
-        :math:`r_b = R\\,d_s\\,(1/d_o - 1/w_d)` (3.5), µm on the sensor. Zero in focus, positive for a point nearer
-        than the working distance :math:`w_d`, negative beyond it.
+        :math:`r_b = R\\,d_s\\,(1/d_o - 1/w_d)` (3.5), µm on the sensor. Zero in focus, positive
+        for a point nearer than the working distance :math:`w_d`, negative beyond it.
 
     Raises
     ------
@@ -128,8 +131,9 @@ def blur_radius(
 
     Notes
     -----
-    The same as (3.2), :math:`R\\,(d_i - d_s)/d_i`, and (3.4), but without a division by zero for a point in the
-    focal plane. A blurred image is the same for both signs; only the magnitude enters a kernel.
+    The same as (3.2), :math:`R\\,(d_i - d_s)/d_i`, and (3.4), but without a division by zero for
+    a point in the focal plane. A blurred image is the same for both signs; only the magnitude
+    enters a kernel.
 
     Examples
     --------
@@ -165,9 +169,9 @@ def gaussian_kernel(sigma: float, size: int) -> NDArray[np.float64]:
 
     Notes
     -----
-    (3.7) divides the exponent by :math:`2\\sigma_g`, which has the wrong unit and is not the transform of (3.9);
-    the square is what (3.9) and section 5.5.1 need. The samples are scaled to unit sum, so that a kernel cut off
-    at `size` keeps the brightness.
+    (3.7) divides the exponent by :math:`2\\sigma_g`, which has the wrong unit and is not the
+    transform of (3.9); the square is what (3.9) and section 5.5.1 need. The samples are scaled to
+    unit sum, so that a kernel cut off at `size` keeps the brightness.
 
     Examples
     --------
@@ -214,20 +218,24 @@ def gaussian_transfer(u: ArrayLike, v: ArrayLike, sigma: float) -> NDArray[np.fl
 
 
 def _blurred(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
-    """Convolve with a sampled Gaussian that reaches five standard deviations, mirrored at the border."""
+    """Convolve with a Gaussian that reaches five standard deviations, mirrored at the border."""
     if sigma == 0:
         return image
     half = int(np.ceil(5 * sigma))
     t = np.arange(-half, half + 1)
     profile = np.exp(-(t**2) / (2 * sigma**2))
     profile /= profile.sum()
-    return cv2.sepFilter2D(image, cv2.CV_32F, profile, profile, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(
+        cv2.sepFilter2D(image, cv2.CV_32F, profile, profile, borderType=cv2.BORDER_REFLECT),
+        np.float32,
+    )
 
 
 class BlurLadder:
     """An image blurred at a ladder of levels, from which any map of blur is read off.
 
-    Worth keeping when one image is defocused many times, as in a focal stack; `defocus` does it once.
+    Worth keeping when one image is defocused many times, as in a focal stack; `defocus` does it
+    once.
 
     Parameters
     ----------
@@ -243,8 +251,9 @@ class BlurLadder:
 
     Notes
     -----
-    Between levels each pixel is interpolated by a cubic in :math:`\\sigma^2`, the variable in which Gaussian blur
-    is a diffusion and nearly linear. The ladder costs about 16 images and a further one for each factor of 1.15.
+    Between levels each pixel is interpolated by a cubic in :math:`\\sigma^2`, the variable in
+    which Gaussian blur is a diffusion and nearly linear. The ladder costs about 16 images and a
+    further one for each factor of 1.15.
 
     Examples
     --------
@@ -300,8 +309,8 @@ def defocus(image: ArrayLike, sigma: ArrayLike) -> NDArray[np.float32]:
     Returns
     -------
     ndarray of float32, shape (rows, cols)
-        :math:`I_d(p) = \\sum_q g_{\\sigma(p)}(p - q)\\,I(q)`, which is (3.6) where `sigma` is constant. The image is
-        mirrored at its border.
+        :math:`I_d(p) = \\sum_q g_{\\sigma(p)}(p - q)\\,I(q)`, which is (3.6) where `sigma` is
+        constant. The image is mirrored at its border.
 
     Raises
     ------
@@ -310,8 +319,8 @@ def defocus(image: ArrayLike, sigma: ArrayLike) -> NDArray[np.float32]:
 
     Notes
     -----
-    Each pixel sees the kernel of its own blur (a gather), so a step in height does not occlude what lies behind
-    it. See `BlurLadder` for how a map of blur is applied.
+    Each pixel sees the kernel of its own blur (a gather), so a step in height does not occlude
+    what lies behind it. See `BlurLadder` for how a map of blur is applied.
 
     Examples
     --------

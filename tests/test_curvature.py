@@ -1,4 +1,4 @@
-"""H and K against analytic surfaces and sympy, the windows against least squares, labels against Table 3.1."""
+"""H and K against analytic surfaces and sympy, labels against Table 3.1."""
 
 import numpy as np
 import pytest
@@ -10,8 +10,8 @@ from scipy import ndimage
 from microlib import curvature
 from microlib.curvature import HK_NAMES, hk_labels, surface_curvature
 
-#: Half side of the test maps and radius of curvature, px. The windows span 13 px; on a radius of 100 px their
-#: bias is a third of the 1 % allowed.
+#: Half side of the test maps and radius of curvature, px. The windows span 13 px; on a radius of
+#: 100 px their bias is a third of the 1 % allowed.
 HALF, RADIUS = 40, 100.0
 Y, X = np.mgrid[-HALF : HALF + 1, -HALF : HALF + 1].astype(float)
 #: Surface, mean and Gaussian curvature, label.
@@ -25,16 +25,16 @@ SURFACES = {
 
 
 def monge(expression: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Height, H and K of z(x, y) on the test grid, by symbolic fundamental forms (not by 3.22 and 3.23)."""
+    """Height, H and K of z(x, y) on the test grid, by symbolic fundamental forms."""
     x, y = sympy.symbols("x y")
     z = sympy.sympify(expression, locals={"x": x, "y": y})
     r = sympy.Matrix([x, y, z])
     rx, ry = r.diff(x), r.diff(y)
     normal = rx.cross(ry) / sympy.sqrt(rx.cross(ry).dot(rx.cross(ry)))
     e, f, g = rx.dot(rx), rx.dot(ry), ry.dot(ry)
-    l, m, n = (normal.dot(d) for d in (r.diff(x, 2), r.diff(x, y), r.diff(y, 2)))
+    ll, m, n = (normal.dot(d) for d in (r.diff(x, 2), r.diff(x, y), r.diff(y, 2)))
     area = e * g - f**2
-    forms = z, (e * n - 2 * f * m + g * l) / (2 * area), (l * n - m**2) / area
+    forms = z, (e * n - 2 * f * m + g * ll) / (2 * area), (ll * n - m**2) / area
     return tuple(np.broadcast_to(sympy.lambdify((x, y), form)(X, Y), X.shape) for form in forms)
 
 
@@ -97,7 +97,7 @@ def test_symbolic_surfaces_within_a_percent(expression):
 
 
 def test_derivatives_are_two_dimensional_convolutions_with_the_printed_masks():
-    """The separable code equals S and D applied one after the other as (3.20) and (3.21) are written."""
+    """The separable code equals S and D applied one after the other, as (3.20) and (3.21) say."""
     w = curvature.curvature_windows(7)
     z = 5 * np.random.default_rng(0).random((31, 29))
     smooth = ndimage.convolve(z, np.outer(w.smooth, w.smooth))
@@ -143,8 +143,9 @@ def test_errors_are_the_scatter_over_noise(height):
         centre = np.s_[HALF - 4 : HALF + 5, HALF - 4 : HALF + 5]
         scatter = np.std([getattr(run, field)[centre] for run in runs])
         stated = np.sqrt(np.mean([getattr(run, field + "_error")[centre] ** 2 for run in runs]))
-        # Relative error of a scatter from 60 runs of about 2 independent windows is 6 %. The error of K cannot
-        # fall below the second order and so is stated up to a third too large near a plane.
+        # Relative error of a scatter from 60 runs of about 2 independent windows is 6 %. The
+        # error of K cannot fall below the second order and so is stated up to a third too large
+        # near a plane.
         assert scatter < 1.2 * stated
         assert stated < (1.2 if field == "mean" else 1.5) * scatter
 

@@ -58,7 +58,8 @@ def test_transfer_is_the_transform_of_the_kernel(sigma):
     frequency = 2 * np.pi * np.fft.fftfreq(65)
     transform = np.fft.fft2(np.fft.ifftshift(kernel)).real
     ours = optics.gaussian_transfer(frequency[None, :], frequency[:, None], sigma)
-    # Aliasing of the sampled Gaussian: exp(-(2 pi - w)^2 sigma^2 / 2) at the highest frequency pi, sigma = 1.
+    # Aliasing of the sampled Gaussian: exp(-(2 pi - w)^2 sigma^2 / 2) at the highest frequency
+    # pi, sigma = 1.
     np.testing.assert_allclose(transform, ours, atol=2.1 * np.exp(-(np.pi**2) / 2))
     low = np.abs(frequency) < 1.0
     np.testing.assert_allclose(transform[np.ix_(low, low)], ours[np.ix_(low, low)], atol=3e-6)
