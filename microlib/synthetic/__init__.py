@@ -1,5 +1,6 @@
 """Scenes with known truth: what the algorithms are tested on. Nothing here imports an algorithm."""
 
+from microlib.synthetic.cells import CellImage, cell_image
 from microlib.synthetic.embryo import (
     SONY_PIXEL_SIZE,
     Embryo,
@@ -37,11 +38,13 @@ from microlib.synthetic.textures import (
 
 __all__ = [
     "SONY_PIXEL_SIZE",
+    "CellImage",
     "Embryo",
     "EmbryoImage",
     "GripperScene",
     "WarpedPair",
     "camera_frame",
+    "cell_image",
     "cone",
     "embryo_image",
     "embryo_sequence",
