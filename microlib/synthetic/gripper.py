@@ -252,9 +252,10 @@ class GripperScene:
     cover: NDArray[np.float32]
     ground: NDArray[np.float32]
 
-    def box(self, size: int) -> tuple[int, int, int, int]:
-        """Return (x, y, width, height) of a window of `size` px about the opening at home."""
-        x, y = np.rint(self.home - (size - 1) / 2).astype(int)
+    def box(self, size: int, shift: ArrayLike = (0.0, 0.0)) -> tuple[int, int, int, int]:
+        """Return (x, y, width, height) of a window of `size` px about the shifted opening."""
+        shift = as_array("shift", shift, shape=(2,))
+        x, y = np.rint(self.home - (size - 1) / 2 + shift).astype(int)
         return int(x), int(y), size, size
 
     def frame(
