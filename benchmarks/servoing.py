@@ -43,7 +43,7 @@ TASKS = {
     "step of 50 px": np.full((66, 2), 50.0),
     "circle, 40 px/s": circle_path(40.0, 40.0, INTERVAL),
     "square, 40 px/s": square_path(60.0, 40.0, INTERVAL),
-    "sinusoid, 40 px/s": sinusoid_path(100.0, 20.0, 40.0, INTERVAL),
+    "sinusoid, 15 px/s": sinusoid_path(100.0, 20.0, 15.0, INTERVAL),
 }
 
 
