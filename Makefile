@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup book test notebooks html lint format data benchmarks lock clean
+.PHONY: help setup book test notebooks html lint format picture benchmarks lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -28,7 +28,8 @@ notebooks: $(STAMP) ## run the notebooks that changed
 
 html: notebooks
 	@echo "Building the book"
-	@rm -rf book/notebooks book/generated
+	@# From scratch: pages quote records that Sphinx does not watch.
+	@rm -rf book/notebooks book/generated build/_build
 	@mkdir -p book/notebooks
 	@cp build/notebooks/*.ipynb book/notebooks/
 	@$(BIN)/jupyter-book build book --path-output build --warningiserror --nitpick --keep-going --quiet
@@ -50,6 +51,9 @@ format: $(STAMP) ## format the code and strip the notebooks
 	@$(BIN)/ruff format .
 	@$(BIN)/ruff check --fix .
 	@$(BIN)/nbstripout --keep-id notebooks/*.ipynb
+
+picture: $(STAMP) ## draw the readme's picture anew
+	@$(BIN)/python book/make_readme_picture.py
 
 benchmarks: $(STAMP) ## measure microlib beside its peers (minutes)
 	@for file in benchmarks/[a-z]*.py; do \

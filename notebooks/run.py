@@ -37,7 +37,8 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2, help="how many at a time")
     options = parser.parse_args()
     os.environ |= THREADS
-    os.environ.setdefault("PYTHONHASHSEED", "0")
+    os.environ["PYTHONHASHSEED"] = "0"
+    os.environ["MICROLIB_FIGURES"] = str(BUILD / "figures")
 
     every = sorted(path.stem for path in (ROOT / "notebooks").glob("[0-9]*.ipynb"))
     chosen = [n for n in every if not options.names or n.startswith(tuple(options.names))]

@@ -33,8 +33,9 @@ def use_local_mathjax(app: Sphinx, config: Any) -> None:
 
 
 def shape_page(app: Sphinx, page: str, template: str, context: dict, doctree: Any) -> None:
-    def wanted(script: Any) -> bool:
-        return "thebe" not in str(getattr(script, "filename", script))
+    def wanted(asset: Any) -> bool:
+        inline = getattr(asset, "attributes", {}).get("body", "")
+        return "thebe" not in f"{getattr(asset, 'filename', asset)} {inline}".lower()
 
     context["script_files"] = [s for s in context.get("script_files", []) if wanted(s)]
     context["css_files"] = [s for s in context.get("css_files", []) if wanted(s)]

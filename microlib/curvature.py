@@ -1,0 +1,395 @@
+"""Mean and Gaussian curvature of a height map and the surface types they tell apart: 3.15 to 3.25.
+
+Heights point to the viewer, so a dome has H < 0 and K > 0 (Table 3.1). Heights and `pixel_size`
+share one unit, here µm; H is then in 1/µm and K in 1/µm².
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import comb
+
+import cv2
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+from skimage.measure import label as connected
+
+from microlib._checks import as_array, positive, whole
+
+__all__ = [
+    "HK_NAMES",
+    "Curvature",
+    "Windows",
+    "clean_labels",
+    "curvature_windows",
+    "hk_labels",
+    "region_table",
+    "surface_curvature",
+]
+
+#: Table 3.1: the surface type of each label. A smooth surface has H² ≥ K, so label 4 (H = 0 and K
+#: > 0) cannot occur but through noise or thresholds that do not match.
+HK_NAMES = {
+    1: "convex elliptic",
+    2: "convex cylindric",
+    3: "saddle ridge",
+    4: "none",
+    5: "planar",
+    6: "minimal surface",
+    7: "concave elliptic",
+    8: "concave cylindric",
+    9: "saddle valley",
+}
+
+
+@dataclass(frozen=True)
+class Windows:
+    """The windows from which all derivative windows are built; see `curvature_windows`.
+
+    Attributes
+    ----------
+    smooth : ndarray of float64, shape (size,)
+        Binomial smoother s (3.15).
+    mean, slope, bend : ndarray of float64, shape (size,)
+        Least-squares value :math:`d_0` (3.17), first derivative :math:`d_1` (3.18, per px) and
+        second derivative :math:`d_2` (3.19 corrected, per px²).
+    """
+
+    smooth: NDArray[np.float64]
+    mean: NDArray[np.float64]
+    slope: NDArray[np.float64]
+    bend: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Curvature:
+    """Curvature of a height map.
+
+    Attributes
+    ----------
+    mean, gaussian : ndarray of float64, shape (rows, cols)
+        H in 1/µm and K in 1/µm² (3.22, 3.23). NaN where a window leaves the map or meets a NaN.
+    mean_error, gaussian_error : ndarray of float64, shape (rows, cols)
+        Standard errors of H and K, in the same units; zero if no noise was given.
+    """
+
+    mean: NDArray[np.float64]
+    gaussian: NDArray[np.float64]
+    mean_error: NDArray[np.float64]
+    gaussian_error: NDArray[np.float64]
+
+
+def curvature_windows(size: int = 7) -> Windows:
+    """Return Besl's separable smoothing and derivative windows for a square of `size` pixels.
+
+    Parameters
+    ----------
+    size : int
+        Side of the square, px, odd, at least 3. The thesis uses 7.
+
+    Returns
+    -------
+    Windows
+        Four columns of length `size`. They are written for correlation; (3.16) speaks of
+        convolution, which would flip the sign of the first derivatives and leave H and K as they
+        are.
+
+    Raises
+    ------
+    ValueError
+        If `size` is not an odd whole number of at least 3.
+
+    Notes
+    -----
+    :math:`d_0, d_1, d_2` are the value, slope and second derivative at the centre of the parabola
+    that fits the window in the least-squares sense. (3.19) prints :math:`d_2` with 1/84, which
+    yields the coefficient of t², half the second derivative: applied to t² it gives 1 instead of
+    2. Here the factor is 1/42, without which H comes out at half and K at a quarter of the truth.
+
+    Examples
+    --------
+    >>> windows = curvature_windows(7)
+    >>> (64 * windows.smooth).round().astype(int).tolist()
+    [1, 6, 15, 20, 15, 6, 1]
+    >>> (42 * windows.bend).round().astype(int).tolist()
+    [5, 0, -3, -4, -3, 0, 5]
+    """
+    n = whole("size", size, least=3, odd=True)
+    t = np.arange(n, dtype=np.float64) - n // 2
+    quadratic = t**2 - np.mean(t**2)
+    return Windows(
+        smooth=np.array([comb(n - 1, k) for k in range(n)]) / 2.0 ** (n - 1),
+        mean=np.full(n, 1.0 / n),
+        slope=t / np.sum(t**2),
+        bend=2 * quadratic / np.sum(quadratic**2),
+    )
+
+
+def surface_curvature(
+    height: ArrayLike, pixel_size: float, *, size: int = 7, noise: float = 0.0
+) -> Curvature:
+    """Return mean and Gaussian curvature of a height map, with their standard errors.
+
+    Parameters
+    ----------
+    height : array_like, shape (rows, cols)
+        Heights, µm, towards the viewer. NaN marks what is unknown.
+    pixel_size : float
+        Distance between neighbouring pixels on the object, µm.
+    size : int
+        Side of the windows, px, odd, at least 3. The scale of what is seen: a window of `size`
+        smooths and differentiates over 2 `size` - 1 pixels.
+    noise : float
+        Standard deviation of the heights, µm, independent from pixel to pixel.
+
+    Returns
+    -------
+    Curvature
+        A band of `size` - 1 pixels along the border, and around every NaN, is NaN.
+
+    Raises
+    ------
+    ValueError
+        If the map is smaller than 2 `size` - 1 on a side or holds an infinity, `pixel_size` is
+        not positive, `noise` is negative, or `size` is not an odd whole number of at least 3.
+
+    Notes
+    -----
+    Derivatives are the windows (3.15)–(3.19) applied as in (3.20)–(3.21), divided by the pixel
+    size and its square; H and K follow (3.22)–(3.23). The thesis leaves out the pixel size, which
+    fixes the units of H and K and so the meaning of any threshold.
+
+    The error of a second derivative is `noise` times the root of the sum of the squares of its
+    window. It enters H to first order, K to first and second order, because on a plane K is a
+    product of errors. The errors of the slopes are left out: in pixels they are smaller by the
+    ratio of the window to the radius of curvature.
+
+    Examples
+    --------
+    A ball of 100 µm radius seen from above, 1 µm a pixel:
+
+    >>> y, x = np.mgrid[-20:21, -20:21]
+    >>> ball = surface_curvature(np.sqrt(100.0**2 - x**2 - y**2), pixel_size=1.0)
+    >>> round(float(ball.mean[20, 20]), 4), round(float(ball.gaussian[20, 20]), 6)
+    (-0.01, 0.0001)
+    """
+    n = whole("size", size, least=3, odd=True)
+    pitch = float(positive("pixel_size", pixel_size))
+    sigma = float(positive("noise", noise, zero=True))
+    z = as_array("height", height, shape=(None, None), finite=False)
+    if np.isinf(z).any():
+        raise ValueError(f"height must be finite or NaN, got {int(np.isinf(z).sum())} infinite")
+    if min(z.shape) < 2 * n - 1:
+        raise ValueError(f"height must be at least {2 * n - 1} px on each side, got {z.shape}")
+
+    value, slope, bend = _combined(n)
+    unknown = np.isnan(z)
+    filled = np.where(unknown, 0.0, z)
+    zx, zy = (_correlate(filled, *pair) / pitch for pair in ((slope, value), (value, slope)))
+    zxx, zyy, zxy = (
+        _correlate(filled, *pair) / pitch**2
+        for pair in ((bend, value), (value, bend), (slope, slope))
+    )
+    blind = (
+        ndimage.binary_dilation(unknown, np.ones((2 * n - 1,) * 2)) if unknown.any() else unknown
+    )
+    blind = blind.copy()
+    margin = n - 1
+    blind[:margin], blind[-margin:], blind[:, :margin], blind[:, -margin:] = True, True, True, True
+
+    steep = 1 + zx**2 + zy**2
+    ex, ey = 1 + zx**2, 1 + zy**2
+    mean = (ex * zyy - 2 * zx * zy * zxy + ey * zxx) / (2 * steep**1.5)
+    gaussian = (zxx * zyy - zxy**2) / steep**2
+
+    # Covariance of (zxx, zyy, zxy); the mixed window is odd in x and y and so uncorrelated with
+    # the others.
+    scale = (sigma / pitch**2) ** 2
+    straight = scale * np.sum(bend**2) * np.sum(value**2)
+    cross = scale * np.sum(bend * value) ** 2
+    mixed = scale * np.sum(slope**2) ** 2
+    mean_variance = (
+        straight * (ex**2 + ey**2) + 2 * cross * ex * ey + mixed * (2 * zx * zy) ** 2
+    ) / (4 * steep**3)
+    # To first order, less what noise alone puts into the squares, and never below the second order.
+    second = straight**2 + cross**2 + 2 * mixed**2
+    first = straight * (zxx**2 + zyy**2) + 2 * cross * zxx * zyy + 4 * mixed * zxy**2
+    gaussian_variance = np.maximum(first - second, second) / steep**4
+    fields = (mean, gaussian, np.sqrt(mean_variance), np.sqrt(gaussian_variance))
+    for field in fields:
+        field[blind] = np.nan
+    return Curvature(*fields)
+
+
+def _combined(n: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return value, slope and second-derivative windows with the smoother folded in."""
+    windows = curvature_windows(n)
+    value, slope, bend = (
+        np.convolve(windows.smooth, d) for d in (windows.mean, windows.slope, windows.bend)
+    )
+    return value, slope, bend
+
+
+def _correlate(
+    image: NDArray[np.float64], along_x: NDArray[np.float64], along_y: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    return np.asarray(
+        cv2.sepFilter2D(image, cv2.CV_64F, along_x, along_y, borderType=cv2.BORDER_REPLICATE),
+        np.float64,
+    )
+
+
+def hk_labels(
+    mean: ArrayLike, gaussian: ArrayLike, h_zero: ArrayLike, k_zero: ArrayLike
+) -> NDArray[np.uint8]:
+    """Return the surface type of every pixel from the signs of H and K.
+
+    Parameters
+    ----------
+    mean, gaussian : array_like
+        H in 1/µm and K in 1/µm², of one shape; NaN where unknown.
+    h_zero, k_zero : float or array_like
+        Largest magnitudes of H and K that count as zero, in the same units; a number, or one for
+        each pixel, such as a multiple of the errors in `Curvature`.
+
+    Returns
+    -------
+    ndarray of uint8
+        Labels of Table 3.1, named in `HK_NAMES`; 0 where H, K or a threshold is NaN.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ or a threshold is negative.
+
+    Notes
+    -----
+    :math:`T = 1 + 3(1 + \\mathrm{sgn}_\\varepsilon H) + (1 - \\mathrm{sgn}_\\varepsilon K)`
+    (3.24, 3.25).
+
+    Examples
+    --------
+    >>> labels = hk_labels([-0.1, -0.1, 0.0], [0.01, 0.0, 0.0], h_zero=0.03, k_zero=0.005)
+    >>> [HK_NAMES[label] for label in labels.tolist()]
+    ['convex elliptic', 'convex cylindric', 'planar']
+    """
+    h = as_array("mean", mean, finite=False)
+    k = as_array("gaussian", gaussian, finite=False)
+    h_limit = as_array("h_zero", h_zero, finite=False)
+    k_limit = as_array("k_zero", k_zero, finite=False)
+    for name, array in (("gaussian", k), ("h_zero", h_limit), ("k_zero", k_limit)):
+        if array.shape != h.shape and not (array.ndim == 0 and name != "gaussian"):
+            raise ValueError(f"{name} must have the shape {h.shape} of mean, got {array.shape}")
+    for name, limit in (("h_zero", h_limit), ("k_zero", k_limit)):
+        if (limit < 0).any():
+            raise ValueError(f"{name} must be zero or positive, got {np.nanmin(limit):g}")
+    known = ~(np.isnan(h) | np.isnan(k) | np.isnan(h_limit) | np.isnan(k_limit))
+    signs = [
+        (x > limit).astype(np.int8) - (x < -limit).astype(np.int8)
+        for x, limit in ((h, h_limit), (k, k_limit))
+    ]
+    return np.where(known, 1 + 3 * (1 + signs[0]) + (1 - signs[1]), 0).astype(np.uint8)
+
+
+def _regions(labels: ArrayLike) -> tuple[NDArray[np.uint8], NDArray[np.intp]]:
+    """Check a label image and number its regions from 1; 0 where nothing is labelled."""
+    types = as_array("labels", labels, shape=(None, None), dtype=np.uint8)
+    if types.max() > 9:
+        raise ValueError(f"labels must be 0 to 9, got {types.max()}")
+    return types, connected(types, background=0, connectivity=1)
+
+
+def clean_labels(labels: ArrayLike, smallest: int) -> NDArray[np.uint8]:
+    """Give the pixels of small regions the label of the nearest region that is not small.
+
+    Parameters
+    ----------
+    labels : array_like of int, shape (rows, cols)
+        Labels of `hk_labels`; 0 stays 0.
+    smallest : int
+        Area in pixels below which a region, connected along rows and columns, is removed.
+
+    Returns
+    -------
+    ndarray of uint8, shape (rows, cols)
+        Cleaned labels. If every region is small, the labels are returned unchanged.
+
+    Raises
+    ------
+    ValueError
+        If the labels are not 0 to 9 or `smallest` is not a positive whole number.
+
+    Examples
+    --------
+    >>> clean_labels([[5, 5, 5], [5, 2, 5], [5, 5, 5]], smallest=2).tolist()
+    [[5, 5, 5], [5, 5, 5], [5, 5, 5]]
+    """
+    types, regions = _regions(labels)
+    area = np.bincount(regions.ravel())
+    small = (area < whole("smallest", smallest, least=1))[regions] & (types > 0)
+    anchor = ~small & (types > 0)
+    if not anchor.any():
+        return types.copy()
+    nearest = ndimage.distance_transform_edt(~anchor, return_distances=False, return_indices=True)
+    return np.where(small, types[tuple(nearest)], types)
+
+
+def region_table(labels: ArrayLike, curvature: Curvature) -> pd.DataFrame:
+    """Return one row for each connected region of one surface type, the largest first.
+
+    Parameters
+    ----------
+    labels : array_like of int, shape (rows, cols)
+        Labels of `hk_labels`; pixels of label 0 belong to no region.
+    curvature : Curvature
+        Curvature of the same map.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns ``label``, ``name``, ``area`` (px), ``mean`` (mean of H, 1/µm), ``gaussian`` (mean
+        of K, 1/µm²) and the centroid ``x``, ``y`` (px). Regions are connected along rows and
+        columns.
+
+    Raises
+    ------
+    ValueError
+        If the labels are not 0 to 9 or have not the shape of the curvature.
+
+    Examples
+    --------
+    >>> y, x = np.mgrid[-20:21, -20:21]
+    >>> ball = surface_curvature(np.sqrt(100.0**2 - x**2 - y**2), pixel_size=1.0)
+    >>> labels = hk_labels(ball.mean, ball.gaussian, h_zero=1e-3, k_zero=1e-5)
+    >>> region_table(labels, ball)[["label", "name", "area"]]
+       label             name  area
+    0      1  convex elliptic   841
+    """
+    types, regions = _regions(labels)
+    if types.shape != curvature.mean.shape:
+        raise ValueError(
+            f"labels must have the curvature's shape {curvature.mean.shape}, got {types.shape}"
+        )
+    rows, cols = np.nonzero(regions)
+    pixels = pd.DataFrame(
+        {
+            "region": regions[rows, cols],
+            "label": types[rows, cols],
+            "mean": curvature.mean[rows, cols],
+            "gaussian": curvature.gaussian[rows, cols],
+            "x": cols,
+            "y": rows,
+        }
+    )
+    table = pixels.groupby("region").agg(
+        label=("label", "first"),
+        area=("label", "size"),
+        mean=("mean", "mean"),
+        gaussian=("gaussian", "mean"),
+        x=("x", "mean"),
+        y=("y", "mean"),
+    )
+    table.insert(1, "name", table["label"].map(HK_NAMES))
+    return table.sort_values("area", ascending=False, kind="stable").reset_index(drop=True)

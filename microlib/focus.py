@@ -1,0 +1,324 @@
+"""Shape from focus: the height of every pixel from its sharpest frame (3.10 to 3.14)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import chain, product
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from microlib._checks import as_array, positive, whole
+from microlib.depth_correction import correct_spikes, smooth_depth
+from microlib.focus_measures import (
+    BROAD,
+    FINE,
+    Banded,
+    FocusMeasure,
+    blur,
+    grey_variance,
+    multiscale_measure,
+    named_measure,
+    noise_level,
+    sum_modified_laplacian,
+    tenengrad,
+)
+from microlib.focus_peaks import Profile, track_peaks
+from microlib.frames import Frames, read_frames
+
+__all__ = [
+    "FocusResult",
+    "correct_spikes",
+    "depth_from_focus",
+    "grey_variance",
+    "smooth_depth",
+    "sum_modified_laplacian",
+    "tenengrad",
+]
+
+#: Frames by which half the neighbours must differ for a pixel's best frame to count as chance.
+_CHANCE = 2
+#: Error of a smoothed depth over its roughness, which does not show errors that are smooth
+#: themselves.
+_HIDDEN = 2.0
+
+
+@dataclass(frozen=True)
+class FocusResult:
+    """Shape from focus, one value for every pixel.
+
+    Attributes
+    ----------
+    depth : ndarray of float32, shape (rows, cols)
+        Position at which the pixel is sharpest, µm; NaN where that cannot be told.
+    uncertainty : ndarray of float32, shape (rows, cols)
+        Scatter of the depths around, µm: a standard error for independent errors, large at steps,
+        where a pixel may belong to either side. NaN where `depth` is.
+    confidence : ndarray of float32, shape (rows, cols)
+        1 / (1 + (uncertainty / spacing of the frames)²), from 0 to 1; 0 where `depth` is NaN.
+    index : ndarray of int, shape (rows, cols)
+        Number of the sharpest frame; -1 where `depth` is NaN.
+    all_in_focus : ndarray of the frames' type, shape (rows, cols)
+        Every pixel from its sharpest frame.
+    at_end : ndarray of bool, shape (rows, cols)
+        Whether the sharpest frame is the first or the last, so that the true focus may lie
+        outside the stack.
+    """
+
+    depth: NDArray[np.float32]
+    uncertainty: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    index: NDArray[np.int32]
+    all_in_focus: NDArray
+    at_end: NDArray[np.bool_]
+
+
+def depth_from_focus(
+    frames: Frames,
+    positions: ArrayLike,
+    *,
+    measure: str | FocusMeasure = "multiscale",
+    window: int = 5,
+    step: int = 1,
+    threshold: float = 0.0,
+    points: int | None = None,
+    threads: int = 1,
+) -> FocusResult:
+    """Return the depth of every pixel of a focal stack.
+
+    Parameters
+    ----------
+    frames : array_like of shape (n, rows, cols), path, or iterable
+        At least three grey frames of 8 or 16 bits or floating point: an array, a multi-page TIFF
+        or OME-TIFF, or an iterable of images or image files, such as a generator. Frames are read
+        once and only a few are held.
+    positions : array_like, shape (n,)
+        Position of each frame along the optical axis, µm, rising or falling, not necessarily even.
+    measure : {"multiscale", "sml", "tenengrad", "variance"} or callable
+        Focus measure. The default is the most accurate; "sml" is the thesis'
+        sum-modified-Laplacian. A callable takes a frame and returns its measure, zero or positive
+        and of the same shape.
+    window : int
+        Side of the square over which the measure is summed, px, odd. "multiscale" has windows of
+        its own.
+    step, threshold : int and float
+        Spacing (px) and threshold (grey levels) of (3.11) and (3.12); for "sml" only.
+    points : int, optional
+        Frames in the fit of the peak, odd, at least 3. By default 7 for "multiscale", and 3, the
+        thesis' interpolation (3.13), for all others.
+    threads : int
+        Threads that work on bands of rows. The result is the same for any number.
+
+    Returns
+    -------
+    FocusResult
+        Depth in µm with its uncertainty, and the all-in-focus image.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three frames or not as many as positions; frames differ in size or
+        type, are not grey or not finite; positions are not finite or not strictly monotonic; a
+        file cannot be read, or an option is out of range.
+
+    Notes
+    -----
+    "multiscale" multiplies modified Laplacians of smoothed frames: at σ = 1 px averaged over 1.5
+    px, and at 2 px averaged over 6 px. A wide scale alone blurs edges and a narrow one fails on
+    weak texture; a product peaks where both agree. The logarithm of its profile is fitted by a
+    parabola over seven frames, weighted with the measure, because Gaussian blur makes the profile
+    a Gaussian, (3.9). Then a second, finer measure decides on which side of a step a pixel lies,
+    and `smooth_depth` averages over what remains on its side. With any other measure the peak is
+    fitted and nothing is corrected; `correct_spikes` and `smooth_depth` may follow.
+
+    A depth is NaN where the measure is zero or flat, and where the best frame is random: half of
+    its neighbours are more than two frames away from their median. A frame that is best at either
+    end keeps its own position in a fit of three points, and is flagged. Equal maxima go to the
+    first.
+
+    References
+    ----------
+    S. K. Nayar and Y. Nakagawa, Shape from focus, IEEE Trans. PAMI 16 (1994) 824.
+
+    Examples
+    --------
+    >>> import cv2
+    >>> texture = np.random.default_rng(0).integers(0, 255, (48, 48)).astype(np.uint8)
+    >>> positions = np.arange(0.0, 100.0, 10.0)
+    >>> stack = [cv2.GaussianBlur(texture, (0, 0), 0.5 + abs(z - 42.0) / 10) for z in positions]
+    >>> result = depth_from_focus(stack, positions)
+    >>> bool(np.abs(result.depth - 42.0).max() < 1.0)
+    True
+    """
+    z = _check_positions(positions)
+    fit = whole("points", 7 if measure == "multiscale" else 3, least=3, odd=True)
+    if points is not None:
+        fit = whole("points", points, least=3, odd=True)
+    workers = whole("threads", threads, least=1)
+    side = whole("window", window, least=1, odd=True)
+    limit = float(positive("threshold", threshold, zero=True))
+    reader = read_frames(frames)
+    first = next(reader, None)
+    if first is None:
+        raise ValueError("frames must hold at least three frames, got none")
+
+    refined = measure == "multiscale"
+    if refined:
+        noise = noise_level(first)
+        measures = [multiscale_measure(scales, noise) for scales in (BROAD, FINE)]
+    elif callable(measure):
+        function = _checked(measure)
+        measures = [Banded(lambda _: function, reach=max(first.shape))]
+    else:
+        measures = [named_measure(measure, side, whole("step", step, least=1), limit)]
+    profile = track_peaks(
+        chain([first], reader), z, measures, reaches=[fit // 2, 1][: len(measures)], threads=workers
+    )
+    depth: NDArray = profile.depths[0]
+    depth[_random(profile.index, len(z))] = np.nan
+    if refined:
+        spacing = float(np.median(np.abs(np.diff(z))))
+        depth = _refine(depth, profile.depths[1], profile.weight, spacing)
+    return _result(depth, profile, z, hidden=_HIDDEN if refined else 1.0)
+
+
+def _check_positions(positions: ArrayLike) -> NDArray[np.float64]:
+    z = as_array("positions", positions, shape=(None,))
+    if len(z) < 3:
+        raise ValueError(f"positions must be at least three, one for each frame, got {len(z)}")
+    gaps = np.diff(z)
+    if not ((gaps > 0).all() or (gaps < 0).all()):
+        at = int(np.flatnonzero(np.sign(gaps) != np.sign(z[-1] - z[0]))[0])
+        raise ValueError(
+            f"positions must rise or fall strictly, got {z[at]:g} followed by {z[at + 1]:g}"
+        )
+    return z
+
+
+def _checked(measure: FocusMeasure) -> FocusMeasure:
+    """Wrap the user's measure so that a wrong answer is refused instead of taken for a depth."""
+
+    def checked(image: NDArray) -> NDArray:
+        value = as_array("measure(frame)", measure(image), shape=image.shape, dtype=np.float32)
+        if (value < 0).any():
+            raise ValueError(f"measure(frame) must be zero or positive, got {value.min():g}")
+        return np.ascontiguousarray(value)
+
+    return checked
+
+
+def _random(index: NDArray[np.uint16], count: int) -> NDArray[np.bool_]:
+    """Tell where the best frame is a matter of chance: it differs from pixel to pixel.
+
+    The deviation from the median and its median are taken on every second pixel, which is enough
+    and reaches further than the window of a measure, inside which even noise is alike.
+    """
+    coarse = np.ascontiguousarray(index[::2, ::2])
+    if count <= 256:
+        coarse = coarse.astype(np.uint8)
+    deviation = cv2.absdiff(coarse, cv2.medianBlur(coarse, 5))
+    chance = np.asarray(cv2.medianBlur(deviation, 5)) > _CHANCE
+    return chance.repeat(2, axis=0).repeat(2, axis=1)[: len(index), : index.shape[1]]
+
+
+def _refine(
+    depth: NDArray,
+    fine: NDArray,
+    weight: NDArray | None,
+    spacing: float,
+) -> NDArray[np.float64]:
+    """Take out spikes, put pixels at steps on their own side, smooth on both sides of steps."""
+    known = np.isfinite(depth)
+    if not known.any():
+        return depth.astype(np.float64)
+    broad = _without_spikes(_filled(depth) / np.float32(spacing), 5)
+    sharp = _filled(fine) / np.float32(spacing)
+    median = cv2.medianBlur(sharp, 5)
+    spread = np.asarray(cv2.medianBlur(np.abs(sharp - median), 5))
+    sided = _choose_side(broad, np.asarray(cv2.medianBlur(median, 5)), spread < 1)
+    steps = np.where(known, _without_spikes(sided, 3), np.nan)
+    trust = None
+    if weight is not None:
+        trust = np.clip(weight / np.median(weight[known]), 1e-4, 1e4)
+    return smooth_depth(steps, jump=1.5, radius=5.0, weight=trust) * spacing
+
+
+def _filled(depth: NDArray) -> NDArray:
+    """Put the nearest known depth in place of each NaN."""
+    unknown = np.isnan(depth)
+    if not unknown.any():
+        return depth
+    if unknown.all():
+        return np.zeros_like(depth)
+    nearest = ndimage.distance_transform_edt(unknown, return_distances=False, return_indices=True)
+    return depth[tuple(nearest)]
+
+
+def _without_spikes(depth: NDArray, window: int) -> NDArray:
+    """Replace by the median what is further from it than one frame."""
+    median = cv2.medianBlur(depth, window)
+    return np.where(np.abs(depth - median) > 1, median, depth)
+
+
+def _choose_side(broad: NDArray, fine: NDArray, sure: NDArray[np.bool_]) -> NDArray:
+    """Where fine and broad depth differ, take a neighbour's broad depth that agrees with the fine.
+
+    Next to a step the broad window sees the other side as well, and the better textured side
+    wins. A few pixels away, on the pixel's own side, it does not.
+    """
+    far = 6
+    rows, cols = broad.shape
+    padded = np.pad(broad, far, mode="symmetric")
+    result = broad.copy()
+    gap = np.abs(broad - fine)
+    wrong = sure & (gap > 1.5)
+    for distance in (3, far):
+        for dy, dx in product((-distance, 0, distance), repeat=2):
+            there = padded[far + dy : far + dy + rows, far + dx : far + dx + cols]
+            # Nearer neighbours first: what is further away must agree the better.
+            other = np.abs(there - fine) + np.float32(0.05 * distance)
+            better = wrong & (other < gap) & (other < 1)
+            result[better] = there[better]
+            gap[better] = other[better]
+    return result
+
+
+def _result(
+    depth: NDArray, profile: Profile, positions: NDArray[np.float64], hidden: float
+) -> FocusResult:
+    """Estimate the errors of the depths and put the result together."""
+    spacing = float(np.median(np.abs(np.diff(positions))))
+    known = ~np.isnan(depth)
+    # In frames and from the middle of the stack, where float32 has digits to spare.
+    steps = (depth - np.float32(positions.mean())) / np.float32(spacing)
+    steps = steps.astype(np.float32, copy=False)
+    error = np.float32(hidden) * _roughness(_filled(steps))
+    index = profile.index.astype(np.int32)
+    confidence = 1 / (1 + error * error)
+    if not known.all():
+        error[~known], confidence[~known], index[~known] = np.nan, 0, -1
+    return FocusResult(
+        depth=depth.astype(np.float32, copy=False),
+        uncertainty=error * np.float32(spacing),
+        confidence=confidence,
+        index=index,
+        all_in_focus=profile.image,
+        at_end=(profile.index == 0) | (profile.index == len(positions) - 1),
+    )
+
+
+def _roughness(depth: NDArray) -> NDArray:
+    """Return the local root mean square of what no smooth surface has.
+
+    Four times the difference from a Gaussian mean of 8 px: slopes and constant curvature leave no
+    trace in it, and errors that change within some ten pixels pass. Taken on every second pixel.
+    """
+    coarse = np.ascontiguousarray(depth[::2, ::2])
+    rough = coarse
+    for _ in range(4):
+        rough = rough - blur(rough, 4.0)
+    rough = np.sqrt(np.maximum(cv2.boxFilter(rough * rough, -1, (3, 3)), 0))
+    rows, cols = depth.shape
+    return np.asarray(cv2.resize(rough, (cols, rows)))

@@ -1,0 +1,290 @@
+"""How sharp is an image around each pixel? Focus measures, larger where the image is sharper."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from microlib._checks import one_of, positive, whole
+
+__all__ = ["FocusMeasure", "grey_variance", "sum_modified_laplacian", "tenengrad"]
+
+#: What `depth_from_focus` accepts in place of a name: grey image to focus measure of the same
+#: shape.
+FocusMeasure = Callable[[NDArray], NDArray]
+
+#: The border is mirrored about its outermost pixel, as OpenCV does by default.
+_BORDER = cv2.BORDER_REFLECT_101
+
+
+def sum_modified_laplacian(
+    image: NDArray, *, window: int = 5, step: int = 1, threshold: float = 0.0
+) -> NDArray:
+    """Return the sum-modified-Laplacian of an image.
+
+    Parameters
+    ----------
+    image : ndarray of uint8, uint16 or float32, shape (rows, cols)
+        Grey image.
+    window : int
+        Side 2W + 1 of the square over which is summed, px, odd.
+    step : int
+        Distance of the pixels that are compared, px.
+    threshold : float
+        T; only modified Laplacians greater than it are summed, grey levels.
+
+    Returns
+    -------
+    ndarray of uint16 or float32, shape (rows, cols)
+        F of (3.12). Exact integers of 16 bits for an 8-bit image and a window of up to 7 px,
+        where they cannot overflow; float32 otherwise.
+
+    Raises
+    ------
+    ValueError
+        If `window` is not odd, `step` not a positive whole number or as large as the image, or
+        `threshold` negative.
+
+    Notes
+    -----
+    :math:`ML(u,v) = |2I(u,v) - I(u-s,v) - I(u+s,v)| + |2I(u,v) - I(u,v-s) - I(u,v+s)|` (3.11),
+    summed where it exceeds T (3.12). The thesis says nothing of the border, which is mirrored
+    here.
+
+    References
+    ----------
+    S. K. Nayar and Y. Nakagawa, Shape from focus, IEEE Trans. PAMI 16 (1994) 824.
+
+    Examples
+    --------
+    >>> spot = np.zeros((5, 5), np.uint8); spot[2, 2] = 10
+    >>> sum_modified_laplacian(spot, window=3)[2]
+    array([20, 70, 80, 70, 20], dtype=uint16)
+    """
+    return ModifiedLaplacian(window, step, threshold)(image)
+
+
+class ModifiedLaplacian:
+    """`sum_modified_laplacian` for many images of one shape, with memory that is used again.
+
+    Fresh memory costs as much as the arithmetic on it. A result is overwritten `keep` calls later.
+    """
+
+    def __init__(self, window: int, step: int, threshold: float, keep: int = 1) -> None:
+        self._window = whole("window", window, least=1, odd=True)
+        self._step = whole("step", step, least=1)
+        self._threshold = float(positive("threshold", threshold, zero=True))
+        self._keep = keep
+        self._kind: tuple[object, ...] = ()
+
+    def _allocate(self, image: NDArray) -> None:
+        s, n = self._step, self._window
+        if s >= min(image.shape):
+            raise ValueError(f"step must be below the image's sides {image.shape}, got {s}")
+        exact = image.dtype == np.uint8
+        work = np.int16 if exact else np.float32
+        rows, cols = image.shape
+        self._padded = np.empty((rows + 2 * s, cols + 2 * s), work)
+        self._difference_x = np.empty((rows, cols + s), work)
+        self._difference_y = np.empty((rows + s, cols), work)
+        # 4 * 255 * 7 * 7 < 2¹⁶
+        result = np.uint16 if exact and n <= 7 else np.float32
+        self._results = deque(np.empty((self._keep, rows, cols), result))
+        self._kind = (image.shape, image.dtype)
+
+    def __call__(self, image: NDArray) -> NDArray:
+        if self._kind != (image.shape, image.dtype):
+            self._allocate(image)
+        s, p = self._step, self._padded
+        p[s:-s, s:-s] = image
+        p[:s], p[-s:] = p[2 * s : s : -1], p[-s - 2 : -2 * s - 2 : -1]
+        p[:, :s], p[:, -s:] = p[:, 2 * s : s : -1], p[:, -s - 2 : -2 * s - 2 : -1]
+        # A second difference is the difference of two neighbouring first ones. Each step writes
+        # where the one before has done reading, so that all of it stays in the cache.
+        dx, dy = self._difference_x, self._difference_y
+        cv2.subtract(p[s:-s, s:], p[s:-s, :-s], dst=dx)
+        cv2.subtract(p[s:, s:-s], p[:-s, s:-s], dst=dy)
+        along_x, along_y = p[s:-s, s:-s], dx[:, s:]
+        cv2.absdiff(dx[:, s:], dx[:, :-s], dst=along_x)
+        cv2.absdiff(dy[s:], dy[:-s], dst=along_y)
+        laplacian = cv2.add(along_x, along_y, dst=dy[s:])
+        if self._threshold > 0:
+            cv2.threshold(laplacian, self._threshold, 0, cv2.THRESH_TOZERO, dst=laplacian)
+        self._results.rotate(1)
+        result = self._results[0]
+        if result.dtype == np.uint16:
+            return _box_sum(laplacian.view(np.uint16), self._window, -1, result)
+        return _box_sum(laplacian, self._window, cv2.CV_32F, result)
+
+
+def tenengrad(image: NDArray, *, window: int = 5) -> NDArray[np.float32]:
+    """Return the squared Sobel gradient summed over a square.
+
+    Parameters
+    ----------
+    image : ndarray of uint8, uint16 or float32, shape (rows, cols)
+        Grey image.
+    window : int
+        Side of the square, px, odd.
+
+    Returns
+    -------
+    ndarray of float32, shape (rows, cols)
+
+    Raises
+    ------
+    ValueError
+        If `window` is not an odd positive number.
+
+    References
+    ----------
+    E. Krotkov, Focusing, International Journal of Computer Vision 1 (1988) 223.
+
+    Examples
+    --------
+    >>> ramp = np.tile(np.arange(6, dtype=np.uint8), (6, 1))
+    >>> float(tenengrad(ramp, window=3)[3, 3])  # nine times the square of 8
+    576.0
+    """
+    n = whole("window", window, least=1, odd=True)
+    gx = cv2.Sobel(image, cv2.CV_32F, 1, 0)
+    gy = cv2.Sobel(image, cv2.CV_32F, 0, 1)
+    return _box_sum(gx * gx + gy * gy, n, cv2.CV_32F)
+
+
+def grey_variance(image: NDArray, *, window: int = 5) -> NDArray[np.float32]:
+    """Return the variance of the grey levels in a square.
+
+    Parameters
+    ----------
+    image : ndarray of uint8, uint16 or float32, shape (rows, cols)
+        Grey image.
+    window : int
+        Side of the square, px, odd.
+
+    Returns
+    -------
+    ndarray of float32, shape (rows, cols)
+
+    Raises
+    ------
+    ValueError
+        If `window` is not an odd positive number.
+
+    Examples
+    --------
+    >>> ramp = np.tile(np.arange(6, dtype=np.uint8), (6, 1))
+    >>> round(float(grey_variance(ramp, window=3)[3, 3]), 4)
+    0.6667
+    """
+    n = whole("window", window, least=1, odd=True)
+    # The difference of two large numbers: float64 keeps 16-bit images exact.
+    mean = cv2.boxFilter(image, cv2.CV_64F, (n, n))
+    square = cv2.sqrBoxFilter(image, cv2.CV_64F, (n, n))
+    return np.maximum(square - mean * mean, 0).astype(np.float32)
+
+
+def _box_sum(image: NDArray, n: int, depth: int, out: NDArray | None = None) -> NDArray:
+    return cv2.boxFilter(image, depth, (n, n), dst=out, normalize=False, borderType=_BORDER)
+
+
+def blur(image: NDArray, sigma: float) -> NDArray:
+    """Smooth by a Gaussian; a wide one by two boxes of the same variance, which is faster."""
+    if sigma < 4:
+        return cv2.GaussianBlur(image, (0, 0), sigma, borderType=_BORDER)
+    n = 2 * round((np.sqrt(6 * sigma**2 + 1) - 1) / 2) + 1
+    once = cv2.boxFilter(image, -1, (n, n), borderType=_BORDER)
+    return cv2.boxFilter(once, -1, (n, n), borderType=_BORDER)
+
+
+@dataclass(frozen=True)
+class Banded:
+    """A measure that may be computed band by band, because it looks no further than `reach` pixels.
+
+    `make` returns the function for one band; results it returned must outlast its argument's number
+    of further calls.
+    """
+
+    make: Callable[[int], FocusMeasure]
+    reach: int
+
+
+def named_measure(name: str, window: int, step: int, threshold: float) -> Banded:
+    """Return the classical measure of that name."""
+    one_of("measure", name, ("multiscale", "sml", "tenengrad", "variance"))
+    if name == "sml":
+        return Banded(partial(ModifiedLaplacian, window, step, threshold), reach=step + window // 2)
+    if (step, threshold) != (1, 0.0):
+        raise ValueError(f"step and threshold are for measure 'sml' only, got measure {name!r}")
+    function = {"tenengrad": tenengrad, "variance": grey_variance}[name]
+    return Banded(lambda _: partial(function, window=window), reach=1 + window // 2)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A modified Laplacian after smoothing by `smooth` px, averaged over a Gaussian of `spread` px.
+
+    `gain` is its mean on white noise of unit standard deviation: the noise left by the smoothing
+    and the second difference, times the mean of the modulus of two normal variates.
+    """
+
+    smooth: float
+    spread: float
+
+    @property
+    def gain(self) -> float:
+        kernel = cv2.getGaussianKernel(31, self.smooth).ravel()
+        second = np.convolve(kernel, [-1.0, 2.0, -1.0])
+        return float(2 * np.sqrt(2 / np.pi) * np.sqrt(np.sum(second**2) * np.sum(kernel**2)))
+
+    @property
+    def reach(self) -> int:
+        return int(np.ceil(4 * self.smooth + 1 + 4 * self.spread))
+
+    def __call__(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        return blur(_modified_laplacian(blur(image, self.smooth)), self.spread)
+
+
+#: The pair that decides the depth, and the pair that decides to which side of an edge a pixel
+#: belongs: chosen on rendered stacks with slopes, steps, weak and coarse texture, noise and JPEG,
+#: as benchmarks/focus.py shows.
+BROAD = (Scale(1.0, 1.5), Scale(2.0, 6.0))
+FINE = (Scale(0.5, 1.0), Scale(0.5, 3.0))
+
+
+def multiscale_measure(scales: tuple[Scale, ...], noise: float) -> Banded:
+    """Return the product of a measure at several scales, each raised by what `noise` makes of it.
+
+    The fine scale places the peak at an edge, the coarse one keeps it where texture is weak:
+    where a scale sees nothing but noise it is flat, and the others decide.
+    """
+    floors = [noise * scale.gain for scale in scales]
+
+    def measure(image: NDArray) -> NDArray[np.float32]:
+        grey = image.astype(np.float32)
+        total = scales[0](grey) + np.float32(floors[0])
+        for scale, floor in zip(scales[1:], floors[1:], strict=True):
+            total *= scale(grey) + np.float32(floor)
+        return total
+
+    return Banded(lambda _: measure, reach=max(scale.reach for scale in scales))
+
+
+def noise_level(frame: NDArray) -> float:
+    """Estimate the noise of a frame from its quietest twentieth, grey levels."""
+    raw = Scale(0.5, 3.0)
+    quiet = float(np.percentile(raw(frame.astype(np.float32)), 5)) / raw.gain
+    rounding = np.sqrt(1 / 12) if frame.dtype.kind == "u" else 0.0
+    # A floor keeps the product and its logarithm positive; float32 holds seven digits.
+    return max(quiet, rounding, 1e-6 * float(np.abs(frame).max()), 1e-30)
+
+
+def _modified_laplacian(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    second = np.array([[-1.0, 2.0, -1.0]], np.float32)
+    return np.abs(cv2.filter2D(image, -1, second)) + np.abs(cv2.filter2D(image, -1, second.T))

@@ -1,0 +1,291 @@
+"""Follow the sharpest frame of every pixel through a stack, and fit the peak between frames."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from microlib.focus_measures import Banded
+
+__all__ = ["PeakTracker", "Profile", "fit_peak", "three_point_peak", "track_peaks"]
+
+#: Frames that are read before the bands work on them, so that a band's state is used while it is
+#: in the cache.
+_BATCH = 8
+#: Pixels of a band: at some 20 bytes of state a pixel, what a cache of 2 MB holds.
+_BAND = 2**17
+
+#: Smallest focus measure a logarithm is taken of, as a share of the peak's.
+_FAINT = 1e-6
+
+
+class PeakTracker:
+    """The focus measures around the best frame so far, for every pixel of a band of rows.
+
+    A frame can only be judged once its later neighbours have come, so frames are looked at
+    `reach` late: memory holds 2 `reach` + 1 measures and as many for the result, whatever the
+    number of frames.
+
+    Attributes
+    ----------
+    window : ndarray, shape (2 reach + 1, rows, cols)
+        Measures of the frames around the best one. Entries before the first or after the last
+        frame are undefined.
+    index : ndarray of uint8 or uint16, shape (rows, cols)
+        Number of the best frame; the first of equals.
+    image : ndarray, shape (rows, cols)
+        Grey level in the best frame.
+    """
+
+    def __init__(self, reach: int, count: int) -> None:
+        self._reach = reach
+        self._number_type = np.uint8 if count <= 256 else np.uint16
+        self._measures: deque[NDArray] = deque(maxlen=2 * reach + 1)
+        self._frames: deque[NDArray] = deque(maxlen=reach + 1)
+        self._next = 0
+
+    def push(self, measure: NDArray, frame: NDArray) -> None:
+        """Take in the next frame of the band and its focus measure."""
+        if not self._frames:
+            self.window = np.zeros((2 * self._reach + 1, *measure.shape), measure.dtype)
+            self.index = np.zeros(measure.shape, self._number_type)
+            self.image = frame.copy()
+            self._better = np.empty(measure.shape, np.uint8)
+            # Nothing lies before the first frame; the ring starts full so that every frame sees
+            # its like.
+            self._measures.extend([measure] * self._reach)
+        self._measures.append(measure)
+        self._frames.append(frame)
+        if len(self._measures) == self._measures.maxlen:
+            self._judge()
+
+    def finish(self) -> None:
+        """Judge the last frames, which have fewer later neighbours."""
+        last, frame = self._measures[-1], self._frames[-1]
+        for _ in range(self._reach):
+            self.push(last, frame)
+
+    def _judge(self) -> None:
+        centre = self._measures[self._reach]
+        cv2.compare(centre, self.window[self._reach], cv2.CMP_GT, dst=self._better)
+        for measure, kept in zip(self._measures, self.window, strict=True):
+            if measure is centre:
+                cv2.max(measure, kept, dst=kept)
+            else:
+                cv2.copyTo(measure, self._better, dst=kept)
+        cv2.copyTo(self._frames[0], self._better, dst=self.image)
+        self._mark()
+        self._next += 1
+
+    def _mark(self) -> None:
+        """Write the frame's number, which is above all before it, where it is better."""
+        if self.index.dtype == np.uint8:
+            np.bitwise_and(self._better, np.uint8(self._next), out=self._better)
+            np.maximum(self.index, self._better, out=self.index)
+        else:
+            self.index[self._better > 0] = self._next
+
+
+def three_point_peak(
+    window: NDArray, index: NDArray[np.uint16], positions: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """Return the depth at the vertex of the Gaussian through the best frame and its two neighbours.
+
+    (3.13), with the positions taken relative to the best frame: subtracting the squares of
+    absolute positions, as it is printed, loses digits. NaN where the three measures are equal or
+    zero; the position of the frame itself where the best is the first or the last.
+    """
+    best = window[1].astype(np.float32)
+    faint = best * np.float32(_FAINT)
+    gaps = np.diff(positions)
+    even = np.allclose(gaps, gaps[0], rtol=1e-9, atol=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # Logarithms of ratios keep their digits in float32 where differences of logarithms would
+        # not.
+        before = np.log(best / np.maximum(window[0], faint))
+        after = np.log(best / np.maximum(window[2], faint))
+        if even:
+            shift = (before - after) / (before + after) * np.float32(gaps[0] / 2)
+        else:
+            left = -np.append(1.0, gaps).astype(np.float32)[index]
+            right = np.append(gaps, 1.0).astype(np.float32)[index]
+            shift = (left**2 * after - right**2 * before) / (left * after - right * before) / 2
+    at_end = (index == 0) | (index == len(positions) - 1)
+    np.copyto(shift, np.where(best > 0, np.float32(0), np.float32(np.nan)), where=at_end)
+    return shift + positions.astype(np.float32)[index]
+
+
+def fit_peak(
+    window: NDArray, index: NDArray[np.uint16], positions: NDArray[np.float64]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the depth of the Gaussian fitted to all frames of the window, and its weight.
+
+    A parabola through the logarithms by least squares. Frames are weighted with their measure,
+    because the logarithm of a small one is uncertain, and with the square of an inverted parabola
+    centred on the peak. Real profiles have longer tails than a Gaussian: a window that is not
+    centred leans on one of them, and pulls the depth towards the middle between frames. The peak is
+    only known after a first fit, so there are two.
+
+    The weight is height times sharpness of the peak, which goes as the inverse variance of the
+    depth up to a common factor. Where the parabola opens upwards the depth is NaN; a vertex beyond
+    the neighbouring frames, or beyond half a spacing outside the stack, is put there.
+    """
+    reach = len(window) // 2
+    spacing = float(np.median(np.abs(np.diff(positions))))
+    steps = positions / spacing
+    here = steps[index]
+    low, high = sorted((steps[0], steps[-1]))
+    lowest = np.maximum(-1.0, low - 0.5 - here)
+    highest = np.minimum(1.0, high + 0.5 - here)
+    best = window[reach].astype(np.float64)
+    samples = []
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for offset, measure in zip(range(-reach, reach + 1), window, strict=True):
+            frame = index.astype(np.intp) + offset
+            inside = (frame >= 0) & (frame < len(positions))
+            t = steps[np.clip(frame, 0, len(positions) - 1)] - here
+            share = np.maximum(np.where(inside, measure / best, 1.0), _FAINT)
+            samples.append((t, np.log(share), np.where(inside, share, 0.0)))
+        vertex = np.zeros_like(best)
+        for _ in range(2):
+            linear, square = _fit_parabola(samples, vertex, reach + 0.5)
+            vertex = np.clip(-linear / (2 * square), lowest, highest)
+        vertex[~(square < 0)] = np.nan
+    weight = best * np.fmax(-square, 0)
+    return ((here + vertex) * spacing).astype(np.float32), weight.astype(np.float32)
+
+
+def _fit_parabola(
+    samples: list[tuple[NDArray, NDArray, NDArray]], centre: NDArray[np.float64], reach: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the linear and the square coefficient of weighted parabolas y(t)."""
+    sums = np.zeros((5, *centre.shape))
+    products = np.zeros((3, *centre.shape))
+    for t, y, weight in samples:
+        power = weight * np.maximum(1 - ((t - centre) / reach) ** 2, 0) ** 2
+        for k in range(5):
+            sums[k] += power
+            if k < 3:
+                products[k] += power * y
+            power = power * t
+    s0, s1, s2, s3, s4 = sums
+    p0, p1, p2 = products
+    m02, m12, m22 = s2 * s4 - s3 * s3, s1 * s4 - s2 * s3, s1 * s3 - s2 * s2
+    det = s0 * m02 - s1 * m12 + s2 * m22
+    linear = (-p0 * m12 + p1 * (s0 * s4 - s2 * s2) - p2 * (s0 * s3 - s1 * s2)) / det
+    square = (p0 * m22 - p1 * (s0 * s3 - s1 * s2) + p2 * (s0 * s2 - s1 * s1)) / det
+    return linear, square
+
+
+@dataclass(frozen=True)
+class Profile:
+    """What is left of a stack once its frames have gone by.
+
+    Attributes
+    ----------
+    depths : list of ndarray of float32, shape (rows, cols)
+        Depth from each measure, µm.
+    index, image : ndarray, shape (rows, cols)
+        Number of the best frame by the first measure, and the grey level in it.
+    weight : ndarray of float32, shape (rows, cols), or None
+        Weight of the depth by the first measure; None from a fit of three points.
+    """
+
+    depths: list[NDArray[np.float32]]
+    index: NDArray[np.uint16]
+    image: NDArray
+    weight: NDArray[np.float32] | None
+
+
+class _Band:
+    """A band of rows, a tracker for each measure, and the rows around that the measures look at."""
+
+    def __init__(
+        self,
+        rows: slice,
+        height: int,
+        count: int,
+        measures: list[Banded],
+        reaches: list[int],
+    ) -> None:
+        top, bottom = rows.start, rows.stop
+        self._rows = rows
+        self._work = []
+        for measure, reach in zip(measures, reaches, strict=True):
+            low = max(top - measure.reach, 0)
+            seen = slice(low, min(bottom + measure.reach, height))
+            inner = slice(top - low, bottom - low)
+            # The tracker looks at 2 reach + 1 results, of which the newest drives out the oldest.
+            function = measure.make(2 * reach + 1)
+            self._work.append((function, seen, inner, PeakTracker(reach, count)))
+
+    def push(self, frames: list[NDArray]) -> None:
+        for frame in frames:
+            for function, seen, inner, tracker in self._work:
+                tracker.push(function(frame[seen])[inner], frame[self._rows])
+
+    def finish(self, positions: NDArray[np.float64]) -> Profile:
+        depths = []
+        weight = None
+        for *_, tracker in self._work:
+            tracker.finish()
+            if len(tracker.window) == 3:
+                depths.append(three_point_peak(tracker.window, tracker.index, positions))
+            else:
+                depth, weight = fit_peak(tracker.window, tracker.index, positions)
+                depths.append(depth)
+        first = self._work[0][-1]
+        return Profile(depths, first.index, first.image, weight)
+
+
+def track_peaks(
+    frames: Iterator[NDArray],
+    positions: NDArray[np.float64],
+    measures: list[Banded],
+    *,
+    reaches: list[int],
+    threads: int,
+) -> Profile:
+    """Read all frames once and return the depth of every pixel by each measure.
+
+    `reaches` says for each measure how many frames on either side of the best enter the fit.
+    """
+    batch = list(islice(frames, _BATCH))
+    height, width = batch[0].shape
+    # Bands much thinner than what the measures look at would compute most of it twice.
+    thinnest = 4 * max(measure.reach for measure in measures)
+    rows = max(min(-(-height // threads), _BAND // width), thinnest, 1)
+    bands = [
+        _Band(slice(top, min(top + rows, height)), height, len(positions), measures, reaches)
+        for top in range(0, height, rows)
+    ]
+    count = 0
+    with ThreadPoolExecutor(threads) as pool:
+        run = map if threads == 1 else pool.map
+        while batch:
+            count += len(batch)
+            if count > len(positions):
+                break
+            list(run(partial(_Band.push, frames=batch), bands))
+            batch = list(islice(frames, _BATCH))
+        if count != len(positions):
+            got = f"more than {len(positions)}" if count > len(positions) else str(count)
+            raise ValueError(
+                f"frames and positions must be as many, got {got} and {len(positions)}"
+            )
+        parts = list(run(partial(_Band.finish, positions=positions), bands))
+    weights = [part.weight for part in parts if part.weight is not None]
+    return Profile(
+        depths=[np.concatenate(depths) for depths in zip(*(p.depths for p in parts), strict=True)],
+        index=np.concatenate([part.index for part in parts]),
+        image=np.concatenate([part.image for part in parts]),
+        weight=np.concatenate(weights) if weights else None,
+    )

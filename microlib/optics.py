@@ -1,0 +1,336 @@
+"""The thin lens and the blur it leaves on a sensor out of focus: equations 3.1 to 3.9.
+
+Lengths are in µm unless a name says px. The Gaussian blur of an image is given in px, because an
+image knows nothing else; divide a length on the sensor by the pitch of its cells to get there.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from microlib._checks import as_array, as_image, positive, whole
+
+__all__ = [
+    "BlurLadder",
+    "blur_radius",
+    "defocus",
+    "gaussian_kernel",
+    "gaussian_transfer",
+    "image_distance",
+    "working_distance",
+]
+
+#: Ratio of the standard deviations of neighbouring blur levels. With cubic interpolation between
+#: them the error stays below 0.05 grey levels rms on white noise of 38 grey levels, the hardest
+#: texture there is.
+_LEVEL_RATIO = 1.15
+#: Smallest blurred level in px; below it an image hardly changes (a neighbour weighs exp(-1/(2 *
+#: 0.2²)) < 4e-6).
+_FIRST_LEVEL = 0.2
+
+
+def image_distance(object_distance: ArrayLike, focal_length: float) -> NDArray[np.float64]:
+    """Return where a thin lens forms the image of a point.
+
+    Parameters
+    ----------
+    object_distance : array_like
+        Distance :math:`d_o` from the point to the lens, µm, greater than the focal length.
+    focal_length : float
+        Focal length f, µm.
+
+    Returns
+    -------
+    ndarray of float64
+        Image distance :math:`d_i`, µm, from :math:`1/d_o + 1/d_i = 1/f` (3.1).
+
+    Raises
+    ------
+    ValueError
+        If a length is not positive, or the point lies within the focal length and has no real
+        image.
+
+    Examples
+    --------
+    >>> float(image_distance(300.0, 100.0))
+    150.0
+    """
+    distance = positive("object_distance", object_distance)
+    f = float(positive("focal_length", focal_length))
+    if (distance <= f).any():
+        raise ValueError(
+            f"object_distance must exceed the focal length of {f:g}, got {distance.min():g}"
+        )
+    return np.asarray(distance * f / (distance - f))
+
+
+def working_distance(focal_length: float, sensor_distance: float) -> float:
+    """Return the object distance that is in focus on a sensor at a given distance.
+
+    Parameters
+    ----------
+    focal_length : float
+        Focal length f, µm.
+    sensor_distance : float
+        Distance :math:`d_s` from the lens to the sensor, µm, greater than the focal length.
+
+    Returns
+    -------
+    float
+        Working distance :math:`w_d`, µm, from :math:`1/w_d = 1/f - 1/d_s`, used in (3.5).
+
+    Raises
+    ------
+    ValueError
+        If a length is not positive or the sensor stands within the focal length.
+
+    Examples
+    --------
+    >>> working_distance(100.0, 150.0)
+    300.0
+    """
+    f = float(positive("focal_length", focal_length))
+    sensor = float(positive("sensor_distance", sensor_distance))
+    if sensor <= f:
+        raise ValueError(f"sensor_distance must exceed the focal length of {f:g}, got {sensor:g}")
+    return f * sensor / (sensor - f)
+
+
+def blur_radius(
+    object_distance: ArrayLike,
+    *,
+    focal_length: float,
+    sensor_distance: float,
+    aperture_radius: float,
+) -> NDArray[np.float64]:
+    """Return the radius of the blur circle of points at given distances.
+
+    Parameters
+    ----------
+    object_distance : array_like
+        Distance :math:`d_o` from the points to the lens, µm.
+    focal_length : float
+        Focal length f, µm.
+    sensor_distance : float
+        Distance :math:`d_s` from the lens to the sensor, µm, greater than the focal length.
+    aperture_radius : float
+        Radius R of the lens' aperture, µm.
+
+    Returns
+    -------
+    ndarray of float64
+        :math:`r_b = R\\,d_s\\,(1/d_o - 1/w_d)` (3.5), µm on the sensor. Zero in focus, positive
+        for a point nearer than the working distance :math:`w_d`, negative beyond it.
+
+    Raises
+    ------
+    ValueError
+        If a length is not positive or the sensor stands within the focal length.
+
+    Notes
+    -----
+    The same as (3.2), :math:`R\\,(d_i - d_s)/d_i`, and (3.4), but without a division by zero for
+    a point in the focal plane. A blurred image is the same for both signs; only the magnitude
+    enters a kernel.
+
+    Examples
+    --------
+    >>> lens = {"focal_length": 100.0, "sensor_distance": 150.0, "aperture_radius": 20.0}
+    >>> blur_radius([200.0, 300.0, 600.0], **lens)
+    array([ 5.,  0., -5.])
+    """
+    distance = positive("object_distance", object_distance)
+    radius = float(positive("aperture_radius", aperture_radius))
+    focused = working_distance(focal_length, sensor_distance)
+    return np.asarray(radius * float(sensor_distance) * (1.0 / distance - 1.0 / focused))
+
+
+def gaussian_kernel(sigma: float, size: int) -> NDArray[np.float64]:
+    """Return the Gaussian point spread function of a defocused lens, sampled and of unit sum.
+
+    Parameters
+    ----------
+    sigma : float
+        Standard deviation :math:`\\sigma_g`, px.
+    size : int
+        Side of the square kernel, px, odd.
+
+    Returns
+    -------
+    ndarray of float64, shape (size, size)
+        :math:`g \\propto e^{-(x^2+y^2)/(2\\sigma_g^2)}`.
+
+    Raises
+    ------
+    ValueError
+        If `sigma` is not positive or `size` is not an odd whole number.
+
+    Notes
+    -----
+    (3.7) divides the exponent by :math:`2\\sigma_g`, which has the wrong unit and is not the
+    transform of (3.9); the square is what (3.9) and section 5.5.1 need. The samples are scaled to
+    unit sum, so that a kernel cut off at `size` keeps the brightness.
+
+    Examples
+    --------
+    >>> gaussian_kernel(1.0, 3).round(4)
+    array([[0.0751, 0.1238, 0.0751],
+           [0.1238, 0.2042, 0.1238],
+           [0.0751, 0.1238, 0.0751]])
+    """
+    s = float(positive("sigma", sigma))
+    n = whole("size", size, least=1, odd=True)
+    t = np.arange(n) - n // 2
+    profile = np.exp(-(t**2) / (2 * s**2))
+    kernel = np.outer(profile, profile)
+    return kernel / kernel.sum()
+
+
+def gaussian_transfer(u: ArrayLike, v: ArrayLike, sigma: float) -> NDArray[np.float64]:
+    """Return the transfer function of Gaussian defocus, the Fourier transform of its kernel.
+
+    Parameters
+    ----------
+    u, v : array_like
+        Angular frequencies along x and y, rad/px, of shapes that broadcast.
+    sigma : float
+        Standard deviation of the blur, px.
+
+    Returns
+    -------
+    ndarray of float64
+        :math:`G(u, v) = e^{-(u^2+v^2)\\sigma_g^2/2}` (3.9).
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite or `sigma` is negative.
+
+    Examples
+    --------
+    >>> gaussian_transfer([0.0, 1.0], 0.0, 1.0).round(4)
+    array([1.    , 0.6065])
+    """
+    s = float(positive("sigma", sigma, zero=True))
+    return np.exp(-(as_array("u", u) ** 2 + as_array("v", v) ** 2) * s**2 / 2)
+
+
+def _blurred(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    """Convolve with a Gaussian that reaches five standard deviations, mirrored at the border."""
+    if sigma == 0:
+        return image
+    half = int(np.ceil(5 * sigma))
+    t = np.arange(-half, half + 1)
+    profile = np.exp(-(t**2) / (2 * sigma**2))
+    profile /= profile.sum()
+    return np.asarray(
+        cv2.sepFilter2D(image, cv2.CV_32F, profile, profile, borderType=cv2.BORDER_REFLECT),
+        np.float32,
+    )
+
+
+class BlurLadder:
+    """An image blurred at a ladder of levels, from which any map of blur is read off.
+
+    Worth keeping when one image is defocused many times, as in a focal stack; `defocus` does it
+    once.
+
+    Parameters
+    ----------
+    image : array_like, shape (rows, cols)
+        The focused image.
+    largest : float
+        Largest blur that will be asked for, px.
+
+    Raises
+    ------
+    ValueError
+        If the image is not finite or `largest` is negative.
+
+    Notes
+    -----
+    Between levels each pixel is interpolated by a cubic in :math:`\\sigma^2`, the variable in
+    which Gaussian blur is a diffusion and nearly linear. The ladder costs about 16 images and a
+    further one for each factor of 1.15.
+
+    Examples
+    --------
+    >>> ladder = BlurLadder(np.eye(8), largest=3.0)
+    >>> ladder.at(np.full((8, 8), 1.0)).shape
+    (8, 8)
+    """
+
+    def __init__(self, image: ArrayLike, largest: float) -> None:
+        focused = as_image("image", image)
+        self.largest = float(positive("largest", largest, zero=True))
+        span = np.log(max(self.largest, _FIRST_LEVEL) / _FIRST_LEVEL) / np.log(_LEVEL_RATIO)
+        levels = _FIRST_LEVEL * _LEVEL_RATIO ** np.arange(int(np.ceil(span)) + 3)
+        self._levels = np.concatenate([[0.0], levels])
+        self._images = np.stack([_blurred(focused, level) for level in self._levels])
+
+    def at(self, sigma: ArrayLike) -> NDArray[np.float32]:
+        """Return the image blurred by `sigma`, px, one number or one for every pixel."""
+        shape = self._images.shape[1:]
+        blur = positive("sigma", sigma, zero=True)
+        if blur.shape not in ((), shape):
+            raise ValueError(
+                f"sigma must be one number or have the image's shape {shape}, got {blur.shape}"
+            )
+        if blur.max() > self.largest:
+            raise ValueError(f"sigma must be at most {self.largest:g} px, got {blur.max():g}")
+        blur = np.broadcast_to(blur, shape)
+        above = np.searchsorted(self._levels, blur, side="right")
+        first = np.clip(above - 2, 0, len(self._levels) - 4)
+        t = blur**2
+        nodes = self._levels[first[None] + np.arange(4)[:, None, None]] ** 2
+        images = np.take_along_axis(self._images, first[None] + np.arange(4)[:, None, None], axis=0)
+        result = np.zeros(shape)
+        for i in range(4):
+            weight = np.ones(shape)
+            for j in range(4):
+                if j != i:
+                    weight *= (t - nodes[j]) / (nodes[i] - nodes[j])
+            result += weight * images[i]
+        return result.astype(np.float32)
+
+
+def defocus(image: ArrayLike, sigma: ArrayLike) -> NDArray[np.float32]:
+    """Blur an image as an out-of-focus lens does, by a different amount at every pixel if need be.
+
+    Parameters
+    ----------
+    image : array_like, shape (rows, cols)
+        The focused image I.
+    sigma : float or array_like, shape (rows, cols)
+        Standard deviation :math:`\\sigma_g` of the blur at each pixel, px, zero or positive.
+
+    Returns
+    -------
+    ndarray of float32, shape (rows, cols)
+        :math:`I_d(p) = \\sum_q g_{\\sigma(p)}(p - q)\\,I(q)`, which is (3.6) where `sigma` is
+        constant. The image is mirrored at its border.
+
+    Raises
+    ------
+    ValueError
+        If the image or `sigma` is not finite, `sigma` is negative, or the shapes differ.
+
+    Notes
+    -----
+    Each pixel sees the kernel of its own blur (a gather), so a step in height does not occlude
+    what lies behind it. See `BlurLadder` for how a map of blur is applied.
+
+    Examples
+    --------
+    >>> image = np.zeros((9, 9)); image[4, 4] = 1.0
+    >>> sigma = np.full((9, 9), 1.0); sigma[:, 5:] = 2.0
+    >>> blurred = defocus(image, sigma)
+    >>> [round(float(blurred[4, x]), 3) for x in (3, 5)]
+    [0.097, 0.035]
+    """
+    blur = positive("sigma", sigma, zero=True)
+    if blur.ndim == 0:
+        return _blurred(as_image("image", image), float(blur)).copy()
+    return BlurLadder(image, float(blur.max())).at(blur)

@@ -1,0 +1,117 @@
+"""The thin lens against sympy, the blur against OpenCV and the Fourier transform."""
+
+import cv2
+import numpy as np
+import pytest
+import sympy
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from microlib import optics
+
+#: µm: an objective near the thesis' (f = 31.4 mm, M = 6.4).
+LENS = {"focal_length": 31415.0, "sensor_distance": 232000.0, "aperture_radius": 4000.0}
+
+
+def test_the_four_forms_of_the_blur_radius_are_one():
+    """(3.2), (3.4) and (3.5) are the same expression once (3.1) and (3.3) are put in."""
+    d_o, d_s, f, r = sympy.symbols("d_o d_s f R", positive=True)
+    d_i = 1 / (1 / f - 1 / d_o)
+    w_d = 1 / (1 / f - 1 / d_s)
+    printed_2 = r * (d_i - d_s) / d_i
+    printed_4 = r * d_s * (1 / d_s + 1 / d_o - 1 / f)
+    printed_5 = r * d_s * (1 / d_o - 1 / w_d)
+    assert sympy.simplify(printed_2 - printed_4) == 0
+    assert sympy.simplify(printed_4 - printed_5) == 0
+    numbers = {d_o: 36000, d_s: 232000, f: 31415, r: 4000}
+    ours = optics.blur_radius(36000.0, **LENS)
+    assert ours == pytest.approx(float(printed_2.subs(numbers)), rel=1e-12)  # rounding only
+
+
+@settings(deadline=None, max_examples=50)
+@given(distance=st.floats(32000, 1e7))
+def test_image_distance_solves_the_lens_equation(distance):
+    image = optics.image_distance(distance, LENS["focal_length"])
+    # Rounding only; the difference d_o - f loses three digits at most in this range.
+    assert 1 / distance + 1 / image == pytest.approx(1 / LENS["focal_length"], rel=1e-12)
+
+
+def test_a_point_at_the_working_distance_is_sharp_and_the_sign_tells_the_side():
+    focused = optics.working_distance(LENS["focal_length"], LENS["sensor_distance"])
+    near, sharp, far = optics.blur_radius([focused - 100, focused, focused + 100], **LENS)
+    assert abs(sharp) < 1e-9  # µm, rounding
+    assert near > 1 > -1 > far
+    assert optics.image_distance(focused, LENS["focal_length"]) == pytest.approx(
+        LENS["sensor_distance"], rel=1e-12
+    )
+
+
+def test_kernel_is_opencvs():
+    ours = optics.gaussian_kernel(1.0, 7)
+    column = cv2.getGaussianKernel(7, 1.0)
+    np.testing.assert_allclose(ours, column @ column.T, atol=1e-15)
+
+
+@pytest.mark.parametrize("sigma", [1.0, 2.5])
+def test_transfer_is_the_transform_of_the_kernel(sigma):
+    kernel = optics.gaussian_kernel(sigma, 65)
+    frequency = 2 * np.pi * np.fft.fftfreq(65)
+    transform = np.fft.fft2(np.fft.ifftshift(kernel)).real
+    ours = optics.gaussian_transfer(frequency[None, :], frequency[:, None], sigma)
+    # Aliasing of the sampled Gaussian: exp(-(2 pi - w)^2 sigma^2 / 2) at the highest frequency
+    # pi, sigma = 1.
+    np.testing.assert_allclose(transform, ours, atol=2.1 * np.exp(-(np.pi**2) / 2))
+    low = np.abs(frequency) < 1.0
+    np.testing.assert_allclose(transform[np.ix_(low, low)], ours[np.ix_(low, low)], atol=3e-6)
+
+
+def test_uniform_defocus_is_opencvs_gaussian():
+    image = np.random.default_rng(1).normal(128, 38, (60, 70)).astype(np.float32)
+    for sigma in (0.6, 1.7, 4.0):
+        peer = cv2.GaussianBlur(image, (61, 61), sigma, borderType=cv2.BORDER_REFLECT)
+        # float32 sums of 61 terms, and tails beyond five standard deviations
+        np.testing.assert_allclose(optics.defocus(image, sigma), peer, atol=2e-3)
+        ladder = optics.defocus(image, np.full(image.shape, sigma))
+        assert np.sqrt(np.mean((ladder - peer) ** 2)) < 0.05  # the ladder's stated error
+
+
+def test_varying_defocus_is_the_sum_over_each_pixels_own_kernel():
+    rng = np.random.default_rng(2)
+    image = rng.normal(128, 38, (24, 26))
+    sigma = np.linspace(0.0, 3.0, 26)[None, :].repeat(24, axis=0)
+    ours = optics.defocus(image, sigma)
+    padded = np.pad(image, 16, mode="symmetric")
+    for y, x in [(0, 0), (5, 3), (12, 13), (20, 22), (23, 25)]:
+        s = sigma[y, x]
+        patch = padded[y : y + 33, x : x + 33]
+        direct = np.sum(optics.gaussian_kernel(s, 33) * patch) if s > 0 else image[y, x]
+        assert ours[y, x] == pytest.approx(direct, abs=0.25)  # five times the ladder's rms error
+
+
+def test_zero_defocus_changes_nothing_and_returns_a_copy():
+    image = np.random.default_rng(3).random((8, 9)).astype(np.float32)
+    blurred = optics.defocus(image, 0.0)
+    np.testing.assert_array_equal(blurred, image)
+    assert blurred is not image
+    np.testing.assert_array_equal(optics.defocus(image, np.zeros((8, 9))), image)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: optics.image_distance(50.0, 100.0), "object_distance must exceed"),
+        (lambda: optics.image_distance(-1.0, 100.0), "object_distance must be positive"),
+        (lambda: optics.working_distance(100.0, 90.0), "sensor_distance must exceed"),
+        (lambda: optics.blur_radius(np.nan, **LENS), "object_distance must be finite"),
+        (lambda: optics.gaussian_kernel(0.0, 7), "sigma must be positive"),
+        (lambda: optics.gaussian_kernel(1.0, 6), "size must be an odd"),
+        (lambda: optics.gaussian_transfer(0.0, 0.0, -1.0), "sigma must be zero or positive"),
+        (lambda: optics.defocus(np.zeros((4, 4, 3)), 1.0), "image must be a grey image"),
+        (lambda: optics.defocus(np.zeros((4, 4)), np.zeros((4, 5))), "sigma must be one number"),
+        (lambda: optics.defocus(np.zeros((4, 4)), -1.0), "sigma must be zero or positive"),
+        (lambda: optics.BlurLadder(np.eye(4), 1.0).at(2.0), "sigma must be at most 1 px"),
+    ],
+)
+def test_bad_input_is_refused_by_name(call, words):
+    with pytest.raises(ValueError, match=words):
+        call()
