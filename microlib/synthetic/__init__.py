@@ -13,7 +13,6 @@ from microlib.synthetic.gripper import (
     WarpedPair,
     camera_frame,
     gripper_scene,
-    speckle_texture,
     texture_sequence,
     warped_pair,
 )
@@ -56,7 +55,6 @@ __all__ = [
     "paraboloid",
     "patchy_texture",
     "quadric_patch",
-    "speckle_texture",
     "sphere_on_plane",
     "step",
     "texture_sequence",
