@@ -56,7 +56,9 @@ def publish(name: str, tables: dict[str, pd.DataFrame], *, note: str = "") -> No
     record = {
         "machine": machine(),
         "note": note,
-        "tables": {title: frame.to_dict(orient="split", index=False) for title, frame in tables.items()},
+        "tables": {
+            title: frame.to_dict(orient="split", index=False) for title, frame in tables.items()
+        },
     }
     RESULTS.mkdir(exist_ok=True)
     path = RESULTS / f"{name}.json"
