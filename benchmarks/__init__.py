@@ -1,1 +1,1 @@
-"""Peers and limits side by side; run one with ``python -m benchmarks.NAME``. Never part of the tests."""
+"""Peers and limits side by side: ``python -m benchmarks.NAME``. Never part of the tests."""

@@ -19,7 +19,7 @@ RESULTS = Path(__file__).parent / "results"
 
 
 def machine() -> dict[str, str]:
-    """Return what a reader needs to judge a timing: processor, cores, Python and library versions."""
+    """Return what a reader needs to judge a timing: processor, cores, versions."""
     model = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
@@ -37,7 +37,7 @@ def machine() -> dict[str, str]:
 def paired_times(
     ours: Callable[[], object], peer: Callable[[], object], *, rounds: int = 7
 ) -> tuple[float, float, float]:
-    """Time two callables in turn; return both medians in seconds and the median of the paired ratios."""
+    """Time two callables in turn; return both medians (s) and the median of their ratios."""
     ours(), peer()
     times = np.empty((rounds, 2))
     for row in times:
@@ -50,7 +50,7 @@ def paired_times(
 
 
 def publish(name: str, tables: dict[str, pd.DataFrame], *, note: str = "") -> None:
-    """Print `tables` (title to frame) and write ``results/NAME.json``, which the book's page shows."""
+    """Print `tables` (title to frame) and write ``results/NAME.json``, which the book shows."""
     for title, frame in tables.items():
         print(f"\n{title}\n{frame.to_string(index=False)}")
     record = {

@@ -1,7 +1,7 @@
 """Argument checks shared by the whole library: one wording for every refusal.
 
-Each function returns the checked value, or raises ``ValueError`` that names the argument, says what came and
-what is needed.
+Each function returns the checked value, or raises ``ValueError`` that names the argument, says what
+came and what is needed.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def as_array(
 
 
 def as_image(name: str, value: ArrayLike, *, smallest: int = 1) -> NDArray:
-    """Return a grey image as a finite 2-D float32 array with both sides at least `smallest` pixels."""
+    """Return a grey image as a finite 2-D float32 array, each side at least `smallest` px."""
     if np.ndim(value) != 2:
         raise ValueError(f"{name} must be a grey image of two dimensions, got {np.ndim(value)}")
     image = as_array(name, value, dtype=np.float32)
@@ -59,7 +59,7 @@ def as_image(name: str, value: ArrayLike, *, smallest: int = 1) -> NDArray:
 def between(
     name: str, value: ArrayLike, low: float, high: float, *, closed: bool = False
 ) -> NDArray[np.float64]:
-    """Return `value` as float64 with every element in (`low`, `high`), or in [`low`, `high`] if `closed`."""
+    """Return `value` as float64, all in (`low`, `high`), or [`low`, `high`] if `closed`."""
     array = as_array(name, value)
     inside = (array >= low) & (array <= high) if closed else (array > low) & (array < high)
     if not inside.all():
@@ -102,5 +102,6 @@ def same_length(names: tuple[str, str], first: NDArray, second: NDArray) -> None
     """Refuse two arrays whose first axes differ in length."""
     if len(first) != len(second):
         raise ValueError(
-            f"{names[0]} and {names[1]} must have the same length, got {len(first)} and {len(second)}"
+            f"{names[0]} and {names[1]} must have the same length, "
+            f"got {len(first)} and {len(second)}"
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import matplotlib as mpl
+from cycler import cycler
 
 __all__ = ["COLORS", "use_style"]
 
@@ -20,7 +21,7 @@ COLORS = {
 
 
 def use_style() -> None:
-    """Set matplotlib up for the book: font size of the body text, tight boxes, constrained layout."""
+    """Set matplotlib up for the book: the body's font size, tight boxes, constrained layout."""
     mpl.rcParams.update(
         {
             "figure.figsize": (7.2, 4.2),
@@ -37,7 +38,7 @@ def use_style() -> None:
             "image.cmap": "gray",
             "legend.frameon": False,
             "lines.linewidth": 2.0,
-            "axes.prop_cycle": mpl.cycler(color=[v for k, v in COLORS.items() if k != "black"]),
+            "axes.prop_cycle": cycler(color=[v for k, v in COLORS.items() if k != "black"]),
             "svg.hashsalt": "microlib",
         }
     )

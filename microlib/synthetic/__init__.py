@@ -1,6 +1,26 @@
 """Scenes with known truth: what the algorithms are tested on. Nothing here imports an algorithm."""
 
-from microlib.synthetic.stacks import focal_frames, focal_stack, thesis_stack
+from microlib.synthetic.embryo import (
+    SONY_PIXEL_SIZE,
+    Embryo,
+    EmbryoImage,
+    embryo_image,
+    embryo_sequence,
+)
+from microlib.synthetic.gripper import (
+    GripperScene,
+    WarpedPair,
+    camera_frame,
+    gripper_scene,
+    speckle_texture,
+    texture_sequence,
+    warped_pair,
+)
+from microlib.synthetic.stacks import (
+    focal_frames,
+    focal_stack,
+    thesis_stack,
+)
 from microlib.synthetic.surfaces import (
     cone,
     parabolic_cylinder,
@@ -10,19 +30,34 @@ from microlib.synthetic.surfaces import (
     step,
     tilted_plane,
 )
-from microlib.synthetic.textures import mixed_texture, patchy_texture
+from microlib.synthetic.textures import (
+    mixed_texture,
+    patchy_texture,
+)
 
 __all__ = [
+    "SONY_PIXEL_SIZE",
+    "Embryo",
+    "EmbryoImage",
+    "GripperScene",
+    "WarpedPair",
+    "camera_frame",
     "cone",
+    "embryo_image",
+    "embryo_sequence",
     "focal_frames",
     "focal_stack",
+    "gripper_scene",
     "mixed_texture",
     "parabolic_cylinder",
     "paraboloid",
     "patchy_texture",
     "quadric_patch",
+    "speckle_texture",
     "sphere_on_plane",
     "step",
+    "texture_sequence",
     "thesis_stack",
     "tilted_plane",
+    "warped_pair",
 ]

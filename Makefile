@@ -1,0 +1,67 @@
+# Everything runs in .venv, which is made on first use from environment.txt.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+# The executed notebooks and the tests never need the network.
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.DEFAULT_GOAL := help
+.PHONY: help setup book test notebooks html lint format picture benchmarks lock clean
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+setup: $(STAMP) ## make .venv with the locked packages and microlib
+
+$(STAMP): environment.txt pyproject.toml
+	@echo "Setting up $(VENV) (about a minute, once)"
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed")'
+	@$(PYTHON) -m venv $(VENV)
+	@$(BIN)/pip install --quiet --require-hashes -r environment.txt
+	@$(BIN)/pip install --quiet --no-deps --no-build-isolation -e .
+	@touch $@
+
+notebooks: $(STAMP) ## run the notebooks that changed
+	@echo "Running the notebooks"
+	@$(BIN)/python notebooks/run.py
+
+html: notebooks
+	@echo "Building the book"
+	@# From scratch: pages quote records that Sphinx does not watch.
+	@rm -rf book/notebooks book/generated build/_build
+	@mkdir -p book/notebooks
+	@cp build/notebooks/*.ipynb book/notebooks/
+	@$(BIN)/jupyter-book build book --path-output build --warningiserror --nitpick --keep-going --quiet
+	@ln -sfn _build/html build/html
+
+book: html ## run the notebooks and build the book
+	@echo "The book is at build/html/index.html"
+
+test: html lint ## run every test: library, notebooks, book
+	@$(BIN)/python -m pytest --numprocesses 2 --quiet
+
+lint: $(STAMP) ## check format, style, types, and that notebooks carry no outputs
+	@$(BIN)/ruff format --check --quiet .
+	@$(BIN)/ruff check --quiet .
+	@$(BIN)/mypy
+	@$(BIN)/nbstripout --keep-id --verify notebooks/*.ipynb
+
+format: $(STAMP) ## format the code and strip the notebooks
+	@$(BIN)/ruff format .
+	@$(BIN)/ruff check --fix .
+	@$(BIN)/nbstripout --keep-id notebooks/*.ipynb
+
+picture: $(STAMP) ## draw the readme's picture anew
+	@$(BIN)/python book/make_readme_picture.py
+
+benchmarks: $(STAMP) ## measure microlib beside its peers (minutes)
+	@for file in benchmarks/[a-z]*.py; do \
+	  name=$$(basename $$file .py); [ $$name = report ] || $(BIN)/python -m benchmarks.$$name || exit 1; done
+
+lock: $(STAMP) ## compile environment.txt anew (needs uv)
+	@uv pip compile pyproject.toml --extra book --extra test --generate-hashes --universal \
+	  --python-version 3.11 --no-header --no-annotate --quiet -o environment.txt
+
+clean: ## remove what was built
+	@rm -rf build book/notebooks book/generated

@@ -1,0 +1,178 @@
+"""Roles and directives that put the ledger's numbers into the book's text.
+
+- ``{ours}`id` ``: our number as recorded; ``{printed}`id` ``: the thesis' number;
+  ``{verdict}`id` ``: the verdict.
+- ``{claims}`` with a prefix: a table of all claims whose id begins with it.
+- ``{errata}``: every fault of the thesis with its proof.
+- ``{benchmarks}``: every result of ``benchmarks/results`` with the machine named.
+
+A number that was never recorded stops the build, so the text cannot outlive its notebook.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from docutils import nodes
+from docutils.statemachine import StringList
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective, SphinxRole
+
+from microlib import ledger
+
+ROOT = Path(__file__).resolve().parents[2]
+CLAIMS = ROOT / "build" / "claims"
+RESULTS = ROOT / "benchmarks" / "results"
+
+
+class Ours(SphinxRole):
+    def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
+        record = ledger.read_records(CLAIMS).get(self.text)
+        if record is None:
+            message = self.inliner.reporter.error(f"no notebook recorded {self.text!r}")
+            return [nodes.problematic(self.rawtext, self.rawtext)], [message]
+        return [nodes.inline(self.rawtext, str(record), classes=["ours"])], []
+
+
+class Printed(SphinxRole):
+    def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
+        claim = ledger.claim(self.text)
+        text = f"{claim.printed} {claim.unit}".rstrip()
+        return [nodes.inline(self.rawtext, text, classes=["printed"])], []
+
+
+class Verdict(SphinxRole):
+    def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
+        return [badge(ledger.claim(self.text))], []
+
+
+def badge(claim: ledger.Claim) -> nodes.inline:
+    text = "not yet judged" if claim.verdict == "pending" else claim.verdict
+    if claim.identified:
+        text += " (identified)"
+    return nodes.inline(text, text, classes=["verdict", f"verdict-{claim.verdict}"])
+
+
+class Claims(SphinxDirective):
+    """A table of the claims whose id begins with the argument; all of them without one."""
+
+    optional_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        prefix = self.arguments[0] if self.arguments else ""
+        records = ledger.read_records(CLAIMS)
+        chosen = [c for c in ledger.claims().values() if c.id.startswith(prefix)]
+        if not chosen:
+            raise self.error(f"no claim begins with {prefix!r}")
+        head = ["Claim", "Quantity", "Printed", "Ours", "Unit", "Verdict"]
+        rows = []
+        for claim in chosen:
+            record = records.get(claim.id)
+            number = ""
+            if record is not None:
+                number = str(record).removesuffix(claim.unit).rstrip()
+            cells = [
+                nodes.literal(claim.id, claim.id),
+                claim.what,
+                claim.printed,
+                number,
+                claim.unit,
+            ]
+            rows.append([*cells, badge(claim)])
+        return [table(head, rows, classes=["claims"])]
+
+
+class Errata(SphinxDirective):
+    """One section an erratum: where, what was printed, what is right, and the proof."""
+
+    def run(self) -> list[nodes.Node]:
+        origins = {
+            "print": "a fault of the thesis",
+            "open": "print and machine reading cannot be told apart",
+        }
+        result: list[nodes.Node] = []
+        for name, entry in ledger.errata().items():
+            section = nodes.section(ids=[nodes.make_id(f"erratum-{name}")])
+            section += nodes.title(entry["where"], entry["where"])
+            lines = [
+                f"**Printed:** {entry['printed']}",
+                "",
+                f"**Right:** {entry['corrected']}",
+                "",
+                entry["proof"],
+                "",
+                f"*Origin: {origins[entry['origin']]}. Proven in* `{entry['test']}`.",
+            ]
+            self.state.nested_parse(StringList(lines, source="errata.toml"), 0, section)
+            result.append(section)
+        return result
+
+
+class Benchmarks(SphinxDirective):
+    """Every benchmark result on file, one section each, with the machine it was measured on."""
+
+    def run(self) -> list[nodes.Node]:
+        result: list[nodes.Node] = []
+        for path in sorted(RESULTS.glob("*.json")):
+            record = json.loads(path.read_text(encoding="utf-8"))
+            section = nodes.section(ids=[nodes.make_id(f"benchmark-{path.stem}")])
+            section += nodes.title("", path.stem.replace("_", " ").capitalize())
+            machine = record["machine"]
+            versions = ", ".join(
+                f"{k} {v}" for k, v in machine.items() if k not in ("processor", "cores")
+            )
+            text = f"Measured on {machine['processor']}, {machine['cores']} cores; {versions}."
+            section += nodes.paragraph(text, text)
+            if record["note"]:
+                self.state.nested_parse(StringList(record["note"].split("\n")), 0, section)
+            for title, content in record["tables"].items():
+                section += nodes.rubric("", title)
+                rows = [[show(value) for value in row] for row in content["data"]]
+                section += table([str(column) for column in content["columns"]], rows)
+            result.append(section)
+        if not result:
+            result.append(nodes.paragraph("", "No benchmark has been published yet."))
+        return result
+
+
+def show(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return "–" if value is None else str(value)
+
+
+def table(head: list[str], rows: list[list], *, classes: list[str] | None = None) -> nodes.table:
+    """Build a docutils table; cells are text or nodes."""
+    group = nodes.tgroup(cols=len(head))
+    group += [nodes.colspec(colwidth=1) for _ in head]
+
+    def line(cells: list) -> nodes.row:
+        row = nodes.row()
+        for cell in cells:
+            content = cell if isinstance(cell, nodes.Node) else nodes.Text(cell)
+            paragraph = nodes.paragraph()
+            paragraph += content
+            entry = nodes.entry()
+            entry += paragraph
+            row += entry
+        return row
+
+    header, body = nodes.thead(), nodes.tbody()
+    header += line(head)
+    body += [line(row) for row in rows]
+    group += [header, body]
+    result = nodes.table(classes=["colwidths-auto", *(classes or [])])
+    result += group
+    return result
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    app.add_role("ours", Ours())
+    app.add_role("printed", Printed())
+    app.add_role("verdict", Verdict())
+    app.add_directive("claims", Claims)
+    app.add_directive("errata", Errata)
+    app.add_directive("benchmarks", Benchmarks)
+    app.add_css_file("thesis.css")
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,187 @@
+"""The map from the thesis' equations, figures and tables to this book, and links along it.
+
+- ``{map}`` with ``equation``, ``figure`` or ``table``: the map's rows of that kind, each linked to
+  its place in the chapter and to the function behind it.
+- Every displayed formula with a ``\\tag`` from the thesis gets an anchor and a link to its function.
+- The page of a function that the map names gets links back to its equations, figures and tables.
+- A figure whose data were kept gets a link to them.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import tomllib
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import nbformat
+from docutils import nodes
+from sphinx import addnodes
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+from microlib import ledger
+
+ROOT = Path(__file__).resolve().parents[2]
+FIGURES = ROOT / "build" / "figures"
+CAPTION = re.compile(r"\*\*(Figures?|Tables?) ([^*]+)\*\*")
+TAG = re.compile(r"\\tag\{(\d\.\d+)\}")
+KINDS = ("equation", "figure", "table")
+
+
+def read_map() -> dict[str, dict[str, Any]]:
+    with (ROOT / "data" / "thesis" / "map.toml").open("rb") as file:
+        return tomllib.load(file)
+
+
+def find_items(notebooks: Path) -> dict[str, tuple[str, str]]:
+    """Return where each item stands in the notebooks: its id, the notebook's stem, the anchor."""
+    found: dict[str, tuple[str, str]] = {}
+    for path in sorted(notebooks.glob("0[1-6]_*.ipynb")):
+        for cell in nbformat.read(path, as_version=4).cells:
+            figure = cell.metadata.get("mystnb", {}).get("figure", {})
+            for number in captioned(figure.get("caption", "")):
+                found.setdefault(f"figure-{number}", (path.stem, figure["name"]))
+            if cell.cell_type == "markdown":
+                for number in TAG.findall(cell.source):
+                    found.setdefault(f"equation-{number}", (path.stem, nodes.make_id(f"equation-{number}")))
+                for number in re.findall(r"^\(table-(\d)-(\d)\)=", cell.source, flags=re.M):
+                    found.setdefault(f"table-{'.'.join(number)}", (path.stem, f"table-{'-'.join(number)}"))
+    return found
+
+
+def captioned(caption: str) -> list[str]:
+    """Return the thesis' figure numbers that a caption names: ``Figures 5.6 to 5.8`` gives three."""
+    match = CAPTION.match(caption)
+    if not match or not match[1].startswith("Figure"):
+        return []
+    numbers = re.findall(r"\d\.\d+", match[2])
+    if re.search(r"to|–", match[2]) and len(numbers) == 2:
+        chapter, first = numbers[0].split(".")
+        last = numbers[1].split(".")[1]
+        return [f"{chapter}.{n}" for n in range(int(first), int(last) + 1)]
+    return numbers
+
+
+def link_to_function(name: str, docname: str) -> addnodes.pending_xref:
+    shown = name.removeprefix("microlib.")
+    reference = addnodes.pending_xref(
+        "", refdomain="py", reftype="obj", reftarget=name, refdoc=docname, refwarn=True
+    )
+    reference += nodes.literal(shown, shown)
+    return reference
+
+
+class Map(SphinxDirective):
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        kind = self.arguments[0]
+        if kind not in KINDS:
+            raise self.error(f"the map has {', '.join(KINDS)}, not {kind!r}")
+        from thesis import table
+
+        places = find_items(ROOT / "build" / "notebooks")
+        rows = []
+        for item, entry in read_map().items():
+            if not item.startswith(kind):
+                continue
+            number = item.removeprefix(f"{kind}-")
+            label: nodes.Node = nodes.Text(f"({number})" if kind == "equation" else number)
+            if item in places:
+                stem, anchor = places[item]
+                here = self.env.docname
+                uri = self.env.app.builder.get_relative_uri(here, f"notebooks/{stem}")
+                link = nodes.reference("", "", internal=True, refuri=f"{uri}#{nodes.make_id(anchor)}")
+                link += label
+                label = link
+            functions = nodes.inline()
+            for k, name in enumerate(entry["functions"]):
+                functions += [nodes.Text(", ")] if k else []
+                functions += link_to_function(name, self.env.docname)
+            rows.append([label, entry["what"], functions, verdict_of(entry)])
+        return [table(["Number", "What", "In the library", "Verdict"], rows, classes=["map"])]
+
+
+def verdict_of(entry: dict[str, Any]) -> str:
+    """Return an item's status, and for a table how many of its numbers have which verdict."""
+    if "claims" not in entry:
+        return entry["status"]
+    chosen = [c.verdict for c in ledger.claims().values() if c.id.startswith(entry["claims"])]
+    return ", ".join(f"{count} {verdict}" for verdict, count in Counter(chosen).most_common())
+
+
+def link_formulas(app: Sphinx, doctree: nodes.document) -> None:
+    """Give each formula of the thesis an anchor and, under it, a link to its function."""
+    thesis = read_map()
+    seen: set[str] = set()
+    for block in list(doctree.findall(nodes.math_block)):
+        numbers = [n for n in TAG.findall(block.astext()) if f"equation-{n}" in thesis]
+        fresh = [n for n in numbers if n not in seen]
+        if not fresh:
+            continue
+        seen.update(fresh)
+        names = dict.fromkeys(f for n in fresh for f in thesis[f"equation-{n}"]["functions"])
+        note = nodes.paragraph(classes=["equation-link"])
+        note += nodes.Text("in code: ")
+        for k, name in enumerate(names):
+            note += [nodes.Text(", ")] if k else []
+            note += link_to_function(name, app.env.docname)
+        anchors = [nodes.target("", "", ids=[nodes.make_id(f"equation-{n}")]) for n in fresh]
+        place = block.parent.index(block)
+        block.parent.insert(place + 1, note)
+        for anchor in anchors:
+            block.parent.insert(place, anchor)
+
+
+def link_data(app: Sphinx, doctree: nodes.document) -> None:
+    """Put a link to the kept numbers under each figure that has them."""
+    up = "../" * app.env.docname.count("/")
+    for figure in doctree.findall(nodes.figure):
+        files = [
+            FIGURES / f"{name}{ending}"
+            for name in figure.get("names", []) + figure.get("ids", [])
+            for ending in (".csv", ".npz")
+        ]
+        links = dict.fromkeys(path.name for path in files if path.exists())
+        captions = list(figure.findall(nodes.caption))
+        if not links or not captions:
+            continue
+        text = ", ".join(f'<a href="{up}_static/figures/{n}" download>{n}</a>' for n in links)
+        captions[0] += nodes.raw("", f' <span class="figure-data">Data: {text}</span>', format="html")
+
+
+def link_back(
+    app: Sphinx, what: str, name: str, obj: object, options: Any, lines: list[str]
+) -> None:
+    """Append to a docstring where in the book its equations, figures and tables stand."""
+    items = [item for item, entry in read_map().items() if name in entry["functions"]]
+    if not items:
+        return
+    places = find_items(ROOT / "build" / "notebooks")
+    links = []
+    for item in items:
+        kind, number = item.split("-", 1)
+        shown = f"({number})" if kind == "equation" else f"{kind} {number}"
+        if item in places:
+            stem, anchor = places[item]
+            links.append(f"`{shown} <../notebooks/{stem}.html#{nodes.make_id(anchor)}>`__")
+    if links:
+        lines += ["", ".. rubric:: In the thesis", "", ", ".join(links) + ".", ""]
+
+
+def copy_figures(app: Sphinx, error: Exception | None) -> None:
+    if error is None and app.builder.format == "html" and FIGURES.exists():
+        shutil.copytree(FIGURES, Path(app.outdir) / "_static" / "figures", dirs_exist_ok=True)
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    app.add_directive("map", Map)
+    app.connect("doctree-read", link_formulas)
+    app.connect("doctree-read", link_data)
+    # After numpydoc, which rewrites the lines it is given.
+    app.connect("autodoc-process-docstring", link_back, priority=900)
+    app.connect("build-finished", copy_figures)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

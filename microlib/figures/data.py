@@ -1,0 +1,92 @@
+"""Keep the numbers behind a figure beside it, so that a reader can download and redraw them."""
+
+from __future__ import annotations
+
+import csv
+import os
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.container import BarContainer
+from matplotlib.figure import Figure
+
+__all__ = ["FOLDER_VARIABLE", "keep_data", "show"]
+
+#: Environment variable that names the folder for the data; nothing is kept without it.
+FOLDER_VARIABLE = "MICROLIB_FIGURES"
+
+
+def show(name: str) -> None:
+    """Show the current figure and keep its data as `name`.csv and `name`.npz."""
+    folder = os.environ.get(FOLDER_VARIABLE)
+    if folder:
+        keep_data(plt.gcf(), Path(folder) / name)
+    plt.show()
+
+
+def keep_data(figure: Figure, stem: Path) -> list[Path]:
+    """
+    Write the curves of a figure to a CSV file and its images to an NPZ file.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        Figure whose axes are labelled with units.
+    stem : pathlib.Path
+        Path of the files without their ending.
+
+    Returns
+    -------
+    list of pathlib.Path
+        The files written: none for a drawing without data.
+
+    Notes
+    -----
+    The CSV holds one point a row: panel, series, x, y, and the axes' own labels, which carry the
+    units. The NPZ holds each image as drawn, its extent, and a text array of what it is.
+    """
+    rows = [row for number, axes in enumerate(figure.axes, 1) for row in _points(number, axes)]
+    images = {
+        f"panel{number}_image{k}": np.asarray(image.get_array())
+        for number, axes in enumerate(figure.axes, 1)
+        for k, image in enumerate(axes.images, 1)
+    }
+    written = []
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    if rows:
+        path = stem.with_suffix(".csv")
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(["panel", "series", "x", "y", "x_label", "y_label"])
+            writer.writerows(rows)
+        written.append(path)
+    if images:
+        path = stem.with_suffix(".npz")
+        titles = [axes.get_title() for axes in figure.axes]
+        np.savez_compressed(path, panel_titles=np.array(titles), **images)  # type: ignore[arg-type]
+        written.append(path)
+    return written
+
+
+def _points(panel: int, axes: Axes) -> list[list[object]]:
+    labels = [axes.get_xlabel(), axes.get_ylabel()]
+    series: list[tuple[str, np.ndarray]] = []
+    for line in axes.lines:
+        # Straight helper lines (axvline) are given in mixed coordinates and are no data.
+        if line.get_transform() == axes.transData:
+            series.append((str(line.get_label()), np.asarray(line.get_xydata())))
+    for collection in axes.collections:
+        offsets = np.asarray(collection.get_offsets())
+        if offsets.ndim == 2 and len(offsets) > 1 and offsets.shape[1] == 2:
+            series.append((str(collection.get_label()), offsets))
+    for container in axes.containers:
+        if isinstance(container, BarContainer):
+            bars = [(b.get_x() + b.get_width() / 2, b.get_height()) for b in container.patches]
+            series.append((str(container.get_label()), np.array(bars)))
+    return [
+        [panel, name, f"{x:.8g}", f"{y:.8g}", *labels]
+        for name, points in series
+        for x, y in points.reshape(-1, 2)
+    ]

@@ -1,0 +1,188 @@
+"""Figures of merit of a servoing experiment, and the paths it follows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from microlib._checks import as_array, between, positive, same_length
+
+__all__ = [
+    "PathMetrics",
+    "StepMetrics",
+    "circle_path",
+    "path_metrics",
+    "sinusoid_path",
+    "square_path",
+    "step_metrics",
+]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class StepMetrics:
+    """How a step was answered; NaN throughout, except the overshoot, if it never settled.
+
+    Attributes
+    ----------
+    settling_time : float
+        From the step until the error stays within the band, s.
+    overshoot : float
+        Largest passage beyond the target along the step, as a share of the step.
+    accuracy : float
+        Error at the settling time, in the unit of the positions.
+    precision : float
+        Standard deviation of the error from the settling time on, likewise.
+    """
+
+    settling_time: float
+    overshoot: float
+    accuracy: float
+    precision: float
+
+
+@dataclass(frozen=True)
+class PathMetrics:
+    """How a path was followed, in the unit of the positions.
+
+    Attributes
+    ----------
+    accuracy : float
+        Mean of the distance to the reference.
+    precision : float
+        Its standard deviation.
+    largest : float
+        Its maximum.
+    """
+
+    accuracy: float
+    precision: float
+    largest: float
+
+
+def step_metrics(
+    time: ArrayLike, position: ArrayLike, target: ArrayLike, *, band: float = 0.05
+) -> StepMetrics:
+    """Measure the answer to a step from the first position to `target`.
+
+    Parameters
+    ----------
+    time : array_like, shape (K,)
+        Increasing, s.
+    position : array_like, shape (K, D)
+        Any unit of length.
+    target : array_like, shape (D,)
+        Same unit.
+    band : float, optional
+        Settled means within this share of the step's length.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit, the time does not increase, the step has no length, or the band is not
+        in (0, 1).
+
+    Examples
+    --------
+    >>> time = np.arange(6) / 10
+    >>> step_metrics(time, [[0], [60], [104], [98], [98], [98]], [100]).settling_time
+    0.2
+    """
+    t = as_array("time", time, shape=(None,))
+    x = as_array("position", position, shape=(None, None))
+    same_length(("time", "position"), t, x)
+    if (np.diff(t) <= 0).any():
+        raise ValueError("time must increase")
+    goal = as_array("target", target, shape=(x.shape[1],))
+    share = float(between("band", band, 0.0, 1.0))
+    step = goal - x[0]
+    length = float(np.linalg.norm(step))
+    if length == 0:
+        raise ValueError("target must differ from the first position")
+    error = np.linalg.norm(x - goal, axis=1)
+    overshoot = max(0.0, float(((x - goal) @ step).max()) / length**2)
+    outside = np.flatnonzero(error > share * length)
+    settled = int(outside[-1]) + 1
+    if settled == len(t):
+        return StepMetrics(np.nan, overshoot, np.nan, np.nan)
+    rest = error[settled:]
+    return StepMetrics(float(t[settled] - t[0]), overshoot, float(rest[0]), float(rest.std()))
+
+
+def path_metrics(position: ArrayLike, reference: ArrayLike) -> PathMetrics:
+    """Measure the distances between positions and references of the same samples, both K×D.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ or a value is not finite.
+
+    Examples
+    --------
+    >>> path_metrics([[0, 0], [3, 4]], [[0, 0], [0, 0]])
+    PathMetrics(accuracy=2.5, precision=2.5, largest=5.0)
+    """
+    wanted = as_array("reference", reference, shape=(None, None))
+    x = as_array("position", position, shape=wanted.shape)
+    error = np.linalg.norm(x - wanted, axis=1)
+    return PathMetrics(float(error.mean()), float(error.std()), float(error.max()))
+
+
+def circle_path(radius: float, speed: float, interval: float) -> Array:
+    """Return one turn around a circle that starts at the origin, K×2.
+
+    Parameters
+    ----------
+    radius : float
+        Of the circle.
+    speed : float
+        Along it, in the radius' unit per second.
+    interval : float
+        Between samples, s.
+
+    Examples
+    --------
+    >>> path = circle_path(50.0, 100.0, 0.01)
+    >>> bool(np.allclose(np.hypot(path[:, 0] + 50, path[:, 1]), 50))
+    True
+    """
+    arc = _arc_length(2 * np.pi * float(positive("radius", radius)), speed, interval)
+    return radius * np.column_stack([np.cos(arc / radius) - 1.0, np.sin(arc / radius)])
+
+
+def square_path(side: float, speed: float, interval: float) -> Array:
+    """Return one turn around a square from the origin, K×2; parameters as in `circle_path`."""
+    side = float(positive("side", side))
+    arc = _arc_length(4 * side, speed, interval)
+    corners = side * np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
+    stops = side * np.arange(5)
+    return np.column_stack([np.interp(arc, stops, corners[:, axis]) for axis in (0, 1)])
+
+
+def sinusoid_path(
+    length: float, amplitude: float, speed: float, interval: float, *, periods: float = 2.0
+) -> Array:
+    """Return a sinusoid of `periods` along x, from the origin, at constant speed, K×2.
+
+    `length` and `amplitude` are in one unit; speed and interval as in `circle_path`.
+    """
+    length, height = float(positive("length", length)), float(positive("amplitude", amplitude))
+    wave = 2 * np.pi * float(positive("periods", periods)) / length
+    x = np.linspace(0.0, length, 4001)
+    y = height * np.sin(wave * x)
+    travelled = np.append(0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y))))
+    arc = _arc_length(travelled[-1], speed, interval)
+    x = np.interp(arc, travelled, x)
+    return np.column_stack([x, height * np.sin(wave * x)])
+
+
+def _arc_length(total: float, speed: float, interval: float) -> Array:
+    step = float(positive("speed", speed)) * float(positive("interval", interval))
+    if step > total:
+        raise ValueError(
+            f"speed must leave more than one sample on a path of {total:g}, got {step:g}"
+        )
+    return np.arange(0.0, total, step)

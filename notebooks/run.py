@@ -1,0 +1,153 @@
+"""Run the notebooks with papermill, two at a time, and only those whose inputs changed.
+
+``python notebooks/run.py`` leaves the executed notebooks in ``build/notebooks``, their records in
+``build/claims`` and one status file each in ``build/status``. A notebook is run again when it, the
+library, the data, the locked environment or this file changed. Chapter 6 reads the records of the
+others and is run last.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import sys
+import tempfile
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from time import perf_counter
+
+import nbformat
+import papermill
+from papermill.exceptions import PapermillExecutionError
+from traitlets.config import Config
+
+ROOT = Path(__file__).resolve().parent.parent
+BUILD = ROOT / "build"
+LAST = "06_"
+# Two kernels share the cores, so each keeps to one thread; this also fixes the order of sums.
+THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", help="notebooks to run, by name or its beginning")
+    parser.add_argument("--force", action="store_true", help="run them even if nothing changed")
+    parser.add_argument("--jobs", type=int, default=2, help="how many at a time")
+    options = parser.parse_args()
+    os.environ |= THREADS
+    os.environ["PYTHONHASHSEED"] = "0"
+    os.environ["MICROLIB_FIGURES"] = str(BUILD / "figures")
+
+    every = sorted(path.stem for path in (ROOT / "notebooks").glob("[0-9]*.ipynb"))
+    chosen = [n for n in every if not options.names or n.startswith(tuple(options.names))]
+    if not chosen:
+        print(f"No notebook is called {' or '.join(options.names)}; there are {', '.join(every)}.")
+        return 1
+    failures = 0
+    first = [name for name in chosen if not name.startswith(LAST)]
+    last = [name for name in chosen if name.startswith(LAST)]
+    for batch in (first, last):
+        todo = [n for n in batch if options.force or not up_to_date(n)]
+        for name in sorted(set(batch) - set(todo)):
+            print(f"  {name}: up to date")
+        failures += run_all(todo, options.jobs)
+        if failures:
+            break
+    return 1 if failures else 0
+
+
+def run_all(names: list[str], jobs: int) -> int:
+    """Run notebooks side by side, print a line for each as it ends, and return how many failed."""
+    failures = 0
+    with ProcessPoolExecutor(max_workers=max(1, jobs)) as pool:
+        runs = {pool.submit(run, name): name for name in names}
+        for done, future in enumerate(as_completed(runs), 1):
+            message, passed = future.result()
+            failures += not passed
+            print(f"  [{done}/{len(names)}] {runs[future]}: {message}", flush=True)
+    return failures
+
+
+def run(name: str) -> tuple[str, bool]:
+    """Execute one notebook; return what to tell the user and whether it passed."""
+    for folder in ("notebooks", "claims", "status", "failed"):
+        (BUILD / folder).mkdir(parents=True, exist_ok=True)
+    output = BUILD / "notebooks" / f"{name}.ipynb"
+    failed = BUILD / "failed" / f"{name}.ipynb"
+    record = BUILD / "claims" / f"{name}.json"
+    for stale in (output, failed, record, BUILD / "status" / f"{name}.json"):
+        stale.unlink(missing_ok=True)
+    key = inputs_hash(name)
+    start = perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        # Each kernel talks over sockets in a folder of its own; the default names collide.
+        sockets = Config({"KernelManager": {"transport": "ipc", "ip": f"{folder}/k"}})
+        try:
+            papermill.execute_notebook(
+                ROOT / "notebooks" / f"{name}.ipynb",
+                failed,
+                parameters={"record": str(record.relative_to(ROOT))},
+                cwd=str(ROOT),
+                kernel_name="python3",
+                progress_bar=False,
+                config=sockets,
+            )
+        except PapermillExecutionError as error:
+            where = failed.relative_to(ROOT)
+            return (
+                f"FAILED in cell {error.cell_index}: {error.ename}: {error.evalue} ({where})",
+                False,
+            )
+    seconds = perf_counter() - start
+    notebook = nbformat.read(failed, as_version=4)
+    publishable(notebook)
+    nbformat.write(notebook, output)
+    failed.unlink()
+    checks = json.loads(record.read_text()) if record.exists() else []
+    judged = sum(entry["verdict"] != "result" for entry in checks)
+    status = {"notebook": name, "key": key, "seconds": round(seconds, 1), "checks": judged}
+    (BUILD / "status" / f"{name}.json").write_text(json.dumps(status, indent=1) + "\n")
+    return f"{seconds:.1f} s, {judged} checks passed", True
+
+
+def publishable(notebook: nbformat.NotebookNode) -> None:
+    """Remove what papermill and the kernel left that names a time or a place on this machine."""
+    notebook.metadata.pop("papermill", None)
+    for cell in notebook.cells:
+        cell.metadata.pop("papermill", None)
+        cell.metadata.pop("execution", None)
+        if "injected-parameters" in cell.metadata.get("tags", []):
+            cell.metadata.tags.append("remove-cell")
+    if str(ROOT) in nbformat.writes(notebook):
+        raise RuntimeError(f"an output names {ROOT}; print paths relative to the project instead")
+
+
+def up_to_date(name: str) -> bool:
+    status = BUILD / "status" / f"{name}.json"
+    made = [BUILD / "notebooks" / f"{name}.ipynb", BUILD / "claims" / f"{name}.json", status]
+    if not all(path.exists() for path in made):
+        return False
+    return json.loads(status.read_text())["key"] == inputs_hash(name)
+
+
+def inputs_hash(name: str) -> str:
+    """Hash everything that a notebook's outputs depend on."""
+    files = [
+        ROOT / "notebooks" / f"{name}.ipynb",
+        ROOT / "environment.txt",
+        Path(__file__),
+        *(ROOT / "microlib").rglob("*.py"),
+        *(path for path in (ROOT / "data").rglob("*") if path.is_file()),
+    ]
+    if name.startswith(LAST):
+        files += [p for p in (BUILD / "claims").glob("*.json") if not p.name.startswith(LAST)]
+    digest = hashlib.sha256(sys.version.encode())
+    for path in sorted(files):
+        digest.update(str(path.relative_to(ROOT)).encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,163 @@
+"""The microscope model against its equations, OpenCV, SciPy, and its own inverse."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+
+from microlib.microscope import Microscope, distort, euler_rotation, undistort
+
+SCOPE = Microscope(
+    200490,
+    126150,
+    78750,
+    distortion=-8.4e-10,
+    alpha=np.deg2rad(90.7144),
+    beta=np.deg2rad(-2.7912),
+    gamma=np.deg2rad(175.9179),
+    tx=-781.4,
+    ty=-55.002,
+)
+# Rounding only: a few operations on numbers of about 1e5 µm, each good to 1e-16.
+ROUNDING = 1e-11
+
+angles = st.floats(-np.pi, np.pi)
+small_tilts = st.floats(-0.35, 0.35)
+
+
+@given(angles, angles, angles)
+@settings(deadline=None, max_examples=50)
+def test_rotation_is_scipys_extrinsic_xyz(alpha, beta, gamma):
+    expected = Rotation.from_euler("xyz", [gamma, beta, alpha]).as_matrix()
+    np.testing.assert_allclose(euler_rotation(alpha, beta, gamma), expected, atol=1e-14)
+
+
+def test_projection_is_the_printed_equation():
+    """(2.11) written out for one point, with the undistortion inverted by bisection."""
+    world = np.array([123.0, -456.0, 7.0])
+    x, y, z = SCOPE.rotation @ world + [SCOPE.tx, SCOPE.ty, 126150 + 78750]
+    flat = (200490 + 126150) * np.array([x, y]) / z
+    radius = np.hypot(*flat)
+    scale = brentq(lambda s: s * (1 - 8.4e-10 * (s * radius) ** 2) - 1, 0.9, 1.1, xtol=1e-15)
+    expected = flat * scale / 9.9 + [(656 - 1) / 2, (491 - 1) / 2]
+    np.testing.assert_allclose(SCOPE.project(world[None])[0], expected, atol=1e-9)
+
+
+def test_projection_agrees_with_opencv_without_distortion():
+    scope = replace(SCOPE, distortion=0.0, pixel_size=(9.9, 8.3))
+    world = np.random.default_rng(1).uniform(-1500, 1500, (40, 3))
+    f = (200490 + 126150) / np.array([9.9, 8.3])
+    camera = np.array([[f[0], 0, 327.5], [0, f[1], 245.0], [0, 0, 1]])
+    expected, _ = cv2.projectPoints(
+        world, cv2.Rodrigues(scope.rotation)[0], scope.translation, camera, None
+    )
+    np.testing.assert_allclose(scope.project(world), expected[:, 0], atol=1e-8)
+
+
+def test_plane_points_are_world_points_at_zero_height():
+    plane = np.random.default_rng(2).uniform(-1500, 1500, (20, 2))
+    np.testing.assert_array_equal(
+        SCOPE.project(plane), SCOPE.project(np.column_stack([plane, np.zeros(20)]))
+    )
+
+
+@given(
+    alpha=angles,
+    beta=small_tilts,
+    tilt=small_tilts,
+    behind=st.booleans(),
+    shift=st.tuples(st.floats(-2e3, 2e3), st.floats(-2e3, 2e3)),
+    magnification=st.floats(0.5, 20),
+    distortion=st.floats(-2e-9, 2e-9),
+)
+@settings(deadline=None, max_examples=100)
+def test_back_projection_undoes_projection(
+    alpha, beta, tilt, behind, shift, magnification, distortion
+):
+    f = 2e5 / magnification
+    gamma = tilt + np.pi * behind
+    scope = Microscope(2e5, f, f * f / 2e5, distortion, alpha, beta, gamma, *shift)
+    pixels = np.random.default_rng(3).uniform(0, [655, 490], (30, 2))
+    plane = scope.back_project(pixels)
+    # 1e-9 relative to the field of view: the numbers themselves may be near zero.
+    np.testing.assert_allclose(scope.project(plane), pixels, rtol=0, atol=656e-9)
+    field = 656 * 9.9 / magnification + np.abs(shift).max()
+    again = scope.back_project(scope.project(plane))
+    np.testing.assert_allclose(again, plane, rtol=0, atol=1e-9 * field)
+
+
+@given(st.floats(-1e-8, 1e-8), st.floats(0, 5000), angles)
+@settings(deadline=None, max_examples=200)
+def test_distortion_and_its_inverse(distortion, radius, angle):
+    flat = radius * np.array([np.cos(angle), np.sin(angle)])
+    seen = distort(flat, distortion)
+    if 27 / 4 * -distortion * radius**2 > 1:
+        assert np.isnan(seen).all()
+    elif 27 / 4 * -distortion * radius**2 < 0.99:  # at the fold the inverse loses half its digits
+        np.testing.assert_allclose(undistort(seen, distortion), flat, rtol=1e-13, atol=ROUNDING)
+
+
+def test_positive_kappa_moves_points_inwards():
+    """(2.10) maps distorted to undistorted: with κ > 0 the image is the smaller of the two."""
+    assert (distort([3000.0, 0.0], 1e-9) < [3000.0, 1e-9]).all()
+    assert undistort([3000.0, 0.0], 1e-9)[0] == pytest.approx(3000 * (1 + 1e-9 * 9e6), rel=1e-15)
+
+
+def test_beyond_the_fold_is_nan():
+    # The fold of u(1 + κu²) lies at u = 1/√(−3κ), where u' = 2u/3.
+    fold = 1 / np.sqrt(3e-8)
+    assert np.isnan(undistort([fold * 1.01, 0.0], -1e-8)).all()
+    assert np.isnan(distort([fold * 2 / 3 * 1.01, 0.0], -1e-8)).all()
+    assert distort([fold * 2 / 3 * 0.9999999, 0.0], -1e-8)[0] == pytest.approx(fold, rel=1e-3)
+
+
+def test_behind_the_objective_is_nan():
+    points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1e6]])  # seen from behind: +Z comes closer
+    assert np.isnan(SCOPE.project(points)).all(axis=1).tolist() == [False, True]
+    edge_on = replace(SCOPE, beta=np.pi / 2, distortion=0.0)
+    seen = edge_on.back_project([[0.0, 10.0], [327.5, 10.0]])
+    assert np.isnan(seen).any(axis=1).any()
+
+
+def test_magnification_and_tilt():
+    in_focus = Microscope(2e5, 1e5, 5e4)
+    assert in_focus.magnification == pytest.approx(2.0, rel=1e-15)
+    assert SCOPE.magnification == pytest.approx((200490 + 126150) / (126150 + 78750), rel=1e-15)
+    normal = SCOPE.rotation[:, 2]
+    assert SCOPE.tilt == pytest.approx(np.arccos(abs(normal[2])), abs=1e-12)
+    assert Microscope(2e5, 1e5, 5e4, beta=1e-9).tilt == pytest.approx(1e-9, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"focal_length": 0.0}, "focal_length"),
+        ({"tube_length": -1.0}, "tube_length"),
+        ({"distance": np.nan}, "distance"),
+        ({"distortion": np.inf}, "distortion"),
+        ({"alpha": [1.0, 2.0]}, "alpha"),
+        ({"pixel_size": (9.9, 0.0)}, "pixel_size"),
+        ({"pixel_size": (9.9, 9.9, 9.9)}, "pixel_size"),
+        ({"image_size": (656, 0)}, "image_size"),
+        ({"image_size": (656.5, 491)}, "image_size"),
+        ({"image_size": 656}, "image_size"),
+    ],
+)
+def test_bad_parameters_are_named(change, word):
+    with pytest.raises(ValueError, match=word):
+        replace(SCOPE, **change)
+
+
+@pytest.mark.parametrize("points", [[1.0, 2.0], [[1.0]], np.empty((0, 2)), [[np.nan, 0.0]], "ab"])
+def test_bad_points_are_refused(points):
+    with pytest.raises(ValueError, match="points"):
+        SCOPE.project(points)
+    with pytest.raises(ValueError, match="pixels"):
+        SCOPE.back_project(points)

@@ -1,0 +1,126 @@
+"""The notebooks: how they are written, what they recorded, and that they fail when they should."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import nbformat
+import numpy as np
+import papermill
+import pytest
+from papermill.exceptions import PapermillExecutionError
+from traitlets.config import Config
+
+from microlib import ledger
+
+ROOT = Path(__file__).resolve().parent.parent
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("[0-9]*.ipynb"))
+CHAPTER_5 = ROOT / "notebooks" / "05_experimental_results.ipynb"
+
+
+def parameters(notebook: nbformat.NotebookNode) -> list[nbformat.NotebookNode]:
+    return [c for c in notebook.cells if "parameters" in c.metadata.get("tags", [])]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_is_written_as_the_book_says(path: Path) -> None:
+    notebook = nbformat.read(path, as_version=4)
+    number = int(path.stem[:2])
+    title = next(line for line in notebook.cells[0].source.splitlines() if line.startswith("# "))
+    assert number > 6 or title.startswith(f"# {number} "), title
+    (cell,) = parameters(notebook)
+    assert "record" in cell.source
+    for cell in notebook.cells:
+        if cell.cell_type != "code":
+            continue
+        assert not cell.outputs, f"{cell.id} has outputs; run `make format`"
+        figure = cell.metadata.get("mystnb", {})
+        if "figure" in figure:
+            assert figure["figure"]["caption"].endswith("."), cell.id
+            assert len(figure["image"]["alt"]) > 20, cell.id
+        elif "plt.show()" in cell.source:
+            pytest.fail(f"{cell.id} draws a figure without a caption")
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_prose_holds_no_typed_result(path: Path) -> None:
+    """A number with three or more decimals in running text is a result and belongs to a role."""
+    notebook = nbformat.read(path, as_version=4)
+    for cell in notebook.cells:
+        if cell.cell_type != "markdown":
+            continue
+        prose = re.sub(r"\$\$.*?\$\$|\$.*?\$|`.*?`", "", cell.source, flags=re.S)
+        assert not re.search(r"(?<![\w.])\d+\.\d{3,}", prose), f"{cell.id}: {prose}"
+
+
+def test_every_judged_claim_has_its_record(claims_folder: Path) -> None:
+    records = ledger.read_records(claims_folder)
+    for claim in ledger.claims().values():
+        if claim.verdict in ("lost", "given", "pending"):
+            assert claim.id not in records, f"{claim.id} is recorded but {claim.verdict}"
+        else:
+            assert claim.id in records, f"{claim.id} is {claim.verdict} but no notebook records it"
+            assert records[claim.id].verdict == claim.verdict
+
+
+def excerpt(folder: Path, prefix: str = "ch5") -> Path:
+    """Copy what a chapter needs into `folder`, its notebook cut to the cells of one section."""
+    for name in ("microlib", "data"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    notebook = nbformat.read(CHAPTER_5, as_version=4)
+    notebook.cells = [cell for cell in notebook.cells if cell.id.startswith(prefix)]
+    path = folder / "05_excerpt.ipynb"
+    nbformat.write(notebook, path)
+    return path
+
+
+def execute(path: Path, monkeypatch: pytest.MonkeyPatch, **values: object) -> nbformat.NotebookNode:
+    # The kernel starts in the copy, whose microlib comes before the installed one.
+    monkeypatch.setenv("PYTHONPATH", str(path.parent))
+    sockets = Config({"KernelManager": {"transport": "ipc", "ip": str(path.parent / "k")}})
+    return papermill.execute_notebook(
+        path,
+        path.with_suffix(".out.ipynb"),
+        parameters=values,
+        cwd=str(path.parent),
+        kernel_name="python3",
+        progress_bar=False,
+        config=sockets,
+    )
+
+
+def test_an_edited_constant_fails_and_names_the_claim(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = excerpt(tmp_path)
+    source = tmp_path / "microlib" / "membrane.py"
+    right, wrong = "numerator = 2 * np.pi *", "numerator = 2.001 * np.pi *"
+    assert right in source.read_text()
+    source.write_text(source.read_text().replace(right, wrong))
+    with pytest.raises(PapermillExecutionError, match=r"claim table-5\.6/E: printed 1\.3237"):
+        execute(path, monkeypatch)
+
+
+def test_chapter_5_runs_on_the_readers_own_outline(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = excerpt(tmp_path)
+    x = np.arange(0.0, 200.0)
+    y = 60 + 30 * np.exp(-(((x - 50) / 30) ** 2)) + 30 * np.exp(-(((x - 150) / 30) ** 2))
+    np.savetxt(tmp_path / "mine.csv", np.c_[x, y], delimiter=",", header="x,y", comments="")
+    done = execute(path, monkeypatch, outline="mine.csv", record="claims.json")
+    text = str([cell.get("outputs") for cell in done.cells])
+    assert "checks against the thesis are skipped" in text
+    assert "MPa" in text
+    assert not (tmp_path / "claims.json").exists()
+
+
+def test_runner_names_what_it_does_not_know() -> None:
+    command = [sys.executable, str(ROOT / "notebooks" / "run.py"), "99"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 1
+    assert "No notebook is called 99" in result.stdout

@@ -1,0 +1,169 @@
+"""The rendered embryo: does its outline obey the model, and is it drawn where it should be?"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import ndtr
+
+from microlib.synthetic import Embryo, embryo_image, embryo_sequence
+
+forces = st.floats(20.0, 300.0)
+rims = st.floats(350.0, 600.0)
+
+
+@settings(deadline=None, max_examples=15)
+@given(force=forces, modulus=st.floats(0.5, 2.0), rim=rims, c=st.floats(15.0, 35.0))
+def test_dimple_balances_force_and_stretch(force, modulus, rim, c):
+    """From the drawn points alone: strain (4.5) → stress (4.6) → depth (4.3)."""
+    embryo = Embryo.pressed(force, modulus=modulus, rim_radius=rim, probe_half_width=c)
+    a, h, nu = embryo.dimple_radius, embryo.thickness, embryo.poisson_ratio
+    x, y = embryo.outline(0.1).T
+    dimple = (x > c) & (x < a) & (y > -1.01 * embryo.dimple_depth)
+    order = np.argsort(x[dimple])
+    r, w = x[dimple][order], -y[dimple][order]
+    slope = np.gradient(w, r)
+    strain = 0.5 * np.trapezoid(0.5 * slope**2 * r, r) / np.trapezoid(r, r)
+    stress = modulus / (1 - nu) * strain
+    zeta = c / a
+    depth = -force / (4 * np.pi * stress * h) * (1 - zeta**2 + np.log(zeta**2))
+    # Differences over steps of 0.1 µm where the slope changes by its own size within c: 1 %.
+    assert depth == pytest.approx(embryo.dimple_depth, rel=0.01)
+
+
+@settings(deadline=None, max_examples=15)
+@given(force=forces, rim=rims)
+def test_volume_and_rim(force, rim):
+    embryo = Embryo.pressed(force, modulus=1.0, rim_radius=rim)
+    x, y = embryo.outline(0.5).T
+    right = x >= 0
+    order = np.arange(x.size)[right]
+    # Of revolution, by Green: V = π ∮ x² dy, clockwise; the flat bottom lies on no dy.
+    xs, ys = x[order], y[order]
+    volume = -np.pi * np.sum((xs[1:] ** 2 + xs[:-1] ** 2) / 2 * np.diff(ys))
+    assert volume == pytest.approx(4 / 3 * np.pi * embryo.radius**3, rel=1e-3)
+    near = np.abs(xs - embryo.dimple_radius) < 15
+    near &= ys > -5
+    bend = np.polyfit(xs[near] - embryo.dimple_radius, ys[near], 3)[1]
+    # A cubic over ±15 µm leaves quartic terms of (15/a)², below 2 %.
+    assert -1 / (2 * bend) == pytest.approx(rim, rel=0.03)
+
+
+def test_outline_has_no_corner_but_at_the_probe():
+    embryo = Embryo.pressed(150.0, modulus=1.0)
+    points = embryo.outline(1.0)
+    step = np.diff(np.concatenate([points, points[:1]]), axis=0)
+    turn = np.abs(np.angle(np.exp(1j * np.diff(np.unwrap(np.arctan2(step[:, 1], step[:, 0]))))))
+    corner = np.hypot(np.abs(points[1:, 0]) - 25.0, points[1:, 1] + embryo.dimple_depth) < 4
+    # A circle of 80 µm turns by 0.0125 rad a µm; nothing on this outline is rounder.
+    assert turn[~corner].max() < 0.02
+    assert turn[corner].max() > 0.3
+
+
+def test_table_5_6_is_one_of_them():
+    embryo = Embryo(modulus=1.3237, force=197.24, dimple_radius=246.95)
+    # Half a unit in the last place of E (5e-5) is a third of that in w_d: 0.0015 µm; of w_d 0.005.
+    assert embryo.dimple_depth == pytest.approx(121.22, abs=0.0065)
+
+
+def test_dented_inverts_pressed():
+    pressed = Embryo.pressed(120.0, modulus=0.8, rim_radius=500.0)
+    dented = Embryo.dented(pressed.dimple_depth, modulus=0.8, rim_radius=500.0)
+    assert dented.force == pytest.approx(120.0, rel=1e-9)
+    assert dented.dimple_radius == pytest.approx(pressed.dimple_radius, rel=1e-9)
+
+
+def test_image_shows_the_embryo_where_the_truth_says():
+    embryo = Embryo.pressed(150.0, modulus=1.0)
+    scene = embryo_image(
+        embryo, rng=np.random.default_rng(0), noise=0.0, unevenness=0.0, centre=(500.3, 240.7)
+    )
+    rim_x, rim_y = scene.to_pixels([[embryo.dimple_radius, 0.0]])[0]
+    column = scene.image[:, round(rim_x)].astype(float)
+    near = np.arange(round(rim_y) - 3, round(rim_y) + 4)
+    ground, fluid = column[near[0] - 5], column[near[-1] + 5]
+    # Blur of 1 px and a sensor cell of variance 1/12 px².
+    step = ground + (fluid - ground) * ndtr((near - rim_y) / np.sqrt(13 / 12))
+    dark = step - column[near]
+    # Centroid of the dark line, 8-bit; a column half a px beside the rim lies 0.01 px lower.
+    assert (dark * near).sum() / dark.sum() == pytest.approx(rim_y, abs=0.1)
+
+    row = scene.image[100].astype(float)  # above the embryo
+    half = (row[400] + row[500]) / 2
+    bar = np.flatnonzero(row[480:520] < half) + 480
+    left = bar[0] - (half - row[bar[0]]) / (row[bar[0] - 1] - row[bar[0]])
+    right = bar[-1] + (half - row[bar[-1]]) / (row[bar[-1] + 1] - row[bar[-1]])
+    # Straight edges between samples of a blurred edge, 8-bit: a few hundredths of a px.
+    assert (left + right) / 2 == pytest.approx(500.3, abs=0.05)
+    assert (right - left) * scene.pixel_size == pytest.approx(50.0, abs=0.5)
+
+
+def test_tilt_turns_the_scene_clockwise_about_its_centre():
+    scene = embryo_image(Embryo(1.0, 0.0, 1.0), rng=np.random.default_rng(0), tilt=0.1)
+    turned = scene.to_pixels([[100.0, 0.0], [0.0, 0.0]]) - scene.centre
+    length = 100.0 / scene.pixel_size
+    np.testing.assert_allclose(turned[0], [length * np.cos(0.1), length * np.sin(0.1)])
+    np.testing.assert_allclose(turned[1], 0.0, atol=1e-12)
+
+
+def test_noise_light_and_seed():
+    embryo = Embryo.pressed(100.0, modulus=1.0)
+    first = embryo_image(embryo, rng=np.random.default_rng(3), unevenness=0.2)
+    again = embryo_image(embryo, rng=np.random.default_rng(3), unevenness=0.2)
+    np.testing.assert_array_equal(first.image, again.image)
+    even = embryo_image(embryo, rng=np.random.default_rng(3), unevenness=0.0, noise=3.0).image
+    corner = even[:80, :80].astype(float)
+    # 6400 samples know their deviation to 1 %; rounding to 8 bits adds 1/12 to the variance.
+    assert corner.std() == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.04)
+    light = first.image[[40, 40, -40, -40], [40, -40, 40, -40]].astype(float)
+    assert np.ptp(light) > 10
+
+
+def test_sequence_rises_on_a_fixed_seat():
+    scenes = embryo_sequence([30.0, 120.0], modulus=1.0, rng=np.random.default_rng(0))
+    depths = [s.embryo.dimple_depth for s in scenes]
+    # At a constant rim radius the depth grows roughly as √F.
+    assert depths[1] / depths[0] == pytest.approx(2.0, rel=0.1)
+    seats = [s.to_pixels([[0.0, -s.embryo.height]])[0, 1] for s in scenes]
+    assert seats[0] == pytest.approx(seats[1], abs=1e-9)
+
+
+def test_untouched_embryo_is_round():
+    x, y = Embryo(1.0, 0.0, 1.0).outline(1.0).T
+    np.testing.assert_allclose(np.hypot(x, y + 600.0), 600.0, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: Embryo(-1.0, 10.0, 200.0), "modulus must be positive"),
+        (lambda: Embryo(1.0, 10.0, 20.0), r"dimple_radius must lie in \(25, 600\)"),
+        (lambda: Embryo(1.0, 10.0, 200.0, poisson_ratio=1.0), "poisson_ratio must lie"),
+        (lambda: Embryo(0.01, 500.0, 100.0), "dimple_radius must suit an embryo"),
+        (lambda: Embryo.pressed(0.0, modulus=1.0), "force must be positive"),
+        (lambda: Embryo.pressed(1e-9, modulus=1.0), "force must give a dimple"),
+        (lambda: Embryo.dented(3000.0, modulus=1.0), "depth must suit a dimple"),
+        (lambda: Embryo(1.0, 0.0, 1.0).outline(0.0), "spacing must be positive"),
+    ],
+)
+def test_impossible_embryos(build, message):
+    with pytest.raises(ValueError, match=message):
+        build()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"blur": 0.2}, "blur must lie"),
+        ({"noise": -1.0}, "noise must be zero or positive"),
+        ({"unevenness": 0.6}, "unevenness must lie"),
+        ({"shape": (10, 10)}, "shape must be a whole number of at least 64"),
+        ({"pixel_size": 0.0}, "pixel_size must be positive"),
+        ({"tilt": 4.0}, "tilt must lie"),
+    ],
+)
+def test_impossible_cameras(change, message):
+    with pytest.raises(ValueError, match=message):
+        embryo_image(Embryo(1.0, 0.0, 1.0), rng=np.random.default_rng(0), **change)
