@@ -13,11 +13,10 @@ from scipy import ndimage
 from microlib._checks import as_array, positive, whole
 from microlib.depth_correction import correct_spikes, smooth_depth
 from microlib.focus_measures import (
-    BROAD,
-    FINE,
     Banded,
     FocusMeasure,
     blur,
+    edge_measure,
     grey_variance,
     multiscale_measure,
     named_measure,
@@ -165,7 +164,7 @@ def depth_from_focus(
     refined = measure == "multiscale"
     if refined:
         noise = noise_level(first)
-        measures = [multiscale_measure(scales, noise) for scales in (BROAD, FINE)]
+        measures = [multiscale_measure(noise), edge_measure(noise)]
     elif callable(measure):
         function = _checked(measure)
         measures = [Banded(lambda _: function, reach=max(first.shape))]

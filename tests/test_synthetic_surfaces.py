@@ -42,10 +42,10 @@ def test_surfaces_have_the_curvature_of_their_names():
     # z'' = -8 h / w² at the crest, w in µm; a window of 3 px is exact on a parabola.
     assert found.mean[30, 30] == pytest.approx(-4 * height / (10 * width) ** 2, rel=1e-9)
     assert found.gaussian[30, 30] == pytest.approx(0, abs=1e-15)
-    ball = synthetic.sphere_on_plane((121, 121), radius=400.0, pixel_size=4.0)
+    ball = synthetic.sphere_on_plane((241, 241), radius=400.0, pixel_size=4.0)
     found = surface_curvature(ball, pixel_size=4.0)
-    assert found.mean[60, 60] == pytest.approx(-1 / 400, rel=0.01)
-    assert found.gaussian[60, 60] == pytest.approx(1 / 400**2, rel=0.01)
+    assert found.mean[120, 120] == pytest.approx(-1 / 400, rel=0.01)
+    assert found.gaussian[120, 120] == pytest.approx(1 / 400**2, rel=0.01)
     assert ball.max() == pytest.approx(800, rel=1e-3)
     assert ball[0, 0] == 0
 
