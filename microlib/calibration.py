@@ -161,8 +161,8 @@ def calibrate(
         Least squares, or Huber's loss at 1.345 robust standard deviations against outliers.
     groups : array_like of int, shape (N,), optional
         Points of one number have correlated errors, as the corners of one square have
-        (:attr:`microlib.detection.Detection.group`). The covariance then allows for it. Without
-        `groups` all errors are taken as independent and alike.
+        (``group`` of :class:`microlib.detection.Detection`). The covariance then allows for it.
+        Without `groups` all errors are taken as independent and alike.
 
     Returns
     -------

@@ -98,7 +98,7 @@ def projection_jacobian(
     world : array_like, shape (N, 2)
         Points of the pattern plane, µm.
     parameters : tuple of str
-        Names of fields of `microscope`, any of :data:`PARAMETERS`; or "magnification" or "focus",
+        Names of fields of `microscope`, any of ``PARAMETERS``; or "magnification" or "focus",
         which is f with the plane kept in focus at the same magnification, T_op = M f and d = f/M.
 
     Returns

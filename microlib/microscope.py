@@ -142,7 +142,7 @@ class Microscope:
     Notes
     -----
     The points see only T_op + f and f + d, never the three lengths one by one: see
-    :func:`microlib.calibration.identifiability`.
+    :func:`microlib.calibration.calibrate`.
 
     Examples
     --------

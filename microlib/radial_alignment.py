@@ -45,8 +45,8 @@ def radial_alignment(world: ArrayLike, sensor: ArrayLike) -> Array:
     The thesis divides by T_y, as Tsai (1987) does; its printed row (2.15) should then read
     [v X_w, v Y_w, v, −u X_w, −u Y_w]. Here the six unknowns are kept and found up to scale by a
     singular value decomposition, which also serves when T_y is zero. The scale follows from the
-    upper left block of a rotation having the singular values 1 and |cos θ|, the same condition that
-    Tsai solves as a quadratic equation.
+    upper left block of a rotation having the singular values 1 and the absolute cosine of the tilt,
+    the same condition that Tsai solves as a quadratic equation.
 
     Examples
     --------

@@ -2,8 +2,8 @@
 
 - ``{map}`` with ``equation``, ``figure`` or ``table``: the map's rows of that kind, each linked to
   its place in the chapter and to the function behind it.
-- Every displayed formula with a ``\\tag`` from the thesis gets an anchor and a link to its function.
-- The page of a function that the map names gets links back to its equations, figures and tables.
+- Every displayed formula with a ``\\tag`` of the thesis gets an anchor and a link to its function.
+- The page of a function that the map names links back to its equations, figures and tables.
 - A figure whose data were kept gets a link to them.
 """
 
@@ -28,6 +28,7 @@ ROOT = Path(__file__).resolve().parents[2]
 FIGURES = ROOT / "build" / "figures"
 CAPTION = re.compile(r"\*\*(Figures?|Tables?) ([^*]+)\*\*")
 TAG = re.compile(r"\\tag\{(\d\.\d+)\}")
+TABLE = re.compile(r"^\(table-(\d)-(\d)\)=", flags=re.M)
 KINDS = ("equation", "figure", "table")
 
 
@@ -45,15 +46,15 @@ def find_items(notebooks: Path) -> dict[str, tuple[str, str]]:
             for number in captioned(figure.get("caption", "")):
                 found.setdefault(f"figure-{number}", (path.stem, figure["name"]))
             if cell.cell_type == "markdown":
-                for number in TAG.findall(cell.source):
-                    found.setdefault(f"equation-{number}", (path.stem, nodes.make_id(f"equation-{number}")))
-                for number in re.findall(r"^\(table-(\d)-(\d)\)=", cell.source, flags=re.M):
-                    found.setdefault(f"table-{'.'.join(number)}", (path.stem, f"table-{'-'.join(number)}"))
+                items = [f"equation-{number}" for number in TAG.findall(cell.source)]
+                items += [f"table-{a}.{b}" for a, b in TABLE.findall(cell.source)]
+                for item in items:
+                    found.setdefault(item, (path.stem, nodes.make_id(item)))
     return found
 
 
 def captioned(caption: str) -> list[str]:
-    """Return the thesis' figure numbers that a caption names: ``Figures 5.6 to 5.8`` gives three."""
+    """Return the thesis' figures that a caption names: ``Figures 5.6 to 5.8`` gives three."""
     match = CAPTION.match(caption)
     if not match or not match[1].startswith("Figure"):
         return []
@@ -94,7 +95,8 @@ class Map(SphinxDirective):
                 stem, anchor = places[item]
                 here = self.env.docname
                 uri = self.env.app.builder.get_relative_uri(here, f"notebooks/{stem}")
-                link = nodes.reference("", "", internal=True, refuri=f"{uri}#{nodes.make_id(anchor)}")
+                target = f"{uri}#{nodes.make_id(anchor)}"
+                link = nodes.reference("", "", internal=True, refuri=target)
                 link += label
                 label = link
             functions = nodes.inline()
@@ -150,7 +152,8 @@ def link_data(app: Sphinx, doctree: nodes.document) -> None:
         if not links or not captions:
             continue
         text = ", ".join(f'<a href="{up}_static/figures/{n}" download>{n}</a>' for n in links)
-        captions[0] += nodes.raw("", f' <span class="figure-data">Data: {text}</span>', format="html")
+        html = f' <span class="figure-data">Data: {text}</span>'
+        captions[0] += nodes.raw("", html, format="html")
 
 
 def link_back(
