@@ -48,6 +48,7 @@ __all__ = [
     "open_record",
     "read_records",
     "report",
+    "scorecard",
     "summary",
 ]
 
@@ -496,6 +497,52 @@ def read_records(folder: str | os.PathLike[str]) -> dict[str, Record]:
                 raise ValueError(f"{entry['id']} is recorded twice, the second time in {path.name}")
             records[entry["id"]] = Record(**entry)
     return records
+
+
+def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
+    """
+    Tabulate every claim with what the notebooks recorded for it.
+
+    Parameters
+    ----------
+    folder : path-like
+        Folder of records, as for `read_records`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row a claim in the thesis' order: claim, part (the table or section it belongs to),
+        quantity, kind, printed, rounding (half a unit in the last place), ours, low, high, unit,
+        verdict, identified, note.
+
+    Examples
+    --------
+    >>> table = scorecard("no/such/folder")
+    >>> table.loc[table["claim"] == "table-5.6/E", "printed"].item()
+    '1.3237'
+    """
+    records = read_records(folder)
+    rows = []
+    for stated in claims().values():
+        record = records.get(stated.id)
+        rows.append(
+            {
+                "claim": stated.id,
+                "part": stated.id.split("/")[0].replace("-", " ").capitalize(),
+                "quantity": stated.what,
+                "kind": stated.kind,
+                "printed": stated.printed,
+                "rounding": math.nan if stated.kind == "stated" else half_ulp(stated.printed),
+                "ours": "" if record is None else str(replace(record, unit="")),
+                "low": math.nan if record is None else record.low,
+                "high": math.nan if record is None else record.high,
+                "unit": stated.unit,
+                "verdict": stated.verdict,
+                "identified": stated.identified,
+                "note": stated.note,
+            }
+        )
+    return pd.DataFrame(rows)
 
 
 def _places(stated: Claim) -> int:

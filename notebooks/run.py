@@ -107,7 +107,14 @@ def run(name: str) -> tuple[str, bool]:
     failed.unlink()
     checks = json.loads(record.read_text()) if record.exists() else []
     judged = sum(entry["verdict"] != "result" for entry in checks)
-    status = {"notebook": name, "key": key, "seconds": round(seconds, 1), "checks": judged}
+    status = {
+        "notebook": name,
+        "key": key,
+        "seconds": round(seconds, 1),
+        "checks": judged,
+        "python": sys.version.split()[0],
+        **{part: files_hash(files) for part, files in inputs(name).items()},
+    }
     (BUILD / "status" / f"{name}.json").write_text(json.dumps(status, indent=1) + "\n")
     return f"{seconds:.1f} s, {judged} checks passed", True
 
@@ -132,21 +139,32 @@ def up_to_date(name: str) -> bool:
     return json.loads(status.read_text())["key"] == inputs_hash(name)
 
 
-def inputs_hash(name: str) -> str:
-    """Hash everything that a notebook's outputs depend on."""
-    files = [
-        ROOT / "notebooks" / f"{name}.ipynb",
-        ROOT / "environment.txt",
-        Path(__file__),
-        *(ROOT / "microlib").rglob("*.py"),
-        *(path for path in (ROOT / "data").rglob("*") if path.is_file()),
-    ]
+def inputs(name: str) -> dict[str, list[Path]]:
+    """Return the files that a notebook's outputs depend on, by what they are."""
+    parts = {
+        "notebook_file": [ROOT / "notebooks" / f"{name}.ipynb"],
+        "library": list((ROOT / "microlib").rglob("*.py")),
+        "data": [path for path in (ROOT / "data").rglob("*") if path.is_file()],
+        "lock": [ROOT / "environment.txt"],
+        "runner": [Path(__file__)],
+    }
     if name.startswith(LAST):
-        files += [p for p in (BUILD / "claims").glob("*.json") if not p.name.startswith(LAST)]
-    digest = hashlib.sha256(sys.version.encode())
+        claims = (BUILD / "claims").glob("*.json")
+        parts["claims"] = [path for path in claims if not path.name.startswith(LAST)]
+    return parts
+
+
+def files_hash(files: list[Path]) -> str:
+    digest = hashlib.sha256()
     for path in sorted(files):
         digest.update(str(path.relative_to(ROOT)).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
+
+
+def inputs_hash(name: str) -> str:
+    """Hash everything that a notebook's outputs depend on."""
+    digests = [files_hash(files) for files in inputs(name).values()]
+    return hashlib.sha256("".join([sys.version, *digests]).encode()).hexdigest()
 
 
 if __name__ == "__main__":

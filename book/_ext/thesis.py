@@ -2,9 +2,11 @@
 
 - ``{ours}`id` ``: our number as recorded; ``{printed}`id` ``: the thesis' number;
   ``{verdict}`id` ``: the verdict.
-- ``{claims}`` with a prefix: a table of all claims whose id begins with it.
+- ``{claims}`` with a prefix: a table of all claims whose id begins with it; with ``:filter:``
+  readers can narrow it down.
 - ``{errata}``: every fault of the thesis with its proof.
 - ``{benchmarks}``: every result of ``benchmarks/results`` with the machine named.
+- ``{status}``: how each notebook's run went, with the hashes of what it depended on.
 
 A number that was never recorded stops the build, so the text cannot outlive its notebook.
 """
@@ -12,14 +14,23 @@ A number that was never recorded stops the build, so the text cannot outlive its
 from __future__ import annotations
 
 import json
+from importlib.metadata import version
 from pathlib import Path
+from typing import ClassVar
 
 from docutils import nodes
+from docutils.parsers.rst import directives
 from docutils.statemachine import StringList
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective, SphinxRole
 
 from microlib import ledger
+
+PACKAGES = ("numpy", "scipy", "scikit-image", "opencv-python-headless", "matplotlib", "pandas")
+FILTER = """<div class="claims-filter">
+<label>Find <input type="search" data-claims-text></label>
+<label>Verdict <select data-claims-verdict><option value="">all</option></select></label>
+<output data-claims-count></output></div>"""
 
 ROOT = Path(__file__).resolve().parents[2]
 CLAIMS = ROOT / "build" / "claims"
@@ -58,6 +69,7 @@ class Claims(SphinxDirective):
     """A table of the claims whose id begins with the argument; all of them without one."""
 
     optional_arguments = 1
+    option_spec: ClassVar = {"filter": directives.flag}
 
     def run(self) -> list[nodes.Node]:
         prefix = self.arguments[0] if self.arguments else ""
@@ -80,7 +92,37 @@ class Claims(SphinxDirective):
                 claim.unit,
             ]
             rows.append([*cells, badge(claim)])
-        return [table(head, rows, classes=["claims"])]
+        result = [table(head, rows, classes=["claims"])]
+        if "filter" in self.options:
+            result.insert(0, nodes.raw("", FILTER, format="html"))
+        return result
+
+
+class Status(SphinxDirective):
+    """A table of the notebooks' runs, and the versions that they ran with."""
+
+    def run(self) -> list[nodes.Node]:
+        runs = [
+            json.loads(p.read_text()) for p in sorted((ROOT / "build" / "status").glob("*.json"))
+        ]
+        head = ["Notebook", "Run time (s)", "Checks passed", "Notebook's hash"]
+        rows = [
+            [
+                r["notebook"],
+                str(r["seconds"]),
+                str(r["checks"]),
+                nodes.literal("", r["notebook_file"][:12]),
+            ]
+            for r in runs
+        ]
+        shared = [
+            ["microlib", nodes.literal("", runs[0]["library"][:12])],
+            ["data", nodes.literal("", runs[0]["data"][:12])],
+            ["environment.txt", nodes.literal("", runs[0]["lock"][:12])],
+            ["Python", runs[0]["python"]],
+            *([name, version(name)] for name in PACKAGES),
+        ]
+        return [table(head, rows), table(["What they ran with", "Hash or version"], shared)]
 
 
 class Errata(SphinxDirective):
@@ -167,6 +209,12 @@ def table(head: list[str], rows: list[list], *, classes: list[str] | None = None
     return result
 
 
+def write_scorecard(app: Sphinx, error: Exception | None) -> None:
+    if error is None and app.builder.format == "html":
+        path = Path(app.outdir) / "_static" / "scorecard.csv"
+        ledger.scorecard(CLAIMS).to_csv(path, index=False)
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     app.add_role("ours", Ours())
     app.add_role("printed", Printed())
@@ -174,5 +222,8 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.add_directive("claims", Claims)
     app.add_directive("errata", Errata)
     app.add_directive("benchmarks", Benchmarks)
+    app.add_directive("status", Status)
     app.add_css_file("thesis.css")
+    app.add_js_file("filter.js", loading_method="defer")
+    app.connect("build-finished", write_scorecard)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
