@@ -88,7 +88,7 @@ def _median_of_known(z: NDArray[np.float64], n: int) -> NDArray[np.float64]:
 
 
 def smooth_depth(
-    depth: ArrayLike, *, jump: float, radius: float = 5.0, weight: ArrayLike | None = None
+    depth: ArrayLike, *, jump: float, radius: float = 7.0, weight: ArrayLike | None = None
 ) -> NDArray[np.float64]:
     """Smooth a depth map by planes fitted around every pixel, on its own side of a step.
 
@@ -121,8 +121,9 @@ def smooth_depth(
     A plane and not a mean is fitted, so that a slope is not pulled towards its better lit side. A
     neighbour at difference v counts :math:`(1 - (v/\\mathrm{jump})^2)^2`, Tukey's biweight. On a
     slope the differences themselves narrow the window along the gradient, which limits the bias
-    on steep flanks. Every second neighbour in x and y is used: depth from focus is smooth from
-    pixel to pixel, its errors are not independent.
+    on steep flanks. What the planes leave over is smoothed in the same way and added (Tukey's
+    twicing): most of what they cut from a curved surface returns. Neighbours are taken some pixels
+    apart, because the errors of a depth from focus are alike from pixel to pixel.
 
     Examples
     --------
@@ -140,54 +141,67 @@ def smooth_depth(
     if trust.shape != z.shape:
         raise ValueError(f"weight must have the shape {z.shape} of depth, got {trust.shape}")
     known = ~np.isnan(z)
-    values = np.where(known, z / limit, 0.0).astype(np.float32)
-    weights = np.where(known, trust, 0.0).astype(np.float32)
-    shift = np.empty(z.shape)
-    band = 64
-    for top in range(0, len(z), band):  # bands stay in the processor's cache
-        shift[top : top + band] = _plane_shift(values, weights, top, top + band, sigma)
-    return np.where(known, z + limit * shift, np.nan)
+    if not known.any():
+        return z.copy()
+    # In units of the jump and from the median, where float32 has digits to spare.
+    rest = (np.where(known, z, np.nan) - np.nanmedian(z)) / limit
+    smooth = np.nanmedian(z)
+    for _ in range(2):
+        once = rest + _plane_shift(rest, np.where(known, trust, 0.0), sigma)
+        smooth, rest = smooth + limit * once, rest - once
+    return smooth
 
 
 def _plane_shift(
-    values: NDArray[np.float32], weights: NDArray[np.float32], top: int, bottom: int, sigma: float
+    depth: NDArray[np.float64], trust: NDArray[np.float64], sigma: float
 ) -> NDArray[np.float64]:
-    """Return by how much the local plane passes above the value, for rows `top` to `bottom`."""
-    rows = values[top:bottom]
-    reach = 2 * int(np.ceil(sigma))
-    low, high = max(top - reach, 0), min(bottom + reach, len(values))
-    around = ((reach - top + low, reach - high + min(bottom, len(values))), (reach, reach))
-    padded = np.pad(values[low:high], around, mode="edge")
-    trust = np.pad(weights[low:high], around)
-    height, width = rows.shape
-    moments = np.zeros((6, height, width), np.float32)
-    products = np.zeros((3, height, width), np.float32)
-    buffer = np.empty_like(rows)
-    offsets = range(-reach, reach + 1, 2)
-    for dy in offsets:
-        for dx in offsets:
-            square = dx * dx + dy * dy
-            if square > reach * reach:
-                continue
-            part = np.s_[reach + dy : reach + dy + height, reach + dx : reach + dx + width]
-            v = padded[part] - rows
-            w = np.maximum(1 - v * v, 0)
-            w *= w
-            w *= trust[part]
-            w *= np.float32(np.exp(-square / (2 * sigma**2)))
-            v *= w
-            for total, factor in zip(moments, (1, dx, dy, dx * dx, dy * dy, dx * dy), strict=True):
-                if factor:
-                    total += np.multiply(w, np.float32(factor), out=buffer)
-            for total, factor in zip(products, (1, dx, dy), strict=True):
-                if factor:
-                    total += np.multiply(v, np.float32(factor), out=buffer)
-    s, sx, sy, sxx, syy, sxy = moments.astype(np.float64)
-    t, tx, ty = products.astype(np.float64)
+    """Return by how much the plane through its neighbourhood passes above each depth."""
+    stride = max(1, round(sigma / 2.5))
+    reach = stride * int(2 * sigma / stride)
+    values = np.pad(np.nan_to_num(depth).astype(np.float32), reach, mode="edge")
+    weights = np.pad(trust.astype(np.float32), reach)
+    offsets = [
+        (dx, dy)
+        for dy in range(-reach, reach + 1, stride)
+        for dx in range(-reach, reach + 1, stride)
+        if dx * dx + dy * dy <= 4 * sigma**2
+    ]
+    shift = np.empty(depth.shape)
+    for top in range(0, len(depth), 64):  # bands stay in the processor's cache
+        rows = slice(top, min(top + 64, len(depth)) + 2 * reach)
+        shift[top : top + 64] = _band_shift(values[rows], weights[rows], reach, offsets, sigma)
+    return shift
+
+
+def _band_shift(
+    values: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    reach: int,
+    offsets: list[tuple[int, int]],
+    sigma: float,
+) -> NDArray[np.float64]:
+    """Do the work of `_plane_shift` for a band with `reach` pixels around it."""
+    here = values[reach:-reach, reach:-reach]
+    height, width = here.shape
+    # Sums of w, wx, wy, wx², wy², wxy and of wv, wvx, wvy over the neighbours.
+    moments = np.zeros((9, height, width), np.float32)
+    buffer = np.empty_like(here)
+    for dx, dy in offsets:
+        there = np.s_[reach + dy : reach + dy + height, reach + dx : reach + dx + width]
+        v = values[there] - here
+        w = np.maximum(1 - v * v, 0)
+        w *= w
+        w *= weights[there]
+        w *= np.float32(np.exp(-(dx * dx + dy * dy) / (2 * sigma**2)))
+        v *= w
+        factors = (1, dx, dy, dx * dx, dy * dy, dx * dy, 1, dx, dy)
+        for k, (total, factor) in enumerate(zip(moments, factors, strict=True)):
+            if factor:
+                total += np.multiply(w if k < 6 else v, np.float32(factor), out=buffer)
+    s, sx, sy, sxx, syy, sxy, t, tx, ty = moments.astype(np.float64)
     # A little stiffness in the slopes decides where the neighbours lie on one line.
     sxx += 0.05 * s
     syy += 0.05 * s
     a, b, c = sxx * syy - sxy * sxy, sx * syy - sxy * sy, sx * sxy - sxx * sy
     det = s * a - sx * b + sy * c
-    shift = t * a - tx * b + ty * c
-    return np.divide(shift, det, out=np.zeros_like(det), where=det > 0)
+    return np.divide(t * a - tx * b + ty * c, det, out=np.zeros_like(det), where=det > 0)

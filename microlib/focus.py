@@ -13,11 +13,10 @@ from scipy import ndimage
 from microlib._checks import as_array, positive, whole
 from microlib.depth_correction import correct_spikes, smooth_depth
 from microlib.focus_measures import (
-    BROAD,
-    FINE,
     Banded,
     FocusMeasure,
     blur,
+    edge_measure,
     grey_variance,
     multiscale_measure,
     named_measure,
@@ -40,9 +39,6 @@ __all__ = [
 
 #: Frames by which half the neighbours must differ for a pixel's best frame to count as chance.
 _CHANCE = 2
-#: Error of a smoothed depth over its roughness, which does not show errors that are smooth
-#: themselves.
-_HIDDEN = 2.0
 
 
 @dataclass(frozen=True)
@@ -54,8 +50,9 @@ class FocusResult:
     depth : ndarray of float32, shape (rows, cols)
         Position at which the pixel is sharpest, µm; NaN where that cannot be told.
     uncertainty : ndarray of float32, shape (rows, cols)
-        Scatter of the depths around, µm: a standard error for independent errors, large at steps,
-        where a pixel may belong to either side. NaN where `depth` is.
+        Estimate of the error, µm, from how rough the depth is around the pixel. It does not see
+        errors that are smooth over some ten pixels, and is large at steps, where a pixel may belong
+        to either side. NaN where `depth` is.
     confidence : ndarray of float32, shape (rows, cols)
         1 / (1 + (uncertainty / spacing of the frames)²), from 0 to 1; 0 where `depth` is NaN.
     index : ndarray of int, shape (rows, cols)
@@ -167,7 +164,7 @@ def depth_from_focus(
     refined = measure == "multiscale"
     if refined:
         noise = noise_level(first)
-        measures = [multiscale_measure(scales, noise) for scales in (BROAD, FINE)]
+        measures = [multiscale_measure(noise), edge_measure(noise)]
     elif callable(measure):
         function = _checked(measure)
         measures = [Banded(lambda _: function, reach=max(first.shape))]
@@ -181,7 +178,8 @@ def depth_from_focus(
     if refined:
         spacing = float(np.median(np.abs(np.diff(z))))
         depth = _refine(depth, profile.depths[1], profile.weight, spacing)
-    return _result(depth, profile, z, hidden=_HIDDEN if refined else 1.0)
+        depth = np.clip(depth, z.min() - spacing / 2, z.max() + spacing / 2)
+    return _result(depth, profile, z)
 
 
 def _check_positions(positions: ArrayLike) -> NDArray[np.float64]:
@@ -242,7 +240,7 @@ def _refine(
     trust = None
     if weight is not None:
         trust = np.clip(weight / np.median(weight[known]), 1e-4, 1e4)
-    return smooth_depth(steps, jump=1.5, radius=5.0, weight=trust) * spacing
+    return smooth_depth(steps, jump=1.5, weight=trust) * spacing
 
 
 def _filled(depth: NDArray) -> NDArray:
@@ -285,18 +283,16 @@ def _choose_side(broad: NDArray, fine: NDArray, sure: NDArray[np.bool_]) -> NDAr
     return result
 
 
-def _result(
-    depth: NDArray, profile: Profile, positions: NDArray[np.float64], hidden: float
-) -> FocusResult:
+def _result(depth: NDArray, profile: Profile, positions: NDArray[np.float64]) -> FocusResult:
     """Estimate the errors of the depths and put the result together."""
     spacing = float(np.median(np.abs(np.diff(positions))))
     known = ~np.isnan(depth)
     # In frames and from the middle of the stack, where float32 has digits to spare.
     steps = (depth - np.float32(positions.mean())) / np.float32(spacing)
     steps = steps.astype(np.float32, copy=False)
-    error = np.float32(hidden) * _roughness(_filled(steps))
+    error = _roughness(_filled(steps))
     index = profile.index.astype(np.int32)
-    confidence = 1 / (1 + error * error)
+    confidence = np.reciprocal(1 + error * error)
     if not known.all():
         error[~known], confidence[~known], index[~known] = np.nan, 0, -1
     return FocusResult(

@@ -251,35 +251,50 @@ class Scale:
         return blur(_modified_laplacian(blur(image, self.smooth)), self.spread)
 
 
-#: The pair that decides the depth, and the pair that decides to which side of an edge a pixel
-#: belongs: chosen on rendered stacks with slopes, steps, weak and coarse texture, noise and JPEG,
-#: as benchmarks/focus.py shows.
-BROAD = (Scale(1.0, 1.5), Scale(2.0, 6.0))
-FINE = (Scale(0.5, 1.0), Scale(0.5, 3.0))
+#: The scales that decide the depth, chosen on rendered stacks with slopes, weak and coarse texture,
+#: noise and JPEG; benchmarks/focus.py compares.
+_SCALES = (Scale(1.0, 1.5), Scale(2.0, 6.0))
 
 
-def multiscale_measure(scales: tuple[Scale, ...], noise: float) -> Banded:
-    """Return the product of a measure at several scales, each raised by what `noise` makes of it.
+def multiscale_measure(noise: float) -> Banded:
+    """Return a product of modified Laplacians at two scales, for frames with that much noise.
 
-    The fine scale places the peak at an edge, the coarse one keeps it where texture is weak:
-    where a scale sees nothing but noise it is flat, and the others decide.
+    The fine scale places the peak on a slope, the coarse one keeps it where texture is weak. Each
+    is raised by what it makes of noise alone: where it sees nothing else, it is nearly flat, and
+    the other decides.
     """
-    floors = [noise * scale.gain for scale in scales]
+    fine, coarse = _SCALES
+    floors = [np.float32(noise * scale.gain) for scale in _SCALES]
 
-    def measure(image: NDArray) -> NDArray[np.float32]:
+    def measure(image: NDArray) -> NDArray:
         grey = image.astype(np.float32)
-        total = scales[0](grey) + np.float32(floors[0])
-        for scale, floor in zip(scales[1:], floors[1:], strict=True):
-            total *= scale(grey) + np.float32(floor)
-        return total
+        return (fine(grey) + floors[0]) * (coarse(grey) + floors[1])
 
-    return Banded(lambda _: measure, reach=max(scale.reach for scale in scales))
+    return Banded(lambda _: measure, reach=max(scale.reach for scale in _SCALES))
+
+
+def edge_measure(noise: float) -> Banded:
+    """Return a measure that tells on which side of a step in depth a pixel lies.
+
+    It is the deviation of the pixel from a mean over 4 px. A second difference takes half of its
+    weight from the neighbours, and next to a step they may be those of the other side; here the
+    pixel itself counts, and its neighbours only through a window of half a pixel. A second window
+    of 2 px steadies the product.
+    """
+    floor = np.float32(noise * np.sqrt(2 / np.pi))
+
+    def measure(image: NDArray) -> NDArray:
+        grey = image.astype(np.float32)
+        deviation = np.abs(grey - blur(grey, 4.0))
+        return (blur(deviation, 0.5) + floor) * (blur(deviation, 2.0) + floor)
+
+    return Banded(lambda _: measure, reach=24)
 
 
 def noise_level(frame: NDArray) -> float:
     """Estimate the noise of a frame from its quietest twentieth, grey levels."""
-    raw = Scale(0.5, 3.0)
-    quiet = float(np.percentile(raw(frame.astype(np.float32)), 5)) / raw.gain
+    scale = Scale(0.5, 3.0)
+    quiet = float(np.percentile(scale(frame.astype(np.float32)), 5)) / scale.gain
     rounding = np.sqrt(1 / 12) if frame.dtype.kind == "u" else 0.0
     # A floor keeps the product and its logarithm positive; float32 holds seven digits.
     return max(quiet, rounding, 1e-6 * float(np.abs(frame).max()), 1e-30)

@@ -76,11 +76,10 @@ class PeakTracker:
     def _judge(self) -> None:
         centre = self._measures[self._reach]
         cv2.compare(centre, self.window[self._reach], cv2.CMP_GT, dst=self._better)
-        for measure, kept in zip(self._measures, self.window, strict=True):
-            if measure is centre:
-                cv2.max(measure, kept, dst=kept)
-            else:
-                cv2.copyTo(measure, self._better, dst=kept)
+        for k, measure in enumerate(self._measures):
+            if k != self._reach:
+                cv2.copyTo(measure, self._better, dst=self.window[k])
+        cv2.max(centre, self.window[self._reach], dst=self.window[self._reach])
         cv2.copyTo(self._frames[0], self._better, dst=self.image)
         self._mark()
         self._next += 1

@@ -97,22 +97,21 @@ def _check(name: str, frame: NDArray) -> NDArray:
 
 def _pages(path: Path) -> Iterator[tuple[str, NDArray]]:
     """Yield the pages of a TIFF; a page that ends after the file does is refused, not padded."""
-    page = 0
     try:
-        with tifffile.TiffFile(path) as tiff:
-            size = path.stat().st_size
-            for page in range(len(tiff.pages)):
-                ifd = tiff.pages[page].aspage()
-                ends = np.add(ifd.dataoffsets, ifd.databytecounts)
-                if not len(ends) or ends.max() > size:
-                    raise ValueError("the file is cut off")
-                yield f"page {page} of {path}", ifd.asarray()
-    except OSError as error:
+        tiff = tifffile.TiffFile(path)
+    except Exception as error:  # damaged headers raise whatever their bytes lead to
         raise ValueError(f"frames cannot be read from {path}: {error}") from error
-    except (ValueError, IndexError, KeyError, RuntimeError, TypeError) as error:
-        if str(path) in str(error) and not isinstance(error, tifffile.TiffFileError):
-            raise
-        raise ValueError(f"page {page} of {path} cannot be read: {error}") from error
+    with tiff:
+        for number in range(len(tiff.pages)):
+            try:
+                page = tiff.pages[number].aspage()
+                ends = np.add(page.dataoffsets, page.databytecounts)
+                if len(ends) == 0 or ends.max() > tiff.filehandle.size:
+                    raise ValueError("the file is cut off")
+                image = page.asarray()
+            except Exception as error:  # as above, and each codec has errors of its own
+                raise ValueError(f"page {number} of {path} cannot be read: {error}") from error
+            yield f"page {number} of {path}", image
 
 
 def _image(path: Path) -> NDArray:

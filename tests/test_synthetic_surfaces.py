@@ -1,0 +1,138 @@
+"""The scenes themselves: what is called truth has to be true."""
+
+import cv2
+import numpy as np
+import pytest
+
+from microlib import curvature, synthetic
+from microlib.curvature import hk_labels, surface_curvature
+
+SHAPE = (40, 50)
+
+
+def test_textures_have_the_contrast_asked_for_and_detail_at_every_scale():
+    texture = synthetic.mixed_texture((256, 256), np.random.default_rng(0), mean=100, std=20)
+    assert texture.mean() == pytest.approx(100, abs=1e-3)
+    assert texture.std() == pytest.approx(20, rel=1e-4)
+    octaves = [
+        np.std(cv2.GaussianBlur(texture, (0, 0), s) - cv2.GaussianBlur(texture, (0, 0), 2 * s))
+        for s in (0.7, 1.4, 2.8, 5.6)
+    ]
+    # Five scales of equal variance: no octave has less than a sixth of the contrast.
+    assert min(octaves) > 20 / 6
+
+
+def test_patchy_texture_is_weak_somewhere_and_strong_elsewhere():
+    texture = synthetic.patchy_texture((256, 256), np.random.default_rng(0), weakest=0.05)
+    tiles = texture.reshape(16, 16, 16, 16).std(axis=(1, 3))
+    assert tiles.max() > 4 * tiles.min()
+
+
+def test_one_seed_one_scene():
+    for make in (synthetic.mixed_texture, synthetic.patchy_texture):
+        once, again, other = (make(SHAPE, np.random.default_rng(seed)) for seed in (1, 1, 2))
+        np.testing.assert_array_equal(once, again)
+        assert not np.array_equal(once, other)
+
+
+def test_surfaces_have_the_curvature_of_their_names():
+    height, width = 500.0, 40.0
+    parabola = synthetic.parabolic_cylinder((61, 61), height, width=width)
+    found = surface_curvature(parabola, pixel_size=10.0, size=3)
+    # z'' = -8 h / w² at the crest, w in µm; a window of 3 px is exact on a parabola.
+    assert found.mean[30, 30] == pytest.approx(-4 * height / (10 * width) ** 2, rel=1e-9)
+    assert found.gaussian[30, 30] == pytest.approx(0, abs=1e-15)
+    ball = synthetic.sphere_on_plane((241, 241), radius=400.0, pixel_size=4.0)
+    found = surface_curvature(ball, pixel_size=4.0)
+    assert found.mean[120, 120] == pytest.approx(-1 / 400, rel=0.01)
+    assert found.gaussian[120, 120] == pytest.approx(1 / 400**2, rel=0.01)
+    assert ball.max() == pytest.approx(800, rel=1e-3)
+    assert ball[0, 0] == 0
+
+
+@pytest.mark.parametrize("label", sorted(set(curvature.HK_NAMES) - {4}))
+def test_each_patch_gets_its_own_label(label):
+    found = surface_curvature(synthetic.quadric_patch(label), pixel_size=1.0)
+    labels = hk_labels(found.mean, found.gaussian, h_zero=1e-3, k_zero=1e-5)
+    assert labels[20, 20] == label
+
+
+def test_simple_surfaces():
+    dome = synthetic.paraboloid((41, 41), 14.0)
+    assert (dome.max(), dome[0, 0], dome[20, 0]) == (14.0, 0.0, 7.0)
+    assert np.ptp(synthetic.cone(SHAPE, 10.0, 15.0)) == pytest.approx(10, rel=0.05)
+    plane = synthetic.tilted_plane(SHAPE, 0.5, -0.25)
+    np.testing.assert_allclose(np.gradient(plane), [np.full(SHAPE, -0.25), np.full(SHAPE, 0.5)])
+    edge = synthetic.step(SHAPE, 7.0, at=0.2)
+    assert (edge[:, 9].max(), edge[:, 10].min()) == (0.0, 7.0)
+
+
+def test_roughness_is_that_of_the_ball_alone():
+    smooth = synthetic.sphere_on_plane((80, 80), 30.0, 1.0)
+    rough = synthetic.sphere_on_plane(
+        (80, 80), 30.0, 1.0, roughness=2.0, rng=np.random.default_rng(0)
+    )
+    ball = smooth > 0
+    assert (rough - smooth)[ball].std() == pytest.approx(2, rel=0.3)  # some 100 grains
+    assert np.ptp((rough - smooth)[~ball]) == 0
+
+
+def test_frames_are_blurred_by_the_distance_to_focus():
+    rng = np.random.default_rng(0)
+    texture = synthetic.mixed_texture(SHAPE, rng)
+    stack = synthetic.focal_stack(texture, np.full(SHAPE, 5.0), [0.0, 5.0, 10.0], blur_rate=0.3)
+    for frame, distance in zip(stack, (5.0, 0.0, 5.0), strict=True):
+        sigma = np.hypot(0.5, 0.3 * distance)
+        peer = cv2.GaussianBlur(texture, (31, 31), sigma, borderType=cv2.BORDER_REFLECT)
+        # Half a grey level of rounding and what the ladder of blurs leaves.
+        assert np.abs(frame - np.clip(peer, 0, 255)).max() < 0.8
+
+
+def test_noise_has_its_standard_deviation():
+    flat = np.full((200, 200), 128.0)
+    frames = synthetic.focal_frames(
+        flat, 0 * flat, [0.0, 1.0], blur_rate=1.0, noise=3.0, rng=np.random.default_rng(0)
+    )
+    for frame in frames:
+        # Rounding adds 1/12 of a square grey level; 40000 pixels give 0.4 %.
+        assert frame.std() == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.02)
+
+
+def test_thesis_stack_knows_two_levels_of_blur():
+    texture = synthetic.mixed_texture(SHAPE, np.random.default_rng(0))
+    positions = 25.0 * np.arange(21)
+    height = synthetic.parabolic_cylinder(SHAPE, 500.0)
+    stack = synthetic.thesis_stack(texture, height, positions)
+    sharp = np.clip(np.rint(texture), 0, 255)
+    focused = (stack == sharp[None]).sum(axis=0)
+    assert np.median(focused) <= 2  # its own frame, and chance
+    nearest = np.abs(height - positions[:, None, None]).argmin(axis=0)
+    np.testing.assert_array_equal(np.take_along_axis(stack, nearest[None], 0)[0], sharp)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: synthetic.quadric_patch(4), "label must be one of"),
+        (lambda: synthetic.sphere_on_plane(SHAPE, 3.0, 1.0, roughness=1.0), "rng must be given"),
+        (lambda: synthetic.step(SHAPE, 3.0, at=1.5), "at must lie in"),
+        (lambda: synthetic.cone(SHAPE, -1.0, 3.0), "height must be positive"),
+        (lambda: synthetic.parabolic_cylinder((1, 9), 1.0), "shape must be a whole number"),
+        (
+            lambda: synthetic.focal_stack(np.eye(4), np.eye(4), [0.0], blur_rate=1.0, noise=1.0),
+            "rng must be given",
+        ),
+        (
+            lambda: synthetic.focal_stack(np.eye(4), np.eye(5), [0.0], blur_rate=1.0),
+            "height must have",
+        ),
+        (lambda: synthetic.thesis_stack(np.eye(4), np.eye(5), [0.0]), "height must have shape"),
+        (
+            lambda: synthetic.mixed_texture(SHAPE, np.random.default_rng(0), scales=0),
+            "scales must be",
+        ),
+    ],
+)
+def test_bad_input_is_refused_by_name(call, words):
+    with pytest.raises(ValueError, match=words):
+        call()
