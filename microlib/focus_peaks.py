@@ -131,7 +131,8 @@ def fit_peak(
     because the logarithm of a small one is uncertain, and with the square of an inverted parabola
     centred on the peak. Real profiles have longer tails than a Gaussian: a window that is not
     centred leans on one of them, and pulls the depth towards the middle between frames. The peak is
-    only known after a first fit, so there are two.
+    only known after a first fit, so there are two. Near the ends of the stack the window is made
+    narrower for the same reason, to no less than three frames.
 
     The weight is height times sharpness of the peak, which goes as the inverse variance of the
     depth up to a common factor. Where the parabola opens upwards the depth is NaN; a vertex beyond
@@ -153,17 +154,30 @@ def fit_peak(
             t = steps[np.clip(frame, 0, len(positions) - 1)] - here
             share = np.maximum(np.where(inside, measure / best, 1.0), _FAINT)
             samples.append((t, np.log(share), np.where(inside, share, 0.0)))
+        width = _half_widths(steps, reach)[index]
         vertex = np.zeros_like(best)
         for _ in range(2):
-            linear, square = _fit_parabola(samples, vertex, reach + 0.5)
+            linear, square = _fit_parabola(samples, vertex, width)
             vertex = np.clip(-linear / (2 * square), lowest, highest)
         vertex[~(square < 0)] = np.nan
     weight = best * np.fmax(-square, 0)
     return ((here + vertex) * spacing).astype(np.float32), weight.astype(np.float32)
 
 
+def _half_widths(steps: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
+    """Return for each frame how far the fit around it may look: equally far to both sides."""
+    last = len(steps) - 1
+    widths = np.empty(len(steps))
+    for k in range(len(steps)):
+        # At an end there is but one side, and two frames on it make up the least three.
+        count = min(k, last - k, reach) or 2
+        low, high = max(k - count, 0), min(k + count, last)
+        widths[k] = np.abs(steps[[low, high]] - steps[k]).max() + 0.5
+    return widths
+
+
 def _fit_parabola(
-    samples: list[tuple[NDArray, NDArray, NDArray]], centre: NDArray[np.float64], reach: float
+    samples: list[tuple[NDArray, NDArray, NDArray]], centre: NDArray, reach: NDArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the linear and the square coefficient of weighted parabolas y(t)."""
     sums = np.zeros((5, *centre.shape))
