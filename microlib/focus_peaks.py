@@ -142,9 +142,7 @@ def fit_peak(
     spacing = float(np.median(np.abs(np.diff(positions))))
     steps = positions / spacing
     here = steps[index]
-    low, high = sorted((steps[0], steps[-1]))
-    lowest = np.maximum(-1.0, low - 0.5 - here)
-    highest = np.minimum(1.0, high + 0.5 - here)
+    lowest, highest, width = _limits(steps, reach)[:, index]
     best = window[reach].astype(np.float64)
     samples = []
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -154,7 +152,6 @@ def fit_peak(
             t = steps[np.clip(frame, 0, len(positions) - 1)] - here
             share = np.maximum(np.where(inside, measure / best, 1.0), _FAINT)
             samples.append((t, np.log(share), np.where(inside, share, 0.0)))
-        width = _half_widths(steps, reach)[index]
         vertex = np.zeros_like(best)
         for _ in range(2):
             linear, square = _fit_parabola(samples, vertex, width)
@@ -164,16 +161,28 @@ def fit_peak(
     return ((here + vertex) * spacing).astype(np.float32), weight.astype(np.float32)
 
 
-def _half_widths(steps: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
-    """Return for each frame how far the fit around it may look: equally far to both sides."""
+def _limits(steps: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
+    """Return for each frame the least and greatest vertex around it and half the fit's width.
+
+    The vertex lies between the neighbouring frames, or half a spacing outside the stack. The fit
+    looks equally far to both sides, as far as there are frames on the shorter one.
+    """
     last = len(steps) - 1
-    widths = np.empty(len(steps))
-    for k in range(len(steps)):
+    limits = np.empty((3, len(steps)))
+    for k, here in enumerate(steps):
         # At an end there is but one side, and two frames on it make up the least three.
         count = min(k, last - k, reach) or 2
-        low, high = max(k - count, 0), min(k + count, last)
-        widths[k] = np.abs(steps[[low, high]] - steps[k]).max() + 0.5
-    return widths
+        seen = steps[max(k - count, 0) : k + count + 1] - here
+        near = steps[max(k - 1, 0) : k + 2] - here
+        # The window moves to the vertex: no frame of three may lose its weight by that.
+        margin = (0.5 if count > 1 else 1.0) * np.abs(near).max()
+        outside = (steps[k] - steps[1 if k == 0 else last - 1]) / 2 if k in (0, last) else 0.0
+        limits[:, k] = (
+            min(near.min(), outside),
+            max(near.max(), outside),
+            np.abs(seen).max() + margin,
+        )
+    return limits
 
 
 def _fit_parabola(
