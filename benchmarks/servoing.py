@@ -43,7 +43,7 @@ TASKS = {
     "step of 50 px": np.full((66, 2), 50.0),
     "circle, 40 px/s": circle_path(40.0, 40.0, INTERVAL),
     "square, 40 px/s": square_path(60.0, 40.0, INTERVAL),
-    "sinusoid, 40 px/s": sinusoid_path(100.0, 20.0, 40.0, INTERVAL),
+    "sinusoid, 15 px/s": sinusoid_path(100.0, 20.0, 15.0, INTERVAL),
 }
 
 
@@ -129,19 +129,18 @@ def modes() -> pd.DataFrame:
         for task in TASKS:
             rng = np.random.default_rng(0)
             scene = gripper_scene(rng, pixel_size=1 / scale, reach=110)
-            box = scene.box(size)
-            home = np.array(box[:2]) + (size - 1) / 2
             # The path is centred in the frame, so that the window stays inside it.
-            away = -(TASKS[task].min(axis=0) + TASKS[task].max(axis=0)) / 2
-            tracker = ESMTracker(scene.frame(away, rng), _moved(box, away), "translation")
-            start = np.array(_moved(box, away)[:2]) + (size - 1) / 2 - home - away
+            away = -np.rint((TASKS[task].min(axis=0) + TASKS[task].max(axis=0)) / 2)
+            box = scene.box(size, away)
+            origin = np.array(box[:2]) + (size - 1) / 2
+            tracker = ESMTracker(scene.frame(away, rng), box, "translation")
             view = tracked_view(
                 lambda feature, scene=scene, away=away, rng=rng: scene.frame(feature + away, rng),
                 tracker,
             )
 
-            def observer(feature: NDArray, view=view, home=home, away=away, start=start) -> NDArray:
-                return view(feature) - home - away - start
+            def observer(feature: NDArray, view=view, origin=origin) -> NDArray:
+                return view(feature) - origin
 
             make = controllers(scale)["optimal (2.28)"]
             rendered = run(make(), scale, task, 1, observer=observer)
@@ -160,11 +159,6 @@ def modes() -> pd.DataFrame:
                 }
             )
     return pd.DataFrame(rows)
-
-
-def _moved(box: tuple[int, int, int, int], by: NDArray) -> tuple[int, int, int, int]:
-    x, y = np.rint(np.array(box[:2]) + by).astype(int)
-    return int(x), int(y), box[2], box[3]
 
 
 def _rms(values: NDArray) -> float:

@@ -20,10 +20,10 @@ from microlib.synthetic.gripper import (
     WarpedPair,
     camera_frame,
     gripper_scene,
-    speckle_texture,
     texture_sequence,
     warped_pair,
 )
+from microlib.synthetic.textures import mixed_texture
 from microlib.tracking import ESMTracker, KalmanFilter
 
 Array = NDArray[np.float64]
@@ -214,7 +214,7 @@ def moving_texture(speed: float, seed: int) -> tuple[list, Array]:
     """Frames of one texture that moves as a whole, and the path of one of its points."""
     rng = np.random.default_rng(seed)
     path = np.rint(circle(speed, rng))
-    texture = speckle_texture((400, 400), rng)
+    texture = mixed_texture((400, 400), rng, scales=1.0, std=45.0)
     frames = [
         camera_frame(np.roll(texture, (int(y), int(x)), (0, 1))[:300, :300], rng, noise=2.0)
         for x, y in path

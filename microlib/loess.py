@@ -9,6 +9,9 @@ from microlib._checks import as_array, between, positive, same_length, whole
 
 __all__ = ["loess"]
 
+# Points times neighbours that are solved together: what fits into a processor's cache.
+_BLOCK = 32768
+
 
 def loess(
     x: ArrayLike,
@@ -89,15 +92,7 @@ def loess(
     # Moving a neighbourhood on by one point swaps its first for the next; it pays as long as the
     # two lie symmetrically left of x. The sums rise, so that the place is a binary search.
     first = np.searchsorted(x[: len(x) - k] + x[k:], 2 * x) if k < len(x) else np.zeros(len(x), int)
-    members = first[:, np.newaxis] + np.arange(k)
-    distance = x[members] - x[:, np.newaxis]
-    reach = np.abs(distance).max(axis=1, keepdims=True)
-    if (reach == 0).any():
-        raise ValueError(f"x must differ within each neighbourhood of {k} points, got equal values")
-    u = distance / reach
-    tricube = (1 - np.abs(u) ** 3) ** 3 * given[members]
-
-    smooth = _local_fits(u, y[members], tricube, degree)
+    smooth = _smooth(x, y, given, first, k, degree)
     if np.isnan(smooth).any():
         raise ValueError(
             f"x must hold {degree + 1} different values in each neighbourhood of {k} points, got "
@@ -109,12 +104,36 @@ def loess(
         if scale == 0:
             break
         bisquare = np.clip(1 - (residual / scale) ** 2, 0, None) ** 2
-        again = _local_fits(u, y[members], tricube * bisquare[members], degree)
+        again = _smooth(x, y, given * bisquare, first, k, degree)
         # Where a whole neighbourhood is left out there is nothing better than what was.
         smooth = np.where(np.isnan(again), smooth, again)
     result = np.empty_like(smooth)
     result[order] = smooth
     return result
+
+
+def _smooth(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    first: NDArray[np.intp],
+    k: int,
+    degree: int,
+) -> NDArray[np.float64]:
+    """Value of each point's own polynomial, over the `k` points from `first`; NaN where open."""
+    smooth = np.empty_like(x)
+    block = max(1, _BLOCK // k)
+    for start in range(0, len(x), block):
+        rows = slice(start, start + block)
+        members = first[rows, np.newaxis] + np.arange(k)
+        u = x[members] - x[rows, np.newaxis]
+        reach = np.abs(u).max(axis=1, keepdims=True)
+        u /= np.where(reach > 0, reach, 1.0)
+        cube = np.abs(u)
+        cube = 1 - cube * cube * cube
+        tricube = cube * cube * cube * weights[members]
+        smooth[rows] = _local_fits(u, y[members], tricube, degree)
+    return smooth
 
 
 def _local_fits(

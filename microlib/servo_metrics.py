@@ -149,14 +149,14 @@ def circle_path(radius: float, speed: float, interval: float) -> Array:
     >>> bool(np.allclose(np.hypot(path[:, 0] + 50, path[:, 1]), 50))
     True
     """
-    arc = _arc_length(2 * np.pi * float(positive("radius", radius)), speed, interval)
+    arc = _samples(2 * np.pi * float(positive("radius", radius)), speed, interval)
     return radius * np.column_stack([np.cos(arc / radius) - 1.0, np.sin(arc / radius)])
 
 
 def square_path(side: float, speed: float, interval: float) -> Array:
     """Return one turn around a square from the origin, K×2; parameters as in `circle_path`."""
     side = float(positive("side", side))
-    arc = _arc_length(4 * side, speed, interval)
+    arc = _samples(4 * side, speed, interval)
     corners = side * np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
     stops = side * np.arange(5)
     return np.column_stack([np.interp(arc, stops, corners[:, axis]) for axis in (0, 1)])
@@ -165,24 +165,22 @@ def square_path(side: float, speed: float, interval: float) -> Array:
 def sinusoid_path(
     length: float, amplitude: float, speed: float, interval: float, *, periods: float = 2.0
 ) -> Array:
-    """Return a sinusoid of `periods` along x, from the origin, at constant speed, K×2.
+    """Return a sinusoid of `periods` along x from the origin, K×2; x advances at `speed`.
 
-    `length` and `amplitude` are in one unit; speed and interval as in `circle_path`.
+    `length` and `amplitude` are in one unit, speed and interval as in `circle_path`. The speed
+    along the curve is largest where it crosses the axis.
     """
     length, height = float(positive("length", length)), float(positive("amplitude", amplitude))
-    wave = 2 * np.pi * float(positive("periods", periods)) / length
-    x = np.linspace(0.0, length, 4001)
-    y = height * np.sin(wave * x)
-    travelled = np.append(0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y))))
-    arc = _arc_length(travelled[-1], speed, interval)
-    x = np.interp(arc, travelled, x)
-    return np.column_stack([x, height * np.sin(wave * x)])
+    x = _samples(length, speed, interval)
+    return np.column_stack(
+        [x, height * np.sin(2 * np.pi * positive("periods", periods) / length * x)]
+    )
 
 
-def _arc_length(total: float, speed: float, interval: float) -> Array:
+def _samples(total: float, speed: float, interval: float) -> Array:
     step = float(positive("speed", speed)) * float(positive("interval", interval))
     if step > total:
         raise ValueError(
-            f"speed must leave more than one sample on a path of {total:g}, got {step:g}"
+            f"speed must leave more than one sample on a length of {total:g}, got {step:g}"
         )
     return np.arange(0.0, total, step)

@@ -4,6 +4,9 @@
 ``build/claims`` and one status file each in ``build/status``. A notebook is run again when it, the
 library, the data, the locked environment or this file changed. Chapter 6 reads the records of the
 others and is run last.
+
+With ``-p NAME VALUE`` one notebook runs once on the reader's own data. The executed copy goes to the
+folder ``--output``, and nothing is recorded against the thesis.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ from time import perf_counter
 
 import nbformat
 import papermill
+import yaml
 from papermill.exceptions import PapermillExecutionError
 from traitlets.config import Config
 
@@ -35,6 +39,16 @@ def main() -> int:
     parser.add_argument("names", nargs="*", help="notebooks to run, by name or its beginning")
     parser.add_argument("--force", action="store_true", help="run them even if nothing changed")
     parser.add_argument("--jobs", type=int, default=2, help="how many at a time")
+    parser.add_argument(
+        "-p",
+        nargs=2,
+        action="append",
+        default=[],
+        metavar=("NAME", "VALUE"),
+        dest="own",
+        help="set a parameter of one notebook, as papermill does",
+    )
+    parser.add_argument("--output", default="mine", help="folder for a run with -p")
     options = parser.parse_args()
     os.environ |= THREADS
     os.environ["PYTHONHASHSEED"] = "0"
@@ -45,6 +59,8 @@ def main() -> int:
     if not chosen:
         print(f"No notebook is called {' or '.join(options.names)}; there are {', '.join(every)}.")
         return 1
+    if options.own:
+        return run_own(chosen, dict(options.own), Path(options.output))
     failures = 0
     first = [name for name in chosen if not name.startswith(LAST)]
     last = [name for name in chosen if name.startswith(LAST)]
@@ -56,6 +72,46 @@ def main() -> int:
         if failures:
             break
     return 1 if failures else 0
+
+
+def run_own(names: list[str], values: dict[str, str], folder: Path) -> int:
+    """Run one notebook on the reader's own data; say in one line what is wrong with it, if so."""
+    if len(names) != 1:
+        print(f"-p needs one notebook, not {', '.join(names)}.")
+        return 1
+    source = ROOT / "notebooks" / f"{names[0]}.ipynb"
+    unknown = set(values) - set(papermill.inspect_notebook(source))
+    if unknown:
+        print(f"{names[0]} has no parameter {', '.join(sorted(unknown))}.")
+        return 1
+    folder.mkdir(parents=True, exist_ok=True)
+    output = folder / source.name
+    # As on papermill's own command line: 2.5 is a number, mine.tif a text.
+    parameters = {name: yaml.safe_load(value) for name, value in values.items()}
+    message, passed = execute(source, output, parameters, Path.cwd())
+    print(f"{output}: {message}")
+    return 0 if passed else 1
+
+
+def execute(source: Path, output: Path, parameters: dict, cwd: Path) -> tuple[str, bool]:
+    """Execute a notebook with papermill; return how it went and whether it passed."""
+    start = perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        # Each kernel talks over sockets in a folder of its own; the default names collide.
+        sockets = Config({"KernelManager": {"transport": "ipc", "ip": f"{folder}/k"}})
+        try:
+            papermill.execute_notebook(
+                source,
+                output,
+                parameters=parameters,
+                cwd=str(cwd),
+                kernel_name="python3",
+                progress_bar=False,
+                config=sockets,
+            )
+        except PapermillExecutionError as error:
+            return f"FAILED in cell {error.cell_index}: {error.ename}: {error.evalue}", False
+    return f"{perf_counter() - start:.1f} s", True
 
 
 def run_all(names: list[str], jobs: int) -> int:
@@ -80,27 +136,10 @@ def run(name: str) -> tuple[str, bool]:
     for stale in (output, failed, record, BUILD / "status" / f"{name}.json"):
         stale.unlink(missing_ok=True)
     key = inputs_hash(name)
-    start = perf_counter()
-    with tempfile.TemporaryDirectory() as folder:
-        # Each kernel talks over sockets in a folder of its own; the default names collide.
-        sockets = Config({"KernelManager": {"transport": "ipc", "ip": f"{folder}/k"}})
-        try:
-            papermill.execute_notebook(
-                ROOT / "notebooks" / f"{name}.ipynb",
-                failed,
-                parameters={"record": str(record.relative_to(ROOT))},
-                cwd=str(ROOT),
-                kernel_name="python3",
-                progress_bar=False,
-                config=sockets,
-            )
-        except PapermillExecutionError as error:
-            where = failed.relative_to(ROOT)
-            return (
-                f"FAILED in cell {error.cell_index}: {error.ename}: {error.evalue} ({where})",
-                False,
-            )
-    seconds = perf_counter() - start
+    source = ROOT / "notebooks" / f"{name}.ipynb"
+    message, passed = execute(source, failed, {"record": str(record.relative_to(ROOT))}, ROOT)
+    if not passed:
+        return f"{message} ({failed.relative_to(ROOT)})", False
     notebook = nbformat.read(failed, as_version=4)
     publishable(notebook)
     nbformat.write(notebook, output)
@@ -110,13 +149,13 @@ def run(name: str) -> tuple[str, bool]:
     status = {
         "notebook": name,
         "key": key,
-        "seconds": round(seconds, 1),
+        "seconds": float(message.removesuffix(" s")),
         "checks": judged,
         "python": sys.version.split()[0],
         **{part: files_hash(files) for part, files in inputs(name).items()},
     }
     (BUILD / "status" / f"{name}.json").write_text(json.dumps(status, indent=1) + "\n")
-    return f"{seconds:.1f} s, {judged} checks passed", True
+    return f"{message}, {judged} checks passed", True
 
 
 def publishable(notebook: nbformat.NotebookNode) -> None:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from microlib.calibration import calibrate
 from microlib.camera_jacobian import PARAMETERS, cramer_rao, projection_jacobian
+from microlib.ledger import claim
 from microlib.microscope import Microscope
 from microlib.patterns import (
     Imaging,
@@ -464,6 +465,45 @@ def test_from_image_to_microscope():
     )
     assert squares.microscope.magnification == pytest.approx(scope.magnification, rel=1e-4)
     assert squares.plane_error.mean < 0.0920
+
+
+# What the thesis prints
+
+
+COLUMNS = ("circle-1X", "circle-4X", "square-1X", "square-4X")
+
+
+def table_5_1(column, name):
+    return claim(f"table-5.1/{column}/{name}").value
+
+
+def test_the_printed_magnifications_do_not_hold_together():
+    """(2.12) wants T_op/f = (T_op + f)/(f + d); rounding allows 1e-4, and the print has more."""
+    gaps = []
+    for column in COLUMNS:
+        t, f, d = (table_5_1(column, k) for k in ("T_op", "f", "d"))
+        assert t / f == pytest.approx(table_5_1(column, "M"), rel=1e-4)
+        gaps.append((t + f) / (f + d) / (t / f) - 1)
+    np.testing.assert_allclose(gaps, [0.0030, -0.0010, 0.0016, 0.0001], atol=1e-4)
+
+
+def test_the_printed_range_of_one_column_contradicts_its_magnification():
+    t, f, d, z = (table_5_1("square-4X", k) for k in ("T_op", "f", "d", "T_z"))
+    assert float(claim("table-5.1/square-4X/T_z").corrected) == f + d
+    assert (t + f) / (f + d) == pytest.approx(table_5_1("square-4X", "M"), rel=1e-3)
+    assert (t + f) / z < 0.2 * table_5_1("square-4X", "M")
+
+
+@pytest.mark.parametrize(
+    ("column", "possible"), list(zip(COLUMNS, (True, True, False, False), strict=True))
+)
+def test_the_printed_spread_of_the_square_patterns_is_impossible(column, possible):
+    """Numbers in [0, m] with mean a have a variance of at most a (m − a), whatever they are."""
+    mean, std, top = (claim(f"table-5.2/{column}/{k}").value for k in ("mean", "std", "max"))
+    assert (std**2 <= mean * (top - mean)) is possible
+    # The bound itself, on the sets that come nearest to it: all values at the ends.
+    share = mean / top
+    assert np.sqrt(share * (1 - share)) * top == pytest.approx(np.sqrt(mean * (top - mean)))
 
 
 # Bad input

@@ -22,7 +22,8 @@ def draw(seed: int) -> EmbryoImage:
     return embryo_image(
         embryo,
         rng=rng,
-        centre=(rng.uniform(360.0, 660.0), rng.uniform(190.0, 310.0)),
+        shape=(360, 600),  # the dimple's side
+        centre=(rng.uniform(230.0, 370.0), rng.uniform(90.0, 130.0)),
         tilt=np.deg2rad(rng.uniform(-1.5, 1.5)),
         unevenness=rng.uniform(0.0, 0.2),
     )

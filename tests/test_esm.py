@@ -15,7 +15,7 @@ from microlib.esm import (
     half_pixel,
     make_stage,
 )
-from microlib.synthetic.gripper import speckle_texture
+from microlib.synthetic.textures import mixed_texture
 
 BOX = (30, 24, 40, 36)
 POSE = np.array([[20.0, 0, 49.5], [0, 20.0, 41.5], [0, 0, 1]])
@@ -26,7 +26,7 @@ def stage(motion: str, image: np.ndarray, smoothing: float = 1.0):
 
 
 def texture(seed: int = 0) -> np.ndarray:
-    return speckle_texture((90, 100), np.random.default_rng(seed), sigma=3.0).astype(np.float32)
+    return mixed_texture((90, 100), np.random.default_rng(seed), scales=3.0).astype(np.float32)
 
 
 @settings(deadline=None, max_examples=60)
@@ -86,7 +86,7 @@ def test_a_fit_undoes_a_small_warp_of_its_own_group(motion):
 
 def test_the_step_is_of_second_order():
     # Whole pixels, so that interpolation takes no part, on a texture much coarser than the steps.
-    image = speckle_texture((90, 100), np.random.default_rng(3), sigma=6.0).astype(np.float32)
+    image = mixed_texture((90, 100), np.random.default_rng(3), scales=6.0).astype(np.float32)
     one = stage("translation", image, smoothing=0.0)
     errors = []
     for distance in (4, 2):

@@ -7,14 +7,14 @@ from skimage.registration import phase_cross_correlation
 from microlib.synthetic.gripper import (
     camera_frame,
     gripper_scene,
-    speckle_texture,
     texture_sequence,
     warped_pair,
 )
+from microlib.synthetic.textures import mixed_texture
 
 
 def test_texture_has_the_correlation_of_a_blurred_noise():
-    texture = speckle_texture((400, 400), np.random.default_rng(0), sigma=1.5, contrast=30.0)
+    texture = mixed_texture((400, 400), np.random.default_rng(0), scales=1.5, std=30.0)
     assert texture.mean() == pytest.approx(128.0)
     assert texture.std() == pytest.approx(30.0)
     centred = texture - texture.mean()
@@ -90,7 +90,6 @@ def test_the_camera_counts_in_grey_levels():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda rng: speckle_texture((9, 9), rng, sigma=0.0), "sigma must be positive"),
         (lambda rng: warped_pair(rng, -1.0), "distance must be zero or positive"),
         (lambda rng: warped_pair(rng, 1.0, warp="bend"), "warp must be one of"),
         (lambda rng: gripper_scene(rng, pixel_size=0.5), "gap must be under a third"),

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from microlib.synthetic.gripper import (
     camera_frame,
     gripper_scene,
-    speckle_texture,
     texture_sequence,
     warped_pair,
 )
+from microlib.synthetic.textures import mixed_texture
 from microlib.tracking import ESMTracker, KalmanFilter
 
 INTERVAL = 1 / 33
@@ -102,7 +102,7 @@ def test_agrees_with_opencv_and_is_closer_to_the_truth(motion, mode, warp):
 
 
 def test_the_covariance_is_the_spread_of_the_errors():
-    scene = speckle_texture((110, 110), np.random.default_rng(1))
+    scene = mixed_texture((110, 110), np.random.default_rng(1), scales=1.0, std=45.0)
     rng = np.random.default_rng(2)
     tracker = ESMTracker(camera_frame(scene, rng, noise=0.0), (30, 30, 50, 50), "translation")
     centers, promised = [], []
@@ -123,7 +123,7 @@ def test_the_covariance_is_the_spread_of_the_errors():
     dy=st.integers(-6, 6),
 )
 def test_gain_bias_and_whole_pixels_are_recovered(gain, bias, dx, dy):
-    image = speckle_texture((120, 120), np.random.default_rng(7), sigma=2.0, contrast=20.0)
+    image = mixed_texture((120, 120), np.random.default_rng(7), scales=2.0, std=20.0)
     tracker = ESMTracker(image, (35, 40, 50, 40))
     track = tracker.track(gain * np.roll(image, (dy, dx), axis=(0, 1)) + bias)
     assert not track.lost
@@ -135,7 +135,7 @@ def test_gain_bias_and_whole_pixels_are_recovered(gain, bias, dx, dy):
 
 
 def test_a_template_may_leave_the_image_for_a_part():
-    texture = speckle_texture((150, 150), np.random.default_rng(4), sigma=2.0)
+    texture = mixed_texture((150, 150), np.random.default_rng(4), scales=2.0)
     rng = np.random.default_rng(5)
     tracker = ESMTracker(
         camera_frame(texture[30:, 30:], rng, noise=2.0), (20, 20, 50, 50), "affine"
@@ -151,7 +151,7 @@ def test_a_template_may_leave_the_image_for_a_part():
 
 
 def test_a_template_at_the_very_border_is_tracked():
-    texture = speckle_texture((100, 100), np.random.default_rng(6), sigma=2.0)
+    texture = mixed_texture((100, 100), np.random.default_rng(6), scales=2.0)
     tracker = ESMTracker(texture, (0, 50, 50, 50))
     track = tracker.track(np.roll(texture, (-2, 3), axis=(0, 1)))
     np.testing.assert_allclose(track.corners[0], (3, 48), atol=0.02)
@@ -198,7 +198,7 @@ def test_occlusion_and_cut_are_lost_and_the_return_is_found(motion):
     x, y, width, height = scene.box(50)
     covered[y - 5 : y + height + 15, x - 5 : x + width + 15] = 90
     covered = camera_frame(covered.astype(float), rng, noise=2.0)
-    elsewhere = camera_frame(speckle_texture((240, 320), rng, sigma=3.0), rng, noise=2.0)
+    elsewhere = camera_frame(mixed_texture((240, 320), rng, scales=3.0), rng, noise=2.0)
     for frame in (covered, elsewhere, np.zeros((240, 320), np.uint8)):
         track = tracker.track(frame)
         assert track.lost
@@ -212,7 +212,7 @@ def test_occlusion_and_cut_are_lost_and_the_return_is_found(motion):
 
 
 def test_a_target_that_left_is_out_of_view():
-    texture = speckle_texture((100, 200), np.random.default_rng(9))
+    texture = mixed_texture((100, 200), np.random.default_rng(9), scales=1.0, std=45.0)
     kalman = KalmanFilter((64.5, 44.5), interval=1.0, acceleration=500.0, noise=0.1)
     tracker = ESMTracker(texture, (40, 20, 50, 50), kalman=kalman)
     assert not tracker.track(np.roll(texture, -20, axis=1)).lost
@@ -239,7 +239,7 @@ def test_follows_a_fast_square_over_another_texture(speed, runs):
             assert np.linalg.norm(track.center - start - position + path[0]) < 0.1
 
 
-IMAGE = speckle_texture((80, 90), np.random.default_rng(0))
+IMAGE = mixed_texture((80, 90), np.random.default_rng(0), scales=1.0)
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ from docutils import nodes
 from docutils.parsers.rst import directives
 from docutils.statemachine import StringList
 from sphinx.application import Sphinx
+from sphinx.config import Config
 from sphinx.util.docutils import SphinxDirective, SphinxRole
 
 from microlib import ledger
@@ -209,6 +210,11 @@ def table(head: list[str], rows: list[list], *, classes: list[str] | None = None
     return result
 
 
+def keep_own_numbers(app: Sphinx, config: Config) -> None:
+    # A LaTeX helper of jupyter-book turns Sphinx' own figure numbers on, whatever the settings say.
+    config["numfig"] = False
+
+
 def write_scorecard(app: Sphinx, error: Exception | None) -> None:
     if error is None and app.builder.format == "html":
         path = Path(app.outdir) / "_static" / "scorecard.csv"
@@ -225,5 +231,6 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.add_directive("status", Status)
     app.add_css_file("thesis.css")
     app.add_js_file("filter.js", loading_method="defer")
+    app.connect("config-inited", keep_own_numbers, priority=900)
     app.connect("build-finished", write_scorecard)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

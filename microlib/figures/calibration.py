@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from microlib.detection import Detection
@@ -44,7 +45,8 @@ def draw_detection(
                 textcoords="offset points",
                 va="top",
                 fontsize=9,
-                color=COLORS["yellow"],
+                color=COLORS["orange"],
+                path_effects=[withStroke(linewidth=2.5, foreground="white")],
                 clip_on=True,
             )
     ax.set(
@@ -108,7 +110,8 @@ def draw_microscope(ax: Axes, microscope: Microscope, world: NDArray) -> None:
         start = screen(origin)[:, 0]
         for letter, axis in zip("xy", axes.T[:2], strict=True):
             end = screen(origin + size * axis)[:, 0]
-            ax.annotate("", end, start, arrowprops={"arrowstyle": "-|>", "color": color, "lw": 2})
+            arrow = {"arrowstyle": "-|>", "color": color, "lw": 2}
+            ax.annotate("", tuple(end), tuple(start), arrowprops=arrow)
             x, y = start + 1.18 * (end - start)
             ax.text(x, y, letter, color=color, ha="center", va="center")
         ax.text(start[0] - 4, start[1] + 6, name, color=color, fontsize=14, ha="right")

@@ -1,5 +1,6 @@
 """Scenes with known truth: what the algorithms are tested on. Nothing here imports an algorithm."""
 
+from microlib.synthetic.cells import CellImage, cell_image
 from microlib.synthetic.embryo import (
     SONY_PIXEL_SIZE,
     Embryo,
@@ -12,7 +13,6 @@ from microlib.synthetic.gripper import (
     WarpedPair,
     camera_frame,
     gripper_scene,
-    speckle_texture,
     texture_sequence,
     warped_pair,
 )
@@ -37,11 +37,13 @@ from microlib.synthetic.textures import (
 
 __all__ = [
     "SONY_PIXEL_SIZE",
+    "CellImage",
     "Embryo",
     "EmbryoImage",
     "GripperScene",
     "WarpedPair",
     "camera_frame",
+    "cell_image",
     "cone",
     "embryo_image",
     "embryo_sequence",
@@ -53,7 +55,6 @@ __all__ = [
     "paraboloid",
     "patchy_texture",
     "quadric_patch",
-    "speckle_texture",
     "sphere_on_plane",
     "step",
     "texture_sequence",

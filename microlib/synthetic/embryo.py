@@ -187,7 +187,7 @@ class Embryo:
         --------
         >>> embryo = Embryo.dented(121.22, modulus=1.3237)
         >>> print(f"radius {embryo.dimple_radius:.0f} µm, force {embryo.force:.0f} µN")
-        radius 246 µm, force 197 µN
+        radius 247 µm, force 198 µN
         """
         positive("depth", depth)
         positive("rim_radius", rim_radius)
@@ -548,7 +548,8 @@ def _yolk_depth(
     """How deep a point lies in the yolk, an ellipse that keeps clear of the chorion, in µm."""
     top = -embryo.dimple_depth - _YOLK_GAP
     bottom = -embryo.height + _YOLK_GAP
-    half_height, half_width = (top - bottom) / 2, 0.78 * embryo.radius
+    half_width = 0.78 * embryo.radius
+    half_height = min((top - bottom) / 2, half_width)
     level = np.hypot(x / half_width, (y - (top + bottom) / 2) / half_height)
     return (1.0 - level) * min(half_width, half_height)
 

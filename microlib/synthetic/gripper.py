@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from microlib._checks import as_array, one_of, positive, whole
+from microlib.synthetic.textures import mixed_texture
 
 __all__ = [
     "GripperScene",
     "WarpedPair",
     "camera_frame",
     "gripper_scene",
-    "speckle_texture",
     "texture_sequence",
     "warped_pair",
 ]
@@ -28,47 +28,11 @@ Frame = NDArray[np.uint8]
 #: 0.001 px.
 _DENSITY = 4
 
+#: Standard deviation of the grey values of a tracked texture.
+_CONTRAST = 45.0
+
 #: Standard deviation of the camera's point spread function, px.
 _BLUR = 0.8
-
-
-def speckle_texture(
-    shape: tuple[int, int],
-    rng: np.random.Generator,
-    *,
-    sigma: float = 1.0,
-    mean: float = 128.0,
-    contrast: float = 45.0,
-) -> Array:
-    """Return white noise blurred by a Gaussian, periodic at the borders.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Rows and columns.
-    rng : numpy.random.Generator
-        Source of the noise.
-    sigma : float, optional
-        Standard deviation of the Gaussian in px: how coarse the texture is.
-    mean, contrast : float, optional
-        Mean and standard deviation of the grey values.
-
-    Returns
-    -------
-    ndarray, shape `shape`
-        Grey values; a few lie outside 0…255 where the contrast is high.
-
-    Examples
-    --------
-    >>> texture = speckle_texture((64, 64), np.random.default_rng(0))
-    >>> round(float(texture.mean())), round(float(texture.std()))
-    (128, 45)
-    """
-    shape = (whole("shape[0]", shape[0], least=2), whole("shape[1]", shape[1], least=2))
-    noise = rng.standard_normal(shape)
-    blurred = ndimage.gaussian_filter(noise, float(positive("sigma", sigma)), mode="wrap")
-    blurred -= blurred.mean()
-    return mean + float(positive("contrast", contrast)) / blurred.std() * blurred
 
 
 def camera_frame(
@@ -125,7 +89,7 @@ def warped_pair(
     size : int, optional
         Width and height of the template in px.
     sigma, noise, gain : float, optional
-        Of the texture in px (`speckle_texture`), of the camera in grey levels, of the second frame.
+        Of the texture in px (`mixed_texture`), of the camera in grey levels, of the second frame.
 
     Raises
     ------
@@ -144,7 +108,7 @@ def warped_pair(
     size = whole("size", size, least=2)
     distance = float(positive("distance", distance, zero=True))
     side = 3 * size
-    texture = speckle_texture((side, side), rng, sigma=sigma)
+    texture = mixed_texture((side, side), rng, std=_CONTRAST, scales=sigma)
     unit = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
     source = unit * (size - 1) + size
     if warp == "shift":
@@ -205,8 +169,8 @@ def texture_sequence(
     positions = as_array("positions", positions, shape=(None, 2))
     positive("positions", positions, zero=True)
     width, height = (np.ceil(positions.max(axis=0)) + 2 * size).astype(int)
-    ground = speckle_texture((height, width), rng, sigma=sigma)
-    square = speckle_texture((size, size), rng, sigma=sigma)
+    ground = mixed_texture((height, width), rng, std=_CONTRAST, scales=sigma)
+    square = mixed_texture((size, size), rng, std=_CONTRAST, scales=sigma)
     spline = ndimage.spline_filter(np.pad(square, 8, mode="wrap"), order=5)
     frames = []
     for x, y in positions:
@@ -252,9 +216,10 @@ class GripperScene:
     cover: NDArray[np.float32]
     ground: NDArray[np.float32]
 
-    def box(self, size: int) -> tuple[int, int, int, int]:
-        """Return (x, y, width, height) of a window of `size` px about the opening at home."""
-        x, y = np.rint(self.home - (size - 1) / 2).astype(int)
+    def box(self, size: int, shift: ArrayLike = (0.0, 0.0)) -> tuple[int, int, int, int]:
+        """Return (x, y, width, height) of a window of `size` px about the shifted opening."""
+        shift = as_array("shift", shift, shape=(2,))
+        x, y = np.rint(self.home - (size - 1) / 2 + shift).astype(int)
         return int(x), int(y), size, size
 
     def frame(
@@ -337,8 +302,8 @@ def gripper_scene(
             spot = np.array([x0 + scale * hole, y0 + side * scale * middle_line])
             radius = int(np.rint(16 * 0.1 * scale))
             cv2.circle(cover, np.rint(spot * 16).astype(int), radius, 0.35, -1, cv2.LINE_8, 4)
-    grain = speckle_texture(
-        (height // _DENSITY, width // _DENSITY), rng, sigma=1.5, mean=165.0, contrast=18.0
+    grain = mixed_texture(
+        (height // _DENSITY, width // _DENSITY), rng, mean=165.0, std=18.0, scales=1.5
     )
     fine = cv2.resize(grain, (width, height), interpolation=cv2.INTER_CUBIC)
     soft = cv2.GaussianBlur(cover, (0, 0), _BLUR * _DENSITY).astype(np.float32)
@@ -348,7 +313,5 @@ def gripper_scene(
         opening=opening,
         drawing=soft * fine.astype(np.float32),
         cover=soft,
-        ground=speckle_texture((rows, columns), rng, sigma=12, mean=70, contrast=4).astype(
-            np.float32
-        ),
+        ground=mixed_texture((rows, columns), rng, mean=70, std=4, scales=12),
     )

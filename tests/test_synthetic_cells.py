@@ -1,0 +1,63 @@
+"""The rendered cells: shapes of the two kinds, and that the outlines are what is drawn."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from microlib.synthetic import cell_image
+
+
+def roundness(outline: np.ndarray) -> float:
+    """4π area / perimeter²: 1 for a circle."""
+    shape = outline.astype(np.float32)
+    return float(4 * np.pi * cv2.contourArea(shape) / cv2.arcLength(shape, True) ** 2)
+
+
+def test_kinds_differ_in_size_and_roundness():
+    kidney = cell_image("293T", rng=np.random.default_rng(0))
+    cancer = cell_image("Jurkat", rng=np.random.default_rng(0))
+    assert np.mean([roundness(o) for o in kidney.outlines]) < 0.93
+    assert min(roundness(o) for o in cancer.outlines) > 0.97
+    area = [
+        np.pi * 5.5**2,
+        np.mean([cv2.contourArea(o.astype(np.float32)) for o in cancer.outlines]),
+    ]
+    # Harmonics of 2 % change an area by well under 5 %.
+    assert area[1] * cancer.pixel_size**2 == pytest.approx(area[0], rel=0.05)
+
+
+def test_cells_are_dark_where_their_outlines_are_and_do_not_overlap():
+    sample = cell_image("Jurkat", rng=np.random.default_rng(2))
+    masks = []
+    for outline in sample.outlines:
+        mask = np.zeros(sample.image.shape, dtype=np.uint8)
+        cv2.fillPoly(mask, [np.rint(outline).astype(np.int32)], 1)
+        masks.append(mask)
+    together = np.sum(masks, axis=0)
+    assert together.max() == 1
+    core = cv2.erode(together.astype(np.uint8), np.ones((25, 25), np.uint8)) > 0
+    rim = cv2.dilate(together.astype(np.uint8), np.ones((5, 5), np.uint8)) > together
+    ground = np.median(sample.image)
+    assert sample.image[core].mean() < ground - 20
+    assert sample.image[rim].mean() > ground + 20
+
+
+def test_same_seed_same_picture():
+    first, again = (cell_image("293T", rng=np.random.default_rng(5)).image for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"kind": "HeLa"}, "kind must be one of 293T, Jurkat"),
+        ({"count": 0}, "count must be a whole number"),
+        ({"pixel_size": 0.0}, "pixel_size must be positive"),
+        ({"shape": (10, 10)}, "shape must be a whole number of at least 64"),
+    ],
+)
+def test_refusals(change, message):
+    with pytest.raises(ValueError, match=message):
+        cell_image(**({"kind": "293T", "rng": np.random.default_rng(0)} | change))
