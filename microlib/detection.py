@@ -38,7 +38,25 @@ class Detection:
 
 
 def margin_for(centres: NDArray[np.float64], radius: float) -> float:
-    """Half-width of the band around an outline that belongs to no neighbour, px."""
+    """Half-width of the band around an outline that belongs to no neighbour.
+
+    Parameters
+    ----------
+    centres : ndarray, shape (N, 2)
+        Centres of the shapes, px.
+    radius : float
+        Half of a shape's width, px.
+
+    Returns
+    -------
+    float
+        px, between 2 and :data:`MARGIN`.
+
+    Examples
+    --------
+    >>> margin_for(np.array([[0.0, 0.0], [20.0, 0.0], [40.0, 0.0]]), 6.0)
+    4.0
+    """
     distance, _ = cKDTree(centres).query(centres, k=2)
     return float(np.clip(np.median(distance[:, 1]) / 2 - radius, 2.0, MARGIN))
 
@@ -51,12 +69,34 @@ def keep_sound(
     contrast: NDArray[np.float64],
     sigma: NDArray[np.float64],
 ) -> NDArray[np.bool_]:
-    """Outlines inside the image (their box is `low` to `high`) that are fitted as well as the
-    others.
+    """Tell the outlines that lie inside the image and are fitted as well as the others.
 
-    One is dropped if its residual exceeds three times the median (dirt, a reflection, another
-    shape), its contrast half of the median or less, or its uncertainty five times the median (a
-    side that the image cuts off).
+    Parameters
+    ----------
+    shape : tuple of int
+        Height and width of the image, px.
+    low, high : ndarray, shape (N, 2)
+        Corners of the box around each outline, (x, y) px.
+    rms : ndarray, shape (N,)
+        Residual of each fit, grey levels; NaN where it failed.
+    contrast : ndarray, shape (N,)
+        Fitted contrast.
+    sigma : ndarray, shape (N,)
+        Standard deviation of the worst point of each outline, px.
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+        False for an outline that leaves the image, and for one whose residual exceeds three times
+        the median (dirt, a reflection, another shape), whose contrast is half of the median or
+        less, or whose uncertainty is over five times the median (a side that the image cuts off).
+
+    Examples
+    --------
+    >>> low = np.array([[1.0, 1.0], [5.0, -0.2]])
+    >>> one = np.ones(2)
+    >>> keep_sound((20, 30), low, low + 4, one, one, one)
+    array([ True, False])
     """
     inside = ((low >= 0) & (high <= [shape[1] - 1, shape[0] - 1])).all(axis=1)
     good = inside & np.isfinite(rms) & np.isfinite(sigma)

@@ -16,6 +16,7 @@ from microlib.synthetic.textures import mixed_texture
 from microlib.tracking import ESMTracker, KalmanFilter
 
 INTERVAL = 1 / 33
+IMAGE = mixed_texture((80, 90), np.random.default_rng(0), scales=1.0)
 
 
 def corner_errors(motion, distance, warp, trials, **options):
@@ -222,6 +223,29 @@ def test_a_target_that_left_is_out_of_view():
     assert reasons[-1] == "out of view"
 
 
+@settings(deadline=None, max_examples=40)
+@given(
+    seed=st.integers(0, 10**6),
+    kind=st.sampled_from(["noise", "flat", "ramp", "checks", "bright", "edge"]),
+    motion=st.sampled_from(["translation", "affine", "homography"]),
+)
+def test_no_frame_whatever_breaks_the_tracker(seed, kind, motion):
+    rng = np.random.default_rng(seed)
+    rows, columns = np.mgrid[:80, :90]
+    frames = {
+        "noise": rng.uniform(0, 255, (80, 90)),
+        "flat": np.full((80, 90), rng.uniform(0, 255)),
+        "ramp": 3.0 * columns,
+        "checks": 255.0 * ((rows + columns) % 2),
+        "bright": 1e6 * rng.standard_normal((80, 90)),
+        "edge": np.where(columns > rng.integers(20, 70), 255.0, 0.0),
+    }
+    tracker = ESMTracker(IMAGE, (20, 20, 40, 40), motion)
+    track = tracker.track(frames[kind])
+    assert track.lost
+    assert not tracker.track(IMAGE).lost
+
+
 @pytest.mark.parametrize(("speed", "runs"), [(250.0, 4), (500.0, 4)])
 def test_follows_a_fast_square_over_another_texture(speed, runs):
     for seed in range(runs):
@@ -237,9 +261,6 @@ def test_follows_a_fast_square_over_another_texture(speed, runs):
             track = tracker.track(frame)
             assert not track.lost
             assert np.linalg.norm(track.center - start - position + path[0]) < 0.1
-
-
-IMAGE = mixed_texture((80, 90), np.random.default_rng(0), scales=1.0)
 
 
 @pytest.mark.parametrize(
