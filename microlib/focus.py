@@ -39,6 +39,8 @@ __all__ = [
 
 #: Frames by which half the neighbours must differ for a pixel's best frame to count as chance.
 _CHANCE = 2
+#: Reach of the broad windows that matters, px.
+_BORDER = 10
 #: Error of a smoothed depth over its roughness, which does not show errors that are smooth too.
 _HIDDEN = 2.5
 
@@ -239,12 +241,22 @@ def _refine(
     spread = np.asarray(cv2.medianBlur(np.abs(sharp - median), 5))
     sided = _choose_side(broad, np.asarray(cv2.medianBlur(median, 5)), spread < 1)
     steps = np.where(known, _without_spikes(sided, 3), np.nan)
-    trust = None
+    # At the image's border the windows see one side only and pull a slope inwards: there the planes
+    # are to be laid through what lies further in.
+    inner = _inside(depth.shape)
+    trust = inner**4
     if weight is not None:
-        trust = np.clip(weight / np.median(weight[known]), 1e-4, 1e4)
+        trust *= np.clip(weight / np.median(weight[known]), 1e-4, 1e4)
     wide = smooth_depth(steps, jump=1.5, weight=trust)
     close = smooth_depth(steps, jump=1.5, radius=2.0, weight=trust)
-    return (wide + _relief(steps - close, close - wide) * (close - wide)) * spacing
+    relief = np.where(inner < 1, 0, _relief(steps - close, close - wide))
+    return (wide + relief * (close - wide)) * spacing
+
+
+def _inside(shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return 1 where the broad windows stay inside the image, falling to 0.1 at its border."""
+    down, along = (np.minimum(np.arange(n), np.arange(n)[::-1]) for n in shape)
+    return np.clip((1 + np.minimum.outer(down, along)) / _BORDER, 0.1, 1.0)
 
 
 def _relief(fine: NDArray, medium: NDArray) -> NDArray:
