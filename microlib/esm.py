@@ -53,6 +53,9 @@ _VANISHING = 1e-6
 #: A template whose area changes by more than this factor within one frame is not tracked any more.
 _AREA_FACTOR = 4.0
 
+#: A motion parameter that steps further, in half template sizes, has left the template.
+_LARGEST_STEP = 4.0
+
 #: Least share of the template's pixels that must lie inside the image.
 _LEAST_VISIBLE = 0.25
 
@@ -182,11 +185,12 @@ class Stage:
     mean: float
     spread: float
 
-    def fit(self, image: Image, pose: Array, *, tolerance: float, iterations: int) -> Fit:
+    def fit(
+        self, image: Image, pose: Array, *, tolerance: float, iterations: int, gain: float = 1.0
+    ) -> Fit:
         """Minimise over warp, gain and bias until the corners move by less than `tolerance` px."""
         n = len(self.basis)
         first = corners = apply_homography(pose, self.corners)
-        gain = 1.0
         for count in range(1, iterations + 1):
             rows, visible = self._rows(image, pose, gain)
             if visible < _LEAST_VISIBLE:
@@ -195,11 +199,15 @@ class Stage:
             scale = np.sqrt(np.diag(normal))
             if scale[:-1].min() <= _VANISHING * scale[:-1].max():
                 return Fit(pose, failure="singular", visible=visible, iterations=count)
-            scaled = normal / np.outer(scale, scale) if scale[-1] else normal
+            scale[-1] = scale[-1] or 1.0  # a frame that is flat at the mean of the template
+            scaled = normal / np.outer(scale, scale)
             system = scaled[:-1, :-1].copy()
             system.flat[:: n + 3] += _DAMPING
             solution = np.linalg.solve(system, scaled[:-1, -1]) * scale[-1] / scale[:-1]
-            moved = pose @ exponential((-solution[:n] @ self.basis.reshape(n, 9)).reshape(3, 3))
+            step = -solution[:n]
+            if not np.abs(step).max() < _LARGEST_STEP:  # also True for NaN
+                return Fit(pose, failure="diverged", visible=visible, iterations=count)
+            moved = pose @ exponential(np.tensordot(step, self.basis, 1))
             before, corners = corners, apply_homography(moved, self.corners)
             if _degenerate(corners, first):
                 return Fit(pose, failure="diverged", visible=visible, iterations=count)

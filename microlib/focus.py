@@ -39,6 +39,10 @@ __all__ = [
 
 #: Frames by which half the neighbours must differ for a pixel's best frame to count as chance.
 _CHANCE = 2
+#: Reach of the broad windows that matters, px.
+_BORDER = 10
+#: Error of a smoothed depth over its roughness, which does not show errors that are smooth too.
+_HIDDEN = 2.5
 
 
 @dataclass(frozen=True)
@@ -179,7 +183,7 @@ def depth_from_focus(
         spacing = float(np.median(np.abs(np.diff(z))))
         depth = _refine(depth, profile.depths[1], profile.weight, spacing)
         depth = np.clip(depth, z.min() - spacing / 2, z.max() + spacing / 2)
-    return _result(depth, profile, z)
+    return _result(depth, profile, z, hidden=_HIDDEN if refined else 1.0)
 
 
 def _check_positions(positions: ArrayLike) -> NDArray[np.float64]:
@@ -237,10 +241,38 @@ def _refine(
     spread = np.asarray(cv2.medianBlur(np.abs(sharp - median), 5))
     sided = _choose_side(broad, np.asarray(cv2.medianBlur(median, 5)), spread < 1)
     steps = np.where(known, _without_spikes(sided, 3), np.nan)
-    trust = None
+    # At the image's border the windows see one side only and pull a slope inwards: there the planes
+    # are to be laid through what lies further in.
+    inner = _inside(depth.shape)
+    trust = inner**4
     if weight is not None:
-        trust = np.clip(weight / np.median(weight[known]), 1e-4, 1e4)
-    return smooth_depth(steps, jump=1.5, weight=trust) * spacing
+        trust *= np.clip(weight / np.median(weight[known]), 1e-4, 1e4)
+    wide = smooth_depth(steps, jump=1.5, weight=trust)
+    close = smooth_depth(steps, jump=1.5, radius=2.0, weight=trust)
+    relief = np.where(inner < 1, 0, _relief(steps - close, close - wide))
+    return (wide + relief * (close - wide)) * spacing
+
+
+def _inside(shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return 1 where the broad windows stay inside the image, falling to 0.1 at its border."""
+    down, along = (np.minimum(np.arange(n), np.arange(n)[::-1]) for n in shape)
+    return np.clip((1 + np.minimum.outer(down, along)) / _BORDER, 0.1, 1.0)
+
+
+def _relief(fine: NDArray, medium: NDArray) -> NDArray:
+    """Return how much of the depth's medium detail is relief and not noise, 0 to 1.
+
+    Noise goes through the windows of the measure, which leave it a fixed spectrum: whatever its
+    strength, its variance between the wide and the close smoothing is 4.2 times that below the
+    close one (4.0 to 4.4 on smooth surfaces of any texture, contrast, noise and JPEG quality; nine
+    tenths of all pixels stay below 6). What exceeds that is on the object. As in Wiener's filter,
+    its share of the variance is what is kept.
+    """
+    fine, medium = (
+        blur(np.clip(np.nan_to_num(part), -0.5, 0.5).astype(np.float32) ** 2, 8.0)
+        for part in (fine, medium)
+    )
+    return np.maximum(1 - 6 * fine / np.maximum(medium, 1e-12), 0)
 
 
 def _filled(depth: NDArray) -> NDArray:
@@ -283,14 +315,16 @@ def _choose_side(broad: NDArray, fine: NDArray, sure: NDArray[np.bool_]) -> NDAr
     return result
 
 
-def _result(depth: NDArray, profile: Profile, positions: NDArray[np.float64]) -> FocusResult:
+def _result(
+    depth: NDArray, profile: Profile, positions: NDArray[np.float64], hidden: float
+) -> FocusResult:
     """Estimate the errors of the depths and put the result together."""
     spacing = float(np.median(np.abs(np.diff(positions))))
     known = ~np.isnan(depth)
     # In frames and from the middle of the stack, where float32 has digits to spare.
     steps = (depth - np.float32(positions.mean())) / np.float32(spacing)
     steps = steps.astype(np.float32, copy=False)
-    error = _roughness(_filled(steps))
+    error = np.float32(hidden) * _roughness(_filled(steps))
     index = profile.index.astype(np.int32)
     confidence = np.reciprocal(1 + error * error)
     if not known.all():

@@ -131,7 +131,8 @@ def fit_peak(
     because the logarithm of a small one is uncertain, and with the square of an inverted parabola
     centred on the peak. Real profiles have longer tails than a Gaussian: a window that is not
     centred leans on one of them, and pulls the depth towards the middle between frames. The peak is
-    only known after a first fit, so there are two.
+    only known after a first fit, so there are two. Near the ends of the stack the window is made
+    narrower for the same reason, to no less than three frames.
 
     The weight is height times sharpness of the peak, which goes as the inverse variance of the
     depth up to a common factor. Where the parabola opens upwards the depth is NaN; a vertex beyond
@@ -141,9 +142,7 @@ def fit_peak(
     spacing = float(np.median(np.abs(np.diff(positions))))
     steps = positions / spacing
     here = steps[index]
-    low, high = sorted((steps[0], steps[-1]))
-    lowest = np.maximum(-1.0, low - 0.5 - here)
-    highest = np.minimum(1.0, high + 0.5 - here)
+    lowest, highest, width = _limits(steps, reach)[:, index]
     best = window[reach].astype(np.float64)
     samples = []
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -155,15 +154,39 @@ def fit_peak(
             samples.append((t, np.log(share), np.where(inside, share, 0.0)))
         vertex = np.zeros_like(best)
         for _ in range(2):
-            linear, square = _fit_parabola(samples, vertex, reach + 0.5)
+            linear, square = _fit_parabola(samples, vertex, width)
             vertex = np.clip(-linear / (2 * square), lowest, highest)
         vertex[~(square < 0)] = np.nan
     weight = best * np.fmax(-square, 0)
     return ((here + vertex) * spacing).astype(np.float32), weight.astype(np.float32)
 
 
+def _limits(steps: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
+    """Return for each frame the least and greatest vertex around it and half the fit's width.
+
+    The vertex lies between the neighbouring frames, or half a spacing outside the stack. The fit
+    looks equally far to both sides, as far as there are frames on the shorter one.
+    """
+    last = len(steps) - 1
+    limits = np.empty((3, len(steps)))
+    for k, here in enumerate(steps):
+        # At an end there is but one side, and two frames on it make up the least three.
+        count = min(k, last - k, reach) or 2
+        seen = steps[max(k - count, 0) : k + count + 1] - here
+        near = steps[max(k - 1, 0) : k + 2] - here
+        # The window moves to the vertex: no frame of three may lose its weight by that.
+        margin = (0.5 if count > 1 else 1.0) * np.abs(near).max()
+        outside = (steps[k] - steps[1 if k == 0 else last - 1]) / 2 if k in (0, last) else 0.0
+        limits[:, k] = (
+            min(near.min(), outside),
+            max(near.max(), outside),
+            np.abs(seen).max() + margin,
+        )
+    return limits
+
+
 def _fit_parabola(
-    samples: list[tuple[NDArray, NDArray, NDArray]], centre: NDArray[np.float64], reach: float
+    samples: list[tuple[NDArray, NDArray, NDArray]], centre: NDArray, reach: NDArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the linear and the square coefficient of weighted parabolas y(t)."""
     sums = np.zeros((5, *centre.shape))

@@ -79,6 +79,11 @@ def step_metrics(
     band : float, optional
         Settled means within this share of the step's length.
 
+    Returns
+    -------
+    StepMetrics
+        Settling time, overshoot, accuracy and precision.
+
     Raises
     ------
     ValueError
@@ -113,7 +118,17 @@ def step_metrics(
 
 
 def path_metrics(position: ArrayLike, reference: ArrayLike) -> PathMetrics:
-    """Measure the distances between positions and references of the same samples, both K×D.
+    """Measure the distances between positions and the references of the same samples.
+
+    Parameters
+    ----------
+    position, reference : array_like, shape (K, D)
+        In one unit of length.
+
+    Returns
+    -------
+    PathMetrics
+        Mean, standard deviation and maximum of the distances.
 
     Raises
     ------
@@ -132,7 +147,7 @@ def path_metrics(position: ArrayLike, reference: ArrayLike) -> PathMetrics:
 
 
 def circle_path(radius: float, speed: float, interval: float) -> Array:
-    """Return one turn around a circle that starts at the origin, K×2.
+    """Return one turn around a circle that starts at the origin.
 
     Parameters
     ----------
@@ -142,6 +157,16 @@ def circle_path(radius: float, speed: float, interval: float) -> Array:
         Along it, in the radius' unit per second.
     interval : float
         Between samples, s.
+
+    Returns
+    -------
+    ndarray, shape (K, 2)
+        Positions, counter-clockwise if y points up.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is not positive, or one sample would cover the whole path.
 
     Examples
     --------
@@ -154,7 +179,33 @@ def circle_path(radius: float, speed: float, interval: float) -> Array:
 
 
 def square_path(side: float, speed: float, interval: float) -> Array:
-    """Return one turn around a square from the origin, K×2; parameters as in `circle_path`."""
+    """Return one turn around a square that starts at the origin.
+
+    Parameters
+    ----------
+    side : float
+        Of the square.
+    speed, interval : float
+        As in `circle_path`.
+
+    Returns
+    -------
+    ndarray, shape (K, 2)
+        Positions, first along x.
+
+    Raises
+    ------
+    ValueError
+        As `circle_path`.
+
+    Examples
+    --------
+    >>> square_path(1.0, 1.0, 0.5)[:4]
+    array([[0. , 0. ],
+           [0.5, 0. ],
+           [1. , 0. ],
+           [1. , 0.5]])
+    """
     side = float(positive("side", side))
     arc = _samples(4 * side, speed, interval)
     corners = side * np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
@@ -165,10 +216,36 @@ def square_path(side: float, speed: float, interval: float) -> Array:
 def sinusoid_path(
     length: float, amplitude: float, speed: float, interval: float, *, periods: float = 2.0
 ) -> Array:
-    """Return a sinusoid of `periods` along x from the origin, K×2; x advances at `speed`.
+    """Return a sinusoid along x that starts at the origin.
 
-    `length` and `amplitude` are in one unit, speed and interval as in `circle_path`. The speed
-    along the curve is largest where it crosses the axis.
+    Parameters
+    ----------
+    length, amplitude : float
+        Extent along x, and height of the crests.
+    speed : float
+        Of x, per second; the speed along the curve is largest where it crosses the axis.
+    interval : float
+        Between samples, s.
+    periods : float, optional
+        Within the length.
+
+    Returns
+    -------
+    ndarray, shape (K, 2)
+        Positions.
+
+    Raises
+    ------
+    ValueError
+        As `circle_path`.
+
+    Examples
+    --------
+    >>> sinusoid_path(4.0, 2.0, 1.0, 1.0, periods=1.0).round(9) + 0.0
+    array([[ 0.,  0.],
+           [ 1.,  2.],
+           [ 2.,  0.],
+           [ 3., -2.]])
     """
     length, height = float(positive("length", length)), float(positive("amplitude", amplitude))
     x = _samples(length, speed, interval)

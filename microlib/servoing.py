@@ -122,8 +122,20 @@ def optimal_gain(
 ) -> Array:
     """Return the matrix of (2.28) that turns a feature error into a velocity, u = −K e.
 
-    Parameters and errors are those of `optimal_control`. The loop's gain is T·J·K: how much of the
-    error one sample takes away.
+    Parameters
+    ----------
+    jacobian, interval, feature_weight, control_weight
+        As in `optimal_control`.
+
+    Returns
+    -------
+    ndarray, shape (n, m)
+        K. The gain of the loop is T·J·K: how much of the error one sample takes away.
+
+    Raises
+    ------
+    ValueError
+        As `optimal_control`.
 
     Examples
     --------

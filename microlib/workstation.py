@@ -155,6 +155,7 @@ def simulate(
     Returns
     -------
     Simulation
+        What happened at each exposure.
 
     Raises
     ------
@@ -221,6 +222,11 @@ def tracked_view(render: Callable[[Array], ArrayLike], tracker: ESMTracker) -> O
         Returns the frame that shows the feature at (x, y) px.
     tracker : ESMTracker
         Starts at the first frame; a lost track is measured as NaN.
+
+    Returns
+    -------
+    callable
+        Observer for `simulate`.
     """
 
     def observe(feature: Array) -> Array:

@@ -182,6 +182,13 @@ def test_no_smooth_surface_has_label_four(seed):
     assert not np.any(labels == 4)
 
 
+def test_the_printed_thresholds_call_every_ball_a_cylinder():
+    """Erratum: K ≤ H², so 0.015 for K asks for |H| above 0.122, four times the threshold of H."""
+    for radius, label in ((9.0, 2), (7.0, 1)):
+        assert hk_labels([-1 / radius], [1 / radius**2], 0.03, 0.015).tolist() == [label]
+        assert hk_labels([-1 / radius], [1 / radius**2], 0.03, 0.03**2).tolist() == [1]
+
+
 def test_nan_spreads_over_the_windows_and_no_further():
     z = SURFACES["sphere"][0].copy()
     z[HALF, HALF] = np.nan

@@ -83,7 +83,7 @@ def test_equation_3_13_is_the_vertex_of_a_parabola_through_the_logarithms():
     assert sympy.simplify(printed - vertex) == 0
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=100)
 @given(
     centre=st.floats(1.0, 5.0),
     width=st.floats(0.5, 3.0),

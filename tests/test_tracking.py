@@ -1,5 +1,7 @@
 """The tracker on known warps, beside OpenCV, at borders, and when there is nothing to track."""
 
+from itertools import islice
+
 import cv2
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from microlib.synthetic.textures import mixed_texture
 from microlib.tracking import ESMTracker, KalmanFilter
 
 INTERVAL = 1 / 33
+IMAGE = mixed_texture((80, 90), np.random.default_rng(0), scales=1.0)
 
 
 def corner_errors(motion, distance, warp, trials, **options):
@@ -45,6 +48,22 @@ def corner_errors(motion, distance, warp, trials, **options):
 def test_reaches_as_far_as_promised(motion, warp, distance, least):
     errors, _ = corner_errors(motion, distance, warp, 25)
     assert np.mean(errors < 1.0) >= least
+
+
+def test_gradients_alone_reach_as_far_through_the_pyramid():
+    class GradientOnly(ESMTracker):
+        """Without the search by correlation, the last of the starts."""
+
+        def _starts(self, pose, image):
+            return islice(super()._starts(pose, image), len(self._stages))
+
+    hits = 0
+    for seed in range(12):
+        pair = warped_pair(np.random.default_rng(seed), 15.0)
+        track = GradientOnly(pair.first, pair.box, "homography").track(pair.second)
+        hits += not track.lost and np.abs(track.corners - pair.corners).max() < 1.0
+    # All of 200 in the benchmark; a homography at the coarsest resolution, too, finds a third.
+    assert hits >= 11
 
 
 def test_a_single_resolution_needs_few_steps():
@@ -115,7 +134,7 @@ def test_the_covariance_is_the_spread_of_the_errors():
     np.testing.assert_allclose(np.diag(promise), np.diag(spread), rtol=0.55)
 
 
-@settings(deadline=None, max_examples=15)
+@settings(deadline=None, derandomize=True, max_examples=15)
 @given(
     gain=st.floats(0.5, 1.4),
     bias=st.floats(-10, 30),
@@ -127,8 +146,8 @@ def test_gain_bias_and_whole_pixels_are_recovered(gain, bias, dx, dy):
     tracker = ESMTracker(image, (35, 40, 50, 40))
     track = tracker.track(gain * np.roll(image, (dy, dx), axis=(0, 1)) + bias)
     assert not track.lost
-    # No noise: single precision, and what the end of the iteration at 0.05 px leaves.
-    np.testing.assert_allclose(track.corners[0], (35 + dx, 40 + dy), atol=5e-3)
+    # No noise: single precision, and what the end of the iteration at 0.05 px leaves (0.0005 px).
+    np.testing.assert_allclose(track.corners[0], (35 + dx, 40 + dy), atol=2e-3)
     assert track.gain == pytest.approx(gain, abs=2e-3)
     assert track.bias == pytest.approx(bias, abs=0.4)
     assert track.correlation > 0.999
@@ -222,6 +241,29 @@ def test_a_target_that_left_is_out_of_view():
     assert reasons[-1] == "out of view"
 
 
+@settings(deadline=None, derandomize=True, max_examples=40)
+@given(
+    seed=st.integers(0, 10**6),
+    kind=st.sampled_from(["noise", "flat", "ramp", "checks", "bright", "edge"]),
+    motion=st.sampled_from(["translation", "affine", "homography"]),
+)
+def test_no_frame_whatever_breaks_the_tracker(seed, kind, motion):
+    rng = np.random.default_rng(seed)
+    rows, columns = np.mgrid[:80, :90]
+    frames = {
+        "noise": rng.uniform(0, 255, (80, 90)),
+        "flat": np.full((80, 90), rng.uniform(0, 255)),
+        "ramp": 3.0 * columns,
+        "checks": 255.0 * ((rows + columns) % 2),
+        "bright": 1e6 * rng.standard_normal((80, 90)),
+        "edge": np.where(columns > rng.integers(20, 70), 255.0, 0.0),
+    }
+    tracker = ESMTracker(IMAGE, (20, 20, 40, 40), motion)
+    track = tracker.track(frames[kind])
+    assert track.lost
+    assert not tracker.track(IMAGE).lost
+
+
 @pytest.mark.parametrize(("speed", "runs"), [(250.0, 4), (500.0, 4)])
 def test_follows_a_fast_square_over_another_texture(speed, runs):
     for seed in range(runs):
@@ -237,9 +279,6 @@ def test_follows_a_fast_square_over_another_texture(speed, runs):
             track = tracker.track(frame)
             assert not track.lost
             assert np.linalg.norm(track.center - start - position + path[0]) < 0.1
-
-
-IMAGE = mixed_texture((80, 90), np.random.default_rng(0), scales=1.0)
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,11 @@
-"""Make the built book whole in its own folder: no page asks another server for anything.
+"""Mend what the theme leaves: pages that ask other servers, and parts that not everyone can use.
 
 MathJax comes from a package on disk as one file; the inert thebe loader goes; plotly's library is
 copied once and loaded only by pages that hold one of its figures. Font preloads go too: a browser
 refuses them for a page opened from a file, and loads the fonts from the style sheet anyway.
+
+The toggles of the contents get a name for screen readers, and wide tables can be scrolled by
+keyboard.
 """
 
 from __future__ import annotations
@@ -18,6 +21,12 @@ from sphinx.util.fileutil import copy_asset_file
 
 MATHJAX = "mathjax/tex-svg-full.js"
 PLOTLY = "plotly.min.js"
+TOGGLE = '<summary><span class="toctree-toggle"'
+WIDE_TABLE = '<div class="pst-scrollable-table-container"'
+MENDS = {
+    TOGGLE: TOGGLE.replace("<summary", '<summary aria-label="subpages"'),
+    WIDE_TABLE: f'{WIDE_TABLE} tabindex="0" role="region" aria-label="table"',
+}
 FONT_PRELOAD = re.compile(r'<link rel="preload" as="font"[^>]*>')
 
 
@@ -56,7 +65,10 @@ def copy_libraries(app: Sphinx, error: Exception | None) -> None:
     for page in Path(app.outdir).rglob("*.html"):
         html = page.read_text(encoding="utf-8")
         needs_plotly |= PLOTLY in html
-        page.write_text(FONT_PRELOAD.sub("", html), encoding="utf-8")
+        html = FONT_PRELOAD.sub("", html)
+        for fault, mend in MENDS.items():
+            html = html.replace(fault, mend)
+        page.write_text(html, encoding="utf-8")
     if needs_plotly:
         library = package_folder("plotly") / "package_data" / PLOTLY
         copy_asset_file(str(library), str(static / PLOTLY))

@@ -14,6 +14,7 @@ A number that was never recorded stops the build, so the text cannot outlive its
 from __future__ import annotations
 
 import json
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import ClassVar
@@ -38,9 +39,14 @@ CLAIMS = ROOT / "build" / "claims"
 RESULTS = ROOT / "benchmarks" / "results"
 
 
+@cache
+def records() -> dict[str, ledger.Record]:
+    return ledger.read_records(CLAIMS)
+
+
 class Ours(SphinxRole):
     def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
-        record = ledger.read_records(CLAIMS).get(self.text)
+        record = records().get(self.text)
         if record is None:
             message = self.inliner.reporter.error(f"no notebook recorded {self.text!r}")
             return [nodes.problematic(self.rawtext, self.rawtext)], [message]
@@ -74,14 +80,13 @@ class Claims(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         prefix = self.arguments[0] if self.arguments else ""
-        records = ledger.read_records(CLAIMS)
         chosen = [c for c in ledger.claims().values() if c.id.startswith(prefix)]
         if not chosen:
             raise self.error(f"no claim begins with {prefix!r}")
         head = ["Claim", "Quantity", "Printed", "Ours", "Unit", "Verdict"]
         rows = []
         for claim in chosen:
-            record = records.get(claim.id)
+            record = records().get(claim.id)
             number = ""
             if record is not None:
                 number = str(record).removesuffix(claim.unit).rstrip()

@@ -13,6 +13,7 @@ import re
 import shutil
 import tomllib
 from collections import Counter
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -32,11 +33,13 @@ TABLE = re.compile(r"^\(table-(\d)-(\d)\)=", flags=re.M)
 KINDS = ("equation", "figure", "table")
 
 
+@cache
 def read_map() -> dict[str, dict[str, Any]]:
     with (ROOT / "data" / "thesis" / "map.toml").open("rb") as file:
         return tomllib.load(file)
 
 
+@cache
 def find_items(notebooks: Path) -> dict[str, tuple[str, str]]:
     """Return where each item stands in the notebooks: its id, the notebook's stem, the anchor."""
     found: dict[str, tuple[str, str]] = {}

@@ -19,13 +19,13 @@ __all__ = ["draw_loop", "draw_path_run", "draw_step_runs", "draw_track"]
 def draw_loop() -> Figure:
     """Draw figure 2.3: image-based servoing as dynamic look-and-move."""
     figure, axes = plt.subplots(figsize=(8.4, 3.1))
-    axes.set(xlim=(-0.75, 10.9), ylim=(-0.75, 3.3), aspect="equal")
+    axes.set(xlim=(-0.75, 11.6), ylim=(-0.15, 3.3), aspect="equal")
     axes.axis("off")
     blocks = {
         "control law\n(2.3) or (2.28)": (2.0, 2.0, "orange"),
         "stage with its\nown position loop": (5.0, 2.0, "grey"),
-        "microscope\nand camera": (8.0, 2.0, "grey"),
-        "tracker\nESM, Kalman": (6.5, 0.0, "blue"),
+        "microscope\nand camera": (8.6, 2.0, "grey"),
+        "tracker\nESM, Kalman": (6.8, 0.0, "blue"),
     }
     for text, (x, y, color) in blocks.items():
         axes.add_patch(
@@ -50,17 +50,18 @@ def draw_loop() -> Figure:
     run((-0.6, 2.5), (0.45, 2.5))
     run((1.05, 2.5), (1.95, 2.5))
     run((4.25, 2.5), (4.95, 2.5))
-    run((7.25, 2.5), (7.95, 2.5))
-    run((10.25, 2.5), (10.7, 2.5), (10.7, 0.5), (8.75, 0.5))
-    run((6.45, 0.5), (0.75, 0.5), (0.75, 2.2))
+    run((7.25, 2.5), (8.55, 2.5))
+    run((10.85, 2.5), (11.4, 2.5), (11.4, 0.5), (9.05, 0.5))
+    run((6.75, 0.5), (0.75, 0.5), (0.75, 2.2))
     for x, y, label in (
         (-0.35, 2.65, "$f^*$"),
         (1.42, 2.65, "$e$"),
         (4.55, 2.65, "$u$"),
-        (7.5, 2.65, "pose"),
-        (9.6, 0.65, "image"),
+        (7.9, 2.65, "pose"),
+        (10.2, 0.65, "image"),
         (3.6, 0.65, "feature $f$"),
-        (0.9, 2.0, "−"),
+        (0.3, 2.1, "−"),
+        (1.0, 1.75, "+"),
     ):
         axes.text(x, y, label, ha="center", va="bottom")
     return figure

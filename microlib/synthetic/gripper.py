@@ -38,7 +38,34 @@ _BLUR = 0.8
 def camera_frame(
     image: ArrayLike, rng: np.random.Generator, *, noise: float, gain: float = 1.0
 ) -> Frame:
-    """Return grey values as a camera gives them: gain, Gaussian noise (grey levels), eight bits."""
+    """Return grey values as a camera gives them, with noise and in eight bits.
+
+    Parameters
+    ----------
+    image : array_like, shape (H, W)
+        Grey values.
+    rng : numpy.random.Generator
+        Source of the noise.
+    noise : float
+        Standard deviation of the normal noise, grey levels.
+    gain : float, optional
+        Factor on the grey values, before the noise.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W)
+        Frame, clipped to 0…255.
+
+    Raises
+    ------
+    ValueError
+        If the image is not two-dimensional and finite, or the noise is negative.
+
+    Examples
+    --------
+    >>> camera_frame([[10.4, 300.0]], np.random.default_rng(0), noise=0.0)
+    array([[ 10, 255]], dtype=uint8)
+    """
     grey = as_array("image", image, shape=(None, None))
     sigma = float(positive("noise", noise, zero=True))
     grey = gain * grey + sigma * rng.standard_normal(grey.shape, np.float32)
@@ -90,6 +117,11 @@ def warped_pair(
         Width and height of the template in px.
     sigma, noise, gain : float, optional
         Of the texture in px (`mixed_texture`), of the camera in grey levels, of the second frame.
+
+    Returns
+    -------
+    WarpedPair
+        Both frames, and where the template is in each.
 
     Raises
     ------
@@ -165,6 +197,22 @@ def texture_sequence(
         Width and height of the square in px.
     sigma, noise : float, optional
         Of the textures in px, of the camera in grey levels.
+
+    Returns
+    -------
+    list of ndarray of uint8
+        One frame a position, all of one size.
+
+    Raises
+    ------
+    ValueError
+        If the positions are not N×2, finite and at least zero.
+
+    Examples
+    --------
+    >>> frames = texture_sequence([[5.0, 5.0], [7.5, 5.0]], np.random.default_rng(0), size=20)
+    >>> [frame.shape for frame in frames]
+    [(45, 48), (45, 48)]
     """
     positions = as_array("positions", positions, shape=(None, 2))
     positive("positions", positions, zero=True)
@@ -266,6 +314,11 @@ def gripper_scene(
         Rows and columns of a frame.
     reach : int, optional
         How far the gripper may move from home along either axis, px.
+
+    Returns
+    -------
+    GripperScene
+        Its `frame` draws the gripper at any shift.
 
     Raises
     ------
