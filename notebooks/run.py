@@ -129,7 +129,7 @@ def run_all(names: list[str], jobs: int) -> int:
 
 
 def hush() -> None:
-    """Drop what kernels write to the terminal when they are shut down; their errors are returned."""
+    """Drop what kernels write to the terminal as they shut down; their errors are returned."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
 
