@@ -12,7 +12,9 @@ folder ``--output``, and nothing is recorded against the thesis.
 from __future__ import annotations
 
 import argparse
+import base64
 import hashlib
+import io
 import json
 import os
 import sys
@@ -25,11 +27,13 @@ import nbformat
 import papermill
 import yaml
 from papermill.exceptions import PapermillExecutionError
+from PIL import Image
 from traitlets.config import Config
 
 ROOT = Path(__file__).resolve().parent.parent
 BUILD = ROOT / "build"
 LAST = "06_"
+LARGE_DRAWING = 60_000  # bytes above which a palette does not suit a picture
 # Two kernels share the cores, so each keeps to one thread; this also fixes the order of sums.
 THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -149,6 +153,7 @@ def run(name: str) -> tuple[str, bool]:
         return f"{message} ({failed.relative_to(ROOT)})", False
     notebook = nbformat.read(failed, as_version=4)
     clean(notebook)
+    lighten(notebook)
     if str(ROOT) in nbformat.writes(notebook):
         return f"FAILED: an output names a path of this machine ({failed.relative_to(ROOT)})", False
     nbformat.write(notebook, output)
@@ -175,6 +180,25 @@ def clean(notebook: nbformat.NotebookNode) -> None:
         cell.metadata.pop("execution", None)
         if "injected-parameters" in cell.metadata.get("tags", []):
             cell.metadata.tags.append("remove-cell")
+
+
+def lighten(notebook: nbformat.NotebookNode) -> None:
+    """Store the pictures small: drawings with a palette, photographs and noise as JPEG."""
+    for output in (o for cell in notebook.cells for o in cell.get("outputs", [])):
+        data = output.get("data", {})
+        if "image/png" not in data:
+            continue
+        picture = Image.open(io.BytesIO(base64.b64decode(data["image/png"]))).convert("RGB")
+        drawing = io.BytesIO()
+        palette = picture.quantize(128, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+        palette.save(drawing, "PNG", optimize=True)
+        photograph = io.BytesIO()
+        picture.save(photograph, "JPEG", quality=82, optimize=True)
+        if drawing.tell() > LARGE_DRAWING and photograph.tell() < drawing.tell():
+            del data["image/png"]
+            data["image/jpeg"] = base64.b64encode(photograph.getvalue()).decode()
+        else:
+            data["image/png"] = base64.b64encode(drawing.getvalue()).decode()
 
 
 def up_to_date(name: str) -> bool:

@@ -67,12 +67,12 @@ def test_every_judged_claim_has_its_record(claims_folder: Path) -> None:
             assert records[claim.id].verdict == claim.verdict
 
 
-def excerpt(folder: Path, prefix: str = "ch5") -> Path:
-    """Copy what a chapter needs into `folder`, its notebook cut to the cells of one section."""
+def excerpt(folder: Path) -> Path:
+    """Copy what chapter 5 needs into `folder`, cut to what uses printed data alone."""
     for name in ("microlib", "data"):
         shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
     notebook = nbformat.read(CHAPTER_5, as_version=4)
-    notebook.cells = [cell for cell in notebook.cells if cell.id.startswith(prefix)]
+    notebook.cells = [cell for cell in notebook.cells if re.fullmatch(r"ch5-\d\db?", cell.id)]
     path = folder / "05_excerpt.ipynb"
     nbformat.write(notebook, path)
     return path

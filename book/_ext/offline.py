@@ -21,10 +21,12 @@ from sphinx.util.fileutil import copy_asset_file
 
 MATHJAX = "mathjax/tex-svg-full.js"
 PLOTLY = "plotly.min.js"
+PLOTLY_INLINE = re.compile(r"<script[^>]*>(\s*window\.PLOTLYENV)")
 TOGGLE = '<summary><span class="toctree-toggle"'
 WIDE_TABLE = '<div class="pst-scrollable-table-container"'
 MENDS = {
     TOGGLE: TOGGLE.replace("<summary", '<summary aria-label="subpages"'),
+    '<div role="list" class="citation-list">': '<div class="citation-list">',
     WIDE_TABLE: f'{WIDE_TABLE} tabindex="0" role="region" aria-label="table"',
 }
 FONT_PRELOAD = re.compile(r'<link rel="preload" as="font"[^>]*>')
@@ -49,9 +51,10 @@ def shape_page(app: Sphinx, page: str, template: str, context: dict, doctree: An
     context["script_files"] = [s for s in context.get("script_files", []) if wanted(s)]
     context["css_files"] = [s for s in context.get("css_files", []) if wanted(s)]
     if "plotly-graph-div" in context.get("body", ""):
-        # Not deferred: the inline script of a figure calls the library where it stands.
+        # Deferred, and the figures' own scripts with it, so that the page shows before they draw.
         path = context["pathto"](f"_static/{PLOTLY}", 1)
-        context["body"] = f'<script src="{path}"></script>\n{context["body"]}'
+        body = PLOTLY_INLINE.sub(r'<script type="module">\1', context["body"])
+        context["body"] = f'<script defer src="{path}"></script>\n{body}'
 
 
 def copy_libraries(app: Sphinx, error: Exception | None) -> None:
