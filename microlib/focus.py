@@ -326,10 +326,7 @@ def _result(
     """Estimate the errors of the depths and put the result together."""
     spacing = float(np.median(np.abs(np.diff(positions))))
     known = ~np.isnan(depth)
-    # In frames and from the middle of the stack, where float32 has digits to spare.
-    steps = (depth - np.float32(positions.mean())) / np.float32(spacing)
-    steps = steps.astype(np.float32, copy=False)
-    error = np.float32(hidden) * _roughness(_filled(steps))
+    error = np.float32(hidden / spacing) * _roughness(depth, positions, profile.index)
     index = profile.index.astype(np.int32)
     confidence = np.reciprocal(1 + error * error)
     if not known.all():
@@ -344,14 +341,18 @@ def _result(
     )
 
 
-def _roughness(depth: NDArray) -> NDArray:
-    """Return the local root mean square of what no smooth surface has.
+def _roughness(
+    depth: NDArray, positions: NDArray[np.float64], index: NDArray[np.uint16]
+) -> NDArray:
+    """Return the local root mean square of what no smooth surface has, µm.
 
     Four times the difference from a Gaussian mean of 8 px: slopes and constant curvature leave no
-    trace in it, and errors that change within some ten pixels pass. Taken on every second pixel.
+    trace in it, and errors that change within some ten pixels pass. Taken on every second pixel,
+    with the best frame's position where there is no depth.
     """
-    coarse = np.ascontiguousarray(depth[::2, ::2])
-    rough = coarse
+    coarse, frame = depth[::2, ::2], positions[index[::2, ::2]]
+    # From the middle of the stack, where float32 has digits to spare.
+    rough = (np.where(np.isnan(coarse), frame, coarse) - positions.mean()).astype(np.float32)
     for _ in range(4):
         rough = rough - blur(rough, 4.0)
     rough = np.sqrt(np.maximum(cv2.boxFilter(rough * rough, -1, (3, 3)), 0))

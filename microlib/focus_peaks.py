@@ -113,13 +113,15 @@ def three_point_peak(
         after = np.log(best / np.maximum(window[2], faint))
         if even:
             shift = (before - after) / (before + after) * np.float32(gaps[0] / 2)
+            here = index * np.float32(gaps[0]) + np.float32(positions[0])
         else:
             left = -np.append(1.0, gaps).astype(np.float32)[index]
             right = np.append(gaps, 1.0).astype(np.float32)[index]
             shift = (left**2 * after - right**2 * before) / (left * after - right * before) / 2
+            here = positions.astype(np.float32)[index]
     at_end = (index == 0) | (index == len(positions) - 1)
-    np.copyto(shift, np.where(best > 0, np.float32(0), np.float32(np.nan)), where=at_end)
-    return shift + positions.astype(np.float32)[index]
+    np.copyto(shift, 0, where=at_end & (best > 0))
+    return here + shift
 
 
 def fit_peak(

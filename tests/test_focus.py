@@ -325,7 +325,7 @@ def test_relief_that_stands_out_of_the_noise_is_kept(grain):
     result = depth_from_focus(render(height, noise=1.0), POSITIONS)
     plain = depth_from_focus(render(height, noise=1.0), POSITIONS, measure="sml")
     assert rms(result.depth - height) < rms(plain.depth - height)
-    # Without the relief put back a third and two thirds are left.
+    # Without the relief put back 0.40 and 0.76 are left, and the error at 3 px doubles.
     kept = np.polyfit(relief[8:-8, 8:-8].ravel(), (result.depth - 125)[8:-8, 8:-8].ravel(), 1)[0]
     assert kept > (0.6 if grain == 3.0 else 0.8)
 
