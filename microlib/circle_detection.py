@@ -1,5 +1,4 @@
-"""Detect a grid of circles: ellipses fitted to grey levels, and their centres freed of the camera's
-bias."""
+"""Detect a grid of circles: ellipses fitted to grey levels, their centres freed of bias."""
 
 from __future__ import annotations
 
@@ -21,6 +20,8 @@ Array = NDArray[np.float64]
 CENTRE, SHAPE, BLUR, CONTRAST, GROUND = slice(0, 2), slice(2, 5), 5, 6, slice(7, 10)
 # What varies smoothly across the image: blur, contrast, slope of the ground.
 SHARED = [5, 6, 8, 9]
+#: Ellipses have a fullness of 1, squares of 0.955 to 0.97 as blur rounds them.
+LEAST_FULLNESS = 0.98
 
 
 def detect_circles(
@@ -83,6 +84,9 @@ def detect_circles(
     )
     if sound.sum() < 4:
         raise ValueError(f"image must show a grid of circles, got {int(sound.sum())} whole ones")
+    fullness = np.median(blobs.fullness[index][sound])
+    if fullness < LEAST_FULLNESS:
+        raise ValueError(f"image must show circles, got shapes of fullness {fullness:.3f}, not 1")
     fit, origins = share(fit[sound], patches.centres[sound], SHARED), patches.centres[sound]
     points = fit.parameters[:, CENTRE] + origins
     grid = grid[sound] - grid[sound].min(axis=0)

@@ -40,6 +40,12 @@ class Blobs:
     moments: NDArray[np.float64]
     areas: NDArray[np.float64]
 
+    @property
+    def fullness(self) -> NDArray[np.float64]:
+        """Area over that of the ellipse with the same moments: 1 for any ellipse, 3/π for a
+        parallelogram."""
+        return self.areas / (4 * np.pi * np.sqrt(np.linalg.det(self.moments)))
+
 
 def find_blobs(image: ArrayLike) -> Blobs:
     """Threshold the image against the light that falls on it and measure the dark regions.

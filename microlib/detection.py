@@ -50,7 +50,7 @@ def margin_for(centres: NDArray[np.float64], radius: float) -> float:
     Returns
     -------
     float
-        px, between 2 and :data:`MARGIN`.
+        px, between 2 and 7.
 
     Examples
     --------

@@ -153,10 +153,11 @@ def fit_outlines(
 def share(fit: OutlineFit, centres: Array, columns: list[int]) -> OutlineFit:
     """Let the outlines of one image share what varies smoothly across it.
 
-    The parameters in `columns` are replaced by a polynomial of the place in the image that is
-    fitted to all of them (quadratic from 12 outlines on, linear from 6 on, nothing below); the
-    others follow as their covariance says: the fit that would have been found, had the shared ones
-    been known.
+    The parameters in `columns` are replaced by a polynomial of the place in the image, fitted to
+    all of them (quadratic from 12 outlines on, linear from 6 on, nothing below), and the others
+    follow as their covariance says: this is the fit that would have been found, had the shared ones
+    been known. A column whose values lie further from the polynomial than their errors explain is
+    not shared.
     """
     degree = 2 if len(centres) >= 12 else 1 if len(centres) >= 6 else 0
     if degree == 0:
@@ -164,15 +165,22 @@ def share(fit: OutlineFit, centres: Array, columns: list[int]) -> OutlineFit:
     x, y = ((centres - centres.mean(axis=0)) / np.ptp(centres)).T
     basis = np.column_stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)])
     inverse = np.linalg.pinv(basis)
-    own = fit.parameters[:, columns]
-    shared = basis @ (inverse @ own)
+    freedom = len(basis) - basis.shape[1]
+    smooth = basis @ (inverse @ fit.parameters)
+    variance = np.einsum("npp->np", fit.covariance)
+    misfit = ((fit.parameters - smooth) ** 2 / variance).sum(axis=0) / freedom
+    # Chance alone spreads the misfit by √(2/freedom) around 1; six times that is no chance.
+    columns = [k for k in columns if misfit[k] < 1 + 6 * np.sqrt(2 / freedom)]
+    if not columns:
+        return fit
     across = fit.covariance[:, :, columns]
     gain = across @ _invert(across[:, columns])
     # What an outline adds to the shared values itself is its leverage; that much of its own error
     # stays.
     leverage = np.einsum("ij,ji->i", basis, inverse)[:, None, None]
+    change = (smooth - fit.parameters)[:, columns]
     return OutlineFit(
-        fit.parameters + (gain @ (shared - own)[..., None])[..., 0],
+        fit.parameters + (gain @ change[..., None])[..., 0],
         fit.covariance - (1 - leverage) * (gain @ across.transpose(0, 2, 1)),
         fit.rms,
     )

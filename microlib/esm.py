@@ -185,11 +185,12 @@ class Stage:
     mean: float
     spread: float
 
-    def fit(self, image: Image, pose: Array, *, tolerance: float, iterations: int) -> Fit:
+    def fit(
+        self, image: Image, pose: Array, *, tolerance: float, iterations: int, gain: float = 1.0
+    ) -> Fit:
         """Minimise over warp, gain and bias until the corners move by less than `tolerance` px."""
         n = len(self.basis)
         first = corners = apply_homography(pose, self.corners)
-        gain = 1.0
         for count in range(1, iterations + 1):
             rows, visible = self._rows(image, pose, gain)
             if visible < _LEAST_VISIBLE:

@@ -23,6 +23,9 @@ ANGLE, OFFSET, BLUR, CONTRAST, GROUND = slice(0, 4), slice(4, 8), 8, 9, slice(10
 # What varies smoothly across the image: directions of the sides, blur, contrast, slope of the
 # ground.
 SHARED = [0, 1, 2, 3, 8, 9, 11, 12]
+#: Squares have a fullness of 0.955, up to 0.991 where blur of a fifth of a side rounds them;
+#: circles of 7 px radius have 0.994 and larger ones more.
+MOST_FULLNESS = 0.9925
 
 
 def detect_squares(
@@ -88,6 +91,11 @@ def detect_squares(
     )
     if sound.sum() < 4:
         raise ValueError(f"image must show a grid of squares, got {int(sound.sum())} whole ones")
+    fullness = np.median(blobs.fullness[index][sound])
+    if fullness > MOST_FULLNESS:
+        raise ValueError(
+            f"image must show squares, got shapes of fullness {fullness:.3f}, not 0.955"
+        )
     origins = patches.centres[sound]
     corners, sigma = _corners(share(_untangle(fit[sound]), origins, SHARED), origins)
     grid = _corner_grid(corners, grid[sound] - grid[sound].min(axis=0))

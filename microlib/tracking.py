@@ -177,7 +177,7 @@ class ESMTracker:
         self._least = float(between("least_correlation", least_correlation, 0.0, 1.0))
         self._shape = frame.shape
         self._kalman = kalman
-        self._typical = 1.0
+        self._typical, self._gain = 1.0, 1.0
         size = max(width, height) / 2
         self._start = np.array(
             [[size, 0, x + (width - 1) / 2], [0, size, y + (height - 1) / 2], [0, 0, 1.0]]
@@ -235,7 +235,7 @@ class ESMTracker:
         reason = fit.failure or ("low correlation" if fit.correlation < self._least else "")
         if not reason:
             self._pose = fit.pose
-            self._typical = fit.correlation
+            self._typical, self._gain = fit.correlation, fit.gain
             if self._kalman is not None:
                 self._kalman.update(self._corners().mean(axis=0))
         return Track(
@@ -293,12 +293,12 @@ class ESMTracker:
 
     def _align(self, layers: list[Image], pose: Array) -> Fit:
         """Refine a pose from the last of the layers to the first, and then between the pixels."""
-        iterations = 0
+        gain, iterations = self._gain, 0
         for stage, layer in reversed(list(zip(self._stages, layers, strict=False))):
             tolerance = _TOLERANCE / stage.to_image[0, 0]
-            fit = stage.fit(layer, pose, tolerance=tolerance, iterations=_STEPS)
+            fit = stage.fit(layer, pose, tolerance=tolerance, iterations=_STEPS, gain=gain)
             iterations += fit.iterations
-            pose = fit.pose
+            pose, gain = fit.pose, fit.gain
             if fit.failure:
                 return replace(fit, iterations=iterations)
         if fit.correlation > self._least:
@@ -308,6 +308,7 @@ class ESMTracker:
                 _shifted(pose, -offset),
                 tolerance=_LAST_TOLERANCE,
                 iterations=_STEPS,
+                gain=gain,
             )
             fit = replace(fit, pose=_shifted(fit.pose, offset))
             iterations += fit.iterations

@@ -84,14 +84,15 @@ def test_public_names_are_documented(name: str, value: object) -> None:
     is_exception = inspect.isclass(value) and issubclass(value, BaseException)
     if is_exception or ".figures" in name:
         return
-    for heading in ("Attributes",) if inspect.isclass(value) else ("Returns",):
-        alternatives = {heading, "Parameters", "Notes"} if inspect.isclass(value) else {heading}
-        returns_nothing = "-> None" in str(getattr(value, "__annotations__", {})) or (
-            getattr(value, "__annotations__", {}).get("return") in (None, "None")
-        )
-        if not inspect.isclass(value) and returns_nothing:
-            continue
-        assert any(f"{word}\n---" in doc for word in alternatives), f"{name} lacks {heading}"
+    if inspect.isclass(value):
+        wanted = ["Attributes", "Parameters", "Notes"]
+    elif getattr(value, "__annotations__", {}).get("return") in (None, "None"):
+        wanted = ["Parameters"]
+    else:
+        wanted = ["Returns", "Yields"]
+    assert any(f"{heading}\n---" in doc for heading in wanted), (
+        f"{name} lacks {' or '.join(wanted)}"
+    )
 
 
 def test_a_public_name_leads_to_a_public_module() -> None:

@@ -11,7 +11,10 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, sync_playwright
+
+from microlib import ledger
 
 ROOT = Path(__file__).resolve().parent.parent
 # Pages that Sphinx makes for itself and no reader is sent to.
@@ -138,8 +141,8 @@ def page(browser: Browser) -> Iterator[Page]:
 
 def test_every_page_opens_without_a_fault(page: Page, pages: dict[Path, Links]) -> None:
     for path in pages:
-        if "http-equiv" in path.read_text(encoding="utf-8"):
-            continue  # index.html only sends the reader on
+        if "_modules" in path.parts or "http-equiv" in path.read_text(encoding="utf-8"):
+            continue  # listings of source code; and index.html, which only sends the reader on
         page.goto(path.as_uri())
         page.evaluate("window.MathJax?.startup?.promise")
         assert page.faults == [], f"{path.name}: {page.faults}"  # type: ignore[attr-defined]
@@ -160,3 +163,83 @@ def test_search_finds_a_word(page: Page, html: Path) -> None:
     found = page.locator("ul.search li a").all_inner_texts()
     assert any("Mechanical characterization" in text for text in found), found
     assert page.faults == []  # type: ignore[attr-defined]
+
+
+def chapters(html: Path) -> list[Path]:
+    """Return the pages that were written for readers, and one of the library's."""
+    written = [p for p in sorted(html.glob("*.html")) if p.name not in INTERNAL | {"index.html"}]
+    listed = html / "generated" / "microlib.membrane.elastic_modulus.html"
+    return [*written, *sorted((html / "notebooks").glob("*.html")), listed]
+
+
+def hindrances(page: Page) -> list[str]:
+    """Return what axe-core calls a serious or critical hindrance to some readers."""
+    found = Axe().run(page).response["violations"]
+    return [
+        f"{v['id']}: {v['nodes'][0]['html'][:120]}"
+        for v in found
+        if v["impact"] in ("serious", "critical")
+    ]
+
+
+def test_every_chapter_is_accessible(page: Page, html: Path) -> None:
+    for path in chapters(html):
+        page.goto(path.as_uri())
+        page.evaluate("window.MathJax?.startup?.promise")
+        assert hindrances(page) == [], path.name
+
+
+def test_dark_mode_is_accessible(page: Page, html: Path) -> None:
+    page.add_init_script(
+        "localStorage.setItem('mode', 'dark'); localStorage.setItem('theme', 'dark')"
+    )
+    for name in (
+        "intro",
+        "claims",
+        "errata",
+        "notebooks/01_introduction",
+        "notebooks/06_conclusion",
+    ):
+        page.goto((html / f"{name}.html").as_uri())
+        assert page.locator("html").get_attribute("data-theme") == "dark"
+        assert hindrances(page) == [], name
+
+
+def test_nothing_is_wider_than_a_phone(page: Page, html: Path) -> None:
+    page.set_viewport_size({"width": 390, "height": 844})
+    for path in chapters(html):
+        page.goto(path.as_uri())
+        page.evaluate("window.MathJax?.startup?.promise")
+        excess = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
+        assert excess <= 0, f"{path.name} is {excess} px too wide"
+
+
+def test_pages_are_light(pages: dict[Path, Links], html: Path) -> None:
+    """Each page with its own pictures stays under 1.5 MB; what pages share is not counted."""
+    for path, page in pages.items():
+        own = {path, *((path.parent / unquote(u)).resolve() for u in page.loads if "_images" in u)}
+        size = sum(file.stat().st_size for file in own)
+        assert size < 1.5e6, f"{path.name} weighs {size / 1e6:.2f} MB"
+
+
+def test_claims_can_be_filtered_by_keyboard(page: Page, html: Path) -> None:
+    page.goto((html / "claims.html").as_uri())
+    every = page.locator("table.claims tbody tr:visible").count()
+    assert every == len(ledger.claims())
+    page.locator("[data-claims-text]").focus()
+    page.keyboard.type("table-5.6")
+    assert page.locator("table.claims tbody tr:visible").count() == 7
+    page.keyboard.press("Tab")
+    page.keyboard.type("erratum")
+    assert page.locator("table.claims tbody tr:visible").count() == 1
+    assert "1 of" in page.locator("[data-claims-count]").inner_text()
+
+
+def test_surfaces_can_be_turned(page: Page, html: Path) -> None:
+    """Pages with a 3-D figure draw it from the one local library."""
+    turned = [p for p in (html / "notebooks").glob("*.html") if "plotly-graph-div" in p.read_text()]
+    assert turned
+    for path in turned:
+        page.goto(path.as_uri())
+        page.wait_for_selector(".plotly-graph-div .main-svg", state="attached", timeout=30_000)
+        assert page.faults == [], f"{path.name}: {page.faults}"  # type: ignore[attr-defined]

@@ -16,6 +16,7 @@ from microlib.calibration import calibrate
 from microlib.camera_jacobian import PARAMETERS, cramer_rao, projection_jacobian
 from microlib.ledger import claim
 from microlib.microscope import Microscope
+from microlib.microscope_fit import Problem
 from microlib.patterns import (
     Imaging,
     detect_circles,
@@ -170,6 +171,22 @@ def test_jacobian_of_derived_parameters():
     )
     difference = (up.project(world) - down.project(world)) / 100
     np.testing.assert_allclose(by_f, difference, atol=1e-5 * np.abs(difference).max())
+
+
+@pytest.mark.parametrize("power", [1 / F, 1e-9, -1 / F])
+def test_jacobian_of_the_fit_agrees_with_differences(power):
+    """In (M, 1/f, κ, α, β, γ, T_x, T_y), at and beyond the telecentric limit too."""
+    scope = scope_with(20, 170)
+    world = grid_in_view(scope)[::7]
+    problem = Problem(world, np.zeros_like(world), scope.cell, np.arange(8))
+    theta = np.array([1.59, power, *truth_of(scope, POSE)])
+    analytic = problem.jacobian(theta)
+    steps = [1e-6, 1e-10, 1e-14, 1e-6, 1e-6, 1e-6, 1e-2, 1e-2]
+    for k, step in enumerate(steps):
+        move = step * np.eye(8)[k]
+        numeric = (problem.residuals(theta + move) - problem.residuals(theta - move)) / (2 * step)
+        atol = 1e-6 * np.abs(numeric).max()
+        np.testing.assert_allclose(analytic[:, k], numeric, rtol=0, atol=atol)
 
 
 def test_unknown_parameter_is_named():

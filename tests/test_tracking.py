@@ -1,5 +1,7 @@
 """The tracker on known warps, beside OpenCV, at borders, and when there is nothing to track."""
 
+from itertools import islice
+
 import cv2
 import numpy as np
 import pytest
@@ -46,6 +48,22 @@ def corner_errors(motion, distance, warp, trials, **options):
 def test_reaches_as_far_as_promised(motion, warp, distance, least):
     errors, _ = corner_errors(motion, distance, warp, 25)
     assert np.mean(errors < 1.0) >= least
+
+
+def test_gradients_alone_reach_as_far_through_the_pyramid():
+    class GradientOnly(ESMTracker):
+        """Without the search by correlation, the last of the starts."""
+
+        def _starts(self, pose, image):
+            return islice(super()._starts(pose, image), len(self._stages))
+
+    hits = 0
+    for seed in range(12):
+        pair = warped_pair(np.random.default_rng(seed), 15.0)
+        track = GradientOnly(pair.first, pair.box, "homography").track(pair.second)
+        hits += not track.lost and np.abs(track.corners - pair.corners).max() < 1.0
+    # All of 200 in the benchmark; a homography at the coarsest resolution, too, finds a third.
+    assert hits >= 11
 
 
 def test_a_single_resolution_needs_few_steps():
@@ -116,7 +134,7 @@ def test_the_covariance_is_the_spread_of_the_errors():
     np.testing.assert_allclose(np.diag(promise), np.diag(spread), rtol=0.55)
 
 
-@settings(deadline=None, max_examples=15)
+@settings(deadline=None, derandomize=True, max_examples=15)
 @given(
     gain=st.floats(0.5, 1.4),
     bias=st.floats(-10, 30),
@@ -128,8 +146,8 @@ def test_gain_bias_and_whole_pixels_are_recovered(gain, bias, dx, dy):
     tracker = ESMTracker(image, (35, 40, 50, 40))
     track = tracker.track(gain * np.roll(image, (dy, dx), axis=(0, 1)) + bias)
     assert not track.lost
-    # No noise: single precision, and what the end of the iteration at 0.05 px leaves.
-    np.testing.assert_allclose(track.corners[0], (35 + dx, 40 + dy), atol=5e-3)
+    # No noise: single precision, and what the end of the iteration at 0.05 px leaves (0.0005 px).
+    np.testing.assert_allclose(track.corners[0], (35 + dx, 40 + dy), atol=2e-3)
     assert track.gain == pytest.approx(gain, abs=2e-3)
     assert track.bias == pytest.approx(bias, abs=0.4)
     assert track.correlation > 0.999
@@ -223,7 +241,7 @@ def test_a_target_that_left_is_out_of_view():
     assert reasons[-1] == "out of view"
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, derandomize=True, max_examples=40)
 @given(
     seed=st.integers(0, 10**6),
     kind=st.sampled_from(["noise", "flat", "ramp", "checks", "bright", "edge"]),
