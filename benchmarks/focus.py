@@ -327,9 +327,9 @@ def main() -> None:
         tables,
         note="Depth errors: mean of the seeds, default settings for all scenes, 16 px of border "
         "left out. Limits set beforehand: 0.045 and 0.050 steps on the paraboloids, 0.75 times the "
-        "best other elsewhere; 5 times the box filter; two threads 1.6 times as fast as one; memory "
-        "at 400 frames within 10 % of that at 40; labels right on 99 % of pixels. Errors of H and K "
-        "are those at the centre without noise; labels are the least share of 20 seeds.",
+        "best other elsewhere; 5 times the box filter; two threads 1.6 times as fast as one; "
+        "memory at 400 frames within 10 % of that at 40; labels right on 99 % of pixels. Errors of "
+        "H and K are those at the centre without noise; labels are the least share of 20 seeds.",
     )
 
 
