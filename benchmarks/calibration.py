@@ -422,7 +422,7 @@ def uncertainty(seeds: int = 200, noise: float = 0.02) -> pd.DataFrame:
         stated, f_inside, ratios, inside, unknown = [], [], [], [], 0
         peer_error, peer_stated = [], []
         for seed in range(seeds):
-            rng = np.random.default_rng([seed, 4])
+            rng = np.random.default_rng([seed, 4, degrees])
             seen = image + rng.normal(0, noise, image.shape)
             sensor = {"pixel_size": 9.9, "image_size": (656, 491)}
             fit = calibrate(world, seen, **sensor)

@@ -36,7 +36,8 @@ def draw_detection(
     ax.imshow(image, vmin=0, vmax=255)
     ax.plot(*detection.points.T, "+", color=COLORS["yellow"], ms=7, mew=1.4)
     if label_every is not None:
-        chosen = (detection.grid % label_every == 0).all(axis=1)
+        room = detection.points[:, 0] < 0.93 * image.shape[1]
+        chosen = (detection.grid % label_every == 0).all(axis=1) & room
         for (x, y), (i, j) in zip(detection.points[chosen], detection.grid[chosen], strict=True):
             ax.annotate(
                 f"{i},{j}",
