@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from benchmarks.report import paired_times, publish
 from microlib import synthetic
@@ -80,6 +81,7 @@ def _peer(measure: Callable[[NDArray], NDArray], *, median: bool) -> Callable[[N
 
 PLAIN = "SML 9×9, three points"
 METHODS: dict[str, Callable[[NDArray], NDArray]] = {
+    "SML 5×5, three points": lambda s: depth_from_focus(s, POSITIONS, measure="sml").depth,
     PLAIN: _named("sml"),
     "Tenengrad 9×9, three points": _named("tenengrad"),
     "grey variance 9×9, three points": _named("variance"),
@@ -131,11 +133,16 @@ def scenes(seed: int) -> Iterator[tuple[str, NDArray, NDArray]]:
     edge = middle - 4.3 + synthetic.step(small, 7.7)
     y, x = np.indices(small)
     blocks = middle + 0.3 + 3 * np.sign(np.sin(x / 20) * np.sin(y / 27))
-    ball = 3 + np.minimum(synthetic.sphere_on_plane(small, 6.0, 6.0 / 90), 12.0)
+    ball = 3 + synthetic.sphere_on_plane(small, 6.0, 6.0 / 90)
+    ridge = synthetic.parabolic_cylinder(small, 20.0, width=200.0)
+    relief = gaussian_filter(np.random.default_rng(seed).standard_normal(small), 6.0)
+    rough = middle - 3 + synthetic.paraboloid(small, 6.0) + 0.3 * relief / relief.std()
     yield "tilted plane, noise 2", plane, stack(small, plane, 2.0)
     yield "step of 7.7, noise 2", edge, stack(small, edge, 2.0)
     yield "blocks of 6, noise 2", blocks, stack(small, blocks, 2.0)
     yield "ball on a plane, noise 2", ball, stack(small, ball, 2.0)
+    yield "ridge of 20, noise 2", ridge, stack(small, ridge, 2.0)
+    yield "rough dome, noise 1", rough, stack(small, rough, 1.0)
     yield "weak texture (3.8), noise 2", dome, stack(small, dome, 2.0, 0.1)
     yield "patchy texture, noise 2", dome, stack(small, dome, 2.0, patchy=True)
     yield "coarse texture, noise 2", dome, stack(small, dome, 2.0, coarse=True)

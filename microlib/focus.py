@@ -40,9 +40,9 @@ __all__ = [
 #: Frames by which half the neighbours must differ for a pixel's best frame to count as chance.
 _CHANCE = 2
 #: Reach of the broad windows that matters, px.
-_BORDER = 10
+_BORDER = 8
 #: Error of a smoothed depth over its roughness, which does not show errors that are smooth too.
-_HIDDEN = 2.5
+_HIDDEN = 2.0
 
 
 @dataclass(frozen=True)
@@ -126,18 +126,19 @@ def depth_from_focus(
 
     Notes
     -----
-    "multiscale" multiplies modified Laplacians of smoothed frames: at σ = 1 px averaged over 1.5
-    px, and at 2 px averaged over 6 px. A wide scale alone blurs edges and a narrow one fails on
-    weak texture; a product peaks where both agree. The logarithm of its profile is fitted by a
-    parabola over seven frames, weighted with the measure, because Gaussian blur makes the profile
-    a Gaussian, (3.9). Then a second, finer measure decides on which side of a step a pixel lies,
-    and `smooth_depth` averages over what remains on its side. With any other measure the peak is
+    "multiscale" multiplies modified Laplacians of smoothed frames, at σ = 0.8 px averaged over 1 px
+    and at 2 px averaged over 3 px. A wide scale alone blurs edges and a narrow one fails on weak
+    texture; a product peaks where both agree. The logarithm of its profile is fitted by a parabola
+    over seven frames, weighted with the measure, because Gaussian blur makes the profile nearly a
+    Gaussian, (3.9). A second measure decides on which side of a step a pixel lies, and
+    `smooth_depth` averages over what remains on its side; detail that stands out of the noise is
+    put back. With any other measure the peak is
     fitted and nothing is corrected; `correct_spikes` and `smooth_depth` may follow.
 
     A depth is NaN where the measure is zero or flat, and where the best frame is random: half of
-    its neighbours are more than two frames away from their median. A frame that is best at either
-    end keeps its own position in a fit of three points, and is flagged. Equal maxima go to the
-    first.
+    its neighbours are more than two frames away from their median. A pixel whose best frame is the
+    first or the last is flagged and gets that frame's position, unless a fit of more points puts it
+    further in. Equal maxima go to the first.
 
     References
     ----------
@@ -145,10 +146,11 @@ def depth_from_focus(
 
     Examples
     --------
-    >>> import cv2
-    >>> texture = np.random.default_rng(0).integers(0, 255, (48, 48)).astype(np.uint8)
+    >>> from microlib import synthetic
+    >>> texture = synthetic.mixed_texture((48, 48), np.random.default_rng(0))
     >>> positions = np.arange(0.0, 100.0, 10.0)
-    >>> stack = [cv2.GaussianBlur(texture, (0, 0), 0.5 + abs(z - 42.0) / 10) for z in positions]
+    >>> height = np.full((48, 48), 42.0)
+    >>> stack = synthetic.focal_stack(texture, height, positions, blur_rate=0.1)
     >>> result = depth_from_focus(stack, positions)
     >>> bool(np.abs(result.depth - 42.0).max() < 1.0)
     True
@@ -182,7 +184,7 @@ def depth_from_focus(
     if refined:
         spacing = float(np.median(np.abs(np.diff(z))))
         depth = _refine(depth, profile.depths[1], profile.weight, spacing)
-        depth = np.clip(depth, z.min() - spacing / 2, z.max() + spacing / 2)
+        depth = np.clip(depth, z.min(), z.max())
     return _result(depth, profile, z, hidden=_HIDDEN if refined else 1.0)
 
 
@@ -246,7 +248,10 @@ def _refine(
     inner = _inside(depth.shape)
     trust = inner**4
     if weight is not None:
-        trust *= np.clip(weight / np.median(weight[known]), 1e-4, 1e4)
+        # At an end of the stack a depth may come without a fit and so without a weight.
+        fitted = known & (weight > 0)
+        share = weight / np.median(weight[fitted]) if fitted.any() else np.ones_like(weight)
+        trust *= np.where(fitted, np.clip(share, 1e-4, 1e4), 1.0)
     wide = smooth_depth(steps, jump=1.5, weight=trust)
     close = smooth_depth(steps, jump=1.5, radius=2.0, weight=trust)
     relief = np.where(inner < 1, 0, _relief(steps - close, close - wide))
@@ -263,16 +268,16 @@ def _relief(fine: NDArray, medium: NDArray) -> NDArray:
     """Return how much of the depth's medium detail is relief and not noise, 0 to 1.
 
     Noise goes through the windows of the measure, which leave it a fixed spectrum: whatever its
-    strength, its variance between the wide and the close smoothing is 4.2 times that below the
-    close one (4.0 to 4.4 on smooth surfaces of any texture, contrast, noise and JPEG quality; nine
-    tenths of all pixels stay below 6). What exceeds that is on the object. As in Wiener's filter,
+    strength, its variance between the wide and the close smoothing is 1.0 to 1.7 times that below
+    the close one on smooth surfaces of any texture, contrast, noise and JPEG quality, and nine
+    tenths of all pixels stay below 2.5. What exceeds that is on the object. As in Wiener's filter,
     its share of the variance is what is kept.
     """
     fine, medium = (
         blur(np.clip(np.nan_to_num(part), -0.5, 0.5).astype(np.float32) ** 2, 8.0)
         for part in (fine, medium)
     )
-    return np.maximum(1 - 6 * fine / np.maximum(medium, 1e-12), 0)
+    return np.maximum(1 - 2.6 * fine / np.maximum(medium, 1e-12), 0)
 
 
 def _filled(depth: NDArray) -> NDArray:
@@ -321,10 +326,7 @@ def _result(
     """Estimate the errors of the depths and put the result together."""
     spacing = float(np.median(np.abs(np.diff(positions))))
     known = ~np.isnan(depth)
-    # In frames and from the middle of the stack, where float32 has digits to spare.
-    steps = (depth - np.float32(positions.mean())) / np.float32(spacing)
-    steps = steps.astype(np.float32, copy=False)
-    error = np.float32(hidden) * _roughness(_filled(steps))
+    error = np.float32(hidden / spacing) * _roughness(depth, positions, profile.index)
     index = profile.index.astype(np.int32)
     confidence = np.reciprocal(1 + error * error)
     if not known.all():
@@ -339,14 +341,18 @@ def _result(
     )
 
 
-def _roughness(depth: NDArray) -> NDArray:
-    """Return the local root mean square of what no smooth surface has.
+def _roughness(
+    depth: NDArray, positions: NDArray[np.float64], index: NDArray[np.uint16]
+) -> NDArray:
+    """Return the local root mean square of what no smooth surface has, µm.
 
     Four times the difference from a Gaussian mean of 8 px: slopes and constant curvature leave no
-    trace in it, and errors that change within some ten pixels pass. Taken on every second pixel.
+    trace in it, and errors that change within some ten pixels pass. Taken on every second pixel,
+    with the best frame's position where there is no depth.
     """
-    coarse = np.ascontiguousarray(depth[::2, ::2])
-    rough = coarse
+    coarse, frame = depth[::2, ::2], positions[index[::2, ::2]]
+    # From the middle of the stack, where float32 has digits to spare.
+    rough = (np.where(np.isnan(coarse), frame, coarse) - positions.mean()).astype(np.float32)
     for _ in range(4):
         rough = rough - blur(rough, 4.0)
     rough = np.sqrt(np.maximum(cv2.boxFilter(rough * rough, -1, (3, 3)), 0))

@@ -253,7 +253,7 @@ class Scale:
 
 #: The scales that decide the depth, chosen on rendered stacks with slopes, weak and coarse texture,
 #: noise and JPEG; benchmarks/focus.py compares.
-_SCALES = (Scale(1.0, 1.5), Scale(2.0, 6.0))
+_SCALES = (Scale(0.8, 1.0), Scale(2.0, 3.0))
 
 
 def multiscale_measure(noise: float) -> Banded:

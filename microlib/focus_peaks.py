@@ -113,13 +113,15 @@ def three_point_peak(
         after = np.log(best / np.maximum(window[2], faint))
         if even:
             shift = (before - after) / (before + after) * np.float32(gaps[0] / 2)
+            here = index * np.float32(gaps[0]) + np.float32(positions[0])
         else:
             left = -np.append(1.0, gaps).astype(np.float32)[index]
             right = np.append(gaps, 1.0).astype(np.float32)[index]
             shift = (left**2 * after - right**2 * before) / (left * after - right * before) / 2
+            here = positions.astype(np.float32)[index]
     at_end = (index == 0) | (index == len(positions) - 1)
-    np.copyto(shift, np.where(best > 0, np.float32(0), np.float32(np.nan)), where=at_end)
-    return shift + positions.astype(np.float32)[index]
+    np.copyto(shift, 0, where=at_end & (best > 0))
+    return here + shift
 
 
 def fit_peak(
@@ -135,8 +137,9 @@ def fit_peak(
     narrower for the same reason, to no less than three frames.
 
     The weight is height times sharpness of the peak, which goes as the inverse variance of the
-    depth up to a common factor. Where the parabola opens upwards the depth is NaN; a vertex beyond
-    the neighbouring frames, or beyond half a spacing outside the stack, is put there.
+    depth up to a common factor. Where the parabola opens upwards the depth is NaN, or the position
+    of the best frame if that is the first or last. A vertex beyond the neighbouring frames, or
+    outside the stack, is put there.
     """
     reach = len(window) // 2
     spacing = float(np.median(np.abs(np.diff(positions))))
@@ -156,7 +159,11 @@ def fit_peak(
         for _ in range(2):
             linear, square = _fit_parabola(samples, vertex, width)
             vertex = np.clip(-linear / (2 * square), lowest, highest)
-        vertex[~(square < 0)] = np.nan
+        at_end = (index == 0) | (index == len(positions) - 1)
+        vertex = np.where(square < 0, vertex, np.where(at_end, 0.0, np.nan))
+        # Rounding makes peaks too: a measure that nowhere falls by a thousandth is flat.
+        lowest_log = np.min([y for _, y, _ in samples], axis=0)
+        vertex[~(lowest_log < -1e-3)] = np.nan
     weight = best * np.fmax(-square, 0)
     return ((here + vertex) * spacing).astype(np.float32), weight.astype(np.float32)
 
@@ -164,8 +171,8 @@ def fit_peak(
 def _limits(steps: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
     """Return for each frame the least and greatest vertex around it and half the fit's width.
 
-    The vertex lies between the neighbouring frames, or half a spacing outside the stack. The fit
-    looks equally far to both sides, as far as there are frames on the shorter one.
+    The vertex lies between the neighbouring frames and within the stack. The fit looks equally far
+    to both sides, as far as there are frames on the shorter one.
     """
     last = len(steps) - 1
     limits = np.empty((3, len(steps)))
@@ -176,12 +183,7 @@ def _limits(steps: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
         near = steps[max(k - 1, 0) : k + 2] - here
         # The window moves to the vertex: no frame of three may lose its weight by that.
         margin = (0.5 if count > 1 else 1.0) * np.abs(near).max()
-        outside = (steps[k] - steps[1 if k == 0 else last - 1]) / 2 if k in (0, last) else 0.0
-        limits[:, k] = (
-            min(near.min(), outside),
-            max(near.max(), outside),
-            np.abs(seen).max() + margin,
-        )
+        limits[:, k] = near.min(), near.max(), np.abs(seen).max() + margin
     return limits
 
 
