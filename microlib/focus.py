@@ -350,9 +350,11 @@ def _roughness(
     trace in it, and errors that change within some ten pixels pass. Taken on every second pixel,
     with the best frame's position where there is no depth.
     """
-    coarse, frame = depth[::2, ::2], positions[index[::2, ::2]]
     # From the middle of the stack, where float32 has digits to spare.
-    rough = (np.where(np.isnan(coarse), frame, coarse) - positions.mean()).astype(np.float32)
+    rough = (depth[::2, ::2] - depth.dtype.type(positions.mean())).astype(np.float32)
+    unknown = np.isnan(rough)
+    if unknown.any():
+        rough[unknown] = (positions - positions.mean())[index[::2, ::2][unknown]]
     for _ in range(4):
         rough = rough - blur(rough, 4.0)
     rough = np.sqrt(np.maximum(cv2.boxFilter(rough * rough, -1, (3, 3)), 0))

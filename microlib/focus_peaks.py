@@ -20,8 +20,9 @@ __all__ = ["PeakTracker", "Profile", "fit_peak", "three_point_peak", "track_peak
 #: Frames that are read before the bands work on them, so that a band's state is used while it is
 #: in the cache.
 _BATCH = 8
-#: Pixels of a band: at some 20 bytes of state a pixel, what a cache of 2 MB holds.
-_BAND = 2**17
+#: Pixels of a band: few enough for its state, some 20 bytes a pixel, to stay near the processor, and
+#: enough for a thread to work some time before it needs the interpreter again.
+_BAND = 2**18
 
 #: Smallest focus measure a logarithm is taken of, as a share of the peak's.
 _FAINT = 1e-6
@@ -98,9 +99,32 @@ def three_point_peak(
 ) -> NDArray[np.float32]:
     """Return the depth at the vertex of the Gaussian through the best frame and its two neighbours.
 
-    (3.13), with the positions taken relative to the best frame: subtracting the squares of
-    absolute positions, as it is printed, loses digits. NaN where the three measures are equal or
-    zero; the position of the frame itself where the best is the first or the last.
+    Parameters
+    ----------
+    window : ndarray, shape (3, rows, cols)
+        Measures of the best frame, in the middle, and of its neighbours.
+    index : ndarray of int, shape (rows, cols)
+        Number of the best frame.
+    positions : ndarray of float64, shape (n,)
+        Position of each frame, µm.
+
+    Returns
+    -------
+    ndarray of float32, shape (rows, cols)
+        Depth, µm. NaN where the three measures are equal or zero; the position of the frame itself
+        where the best is the first or the last.
+
+    Notes
+    -----
+    This is (3.13) with the positions taken relative to the best frame: subtracting the squares of
+    absolute positions, as it is printed, loses digits. Spacings may be uneven.
+
+    Examples
+    --------
+    >>> profile = np.exp(-((np.arange(5.0) - 2.25) ** 2))
+    >>> window, index = profile[1:4, None, None], np.full((1, 1), 2)
+    >>> float(three_point_peak(window, index, 10 * np.arange(5.0))[0, 0])
+    22.5
     """
     best = window[1].astype(np.float32)
     faint = best * np.float32(_FAINT)
@@ -129,6 +153,28 @@ def fit_peak(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the depth of the Gaussian fitted to all frames of the window, and its weight.
 
+    Parameters
+    ----------
+    window : ndarray, shape (2 reach + 1, rows, cols)
+        Measures of the best frame, in the middle, and of its neighbours. Entries beyond the stack
+        are ignored.
+    index : ndarray of int, shape (rows, cols)
+        Number of the best frame.
+    positions : ndarray of float64, shape (n,)
+        Position of each frame, µm.
+
+    Returns
+    -------
+    depth : ndarray of float32, shape (rows, cols)
+        Depth, µm. NaN where the measure is flat, or its logarithm opens upwards and the best frame
+        is not the first or last, whose position is taken then. A vertex beyond the neighbouring
+        frames or outside the stack is put there.
+    weight : ndarray of float32, shape (rows, cols)
+        Height times sharpness of the peak, which goes as the inverse variance of the depth up to a
+        common factor.
+
+    Notes
+    -----
     A parabola through the logarithms by least squares. Frames are weighted with their measure,
     because the logarithm of a small one is uncertain, and with the square of an inverted parabola
     centred on the peak. Real profiles have longer tails than a Gaussian: a window that is not
@@ -136,10 +182,13 @@ def fit_peak(
     only known after a first fit, so there are two. Near the ends of the stack the window is made
     narrower for the same reason, to no less than three frames.
 
-    The weight is height times sharpness of the peak, which goes as the inverse variance of the
-    depth up to a common factor. Where the parabola opens upwards the depth is NaN, or the position
-    of the best frame if that is the first or last. A vertex beyond the neighbouring frames, or
-    outside the stack, is put there.
+    Examples
+    --------
+    >>> profile = np.exp(-((np.arange(9.0) - 4.25) ** 2) / 8)
+    >>> window, index = profile[1:8, None, None], np.full((1, 1), 4)
+    >>> depth, _ = fit_peak(window, index, 10 * np.arange(9.0))
+    >>> round(float(depth[0, 0]), 4)
+    42.5
     """
     reach = len(window) // 2
     spacing = float(np.median(np.abs(np.diff(positions))))
@@ -278,9 +327,30 @@ def track_peaks(
     reaches: list[int],
     threads: int,
 ) -> Profile:
-    """Read all frames once and return the depth of every pixel by each measure.
+    """Read all frames once and follow the peak of every pixel by each measure.
 
-    `reaches` says for each measure how many frames on either side of the best enter the fit.
+    Parameters
+    ----------
+    frames : iterator of ndarray, shape (rows, cols)
+        Frames of one size and type, at least one.
+    positions : ndarray of float64, shape (n,)
+        Position of each frame, µm.
+    measures : list of Banded
+        Focus measures; index and image follow the first.
+    reaches : list of int
+        For each measure, how many frames on either side of the best enter the fit.
+    threads : int
+        Threads that share the bands of rows.
+
+    Returns
+    -------
+    Profile
+        Depth by each measure, with what else the first one gives.
+
+    Raises
+    ------
+    ValueError
+        If there are not as many frames as positions.
     """
     batch = list(islice(frames, _BATCH))
     height, width = batch[0].shape
