@@ -26,7 +26,7 @@ _BORDER = cv2.BORDER_REFLECT_101
 def sum_modified_laplacian(
     image: NDArray, *, window: int = 5, step: int = 1, threshold: float = 0.0
 ) -> NDArray:
-    """Return the sum-modified-Laplacian of an image.
+    """Return the sum-modified-Laplacian of an image (3.10)–(3.12).
 
     Parameters
     ----------

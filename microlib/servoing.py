@@ -54,7 +54,7 @@ def point_jacobian(
 ) -> Array:
     r"""Return the image Jacobian of points rigidly attached to the end effector (2.25).
 
-    With weak perspective, :math:`x_s = M X / s_x` (2.22), and :math:`\dot P = V + Ω × P` (2.24),
+    With weak perspective, :math:`x_s = M X / s_x` (2.21)–(2.22), its rate (2.23) and :math:`\dot P = V + Ω × P` (2.24),
 
     .. math::
 
@@ -160,6 +160,8 @@ def optimal_control(
 ) -> Array:
     r"""Return the velocity that minimises the one-step cost (2.27), which is (2.28).
 
+    The features follow f(k+1) = f(k) + T J u(k) (2.26).
+
     .. math:: u(k) = -(T J^T Q T J + L)^{-1}\, T J^T Q\, (f(k) - f^*(k+1))
 
     Parameters
@@ -212,6 +214,9 @@ def ibvs_control(
     jacobian: ArrayLike, error: ArrayLike, *, gain: float, drift: ArrayLike | None = None
 ) -> Array:
     r"""Return the classical proportional law (2.3), which makes the error decay as exp(−λt).
+
+    The error e = f − f* (2.1) changes as J r + ∂e/∂t (2.2); with an exact Jacobian the law cancels
+    the drift and leaves the decay, with an estimated one (2.4) holds.
 
     .. math:: \dot r = -λ J^+ e - J^+ \widehat{\partial e / \partial t}
 
