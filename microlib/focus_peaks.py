@@ -20,8 +20,8 @@ __all__ = ["PeakTracker", "Profile", "fit_peak", "three_point_peak", "track_peak
 #: Frames that are read before the bands work on them, so that a band's state is used while it is
 #: in the cache.
 _BATCH = 8
-#: Pixels of a band: few enough for its state, some 20 bytes a pixel, to stay near the processor, and
-#: enough for a thread to work some time before it needs the interpreter again.
+#: Pixels of a band: few enough for its state, some 20 bytes a pixel, to stay near the processor,
+#: and enough for a thread to work some time before it needs the interpreter again.
 _BAND = 2**18
 
 #: Smallest focus measure a logarithm is taken of, as a share of the peak's.
@@ -123,7 +123,8 @@ def three_point_peak(
     --------
     >>> profile = np.exp(-((np.arange(5.0) - 2.25) ** 2))
     >>> window, index = profile[1:4, None, None], np.full((1, 1), 2)
-    >>> float(three_point_peak(window, index, 10 * np.arange(5.0))[0, 0])
+    >>> depth = three_point_peak(window, index, 10 * np.arange(5.0))
+    >>> round(float(depth[0, 0]), 4)
     22.5
     """
     best = window[1].astype(np.float32)
