@@ -54,7 +54,8 @@ def point_jacobian(
 ) -> Array:
     r"""Return the image Jacobian of points rigidly attached to the end effector (2.25).
 
-    With weak perspective, :math:`x_s = M X / s_x` (2.21)–(2.22), its rate (2.23) and :math:`\dot P = V + Ω × P` (2.24),
+    With weak perspective, :math:`x_s = M X / s_x` (2.21)–(2.22), its rate (2.23) and
+    :math:`\dot P = V + Ω × P` (2.24),
 
     .. math::
 
