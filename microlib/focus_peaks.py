@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -16,6 +17,8 @@ from numpy.typing import NDArray
 from microlib.focus_measures import Banded
 
 __all__ = ["PeakTracker", "Profile", "fit_peak", "three_point_peak", "track_peaks"]
+
+T = TypeVar("T")
 
 #: Frames that are read before the bands work on them, so that a band's state is used while it is
 #: in the cache.
@@ -320,6 +323,22 @@ class _Band:
         return Profile(depths, first.index, first.image, weight)
 
 
+def _share(
+    pool: ThreadPoolExecutor, threads: int, work: Callable[[_Band], T], bands: list[_Band]
+) -> list[T]:
+    """Do the work on every band; each thread, the caller's own among them, keeps its bands.
+
+    A caller that only waited would be woken beside a worker on the same core, time and again.
+    """
+
+    def mine(k: int) -> list[T]:
+        return [work(band) for band in bands[k::threads]]
+
+    others = [pool.submit(mine, k) for k in range(1, threads)]
+    parts = [mine(0), *(other.result() for other in others)]
+    return [parts[k % threads][k // threads] for k in range(len(bands))]
+
+
 def track_peaks(
     frames: Iterator[NDArray],
     positions: NDArray[np.float64],
@@ -363,20 +382,19 @@ def track_peaks(
         for top in range(0, height, rows)
     ]
     count = 0
-    with ThreadPoolExecutor(threads) as pool:
-        run = map if threads == 1 else pool.map
+    with ThreadPoolExecutor(max(threads - 1, 1)) as pool:
         while batch:
             count += len(batch)
             if count > len(positions):
                 break
-            list(run(partial(_Band.push, frames=batch), bands))
+            _share(pool, threads, partial(_Band.push, frames=batch), bands)
             batch = list(islice(frames, _BATCH))
         if count != len(positions):
             got = f"more than {len(positions)}" if count > len(positions) else str(count)
             raise ValueError(
                 f"frames and positions must be as many, got {got} and {len(positions)}"
             )
-        parts = list(run(partial(_Band.finish, positions=positions), bands))
+        parts = _share(pool, threads, partial(_Band.finish, positions=positions), bands)
     weights = [part.weight for part in parts if part.weight is not None]
     return Profile(
         depths=[np.concatenate(depths) for depths in zip(*(p.depths for p in parts), strict=True)],
