@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup book test notebooks html lint format picture benchmarks lock clean
+.PHONY: help setup book test notebooks html lint format picture benchmarks mutants lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -58,6 +58,9 @@ picture: $(STAMP) ## draw the readme's picture anew
 benchmarks: $(STAMP) ## measure microlib beside its peers (minutes)
 	@for file in benchmarks/[a-z]*.py; do \
 	  name=$$(basename $$file .py); [ $$name = report ] || $(BIN)/python -m benchmarks.$$name || exit 1; done
+
+mutants: $(STAMP) ## plant faults in the library and count those the tests catch (minutes)
+	@$(BIN)/python tests/mutants.py
 
 lock: $(STAMP) ## compile environment.txt anew (needs uv)
 	@uv pip compile pyproject.toml --extra book --extra test --generate-hashes --universal \

@@ -117,7 +117,7 @@ def draw_path_run(run: Simulation, error: NDArray[np.floating], title: str, unit
     left.plot(*(run.reference - offset).T, color="black", lw=1, label="reference")
     left.plot(*(run.measured - offset).T, ".", color=COLORS["blue"], ms=4, label="measured")
     left.set(xlabel="x (px)", ylabel="y (px)", aspect="equal", title=title)
-    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), ncols=2, fontsize=10)
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", ncols=2, fontsize=10)
     right.plot(run.time[: len(error)], error, color=COLORS["blue"], lw=1.2)
     right.set(xlabel="time (s)", ylabel=f"tracking error ({unit})", ylim=(0, None))
     return figure

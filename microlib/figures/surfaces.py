@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from microlib.curvature import HK_NAMES
 
-__all__ = ["HK_COLORS", "draw_labels", "draw_surface", "turnable_surface"]
+__all__ = ["HK_COLORS", "draw_labels", "draw_surface", "label_legend", "turnable_surface"]
 
 #: Convex in blues, concave in oranges, saddles and flats between; label 0 (unknown) is white.
 HK_COLORS = {
@@ -34,7 +34,7 @@ _MOST_POINTS = 100
 
 
 def draw_labels(axes: Axes, labels: NDArray[np.uint8], *, legend: bool = True) -> None:
-    """Show a map of surface types, with a legend of those that occur."""
+    """Show a map of surface types, with a legend of those that occur in it."""
     colors = ListedColormap(["#FFFFFF", *HK_COLORS.values()])
     axes.imshow(
         labels, cmap=colors, norm=BoundaryNorm(np.arange(-0.5, 10), 10), interpolation="nearest"
@@ -42,9 +42,14 @@ def draw_labels(axes: Axes, labels: NDArray[np.uint8], *, legend: bool = True) -
     axes.set(xlabel="x (px)", ylabel="y (px)")
     axes.grid(False)
     if legend:
-        present = [label for label in HK_NAMES if np.any(labels == label)]
-        patches = [Patch(color=HK_COLORS[k], label=f"{k} {HK_NAMES[k]}") for k in present]
-        axes.legend(handles=patches, loc="upper left", bbox_to_anchor=(1.01, 1), fontsize=10)
+        label_legend(axes, labels)
+
+
+def label_legend(axes: Axes, labels: NDArray[np.uint8]) -> None:
+    """Put a legend of the surface types that occur in `labels` beside the axes."""
+    present = [label for label in HK_NAMES if np.any(labels == label)]
+    patches = [Patch(color=HK_COLORS[k], label=f"{k} {HK_NAMES[k]}") for k in present]
+    axes.legend(handles=patches, loc="upper left", bbox_to_anchor=(1.01, 1), fontsize=10)
 
 
 def draw_surface(
