@@ -45,8 +45,9 @@ MODULES = {
     "depth_correction": ["depth_correction"],
     "ledger": ["ledger"],
 }
-# "X | None" in annotations is never evaluated, and leaving a decorator off is no numerical fault.
-IDLE = ("BitOr_", "RemoveDecorator", "ExceptionReplacer")
+# "X | None" in annotations is never evaluated, a decorator left off is no numerical fault, and the
+# operators on variables want to be told names.
+IDLE = ("BitOr_", "RemoveDecorator", "ExceptionReplacer", "VariableInserter", "VariableReplacer")
 
 
 def main() -> int:
@@ -62,6 +63,11 @@ def main() -> int:
         for k in range(options.jobs):
             copies.put(copy_project(Path(folder) / str(k)))
         with ThreadPoolExecutor(options.jobs) as pool:
+            passing = list(pool.map(lambda name: passes(copies, name), chosen))
+            if not all(passing):
+                failing = [n for n, fine in zip(chosen, passing, strict=True) if not fine]
+                print(f"Without any fault the tests of {', '.join(failing)} fail; mend them first.")
+                return 1
             rows = list(pool.map(lambda fault: judge(copies, *fault), faults))
     with RESULT.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -116,25 +122,38 @@ def judge(copies: Queue[Path], name: str, operator: str, occurrence: int) -> lis
     )
     try:
         path.write_text(faulty, encoding="utf-8")
-        tests = [f"tests/test_{test}.py" for test in MODULES[name]]
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
-        environment = os.environ | {"PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1"}
-        try:
-            run = subprocess.run(
-                [*command, *tests, f"microlib/{name}.py"],
-                cwd=folder,
-                env=environment,
-                capture_output=True,
-                timeout=120,
-                check=False,
-            )
-            caught = run.returncode != 0
-        except subprocess.TimeoutExpired:
-            caught = True  # a loop without end is noticed, too
+        caught = not run_tests(folder, name)
     finally:
         path.write_text(sound, encoding="utf-8")
         copies.put(folder)
     return [name, f"{operator.removeprefix('core/')}:{occurrence}", line, code, caught]
+
+
+def passes(copies: Queue[Path], name: str) -> bool:
+    """Tell whether a module's tests pass while nothing is wrong with it."""
+    folder = copies.get()
+    try:
+        return run_tests(folder, name)
+    finally:
+        copies.put(folder)
+
+
+def run_tests(folder: Path, name: str) -> bool:
+    tests = [f"tests/test_{test}.py" for test in MODULES[name]]
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
+    environment = os.environ | {"PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1"}
+    try:
+        run = subprocess.run(
+            [*command, *tests, f"microlib/{name}.py"],
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            timeout=120,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return False  # a loop without end is noticed, too
+    return run.returncode == 0
 
 
 if __name__ == "__main__":

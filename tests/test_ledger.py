@@ -90,6 +90,8 @@ def test_check_names_the_claim_that_fails() -> None:
         ledger.check("table-5.6/E", math.nan)
     with pytest.raises(ValueError, match="must contain its value"):
         ledger.check("table-5.6/E", 1.3237, interval=(2.0, 3.0))
+    with pytest.raises(ValueError, match="must contain its value"):
+        ledger.check("table-5.6/E", 1.3237, interval=(0.0, 1.0))
     with pytest.raises(ValueError, match="must not be that of a claim"):
         ledger.report("table-5.6/E", 1.0)
 

@@ -225,6 +225,14 @@ def test_impossible_input_is_refused_by_name(change: dict, message: str) -> None
         elastic_modulus(**VALUES | change)
 
 
+def test_the_printed_zeta_cannot_have_given_the_printed_modulus() -> None:
+    """Backs the erratum of Table 5.6: (5.2) at ζ = 44.78, which `shape_factor` refuses."""
+    z, a, depth = 44.78, 246.95, 121.22
+    bracket = 1 - z**2 + np.log(z**2)
+    shape = (3 - 4 * z**2 + z**4 + 2 * np.log(z**2)) / ((1 - z**2) * bracket**3)
+    assert 197.24 * a**2 * 0.5 / (2 * np.pi * 3.0 * depth**3) / shape > 1e5  # MPa
+
+
 def test_other_refusals() -> None:
     with pytest.raises(ValueError, match=r"zeta must lie in \(0, 1\), got 44.78"):
         shape_factor(44.78)
