@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup book test notebooks html lint format picture benchmarks mutants lock clean
+.PHONY: help setup book test notebooks html lint format data picture benchmarks mutants lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -51,6 +51,9 @@ format: $(STAMP) ## format the code and strip the notebooks
 	@$(BIN)/ruff format .
 	@$(BIN)/ruff check --fix .
 	@$(BIN)/nbstripout --keep-id notebooks/*.ipynb
+
+data: $(STAMP) ## write data/synthetic anew, the same bytes
+	@$(BIN)/python data/make_synthetic.py
 
 picture: $(STAMP) ## draw the readme's picture anew
 	@$(BIN)/python book/make_readme_picture.py
