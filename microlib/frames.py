@@ -102,6 +102,8 @@ def _pages(path: Path) -> Iterator[tuple[str, NDArray]]:
     except Exception as error:  # damaged headers raise whatever their bytes lead to
         raise ValueError(f"frames cannot be read from {path}: {error}") from error
     with tiff:
+        if len(tiff.pages) == 0:
+            raise ValueError(f"frames cannot be read from {path}: it holds no page")
         for number in range(len(tiff.pages)):
             try:
                 page = tiff.pages[number].aspage()
