@@ -11,10 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from microlib._checks import as_array, positive, whole
+from microlib._focus_loops import fill_in
 from microlib.depth_correction import correct_spikes, smooth_depth
 from microlib.focus_measures import (
     Banded,
     FocusMeasure,
+    RowsMeasure,
     blur,
     edge_measure,
     grey_variance,
@@ -25,7 +27,7 @@ from microlib.focus_measures import (
     tenengrad,
 )
 from microlib.focus_peaks import Profile, track_peaks
-from microlib.frames import Frames, read_frames
+from microlib.frames import Frames, are_at_hand, read_frames
 
 __all__ = [
     "FocusResult",
@@ -39,6 +41,10 @@ __all__ = [
 
 #: Frames by which half the neighbours must differ for a pixel's best frame to count as chance.
 _CHANCE = 2
+#: Frames whose numbers fit into 16 bits.
+_MOST = 2**16 - 1
+#: Frames of a stream that are read in one go.
+_BATCH = 8
 #: Reach of the broad windows that matters, px.
 _BORDER = 8
 #: Error of a smoothed depth over its roughness, which does not show errors that are smooth too.
@@ -110,7 +116,9 @@ def depth_from_focus(
         Frames in the fit of the peak, odd, at least 3. By default 7 for "multiscale", and 3, the
         thesis' interpolation (3.13), for all others.
     threads : int
-        Threads that work on bands of rows. The result is the same for any number.
+        Threads that work on bands of rows. The result is the same for any number. With more than
+        one, an iterable is asked for its next frame by whichever thread needs it first, never by
+        two at a time.
 
     Returns
     -------
@@ -167,31 +175,39 @@ def depth_from_focus(
     if first is None:
         raise ValueError("frames must hold at least three frames, got none")
 
+    measures: list[RowsMeasure]
     refined = measure == "multiscale"
     if refined:
         noise = noise_level(first)
         measures = [multiscale_measure(noise), edge_measure(noise)]
     elif callable(measure):
         function = _checked(measure)
-        measures = [Banded(lambda _: function, reach=max(first.shape))]
+        measures = [Banded(function, reach=max(first.shape))]
     else:
         measures = [named_measure(measure, side, whole("step", step, least=1), limit)]
     profile = track_peaks(
-        chain([first], reader), z, measures, reaches=[fit // 2, 1][: len(measures)], threads=workers
+        chain([first], reader),
+        z,
+        measures,
+        reaches=[fit // 2, 1][: len(measures)],
+        batch=len(z) if are_at_hand(frames) else _BATCH,
+        threads=workers,
     )
     depth: NDArray = profile.depths[0]
-    depth[_random(profile.index, len(z))] = np.nan
+    _forget(depth, _random(profile.index, len(z)))
     if refined:
         spacing = float(np.median(np.abs(np.diff(z))))
         depth = _refine(depth, profile.depths[1], profile.weight, spacing)
         depth = np.clip(depth, z.min(), z.max())
-    return _result(depth, profile, z, hidden=_HIDDEN if refined else 1.0)
+    return _result(depth, profile, z, _HIDDEN if refined else 1.0)
 
 
 def _check_positions(positions: ArrayLike) -> NDArray[np.float64]:
     z = as_array("positions", positions, shape=(None,))
     if len(z) < 3:
         raise ValueError(f"positions must be at least three, one for each frame, got {len(z)}")
+    if len(z) > _MOST:
+        raise ValueError(f"positions must be at most {_MOST}, got {len(z)}")
     gaps = np.diff(z)
     if not ((gaps > 0).all() or (gaps < 0).all()):
         at = int(np.flatnonzero(np.sign(gaps) != np.sign(z[-1] - z[0]))[0])
@@ -214,17 +230,24 @@ def _checked(measure: FocusMeasure) -> FocusMeasure:
 
 
 def _random(index: NDArray[np.uint16], count: int) -> NDArray[np.bool_]:
-    """Tell where the best frame is a matter of chance: it differs from pixel to pixel.
+    """Tell, of every second pixel, where the best frame differs from pixel to pixel: by chance.
 
-    The deviation from the median and its median are taken on every second pixel, which is enough
-    and reaches further than the window of a measure, inside which even noise is alike.
+    Every second pixel is enough, and its deviation from the median reaches further than the window
+    of a measure, inside which even noise is alike.
     """
-    coarse = np.ascontiguousarray(index[::2, ::2])
+    coarse = index[::2, ::2]
     if count <= 256:
         coarse = coarse.astype(np.uint8)
+    coarse = np.ascontiguousarray(coarse)
     deviation = cv2.absdiff(coarse, cv2.medianBlur(coarse, 5))
-    chance = np.asarray(cv2.medianBlur(deviation, 5)) > _CHANCE
-    return chance.repeat(2, axis=0).repeat(2, axis=1)[: len(index), : index.shape[1]]
+    return np.asarray(cv2.medianBlur(deviation, 5)) > _CHANCE
+
+
+def _forget(depth: NDArray, chance: NDArray[np.bool_]) -> None:
+    """Make NaN of the pixels that the mask of every second one stands for, two by two."""
+    for dy, dx in product((0, 1), repeat=2):
+        part = depth[dy::2, dx::2]
+        part[chance[: part.shape[0], : part.shape[1]]] = np.nan
 
 
 def _refine(
@@ -321,24 +344,35 @@ def _choose_side(broad: NDArray, fine: NDArray, sure: NDArray[np.bool_]) -> NDAr
 
 
 def _result(
-    depth: NDArray, profile: Profile, positions: NDArray[np.float64], hidden: float
+    depth: NDArray,
+    profile: Profile,
+    positions: NDArray[np.float64],
+    hidden: float,
 ) -> FocusResult:
     """Estimate the errors of the depths and put the result together."""
-    spacing = float(np.median(np.abs(np.diff(positions))))
-    known = ~np.isnan(depth)
-    error = np.float32(hidden / spacing) * _roughness(depth, positions, profile.index)
-    index = profile.index.astype(np.int32)
-    confidence = np.reciprocal(1 + error * error)
-    if not known.all():
-        error[~known], confidence[~known], index[~known] = np.nan, 0, -1
-    return FocusResult(
+    spacing = np.float32(np.median(np.abs(np.diff(positions))))
+    error = _roughness(depth, positions, profile.index)
+    error *= np.float32(hidden) / spacing
+    result = FocusResult(
         depth=depth.astype(np.float32, copy=False),
-        uncertainty=error * np.float32(spacing),
-        confidence=confidence,
-        index=index,
+        uncertainty=error,
+        confidence=np.empty_like(error),
+        index=np.empty(depth.shape, np.int32),
         all_in_focus=profile.image,
-        at_end=(profile.index == 0) | (profile.index == len(positions) - 1),
+        at_end=np.empty(depth.shape, bool),
     )
+
+    fill_in(
+        result.depth,
+        profile.index,
+        len(positions) - 1,
+        spacing,
+        result.uncertainty,
+        result.confidence,
+        result.index,
+        result.at_end,
+    )
+    return result
 
 
 def _roughness(

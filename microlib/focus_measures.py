@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._checks import one_of, positive, whole
+from microlib._checks import as_image, one_of, positive, whole
+from microlib._focus_loops import sum_rows
 
 __all__ = ["FocusMeasure", "grey_variance", "sum_modified_laplacian", "tenengrad"]
 
@@ -67,60 +68,39 @@ def sum_modified_laplacian(
     >>> sum_modified_laplacian(spot, window=3)[2]
     array([20, 70, 80, 70, 20], dtype=uint16)
     """
-    return ModifiedLaplacian(window, step, threshold)(image)
+    if image.dtype not in (np.uint8, np.uint16) or image.ndim != 2:
+        image = as_image("image", image)
+    return SumModifiedLaplacian(window, step, threshold)(image, slice(0, len(image)))
 
 
-class ModifiedLaplacian:
-    """`sum_modified_laplacian` for many images of one shape, with memory that is used again.
+@dataclass(frozen=True)
+class SumModifiedLaplacian:
+    """`sum_modified_laplacian` of some rows of an image."""
 
-    Fresh memory costs as much as the arithmetic on it. A result is overwritten `keep` calls later.
-    """
+    window: int
+    step: int
+    threshold: float
 
-    def __init__(self, window: int, step: int, threshold: float, keep: int = 1) -> None:
-        self._window = whole("window", window, least=1, odd=True)
-        self._step = whole("step", step, least=1)
-        self._threshold = float(positive("threshold", threshold, zero=True))
-        self._keep = keep
-        self._kind: tuple[object, ...] = ()
+    def __post_init__(self) -> None:
+        whole("window", self.window, least=1, odd=True)
+        whole("step", self.step, least=1)
+        positive("threshold", self.threshold, zero=True)
 
-    def _allocate(self, image: NDArray) -> None:
-        s, n = self._step, self._window
-        if s >= min(image.shape):
-            raise ValueError(f"step must be below the image's sides {image.shape}, got {s}")
-        exact = image.dtype == np.uint8
-        work = np.int16 if exact else np.float32
-        rows, cols = image.shape
-        self._padded = np.empty((rows + 2 * s, cols + 2 * s), work)
-        self._difference_x = np.empty((rows, cols + s), work)
-        self._difference_y = np.empty((rows + s, cols), work)
+    @property
+    def reach(self) -> int:
+        return self.step + self.window // 2
+
+    def __call__(self, image: NDArray, rows: slice) -> NDArray:
+        if self.step >= min(image.shape):
+            raise ValueError(f"step must be below the image's sides {image.shape}, got {self.step}")
         # 4 * 255 * 7 * 7 < 2¹⁶
-        result = np.uint16 if exact and n <= 7 else np.float32
-        self._results = deque(np.empty((self._keep, rows, cols), result))
-        self._kind = (image.shape, image.dtype)
-
-    def __call__(self, image: NDArray) -> NDArray:
-        if self._kind != (image.shape, image.dtype):
-            self._allocate(image)
-        s, p = self._step, self._padded
-        p[s:-s, s:-s] = image
-        p[:s], p[-s:] = p[2 * s : s : -1], p[-s - 2 : -2 * s - 2 : -1]
-        p[:, :s], p[:, -s:] = p[:, 2 * s : s : -1], p[:, -s - 2 : -2 * s - 2 : -1]
-        # A second difference is the difference of two neighbouring first ones. Each step writes
-        # where the one before has done reading, so that all of it stays in the cache.
-        dx, dy = self._difference_x, self._difference_y
-        cv2.subtract(p[s:-s, s:], p[s:-s, :-s], dst=dx)
-        cv2.subtract(p[s:, s:-s], p[:-s, s:-s], dst=dy)
-        along_x, along_y = p[s:-s, s:-s], dx[:, s:]
-        cv2.absdiff(dx[:, s:], dx[:, :-s], dst=along_x)
-        cv2.absdiff(dy[s:], dy[:-s], dst=along_y)
-        laplacian = cv2.add(along_x, along_y, dst=dy[s:])
-        if self._threshold > 0:
-            cv2.threshold(laplacian, self._threshold, 0, cv2.THRESH_TOZERO, dst=laplacian)
-        self._results.rotate(1)
-        result = self._results[0]
-        if result.dtype == np.uint16:
-            return _box_sum(laplacian.view(np.uint16), self._window, -1, result)
-        return _box_sum(laplacian, self._window, cv2.CV_32F, result)
+        exact = image.dtype == np.uint8 and self.window <= 7
+        shape = (rows.stop - rows.start, image.shape[1])
+        result = np.empty(shape, np.uint16 if exact else np.float32)
+        # No sum of whole numbers lies between the threshold and the whole number below it.
+        threshold = min(np.floor(self.threshold), 65535.0) if exact else self.threshold
+        sum_rows(image, rows.start, self.window, self.step, float(threshold), result)
+        return result
 
 
 def tenengrad(image: NDArray, *, window: int = 5) -> NDArray[np.float32]:
@@ -155,7 +135,7 @@ def tenengrad(image: NDArray, *, window: int = 5) -> NDArray[np.float32]:
     n = whole("window", window, least=1, odd=True)
     gx = cv2.Sobel(image, cv2.CV_32F, 1, 0)
     gy = cv2.Sobel(image, cv2.CV_32F, 0, 1)
-    return _box_sum(gx * gx + gy * gy, n, cv2.CV_32F)
+    return _box_sum(gx * gx + gy * gy, n)
 
 
 def grey_variance(image: NDArray, *, window: int = 5) -> NDArray[np.float32]:
@@ -190,8 +170,8 @@ def grey_variance(image: NDArray, *, window: int = 5) -> NDArray[np.float32]:
     return np.maximum(square - mean * mean, 0).astype(np.float32)
 
 
-def _box_sum(image: NDArray, n: int, depth: int, out: NDArray | None = None) -> NDArray:
-    return cv2.boxFilter(image, depth, (n, n), dst=out, normalize=False, borderType=_BORDER)
+def _box_sum(image: NDArray, n: int) -> NDArray:
+    return cv2.boxFilter(image, cv2.CV_32F, (n, n), normalize=False, borderType=_BORDER)
 
 
 def blur(image: NDArray, sigma: float) -> NDArray:
@@ -203,27 +183,37 @@ def blur(image: NDArray, sigma: float) -> NDArray:
     return cv2.boxFilter(once, -1, (n, n), borderType=_BORDER)
 
 
+class RowsMeasure(Protocol):
+    """A focus measure of some rows of an image, for which it looks `reach` rows further."""
+
+    @property
+    def reach(self) -> int: ...
+
+    def __call__(self, image: NDArray, rows: slice) -> NDArray: ...
+
+
 @dataclass(frozen=True)
 class Banded:
-    """A measure that may be computed band by band, because it looks no further than `reach` pixels.
+    """A measure of whole images, made one of some rows: it looks no further than `reach` pixels."""
 
-    `make` returns the function for one band; results it returned must outlast its argument's number
-    of further calls.
-    """
-
-    make: Callable[[int], FocusMeasure]
+    function: FocusMeasure
     reach: int
 
+    def __call__(self, image: NDArray, rows: slice) -> NDArray:
+        low = max(rows.start - self.reach, 0)
+        seen = self.function(image[low : rows.stop + self.reach])
+        return seen[rows.start - low : rows.stop - low]
 
-def named_measure(name: str, window: int, step: int, threshold: float) -> Banded:
+
+def named_measure(name: str, window: int, step: int, threshold: float) -> RowsMeasure:
     """Return the classical measure of that name."""
     one_of("measure", name, ("multiscale", "sml", "tenengrad", "variance"))
     if name == "sml":
-        return Banded(partial(ModifiedLaplacian, window, step, threshold), reach=step + window // 2)
+        return SumModifiedLaplacian(window, step, threshold)
     if (step, threshold) != (1, 0.0):
         raise ValueError(f"step and threshold are for measure 'sml' only, got measure {name!r}")
     function = {"tenengrad": tenengrad, "variance": grey_variance}[name]
-    return Banded(lambda _: partial(function, window=window), reach=1 + window // 2)
+    return Banded(partial(function, window=window), reach=1 + window // 2)
 
 
 @dataclass(frozen=True)
@@ -270,7 +260,7 @@ def multiscale_measure(noise: float) -> Banded:
         grey = image.astype(np.float32)
         return (fine(grey) + floors[0]) * (coarse(grey) + floors[1])
 
-    return Banded(lambda _: measure, reach=max(scale.reach for scale in _SCALES))
+    return Banded(measure, reach=max(scale.reach for scale in _SCALES))
 
 
 def edge_measure(noise: float) -> Banded:
@@ -288,7 +278,7 @@ def edge_measure(noise: float) -> Banded:
         deviation = np.abs(grey - blur(grey, 4.0))
         return (blur(deviation, 0.5) + floor) * (blur(deviation, 2.0) + floor)
 
-    return Banded(lambda _: measure, reach=24)
+    return Banded(measure, reach=24)
 
 
 def noise_level(frame: NDArray) -> float:

@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice
-from typing import TypeVar
+from itertools import chain, islice
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib.focus_measures import Banded
+from microlib._focus_loops import track_rows
+from microlib._threads import in_rounds
+from microlib.focus_measures import RowsMeasure
 
 __all__ = ["PeakTracker", "Profile", "fit_peak", "three_point_peak", "track_peaks"]
 
-T = TypeVar("T")
-
-#: Frames that are read before the bands work on them, so that a band's state is used while it is
-#: in the cache.
-_BATCH = 8
-#: Pixels of a band: few enough for its state, some 20 bytes a pixel, to stay near the processor,
+#: Pixels of a band: few enough for its state, some 15 bytes a pixel, to stay near the processor,
 #: and enough for a thread to work some time before it needs the interpreter again.
-_BAND = 2**18
+_BAND = 2**17
 
 #: Smallest focus measure a logarithm is taken of, as a share of the peak's.
 _FAINT = 1e-6
@@ -34,67 +27,34 @@ _FAINT = 1e-6
 class PeakTracker:
     """The focus measures around the best frame so far, for every pixel of a band of rows.
 
-    A frame can only be judged once its later neighbours have come, so frames are looked at
-    `reach` late: memory holds 2 `reach` + 1 measures and as many for the result, whatever the
-    number of frames.
+    Memory holds the measures of the last `reach` frames and of 2 `reach` + 1 frames around the
+    best one, whatever the number of frames.
 
     Attributes
     ----------
     window : ndarray, shape (2 reach + 1, rows, cols)
         Measures of the frames around the best one. Entries before the first or after the last
         frame are undefined.
-    index : ndarray of uint8 or uint16, shape (rows, cols)
+    index : ndarray of uint16, shape (rows, cols)
         Number of the best frame; the first of equals.
     image : ndarray, shape (rows, cols)
         Grey level in the best frame.
     """
 
-    def __init__(self, reach: int, count: int) -> None:
+    def __init__(self, reach: int, index: NDArray[np.uint16], image: NDArray) -> None:
+        self.index = index
+        self.image = image
         self._reach = reach
-        self._number_type = np.uint8 if count <= 256 else np.uint16
-        self._measures: deque[NDArray] = deque(maxlen=2 * reach + 1)
-        self._frames: deque[NDArray] = deque(maxlen=reach + 1)
-        self._next = 0
+        self._count = 0
 
     def push(self, measure: NDArray, frame: NDArray) -> None:
         """Take in the next frame of the band and its focus measure."""
-        if not self._frames:
+        if self._count == 0:
+            self.index[:] = 0
             self.window = np.zeros((2 * self._reach + 1, *measure.shape), measure.dtype)
-            self.index = np.zeros(measure.shape, self._number_type)
-            self.image = frame.copy()
-            self._better = np.empty(measure.shape, np.uint8)
-            # Nothing lies before the first frame; the ring starts full so that every frame sees
-            # its like.
-            self._measures.extend([measure] * self._reach)
-        self._measures.append(measure)
-        self._frames.append(frame)
-        if len(self._measures) == self._measures.maxlen:
-            self._judge()
-
-    def finish(self) -> None:
-        """Judge the last frames, which have fewer later neighbours."""
-        last, frame = self._measures[-1], self._frames[-1]
-        for _ in range(self._reach):
-            self.push(last, frame)
-
-    def _judge(self) -> None:
-        centre = self._measures[self._reach]
-        cv2.compare(centre, self.window[self._reach], cv2.CMP_GT, dst=self._better)
-        for k, measure in enumerate(self._measures):
-            if k != self._reach:
-                cv2.copyTo(measure, self._better, dst=self.window[k])
-        cv2.max(centre, self.window[self._reach], dst=self.window[self._reach])
-        cv2.copyTo(self._frames[0], self._better, dst=self.image)
-        self._mark()
-        self._next += 1
-
-    def _mark(self) -> None:
-        """Write the frame's number, which is above all before it, where it is better."""
-        if self.index.dtype == np.uint8:
-            np.bitwise_and(self._better, np.uint8(self._next), out=self._better)
-            np.maximum(self.index, self._better, out=self.index)
-        else:
-            self.index[self._better > 0] = self._next
+            self._recent = np.zeros((self._reach, *measure.shape), measure.dtype)
+        track_rows(measure, frame, self._count, self.window, self._recent, self.index, self.image)
+        self._count += 1
 
 
 def three_point_peak(
@@ -283,68 +243,53 @@ class Profile:
 
 
 class _Band:
-    """A band of rows, a tracker for each measure, and the rows around that the measures look at."""
+    """A band of rows, with a tracker for each measure until its depths are known."""
 
     def __init__(
         self,
         rows: slice,
-        height: int,
-        count: int,
-        measures: list[Banded],
-        reaches: list[int],
+        measures: Sequence[RowsMeasure],
+        reaches: Sequence[int],
+        positions: NDArray[np.float64],
+        result: Profile,
     ) -> None:
-        top, bottom = rows.start, rows.stop
+        index, image = result.index[rows], result.image[rows]
         self._rows = rows
+        self._positions = positions
+        self._result = result
         self._work = []
         for measure, reach in zip(measures, reaches, strict=True):
-            low = max(top - measure.reach, 0)
-            seen = slice(low, min(bottom + measure.reach, height))
-            inner = slice(top - low, bottom - low)
-            # The tracker looks at 2 reach + 1 results, of which the newest drives out the oldest.
-            function = measure.make(2 * reach + 1)
-            self._work.append((function, seen, inner, PeakTracker(reach, count)))
+            self._work.append((measure, PeakTracker(reach, index, image)))
+            # Index and image of the result are those by the first measure.
+            index, image = np.empty_like(index), np.empty_like(image)
 
-    def push(self, frames: list[NDArray]) -> None:
-        for frame in frames:
-            for function, seen, inner, tracker in self._work:
-                tracker.push(function(frame[seen])[inner], frame[self._rows])
+    def push(self, frames: Sequence[NDArray], last: bool) -> None:
+        for measure, tracker in self._work:
+            for frame in frames:
+                tracker.push(measure(frame, self._rows), frame[self._rows])
+        if last:
+            self._finish()
 
-    def finish(self, positions: NDArray[np.float64]) -> Profile:
-        depths = []
-        weight = None
-        for *_, tracker in self._work:
-            tracker.finish()
+    def _finish(self) -> None:
+        """Write the depths of the band and let go of what they came from."""
+        for (_, tracker), depth in zip(self._work, self._result.depths, strict=True):
             if len(tracker.window) == 3:
-                depths.append(three_point_peak(tracker.window, tracker.index, positions))
+                fitted = three_point_peak(tracker.window, tracker.index, self._positions)
             else:
-                depth, weight = fit_peak(tracker.window, tracker.index, positions)
-                depths.append(depth)
-        first = self._work[0][-1]
-        return Profile(depths, first.index, first.image, weight)
-
-
-def _share(
-    pool: ThreadPoolExecutor, threads: int, work: Callable[[_Band], T], bands: list[_Band]
-) -> list[T]:
-    """Do the work on every band; each thread, the caller's own among them, keeps its bands.
-
-    A caller that only waited would be woken beside a worker on the same core, time and again.
-    """
-
-    def mine(k: int) -> list[T]:
-        return [work(band) for band in bands[k::threads]]
-
-    others = [pool.submit(mine, k) for k in range(1, threads)]
-    parts = [mine(0), *(other.result() for other in others)]
-    return [parts[k % threads][k // threads] for k in range(len(bands))]
+                fitted, weight = fit_peak(tracker.window, tracker.index, self._positions)
+                if self._result.weight is not None:
+                    self._result.weight[self._rows] = weight
+            depth[self._rows] = fitted
+        self._work.clear()
 
 
 def track_peaks(
     frames: Iterator[NDArray],
     positions: NDArray[np.float64],
-    measures: list[Banded],
+    measures: Sequence[RowsMeasure],
     *,
-    reaches: list[int],
+    reaches: Sequence[int],
+    batch: int,
     threads: int,
 ) -> Profile:
     """Read all frames once and follow the peak of every pixel by each measure.
@@ -355,10 +300,12 @@ def track_peaks(
         Frames of one size and type, at least one.
     positions : ndarray of float64, shape (n,)
         Position of each frame, µm.
-    measures : list of Banded
+    measures : sequence of RowsMeasure
         Focus measures; index and image follow the first.
-    reaches : list of int
+    reaches : sequence of int
         For each measure, how many frames on either side of the best enter the fit.
+    batch : int
+        Frames that a band takes in while its state is in the cache; twice as many are held.
     threads : int
         Threads that share the bands of rows.
 
@@ -372,33 +319,36 @@ def track_peaks(
     ValueError
         If there are not as many frames as positions.
     """
-    batch = list(islice(frames, _BATCH))
-    height, width = batch[0].shape
+    first = next(frames)
+    height, width = first.shape
+    result = Profile(
+        depths=[np.empty(first.shape, np.float32) for _ in measures],
+        index=np.empty(first.shape, np.uint16),
+        image=np.empty_like(first),
+        weight=np.empty(first.shape, np.float32) if reaches[0] > 1 else None,
+    )
     # Bands much thinner than what the measures look at would compute most of it twice.
     thinnest = 4 * max(measure.reach for measure in measures)
     rows = max(min(-(-height // threads), _BAND // width), thinnest, 1)
     bands = [
-        _Band(slice(top, min(top + rows, height)), height, len(positions), measures, reaches)
+        _Band(slice(top, min(top + rows, height)), measures, reaches, positions, result)
         for top in range(0, height, rows)
     ]
-    count = 0
-    with ThreadPoolExecutor(max(threads - 1, 1)) as pool:
-        while batch:
-            count += len(batch)
-            if count > len(positions):
-                break
-            _share(pool, threads, partial(_Band.push, frames=batch), bands)
-            batch = list(islice(frames, _BATCH))
-        if count != len(positions):
-            got = f"more than {len(positions)}" if count > len(positions) else str(count)
-            raise ValueError(
-                f"frames and positions must be as many, got {got} and {len(positions)}"
-            )
-        parts = _share(pool, threads, partial(_Band.finish, positions=positions), bands)
-    weights = [part.weight for part in parts if part.weight is not None]
-    return Profile(
-        depths=[np.concatenate(depths) for depths in zip(*(p.depths for p in parts), strict=True)],
-        index=np.concatenate([part.index for part in parts]),
-        image=np.concatenate([part.image for part in parts]),
-        weight=np.concatenate(weights) if weights else None,
-    )
+
+    def rounds() -> Iterator[Callable[[_Band], None]]:
+        rest = chain([first], frames)
+        taken = list(islice(rest, batch))
+        count = len(taken)
+        while taken:
+            following = list(islice(rest, batch))
+            count += len(following)
+            if count > len(positions) or (count < len(positions) and not following):
+                got = str(count) if not following else f"more than {len(positions)}"
+                raise ValueError(
+                    f"frames and positions must be as many, got {got} and {len(positions)}"
+                )
+            yield partial(_Band.push, frames=taken, last=not following)
+            taken = following
+
+    in_rounds(rounds(), bands, threads)
+    return result

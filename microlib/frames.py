@@ -11,7 +11,7 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-__all__ = ["Frames", "read_frames"]
+__all__ = ["Frames", "are_at_hand", "read_frames"]
 
 #: What a stack may come as: an array, one multi-page TIFF, or an iterable of images or image files.
 Frames = NDArray | str | PathLike[str] | Iterable[NDArray | str | PathLike[str]]
@@ -57,6 +57,13 @@ def read_frames(frames: Frames) -> Iterator[NDArray]:
                 f"got {checked.dtype} of shape {checked.shape}"
             )
         yield checked
+
+
+def are_at_hand(frames: Frames) -> bool:
+    """Tell whether `read_frames` gives views of an array, so that to hold all costs no memory."""
+    if not isinstance(frames, np.ndarray):
+        return False
+    return frames.dtype in (np.uint8, np.uint16, np.float32) and frames.flags.c_contiguous
 
 
 def _named(frames: Frames) -> Iterator[tuple[str, NDArray]]:

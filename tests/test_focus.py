@@ -189,6 +189,7 @@ def test_bands_and_threads_change_nothing(dome, measure, monkeypatch):
     same(depth_from_focus(stack, POSITIONS, measure=measure), whole)
     same(depth_from_focus(stack, POSITIONS, measure=measure, threads=3), whole)
     same(depth_from_focus(iter(stack), POSITIONS, measure=measure), whole)
+    same(depth_from_focus(iter(stack), POSITIONS, measure=measure, threads=3), whole)
 
 
 def test_order_of_frames_does_not_matter(dome):
@@ -308,6 +309,13 @@ def test_more_than_256_frames_are_counted_right():
         ({"measure": "sml", "threshold": -1}, "threshold must be zero or positive"),
         ({"points": 4}, "points must be an odd"),
         ({"threads": 0}, "threads must be a whole number"),
+        ({"threads": 2, "positions": np.arange(9)}, "must be as many, got 4 and 9"),
+        ({"threads": 2, "measure": lambda frame: frame[1:]}, r"measure\(frame\) must have shape"),
+        (
+            {"threads": 2, "frames": iter([np.zeros((9, 9))] * 3 + [np.zeros((9, 8))])},
+            r"frames\[3\] must be float32 of shape",
+        ),
+        ({"positions": np.arange(65536.0)}, "positions must be at most 65535"),
     ],
 )
 def test_bad_input_is_refused_by_name(change, words):

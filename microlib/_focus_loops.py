@@ -1,0 +1,204 @@
+"""The inner loops of shape from focus, compiled: each looks at a row while it is in the cache.
+
+They hold no lock of the interpreter, so that threads work side by side. Loops that read all their
+operands before they write are turned into vector instructions.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["fill_in", "sum_rows", "track_rows"]
+
+_compiled = numba.njit(nogil=True, cache=True, error_model="numpy")
+
+
+@_compiled
+def sum_rows(
+    image: NDArray, top: int, window: int, step: int, threshold: float, out: NDArray
+) -> None:
+    """Write rows `top` and following of the sum-modified-Laplacian (3.11)–(3.12) to `out`.
+
+    Beyond its border the image is mirrored about the outermost pixel. All numbers are of the type
+    of `out`, which must hold the largest sum.
+    """
+    height, width = image.shape
+    half = window // 2
+    kept = 2 * step + 1
+    grey = np.empty((kept, width + 2 * step), out.dtype)
+    laplacian = np.empty((window, width), out.dtype)
+    total = np.empty(width + 2 * half, out.dtype)
+    for y in range(top - half - step, top + len(out) + half + step):
+        newest = grey[y % kept]
+        _copy(image[_mirror(y, height)], newest[step:])
+        for j in range(step):
+            newest[j] = newest[2 * step - j]
+            newest[width + step + j] = newest[width + step - 2 - j]
+        centre = y - step
+        if centre >= top - half:
+            here, above = grey[centre % kept], grey[(centre - step) % kept]
+            _laplace(here, above[step:], newest[step:], step, threshold, laplacian[centre % window])
+        done = centre - half - top
+        if done >= 0:
+            _add_up(laplacian, window, total[half : half + width])
+            for j in range(half):
+                total[j] = total[half + _mirror(j - half, width)]
+                total[half + width + j] = total[half + _mirror(width + j, width)]
+            _slide(total, window, out[done])
+
+
+@_compiled
+def _mirror(k: int, length: int) -> int:
+    """Return the pixel that stands for pixel `k`, which may lie outside 0 … length - 1."""
+    period = max(2 * length - 2, 1)
+    k = abs(k) % period
+    return min(k, period - k)
+
+
+@_compiled
+def _copy(source: NDArray, target: NDArray) -> None:
+    for x in range(len(source)):
+        target[x] = source[x]
+
+
+@_compiled
+def _laplace(
+    here: NDArray, above: NDArray, below: NDArray, step: int, threshold: float, out: NDArray
+) -> None:
+    """Write the modified Laplacian where it exceeds the threshold, and 0 elsewhere."""
+    # Without the casts a sum of short integers is a long one, and fewer fit into a vector.
+    kind = out.dtype.type
+    least = kind(threshold)
+    width = len(out)
+    left, centre, right = here[:width], here[step : step + width], here[2 * step :]
+    for x in range(width):
+        twice = kind(centre[x] + centre[x])
+        across, along = kind(left[x] + right[x]), kind(above[x] + below[x])
+        bend_x = kind(twice - across) if twice > across else kind(across - twice)
+        bend_y = kind(twice - along) if twice > along else kind(along - twice)
+        value = kind(bend_x + bend_y)
+        out[x] = value if value > least else kind(0)
+
+
+@_compiled
+def _add_up(rows: NDArray, count: int, out: NDArray) -> None:
+    """Add an odd number of rows, in few passes."""
+    kind = out.dtype.type
+    if count == 1:
+        _copy(rows[0], out)
+        return
+    one, two, three = rows[0], rows[1], rows[2]
+    for x in range(len(out)):
+        out[x] = kind(one[x] + two[x] + three[x])
+    for j in range(3, count, 2):
+        one, two = rows[j], rows[j + 1]
+        for x in range(len(out)):
+            out[x] = kind(out[x] + one[x] + two[x])
+
+
+@_compiled
+def _slide(row: NDArray, count: int, out: NDArray) -> None:
+    """Add an odd number of neighbours, this one and those to the right, in few passes."""
+    kind = out.dtype.type
+    if count == 1:
+        _copy(row, out)
+        return
+    one, two = row[1:], row[2:]
+    for x in range(len(out)):
+        out[x] = kind(row[x] + one[x] + two[x])
+    for j in range(3, count, 2):
+        one, two = row[j:], row[j + 1 :]
+        for x in range(len(out)):
+            out[x] = kind(out[x] + one[x] + two[x])
+
+
+@_compiled
+def track_rows(
+    measure: NDArray,
+    frame: NDArray,
+    number: int,
+    window: NDArray,
+    recent: NDArray,
+    index: NDArray[np.uint16],
+    image: NDArray,
+) -> None:
+    """Take in frame `number`: where it is the sharpest so far, remember it and those before.
+
+    `window` (2 reach + 1 measures) is centred on the best frame, `recent` is a ring of the last
+    `reach` measures.
+    """
+    reach = len(recent)
+    now = np.uint16(number)
+    for y in range(len(measure)):
+        for j in range(1, reach + 1):
+            _move(
+                measure[y],
+                np.uint16(number - j),
+                window[reach, y],
+                index[y],
+                recent[(number - j) % reach, y],
+                window[reach - j, y],
+                window[reach + j, y],
+            )
+        _choose(measure[y], now, window[reach, y], index[y], recent[number % reach, y])
+        _pick(frame[y], now, index[y], image[y])
+
+
+@_compiled
+def _move(
+    measure: NDArray,
+    then: np.uint16,
+    best: NDArray,
+    index: NDArray,
+    earlier: NDArray,
+    before: NDArray,
+    after: NDArray,
+) -> None:
+    """Fill in a neighbour of the best frame: from the past of a new one, to the future of one."""
+    for x in range(len(measure)):
+        new, top, at, past = measure[x], best[x], index[x], earlier[x]
+        old_before, old_after = before[x], after[x]
+        before[x] = past if new > top else old_before
+        after[x] = new if at == then else old_after
+
+
+@_compiled
+def _choose(
+    measure: NDArray, now: np.uint16, best: NDArray, index: NDArray, newest: NDArray
+) -> None:
+    for x in range(len(measure)):
+        new, top, at = measure[x], best[x], index[x]
+        index[x] = now if new > top else at
+        best[x] = new if new > top else top
+        newest[x] = new
+
+
+@_compiled
+def _pick(frame: NDArray, now: np.uint16, index: NDArray, image: NDArray) -> None:
+    for x in range(len(frame)):
+        new, old = frame[x], image[x]
+        image[x] = new if index[x] == now else old
+
+
+@_compiled
+def fill_in(
+    depth: NDArray,
+    best: NDArray[np.uint16],
+    last: int,
+    spacing: np.float32,
+    uncertainty: NDArray[np.float32],
+    confidence: NDArray[np.float32],
+    index: NDArray[np.int32],
+    at_end: NDArray[np.bool_],
+) -> None:
+    """Turn the uncertainty, in frames, into µm, and fill in what follows from it and the depth."""
+    for y in range(len(depth)):
+        for x in range(depth.shape[1]):
+            number, error = best[y, x], uncertainty[y, x]
+            known = not np.isnan(depth[y, x])
+            uncertainty[y, x] = error * spacing if known else np.float32(np.nan)
+            confidence[y, x] = 1 / (1 + error * error) if known else np.float32(0)
+            index[y, x] = np.int32(number) if known else np.int32(-1)
+            at_end[y, x] = (number == 0) | (number == last)
