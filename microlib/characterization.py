@@ -215,7 +215,7 @@ def force_from_image(
         probe_half_width=probe_half_width,
         poisson_ratio=poisson_ratio,
     )
-    # F and E are inversely proportional at a given dimple: their logarithms vary alike.
+    # E is F times a function of the dimple, whose error moves ln E and ln F by as much.
     std = _relative_std(dimple, probe_half_width, poisson_ratio)
     return ForceEstimate(float(force), std, _interval(float(force), std), dimple, boundary)
 

@@ -30,6 +30,8 @@ from papermill.exceptions import PapermillExecutionError
 from PIL import Image
 from traitlets.config import Config
 
+from microlib.figures.data import FOLDER_VARIABLE
+
 ROOT = Path(__file__).resolve().parent.parent
 BUILD = ROOT / "build"
 LAST = "06_"
@@ -56,7 +58,7 @@ def main() -> int:
     options = parser.parse_args()
     os.environ |= THREADS
     os.environ["PYTHONHASHSEED"] = "0"
-    os.environ["MICROLIB_FIGURES"] = str(BUILD / "figures")
+    os.environ[FOLDER_VARIABLE] = str(BUILD / "figures")
 
     every = sorted(path.stem for path in (ROOT / "notebooks").glob("[0-9]*.ipynb"))
     chosen = [n for n in every if not options.names or n.startswith(tuple(options.names))]
@@ -146,7 +148,7 @@ def run(name: str) -> tuple[str, bool]:
     record = BUILD / "claims" / f"{name}.json"
     for stale in (output, failed, record, BUILD / "status" / f"{name}.json"):
         stale.unlink(missing_ok=True)
-    key = inputs_hash(name)
+    parts = input_hashes(name)
     source = ROOT / "notebooks" / f"{name}.ipynb"
     message, passed = execute(source, failed, {"record": str(record.relative_to(ROOT))}, ROOT)
     if not passed:
@@ -164,11 +166,9 @@ def run(name: str) -> tuple[str, bool]:
     judged = sum(entry["verdict"] != "result" for entry in checks)
     status = {
         "notebook": name,
-        "key": key,
         "seconds": float(message.removesuffix(" s")),
         "checks": judged,
-        "python": sys.version.split()[0],
-        **{part: files_hash(files) for part, files in inputs(name).items()},
+        **parts,
     }
     (BUILD / "status" / f"{name}.json").write_text(json.dumps(status, indent=1) + "\n")
     return f"{message}, {judged} checks passed", True
@@ -208,7 +208,7 @@ def up_to_date(name: str) -> bool:
     made = [BUILD / "notebooks" / f"{name}.ipynb", BUILD / "claims" / f"{name}.json", status]
     if not all(path.exists() for path in made):
         return False
-    return json.loads(status.read_text())["key"] == inputs_hash(name)
+    return input_hashes(name).items() <= json.loads(status.read_text()).items()
 
 
 def inputs(name: str) -> dict[str, list[Path]]:
@@ -233,10 +233,10 @@ def files_hash(files: list[Path]) -> str:
     return digest.hexdigest()
 
 
-def inputs_hash(name: str) -> str:
-    """Hash everything that a notebook's outputs depend on."""
-    digests = [files_hash(files) for files in inputs(name).values()]
-    return hashlib.sha256("".join([sys.version, *digests]).encode()).hexdigest()
+def input_hashes(name: str) -> dict[str, str]:
+    """Return the version of Python and the hashes of all else that a notebook depends on."""
+    hashes = {part: files_hash(files) for part, files in inputs(name).items()}
+    return {"python": sys.version.split()[0], **hashes}
 
 
 if __name__ == "__main__":
