@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import matplotlib as mpl
+import pandas as pd
 from cycler import cycler
 
 __all__ = ["COLORS", "use_style"]
@@ -21,7 +22,8 @@ COLORS = {
 
 
 def use_style() -> None:
-    """Set matplotlib up for the book: the body's font size, tight boxes, constrained layout."""
+    """Set figures and tables up for the book: the body's font size, tight boxes, whole texts."""
+    pd.set_option("display.max_colwidth", None, "display.max_rows", 80)
     mpl.rcParams.update(
         {
             "figure.figsize": (7.2, 4.2),
