@@ -60,7 +60,22 @@ def read_frames(frames: Frames) -> Iterator[NDArray]:
 
 
 def are_at_hand(frames: Frames) -> bool:
-    """Tell whether `read_frames` gives views of an array, so that to hold all costs no memory."""
+    """Tell whether `read_frames` gives views of an array, so that to hold all costs no memory.
+
+    Parameters
+    ----------
+    frames : array_like of shape (n, rows, cols), path, or iterable
+        As for `read_frames`.
+
+    Returns
+    -------
+    bool
+
+    Examples
+    --------
+    >>> are_at_hand(np.zeros((3, 4, 5), np.uint8)), are_at_hand(np.zeros((3, 4, 5)))
+    (True, False)
+    """
     if not isinstance(frames, np.ndarray):
         return False
     return frames.dtype in (np.uint8, np.uint16, np.float32) and frames.flags.c_contiguous
