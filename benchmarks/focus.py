@@ -17,7 +17,9 @@ import cv2
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter
+from skimage import data
+from skimage.color import rgb2gray
 
 from benchmarks.report import publish
 from microlib import synthetic
@@ -201,6 +203,78 @@ def accuracy(seeds: int) -> dict[str, pd.DataFrame]:
     }
 
 
+# --- Photographs as texture ----------------------------------------------------------------------
+
+#: Photographs that come with scikit-image: strong edges, fine grain, and places with no texture.
+PHOTOGRAPHS = (
+    *("astronaut", "brick", "camera", "cell", "chelsea", "clock", "coffee", "coins", "grass"),
+    *("gravel", "hubble_deep_field", "immunohistochemistry", "microaneurysms", "moon", "page"),
+    *("retina", "text"),
+)
+
+
+def _grey(picture: NDArray) -> NDArray:
+    return 255 * rgb2gray(picture) if picture.ndim == 3 else picture.astype(float)
+
+
+def photographed() -> Iterator[tuple[str, str, NDArray, NDArray]]:
+    """Yield photograph, surface, true depth in steps, and stack."""
+    side = 256
+    shape = (side, side)
+    surfaces = {
+        "dome": POSITIONS.mean() - 7 + synthetic.paraboloid(shape, 14.0),
+        "step": POSITIONS.mean() - 4.3 + synthetic.step(shape, 7.7),
+        "ball": 3 + synthetic.sphere_on_plane(shape, 6.0, 6.0 / 90),
+    }
+    for name in PHOTOGRAPHS:
+        grey = _grey(getattr(data, name)())
+        grey = np.pad(grey, [(0, max(side - n, 0)) for n in grey.shape], mode="symmetric")
+        top, left = ((n - side) // 2 for n in grey.shape)
+        texture = grey[top : top + side, left : left + side]
+        for surface, depth in surfaces.items():
+            yield name, surface, depth, _render(texture, depth)
+    # A stereo pair, whose disparity is the depth of what the photograph shows.
+    left_view, _, disparity = data.stereo_motorcycle()
+    window = np.s_[100:484, 150:534]
+    disparity = disparity[window]
+    unknown = ~np.isfinite(disparity)
+    nearest = distance_transform_edt(unknown, return_distances=False, return_indices=True)
+    disparity = disparity[tuple(nearest)]
+    depth = 3 + 14 * (disparity - disparity.min()) / np.ptp(disparity)
+    yield "stereo_motorcycle", "its own", depth, _render(_grey(left_view)[window], depth)
+
+
+def _render(texture: NDArray, depth: NDArray) -> NDArray:
+    rng = np.random.default_rng(0)
+    return synthetic.focal_stack(texture, depth, POSITIONS, blur_rate=1.0, noise=2.0, rng=rng)
+
+
+def photographs() -> pd.DataFrame:
+    """Return the errors on photographs, of all methods where ours gives a depth."""
+    inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
+    rows = []
+    for name, surface, truth, stack in photographed():
+        result = depth_from_focus(stack, POSITIONS)
+        error, confidence = (result.depth - truth)[inner], result.confidence[inner]
+        known = np.isfinite(error)
+        kept = confidence > np.quantile(confidence[known], 0.1)
+        peers = {m: _rms((depth(stack) - truth)[inner][known]) for m, depth in METHODS.items()}
+        best = min(peers, key=peers.__getitem__)
+        rows.append(
+            {
+                "photograph": name.replace("_", " "),
+                "surface": surface,
+                "microlib": round(_rms(error), 3),
+                "best other": round(peers[best], 3),
+                "which": best,
+                "ratio": round(_rms(error) / peers[best], 2),
+                "share of NaN": round(1 - known.mean(), 3),
+                "without the worst tenth": round(_rms(error[kept]) / _rms(error), 2),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
 # --- Speed and memory ----------------------------------------------------------------------------
 
 
@@ -349,6 +423,8 @@ def main() -> None:
         _weigh(int(options.weigh[0]), options.weigh[1])
         return
     tables = accuracy(options.seeds)
+    title = "Photographs as texture, noise 2: RMS depth error where microlib gives a depth, steps"
+    tables[title] = photographs()
     tables["Time"] = speed()
     tables["Peak memory of the process, frames of 1024×1024 from a generator"] = memory()
     tables["Curvature with 7×7 windows, R = 150 px"] = curvature(20)
@@ -361,7 +437,9 @@ def main() -> None:
         "which is out of reach where the box filter does not gain as much (median of 60 rounds, 10 "
         "to 90 %); "
         "memory at 400 frames within 10 % of that at 40; labels right on 99 % of pixels. Errors of "
-        "H and K are those at the centre without noise; labels are the least share of 20 seeds.",
+        "H and K are those at the centre without noise; labels are the least share of 20 seeds. "
+        "The rules that refuse a depth were made with the domes of brick, camera, coins and moon "
+        "in view; the other photographs were first seen after.",
     )
 
 

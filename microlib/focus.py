@@ -11,12 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from microlib._checks import as_array, positive, whole
+from microlib._focus_doubt import forget, is_alone, is_blank, is_chance, is_outshone, is_speck
 from microlib._focus_loops import fill_in
 from microlib.depth_correction import correct_spikes, smooth_depth
 from microlib.focus_measures import (
     Banded,
     FocusMeasure,
     RowsMeasure,
+    blank_level,
     blur,
     edge_measure,
     grey_variance,
@@ -39,8 +41,6 @@ __all__ = [
     "tenengrad",
 ]
 
-#: Frames by which half the neighbours must differ for a pixel's best frame to count as chance.
-_CHANCE = 2
 #: Frames whose numbers fit into 16 bits.
 _MOST = 2**16 - 1
 #: Frames of a stream that are read in one go.
@@ -144,7 +144,10 @@ def depth_from_focus(
     fitted and nothing is corrected; `correct_spikes` and `smooth_depth` may follow.
 
     A depth is NaN where the measure is zero or flat, and where the best frame is random: half of
-    its neighbours are more than two frames away from their median. A pixel whose best frame is the
+    its neighbours are more than two frames away from their median. "multiscale" also gives NaN
+    where its peak is no higher than noise alone would have it, where the peak is ten times fainter
+    than those around and more than two frames away from them, which is the blur of a strong edge
+    near by, and where half of the surroundings are unknown. A pixel whose best frame is the
     first or the last is flagged and gets that frame's position, unless a fit of more points puts it
     further in. Equal maxima go to the first.
 
@@ -194,9 +197,12 @@ def depth_from_focus(
         threads=workers,
     )
     depth: NDArray = profile.depths[0]
-    _forget(depth, _random(profile.index, len(z)))
+    forget(depth, is_chance(profile.index, len(z)))
     if refined:
         spacing = float(np.median(np.abs(np.diff(z))))
+        if profile.strength is not None:
+            ratio = profile.strength / np.float32(blank_level(noise))
+            depth[is_blank(ratio, len(z))] = np.nan
         depth = _refine(depth, profile.depths[1], profile.weight, spacing)
         depth = np.clip(depth, z.min(), z.max())
     return _result(depth, profile, z, _HIDDEN if refined else 1.0)
@@ -229,27 +235,6 @@ def _checked(measure: FocusMeasure) -> FocusMeasure:
     return checked
 
 
-def _random(index: NDArray[np.uint16], count: int) -> NDArray[np.bool_]:
-    """Tell, of every second pixel, where the best frame differs from pixel to pixel: by chance.
-
-    Every second pixel is enough, and its deviation from the median reaches further than the window
-    of a measure, inside which even noise is alike.
-    """
-    coarse = index[::2, ::2]
-    if count <= 256:
-        coarse = coarse.astype(np.uint8)
-    coarse = np.ascontiguousarray(coarse)
-    deviation = cv2.absdiff(coarse, cv2.medianBlur(coarse, 5))
-    return np.asarray(cv2.medianBlur(deviation, 5)) > _CHANCE
-
-
-def _forget(depth: NDArray, chance: NDArray[np.bool_]) -> None:
-    """Make NaN of the pixels that the mask of every second one stands for, two by two."""
-    for dy, dx in product((0, 1), repeat=2):
-        part = depth[dy::2, dx::2]
-        part[chance[: part.shape[0], : part.shape[1]]] = np.nan
-
-
 def _refine(
     depth: NDArray,
     fine: NDArray,
@@ -273,8 +258,11 @@ def _refine(
     if weight is not None:
         # At an end of the stack a depth may come without a fit and so without a weight.
         fitted = known & (weight > 0)
+        forget(steps, is_outshone(steps, np.where(fitted, weight, 0)))
         share = weight / np.median(weight[fitted]) if fitted.any() else np.ones_like(weight)
         trust *= np.where(fitted, np.clip(share, 1e-4, 1e4), 1.0)
+    steps[is_speck(steps)] = np.nan
+    steps[is_alone(steps)] = np.nan
     wide = smooth_depth(steps, jump=1.5, weight=trust)
     close = smooth_depth(steps, jump=1.5, radius=2.0, weight=trust)
     relief = np.where(inner < 1, 0, _relief(steps - close, close - wide))

@@ -263,6 +263,11 @@ def multiscale_measure(noise: float) -> Banded:
     return Banded(measure, reach=max(scale.reach for scale in _SCALES))
 
 
+def blank_level(noise: float) -> float:
+    """Return what `multiscale_measure` is, on average, where there is noise and nothing else."""
+    return float(np.prod([2 * noise * scale.gain for scale in _SCALES]))
+
+
 def edge_measure(noise: float) -> Banded:
     """Return a measure that tells on which side of a step in depth a pixel lies.
 

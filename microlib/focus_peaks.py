@@ -232,14 +232,16 @@ class Profile:
         Depth from each measure, µm.
     index, image : ndarray, shape (rows, cols)
         Number of the best frame by the first measure, and the grey level in it.
-    weight : ndarray of float32, shape (rows, cols), or None
-        Weight of the depth by the first measure; None from a fit of three points.
+    weight, strength : ndarray of float32, shape (rows, cols), or None
+        Weight of the depth by the first measure, and that measure in the best frame; None from a
+        fit of three points.
     """
 
     depths: list[NDArray[np.float32]]
     index: NDArray[np.uint16]
     image: NDArray
     weight: NDArray[np.float32] | None
+    strength: NDArray[np.float32] | None
 
 
 class _Band:
@@ -277,8 +279,9 @@ class _Band:
                 fitted = three_point_peak(tracker.window, tracker.index, self._positions)
             else:
                 fitted, weight = fit_peak(tracker.window, tracker.index, self._positions)
-                if self._result.weight is not None:
+                if self._result.weight is not None and self._result.strength is not None:
                     self._result.weight[self._rows] = weight
+                    self._result.strength[self._rows] = tracker.window[len(tracker.window) // 2]
             depth[self._rows] = fitted
         self._work.clear()
 
@@ -321,11 +324,13 @@ def track_peaks(
     """
     first = next(frames)
     height, width = first.shape
+    wide = reaches[0] > 1
     result = Profile(
         depths=[np.empty(first.shape, np.float32) for _ in measures],
         index=np.empty(first.shape, np.uint16),
         image=np.empty_like(first),
-        weight=np.empty(first.shape, np.float32) if reaches[0] > 1 else None,
+        weight=np.empty(first.shape, np.float32) if wide else None,
+        strength=np.empty(first.shape, np.float32) if wide else None,
     )
     # Bands much thinner than what the measures look at would compute most of it twice.
     thinnest = 4 * max(measure.reach for measure in measures)

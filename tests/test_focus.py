@@ -6,6 +6,7 @@ import sympy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
+from skimage import data
 
 from microlib import synthetic
 from microlib.focus import FocusResult, depth_from_focus
@@ -258,13 +259,45 @@ def test_a_change_of_light_alone_gives_no_depth():
         assert np.isnan(depth_from_focus(frames, np.arange(12.0), measure=measure).depth).all()
 
 
-def test_noise_without_texture_is_mostly_told():
+@pytest.mark.parametrize("count", [12, 31, 100])
+def test_noise_without_texture_gives_no_depth(count):
     rng = np.random.default_rng(0)
-    noise = np.clip(128 + 3 * rng.standard_normal((31, 96, 96)), 0, 255).astype(np.uint8)
-    for measure in ("multiscale", "sml"):
-        result = depth_from_focus(noise, np.arange(31.0), measure=measure)
-        assert np.isnan(result.depth).mean() > 0.6
-        assert np.quantile(result.confidence, 0.9) < 0.3
+    noise = np.clip(128 + 3 * rng.standard_normal((count, 96, 96)), 0, 255).astype(np.uint8)
+    result = depth_from_focus(noise, np.arange(float(count)))
+    assert np.isnan(result.depth).mean() > 0.99
+    plain = depth_from_focus(noise, np.arange(float(count)), measure="sml")
+    assert np.quantile(plain.confidence, 0.9) < 0.3  # it keeps some depths, and does not trust them
+
+
+def test_light_that_spreads_from_an_edge_is_no_depth():
+    """Out of focus, a bright bar reaches into the dark beside it, which has no texture at all."""
+    texture = np.full(SHAPE, 40.0)
+    texture[:, 44:52] = 240
+    height = np.full(SHAPE, 125.0)
+    stack = render(height, texture=texture, noise=1.0)
+    plain = depth_from_focus(stack, POSITIONS, measure="sml", window=9)
+    result = depth_from_focus(stack, POSITIONS)
+    wrong = np.abs(plain.depth - height) > STEP
+    assert wrong.mean() > 0.2  # or the test shows nothing
+    known = np.isfinite(result.depth)
+    assert known[:, [43, 44, 51, 52]].all()
+    assert known[:, :20].mean() < 0.01
+    # 2 % remain, 20 px away, where the bar's light fades into the noise; the plain measure has 63 %.
+    assert np.mean(np.abs(result.depth - height)[known] > STEP) * known.mean() < 0.03
+
+
+def test_a_photograph_gives_depth_where_it_has_texture():
+    """Coins on a dark cloth: strong edges beside weak texture, as no drawn texture has them."""
+    texture = data.coins()[:256, :256].astype(float)
+    height = 75 + synthetic.paraboloid(texture.shape, 100.0)
+    stack = render(height, texture=texture)
+    result = depth_from_focus(stack, POSITIONS)
+    error = np.abs(result.depth - height) / STEP
+    known = np.isfinite(error)
+    assert known.mean() > 0.85
+    # Fragments of halos remain, 0.6 %; 4.5 % without the rules against them.
+    assert np.mean(error[known] > 1) < 0.01
+    assert np.sqrt(np.mean(error[known] ** 2)) < 0.3
 
 
 def test_more_than_256_frames_are_counted_right():
