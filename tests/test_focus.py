@@ -282,7 +282,7 @@ def test_light_that_spreads_from_an_edge_is_no_depth():
     known = np.isfinite(result.depth)
     assert known[:, [43, 44, 51, 52]].all()
     assert known[:, :20].mean() < 0.01
-    # 2 % remain, 20 px away, where the bar's light fades into the noise; the plain measure has 63 %.
+    # 2 % remain, where the bar's light fades into the noise; the plain measure has 63 %.
     assert np.mean(np.abs(result.depth - height)[known] > STEP) * known.mean() < 0.03
 
 
