@@ -61,15 +61,14 @@ def is_outshone(depth: NDArray, weight: NDArray) -> NDArray[np.bool_]:
     """
     level = np.nan_to_num(depth[::2, ::2]).astype(np.float32)
     strength = np.where(np.isfinite(depth[::2, ::2]), weight[::2, ::2], 0).astype(np.float32)
-    fitted = strength > 0
     around = blur(strength, _SPREAD)
     apart = np.abs(level - blur(level * strength, _SPREAD) / np.maximum(around, 1e-30)) > 2
     faint = np.zeros(level.shape, bool)
     for k in np.unique(np.rint(level[apart])):
-        near = ((np.abs(level - k) <= 1) & fitted).astype(np.float32)
+        near = (np.abs(level - k) <= 1).astype(np.float32)
         share, theirs = blur(near, _SPREAD), blur(near * strength, _SPREAD)
         faint |= (np.rint(level) == k) & (theirs < 0.2 * around * share)
-    return faint & apart & fitted
+    return faint & apart
 
 
 def is_speck(depth: NDArray) -> NDArray[np.bool_]:
