@@ -6,13 +6,21 @@ operands before they write are turned into vector instructions.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 __all__ = ["fill_in", "sum_rows", "track_rows"]
 
-_compiled = numba.njit(nogil=True, cache=True, error_model="numpy")
+
+def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    try:
+        return numba.njit(nogil=True, cache=True, error_model="numpy")(function)
+    except RuntimeError:  # no folder may be written to: compile again in every process
+        return numba.njit(nogil=True, error_model="numpy")(function)
 
 
 @_compiled

@@ -151,6 +151,8 @@ def depth_from_focus(
     first or the last is flagged and gets that frame's position, unless a fit of more points puts it
     further in. Equal maxima go to the first.
 
+    The first call on a machine compiles the inner loops, which takes some seconds, and keeps them.
+
     References
     ----------
     S. K. Nayar and Y. Nakagawa, Shape from focus, IEEE Trans. PAMI 16 (1994) 824.

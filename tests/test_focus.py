@@ -1,5 +1,8 @@
 """Shape from focus against loops over (3.11) to (3.13), known surfaces, and its own promises."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import sympy
@@ -378,6 +381,18 @@ def test_uncertainty_is_of_the_size_of_the_error(dome, measure):
     stated, true = rms(result.uncertainty, 24), rms(result.depth - height, 24)
     # A local estimate that cannot see smooth errors: right within a factor of three.
     assert true / 3 < stated < 3 * true
+
+
+def test_a_read_only_machine_can_use_it_too():
+    """Where compiled code can be kept nowhere, it is made anew."""
+    code = (
+        "import numpy as np, numba.core.caching as caching\n"
+        "caching.CacheImpl._locator_classes = []\n"
+        "from microlib.focus import sum_modified_laplacian\n"
+        "print(sum_modified_laplacian(np.eye(5, dtype=np.uint8))[2, 2])\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == str(sum_modified_laplacian(np.eye(5, dtype=np.uint8))[2, 2])
 
 
 def test_ground_in_the_first_frame_is_known():
