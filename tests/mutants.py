@@ -44,6 +44,9 @@ MODULES = {
     "kalman": ["kalman"],
     "depth_correction": ["depth_correction"],
     "ledger": ["ledger"],
+    "focus_peaks": ["focus"],
+    "_focus_loops": ["focus_measures", "focus"],
+    "_focus_doubt": ["focus"],
 }
 # "X | None" in annotations is never evaluated, a decorator left off is no numerical fault, and the
 # operators on variables want to be told names.
