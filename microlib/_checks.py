@@ -48,9 +48,9 @@ def as_array(
 
 def as_image(name: str, value: ArrayLike, *, smallest: int = 1) -> NDArray:
     """Return a grey image as a finite 2-D float32 array, each side at least `smallest` px."""
-    if np.ndim(value) != 2:
-        raise ValueError(f"{name} must be a grey image of two dimensions, got {np.ndim(value)}")
     image = as_array(name, value, dtype=np.float32)
+    if image.ndim != 2:
+        raise ValueError(f"{name} must be a grey image of two dimensions, got {image.ndim}")
     if min(image.shape) < smallest:
         raise ValueError(f"{name} must be at least {smallest} px on each side, got {image.shape}")
     return image

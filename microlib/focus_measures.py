@@ -9,9 +9,9 @@ from typing import Protocol
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from microlib._checks import as_image, one_of, positive, whole
+from microlib._checks import as_array, as_image, one_of, positive, whole
 from microlib._focus_loops import sum_rows
 
 __all__ = ["FocusMeasure", "grey_variance", "sum_modified_laplacian", "tenengrad"]
@@ -25,14 +25,14 @@ _BORDER = cv2.BORDER_REFLECT_101
 
 
 def sum_modified_laplacian(
-    image: NDArray, *, window: int = 5, step: int = 1, threshold: float = 0.0
+    image: ArrayLike, *, window: int = 5, step: int = 1, threshold: float = 0.0
 ) -> NDArray:
     """Return the sum-modified-Laplacian of an image (3.10)–(3.12).
 
     Parameters
     ----------
-    image : ndarray of uint8, uint16 or float32, shape (rows, cols)
-        Grey image.
+    image : array_like, shape (rows, cols)
+        Grey image of 8 or 16 bits; any other is taken as float32.
     window : int
         Side 2W + 1 of the square over which is summed, px, odd.
     step : int
@@ -49,8 +49,8 @@ def sum_modified_laplacian(
     Raises
     ------
     ValueError
-        If `window` is not odd, `step` not a positive whole number or as large as the image, or
-        `threshold` negative.
+        If the image is not grey or not finite, `window` is not odd, `step` not a positive whole
+        number or as large as the image, or `threshold` negative.
 
     Notes
     -----
@@ -68,9 +68,8 @@ def sum_modified_laplacian(
     >>> sum_modified_laplacian(spot, window=3)[2]
     array([20, 70, 80, 70, 20], dtype=uint16)
     """
-    if image.dtype not in (np.uint8, np.uint16) or image.ndim != 2:
-        image = as_image("image", image)
-    return SumModifiedLaplacian(window, step, threshold)(image, slice(0, len(image)))
+    grey = _grey(image)
+    return SumModifiedLaplacian(window, step, threshold)(grey, slice(0, len(grey)))
 
 
 @dataclass(frozen=True)
@@ -103,13 +102,13 @@ class SumModifiedLaplacian:
         return result
 
 
-def tenengrad(image: NDArray, *, window: int = 5) -> NDArray[np.float32]:
+def tenengrad(image: ArrayLike, *, window: int = 5) -> NDArray[np.float32]:
     """Return the squared Sobel gradient summed over a square.
 
     Parameters
     ----------
-    image : ndarray of uint8, uint16 or float32, shape (rows, cols)
-        Grey image.
+    image : array_like, shape (rows, cols)
+        Grey image of 8 or 16 bits; any other is taken as float32.
     window : int
         Side of the square, px, odd.
 
@@ -120,7 +119,7 @@ def tenengrad(image: NDArray, *, window: int = 5) -> NDArray[np.float32]:
     Raises
     ------
     ValueError
-        If `window` is not an odd positive number.
+        If the image is not grey or not finite, or `window` is not an odd positive number.
 
     References
     ----------
@@ -133,18 +132,19 @@ def tenengrad(image: NDArray, *, window: int = 5) -> NDArray[np.float32]:
     576.0
     """
     n = whole("window", window, least=1, odd=True)
-    gx = cv2.Sobel(image, cv2.CV_32F, 1, 0)
-    gy = cv2.Sobel(image, cv2.CV_32F, 0, 1)
+    grey = _grey(image)
+    gx = cv2.Sobel(grey, cv2.CV_32F, 1, 0)
+    gy = cv2.Sobel(grey, cv2.CV_32F, 0, 1)
     return _box_sum(gx * gx + gy * gy, n)
 
 
-def grey_variance(image: NDArray, *, window: int = 5) -> NDArray[np.float32]:
+def grey_variance(image: ArrayLike, *, window: int = 5) -> NDArray[np.float32]:
     """Return the variance of the grey levels in a square.
 
     Parameters
     ----------
-    image : ndarray of uint8, uint16 or float32, shape (rows, cols)
-        Grey image.
+    image : array_like, shape (rows, cols)
+        Grey image of 8 or 16 bits; any other is taken as float32.
     window : int
         Side of the square, px, odd.
 
@@ -155,7 +155,7 @@ def grey_variance(image: NDArray, *, window: int = 5) -> NDArray[np.float32]:
     Raises
     ------
     ValueError
-        If `window` is not an odd positive number.
+        If the image is not grey or not finite, or `window` is not an odd positive number.
 
     Examples
     --------
@@ -164,10 +164,18 @@ def grey_variance(image: NDArray, *, window: int = 5) -> NDArray[np.float32]:
     0.6667
     """
     n = whole("window", window, least=1, odd=True)
+    grey = _grey(image)
     # The difference of two large numbers: float64 keeps 16-bit images exact.
-    mean = cv2.boxFilter(image, cv2.CV_64F, (n, n))
-    square = cv2.sqrBoxFilter(image, cv2.CV_64F, (n, n))
+    mean = cv2.boxFilter(grey, cv2.CV_64F, (n, n))
+    square = cv2.sqrBoxFilter(grey, cv2.CV_64F, (n, n))
     return np.maximum(square - mean * mean, 0).astype(np.float32)
+
+
+def _grey(image: ArrayLike) -> NDArray:
+    """Return an image of 8 or 16 bits as it is, any other as float32, checked."""
+    if not isinstance(image, np.ndarray) or image.dtype not in (np.uint8, np.uint16):
+        return as_image("image", image)
+    return as_array("image", image, shape=(None, None), dtype=image.dtype)
 
 
 def _box_sum(image: NDArray, n: int) -> NDArray:
