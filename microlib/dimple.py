@@ -235,7 +235,8 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     first = _least_squares(_near(outline, start), start, c)
     near = _near(outline, first.x)
     off = np.abs(_distance(first.x, near[0], near[1], c) / near[2])
-    kept = near[:, off < 4 * 1.4826 * np.median(off)]
+    # What lies within its own standard deviation is no outlier, however exact the others are.
+    kept = near[:, off < max(4 * 1.4826 * np.median(off), 1.0)]
     fit = _least_squares(kept, first.x, c)
 
     x0, y0, tilt, a, depth, *curvatures = fit.x.tolist()

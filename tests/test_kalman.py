@@ -39,7 +39,7 @@ def test_follows_opencv_step_by_step():
         )
 
 
-@settings(deadline=None, derandomize=True, max_examples=25)
+@settings(deadline=None, max_examples=25)
 @given(vx=st.floats(-500, 500), vy=st.floats(-500, 500))
 def test_locks_on_to_a_constant_velocity(vx, vy):
     kalman = KalmanFilter((0, 0), interval=INTERVAL, acceleration=ACCELERATION, noise=NOISE)

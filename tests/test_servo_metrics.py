@@ -34,7 +34,7 @@ def test_a_second_order_answer_overshoots_by_the_textbook():
     assert found.settling_time == pytest.approx(outside[-1], abs=2e-3)  # two samples
 
 
-@settings(deadline=None, derandomize=True, max_examples=30)
+@settings(deadline=None, max_examples=30)
 @given(scale=st.floats(1e-3, 1e3), angle=st.floats(0, 6.28))
 def test_metrics_scale_with_the_unit_and_turn_with_the_axes(scale, angle):
     rng = np.random.default_rng(0)

@@ -134,7 +134,7 @@ def test_the_covariance_is_the_spread_of_the_errors():
     np.testing.assert_allclose(np.diag(promise), np.diag(spread), rtol=0.55)
 
 
-@settings(deadline=None, derandomize=True, max_examples=15)
+@settings(deadline=None, max_examples=15)
 @given(
     gain=st.floats(0.5, 1.4),
     bias=st.floats(-10, 30),
@@ -241,7 +241,7 @@ def test_a_target_that_left_is_out_of_view():
     assert reasons[-1] == "out of view"
 
 
-@settings(deadline=None, derandomize=True, max_examples=40)
+@settings(deadline=None, max_examples=40)
 @given(
     seed=st.integers(0, 10**6),
     kind=st.sampled_from(["noise", "flat", "ramp", "checks", "bright", "edge"]),

@@ -25,7 +25,7 @@ def controller():
     )
 
 
-@settings(deadline=None, derandomize=True, max_examples=25)
+@settings(deadline=None, max_examples=25)
 @given(
     velocity=st.floats(-300, 300),
     command=st.floats(-900, 900),
