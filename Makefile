@@ -18,7 +18,8 @@ $(STAMP): environment.txt pyproject.toml
 	@echo "Setting up $(VENV) (about a minute, once)"
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed")'
 	@$(PYTHON) -m venv $(VENV)
-	@$(BIN)/pip install --quiet --require-hashes -r environment.txt
+	@$(BIN)/pip install --quiet --no-compile --require-hashes -r environment.txt
+	@$(BIN)/python -W ignore -m compileall -qq -j 2 $(VENV)/lib || true # pip would use one core
 	@$(BIN)/pip install --quiet --no-deps --no-build-isolation -e .
 	@touch $@
 
