@@ -12,7 +12,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page, Request, sync_playwright
 
 from microlib import ledger
 
@@ -123,6 +123,11 @@ def browser() -> Iterator[Browser]:
         instance.close()
 
 
+def was_left(request: Request) -> bool:
+    """Tell whether the browser itself dropped a request: the page was left before it was done."""
+    return request.failure == "net::ERR_ABORTED"
+
+
 @pytest.fixture
 def page(browser: Browser) -> Iterator[Page]:
     """A page that notes everything that goes wrong in it and blocks every foreign request."""
@@ -141,9 +146,25 @@ def page(browser: Browser) -> Iterator[Page]:
     page.route("**/*", guard)
     page.on("console", lambda m: note(f"console: {m.text}") if m.type == "error" else None)
     page.on("pageerror", lambda error: note(f"script: {error}"))
-    page.on("requestfailed", lambda request: note(f"failed request {request.url}"))
+    page.on("requestfailed", lambda r: note(f"failed request {r.url}") if not was_left(r) else None)
     yield page
     context.close()
+
+
+def test_a_broken_page_is_noticed(page: Page, tmp_path: Path) -> None:
+    """The tests below would see a missing file, a script's error, and a foreign request."""
+    broken = tmp_path / "broken.html"
+    broken.write_text(
+        "<script src='missing.js'></script><script>undefined_name()</script>"
+        "<img src='https://example.org/picture.png'>",
+        encoding="utf-8",
+    )
+    page.goto(broken.as_uri())
+    seen = "\n".join(page.faults)  # type: ignore[attr-defined]
+    missing = (tmp_path / "missing.js").as_uri()
+    assert f"failed request {missing}" in seen
+    assert "script: undefined_name is not defined" in seen
+    assert "foreign request https://example.org/picture.png" in seen
 
 
 def test_every_page_opens_without_a_fault(page: Page, html: Path) -> None:
