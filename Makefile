@@ -5,6 +5,8 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 # The executed notebooks and the tests never need the network.
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# Packages are compiled as they are first used; pip would compile all, which takes half a minute.
+export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
 .PHONY: help setup book test notebooks html lint format data picture benchmarks mutants lock clean
@@ -19,7 +21,6 @@ $(STAMP): environment.txt pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed")'
 	@$(PYTHON) -m venv $(VENV)
 	@$(BIN)/pip install --quiet --no-compile --require-hashes -r environment.txt
-	@$(BIN)/python -W ignore -m compileall -qq -j 2 $(VENV)/lib || true # pip would use one core
 	@$(BIN)/pip install --quiet --no-deps --no-build-isolation -e .
 	@touch $@
 
@@ -39,13 +40,14 @@ html: notebooks
 book: html ## run the notebooks and build the book
 	@echo "The book is at build/html/index.html"
 
-test: html lint ## run every test: library, notebooks, book
+test: $(STAMP) ## run every test: library, notebooks, book
+	@$(MAKE) --no-print-directory --jobs 2 html lint
 	@$(BIN)/python -m pytest --numprocesses 2 --quiet
 
 lint: $(STAMP) ## check format, style, types, and that notebooks carry no outputs
 	@$(BIN)/ruff format --check --quiet .
 	@$(BIN)/ruff check --quiet .
-	@$(BIN)/mypy
+	@nice $(BIN)/mypy # in `make test` the notebooks, which take longer, run beside it
 	@$(BIN)/nbstripout --keep-id --verify notebooks/*.ipynb
 
 format: $(STAMP) ## format the code and strip the notebooks
