@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import hadamard
 
 from microlib._checks import as_image, between, one_of, positive, whole
 from microlib.esm import MOTIONS, Fit, Stage, apply_homography, half_pixel, make_stage
@@ -39,6 +40,13 @@ _NOISELESS = 0.002
 
 #: Side (px) above which a template is halved for the search by correlation.
 _CORRELATED = 64
+
+#: How far a distorted start moves each corner coordinate, in sides of the template.
+_DISTORTION = 0.17
+
+#: Correlation below which a distorted start is given up at a coarse resolution; right ones have
+#: more.
+_PROMISING = 0.8
 
 #: Margin (px) around the template that the last stage samples; it starts a fraction of a pixel
 #: away.
@@ -103,9 +111,10 @@ class ESMTracker:
     Gain and bias are estimated along with the motion, on a template and a warped frame smoothed in
     the template's coordinates. A search begins at the finest resolution; while the correlation is
     not convincing it begins again from coarser ones, and in the end from the best match by
-    correlation in the surroundings. Resolutions with fewer than 12 px a side estimate the
-    translation only. A last stage without smoothing samples the frame at half pixels, which removes
-    most of the error of bilinear interpolation.
+    correlation in the surroundings. A template that may deform, and was seen in the frame before,
+    is not given up until the search has begun from 32 distortions of it. Resolutions with fewer
+    than 12 px a side estimate the translation only. A last stage without smoothing samples the
+    frame at half pixels, which removes most of the error of bilinear interpolation.
 
     Parameters
     ----------
@@ -178,6 +187,7 @@ class ESMTracker:
         self._shape = frame.shape
         self._kalman = kalman
         self._typical, self._gain = 1.0, 1.0
+        self._held = True
         size = max(width, height) / 2
         self._start = np.array(
             [[size, 0, x + (width - 1) / 2], [0, size, y + (height - 1) / 2], [0, 0, 1.0]]
@@ -205,6 +215,7 @@ class ESMTracker:
             motion=motion,
         )
         _check_texture(self._refinement)
+        self._distortions = _distortions(self._refinement.corners, motion)
         while self._stages[-1].spread < _LEAST_SPREAD * self._refinement.spread:
             self._stages.pop()  # a texture too fine for this resolution, which would follow noise
 
@@ -233,6 +244,7 @@ class ESMTracker:
             self._move_to(self._kalman.predict())
         fit = self._search(np.asarray(frame))
         reason = fit.failure or ("low correlation" if fit.correlation < self._least else "")
+        self._held = not reason
         if not reason:
             self._pose = fit.pose
             self._typical, self._gain = fit.correlation, fit.gain
@@ -263,14 +275,18 @@ class ESMTracker:
         region, origin = _cut(frame, corners, np.ptp(corners, axis=0).max())
         if min(region.shape) < 2:
             return Fit(self._pose, failure="out of view")
-        best = Fit(self._pose, failure="diverged", correlation=-1.0)
-        for pose, layers in self._starts(_shifted(self._pose, -origin), as_image("frame", region)):
+        image = as_image("frame", region)
+        start = _shifted(self._pose, -origin)
+        best = Fit(start, failure="diverged", correlation=-1.0)
+        for pose, layers in self._starts(start, image):
             fit = self._align(layers, pose)
             if best.failure or (not fit.failure and fit.correlation > best.correlation):
-                best = replace(fit, pose=_shifted(fit.pose, origin))
+                best = fit
             if not best.failure and best.correlation > self._convincing():
                 break
-        return best
+        if self._held and (best.failure or best.correlation < self._least):
+            best = self._align_distorted(image, start) or best
+        return replace(best, pose=_shifted(best.pose, origin))
 
     def _convincing(self) -> float:
         """Return the correlation at which no further start is tried.
@@ -291,7 +307,19 @@ class ESMTracker:
         reach = max(self._box[2:]) // 2**level
         yield self._stages[level].correlate(layers[level], pose, reach), layers[: level + 1]
 
-    def _align(self, layers: list[Image], pose: Array) -> Fit:
+    def _align_distorted(self, image: Image, pose: Array) -> Fit | None:
+        """Align from distortions of the template, and return the first fit that convinces."""
+        sizes = [len(stage.basis) for stage in self._stages]
+        layers = _pyramid(image, sizes.count(len(self._refinement.basis)))
+        if len(layers) == 1:  # each would cost as much as a whole search
+            return None
+        for distortion in self._distortions:
+            fit = self._align(layers, pose @ distortion, promising=_PROMISING)
+            if not fit.failure and fit.correlation > max(self._least, _CONVINCING):
+                return fit
+        return None
+
+    def _align(self, layers: list[Image], pose: Array, promising: float = -1.0) -> Fit:
         """Refine a pose from the last of the layers to the first, and then between the pixels."""
         gain, iterations = self._gain, 0
         for stage, layer in reversed(list(zip(self._stages, layers, strict=False))):
@@ -299,7 +327,7 @@ class ESMTracker:
             fit = stage.fit(layer, pose, tolerance=tolerance, iterations=_STEPS, gain=gain)
             iterations += fit.iterations
             pose, gain = fit.pose, fit.gain
-            if fit.failure:
+            if fit.failure or fit.correlation < promising:
                 return replace(fit, iterations=iterations)
         if fit.correlation > self._least:
             near, offset = _cut(layers[0], apply_homography(pose, self._refinement.corners), _NEAR)
@@ -361,6 +389,27 @@ def _check_texture(stage: Stage) -> None:
         raise ValueError(
             "box must hold gradients in two directions, got a template that slides along its edges"
         )
+
+
+def _distortions(corners: Array, motion: str) -> list[Array]:
+    """Return warps of the template that move every coordinate of its corners, up or down.
+
+    Their signs are the rows of a Hadamard matrix and these rows with two signs changed, which is
+    as far apart as 32 patterns of eight signs can be.
+    """
+    if motion == "translation":
+        return []
+    rows = hadamard(8)
+    changed = rows * [-1, 1, 1, 1, 1, 1, 1, -1]
+    signs = np.concatenate([rows, -rows, changed, -changed]).reshape(-1, 4, 2)
+    moves = _DISTORTION * np.ptp(corners, axis=0) * signs
+    if motion == "affine":  # the nearest ones to these, but for those that are none at all
+        design = np.column_stack([corners, np.ones(4)])
+        moves = design @ np.linalg.pinv(design) @ moves
+        moves = moves[np.abs(moves).max(axis=(1, 2)) > 1e-9]
+    first = corners.astype(np.float32)
+    moved = (corners + moves).astype(np.float32)
+    return [np.asarray(cv2.getPerspectiveTransform(first, target)) for target in moved]
 
 
 def _halved(image: Image) -> Image:
