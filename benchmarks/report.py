@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
@@ -13,7 +13,7 @@ from time import perf_counter
 import numpy as np
 import pandas as pd
 
-__all__ = ["machine", "paired_times", "publish"]
+__all__ = ["machine", "must_hold", "paired_times", "publish"]
 
 RESULTS = Path(__file__).parent / "results"
 
@@ -49,13 +49,32 @@ def paired_times(
     return float(medians[0]), float(medians[1]), float(np.median(times[:, 0] / times[:, 1]))
 
 
-def publish(name: str, tables: dict[str, pd.DataFrame], *, note: str = "") -> None:
+def must_hold(lines: Iterable[tuple[str, float, str, float]]) -> pd.DataFrame:
+    """Judge lines of what was measured, the number, ``"≤"`` or ``"≥"``, and the limit."""
+    rows = []
+    for what, number, sense, limit in lines:
+        held = number <= limit if sense == "≤" else number >= limit
+        rows.append(
+            (what, f"{number:.4g}", f"{sense}\N{NO-BREAK SPACE}{limit:g}", "yes" if held else "no")
+        )
+    return pd.DataFrame(rows, columns=["what", "measured", "limit", "holds"])
+
+
+def publish(
+    name: str,
+    tables: dict[str, pd.DataFrame],
+    *,
+    limits: pd.DataFrame | None = None,
+    note: str = "",
+) -> None:
     """Print `tables` (title to frame) and write ``results/NAME.json``, which the book shows."""
-    for title, frame in tables.items():
+    shown = tables if limits is None else {"Must hold": limits, **tables}
+    for title, frame in shown.items():
         print(f"\n{title}\n{frame.to_string(index=False)}")
     record = {
         "machine": machine(),
         "note": note,
+        "limits": [] if limits is None else limits.to_numpy().tolist(),
         "tables": {
             title: frame.to_dict(orient="split", index=False) for title, frame in tables.items()
         },

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from benchmarks.report import paired_times, publish
+from benchmarks.report import must_hold, paired_times, publish
 from microlib.synthetic.gripper import (
     WarpedPair,
     camera_frame,
@@ -302,17 +302,64 @@ def drift() -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def limits(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
+    cells = tables["Convergence"].set_index(
+        ["motion", "warp", "corner displacement (px)", "method"]
+    )
+    basins = tables["Basins"].set_index(["motion", "method"])["basin (px)"]
+    frame, runs = tables["Time of one frame"].set_index("motion"), tables["Sequences"]
+    drift = tables["Drift over 1,000 frames of the gripper"]
+
+    def success(motion: str, warp: str, distance: float, method: str = "ESM") -> tuple:
+        what = f"{motion}, corners moved {distance:g} px, {method}: success, %"
+        return what, cells.loc[(motion, warp, distance, method), "success (%)"]
+
+    def completed(speed: float) -> tuple:
+        chosen = runs.loc[runs["speed (px/s)"] == speed, "runs completed (%)"]
+        return f"sequences at {speed:g} px/s: runs completed, least of scenes, %", chosen.min()
+
+    def basin(motion: str) -> tuple:
+        peer = max(basins[motion, "ECC, filter 1"], basins[motion, "ECC, filter 5"])
+        return f"{motion}: reach over that of ECC, gradients only", (
+            basins[motion, "ESM, gradients only"] / peer
+        )
+
+    near = cells.loc[("translation", "shift", 3.0, "ESM"), "RMS corner error (px)"]
+    one = ("affine", "affine", 5.0, "ESM, one resolution")
+    return must_hold(
+        [
+            (*success("translation", "shift", 7.6), "≥", 99),
+            (*success("translation", "shift", 15.0), "≥", 98),
+            (*success("translation", "shift", 20.0), "≥", 90),
+            ("translation by 3 px: RMS corner error, px", near, "≤", 0.015),
+            (*success("affine", "affine", 7.6, "ESM, one resolution"), "≥", 97),
+            ("affine, corners moved 5 px, one resolution: steps", cells.loc[one, "steps"], "≤", 5),
+            (*success("homography", "homography", 7.6), "≥", 98),
+            (*success("homography", "homography", 15.0), "≥", 90),
+            *((*basin(motion), "≥", 1.5) for motion in MODES),
+            ("translation: time over ECC's", frame.loc["translation", "ESM / ECC"].max(), "≤", 5),
+            ("affine: time over ECC's", frame.loc["affine", "ESM / ECC"].max(), "≤", 3),
+            ("frames/s, slowest motion", frame["ESM frames/s"].min(), "≥", 330),
+            (*completed(250.0), "≥", 100),
+            (*completed(500.0), "≥", 90),
+            ("drift at the end of 1,000 frames, px", drift["end error (px)"].max(), "≤", 0.2),
+        ]
+    )
+
+
 def main() -> None:
     cv2.setNumThreads(1)
+    tables = {
+        "Convergence": convergence(),
+        "Basins": basins(),
+        "Time of one frame": times(),
+        "Sequences": sequences(),
+        "Drift over 1,000 frames of the gripper": drift(),
+    }
     publish(
         "tracking",
-        {
-            "Convergence": convergence(),
-            "Basins": basins(),
-            "Time of one frame": times(),
-            "Sequences": sequences(),
-            "Drift over 1,000 frames of the gripper": drift(),
-        },
+        tables,
+        limits=limits(tables),
         note=(
             "Templates of 50×50 px of white noise blurred by σ = 1 px, camera noise of 2 grey "
             "levels, 5 % gain change. Every trial moves the corners by exactly the displacement "

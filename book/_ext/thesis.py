@@ -37,6 +37,7 @@ FILTER = """<div class="claims-filter">
 ROOT = Path(__file__).resolve().parents[2]
 CLAIMS = ROOT / "build" / "claims"
 RESULTS = ROOT / "benchmarks" / "results"
+LONG = 20  # rows above which a table is folded
 
 
 @cache
@@ -158,36 +159,65 @@ class Errata(SphinxDirective):
 
 
 class Benchmarks(SphinxDirective):
-    """Every benchmark result on file, one section each, with the machine it was measured on."""
+    """What must hold, and every benchmark on file, with the machine it was measured on."""
 
     def run(self) -> list[nodes.Node]:
-        result: list[nodes.Node] = []
-        for path in sorted(RESULTS.glob("*.json")):
-            record = json.loads(path.read_text(encoding="utf-8"))
-            section = nodes.section(ids=[nodes.make_id(f"benchmark-{path.stem}")])
-            section += nodes.title("", path.stem.replace("_", " ").capitalize())
-            machine = record["machine"]
-            versions = ", ".join(
-                f"{k} {v}" for k, v in machine.items() if k not in ("processor", "cores")
-            )
-            text = f"Measured on {machine['processor']}, {machine['cores']} cores; {versions}."
-            section += nodes.paragraph(text, text)
-            if record["note"]:
-                self.state.nested_parse(StringList(record["note"].split("\n")), 0, section)
-            for title, content in record["tables"].items():
-                section += nodes.rubric("", title)
-                rows = [[show(value) for value in row] for row in content["data"]]
-                section += table([str(column) for column in content["columns"]], rows)
-            result.append(section)
-        if not result:
-            result.append(nodes.paragraph("", "No benchmark has been published yet."))
+        found = {
+            path.stem.replace("_", " ").capitalize(): json.loads(path.read_text(encoding="utf-8"))
+            for path in sorted(RESULTS.glob("*.json"))
+        }
+        lines = [
+            [name, *line[:3], holds(line[3])] for name, r in found.items() for line in r["limits"]
+        ]
+        limits = section("What must hold")
+        text = (
+            f"Limits were set before anything was measured; "
+            f"{sum(line[-1].astext() == 'yes' for line in lines)} of {len(lines)} hold."
+        )
+        limits += nodes.paragraph(text, text)
+        limits += table(["", "what", "measured", "limit", "holds"], lines)
+        return [limits, *(self.one(name, record) for name, record in found.items())]
+
+    def one(self, name: str, record: dict) -> nodes.section:
+        result = section(name)
+        machine = record["machine"]
+        versions = ", ".join(
+            f"{k} {v}" for k, v in machine.items() if k not in ("processor", "cores")
+        )
+        text = f"Measured on {machine['processor']}, {machine['cores']} cores; {versions}."
+        result += nodes.paragraph(text, text)
+        if record["note"]:
+            self.state.nested_parse(StringList(record["note"].split("\n")), 0, result)
+        for title, content in record["tables"].items():
+            rows = [[show(value) for value in row] for row in content["data"]]
+            whole = table([str(column) for column in content["columns"]], rows)
+            if len(rows) <= LONG:
+                result += [nodes.rubric("", title), whole]
+                continue
+            summary = f"<details><summary>{title} ({len(rows)} rows)</summary>"
+            result += [raw_html(summary), whole, raw_html("</details>")]
         return result
 
 
+def section(title: str) -> nodes.section:
+    result = nodes.section(ids=[nodes.make_id(f"benchmark-{title}")])
+    result += nodes.title("", title)
+    return result
+
+
+def raw_html(text: str) -> nodes.raw:
+    return nodes.raw("", text, format="html")
+
+
+def holds(answer: str) -> nodes.inline:
+    kind = "reproduced" if answer == "yes" else "differs"
+    return nodes.inline(answer, answer, classes=["verdict", f"verdict-{kind}"])
+
+
 def show(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return "–" if value is None else str(value)
+    if value is None or value != value:  # NaN
+        return "–"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def table(head: list[str], rows: list[list], *, classes: list[str] | None = None) -> nodes.table:
