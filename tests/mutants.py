@@ -2,8 +2,8 @@
 
 ``make mutants`` takes a fixed random sample of cosmic-ray's faults in each module (a plus for a
 minus, another number, a reversed comparison), runs that module's tests on a copy of the project,
-and writes ``tests/mutants.csv``. The faults that no test noticed are explained in
-``tests/MUTANTS.md``.
+and writes ``tests/mutants.csv``; with modules named, it only prints. The faults that no test
+noticed are explained in ``tests/MUTANTS.md``.
 """
 
 from __future__ import annotations
@@ -42,6 +42,8 @@ MODULES = {
     "servoing": ["servoing"],
     "servo_metrics": ["servo_metrics"],
     "kalman": ["kalman"],
+    "esm": ["esm", "tracking"],
+    "tracking": ["tracking"],
     "depth_correction": ["depth_correction"],
     "ledger": ["ledger"],
     "focus_peaks": ["focus"],
@@ -72,10 +74,14 @@ def main() -> int:
                 print(f"Without any fault the tests of {', '.join(failing)} fail; mend them first.")
                 return 1
             rows = list(pool.map(lambda fault: judge(copies, *fault), faults))
-    with RESULT.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["module", "fault", "line", "code", "caught"])
-        writer.writerows(rows)
+    if not options.modules:
+        with RESULT.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(["module", "fault", "line", "code", "caught"])
+            writer.writerows(rows)
+    for row in rows:
+        if not row[-1]:
+            print("not caught:", *row[:-1])
     for name in chosen:
         mine = [row for row in rows if row[0] == name]
         print(f"{name}: {sum(row[-1] for row in mine)} of {len(mine)} caught")

@@ -54,6 +54,19 @@ def test_reaches_as_far_as_promised(motion, warp, distance, least):
     assert (errors[errors >= 1.0] == np.inf).all()  # what is not found is called lost
 
 
+def test_a_close_start_is_aligned_once():
+    class Counting(ESMTracker):
+        attempts = 0
+
+        def _align(self, *arguments):
+            self.attempts += 1
+            return super()._align(*arguments)
+
+    tracker = Counting(IMAGE, (20, 15, 40, 40))
+    tracker.track(np.roll(IMAGE, (1, -1), axis=(0, 1)))
+    assert tracker.attempts == 1
+
+
 def test_a_template_that_stays_away_is_sought_by_distortions_once():
     class Counting(ESMTracker):
         sought = 0
