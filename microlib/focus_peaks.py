@@ -308,7 +308,8 @@ def track_peaks(
     reaches : sequence of int
         For each measure, how many frames on either side of the best enter the fit.
     batch : int
-        Frames that a band takes in while its state is in the cache; twice as many are held.
+        Frames that a band takes in while its state is in the cache; up to three times as many are
+        held.
     threads : int
         Threads that share the bands of rows.
 
