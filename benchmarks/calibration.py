@@ -557,8 +557,7 @@ def main() -> None:
         limits=limits(tables),
         note="Contrast 140 grey levels in the first two tables, 150 in the others. Coverage "
         "over 50 seeds is known to 1.6 %. All squares of an image share an error in size, a fifth "
-        "of the variance of a corner, from the contrast that is fitted to them together; the "
-        "intervals do not know of it.",
+        "of the variance of a corner; the intervals allow for what corners of one square share.",
     )
 
 
