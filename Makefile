@@ -61,10 +61,11 @@ data: $(STAMP) ## write data/synthetic anew, the same bytes
 picture: $(STAMP) ## draw the readme's picture anew
 	@$(BIN)/python book/make_readme_picture.py
 
+# A second thread of BLAS helps no matrix of this size, and would count as CPU time.
+benchmarks: export OPENBLAS_NUM_THREADS := 1
 benchmarks: $(STAMP) ## measure microlib beside its peers (minutes)
-	@# One thread of BLAS: a second one helps no matrix of this size, and would count as CPU time.
 	@for file in benchmarks/[a-z]*.py; do \
-	  name=$$(basename $$file .py); [ $$name = report ] || OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.$$name || exit 1; done
+	  name=$$(basename $$file .py); [ $$name = report ] || $(BIN)/python -m benchmarks.$$name || exit 1; done
 
 mutants: $(STAMP) ## plant faults in the library and count those the tests catch (minutes)
 	@$(BIN)/python tests/mutants.py

@@ -456,7 +456,7 @@ def limits(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
                 0.75,
             ),
             (f"the same, worst of {len(photos)} with photographs", photos.max(), "≤", 0.75),
-            ("error without the least confident tenth, over all, worst", kept.max(), "≤", 1),
+            ("error without the least confident tenth, over all, worst", kept.max(), "≤", 0.95),
             (
                 "SML and three points, one thread, over the box filter",
                 time.loc["sml, three points, one thread", "times the box filter"],
@@ -514,7 +514,8 @@ def main() -> None:
         "On photographs the others are judged where microlib gives a depth. The rules that refuse "
         "a depth were made with the domes of brick, camera, coins and moon in view; the other "
         "photographs were first seen after. Above 0.75 are four balls and the stereo scene, for "
-        "their vertical edges.",
+        "their vertical edges. An error that falls clearly without the least confident tenth is "
+        "read as one of at most 0.95; three smooth scenes stay above.",
     )
 
 

@@ -64,10 +64,11 @@ def is_outshone(depth: NDArray, weight: NDArray) -> NDArray[np.bool_]:
     around = blur(strength, _SPREAD)
     apart = np.abs(level - blur(level * strength, _SPREAD) / np.maximum(around, 1e-30)) > 2
     faint = np.zeros(level.shape, bool)
-    for k in np.unique(np.rint(level[apart])):
+    nearest = np.rint(level)
+    for k in np.unique(nearest[apart]):
         near = (np.abs(level - k) <= 1).astype(np.float32)
         share, theirs = blur(near, _SPREAD), blur(near * strength, _SPREAD)
-        faint |= (np.rint(level) == k) & (theirs < 0.2 * around * share)
+        faint |= (nearest == k) & (theirs < 0.2 * around * share)
     return faint & apart
 
 

@@ -145,11 +145,11 @@ def depth_from_focus(
 
     A depth is NaN where the measure is zero or flat, and where the best frame is random: half of
     its neighbours are more than two frames away from their median. "multiscale" also gives NaN
-    where its peak is no higher than noise alone would have it, where the peak is ten times fainter
+    where its peak is no higher than noise alone would have it, where peaks are five times fainter
     than those around and more than two frames away from them, which is the blur of a strong edge
-    near by, and where half of the surroundings are unknown. A pixel whose best frame is the
-    first or the last is flagged and gets that frame's position, unless a fit of more points puts it
-    further in. Equal maxima go to the first.
+    near by, in specks of a few pixels, and where half of the surroundings are unknown. A pixel
+    whose best frame is the first or the last is flagged and gets that frame's position, unless a
+    fit of more points puts it further in. Equal maxima go to the first.
 
     The first call on a machine compiles the inner loops, which takes some seconds, and keeps them.
 

@@ -215,9 +215,13 @@ class ESMTracker:
             motion=motion,
         )
         _check_texture(self._refinement)
-        self._distortions = _distortions(self._refinement.corners, motion)
         while self._stages[-1].spread < _LEAST_SPREAD * self._refinement.spread:
             self._stages.pop()  # a texture too fine for this resolution, which would follow noise
+        sizes = [len(stage.basis) for stage in self._stages]
+        self._deformable = sizes.count(len(self._refinement.basis))
+        # At the finest resolution alone each would cost as much as a whole search.
+        several = self._deformable > 1
+        self._distortions = _distortions(self._refinement.corners, motion) if several else []
 
     def track(self, frame: ArrayLike) -> Track:
         """Find the template in the next frame.
@@ -243,7 +247,7 @@ class ESMTracker:
         if self._kalman is not None:
             self._move_to(self._kalman.predict())
         fit = self._search(np.asarray(frame))
-        reason = fit.failure or ("low correlation" if fit.correlation < self._least else "")
+        reason = self._reason(fit)
         self._held = not reason
         if not reason:
             self._pose = fit.pose
@@ -284,9 +288,13 @@ class ESMTracker:
                 best = fit
             if not best.failure and best.correlation > self._convincing():
                 break
-        if self._held and (best.failure or best.correlation < self._least):
+        if self._held and self._distortions and self._reason(best):
             best = self._align_distorted(image, start) or best
         return replace(best, pose=_shifted(best.pose, origin))
+
+    def _reason(self, fit: Fit) -> str:
+        """Return why a fit does not count as the template, or nothing if it does."""
+        return fit.failure or ("low correlation" if fit.correlation < self._least else "")
 
     def _convincing(self) -> float:
         """Return the correlation at which no further start is tried.
@@ -309,10 +317,7 @@ class ESMTracker:
 
     def _align_distorted(self, image: Image, pose: Array) -> Fit | None:
         """Align from distortions of the template, and return the first fit that convinces."""
-        sizes = [len(stage.basis) for stage in self._stages]
-        layers = _pyramid(image, sizes.count(len(self._refinement.basis)))
-        if len(layers) == 1:  # each would cost as much as a whole search
-            return None
+        layers = _pyramid(image, self._deformable)
         for distortion in self._distortions:
             fit = self._align(layers, pose @ distortion, promising=_PROMISING)
             if not fit.failure and fit.correlation > max(self._least, _CONVINCING):

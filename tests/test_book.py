@@ -196,8 +196,7 @@ def test_pages_of_the_library_open_without_a_fault(page: Page, html: Path) -> No
 
 
 def test_equations_are_drawn(page: Page, html: Path) -> None:
-    page.goto((html / "notebooks" / "04_mechanical_characterization.html").as_uri())
-    page.evaluate("MathJax.startup.promise")
+    open_page(page, html / "notebooks" / "04_mechanical_characterization.html")
     assert page.locator("mjx-container").count() > 20
     tags = page.locator("mjx-container[display=true]").evaluate_all("nodes => nodes.length")
     assert tags >= 7  # (4.1) to (4.7)

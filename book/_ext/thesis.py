@@ -101,7 +101,7 @@ class Claims(SphinxDirective):
             rows.append([*cells, badge(claim)])
         result = [table(head, rows, classes=["claims"])]
         if "filter" in self.options:
-            result.insert(0, nodes.raw("", FILTER, format="html"))
+            result.insert(0, raw_html(FILTER))
         return result
 
 
@@ -142,8 +142,7 @@ class Errata(SphinxDirective):
         }
         result: list[nodes.Node] = []
         for name, entry in ledger.errata().items():
-            section = nodes.section(ids=[nodes.make_id(f"erratum-{name}")])
-            section += nodes.title(entry["where"], entry["where"])
+            part = section(f"erratum-{name}", entry["where"])
             lines = [
                 f"**Printed:** {entry['printed']}",
                 "",
@@ -153,8 +152,8 @@ class Errata(SphinxDirective):
                 "",
                 f"*Origin: {origins[entry['origin']]}. Proven in* `{entry['test']}`.",
             ]
-            self.state.nested_parse(StringList(lines, source="errata.toml"), 0, section)
-            result.append(section)
+            self.state.nested_parse(StringList(lines, source="errata.toml"), 0, part)
+            result.append(part)
         return result
 
 
@@ -169,9 +168,9 @@ class Benchmarks(SphinxDirective):
         lines = [
             [name, *line[:3], holds(line[3])] for name, r in found.items() for line in r["limits"]
         ]
-        limits = section("What must hold")
+        limits = section("benchmark-limits", "What must hold")
         text = (
-            f"Limits were set before anything was measured; "
+            "Limits are what was asked for before anything was measured; "
             f"{sum(line[-1].astext() == 'yes' for line in lines)} of {len(lines)} hold."
         )
         limits += nodes.paragraph(text, text)
@@ -179,7 +178,7 @@ class Benchmarks(SphinxDirective):
         return [limits, *(self.one(name, record) for name, record in found.items())]
 
     def one(self, name: str, record: dict) -> nodes.section:
-        result = section(name)
+        result = section(f"benchmark-{name}", name)
         machine = record["machine"]
         versions = ", ".join(
             f"{k} {v}" for k, v in machine.items() if k not in ("processor", "cores")
@@ -199,9 +198,9 @@ class Benchmarks(SphinxDirective):
         return result
 
 
-def section(title: str) -> nodes.section:
-    result = nodes.section(ids=[nodes.make_id(f"benchmark-{title}")])
-    result += nodes.title("", title)
+def section(name: str, title: str) -> nodes.section:
+    result = nodes.section(ids=[nodes.make_id(name)])
+    result += nodes.title(title, title)
     return result
 
 
