@@ -149,7 +149,19 @@ def open_page(page: Page, path: Path) -> None:
     page.goto(path.as_uri())
     page.evaluate("window.MathJax?.startup?.promise")
     assert page.faults == [], f"{path.name}: {page.faults}"  # type: ignore[attr-defined]
-    assert page.locator("mjx-merror").count() == 0, f"{path.name} has a formula MathJax refuses"
+    assert refused_formulas(page) == [], path.name
+
+
+def refused_formulas(page: Page) -> list[str]:
+    """Return the source of each formula that stands on the page undrawn, or drawn as an error."""
+    return page.evaluate("""() => {
+        const drawn = new Set(document.querySelectorAll("mjx-container"));
+        const errors = [...document.querySelectorAll("[data-mml-node=merror], mjx-merror")];
+        const undrawn = [...document.querySelectorAll(".math.notranslate, .math.nohighlight")]
+            .filter(math => ![...math.querySelectorAll("mjx-container")].some(m => drawn.has(m)));
+        const source = node => node.closest(".math") ?? node;
+        return [...errors.map(source), ...undrawn].map(node => node.textContent.trim());
+    }""")
 
 
 def test_a_broken_page_is_noticed(page: Page, tmp_path: Path) -> None:
@@ -166,6 +178,28 @@ def test_a_broken_page_is_noticed(page: Page, tmp_path: Path) -> None:
     assert f"failed request {missing}" in seen
     assert "script: undefined_name is not defined" in seen
     assert "failed request https://example.org/picture.png" in seen
+
+
+@pytest.mark.parametrize(
+    "formula",
+    [
+        r"\[\begin{split}a &= b\\ c &= d \tag{2.5}\end{split}\]",  # what Sphinx made of (2.5)
+        r"\[\frac{a}{b\]",
+        r"\[\undefinedmacro{a} + \left( b\]",
+        "a formula that lost its delimiters",
+    ],
+)
+def test_a_formula_that_cannot_be_drawn_is_noticed(
+    page: Page, html: Path, tmp_path: Path, formula: str
+) -> None:
+    library = (html / "_static" / "mathjax" / "tex-svg-full.js").as_uri()
+    planted = tmp_path / "planted.html"
+    text = '<meta charset="utf-8"><script async src="{}"></script><div class="math notranslate">{}</div>'
+    planted.write_text(text.format(library, r"\[\dot X = V + \Omega \times X \tag{2.24}\]"))
+    open_page(page, planted)
+    planted.write_text(text.format(library, formula))
+    with pytest.raises(AssertionError, match=r"planted\.html"):
+        open_page(page, planted)
 
 
 def hindrances(page: Page) -> list[str]:
@@ -193,6 +227,32 @@ def test_pages_of_the_library_open_without_a_fault(page: Page, html: Path) -> No
     # They are alike; every eighth stands for them.
     for path in sorted((html / "generated").glob("*.html"))[::8]:
         open_page(page, path)
+
+
+def test_every_formula_is_drawn(page: Page, html: Path) -> None:
+    """On every page that has one, in both themes and on both screens."""
+    pages = [p for p in sorted(html.rglob("*.html")) if 'class="math' in p.read_text()]
+    assert len(pages) > 30
+    for path in pages:
+        open_page(page, path)
+        for theme in ("dark", "light"):
+            page.evaluate(f"document.documentElement.dataset.theme = '{theme}'")
+            assert hidden_formulas(page) == 0, f"{path.name}, {theme}"
+
+
+def hidden_formulas(page: Page) -> int:
+    """Count the drawn display formulas that have no extent or the color of what is behind them."""
+    return page.evaluate("""() =>
+        [...document.querySelectorAll("mjx-container[display=true]")].filter(formula => {
+            if (!formula.checkVisibility()) return false;  // folded away with what is around it
+            let behind = formula;
+            while (behind && getComputedStyle(behind).backgroundColor === "rgba(0, 0, 0, 0)")
+                behind = behind.parentElement;
+            const ground = behind ? getComputedStyle(behind).backgroundColor : "rgb(255, 255, 255)";
+            const box = formula.querySelector("svg").getBoundingClientRect();
+            return box.width * box.height === 0 || getComputedStyle(formula).color === ground;
+        }).length
+    """)
 
 
 def test_equations_are_drawn(page: Page, html: Path) -> None:
