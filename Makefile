@@ -21,12 +21,12 @@ $(STAMP): environment.txt pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed")'
 	@$(PYTHON) -m venv $(VENV)
 	@$(BIN)/pip install --quiet --no-compile --require-hashes -r environment.txt
-	@$(BIN)/pip install --quiet --no-deps --no-build-isolation -e .
+	@$(BIN)/pip install --quiet --no-deps --no-build-isolation --config-settings editable_mode=compat -e .
 	@touch $@
 
 notebooks: $(STAMP) ## run the notebooks that changed
 	@echo "Running the notebooks"
-	@$(BIN)/python notebooks/run.py
+	@$(BIN)/python -m compendium.run
 
 html: notebooks
 	@echo "Building the book"
@@ -56,10 +56,10 @@ format: $(STAMP) ## format the code and strip the notebooks
 	@$(BIN)/nbstripout --keep-id notebooks/*.ipynb
 
 data: $(STAMP) ## write data/synthetic anew, the same bytes
-	@$(BIN)/python data/make_synthetic.py
+	@$(BIN)/python -m compendium.synthetic_data
 
 picture: $(STAMP) ## draw the readme's picture anew
-	@$(BIN)/python book/make_readme_picture.py
+	@$(BIN)/python -m compendium.readme_picture
 
 # A second thread of BLAS helps no matrix of this size, and would count as CPU time.
 benchmarks: export OPENBLAS_NUM_THREADS := 1

@@ -14,16 +14,9 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.report import must_hold, paired_times, publish
-from microlib.calibration import calibrate
-from microlib.camera_jacobian import cramer_rao
+from microlib.calibration import calibrate, cramer_rao, detect_circles, detect_squares
 from microlib.microscope import Microscope
-from microlib.patterns import (
-    Imaging,
-    detect_circles,
-    detect_squares,
-    render_circles,
-    render_squares,
-)
+from microlib.synthetic import Imaging, render_circles, render_squares
 
 #: (PSF σ in px, noise σ in grey levels): limits for circles and for square corners, px.
 LIMITS = {

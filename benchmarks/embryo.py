@@ -15,9 +15,7 @@ from scipy.interpolate import make_smoothing_spline
 from statsmodels.nonparametric.smoothers_lowess import lowess
 
 from benchmarks.report import must_hold, paired_times, publish
-from microlib.boundary import Boundary, extract_boundary
-from microlib.characterization import modulus_from_image
-from microlib.contour import loess
+from microlib.embryo import Boundary, extract_boundary, loess, modulus_from_image
 from microlib.membrane import SmallSlopeWarning, elastic_modulus
 from microlib.synthetic import Embryo, EmbryoImage, embryo_image
 

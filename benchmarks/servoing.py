@@ -28,9 +28,9 @@ from microlib.servoing import (
     step_metrics,
     tracked_view,
 )
-from microlib.synthetic.gripper import gripper_scene
+from microlib.servoing._workstation import Controller
+from microlib.synthetic import gripper_scene
 from microlib.tracking import ESMTracker
-from microlib.workstation import Controller
 
 INTERVAL = 1 / 33
 CAMERA = Camera(interval=INTERVAL, latency=0.8 * INTERVAL, jitter=0.15)

@@ -16,14 +16,14 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from benchmarks.report import must_hold, paired_times, publish
-from microlib.synthetic.gripper import (
+from microlib.synthetic import (
     WarpedPair,
     camera_frame,
     gripper_scene,
+    mixed_texture,
     texture_sequence,
     warped_pair,
 )
-from microlib.synthetic.textures import mixed_texture
 from microlib.tracking import ESMTracker, KalmanFilter
 
 Array = NDArray[np.float64]

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from skimage.measure import label as connected
 
-from microlib._checks import as_array, positive, whole
+from microlib._common import Array, as_array, positive, whole
 
 __all__ = [
     "HK_NAMES",
@@ -57,10 +57,10 @@ class Windows:
         second derivative :math:`d_2` (3.19 corrected, per px²).
     """
 
-    smooth: NDArray[np.float64]
-    mean: NDArray[np.float64]
-    slope: NDArray[np.float64]
-    bend: NDArray[np.float64]
+    smooth: Array
+    mean: Array
+    slope: Array
+    bend: Array
 
 
 @dataclass(frozen=True)
@@ -75,10 +75,10 @@ class Curvature:
         Standard errors of H and K, in the same units; zero if no noise was given.
     """
 
-    mean: NDArray[np.float64]
-    gaussian: NDArray[np.float64]
-    mean_error: NDArray[np.float64]
-    gaussian_error: NDArray[np.float64]
+    mean: Array
+    gaussian: Array
+    mean_error: Array
+    gaussian_error: Array
 
 
 def curvature_windows(size: int = 7) -> Windows:
@@ -103,7 +103,8 @@ def curvature_windows(size: int = 7) -> Windows:
 
     Notes
     -----
-    :math:`d_0, d_1, d_2` are the value, slope and second derivative at the centre of the parabola
+    The smoothing window is the binomial one (3.15). :math:`d_0` (3.17), :math:`d_1` (3.18) and
+    :math:`d_2` (3.19) are the value, slope and second derivative at the center of the parabola
     that fits the window in the least-squares sense. (3.19) prints :math:`d_2` with 1/84, which
     yields the coefficient of t², half the second derivative: applied to t² it gives 1 instead of
     2. Here the factor is 1/42, without which H comes out at half and K at a quarter of the truth.
@@ -223,7 +224,7 @@ def surface_curvature(
     return Curvature(*fields)
 
 
-def _combined(n: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _combined(n: int) -> tuple[Array, Array, Array]:
     """Return value, slope and second-derivative windows with the smoother folded in."""
     windows = curvature_windows(n)
     value, slope, bend = (
@@ -232,9 +233,7 @@ def _combined(n: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray
     return value, slope, bend
 
 
-def _correlate(
-    image: NDArray[np.float64], along_x: NDArray[np.float64], along_y: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _correlate(image: Array, along_x: Array, along_y: Array) -> Array:
     return np.asarray(
         cv2.sepFilter2D(image, cv2.CV_64F, along_x, along_y, borderType=cv2.BORDER_REPLICATE),
         np.float64,

@@ -9,14 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from microlib._checks import as_array, positive
+from microlib._common import Array, as_array, positive
 
 __all__ = ["Microscope", "distort", "euler_rotation", "undistort"]
 
 
-def euler_rotation(alpha: float, beta: float, gamma: float) -> NDArray[np.float64]:
+def euler_rotation(alpha: float, beta: float, gamma: float) -> Array:
     """Rotation by γ about x, then β about y, then α about z: R = Rz(α) Ry(β) Rx(γ) (2.6, 2.7).
 
     Parameters
@@ -45,7 +45,7 @@ def euler_rotation(alpha: float, beta: float, gamma: float) -> NDArray[np.float6
     )
 
 
-def undistort(points: ArrayLike, distortion: float) -> NDArray[np.float64]:
+def undistort(points: ArrayLike, distortion: float) -> Array:
     """Take radial distortion off sensor points: (u', v') = (u, v)·(1 + κ r²), r² = u² + v² (2.10).
 
     Parameters
@@ -70,7 +70,7 @@ def undistort(points: ArrayLike, distortion: float) -> NDArray[np.float64]:
     return points * np.where(bending < -1 / 3, np.nan, 1 + bending)
 
 
-def distort(points: ArrayLike, distortion: float) -> NDArray[np.float64]:
+def distort(points: ArrayLike, distortion: float) -> Array:
     """Put radial distortion on sensor points: the exact inverse of (2.10).
 
     Parameters
@@ -186,12 +186,12 @@ class Microscope:
             raise ValueError(f"image_size must be whole numbers of pixels, got {self.image_size}")
 
     @property
-    def rotation(self) -> NDArray[np.float64]:
+    def rotation(self) -> Array:
         """R from the world to the objective frame, 3×3 (2.6)."""
         return euler_rotation(self.alpha, self.beta, self.gamma)
 
     @property
-    def translation(self) -> NDArray[np.float64]:
+    def translation(self) -> Array:
         """T = (T_x, T_y, f + d), µm (2.8)."""
         return np.array([self.tx, self.ty, self.focal_length + self.distance])
 
@@ -209,16 +209,16 @@ class Microscope:
         return float(np.arctan2(np.hypot(r[2, 0], r[2, 1]), abs(r[2, 2])))
 
     @property
-    def cell(self) -> NDArray[np.float64]:
+    def cell(self) -> Array:
         """Pitch of the sensor cells (s_x, s_y), µm."""
         return np.broadcast_to(np.asarray(self.pixel_size, dtype=np.float64), 2)
 
     @property
-    def principal_point(self) -> NDArray[np.float64]:
+    def principal_point(self) -> Array:
         """Where the optical axis meets the image, (x, y) px: the sensor's centre."""
         return (np.asarray(self.image_size, dtype=np.float64) - 1) / 2
 
-    def to_objective(self, points: ArrayLike) -> NDArray[np.float64]:
+    def to_objective(self, points: ArrayLike) -> Array:
         """World points to the objective frame: R X_w + T (2.5).
 
         Parameters
@@ -242,7 +242,7 @@ class Microscope:
         points = as_array("points", points)
         return points @ self.rotation[:, :columns].T + self.translation
 
-    def project(self, points: ArrayLike) -> NDArray[np.float64]:
+    def project(self, points: ArrayLike) -> Array:
         """World points to the image (2.5, 2.9–2.11).
 
         Parameters
@@ -266,7 +266,7 @@ class Microscope:
         sensor = (self.tube_length + self.focal_length) * np.column_stack([x / z, y / z])
         return distort(sensor, self.distortion) / self.cell + self.principal_point
 
-    def back_project(self, pixels: ArrayLike) -> NDArray[np.float64]:
+    def back_project(self, pixels: ArrayLike) -> Array:
         """Image points to the pattern plane Z_w = 0: the inverse of :meth:`project` there.
 
         Parameters

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._checks import as_array, as_image, positive, whole
+from microlib._common import Array, as_array, as_image, positive, whole
 
 __all__ = [
     "BlurLadder",
@@ -31,7 +31,7 @@ _LEVEL_RATIO = 1.15
 _FIRST_LEVEL = 0.2
 
 
-def image_distance(object_distance: ArrayLike, focal_length: float) -> NDArray[np.float64]:
+def image_distance(object_distance: ArrayLike, focal_length: float) -> Array:
     """Return where a thin lens forms the image of a point.
 
     Parameters
@@ -104,7 +104,7 @@ def blur_radius(
     focal_length: float,
     sensor_distance: float,
     aperture_radius: float,
-) -> NDArray[np.float64]:
+) -> Array:
     """Return the radius of the blur circle of points at given distances.
 
     Parameters
@@ -131,9 +131,9 @@ def blur_radius(
 
     Notes
     -----
-    The same as (3.2), :math:`R\\,(d_i - d_s)/d_i`, and (3.4), but without a division by zero for
-    a point in the focal plane. A blurred image is the same for both signs; only the magnitude
-    enters a kernel.
+    The same as (3.2), :math:`R\\,\\lambda/d_i` with the sensor's displacement
+    :math:`\\lambda = d_i - d_s` (3.3), and (3.4), but without a division by zero for a point in the
+    focal plane. A blurred image is the same for both signs; only the magnitude enters a kernel.
 
     Examples
     --------
@@ -147,7 +147,7 @@ def blur_radius(
     return np.asarray(radius * float(sensor_distance) * (1.0 / distance - 1.0 / focused))
 
 
-def gaussian_kernel(sigma: float, size: int) -> NDArray[np.float64]:
+def gaussian_kernel(sigma: float, size: int) -> Array:
     """Return the Gaussian point spread function of a defocused lens, sampled and of unit sum.
 
     Parameters
@@ -188,7 +188,7 @@ def gaussian_kernel(sigma: float, size: int) -> NDArray[np.float64]:
     return kernel / kernel.sum()
 
 
-def gaussian_transfer(u: ArrayLike, v: ArrayLike, sigma: float) -> NDArray[np.float64]:
+def gaussian_transfer(u: ArrayLike, v: ArrayLike, sigma: float) -> Array:
     """Return the transfer function of Gaussian defocus, the Fourier transform of its kernel.
 
     Parameters
@@ -310,7 +310,7 @@ def defocus(image: ArrayLike, sigma: ArrayLike) -> NDArray[np.float32]:
     -------
     ndarray of float32, shape (rows, cols)
         :math:`I_d(p) = \\sum_q g_{\\sigma(p)}(p - q)\\,I(q)`, which is (3.6) where `sigma` is
-        constant. The image is mirrored at its border.
+        constant, and a product of spectra (3.8). The image is mirrored at its border.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Who may import whom, and that what is public is documented."""
+"""Who may import whom, what is public, and that what is public is documented in one place."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import ast
 import importlib
 import inspect
 import re
+import subprocess
+import sys
+from importlib.metadata import distribution, packages_distributions
 from pathlib import Path
 
 import pytest
@@ -13,65 +16,94 @@ import pytest
 import microlib
 
 PACKAGE = Path(microlib.__file__).parent
-MODULES = sorted(
-    str(path.relative_to(PACKAGE).with_suffix("")).replace("/", ".").removesuffix(".__init__")
-    for path in PACKAGE.rglob("*.py")
-    if path != PACKAGE / "__init__.py"
+ROOT = PACKAGE.parent
+ROOMS = sorted(
+    path.stem if path.is_file() else path.name
+    for path in PACKAGE.iterdir()
+    if not path.name.startswith("_") and (path.suffix == ".py" or (path / "__init__.py").exists())
 )
-GROUND_FLOOR = {"optics", "microscope", "membrane"}
-FOR_NOTEBOOKS = {"ledger", "figures"}
+# Which subjects a subject may import; `_common` is free to all.
+ARROWS = {
+    "calibration": {"microscope"},
+    "embryo": {"membrane"},
+    "focus": {"io"},
+    "synthetic": {"microscope", "optics", "membrane"},
+}
+#: A face that fits on one page of the book.
+MOST_PUBLIC_NAMES = 113
 
 
-def imports(module: str) -> set[str]:
-    """Return the modules of ours that a module imports, by their first name."""
-    path = PACKAGE / (module.replace(".", "/") + ".py")
-    if not path.exists():
-        path = PACKAGE / module.replace(".", "/") / "__init__.py"
+def sources(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*.py") if "__pycache__" not in path.parts)
+
+
+def imported(path: Path) -> set[str]:
+    """Return the dotted names that a file imports: the module's, and module.name for each name."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("microlib"):
-            rest = (node.module or "").split(".")[1:]
-            found |= {rest[0]} if rest else {alias.name for alias in node.names}
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path.name} imports relatively"
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
         elif isinstance(node, ast.Import):
-            found |= {a.name.split(".")[1] for a in node.names if a.name.startswith("microlib.")}
-    return found - {"_checks"}
+            found |= {alias.name for alias in node.names}
+    return found
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_imports_follow_the_arrows(module: str) -> None:
-    first = module.split(".")[0]
-    found = imports(module) - {first}
-    if first in GROUND_FLOOR or first == "_checks":
-        assert not found, f"{module} is on the ground floor and imports {found}"
-    elif first == "synthetic":
-        assert found <= GROUND_FLOOR, f"{module} may import the ground floor only, not {found}"
-    elif first not in FOR_NOTEBOOKS:
-        banned = found & (FOR_NOTEBOOKS | {"synthetic"})
-        assert not banned, f"{module} is an algorithm and must not know {banned}"
+def room_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+@pytest.mark.parametrize("path", sources(PACKAGE), ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_imports_follow_the_arrows(path: Path) -> None:
+    room = room_of(path)
+    for name in imported(path):
+        first, *rest = name.split(".")
+        assert first not in ("compendium", "benchmarks", "tests", "matplotlib", "plotly"), name
+        if first != "microlib" or not rest or rest[0] == room:
+            continue
+        other = rest[0]
+        assert other == "_common" or other in ARROWS.get(room, set()), f"{room} imports {other}"
+        inner = rest[1:-1] if other != "_common" else []
+        assert not inner, f"{room} reaches into {other}: {name}"
 
 
 def test_imports_have_no_circle() -> None:
-    graph = {m: {n for n in imports(m) if n in MODULES} - {m} for m in MODULES if "." not in m}
-    while leaves := {m for m, needs in graph.items() if not needs & graph.keys()}:
+    graph = {room: set(ARROWS.get(room, set())) for room in ROOMS}
+    while leaves := {room for room, needs in graph.items() if not needs & graph.keys()}:
         for leaf in leaves:
             del graph[leaf]
     assert not graph, f"these import each other: {sorted(graph)}"
 
 
-def listed_modules() -> list[str]:
-    """Return the public modules: those that the book's page of the library names."""
-    api = (PACKAGE.parent / "book" / "api.md").read_text(encoding="utf-8")
-    return re.findall(r"^   (microlib\.[\w.]+)$", api, flags=re.M)
+def test_the_faces_are_small_and_listed_once() -> None:
+    listed: dict[str, str] = {}
+    for room in ROOMS:
+        for name in importlib.import_module(f"microlib.{room}").__all__:
+            assert not name.startswith("_"), f"{room}.{name}"
+            assert name not in listed, f"{name} stands in {listed[name]} and in {room}"
+            listed[name] = room
+    assert len(listed) <= MOST_PUBLIC_NAMES, len(listed)
+    text = (ROOT / "book" / "api.md").read_text(encoding="utf-8")
+    shown: dict[str, str] = {}
+    for part in text.split(".. currentmodule:: microlib.")[1:]:
+        room, _, rest = part.partition("\n")
+        shown |= dict.fromkeys(re.findall(r"^   (\w+)$", rest.split("```")[0], flags=re.M), room)
+    assert shown == listed
+
+
+def test_files_of_a_package_are_private() -> None:
+    for path in sources(PACKAGE):
+        inside = path.relative_to(PACKAGE).parts
+        if len(inside) > 1 and path.name != "__init__.py":
+            assert path.name.startswith("_"), path
 
 
 def public_objects() -> list[tuple[str, object]]:
     objects = []
-    for module_name in listed_modules():
-        module = importlib.import_module(module_name)
-        for name in module.__all__:
-            value = getattr(module, name)
-            if callable(value) and value.__module__ == module_name:
-                objects.append((f"{module_name}.{name}", value))
+    for room in ROOMS:
+        module = importlib.import_module(f"microlib.{room}")
+        values = [(name, getattr(module, name)) for name in module.__all__]
+        objects += [(f"{room}.{name}", value) for name, value in values if callable(value)]
     return objects
 
 
@@ -81,8 +113,8 @@ def public_objects() -> list[tuple[str, object]]:
 def test_public_names_are_documented(name: str, value: object) -> None:
     doc = inspect.getdoc(value) or ""
     assert doc, f"{name} has no docstring"
-    is_exception = inspect.isclass(value) and issubclass(value, BaseException)
-    if is_exception or ".figures" in name:
+    assert value.__module__.startswith(f"microlib.{name.split('.')[0]}")
+    if inspect.isclass(value) and issubclass(value, BaseException):
         return
     if inspect.isclass(value):
         wanted = ["Attributes", "Parameters", "Notes"]
@@ -95,12 +127,48 @@ def test_public_names_are_documented(name: str, value: object) -> None:
     )
 
 
-def test_a_public_name_leads_to_a_public_module() -> None:
-    """What a listed module re-exports is documented too: its own module is listed."""
-    listed = set(listed_modules())
-    for module_name in listed:
-        module = importlib.import_module(module_name)
-        for name in module.__all__:
-            origin = getattr(getattr(module, name), "__module__", module_name)
-            if origin.startswith("microlib.") and origin not in listed:
-                pytest.fail(f"{module_name}.{name} comes from {origin}, which is not listed")
+def needed(name: str) -> set[str]:
+    """Return the distributions that a distribution needs, with those that they need."""
+    found: set[str] = set()
+    todo = [name]
+    while todo:
+        one = re.sub(r"[-_.]+", "-", todo.pop()).lower()
+        if one in found:
+            continue
+        try:
+            requires = distribution(one).requires or []
+        except ModuleNotFoundError:
+            continue  # wanted on other systems only
+        found.add(one)
+        todo += [re.split(r"[ ;<>=!\[(~]", line)[0] for line in requires if "extra ==" not in line]
+    return found
+
+
+@pytest.mark.parametrize("room", ["", *ROOMS])
+def test_the_library_works_with_its_own_dependencies_only(room: str) -> None:
+    own = needed("microlib")
+    foreign = sorted(
+        module
+        for module, owners in packages_distributions().items()
+        if not {re.sub(r"[-_.]+", "-", o).lower() for o in owners} & own
+        and module.isidentifier()
+        and module not in sys.stdlib_module_names
+    )
+    assert "pytest" in foreign
+    assert "numpy" not in foreign
+    name = f"microlib.{room}".rstrip(".")
+    code = f"""
+import sys
+sys.path[:] = [p for p in sys.path if p not in ("", {str(ROOT)!r})] + [{str(PACKAGE.parent)!r}]
+foreign = set({[*foreign, "compendium", "benchmarks"]!r})
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in foreign:
+            raise ModuleNotFoundError(f"{{name}} is not among the library's dependencies")
+sys.meta_path.insert(0, Absent())
+import {name}
+for module in ("matplotlib", "plotly", "IPython"):
+    assert module not in sys.modules, module
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr

@@ -26,7 +26,7 @@ from sphinx.application import Sphinx
 from sphinx.config import Config
 from sphinx.util.docutils import SphinxDirective, SphinxRole
 
-from microlib import ledger
+from compendium import ledger
 
 PACKAGES = ("numpy", "scipy", "scikit-image", "opencv-python-headless", "matplotlib", "pandas")
 FILTER = """<div class="claims-filter">

@@ -23,7 +23,7 @@ from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from microlib import ledger
+from compendium import ledger
 
 ROOT = Path(__file__).resolve().parents[2]
 FIGURES = ROOT / "build" / "figures"

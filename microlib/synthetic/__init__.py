@@ -1,27 +1,17 @@
 """Scenes with known truth: what the algorithms are tested on. Nothing here imports an algorithm."""
 
-from microlib.synthetic.cells import CellImage, cell_image
-from microlib.synthetic.embryo import (
-    SONY_PIXEL_SIZE,
-    Embryo,
-    EmbryoImage,
-    embryo_image,
-    embryo_sequence,
-)
-from microlib.synthetic.gripper import (
-    GripperScene,
+from microlib.synthetic._cells import cell_image
+from microlib.synthetic._embryo import Embryo, EmbryoImage, embryo_image, embryo_sequence
+from microlib.synthetic._gripper import (
     WarpedPair,
     camera_frame,
     gripper_scene,
     texture_sequence,
     warped_pair,
 )
-from microlib.synthetic.stacks import (
-    focal_frames,
-    focal_stack,
-    thesis_stack,
-)
-from microlib.synthetic.surfaces import (
+from microlib.synthetic._patterns import Imaging, render_circles, render_squares
+from microlib.synthetic._stacks import focal_frames, focal_stack, thesis_stack
+from microlib.synthetic._surfaces import (
     cone,
     parabolic_cylinder,
     paraboloid,
@@ -30,17 +20,12 @@ from microlib.synthetic.surfaces import (
     step,
     tilted_plane,
 )
-from microlib.synthetic.textures import (
-    mixed_texture,
-    patchy_texture,
-)
+from microlib.synthetic._textures import mixed_texture, patchy_texture
 
 __all__ = [
-    "SONY_PIXEL_SIZE",
-    "CellImage",
     "Embryo",
     "EmbryoImage",
-    "GripperScene",
+    "Imaging",
     "WarpedPair",
     "camera_frame",
     "cell_image",
@@ -55,6 +40,8 @@ __all__ = [
     "paraboloid",
     "patchy_texture",
     "quadric_patch",
+    "render_circles",
+    "render_squares",
     "sphere_on_plane",
     "step",
     "texture_sequence",

@@ -1,0 +1,1 @@
+"""This thesis' own code: claims and verdicts, experiments, figures, and the runner."""

@@ -1,0 +1,134 @@
+"""Drawings of the microscope model and of detected calibration patterns."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patheffects import withStroke
+from numpy.typing import NDArray
+
+from compendium.figures.style import COLORS
+from microlib.calibration import Detection
+from microlib.microscope import Microscope
+
+__all__ = ["draw_detection", "draw_microscope"]
+
+#: How much longer X and Y are drawn than Z.
+STRETCH = 20
+
+
+def draw_detection(
+    ax: Axes, image: NDArray, detection: Detection, *, label_every: int | None = None
+) -> None:
+    """Show an image with the detected points on it and, for some, their grid coordinates.
+
+    Parameters
+    ----------
+    ax : matplotlib Axes
+        Where to draw.
+    image : ndarray, shape (height, width)
+        Grey levels, shown from 0 to 255.
+    detection : Detection
+        Its points are drawn, px.
+    label_every : int, optional
+        Write the grid coordinates of points whose two coordinates are multiples of this.
+    """
+    ax.imshow(image, vmin=0, vmax=255)
+    ax.plot(*detection.points.T, "+", color=COLORS["yellow"], ms=7, mew=1.4)
+    if label_every is not None:
+        room = detection.points[:, 0] < 0.93 * image.shape[1]
+        chosen = (detection.grid % label_every == 0).all(axis=1) & room
+        for (x, y), (i, j) in zip(detection.points[chosen], detection.grid[chosen], strict=True):
+            ax.annotate(
+                f"{i},{j}",
+                (x, y),
+                xytext=(3, -3),
+                textcoords="offset points",
+                va="top",
+                fontsize=9,
+                color=COLORS["orange"],
+                path_effects=[withStroke(linewidth=2.5, foreground="white")],
+                clip_on=True,
+            )
+    ax.set(
+        xticks=[], yticks=[], xlim=(-0.5, image.shape[1] - 0.5), ylim=(image.shape[0] - 0.5, -0.5)
+    )
+    ax.grid(False)
+
+
+def draw_microscope(ax: Axes, microscope: Microscope, world: NDArray) -> None:
+    """The frames, the pattern plane and the virtual image plane of a microscope, seen from the
+    side.
+
+    Parameters
+    ----------
+    ax : matplotlib Axes
+        Where to draw. Lengths along the optical axis are in mm; the other two directions are drawn
+        :data:`STRETCH` times too large, X obliquely.
+    microscope : Microscope
+        Its lengths and pose are drawn as they are.
+    world : ndarray, shape (N, 2)
+        Pattern points to project, µm.
+    """
+    m = microscope
+
+    def screen(points: NDArray) -> NDArray:
+        """Oblique view of points of the objective frame, (N, 3) µm."""
+        x, y, z = np.atleast_2d(points).T / 1000
+        return np.stack([z + 0.5 * STRETCH * x, -STRETCH * (y + 0.35 * x)])
+
+    def lift(flat: NDArray, depth: float) -> NDArray:
+        return np.column_stack([flat, np.full(len(flat), depth)])
+
+    image_depth = m.tube_length + m.focal_length
+    points = m.to_objective(world)
+    images = points * (image_depth / points[:, 2:])
+    for image in images:
+        ax.plot(*screen(np.stack([np.zeros(3), image])), color=COLORS["grey"], lw=0.8)
+    ax.plot(*screen(np.array([[0, 0, 0], [0, 0, 1.08 * image_depth]])), color="black", lw=1)
+    ax.plot(*screen(points), "o", color=COLORS["blue"], ms=5, zorder=3)
+    ax.plot(*screen(images), "o", color=COLORS["orange"], ms=5, zorder=3)
+
+    # The sensor's outline, magnified onto the virtual image plane, and what it sees of the pattern.
+    width, height = (np.array(m.image_size) - 1).tolist()
+    corners = np.array([[0, 0], [width, 0], [width, height], [0, height], [0, 0]], dtype=np.float64)
+    sensor = (corners - m.principal_point) * m.cell
+    outlines = (
+        (m.to_objective(m.back_project(corners)), "blue"),
+        (lift(sensor, image_depth), "orange"),
+    )
+    for outline, color in outlines:
+        ax.plot(*screen(outline), color=COLORS[color], lw=1.5)
+        ax.fill(*screen(outline), color=COLORS[color], alpha=0.08, lw=0)
+
+    size = 0.5 * np.abs(sensor).max()
+    frames = (
+        ("$C_o$", np.zeros(3), np.eye(3), "black"),
+        ("$C_w$", m.translation, m.rotation, COLORS["blue"]),
+        ("$C_i$", np.array([0, 0, image_depth]), np.eye(3), COLORS["orange"]),
+    )
+    for name, origin, axes, color in frames:
+        start = screen(origin)[:, 0]
+        for letter, axis in zip("xy", axes.T[:2], strict=True):
+            end = screen(origin + size * axis)[:, 0]
+            arrow = {"arrowstyle": "-|>", "color": color, "lw": 2}
+            ax.annotate("", tuple(end), tuple(start), arrowprops=arrow)
+            x, y = start + 1.18 * (end - start)
+            ax.text(x, y, letter, color=color, ha="center", va="center")
+        ax.text(start[0] - 4, start[1] + 6, name, color=color, fontsize=14, ha="right")
+
+    floor = -STRETCH * 1.25 * np.abs(sensor).max() / 1000
+    spans = (
+        ("f", 0, m.focal_length, 0),
+        ("d", m.focal_length, m.focal_length + m.distance, 0),
+        ("$T_{op} + f$", 0, image_depth, 1),
+    )
+    for name, low, high, row in spans:
+        y = floor * (1 + 0.3 * row)
+        arrow = {"arrowstyle": "<->", "lw": 1.2, "shrinkA": 0, "shrinkB": 0}
+        ax.annotate("", (low / 1000, y), (high / 1000, y), arrowprops=arrow)
+        ax.text((low + high) / 2000, y, name, ha="center", va="bottom", fontsize=13)
+    ax.set(xlabel="along the optical axis Z (mm)", yticks=[], ylim=(1.5 * floor, None))
+    ax.spines["left"].set_visible(False)
+    ax.set_aspect("equal")
+    ax.grid(False)

@@ -1,0 +1,59 @@
+"""Pictures of embryos: the image to scale, and the outline that was found in it."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patheffects import withStroke
+from numpy.typing import NDArray
+
+from compendium.figures.style import COLORS
+from microlib.embryo import Boundary
+
+__all__ = ["add_scale_bar", "show_image", "show_outline"]
+
+
+def show_image(ax: Axes, image: NDArray, *, box: tuple[int, int, int, int] | None = None) -> None:
+    """Show a grey image, or its part `box` (x, y, width, height), in its own pixel coordinates."""
+    x, y, width, height = box or (0, 0, image.shape[1], image.shape[0])
+    ax.imshow(
+        image[y : y + height, x : x + width],
+        cmap="gray",
+        vmin=0,
+        vmax=255,
+        extent=(x - 0.5, x + width - 0.5, y + height - 0.5, y - 0.5),
+        interpolation="nearest",
+    )
+    ax.set_axis_off()
+
+
+def add_scale_bar(ax: Axes, length: float, pixel_size: float, *, color: str = "black") -> None:
+    """Draw a bar of `length` µm into the lower left corner of an image."""
+    left, right = sorted(ax.get_xlim())
+    top, bottom = sorted(ax.get_ylim())
+    x = left + 0.05 * (right - left)
+    y = bottom - 0.06 * (bottom - top)
+    ax.plot([x, x + length / pixel_size], [y, y], color=color, lw=4, solid_capstyle="butt")
+    label = ax.text(
+        x + length / pixel_size / 2,
+        y - 0.02 * (bottom - top),
+        f"{length:g} µm",
+        color=color,
+        ha="center",
+        va="bottom",
+    )
+    # Legible on any ground.
+    label.set_path_effects([withStroke(linewidth=3, foreground="white")])
+    ax.set(xlim=(left, right), ylim=(bottom, top))
+
+
+def show_outline(ax: Axes, boundary: Boundary, **style: object) -> None:
+    """Draw an outline over its image, dotted where the probe hides it."""
+    x, y = boundary.points.T
+    seen = ~boundary.under_probe
+    look = {"color": COLORS["orange"], "lw": 1.5} | style
+    middle = boundary.probe.tip[0]
+    for side in (x < middle, x > middle):
+        ax.plot(x[seen & side], y[seen & side], **look)  # type: ignore[arg-type]
+    hidden = np.flatnonzero(boundary.under_probe)
+    ax.plot(x[hidden], y[hidden], **(look | {"ls": ":"}))  # type: ignore[arg-type]

@@ -1,0 +1,123 @@
+"""Drawings of chapters 2 and 5 about tracking and servoing."""
+
+from __future__ import annotations
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyBboxPatch, Polygon
+from numpy.typing import NDArray
+
+from compendium.figures.style import COLORS
+from microlib.servoing import Simulation
+from microlib.tracking import Track
+
+__all__ = ["draw_loop", "draw_path_run", "draw_step_runs", "draw_track"]
+
+
+def draw_loop() -> Figure:
+    """Draw figure 2.3: image-based servoing as dynamic look-and-move."""
+    figure, axes = plt.subplots(figsize=(8.4, 3.1))
+    axes.set(xlim=(-0.75, 11.6), ylim=(-0.15, 3.3), aspect="equal")
+    axes.axis("off")
+    blocks = {
+        "control law\n(2.3) or (2.28)": (2.0, 2.0, "orange"),
+        "stage with its\nown position loop": (5.0, 2.0, "grey"),
+        "microscope\nand camera": (8.6, 2.0, "grey"),
+        "tracker\nESM, Kalman": (6.8, 0.0, "blue"),
+    }
+    for text, (x, y, color) in blocks.items():
+        axes.add_patch(
+            FancyBboxPatch(
+                (x, y),
+                2.2,
+                1.0,
+                boxstyle="round,pad=0.04",
+                facecolor=COLORS[color] + "30",
+                edgecolor=COLORS[color],
+                linewidth=1.6,
+            )
+        )
+        axes.text(x + 1.1, y + 0.5, text, ha="center", va="center", fontsize=10.5)
+    axes.plot(0.75, 2.5, "o", ms=20, mfc="white", mec="black", mew=1.4)
+    axes.text(0.75, 2.5, "Σ", ha="center", va="center")
+
+    def run(*points: tuple[float, float]) -> None:
+        axes.plot(*np.transpose(points), color="black", lw=1.4)
+        axes.annotate("", points[-1], points[-2], arrowprops={"arrowstyle": "-|>", "lw": 1.4})
+
+    run((-0.6, 2.5), (0.45, 2.5))
+    run((1.05, 2.5), (1.95, 2.5))
+    run((4.25, 2.5), (4.95, 2.5))
+    run((7.25, 2.5), (8.55, 2.5))
+    run((10.85, 2.5), (11.4, 2.5), (11.4, 0.5), (9.05, 0.5))
+    run((6.75, 0.5), (0.75, 0.5), (0.75, 2.2))
+    for x, y, label in (
+        (-0.35, 2.65, "$f^*$"),
+        (1.42, 2.65, "$e$"),
+        (4.55, 2.65, "$u$"),
+        (7.9, 2.65, "pose"),
+        (10.2, 0.65, "image"),
+        (3.6, 0.65, "feature $f$"),
+        (0.3, 2.1, "−"),
+        (1.0, 1.75, "+"),
+    ):
+        axes.text(x, y, label, ha="center", va="bottom")
+    return figure
+
+
+def draw_track(
+    axes: Axes, frame: NDArray[np.uint8], track: Track, title: str, *, margin: float = 45.0
+) -> None:
+    """Draw the tracked window and the feature, the mean of its corners, on part of a frame."""
+    axes.imshow(frame, vmin=0, vmax=255, interpolation="nearest")
+    axes.add_patch(Polygon(track.corners, fill=False, edgecolor=COLORS["yellow"], lw=2))
+    axes.plot(*track.center, "+", color=COLORS["orange"], ms=11, mew=2)
+    x, y = track.center
+    axes.set(xlim=(x - margin, x + margin), ylim=(y + margin, y - margin), title=title)
+    axes.set(xlabel="x (px)", ylabel="y (px)")
+    axes.grid(False)
+
+
+def draw_step_runs(runs: dict[str, Simulation]) -> Figure:
+    """Draw figures 5.4 and 5.5: position and velocity of both axes against time, a row a run."""
+    figure, grid = plt.subplots(
+        len(runs), 2, figsize=(8.4, 2.8 * len(runs)), squeeze=False, sharex=True
+    )
+    for (title, run), (left, right) in zip(runs.items(), grid, strict=True):
+        offset = run.feature[0]
+        for axis, (name, color) in enumerate((("x", "blue"), ("y", "orange"))):
+            style = "-" if axis == 0 else "--"
+            left.plot(
+                run.time,
+                run.measured[:, axis] - offset[axis],
+                style,
+                color=COLORS[color],
+                label=name,
+            )
+            right.step(
+                run.time, run.command[:, axis], style, where="post", color=COLORS[color], label=name
+            )
+        left.plot(run.time, (run.reference - offset)[:, 0], color="black", lw=1, label="reference")
+        left.set(title=title, ylabel="position (px)")
+        right.set(title="control", ylabel="velocity (µm/s)")
+    grid[0, 0].legend(loc="lower right")
+    for axes in grid[-1]:
+        axes.set(xlabel="time (s)")
+    return figure
+
+
+def draw_path_run(run: Simulation, error: NDArray[np.floating], title: str, unit: str) -> Figure:
+    """Draw one of figures 5.6 to 5.8: the path with its reference, and an error against time."""
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(8.4, 3.6), gridspec_kw={"width_ratios": [1, 1.3]}
+    )
+    offset = run.reference[0]
+    left.plot(*(run.reference - offset).T, color="black", lw=1, label="reference")
+    left.plot(*(run.measured - offset).T, ".", color=COLORS["blue"], ms=4, label="measured")
+    left.set(xlabel="x (px)", ylabel="y (px)", aspect="equal", title=title)
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", ncols=2, fontsize=10)
+    right.plot(run.time[: len(error)], error, color=COLORS["blue"], lw=1.2)
+    right.set(xlabel="time (s)", ylabel=f"tracking error ({unit})", ylim=(0, None))
+    return figure

@@ -1,0 +1,284 @@
+"""Calibrate a microscope from one image of a plane pattern (2.13–2.20).
+
+Radial alignment gives the pose up to the sign of the tilt, a linear fit the magnification and
+distortion, and nonlinear least squares refines all of them together. What the points cannot
+determine is held or named, never made up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import t as student
+
+from microlib._common import Array, as_array, between, one_of, positive, same_length
+from microlib.calibration._microscope_fit import NAMES, Fit, Problem, start_values
+from microlib.microscope import Microscope
+
+__all__ = ["Calibration", "ErrorSummary", "calibrate"]
+
+
+#: 1/f must exceed so many of its standard errors to be told from zero: with the sign of the tilt
+#: unknown, fewer would now and then pass noise off as a focal length.
+CERTAIN = 4.0
+#: Where 1/f is lost it may come out as zero; then f is held at a kilometre, 1/µm.
+SMALLEST_POWER = 1e-9
+
+
+@dataclass(frozen=True)
+class ErrorSummary:
+    """Statistics of the distances between two sets of points, as in Table 5.2.
+
+    Parameters
+    ----------
+    mean, std, max, rms : float
+        In the unit of the points.
+    """
+
+    mean: float
+    std: float
+    max: float
+    rms: float
+
+    @classmethod
+    def of(cls, differences: Array) -> ErrorSummary:
+        """Summarise differences of points, shape (N, 2)."""
+        distance = np.hypot(*differences.T)
+        return cls(
+            float(distance.mean()),
+            float(distance.std()),
+            float(distance.max()),
+            float(np.sqrt((distance**2).mean())),
+        )
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibrated microscope and how well it is known.
+
+    Parameters
+    ----------
+    microscope : Microscope
+        With the estimated parameters, in focus: d = f²/T_op (2.20).
+    parameters : tuple of str
+        What was estimated, in the order of `estimate` and `covariance`; lengths in µm, angles in
+        rad, κ in 1/µm².
+    estimate : ndarray, shape (p,)
+        The estimates.
+    covariance : ndarray, shape (p, p)
+        Their covariance. Variances of parameters in `unobservable` are infinite, covariances beside
+        them NaN.
+    unobservable : tuple of str
+        Parameters that these points do not determine, whatever `estimate` says.
+    freedom : int
+        Degrees of freedom behind the residual's variance.
+    condition : float
+        Largest over smallest singular value of the Jacobian with its columns scaled to one length.
+    weakest : ndarray, shape (p,)
+        Direction of the smallest one, in parameters so scaled: what the points determine worst.
+    residuals : ndarray, shape (N, 2)
+        Image points minus their projection, px.
+    plane_residuals : ndarray, shape (N, 2)
+        Image points projected back to the pattern minus the world points, µm.
+    """
+
+    microscope: Microscope
+    parameters: tuple[str, ...]
+    estimate: Array
+    covariance: Array
+    unobservable: tuple[str, ...]
+    freedom: int
+    condition: float
+    weakest: Array
+    residuals: Array
+    plane_residuals: Array
+
+    @property
+    def reprojection(self) -> ErrorSummary:
+        """Distances in the image, px."""
+        return ErrorSummary.of(self.residuals)
+
+    @property
+    def plane_error(self) -> ErrorSummary:
+        """Distances on the pattern plane, µm (Table 5.2)."""
+        return ErrorSummary.of(self.plane_residuals)
+
+    @property
+    def sigma(self) -> dict[str, float]:
+        """Standard deviation of each parameter."""
+        return dict(zip(self.parameters, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    def interval(self, parameter: str, level: float = 0.95) -> tuple[float, float]:
+        """Confidence interval of a parameter, from Student's distribution.
+
+        That of the focal length is the interval of 1/f, turned over: 1/f is what the points see,
+        with a nearly normal error.
+
+        Raises
+        ------
+        ValueError
+            If `parameter` was not estimated or `level` is not in (0, 1).
+        """
+        k = self.parameters.index(one_of("parameter", parameter, self.parameters))
+        between("level", level, 0, 1)
+        half = float(student.ppf(0.5 + level / 2, self.freedom) * np.sqrt(self.covariance[k, k]))
+        value = float(self.estimate[k])
+        if parameter == "focal_length" and np.isfinite(half):
+            relative = half / value
+            return value / (1 + relative), value / (1 - relative)
+        return value - half, value + half
+
+
+def calibrate(
+    world: ArrayLike,
+    image: ArrayLike,
+    *,
+    focal_length: float | None = None,
+    pixel_size: float | tuple[float, float],
+    image_size: tuple[int, int],
+    loss: str = "linear",
+    groups: ArrayLike | None = None,
+) -> Calibration:
+    """Pose, magnification and distortion of a microscope from one image of a plane pattern.
+
+    Parameters
+    ----------
+    world : array_like, shape (N, 2)
+        Points of the pattern, µm.
+    image : array_like, shape (N, 2)
+        Where they are seen, (x, y) px.
+    focal_length : float, optional
+        Focal length f of the objective as its manufacturer gives it, µm. Without it f is estimated
+        too, which needs a tilted pattern: see Notes.
+    pixel_size : float or (float, float)
+        Pitch of the sensor cells, µm.
+    image_size : (int, int)
+        Width and height of the image, px; the optical axis meets its centre.
+    loss : {"linear", "huber"}
+        Least squares, or Huber's loss at 1.345 robust standard deviations against outliers.
+    groups : array_like of int, shape (N,), optional
+        Points of one number have correlated errors, as the corners of one square have
+        (``group`` of :class:`microlib.calibration.Detection`). The covariance then allows for it.
+        Without `groups` all errors are taken as independent and alike.
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    ValueError
+        If shapes disagree, there are fewer than 5 points or no more groups than parameters, points
+        lie on one line, or they fit no microscope.
+
+    Notes
+    -----
+    From one plane, only T_op + f and f + d can be seen, and the perspective that tells them apart
+    fades with the tilt. The thesis therefore takes f from the manufacturer and lets (2.12) tie d to
+    it: the plane is in focus. Without `focal_length` the same tie makes f the one number that the
+    perspective determines. If its 95 % interval reaches infinity, f and the tilt's angles are named
+    in `unobservable`.
+
+    Tilts (β, γ) and (−β, −γ) give the same image but for perspective. Both are tried. If the better
+    one is not better by more than noise, "beta" and "gamma" are named in `unobservable`.
+
+    Examples
+    --------
+    >>> truth = Microscope(200000, 126000, 79380, 2e-10, 1.5, 0.03, 3.1, -300, 200)
+    >>> x, y = np.meshgrid(np.arange(-4, 5) * 280.0, np.arange(-3, 4) * 280.0)
+    >>> world = np.column_stack([x.ravel(), y.ravel()])
+    >>> found = calibrate(world, truth.project(world), focal_length=126000,
+    ...                   pixel_size=9.9, image_size=(656, 491))
+    >>> round(found.microscope.tube_length, 3), round(found.microscope.gamma, 6)
+    (200000.0, 3.1)
+    """
+    world = as_array("world", world, shape=(None, 2))
+    image = as_array("image", image, shape=(None, 2))
+    same_length(("world", "image"), world, image)
+    one_of("loss", loss, ("linear", "huber"))
+    frame = Microscope(1.0, 1.0, 1.0, pixel_size=pixel_size, image_size=image_size)
+    free = [0, 2, 3, 4, 5, 6, 7] if focal_length is not None else list(range(8))
+    if focal_length is not None:
+        positive("focal_length", as_array("focal_length", focal_length, shape=()))
+    if len(world) < 5:  # radial alignment has six unknowns up to scale
+        raise ValueError(f"world must hold at least 5 points, got {len(world)}")
+    for name, points in (("world", world), ("image", image)):
+        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        if not spread[1] > 1e-6 * spread[0]:
+            raise ValueError(f"{name} must not lie on one line, got {len(points)} points that do")
+    if groups is None:
+        label = None
+    else:
+        label = as_array("groups", groups, shape=(len(world),))
+        if len(np.unique(label)) <= len(free):
+            raise ValueError(
+                f"groups must be more than the {len(free)} parameters, got {len(np.unique(label))}"
+            )
+
+    problem = Problem(world, image - frame.principal_point, frame.cell, np.array(free))
+    fits = [problem.fit(start, loss) for start in start_values(problem, focal_length)]
+    best, other = sorted(fits, key=lambda fit: fit.cost)
+    magnification = best.theta[0]
+    if not magnification > 0:
+        raise ValueError(
+            f"world and image must fit a microscope, got magnification {magnification}"
+        )
+    return _report(problem, best, other, frame, label)
+
+
+def _report(
+    problem: Problem, best: Fit, other: Fit, frame: Microscope, groups: Array | None
+) -> Calibration:
+    """Covariance in f instead of 1/f, what is lost, and the microscope."""
+    free = problem.free
+    names = tuple(NAMES[k] for k in free)
+    covariance, freedom = problem.covariance(best, groups)
+    lost = {name for name, v in zip(names, np.diag(covariance), strict=True) if np.isinf(v)}
+    theta = best.theta.copy()
+    if "focal_length" in names:
+        if not theta[1] > CERTAIN * np.sqrt(covariance[1, 1]):
+            lost |= {"focal_length", "beta", "gamma"}
+        theta[1] = max(theta[1], SMALLEST_POWER)
+        to_length = np.ones(len(free))
+        to_length[1] = -1 / theta[1] ** 2
+        covariance = covariance * np.outer(to_length, to_length)
+    elif _two_tilts(best, other, covariance, freedom):
+        lost |= {"beta", "gamma"}
+    for k in (names.index(name) for name in lost):
+        covariance[k] = covariance[:, k] = np.nan
+        covariance[k, k] = np.inf
+
+    theta[3:6] = np.angle(np.exp(1j * theta[3:6]))
+    magnification, power, *others = theta.tolist()
+    microscope = replace(
+        frame,
+        tube_length=magnification / power,
+        focal_length=1 / power,
+        distance=1 / (power * magnification),
+        **dict(zip(NAMES[2:], others, strict=True)),
+    )
+    jacobian = problem.jacobian(best.theta)[:, free]
+    length = np.linalg.norm(jacobian, axis=0)
+    _, singular, directions = np.linalg.svd(jacobian / np.where(length > 0, length, 1.0))
+    return Calibration(
+        microscope,
+        names,
+        np.array([magnification, 1 / power, *others])[free],
+        covariance,
+        tuple(name for name in names if name in lost),
+        freedom,
+        float(singular[0] / max(singular[-1], 1e-300)),
+        directions[-1],
+        -problem.residuals(best.theta).reshape(-1, 2),
+        microscope.back_project(problem.seen + frame.principal_point) - problem.world,
+    )
+
+
+def _two_tilts(best: Fit, other: Fit, covariance: Array, freedom: int) -> bool:
+    """True if the opposite tilt is another minimum, and not worse by more than noise."""
+    angles = slice(3, 5)  # β and γ among the parameters without f
+    apart = np.abs(best.theta[4:6] - other.theta[4:6])
+    distinct = (apart > 3 * np.sqrt(np.diag(covariance)[angles])).any()
+    return bool(distinct and other.cost - best.cost < 3.84 * best.cost / freedom)

@@ -1,0 +1,197 @@
+"""Detect a grid of circles: ellipses fitted to grey levels, their centres freed of bias."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
+
+from microlib._common import Array
+from microlib.calibration._dark_regions import find_blobs
+from microlib.calibration._detection import Detection, keep_sound, margin_for
+from microlib.calibration._grid_map import GridMap, fit_grid_map
+from microlib.calibration._grid_order import order_grid
+from microlib.calibration._outline_fit import (
+    OutlineFit,
+    Patches,
+    cut_patches,
+    fit_outlines,
+    ground,
+    share,
+)
+
+__all__ = ["detect_circles"]
+
+# Places of the parameters: centre, shape matrix A (|A·(x − centre)| = 1 on the ellipse), blur,
+# contrast, ground.
+CENTRE, SHAPE, BLUR, CONTRAST, GROUND = slice(0, 2), slice(2, 5), 5, 6, slice(7, 10)
+# What varies smoothly across the image: blur, contrast, slope of the ground.
+SHARED = [5, 6, 8, 9]
+#: Ellipses have a fullness of 1, squares of 0.955 to 0.97 as blur rounds them.
+LEAST_FULLNESS = 0.98
+
+
+def detect_circles(
+    image: ArrayLike, *, direction: float = 0.0, mirrored: bool = False
+) -> Detection:
+    """Centres of the dark circles of a regular grid, with their places in the grid.
+
+    Parameters
+    ----------
+    image : array_like, shape (height, width)
+        Grey levels, any range; the circles darker than their ground.
+    direction : float
+        Direction in the image in which the pattern's x axis points (about α), rad, right to within
+        45°.
+    mirrored : bool
+        True if the pattern is seen from behind (γ near 180°).
+
+    Returns
+    -------
+    Detection
+        `points` are the images of the circles' centres. Circles that leave the image are not among
+        them.
+
+    Raises
+    ------
+    ValueError
+        If `image` is not a grey image or no grid of at least four whole circles is found in it.
+
+    Notes
+    -----
+    The thesis takes the centre "by least squares" (§5.2); here the least squares are those of the
+    grey levels around the whole outline. Under perspective and distortion the centre of the ellipse
+    is not the image of the circle's centre: the map from the grid to the image is fitted to the
+    points, the circle is sent through it, and the difference between the two centres is taken off.
+
+    Examples
+    --------
+    >>> from microlib.microscope import Microscope
+    >>> from microlib.synthetic import render_circles
+    >>> scope = Microscope(200000, 126000, 79380, tx=-300, ty=-300, image_size=(160, 120))
+    >>> found = detect_circles(render_circles(scope))
+    >>> error = found.points - scope.project(280.0 * found.grid)
+    >>> len(found.points), bool(abs(error).max() < 0.01)
+    (9, True)
+    """
+    blobs = find_blobs(image)
+    try:
+        index, grid = order_grid(blobs.centres, direction=direction, mirrored=mirrored)
+    except ValueError as error:
+        raise ValueError(f"image must show a grid of circles: {error}") from None
+    start = _start(blobs.centres[index], blobs.moments[index])
+    patches = _patches(blobs.image, blobs.centres[index], start)
+    fit = fit_outlines(lambda p: _grey_levels(p, patches), start, patches)
+
+    found = fit.parameters
+    points = found[:, CENTRE] + patches.centres
+    reach = _reach(found)
+    sound = keep_sound(
+        blobs.image.shape, points - reach, points + reach, fit.rms, found[:, CONTRAST], _sigma(fit)
+    )
+    if sound.sum() < 4:
+        raise ValueError(f"image must show a grid of circles, got {int(sound.sum())} whole ones")
+    fullness = np.median(blobs.fullness[index][sound])
+    if fullness < LEAST_FULLNESS:
+        raise ValueError(f"image must show circles, got shapes of fullness {fullness:.3f}, not 1")
+    fit, origins = share(fit[sound], patches.centres[sound], SHARED), patches.centres[sound]
+    points = fit.parameters[:, CENTRE] + origins
+    grid = grid[sound] - grid[sound].min(axis=0)
+    area = np.pi / np.abs(np.linalg.det(_shape(fit.parameters)))
+    to_image = fit_grid_map(points, grid.astype(np.float64), blobs.image.shape)
+    points = points - _centre_bias(to_image, grid, area)
+    return Detection(points, grid, _sigma(fit), np.arange(len(points)))
+
+
+def _sigma(fit: OutlineFit) -> Array:
+    """Standard deviation of a coordinate of each centre, px."""
+    return np.sqrt(np.einsum("nii->ni", fit.covariance[:, CENTRE, CENTRE]).mean(axis=1))
+
+
+def _shape(parameters: Array) -> Array:
+    """Symmetric matrix A of each ellipse, (n, 2, 2)."""
+    a, b, d = np.moveaxis(parameters[:, SHAPE], 1, 0)
+    return np.stack([a, b, b, d], axis=-1).reshape(-1, 2, 2)
+
+
+def _reach(parameters: Array) -> Array:
+    """Half the width and height of each ellipse, px; (AᵀA)⁻¹ has their squares on its diagonal."""
+    a, b, d = parameters[:, SHAPE].T
+    return np.sqrt(np.column_stack([b * b + d * d, a * a + b * b])) / np.abs(a * d - b * b)[:, None]
+
+
+def _start(centres: Array, moments: Array) -> Array:
+    """Parameters from the regions' moments: a filled ellipse has A = ½ Σ^(−½)."""
+    values, vectors = np.linalg.eigh(moments)
+    shape = (vectors / (2 * np.sqrt(values))[:, None, :]) @ vectors.transpose(0, 2, 1)
+    start = np.zeros((len(centres), 10))
+    start[:, CENTRE] = centres - np.round(centres)
+    start[:, SHAPE] = shape[:, [0, 0, 1], [0, 1, 1]]
+    start[:, BLUR], start[:, CONTRAST] = 1.2, 0.6
+    return start
+
+
+def _patches(image: NDArray[np.float32], centres: Array, start: Array) -> Patches:
+    """Pixels in a band around each outline."""
+    radius = float(1 / np.sqrt(np.linalg.det(_shape(start)).min()))
+    margin = margin_for(centres, radius)
+
+    def near(x: Array, y: Array) -> NDArray[np.bool_]:
+        distance, *_ = _distance(start, x, y)
+        return np.abs(distance) <= margin
+
+    patches = cut_patches(image, centres, int(np.ceil(radius * 1.2 + margin)), near)
+    start[:, GROUND.start] = patches.grey.max(axis=1)
+    return patches
+
+
+def _distance(parameters: Array, x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
+    """Distance to the ellipse, positive inside, px: (1 − ρ)/|∇ρ| with ρ = |A (x − centre)|.
+
+    Also the unit normal ∇ρ/|∇ρ| (two arrays) and ∂ρ/∂A divided by |∇ρ|, (n, k, 3).
+    """
+    a, b, d = (p[:, None] for p in parameters[:, SHAPE].T)
+    dx, dy = x - parameters[:, :1], y - parameters[:, 1:2]
+    qx, qy = a * dx + b * dy, b * dx + d * dy
+    rho = np.maximum(np.hypot(qx, qy), 1e-9)
+    gx, gy = (a * qx + b * qy) / rho, (b * qx + d * qy) / rho
+    steep = np.maximum(np.hypot(gx, gy), 1e-9)
+    by_shape = np.stack([qx * dx, qx * dy + qy * dx, qy * dy], axis=-1) / (rho * steep)[..., None]
+    return (1 - rho) / steep, gx / steep, gy / steep, by_shape
+
+
+def _grey_levels(parameters: Array, patches: Patches) -> tuple[Array, Array]:
+    """Model of a blurred dark ellipse, and its derivatives."""
+    distance, nx, ny, by_shape = _distance(parameters, patches.x, patches.y)
+    blur = np.maximum(np.abs(parameters[:, BLUR, None]), 0.05)
+    contrast = parameters[:, CONTRAST, None]
+    light, by_light = ground(patches, parameters[:, GROUND])
+    z = distance / blur
+    inside = ndtr(z)
+    slope = -light * contrast * np.exp(-0.5 * z * z) / (np.sqrt(2 * np.pi) * blur)
+    jacobian = np.empty((*distance.shape, 10))
+    jacobian[..., 0], jacobian[..., 1] = slope * nx, slope * ny
+    jacobian[..., SHAPE] = -slope[..., None] * by_shape
+    jacobian[..., BLUR] = -slope * z
+    jacobian[..., CONTRAST] = -light * inside
+    jacobian[..., GROUND] = by_light * (1 - contrast * inside)[..., None]
+    return light * (1 - contrast * inside), jacobian
+
+
+def _centre_bias(to_image: GridMap, grid: Array, area: Array) -> Array:
+    """How far the centre of each circle's image lies from the image of its centre, px."""
+    radius = np.sqrt(np.median(area / (np.pi * to_image.scale(grid))))  # in steps of the grid
+    turn = np.linspace(0, 2 * np.pi, 32, endpoint=False)
+    rim = to_image(grid[:, None] + radius * np.column_stack([np.cos(turn), np.sin(turn)]))
+    return _centroid(rim) - to_image(grid)
+
+
+def _centroid(polygons: Array) -> Array:
+    """Centroid of the area of each polygon, (n, k, 2) to (n, 2)."""
+    origin = polygons.mean(axis=1)
+    here = polygons - origin[:, None]
+    following = np.roll(here, -1, axis=1)
+    cross = here[..., 0] * following[..., 1] - here[..., 1] * following[..., 0]
+    return origin + ((here + following) * cross[..., None]).sum(axis=1) / (
+        3 * cross.sum(axis=1)[:, None]
+    )

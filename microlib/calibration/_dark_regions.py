@@ -1,0 +1,133 @@
+"""Find dark shapes on a bright, unevenly lit ground: where the detectors start from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from microlib._common import Array, as_image
+
+__all__ = ["Blobs", "find_blobs"]
+
+#: Smaller components are noise, px.
+SMALLEST = 20
+
+
+@dataclass(frozen=True)
+class Blobs:
+    """Connected dark regions of alike size.
+
+    Parameters
+    ----------
+    image : ndarray of float32, shape (height, width)
+        The image they were found in.
+    smooth : ndarray of float32, shape (height, width)
+        The image, blurred by one pixel and divided by the light on it.
+    centres : ndarray, shape (N, 2)
+        Centroids (x, y), px.
+    moments : ndarray, shape (N, 2, 2)
+        Second central moments, px².
+    areas : ndarray, shape (N,)
+        Number of pixels.
+    """
+
+    image: NDArray[np.float32]
+    smooth: NDArray[np.float32]
+    centres: Array
+    moments: Array
+    areas: Array
+
+    @property
+    def fullness(self) -> Array:
+        """Area over that of the ellipse with the same moments: 1 for any ellipse, 3/π for a
+        parallelogram."""
+        return self.areas / (4 * np.pi * np.sqrt(np.linalg.det(self.moments)))
+
+
+def find_blobs(image: ArrayLike) -> Blobs:
+    """Threshold the image against the light that falls on it and measure the dark regions.
+
+    The light is a paraboloid fitted to the bright pixels. Regions of less than a quarter or more
+    than four times the median area are left out.
+
+    Parameters
+    ----------
+    image : array_like, shape (height, width)
+        Grey levels.
+
+    Returns
+    -------
+    Blobs
+
+    Raises
+    ------
+    ValueError
+        If `image` is not a finite grey image, has no contrast, or shows fewer than four dark
+        regions.
+    """
+    image = as_image("image", image, smallest=16)
+    if np.ptp(image) == 0:
+        raise ValueError(f"image must show a pattern, got the one grey level {image[0, 0]:g}")
+    smooth: NDArray = cv2.GaussianBlur(image, (0, 0), 1.0)
+    for _ in range(3):
+        threshold = _otsu(smooth)
+        light = _paraboloid(smooth, smooth > threshold)
+        smooth = smooth / np.maximum(light, 1e-3 * light.max())
+    mask = (smooth < _otsu(smooth)).astype(np.uint8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
+    areas = stats[:, cv2.CC_STAT_AREA].astype(np.float64)
+    areas[0] = 0  # the ground
+    keep = areas >= SMALLEST
+    if keep.any():
+        middle = np.median(areas[keep])
+        keep &= (areas > middle / 4) & (areas < middle * 4)
+    if keep.sum() < 4:
+        raise ValueError(f"image must show a pattern, got {int(keep.sum())} dark regions")
+    centres, moments = _moments(labels, count)
+    return Blobs(image, smooth, centres[keep], moments[keep], areas[keep])
+
+
+def _otsu(image: NDArray[np.float32]) -> float:
+    """Otsu's threshold, in the image's own levels."""
+    low, high = float(image.min()), float(image.max())
+    bins = ((image - low) * (255 / max(high - low, 1e-12))).astype(np.uint8)
+    level, _ = cv2.threshold(bins, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+    return low + (level + 1) * (high - low) / 255
+
+
+def _paraboloid(image: NDArray[np.float32], bright: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Second-order surface through the bright pixels, from a sample of every fourth row and
+    column."""
+    height, width = image.shape
+    x, y = np.linspace(-1, 1, width), np.linspace(-1, 1, height)
+
+    def basis(x: Array, y: Array) -> Array:
+        return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+
+    grid_x, grid_y = np.meshgrid(x[::4], y[::4])
+    chosen = bright[::4, ::4]
+    solution = np.linalg.lstsq(
+        basis(grid_x[chosen], grid_y[chosen]), image[::4, ::4][chosen], rcond=None
+    )[0]
+    c0, cx, cy, cxx, cxy, cyy = solution
+    y = y[:, None]
+    return (c0 + cx * x + cy * y + cxx * x * x + cxy * x * y + cyy * y * y).astype(np.float32)
+
+
+def _moments(labels: NDArray, count: int) -> tuple[Array, Array]:
+    """Centroid and second central moments of each label."""
+    row, column = np.nonzero(labels)
+    label = labels[row, column]
+
+    def total(values: NDArray) -> NDArray:
+        return np.bincount(label, values, minlength=count)
+
+    size = np.maximum(total(np.ones(len(label))), 1)
+    x, y = total(column) / size, total(row) / size
+    dx, dy = column - x[label], row - y[label]
+    xx, xy, yy = total(dx * dx) / size, total(dx * dy) / size, total(dy * dy) / size
+    moments = np.stack([xx, xy, xy, yy], axis=-1).reshape(-1, 2, 2) + np.eye(2) / 12
+    return np.column_stack([x, y]), moments

@@ -1,0 +1,112 @@
+"""What a detector returns, and what both detectors ask of a fitted outline before they trust it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from microlib._common import Array
+
+__all__ = ["Detection", "keep_sound", "margin_for"]
+
+#: Pixels further from an outline than this say little about it, px.
+MARGIN = 7.0
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Points of a calibration pattern found in an image.
+
+    Parameters
+    ----------
+    points : ndarray, shape (N, 2)
+        (x, y), px.
+    grid : ndarray of int, shape (N, 2)
+        Coordinates in the pattern, from zero on; times the pitch they are world points up to a
+        shift.
+    sigma : ndarray, shape (N,)
+        Standard deviation of a coordinate of each point as the fit's residual tells it, px.
+    group : ndarray of int, shape (N,)
+        Number of the shape that each point belongs to: errors within one shape are correlated.
+    """
+
+    points: Array
+    grid: NDArray[np.intp]
+    sigma: Array
+    group: NDArray[np.intp]
+
+
+def margin_for(centres: Array, radius: float) -> float:
+    """Half-width of the band around an outline that belongs to no neighbour.
+
+    Parameters
+    ----------
+    centres : ndarray, shape (N, 2)
+        Centres of the shapes, px.
+    radius : float
+        Half of a shape's width, px.
+
+    Returns
+    -------
+    float
+        px, between 2 and 7.
+
+    Examples
+    --------
+    >>> margin_for(np.array([[0.0, 0.0], [20.0, 0.0], [40.0, 0.0]]), 6.0)
+    4.0
+    """
+    distance, _ = cKDTree(centres).query(centres, k=2)
+    return float(np.clip(np.median(distance[:, 1]) / 2 - radius, 2.0, MARGIN))
+
+
+def keep_sound(
+    shape: tuple[int, ...],
+    low: Array,
+    high: Array,
+    rms: Array,
+    contrast: Array,
+    sigma: Array,
+) -> NDArray[np.bool_]:
+    """Tell the outlines that lie inside the image and are fitted as well as the others.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Height and width of the image, px.
+    low, high : ndarray, shape (N, 2)
+        Corners of the box around each outline, (x, y) px.
+    rms : ndarray, shape (N,)
+        Residual of each fit, grey levels; NaN where it failed.
+    contrast : ndarray, shape (N,)
+        Fitted contrast.
+    sigma : ndarray, shape (N,)
+        Standard deviation of the worst point of each outline, px.
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+        False for an outline that leaves the image, and for one whose residual exceeds three times
+        the median (dirt, a reflection, another shape), whose contrast is half of the median or
+        less, or whose uncertainty is over five times the median (a side that the image cuts off).
+
+    Examples
+    --------
+    >>> low = np.array([[1.0, 1.0], [5.0, -0.2]])
+    >>> one = np.ones(2)
+    >>> keep_sound((20, 30), low, low + 4, one, one, one)
+    array([ True, False])
+    """
+    inside = ((low >= 0) & (high <= [shape[1] - 1, shape[0] - 1])).all(axis=1)
+    good = inside & np.isfinite(rms) & np.isfinite(sigma)
+    if not good.any():
+        return good
+    return (
+        good
+        & (rms <= 3 * np.median(rms[good]))
+        & (contrast > np.median(contrast[good]) / 2)
+        & (sigma <= 5 * np.median(sigma[good]))
+    )

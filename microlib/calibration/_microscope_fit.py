@@ -1,0 +1,136 @@
+"""Least squares behind :func:`microlib.calibration.calibrate`: starts, minimum, covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from microlib._common import Array
+from microlib.calibration._camera_jacobian import information_inverse, project_plane
+from microlib.calibration._radial_alignment import linear_intrinsics, radial_alignment
+from microlib.microscope import euler_rotation
+
+__all__ = ["NAMES", "Fit", "Problem", "start_values"]
+
+
+#: What can be estimated; inside this module the focal length stands as its inverse, the power 1/f.
+NAMES = ("magnification", "focal_length", "distortion", "alpha", "beta", "gamma", "tx", "ty")
+
+
+@dataclass(frozen=True)
+class Fit:
+    """One minimum: parameters (M, 1/f, κ, α, β, γ, T_x, T_y), cost, and the loss' scale in px (inf:
+    linear)."""
+
+    theta: Array
+    cost: float
+    scale: float
+
+
+@dataclass(frozen=True)
+class Problem:
+    """World points (µm), image points from the principal point (px), cell (µm), free parameters."""
+
+    world: Array
+    seen: Array
+    cell: Array
+    free: NDArray[np.intp]
+
+    def residuals(self, theta: Array) -> Array:
+        return (project_plane(_visible(theta), self.world, self.cell)[0] - self.seen).ravel()
+
+    def jacobian(self, theta: Array) -> Array:
+        """Derivatives by all eight numbers; h = M/(f (1 + M)) depends on two of them."""
+        by = project_plane(_visible(theta), self.world, self.cell)[1].reshape(-1, 8)
+        magnification, power = theta[:2]
+        by_convergence = by[:, 1].copy()
+        by[:, 0] += by_convergence * power / (1 + magnification) ** 2
+        by[:, 1] = by_convergence * magnification / (1 + magnification)
+        return by
+
+    def fit(self, start: Array, loss: str) -> Fit:
+        """Least squares; for Huber's loss twice more, its scale taken from the residuals before."""
+        fit = self._minimise(start, np.inf)
+        if loss == "huber":
+            for _ in range(2):
+                spread = 1.4826 * np.median(np.abs(self.residuals(fit.theta)))
+                fit = self._minimise(fit.theta, max(1.345 * spread, 1e-9))
+        return fit
+
+    def _minimise(self, start: Array, scale: float) -> Fit:
+        def full(free: Array) -> Array:
+            theta = start.copy()
+            theta[self.free] = free
+            return theta
+
+        robust = np.isfinite(scale)
+        solution = least_squares(
+            lambda free: self.residuals(full(free)),
+            start[self.free],
+            lambda free: self.jacobian(full(free))[:, self.free],
+            method="trf" if robust else "lm",
+            x_scale="jac",
+            loss="huber" if robust else "linear",
+            f_scale=scale if robust else 1.0,
+            ftol=1e-15,
+            xtol=1e-15,
+            gtol=1e-15,
+        )
+        theta = full(solution.x)
+        if theta[1] < 0:  # the same image, seen with the tilt turned over
+            theta[[1, 4, 5]] *= -1
+        return Fit(theta, 2 * float(solution.cost), scale)
+
+    def covariance(self, fit: Fit, groups: Array | None) -> tuple[Array, int]:
+        """Covariance of the free parameters (1/f, not f) and the degrees of freedom behind it.
+
+        Independent, alike errors: the residual's variance times (JᵀJ)⁻¹, for Huber's loss by its
+        asymptotic variance. Groups: the delete-one-group jackknife, in its closed form for a linear
+        problem, which assumes nothing of the errors inside a group.
+        """
+        residuals, jacobian = self.residuals(fit.theta), self.jacobian(fit.theta)[:, self.free]
+        score = np.clip(residuals, -fit.scale, fit.scale)
+        # What Huber's loss keeps of the curvature.
+        bent = float(np.mean(np.abs(residuals) < fit.scale))
+        inverse = information_inverse(jacobian) / bent
+        freedom = len(residuals) - len(self.free)
+        if groups is None:
+            return inverse * float(score @ score) / freedom / bent, freedom
+        finite = np.where(np.isfinite(inverse), inverse, 0.0)
+        members = [np.flatnonzero(groups.repeat(2) == g) for g in np.unique(groups)]
+        totals = []
+        for m in members:
+            leverage = bent * jacobian[m] @ finite @ jacobian[m].T
+            totals.append(jacobian[m].T @ np.linalg.solve(np.eye(len(m)) - leverage, score[m]))
+        spread = finite @ np.transpose(totals)
+        shrink = (len(members) - 1) / len(members)
+        jackknife = shrink * spread @ spread.T
+        return np.where(np.isfinite(inverse), jackknife, inverse), len(members) - 1
+
+
+def _visible(theta: Array) -> Array:
+    """(M, h, κ, α, β, γ, T_x, T_y) of a plane in focus."""
+    return np.concatenate([[theta[0], theta[1] * theta[0] / (1 + theta[0])], theta[2:]])
+
+
+def start_values(problem: Problem, focal_length: float | None) -> list[Array]:
+    """Two starts, one for each sign of the tilt."""
+    sensor = problem.seen * problem.cell
+    alpha, beta, gamma, tx, ty = radial_alignment(problem.world, sensor)
+    starts = []
+    for sign in (1, -1):
+        rotation = euler_rotation(alpha, sign * beta, sign * gamma)
+        turned = problem.world @ rotation[:, :2].T
+        flat, depth = turned[:, :2] + [tx, ty], turned[:, 2]
+        if focal_length is not None:
+            power = 1 / focal_length
+            magnification, distortion, _ = linear_intrinsics(flat, np.zeros(len(flat)), sensor)
+        else:
+            magnification, distortion, convergence = linear_intrinsics(flat, depth, sensor)
+            power = abs(convergence) * (1 + magnification) / magnification
+        pose = [alpha, sign * beta, sign * gamma, tx, ty]
+        starts.append(np.array([magnification, power, distortion, *pose]))
+    return starts

@@ -1,0 +1,272 @@
+"""Detect a grid of squares: Sobel edges linked into lines, then four lines fitted to the grey
+levels of each."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
+
+from microlib._common import Array
+from microlib.calibration._dark_regions import Blobs, find_blobs
+from microlib.calibration._detection import Detection, keep_sound, margin_for
+from microlib.calibration._grid_map import GridMap, fit_grid_map
+from microlib.calibration._grid_order import order_grid
+from microlib.calibration._outline_fit import (
+    OutlineFit,
+    Patches,
+    cut_patches,
+    fit_outlines,
+    ground,
+    share,
+)
+
+__all__ = ["detect_squares"]
+
+# Places of the parameters: directions of the four outward normals, distances of the lines from the
+# patch's origin along them, blur, contrast, ground.
+ANGLE, OFFSET, BLUR, CONTRAST, GROUND = slice(0, 4), slice(4, 8), 8, 9, slice(10, 13)
+# What varies smoothly across the image: directions of the sides, blur, contrast, slope of the
+# ground.
+SHARED = [0, 1, 2, 3, 8, 9, 11, 12]
+#: Squares have a fullness of 0.955, up to 0.991 where blur of a fifth of a side rounds them;
+#: circles of 7 px radius have 0.994 and larger ones more.
+MOST_FULLNESS = 0.9925
+
+
+def detect_squares(
+    image: ArrayLike, *, direction: float = 0.0, mirrored: bool = False
+) -> Detection:
+    """Corners of the dark squares of a regular grid, one side apart, with their places in the grid.
+
+    Parameters
+    ----------
+    image : array_like, shape (height, width)
+        Grey levels, any range; the squares darker than their ground.
+    direction : float
+        Direction in the image in which the pattern's x axis points (about α), rad, right to within
+        45°.
+    mirrored : bool
+        True if the pattern is seen from behind (γ near 180°).
+
+    Returns
+    -------
+    Detection
+        Four `points` for each square that lies whole in the image; `grid` counts sides, so that
+        square (m, n) has its corners from (2m, 2n) to (2m + 1, 2n + 1).
+
+    Raises
+    ------
+    ValueError
+        If `image` is not a grey image or no grid of at least four whole squares is found in it.
+
+    Notes
+    -----
+    As in §5.2 of the thesis a Sobel operator finds the edges, edge pixels of like direction are
+    linked, lines are fitted to them and intersected. These lines are only the start here: all four
+    are then fitted together to the grey levels, a product of four blurred half-planes, which near a
+    right angle is the exact image of a corner under a Gaussian point-spread function.
+
+    Examples
+    --------
+    >>> from microlib.microscope import Microscope
+    >>> from microlib.synthetic import render_squares
+    >>> scope = Microscope(200000, 126000, 79380, tx=-450, ty=-330, image_size=(160, 120))
+    >>> found = detect_squares(render_squares(scope))
+    >>> error = found.points - scope.project(200.0 * found.grid)
+    >>> len(found.points), bool(abs(error).max() < 0.01)
+    (16, True)
+    """
+    blobs = find_blobs(image)
+    try:
+        index, grid = order_grid(blobs.centres, direction=direction, mirrored=mirrored)
+    except ValueError as error:
+        raise ValueError(f"image must show a grid of squares: {error}") from None
+    start = _start(blobs, index)
+    patches = _patches(blobs.image, blobs.centres[index], start)
+    fit = fit_outlines(lambda p: _grey_levels(p, patches), start, patches)
+
+    corners, sigma = _corners(fit, patches.centres)
+    sound = keep_sound(
+        blobs.image.shape,
+        corners.min(axis=1),
+        corners.max(axis=1),
+        fit.rms,
+        fit.parameters[:, CONTRAST],
+        sigma.max(axis=1),
+    )
+    if sound.sum() < 4:
+        raise ValueError(f"image must show a grid of squares, got {int(sound.sum())} whole ones")
+    fullness = np.median(blobs.fullness[index][sound])
+    if fullness > MOST_FULLNESS:
+        raise ValueError(
+            f"image must show squares, got shapes of fullness {fullness:.3f}, not 0.955"
+        )
+    origins = patches.centres[sound]
+    corners, sigma = _corners(share(_untangle(fit[sound]), origins, SHARED), origins)
+    grid = _corner_grid(corners, grid[sound] - grid[sound].min(axis=0))
+    flat = grid.reshape(-1, 2).astype(np.float64)
+    to_image = fit_grid_map(corners.reshape(-1, 2), flat, blobs.image.shape)
+    corners = corners - _corner_bias(to_image, flat.reshape(corners.shape))
+    group = np.repeat(np.arange(len(corners)), 4)
+    return Detection(corners.reshape(-1, 2), grid.reshape(-1, 2), sigma.ravel(), group)
+
+
+def _start(blobs: Blobs, index: NDArray[np.intp]) -> Array:
+    """Sobel edges around each square, linked by place and direction, and a line through each of the
+    four links."""
+    gx = cv2.Sobel(blobs.smooth, cv2.CV_32F, 1, 0, ksize=3)
+    gy = cv2.Sobel(blobs.smooth, cv2.CV_32F, 0, 1, ksize=3)
+    start = np.zeros((len(index), 13))
+    start[:, BLUR], start[:, CONTRAST] = 1.2, 0.6
+    sides = np.sqrt(blobs.areas[index])
+    for out, centre, side in zip(start, blobs.centres[index], sides, strict=True):
+        lines = _sobel_lines(gx, gy, centre, side)
+        out[ANGLE], out[OFFSET] = lines
+    return start
+
+
+def _sobel_lines(gx: NDArray, gy: NDArray, centre: Array, side: float) -> tuple[Array, Array]:
+    """Outward normals' angles and distances from the rounded centre of the four lines of one
+    square."""
+    origin = np.round(centre).astype(int)
+    half = int(np.ceil(0.75 * side)) + 2
+    rows = slice(max(origin[1] - half, 0), origin[1] + half + 1)
+    columns = slice(max(origin[0] - half, 0), origin[0] + half + 1)
+    row, column = np.mgrid[rows, columns][:, : gx[rows].shape[0], : gx[:, columns].shape[1]]
+    x, y = column - origin[0], row - origin[1]
+    u, v = gx[rows, columns], gy[rows, columns]
+    strength = np.hypot(u, v)
+    # An edge pixel of this square has its gradient pointing away from it; its neighbours' point
+    # back.
+    strong = (strength > 0.3 * strength.max()) & (u * x + v * y > 0) & (np.hypot(x, y) < side)
+    x, y, u, v, weight = x[strong], y[strong], u[strong], v[strong], strength[strong] ** 2
+    # The four directions are one direction when their angle is taken four times.
+    first = np.angle((weight * np.exp(4j * np.arctan2(v, u))).sum()) / 4
+    angles, offsets = first + np.arange(4) * np.pi / 2, np.empty(4)
+    for k, angle in enumerate(angles.copy()):
+        along = np.cos(angle) * u + np.sin(angle) * v
+        link = along > 0.9 * np.hypot(u, v)
+        if link.sum() < 3:
+            offsets[k] = side / 2
+            continue
+        w, points = weight[link], np.column_stack([x, y])[link].astype(np.float64)
+        middle = w @ points / w.sum()
+        spread = (points - middle).T @ (w[:, None] * (points - middle))
+        normal = np.linalg.eigh(spread)[1][:, 0]
+        normal = normal if normal @ [np.cos(angle), np.sin(angle)] > 0 else -normal
+        angles[k] = np.arctan2(normal[1], normal[0])
+        offsets[k] = normal @ middle
+    return angles, offsets
+
+
+def _patches(image: NDArray[np.float32], centres: Array, start: Array) -> Patches:
+    """Pixels in a band around each outline."""
+    side = float(np.median(start[:, OFFSET].sum(axis=1)) / 2)
+    margin = margin_for(centres, side / 2)
+
+    def near(x: Array, y: Array) -> NDArray[np.bool_]:
+        return np.abs(_distances(start, x, y).min(axis=-1)) <= margin
+
+    patches = cut_patches(image, centres, int(np.ceil(side * 0.8 + margin)), near)
+    start[:, GROUND.start] = patches.grey.max(axis=1)
+    return patches
+
+
+def _distances(parameters: Array, x: Array, y: Array) -> Array:
+    """Distances to the four lines, positive inside, (n, k, 4), px."""
+    angle = parameters[:, None, ANGLE]
+    across = np.cos(angle) * x[..., None] + np.sin(angle) * y[..., None]
+    return parameters[:, None, OFFSET] - across
+
+
+def _grey_levels(parameters: Array, patches: Patches) -> tuple[Array, Array]:
+    """Model of a blurred dark quadrilateral, and its derivatives."""
+    x, y = patches.x, patches.y
+    blur = np.maximum(np.abs(parameters[:, BLUR, None, None]), 0.05)
+    contrast = parameters[:, CONTRAST, None]
+    light, by_light = ground(patches, parameters[:, GROUND])
+    z = _distances(parameters, x, y) / blur
+    steps = ndtr(z)
+    a, b, c, d = np.moveaxis(steps, -1, 0)
+    inside = a * b * c * d
+    others = np.stack([b * c * d, a * c * d, a * b * d, a * b * c], axis=-1)
+    by_distance = others * np.exp(-0.5 * z * z) / (np.sqrt(2 * np.pi) * blur)
+    angle = parameters[:, None, ANGLE]
+    turning = np.sin(angle) * x[..., None] - np.cos(angle) * y[..., None]
+    jacobian = np.empty((*x.shape, 13))
+    scale = -(light * contrast)[..., None]
+    jacobian[..., ANGLE] = scale * by_distance * turning
+    jacobian[..., OFFSET] = scale * by_distance
+    jacobian[..., BLUR] = -(scale * by_distance * z).sum(axis=-1)
+    jacobian[..., CONTRAST] = -light * inside
+    jacobian[..., GROUND] = by_light * (1 - contrast * inside)[..., None]
+    return light * (1 - contrast * inside), jacobian
+
+
+def _untangle(fit: OutlineFit) -> OutlineFit:
+    """Order the four lines of every square alike and count their angles from one branch."""
+    angle = fit.parameters[:, ANGLE]
+    first = np.angle(np.exp(4j * angle).mean()) / 4
+    turn = np.round((angle - first) / (np.pi / 2)).astype(int)
+    order = np.argsort(turn % 4, axis=1)
+    parameters, covariance = fit.parameters.copy(), fit.covariance.copy()
+    parameters[:, ANGLE] = angle - np.pi / 2 * (turn - turn % 4)
+    places = np.concatenate([order, order + 4, np.tile(np.arange(8, 13), (len(order), 1))], axis=1)
+    parameters = np.take_along_axis(parameters, places, axis=1)
+    covariance = np.take_along_axis(covariance, places[:, :, None], axis=1)
+    covariance = np.take_along_axis(covariance, places[:, None, :], axis=2)
+    return OutlineFit(parameters, covariance, fit.rms)
+
+
+def _corners(fit: OutlineFit, origins: Array) -> tuple[Array, Array]:
+    """Intersections of consecutive lines, (n, 4, 2), and the standard deviation of a coordinate,
+    (n, 4), px."""
+    angle, offset = fit.parameters[:, ANGLE], fit.parameters[:, OFFSET]
+    corners, sigma = np.empty((len(angle), 4, 2)), np.empty((len(angle), 4))
+    for k in range(4):
+        pair = [k, (k + 1) % 4]
+        cos, sin = np.cos(angle[:, pair]), np.sin(angle[:, pair])
+        inverse = _inverse(np.stack([cos, sin], axis=-1))
+        corners[:, k] = np.einsum("nij,nj->ni", inverse, offset[:, pair])
+        # Turning a line by dθ moves it at the corner by (sin θ x − cos θ y) dθ along its normal.
+        slide = sin * corners[:, k, :1] - cos * corners[:, k, 1:]
+        by = np.concatenate([inverse * slide[:, None], inverse], axis=-1)
+        places = [*pair, *(4 + np.array(pair))]
+        part = fit.covariance[:, places][:, :, places]
+        sigma[:, k] = np.sqrt(np.einsum("nij,njk,nik->n", by, part, by) / 2)
+    return corners + origins[:, None], sigma
+
+
+def _inverse(matrices: Array) -> Array:
+    """Inverse of 2×2 matrices; NaN where two lines are parallel."""
+    (a, b), (c, d) = np.moveaxis(matrices, (1, 2), (0, 1))
+    det = a * d - b * c
+    det = np.where(np.abs(det) > 1e-9, det, np.nan)
+    return np.moveaxis(np.array([[d, -b], [-c, a]]) / det, (0, 1), (1, 2))
+
+
+def _corner_grid(corners: Array, grid: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Grid coordinates of the corners: twice the square's own, plus the side of its centre they lie
+    on."""
+    centres = corners.mean(axis=1)
+    design = np.column_stack([grid, np.ones(len(grid))])
+    steps = np.linalg.lstsq(design, centres, rcond=None)[0][:2]
+    local = (corners - centres[:, None]) @ np.linalg.inv(steps)
+    return 2 * grid[:, None] + (local > 0)
+
+
+def _corner_bias(to_image: GridMap, grid: Array) -> Array:
+    """How far straight lines through distorted sides cross from the images of the corners, (n, 4,
+    2), px."""
+    first, last = grid[:, :, None], np.roll(grid, -1, axis=1)[:, :, None]
+    sides = to_image(first + (last - first) * np.linspace(0, 1, 9)[:, None])  # (n, 4, 9, 2)
+    middle = sides.mean(axis=2)
+    offset = sides - middle[:, :, None]
+    spread = offset.swapaxes(-1, -2) @ offset
+    normal = np.linalg.eigh(spread)[1][..., 0]  # (n, 4, 2)
+    pair = np.stack([normal, np.roll(normal, 1, axis=1)], axis=2)  # a side and the one before
+    along = np.stack([middle, np.roll(middle, 1, axis=1)], axis=2)
+    distance = (pair * along).sum(axis=-1)
+    return np.linalg.solve(pair, distance[..., None])[..., 0] - to_image(grid)

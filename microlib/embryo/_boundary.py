@@ -1,0 +1,429 @@
+"""From an image to the upper outline of an embryo: find the probe, take it out, follow the edge.
+
+The chain of the thesis' section 5.6 (crop, mark and remove the probe, Canny, contour), with nobody
+marking anything. The image shows the probe coming down from its upper edge onto the embryo, dark on
+a bright ground. Image points are (x, y) in px with y *down*; the outline is given with y *up*, as
+`fit_gaussians` and the thesis' figures have it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import map_coordinates, median_filter, spline_filter
+from scipy.signal import savgol_filter
+
+from microlib._common import Array, as_image
+from microlib.embryo._wall import locate_wall
+
+__all__ = ["Boundary", "Probe", "extract_boundary", "find_probe", "remove_probe"]
+
+_TOP_ROWS = 16  # rows at the upper edge in which the probe is looked for
+_DARK = 0.7  # a probe is darker than this share of the ground beside it
+_NARROWEST, _WIDEST = 4.0, 0.1  # widths of a probe: px, share of the image's width
+_LARGEST_TILT = np.deg2rad(4.0)
+_SATURATED_SHARE = 0.005
+_CLEARANCE = 3.0  # px beside the probe in which its blur reaches
+_SHORTEST_EDGE = 40  # px; shorter Canny edges are dust
+_STEEPEST = 6  # px a column that an outline may rise or fall
+_SHORTEST_SIDE = 20  # columns of outline wanted on each side of the probe
+_LEAST_DEPTH = 3.0  # px by which a dimple's bottom must lie below its rim
+_PROFILE = np.arange(-5.0, 5.01, 0.5)  # px along the normal, outside to inside
+_SMOOTHING = 11  # points (px) over which the direction of the outline is averaged
+
+
+@dataclass(frozen=True)
+class Probe:
+    """
+    The probe in an image.
+
+    Attributes
+    ----------
+    tip : tuple of float
+        Middle of its lower end, (x, y) in px, y down.
+    slope : float
+        Change of x for each px down: the tangent of its tilt.
+    half_width : float
+        Half of its width, in px.
+    """
+
+    tip: tuple[float, float]
+    slope: float
+    half_width: float
+
+    def axis(self, y: ArrayLike) -> Array:
+        """Return x of the probe's axis at the image height `y`, both in px."""
+        return self.tip[0] + self.slope * (np.asarray(y, dtype=np.float64) - self.tip[1])
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """
+    The upper outline of an embryo, the middle of its chorion, from left to right.
+
+    Attributes
+    ----------
+    x, y : ndarray, shape (n,)
+        Outline, in px, x ascending and y *up* from the last row of the image.
+    std : ndarray, shape (n,)
+        Standard deviation of each point across the outline, in px.
+    under_probe : ndarray of bool, shape (n,)
+        Points at the probe's end, where the probe hides the chorion.
+    probe : Probe
+        The probe, in image coordinates.
+    blur : float
+        Standard deviation of the image's blur at the outline, in px.
+    image_height : int
+        Rows of the image: y = image_height − 1 − row.
+    """
+
+    x: Array
+    y: Array
+    std: Array
+    under_probe: NDArray[np.bool_]
+    probe: Probe
+    blur: float
+    image_height: int
+
+    @property
+    def points(self) -> Array:
+        """The outline as image points (x, y), y down, in px; shape (n, 2)."""
+        return np.stack([self.x, self.image_height - 1 - self.y], axis=1)
+
+
+def extract_boundary(image: ArrayLike) -> Boundary:
+    """
+    Find the upper outline of an embryo that a probe presses from above.
+
+    Parameters
+    ----------
+    image : array_like, shape (rows, columns)
+        Grey image, integer or float; bright ground, dark probe.
+
+    Returns
+    -------
+    Boundary
+        The outline as a function y(x), about one point a px of its length.
+
+    Raises
+    ------
+    ValueError
+        If the image is saturated, no probe comes from its upper edge or the probe is tilted by more
+        than 4°, or there is no outline or no dimple on both sides of the probe.
+
+    See Also
+    --------
+    microlib.embryo.fit_dimple : From the outline to the dimple.
+
+    Notes
+    -----
+    Canny edges give the outline to a pixel. Along the normals of that curve the grey profile of a
+    blurred wall is fitted twice (`locate_wall`), which gives the *middle* of the chorion; samples
+    that the probe's blur reaches are left out. Below the probe the outline is the end of the probe.
+
+    Examples
+    --------
+    >>> from microlib.synthetic import Embryo, embryo_image
+    >>> scene = embryo_image(Embryo.pressed(150.0, modulus=1.0), rng=np.random.default_rng(3))
+    >>> outline = extract_boundary(scene.image)
+    >>> x, y = outline.points[~outline.under_probe].T
+    >>> rim = scene.to_pixels([[scene.embryo.dimple_radius, 0.0]])[0]
+    >>> bool(abs(np.interp(rim[0], x, y) - rim[1]) < 0.2)
+    True
+    """
+    grey = as_image("image", image, smallest=64)
+    _refuse_saturated(np.asarray(image), grey)
+    probe = find_probe(grey)
+    sides = [_resample(side) for side in _trace(remove_probe(grey, probe), probe)]
+    _refuse_without_dimple(sides, probe)
+    sides, blur = _refine(grey, sides, probe, _CLEARANCE)
+    sides, blur = _refine(grey, sides, probe, max(_CLEARANCE, 3 * blur))
+
+    reach = int(probe.half_width)
+    hidden = probe.tip[0] + np.arange(-reach, reach + 1.0)
+    tip = np.stack([hidden, np.full(hidden.size, probe.tip[1]), np.full(hidden.size, 0.5)])
+    x, y, std = np.concatenate([*sides, tip], axis=1)
+    under = np.arange(x.size) >= x.size - hidden.size
+    order = np.argsort(x, kind="stable")
+    return Boundary(
+        x=x[order],
+        y=len(grey) - 1 - y[order],
+        std=std[order],
+        under_probe=under[order],
+        probe=probe,
+        blur=blur,
+        image_height=len(grey),
+    )
+
+
+def find_probe(image: ArrayLike) -> Probe:
+    """
+    Find the dark bar that enters an image through its upper edge.
+
+    Parameters
+    ----------
+    image : array_like, shape (rows, columns)
+        Grey image, bright ground, dark probe.
+
+    Returns
+    -------
+    Probe
+        Its end, direction and width, to a fraction of a pixel.
+
+    Raises
+    ------
+    ValueError
+        If there is not exactly one such bar, or it is tilted by more than 4°.
+
+    Examples
+    --------
+    >>> image = np.full((120, 160), 200.0)
+    >>> image[:70, 74:87] = 40.0
+    >>> probe = find_probe(image)
+    >>> [round(float(v), 1) for v in (*probe.tip, probe.slope, probe.half_width)]
+    [80.0, 69.5, 0.0, 6.5]
+    """
+    grey = _blurred(as_image("image", image, smallest=64), 1.0)
+    top = grey[:_TOP_ROWS].mean(axis=0)
+    widest = int(_WIDEST * grey.shape[1])
+    ground = median_filter(top, 4 * widest + 1, mode="nearest")
+    dark = top < _DARK * ground
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], dark.view(np.int8), [0]])))
+    runs = [run for run in edges.reshape(-1, 2) if _NARROWEST <= run[1] - run[0] <= widest]
+    if len(runs) != 1:
+        raise ValueError(
+            "image must show one dark probe that enters through its upper edge, "
+            f"got {len(runs)} bars of {_NARROWEST:.0f} to {widest} px there"
+        )
+    left, right = runs[0]
+    level = ground[left:right].mean()
+    bar = top[(left + right) // 2]
+    _, labels = cv2.connectedComponents((grey < bar + 0.4 * (level - bar)).astype(np.uint8))
+    body = labels == labels[0, (left + right) // 2]
+    width = body.sum(axis=1)
+    # The probe ends where its rows do, or where something dark widens it.
+    usual = np.median(width[:_TOP_ROWS])
+    odd = np.abs(width - usual) > 0.35 * usual
+    end = int(odd.argmax()) if odd.any() else len(width)
+    if end < 2 * _TOP_ROWS or end >= len(width) - 5:
+        raise ValueError(
+            f"image must show the probe's end inside it, got a bar that ends at row {end} of "
+            f"{len(width)}"
+        )
+    # Near the end the embryo stands beside the probe: the upper part gives direction and width.
+    rows = np.arange(2, int(0.7 * end))
+    middle = np.array([np.flatnonzero(body[r]).mean() for r in rows])
+    sides = np.array(
+        [_crossings(grey[r], m, usual, bar) for r, m in zip(rows, middle, strict=True)]
+    )
+    slopes, starts = zip(*(_robust_line(rows, side) for side in sides.T), strict=True)
+    slope = float(np.mean(slopes))
+    if abs(slope) > np.tan(_LARGEST_TILT):
+        raise ValueError(
+            f"image must show the probe upright to within {np.rad2deg(_LARGEST_TILT):.0f}°, got "
+            f"{np.rad2deg(np.arctan(slope)):.1f}°: rotate the image"
+        )
+    half_width = float(starts[1] - starts[0] + (slopes[1] - slopes[0]) * rows.mean()) / 2
+    upper = Probe((float(np.mean(starts)), 0.0), slope, half_width)
+    tip = _tip_row(grey, upper, end, bar)
+    return Probe((float(upper.axis(tip)), tip), slope, half_width / np.hypot(1.0, slope))
+
+
+def remove_probe(image: ArrayLike, probe: Probe) -> NDArray[np.float32]:
+    """
+    Fill the probe with the grey of the ground beside it.
+
+    Parameters
+    ----------
+    image : array_like, shape (rows, columns)
+        Grey image.
+    probe : Probe
+        What `find_probe` found in it.
+
+    Returns
+    -------
+    ndarray of float32, shape (rows, columns)
+        The image without the probe.
+
+    Raises
+    ------
+    ValueError
+        If `image` is no grey image.
+
+    Notes
+    -----
+    The ground on either side is measured above the embryo and continued downwards, as a straight
+    line in the row, to the probe's end.
+
+    Examples
+    --------
+    >>> image = np.full((120, 160), 200.0)
+    >>> image[:70, 74:87] = 40.0
+    >>> float(remove_probe(image, find_probe(image)).min())
+    200.0
+    """
+    filled = as_image("image", image, smallest=64).copy()
+    rows = np.arange(int(np.ceil(probe.tip[1] + 1)))
+    axis = probe.axis(rows)
+    reach = probe.half_width + _CLEARANCE
+    measured = rows[: int(0.7 * rows.size)]
+    levels = []
+    for side in (-1, 1):
+        beside = np.rint(axis[measured] + side * (reach + 2)).astype(int)
+        beside = np.clip(beside, 0, filled.shape[1] - 1)
+        slope, start = _robust_line(measured, filled[measured, beside])
+        levels.append(start + slope * rows)
+    columns = np.arange(filled.shape[1])
+    across = (columns - axis[:, np.newaxis] + reach) / (2 * reach)
+    ground = levels[0][:, np.newaxis] * (1 - across) + levels[1][:, np.newaxis] * across
+    inside = (across >= 0) & (across <= 1)
+    filled[: rows.size][inside] = ground[inside]
+    return filled
+
+
+def _blurred(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), dtype=np.float32)
+
+
+def _refuse_saturated(image: NDArray, grey: NDArray[np.float32]) -> None:
+    """Refuse an image in which the ground has reached the top of its scale."""
+    if image.dtype.kind in "ui":
+        top = float(np.iinfo(image.dtype).max)
+    else:
+        top = 1.0 if grey.max() <= 1.0 else 255.0
+    share = float(np.mean(grey >= top))
+    if share > _SATURATED_SHARE:
+        raise ValueError(
+            f"image must not be saturated, got {share:.1%} of its pixels at {top:g} or above"
+        )
+
+
+def _crossings(
+    row: NDArray[np.float32], middle: float, width: float, bar: float
+) -> tuple[float, float]:
+    """Where a row passes half-way between the bar and the ground, left and right of `middle`."""
+    found = []
+    for side in (-1, 1):
+        distance = np.arange(0.0, width / 2 + 6.0, 0.25)
+        profile = np.interp(middle + side * distance, np.arange(row.size), row)
+        half = (bar + profile[-6:].mean()) / 2
+        k = int((profile > half).argmax())
+        part = (half - profile[k - 1]) / (profile[k] - profile[k - 1]) if k > 0 else 0.0
+        found.append(middle + side * (distance[k - 1] + 0.25 * part) if k > 0 else np.nan)
+    return found[0], found[1]
+
+
+def _robust_line(x: NDArray, y: NDArray) -> tuple[float, float]:
+    """Slope and value at 0 of a straight line, outliers beyond three deviations left out once."""
+    use = np.isfinite(y)
+    for _ in range(2):
+        slope, start = np.polyfit(x[use], y[use], 1)
+        off = np.abs(y - start - slope * x)
+        use = off <= 3 * 1.4826 * np.median(off[use]) + 1e-6
+    return float(slope), float(start)
+
+
+def _tip_row(grey: NDArray[np.float32], upper: Probe, end: int, bar: float) -> float:
+    """Image height where the probe's middle turns from its own grey to that of the embryo."""
+    y = np.arange(end - 8.0, min(end + 9.0, len(grey) - 1.0), 0.25)
+    across = np.linspace(-0.5, 0.5, 7) * upper.half_width
+    x = upper.axis(y)[:, np.newaxis] + across
+    where = np.stack([np.broadcast_to(y[:, np.newaxis], x.shape), x])
+    profile = map_coordinates(grey, where, order=1, mode="nearest").mean(axis=1)
+    half = (bar + profile[-12:].mean()) / 2
+    k = int((profile > half).argmax())
+    if k == 0:
+        raise ValueError("image must show the probe's end against something brighter, got none")
+    return float(y[k - 1] + 0.25 * (half - profile[k - 1]) / (profile[k] - profile[k - 1]))
+
+
+def _trace(filled: NDArray[np.float32], probe: Probe) -> list[Array]:
+    """Follow the uppermost Canny edge from the probe outwards; (2, n) image points of each side."""
+    smooth = _blurred(filled, 1.4)
+    dx, dy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
+    # The threshold stands above the noise, whose gradient the flat ground shows, and above what
+    # uneven light does to a picture without noise.
+    dark, bright = np.percentile(filled, [1, 99])
+    least = max(4 * float(np.median(np.abs(dx) + np.abs(dy))), 0.15 * float(bright - dark))
+    scale = 8000.0 / max(float(np.abs(dx).max()), float(np.abs(dy).max()), 1e-6)
+    edges = cv2.Canny(
+        np.rint(dx * scale).astype(np.int16),
+        np.rint(dy * scale).astype(np.int16),
+        least * scale,
+        2 * least * scale,
+    )
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(edges, connectivity=8)
+    long = stats[:, cv2.CC_STAT_AREA] >= _SHORTEST_EDGE
+    long[0] = False
+    edge = long[labels]
+    first = np.where(edge.any(axis=0), edge.argmax(axis=0), -1)
+    sides: list[Array] = []
+    for step, name in ((-1, "left"), (1, "right")):
+        start = round(probe.tip[0] + step * (probe.half_width + _CLEARANCE + 1))
+        stop = -1 if step < 0 else len(first)
+        columns = np.arange(start, stop, step)
+        rows = first[columns] if columns.size and 0 <= start < len(first) else np.empty(0, int)
+        broken = np.flatnonzero((rows[1:] < 0) | (np.abs(np.diff(rows)) > _STEEPEST))
+        length = int(broken[0]) + 1 if broken.size else rows.size
+        if length < _SHORTEST_SIDE or rows[0] < 0:
+            raise ValueError(
+                f"image must show an embryo's outline on both sides of the probe, got {length} "
+                f"columns of it on the {name}"
+            )
+        sides.append(np.stack([columns[:length], rows[:length]]).astype(np.float64)[:, ::step])
+    return sides
+
+
+def _resample(curve: Array) -> Array:
+    """Points at equal distances of about one px along a curve."""
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(curve[:2])))])
+    even = np.linspace(0.0, length[-1], max(int(length[-1]) + 1, _SMOOTHING))
+    return np.stack([np.interp(even, length, row) for row in curve[:2]])
+
+
+def _refine(
+    grey: NDArray[np.float32], sides: list[Array], probe: Probe, clearance: float
+) -> tuple[list[Array], float]:
+    """Move the curves onto the middle of the wall: x, y, std of each side, and the blur."""
+    smooth = [savgol_filter(side[:2], _SMOOTHING, 2, axis=1) for side in sides]
+    tangent = [savgol_filter(side[:2], _SMOOTHING, 2, deriv=1, axis=1) for side in sides]
+    start, along = np.concatenate(smooth, axis=1), np.concatenate(tangent, axis=1)
+    # Both sides run from left to right: turned clockwise on the screen, the tangent points inside.
+    normal = np.stack([-along[1], along[0]]) / np.hypot(*along)
+    x, y = start[:, :, np.newaxis] + normal[:, :, np.newaxis] * _PROFILE
+    profiles = map_coordinates(spline_filter(grey, 3), [y, x], order=3, prefilter=False)
+    beside = np.abs(x - probe.axis(y)) > probe.half_width + clearance
+    clear = beside | (y > probe.tip[1] + clearance + 2)
+    wall = locate_wall(profiles, _PROFILE, weights=clear)
+    points = start + normal * wall.position
+    usual = np.nanmedian(wall.std)
+    good = np.isfinite(wall.position) & (wall.std < 6 * usual)
+    split = smooth[0].shape[1]
+    found = [
+        np.concatenate([points, wall.std[np.newaxis]])[:, part][:, good[part]]
+        for part in (slice(0, split), slice(split, None))
+    ]
+    for name, side in zip(("left", "right"), found, strict=True):
+        if side.shape[1] < _SHORTEST_SIDE:
+            raise ValueError(
+                f"image must show a wall along the outline, got {side.shape[1]} points of it on "
+                f"the {name} of the probe"
+            )
+    return found, wall.width
+
+
+def _refuse_without_dimple(sides: list[Array], probe: Probe) -> None:
+    """Refuse an outline whose highest points are not beside the probe and above its end."""
+    for name, (x, y) in zip(("left", "right"), sides, strict=True):
+        rim = int(y.argmin())
+        depth = probe.tip[1] - y[rim]
+        apart = abs(x[rim] - probe.tip[0]) - probe.half_width - _CLEARANCE
+        ends = min(rim, y.size - 1 - rim)
+        if depth < _LEAST_DEPTH or apart < _LEAST_DEPTH or ends < 3:
+            raise ValueError(
+                f"image must show a dimple at least {_LEAST_DEPTH:.0f} px deep around the probe's "
+                f"end, got {depth:.1f} px on the {name}"
+            )

@@ -1,0 +1,295 @@
+"""From one image and one number to another: force to modulus, or modulus to force.
+
+The whole chain of the thesis' section 5.6, without a hand: outline, dimple, point-load model.
+Lengths are in µm, forces in µN, moduli in MPa.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from microlib._common import Array, as_array, one_of, positive
+from microlib.embryo._boundary import Boundary, extract_boundary
+from microlib.embryo._dimple import DimpleFit, DimpleGeometry, dimple_geometry, fit_dimple
+from microlib.embryo._gaussian_sum import fit_gaussians
+from microlib.embryo._loess import loess
+from microlib.membrane import elastic_modulus, indentation_force, modulus_sensitivity
+
+__all__ = [
+    "ForceEstimate",
+    "ModulusEstimate",
+    "force_from_image",
+    "measure_dimple",
+    "modulus_from_image",
+]
+
+_METHODS = ("membrane", "gaussians")
+_NORMAL_95 = 1.959964
+_CROP = 2.0  # dimple radii to either side that the Gaussians describe
+_SPAN, _TERMS = 0.25, 8  # of section 5.6
+
+
+@dataclass(frozen=True)
+class ModulusEstimate:
+    """
+    A modulus read off an image.
+
+    Attributes
+    ----------
+    modulus : float
+        Elastic modulus E, in MPa.
+    relative_std : float
+        Standard deviation of ln E that the image leaves open. Errors of the force, the thickness
+        and the probe's width come on top.
+    interval : tuple of float
+        95 % interval of E from `relative_std`, in MPa.
+    dimple : DimpleFit or DimpleGeometry
+        Radius and depth with their covariance.
+    boundary : Boundary
+        The outline that was found.
+    """
+
+    modulus: float
+    relative_std: float
+    interval: tuple[float, float]
+    dimple: DimpleFit | DimpleGeometry
+    boundary: Boundary
+
+
+@dataclass(frozen=True)
+class ForceEstimate:
+    """
+    A force read off an image.
+
+    Attributes
+    ----------
+    force : float
+        Indentation force F, in µN.
+    relative_std : float
+        Standard deviation of ln F that the image leaves open. An error of the modulus comes on top.
+    interval : tuple of float
+        95 % interval of F from `relative_std`, in µN.
+    dimple : DimpleFit
+        Radius and depth with their covariance.
+    boundary : Boundary
+        The outline that was found.
+    """
+
+    force: float
+    relative_std: float
+    interval: tuple[float, float]
+    dimple: DimpleFit
+    boundary: Boundary
+
+
+def modulus_from_image(
+    image: ArrayLike,
+    force: float,
+    *,
+    pixel_size: float,
+    thickness: float,
+    probe_half_width: float,
+    poisson_ratio: float,
+    method: str = "membrane",
+) -> ModulusEstimate:
+    """
+    Measure the elastic modulus of a chorion in one image of its indentation.
+
+    Parameters
+    ----------
+    image : array_like, shape (rows, columns)
+        Grey image; the probe comes down on the embryo from the upper edge.
+    force : float
+        Force F of the probe, in µN.
+    pixel_size : float
+        Pixel in the object plane, in µm.
+    thickness, probe_half_width, poisson_ratio : float
+        As for `microlib.membrane.elastic_modulus`.
+    method : {"membrane", "gaussians"}
+        How the dimple is measured; see `measure_dimple`.
+
+    Returns
+    -------
+    ModulusEstimate
+        Modulus, its uncertainty, and what it was computed from.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range or the image does not show what is needed; see
+        `microlib.embryo.extract_boundary` and `microlib.embryo.fit_dimple`.
+
+    Warns
+    -----
+    SmallSlopeWarning
+        If the dimple is too steep for the point-load model, whose formula is used all the same.
+
+    Examples
+    --------
+    >>> from microlib.synthetic import Embryo, embryo_image
+    >>> embryo = Embryo(modulus=1.2, force=9.0, dimple_radius=240.0)
+    >>> scene = embryo_image(embryo, rng=np.random.default_rng(1))
+    >>> estimate = modulus_from_image(
+    ...     scene.image, 9.0, pixel_size=scene.pixel_size, thickness=3.0, probe_half_width=25.0,
+    ...     poisson_ratio=0.5,
+    ... )
+    >>> estimate.interval[0] < 1.2 < estimate.interval[1], estimate.relative_std < 0.04
+    (True, True)
+    """
+    load = float(positive("force", as_array("force", force, shape=())))
+    boundary = extract_boundary(image)
+    dimple = measure_dimple(
+        boundary, pixel_size=pixel_size, probe_half_width=probe_half_width, method=method
+    )
+    modulus = elastic_modulus(
+        load,
+        dimple.dimple_radius,
+        dimple.dimple_depth,
+        thickness=thickness,
+        probe_half_width=probe_half_width,
+        poisson_ratio=poisson_ratio,
+    )
+    std = _relative_std(dimple, probe_half_width, poisson_ratio)
+    return ModulusEstimate(float(modulus), std, _interval(float(modulus), std), dimple, boundary)
+
+
+def force_from_image(
+    image: ArrayLike,
+    modulus: float,
+    *,
+    pixel_size: float,
+    thickness: float,
+    probe_half_width: float,
+    poisson_ratio: float,
+) -> ForceEstimate:
+    """
+    Measure the force on an embryo of known modulus in one image, without a force sensor.
+
+    Parameters
+    ----------
+    image : array_like, shape (rows, columns)
+        As for `modulus_from_image`.
+    modulus : float
+        Elastic modulus E, in MPa.
+    pixel_size, thickness, probe_half_width, poisson_ratio : float
+        As for `modulus_from_image`.
+
+    Returns
+    -------
+    ForceEstimate
+        Force, its uncertainty, and what it was computed from.
+
+    Raises
+    ------
+    ValueError
+        As for `modulus_from_image`.
+
+    Warns
+    -----
+    SmallSlopeWarning
+        As for `modulus_from_image`.
+
+    Examples
+    --------
+    >>> from microlib.synthetic import Embryo, embryo_image
+    >>> embryo = Embryo(modulus=1.2, force=9.0, dimple_radius=240.0)
+    >>> scene = embryo_image(embryo, rng=np.random.default_rng(1))
+    >>> estimate = force_from_image(
+    ...     scene.image, 1.2, pixel_size=scene.pixel_size, thickness=3.0, probe_half_width=25.0,
+    ...     poisson_ratio=0.5,
+    ... )
+    >>> estimate.interval[0] < 9.0 < estimate.interval[1]
+    True
+    """
+    stiffness = float(positive("modulus", as_array("modulus", modulus, shape=())))
+    boundary = extract_boundary(image)
+    dimple = fit_dimple(boundary, pixel_size=pixel_size, probe_half_width=probe_half_width)
+    force = indentation_force(
+        stiffness,
+        dimple.dimple_radius,
+        dimple.dimple_depth,
+        thickness=thickness,
+        probe_half_width=probe_half_width,
+        poisson_ratio=poisson_ratio,
+    )
+    # E is F times a function of the dimple, whose error moves ln E and ln F by as much.
+    std = _relative_std(dimple, probe_half_width, poisson_ratio)
+    return ForceEstimate(float(force), std, _interval(float(force), std), dimple, boundary)
+
+
+def measure_dimple(
+    boundary: Boundary, *, pixel_size: float, probe_half_width: float, method: str = "membrane"
+) -> DimpleFit | DimpleGeometry:
+    """
+    Measure the dimple of an outline by the membrane's profile or as the thesis does.
+
+    Parameters
+    ----------
+    boundary : Boundary
+        Outline from `microlib.embryo.extract_boundary`.
+    pixel_size, probe_half_width : float
+        In µm.
+    method : {"membrane", "gaussians"}
+        ``"membrane"`` fits (4.2), see `microlib.embryo.fit_dimple`. ``"gaussians"`` is the chain of
+        section 5.6: LOESS of the second degree with a span of 0.25, eight Gaussians (5.1), and
+        their extrema (5.3).
+
+    Returns
+    -------
+    DimpleFit or DimpleGeometry
+        Radius and depth with their covariance.
+
+    Raises
+    ------
+    ValueError
+        If `method` is unknown, or as for `microlib.embryo.fit_dimple` and
+        `microlib.embryo.dimple_geometry`.
+
+    Notes
+    -----
+    The thesis' chain is biased, by an amount that depends on the shape of the dimple: smoothing
+    fills the corner at its bottom and moves the flat rim. Its covariance covers random errors only.
+    """
+    one_of("method", method, _METHODS)
+    if method == "membrane":
+        return fit_dimple(boundary, pixel_size=pixel_size, probe_half_width=probe_half_width)
+    x, y = _crop(boundary)
+    # Gaussians die away to zero, so the outline is measured from its own lowest point.
+    curve = fit_gaussians(x, loess(x, y - y.min(), span=_SPAN), terms=_TERMS)
+    return dimple_geometry(curve, pixel_size=pixel_size)
+
+
+def _crop(boundary: Boundary) -> tuple[Array, Array]:
+    """The dimple's side of the outline as one height a column of pixels."""
+    middle = boundary.probe.tip[0]
+    highest = boundary.x[np.where(boundary.x < middle, boundary.y, -np.inf).argmax()]
+    reach = _CROP * (middle - highest)
+    first = np.ceil(max(boundary.x[0], middle - reach))
+    last = np.floor(min(boundary.x[-1], middle + reach))
+    x = np.arange(first, last + 1)
+    return x, np.interp(x, boundary.x, boundary.y)
+
+
+def _relative_std(
+    dimple: DimpleFit | DimpleGeometry, probe_half_width: float, poisson_ratio: float
+) -> float:
+    """Standard deviation of ln E from the covariance of radius and depth."""
+    exponents = modulus_sensitivity(
+        dimple.dimple_radius, probe_half_width=probe_half_width, poisson_ratio=poisson_ratio
+    )
+    gradient = np.array(
+        [
+            float(exponents.dimple_radius) / dimple.dimple_radius,
+            float(exponents.dimple_depth) / dimple.dimple_depth,
+        ]
+    )
+    return float(np.sqrt(gradient @ dimple.covariance @ gradient))
+
+
+def _interval(value: float, relative_std: float) -> tuple[float, float]:
+    """95 % interval of a positive quantity whose logarithm is normal."""
+    factor = float(np.exp(_NORMAL_95 * relative_std))
+    return value / factor, value * factor

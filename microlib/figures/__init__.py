@@ -1,6 +1,0 @@
-"""Drawing shared by the notebooks; no computation, and no algorithm imports it."""
-
-from microlib.figures.data import keep_data, show
-from microlib.figures.style import COLORS, use_style
-
-__all__ = ["COLORS", "keep_data", "show", "use_style"]

@@ -1,0 +1,360 @@
+"""Follow the sharpest frame of every pixel through a stack, and fit the peak between frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import chain, islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from microlib._common import Array, pipeline
+from microlib.focus._loops import track_rows
+from microlib.focus._measures import RowsMeasure
+
+__all__ = ["PeakTracker", "Profile", "fit_peak", "three_point_peak", "track_peaks"]
+
+#: Pixels of a band: few enough for its state, some 15 bytes a pixel, to stay near the processor,
+#: and enough for a thread to work some time before it needs the interpreter again.
+_BAND = 2**17
+
+#: Smallest focus measure a logarithm is taken of, as a share of the peak's.
+_FAINT = 1e-6
+
+
+class PeakTracker:
+    """The focus measures around the best frame so far, for every pixel of a band of rows.
+
+    Memory holds the measures of the last `reach` frames and of 2 `reach` + 1 frames around the
+    best one, whatever the number of frames.
+
+    Attributes
+    ----------
+    window : ndarray, shape (2 reach + 1, rows, cols)
+        Measures of the frames around the best one. Entries before the first or after the last
+        frame are undefined.
+    index : ndarray of uint16, shape (rows, cols)
+        Number of the best frame; the first of equals.
+    image : ndarray, shape (rows, cols)
+        Grey level in the best frame.
+    """
+
+    def __init__(self, reach: int, index: NDArray[np.uint16], image: NDArray) -> None:
+        self.index = index
+        self.image = image
+        self._reach = reach
+        self._count = 0
+
+    def push(self, measure: NDArray, frame: NDArray) -> None:
+        """Take in the next frame of the band and its focus measure."""
+        if self._count == 0:
+            self.index[:] = 0
+            self.window = np.zeros((2 * self._reach + 1, *measure.shape), measure.dtype)
+            self._recent = np.zeros((self._reach, *measure.shape), measure.dtype)
+        track_rows(measure, frame, self._count, self.window, self._recent, self.index, self.image)
+        self._count += 1
+
+
+def three_point_peak(
+    window: NDArray, index: NDArray[np.uint16], positions: Array
+) -> NDArray[np.float32]:
+    """Return the depth at the vertex of the Gaussian through the best frame and its two neighbours.
+
+    Parameters
+    ----------
+    window : ndarray, shape (3, rows, cols)
+        Measures of the best frame, in the middle, and of its neighbours.
+    index : ndarray of int, shape (rows, cols)
+        Number of the best frame.
+    positions : ndarray of float64, shape (n,)
+        Position of each frame, µm.
+
+    Returns
+    -------
+    ndarray of float32, shape (rows, cols)
+        Depth, µm. NaN where the three measures are equal or zero; the position of the frame itself
+        where the best is the first or the last.
+
+    Notes
+    -----
+    This is (3.13) with the positions taken relative to the best frame: subtracting the squares of
+    absolute positions, as it is printed, loses digits. Spacings may be uneven.
+
+    Examples
+    --------
+    >>> profile = np.exp(-((np.arange(5.0) - 2.25) ** 2))
+    >>> window, index = profile[1:4, None, None], np.full((1, 1), 2)
+    >>> depth = three_point_peak(window, index, 10 * np.arange(5.0))
+    >>> round(float(depth[0, 0]), 4)
+    22.5
+    """
+    best = window[1].astype(np.float32)
+    faint = best * np.float32(_FAINT)
+    gaps = np.diff(positions)
+    even = np.allclose(gaps, gaps[0], rtol=1e-9, atol=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # Logarithms of ratios keep their digits in float32 where differences of logarithms would
+        # not.
+        before = np.log(best / np.maximum(window[0], faint))
+        after = np.log(best / np.maximum(window[2], faint))
+        if even:
+            shift = (before - after) / (before + after) * np.float32(gaps[0] / 2)
+            here = index * np.float32(gaps[0]) + np.float32(positions[0])
+        else:
+            left = -np.append(1.0, gaps).astype(np.float32)[index]
+            right = np.append(gaps, 1.0).astype(np.float32)[index]
+            shift = (left**2 * after - right**2 * before) / (left * after - right * before) / 2
+            here = positions.astype(np.float32)[index]
+    at_end = (index == 0) | (index == len(positions) - 1)
+    np.copyto(shift, 0, where=at_end & (best > 0))
+    return here + shift
+
+
+def fit_peak(
+    window: NDArray, index: NDArray[np.uint16], positions: Array
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the depth of the Gaussian fitted to all frames of the window, and its weight.
+
+    Parameters
+    ----------
+    window : ndarray, shape (2 reach + 1, rows, cols)
+        Measures of the best frame, in the middle, and of its neighbours. Entries beyond the stack
+        are ignored.
+    index : ndarray of int, shape (rows, cols)
+        Number of the best frame.
+    positions : ndarray of float64, shape (n,)
+        Position of each frame, µm.
+
+    Returns
+    -------
+    depth : ndarray of float32, shape (rows, cols)
+        Depth, µm. NaN where the measure is flat, or its logarithm opens upwards and the best frame
+        is not the first or last, whose position is taken then. A vertex beyond the neighbouring
+        frames or outside the stack is put there.
+    weight : ndarray of float32, shape (rows, cols)
+        Height times sharpness of the peak, which goes as the inverse variance of the depth up to a
+        common factor.
+
+    Notes
+    -----
+    A parabola through the logarithms by least squares. Frames are weighted with their measure,
+    because the logarithm of a small one is uncertain, and with the square of an inverted parabola
+    centred on the peak. Real profiles have longer tails than a Gaussian: a window that is not
+    centred leans on one of them, and pulls the depth towards the middle between frames. The peak is
+    only known after a first fit, so there are two. Near the ends of the stack the window is made
+    narrower for the same reason, to no less than three frames.
+
+    Examples
+    --------
+    >>> profile = np.exp(-((np.arange(9.0) - 4.25) ** 2) / 8)
+    >>> window, index = profile[1:8, None, None], np.full((1, 1), 4)
+    >>> depth, _ = fit_peak(window, index, 10 * np.arange(9.0))
+    >>> round(float(depth[0, 0]), 4)
+    42.5
+    """
+    reach = len(window) // 2
+    spacing = float(np.median(np.abs(np.diff(positions))))
+    steps = positions / spacing
+    here = steps[index]
+    lowest, highest, width = _limits(steps, reach)[:, index]
+    best = window[reach].astype(np.float64)
+    samples = []
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for offset, measure in zip(range(-reach, reach + 1), window, strict=True):
+            frame = index.astype(np.intp) + offset
+            inside = (frame >= 0) & (frame < len(positions))
+            t = steps[np.clip(frame, 0, len(positions) - 1)] - here
+            share = np.maximum(np.where(inside, measure / best, 1.0), _FAINT)
+            samples.append((t, np.log(share), np.where(inside, share, 0.0)))
+        vertex = np.zeros_like(best)
+        for _ in range(2):
+            linear, square = _fit_parabola(samples, vertex, width)
+            vertex = np.clip(-linear / (2 * square), lowest, highest)
+        at_end = (index == 0) | (index == len(positions) - 1)
+        vertex = np.where(square < 0, vertex, np.where(at_end, 0.0, np.nan))
+        # Rounding makes peaks too: a measure that nowhere falls by a thousandth is flat.
+        lowest_log = np.min([y for _, y, _ in samples], axis=0)
+        vertex[~(lowest_log < -1e-3)] = np.nan
+    weight = best * np.fmax(-square, 0)
+    return ((here + vertex) * spacing).astype(np.float32), weight.astype(np.float32)
+
+
+def _limits(steps: Array, reach: int) -> Array:
+    """Return for each frame the least and greatest vertex around it and half the fit's width.
+
+    The vertex lies between the neighbouring frames and within the stack. The fit looks equally far
+    to both sides, as far as there are frames on the shorter one.
+    """
+    last = len(steps) - 1
+    limits = np.empty((3, len(steps)))
+    for k, here in enumerate(steps):
+        # At an end there is but one side, and two frames on it make up the least three.
+        count = min(k, last - k, reach) or 2
+        seen = steps[max(k - count, 0) : k + count + 1] - here
+        near = steps[max(k - 1, 0) : k + 2] - here
+        # The window moves to the vertex: no frame of three may lose its weight by that.
+        margin = (0.5 if count > 1 else 1.0) * np.abs(near).max()
+        limits[:, k] = near.min(), near.max(), np.abs(seen).max() + margin
+    return limits
+
+
+def _fit_parabola(
+    samples: list[tuple[NDArray, NDArray, NDArray]], centre: NDArray, reach: NDArray
+) -> tuple[Array, Array]:
+    """Return the linear and the square coefficient of weighted parabolas y(t)."""
+    sums = np.zeros((5, *centre.shape))
+    products = np.zeros((3, *centre.shape))
+    for t, y, weight in samples:
+        power = weight * np.maximum(1 - ((t - centre) / reach) ** 2, 0) ** 2
+        for k in range(5):
+            sums[k] += power
+            if k < 3:
+                products[k] += power * y
+            power = power * t
+    s0, s1, s2, s3, s4 = sums
+    p0, p1, p2 = products
+    m02, m12, m22 = s2 * s4 - s3 * s3, s1 * s4 - s2 * s3, s1 * s3 - s2 * s2
+    det = s0 * m02 - s1 * m12 + s2 * m22
+    linear = (-p0 * m12 + p1 * (s0 * s4 - s2 * s2) - p2 * (s0 * s3 - s1 * s2)) / det
+    square = (p0 * m22 - p1 * (s0 * s3 - s1 * s2) + p2 * (s0 * s2 - s1 * s1)) / det
+    return linear, square
+
+
+@dataclass(frozen=True)
+class Profile:
+    """What is left of a stack once its frames have gone by.
+
+    Attributes
+    ----------
+    depths : list of ndarray of float32, shape (rows, cols)
+        Depth from each measure, µm.
+    index, image : ndarray, shape (rows, cols)
+        Number of the best frame by the first measure, and the grey level in it.
+    weight, strength : ndarray of float32, shape (rows, cols), or None
+        Weight of the depth by the first measure, and that measure in the best frame; None from a
+        fit of three points.
+    """
+
+    depths: list[NDArray[np.float32]]
+    index: NDArray[np.uint16]
+    image: NDArray
+    weight: NDArray[np.float32] | None
+    strength: NDArray[np.float32] | None
+
+
+class _Band:
+    """A band of rows, with a tracker for each measure until its depths are known."""
+
+    def __init__(
+        self,
+        rows: slice,
+        measures: Sequence[RowsMeasure],
+        reaches: Sequence[int],
+        positions: Array,
+        result: Profile,
+    ) -> None:
+        index, image = result.index[rows], result.image[rows]
+        self._rows = rows
+        self._positions = positions
+        self._result = result
+        self._work = []
+        for measure, reach in zip(measures, reaches, strict=True):
+            self._work.append((measure, PeakTracker(reach, index, image)))
+            # Index and image of the result are those by the first measure.
+            index, image = np.empty_like(index), np.empty_like(image)
+
+    def push(self, frames: Sequence[NDArray], last: bool) -> None:
+        for measure, tracker in self._work:
+            for frame in frames:
+                tracker.push(measure(frame, self._rows), frame[self._rows])
+        if last:
+            self._finish()
+
+    def _finish(self) -> None:
+        """Write the depths of the band and let go of what they came from."""
+        for (_, tracker), depth in zip(self._work, self._result.depths, strict=True):
+            if len(tracker.window) == 3:
+                fitted = three_point_peak(tracker.window, tracker.index, self._positions)
+            else:
+                fitted, weight = fit_peak(tracker.window, tracker.index, self._positions)
+                if self._result.weight is not None and self._result.strength is not None:
+                    self._result.weight[self._rows] = weight
+                    self._result.strength[self._rows] = tracker.window[len(tracker.window) // 2]
+            depth[self._rows] = fitted
+        self._work.clear()
+
+
+def track_peaks(
+    frames: Iterator[NDArray],
+    positions: Array,
+    measures: Sequence[RowsMeasure],
+    *,
+    reaches: Sequence[int],
+    batch: int,
+    threads: int,
+) -> Profile:
+    """Read all frames once and follow the peak of every pixel by each measure.
+
+    Parameters
+    ----------
+    frames : iterator of ndarray, shape (rows, cols)
+        Frames of one size and type, at least one.
+    positions : ndarray of float64, shape (n,)
+        Position of each frame, µm.
+    measures : sequence of RowsMeasure
+        Focus measures; index and image follow the first.
+    reaches : sequence of int
+        For each measure, how many frames on either side of the best enter the fit.
+    batch : int
+        Frames that a band takes in while its state is in the cache; up to three times as many are
+        held.
+    threads : int
+        Threads that share the bands of rows.
+
+    Returns
+    -------
+    Profile
+        Depth by each measure, with what else the first one gives.
+
+    Raises
+    ------
+    ValueError
+        If there are not as many frames as positions.
+    """
+    first = next(frames)
+    height, width = first.shape
+    wide = reaches[0] > 1
+    result = Profile(
+        depths=[np.empty(first.shape, np.float32) for _ in measures],
+        index=np.empty(first.shape, np.uint16),
+        image=np.empty_like(first),
+        weight=np.empty(first.shape, np.float32) if wide else None,
+        strength=np.empty(first.shape, np.float32) if wide else None,
+    )
+    # Bands much thinner than what the measures look at would compute most of it twice.
+    thinnest = 4 * max(measure.reach for measure in measures)
+    rows = max(min(-(-height // threads), _BAND // width), thinnest, 1)
+    bands = [
+        _Band(slice(top, min(top + rows, height)), measures, reaches, positions, result)
+        for top in range(0, height, rows)
+    ]
+
+    def rounds() -> Iterator[Callable[[_Band], None]]:
+        rest = chain([first], frames)
+        taken = list(islice(rest, batch))
+        count = len(taken)
+        while taken:
+            following = list(islice(rest, batch))
+            count += len(following)
+            if count > len(positions) or (count < len(positions) and not following):
+                got = str(count) if not following else f"more than {len(positions)}"
+                raise ValueError(
+                    f"frames and positions must be as many, got {got} and {len(positions)}"
+                )
+            yield partial(_Band.push, frames=taken, last=not following)
+            taken = following
+
+    pipeline(rounds(), bands, threads)
+    return result

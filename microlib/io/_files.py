@@ -1,0 +1,191 @@
+"""Read a photograph; write results to files with units in them, whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable
+from os import PathLike
+from pathlib import Path
+
+import cv2
+import numpy as np
+import tifffile
+from numpy.typing import ArrayLike, NDArray
+
+from microlib._common import as_array, positive
+
+__all__ = ["read_grey", "write_height_tiff", "write_ply"]
+
+_MICROMETRES_PER_CENTIMETRE = 1e4
+
+
+def read_grey(path: str | PathLike[str]) -> NDArray:
+    """
+    Read an image file as grey values.
+
+    Parameters
+    ----------
+    path : path-like
+        PNG, TIFF, JPEG or any other format that OpenCV knows; colours become grey.
+
+    Returns
+    -------
+    ndarray of uint8 or uint16, shape (rows, cols)
+        The grey values as stored.
+
+    Raises
+    ------
+    ValueError
+        If there is no such file or it is not an image.
+
+    Examples
+    --------
+    >>> read_grey("missing.png")
+    Traceback (most recent call last):
+    ValueError: path must name an image, got missing.png: no such file
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise ValueError(f"path must name an image, got {file}: no such file")
+    # Not imread: it prints warnings of its own, and fails on names outside the system's encoding.
+    raw = np.frombuffer(file.read_bytes(), dtype=np.uint8)
+    image = cv2.imdecode(raw, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH) if raw.size else None
+    if image is None:
+        raise ValueError(f"path must name an image, got {file}: damaged or of an unknown format")
+    return image
+
+
+def write_height_tiff(path: str | PathLike[str], height: ArrayLike, *, pixel_size: float) -> None:
+    """
+    Write a height map as a float32 TIFF that ImageJ and others open to scale.
+
+    Parameters
+    ----------
+    path : path-like
+        File to write; an old one is replaced only once the new one is whole.
+    height : array_like, shape (rows, cols)
+        Heights, in µm; NaN where unknown.
+    pixel_size : float
+        Size of a pixel, in µm/px.
+
+    Raises
+    ------
+    ValueError
+        If `height` is not two-dimensional or `pixel_size` is not positive.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_height_tiff(Path(folder) / "height.tif", np.ones((4, 5)), pixel_size=2.0)
+    ...     print(tifffile.imread(Path(folder) / "height.tif").shape)
+    (4, 5)
+    """
+    heights = as_array("height", height, shape=(None, None), dtype=np.float32, finite=False)
+    size = float(positive("pixel_size", as_array("pixel_size", pixel_size, shape=())))
+    per_centimetre = _MICROMETRES_PER_CENTIMETRE / size
+
+    def write(file: Path) -> None:
+        tifffile.imwrite(
+            file,
+            heights,
+            resolution=(per_centimetre, per_centimetre),
+            resolutionunit="CENTIMETER",
+            description=f"height in um; pixel size {size:g} um",
+            software=False,
+        )
+
+    _replace(Path(path), write)
+
+
+def write_ply(path: str | PathLike[str], height: ArrayLike, *, pixel_size: float) -> None:
+    """
+    Write a height map as a triangle mesh in the PLY format, lengths in µm.
+
+    Parameters
+    ----------
+    path : path-like
+        File to write; an old one is replaced only once the new one is whole.
+    height : array_like, shape (rows, cols)
+        Heights, in µm; cells with a NaN at a corner are left out.
+    pixel_size : float
+        Size of a pixel, in µm/px.
+
+    Raises
+    ------
+    ValueError
+        If `height` is not two-dimensional, has no whole cell, or `pixel_size` is not positive.
+
+    Notes
+    -----
+    Image rows run down and a mesh's y runs up, so y is negated: seen from above, the mesh looks
+    like the image and its triangles face the viewer.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_ply(Path(folder) / "surface.ply", np.ones((2, 2)), pixel_size=2.0)
+    ...     print((Path(folder) / "surface.ply").read_bytes()[:3])
+    b'ply'
+    """
+    heights = as_array("height", height, shape=(None, None), finite=False)
+    size = float(positive("pixel_size", as_array("pixel_size", pixel_size, shape=())))
+    known = np.isfinite(heights)
+    cells = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
+    if not cells.any():
+        raise ValueError(
+            f"height must have at least one cell of four known heights, got {int(known.sum())} "
+            f"known of {heights.size}"
+        )
+    number = np.cumsum(known.ravel()).reshape(known.shape) - 1
+    row, column = np.nonzero(known)
+    vertices = np.column_stack([column * size, -row * size, heights[known]]).astype("<f4")
+    corners = [
+        number[:-1, :-1][cells],
+        number[1:, :-1][cells],
+        number[1:, 1:][cells],
+        number[:-1, 1:][cells],
+    ]
+    triangles = np.concatenate(
+        [
+            np.column_stack([corners[k] for k in (0, 1, 2)]),
+            np.column_stack([corners[k] for k in (0, 2, 3)]),
+        ]
+    )
+    faces = np.empty(len(triangles), dtype=[("count", "u1"), ("index", "<i4", 3)])
+    faces["count"], faces["index"] = 3, triangles
+    header = "\n".join(
+        [
+            "ply",
+            "format binary_little_endian 1.0",
+            "comment lengths in micrometres",
+            f"element vertex {len(vertices)}",
+            *(f"property float {axis}" for axis in "xyz"),
+            f"element face {len(faces)}",
+            "property list uchar int vertex_indices",
+            "end_header\n",
+        ]
+    )
+    content = header.encode("ascii") + vertices.tobytes() + faces.tobytes()
+
+    def write(file: Path) -> None:
+        file.write_bytes(content)
+
+    _replace(Path(path), write)
+
+
+def _replace(path: Path, write: Callable[[Path], None]) -> None:
+    """Write a file beside `path` and move it there, so that no half-written file is ever seen."""
+    if not path.parent.is_dir():
+        raise ValueError(f"path must lie in an existing folder, got {path.parent}")
+    handle, name = tempfile.mkstemp(dir=path.parent, suffix=path.suffix)
+    os.close(handle)
+    try:
+        write(Path(name))
+        os.chmod(name, 0o644)
+        os.replace(name, path)
+    except BaseException:
+        os.unlink(name)
+        raise

@@ -1,0 +1,130 @@
+"""Read the frames of a focal stack one at a time, from memory or from files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from os import PathLike
+from pathlib import Path
+
+import cv2
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from microlib._common import Frames
+
+__all__ = ["read_frames"]
+
+_TIFF = (".tif", ".tiff")
+
+
+def read_frames(frames: Frames) -> Iterator[NDArray]:
+    """Yield grey frames of one size, checked, without holding more than one.
+
+    Parameters
+    ----------
+    frames : array_like of shape (n, rows, cols), path, or iterable
+        An array; a multi-page TIFF or OME-TIFF; or an iterable, such as a list or a generator, of
+        images or of paths to image files.
+
+    Yields
+    ------
+    ndarray, shape (rows, cols)
+        8-bit, 16-bit or float32 frames; other number types become float32. Frames of an array are
+        views of it, all others are the reader's own.
+
+    Raises
+    ------
+    ValueError
+        If a frame is not grey, not finite, or differs from the first in size or type; or if a
+        file cannot be read, is cut off or damaged. The message names the frame, and the page of a
+        TIFF.
+
+    Examples
+    --------
+    >>> [frame.dtype.name for frame in read_frames(np.zeros((2, 4, 5), np.uint8))]
+    ['uint8', 'uint8']
+    """
+    first: NDArray | None = None
+    for name, frame in _named(frames):
+        checked = _check(name, frame)
+        if first is None:
+            first = checked
+        elif checked.shape != first.shape or checked.dtype != first.dtype:
+            raise ValueError(
+                f"{name} must be {first.dtype} of shape {first.shape} like the first frame, "
+                f"got {checked.dtype} of shape {checked.shape}"
+            )
+        yield checked
+
+
+def _named(frames: Frames) -> Iterator[tuple[str, NDArray]]:
+    """Yield each raw frame with the name that an error message should give it."""
+    if isinstance(frames, (str, PathLike)):
+        yield from _pages(Path(frames))
+    elif isinstance(frames, np.ndarray):
+        if frames.ndim != 3:
+            raise ValueError(f"frames must have shape (any, any, any), got {frames.shape}")
+        for k, frame in enumerate(frames):
+            yield f"frames[{k}]", frame
+    elif isinstance(frames, Iterable):
+        for k, item in enumerate(frames):
+            if isinstance(item, (str, PathLike)):
+                yield f"frames[{k}], {item},", _image(Path(item))
+            else:
+                # A camera may hand out the same buffer again and again.
+                yield f"frames[{k}]", np.array(item)
+    else:
+        raise ValueError(
+            f"frames must be an array, a TIFF or an iterable of images, got {type(frames).__name__}"
+        )
+
+
+def _check(name: str, frame: NDArray) -> NDArray:
+    if frame.ndim != 2 or min(frame.shape) == 0:
+        raise ValueError(f"{name} must be a grey image of two dimensions, got shape {frame.shape}")
+    if frame.dtype.kind not in "uif":
+        raise ValueError(f"{name} must hold real numbers, got {frame.dtype}")
+    if frame.dtype in (np.uint8, np.uint16):
+        return frame if frame.flags.c_contiguous else np.ascontiguousarray(frame)
+    result = np.ascontiguousarray(frame, dtype=np.float32)
+    if not np.isfinite(result).all():
+        bad = int(result.size - np.isfinite(result).sum())
+        raise ValueError(f"{name} must be finite, got {bad} NaN or infinite of {result.size}")
+    return result
+
+
+def _pages(path: Path) -> Iterator[tuple[str, NDArray]]:
+    """Yield the pages of a TIFF; a page that ends after the file does is refused, not padded."""
+    try:
+        tiff = tifffile.TiffFile(path)
+    except Exception as error:  # damaged headers raise whatever their bytes lead to
+        raise ValueError(f"frames cannot be read from {path}: {error}") from error
+    with tiff:
+        if len(tiff.pages) == 0:
+            raise ValueError(f"frames cannot be read from {path}: it holds no page")
+        for number in range(len(tiff.pages)):
+            try:
+                page = tiff.pages[number].aspage()
+                ends = np.add(page.dataoffsets, page.databytecounts)
+                if len(ends) == 0 or ends.max() > tiff.filehandle.size:
+                    raise ValueError("the file is cut off")
+                image = page.asarray()
+            except Exception as error:  # as above, and each codec has errors of its own
+                raise ValueError(f"page {number} of {path} cannot be read: {error}") from error
+            yield f"page {number} of {path}", image
+
+
+def _image(path: Path) -> NDArray:
+    """Read one image file."""
+    if path.suffix.lower() in _TIFF:
+        pages = list(_pages(path))
+        if len(pages) != 1:
+            raise ValueError(f"{path} must hold one page to be one frame, got {len(pages)}")
+        return pages[0][1]
+    if not path.is_file():
+        raise ValueError(f"frames cannot be read from {path}: no such file")
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise ValueError(f"frames cannot be read from {path}: not an image that OpenCV knows")
+    return image

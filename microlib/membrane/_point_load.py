@@ -1,0 +1,627 @@
+r"""The biomembrane point-load model: from a dimple's shape and its force to an elastic modulus.
+
+A probe of half-width :math:`c` presses with the force :math:`F` on a membrane of thickness
+:math:`h`. The dimple has the radius :math:`a`, measured at its rim, and the depth :math:`w_d`.
+Liquid below the membrane carries part of the force, the stretched membrane the rest. Equations
+(4.1)–(4.7) and (5.2) of the thesis; the model is that of Sun et al. (2003).
+
+Lengths are in µm and forces in µN, so moduli and stresses are in µN/µm² = MPa.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from microlib._common import Array, as_array, between, positive
+
+__all__ = [
+    "SMALL_SLOPE_LIMIT",
+    "ModulusSensitivity",
+    "SmallSlopeWarning",
+    "areal_strain",
+    "dimple_depth",
+    "dimple_profile",
+    "elastic_modulus",
+    "indentation_force",
+    "mean_strain",
+    "membrane_stress",
+    "modulus_sensitivity",
+    "shape_factor",
+]
+
+#: Relative depth w_d/a above which a warning is given; there (4.4) overstates the strain by about 7
+#: % (c/a = 0.1).
+SMALL_SLOPE_LIMIT = 0.2
+
+# Below this value of 1 − ζ² the closed forms lose digits to cancellation and their series takes
+# over.
+_SERIES_LIMIT = 0.05
+_SERIES_TERMS = 16
+
+
+class SmallSlopeWarning(UserWarning):
+    """The dimple is deeper than the small-slope model (4.1)–(4.7) allows; see `areal_strain`."""
+
+
+def shape_factor(zeta: ArrayLike) -> Array:
+    r"""
+    Bracket of the force equation (4.7), a function of the relative probe width alone.
+
+    .. math:: S(\zeta) =
+              \frac{3 - 4\zeta^2 + \zeta^4 + 2\ln\zeta^2}{(1-\zeta^2)(1-\zeta^2+\ln\zeta^2)^3}
+
+    Parameters
+    ----------
+    zeta : array_like
+        Probe half-width over dimple radius, c/a, in (0, 1).
+
+    Returns
+    -------
+    ndarray
+        S, positive, without unit; the shape of `zeta`.
+
+    Raises
+    ------
+    ValueError
+        If a value of `zeta` is not in (0, 1).
+
+    Notes
+    -----
+    With :math:`x = 1-\zeta^2` the numerator and the base of the cube are remainders of the
+    logarithm's series,
+    :math:`2(\ln(1-x) + x + x^2/2)` and :math:`\ln(1-x) + x`. For small :math:`x` they are summed as
+    such, since the closed form would lose all its digits there.
+
+    Examples
+    --------
+    >>> float(shape_factor(0.5).round(4))
+    3.6752
+    """
+    z = between("zeta", zeta, 0.0, 1.0)
+    return 2 * _log_remainder(z, 3) / (_annulus(z) * _log_remainder(z, 2) ** 3)
+
+
+def elastic_modulus(
+    force: ArrayLike,
+    dimple_radius: ArrayLike,
+    dimple_depth: ArrayLike,
+    *,
+    thickness: ArrayLike,
+    probe_half_width: ArrayLike,
+    poisson_ratio: ArrayLike,
+) -> Array:
+    r"""
+    Elastic modulus of a membrane from one indentation, equation (5.2).
+
+    .. math:: E = \frac{F a^2 (1-\nu)}{2\pi h w_d^3} \frac{1}{S(c/a)}
+
+    Parameters
+    ----------
+    force : array_like
+        Indentation force F, in µN.
+    dimple_radius : array_like
+        Distance a from the dimple's axis to its rim, in µm.
+    dimple_depth : array_like
+        Depth w_d of the dimple below its rim, in µm.
+    thickness : array_like
+        Membrane thickness h, in µm.
+    probe_half_width : array_like
+        Half-width c of the probe, in µm; smaller than `dimple_radius`.
+    poisson_ratio : array_like
+        Poisson ratio ν, in (−1, 1).
+
+    Returns
+    -------
+    ndarray
+        Modulus E, in MPa; the broadcast shape of the arguments.
+
+    Raises
+    ------
+    ValueError
+        If a length or the force is not positive, `probe_half_width` is not below `dimple_radius`,
+        `poisson_ratio` is outside (−1, 1), a value is not finite, or the shapes do not broadcast.
+
+    Warns
+    -----
+    SmallSlopeWarning
+        If a dimple has w_d/a above `SMALL_SLOPE_LIMIT`.
+
+    See Also
+    --------
+    indentation_force : The inverse, equation (4.7).
+
+    Notes
+    -----
+    The stress (4.3) over the strain (4.5) by linear elasticity (4.6), which gives (4.7) for the
+    force. Table 5.6 of the thesis prints ζ = 44.78 for c/a, which no probe can have; its modulus
+    follows from c = 25 µm, ζ = 0.1012.
+
+    References
+    ----------
+    Y. Sun, K.-T. Wan, K. P. Roberts, J. C. Bischof, B. J. Nelson, *Mechanical property
+    characterization of mouse zona pellucida*, IEEE Trans. NanoBioscience 2(4), 2003.
+
+    Examples
+    --------
+    >>> modulus = elastic_modulus(
+    ...     50.0, 250.0, 40.0, thickness=3.0, probe_half_width=25.0, poisson_ratio=0.5
+    ... )
+    >>> print(f"{modulus:.3f} MPa")
+    9.693 MPa
+    """
+    values = _checked(
+        force=force,
+        dimple_radius=dimple_radius,
+        dimple_depth=dimple_depth,
+        thickness=thickness,
+        probe_half_width=probe_half_width,
+        poisson_ratio=poisson_ratio,
+    )
+    _warn_if_steep(values["dimple_radius"], values["dimple_depth"])
+    return values["force"] / _force_per_modulus(values)
+
+
+def indentation_force(
+    modulus: ArrayLike,
+    dimple_radius: ArrayLike,
+    dimple_depth: ArrayLike,
+    *,
+    thickness: ArrayLike,
+    probe_half_width: ArrayLike,
+    poisson_ratio: ArrayLike,
+) -> Array:
+    r"""
+    Force that makes a given dimple, equation (4.7).
+
+    .. math:: F = \frac{2\pi E h w_d^3}{a^2(1-\nu)} S(c/a)
+
+    Parameters
+    ----------
+    modulus : array_like
+        Elastic modulus E, in MPa.
+    dimple_radius, dimple_depth, thickness, probe_half_width, poisson_ratio : array_like
+        As for `elastic_modulus`.
+
+    Returns
+    -------
+    ndarray
+        Force F, in µN; the broadcast shape of the arguments.
+
+    Raises
+    ------
+    ValueError
+        As for `elastic_modulus`.
+
+    Warns
+    -----
+    SmallSlopeWarning
+        If a dimple has w_d/a above `SMALL_SLOPE_LIMIT`.
+
+    Examples
+    --------
+    >>> force = indentation_force(
+    ...     1.3, 250.0, 40.0, thickness=3.0, probe_half_width=25.0, poisson_ratio=0.5
+    ... )
+    >>> print(f"{force:.3f} µN")
+    6.706 µN
+    """
+    values = _checked(
+        modulus=modulus,
+        dimple_radius=dimple_radius,
+        dimple_depth=dimple_depth,
+        thickness=thickness,
+        probe_half_width=probe_half_width,
+        poisson_ratio=poisson_ratio,
+    )
+    _warn_if_steep(values["dimple_radius"], values["dimple_depth"])
+    return values["modulus"] * _force_per_modulus(values)
+
+
+def dimple_depth(
+    force: ArrayLike,
+    dimple_radius: ArrayLike,
+    modulus: ArrayLike,
+    *,
+    thickness: ArrayLike,
+    probe_half_width: ArrayLike,
+    poisson_ratio: ArrayLike,
+) -> Array:
+    r"""
+    Depth to which a force presses a membrane, equation (4.7) solved for w_d.
+
+    .. math:: w_d = \left(\frac{F a^2 (1-\nu)}{2\pi E h\, S(c/a)}\right)^{1/3}
+
+    Parameters
+    ----------
+    force : array_like
+        Indentation force F, in µN.
+    dimple_radius : array_like
+        Dimple radius a, in µm.
+    modulus : array_like
+        Elastic modulus E, in MPa.
+    thickness, probe_half_width, poisson_ratio : array_like
+        As for `elastic_modulus`.
+
+    Returns
+    -------
+    ndarray
+        Depth w_d, in µm; the broadcast shape of the arguments.
+
+    Raises
+    ------
+    ValueError
+        As for `elastic_modulus`.
+
+    Warns
+    -----
+    SmallSlopeWarning
+        If a resulting dimple has w_d/a above `SMALL_SLOPE_LIMIT`.
+
+    Examples
+    --------
+    >>> depth = dimple_depth(
+    ...     6.706, 250.0, 1.3, thickness=3.0, probe_half_width=25.0, poisson_ratio=0.5
+    ... )
+    >>> print(f"{depth:.2f} µm")
+    40.00 µm
+    """
+    values = _checked(
+        force=force,
+        dimple_radius=dimple_radius,
+        modulus=modulus,
+        thickness=thickness,
+        probe_half_width=probe_half_width,
+        poisson_ratio=poisson_ratio,
+    )
+    # The force grows with the cube of the depth, so the force at 1 µm gives the depth.
+    at_one_micrometre = values["modulus"] * _force_per_modulus(
+        values | {"dimple_depth": np.ones(())}
+    )
+    depth = np.cbrt(values["force"] / at_one_micrometre)
+    _warn_if_steep(values["dimple_radius"], depth)
+    return depth
+
+
+def dimple_profile(
+    radius: ArrayLike,
+    dimple_radius: ArrayLike,
+    dimple_depth: ArrayLike,
+    *,
+    probe_half_width: ArrayLike,
+) -> Array:
+    r"""
+    Depth of the deformed membrane below the rim, equations (4.2) and (4.3).
+
+    .. math:: w(r) = w_d \frac{1-(r/a)^2+\ln(r/a)^2}{1-\zeta^2+\ln\zeta^2}, \qquad c \le r \le a
+
+    Parameters
+    ----------
+    radius : array_like
+        Distance r from the axis, in µm, between `probe_half_width` and `dimple_radius`.
+    dimple_radius, dimple_depth, probe_half_width : array_like
+        Geometry a, w_d and c, in µm.
+
+    Returns
+    -------
+    ndarray
+        Depth w, in µm, 0 at the rim and w_d at the probe; the broadcast shape of the arguments.
+
+    Raises
+    ------
+    ValueError
+        If the geometry is impossible or a `radius` is outside [c, a].
+
+    Notes
+    -----
+    (4.2) has the factor :math:`F/(4\pi\sigma_d h)`; (4.3) ties it to the depth, which is what an
+    image shows. The stress follows from `membrane_stress`.
+
+    Examples
+    --------
+    >>> dimple_profile([25.0, 100.0, 250.0], 250.0, 40.0, probe_half_width=25.0).round(3).tolist()
+    [40.0, 10.982, 0.0]
+    """
+    values = _checked(
+        dimple_radius=dimple_radius, dimple_depth=dimple_depth, probe_half_width=probe_half_width
+    )
+    a, c = values["dimple_radius"], values["probe_half_width"]
+    r = _within("radius", radius, c, a)
+    return values["dimple_depth"] * _log_remainder(r / a, 2) / _log_remainder(c / a, 2)
+
+
+def membrane_stress(
+    force: ArrayLike,
+    dimple_radius: ArrayLike,
+    dimple_depth: ArrayLike,
+    *,
+    thickness: ArrayLike,
+    probe_half_width: ArrayLike,
+) -> Array:
+    r"""
+    Stress in the membrane that carries the load: (4.3), from the balance (4.1), solved for
+    :math:`\sigma_d`.
+
+    .. math:: \sigma_d = -\frac{F}{4\pi h w_d}\left[1-\zeta^2+\ln\zeta^2\right]
+
+    Parameters
+    ----------
+    force : array_like
+        Indentation force F, in µN.
+    dimple_radius, dimple_depth, thickness, probe_half_width : array_like
+        As for `elastic_modulus`.
+
+    Returns
+    -------
+    ndarray
+        Stress, in MPa; the broadcast shape of the arguments.
+
+    Raises
+    ------
+    ValueError
+        As for `elastic_modulus`.
+
+    Examples
+    --------
+    >>> stress = membrane_stress(50.0, 250.0, 40.0, thickness=3.0, probe_half_width=25.0)
+    >>> print(f"{stress:.4f} MPa")
+    0.1199 MPa
+    """
+    values = _checked(
+        force=force,
+        dimple_radius=dimple_radius,
+        dimple_depth=dimple_depth,
+        thickness=thickness,
+        probe_half_width=probe_half_width,
+    )
+    zeta = values["probe_half_width"] / values["dimple_radius"]
+    scale = values["force"] / (4 * np.pi * values["thickness"] * values["dimple_depth"])
+    return -scale * _log_remainder(zeta, 2)
+
+
+def mean_strain(
+    dimple_radius: ArrayLike, dimple_depth: ArrayLike, *, probe_half_width: ArrayLike
+) -> Array:
+    r"""
+    Mean strain of the dimple for small slopes, equations (4.4) and (4.5) in closed form.
+
+    .. math:: \bar\varepsilon_d = \frac12
+              \frac{\int_c^a \frac12 (dw/dr)^2\, r\,dr}{\int_c^a r\,dr}
+              = -\frac{w_d^2}{2a^2}
+              \frac{3-4\zeta^2+\zeta^4+2\ln\zeta^2}{(1-\zeta^2)(1-\zeta^2+\ln\zeta^2)^2}
+
+    Parameters
+    ----------
+    dimple_radius, dimple_depth, probe_half_width : array_like
+        Geometry a, w_d and c, in µm.
+
+    Returns
+    -------
+    ndarray
+        Strain, without unit; the broadcast shape of the arguments.
+
+    Raises
+    ------
+    ValueError
+        If the geometry is impossible.
+
+    See Also
+    --------
+    areal_strain : Without the small-slope approximation.
+
+    Examples
+    --------
+    >>> print(f"{mean_strain(250.0, 40.0, probe_half_width=25.0):.6f}")
+    0.006183
+    """
+    values = _checked(
+        dimple_radius=dimple_radius, dimple_depth=dimple_depth, probe_half_width=probe_half_width
+    )
+    zeta = values["probe_half_width"] / values["dimple_radius"]
+    steepness = values["dimple_depth"] / values["dimple_radius"]
+    shape = _log_remainder(zeta, 3) / (_annulus(zeta) * _log_remainder(zeta, 2) ** 2)
+    return -(steepness**2) * shape
+
+
+def areal_strain(
+    dimple_radius: ArrayLike, dimple_depth: ArrayLike, *, probe_half_width: ArrayLike
+) -> Array:
+    r"""
+    Mean strain of the dimple without the small-slope step of (4.4), by quadrature.
+
+    .. math:: \bar\varepsilon = \frac12
+              \frac{\int_c^a \left(\sqrt{1+(dw/dr)^2}-1\right) r\,dr}{\int_c^a r\,dr}
+
+    Parameters
+    ----------
+    dimple_radius, dimple_depth, probe_half_width : array_like
+        Geometry a, w_d and c, in µm.
+
+    Returns
+    -------
+    ndarray
+        Strain, without unit; the broadcast shape of the arguments.
+
+    Raises
+    ------
+    ValueError
+        If the geometry is impossible.
+
+    Notes
+    -----
+    A ring of width dr is stretched to dr/cos θ, and 1/cos θ − 1 = √(1 + tan²θ) − 1 exactly; (4.4)
+    keeps the first term, θ²/2. The profile is still that of (4.2), so this measures the strain's
+    error alone. The ratio `mean_strain` / `areal_strain` is the factor by which the modulus of
+    (5.2) is too small. Gauss–Legendre quadrature in ln r, where the integrand is smooth down to the
+    probe, is exact to rounding for w_d/a up to 1.
+
+    Examples
+    --------
+    >>> shallow, deep = mean_strain(250.0, [2.5, 120.0], probe_half_width=25.0) / areal_strain(
+    ...     250.0, [2.5, 120.0], probe_half_width=25.0
+    ... )
+    >>> print(f"{shallow:.4f} {deep:.2f}")
+    1.0002 1.27
+    """
+    values = _checked(
+        dimple_radius=dimple_radius, dimple_depth=dimple_depth, probe_half_width=probe_half_width
+    )
+    zeta = (values["probe_half_width"] / values["dimple_radius"])[..., np.newaxis]
+    depth = (values["dimple_depth"] / values["dimple_radius"])[..., np.newaxis]
+    nodes, weights = np.polynomial.legendre.leggauss(64)
+    # ρ = r/a runs over [ζ, 1] as ζ^t, t in [0, 1]; dρ = ln ζ · ρ dt.
+    rho = zeta ** ((nodes + 1) / 2)
+    slope = 2 * depth * (1 / rho - rho) / _log_remainder(zeta, 2)
+    # √(1+s²) − 1, written without cancellation.
+    stretch = slope**2 / (np.sqrt(1 + slope**2) + 1)
+    integral = np.sum(weights / 2 * stretch * rho**2, axis=-1) * -np.log(zeta[..., 0])
+    return integral / _annulus(zeta[..., 0])
+
+
+@dataclass(frozen=True)
+class ModulusSensitivity:
+    """
+    Relative change of the modulus for a relative change of each input, ∂ ln E / ∂ ln x; no units.
+
+    Attributes
+    ----------
+    force, dimple_radius, dimple_depth, thickness, probe_half_width, poisson_ratio : ndarray
+        The exponent with which each argument of `elastic_modulus` enters at the given point.
+    """
+
+    force: Array
+    dimple_radius: Array
+    dimple_depth: Array
+    thickness: Array
+    probe_half_width: Array
+    poisson_ratio: Array
+
+
+def modulus_sensitivity(
+    dimple_radius: ArrayLike, *, probe_half_width: ArrayLike, poisson_ratio: ArrayLike
+) -> ModulusSensitivity:
+    r"""
+    Logarithmic derivatives of (5.2) by each of its inputs.
+
+    Parameters
+    ----------
+    dimple_radius, probe_half_width : array_like
+        Geometry a and c, in µm.
+    poisson_ratio : array_like
+        Poisson ratio ν, in (−1, 1).
+
+    Returns
+    -------
+    ModulusSensitivity
+        Force 1, depth −3 and thickness −1 everywhere; the others depend on c/a and ν.
+
+    Raises
+    ------
+    ValueError
+        As for `elastic_modulus`.
+
+    Notes
+    -----
+    The probe width enters through the shape factor only. With :math:`x = 1-\zeta^2`, :math:`N` the
+    numerator and
+    :math:`D` the base of the cube in `shape_factor`,
+    :math:`d\ln S/d\ln\zeta = 4x^2/N + 2(1-x)/x - 6x/D`.
+
+    Examples
+    --------
+    >>> s = modulus_sensitivity(250.0, probe_half_width=25.0, poisson_ratio=0.5)
+    >>> print(f"{s.dimple_radius:.3f} {s.dimple_depth:.0f} {s.probe_half_width:.3f}")
+    3.036 -3 -1.036
+    """
+    values = _checked(
+        dimple_radius=dimple_radius, probe_half_width=probe_half_width, poisson_ratio=poisson_ratio
+    )
+    zeta = values["probe_half_width"] / values["dimple_radius"]
+    x = _annulus(zeta)
+    by_zeta = 2 * x**2 / _log_remainder(zeta, 3) + 2 * zeta**2 / x - 6 * x / _log_remainder(zeta, 2)
+    nu = values["poisson_ratio"]
+    one = np.ones(np.broadcast_shapes(by_zeta.shape, nu.shape))
+    return ModulusSensitivity(
+        force=one,
+        dimple_radius=(2 + by_zeta) * one,
+        dimple_depth=-3 * one,
+        thickness=-one,
+        probe_half_width=-by_zeta * one,
+        poisson_ratio=-nu / (1 - nu) * one,
+    )
+
+
+def _annulus(zeta: Array) -> Array:
+    """Return 1 − ζ² without cancellation near ζ = 1."""
+    return (1 - zeta) * (1 + zeta)
+
+
+def _log_remainder(zeta: Array, first: int) -> Array:
+    """Return −Σ_{k ≥ first} x**k / k with x = 1 − ζ²: ln ζ² less its series' first terms."""
+    x = _annulus(zeta)
+    order = np.arange(first, first + _SERIES_TERMS)
+    # Elsewhere than at small x the series is not used, and a zero keeps its powers harmless.
+    small = np.where(x < _SERIES_LIMIT, x, 0.0)
+    series = -np.sum(small[..., np.newaxis] ** order / order, axis=-1)
+    closed = 2 * np.log(zeta) + sum(x**k / k for k in range(1, first))
+    return np.where(x < _SERIES_LIMIT, series, closed)
+
+
+def _force_per_modulus(values: Mapping[str, Array]) -> Array:
+    """Return F/E of (4.7), in µm²."""
+    a, c = values["dimple_radius"], values["probe_half_width"]
+    numerator = 2 * np.pi * values["thickness"] * values["dimple_depth"] ** 3
+    return numerator / (a**2 * (1 - values["poisson_ratio"])) * shape_factor(c / a)
+
+
+def _checked(**arguments: ArrayLike) -> dict[str, Array]:
+    """Return the arguments as arrays, refusing what the model cannot mean."""
+    values = {
+        name: between(name, value, -1.0, 1.0) if name == "poisson_ratio" else positive(name, value)
+        for name, value in arguments.items()
+    }
+    try:
+        np.broadcast_shapes(*(array.shape for array in values.values()))
+    except ValueError:
+        shapes = ", ".join(f"{name} {array.shape}" for name, array in values.items())
+        raise ValueError(f"the arguments' shapes must broadcast together, got {shapes}") from None
+    if "probe_half_width" in values:
+        c, a = np.broadcast_arrays(values["probe_half_width"], values["dimple_radius"])
+        if (c >= a).any():
+            worst = np.argmax(c / a)
+            raise ValueError(
+                "probe_half_width must be below dimple_radius (0 < c/a < 1), "
+                f"got {c.flat[worst]:g} and {a.flat[worst]:g} µm"
+            )
+    return values
+
+
+def _within(name: str, value: ArrayLike, low: Array, high: Array) -> Array:
+    array = as_array(name, value)
+    try:
+        outside = (array < low) | (array > high)
+    except ValueError:
+        raise ValueError(
+            f"{name} must broadcast with the geometry, got {array.shape} and {np.shape(low + high)}"
+        ) from None
+    if outside.any():
+        worst = np.broadcast_to(array, outside.shape)[outside].flat[0]
+        raise ValueError(
+            f"{name} must lie between probe_half_width and dimple_radius, got {worst:g} µm"
+        )
+    return array
+
+
+def _warn_if_steep(dimple_radius: Array, depth: Array) -> None:
+    steepest = float(np.max(depth / dimple_radius))
+    if steepest > SMALL_SLOPE_LIMIT:
+        warnings.warn(
+            f"w_d/a = {steepest:.2f} > {SMALL_SLOPE_LIMIT}: the small-slope model overstates "
+            "the strain and so understates the modulus; compare mean_strain with areal_strain",
+            SmallSlopeWarning,
+            stacklevel=3,
+        )

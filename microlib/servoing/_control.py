@@ -1,0 +1,435 @@
+"""Image-based visual servoing: the Jacobian of point features and the control laws.
+
+The simulated workstation is in `workstation`, the figures of merit and the paths in
+`servo_metrics`; their public names can be imported from here, too.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from microlib._common import Array, as_array, between, positive, same_length
+from microlib.servoing._metrics import (
+    PathMetrics,
+    StepMetrics,
+    circle_path,
+    path_metrics,
+    sinusoid_path,
+    square_path,
+    step_metrics,
+)
+from microlib.servoing._workstation import Camera, Simulation, Stage, simulate, tracked_view
+
+__all__ = [
+    "Camera",
+    "OptimalController",
+    "PathMetrics",
+    "PredictiveController",
+    "Simulation",
+    "Stage",
+    "StepMetrics",
+    "circle_path",
+    "ibvs_control",
+    "loop_poles",
+    "optimal_control",
+    "optimal_gain",
+    "path_metrics",
+    "point_jacobian",
+    "simulate",
+    "sinusoid_path",
+    "square_path",
+    "step_metrics",
+    "tracked_view",
+]
+
+
+#: Smallest ratio of singular values of a Jacobian that still counts as full rank.
+_RANK = 1e-10
+
+
+def point_jacobian(
+    points: ArrayLike, *, depth: ArrayLike, magnification: float, pixel_size: ArrayLike
+) -> Array:
+    r"""Return the image Jacobian of points rigidly attached to the end effector (2.25).
+
+    With weak perspective, :math:`x_s = M X / s_x` (2.21)–(2.22), its rate (2.23) and
+    :math:`\dot P = V + Ω × P` (2.24),
+
+    .. math::
+
+        \begin{pmatrix} \dot x_s \\ \dot y_s \end{pmatrix} =
+        \begin{pmatrix}
+        \frac{M}{s_x} & 0 & 0 & 0 & \frac{M}{s_x} Z & -\frac{s_y}{s_x} y_s \\
+        0 & \frac{M}{s_y} & 0 & -\frac{M}{s_y} Z & 0 & \frac{s_x}{s_y} x_s
+        \end{pmatrix} (V_x, V_y, V_z, ω_x, ω_y, ω_z)^T .
+
+    Parameters
+    ----------
+    points : array_like, shape (N, 2) or (2,)
+        (x_s, y_s) in px from the image centre.
+    depth : array_like, shape (N,) or ()
+        Z of the points in the objective's frame, µm.
+    magnification : float
+        Total magnification M.
+    pixel_size : array_like, shape (2,) or ()
+        Width and height (s_x, s_y) of a sensor cell, µm.
+
+    Returns
+    -------
+    ndarray, shape (2N, 6)
+        Two rows (x, y) a point; px/µm for the translations and px/rad for the rotations.
+
+    Raises
+    ------
+    ValueError
+        If a shape does not fit, a value is not finite, or the magnification or a pixel size is not
+        positive.
+
+    Notes
+    -----
+    The thesis calls s_x and s_y effective pixel sizes, the name that §5.4 gives to s/M.
+    Equation (2.22) holds for the cells of the sensor; with s/M the magnification would count twice.
+
+    Examples
+    --------
+    >>> point_jacobian((10, 20), depth=0.0, magnification=1.6, pixel_size=8.0)
+    array([[  0.2,   0. ,   0. ,   0. ,   0. , -20. ],
+           [  0. ,   0.2,   0. ,  -0. ,   0. ,  10. ]])
+    """
+    xy = np.atleast_2d(as_array("points", points))
+    xy = as_array("points", xy, shape=(None, 2))
+    z = np.atleast_1d(as_array("depth", depth))
+    z = as_array("depth", np.broadcast_to(z, len(xy)) if z.size == 1 else z, shape=(None,))
+    same_length(("points", "depth"), xy, z)
+    cell = as_array(
+        "pixel_size", np.broadcast_to(positive("pixel_size", pixel_size), 2), shape=(2,)
+    )
+    scale_x, scale_y = float(positive("magnification", magnification)) / cell
+    aspect = cell[1] / cell[0]
+    jacobian = np.zeros((len(xy), 2, 6))
+    jacobian[:, 0, 0] = scale_x
+    jacobian[:, 0, 4] = scale_x * z
+    jacobian[:, 0, 5] = -aspect * xy[:, 1]
+    jacobian[:, 1, 1] = scale_y
+    jacobian[:, 1, 3] = -scale_y * z
+    jacobian[:, 1, 5] = xy[:, 0] / aspect
+    return jacobian.reshape(-1, 6)
+
+
+def optimal_gain(
+    jacobian: ArrayLike, *, interval: float, feature_weight: ArrayLike, control_weight: ArrayLike
+) -> Array:
+    """Return the matrix of (2.28) that turns a feature error into a velocity, u = −K e.
+
+    Parameters
+    ----------
+    jacobian, interval, feature_weight, control_weight
+        As in `optimal_control`.
+
+    Returns
+    -------
+    ndarray, shape (n, m)
+        K. The gain of the loop is T·J·K: how much of the error one sample takes away.
+
+    Raises
+    ------
+    ValueError
+        As `optimal_control`.
+
+    Examples
+    --------
+    >>> optimal_gain([[2.0]], interval=0.5, feature_weight=[3.0], control_weight=[1.0])
+    array([[0.75]])
+    """
+    matrix = _full_rank(jacobian)
+    step = float(positive("interval", interval)) * matrix
+    q = _weight("feature_weight", feature_weight, matrix.shape[0])
+    weight = _weight("control_weight", control_weight, matrix.shape[1])
+    return np.linalg.solve(step.T @ q @ step + weight, step.T @ q)
+
+
+def optimal_control(
+    jacobian: ArrayLike,
+    feature: ArrayLike,
+    target: ArrayLike,
+    *,
+    interval: float,
+    feature_weight: ArrayLike,
+    control_weight: ArrayLike,
+) -> Array:
+    r"""Return the velocity that minimises the one-step cost (2.27), which is (2.28).
+
+    The features follow f(k+1) = f(k) + T J u(k) (2.26).
+
+    .. math:: u(k) = -(T J^T Q T J + L)^{-1}\, T J^T Q\, (f(k) - f^*(k+1))
+
+    Parameters
+    ----------
+    jacobian : array_like, shape (m, n)
+        Image Jacobian at f(k).
+    feature : array_like, shape (m,)
+        f(k), the features as measured.
+    target : array_like, shape (m,)
+        f*(k+1), the features wanted at the *next* sample.
+    interval : float
+        Sampling time T in s.
+    feature_weight : array_like, shape (m, m) or (m,)
+        Q, symmetric and positive definite, or its diagonal.
+    control_weight : array_like, shape (n, n) or (n,)
+        L, likewise.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Velocity u(k), in the unit of length of the Jacobian per second.
+
+    Raises
+    ------
+    ValueError
+        If a shape does not fit, the interval is not positive, a weight is not symmetric and
+        positive definite, or the Jacobian is singular.
+
+    Notes
+    -----
+    L has the unit px²·s²/length², so that its number means nothing without the Jacobian's
+    unit of length: the weights of §5.4 make a nearly dead-beat loop with px/mm and one of minutes
+    with px/µm.
+
+    Examples
+    --------
+    >>> optimal_control(np.eye(2), (0, 0), (1, -2), interval=1.0,
+    ...                 feature_weight=(1, 1), control_weight=(1, 3))
+    array([ 0.5, -0.5])
+    """
+    gain = optimal_gain(
+        jacobian, interval=interval, feature_weight=feature_weight, control_weight=control_weight
+    )
+    now = as_array("feature", feature, shape=(gain.shape[1],))
+    wanted = as_array("target", target, shape=(gain.shape[1],))
+    return gain @ (wanted - now)
+
+
+def ibvs_control(
+    jacobian: ArrayLike, error: ArrayLike, *, gain: float, drift: ArrayLike | None = None
+) -> Array:
+    r"""Return the classical proportional law (2.3), which makes the error decay as exp(−λt).
+
+    The error e = f − f* (2.1) changes as J r + ∂e/∂t (2.2); with an exact Jacobian the law cancels
+    the drift and leaves the decay, with an estimated one (2.4) holds.
+
+    .. math:: \dot r = -λ J^+ e - J^+ \widehat{\partial e / \partial t}
+
+    Parameters
+    ----------
+    jacobian : array_like, shape (m, n)
+        Image Jacobian.
+    error : array_like, shape (m,)
+        e = f − f* in px.
+    gain : float
+        λ in 1/s.
+    drift : array_like, shape (m,), optional
+        ∂e/∂t in px/s: how the error changes while the end effector rests; none by default.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Velocity, in the unit of length of the Jacobian per second.
+
+    Raises
+    ------
+    ValueError
+        If a shape does not fit, the gain is not positive, or the Jacobian is singular.
+
+    Examples
+    --------
+    >>> ibvs_control([[0.5, 0.0], [0.0, 0.5]], (1.0, -1.0), gain=2.0)
+    array([-4.,  4.])
+    """
+    matrix = _full_rank(jacobian)
+    wanted = -float(positive("gain", gain)) * as_array("error", error, shape=(len(matrix),))
+    if drift is not None:
+        wanted = wanted - as_array("drift", drift, shape=(len(matrix),))
+    return np.linalg.pinv(matrix) @ wanted
+
+
+def loop_poles(gain: float, delay: float = 0.0) -> NDArray[np.complex128]:
+    """Return the closed-loop poles of an integrator under delayed proportional control.
+
+    A command that takes effect `delay` = n + θ samples late moves the feature by
+    f(k+1) = f(k) + (1 − θ) u(k−n) + θ u(k−n−1); with u = −g f the poles solve
+
+        z^(n+1) (z − 1) + g ((1 − θ) z + θ) = 0.
+
+    Without delay that is z (z − 1 + g), with one sample z (z² − z + g), stable for g < 1.
+
+    Parameters
+    ----------
+    gain : float
+        Loop gain g: share of the error that one sample takes away without delay.
+    delay : float, optional
+        Delay in samples.
+
+    Returns
+    -------
+    ndarray of complex
+        Poles, largest modulus first; the loop is stable if it is below 1.
+
+    Raises
+    ------
+    ValueError
+        If the gain is not positive or the delay is negative.
+
+    Examples
+    --------
+    >>> abs(loop_poles(0.81, 1.0)).round(3)
+    array([0.9, 0.9, 0. ])
+    """
+    g = float(positive("gain", gain))
+    whole, part = divmod(float(positive("delay", delay, zero=True)), 1.0)
+    polynomial = np.zeros(int(whole) + 3)
+    polynomial[:2] = 1.0, -1.0
+    polynomial[-2:] += g * (1.0 - part), g * part
+    poles = np.roots(polynomial)
+    return poles[np.argsort(-np.abs(poles))].astype(np.complex128)
+
+
+class OptimalController:
+    """The controller (2.28) with a constant Jacobian, towards the reference one sample ahead.
+
+    Parameters
+    ----------
+    jacobian : array_like, shape (2, 2)
+        px/µm, as calibrated.
+    interval, feature_weight, control_weight
+        As in `optimal_control`, with the Jacobian's µm as the unit of length.
+
+    Examples
+    --------
+    >>> control = OptimalController(
+    ...     np.eye(2), interval=0.5, feature_weight=(1, 1), control_weight=(0.25, 0.25)
+    ... )
+    >>> control(0, np.zeros(2), np.array([[0.0, 0.0], [1.0, 2.0]]))
+    array([1., 2.])
+    """
+
+    def __init__(
+        self,
+        jacobian: ArrayLike,
+        *,
+        interval: float,
+        feature_weight: ArrayLike,
+        control_weight: ArrayLike,
+    ) -> None:
+        self._gain = optimal_gain(
+            jacobian,
+            interval=interval,
+            feature_weight=feature_weight,
+            control_weight=control_weight,
+        )
+
+    def __call__(self, k: int, measured: Array, reference: Array) -> Array:
+        """Return the velocity for sample `k`, µm/s; zero if the feature is lost."""
+        error = measured - reference[min(k + 1, len(reference) - 1)]
+        return -self._gain @ error if np.isfinite(error).all() else np.zeros(len(error))
+
+
+class PredictiveController:
+    """A controller that knows the loop's delay.
+
+    It carries its own estimate of the feature from frame to frame with the commands that it gave,
+    corrects it by a share of what is measured, and applies (2.28) to where the feature will be, and
+    should be, once the command takes effect. Delay then costs no stability, noise is averaged, and
+    a lost frame is bridged.
+
+    Parameters
+    ----------
+    jacobian, interval, feature_weight, control_weight
+        As in `OptimalController`.
+    delay : float
+        From an exposure until its command takes effect, s; the drive's lag adds to it.
+    saturation : float
+        Largest speed of the stage, µm/s: the estimate must know what was really executed.
+    trust : float, optional
+        Share of the innovation that corrects the estimate; 1 believes every measurement.
+
+    Raises
+    ------
+    ValueError
+        As `optimal_control`, and if the delay is negative, or the saturation or the trust is not
+        positive.
+    """
+
+    def __init__(
+        self,
+        jacobian: ArrayLike,
+        *,
+        interval: float,
+        feature_weight: ArrayLike,
+        control_weight: ArrayLike,
+        delay: float,
+        saturation: float,
+        trust: float = 0.3,
+    ) -> None:
+        self._gain = optimal_gain(
+            jacobian,
+            interval=interval,
+            feature_weight=feature_weight,
+            control_weight=control_weight,
+        )
+        self._step = interval * as_array("jacobian", jacobian, shape=(None, None))
+        self._delay = float(positive("delay", delay, zero=True)) / interval
+        self._limit = float(positive("saturation", saturation))
+        self._trust = float(between("trust", trust, 0.0, 1.0, closed=True))
+        whole = int(self._delay)
+        self._part = self._delay - whole
+        # Commands not yet executed in full, oldest first.
+        self._pending = np.zeros((whole + 1, self._step.shape[1]))
+        self._estimate: Array | None = None
+
+    def __call__(self, k: int, measured: Array, reference: Array) -> Array:
+        """Return the velocity for sample `k`, µm/s."""
+        if not np.isfinite(measured).all():
+            if self._estimate is None:
+                return np.zeros(self._step.shape[1])
+        elif self._estimate is None:
+            self._estimate = measured.copy()
+        else:
+            self._estimate = self._estimate + self._trust * (measured - self._estimate)
+        coming = self._part * self._pending[0] + self._pending[1:].sum(axis=0)
+        ahead = self._estimate + self._step @ coming
+        last = len(reference) - 1.0
+        when = min(k + 1 + self._delay, last)
+        before = int(when)
+        after = min(before + 1, int(last))
+        target = reference[before] + (when - before) * (reference[after] - reference[before])
+        command = np.clip(self._gain @ (target - ahead), -self._limit, self._limit)
+        queue = np.vstack([self._pending, command])
+        self._estimate = self._estimate + self._step @ (
+            self._part * queue[0] + (1.0 - self._part) * queue[1]
+        )
+        self._pending = queue[1:]
+        return command
+
+
+def _full_rank(jacobian: ArrayLike) -> Array:
+    matrix = as_array("jacobian", jacobian, shape=(None, None))
+    values = np.linalg.svd(matrix, compute_uv=False)
+    if values[-1] <= _RANK * values[0]:
+        raise ValueError(
+            "jacobian must have full rank without the motions that the features do not show, "
+            f"got singular values from {values[0]:.3g} to {values[-1]:.3g}"
+        )
+    return matrix
+
+
+def _weight(name: str, value: ArrayLike, size: int) -> Array:
+    weight = as_array(name, value)
+    matrix = np.diag(weight) if weight.ndim == 1 else weight
+    matrix = as_array(name, matrix, shape=(size, size))
+    if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
+        raise ValueError(f"{name} must be symmetric")
+    least = float(np.linalg.eigvalsh(matrix)[0])
+    if least <= 0:
+        raise ValueError(f"{name} must be positive definite, got the eigenvalue {least:g}")
+    return matrix

@@ -1,0 +1,252 @@
+"""A simulated microassembly workstation: stage, camera and the visual loop closed over them.
+
+The stage answers a velocity command exactly, as a saturated first-order lag, so that the loop's
+time step is the camera's and no integration error enters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from microlib._common import Array, as_array, positive
+
+__all__ = ["Camera", "Controller", "Observer", "Simulation", "Stage", "simulate", "tracked_view"]
+
+
+#: Given the number of the sample, the measured feature (px, NaN if lost) and all references, a
+#: velocity in µm/s.
+Controller = Callable[[int, Array, Array], Array]
+
+#: Given where the feature is in the image (px), where it is measured to be; NaN if it is lost.
+Observer = Callable[[Array], Array]
+
+
+class Tracked(Protocol):
+    """What a tracker says of a frame."""
+
+    @property
+    def center(self) -> Array: ...
+
+    @property
+    def lost(self) -> bool: ...
+
+
+class Tracker(Protocol):
+    """Follows a feature through frames."""
+
+    def track(self, frame: Any, /) -> Tracked: ...
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A two-axis stage with its own position loop.
+
+    Attributes
+    ----------
+    saturation : float
+        Largest speed of an axis, µm/s.
+    lag : float
+        Time constant in s with which the velocity follows its command.
+    step : float
+        Position increment, µm (0.05 for the stages of §5.1).
+    travel : float
+        Range of an axis, ± µm around the start.
+    """
+
+    saturation: float
+    lag: float = 0.0
+    step: float = 0.05
+    travel: float = 7500.0
+
+    def __post_init__(self) -> None:
+        positive("saturation", self.saturation)
+        positive("lag", self.lag, zero=True)
+        positive("step", self.step, zero=True)
+        positive("travel", self.travel)
+
+    def move(
+        self, position: Array, velocity: Array, command: Array, duration: float
+    ) -> tuple[Array, Array]:
+        """Return position (µm) and velocity (µm/s) after a constant command for `duration` s."""
+        target = np.clip(command, -self.saturation, self.saturation)
+        left = np.exp(-duration / self.lag) if self.lag > 0 else 0.0
+        moved = target * duration + (velocity - target) * self.lag * (1.0 - left)
+        return position + moved, target + (velocity - target) * left
+
+    def shown(self, position: Array) -> Array:
+        """Return the position as the increments of the drive allow it, µm."""
+        return np.rint(position / self.step) * self.step if self.step > 0 else position
+
+
+@dataclass(frozen=True)
+class Camera:
+    """When the loop sees and how well.
+
+    Attributes
+    ----------
+    interval : float
+        Time between exposures, s.
+    latency : float
+        From an exposure until the command computed from it takes effect, s.
+    jitter : float
+        Standard deviation in px of a shake of the whole image, along either axis and anew in each
+        frame.
+    """
+
+    interval: float
+    latency: float = 0.0
+    jitter: float = 0.0
+
+    def __post_init__(self) -> None:
+        positive("interval", self.interval)
+        positive("latency", self.latency, zero=True)
+        positive("jitter", self.jitter, zero=True)
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """What happened, one row a frame.
+
+    Attributes
+    ----------
+    time : ndarray, shape (K,)
+        Of the exposures, s.
+    reference, feature, measured : ndarray, shape (K, 2)
+        Wanted, true and measured feature in px; a lost measurement is NaN.
+    position : ndarray, shape (K, 2)
+        Of the stage, µm from the start.
+    command : ndarray, shape (K, 2)
+        Velocity asked for after each frame, µm/s, as the stage executes it: within its saturation.
+    saturated : ndarray of bool, shape (K,)
+        Where more was asked for than the stage can do.
+    """
+
+    time: Array
+    reference: Array
+    feature: Array
+    measured: Array
+    position: Array
+    command: Array
+    saturated: NDArray[np.bool_]
+
+
+def simulate(
+    controller: Controller,
+    reference: ArrayLike,
+    *,
+    jacobian: ArrayLike,
+    stage: Stage,
+    camera: Camera,
+    rng: np.random.Generator,
+    start: ArrayLike | None = None,
+    observer: Observer | None = None,
+) -> Simulation:
+    """Close the loop of figure 2.3: exposure, measurement, control law, and the stage until the
+    next exposure.
+
+    Parameters
+    ----------
+    controller : callable
+        For example `OptimalController`.
+    reference : array_like, shape (K, 2)
+        Wanted feature at each exposure, px.
+    jacobian : array_like, shape (2, 2)
+        The true px/µm of the two axes, which the controller need not know exactly.
+    stage, camera : Stage, Camera
+        The apparatus.
+    rng : numpy.random.Generator
+        Source of the jitter.
+    start : array_like, shape (2,), optional
+        First feature, px; the first reference by default.
+    observer : callable, optional
+        Measures the feature, for example by rendering a frame and tracking it (`tracked_view`). By
+        default it is known up to the jitter: the fast mode.
+
+    Returns
+    -------
+    Simulation
+        What happened at each exposure.
+
+    Raises
+    ------
+    ValueError
+        If a shape does not fit, the Jacobian is singular, or the reference lies beyond the stage's
+        travel. A reference that moves faster than the stage is followed as far as it goes and
+        ``saturated`` says so.
+
+    Examples
+    --------
+    >>> def proportional(k, measured, reference):
+    ...     return 10.0 * (reference[k] - measured)
+    >>> run = simulate(proportional, np.full((80, 2), 5.0), jacobian=np.eye(2), start=(0, 0),
+    ...                stage=Stage(saturation=100.0), camera=Camera(interval=0.02),
+    ...                rng=np.random.default_rng(0))
+    >>> run.feature[-1].round(1)
+    array([5., 5.])
+    """
+    wanted = as_array("reference", reference, shape=(None, 2))
+    matrix = as_array("jacobian", jacobian, shape=(2, 2))
+    if np.linalg.cond(matrix) > 1e10:
+        raise ValueError("jacobian must be regular, got a singular one")
+    origin = wanted[0] if start is None else as_array("start", start, shape=(2,))
+    needed = np.abs(np.linalg.solve(matrix, (wanted - origin).T)).max()
+    if needed > stage.travel:
+        raise ValueError(
+            f"reference must lie within ±{stage.travel:g} µm of the start, got {needed:.0f} µm"
+        )
+    count = len(wanted)
+    whole, part = divmod(camera.latency / camera.interval, 1.0)
+    first = int(whole) + 1
+    queue = np.zeros((count + first, 2))  # queue[k + first] is the command computed at exposure k
+    position: Array = np.zeros(2)
+    velocity: Array = np.zeros(2)
+    feature, measured, positions = np.empty((3, count, 2))
+    saturated = np.zeros(count, bool)
+    for k in range(count):
+        positions[k] = stage.shown(position)
+        feature[k] = origin + matrix @ positions[k]
+        seen = feature[k] + camera.jitter * rng.standard_normal(2)
+        measured[k] = seen if observer is None else observer(seen)
+        command = as_array("command", controller(k, measured[k], wanted), shape=(2,))
+        saturated[k] = np.abs(command).max() > stage.saturation
+        queue[k + first] = np.clip(command, -stage.saturation, stage.saturation)
+        for active, share in ((queue[k], part), (queue[k + 1], 1.0 - part)):
+            position, velocity = stage.move(position, velocity, active, share * camera.interval)
+    return Simulation(
+        time=camera.interval * np.arange(count),
+        reference=wanted,
+        feature=feature,
+        measured=measured,
+        position=positions,
+        command=queue[first:],
+        saturated=saturated,
+    )
+
+
+def tracked_view(render: Callable[[Array], ArrayLike], tracker: Tracker) -> Observer:
+    """Return an observer that renders a frame and measures the mean of the tracked corners (§5.4).
+
+    Parameters
+    ----------
+    render : callable
+        Returns the frame that shows the feature at (x, y) px.
+    tracker : object with a method ``track(frame)``
+        Started at the first frame, such as `microlib.tracking.ESMTracker`. What ``track`` returns
+        has ``center``, (x, y) px, and ``lost``; a lost track is measured as NaN.
+
+    Returns
+    -------
+    callable
+        Observer for `simulate`.
+    """
+
+    def observe(feature: Array) -> Array:
+        track = tracker.track(render(feature))
+        return np.full(2, np.nan) if track.lost else track.center
+
+    return observe

@@ -1,0 +1,563 @@
+"""A zebrafish embryo under an AFM probe, rendered as the workstation's Sony camera sees it.
+
+The outline is that of the biomembrane point-load model, so the modulus behind every image is known.
+Lengths are in µm, forces in µN, moduli in MPa; image coordinates in px.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.spatial import cKDTree
+from scipy.special import beta, ndtr
+
+from microlib._common import Array, between, positive, whole
+from microlib.membrane import SmallSlopeWarning, dimple_depth, dimple_profile
+
+__all__ = ["SONY_PIXEL_SIZE", "Embryo", "EmbryoImage", "embryo_image", "embryo_sequence"]
+
+#: Pixel of the Sony XCD-X710CR (4.65 µm cells) behind the magnification 1.2, in µm.
+SONY_PIXEL_SIZE = 4.65 / 1.2
+
+_SONY_SHAPE = (768, 1024)
+
+# Grey levels (0–255) of the scene under even light.
+_BACKGROUND, _FLUID, _YOLK, _CHORION, _PROBE, _SENSOR = 195.0, 168.0, 112.0, 60.0, 42.0, 58.0
+
+_SENSOR_HALF_WIDTH = 60.0  # µm
+_YOLK_GAP = 55.0  # µm between yolk and chorion
+
+_POWER = 2.5  # of the superellipse below the equator; 2 is an ellipse
+
+# The scene is drawn on a grid finer than the sensor's, with edges of a Gaussian width (px of the
+# sensor) that is blurred to the wanted one afterwards: narrow enough for every outline to be
+# straight across it, wide enough for the finer grid to carry it.
+_SUPERSAMPLING = 2
+_DRAWN_BLUR = 0.45
+
+
+@dataclass(frozen=True)
+class Embryo:
+    """
+    An embryo pressed by a probe from above and held from below.
+
+    Attributes
+    ----------
+    modulus : float
+        Elastic modulus E of the chorion, in MPa.
+    force : float
+        Force F of the probe, in µN; 0 is an untouched, round embryo.
+    dimple_radius : float
+        Dimple radius a, in µm; without meaning when the force is 0.
+    thickness : float
+        Thickness h of the chorion, in µm.
+    probe_half_width : float
+        Half-width c of the probe, in µm.
+    poisson_ratio : float
+        Poisson ratio ν of the chorion.
+    radius : float
+        Radius of the untouched sphere, in µm, which the equator keeps.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of range or no embryo of this volume can have such a dimple.
+
+    Notes
+    -----
+    The outline, the middle of the chorion, is the meridian of a body of revolution in three parts
+    that share their tangents: the dimple (4.2) from the probe to the rim; a quarter ellipse from
+    the rim to the equator, with the dimple's curvature at the rim; below the equator a superellipse
+    of the power 2.5, flattened where the sensor holds it and as deep as it takes to keep the volume
+    (the second assumption of the model). Under the probe the membrane is flat.
+
+    Examples
+    --------
+    >>> embryo = Embryo(modulus=1.3237, force=197.24, dimple_radius=246.95)
+    >>> print(f"{embryo.dimple_depth:.2f} µm")  # Table 5.6 prints 121.22
+    121.22 µm
+    """
+
+    modulus: float
+    force: float
+    dimple_radius: float
+    thickness: float = 3.0
+    probe_half_width: float = 25.0
+    poisson_ratio: float = 0.5
+    radius: float = 600.0
+
+    def __post_init__(self) -> None:
+        positive("modulus", self.modulus)
+        positive("force", self.force, zero=True)
+        positive("thickness", self.thickness)
+        positive("probe_half_width", self.probe_half_width)
+        between("poisson_ratio", self.poisson_ratio, -1.0, 1.0)
+        positive("radius", self.radius)
+        if self.force > 0:
+            between("dimple_radius", self.dimple_radius, self.probe_half_width, self.radius)
+            if self._half_axes()[2] <= self.dimple_depth:
+                raise ValueError(
+                    f"dimple_radius must suit an embryo of {self.radius:g} µm radius, got "
+                    f"{self.dimple_radius:g} µm with a dimple {self.dimple_depth:.0f} µm deep"
+                )
+
+    @classmethod
+    def pressed(
+        cls, force: float, *, modulus: float, rim_radius: float = 450.0, **properties: float
+    ) -> Embryo:
+        """
+        Return the embryo whose rim is as round as `rim_radius` says; its dimple radius follows.
+
+        Parameters
+        ----------
+        force, modulus : float
+            As in `Embryo`; the force is positive.
+        rim_radius : float
+            Radius of curvature of the outline at the rim, in µm.
+        **properties : float
+            The other attributes of `Embryo`.
+
+        Returns
+        -------
+        Embryo
+
+        Raises
+        ------
+        ValueError
+            If no dimple between the probe's width and the embryo's has such a rim.
+
+        Notes
+        -----
+        With a constant rim radius the dimple widens as the force rises and w_d grows roughly as √F.
+        That is an assumption of the scene; the model itself leaves a free.
+
+        Examples
+        --------
+        >>> embryo = Embryo.pressed(197.24, modulus=1.3237)
+        >>> print(f"radius {embryo.dimple_radius:.0f} µm, depth {embryo.dimple_depth:.0f} µm")
+        radius 246 µm, depth 121 µm
+        """
+        positive("force", force)
+        positive("rim_radius", rim_radius)
+        untouched = cls(modulus, 0.0, 1.0, **properties)
+        c = untouched.probe_half_width
+
+        def excess(radius: float) -> float:
+            depth = _depth(untouched, force, radius)
+            return _rim_radius(radius, depth, c) - rim_radius
+
+        narrowest, widest = 1.01 * c, 0.95 * untouched.radius
+        if not excess(narrowest) < 0 < excess(widest):
+            raise ValueError(
+                f"force must give a dimple between the probe and the equator when the rim's radius "
+                f"is {rim_radius:g} µm, got {force:g} µN"
+            )
+        return cls(modulus, force, brentq(excess, narrowest, widest), **properties)
+
+    @classmethod
+    def dented(
+        cls, depth: float, *, modulus: float, rim_radius: float = 450.0, **properties: float
+    ) -> Embryo:
+        """
+        Return the embryo with a dimple of a given depth; radius and force follow.
+
+        Parameters
+        ----------
+        depth : float
+            Dimple depth w_d, in µm, positive.
+        modulus, rim_radius, **properties : float
+            As in `Embryo.pressed`.
+
+        Returns
+        -------
+        Embryo
+
+        Raises
+        ------
+        ValueError
+            If no dimple between the probe's width and the embryo's has such a depth and rim.
+
+        Examples
+        --------
+        >>> embryo = Embryo.dented(121.22, modulus=1.3237)
+        >>> print(f"radius {embryo.dimple_radius:.0f} µm, force {embryo.force:.0f} µN")
+        radius 247 µm, force 198 µN
+        """
+        positive("depth", depth)
+        positive("rim_radius", rim_radius)
+        untouched = cls(modulus, 0.0, 1.0, **properties)
+        c = untouched.probe_half_width
+
+        def excess(radius: float) -> float:
+            return _rim_radius(radius, depth, c) - rim_radius
+
+        narrowest, widest = 1.01 * c, 0.95 * untouched.radius
+        if not excess(narrowest) < 0 < excess(widest):
+            raise ValueError(
+                "depth must suit a dimple between the probe and the equator when the rim's radius "
+                f"is {rim_radius:g} µm, got {depth:g} µm"
+            )
+        radius = brentq(excess, narrowest, widest)
+        # The depth grows with the cube root of the force.
+        force = (depth / _depth(untouched, 1.0, radius)) ** 3
+        return cls(modulus, force, radius, **properties)
+
+    @property
+    def dimple_depth(self) -> float:
+        """Depth w_d of the membrane under the probe below the rim, in µm."""
+        return _depth(self, self.force, self.dimple_radius) if self.force > 0 else 0.0
+
+    @property
+    def height(self) -> float:
+        """Distance from the rim to the far side, in µm."""
+        if self.force == 0:
+            return 2 * self.radius
+        _, upper, lower = self._half_axes()
+        return upper + lower
+
+    def outline(self, spacing: float = 0.25) -> Array:
+        """
+        Return the closed outline, clockwise from the middle of the dimple.
+
+        Parameters
+        ----------
+        spacing : float
+            Distance of the points, in µm.
+
+        Returns
+        -------
+        ndarray, shape (N, 2)
+            Points (x, y) in µm, x from the probe's axis to the right, y up from the rim.
+
+        Raises
+        ------
+        ValueError
+            If `spacing` is not positive.
+
+        Examples
+        --------
+        >>> embryo = Embryo(1.3237, 197.24, 246.95)
+        >>> outline = embryo.outline(1.0)
+        >>> print(f"from {outline[:, 1].min():.0f} µm to {abs(outline[:, 1].max()):.2f} µm")
+        from -1059 µm to 0.00 µm
+        """
+        positive("spacing", spacing)
+        quarter = np.linspace(0.0, np.pi / 2, 4001)
+        if self.force == 0:
+            half = self.radius * np.stack([np.sin(2 * quarter), np.cos(2 * quarter) - 1], axis=1)
+        else:
+            a, c = self.dimple_radius, self.probe_half_width
+            across, upper, lower = self._half_axes()
+            r = np.geomspace(c, a, 8001)
+            r[0], r[-1] = c, a
+            dimple = -dimple_profile(r, a, self.dimple_depth, probe_half_width=c)
+            half = np.concatenate(
+                [
+                    [[0.0, -self.dimple_depth]],
+                    np.stack([r, dimple], axis=1),
+                    np.stack([a + across * np.sin(quarter), upper * (np.cos(quarter) - 1)], 1)[1:],
+                    np.stack(
+                        [
+                            self.radius * np.cos(quarter) ** (2 / _POWER),
+                            -upper - lower * np.sin(quarter) ** (2 / _POWER),
+                        ],
+                        1,
+                    )[1:],
+                ]
+            )
+        closed = np.concatenate([half, half[-2::-1] * [-1, 1]])
+        length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))])
+        even = np.arange(0.0, length[-1] - spacing / 2, spacing)
+        return np.stack([np.interp(even, length, column) for column in closed.T], axis=1)
+
+    def _half_axes(self) -> tuple[float, float, float]:
+        """Width and height of the outline from rim to equator, height below it, in µm."""
+        a, c, depth = self.dimple_radius, self.probe_half_width, self.dimple_depth
+        across = self.radius - a
+        upper = across**2 / _rim_radius(a, depth, c)
+        # Volumes over π. The dimple's integral of w r dr, with (4.2), is elementary.
+        zeta2 = (c / a) ** 2
+        scale = depth / (zeta2 - 1 - np.log(zeta2))
+        bowl = 2 * scale * a**2 * (1 - zeta2**2 + 2 * zeta2 * np.log(zeta2)) / 4 + c**2 * depth
+        above = upper * (a**2 + np.pi / 2 * a * across + 2 / 3 * across**2) - bowl
+        # ∫ (1 − tⁿ)^(2/n) dt over [0, 1]; 2/3 for an ellipse.
+        fullness = beta(1 / _POWER, 1 + 2 / _POWER) / _POWER
+        lower = (4 / 3 * self.radius**3 - above) / (fullness * self.radius**2)
+        return across, upper, lower
+
+
+def _depth(embryo: Embryo, force: float, radius: float) -> float:
+    """Depth from (4.7). The scene obeys the model also where the model's small slopes end."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SmallSlopeWarning)
+        return float(
+            dimple_depth(
+                force,
+                radius,
+                embryo.modulus,
+                thickness=embryo.thickness,
+                probe_half_width=embryo.probe_half_width,
+                poisson_ratio=embryo.poisson_ratio,
+            )
+        )
+
+
+def _rim_radius(radius: float, depth: float, probe_half_width: float) -> float:
+    """Radius of curvature of (4.2) at r = a."""
+    zeta2 = (probe_half_width / radius) ** 2
+    return radius**2 * (zeta2 - 1 - np.log(zeta2)) / (4 * depth)
+
+
+@dataclass(frozen=True)
+class EmbryoImage:
+    """
+    A rendered embryo and the truth behind it.
+
+    Attributes
+    ----------
+    image : ndarray of uint8, shape (rows, columns)
+        Grey levels.
+    embryo : Embryo
+        What is seen: modulus, force and dimple.
+    pixel_size : float
+        Pixel in the object, in µm.
+    centre : tuple of float
+        Where the probe's axis crosses the height of the rim, (x, y) in px.
+    tilt : float
+        Angle by which the scene is turned clockwise about `centre`, in radians.
+    """
+
+    image: NDArray[np.uint8]
+    embryo: Embryo
+    pixel_size: float
+    centre: tuple[float, float]
+    tilt: float
+
+    def to_pixels(self, points: Array) -> Array:
+        """Return points in µm of the embryo's frame (y up from the rim) as image points, in px."""
+        x, y = np.asarray(points, dtype=np.float64).T / self.pixel_size
+        cos, sin = np.cos(self.tilt), np.sin(self.tilt)
+        return np.stack(
+            [self.centre[0] + cos * x + sin * y, self.centre[1] + sin * x - cos * y], axis=1
+        )
+
+
+def embryo_image(
+    embryo: Embryo,
+    *,
+    rng: np.random.Generator,
+    pixel_size: float = SONY_PIXEL_SIZE,
+    shape: tuple[int, int] = _SONY_SHAPE,
+    centre: tuple[float, float] | None = None,
+    tilt: float = 0.0,
+    blur: float = 1.0,
+    noise: float = 2.0,
+    unevenness: float = 0.1,
+    probe: bool = True,
+) -> EmbryoImage:
+    """
+    Render an embryo between a force-sensing probe (below) and an AFM probe (above).
+
+    Parameters
+    ----------
+    embryo : Embryo
+        What is seen.
+    rng : numpy.random.Generator
+        Source of the light's shape, the yolk's texture and the noise.
+    pixel_size : float
+        Pixel in the object, in µm.
+    shape : tuple of int
+        Rows and columns of the image.
+    centre : tuple of float, optional
+        Where the probe's axis crosses the height of the rim, (x, y) in px; by default the embryo is
+        in the middle of the image.
+    tilt : float
+        Clockwise turn of the scene about `centre`, in radians.
+    blur : float
+        Standard deviation of the Gaussian point spread function, in px, at least 0.5.
+    noise : float
+        Standard deviation of the noise, in grey levels of 255.
+    unevenness : float
+        Largest relative departure of the light from its mean, below 0.5.
+    probe : bool
+        Whether the two probes are in the scene.
+
+    Returns
+    -------
+    EmbryoImage
+        The image and its truth.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+
+    Notes
+    -----
+    The chorion is a dark line of its own thickness around a slightly darker fluid, as in
+    transmitted light; each edge is drawn at its exact place and blurred by the point spread
+    function and the sensor's square cells. What is drawn is the meridian: in a microscope the near
+    part of the rim lies, out of focus, in front of the dimple, which this picture leaves out.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> scene = embryo_image(Embryo.pressed(100.0, modulus=1.0), rng=rng)
+    >>> scene.image.shape, scene.image.dtype.name
+    ((768, 1024), 'uint8')
+    """
+    positive("pixel_size", pixel_size)
+    rows, columns = (whole("shape", n, least=64) for n in shape)
+    between("tilt", tilt, -np.pi, np.pi, closed=True)
+    between("blur", blur, 0.5, 10.0, closed=True)
+    positive("noise", noise, zero=True)
+    between("unevenness", unevenness, 0.0, 0.5, closed=True)
+    if centre is None:
+        centre = ((columns - 1) / 2, (rows - 1 - embryo.height / pixel_size) / 2)
+    blank = np.zeros((rows, columns), dtype=np.uint8)
+    frame = EmbryoImage(blank, embryo, pixel_size, centre, tilt)
+
+    rest = np.sqrt(blur**2 - _DRAWN_BLUR**2) * _SUPERSAMPLING
+    drawn = _draw(frame, rng, probe)
+    blurred = cv2.GaussianBlur(drawn, (0, 0), rest, borderType=cv2.BORDER_REPLICATE)
+    clean = cv2.resize(blurred, (columns, rows), interpolation=cv2.INTER_AREA)
+    lit = clean * _light((rows, columns), unevenness, rng)
+    image = np.clip(np.rint(lit + rng.normal(0.0, noise, lit.shape)), 0, 255).astype(np.uint8)
+    return EmbryoImage(image, embryo, pixel_size, centre, tilt)
+
+
+def embryo_sequence(
+    forces: Iterable[float], *, modulus: float, rng: np.random.Generator, rim_radius: float = 450.0
+) -> list[EmbryoImage]:
+    """
+    Render one embryo under each of `forces`, as the probe is driven into it.
+
+    Parameters
+    ----------
+    forces : iterable of float
+        Forces in µN, one an image.
+    modulus : float
+        Elastic modulus, in MPa.
+    rng : numpy.random.Generator
+        Source of texture and noise.
+    rim_radius : float
+        As in `Embryo.pressed`.
+
+    Returns
+    -------
+    list of EmbryoImage
+        Images of the workstation's camera. The far side of the embryo stays on the sensor.
+
+    Raises
+    ------
+    ValueError
+        As for `Embryo.pressed`.
+
+    Examples
+    --------
+    >>> scenes = embryo_sequence([50.0, 100.0], modulus=1.0, rng=np.random.default_rng(1))
+    >>> [round(scene.embryo.dimple_depth) for scene in scenes]
+    [66, 97]
+    """
+    scenes = []
+    for force in forces:
+        embryo = Embryo.pressed(force, modulus=modulus, rim_radius=rim_radius)
+        bottom = 0.9 * _SONY_SHAPE[0]
+        centre = ((_SONY_SHAPE[1] - 1) / 2, bottom - embryo.height / SONY_PIXEL_SIZE)
+        scenes.append(embryo_image(embryo, rng=rng, centre=centre))
+    return scenes
+
+
+def _draw(frame: EmbryoImage, rng: np.random.Generator, probe: bool) -> NDArray[np.float32]:
+    """Grey levels of the scene under even light, on the finer grid."""
+    embryo, pixel = frame.embryo, frame.pixel_size
+    inside = _signed_distance(frame, embryo.outline())
+    body = ndtr(inside / _DRAWN_BLUR)
+    scene = _BACKGROUND + (_FLUID - _BACKGROUND) * body
+
+    x, y = _embryo_coordinates(frame)
+    yolk = body * ndtr(_yolk_depth(embryo, x, y) / (3 * pixel))
+    texture = cv2.GaussianBlur(rng.standard_normal(x.shape, dtype=np.float32), (0, 0), 6.0)
+    scene += yolk * (_YOLK - _FLUID + 8.0 * texture / np.std(texture))
+
+    half = embryo.thickness / pixel / 2
+    line = ndtr((inside + half) / _DRAWN_BLUR) - ndtr((inside - half) / _DRAWN_BLUR)
+    scene += line * (_CHORION - scene)
+    if probe:
+        tip = -embryo.dimple_depth + embryo.thickness / 2
+        seat = -embryo.height - embryo.thickness / 2
+        for grey, half_width, depth in (
+            (_PROBE, embryo.probe_half_width, y - tip),
+            (_SENSOR, _SENSOR_HALF_WIDTH, seat - y),
+        ):
+            bar = ndtr((half_width - np.abs(x)) / pixel / _DRAWN_BLUR)
+            bar *= ndtr(depth / pixel / _DRAWN_BLUR)
+            scene += bar * (grey - scene)
+    return scene.astype(np.float32)
+
+
+def _embryo_coordinates(frame: EmbryoImage) -> tuple[Array, Array]:
+    """(x, y) in µm of every point of the finer grid, in the embryo's frame."""
+    rows, columns = frame.image.shape
+    # Centres of the fine cells: pixel k of the sensor covers k − ½ to k + ½.
+    u = (np.arange(columns * _SUPERSAMPLING) + 0.5) / _SUPERSAMPLING - 0.5 - frame.centre[0]
+    v = (np.arange(rows * _SUPERSAMPLING) + 0.5) / _SUPERSAMPLING - 0.5 - frame.centre[1]
+    cos, sin = np.cos(frame.tilt), np.sin(frame.tilt)
+    x = cos * u[np.newaxis, :] + sin * v[:, np.newaxis]
+    y = sin * u[np.newaxis, :] - cos * v[:, np.newaxis]
+    return x * frame.pixel_size, y * frame.pixel_size
+
+
+def _signed_distance(frame: EmbryoImage, outline: Array) -> Array:
+    """Distance of the finer grid's points to the outline, in px of the sensor, positive inside.
+
+    It is exact within a few pixels of the outline and cut off beyond, where nothing depends on it.
+    """
+    reach = 8.0
+    fine = (frame.to_pixels(outline) + 0.5) * _SUPERSAMPLING - 0.5
+    rows, columns = (n * _SUPERSAMPLING for n in frame.image.shape)
+    mask = np.zeros((rows, columns), dtype=np.uint8)
+    cv2.fillPoly(mask, [np.rint(fine * 16).astype(np.int32)], 1, shift=4)
+    distance = np.where(mask > 0, reach, -reach)
+
+    band = np.zeros((rows, columns), dtype=np.uint8)
+    thickness = int(2 * reach * _SUPERSAMPLING)
+    cv2.polylines(band, [np.rint(fine).astype(np.int32)], True, 1, thickness)
+    v, u = np.nonzero(band)
+    points = np.stack([u, v], axis=1).astype(np.float64)
+    tangent = np.roll(fine, -1, axis=0) - np.roll(fine, 1, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    # The outline runs clockwise as seen on the screen, so that the inside is on its right.
+    inward = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
+    _, nearest = cKDTree(fine).query(points)
+    offset = points - fine[nearest]
+    along_normal = np.einsum("ij,ij->i", offset, inward[nearest])
+    distance[v, u] = np.clip(along_normal / _SUPERSAMPLING, -reach, reach)
+    return distance
+
+
+def _yolk_depth(embryo: Embryo, x: Array, y: Array) -> Array:
+    """How deep a point lies in the yolk, an ellipse that keeps clear of the chorion, in µm."""
+    top = -embryo.dimple_depth - _YOLK_GAP
+    bottom = -embryo.height + _YOLK_GAP
+    half_width = 0.78 * embryo.radius
+    half_height = min((top - bottom) / 2, half_width)
+    level = np.hypot(x / half_width, (y - (top + bottom) / 2) / half_height)
+    return (1.0 - level) * min(half_width, half_height)
+
+
+def _light(shape: tuple[int, int], unevenness: float, rng: np.random.Generator) -> Array:
+    """Smooth field around 1: a slope and a vignette of random strength and direction."""
+    v, u = (np.linspace(-1.0, 1.0, n) for n in shape)
+    slope_x, slope_y = rng.uniform(-1.0, 1.0, 2)
+    fall = rng.uniform(0.0, 1.0)
+    field = slope_x * u[np.newaxis, :] + slope_y * v[:, np.newaxis]
+    field = field - fall * (u[np.newaxis, :] ** 2 + v[:, np.newaxis] ** 2)
+    field = field - field.mean()
+    return 1.0 + unevenness * field / np.abs(field).max()

@@ -1,0 +1,156 @@
+"""Focal stacks of surfaces of known height."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from microlib._common import as_array, as_image, positive
+from microlib.optics import BlurLadder, gaussian_kernel
+
+__all__ = ["focal_frames", "focal_stack", "thesis_stack"]
+
+
+def focal_frames(
+    texture: ArrayLike,
+    height: ArrayLike,
+    positions: ArrayLike,
+    *,
+    blur_rate: float,
+    sharpest: float = 0.5,
+    noise: float = 0.0,
+    rng: np.random.Generator | None = None,
+) -> Iterator[NDArray[np.uint8]]:
+    """Yield the frames of a focal stack one by one.
+
+    Parameters
+    ----------
+    texture : array_like, shape (rows, cols)
+        Grey levels of the surface in focus.
+    height : array_like, shape (rows, cols)
+        Height of the surface, µm.
+    positions : array_like, shape (n,)
+        Height in focus in each frame, µm.
+    blur_rate : float
+        Standard deviation of the blur for each µm out of focus, px/µm.
+    sharpest : float
+        Standard deviation of the blur in focus, px.
+    noise : float
+        Standard deviation of the camera's noise, grey levels.
+    rng : numpy.random.Generator, optional
+        Source of the noise; needed if there is any.
+
+    Yields
+    ------
+    ndarray of uint8, shape (rows, cols)
+        Frame with the blur :math:`\\sigma^2 = \\sigma_0^2 + (b\\,|z - z_k|)^2`, noise, rounded and
+        clipped to 8 bits.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, a value is not finite, a length or the noise negative, or noise is asked
+        for without a generator.
+
+    Examples
+    --------
+    >>> texture = np.random.default_rng(0).uniform(0, 255, (32, 32))
+    >>> frames = list(focal_frames(texture, np.zeros((32, 32)), [0.0, 10.0], blur_rate=0.2))
+    >>> bool(frames[0].std() > frames[1].std())
+    True
+    """
+    image = as_image("texture", texture)
+    z = as_array("height", height, shape=image.shape)
+    focus = as_array("positions", positions, shape=(None,))
+    rate = float(positive("blur_rate", blur_rate))
+    least = float(positive("sharpest", sharpest, zero=True))
+    sigma = float(positive("noise", noise, zero=True))
+    if sigma > 0 and rng is None:
+        raise ValueError("rng must be given for noisy frames, got None")
+    furthest = max(focus.max() - z.min(), z.max() - focus.min())
+    ladder = BlurLadder(image, float(np.hypot(least, rate * furthest)) * (1 + 1e-9))
+    for position in focus:
+        frame: NDArray = ladder.at(np.hypot(least, rate * (z - position)))
+        if rng is not None and sigma > 0:
+            frame = frame + sigma * rng.standard_normal(frame.shape)
+        yield _eight_bits(frame)
+
+
+def focal_stack(
+    texture: ArrayLike,
+    height: ArrayLike,
+    positions: ArrayLike,
+    *,
+    blur_rate: float,
+    sharpest: float = 0.5,
+    noise: float = 0.0,
+    rng: np.random.Generator | None = None,
+) -> NDArray[np.uint8]:
+    """Return the frames of `focal_frames`, which see, as one array.
+
+    Returns
+    -------
+    ndarray of uint8, shape (n, rows, cols)
+
+    Examples
+    --------
+    >>> focal_stack(np.eye(8), np.zeros((8, 8)), [0.0, 1.0, 2.0], blur_rate=1.0).shape
+    (3, 8, 8)
+    """
+    frames = focal_frames(
+        texture, height, positions, blur_rate=blur_rate, sharpest=sharpest, noise=noise, rng=rng
+    )
+    return np.stack(list(frames))
+
+
+def thesis_stack(texture: ArrayLike, height: ArrayLike, positions: ArrayLike) -> NDArray[np.uint8]:
+    """Return a focal stack by the recipe of section 5.5.1.
+
+    A pixel is sharp in the frame nearest to its height and blurred by one 7×7 Gaussian of σ = 1 px
+    in all others, however far they are.
+
+    Parameters
+    ----------
+    texture : array_like, shape (rows, cols)
+        Grey levels of the surface in focus.
+    height : array_like, shape (rows, cols)
+        Height of the surface, µm.
+    positions : array_like, shape (n,)
+        Height in focus in each frame, µm.
+
+    Returns
+    -------
+    ndarray of uint8, shape (n, rows, cols)
+
+    Raises
+    ------
+    ValueError
+        If shapes differ or a value is not finite.
+
+    Notes
+    -----
+    Two levels of blur cannot tell where between two frames a surface lies: the best possible depth
+    is that of the nearest frame. `focal_stack` blurs by the distance, as a lens does.
+
+    Examples
+    --------
+    >>> texture = np.random.default_rng(0).uniform(0, 255, (16, 16))
+    >>> stack = thesis_stack(texture, np.zeros((16, 16)), [0.0, 25.0, 50.0])
+    >>> np.array_equal(stack[1], stack[2])
+    True
+    """
+    image = as_image("texture", texture)
+    z = as_array("height", height, shape=image.shape)
+    focus = as_array("positions", positions, shape=(None,))
+    blurred = cv2.filter2D(image, cv2.CV_32F, gaussian_kernel(1.0, 7))
+    nearest = np.abs(z[None] - focus[:, None, None]).argmin(axis=0)
+    return np.stack(
+        [_eight_bits(np.where(nearest == k, image, blurred)) for k in range(len(focus))]
+    )
+
+
+def _eight_bits(image: NDArray) -> NDArray[np.uint8]:
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)

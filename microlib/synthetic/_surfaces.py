@@ -1,0 +1,286 @@
+"""Height maps of known shape, µm towards the viewer, on a grid of square pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from microlib._common import Array, between, positive, whole
+
+__all__ = [
+    "cone",
+    "parabolic_cylinder",
+    "paraboloid",
+    "quadric_patch",
+    "sphere_on_plane",
+    "step",
+    "tilted_plane",
+]
+
+#: Signs of the principal curvatures of the surface types of Table 3.1.
+_TYPES = {
+    1: (-1.0, -1.0),
+    2: (-1.0, 0.0),
+    3: (-1.0, 0.5),
+    5: (0.0, 0.0),
+    6: (-1.0, 1.0),
+    7: (1.0, 1.0),
+    8: (1.0, 0.0),
+    9: (1.0, -0.5),
+}
+
+
+def _centred(shape: tuple[int, int]) -> tuple[Array, Array]:
+    """Return x and y from the centre of the image, px."""
+    rows, cols = (whole("shape", n, least=2) for n in shape)
+    y, x = np.mgrid[0:rows, 0:cols].astype(np.float64)
+    return x - (cols - 1) / 2, y - (rows - 1) / 2
+
+
+def parabolic_cylinder(
+    shape: tuple[int, int], height: float, *, width: float | None = None
+) -> Array:
+    """Return the parabolic profile of section 5.5.1, the same in every row.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns.
+    height : float
+        Height of the crest above the base, µm.
+    width : float, optional
+        Width of the parabola at its base, px; the width of the image by default. Outside, the
+        surface is flat.
+
+    Returns
+    -------
+    ndarray of float64, shape `shape`
+        :math:`h\\,(1 - (2x/w)^2)`, zero outside, µm.
+
+    Raises
+    ------
+    ValueError
+        If a side is below 2 px or a length not positive.
+
+    Examples
+    --------
+    >>> parabolic_cylinder((2, 5), 500.0, width=4.0)[0].tolist()
+    [0.0, 375.0, 500.0, 375.0, 0.0]
+    """
+    x, _ = _centred(shape)
+    half = float(positive("width", shape[1] - 1 if width is None else width)) / 2
+    return float(positive("height", height)) * np.maximum(1 - (x / half) ** 2, 0)
+
+
+def paraboloid(shape: tuple[int, int], height: float) -> Array:
+    """Return a round dome whose foot touches the corners of the image.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns.
+    height : float
+        Height of the centre above the corners, µm.
+
+    Returns
+    -------
+    ndarray of float64, shape `shape`
+        Heights, µm; zero in the corners.
+
+    Raises
+    ------
+    ValueError
+        If a side is below 2 px or `height` not positive.
+
+    Examples
+    --------
+    >>> paraboloid((3, 3), 10.0).tolist()
+    [[0.0, 5.0, 0.0], [5.0, 10.0, 5.0], [0.0, 5.0, 0.0]]
+    """
+    x, y = _centred(shape)
+    square = x**2 + y**2
+    return float(positive("height", height)) * (1 - square / square.max())
+
+
+def sphere_on_plane(
+    shape: tuple[int, int],
+    radius: float,
+    pixel_size: float,
+    *,
+    roughness: float = 0.0,
+    grain: float = 5.0,
+    rng: np.random.Generator | None = None,
+) -> Array:
+    """Return what a camera sees from above of a ball that lies on a plane, such as a solder ball.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns.
+    radius : float
+        Radius of the ball, µm; its top is at twice the radius.
+    pixel_size : float
+        Distance between pixels on the object, µm.
+    roughness : float
+        Root mean square of the relief on the ball, µm.
+    grain : float
+        Size of the relief's grains, the standard deviation of the Gaussian that smooths it, px.
+    rng : numpy.random.Generator, optional
+        Source of the relief; needed if `roughness` is not zero.
+
+    Returns
+    -------
+    ndarray of float64, shape `shape`
+        Heights above the plane, µm. The lower half of the ball is hidden, so that the map jumps by
+        `radius` at the ball's edge.
+
+    Raises
+    ------
+    ValueError
+        If a length is not positive, or relief is asked for without a generator.
+
+    Examples
+    --------
+    >>> sphere_on_plane((3, 5), radius=10.0, pixel_size=8.0)[1].round(1).tolist()
+    [0.0, 16.0, 20.0, 16.0, 0.0]
+    """
+    x, y = _centred(shape)
+    r = float(positive("radius", radius))
+    square = (x**2 + y**2) * float(positive("pixel_size", pixel_size)) ** 2
+    ball = square <= r**2
+    height = np.where(ball, r + np.sqrt(np.maximum(r**2 - square, 0)), 0.0)
+    rough = float(positive("roughness", roughness, zero=True))
+    if rough > 0:
+        if rng is None:
+            raise ValueError("rng must be given for a rough ball, got None")
+        relief = gaussian_filter(rng.standard_normal(shape), float(positive("grain", grain)))
+        height += np.where(ball, rough * relief / relief.std(), 0.0)
+    return height
+
+
+def cone(shape: tuple[int, int], height: float, radius: float) -> Array:
+    """Return a cone that stands on a plane.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns.
+    height : float
+        Height of the tip, µm.
+    radius : float
+        Radius of the foot, px.
+
+    Returns
+    -------
+    ndarray of float64, shape `shape`
+        Heights, µm.
+
+    Raises
+    ------
+    ValueError
+        If a side is below 2 px or a length not positive.
+
+    Examples
+    --------
+    >>> cone((3, 5), 10.0, 2.0)[1].tolist()
+    [0.0, 5.0, 10.0, 5.0, 0.0]
+    """
+    x, y = _centred(shape)
+    foot = float(positive("radius", radius))
+    return float(positive("height", height)) * np.maximum(1 - np.hypot(x, y) / foot, 0)
+
+
+def tilted_plane(shape: tuple[int, int], rise_x: float, rise_y: float) -> Array:
+    """Return a plane that rises along x and y, zero in the middle.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns.
+    rise_x, rise_y : float
+        Rise from pixel to pixel, µm.
+
+    Returns
+    -------
+    ndarray of float64, shape `shape`
+        Heights, µm.
+
+    Raises
+    ------
+    ValueError
+        If a side is below 2 px.
+
+    Examples
+    --------
+    >>> tilted_plane((2, 3), 1.0, 0.0).tolist()
+    [[-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]]
+    """
+    x, y = _centred(shape)
+    return rise_x * x + rise_y * y
+
+
+def step(shape: tuple[int, int], height: float, *, at: float = 0.5) -> Array:
+    """Return a plane with one straight step.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns.
+    height : float
+        Height of the right part, µm; the left is at zero.
+    at : float
+        Where the step is, as a share of the width.
+
+    Returns
+    -------
+    ndarray of float64, shape `shape`
+        Heights, µm.
+
+    Raises
+    ------
+    ValueError
+        If a side is below 2 px or `at` is outside 0 to 1.
+
+    Examples
+    --------
+    >>> step((2, 4), 3.0).tolist()
+    [[0.0, 0.0, 3.0, 3.0], [0.0, 0.0, 3.0, 3.0]]
+    """
+    rows, cols = (whole("shape", n, least=2) for n in shape)
+    edge = float(between("at", at, 0, 1)) * cols
+    return np.tile(np.where(np.arange(cols) < edge, 0.0, height), (rows, 1))
+
+
+def quadric_patch(label: int, *, half: int = 20, radius: float = 40.0) -> Array:
+    """Return a patch of one of the eight fundamental surface types of figure 3.4.
+
+    Parameters
+    ----------
+    label : int
+        Label of Table 3.1: 1 to 9 without 4, which no smooth surface has.
+    half : int
+        The patch has 2 `half` + 1 pixels a side.
+    radius : float
+        Radius of the stronger principal curvature, px.
+
+    Returns
+    -------
+    ndarray of float64, shape (2 half + 1, 2 half + 1)
+        :math:`(\\kappa_1 x^2 + \\kappa_2 y^2)/2`, px.
+
+    Raises
+    ------
+    ValueError
+        If there is no such type, or a size is not positive.
+
+    Examples
+    --------
+    >>> quadric_patch(8, half=1, radius=0.5)[0].tolist()
+    [1.0, 0.0, 1.0]
+    """
+    if label not in _TYPES:
+        raise ValueError(f"label must be one of {', '.join(map(str, _TYPES))}, got {label!r}")
+    n = 2 * whole("half", half, least=1) + 1
+    x, y = _centred((n, n))
+    first, second = _TYPES[label]
+    return (first * x**2 + second * y**2) / (2 * float(positive("radius", radius)))

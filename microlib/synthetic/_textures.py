@@ -1,0 +1,105 @@
+"""Grey textures to focus on, with a known mean and contrast."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import gaussian_filter
+
+from microlib._common import positive, whole
+
+__all__ = ["mixed_texture", "patchy_texture"]
+
+
+def mixed_texture(
+    shape: tuple[int, int],
+    rng: np.random.Generator,
+    *,
+    mean: float = 128.0,
+    std: float = 38.0,
+    scales: ArrayLike = (0.6, 1.2, 2.4, 4.8, 9.6),
+) -> NDArray[np.float32]:
+    """Return a random texture with detail of several sizes, like paper or ground metal.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns.
+    rng : numpy.random.Generator
+        Source of the pattern.
+    mean, std : float
+        Mean and standard deviation of the grey levels, exactly those of the result.
+    scales : array_like
+        Standard deviations of the Gaussians that smooth the noise, px; each has the same share of
+        the variance.
+
+    Returns
+    -------
+    ndarray of float32, shape `shape`
+        Texture, not clipped: at the default values one pixel in 1200 lies outside 0 to 255.
+
+    Raises
+    ------
+    ValueError
+        If a side is below 2 px, a scale is not positive or `std` is negative.
+
+    Examples
+    --------
+    >>> texture = mixed_texture((64, 64), np.random.default_rng(0))
+    >>> texture.shape, round(float(texture.mean())), round(float(texture.std()))
+    ((64, 64), 128, 38)
+    """
+    rows, cols = (whole("shape", n, least=2) for n in shape)
+    contrast = float(positive("std", std, zero=True))
+    total = np.zeros((rows, cols))
+    for scale in np.atleast_1d(positive("scales", scales)):
+        layer = gaussian_filter(rng.standard_normal((rows, cols)), scale, mode="wrap")
+        total += layer / layer.std()
+    total = mean + contrast * (total - total.mean()) / total.std()
+    return total.astype(np.float32)
+
+
+def patchy_texture(
+    shape: tuple[int, int],
+    rng: np.random.Generator,
+    *,
+    mean: float = 128.0,
+    std: float = 38.0,
+    weakest: float = 0.05,
+    patch: float = 24.0,
+) -> NDArray[np.float32]:
+    """Return a mixed texture whose contrast fades in and out, as on a partly polished surface.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns.
+    rng : numpy.random.Generator
+        Source of the pattern.
+    mean, std : float
+        Mean grey level, and the standard deviation where the contrast is strongest.
+    weakest : float
+        Share of the contrast that is left where it is weakest, 0 to 1.
+    patch : float
+        Size of the patches, px.
+
+    Returns
+    -------
+    ndarray of float32, shape `shape`
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range, as in `mixed_texture`.
+
+    Examples
+    --------
+    >>> texture = patchy_texture((64, 64), np.random.default_rng(0))
+    >>> bool(texture.std() < 38)
+    True
+    """
+    texture = mixed_texture(shape, rng, mean=0.0, std=std)
+    noise = rng.standard_normal(shape)
+    blobs = gaussian_filter(noise, float(positive("patch", patch)), mode="wrap")
+    contrast = weakest + (1 - weakest) * (blobs - blobs.min()) / np.ptp(blobs)
+    return (mean + contrast * texture).astype(np.float32)

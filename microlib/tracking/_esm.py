@@ -1,0 +1,385 @@
+"""Efficient second-order minimisation (ESM) of the difference between a template and an image.
+
+The warp is a matrix on homogeneous template coordinates, updated as ``G ← G exp(Σ xᵢ Bᵢ)`` with the
+generators Bᵢ of its group: translation, affine, or the homographies through sl(3). Averaging the
+gradients of the template and of the warped image gives the step second-order convergence at the
+price of a first-order one (Malis 2004, Benhimane and Malis 2004).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from microlib._common import Array, Image
+
+__all__ = ["MOTIONS", "Fit", "Stage", "apply_homography", "exponential", "half_pixel"]
+
+
+#: Group of warps to the entries (row, column, value) of each of its generators.
+_GENERATORS: dict[str, list[list[tuple[int, int, float]]]] = {
+    "translation": [[(0, 2, 1)], [(1, 2, 1)]],
+    "affine": [[(0, 2, 1)], [(1, 2, 1)], [(0, 0, 1)], [(0, 1, 1)], [(1, 0, 1)], [(1, 1, 1)]],
+    "homography": [
+        [(0, 2, 1)],
+        [(1, 2, 1)],
+        [(0, 1, 1)],
+        [(1, 0, 1)],
+        [(0, 0, 1), (1, 1, -1)],
+        [(1, 1, -1), (2, 2, 1)],
+        [(2, 0, 1)],
+        [(2, 1, 1)],
+    ],
+}
+MOTIONS = tuple(_GENERATORS)
+
+#: Six-tap half-sample interpolator, exact for quintic polynomials.
+_HALF_SAMPLE = np.array([[3, -25, 150, 150, -25, 3]], np.float32) / 256
+
+#: Pixels beyond the template that its gradient needs.
+_MARGIN = 2
+
+#: Relative damping of the normal equations: far below any information in an image, it keeps a
+#: direction that the image does not determine (an aperture problem) at rest instead of dividing by
+#: rounding errors.
+_DAMPING = 1e-9
+
+#: Ratio of the norms of two columns of the design at which the smaller one counts as absent.
+_VANISHING = 1e-6
+
+#: A template whose area changes by more than this factor within one frame is not tracked any more.
+_AREA_FACTOR = 4.0
+
+#: A motion parameter that steps further, in half template sizes, has left the template.
+_LARGEST_STEP = 4.0
+
+#: Least share of the template's pixels that must lie inside the image.
+_LEAST_VISIBLE = 0.25
+
+
+def generators(motion: str) -> Array:
+    """Return the generators of a group of warps, n×3×3."""
+    basis = np.zeros((len(_GENERATORS[motion]), 3, 3))
+    for matrix, entries in zip(basis, _GENERATORS[motion], strict=True):
+        for row, column, value in entries:
+            matrix[row, column] = value
+    return basis
+
+
+def exponential(matrix: Array) -> Array:
+    """Return the exponential of a small square matrix by scaling, Taylor series and squaring.
+
+    Examples
+    --------
+    >>> exponential(np.array([[0.0, -np.pi / 2], [np.pi / 2, 0.0]])).round(12) + 0.0
+    array([[ 0., -1.],
+           [ 1.,  0.]])
+    """
+    halvings = max(0, int(np.ceil(np.log2(max(np.abs(matrix).sum(), 1e-300)))) + 1)
+    scaled = matrix / 2.0**halvings
+    term, total = scaled, np.eye(len(matrix)) + scaled
+    for order in range(2, 16):  # 0.5¹⁶/16! is far below the rounding of a double
+        term = term @ scaled / order
+        total += term
+        if np.abs(term).max() < 1e-17:
+            break
+    for _ in range(halvings):
+        total = total @ total
+    return total
+
+
+def apply_homography(matrix: Array, points: Array) -> Array:
+    """Map N×2 points by a 3×3 homography."""
+    mapped = points @ matrix[:, :2].T + matrix[:, 2]
+    return mapped[:, :2] / mapped[:, 2:]
+
+
+def half_pixel(image: Image) -> Image:
+    """Return the image sampled every half pixel; the even samples are the image itself.
+
+    Bilinear interpolation between these samples has an eighth of the phase error of bilinear
+    interpolation between the pixels, which is what limits the accuracy of a tracker on fine
+    texture.
+    """
+    fine = np.empty((2 * image.shape[0], 2 * image.shape[1]), np.float32)
+    rows = np.empty((image.shape[0], fine.shape[1]), np.float32)
+    rows[:, ::2] = image
+    rows[:, 1::2] = cv2.filter2D(image, -1, _HALF_SAMPLE, anchor=(2, 0))
+    fine[::2] = rows
+    fine[1::2] = cv2.filter2D(rows, -1, _HALF_SAMPLE.T, anchor=(0, 2))
+    return fine
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Where one stage left the warp.
+
+    Attributes
+    ----------
+    pose : ndarray, shape (3, 3)
+        Warp of normalised template coordinates to px of the image.
+    failure : str
+        Empty, or why the stage gave up: ``"singular"``, ``"diverged"`` or ``"out of view"``; the
+        pose is then the last good one.
+    correlation : float
+        Normalised correlation of template and warped image over the visible pixels.
+    gain, bias : float
+        Grey values of the image are ``gain``·template + ``bias``.
+    visible : float
+        Share of the template's pixels that the image shows.
+    iterations : int
+        Steps taken.
+    covariance : ndarray, shape (n, n)
+        Covariance of the motion parameters, from the residual.
+    """
+
+    pose: Array
+    failure: str = ""
+    correlation: float = 0.0
+    gain: float = 1.0
+    bias: float = 0.0
+    visible: float = 0.0
+    iterations: int = 0
+    covariance: Array | None = None
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A template at one resolution, with all that does not change from frame to frame.
+
+    Attributes
+    ----------
+    to_image : ndarray, shape (3, 3)
+        Pixels of the frame to samples of this stage's image.
+    to_template : ndarray, shape (3, 3)
+        Pixels of the padded patch to normalised template coordinates.
+    padded : tuple of int
+        Width and height of the patch with the padding that smoothing and gradients need.
+    smoothing : float
+        Standard deviation, in px of the patch, of the Gaussian applied in the template's frame:
+        smoothing there, and not in the image, commutes with the warp.
+    corners : ndarray, shape (4, 2)
+        Corners of the template in normalised coordinates.
+    basis : ndarray, shape (n, 3, 3)
+        Generators of the motion.
+    flow : ndarray, shape (2, n, N)
+        Velocity (x and y, px of the patch) of each pixel for each generator.
+    template, slopes : ndarray, shapes (N,) and (2, N)
+        Grey values less `mean`, and their gradient along x and y per px of the patch.
+    mean, spread : float
+        Mean and standard deviation of the template's grey values.
+    """
+
+    to_image: Array
+    to_template: Array
+    padded: tuple[int, int]
+    smoothing: float
+    corners: Array
+    basis: Array
+    flow: Image
+    template: Image
+    slopes: Image
+    mean: float
+    spread: float
+
+    def fit(
+        self, image: Image, pose: Array, *, tolerance: float, iterations: int, gain: float = 1.0
+    ) -> Fit:
+        """Minimise over warp, gain and bias until the corners move by less than `tolerance` px."""
+        n = len(self.basis)
+        first = corners = apply_homography(pose, self.corners)
+        for count in range(1, iterations + 1):
+            rows, visible = self._rows(image, pose, gain)
+            if visible < _LEAST_VISIBLE:
+                return Fit(pose, failure="out of view", visible=visible, iterations=count)
+            normal = rows @ rows.T
+            scale = np.sqrt(np.diag(normal))
+            if scale[:-1].min() <= _VANISHING * scale[:-1].max():
+                return Fit(pose, failure="singular", visible=visible, iterations=count)
+            scale[-1] = scale[-1] or 1.0  # a frame that is flat at the mean of the template
+            scaled = normal / np.outer(scale, scale)
+            system = scaled[:-1, :-1].copy()
+            system.flat[:: n + 3] += _DAMPING
+            solution = np.linalg.solve(system, scaled[:-1, -1]) * scale[-1] / scale[:-1]
+            step = -solution[:n]
+            if not np.abs(step).max() < _LARGEST_STEP:  # also True for NaN
+                return Fit(pose, failure="diverged", visible=visible, iterations=count)
+            moved = pose @ exponential(np.tensordot(step, self.basis, 1))
+            before, corners = corners, apply_homography(moved, self.corners)
+            if _degenerate(corners, first):
+                return Fit(pose, failure="diverged", visible=visible, iterations=count)
+            pose, gain = moved, float(solution[n])
+            if np.abs(corners - before).max() < tolerance:
+                break
+        freedom = visible * self.template.size - len(solution)
+        residual = max(float(normal[-1, -1] - normal[-1, :-1] @ solution), 0.0) / max(freedom, 1.0)
+        return Fit(
+            pose=pose,
+            correlation=_correlation(normal[n:, n:]),
+            gain=gain,
+            bias=float(solution[n + 1]) + self.mean * (1.0 - gain),
+            visible=visible,
+            iterations=count,
+            covariance=residual
+            * (np.linalg.inv(system) / np.outer(scale[:-1], scale[:-1]))[:n, :n],
+        )
+
+    def correlate(self, image: Image, pose: Array, reach: int) -> Array:
+        """Return the pose shifted, by up to `reach` px of the patch, to the best correlation."""
+        # In px of the padded patch; smoothing takes the rest of the padding off again.
+        first = _MARGIN - reach
+        size = (self.padded[0] - 2 * first, self.padded[1] - 2 * first)
+        to_window = np.array([[1.0, 0, first], [0, 1, first], [0, 0, 1]])
+        warp = self.to_image @ pose @ self.to_template @ to_window
+        window = _sample(image, warp, size, self.smoothing)
+        width = self.padded[0] - 2 * _padding(self.smoothing)
+        scores = cv2.matchTemplate(window, self.template.reshape(-1, width), cv2.TM_CCOEFF_NORMED)
+        row, column = np.unravel_index(np.argmax(scores), scores.shape)
+        shift = np.eye(3)
+        shift[:2, 2] = self.to_template[0, 0] * (np.array([column, row]) - reach)
+        return pose @ shift
+
+    def _rows(self, image: Image, pose: Array, gain: float) -> tuple[Array, float]:
+        """Return image Jacobian, template, one and image as rows, and the share of pixels in view.
+
+        The product of these rows with themselves holds the whole of the normal equations. The
+        Jacobian is the flow times the mean of the image's gradient and `gain` times the template's.
+        """
+        n = len(self.basis)
+        warp = self.to_image @ pose @ self.to_template
+        grey, slopes = _values(_sample(image, warp, self.padded, self.smoothing))
+        grey = grey - np.float32(self.mean)
+        slopes = np.float32(0.5) * (slopes + np.float32(gain) * self.slopes)
+        rows = np.empty((n + 3, grey.size), np.float32)
+        np.multiply(self.flow[0], slopes[0], out=rows[:n])
+        rows[:n] += self.flow[1] * slopes[1]
+        rows[n], rows[n + 1], rows[n + 2] = self.template, 1.0, grey
+        seen = _seen(image, warp, self.padded, _padding(self.smoothing))
+        if seen is None:
+            return rows.astype(np.float64), 1.0
+        return (rows * seen).astype(np.float64), float(seen.mean())
+
+
+def make_stage(
+    image: Image,
+    box: tuple[int, int, int, int],
+    pose: Array,
+    *,
+    step: int,
+    density: int,
+    smoothing: float,
+    motion: str,
+) -> Stage:
+    """Cut a template from an image of the pyramid.
+
+    Parameters
+    ----------
+    image : ndarray, shape (H, W)
+        The whole frame at this resolution, so that the template's gradients see what lies around
+        it.
+    box : tuple of int
+        (x, y, width, height) in px of the frame.
+    pose : ndarray, shape (3, 3)
+        Normalised template coordinates to px of the frame.
+    step : int
+        Px of the frame between neighbouring pixels of the template.
+    density : int
+        Samples of `image` for `step` px of the frame.
+    smoothing : float
+        Standard deviation of the Gaussian in px of the template.
+    motion : str
+        One of `MOTIONS`.
+    """
+    x, y, width, height = box
+    left, top = -(-x // step), -(-y // step)
+    columns, rows = (x + width - 1) // step - left + 1, (y + height - 1) // step - top + 1
+    pad = _padding(smoothing)
+    padded = (columns + 2 * pad, rows + 2 * pad)
+    to_frame = np.array(
+        [[step, 0, step * (left - pad)], [0, step, step * (top - pad)], [0, 0, 1.0]]
+    )
+    to_image = np.diag([density / step, density / step, 1.0])
+    to_template = np.linalg.inv(pose) @ to_frame
+    template, slopes = _values(_sample(image, to_image @ to_frame, padded, smoothing))
+    mean = float(template.mean())
+    column, row = np.meshgrid(np.arange(columns) + pad, np.arange(rows) + pad)
+    grid = np.stack([column.ravel(), row.ravel(), np.ones(column.size)])
+    points = to_template @ grid
+    basis = generators(motion)
+    velocity = basis @ points
+    flow = (velocity[:, :2] - points[:2] * velocity[:, 2:]) / to_template[0, 0]
+    edges = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [width - 1, height - 1] + [x, y]
+    return Stage(
+        to_image=to_image,
+        to_template=to_template,
+        padded=padded,
+        smoothing=smoothing,
+        corners=apply_homography(np.linalg.inv(pose), edges),
+        basis=basis,
+        flow=np.ascontiguousarray(flow.transpose(1, 0, 2), np.float32),
+        template=template - np.float32(mean),
+        slopes=slopes,
+        mean=mean,
+        spread=float(template.std()),
+    )
+
+
+def _padding(smoothing: float) -> int:
+    """Return the margin of a patch: the Gaussian's radius and two pixels for the gradient."""
+    return int(np.ceil(3 * smoothing)) + _MARGIN
+
+
+def _sample(image: Image, warp: Array, padded: tuple[int, int], smoothing: float) -> Image:
+    """Warp a patch out of the image and smooth it, leaving the margin of the gradient."""
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    patch = cv2.warpPerspective(image, warp, padded, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    radius = _padding(smoothing) - _MARGIN
+    if radius == 0:
+        return patch
+    size = (2 * radius + 1, 2 * radius + 1)
+    return cv2.GaussianBlur(patch, size, smoothing)[radius:-radius, radius:-radius]
+
+
+def _values(patch: Image) -> tuple[Image, Image]:
+    """Return the grey values inside the margin and their fourth-order differences in x and y."""
+    rows, columns = patch[2:-2], patch[:, 2:-2]
+    near = np.stack([rows[:, 3:-1] - rows[:, 1:-3], columns[3:-1] - columns[1:-3]])
+    far = np.stack([rows[:, 4:] - rows[:, :-4], columns[4:] - columns[:-4]])
+    slopes = np.float32(2 / 3) * near - np.float32(1 / 12) * far
+    return rows[:, 2:-2].ravel(), slopes.reshape(2, -1)
+
+
+def _seen(image: Image, warp: Array, padded: tuple[int, int], pad: int) -> Image | None:
+    """Return which pixels of the template the image shows, or None if it shows all of them."""
+    limit = np.array(image.shape[::-1]) - 1.0
+    far = np.array(padded) - 1.0
+    ends = apply_homography(warp, np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * far)
+    if (ends >= 0).all() and (ends <= limit).all():
+        return None
+    column, row = np.meshgrid(np.arange(pad, padded[0] - pad), np.arange(pad, padded[1] - pad))
+    points = apply_homography(warp, np.column_stack([column.ravel(), row.ravel()]))
+    inside = (points >= 0) & (points <= limit)
+    return (inside[:, 0] & inside[:, 1]).astype(np.float32)
+
+
+def _correlation(normal: Array) -> float:
+    """Return the correlation from the products of template, one and image with each other."""
+    template, one, image = range(3)
+    count = normal[one, one]
+    covariance = normal - np.outer(normal[one], normal[one]) / count
+    spread = covariance[template, template] * covariance[image, image]
+    return float(covariance[template, image] / np.sqrt(spread)) if spread > 0 else 0.0
+
+
+def _degenerate(corners: Array, first: Array) -> bool:
+    """Tell whether a warp tore the template: not finite, turned over, or of quite another area."""
+    ratio = _area(corners) / _area(first)
+    return not 1 / _AREA_FACTOR < ratio < _AREA_FACTOR  # also True for NaN
+
+
+def _area(corners: Array) -> float:
+    """Return the signed area of a quadrilateral."""
+    (ax, ay), (bx, by) = corners[2] - corners[0], corners[3] - corners[1]
+    return 0.5 * float(ax * by - ay * bx)

@@ -1,0 +1,447 @@
+"""Template tracking by efficient second-order minimisation over a pyramid (§5.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import hadamard
+
+from microlib._common import Array, Image, as_image, between, one_of, positive, whole
+from microlib.tracking._esm import MOTIONS, Fit, Stage, apply_homography, half_pixel, make_stage
+from microlib.tracking._kalman import KalmanFilter
+
+__all__ = ["ESMTracker", "KalmanFilter", "Track"]
+
+
+#: The coarsest template is at least this many pixels wide and high.
+_COARSEST = 6
+
+#: Below this width or height a template says where it is, but not how it is deformed.
+_DEFORMABLE = 12
+
+#: Corner step (px of the stage) that ends a coarse stage, and the last one: the next step of a
+#: second-order method is smaller than the square of it.
+_TOLERANCE, _LAST_TOLERANCE = 0.5, 0.05
+
+#: Most steps of one stage: far beyond the 1 to 6 that a converging one takes.
+_STEPS = 15
+
+#: Correlation that an attempt must reach to be convincing, whatever the noise.
+_CONVINCING = 0.9
+
+#: Loss of correlation that interpolation alone may cause.
+_NOISELESS = 0.002
+
+#: Side (px) above which a template is halved for the search by correlation.
+_CORRELATED = 64
+
+#: How far a distorted start moves each corner coordinate, in sides of the template.
+_DISTORTION = 0.17
+
+#: Correlation below which a distorted start is given up at a coarse resolution; right ones have
+#: more.
+_PROMISING = 0.8
+
+#: Margin (px) around the template that the last stage samples; it starts a fraction of a pixel
+#: away.
+_NEAR = 6.0
+
+#: Least share of the template's contrast that a resolution must keep to be used.
+_LEAST_SPREAD = 0.01
+
+#: Least ratio of the weaker to the stronger eigenvalue of the gradients' second moments.
+_LEAST_CORNERNESS = 1e-4
+
+
+@dataclass(frozen=True)
+class Track:
+    """Where the template is in one frame.
+
+    Attributes
+    ----------
+    corners : ndarray, shape (4, 2)
+        Corners of the box as (x, y) in px, in the order of the box: first row left and right, last
+        row right and left. The last good ones (moved on by the Kalman filter, if there is one) when
+        `lost`.
+    lost : bool
+        Whether the template was not found.
+    reason : str
+        Empty, or why it was not: ``"singular"``, ``"diverged"``, ``"out of view"`` or ``"low
+        correlation"``.
+    correlation : float
+        Normalised correlation of the template and the frame under the warp, −1 to 1.
+    homography : ndarray, shape (3, 3)
+        Maps px of the template's frame to px of this frame.
+    gain, bias : float
+        The frame's grey values are ``gain``·template + ``bias``.
+    visible : float
+        Share of the template's pixels inside the frame.
+    iterations : int
+        Steps of the attempt that was kept, all resolutions together.
+    covariance : ndarray, shape (2, 2)
+        Covariance of `center` in px², from the residual of the fit; NaN when `lost`.
+    """
+
+    corners: Array
+    lost: bool
+    reason: str
+    correlation: float
+    homography: Array
+    gain: float
+    bias: float
+    visible: float
+    iterations: int
+    covariance: Array
+
+    @property
+    def center(self) -> Array:
+        """Mean of the corners, (x, y) in px: the feature that §5.4 servos on."""
+        return self.corners.mean(axis=0)
+
+
+class ESMTracker:
+    """Track a template through grey frames by efficient second-order minimisation.
+
+    Gain and bias are estimated along with the motion, on a template and a warped frame smoothed in
+    the template's coordinates. A search begins at the finest resolution; while the correlation is
+    not convincing it begins again from coarser ones, and in the end from the best match by
+    correlation in the surroundings. A template that may deform, and was seen in the frame before,
+    is not given up until the search has begun from 32 distortions of it. Resolutions with fewer
+    than 12 px a side estimate the translation only. A last stage without smoothing samples the
+    frame at half pixels, which removes most of the error of bilinear interpolation.
+
+    Parameters
+    ----------
+    image : array_like, shape (H, W)
+        The frame with the template, grey.
+    box : tuple of int
+        (x, y, width, height) of the template in px: columns x … x + width − 1, rows y … y + height
+        − 1.
+    motion : {"homography", "affine", "translation"}
+        Group of warps.
+    levels : int, optional
+        Resolutions of the pyramid, each half of the one before; 1 means none. By default as many as
+        leave the coarsest template at least 6 px wide and high.
+    smoothing : float, optional
+        Standard deviation of the Gaussian in px of each resolution. Without a pyramid about 3 px
+        reach as far as the default with one.
+    least_correlation : float, optional
+        Normalised correlation below which the template counts as lost.
+    kalman : KalmanFilter, optional
+        Predicts where each frame's search starts. By default a search starts where the last one
+        ended.
+
+    Raises
+    ------
+    ValueError
+        If the box leaves the image or is smaller than 6 px, or the template is flat or has a
+        gradient along one direction only, so that it cannot be located.
+
+    References
+    ----------
+    .. [1] E. Malis, "Improving vision-based control using efficient second-order minimization
+       techniques", IEEE International Conference on Robotics and Automation, 2004.
+    .. [2] S. Benhimane and E. Malis, "Real-time image-based tracking of planes using efficient
+       second-order minimization", IEEE/RSJ International Conference on Intelligent Robots and
+       Systems, 2004.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> image = cv2.GaussianBlur(rng.uniform(0, 255, (120, 120)).astype(np.float32), (0, 0), 2)
+    >>> tracker = ESMTracker(image, (40, 30, 50, 50))
+    >>> track = tracker.track(np.roll(image, (3, -5), axis=(0, 1)))
+    >>> track.lost, (track.corners[0] - (40, 30)).round(2) + 0.0
+    (False, array([-5.,  3.]))
+    """
+
+    def __init__(
+        self,
+        image: ArrayLike,
+        box: tuple[int, int, int, int],
+        motion: str = "homography",
+        *,
+        levels: int | None = None,
+        smoothing: float = 1.25,
+        least_correlation: float = 0.7,
+        kalman: KalmanFilter | None = None,
+    ) -> None:
+        frame = as_image("image", image)
+        motion = one_of("motion", motion, MOTIONS)
+        x, y, width, height = self._box = _checked_box(box, frame.shape)
+        if levels is None:
+            levels = 1 + int(np.log2(min(width, height) / _COARSEST))
+        levels = whole("levels", levels, least=1)
+        if min(width, height) < _COARSEST * 2 ** (levels - 1):
+            raise ValueError(
+                f"levels must leave {_COARSEST} px of a box of {width}×{height} px, got {levels}"
+            )
+        smoothing = float(positive("smoothing", smoothing))
+        self._least = float(between("least_correlation", least_correlation, 0.0, 1.0))
+        self._shape = frame.shape
+        self._kalman = kalman
+        self._typical, self._gain = 1.0, 1.0
+        self._held = True
+        size = max(width, height) / 2
+        self._start = np.array(
+            [[size, 0, x + (width - 1) / 2], [0, size, y + (height - 1) / 2], [0, 0, 1.0]]
+        )
+        self._pose = self._start
+        self._stages = [
+            make_stage(
+                layer,
+                self._box,
+                self._start,
+                step=2**level,
+                density=1,
+                smoothing=smoothing,
+                motion=motion if min(width, height) >= _DEFORMABLE * 2**level else "translation",
+            )
+            for level, layer in enumerate(_pyramid(frame, levels))
+        ]
+        self._refinement = make_stage(
+            half_pixel(frame),
+            self._box,
+            self._start,
+            step=1,
+            density=2,
+            smoothing=0.0,
+            motion=motion,
+        )
+        _check_texture(self._refinement)
+        while self._stages[-1].spread < _LEAST_SPREAD * self._refinement.spread:
+            self._stages.pop()  # a texture too fine for this resolution, which would follow noise
+        sizes = [len(stage.basis) for stage in self._stages]
+        self._deformable = sizes.count(len(self._refinement.basis))
+        # At the finest resolution alone each would cost as much as a whole search.
+        several = self._deformable > 1
+        self._distortions = _distortions(self._refinement.corners, motion) if several else []
+
+    def track(self, frame: ArrayLike) -> Track:
+        """Find the template in the next frame.
+
+        Parameters
+        ----------
+        frame : array_like, shape (H, W)
+            Grey frame of the size of the first one.
+
+        Returns
+        -------
+        Track
+            ``lost`` says if the template was not found, and ``reason`` why; the next search then
+            starts from the last good pose, moved on by the Kalman filter if there is one.
+
+        Raises
+        ------
+        ValueError
+            If the frame is no grey image of that size, or not finite where the template is sought.
+        """
+        if np.shape(frame) != self._shape:
+            raise ValueError(f"frame must have shape {self._shape}, got {np.shape(frame)}")
+        if self._kalman is not None:
+            self._move_to(self._kalman.predict())
+        fit = self._search(np.asarray(frame))
+        reason = self._reason(fit)
+        self._held = not reason
+        if not reason:
+            self._pose = fit.pose
+            self._typical, self._gain = fit.correlation, fit.gain
+            if self._kalman is not None:
+                self._kalman.update(self._corners().mean(axis=0))
+        return Track(
+            corners=self._corners(),
+            lost=bool(reason),
+            reason=reason,
+            correlation=fit.correlation,
+            homography=_unit(self._pose @ np.linalg.inv(self._start)),
+            gain=fit.gain,
+            bias=fit.bias,
+            visible=fit.visible,
+            iterations=fit.iterations,
+            covariance=np.full((2, 2), np.nan) if reason else self._center_covariance(fit),
+        )
+
+    def _search(self, frame: NDArray) -> Fit:
+        """Align from ever more distant starts until one is convincing, and return the best.
+
+        The first start is at the finest resolution: one close to the truth is thus never led astray
+        by a coarse resolution, where the surroundings of the template weigh most, and costs little.
+        Only a distant one pays for the pyramid, and only one beyond the reach of any gradient for a
+        search by correlation.
+        """
+        corners = self._corners()
+        region, origin = _cut(frame, corners, np.ptp(corners, axis=0).max())
+        if min(region.shape) < 2:
+            return Fit(self._pose, failure="out of view")
+        image = as_image("frame", region)
+        start = _shifted(self._pose, -origin)
+        best = Fit(start, failure="diverged", correlation=-1.0)
+        for pose, layers in self._starts(start, image):
+            fit = self._align(layers, pose)
+            if best.failure or (not fit.failure and fit.correlation > best.correlation):
+                best = fit
+            if not best.failure and best.correlation > self._convincing():
+                break
+        if self._held and self._distortions and self._reason(best):
+            best = self._align_distorted(image, start) or best
+        return replace(best, pose=_shifted(best.pose, origin))
+
+    def _reason(self, fit: Fit) -> str:
+        """Return why a fit does not count as the template, or nothing if it does."""
+        return fit.failure or ("low correlation" if fit.correlation < self._least else "")
+
+    def _convincing(self) -> float:
+        """Return the correlation at which no further start is tried.
+
+        It follows the last one that was accepted: where much of a template is alike, a wrong place
+        may correlate to 0.95, but the noise of the camera sets how far the right one falls below 1.
+        """
+        return max(_CONVINCING, 1.0 - 2.0 * (1.0 - self._typical) - _NOISELESS)
+
+    def _starts(self, pose: Array, image: Image) -> Iterator[tuple[Array, list[Image]]]:
+        """Yield starting poses and the resolutions to refine them through, the finest first."""
+        layers: list[Image] = []
+        for _ in self._stages:
+            layers.append(_halved(layers[-1]) if layers else image)
+            yield pose, layers
+        level = min(int(np.log2(max(self._box[2:]) / _CORRELATED)), len(layers) - 1)
+        level = max(level, 0)
+        reach = max(self._box[2:]) // 2**level
+        yield self._stages[level].correlate(layers[level], pose, reach), layers[: level + 1]
+
+    def _align_distorted(self, image: Image, pose: Array) -> Fit | None:
+        """Align from distortions of the template, and return the first fit that convinces."""
+        layers = _pyramid(image, self._deformable)
+        for distortion in self._distortions:
+            fit = self._align(layers, pose @ distortion, promising=_PROMISING)
+            if not fit.failure and fit.correlation > max(self._least, _CONVINCING):
+                return fit
+        return None
+
+    def _align(self, layers: list[Image], pose: Array, promising: float = -1.0) -> Fit:
+        """Refine a pose from the last of the layers to the first, and then between the pixels."""
+        gain, iterations = self._gain, 0
+        for stage, layer in reversed(list(zip(self._stages, layers, strict=False))):
+            tolerance = _TOLERANCE / stage.to_image[0, 0]
+            fit = stage.fit(layer, pose, tolerance=tolerance, iterations=_STEPS, gain=gain)
+            iterations += fit.iterations
+            pose, gain = fit.pose, fit.gain
+            if fit.failure or fit.correlation < promising:
+                return replace(fit, iterations=iterations)
+        if fit.correlation > self._least:
+            near, offset = _cut(layers[0], apply_homography(pose, self._refinement.corners), _NEAR)
+            fit = self._refinement.fit(
+                half_pixel(near),
+                _shifted(pose, -offset),
+                tolerance=_LAST_TOLERANCE,
+                iterations=_STEPS,
+                gain=gain,
+            )
+            fit = replace(fit, pose=_shifted(fit.pose, offset))
+            iterations += fit.iterations
+        return replace(fit, iterations=iterations)
+
+    def _corners(self) -> Array:
+        return apply_homography(self._pose, self._refinement.corners)
+
+    def _move_to(self, center: Array) -> None:
+        self._pose = _shifted(self._pose, center - self._corners().mean(axis=0))
+
+    def _center_covariance(self, fit: Fit) -> Array:
+        """Carry the covariance of the motion parameters over to the mean of the corners."""
+        if fit.covariance is None:
+            return np.full((2, 2), np.nan)
+        stage = self._refinement
+        corners = np.column_stack([stage.corners, np.ones(4)])
+        mapped = corners @ fit.pose.T
+        velocity = np.einsum("ij,njk,ck->nci", fit.pose, stage.basis, corners)
+        depth = mapped[:, 2:]
+        slope = (velocity[..., :2] - mapped[:, :2] / depth * velocity[..., 2:]) / depth
+        jacobian = slope.mean(axis=1)
+        return jacobian.T @ fit.covariance @ jacobian
+
+
+def _checked_box(
+    box: tuple[int, int, int, int], shape: tuple[int, ...]
+) -> tuple[int, int, int, int]:
+    if len(box) != 4:
+        raise ValueError(f"box must be (x, y, width, height), got {len(box)} numbers")
+    x, y = whole("box x", box[0], least=0), whole("box y", box[1], least=0)
+    width, height = (
+        whole("box width", box[2], least=_COARSEST),
+        whole("box height", box[3], least=_COARSEST),
+    )
+    if x + width > shape[1] or y + height > shape[0]:
+        raise ValueError(
+            f"box must lie inside the image of {shape[1]}×{shape[0]} px, got {tuple(box)}"
+        )
+    return x, y, width, height
+
+
+def _check_texture(stage: Stage) -> None:
+    """Refuse a template that a translation leaves unchanged in some direction."""
+    slopes = stage.slopes.astype(np.float64)
+    weak, strong = np.linalg.eigvalsh(slopes @ slopes.T)
+    if strong == 0:
+        raise ValueError("box must hold a textured template, got a flat one")
+    if weak < _LEAST_CORNERNESS * strong:
+        raise ValueError(
+            "box must hold gradients in two directions, got a template that slides along its edges"
+        )
+
+
+def _distortions(corners: Array, motion: str) -> list[Array]:
+    """Return warps of the template that move every coordinate of its corners, up or down.
+
+    Their signs are the rows of a Hadamard matrix and these rows with two signs changed, which is
+    as far apart as 32 patterns of eight signs can be.
+    """
+    if motion == "translation":
+        return []
+    rows = hadamard(8)
+    changed = rows * [-1, 1, 1, 1, 1, 1, 1, -1]
+    signs = np.concatenate([rows, -rows, changed, -changed]).reshape(-1, 4, 2)
+    moves = _DISTORTION * np.ptp(corners, axis=0) * signs
+    if motion == "affine":  # the nearest ones to these, but for those that are none at all
+        design = np.column_stack([corners, np.ones(4)])
+        moves = design @ np.linalg.pinv(design) @ moves
+        moves = moves[np.abs(moves).max(axis=(1, 2)) > 1e-9]
+    first = corners.astype(np.float32)
+    moved = (corners + moves).astype(np.float32)
+    return [np.asarray(cv2.getPerspectiveTransform(first, target)) for target in moved]
+
+
+def _halved(image: Image) -> Image:
+    """Return the image at half its resolution; its pixels are the even ones of the image."""
+    return cv2.pyrDown(image).astype(np.float32, copy=False)
+
+
+def _pyramid(image: Image, levels: int) -> list[Image]:
+    """Return the image and its successive halves."""
+    layers = [image]
+    for _ in range(levels - 1):
+        layers.append(_halved(layers[-1]))
+    return layers
+
+
+def _cut(image: NDArray, corners: Array, margin: float) -> tuple[NDArray, Array]:
+    """Return the part of an image around some corners and where its first pixel was, (x, y)."""
+    size = np.array(image.shape[::-1])
+    first = np.clip(np.floor(corners.min(axis=0) - margin), 0, size).astype(int)
+    last = np.clip(np.ceil(corners.max(axis=0) + margin) + 1, 0, size).astype(int)
+    return image[first[1] : last[1], first[0] : last[0]], first.astype(np.float64)
+
+
+def _unit(homography: Array) -> Array:
+    return homography / homography[2, 2]
+
+
+def _shifted(pose: Array, by: Array) -> Array:
+    """Return the pose followed by a translation of the image."""
+    shift = np.eye(3)
+    shift[:2, 2] = by
+    return shift @ pose

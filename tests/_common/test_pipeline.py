@@ -1,0 +1,58 @@
+"""Rounds of work in threads: nothing is lost, and errors arrive."""
+
+from collections.abc import Iterator
+from functools import partial
+from threading import Barrier, get_ident
+
+import pytest
+
+from microlib._common import pipeline
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_every_part_sees_every_round_in_order(threads):
+    seen: list[list[int]] = [[] for _ in range(7)]
+
+    def rounds() -> Iterator[partial]:
+        for number in range(50):
+            yield partial(lambda part, number: seen[part].append(number), number=number)
+
+    pipeline(rounds(), range(7), threads)
+    assert seen == [list(range(50))] * 7
+
+
+def test_threads_work_at_the_same_time():
+    together = Barrier(2, timeout=30)  # breaks, and raises, if one thread does both parts
+    names = set()
+
+    def work(part: int) -> None:
+        names.add(get_ident())
+        together.wait()
+
+    pipeline(iter([work]), range(2), 2)
+    assert len(names) == 2
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+@pytest.mark.parametrize("culprit", [0, 3])
+def test_the_first_error_ends_the_work(threads, culprit):
+    done = []
+
+    def work(part: int, number: int) -> None:
+        if (part, number) == (culprit, 2):
+            raise RuntimeError("part is broken")
+        done.append(number)
+
+    with pytest.raises(RuntimeError, match="part is broken"):
+        pipeline((partial(work, number=n) for n in range(1000)), range(4), threads)
+    assert max(done) < 100  # the others stop soon after, not at the end
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_error_of_the_source_arrives(threads):
+    def rounds() -> Iterator:
+        yield lambda part: None
+        raise OSError("disk is gone")
+
+    with pytest.raises(OSError, match="disk is gone"):
+        pipeline(rounds(), range(3), threads)

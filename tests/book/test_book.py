@@ -1,0 +1,319 @@
+"""The built book: whole in its own folder, every link alive, and well in a real browser."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+import yaml
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser, Page, Request, sync_playwright
+
+from compendium import ledger
+
+ROOT = Path(__file__).resolve().parents[2]
+# Pages that Sphinx makes for itself and no reader is sent to.
+INTERNAL = {"genindex.html", "py-modindex.html"}
+# The pages that were written for readers, the search, and one of the library's.
+CONTENTS = yaml.safe_load((ROOT / "book" / "_toc.yml").read_text(encoding="utf-8"))
+WRITTEN = [
+    CONTENTS["root"],
+    *(chapter["file"] for part in CONTENTS["parts"] for chapter in part["chapters"]),
+    "search",
+    "generated/microlib.membrane.elastic_modulus",
+]
+
+
+class Links(HTMLParser):
+    """Collect a page's ids, its links, and what it loads."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.ids: set[str] = set()
+        self.links: list[str] = []
+        self.loads: list[str] = []
+        self.images_without_alt = 0
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = {key: value or "" for key, value in attrs}
+        self.ids |= {values[key] for key in ("id", "name") if key in values}
+        if tag == "a" and "href" in values:
+            self.links.append(values["href"])
+        if "src" in values:
+            self.loads.append(values["src"])
+        if tag == "link" and values.get("rel") not in (
+            "canonical",
+            "search",
+            "next",
+            "prev",
+            "index",
+        ):
+            self.loads.append(values.get("href", ""))
+        self.images_without_alt += tag == "img" and not values.get("alt")
+
+
+@pytest.fixture(scope="module")
+def pages(html: Path) -> dict[Path, Links]:
+    return {
+        p: Links(p.read_text(encoding="utf-8"))
+        for p in sorted(html.rglob("*.html"))
+        if "_static" not in p.parts
+    }
+
+
+def test_nothing_is_loaded_from_elsewhere(html: Path, pages: dict[Path, Links]) -> None:
+    for path, page in pages.items():
+        for url in page.loads:
+            parts = urlsplit(url)
+            if parts.scheme == "data" or not url:
+                continue
+            assert parts.scheme + parts.netloc == "", f"{path.name} loads {url}"
+            assert (path.parent / unquote(parts.path)).exists(), f"{path.name} loads missing {url}"
+    for sheet in html.rglob("*.css"):
+        foreign = re.findall(
+            r"(?:url\(|@import)\s*['\"]?(https?:)?//[^)'\"]+", sheet.read_text(encoding="utf-8")
+        )
+        assert not foreign, f"{sheet.name} loads {foreign}"
+
+
+def test_every_internal_link_resolves(pages: dict[Path, Links]) -> None:
+    for path, page in pages.items():
+        for url in page.links:
+            parts = urlsplit(url)
+            if parts.scheme or parts.netloc or url in ("#", ""):
+                continue
+            target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            assert target.exists(), f"{path.name} links to missing {url}"
+            if parts.fragment and target in pages and path.name not in INTERNAL:
+                assert unquote(parts.fragment) in pages[target].ids, (
+                    f"{path.name}: dead anchor {url}"
+                )
+
+
+def test_every_figure_has_alternative_text(pages: dict[Path, Links]) -> None:
+    assert {p.name: n.images_without_alt for p, n in pages.items() if n.images_without_alt} == {}
+
+
+def test_no_page_names_this_machine(html: Path) -> None:
+    for path in html.rglob("*.html"):
+        assert str(ROOT) not in path.read_text(encoding="utf-8"), path.name
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    executable = (
+        os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+    )
+    if not executable:
+        if os.environ.get("CI"):
+            pytest.fail("CI must install a Chromium")
+        pytest.skip("no Chromium on this machine (set CHROMIUM to its path)")
+    with sync_playwright() as playwright:
+        instance = playwright.chromium.launch(
+            executable_path=executable,
+            chromium_sandbox=False,
+            args=["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
+        )
+        yield instance
+        instance.close()
+
+
+def was_left(request: Request) -> bool:
+    """Tell whether the browser itself dropped a request: the page was left before it was done."""
+    return request.failure == "net::ERR_ABORTED"
+
+
+@pytest.fixture
+def page(browser: Browser) -> Iterator[Page]:
+    """A page without a network that notes everything that goes wrong in it."""
+    context = browser.new_context(offline=True)
+    page = context.new_page()
+    page.faults = []  # type: ignore[attr-defined]
+    note = page.faults.append  # type: ignore[attr-defined]
+    page.on("console", lambda m: note(f"console: {m.text}") if m.type == "error" else None)
+    page.on("pageerror", lambda error: note(f"script: {error}"))
+    page.on("requestfailed", lambda r: note(f"failed request {r.url}") if not was_left(r) else None)
+    yield page
+    context.close()
+
+
+def open_page(page: Page, path: Path) -> None:
+    """Open a page and wait until its formulas are drawn; fail on whatever is missing in it."""
+    page.goto(path.as_uri())
+    page.evaluate("window.MathJax?.startup?.promise")
+    assert page.faults == [], f"{path.name}: {page.faults}"  # type: ignore[attr-defined]
+    assert refused_formulas(page) == [], path.name
+
+
+def refused_formulas(page: Page) -> list[str]:
+    """Return the source of each formula that stands on the page undrawn, or drawn as an error."""
+    return page.evaluate("""() => {
+        const drawn = new Set(document.querySelectorAll("mjx-container"));
+        const errors = [...document.querySelectorAll("[data-mml-node=merror], mjx-merror")];
+        const undrawn = [...document.querySelectorAll(".math.notranslate, .math.nohighlight")]
+            .filter(math => ![...math.querySelectorAll("mjx-container")].some(m => drawn.has(m)));
+        const source = node => node.closest(".math") ?? node;
+        return [...errors.map(source), ...undrawn].map(node => node.textContent.trim());
+    }""")
+
+
+def test_a_broken_page_is_noticed(page: Page, tmp_path: Path) -> None:
+    """The tests below would see a missing file, a script's error, and a foreign request."""
+    broken = tmp_path / "broken.html"
+    broken.write_text(
+        "<script src='missing.js'></script><script>undefined_name()</script>"
+        "<img src='https://example.org/picture.png'>",
+        encoding="utf-8",
+    )
+    page.goto(broken.as_uri())
+    seen = "\n".join(page.faults)  # type: ignore[attr-defined]
+    missing = (tmp_path / "missing.js").as_uri()
+    assert f"failed request {missing}" in seen
+    assert "script: undefined_name is not defined" in seen
+    assert "failed request https://example.org/picture.png" in seen
+
+
+@pytest.mark.parametrize(
+    "formula",
+    [
+        r"\[\begin{split}a &= b\\ c &= d \tag{2.5}\end{split}\]",  # what Sphinx made of (2.5)
+        r"\[\frac{a}{b\]",
+        r"\[\undefinedmacro{a} + \left( b\]",
+        "a formula that lost its delimiters",
+    ],
+)
+def test_a_formula_that_cannot_be_drawn_is_noticed(
+    page: Page, html: Path, tmp_path: Path, formula: str
+) -> None:
+    library = (html / "_static" / "mathjax" / "tex-svg-full.js").as_uri()
+    planted = tmp_path / "planted.html"
+    text = '<meta charset="utf-8"><script async src="{}"></script><div class="math {}">{}</div>'
+    planted.write_text(
+        text.format(library, "notranslate", r"\[\dot X = V + \Omega \times X \tag{2.24}\]")
+    )
+    open_page(page, planted)
+    planted.write_text(text.format(library, "notranslate", formula))
+    with pytest.raises(AssertionError, match=r"planted\.html"):
+        open_page(page, planted)
+
+
+def hindrances(page: Page) -> list[str]:
+    """Return what axe-core calls a serious or critical hindrance to some readers."""
+    found = Axe().run(page).response["violations"]
+    return [
+        f"{v['id']}: {v['nodes'][0]['html'][:120]}"
+        for v in found
+        if v["impact"] in ("serious", "critical")
+    ]
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_a_page_opens_whole_on_every_screen_for_every_reader(
+    page: Page, html: Path, name: str
+) -> None:
+    open_page(page, html / f"{name}.html")
+    assert hindrances(page) == []
+    page.set_viewport_size({"width": 390, "height": 844})
+    excess = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
+    assert excess <= 0, f"{excess} px wider than a phone"
+
+
+def test_pages_of_the_library_open_without_a_fault(page: Page, html: Path) -> None:
+    # They are alike; every eighth stands for them.
+    for path in sorted((html / "generated").glob("*.html"))[::8]:
+        open_page(page, path)
+
+
+def test_every_formula_is_drawn(page: Page, html: Path) -> None:
+    """On every page that has one, in both themes and on both screens."""
+    pages = [p for p in sorted(html.rglob("*.html")) if 'class="math' in p.read_text()]
+    assert len(pages) > 30
+    for path in pages:
+        open_page(page, path)
+        for theme in ("dark", "light"):
+            page.evaluate(f"document.documentElement.dataset.theme = '{theme}'")
+            assert hidden_formulas(page) == 0, f"{path.name}, {theme}"
+
+
+def hidden_formulas(page: Page) -> int:
+    """Count the drawn display formulas that have no extent or the color of what is behind them."""
+    return page.evaluate("""() =>
+        [...document.querySelectorAll("mjx-container[display=true]")].filter(formula => {
+            if (!formula.checkVisibility()) return false;  // folded away with what is around it
+            let behind = formula;
+            while (behind && getComputedStyle(behind).backgroundColor === "rgba(0, 0, 0, 0)")
+                behind = behind.parentElement;
+            const ground = behind ? getComputedStyle(behind).backgroundColor : "rgb(255, 255, 255)";
+            const box = formula.querySelector("svg").getBoundingClientRect();
+            return box.width * box.height === 0 || getComputedStyle(formula).color === ground;
+        }).length
+    """)
+
+
+def test_equations_are_drawn(page: Page, html: Path) -> None:
+    open_page(page, html / "notebooks" / "04_mechanical_characterization.html")
+    assert page.locator("mjx-container").count() > 20
+    tags = page.locator("mjx-container[display=true]").evaluate_all("nodes => nodes.length")
+    assert tags >= 7  # (4.1) to (4.7)
+
+
+def test_search_finds_a_word(page: Page, html: Path) -> None:
+    page.goto((html / "search.html").as_uri() + "?q=chorion")
+    page.wait_for_selector("ul.search li a", timeout=10_000)
+    found = page.locator("ul.search li a").all_inner_texts()
+    assert any("Mechanical characterization" in text for text in found), found
+    assert page.faults == []  # type: ignore[attr-defined]
+
+
+def test_dark_mode_is_accessible(page: Page, html: Path) -> None:
+    page.add_init_script(
+        "localStorage.setItem('mode', 'dark'); localStorage.setItem('theme', 'dark')"
+    )
+    for name in (
+        "intro",
+        "claims",
+        "errata",
+        "notebooks/01_introduction",
+        "notebooks/06_conclusion",
+    ):
+        page.goto((html / f"{name}.html").as_uri())
+        assert page.locator("html").get_attribute("data-theme") == "dark"
+        assert hindrances(page) == [], name
+
+
+def test_pages_are_light(pages: dict[Path, Links], html: Path) -> None:
+    """Each page with its own pictures stays under 1.5 MB; what pages share is not counted."""
+    for path, page in pages.items():
+        own = {path, *((path.parent / unquote(u)).resolve() for u in page.loads if "_images" in u)}
+        size = sum(file.stat().st_size for file in own)
+        assert size < 1.5e6, f"{path.name} weighs {size / 1e6:.2f} MB"
+
+
+def test_claims_can_be_filtered_by_keyboard(page: Page, html: Path) -> None:
+    page.goto((html / "claims.html").as_uri())
+    every = page.locator("table.claims tbody tr:visible").count()
+    assert every == len(ledger.claims())
+    page.locator("[data-claims-text]").focus()
+    page.keyboard.type("table-5.6")
+    assert page.locator("table.claims tbody tr:visible").count() == 7
+    page.keyboard.press("Tab")
+    page.keyboard.type("erratum")
+    assert page.locator("table.claims tbody tr:visible").count() == 1
+    assert "1 of" in page.locator("[data-claims-count]").inner_text()
+
+
+def test_surfaces_can_be_turned(page: Page, html: Path) -> None:
+    """Pages with a 3-D figure draw it from the one local library."""
+    turned = [p for p in (html / "notebooks").glob("*.html") if "plotly-graph-div" in p.read_text()]
+    assert turned
+    for path in turned:
+        page.goto(path.as_uri())
+        page.wait_for_selector(".plotly-graph-div .main-svg", state="attached", timeout=30_000)
+        assert page.faults == [], f"{path.name}: {page.faults}"  # type: ignore[attr-defined]

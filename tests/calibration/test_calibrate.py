@@ -1,0 +1,563 @@
+"""Calibration against exact data, the Cramér–Rao bound, Monte Carlo, OpenCV, SymPy and
+statsmodels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import sympy as sp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from compendium.ledger import claim
+from microlib.calibration import (
+    PARAMETERS,
+    calibrate,
+    cramer_rao,
+    detect_circles,
+    detect_squares,
+    linear_intrinsics,
+    projection_jacobian,
+    radial_alignment,
+)
+from microlib.calibration._microscope_fit import Problem
+from microlib.microscope import Microscope
+from microlib.synthetic import Imaging, render_circles, render_squares
+
+DEGREE = np.pi / 180
+F = 126150.0
+SENSOR = {"pixel_size": 9.9, "image_size": (656, 491)}
+POSE = ("distortion", "alpha", "beta", "gamma", "tx", "ty")
+NOISE = 0.02
+
+
+def scope_with(beta=2.0, gamma=1.5, **change):
+    """In focus, magnification 1.59, angles in degrees."""
+    base = Microscope(
+        1.59 * F, F, F / 1.59, -8.4e-10, 1.5, beta * DEGREE, gamma * DEGREE, -781, -55
+    )
+    return replace(base, **change)
+
+
+def grid_in_view(scope, pitch=280.0):
+    index = np.arange(-40, 41)
+    world = pitch * np.stack(np.meshgrid(index, index), axis=-1).reshape(-1, 2)
+    seen = scope.project(world)
+    return world[((seen > 5) & (seen < [650, 485])).all(axis=1)]
+
+
+def truth_of(scope, names):
+    return np.array([getattr(scope, name) for name in names])
+
+
+def repeat(scope, world, seeds, **options):
+    image = scope.project(world)
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        yield calibrate(world, image + rng.normal(0, NOISE, image.shape), **SENSOR, **options)
+
+
+# The linear start
+
+
+def test_row_of_radial_alignment_follows_from_its_equation():
+    """(2.14) divided by T_y gives [v X, v Y, v, −u X, −u Y]; the printed row of (2.15) does not."""
+    u, v, x, y, tx, ty = sp.symbols("u v X_w Y_w T_x T_y")
+    r11, r12, r21, r22 = sp.symbols("r11 r12 r21 r22")
+    equation = u * (r21 * x + r22 * y + ty) - v * (r11 * x + r12 * y + tx)
+    unknowns = sp.Matrix([r11, r12, tx, r21, r22]) / ty
+    corrected = sp.Matrix([[v * x, v * y, v, -u * x, -u * y]])
+    printed = sp.Matrix([[u * x, v * y, v, -u * x, v * y]])
+    assert sp.simplify((corrected * unknowns)[0] - u + equation / ty) == 0
+    assert sp.simplify((printed * unknowns)[0] - u + equation / ty) != 0
+
+
+def test_row_of_the_intrinsic_system_follows_from_its_equation():
+    """(2.18) as a row: [p + q, −(u + v) r²]; κ is the unknown."""
+    u, v, p, q, m, kappa = sp.symbols("u v p q M kappa")
+    r2 = u**2 + v**2
+    equation = m * (p + q) - kappa * (u + v) * r2 - (u + v)
+    corrected = (sp.Matrix([[p + q, -(u + v) * r2]]) * sp.Matrix([m, kappa]))[0] - (u + v)
+    printed = (sp.Matrix([[p + q, kappa * (u + v) * r2]]) * sp.Matrix([m, kappa]))[0] - (u + v)
+    assert sp.expand(corrected - equation) == 0
+    assert sp.expand(printed - equation) != 0
+
+
+@given(
+    alpha=st.floats(-3.1, 3.1),
+    beta=st.floats(0.05, 0.5),
+    gamma=st.floats(-0.5, 0.5),
+    behind=st.booleans(),
+    distortion=st.floats(-2e-9, 2e-9),
+    shift=st.tuples(st.floats(-500, 500), st.floats(-500, 500)),
+)
+@settings(deadline=None, max_examples=40)
+def test_radial_alignment_is_exact_whatever_the_lens(alpha, beta, gamma, behind, distortion, shift):
+    gamma += np.pi * behind
+    scope = Microscope(2e5, 1.3e5, 8e4, distortion, alpha, beta, gamma, *shift)
+    world = grid_in_view(scope)
+    sensor = (scope.project(world) - scope.principal_point) * 9.9
+    found = radial_alignment(world, sensor)
+    assert np.isclose(np.abs(np.sin(found[1])), np.abs(np.sin(beta)), rtol=0, atol=1e-7)
+    # The tilt's sign is open: either pose, the pattern's directions are the same.
+    sign = np.sign(found[1]) * np.sign(beta)
+    expected = np.array([alpha, sign * beta, sign * gamma])
+    np.testing.assert_allclose(np.exp(1j * found[:3]), np.exp(1j * expected), atol=1e-6)
+    np.testing.assert_allclose(found[3:], shift, atol=1e-3)
+
+
+def test_the_scale_is_tsais():
+    """T_y from the block's singular values against the quadratic of Tsai (1987)."""
+    scope = scope_with(beta=8, gamma=-6)
+    world = grid_in_view(scope)
+    u, v = ((scope.project(world) - scope.principal_point) * 9.9).T
+    x, y = world.T
+    rows = np.column_stack([v * x, v * y, v, -u * x, -u * y])
+    a = np.linalg.lstsq(rows, u, rcond=None)[0]  # r11, r12, Tx, r21, r22 over Ty
+    total = a[0] ** 2 + a[1] ** 2 + a[3] ** 2 + a[4] ** 2
+    determinant = a[0] * a[4] - a[1] * a[3]
+    ty2 = (total - np.sqrt(total**2 - 4 * determinant**2)) / (2 * determinant**2)
+    assert np.sqrt(ty2) == pytest.approx(abs(scope.ty), rel=1e-6)
+    assert abs(radial_alignment(world, np.column_stack([u, v]))[4]) == pytest.approx(55, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("distortion", "precision"),
+    # With both distortion and perspective their product is left out: 1.3 % of h at the corner.
+    [(0.0, 1e-9), (-8.4e-10, 0.013)],
+)
+def test_linear_intrinsics(distortion, precision):
+    scope = scope_with(distortion=distortion)
+    world = grid_in_view(scope)
+    frame = scope.to_objective(world)
+    sensor = (scope.project(world) - scope.principal_point) * 9.9
+    depth = frame[:, 2] - F - F / 1.59
+    found = linear_intrinsics(frame[:, :2], depth, sensor)
+    truth = [1.59, distortion, 1 / (F + F / 1.59)]
+    np.testing.assert_allclose(found, truth, rtol=precision, atol=1e-20)
+
+
+# The Jacobian
+
+
+@pytest.mark.parametrize("scope", [scope_with(), scope_with(20, 177), scope_with(0, 0)])
+def test_jacobian_agrees_with_differences(scope):
+    world = grid_in_view(scope)[::7]
+    analytic = projection_jacobian(scope, world)
+    for k, name in enumerate(PARAMETERS):
+        # Steps that balance rounding (1e-13 px) against curvature.
+        step = {"distortion": 1e-13, "alpha": 1e-6, "beta": 1e-6, "gamma": 1e-6}.get(name, 1.0)
+        value = getattr(scope, name)
+        up, down = (replace(scope, **{name: value + s}).project(world) for s in (step, -step))
+        numeric = (up - down) / (2 * step)
+        np.testing.assert_allclose(
+            analytic[..., k], numeric, atol=2e-7 * np.abs(numeric).max() + 1e-11
+        )
+
+
+def test_jacobian_of_derived_parameters():
+    scope = scope_with()
+    world = grid_in_view(scope)[::7]
+    by_m, by_f = np.moveaxis(projection_jacobian(scope, world, ("magnification", "focus")), -1, 0)
+    up, down = (replace(scope, tube_length=(1.59 + s) * (F + F / 1.59) - F) for s in (1e-5, -1e-5))
+    np.testing.assert_allclose(
+        by_m, (up.project(world) - down.project(world)) / 2e-5, rtol=1e-6, atol=1e-6
+    )
+    up, down = (
+        replace(scope, focal_length=f, tube_length=1.59 * f, distance=f / 1.59)
+        for f in (F + 50, F - 50)
+    )
+    difference = (up.project(world) - down.project(world)) / 100
+    np.testing.assert_allclose(by_f, difference, atol=1e-5 * np.abs(difference).max())
+
+
+@pytest.mark.parametrize("power", [1 / F, 1e-9, -1 / F])
+def test_jacobian_of_the_fit_agrees_with_differences(power):
+    """In (M, 1/f, κ, α, β, γ, T_x, T_y), at and beyond the telecentric limit too."""
+    scope = scope_with(20, 170)
+    world = grid_in_view(scope)[::7]
+    problem = Problem(world, np.zeros_like(world), scope.cell, np.arange(8))
+    theta = np.array([1.59, power, *truth_of(scope, POSE)])
+    analytic = problem.jacobian(theta)
+    steps = [1e-6, 1e-10, 1e-14, 1e-6, 1e-6, 1e-6, 1e-2, 1e-2]
+    for k, step in enumerate(steps):
+        move = step * np.eye(8)[k]
+        numeric = (problem.residuals(theta + move) - problem.residuals(theta - move)) / (2 * step)
+        atol = 1e-6 * np.abs(numeric).max()
+        np.testing.assert_allclose(analytic[:, k], numeric, rtol=0, atol=atol)
+
+
+def test_unknown_parameter_is_named():
+    with pytest.raises(ValueError, match="focal"):
+        projection_jacobian(scope_with(), [[0.0, 0.0]], ("focal",))
+
+
+def test_the_three_lengths_are_never_determined():
+    """T_op + f and f + d are all that any view of a plane shows, at any tilt."""
+    for tilt in (0, 2, 30):
+        scope = scope_with(tilt, tilt)
+        world = grid_in_view(scope)
+        jacobian = projection_jacobian(scope, world)[..., :3]
+        null = np.array([1.0, -1.0, 1.0])
+        assert np.abs(jacobian @ null).max() < 1e-12 * np.abs(jacobian).max()
+        bound = np.diag(cramer_rao(scope, world, NOISE, PARAMETERS))
+        assert np.isinf(bound[:3]).all()
+        assert np.isfinite(bound[6 if tilt else 3 :]).all()
+
+
+# The fit
+
+
+@given(
+    alpha=st.floats(-3, 3),
+    beta=st.floats(-0.2, 0.2),
+    gamma=st.floats(-0.2, 0.2),
+    behind=st.booleans(),
+    magnification=st.floats(0.8, 10),
+    distortion=st.floats(-1e-9, 1e-9),
+)
+@settings(deadline=None, max_examples=25)
+def test_exact_data_gives_exact_parameters(alpha, beta, gamma, behind, magnification, distortion):
+    gamma += np.pi * behind
+    f = 2e5 / magnification
+    scope = Microscope(2e5, f, f / magnification, distortion, alpha, beta, gamma, 30.0, -20.0)
+    world = grid_in_view(scope, pitch=500 / magnification)
+    found = calibrate(world, scope.project(world), focal_length=f, **SENSOR)
+    assert found.reprojection.max < 1e-8
+    assert found.microscope.magnification == pytest.approx(magnification, rel=1e-9)
+    assert found.microscope.tube_length == pytest.approx(2e5, rel=1e-9)
+    assert found.microscope.distortion == pytest.approx(distortion, abs=1e-16)
+    turns = np.array([found.microscope.alpha, found.microscope.beta, found.microscope.gamma])
+    np.testing.assert_allclose(
+        np.exp(1j * turns), np.exp(1j * np.array([alpha, beta, gamma])), atol=1e-6
+    )
+
+
+def test_the_focal_length_is_found_from_a_tilted_plane():
+    scope = scope_with(10, 170)
+    world = grid_in_view(scope)
+    found = calibrate(world, scope.project(world), **SENSOR)
+    assert found.microscope.focal_length == pytest.approx(F, rel=1e-7)
+    assert found.microscope.gamma == pytest.approx(170 * DEGREE, rel=1e-7)
+    assert found.unobservable == ()
+
+
+@pytest.mark.parametrize("tilt", [0, 2, 20])
+def test_stated_errors_meet_the_bound_and_intervals_cover(tilt):
+    """f given. 60 runs of 7 parameters: 95 % ± 1.1 % if independent; correlated, allow 91 to 99
+    %."""
+    scope = scope_with(tilt, 0.6 * tilt)
+    world = grid_in_view(scope)
+    names = ("magnification", *POSE)
+    bound = np.sqrt(np.diag(cramer_rao(scope, world, NOISE, names)))
+    truth = truth_of(scope, names)
+    stated, inside, errors = [], [], []
+    for found in repeat(scope, world, 60, focal_length=F):
+        assert found.unobservable == ()
+        stated.append(list(found.sigma.values()))
+        errors.append(found.estimate - truth)
+        spans = [found.interval(name) for name in names]
+        inside.append([low <= t <= high for (low, high), t in zip(spans, truth, strict=True)])
+    np.testing.assert_allclose(np.median(stated, axis=0), bound, rtol=0.25)
+    # Scatter over 60 runs: ±9 %; three of them.
+    np.testing.assert_allclose(np.std(errors, axis=0), bound, rtol=0.3)
+    assert 0.91 <= np.mean(inside) <= 0.99
+    assert np.abs(np.array(errors)[:, 0]).max() / scope.magnification < 1e-4
+
+
+@pytest.mark.parametrize("tilt", [2, 5, 20])
+def test_stated_error_of_an_unknown_focal_length(tilt):
+    scope = scope_with(tilt, 0.6 * tilt)
+    world = grid_in_view(scope)
+    names = ("magnification", "focus", *POSE)
+    bound = np.sqrt(np.diag(cramer_rao(scope, world, NOISE, names)))[1]
+    runs = list(repeat(scope, world, 40))
+    stated = np.median([run.sigma["focal_length"] for run in runs])
+    assert stated == pytest.approx(bound, rel=0.25)
+    inside = [
+        run.interval("focal_length")[0] <= F <= run.interval("focal_length")[1] for run in runs
+    ]
+    assert np.mean(inside) >= 0.85  # 40 runs: 95 % ± 3.4 %, three of them
+
+
+def test_a_parallel_plane_tells_no_focal_length():
+    """OpenCV returns one, with a standard deviation of nothing; here it is named unobservable."""
+    scope = scope_with(0, 180)
+    world = grid_in_view(scope)
+    for found in repeat(scope, world, 20):
+        assert {"focal_length", "beta", "gamma"} <= set(found.unobservable)
+        assert np.isinf(found.sigma["focal_length"])
+        assert found.microscope.magnification == pytest.approx(1.59, rel=2e-4)
+    exact = calibrate(world, scope.project(world), **SENSOR)
+    assert "focal_length" in exact.unobservable
+    camera = np.array([[3e4, 0, 327.5], [0, 3e4, 245.0], [0, 0, 1]])
+    flags = (
+        cv2.CALIB_USE_INTRINSIC_GUESS
+        + cv2.CALIB_FIX_PRINCIPAL_POINT
+        + cv2.CALIB_FIX_ASPECT_RATIO
+        + cv2.CALIB_ZERO_TANGENT_DIST
+        + cv2.CALIB_FIX_K2
+        + cv2.CALIB_FIX_K3
+    )
+    flat = np.column_stack([world, np.zeros(len(world))]).astype(np.float32)
+    rng = np.random.default_rng(0)
+    seen = scope.project(world) + rng.normal(0, NOISE, world.shape)
+    peer = cv2.calibrateCameraExtended(
+        [flat], [seen.astype(np.float32)], (656, 491), camera, np.zeros(5), flags=flags
+    )
+    true_focal = F * 2.59 / 9.9
+    assert abs(peer[1][0, 0] / true_focal - 1) > 0.04
+    assert peer[5].ravel()[0] / peer[1][0, 0] < 1e-4
+
+
+def test_a_hidden_sign_of_the_tilt_is_named():
+    """A far objective: foreshortening shows the tilt, perspective is lost in noise, so its sign is
+    too."""
+    f = 4e7
+    scope = Microscope(1.6 * f, f, f / 1.6, 0.0, 0.3, 0.15, 0.1, 20, 30)
+    world = grid_in_view(scope)
+    for found in repeat(scope, world, 5, focal_length=f):
+        assert {"beta", "gamma"} <= set(found.unobservable)
+        assert np.isinf(found.sigma["beta"])
+        assert np.isfinite(found.sigma["magnification"])
+
+
+def test_agrees_with_opencv_when_the_focal_length_is_held():
+    """solvePnP with OpenCV's camera is the same model when κ = 0: the poses must agree."""
+    scope = scope_with(6, 174, distortion=0.0)
+    world = grid_in_view(scope)
+    rng = np.random.default_rng(1)
+    image = scope.project(world) + rng.normal(0, NOISE, world.shape)
+    found = calibrate(world, image, focal_length=F, **SENSOR)
+    m = found.microscope
+    camera = np.array(
+        [
+            [F * (1 + m.magnification) / 9.9, 0, 327.5],
+            [0, F * (1 + m.magnification) / 9.9, 245],
+            [0, 0, 1],
+        ]
+    )
+    flat = np.column_stack([world, np.zeros(len(world))])
+    undistorted = (image - m.principal_point) * (
+        1 + m.distortion * (((image - m.principal_point) * 9.9) ** 2).sum(axis=1, keepdims=True)
+    ) + m.principal_point
+    _, turn, shift = cv2.solvePnP(flat, undistorted, camera, None, flags=cv2.SOLVEPNP_ITERATIVE)
+    # Both minimise pixels; weights of undistorted points differ by 1 %, so by far less than one σ.
+    np.testing.assert_allclose(cv2.Rodrigues(turn)[0], m.rotation, atol=2 * found.sigma["beta"])
+    np.testing.assert_allclose(shift[2, 0], F + F / m.magnification, rtol=3e-4)
+
+
+def test_reprojection_in_pixels_and_on_the_plane():
+    scope = scope_with()
+    world = grid_in_view(scope)
+    found = next(iter(repeat(scope, world, 1, focal_length=F)))
+    pixels = found.microscope.project(world) + found.residuals
+    np.testing.assert_allclose(found.plane_residuals, found.microscope.back_project(pixels) - world)
+    # A pixel is 9.9/M µm on the pattern, foreshortening aside (tilt 2.5°: 0.1 %).
+    assert found.plane_error.mean / found.reprojection.mean == pytest.approx(9.9 / 1.59, rel=0.02)
+    distance = np.hypot(*found.residuals.T)
+    assert found.reprojection.std == pytest.approx(distance.std())
+    assert found.reprojection.max == pytest.approx(distance.max())
+
+
+def test_group_covariance_is_the_jackknife():
+    """In closed form, against leaving out one group after the other and calibrating again."""
+    scope = scope_with()
+    world = grid_in_view(scope)[:140]
+    rng = np.random.default_rng(2)
+    groups = np.arange(140) // 4
+    image = (
+        scope.project(world)
+        + rng.normal(0, NOISE, (140, 2))
+        + rng.normal(0, NOISE, (35, 2))[groups]
+    )
+    found = calibrate(world, image, focal_length=F, groups=groups, **SENSOR)
+    left = np.array(
+        [
+            calibrate(world[groups != g], image[groups != g], focal_length=F, **SENSOR).estimate
+            for g in range(35)
+        ]
+    )
+    spread = left - left.mean(axis=0)
+    expected = 34 / 35 * spread.T @ spread
+    sigma = np.sqrt(np.diag(expected))
+    # The closed form is for a linear problem and about the estimate, not the mean of the 35.
+    np.testing.assert_allclose(
+        found.covariance / np.outer(sigma, sigma), expected / np.outer(sigma, sigma), atol=0.03
+    )
+
+
+def test_groups_of_correlated_errors_still_cover():
+    """Errors shared by four neighbours: intervals that take them as independent are too short."""
+    scope = scope_with()
+    world = grid_in_view(scope)[:148]
+    groups = np.arange(148) // 4
+    names = ("magnification", *POSE)
+    truth = truth_of(scope, names)
+    inside = {True: [], False: []}
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        image = scope.project(world) + rng.normal(0, NOISE, (37, 2))[groups]
+        for known in inside:
+            found = calibrate(
+                world, image, focal_length=F, groups=groups if known else None, **SENSOR
+            )
+            spans = [found.interval(name) for name in names]
+            inside[known].append([a <= t <= b for (a, b), t in zip(spans, truth, strict=True)])
+    # 420 intervals, correlated in sevens: 95 ± 2.8 % if as good as independent in 60; two of them.
+    assert np.mean(inside[True]) > 0.9
+    assert np.mean(inside[False]) < 0.8
+
+
+def test_huber_resists_outliers():
+    scope = scope_with()
+    world = grid_in_view(scope)
+    rng = np.random.default_rng(3)
+    image = scope.project(world) + rng.normal(0, NOISE, world.shape)
+    image[::15] += rng.normal(0, 2.0, image[::15].shape)
+    plain = calibrate(world, image, focal_length=F, **SENSOR)
+    robust = calibrate(world, image, focal_length=F, loss="huber", **SENSOR)
+    error = [abs(c.microscope.magnification - 1.59) for c in (plain, robust)]
+    assert error[1] < 0.3 * error[0]
+    assert robust.sigma["magnification"] < 0.3 * plain.sigma["magnification"]
+    assert error[1] < 4 * robust.sigma["magnification"]
+
+
+def test_huber_costs_little_without_outliers():
+    scope = scope_with()
+    world = grid_in_view(scope)
+    pairs = [
+        (a.sigma["magnification"], b.sigma["magnification"])
+        for a, b in zip(
+            repeat(scope, world, 8, focal_length=F),
+            repeat(scope, world, 8, focal_length=F, loss="huber"),
+            strict=True,
+        )
+    ]
+    ratio = np.mean([b / a for a, b in pairs])
+    assert ratio == pytest.approx(1 / np.sqrt(0.95), rel=0.05)  # Huber's efficiency at the normal
+
+
+def test_from_image_to_microscope():
+    """Rendered, detected, calibrated: two columns of Table 5.1, better than Table 5.2's mean
+    errors."""
+    scope = Microscope(
+        200490,
+        126150,
+        78750,
+        -8.4e-10,
+        90.7144 * DEGREE,
+        -2.7912 * DEGREE,
+        175.9179 * DEGREE,
+        -781.4,
+        -55.002,
+    )
+    rng = np.random.default_rng(4)
+    image = render_circles(scope, imaging=Imaging(noise=2.0), rng=rng)
+    found = detect_circles(image, direction=scope.alpha, mirrored=True)
+    world = 280.0 * np.round(scope.back_project(found.points) / 280.0)
+    circles = calibrate(world, found.points, focal_length=scope.focal_length, **SENSOR)
+    assert circles.microscope.magnification == pytest.approx(scope.magnification, rel=1e-4)
+    assert circles.microscope.gamma == pytest.approx(scope.gamma, abs=5 * circles.sigma["gamma"])
+    assert circles.plane_error.mean < 0.2202
+
+    scope = Microscope(
+        200880,
+        31174,
+        4833.5,
+        1.5e-10,
+        95.4143 * DEGREE,
+        -1.9407 * DEGREE,
+        178.2925 * DEGREE,
+        -1653.1,
+        -1194.5,
+    )
+    image = render_squares(scope, side=50.0, imaging=Imaging(noise=2.0), rng=rng)
+    found = detect_squares(image, direction=scope.alpha, mirrored=True)
+    world = 50.0 * np.round(scope.back_project(found.points) / 50.0)
+    squares = calibrate(
+        world, found.points, focal_length=scope.focal_length, groups=found.group, **SENSOR
+    )
+    assert squares.microscope.magnification == pytest.approx(scope.magnification, rel=1e-4)
+    assert squares.plane_error.mean < 0.0920
+
+
+# What the thesis prints
+
+
+COLUMNS = ("circle-1X", "circle-4X", "square-1X", "square-4X")
+
+
+def table_5_1(column, name):
+    return claim(f"table-5.1/{column}/{name}").value
+
+
+def test_the_printed_magnifications_do_not_hold_together():
+    """(2.12) wants T_op/f = (T_op + f)/(f + d); rounding allows 1e-4, and the print has more."""
+    gaps = []
+    for column in COLUMNS:
+        t, f, d = (table_5_1(column, k) for k in ("T_op", "f", "d"))
+        assert t / f == pytest.approx(table_5_1(column, "M"), rel=1e-4)
+        gaps.append((t + f) / (f + d) / (t / f) - 1)
+    np.testing.assert_allclose(gaps, [0.0030, -0.0010, 0.0016, 0.0001], atol=1e-4)
+
+
+def test_the_printed_range_of_one_column_contradicts_its_magnification():
+    t, f, d, z = (table_5_1("square-4X", k) for k in ("T_op", "f", "d", "T_z"))
+    assert float(claim("table-5.1/square-4X/T_z").corrected) == f + d
+    assert (t + f) / (f + d) == pytest.approx(table_5_1("square-4X", "M"), rel=1e-3)
+    assert (t + f) / z < 0.2 * table_5_1("square-4X", "M")
+
+
+@pytest.mark.parametrize(
+    ("column", "possible"), list(zip(COLUMNS, (True, True, False, False), strict=True))
+)
+def test_the_printed_spread_of_the_square_patterns_is_impossible(column, possible):
+    """Numbers in [0, m] with mean a have a variance of at most a (m − a), whatever they are."""
+    mean, std, top = (claim(f"table-5.2/{column}/{k}").value for k in ("mean", "std", "max"))
+    assert (std**2 <= mean * (top - mean)) is possible
+    # The bound itself, on the sets that come nearest to it: all values at the ends.
+    share = mean / top
+    assert np.sqrt(share * (1 - share)) * top == pytest.approx(np.sqrt(mean * (top - mean)))
+
+
+# Bad input
+
+WORLD = grid_in_view(scope_with())
+IMAGE = scope_with().project(WORLD)
+LINE = np.column_stack([np.arange(9.0), 2 * np.arange(9.0)])
+
+
+@pytest.mark.parametrize(
+    ("world", "image", "change", "word"),
+    [
+        (WORLD[:4], IMAGE[:4], {}, "at least 5"),
+        (WORLD, IMAGE[:-1], {}, "same length"),
+        (WORLD[:, :1], IMAGE, {}, "world"),
+        (WORLD, IMAGE * np.nan, {}, "image"),
+        (LINE, IMAGE[:9], {}, "world must not lie on one line"),
+        (WORLD[:9], LINE, {}, "image must not lie on one line"),
+        (np.zeros((9, 2)), IMAGE[:9], {}, "world"),
+        (WORLD[[0, 1, 40, 0, 1, 40]], IMAGE[[0, 1, 40, 0, 1, 40]], {}, "determine a pose"),
+        (WORLD, IMAGE, {"focal_length": 0.0}, "focal_length"),
+        (WORLD, IMAGE, {"pixel_size": -9.9}, "pixel_size"),
+        (WORLD, IMAGE, {"image_size": (656,)}, "image_size"),
+        (WORLD, IMAGE, {"loss": "cauchy"}, "loss"),
+        (WORLD, IMAGE, {"groups": np.zeros(len(WORLD))}, "groups"),
+        (WORLD, IMAGE, {"groups": np.zeros(3)}, "groups"),
+    ],
+)
+def test_bad_input_is_named(world, image, change, word):
+    with pytest.raises(ValueError, match=word):
+        calibrate(world, image, **{"focal_length": F, **SENSOR, **change})
+
+
+def test_bad_interval_is_named():
+    found = calibrate(WORLD, IMAGE, focal_length=F, **SENSOR)
+    with pytest.raises(ValueError, match="parameter"):
+        found.interval("focal_length")
+    with pytest.raises(ValueError, match="level"):
+        found.interval("alpha", 1.0)

@@ -1,0 +1,171 @@
+"""The outline in an image against the outline that was drawn, and every image that shows none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from microlib.embryo import extract_boundary, find_probe, remove_probe
+from microlib.synthetic import Embryo, EmbryoImage, embryo_image
+
+
+def render(seed: int = 0, **camera: object) -> EmbryoImage:
+    embryo = Embryo.pressed(150.0, modulus=1.2)
+    camera = {"shape": (480, 720)} | camera
+    return embryo_image(embryo, rng=np.random.default_rng(seed), **camera)
+
+
+@pytest.fixture(scope="module")
+def scene() -> EmbryoImage:
+    return render(centre=(350.37, 126.81), tilt=0.01, unevenness=0.2)
+
+
+def distances(scene: EmbryoImage, points: np.ndarray) -> np.ndarray:
+    """How far points lie outside the drawn outline, in px."""
+    outline = scene.to_pixels(scene.embryo.outline(0.05))
+    along = np.roll(outline, -1, axis=0) - np.roll(outline, 1, axis=0)
+    outward = np.stack([along[:, 1], -along[:, 0]], axis=1)
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    _, nearest = cKDTree(outline).query(points)
+    return np.einsum("ij,ij->i", points - outline[nearest], outward[nearest])
+
+
+def test_outline_lies_on_the_drawn_one(scene):
+    boundary = extract_boundary(scene.image)
+    seen = boundary.points[~boundary.under_probe]
+    off = distances(scene, seen)
+    # The dark wall darkens the brighter ground more than the fluid, which moves its apparent middle
+    # outwards by about 0.02 px; noise of 2/255 moves a point by 0.065 px.
+    assert abs(off.mean()) < 0.04
+    assert off.std() < 0.09
+    assert np.abs(off).max() < 0.4
+    assert boundary.std[~boundary.under_probe].mean() == pytest.approx(off.std(), rel=0.3)
+    assert (np.diff(boundary.x) >= 0).all()
+    # It reaches from near the probe to well beyond both rims.
+    radius = scene.embryo.dimple_radius / scene.pixel_size
+    for side in (-1, 1):
+        distance = side * (seen[:, 0] - scene.centre[0])
+        assert distance[distance > 0].min() < 15
+        assert distance.max() > 1.5 * radius
+    # A sensor's square cell adds 1/12 px² to the blur, the wall's own thickness as much of its own.
+    wall = (scene.embryo.thickness / scene.pixel_size) ** 2 / 12
+    assert boundary.blur == pytest.approx(np.sqrt(1 + 1 / 12 + wall), abs=0.06)
+
+
+def test_probe_is_where_it_was_drawn(scene):
+    probe = find_probe(scene.image)
+    embryo = scene.embryo
+    tip = scene.to_pixels([[0.0, embryo.thickness / 2 - embryo.dimple_depth]])[0]
+    assert probe.tip[0] == pytest.approx(tip[0], abs=0.1)
+    # Its end stands on a dark wall and not on the ground: half-way is up to half a px lower.
+    assert probe.tip[1] == pytest.approx(tip[1], abs=0.7)
+    assert probe.half_width * scene.pixel_size == pytest.approx(25.0, abs=0.3)
+    assert probe.slope == pytest.approx(-np.tan(0.01), abs=1e-3)
+
+
+def test_filled_probe_leaves_the_ground(scene):
+    clean = render(centre=(350.37, 126.81), tilt=0.01, unevenness=0.2, probe=False, noise=0.0)
+    noisy = scene.image[:100].astype(float)
+    filled = remove_probe(scene.image, find_probe(scene.image))[:100]
+    off = filled - clean.image[:100]
+    bar = np.abs(noisy - filled) > 20
+    assert bar.sum() > 100 * 11
+    # The ground is a straight line between noisy neighbours; light bends by less than a grey level.
+    assert np.abs(off[bar]).max() < 3
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda image: image.astype(np.uint16) * 257,
+        lambda image: image / 255.0,
+        lambda image: image * 0.5 + 10.0,
+    ],
+    ids=["16 bit", "0 to 1", "dimmer"],
+)
+def test_scale_of_the_grey_levels_does_not_matter(scene, change):
+    plain, other = extract_boundary(scene.image), extract_boundary(change(scene.image))
+    np.testing.assert_array_equal(other.under_probe, plain.under_probe)
+    # float32 keeps seven digits of a grey level, which are 1e-6 px of an edge; a wall's place is
+    # polished to about 1e-3 px.
+    np.testing.assert_allclose(other.points, plain.points, atol=5e-3)
+
+
+def test_mirror_image_gives_the_mirrored_outline(scene):
+    plain, other = extract_boundary(scene.image), extract_boundary(scene.image[:, ::-1])
+    columns = scene.image.shape[1]
+    x = np.arange(200.0, 500.0)
+    x = x[np.abs(x - scene.centre[0]) > 16]
+    mirrored = np.interp(columns - 1 - x, other.x, other.y)
+    # The curve is cut into points at other places: each carries its own noise of 0.065 px, more
+    # across the steep wall near the probe.
+    off = mirrored - np.interp(x, plain.x, plain.y)
+    assert np.abs(off).max() < 0.4
+    assert abs(off.mean()) < 0.02
+
+
+def spoiled(name: str) -> np.ndarray:
+    """Images that do not show what is needed."""
+    image = render().image
+    ground = np.random.default_rng(1).normal(190.0, 2.0, image.shape).clip(0, 255).astype(np.uint8)
+    if name == "no embryo":
+        ground[:180, 353:366] = 42
+        return ground
+    if name == "nothing":
+        return ground
+    if name == "probe beside":
+        bare = render(probe=False).image
+        bare[:300, 85:98] = 42
+        return bare
+    if name == "probe above":
+        bare = render(probe=False).image
+        bare[:60, 353:366] = 42
+        return bare
+    if name == "two probes":
+        image[:60, 150:163] = 42
+        return image
+    if name == "untouched":
+        return embryo_image(Embryo(1.0, 0.0, 1.0), rng=np.random.default_rng(0)).image
+    return {
+        "no probe": lambda: render(probe=False).image,
+        "saturated": lambda: (image * 1.4).clip(0, 255).astype(np.uint8),
+        "saturated 0 to 1": lambda: (image / 255 * 1.4).clip(0, 1),
+        "upside down": lambda: image[::-1],
+        "on its side": lambda: np.rot90(image),
+        "turned 10°": lambda: render(tilt=np.deg2rad(10)).image,
+        "half of it": lambda: image[:, 340:],
+        "noise": lambda: np.random.default_rng(0).integers(0, 250, image.shape).astype(np.uint8),
+        "flat": lambda: np.full(image.shape, 120, np.uint8),
+        "tiny": lambda: image[:40, :40],
+        "colour": lambda: np.stack([image] * 3, axis=2),
+        "NaN": lambda: np.where(image < 50, np.nan, image.astype(float)),
+    }[name]()
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("no embryo", "image must show an embryo's outline on both sides of the probe"),
+        ("nothing", "one dark probe that enters through its upper edge, got 0 bars"),
+        ("probe beside", "image must show an embryo's outline on both sides"),
+        ("probe above", "image must show a dimple at least 3 px deep"),
+        ("two probes", "one dark probe .* got 2 bars"),
+        ("untouched", "image must show a dimple at least 3 px deep"),
+        ("no probe", "one dark probe .* got 0 bars"),
+        ("saturated", "image must not be saturated"),
+        ("saturated 0 to 1", "image must not be saturated"),
+        ("upside down", "image must show a dimple"),
+        ("on its side", "one dark probe .* got 0 bars"),
+        ("turned 10°", "upright to within 4°, got -10.0°"),
+        ("half of it", "image must show an embryo's outline on both sides"),
+        ("noise", "one dark probe .* got 0 bars"),
+        ("flat", "one dark probe .* got 0 bars"),
+        ("tiny", "image must be at least 64 px on each side"),
+        ("colour", "image must be a grey image"),
+        ("NaN", "image must be finite"),
+    ],
+)
+def test_images_that_show_no_dimple_are_refused(name, message):
+    with pytest.raises(ValueError, match=message):
+        extract_boundary(spoiled(name))

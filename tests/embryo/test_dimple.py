@@ -1,0 +1,142 @@
+"""The membrane's profile fitted to outlines with known truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from microlib.embryo import Boundary, fit_dimple
+from microlib.embryo._boundary import Probe
+from microlib.synthetic import Embryo
+
+PIXEL = 4.0  # µm
+ROWS = 800
+CENTER = (500.3, 600.2)  # px, y up
+
+
+def outline(
+    embryo: Embryo, *, noise: float = 0.0, tilt: float = 0.0, rng: np.random.Generator | None = None
+) -> Boundary:
+    """Points of an embryo's outline one px apart, moved across it by noise, as an extraction's."""
+    x, y = embryo.outline(PIXEL).T / PIXEL
+    order = np.argsort(x)
+    x, y = x[order], y[order]
+    upper = (y > -1.05 * embryo.dimple_depth / PIXEL) & (np.abs(x) > 11)
+    x, y = x[upper], y[upper]
+    if rng is not None:
+        step = np.gradient(np.stack([x, y]), axis=1)
+        across = np.stack([-step[1], step[0]]) / np.hypot(*step)
+        x, y = np.stack([x, y]) + across * rng.normal(0.0, noise, x.size)
+    cos, sin = np.cos(tilt), np.sin(tilt)
+    tip = np.array([-sin, cos]) * -embryo.dimple_depth / PIXEL + CENTER
+    probe = Probe((tip[0], ROWS - 1 - tip[1]), np.tan(tilt), embryo.probe_half_width / PIXEL)
+    return Boundary(
+        x=cos * x - sin * y + CENTER[0],
+        y=sin * x + cos * y + CENTER[1],
+        std=np.full(x.size, max(noise, 0.01)),
+        under_probe=np.zeros(x.size, dtype=bool),
+        probe=probe,
+        blur=1.0,
+        image_height=ROWS,
+    )
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    depth=st.floats(40.0, 150.0),
+    rim=st.floats(350.0, 600.0),
+    tilt=st.floats(-0.06, 0.06),
+)
+@example(depth=47.5, rim=431.0, tilt=0.0)  # exact but for the flank, a fifth of the points
+def test_exact_outline_gives_exact_dimple(depth, rim, tilt):
+    embryo = Embryo.dented(depth, modulus=1.0, rim_radius=rim)
+    boundary = outline(embryo, tilt=tilt)
+    dimple = fit_dimple(boundary, pixel_size=PIXEL, probe_half_width=25.0)
+    # The drawn flank is an ellipse and the fitted one a circle: parts in a thousand.
+    assert dimple.dimple_depth == pytest.approx(embryo.dimple_depth, rel=3e-3)
+    assert dimple.dimple_radius == pytest.approx(embryo.dimple_radius, rel=3e-3)
+    assert dimple.tilt == pytest.approx(tilt, abs=1e-3)
+    assert dimple.center == pytest.approx(CENTER, abs=0.05)
+    assert dimple.rim_curvatures == pytest.approx((1 / rim, 1 / rim), rel=0.1)
+    # Calling the fit draws the outline.
+    near = np.abs(boundary.x - CENTER[0]) < 1.2 * embryo.dimple_radius / PIXEL
+    np.testing.assert_allclose(dimple(boundary.x[near]), boundary.y[near], atol=0.1)
+
+
+def test_covariance_is_what_noise_does():
+    rng = np.random.default_rng(0)
+    embryo = Embryo.dented(80.0, modulus=1.0)
+    found, stated = [], []
+    for _ in range(120):
+        boundary = outline(embryo, noise=0.06, rng=rng)
+        dimple = fit_dimple(boundary, pixel_size=PIXEL, probe_half_width=25.0)
+        found.append([dimple.dimple_radius, dimple.dimple_depth])
+        stated.append(dimple.covariance)
+    covariance = np.mean(stated, axis=0)
+    # 120 draws know a standard deviation to 6.5 %: four of those.
+    ratio = np.std(found, axis=0, ddof=1) / np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(ratio, 1.0, atol=0.26)
+    # Radius and depth vary together, and the off-diagonal says so.
+    correlation = covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])
+    assert np.corrcoef(np.transpose(found))[0, 1] == pytest.approx(correlation, abs=0.1)
+
+
+def test_stray_points_are_left_out():
+    rng = np.random.default_rng(1)
+    embryo = Embryo.dented(100.0, modulus=1.0)
+    boundary = outline(embryo, noise=0.06, rng=rng)
+    stray = rng.choice(boundary.y.size, 12, replace=False)
+    boundary.y[stray] += rng.uniform(2.0, 8.0, stray.size)
+    dimple = fit_dimple(boundary, pixel_size=PIXEL, probe_half_width=25.0)
+    assert dimple.dimple_depth == pytest.approx(100.0, abs=5 * dimple.covariance[1, 1] ** 0.5)
+
+
+def test_a_dimple_of_another_shape_is_refused():
+    """A ripple of 3 px in a dimple 30 px deep."""
+    boundary = outline(Embryo.dented(120.0, modulus=1.0))
+    rippled = Boundary(
+        boundary.x,
+        boundary.y + 3 * np.sin(np.abs(boundary.x - CENTER[0]) / 6.0),
+        boundary.std,
+        boundary.under_probe,
+        boundary.probe,
+        boundary.blur,
+        boundary.image_height,
+    )
+    with pytest.raises(ValueError, match=r"follow the membrane's profile \(4.2\)"):
+        fit_dimple(rippled, pixel_size=PIXEL, probe_half_width=25.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"pixel_size": 0.0}, "pixel_size must be positive"),
+        ({"probe_half_width": -1.0}, "probe_half_width must be positive"),
+        ({"probe_half_width": 260.0}, "probe_half_width must be below the dimple's radius"),
+        ({"probe_half_width": 45.0}, "probe's end at the bottom of the dimple"),
+        ({"probe_half_width": 12.0}, "probe's end at the bottom of the dimple"),
+    ],
+)
+def test_refusals(change, message):
+    call = {"pixel_size": PIXEL, "probe_half_width": 25.0} | change
+    with pytest.raises(ValueError, match=message):
+        fit_dimple(outline(Embryo.dented(100.0, modulus=1.0)), **call)
+
+
+def test_a_probe_beside_the_dimple_is_refused():
+    boundary = outline(Embryo.dented(100.0, modulus=1.0))
+    tip = boundary.probe.tip
+    moved = Probe((tip[0] + 12, tip[1]), 0.0, boundary.probe.half_width)
+    shifted = Boundary(
+        boundary.x,
+        boundary.y,
+        boundary.std,
+        boundary.under_probe,
+        moved,
+        boundary.blur,
+        boundary.image_height,
+    )
+    with pytest.raises(ValueError, match="got it 12"):
+        fit_dimple(shifted, pixel_size=PIXEL, probe_half_width=25.0)

@@ -1,0 +1,217 @@
+"""The Gaussian sum, its fit and the dimple read off it, against scipy and Table 5.5."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import curve_fit, minimize_scalar
+
+from compendium import ledger
+from microlib.embryo import GaussianSum, dimple_geometry, fit_gaussians
+from microlib.synthetic import Embryo
+
+
+@pytest.fixture(scope="module")
+def printed() -> GaussianSum:
+    columns = ([ledger.claim(f"table-5.5/{k}{i}").value for i in range(1, 9)] for k in "abc")
+    return GaussianSum(*columns, domain=(50.0, 265.0))
+
+
+def test_printed_curve_has_the_extrema_that_a_minimiser_finds(printed: GaussianSum) -> None:
+    maxima, minima = printed.extrema()
+    for found, sign, brackets in (
+        (maxima, -1, [(120, 140), (216, 226), (235, 250)]),
+        (minima, 1, [(185, 205), (225, 235)]),
+    ):
+        want = [
+            minimize_scalar(
+                lambda x, s=sign: s * printed(x),
+                bounds=b,
+                method="bounded",
+                options={"xatol": 1e-9},
+            ).x
+            for b in brackets
+        ]
+        # A minimiser finds a flat point only to the square root of rounding.
+        np.testing.assert_allclose(found, want, atol=1e-5)
+
+
+def test_two_of_the_three_printed_maxima_survive_every_rounding(printed: GaussianSum) -> None:
+    """Backs the erratum: no draw of Table 5.5 within its rounding has only two maxima."""
+    rng = np.random.default_rng(1)
+    half = [
+        np.array([ledger.half_ulp(ledger.claim(f"table-5.5/{k}{i}").printed) for i in range(1, 9)])
+        for k in "abc"
+    ]
+    for _ in range(200):
+        drawn = (
+            value + rng.uniform(-h, h)
+            for value, h in zip(
+                (printed.amplitudes, printed.centers, printed.widths), half, strict=True
+            )
+        )
+        assert len(GaussianSum(*drawn, domain=printed.domain).extrema()[0]) == 3
+
+
+def test_printed_dimple(printed: GaussianSum) -> None:
+    dimple = dimple_geometry(printed, pixel_size=4.65 / 1.2)
+    # Values of the decoded table, recomputed independently to two decimals.
+    assert dimple.rim == pytest.approx((131.07, 94.15), abs=0.005)
+    assert dimple.bottom == pytest.approx((194.69, 62.93), abs=0.005)
+    assert dimple.dimple_radius == pytest.approx(4.65 / 1.2 * (dimple.bottom[0] - dimple.rim[0]))
+    assert dimple.dimple_depth == pytest.approx(4.65 / 1.2 * (dimple.rim[1] - dimple.bottom[1]))
+
+
+def test_slope_equals_differences(printed: GaussianSum) -> None:
+    x = np.linspace(60, 250, 77)
+    numeric = (printed(x + 1e-5) - printed(x - 1e-5)) / 2e-5
+    np.testing.assert_allclose(printed.slope(x), numeric, atol=1e-8)
+
+
+def test_fit_recovers_the_printed_curve(printed: GaussianSum) -> None:
+    x = np.arange(50.0, 265.0)
+    fit = fit_gaussians(x, printed(x))
+    # The terms trade off, the curve does not: noise-free data must be met far below a pixel.
+    np.testing.assert_allclose(fit(x), printed(x), atol=1e-4)
+    assert dimple_geometry(fit, pixel_size=1.0).dimple_depth == pytest.approx(
+        dimple_geometry(printed, pixel_size=1.0).dimple_depth, abs=1e-4
+    )
+
+
+def test_fit_equals_curve_fit_on_noisy_data() -> None:
+    rng = np.random.default_rng(3)
+    x = np.linspace(0, 120, 150)
+    truth = GaussianSum([40.0, 35.0], [30.0, 85.0], [20.0, 24.0], domain=(0, 120))
+    y = truth(x) + rng.normal(0, 0.5, x.size)
+
+    def model(x, a1, a2, b1, b2, c1, c2):
+        return GaussianSum([a1, a2], [b1, b2], [c1, c2], domain=(0, 120))(x)
+
+    want, _ = curve_fit(model, x, y, p0=[30, 30, 25, 90, 15, 15])
+    fit = fit_gaussians(x, y, terms=2)
+    got = np.concatenate([fit.amplitudes, fit.centers, fit.widths])
+    np.testing.assert_allclose(got, want, rtol=1e-4)  # both stop at relative changes of 1e-8
+
+
+@settings(deadline=None, max_examples=30)
+@given(shift=st.floats(-500, 500), lift=st.floats(0.5, 4.0))
+def test_geometry_moves_and_scales_with_the_outline(shift: float, lift: float) -> None:
+    base = GaussianSum([10.0, 11.0], [0.0, 30.0], [12.0, 12.0], domain=(-10.0, 40.0))
+    moved = GaussianSum(
+        lift * base.amplitudes,
+        base.centers + shift,
+        base.widths,
+        domain=(-10.0 + shift, 40.0 + shift),
+    )
+    a, b = dimple_geometry(base, pixel_size=2.0), dimple_geometry(moved, pixel_size=2.0)
+    assert b.dimple_radius == pytest.approx(
+        a.dimple_radius, rel=1e-8
+    )  # roots are found to 1e-10 px
+    assert b.dimple_depth == pytest.approx(lift * a.dimple_depth, rel=1e-8)
+
+
+@pytest.mark.parametrize("crop", [(-150.0, 100.0), (-100.0, 130.0)])
+def test_fit_needs_both_of_its_starts(crop: tuple[float, float]) -> None:
+    """A deep dimple bends sharply: one start alone leaves 0.60 or 0.34 px rms on one of these."""
+    x, y = Embryo.dented(145.0, modulus=1.0).outline().T / 4.0
+    upper = (y > -60) & (np.abs(x) < 160)
+    order = np.argsort(x[upper])
+    columns = np.arange(*crop)
+    height = np.interp(columns, x[upper][order], y[upper][order])
+    height -= height.min()
+    fit = fit_gaussians(columns, height)
+    assert np.sqrt(np.mean((fit(columns) - height) ** 2)) < 0.32
+
+
+def dimpled(x: np.ndarray) -> np.ndarray:
+    """An outline with a dimple: two broad hills."""
+    return 60 * np.exp(-(((x - 60) / 40) ** 2)) + 62 * np.exp(-(((x - 150) / 42) ** 2))
+
+
+@settings(deadline=None, max_examples=20)
+@given(x=st.floats(60.0, 260.0))
+def test_derivatives_equal_differences(x: float) -> None:
+    curve = GaussianSum(
+        [89.4, 93.1, 9.0, 28.6],
+        [129.5, 243.3, 203.7, 213.3],
+        [44.3, 41.7, 6.9, 14.6],
+        domain=(50, 265),
+    )
+    step = 1e-4
+    # Second-order differences: their error is step² times a third derivative of order one.
+    assert curve.slope(x) == pytest.approx(
+        (curve(x + step) - curve(x - step)) / (2 * step), abs=1e-6
+    )
+    assert curve.bend(x) == pytest.approx(
+        (curve.slope(x + step) - curve.slope(x - step)) / (2 * step), abs=1e-6
+    )
+    parameters = np.concatenate([curve.amplitudes, curve.centers, curve.widths])
+    for k in range(12):
+        moved = []
+        for sign in (1, -1):
+            p = parameters.copy()
+            p[k] += sign * step
+            moved.append(GaussianSum(*p.reshape(3, 4), domain=curve.domain))
+        by_value = (moved[0](x) - moved[1](x)) / (2 * step)
+        by_slope = (moved[0].slope(x) - moved[1].slope(x)) / (2 * step)
+        assert curve.gradient(x)[k] == pytest.approx(by_value, abs=1e-6)
+        assert curve.slope_gradient(x)[k] == pytest.approx(by_slope, abs=1e-6)
+
+
+def test_covariance_of_the_dimple_is_what_noise_does() -> None:
+    rng = np.random.default_rng(0)
+    x = np.arange(0.0, 210.0)
+    found, stated = [], []
+    for _ in range(80):
+        noisy = dimpled(x) + rng.normal(0.0, 0.3, x.size)
+        fit = fit_gaussians(x, noisy, terms=2, max_iterations=60)
+        dimple = dimple_geometry(fit, pixel_size=2.0)
+        found.append([dimple.dimple_radius, dimple.dimple_depth])
+        stated.append(np.sqrt(np.diag(dimple.covariance)))
+    # 80 draws know a standard deviation to 8 %: four of those.
+    ratio = np.std(found, axis=0, ddof=1) / np.mean(stated, axis=0)
+    np.testing.assert_allclose(ratio, 1.0, atol=0.32)
+    truth = dimple_geometry(
+        GaussianSum([60.0, 62.0], [60.0, 150.0], [40.0, 42.0], domain=(0, 210)), pixel_size=2.0
+    )
+    off = np.mean(found, axis=0) - [truth.dimple_radius, truth.dimple_depth]
+    assert (np.abs(off) < 4 * np.mean(stated, axis=0) / np.sqrt(80)).all()
+
+
+def test_ripples_at_the_bottom_are_not_the_rim() -> None:
+    curve = GaussianSum(
+        [60.0, 60.0, 1.5], [60.0, 160.0, 108.0], [38.0, 38.0, 3.0], domain=(20.0, 200.0)
+    )
+    maxima, _ = curve.extrema()
+    assert len(maxima) == 3
+    assert dimple_geometry(curve, pixel_size=1.0).rim[0] == pytest.approx(60.0, abs=1.0)
+
+
+def test_an_outline_without_a_dimple_is_refused() -> None:
+    hill = GaussianSum([10.0], [0.0], [5.0], domain=(-10.0, 10.0))
+    with pytest.raises(ValueError, match="curve must have a minimum between two maxima"):
+        dimple_geometry(hill, pixel_size=1.0)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: fit_gaussians(np.arange(23.0), np.arange(23.0)), "x must hold at least 24 points"),
+        (lambda: fit_gaussians([1, 2, 3], [1, 2], terms=1), "x and y must have the same length"),
+        (lambda: fit_gaussians([1, np.nan, 3], [1, 2, 3], terms=1), "x must be finite"),
+        (lambda: fit_gaussians([2, 2, 2], [1, 2, 3], terms=1), "x must have an extent"),
+        (lambda: fit_gaussians([1, 2, 3], [1, 2, 3], terms=0), "terms must be a whole number"),
+        (lambda: GaussianSum([1], [1, 2], [1], domain=(0, 1)), "amplitudes and centers must have"),
+        (lambda: GaussianSum([1], [1], [0], domain=(0, 1)), "widths must be positive"),
+        (lambda: GaussianSum([1], [1], [1], domain=(1, 1)), "domain must run from"),
+        (
+            lambda: dimple_geometry(GaussianSum([1], [1], [1], domain=(0, 1)), pixel_size=0),
+            "pixel_size must be positive",
+        ),
+    ],
+)
+def test_impossible_input_is_refused_by_name(call, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        call()

@@ -1,0 +1,143 @@
+"""Focus measures against loops over (3.11) and (3.12), and against scipy."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from microlib.focus import _measures, grey_variance, sum_modified_laplacian, tenengrad
+
+
+def printed_sml(image: np.ndarray, w: int, step: int, threshold: float) -> np.ndarray:
+    """(3.11) and (3.12), term by term; mirrored about the outermost pixel beyond the border."""
+    rows, cols = image.shape
+
+    def at(a: np.ndarray, i: int, j: int) -> float:
+        i, j = abs(i), abs(j)
+        i = 2 * (rows - 1) - i if i >= rows else i
+        j = 2 * (cols - 1) - j if j >= cols else j
+        return float(a[i, j])
+
+    ml = np.zeros(image.shape)
+    for i in range(rows):
+        for j in range(cols):
+            twice = 2 * at(image, i, j)
+            ml[i, j] = abs(twice - at(image, i - step, j) - at(image, i + step, j))
+            ml[i, j] += abs(twice - at(image, i, j - step) - at(image, i, j + step))
+    total = np.zeros(image.shape)
+    for i in range(rows):
+        for j in range(cols):
+            for u in range(i - w, i + w + 1):
+                for v in range(j - w, j + w + 1):
+                    if at(ml, u, v) > threshold:
+                        total[i, j] += at(ml, u, v)
+    return total
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize(
+    ("w", "step", "threshold"), [(1, 1, 0), (2, 1, 100), (2, 2, 33.5), (4, 3, 0)]
+)
+def test_sml_is_the_printed_sum(dtype, w, step, threshold):
+    rng = np.random.default_rng(w + step)
+    image = rng.integers(0, 256, (14, 17)).astype(dtype)
+    ours = sum_modified_laplacian(image, window=2 * w + 1, step=step, threshold=threshold)
+    # Sums of integers below 2²⁴ are exact in float32 too.
+    np.testing.assert_array_equal(ours, printed_sml(image, w, step, threshold))
+
+
+def test_the_largest_possible_sml_does_not_overflow():
+    board = (255 * (np.indices((20, 20)).sum(axis=0) % 2)).astype(np.uint8)
+    for window in (5, 7, 9):
+        ours = sum_modified_laplacian(board, window=window)
+        assert ours[10, 10] == 4 * 255 * window**2
+        assert ours.dtype == (np.uint16 if window <= 7 else np.float32)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+@pytest.mark.parametrize("window", [1, 5, 41])
+def test_rows_are_those_of_the_whole_even_where_the_window_exceeds_the_image(dtype, window):
+    image = np.random.default_rng(0).integers(0, 256, (12, 13)).astype(dtype)
+    measure = _measures.SumModifiedLaplacian(window, 2, 0.0)
+    whole = sum_modified_laplacian(image, window=window, step=2)
+    for rows in (slice(0, 3), slice(5, 6), slice(9, 12)):
+        np.testing.assert_array_equal(measure(image, rows), whole[rows])
+    laplacian = sum_modified_laplacian(image, window=1, step=2).astype(float)
+    peer = ndimage.uniform_filter(laplacian, window, mode="mirror") * window**2
+    np.testing.assert_allclose(whole, peer, rtol=1e-6)  # float32
+
+
+def test_tenengrad_is_scipys_sobel():
+    image = np.random.default_rng(1).integers(0, 256, (20, 21)).astype(np.uint8)
+    grey = image.astype(float)
+    energy = ndimage.sobel(grey, 0, mode="mirror") ** 2 + ndimage.sobel(grey, 1, mode="mirror") ** 2
+    peer = 25 * ndimage.uniform_filter(energy, 5, mode="mirror")
+    np.testing.assert_allclose(tenengrad(image), peer, rtol=1e-5)  # float32 sums
+
+
+@pytest.mark.parametrize("offset", [0, 60000])
+def test_variance_is_numpys_even_on_a_bright_background(offset):
+    image = (offset + np.random.default_rng(2).integers(0, 9, (12, 12))).astype(np.uint16)
+    peer = np.var(image[3:8, 4:9].astype(float))
+    assert grey_variance(image)[5, 6] == pytest.approx(peer, rel=1e-4)  # 60000² · 2⁻⁵² = 1e-6
+
+
+@settings(deadline=None, max_examples=25)
+@given(seed=st.integers(0, 2**32 - 1), shift=st.integers(0, 100))
+def test_measures_ignore_brightness_and_grow_with_contrast(seed, shift):
+    image = np.random.default_rng(seed).integers(0, 50, (12, 12)).astype(np.uint8)
+    for measure, power in ((sum_modified_laplacian, 1), (tenengrad, 2), (grey_variance, 2)):
+        once = measure(image).astype(float)
+        np.testing.assert_allclose(measure(image + np.uint8(shift)), once, rtol=1e-4, atol=1e-3)
+        np.testing.assert_allclose(measure(2 * image), 2**power * once, rtol=1e-4, atol=1e-3)
+
+
+def test_gain_is_the_mean_on_white_noise():
+    noise = np.random.default_rng(3).standard_normal((400, 400)).astype(np.float32)
+    for scale in _measures._SCALES:
+        # 160000 pixels, about 1000 independent at the widest: 0.76 / sqrt(1000) / sqrt(2) is 2 %.
+        assert scale(noise).mean() == pytest.approx(scale.gain, rel=0.05)
+
+
+def test_noise_level_finds_the_noise_beside_texture():
+    rng = np.random.default_rng(4)
+    for sigma in (2.0, 5.0):
+        frame = 128 + sigma * rng.standard_normal((200, 200))
+        frame[:, :150] += 40 * rng.standard_normal((200, 150))
+        found = _measures.noise_level(np.clip(np.rint(frame), 0, 255).astype(np.uint8))
+        # The quietest twentieth lies two scatters of a 3 px window below the mean.
+        assert 0.7 * sigma < found < 1.1 * sigma
+    assert _measures.noise_level(np.zeros((32, 32), np.float32)) > 0
+
+
+def test_wide_blur_has_the_variance_asked_for():
+    spot = np.zeros((101, 101), np.float32)
+    spot[50, 50] = 1
+    for sigma in (1.5, 6.0, 8.0):
+        blurred = _measures.blur(spot, sigma).astype(float)
+        offset = np.arange(101) - 50
+        variance = (blurred.sum(axis=0) * offset**2).sum()
+        assert blurred.sum() == pytest.approx(1, abs=1e-5)
+        assert np.sqrt(variance) == pytest.approx(sigma, rel=0.05)  # boxes have whole sides
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda image: sum_modified_laplacian(image, window=4), "window must be an odd"),
+        (lambda image: sum_modified_laplacian(image, step=0), "step must be a whole number"),
+        (lambda image: sum_modified_laplacian(image, step=9), "step must be below"),
+        (lambda image: sum_modified_laplacian(image, threshold=-1), "threshold must be zero"),
+        (lambda image: sum_modified_laplacian(np.stack([image] * 3)), "image must have shape"),
+        (lambda image: sum_modified_laplacian(image * np.nan), "image must be finite"),
+        (lambda image: sum_modified_laplacian([[1, 2], [3]]), "image must"),
+        (lambda image: tenengrad(np.stack([image] * 3) / 2), "image must be a grey image"),
+        (lambda image: grey_variance(image[:0]), "image must not be empty"),
+        (lambda image: tenengrad(image, window=2), "window must be an odd"),
+        (lambda image: grey_variance(image, window=0), "window must be an odd"),
+    ],
+)
+def test_bad_options_are_refused_by_name(call, words):
+    with pytest.raises(ValueError, match=words):
+        call(np.zeros((8, 8), np.uint8))

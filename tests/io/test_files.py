@@ -1,0 +1,102 @@
+"""Files that users keep: read back by another library, whole or not there at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from skimage import io as skimage_io
+
+from microlib import io
+
+
+def test_grey_images_come_back_as_stored(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for dtype, name in ((np.uint8, "a.png"), (np.uint16, "b.tif")):
+        image = rng.integers(0, np.iinfo(dtype).max, (7, 9)).astype(dtype)
+        skimage_io.imsave(tmp_path / name, image, check_contrast=False)
+        np.testing.assert_array_equal(io.read_grey(tmp_path / name), image)
+        assert io.read_grey(tmp_path / name).dtype == dtype
+
+
+def test_colours_become_grey(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "c.png"), np.full((5, 6, 3), (0, 0, 255), np.uint8))
+    image = io.read_grey(tmp_path / "c.png")
+    assert image.shape == (5, 6)
+    assert image[0, 0] == 76  # 0.299 of 255: luma of pure red
+
+
+@pytest.mark.parametrize("content", [b"", b"not an image"])
+def test_what_is_no_image_is_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "bad.png").write_bytes(content)
+    with pytest.raises(ValueError, match=r"got .*bad\.png: damaged or of an unknown format"):
+        io.read_grey(tmp_path / "bad.png")
+
+
+def test_height_tiff_carries_heights_and_scale(tmp_path: Path) -> None:
+    height = np.array([[1.5, np.nan, 3.0], [0.0, -2.0, 8.25]])
+    io.write_height_tiff(tmp_path / "h.tif", height, pixel_size=2.5)
+    with tifffile.TiffFile(tmp_path / "h.tif") as tiff:
+        page = tiff.pages[0].aspage()
+        np.testing.assert_array_equal(page.asarray(), height.astype(np.float32))
+        numerator, denominator = page.tags["XResolution"].value
+        assert numerator / denominator == pytest.approx(4000)  # px per cm
+        assert page.tags["ResolutionUnit"].value == 3  # centimetre
+        assert "2.5 um" in page.description
+
+
+def read_ply(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    head, body = path.read_bytes().split(b"end_header\n", 1)
+    counts = [int(line.split()[-1]) for line in head.splitlines() if line.startswith(b"element")]
+    vertices = np.frombuffer(body, "<f4", 3 * counts[0]).reshape(-1, 3)
+    faces = np.frombuffer(body[vertices.nbytes :], [("n", "u1"), ("i", "<i4", 3)])
+    assert len(faces) == counts[1]
+    assert (faces["n"] == 3).all()
+    return vertices, faces["i"]
+
+
+def test_ply_is_the_surface_seen_from_above(tmp_path: Path) -> None:
+    row, column = np.mgrid[:5, :7]
+    height = 3.0 * column - 2.0 * row  # a plane
+    height[0, 0] = np.nan
+    io.write_ply(tmp_path / "s.ply", height, pixel_size=2.0)
+    vertices, faces = read_ply(tmp_path / "s.ply")
+    assert len(vertices) == 34
+    assert len(faces) == 2 * (4 * 6 - 1)
+    x, y, z = vertices.T
+    np.testing.assert_allclose(z, 3.0 * x / 2.0 - 2.0 * -y / 2.0, atol=1e-5)
+    corner = vertices[faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    assert (normal[:, 2] > 0).all()  # faces look at the viewer
+    assert 0.5 * normal[:, 2].sum() == pytest.approx(23 * 4.0)  # µm² seen from above
+
+
+def test_a_failed_write_leaves_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "h.tif"
+    io.write_height_tiff(path, np.ones((2, 2)), pixel_size=1.0)
+    before = path.read_bytes()
+
+    def broken(*_: object, **__: object) -> None:
+        raise OSError("disk full")
+
+    monkeypatch.setattr(tifffile, "imwrite", broken)
+    with pytest.raises(OSError, match="disk full"):
+        io.write_height_tiff(path, np.zeros((2, 2)), pixel_size=1.0)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_refusals(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="path must lie in an existing folder"):
+        io.write_ply(tmp_path / "no" / "s.ply", np.ones((2, 2)), pixel_size=1.0)
+    with pytest.raises(ValueError, match="height must have at least one cell"):
+        io.write_ply(tmp_path / "s.ply", np.full((2, 2), np.nan), pixel_size=1.0)
+    with pytest.raises(ValueError, match="pixel_size must be positive"):
+        io.write_height_tiff(tmp_path / "h.tif", np.ones((2, 2)), pixel_size=0.0)
+    with pytest.raises(ValueError, match="height must have shape"):
+        io.write_ply(tmp_path / "s.ply", np.ones(3), pixel_size=1.0)

@@ -1,0 +1,257 @@
+"""The point-load model against sympy, scipy's quadrature, mpmath and its own laws."""
+
+from __future__ import annotations
+
+import warnings
+
+import mpmath
+import numpy as np
+import pytest
+import sympy as sp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad
+
+from microlib import membrane
+from microlib.membrane import (
+    SmallSlopeWarning,
+    areal_strain,
+    dimple_depth,
+    dimple_profile,
+    elastic_modulus,
+    indentation_force,
+    mean_strain,
+    membrane_stress,
+    modulus_samples,
+    modulus_sensitivity,
+    modulus_std,
+)
+from microlib.membrane._point_load import shape_factor
+
+# A dimple shallow enough for the model, so that no warning is due.
+SHALLOW = {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.4}
+VALUES = {"force": 50.0, "dimple_radius": 250.0, "dimple_depth": 40.0, **SHALLOW}
+
+lengths = st.floats(20.0, 500.0)
+ratios = st.floats(0.01, 0.99)
+
+
+def test_printed_profile_and_force_follow_from_the_balance() -> None:
+    """(4.2), (4.7) and (5.2) derived from (4.1), (4.5) and (4.6), symbolically."""
+    r, a, force, h, stress, nu, depth = sp.symbols("r a F h s nu w", positive=True)
+    zeta = sp.Symbol("zeta", positive=True)
+    slope = force / (2 * sp.pi * stress * h) * (1 / r - r / a**2)
+    balance = sp.pi * r**2 * force / (sp.pi * a**2) + stress * slope * 2 * sp.pi * r * h
+    assert sp.simplify(balance - force) == 0  # (4.1) with p = F/(πa²)
+    profile = sp.integrate(slope, (r, r, a))
+    printed = -force / (4 * sp.pi * stress * h) * (1 - (r / a) ** 2 + sp.log((r / a) ** 2))
+    assert sp.simplify(profile - printed) == 0  # (4.2)
+
+    bracket = 1 - zeta**2 + sp.log(zeta**2)
+    stress_of_depth = -force / (4 * sp.pi * depth * h) * bracket  # (4.3)
+    squared = sp.expand(slope**2 * r)
+    strain = sp.integrate(squared, (r, zeta * a, a)) / (2 * a**2 * (1 - zeta**2))  # (4.5)
+    derived = stress_of_depth * (1 - nu) / strain.subs(stress, stress_of_depth)  # (4.6)
+    numerator = 3 - 4 * zeta**2 + zeta**4 + 2 * sp.log(zeta**2)
+    shape = numerator / ((1 - zeta**2) * bracket**3)
+    printed_modulus = force * a**2 * (1 - nu) / (2 * sp.pi * h * depth**3) / shape  # (5.2)
+    assert sp.simplify(sp.expand_log(derived / printed_modulus, force=True)) == 1
+
+    formula = sp.lambdify((force, a, zeta, depth, h, nu), printed_modulus, "numpy")
+    for force_, a_, c_, depth_ in ((50.0, 250.0, 25.0, 40.0), (3.0, 80.0, 60.0, 9.0)):
+        want = formula(force_, a_, c_ / a_, depth_, 3.0, 0.4)
+        got = elastic_modulus(
+            force_, a_, depth_, thickness=3.0, probe_half_width=c_, poisson_ratio=0.4
+        )
+        # One formula, two codes in double precision, where its cancellations cost a few digits.
+        assert float(got) == pytest.approx(want, rel=1e-12)
+
+
+def test_stress_and_strain_equal_quadrature() -> None:
+    a, c, depth = 250.0, 25.0, 40.0
+    k = depth / quad(lambda r: 1 / r - r / a**2, c, a)[0]  # F/(2πσh) from the integral of (4.1)
+    stress = 50.0 / (2 * np.pi * k * 3.0)
+    strain = 0.25 * quad(lambda r: (k * (1 / r - r / a**2)) ** 2 * r, c, a)[0] / ((a**2 - c**2) / 2)
+    geometry = (a, depth)
+    # quad promises 1.5e-8; it reaches about 1e-14 on these smooth integrands.
+    got = membrane_stress(50.0, *geometry, thickness=3.0, probe_half_width=c)
+    assert float(got) == pytest.approx(stress, rel=1e-10)
+    assert float(mean_strain(*geometry, probe_half_width=c)) == pytest.approx(strain, rel=1e-10)
+    # (4.6) closes the loop: E = σ (1 − ν)/ε.
+    assert float(elastic_modulus(**VALUES)) == pytest.approx(stress * 0.6 / strain, rel=1e-10)
+
+
+@pytest.mark.parametrize("zeta", [1e-6, 0.1012, 0.5, 0.9, 0.974, 0.975, 0.99, 0.9999, 1 - 1e-9])
+def test_shape_factor_keeps_its_digits(zeta: float) -> None:
+    """Both branches, and the seam between them near ζ = 0.9747, against 60 digits."""
+    with mpmath.workdps(60):
+        z = mpmath.mpf(zeta)
+        bracket = 1 - z**2 + mpmath.log(z**2)
+        exact = (3 - 4 * z**2 + z**4 + 2 * mpmath.log(z**2)) / ((1 - z**2) * bracket**3)
+    # The closed form loses about x⁻³ = 8000 roundings at the seam, where x = 0.05.
+    assert float(shape_factor(zeta)) == pytest.approx(float(exact), rel=1e-11)
+
+
+@pytest.mark.parametrize("steepness", [0.01, 0.2, 0.49, 1.0])
+@pytest.mark.parametrize("zeta", [0.01, 0.1, 0.6])
+def test_areal_strain_equals_adaptive_quadrature(steepness: float, zeta: float) -> None:
+    scale = -2 * steepness / (1 - zeta**2 + np.log(zeta**2))
+    integral = quad(
+        lambda r: (np.hypot(1, scale * (1 / r - r)) - 1) * r, zeta, 1, epsabs=0, epsrel=1e-12
+    )[0]
+    got = float(areal_strain(1.0, steepness, probe_half_width=zeta))
+    # √(1+s²) − 1 in quad's integrand cancels to about 1e-12 relative at slopes of 0.01.
+    assert got == pytest.approx(integral / (1 - zeta**2), rel=1e-9)
+
+
+def test_small_slope_error_grows_as_the_book_says() -> None:
+    """6–7 % at w_d/a = 0.2 and about 20 % at 0.4 for c/a from 0.1 to 0.2; a quarter at 0.49."""
+    depths = np.array([0.2, 0.4, 0.49])
+    narrow, wide = (
+        mean_strain(1.0, depths, probe_half_width=z) / areal_strain(1.0, depths, probe_half_width=z)
+        for z in (0.1, 0.2)
+    )
+    np.testing.assert_allclose(narrow, [1.069, 1.208, 1.277], atol=0.001)  # rounding of the text
+    np.testing.assert_allclose(wide, [1.059, 1.189, 1.258], atol=0.001)
+    # The two strains meet as the slope vanishes: the next term is of second order.
+    flat = mean_strain(1.0, 1e-4, probe_half_width=0.1) / areal_strain(
+        1.0, 1e-4, probe_half_width=0.1
+    )
+    assert float(flat) == pytest.approx(1.0, abs=1e-7)
+
+
+def test_profile_meets_rim_and_probe_and_balances_the_force() -> None:
+    a, c, depth = 250.0, 25.0, 40.0
+    r = np.linspace(c, a, 4001)
+    w = dimple_profile(r, a, depth, probe_half_width=c)
+    assert w[0] == pytest.approx(depth, rel=1e-12)
+    assert w[-1] == pytest.approx(0.0, abs=1e-12)
+    # (4.1) along the profile: pressure plus membrane carry F at every radius.
+    stress = membrane_stress(50.0, a, depth, thickness=3.0, probe_half_width=c)
+    slope = -np.gradient(w, r, edge_order=2)
+    carried = 50.0 * (r / a) ** 2 + stress * slope * 2 * np.pi * r * 3.0
+    np.testing.assert_allclose(carried, 50.0, rtol=2e-5)  # second-order differences on 0.056 µm
+
+
+@settings(deadline=None, max_examples=60)
+@given(force=st.floats(0.1, 1e3), a=lengths, zeta=ratios, depth=st.floats(0.5, 100.0))
+def test_force_modulus_and_depth_invert_each_other(force, a, zeta, depth) -> None:
+    data = {"thickness": 3.0, "probe_half_width": zeta * a, "poisson_ratio": 0.5}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SmallSlopeWarning)
+        modulus = elastic_modulus(force, a, depth, **data)
+        assert float(indentation_force(modulus, a, depth, **data)) == pytest.approx(
+            force, rel=1e-12
+        )
+        assert float(dimple_depth(force, a, modulus, **data)) == pytest.approx(depth, rel=1e-12)
+
+
+@settings(deadline=None, max_examples=40)
+@given(factor=st.floats(0.01, 100.0), scale=st.floats(0.1, 10.0))
+def test_scaling_laws(factor, scale) -> None:
+    """E scales with F; and with 1/length² if every length scales, for it is force over area."""
+    base = float(elastic_modulus(**VALUES))
+    louder = elastic_modulus(**VALUES | {"force": factor * 50.0})
+    assert float(louder) == pytest.approx(factor * base, rel=1e-12)
+    grown = {
+        k: scale * VALUES[k]
+        for k in ("dimple_radius", "dimple_depth", "thickness", "probe_half_width")
+    }
+    assert float(elastic_modulus(**VALUES | grown)) == pytest.approx(base / scale**2, rel=1e-11)
+
+
+def test_arguments_broadcast() -> None:
+    depths = np.array([[20.0], [40.0]])
+    got = elastic_modulus(np.array([10.0, 50.0, 90.0]), 250.0, depths, **SHALLOW)
+    assert got.shape == (2, 3)
+    assert got[1, 1] == pytest.approx(float(elastic_modulus(**VALUES)), rel=1e-14)
+
+
+def test_sensitivity_equals_differences() -> None:
+    exponents = modulus_sensitivity(250.0, probe_half_width=25.0, poisson_ratio=0.4)
+    step = 1e-5
+    for name, value in VALUES.items():
+        up, down = (elastic_modulus(**VALUES | {name: value * (1 + s)}) for s in (step, -step))
+        numeric = float(np.log(up / down) / np.log((1 + step) / (1 - step)))
+        # Central differences: truncation of order step² and cancellation of order 1e-16/step.
+        assert float(getattr(exponents, name)) == pytest.approx(numeric, abs=1e-8), name
+
+
+def test_first_order_and_sampled_spread_agree_for_small_errors() -> None:
+    stds = {"force": 0.5, "dimple_radius": 1.0, "dimple_depth": 0.4, "poisson_ratio": 0.01}
+    first = modulus_std(VALUES, stds)
+    samples = modulus_samples(VALUES, stds, size=40_000, rng=np.random.default_rng(0))
+    # A sampled standard deviation is known to 1/√(2n) = 0.35 %; 2 % leaves the second order room.
+    assert samples.std() == pytest.approx(first, rel=0.02)
+    assert modulus_std(VALUES | {"poisson_ratio": 0.0}, {"poisson_ratio": 0.01}) > 0
+
+
+def test_large_errors_are_skewed_upwards() -> None:
+    values = VALUES | {"dimple_depth": 30.0}
+    samples = modulus_samples(
+        values, {"dimple_depth": 3.0}, size=40_000, rng=np.random.default_rng(0)
+    )
+    # E[(1+x)⁻³] ≈ 1 + 6 σ² = 1.06 for σ = 10 %; the mean of 40 000 draws is known to 0.2 %.
+    assert samples.mean() / float(elastic_modulus(**values)) == pytest.approx(1.066, abs=0.012)
+
+
+def test_steep_dimples_warn() -> None:
+    with pytest.warns(SmallSlopeWarning, match=r"w_d/a = 0\.40"):
+        elastic_modulus(**VALUES | {"dimple_depth": 100.0})
+    with pytest.warns(SmallSlopeWarning):
+        indentation_force(1.0, 250.0, 100.0, **SHALLOW)
+    with pytest.warns(SmallSlopeWarning):
+        dimple_depth(5000.0, 250.0, 1.0, **SHALLOW)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"force": -1.0}, "force must be positive, got -1"),
+        ({"force": 0.0}, "force must be positive"),
+        ({"force": np.nan}, "force must be finite, got 1 NaN"),
+        ({"force": []}, "force must not be empty"),
+        ({"force": "ten"}, "force must hold real numbers"),
+        ({"dimple_radius": 20.0}, "probe_half_width must be below dimple_radius"),
+        ({"probe_half_width": 250.0}, "probe_half_width must be below dimple_radius"),
+        ({"dimple_depth": 0.0}, "dimple_depth must be positive"),
+        ({"thickness": -3.0}, "thickness must be positive, got -3"),
+        ({"poisson_ratio": 1.0}, r"poisson_ratio must lie in \(-1, 1\), got 1"),
+        ({"poisson_ratio": -1.0}, "poisson_ratio must lie in"),
+        ({"force": [1.0, 2.0], "thickness": [1.0, 2.0, 3.0]}, "shapes must broadcast"),
+    ],
+)
+def test_impossible_input_is_refused_by_name(change: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        elastic_modulus(**VALUES | change)
+
+
+def test_the_printed_zeta_cannot_have_given_the_printed_modulus() -> None:
+    """Backs the erratum of Table 5.6: (5.2) at ζ = 44.78, which `shape_factor` refuses."""
+    z, a, depth = 44.78, 246.95, 121.22
+    bracket = 1 - z**2 + np.log(z**2)
+    shape = (3 - 4 * z**2 + z**4 + 2 * np.log(z**2)) / ((1 - z**2) * bracket**3)
+    assert 197.24 * a**2 * 0.5 / (2 * np.pi * 3.0 * depth**3) / shape > 1e5  # MPa
+
+
+def test_other_refusals() -> None:
+    with pytest.raises(ValueError, match=r"zeta must lie in \(0, 1\), got 44.78"):
+        shape_factor(44.78)
+    with pytest.raises(ValueError, match="radius must lie between probe_half_width"):
+        dimple_profile([10.0], 250.0, 40.0, probe_half_width=25.0)
+    with pytest.raises(ValueError, match="radius must broadcast"):
+        dimple_profile([30.0, 40.0], [250.0] * 3, 40.0, probe_half_width=25.0)
+    with pytest.raises(ValueError, match="modulus must be positive"):
+        indentation_force(-1.0, 250.0, 40.0, **SHALLOW)
+    with pytest.raises(ValueError, match="values must have the keys"):
+        modulus_std({"force": 1.0}, {})
+    with pytest.raises(ValueError, match="stds must have keys among"):
+        modulus_std(VALUES, {"mass": 1.0})
+    with pytest.raises(ValueError, match=r"stds\['force'\] must be zero or positive"):
+        modulus_std(VALUES, {"force": -1.0})
+    with pytest.raises(ValueError, match="size must be a whole number"):
+        modulus_samples(VALUES, {}, size=0, rng=np.random.default_rng(0))
+
+
+def test_every_public_name_exists() -> None:
+    assert all(hasattr(membrane, name) for name in membrane.__all__)

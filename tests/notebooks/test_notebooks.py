@@ -1,0 +1,180 @@
+"""The notebooks: how they are written, what they recorded, and that they fail when they should."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import nbformat
+import numpy as np
+import pytest
+import tifffile
+
+from compendium import ledger, run
+from compendium.figures.data import FOLDER_VARIABLE
+
+ROOT = Path(__file__).resolve().parents[2]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("[0-9]*.ipynb"))
+CHAPTER_5 = ROOT / "notebooks" / "05_experimental_results.ipynb"
+
+
+def parameters(notebook: nbformat.NotebookNode) -> list[nbformat.NotebookNode]:
+    return [c for c in notebook.cells if "parameters" in c.metadata.get("tags", [])]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_is_written_as_the_book_says(path: Path) -> None:
+    notebook = nbformat.read(path, as_version=4)
+    number = int(path.stem[:2])
+    title = next(line for line in notebook.cells[0].source.splitlines() if line.startswith("# "))
+    assert number > 6 or title.startswith(f"# {number} "), title
+    (cell,) = parameters(notebook)
+    assert "record" in cell.source
+    for cell in notebook.cells:
+        if cell.cell_type != "code":
+            continue
+        assert not cell.outputs, f"{cell.id} has outputs; run `make format`"
+        figure = cell.metadata.get("mystnb", {})
+        if "figure" in figure:
+            assert figure["figure"]["caption"].endswith("."), cell.id
+            assert len(figure["image"]["alt"]) > 20, cell.id
+        elif "plt.show()" in cell.source:
+            pytest.fail(f"{cell.id} draws a figure without a caption")
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_prose_holds_no_typed_result(path: Path) -> None:
+    """A number with three or more decimals in running text is a result and belongs to a role."""
+    notebook = nbformat.read(path, as_version=4)
+    for cell in notebook.cells:
+        if cell.cell_type != "markdown":
+            continue
+        prose = re.sub(r"\$\$.*?\$\$|\$.*?\$|`.*?`", "", cell.source, flags=re.S)
+        assert not re.search(r"(?<![\w.])\d+\.\d{3,}", prose), f"{cell.id}: {prose}"
+
+
+def test_every_judged_claim_has_its_record(claims_folder: Path) -> None:
+    records = ledger.read_records(claims_folder)
+    for claim in ledger.claims().values():
+        if claim.verdict in ("lost", "given", "pending"):
+            assert claim.id not in records, f"{claim.id} is recorded but {claim.verdict}"
+        else:
+            assert claim.id in records, f"{claim.id} is {claim.verdict} but no notebook records it"
+            assert records[claim.id].verdict == claim.verdict
+
+
+def excerpt(folder: Path) -> Path:
+    """Copy what chapter 5 needs into `folder`, cut to what uses printed data alone."""
+    for name in ("microlib", "compendium", "data"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    notebook = nbformat.read(CHAPTER_5, as_version=4)
+    notebook.cells = [cell for cell in notebook.cells if re.fullmatch(r"ch5-\d\db?", cell.id)]
+    path = folder / "05_excerpt.ipynb"
+    nbformat.write(notebook, path)
+    return path
+
+
+def execute(path: Path, monkeypatch: pytest.MonkeyPatch, **values: object) -> tuple[str, bool]:
+    # The kernel starts in the copy, whose microlib comes before the installed one.
+    monkeypatch.setenv("PYTHONPATH", str(path.parent))
+    return run.execute(path, path.with_suffix(".out.ipynb"), values, path.parent)
+
+
+def test_an_edited_constant_fails_and_names_the_claim(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = excerpt(tmp_path)
+    source = tmp_path / "microlib" / "membrane" / "_point_load.py"
+    right, wrong = "numerator = 2 * np.pi *", "numerator = 2.001 * np.pi *"
+    assert right in source.read_text()
+    source.write_text(source.read_text().replace(right, wrong))
+    message, passed = execute(path, monkeypatch)
+    assert not passed
+    assert "claim table-5.6/E: printed 1.3237" in message
+
+
+def test_chapter_5_runs_on_the_readers_own_outline(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = excerpt(tmp_path)
+    x = np.arange(0.0, 200.0)
+    y = 60 + 30 * np.exp(-(((x - 50) / 30) ** 2)) + 30 * np.exp(-(((x - 150) / 30) ** 2))
+    np.savetxt(tmp_path / "mine.csv", np.c_[x, y], delimiter=",", header="x,y", comments="")
+    message, passed = execute(path, monkeypatch, outline="mine.csv", record="claims.json")
+    assert passed, message
+    done = nbformat.read(path.with_suffix(".out.ipynb"), as_version=4)
+    text = str([cell.get("outputs") for cell in done.cells])
+    assert "checks against the thesis are skipped" in text
+    assert "MPa" in text
+    assert not (tmp_path / "claims.json").exists()
+
+
+def test_runner_names_what_it_does_not_know() -> None:
+    command = [sys.executable, "-m", "compendium.run", "99"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 1
+    assert "No notebook is called 99" in result.stdout
+
+
+def run_own(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "compendium.run", *arguments]
+    return subprocess.run(
+        [*command, "--output", "mine"], cwd=folder, capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.parametrize(
+    ("guide", "parameter", "message"),
+    [
+        ("focus_stack", "stack", "ValueError: .*mine.tif"),
+        ("calibration", "photograph", "ValueError: path must name an image, got .*mine.tif"),
+        ("embryo", "photograph", "ValueError: path must name an image, got .*mine.tif"),
+        ("tracking", "frames", "ValueError: frames must match at least two files, got 1"),
+    ],
+)
+def test_a_wrong_file_gives_one_clear_line(
+    tmp_path: Path, guide: str, parameter: str, message: str
+) -> None:
+    (tmp_path / "mine.tif").write_bytes(b"II*\0 cut off")
+    result = run_own(
+        tmp_path, f"07_guide_{guide}", "-p", parameter, "mine.tif", "-p", "out", "kept"
+    )
+    assert result.returncode == 1
+    assert re.search(message, result.stdout), result.stdout
+    assert len(result.stdout.strip().splitlines()) == 1
+    assert "Traceback" not in result.stdout + result.stderr
+
+
+def test_a_guide_runs_on_the_readers_own_file(tmp_path: Path) -> None:
+    """The example that the book's own run wrote, taken as if it were the reader's."""
+    stack = ROOT / "build" / "guides" / "focus" / "example_stack.tif"
+    shutil.copy(stack, tmp_path / "mine.tif")
+    arguments = ["-p", "stack", "mine.tif", "-p", "out", "kept", "-p", "pixel_size", "2.0"]
+    result = run_own(tmp_path, "07_guide_focus_stack", *arguments)
+    assert result.returncode == 0, result.stdout
+    kept = {path.name for path in (tmp_path / "kept").iterdir()}
+    assert kept == {"height.tif", "surface.ply", "regions.csv", "all_in_focus.png"}
+    with tifffile.TiffFile(tmp_path / "kept" / "height.tif") as tiff:
+        assert "pixel size 2 um" in tiff.pages[0].aspage().description
+
+
+def test_the_same_run_gives_the_same_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Records and figure data of chapter 4, made twice, are the same to the last byte."""
+    source = ROOT / "notebooks" / "04_mechanical_characterization.ipynb"
+    made = []
+    for name in ("first", "second"):
+        folder = tmp_path / name
+        folder.mkdir()
+        monkeypatch.setenv(FOLDER_VARIABLE, str(folder))
+        shutil.copy(source, folder / "chapter.ipynb")
+        message, passed = execute(folder / "chapter.ipynb", monkeypatch, record="record.json")
+        assert passed, message
+        files = [*folder.glob("*.csv"), *folder.glob("*.npz"), folder / "record.json"]
+        made.append({path.name: path.read_bytes() for path in files})
+    assert len(made[0]) > 4
+    assert made[0] == made[1]

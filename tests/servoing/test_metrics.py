@@ -1,0 +1,120 @@
+"""Figures of merit of known responses, and the geometry of the paths."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import lti, step
+
+from microlib.servoing import circle_path, path_metrics, sinusoid_path, square_path, step_metrics
+
+
+def test_a_first_order_answer_settles_when_the_exponential_does():
+    time = np.linspace(0, 10, 10001)
+    position = 3.0 * (1 - np.exp(-time / 1.7))[:, None]
+    found = step_metrics(time, position, [3.0], band=0.02)
+    assert found.settling_time == pytest.approx(1.7 * np.log(50), abs=1e-3)  # one sample
+    assert found.accuracy == pytest.approx(0.02 * 3.0, rel=1e-3)
+    assert found.overshoot == 0.0
+
+
+def test_a_second_order_answer_overshoots_by_the_textbook():
+    damping = 0.4
+    time, answer = step(lti([1], [1, 2 * damping, 1]), T=np.linspace(0, 30, 30001))
+    found = step_metrics(time, answer[:, None], [1.0])
+    peak = np.exp(-np.pi * damping / np.sqrt(1 - damping**2))
+    assert found.overshoot == pytest.approx(peak, rel=1e-4)
+    outside = time[np.abs(answer - 1) > 0.05]
+    assert found.settling_time == pytest.approx(outside[-1], abs=2e-3)  # two samples
+
+
+@settings(deadline=None, max_examples=30)
+@given(scale=st.floats(1e-3, 1e3), angle=st.floats(0, 6.28))
+def test_metrics_scale_with_the_unit_and_turn_with_the_axes(scale, angle):
+    rng = np.random.default_rng(0)
+    time = np.arange(40) / 33
+    x = np.column_stack([1 - np.exp(-4 * time), 1 - np.exp(-5 * time)]) + rng.normal(
+        0, 0.005, (40, 2)
+    )
+    x[0] = 0
+    turn = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    one, other = step_metrics(time, x, (1, 1)), step_metrics(time, x @ turn.T, turn @ (1, 1))
+    assert other.settling_time == one.settling_time
+    assert other.overshoot == pytest.approx(one.overshoot, abs=1e-9)
+    assert other.accuracy == pytest.approx(scale * one.accuracy)
+    assert other.precision == pytest.approx(scale * one.precision)
+
+
+def test_what_never_settles_says_so():
+    found = step_metrics([0, 1, 2], [[0.0], [2.0], [0.0]], [1.0])
+    assert np.isnan([found.settling_time, found.accuracy, found.precision]).all()
+    assert found.overshoot == 1.0
+
+
+def test_path_metrics_are_those_of_the_distances():
+    rng = np.random.default_rng(1)
+    error = rng.normal(0, 2.0, (4000, 2))
+    found = path_metrics(error + 5.0, np.full((4000, 2), 5.0))
+    # Rayleigh: mean σ√(π/2), standard deviation σ√(2 − π/2); 4000 samples know them to 1 %.
+    assert found.accuracy == pytest.approx(2 * np.sqrt(np.pi / 2), rel=0.03)
+    assert found.precision == pytest.approx(2 * np.sqrt(2 - np.pi / 2), rel=0.05)
+    assert found.largest == np.hypot(*error.T).max()
+
+
+@pytest.mark.parametrize(
+    ("path", "length"),
+    [
+        (circle_path(50.0, 40.0, 0.03), 2 * np.pi * 50),
+        (square_path(80.0, 40.0, 0.03), 320.0),
+    ],
+)
+def test_paths_run_their_length_at_constant_speed(path, length):
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    np.testing.assert_allclose(path[0], 0, atol=1e-12)
+    assert len(path) == pytest.approx(length / 1.2, abs=1.0)
+    # A chord is shorter than its arc: by 10⁻⁴ on the circle, more at the corners of the square.
+    assert np.median(steps) == pytest.approx(1.2, rel=2e-3)
+    assert steps.max() <= 1.2 + 1e-9
+
+
+def test_the_sinusoid_advances_evenly_and_has_its_crests():
+    path = sinusoid_path(100.0, 20.0, 10.0, 0.1, periods=2.0)
+    np.testing.assert_allclose(np.diff(path[:, 0]), 1.0)
+    assert len(path) == 100
+    # Crests a quarter of 50 px in, which falls between samples: 1 − cos(2π/100) = 0.2 % off.
+    assert path[:, 1].max() == pytest.approx(20.0, rel=0.002)
+    np.testing.assert_allclose(path[:50, 1], path[50:, 1], atol=1e-9)
+
+
+def test_the_printed_error_at_settling_exceeds_three_percent():
+    # Section 5.4: 9.86 µm of a step of 311 µm along each axis are said to be under 3 %; they are of
+    # the step along both.
+    assert 9.86 / 311 > 0.03 > 9.86 / (311 * np.sqrt(2))
+
+
+def test_the_circle_is_one_and_the_square_has_corners():
+    circle = circle_path(50.0, 40.0, 0.03)
+    np.testing.assert_allclose(np.hypot(circle[:, 0] + 50, circle[:, 1]), 50)
+    square = square_path(80.0, 80.0, 0.5)
+    np.testing.assert_allclose(square[::2], [[0, 0], [80, 0], [80, 80], [0, 80]])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: step_metrics([0, 0], [[0], [1]], [1]), "time must increase"),
+        (lambda: step_metrics([0, 1], [[1], [1]], [1]), "target must differ"),
+        (lambda: step_metrics([0, 1, 2], [[0], [1]], [1]), "same length"),
+        (lambda: step_metrics([0, 1], [[0], [1]], [1, 2]), "target must have shape"),
+        (lambda: step_metrics([0, 1], [[0], [1]], [1], band=0.0), "band must lie in"),
+        (lambda: path_metrics([[0, 0]], [[0, 0], [1, 1]]), "position must have shape"),
+        (lambda: path_metrics([[np.nan, 0]], [[0, 0]]), "position must be finite"),
+        (lambda: circle_path(0.0, 1.0, 0.1), "radius must be positive"),
+        (lambda: circle_path(1.0, 100.0, 1.0), "speed must leave"),
+        (lambda: square_path(1.0, 1.0, 0.0), "interval must be positive"),
+        (lambda: sinusoid_path(1.0, -1.0, 1.0, 0.1), "amplitude must be positive"),
+    ],
+)
+def test_refuses_what_has_no_meaning(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()

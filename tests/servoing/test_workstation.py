@@ -1,0 +1,200 @@
+"""The simulated stage against an integrator, and the loop closed over rendered frames."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from microlib.servoing import (
+    Camera,
+    OptimalController,
+    Stage,
+    circle_path,
+    path_metrics,
+    simulate,
+    step_metrics,
+    tracked_view,
+)
+from microlib.synthetic import gripper_scene
+from microlib.tracking import ESMTracker
+
+INTERVAL = 1 / 33
+JACOBIAN = 1.5893 / 9.9 * np.eye(2)
+
+
+def controller():
+    return OptimalController(
+        JACOBIAN,
+        interval=INTERVAL,
+        feature_weight=(0.9, 0.9),
+        control_weight=(0.025e-6, 0.05e-6),
+    )
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    velocity=st.floats(-300, 300),
+    command=st.floats(-900, 900),
+    lag=st.floats(1e-3, 0.2),
+    duration=st.floats(1e-3, 0.1),
+)
+def test_the_stage_moves_as_its_differential_equation(velocity, command, lag, duration):
+    stage = Stage(saturation=400.0, lag=lag)
+    target = np.clip(command, -400, 400)
+    peer = solve_ivp(
+        lambda t, y: [y[1], (target - y[1]) / lag],
+        (0, duration),
+        [5.0, velocity],
+        rtol=1e-10,
+        atol=1e-10,
+    ).y[:, -1]
+    position, speed = stage.move(
+        np.array([5.0]), np.array([velocity]), np.array([command]), duration
+    )
+    # The peer's tolerance, accumulated over its steps.
+    np.testing.assert_allclose([position[0], speed[0]], peer, rtol=1e-7, atol=1e-6)
+
+
+def test_positions_come_in_increments():
+    shown = Stage(saturation=1.0).shown(np.array([0.024, 0.026, -1.31]))
+    np.testing.assert_allclose(shown, [0.0, 0.05, -1.3], atol=1e-12)
+
+
+def test_a_command_takes_effect_after_the_latency():
+    seen = []
+
+    def pulse(k, measured, reference):
+        seen.append(measured.copy())
+        return np.array([330.0, 0.0]) if k == 0 else np.zeros(2)
+
+    run = simulate(
+        pulse,
+        np.zeros((5, 2)),
+        jacobian=np.eye(2),
+        stage=Stage(saturation=1e3, step=0.0),
+        camera=Camera(interval=INTERVAL, latency=1.25 * INTERVAL),
+        rng=np.random.default_rng(0),
+    )
+    # 10 µm in all: three quarters of them in the second interval, the rest in the third.
+    np.testing.assert_allclose(run.position[:, 0], [0, 0, 7.5, 10, 10], atol=1e-9)
+    np.testing.assert_array_equal(seen, run.measured)
+
+
+def test_the_start_is_saturated_and_the_end_is_not():
+    run = simulate(
+        controller(),
+        np.full((60, 2), 50.0),
+        jacobian=JACOBIAN,
+        stage=Stage(saturation=400.0),
+        camera=Camera(interval=INTERVAL),
+        rng=np.random.default_rng(0),
+        start=(0, 0),
+    )
+    metrics = step_metrics(run.time, run.feature, (50, 50))
+    # 311 µm at 400 µm/s are 0.78 s; the last sample before is within the band of 5 %.
+    assert metrics.settling_time == pytest.approx(0.95 * 311.5 / 400, abs=INTERVAL)
+    slow = int(np.flatnonzero(~run.saturated)[0])
+    assert run.saturated[:slow].all()
+    assert not run.saturated[slow:].any()
+    assert np.abs(run.command).max() == 400.0
+    np.testing.assert_allclose(run.feature[-1], (50, 50), atol=0.01)  # an increment is 0.008 px
+
+
+def test_a_reference_too_fast_is_followed_as_far_as_it_goes():
+    reference = np.column_stack([np.arange(40.0) * 5, np.zeros(40)])  # 165 px/s, 1028 µm/s
+    run = simulate(
+        controller(),
+        reference,
+        jacobian=JACOBIAN,
+        stage=Stage(saturation=400.0),
+        camera=Camera(interval=INTERVAL),
+        rng=np.random.default_rng(0),
+    )
+    assert run.saturated.all()
+    speed = np.diff(run.position[:, 0]) / INTERVAL
+    np.testing.assert_allclose(speed, 400.0, atol=2.0)  # increments of 50 nm in 30 ms
+
+
+@pytest.fixture(scope="module")
+def rendered_and_fast():
+    """The same circle over rendered, tracked frames, and over perfect coordinates."""
+    rng = np.random.default_rng(1)
+    scene = gripper_scene(rng, pixel_size=9.9 / 1.5893)
+    box = scene.box(50)
+    tracker = ESMTracker(scene.frame((0, 0), rng), box, "translation")
+    home = np.array([box[0] + 24.5, box[1] + 24.5])
+    path = home + circle_path(40.0, 60.0, INTERVAL)
+    arguments = {
+        "jacobian": JACOBIAN,
+        "stage": Stage(saturation=400.0),
+        "camera": Camera(interval=INTERVAL, latency=0.4 * INTERVAL),
+    }
+    view = tracked_view(lambda feature: scene.frame(feature - home, rng), tracker)
+    runs = [
+        simulate(controller(), path, rng=np.random.default_rng(2), observer=observer, **arguments)
+        for observer in (view, None)
+    ]
+    return runs
+
+
+def test_the_loop_closes_over_images(rendered_and_fast):
+    rendered, fast = rendered_and_fast
+    assert np.isfinite(rendered.measured).all()
+    # The tracker is wrong by some hundredths of a pixel on the grained jaws; the loop follows.
+    assert np.abs(rendered.feature - fast.feature).max() < 0.15
+    noise = np.linalg.norm(rendered.measured - rendered.feature, axis=1)
+    assert 0 < np.median(noise) < 0.05
+
+
+def test_both_modes_give_the_same_figures_of_merit(rendered_and_fast):
+    rendered, fast = (path_metrics(run.feature, run.reference) for run in rendered_and_fast)
+    assert rendered.accuracy == pytest.approx(fast.accuracy, abs=0.05)
+    assert rendered.precision == pytest.approx(fast.precision, abs=0.05)
+
+
+def test_a_lost_track_is_measured_as_nan():
+    rng = np.random.default_rng(3)
+    scene = gripper_scene(rng, pixel_size=6.23)
+    tracker = ESMTracker(scene.frame((0, 0), rng), scene.box(50), "translation")
+    view = tracked_view(lambda feature: np.zeros(scene.shape, np.uint8), tracker)
+    assert np.isnan(view(np.zeros(2))).all()
+
+
+def arguments(**changes):
+    return {
+        "jacobian": np.eye(2),
+        "stage": Stage(saturation=1.0),
+        "camera": Camera(interval=0.1),
+        "rng": np.random.default_rng(0),
+    } | changes
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: Stage(saturation=0.0), "saturation must be positive"),
+        (lambda: Stage(saturation=1.0, lag=-1.0), "lag must be zero or positive"),
+        (lambda: Camera(interval=0.0), "interval must be positive"),
+        (lambda: Camera(interval=0.1, latency=np.nan), "latency must be finite"),
+        (
+            lambda: simulate(controller(), np.zeros((3, 2)), **arguments(jacobian=np.ones((2, 2)))),
+            "jacobian must be regular",
+        ),
+        (
+            lambda: simulate(controller(), np.zeros((3, 3)), **arguments()),
+            "reference must have shape",
+        ),
+        (
+            lambda: simulate(controller(), np.full((3, 2), 9e4), start=(0, 0), **arguments()),
+            "reference must lie within",
+        ),
+        (
+            lambda: simulate(lambda *_: np.full(2, np.nan), np.zeros((3, 2)), **arguments()),
+            "command must be finite",
+        ),
+    ],
+)
+def test_refuses_a_workstation_that_cannot_be(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
