@@ -1,9 +1,14 @@
-"""Plant one fault at a time in the numerical modules and count those that the tests catch.
+"""Plant one fault at a time in the library and count those that the tests catch.
 
-``make mutants`` takes a fixed random sample of cosmic-ray's faults in each module (a plus for a
-minus, another number, a reversed comparison), runs that module's tests on a copy of the project,
-and writes ``tests/mutants.csv``; with modules named, it only prints. The faults that no test
-noticed are explained in ``tests/MUTANTS.md``.
+``make mutants`` takes a fixed random sample of cosmic-ray's faults in each package (a plus for a
+minus, another number, a reversed comparison), at least two in every module that can hold one. It
+runs that package's tests and the module's examples on a copy of the project, and writes
+``tests/mutants.csv``; with packages named, it only prints. The faults that no test noticed are
+explained in ``tests/MUTANTS.md``.
+
+Packages, modules and tests are found by their folders: a fault in ``microlib/focus/_peaks.py`` is
+judged by ``tests/focus/test_peaks.py``, then the examples in the module, then the rest of
+``tests/focus``; one in ``microlib/optics.py`` by ``tests/test_optics.py``.
 """
 
 from __future__ import annotations
@@ -15,10 +20,12 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from importlib.util import cache_from_source
 from pathlib import Path
 from queue import Queue
+from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 import parso
@@ -27,142 +34,208 @@ from cosmic_ray.plugins import get_operator, operator_names
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULT = ROOT / "tests" / "mutants.csv"
-# Each module with the tests that should notice a fault in it.
-MODULES = {
-    "membrane": ["membrane"],
-    "finite_slope": ["finite_slope"],
-    "modulus_uncertainty": ["membrane"],
-    "gaussian_sum": ["gaussian_sum"],
-    "loess": ["loess"],
-    "curvature": ["curvature"],
-    "optics": ["optics"],
-    "microscope": ["microscope"],
-    "radial_alignment": ["calibration"],
-    "camera_jacobian": ["calibration", "microscope"],
-    "servoing": ["servoing"],
-    "servo_metrics": ["servo_metrics"],
-    "kalman": ["kalman"],
-    "esm": ["esm", "tracking"],
-    "tracking": ["tracking"],
-    "depth_correction": ["depth_correction"],
-    "ledger": ["ledger"],
-    "focus_peaks": ["focus"],
-    "_focus_loops": ["focus_measures", "focus"],
-    "_focus_doubt": ["focus"],
-}
+SAMPLE = 24  # faults in each package
+LEAST = 2  # faults in each module
+JOBS = 2
 # "X | None" in annotations is never evaluated, a decorator left off is no numerical fault, and the
 # operators on variables want to be told names.
 IDLE = ("BitOr_", "RemoveDecorator", "ExceptionReplacer", "VariableInserter", "VariableReplacer")
+OPERATORS = [name for name in sorted(operator_names()) if not any(word in name for word in IDLE)]
+LEFT_OUT = {
+    "compendium/figures": "drawings, which readers look at and nobody computes with",
+    "compendium/readme_picture.py": "a drawing, too",
+}
+NOT_COPIED = (".*", "__pycache__", "build", "*.egg-info")
+
+
+class Fault(NamedTuple):
+    """One fault of a module, by cosmic-ray's name for it and its place among its like."""
+
+    module: Path
+    operator: str
+    occurrence: int
+
+
+class Verdict(NamedTuple):
+    """What became of a fault: a row of the result."""
+
+    package: str
+    module: str
+    fault: str
+    line: int
+    code: str
+    caught: bool
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("modules", nargs="*", help="modules to test; all of them without any")
-    parser.add_argument("--sample", type=int, default=8, help="faults in each module")
-    parser.add_argument("--jobs", type=int, default=2, help="how many at a time")
+    parser.add_argument("packages", nargs="*", help="such as focus; all of them without any")
     options = parser.parse_args()
-    chosen = options.modules or list(MODULES)
-    faults = [(name, *fault) for name in chosen for fault in sample(name, options.sample)]
-    with tempfile.TemporaryDirectory() as folder:
+    packages = find_packages()
+    if unknown := set(options.packages) - set(packages):
+        parser.error(f"no package {', '.join(unknown)}; there are {', '.join(packages)}")
+    chosen = options.packages or list(packages)
+    faults = {name: sample(name, packages[name]) for name in chosen}
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(JOBS) as pool:
         copies: Queue[Path] = Queue()
-        for k in range(options.jobs):
+        for k in range(JOBS):
             copies.put(copy_project(Path(folder) / str(k)))
-        with ThreadPoolExecutor(options.jobs) as pool:
-            passing = list(pool.map(lambda name: passes(copies, name), chosen))
-            if not all(passing):
-                failing = [n for n, fine in zip(chosen, passing, strict=True) if not fine]
-                print(f"Without any fault the tests of {', '.join(failing)} fail; mend them first.")
-                return 1
-            rows = list(pool.map(lambda fault: judge(copies, *fault), faults))
-    if not options.modules:
+        seconds = dict(zip(chosen, pool.map(lambda n: time_tests(copies, n), chosen), strict=True))
+        if failing := [name for name, spent in seconds.items() if spent is None]:
+            print(f"Without any fault the tests of {', '.join(failing)} fail; mend them first.")
+            return 1
+        todo = [(name, fault) for name in chosen for fault in faults[name]]
+        # Several times what the sound package takes: a loop without end is noticed, too.
+        limits = {name: 60 + 3 * (spent or 0) for name, spent in seconds.items()}
+        rows = list(pool.map(lambda t: judge(copies, *t, limits[t[0]]), todo))
+    if not options.packages:
         with RESULT.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
-            writer.writerow(["module", "fault", "line", "code", "caught"])
+            writer.writerow(Verdict._fields)
             writer.writerows(rows)
-    for row in rows:
-        if not row[-1]:
-            print("not caught:", *row[:-1])
-    for name in chosen:
-        mine = [row for row in rows if row[0] == name]
-        print(f"{name}: {sum(row[-1] for row in mine)} of {len(mine)} caught")
-    caught = sum(row[-1] for row in rows)
-    print(f"all: {caught} of {len(rows)} caught, {100 * caught / len(rows):.0f} %")
+    tell(rows, {name: packages[name] for name in chosen}, faults)
     return 0
 
 
-def sample(name: str, size: int) -> Iterator[tuple[str, int]]:
-    """Yield the chosen faults of a module: the operator's name and its occurrence."""
-    tree = parso.parse((ROOT / "microlib" / f"{name}.py").read_text(encoding="utf-8"))
-    every = []
-    for operator in sorted(operator_names()):
-        if any(word in operator for word in IDLE):
-            continue
+def tell(
+    rows: list[Verdict], packages: dict[str, list[Path]], faults: dict[str, list[Fault]]
+) -> None:
+    """Print what was not caught, the count of each package, and what was not sampled."""
+    for row in rows:
+        if not row.caught:
+            print(f"not caught: {row.module}:{row.line} {row.fault}: {row.code}")
+    for name, modules in packages.items():
+        mine = [row.caught for row in rows if row.package == name]
+        print(f"{name}: {sum(mine)} of {len(mine)} caught, in {len(modules)} modules")
+    caught = sum(row.caught for row in rows)
+    print(f"all: {caught} of {len(rows)} caught, {100 * caught / max(1, len(rows)):.0f} %")
+    for name, modules in packages.items():
+        sampled = {fault.module for fault in faults[name]}
+        if bare := [str(m.relative_to(ROOT)) for m in modules if m not in sampled]:
+            print(f"not sampled, for no fault can be planted in it: {', '.join(bare)}")
+    for path, reason in LEFT_OUT.items():
+        print(f"not sampled: {path} ({reason})")
+
+
+def find_packages() -> dict[str, list[Path]]:
+    """Return the modules of each package; a subject of one file is a package of its own."""
+    packages: dict[str, list[Path]] = {}
+    for path in sorted([*ROOT.glob("microlib/**/*.py"), *ROOT.glob("compendium/**/*.py")]):
+        inside = path.relative_to(ROOT)
+        if not any(inside.is_relative_to(out) for out in LEFT_OUT):
+            packages.setdefault(package_of(path), []).append(path)
+    return packages
+
+
+def package_of(path: Path) -> str:
+    top, *inner = path.relative_to(ROOT).with_suffix("").parts
+    if top == "microlib":
+        return top if inner == ["__init__"] else inner[0]
+    return top
+
+
+def sample(package: str, modules: list[Path]) -> list[Fault]:
+    """Draw the package's faults: some in each module, and the rest wherever chance has it."""
+    every = [fault for path in modules for fault in find_faults(path)]
+    rng = np.random.default_rng(sum(package.encode()))
+    drawn = [every[k] for k in rng.permutation(len(every))]
+    first = [f for path in modules for f in [f for f in drawn if f.module == path][:LEAST]]
+    rest = [fault for fault in drawn if fault not in first]
+    return sorted(first + rest[: max(0, SAMPLE - len(first))])
+
+
+def find_faults(module: Path) -> list[Fault]:
+    tree = parso.parse(module.read_text(encoding="utf-8"))
+    nodes = [tree]
+    for node in nodes:  # grows while it is read
+        nodes += getattr(node, "children", [])
+    faults = []
+    for operator in OPERATORS:
         visitor = get_operator(operator)()
-        count = sum(len(list(visitor.mutation_positions(node))) for node in walk(tree))
-        every += [(operator, k) for k in range(count)]
-    rng = np.random.default_rng(sum(name.encode()))
-    for k in sorted(rng.choice(len(every), min(size, len(every)), replace=False)):
-        yield every[k]
+        count = sum(len(list(visitor.mutation_positions(node))) for node in nodes)
+        faults += [Fault(module, operator, k) for k in range(count)]
+    return faults
 
 
-def walk(node: parso.tree.NodeOrLeaf) -> Iterator[parso.tree.NodeOrLeaf]:
-    yield node
-    for child in getattr(node, "children", []):
-        yield from walk(child)
+def tests_of(module: Path) -> list[str]:
+    """Return what judges a module, the likeliest to notice a fault first."""
+    examples = str(module.relative_to(ROOT))
+    package = package_of(module)
+    single = ROOT / "tests" / f"test_{package}.py"
+    if single.exists():
+        return [examples, str(single.relative_to(ROOT))]
+    like = f"test_{module.stem.removeprefix('_')}.py"
+    files = sorted((ROOT / "tests" / package).rglob("test_*.py"), key=lambda p: p.name != like)
+    names = [str(path.relative_to(ROOT)) for path in files]
+    return [*names[:1], examples, *names[1:]]
 
 
 def copy_project(folder: Path) -> Path:
-    ignore = shutil.ignore_patterns("__pycache__", ".hypothesis")
-    for name in ("microlib", "tests", "data", "book", "notebooks"):
-        shutil.copytree(ROOT / name, folder / name, ignore=ignore)
-    shutil.copy(ROOT / "pyproject.toml", folder)
-    return folder
+    return Path(shutil.copytree(ROOT, folder, ignore=shutil.ignore_patterns(*NOT_COPIED)))
 
 
-def judge(copies: Queue[Path], name: str, operator: str, occurrence: int) -> list[object]:
-    """Plant one fault in a free copy, run the module's tests there, and undo it."""
+def time_tests(copies: Queue[Path], package: str) -> float | None:
+    """Return how long a package's tests take while nothing is wrong with it; None if they fail."""
     folder = copies.get()
-    path = folder / "microlib" / f"{name}.py"
+    modules = find_packages()[package]
+    tests = dict.fromkeys(test for module in modules for test in tests_of(module))
+    start = perf_counter()
+    try:
+        passed = run_tests(folder, list(tests), folder / "numba", 600)
+    finally:
+        copies.put(folder)
+    return perf_counter() - start if passed else None
+
+
+def judge(copies: Queue[Path], package: str, fault: Fault, limit: float) -> Verdict:
+    """Plant one fault in a free copy, run the tests of its module there, and undo it."""
+    folder = copies.get()
+    name = fault.module.relative_to(ROOT)
+    path = folder / name
+    times = path.stat()
     sound = path.read_text(encoding="utf-8")
-    faulty = mutate_code(sound, get_operator(operator)(), occurrence)
+    faulty = mutate_code(sound, get_operator(fault.operator)(), fault.occurrence)
     lines = zip(sound.splitlines(), faulty.splitlines(), strict=False)
     line, code = next(
         ((n, new.strip()) for n, (old, new) in enumerate(lines, 1) if old != new), (0, "")
     )
+    # What is compiled of the sound modules is kept; a faulty one shall not take its place.
+    compiled = folder / ("numba_faulty" if "import numba" in sound else "numba")
     try:
         path.write_text(faulty, encoding="utf-8")
-        caught = not run_tests(folder, name)
+        Path(cache_from_source(str(path))).unlink(missing_ok=True)
+        caught = not run_tests(folder, tests_of(fault.module), compiled, limit)
     finally:
         path.write_text(sound, encoding="utf-8")
+        os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
+        Path(cache_from_source(str(path))).unlink(missing_ok=True)
         copies.put(folder)
-    return [name, f"{operator.removeprefix('core/')}:{occurrence}", line, code, caught]
+    label = f"{fault.operator.removeprefix('core/')}:{fault.occurrence}"
+    return Verdict(package, str(name), label, line, code, caught)
 
 
-def passes(copies: Queue[Path], name: str) -> bool:
-    """Tell whether a module's tests pass while nothing is wrong with it."""
-    folder = copies.get()
-    try:
-        return run_tests(folder, name)
-    finally:
-        copies.put(folder)
-
-
-def run_tests(folder: Path, name: str) -> bool:
-    tests = [f"tests/test_{test}.py" for test in MODULES[name]]
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
-    environment = os.environ | {"PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1"}
+def run_tests(folder: Path, tests: list[str], compiled: Path, limit: float) -> bool:
+    command = [sys.executable, "-m", "pytest", "-x", "-q"]
+    command += ["-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:randomly"]
+    environment = os.environ | {
+        "PYTHONPATH": str(folder),
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "NUMBA_CACHE_DIR": str(compiled),
+    }
     try:
         run = subprocess.run(
-            [*command, *tests, f"microlib/{name}.py"],
+            [*command, *tests],
             cwd=folder,
             env=environment,
             capture_output=True,
-            timeout=120,
+            timeout=limit,
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return False  # a loop without end is noticed, too
-    return run.returncode == 0
+        return False
+    # 5: a module without tests or examples, in which nothing can be noticed.
+    return run.returncode in (0, 5)
 
 
 if __name__ == "__main__":
