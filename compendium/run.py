@@ -2,7 +2,7 @@
 
 ``python -m compendium.run`` leaves the executed notebooks in ``build/notebooks``, their records in
 ``build/claims`` and one status file each in ``build/status``. A notebook is run again when it, the
-library, the data, the locked environment or this file changed. Chapter 6 reads the records of the
+library, the compendium, the data or the locked environment changed. Chapter 6 reads the records of the
 others and is run last.
 
 With ``-p NAME VALUE`` one notebook runs once on your own data. The executed copy goes to the
@@ -19,7 +19,9 @@ import json
 import os
 import sys
 import tempfile
+from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import cache
 from pathlib import Path
 from time import perf_counter
 
@@ -71,7 +73,8 @@ def main() -> int:
     first = [name for name in chosen if not name.startswith(LAST)]
     last = [name for name in chosen if name.startswith(LAST)]
     for batch in (first, last):
-        todo = [n for n in batch if options.force or not up_to_date(n)]
+        keys = {name: input_hashes(name) for name in batch}
+        todo = {n: key for n, key in keys.items() if options.force or not up_to_date(n, key)}
         for name in sorted(set(batch) - set(todo)):
             print(f"  {name}: up to date")
         failures += run_all(todo, options.jobs)
@@ -120,13 +123,16 @@ def execute(source: Path, output: Path, parameters: dict, cwd: Path) -> tuple[st
     return f"{perf_counter() - start:.1f} s", True
 
 
-def run_all(names: list[str], jobs: int) -> int:
-    """Run notebooks side by side, print a line for each as it ends, and return how many failed."""
+def run_all(keys: dict[str, dict[str, str]], jobs: int) -> int:
+    """Run notebooks side by side, print a line for each as it ends, and return how many failed.
+
+    `keys` holds each notebook's input hashes.
+    """
     failures = 0
     # The longest first, so that no core idles at the end; a longer notebook has the larger file.
-    names = sorted(names, key=lambda n: -(ROOT / "notebooks" / f"{n}.ipynb").stat().st_size)
+    names = sorted(keys, key=lambda n: -(ROOT / "notebooks" / f"{n}.ipynb").stat().st_size)
     with ProcessPoolExecutor(max_workers=max(1, jobs), initializer=hush) as pool:
-        runs = {pool.submit(run, name): name for name in names}
+        runs = {pool.submit(run, name, keys[name]): name for name in names}
         for done, future in enumerate(as_completed(runs), 1):
             message, passed = future.result()
             failures += not passed
@@ -139,8 +145,11 @@ def hush() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
 
-def run(name: str) -> tuple[str, bool]:
-    """Execute one notebook; return what to tell the user and whether it passed."""
+def run(name: str, key: dict[str, str]) -> tuple[str, bool]:
+    """Execute one notebook; return what to tell the user and whether it passed.
+
+    `key` holds its input hashes, which its status file keeps.
+    """
     for folder in ("notebooks", "claims", "status", "failed"):
         (BUILD / folder).mkdir(parents=True, exist_ok=True)
     output = BUILD / "notebooks" / f"{name}.ipynb"
@@ -148,7 +157,6 @@ def run(name: str) -> tuple[str, bool]:
     record = BUILD / "claims" / f"{name}.json"
     for stale in (output, failed, record, BUILD / "status" / f"{name}.json"):
         stale.unlink(missing_ok=True)
-    parts = input_hashes(name)
     source = ROOT / "notebooks" / f"{name}.ipynb"
     message, passed = execute(source, failed, {"record": str(record.relative_to(ROOT))}, ROOT)
     if not passed:
@@ -168,10 +176,10 @@ def run(name: str) -> tuple[str, bool]:
         "notebook": name,
         "seconds": float(message.removesuffix(" s")),
         "checks": judged,
-        **parts,
+        **key,
     }
     (BUILD / "status" / f"{name}.json").write_text(json.dumps(status, indent=1) + "\n")
-    return f"{message}, {judged} checks passed", True
+    return f"{message}, {judged} {'check' if judged == 1 else 'checks'} passed", True
 
 
 def clean(notebook: nbformat.NotebookNode) -> None:
@@ -203,40 +211,41 @@ def lighten(notebook: nbformat.NotebookNode) -> None:
             data["image/png"] = base64.b64encode(drawing.getvalue()).decode()
 
 
-def up_to_date(name: str) -> bool:
+def up_to_date(name: str, key: dict[str, str]) -> bool:
+    """Tell whether a notebook has been run on the inputs of which `key` holds the hashes."""
     status = BUILD / "status" / f"{name}.json"
     made = [BUILD / "notebooks" / f"{name}.ipynb", BUILD / "claims" / f"{name}.json", status]
     if not all(path.exists() for path in made):
         return False
-    return input_hashes(name).items() <= json.loads(status.read_text()).items()
-
-
-def inputs(name: str) -> dict[str, list[Path]]:
-    """Return the files that a notebook's outputs depend on, by what they are."""
-    parts = {
-        "notebook_file": [ROOT / "notebooks" / f"{name}.ipynb"],
-        "library": list((ROOT / "microlib").rglob("*.py")),
-        "compendium": list((ROOT / "compendium").rglob("*.py")),
-        "data": [path for path in (ROOT / "data").rglob("*") if path.is_file()],
-        "lock": [ROOT / "environment.txt"],
-    }
-    if name.startswith(LAST):
-        claims = (BUILD / "claims").glob("*.json")
-        parts["claims"] = [path for path in claims if not path.name.startswith(LAST)]
-    return parts
-
-
-def files_hash(files: list[Path]) -> str:
-    digest = hashlib.sha256()
-    for path in sorted(files):
-        digest.update(str(path.relative_to(ROOT)).encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()
+    return key.items() <= json.loads(status.read_text()).items()
 
 
 def input_hashes(name: str) -> dict[str, str]:
     """Return the version of Python and the hashes of all else that a notebook depends on."""
-    hashes = {part: files_hash(files) for part, files in inputs(name).items()}
-    return {"python": sys.version.split()[0], **hashes}
+    hashes = {"notebook_file": files_hash([ROOT / "notebooks" / f"{name}.ipynb"]), **shared_key()}
+    if name.startswith(LAST):
+        claims = (BUILD / "claims").glob("*.json")
+        hashes["claims"] = files_hash(p for p in claims if not p.name.startswith(LAST))
+    return hashes
+
+
+@cache
+def shared_key() -> dict[str, str]:
+    """Return what all notebooks depend on: the version of Python and hashes by kind of file."""
+    return {
+        "python": sys.version.split()[0],
+        "library": files_hash((ROOT / "microlib").rglob("*.py")),
+        "compendium": files_hash((ROOT / "compendium").rglob("*.py")),
+        "data": files_hash(path for path in (ROOT / "data").rglob("*") if path.is_file()),
+        "lock": files_hash([ROOT / "environment.txt"]),
+    }
+
+
+def files_hash(files: Iterable[Path]) -> str:
+    digest = hashlib.sha256()
+    for path in sorted(files):
+        digest.update(str(path.relative_to(ROOT)).encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
 
 
 if __name__ == "__main__":
