@@ -13,6 +13,7 @@ import re
 import shutil
 import tomllib
 from collections import Counter
+from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -30,13 +31,54 @@ FIGURES = ROOT / "build" / "figures"
 CAPTION = re.compile(r"\*\*(Figures?|Tables?) ([^*]+)\*\*")
 TAG = re.compile(r"\\tag\{(\d\.\d+)\}")
 TABLE = re.compile(r"^\(table-(\d)-(\d)\)=", flags=re.M)
-KINDS = ("equation", "figure", "table")
+# What an item of each kind can be said to be; a table's numbers have verdicts of their own.
+STATES = {
+    "equation": ("holds", "corrected", "definition"),
+    "figure": ("redrawn", "stand-in"),
+    "table": ("",),
+}
+
+
+@dataclass(frozen=True)
+class Item:
+    """An equation, figure or table of the thesis, as ``map.toml`` describes it."""
+
+    id: str
+    what: str
+    functions: list[str]
+    status: str = ""
+    erratum: str = ""
+
+    def __post_init__(self) -> None:
+        if self.kind not in STATES or self.status not in STATES[self.kind]:
+            raise ValueError(f"status of {self.id} cannot be {self.status!r}")
+        if (self.status == "corrected") != bool(self.erratum):
+            raise ValueError(f"{self.id} must name an erratum if and only if it is corrected")
+        if self.erratum and self.erratum not in ledger.errata():
+            raise ValueError(f"erratum of {self.id} must be one of errata.toml: {self.erratum!r}")
+
+    @property
+    def kind(self) -> str:
+        return self.id.split("-")[0]
+
+    @property
+    def number(self) -> str:
+        return self.id.partition("-")[2]
 
 
 @cache
-def read_map() -> dict[str, dict[str, Any]]:
+def read_map() -> dict[str, Item]:
     with (ROOT / "data" / "thesis" / "map.toml").open("rb") as file:
-        return tomllib.load(file)
+        return parse_map(tomllib.load(file))
+
+
+def parse_map(entries: dict[str, dict[str, Any]]) -> dict[str, Item]:
+    """Return the items by their ids; refuse a field that nothing here reads."""
+    known = {field.name for field in fields(Item)} - {"id"}
+    for name, entry in entries.items():
+        if unknown := entry.keys() - known:
+            raise ValueError(f"{name} has {', '.join(unknown)}; known are {', '.join(known)}")
+    return {name: Item(id=name, **entry) for name, entry in entries.items()}
 
 
 @cache
@@ -83,38 +125,43 @@ class Map(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         kind = self.arguments[0]
-        if kind not in KINDS:
-            raise self.error(f"the map has {', '.join(KINDS)}, not {kind!r}")
+        if kind not in STATES:
+            raise self.error(f"the map has {', '.join(STATES)}, not {kind!r}")
         from thesis import table
 
         places = find_items(ROOT / "build" / "notebooks")
         rows = []
-        for item, entry in read_map().items():
-            if not item.startswith(kind):
+        for item in read_map().values():
+            if item.kind != kind:
                 continue
-            number = item.removeprefix(f"{kind}-")
-            label: nodes.Node = nodes.Text(f"({number})" if kind == "equation" else number)
-            if item in places:
-                stem, anchor = places[item]
-                here = self.env.docname
-                uri = self.env.app.builder.get_relative_uri(here, f"notebooks/{stem}")
-                target = f"{uri}#{nodes.make_id(anchor)}"
-                link = nodes.reference("", "", internal=True, refuri=target)
-                link += label
-                label = link
+            label: nodes.Node = nodes.Text(
+                f"({item.number})" if kind == "equation" else item.number
+            )
+            if item.id in places:
+                stem, anchor = places[item.id]
+                label = self.link(label, f"notebooks/{stem}", anchor)
             functions = nodes.inline()
-            for k, name in enumerate(entry["functions"]):
+            for k, name in enumerate(item.functions):
                 functions += [nodes.Text(", ")] if k else []
                 functions += link_to_function(name, self.env.docname)
-            rows.append([label, entry["what"], functions, verdict_of(entry)])
+            verdict: nodes.Node = nodes.Text(verdict_of(item))
+            if item.erratum:
+                verdict = self.link(verdict, "errata", f"erratum-{item.erratum}")
+            rows.append([label, item.what, functions, verdict])
         return [table(["Number", "What", "In the library", "Verdict"], rows, classes=["map"])]
 
+    def link(self, shown: nodes.Node, page: str, anchor: str) -> nodes.reference:
+        uri = self.env.app.builder.get_relative_uri(self.env.docname, page)
+        link = nodes.reference("", "", internal=True, refuri=f"{uri}#{nodes.make_id(anchor)}")
+        link += shown
+        return link
 
-def verdict_of(entry: dict[str, Any]) -> str:
+
+def verdict_of(item: Item) -> str:
     """Return an item's status, and for a table how many of its numbers have which verdict."""
-    if "claims" not in entry:
-        return entry["status"]
-    chosen = [c.verdict for c in ledger.claims().values() if c.id.startswith(entry["claims"])]
+    if item.kind != "table":
+        return item.status
+    chosen = [c.verdict for c in ledger.claims().values() if c.id.startswith(f"{item.id}/")]
     return ", ".join(f"{count} {verdict}" for verdict, count in Counter(chosen).most_common())
 
 
@@ -128,7 +175,7 @@ def link_formulas(app: Sphinx, doctree: nodes.document) -> None:
         if not fresh:
             continue
         seen.update(fresh)
-        names = dict.fromkeys(f for n in fresh for f in thesis[f"equation-{n}"]["functions"])
+        names = dict.fromkeys(f for n in fresh for f in thesis[f"equation-{n}"].functions)
         note = nodes.paragraph(classes=["equation-link"])
         note += nodes.Text("in code: ")
         for k, name in enumerate(names):
@@ -163,16 +210,15 @@ def link_back(
     app: Sphinx, what: str, name: str, obj: object, options: Any, lines: list[str]
 ) -> None:
     """Append to a docstring where in the book its equations, figures and tables stand."""
-    items = [item for item, entry in read_map().items() if name in entry["functions"]]
+    items = [item for item in read_map().values() if name in item.functions]
     if not items:
         return
     places = find_items(ROOT / "build" / "notebooks")
     links = []
     for item in items:
-        kind, number = item.split("-", 1)
-        shown = f"({number})" if kind == "equation" else f"{kind} {number}"
-        if item in places:
-            stem, anchor = places[item]
+        shown = f"({item.number})" if item.kind == "equation" else f"{item.kind} {item.number}"
+        if item.id in places:
+            stem, anchor = places[item.id]
             links.append(f"`{shown} <../notebooks/{stem}.html#{nodes.make_id(anchor)}>`__")
     if links:
         lines += ["", ".. rubric:: In the thesis", "", ", ".join(links) + ".", ""]

@@ -14,7 +14,7 @@ from compendium import ledger
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "book" / "_ext"))
-from thesis_map import captioned, find_items, read_map  # noqa: E402
+from thesis_map import Item, captioned, find_items, parse_map, read_map  # noqa: E402
 
 THESIS = read_map()
 # How many numbered items each chapter of the thesis has.
@@ -43,31 +43,52 @@ def test_the_map_is_whole(kind: str, counts: dict[int, int]) -> None:
 
 def test_every_item_stands_in_its_chapter() -> None:
     found = find_items(ROOT / "notebooks")
-    for item, entry in THESIS.items():
-        assert item in found, f"no notebook shows {item}"
-        assert found[item][0].startswith(entry["chapter"]), f"{item} stands in {found[item][0]}"
+    for name, item in THESIS.items():
+        assert name in found, f"no notebook shows {name}"
+        chapter = f"0{item.number[0]}_"
+        assert found[name][0].startswith(chapter), f"{name} stands in {found[name][0]}"
 
 
-@pytest.mark.parametrize("item", THESIS)
-def test_functions_exist_and_name_their_equation(item: str) -> None:
-    for name in THESIS[item]["functions"]:
+@pytest.mark.parametrize("item", THESIS.values(), ids=lambda item: item.id)
+def test_functions_exist_and_name_their_equation(item: Item) -> None:
+    for name in item.functions:
         module_name, attribute = name.rsplit(".", 1)
         module = importlib.import_module(module_name)
         function = getattr(module, attribute)
         assert attribute in module.__all__, f"{name} is not public"
-        if item.startswith("equation"):
+        if item.kind == "equation":
             docs = inspect.getdoc(function) or ""
-            assert item.removeprefix("equation-") in named(docs), f"{name} does not name {item}"
+            assert item.number in named(docs), f"{name} does not name {item.number}"
 
 
 def test_tables_lead_to_claims_and_corrections_to_errata() -> None:
-    wheres = " ".join(f"{e['where']} {e['proof']}" for e in ledger.errata().values())
-    for item, entry in THESIS.items():
-        number = item.split("-", 1)[1]
-        if item.startswith("table"):
-            assert any(c.startswith(entry["claims"]) for c in ledger.claims()), item
-        if entry["status"] == "corrected":
-            assert number in named(wheres), f"{item} is called corrected but no erratum names it"
+    for item in THESIS.values():
+        if item.kind == "table":
+            assert any(c.startswith(f"{item.id}/") for c in ledger.claims()), item.id
+        if item.erratum:
+            erratum = ledger.errata()[item.erratum]
+            assert item.number in named(erratum["where"]), f"{item.erratum} is not of {item.number}"
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("equation-2.1", {"chapter": "02"}, "equation-2.1 has chapter"),
+        ("equation-2.1", {"status": "redrawn"}, "status of equation-2.1"),
+        ("equation-2.1", {"status": "corrected"}, "must name an erratum"),
+        ("equation-2.1", {"status": "holds", "erratum": "equation-3.7"}, "must name an erratum"),
+        ("equation-2.1", {"status": "corrected", "erratum": "none"}, "one of errata.toml"),
+        ("table-5.6", {"status": "holds"}, "status of table-5.6"),
+        ("photograph-5.6", {"status": "holds"}, "status of photograph-5.6"),
+    ],
+)
+def test_the_map_refuses_what_nothing_reads(
+    name: str, change: dict[str, str], message: str
+) -> None:
+    entry = {"what": "Error", "functions": []}
+    assert parse_map({"equation-2.1": {**entry, "status": "holds"}})["equation-2.1"].number == "2.1"
+    with pytest.raises(ValueError, match=re.escape(message)):
+        parse_map({name: entry | change})
 
 
 def test_captions_name_ranges() -> None:
