@@ -2,8 +2,8 @@
 
 ``python -m compendium.run`` leaves the executed notebooks in ``build/notebooks``, their records in
 ``build/claims`` and one status file each in ``build/status``. A notebook is run again when it, the
-library, the compendium, the data or the locked environment changed. Chapter 6 reads the records of the
-others and is run last.
+library, the compendium, the data or the locked environment changed. Chapter 6 reads the records of
+the others and is run last.
 
 With ``-p NAME VALUE`` one notebook runs once on your own data. The executed copy goes to the
 folder ``--output``, and nothing is recorded against the thesis.

@@ -4,22 +4,28 @@
   its place in the chapter and to the function behind it.
 - Every displayed formula with a ``\\tag`` of the thesis gets an anchor and a link to its function.
 - The page of a function that the map names links back to its equations, figures and tables.
+- The page of a function that returns a class without a page of its own lists what it holds.
 - A figure whose data were kept gets a link to them.
 """
 
 from __future__ import annotations
 
+import inspect
 import re
 import shutil
 import tomllib
 from collections import Counter
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import Any, get_args, get_type_hints
 
 import nbformat
 from docutils import nodes
+from numpydoc.docscrape import NumpyDocString
 from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
@@ -224,6 +230,33 @@ def link_back(
         lines += ["", ".. rubric:: In the thesis", "", ", ".join(links) + ".", ""]
 
 
+def show_result(
+    app: Sphinx, what: str, name: str, obj: object, options: Any, lines: list[str]
+) -> None:
+    """Append to a function's docstring the attributes of a result that has no page of its own."""
+    if inspect.isfunction(obj):
+        for result in unlisted_results(obj):
+            lines += ["", f".. rubric:: Attributes of {result.__name__}", ""]
+            for one in NumpyDocString(inspect.getdoc(result) or "")["Attributes"]:
+                lines += [f"**{one.name}** : {one.type}", *(f"    {text}" for text in one.desc), ""]
+
+
+def unlisted_results(function: Callable[..., Any]) -> list[type]:
+    """Return the library's dataclasses that a function returns and no package's face names."""
+    hint = get_type_hints(function).get("return")
+    found = [
+        part
+        for part in (hint, *get_args(hint))
+        if inspect.isclass(part) and is_dataclass(part) and part.__module__.startswith("microlib.")
+    ]
+    return [part for part in found if part.__name__ not in face_of(part).__all__]
+
+
+def face_of(result: type) -> ModuleType:
+    """Return the package whose file defines a class."""
+    return import_module(".".join(result.__module__.split(".")[:2]))
+
+
 def copy_figures(app: Sphinx, error: Exception | None) -> None:
     if error is None and app.builder.format == "html" and FIGURES.exists():
         shutil.copytree(FIGURES, Path(app.outdir) / "_static" / "figures", dirs_exist_ok=True)
@@ -234,6 +267,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("doctree-read", link_formulas)
     app.connect("doctree-read", link_data)
     # After numpydoc, which rewrites the lines it is given.
+    app.connect("autodoc-process-docstring", show_result, priority=900)
     app.connect("autodoc-process-docstring", link_back, priority=900)
     app.connect("build-finished", copy_figures)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
