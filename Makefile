@@ -9,7 +9,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup book test notebooks html lint format data picture benchmarks mutants lock clean
+.PHONY: help setup book test notebooks html lint format data picture benchmarks oldest mutants lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -67,6 +67,12 @@ benchmarks: $(STAMP) ## measure microlib beside its peers (minutes)
 	@for file in benchmarks/[a-z]*.py; do \
 	  name=$$(basename $$file .py); [ $$name = report ] || $(BIN)/python -m benchmarks.$$name || exit 1; done
 
+oldest: ## run the library's tests with the oldest dependencies that pyproject.toml allows
+	@$(PYTHON) -m venv --clear .venv-oldest
+	@.venv-oldest/bin/pip install --quiet --requirement tests/oldest.txt .
+	@.venv-oldest/bin/python -m pytest --numprocesses 2 --quiet tests microlib --ignore tests/mutants.py \
+	  --ignore tests/book --ignore tests/notebooks --ignore tests/compendium
+
 mutants: $(STAMP) ## plant faults in the library and count those the tests catch (minutes)
 	@$(BIN)/python tests/mutants.py
 
@@ -75,4 +81,4 @@ lock: $(STAMP) ## compile environment.txt anew (needs uv)
 	  --python-version 3.11 --no-header --no-annotate --quiet -o environment.txt
 
 clean: ## remove what was built
-	@rm -rf build book/notebooks book/generated
+	@rm -rf build book/notebooks book/generated .venv-oldest

@@ -1,0 +1,51 @@
+"""What `pip install .` installs, and on which versions of what."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import tomllib
+from pathlib import Path
+
+from packaging.requirements import Requirement
+from packaging.version import Version
+from setuptools import find_packages
+
+import microlib
+
+ROOT = Path(__file__).resolve().parent.parent
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def test_the_library_alone_is_installed_and_all_of_it() -> None:
+    found = find_packages(str(ROOT), **PROJECT["tool"]["setuptools"]["packages"]["find"])
+    folders = {path.parent.relative_to(ROOT) for path in (ROOT / "microlib").rglob("*.py")}
+    assert set(found) == {".".join(folder.parts) for folder in folders}
+    assert (ROOT / "microlib" / "py.typed").exists()
+
+
+def test_each_lower_bound_is_the_version_that_was_tested() -> None:
+    lines = (ROOT / "tests" / "oldest.txt").read_text(encoding="utf-8").splitlines()
+    tested = dict(line.split("==") for line in lines if line and not line.startswith("#"))
+    for text in PROJECT["project"]["dependencies"]:
+        need = Requirement(text)
+        (bound,) = need.specifier
+        assert bound.operator == ">=", text
+        assert Version(bound.version) == Version(tested[need.name]), text
+
+
+def test_the_version_is_the_same_everywhere() -> None:
+    stated = PROJECT["project"]["version"]
+    assert microlib.__version__ == stated
+    assert f"\nversion: {stated}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert re.findall(r"^## \[?([\d.]+)", changes, flags=re.M)[0] == stated
+
+
+def test_new_addresses_in_the_changelog_exist() -> None:
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    table = re.findall(r"^\| `(.*) \| (.*) \|$", changes, flags=re.M)
+    new = re.findall(r"`(?:python -m )?([\w.]+)`", " ".join(right for _, right in table))
+    assert len(new) > 15
+    for name in new:
+        importlib.import_module(name)
