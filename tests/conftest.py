@@ -45,4 +45,4 @@ def pytest_sessionfinish(session: pytest.Session) -> Iterator[None]:
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     skipped = reporter.stats.get("skipped", []) if reporter else []  # absent in xdist's workers
     if count := sum("no Chromium" in str(report.longrepr) for report in skipped):
-        reporter.write_line(f"{count} tests were skipped: there is no Chromium to open the book in")
+        reporter.write_line(f"There is no Chromium to open the book in; tests skipped: {count}")
