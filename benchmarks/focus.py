@@ -419,7 +419,7 @@ def curvature(seeds: int) -> pd.DataFrame:
             labels = hk_labels(
                 found.mean, found.gaussian, 3.5 * found.mean_error, 3.5 * found.gaussian_error
             )
-            # The saddle is a minimal surface at its centre only, the further out the less.
+            # The saddle is a minimal surface at its center only, the further out the less.
             near = (labels > 0) & (np.hypot(x, y) < (30 if name == "saddle" else np.inf))
             shares.append(np.mean(labels[near] == label))
         rows.append(
@@ -510,7 +510,7 @@ def main() -> None:
         "left out. The gain of two threads is the median of 60 rounds (10 to 90 %). What the box "
         "filter gains tells what the machine's second core is worth; a sixth of the work, the "
         "estimate of the errors, is done by one thread alone. Errors of "
-        "H and K are those at the centre without noise; labels are the least share of 20 seeds. "
+        "H and K are those at the center without noise; labels are the least share of 20 seeds. "
         "On photographs the others are judged where microlib gives a depth. The rules that refuse "
         "a depth were made with the domes of brick, camera, coins and moon in view; the other "
         "photographs were first seen after. Above 0.75 are four balls and the stereo scene, for "

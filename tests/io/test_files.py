@@ -22,7 +22,7 @@ def test_grey_images_come_back_as_stored(tmp_path: Path) -> None:
         assert io.read_grey(tmp_path / name).dtype == dtype
 
 
-def test_colours_become_grey(tmp_path: Path) -> None:
+def test_colors_become_grey(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "c.png"), np.full((5, 6, 3), (0, 0, 255), np.uint8))
     image = io.read_grey(tmp_path / "c.png")
     assert image.shape == (5, 6)
@@ -44,7 +44,7 @@ def test_height_tiff_carries_heights_and_scale(tmp_path: Path) -> None:
         np.testing.assert_array_equal(page.asarray(), height.astype(np.float32))
         numerator, denominator = page.tags["XResolution"].value
         assert numerator / denominator == pytest.approx(4000)  # px per cm
-        assert page.tags["ResolutionUnit"].value == 3  # centimetre
+        assert page.tags["ResolutionUnit"].value == 3  # centimeter
         assert "2.5 um" in page.description
 
 
