@@ -67,9 +67,10 @@ _BORDER_REACH, _BORDER_LEAST, _BORDER_POWER = 8, 0.1, 4
 #: radius over which both are averaged, px; the largest detail, frames.
 _RELIEF_RATIO, _RELIEF_RADIUS, _RELIEF_MOST = 2.6, 8.0, 0.5
 #: Differences from a Gaussian mean that leave the roughness, its radius and the window over which
-#: its square is averaged, in every second pixel.
+#: its square is averaged, in every second pixel. The depth does not depend on them.
 _ROUGH_TIMES, _ROUGH_RADIUS, _ROUGH_WINDOW = 4, 4.0, 3
-#: Error of a smoothed depth over its roughness, which does not show errors that are smooth too.
+#: Error of a smoothed depth over its roughness, which does not show errors that are smooth too:
+#: 1.4 to 2.6 on the smooth scenes of the benchmark.
 _HIDDEN = 2.0
 
 

@@ -19,10 +19,12 @@ from microlib.focus._measures import RowsMeasure
 _BAND = 2**17
 
 #: Smallest focus measure a logarithm is taken of, as a share of the peak's. It holds three points
-#: finite; a fit of more weights frames with their share, so that nothing depends on it.
+#: finite; a fit of more weights frames with their share. No default depth of the benchmark changes
+#: from 1e-9 to 1e-3.
 _FAINTEST = 1e-6
 
-#: Fall of the logarithm of a measure below which it is flat: 8 bits resolve no thousandth.
+#: Fall of the logarithm of a measure below which it is flat. No default depth of the benchmark
+#: changes from 1e-6 to 0.03.
 _FLAT = 1e-3
 
 
@@ -95,7 +97,7 @@ def three_point_peak(
     best = window[1].astype(np.float32)
     faint = best * np.float32(_FAINTEST)
     gaps = np.diff(positions)
-    even = np.allclose(gaps, gaps[0], rtol=1e-9, atol=0)
+    even = np.allclose(gaps, gaps[0], rtol=1e-9, atol=0)  # but for rounding
     with np.errstate(divide="ignore", invalid="ignore"):
         # Logarithms of ratios keep their digits in float32 where differences of logarithms would
         # not.

@@ -179,7 +179,7 @@ def _replace(path: Path, write: Callable[[Path], None]) -> None:
     os.close(handle)
     try:
         write(Path(name))
-        os.chmod(name, 0o644)
+        os.chmod(name, 0o644)  # mkstemp lets the owner alone read
         os.replace(name, path)
     except BaseException:
         os.unlink(name)
