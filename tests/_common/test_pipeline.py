@@ -33,6 +33,20 @@ def test_threads_work_at_the_same_time():
     assert len(names) == 2
 
 
+def test_threads_begin_from_both_ends():
+    """So that a part mostly stays with its thread, and its data in that core's cache."""
+    together = Barrier(3, timeout=30)
+    first = {}
+
+    def work(part: int) -> None:
+        if get_ident() not in first:
+            first[get_ident()] = part
+            together.wait()
+
+    pipeline(iter([work]), range(6), 3)
+    assert sorted(first.values()) == [0, 1, 5]
+
+
 @pytest.mark.parametrize("workers", [1, 2, 3])
 @pytest.mark.parametrize("culprit", [0, 3])
 def test_the_first_error_ends_the_work(workers, culprit):

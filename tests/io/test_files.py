@@ -48,6 +48,22 @@ def test_height_tiff_carries_heights_and_scale(tmp_path: Path) -> None:
         assert "2.5 um" in page.description
 
 
+def test_a_pixel_size_that_divides_no_centimeter_is_kept(tmp_path: Path) -> None:
+    io.write_height_tiff(tmp_path / "h.tif", np.ones((2, 3)), pixel_size=0.7)
+    with tifffile.TiffFile(tmp_path / "h.tif") as tiff:
+        for axis in ("XResolution", "YResolution"):
+            numerator, denominator = tiff.pages[0].aspage().tags[axis].value
+            # Ratios of 32-bit numbers hold 14285.714 to nine digits.
+            assert numerator / denominator == pytest.approx(1e4 / 0.7, rel=1e-8)
+
+
+def test_a_pixel_size_must_be_named(tmp_path: Path) -> None:
+    """A bare number beside a height map could be anything."""
+    for write in (io.write_ply, io.write_height_tiff):
+        with pytest.raises(TypeError, match="positional"):
+            write(tmp_path / "s", np.ones((2, 2)), 2.0)  # type: ignore[misc]
+
+
 def read_ply(path: Path) -> tuple[np.ndarray, np.ndarray]:
     head, body = path.read_bytes().split(b"end_header\n", 1)
     counts = [int(line.split()[-1]) for line in head.splitlines() if line.startswith(b"element")]
