@@ -20,8 +20,6 @@ from microlib._common import Array, as_array, positive, whole
 
 __all__ = [
     "HK_NAMES",
-    "Curvature",
-    "Windows",
     "clean_labels",
     "curvature_windows",
     "hk_labels",
@@ -52,7 +50,7 @@ class Windows:
     ----------
     smooth : ndarray of float64, shape (size,)
         Binomial smoother s (3.15).
-    mean, slope, bend : ndarray of float64, shape (size,)
+    mean, slope, second_derivative : ndarray of float64, shape (size,)
         Least-squares value :math:`d_0` (3.17), first derivative :math:`d_1` (3.18, per px) and
         second derivative :math:`d_2` (3.19 corrected, per px²).
     """
@@ -60,7 +58,7 @@ class Windows:
     smooth: Array
     mean: Array
     slope: Array
-    bend: Array
+    second_derivative: Array
 
 
 @dataclass(frozen=True)
@@ -92,7 +90,8 @@ def curvature_windows(size: int = 7) -> Windows:
     Returns
     -------
     Windows
-        Four columns of length `size`. They are written for correlation; (3.16) speaks of
+        Four columns of length `size`: the smoother ``smooth``, and ``mean``, ``slope`` (per px) and
+        ``second_derivative`` (per px²). They are written for correlation; (3.16) speaks of
         convolution, which would flip the sign of the first derivatives and leave H and K as they
         are.
 
@@ -114,7 +113,7 @@ def curvature_windows(size: int = 7) -> Windows:
     >>> windows = curvature_windows(7)
     >>> (64 * windows.smooth).round().astype(int).tolist()
     [1, 6, 15, 20, 15, 6, 1]
-    >>> (42 * windows.bend).round().astype(int).tolist()
+    >>> (42 * windows.second_derivative).round().astype(int).tolist()
     [5, 0, -3, -4, -3, 0, 5]
     """
     n = whole("size", size, least=3, odd=True)
@@ -124,7 +123,7 @@ def curvature_windows(size: int = 7) -> Windows:
         smooth=np.array([comb(n - 1, k) for k in range(n)]) / 2.0 ** (n - 1),
         mean=np.full(n, 1.0 / n),
         slope=t / np.sum(t**2),
-        bend=2 * quadratic / np.sum(quadratic**2),
+        second_derivative=2 * quadratic / np.sum(quadratic**2),
     )
 
 
@@ -138,7 +137,7 @@ def surface_curvature(
     height : array_like, shape (rows, cols)
         Heights, µm, towards the viewer. NaN marks what is unknown.
     pixel_size : float
-        Distance between neighbouring pixels on the object, µm.
+        Distance between neighboring pixels on the object, µm.
     size : int
         Side of the windows, px, odd, at least 3. The scale of what is seen: a window of `size`
         smooths and differentiates over 2 `size` - 1 pixels.
@@ -148,7 +147,9 @@ def surface_curvature(
     Returns
     -------
     Curvature
-        A band of `size` - 1 pixels along the border, and around every NaN, is NaN.
+        ``mean`` (1/µm) and ``gaussian`` (1/µm²) with their standard errors ``mean_error`` and
+        ``gaussian_error``, arrays of the map's shape. A band of `size` - 1 pixels along the border,
+        and around every NaN, is NaN.
 
     Raises
     ------
@@ -185,13 +186,13 @@ def surface_curvature(
     if min(z.shape) < 2 * n - 1:
         raise ValueError(f"height must be at least {2 * n - 1} px on each side, got {z.shape}")
 
-    value, slope, bend = _combined(n)
+    value, slope, second = _combined(n)
     unknown = np.isnan(z)
     filled = np.where(unknown, 0.0, z)
     zx, zy = (_correlate(filled, *pair) / pitch for pair in ((slope, value), (value, slope)))
     zxx, zyy, zxy = (
         _correlate(filled, *pair) / pitch**2
-        for pair in ((bend, value), (value, bend), (slope, slope))
+        for pair in ((second, value), (value, second), (slope, slope))
     )
     blind = (
         ndimage.binary_dilation(unknown, np.ones((2 * n - 1,) * 2)) if unknown.any() else unknown
@@ -208,16 +209,16 @@ def surface_curvature(
     # Covariance of (zxx, zyy, zxy); the mixed window is odd in x and y and so uncorrelated with
     # the others.
     scale = (sigma / pitch**2) ** 2
-    straight = scale * np.sum(bend**2) * np.sum(value**2)
-    cross = scale * np.sum(bend * value) ** 2
+    straight = scale * np.sum(second**2) * np.sum(value**2)
+    cross = scale * np.sum(second * value) ** 2
     mixed = scale * np.sum(slope**2) ** 2
     mean_variance = (
         straight * (ex**2 + ey**2) + 2 * cross * ex * ey + mixed * (2 * zx * zy) ** 2
     ) / (4 * steep**3)
     # To first order, less what noise alone puts into the squares, and never below the second order.
-    second = straight**2 + cross**2 + 2 * mixed**2
-    first = straight * (zxx**2 + zyy**2) + 2 * cross * zxx * zyy + 4 * mixed * zxy**2
-    gaussian_variance = np.maximum(first - second, second) / steep**4
+    second_order = straight**2 + cross**2 + 2 * mixed**2
+    first_order = straight * (zxx**2 + zyy**2) + 2 * cross * zxx * zyy + 4 * mixed * zxy**2
+    gaussian_variance = np.maximum(first_order - second_order, second_order) / steep**4
     fields = (mean, gaussian, np.sqrt(mean_variance), np.sqrt(gaussian_variance))
     for field in fields:
         field[blind] = np.nan
@@ -227,10 +228,11 @@ def surface_curvature(
 def _combined(n: int) -> tuple[Array, Array, Array]:
     """Return value, slope and second-derivative windows with the smoother folded in."""
     windows = curvature_windows(n)
-    value, slope, bend = (
-        np.convolve(windows.smooth, d) for d in (windows.mean, windows.slope, windows.bend)
+    value, slope, second = (
+        np.convolve(windows.smooth, d)
+        for d in (windows.mean, windows.slope, windows.second_derivative)
     )
-    return value, slope, bend
+    return value, slope, second
 
 
 def _correlate(image: Array, along_x: Array, along_y: Array) -> Array:
@@ -293,7 +295,7 @@ def hk_labels(
 
 
 def _regions(labels: ArrayLike) -> tuple[NDArray[np.uint8], NDArray[np.intp]]:
-    """Check a label image and number its regions from 1; 0 where nothing is labelled."""
+    """Check a label image and number its regions from 1; 0 where nothing is labeled."""
     types = as_array("labels", labels, shape=(None, None), dtype=np.uint8)
     if types.max() > 9:
         raise ValueError(f"labels must be 0 to 9, got {types.max()}")

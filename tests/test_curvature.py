@@ -44,11 +44,11 @@ def test_windows_are_those_of_the_thesis_with_the_second_derivative_doubled():
     np.testing.assert_allclose(windows.mean * 7, np.ones(7), atol=1e-12)
     np.testing.assert_allclose(windows.slope * 28, [-3, -2, -1, 0, 1, 2, 3], atol=1e-12)
     printed = np.array([5, 0, -3, -4, -3, 0, 5]) / 84
-    np.testing.assert_allclose(windows.bend, 2 * printed, atol=1e-15)
+    np.testing.assert_allclose(windows.second_derivative, 2 * printed, atol=1e-15)
     # The proof: t² has the second derivative 2, and the printed window answers 1.
     t = np.arange(-3, 4)
     assert printed @ t**2 == pytest.approx(1)
-    assert windows.bend @ t**2 == pytest.approx(2)
+    assert windows.second_derivative @ t**2 == pytest.approx(2)
 
 
 @pytest.mark.parametrize("size", [3, 5, 7, 11])
@@ -57,7 +57,7 @@ def test_windows_are_the_least_squares_parabola(size):
     windows = curvature.curvature_windows(size)
     values = np.random.default_rng(size).random(size)
     quadratic, linear, _ = np.polyfit(t, values, 2)
-    assert windows.bend @ values == pytest.approx(2 * quadratic, abs=1e-12)
+    assert windows.second_derivative @ values == pytest.approx(2 * quadratic, abs=1e-12)
     assert windows.slope @ values == pytest.approx(linear, abs=1e-12)
     assert windows.smooth.sum() == pytest.approx(1)
 
@@ -106,7 +106,11 @@ def test_derivatives_are_two_dimensional_convolutions_with_the_printed_masks():
     )
     zxx, zyy, zxy = (
         ndimage.convolve(smooth, d)
-        for d in (np.outer(w.mean, w.bend), np.outer(w.bend, w.mean), np.outer(w.slope, w.slope))
+        for d in (
+            np.outer(w.mean, w.second_derivative),
+            np.outer(w.second_derivative, w.mean),
+            np.outer(w.slope, w.slope),
+        )
     )
     h = ((1 + zx**2) * zyy - 2 * zx * zy * zxy + (1 + zy**2) * zxx) / (
         2 * (1 + zx**2 + zy**2) ** 1.5
@@ -139,10 +143,10 @@ def test_errors_are_the_scatter_over_noise(height):
         for _ in range(60)
     ]
     for field in ("mean", "gaussian"):
-        # Within 4 px of the centre the slopes are small and the surface is the same everywhere.
-        centre = np.s_[HALF - 4 : HALF + 5, HALF - 4 : HALF + 5]
-        scatter = np.std([getattr(run, field)[centre] for run in runs])
-        stated = np.sqrt(np.mean([getattr(run, field + "_error")[centre] ** 2 for run in runs]))
+        # Within 4 px of the center the slopes are small and the surface is the same everywhere.
+        center = np.s_[HALF - 4 : HALF + 5, HALF - 4 : HALF + 5]
+        scatter = np.std([getattr(run, field)[center] for run in runs])
+        stated = np.sqrt(np.mean([getattr(run, field + "_error")[center] ** 2 for run in runs]))
         # Relative error of a scatter from 60 runs of about 2 independent windows is 6 %. The
         # error of K cannot fall below the second order and so is stated up to a third too large
         # near a plane.
@@ -213,7 +217,7 @@ def test_clean_labels_gives_specks_to_the_nearest_region():
     np.testing.assert_array_equal(curvature.clean_labels(labels, smallest=1000), labels)
 
 
-def test_region_table_counts_every_labelled_pixel_once():
+def test_region_table_counts_every_labeled_pixel_once():
     height = np.where(X < 0, SURFACES["sphere"][0], RADIUS)
     found = surface_curvature(height, 1.0)
     labels = hk_labels(found.mean, found.gaussian, 1e-3, 1e-6)

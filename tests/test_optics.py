@@ -11,6 +11,8 @@ from microlib import optics
 
 #: µm: an objective near the thesis' (f = 31.4 mm, M = 6.4).
 LENS = {"focal_length": 31415.0, "sensor_distance": 232000.0, "aperture_radius": 4000.0}
+#: A sensor that stands within the focal length.
+SHORT_CAMERA = {"focal_length": 100.0, "sensor_distance": 90.0, "aperture_radius": 20.0}
 
 
 def test_the_four_forms_of_the_blur_radius_are_one():
@@ -37,7 +39,7 @@ def test_image_distance_solves_the_lens_equation(distance):
 
 
 def test_a_point_at_the_working_distance_is_sharp_and_the_sign_tells_the_side():
-    focused = optics.working_distance(LENS["focal_length"], LENS["sensor_distance"])
+    focused = float(optics.image_distance(LENS["sensor_distance"], LENS["focal_length"]))
     near, sharp, far = optics.blur_radius([focused - 100, focused, focused + 100], **LENS)
     assert abs(sharp) < 1e-9  # µm, rounding
     assert near > 1 > -1 > far
@@ -101,7 +103,7 @@ def test_zero_defocus_changes_nothing_and_returns_a_copy():
     [
         (lambda: optics.image_distance(50.0, 100.0), "object_distance must exceed"),
         (lambda: optics.image_distance(-1.0, 100.0), "object_distance must be positive"),
-        (lambda: optics.working_distance(100.0, 90.0), "sensor_distance must exceed"),
+        (lambda: optics.blur_radius(200.0, **SHORT_CAMERA), "sensor_distance must exceed"),
         (lambda: optics.blur_radius(np.nan, **LENS), "object_distance must be finite"),
         (lambda: optics.gaussian_kernel(0.0, 7), "sigma must be positive"),
         (lambda: optics.gaussian_kernel(1.0, 6), "size must be an odd"),

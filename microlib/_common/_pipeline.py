@@ -13,7 +13,7 @@ __all__ = ["pipeline"]
 T = TypeVar("T")
 
 
-def pipeline(rounds: Iterator[Callable[[T], None]], parts: Sequence[T], threads: int) -> None:
+def pipeline(rounds: Iterator[Callable[[T], None]], parts: Sequence[T], workers: int) -> None:
     """Do the work of every round on every part, the rounds of a part in order.
 
     Threads do not wait for each other at the end of a round. The next one, which may have to be
@@ -55,8 +55,8 @@ def pipeline(rounds: Iterator[Callable[[T], None]], parts: Sequence[T], threads:
                 busy[part].release()
 
     # The caller works too: waiting, it would be woken beside a worker on the same core.
-    with ThreadPoolExecutor(max(threads - 1, 1)) as pool:
-        others = [pool.submit(some, k) for k in range(1, threads)]
+    with ThreadPoolExecutor(max(workers - 1, 1)) as pool:
+        others = [pool.submit(some, k) for k in range(1, workers)]
         some(0)
         for other in others:
             other.result()

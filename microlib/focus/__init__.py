@@ -2,16 +2,14 @@
 
 from microlib.focus._correction import correct_spikes, smooth_depth
 from microlib.focus._depth import FocusResult, depth_from_focus
-from microlib.focus._measures import grey_variance, sum_modified_laplacian, tenengrad
+from microlib.focus._measures import sum_modified_laplacian
 from microlib.focus._peaks import three_point_peak
 
 __all__ = [
     "FocusResult",
     "correct_spikes",
     "depth_from_focus",
-    "grey_variance",
     "smooth_depth",
     "sum_modified_laplacian",
-    "tenengrad",
     "three_point_peak",
 ]

@@ -10,7 +10,18 @@ from scipy import ndimage
 
 from microlib._common import Array, as_array, positive, whole
 
-__all__ = ["correct_spikes", "smooth_depth"]
+#: Where the Gaussian of the smoothing is cut off, in standard deviations: a neighbor there counts
+#: e⁻², and twice as far the sums would take four times as long.
+_CUT_OFF = 2.0
+#: Standard deviation over the spacing of the neighbors: about 2.5 leaves 50 to 80 in the circle.
+_SPACING = 2.5
+#: Times that the planes are fitted, the first time to the depths, then to what was left over.
+_TWICING = 2
+#: Variance of position, px², that is added to the neighbors' own and makes the planes stiff where
+#: neighbors lie on one line; beside that of a full circle, about 0.7 radius², it is nothing.
+_STIFFNESS = 0.05
+#: Rows that are smoothed at a time, so that they stay in the processor's cache.
+_BAND_ROWS = 64
 
 
 def correct_spikes(depth: ArrayLike, *, window: int = 9, delta: float = 2.0) -> Array:
@@ -61,11 +72,11 @@ def correct_spikes(depth: ArrayLike, *, window: int = 9, delta: float = 2.0) -> 
     median = ndimage.median_filter(z, n) if not unknown.any() else _median_of_known(z, n)
     # Deviations from one common value keep the difference of squares exact for small steps on a
     # great height.
-    centred = np.where(unknown, 0.0, z - np.nanmean(z))
+    centered = np.where(unknown, 0.0, z - np.nanmean(z))
     share = _mean(np.where(unknown, 0.0, 1.0), n)
     with np.errstate(divide="ignore", invalid="ignore"):
-        mean = _mean(centred, n) / share
-        variance = np.maximum(_mean(centred**2, n) / share - mean**2, 0)
+        mean = _mean(centered, n) / share
+        variance = np.maximum(_mean(centered**2, n) / share - mean**2, 0)
         spike = unknown | (np.abs(z - median) > limit * np.sqrt(variance))
     return np.where(spike, median, z)
 
@@ -97,13 +108,13 @@ def smooth_depth(
     depth : array_like, shape (rows, cols)
         Depths, µm; NaN where unknown.
     jump : float
-        Difference in depth from which on a neighbour no longer counts, µm. Noise should be well
+        Difference in depth from which on a neighbor no longer counts, µm. Noise should be well
         below it and the steps to be kept above.
     radius : float
-        Standard deviation of the Gaussian that weights neighbours by distance, px. It is cut off
+        Standard deviation of the Gaussian that weights neighbors by distance, px. It is cut off
         at twice that.
     weight : array_like, shape (rows, cols), optional
-        Trust in each depth, zero or positive, such as the inverse of its variance.
+        Weight of each depth, zero or positive, such as the inverse of its variance.
 
     Returns
     -------
@@ -119,10 +130,10 @@ def smooth_depth(
     Notes
     -----
     A plane and not a mean is fitted, so that a slope is not pulled towards its better lit side. A
-    neighbour at difference v counts :math:`(1 - (v/\\mathrm{jump})^2)^2`, Tukey's biweight. On a
+    neighbor at difference v counts :math:`(1 - (v/\\mathrm{jump})^2)^2`, Tukey's biweight. On a
     slope the differences themselves narrow the window along the gradient, which limits the bias
     on steep flanks. What the planes leave over is smoothed in the same way and added (Tukey's
-    twicing): most of what they cut from a curved surface returns. Neighbours are taken some pixels
+    twicing): most of what they cut from a curved surface returns. Neighbors are taken some pixels
     apart, because the errors of a depth from focus are alike from pixel to pixel.
 
     Examples
@@ -137,37 +148,38 @@ def smooth_depth(
         raise ValueError(f"depth must be finite or NaN, got {int(np.isinf(z).sum())} infinite")
     limit = float(positive("jump", jump))
     sigma = float(positive("radius", radius))
-    trust = np.ones_like(z) if weight is None else positive("weight", weight, zero=True)
-    if trust.shape != z.shape:
-        raise ValueError(f"weight must have the shape {z.shape} of depth, got {trust.shape}")
+    weights = np.ones_like(z) if weight is None else positive("weight", weight, zero=True)
+    if weights.shape != z.shape:
+        raise ValueError(f"weight must have the shape {z.shape} of depth, got {weights.shape}")
     known = ~np.isnan(z)
     if not known.any():
         return z.copy()
     # In units of the jump and from the median, where float32 has digits to spare.
     rest = (np.where(known, z, np.nan) - np.nanmedian(z)) / limit
     smooth = np.nanmedian(z)
-    for _ in range(2):
-        once = rest + _plane_shift(rest, np.where(known, trust, 0.0), sigma)
+    for _ in range(_TWICING):
+        once = rest + _plane_shift(rest, np.where(known, weights, 0.0), sigma)
         smooth, rest = smooth + limit * once, rest - once
     return smooth
 
 
-def _plane_shift(depth: Array, trust: Array, sigma: float) -> Array:
-    """Return by how much the plane through its neighbourhood passes above each depth."""
-    stride = max(1, round(sigma / 2.5))
-    reach = stride * int(2 * sigma / stride)
+def _plane_shift(depth: Array, weight: Array, sigma: float) -> Array:
+    """Return by how much the plane through its neighborhood passes above each depth."""
+    stride = max(1, round(sigma / _SPACING))
+    reach = stride * int(_CUT_OFF * sigma / stride)
     values = np.pad(np.nan_to_num(depth).astype(np.float32), reach, mode="edge")
-    weights = np.pad(trust.astype(np.float32), reach)
+    weights = np.pad(weight.astype(np.float32), reach)
     offsets = [
         (dx, dy)
         for dy in range(-reach, reach + 1, stride)
         for dx in range(-reach, reach + 1, stride)
-        if dx * dx + dy * dy <= 4 * sigma**2
+        if dx * dx + dy * dy <= (_CUT_OFF * sigma) ** 2
     ]
     shift = np.empty(depth.shape)
-    for top in range(0, len(depth), 64):  # bands stay in the processor's cache
-        rows = slice(top, min(top + 64, len(depth)) + 2 * reach)
-        shift[top : top + 64] = _band_shift(values[rows], weights[rows], reach, offsets, sigma)
+    for top in range(0, len(depth), _BAND_ROWS):
+        end = min(top + _BAND_ROWS, len(depth))
+        rows = slice(top, end + 2 * reach)
+        shift[top:end] = _band_shift(values[rows], weights[rows], reach, offsets, sigma)
     return shift
 
 
@@ -181,7 +193,7 @@ def _band_shift(
     """Do the work of `_plane_shift` for a band with `reach` pixels around it."""
     here = values[reach:-reach, reach:-reach]
     height, width = here.shape
-    # Sums of w, wx, wy, wx², wy², wxy and of wv, wvx, wvy over the neighbours.
+    # Sums of w, wx, wy, wx², wy², wxy and of wv, wvx, wvy over the neighbors.
     moments = np.zeros((9, height, width), np.float32)
     buffer = np.empty_like(here)
     for dx, dy in offsets:
@@ -197,9 +209,8 @@ def _band_shift(
             if factor:
                 total += np.multiply(w if k < 6 else v, np.float32(factor), out=buffer)
     s, sx, sy, sxx, syy, sxy, t, tx, ty = moments.astype(np.float64)
-    # A little stiffness in the slopes decides where the neighbours lie on one line.
-    sxx += 0.05 * s
-    syy += 0.05 * s
+    sxx += _STIFFNESS * s
+    syy += _STIFFNESS * s
     a, b, c = sxx * syy - sxy * sxy, sx * syy - sxy * sy, sx * sxy - sxx * sy
     det = s * a - sx * b + sy * c
     return np.divide(t * a - tx * b + ty * c, det, out=np.zeros_like(det), where=det > 0)

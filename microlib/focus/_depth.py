@@ -10,44 +10,67 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from microlib._common import Array, Frames, as_array, is_in_memory, positive, whole
-from microlib.focus._correction import correct_spikes, smooth_depth
+from microlib._common import Array, Frames, Image, as_array, is_in_memory, positive, whole
+from microlib.focus._correction import smooth_depth
 from microlib.focus._loops import fill_in
 from microlib.focus._measures import (
     Banded,
     FocusMeasure,
     RowsMeasure,
-    blank_level,
     blur,
     edge_measure,
-    grey_variance,
     multiscale_measure,
     named_measure,
     noise_level,
-    sum_modified_laplacian,
-    tenengrad,
+    noise_response,
 )
 from microlib.focus._peaks import Profile, track_peaks
-from microlib.focus._reliability import forget, is_alone, is_blank, is_chance, is_outshone, is_speck
+from microlib.focus._reliability import (
+    below_noise_mask,
+    blurred_edge_mask,
+    incoherent_mask,
+    isolated_mask,
+    set_to_nan,
+    small_component_mask,
+)
 from microlib.io import read_frames
-
-__all__ = [
-    "FocusResult",
-    "correct_spikes",
-    "depth_from_focus",
-    "grey_variance",
-    "smooth_depth",
-    "sum_modified_laplacian",
-    "tenengrad",
-]
 
 #: Frames whose numbers fit into 16 bits.
 _MOST = 2**16 - 1
-#: Frames of a stream that are read in one go.
+#: Frames of a stream that are read in one go: memory against turns of the interpreter. The result
+#: is the same for any.
 _BATCH = 8
-#: Reach of the broad windows that matters, px.
-_BORDER = 8
-#: Error of a smoothed depth over its roughness, which does not show errors that are smooth too.
+
+# The constants of the default depth. What the result owes to each is measured in the table
+# "constant changed" of benchmarks/focus.py; lengths along the axis are in frames.
+
+#: Frames in the default's fit of the peak.
+_POINTS = 7
+#: Sides of the medians that find spikes before and after the choice of a side, px, and how far from
+#: its median a spike lies, frames.
+_SPIKE_WINDOWS, _SPIKE = (5, 3), 1.0
+#: Side of the medians that steady the fine depth, px, and its spread below which it is trusted.
+_FINE_WINDOW, _FINE_SPREAD = 5, 1.0
+#: Distances at which a pixel's own side is sought, px; the difference of fine and broad depth from
+#: which it is sought, and up to which a neighbor agrees, frames; how much better one must agree for
+#: each px that it is further away, frames.
+_SIDE_DISTANCES, _SIDE_GAP, _SIDE_AGREES, _SIDE_SLOPE = (3, 6), 1.5, 1.0, 0.05
+#: Difference in depth across which nothing is smoothed, frames, and the radii of the wide and the
+#: close smoothing, px.
+_JUMP, _WIDE, _CLOSE = 1.5, 7.0, 2.0
+#: Largest ratio of a pixel's inverse variance to the median, either way.
+_WEIGHTS = 1e4
+#: Reach of the broad windows that matters, px; the least share of it that a pixel is given, and the
+#: power of that share that weighs it.
+_BORDER_REACH, _BORDER_LEAST, _BORDER_POWER = 8, 0.1, 4
+#: Variance of the medium over that of the fine detail above which it is relief, see `_relief`; the
+#: radius over which both are averaged, px; the largest detail, frames.
+_RELIEF_RATIO, _RELIEF_RADIUS, _RELIEF_MOST = 2.6, 8.0, 0.5
+#: Differences from a Gaussian mean that leave the roughness, its radius and the window over which
+#: its square is averaged, in every second pixel. The depth does not depend on them.
+_ROUGH_TIMES, _ROUGH_RADIUS, _ROUGH_WINDOW = 4, 4.0, 3
+#: Error of a smoothed depth over its roughness, which does not show errors that are smooth too:
+#: 1.4 to 2.6 on the smooth scenes of the benchmark.
 _HIDDEN = 2.0
 
 
@@ -78,7 +101,7 @@ class FocusResult:
     uncertainty: NDArray[np.float32]
     confidence: NDArray[np.float32]
     index: NDArray[np.int32]
-    all_in_focus: NDArray
+    all_in_focus: Image
     at_end: NDArray[np.bool_]
 
 
@@ -91,7 +114,7 @@ def depth_from_focus(
     step: int = 1,
     threshold: float = 0.0,
     points: int | None = None,
-    threads: int = 1,
+    workers: int = 1,
 ) -> FocusResult:
     """Return the depth of every pixel of a focal stack.
 
@@ -115,10 +138,10 @@ def depth_from_focus(
     points : int, optional
         Frames in the fit of the peak, odd, at least 3. By default 7 for "multiscale", and 3, the
         thesis' interpolation (3.13), for all others.
-    threads : int
-        Threads that work on bands of rows. The result is the same for any number. With more than
-        one, an iterable is asked for its next frame by whichever thread needs it first, never by
-        two at a time.
+    workers : int
+        Number of threads that work on bands of rows. The result is the same for any number. With
+        more than one, an iterable is asked for its next frame by whichever thread needs it first,
+        never by two at a time.
 
     Returns
     -------
@@ -144,7 +167,7 @@ def depth_from_focus(
     fitted and nothing is corrected; `correct_spikes` and `smooth_depth` may follow.
 
     A depth is NaN where the measure is zero or flat, and where the best frame is random: half of
-    its neighbours are more than two frames away from their median. "multiscale" also gives NaN
+    its neighbors are more than two frames away from their median. "multiscale" also gives NaN
     where its peak is no higher than noise alone would have it, where peaks are five times fainter
     than those around and more than two frames away from them, which is the blur of a strong edge
     near by, in specks of a few pixels, and where half of the surroundings are unknown. A pixel
@@ -169,10 +192,9 @@ def depth_from_focus(
     True
     """
     z = _check_positions(positions)
-    fit = whole("points", 7 if measure == "multiscale" else 3, least=3, odd=True)
-    if points is not None:
-        fit = whole("points", points, least=3, odd=True)
-    workers = whole("threads", threads, least=1)
+    usual = _POINTS if measure == "multiscale" else 3
+    fit = whole("points", usual if points is None else points, least=3, odd=True)
+    threads = whole("workers", workers, least=1)
     side = whole("window", window, least=1, odd=True)
     limit = float(positive("threshold", threshold, zero=True))
     reader = read_frames(frames)
@@ -196,16 +218,18 @@ def depth_from_focus(
         measures,
         reaches=[fit // 2, 1][: len(measures)],
         batch=len(z) if is_in_memory(frames) else _BATCH,
-        threads=workers,
+        workers=threads,
     )
     depth: NDArray = profile.depths[0]
-    forget(depth, is_chance(profile.index, len(z)))
+    set_to_nan(depth, incoherent_mask(profile.index, len(z)))
     if refined:
         spacing = float(np.median(np.abs(np.diff(z))))
-        if profile.strength is not None:
-            ratio = profile.strength / np.float32(blank_level(noise))
-            depth[is_blank(ratio, len(z))] = np.nan
-        depth = _refine(depth, profile.depths[1], profile.weight, spacing)
+        inverse_variance = None
+        if profile.peak is not None:
+            ratio = profile.peak.value / np.float32(noise_response(noise))
+            depth[below_noise_mask(ratio, len(z))] = np.nan
+            inverse_variance = profile.peak.inverse_variance
+        depth = _refine(depth, profile.depths[1], inverse_variance, spacing)
         depth = np.clip(depth, z.min(), z.max())
     return _result(depth, profile, z, _HIDDEN if refined else 1.0)
 
@@ -228,7 +252,7 @@ def _check_positions(positions: ArrayLike) -> Array:
 def _checked(measure: FocusMeasure) -> FocusMeasure:
     """Wrap the user's measure so that a wrong answer is refused instead of taken for a depth."""
 
-    def checked(image: NDArray) -> NDArray:
+    def checked(image: Image) -> NDArray:
         value = as_array("measure(frame)", measure(image), shape=image.shape, dtype=np.float32)
         if (value < 0).any():
             raise ValueError(f"measure(frame) must be zero or positive, got {value.min():g}")
@@ -240,41 +264,44 @@ def _checked(measure: FocusMeasure) -> FocusMeasure:
 def _refine(
     depth: NDArray,
     fine: NDArray,
-    weight: NDArray | None,
+    inverse_variance: NDArray | None,
     spacing: float,
 ) -> Array:
     """Take out spikes, put pixels at steps on their own side, smooth on both sides of steps."""
     known = np.isfinite(depth)
     if not known.any():
         return depth.astype(np.float64)
-    broad = _without_spikes(_filled(depth) / np.float32(spacing), 5)
+    broad = _without_spikes(_filled(depth) / np.float32(spacing), _SPIKE_WINDOWS[0])
     sharp = _filled(fine) / np.float32(spacing)
-    median = cv2.medianBlur(sharp, 5)
-    spread = np.asarray(cv2.medianBlur(np.abs(sharp - median), 5))
-    sided = _choose_side(broad, np.asarray(cv2.medianBlur(median, 5)), spread < 1)
-    steps = np.where(known, _without_spikes(sided, 3), np.nan)
+    median = cv2.medianBlur(sharp, _FINE_WINDOW)
+    spread = np.asarray(cv2.medianBlur(np.abs(sharp - median), _FINE_WINDOW))
+    steady = np.asarray(cv2.medianBlur(median, _FINE_WINDOW))
+    sided = _choose_side(broad, steady, spread < _FINE_SPREAD)
+    steps = np.where(known, _without_spikes(sided, _SPIKE_WINDOWS[1]), np.nan)
     # At the image's border the windows see one side only and pull a slope inwards: there the planes
     # are to be laid through what lies further in.
     inner = _inside(depth.shape)
-    trust = inner**4
-    if weight is not None:
-        # At an end of the stack a depth may come without a fit and so without a weight.
-        fitted = known & (weight > 0)
-        forget(steps, is_outshone(steps, np.where(fitted, weight, 0)))
-        share = weight / np.median(weight[fitted]) if fitted.any() else np.ones_like(weight)
-        trust *= np.where(fitted, np.clip(share, 1e-4, 1e4), 1.0)
-    steps[is_speck(steps)] = np.nan
-    steps[is_alone(steps)] = np.nan
-    wide = smooth_depth(steps, jump=1.5, weight=trust)
-    close = smooth_depth(steps, jump=1.5, radius=2.0, weight=trust)
+    weight = inner**_BORDER_POWER
+    if inverse_variance is not None:
+        # At an end of the stack a depth may come without a fit and so without a variance.
+        fitted = known & (inverse_variance > 0)
+        fitted_weight = np.where(fitted, inverse_variance, 0)
+        set_to_nan(steps, blurred_edge_mask(steps, fitted_weight))
+        typical = np.median(inverse_variance[fitted]) if fitted.any() else 1.0
+        relative = np.clip(fitted_weight / typical, 1 / _WEIGHTS, _WEIGHTS)
+        weight *= np.where(fitted, relative, 1.0)
+    steps[small_component_mask(steps)] = np.nan
+    steps[isolated_mask(steps)] = np.nan
+    wide = smooth_depth(steps, jump=_JUMP, radius=_WIDE, weight=weight)
+    close = smooth_depth(steps, jump=_JUMP, radius=_CLOSE, weight=weight)
     relief = np.where(inner < 1, 0, _relief(steps - close, close - wide))
     return (wide + relief * (close - wide)) * spacing
 
 
 def _inside(shape: tuple[int, ...]) -> Array:
-    """Return 1 where the broad windows stay inside the image, falling to 0.1 at its border."""
+    """Return 1 where the broad windows stay inside the image, less towards its border."""
     down, along = (np.minimum(np.arange(n), np.arange(n)[::-1]) for n in shape)
-    return np.clip((1 + np.minimum.outer(down, along)) / _BORDER, 0.1, 1.0)
+    return np.clip((1 + np.minimum.outer(down, along)) / _BORDER_REACH, _BORDER_LEAST, 1.0)
 
 
 def _relief(fine: NDArray, medium: NDArray) -> NDArray:
@@ -287,10 +314,14 @@ def _relief(fine: NDArray, medium: NDArray) -> NDArray:
     its share of the variance is what is kept.
     """
     fine, medium = (
-        blur(np.clip(np.nan_to_num(part), -0.5, 0.5).astype(np.float32) ** 2, 8.0)
+        blur(
+            np.clip(np.nan_to_num(part), -_RELIEF_MOST, _RELIEF_MOST).astype(np.float32) ** 2,
+            _RELIEF_RADIUS,
+        )
         for part in (fine, medium)
     )
-    return np.maximum(1 - 2.6 * fine / np.maximum(medium, 1e-12), 0)
+    # A millionth of a frame is no detail at all.
+    return np.maximum(1 - _RELIEF_RATIO * fine / np.maximum(medium, 1e-12), 0)
 
 
 def _filled(depth: NDArray) -> NDArray:
@@ -305,29 +336,29 @@ def _filled(depth: NDArray) -> NDArray:
 
 
 def _without_spikes(depth: NDArray, window: int) -> NDArray:
-    """Replace by the median what is further from it than one frame."""
+    """Replace by the median what is too far from it."""
     median = cv2.medianBlur(depth, window)
-    return np.where(np.abs(depth - median) > 1, median, depth)
+    return np.where(np.abs(depth - median) > _SPIKE, median, depth)
 
 
 def _choose_side(broad: NDArray, fine: NDArray, sure: NDArray[np.bool_]) -> NDArray:
-    """Where fine and broad depth differ, take a neighbour's broad depth that agrees with the fine.
+    """Where fine and broad depth differ, take a neighbor's broad depth that agrees with the fine.
 
     Next to a step the broad window sees the other side as well, and the better textured side
     wins. A few pixels away, on the pixel's own side, it does not.
     """
-    far = 6
+    far = max(_SIDE_DISTANCES)
     rows, cols = broad.shape
     padded = np.pad(broad, far, mode="symmetric")
     result = broad.copy()
     gap = np.abs(broad - fine)
-    wrong = sure & (gap > 1.5)
-    for distance in (3, far):
+    wrong = sure & (gap > _SIDE_GAP)
+    for distance in _SIDE_DISTANCES:
         for dy, dx in product((-distance, 0, distance), repeat=2):
             there = padded[far + dy : far + dy + rows, far + dx : far + dx + cols]
-            # Nearer neighbours first: what is further away must agree the better.
-            other = np.abs(there - fine) + np.float32(0.05 * distance)
-            better = wrong & (other < gap) & (other < 1)
+            # Nearer neighbors first: what is further away must agree the better.
+            other = np.abs(there - fine) + np.float32(_SIDE_SLOPE * distance)
+            better = wrong & (other < gap) & (other < _SIDE_AGREES)
             result[better] = there[better]
             gap[better] = other[better]
     return result
@@ -377,8 +408,9 @@ def _roughness(depth: NDArray, positions: Array, index: NDArray[np.uint16]) -> N
     unknown = np.isnan(rough)
     if unknown.any():
         rough[unknown] = (positions - positions.mean())[index[::2, ::2][unknown]]
-    for _ in range(4):
-        rough = rough - blur(rough, 4.0)
-    rough = np.sqrt(np.maximum(cv2.boxFilter(rough * rough, -1, (3, 3)), 0))
+    for _ in range(_ROUGH_TIMES):
+        rough = rough - blur(rough, _ROUGH_RADIUS)
+    window = (_ROUGH_WINDOW, _ROUGH_WINDOW)
+    rough = np.sqrt(np.maximum(cv2.boxFilter(rough * rough, -1, window), 0))
     rows, cols = depth.shape
     return np.asarray(cv2.resize(rough, (cols, rows)))

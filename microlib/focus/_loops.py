@@ -13,8 +13,6 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["fill_in", "sum_rows", "track_rows"]
-
 
 def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     try:
@@ -44,11 +42,11 @@ def sum_rows(
         for j in range(step):
             newest[j] = newest[2 * step - j]
             newest[width + step + j] = newest[width + step - 2 - j]
-        centre = y - step
-        if centre >= top - half:
-            here, above = grey[centre % kept], grey[(centre - step) % kept]
-            _laplace(here, above[step:], newest[step:], step, threshold, laplacian[centre % window])
-        done = centre - half - top
+        center = y - step
+        if center >= top - half:
+            here, above = grey[center % kept], grey[(center - step) % kept]
+            _laplace(here, above[step:], newest[step:], step, threshold, laplacian[center % window])
+        done = center - half - top
         if done >= 0:
             _add_up(laplacian, window, total[half : half + width])
             for j in range(half):
@@ -80,13 +78,13 @@ def _laplace(
     kind = out.dtype.type
     least = kind(threshold)
     width = len(out)
-    left, centre, right = here[:width], here[step : step + width], here[2 * step :]
+    left, center, right = here[:width], here[step : step + width], here[2 * step :]
     for x in range(width):
-        twice = kind(centre[x] + centre[x])
+        twice = kind(center[x] + center[x])
         across, along = kind(left[x] + right[x]), kind(above[x] + below[x])
-        bend_x = kind(twice - across) if twice > across else kind(across - twice)
-        bend_y = kind(twice - along) if twice > along else kind(along - twice)
-        value = kind(bend_x + bend_y)
+        second_x = kind(twice - across) if twice > across else kind(across - twice)
+        second_y = kind(twice - along) if twice > along else kind(along - twice)
+        value = kind(second_x + second_y)
         out[x] = value if value > least else kind(0)
 
 
@@ -108,7 +106,7 @@ def _add_up(rows: NDArray, count: int, out: NDArray) -> None:
 
 @_compiled
 def _slide(row: NDArray, count: int, out: NDArray) -> None:
-    """Add an odd number of neighbours, this one and those to the right, in few passes."""
+    """Add an odd number of neighbors, this one and those to the right, in few passes."""
     kind = out.dtype.type
     if count == 1:
         _copy(row, out)
@@ -134,7 +132,7 @@ def track_rows(
 ) -> None:
     """Take in frame `number`: where it is the sharpest so far, remember it and those before.
 
-    `window` (2 reach + 1 measures) is centred on the best frame, `recent` is a ring of the last
+    `window` (2 reach + 1 measures) is centered on the best frame, `recent` is a ring of the last
     `reach` measures.
     """
     reach = len(recent)
@@ -164,7 +162,7 @@ def _move(
     before: NDArray,
     after: NDArray,
 ) -> None:
-    """Fill in a neighbour of the best frame: from the past of a new one, to the future of one."""
+    """Fill in a neighbor of the best frame: from the past of a new one, to the future of one."""
     for x in range(len(measure)):
         new, top, at, past = measure[x], best[x], index[x], earlier[x]
         old_before, old_after = before[x], after[x]

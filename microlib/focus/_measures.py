@@ -11,17 +11,27 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import as_array, as_image, one_of, positive, whole
+from microlib._common import Image, as_array, as_image, one_of, positive, whole
 from microlib.focus._loops import sum_rows
-
-__all__ = ["FocusMeasure", "grey_variance", "sum_modified_laplacian", "tenengrad"]
 
 #: What `depth_from_focus` accepts in place of a name: grey image to focus measure of the same
 #: shape.
-FocusMeasure = Callable[[NDArray], NDArray]
+FocusMeasure = Callable[[Image], NDArray]
 
 #: The border is mirrored about its outermost pixel, as OpenCV does by default.
-_BORDER = cv2.BORDER_REFLECT_101
+_MIRROR = cv2.BORDER_REFLECT_101
+#: Smoothing from which on boxes take the place of a Gaussian, px: a matter of time, not of the
+#: result.
+_BOXES_FROM = 4.0
+#: Radius of the mean that a pixel is compared with to tell the side of a step, and the two windows
+#: over which its deviation is averaged, px; the first is half a pixel, so that the pixel itself
+#: counts. Table "constant changed" of benchmarks/focus.py.
+_EDGE_MEAN, _EDGE_FINE, _EDGE_COARSE = 4.0, 0.5, 2.0
+#: Share of a frame that is taken for its quietest, %.
+_QUIET = 5
+#: Least noise over the largest grey level, where float32 has seven digits, and the least of all,
+#: which keeps a black frame's product and its logarithm finite.
+_LEAST_NOISE_SHARE, _LEAST_NOISE = 1e-6, 1e-30
 
 
 def sum_modified_laplacian(
@@ -89,46 +99,26 @@ class SumModifiedLaplacian:
     def reach(self) -> int:
         return self.step + self.window // 2
 
-    def __call__(self, image: NDArray, rows: slice) -> NDArray:
+    def __call__(self, image: Image, rows: slice) -> NDArray:
         if self.step >= min(image.shape):
             raise ValueError(f"step must be below the image's sides {image.shape}, got {self.step}")
-        # 4 * 255 * 7 * 7 < 2¹⁶
+        # Each of the 7 * 7 modified Laplacians is at most 4 * 255: their sum is below 2¹⁶.
         exact = image.dtype == np.uint8 and self.window <= 7
         shape = (rows.stop - rows.start, image.shape[1])
         result = np.empty(shape, np.uint16 if exact else np.float32)
         # No sum of whole numbers lies between the threshold and the whole number below it.
-        threshold = min(np.floor(self.threshold), 65535.0) if exact else self.threshold
+        threshold = min(np.floor(self.threshold), 2.0**16 - 1) if exact else self.threshold
         sum_rows(image, rows.start, self.window, self.step, float(threshold), result)
         return result
 
 
-def tenengrad(image: ArrayLike, *, window: int = 5) -> NDArray[np.float32]:
-    """Return the squared Sobel gradient summed over a square.
-
-    Parameters
-    ----------
-    image : array_like, shape (rows, cols)
-        Grey image of 8 or 16 bits; any other is taken as float32.
-    window : int
-        Side of the square, px, odd.
-
-    Returns
-    -------
-    ndarray of float32, shape (rows, cols)
-
-    Raises
-    ------
-    ValueError
-        If the image is not grey or not finite, or `window` is not an odd positive number.
-
-    References
-    ----------
-    E. Krotkov, Focusing, International Journal of Computer Vision 1 (1988) 223.
+def _tenengrad(image: ArrayLike, *, window: int = 5) -> NDArray[np.float32]:
+    """Return the squared Sobel gradient summed over a square of `window` px (Krotkov, 1988).
 
     Examples
     --------
     >>> ramp = np.tile(np.arange(6, dtype=np.uint8), (6, 1))
-    >>> float(tenengrad(ramp, window=3)[3, 3])  # nine times the square of 8
+    >>> float(_tenengrad(ramp, window=3)[3, 3])  # nine times the square of 8
     576.0
     """
     n = whole("window", window, least=1, odd=True)
@@ -138,29 +128,13 @@ def tenengrad(image: ArrayLike, *, window: int = 5) -> NDArray[np.float32]:
     return _box_sum(gx * gx + gy * gy, n)
 
 
-def grey_variance(image: ArrayLike, *, window: int = 5) -> NDArray[np.float32]:
-    """Return the variance of the grey levels in a square.
-
-    Parameters
-    ----------
-    image : array_like, shape (rows, cols)
-        Grey image of 8 or 16 bits; any other is taken as float32.
-    window : int
-        Side of the square, px, odd.
-
-    Returns
-    -------
-    ndarray of float32, shape (rows, cols)
-
-    Raises
-    ------
-    ValueError
-        If the image is not grey or not finite, or `window` is not an odd positive number.
+def _grey_variance(image: ArrayLike, *, window: int = 5) -> NDArray[np.float32]:
+    """Return the variance of the grey levels in a square of `window` px.
 
     Examples
     --------
     >>> ramp = np.tile(np.arange(6, dtype=np.uint8), (6, 1))
-    >>> round(float(grey_variance(ramp, window=3)[3, 3]), 4)
+    >>> round(float(_grey_variance(ramp, window=3)[3, 3]), 4)
     0.6667
     """
     n = whole("window", window, least=1, odd=True)
@@ -171,7 +145,7 @@ def grey_variance(image: ArrayLike, *, window: int = 5) -> NDArray[np.float32]:
     return np.maximum(square - mean * mean, 0).astype(np.float32)
 
 
-def _grey(image: ArrayLike) -> NDArray:
+def _grey(image: ArrayLike) -> Image:
     """Return an image of 8 or 16 bits as it is, any other as float32, checked."""
     if not isinstance(image, np.ndarray) or image.dtype not in (np.uint8, np.uint16):
         return as_image("image", image)
@@ -179,19 +153,20 @@ def _grey(image: ArrayLike) -> NDArray:
 
 
 def _box_sum(image: NDArray, n: int) -> NDArray:
-    return cv2.boxFilter(image, cv2.CV_32F, (n, n), normalize=False, borderType=_BORDER)
+    return cv2.boxFilter(image, cv2.CV_32F, (n, n), normalize=False, borderType=_MIRROR)
 
 
 def blur(image: NDArray, sigma: float) -> NDArray:
     """Smooth by a Gaussian; a wide one by two boxes of the same variance, which is faster."""
-    if sigma < 4:
-        return cv2.GaussianBlur(image, (0, 0), sigma, borderType=_BORDER)
+    if sigma < _BOXES_FROM:
+        return cv2.GaussianBlur(image, (0, 0), sigma, borderType=_MIRROR)
+    # A box of n has the variance (n² - 1) / 12: the odd n for which two have that of the Gaussian.
     n = 2 * round((np.sqrt(6 * sigma**2 + 1) - 1) / 2) + 1
-    if n < 10:  # two such boxes are a triangle, in one go
+    if n < 10:  # two such boxes are a triangle, in one go; a wider one takes longer than two boxes
         triangle = np.convolve(np.ones(n), np.ones(n)) / n**2
-        return cv2.sepFilter2D(image, -1, triangle, triangle, borderType=_BORDER)
-    once = cv2.boxFilter(image, -1, (n, n), borderType=_BORDER)
-    return cv2.boxFilter(once, -1, (n, n), borderType=_BORDER)
+        return cv2.sepFilter2D(image, -1, triangle, triangle, borderType=_MIRROR)
+    once = cv2.boxFilter(image, -1, (n, n), borderType=_MIRROR)
+    return cv2.boxFilter(once, -1, (n, n), borderType=_MIRROR)
 
 
 class RowsMeasure(Protocol):
@@ -200,7 +175,7 @@ class RowsMeasure(Protocol):
     @property
     def reach(self) -> int: ...
 
-    def __call__(self, image: NDArray, rows: slice) -> NDArray: ...
+    def __call__(self, image: Image, rows: slice) -> NDArray: ...
 
 
 @dataclass(frozen=True)
@@ -210,7 +185,7 @@ class Banded:
     function: FocusMeasure
     reach: int
 
-    def __call__(self, image: NDArray, rows: slice) -> NDArray:
+    def __call__(self, image: Image, rows: slice) -> NDArray:
         low = max(rows.start - self.reach, 0)
         seen = self.function(image[low : rows.stop + self.reach])
         return seen[rows.start - low : rows.stop - low]
@@ -223,7 +198,7 @@ def named_measure(name: str, window: int, step: int, threshold: float) -> RowsMe
         return SumModifiedLaplacian(window, step, threshold)
     if (step, threshold) != (1, 0.0):
         raise ValueError(f"step and threshold are for measure 'sml' only, got measure {name!r}")
-    function = {"tenengrad": tenengrad, "variance": grey_variance}[name]
+    function = {"tenengrad": _tenengrad, "variance": _grey_variance}[name]
     return Banded(partial(function, window=window), reach=1 + window // 2)
 
 
@@ -240,12 +215,14 @@ class Scale:
 
     @property
     def gain(self) -> float:
+        # 31 px are seven standard deviations to either side of the widest.
         kernel = cv2.getGaussianKernel(31, self.smooth).ravel()
         second = np.convolve(kernel, [-1.0, 2.0, -1.0])
         return float(2 * np.sqrt(2 / np.pi) * np.sqrt(np.sum(second**2) * np.sum(kernel**2)))
 
     @property
     def reach(self) -> int:
+        # OpenCV cuts a Gaussian of float32 off at four standard deviations.
         return int(np.ceil(4 * self.smooth + 1 + 4 * self.spread))
 
     def __call__(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -255,6 +232,8 @@ class Scale:
 #: The scales that decide the depth, chosen on rendered stacks with slopes, weak and coarse texture,
 #: noise and JPEG; benchmarks/focus.py compares.
 _SCALES = (Scale(0.8, 1.0), Scale(2.0, 3.0))
+#: The scale at which noise is measured: hardly smoothed, and steadied over 3 px.
+_NOISE_SCALE = Scale(0.5, 3.0)
 
 
 def multiscale_measure(noise: float) -> Banded:
@@ -267,43 +246,47 @@ def multiscale_measure(noise: float) -> Banded:
     fine, coarse = _SCALES
     floors = [np.float32(noise * scale.gain) for scale in _SCALES]
 
-    def measure(image: NDArray) -> NDArray:
+    def measure(image: Image) -> NDArray:
         grey = image.astype(np.float32)
         return (fine(grey) + floors[0]) * (coarse(grey) + floors[1])
 
     return Banded(measure, reach=max(scale.reach for scale in _SCALES))
 
 
-def blank_level(noise: float) -> float:
-    """Return what `multiscale_measure` is, on average, where there is noise and nothing else."""
+def noise_response(noise: float) -> float:
+    """Return what `multiscale_measure` is, on average, where there is noise and nothing else.
+
+    There each factor is the noise and as much again, its floor.
+    """
     return float(np.prod([2 * noise * scale.gain for scale in _SCALES]))
 
 
 def edge_measure(noise: float) -> Banded:
     """Return a measure that tells on which side of a step in depth a pixel lies.
 
-    It is the deviation of the pixel from a mean over 4 px. A second difference takes half of its
-    weight from the neighbours, and next to a step they may be those of the other side; here the
-    pixel itself counts, and its neighbours only through a window of half a pixel. A second window
-    of 2 px steadies the product.
+    It is the deviation of the pixel from the mean around it. A second difference takes half of its
+    weight from the neighbors, and next to a step they may be those of the other side; here the
+    pixel itself counts, and its neighbors only through a window of half a pixel. A second, wider
+    window steadies the product.
     """
+    # The mean of the modulus of a normal variate.
     floor = np.float32(noise * np.sqrt(2 / np.pi))
 
-    def measure(image: NDArray) -> NDArray:
+    def measure(image: Image) -> NDArray:
         grey = image.astype(np.float32)
-        deviation = np.abs(grey - blur(grey, 4.0))
-        return (blur(deviation, 0.5) + floor) * (blur(deviation, 2.0) + floor)
+        deviation = np.abs(grey - blur(grey, _EDGE_MEAN))
+        return (blur(deviation, _EDGE_FINE) + floor) * (blur(deviation, _EDGE_COARSE) + floor)
 
-    return Banded(measure, reach=24)
+    # Four standard deviations of each, one after the other.
+    return Banded(measure, reach=int(np.ceil(4 * (_EDGE_MEAN + _EDGE_COARSE))))
 
 
-def noise_level(frame: NDArray) -> float:
+def noise_level(frame: Image) -> float:
     """Estimate the noise of a frame from its quietest twentieth, grey levels."""
-    scale = Scale(0.5, 3.0)
-    quiet = float(np.percentile(scale(frame.astype(np.float32)), 5)) / scale.gain
+    measure = _NOISE_SCALE(frame.astype(np.float32))
+    quiet = float(np.percentile(measure, _QUIET)) / _NOISE_SCALE.gain
     rounding = np.sqrt(1 / 12) if frame.dtype.kind == "u" else 0.0
-    # A floor keeps the product and its logarithm positive; float32 holds seven digits.
-    return max(quiet, rounding, 1e-6 * float(np.abs(frame).max()), 1e-30)
+    return max(quiet, rounding, _LEAST_NOISE_SHARE * float(np.abs(frame).max()), _LEAST_NOISE)
 
 
 def _modified_laplacian(image: NDArray[np.float32]) -> NDArray[np.float32]:

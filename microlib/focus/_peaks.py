@@ -10,21 +10,25 @@ from itertools import chain, islice
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, pipeline
+from microlib._common import Array, Image, pipeline
 from microlib.focus._loops import track_rows
 from microlib.focus._measures import RowsMeasure
-
-__all__ = ["PeakTracker", "Profile", "fit_peak", "three_point_peak", "track_peaks"]
 
 #: Pixels of a band: few enough for its state, some 15 bytes a pixel, to stay near the processor,
 #: and enough for a thread to work some time before it needs the interpreter again.
 _BAND = 2**17
 
-#: Smallest focus measure a logarithm is taken of, as a share of the peak's.
-_FAINT = 1e-6
+#: Smallest focus measure a logarithm is taken of, as a share of the peak's. It holds three points
+#: finite; a fit of more weights frames with their share. No default depth of the benchmark changes
+#: from 1e-9 to 1e-3.
+_FAINTEST = 1e-6
+
+#: Fall of the logarithm of a measure below which it is flat. No default depth of the benchmark
+#: changes from 1e-6 to 0.03.
+_FLAT = 1e-3
 
 
-class PeakTracker:
+class _PeakTracker:
     """The focus measures around the best frame so far, for every pixel of a band of rows.
 
     Memory holds the measures of the last `reach` frames and of 2 `reach` + 1 frames around the
@@ -41,13 +45,13 @@ class PeakTracker:
         Grey level in the best frame.
     """
 
-    def __init__(self, reach: int, index: NDArray[np.uint16], image: NDArray) -> None:
+    def __init__(self, reach: int, index: NDArray[np.uint16], image: Image) -> None:
         self.index = index
         self.image = image
         self._reach = reach
         self._count = 0
 
-    def push(self, measure: NDArray, frame: NDArray) -> None:
+    def push(self, measure: NDArray, frame: Image) -> None:
         """Take in the next frame of the band and its focus measure."""
         if self._count == 0:
             self.index[:] = 0
@@ -60,12 +64,12 @@ class PeakTracker:
 def three_point_peak(
     window: NDArray, index: NDArray[np.uint16], positions: Array
 ) -> NDArray[np.float32]:
-    """Return the depth at the vertex of the Gaussian through the best frame and its two neighbours.
+    """Return the depth at the vertex of the Gaussian through the best frame and its two neighbors.
 
     Parameters
     ----------
     window : ndarray, shape (3, rows, cols)
-        Measures of the best frame, in the middle, and of its neighbours.
+        Measures of the best frame, in the middle, and of its neighbors.
     index : ndarray of int, shape (rows, cols)
         Number of the best frame.
     positions : ndarray of float64, shape (n,)
@@ -91,9 +95,9 @@ def three_point_peak(
     22.5
     """
     best = window[1].astype(np.float32)
-    faint = best * np.float32(_FAINT)
+    faint = best * np.float32(_FAINTEST)
     gaps = np.diff(positions)
-    even = np.allclose(gaps, gaps[0], rtol=1e-9, atol=0)
+    even = np.allclose(gaps, gaps[0], rtol=1e-9, atol=0)  # but for rounding
     with np.errstate(divide="ignore", invalid="ignore"):
         # Logarithms of ratios keep their digits in float32 where differences of logarithms would
         # not.
@@ -115,12 +119,12 @@ def three_point_peak(
 def fit_peak(
     window: NDArray, index: NDArray[np.uint16], positions: Array
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the depth of the Gaussian fitted to all frames of the window, and its weight.
+    """Return the depth of the Gaussian fitted to all frames of the window, and how sure it is.
 
     Parameters
     ----------
     window : ndarray, shape (2 reach + 1, rows, cols)
-        Measures of the best frame, in the middle, and of its neighbours. Entries beyond the stack
+        Measures of the best frame, in the middle, and of its neighbors. Entries beyond the stack
         are ignored.
     index : ndarray of int, shape (rows, cols)
         Number of the best frame.
@@ -131,19 +135,18 @@ def fit_peak(
     -------
     depth : ndarray of float32, shape (rows, cols)
         Depth, µm. NaN where the measure is flat, or its logarithm opens upwards and the best frame
-        is not the first or last, whose position is taken then. A vertex beyond the neighbouring
+        is not the first or last, whose position is taken then. A vertex beyond the neighboring
         frames or outside the stack is put there.
-    weight : ndarray of float32, shape (rows, cols)
-        Height times sharpness of the peak, which goes as the inverse variance of the depth up to a
-        common factor.
+    inverse_variance : ndarray of float32, shape (rows, cols)
+        That of the depth, up to a common factor: height times sharpness of the peak.
 
     Notes
     -----
     A parabola through the logarithms by least squares. Frames are weighted with their measure,
     because the logarithm of a small one is uncertain, and with the square of an inverted parabola
-    centred on the peak. Real profiles have longer tails than a Gaussian: a window that is not
-    centred leans on one of them, and pulls the depth towards the middle between frames. The peak is
-    only known after a first fit, so there are two. Near the ends of the stack the window is made
+    centered on the peak. Real profiles have longer tails than a Gaussian: a window that is not
+    centered leans on one of them, and pulls the depth towards the middle between frames. The peak
+    is only known after a first fit, so there are two. Near the ends of the stack the window is made
     narrower for the same reason, to no less than three frames.
 
     Examples
@@ -166,7 +169,7 @@ def fit_peak(
             frame = index.astype(np.intp) + offset
             inside = (frame >= 0) & (frame < len(positions))
             t = steps[np.clip(frame, 0, len(positions) - 1)] - here
-            share = np.maximum(np.where(inside, measure / best, 1.0), _FAINT)
+            share = np.maximum(np.where(inside, measure / best, 1.0), _FAINTEST)
             samples.append((t, np.log(share), np.where(inside, share, 0.0)))
         vertex = np.zeros_like(best)
         for _ in range(2):
@@ -174,17 +177,17 @@ def fit_peak(
             vertex = np.clip(-linear / (2 * square), lowest, highest)
         at_end = (index == 0) | (index == len(positions) - 1)
         vertex = np.where(square < 0, vertex, np.where(at_end, 0.0, np.nan))
-        # Rounding makes peaks too: a measure that nowhere falls by a thousandth is flat.
+        # Rounding makes peaks too.
         lowest_log = np.min([y for _, y, _ in samples], axis=0)
-        vertex[~(lowest_log < -1e-3)] = np.nan
-    weight = best * np.fmax(-square, 0)
-    return ((here + vertex) * spacing).astype(np.float32), weight.astype(np.float32)
+        vertex[~(lowest_log < -_FLAT)] = np.nan
+    inverse_variance = best * np.fmax(-square, 0)
+    return ((here + vertex) * spacing).astype(np.float32), inverse_variance.astype(np.float32)
 
 
 def _limits(steps: Array, reach: int) -> Array:
     """Return for each frame the least and greatest vertex around it and half the fit's width.
 
-    The vertex lies between the neighbouring frames and within the stack. The fit looks equally far
+    The vertex lies between the neighboring frames and within the stack. The fit looks equally far
     to both sides, as far as there are frames on the shorter one.
     """
     last = len(steps) - 1
@@ -194,20 +197,21 @@ def _limits(steps: Array, reach: int) -> Array:
         count = min(k, last - k, reach) or 2
         seen = steps[max(k - count, 0) : k + count + 1] - here
         near = steps[max(k - 1, 0) : k + 2] - here
-        # The window moves to the vertex: no frame of three may lose its weight by that.
+        # The window moves to the vertex, which is half a frame away at most, or a whole one at an
+        # end of the stack: no frame of three may lose its weight by that.
         margin = (0.5 if count > 1 else 1.0) * np.abs(near).max()
         limits[:, k] = near.min(), near.max(), np.abs(seen).max() + margin
     return limits
 
 
 def _fit_parabola(
-    samples: list[tuple[NDArray, NDArray, NDArray]], centre: NDArray, reach: NDArray
+    samples: list[tuple[NDArray, NDArray, NDArray]], center: NDArray, reach: NDArray
 ) -> tuple[Array, Array]:
     """Return the linear and the square coefficient of weighted parabolas y(t)."""
-    sums = np.zeros((5, *centre.shape))
-    products = np.zeros((3, *centre.shape))
+    sums = np.zeros((5, *center.shape))
+    products = np.zeros((3, *center.shape))
     for t, y, weight in samples:
-        power = weight * np.maximum(1 - ((t - centre) / reach) ** 2, 0) ** 2
+        power = weight * np.maximum(1 - ((t - center) / reach) ** 2, 0) ** 2
         for k in range(5):
             sums[k] += power
             if k < 3:
@@ -223,6 +227,22 @@ def _fit_parabola(
 
 
 @dataclass(frozen=True)
+class PeakFit:
+    """What a fit of more than three points tells of a peak beside its depth.
+
+    Attributes
+    ----------
+    inverse_variance : ndarray of float32, shape (rows, cols)
+        Inverse variance of the depth, up to a common factor.
+    value : ndarray of float32, shape (rows, cols)
+        The measure in the best frame.
+    """
+
+    inverse_variance: NDArray[np.float32]
+    value: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
 class Profile:
     """What is left of a stack once its frames have gone by.
 
@@ -232,16 +252,14 @@ class Profile:
         Depth from each measure, µm.
     index, image : ndarray, shape (rows, cols)
         Number of the best frame by the first measure, and the grey level in it.
-    weight, strength : ndarray of float32, shape (rows, cols), or None
-        Weight of the depth by the first measure, and that measure in the best frame; None from a
-        fit of three points.
+    peak : PeakFit or None
+        The peak of the first measure; None from a fit of three points.
     """
 
     depths: list[NDArray[np.float32]]
     index: NDArray[np.uint16]
-    image: NDArray
-    weight: NDArray[np.float32] | None
-    strength: NDArray[np.float32] | None
+    image: Image
+    peak: PeakFit | None
 
 
 class _Band:
@@ -261,11 +279,11 @@ class _Band:
         self._result = result
         self._work = []
         for measure, reach in zip(measures, reaches, strict=True):
-            self._work.append((measure, PeakTracker(reach, index, image)))
+            self._work.append((measure, _PeakTracker(reach, index, image)))
             # Index and image of the result are those by the first measure.
             index, image = np.empty_like(index), np.empty_like(image)
 
-    def push(self, frames: Sequence[NDArray], last: bool) -> None:
+    def push(self, frames: Sequence[Image], last: bool) -> None:
         for measure, tracker in self._work:
             for frame in frames:
                 tracker.push(measure(frame, self._rows), frame[self._rows])
@@ -278,22 +296,22 @@ class _Band:
             if len(tracker.window) == 3:
                 fitted = three_point_peak(tracker.window, tracker.index, self._positions)
             else:
-                fitted, weight = fit_peak(tracker.window, tracker.index, self._positions)
-                if self._result.weight is not None and self._result.strength is not None:
-                    self._result.weight[self._rows] = weight
-                    self._result.strength[self._rows] = tracker.window[len(tracker.window) // 2]
+                fitted, inverse_variance = fit_peak(tracker.window, tracker.index, self._positions)
+                if self._result.peak is not None:
+                    self._result.peak.inverse_variance[self._rows] = inverse_variance
+                    self._result.peak.value[self._rows] = tracker.window[len(tracker.window) // 2]
             depth[self._rows] = fitted
         self._work.clear()
 
 
 def track_peaks(
-    frames: Iterator[NDArray],
+    frames: Iterator[Image],
     positions: Array,
     measures: Sequence[RowsMeasure],
     *,
     reaches: Sequence[int],
     batch: int,
-    threads: int,
+    workers: int,
 ) -> Profile:
     """Read all frames once and follow the peak of every pixel by each measure.
 
@@ -310,7 +328,7 @@ def track_peaks(
     batch : int
         Frames that a band takes in while its state is in the cache; up to three times as many are
         held.
-    threads : int
+    workers : int
         Threads that share the bands of rows.
 
     Returns
@@ -325,17 +343,20 @@ def track_peaks(
     """
     first = next(frames)
     height, width = first.shape
-    wide = reaches[0] > 1
+
+    def empty() -> NDArray[np.float32]:
+        return np.empty(first.shape, np.float32)
+
     result = Profile(
-        depths=[np.empty(first.shape, np.float32) for _ in measures],
+        depths=[empty() for _ in measures],
         index=np.empty(first.shape, np.uint16),
         image=np.empty_like(first),
-        weight=np.empty(first.shape, np.float32) if wide else None,
-        strength=np.empty(first.shape, np.float32) if wide else None,
+        peak=PeakFit(empty(), empty()) if reaches[0] > 1 else None,
     )
-    # Bands much thinner than what the measures look at would compute most of it twice.
+    # Bands much thinner than what the measures look at would compute most of it twice; with four
+    # times their reach it is half as much again.
     thinnest = 4 * max(measure.reach for measure in measures)
-    rows = max(min(-(-height // threads), _BAND // width), thinnest, 1)
+    rows = max(min(-(-height // workers), _BAND // width), thinnest, 1)
     bands = [
         _Band(slice(top, min(top + rows, height)), measures, reaches, positions, result)
         for top in range(0, height, rows)
@@ -356,5 +377,5 @@ def track_peaks(
             yield partial(_Band.push, frames=taken, last=not following)
             taken = following
 
-    pipeline(rounds(), bands, threads)
+    pipeline(rounds(), bands, workers)
     return result

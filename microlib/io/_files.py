@@ -15,19 +15,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import as_array, positive
 
-__all__ = ["read_grey", "write_height_tiff", "write_ply"]
-
-_MICROMETRES_PER_CENTIMETRE = 1e4
+_MICROMETERS_PER_CENTIMETER = 1e4
 
 
 def read_grey(path: str | PathLike[str]) -> NDArray:
-    """
-    Read an image file as grey values.
+    """Read an image file as grey values.
 
     Parameters
     ----------
     path : path-like
-        PNG, TIFF, JPEG or any other format that OpenCV knows; colours become grey.
+        PNG, TIFF, JPEG or any other format that OpenCV knows; colors become grey.
 
     Returns
     -------
@@ -57,8 +54,7 @@ def read_grey(path: str | PathLike[str]) -> NDArray:
 
 
 def write_height_tiff(path: str | PathLike[str], height: ArrayLike, *, pixel_size: float) -> None:
-    """
-    Write a height map as a float32 TIFF that ImageJ and others open to scale.
+    """Write a height map as a float32 TIFF that ImageJ and others open to scale.
 
     Parameters
     ----------
@@ -84,13 +80,13 @@ def write_height_tiff(path: str | PathLike[str], height: ArrayLike, *, pixel_siz
     """
     heights = as_array("height", height, shape=(None, None), dtype=np.float32, finite=False)
     size = float(positive("pixel_size", as_array("pixel_size", pixel_size, shape=())))
-    per_centimetre = _MICROMETRES_PER_CENTIMETRE / size
+    per_centimeter = _MICROMETERS_PER_CENTIMETER / size
 
     def write(file: Path) -> None:
         tifffile.imwrite(
             file,
             heights,
-            resolution=(per_centimetre, per_centimetre),
+            resolution=(per_centimeter, per_centimeter),
             resolutionunit="CENTIMETER",
             description=f"height in um; pixel size {size:g} um",
             software=False,
@@ -100,8 +96,7 @@ def write_height_tiff(path: str | PathLike[str], height: ArrayLike, *, pixel_siz
 
 
 def write_ply(path: str | PathLike[str], height: ArrayLike, *, pixel_size: float) -> None:
-    """
-    Write a height map as a triangle mesh in the PLY format, lengths in µm.
+    """Write a height map as a triangle mesh in the PLY format, lengths in µm.
 
     Parameters
     ----------
@@ -160,7 +155,7 @@ def write_ply(path: str | PathLike[str], height: ArrayLike, *, pixel_size: float
         [
             "ply",
             "format binary_little_endian 1.0",
-            "comment lengths in micrometres",
+            "comment lengths in micrometers",
             f"element vertex {len(vertices)}",
             *(f"property float {axis}" for axis in "xyz"),
             f"element face {len(faces)}",
@@ -184,7 +179,7 @@ def _replace(path: Path, write: Callable[[Path], None]) -> None:
     os.close(handle)
     try:
         write(Path(name))
-        os.chmod(name, 0o644)
+        os.chmod(name, 0o644)  # mkstemp lets the owner alone read
         os.replace(name, path)
     except BaseException:
         os.unlink(name)

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from microlib._common import Frames
 
-__all__ = ["read_frames"]
-
 _TIFF = (".tif", ".tiff")
 
 

@@ -72,7 +72,7 @@ def test_smoothing_cuts_noise_and_keeps_a_step():
     truth = np.where(np.arange(64) < 32, 0.0, 5.0) + np.zeros((64, 1))
     noisy = truth + 0.1 * rng.standard_normal(truth.shape)
     error = (smooth_depth(noisy, jump=1.5) - truth)[8:-8, 8:-8]
-    # 69 neighbours weighted by a Gaussian are worth some 30; twicing doubles the variance at most:
+    # 69 neighbors weighted by a Gaussian are worth some 30; twicing doubles the variance at most:
     # 0.1 sqrt(2 / 30) = 0.026 on open ground, a third more beside the step.
     assert error.std() < 0.04
     assert np.abs(error[:, 20:28]).max() < 0.2  # five times that, next to the step as well

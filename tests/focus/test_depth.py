@@ -89,27 +89,27 @@ def test_equation_3_13_is_the_vertex_of_a_parabola_through_the_logarithms():
 
 @settings(deadline=None, max_examples=100)
 @given(
-    centre=st.floats(1.0, 5.0),
+    center=st.floats(1.0, 5.0),
     width=st.floats(0.5, 3.0),
     gaps=st.lists(st.floats(0.5, 1.5), min_size=6, max_size=6),
     falling=st.booleans(),
 )
-def test_gaussian_profiles_are_found_exactly(centre, width, gaps, falling):
+def test_gaussian_profiles_are_found_exactly(center, width, gaps, falling):
     """Both fits are exact on a Gaussian, at uneven and falling positions too."""
     positions = np.concatenate([[0.0], np.cumsum(gaps)])
     if falling:
         positions = positions[::-1].copy()
-    profile = 1000 * np.exp(-((positions - centre) ** 2) / (2 * width**2))
+    profile = 1000 * np.exp(-((positions - center) ** 2) / (2 * width**2))
     best = int(profile.argmax())
     if not 0 < best < len(positions) - 1:
         return
     index = np.full((1, 1), best, np.uint8)
     three = profile[best - 1 : best + 2, None, None].astype(np.float32)
     # float32 measures: 6e-8 relative, over the curvature 0.25 / 3².
-    assert three_point_peak(three, index, positions)[0, 0] == pytest.approx(centre, abs=1e-4)
+    assert three_point_peak(three, index, positions)[0, 0] == pytest.approx(center, abs=1e-4)
     frames = np.arange(best - 3, best + 4)
     seven = profile[np.clip(frames, 0, 6), None, None]
-    assert fit_peak(seven, index, positions)[0][0, 0] == pytest.approx(centre, abs=1e-4)
+    assert fit_peak(seven, index, positions)[0][0, 0] == pytest.approx(center, abs=1e-4)
 
 
 def test_default_finds_a_dome(dome):
@@ -190,9 +190,9 @@ def test_bands_and_threads_change_nothing(dome, measure, monkeypatch):
     whole = depth_from_focus(stack, POSITIONS, measure=measure)
     monkeypatch.setattr("microlib.focus._peaks._BAND", 96 * 7)
     same(depth_from_focus(stack, POSITIONS, measure=measure), whole)
-    same(depth_from_focus(stack, POSITIONS, measure=measure, threads=3), whole)
+    same(depth_from_focus(stack, POSITIONS, measure=measure, workers=3), whole)
     same(depth_from_focus(iter(stack), POSITIONS, measure=measure), whole)
-    same(depth_from_focus(iter(stack), POSITIONS, measure=measure, threads=3), whole)
+    same(depth_from_focus(iter(stack), POSITIONS, measure=measure, workers=3), whole)
 
 
 def test_order_of_frames_does_not_matter(dome):
@@ -360,11 +360,11 @@ def test_more_than_256_frames_are_counted_right():
         ({"measure": "sml", "window": 4}, "window must be an odd"),
         ({"measure": "sml", "threshold": -1}, "threshold must be zero or positive"),
         ({"points": 4}, "points must be an odd"),
-        ({"threads": 0}, "threads must be a whole number"),
-        ({"threads": 2, "positions": np.arange(9)}, "must be as many, got 4 and 9"),
-        ({"threads": 2, "measure": lambda frame: frame[1:]}, r"measure\(frame\) must have shape"),
+        ({"workers": 0}, "workers must be a whole number"),
+        ({"workers": 2, "positions": np.arange(9)}, "must be as many, got 4 and 9"),
+        ({"workers": 2, "measure": lambda frame: frame[1:]}, r"measure\(frame\) must have shape"),
         (
-            {"threads": 2, "frames": iter([np.zeros((9, 9))] * 3 + [np.zeros((9, 8))])},
+            {"workers": 2, "frames": iter([np.zeros((9, 9))] * 3 + [np.zeros((9, 8))])},
             r"frames\[3\] must be float32 of shape",
         ),
         ({"positions": np.arange(65536.0)}, "positions must be at most 65535"),

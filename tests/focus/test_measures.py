@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from microlib.focus import _measures, grey_variance, sum_modified_laplacian, tenengrad
+from microlib.focus import _measures, sum_modified_laplacian
+from microlib.focus._measures import _grey_variance, _tenengrad
 
 
 def printed_sml(image: np.ndarray, w: int, step: int, threshold: float) -> np.ndarray:
@@ -73,21 +74,21 @@ def test_tenengrad_is_scipys_sobel():
     grey = image.astype(float)
     energy = ndimage.sobel(grey, 0, mode="mirror") ** 2 + ndimage.sobel(grey, 1, mode="mirror") ** 2
     peer = 25 * ndimage.uniform_filter(energy, 5, mode="mirror")
-    np.testing.assert_allclose(tenengrad(image), peer, rtol=1e-5)  # float32 sums
+    np.testing.assert_allclose(_tenengrad(image), peer, rtol=1e-5)  # float32 sums
 
 
 @pytest.mark.parametrize("offset", [0, 60000])
 def test_variance_is_numpys_even_on_a_bright_background(offset):
     image = (offset + np.random.default_rng(2).integers(0, 9, (12, 12))).astype(np.uint16)
     peer = np.var(image[3:8, 4:9].astype(float))
-    assert grey_variance(image)[5, 6] == pytest.approx(peer, rel=1e-4)  # 60000² · 2⁻⁵² = 1e-6
+    assert _grey_variance(image)[5, 6] == pytest.approx(peer, rel=1e-4)  # 60000² · 2⁻⁵² = 1e-6
 
 
 @settings(deadline=None, max_examples=25)
 @given(seed=st.integers(0, 2**32 - 1), shift=st.integers(0, 100))
 def test_measures_ignore_brightness_and_grow_with_contrast(seed, shift):
     image = np.random.default_rng(seed).integers(0, 50, (12, 12)).astype(np.uint8)
-    for measure, power in ((sum_modified_laplacian, 1), (tenengrad, 2), (grey_variance, 2)):
+    for measure, power in ((sum_modified_laplacian, 1), (_tenengrad, 2), (_grey_variance, 2)):
         once = measure(image).astype(float)
         np.testing.assert_allclose(measure(image + np.uint8(shift)), once, rtol=1e-4, atol=1e-3)
         np.testing.assert_allclose(measure(2 * image), 2**power * once, rtol=1e-4, atol=1e-3)
@@ -132,10 +133,10 @@ def test_wide_blur_has_the_variance_asked_for():
         (lambda image: sum_modified_laplacian(np.stack([image] * 3)), "image must have shape"),
         (lambda image: sum_modified_laplacian(image * np.nan), "image must be finite"),
         (lambda image: sum_modified_laplacian([[1, 2], [3]]), "image must"),
-        (lambda image: tenengrad(np.stack([image] * 3) / 2), "image must be a grey image"),
-        (lambda image: grey_variance(image[:0]), "image must not be empty"),
-        (lambda image: tenengrad(image, window=2), "window must be an odd"),
-        (lambda image: grey_variance(image, window=0), "window must be an odd"),
+        (lambda image: _tenengrad(np.stack([image] * 3) / 2), "image must be a grey image"),
+        (lambda image: _grey_variance(image[:0]), "image must not be empty"),
+        (lambda image: _tenengrad(image, window=2), "window must be an odd"),
+        (lambda image: _grey_variance(image, window=0), "window must be an odd"),
     ],
 )
 def test_bad_options_are_refused_by_name(call, words):

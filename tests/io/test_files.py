@@ -22,7 +22,7 @@ def test_grey_images_come_back_as_stored(tmp_path: Path) -> None:
         assert io.read_grey(tmp_path / name).dtype == dtype
 
 
-def test_colours_become_grey(tmp_path: Path) -> None:
+def test_colors_become_grey(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "c.png"), np.full((5, 6, 3), (0, 0, 255), np.uint8))
     image = io.read_grey(tmp_path / "c.png")
     assert image.shape == (5, 6)
@@ -44,8 +44,24 @@ def test_height_tiff_carries_heights_and_scale(tmp_path: Path) -> None:
         np.testing.assert_array_equal(page.asarray(), height.astype(np.float32))
         numerator, denominator = page.tags["XResolution"].value
         assert numerator / denominator == pytest.approx(4000)  # px per cm
-        assert page.tags["ResolutionUnit"].value == 3  # centimetre
+        assert page.tags["ResolutionUnit"].value == 3  # centimeter
         assert "2.5 um" in page.description
+
+
+def test_a_pixel_size_that_divides_no_centimeter_is_kept(tmp_path: Path) -> None:
+    io.write_height_tiff(tmp_path / "h.tif", np.ones((2, 3)), pixel_size=0.7)
+    with tifffile.TiffFile(tmp_path / "h.tif") as tiff:
+        for axis in ("XResolution", "YResolution"):
+            numerator, denominator = tiff.pages[0].aspage().tags[axis].value
+            # Ratios of 32-bit numbers hold 14285.714 to nine digits.
+            assert numerator / denominator == pytest.approx(1e4 / 0.7, rel=1e-8)
+
+
+def test_a_pixel_size_must_be_named(tmp_path: Path) -> None:
+    """A bare number beside a height map could be anything."""
+    for write in (io.write_ply, io.write_height_tiff):
+        with pytest.raises(TypeError, match="positional"):
+            write(tmp_path / "s", np.ones((2, 2)), 2.0)  # type: ignore[misc]
 
 
 def read_ply(path: Path) -> tuple[np.ndarray, np.ndarray]:

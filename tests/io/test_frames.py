@@ -132,8 +132,8 @@ def test_what_is_no_tiff_is_refused(content, tmp_path):
 
 def test_faults_are_named(stack, tmp_path):
     missing = tmp_path / "missing"
-    colour = tmp_path / "colour.png"
-    cv2.imwrite(str(colour), np.zeros((8, 8, 3), np.uint8))
+    color = tmp_path / "color.png"
+    cv2.imwrite(str(color), np.zeros((8, 8, 3), np.uint8))
     (tmp_path / "text.png").write_text("no image")
     tifffile.imwrite(tmp_path / "many.tif", stack, photometric="minisblack")
     holed = stack.astype(float)
@@ -149,7 +149,7 @@ def test_faults_are_named(stack, tmp_path):
         (missing.with_suffix(".tif"), r"frames cannot be read from .*missing\.tif"),
         ([missing.with_suffix(".png")], r"missing\.png: no such file"),
         ([tmp_path / "text.png"], r"text\.png: not an image"),
-        ([colour], r"frames\[0\], .*colour\.png, must be a grey image"),
+        ([color], r"frames\[0\], .*color\.png, must be a grey image"),
         ([tmp_path / "many.tif"], r"many\.tif must hold one page to be one frame, got 5"),
     ]
     for source, words in cases:
