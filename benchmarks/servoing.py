@@ -12,23 +12,20 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from benchmarks.report import publish
+from compendium.experiments.paths import circle_path, sinusoid_path, square_path
 from microlib.servoing import (
     Camera,
     OptimalController,
     PredictiveController,
-    Simulation,
     Stage,
-    circle_path,
     ibvs_control,
     loop_poles,
     path_metrics,
     simulate,
-    sinusoid_path,
-    square_path,
     step_metrics,
     tracked_view,
 )
-from microlib.servoing._workstation import Controller
+from microlib.servoing._workstation import Controller, Simulation
 from microlib.synthetic import gripper_scene
 from microlib.tracking import ESMTracker
 
@@ -129,7 +126,7 @@ def modes() -> pd.DataFrame:
         for task in TASKS:
             rng = np.random.default_rng(0)
             scene = gripper_scene(rng, pixel_size=1 / scale, reach=110)
-            # The path is centred in the frame, so that the window stays inside it.
+            # The path is centered in the frame, so that the window stays inside it.
             away = -np.rint((TASKS[task].min(axis=0) + TASKS[task].max(axis=0)) / 2)
             box = scene.box(size, away)
             origin = np.array(box[:2]) + (size - 1) / 2

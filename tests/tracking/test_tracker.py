@@ -89,7 +89,7 @@ def test_gradients_alone_reach_as_far_through_the_pyramid():
         """Without the search by correlation, the last of the starts, and distorted ones."""
 
         def _starts(self, pose, image):
-            return islice(super()._starts(pose, image), len(self._stages))
+            return islice(super()._starts(pose, image), len(self._levels))
 
         def _align_distorted(self, image, pose):
             return None
