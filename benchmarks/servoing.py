@@ -119,6 +119,30 @@ def comparison() -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def innovation_gains() -> pd.DataFrame:
+    """True error (µm) of the predictive controller over the share of an innovation that it takes."""
+    rows = []
+    for share in (0.1, 0.2, 0.3, 0.4, 0.6, 1.0):
+        row: dict[str, object] = {"innovation gain": share}
+        for zoom, (scale, _) in ZOOMS.items():
+            for task in list(TASKS)[1:]:
+                errors = []
+                for seed in range(SEEDS):
+                    controller = PredictiveController(
+                        scale * np.eye(2),
+                        interval=INTERVAL,
+                        **WEIGHTS,
+                        delay=CAMERA.latency,
+                        saturation=STAGE.saturation,
+                        innovation_gain=share,
+                    )
+                    result = run(controller, scale, task, seed)
+                    errors.append(path_metrics(result.feature, result.reference).accuracy / scale)
+                row[f"{task.split(',')[0]}, {zoom}"] = round(float(np.mean(errors)), 3)
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
 def modes() -> pd.DataFrame:
     """The loop over rendered, tracked frames beside the one over coordinates."""
     rows = []
@@ -212,6 +236,7 @@ def main() -> None:
         "servoing",
         {
             "Controllers": comparison(),
+            "Innovation gain": innovation_gains(),
             "Rendered and fast loop": modes(),
             "Stability": stability(),
         },

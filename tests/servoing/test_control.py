@@ -47,6 +47,15 @@ def test_jacobian_is_the_derivative_of_the_projection():
         np.testing.assert_allclose(jacobian[:, axis], numeric, atol=1e-6)
 
 
+def test_one_depth_does_for_many_points():
+    points = [(1.0, 2.0), (3.0, 4.0), (5.0, 7.0)]
+    optics = {"magnification": 2.0, "pixel_size": 8.0}
+    np.testing.assert_array_equal(
+        point_jacobian(points, depth=60.0, **optics),
+        point_jacobian(points, depth=(60.0, 60.0, 60.0), **optics),
+    )
+
+
 def test_jacobian_agrees_with_a_symbolic_derivation():
     x, y, z, m, sx, sy = sp.symbols("X Y Z M s_x s_y", positive=True)
     velocity = sp.Matrix(sp.symbols("V_x V_y V_z"))
