@@ -120,7 +120,7 @@ def comparison() -> pd.DataFrame:
 
 
 def innovation_gains() -> pd.DataFrame:
-    """True error (µm) of the predictive controller over the share of an innovation that it takes."""
+    """True error (µm) of the predictive controller over its innovation gain."""
     rows = []
     for share in (0.1, 0.2, 0.3, 0.4, 0.6, 1.0):
         row: dict[str, object] = {"innovation gain": share}

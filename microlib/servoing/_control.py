@@ -93,7 +93,7 @@ def optimal_control(
     feature_weight: ArrayLike,
     control_weight: ArrayLike,
 ) -> Array:
-    r"""Return the velocity that minimises the one-step cost (2.27), which is (2.28).
+    r"""Return the velocity that minimizes the one-step cost (2.27), which is (2.28).
 
     The features follow f(k+1) = f(k) + T J u(k) (2.26).
 
@@ -302,13 +302,10 @@ class PredictiveController:
         Largest speed of the stage, µm/s: the estimate must know what was really executed.
     innovation_gain : float, optional
         Share of the innovation, the difference between measured and expected feature, that corrects
-        the estimate, 0 to 1; 1 takes every measurement as it is. What smaller and larger ones do
-        to noise and to a wrong Jacobian is in the benchmark "Innovation gain".
-
-    Attributes
-    ----------
-    gain : ndarray, shape (n, m)
-        As in `OptimalController`.
+        the estimate, 0 to 1; 1 takes every measurement as it is. A small share averages
+        noise, a large one corrects sooner what a wrong Jacobian predicted. With a jitter of 0.15 px
+        and a Jacobian known to 1 % and 1° all from 0.2 to 0.6 keep within a fifth of the least mean
+        error on a path (benchmark of servoing, "Innovation gain").
 
     Raises
     ------
@@ -340,7 +337,7 @@ class PredictiveController:
         saturation: float,
         innovation_gain: float = 0.3,
     ) -> None:
-        self.gain = _optimal_gain(
+        self._gain = _optimal_gain(
             jacobian,
             interval=interval,
             feature_weight=feature_weight,
@@ -373,7 +370,7 @@ class PredictiveController:
         before = int(when)
         after = min(before + 1, int(last))
         target = reference[before] + (when - before) * (reference[after] - reference[before])
-        command = np.clip(self.gain @ (target - ahead), -self._limit, self._limit)
+        command = np.clip(self._gain @ (target - ahead), -self._limit, self._limit)
         queue = np.vstack([self._pending, command])
         self._estimate = self._estimate + self._step @ (
             self._part * queue[0] + (1.0 - self._part) * queue[1]

@@ -53,7 +53,7 @@ class Stage:
     step : float
         Position increment, µm (0.05 for the stages of §5.1).
     travel : float
-        Range of an axis, ± µm around the start.
+        Range of an axis, ± µm around the start (15 mm in all for the stages of §5.1).
     """
 
     saturation: float

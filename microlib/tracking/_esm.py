@@ -1,4 +1,4 @@
-"""Efficient second-order minimisation (ESM) of the difference between a template and an image.
+"""Efficient second-order minimization (ESM) of the difference between a template and an image.
 
 The warp is a matrix on homogeneous template coordinates, updated as ``G ← G exp(Σ xᵢ Bᵢ)`` with the
 generators Bᵢ of its group: translation, affine, or the homographies through sl(3). Averaging the
@@ -113,17 +113,17 @@ def half_pixel(image: Image) -> Image:
 
 @dataclass(frozen=True)
 class Alignment:
-    """Where the minimisation at one level left the warp.
+    """Where the minimization at one level left the warp.
 
     Attributes
     ----------
     pose : ndarray, shape (3, 3)
-        Warp of normalised template coordinates to px of the image.
+        Warp of normalized template coordinates to px of the image.
     failure : str
-        Empty, or why the minimisation gave up: ``"singular"``, ``"diverged"`` or ``"out of view"``;
+        Empty, or why the minimization gave up: ``"singular"``, ``"diverged"`` or ``"out of view"``;
         the pose is then the last good one.
     correlation : float
-        Normalised correlation of template and warped image over the visible pixels.
+        Normalized correlation of template and warped image over the visible pixels.
     gain, bias : float
         Grey values of the image are ``gain``·template + ``bias``.
     visible : float
@@ -153,14 +153,14 @@ class Level:
     to_image : ndarray, shape (3, 3)
         Pixels of the frame to samples of this level's image.
     to_template : ndarray, shape (3, 3)
-        Pixels of the padded patch to normalised template coordinates.
+        Pixels of the padded patch to normalized template coordinates.
     padded : tuple of int
         Width and height of the patch with the padding that smoothing and gradients need.
     smoothing : float
         Standard deviation, in px of the patch, of the Gaussian applied in the template's frame:
         smoothing there, and not in the image, commutes with the warp.
     corners : ndarray, shape (4, 2)
-        Corners of the template in normalised coordinates.
+        Corners of the template in normalized coordinates.
     basis : ndarray, shape (n, 3, 3)
         Generators of the motion.
     flow : ndarray, shape (2, n, N)
@@ -186,7 +186,7 @@ class Level:
     def align(
         self, image: Image, pose: Array, *, tolerance: float, iterations: int, gain: float = 1.0
     ) -> Alignment:
-        """Minimise over warp, gain and bias until the corners move by less than `tolerance` px."""
+        """Minimize over warp, gain and bias until the corners move by less than `tolerance` px."""
         n = len(self.basis)
         first = corners = apply_homography(pose, self.corners)
         for count in range(1, iterations + 1):
@@ -281,9 +281,9 @@ def make_level(
     box : tuple of int
         (x, y, width, height) in px of the frame.
     pose : ndarray, shape (3, 3)
-        Normalised template coordinates to px of the frame.
+        Normalized template coordinates to px of the frame.
     step : int
-        Px of the frame between neighbouring pixels of the template.
+        Px of the frame between neighboring pixels of the template.
     density : int
         Samples of `image` for `step` px of the frame.
     smoothing : float

@@ -1,4 +1,4 @@
-"""Template tracking by efficient second-order minimisation over a pyramid (§5.3)."""
+"""Template tracking by efficient second-order minimization over a pyramid (§5.3)."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Track:
         Empty, or why it was not: ``"singular"``, ``"diverged"``, ``"out of view"`` or ``"low
         correlation"``.
     correlation : float
-        Normalised correlation of the template and the frame under the warp, −1 to 1.
+        Normalized correlation of the template and the frame under the warp, −1 to 1.
     homography : ndarray, shape (3, 3)
         Maps px of the template's frame to px of this frame.
     gain, bias : float
@@ -84,7 +84,7 @@ class Track:
 
 
 class ESMTracker:
-    """Track a template through grey frames by efficient second-order minimisation.
+    """Track a template through grey frames by efficient second-order minimization.
 
     Gain and bias are estimated along with the motion, on a template and a warped frame smoothed in
     the template's coordinates. A search begins at the finest resolution; while the correlation is
@@ -110,7 +110,7 @@ class ESMTracker:
         Standard deviation of the Gaussian in px of each resolution. Without a pyramid about 3 px
         reach as far as the default with one.
     least_correlation : float, optional
-        Normalised correlation below which the template counts as lost.
+        Normalized correlation below which the template counts as lost.
     kalman : KalmanFilter, optional
         Predicts where each frame's search starts. By default a search starts where the last one
         ended.

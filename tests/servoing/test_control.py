@@ -1,4 +1,4 @@
-"""The Jacobian, the control law and the loop against derivatives, a minimiser and the poles."""
+"""The Jacobian, the control law and the loop against derivatives, a minimizer and the poles."""
 
 import numpy as np
 import pytest
@@ -72,7 +72,7 @@ def test_jacobian_agrees_with_a_symbolic_derivation():
 
 @settings(deadline=None, max_examples=25)
 @given(seed=st.integers(0, 10**6), points=st.integers(1, 3), motions=st.integers(1, 2))
-def test_the_control_minimises_the_cost(seed, points, motions):
+def test_the_control_minimizes_the_cost(seed, points, motions):
     rng = np.random.default_rng(seed)
     m, n = 2 * points, motions
     jacobian = rng.normal(size=(m, n))
@@ -88,7 +88,7 @@ def test_the_control_minimises_the_cost(seed, points, motions):
         jacobian, feature, target, interval=interval, feature_weight=q, control_weight=weight
     )
     theirs = minimize(cost, np.zeros(n), method="BFGS", options={"gtol": 1e-9})
-    # The minimiser stops where its numerical gradient drowns in rounding, about 1e-8·cost away.
+    # The minimizer stops where its numerical gradient drowns in rounding, about 1e-8·cost away.
     assert cost(ours) <= theirs.fun + 1e-9 * abs(theirs.fun)
     np.testing.assert_allclose(ours, theirs.x, atol=1e-4 * (1 + np.abs(theirs.x).max()))
 

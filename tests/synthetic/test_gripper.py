@@ -17,11 +17,11 @@ def test_texture_has_the_correlation_of_a_blurred_noise():
     texture = mixed_texture((400, 400), np.random.default_rng(0), scales=1.5, std=30.0)
     assert texture.mean() == pytest.approx(128.0)
     assert texture.std() == pytest.approx(30.0)
-    centred = texture - texture.mean()
+    centered = texture - texture.mean()
     # White noise through a Gaussian of σ has the autocorrelation exp(−d²/(4σ²)); 400² pixels know
     # it to about 1 %.
     for distance in (1, 2, 3):
-        correlation = np.mean(centred * np.roll(centred, distance, axis=1)) / centred.var()
+        correlation = np.mean(centered * np.roll(centered, distance, axis=1)) / centered.var()
         assert correlation == pytest.approx(np.exp(-(distance**2) / (4 * 1.5**2)), abs=0.03)
 
 

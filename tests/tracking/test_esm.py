@@ -1,4 +1,4 @@
-"""Parts of the second-order minimisation against numerical derivatives and other libraries."""
+"""Parts of the second-order minimization against numerical derivatives and other libraries."""
 
 import cv2
 import numpy as np
