@@ -12,23 +12,20 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from benchmarks.report import publish
+from compendium.experiments.paths import circle_path, sinusoid_path, square_path
 from microlib.servoing import (
     Camera,
     OptimalController,
     PredictiveController,
-    Simulation,
     Stage,
-    circle_path,
     ibvs_control,
     loop_poles,
     path_metrics,
     simulate,
-    sinusoid_path,
-    square_path,
     step_metrics,
     tracked_view,
 )
-from microlib.servoing._workstation import Controller
+from microlib.servoing._workstation import Controller, Simulation
 from microlib.synthetic import gripper_scene
 from microlib.tracking import ESMTracker
 
@@ -122,6 +119,30 @@ def comparison() -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def innovation_gains() -> pd.DataFrame:
+    """True error (µm) of the predictive controller over its innovation gain."""
+    rows = []
+    for share in (0.1, 0.2, 0.3, 0.4, 0.6, 1.0):
+        row: dict[str, object] = {"innovation gain": share}
+        for zoom, (scale, _) in ZOOMS.items():
+            for task in list(TASKS)[1:]:
+                errors = []
+                for seed in range(SEEDS):
+                    controller = PredictiveController(
+                        scale * np.eye(2),
+                        interval=INTERVAL,
+                        **WEIGHTS,
+                        delay=CAMERA.latency,
+                        saturation=STAGE.saturation,
+                        innovation_gain=share,
+                    )
+                    result = run(controller, scale, task, seed)
+                    errors.append(path_metrics(result.feature, result.reference).accuracy / scale)
+                row[f"{task.split(',')[0]}, {zoom}"] = round(float(np.mean(errors)), 3)
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
 def modes() -> pd.DataFrame:
     """The loop over rendered, tracked frames beside the one over coordinates."""
     rows = []
@@ -129,7 +150,7 @@ def modes() -> pd.DataFrame:
         for task in TASKS:
             rng = np.random.default_rng(0)
             scene = gripper_scene(rng, pixel_size=1 / scale, reach=110)
-            # The path is centred in the frame, so that the window stays inside it.
+            # The path is centered in the frame, so that the window stays inside it.
             away = -np.rint((TASKS[task].min(axis=0) + TASKS[task].max(axis=0)) / 2)
             box = scene.box(size, away)
             origin = np.array(box[:2]) + (size - 1) / 2
@@ -215,6 +236,7 @@ def main() -> None:
         "servoing",
         {
             "Controllers": comparison(),
+            "Innovation gain": innovation_gains(),
             "Rendered and fast loop": modes(),
             "Stability": stability(),
         },

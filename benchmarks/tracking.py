@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 from benchmarks.report import must_hold, paired_times, publish
 from microlib.synthetic import (
-    WarpedPair,
     camera_frame,
     gripper_scene,
     mixed_texture,
     texture_sequence,
     warped_pair,
 )
-from microlib.tracking import ESMTracker, KalmanFilter
+from microlib.synthetic._gripper import WarpedPair
+from microlib.tracking import ESMTracker, KalmanFilter, _esm, _kalman, _tracker
 
 Array = NDArray[np.float64]
 #: Corners (4×2, px) and iterations, or None where a method says that it failed.
@@ -46,6 +46,32 @@ CELLS = [
 ]
 
 
+#: Constant of the tracker to the values that are tried in its place.
+CONSTANTS = {
+    (_tracker, "_COARSEST"): (4, 12),
+    (_tracker, "_DEFORMABLE"): (6, 24),
+    (_tracker, "_TOLERANCE"): (0.25, 1.0),
+    (_tracker, "_LAST_TOLERANCE"): (0.01, 0.2),
+    (_tracker, "_MOST_STEPS"): (8, 30),
+    (_tracker, "_CONVINCING"): (0.8, 0.95),
+    (_tracker, "_NOISE_FACTOR"): (1.0, 4.0),
+    (_tracker, "_INTERPOLATION_LOSS"): (0.0, 0.01),
+    (_tracker, "_LARGEST_MATCHED"): (32, 128),
+    (_tracker, "_DISTORTION"): (0.085, 0.34),
+    (_tracker, "_PROMISING"): (0.6, 0.9),
+    (_tracker, "_LAST_MARGIN"): (3.0, 12.0),
+    (_tracker, "_LEAST_CONTRAST"): (0.0, 0.1),
+    (_tracker, "_LEAST_CORNERNESS"): (1e-6, 1e-2),
+    (_esm, "_DAMPING"): (1e-12, 1e-6),
+    (_esm, "_VANISHING"): (1e-9, 1e-3),
+    (_esm, "_AREA_FACTOR"): (2.0, 16.0),
+    (_esm, "_LARGEST_STEP"): (1.0, 16.0),
+    (_esm, "_LEAST_VISIBLE"): (0.1, 0.5),
+    (_esm, "_TRUNCATION"): (2, 4),
+    (_kalman, "_UNKNOWN_VELOCITY"): (100.0, 1e4),
+}
+
+
 @lru_cache(maxsize=2000)
 def frames_of(seed: int, distance: float, warp: str) -> WarpedPair:
     """Every method sees the same pairs."""
@@ -56,7 +82,7 @@ class GradientOnly(ESMTracker):
     """The tracker without its last resorts, the search by correlation and distorted starts."""
 
     def _starts(self, pose: Array, image: NDArray) -> Iterator:
-        return islice(super()._starts(pose, image), len(self._stages))
+        return islice(super()._starts(pose, image), len(self._levels))
 
     def _align_distorted(self, image: NDArray, pose: Array) -> None:
         return None
@@ -255,7 +281,7 @@ def sequences() -> pd.DataFrame:
 
 
 def followed(frames: list, path: Array, motion: str) -> float:
-    """Return the largest error of the centre along a sequence, or infinity if it was lost."""
+    """Return the largest error of the center along a sequence, or infinity if it was lost."""
     x, y = np.ceil(path[0]).astype(int)
     start = np.array([x + 24.0, y + 24.0])
     kalman = KalmanFilter(start, interval=INTERVAL, acceleration=3000.0, noise=0.1)
@@ -300,6 +326,74 @@ def drift() -> pd.DataFrame:
                 }
             )
     return pd.DataFrame(rows)
+
+
+def constants() -> pd.DataFrame:
+    """Every constant of the tracker at other values, one at a time."""
+    rows = [{"constant": "all as they are", "value": np.nan} | _qualities()]
+    for (module, name), values in CONSTANTS.items():
+        usual = getattr(module, name)
+        for value in values:
+            try:
+                setattr(module, name, value)
+                rows.append({"constant": name.lstrip("_"), "value": value} | _qualities())
+            finally:
+                setattr(module, name, usual)
+    return pd.DataFrame(rows)
+
+
+def _qualities() -> dict[str, float]:
+    """Return what a change of a constant could spoil, in short."""
+    found: dict[str, float] = {}
+    steps, false = [], 0
+    for motion, warp in (
+        ("translation", "shift"),
+        ("affine", "affine"),
+        ("homography", "homography"),
+    ):
+        hits = 0
+        for seed in range(100):
+            pair = frames_of(seed, 15.0, warp)
+            track = ESMTracker(pair.first, pair.box, motion).track(pair.second)
+            right = np.linalg.norm(track.corners - pair.corners, axis=1).max() < 1.0
+            hits += bool(right and not track.lost)
+            false += bool(not right and not track.lost)
+            steps.append(track.iterations)
+        found[f"{motion}, 15 px: success (%)"] = hits
+    near = [(frames_of(seed, 3.0, "shift"), "translation") for seed in range(50)]
+    near += [(frames_of(seed, 3.0, "homography"), "homography") for seed in range(50)]
+    errors = []
+    for pair, motion in near:
+        track = ESMTracker(pair.first, pair.box, motion).track(pair.second)
+        errors.append(np.mean((track.corners - pair.corners) ** 2 * 2))
+    for seed in range(50):  # the template is not there
+        pair, other = frames_of(seed, 15.0, "shift"), frames_of(seed + 50, 15.0, "shift")
+        false += not ESMTracker(pair.first, pair.box, "homography").track(other.second).lost
+    paths = [moving_square(500.0, seed) for seed in range(10)]
+    found |= {
+        "3 px: RMS corner error (px)": round(float(np.sqrt(np.mean(errors))), 4),
+        "steps": round(float(np.mean(steps)), 1),
+        "wrong, not called lost (of 350)": false,
+        "square at 500 px/s: runs completed (%)": 10
+        * sum(followed(*path, "homography") < 1.0 for path in paths),
+        "jump along the jaws: found (%)": _jumps(),
+    }
+    return found
+
+
+def _jumps() -> float:
+    """Return how often the gripper, alike along its jaws, is found after a jump, in percent."""
+    found, count = 0, 30
+    rng = np.random.default_rng(10)
+    scene = gripper_scene(rng, pixel_size=1.55)
+    still = scene.frame((0, 0), rng)
+    for angle in rng.uniform(0, 2 * np.pi, count):
+        tracker = ESMTracker(still, scene.box(90), "translation")
+        middle = tracker.track(scene.frame((0, 0), rng)).center
+        jump = np.array([25 * np.cos(angle), 5 * np.sin(angle)])
+        track = tracker.track(scene.frame(jump, rng))
+        found += not track.lost and np.linalg.norm(track.center - middle - jump) < 1.0
+    return round(100 * found / count)
 
 
 def limits(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
@@ -355,6 +449,7 @@ def main() -> None:
         "Time of one frame": times(),
         "Sequences": sequences(),
         "Drift over 1,000 frames of the gripper": drift(),
+        "Constants": constants(),
     }
     publish(
         "tracking",

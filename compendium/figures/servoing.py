@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,10 +12,28 @@ from matplotlib.patches import FancyBboxPatch, Polygon
 from numpy.typing import NDArray
 
 from compendium.figures.style import COLORS
-from microlib.servoing import Simulation
 from microlib.tracking import Track
 
 __all__ = ["draw_loop", "draw_path_run", "draw_step_runs", "draw_track"]
+
+
+class Run(Protocol):
+    """What is drawn of a run, one row a frame, such as `microlib.servoing.simulate` returns it."""
+
+    @property
+    def time(self) -> NDArray[np.floating]: ...
+
+    @property
+    def reference(self) -> NDArray[np.floating]: ...
+
+    @property
+    def feature(self) -> NDArray[np.floating]: ...
+
+    @property
+    def measured(self) -> NDArray[np.floating]: ...
+
+    @property
+    def command(self) -> NDArray[np.floating]: ...
 
 
 def draw_loop() -> Figure:
@@ -80,7 +100,7 @@ def draw_track(
     axes.grid(False)
 
 
-def draw_step_runs(runs: dict[str, Simulation]) -> Figure:
+def draw_step_runs(runs: dict[str, Run]) -> Figure:
     """Draw figures 5.4 and 5.5: position and velocity of both axes against time, a row a run."""
     figure, grid = plt.subplots(
         len(runs), 2, figsize=(8.4, 2.8 * len(runs)), squeeze=False, sharex=True
@@ -108,7 +128,7 @@ def draw_step_runs(runs: dict[str, Simulation]) -> Figure:
     return figure
 
 
-def draw_path_run(run: Simulation, error: NDArray[np.floating], title: str, unit: str) -> Figure:
+def draw_path_run(run: Run, error: NDArray[np.floating], title: str, unit: str) -> Figure:
     """Draw one of figures 5.6 to 5.8: the path with its reference, and an error against time."""
     figure, (left, right) = plt.subplots(
         1, 2, figsize=(8.4, 3.6), gridspec_kw={"width_ratios": [1, 1.3]}

@@ -1,8 +1,4 @@
-"""Image-based visual servoing: the Jacobian of point features and the control laws.
-
-The simulated workstation is in `workstation`, the figures of merit and the paths in
-`servo_metrics`; their public names can be imported from here, too.
-"""
+"""The Jacobian of point features and the control laws of image-based visual servoing."""
 
 from __future__ import annotations
 
@@ -10,42 +6,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, as_array, between, positive, same_length
-from microlib.servoing._metrics import (
-    PathMetrics,
-    StepMetrics,
-    circle_path,
-    path_metrics,
-    sinusoid_path,
-    square_path,
-    step_metrics,
-)
-from microlib.servoing._workstation import Camera, Simulation, Stage, simulate, tracked_view
 
-__all__ = [
-    "Camera",
-    "OptimalController",
-    "PathMetrics",
-    "PredictiveController",
-    "Simulation",
-    "Stage",
-    "StepMetrics",
-    "circle_path",
-    "ibvs_control",
-    "loop_poles",
-    "optimal_control",
-    "optimal_gain",
-    "path_metrics",
-    "point_jacobian",
-    "simulate",
-    "sinusoid_path",
-    "square_path",
-    "step_metrics",
-    "tracked_view",
-]
+#: Largest ratio of the singular values of a Jacobian that counts as one of full rank: the rounding
+#: of a double (10⁻¹⁶) is then a millionth of what the weakest direction does.
+LARGEST_CONDITION = 1e10
 
-
-#: Smallest ratio of singular values of a Jacobian that still counts as full rank.
-_RANK = 1e-10
+#: Relative difference of two halves of a matrix that rounding explains.
+_ROUNDING = 1e-9
 
 
 def point_jacobian(
@@ -67,7 +34,7 @@ def point_jacobian(
     Parameters
     ----------
     points : array_like, shape (N, 2) or (2,)
-        (x_s, y_s) in px from the image centre.
+        (x_s, y_s) in px from the image center.
     depth : array_like, shape (N,) or ()
         Z of the points in the objective's frame, µm.
     magnification : float
@@ -117,38 +84,6 @@ def point_jacobian(
     return jacobian.reshape(-1, 6)
 
 
-def optimal_gain(
-    jacobian: ArrayLike, *, interval: float, feature_weight: ArrayLike, control_weight: ArrayLike
-) -> Array:
-    """Return the matrix of (2.28) that turns a feature error into a velocity, u = −K e.
-
-    Parameters
-    ----------
-    jacobian, interval, feature_weight, control_weight
-        As in `optimal_control`.
-
-    Returns
-    -------
-    ndarray, shape (n, m)
-        K. The gain of the loop is T·J·K: how much of the error one sample takes away.
-
-    Raises
-    ------
-    ValueError
-        As `optimal_control`.
-
-    Examples
-    --------
-    >>> optimal_gain([[2.0]], interval=0.5, feature_weight=[3.0], control_weight=[1.0])
-    array([[0.75]])
-    """
-    matrix = _full_rank(jacobian)
-    step = float(positive("interval", interval)) * matrix
-    q = _weight("feature_weight", feature_weight, matrix.shape[0])
-    weight = _weight("control_weight", control_weight, matrix.shape[1])
-    return np.linalg.solve(step.T @ q @ step + weight, step.T @ q)
-
-
 def optimal_control(
     jacobian: ArrayLike,
     feature: ArrayLike,
@@ -158,7 +93,7 @@ def optimal_control(
     feature_weight: ArrayLike,
     control_weight: ArrayLike,
 ) -> Array:
-    r"""Return the velocity that minimises the one-step cost (2.27), which is (2.28).
+    r"""Return the velocity that minimizes the one-step cost (2.27), which is (2.28).
 
     The features follow f(k+1) = f(k) + T J u(k) (2.26).
 
@@ -202,7 +137,7 @@ def optimal_control(
     ...                 feature_weight=(1, 1), control_weight=(1, 3))
     array([ 0.5, -0.5])
     """
-    gain = optimal_gain(
+    gain = _optimal_gain(
         jacobian, interval=interval, feature_weight=feature_weight, control_weight=control_weight
     )
     now = as_array("feature", feature, shape=(gain.shape[1],))
@@ -299,10 +234,22 @@ class OptimalController:
 
     Parameters
     ----------
-    jacobian : array_like, shape (2, 2)
+    jacobian : array_like, shape (m, n)
         px/µm, as calibrated.
     interval, feature_weight, control_weight
         As in `optimal_control`, with the Jacobian's µm as the unit of length.
+
+    Attributes
+    ----------
+    gain : ndarray, shape (n, m)
+        K of (2.28), which turns a feature error into a velocity, u = −K e, µm/s per px. The gain of
+        the loop is T·J·K: the share of the error that one sample takes away.
+
+    Raises
+    ------
+    ValueError
+        If a shape does not fit, the interval is not positive, a weight is not symmetric and
+        positive definite, or the Jacobian is singular.
 
     Examples
     --------
@@ -311,6 +258,9 @@ class OptimalController:
     ... )
     >>> control(0, np.zeros(2), np.array([[0.0, 0.0], [1.0, 2.0]]))
     array([1., 2.])
+    >>> control.gain
+    array([[1., 0.],
+           [0., 1.]])
     """
 
     def __init__(
@@ -321,7 +271,7 @@ class OptimalController:
         feature_weight: ArrayLike,
         control_weight: ArrayLike,
     ) -> None:
-        self._gain = optimal_gain(
+        self.gain = _optimal_gain(
             jacobian,
             interval=interval,
             feature_weight=feature_weight,
@@ -331,7 +281,7 @@ class OptimalController:
     def __call__(self, k: int, measured: Array, reference: Array) -> Array:
         """Return the velocity for sample `k`, µm/s; zero if the feature is lost."""
         error = measured - reference[min(k + 1, len(reference) - 1)]
-        return -self._gain @ error if np.isfinite(error).all() else np.zeros(len(error))
+        return -self.gain @ error if np.isfinite(error).all() else np.zeros(len(self.gain))
 
 
 class PredictiveController:
@@ -350,14 +300,30 @@ class PredictiveController:
         From an exposure until its command takes effect, s; the drive's lag adds to it.
     saturation : float
         Largest speed of the stage, µm/s: the estimate must know what was really executed.
-    trust : float, optional
-        Share of the innovation that corrects the estimate; 1 believes every measurement.
+    innovation_gain : float, optional
+        Share of the innovation, the difference between measured and expected feature, that corrects
+        the estimate, 0 to 1; 1 takes every measurement as it is. A small share averages
+        noise, a large one corrects sooner what a wrong Jacobian predicted. With a jitter of 0.15 px
+        and a Jacobian known to 1 % and 1° all from 0.2 to 0.6 keep within a fifth of the least mean
+        error on a path (benchmark of servoing, "Innovation gain").
 
     Raises
     ------
     ValueError
-        As `optimal_control`, and if the delay is negative, or the saturation or the trust is not
-        positive.
+        As `optimal_control`, and if the delay is negative, the saturation is not positive, or the
+        innovation gain is not in [0, 1].
+
+    Examples
+    --------
+    One sample late, it waits for the command on its way instead of giving it twice.
+
+    >>> control = PredictiveController(
+    ...     np.eye(2), interval=0.5, feature_weight=(1, 1), control_weight=(1e-9, 1e-9),
+    ...     delay=0.5, saturation=100.0,
+    ... )
+    >>> target = np.full((9, 2), 3.0)
+    >>> control(0, np.zeros(2), target).round(3), control(1, np.zeros(2), target).round(3)
+    (array([6., 6.]), array([0., 0.]))
     """
 
     def __init__(
@@ -369,9 +335,9 @@ class PredictiveController:
         control_weight: ArrayLike,
         delay: float,
         saturation: float,
-        trust: float = 0.3,
+        innovation_gain: float = 0.3,
     ) -> None:
-        self._gain = optimal_gain(
+        self._gain = _optimal_gain(
             jacobian,
             interval=interval,
             feature_weight=feature_weight,
@@ -380,7 +346,8 @@ class PredictiveController:
         self._step = interval * as_array("jacobian", jacobian, shape=(None, None))
         self._delay = float(positive("delay", delay, zero=True)) / interval
         self._limit = float(positive("saturation", saturation))
-        self._trust = float(between("trust", trust, 0.0, 1.0, closed=True))
+        share = between("innovation_gain", innovation_gain, 0.0, 1.0, closed=True)
+        self._innovation_gain = float(share)
         whole = int(self._delay)
         self._part = self._delay - whole
         # Commands not yet executed in full, oldest first.
@@ -395,7 +362,7 @@ class PredictiveController:
         elif self._estimate is None:
             self._estimate = measured.copy()
         else:
-            self._estimate = self._estimate + self._trust * (measured - self._estimate)
+            self._estimate = self._estimate + self._innovation_gain * (measured - self._estimate)
         coming = self._part * self._pending[0] + self._pending[1:].sum(axis=0)
         ahead = self._estimate + self._step @ coming
         last = len(reference) - 1.0
@@ -412,10 +379,21 @@ class PredictiveController:
         return command
 
 
+def _optimal_gain(
+    jacobian: ArrayLike, *, interval: float, feature_weight: ArrayLike, control_weight: ArrayLike
+) -> Array:
+    """Return the matrix K of (2.28) that turns a feature error into a velocity, u = −K e."""
+    matrix = _full_rank(jacobian)
+    step = float(positive("interval", interval)) * matrix
+    q = _weight("feature_weight", feature_weight, matrix.shape[0])
+    weight = _weight("control_weight", control_weight, matrix.shape[1])
+    return np.linalg.solve(step.T @ q @ step + weight, step.T @ q)
+
+
 def _full_rank(jacobian: ArrayLike) -> Array:
     matrix = as_array("jacobian", jacobian, shape=(None, None))
     values = np.linalg.svd(matrix, compute_uv=False)
-    if values[-1] <= _RANK * values[0]:
+    if values[-1] * LARGEST_CONDITION <= values[0]:
         raise ValueError(
             "jacobian must have full rank without the motions that the features do not show, "
             f"got singular values from {values[0]:.3g} to {values[-1]:.3g}"
@@ -427,7 +405,7 @@ def _weight(name: str, value: ArrayLike, size: int) -> Array:
     weight = as_array(name, value)
     matrix = np.diag(weight) if weight.ndim == 1 else weight
     matrix = as_array(name, matrix, shape=(size, size))
-    if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
+    if not np.allclose(matrix, matrix.T, rtol=_ROUNDING, atol=0.0):
         raise ValueError(f"{name} must be symmetric")
     least = float(np.linalg.eigvalsh(matrix)[0])
     if least <= 0:

@@ -1,4 +1,4 @@
-"""Figures of merit of a servoing experiment, and the paths it follows."""
+"""Figures of merit of a servoing experiment."""
 
 from __future__ import annotations
 
@@ -7,17 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, as_array, between, positive, same_length
-
-__all__ = [
-    "PathMetrics",
-    "StepMetrics",
-    "circle_path",
-    "path_metrics",
-    "sinusoid_path",
-    "square_path",
-    "step_metrics",
-]
+from microlib._common import as_array, between, same_length
 
 
 @dataclass(frozen=True)
@@ -80,7 +70,9 @@ def step_metrics(
     Returns
     -------
     StepMetrics
-        Settling time, overshoot, accuracy and precision.
+        With ``settling_time`` (s), ``overshoot`` (share of the step), and ``accuracy`` and
+        ``precision`` (the error at settling and its standard deviation from then on, in the unit of
+        the positions). An answer that never settles has an overshoot, and NaN for the others.
 
     Raises
     ------
@@ -126,7 +118,8 @@ def path_metrics(position: ArrayLike, reference: ArrayLike) -> PathMetrics:
     Returns
     -------
     PathMetrics
-        Mean, standard deviation and maximum of the distances.
+        With ``accuracy``, ``precision`` and ``largest``: mean, standard deviation and maximum of
+        the distances.
 
     Raises
     ------
@@ -142,120 +135,3 @@ def path_metrics(position: ArrayLike, reference: ArrayLike) -> PathMetrics:
     x = as_array("position", position, shape=wanted.shape)
     error = np.linalg.norm(x - wanted, axis=1)
     return PathMetrics(float(error.mean()), float(error.std()), float(error.max()))
-
-
-def circle_path(radius: float, speed: float, interval: float) -> Array:
-    """Return one turn around a circle that starts at the origin.
-
-    Parameters
-    ----------
-    radius : float
-        Of the circle.
-    speed : float
-        Along it, in the radius' unit per second.
-    interval : float
-        Between samples, s.
-
-    Returns
-    -------
-    ndarray, shape (K, 2)
-        Positions, counter-clockwise if y points up.
-
-    Raises
-    ------
-    ValueError
-        If a parameter is not positive, or one sample would cover the whole path.
-
-    Examples
-    --------
-    >>> path = circle_path(50.0, 100.0, 0.01)
-    >>> bool(np.allclose(np.hypot(path[:, 0] + 50, path[:, 1]), 50))
-    True
-    """
-    arc = _samples(2 * np.pi * float(positive("radius", radius)), speed, interval)
-    return radius * np.column_stack([np.cos(arc / radius) - 1.0, np.sin(arc / radius)])
-
-
-def square_path(side: float, speed: float, interval: float) -> Array:
-    """Return one turn around a square that starts at the origin.
-
-    Parameters
-    ----------
-    side : float
-        Of the square.
-    speed, interval : float
-        As in `circle_path`.
-
-    Returns
-    -------
-    ndarray, shape (K, 2)
-        Positions, first along x.
-
-    Raises
-    ------
-    ValueError
-        As `circle_path`.
-
-    Examples
-    --------
-    >>> square_path(1.0, 1.0, 0.5)[:4]
-    array([[0. , 0. ],
-           [0.5, 0. ],
-           [1. , 0. ],
-           [1. , 0.5]])
-    """
-    side = float(positive("side", side))
-    arc = _samples(4 * side, speed, interval)
-    corners = side * np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
-    stops = side * np.arange(5)
-    return np.column_stack([np.interp(arc, stops, corners[:, axis]) for axis in (0, 1)])
-
-
-def sinusoid_path(
-    length: float, amplitude: float, speed: float, interval: float, *, periods: float = 2.0
-) -> Array:
-    """Return a sinusoid along x that starts at the origin.
-
-    Parameters
-    ----------
-    length, amplitude : float
-        Extent along x, and height of the crests.
-    speed : float
-        Of x, per second; the speed along the curve is largest where it crosses the axis.
-    interval : float
-        Between samples, s.
-    periods : float, optional
-        Within the length.
-
-    Returns
-    -------
-    ndarray, shape (K, 2)
-        Positions.
-
-    Raises
-    ------
-    ValueError
-        As `circle_path`.
-
-    Examples
-    --------
-    >>> sinusoid_path(4.0, 2.0, 1.0, 1.0, periods=1.0).round(9) + 0.0
-    array([[ 0.,  0.],
-           [ 1.,  2.],
-           [ 2.,  0.],
-           [ 3., -2.]])
-    """
-    length, height = float(positive("length", length)), float(positive("amplitude", amplitude))
-    x = _samples(length, speed, interval)
-    return np.column_stack(
-        [x, height * np.sin(2 * np.pi * positive("periods", periods) / length * x)]
-    )
-
-
-def _samples(total: float, speed: float, interval: float) -> Array:
-    step = float(positive("speed", speed)) * float(positive("interval", interval))
-    if step > total:
-        raise ValueError(
-            f"speed must leave more than one sample on a length of {total:g}, got {step:g}"
-        )
-    return np.arange(0.0, total, step)

@@ -14,9 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, as_array, positive
-
-__all__ = ["Camera", "Controller", "Observer", "Simulation", "Stage", "simulate", "tracked_view"]
-
+from microlib.servoing._control import LARGEST_CONDITION
 
 #: Given the number of the sample, the measured feature (px, NaN if lost) and all references, a
 #: velocity in µm/s.
@@ -55,7 +53,7 @@ class Stage:
     step : float
         Position increment, µm (0.05 for the stages of §5.1).
     travel : float
-        Range of an axis, ± µm around the start.
+        Range of an axis, ± µm around the start (15 mm in all for the stages of §5.1).
     """
 
     saturation: float
@@ -78,8 +76,8 @@ class Stage:
         moved = target * duration + (velocity - target) * self.lag * (1.0 - left)
         return position + moved, target + (velocity - target) * left
 
-    def shown(self, position: Array) -> Array:
-        """Return the position as the increments of the drive allow it, µm."""
+    def quantized(self, position: Array) -> Array:
+        """Return the position rounded to the increments of the drive, µm."""
         return np.rint(position / self.step) * self.step if self.step > 0 else position
 
 
@@ -142,12 +140,11 @@ def simulate(
     jacobian: ArrayLike,
     stage: Stage,
     camera: Camera,
-    rng: np.random.Generator,
+    rng: np.random.Generator | int,
     start: ArrayLike | None = None,
     observer: Observer | None = None,
 ) -> Simulation:
-    """Close the loop of figure 2.3: exposure, measurement, control law, and the stage until the
-    next exposure.
+    """Close the loop of figure 2.3: exposure, measurement, control law, stage, and again.
 
     Parameters
     ----------
@@ -159,8 +156,8 @@ def simulate(
         The true px/µm of the two axes, which the controller need not know exactly.
     stage, camera : Stage, Camera
         The apparatus.
-    rng : numpy.random.Generator
-        Source of the jitter.
+    rng : numpy.random.Generator or int
+        Source of the jitter, or its seed.
     start : array_like, shape (2,), optional
         First feature, px; the first reference by default.
     observer : callable, optional
@@ -170,7 +167,9 @@ def simulate(
     Returns
     -------
     Simulation
-        What happened at each exposure.
+        What happened, one row a frame: ``time`` (s), ``reference``, ``feature`` and ``measured``
+        (K×2, px; a lost measurement is NaN), ``position`` of the stage (K×2, µm from the start),
+        ``command`` (K×2, µm/s) and ``saturated`` (K).
 
     Raises
     ------
@@ -185,13 +184,13 @@ def simulate(
     ...     return 10.0 * (reference[k] - measured)
     >>> run = simulate(proportional, np.full((80, 2), 5.0), jacobian=np.eye(2), start=(0, 0),
     ...                stage=Stage(saturation=100.0), camera=Camera(interval=0.02),
-    ...                rng=np.random.default_rng(0))
+    ...                rng=0)
     >>> run.feature[-1].round(1)
     array([5., 5.])
     """
     wanted = as_array("reference", reference, shape=(None, 2))
     matrix = as_array("jacobian", jacobian, shape=(2, 2))
-    if np.linalg.cond(matrix) > 1e10:
+    if np.linalg.cond(matrix) > LARGEST_CONDITION:
         raise ValueError("jacobian must be regular, got a singular one")
     origin = wanted[0] if start is None else as_array("start", start, shape=(2,))
     needed = np.abs(np.linalg.solve(matrix, (wanted - origin).T)).max()
@@ -199,6 +198,7 @@ def simulate(
         raise ValueError(
             f"reference must lie within ±{stage.travel:g} µm of the start, got {needed:.0f} µm"
         )
+    rng = np.random.default_rng(rng)
     count = len(wanted)
     whole, part = divmod(camera.latency / camera.interval, 1.0)
     first = int(whole) + 1
@@ -208,7 +208,7 @@ def simulate(
     feature, measured, positions = np.empty((3, count, 2))
     saturated = np.zeros(count, bool)
     for k in range(count):
-        positions[k] = stage.shown(position)
+        positions[k] = stage.quantized(position)
         feature[k] = origin + matrix @ positions[k]
         seen = feature[k] + camera.jitter * rng.standard_normal(2)
         measured[k] = seen if observer is None else observer(seen)

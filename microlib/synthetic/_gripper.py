@@ -12,39 +12,58 @@ from scipy import ndimage
 from microlib._common import Array, as_array, one_of, positive, whole
 from microlib.synthetic._textures import mixed_texture
 
-__all__ = [
-    "GripperScene",
-    "WarpedPair",
-    "camera_frame",
-    "gripper_scene",
-    "texture_sequence",
-    "warped_pair",
-]
-
-Frame = NDArray[np.uint8]
-
-#: Samples of the gripper's drawing per pixel: bilinear interpolation between them is then exact to
-#: 0.001 px.
+#: Samples of the gripper's drawing per pixel, which are interpolated linearly: half or twice as
+#: many move the drawn gripper by less than 0.001 px.
 _DENSITY = 4
 
-#: Standard deviation of the grey values of a tracked texture.
+#: Standard deviation of the grey values of a tracked texture: eight bits about a mean of 128 hold
+#: 2.8 of it.
 _CONTRAST = 45.0
 
-#: Standard deviation of the camera's point spread function, px.
+#: Standard deviation (px) of the camera's point spread function in the picture of the gripper, so
+#: that no edge is sharper than a pixel.
 _BLUR = 0.8
+
+#: Order of the splines that move a texture: they are wrong by 0.4 grey levels (root mean square) on
+#: one blurred by 1 px, cubic ones by 0.8 and linear ones by 4.5; the camera's noise is 2.
+_ORDER = 5
+
+#: Samples by which a texture is continued around itself: what its spline assumes beyond decays by
+#: 0.43 a sample, to a thousandth.
+_MARGIN = 8
+
+#: Binary digits of the fraction in which OpenCV takes the coordinates of outlines.
+_FRACTION = 4
+
+#: Outline of one jaw in units of the gap, from the arm at the left, beyond the frame, to the tip.
+_JAW = np.array([[-60, 0.9], [-2.4, 0.9], [-1.2, 0.5], [0.9, 0.5], [0.9, 1.3], [-60, 2.6]])
+
+#: Where the etched holes are along the arm, in units of the gap, their radius, and how much of the
+#: ground they hide. Like the outline they are invented: a scene needs edges along which it looks
+#: alike, and marks across them.
+_HOLES, _HOLE_RADIUS, _HOLE_COVER = np.arange(-12.0, -2.7, 0.8), 0.1, 0.35
+
+#: Mean and standard deviation (grey levels) and scale (px) of the grain of the jaws, and of the
+#: ground behind them; invented, too: the ground is darker and smooth as what is out of focus.
+_GRAIN = {"mean": 165.0, "std": 18.0, "scales": 1.5}
+_GROUND = {"mean": 70, "std": 4, "scales": 12}
+
+#: The smallest side of a frame (px), and the largest opening as a share of its height, that leave
+#: room for both jaws.
+_SMALLEST, _LARGEST_OPENING = 50, 1 / 3
 
 
 def camera_frame(
-    image: ArrayLike, rng: np.random.Generator, *, noise: float, gain: float = 1.0
-) -> Frame:
+    image: ArrayLike, rng: np.random.Generator | int, *, noise: float, gain: float = 1.0
+) -> NDArray[np.uint8]:
     """Return grey values as a camera gives them, with noise and in eight bits.
 
     Parameters
     ----------
     image : array_like, shape (H, W)
         Grey values.
-    rng : numpy.random.Generator
-        Source of the noise.
+    rng : numpy.random.Generator or int
+        Source of the noise, or its seed.
     noise : float
         Standard deviation of the normal noise, grey levels.
     gain : float, optional
@@ -53,7 +72,7 @@ def camera_frame(
     Returns
     -------
     ndarray of uint8, shape (H, W)
-        Frame, clipped to 0…255.
+        NDArray[np.uint8], clipped to 0…255.
 
     Raises
     ------
@@ -67,6 +86,7 @@ def camera_frame(
     """
     grey = as_array("image", image, shape=(None, None))
     sigma = float(positive("noise", noise, zero=True))
+    rng = np.random.default_rng(rng)
     grey = gain * grey + sigma * rng.standard_normal(grey.shape, np.float32)
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
 
@@ -85,14 +105,14 @@ class WarpedPair:
         Its corners in `second`, (x, y) in px.
     """
 
-    first: Frame
-    second: Frame
+    first: NDArray[np.uint8]
+    second: NDArray[np.uint8]
     box: tuple[int, int, int, int]
     corners: Array
 
 
 def warped_pair(
-    rng: np.random.Generator,
+    rng: np.random.Generator | int,
     distance: float,
     *,
     warp: str = "shift",
@@ -105,8 +125,8 @@ def warped_pair(
 
     Parameters
     ----------
-    rng : numpy.random.Generator
-        Source of the texture, the warp and the noise.
+    rng : numpy.random.Generator or int
+        Source of the texture, the warp and the noise, or its seed.
     distance : float
         Root mean square displacement of the four corners in px.
     warp : {"shift", "affine", "homography"}
@@ -138,7 +158,8 @@ def warped_pair(
     one_of("warp", warp, ("shift", "affine", "homography"))
     size = whole("size", size, least=2)
     distance = float(positive("distance", distance, zero=True))
-    side = 3 * size
+    rng = np.random.default_rng(rng)
+    side = 3 * size  # the template in the middle, with its own size around it
     texture = mixed_texture((side, side), rng, std=_CONTRAST, scales=sigma)
     unit = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
     source = unit * (size - 1) + size
@@ -157,7 +178,7 @@ def warped_pair(
         [columns.ravel(), rows.ravel(), np.ones(rows.size)]
     )
     warped = ndimage.map_coordinates(
-        texture, points[1::-1] / points[2], order=5, mode="grid-wrap"
+        texture, points[1::-1] / points[2], order=_ORDER, mode="grid-wrap"
     ).reshape(side, side)
     return WarpedPair(
         first=camera_frame(texture, rng, noise=noise),
@@ -178,20 +199,20 @@ def _homography(source: Array, target: Array) -> Array:
 
 def texture_sequence(
     positions: ArrayLike,
-    rng: np.random.Generator,
+    rng: np.random.Generator | int,
     *,
     size: int = 50,
     sigma: float = 1.0,
     noise: float = 2.0,
-) -> list[Frame]:
+) -> list[NDArray[np.uint8]]:
     """Return frames of a textured square moving over another texture, both as fine as `sigma` px.
 
     Parameters
     ----------
     positions : array_like, shape (N, 2)
         (x, y) of the square's first pixel in each frame, px; they set the size of the frames.
-    rng : numpy.random.Generator
-        Source of both textures and the noise.
+    rng : numpy.random.Generator or int
+        Source of both textures and the noise, or its seed.
     size : int, optional
         Width and height of the square in px.
     sigma, noise : float, optional
@@ -215,17 +236,18 @@ def texture_sequence(
     """
     positions = as_array("positions", positions, shape=(None, 2))
     positive("positions", positions, zero=True)
+    rng = np.random.default_rng(rng)
     width, height = (np.ceil(positions.max(axis=0)) + 2 * size).astype(int)
     ground = mixed_texture((height, width), rng, std=_CONTRAST, scales=sigma)
     square = mixed_texture((size, size), rng, std=_CONTRAST, scales=sigma)
-    spline = ndimage.spline_filter(np.pad(square, 8, mode="wrap"), order=5)
+    spline = ndimage.spline_filter(np.pad(square, _MARGIN, mode="wrap"), order=_ORDER)
     frames = []
     for x, y in positions:
         image = ground.copy()
         column, row = int(np.floor(x)), int(np.floor(y))
         columns, rows = np.arange(size + 1) + column - x, np.arange(size + 1) + row - y
-        grid = np.meshgrid(rows + 8, columns + 8, indexing="ij")
-        moved = ndimage.map_coordinates(spline, grid, order=5, prefilter=False)
+        grid = np.meshgrid(rows + _MARGIN, columns + _MARGIN, indexing="ij")
+        moved = ndimage.map_coordinates(spline, grid, order=_ORDER, prefilter=False)
         cover = np.outer(_coverage(rows, size), _coverage(columns, size))
         part = image[row : row + size + 1, column : column + size + 1]
         part += cover * (moved - part)
@@ -272,11 +294,11 @@ class GripperScene:
     def frame(
         self,
         shift: ArrayLike,
-        rng: np.random.Generator,
+        rng: np.random.Generator | int,
         *,
         noise: float = 2.0,
         gain: float = 1.0,
-    ) -> Frame:
+    ) -> NDArray[np.uint8]:
         """Return the frame with the gripper moved by `shift` = (x, y) px from home."""
         shift = as_array("shift", shift, shape=(2,))
         margin = (np.array(self.drawing.shape[::-1]) / _DENSITY - self.shape[::-1]) / 2
@@ -292,7 +314,7 @@ class GripperScene:
 
 
 def gripper_scene(
-    rng: np.random.Generator,
+    rng: np.random.Generator | int,
     *,
     pixel_size: float,
     gap: float = 100.0,
@@ -303,8 +325,8 @@ def gripper_scene(
 
     Parameters
     ----------
-    rng : numpy.random.Generator
-        Source of the grain and of the ground.
+    rng : numpy.random.Generator or int
+        Source of the grain and of the ground, or its seed.
     pixel_size : float
         Effective pixel size in the object plane, µm.
     gap : float, optional
@@ -333,30 +355,30 @@ def gripper_scene(
     """
     opening = float(positive("gap", gap) / positive("pixel_size", pixel_size))
     reach = whole("reach", reach, least=1)
-    rows, columns = whole("shape[0]", shape[0], least=50), whole("shape[1]", shape[1], least=50)
-    if opening > rows / 3:
+    rows, columns = (whole(f"shape[{axis}]", shape[axis], least=_SMALLEST) for axis in (0, 1))
+    if opening > _LARGEST_OPENING * rows:
         raise ValueError(
             f"gap must be under a third of the frame's {rows} px, got {opening:.0f} px"
         )
-    margin = reach + 2
+    rng = np.random.default_rng(rng)
+    margin = reach + 2  # a pixel for the interpolation, and one that `frame` keeps
     height, width = _DENSITY * (rows + 2 * margin), _DENSITY * (columns + 2 * margin)
     middle = np.array([(columns - 1) / 2, (rows - 1) / 2])
     cover = np.zeros((height, width), np.float32)
     scale = opening * _DENSITY
     x0, y0 = _DENSITY * (middle + margin)
     for side in (-1, 1):
-        # Outline of one jaw in units of the gap, from the arm at the left to the tip.
-        jaw = np.array([[-60, 0.9], [-2.4, 0.9], [-1.2, 0.5], [0.9, 0.5], [0.9, 1.3], [-60, 2.6]])
-        outline = np.column_stack([x0 + scale * jaw[:, 0], y0 + side * scale * jaw[:, 1]])
-        cv2.fillPoly(cover, [np.rint(outline * 16).astype(np.int32)], 1.0, cv2.LINE_8, 4)
-        for hole in np.arange(-12.0, -2.7, 0.8):
+        outline = np.column_stack([x0 + scale * _JAW[:, 0], y0 + side * scale * _JAW[:, 1]])
+        fixed = np.rint(outline * 2**_FRACTION).astype(np.int32)
+        cv2.fillPoly(cover, [fixed], 1.0, cv2.LINE_8, _FRACTION)
+        radius = int(np.rint(2**_FRACTION * _HOLE_RADIUS * scale))
+        for hole in _HOLES:
+            # On the middle line of the arm, which runs from the tip to the far end of the outline.
             middle_line = 1.1 + 0.65 * (0.9 - hole) / 60.9
             spot = np.array([x0 + scale * hole, y0 + side * scale * middle_line])
-            radius = int(np.rint(16 * 0.1 * scale))
-            cv2.circle(cover, np.rint(spot * 16).astype(int), radius, 0.35, -1, cv2.LINE_8, 4)
-    grain = mixed_texture(
-        (height // _DENSITY, width // _DENSITY), rng, mean=165.0, std=18.0, scales=1.5
-    )
+            fixed = np.rint(spot * 2**_FRACTION).astype(int)
+            cv2.circle(cover, fixed, radius, _HOLE_COVER, -1, cv2.LINE_8, _FRACTION)
+    grain = mixed_texture((height // _DENSITY, width // _DENSITY), rng, **_GRAIN)
     fine = cv2.resize(grain, (width, height), interpolation=cv2.INTER_CUBIC)
     soft = cv2.GaussianBlur(cover, (0, 0), _BLUR * _DENSITY).astype(np.float32)
     return GripperScene(
@@ -365,5 +387,5 @@ def gripper_scene(
         opening=opening,
         drawing=soft * fine.astype(np.float32),
         cover=soft,
-        ground=mixed_texture((rows, columns), rng, mean=70, std=4, scales=12),
+        ground=mixed_texture((rows, columns), rng, **_GROUND),
     )

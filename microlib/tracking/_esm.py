@@ -1,4 +1,4 @@
-"""Efficient second-order minimisation (ESM) of the difference between a template and an image.
+"""Efficient second-order minimization (ESM) of the difference between a template and an image.
 
 The warp is a matrix on homogeneous template coordinates, updated as ``G ← G exp(Σ xᵢ Bᵢ)`` with the
 generators Bᵢ of its group: translation, affine, or the homographies through sl(3). Averaging the
@@ -14,9 +14,6 @@ import cv2
 import numpy as np
 
 from microlib._common import Array, Image
-
-__all__ = ["MOTIONS", "Fit", "Stage", "apply_homography", "exponential", "half_pixel"]
-
 
 #: Group of warps to the entries (row, column, value) of each of its generators.
 _GENERATORS: dict[str, list[list[tuple[int, int, float]]]] = {
@@ -35,28 +32,30 @@ _GENERATORS: dict[str, list[list[tuple[int, int, float]]]] = {
 }
 MOTIONS = tuple(_GENERATORS)
 
-#: Six-tap half-sample interpolator, exact for quintic polynomials.
+#: Lagrange's interpolation half-way between six equidistant samples, exact for quintic polynomials.
 _HALF_SAMPLE = np.array([[3, -25, 150, 150, -25, 3]], np.float32) / 256
 
-#: Pixels beyond the template that its gradient needs.
+#: Orders of the exponential's series: its argument is at most ½, and 0.5¹⁶/16! is 10⁻¹⁸.
+_TAYLOR_ORDERS = 16
+
+#: A term of that series below this is lost in the rounding of the sum, whose diagonal is about 1.
+_NEGLIGIBLE = 1e-17
+
+#: Pixels beyond the template that its gradient needs: the differences span five pixels.
 _MARGIN = 2
 
-#: Relative damping of the normal equations: far below any information in an image, it keeps a
-#: direction that the image does not determine (an aperture problem) at rest instead of dividing by
-#: rounding errors.
 _DAMPING = 1e-9
 
-#: Ratio of the norms of two columns of the design at which the smaller one counts as absent.
 _VANISHING = 1e-6
 
-#: A template whose area changes by more than this factor within one frame is not tracked any more.
 _AREA_FACTOR = 4.0
 
-#: A motion parameter that steps further, in half template sizes, has left the template.
 _LARGEST_STEP = 4.0
 
-#: Least share of the template's pixels that must lie inside the image.
 _LEAST_VISIBLE = 0.25
+
+#: Radius of the Gaussian in standard deviations; 0.3 % of its weight lies beyond.
+_TRUNCATION = 3
 
 
 def generators(motion: str) -> Array:
@@ -77,13 +76,13 @@ def exponential(matrix: Array) -> Array:
     array([[ 0., -1.],
            [ 1.,  0.]])
     """
-    halvings = max(0, int(np.ceil(np.log2(max(np.abs(matrix).sum(), 1e-300)))) + 1)
+    halvings = int(np.ceil(np.log2(max(np.abs(matrix).sum(), 0.5)))) + 1
     scaled = matrix / 2.0**halvings
     term, total = scaled, np.eye(len(matrix)) + scaled
-    for order in range(2, 16):  # 0.5¹⁶/16! is far below the rounding of a double
+    for order in range(2, _TAYLOR_ORDERS):
         term = term @ scaled / order
         total += term
-        if np.abs(term).max() < 1e-17:
+        if np.abs(term).max() < _NEGLIGIBLE:
             break
     for _ in range(halvings):
         total = total @ total
@@ -113,18 +112,18 @@ def half_pixel(image: Image) -> Image:
 
 
 @dataclass(frozen=True)
-class Fit:
-    """Where one stage left the warp.
+class Alignment:
+    """Where the minimization at one level left the warp.
 
     Attributes
     ----------
     pose : ndarray, shape (3, 3)
-        Warp of normalised template coordinates to px of the image.
+        Warp of normalized template coordinates to px of the image.
     failure : str
-        Empty, or why the stage gave up: ``"singular"``, ``"diverged"`` or ``"out of view"``; the
-        pose is then the last good one.
+        Empty, or why the minimization gave up: ``"singular"``, ``"diverged"`` or ``"out of view"``;
+        the pose is then the last good one.
     correlation : float
-        Normalised correlation of template and warped image over the visible pixels.
+        Normalized correlation of template and warped image over the visible pixels.
     gain, bias : float
         Grey values of the image are ``gain``·template + ``bias``.
     visible : float
@@ -146,29 +145,29 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class Stage:
-    """A template at one resolution, with all that does not change from frame to frame.
+class Level:
+    """A level of the pyramid: the template at one resolution, with all that frames leave alone.
 
     Attributes
     ----------
     to_image : ndarray, shape (3, 3)
-        Pixels of the frame to samples of this stage's image.
+        Pixels of the frame to samples of this level's image.
     to_template : ndarray, shape (3, 3)
-        Pixels of the padded patch to normalised template coordinates.
+        Pixels of the padded patch to normalized template coordinates.
     padded : tuple of int
         Width and height of the patch with the padding that smoothing and gradients need.
     smoothing : float
         Standard deviation, in px of the patch, of the Gaussian applied in the template's frame:
         smoothing there, and not in the image, commutes with the warp.
     corners : ndarray, shape (4, 2)
-        Corners of the template in normalised coordinates.
+        Corners of the template in normalized coordinates.
     basis : ndarray, shape (n, 3, 3)
         Generators of the motion.
     flow : ndarray, shape (2, n, N)
         Velocity (x and y, px of the patch) of each pixel for each generator.
-    template, slopes : ndarray, shapes (N,) and (2, N)
-        Grey values less `mean`, and their gradient along x and y per px of the patch.
-    mean, spread : float
+    template, gradient : ndarray, shapes (N,) and (2, N)
+        Grey values less `mean`, and their gradient in x and y per px of the patch.
+    mean, contrast : float
         Mean and standard deviation of the template's grey values.
     """
 
@@ -180,24 +179,24 @@ class Stage:
     basis: Array
     flow: Image
     template: Image
-    slopes: Image
+    gradient: Image
     mean: float
-    spread: float
+    contrast: float
 
-    def fit(
+    def align(
         self, image: Image, pose: Array, *, tolerance: float, iterations: int, gain: float = 1.0
-    ) -> Fit:
-        """Minimise over warp, gain and bias until the corners move by less than `tolerance` px."""
+    ) -> Alignment:
+        """Minimize over warp, gain and bias until the corners move by less than `tolerance` px."""
         n = len(self.basis)
         first = corners = apply_homography(pose, self.corners)
         for count in range(1, iterations + 1):
-            rows, visible = self._rows(image, pose, gain)
+            rows, visible = self._design(image, pose, gain)
             if visible < _LEAST_VISIBLE:
-                return Fit(pose, failure="out of view", visible=visible, iterations=count)
+                return Alignment(pose, failure="out of view", visible=visible, iterations=count)
             normal = rows @ rows.T
             scale = np.sqrt(np.diag(normal))
             if scale[:-1].min() <= _VANISHING * scale[:-1].max():
-                return Fit(pose, failure="singular", visible=visible, iterations=count)
+                return Alignment(pose, failure="singular", visible=visible, iterations=count)
             scale[-1] = scale[-1] or 1.0  # a frame that is flat at the mean of the template
             scaled = normal / np.outer(scale, scale)
             system = scaled[:-1, :-1].copy()
@@ -205,17 +204,17 @@ class Stage:
             solution = np.linalg.solve(system, scaled[:-1, -1]) * scale[-1] / scale[:-1]
             step = -solution[:n]
             if not np.abs(step).max() < _LARGEST_STEP:  # also True for NaN
-                return Fit(pose, failure="diverged", visible=visible, iterations=count)
+                return Alignment(pose, failure="diverged", visible=visible, iterations=count)
             moved = pose @ exponential(np.tensordot(step, self.basis, 1))
             before, corners = corners, apply_homography(moved, self.corners)
             if _degenerate(corners, first):
-                return Fit(pose, failure="diverged", visible=visible, iterations=count)
+                return Alignment(pose, failure="diverged", visible=visible, iterations=count)
             pose, gain = moved, float(solution[n])
             if np.abs(corners - before).max() < tolerance:
                 break
         freedom = visible * self.template.size - len(solution)
         residual = max(float(normal[-1, -1] - normal[-1, :-1] @ solution), 0.0) / max(freedom, 1.0)
-        return Fit(
+        return Alignment(
             pose=pose,
             correlation=_correlation(normal[n:, n:]),
             gain=gain,
@@ -241,7 +240,7 @@ class Stage:
         shift[:2, 2] = self.to_template[0, 0] * (np.array([column, row]) - reach)
         return pose @ shift
 
-    def _rows(self, image: Image, pose: Array, gain: float) -> tuple[Array, float]:
+    def _design(self, image: Image, pose: Array, gain: float) -> tuple[Array, float]:
         """Return image Jacobian, template, one and image as rows, and the share of pixels in view.
 
         The product of these rows with themselves holds the whole of the normal equations. The
@@ -249,20 +248,20 @@ class Stage:
         """
         n = len(self.basis)
         warp = self.to_image @ pose @ self.to_template
-        grey, slopes = _values(_sample(image, warp, self.padded, self.smoothing))
+        grey, gradient = _grey_and_gradient(_sample(image, warp, self.padded, self.smoothing))
         grey = grey - np.float32(self.mean)
-        slopes = np.float32(0.5) * (slopes + np.float32(gain) * self.slopes)
+        gradient = np.float32(0.5) * (gradient + np.float32(gain) * self.gradient)
         rows = np.empty((n + 3, grey.size), np.float32)
-        np.multiply(self.flow[0], slopes[0], out=rows[:n])
-        rows[:n] += self.flow[1] * slopes[1]
+        np.multiply(self.flow[0], gradient[0], out=rows[:n])
+        rows[:n] += self.flow[1] * gradient[1]
         rows[n], rows[n + 1], rows[n + 2] = self.template, 1.0, grey
-        seen = _seen(image, warp, self.padded, _padding(self.smoothing))
-        if seen is None:
+        visible = _visible(image, warp, self.padded, _padding(self.smoothing))
+        if visible is None:
             return rows.astype(np.float64), 1.0
-        return (rows * seen).astype(np.float64), float(seen.mean())
+        return (rows * visible).astype(np.float64), float(visible.mean())
 
 
-def make_stage(
+def make_level(
     image: Image,
     box: tuple[int, int, int, int],
     pose: Array,
@@ -271,7 +270,7 @@ def make_stage(
     density: int,
     smoothing: float,
     motion: str,
-) -> Stage:
+) -> Level:
     """Cut a template from an image of the pyramid.
 
     Parameters
@@ -282,9 +281,9 @@ def make_stage(
     box : tuple of int
         (x, y, width, height) in px of the frame.
     pose : ndarray, shape (3, 3)
-        Normalised template coordinates to px of the frame.
+        Normalized template coordinates to px of the frame.
     step : int
-        Px of the frame between neighbouring pixels of the template.
+        Px of the frame between neighboring pixels of the template.
     density : int
         Samples of `image` for `step` px of the frame.
     smoothing : float
@@ -302,7 +301,7 @@ def make_stage(
     )
     to_image = np.diag([density / step, density / step, 1.0])
     to_template = np.linalg.inv(pose) @ to_frame
-    template, slopes = _values(_sample(image, to_image @ to_frame, padded, smoothing))
+    template, gradient = _grey_and_gradient(_sample(image, to_image @ to_frame, padded, smoothing))
     mean = float(template.mean())
     column, row = np.meshgrid(np.arange(columns) + pad, np.arange(rows) + pad)
     grid = np.stack([column.ravel(), row.ravel(), np.ones(column.size)])
@@ -311,7 +310,7 @@ def make_stage(
     velocity = basis @ points
     flow = (velocity[:, :2] - points[:2] * velocity[:, 2:]) / to_template[0, 0]
     edges = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [width - 1, height - 1] + [x, y]
-    return Stage(
+    return Level(
         to_image=to_image,
         to_template=to_template,
         padded=padded,
@@ -320,15 +319,15 @@ def make_stage(
         basis=basis,
         flow=np.ascontiguousarray(flow.transpose(1, 0, 2), np.float32),
         template=template - np.float32(mean),
-        slopes=slopes,
+        gradient=gradient,
         mean=mean,
-        spread=float(template.std()),
+        contrast=float(template.std()),
     )
 
 
 def _padding(smoothing: float) -> int:
     """Return the margin of a patch: the Gaussian's radius and two pixels for the gradient."""
-    return int(np.ceil(3 * smoothing)) + _MARGIN
+    return int(np.ceil(_TRUNCATION * smoothing)) + _MARGIN
 
 
 def _sample(image: Image, warp: Array, padded: tuple[int, int], smoothing: float) -> Image:
@@ -342,25 +341,25 @@ def _sample(image: Image, warp: Array, padded: tuple[int, int], smoothing: float
     return cv2.GaussianBlur(patch, size, smoothing)[radius:-radius, radius:-radius]
 
 
-def _values(patch: Image) -> tuple[Image, Image]:
-    """Return the grey values inside the margin and their fourth-order differences in x and y."""
+def _grey_and_gradient(patch: Image) -> tuple[Image, Image]:
+    """Return the grey values inside the margin, and fourth-order central differences in x and y."""
     rows, columns = patch[2:-2], patch[:, 2:-2]
-    near = np.stack([rows[:, 3:-1] - rows[:, 1:-3], columns[3:-1] - columns[1:-3]])
-    far = np.stack([rows[:, 4:] - rows[:, :-4], columns[4:] - columns[:-4]])
-    slopes = np.float32(2 / 3) * near - np.float32(1 / 12) * far
-    return rows[:, 2:-2].ravel(), slopes.reshape(2, -1)
+    inner = np.stack([rows[:, 3:-1] - rows[:, 1:-3], columns[3:-1] - columns[1:-3]])
+    outer = np.stack([rows[:, 4:] - rows[:, :-4], columns[4:] - columns[:-4]])
+    gradient = np.float32(2 / 3) * inner - np.float32(1 / 12) * outer
+    return rows[:, 2:-2].ravel(), gradient.reshape(2, -1)
 
 
-def _seen(image: Image, warp: Array, padded: tuple[int, int], pad: int) -> Image | None:
+def _visible(image: Image, warp: Array, padded: tuple[int, int], pad: int) -> Image | None:
     """Return which pixels of the template the image shows, or None if it shows all of them."""
-    limit = np.array(image.shape[::-1]) - 1.0
-    far = np.array(padded) - 1.0
-    ends = apply_homography(warp, np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * far)
-    if (ends >= 0).all() and (ends <= limit).all():
+    last = np.array(image.shape[::-1]) - 1.0
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (np.array(padded) - 1.0)
+    mapped = apply_homography(warp, corners)
+    if (mapped >= 0).all() and (mapped <= last).all():
         return None
     column, row = np.meshgrid(np.arange(pad, padded[0] - pad), np.arange(pad, padded[1] - pad))
     points = apply_homography(warp, np.column_stack([column.ravel(), row.ravel()]))
-    inside = (points >= 0) & (points <= limit)
+    inside = (points >= 0) & (points <= last)
     return (inside[:, 0] & inside[:, 1]).astype(np.float32)
 
 
@@ -369,12 +368,12 @@ def _correlation(normal: Array) -> float:
     template, one, image = range(3)
     count = normal[one, one]
     covariance = normal - np.outer(normal[one], normal[one]) / count
-    spread = covariance[template, template] * covariance[image, image]
-    return float(covariance[template, image] / np.sqrt(spread)) if spread > 0 else 0.0
+    variances = covariance[template, template] * covariance[image, image]
+    return float(covariance[template, image] / np.sqrt(variances)) if variances > 0 else 0.0
 
 
 def _degenerate(corners: Array, first: Array) -> bool:
-    """Tell whether a warp tore the template: not finite, turned over, or of quite another area."""
+    """Return whether a warp tore the template: not finite, turned over, or of another area."""
     ratio = _area(corners) / _area(first)
     return not 1 / _AREA_FACTOR < ratio < _AREA_FACTOR  # also True for NaN
 

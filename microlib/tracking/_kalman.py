@@ -7,8 +7,6 @@ from numpy.typing import ArrayLike
 
 from microlib._common import Array, as_array, positive
 
-__all__ = ["KalmanFilter"]
-
 #: Standard deviation (px/s) given to the unknown velocity of the first frame.
 _UNKNOWN_VELOCITY = 1e3
 

@@ -1,4 +1,4 @@
-"""Template tracking by efficient second-order minimisation over a pyramid (§5.3)."""
+"""Template tracking by efficient second-order minimization over a pyramid (§5.3)."""
 
 from __future__ import annotations
 
@@ -11,50 +11,30 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import hadamard
 
 from microlib._common import Array, Image, as_image, between, one_of, positive, whole
-from microlib.tracking._esm import MOTIONS, Fit, Stage, apply_homography, half_pixel, make_stage
+from microlib.tracking._esm import (
+    MOTIONS,
+    Alignment,
+    Level,
+    apply_homography,
+    half_pixel,
+    make_level,
+)
 from microlib.tracking._kalman import KalmanFilter
 
-__all__ = ["ESMTracker", "KalmanFilter", "Track"]
-
-
-#: The coarsest template is at least this many pixels wide and high.
 _COARSEST = 6
-
-#: Below this width or height a template says where it is, but not how it is deformed.
 _DEFORMABLE = 12
-
-#: Corner step (px of the stage) that ends a coarse stage, and the last one: the next step of a
-#: second-order method is smaller than the square of it.
 _TOLERANCE, _LAST_TOLERANCE = 0.5, 0.05
-
-#: Most steps of one stage: far beyond the 1 to 6 that a converging one takes.
-_STEPS = 15
-
-#: Correlation that an attempt must reach to be convincing, whatever the noise.
+_MOST_STEPS = 15
 _CONVINCING = 0.9
-
-#: Loss of correlation that interpolation alone may cause.
-_NOISELESS = 0.002
-
-#: Side (px) above which a template is halved for the search by correlation.
-_CORRELATED = 64
-
-#: How far a distorted start moves each corner coordinate, in sides of the template.
+_NOISE_FACTOR = 2.0
+_INTERPOLATION_LOSS = 0.002
+_LARGEST_MATCHED = 64
 _DISTORTION = 0.17
-
-#: Correlation below which a distorted start is given up at a coarse resolution; right ones have
-#: more.
 _PROMISING = 0.8
-
-#: Margin (px) around the template that the last stage samples; it starts a fraction of a pixel
-#: away.
-_NEAR = 6.0
-
-#: Least share of the template's contrast that a resolution must keep to be used.
-_LEAST_SPREAD = 0.01
-
-#: Least ratio of the weaker to the stronger eigenvalue of the gradients' second moments.
+_LAST_MARGIN = 6.0
+_LEAST_CONTRAST = 0.01
 _LEAST_CORNERNESS = 1e-4
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -73,7 +53,7 @@ class Track:
         Empty, or why it was not: ``"singular"``, ``"diverged"``, ``"out of view"`` or ``"low
         correlation"``.
     correlation : float
-        Normalised correlation of the template and the frame under the warp, −1 to 1.
+        Normalized correlation of the template and the frame under the warp, −1 to 1.
     homography : ndarray, shape (3, 3)
         Maps px of the template's frame to px of this frame.
     gain, bias : float
@@ -83,7 +63,7 @@ class Track:
     iterations : int
         Steps of the attempt that was kept, all resolutions together.
     covariance : ndarray, shape (2, 2)
-        Covariance of `center` in px², from the residual of the fit; NaN when `lost`.
+        Covariance of `center` in px², from the residual of the alignment; NaN when `lost`.
     """
 
     corners: Array
@@ -104,14 +84,14 @@ class Track:
 
 
 class ESMTracker:
-    """Track a template through grey frames by efficient second-order minimisation.
+    """Track a template through grey frames by efficient second-order minimization.
 
     Gain and bias are estimated along with the motion, on a template and a warped frame smoothed in
     the template's coordinates. A search begins at the finest resolution; while the correlation is
     not convincing it begins again from coarser ones, and in the end from the best match by
     correlation in the surroundings. A template that may deform, and was seen in the frame before,
     is not given up until the search has begun from 32 distortions of it. Resolutions with fewer
-    than 12 px a side estimate the translation only. A last stage without smoothing samples the
+    than 12 px a side estimate the translation only. A last level without smoothing samples the
     frame at half pixels, which removes most of the error of bilinear interpolation.
 
     Parameters
@@ -130,7 +110,7 @@ class ESMTracker:
         Standard deviation of the Gaussian in px of each resolution. Without a pyramid about 3 px
         reach as far as the default with one.
     least_correlation : float, optional
-        Normalised correlation below which the template counts as lost.
+        Normalized correlation below which the template counts as lost.
     kalman : KalmanFilter, optional
         Predicts where each frame's search starts. By default a search starts where the last one
         ended.
@@ -181,29 +161,29 @@ class ESMTracker:
                 f"levels must leave {_COARSEST} px of a box of {width}×{height} px, got {levels}"
             )
         smoothing = float(positive("smoothing", smoothing))
-        self._least = float(between("least_correlation", least_correlation, 0.0, 1.0))
+        self._least_correlation = float(between("least_correlation", least_correlation, 0.0, 1.0))
         self._shape = frame.shape
         self._kalman = kalman
-        self._typical, self._gain = 1.0, 1.0
-        self._held = True
+        self._last_correlation, self._gain = 1.0, 1.0
+        self._found = True
         size = max(width, height) / 2
         self._start = np.array(
             [[size, 0, x + (width - 1) / 2], [0, size, y + (height - 1) / 2], [0, 0, 1.0]]
         )
         self._pose = self._start
-        self._stages = [
-            make_stage(
+        self._levels = [
+            make_level(
                 layer,
                 self._box,
                 self._start,
-                step=2**level,
+                step=2**halvings,
                 density=1,
                 smoothing=smoothing,
-                motion=motion if min(width, height) >= _DEFORMABLE * 2**level else "translation",
+                motion=motion if min(width, height) >= _DEFORMABLE * 2**halvings else "translation",
             )
-            for level, layer in enumerate(_pyramid(frame, levels))
+            for halvings, layer in enumerate(_pyramid(frame, levels))
         ]
-        self._refinement = make_stage(
+        self._refinement = make_level(
             half_pixel(frame),
             self._box,
             self._start,
@@ -213,9 +193,9 @@ class ESMTracker:
             motion=motion,
         )
         _check_texture(self._refinement)
-        while self._stages[-1].spread < _LEAST_SPREAD * self._refinement.spread:
-            self._stages.pop()  # a texture too fine for this resolution, which would follow noise
-        sizes = [len(stage.basis) for stage in self._stages]
+        while self._levels[-1].contrast < _LEAST_CONTRAST * self._refinement.contrast:
+            self._levels.pop()  # a texture too fine for this resolution, which would follow noise
+        sizes = [len(level.basis) for level in self._levels]
         self._deformable = sizes.count(len(self._refinement.basis))
         # At the finest resolution alone each would cost as much as a whole search.
         several = self._deformable > 1
@@ -244,28 +224,28 @@ class ESMTracker:
             raise ValueError(f"frame must have shape {self._shape}, got {np.shape(frame)}")
         if self._kalman is not None:
             self._move_to(self._kalman.predict())
-        fit = self._search(np.asarray(frame))
-        reason = self._reason(fit)
-        self._held = not reason
+        alignment = self._search(np.asarray(frame))
+        reason = self._reason(alignment)
+        self._found = not reason
         if not reason:
-            self._pose = fit.pose
-            self._typical, self._gain = fit.correlation, fit.gain
+            self._pose = alignment.pose
+            self._last_correlation, self._gain = alignment.correlation, alignment.gain
             if self._kalman is not None:
                 self._kalman.update(self._corners().mean(axis=0))
         return Track(
             corners=self._corners(),
             lost=bool(reason),
             reason=reason,
-            correlation=fit.correlation,
+            correlation=alignment.correlation,
             homography=_unit(self._pose @ np.linalg.inv(self._start)),
-            gain=fit.gain,
-            bias=fit.bias,
-            visible=fit.visible,
-            iterations=fit.iterations,
-            covariance=np.full((2, 2), np.nan) if reason else self._center_covariance(fit),
+            gain=alignment.gain,
+            bias=alignment.bias,
+            visible=alignment.visible,
+            iterations=alignment.iterations,
+            covariance=np.full((2, 2), np.nan) if reason else self._center_covariance(alignment),
         )
 
-    def _search(self, frame: NDArray) -> Fit:
+    def _search(self, frame: NDArray) -> Alignment:
         """Align from ever more distant starts until one is convincing, and return the best.
 
         The first start is at the finest resolution: one close to the truth is thus never led astray
@@ -276,23 +256,25 @@ class ESMTracker:
         corners = self._corners()
         region, origin = _cut(frame, corners, np.ptp(corners, axis=0).max())
         if min(region.shape) < 2:
-            return Fit(self._pose, failure="out of view")
+            return Alignment(self._pose, failure="out of view")
         image = as_image("frame", region)
         start = _shifted(self._pose, -origin)
-        best = Fit(start, failure="diverged", correlation=-1.0)
+        best = Alignment(start, failure="diverged", correlation=-1.0)
         for pose, layers in self._starts(start, image):
-            fit = self._align(layers, pose)
-            if best.failure or (not fit.failure and fit.correlation > best.correlation):
-                best = fit
+            alignment = self._align(layers, pose)
+            if best.failure or (not alignment.failure and alignment.correlation > best.correlation):
+                best = alignment
             if not best.failure and best.correlation > self._convincing():
                 break
-        if self._held and self._distortions and self._reason(best):
+        if self._found and self._distortions and self._reason(best):
             best = self._align_distorted(image, start) or best
         return replace(best, pose=_shifted(best.pose, origin))
 
-    def _reason(self, fit: Fit) -> str:
-        """Return why a fit does not count as the template, or nothing if it does."""
-        return fit.failure or ("low correlation" if fit.correlation < self._least else "")
+    def _reason(self, alignment: Alignment) -> str:
+        """Return why an alignment does not count as the template, or nothing if it does."""
+        return alignment.failure or (
+            "low correlation" if alignment.correlation < self._least_correlation else ""
+        )
 
     def _convincing(self) -> float:
         """Return the correlation at which no further start is tried.
@@ -300,50 +282,58 @@ class ESMTracker:
         It follows the last one that was accepted: where much of a template is alike, a wrong place
         may correlate to 0.95, but the noise of the camera sets how far the right one falls below 1.
         """
-        return max(_CONVINCING, 1.0 - 2.0 * (1.0 - self._typical) - _NOISELESS)
+        noise = _NOISE_FACTOR * (1.0 - self._last_correlation)
+        return max(_CONVINCING, 1.0 - noise - _INTERPOLATION_LOSS)
 
     def _starts(self, pose: Array, image: Image) -> Iterator[tuple[Array, list[Image]]]:
         """Yield starting poses and the resolutions to refine them through, the finest first."""
         layers: list[Image] = []
-        for _ in self._stages:
+        for _ in self._levels:
             layers.append(_halved(layers[-1]) if layers else image)
             yield pose, layers
-        level = min(int(np.log2(max(self._box[2:]) / _CORRELATED)), len(layers) - 1)
-        level = max(level, 0)
-        reach = max(self._box[2:]) // 2**level
-        yield self._stages[level].correlate(layers[level], pose, reach), layers[: level + 1]
+        halvings = min(int(np.log2(max(self._box[2:]) / _LARGEST_MATCHED)), len(layers) - 1)
+        halvings = max(halvings, 0)
+        reach = max(self._box[2:]) // 2**halvings
+        matched = self._levels[halvings].correlate(layers[halvings], pose, reach)
+        yield matched, layers[: halvings + 1]
 
-    def _align_distorted(self, image: Image, pose: Array) -> Fit | None:
-        """Align from distortions of the template, and return the first fit that convinces."""
+    def _align_distorted(self, image: Image, pose: Array) -> Alignment | None:
+        """Align from distortions of the template, and return the first alignment that convinces."""
         layers = _pyramid(image, self._deformable)
         for distortion in self._distortions:
-            fit = self._align(layers, pose @ distortion, promising=_PROMISING)
-            if not fit.failure and fit.correlation > max(self._least, _CONVINCING):
-                return fit
+            alignment = self._align(layers, pose @ distortion, promising=_PROMISING)
+            if not alignment.failure and alignment.correlation > max(
+                self._least_correlation, _CONVINCING
+            ):
+                return alignment
         return None
 
-    def _align(self, layers: list[Image], pose: Array, promising: float = -1.0) -> Fit:
+    def _align(self, layers: list[Image], pose: Array, promising: float = -1.0) -> Alignment:
         """Refine a pose from the last of the layers to the first, and then between the pixels."""
         gain, iterations = self._gain, 0
-        for stage, layer in reversed(list(zip(self._stages, layers, strict=False))):
-            tolerance = _TOLERANCE / stage.to_image[0, 0]
-            fit = stage.fit(layer, pose, tolerance=tolerance, iterations=_STEPS, gain=gain)
-            iterations += fit.iterations
-            pose, gain = fit.pose, fit.gain
-            if fit.failure or fit.correlation < promising:
-                return replace(fit, iterations=iterations)
-        if fit.correlation > self._least:
-            near, offset = _cut(layers[0], apply_homography(pose, self._refinement.corners), _NEAR)
-            fit = self._refinement.fit(
+        for level, layer in reversed(list(zip(self._levels, layers, strict=False))):
+            tolerance = _TOLERANCE / level.to_image[0, 0]
+            alignment = level.align(
+                layer, pose, tolerance=tolerance, iterations=_MOST_STEPS, gain=gain
+            )
+            iterations += alignment.iterations
+            pose, gain = alignment.pose, alignment.gain
+            if alignment.failure or alignment.correlation < promising:
+                return replace(alignment, iterations=iterations)
+        if alignment.correlation > self._least_correlation:
+            near, offset = _cut(
+                layers[0], apply_homography(pose, self._refinement.corners), _LAST_MARGIN
+            )
+            alignment = self._refinement.align(
                 half_pixel(near),
                 _shifted(pose, -offset),
                 tolerance=_LAST_TOLERANCE,
-                iterations=_STEPS,
+                iterations=_MOST_STEPS,
                 gain=gain,
             )
-            fit = replace(fit, pose=_shifted(fit.pose, offset))
-            iterations += fit.iterations
-        return replace(fit, iterations=iterations)
+            alignment = replace(alignment, pose=_shifted(alignment.pose, offset))
+            iterations += alignment.iterations
+        return replace(alignment, iterations=iterations)
 
     def _corners(self) -> Array:
         return apply_homography(self._pose, self._refinement.corners)
@@ -351,18 +341,18 @@ class ESMTracker:
     def _move_to(self, center: Array) -> None:
         self._pose = _shifted(self._pose, center - self._corners().mean(axis=0))
 
-    def _center_covariance(self, fit: Fit) -> Array:
+    def _center_covariance(self, alignment: Alignment) -> Array:
         """Carry the covariance of the motion parameters over to the mean of the corners."""
-        if fit.covariance is None:
+        if alignment.covariance is None:
             return np.full((2, 2), np.nan)
-        stage = self._refinement
-        corners = np.column_stack([stage.corners, np.ones(4)])
-        mapped = corners @ fit.pose.T
-        velocity = np.einsum("ij,njk,ck->nci", fit.pose, stage.basis, corners)
+        level = self._refinement
+        corners = np.column_stack([level.corners, np.ones(4)])
+        mapped = corners @ alignment.pose.T
+        velocity = np.einsum("ij,njk,ck->nci", alignment.pose, level.basis, corners)
         depth = mapped[:, 2:]
         slope = (velocity[..., :2] - mapped[:, :2] / depth * velocity[..., 2:]) / depth
         jacobian = slope.mean(axis=1)
-        return jacobian.T @ fit.covariance @ jacobian
+        return jacobian.T @ alignment.covariance @ jacobian
 
 
 def _checked_box(
@@ -382,10 +372,10 @@ def _checked_box(
     return x, y, width, height
 
 
-def _check_texture(stage: Stage) -> None:
+def _check_texture(level: Level) -> None:
     """Refuse a template that a translation leaves unchanged in some direction."""
-    slopes = stage.slopes.astype(np.float64)
-    weak, strong = np.linalg.eigvalsh(slopes @ slopes.T)
+    gradient = level.gradient.astype(np.float64)
+    weak, strong = np.linalg.eigvalsh(gradient @ gradient.T)
     if strong == 0:
         raise ValueError("box must hold a textured template, got a flat one")
     if weak < _LEAST_CORNERNESS * strong:
@@ -409,7 +399,7 @@ def _distortions(corners: Array, motion: str) -> list[Array]:
     if motion == "affine":  # the nearest ones to these, but for those that are none at all
         design = np.column_stack([corners, np.ones(4)])
         moves = design @ np.linalg.pinv(design) @ moves
-        moves = moves[np.abs(moves).max(axis=(1, 2)) > 1e-9]
+        moves = moves[np.abs(moves).max(axis=(1, 2)) > _ROUNDING]
     first = corners.astype(np.float32)
     moved = (corners + moves).astype(np.float32)
     return [np.asarray(cv2.getPerspectiveTransform(first, target)) for target in moved]

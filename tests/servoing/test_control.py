@@ -1,4 +1,4 @@
-"""The Jacobian, the control law and the loop against derivatives, a minimiser and the poles."""
+"""The Jacobian, the control law and the loop against derivatives, a minimizer and the poles."""
 
 import numpy as np
 import pytest
@@ -16,11 +16,9 @@ from microlib.servoing import (
     ibvs_control,
     loop_poles,
     optimal_control,
-    optimal_gain,
     path_metrics,
     point_jacobian,
     simulate,
-    square_path,
     step_metrics,
 )
 
@@ -28,6 +26,10 @@ INTERVAL = 1 / 33
 #: px/µm at 1X: magnification over cell (Table 5.1), and the weights of §5.4 turned from mm to µm.
 JACOBIAN = 1.5893 / 9.9 * np.eye(2)
 WEIGHTS = {"feature_weight": (0.9, 0.9), "control_weight": (0.025e-6, 0.05e-6)}
+
+
+def gain_of(jacobian, **options):
+    return OptimalController(jacobian, **options).gain
 
 
 def test_jacobian_is_the_derivative_of_the_projection():
@@ -43,6 +45,15 @@ def test_jacobian_is_the_derivative_of_the_projection():
         numeric = (project(turned[0]) - project(turned[1])).ravel() / (2 * step)
         # Central differences of values near 200 over 1e-6: rounding 1e-7.
         np.testing.assert_allclose(jacobian[:, axis], numeric, atol=1e-6)
+
+
+def test_one_depth_does_for_many_points():
+    points = [(1.0, 2.0), (3.0, 4.0), (5.0, 7.0)]
+    optics = {"magnification": 2.0, "pixel_size": 8.0}
+    np.testing.assert_array_equal(
+        point_jacobian(points, depth=60.0, **optics),
+        point_jacobian(points, depth=(60.0, 60.0, 60.0), **optics),
+    )
 
 
 def test_jacobian_agrees_with_a_symbolic_derivation():
@@ -61,7 +72,7 @@ def test_jacobian_agrees_with_a_symbolic_derivation():
 
 @settings(deadline=None, max_examples=25)
 @given(seed=st.integers(0, 10**6), points=st.integers(1, 3), motions=st.integers(1, 2))
-def test_the_control_minimises_the_cost(seed, points, motions):
+def test_the_control_minimizes_the_cost(seed, points, motions):
     rng = np.random.default_rng(seed)
     m, n = 2 * points, motions
     jacobian = rng.normal(size=(m, n))
@@ -77,21 +88,21 @@ def test_the_control_minimises_the_cost(seed, points, motions):
         jacobian, feature, target, interval=interval, feature_weight=q, control_weight=weight
     )
     theirs = minimize(cost, np.zeros(n), method="BFGS", options={"gtol": 1e-9})
-    # The minimiser stops where its numerical gradient drowns in rounding, about 1e-8·cost away.
+    # The minimizer stops where its numerical gradient drowns in rounding, about 1e-8·cost away.
     assert cost(ours) <= theirs.fun + 1e-9 * abs(theirs.fun)
     np.testing.assert_allclose(ours, theirs.x, atol=1e-4 * (1 + np.abs(theirs.x).max()))
 
 
 def test_scalar_pole_is_that_of_the_derivation():
     t, j, q, weight = 0.03, 5.0, 0.9, 0.01
-    gain = optimal_gain([[j]], interval=t, feature_weight=[q], control_weight=[weight])
+    gain = gain_of([[j]], interval=t, feature_weight=[q], control_weight=[weight])
     pole = 1 - t * j * gain[0, 0]
     assert pole == pytest.approx(weight / (t**2 * j**2 * q + weight), rel=1e-12)
 
 
 def test_the_printed_weights_mean_a_dead_beat_in_mm_and_minutes_in_um():
     def pole(scale):
-        gain = optimal_gain(
+        gain = gain_of(
             scale * JACOBIAN,
             interval=INTERVAL,
             feature_weight=(0.9, 0.9),
@@ -185,7 +196,9 @@ def test_prediction_removes_the_ringing_of_a_delay():
 
 def test_prediction_follows_a_noisy_path_closer():
     latency = 0.8 * INTERVAL
-    path = 60 + square_path(80.0, 40.0, INTERVAL)
+    arc = np.arange(0, 320, 40 * INTERVAL)  # once around a square of 80 px at 40 px/s
+    corners = 60 + np.array([[0, 0], [80, 0], [80, 80], [0, 80], [0, 0]])
+    path = np.column_stack([np.interp(arc, 80 * np.arange(5), x) for x in corners.T])
     errors = {}
     for name in ("plain", "knowing"):
         runs = []
@@ -236,28 +249,24 @@ def test_refuses_weights_that_are_not_positive(name, value):
     ("call", "message"),
     [
         (
-            lambda: optimal_gain(
+            lambda: gain_of(
                 [[1, 2], [2, 4]], interval=1, feature_weight=(1, 1), control_weight=(1, 1)
             ),
             "jacobian must have full rank",
         ),
         (lambda: ibvs_control(np.zeros((2, 2)), (1, 1), gain=1.0), "jacobian must have full rank"),
         (
-            lambda: optimal_gain(
-                np.eye(2), interval=0.0, feature_weight=(1, 1), control_weight=(1, 1)
-            ),
+            lambda: gain_of(np.eye(2), interval=0.0, feature_weight=(1, 1), control_weight=(1, 1)),
             "interval must be positive",
         ),
         (
-            lambda: optimal_gain(
+            lambda: gain_of(
                 np.eye(2), interval=1, feature_weight=[[1, 0.5], [0, 1]], control_weight=(1, 1)
             ),
             "feature_weight must be symmetric",
         ),
         (
-            lambda: optimal_gain(
-                np.eye(2), interval=1, feature_weight=(1, 1, 1), control_weight=(1, 1)
-            ),
+            lambda: gain_of(np.eye(2), interval=1, feature_weight=(1, 1, 1), control_weight=(1, 1)),
             "feature_weight must have shape",
         ),
         (

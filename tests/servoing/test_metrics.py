@@ -1,4 +1,4 @@
-"""Figures of merit of known responses, and the geometry of the paths."""
+"""Figures of merit of known responses."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lti, step
 
-from microlib.servoing import circle_path, path_metrics, sinusoid_path, square_path, step_metrics
+from microlib.servoing import path_metrics, step_metrics
 
 
 def test_a_first_order_answer_settles_when_the_exponential_does():
@@ -61,42 +61,10 @@ def test_path_metrics_are_those_of_the_distances():
     assert found.largest == np.hypot(*error.T).max()
 
 
-@pytest.mark.parametrize(
-    ("path", "length"),
-    [
-        (circle_path(50.0, 40.0, 0.03), 2 * np.pi * 50),
-        (square_path(80.0, 40.0, 0.03), 320.0),
-    ],
-)
-def test_paths_run_their_length_at_constant_speed(path, length):
-    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    np.testing.assert_allclose(path[0], 0, atol=1e-12)
-    assert len(path) == pytest.approx(length / 1.2, abs=1.0)
-    # A chord is shorter than its arc: by 10⁻⁴ on the circle, more at the corners of the square.
-    assert np.median(steps) == pytest.approx(1.2, rel=2e-3)
-    assert steps.max() <= 1.2 + 1e-9
-
-
-def test_the_sinusoid_advances_evenly_and_has_its_crests():
-    path = sinusoid_path(100.0, 20.0, 10.0, 0.1, periods=2.0)
-    np.testing.assert_allclose(np.diff(path[:, 0]), 1.0)
-    assert len(path) == 100
-    # Crests a quarter of 50 px in, which falls between samples: 1 − cos(2π/100) = 0.2 % off.
-    assert path[:, 1].max() == pytest.approx(20.0, rel=0.002)
-    np.testing.assert_allclose(path[:50, 1], path[50:, 1], atol=1e-9)
-
-
 def test_the_printed_error_at_settling_exceeds_three_percent():
     # Section 5.4: 9.86 µm of a step of 311 µm along each axis are said to be under 3 %; they are of
     # the step along both.
     assert 9.86 / 311 > 0.03 > 9.86 / (311 * np.sqrt(2))
-
-
-def test_the_circle_is_one_and_the_square_has_corners():
-    circle = circle_path(50.0, 40.0, 0.03)
-    np.testing.assert_allclose(np.hypot(circle[:, 0] + 50, circle[:, 1]), 50)
-    square = square_path(80.0, 80.0, 0.5)
-    np.testing.assert_allclose(square[::2], [[0, 0], [80, 0], [80, 80], [0, 80]])
 
 
 @pytest.mark.parametrize(
@@ -109,10 +77,6 @@ def test_the_circle_is_one_and_the_square_has_corners():
         (lambda: step_metrics([0, 1], [[0], [1]], [1], band=0.0), "band must lie in"),
         (lambda: path_metrics([[0, 0]], [[0, 0], [1, 1]]), "position must have shape"),
         (lambda: path_metrics([[np.nan, 0]], [[0, 0]]), "position must be finite"),
-        (lambda: circle_path(0.0, 1.0, 0.1), "radius must be positive"),
-        (lambda: circle_path(1.0, 100.0, 1.0), "speed must leave"),
-        (lambda: square_path(1.0, 1.0, 0.0), "interval must be positive"),
-        (lambda: sinusoid_path(1.0, -1.0, 1.0, 0.1), "amplitude must be positive"),
     ],
 )
 def test_refuses_what_has_no_meaning(call, message):

@@ -17,11 +17,11 @@ def test_texture_has_the_correlation_of_a_blurred_noise():
     texture = mixed_texture((400, 400), np.random.default_rng(0), scales=1.5, std=30.0)
     assert texture.mean() == pytest.approx(128.0)
     assert texture.std() == pytest.approx(30.0)
-    centred = texture - texture.mean()
+    centered = texture - texture.mean()
     # White noise through a Gaussian of σ has the autocorrelation exp(−d²/(4σ²)); 400² pixels know
     # it to about 1 %.
     for distance in (1, 2, 3):
-        correlation = np.mean(centred * np.roll(centred, distance, axis=1)) / centred.var()
+        correlation = np.mean(centered * np.roll(centered, distance, axis=1)) / centered.var()
         assert correlation == pytest.approx(np.exp(-(distance**2) / (4 * 1.5**2)), abs=0.03)
 
 
@@ -77,6 +77,21 @@ def test_the_same_seed_draws_the_same_frames():
         lambda rng: texture_sequence([[3.5, 4.5]], rng)[0],
     ):
         assert np.array_equal(draw(np.random.default_rng(5)), draw(np.random.default_rng(5)))
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda rng: warped_pair(rng, 3.0).second,
+        lambda rng: gripper_scene(rng, pixel_size=6.23).ground,
+        lambda rng: gripper_scene(0, pixel_size=6.23).frame((1.5, 2.5), rng),
+        lambda rng: texture_sequence([[3.5, 4.5]], rng)[0],
+        lambda rng: camera_frame(np.full((9, 9), 100.0), rng, noise=5.0),
+    ],
+)
+def test_a_seed_does_for_a_generator(draw):
+    assert np.array_equal(draw(5), draw(np.random.default_rng(5)))
+    assert not np.array_equal(draw(5), draw(6))
 
 
 def test_the_camera_counts_in_grey_levels():

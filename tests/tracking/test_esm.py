@@ -1,4 +1,4 @@
-"""Parts of the second-order minimisation against numerical derivatives and other libraries."""
+"""Parts of the second-order minimization against numerical derivatives and other libraries."""
 
 import cv2
 import numpy as np
@@ -14,15 +14,15 @@ from microlib.tracking._esm import (
     exponential,
     generators,
     half_pixel,
-    make_stage,
+    make_level,
 )
 
 BOX = (30, 24, 40, 36)
 POSE = np.array([[20.0, 0, 49.5], [0, 20.0, 41.5], [0, 0, 1]])
 
 
-def stage(motion: str, image: np.ndarray, smoothing: float = 1.0):
-    return make_stage(image, BOX, POSE, step=1, density=1, smoothing=smoothing, motion=motion)
+def level_of(motion: str, image: np.ndarray, smoothing: float = 1.0):
+    return make_level(image, BOX, POSE, step=1, density=1, smoothing=smoothing, motion=motion)
 
 
 def texture(seed: int = 0) -> np.ndarray:
@@ -51,7 +51,7 @@ def test_homographies_are_generated_with_unit_determinant():
 
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_the_flow_is_the_derivative_of_the_warp(motion):
-    one = stage(motion, texture())
+    one = level_of(motion, texture())
     row, column = 7, 11
     pad = (one.padded[0] - BOX[2]) // 2
     patch = np.array([[column + pad, row + pad]], float)
@@ -72,26 +72,28 @@ def test_the_flow_is_the_derivative_of_the_warp(motion):
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_a_fit_undoes_a_small_warp_of_its_own_group(motion):
     image = texture(1)
-    one = stage(motion, image, smoothing=0.0)
+    one = level_of(motion, image, smoothing=0.0)
     rng = np.random.default_rng(2)
     change = exponential(np.tensordot(rng.normal(0, 0.02, len(one.basis)), one.basis, 1))
-    fit = one.fit(image, POSE @ change, tolerance=1e-4, iterations=20)
-    assert not fit.failure
+    result = one.align(image, POSE @ change, tolerance=1e-4, iterations=20)
+    assert not result.failure
     # No noise and no resampling at the solution: what is left is the single precision of the patch.
     np.testing.assert_allclose(
-        apply_homography(fit.pose, one.corners), apply_homography(POSE, one.corners), atol=2e-3
+        apply_homography(result.pose, one.corners), apply_homography(POSE, one.corners), atol=2e-3
     )
-    assert fit.correlation > 0.99999
+    assert result.correlation > 0.99999
 
 
 def test_the_step_is_of_second_order():
     # Whole pixels, so that interpolation takes no part, on a texture much coarser than the steps.
     image = mixed_texture((90, 100), np.random.default_rng(3), scales=6.0).astype(np.float32)
-    one = stage("translation", image, smoothing=0.0)
+    one = level_of("translation", image, smoothing=0.0)
     errors = []
     for distance in (4, 2):
         start = np.array([[1.0, 0, distance], [0, 1, 0], [0, 0, 1]]) @ POSE
-        errors.append(abs(one.fit(image, start, tolerance=0, iterations=1).pose[0, 2] - POSE[0, 2]))
+        errors.append(
+            abs(one.align(image, start, tolerance=0, iterations=1).pose[0, 2] - POSE[0, 2])
+        )
     # Halving the distance leaves a quarter of a first-order step's error (Gauss-Newton: 3.9 here),
     # an eighth of a second-order step's.
     assert errors[1] < errors[0] / 6
@@ -110,17 +112,17 @@ def test_half_pixel_keeps_the_pixels_and_meets_a_sinusoid_between_them():
 
 def test_correlation_finds_what_lies_beyond_any_gradient():
     image = texture(4)
-    one = stage("translation", image)
+    one = level_of("translation", image)
     start = np.array([[1.0, 0, 17], [0, 1, -13], [0, 0, 1]]) @ POSE
     np.testing.assert_allclose(one.correlate(image, start, 20), POSE, atol=1e-9)
 
 
 def test_a_singular_system_and_a_warp_out_of_view_are_states_not_exceptions():
-    one = stage("affine", texture())
-    blank = one.fit(np.zeros((90, 100), np.float32), POSE, tolerance=0.0, iterations=5)
+    one = level_of("affine", texture())
+    blank = one.align(np.zeros((90, 100), np.float32), POSE, tolerance=0.0, iterations=5)
     assert blank.failure == "singular"
     away = np.array([[1.0, 0, 400], [0, 1, 0], [0, 0, 1]]) @ POSE
-    assert one.fit(texture(), away, tolerance=0.1, iterations=5).failure == "out of view"
+    assert one.align(texture(), away, tolerance=0.1, iterations=5).failure == "out of view"
 
 
 def test_smoothing_in_the_frame_of_the_template_commutes_with_the_warp():
@@ -134,9 +136,9 @@ def test_smoothing_in_the_frame_of_the_template_commutes_with_the_warp():
     warped = cv2.warpPerspective(
         image, stretch, (100, 90), flags=flags, borderMode=cv2.BORDER_REFLECT
     )
-    one = stage("affine", image, smoothing=2.0)
-    fit = one.fit(warped, stretch @ POSE, tolerance=1e-3, iterations=20)
-    found = apply_homography(fit.pose, one.corners)
+    one = level_of("affine", image, smoothing=2.0)
+    result = one.align(warped, stretch @ POSE, tolerance=1e-3, iterations=20)
+    found = apply_homography(result.pose, one.corners)
     truth = apply_homography(stretch @ POSE, one.corners)
     # Measured 0.011 px, from two interpolations; smoothing the frames instead leaves 0.060 px.
     assert np.abs(found - truth).max() < 0.03

@@ -16,6 +16,8 @@ from microlib.synthetic import (
     warped_pair,
 )
 from microlib.tracking import ESMTracker, KalmanFilter
+from microlib.tracking._esm import apply_homography
+from microlib.tracking._tracker import _distortions as distortions
 
 INTERVAL = 1 / 33
 IMAGE = mixed_texture((80, 90), np.random.default_rng(0), scales=1.0)
@@ -84,12 +86,30 @@ def test_a_template_that_stays_away_is_sought_by_distortions_once():
     assert sought == [0, 1, 1, 1, 2]
 
 
+def test_distorted_starts_lie_as_far_apart_as_they_can():
+    corners = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
+    warps = distortions(corners, "homography")
+    moves = np.array([apply_homography(warp, corners) - corners for warp in warps]).reshape(32, 8)
+    # Corner coordinates in single precision.
+    np.testing.assert_allclose(np.abs(moves), 0.17 * 2, atol=1e-6)
+    signs = np.sign(moves)
+    apart = (signs[:, None] != signs[None]).sum(axis=-1)
+    # 32 words of 8 bits differ by 2 bits at best: at most 20 words can differ by 3.
+    assert apart[~np.eye(32, dtype=bool)].min() == 2
+    # An affine map keeps a parallelogram, and none of the 32 is the identity.
+    warps = distortions(corners, "affine")
+    moved = np.array([apply_homography(warp, corners) for warp in warps])
+    np.testing.assert_allclose(moved[:, 0] + moved[:, 2], moved[:, 1] + moved[:, 3], atol=1e-6)
+    assert (np.abs(moved - corners).max(axis=(1, 2)) > 0.1).all()
+    assert distortions(corners, "translation") == []
+
+
 def test_gradients_alone_reach_as_far_through_the_pyramid():
     class GradientOnly(ESMTracker):
         """Without the search by correlation, the last of the starts, and distorted ones."""
 
         def _starts(self, pose, image):
-            return islice(super()._starts(pose, image), len(self._stages))
+            return islice(super()._starts(pose, image), len(self._levels))
 
         def _align_distorted(self, image, pose):
             return None
