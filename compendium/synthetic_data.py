@@ -17,7 +17,7 @@ import tifffile
 from microlib.microscope import Microscope
 from microlib.synthetic import (
     Embryo,
-    Imaging,
+    ImagingConditions,
     embryo_image,
     focal_stack,
     mixed_texture,
@@ -60,7 +60,7 @@ def write_stack(folder: Path) -> tuple[str, str]:
 def write_pattern(folder: Path) -> tuple[str, str]:
     scope = Microscope(200490.0, 126150.0, 79374.6, alpha=0.03, beta=-0.02, tx=-1900.0, ty=-1400.0)
     image = render_circles(
-        scope, pitch=280.0, imaging=Imaging(noise=2.0), rng=np.random.default_rng(SEED)
+        scope, pitch=280.0, imaging=ImagingConditions(noise=2.0), rng=np.random.default_rng(SEED)
     )
     cv2.imwrite(str(folder / "circles.png"), image.round().astype(np.uint8))
     return (

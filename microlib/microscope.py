@@ -1,12 +1,13 @@
 """The parametric model of an optical microscope: pose, perspective, radial distortion (2.5–2.12).
 
 A point of the world frame (µm) is turned and shifted into the objective frame, projected through
-the objective onto the sensor (µm from the sensor's centre), distorted, and sampled (px).
+the objective onto the sensor (µm from the sensor's center), distorted, and sampled (px).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -51,7 +52,7 @@ def undistort(points: ArrayLike, distortion: float) -> Array:
     Parameters
     ----------
     points : array_like, shape (..., 2)
-        Distorted sensor points (u, v) in µm from the sensor's centre.
+        Distorted sensor points (u, v) in µm from the sensor's center.
     distortion : float
         κ in 1/µm².
 
@@ -76,7 +77,7 @@ def distort(points: ArrayLike, distortion: float) -> Array:
     Parameters
     ----------
     points : array_like, shape (..., 2)
-        Undistorted sensor points (u', v') in µm from the sensor's centre.
+        Undistorted sensor points (u', v') in µm from the sensor's center.
     distortion : float
         κ in 1/µm².
 
@@ -131,7 +132,7 @@ class Microscope:
     pixel_size : float or (float, float)
         Pitch of the sensor cells along x and y, µm.
     image_size : (int, int)
-        Width and height of the image, px. The optical axis meets its centre.
+        Width and height of the image, px. The optical axis meets its center.
 
     Raises
     ------
@@ -139,10 +140,16 @@ class Microscope:
         If a length is not positive, a parameter is not finite, or `image_size` is not two whole
         numbers.
 
+    Attributes
+    ----------
+    PARAMETERS : tuple of str
+        Names of the nine parameters of the model, the fields above without those of the sensor, in
+        the order of :meth:`jacobian`.
+
     Notes
     -----
-    The points see only T_op + f and f + d, never the three lengths one by one: see
-    :func:`microlib.calibration.calibrate`.
+    The points of a plane see only T_op + f and f + d, never the three lengths one by one: see
+    :meth:`project_plane` and :func:`microlib.calibration.calibrate`.
 
     Examples
     --------
@@ -160,6 +167,18 @@ class Microscope:
     >>> round(scope.magnification, 4)
     1.5941
     """
+
+    PARAMETERS: ClassVar[tuple[str, ...]] = (
+        "tube_length",
+        "focal_length",
+        "distance",
+        "distortion",
+        "alpha",
+        "beta",
+        "gamma",
+        "tx",
+        "ty",
+    )
 
     tube_length: float
     focal_length: float
@@ -215,7 +234,7 @@ class Microscope:
 
     @property
     def principal_point(self) -> Array:
-        """Where the optical axis meets the image, (x, y) px: the sensor's centre."""
+        """Where the optical axis meets the image, (x, y) px: the sensor's center."""
         return (np.asarray(self.image_size, dtype=np.float64) - 1) / 2
 
     def to_objective(self, points: ArrayLike) -> Array:
@@ -297,3 +316,114 @@ class Microscope:
             plane = np.column_stack([d * p - b * q, a * q - c * p]) / (a * d - b * c)[:, None]
             in_front = plane @ r[2, :2] + tz > 0
         return np.where(in_front[:, None], plane, np.nan)
+
+    def jacobian(self, world: ArrayLike, parameters: tuple[str, ...] = PARAMETERS) -> Array:
+        """Derivatives of the image points of the pattern plane by the microscope's parameters.
+
+        Parameters
+        ----------
+        world : array_like, shape (N, 2)
+            Points of the pattern plane, µm.
+        parameters : tuple of str
+            Any of :attr:`PARAMETERS`; or "magnification" or "focus", which is f with the plane
+            kept in focus at the same magnification, T_op = M f and d = f/M.
+
+        Returns
+        -------
+        ndarray, shape (N, 2, p)
+            px per unit of each parameter (µm, rad, 1/µm²).
+
+        Raises
+        ------
+        ValueError
+            If `world` has another shape, is empty or not finite, or a name is unknown.
+
+        Examples
+        --------
+        A longer tube moves the points outwards, on the sensor by their share of the field:
+
+        >>> scope = Microscope(200000, 126000, 79380)
+        >>> scope.jacobian([[0.0, 0.0], [280.0, 0.0]], ("tube_length",))[..., 0].round(7)
+        array([[0.      , 0.      ],
+               [0.0001377, 0.      ]])
+        """
+        world = as_array("world", world, shape=(None, 2))
+        depth = self.focal_length + self.distance
+        pose = (self.distortion, self.alpha, self.beta, self.gamma, self.tx, self.ty)
+        visible = np.array([self.magnification, 1 / depth, *pose])
+        by = Microscope.project_plane(visible, world, self.cell)[1]
+        by_range = by[..., 0] / depth  # T_op + f, at constant f + d
+        by_depth = -(self.magnification * by[..., 0] + by[..., 1] / depth) / depth  # f + d
+        columns = {
+            "tube_length": by_range,
+            "focal_length": by_range + by_depth,
+            "distance": by_depth,
+            "magnification": by[..., 0],
+            "focus": -by[..., 1] / (depth * self.focal_length),
+            **{name: by[..., 2 + k] for k, name in enumerate(self.PARAMETERS[3:])},
+        }
+        unknown = [name for name in parameters if name not in columns]
+        if unknown:
+            raise ValueError(f"parameters must be among {', '.join(columns)}, got {unknown}")
+        return np.stack([columns[name] for name in parameters], axis=-1)
+
+    @staticmethod
+    def project_plane(visible: Array, world: Array, cell: Array) -> tuple[Array, Array]:
+        """Image of points of the pattern plane from the numbers that they can see.
+
+        Parameters
+        ----------
+        visible : ndarray, shape (8,)
+            (M, h, κ, α, β, γ, T_x, T_y): the magnification, the convergence h = 1/(f + d) in 1/µm,
+            then κ in 1/µm², angles in rad, T in µm.
+        world : ndarray, shape (N, 2)
+            (X_w, Y_w), µm.
+        cell : ndarray, shape (2,)
+            Pitch of the sensor cells, µm.
+
+        Returns
+        -------
+        points : ndarray, shape (N, 2)
+            (x, y) from the principal point, px.
+        jacobian : ndarray, shape (N, 2, 8)
+            Their derivatives by `visible`.
+
+        Notes
+        -----
+        The points see the three lengths only as the magnification M = (T_op + f)/(f + d) and the
+        convergence h = 1/T_z = 1/(f + d), how fast the scale changes with depth:
+
+            u' = M X / (1 + h Z_r),   Z_r = r31 X_w + r32 Y_w
+
+        (2.9 divided through by T_z). This form stays smooth up to the telecentric limit h = 0 and
+        beyond it, where no microscope is, but where a search for one may pass.
+        """
+        magnification, convergence, distortion, alpha, beta, gamma, tx, ty = visible
+        rotation = euler_rotation(alpha, beta, gamma)
+        turned = world @ rotation[:, :2].T  # (N, 3): X − T_x, Y − T_y, Z − T_z
+        flat = turned[:, :2] + [tx, ty]
+        shrink = 1 / (1 + convergence * turned[:, 2])
+        undistorted = magnification * flat * shrink[:, None]
+
+        by = np.empty((len(world), 2, 8))
+        by[..., 0] = flat * shrink[:, None]
+        by[..., 1] = -undistorted * (shrink * turned[:, 2])[:, None]
+        # Rotating about the axis a changes a point by a × point.
+        axes = {
+            3: np.array([0.0, 0.0, 1.0]),
+            4: np.array([-np.sin(alpha), np.cos(alpha), 0.0]),
+            5: rotation[:, 0],
+        }
+        for column, axis in axes.items():
+            moved = np.cross(axis, turned)
+            depth = -undistorted * (convergence * shrink * moved[:, 2])[:, None]
+            by[..., column] = magnification * moved[:, :2] * shrink[:, None] + depth
+        by[..., 6:] = magnification * shrink[:, None, None] * np.eye(2)
+
+        sensor = distort(undistorted, distortion)
+        radius2 = (sensor**2).sum(axis=1)
+        by[..., 2] = -sensor * radius2[:, None]
+        # (2.10) differentiated: its left side depends on the distorted point.
+        by_sensor = (1 + distortion * radius2)[:, None, None] * np.eye(2)
+        by_sensor = by_sensor + 2 * distortion * sensor[:, :, None] * sensor[:, None, :]
+        return sensor / cell, np.linalg.solve(by_sensor, by) / cell[:, None]

@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from microlib._common._types import Array
 
-__all__ = ["as_array", "as_image", "between", "one_of", "positive", "same_length", "whole"]
-
 Bounds = tuple[float, float]
 
 

@@ -1,14 +1,13 @@
 """Calibration of a microscope: find a pattern in an image, fit the model of chapter 2 to it."""
 
 from microlib.calibration._calibrate import Calibration, calibrate
-from microlib.calibration._camera_jacobian import PARAMETERS, cramer_rao, projection_jacobian
 from microlib.calibration._circles import detect_circles
+from microlib.calibration._cramer_rao import cramer_rao
 from microlib.calibration._detection import Detection
 from microlib.calibration._radial_alignment import linear_intrinsics, radial_alignment
 from microlib.calibration._squares import detect_squares
 
 __all__ = [
-    "PARAMETERS",
     "Calibration",
     "Detection",
     "calibrate",
@@ -16,6 +15,5 @@ __all__ = [
     "detect_circles",
     "detect_squares",
     "linear_intrinsics",
-    "projection_jacobian",
     "radial_alignment",
 ]

@@ -14,16 +14,13 @@ from numpy.typing import ArrayLike
 from scipy.stats import t as student
 
 from microlib._common import Array, as_array, between, one_of, positive, same_length
-from microlib.calibration._microscope_fit import NAMES, Fit, Problem, start_values
+from microlib.calibration._microscope_fit import NAMES, Minimum, Problem, start_values
 from microlib.microscope import Microscope
-
-__all__ = ["Calibration", "ErrorSummary", "calibrate"]
-
 
 #: 1/f must exceed so many of its standard errors to be told from zero: with the sign of the tilt
 #: unknown, fewer would now and then pass noise off as a focal length.
 CERTAIN = 4.0
-#: Where 1/f is lost it may come out as zero; then f is held at a kilometre, 1/µm.
+#: Where 1/f is lost it may come out as zero; then f is held at a kilometer, 1/µm.
 SMALLEST_POWER = 1e-9
 
 
@@ -44,7 +41,7 @@ class ErrorSummary:
 
     @classmethod
     def of(cls, differences: Array) -> ErrorSummary:
-        """Summarise differences of points, shape (N, 2)."""
+        """Summarize differences of points, shape (N, 2)."""
         distance = np.hypot(*differences.T)
         return cls(
             float(distance.mean()),
@@ -155,7 +152,7 @@ def calibrate(
     pixel_size : float or (float, float)
         Pitch of the sensor cells, µm.
     image_size : (int, int)
-        Width and height of the image, px; the optical axis meets its centre.
+        Width and height of the image, px; the optical axis meets its center.
     loss : {"linear", "huber"}
         Least squares, or Huber's loss at 1.345 robust standard deviations against outliers.
     groups : array_like of int, shape (N,), optional
@@ -229,7 +226,7 @@ def calibrate(
 
 
 def _report(
-    problem: Problem, best: Fit, other: Fit, frame: Microscope, groups: Array | None
+    problem: Problem, best: Minimum, other: Minimum, frame: Microscope, groups: Array | None
 ) -> Calibration:
     """Covariance in f instead of 1/f, what is lost, and the microscope."""
     free = problem.free
@@ -276,7 +273,7 @@ def _report(
     )
 
 
-def _two_tilts(best: Fit, other: Fit, covariance: Array, freedom: int) -> bool:
+def _two_tilts(best: Minimum, other: Minimum, covariance: Array, freedom: int) -> bool:
     """True if the opposite tilt is another minimum, and not worse by more than noise."""
     angles = slice(3, 5)  # β and γ among the parameters without f
     apart = np.abs(best.theta[4:6] - other.theta[4:6])

@@ -1,4 +1,4 @@
-"""Detect a grid of circles: ellipses fitted to grey levels, their centres freed of bias."""
+"""Detect a grid of circles: ellipses fitted to grey levels, their centers freed of bias."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
 from microlib._common import Array
-from microlib.calibration._dark_regions import find_blobs
-from microlib.calibration._detection import Detection, keep_sound, margin_for
+from microlib.calibration._dark_regions import find_dark_regions
+from microlib.calibration._detection import Detection, band_half_width, find_inliers
 from microlib.calibration._grid_map import GridMap, fit_grid_map
 from microlib.calibration._grid_order import order_grid
 from microlib.calibration._outline_fit import (
@@ -17,16 +17,14 @@ from microlib.calibration._outline_fit import (
     cut_patches,
     fit_outlines,
     ground,
-    share,
+    smooth_parameters,
 )
 
-__all__ = ["detect_circles"]
-
-# Places of the parameters: centre, shape matrix A (|A·(x − centre)| = 1 on the ellipse), blur,
+# Places of the parameters: center, shape matrix A (|A·(x − center)| = 1 on the ellipse), blur,
 # contrast, ground.
-CENTRE, SHAPE, BLUR, CONTRAST, GROUND = slice(0, 2), slice(2, 5), 5, 6, slice(7, 10)
+CENTER, SHAPE, BLUR, CONTRAST, GROUND = slice(0, 2), slice(2, 5), 5, 6, slice(7, 10)
 # What varies smoothly across the image: blur, contrast, slope of the ground.
-SHARED = [5, 6, 8, 9]
+SMOOTH = [5, 6, 8, 9]
 #: Ellipses have a fullness of 1, squares of 0.955 to 0.97 as blur rounds them.
 LEAST_FULLNESS = 0.98
 
@@ -34,7 +32,7 @@ LEAST_FULLNESS = 0.98
 def detect_circles(
     image: ArrayLike, *, direction: float = 0.0, mirrored: bool = False
 ) -> Detection:
-    """Centres of the dark circles of a regular grid, with their places in the grid.
+    """Centers of the dark circles of a regular grid, with their places in the grid.
 
     Parameters
     ----------
@@ -49,7 +47,7 @@ def detect_circles(
     Returns
     -------
     Detection
-        `points` are the images of the circles' centres. Circles that leave the image are not among
+        `points` are the images of the circles' centers. Circles that leave the image are not among
         them.
 
     Raises
@@ -59,10 +57,10 @@ def detect_circles(
 
     Notes
     -----
-    The thesis takes the centre "by least squares" (§5.2); here the least squares are those of the
-    grey levels around the whole outline. Under perspective and distortion the centre of the ellipse
-    is not the image of the circle's centre: the map from the grid to the image is fitted to the
-    points, the circle is sent through it, and the difference between the two centres is taken off.
+    The thesis takes the center "by least squares" (§5.2); here the least squares are those of the
+    grey levels around the whole outline. Under perspective and distortion the center of the ellipse
+    is not the image of the circle's center: the map from the grid to the image is fitted to the
+    points, the circle is sent through it, and the difference between the two centers is taken off.
 
     Examples
     --------
@@ -74,38 +72,46 @@ def detect_circles(
     >>> len(found.points), bool(abs(error).max() < 0.01)
     (9, True)
     """
-    blobs = find_blobs(image)
+    regions = find_dark_regions(image)
     try:
-        index, grid = order_grid(blobs.centres, direction=direction, mirrored=mirrored)
+        index, grid = order_grid(regions.centers, direction=direction, mirrored=mirrored)
     except ValueError as error:
         raise ValueError(f"image must show a grid of circles: {error}") from None
-    start = _start(blobs.centres[index], blobs.moments[index])
-    patches = _patches(blobs.image, blobs.centres[index], start)
+    start = _start(regions.centers[index], regions.moments[index])
+    patches = _patches(regions.image, regions.centers[index], start)
     fit = fit_outlines(lambda p: _grey_levels(p, patches), start, patches)
 
     found = fit.parameters
-    points = found[:, CENTRE] + patches.centres
+    points = found[:, CENTER] + patches.centers
     reach = _reach(found)
-    sound = keep_sound(
-        blobs.image.shape, points - reach, points + reach, fit.rms, found[:, CONTRAST], _sigma(fit)
+    inlier = find_inliers(
+        regions.image.shape,
+        points - reach,
+        points + reach,
+        fit.rms,
+        found[:, CONTRAST],
+        _sigma(fit),
     )
-    if sound.sum() < 4:
-        raise ValueError(f"image must show a grid of circles, got {int(sound.sum())} whole ones")
-    fullness = np.median(blobs.fullness[index][sound])
+    if inlier.sum() < 4:
+        raise ValueError(f"image must show a grid of circles, got {int(inlier.sum())} whole ones")
+    fullness = np.median(regions.fullness[index][inlier])
     if fullness < LEAST_FULLNESS:
         raise ValueError(f"image must show circles, got shapes of fullness {fullness:.3f}, not 1")
-    fit, origins = share(fit[sound], patches.centres[sound], SHARED), patches.centres[sound]
-    points = fit.parameters[:, CENTRE] + origins
-    grid = grid[sound] - grid[sound].min(axis=0)
+    fit, origins = (
+        smooth_parameters(fit[inlier], patches.centers[inlier], SMOOTH),
+        patches.centers[inlier],
+    )
+    points = fit.parameters[:, CENTER] + origins
+    grid = grid[inlier] - grid[inlier].min(axis=0)
     area = np.pi / np.abs(np.linalg.det(_shape(fit.parameters)))
-    to_image = fit_grid_map(points, grid.astype(np.float64), blobs.image.shape)
-    points = points - _centre_bias(to_image, grid, area)
+    to_image = fit_grid_map(points, grid.astype(np.float64), regions.image.shape)
+    points = points - _center_bias(to_image, grid, area)
     return Detection(points, grid, _sigma(fit), np.arange(len(points)))
 
 
 def _sigma(fit: OutlineFit) -> Array:
-    """Standard deviation of a coordinate of each centre, px."""
-    return np.sqrt(np.einsum("nii->ni", fit.covariance[:, CENTRE, CENTRE]).mean(axis=1))
+    """Standard deviation of a coordinate of each center, px."""
+    return np.sqrt(np.einsum("nii->ni", fit.covariance[:, CENTER, CENTER]).mean(axis=1))
 
 
 def _shape(parameters: Array) -> Array:
@@ -120,33 +126,33 @@ def _reach(parameters: Array) -> Array:
     return np.sqrt(np.column_stack([b * b + d * d, a * a + b * b])) / np.abs(a * d - b * b)[:, None]
 
 
-def _start(centres: Array, moments: Array) -> Array:
+def _start(centers: Array, moments: Array) -> Array:
     """Parameters from the regions' moments: a filled ellipse has A = ½ Σ^(−½)."""
     values, vectors = np.linalg.eigh(moments)
     shape = (vectors / (2 * np.sqrt(values))[:, None, :]) @ vectors.transpose(0, 2, 1)
-    start = np.zeros((len(centres), 10))
-    start[:, CENTRE] = centres - np.round(centres)
+    start = np.zeros((len(centers), 10))
+    start[:, CENTER] = centers - np.round(centers)
     start[:, SHAPE] = shape[:, [0, 0, 1], [0, 1, 1]]
     start[:, BLUR], start[:, CONTRAST] = 1.2, 0.6
     return start
 
 
-def _patches(image: NDArray[np.float32], centres: Array, start: Array) -> Patches:
+def _patches(image: NDArray[np.float32], centers: Array, start: Array) -> Patches:
     """Pixels in a band around each outline."""
     radius = float(1 / np.sqrt(np.linalg.det(_shape(start)).min()))
-    margin = margin_for(centres, radius)
+    margin = band_half_width(centers, radius)
 
     def near(x: Array, y: Array) -> NDArray[np.bool_]:
         distance, *_ = _distance(start, x, y)
         return np.abs(distance) <= margin
 
-    patches = cut_patches(image, centres, int(np.ceil(radius * 1.2 + margin)), near)
+    patches = cut_patches(image, centers, int(np.ceil(radius * 1.2 + margin)), near)
     start[:, GROUND.start] = patches.grey.max(axis=1)
     return patches
 
 
 def _distance(parameters: Array, x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
-    """Distance to the ellipse, positive inside, px: (1 − ρ)/|∇ρ| with ρ = |A (x − centre)|.
+    """Distance to the ellipse, positive inside, px: (1 − ρ)/|∇ρ| with ρ = |A (x − center)|.
 
     Also the unit normal ∇ρ/|∇ρ| (two arrays) and ∂ρ/∂A divided by |∇ρ|, (n, k, 3).
     """
@@ -178,8 +184,8 @@ def _grey_levels(parameters: Array, patches: Patches) -> tuple[Array, Array]:
     return light * (1 - contrast * inside), jacobian
 
 
-def _centre_bias(to_image: GridMap, grid: Array, area: Array) -> Array:
-    """How far the centre of each circle's image lies from the image of its centre, px."""
+def _center_bias(to_image: GridMap, grid: Array, area: Array) -> Array:
+    """How far the center of each circle's image lies from the image of its center, px."""
     radius = np.sqrt(np.median(area / (np.pi * to_image.scale(grid))))  # in steps of the grid
     turn = np.linspace(0, 2 * np.pi, 32, endpoint=False)
     rim = to_image(grid[:, None] + radius * np.column_stack([np.cos(turn), np.sin(turn)]))

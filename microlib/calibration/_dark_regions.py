@@ -7,17 +7,16 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from skimage.filters import threshold_otsu
 
 from microlib._common import Array, as_image
-
-__all__ = ["Blobs", "find_blobs"]
 
 #: Smaller components are noise, px.
 SMALLEST = 20
 
 
 @dataclass(frozen=True)
-class Blobs:
+class DarkRegions:
     """Connected dark regions of alike size.
 
     Parameters
@@ -26,7 +25,7 @@ class Blobs:
         The image they were found in.
     smooth : ndarray of float32, shape (height, width)
         The image, blurred by one pixel and divided by the light on it.
-    centres : ndarray, shape (N, 2)
+    centers : ndarray, shape (N, 2)
         Centroids (x, y), px.
     moments : ndarray, shape (N, 2, 2)
         Second central moments, px².
@@ -36,7 +35,7 @@ class Blobs:
 
     image: NDArray[np.float32]
     smooth: NDArray[np.float32]
-    centres: Array
+    centers: Array
     moments: Array
     areas: Array
 
@@ -47,7 +46,7 @@ class Blobs:
         return self.areas / (4 * np.pi * np.sqrt(np.linalg.det(self.moments)))
 
 
-def find_blobs(image: ArrayLike) -> Blobs:
+def find_dark_regions(image: ArrayLike) -> DarkRegions:
     """Threshold the image against the light that falls on it and measure the dark regions.
 
     The light is a paraboloid fitted to the bright pixels. Regions of less than a quarter or more
@@ -60,7 +59,7 @@ def find_blobs(image: ArrayLike) -> Blobs:
 
     Returns
     -------
-    Blobs
+    DarkRegions
 
     Raises
     ------
@@ -73,10 +72,10 @@ def find_blobs(image: ArrayLike) -> Blobs:
         raise ValueError(f"image must show a pattern, got the one grey level {image[0, 0]:g}")
     smooth: NDArray = cv2.GaussianBlur(image, (0, 0), 1.0)
     for _ in range(3):
-        threshold = _otsu(smooth)
+        threshold = threshold_otsu(smooth)
         light = _paraboloid(smooth, smooth > threshold)
         smooth = smooth / np.maximum(light, 1e-3 * light.max())
-    mask = (smooth < _otsu(smooth)).astype(np.uint8)
+    mask = (smooth < threshold_otsu(smooth)).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
     areas = stats[:, cv2.CC_STAT_AREA].astype(np.float64)
     areas[0] = 0  # the ground
@@ -86,16 +85,8 @@ def find_blobs(image: ArrayLike) -> Blobs:
         keep &= (areas > middle / 4) & (areas < middle * 4)
     if keep.sum() < 4:
         raise ValueError(f"image must show a pattern, got {int(keep.sum())} dark regions")
-    centres, moments = _moments(labels, count)
-    return Blobs(image, smooth, centres[keep], moments[keep], areas[keep])
-
-
-def _otsu(image: NDArray[np.float32]) -> float:
-    """Otsu's threshold, in the image's own levels."""
-    low, high = float(image.min()), float(image.max())
-    bins = ((image - low) * (255 / max(high - low, 1e-12))).astype(np.uint8)
-    level, _ = cv2.threshold(bins, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
-    return low + (level + 1) * (high - low) / 255
+    centers, moments = _moments(labels, count)
+    return DarkRegions(image, smooth, centers[keep], moments[keep], areas[keep])
 
 
 def _paraboloid(image: NDArray[np.float32], bright: NDArray[np.bool_]) -> NDArray[np.float32]:

@@ -10,8 +10,6 @@ from scipy.spatial import cKDTree
 
 from microlib._common import Array
 
-__all__ = ["Detection", "keep_sound", "margin_for"]
-
 #: Pixels further from an outline than this say little about it, px.
 MARGIN = 7.0
 
@@ -39,13 +37,13 @@ class Detection:
     group: NDArray[np.intp]
 
 
-def margin_for(centres: Array, radius: float) -> float:
-    """Half-width of the band around an outline that belongs to no neighbour.
+def band_half_width(centers: Array, radius: float) -> float:
+    """Half-width of the band around an outline that belongs to no neighbor.
 
     Parameters
     ----------
-    centres : ndarray, shape (N, 2)
-        Centres of the shapes, px.
+    centers : ndarray, shape (N, 2)
+        Centers of the shapes, px.
     radius : float
         Half of a shape's width, px.
 
@@ -56,14 +54,14 @@ def margin_for(centres: Array, radius: float) -> float:
 
     Examples
     --------
-    >>> margin_for(np.array([[0.0, 0.0], [20.0, 0.0], [40.0, 0.0]]), 6.0)
+    >>> band_half_width(np.array([[0.0, 0.0], [20.0, 0.0], [40.0, 0.0]]), 6.0)
     4.0
     """
-    distance, _ = cKDTree(centres).query(centres, k=2)
+    distance, _ = cKDTree(centers).query(centers, k=2)
     return float(np.clip(np.median(distance[:, 1]) / 2 - radius, 2.0, MARGIN))
 
 
-def keep_sound(
+def find_inliers(
     shape: tuple[int, ...],
     low: Array,
     high: Array,
@@ -97,7 +95,7 @@ def keep_sound(
     --------
     >>> low = np.array([[1.0, 1.0], [5.0, -0.2]])
     >>> one = np.ones(2)
-    >>> keep_sound((20, 30), low, low + 4, one, one, one)
+    >>> find_inliers((20, 30), low, low + 4, one, one, one)
     array([ True, False])
     """
     inside = ((low >= 0) & (high <= [shape[1] - 1, shape[0] - 1])).all(axis=1)

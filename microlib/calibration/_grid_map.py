@@ -1,7 +1,7 @@
 """The map from a pattern's grid to its image: a homography and a radial distortion, fitted to
 detected points.
 
-It needs no calibration and serves to find out how far a detected feature (centre of an ellipse,
+It needs no calibration and serves to find out how far a detected feature (center of an ellipse,
 crossing of straight lines) lies from the image of the point that it stands for.
 """
 
@@ -16,8 +16,6 @@ from scipy.optimize import least_squares
 from microlib._common import Array
 from microlib.microscope import distort
 
-__all__ = ["GridMap", "fit_grid_map"]
-
 
 @dataclass(frozen=True)
 class GridMap:
@@ -30,7 +28,7 @@ class GridMap:
     distortion : float
         κ of (2.10) in the same units.
     middle : ndarray, shape (2,)
-        Centre of the image, px.
+        Center of the image, px.
     unit : float
         Half of the image's longer side, px.
     """

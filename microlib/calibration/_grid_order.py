@@ -10,9 +10,7 @@ from scipy.spatial import cKDTree
 
 from microlib._common import Array, as_array
 
-__all__ = ["order_grid"]
-
-#: A neighbour is accepted within this part of a step from where the step before predicts it.
+#: A neighbor is accepted within this part of a step from where the step before predicts it.
 REACH = 0.25
 
 
@@ -21,7 +19,7 @@ def order_grid(
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Integer coordinates of the points of a lattice seen by a camera.
 
-    Two steps of the lattice are voted for by the differences between near neighbours; from a seed
+    Two steps of the lattice are voted for by the differences between near neighbors; from a seed
     the lattice then grows step by step, each step predicting the next, so that perspective,
     distortion and holes do no harm. Points that do not fit are left out.
 
@@ -69,11 +67,11 @@ def order_grid(
 
 
 def _basis(points: Array) -> Array:
-    """Two steps of the lattice: the differences between near neighbours that most others
+    """Two steps of the lattice: the differences between near neighbors that most others
     resemble."""
     near = min(5, len(points))
-    _, neighbour = cKDTree(points).query(points, k=near)
-    vectors = (points[neighbour[:, 1:]] - points[:, None]).reshape(-1, 2)
+    _, neighbor = cKDTree(points).query(points, k=near)
+    vectors = (points[neighbor[:, 1:]] - points[:, None]).reshape(-1, 2)
     vectors = np.concatenate([vectors, -vectors])
     length = np.hypot(*vectors.T)
     if not (length > 0).all():
@@ -141,8 +139,8 @@ def _attach(
     rest = np.setdiff1d(np.arange(len(points)), index)
     if len(index) < 12 or len(rest) == 0:
         return index, grid
-    centre, size = points[index].mean(axis=0), np.ptp(points[index])
-    x, y = ((points - centre) / size).T
+    center, size = points[index].mean(axis=0), np.ptp(points[index])
+    x, y = ((points - center) / size).T
     basis = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
     place = basis[rest] @ np.linalg.lstsq(basis[index], grid, rcond=None)[0]
     cell = np.round(place).astype(np.intp)

@@ -8,20 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from microlib._common import Array
-from microlib.calibration._camera_jacobian import information_inverse, project_plane
+from microlib._common import Array, inverse_normal
 from microlib.calibration._radial_alignment import linear_intrinsics, radial_alignment
-from microlib.microscope import euler_rotation
-
-__all__ = ["NAMES", "Fit", "Problem", "start_values"]
-
+from microlib.microscope import Microscope, euler_rotation
 
 #: What can be estimated; inside this module the focal length stands as its inverse, the power 1/f.
 NAMES = ("magnification", "focal_length", "distortion", "alpha", "beta", "gamma", "tx", "ty")
 
 
 @dataclass(frozen=True)
-class Fit:
+class Minimum:
     """One minimum: parameters (M, 1/f, κ, α, β, γ, T_x, T_y), cost, and the loss' scale in px (inf:
     linear)."""
 
@@ -40,27 +36,29 @@ class Problem:
     free: NDArray[np.intp]
 
     def residuals(self, theta: Array) -> Array:
-        return (project_plane(_visible(theta), self.world, self.cell)[0] - self.seen).ravel()
+        return (
+            Microscope.project_plane(_visible(theta), self.world, self.cell)[0] - self.seen
+        ).ravel()
 
     def jacobian(self, theta: Array) -> Array:
         """Derivatives by all eight numbers; h = M/(f (1 + M)) depends on two of them."""
-        by = project_plane(_visible(theta), self.world, self.cell)[1].reshape(-1, 8)
+        by = Microscope.project_plane(_visible(theta), self.world, self.cell)[1].reshape(-1, 8)
         magnification, power = theta[:2]
         by_convergence = by[:, 1].copy()
         by[:, 0] += by_convergence * power / (1 + magnification) ** 2
         by[:, 1] = by_convergence * magnification / (1 + magnification)
         return by
 
-    def fit(self, start: Array, loss: str) -> Fit:
+    def fit(self, start: Array, loss: str) -> Minimum:
         """Least squares; for Huber's loss twice more, its scale taken from the residuals before."""
-        fit = self._minimise(start, np.inf)
+        fit = self._minimize(start, np.inf)
         if loss == "huber":
             for _ in range(2):
                 spread = 1.4826 * np.median(np.abs(self.residuals(fit.theta)))
-                fit = self._minimise(fit.theta, max(1.345 * spread, 1e-9))
+                fit = self._minimize(fit.theta, max(1.345 * spread, 1e-9))
         return fit
 
-    def _minimise(self, start: Array, scale: float) -> Fit:
+    def _minimize(self, start: Array, scale: float) -> Minimum:
         def full(free: Array) -> Array:
             theta = start.copy()
             theta[self.free] = free
@@ -82,9 +80,9 @@ class Problem:
         theta = full(solution.x)
         if theta[1] < 0:  # the same image, seen with the tilt turned over
             theta[[1, 4, 5]] *= -1
-        return Fit(theta, 2 * float(solution.cost), scale)
+        return Minimum(theta, 2 * float(solution.cost), scale)
 
-    def covariance(self, fit: Fit, groups: Array | None) -> tuple[Array, int]:
+    def covariance(self, fit: Minimum, groups: Array | None) -> tuple[Array, int]:
         """Covariance of the free parameters (1/f, not f) and the degrees of freedom behind it.
 
         Independent, alike errors: the residual's variance times (JᵀJ)⁻¹, for Huber's loss by its
@@ -95,7 +93,7 @@ class Problem:
         score = np.clip(residuals, -fit.scale, fit.scale)
         # What Huber's loss keeps of the curvature.
         bent = float(np.mean(np.abs(residuals) < fit.scale))
-        inverse = information_inverse(jacobian) / bent
+        inverse = inverse_normal(jacobian) / bent
         freedom = len(residuals) - len(self.free)
         if groups is None:
             return inverse * float(score @ score) / freedom / bent, freedom

@@ -8,8 +8,6 @@ from numpy.typing import ArrayLike
 
 from microlib._common import Array, as_array, same_length
 
-__all__ = ["linear_intrinsics", "radial_alignment"]
-
 
 def radial_alignment(world: ArrayLike, sensor: ArrayLike) -> Array:
     """Pose of a plane pattern from directions in the image alone.
@@ -55,9 +53,9 @@ def radial_alignment(world: ArrayLike, sensor: ArrayLike) -> Array:
     world = as_array("world", world, shape=(None, 2))
     sensor = as_array("sensor", sensor, shape=(None, 2))
     same_length(("world", "sensor"), world, sensor)
-    centre = world.mean(axis=0)
-    scale = np.abs(world - centre).max() or 1.0
-    (x, y), (u, v) = ((world - centre) / scale).T, (sensor / (np.abs(sensor).max() or 1.0)).T
+    center = world.mean(axis=0)
+    scale = np.abs(world - center).max() or 1.0
+    (x, y), (u, v) = ((world - center) / scale).T, (sensor / (np.abs(sensor).max() or 1.0)).T
     rows = np.column_stack([-v * x, -v * y, -v, u * x, u * y, u])
     singular, directions = np.linalg.svd(rows)[1:]
     if len(world) < 5 or not singular[4] > 1e-9 * singular[0]:
@@ -75,7 +73,7 @@ def radial_alignment(world: ArrayLike, sensor: ArrayLike) -> Array:
     columns = np.vstack([block, below])
     left, _, right = np.linalg.svd(np.column_stack([columns, np.cross(*columns.T)]))
     r = left @ right
-    tx, ty = shift - block @ centre
+    tx, ty = shift - block @ center
     beta = np.arctan2(-r[2, 0], np.hypot(r[2, 1], r[2, 2]))
     return np.array([np.arctan2(r[1, 0], r[0, 0]), beta, np.arctan2(r[2, 1], r[2, 2]), tx, ty])
 

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
 from microlib._common import Array
-from microlib.calibration._dark_regions import Blobs, find_blobs
-from microlib.calibration._detection import Detection, keep_sound, margin_for
+from microlib.calibration._dark_regions import DarkRegions, find_dark_regions
+from microlib.calibration._detection import Detection, band_half_width, find_inliers
 from microlib.calibration._grid_map import GridMap, fit_grid_map
 from microlib.calibration._grid_order import order_grid
 from microlib.calibration._outline_fit import (
@@ -19,17 +19,15 @@ from microlib.calibration._outline_fit import (
     cut_patches,
     fit_outlines,
     ground,
-    share,
+    smooth_parameters,
 )
-
-__all__ = ["detect_squares"]
 
 # Places of the parameters: directions of the four outward normals, distances of the lines from the
 # patch's origin along them, blur, contrast, ground.
 ANGLE, OFFSET, BLUR, CONTRAST, GROUND = slice(0, 4), slice(4, 8), 8, 9, slice(10, 13)
 # What varies smoothly across the image: directions of the sides, blur, contrast, slope of the
 # ground.
-SHARED = [0, 1, 2, 3, 8, 9, 11, 12]
+SMOOTH = [0, 1, 2, 3, 8, 9, 11, 12]
 #: Squares have a fullness of 0.955, up to 0.991 where blur of a fifth of a side rounds them;
 #: circles of 7 px radius have 0.994 and larger ones more.
 MOST_FULLNESS = 0.9925
@@ -78,59 +76,59 @@ def detect_squares(
     >>> len(found.points), bool(abs(error).max() < 0.01)
     (16, True)
     """
-    blobs = find_blobs(image)
+    regions = find_dark_regions(image)
     try:
-        index, grid = order_grid(blobs.centres, direction=direction, mirrored=mirrored)
+        index, grid = order_grid(regions.centers, direction=direction, mirrored=mirrored)
     except ValueError as error:
         raise ValueError(f"image must show a grid of squares: {error}") from None
-    start = _start(blobs, index)
-    patches = _patches(blobs.image, blobs.centres[index], start)
+    start = _start(regions, index)
+    patches = _patches(regions.image, regions.centers[index], start)
     fit = fit_outlines(lambda p: _grey_levels(p, patches), start, patches)
 
-    corners, sigma = _corners(fit, patches.centres)
-    sound = keep_sound(
-        blobs.image.shape,
+    corners, sigma = _corners(fit, patches.centers)
+    inlier = find_inliers(
+        regions.image.shape,
         corners.min(axis=1),
         corners.max(axis=1),
         fit.rms,
         fit.parameters[:, CONTRAST],
         sigma.max(axis=1),
     )
-    if sound.sum() < 4:
-        raise ValueError(f"image must show a grid of squares, got {int(sound.sum())} whole ones")
-    fullness = np.median(blobs.fullness[index][sound])
+    if inlier.sum() < 4:
+        raise ValueError(f"image must show a grid of squares, got {int(inlier.sum())} whole ones")
+    fullness = np.median(regions.fullness[index][inlier])
     if fullness > MOST_FULLNESS:
         raise ValueError(
             f"image must show squares, got shapes of fullness {fullness:.3f}, not 0.955"
         )
-    origins = patches.centres[sound]
-    corners, sigma = _corners(share(_untangle(fit[sound]), origins, SHARED), origins)
-    grid = _corner_grid(corners, grid[sound] - grid[sound].min(axis=0))
+    origins = patches.centers[inlier]
+    corners, sigma = _corners(smooth_parameters(_untangle(fit[inlier]), origins, SMOOTH), origins)
+    grid = _corner_grid(corners, grid[inlier] - grid[inlier].min(axis=0))
     flat = grid.reshape(-1, 2).astype(np.float64)
-    to_image = fit_grid_map(corners.reshape(-1, 2), flat, blobs.image.shape)
+    to_image = fit_grid_map(corners.reshape(-1, 2), flat, regions.image.shape)
     corners = corners - _corner_bias(to_image, flat.reshape(corners.shape))
     group = np.repeat(np.arange(len(corners)), 4)
     return Detection(corners.reshape(-1, 2), grid.reshape(-1, 2), sigma.ravel(), group)
 
 
-def _start(blobs: Blobs, index: NDArray[np.intp]) -> Array:
+def _start(regions: DarkRegions, index: NDArray[np.intp]) -> Array:
     """Sobel edges around each square, linked by place and direction, and a line through each of the
     four links."""
-    gx = cv2.Sobel(blobs.smooth, cv2.CV_32F, 1, 0, ksize=3)
-    gy = cv2.Sobel(blobs.smooth, cv2.CV_32F, 0, 1, ksize=3)
+    gx = cv2.Sobel(regions.smooth, cv2.CV_32F, 1, 0, ksize=3)
+    gy = cv2.Sobel(regions.smooth, cv2.CV_32F, 0, 1, ksize=3)
     start = np.zeros((len(index), 13))
     start[:, BLUR], start[:, CONTRAST] = 1.2, 0.6
-    sides = np.sqrt(blobs.areas[index])
-    for out, centre, side in zip(start, blobs.centres[index], sides, strict=True):
-        lines = _sobel_lines(gx, gy, centre, side)
+    sides = np.sqrt(regions.areas[index])
+    for out, center, side in zip(start, regions.centers[index], sides, strict=True):
+        lines = _sobel_lines(gx, gy, center, side)
         out[ANGLE], out[OFFSET] = lines
     return start
 
 
-def _sobel_lines(gx: NDArray, gy: NDArray, centre: Array, side: float) -> tuple[Array, Array]:
-    """Outward normals' angles and distances from the rounded centre of the four lines of one
+def _sobel_lines(gx: NDArray, gy: NDArray, center: Array, side: float) -> tuple[Array, Array]:
+    """Outward normals' angles and distances from the rounded center of the four lines of one
     square."""
-    origin = np.round(centre).astype(int)
+    origin = np.round(center).astype(int)
     half = int(np.ceil(0.75 * side)) + 2
     rows = slice(max(origin[1] - half, 0), origin[1] + half + 1)
     columns = slice(max(origin[0] - half, 0), origin[0] + half + 1)
@@ -138,7 +136,7 @@ def _sobel_lines(gx: NDArray, gy: NDArray, centre: Array, side: float) -> tuple[
     x, y = column - origin[0], row - origin[1]
     u, v = gx[rows, columns], gy[rows, columns]
     strength = np.hypot(u, v)
-    # An edge pixel of this square has its gradient pointing away from it; its neighbours' point
+    # An edge pixel of this square has its gradient pointing away from it; its neighbors' point
     # back.
     strong = (strength > 0.3 * strength.max()) & (u * x + v * y > 0) & (np.hypot(x, y) < side)
     x, y, u, v, weight = x[strong], y[strong], u[strong], v[strong], strength[strong] ** 2
@@ -161,15 +159,15 @@ def _sobel_lines(gx: NDArray, gy: NDArray, centre: Array, side: float) -> tuple[
     return angles, offsets
 
 
-def _patches(image: NDArray[np.float32], centres: Array, start: Array) -> Patches:
+def _patches(image: NDArray[np.float32], centers: Array, start: Array) -> Patches:
     """Pixels in a band around each outline."""
     side = float(np.median(start[:, OFFSET].sum(axis=1)) / 2)
-    margin = margin_for(centres, side / 2)
+    margin = band_half_width(centers, side / 2)
 
     def near(x: Array, y: Array) -> NDArray[np.bool_]:
         return np.abs(_distances(start, x, y).min(axis=-1)) <= margin
 
-    patches = cut_patches(image, centres, int(np.ceil(side * 0.8 + margin)), near)
+    patches = cut_patches(image, centers, int(np.ceil(side * 0.8 + margin)), near)
     start[:, GROUND.start] = patches.grey.max(axis=1)
     return patches
 
@@ -248,12 +246,12 @@ def _inverse(matrices: Array) -> Array:
 
 
 def _corner_grid(corners: Array, grid: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Grid coordinates of the corners: twice the square's own, plus the side of its centre they lie
+    """Grid coordinates of the corners: twice the square's own, plus the side of its center they lie
     on."""
-    centres = corners.mean(axis=1)
+    centers = corners.mean(axis=1)
     design = np.column_stack([grid, np.ones(len(grid))])
-    steps = np.linalg.lstsq(design, centres, rcond=None)[0][:2]
-    local = (corners - centres[:, None]) @ np.linalg.inv(steps)
+    steps = np.linalg.lstsq(design, centers, rcond=None)[0][:2]
+    local = (corners - centers[:, None]) @ np.linalg.inv(steps)
     return 2 * grid[:, None] + (local > 0)
 
 

@@ -39,7 +39,8 @@ class GaussianSum:
         Range of x over which the sum describes the outline, in px.
     covariance : array_like, shape (3n, 3n), optional
         Of all amplitudes, then centers, then widths, in px²; None where it is not known, as for
-        printed coefficients.
+        printed coefficients. A coefficient that the data leave open has an infinite variance, and
+        NaN beside it.
 
     Raises
     ------
@@ -70,7 +71,7 @@ class GaussianSum:
         same_length(("amplitudes", "widths"), amplitudes, widths)
         if self.covariance is not None:
             size = 3 * len(widths)
-            covariance = as_array("covariance", self.covariance, shape=(size, size))
+            covariance = as_array("covariance", self.covariance, shape=(size, size), finite=False)
             object.__setattr__(self, "covariance", covariance)
         low, high = as_array("domain", self.domain, shape=(2,))
         if low >= high:

@@ -9,7 +9,7 @@ from microlib.synthetic._gripper import (
     texture_sequence,
     warped_pair,
 )
-from microlib.synthetic._patterns import Imaging, render_circles, render_squares
+from microlib.synthetic._patterns import ImagingConditions, render_circles, render_squares
 from microlib.synthetic._stacks import focal_frames, focal_stack, thesis_stack
 from microlib.synthetic._surfaces import (
     cone,
@@ -25,7 +25,7 @@ from microlib.synthetic._textures import mixed_texture, patchy_texture
 __all__ = [
     "Embryo",
     "EmbryoImage",
-    "Imaging",
+    "ImagingConditions",
     "WarpedPair",
     "camera_frame",
     "cell_image",

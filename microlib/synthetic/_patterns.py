@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from microlib._common import Array, as_array, between, positive, whole
 from microlib.microscope import Microscope
 
-__all__ = ["Imaging", "render_circles", "render_squares"]
+__all__ = ["ImagingConditions", "render_circles", "render_squares"]
 
 #: Cells along a side of a pixel; the edges inside a cell are straight to within its curvature.
 CELLS = 3
@@ -28,7 +28,7 @@ Coverage = Callable[[Array, Array], Array]
 
 
 @dataclass(frozen=True)
-class Imaging:
+class ImagingConditions:
     """What the light, the optics' blur and the camera make of a pattern.
 
     Parameters
@@ -67,21 +67,21 @@ def render_circles(
     radius: float = 70.0,
     pitch: float = 280.0,
     counts: Counts = None,
-    imaging: Imaging | None = None,
+    imaging: ImagingConditions | None = None,
     rng: np.random.Generator | None = None,
 ) -> NDArray[np.float32]:
-    """Image of a grid of dark circles; the centre of circle (i, j) is the world point (i, j)·pitch.
+    """Image of a grid of dark circles; the center of circle (i, j) is the world point (i, j)·pitch.
 
     Parameters
     ----------
     microscope : Microscope
         The camera; tilt and distortion are its own.
     radius, pitch : float
-        Radius of the circles and distance of their centres, µm. Circles must not touch.
+        Radius of the circles and distance of their centers, µm. Circles must not touch.
     counts : (int, int), optional
         Number of circles along x and y, from the world origin on; without it the plane is full of
         them.
-    imaging : Imaging, optional
+    imaging : ImagingConditions, optional
         Blur, light and noise.
     rng : numpy.random.Generator, optional
         Source of the noise; needed if there is any.
@@ -117,7 +117,7 @@ def render_circles(
         offset = plane - pitch * _nearest(plane / pitch, counts)
         return radius - np.hypot(offset[..., 0], offset[..., 1])
 
-    return _render(microscope, depth, covered, imaging or Imaging(), rng)
+    return _render(microscope, depth, covered, imaging or ImagingConditions(), rng)
 
 
 def render_squares(
@@ -125,7 +125,7 @@ def render_squares(
     *,
     side: float = 200.0,
     counts: Counts = None,
-    imaging: Imaging | None = None,
+    imaging: ImagingConditions | None = None,
     rng: np.random.Generator | None = None,
 ) -> NDArray[np.float32]:
     """Image of a grid of dark squares, one side apart; their corners are the world points (i,
@@ -143,7 +143,7 @@ def render_squares(
     counts : (int, int), optional
         Number of squares along x and y, from the world origin on; without it the plane is full of
         them.
-    imaging : Imaging, optional
+    imaging : ImagingConditions, optional
         Blur, light and noise.
     rng : numpy.random.Generator, optional
         Source of the noise; needed if there is any.
@@ -194,7 +194,7 @@ def render_squares(
     def depth(plane: Array) -> Array:
         return half - np.abs(offset(plane)).max(axis=-1)
 
-    return _render(microscope, depth, covered, imaging or Imaging(), rng)
+    return _render(microscope, depth, covered, imaging or ImagingConditions(), rng)
 
 
 def _nearest(lattice: Array, counts: Counts) -> Array:
@@ -209,7 +209,7 @@ def _nearest(lattice: Array, counts: Counts) -> Array:
 def _half_plane(inside: Array, normal: Array, jacobian: Array) -> Array:
     """Part of each unit cell on the inner side of a straight edge.
 
-    `inside` is the distance of the cell's centre from the edge (µm, positive inside) and `normal`
+    `inside` is the distance of the cell's center from the edge (µm, positive inside) and `normal`
     the edge's unit normal, both on the pattern plane; `jacobian` maps steps of a cell to µm. The
     area is the distribution function of the trapezoid that the cell's projection on the normal
     makes.
@@ -229,7 +229,7 @@ def _render(
     microscope: Microscope,
     depth: Callable[[Array], Array],
     covered: Coverage,
-    imaging: Imaging,
+    imaging: ImagingConditions,
     rng: np.random.Generator | None,
 ) -> NDArray[np.float32]:
     """Cover, blur, bin, light up and add noise; `depth` is the signed distance to the outline,

@@ -14,18 +14,16 @@ from hypothesis import strategies as st
 
 from compendium.ledger import claim
 from microlib.calibration import (
-    PARAMETERS,
     calibrate,
     cramer_rao,
     detect_circles,
     detect_squares,
     linear_intrinsics,
-    projection_jacobian,
     radial_alignment,
 )
 from microlib.calibration._microscope_fit import Problem
 from microlib.microscope import Microscope
-from microlib.synthetic import Imaging, render_circles, render_squares
+from microlib.synthetic import ImagingConditions, render_circles, render_squares
 
 DEGREE = np.pi / 180
 F = 126150.0
@@ -146,8 +144,8 @@ def test_linear_intrinsics(distortion, precision):
 @pytest.mark.parametrize("scope", [scope_with(), scope_with(20, 177), scope_with(0, 0)])
 def test_jacobian_agrees_with_differences(scope):
     world = grid_in_view(scope)[::7]
-    analytic = projection_jacobian(scope, world)
-    for k, name in enumerate(PARAMETERS):
+    analytic = scope.jacobian(world)
+    for k, name in enumerate(Microscope.PARAMETERS):
         # Steps that balance rounding (1e-13 px) against curvature.
         step = {"distortion": 1e-13, "alpha": 1e-6, "beta": 1e-6, "gamma": 1e-6}.get(name, 1.0)
         value = getattr(scope, name)
@@ -161,7 +159,7 @@ def test_jacobian_agrees_with_differences(scope):
 def test_jacobian_of_derived_parameters():
     scope = scope_with()
     world = grid_in_view(scope)[::7]
-    by_m, by_f = np.moveaxis(projection_jacobian(scope, world, ("magnification", "focus")), -1, 0)
+    by_m, by_f = np.moveaxis(scope.jacobian(world, ("magnification", "focus")), -1, 0)
     up, down = (replace(scope, tube_length=(1.59 + s) * (F + F / 1.59) - F) for s in (1e-5, -1e-5))
     np.testing.assert_allclose(
         by_m, (up.project(world) - down.project(world)) / 2e-5, rtol=1e-6, atol=1e-6
@@ -192,7 +190,7 @@ def test_jacobian_of_the_fit_agrees_with_differences(power):
 
 def test_unknown_parameter_is_named():
     with pytest.raises(ValueError, match="focal"):
-        projection_jacobian(scope_with(), [[0.0, 0.0]], ("focal",))
+        scope_with().jacobian([[0.0, 0.0]], ("focal",))
 
 
 def test_the_three_lengths_are_never_determined():
@@ -200,10 +198,10 @@ def test_the_three_lengths_are_never_determined():
     for tilt in (0, 2, 30):
         scope = scope_with(tilt, tilt)
         world = grid_in_view(scope)
-        jacobian = projection_jacobian(scope, world)[..., :3]
+        jacobian = scope.jacobian(world)[..., :3]
         null = np.array([1.0, -1.0, 1.0])
         assert np.abs(jacobian @ null).max() < 1e-12 * np.abs(jacobian).max()
-        bound = np.diag(cramer_rao(scope, world, NOISE, PARAMETERS))
+        bound = np.diag(cramer_rao(scope, world, NOISE, Microscope.PARAMETERS))
         assert np.isinf(bound[:3]).all()
         assert np.isfinite(bound[6 if tilt else 3 :]).all()
 
@@ -345,7 +343,7 @@ def test_agrees_with_opencv_when_the_focal_length_is_held():
         1 + m.distortion * (((image - m.principal_point) * 9.9) ** 2).sum(axis=1, keepdims=True)
     ) + m.principal_point
     _, turn, shift = cv2.solvePnP(flat, undistorted, camera, None, flags=cv2.SOLVEPNP_ITERATIVE)
-    # Both minimise pixels; weights of undistorted points differ by 1 %, so by far less than one σ.
+    # Both minimize pixels; weights of undistorted points differ by 1 %, so by far less than one σ.
     np.testing.assert_allclose(cv2.Rodrigues(turn)[0], m.rotation, atol=2 * found.sigma["beta"])
     np.testing.assert_allclose(shift[2, 0], F + F / m.magnification, rtol=3e-4)
 
@@ -391,7 +389,7 @@ def test_group_covariance_is_the_jackknife():
 
 
 def test_groups_of_correlated_errors_still_cover():
-    """Errors shared by four neighbours: intervals that take them as independent are too short."""
+    """Errors shared by four neighbors: intervals that take them as independent are too short."""
     scope = scope_with()
     world = grid_in_view(scope)[:148]
     groups = np.arange(148) // 4
@@ -456,7 +454,7 @@ def test_from_image_to_microscope():
         -55.002,
     )
     rng = np.random.default_rng(4)
-    image = render_circles(scope, imaging=Imaging(noise=2.0), rng=rng)
+    image = render_circles(scope, imaging=ImagingConditions(noise=2.0), rng=rng)
     found = detect_circles(image, direction=scope.alpha, mirrored=True)
     world = 280.0 * np.round(scope.back_project(found.points) / 280.0)
     circles = calibrate(world, found.points, focal_length=scope.focal_length, **SENSOR)
@@ -475,7 +473,7 @@ def test_from_image_to_microscope():
         -1653.1,
         -1194.5,
     )
-    image = render_squares(scope, side=50.0, imaging=Imaging(noise=2.0), rng=rng)
+    image = render_squares(scope, side=50.0, imaging=ImagingConditions(noise=2.0), rng=rng)
     found = detect_squares(image, direction=scope.alpha, mirrored=True)
     world = 50.0 * np.round(scope.back_project(found.points) / 50.0)
     squares = calibrate(

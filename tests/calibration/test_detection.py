@@ -16,7 +16,7 @@ from skimage.draw import polygon
 from microlib.calibration import detect_circles, detect_squares
 from microlib.calibration._grid_order import order_grid
 from microlib.microscope import Microscope
-from microlib.synthetic import Imaging, render_circles, render_squares
+from microlib.synthetic import ImagingConditions, render_circles, render_squares
 
 DEGREE = np.pi / 180
 SMALL = Microscope(2e5, 1e5, 5e4, tx=-700, ty=-560, image_size=(300, 240))
@@ -90,7 +90,9 @@ def errors(scope, found, pitch):
 
 
 def test_a_straight_edge_is_rendered_as_its_exact_integral():
-    image = render_squares(SMALL, side=20 * 9.9 / 2, counts=(1, 1), imaging=Imaging(blur=1.3))
+    image = render_squares(
+        SMALL, side=20 * 9.9 / 2, counts=(1, 1), imaging=ImagingConditions(blur=1.3)
+    )
     left, right = SMALL.project([[0.0, 0.0], [99.0, 0.0]])[:, 0]
     row = int(SMALL.project([[0.0, 49.5]])[0, 1])
     x = np.arange(300)
@@ -105,7 +107,7 @@ def test_a_straight_edge_is_rendered_as_its_exact_integral():
 def test_covered_areas_are_exact(turn, x, y):
     """Without blur, the dark area of one shape is its area on the sensor."""
     scope = Microscope(2e5, 1e5, 5e4, alpha=turn, tx=x, ty=y, image_size=(80, 80))
-    sharp = Imaging(blur=0.0)
+    sharp = ImagingConditions(blur=0.0)
     pixel = 9.9 / 2
     circle = ((200 - render_circles(scope, radius=80, counts=(1, 1), imaging=sharp)) / 150).sum()
     # Straight edges in cells of a third of a pixel: relative error (1/3)²/(24 r²), r = 16 px;
@@ -119,7 +121,7 @@ def test_covered_areas_are_exact(turn, x, y):
 def test_rendering_agrees_with_dense_sampling():
     """A tilted, distorted square against scikit-image's polygon on a 15-fold finer grid."""
     scope = Microscope(2e5, 1e5, 5e4, 5e-8, 0.4, 0.3, -0.2, tx=-60, ty=-80, image_size=(80, 80))
-    image = render_squares(scope, side=150, counts=(1, 1), imaging=Imaging(blur=0.0))
+    image = render_squares(scope, side=150, counts=(1, 1), imaging=ImagingConditions(blur=0.0))
     t = np.linspace(0, 1, 50, endpoint=False)
     rim = np.concatenate(
         [
@@ -139,7 +141,7 @@ def test_rendering_agrees_with_dense_sampling():
 
 def test_light_and_noise():
     scope = Microscope(2e5, 1e5, 5e4, tx=1e5, image_size=(201, 101))
-    bare = Imaging(vignetting=0.3, gradient=(0.2, -0.1), bright=150.0)
+    bare = ImagingConditions(vignetting=0.3, gradient=(0.2, -0.1), bright=150.0)
     image = render_squares(scope, counts=(1, 1), imaging=bare)
     assert image[50, 100] == pytest.approx(150.0)
     assert image[0, 0] == pytest.approx(150 * (1 - 0.1 + 0.05) * (1 - 0.3), rel=1e-6)
@@ -162,11 +164,11 @@ def test_light_and_noise():
         (lambda: render_circles(SMALL, radius=-1), "radius"),
         (lambda: render_squares(SMALL, side=0), "side"),
         (lambda: render_squares(SMALL, counts=(0, 3)), "counts"),
-        (lambda: render_squares(SMALL, imaging=Imaging(noise=1.0)), "rng"),
-        (lambda: Imaging(blur=-1), "blur"),
-        (lambda: Imaging(bright=300), "bright"),
-        (lambda: Imaging(vignetting=2), "vignetting"),
-        (lambda: Imaging(gradient=(0.1,)), "gradient"),
+        (lambda: render_squares(SMALL, imaging=ImagingConditions(noise=1.0)), "rng"),
+        (lambda: ImagingConditions(blur=-1), "blur"),
+        (lambda: ImagingConditions(bright=300), "bright"),
+        (lambda: ImagingConditions(vignetting=2), "vignetting"),
+        (lambda: ImagingConditions(gradient=(0.1,)), "gradient"),
     ],
 )
 def test_bad_rendering_parameters_are_named(call, word):
@@ -241,7 +243,7 @@ def test_points_without_a_lattice_are_refused(points):
 
 
 def whole_circles(scope):
-    """Centres of the circles whose outline lies at least 0.3 px inside the image."""
+    """Centers of the circles whose outline lies at least 0.3 px inside the image."""
     cells = np.stack(np.meshgrid(np.arange(-20, 21), np.arange(-20, 21)), axis=-1).reshape(-1, 2)
     turn = np.linspace(0, 2 * np.pi, 40)
     rim = cells[:, None] * 280.0 + 70 * np.column_stack([np.cos(turn), np.sin(turn)])
@@ -262,7 +264,7 @@ def whole_squares(scope, side):
 def test_every_whole_circle_of_the_thesis_views_is_found(scope, seed):
     rng = np.random.default_rng(seed)
     scope = replace(scope, tx=scope.tx + rng.uniform(-20, 20), ty=scope.ty + rng.uniform(-20, 20))
-    image = render_circles(scope, imaging=Imaging(noise=2.0), rng=rng)
+    image = render_circles(scope, imaging=ImagingConditions(noise=2.0), rng=rng)
     found = detect_circles(image, direction=scope.alpha, mirrored=abs(scope.gamma) > 2)
     assert np.abs(errors(scope, found, 280.0)).max() < 0.05  # wrong points are off by pixels
     grid = np.round(scope.back_project(found.points) / 280.0)
@@ -272,7 +274,7 @@ def test_every_whole_circle_of_the_thesis_views_is_found(scope, seed):
 @pytest.mark.parametrize(("scope", "side"), [(SQUARE_1X, 200.0), (SQUARE_4X, 50.0)])
 def test_every_corner_of_whole_squares_of_the_thesis_views_is_found(scope, side):
     rng = np.random.default_rng(3)
-    image = render_squares(scope, side=side, imaging=Imaging(noise=2.0), rng=rng)
+    image = render_squares(scope, side=side, imaging=ImagingConditions(noise=2.0), rng=rng)
     found = detect_squares(image, direction=scope.alpha, mirrored=True)
     assert np.abs(errors(scope, found, side)).max() < 0.05
     grid = np.round(scope.back_project(found.points) / side)
@@ -286,14 +288,14 @@ def test_every_corner_of_whole_squares_of_the_thesis_views_is_found(scope, side)
     ("blur", "noise", "circle_limit", "square_limit"),
     [(0.7, 2, 0.010, 0.025), (1.5, 8, 0.034, 0.052), (3.0, 2, 0.016, 0.033)],
 )
-def test_localisation_beats_the_limits_and_states_its_error(
+def test_localization_beats_the_limits_and_states_its_error(
     blur, noise, circle_limit, square_limit
 ):
     """RMS per coordinate at 30 px pitch, contrast 140; limits are those OpenCV's detectors are held
     to."""
     rng = np.random.default_rng(4)
     scope = Microscope(2e5, 1e5, 5e4, alpha=0.15, tx=-700, ty=-620, image_size=(460, 420))
-    imaging = Imaging(blur=blur, noise=noise, dark=55.0, bright=195.0)
+    imaging = ImagingConditions(blur=blur, noise=noise, dark=55.0, bright=195.0)
     image = render_circles(
         scope, radius=PITCH / 4, pitch=PITCH, counts=(11, 9), imaging=imaging, rng=rng
     )
@@ -304,7 +306,7 @@ def test_localisation_beats_the_limits_and_states_its_error(
         assert len(found.points) == count
         rms = np.sqrt((errors(scope, found, PITCH) ** 2).mean())
         assert rms <= limit
-        # 99 independent centres give the ratio to ±5 %, corners of shared lines less; and the
+        # 99 independent centers give the ratio to ±5 %, corners of shared lines less; and the
         # model's Gaussian stands for a box and a Gaussian.
         assert rms / np.sqrt((found.sigma**2).mean()) == pytest.approx(1.0, abs=0.25)
 
@@ -317,13 +319,13 @@ def test_circles_beat_opencv_on_the_same_image():
         radius=PITCH / 4,
         pitch=PITCH,
         counts=(9, 7),
-        imaging=Imaging(blur=1.5, noise=2.0),
+        imaging=ImagingConditions(blur=1.5, noise=2.0),
         rng=rng,
     )
     ours = errors(scope, detect_circles(image), PITCH)
-    found, centres = cv2.findCirclesGrid(np.round(image).astype(np.uint8), (9, 7))
+    found, centers = cv2.findCirclesGrid(np.round(image).astype(np.uint8), (9, 7))
     assert found
-    points = np.asarray(centres, dtype=float).reshape(-1, 2)
+    points = np.asarray(centers, dtype=float).reshape(-1, 2)
     theirs = points - scope.project(np.round(scope.back_project(points) / PITCH) * PITCH)
     # The same circles to within both errors, and ours the smaller one.
     assert np.sqrt((ours**2).mean()) < 0.7 * np.sqrt((theirs**2).mean())
@@ -364,7 +366,7 @@ def test_bent_sides_do_not_pull_the_corners():
 
 def test_uneven_light_does_no_harm():
     rng = np.random.default_rng(6)
-    imaging = Imaging(blur=1.5, noise=4.0, vignetting=0.4, gradient=(0.4, -0.2))
+    imaging = ImagingConditions(blur=1.5, noise=4.0, vignetting=0.4, gradient=(0.4, -0.2))
     image = render_circles(CIRCLE_1X, imaging=imaging, rng=rng)
     found = detect_circles(image, direction=CIRCLE_1X.alpha, mirrored=True)
     error = errors(CIRCLE_1X, found, 280.0)
@@ -376,7 +378,7 @@ def test_uneven_light_does_no_harm():
 
 def test_dirt_is_not_taken_for_a_circle():
     rng = np.random.default_rng(7)
-    image = render_circles(CIRCLE_1X, imaging=Imaging(noise=2.0), rng=rng)
+    image = render_circles(CIRCLE_1X, imaging=ImagingConditions(noise=2.0), rng=rng)
     clean = detect_circles(image, direction=CIRCLE_1X.alpha, mirrored=True)
     dirty = image.copy()
     cv2.circle(dirty, (300, 245), 9, 60.0, -1)  # between the circles
@@ -391,7 +393,9 @@ def test_dirt_is_not_taken_for_a_circle():
 
 
 def test_a_circle_with_a_smudge_is_dropped():
-    image = render_circles(CIRCLE_1X, imaging=Imaging(noise=2.0), rng=np.random.default_rng(8))
+    image = render_circles(
+        CIRCLE_1X, imaging=ImagingConditions(noise=2.0), rng=np.random.default_rng(8)
+    )
     clean = detect_circles(image, direction=CIRCLE_1X.alpha, mirrored=True)
     victim = clean.points[70]
     cv2.circle(image, np.int_(np.round(np.add(victim, [11, 0]))), 4, 50.0, -1)
@@ -401,7 +405,9 @@ def test_a_circle_with_a_smudge_is_dropped():
     assert np.abs(errors(CIRCLE_1X, found, 280.0)).max() < 0.05
 
 
-@pytest.mark.parametrize("imaging", [Imaging(blur=1.0), Imaging(blur=3.0, noise=10.0)])
+@pytest.mark.parametrize(
+    "imaging", [ImagingConditions(blur=1.0), ImagingConditions(blur=3.0, noise=10.0)]
+)
 def test_circles_are_not_taken_for_squares_nor_squares_for_circles(imaging):
     rng = np.random.default_rng(9)
     circles = render_circles(CIRCLE_1X, imaging=imaging, rng=rng)
@@ -414,7 +420,7 @@ def test_circles_are_not_taken_for_squares_nor_squares_for_circles(imaging):
 
 def test_clipped_light_still_gives_right_points():
     """A ground burnt out to white bends no circle; the image is not refused, and not misread."""
-    image = render_circles(CIRCLE_1X, imaging=Imaging(bright=200.0, dark=50.0))
+    image = render_circles(CIRCLE_1X, imaging=ImagingConditions(bright=200.0, dark=50.0))
     found = detect_circles(np.minimum(image, 180), direction=CIRCLE_1X.alpha, mirrored=True)
     assert np.abs(errors(CIRCLE_1X, found, 280.0)).max() < 0.02
 
@@ -432,7 +438,7 @@ def test_clipped_light_still_gives_right_points():
         np.add.outer(np.arange(100.0), np.arange(120.0)),
         np.tile(np.where(np.arange(120) % 30 < 15, 50.0, 200.0), (100, 1)),
     ],
-    ids=["saturated", "black", "empty", "colour", "nan", "noise", "ramp", "stripes"],
+    ids=["saturated", "black", "empty", "color", "nan", "noise", "ramp", "stripes"],
 )
 def test_images_without_a_pattern_are_refused(detect, image):
     with pytest.raises(ValueError, match="image"):

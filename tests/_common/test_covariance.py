@@ -1,0 +1,90 @@
+"""The covariance of least squares: against NumPy's inverse, Monte Carlo, and by hand where it is
+open."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from microlib._common import inverse_normal
+
+rng = np.random.default_rng(0)
+
+
+def test_a_determined_problem_has_the_plain_inverse():
+    jacobian = rng.normal(size=(30, 4)) * [1e6, 1.0, 1e-3, 1e-12]
+    # Scaled to unit columns the condition is below 3, so a few roundings are left.
+    scale = np.linalg.norm(jacobian, axis=0)
+    unit = jacobian / scale
+    expected = np.linalg.inv(unit.T @ unit)
+    np.testing.assert_allclose(
+        inverse_normal(jacobian) * np.outer(scale, scale), expected, rtol=1e-13, atol=1e-13
+    )
+
+
+def test_units_do_not_matter():
+    jacobian = rng.normal(size=(20, 3))
+    units = np.array([1e-9, 1.0, 1e12])
+    np.testing.assert_allclose(
+        inverse_normal(jacobian * units) * np.outer(units, units),
+        inverse_normal(jacobian),
+        rtol=1e-12,
+    )
+
+
+def test_an_open_direction_is_told_and_leaves_the_others_alone():
+    """The second and fourth parameter change the residuals alike: only their sum is seen."""
+    jacobian = rng.normal(size=(20, 4)) * [1.0, 1e3, 1e-3, 1.0]
+    jacobian[:, 3] = 5 * jacobian[:, 1]
+    found = inverse_normal(jacobian)
+    assert np.isinf(found[[1, 3], [1, 3]]).all()
+    off = ~np.eye(4, dtype=bool)
+    off[np.ix_([0, 2], [0, 2])] = False
+    assert np.isnan(found[off]).all()
+    # The others have the covariance that they have when the sum is one parameter.
+    fewer = np.linalg.inv(jacobian[:, :3].T @ jacobian[:, :3])
+    np.testing.assert_allclose(
+        found[np.ix_([0, 2], [0, 2])], fewer[np.ix_([0, 2], [0, 2])], rtol=1e-9
+    )
+
+
+def test_a_parameter_without_effect_is_open():
+    jacobian = rng.normal(size=(9, 3))
+    jacobian[:, 1] = 0
+    found = inverse_normal(jacobian)
+    assert np.isinf(found[1, 1])
+    assert np.isnan(found[1, [0, 2]]).all()
+    rest = jacobian[:, [0, 2]]
+    np.testing.assert_allclose(
+        found[np.ix_([0, 2], [0, 2])], np.linalg.inv(rest.T @ rest), rtol=1e-12
+    )
+    assert np.isinf(np.diag(inverse_normal(np.zeros((9, 3))))).all()
+
+
+def test_fewer_residuals_than_parameters_leave_some_open():
+    """Two equations in three unknowns; the third stands in neither of them with the others."""
+    found = inverse_normal(np.array([[3.0, 1.0, 0.0], [0.0, 0.0, 0.5]]))
+    assert np.isinf(np.diag(found)).tolist() == [True, True, False]
+    assert found[2, 2] == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize(("gap", "known"), [(1e-7, True), (1e-11, False)])
+def test_a_weak_direction_is_not_an_open_one(gap, known):
+    """Columns that differ by 1e-7 are told apart, with the huge variance that this means; the
+    inverse of JᵀJ itself, with 1e-14 beside 1, would be rounding."""
+    first, second = np.linalg.qr(rng.normal(size=(40, 2)))[0].T
+    found = inverse_normal(np.column_stack([first, first + gap * second]))
+    if known:
+        # By hand: both variances are 1/gap², to rounding over gap.
+        np.testing.assert_allclose(np.diag(found), gap**-2, rtol=1e-7)
+        np.testing.assert_allclose(found[0, 1], -(gap**-2), rtol=1e-7)
+    else:
+        assert np.isinf(np.diag(found)).all()
+
+
+def test_it_is_what_noise_does():
+    """Monte Carlo with 4000 runs: a standard deviation is known to 1.1 %; four of them."""
+    jacobian = np.vander(np.linspace(-1, 2, 12), 3)
+    runs = np.linalg.lstsq(jacobian, rng.normal(size=(12, 4000)), rcond=None)[0]
+    stated = np.sqrt(np.diag(inverse_normal(jacobian)))
+    np.testing.assert_allclose(runs.std(axis=1), stated, rtol=0.045)
