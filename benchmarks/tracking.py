@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from functools import lru_cache
 from itertools import islice
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -17,7 +18,6 @@ from numpy.typing import NDArray
 
 from benchmarks.report import must_hold, paired_times, publish
 from microlib.synthetic import (
-    WarpedPair,
     camera_frame,
     gripper_scene,
     mixed_texture,
@@ -25,6 +25,9 @@ from microlib.synthetic import (
     warped_pair,
 )
 from microlib.tracking import ESMTracker, KalmanFilter
+
+if TYPE_CHECKING:
+    from microlib.synthetic._gripper import WarpedPair
 
 Array = NDArray[np.float64]
 #: Corners (4×2, px) and iterations, or None where a method says that it failed.
