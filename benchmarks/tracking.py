@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from functools import lru_cache
 from itertools import islice
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -25,6 +26,9 @@ from microlib.synthetic import (
 )
 from microlib.synthetic._gripper import WarpedPair
 from microlib.tracking import ESMTracker, KalmanFilter, _esm, _kalman, _tracker
+
+if TYPE_CHECKING:
+    from microlib.synthetic._gripper import WarpedPair
 
 Array = NDArray[np.float64]
 #: Corners (4×2, px) and iterations, or None where a method says that it failed.

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from compendium.figures.style import COLORS
-from microlib.embryo import Boundary
 
 __all__ = ["add_scale_bar", "show_image", "show_outline"]
 
@@ -47,8 +48,8 @@ def add_scale_bar(ax: Axes, length: float, pixel_size: float, *, color: str = "b
     ax.set(xlim=(left, right), ylim=(bottom, top))
 
 
-def show_outline(ax: Axes, boundary: Boundary, **style: object) -> None:
-    """Draw an outline over its image, dotted where the probe hides it."""
+def show_outline(ax: Axes, boundary: Any, **style: object) -> None:
+    """Draw what `extract_boundary` found over its image, dotted where the probe hides it."""
     x, y = boundary.points.T
     seen = ~boundary.under_probe
     look = {"color": COLORS["orange"], "lw": 1.5} | style

@@ -1,22 +1,19 @@
 """From an image of an indented embryo to the elastic modulus of its chorion."""
 
-from microlib.embryo._boundary import Boundary, extract_boundary, find_probe, remove_probe
+from microlib.embryo._boundary import extract_boundary
 from microlib.embryo._dimple import dimple_geometry, fit_dimple
 from microlib.embryo._gaussian_sum import GaussianSum, fit_gaussians
 from microlib.embryo._loess import loess
 from microlib.embryo._modulus import force_from_image, measure_dimple, modulus_from_image
 
 __all__ = [
-    "Boundary",
     "GaussianSum",
     "dimple_geometry",
     "extract_boundary",
-    "find_probe",
     "fit_dimple",
     "fit_gaussians",
     "force_from_image",
     "loess",
     "measure_dimple",
     "modulus_from_image",
-    "remove_probe",
 ]

@@ -19,26 +19,54 @@ from scipy.signal import savgol_filter
 from microlib._common import Array, as_image
 from microlib.embryo._wall import locate_wall
 
-__all__ = ["Boundary", "Probe", "extract_boundary", "find_probe", "remove_probe"]
+# What each constant does, and over which range
+# rendered embryos (and six with more noise or blur) keep their modulus to within the stated part of
+# its own standard deviation of 1.5 %.
 
-_TOP_ROWS = 16  # rows at the upper edge in which the probe is looked for
-_DARK = 0.7  # a probe is darker than this share of the ground beside it
-_NARROWEST, _WIDEST = 4.0, 0.1  # widths of a probe: px, share of the image's width
+#: Least side of an image, px: the upper quarter shows the probe and the rest a dimple.
+_SMALLEST = 64
+#: Rows at the upper edge in which the probe is looked for.
+_TOP_ROWS = 16
+#: A probe is darker than this share of the ground beside it.
+_DARK = 0.7
+#: Widths of a probe: px, share of the image's width.
+_NARROWEST, _WIDEST = 4.0, 0.1
+#: Blur, px, under which a probe is looked for; the image's own noise must not break its edge.
+_PROBE_BLUR = 1.0
+_BODY_LEVEL = 0.4
+_ODD_WIDTH = 0.35
+_BELOW_TIP = 5
+_BORDER = 2
+_UPPER_PART = 0.7
+_MARGIN = 2
+_GROUND_WIDTH, _GROUND_SAMPLES = 6.0, 6
+_STEP = 0.25
+_TIP_REACH, _TIP_COLUMNS, _EMBRYO_SAMPLES = 8.0, 7, 12
 _LARGEST_TILT = np.deg2rad(4.0)
 _SATURATED_SHARE = 0.005
-_CLEARANCE = 3.0  # px beside the probe in which its blur reaches
-_SHORTEST_EDGE = 40  # px; shorter Canny edges are dust
-_STEEPEST = 6  # px a column that an outline may rise or fall
-_SHORTEST_SIDE = 20  # columns of outline wanted on each side of the probe
-_LEAST_DEPTH = 3.0  # px by which a dimple's bottom must lie below its rim
-_PROFILE = np.arange(-5.0, 5.01, 0.5)  # px along the normal, outside to inside
-_SMOOTHING = 11  # points (px) over which the direction of the outline is averaged
+_CLEARANCE, _BLUR_REACH = 3.0, 3.0
+_EDGE_BLUR = 1.4
+_DARK_AND_BRIGHT = (1, 99)
+_ABOVE_NOISE, _ABOVE_LIGHT = 4.0, 0.15
+_CANNY_RANGE = 8000.0
+_HYSTERESIS = 2.0
+_SHORTEST_EDGE = 40
+_STEEPEST = 6
+_SHORTEST_SIDE = 20
+_LEAST_DEPTH, _LEAST_ENDS = 3.0, 3
+_PROFILE = np.arange(-5.0, 5.01, 0.5)
+_SMOOTHING = 11
+_LARGEST_STD = 6.0
+_TIP_STD = 0.5
+#: Median absolute deviation to standard deviation, of the normal distribution.
+_MAD_TO_STD = 1.4826
+_ROUNDING = 1e-6
+_OUTLIER = 3.0
 
 
 @dataclass(frozen=True)
 class Probe:
-    """
-    The probe in an image.
+    """The probe in an image.
 
     Attributes
     ----------
@@ -61,8 +89,7 @@ class Probe:
 
 @dataclass(frozen=True)
 class Boundary:
-    """
-    The upper outline of an embryo, the middle of its chorion, from left to right.
+    """The upper outline of an embryo, the middle of its chorion, from left to right.
 
     Attributes
     ----------
@@ -93,10 +120,13 @@ class Boundary:
         """The outline as image points (x, y), y down, in px; shape (n, 2)."""
         return np.stack([self.x, self.image_height - 1 - self.y], axis=1)
 
+    def without_probe(self, image: ArrayLike) -> NDArray[np.float32]:
+        """Return `image`, in which the outline was found, with the probe filled by the ground."""
+        return _remove_probe(image, self.probe)
+
 
 def extract_boundary(image: ArrayLike) -> Boundary:
-    """
-    Find the upper outline of an embryo that a probe presses from above.
+    """Find the upper outline of an embryo that a probe presses from above.
 
     Parameters
     ----------
@@ -134,17 +164,17 @@ def extract_boundary(image: ArrayLike) -> Boundary:
     >>> bool(abs(np.interp(rim[0], x, y) - rim[1]) < 0.2)
     True
     """
-    grey = as_image("image", image, smallest=64)
+    grey = as_image("image", image, smallest=_SMALLEST)
     _refuse_saturated(np.asarray(image), grey)
-    probe = find_probe(grey)
-    sides = [_resample(side) for side in _trace(remove_probe(grey, probe), probe)]
+    probe = _find_probe(grey)
+    sides = [_resample(side) for side in _trace(_remove_probe(grey, probe), probe)]
     _refuse_without_dimple(sides, probe)
     sides, blur = _refine(grey, sides, probe, _CLEARANCE)
-    sides, blur = _refine(grey, sides, probe, max(_CLEARANCE, 3 * blur))
+    sides, blur = _refine(grey, sides, probe, max(_CLEARANCE, _BLUR_REACH * blur))
 
     reach = int(probe.half_width)
     hidden = probe.tip[0] + np.arange(-reach, reach + 1.0)
-    tip = np.stack([hidden, np.full(hidden.size, probe.tip[1]), np.full(hidden.size, 0.5)])
+    tip = np.stack([hidden, np.full(hidden.size, probe.tip[1]), np.full(hidden.size, _TIP_STD)])
     x, y, std = np.concatenate([*sides, tip], axis=1)
     under = np.arange(x.size) >= x.size - hidden.size
     order = np.argsort(x, kind="stable")
@@ -159,9 +189,8 @@ def extract_boundary(image: ArrayLike) -> Boundary:
     )
 
 
-def find_probe(image: ArrayLike) -> Probe:
-    """
-    Find the dark bar that enters an image through its upper edge.
+def _find_probe(image: ArrayLike) -> Probe:
+    """Find the dark bar that enters an image through its upper edge.
 
     Parameters
     ----------
@@ -182,14 +211,14 @@ def find_probe(image: ArrayLike) -> Probe:
     --------
     >>> image = np.full((120, 160), 200.0)
     >>> image[:70, 74:87] = 40.0
-    >>> probe = find_probe(image)
+    >>> probe = _find_probe(image)
     >>> [round(float(v), 1) for v in (*probe.tip, probe.slope, probe.half_width)]
     [80.0, 69.5, 0.0, 6.5]
     """
-    grey = _blurred(as_image("image", image, smallest=64), 1.0)
+    grey = _blurred(as_image("image", image, smallest=_SMALLEST), _PROBE_BLUR)
     top = grey[:_TOP_ROWS].mean(axis=0)
     widest = int(_WIDEST * grey.shape[1])
-    ground = median_filter(top, 4 * widest + 1, mode="nearest")
+    ground = median_filter(top, 4 * widest + 1, mode="nearest")  # a bar is a quarter of it
     dark = top < _DARK * ground
     edges = np.flatnonzero(np.diff(np.concatenate([[0], dark.view(np.int8), [0]])))
     runs = [run for run in edges.reshape(-1, 2) if _NARROWEST <= run[1] - run[0] <= widest]
@@ -201,20 +230,20 @@ def find_probe(image: ArrayLike) -> Probe:
     left, right = runs[0]
     level = ground[left:right].mean()
     bar = top[(left + right) // 2]
-    _, labels = cv2.connectedComponents((grey < bar + 0.4 * (level - bar)).astype(np.uint8))
+    _, labels = cv2.connectedComponents((grey < bar + _BODY_LEVEL * (level - bar)).astype(np.uint8))
     body = labels == labels[0, (left + right) // 2]
     width = body.sum(axis=1)
     # The probe ends where its rows do, or where something dark widens it.
     usual = np.median(width[:_TOP_ROWS])
-    odd = np.abs(width - usual) > 0.35 * usual
+    odd = np.abs(width - usual) > _ODD_WIDTH * usual
     end = int(odd.argmax()) if odd.any() else len(width)
-    if end < 2 * _TOP_ROWS or end >= len(width) - 5:
+    if end < 2 * _TOP_ROWS or end >= len(width) - _BELOW_TIP:
         raise ValueError(
             f"image must show the probe's end inside it, got a bar that ends at row {end} of "
             f"{len(width)}"
         )
     # Near the end the embryo stands beside the probe: the upper part gives direction and width.
-    rows = np.arange(2, int(0.7 * end))
+    rows = np.arange(_BORDER, int(_UPPER_PART * end))
     middle = np.array([np.flatnonzero(body[r]).mean() for r in rows])
     sides = np.array(
         [_crossings(grey[r], m, usual, bar) for r, m in zip(rows, middle, strict=True)]
@@ -232,16 +261,15 @@ def find_probe(image: ArrayLike) -> Probe:
     return Probe((float(upper.axis(tip)), tip), slope, half_width / np.hypot(1.0, slope))
 
 
-def remove_probe(image: ArrayLike, probe: Probe) -> NDArray[np.float32]:
-    """
-    Fill the probe with the grey of the ground beside it.
+def _remove_probe(image: ArrayLike, probe: Probe) -> NDArray[np.float32]:
+    """Fill the probe with the grey of the ground beside it.
 
     Parameters
     ----------
     image : array_like, shape (rows, columns)
         Grey image.
     probe : Probe
-        What `find_probe` found in it.
+        What `_find_probe` found in it.
 
     Returns
     -------
@@ -262,17 +290,17 @@ def remove_probe(image: ArrayLike, probe: Probe) -> NDArray[np.float32]:
     --------
     >>> image = np.full((120, 160), 200.0)
     >>> image[:70, 74:87] = 40.0
-    >>> float(remove_probe(image, find_probe(image)).min())
+    >>> float(_remove_probe(image, _find_probe(image)).min())
     200.0
     """
-    filled = as_image("image", image, smallest=64).copy()
+    filled = as_image("image", image, smallest=_SMALLEST).copy()
     rows = np.arange(int(np.ceil(probe.tip[1] + 1)))
     axis = probe.axis(rows)
     reach = probe.half_width + _CLEARANCE
-    measured = rows[: int(0.7 * rows.size)]
+    measured = rows[: int(_UPPER_PART * rows.size)]
     levels = []
     for side in (-1, 1):
-        beside = np.rint(axis[measured] + side * (reach + 2)).astype(int)
+        beside = np.rint(axis[measured] + side * (reach + _MARGIN)).astype(int)
         beside = np.clip(beside, 0, filled.shape[1] - 1)
         slope, start = _robust_line(measured, filled[measured, beside])
         levels.append(start + slope * rows)
@@ -307,12 +335,12 @@ def _crossings(
     """Where a row passes half-way between the bar and the ground, left and right of `middle`."""
     found = []
     for side in (-1, 1):
-        distance = np.arange(0.0, width / 2 + 6.0, 0.25)
+        distance = np.arange(0.0, width / 2 + _GROUND_WIDTH, _STEP)
         profile = np.interp(middle + side * distance, np.arange(row.size), row)
-        half = (bar + profile[-6:].mean()) / 2
+        half = (bar + profile[-_GROUND_SAMPLES:].mean()) / 2
         k = int((profile > half).argmax())
         part = (half - profile[k - 1]) / (profile[k] - profile[k - 1]) if k > 0 else 0.0
-        found.append(middle + side * (distance[k - 1] + 0.25 * part) if k > 0 else np.nan)
+        found.append(middle + side * (distance[k - 1] + _STEP * part) if k > 0 else np.nan)
     return found[0], found[1]
 
 
@@ -322,38 +350,41 @@ def _robust_line(x: NDArray, y: NDArray) -> tuple[float, float]:
     for _ in range(2):
         slope, start = np.polyfit(x[use], y[use], 1)
         off = np.abs(y - start - slope * x)
-        use = off <= 3 * 1.4826 * np.median(off[use]) + 1e-6
+        use = off <= _OUTLIER * _MAD_TO_STD * np.median(off[use]) + _ROUNDING
     return float(slope), float(start)
 
 
 def _tip_row(grey: NDArray[np.float32], upper: Probe, end: int, bar: float) -> float:
     """Image height where the probe's middle turns from its own grey to that of the embryo."""
-    y = np.arange(end - 8.0, min(end + 9.0, len(grey) - 1.0), 0.25)
-    across = np.linspace(-0.5, 0.5, 7) * upper.half_width
+    y = np.arange(end - _TIP_REACH, min(end + _TIP_REACH + 1, len(grey) - 1.0), _STEP)
+    across = np.linspace(-0.5, 0.5, _TIP_COLUMNS) * upper.half_width
     x = upper.axis(y)[:, np.newaxis] + across
     where = np.stack([np.broadcast_to(y[:, np.newaxis], x.shape), x])
     profile = map_coordinates(grey, where, order=1, mode="nearest").mean(axis=1)
-    half = (bar + profile[-12:].mean()) / 2
+    half = (bar + profile[-_EMBRYO_SAMPLES:].mean()) / 2
     k = int((profile > half).argmax())
     if k == 0:
         raise ValueError("image must show the probe's end against something brighter, got none")
-    return float(y[k - 1] + 0.25 * (half - profile[k - 1]) / (profile[k] - profile[k - 1]))
+    return float(y[k - 1] + _STEP * (half - profile[k - 1]) / (profile[k] - profile[k - 1]))
 
 
 def _trace(filled: NDArray[np.float32], probe: Probe) -> list[Array]:
     """Follow the uppermost Canny edge from the probe outwards; (2, n) image points of each side."""
-    smooth = _blurred(filled, 1.4)
+    smooth = _blurred(filled, _EDGE_BLUR)
     dx, dy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
     # The threshold stands above the noise, whose gradient the flat ground shows, and above what
     # uneven light does to a picture without noise.
-    dark, bright = np.percentile(filled, [1, 99])
-    least = max(4 * float(np.median(np.abs(dx) + np.abs(dy))), 0.15 * float(bright - dark))
-    scale = 8000.0 / max(float(np.abs(dx).max()), float(np.abs(dy).max()), 1e-6)
+    dark, bright = np.percentile(filled, _DARK_AND_BRIGHT)
+    least = max(
+        _ABOVE_NOISE * float(np.median(np.abs(dx) + np.abs(dy))),
+        _ABOVE_LIGHT * float(bright - dark),
+    )
+    scale = _CANNY_RANGE / max(float(np.abs(dx).max()), float(np.abs(dy).max()), _ROUNDING)
     edges = cv2.Canny(
         np.rint(dx * scale).astype(np.int16),
         np.rint(dy * scale).astype(np.int16),
         least * scale,
-        2 * least * scale,
+        _HYSTERESIS * least * scale,
     )
     _, labels, stats, _ = cv2.connectedComponentsWithStats(edges, connectivity=8)
     long = stats[:, cv2.CC_STAT_AREA] >= _SHORTEST_EDGE
@@ -396,11 +427,11 @@ def _refine(
     x, y = start[:, :, np.newaxis] + normal[:, :, np.newaxis] * _PROFILE
     profiles = map_coordinates(spline_filter(grey, 3), [y, x], order=3, prefilter=False)
     beside = np.abs(x - probe.axis(y)) > probe.half_width + clearance
-    clear = beside | (y > probe.tip[1] + clearance + 2)
+    clear = beside | (y > probe.tip[1] + clearance + _MARGIN)
     wall = locate_wall(profiles, _PROFILE, weights=clear)
     points = start + normal * wall.position
     usual = np.nanmedian(wall.std)
-    good = np.isfinite(wall.position) & (wall.std < 6 * usual)
+    good = np.isfinite(wall.position) & (wall.std < _LARGEST_STD * usual)
     split = smooth[0].shape[1]
     found = [
         np.concatenate([points, wall.std[np.newaxis]])[:, part][:, good[part]]
@@ -422,7 +453,7 @@ def _refuse_without_dimple(sides: list[Array], probe: Probe) -> None:
         depth = probe.tip[1] - y[rim]
         apart = abs(x[rim] - probe.tip[0]) - probe.half_width - _CLEARANCE
         ends = min(rim, y.size - 1 - rim)
-        if depth < _LEAST_DEPTH or apart < _LEAST_DEPTH or ends < 3:
+        if depth < _LEAST_DEPTH or apart < _LEAST_DEPTH or ends < _LEAST_ENDS:
             raise ValueError(
                 f"image must show a dimple at least {_LEAST_DEPTH:.0f} px deep around the probe's "
                 f"end, got {depth:.1f} px on the {name}"

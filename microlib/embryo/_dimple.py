@@ -20,19 +20,22 @@ from microlib.embryo._boundary import Boundary
 from microlib.embryo._gaussian_sum import GaussianSum
 from microlib.membrane import dimple_profile
 
-__all__ = ["DimpleFit", "DimpleGeometry", "dimple_geometry", "fit_dimple"]
-
-_BEYOND_RIM = 1.3  # radii up to which the outline enters the fit
-_LARGEST_MISFIT = 0.03  # of the depth
-_MOST_LEFT_OUT = 0.15  # of the points
-_STEEPEST_TILT = 0.3  # rad
-_TIP_OFF = 0.15  # of the depth: how far the probe's end may lie from the fitted bottom
+_BEYOND_RIM = 1.3
+_LARGEST_MISFIT = 0.03
+_MOST_LEFT_OUT = 0.15
+_STEEPEST_TILT = 0.3
+_TIP_OFF, _TIP_OFF_PIXELS = 0.15, 2.0
+_OUTLIER, _MAD_TO_STD = 4.0, 1.4826
+_FIXED_POINT_STEPS = 8
+_RIM_WINDOW = 9
+_START_CURVATURE = 0.3
+_NARROWEST = 1.01
+_LEAST_ROOT = 0.05
 
 
 @dataclass(frozen=True)
 class DimpleGeometry:
-    """
-    Size of a dimple and the two points of the outline that define it.
+    """Size of a dimple and the two points of the outline that define it.
 
     Attributes
     ----------
@@ -52,8 +55,7 @@ class DimpleGeometry:
 
 
 def dimple_geometry(curve: GaussianSum, *, pixel_size: float) -> DimpleGeometry:
-    """
-    Measure the dimple of an outline from its left rim and its bottom, equation (5.3).
+    """Measure the dimple of an outline from its left rim and its bottom, equation (5.3).
 
     Parameters
     ----------
@@ -108,7 +110,7 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float) -> DimpleGeometry:
     rim = left[curve(left) > half_way].max()
     covariance = np.full((2, 2), np.nan)
     if curve.covariance is not None:
-        moved = [-curve.slope_gradient(x) / curve.bend(x) for x in (bottom, rim)]
+        moved = [-curve.slope_gradient(x) / curve.second_derivative(x) for x in (bottom, rim)]
         change = size * np.stack(
             [moved[0] - moved[1], curve.gradient(rim) - curve.gradient(bottom)]
         )
@@ -124,8 +126,7 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float) -> DimpleGeometry:
 
 @dataclass(frozen=True)
 class DimpleFit:
-    """
-    A dimple of the form (4.2) fitted to an outline; calling it with x in px gives y in px.
+    """A dimple of the form (4.2) fitted to an outline; calling it with x in px gives y in px.
 
     Attributes
     ----------
@@ -162,7 +163,7 @@ class DimpleFit:
         # point find the one that comes to lie at x.
         cos, sin = np.cos(self.tilt), np.sin(self.tilt)
         u = along / cos
-        for _ in range(8):
+        for _ in range(_FIXED_POINT_STEPS):
             u = (along + sin * self._upright(u)) / cos
         return self.center[1] + sin * u + cos * self._upright(u)
 
@@ -176,8 +177,7 @@ class DimpleFit:
 
 
 def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float) -> DimpleFit:
-    r"""
-    Fit the membrane's profile (4.2) to an outline.
+    r"""Fit the membrane's profile (4.2) to an outline.
 
     Parameters
     ----------
@@ -233,13 +233,13 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     outline = outline[:, np.abs(outline[0] - boundary.probe.tip[0]) > c]
     first = _least_squares(_near(outline, start), start, c)
     near = _near(outline, first.x)
-    off = np.abs(_distance(first.x, near[0], near[1], c) / near[2])
+    off = np.abs(_normal_distance(first.x, near[0], near[1], c) / near[2])
     # What lies within its own standard deviation is no outlier, however exact the others are.
-    kept = near[:, off < max(4 * 1.4826 * np.median(off), 1.0)]
+    kept = near[:, off < max(_OUTLIER * _MAD_TO_STD * np.median(off), 1.0)]
     fit = _least_squares(kept, first.x, c)
 
     x0, y0, tilt, a, depth, *curvatures = fit.x.tolist()
-    misfit = float(np.sqrt(np.mean(_distance(fit.x, kept[0], kept[1], c) ** 2)))
+    misfit = float(np.sqrt(np.mean(_normal_distance(fit.x, kept[0], kept[1], c) ** 2)))
     left_out = 1 - kept.shape[1] / near.shape[1]
     if misfit > _LARGEST_MISFIT * depth or left_out > _MOST_LEFT_OUT:
         raise ValueError(
@@ -249,13 +249,13 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
         )
     off_axis = abs(float(boundary.probe.axis(boundary.image_height - 1 - y0)) - x0)
     tip_off = abs(y0 - depth - (boundary.image_height - 1 - boundary.probe.tip[1]))
-    if off_axis > c or tip_off > 2 + _TIP_OFF * depth:
+    if off_axis > c or tip_off > _TIP_OFF_PIXELS + _TIP_OFF * depth:
         raise ValueError(
             "boundary must have the probe's end at the bottom of the dimple, for this "
             f"probe_half_width, got it {off_axis:.1f} px beside the axis and {tip_off:.1f} px off "
             "in height"
         )
-    covariance = inverse_normal(fit.jac) * _inflation(fit.fun, len(fit.x))
+    covariance = inverse_normal(fit.jac) * _variance_inflation(fit.fun, len(fit.x))
     return DimpleFit(
         dimple_radius=a * size,
         dimple_depth=depth * size,
@@ -274,7 +274,7 @@ def _start(x: NDArray, y: NDArray, boundary: Boundary) -> Array:
     axis = boundary.probe.tip[0]
     left = x < axis
     # A running median keeps a stray point from passing for the rim.
-    smooth = median_filter(y, 9, mode="nearest")
+    smooth = median_filter(y, _RIM_WINDOW, mode="nearest")
     (x1, y1), (x2, y2) = (
         (x[side][smooth[side].argmax()], smooth[side].max()) for side in (left, ~left)
     )
@@ -282,7 +282,17 @@ def _start(x: NDArray, y: NDArray, boundary: Boundary) -> Array:
     bottom = boundary.image_height - 1 - boundary.probe.tip[1]
     height = (y1 + y2) / 2
     tilt = np.clip((y2 - y1) / (x2 - x1), -0.9 * _STEEPEST_TILT, 0.9 * _STEEPEST_TILT)
-    return np.array([(x1 + x2) / 2, height, tilt, a, height - bottom, 0.3 / a, 0.3 / a])
+    return np.array(
+        [
+            (x1 + x2) / 2,
+            height,
+            tilt,
+            a,
+            height - bottom,
+            _START_CURVATURE / a,
+            _START_CURVATURE / a,
+        ]
+    )
 
 
 def _near(outline: Array, p: Array) -> Array:
@@ -294,10 +304,10 @@ def _least_squares(outline: Array, start: Array, c: float) -> OptimizeResult:
     """Fit the seven numbers to the rows x, y, std of `outline`."""
     x, y, std = outline
     turn, sharpest = _STEEPEST_TILT, 1 / start[3]
-    lower = np.array([-np.inf, -np.inf, -turn, 1.01 * c, 0.0, 0.0, 0.0])
+    lower = np.array([-np.inf, -np.inf, -turn, _NARROWEST * c, 0.0, 0.0, 0.0])
     upper = np.array([np.inf, np.inf, turn, np.inf, np.inf, sharpest, sharpest])
     return least_squares(
-        lambda p: _distance(p, x, y, c) / std,
+        lambda p: _normal_distance(p, x, y, c) / std,
         np.clip(start, lower, upper),
         bounds=(lower, upper),
         x_scale="jac",
@@ -315,13 +325,13 @@ def _profile(
     beyond = np.maximum(distance - a, 0.0)
     curvature = np.where(u < 0, left, right)
     # An arc of a circle; its root stays real where a search tries too strong a curvature.
-    root = np.sqrt(np.maximum(1 - (curvature * beyond) ** 2, 0.05))
+    root = np.sqrt(np.maximum(1 - (curvature * beyond) ** 2, _LEAST_ROOT))
     height = -dimple_profile(r, a, depth, probe_half_width=c) - curvature * beyond**2 / (1 + root)
     slope = 2 * scale * (1 / r - r / a**2) * (distance > c) - curvature * beyond / root
     return height, np.sign(u) * slope
 
 
-def _distance(p: NDArray, x: NDArray, y: NDArray, c: float) -> Array:
+def _normal_distance(p: NDArray, x: NDArray, y: NDArray, c: float) -> Array:
     """Distance of points across the outline, to first order, in px."""
     x0, y0, tilt, a, depth, left, right = p
     cos, sin = np.cos(tilt), np.sin(tilt)
@@ -331,12 +341,12 @@ def _distance(p: NDArray, x: NDArray, y: NDArray, c: float) -> Array:
     return (v - height) / np.hypot(1.0, slope)
 
 
-def _inflation(residuals: Array, parameters: int) -> float:
+def _variance_inflation(residuals: Array, parameters: int) -> float:
     """Factor from a covariance of unit, independent errors to that of these residuals."""
     freedom = residuals.size - parameters
     variance = np.sum(residuals**2) / freedom
     # Neighbouring points share pixels, points further apart do not. The fit itself makes
-    # residuals look less alike, by about its number of parameters over that of points.
-    alike = np.sum(residuals[1:] * residuals[:-1]) / np.sum(residuals**2)
-    alike += parameters / residuals.size
-    return float(variance * max(1.0, 1.0 + 2.0 * alike))
+    # residuals look less correlated, by about its number of parameters over that of points.
+    correlation = np.sum(residuals[1:] * residuals[:-1]) / np.sum(residuals**2)
+    correlation += parameters / residuals.size
+    return float(variance * max(1.0, 1.0 + 2.0 * correlation))

@@ -16,15 +16,18 @@ from scipy.optimize import brentq, least_squares
 
 from microlib._common import Array, as_array, inverse_normal, positive, same_length, whole
 
-__all__ = ["GaussianSum", "fit_gaussians"]
-
-_LEAST_WIDTH = 0.01  # of a term, as a share of the outline's extent
+_LEAST_WIDTH = 0.01
+_FINENESS = 40
+_ROOT_TOLERANCE = 1e-10
+_GRID, _GRID_BLUR = 256, 4.0
+_EVEN_SHARE, _ROUNDING = 0.1, 1e-12
+_OVERLAP = 1.2
+_RCOND = 1e-6
 
 
 @dataclass(frozen=True)
 class GaussianSum:
-    r"""
-    A sum of Gaussians as in equation (5.1).
+    r"""A sum of Gaussians as in equation (5.1).
 
     .. math:: f_m(x) = \sum_i a_i \exp\left(-\left(\frac{x-b_i}{c_i}\right)^2\right)
 
@@ -103,14 +106,13 @@ class GaussianSum:
         by_width = scaled * (4 - 4 * scaled**2) / self.widths**2 * terms
         return np.concatenate([by_amplitude, by_center, by_width])
 
-    def bend(self, x: ArrayLike) -> Array:
+    def second_derivative(self, x: ArrayLike) -> Array:
         """Return d²y/dx² at `x`, in 1/px; any shape."""
         scaled, terms = self._terms(x)
         return np.sum((4 * scaled**2 - 2) / self.widths**2 * terms, axis=-1)
 
     def extrema(self) -> tuple[Array, Array]:
-        """
-        Find where the slope vanishes inside the domain.
+        """Find where the slope vanishes inside the domain.
 
         Returns
         -------
@@ -123,13 +125,13 @@ class GaussianSum:
         cannot hide two roots, and each root is then polished to 1e-10 px (Brent).
         """
         low, high = self.domain
-        samples = int(np.ceil((high - low) / self.widths.min() * 40)) + 2
+        samples = int(np.ceil((high - low) / self.widths.min() * _FINENESS)) + 2
         grid = np.linspace(low, high, samples)
         slope = self.slope(grid)
         maxima: list[float] = []
         minima: list[float] = []
         for k in np.flatnonzero(slope[:-1] * slope[1:] < 0):
-            root = brentq(self.slope, grid[k], grid[k + 1], xtol=1e-10)
+            root = brentq(self.slope, grid[k], grid[k + 1], xtol=_ROOT_TOLERANCE)
             (maxima if slope[k] > 0 else minima).append(root)
         return np.array(maxima), np.array(minima)
 
@@ -144,8 +146,7 @@ class GaussianSum:
 def fit_gaussians(
     x: ArrayLike, y: ArrayLike, *, terms: int = 8, max_iterations: int = 1500
 ) -> GaussianSum:
-    """
-    Fit a sum of Gaussians to an outline by least squares, equation (5.1).
+    """Fit a sum of Gaussians to an outline by least squares, equation (5.1).
 
     Parameters
     ----------
@@ -171,7 +172,7 @@ def fit_gaussians(
     -----
     The solver is scipy's trust-region reflective Newton method, as the thesis names it, with the
     analytic Jacobian. Where it ends depends on where it starts, so it starts twice, from evenly
-    spaced terms and from terms that share the outline's bending, crowded where it turns sharply,
+    spaced terms and from terms crowded where its second derivative is large,
     and the better end counts. The amplitudes of a start are solved for linearly.
 
     The covariance is that of least squares, scaled to the residuals; with as many parameters as
@@ -230,23 +231,26 @@ def fit_gaussians(
 
 
 def _starts(x: Array, y: Array, n: int) -> Iterator[Array]:
-    """Evenly spaced terms, then terms that share the outline's bending; best amplitudes each."""
+    """Evenly spaced terms, then terms denser where the outline turns; best amplitudes each."""
     span = np.ptp(x)
-    grid = np.linspace(x.min(), x.max(), 256)
+    grid = np.linspace(x.min(), x.max(), _GRID)
     order = np.argsort(x)
-    smooth = gaussian_filter1d(np.interp(grid, x[order], y[order]), 4.0, mode="nearest")
-    bending = np.sqrt(np.abs(np.gradient(np.gradient(smooth))))
-    # The ends of the filter bend by themselves.
-    bending[:8], bending[-8:] = bending[8], bending[-9]
-    share = np.cumsum(bending + 0.1 * bending.mean() + 1e-12)
+    smooth = gaussian_filter1d(np.interp(grid, x[order], y[order]), _GRID_BLUR, mode="nearest")
+    second_derivative = np.gradient(np.gradient(smooth))
+    # Breakpoints of a piecewise fit belong as dense as the root of the second derivative.
+    density = np.sqrt(np.abs(second_derivative))
+    # The ends of the filter turn by themselves.
+    end = int(2 * _GRID_BLUR)
+    density[:end], density[-end:] = density[end], density[-end - 1]
+    share = np.cumsum(density + _EVEN_SHARE * density.mean() + _ROUNDING)
     share /= share[-1]
     even = np.linspace(0.0, 1.0, grid.size)
     for progress in (even, share):
         centers = np.interp((np.arange(n) + 0.5) / n, progress, grid)
         edges = np.interp(np.arange(n + 1) / n, progress, grid)
-        widths = np.clip(1.2 * np.diff(edges), 2 * _LEAST_WIDTH * span, span)
+        widths = np.clip(_OVERLAP * np.diff(edges), 2 * _LEAST_WIDTH * span, span)
         basis = np.exp(-(((x[:, np.newaxis] - centers) / widths) ** 2))
-        amplitudes = np.linalg.lstsq(basis, y, rcond=1e-6)[0]
+        amplitudes = np.linalg.lstsq(basis, y, rcond=_RCOND)[0]
         yield np.concatenate([amplitudes, centers, widths])
 
 

@@ -22,8 +22,7 @@ def loess(
     robust_iterations: int = 0,
     weights: ArrayLike | None = None,
 ) -> Array:
-    r"""
-    Smooth y(x) by polynomials fitted locally (Cleveland 1979).
+    r"""Smooth y(x) by polynomials fitted locally (Cleveland 1979).
 
     Parameters
     ----------

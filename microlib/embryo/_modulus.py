@@ -6,6 +6,7 @@ Lengths are in µm, forces in µN, moduli in MPa.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,15 +17,7 @@ from microlib.embryo._boundary import Boundary, extract_boundary
 from microlib.embryo._dimple import DimpleFit, DimpleGeometry, dimple_geometry, fit_dimple
 from microlib.embryo._gaussian_sum import fit_gaussians
 from microlib.embryo._loess import loess
-from microlib.membrane import elastic_modulus, indentation_force, modulus_sensitivity
-
-__all__ = [
-    "ForceEstimate",
-    "ModulusEstimate",
-    "force_from_image",
-    "measure_dimple",
-    "modulus_from_image",
-]
+from microlib.membrane import elastic_modulus, indentation_force, modulus_std
 
 _METHODS = ("membrane", "gaussians")
 _NORMAL_95 = 1.959964
@@ -34,8 +27,7 @@ _SPAN, _TERMS = 0.25, 8  # of section 5.6
 
 @dataclass(frozen=True)
 class ModulusEstimate:
-    """
-    A modulus read off an image.
+    """A modulus read off an image.
 
     Attributes
     ----------
@@ -61,8 +53,7 @@ class ModulusEstimate:
 
 @dataclass(frozen=True)
 class ForceEstimate:
-    """
-    A force read off an image.
+    """A force read off an image.
 
     Attributes
     ----------
@@ -95,8 +86,7 @@ def modulus_from_image(
     poisson_ratio: float,
     method: str = "membrane",
 ) -> ModulusEstimate:
-    """
-    Measure the elastic modulus of a chorion in one image of its indentation.
+    """Measure the elastic modulus of a chorion in one image of its indentation.
 
     Parameters
     ----------
@@ -144,16 +134,12 @@ def modulus_from_image(
     dimple = measure_dimple(
         boundary, pixel_size=pixel_size, probe_half_width=probe_half_width, method=method
     )
-    modulus = elastic_modulus(
-        load,
-        dimple.dimple_radius,
-        dimple.dimple_depth,
-        thickness=thickness,
-        probe_half_width=probe_half_width,
-        poisson_ratio=poisson_ratio,
-    )
-    std = _relative_std(dimple, probe_half_width, poisson_ratio)
-    return ModulusEstimate(float(modulus), std, _interval(float(modulus), std), dimple, boundary)
+    membrane = {
+        "thickness": thickness,
+        "probe_half_width": probe_half_width,
+        "poisson_ratio": poisson_ratio,
+    }
+    return ModulusEstimate(*_apply(elastic_modulus, load, dimple, membrane), dimple, boundary)
 
 
 def force_from_image(
@@ -165,8 +151,7 @@ def force_from_image(
     probe_half_width: float,
     poisson_ratio: float,
 ) -> ForceEstimate:
-    """
-    Measure the force on an embryo of known modulus in one image, without a force sensor.
+    """Measure the force on an embryo of known modulus in one image, without a force sensor.
 
     Parameters
     ----------
@@ -207,24 +192,18 @@ def force_from_image(
     stiffness = float(positive("modulus", as_array("modulus", modulus, shape=())))
     boundary = extract_boundary(image)
     dimple = fit_dimple(boundary, pixel_size=pixel_size, probe_half_width=probe_half_width)
-    force = indentation_force(
-        stiffness,
-        dimple.dimple_radius,
-        dimple.dimple_depth,
-        thickness=thickness,
-        probe_half_width=probe_half_width,
-        poisson_ratio=poisson_ratio,
-    )
-    # E is F times a function of the dimple, whose error moves ln E and ln F by as much.
-    std = _relative_std(dimple, probe_half_width, poisson_ratio)
-    return ForceEstimate(float(force), std, _interval(float(force), std), dimple, boundary)
+    membrane = {
+        "thickness": thickness,
+        "probe_half_width": probe_half_width,
+        "poisson_ratio": poisson_ratio,
+    }
+    return ForceEstimate(*_apply(indentation_force, stiffness, dimple, membrane), dimple, boundary)
 
 
 def measure_dimple(
     boundary: Boundary, *, pixel_size: float, probe_half_width: float, method: str = "membrane"
 ) -> DimpleFit | DimpleGeometry:
-    """
-    Measure the dimple of an outline by the membrane's profile or as the thesis does.
+    """Measure the dimple of an outline by the membrane's profile or as the thesis does.
 
     Parameters
     ----------
@@ -273,23 +252,22 @@ def _crop(boundary: Boundary) -> tuple[Array, Array]:
     return x, np.interp(x, boundary.x, boundary.y)
 
 
-def _relative_std(
-    dimple: DimpleFit | DimpleGeometry, probe_half_width: float, poisson_ratio: float
-) -> float:
-    """Standard deviation of ln E from the covariance of radius and depth."""
-    exponents = modulus_sensitivity(
-        dimple.dimple_radius, probe_half_width=probe_half_width, poisson_ratio=poisson_ratio
-    )
-    gradient = np.array(
-        [
-            float(exponents.dimple_radius) / dimple.dimple_radius,
-            float(exponents.dimple_depth) / dimple.dimple_depth,
-        ]
-    )
-    return float(np.sqrt(gradient @ dimple.covariance @ gradient))
-
-
-def _interval(value: float, relative_std: float) -> tuple[float, float]:
-    """95 % interval of a positive quantity whose logarithm is normal."""
-    factor = float(np.exp(_NORMAL_95 * relative_std))
-    return value / factor, value * factor
+def _apply(
+    formula: Callable[..., Array],
+    known: float,
+    dimple: DimpleFit | DimpleGeometry,
+    membrane: dict[str, float],
+) -> tuple[float, float, tuple[float, float]]:
+    """Modulus of a known force, or force of a known modulus: value, deviation of ln, interval."""
+    inputs = {
+        "dimple_radius": dimple.dimple_radius,
+        "dimple_depth": dimple.dimple_depth,
+        **membrane,
+    }
+    value = float(formula(known, **inputs))
+    # E is F times a function of the dimple, whose error moves ln E and ln F by as much.
+    force, modulus = (known, value) if formula is elastic_modulus else (value, known)
+    std = modulus_std({"force": force, **inputs}, {}, dimple_covariance=dimple.covariance) / modulus
+    # Of a positive quantity whose logarithm is normal.
+    factor = float(np.exp(_NORMAL_95 * std))
+    return value, std, (value / factor, value * factor)

@@ -1,7 +1,7 @@
 """Where a thin dark wall lies across a profile, to a few hundredths of a pixel.
 
 A chorion in transmitted light is a dark line between two grey levels. After a Gaussian blur of
-width s the profile along its normal is a step plus a bump, both centred on the wall's middle, and
+width s the profile along its normal is a step plus a bump, both centered on the wall's middle, and
 a least-squares fit of that shape finds the middle without the bias of a gradient's maximum, which
 lies on the wall's outer flank.
 """
@@ -17,19 +17,19 @@ from scipy.special import ndtr
 
 from microlib._common import Array, as_array
 
-__all__ = ["WallPosition", "locate_wall"]
-
-# The wall is sought within this distance (px) of the middle of a profile.
 _REACH = 2.5
-_WIDTHS = (0.6, 3.0)  # range of the blur, px
+_WIDTHS, _WIDTH_TOLERANCE = (0.6, 3.0), 0.01
 _USUAL_WIDTH = 1.1
 _ITERATIONS = 5
+_LEAST_SAMPLES = 6
+_GRID = 0.25
+_LONGEST_STEP = 0.5
+_DAMPING = 1e-9
 
 
 @dataclass(frozen=True)
 class WallPosition:
-    """
-    Walls found in a set of profiles.
+    """Walls found in a set of profiles.
 
     Attributes
     ----------
@@ -47,8 +47,7 @@ class WallPosition:
 
 
 def locate_wall(profiles: ArrayLike, offsets: ArrayLike, *, weights: ArrayLike) -> WallPosition:
-    r"""
-    Fit a blurred wall to each of a set of profiles.
+    r"""Fit a blurred wall to each of a set of profiles.
 
     .. math:: I(d) = b_0 + b_1 \Phi\left(\frac{d-\delta}{s}\right)
               + b_2 \exp\left(-\frac{(d-\delta)^2}{2s^2}\right)
@@ -90,20 +89,24 @@ def locate_wall(profiles: ArrayLike, offsets: ArrayLike, *, weights: ArrayLike) 
     offsets = as_array("offsets", offsets, shape=(None,))
     profiles = as_array("profiles", profiles, shape=(None, len(offsets)))
     weights = as_array("weights", weights, shape=profiles.shape)
-    enough = weights.sum(axis=1) >= 6
+    enough = weights.sum(axis=1) >= _LEAST_SAMPLES
     if not enough.any():
-        raise ValueError("weights must leave at least 6 samples of a profile, got fewer in each")
+        raise ValueError(
+            f"weights must leave at least {_LEAST_SAMPLES} samples of a profile, got fewer in each"
+        )
     used = np.flatnonzero(enough)
     data, keep = profiles[used], weights[used]
 
     def residual(width: float) -> float:
-        return _polish(data, offsets, keep, width, start)[2]
+        return _gauss_newton(data, offsets, keep, width, start)[2]
 
-    start = _scan(data, offsets, keep, _USUAL_WIDTH)
+    start = _grid_search(data, offsets, keep, _USUAL_WIDTH)
     width = float(
-        minimize_scalar(residual, bounds=_WIDTHS, method="bounded", options={"xatol": 0.01}).x
+        minimize_scalar(
+            residual, bounds=_WIDTHS, method="bounded", options={"xatol": _WIDTH_TOLERANCE}
+        ).x
     )
-    found, std, _ = _polish(data, offsets, keep, width, start)
+    found, std, _ = _gauss_newton(data, offsets, keep, width, start)
     reached = keep > 0
     first = np.where(reached, offsets, np.inf).min(axis=1)
     last = np.where(reached, offsets, -np.inf).max(axis=1)
@@ -116,27 +119,26 @@ def locate_wall(profiles: ArrayLike, offsets: ArrayLike, *, weights: ArrayLike) 
     return WallPosition(position, spread, width)
 
 
-def _shape(scaled: Array) -> Array:
+def _basis(scaled: Array) -> Array:
     """Columns of the linear model: level, step, bump; stacked last."""
     return np.stack([np.ones_like(scaled), ndtr(scaled), np.exp(-(scaled**2) / 2)], axis=-1)
 
 
-def _scan(data: Array, offsets: Array, keep: Array, width: float) -> Array:
+def _grid_search(data: Array, offsets: Array, keep: Array, width: float) -> Array:
     """Best position of each profile on a coarse grid."""
-    grid = np.arange(-_REACH, _REACH + 0.01, 0.25)
-    basis = _shape((offsets - grid[:, np.newaxis]) / width)  # (grid, samples, 3)
+    grid = np.arange(-_REACH, _REACH + _GRID / 2, _GRID)
+    basis = _basis((offsets - grid[:, np.newaxis]) / width)  # (grid, samples, 3)
     products = basis[..., :, np.newaxis] * basis[..., np.newaxis, :]
     normal = np.einsum("nm,gmij->ngij", keep, products, optimize=True)
     right = np.einsum("nm,gmi->ngi", keep * data, basis, optimize=True)
-    # A trace of damping keeps profiles solvable whose samples lie on one side only.
-    normal += 1e-9 * np.eye(3)
+    normal += _DAMPING * np.eye(3)
     coefficients = np.linalg.solve(normal, right[..., np.newaxis])[..., 0]
     explained = np.einsum("ngi,ngi->ng", coefficients, right)
     squares = np.sum(keep * data**2, axis=1)[:, np.newaxis] - explained
     return grid[squares.argmin(axis=1)]
 
 
-def _polish(
+def _gauss_newton(
     data: Array,
     offsets: Array,
     keep: Array,
@@ -147,19 +149,19 @@ def _polish(
     position = position.copy()
     for _ in range(_ITERATIONS):
         scaled = (offsets - position[:, np.newaxis]) / width
-        basis = _shape(scaled)
-        normal = np.einsum("nm,nmi,nmj->nij", keep, basis, basis) + 1e-9 * np.eye(3)
+        basis = _basis(scaled)
+        normal = np.einsum("nm,nmi,nmj->nij", keep, basis, basis) + _DAMPING * np.eye(3)
         right = np.einsum("nm,nmi->ni", keep * data, basis)
         linear = np.linalg.solve(normal, right[..., np.newaxis])[..., 0]
         bell = basis[..., 2]
         slope = bell * (scaled * linear[:, 2:] - linear[:, 1:2] / np.sqrt(2 * np.pi)) / width
         jacobian = np.concatenate([basis, slope[..., np.newaxis]], axis=-1)
         residual = keep * (data - np.einsum("nmi,ni->nm", basis, linear))
-        hessian = np.einsum("nm,nmi,nmj->nij", keep, jacobian, jacobian) + 1e-9 * np.eye(4)
+        hessian = np.einsum("nm,nmi,nmj->nij", keep, jacobian, jacobian) + _DAMPING * np.eye(4)
         gradient = np.einsum("nmi,nm->ni", jacobian, residual)
         step = np.linalg.solve(hessian, gradient[..., np.newaxis])[:, 3, 0]
-        position += np.clip(step, -0.5, 0.5)
-        position = np.clip(position, -2 * _REACH, 2 * _REACH)
+        position += np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)
+        position = np.clip(position, -2 * _REACH, 2 * _REACH)  # beyond _REACH it is no wall
     squares = float(np.sum(residual**2))
     noise = squares / max(keep.sum() - 4 * len(data), 1.0)
     # Samples closer together than a pixel are not independent.

@@ -3,41 +3,73 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import astuple, fields
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from microlib._common import Array, positive, whole
-from microlib.membrane._point_load import ModulusSensitivity, elastic_modulus, modulus_sensitivity
+from microlib._common import Array, as_array, positive, whole
+from microlib.membrane._point_load import (
+    annulus,
+    checked,
+    elastic_modulus,
+    force_per_modulus,
+    log_remainder,
+)
 
-__all__ = ["modulus_samples", "modulus_std"]
+#: The arguments of `elastic_modulus` in its order, so that the same seed draws the same samples for
+#: any mapping.
+_INPUTS = (
+    "force",
+    "dimple_radius",
+    "dimple_depth",
+    "thickness",
+    "probe_half_width",
+    "poisson_ratio",
+)
+_DIMPLE = ("dimple_radius", "dimple_depth")
 
 
-def modulus_std(values: Mapping[str, float], stds: Mapping[str, float]) -> float:
-    """
-    Standard deviation of the modulus to first order, for independent input errors.
+def modulus_std(
+    values: Mapping[str, float],
+    stds: Mapping[str, float],
+    *,
+    dimple_covariance: ArrayLike | None = None,
+) -> float:
+    r"""Standard deviation of the modulus to first order.
 
     Parameters
     ----------
     values : mapping of str to float
         The six arguments of `elastic_modulus` by name, in their units.
     stds : mapping of str to float
-        Standard deviations by the same names and in the same units; an input left out is exact.
+        Standard deviations of independent errors by the same names and in the same units; an input
+        left out is exact.
+    dimple_covariance : array_like, shape (2, 2), optional
+        Covariance of radius and depth, in µm², in place of their standard deviations: an image
+        gives the two together, as `microlib.embryo.fit_dimple` does. NaN where it is not known.
 
     Returns
     -------
     float
-        Standard deviation of E, in MPa.
+        Standard deviation of E, in MPa; NaN if `dimple_covariance` is.
 
     Raises
     ------
     ValueError
-        If a name is missing or unknown, a standard deviation is negative, or a value is out of
-        range.
+        If a name is missing or unknown, a standard deviation is negative, a value is out of range,
+        or the dimple's errors are given twice.
 
     See Also
     --------
     modulus_samples : The whole distribution, which the power −3 of w_d makes skewed.
+
+    Notes
+    -----
+    The logarithmic derivatives of (5.2) are 1 for the force, −1 for the thickness, −3 for the depth
+    and −ν/(1−ν) for the Poisson ratio. The probe's width enters through the bracket S of (4.7)
+    alone. With :math:`x = 1-\zeta^2`, :math:`N` the bracket's numerator and :math:`D` the base of
+    its cube the exponent of :math:`\zeta = c/a` in S is :math:`4x^2/N + 2(1-x)/x - 6x/D`; that of
+    the width is its negative, and the radius has this one and 2 more.
 
     Examples
     --------
@@ -45,22 +77,31 @@ def modulus_std(values: Mapping[str, float], stds: Mapping[str, float]) -> float
     ...               probe_half_width=25.0, poisson_ratio=0.5)
     >>> print(f"{modulus_std(values, dict(dimple_depth=0.4)):.3f} MPa")  # 1 % of w_d, 3 % of E
     0.291 MPa
+    >>> together = [[1.0, 0.36], [0.36, 0.16]]  # radius to 1 µm, correlated with the depth by 0.9
+    >>> print(f"{modulus_std(values, {}, dimple_covariance=together):.3f} MPa")
+    0.192 MPa
     """
     _check_names(values, stds)
-    modulus = elastic_modulus(**values)
-    exponents = modulus_sensitivity(
+    inputs = checked(**values)
+    modulus = inputs["force"] / force_per_modulus(inputs)
+    exponents = _log_derivatives(
         values["dimple_radius"],
         probe_half_width=values["probe_half_width"],
         poisson_ratio=values["poisson_ratio"],
     )
-    names = [field.name for field in fields(exponents)]
     # ν may be zero, where ∂ ln E / ∂ ln ν vanishes but ∂ ln E / ∂ν = −1/(1−ν) does not.
-    relative = [
-        stds.get(name, 0.0)
-        * (-1 / (1 - values[name]) if name == "poisson_ratio" else exponent / values[name])
-        for name, exponent in zip(names, astuple(exponents), strict=True)
-    ]
-    return float(modulus * np.linalg.norm(relative))
+    gradient = {
+        name: -1 / (1 - values[name]) if name == "poisson_ratio" else float(by) / values[name]
+        for name, by in exponents.items()
+    }
+    relative = np.linalg.norm([stds.get(name, 0.0) * gradient[name] for name in _INPUTS])
+    if dimple_covariance is not None:
+        if twice := [name for name in _DIMPLE if name in stds]:
+            raise ValueError(f"stds must leave out what dimple_covariance holds, got {twice}")
+        covariance = as_array("dimple_covariance", dimple_covariance, shape=(2, 2), finite=False)
+        by_dimple = np.array([gradient[name] for name in _DIMPLE])
+        relative = np.hypot(relative, np.sqrt(by_dimple @ covariance @ by_dimple))
+    return float(modulus * relative)
 
 
 def modulus_samples(
@@ -68,10 +109,9 @@ def modulus_samples(
     stds: Mapping[str, float],
     *,
     size: int,
-    rng: np.random.Generator,
+    rng: np.random.Generator | int,
 ) -> Array:
-    """
-    Draw moduli for normally distributed, independent input errors.
+    """Draw moduli for normally distributed, independent input errors.
 
     Parameters
     ----------
@@ -79,8 +119,8 @@ def modulus_samples(
         As for `modulus_std`.
     size : int
         How many samples.
-    rng : numpy.random.Generator
-        Source of randomness.
+    rng : numpy.random.Generator or int
+        Source of randomness, or its seed.
 
     Returns
     -------
@@ -97,26 +137,43 @@ def modulus_samples(
     --------
     >>> values = dict(force=50.0, dimple_radius=250.0, dimple_depth=40.0, thickness=3.0,
     ...               probe_half_width=25.0, poisson_ratio=0.5)
-    >>> samples = modulus_samples(values, dict(dimple_depth=0.4), size=20_000,
-    ...                           rng=np.random.default_rng(1))
+    >>> samples = modulus_samples(values, dict(dimple_depth=0.4), size=20_000, rng=1)
     >>> print(f"{samples.std():.2f} MPa")
     0.29 MPa
     """
     _check_names(values, stds)
     count = whole("size", size, least=1)
-    # In the arguments' own order, so that the same seed gives the same samples for any mapping.
-    drawn = {
-        field.name: rng.normal(values[field.name], stds.get(field.name, 0.0), count)
-        for field in fields(ModulusSensitivity)
-    }
+    rng = np.random.default_rng(rng)
+    drawn = {name: rng.normal(values[name], stds.get(name, 0.0), count) for name in _INPUTS}
     return elastic_modulus(**drawn)
 
 
+def _log_derivatives(
+    dimple_radius: ArrayLike, *, probe_half_width: ArrayLike, poisson_ratio: ArrayLike
+) -> dict[str, Array]:
+    """Return ∂ ln E / ∂ ln x of (5.2) for each input x, by its name; see `modulus_std`."""
+    values = checked(
+        dimple_radius=dimple_radius, probe_half_width=probe_half_width, poisson_ratio=poisson_ratio
+    )
+    zeta = values["probe_half_width"] / values["dimple_radius"]
+    x = annulus(zeta)
+    by_zeta = 2 * x**2 / log_remainder(zeta, 3) + 2 * zeta**2 / x - 6 * x / log_remainder(zeta, 2)
+    nu = values["poisson_ratio"]
+    one = np.ones(np.broadcast_shapes(by_zeta.shape, nu.shape))
+    return {
+        "force": one,
+        "dimple_radius": (2 + by_zeta) * one,
+        "dimple_depth": -3 * one,
+        "thickness": -one,
+        "probe_half_width": -by_zeta * one,
+        "poisson_ratio": -nu / (1 - nu) * one,
+    }
+
+
 def _check_names(values: Mapping[str, float], stds: Mapping[str, float]) -> None:
-    names = {field.name for field in fields(ModulusSensitivity)}
-    if set(values) != names:
-        raise ValueError(f"values must have the keys {sorted(names)}, got {sorted(values)}")
-    if not set(stds) <= names:
-        raise ValueError(f"stds must have keys among {sorted(names)}, got {sorted(stds)}")
+    if set(values) != set(_INPUTS):
+        raise ValueError(f"values must have the keys {sorted(_INPUTS)}, got {sorted(values)}")
+    if not set(stds) <= set(_INPUTS):
+        raise ValueError(f"stds must have keys among {sorted(_INPUTS)}, got {sorted(stds)}")
     for name, std in stds.items():
         positive(f"stds[{name!r}]", std, zero=True)

@@ -1,16 +1,15 @@
 """Scenes with known truth: what the algorithms are tested on. Nothing here imports an algorithm."""
 
 from microlib.synthetic._cells import cell_image
-from microlib.synthetic._embryo import Embryo, EmbryoImage, embryo_image, embryo_sequence
+from microlib.synthetic._embryo import Embryo, embryo_image, embryo_sequence
 from microlib.synthetic._gripper import (
-    WarpedPair,
     camera_frame,
     gripper_scene,
     texture_sequence,
     warped_pair,
 )
 from microlib.synthetic._patterns import ImagingConditions, render_circles, render_squares
-from microlib.synthetic._stacks import focal_frames, focal_stack, thesis_stack
+from microlib.synthetic._stacks import focal_stack, thesis_stack
 from microlib.synthetic._surfaces import (
     cone,
     parabolic_cylinder,
@@ -24,15 +23,12 @@ from microlib.synthetic._textures import mixed_texture, patchy_texture
 
 __all__ = [
     "Embryo",
-    "EmbryoImage",
     "ImagingConditions",
-    "WarpedPair",
     "camera_frame",
     "cell_image",
     "cone",
     "embryo_image",
     "embryo_sequence",
-    "focal_frames",
     "focal_stack",
     "gripper_scene",
     "mixed_texture",

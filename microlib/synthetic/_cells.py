@@ -10,18 +10,33 @@ from numpy.typing import NDArray
 
 from microlib._common import Array, one_of, positive, whole
 
-__all__ = ["CellImage", "cell_image"]
-
-# Radius (µm), irregularity of the outline, and how many harmonics it has.
+# What such cells look like is a choice of the scene; no method depends on it.
+#: Radius (µm), irregularity of the outline, and how many harmonics it has.
 _KINDS = {"293T": (9.0, 0.16, 6), "Jurkat": (5.5, 0.02, 3)}
-_BACKGROUND = 128.0
-_HALO = 2.2  # µm over which the bright halo and the body's edge fade
+#: Grey levels of 255: the ground, how far the halo rises above it and the body and the nucleus fall
+#: below, the grain of the body, and the noise.
+_BACKGROUND, _HALO, _BODY, _NUCLEUS, _GRAIN, _NOISE = 128.0, 70.0, 38.0, 18.0, 14.0, 2.0
+#: µm over which the bright halo and the body's edge fade.
+_HALO_WIDTH = 2.2
+#: Radius of the nucleus in radii of the cell, and over which share of that its edge fades.
+_NUCLEUS_SIZE, _NUCLEUS_FADE = 0.4, 0.15
+#: Least and largest distance of an outline from its center, in radii of the cell.
+_LEAST_REACH, _MOST_REACH = 0.5, 1.1
+#: Least distance of two centers in radii: two outlines of the largest reach, and a gap of 0.1.
+_APART = 2.3
+#: Places tried for each cell before the image counts as full.
+_TRIES = 60
+#: Standard deviations of the grain's and the optics' blur, px.
+_GRAIN_BLUR, _BLUR = 1.5, 0.9
+#: Corners of an outline: a side of 0.3 µm, about a pixel.
+_CORNERS = 180
+#: Bits of a fraction of a pixel to which an outline is drawn.
+_SHIFT = 4
 
 
 @dataclass(frozen=True)
 class CellImage:
-    """
-    A rendered sample of cells.
+    """A rendered sample of cells.
 
     Attributes
     ----------
@@ -41,20 +56,19 @@ class CellImage:
 def cell_image(
     kind: str,
     *,
-    rng: np.random.Generator,
+    rng: np.random.Generator | int,
     count: int = 14,
     pixel_size: float = 0.25,
     shape: tuple[int, int] = (360, 480),
 ) -> CellImage:
-    """
-    Render a sample of cells that do not overlap.
+    """Render a sample of cells that do not overlap.
 
     Parameters
     ----------
     kind : {"293T", "Jurkat"}
         Human kidney cells that lie spread on the glass, or round cancer cells in suspension.
-    rng : numpy.random.Generator
-        Source of places, shapes and noise.
+    rng : numpy.random.Generator or int
+        Source of places, shapes and noise, or its seed.
     count : int
         Number of cells; fewer where the image has no room for more.
     pixel_size : float
@@ -74,7 +88,7 @@ def cell_image(
 
     Examples
     --------
-    >>> sample = cell_image("Jurkat", rng=np.random.default_rng(0), count=5)
+    >>> sample = cell_image("Jurkat", rng=0, count=5)
     >>> sample.image.shape, len(sample.outlines)
     ((360, 480), 5)
     """
@@ -83,54 +97,58 @@ def cell_image(
     positive("pixel_size", pixel_size)
     rows, columns = (whole("shape", n, least=64) for n in shape)
     radius /= pixel_size
+    rng = np.random.default_rng(rng)
     outlines: list[Array] = []
-    centres: list[Array] = []
-    for _ in range(60 * wanted):
-        centre = rng.uniform([radius, radius], [columns - radius, rows - radius])
-        if any(np.hypot(*(centre - other)) < 2.3 * radius for other in centres):
+    centers: list[Array] = []
+    for _ in range(_TRIES * wanted):
+        center = rng.uniform([radius, radius], [columns - radius, rows - radius])
+        if any(np.hypot(*(center - other)) < _APART * radius for other in centers):
             continue
-        centres.append(centre)
-        outlines.append(centre + _shape(radius, irregularity, harmonics, rng))
+        centers.append(center)
+        outlines.append(center + _shape(radius, irregularity, harmonics, rng))
         if len(outlines) == wanted:
             break
 
     scene = np.full((rows, columns), _BACKGROUND, dtype=np.float32)
-    speckle = cv2.GaussianBlur(rng.standard_normal(scene.shape, dtype=np.float32), (0, 0), 1.5)
-    grain = np.asarray(speckle * np.float32(14.0 / np.std(speckle)), dtype=np.float32)
-    for place, outline in zip(centres, outlines, strict=True):
-        _draw(scene, outline, place, 0.4 * radius, _HALO / pixel_size, grain)
-    noisy = np.asarray(cv2.GaussianBlur(scene, (0, 0), 0.9)) + rng.normal(0.0, 2.0, scene.shape)
+    speckle = cv2.GaussianBlur(
+        rng.standard_normal(scene.shape, dtype=np.float32), (0, 0), _GRAIN_BLUR
+    )
+    grain = np.asarray(speckle * np.float32(_GRAIN / np.std(speckle)), dtype=np.float32)
+    for place, outline in zip(centers, outlines, strict=True):
+        _draw(scene, outline, place, _NUCLEUS_SIZE * radius, _HALO_WIDTH / pixel_size, grain)
+    blurred = np.asarray(cv2.GaussianBlur(scene, (0, 0), _BLUR))
+    noisy = blurred + rng.normal(0.0, _NOISE, scene.shape)
     image = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
     return CellImage(image, tuple(outlines), pixel_size)
 
 
 def _shape(radius: float, irregularity: float, harmonics: int, rng: np.random.Generator) -> Array:
     """A closed, star-shaped outline around the origin."""
-    angle = np.linspace(0.0, 2 * np.pi, 180, endpoint=False)
+    angle = np.linspace(0.0, 2 * np.pi, _CORNERS, endpoint=False)
     length = np.full(angle.size, radius)
     for k in range(2, harmonics + 1):
         swing = radius * irregularity * rng.normal() / np.sqrt(k)
         length += swing * np.cos(k * angle + rng.uniform(0, 2 * np.pi))
-    length = np.clip(length, 0.5 * radius, 1.1 * radius)
+    length = np.clip(length, _LEAST_REACH * radius, _MOST_REACH * radius)
     return length[:, np.newaxis] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 def _draw(
     scene: NDArray[np.float32],
     outline: Array,
-    centre: Array,
+    center: Array,
     nucleus: float,
     halo: float,
     grain: NDArray[np.float32],
 ) -> None:
     """Add one cell: a bright halo outside, a dark grainy body, a darker nucleus."""
     mask = np.zeros(scene.shape, dtype=np.uint8)
-    cv2.fillPoly(mask, [np.rint(outline * 16).astype(np.int32)], 1, shift=4)
+    cv2.fillPoly(mask, [np.rint(outline * 2**_SHIFT).astype(np.int32)], 1, shift=_SHIFT)
     inside = cv2.distanceTransform(mask, cv2.DIST_L2, 5)
     outside = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5)
     body = mask * (1 - np.exp(-inside / halo))
-    scene += 70.0 * np.exp(-((outside / halo) ** 2)) * (1 - mask) + 70.0 * (mask - body)
-    scene += body * (grain - 38.0)
+    scene += _HALO * np.exp(-((outside / halo) ** 2)) * (1 - mask) + _HALO * (mask - body)
+    scene += body * (grain - _BODY)
     y, x = np.indices(scene.shape)
-    disc = np.hypot(x - centre[0], y - centre[1])
-    scene -= 18.0 * mask / (1 + np.exp((disc - nucleus) / (0.15 * nucleus)))
+    disc = np.hypot(x - center[0], y - center[1])
+    scene -= _NUCLEUS * mask / (1 + np.exp((disc - nucleus) / (_NUCLEUS_FADE * nucleus)))

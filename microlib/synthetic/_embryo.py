@@ -20,32 +20,45 @@ from scipy.special import beta, ndtr
 from microlib._common import Array, between, positive, whole
 from microlib.membrane import SmallSlopeWarning, dimple_depth, dimple_profile
 
-__all__ = ["SONY_PIXEL_SIZE", "Embryo", "EmbryoImage", "embryo_image", "embryo_sequence"]
-
-#: Pixel of the Sony XCD-X710CR (4.65 µm cells) behind the magnification 1.2, in µm.
-SONY_PIXEL_SIZE = 4.65 / 1.2
-
+#: Pixel of the Sony XCD-X710CR (4.65 µm cells) behind the magnification 1.2, in µm, and its image.
+_SONY_PIXEL_SIZE = 4.65 / 1.2
 _SONY_SHAPE = (768, 1024)
 
-# Grey levels (0–255) of the scene under even light.
+# What an embryo looks like is a choice of the scene; grey levels of 255 under even light.
 _BACKGROUND, _FLUID, _YOLK, _CHORION, _PROBE, _SENSOR = 195.0, 168.0, 112.0, 60.0, 42.0, 58.0
+#: Half of the force sensor's width, and the least gap between yolk and chorion, in µm.
+_SENSOR_HALF_WIDTH, _YOLK_GAP = 60.0, 55.0
+#: Half of the yolk's width in radii of the embryo, over how many px its edge fades, and the
+#: standard deviation (grey levels) and the blur (px of the finer grid) of its grain.
+_YOLK_WIDTH, _YOLK_FADE, _GRAIN, _GRAIN_BLUR = 0.78, 3.0, 8.0, 6.0
+#: Share of the image's height at which the sensor holds the embryos of a sequence.
+_SEAT = 0.9
 
-_SENSOR_HALF_WIDTH = 60.0  # µm
-_YOLK_GAP = 55.0  # µm between yolk and chorion
+#: Of the superellipse below the equator; 2 is an ellipse, more is flatter below.
+_POWER = 2.5
+#: Dimple radii between which the rim's radius of curvature is sought, in widths of the probe and in
+#: radii of the embryo: no dimple reaches the probe or the equator.
+_NARROWEST, _WIDEST = 1.01, 0.95
+#: Points of a quarter ellipse and of the dimple before the outline is cut evenly: 0.5 µm apart or
+#: less where it is round, which leaves a chord within 0.0001 µm of it.
+_ARC_POINTS, _DIMPLE_POINTS = 4001, 8001
 
-_POWER = 2.5  # of the superellipse below the equator; 2 is an ellipse
-
-# The scene is drawn on a grid finer than the sensor's, with edges of a Gaussian width (px of the
-# sensor) that is blurred to the wanted one afterwards: narrow enough for every outline to be
-# straight across it, wide enough for the finer grid to carry it.
+#: The scene is drawn on a grid finer than the sensor's, with edges of a Gaussian width (px of the
+#: sensor) that is blurred to the wanted one afterwards: narrow enough for every outline to be
+#: straight across it, wide enough for the finer grid, whose cells are 1.1 of these widths, to carry
+#: it.
 _SUPERSAMPLING = 2
 _DRAWN_BLUR = 0.45
+#: Distance from the outline, in px, beyond which nothing is drawn by it: 17 drawn widths, or 16
+#: beside a wall one px thick.
+_REACH = 8.0
+#: Bits of a fraction of a cell to which the inside is filled.
+_SHIFT = 4
 
 
 @dataclass(frozen=True)
 class Embryo:
-    """
-    An embryo pressed by a probe from above and held from below.
+    """An embryo pressed by a probe from above and held from below.
 
     Attributes
     ----------
@@ -111,8 +124,7 @@ class Embryo:
     def pressed(
         cls, force: float, *, modulus: float, rim_radius: float = 450.0, **properties: float
     ) -> Embryo:
-        """
-        Return the embryo whose rim is as round as `rim_radius` says; its dimple radius follows.
+        """Return the embryo whose rim is as round as `rim_radius` says; its dimple radius follows.
 
         Parameters
         ----------
@@ -152,7 +164,7 @@ class Embryo:
             depth = _depth(untouched, force, radius)
             return _rim_radius(radius, depth, c) - rim_radius
 
-        narrowest, widest = 1.01 * c, 0.95 * untouched.radius
+        narrowest, widest = _NARROWEST * c, _WIDEST * untouched.radius
         if not excess(narrowest) < 0 < excess(widest):
             raise ValueError(
                 f"force must give a dimple between the probe and the equator when the rim's radius "
@@ -164,8 +176,7 @@ class Embryo:
     def dented(
         cls, depth: float, *, modulus: float, rim_radius: float = 450.0, **properties: float
     ) -> Embryo:
-        """
-        Return the embryo with a dimple of a given depth; radius and force follow.
+        """Return the embryo with a dimple of a given depth; radius and force follow.
 
         Parameters
         ----------
@@ -197,7 +208,7 @@ class Embryo:
         def excess(radius: float) -> float:
             return _rim_radius(radius, depth, c) - rim_radius
 
-        narrowest, widest = 1.01 * c, 0.95 * untouched.radius
+        narrowest, widest = _NARROWEST * c, _WIDEST * untouched.radius
         if not excess(narrowest) < 0 < excess(widest):
             raise ValueError(
                 "depth must suit a dimple between the probe and the equator when the rim's radius "
@@ -222,8 +233,7 @@ class Embryo:
         return upper + lower
 
     def outline(self, spacing: float = 0.25) -> Array:
-        """
-        Return the closed outline, clockwise from the middle of the dimple.
+        """Return the closed outline, clockwise from the middle of the dimple.
 
         Parameters
         ----------
@@ -248,13 +258,13 @@ class Embryo:
         from -1059 µm to 0.00 µm
         """
         positive("spacing", spacing)
-        quarter = np.linspace(0.0, np.pi / 2, 4001)
+        quarter = np.linspace(0.0, np.pi / 2, _ARC_POINTS)
         if self.force == 0:
             half = self.radius * np.stack([np.sin(2 * quarter), np.cos(2 * quarter) - 1], axis=1)
         else:
             a, c = self.dimple_radius, self.probe_half_width
             across, upper, lower = self._half_axes()
-            r = np.geomspace(c, a, 8001)
+            r = np.geomspace(c, a, _DIMPLE_POINTS)
             r[0], r[-1] = c, a
             dimple = -dimple_profile(r, a, self.dimple_depth, probe_half_width=c)
             half = np.concatenate(
@@ -316,8 +326,7 @@ def _rim_radius(radius: float, depth: float, probe_half_width: float) -> float:
 
 @dataclass(frozen=True)
 class EmbryoImage:
-    """
-    A rendered embryo and the truth behind it.
+    """A rendered embryo and the truth behind it.
 
     Attributes
     ----------
@@ -327,16 +336,16 @@ class EmbryoImage:
         What is seen: modulus, force and dimple.
     pixel_size : float
         Pixel in the object, in µm.
-    centre : tuple of float
+    center : tuple of float
         Where the probe's axis crosses the height of the rim, (x, y) in px.
     tilt : float
-        Angle by which the scene is turned clockwise about `centre`, in radians.
+        Angle by which the scene is turned clockwise about `center`, in radians.
     """
 
     image: NDArray[np.uint8]
     embryo: Embryo
     pixel_size: float
-    centre: tuple[float, float]
+    center: tuple[float, float]
     tilt: float
 
     def to_pixels(self, points: Array) -> Array:
@@ -344,41 +353,40 @@ class EmbryoImage:
         x, y = np.asarray(points, dtype=np.float64).T / self.pixel_size
         cos, sin = np.cos(self.tilt), np.sin(self.tilt)
         return np.stack(
-            [self.centre[0] + cos * x + sin * y, self.centre[1] + sin * x - cos * y], axis=1
+            [self.center[0] + cos * x + sin * y, self.center[1] + sin * x - cos * y], axis=1
         )
 
 
 def embryo_image(
     embryo: Embryo,
     *,
-    rng: np.random.Generator,
-    pixel_size: float = SONY_PIXEL_SIZE,
+    rng: np.random.Generator | int,
+    pixel_size: float = _SONY_PIXEL_SIZE,
     shape: tuple[int, int] = _SONY_SHAPE,
-    centre: tuple[float, float] | None = None,
+    center: tuple[float, float] | None = None,
     tilt: float = 0.0,
     blur: float = 1.0,
     noise: float = 2.0,
     unevenness: float = 0.1,
     probe: bool = True,
 ) -> EmbryoImage:
-    """
-    Render an embryo between a force-sensing probe (below) and an AFM probe (above).
+    """Render an embryo between a force-sensing probe (below) and an AFM probe (above).
 
     Parameters
     ----------
     embryo : Embryo
         What is seen.
-    rng : numpy.random.Generator
-        Source of the light's shape, the yolk's texture and the noise.
+    rng : numpy.random.Generator or int
+        Source of the light's shape, the yolk's texture and the noise, or its seed.
     pixel_size : float
         Pixel in the object, in µm.
     shape : tuple of int
         Rows and columns of the image.
-    centre : tuple of float, optional
+    center : tuple of float, optional
         Where the probe's axis crosses the height of the rim, (x, y) in px; by default the embryo is
         in the middle of the image.
     tilt : float
-        Clockwise turn of the scene about `centre`, in radians.
+        Clockwise turn of the scene about `center`, in radians.
     blur : float
         Standard deviation of the Gaussian point spread function, in px, at least 0.5.
     noise : float
@@ -407,21 +415,21 @@ def embryo_image(
 
     Examples
     --------
-    >>> rng = np.random.default_rng(1)
-    >>> scene = embryo_image(Embryo.pressed(100.0, modulus=1.0), rng=rng)
+    >>> scene = embryo_image(Embryo.pressed(100.0, modulus=1.0), rng=1)
     >>> scene.image.shape, scene.image.dtype.name
     ((768, 1024), 'uint8')
     """
+    rng = np.random.default_rng(rng)
     positive("pixel_size", pixel_size)
     rows, columns = (whole("shape", n, least=64) for n in shape)
     between("tilt", tilt, -np.pi, np.pi, closed=True)
     between("blur", blur, 0.5, 10.0, closed=True)
     positive("noise", noise, zero=True)
     between("unevenness", unevenness, 0.0, 0.5, closed=True)
-    if centre is None:
-        centre = ((columns - 1) / 2, (rows - 1 - embryo.height / pixel_size) / 2)
+    if center is None:
+        center = ((columns - 1) / 2, (rows - 1 - embryo.height / pixel_size) / 2)
     blank = np.zeros((rows, columns), dtype=np.uint8)
-    frame = EmbryoImage(blank, embryo, pixel_size, centre, tilt)
+    frame = EmbryoImage(blank, embryo, pixel_size, center, tilt)
 
     rest = np.sqrt(blur**2 - _DRAWN_BLUR**2) * _SUPERSAMPLING
     drawn = _draw(frame, rng, probe)
@@ -429,14 +437,17 @@ def embryo_image(
     clean = cv2.resize(blurred, (columns, rows), interpolation=cv2.INTER_AREA)
     lit = clean * _light((rows, columns), unevenness, rng)
     image = np.clip(np.rint(lit + rng.normal(0.0, noise, lit.shape)), 0, 255).astype(np.uint8)
-    return EmbryoImage(image, embryo, pixel_size, centre, tilt)
+    return EmbryoImage(image, embryo, pixel_size, center, tilt)
 
 
 def embryo_sequence(
-    forces: Iterable[float], *, modulus: float, rng: np.random.Generator, rim_radius: float = 450.0
+    forces: Iterable[float],
+    *,
+    modulus: float,
+    rng: np.random.Generator | int,
+    rim_radius: float = 450.0,
 ) -> list[EmbryoImage]:
-    """
-    Render one embryo under each of `forces`, as the probe is driven into it.
+    """Render one embryo under each of `forces`, as the probe is driven into it.
 
     Parameters
     ----------
@@ -444,8 +455,8 @@ def embryo_sequence(
         Forces in µN, one an image.
     modulus : float
         Elastic modulus, in MPa.
-    rng : numpy.random.Generator
-        Source of texture and noise.
+    rng : numpy.random.Generator or int
+        Source of texture and noise, or its seed.
     rim_radius : float
         As in `Embryo.pressed`.
 
@@ -461,16 +472,17 @@ def embryo_sequence(
 
     Examples
     --------
-    >>> scenes = embryo_sequence([50.0, 100.0], modulus=1.0, rng=np.random.default_rng(1))
+    >>> scenes = embryo_sequence([50.0, 100.0], modulus=1.0, rng=1)
     >>> [round(scene.embryo.dimple_depth) for scene in scenes]
     [66, 97]
     """
+    rng = np.random.default_rng(rng)
     scenes = []
     for force in forces:
         embryo = Embryo.pressed(force, modulus=modulus, rim_radius=rim_radius)
-        bottom = 0.9 * _SONY_SHAPE[0]
-        centre = ((_SONY_SHAPE[1] - 1) / 2, bottom - embryo.height / SONY_PIXEL_SIZE)
-        scenes.append(embryo_image(embryo, rng=rng, centre=centre))
+        bottom = _SEAT * _SONY_SHAPE[0]
+        center = ((_SONY_SHAPE[1] - 1) / 2, bottom - embryo.height / _SONY_PIXEL_SIZE)
+        scenes.append(embryo_image(embryo, rng=rng, center=center))
     return scenes
 
 
@@ -482,9 +494,9 @@ def _draw(frame: EmbryoImage, rng: np.random.Generator, probe: bool) -> NDArray[
     scene = _BACKGROUND + (_FLUID - _BACKGROUND) * body
 
     x, y = _embryo_coordinates(frame)
-    yolk = body * ndtr(_yolk_depth(embryo, x, y) / (3 * pixel))
-    texture = cv2.GaussianBlur(rng.standard_normal(x.shape, dtype=np.float32), (0, 0), 6.0)
-    scene += yolk * (_YOLK - _FLUID + 8.0 * texture / np.std(texture))
+    yolk = body * ndtr(_yolk_depth(embryo, x, y) / (_YOLK_FADE * pixel))
+    texture = cv2.GaussianBlur(rng.standard_normal(x.shape, dtype=np.float32), (0, 0), _GRAIN_BLUR)
+    scene += yolk * (_YOLK - _FLUID + _GRAIN * texture / np.std(texture))
 
     half = embryo.thickness / pixel / 2
     line = ndtr((inside + half) / _DRAWN_BLUR) - ndtr((inside - half) / _DRAWN_BLUR)
@@ -505,9 +517,9 @@ def _draw(frame: EmbryoImage, rng: np.random.Generator, probe: bool) -> NDArray[
 def _embryo_coordinates(frame: EmbryoImage) -> tuple[Array, Array]:
     """(x, y) in µm of every point of the finer grid, in the embryo's frame."""
     rows, columns = frame.image.shape
-    # Centres of the fine cells: pixel k of the sensor covers k − ½ to k + ½.
-    u = (np.arange(columns * _SUPERSAMPLING) + 0.5) / _SUPERSAMPLING - 0.5 - frame.centre[0]
-    v = (np.arange(rows * _SUPERSAMPLING) + 0.5) / _SUPERSAMPLING - 0.5 - frame.centre[1]
+    # Centers of the fine cells: pixel k of the sensor covers k − ½ to k + ½.
+    u = (np.arange(columns * _SUPERSAMPLING) + 0.5) / _SUPERSAMPLING - 0.5 - frame.center[0]
+    v = (np.arange(rows * _SUPERSAMPLING) + 0.5) / _SUPERSAMPLING - 0.5 - frame.center[1]
     cos, sin = np.cos(frame.tilt), np.sin(frame.tilt)
     x = cos * u[np.newaxis, :] + sin * v[:, np.newaxis]
     y = sin * u[np.newaxis, :] - cos * v[:, np.newaxis]
@@ -519,15 +531,14 @@ def _signed_distance(frame: EmbryoImage, outline: Array) -> Array:
 
     It is exact within a few pixels of the outline and cut off beyond, where nothing depends on it.
     """
-    reach = 8.0
     fine = (frame.to_pixels(outline) + 0.5) * _SUPERSAMPLING - 0.5
     rows, columns = (n * _SUPERSAMPLING for n in frame.image.shape)
     mask = np.zeros((rows, columns), dtype=np.uint8)
-    cv2.fillPoly(mask, [np.rint(fine * 16).astype(np.int32)], 1, shift=4)
-    distance = np.where(mask > 0, reach, -reach)
+    cv2.fillPoly(mask, [np.rint(fine * 2**_SHIFT).astype(np.int32)], 1, shift=_SHIFT)
+    distance = np.where(mask > 0, _REACH, -_REACH)
 
     band = np.zeros((rows, columns), dtype=np.uint8)
-    thickness = int(2 * reach * _SUPERSAMPLING)
+    thickness = int(2 * _REACH * _SUPERSAMPLING)
     cv2.polylines(band, [np.rint(fine).astype(np.int32)], True, 1, thickness)
     v, u = np.nonzero(band)
     points = np.stack([u, v], axis=1).astype(np.float64)
@@ -538,7 +549,7 @@ def _signed_distance(frame: EmbryoImage, outline: Array) -> Array:
     _, nearest = cKDTree(fine).query(points)
     offset = points - fine[nearest]
     along_normal = np.einsum("ij,ij->i", offset, inward[nearest])
-    distance[v, u] = np.clip(along_normal / _SUPERSAMPLING, -reach, reach)
+    distance[v, u] = np.clip(along_normal / _SUPERSAMPLING, -_REACH, _REACH)
     return distance
 
 
@@ -546,7 +557,7 @@ def _yolk_depth(embryo: Embryo, x: Array, y: Array) -> Array:
     """How deep a point lies in the yolk, an ellipse that keeps clear of the chorion, in µm."""
     top = -embryo.dimple_depth - _YOLK_GAP
     bottom = -embryo.height + _YOLK_GAP
-    half_width = 0.78 * embryo.radius
+    half_width = _YOLK_WIDTH * embryo.radius
     half_height = min((top - bottom) / 2, half_width)
     level = np.hypot(x / half_width, (y - (top + bottom) / 2) / half_height)
     return (1.0 - level) * min(half_width, half_height)

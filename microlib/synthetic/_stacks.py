@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,10 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 from microlib._common import as_array, as_image, positive
 from microlib.optics import BlurLadder, gaussian_kernel
 
-__all__ = ["focal_frames", "focal_stack", "thesis_stack"]
 
-
-def focal_frames(
+def focal_stack(
     texture: ArrayLike,
     height: ArrayLike,
     positions: ArrayLike,
@@ -22,9 +18,9 @@ def focal_frames(
     blur_rate: float,
     sharpest: float = 0.5,
     noise: float = 0.0,
-    rng: np.random.Generator | None = None,
-) -> Iterator[NDArray[np.uint8]]:
-    """Yield the frames of a focal stack one by one.
+    rng: np.random.Generator | int | None = None,
+) -> NDArray[np.uint8]:
+    """Return a focal stack whose frames are blurred by their distance to the surface.
 
     Parameters
     ----------
@@ -40,13 +36,13 @@ def focal_frames(
         Standard deviation of the blur in focus, px.
     noise : float
         Standard deviation of the camera's noise, grey levels.
-    rng : numpy.random.Generator, optional
-        Source of the noise; needed if there is any.
+    rng : numpy.random.Generator or int, optional
+        Source of the noise, or its seed; needed if there is any.
 
-    Yields
-    ------
-    ndarray of uint8, shape (rows, cols)
-        Frame with the blur :math:`\\sigma^2 = \\sigma_0^2 + (b\\,|z - z_k|)^2`, noise, rounded and
+    Returns
+    -------
+    ndarray of uint8, shape (n, rows, cols)
+        Frames with the blur :math:`\\sigma^2 = \\sigma_0^2 + (b\\,|z - z_k|)^2`, noise, rounded and
         clipped to 8 bits.
 
     Raises
@@ -58,9 +54,9 @@ def focal_frames(
     Examples
     --------
     >>> texture = np.random.default_rng(0).uniform(0, 255, (32, 32))
-    >>> frames = list(focal_frames(texture, np.zeros((32, 32)), [0.0, 10.0], blur_rate=0.2))
-    >>> bool(frames[0].std() > frames[1].std())
-    True
+    >>> stack = focal_stack(texture, np.zeros((32, 32)), [0.0, 10.0], blur_rate=0.2)
+    >>> stack.shape, bool(stack[0].std() > stack[1].std())
+    ((2, 32, 32), True)
     """
     image = as_image("texture", texture)
     z = as_array("height", height, shape=image.shape)
@@ -70,40 +66,17 @@ def focal_frames(
     sigma = float(positive("noise", noise, zero=True))
     if sigma > 0 and rng is None:
         raise ValueError("rng must be given for noisy frames, got None")
+    rng = np.random.default_rng(rng)
     furthest = max(focus.max() - z.min(), z.max() - focus.min())
+    # The ladder must reach past the largest blur whatever its last digit.
     ladder = BlurLadder(image, float(np.hypot(least, rate * furthest)) * (1 + 1e-9))
-    for position in focus:
+    frames = np.empty((focus.size, *image.shape), dtype=np.uint8)
+    for k, position in enumerate(focus):
         frame: NDArray = ladder.at(np.hypot(least, rate * (z - position)))
-        if rng is not None and sigma > 0:
+        if sigma > 0:
             frame = frame + sigma * rng.standard_normal(frame.shape)
-        yield _eight_bits(frame)
-
-
-def focal_stack(
-    texture: ArrayLike,
-    height: ArrayLike,
-    positions: ArrayLike,
-    *,
-    blur_rate: float,
-    sharpest: float = 0.5,
-    noise: float = 0.0,
-    rng: np.random.Generator | None = None,
-) -> NDArray[np.uint8]:
-    """Return the frames of `focal_frames`, which see, as one array.
-
-    Returns
-    -------
-    ndarray of uint8, shape (n, rows, cols)
-
-    Examples
-    --------
-    >>> focal_stack(np.eye(8), np.zeros((8, 8)), [0.0, 1.0, 2.0], blur_rate=1.0).shape
-    (3, 8, 8)
-    """
-    frames = focal_frames(
-        texture, height, positions, blur_rate=blur_rate, sharpest=sharpest, noise=noise, rng=rng
-    )
-    return np.stack(list(frames))
+        frames[k] = _eight_bits(frame)
+    return frames
 
 
 def thesis_stack(texture: ArrayLike, height: ArrayLike, positions: ArrayLike) -> NDArray[np.uint8]:

@@ -7,17 +7,8 @@ from scipy.ndimage import gaussian_filter
 
 from microlib._common import Array, between, positive, whole
 
-__all__ = [
-    "cone",
-    "parabolic_cylinder",
-    "paraboloid",
-    "quadric_patch",
-    "sphere_on_plane",
-    "step",
-    "tilted_plane",
-]
-
-#: Signs of the principal curvatures of the surface types of Table 3.1.
+#: Principal curvatures of the surface types of Table 3.1, in those of the stronger one. Their signs
+#: are the types; the half of the two saddles only has to be neither 0 nor 1.
 _TYPES = {
     1: (-1.0, -1.0),
     2: (-1.0, 0.0),
@@ -30,8 +21,8 @@ _TYPES = {
 }
 
 
-def _centred(shape: tuple[int, int]) -> tuple[Array, Array]:
-    """Return x and y from the centre of the image, px."""
+def _centered(shape: tuple[int, int]) -> tuple[Array, Array]:
+    """Return x and y from the center of the image, px."""
     rows, cols = (whole("shape", n, least=2) for n in shape)
     y, x = np.mgrid[0:rows, 0:cols].astype(np.float64)
     return x - (cols - 1) / 2, y - (rows - 1) / 2
@@ -67,7 +58,7 @@ def parabolic_cylinder(
     >>> parabolic_cylinder((2, 5), 500.0, width=4.0)[0].tolist()
     [0.0, 375.0, 500.0, 375.0, 0.0]
     """
-    x, _ = _centred(shape)
+    x, _ = _centered(shape)
     half = float(positive("width", shape[1] - 1 if width is None else width)) / 2
     return float(positive("height", height)) * np.maximum(1 - (x / half) ** 2, 0)
 
@@ -80,7 +71,7 @@ def paraboloid(shape: tuple[int, int], height: float) -> Array:
     shape : tuple of int
         Rows and columns.
     height : float
-        Height of the centre above the corners, µm.
+        Height of the center above the corners, µm.
 
     Returns
     -------
@@ -97,7 +88,7 @@ def paraboloid(shape: tuple[int, int], height: float) -> Array:
     >>> paraboloid((3, 3), 10.0).tolist()
     [[0.0, 5.0, 0.0], [5.0, 10.0, 5.0], [0.0, 5.0, 0.0]]
     """
-    x, y = _centred(shape)
+    x, y = _centered(shape)
     square = x**2 + y**2
     return float(positive("height", height)) * (1 - square / square.max())
 
@@ -109,7 +100,7 @@ def sphere_on_plane(
     *,
     roughness: float = 0.0,
     grain: float = 5.0,
-    rng: np.random.Generator | None = None,
+    rng: np.random.Generator | int | None = None,
 ) -> Array:
     """Return what a camera sees from above of a ball that lies on a plane, such as a solder ball.
 
@@ -125,8 +116,8 @@ def sphere_on_plane(
         Root mean square of the relief on the ball, µm.
     grain : float
         Size of the relief's grains, the standard deviation of the Gaussian that smooths it, px.
-    rng : numpy.random.Generator, optional
-        Source of the relief; needed if `roughness` is not zero.
+    rng : numpy.random.Generator or int, optional
+        Source of the relief, or its seed; needed if `roughness` is not zero.
 
     Returns
     -------
@@ -144,7 +135,7 @@ def sphere_on_plane(
     >>> sphere_on_plane((3, 5), radius=10.0, pixel_size=8.0)[1].round(1).tolist()
     [0.0, 16.0, 20.0, 16.0, 0.0]
     """
-    x, y = _centred(shape)
+    x, y = _centered(shape)
     r = float(positive("radius", radius))
     square = (x**2 + y**2) * float(positive("pixel_size", pixel_size)) ** 2
     ball = square <= r**2
@@ -153,7 +144,8 @@ def sphere_on_plane(
     if rough > 0:
         if rng is None:
             raise ValueError("rng must be given for a rough ball, got None")
-        relief = gaussian_filter(rng.standard_normal(shape), float(positive("grain", grain)))
+        noise = np.random.default_rng(rng).standard_normal(shape)
+        relief = gaussian_filter(noise, float(positive("grain", grain)))
         height += np.where(ball, rough * relief / relief.std(), 0.0)
     return height
 
@@ -185,7 +177,7 @@ def cone(shape: tuple[int, int], height: float, radius: float) -> Array:
     >>> cone((3, 5), 10.0, 2.0)[1].tolist()
     [0.0, 5.0, 10.0, 5.0, 0.0]
     """
-    x, y = _centred(shape)
+    x, y = _centered(shape)
     foot = float(positive("radius", radius))
     return float(positive("height", height)) * np.maximum(1 - np.hypot(x, y) / foot, 0)
 
@@ -215,7 +207,7 @@ def tilted_plane(shape: tuple[int, int], rise_x: float, rise_y: float) -> Array:
     >>> tilted_plane((2, 3), 1.0, 0.0).tolist()
     [[-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]]
     """
-    x, y = _centred(shape)
+    x, y = _centered(shape)
     return rise_x * x + rise_y * y
 
 
@@ -281,6 +273,6 @@ def quadric_patch(label: int, *, half: int = 20, radius: float = 40.0) -> Array:
     if label not in _TYPES:
         raise ValueError(f"label must be one of {', '.join(map(str, _TYPES))}, got {label!r}")
     n = 2 * whole("half", half, least=1) + 1
-    x, y = _centred((n, n))
+    x, y = _centered((n, n))
     first, second = _TYPES[label]
     return (first * x**2 + second * y**2) / (2 * float(positive("radius", radius)))

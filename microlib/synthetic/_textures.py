@@ -8,12 +8,10 @@ from scipy.ndimage import gaussian_filter
 
 from microlib._common import positive, whole
 
-__all__ = ["mixed_texture", "patchy_texture"]
-
 
 def mixed_texture(
     shape: tuple[int, int],
-    rng: np.random.Generator,
+    rng: np.random.Generator | int,
     *,
     mean: float = 128.0,
     std: float = 38.0,
@@ -25,8 +23,8 @@ def mixed_texture(
     ----------
     shape : tuple of int
         Rows and columns.
-    rng : numpy.random.Generator
-        Source of the pattern.
+    rng : numpy.random.Generator or int
+        Source of the pattern, or its seed.
     mean, std : float
         Mean and standard deviation of the grey levels, exactly those of the result.
     scales : array_like
@@ -45,12 +43,13 @@ def mixed_texture(
 
     Examples
     --------
-    >>> texture = mixed_texture((64, 64), np.random.default_rng(0))
+    >>> texture = mixed_texture((64, 64), 0)
     >>> texture.shape, round(float(texture.mean())), round(float(texture.std()))
     ((64, 64), 128, 38)
     """
     rows, cols = (whole("shape", n, least=2) for n in shape)
     contrast = float(positive("std", std, zero=True))
+    rng = np.random.default_rng(rng)
     total = np.zeros((rows, cols))
     for scale in np.atleast_1d(positive("scales", scales)):
         layer = gaussian_filter(rng.standard_normal((rows, cols)), scale, mode="wrap")
@@ -61,7 +60,7 @@ def mixed_texture(
 
 def patchy_texture(
     shape: tuple[int, int],
-    rng: np.random.Generator,
+    rng: np.random.Generator | int,
     *,
     mean: float = 128.0,
     std: float = 38.0,
@@ -74,8 +73,8 @@ def patchy_texture(
     ----------
     shape : tuple of int
         Rows and columns.
-    rng : numpy.random.Generator
-        Source of the pattern.
+    rng : numpy.random.Generator or int
+        Source of the pattern, or its seed.
     mean, std : float
         Mean grey level, and the standard deviation where the contrast is strongest.
     weakest : float
@@ -94,10 +93,11 @@ def patchy_texture(
 
     Examples
     --------
-    >>> texture = patchy_texture((64, 64), np.random.default_rng(0))
+    >>> texture = patchy_texture((64, 64), 0)
     >>> bool(texture.std() < 38)
     True
     """
+    rng = np.random.default_rng(rng)
     texture = mixed_texture(shape, rng, mean=0.0, std=std)
     noise = rng.standard_normal(shape)
     blobs = gaussian_filter(noise, float(positive("patch", patch)), mode="wrap")

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from microlib.embryo import extract_boundary, find_probe, remove_probe
-from microlib.synthetic import Embryo, EmbryoImage, embryo_image
+from microlib.embryo import extract_boundary
+from microlib.embryo._boundary import _find_probe
+from microlib.synthetic import Embryo, embryo_image
+from microlib.synthetic._embryo import EmbryoImage
 
 
 def render(seed: int = 0, **camera: object) -> EmbryoImage:
@@ -18,7 +20,7 @@ def render(seed: int = 0, **camera: object) -> EmbryoImage:
 
 @pytest.fixture(scope="module")
 def scene() -> EmbryoImage:
-    return render(centre=(350.37, 126.81), tilt=0.01, unevenness=0.2)
+    return render(center=(350.37, 126.81), tilt=0.01, unevenness=0.2)
 
 
 def distances(scene: EmbryoImage, points: np.ndarray) -> np.ndarray:
@@ -45,7 +47,7 @@ def test_outline_lies_on_the_drawn_one(scene):
     # It reaches from near the probe to well beyond both rims.
     radius = scene.embryo.dimple_radius / scene.pixel_size
     for side in (-1, 1):
-        distance = side * (seen[:, 0] - scene.centre[0])
+        distance = side * (seen[:, 0] - scene.center[0])
         assert distance[distance > 0].min() < 15
         assert distance.max() > 1.5 * radius
     # A sensor's square cell adds 1/12 px² to the blur, the wall's own thickness as much of its own.
@@ -54,7 +56,7 @@ def test_outline_lies_on_the_drawn_one(scene):
 
 
 def test_probe_is_where_it_was_drawn(scene):
-    probe = find_probe(scene.image)
+    probe = _find_probe(scene.image)
     embryo = scene.embryo
     tip = scene.to_pixels([[0.0, embryo.thickness / 2 - embryo.dimple_depth]])[0]
     assert probe.tip[0] == pytest.approx(tip[0], abs=0.1)
@@ -65,9 +67,9 @@ def test_probe_is_where_it_was_drawn(scene):
 
 
 def test_filled_probe_leaves_the_ground(scene):
-    clean = render(centre=(350.37, 126.81), tilt=0.01, unevenness=0.2, probe=False, noise=0.0)
+    clean = render(center=(350.37, 126.81), tilt=0.01, unevenness=0.2, probe=False, noise=0.0)
     noisy = scene.image[:100].astype(float)
-    filled = remove_probe(scene.image, find_probe(scene.image))[:100]
+    filled = extract_boundary(scene.image).without_probe(scene.image)[:100]
     off = filled - clean.image[:100]
     bar = np.abs(noisy - filled) > 20
     assert bar.sum() > 100 * 11
@@ -96,7 +98,7 @@ def test_mirror_image_gives_the_mirrored_outline(scene):
     plain, other = extract_boundary(scene.image), extract_boundary(scene.image[:, ::-1])
     columns = scene.image.shape[1]
     x = np.arange(200.0, 500.0)
-    x = x[np.abs(x - scene.centre[0]) > 16]
+    x = x[np.abs(x - scene.center[0]) > 16]
     mirrored = np.interp(columns - 1 - x, other.x, other.y)
     # The curve is cut into points at other places: each carries its own noise of 0.065 px, more
     # across the steep wall near the probe.
@@ -138,7 +140,7 @@ def spoiled(name: str) -> np.ndarray:
         "noise": lambda: np.random.default_rng(0).integers(0, 250, image.shape).astype(np.uint8),
         "flat": lambda: np.full(image.shape, 120, np.uint8),
         "tiny": lambda: image[:40, :40],
-        "colour": lambda: np.stack([image] * 3, axis=2),
+        "color": lambda: np.stack([image] * 3, axis=2),
         "NaN": lambda: np.where(image < 50, np.nan, image.astype(float)),
     }[name]()
 
@@ -162,7 +164,7 @@ def spoiled(name: str) -> np.ndarray:
         ("noise", "one dark probe .* got 0 bars"),
         ("flat", "one dark probe .* got 0 bars"),
         ("tiny", "image must be at least 64 px on each side"),
-        ("colour", "image must be a grey image"),
+        ("color", "image must be a grey image"),
         ("NaN", "image must be finite"),
     ],
 )

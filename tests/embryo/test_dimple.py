@@ -7,8 +7,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from microlib.embryo import Boundary, fit_dimple
-from microlib.embryo._boundary import Probe
+from microlib.embryo import fit_dimple
+from microlib.embryo._boundary import Boundary, Probe
 from microlib.synthetic import Embryo
 
 PIXEL = 4.0  # µm

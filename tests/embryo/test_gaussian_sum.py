@@ -144,7 +144,7 @@ def test_derivatives_equal_differences(x: float) -> None:
     assert curve.slope(x) == pytest.approx(
         (curve(x + step) - curve(x - step)) / (2 * step), abs=1e-6
     )
-    assert curve.bend(x) == pytest.approx(
+    assert curve.second_derivative(x) == pytest.approx(
         (curve.slope(x + step) - curve.slope(x - step)) / (2 * step), abs=1e-6
     )
     parameters = np.concatenate([curve.amplitudes, curve.centers, curve.widths])

@@ -8,7 +8,8 @@ import pytest
 
 from microlib.embryo import force_from_image, modulus_from_image
 from microlib.membrane import SmallSlopeWarning, elastic_modulus
-from microlib.synthetic import Embryo, EmbryoImage, embryo_image
+from microlib.synthetic import Embryo, embryo_image
+from microlib.synthetic._embryo import EmbryoImage
 
 MEMBRANE = {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
 pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
@@ -23,7 +24,7 @@ def draw(seed: int) -> EmbryoImage:
         embryo,
         rng=rng,
         shape=(360, 600),  # the dimple's side
-        centre=(rng.uniform(230.0, 370.0), rng.uniform(90.0, 130.0)),
+        center=(rng.uniform(230.0, 370.0), rng.uniform(90.0, 130.0)),
         tilt=np.deg2rad(rng.uniform(-1.5, 1.5)),
         unevenness=rng.uniform(0.0, 0.2),
     )

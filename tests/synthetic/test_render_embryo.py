@@ -78,7 +78,7 @@ def test_dented_inverts_pressed():
 def test_image_shows_the_embryo_where_the_truth_says():
     embryo = Embryo.pressed(150.0, modulus=1.0)
     scene = embryo_image(
-        embryo, rng=np.random.default_rng(0), noise=0.0, unevenness=0.0, centre=(500.3, 240.7)
+        embryo, rng=np.random.default_rng(0), noise=0.0, unevenness=0.0, center=(500.3, 240.7)
     )
     rim_x, rim_y = scene.to_pixels([[embryo.dimple_radius, 0.0]])[0]
     column = scene.image[:, round(rim_x)].astype(float)
@@ -100,9 +100,9 @@ def test_image_shows_the_embryo_where_the_truth_says():
     assert (right - left) * scene.pixel_size == pytest.approx(50.0, abs=0.5)
 
 
-def test_tilt_turns_the_scene_clockwise_about_its_centre():
+def test_tilt_turns_the_scene_clockwise_about_its_center():
     scene = embryo_image(Embryo(1.0, 0.0, 1.0), rng=np.random.default_rng(0), tilt=0.1)
-    turned = scene.to_pixels([[100.0, 0.0], [0.0, 0.0]]) - scene.centre
+    turned = scene.to_pixels([[100.0, 0.0], [0.0, 0.0]]) - scene.center
     length = 100.0 / scene.pixel_size
     np.testing.assert_allclose(turned[0], [length * np.cos(0.1), length * np.sin(0.1)])
     np.testing.assert_allclose(turned[1], 0.0, atol=1e-12)

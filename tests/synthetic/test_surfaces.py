@@ -90,7 +90,7 @@ def test_frames_are_blurred_by_the_distance_to_focus():
 
 def test_noise_has_its_standard_deviation():
     flat = np.full((200, 200), 128.0)
-    frames = synthetic.focal_frames(
+    frames = synthetic.focal_stack(
         flat, 0 * flat, [0.0, 1.0], blur_rate=1.0, noise=3.0, rng=np.random.default_rng(0)
     )
     for frame in frames:
