@@ -1,0 +1,1 @@
+"""The experiments of chapter 5, one file a section: what takes many renders, seeds or fits."""
