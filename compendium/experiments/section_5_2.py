@@ -13,6 +13,7 @@ from scipy.stats import t as student
 
 from compendium import thesis
 from compendium.experiments._processes import in_processes
+from compendium.ledger import claim
 from microlib.calibration import (
     Calibration,
     Detection,
@@ -196,6 +197,34 @@ def pattern_errors(draws: dict[str, list[CalibrationDraw]]) -> pd.DataFrame:
             mean, (low, high) = over_draws(values)
             rows.append((column, statistic, mean, low, high))
     return pd.DataFrame(rows, columns=["column", "statistic", "value", "low", "high"])
+
+
+def beside_print(errors: pd.DataFrame) -> pd.DataFrame:
+    """Return Table 5.2 as printed beside `pattern_errors`, and the largest possible spread.
+
+    Numbers between 0 and m with the mean a have a variance of at most a (m − a), whatever they are.
+
+    Parameters
+    ----------
+    errors : pandas.DataFrame
+        From `pattern_errors`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row each column of the table, µm.
+    """
+    rows = []
+    for column, several in errors.groupby("column", sort=False):
+        row: dict[str, Any] = {"column": thesis.COLUMNS[str(column)]}
+        for entry in several.itertuples():
+            row[f"{entry.statistic}, printed"] = claim(
+                f"table-5.2/{column}/{entry.statistic}"
+            ).value
+            row[f"{entry.statistic}, ours"] = entry.value
+        mean, largest = row["mean, printed"], row["max, printed"]
+        rows.append(row | {"largest std possible": np.sqrt(mean * (largest - mean))})
+    return pd.DataFrame(rows)
 
 
 def coverage(draws: dict[str, list[CalibrationDraw]], seed: int, runs: int) -> pd.DataFrame:

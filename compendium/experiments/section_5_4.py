@@ -380,6 +380,14 @@ def over_images(
     return rendered, station.run(zoom, path, start=begin)
 
 
+def step_runs_over_images(
+    station: Workstation,
+) -> dict[str, tuple[servoing.Simulation, servoing.Simulation]]:
+    """Return the runs of figures 5.4 and 5.5 by zoom: rendered, and over coordinates."""
+    each = [(station, zoom, STEP_PATH, (0.0, 0.0)) for zoom in thesis.ZOOMS]
+    return dict(zip(thesis.ZOOMS, in_processes(over_images, each), strict=True))
+
+
 def path_runs_over_images(station: Workstation) -> dict[str, servoing.Simulation]:
     """Return the runs of figures 5.6 to 5.8: each of `PATHS` at 1X over rendered frames."""
     each = [(station, "1X", station.path(name)) for name in PATHS]
