@@ -36,6 +36,8 @@ PATHS: dict[str, Callable[[float], NDArray]] = {
         100.0, 20.0, 0.5 * speed, thesis.FRAME_INTERVAL
     ),
 }
+#: What `microlib.servoing.simulate` returns.
+Run = Any
 STEP_RESULTS = ("settling-time", "accuracy", "precision")
 PATH_RESULTS = ("accuracy", "precision")
 #: What a controller needs to know, with J in px/µm.
@@ -102,7 +104,7 @@ class Workstation:
         """Return one of `PATHS` at its speed, px."""
         return PATHS[name](self.path_speed[name])
 
-    def run(self, zoom: str, path: NDArray, draw: int = 0, **options: Any) -> servoing.Simulation:
+    def run(self, zoom: str, path: NDArray, draw: int = 0, **options: Any) -> Run:
         """Run once, as `run`, at the identified speed and jitter."""
         options = {"saturation": self.saturation[zoom], "jitter": self.jitter} | options
         return run(zoom, path, [self.seed, draw], **options)
@@ -132,13 +134,14 @@ def gains() -> pd.DataFrame:
     for unit, size in (("px/mm", 1000.0), ("px/µm", 1.0)):
         for zoom in thesis.ZOOMS:
             jacobian = size / thesis.effective_pixel(zoom) * np.eye(2)
-            gain = servoing.optimal_gain(
+            controller = servoing.OptimalController(
                 jacobian,
                 interval=thesis.FRAME_INTERVAL,
                 feature_weight=thesis.FEATURE_WEIGHT,
                 control_weight=thesis.CONTROL_WEIGHT,
             )
-            left = 1 - thesis.FRAME_INTERVAL * (jacobian @ gain)[0, 0]
+            velocity = controller(0, np.array([1.0, 0.0]), np.zeros((2, 2)))
+            left = 1 + thesis.FRAME_INTERVAL * (jacobian @ velocity)[0]
             rows.append((unit, zoom, jacobian[0, 0], left, -thesis.FRAME_INTERVAL / np.log(left)))
     columns = ["unit", "zoom", "J", "error left after a sample", "time constant (s)"]
     return pd.DataFrame(rows, columns=columns)
@@ -155,7 +158,7 @@ def run(
     exact: bool = False,
     controller: Any = None,
     **options: Any,
-) -> servoing.Simulation:
+) -> Run:
     """Simulate the visual loop once.
 
     Parameters
@@ -177,7 +180,7 @@ def run(
 
     Returns
     -------
-    Simulation
+    Run
         What happened.
     """
     rng = np.random.default_rng(seed)
@@ -219,7 +222,7 @@ def step(
     return dict(zip(STEP_RESULTS, (settling_time, found.accuracy, found.precision), strict=True))
 
 
-def path_error(zoom: str, result: servoing.Simulation) -> dict[str, float]:
+def path_error(zoom: str, result: Run) -> dict[str, float]:
     """Return mean and standard deviation of |f(k) − f*(k+1)|, `PATH_RESULTS`, µm."""
     pixel = thesis.effective_pixel(zoom)
     found = servoing.path_metrics(result.measured[:-1] * pixel, result.reference[1:] * pixel)
@@ -350,7 +353,7 @@ def _mean_error(
 
 def over_images(
     station: Workstation, zoom: str, path: NDArray, start: tuple[float, float] | None = None
-) -> tuple[servoing.Simulation, servoing.Simulation]:
+) -> tuple[Run, Run]:
     """Close the loop over rendered frames of the gripper, measured by the tracker of §5.3.
 
     Parameters
@@ -366,7 +369,7 @@ def over_images(
 
     Returns
     -------
-    rendered, fast : Simulation
+    rendered, fast : Run
         The run, and the one over coordinates with the same draws.
     """
     rng = np.random.default_rng(station.seed)
@@ -382,13 +385,13 @@ def over_images(
 
 def step_runs_over_images(
     station: Workstation,
-) -> dict[str, tuple[servoing.Simulation, servoing.Simulation]]:
+) -> dict[str, tuple[Run, Run]]:
     """Return the runs of figures 5.4 and 5.5 by zoom: rendered, and over coordinates."""
     each = [(station, zoom, STEP_PATH, (0.0, 0.0)) for zoom in thesis.ZOOMS]
     return dict(zip(thesis.ZOOMS, in_processes(over_images, each), strict=True))
 
 
-def path_runs_over_images(station: Workstation) -> dict[str, servoing.Simulation]:
+def path_runs_over_images(station: Workstation) -> dict[str, Run]:
     """Return the runs of figures 5.6 to 5.8: each of `PATHS` at 1X over rendered frames."""
     each = [(station, "1X", station.path(name)) for name in PATHS]
     return {
@@ -397,7 +400,7 @@ def path_runs_over_images(station: Workstation) -> dict[str, servoing.Simulation
     }
 
 
-def lag(zoom: str, result: servoing.Simulation) -> NDArray:
+def lag(zoom: str, result: Run) -> NDArray:
     """Return |f(k) − f*(k+1)| of each frame but the last, µm."""
     apart = np.linalg.norm(result.measured[:-1] - result.reference[1:], axis=1)
     return apart * thesis.effective_pixel(zoom)

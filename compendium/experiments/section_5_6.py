@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,7 +19,6 @@ from compendium import thesis
 from compendium.experiments._processes import in_processes
 from compendium.ledger import claim
 from microlib.embryo import (
-    Boundary,
     GaussianSum,
     dimple_geometry,
     fit_gaussians,
@@ -28,10 +28,13 @@ from microlib.embryo import (
     modulus_from_image,
 )
 from microlib.membrane import dimple_profile
-from microlib.synthetic import Embryo, EmbryoImage, embryo_image, embryo_sequence
+from microlib.synthetic import Embryo, embryo_image, embryo_sequence
 
 #: Modulus of the rendered embryos: that of Table 5.6, MPa.
 MODULUS = claim("table-5.6/E").value
+#: What `microlib.synthetic.embryo_image` and `microlib.embryo.extract_boundary` return.
+Scene = Any
+Outline = Any
 
 
 def rounding_draws(seed: int, draws: int) -> pd.DataFrame:
@@ -91,7 +94,7 @@ def probe_half_widths(dimple_radius: float, dimple_depth: float) -> tuple[float,
     return low, high
 
 
-def rendered_embryo(rng: np.random.Generator) -> EmbryoImage:
+def rendered_embryo(rng: np.random.Generator) -> Scene:
     """Render the embryo of Table 5.6 as the Sony camera would see it under uneven light."""
     embryo = Embryo(
         modulus=MODULUS,
@@ -102,14 +105,14 @@ def rendered_embryo(rng: np.random.Generator) -> EmbryoImage:
     return embryo_image(embryo, rng=rng, pixel_size=thesis.EMBRYO_PIXEL, unevenness=0.15)
 
 
-def smooth_outline(scene: EmbryoImage, boundary: Boundary) -> tuple[NDArray, GaussianSum]:
+def smooth_outline(scene: Scene, boundary: Outline) -> tuple[NDArray, GaussianSum]:
     """Smooth an outline as the thesis does: LOESS of the second degree, then eight Gaussians.
 
     Parameters
     ----------
-    scene : EmbryoImage
+    scene : Scene
         Says where the dimple is.
-    boundary : Boundary
+    boundary : Outline
         Its outline.
 
     Returns

@@ -10,11 +10,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from compendium import thesis
-from compendium.experiments.section_5_6 import MODULUS, ShapeComparison, push
+from compendium.experiments.section_5_6 import MODULUS, Outline, Scene, ShapeComparison, push
 from compendium.figures.embryo import add_scale_bar, show_image, show_outline
 from compendium.figures.style import COLORS
-from microlib.embryo import Boundary, GaussianSum, dimple_geometry
-from microlib.synthetic import EmbryoImage
+from microlib.embryo import GaussianSum, dimple_geometry
 
 __all__ = [
     "draw_embryo",
@@ -58,7 +57,7 @@ def draw_rounding(moduli: pd.Series) -> Figure:
     return figure
 
 
-def draw_embryo(scene: EmbryoImage) -> Figure:
+def draw_embryo(scene: Scene) -> Figure:
     """Draw figures 5.15 and 5.16: the whole image, and the embryo with its dimple."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.1), width_ratios=(1.34, 1))
     show_image(left, scene.image)
@@ -72,7 +71,7 @@ def draw_embryo(scene: EmbryoImage) -> Figure:
     return figure
 
 
-def draw_outline_steps(scene: EmbryoImage, filled: NDArray, boundary: Boundary) -> Figure:
+def draw_outline_steps(scene: Scene, filled: NDArray, boundary: Outline) -> Figure:
     """Draw figure 5.17: the dimple's side, the image without the probe, and the outline."""
     x, y = scene.centre
     box = (round(x) - 150, round(y) - 40, 300, 110)
@@ -92,15 +91,15 @@ def draw_outline_steps(scene: EmbryoImage, filled: NDArray, boundary: Boundary) 
 
 
 def draw_rendered_outline(
-    scene: EmbryoImage, boundary: Boundary, columns: NDArray, smooth: GaussianSum, profile: NDArray
+    scene: Scene, boundary: Outline, columns: NDArray, smooth: GaussianSum, profile: NDArray
 ) -> Figure:
     """Draw figures 5.18 and 5.19 from the rendered image.
 
     Parameters
     ----------
-    scene : EmbryoImage
+    scene : Scene
         Says where the dimple is.
-    boundary : Boundary
+    boundary : Outline
         Its outline.
     columns : ndarray, shape (N,)
         Where the curves are drawn, px; heights count from the lowest outline among them.

@@ -10,7 +10,7 @@ from microlib.synthetic._gripper import (
     warped_pair,
 )
 from microlib.synthetic._patterns import Imaging, render_circles, render_squares
-from microlib.synthetic._stacks import focal_frames, focal_stack, thesis_stack
+from microlib.synthetic._stacks import focal_frames, focal_stack
 from microlib.synthetic._surfaces import (
     cone,
     parabolic_cylinder,
@@ -45,7 +45,6 @@ __all__ = [
     "sphere_on_plane",
     "step",
     "texture_sequence",
-    "thesis_stack",
     "tilted_plane",
     "warped_pair",
 ]
