@@ -14,6 +14,8 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.report import must_hold, paired_times, publish
+from compendium import thesis
+from compendium.ledger import claim
 from microlib.calibration import calibrate, cramer_rao, detect_circles, detect_squares
 from microlib.microscope import Microscope
 from microlib.synthetic import ImagingConditions, render_circles, render_squares
@@ -31,61 +33,15 @@ LIMITS = {
 DARK, BRIGHT = 55.0, 195.0
 PITCH_PX = 30
 DEGREE = np.pi / 180
-#: Table 5.1 (T_z of the last column taken as f + d), the step of the pattern's grid in µm, and
-#: Table 5.2's mean error.
+#: By column of Table 5.1: its microscope, the step of the pattern's grid in µm, and the mean error of
+#: Table 5.2.
 COLUMNS = {
-    "circle 1X": (
-        Microscope(
-            200490,
-            126150,
-            78750,
-            -8.4e-10,
-            *(np.array([90.7144, -2.7912, 175.9179]) * DEGREE),
-            -781.4,
-            -55.002,
-        ),
-        280.0,
-        0.2202,
-    ),
-    "circle 4X": (
-        Microscope(
-            200610,
-            31415,
-            4955.5,
-            1.5e-11,
-            *(np.array([88.9825, 2.6331, 0.9088]) * DEGREE),
-            76.755,
-            -156.58,
-        ),
-        280.0,
-        0.0639,
-    ),
-    "square 1X": (
-        Microscope(
-            199690,
-            122990,
-            75441,
-            2.1e-10,
-            *(np.array([87.2897, -1.6248, 177.6637]) * DEGREE),
-            -1792.7,
-            -1210.3,
-        ),
-        200.0,
-        0.4618,
-    ),
-    "square 4X": (
-        Microscope(
-            200880,
-            31174,
-            4833.5,
-            1.5e-10,
-            *(np.array([95.4143, -1.9407, 178.2925]) * DEGREE),
-            -1653.1,
-            -1194.5,
-        ),
-        50.0,
-        0.0920,
-    ),
+    column.replace("-", " "): (
+        thesis.microscope(column),
+        thesis.pattern_pitch(column),
+        claim(f"table-5.2/{column}/mean").value,
+    )
+    for column in thesis.COLUMNS
 }
 POSE = ("distortion", "alpha", "beta", "gamma", "tx", "ty")
 

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from benchmarks.report import publish
 from compendium.experiments.paths import circle_path, sinusoid_path, square_path
+from compendium import thesis
+from compendium.experiments.section_5_3 import WINDOWS
 from microlib.servoing import (
     Camera,
     OptimalController,
@@ -29,12 +31,15 @@ from microlib.servoing._workstation import Controller, Simulation
 from microlib.synthetic import gripper_scene
 from microlib.tracking import ESMTracker
 
-INTERVAL = 1 / 33
+INTERVAL = thesis.FRAME_INTERVAL
 CAMERA = Camera(interval=INTERVAL, latency=0.8 * INTERVAL, jitter=0.15)
 STAGE = Stage(saturation=400.0)
 #: px/µm at both zooms, and window of the tracker in px.
-ZOOMS = {"1X": (1.5893 / 9.9, 50), "4X": (6.3859 / 9.9, 90)}
-WEIGHTS = {"feature_weight": (0.9, 0.9), "control_weight": (0.025e-6, 0.05e-6)}
+ZOOMS = {zoom: (1 / thesis.effective_pixel(zoom), WINDOWS[zoom]) for zoom in thesis.ZOOMS}
+WEIGHTS = {
+    "feature_weight": thesis.FEATURE_WEIGHT,
+    "control_weight": thesis.CONTROL_WEIGHT_MICROMETER,
+}
 SEEDS = 50
 TASKS = {
     "step of 50 px": np.full((66, 2), 50.0),

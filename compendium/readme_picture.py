@@ -8,27 +8,16 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from compendium import ledger
+from compendium import ledger, thesis
 from compendium.figures import COLORS, use_style
-from microlib.embryo import GaussianSum, dimple_geometry
-from microlib.membrane import SmallSlopeWarning, elastic_modulus
+from microlib.embryo import dimple_geometry
+from microlib.membrane import SmallSlopeWarning
 
 warnings.simplefilter("ignore", SmallSlopeWarning)
 use_style()
-a, b, c = (np.array([ledger.claim(f"table-5.5/{k}{i}").value for i in range(1, 9)]) for k in "abc")
-curve = GaussianSum(a, b, c, domain=(50.0, 265.0))
-pixel = (
-    ledger.claim("section-5.1/sony-cell").value / ledger.claim("section-5.6/magnification").value
-)
+curve, pixel = thesis.outline_curve(), thesis.EMBRYO_PIXEL
 dimple = dimple_geometry(curve, pixel_size=pixel)
-modulus = elastic_modulus(
-    ledger.claim("table-5.6/F").value,
-    dimple.dimple_radius,
-    dimple.dimple_depth,
-    thickness=ledger.claim("table-5.6/h").value,
-    probe_half_width=25.0,
-    poisson_ratio=ledger.claim("table-5.6/nu").value,
-)
+modulus = thesis.modulus(dimple.dimple_radius, dimple.dimple_depth)
 x = np.linspace(*curve.domain, 600)
 (x1, y1), (x2, y2) = dimple.rim, dimple.bottom
 fig, ax = plt.subplots(figsize=(8.4, 3.4))

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import tifffile
 
+from compendium import thesis
 from microlib.microscope import Microscope
 from microlib.synthetic import (
     Embryo,
@@ -58,7 +59,9 @@ def write_stack(folder: Path) -> tuple[str, str]:
 
 
 def write_pattern(folder: Path) -> tuple[str, str]:
-    scope = Microscope(200490.0, 126150.0, 79374.6, alpha=0.03, beta=-0.02, tx=-1900.0, ty=-1400.0)
+    # The lengths of Table 5.1 in focus, and a pose of our own without distortion.
+    t_op, f = (thesis.table_5_1("circle-1X", name) for name in ("T_op", "f"))
+    scope = Microscope(t_op, f, 79374.6, alpha=0.03, beta=-0.02, tx=-1900.0, ty=-1400.0)
     image = render_circles(
         scope, pitch=280.0, imaging=ImagingConditions(noise=2.0), rng=np.random.default_rng(SEED)
     )

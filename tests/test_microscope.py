@@ -12,19 +12,10 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
+from compendium import thesis
 from microlib.microscope import Microscope, distort, euler_rotation, undistort
 
-SCOPE = Microscope(
-    200490,
-    126150,
-    78750,
-    distortion=-8.4e-10,
-    alpha=np.deg2rad(90.7144),
-    beta=np.deg2rad(-2.7912),
-    gamma=np.deg2rad(175.9179),
-    tx=-781.4,
-    ty=-55.002,
-)
+SCOPE = thesis.microscope("circle-1X")
 # Rounding only: a few operations on numbers of about 1e5 µm, each good to 1e-16.
 ROUNDING = 1e-11
 

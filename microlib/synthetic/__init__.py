@@ -9,7 +9,7 @@ from microlib.synthetic._gripper import (
     warped_pair,
 )
 from microlib.synthetic._patterns import ImagingConditions, render_circles, render_squares
-from microlib.synthetic._stacks import focal_stack, thesis_stack
+from microlib.synthetic._stacks import focal_stack
 from microlib.synthetic._surfaces import (
     cone,
     parabolic_cylinder,
@@ -41,7 +41,6 @@ __all__ = [
     "sphere_on_plane",
     "step",
     "texture_sequence",
-    "thesis_stack",
     "tilted_plane",
     "warped_pair",
 ]

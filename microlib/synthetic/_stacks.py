@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import as_array, as_image, positive
-from microlib.optics import BlurLadder, gaussian_kernel
+from microlib.optics import BlurLadder
 
 
 def focal_stack(
@@ -77,52 +76,6 @@ def focal_stack(
             frame = frame + sigma * rng.standard_normal(frame.shape)
         frames[k] = _eight_bits(frame)
     return frames
-
-
-def thesis_stack(texture: ArrayLike, height: ArrayLike, positions: ArrayLike) -> NDArray[np.uint8]:
-    """Return a focal stack by the recipe of section 5.5.1.
-
-    A pixel is sharp in the frame nearest to its height and blurred by one 7×7 Gaussian of σ = 1 px
-    in all others, however far they are.
-
-    Parameters
-    ----------
-    texture : array_like, shape (rows, cols)
-        Grey levels of the surface in focus.
-    height : array_like, shape (rows, cols)
-        Height of the surface, µm.
-    positions : array_like, shape (n,)
-        Height in focus in each frame, µm.
-
-    Returns
-    -------
-    ndarray of uint8, shape (n, rows, cols)
-
-    Raises
-    ------
-    ValueError
-        If shapes differ or a value is not finite.
-
-    Notes
-    -----
-    Two levels of blur cannot tell where between two frames a surface lies: the best possible depth
-    is that of the nearest frame. `focal_stack` blurs by the distance, as a lens does.
-
-    Examples
-    --------
-    >>> texture = np.random.default_rng(0).uniform(0, 255, (16, 16))
-    >>> stack = thesis_stack(texture, np.zeros((16, 16)), [0.0, 25.0, 50.0])
-    >>> np.array_equal(stack[1], stack[2])
-    True
-    """
-    image = as_image("texture", texture)
-    z = as_array("height", height, shape=image.shape)
-    focus = as_array("positions", positions, shape=(None,))
-    blurred = cv2.filter2D(image, cv2.CV_32F, gaussian_kernel(1.0, 7))
-    nearest = np.abs(z[None] - focus[:, None, None]).argmin(axis=0)
-    return np.stack(
-        [_eight_bits(np.where(nearest == k, image, blurred)) for k in range(len(focus))]
-    )
 
 
 def _eight_bits(image: NDArray) -> NDArray[np.uint8]:

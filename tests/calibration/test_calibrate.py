@@ -12,6 +12,7 @@ import sympy as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from compendium import thesis
 from compendium.ledger import claim
 from microlib.calibration import (
     calibrate,
@@ -442,17 +443,7 @@ def test_huber_costs_little_without_outliers():
 def test_from_image_to_microscope():
     """Rendered, detected, calibrated: two columns of Table 5.1, better than Table 5.2's mean
     errors."""
-    scope = Microscope(
-        200490,
-        126150,
-        78750,
-        -8.4e-10,
-        90.7144 * DEGREE,
-        -2.7912 * DEGREE,
-        175.9179 * DEGREE,
-        -781.4,
-        -55.002,
-    )
+    scope = thesis.microscope("circle-1X")
     rng = np.random.default_rng(4)
     image = render_circles(scope, imaging=ImagingConditions(noise=2.0), rng=rng)
     found = detect_circles(image, direction=scope.alpha, mirrored=True)
@@ -462,17 +453,7 @@ def test_from_image_to_microscope():
     assert circles.microscope.gamma == pytest.approx(scope.gamma, abs=5 * circles.sigma["gamma"])
     assert circles.plane_error.mean < 0.2202
 
-    scope = Microscope(
-        200880,
-        31174,
-        4833.5,
-        1.5e-10,
-        95.4143 * DEGREE,
-        -1.9407 * DEGREE,
-        178.2925 * DEGREE,
-        -1653.1,
-        -1194.5,
-    )
+    scope = thesis.microscope("square-4X")
     image = render_squares(scope, side=50.0, imaging=ImagingConditions(noise=2.0), rng=rng)
     found = detect_squares(image, direction=scope.alpha, mirrored=True)
     world = 50.0 * np.round(scope.back_project(found.points) / 50.0)
@@ -486,32 +467,25 @@ def test_from_image_to_microscope():
 # What the thesis prints
 
 
-COLUMNS = ("circle-1X", "circle-4X", "square-1X", "square-4X")
-
-
-def table_5_1(column, name):
-    return claim(f"table-5.1/{column}/{name}").value
-
-
 def test_the_printed_magnifications_do_not_hold_together():
     """(2.12) wants T_op/f = (T_op + f)/(f + d); rounding allows 1e-4, and the print has more."""
     gaps = []
-    for column in COLUMNS:
-        t, f, d = (table_5_1(column, k) for k in ("T_op", "f", "d"))
-        assert t / f == pytest.approx(table_5_1(column, "M"), rel=1e-4)
+    for column in thesis.COLUMNS:
+        t, f, d = (thesis.table_5_1(column, k) for k in ("T_op", "f", "d"))
+        assert t / f == pytest.approx(thesis.table_5_1(column, "M"), rel=1e-4)
         gaps.append((t + f) / (f + d) / (t / f) - 1)
     np.testing.assert_allclose(gaps, [0.0030, -0.0010, 0.0016, 0.0001], atol=1e-4)
 
 
 def test_the_printed_range_of_one_column_contradicts_its_magnification():
-    t, f, d, z = (table_5_1("square-4X", k) for k in ("T_op", "f", "d", "T_z"))
+    t, f, d, z = (thesis.table_5_1("square-4X", k) for k in ("T_op", "f", "d", "T_z"))
     assert float(claim("table-5.1/square-4X/T_z").corrected) == f + d
-    assert (t + f) / (f + d) == pytest.approx(table_5_1("square-4X", "M"), rel=1e-3)
-    assert (t + f) / z < 0.2 * table_5_1("square-4X", "M")
+    assert (t + f) / (f + d) == pytest.approx(thesis.table_5_1("square-4X", "M"), rel=1e-3)
+    assert (t + f) / z < 0.2 * thesis.table_5_1("square-4X", "M")
 
 
 @pytest.mark.parametrize(
-    ("column", "possible"), list(zip(COLUMNS, (True, True, False, False), strict=True))
+    ("column", "possible"), list(zip(thesis.COLUMNS, (True, True, False, False), strict=True))
 )
 def test_the_printed_spread_of_the_square_patterns_is_impossible(column, possible):
     """Numbers in [0, m] with mean a have a variance of at most a (m − a), whatever they are."""

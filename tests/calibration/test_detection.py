@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 from skimage.draw import polygon
 
+from compendium import thesis
 from microlib.calibration import detect_circles, detect_squares
 from microlib.calibration._grid_order import order_grid
 from microlib.microscope import Microscope
@@ -21,51 +22,7 @@ from microlib.synthetic import ImagingConditions, render_circles, render_squares
 DEGREE = np.pi / 180
 SMALL = Microscope(2e5, 1e5, 5e4, tx=-700, ty=-560, image_size=(300, 240))
 PITCH = 30 * 9.9 / 2  # 30 px
-# Table 5.1; in the last column T_z is taken as f + d.
-CIRCLE_1X = Microscope(
-    200490,
-    126150,
-    78750,
-    -8.4e-10,
-    90.7144 * DEGREE,
-    -2.7912 * DEGREE,
-    175.9179 * DEGREE,
-    -781.4,
-    -55.002,
-)
-CIRCLE_4X = Microscope(
-    200610,
-    31415,
-    4955.5,
-    1.5e-11,
-    88.9825 * DEGREE,
-    2.6331 * DEGREE,
-    0.9088 * DEGREE,
-    76.755,
-    -156.58,
-)
-SQUARE_1X = Microscope(
-    199690,
-    122990,
-    75441,
-    2.1e-10,
-    87.2897 * DEGREE,
-    -1.6248 * DEGREE,
-    177.6637 * DEGREE,
-    -1792.7,
-    -1210.3,
-)
-SQUARE_4X = Microscope(
-    200880,
-    31174,
-    4833.5,
-    1.5e-10,
-    95.4143 * DEGREE,
-    -1.9407 * DEGREE,
-    178.2925 * DEGREE,
-    -1653.1,
-    -1194.5,
-)
+CIRCLE_1X, CIRCLE_4X, SQUARE_1X, SQUARE_4X = map(thesis.microscope, thesis.COLUMNS)
 
 
 def box_edge(x, edge, blur):

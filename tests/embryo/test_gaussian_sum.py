@@ -8,15 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import curve_fit, minimize_scalar
 
-from compendium import ledger
+from compendium import thesis
 from microlib.embryo import GaussianSum, dimple_geometry, fit_gaussians
 from microlib.synthetic import Embryo
 
 
 @pytest.fixture(scope="module")
 def printed() -> GaussianSum:
-    columns = ([ledger.claim(f"table-5.5/{k}{i}").value for i in range(1, 9)] for k in "abc")
-    return GaussianSum(*columns, domain=(50.0, 265.0))
+    return thesis.outline_curve()
 
 
 def test_printed_curve_has_the_extrema_that_a_minimiser_finds(printed: GaussianSum) -> None:
@@ -38,30 +37,24 @@ def test_printed_curve_has_the_extrema_that_a_minimiser_finds(printed: GaussianS
         np.testing.assert_allclose(found, want, atol=1e-5)
 
 
-def test_two_of_the_three_printed_maxima_survive_every_rounding(printed: GaussianSum) -> None:
+def test_two_of_the_three_printed_maxima_survive_every_rounding() -> None:
     """Backs the erratum: no draw of Table 5.5 within its rounding has only two maxima."""
     rng = np.random.default_rng(1)
-    half = [
-        np.array([ledger.half_ulp(ledger.claim(f"table-5.5/{k}{i}").printed) for i in range(1, 9)])
-        for k in "abc"
-    ]
     for _ in range(200):
-        drawn = (
-            value + rng.uniform(-h, h)
-            for value, h in zip(
-                (printed.amplitudes, printed.centers, printed.widths), half, strict=True
-            )
-        )
-        assert len(GaussianSum(*drawn, domain=printed.domain).extrema()[0]) == 3
+        assert len(thesis.outline_curve(rng).extrema()[0]) == 3
 
 
 def test_printed_dimple(printed: GaussianSum) -> None:
-    dimple = dimple_geometry(printed, pixel_size=4.65 / 1.2)
+    dimple = dimple_geometry(printed, pixel_size=thesis.EMBRYO_PIXEL)
     # Values of the decoded table, recomputed independently to two decimals.
     assert dimple.rim == pytest.approx((131.07, 94.15), abs=0.005)
     assert dimple.bottom == pytest.approx((194.69, 62.93), abs=0.005)
-    assert dimple.dimple_radius == pytest.approx(4.65 / 1.2 * (dimple.bottom[0] - dimple.rim[0]))
-    assert dimple.dimple_depth == pytest.approx(4.65 / 1.2 * (dimple.rim[1] - dimple.bottom[1]))
+    assert dimple.dimple_radius == pytest.approx(
+        thesis.EMBRYO_PIXEL * (dimple.bottom[0] - dimple.rim[0])
+    )
+    assert dimple.dimple_depth == pytest.approx(
+        thesis.EMBRYO_PIXEL * (dimple.rim[1] - dimple.bottom[1])
+    )
 
 
 def test_slope_equals_differences(printed: GaussianSum) -> None:

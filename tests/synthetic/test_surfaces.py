@@ -98,18 +98,6 @@ def test_noise_has_its_standard_deviation():
         assert frame.std() == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.02)
 
 
-def test_thesis_stack_knows_two_levels_of_blur():
-    texture = synthetic.mixed_texture(SHAPE, np.random.default_rng(0))
-    positions = 25.0 * np.arange(21)
-    height = synthetic.parabolic_cylinder(SHAPE, 500.0)
-    stack = synthetic.thesis_stack(texture, height, positions)
-    sharp = np.clip(np.rint(texture), 0, 255)
-    focused = (stack == sharp[None]).sum(axis=0)
-    assert np.median(focused) <= 2  # its own frame, and chance
-    nearest = np.abs(height - positions[:, None, None]).argmin(axis=0)
-    np.testing.assert_array_equal(np.take_along_axis(stack, nearest[None], 0)[0], sharp)
-
-
 @pytest.mark.parametrize(
     ("call", "words"),
     [
@@ -126,7 +114,6 @@ def test_thesis_stack_knows_two_levels_of_blur():
             lambda: synthetic.focal_stack(np.eye(4), np.eye(5), [0.0], blur_rate=1.0),
             "height must have",
         ),
-        (lambda: synthetic.thesis_stack(np.eye(4), np.eye(5), [0.0]), "height must have shape"),
         (
             lambda: synthetic.mixed_texture(SHAPE, np.random.default_rng(0), scales=0),
             "scales must be",

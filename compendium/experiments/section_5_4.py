@@ -1,0 +1,520 @@
+"""Section 5.4: identify the lost workstation from a few printed numbers, and predict the others.
+
+Lengths are in px of the image or µm on the sample, as said; an interval of seeds is the median with
+the ends that hold 95 % of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+
+from compendium import thesis
+from compendium.experiments._processes import in_processes
+from compendium.experiments.section_5_3 import gripper
+from compendium.ledger import claim
+from microlib import servoing
+
+#: Assumed: from an exposure until its command takes effect, s; it stands for exposure, transfer and
+#: tracking.
+LATENCY = 0.01
+#: Assumed: standard deviations of the calibration's angle (rad) and scale, as well as the two
+#: patterns of Table 5.1 agree.
+CALIBRATION_ANGLE, CALIBRATION_SCALE = np.pi / 180, 0.01
+#: The step of 50 px in both axes, over two seconds.
+STEP_PATH = np.full((66, 2), claim("table-5.3/1X/step").value)
+#: Paths of §5.4 by their speed in px/s, px: sizes are not printed.
+PATHS: dict[str, Callable[[float], NDArray]] = {
+    "circle": lambda speed: servoing.circle_path(40.0, speed, thesis.FRAME_INTERVAL),
+    "square": lambda speed: servoing.square_path(60.0, speed, thesis.FRAME_INTERVAL),
+    "sinusoid": lambda speed: servoing.sinusoid_path(
+        100.0, 20.0, 0.5 * speed, thesis.FRAME_INTERVAL
+    ),
+}
+#: What `microlib.servoing.simulate` returns.
+Run = Any
+STEP_RESULTS = ("settling-time", "accuracy", "precision")
+PATH_RESULTS = ("accuracy", "precision")
+#: What a controller needs to know, with J in px/µm.
+LAW: dict[str, Any] = {
+    "interval": thesis.FRAME_INTERVAL,
+    "feature_weight": thesis.FEATURE_WEIGHT,
+    "control_weight": thesis.CONTROL_WEIGHT_MICROMETER,
+}
+
+
+@dataclass(frozen=True)
+class SettlingTimes:
+    """Settling time of a step against what was not printed, and where it meets the print.
+
+    Attributes
+    ----------
+    speeds : ndarray, shape (N,)
+        Largest speeds of the stage, µm/s.
+    by_speed : dict of str to ndarray, shape (N,)
+        Settling times at each zoom, s; NaN where the step never settles.
+    saturation : dict of str to float
+        Largest speed that gives the printed time at each zoom, µm/s.
+    latencies : ndarray, shape (M,)
+        Latencies, s.
+    by_latency : ndarray, shape (M,)
+        Settling times at 4X if the stage is as fast as at 1X, s.
+    latency : float
+        The one that gives the printed time, s.
+    printed : dict of str to float
+        The printed times, s.
+    """
+
+    speeds: NDArray
+    by_speed: dict[str, NDArray]
+    saturation: dict[str, float]
+    latencies: NDArray
+    by_latency: NDArray
+    latency: float
+    printed: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Workstation:
+    """What stands for the workstation of 2008, as identified.
+
+    Attributes
+    ----------
+    saturation : dict of str to float
+        Largest speed of the stage at each zoom, µm/s.
+    jitter : float
+        Standard deviation of the image's shake, px.
+    path_speed : dict of str to float
+        Speed along each of `PATHS`, px/s.
+    seed : int
+        Of all that is drawn.
+    """
+
+    saturation: dict[str, float]
+    jitter: float
+    path_speed: dict[str, float]
+    seed: int
+
+    def path(self, name: str) -> NDArray:
+        """Return one of `PATHS` at its speed, px."""
+        return PATHS[name](self.path_speed[name])
+
+    def run(self, zoom: str, path: NDArray, draw: int = 0, **options: Any) -> Run:
+        """Run once, as `run`, at the identified speed and jitter."""
+        options = {"saturation": self.saturation[zoom], "jitter": self.jitter} | options
+        return run(zoom, path, [self.seed, draw], **options)
+
+    def table(self) -> pd.DataFrame:
+        """Return the identified values, each with the printed number that it was spent on."""
+        rows = [
+            (f"largest speed at {zoom}", speed, "µm/s", f"Table 5.3, settling time at {zoom}")
+            for zoom, speed in self.saturation.items()
+        ]
+        rows += [("jitter", self.jitter, "px", "Table 5.4, precision on the circle at 1X")]
+        rows += [
+            (f"speed on the {name}", speed, "px/s", f"Table 5.4, accuracy on the {name} at 1X")
+            for name, speed in self.path_speed.items()
+        ]
+        return pd.DataFrame(rows, columns=["identified", "value", "unit", "from"])
+
+
+def nominal_jacobian(zoom: str) -> NDArray:
+    """Return px/µm as the controller knows them."""
+    return np.eye(2) / thesis.effective_pixel(zoom)
+
+
+def gains() -> pd.DataFrame:
+    """Return what one sample leaves of an error, in two units of the Jacobian."""
+    rows = []
+    for unit, size in (("px/mm", 1000.0), ("px/µm", 1.0)):
+        for zoom in thesis.ZOOMS:
+            jacobian = size / thesis.effective_pixel(zoom) * np.eye(2)
+            controller = servoing.OptimalController(
+                jacobian,
+                interval=thesis.FRAME_INTERVAL,
+                feature_weight=thesis.FEATURE_WEIGHT,
+                control_weight=thesis.CONTROL_WEIGHT,
+            )
+            velocity = controller(0, np.array([1.0, 0.0]), np.zeros((2, 2)))
+            left = 1 + thesis.FRAME_INTERVAL * (jacobian @ velocity)[0]
+            rows.append((unit, zoom, jacobian[0, 0], left, -thesis.FRAME_INTERVAL / np.log(left)))
+    columns = ["unit", "zoom", "J", "error left after a sample", "time constant (s)"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def run(
+    zoom: str,
+    path: NDArray,
+    seed: int | list[int],
+    *,
+    saturation: float,
+    jitter: float,
+    latency: float = LATENCY,
+    exact: bool = False,
+    controller: Any = None,
+    **options: Any,
+) -> Run:
+    """Simulate the visual loop once.
+
+    Parameters
+    ----------
+    zoom : str
+        ``1X`` or ``4X``.
+    path : ndarray, shape (K, 2)
+        References, px.
+    seed : int or list of int
+        Of the calibration's error and the jitter.
+    saturation, jitter, latency : float
+        Largest speed (µm/s), shake of the image (px), and time until a command takes effect (s).
+    exact : bool
+        True for a calibration without error; it is wrong by 1 % and 1° (one σ) otherwise.
+    controller : callable, optional
+        The optimal controller (2.28) by default.
+    **options
+        ``start`` and ``observer`` of `simulate`.
+
+    Returns
+    -------
+    Run
+        What happened.
+    """
+    rng = np.random.default_rng(seed)
+    angle, size = (
+        (0.0, 1.0)
+        if exact
+        else (rng.normal(0, CALIBRATION_ANGLE), rng.normal(1, CALIBRATION_SCALE))
+    )
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return servoing.simulate(
+        controller or servoing.OptimalController(nominal_jacobian(zoom), **LAW),
+        path,
+        jacobian=size / thesis.effective_pixel(zoom) * turn,
+        stage=servoing.Stage(saturation=saturation, step=thesis.STAGE_STEP),
+        camera=servoing.Camera(interval=thesis.FRAME_INTERVAL, latency=latency, jitter=jitter),
+        rng=rng,
+        **options,
+    )
+
+
+def step(
+    zoom: str, saturation: float, jitter: float, seed: int, draw: int, **options: Any
+) -> dict[str, float]:
+    """Make a step of 50 px and measure it: `STEP_RESULTS`, in s and µm."""
+    result = run(
+        zoom,
+        STEP_PATH,
+        [seed, draw],
+        saturation=saturation,
+        jitter=jitter,
+        start=(0.0, 0.0),
+        **options,
+    )
+    pixel = thesis.effective_pixel(zoom)
+    found = servoing.step_metrics(result.time, result.measured * pixel, result.reference[0] * pixel)
+    # The step is commanded at any time before the first exposure that the loop knows it at.
+    ahead = 0.5 if options.get("exact") else np.random.default_rng([seed, draw, 1]).random()
+    settling_time = found.settling_time + ahead * thesis.FRAME_INTERVAL
+    return dict(zip(STEP_RESULTS, (settling_time, found.accuracy, found.precision), strict=True))
+
+
+def path_error(zoom: str, result: Run) -> dict[str, float]:
+    """Return mean and standard deviation of |f(k) − f*(k+1)|, `PATH_RESULTS`, µm."""
+    pixel = thesis.effective_pixel(zoom)
+    found = servoing.path_metrics(result.measured[:-1] * pixel, result.reference[1:] * pixel)
+    return {"accuracy": found.accuracy, "precision": found.precision}
+
+
+def printed_path(zoom: str, name: str, what: str) -> float:
+    """Return an entry of Table 5.4, µm."""
+    return claim(f"table-5.4/{zoom}/{name}/{what}").value
+
+
+def median_and_ends(values: ArrayLike) -> tuple[float, float, float]:
+    """Return the median and the ends between which 95 % of the values lie.
+
+    Examples
+    --------
+    >>> median_and_ends(range(101))
+    (50.0, 2.5, 97.5)
+    """
+    low, middle, high = np.percentile(np.asarray(values, dtype=float), [2.5, 50, 97.5])
+    return float(middle), float(low), float(high)
+
+
+def nearest(values: NDArray, times: ArrayLike, printed: float) -> float:
+    """Return the middle of the values whose time is nearest to the printed one.
+
+    Examples
+    --------
+    >>> nearest(np.array([1.0, 2.0, 3.0, 4.0]), [np.nan, 0.8, 0.8, 0.6], 0.75)
+    2.5
+    """
+    distance = np.abs(np.asarray(times, dtype=float) - printed)
+    return float(np.mean(values[np.isclose(distance, np.nanmin(distance))]))
+
+
+def identify_settling(seed: int) -> SettlingTimes:
+    """Find the largest speeds, or the latency, that give the settling times of Table 5.3."""
+    printed = {zoom: claim(f"table-5.3/{zoom}/settling-time").value for zoom in thesis.ZOOMS}
+
+    def settling_time(zoom: str, saturation: float, **options: Any) -> float:
+        return step(zoom, saturation, 0.0, seed, 0, exact=True, **options)["settling-time"]
+
+    speeds = np.arange(120.0, 480.0, 4.0)  # µm/s
+    by_speed = {
+        zoom: np.array([settling_time(zoom, speed) for speed in speeds]) for zoom in thesis.ZOOMS
+    }
+    saturation = {zoom: nearest(speeds, by_speed[zoom], printed[zoom]) for zoom in thesis.ZOOMS}
+    latencies = np.arange(0.0, 0.96, 0.02) * thesis.FRAME_INTERVAL  # s
+    by_latency = np.array(
+        [settling_time("4X", saturation["1X"], latency=value) for value in latencies]
+    )
+    latency = nearest(latencies, by_latency, printed["4X"])
+    return SettlingTimes(speeds, by_speed, saturation, latencies, by_latency, latency, printed)
+
+
+def explanations(seed: int, times: SettlingTimes, draws: int = 60) -> pd.DataFrame:
+    """Predict the precision of the step at 4X under both explanations of its settling time.
+
+    Parameters
+    ----------
+    seed : int
+        Of the draws.
+    times : SettlingTimes
+        From `identify_settling`.
+    draws : int
+        Steps under each explanation.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row each explanation: median and ends of the precision, and the printed one, µm.
+    """
+    trials = {
+        "one speed, long latency": (times.saturation["1X"], times.latency),
+        "a lower speed at 4X": (times.saturation["4X"], LATENCY),
+    }
+    rows = []
+    for label, (saturation, latency) in trials.items():
+        steps = [step("4X", saturation, 0.15, seed, k, latency=latency) for k in range(draws)]
+        found = median_and_ends([each["precision"] for each in steps])
+        rows.append((label, *found, claim("table-5.3/4X/precision").value))
+    columns = ["explanation", "precision at 4X (µm)", "from", "to", "printed"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def identify_workstation(seed: int, saturation: dict[str, float]) -> Workstation:
+    """Find the speeds along the paths and the jitter that give four numbers of Table 5.4 at 1X.
+
+    Parameters
+    ----------
+    seed : int
+        Of the runs.
+    saturation : dict of str to float
+        Largest speeds of the stage, µm/s.
+
+    Returns
+    -------
+    Workstation
+        Each path's speed from its accuracy, the jitter from the precision on the circle.
+    """
+    jitter, path_speed = 0.1, dict.fromkeys(PATHS, 0.0)
+    jitters, speeds = np.arange(0.0, 0.26, 0.05), np.arange(15.0, 51.0, 5.0)  # px, px/s
+    for _ in range(2):  # each depends a little on the other
+        each = [(name, speed, jitter, seed, saturation["1X"]) for name in PATHS for speed in speeds]
+        errors = np.reshape(in_processes(_mean_error, each), (len(PATHS), len(speeds), 2))
+        for name, (accuracy, _) in zip(PATHS, errors.transpose(0, 2, 1), strict=True):
+            path_speed[name] = float(
+                np.interp(printed_path("1X", name, "accuracy"), accuracy, speeds)
+            )
+        each = [("circle", path_speed["circle"], j, seed, saturation["1X"]) for j in jitters]
+        spreads = np.array(in_processes(_mean_error, each))[:, 1]
+        jitter = float(np.interp(printed_path("1X", "circle", "precision"), spreads, jitters))
+    return Workstation(saturation, jitter, path_speed, seed)
+
+
+def _mean_error(
+    name: str, speed: float, jitter: float, seed: int, saturation: float
+) -> tuple[float, float]:
+    """Return accuracy and precision along a path at 1X in the mean of eight runs, µm."""
+    path = PATHS[name](speed)
+    runs = [run("1X", path, [seed, k], saturation=saturation, jitter=jitter) for k in range(8)]
+    errors = [path_error("1X", each) for each in runs]
+    return (
+        float(np.mean([each["accuracy"] for each in errors])),
+        float(np.mean([each["precision"] for each in errors])),
+    )
+
+
+def over_images(
+    station: Workstation, zoom: str, path: NDArray, start: tuple[float, float] | None = None
+) -> tuple[Run, Run]:
+    """Close the loop over rendered frames of the gripper, measured by the tracker of §5.3.
+
+    Parameters
+    ----------
+    station : Workstation
+        The apparatus.
+    zoom : str
+        ``1X`` or ``4X``.
+    path : ndarray, shape (K, 2)
+        References, px.
+    start : tuple of float, optional
+        First feature, px; the first reference by default.
+
+    Returns
+    -------
+    rendered, fast : Run
+        The run, and the one over coordinates with the same draws.
+    """
+    rng = np.random.default_rng(station.seed)
+    begin = path[0] if start is None else np.asarray(start)
+    span = np.vstack([path, begin])
+    away = -np.rint((span.min(axis=0) + span.max(axis=0)) / 2) + begin  # centered in the frame
+    frame, tracker = gripper(zoom, away, rng)
+    origin = tracker.track(frame(away, rng)).center - begin
+    view = servoing.tracked_view(lambda feature: frame(feature + away - begin, rng), tracker)
+    rendered = station.run(zoom, path, start=begin, observer=lambda feature: view(feature) - origin)
+    return rendered, station.run(zoom, path, start=begin)
+
+
+def step_runs_over_images(
+    station: Workstation,
+) -> dict[str, tuple[Run, Run]]:
+    """Return the runs of figures 5.4 and 5.5 by zoom: rendered, and over coordinates."""
+    each = [(station, zoom, STEP_PATH, (0.0, 0.0)) for zoom in thesis.ZOOMS]
+    return dict(zip(thesis.ZOOMS, in_processes(over_images, each), strict=True))
+
+
+def path_runs_over_images(station: Workstation) -> dict[str, Run]:
+    """Return the runs of figures 5.6 to 5.8: each of `PATHS` at 1X over rendered frames."""
+    each = [(station, "1X", station.path(name)) for name in PATHS]
+    return {
+        name: rendered
+        for name, (rendered, _) in zip(PATHS, in_processes(over_images, each), strict=True)
+    }
+
+
+def lag(zoom: str, result: Run) -> NDArray:
+    """Return |f(k) − f*(k+1)| of each frame but the last, µm."""
+    apart = np.linalg.norm(result.measured[:-1] - result.reference[1:], axis=1)
+    return apart * thesis.effective_pixel(zoom)
+
+
+def step_table(station: Workstation, draws: int) -> pd.DataFrame:
+    """Predict Table 5.3.
+
+    Parameters
+    ----------
+    station : Workstation
+        The apparatus.
+    draws : int
+        Steps at each zoom, which draw jitter and calibration.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row each entry: claim, median, and ends low and high, in s or µm.
+    """
+    rows = []
+    for zoom in thesis.ZOOMS:
+        steps = [
+            step(zoom, station.saturation[zoom], station.jitter, station.seed, k)
+            for k in range(draws)
+        ]
+        for what in STEP_RESULTS:
+            found = median_and_ends([each[what] for each in steps])
+            rows.append((f"table-5.3/{zoom}/{what}", *found))
+    return pd.DataFrame(rows, columns=["claim", "median", "low", "high"])
+
+
+def path_table(station: Workstation, draws: int) -> pd.DataFrame:
+    """Predict Table 5.4, as `step_table` does Table 5.3."""
+    each = [(station, zoom, name, draws) for zoom in thesis.ZOOMS for name in PATHS]
+    rows = []
+    for (_, zoom, name, _), errors in zip(each, in_processes(_path_errors, each), strict=True):
+        for what, values in zip(PATH_RESULTS, np.transpose(errors), strict=True):
+            rows.append((f"table-5.4/{zoom}/{name}/{what}", *median_and_ends(values)))
+    return pd.DataFrame(rows, columns=["claim", "median", "low", "high"])
+
+
+def _path_errors(station: Workstation, zoom: str, name: str, draws: int) -> list[tuple[float, ...]]:
+    path = station.path(name)
+    errors = [path_error(zoom, station.run(zoom, path, k)) for k in range(draws)]
+    return [tuple(each[what] for what in PATH_RESULTS) for each in errors]
+
+
+def printed_ratios() -> pd.DataFrame:
+    """Return accuracy over precision of Table 5.4, a row each path, a column each zoom."""
+    return pd.DataFrame(
+        {
+            zoom: {
+                name: printed_path(zoom, name, "accuracy") / printed_path(zoom, name, "precision")
+                for name in PATHS
+            }
+            for zoom in thesis.ZOOMS
+        }
+    )
+
+
+def tall_sinusoid_precision(station: Workstation) -> float:
+    """Return the precision on a sinusoid twice as high at 1X, µm."""
+    path = servoing.sinusoid_path(100.0, 40.0, 7.0, thesis.FRAME_INTERVAL)
+    return path_error("1X", station.run("1X", path))["precision"]
+
+
+def compare_controllers(station: Workstation, draws: int = 10) -> pd.DataFrame:
+    """Compare the thesis' controller with the predictive one, against the reference of the frame.
+
+    Parameters
+    ----------
+    station : Workstation
+        The apparatus.
+    draws : int
+        Runs of each controller on each path, at both zooms and two latencies.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row each task: zoom, path, latency (ms), and the mean true error of each controller, µm.
+    """
+    each = [
+        (station, zoom, name, latency, draws)
+        for zoom in thesis.ZOOMS
+        for name in PATHS
+        for latency in (LATENCY, 0.8 * thesis.FRAME_INTERVAL)
+    ]
+    rows = [
+        (zoom, name, 1000 * latency, *means)
+        for (_, zoom, name, latency, _), means in zip(
+            each, in_processes(_mean_true_errors, each), strict=True
+        )
+    ]
+    columns = ["zoom", "path", "latency (ms)", "optimal (2.28), µm", "predictive, µm"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def _mean_true_errors(
+    station: Workstation, zoom: str, name: str, latency: float, draws: int
+) -> tuple[float, float]:
+    path, pixel = station.path(name), thesis.effective_pixel(zoom)
+
+    def error(draw: int, controller: Any) -> float:
+        result = station.run(zoom, path, draw, latency=latency, controller=controller)
+        return servoing.path_metrics(result.feature * pixel, result.reference * pixel).accuracy
+
+    def predictive() -> servoing.PredictiveController:
+        # It remembers its commands, so each run needs a new one.
+        return servoing.PredictiveController(
+            nominal_jacobian(zoom), **LAW, delay=latency, saturation=station.saturation[zoom]
+        )
+
+    return (
+        float(np.mean([error(k, None) for k in range(draws)])),
+        float(np.mean([error(k, predictive()) for k in range(draws)])),
+    )

@@ -1,0 +1,295 @@
+"""Section 5.6: from Table 5.5 and from rendered images of an embryo to its modulus.
+
+The dimples of the thesis are steeper than its model allows: what computes a modulus or a force here
+warns of it with `microlib.membrane.SmallSlopeWarning`, as the library does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
+
+from compendium import thesis
+from compendium.experiments._processes import in_processes
+from compendium.ledger import claim
+from microlib.embryo import (
+    GaussianSum,
+    dimple_geometry,
+    fit_gaussians,
+    force_from_image,
+    loess,
+    measure_dimple,
+    modulus_from_image,
+)
+from microlib.membrane import dimple_profile
+from microlib.synthetic import Embryo, embryo_image, embryo_sequence
+
+#: Modulus of the rendered embryos: that of Table 5.6, MPa.
+MODULUS = claim("table-5.6/E").value
+#: What `microlib.synthetic.embryo_image` and `microlib.embryo.extract_boundary` return.
+Scene = Any
+Outline = Any
+
+
+def rounding_draws(seed: int, draws: int) -> pd.DataFrame:
+    """Draw Table 5.5 within its printed rounding and read off each curve.
+
+    Parameters
+    ----------
+    seed : int
+        Of the draws.
+    draws : int
+        How many.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row each draw: rim x_1, y_1 and bottom x_2, y_2 (px), modulus E (MPa), number of maxima.
+    """
+    rng = np.random.default_rng(seed)
+    rows = []
+    for _ in range(draws):
+        curve = thesis.outline_curve(rng)
+        dimple = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL)
+        modulus = thesis.modulus(dimple.dimple_radius, dimple.dimple_depth)
+        rows.append([*dimple.rim, *dimple.bottom, modulus, len(curve.extrema()[0])])
+    return pd.DataFrame(rows, columns=["x_1", "y_1", "x_2", "y_2", "E", "maxima"])
+
+
+def printed_dimple() -> tuple[float, float]:
+    """Return radius a and depth w_d by (5.3) from the printed coordinates of rim and bottom, µm."""
+    x1, y1, x2, y2 = (claim(f"section-5.6/{name}").value for name in ("x_1", "y_1", "x_2", "y_2"))
+    return thesis.EMBRYO_PIXEL * abs(x2 - x1), thesis.EMBRYO_PIXEL * abs(y2 - y1)
+
+
+def probe_half_widths(dimple_radius: float, dimple_depth: float) -> tuple[float, float]:
+    """Return the half-widths of the probe between which (5.2) gives the printed modulus.
+
+    Parameters
+    ----------
+    dimple_radius, dimple_depth : float
+        a and w_d, µm.
+
+    Returns
+    -------
+    low, high : float
+        Ends that the rounding of the printed modulus leaves, µm.
+    """
+    printed = claim("table-5.6/E")
+
+    def excess(half_width: float, wanted: float) -> float:
+        found = thesis.modulus(dimple_radius, dimple_depth, probe_half_width=half_width)
+        return found - wanted
+
+    low, high = sorted(
+        float(brentq(excess, 1.0, 200.0, args=(printed.value + side * printed.tolerance,)))
+        for side in (-1, 1)
+    )
+    return low, high
+
+
+def rendered_embryo(rng: np.random.Generator) -> Scene:
+    """Render the embryo of Table 5.6 as the Sony camera would see it under uneven light."""
+    embryo = Embryo(
+        modulus=MODULUS,
+        force=thesis.FORCE,
+        dimple_radius=claim("table-5.6/a").value,
+        **thesis.MEMBRANE,
+    )
+    return embryo_image(embryo, rng=rng, pixel_size=thesis.EMBRYO_PIXEL, unevenness=0.15)
+
+
+def smooth_outline(scene: Scene, boundary: Outline) -> tuple[NDArray, GaussianSum]:
+    """Smooth an outline as the thesis does: LOESS of the second degree, then eight Gaussians.
+
+    Parameters
+    ----------
+    scene : Scene
+        Says where the dimple is.
+    boundary : Outline
+        Its outline.
+
+    Returns
+    -------
+    columns : ndarray, shape (N,)
+        Those within two radii of the dimple, px.
+    curve : GaussianSum
+        Heights above the lowest of them, px.
+    """
+    middle, embryo = scene.centre[0], scene.embryo
+    columns = np.arange(np.ceil(boundary.x[0]), boundary.x[-1])
+    near = np.abs(columns - middle) < 2 * embryo.dimple_radius / scene.pixel_size
+    columns = columns[near]
+    height = np.interp(columns, boundary.x, boundary.y)
+    smooth = loess(columns, height - height.min(), span=thesis.LOESS_SPAN)
+    return columns, fit_gaussians(columns, smooth)
+
+
+@dataclass(frozen=True)
+class ShapeComparison:
+    """The printed outline beside the profile of its own radius and depth.
+
+    Attributes
+    ----------
+    x : ndarray, shape (N,)
+        From the probe's edge to the left rim, px.
+    expected : ndarray, shape (N,)
+        The profile (4.2), px.
+    departure : float
+        Largest distance between outline and profile, µm.
+    share : float
+        That over the depth.
+    """
+
+    x: NDArray
+    expected: NDArray
+    departure: float
+    share: float
+
+
+def compare_shape(curve: GaussianSum) -> ShapeComparison:
+    """Hold the left half of a dimple against the profile (4.2)."""
+    pixel, half_width = thesis.EMBRYO_PIXEL, thesis.MEMBRANE["probe_half_width"]
+    dimple = dimple_geometry(curve, pixel_size=pixel)
+    radius = np.linspace(half_width, dimple.dimple_radius, 400)  # µm
+    depth = dimple_profile(
+        radius, dimple.dimple_radius, dimple.dimple_depth, probe_half_width=half_width
+    )
+    x = dimple.bottom[0] - radius / pixel
+    expected = dimple.rim[1] - depth / pixel
+    departure = float(np.max(np.abs(curve(x) - expected)) * pixel)
+    return ShapeComparison(x, expected, departure, departure / dimple.dimple_depth)
+
+
+def image_study(rng: np.random.Generator, embryos: int = 5, forces: int = 5) -> pd.DataFrame:
+    """Measure one modulus on images of several embryos under several forces, in both ways.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of the rims' roundness, of the places and of the noise.
+    embryos : int
+        Each with its own radius of the rim, around that of Table 5.6.
+    forces : int
+        From 60 µN (a dimple 70 µm deep) to that of Table 5.6.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row each image, embryo by embryo: true depth (µm), force (µN), the modulus fitted by the
+        profile with the ends low and high of its 95 % interval, and that of the thesis' way (MPa).
+    """
+    loads = np.linspace(60.0, thesis.FORCE, forces)
+
+    def images() -> Iterator[tuple[float, float, NDArray]]:
+        for rim_radius in rng.uniform(400.0, 500.0, embryos):  # µm
+            for load in loads:
+                pressed = Embryo.pressed(
+                    load, modulus=MODULUS, rim_radius=rim_radius, **thesis.MEMBRANE
+                )
+                scene = embryo_image(
+                    pressed,
+                    rng=rng,
+                    pixel_size=thesis.EMBRYO_PIXEL,
+                    shape=(320, 480),
+                    centre=(rng.uniform(225, 255), rng.uniform(100, 130)),
+                )
+                yield pressed.dimple_depth, float(load), scene.image
+
+    rows = in_processes(_both_moduli, images())
+    return pd.DataFrame(rows, columns=["depth", "force", "fitted", "low", "high", "thesis"])
+
+
+def _both_moduli(depth: float, load: float, image: NDArray) -> tuple[float, ...]:
+    """Return depth, force, modulus by the profile with its interval, and that of the thesis."""
+    fitted = modulus_from_image(image, load, pixel_size=thesis.EMBRYO_PIXEL, **thesis.MEMBRANE)
+    dimple = measure_dimple(
+        fitted.boundary,
+        pixel_size=thesis.EMBRYO_PIXEL,
+        probe_half_width=thesis.MEMBRANE["probe_half_width"],
+        method="gaussians",
+    )
+    by_thesis = thesis.modulus(dimple.dimple_radius, dimple.dimple_depth, force=load)
+    return depth, load, fitted.modulus, *fitted.interval, by_thesis
+
+
+def table_5_7(rng: np.random.Generator, study: pd.DataFrame, draws: int = 4000) -> pd.DataFrame:
+    """Predict mean and standard deviation of Table 5.7 from an `image_study`.
+
+    A study is one image at each force. Table 5.6 is the one at the largest force, so that the
+    modulus that the chain then reads is the printed one, whatever the truth behind it.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of the picks.
+    study : pandas.DataFrame
+        From `image_study`.
+    draws : int
+        Studies picked.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A column each statistic (mean, std): its value in each draw, MPa.
+    """
+    forces = study["force"].nunique()
+    by_force = study["thesis"].to_numpy().reshape(-1, forces)
+    picks = by_force[rng.integers(0, len(by_force), (draws, forces)), np.arange(forces)]
+    picks *= MODULUS / picks[:, -1:]
+    return pd.DataFrame({"mean": picks.mean(axis=1), "std": picks.std(axis=1, ddof=1)})
+
+
+def push(time: ArrayLike) -> NDArray:
+    """Return the force in µN of a probe that is driven in and most of the way out again, time in s.
+
+    Examples
+    --------
+    >>> push([0.0, 2.0, 4.0]).round(9)
+    array([ 40., 206.,  72.])
+    """
+    t = np.asarray(time, dtype=float)
+    return 40.0 + 75.0 * (1 - np.cos(np.pi * t / 2)) + 8.0 * t
+
+
+def force_sequence(rng: np.random.Generator, time: NDArray) -> pd.DataFrame:
+    """Estimate the force of `push` from the outline in each of a sequence of images.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of texture and noise.
+    time : ndarray, shape (N,)
+        Of the images, s.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row each image: time (s), true force, estimate, and its ends low and high (95 %), µN.
+    """
+    pushed = push(time)
+    scenes = embryo_sequence(pushed, modulus=MODULUS, rng=rng)
+    felt = in_processes(_force, [(scene.image, scene.pixel_size) for scene in scenes])
+    low, high = np.transpose([interval for _, interval in felt])
+    return pd.DataFrame(
+        {"time": time, "true": pushed, "force": [f for f, _ in felt], "low": low, "high": high}
+    )
+
+
+def _force(image: NDArray, pixel_size: float) -> tuple[float, tuple[float, float]]:
+    found = force_from_image(image, MODULUS, pixel_size=pixel_size, **thesis.MEMBRANE)
+    return found.force, found.interval
+
+
+def shallow_dimple_std(rng: np.random.Generator) -> float:
+    """Return the relative standard deviation of the force from one dimple of 50 µm."""
+    embryo = Embryo.dented(50.0, modulus=MODULUS, **thesis.MEMBRANE)
+    scene = embryo_image(embryo, rng=rng)
+    found = force_from_image(scene.image, MODULUS, pixel_size=scene.pixel_size, **thesis.MEMBRANE)
+    return found.relative_std

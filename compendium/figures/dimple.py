@@ -1,0 +1,191 @@
+"""Drawings of section 5.6: the dimple of an embryo, printed and rendered, and what it gives."""
+
+from __future__ import annotations
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from compendium import thesis
+from compendium.experiments.section_5_6 import MODULUS, Outline, Scene, ShapeComparison, push
+from compendium.figures.embryo import add_scale_bar, show_image, show_outline
+from compendium.figures.style import COLORS
+from microlib.embryo import GaussianSum, dimple_geometry
+
+__all__ = [
+    "draw_embryo",
+    "draw_estimated_force",
+    "draw_image_study",
+    "draw_outline_steps",
+    "draw_printed_outline",
+    "draw_profile_comparison",
+    "draw_rendered_outline",
+    "draw_rounding",
+]
+
+
+def draw_printed_outline(curve: GaussianSum) -> Figure:
+    """Draw figures 5.18 and 5.19: the curve of Table 5.5, its extrema, and a and w_d between."""
+    maxima, minima = curve.extrema()
+    (x1, y1), (x2, y2) = _rim_and_bottom(curve)
+    x = np.linspace(*curve.domain, 800)
+    figure, axes = plt.subplots(figsize=(7.2, 4.4))
+    axes.plot(x, curve(x), color=COLORS["blue"], label="$f_m(x)$, (5.1)")
+    axes.plot(maxima, curve(maxima), ".", color=COLORS["orange"], ms=9)
+    axes.plot(minima, curve(minima), ".", color=COLORS["green"], ms=9)
+    axes.plot(x1, y1, "o", color=COLORS["orange"], ms=9, label="rim $(x_1, y_1)$")
+    axes.plot(x2, y2, "s", color=COLORS["green"], ms=9, label="bottom $(x_2, y_2)$")
+    _draw_lengths(axes, curve, gap=6)
+    axes.text((x1 + x2) / 2, y1 + 8, "a", ha="center", fontsize=14)
+    axes.text(x2 - 4, y1 - 11, "$w_d$", fontsize=14, ha="right")
+    top = max(y1, y2) + 22
+    axes.set(xlabel="x (px)", ylabel="y, up (px)", aspect="equal", ylim=(None, top))
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1))
+    return figure
+
+
+def draw_rounding(moduli: pd.Series) -> Figure:
+    """Draw the moduli (MPa) of many draws of Table 5.5 within its rounding, and the printed one."""
+    figure, axes = plt.subplots(figsize=(7.2, 3.2))
+    axes.hist(moduli, bins=30, color=COLORS["sky"])
+    axes.axvline(MODULUS, color="black", ls="--", label="printed")
+    axes.set(xlabel="modulus E (MPa)", ylabel="draws")
+    axes.legend()
+    return figure
+
+
+def draw_embryo(scene: Scene) -> Figure:
+    """Draw figures 5.15 and 5.16: the whole image, and the embryo with its dimple."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.1), width_ratios=(1.34, 1))
+    show_image(left, scene.image)
+    add_scale_bar(left, 1000, scene.pixel_size)
+    pointer = {"arrowprops": {"arrowstyle": "-", "lw": 1.2}, "va": "center"}
+    x, y = scene.centre
+    left.annotate("AFM probe", (x, 110), (650, 110), **pointer)
+    left.annotate("force sensor", (x, 680), (650, 680), **pointer)
+    show_image(right, scene.image, box=(round(x) - 190, round(y) - 50, 380, 366))
+    add_scale_bar(right, 300, scene.pixel_size)
+    return figure
+
+
+def draw_outline_steps(scene: Scene, filled: NDArray, boundary: Outline) -> Figure:
+    """Draw figure 5.17: the dimple's side, the image without the probe, and the outline."""
+    x, y = scene.centre
+    box = (round(x) - 150, round(y) - 40, 300, 110)
+    figure, column = plt.subplots(3, 1, figsize=(5.6, 6.6))
+    panels = {
+        "(a) dimple side": scene.image,
+        "(b) probe removed": filled,
+        "(c) outline": scene.image,
+    }
+    for axes, (title, picture) in zip(column, panels.items(), strict=True):
+        show_image(axes, picture, box=box)
+        axes.set_title(title, loc="left")
+    add_scale_bar(column[0], 200, scene.pixel_size)
+    show_outline(column[2], boundary)
+    column[2].set(xlim=(box[0], box[0] + box[2]), ylim=(box[1] + box[3], box[1]))
+    return figure
+
+
+def draw_rendered_outline(
+    scene: Scene, boundary: Outline, columns: NDArray, smooth: GaussianSum, profile: NDArray
+) -> Figure:
+    """Draw figures 5.18 and 5.19 from the rendered image.
+
+    Parameters
+    ----------
+    scene : Scene
+        Says where the dimple is.
+    boundary : Outline
+        Its outline.
+    columns : ndarray, shape (N,)
+        Where the curves are drawn, px; heights count from the lowest outline among them.
+    smooth : GaussianSum
+        The thesis' curve.
+    profile : ndarray, shape (N,)
+        The fitted profile (4.2) at `columns`, px.
+    """
+    base = np.interp(columns, boundary.x, boundary.y).min()
+    (x1, y1), (x2, y2) = _rim_and_bottom(smooth)
+    figure, axes = plt.subplots(figsize=(7.2, 4.6))
+    axes.plot(boundary.x, boundary.y - base, ".", color=COLORS["grey"], ms=3, label="outline")
+    axes.plot(columns, smooth(columns), color=COLORS["sky"], label="LOESS and eight Gaussians")
+    axes.plot(columns, profile - base, color=COLORS["blue"], ls="--", label="profile (4.2)")
+    _draw_lengths(axes, smooth, gap=4)
+    axes.text((x1 + x2) / 2, y1 + 6, "a", ha="center", fontsize=14)
+    axes.text(x2 + 3, (y1 + y2) / 2 + 6, "$w_d$", fontsize=14)
+    near = 1.5 * scene.embryo.dimple_radius / scene.pixel_size
+    middle = scene.centre[0]
+    axes.set(xlabel="x (px)", ylabel="y, up (px)", aspect="equal")
+    axes.set(xlim=(middle - near, middle + near), ylim=(-6, y1 + 18))
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.25), ncols=3, markerscale=3)
+    return figure
+
+
+def draw_profile_comparison(curve: GaussianSum, shape: ShapeComparison) -> Figure:
+    """Draw the printed outline beside the profile of its own radius and depth."""
+    (x1, _), (x2, _) = _rim_and_bottom(curve)
+    across = np.linspace(x1 - 20, 2 * x2 - x1, 500)
+    figure, axes = plt.subplots(figsize=(7.2, 3.8))
+    axes.plot(across, curve(across), color=COLORS["blue"], label="Table 5.5")
+    label = "(4.2) with its radius and depth"
+    axes.plot(shape.x, shape.expected, color=COLORS["orange"], ls="--", label=label)
+    axes.set(xlabel="x (px)", ylabel="y, up (px)", aspect="equal")
+    figure.legend(loc="outside lower center", ncols=2)
+    return figure
+
+
+def draw_image_study(study: pd.DataFrame) -> Figure:
+    """Draw the moduli of an `image_study` against the depth, with the truth."""
+    figure, axes = plt.subplots(figsize=(7.2, 3.8))
+    axes.axhline(MODULUS, color="black", lw=1.2, label="truth")
+    label = "LOESS and eight Gaussians"
+    axes.plot(study["depth"], study["thesis"], "s", color=COLORS["sky"], label=label)
+    axes.errorbar(
+        study["depth"],
+        study["fitted"],
+        yerr=[study["fitted"] - study["low"], study["high"] - study["fitted"]],
+        fmt="o",
+        ms=5,
+        lw=1.2,
+        color=COLORS["blue"],
+        label="profile (4.2), 95 %",
+    )
+    axes.set(xlabel="dimple depth $w_d$ (µm)", ylabel="modulus E (MPa)")
+    axes.legend(loc="upper left")
+    return figure
+
+
+def draw_estimated_force(felt: pd.DataFrame) -> Figure:
+    """Draw the forces of a `force_sequence` against time, with the truth."""
+    fine = np.linspace(0.0, 4.0, 200)
+    figure, axes = plt.subplots(figsize=(7.2, 3.6))
+    axes.plot(fine, push(fine), color="black", lw=1.2, label="truth")
+    axes.errorbar(
+        felt["time"],
+        felt["force"],
+        yerr=[felt["force"] - felt["low"], felt["high"] - felt["force"]],
+        fmt="o",
+        color=COLORS["blue"],
+        lw=1.5,
+        label="from the outline, 95 %",
+    )
+    axes.set(xlabel="time (s)", ylabel="force F (µN)", ylim=(0, None))
+    axes.legend()
+    return figure
+
+
+def _rim_and_bottom(curve: GaussianSum) -> tuple[tuple[float, float], tuple[float, float]]:
+    dimple = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL)
+    return dimple.rim, dimple.bottom
+
+
+def _draw_lengths(axes: Axes, curve: GaussianSum, *, gap: float) -> None:
+    """Draw a and w_d as arrows, the first `gap` px above the rim."""
+    (x1, y1), (x2, y2) = _rim_and_bottom(curve)
+    arrow = {"arrowstyle": "<->", "lw": 1.3, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", (x1, y1 + gap), (x2, y1 + gap), arrowprops=arrow)
+    axes.annotate("", (x2, y1), (x2, y2), arrowprops=arrow)

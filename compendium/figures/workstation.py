@@ -1,0 +1,115 @@
+"""Drawings of sections 5.1 to 5.4: the workstation, its calibration, tracking and servoing."""
+
+from __future__ import annotations
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from compendium import thesis
+from compendium.experiments.section_5_4 import SettlingTimes
+from compendium.figures.calibration import draw_detection
+from compendium.figures.servoing import draw_track
+from compendium.figures.style import COLORS
+from compendium.ledger import claim
+from microlib.calibration import Detection
+from microlib.tracking import Track
+
+__all__ = [
+    "draw_blur_study",
+    "draw_patterns",
+    "draw_settling_times",
+    "draw_speed_study",
+    "draw_tracks",
+    "draw_workstation",
+]
+
+
+def draw_workstation() -> Figure:
+    """Draw figure 5.1 as a sketch."""
+    parts = {  # left, bottom, width, height, color
+        "camera\nBasler A602fc": (3.6, 5.6, 2.0, 0.8, "sky"),
+        "zoom\n0.75–11.25": (3.9, 4.5, 1.4, 0.9, "grey"),
+        "objective\n1.6X": (4.0, 3.5, 1.2, 0.8, "grey"),
+        "sample stage, x and y": (2.6, 0.9, 4.0, 0.6, "blue"),
+        "manipulator\nx, y, z": (0.2, 1.5, 1.8, 1.2, "orange"),
+        "manipulator\nx, y, z ": (7.2, 1.5, 1.8, 1.2, "orange"),
+        "side camera\nSony XCD-X710CR": (7.0, 3.6, 2.3, 0.8, "sky"),
+        "vibration isolation table": (0.0, 0.1, 9.4, 0.6, "green"),
+    }
+    figure, axes = plt.subplots(figsize=(7.2, 4.6))
+    for name, (x, y, w, h, color) in parts.items():
+        axes.add_patch(Rectangle((x, y), w, h, fc=COLORS[color], ec=COLORS[color], alpha=0.35))
+        axes.text(x + w / 2, y + h / 2, name.strip(), ha="center", va="center", fontsize=10)
+    axes.plot([4.6, 4.6], [1.65, 3.5], color="black", lw=1, ls=":")
+    axes.plot([7.0, 4.9], [3.8, 1.9], color="black", lw=1, ls=":")
+    axes.plot([2.0, 4.1], [2.0, 1.75], color=COLORS["orange"], lw=3)
+    axes.plot([7.2, 5.1], [2.0, 1.75], color=COLORS["orange"], lw=3)
+    axes.text(2.2, 2.25, "probe", fontsize=10)
+    axes.text(6.2, 2.25, "gripper", fontsize=10, ha="left")
+    axes.plot(4.6, 1.62, "o", color="black", ms=7)
+    axes.set(xlim=(-0.1, 9.5), ylim=(0, 6.6), aspect="equal")
+    axes.axis("off")
+    return figure
+
+
+def draw_patterns(examples: dict[str, tuple[NDArray, Detection]]) -> Figure:
+    """Draw figure 5.2: each pattern with its detected points, by column of Table 5.1."""
+    figure, grid = plt.subplots(2, 2, figsize=(7.6, 5.9))
+    for axes, (column, (image, found)) in zip(grid.flat, examples.items(), strict=True):
+        every = 4 if column == "circle-1X" else 6 if "square" in column else 1
+        draw_detection(axes, image, found, label_every=every)
+        axes.set_title(f"{thesis.COLUMNS[column]}: {len(found.points)} points", fontsize=11)
+    return figure
+
+
+def draw_blur_study(errors: pd.DataFrame) -> Figure:
+    """Draw RMS errors (px, a column each detector) against the blur (px, the index)."""
+    figure, axes = plt.subplots(figsize=(7.2, 4.0))
+    for name, color, marker in zip(errors, ("blue", "orange", "grey"), "osv", strict=True):
+        axes.plot(errors.index, errors[name], color=COLORS[color], marker=marker, label=name)
+    axes.set(yscale="log", xlabel="PSF σ (px)", ylabel="RMS error (px)", xlim=(0, 3.1))
+    axes.legend()
+    return figure
+
+
+def draw_tracks(shown: list[tuple[str, NDArray[np.uint8], Track]]) -> Figure:
+    """Draw figure 5.3: frames with their tracked windows."""
+    figure, row = plt.subplots(1, len(shown), figsize=(9.6, 2.9))
+    for axes, (label, frame, track) in zip(row, shown, strict=True):
+        draw_track(axes, frame, track, label, margin=75)
+        axes.title.set_fontsize(10)
+    for axes in row[1:]:
+        axes.set(ylabel="")
+    return figure
+
+
+def draw_speed_study(shares: pd.DataFrame) -> Figure:
+    """Draw shares of completed runs (a column each way) against the speed (px/s, the index)."""
+    figure, axes = plt.subplots(figsize=(7.2, 3.2))
+    for label, style in zip(shares, ("o-", "s--"), strict=True):
+        axes.plot(shares.index, 100 * shares[label], style, label=label)
+    axes.axvline(claim("section-5.3/speed").value, color="black", ls=":", label="thesis")
+    axes.set(xlabel="speed (px/s)", ylabel="runs completed (%)", ylim=(-5, 105))
+    axes.legend(loc="lower left")
+    return figure
+
+
+def draw_settling_times(times: SettlingTimes) -> Figure:
+    """Draw settling times against the largest speed, and at 4X against the latency."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(8.4, 3.2), sharey=True)
+    for zoom, color in zip(times.by_speed, ("blue", "orange"), strict=True):
+        left.plot(times.speeds, times.by_speed[zoom], color=COLORS[color], label=zoom)
+        left.plot(times.saturation[zoom], times.printed[zoom], "o", color=COLORS[color])
+    left.set(xlabel="largest speed (µm/s)", ylabel="settling time (s)", ylim=(0, 1.6))
+    left.legend()
+    right.plot(
+        1000 * times.latencies, times.by_latency, color=COLORS["orange"], label="4X, speed as at 1X"
+    )
+    right.plot(1000 * times.latency, times.printed["4X"], "s", color=COLORS["orange"])
+    right.set(xlabel="latency (ms)")
+    right.legend()
+    return figure

@@ -1,0 +1,339 @@
+"""What the thesis prints of its apparatus and settings, as the numbers that code needs.
+
+Every printed number comes from ``data/thesis/claims.toml``. What the thesis does not print, but the
+data sheet of a camera or a figure's axis does, is said to.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from compendium.ledger import claim, half_ulp
+from microlib.embryo import GaussianSum
+from microlib.membrane import elastic_modulus
+from microlib.microscope import Microscope
+from microlib.optics import gaussian_kernel
+
+#: Columns of Tables 5.1 and 5.2, and how the notebooks call them.
+COLUMNS = {
+    "circle-1X": "circles, 1X",
+    "circle-4X": "circles, 4X",
+    "square-1X": "squares, 1X",
+    "square-4X": "squares, 4X",
+}
+#: Settings of the zoom.
+ZOOMS = ("1X", "4X")
+
+# Section 5.1: cameras and stages
+
+#: Cells of the cameras for servoing (Basler A602fc) and for the embryo (Sony XCD-X710CR), µm.
+BASLER_CELL = claim("section-5.1/basler-cell").value
+SONY_CELL = claim("section-5.1/sony-cell").value
+#: Pixels of their images, (width, height); from the data sheets, not the thesis.
+BASLER_IMAGE_SIZE = (656, 491)
+SONY_IMAGE_SIZE = (1024, 768)
+#: Smallest step of a stage and opening of the gripper, µm.
+STAGE_STEP = claim("section-5.1/stage-step").value / 1000
+GRIPPER_GAP = claim("section-5.1/gripper-gap").value
+
+# Sections 5.3 and 5.4: tracking and servoing
+
+#: Time between frames, s, and side of the tracked window, px.
+FRAME_INTERVAL = 1 / claim("section-5.3/rate").value
+WINDOW = int(claim("section-5.3/window").value)
+#: Weights Q of the feature's error and L of the control, with J in px/mm.
+FEATURE_WEIGHT = (claim("section-5.4/Q").value,) * 2
+CONTROL_WEIGHT = (claim("section-5.4/L-x").value, claim("section-5.4/L-y").value)
+#: L with J in px/µm.
+CONTROL_WEIGHT_MICROMETER = (CONTROL_WEIGHT[0] * 1e-6, CONTROL_WEIGHT[1] * 1e-6)
+
+# Section 5.5: shape from focus and surface types
+
+#: Height of the ridge and steps of the focus for the ridge and for the solder ball, µm.
+RIDGE_HEIGHT = claim("section-5.5/object-height").value
+RIDGE_STEP = claim("section-5.5/step-parabola").value
+BALL_STEP = claim("section-5.5/step-ball").value
+#: Side (px) and standard deviation (px) of the filter that blurs the ridge.
+BLUR_WINDOW = int(claim("section-5.5/blur-window").value)
+BLUR_SIGMA = claim("section-5.5/blur-sigma").value
+#: Window (px) and threshold δ of (3.14), which corrects spikes, and window of the mean, px.
+MEDIAN_WINDOW = int(claim("section-5.5/median-window").value)
+DELTA = claim("section-5.5/delta").value
+MEAN_WINDOW = int(claim("section-5.5/mean-window").value)
+#: Zero thresholds of H and K, printed without units.
+H_THRESHOLD = claim("section-5.5/h-threshold").value
+K_THRESHOLD = claim("section-5.5/k-threshold").value
+
+# Section 5.6: the embryo
+
+#: Pixel of the Sony camera in the object plane, µm.
+EMBRYO_PIXEL = SONY_CELL / claim("section-5.6/magnification").value
+#: Where the curve of Table 5.5 holds, px: the axis of figure 5.18.
+OUTLINE_DOMAIN = (50.0, 265.0)
+#: Of the smoothing by local regression.
+LOESS_SPAN = claim("section-5.6/span").value
+#: Force of Table 5.6, µN.
+FORCE = claim("table-5.6/F").value
+#: Thickness h of the chorion, half-width c of the probe (both µm) and Poisson's ratio. c is not
+#: printed: chapter 5 finds it from the printed modulus.
+MEMBRANE: dict[str, Any] = {
+    "thickness": claim("table-5.6/h").value,
+    "probe_half_width": 25.0,
+    "poisson_ratio": claim("table-5.6/nu").value,
+}
+
+
+def table_5_1(column: str, name: str) -> float:
+    """Return an entry of Table 5.1 as printed.
+
+    Parameters
+    ----------
+    column : str
+        One of `COLUMNS`.
+    name : str
+        ``M``, ``T_op``, ``f``, ``d``, ``T_x``, ``T_y``, ``T_z`` (lengths in µm), ``kappa`` (1/µm²),
+        ``alpha``, ``beta`` or ``gamma`` (degrees).
+
+    Returns
+    -------
+    float
+        The printed number.
+
+    Raises
+    ------
+    ValueError
+        If the table has no such entry.
+
+    Examples
+    --------
+    >>> table_5_1("circle-1X", "M")
+    1.5893
+    """
+    return claim(f"table-5.1/{column}/{name}").value
+
+
+def microscope(column: str) -> Microscope:
+    """Return the microscope of one column of Table 5.1.
+
+    T_z, of which the last column's is wrong in print, is f + d (2.8).
+
+    Parameters
+    ----------
+    column : str
+        One of `COLUMNS`.
+
+    Returns
+    -------
+    Microscope
+        With the cells and the image size of the Basler camera.
+
+    Raises
+    ------
+    ValueError
+        If there is no such column.
+
+    Examples
+    --------
+    >>> microscope("square-4X").focal_length
+    31174.0
+    """
+    alpha, beta, gamma = (
+        float(np.deg2rad(table_5_1(column, name))) for name in ("alpha", "beta", "gamma")
+    )
+    return Microscope(
+        tube_length=table_5_1(column, "T_op"),
+        focal_length=table_5_1(column, "f"),
+        distance=table_5_1(column, "d"),
+        distortion=table_5_1(column, "kappa"),
+        alpha=alpha,
+        beta=beta,
+        gamma=gamma,
+        tx=table_5_1(column, "T_x"),
+        ty=table_5_1(column, "T_y"),
+        pixel_size=BASLER_CELL,
+        image_size=BASLER_IMAGE_SIZE,
+    )
+
+
+def pattern_pitch(column: str) -> float:
+    """Return the step in µm of the grid of points that a column of Table 5.1 is calibrated on.
+
+    The pitch of the circles is not printed. It is taken as twice their diameter, as on the maker's
+    plates; squares stand one side apart.
+
+    Parameters
+    ----------
+    column : str
+        One of `COLUMNS`.
+
+    Returns
+    -------
+    float
+        Distance of neighbouring centers of circles or corners of squares, µm.
+
+    Raises
+    ------
+    ValueError
+        If there is no such column.
+
+    Examples
+    --------
+    >>> [pattern_pitch(column) for column in COLUMNS]
+    [280.0, 280.0, 200.0, 50.0]
+    """
+    if column not in COLUMNS:
+        raise ValueError(f"column must be one of {tuple(COLUMNS)}, got {column!r}")
+    if column.startswith("circle"):
+        return 4 * claim("section-5.1/circle-radius").value
+    size = "large" if column == "square-1X" else "small"
+    return claim(f"section-5.1/square-{size}").value
+
+
+def effective_pixel(zoom: str) -> float:
+    """Return the pixel of the servoing camera on the sample, µm: cell over magnification.
+
+    Parameters
+    ----------
+    zoom : str
+        ``1X`` or ``4X``; the magnification is that of the circles in Table 5.1.
+
+    Returns
+    -------
+    float
+        Size of a pixel, µm.
+
+    Raises
+    ------
+    ValueError
+        If there is no such zoom.
+
+    Examples
+    --------
+    >>> round(effective_pixel("1X"), 2)
+    6.23
+    """
+    return BASLER_CELL / table_5_1(f"circle-{zoom}", "M")
+
+
+def thesis_stack(texture: ArrayLike, height: ArrayLike, positions: ArrayLike) -> NDArray[np.uint8]:
+    """Return a focal stack by the recipe of section 5.5.1.
+
+    A pixel is sharp in the frame nearest to its height and blurred by one 7×7 Gaussian of σ = 1 px
+    in all others, however far they are.
+
+    Parameters
+    ----------
+    texture : array_like, shape (rows, cols)
+        Grey levels of the surface in focus.
+    height : array_like, shape (rows, cols)
+        Height of the surface, µm.
+    positions : array_like, shape (n,)
+        Height in focus in each frame, µm.
+
+    Returns
+    -------
+    ndarray of uint8, shape (n, rows, cols)
+        The frames.
+
+    Raises
+    ------
+    ValueError
+        If the shapes of texture and height differ or a value is not finite.
+
+    Notes
+    -----
+    Two levels of blur cannot tell where between two frames a surface lies: the best possible depth
+    is that of the nearest frame. `microlib.synthetic.focal_stack` blurs by the distance, as a lens
+    does.
+
+    Examples
+    --------
+    >>> texture = np.random.default_rng(0).uniform(0, 255, (16, 16))
+    >>> stack = thesis_stack(texture, np.zeros((16, 16)), [0.0, 25.0, 50.0])
+    >>> np.array_equal(stack[1], stack[2])
+    True
+    """
+    image = np.asarray(texture, dtype=np.float32)
+    surface = np.asarray(height, dtype=np.float64)
+    if surface.shape != image.shape:
+        raise ValueError(f"height must have shape {image.shape}, got {surface.shape}")
+    focus = np.asarray(positions, dtype=np.float64)
+    for name, values in (("texture", image), ("height", surface), ("positions", focus)):
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name} must be finite, got NaN or infinite values")
+    blurred = cv2.filter2D(image, cv2.CV_32F, gaussian_kernel(BLUR_SIGMA, BLUR_WINDOW))
+    nearest = np.abs(surface[None] - focus[:, None, None]).argmin(axis=0)
+    frames = [np.where(nearest == k, image, blurred) for k in range(len(focus))]
+    return np.clip(np.rint(frames), 0, 255).astype(np.uint8)
+
+
+def outline_curve(rng: np.random.Generator | None = None) -> GaussianSum:
+    """Return the outline of the dimple that Table 5.5 prints, (5.1).
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator, optional
+        Draw each of the 24 coefficients evenly within its printed rounding, half a unit in its last
+        place; as printed without.
+
+    Returns
+    -------
+    GaussianSum
+        Eight Gaussians in px, y up.
+
+    Examples
+    --------
+    >>> outline_curve()(194.69).round(2)
+    62.93
+    """
+    columns = []
+    for letter in "abc":
+        entries = [claim(f"table-5.5/{letter}{i}") for i in range(1, 9)]
+        values = np.array([entry.value for entry in entries])
+        if rng is not None:
+            half = np.array([half_ulp(entry.printed) for entry in entries])
+            values = values + rng.uniform(-half, half)
+        columns.append(values)
+    amplitudes, centers, widths = columns
+    return GaussianSum(amplitudes, centers, widths, domain=OUTLINE_DOMAIN)
+
+
+def modulus(
+    dimple_radius: float,
+    dimple_depth: float,
+    *,
+    force: float = FORCE,
+    probe_half_width: float = MEMBRANE["probe_half_width"],
+) -> float:
+    """Return (5.2), the elastic modulus, with the settings of Table 5.6.
+
+    Parameters
+    ----------
+    dimple_radius, dimple_depth : float
+        a and w_d, µm.
+    force : float
+        µN; that of Table 5.6 by default.
+    probe_half_width : float
+        µm; that which chapter 5 finds by default.
+
+    Returns
+    -------
+    float
+        Modulus in MPa.
+
+    Raises
+    ------
+    ValueError
+        As `microlib.membrane.elastic_modulus`.
+
+    Warns
+    -----
+    SmallSlopeWarning
+        For all dimples of the thesis, which are steeper than the model allows.
+    """
+    settings = MEMBRANE | {"probe_half_width": probe_half_width}
+    return float(elastic_modulus(force, dimple_radius, dimple_depth, **settings))

@@ -1,0 +1,136 @@
+"""Section 5.6: draws, inversions and fits against the truth that they were made from."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from compendium import thesis
+from compendium.experiments import section_5_6
+from compendium.ledger import claim
+from microlib.embryo import dimple_geometry, extract_boundary
+from microlib.membrane import SmallSlopeWarning, indentation_force
+
+pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
+
+
+def test_the_rounding_leaves_a_per_cent_of_the_modulus() -> None:
+    draws = section_5_6.rounding_draws(seed=1, draws=120)
+    entry = claim("section-5.6/E-from-table-5.5")
+    # The entry's tolerance is one standard deviation of such draws, which 120 know to 6.5 %.
+    assert draws["E"].std() == pytest.approx(entry.tolerance, rel=0.25)
+    assert (draws["maxima"] == 3).all()
+    for name in ("x_1", "y_1", "x_2", "y_2"):
+        assert draws[name].median() == pytest.approx(claim(f"section-5.6/{name}").value, abs=0.2)
+    # Depth and radius of each row give its modulus.
+    row = draws.iloc[7]
+    radius = thesis.EMBRYO_PIXEL * (row["x_2"] - row["x_1"])
+    depth = thesis.EMBRYO_PIXEL * (row["y_1"] - row["y_2"])
+    assert thesis.modulus(radius, depth) == pytest.approx(row["E"])
+
+
+def test_the_printed_modulus_needs_half_of_a_50_um_probe() -> None:
+    radius, depth = section_5_6.printed_dimple()
+    assert radius == pytest.approx(claim("table-5.6/a").value, abs=0.005)
+    assert depth == pytest.approx(claim("table-5.6/w_d").value, abs=0.005)
+    low, high = section_5_6.probe_half_widths(radius, depth)
+    assert low < 25.0 < high
+    assert high - low < 0.01
+    printed = claim("table-5.6/E")
+    for end, side in ((low, 1), (high, -1)):  # a wider probe, a softer film
+        back = indentation_force(
+            printed.value + side * printed.tolerance,
+            radius,
+            depth,
+            thickness=3.0,
+            probe_half_width=end,
+            poisson_ratio=0.5,
+        )
+        assert back == pytest.approx(thesis.FORCE, rel=1e-6)
+
+
+def test_the_rendered_embryo_is_that_of_table_5_6() -> None:
+    scene = section_5_6.rendered_embryo(np.random.default_rng(0))
+    assert scene.image.shape == thesis.SONY_IMAGE_SIZE[::-1]
+    assert scene.pixel_size == thesis.EMBRYO_PIXEL
+    assert scene.embryo.modulus == section_5_6.MODULUS
+    assert scene.embryo.dimple_depth == pytest.approx(claim("table-5.6/w_d").value, abs=0.01)
+    boundary = extract_boundary(scene.image)
+    columns, curve = section_5_6.smooth_outline(scene, boundary)
+    middle = scene.centre[0]
+    reach = 2 * scene.embryo.dimple_radius / scene.pixel_size
+    assert np.abs(columns - middle).max() < reach
+    heights = np.interp(columns, boundary.x, boundary.y)
+    assert curve(columns).min() == pytest.approx(0.0, abs=2.0)
+    # The smooth curve rounds the corner at the probe, and is near the outline elsewhere.
+    off = np.abs(curve(columns) - (heights - heights.min()))
+    assert np.median(off) < 0.3  # px
+    dimple = dimple_geometry(curve, pixel_size=scene.pixel_size)
+    assert dimple.bottom[0] == pytest.approx(middle, abs=3.0)
+    assert dimple.dimple_depth == pytest.approx(scene.embryo.dimple_depth, rel=0.1)
+
+
+def test_a_curve_is_compared_with_its_own_profile() -> None:
+    curve = thesis.outline_curve()
+    shape = section_5_6.compare_shape(curve)
+    dimple = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL)
+    # From the probe's edge, where the profile is as deep as the dimple, to the rim.
+    assert shape.expected[0] == pytest.approx(dimple.bottom[1])
+    assert shape.expected[-1] == pytest.approx(dimple.rim[1])
+    assert shape.x[-1] == pytest.approx(dimple.rim[0])
+    off = np.abs(curve(shape.x) - shape.expected).max() * thesis.EMBRYO_PIXEL
+    assert shape.departure == pytest.approx(off)
+    assert shape.share == pytest.approx(off / dimple.dimple_depth)
+
+
+@pytest.fixture(scope="module")
+def study() -> pd.DataFrame:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SmallSlopeWarning)
+        return section_5_6.image_study(np.random.default_rng(2), embryos=2, forces=2)
+
+
+def test_the_profile_gives_the_modulus_and_the_gaussians_too_much(study) -> None:
+    assert study["force"].to_list() == [60.0, thesis.FORCE] * 2
+    # (4.7) of the true depth: deeper under more force.
+    assert (study["depth"].to_numpy()[1::2] > study["depth"].to_numpy()[::2]).all()
+    # One image leaves 1.2 to 2 %: five of those.
+    assert (study["fitted"] / section_5_6.MODULUS).to_list() == pytest.approx([1.0] * 4, abs=0.08)
+    assert (study["low"] < study["fitted"]).all()
+    assert (study["fitted"] < study["high"]).all()
+    deep = study[study["force"] == thesis.FORCE]
+    assert (deep["thesis"] > 1.03 * section_5_6.MODULUS).all()
+
+
+def test_table_5_7_is_scaled_to_the_largest_force() -> None:
+    # Four embryos that read the same at each force: nothing is left to chance.
+    reading = np.array([1.0, 1.5, 2.0])
+    made = pd.DataFrame({"force": [1.0, 2.0, 3.0] * 4, "thesis": np.tile(reading, 4)})
+    found = section_5_6.table_5_7(np.random.default_rng(0), made, draws=7)
+    scaled = reading / 2.0 * section_5_6.MODULUS
+    assert found["mean"].to_list() == pytest.approx([scaled.mean()] * 7)
+    assert found["std"].to_list() == pytest.approx([scaled.std(ddof=1)] * 7)
+    # Two embryos that read apart: picked force by force, so the mean takes several values.
+    made = pd.DataFrame({"force": [1.0, 2.0] * 2, "thesis": [1.0, 2.0, 3.0, 4.0]})
+    found = section_5_6.table_5_7(np.random.default_rng(0), made, draws=400)
+    values = section_5_6.MODULUS * np.array([(a / b + 1) / 2 for a in (1, 3) for b in (2, 4)])
+    counts = [np.isclose(found["mean"], value).sum() for value in values]
+    assert sum(counts) == 400
+    assert min(counts) > 100 - 4 * np.sqrt(75)
+
+
+def test_the_force_is_felt_within_its_interval() -> None:
+    time = np.array([0.5, 2.0])
+    felt = section_5_6.force_sequence(np.random.default_rng(4), time)
+    np.testing.assert_allclose(felt["true"], section_5_6.push(time))
+    assert (felt["force"] / felt["true"]).to_list() == pytest.approx([1.0, 1.0], abs=0.06)
+    assert (felt["low"] < felt["force"]).all()
+    assert (felt["force"] < felt["high"]).all()
+    assert ((felt["high"] - felt["low"]) / felt["force"] < 0.12).all()
+
+
+def test_a_shallow_dimple_is_known_to_some_per_cent() -> None:
+    assert 0.005 < section_5_6.shallow_dimple_std(np.random.default_rng(0)) < 0.05

@@ -1,0 +1,103 @@
+"""The thesis' apparatus and settings: as printed, and drawn within its rounding."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from compendium import thesis
+from compendium.ledger import claim
+from microlib import synthetic
+from microlib.embryo import dimple_geometry
+
+SHAPE = (60, 80)
+
+
+@pytest.mark.parametrize("column", thesis.COLUMNS)
+def test_a_microscope_is_its_column(column: str) -> None:
+    scope = thesis.microscope(column)
+    # The print's own ratio, up to the gap that section 5.2 finds between its three lengths.
+    assert scope.tube_length / scope.focal_length == pytest.approx(
+        thesis.table_5_1(column, "M"), rel=1e-4
+    )
+    assert scope.magnification == pytest.approx(thesis.table_5_1(column, "M"), rel=4e-3)
+    for name, field in (("alpha", "alpha"), ("beta", "beta"), ("gamma", "gamma")):
+        assert np.rad2deg(getattr(scope, field)) == pytest.approx(thesis.table_5_1(column, name))
+    assert (scope.tx, scope.ty) == (
+        thesis.table_5_1(column, "T_x"),
+        thesis.table_5_1(column, "T_y"),
+    )
+    assert scope.distortion == thesis.table_5_1(column, "kappa")
+    assert scope.distance == thesis.table_5_1(column, "d")
+    assert np.all(scope.cell == thesis.BASLER_CELL)
+
+
+def test_the_pixels_are_cells_over_magnifications() -> None:
+    assert thesis.effective_pixel("4X") == pytest.approx(9.9 / 6.3859)
+    assert pytest.approx(4.65 / 1.2) == thesis.EMBRYO_PIXEL
+    assert pytest.approx(1 / 33) == thesis.FRAME_INTERVAL
+    assert pytest.approx(0.05) == thesis.STAGE_STEP  # 50 nm in µm
+    # A weight of the squared control goes with the square of its unit: mm² to µm².
+    assert pytest.approx((0.025e-6, 0.05e-6)) == thesis.CONTROL_WEIGHT_MICROMETER
+
+
+def test_a_wrong_name_is_refused() -> None:
+    with pytest.raises(ValueError, match="column must be one of"):
+        thesis.pattern_pitch("hexagon-1X")
+    with pytest.raises(ValueError, match="id must name a claim"):
+        thesis.microscope("hexagon-1X")
+
+
+def test_the_outline_is_drawn_within_its_rounding() -> None:
+    printed = thesis.outline_curve()
+    rng = np.random.default_rng(0)
+    drawn = [thesis.outline_curve(rng) for _ in range(200)]
+    for letter, field in (("a", "amplitudes"), ("b", "centers"), ("c", "widths")):
+        for i in range(8):
+            text = claim(f"table-5.5/{letter}{i + 1}").printed
+            half = 0.5 * 10.0 ** -len(text.partition(".")[2])
+            values = np.array([getattr(curve, field)[i] for curve in drawn])
+            off = (values - getattr(printed, field)[i]) / half
+            assert np.abs(off).max() <= 1 + 1e-9
+            # 200 even draws: the largest falls short of the end by more than 5 % in e⁻¹⁰ of cases.
+            assert off.max() > 0.9
+            assert off.min() < -0.9
+            assert abs(off.mean()) < 4 / np.sqrt(3 * 200)
+
+
+@pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
+def test_the_modulus_is_the_printed_one() -> None:
+    dimple = dimple_geometry(thesis.outline_curve(), pixel_size=thesis.EMBRYO_PIXEL)
+    found = thesis.modulus(dimple.dimple_radius, dimple.dimple_depth)
+    entry = claim("section-5.6/E-from-table-5.5")
+    assert found == pytest.approx(entry.value, abs=entry.tolerance)
+    # (5.2) is proportional to the force, and a wider probe of the same dimple means a softer film.
+    double = thesis.modulus(dimple.dimple_radius, dimple.dimple_depth, force=2 * thesis.FORCE)
+    assert double == pytest.approx(2 * found)
+    wide = thesis.modulus(dimple.dimple_radius, dimple.dimple_depth, probe_half_width=30.0)
+    assert wide < found
+
+
+def test_thesis_stack_knows_two_levels_of_blur() -> None:
+    texture = synthetic.mixed_texture(SHAPE, np.random.default_rng(0))
+    positions = 25.0 * np.arange(21)
+    height = synthetic.parabolic_cylinder(SHAPE, 500.0)
+    stack = thesis.thesis_stack(texture, height, positions)
+    sharp = np.clip(np.rint(texture), 0, 255)
+    focused = (stack == sharp[None]).sum(axis=0)
+    assert np.median(focused) <= 2  # its own frame, and chance
+    nearest = np.abs(height - positions[:, None, None]).argmin(axis=0)
+    np.testing.assert_array_equal(np.take_along_axis(stack, nearest[None], 0)[0], sharp)
+
+
+@pytest.mark.parametrize(
+    ("height", "positions", "words"),
+    [
+        (np.eye(5), [0.0], r"height must have shape \(4, 4\), got \(5, 5\)"),
+        (np.full((4, 4), np.nan), [0.0], "height must be finite"),
+        (np.eye(4), [np.inf], "positions must be finite"),
+    ],
+)
+def test_thesis_stack_refuses_what_does_not_fit(height, positions, words) -> None:
+    with pytest.raises(ValueError, match=words):
+        thesis.thesis_stack(np.eye(4), height, positions)
