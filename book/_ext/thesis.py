@@ -67,9 +67,7 @@ class Verdict(SphinxRole):
 
 
 def badge(claim: ledger.Claim) -> nodes.inline:
-    text = "not yet judged" if claim.verdict == "pending" else claim.verdict
-    if claim.identified:
-        text += " (identified)"
+    text = claim.qualified
     return nodes.inline(text, text, classes=["verdict", f"verdict-{claim.verdict}"])
 
 
