@@ -137,6 +137,7 @@ class Errata(SphinxDirective):
         origins = {
             "print": "a fault of the thesis",
             "open": "print and machine reading cannot be told apart",
+            "wording": "another reading is possible, in which nothing is wrong",
         }
         result: list[nodes.Node] = []
         for name, entry in ledger.errata().items():
