@@ -10,14 +10,23 @@ Kinds of claims and how they are judged:
   unit in the last printed place unless the claim states another one with its reason. Verdict:
   reproduced, or differs.
 - ``simulated`` was measured in 2008 with an apparatus that is gone. Ours is a 95 % interval over
-  seeds; the printed value lies inside (consistent) or not (differs).
-- ``stated`` is a sentence turned into a predicate with a bound. It holds (consistent) or not
-  (differs).
+  seeds; the printed value lies inside (consistent) or not (differs). An interval that is too wide
+  to say anything is inconclusive.
+- ``stated`` is a sentence turned into a predicate. It holds (consistent) or not (differs). Its
+  limit is the thesis' own, or it is ours and then has a reason.
+- ``bound`` is simulated with a cause left out, so that ours is a lower or an upper bound only. The
+  printed value respects it (bounded) or not (differs).
 - ``lost`` cannot be checked without data that nobody has.
 - ``given`` is a choice or a catalogue value, not a result: used as printed.
 
 A claim with a ``corrected`` value is an erratum: ours must agree with the correction and contradict
-the print.
+the print. A claim that differs says what ours is and within what, so that a change of it is
+noticed, too.
+
+What was ``spent`` on a claim qualifies its verdict: an input was ``identified`` from the printed
+number itself or from one that follows from it, or an input that the thesis does not print is
+``assumed`` and decides it. Such agreement is no evidence, and is never counted without its
+qualifier.
 """
 
 from __future__ import annotations
@@ -26,6 +35,7 @@ import json
 import math
 import operator
 import os
+import sys
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -33,13 +43,16 @@ from decimal import Decimal
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 __all__ = [
+    "TALLY_VARIABLE",
     "VERDICTS",
     "Claim",
     "ClaimError",
     "Record",
+    "appraise",
     "check",
     "claim",
     "claims",
@@ -50,16 +63,33 @@ __all__ = [
     "report",
     "scorecard",
     "summary",
+    "turning_points",
 ]
 
-KINDS = ("exact", "simulated", "stated", "lost", "given")
-VERDICTS = ("reproduced", "consistent", "differs", "erratum", "lost", "given", "pending")
+KINDS = ("exact", "simulated", "stated", "bound", "lost", "given")
+VERDICTS = (
+    "reproduced",
+    "consistent",
+    "bounded",
+    "inconclusive",
+    "differs",
+    "erratum",
+    "lost",
+    "given",
+    "pending",
+)
+SPENT = ("", "identified", "assumed")
 
 # Kinds that no computation can judge: the verdict is the kind itself.
 _UNJUDGED = ("lost", "given")
 
 _THESIS = Path(__file__).resolve().parent.parent / "data" / "thesis"
 _COMPARISONS = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
+#: Largest half-width of a simulated interval over the printed number, where a claim states none:
+#: wider, and zero or the double would do as well.
+_WIDEST = 0.5
+#: Set to make `check` record a verdict that the book does not state instead of failing.
+TALLY_VARIABLE = "COMPENDIUM_TALLY"
 
 
 class ClaimError(AssertionError):
@@ -68,8 +98,7 @@ class ClaimError(AssertionError):
 
 @dataclass(frozen=True)
 class Claim:
-    """
-    One printed number, or one sentence turned into a predicate.
+    """One printed number, or one sentence turned into a predicate.
 
     Attributes
     ----------
@@ -80,24 +109,40 @@ class Claim:
     where : str
         Table, section or figure of the thesis.
     kind : str
-        One of exact, simulated, stated, lost, given.
+        One of exact, simulated, stated, bound, lost, given.
     verdict : str
         The verdict that the book states, which `check` asserts; ``pending`` if not yet judged.
     printed : str
-        The number as printed, so that its last place is known; for a stated claim, the bound (``>=
-        0.5``).
+        The number as printed, so that its last place is known; for a stated claim the limit as
+        printed, or empty if the thesis gives none.
     unit : str
         Unit of the number; empty for pure numbers.
+    says : str
+        What the thesis says there, in our words; needed for a stated claim.
+    limit : str
+        For a stated claim, the predicate that ours must fulfil, ``>= 0.5``.
+    limit_of : str
+        ``thesis``, or ``ours`` with a `reason`.
+    side : str
+        For a bound, whether ours is a ``lower`` or an ``upper`` bound of the printed number.
     tolerance : float
         Largest difference at which ours still agrees, in `unit`.
     reason : str
-        Why the tolerance is what it is.
+        Why the tolerance, the limit or the largest width is what it is.
+    widest : float
+        Largest half-width of a simulated interval, in `unit`, that still says something.
     corrected : str
         The right value where the printed one is wrong.
-    identified : bool
-        True if a simulation was tuned to this number, so that agreement is no check of it.
+    ours, within : float
+        For a claim that differs, our number and how far a later run may depart from it, in `unit`.
+    spent : str
+        Empty, ``identified`` or ``assumed``.
+    input : str
+        Which input was identified or assumed, and how; needed where something was spent.
     note : str
         Explanation of what differs, or which data are missing.
+    test : str
+        The test that holds what is computed, as pytest names it.
     """
 
     id: str
@@ -107,46 +152,117 @@ class Claim:
     verdict: str
     printed: str
     unit: str = ""
+    says: str = ""
+    limit: str = ""
+    limit_of: str = ""
+    side: str = ""
     tolerance: float = math.nan
     reason: str = ""
+    widest: float = math.nan
     corrected: str = ""
-    identified: bool = False
+    ours: float = math.nan
+    within: float = math.nan
+    spent: str = ""
+    input: str = ""
     note: str = ""
+    test: str = ""
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ValueError(f"kind of {self.id} must be one of {KINDS}, got {self.kind!r}")
-        if self.verdict not in VERDICTS:
-            raise ValueError(
-                f"verdict of {self.id} must be one of {VERDICTS}, got {self.verdict!r}"
-            )
+        for name, allowed in (("kind", KINDS), ("verdict", VERDICTS), ("spent", SPENT)):
+            if getattr(self, name) not in allowed:
+                raise ValueError(
+                    f"{name} of {self.id} must be one of {allowed}, got {getattr(self, name)!r}"
+                )
         if (self.kind in _UNJUDGED or self.verdict in _UNJUDGED) and self.verdict != self.kind:
             raise ValueError(
                 f"{self.id} is {self.kind} and cannot have the verdict {self.verdict!r}"
             )
-        if (self.verdict == "erratum") != bool(self.corrected):
-            raise ValueError(
-                f"{self.id} must have a corrected value if and only if it is an erratum"
-            )
-        if self.verdict in ("differs", "lost") and not self.note:
-            raise ValueError(f"{self.id} must explain its verdict {self.verdict!r} in a note")
-        if math.isnan(self.tolerance):
-            if self.kind == "exact":
-                object.__setattr__(self, "tolerance", half_ulp(self.corrected or self.printed))
+        if self.kind == "exact" and math.isnan(self.tolerance):
+            object.__setattr__(self, "tolerance", half_ulp(self.corrected or self.printed))
+            if not self.reason:
                 object.__setattr__(self, "reason", "half a unit in the last printed place")
-        elif not self.reason:
-            raise ValueError(f"{self.id} must give the reason for its tolerance")
+        if self.kind == "simulated" and math.isnan(self.widest):
+            object.__setattr__(self, "widest", _WIDEST * abs(self.value))
+        for wanted, sound in self._rules():
+            if not sound:
+                raise ValueError(f"{self.id} {wanted}")
+
+    def _rules(self) -> list[tuple[str, bool]]:
+        """Return what must hold of the entry, in words, and whether it does."""
+        stated, exact = self.kind == "stated", self.kind == "exact"
+        own = self.limit_of == "ours"
+        size = abs(self.value) if self.kind in ("exact", "simulated") else math.inf
+        return [
+            (
+                "must have a corrected value if and only if it is an erratum",
+                (self.verdict == "erratum") == bool(self.corrected),
+            ),
+            (
+                f"must explain its verdict {self.verdict!r} in a note",
+                self.verdict not in ("differs", "inconclusive", "lost") or bool(self.note),
+            ),
+            (
+                "is stated and needs a limit, whose it is, and what the thesis says",
+                stated == bool(self.limit) == bool(self.limit_of) and stated <= bool(self.says),
+            ),
+            (
+                "must give the limit of the thesis or of ours",
+                self.limit_of in ("", "thesis", "ours"),
+            ),
+            ("must give the reason for a limit of ours", not own or bool(self.reason)),
+            ("must not print a limit that is ours", not own or not self.printed),
+            ("is a bound and needs its side", (self.kind == "bound") == bool(self.side)),
+            ("must give lower or upper as its side", self.side in ("", "lower", "upper")),
+            ("has a tolerance and needs to be exact", exact or math.isnan(self.tolerance)),
+            ("must give the reason for its tolerance", not exact or bool(self.reason)),
+            (
+                "must have a tolerance below half of the printed number",
+                not exact or 0 < self.tolerance <= max(0.5 * size, half_ulp(self.printed)),
+            ),
+            (
+                "must have a largest width below the printed number, or a reason",
+                self.kind != "simulated" or 0 < self.widest < (math.inf if self.reason else size),
+            ),
+            (
+                "differs and must say what ours is, and within what",
+                (self.verdict == "differs") == (self.ours == self.ours)
+                and (self.ours == self.ours) == (0 < self.within < math.inf),
+            ),
+            ("must name the input that was spent", bool(self.spent) == bool(self.input)),
+        ]
 
     @property
     def value(self) -> float:
-        """The printed number; for a stated claim, its bound."""
-        return float(self.printed.split()[-1])
+        """The printed number; for a stated claim, its limit."""
+        return float((self.limit or self.printed).split()[-1])
+
+    @property
+    def rule(self) -> str:
+        """How the claim is judged, in words."""
+        unit = f" {self.unit}".rstrip()
+        if self.kind in _UNJUDGED:
+            return "not judged"
+        if self.kind == "stated":
+            whose = "the thesis' limit" if self.limit_of == "thesis" else "our limit"
+            return f"ours {self.limit}{unit} ({whose})"
+        if self.kind == "simulated":
+            return f"printed lies in our 95 % interval of at most ± {self.widest:.3g}{unit}"
+        if self.kind == "bound":
+            return f"ours is {'an upper' if self.side == 'upper' else 'a lower'} bound of the print"
+        if self.corrected:
+            return f"ours within {self.tolerance:.2g}{unit} of {self.corrected}, and not the print"
+        return f"ours within {self.tolerance:.2g}{unit} of the print: {self.reason}"
+
+    @property
+    def qualified(self) -> str:
+        """The verdict, with what was spent on it."""
+        text = "not yet judged" if self.verdict == "pending" else self.verdict
+        return f"{text} ({self.spent})" if self.spent else text
 
 
 @dataclass(frozen=True)
 class Record:
-    """
-    What a notebook found for a claim, or a number of its own for the prose.
+    """What a notebook found for a claim, or a number of its own for the prose.
 
     Attributes
     ----------
@@ -163,6 +279,8 @@ class Record:
         The verdict; ``result`` for a number of ours.
     digits : int
         Decimal places to show.
+    cell : str
+        The notebook's cell that computed it; empty outside of a notebook.
     """
 
     id: str
@@ -172,6 +290,7 @@ class Record:
     unit: str
     verdict: str
     digits: int
+    cell: str = ""
 
     def __str__(self) -> str:
         # Tiny numbers (a distortion per µm²) read better in powers of ten.
@@ -196,8 +315,7 @@ def half_ulp(printed: str) -> float:
 
 @cache
 def claims() -> Mapping[str, Claim]:
-    """
-    Read all claims.
+    """Read all claims.
 
     Returns
     -------
@@ -218,8 +336,7 @@ def claims() -> Mapping[str, Claim]:
 
 
 def claim(id: str) -> Claim:
-    """
-    Return one claim by its id.
+    """Return one claim by its id.
 
     Parameters
     ----------
@@ -248,8 +365,7 @@ def claim(id: str) -> Claim:
 
 @cache
 def errata() -> Mapping[str, Mapping[str, str]]:
-    """
-    Read the faults of the thesis.
+    """Read the faults of the thesis.
 
     Returns
     -------
@@ -266,8 +382,7 @@ def errata() -> Mapping[str, Mapping[str, str]]:
 
 
 def judge(claim: Claim, value: float, low: float, high: float) -> str:
-    """
-    Compare a computed number with its claim.
+    """Compare a computed number with its claim.
 
     Parameters
     ----------
@@ -276,12 +391,13 @@ def judge(claim: Claim, value: float, low: float, high: float) -> str:
     value : float
         Our number, in the claim's unit.
     low, high : float
-        Ends of our interval; only a simulated claim is judged by them.
+        Ends of our interval; a simulated claim and a bound are judged by them.
 
     Returns
     -------
     str
-        ``reproduced``, ``consistent``, ``differs`` or ``erratum``.
+        ``reproduced``, ``consistent``, ``bounded``, ``inconclusive``, ``differs`` or
+        ``erratum``.
 
     Raises
     ------
@@ -302,10 +418,15 @@ def judge(claim: Claim, value: float, low: float, high: float) -> str:
             return "erratum" if agrees and contradicts else "differs"
         return "reproduced" if abs(value - claim.value) <= claim.tolerance else "differs"
     if claim.kind == "simulated":
-        return "consistent" if low <= claim.value <= high else "differs"
+        if not low <= claim.value <= high:
+            return "differs"
+        return "consistent" if (high - low) / 2 <= claim.widest else "inconclusive"
     if claim.kind == "stated":
-        comparison = _COMPARISONS[claim.printed.split()[0]]
+        comparison = _COMPARISONS[claim.limit.split()[0]]
         return "consistent" if comparison(value, claim.value) else "differs"
+    if claim.kind == "bound":
+        respected = claim.value >= low if claim.side == "lower" else claim.value <= high
+        return "bounded" if respected else "differs"
     raise ValueError(f"{claim.id} is {claim.kind}; no number can judge it")
 
 
@@ -314,30 +435,22 @@ class _Session:
     """Where `check` and `report` of this process write, and what they have written so far."""
 
     path: Path | None = None
-    own_data: bool = False
     records: dict[str, Record] = field(default_factory=dict)
 
 
 _session = _Session()
 
 
-def open_record(path: str | os.PathLike[str], *, own_data: bool = False) -> None:
-    """
-    Begin a notebook's record.
+def open_record(path: str | os.PathLike[str]) -> None:
+    """Begin a notebook's record.
 
     Parameters
     ----------
     path : path-like
         JSON file for the records; empty for none. An older file of the same name is replaced.
-    own_data : bool
-        True if the notebook runs on the reader's data, which the thesis' numbers do not describe:
-        `check` then says that it skips, and nothing is written.
     """
-    _session.path = None if own_data or not os.fspath(path) else Path(path)
-    _session.own_data = own_data
+    _session.path = Path(path) if os.fspath(path) else None
     _session.records = {}
-    if own_data:
-        print("Own data: the checks against the thesis are skipped.")
     _write()
 
 
@@ -347,9 +460,8 @@ def check(
     uncertainty: float = 0.0,
     *,
     interval: tuple[float, float] | None = None,
-) -> Record | None:
-    """
-    Compare a computed number with the printed one and record the verdict.
+) -> Record:
+    """Compare a computed number with the printed one and record the verdict.
 
     Parameters
     ----------
@@ -365,14 +477,14 @@ def check(
 
     Returns
     -------
-    Record or None
-        The verdict with our number; None if the notebook runs on the reader's own data.
+    Record
+        The verdict with our number.
 
     Raises
     ------
     ClaimError
-        If the verdict is not the one that ``claims.toml`` states: ours changed, or the claim was
-        never judged.
+        If the verdict is not the one that ``claims.toml`` states, or ours differs by another amount
+        than it states.
     ValueError
         If there is no such claim, the value is not finite, or a simulated claim comes without an
         interval.
@@ -383,8 +495,6 @@ def check(
     1.32372 MPa
     """
     stated = claim(id)
-    if _session.own_data:
-        return None
     low, high = interval or (value - uncertainty, value + uncertainty)
     if not all(math.isfinite(number) for number in (value, low, high)):
         raise ValueError(f"value of {id} must be finite, got {value} in [{low}, {high}]")
@@ -392,22 +502,99 @@ def check(
         raise ValueError(f"interval of {id} must contain its value, got {value} in [{low}, {high}]")
     if stated.kind == "simulated" and low == high:
         raise ValueError(f"{id} is simulated and needs an interval, got a bare {value}")
-    verdict = judge(stated, value, low, high)
-    if verdict != stated.verdict:
-        printed = stated.corrected or stated.printed
+    verdict, objection = appraise(stated, value, low, high)
+    if objection and not os.environ.get(TALLY_VARIABLE):
         raise ClaimError(
-            f"claim {id}: printed {printed} {stated.unit}, tolerance {stated.tolerance:g}, "
-            f"ours {value:.8g} in [{low:.8g}, {high:.8g}]: "
-            f"{verdict}, but the book says {stated.verdict}"
+            f"claim {id}: printed {stated.corrected or stated.printed or stated.limit} "
+            f"{stated.unit}, ours {value:.8g} in [{low:.8g}, {high:.8g}]: {objection}"
         )
     return _add(
-        Record(id, float(value), float(low), float(high), stated.unit, verdict, _places(stated))
+        Record(
+            id,
+            float(value),
+            float(low),
+            float(high),
+            stated.unit,
+            f"{verdict}: {objection}" if objection else verdict,
+            _places(stated),
+            _cell(),
+        )
     )
 
 
-def report(id: str, value: float, unit: str = "", *, digits: int = 2) -> Record:
+def appraise(claim: Claim, value: float, low: float, high: float) -> tuple[str, str]:
+    """Judge a computed number, and hold the verdict against the one that the book states.
+
+    Parameters
+    ----------
+    claim : Claim
+        What was printed.
+    value, low, high : float
+        As for `judge`.
+
+    Returns
+    -------
+    verdict : str
+        As from `judge`.
+    objection : str
+        Empty if all is as the book says; otherwise what is not.
+
+    Examples
+    --------
+    >>> appraise(claim("table-5.6/E"), 1.30, 1.30, 1.30)
+    ('differs', 'differs, but the book says reproduced')
     """
-    Record a number of ours that has no printed counterpart, so that the prose can quote it.
+    verdict = judge(claim, value, low, high)
+    if verdict != claim.verdict:
+        return verdict, f"{verdict}, but the book says {claim.verdict}"
+    if claim.verdict == "differs" and not abs(value - claim.ours) <= claim.within:
+        return verdict, f"not within {claim.within:g} of {claim.ours:g}, which the book says"
+    return verdict, ""
+
+
+def turning_points(claim: Claim, record: Record) -> tuple[float, float]:
+    """Return by what factors our number can fall and rise before the verdict turns.
+
+    Parameters
+    ----------
+    claim : Claim
+        A claim that was judged.
+    record : Record
+        What was found for it; its interval is moved with the value.
+
+    Returns
+    -------
+    tuple of float
+        The largest factor below one and the smallest above one, of a ladder in steps of 1 % up to
+        a hundredfold, at which the verdict is another; 0 and infinity if there is none. Our number
+        must not be zero.
+
+    Examples
+    --------
+    >>> low, high = turning_points(
+    ...     claim("table-5.6/w_d"), Record("table-5.6/w_d", 121.217, 121.217, 121.217, "µm", "", 3)
+    ... )
+    >>> round(low, 2), round(high, 2)
+    (0.99, 1.01)
+    """
+    ladder = 1.01 ** np.arange(1, 464)
+
+    def turns(factor: float) -> bool:
+        ends = sorted((factor * record.low, factor * record.high))
+        return bool(appraise(claim, factor * record.value, *ends)[1])
+
+    down = next((1 / float(f) for f in ladder if turns(1 / f)), 0.0)
+    return down, next((float(f) for f in ladder if turns(f)), math.inf)
+
+
+def _cell() -> str:
+    """Return the number of the notebook's cell that is being executed, ``[7]``."""
+    shell = sys.modules.get("IPython") and sys.modules["IPython"].get_ipython()
+    return f"[{shell.execution_count}]" if shell else ""
+
+
+def report(id: str, value: float, unit: str = "", *, digits: int = 2) -> Record:
+    """Record a number of ours that has no printed counterpart, so that the prose can quote it.
 
     Parameters
     ----------
@@ -443,8 +630,7 @@ def report(id: str, value: float, unit: str = "", *, digits: int = 2) -> Record:
 
 
 def summary(prefix: str = "") -> pd.DataFrame:
-    """
-    Tabulate what this notebook has checked so far.
+    """Tabulate what this notebook has checked so far.
 
     Parameters
     ----------
@@ -463,7 +649,7 @@ def summary(prefix: str = "") -> pd.DataFrame:
             "printed": stated.printed,
             "ours": str(replace(record, unit="")),
             "unit": stated.unit,
-            "verdict": record.verdict + (" (identified)" if stated.identified else ""),
+            "verdict": stated.qualified,
         }
         for record in _session.records.values()
         if record.id.startswith(prefix) and (stated := claims().get(record.id)) is not None
@@ -472,8 +658,7 @@ def summary(prefix: str = "") -> pd.DataFrame:
 
 
 def read_records(folder: str | os.PathLike[str]) -> dict[str, Record]:
-    """
-    Read the records of all notebooks.
+    """Read the records of all notebooks.
 
     Parameters
     ----------
@@ -500,8 +685,7 @@ def read_records(folder: str | os.PathLike[str]) -> dict[str, Record]:
 
 
 def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
-    """
-    Tabulate every claim with what the notebooks recorded for it.
+    """Tabulate every claim with what the notebooks recorded for it.
 
     Parameters
     ----------
@@ -513,7 +697,8 @@ def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
     pandas.DataFrame
         One row a claim in the thesis' order: claim, part (the table or section it belongs to),
         quantity, kind, printed, rounding (half a unit in the last place), ours, low, high, unit,
-        verdict, identified, note.
+        verdict, spent, rule, turns (the factors at which the verdict turns, see `turning_points`),
+        input, says, note, cell, test.
 
     Examples
     --------
@@ -538,11 +723,22 @@ def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
                 "high": math.nan if record is None else record.high,
                 "unit": stated.unit,
                 "verdict": stated.verdict,
-                "identified": stated.identified,
+                "spent": stated.spent,
+                "rule": stated.rule,
+                "turns": "" if record is None else _in_words(turning_points(stated, record)),
+                "input": stated.input,
+                "says": stated.says,
                 "note": stated.note,
+                "cell": "" if record is None else record.cell,
+                "test": stated.test,
             }
         )
     return pd.DataFrame(rows)
+
+
+def _in_words(factors: tuple[float, float]) -> str:
+    down, up = factors
+    return f"× {down:.2g}, × {up:.3g}" if down > 0 and up < math.inf else f"× {down:.2g}, × {up:g}"
 
 
 def _places(stated: Claim) -> int:

@@ -169,8 +169,9 @@ def run(name: str, key: dict[str, str]) -> tuple[str, bool]:
     nbformat.write(notebook, output)
     failed.unlink()
     if not record.exists():
-        record.write_text("[]\n")  # a guide checks nothing against the thesis
-    checks = json.loads(record.read_text())
+        record.write_text("[]\n", encoding="utf-8")  # a guide checks nothing against the thesis
+    checks = name_cells(json.loads(record.read_text()), notebook)
+    record.write_text(json.dumps(checks, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     judged = sum(entry["verdict"] != "result" for entry in checks)
     status = {
         "notebook": name,
@@ -180,6 +181,12 @@ def run(name: str, key: dict[str, str]) -> tuple[str, bool]:
     }
     (BUILD / "status" / f"{name}.json").write_text(json.dumps(status, indent=1) + "\n")
     return f"{message}, {judged} {'check' if judged == 1 else 'checks'} passed", True
+
+
+def name_cells(records: list[dict], notebook: nbformat.NotebookNode) -> list[dict]:
+    """Put a cell's lasting id in place of the number that it had when it was executed."""
+    ids = {f"[{c.execution_count}]": c.id for c in notebook.cells if c.cell_type == "code"}
+    return [record | {"cell": ids.get(record["cell"], "")} for record in records]
 
 
 def clean(notebook: nbformat.NotebookNode) -> None:

@@ -67,9 +67,7 @@ class Verdict(SphinxRole):
 
 
 def badge(claim: ledger.Claim) -> nodes.inline:
-    text = "not yet judged" if claim.verdict == "pending" else claim.verdict
-    if claim.identified:
-        text += " (identified)"
+    text = claim.qualified
     return nodes.inline(text, text, classes=["verdict", f"verdict-{claim.verdict}"])
 
 
@@ -139,6 +137,7 @@ class Errata(SphinxDirective):
         origins = {
             "print": "a fault of the thesis",
             "open": "print and machine reading cannot be told apart",
+            "wording": "another reading is possible, in which nothing is wrong",
         }
         result: list[nodes.Node] = []
         for name, entry in ledger.errata().items():

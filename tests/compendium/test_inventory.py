@@ -1,0 +1,65 @@
+"""What the notebooks check, counted: a check, assert, cell or claim that is taken out is missed."""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections import Counter
+from pathlib import Path
+
+import nbformat
+import pytest
+
+from compendium import ledger
+
+ROOT = Path(__file__).resolve().parents[2]
+
+#: Cells, calls of `ledger.check`, calls of `ledger.report`, and asserts of each notebook. A number
+#: changes only with what the notebook shows; lower it with the reason in the commit.
+INVENTORY = {}
+
+#: Claims of each kind and verdict.
+CLAIMS = {}
+
+
+def count(path: Path) -> tuple[int, int, int, int]:
+    cells = nbformat.read(path, as_version=4).cells
+    calls: Counter[str] = Counter()
+    asserts = 0
+    for cell in cells:
+        if cell.cell_type != "code":
+            continue
+        lines = [line for line in cell.source.splitlines() if not line.startswith("%")]
+        for node in ast.walk(ast.parse("\n".join(lines))):
+            asserts += isinstance(node, ast.Assert)
+            function = getattr(node, "func", None)
+            if getattr(getattr(function, "value", None), "id", "") == "ledger":
+                calls[function.attr] += 1
+    return len(cells), calls["check"], calls["report"], asserts
+
+
+def test_nothing_was_taken_out_of_a_notebook() -> None:
+    found = {path.stem: count(path) for path in sorted((ROOT / "notebooks").glob("*.ipynb"))}
+    assert found == INVENTORY
+
+
+def test_no_claim_was_taken_out() -> None:
+    found = Counter((claim.kind, claim.verdict) for claim in ledger.claims().values())
+    assert dict(found) == CLAIMS
+
+
+@pytest.mark.parametrize("wrong", [1e9, -1e9, 1e12, -1e12])
+def test_no_judged_claim_accepts_the_absurd(wrong: float, claims_folder: Path) -> None:
+    """As a bare value, and as an interval so wide that everything lies in it."""
+    records = ledger.read_records(claims_folder)
+    for claim in ledger.claims().values():
+        if claim.id not in records:
+            continue
+        width = abs(wrong) if claim.kind == "simulated" else 0.0
+        verdict, objection = ledger.appraise(claim, wrong, wrong - width, wrong + width)
+        one_sided = claim.kind in ("stated", "bound") and not math.isfinite(
+            max(ledger.turning_points(claim, records[claim.id]))
+        )
+        if claim.kind == "simulated" and claim.verdict == "inconclusive":
+            continue  # the verdict is that nothing is said
+        assert objection or (one_sided and verdict == claim.verdict), claim.id
