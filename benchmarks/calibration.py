@@ -33,7 +33,7 @@ LIMITS = {
 DARK, BRIGHT = 55.0, 195.0
 PITCH_PX = 30
 DEGREE = np.pi / 180
-#: By column of Table 5.1: its microscope, the step of the pattern's grid in µm, and the mean error of
+#: By column of Table 5.1: its microscope, the grid step of its pattern in µm, and the mean error of
 #: Table 5.2.
 COLUMNS = {
     column.replace("-", " "): (

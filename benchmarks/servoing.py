@@ -12,8 +12,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from benchmarks.report import publish
-from compendium.experiments.paths import circle_path, sinusoid_path, square_path
 from compendium import thesis
+from compendium.experiments.paths import circle_path, sinusoid_path, square_path
 from compendium.experiments.section_5_3 import WINDOWS
 from microlib.servoing import (
     Camera,

@@ -22,10 +22,10 @@ from microlib.calibration import (
     detect_squares,
 )
 from microlib.microscope import Microscope, undistort
-from microlib.synthetic import Imaging, render_circles, render_squares
+from microlib.synthetic import ImagingConditions, render_circles, render_squares
 
 #: Assumed: standard deviations of the point-spread function (px) and of the noise (grey levels).
-IMAGING = Imaging(blur=1.0, noise=2.0)
+IMAGING = ImagingConditions(blur=1.0, noise=2.0)
 #: What the intervals are counted for, by the library's names and those of Table 5.1.
 COVERED = {
     "magnification": "M",

@@ -15,6 +15,7 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from compendium import thesis
+from compendium.experiments import paths
 from compendium.experiments._processes import in_processes
 from compendium.experiments.section_5_3 import gripper
 from compendium.ledger import claim
@@ -30,11 +31,9 @@ CALIBRATION_ANGLE, CALIBRATION_SCALE = np.pi / 180, 0.01
 STEP_PATH = np.full((66, 2), claim("table-5.3/1X/step").value)
 #: Paths of §5.4 by their speed in px/s, px: sizes are not printed.
 PATHS: dict[str, Callable[[float], NDArray]] = {
-    "circle": lambda speed: servoing.circle_path(40.0, speed, thesis.FRAME_INTERVAL),
-    "square": lambda speed: servoing.square_path(60.0, speed, thesis.FRAME_INTERVAL),
-    "sinusoid": lambda speed: servoing.sinusoid_path(
-        100.0, 20.0, 0.5 * speed, thesis.FRAME_INTERVAL
-    ),
+    "circle": lambda speed: paths.circle_path(40.0, speed, thesis.FRAME_INTERVAL),
+    "square": lambda speed: paths.square_path(60.0, speed, thesis.FRAME_INTERVAL),
+    "sinusoid": lambda speed: paths.sinusoid_path(100.0, 20.0, 0.5 * speed, thesis.FRAME_INTERVAL),
 }
 #: What `microlib.servoing.simulate` returns.
 Run = Any
@@ -464,7 +463,7 @@ def printed_ratios() -> pd.DataFrame:
 
 def tall_sinusoid_precision(station: Workstation) -> float:
     """Return the precision on a sinusoid twice as high at 1X, µm."""
-    path = servoing.sinusoid_path(100.0, 40.0, 7.0, thesis.FRAME_INTERVAL)
+    path = paths.sinusoid_path(100.0, 40.0, 7.0, thesis.FRAME_INTERVAL)
     return path_error("1X", station.run("1X", path))["precision"]
 
 

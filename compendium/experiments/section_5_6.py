@@ -122,7 +122,7 @@ def smooth_outline(scene: Scene, boundary: Outline) -> tuple[NDArray, GaussianSu
     curve : GaussianSum
         Heights above the lowest of them, px.
     """
-    middle, embryo = scene.centre[0], scene.embryo
+    middle, embryo = scene.center[0], scene.embryo
     columns = np.arange(np.ceil(boundary.x[0]), boundary.x[-1])
     near = np.abs(columns - middle) < 2 * embryo.dimple_radius / scene.pixel_size
     columns = columns[near]
@@ -198,7 +198,7 @@ def image_study(rng: np.random.Generator, embryos: int = 5, forces: int = 5) -> 
                     rng=rng,
                     pixel_size=thesis.EMBRYO_PIXEL,
                     shape=(320, 480),
-                    centre=(rng.uniform(225, 255), rng.uniform(100, 130)),
+                    center=(rng.uniform(225, 255), rng.uniform(100, 130)),
                 )
                 yield pressed.dimple_depth, float(load), scene.image
 

@@ -63,7 +63,7 @@ def draw_embryo(scene: Scene) -> Figure:
     show_image(left, scene.image)
     add_scale_bar(left, 1000, scene.pixel_size)
     pointer = {"arrowprops": {"arrowstyle": "-", "lw": 1.2}, "va": "center"}
-    x, y = scene.centre
+    x, y = scene.center
     left.annotate("AFM probe", (x, 110), (650, 110), **pointer)
     left.annotate("force sensor", (x, 680), (650, 680), **pointer)
     show_image(right, scene.image, box=(round(x) - 190, round(y) - 50, 380, 366))
@@ -73,7 +73,7 @@ def draw_embryo(scene: Scene) -> Figure:
 
 def draw_outline_steps(scene: Scene, filled: NDArray, boundary: Outline) -> Figure:
     """Draw figure 5.17: the dimple's side, the image without the probe, and the outline."""
-    x, y = scene.centre
+    x, y = scene.center
     box = (round(x) - 150, round(y) - 40, 300, 110)
     figure, column = plt.subplots(3, 1, figsize=(5.6, 6.6))
     panels = {
@@ -118,7 +118,7 @@ def draw_rendered_outline(
     axes.text((x1 + x2) / 2, y1 + 6, "a", ha="center", fontsize=14)
     axes.text(x2 + 3, (y1 + y2) / 2 + 6, "$w_d$", fontsize=14)
     near = 1.5 * scene.embryo.dimple_radius / scene.pixel_size
-    middle = scene.centre[0]
+    middle = scene.center[0]
     axes.set(xlabel="x (px)", ylabel="y, up (px)", aspect="equal")
     axes.set(xlim=(middle - near, middle + near), ylim=(-6, y1 + 18))
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.25), ncols=3, markerscale=3)

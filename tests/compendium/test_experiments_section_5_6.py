@@ -60,7 +60,7 @@ def test_the_rendered_embryo_is_that_of_table_5_6() -> None:
     assert scene.embryo.dimple_depth == pytest.approx(claim("table-5.6/w_d").value, abs=0.01)
     boundary = extract_boundary(scene.image)
     columns, curve = section_5_6.smooth_outline(scene, boundary)
-    middle = scene.centre[0]
+    middle = scene.center[0]
     reach = 2 * scene.embryo.dimple_radius / scene.pixel_size
     assert np.abs(columns - middle).max() < reach
     heights = np.interp(columns, boundary.x, boundary.y)
