@@ -156,6 +156,15 @@ def test_a_lost_claim_cannot_be_judged() -> None:
         ledger.judge(make(kind="lost", verdict="lost", note="gone"), 1.0, 1.0, 1.0)
 
 
+def test_check_records_the_interval_around_its_value() -> None:
+    record = ledger.check("table-5.6/E", 1.3237, 0.01)
+    assert record is not None
+    assert (record.low, record.value, record.high) == pytest.approx((1.3137, 1.3237, 1.3337))
+    record = ledger.check("table-5.6/E", 1.3237, interval=(1.32, 1.4))
+    assert record is not None
+    assert (record.low, record.high) == (1.32, 1.4)
+
+
 def test_check_names_the_claim_that_fails() -> None:
     with pytest.raises(ledger.ClaimError, match=r"claim table-5\.6/E: printed 1\.3237 MPa"):
         ledger.check("table-5.6/E", 1.31)

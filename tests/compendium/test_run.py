@@ -180,6 +180,19 @@ def test_a_wrong_call_is_told_in_one_line(
     assert capsys.readouterr().out == message + "\n"
 
 
+@pytest.mark.parametrize(("source", "status"), [("print(record)", 0), ("1 / 0", 1)])
+def test_a_run_on_own_data_is_kept_apart(
+    project: Path, monkeypatch: pytest.MonkeyPatch, source: str, status: int
+) -> None:
+    write_notebook(project, "01_first", source)
+    monkeypatch.chdir(project)
+    monkeypatch.setattr(sys, "argv", ["run", "01", "-p", "record", "2.5", "--output", "mine"])
+    assert run.main() == status
+    done = nbformat.read(project / "mine" / "01_first.ipynb", as_version=4)
+    assert any("record = 2.5" in cell.source for cell in done.cells)
+    assert not (project / "build" / "status").exists()
+
+
 def test_drawings_get_a_palette_and_photographs_become_jpeg() -> None:
     rng = np.random.default_rng(0)
     ramp = np.linspace(40, 200, 300)[:, None] * [1.0, 0.8, 0.6]
@@ -187,7 +200,7 @@ def test_drawings_get_a_palette_and_photographs_become_jpeg() -> None:
     drawing = np.full((200, 300, 3), 255, np.uint8)
     drawing[50:60] = (200, 30, 30)
     cells, sizes = [], []
-    for picture in (scene, drawing):
+    for picture in (scene, drawing, scene[:60, :60]):
         buffer = io.BytesIO()
         Image.fromarray(picture).save(buffer, "PNG", compress_level=0)
         data = {"image/png": base64.b64encode(buffer.getvalue()).decode()}
@@ -195,10 +208,10 @@ def test_drawings_get_a_palette_and_photographs_become_jpeg() -> None:
         cells.append(new_code_cell(outputs=[new_output("display_data", data=data)]))
     notebook = new_notebook(cells=cells)
     run.lighten(notebook)
-    photograph, drawn = (cell.outputs[0].data for cell in notebook.cells)
+    photograph, drawn, small = (cell.outputs[0].data for cell in notebook.cells)
     assert list(photograph) == ["image/jpeg"]
     assert len(photograph["image/jpeg"]) < sizes[0] / 2
-    assert list(drawn) == ["image/png"]
+    assert list(drawn) == list(small) == ["image/png"]
     assert len(drawn["image/png"]) < sizes[1] / 100
     kept = Image.open(io.BytesIO(base64.b64decode(drawn["image/png"]))).convert("RGB")
     np.testing.assert_array_equal(np.asarray(kept), drawing)
