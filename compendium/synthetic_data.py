@@ -1,20 +1,26 @@
 """Write the small canonical inputs of ``data/synthetic`` and their manifest: ``make data``.
 
 Each is a rendered scene with known truth, for trying the guides and the library without a
-microscope. The manifest holds what each file is, its truth, and its SHA-256.
+microscope; the guides run on them. The manifest holds what each file is, what a guide must be told
+of it, its truth, and its SHA-256.
 """
 
 from __future__ import annotations
 
 import argparse
 import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pandas as pd
 import tifffile
 
 from compendium import thesis
+from compendium.guides import FOLDER
+from microlib.io import write_height_tiff
 from microlib.microscope import Microscope
 from microlib.synthetic import (
     Embryo,
@@ -27,8 +33,43 @@ from microlib.synthetic import (
     texture_sequence,
 )
 
-FOLDER = Path(__file__).resolve().parent.parent / "data" / "synthetic"
 SEED = 2008
+MEMBRANE = {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}  # µm, µm, no unit
+
+
+@dataclass(frozen=True)
+class Entry:
+    """
+    What the manifest says of a file.
+
+    Attributes
+    ----------
+    name, what : str
+        The file, and what it is.
+    settings : mapping
+        The parameters of a guide that go with it, by their names there.
+    truth : mapping
+        The numbers that a guide should find, by their names in its results.
+    truth_file : str
+        Another file, with a truth that is an array; empty for none.
+    """
+
+    name: str
+    what: str
+    settings: Mapping[str, float | list[int]] = field(default_factory=dict)
+    truth: Mapping[str, float] = field(default_factory=dict)
+    truth_file: str = ""
+
+    def toml(self, folder: Path) -> str:
+        digest = hashlib.sha256((folder / self.name).read_bytes()).hexdigest()
+        lines = [f'["{self.name}"]', f'what = "{self.what}"', f'sha256 = "{digest}"']
+        if self.truth_file:
+            lines.append(f'truth_file = "{self.truth_file}"')
+        for title in ("settings", "truth"):
+            pairs = ", ".join(f"{name} = {value!r}" for name, value in getattr(self, title).items())
+            if pairs:
+                lines.append(f"{title} = {{ {pairs} }}")
+        return "\n".join(lines)
 
 
 def main() -> None:
@@ -36,63 +77,133 @@ def main() -> None:
     parser.add_argument("folder", nargs="?", type=Path, default=FOLDER)
     folder = parser.parse_args().folder
     folder.mkdir(parents=True, exist_ok=True)
-    entries = [write(folder) for write in (write_stack, write_pattern, write_frames, write_embryo)]
-    lines = ["# Made by `make data`; the same versions write the same bytes."]
-    for name, truth in entries:
-        digest = hashlib.sha256((folder / name).read_bytes()).hexdigest()
-        lines += ["", f'["{name}"]', f'truth = "{truth}"', f'sha256 = "{digest}"']
-    (folder / "MANIFEST.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    writers = (write_stack, write_pattern, write_frames, write_embryo, write_outline)
+    entries = [entry for write in writers for entry in write(folder)]
+    text = ["# Made by `make data`; the same versions write the same bytes."]
+    text += [entry.toml(folder) for entry in entries]
+    (folder / "MANIFEST.toml").write_text("\n\n".join(text) + "\n", encoding="utf-8")
 
 
-def write_stack(folder: Path) -> tuple[str, str]:
+def write_stack(folder: Path) -> list[Entry]:
     rng = np.random.default_rng(SEED)
-    height = sphere_on_plane((120, 140), 150.0, 3.9)
-    positions = -50.0 + 25.0 * np.arange(17)
+    start, spacing, pixel_size = -50.0, 25.0, 3.9
+    height = sphere_on_plane((200, 240), 300.0, pixel_size)
     frames = focal_stack(
-        mixed_texture(height.shape, rng), height, positions, blur_rate=1 / 25, noise=2.0, rng=rng
+        mixed_texture(height.shape, rng),
+        height,
+        start + spacing * np.arange(29),
+        blur_rate=1 / spacing,
+        noise=2.0,
+        rng=rng,
     )
     tifffile.imwrite(folder / "focal_stack.tif", frames, photometric="minisblack", software=False)
-    return (
-        "focal_stack.tif",
-        "a ball of 150 µm radius on a plane; 3.9 µm/px, 17 frames 25 µm apart from -50 µm on",
-    )
+    write_height_tiff(folder / "height_um.tif", height, pixel_size=pixel_size)
+    ball = "a ball of 300 µm radius on a plane"
+    return [
+        Entry(
+            "focal_stack.tif",
+            f"a rendered focal stack: {ball}, 29 frames 25 µm apart",
+            {"start": start, "spacing": spacing, "pixel_size": pixel_size},
+            {"known_share": 1.0},
+            "height_um.tif",
+        ),
+        Entry("height_um.tif", f"the heights of focal_stack.tif in µm: {ball}"),
+    ]
 
 
-def write_pattern(folder: Path) -> tuple[str, str]:
+def write_pattern(folder: Path) -> list[Entry]:
+    pitch, cell = 280.0, 9.9
     # The lengths of Table 5.1 in focus, and a pose of our own without distortion.
     t_op, f = (thesis.table_5_1("circle-1X", name) for name in ("T_op", "f"))
-    scope = Microscope(t_op, f, 79374.6, alpha=0.03, beta=-0.02, tx=-1900.0, ty=-1400.0)
+    scope = Microscope(
+        t_op, f, 79374.6, alpha=0.03, beta=-0.02, tx=-1900.0, ty=-1400.0, pixel_size=cell
+    )
     image = render_circles(
-        scope, pitch=280.0, imaging=ImagingConditions(noise=2.0), rng=np.random.default_rng(SEED)
+        scope, pitch=pitch, imaging=ImagingConditions(noise=2.0), rng=np.random.default_rng(SEED)
     )
     cv2.imwrite(str(folder / "circles.png"), image.round().astype(np.uint8))
-    return (
-        "circles.png",
-        "circles of 70 µm radius, 280 µm apart; cells of 9.9 µm, f = 126150 µm, M = 1.5893",
-    )
+    return [
+        Entry(
+            "circles.png",
+            "a rendered photograph: a tilted plane with circles of 70 µm radius, 280 µm apart",
+            {"pitch": pitch, "cell": cell, "focal_length": scope.focal_length},
+            {
+                "magnification": round(scope.magnification, 7),
+                "distortion": scope.distortion,
+                "alpha": scope.alpha,
+                "beta": scope.beta,
+                "gamma": scope.gamma,
+            },
+        )
+    ]
 
 
-def write_frames(folder: Path) -> tuple[str, str]:
-    t = np.arange(20) / 33.0
-    path = np.column_stack([30 + 60 * t, 25 + 10 * np.sin(10 * t)])
-    frames = np.stack(texture_sequence(path, np.random.default_rng(SEED), size=40))
+def write_frames(folder: Path) -> list[Entry]:
+    rate, size = 33.0, 40  # 1/s, px
+    t = np.arange(40) / rate
+    corner = np.column_stack([30 + 60 * t, 40 + 20 * np.sin(2 * np.pi * t / 1.2)])
+    frames = np.stack(texture_sequence(corner, np.random.default_rng(SEED), size=size))
     tifffile.imwrite(folder / "frames.tif", frames, photometric="minisblack", software=False)
-    return (
-        "frames.tif",
-        "a square of 40 px at x = 30 + 60 t, y = 25 + 10 sin(10 t) px; 20 frames, 33 a second",
-    )
+    middle = pd.DataFrame(corner + (size - 1) / 2, columns=["x_px", "y_px"])
+    middle.to_csv(folder / "frames_path.csv", index=False, float_format="%.5f")
+    return [
+        Entry(
+            "frames.tif",
+            "40 rendered frames at 33 a second: a textured square of 40 px on a wavy path over "
+            "another texture",
+            {"box": [*corner[0].astype(int).tolist(), size, size], "rate": rate},
+            {"lost_frames": 0},
+            "frames_path.csv",
+        ),
+        Entry("frames_path.csv", "the middle of the square in each frame of frames.tif, in px"),
+    ]
 
 
-def write_embryo(folder: Path) -> tuple[str, str]:
-    embryo = Embryo.dented(90.0, modulus=1.3)
+def write_embryo(folder: Path) -> list[Entry]:
+    embryo = Embryo.dented(90.0, modulus=1.3, **MEMBRANE)
     scene = embryo_image(embryo, rng=np.random.default_rng(SEED))
     grey = np.clip(scene.image, 0, 255).round().astype(np.uint8)
     cv2.imwrite(str(folder / "embryo.png"), grey)
-    return (
-        "embryo.png",
-        f"E = 1.3 MPa, F = {embryo.force:.2f} µN, w_d = 90 µm, a = {embryo.dimple_radius:.2f} µm; "
-        f"{scene.pixel_size:g} µm/px",
-    )
+    return [
+        Entry(
+            "embryo.png",
+            "a rendered image: an embryo of 1.3 MPa under a probe",
+            {"force": round(embryo.force, 2), "pixel_size": round(scene.pixel_size, 6), **MEMBRANE},
+            _dimple_truth(embryo),
+        )
+    ]
+
+
+def write_outline(folder: Path) -> list[Entry]:
+    embryo = Embryo(modulus=1.3, force=10.0, dimple_radius=250.0, **MEMBRANE)
+    pixel_size, noise = 3.875, 0.1  # µm, px
+    x, y = embryo.outline(spacing=0.5).T / pixel_size
+    # The dimple's side of the closed outline, to half a radius beyond the rim.
+    reach = 1.5 * embryo.dimple_radius / pixel_size
+    side = (np.abs(x) < reach) & (y > -embryo.radius / pixel_size)
+    order = np.argsort(x[side])
+    column = np.arange(np.ceil(-reach), np.floor(reach) + 1)
+    height = np.interp(column, x[side][order], y[side][order])
+    height += np.random.default_rng(SEED).normal(0.0, noise, height.size)
+    points = pd.DataFrame({"x": column - column[0], "y": height + 30.0})
+    points.to_csv(folder / "outline.csv", index=False, float_format="%.3f")
+    return [
+        Entry(
+            "outline.csv",
+            "the outline of a dimple in a membrane of 1.3 MPa, one point a column of pixels, "
+            "noise of 0.1 px",
+            {"force": embryo.force, "pixel_size": pixel_size, **MEMBRANE},
+            _dimple_truth(embryo),
+        )
+    ]
+
+
+def _dimple_truth(embryo: Embryo) -> dict[str, float]:
+    return {
+        "modulus_MPa": embryo.modulus,
+        "dimple_radius_um": round(embryo.dimple_radius, 3),
+        "dimple_depth_um": round(embryo.dimple_depth, 3),
+    }
 
 
 if __name__ == "__main__":

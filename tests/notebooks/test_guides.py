@@ -2,38 +2,178 @@
 
 from __future__ import annotations
 
+import ast
+import os
 import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import cv2
+import nbformat
+import numpy as np
+import pandas as pd
 import pytest
 import tifffile
 
+from compendium.guides import FOLDER, manifest
+
 ROOT = Path(__file__).resolve().parents[2]
+# Each guide with the name of its input's parameter and the default for it.
+GUIDES = {
+    "calibration": ("photograph", "circles.png"),
+    "embryo": ("photograph", "embryo.png"),
+    "focus_stack": ("stack", "focal_stack.tif"),
+    "modulus": ("outline", "outline.csv"),
+    "tracking": ("frames", "frames.tif"),
+}
+
+
+def source(guide: str) -> nbformat.NotebookNode:
+    return nbformat.read(ROOT / "notebooks" / f"07_guide_{guide}.ipynb", as_version=4)
+
+
+def code(guide: str) -> list[str]:
+    """Return the code cells, without what is no Python; the parameters come first."""
+    cells = [cell.source for cell in source(guide).cells if cell.cell_type == "code"]
+    return [text.replace("%xmode Minimal", "") for text in cells]
+
+
+def defaults(guide: str) -> dict[str, object]:
+    assigned = ast.parse(code(guide)[0]).body
+    return {node.targets[0].id: ast.literal_eval(node.value) for node in assigned}
+
+
+def said(path: Path) -> str:
+    """Return what an executed guide printed and the tables that it showed."""
+    outputs = [o for c in nbformat.read(path, as_version=4).cells for o in c.get("outputs", [])]
+    return "\n".join(o.get("text", o.get("data", {}).get("text/plain", "")) for o in outputs)
+
+
+def test_every_guide_is_tested() -> None:
+    names = {path.stem.removeprefix("07_guide_") for path in ROOT.glob("notebooks/07_*.ipynb")}
+    assert names == set(GUIDES)
+    contents = (ROOT / "book" / "_toc.yml").read_text()
+    assert all(f"notebooks/07_guide_{name}\n" in contents for name in names)
+
+
+@pytest.mark.parametrize("guide", GUIDES)
+def test_a_guide_is_written_as_one(guide: str) -> None:
+    intro = source(guide).cells[0].source
+    for part in ("**The question.**", "**What you need.**", f"07_guide_{guide} \\"):
+        assert part in intro
+    first, *others = code(guide)
+    lines = first.splitlines()
+    assert lines[0].startswith("record = ")
+    assert all("  # " in line for line in lines), "a parameter without a comment"
+    assert all(len(text.splitlines()) <= 25 for text in others)
+    for text in others:
+        names = {n.id for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Name)}
+        stored = {
+            n.id
+            for n in ast.walk(ast.parse(text))
+            if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
+        }
+        assert not stored & set(defaults(guide)), "a parameter changes its meaning"
+        assert "own_data" not in names
+
+
+@pytest.mark.parametrize(("guide", "parameter", "name"), [(g, *v) for g, v in GUIDES.items()])
+def test_the_defaults_are_those_of_the_input(guide: str, parameter: str, name: str) -> None:
+    values = defaults(guide)
+    assert values[parameter] == f"data/synthetic/{name}"
+    assert values.items() >= manifest()[name]["settings"].items()
+
+
+@pytest.mark.parametrize("guide", GUIDES)
+def test_a_guide_compares_its_own_input_with_the_truth(guide: str, claims_folder: Path) -> None:
+    text = said(claims_folder.parent / "notebooks" / f"07_guide_{guide}.ipynb")
+    assert "off by" in text
+    assert "nothing is compared" not in text
+
+
+def kept(guide: str, name: str, claims_folder: Path) -> Path:
+    """Return a file that the guide left when the book's notebooks were run."""
+    path = claims_folder.parent / "guides" / guide / name
+    assert path.is_file(), f"{path.relative_to(ROOT)} is missing; run `make notebooks`"
+    return path
+
+
+def test_the_camera_that_is_kept_is_the_true_one(claims_folder: Path) -> None:
+    camera = pd.read_csv(kept("calibration", "camera.csv", claims_folder), index_col=0)
+    for name, true in manifest()["circles.png"]["truth"].items():
+        value, std = camera.loc[name, ["value", "standard deviation"]]
+        assert abs(value - true) < 4 * std, name
+    # The uncertainty is no excuse: 0.04 px over 600 px, and a tilt as weak as perspective is.
+    assert camera.loc["magnification", "standard deviation"] < 5e-5
+    assert camera.loc["beta", "standard deviation"] < 1e-3
+    points = pd.read_csv(kept("calibration", "points.csv", claims_folder))
+    assert len(points) > 140
+    assert np.hypot(points["error_x_um"], points["error_y_um"]).mean() < 0.5
+
+
+def test_the_path_that_is_kept_is_the_true_one(claims_folder: Path) -> None:
+    track = pd.read_csv(kept("tracking", "track.csv", claims_folder))
+    true = pd.read_csv(FOLDER / "frames_path.csv")
+    off = np.hypot(track["x_px"] - true["x_px"], track["y_px"] - true["y_px"])
+    assert off.max() < 0.1
+    assert not track["lost"].any()
+    way = 6.23 * (true["x_px"] - true["x_px"][0])
+    np.testing.assert_allclose(track["x_um"], way, atol=6.23 * 0.2)
+
+
+def test_the_heights_that_are_kept_are_the_true_ones(claims_folder: Path) -> None:
+    height = tifffile.imread(kept("focus", "height.tif", claims_folder))
+    off = np.abs(height - tifffile.imread(FOLDER / "height_um.tif"))
+    assert np.isnan(off).mean() < 0.02
+    assert np.nanquantile(off, 0.95) < 5.0
+    assert np.nanmedian(off) < 1.0
+    regions = pd.read_csv(kept("focus", "regions.csv", claims_folder))
+    assert regions["name"][0] == "convex elliptic"
+    # A ball has H = −1/R; the windows at its edge see more.
+    assert regions["mean"][0] == pytest.approx(-1 / 300.0, rel=0.15)
+
+
+def test_the_moduli_that_are_kept_are_the_true_ones(claims_folder: Path) -> None:
+    for guide, name, least, most in (
+        ("embryo", "embryo.png", "modulus_low_MPa", "modulus_high_MPa"),
+        ("modulus", "outline.csv", "modulus_low95_MPa", "modulus_high95_MPa"),
+    ):
+        path = kept(guide, "modulus.csv", claims_folder)
+        found = pd.read_csv(path, index_col="quantity")["value"]
+        true = manifest()[name]["truth"]["modulus_MPa"]
+        assert found[least] < true < found[most], guide
+        assert (found[most] - found[least]) / true < (0.1 if guide == "embryo" else 0.6)
+    assert found["modulus_low95_MPa"] < found["modulus_low68_MPa"] < found["modulus_MPa"]
+    assert found["modulus_MPa"] < found["modulus_high68_MPa"] < found["modulus_high95_MPa"]
+    inputs = pd.read_csv(kept("modulus", "inputs.csv", claims_folder), index_col=0)
+    assert inputs["share of the variance"].sum() == pytest.approx(1.0)
+    assert inputs["share of the variance"].idxmax() == "dimple_depth"
 
 
 def run_own(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "compendium.run", *arguments]
+    command = [sys.executable, "-m", "compendium.run", *arguments, "--output", "mine"]
+    # This tree, whatever is installed.
+    here = os.environ | {"PYTHONPATH": str(ROOT)}
     return subprocess.run(
-        [*command, "--output", "mine"], cwd=folder, capture_output=True, text=True, check=False
+        command, cwd=folder, capture_output=True, text=True, check=False, env=here
     )
 
 
 @pytest.mark.parametrize(
-    ("guide", "parameter", "message"),
+    ("guide", "message"),
     [
-        ("focus_stack", "stack", "ValueError: .*mine.tif"),
-        ("calibration", "photograph", "ValueError: path must name an image, got .*mine.tif"),
-        ("embryo", "photograph", "ValueError: path must name an image, got .*mine.tif"),
-        ("tracking", "frames", "ValueError: frames must match at least two files, got 1"),
+        ("focus_stack", "ValueError: .*mine.tif"),
+        ("calibration", "ValueError: path must name an image, got .*mine.tif"),
+        ("embryo", "ValueError: path must name an image, got .*mine.tif"),
+        ("tracking", "ValueError: .*mine.tif"),
+        ("modulus", "ValueError: outline must .*mine.tif"),
     ],
 )
-def test_a_wrong_file_gives_one_clear_line(
-    tmp_path: Path, guide: str, parameter: str, message: str
-) -> None:
+def test_a_wrong_file_gives_one_clear_line(tmp_path: Path, guide: str, message: str) -> None:
     (tmp_path / "mine.tif").write_bytes(b"II*\0 cut off")
+    parameter, _ = GUIDES[guide]
     result = run_own(
         tmp_path, f"07_guide_{guide}", "-p", parameter, "mine.tif", "-p", "out", "kept"
     )
@@ -43,14 +183,60 @@ def test_a_wrong_file_gives_one_clear_line(
     assert "Traceback" not in result.stdout + result.stderr
 
 
-def test_a_guide_runs_on_the_readers_own_file(tmp_path: Path) -> None:
-    """The example that the book's own run wrote, taken as if it were the reader's."""
-    stack = ROOT / "build" / "guides" / "focus" / "example_stack.tif"
-    shutil.copy(stack, tmp_path / "mine.tif")
-    arguments = ["-p", "stack", "mine.tif", "-p", "out", "kept", "-p", "pixel_size", "2.0"]
-    result = run_own(tmp_path, "07_guide_focus_stack", *arguments)
+@pytest.mark.parametrize(
+    ("guide", "files"),
+    [
+        ("calibration", {"camera.csv", "points.csv"}),
+        ("embryo", {"modulus.csv", "outline.csv", "outline.png"}),
+        ("focus_stack", {"height.tif", "surface.ply", "regions.csv", "all_in_focus.png"}),
+        ("modulus", {"modulus.csv", "inputs.csv", "dimple.png"}),
+    ],
+)
+def test_a_guide_runs_on_the_readers_own_file(tmp_path: Path, guide: str, files: set[str]) -> None:
+    """The guide's own input, taken as if it were the reader's, from the reader's own folder."""
+    parameter, name = GUIDES[guide]
+    mine = f"mine{Path(name).suffix}"
+    shutil.copy(FOLDER / name, tmp_path / mine)
+    arguments = ["-p", parameter, mine, "-p", "out", "kept"]
+    if guide == "focus_stack":
+        arguments += ["-p", "pixel_size", "2.0"]
+    result = run_own(tmp_path, f"07_guide_{guide}", *arguments)
     assert result.returncode == 0, result.stdout
-    kept = {path.name for path in (tmp_path / "kept").iterdir()}
-    assert kept == {"height.tif", "surface.ply", "regions.csv", "all_in_focus.png"}
-    with tifffile.TiffFile(tmp_path / "kept" / "height.tif") as tiff:
-        assert "pixel size 2 um" in tiff.pages[0].aspage().description
+    assert {path.name for path in (tmp_path / "kept").iterdir()} == files
+    assert f"No truth is known of {mine}" in said(tmp_path / "mine" / f"07_guide_{guide}.ipynb")
+    if guide == "focus_stack":
+        with tifffile.TiffFile(tmp_path / "kept" / "height.tif") as tiff:
+            assert "pixel size 2 um" in tiff.pages[0].aspage().description
+
+
+def test_frames_may_be_files_of_their_own(tmp_path: Path) -> None:
+    true = pd.read_csv(FOLDER / "frames_path.csv")
+    (tmp_path / "frames").mkdir()
+    for k, frame in enumerate(tifffile.imread(FOLDER / "frames.tif")[:12]):
+        cv2.imwrite(str(tmp_path / "frames" / f"{k:03d}.png"), frame)
+    arguments = ["-p", "frames", "frames/*.png", "-p", "out", "kept"]
+    result = run_own(tmp_path, "07_guide_tracking", *arguments)
+    assert result.returncode == 0, result.stdout
+    assert {path.name for path in (tmp_path / "kept").iterdir()} == {"track.csv", "track.png"}
+    track = pd.read_csv(tmp_path / "kept" / "track.csv")
+    np.testing.assert_allclose(track["x_px"], true["x_px"][:12], atol=0.1)
+
+
+def test_an_own_input_is_found_from_another_folder(tmp_path: Path) -> None:
+    result = run_own(tmp_path, "07_guide_calibration", "-p", "out", "kept")
+    assert result.returncode == 0, result.stdout
+    assert "off by" in said(tmp_path / "mine" / "07_guide_calibration.ipynb")
+
+
+def test_numbers_give_a_modulus_and_a_steep_dimple_is_named(tmp_path: Path) -> None:
+    """Table 5.6, whose modulus is 1.3237 MPa from unrounded lengths."""
+    numbers = {"dimple_radius": 246.95, "dimple_depth": 121.22, "force": 197.24, "out": "kept"}
+    arguments = [text for name, value in numbers.items() for text in ("-p", name, str(value))]
+    result = run_own(tmp_path, "07_guide_modulus", *arguments)
+    assert result.returncode == 0, result.stdout
+    found = pd.read_csv(tmp_path / "kept" / "modulus.csv", index_col="quantity")["value"]
+    assert found["modulus_MPa"] == pytest.approx(1.3237, abs=2e-4)
+    text = said(tmp_path / "mine" / "07_guide_modulus.ipynb")
+    assert "The dimple is too steep for the model" in text
+    assert "no uniform stress balances this dimple" in text
+    assert "SmallSlopeWarning" not in text

@@ -1,0 +1,226 @@
+"""What the guides share: the inputs of ``data/synthetic``, their truth, and the reader's files."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import tifffile
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["FOLDER", "SHARE", "compare", "describe", "find_input", "manifest", "read_outline"]
+
+#: Where the inputs lie that the guides run on without the reader's own.
+FOLDER = Path(__file__).resolve().parent.parent / "data" / "synthetic"
+#: Share of the values that must be as near to the truth as is allowed: the edges of a height map,
+#: where a pixel sees two heights, are left to the other twentieth.
+SHARE = 0.95
+
+
+def find_input(name: str) -> str:
+    """
+    Return the path of a guide's input: as it is given, or in this project if it is one of its own.
+
+    Parameters
+    ----------
+    name : str
+        Path of a file or pattern of several, relative to the working directory; the inputs of
+        ``data/synthetic`` are found from any.
+
+    Returns
+    -------
+    str
+        The path to read.
+
+    Examples
+    --------
+    >>> find_input("mine.tif")
+    'mine.tif'
+    >>> Path(find_input("data/synthetic/circles.png")).is_file()
+    True
+    """
+    own = FOLDER.parent.parent / name
+    if not Path(name).exists() and own.parent == FOLDER and own.is_file():
+        return str(own)
+    return name
+
+
+def manifest() -> dict[str, dict]:
+    """Return what ``MANIFEST.toml`` says of each file, by the file's name."""
+    return tomllib.loads((FOLDER / "MANIFEST.toml").read_text(encoding="utf-8"))
+
+
+def describe(path: str | PathLike[str]) -> str:
+    """
+    Say in a line what an input is.
+
+    Parameters
+    ----------
+    path : path-like
+        File or pattern, from `find_input`.
+
+    Returns
+    -------
+    str
+        Its name with what the manifest says of it, if it is one of ``data/synthetic``.
+
+    Examples
+    --------
+    >>> describe("mine.tif")
+    'mine.tif, your own'
+    """
+    entry = _entry(Path(path))
+    return f"{Path(path).name}, {entry['what'] if entry else 'your own'}"
+
+
+def compare(
+    path: str | PathLike[str],
+    settings: Mapping[str, ArrayLike],
+    found: Mapping[str, ArrayLike],
+    allowed: Mapping[str, float],
+) -> pd.DataFrame:
+    """
+    Hold results against the truth of an input of ``data/synthetic``; of other files none is known.
+
+    Parameters
+    ----------
+    path : path-like
+        The input, from `find_input`.
+    settings : mapping of str to array_like
+        The guide's parameters that the truth depends on. With other values than the manifest's
+        nothing is compared.
+    found : mapping of str to array_like
+        The results, a number or an array each, by the names that the truth has; NaN is unknown.
+    allowed : mapping of str to float
+        How far 95 of 100 known values of each may be from the truth.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row a result: how many values are known and their mean and, where there is a truth, its
+        mean, the distance within which 95 of 100 values lie, and the allowed one.
+
+    Raises
+    ------
+    AssertionError
+        If a result is further from the truth than allowed, or nowhere known.
+    ValueError
+        If the names of `found`, of `allowed` and of the truth are not the same.
+
+    Examples
+    --------
+    >>> compare("mine.csv", {}, {"modulus_MPa": 1.25}, {"modulus_MPa": 0.1})
+    No truth is known of mine.csv, so nothing is compared.
+                 values  found
+    modulus_MPa       1   1.25
+    """
+    file = Path(path)
+    results = {name: np.asarray(value, dtype=np.float64) for name, value in found.items()}
+    table = pd.DataFrame.from_dict(
+        {name: [np.isfinite(v).sum(), _mean(v)] for name, v in results.items()},
+        orient="index",
+        columns=["values", "found"],
+    ).astype({"values": int})
+    entry = _entry(file)
+    if entry is None or "truth" not in entry:
+        print(f"No truth is known of {file.name}, so nothing is compared.")
+        return table
+    for name, value in entry["settings"].items():
+        if not np.allclose(settings[name], value, rtol=1e-9):
+            print(f"The truth of {file.name} is for {name} = {value}, so nothing is compared.")
+            return table
+    truth = _truth(entry)
+    if not set(results) == set(allowed) == set(truth):
+        raise ValueError(
+            f"found and allowed must have the names {sorted(truth)}, "
+            f"got {sorted(results)} and {sorted(allowed)}"
+        )
+    table["truth"] = [_mean(truth[name]) for name in results]
+    table["off by"] = [_distance(value, truth[name]) for name, value in results.items()]
+    table["allowed"] = [float(allowed[name]) for name in results]
+    for name, row in table.iterrows():
+        if not row["off by"] <= row["allowed"]:  # NaN is no agreement
+            raise AssertionError(
+                f"{file.name}: {name} is {row['off by']:.4g} off the truth, "
+                f"at most {row['allowed']:.4g} is allowed"
+            )
+    return table
+
+
+def read_outline(path: str | PathLike[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """
+    Read an outline from a CSV file with the columns x and y.
+
+    Parameters
+    ----------
+    path : path-like
+        File, in px with y up.
+
+    Returns
+    -------
+    x, y : ndarray of float64, shape (n,)
+        The outline in px, in the order of the file.
+
+    Raises
+    ------
+    ValueError
+        If there is no such file, it is no CSV file with these columns, or a value is no number.
+
+    Examples
+    --------
+    >>> x, y = read_outline(find_input("data/synthetic/outline.csv"))
+    >>> x.shape == y.shape
+    True
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise ValueError(f"outline must name a CSV file, got {file}: no such file")
+    try:
+        table = pd.read_csv(file, skipinitialspace=True)
+    except (ValueError, pd.errors.ParserError):  # not text, empty, or rows of unequal length
+        raise ValueError(f"outline must name a CSV file, got {file}: not readable as one") from None
+    if not {"x", "y"} <= set(table.columns):
+        names = list(table.columns[:6])  # as a list, which shows what cannot be printed
+        raise ValueError(f"outline must have the columns x and y, got {names} in {file}")
+    values = table[["x", "y"]].apply(pd.to_numeric, errors="coerce").to_numpy(np.float64)
+    bad = ~np.isfinite(values).all(axis=1)
+    if bad.any():
+        raise ValueError(
+            f"outline must hold numbers only, got something else in {int(bad.sum())} of "
+            f"{len(values)} rows of {file}, first in row {int(bad.argmax()) + 1}"
+        )
+    return values[:, 0], values[:, 1]
+
+
+def _entry(file: Path) -> dict | None:
+    """Return what the manifest says of a file, if it is one of ``data/synthetic``."""
+    return manifest().get(file.name) if file.resolve().parent == FOLDER else None
+
+
+def _truth(entry: dict) -> dict[str, NDArray[np.float64]]:
+    """Return the numbers of the manifest and the arrays of the file that it names."""
+    truth = dict(entry["truth"])
+    if "truth_file" in entry:
+        file = FOLDER / entry["truth_file"]
+        if file.suffix == ".csv":
+            table = pd.read_csv(file)
+            truth |= {name: table[name].to_numpy() for name in table.columns}
+        else:
+            truth[file.stem] = tifffile.imread(file)
+    return {name: np.asarray(value, dtype=np.float64) for name, value in truth.items()}
+
+
+def _mean(values: NDArray[np.float64]) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else float("nan")
+
+
+def _distance(values: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
+    """Return the distance from the truth within which `SHARE` of the known values lie."""
+    distance = np.abs(values - truth)
+    known = distance[np.isfinite(distance)]
+    return float(np.quantile(known, SHARE)) if known.size else float("nan")

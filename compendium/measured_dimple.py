@@ -1,0 +1,187 @@
+"""A dimple for the guide to a modulus: from an outline, the thesis' way, or from two lengths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from microlib.embryo import dimple_geometry, fit_gaussians, loess
+from microlib.membrane import dimple_profile
+
+__all__ = ["LEAST", "REACH", "SPANS", "MeasuredDimple", "dimple_of_numbers", "dimple_of_outline"]
+
+#: Spans of LOESS whose results are compared. The middle one is that of section 5.6; a smaller one
+#: follows the corners at the bottom more closely and the noise as well.
+SPANS = (0.15, 0.25, 0.35)
+
+#: Points that eight Gaussians of three numbers each need.
+LEAST = 24
+#: Radii to either side of the bottom that eight Gaussians describe well.
+REACH = 2.0
+
+Points = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class MeasuredDimple:
+    """
+    Radius and depth of a dimple with their standard deviations, and what to draw of it.
+
+    Attributes
+    ----------
+    radius, depth : float
+        a and w_d, in µm.
+    radius_std, depth_std : float
+        Their standard deviations, in µm.
+    points : ndarray, shape (n, 2)
+        The outline, (x, y) in µm, y up; empty if there is none.
+    curve : ndarray, shape (m, 2)
+        The curve that radius and depth were read off, or that they make.
+    rim, bottom : tuple of float
+        The two points between which they lie, (x, y) in µm.
+    """
+
+    radius: float
+    depth: float
+    radius_std: float
+    depth_std: float
+    points: Points
+    curve: Points
+    rim: tuple[float, float]
+    bottom: tuple[float, float]
+
+
+def dimple_of_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> MeasuredDimple:
+    """
+    Measure a dimple as section 5.6 does, and how much the smoothing decides of it.
+
+    Parameters
+    ----------
+    x, y : array_like, shape (n,)
+        Outline, in px, y up.
+    pixel_size : float
+        Size of a pixel in the object plane, in µm/px.
+
+    Returns
+    -------
+    MeasuredDimple
+        Radius and depth with the span of section 5.6.
+
+    Raises
+    ------
+    ValueError
+        If the outline is too short or holds no dimple, or `pixel_size` is not positive.
+
+    Notes
+    -----
+    The outline counts to `REACH` radii from the bottom. LOESS of the second degree, eight Gaussians
+    (5.1) and their extrema (5.3). The covariance of the Gaussians knows nothing of the smoothing,
+    which fills the corners at the bottom; how much shows in the results with other spans. The
+    standard deviations are those of the results over `SPANS` and of the fit together.
+
+    Examples
+    --------
+    >>> x = np.arange(121.0)
+    >>> y = 40 * np.exp(-(((x - 30) / 20) ** 2)) + 40 * np.exp(-(((x - 90) / 20) ** 2))
+    >>> dimple = dimple_of_outline(x, y, pixel_size=2.0)
+    >>> print(f"a = {dimple.radius:.0f} µm, w_d = {dimple.depth:.0f} µm")
+    a = 60 µm, w_d = 63 µm
+    """
+    across, height = _side(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
+    if across.size < LEAST:
+        raise ValueError(
+            f"outline must hold at least {LEAST} points around its dimple, got {across.size}"
+        )
+    curves = [fit_gaussians(across, loess(across, height, span=span)) for span in SPANS]
+    found = [dimple_geometry(curve, pixel_size=pixel_size) for curve in curves]
+    spread = np.std([(g.dimple_radius, g.dimple_depth) for g in found], axis=0, ddof=1)
+    middle = SPANS.index(0.25)
+    curve, geometry = curves[middle], found[middle]
+    radius_std, depth_std = np.sqrt(spread**2 + np.diag(geometry.covariance)).tolist()
+    fine = np.linspace(*curve.domain, 600)
+    return MeasuredDimple(
+        geometry.dimple_radius,
+        geometry.dimple_depth,
+        radius_std,
+        depth_std,
+        points=pixel_size * np.stack([across, height], axis=1),
+        curve=pixel_size * np.stack([fine, curve(fine)], axis=1),
+        rim=(pixel_size * geometry.rim[0], pixel_size * geometry.rim[1]),
+        bottom=(pixel_size * geometry.bottom[0], pixel_size * geometry.bottom[1]),
+    )
+
+
+def dimple_of_numbers(
+    radius: float | None,
+    depth: float | None,
+    *,
+    radius_std: float,
+    depth_std: float,
+    probe_half_width: float,
+) -> MeasuredDimple:
+    """
+    Take radius and depth as they are given; the curve is the membrane's, (4.2).
+
+    Parameters
+    ----------
+    radius, depth : float
+        a and w_d, in µm.
+    radius_std, depth_std : float
+        Their standard deviations, in µm.
+    probe_half_width : float
+        Half-width c of the probe, in µm.
+
+    Returns
+    -------
+    MeasuredDimple
+
+    Raises
+    ------
+    ValueError
+        If one of the lengths is missing or no dimple can have them.
+
+    Examples
+    --------
+    >>> dimple = dimple_of_numbers(
+    ...     246.95, 121.22, radius_std=2.0, depth_std=1.0, probe_half_width=25.0
+    ... )
+    >>> dimple.rim, dimple.bottom
+    ((-246.95, 0.0), (0.0, -121.22))
+    """
+    if radius is None or depth is None:
+        raise ValueError(
+            f"dimple_radius and dimple_depth must be given together, got {radius} and {depth}"
+        )
+    # From the axis, where the probe holds the membrane flat, to the rim.
+    r = np.append(0.0, np.linspace(probe_half_width, radius, 200))
+    under = np.maximum(r, probe_half_width)
+    y = -dimple_profile(under, radius, depth, probe_half_width=probe_half_width)
+    return MeasuredDimple(
+        float(radius),
+        float(depth),
+        float(radius_std),
+        float(depth_std),
+        points=np.empty((0, 2)),
+        curve=np.stack([np.append(-r[::-1], r), np.append(y[::-1], y)], axis=1),
+        rim=(-float(radius), 0.0),
+        bottom=(0.0, -float(depth)),
+    )
+
+
+def _side(x: Points, y: Points) -> tuple[Points, Points]:
+    """Return the outline around its dimple, x ascending, heights above its lowest point."""
+    order = np.argsort(x, kind="stable")
+    x, y = x[order], y[order]
+    if y.size:
+        # How deep a point lies below the lower of the highest points on its two sides.
+        left, right = np.maximum.accumulate(y), np.maximum.accumulate(y[::-1])[::-1]
+        bottom = int(np.argmax(np.minimum(left, right) - y))
+        reach = REACH * (x[bottom] - x[np.argmax(y[: bottom + 1])])
+        near = np.abs(x - x[bottom]) <= reach
+        if reach > 0:  # else there is no dimple, which the fit will say
+            x, y = x[near], y[near]
+        # Gaussians die away to zero.
+        y = y - y.min()
+    return x, y

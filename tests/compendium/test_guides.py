@@ -1,0 +1,113 @@
+"""Inputs are found from any folder, and a result that is not the truth is not let pass."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from compendium.guides import FOLDER, compare, describe, find_input, manifest, read_outline
+
+EMBRYO = find_input("data/synthetic/embryo.png")
+SETTINGS = manifest()["embryo.png"]["settings"]
+TRUTH = manifest()["embryo.png"]["truth"]
+ALLOWED = {"modulus_MPa": 0.05, "dimple_radius_um": 1.0, "dimple_depth_um": 1.0}
+
+
+def test_an_input_is_found_from_any_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert Path(find_input("data/synthetic/circles.png")) == FOLDER / "circles.png"
+    # What the reader has under this name comes first, and nothing else of the project is found.
+    (tmp_path / "data" / "synthetic").mkdir(parents=True)
+    (tmp_path / "data" / "synthetic" / "circles.png").touch()
+    assert find_input("data/synthetic/circles.png") == "data/synthetic/circles.png"
+    assert describe(find_input("data/synthetic/circles.png")) == "circles.png, your own"
+    for name in ("README.md", "missing.tif", "frames/*.png"):
+        assert find_input(name) == name
+
+
+def test_an_input_is_described() -> None:
+    assert describe(EMBRYO) == f"embryo.png, {manifest()['embryo.png']['what']}"
+
+
+def test_the_truth_passes() -> None:
+    table = compare(EMBRYO, SETTINGS, TRUTH, ALLOWED)
+    assert list(table.index) == list(TRUTH)
+    assert (table["off by"] == 0).all()
+    assert (table["values"] == 1).all()
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.3, 1.36, np.nan, np.inf])
+def test_a_wrong_result_fails_and_is_named(wrong: float) -> None:
+    with pytest.raises(AssertionError, match=r"embryo\.png: modulus_MPa is .* off the truth"):
+        compare(EMBRYO, SETTINGS, TRUTH | {"modulus_MPa": wrong}, ALLOWED)
+
+
+def test_a_result_cannot_be_left_out() -> None:
+    with pytest.raises(ValueError, match="found and allowed must have the names"):
+        compare(EMBRYO, SETTINGS, {"modulus_MPa": 1.3}, {"modulus_MPa": 0.05})
+
+
+def test_arrays_are_held_against_the_file_of_the_truth() -> None:
+    path = FOLDER / "frames.tif"
+    settings = manifest()["frames.tif"]["settings"]
+    true = pd.read_csv(FOLDER / "frames_path.csv")
+    allowed = {"x_px": 0.05, "y_px": 0.05, "lost_frames": 0.0}
+
+    def result(x: np.ndarray) -> pd.DataFrame:
+        return compare(path, settings, {"x_px": x, "y_px": true["y_px"], "lost_frames": 0}, allowed)
+
+    x = true["x_px"].to_numpy().copy()
+    x[7] += 5.0  # one place of forty
+    table = result(x)
+    assert table.loc["x_px", "values"] == len(true)
+    assert table.loc["x_px", "off by"] < 0.05
+    for wrong in (x[::-1], x + 0.06, np.full_like(x, np.nan)):
+        with pytest.raises(AssertionError, match="x_px"):
+            result(wrong)
+
+
+def test_nothing_is_compared_without_a_truth(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = dict.fromkeys(TRUTH, -1.0)
+    mine = tmp_path / "embryo.png"
+    mine.write_bytes(Path(EMBRYO).read_bytes())
+    assert "truth" not in compare(mine, SETTINGS, wrong, ALLOWED)
+    assert "No truth is known of embryo.png" in capsys.readouterr().out
+    assert "truth" not in compare(FOLDER / "height_um.tif", SETTINGS, wrong, ALLOWED)
+    other = SETTINGS | {"force": 100.0}
+    assert "truth" not in compare(EMBRYO, other, wrong, ALLOWED)
+    assert "The truth of embryo.png is for force = 113.75" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "no such file"),
+        (b"", "not readable as one"),
+        (b"\xff\xfe\x00", "not readable as one"),
+        (b"x,y\n1,2,3\n1,2,3,4\n", "not readable as one"),
+        (b"a,b\n1,2\n", r"columns x and y, got \['a', 'b'\]"),
+        (b"x,y\n1,2\n2,wide\n3,\n", "in 2 of 3 rows .* first in row 2"),
+    ],
+)
+def test_a_wrong_outline_is_told_in_one_line(
+    tmp_path: Path, content: bytes | None, message: str
+) -> None:
+    path = tmp_path / "mine.csv"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ValueError, match=f"^outline must .*{message}") as caught:
+        read_outline(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_outline_is_read_as_it_stands(tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    path.write_text("y, x, note\n1, 10, a\n2.5, 12, b\n")
+    x, y = read_outline(path)
+    assert x.tolist() == [10.0, 12.0]
+    assert y.tolist() == [1.0, 2.5]

@@ -1,0 +1,75 @@
+"""The dimple of the guide to a modulus: found in any outline that holds one, with honest errors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from compendium.guides import find_input, manifest, read_outline
+from compendium.measured_dimple import MeasuredDimple, dimple_of_numbers, dimple_of_outline
+from microlib.membrane import dimple_profile
+from microlib.synthetic import Embryo
+
+PIXEL = manifest()["outline.csv"]["settings"]["pixel_size"]
+X, Y = read_outline(find_input("data/synthetic/outline.csv"))
+
+
+@pytest.fixture(scope="module")
+def dimple() -> MeasuredDimple:
+    return dimple_of_outline(X, Y, pixel_size=PIXEL)
+
+
+def test_the_outline_gives_its_dimple_back(dimple: MeasuredDimple) -> None:
+    truth = manifest()["outline.csv"]["truth"]
+    assert abs(dimple.radius - truth["dimple_radius_um"]) < 2 * dimple.radius_std
+    assert abs(dimple.depth - truth["dimple_depth_um"]) < 2 * dimple.depth_std
+    # No more than the rounding of the corners: a pixel, half a pixel.
+    assert dimple.radius_std < PIXEL
+    assert dimple.depth_std < PIXEL / 2
+    assert dimple.bottom[0] - dimple.rim[0] == pytest.approx(dimple.radius)
+    assert dimple.rim[1] - dimple.bottom[1] == pytest.approx(dimple.depth)
+
+
+def test_order_and_origin_of_the_points_do_not_matter(dimple: MeasuredDimple) -> None:
+    shuffled = np.random.default_rng(0).permutation(X.size)
+    moved = dimple_of_outline(X[shuffled] + 700.0, Y[shuffled] - 300.0, pixel_size=PIXEL)
+    assert moved.radius == pytest.approx(dimple.radius, rel=1e-4)
+    assert moved.depth == pytest.approx(dimple.depth, rel=1e-4)
+
+
+def test_the_flanks_of_an_embryo_are_left_out() -> None:
+    embryo = Embryo.dented(90.0, modulus=1.3)
+    x, y = embryo.outline(4.0).T / PIXEL
+    upper = y > -300.0 / PIXEL  # lower at its ends than in the dimple
+    dimple = dimple_of_outline(x[upper], y[upper], pixel_size=PIXEL)
+    assert np.ptp(dimple.points[:, 0]) < 4.2 * embryo.dimple_radius
+    assert dimple.radius == pytest.approx(embryo.dimple_radius, abs=PIXEL)
+    assert abs(dimple.depth - embryo.dimple_depth) < 2 * dimple.depth_std
+
+
+def test_without_a_dimple_there_is_no_number() -> None:
+    with pytest.raises(ValueError, match="minimum between two maxima"):
+        dimple_of_outline(X, -(((X - 100) / 20) ** 2), pixel_size=PIXEL)
+    for few in (0, 20):
+        with pytest.raises(ValueError, match="outline must hold at least 24 points around"):
+            dimple_of_outline(X[:few], Y[:few], pixel_size=PIXEL)
+
+
+def test_two_numbers_are_taken_as_they_are() -> None:
+    dimple = dimple_of_numbers(250.0, 40, radius_std=2, depth_std=1, probe_half_width=25.0)
+    assert (dimple.radius, dimple.depth) == (250.0, 40.0)
+    assert (dimple.radius_std, dimple.depth_std) == (2.0, 1.0)
+    assert dimple.points.shape == (0, 2)
+    x, y = dimple.curve.T
+    beside = np.abs(x) >= 25.0
+    profile = dimple_profile(
+        np.minimum(np.abs(x[beside]), 250.0), 250.0, 40.0, probe_half_width=25.0
+    )
+    np.testing.assert_allclose(y[beside], -profile, atol=1e-9)
+    np.testing.assert_allclose(y[~beside], -40.0)
+
+
+@pytest.mark.parametrize(("radius", "depth"), [(250.0, None), (None, 40.0)])
+def test_one_number_is_not_enough(radius: float | None, depth: float | None) -> None:
+    with pytest.raises(ValueError, match="must be given together"):
+        dimple_of_numbers(radius, depth, radius_std=0, depth_std=0, probe_half_width=25.0)
