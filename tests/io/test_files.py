@@ -64,6 +64,11 @@ def test_a_pixel_size_must_be_named(tmp_path: Path) -> None:
             write(tmp_path / "s", np.ones((2, 2)), 2.0)  # type: ignore[misc]
 
 
+def test_others_may_read_what_was_written(tmp_path: Path) -> None:
+    io.write_height_tiff(tmp_path / "h.tif", np.ones((2, 3)), pixel_size=1.0)
+    assert (tmp_path / "h.tif").stat().st_mode & 0o777 == 0o644
+
+
 def read_ply(path: Path) -> tuple[np.ndarray, np.ndarray]:
     head, body = path.read_bytes().split(b"end_header\n", 1)
     counts = [int(line.split()[-1]) for line in head.splitlines() if line.startswith(b"element")]

@@ -41,6 +41,20 @@ def test_types_are_kept(dtype, tmp_path):
         assert frame.dtype == dtype
 
 
+def test_a_frame_of_one_row_is_a_frame(stack):
+    row = stack[:, :1]
+    np.testing.assert_array_equal(np.stack(list(read_frames(row))), row)
+
+
+def test_what_is_not_finite_is_counted(stack):
+    holed = stack.astype(float)
+    holed[1, 2, 1:4] = np.nan, np.inf, -np.inf
+    with pytest.raises(
+        ValueError, match=r"frames\[1\] must be finite, got 3 NaN or infinite of 744"
+    ):
+        list(read_frames(holed))
+
+
 def test_other_numbers_become_float32(stack):
     for dtype in (np.int16, np.float64, np.int64):
         assert next(read_frames(stack.astype(dtype))).dtype == np.float32
