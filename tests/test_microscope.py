@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import cv2
 import numpy as np
@@ -124,6 +124,44 @@ def test_magnification_and_tilt():
     normal = SCOPE.rotation[:, 2]
     assert SCOPE.tilt == pytest.approx(np.arccos(abs(normal[2])), abs=1e-12)
     assert Microscope(2e5, 1e5, 5e4, beta=1e-9).tilt == pytest.approx(1e-9, rel=1e-6)
+
+
+def test_parameters_are_the_fields_of_the_model():
+    assert tuple(field.name for field in fields(Microscope))[:9] == Microscope.PARAMETERS
+
+
+@pytest.mark.parametrize(
+    "scope", [SCOPE, replace(SCOPE, distortion=2e-9, beta=0.3, pixel_size=(9.9, 8.3))]
+)
+def test_the_jacobian_is_the_derivative_of_the_projection(scope):
+    world = np.random.default_rng(4).uniform(-1500, 1500, (12, 2))
+    analytic = scope.jacobian(world)
+    assert analytic.shape == (12, 2, 9)
+    for k, name in enumerate(Microscope.PARAMETERS):
+        # Steps that balance rounding (1e-13 px) against curvature.
+        step = {"distortion": 1e-13}.get(name, 1e-6 if name in ("alpha", "beta", "gamma") else 1.0)
+        value = getattr(scope, name)
+        up, down = (replace(scope, **{name: value + s}).project(world) for s in (step, -step))
+        numeric = (up - down) / (2 * step)
+        np.testing.assert_allclose(
+            analytic[..., k], numeric, atol=2e-7 * np.abs(numeric).max() + 1e-11
+        )
+    chosen = scope.jacobian(world, ("ty", "focal_length"))
+    np.testing.assert_array_equal(chosen, analytic[..., [8, 1]])
+
+
+def test_a_plane_is_projected_from_what_it_shows():
+    """The same image from (M, h, …) as from the three lengths; and the telecentric one, X alone."""
+    world = np.random.default_rng(5).uniform(-1500, 1500, (12, 2))
+    depth = SCOPE.focal_length + SCOPE.distance
+    pose = (SCOPE.distortion, SCOPE.alpha, SCOPE.beta, SCOPE.gamma, SCOPE.tx, SCOPE.ty)
+    seen, _ = Microscope.project_plane(
+        np.array([SCOPE.magnification, 1 / depth, *pose]), world, SCOPE.cell
+    )
+    np.testing.assert_allclose(seen + SCOPE.principal_point, SCOPE.project(world), atol=1e-9)
+    flat, _ = Microscope.project_plane(np.array([2.0, 0.0, 0.0, *pose[1:]]), world, SCOPE.cell)
+    expected = 2 * SCOPE.to_objective(world)[:, :2] / SCOPE.cell
+    np.testing.assert_allclose(flat, expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize(

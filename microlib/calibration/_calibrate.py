@@ -17,11 +17,18 @@ from microlib._common import Array, as_array, between, one_of, positive, same_le
 from microlib.calibration._microscope_fit import NAMES, Minimum, Problem, start_values
 from microlib.microscope import Microscope
 
-#: 1/f must exceed so many of its standard errors to be told from zero: with the sign of the tilt
-#: unknown, fewer would now and then pass noise off as a focal length.
-CERTAIN = 4.0
+#: Standard errors by which 1/f must exceed zero to be told from it. CERTAIN_NOTE
+_CERTAIN = 4.0
 #: Where 1/f is lost it may come out as zero; then f is held at a kilometer, 1/µm.
-SMALLEST_POWER = 1e-9
+_SMALLEST_POWER = 1e-9
+#: World or image points are on one line if they spread across it by less than this part of its
+#: length, a thousandth of a pixel.
+_THINNEST = 1e-6
+#: The two tilts are two minima if an angle differs by so many standard errors: 0.3 % by chance.
+_APART = 3.0
+#: The better of the two is told from the other if its sum of squares is smaller by more than this
+#: many variances, the 95 % quantile of χ² with one degree of freedom.
+_TOLD = 3.84
 
 
 @dataclass(frozen=True)
@@ -175,8 +182,8 @@ def calibrate(
     From one plane, only T_op + f and f + d can be seen, and the perspective that tells them apart
     fades with the tilt. The thesis therefore takes f from the manufacturer and lets (2.12) tie d to
     it: the plane is in focus. Without `focal_length` the same tie makes f the one number that the
-    perspective determines. If its 95 % interval reaches infinity, f and the tilt's angles are named
-    in `unobservable`.
+    perspective determines. If 1/f is less than four standard errors from zero, f and the tilt's
+    angles are named in `unobservable`.
 
     Tilts (β, γ) and (−β, −γ) give the same image but for perspective. Both are tried. If the better
     one is not better by more than noise, "beta" and "gamma" are named in `unobservable`.
@@ -199,11 +206,11 @@ def calibrate(
     free = [0, 2, 3, 4, 5, 6, 7] if focal_length is not None else list(range(8))
     if focal_length is not None:
         positive("focal_length", as_array("focal_length", focal_length, shape=()))
-    if len(world) < 5:  # radial alignment has six unknowns up to scale
+    if len(world) < 5:  # radial alignment has six unknowns up to scale, one equation a point
         raise ValueError(f"world must hold at least 5 points, got {len(world)}")
     for name, points in (("world", world), ("image", image)):
         spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-        if not spread[1] > 1e-6 * spread[0]:
+        if not spread[1] > _THINNEST * spread[0]:
             raise ValueError(f"{name} must not lie on one line, got {len(points)} points that do")
     if groups is None:
         label = None
@@ -235,9 +242,9 @@ def _report(
     lost = {name for name, v in zip(names, np.diag(covariance), strict=True) if np.isinf(v)}
     theta = best.theta.copy()
     if "focal_length" in names:
-        if not theta[1] > CERTAIN * np.sqrt(covariance[1, 1]):
+        if not theta[1] > _CERTAIN * np.sqrt(covariance[1, 1]):
             lost |= {"focal_length", "beta", "gamma"}
-        theta[1] = max(theta[1], SMALLEST_POWER)
+        theta[1] = max(theta[1], _SMALLEST_POWER)
         to_length = np.ones(len(free))
         to_length[1] = -1 / theta[1] ** 2
         covariance = covariance * np.outer(to_length, to_length)
@@ -259,6 +266,8 @@ def _report(
     jacobian = problem.jacobian(best.theta)[:, free]
     length = np.linalg.norm(jacobian, axis=0)
     _, singular, directions = np.linalg.svd(jacobian / np.where(length > 0, length, 1.0))
+    with np.errstate(divide="ignore"):
+        condition = float(singular[0] / singular[-1])
     return Calibration(
         microscope,
         names,
@@ -266,7 +275,7 @@ def _report(
         covariance,
         tuple(name for name in names if name in lost),
         freedom,
-        float(singular[0] / max(singular[-1], 1e-300)),
+        condition,
         directions[-1],
         -problem.residuals(best.theta).reshape(-1, 2),
         microscope.back_project(problem.seen + frame.principal_point) - problem.world,
@@ -277,5 +286,5 @@ def _two_tilts(best: Minimum, other: Minimum, covariance: Array, freedom: int) -
     """True if the opposite tilt is another minimum, and not worse by more than noise."""
     angles = slice(3, 5)  # β and γ among the parameters without f
     apart = np.abs(best.theta[4:6] - other.theta[4:6])
-    distinct = (apart > 3 * np.sqrt(np.diag(covariance)[angles])).any()
-    return bool(distinct and other.cost - best.cost < 3.84 * best.cost / freedom)
+    distinct = (apart > _APART * np.sqrt(np.diag(covariance)[angles])).any()
+    return bool(distinct and other.cost - best.cost < _TOLD * best.cost / freedom)

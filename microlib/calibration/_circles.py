@@ -8,10 +8,13 @@ from scipy.special import ndtr
 
 from microlib._common import Array
 from microlib.calibration._dark_regions import find_dark_regions
-from microlib.calibration._detection import Detection, band_half_width, find_inliers
+from microlib.calibration._detection import FEWEST, Detection, band_half_width, find_inliers
 from microlib.calibration._grid_map import GridMap, fit_grid_map
 from microlib.calibration._grid_order import order_grid
 from microlib.calibration._outline_fit import (
+    LEAST_BLUR,
+    START_BLUR,
+    START_CONTRAST,
     OutlineFit,
     Patches,
     cut_patches,
@@ -24,9 +27,16 @@ from microlib.calibration._outline_fit import (
 # contrast, ground.
 CENTER, SHAPE, BLUR, CONTRAST, GROUND = slice(0, 2), slice(2, 5), 5, 6, slice(7, 10)
 # What varies smoothly across the image: blur, contrast, slope of the ground.
-SMOOTH = [5, 6, 8, 9]
+_SMOOTH = [5, 6, 8, 9]
 #: Ellipses have a fullness of 1, squares of 0.955 to 0.97 as blur rounds them.
-LEAST_FULLNESS = 0.98
+_LEAST_FULLNESS = 0.98
+#: Half the side of a patch in radii, without the band: the longer axis of an ellipse is 1.2 times
+#: its mean radius at an axis ratio of 1.44, a tilt of 46°.
+_HALF_SIDE = 1.2
+#: Corners of the polygon that stands for a circle's rim. RIM_NOTE
+_RIM = 32
+#: Keeps the center of an ellipse, where ρ has no gradient, from 0/0; no fitted pixel is near it.
+_AT_CENTER = 1e-9
 
 
 def detect_circles(
@@ -92,13 +102,13 @@ def detect_circles(
         found[:, CONTRAST],
         _sigma(fit),
     )
-    if inlier.sum() < 4:
+    if inlier.sum() < FEWEST:
         raise ValueError(f"image must show a grid of circles, got {int(inlier.sum())} whole ones")
     fullness = np.median(regions.fullness[index][inlier])
-    if fullness < LEAST_FULLNESS:
+    if fullness < _LEAST_FULLNESS:
         raise ValueError(f"image must show circles, got shapes of fullness {fullness:.3f}, not 1")
     fit, origins = (
-        smooth_parameters(fit[inlier], patches.centers[inlier], SMOOTH),
+        smooth_parameters(fit[inlier], patches.centers[inlier], _SMOOTH),
         patches.centers[inlier],
     )
     points = fit.parameters[:, CENTER] + origins
@@ -133,7 +143,7 @@ def _start(centers: Array, moments: Array) -> Array:
     start = np.zeros((len(centers), 10))
     start[:, CENTER] = centers - np.round(centers)
     start[:, SHAPE] = shape[:, [0, 0, 1], [0, 1, 1]]
-    start[:, BLUR], start[:, CONTRAST] = 1.2, 0.6
+    start[:, BLUR], start[:, CONTRAST] = START_BLUR, START_CONTRAST
     return start
 
 
@@ -146,7 +156,7 @@ def _patches(image: NDArray[np.float32], centers: Array, start: Array) -> Patche
         distance, *_ = _distance(start, x, y)
         return np.abs(distance) <= margin
 
-    patches = cut_patches(image, centers, int(np.ceil(radius * 1.2 + margin)), near)
+    patches = cut_patches(image, centers, int(np.ceil(radius * _HALF_SIDE + margin)), near)
     start[:, GROUND.start] = patches.grey.max(axis=1)
     return patches
 
@@ -159,9 +169,9 @@ def _distance(parameters: Array, x: Array, y: Array) -> tuple[Array, Array, Arra
     a, b, d = (p[:, None] for p in parameters[:, SHAPE].T)
     dx, dy = x - parameters[:, :1], y - parameters[:, 1:2]
     qx, qy = a * dx + b * dy, b * dx + d * dy
-    rho = np.maximum(np.hypot(qx, qy), 1e-9)
+    rho = np.maximum(np.hypot(qx, qy), _AT_CENTER)
     gx, gy = (a * qx + b * qy) / rho, (b * qx + d * qy) / rho
-    steep = np.maximum(np.hypot(gx, gy), 1e-9)
+    steep = np.maximum(np.hypot(gx, gy), _AT_CENTER)
     by_shape = np.stack([qx * dx, qx * dy + qy * dx, qy * dy], axis=-1) / (rho * steep)[..., None]
     return (1 - rho) / steep, gx / steep, gy / steep, by_shape
 
@@ -169,7 +179,7 @@ def _distance(parameters: Array, x: Array, y: Array) -> tuple[Array, Array, Arra
 def _grey_levels(parameters: Array, patches: Patches) -> tuple[Array, Array]:
     """Model of a blurred dark ellipse, and its derivatives."""
     distance, nx, ny, by_shape = _distance(parameters, patches.x, patches.y)
-    blur = np.maximum(np.abs(parameters[:, BLUR, None]), 0.05)
+    blur = np.maximum(np.abs(parameters[:, BLUR, None]), LEAST_BLUR)
     contrast = parameters[:, CONTRAST, None]
     light, by_light = ground(patches, parameters[:, GROUND])
     z = distance / blur
@@ -187,7 +197,7 @@ def _grey_levels(parameters: Array, patches: Patches) -> tuple[Array, Array]:
 def _center_bias(to_image: GridMap, grid: Array, area: Array) -> Array:
     """How far the center of each circle's image lies from the image of its center, px."""
     radius = np.sqrt(np.median(area / (np.pi * to_image.scale(grid))))  # in steps of the grid
-    turn = np.linspace(0, 2 * np.pi, 32, endpoint=False)
+    turn = np.linspace(0, 2 * np.pi, _RIM, endpoint=False)
     rim = to_image(grid[:, None] + radius * np.column_stack([np.cos(turn), np.sin(turn)]))
     return _centroid(rim) - to_image(grid)
 

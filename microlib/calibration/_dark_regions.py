@@ -10,9 +10,22 @@ from numpy.typing import ArrayLike, NDArray
 from skimage.filters import threshold_otsu
 
 from microlib._common import Array, as_image
+from microlib.calibration._detection import FEWEST
 
-#: Smaller components are noise, px.
-SMALLEST = 20
+#: Smaller components are noise, px. SMALLEST_NOTE
+_SMALLEST = 20
+#: Standard deviation of the Gaussian that takes the noise off before thresholding, px.
+#: SMOOTHING_NOTE
+_SMOOTHING = 1.0
+#: How often threshold and light are found in turn. ROUNDS_NOTE
+_ROUNDS = 3
+#: Least light, as a part of the most: where the paraboloid comes out as zero or less, in a corner
+#: without a bright pixel, nothing is divided by it.
+_LEAST_LIGHT = 1e-3
+#: The paraboloid is fitted to every fourth row and column. STRIDE_NOTE
+_STRIDE = 4
+#: Regions of one pattern differ in area by less than this factor from the median. ALIKE_NOTE
+_ALIKE = 4.0
 
 
 @dataclass(frozen=True)
@@ -70,38 +83,37 @@ def find_dark_regions(image: ArrayLike) -> DarkRegions:
     image = as_image("image", image, smallest=16)
     if np.ptp(image) == 0:
         raise ValueError(f"image must show a pattern, got the one grey level {image[0, 0]:g}")
-    smooth: NDArray = cv2.GaussianBlur(image, (0, 0), 1.0)
-    for _ in range(3):
+    smooth: NDArray = cv2.GaussianBlur(image, (0, 0), _SMOOTHING)
+    for _ in range(_ROUNDS):
         threshold = threshold_otsu(smooth)
         light = _paraboloid(smooth, smooth > threshold)
-        smooth = smooth / np.maximum(light, 1e-3 * light.max())
+        smooth = smooth / np.maximum(light, _LEAST_LIGHT * light.max())
     mask = (smooth < threshold_otsu(smooth)).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
     areas = stats[:, cv2.CC_STAT_AREA].astype(np.float64)
     areas[0] = 0  # the ground
-    keep = areas >= SMALLEST
+    keep = areas >= _SMALLEST
     if keep.any():
         middle = np.median(areas[keep])
-        keep &= (areas > middle / 4) & (areas < middle * 4)
-    if keep.sum() < 4:
+        keep &= (areas > middle / _ALIKE) & (areas < middle * _ALIKE)
+    if keep.sum() < FEWEST:
         raise ValueError(f"image must show a pattern, got {int(keep.sum())} dark regions")
     centers, moments = _moments(labels, count)
     return DarkRegions(image, smooth, centers[keep], moments[keep], areas[keep])
 
 
 def _paraboloid(image: NDArray[np.float32], bright: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Second-order surface through the bright pixels, from a sample of every fourth row and
-    column."""
+    """Second-order surface through the bright pixels, from a sample of the rows and columns."""
     height, width = image.shape
     x, y = np.linspace(-1, 1, width), np.linspace(-1, 1, height)
 
     def basis(x: Array, y: Array) -> Array:
         return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
 
-    grid_x, grid_y = np.meshgrid(x[::4], y[::4])
-    chosen = bright[::4, ::4]
+    grid_x, grid_y = np.meshgrid(x[::_STRIDE], y[::_STRIDE])
+    chosen = bright[::_STRIDE, ::_STRIDE]
     solution = np.linalg.lstsq(
-        basis(grid_x[chosen], grid_y[chosen]), image[::4, ::4][chosen], rcond=None
+        basis(grid_x[chosen], grid_y[chosen]), image[::_STRIDE, ::_STRIDE][chosen], rcond=None
     )[0]
     c0, cx, cy, cxx, cxy, cyy = solution
     y = y[:, None]
@@ -120,5 +132,6 @@ def _moments(labels: NDArray, count: int) -> tuple[Array, Array]:
     x, y = total(column) / size, total(row) / size
     dx, dy = column - x[label], row - y[label]
     xx, xy, yy = total(dx * dx) / size, total(dx * dy) / size, total(dy * dy) / size
+    # A pixel is a square, whose second moment is 1/12.
     moments = np.stack([xx, xy, xy, yy], axis=-1).reshape(-1, 2, 2) + np.eye(2) / 12
     return np.column_stack([x, y]), moments

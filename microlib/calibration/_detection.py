@@ -1,4 +1,4 @@
-"""What a detector returns, and what both detectors ask of a fitted outline before they trust it."""
+"""What a detector returns, and what both detectors ask of an outline."""
 
 from __future__ import annotations
 
@@ -10,8 +10,13 @@ from scipy.spatial import cKDTree
 
 from microlib._common import Array
 
-#: Pixels further from an outline than this say little about it, px.
-MARGIN = 7.0
+#: A homography from the grid to the image needs as many shapes.
+FEWEST = 4
+#: Narrowest and widest band around an outline, px. BAND_NOTE
+_NARROWEST, _WIDEST = 2.0, 7.0
+#: Most residual, least contrast and most uncertainty of an outline, in medians of all.
+#: INLIER_NOTE
+_MOST_RMS, _LEAST_CONTRAST, _MOST_SIGMA = 3.0, 0.5, 5.0
 
 
 @dataclass(frozen=True)
@@ -58,7 +63,7 @@ def band_half_width(centers: Array, radius: float) -> float:
     4.0
     """
     distance, _ = cKDTree(centers).query(centers, k=2)
-    return float(np.clip(np.median(distance[:, 1]) / 2 - radius, 2.0, MARGIN))
+    return float(np.clip(np.median(distance[:, 1]) / 2 - radius, _NARROWEST, _WIDEST))
 
 
 def find_inliers(
@@ -104,7 +109,7 @@ def find_inliers(
         return good
     return (
         good
-        & (rms <= 3 * np.median(rms[good]))
-        & (contrast > np.median(contrast[good]) / 2)
-        & (sigma <= 5 * np.median(sigma[good]))
+        & (rms <= _MOST_RMS * np.median(rms[good]))
+        & (contrast > _LEAST_CONTRAST * np.median(contrast[good]))
+        & (sigma <= _MOST_SIGMA * np.median(sigma[good]))
     )

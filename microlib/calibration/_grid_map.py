@@ -16,6 +16,12 @@ from scipy.optimize import least_squares
 from microlib._common import Array
 from microlib.microscope import distort
 
+#: Step of the central differences, in cells: their error is its square, 1e-6 of what the scale
+#: changes by from cell to cell, and rounding makes 1e-12 of it.
+_STEP = 1e-3
+#: The nine numbers of a homography with distortion have freedom left from six points on.
+_FEWEST_FOR_DISTORTION = 6
+
 
 @dataclass(frozen=True)
 class GridMap:
@@ -46,8 +52,7 @@ class GridMap:
 
     def scale(self, grid: Array) -> Array:
         """Area in the image of one cell of the grid around each of the coordinates, px²."""
-        small = 1e-3
-        steps = [(self(grid + s) - self(grid - s)) / (2 * small) for s in small * np.eye(2)]
+        steps = [(self(grid + s) - self(grid - s)) / (2 * _STEP) for s in _STEP * np.eye(2)]
         return np.abs(np.linalg.det(np.stack(steps, axis=-1)))
 
 
@@ -73,6 +78,6 @@ def fit_grid_map(points: Array, grid: Array, image_shape: tuple[int, ...]) -> Gr
         distortion = float(p[8]) if len(p) > 8 else 0.0
         return GridMap(np.append(p[:8], 1.0).reshape(3, 3), distortion, middle, unit)
 
-    start = np.append(start, 0.0) if len(points) >= 6 else start
+    start = np.append(start, 0.0) if len(points) >= _FEWEST_FOR_DISTORTION else start
     best = least_squares(lambda p: (build(p)(grid) - points).ravel(), start, x_scale="jac")
     return build(best.x)

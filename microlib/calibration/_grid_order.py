@@ -9,9 +9,21 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from microlib._common import Array, as_array
+from microlib.calibration._detection import FEWEST
 
 #: A neighbor is accepted within this part of a step from where the step before predicts it.
-REACH = 0.25
+#: REACH_NOTE
+_REACH = 0.25
+#: Two differences are votes for one step if they are this near each other, as a part of it.
+#: VOTE_NOTE
+_ALIKE = 0.15
+#: Least angle between the two steps, rad: between the 90° of a lattice seen from the front and
+#: the 45° of its diagonals.
+_LEAST_ANGLE = np.deg2rad(55)
+#: Each point has four neighbors in a lattice, and itself.
+_NEAR = 5
+#: The quadratic map has six coefficients for each coordinate; it is used with twice as many points.
+_FEWEST_FOR_MAP = 12
 
 
 def order_grid(
@@ -54,11 +66,11 @@ def order_grid(
     ([0, 1, 2, 3], [[0, 0], [1, 0], [0, 1], [1, 1]])
     """
     points = as_array("points", points, shape=(None, 2))
-    if len(points) < 4:
-        raise ValueError(f"points must be at least 4 to show a lattice, got {len(points)}")
+    if len(points) < FEWEST:
+        raise ValueError(f"points must be at least {FEWEST} to show a lattice, got {len(points)}")
     steps = _basis(points)
     index, grid = _attach(points, *_grow(points, steps))
-    if len(index) < 4 or np.linalg.matrix_rank(grid - grid.mean(axis=0)) < 2:
+    if len(index) < FEWEST or np.linalg.matrix_rank(grid - grid.mean(axis=0)) < 2:
         raise ValueError(f"points must show a lattice, got {len(points)} that do not")
     axes = _axes(points[index], grid, direction, mirrored)
     grid = grid @ axes
@@ -69,7 +81,7 @@ def order_grid(
 def _basis(points: Array) -> Array:
     """Two steps of the lattice: the differences between near neighbors that most others
     resemble."""
-    near = min(5, len(points))
+    near = min(_NEAR, len(points))
     _, neighbor = cKDTree(points).query(points, k=near)
     vectors = (points[neighbor[:, 1:]] - points[:, None]).reshape(-1, 2)
     vectors = np.concatenate([vectors, -vectors])
@@ -79,14 +91,14 @@ def _basis(points: Array) -> Array:
     tree = cKDTree(vectors)
 
     def densest(among: NDArray[np.intp]) -> Array:
-        reach = 0.15 * length[among]
+        reach = _ALIKE * length[among]
         votes = tree.query_ball_point(vectors[among], reach, return_length=True)
         winner = among[np.argmax(votes)]
-        return vectors[tree.query_ball_point(vectors[winner], 0.15 * length[winner])].mean(axis=0)
+        return vectors[tree.query_ball_point(vectors[winner], _ALIKE * length[winner])].mean(axis=0)
 
     first = densest(np.arange(len(vectors)))
     cosine = np.abs(vectors @ first) / (length * np.hypot(*first))
-    across = np.flatnonzero(cosine < np.cos(np.deg2rad(55)))
+    across = np.flatnonzero(cosine < np.cos(_LEAST_ANGLE))
     if len(across) == 0:
         raise ValueError("points must show a lattice, got points on one line")
     return np.stack([first, densest(across)])
@@ -121,7 +133,7 @@ def _grow_from(seed: int, points: Array, tree: cKDTree, steps: Array) -> dict[tu
                 if target in found:
                     continue
                 distance, index = tree.query(here + sign * local[axis])
-                if distance > REACH * np.hypot(*local[axis]) or int(index) in taken:
+                if distance > _REACH * np.hypot(*local[axis]) or int(index) in taken:
                     continue
                 following = local.copy()
                 following[axis] = (local[axis] + sign * (points[index] - here)) / 2
@@ -137,7 +149,7 @@ def _attach(
     """Add the points beyond holes: a quadratic map from the image to the lattice finds their
     place."""
     rest = np.setdiff1d(np.arange(len(points)), index)
-    if len(index) < 12 or len(rest) == 0:
+    if len(index) < _FEWEST_FOR_MAP or len(rest) == 0:
         return index, grid
     center, size = points[index].mean(axis=0), np.ptp(points[index])
     x, y = ((points - center) / size).T
@@ -145,7 +157,7 @@ def _attach(
     place = basis[rest] @ np.linalg.lstsq(basis[index], grid, rcond=None)[0]
     cell = np.round(place).astype(np.intp)
     taken = set(map(tuple, grid.tolist()))
-    for k in np.flatnonzero(np.hypot(*(place - cell).T) < REACH / 2):
+    for k in np.flatnonzero(np.hypot(*(place - cell).T) < _REACH / 2):
         if tuple(cell[k].tolist()) not in taken:
             taken.add(tuple(cell[k].tolist()))
             index, grid = np.append(index, rest[k]), np.vstack([grid, cell[k]])

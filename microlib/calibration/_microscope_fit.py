@@ -16,6 +16,18 @@ from microlib.microscope import Microscope, euler_rotation
 NAMES = ("magnification", "focal_length", "distortion", "alpha", "beta", "gamma", "tx", "ty")
 
 
+#: Median of the absolute values to standard deviation, for normal errors.
+_TO_SIGMA = 1.4826
+#: Huber's bound in standard deviations, at which normal errors cost 5 % of efficiency.
+_HUBER = 1.345
+#: Exact data have no scale; then Huber's bound is held here, px.
+_LEAST_SCALE = 1e-9
+#: How often the scale is taken anew from the residuals. RESCALE_NOTE
+_RESCALED = 2
+#: Relative changes at which the search ends: as far as rounding lets it come.
+_TOLERANCE = 1e-15
+
+
 @dataclass(frozen=True)
 class Minimum:
     """One minimum: parameters (M, 1/f, κ, α, β, γ, T_x, T_y), cost, and the loss' scale in px (inf:
@@ -50,12 +62,12 @@ class Problem:
         return by
 
     def fit(self, start: Array, loss: str) -> Minimum:
-        """Least squares; for Huber's loss twice more, its scale taken from the residuals before."""
+        """Least squares; for Huber's loss once more for each new scale from the residuals."""
         fit = self._minimize(start, np.inf)
         if loss == "huber":
-            for _ in range(2):
-                spread = 1.4826 * np.median(np.abs(self.residuals(fit.theta)))
-                fit = self._minimize(fit.theta, max(1.345 * spread, 1e-9))
+            for _ in range(_RESCALED):
+                spread = _TO_SIGMA * np.median(np.abs(self.residuals(fit.theta)))
+                fit = self._minimize(fit.theta, max(_HUBER * spread, _LEAST_SCALE))
         return fit
 
     def _minimize(self, start: Array, scale: float) -> Minimum:
@@ -73,9 +85,9 @@ class Problem:
             x_scale="jac",
             loss="huber" if robust else "linear",
             f_scale=scale if robust else 1.0,
-            ftol=1e-15,
-            xtol=1e-15,
-            gtol=1e-15,
+            ftol=_TOLERANCE,
+            xtol=_TOLERANCE,
+            gtol=_TOLERANCE,
         )
         theta = full(solution.x)
         if theta[1] < 0:  # the same image, seen with the tilt turned over
@@ -91,17 +103,17 @@ class Problem:
         """
         residuals, jacobian = self.residuals(fit.theta), self.jacobian(fit.theta)[:, self.free]
         score = np.clip(residuals, -fit.scale, fit.scale)
-        # What Huber's loss keeps of the curvature.
-        bent = float(np.mean(np.abs(residuals) < fit.scale))
-        inverse = inverse_normal(jacobian) / bent
+        # Mean second derivative of Huber's loss.
+        kept = float(np.mean(np.abs(residuals) < fit.scale))
+        inverse = inverse_normal(jacobian) / kept
         freedom = len(residuals) - len(self.free)
         if groups is None:
-            return inverse * float(score @ score) / freedom / bent, freedom
+            return inverse * float(score @ score) / freedom / kept, freedom
         finite = np.where(np.isfinite(inverse), inverse, 0.0)
         members = [np.flatnonzero(groups.repeat(2) == g) for g in np.unique(groups)]
         totals = []
         for m in members:
-            leverage = bent * jacobian[m] @ finite @ jacobian[m].T
+            leverage = kept * jacobian[m] @ finite @ jacobian[m].T
             totals.append(jacobian[m].T @ np.linalg.solve(np.eye(len(m)) - leverage, score[m]))
         spread = finite @ np.transpose(totals)
         shrink = (len(members) - 1) / len(members)

@@ -20,8 +20,20 @@ from microlib._common import Array
 #: From parameters (n, p) to grey levels (n, k) and their derivatives (n, k, p).
 Model = Callable[[Array], tuple[Array, Array]]
 
-#: Marquardt's own first damping, of the normal matrix' diagonal, and his factor of ten.
-FIRST_DAMPING = 1e-3
+#: Where a fit starts: blur, px, and contrast as a part of the ground. START_NOTE
+START_BLUR, START_CONTRAST = 1.2, 0.6
+#: Least blur of a model, px: a sharper edge is a step between two pixels and has no derivative.
+LEAST_BLUR = 0.05
+#: First damping, of the normal matrix' diagonal; tenfold after a refused step, a tenth after a good
+#: one. DAMPING_NOTE
+_FIRST_DAMPING, _FACTOR = 1e-3, 10.0
+#: A parameter without any effect has at least this on the diagonal, so that it stays where it is.
+_NO_EFFECT = 1e-12
+#: An eigenvalue of a matrix of unit diagonal below this is none; rounding makes 1e-15 of it.
+_SINGULAR = 1e-12
+#: A parameter is not shared if its misfit, 1 ± √(2/freedom) by chance, is so many of these
+#: deviations above 1. ROUGH_NOTE
+_ROUGH = 6.0
 
 
 @dataclass(frozen=True)
@@ -135,7 +147,7 @@ def fit_outlines(
         alone; its covariance is NaN.
     """
     best = start.copy()
-    damping = np.full(len(start), FIRST_DAMPING)
+    damping = np.full(len(start), _FIRST_DAMPING)
     grey, jacobian = model(best)
     residual = (patches.grey - grey) * patches.weight
     cost = (residual**2).sum(axis=1)
@@ -144,8 +156,7 @@ def fit_outlines(
         normal = weighted.transpose(0, 2, 1) @ weighted
         gradient = (weighted.transpose(0, 2, 1) @ residual[..., None])[..., 0]
         damped = normal.copy()
-        # A parameter without any effect is damped too, so that it stays where it is.
-        diagonal = np.maximum(np.einsum("npp->np", normal), 1e-12)
+        diagonal = np.maximum(np.einsum("npp->np", normal), _NO_EFFECT)
         np.einsum("npp->np", damped)[...] += damping[:, None] * diagonal
         trial = best + (_invert(damped) @ gradient[..., None])[..., 0]
         trial_grey, trial_jacobian = model(trial)
@@ -160,7 +171,7 @@ def fit_outlines(
         residual = np.where(pick, trial_residual, residual)
         jacobian = np.where(pick[..., None], trial_jacobian, jacobian)
         cost = np.where(better, trial_cost, cost)
-        damping = np.where(better, damping / 10, damping * 10)
+        damping = np.where(better, damping / _FACTOR, damping * _FACTOR)
         if not moving.any():
             break
     weighted = jacobian * patches.weight[..., None]
@@ -183,6 +194,7 @@ def smooth_parameters(fit: OutlineFit, centers: Array, columns: list[int]) -> Ou
     been known. A column whose values lie further from the polynomial than their errors explain is
     not shared.
     """
+    # At least twice as many outlines as the polynomial has coefficients.
     degree = 2 if len(centers) >= 12 else 1 if len(centers) >= 6 else 0
     if degree == 0:
         return fit
@@ -193,8 +205,7 @@ def smooth_parameters(fit: OutlineFit, centers: Array, columns: list[int]) -> Ou
     smooth = basis @ (inverse @ fit.parameters)
     variance = np.einsum("npp->np", fit.covariance)
     misfit = ((fit.parameters - smooth) ** 2 / variance).sum(axis=0) / freedom
-    # Chance alone spreads the misfit by √(2/freedom) around 1; six times that is no chance.
-    columns = [k for k in columns if misfit[k] < 1 + 6 * np.sqrt(2 / freedom)]
+    columns = [k for k in columns if misfit[k] < 1 + _ROUGH * np.sqrt(2 / freedom)]
     if not columns:
         return fit
     across = fit.covariance[:, :, columns]
@@ -217,6 +228,6 @@ def _invert(matrices: Array) -> Array:
     unit = matrices / scale[:, :, None] / scale[:, None, :]
     values, vectors = np.linalg.eigh(np.where(np.isfinite(unit), unit, 0.0))
     with np.errstate(divide="ignore"):
-        inverse = np.where(values > 1e-12, 1 / values, np.nan)
+        inverse = np.where(values > _SINGULAR, 1 / values, np.nan)
     out = (vectors * inverse[:, None, :]) @ vectors.transpose(0, 2, 1)
     return out / scale[:, :, None] / scale[:, None, :]

@@ -8,6 +8,10 @@ from numpy.typing import ArrayLike
 
 from microlib._common import Array, as_array, same_length
 
+#: A singular value below this part of the largest is rounding: the points determine no pose, or
+#: no depths tell the convergence.
+_DEGENERATE = 1e-9
+
 
 def radial_alignment(world: ArrayLike, sensor: ArrayLike) -> Array:
     """Pose of a plane pattern from directions in the image alone.
@@ -58,7 +62,7 @@ def radial_alignment(world: ArrayLike, sensor: ArrayLike) -> Array:
     (x, y), (u, v) = ((world - center) / scale).T, (sensor / (np.abs(sensor).max() or 1.0)).T
     rows = np.column_stack([-v * x, -v * y, -v, u * x, u * y, u])
     singular, directions = np.linalg.svd(rows)[1:]
-    if len(world) < 5 or not singular[4] > 1e-9 * singular[0]:
+    if len(world) < 5 or not singular[4] > _DEGENERATE * singular[0]:
         raise ValueError(
             f"world and sensor must determine a pose, got {len(world)} degenerate points"
         )
@@ -123,4 +127,4 @@ def linear_intrinsics(flat: ArrayLike, depth: ArrayLike, sensor: ArrayLike) -> A
     rows = np.stack([flat, -sensor * radius2, -sensor * depth[:, None]], axis=-1).reshape(-1, 3)
     scale = np.linalg.norm(rows, axis=0)
     scale[scale == 0] = 1.0
-    return np.linalg.lstsq(rows / scale, sensor.ravel(), rcond=1e-9)[0] / scale
+    return np.linalg.lstsq(rows / scale, sensor.ravel(), rcond=_DEGENERATE)[0] / scale

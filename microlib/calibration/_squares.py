@@ -10,10 +10,13 @@ from scipy.special import ndtr
 
 from microlib._common import Array
 from microlib.calibration._dark_regions import DarkRegions, find_dark_regions
-from microlib.calibration._detection import Detection, band_half_width, find_inliers
+from microlib.calibration._detection import FEWEST, Detection, band_half_width, find_inliers
 from microlib.calibration._grid_map import GridMap, fit_grid_map
 from microlib.calibration._grid_order import order_grid
 from microlib.calibration._outline_fit import (
+    LEAST_BLUR,
+    START_BLUR,
+    START_CONTRAST,
     OutlineFit,
     Patches,
     cut_patches,
@@ -27,10 +30,24 @@ from microlib.calibration._outline_fit import (
 ANGLE, OFFSET, BLUR, CONTRAST, GROUND = slice(0, 4), slice(4, 8), 8, 9, slice(10, 13)
 # What varies smoothly across the image: directions of the sides, blur, contrast, slope of the
 # ground.
-SMOOTH = [0, 1, 2, 3, 8, 9, 11, 12]
+_SMOOTH = [0, 1, 2, 3, 8, 9, 11, 12]
 #: Squares have a fullness of 0.955, up to 0.991 where blur of a fifth of a side rounds them;
 #: circles of 7 px radius have 0.994 and larger ones more.
-MOST_FULLNESS = 0.9925
+_MOST_FULLNESS = 0.9925
+#: Reach of the window of Sobel edges around a square's center, in sides: half a diagonal is 0.71;
+#: and two pixels more for the blur.
+_WINDOW, _WINDOW_MARGIN = 0.75, 2
+#: Least gradient of an edge pixel, as a part of the greatest. GRADIENT_NOTE
+_LEAST_GRADIENT = 0.3
+#: Edge pixels are linked to a side if the cosine of their direction to it exceeds this (26°).
+#: LINK_NOTE
+_LIKE_DIRECTION = 0.9
+#: Sine of the angle below which two lines are parallel.
+_PARALLEL = 1e-9
+#: Half the side of a patch in sides, without the band: half a diagonal and a tenth for the tilt.
+_HALF_SIDE = 0.8
+#: Places along a side at which its bend by the distortion is taken. PLACES_NOTE
+_PLACES = 9
 
 
 def detect_squares(
@@ -94,15 +111,15 @@ def detect_squares(
         fit.parameters[:, CONTRAST],
         sigma.max(axis=1),
     )
-    if inlier.sum() < 4:
+    if inlier.sum() < FEWEST:
         raise ValueError(f"image must show a grid of squares, got {int(inlier.sum())} whole ones")
     fullness = np.median(regions.fullness[index][inlier])
-    if fullness > MOST_FULLNESS:
+    if fullness > _MOST_FULLNESS:
         raise ValueError(
             f"image must show squares, got shapes of fullness {fullness:.3f}, not 0.955"
         )
     origins = patches.centers[inlier]
-    corners, sigma = _corners(smooth_parameters(_untangle(fit[inlier]), origins, SMOOTH), origins)
+    corners, sigma = _corners(smooth_parameters(_untangle(fit[inlier]), origins, _SMOOTH), origins)
     grid = _corner_grid(corners, grid[inlier] - grid[inlier].min(axis=0))
     flat = grid.reshape(-1, 2).astype(np.float64)
     to_image = fit_grid_map(corners.reshape(-1, 2), flat, regions.image.shape)
@@ -117,7 +134,7 @@ def _start(regions: DarkRegions, index: NDArray[np.intp]) -> Array:
     gx = cv2.Sobel(regions.smooth, cv2.CV_32F, 1, 0, ksize=3)
     gy = cv2.Sobel(regions.smooth, cv2.CV_32F, 0, 1, ksize=3)
     start = np.zeros((len(index), 13))
-    start[:, BLUR], start[:, CONTRAST] = 1.2, 0.6
+    start[:, BLUR], start[:, CONTRAST] = START_BLUR, START_CONTRAST
     sides = np.sqrt(regions.areas[index])
     for out, center, side in zip(start, regions.centers[index], sides, strict=True):
         lines = _sobel_lines(gx, gy, center, side)
@@ -129,7 +146,7 @@ def _sobel_lines(gx: NDArray, gy: NDArray, center: Array, side: float) -> tuple[
     """Outward normals' angles and distances from the rounded center of the four lines of one
     square."""
     origin = np.round(center).astype(int)
-    half = int(np.ceil(0.75 * side)) + 2
+    half = int(np.ceil(_WINDOW * side)) + _WINDOW_MARGIN
     rows = slice(max(origin[1] - half, 0), origin[1] + half + 1)
     columns = slice(max(origin[0] - half, 0), origin[0] + half + 1)
     row, column = np.mgrid[rows, columns][:, : gx[rows].shape[0], : gx[:, columns].shape[1]]
@@ -138,15 +155,19 @@ def _sobel_lines(gx: NDArray, gy: NDArray, center: Array, side: float) -> tuple[
     strength = np.hypot(u, v)
     # An edge pixel of this square has its gradient pointing away from it; its neighbors' point
     # back.
-    strong = (strength > 0.3 * strength.max()) & (u * x + v * y > 0) & (np.hypot(x, y) < side)
+    strong = (
+        (strength > _LEAST_GRADIENT * strength.max())
+        & (u * x + v * y > 0)
+        & (np.hypot(x, y) < side)
+    )
     x, y, u, v, weight = x[strong], y[strong], u[strong], v[strong], strength[strong] ** 2
     # The four directions are one direction when their angle is taken four times.
     first = np.angle((weight * np.exp(4j * np.arctan2(v, u))).sum()) / 4
     angles, offsets = first + np.arange(4) * np.pi / 2, np.empty(4)
     for k, angle in enumerate(angles.copy()):
         along = np.cos(angle) * u + np.sin(angle) * v
-        link = along > 0.9 * np.hypot(u, v)
-        if link.sum() < 3:
+        link = along > _LIKE_DIRECTION * np.hypot(u, v)
+        if link.sum() < 3:  # no line; the fit to the grey levels decides
             offsets[k] = side / 2
             continue
         w, points = weight[link], np.column_stack([x, y])[link].astype(np.float64)
@@ -167,7 +188,7 @@ def _patches(image: NDArray[np.float32], centers: Array, start: Array) -> Patche
     def near(x: Array, y: Array) -> NDArray[np.bool_]:
         return np.abs(_distances(start, x, y).min(axis=-1)) <= margin
 
-    patches = cut_patches(image, centers, int(np.ceil(side * 0.8 + margin)), near)
+    patches = cut_patches(image, centers, int(np.ceil(side * _HALF_SIDE + margin)), near)
     start[:, GROUND.start] = patches.grey.max(axis=1)
     return patches
 
@@ -182,7 +203,7 @@ def _distances(parameters: Array, x: Array, y: Array) -> Array:
 def _grey_levels(parameters: Array, patches: Patches) -> tuple[Array, Array]:
     """Model of a blurred dark quadrilateral, and its derivatives."""
     x, y = patches.x, patches.y
-    blur = np.maximum(np.abs(parameters[:, BLUR, None, None]), 0.05)
+    blur = np.maximum(np.abs(parameters[:, BLUR, None, None]), LEAST_BLUR)
     contrast = parameters[:, CONTRAST, None]
     light, by_light = ground(patches, parameters[:, GROUND])
     z = _distances(parameters, x, y) / blur
@@ -241,7 +262,7 @@ def _inverse(matrices: Array) -> Array:
     """Inverse of 2×2 matrices; NaN where two lines are parallel."""
     (a, b), (c, d) = np.moveaxis(matrices, (1, 2), (0, 1))
     det = a * d - b * c
-    det = np.where(np.abs(det) > 1e-9, det, np.nan)
+    det = np.where(np.abs(det) > _PARALLEL, det, np.nan)
     return np.moveaxis(np.array([[d, -b], [-c, a]]) / det, (0, 1), (1, 2))
 
 
@@ -259,7 +280,7 @@ def _corner_bias(to_image: GridMap, grid: Array) -> Array:
     """How far straight lines through distorted sides cross from the images of the corners, (n, 4,
     2), px."""
     first, last = grid[:, :, None], np.roll(grid, -1, axis=1)[:, :, None]
-    sides = to_image(first + (last - first) * np.linspace(0, 1, 9)[:, None])  # (n, 4, 9, 2)
+    sides = to_image(first + (last - first) * np.linspace(0, 1, _PLACES)[:, None])  # (n, 4, 9, 2)
     middle = sides.mean(axis=2)
     offset = sides - middle[:, :, None]
     spread = offset.swapaxes(-1, -2) @ offset

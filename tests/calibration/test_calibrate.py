@@ -11,6 +11,7 @@ import pytest
 import sympy as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import t as student
 
 from compendium import thesis
 from compendium.ledger import claim
@@ -22,6 +23,7 @@ from microlib.calibration import (
     linear_intrinsics,
     radial_alignment,
 )
+from microlib.calibration._calibrate import ErrorSummary
 from microlib.calibration._microscope_fit import Problem
 from microlib.microscope import Microscope
 from microlib.synthetic import ImagingConditions, render_circles, render_squares
@@ -360,6 +362,64 @@ def test_reprojection_in_pixels_and_on_the_plane():
     distance = np.hypot(*found.residuals.T)
     assert found.reprojection.std == pytest.approx(distance.std())
     assert found.reprojection.max == pytest.approx(distance.max())
+
+
+def test_the_weakest_direction_is_that_of_the_smallest_singular_value():
+    """Of the Jacobian in the estimated parameters; the pattern almost without tilt."""
+    scope = scope_with(0.5, 0.4)
+    world = grid_in_view(scope)
+    found = next(iter(repeat(scope, world, 1, focal_length=F)))
+    jacobian = found.microscope.jacobian(world, ("magnification", *POSE)).reshape(-1, 7)
+    scaled = jacobian / np.linalg.norm(jacobian, axis=0)
+    values, vectors = np.linalg.eigh(scaled.T @ scaled)
+    # In focus, M also changes the perspective a little: 4e-6 of the condition here.
+    assert found.condition == pytest.approx(np.sqrt(values[-1] / values[0]), rel=1e-4)
+    assert abs(found.weakest @ vectors[:, 0]) == pytest.approx(1, abs=1e-4)
+    assert found.parameters == ("magnification", *POSE)
+
+
+def test_an_error_summary_is_of_distances():
+    summary = ErrorSummary.of(np.array([[3.0, 4.0], [0.0, 1.0], [-8.0, 6.0]]))
+    distances = np.array([5.0, 1.0, 10.0])
+    assert summary.mean == pytest.approx(distances.mean())
+    assert summary.std == pytest.approx(distances.std())
+    assert summary.max == 10
+    assert summary.rms == pytest.approx(np.sqrt(126 / 3))
+
+
+def test_an_interval_is_that_of_the_inverse_of_the_focal_length():
+    """1/f ± t σ(1/f), turned over; the others straight; both widen with the level."""
+    scope = scope_with(10, 170)
+    world = grid_in_view(scope)
+    found = next(iter(repeat(scope, world, 1)))
+    quantile = student.ppf(0.95, 2 * len(world) - 8)
+    assert found.freedom == 2 * len(world) - 8
+    f, sigma = found.microscope.focal_length, found.sigma["focal_length"]
+    low, high = found.interval("focal_length", 0.9)
+    assert 1 / low == pytest.approx(1 / f + quantile * sigma / f**2, rel=1e-12)
+    assert 1 / high == pytest.approx(1 / f - quantile * sigma / f**2, rel=1e-12)
+    low, high = found.interval("alpha", 0.9)
+    assert (low + high) / 2 == pytest.approx(found.microscope.alpha, rel=1e-12)
+    assert (high - low) / 2 == pytest.approx(quantile * found.sigma["alpha"], rel=1e-9)
+
+
+def test_what_is_not_observable_has_no_covariance():
+    scope = scope_with(0, 180)
+    found = calibrate(grid_in_view(scope), scope.project(grid_in_view(scope)), **SENSOR)
+    lost = np.isin(found.parameters, found.unobservable)
+    assert found.interval("focal_length") == (-np.inf, np.inf)
+    assert np.isinf(found.covariance[lost, lost]).all()
+    beside = np.outer(lost, ~lost)
+    assert np.isnan(found.covariance[beside]).all()
+    assert np.isfinite(found.covariance[np.ix_(~lost, ~lost)]).all()
+
+
+def test_angles_are_counted_from_minus_to_plus_half_a_turn():
+    scope = scope_with(5, 176, alpha=3.1)
+    world = grid_in_view(scope)
+    found = calibrate(world, scope.project(world), focal_length=F, **SENSOR).microscope
+    angles = np.array([found.alpha, found.beta, found.gamma])
+    np.testing.assert_allclose(angles, [3.1, 5 * DEGREE, 176 * DEGREE], atol=1e-7)
 
 
 def test_group_covariance_is_the_jackknife():

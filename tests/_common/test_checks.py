@@ -1,0 +1,62 @@
+"""Argument checks: what passes unchanged, and that a refusal names the argument and what came."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from microlib._common import as_array, as_image, between, one_of, positive, same_length, whole
+
+
+def test_what_is_right_passes():
+    array = np.arange(6.0).reshape(2, 3)
+    assert as_array("x", array, shape=(None, 3)) is array
+    assert as_array("x", [True, False]).tolist() == [1.0, 0.0]
+    assert np.isnan(as_array("x", [np.nan], finite=False)).all()
+    assert as_image("x", np.zeros((3, 4), np.uint8), smallest=3).dtype == np.float32
+    assert between("x", [0.0, 1.0], 0, 1, closed=True).tolist() == [0.0, 1.0]
+    assert positive("x", [0.0, 2.0], zero=True).tolist() == [0.0, 2.0]
+    assert whole("x", np.int64(3), least=3, odd=True) == 3
+    assert one_of("x", "b", ("a", "b")) == "b"
+    same_length(("x", "y"), np.zeros((2, 3)), np.zeros(2))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: as_array("x", "ab"), "x must hold real numbers, got str"),
+        (lambda: as_array("x", np.array([1j])), "x must hold real numbers, got complex128"),
+        (lambda: as_array("x", [[1.0], [1.0, 2.0]]), "x must hold real numbers, got list"),
+        (
+            lambda: as_array("x", [1.0], shape=(None, 2)),
+            r"x must have shape \(any, 2\), got \(1,\)",
+        ),
+        (lambda: as_array("x", np.zeros((2, 3)), shape=(2, 2)), r"\(2, 2\), got \(2, 3\)"),
+        (lambda: as_array("x", np.zeros((0, 2))), r"x must not be empty, got shape \(0, 2\)"),
+        (
+            lambda: as_array("x", [1, np.nan, np.inf]),
+            "x must be finite, got 2 NaN or infinite of 3",
+        ),
+        (lambda: as_image("x", np.zeros((2, 2, 3))), "x must be a grey image .* got 3"),
+        (
+            lambda: as_image("x", np.zeros((9, 3)), smallest=4),
+            r"x must be at least 4 px .*\(9, 3\)",
+        ),
+        (lambda: between("x", [0.5, 1.0], 0, 1), r"x must lie in \(0, 1\), got 1"),
+        (lambda: between("x", [0.5, 0.0], 0, 1), r"x must lie in \(0, 1\), got 0"),
+        (lambda: between("x", 1.5, 0, 1, closed=True), r"x must lie in \[0, 1\], got 1.5"),
+        (lambda: between("x", -0.5, 0, 1, closed=True), r"x must lie in \[0, 1\], got -0.5"),
+        (lambda: positive("x", [1.0, 0.0]), "x must be positive, got 0"),
+        (lambda: positive("x", -1.0, zero=True), "x must be zero or positive, got -1"),
+        (lambda: whole("x", 2.0, least=1), r"x must be a whole number, got 2\.0"),
+        (lambda: whole("x", True, least=1), "x must be a whole number, got True"),
+        (lambda: whole("x", 2, least=3), "x must be a whole number of at least 3, got 2"),
+        (lambda: whole("x", 4, least=3, odd=True), "an odd whole number of at least 3, got 4"),
+        (lambda: one_of("x", "c", ("a", "b")), "x must be one of a, b, got 'c'"),
+        (lambda: one_of("x", 1, ("a", "b")), "x must be one of a, b, got 1"),
+        (lambda: same_length(("x", "y"), np.zeros(2), np.zeros(3)), "x and y .* got 2 and 3"),
+    ],
+)
+def test_a_refusal_says_what_is_wrong(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
