@@ -19,7 +19,7 @@ from microlib.membrane._state import MembraneState, gauss_points, reintegration_
 __all__ = ["CapsuleModulus", "capsule_modulus", "indent_capsule"]
 
 _NODES = 40
-_MOST_NODES = 3000
+_MOST_NODES = 1500
 # Relative residual of the collocation: the depth is then good to about 1e-8.
 _TOLERANCE = 1e-6
 # Enough to see whether the middle of the plate is slack.

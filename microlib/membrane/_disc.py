@@ -7,7 +7,7 @@ its equilibrium is solved as it stands.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from microlib.membrane._state import MembraneState, gauss_points, reintegration_
 __all__ = ["disc_modulus", "indent_disc"]
 
 _NODES = 60
-_MOST_NODES = 6000
+_MOST_NODES = 3000
 # Relative residual of the collocation; the depth is then good to about 1e-9.
 _TOLERANCE = 1e-8
 # What two independent checks of a solution may leave.
@@ -41,16 +41,21 @@ class _Disc:
     initial: float  # stretch before the probe
     inner: float  # undeformed radius of the probe's edge
     outer: float  # undeformed radius of the rim
+    unit: float  # E h a in µN, for messages
 
     @property
     def scales(self) -> tuple[float, float, float]:
         """Sizes of the displacement, of the horizontal force and of the height."""
         load = self.force + np.pi * self.pressure
-        stretch = max(self.initial - 1, abs(self.outer * self.initial - 1))
-        slope = max(load ** (1 / 3), 1e-12)
-        start = np.array(self.initial)
-        tension = max(float(self.law.stress(start, start)[0]), slope**2)
-        return max(slope**2, stretch), tension, max(load / tension, 1e-12)
+        rim = 1 / self.outer  # the stretch that the edges alone would give
+        height = max(load ** (1 / 3), 1e-12)
+        if rim < 1:
+            # A slack disc hangs as deep as its meridians are long, however small the force.
+            height += np.sqrt(self.outer**2 - 1)
+        even = np.array(max(rim, 1.0))
+        tension = float(self.law.stress(even, even)[0]) + load / height
+        # Below 1e-8 rounding would be resolved.
+        return max(height**2, abs(self.initial - rim), 1e-8), tension, load / tension + 1e-12
 
     def material(self, t: Array) -> Array:
         """Undeformed radius, graded towards the probe as the logarithm of the dimple is."""
@@ -223,18 +228,23 @@ def indent_disc(
     outer = 1 / (initial * (1 - inset))
     if outer <= 1.01 * c / a / initial:
         raise ValueError(f"probe_half_width must leave a membrane to its rim, got {c:g} of {a:g}")
+    unit = stiffness * h * a
     problem = _Disc(
         law=law_of(law, poisson_ratio),
-        force=load / (stiffness * h * a),
+        force=load / unit,
         pressure=below * a / (stiffness * h),
         initial=initial,
         inner=c / a / initial,
         outer=outer,
+        unit=unit,
     )
-    if load == 0 and below == 0 and initial * (1 - inset) <= 1:
-        if initial == 1 and inset == 0:
+    if load == 0 and below == 0:
+        if inset == 0:
             return _flat(problem, stiffness, a, h)
-        raise ValueError(f"force must be positive where rim_inset {inset:g} leaves a slack disc")
+        if initial * (1 - inset) <= 1:
+            raise ValueError(
+                f"force must be positive where rim_inset {inset:g} leaves a slack disc, got 0"
+            )
     solution = _solve(problem)
     return _state(problem, solution, stiffness, a, h)
 
@@ -315,16 +325,15 @@ def disc_modulus(
 def _bracket(excess: Any, start: float, depth: float) -> tuple[float, float]:
     """Return log moduli of a deeper and of a shallower dimple than the one measured."""
     above = start
-    for _ in range(25):
-        value = excess(above)
-        if value <= 0:
-            break
-        above += 1.0
-    else:
+    try:
+        while excess(above) > 0:
+            above += 1.0
+            if above > start + 12:
+                raise ValueError("the stiffest membrane tried hangs deeper")
+    except ValueError as reason:
         raise ValueError(
-            f"depth must be one that a stiff membrane exceeds not, got {depth:g}: "
-            "rim_inset alone makes it deeper"
-        )
+            f"depth must be one that some modulus gives, got {depth:g} µm: {reason}"
+        ) from None
     below = above
     for _ in range(25):
         below -= 1.0
@@ -333,7 +342,10 @@ def _bracket(excess: Any, start: float, depth: float) -> tuple[float, float]:
                 return below, below + 1.0
         except ValueError:
             break
-    raise ValueError(f"depth must be one that some modulus gives, got {depth:g} µm")
+    raise ValueError(
+        f"depth must be one that some modulus gives, got {depth:g} µm: softer membranes are not "
+        "deep enough or fold"
+    )
 
 
 def _solve(problem: _Disc) -> Any:
@@ -346,10 +358,17 @@ def _solve(problem: _Disc) -> Any:
     if (horizontal <= 0).any():
         where = "below the probe" if horizontal[0] <= 0 else "over its rim"
         raise ValueError(
-            f"force must leave the membrane upright, got one that folds it {where} "
-            f"(pressure {problem.pressure:.3g} E h/a)"
+            f"force must leave the membrane upright, got one that folds it {where}: "
+            f"{_said(problem)}"
         )
     return solution
+
+
+def _said(problem: _Disc) -> str:
+    return (
+        f"{problem.force * problem.unit:.4g} µN, {problem.force:.3g} of modulus × thickness × "
+        f"radius, with a pressure of {problem.pressure:.3g} modulus × thickness / radius"
+    )
 
 
 def _climb(problem: _Disc, mesh: Array) -> Any:
@@ -357,16 +376,7 @@ def _climb(problem: _Disc, mesh: Array) -> Any:
     stages = [problem]
     for _ in range(_RUNGS):
         last = stages[-1]
-        stages.append(
-            _Disc(
-                last.law,
-                last.force / _LADDER,
-                last.pressure / _LADDER,
-                last.initial,
-                last.inner,
-                last.outer,
-            )
-        )
+        stages.append(replace(last, force=last.force / _LADDER, pressure=last.pressure / _LADDER))
     y = stages[-1].guess(mesh)
     for stage in reversed(stages):
         solution = stage.solve(mesh, y)
@@ -375,8 +385,7 @@ def _climb(problem: _Disc, mesh: Array) -> Any:
         mesh, y = solution.x, solution.y
     if not _is_sound(problem, solution) or solution.status != 0:
         raise ValueError(
-            f"force must have an equilibrium, got none at {problem.force:.3g} E h a "
-            f"with pressure {problem.pressure:.3g} E h/a"
+            f"force must have an equilibrium, got one for which none was found: {_said(problem)}"
         )
     return solution
 
@@ -444,19 +453,21 @@ def _state(problem: _Disc, solution: Any, modulus: float, a: float, h: float) ->
 
 
 def _flat(problem: _Disc, modulus: float, a: float, h: float) -> MembraneState:
-    """Return the disc at rest."""
-    r = problem.material(np.linspace(0.0, 1.0, _NODES))
-    none = np.zeros_like(r)
+    """Return the disc that nothing presses, evenly stretched."""
+    r = np.geomspace(problem.inner * problem.initial, 1.0, _NODES) * a
+    even = np.array(problem.initial)
+    stress = float(problem.law.stress(even, even)[0])
+    area = np.pi * (a / problem.initial) ** 2
     return MembraneState(
         depth=0.0,
         approach=0.0,
         rim_radius=a,
-        r=r * a,
-        z=none,
-        stretches=np.ones((2, r.size)),
-        stresses=np.zeros((2, r.size)),
+        r=r,
+        z=np.zeros_like(r),
+        stretches=np.full((2, r.size), problem.initial),
+        stresses=np.full((2, r.size), modulus * stress),
         pressure=0.0,
         contact_radius=a,
-        energy=0.0,
+        energy=float(problem.law.energy(even, even)) * modulus * h * area,
         volume=0.0,
     )
