@@ -48,8 +48,8 @@ def relaxed_slopes(c2: float, l1: Any, l2: Any) -> tuple[Any, Any]:
 
 
 def minimised_state(approach: float, inflation: float, c2: float, elements: int) -> Array:
-    """F/(E h R) and approach/R of a bonded punch on a plate, the springs' own yielding taken off."""
-    c, stiff, soft = C / R, 1e4, 1e-4
+    """F/(E h R) and approach/R of a bonded punch on a plate, less what its springs yield."""
+    c, stiff, soft = C / R, 3e4, 3e-5
     edge = np.arcsin(c)
     half = np.linspace(0, 1, elements // 2 + 1)
     upper = np.pi - (np.pi / 2) * (edge / (np.pi / 2)) ** half
@@ -58,7 +58,7 @@ def minimised_state(approach: float, inflation: float, c2: float, elements: int)
     width = np.diff(s) / inflation
     middle = np.sin((s[1:] + s[:-1]) / 2) / inflation
     area = 2 * np.pi * middle * width
-    per_node = np.gradient(s)
+    per_node = np.append(area, 0) / 2 + np.append(0, area) / 2
 
     def bulge(ends: Any) -> Any:
         r0, z0, r1, z1 = ends
@@ -131,12 +131,13 @@ def test_equals_a_minimum_of_the_energy(law: str, inflation: float, force: float
     settings = {**CAPSULE, "law": law, "inflation": inflation}
     guide = indent_capsule(force, **settings).approach / R
     c2 = 0.2 if law == "mooney-rivlin" else 0.0
-    found = [minimised_state(guide, inflation, c2, n) for n in (60, 120)]
+    found = [minimised_state(guide, inflation, c2, n) for n in (120, 240)]
     # The error of straight elements falls with the square of their number.
     load, approach = found[1] + (found[1] - found[0]) / 3
     assert abs(found[1][0] - found[0][0]) < 2e-2 * load
     got = indent_capsule(load * H * R, **settings).approach / R
-    assert got == pytest.approx(approach, rel=1e-3)
+    # At the smallest tension the springs below the plate are not quite hard.
+    assert got == pytest.approx(approach, rel=1e-4 if inflation > 1.01 else 4e-4)
 
 
 def test_reference_states() -> None:
