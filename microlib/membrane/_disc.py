@@ -1,0 +1,473 @@
+r"""A flat membrane with a clamped rim under a round probe, at any depth.
+
+The thesis' model (4.1)–(4.7) takes one stress for the whole membrane and small slopes. Here the
+membrane is free of both: its material obeys a law, its rim and the edge of the probe hold it, and
+its equilibrium is solved as it stands.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_bvp
+from scipy.optimize import brentq
+
+from microlib._common import Array, between
+from microlib.membrane._laws import Law, law_of, relaxed_stress, scalar
+from microlib.membrane._state import MembraneState, gauss_points, reintegration_error
+
+__all__ = ["disc_modulus", "indent_disc"]
+
+_NODES = 60
+_MOST_NODES = 3000
+# Relative residual of the collocation; the depth is then good to about 1e-9.
+_TOLERANCE = 1e-8
+# What two independent checks of a solution may leave.
+_ACCEPTED = 1e-5
+# Factor of force from one state to the next where the first guess is too far.
+_LADDER = 3.0
+_RUNGS = 8
+
+
+@dataclass(frozen=True)
+class _Disc:
+    """The problem without units: lengths in rim radii, forces in E h a."""
+
+    law: Law
+    force: float
+    pressure: float
+    initial: float  # stretch before the probe
+    inner: float  # undeformed radius of the probe's edge
+    outer: float  # undeformed radius of the rim
+    unit: float  # E h a in µN, for messages
+
+    @property
+    def scales(self) -> tuple[float, float, float]:
+        """Sizes of the displacement, of the horizontal force and of the height."""
+        load = self.force + np.pi * self.pressure
+        rim = 1 / self.outer  # the stretch that the edges alone would give
+        height = max(load ** (1 / 3), 1e-12)
+        if rim < 1:
+            # A slack disc hangs as deep as its meridians are long, however small the force.
+            height += np.sqrt(self.outer**2 - 1)
+        even = np.array(max(rim, 1.0))
+        tension = float(self.law.stress(even, even)[0]) + load / height
+        # Below 1e-8 rounding would be resolved.
+        return max(height**2, abs(self.initial - rim), 1e-8), tension, load / tension + 1e-12
+
+    def material(self, t: Array) -> Array:
+        """Undeformed radius, graded towards the probe as the logarithm of the dimple is."""
+        return self.inner * (self.outer / self.inner) ** t
+
+    def unpack(self, t: Array, y: Array) -> tuple[Array, Array, Array, Array]:
+        """Return undeformed and deformed radius, horizontal and vertical force a radian."""
+        move, tension, _ = self.scales
+        x = self.material(t)
+        r = x * self.initial + move * y[0]
+        return x, r, tension * y[1], self.force / (2 * np.pi) - self.pressure * r**2 / 2
+
+    def slopes(self, t: Array, y: Array) -> Array:
+        """Right-hand side of the equilibrium over t."""
+        move, tension, height = self.scales
+        x, r, horizontal, vertical = self.unpack(t, y)
+        size = np.hypot(horizontal, vertical)
+        first, hoop = self.law.meridian(size / x, r / x)
+        # The direction of a slack meridian is undetermined, and its size is then zero.
+        size = np.maximum(size, 1e-300)
+        rise = first * vertical / size
+        per_x = np.array(
+            [
+                (first * horizontal / size - self.initial) / move,
+                (hoop + self.pressure * r * rise) / tension,
+                rise / height,
+            ]
+        )
+        return per_x * x * np.log(self.outer / self.inner)
+
+    def edges(self, left: Array, right: Array) -> Array:
+        """Residual: the edges where they are held, the rim at height zero."""
+        move, _, _ = self.scales
+        rim = (1 - self.outer * self.initial) / move
+        return np.array([left[0], right[0] - rim, right[2]])
+
+    def guess(self, t: Array) -> Array:
+        """Return a state near enough for a moderate force: evenly stretched, in balance."""
+        move, tension, height = self.scales
+        x = self.material(t)
+        vertical = self.force / (2 * np.pi) - self.pressure * x**2 / (2 * self.outer**2)
+        rise = np.clip(vertical / (0.5 * tension * x), -2, 2)
+        steps = (rise[1:] + rise[:-1]) / 2 * np.diff(x)
+        z = np.concatenate([[0.0], np.cumsum(steps)])
+        rim = (1 - self.outer * self.initial) / move
+        return np.array([rim * t, 0.5 * x, (z - z[-1]) / height])
+
+    def solve(self, t: Array, y: Array) -> Any:
+        """Return SciPy's solution from a guess `y` at `t`."""
+        with np.errstate(all="ignore"):
+            return solve_bvp(self.slopes, self.edges, t, y, tol=_TOLERANCE, max_nodes=_MOST_NODES)
+
+
+def indent_disc(
+    force: float,
+    *,
+    modulus: float,
+    radius: float,
+    thickness: float,
+    probe_half_width: float,
+    poisson_ratio: float = 0.5,
+    law: str = "neo-hooke",
+    pressure: float | str = "balance",
+    pretension: float = 0.0,
+    rim_inset: float = 0.0,
+) -> MembraneState:
+    r"""
+    Shape and stress of a clamped flat membrane under a probe that it sticks to.
+
+    Parameters
+    ----------
+    force : float
+        Force F of the probe, in µN; zero or positive.
+    modulus : float
+        Elastic modulus E at small strain, in MPa.
+    radius : float
+        Radius a of the rim as it is under the force, in µm.
+    thickness : float
+        Thickness h of the membrane free of stress, in µm.
+    probe_half_width : float
+        Radius c of the probe's flat end, in µm, below `radius`. The membrane sticks to it.
+    poisson_ratio : float, optional
+        ν, in (−1, 1) for ``"hooke"``, and 0.5 for the incompressible laws.
+    law : {"neo-hooke", "hooke", "mooney-rivlin"}, optional
+        Law of the material, see Notes.
+    pressure : "balance" or float, optional
+        Pressure p from below, in MPa: ``"balance"`` is the thesis' :math:`F/(\pi a^2)`, which makes
+        the membrane level at its rim; 0 is an open hole.
+    pretension : float, optional
+        Stretch of the membrane before the probe touches, equal in all directions, minus 1. The part
+        below the probe keeps it.
+    rim_inset : float, optional
+        Fraction of its radius by which the rim has been drawn in since the probe touched, in
+        [0, 0.5); `radius` is what is left.
+
+    Returns
+    -------
+    MembraneState
+        The state; `depth` is below the rim and equals `approach`.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of its range, if no equilibrium is found, or if the membrane would
+        fold below the probe or over its rim.
+
+    See Also
+    --------
+    disc_modulus : The inverse.
+    elastic_modulus : The thesis' small-slope model of the same membrane.
+
+    Notes
+    -----
+    A point at the undeformed radius X moves to r(X) and the height z(X). Its stretches are
+    :math:`\lambda_1 = \sqrt{r'^2 + z'^2}` and :math:`\lambda_2 = r/X`. The meridian's tension
+    a radian has a vertical part V and a horizontal part H,
+
+    .. math:: V = \frac{F}{2\pi} - \frac{p r^2}{2}, \qquad H' = h N_2 + p\, r z', \qquad
+              \sqrt{H^2 + V^2} = h X N_1, \qquad (r', z') = \lambda_1 (H, V)/\sqrt{H^2 + V^2}
+
+    with the nominal stresses :math:`N_i = \partial W/\partial\lambda_i` (derived here; the last
+    equation is solved for :math:`\lambda_1`). The edges are at :math:`r = c`, :math:`X = c/(1 +
+    \text{pretension})` and at :math:`r = a`, :math:`X = a/((1 + \text{pretension})(1 -
+    \text{rim_inset}))`. Hoop stress is never negative: the membrane wrinkles (relaxed energy).
+
+    The energies per volume, with :math:`e_i = \lambda_i - 1`:
+
+    - ``"hooke"``: :math:`W = \frac{E}{2(1-\nu^2)}(e_1^2 + e_2^2 + 2\nu e_1 e_2)`; the same
+      words with other measures of strain or stress give other forces at large depths.
+    - ``"neo-hooke"``: :math:`W = \frac{E}{6}(\lambda_1^2 + \lambda_2^2 +
+      (\lambda_1\lambda_2)^{-2} - 3)`
+    - ``"mooney-rivlin"``: :math:`W = C_1(I_1 - 3) + C_2(I_2 - 3)`, :math:`C_2 = 0.2\,C_1`,
+      :math:`E = 6(C_1 + C_2)`
+
+    A solution is returned only if a second integration of the equations and the balance of virtual
+    work for a uniform swelling agree with it to 1e-5.
+
+    For p = 0, ν = 1/3, Hooke and small slopes there is a closed form (derived here),
+    :math:`F = \frac{\pi}{3} E h w^3 / (a^2 (1 - (c/a)^{2/3})^3)`.
+
+    Examples
+    --------
+    >>> state = indent_disc(
+    ...     50.0, modulus=1.3, radius=250.0, thickness=3.0, probe_half_width=25.0
+    ... )
+    >>> print(f"{state.depth:.2f} µm")
+    67.26 µm
+    """
+    load = scalar("force", force, zero=True)
+    stiffness, a, h, c = (
+        scalar(name, value)
+        for name, value in (
+            ("modulus", modulus),
+            ("radius", radius),
+            ("thickness", thickness),
+            ("probe_half_width", probe_half_width),
+        )
+    )
+    between("probe_half_width", c, 0.0, a)
+    initial = 1 + scalar("pretension", pretension, zero=True)
+    inset = scalar("rim_inset", rim_inset, zero=True)
+    if inset >= 0.5:
+        raise ValueError(f"rim_inset must lie in [0, 0.5), got {inset:g}")
+    if isinstance(pressure, str):
+        if pressure != "balance":
+            raise ValueError(f"pressure must be 'balance' or a number, got {pressure!r}")
+        below = load / (np.pi * a**2)
+    else:
+        below = scalar("pressure", pressure, zero=True)
+    outer = 1 / (initial * (1 - inset))
+    if outer <= 1.01 * c / a / initial:
+        raise ValueError(f"probe_half_width must leave a membrane to its rim, got {c:g} of {a:g}")
+    unit = stiffness * h * a
+    problem = _Disc(
+        law=law_of(law, poisson_ratio),
+        force=load / unit,
+        pressure=below * a / (stiffness * h),
+        initial=initial,
+        inner=c / a / initial,
+        outer=outer,
+        unit=unit,
+    )
+    if load == 0 and below == 0:
+        if inset == 0:
+            return _flat(problem, stiffness, a, h)
+        if initial * (1 - inset) <= 1:
+            raise ValueError(
+                f"force must be positive where rim_inset {inset:g} leaves a slack disc, got 0"
+            )
+    solution = _solve(problem)
+    return _state(problem, solution, stiffness, a, h)
+
+
+def disc_modulus(
+    force: float,
+    rim_radius: float,
+    depth: float,
+    *,
+    thickness: float,
+    probe_half_width: float,
+    poisson_ratio: float = 0.5,
+    law: str = "neo-hooke",
+    pressure: float | str = "balance",
+    pretension: float = 0.0,
+    rim_inset: float = 0.0,
+) -> float:
+    """
+    Elastic modulus of a clamped flat membrane from the depth under a force.
+
+    Parameters
+    ----------
+    force : float
+        Force F, in µN.
+    rim_radius : float
+        Radius a of the rim under the force, in µm.
+    depth : float
+        Depth w_d of the probe's edge below the rim, in µm.
+    thickness, probe_half_width, poisson_ratio, law, pressure, pretension, rim_inset
+        As for `indent_disc`.
+
+    Returns
+    -------
+    float
+        Modulus E at small strain, in MPa.
+
+    Raises
+    ------
+    ValueError
+        As for `indent_disc`, or if no modulus gives this depth.
+
+    Notes
+    -----
+    `indent_disc` is solved for the modulus whose depth is `depth`; the depth falls as the modulus
+    grows.
+
+    Examples
+    --------
+    >>> modulus = disc_modulus(50.0, 250.0, 67.26, thickness=3.0, probe_half_width=25.0)
+    >>> print(f"{modulus:.2f} MPa")
+    1.30 MPa
+    """
+    load, a, target = (
+        scalar(name, value)
+        for name, value in (("force", force), ("rim_radius", rim_radius), ("depth", depth))
+    )
+    settings: dict[str, Any] = {
+        "radius": a,
+        "thickness": thickness,
+        "probe_half_width": probe_half_width,
+        "poisson_ratio": poisson_ratio,
+        "law": law,
+        "pressure": pressure,
+        "pretension": pretension,
+        "rim_inset": rim_inset,
+    }
+
+    def excess(log_modulus: float) -> float:
+        state = indent_disc(load, modulus=float(np.exp(log_modulus)), **settings)
+        return (state.depth - target) / a
+
+    # F = E h w³/a² up to a factor: within a few e-foldings of any law and load.
+    start = np.log(load * a**2 / (scalar("thickness", thickness) * target**3))
+    low, high = _bracket(excess, start, target)
+    return float(np.exp(brentq(excess, low, high, xtol=1e-11)))
+
+
+def _bracket(excess: Any, start: float, depth: float) -> tuple[float, float]:
+    """Return log moduli of a deeper and of a shallower dimple than the one measured."""
+    above = start
+    try:
+        while excess(above) > 0:
+            above += 1.0
+            if above > start + 12:
+                raise ValueError("the stiffest membrane tried hangs deeper")
+    except ValueError as reason:
+        raise ValueError(
+            f"depth must be one that some modulus gives, got {depth:g} µm: {reason}"
+        ) from None
+    below = above
+    for _ in range(25):
+        below -= 1.0
+        try:
+            if excess(below) >= 0:
+                return below, below + 1.0
+        except ValueError:
+            break
+    raise ValueError(
+        f"depth must be one that some modulus gives, got {depth:g} µm: softer membranes are not "
+        "deep enough or fold"
+    )
+
+
+def _solve(problem: _Disc) -> Any:
+    """Return a checked solution, through smaller forces where the guess is too far."""
+    mesh = np.linspace(0.0, 1.0, _NODES)
+    solution = problem.solve(mesh, problem.guess(mesh))
+    if not _is_sound(problem, solution):
+        solution = _climb(problem, mesh)
+    _, _, horizontal, _ = problem.unpack(solution.x, solution.y)
+    if (horizontal <= 0).any():
+        where = "below the probe" if horizontal[0] <= 0 else "over its rim"
+        raise ValueError(
+            f"force must leave the membrane upright, got one that folds it {where}: "
+            f"{_said(problem)}"
+        )
+    return solution
+
+
+def _said(problem: _Disc) -> str:
+    return (
+        f"{problem.force * problem.unit:.4g} µN, {problem.force:.3g} of modulus × thickness × "
+        f"radius, with a pressure of {problem.pressure:.3g} modulus × thickness / radius"
+    )
+
+
+def _climb(problem: _Disc, mesh: Array) -> Any:
+    """Return the solution by steps in the load, each a guess for the next."""
+    stages = [problem]
+    for _ in range(_RUNGS):
+        last = stages[-1]
+        stages.append(replace(last, force=last.force / _LADDER, pressure=last.pressure / _LADDER))
+    y = stages[-1].guess(mesh)
+    for stage in reversed(stages):
+        solution = stage.solve(mesh, y)
+        if solution.status != 0:
+            break
+        mesh, y = solution.x, solution.y
+    if not _is_sound(problem, solution) or solution.status != 0:
+        raise ValueError(
+            f"force must have an equilibrium, got one for which none was found: {_said(problem)}"
+        )
+    return solution
+
+
+def _is_sound(problem: _Disc, solution: Any) -> bool:
+    """Tell whether a solution passes two checks that the collocation knows nothing of."""
+    if solution.status != 0 or not np.isfinite(solution.y).all():
+        return False
+    with np.errstate(all="ignore"):
+        missed = reintegration_error(problem.slopes, solution.x, solution.y)
+        return bool(missed < _ACCEPTED and _virtual_work(problem, solution) < _ACCEPTED)
+
+
+def _virtual_work(problem: _Disc, solution: Any) -> float:
+    """Return the imbalance of virtual work for a swelling of the whole shape, relative."""
+    move, _, height = problem.scales
+    t, weight = gauss_points(solution.x)
+    y, rate = solution.sol(t), solution.sol(t, 1)
+    x, r, _, _ = problem.unpack(t, y)
+    per_t = x * np.log(problem.outer / problem.inner)
+    r_rate = problem.initial + move * rate[0] / per_t
+    z, z_rate = height * y[2], height * rate[2] / per_t
+    first, second = np.hypot(r_rate, z_rate), r / x
+    along, across = relaxed_stress(problem.law, first, second)
+    area = x * per_t * weight
+    inside = np.sum((along * first + across * second) * area)
+    push = problem.pressure * np.sum((r_rate * z - z_rate * r) * r * per_t * weight)
+    ends = problem.unpack(solution.x[[0, -1]], solution.y[:, [0, -1]])
+    outward = ends[2][1] * ends[1][1] - ends[2][0] * ends[1][0]
+    down = -ends[3][0] * height * solution.y[2, 0]
+    work = outward + down + push
+    return float(abs(inside - work) / (abs(inside) + abs(outward) + abs(down) + 1e-300))
+
+
+def _state(problem: _Disc, solution: Any, modulus: float, a: float, h: float) -> MembraneState:
+    _, _, height = problem.scales
+    x, r, horizontal, vertical = problem.unpack(solution.x, solution.y)
+    along = np.hypot(horizontal, vertical) / x
+    first, across = problem.law.meridian(along, r / x)
+    z = height * solution.y[2]
+    t, weight = gauss_points(solution.x)
+    y = solution.sol(t)
+    xg, rg, hg, vg = problem.unpack(t, y)
+    area = xg**2 * np.log(problem.outer / problem.inner) * weight
+    stretch, _ = problem.law.meridian(np.hypot(hg, vg) / xg, rg / xg)
+    start = np.array(problem.initial)
+    energy = 2 * np.pi * np.sum(problem.law.energy(stretch, rg / xg) * area)
+    energy += np.pi * problem.inner**2 * float(problem.law.energy(start, start))
+    rise = height * solution.sol(t, 1)[2]
+    # Shells between the axis and the membrane, one above the other, from the probe to the rim.
+    volume = np.pi * np.sum(rg**2 * rise * weight)
+    return MembraneState(
+        depth=float(-z[0] * a),
+        approach=float(-z[0] * a),
+        rim_radius=a,
+        r=r * a,
+        z=z * a,
+        stretches=np.array([first, r / x]),
+        stresses=modulus * np.array([along, across]),
+        pressure=float(problem.pressure * modulus * h / a),
+        contact_radius=a,
+        energy=float(energy * modulus * h * a**2),
+        volume=float(volume * a**3),
+    )
+
+
+def _flat(problem: _Disc, modulus: float, a: float, h: float) -> MembraneState:
+    """Return the disc that nothing presses, evenly stretched."""
+    r = np.geomspace(problem.inner * problem.initial, 1.0, _NODES) * a
+    even = np.array(problem.initial)
+    stress = float(problem.law.stress(even, even)[0])
+    area = np.pi * (a / problem.initial) ** 2
+    return MembraneState(
+        depth=0.0,
+        approach=0.0,
+        rim_radius=a,
+        r=r,
+        z=np.zeros_like(r),
+        stretches=np.full((2, r.size), problem.initial),
+        stresses=np.full((2, r.size), modulus * stress),
+        pressure=0.0,
+        contact_radius=a,
+        energy=float(problem.law.energy(even, even)) * modulus * h * area,
+        volume=0.0,
+    )

@@ -1,0 +1,203 @@
+r"""The laws of a stretched membrane: energy, tensions, and the stretch that bears a given tension.
+
+A law is a strain energy :math:`W(\lambda_1, \lambda_2)` per undeformed volume, of the stretches
+along the meridian and around the axis. Its derivatives :math:`N_i = \partial W/\partial\lambda_i`
+are nominal stresses: force per undeformed section. All are taken for a modulus of 1; stresses and
+energies grow in proportion to it.
+
+A membrane too thin to bear compression wrinkles instead, which tension-field theory describes by
+the *relaxed* energy: where the hoop stress would be negative, it is zero, and the meridian bears
+its tension as in a strip that contracts freely.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from microlib._common import Array, as_array, between, one_of, positive
+
+__all__ = ["LAWS", "MOONEY_RATIO", "Law", "law_of", "relaxed_stress", "scalar"]
+
+#: The laws by name.
+LAWS = ("hooke", "neo-hooke", "mooney-rivlin")
+
+#: C₂/C₁ of the Mooney–Rivlin law: an assumption, one value between rubber-like and stiffening.
+MOONEY_RATIO = 0.2
+
+# Newton on a concave function squares the error with each step.
+_STEPS = 20
+
+
+def scalar(name: str, value: float, *, zero: bool = False) -> float:
+    """Return one positive number (or zero, if `zero`) as a float."""
+    array = positive(name, value, zero=zero)
+    if array.ndim:
+        raise ValueError(f"{name} must be a single number, got shape {array.shape}")
+    return float(array)
+
+
+class Law(Protocol):
+    """A membrane's energy for a modulus of 1, wrinkles included."""
+
+    poisson_ratio: float
+
+    def energy(self, first: Array, second: Array) -> Array:
+        """Return the relaxed energy per undeformed volume."""
+        ...
+
+    def stress(self, first: Array, second: Array) -> tuple[Array, Array]:
+        """Return the nominal stresses of two stretches, before any wrinkling."""
+        ...
+
+    def strip(self, stretch: Array) -> Array:
+        """Return the nominal stress of a strip that contracts freely across."""
+        ...
+
+    def meridian(self, stress: Array, hoop: Array) -> tuple[Array, Array]:
+        """Return the meridian's stretch under a nominal stress, and the hoop stress, relaxed."""
+        ...
+
+
+class Hooke:
+    r"""
+    Linear elasticity of the stretches, exact in rotations.
+
+    :math:`W = (e_1^2 + e_2^2 + 2\nu e_1 e_2)/(2(1-\nu^2))` with :math:`e_i = \lambda_i - 1`.
+    """
+
+    def __init__(self, poisson_ratio: float) -> None:
+        self.poisson_ratio = poisson_ratio
+        self._plane = 1 - poisson_ratio**2
+
+    def energy(self, first: Array, second: Array) -> Array:
+        e1, e2 = first - 1, second - 1
+        nu = self.poisson_ratio
+        both = (e1**2 + e2**2 + 2 * nu * e1 * e2) / (2 * self._plane)
+        return _relax(both, e1, e2, nu)
+
+    def stress(self, first: Array, second: Array) -> tuple[Array, Array]:
+        e1, e2 = first - 1, second - 1
+        nu = self.poisson_ratio
+        return (e1 + nu * e2) / self._plane, (e2 + nu * e1) / self._plane
+
+    def strip(self, stretch: Array) -> Array:
+        return stretch - 1
+
+    def meridian(self, stress: Array, hoop: Array) -> tuple[Array, Array]:
+        e2 = hoop - 1
+        e1 = self._plane * stress - self.poisson_ratio * e2
+        across = e2 + self.poisson_ratio * stress
+        wrinkled = (across < 0) & (stress > 0)
+        return 1 + np.where(wrinkled, stress, e1), np.where(wrinkled, 0.0, across)
+
+
+def _relax(both: Array, e1: Array, e2: Array, nu: float) -> Array:
+    """Return Hooke's energy where both stresses are tensile, a strip's or none elsewhere."""
+    strip = np.where(e1 >= e2, e1, e2)
+    single = np.where(strip > 0, strip**2 / 2, 0.0)
+    return np.where((e1 + nu * e2 >= 0) & (e2 + nu * e1 >= 0), both, single)
+
+
+class MooneyRivlin:
+    r"""
+    Incompressible rubber; neo-Hookean where the second constant is zero.
+
+    :math:`W = C_1(I_1 - 3) + C_2(I_2 - 3)` with :math:`I_1 = \lambda_1^2 + \lambda_2^2 +
+    (\lambda_1\lambda_2)^{-2}`, :math:`I_2 = \lambda_1^{-2} + \lambda_2^{-2} +
+    (\lambda_1\lambda_2)^2` and :math:`C_1 + C_2 = 1/6`, the modulus 1 at small strain.
+    """
+
+    poisson_ratio = 0.5
+
+    def __init__(self, ratio: float) -> None:
+        self.first_constant = 1 / (6 * (1 + ratio))
+        self.second_constant = ratio * self.first_constant
+
+    def energy(self, first: Array, second: Array) -> Array:
+        large, small = np.maximum(first, second), np.minimum(first, second)
+        strip = np.maximum(large, 1.0)
+        natural = strip**-0.5
+        # A slack membrane has no energy: both stretches come out as 1.
+        wrinkled = small < natural
+        l1 = np.where(wrinkled, strip, large)
+        l2 = np.where(wrinkled, natural, small)
+        e1, e2, e3 = l1 - 1, l2 - 1, 1 / (l1 * l2) - 1
+        # Σ(λ² − 1) in strains, which cancels less than λ² − 1 itself.
+        one = e1 * (2 + e1) + e2 * (2 + e2) + e3 * (2 + e3)
+        two = l1**-2.0 + l2**-2.0 + (l1 * l2) ** 2 - 3
+        return self.first_constant * one + self.second_constant * two
+
+    def stress(self, first: Array, second: Array) -> tuple[Array, Array]:
+        return (
+            2 * self._stiffness(second) * (first - 1 / (first**3 * second**2)),
+            2 * self._stiffness(first) * (second - 1 / (second**3 * first**2)),
+        )
+
+    def meridian(self, stress: Array, hoop: Array) -> tuple[Array, Array]:
+        first = _solve_biaxial(stress / (2 * self._stiffness(hoop)), hoop)
+        across = self.stress(first, hoop)[1]
+        wrinkled = (across < 0) & (stress > 0)
+        if wrinkled.any():
+            first = first.copy()
+            first[wrinkled] = self._solve_strip(stress[wrinkled])
+            across = np.where(wrinkled, 0.0, across)
+        return first, across
+
+    def strip(self, stretch: Array) -> Array:
+        return 2 * (self.first_constant + self.second_constant / stretch) * (stretch - stretch**-2)
+
+    def _stiffness(self, other: Array) -> Array:
+        return self.first_constant + self.second_constant * other**2
+
+    def _solve_strip(self, stress: Array) -> Array:
+        """Return λ of 2(C₁ + C₂/λ)(λ − λ⁻²) = N, concave and rising, 0 at λ = 1."""
+        c1, c2 = self.first_constant, self.second_constant
+        stretch = 1 + stress
+        for _ in range(_STEPS):
+            inverse = 1 / stretch
+            value = c1 * (stretch - inverse**2) + c2 * (1 - inverse**3)
+            step = (stress / 2 - value) / (c1 + inverse**3 * (2 * c1 + 3 * c2 * inverse))
+            stretch = stretch + step
+            if np.all(np.abs(step) < 1e-13 * stretch):
+                break
+        return stretch
+
+
+def _solve_biaxial(ratio: Array, hoop: Array) -> Array:
+    """Return λ of λ − λ⁻³λ₂⁻² = `ratio`, rising and 0 at λ = λ₂^(−1/2)."""
+    natural = hoop**-0.5
+    # ξ − ξ⁻³ = s with ξ = λ/λ₂^(−1/2): one curve for all. The start is right at both of its ends;
+    # Halley's third steps are below rounding for s > −1.
+    s = ratio / natural
+    root = s / 4 + np.sqrt(1 + 9 / 16 * s**2)
+    for _ in range(3):
+        inverse = 1 / root
+        fourth = (inverse * inverse) ** 2
+        miss = root * (1 - fourth) - s
+        slope = 1 + 3 * fourth
+        root = root - miss * slope / (slope**2 + 6 * miss * fourth * inverse)
+    return natural * root
+
+
+def relaxed_stress(law: Law, first: Array, second: Array) -> tuple[Array, Array]:
+    """Return the nominal stresses of two stretches, with wrinkles in place of compression."""
+    along, across = law.stress(first, second)
+    strip = law.strip(first), law.strip(second)
+    wrinkled = (across < 0) & (strip[0] > 0), (along < 0) & (strip[1] > 0)
+    slack = (first <= 1) & (second <= 1)
+    along = np.select([slack, *wrinkled], [0.0, strip[0], 0.0], along)
+    across = np.select([slack, *wrinkled], [0.0, 0.0, strip[1]], across)
+    return along, across
+
+
+def law_of(name: str, poisson_ratio: float) -> Law:
+    """Return the law called `name`, or refuse a Poisson ratio that it cannot have."""
+    law = one_of("law", name, LAWS)
+    nu = float(between("poisson_ratio", as_array("poisson_ratio", poisson_ratio, shape=()), -1, 1))
+    if law == "hooke":
+        return Hooke(nu)
+    if nu != 0.5:
+        raise ValueError(f"poisson_ratio must be 0.5, since {law} is incompressible, got {nu:g}")
+    return MooneyRivlin(0.0 if law == "neo-hooke" else MOONEY_RATIO)

@@ -1,0 +1,334 @@
+"""The closed capsule, against spheres, plates, its own energy and a minimum of that energy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.special import k0, k1
+
+from microlib._common import Array
+from microlib.membrane import _capsule
+from microlib.membrane._capsule import capsule_modulus, indent_capsule
+
+R, H, C = 600.0, 3.0, 25.0
+CAPSULE: dict[str, Any] = {"modulus": 1.0, "radius": R, "thickness": H, "probe_half_width": C}
+SPHERE = 4 / 3 * np.pi * R**3
+STATES = [
+    ("neo-hooke", 1.05, 100.0, "bonded"),
+    ("mooney-rivlin", 1.10, 197.24, "bonded"),
+    ("hooke", 1.0, 60.0, "bonded"),
+    ("neo-hooke", 1.02, 80.0, "frictionless"),
+    ("neo-hooke", 1.05, 0.4, "frictionless"),
+]
+
+
+# A second method: nodes, straight elements, and Newton on the energy with a multiplier for the
+# volume and springs below the plate. It shares nothing with the library.
+
+
+def relaxed_slopes(c2: float, l1: Any, l2: Any) -> tuple[Any, Any]:
+    """Slopes of the relaxed energy of rubber, C₂/C₁ = c2, modulus 1."""
+    scale = 1 / (3 * (1 + c2))
+
+    def strip(stretch: Any) -> Any:
+        return scale * (1 + c2 / stretch) * (stretch - stretch**-2)
+
+    one = scale * (1 + c2 * l2**2) * (l1 - l1**-3 * l2**-2)
+    two = scale * (1 + c2 * l1**2) * (l2 - l2**-3 * l1**-2)
+    slack = (l1.real < 1) & (l2.real < 1)
+    first, second = (l2.real < l1.real**-0.5), (l1.real < l2.real**-0.5)
+    # One in a thousand of the full law keeps slack and wrinkled parts determined.
+    rest = 1e-3
+    a = np.where(slack, 0, np.where(first, strip(l1), np.where(second, 0, one)))
+    b = np.where(slack, 0, np.where(second, strip(l2), np.where(first, 0, two)))
+    return a + rest * (one - a), b + rest * (two - b)
+
+
+def minimised_state(approach: float, inflation: float, c2: float, elements: int) -> Array:
+    """F/(E h R) and approach/R of a bonded punch on a plate, less what its springs yield."""
+    c, stiff, soft = C / R, 3e4, 3e-5
+    edge = np.arcsin(c)
+    half = np.linspace(0, 1, elements // 2 + 1)
+    upper = np.pi - (np.pi / 2) * (edge / (np.pi / 2)) ** half
+    s = np.concatenate([half[:-1] * np.pi / 2, upper])
+    n = s.size
+    width = np.diff(s) / inflation
+    middle = np.sin((s[1:] + s[:-1]) / 2) / inflation
+    area = 2 * np.pi * middle * width
+    per_node = np.append(area, 0) / 2 + np.append(0, area) / 2
+
+    def bulge(ends: Any) -> Any:
+        r0, z0, r1, z1 = ends
+        dz, square = z1 - z0, r0**2 + r0 * r1 + r1**2
+        return np.pi / 3 * np.array([(2 * r0 + r1) * dz, -square, (r0 + 2 * r1) * dz, square])
+
+    def slopes(ends: Any, p: float) -> Any:
+        r0, z0, r1, z1 = ends
+        dr, dz, r = r1 - r0, z1 - z0, (r0 + r1) / 2
+        long = (dr**2 + dz**2) ** 0.5
+        one, two = relaxed_slopes(c2, long / width, r / middle)
+        along, across = area * one / (width * long), area * two / (2 * middle)
+        pull = np.array([-along * dr + across, -along * dz, along * dr + across, along * dz])
+        return pull - p * bulge(ends)
+
+    nodes = np.arange(n - 1)
+    places = np.array([nodes, nodes + n, nodes + 1, nodes + 1 + n])
+    end = 2 * n - 1
+    free = np.append(np.setdiff1d(np.arange(2 * n), [0, n - 1, end]), 2 * n)
+
+    def residual(q: Any) -> Any:
+        ends, z, out = q[places], q[n : 2 * n], np.zeros(2 * n + 1)
+        np.add.at(out, places, slopes(ends, q[-1]))
+        out[n : 2 * n] -= stiff * soft * per_node * np.logaddexp(0, -z / soft)
+        r0, z0, r1, z1 = ends
+        out[-1] = 4 / 3 * np.pi - np.sum(np.pi / 3 * (r0**2 + r0 * r1 + r1**2) * (z1 - z0))
+        return out
+
+    def tangent(q: Any) -> Any:
+        matrix, swept, ends = np.zeros((2 * n + 1, 2 * n + 1)), np.zeros(2 * n), q[places]
+        for k in range(4):
+            moved = ends.astype(complex)
+            moved[k] += 1e-30j
+            np.add.at(matrix, (places, places[k]), slopes(moved, q[-1]).imag / 1e-30)
+        np.add.at(swept, places, bulge(ends))
+        matrix[-1, :-1] = matrix[:-1, -1] = -swept
+        z = np.arange(n, 2 * n)
+        matrix[z, z] += stiff * per_node / (1 + np.exp(np.clip(q[z] / soft, -50, 50)))
+        return matrix
+
+    even = np.array(inflation)
+    p = 2 * float(relaxed_slopes(c2, even, even)[0]) / inflation
+    q = np.concatenate([np.sin(s), 1 - np.cos(s), [p]])
+    for height in np.linspace(q[end], 2 - approach, 13)[1:]:
+        matrix = tangent(q)
+        shift = height - q[end]
+        q[free] -= np.linalg.solve(matrix[np.ix_(free, free)], matrix[free, end] * shift)
+        q[end] = height
+        for _ in range(60):
+            left = residual(q)[free]
+            step = np.linalg.solve(tangent(q)[np.ix_(free, free)], -left)
+            for power in range(12):
+                trial = q.copy()
+                trial[free] += step / 2**power
+                if np.linalg.norm(residual(trial)[free]) < np.linalg.norm(left):
+                    break
+            q = trial
+            if np.abs(step[:-1]).max() < 1e-10:
+                break
+        else:
+            raise AssertionError("the minimum was not found")
+    return np.array([-residual(q)[end], approach + q[n]])
+
+
+@pytest.mark.parametrize(
+    ("law", "inflation", "force"),
+    [("neo-hooke", 1.05, 100.0), ("mooney-rivlin", 1.1, 197.24), ("neo-hooke", 1.01, 60.0)],
+)
+def test_equals_a_minimum_of_the_energy(law: str, inflation: float, force: float) -> None:
+    settings = {**CAPSULE, "law": law, "inflation": inflation}
+    guide = indent_capsule(force, **settings).approach / R
+    c2 = 0.2 if law == "mooney-rivlin" else 0.0
+    found = [minimised_state(guide, inflation, c2, n) for n in (120, 240)]
+    # The error of straight elements falls with the square of their number.
+    load, approach = found[1] + (found[1] - found[0]) / 3
+    assert abs(found[1][0] - found[0][0]) < 2e-2 * load
+    got = indent_capsule(load * H * R, **settings).approach / R
+    # At the smallest tension the springs below the plate are not quite hard.
+    assert got == pytest.approx(approach, rel=1e-4 if inflation > 1.01 else 4e-4)
+
+
+def test_reference_states() -> None:
+    state = indent_capsule(100.0, inflation=1.05, **CAPSULE)
+    got = [1e3 * state.pressure, state.rim_radius, state.depth, state.approach, state.r.max()]
+    np.testing.assert_allclose(got, [0.931100, 184.8958, 65.3486, 202.167, 609.959], rtol=1e-5)
+    state = indent_capsule(197.24, law="mooney-rivlin", inflation=1.10, **CAPSULE)
+    got = [1e3 * state.pressure, state.rim_radius, state.depth, state.approach]
+    np.testing.assert_allclose(got, [1.638158, 195.7693, 86.6204, 257.632], rtol=2e-6)
+
+
+@pytest.mark.parametrize("inflation", [1.0, 1.001, 1.05, 1.3, 2.0])
+def test_no_force_is_the_inflated_sphere(inflation: float) -> None:
+    state = indent_capsule(0.0, inflation=inflation, **CAPSULE)
+    shear = 1 / 3
+    wanted = 2 * shear * H / R * (1 - inflation**-6)
+    assert state.pressure == pytest.approx(wanted, rel=1e-6, abs=1e-18)
+    np.testing.assert_allclose(np.hypot(state.r, state.z - R), R, rtol=1e-12)
+    np.testing.assert_allclose(state.stretches, inflation, rtol=1e-12)
+    assert state.depth == state.approach == state.contact_radius == 0
+    assert state.volume == pytest.approx(SPHERE, rel=1e-12)
+
+
+@pytest.mark.parametrize("law", ["hooke", "neo-hooke", "mooney-rivlin"])
+def test_a_vanishing_force_meets_the_sphere(law: str) -> None:
+    kw = {**CAPSULE, "law": law, "inflation": 1.08, "punch": "frictionless"}
+    sphere, state = indent_capsule(0.0, **kw), indent_capsule(1e-3, **kw)
+    assert state.pressure == pytest.approx(sphere.pressure, rel=1e-5)
+    assert state.energy == pytest.approx(sphere.energy, rel=1e-5)
+    assert 0 < state.approach < 0.01
+    assert state.depth == 0
+
+
+@pytest.mark.parametrize(("law", "inflation", "force", "punch"), STATES)
+def test_volume_energy_and_crest(law: str, inflation: float, force: float, punch: str) -> None:
+    settings = {**CAPSULE, "law": law, "inflation": inflation, "punch": punch}
+    less, state, more = (indent_capsule(k * force, **settings) for k in (0.999, 1.0, 1.001))
+    assert state.volume == pytest.approx(SPHERE, rel=1e-8)
+    # F = dU/dδ: no pressure's work, the volume being kept.
+    slope = (more.energy - less.energy) / (more.approach - less.approach)
+    assert slope == pytest.approx(force, rel=1e-3)
+    # The crest and the plate's contact have one radius, that which the pressure gives.
+    a = np.sqrt(force / (np.pi * state.pressure))
+    assert state.contact_radius == pytest.approx(a, rel=1e-12)
+    assert state.rim_radius == pytest.approx(a, rel=1e-12)
+    crest = np.argmax(state.z)
+    assert state.r[crest] == pytest.approx(min(a, state.r[crest]), rel=1e-6)
+    assert state.z[crest] - state.z[0] == pytest.approx(state.depth, abs=1e-9 * R)
+    assert state.approach == pytest.approx(2 * R - state.z[0], abs=1e-9 * R)
+    assert np.ptp(state.z[state.r < 0.999 * a][-5:]) == 0
+    assert state.stresses.min() >= -1e-12
+
+
+def test_half_the_mesh_gives_the_same() -> None:
+    problem = _capsule._problem(_capsule.law_of("neo-hooke", 0.5), True, C / R, 100 / H / R, 1.05)
+    _, solution = _capsule._solve(problem)
+    middles = (solution.x[1:] + solution.x[:-1]) / 2
+    mesh = np.sort(np.concatenate([solution.x, middles]))
+    half = problem.solve(mesh, solution.sol(mesh), solution.p)
+    depths = [s.y[7, 0] - s.y[7, -1] for s in (solution, half)]
+    assert half.x.size > 1.9 * solution.x.size
+    assert depths[0] == pytest.approx(depths[1], rel=1e-6)
+
+
+@pytest.mark.parametrize(("approach", "load"), [(0.1, 0.06542), (0.2, 0.18329), (0.3, 0.37093)])
+def test_between_two_plates(approach: float, load: float) -> None:
+    # Each plate moves by `approach` R; values of another program of the same equations.
+    def excess(force: float) -> float:
+        state = indent_capsule(
+            force * R * H,
+            **{**CAPSULE, "probe_half_width": 0.99 * R},
+            inflation=1.1,
+            punch="frictionless",
+        )
+        return state.approach / R - 2 * approach
+
+    assert brentq(excess, 0.9 * load, 1.1 * load, xtol=1e-7) == pytest.approx(load, rel=1e-4)
+
+
+def test_small_loads_of_a_taut_capsule() -> None:
+    # A shallow, taut shell under a probe: N Δw = E h w/R², hence 2πN x K₁(x)/K₀(x) per depth.
+    inflation, force = 1.05, 10.0
+    state = indent_capsule(force, inflation=inflation, **CAPSULE)
+    first, second = (
+        indent_capsule(force * k, inflation=inflation, **CAPSULE).approach for k in (0.9, 1.1)
+    )
+    tension = state.pressure * R / 2
+    x = C / (R * np.sqrt(tension / H))
+    stiffness = 2 * np.pi * tension * x * k1(x) / k0(x)
+    # The plate gives, too, under the same force; the shell is not shallow: order of size only.
+    assert 0.3 * stiffness < 0.2 * force / (second - first) < stiffness
+
+
+@pytest.mark.parametrize(
+    ("law", "punch", "inflation", "modulus"),
+    [
+        ("hooke", "bonded", 1.048, 0.88),
+        ("hooke", "frictionless", 1.0375, 1.08),
+        ("neo-hooke", "bonded", 1.042, 1.12),
+        ("neo-hooke", "frictionless", 1.0284, 1.485),
+        ("mooney-rivlin", "bonded", 1.040, 1.15),
+        ("mooney-rivlin", "frictionless", 1.030, 1.42),
+    ],
+)
+def test_inverse_of_the_printed_dimple(
+    law: str, punch: str, inflation: float, modulus: float
+) -> None:
+    force, a, depth = 197.24, 246.95, 121.22
+    shell: dict[str, Any] = {"radius": R, "thickness": H, "probe_half_width": C, "law": law}
+    found = capsule_modulus(force, a, depth, punch=punch, **shell)
+    assert found.modulus == pytest.approx(modulus, rel=5e-3)
+    assert found.inflation == pytest.approx(inflation, abs=1e-3)
+    assert 1e3 * found.state.pressure == pytest.approx(1.0295, rel=1e-5)
+    state = indent_capsule(
+        force, modulus=found.modulus, inflation=found.inflation, punch=punch, **shell
+    )
+    assert state.depth == pytest.approx(depth, rel=1e-6)
+    assert state.rim_radius == pytest.approx(a, rel=1e-6)
+    assert found.state.depth == pytest.approx(depth, rel=1e-9)
+
+
+def test_inverse_with_a_slack_plate() -> None:
+    found = capsule_modulus(197.24, 246.95, 121.22, radius=500.0, thickness=H, probe_half_width=C)
+    assert np.isnan(found.state.stretches[:, -1]).all()
+    assert not found.state.stresses[:, -1].any()
+    assert found.modulus == pytest.approx(2.15, rel=0.03)
+
+
+def test_units_scale() -> None:
+    one = indent_capsule(100.0, inflation=1.05, **CAPSULE)
+    two = indent_capsule(
+        100.0 * 2 * 9,
+        modulus=2.0,
+        radius=3 * R,
+        thickness=3 * H,
+        probe_half_width=3 * C,
+        inflation=1.05,
+    )
+    assert two.depth == pytest.approx(3 * one.depth, rel=1e-9)
+    assert two.energy == pytest.approx(2 * 27 * one.energy, rel=1e-9)
+    assert two.pressure == pytest.approx(2 * one.pressure, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"force": -1.0}, "force must be zero or positive, got -1"),
+        ({"force": 2000.0}, "force must keep the probe above the plate"),
+        ({"force": 2000.0, "law": "hooke", "inflation": 1.1}, "clear of the probe's side"),
+        ({"force": 1.0, "inflation": 1.05}, "force must lay the wall on the whole face .* 1 µN"),
+        ({"force": 0.02, "inflation": 1.0}, "force must have an equilibrium"),
+        ({"force": 600.0, "punch": "frictionless"}, "force must"),
+        ({"modulus": np.inf}, "modulus must be finite"),
+        ({"radius": 0.0}, "radius must be positive"),
+        ({"probe_half_width": R}, "probe_half_width must lie in"),
+        ({"inflation": 0.9}, "inflation must be at least 1, got 0.9"),
+        ({"support": "bowl"}, "support must be one of plate"),
+        ({"punch": "glued"}, "punch must be one of bonded, frictionless"),
+        ({"law": "rubber"}, "law must be one of"),
+    ],
+)
+def test_what_cannot_work_is_refused(change: dict[str, Any], message: str) -> None:
+    settings = {"force": 100.0, **CAPSULE, **change}
+    with pytest.raises(ValueError, match=message):
+        indent_capsule(**settings)
+
+
+@pytest.mark.parametrize(
+    ("a", "depth", "message"),
+    [
+        (20.0, 50.0, "rim_radius must lie between"),
+        (600.0, 50.0, "rim_radius must lie between"),
+        (247.0, 1300.0, "depth must be below"),
+        (247.0, 500.0, "depth must be one"),
+        (247.0, 0.01, "depth must be one"),
+    ],
+)
+def test_shapes_that_no_capsule_has_are_refused(a: float, depth: float, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        capsule_modulus(197.24, a, depth, radius=R, thickness=H, probe_half_width=C)
+
+
+def test_a_false_solution_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A horizontal balance that is off by a hundredth is seen by the virtual work.
+    honest = _capsule._Capsule.slopes
+
+    def wrong(self: _capsule._Capsule, x: Any, y: Any, k: Any) -> Any:
+        slopes = honest(self, x, y, k)
+        slopes[[4, 8]] *= 1.01
+        return slopes
+
+    monkeypatch.setattr(_capsule._Capsule, "slopes", wrong)
+    with pytest.raises(ValueError, match="force must have an equilibrium"):
+        indent_capsule(100.0, inflation=1.05, **CAPSULE)

@@ -1,0 +1,257 @@
+"""The clamped disc, against a closed form, printed ratios, and a minimum of its energy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from microlib.membrane import _disc, elastic_modulus
+from microlib.membrane._disc import disc_modulus, indent_disc
+
+A, H, C, F = 246.95, 3.0, 25.0, 197.24
+DISC: dict[str, Any] = {"radius": A, "thickness": H, "probe_half_width": C}
+
+
+# A second method: nodes, straight elements, and Newton on the energy. It knows no equilibrium
+# equation, no tension and no wrinkles, and shares nothing with the library.
+
+
+def energy_slopes(law: str, nu: float, l1: Any, l2: Any) -> tuple[Any, Any]:
+    if law == "hooke":
+        k = 1 / (1 - nu**2)
+        return k * (l1 - 1 + nu * (l2 - 1)), k * (l2 - 1 + nu * (l1 - 1))
+    c2 = 0.2 if law == "mooney-rivlin" else 0.0
+    scale = 1 / (3 * (1 + c2))
+    one = scale * (l1 - l1**-3 * l2**-2 + c2 * (l1 * l2**2 - l1**-3))
+    two = scale * (l2 - l2**-3 * l1**-2 + c2 * (l2 * l1**2 - l2**-3))
+    return one, two
+
+
+def minimised_depth(
+    force: float, elements: int, law: str, nu: float, p: float, initial: float, outer: float
+) -> float:
+    """Depth over a; force in E h a, p in E h/a; edges at C/A/initial and `outer`."""
+    c = C / A
+    x = c / initial * (outer * initial / c) ** np.linspace(0, 1, elements + 1)
+    width, middle = np.diff(x), (x[1:] + x[:-1]) / 2
+    area = 2 * np.pi * middle * width
+
+    def slopes(ends: Any) -> Any:
+        r0, z0, r1, z1 = ends
+        dr, dz, r = r1 - r0, z1 - z0, (r0 + r1) / 2
+        long = (dr**2 + dz**2) ** 0.5
+        one, two = energy_slopes(law, nu, long / width, r / middle)
+        along, across = area * one / (width * long), area * two / (2 * middle)
+        # The pressure's potential is p π ∫r² dz.
+        by_r0, by_r1 = (2 * r0 + r1) * dz, (r0 + 2 * r1) * dz
+        by_z = r0**2 + r0 * r1 + r1**2
+        load = np.pi * p / 3
+        return np.array(
+            [
+                -along * dr + across + load * by_r0,
+                -along * dz - load * by_z,
+                along * dr + across + load * by_r1,
+                along * dz + load * by_z,
+            ]
+        )
+
+    n = elements + 1
+    nodes = np.arange(elements)
+    places = np.array([nodes, nodes + n, nodes + 1, nodes + 1 + n])
+    free = np.setdiff1d(np.arange(2 * n), [0, n - 1, 2 * n - 1])
+    slack = 0.5 * (force + p) ** (1 / 3)
+    r = np.interp(np.log(x), np.log(x[[0, -1]]), [0, 1]) * (1 - outer * initial) + x * initial
+    q = np.concatenate([r, slack * np.log(x / outer) / 3])
+    pull = np.zeros(2 * n)
+    pull[n] = force
+    for _ in range(100):
+        ends = q[places]
+        gradient = pull.copy()
+        np.add.at(gradient, places, slopes(ends))
+        stiffness = np.zeros((2 * n, 2 * n))
+        for k in range(4):
+            moved = ends.astype(complex)
+            moved[k] += 1e-30j
+            np.add.at(stiffness, (places, places[k]), slopes(moved).imag / 1e-30)
+        step = np.linalg.solve(stiffness[np.ix_(free, free)], -gradient[free])
+        q[free] += step * min(1.0, 0.05 / np.abs(step).max())
+        if np.abs(step).max() < 1e-12:
+            return float(-q[n])
+    raise AssertionError("the minimum was not found")
+
+
+CASES: list[tuple[str, float, float, dict[str, Any]]] = [
+    ("hooke", 1 / 3, 5.0, {"pressure": 0}),
+    ("hooke", 0.5, F, {}),
+    ("neo-hooke", 0.5, F, {}),
+    ("neo-hooke", 0.5, F, {"pressure": 0.0005}),
+    ("neo-hooke", 0.5, 20.0, {"pretension": 0.02}),
+    ("mooney-rivlin", 0.5, F, {"pretension": 0.05, "rim_inset": 0.03}),
+]
+
+
+@pytest.mark.parametrize(("law", "nu", "force", "kw"), CASES)
+def test_equals_a_minimum_of_the_energy(
+    law: str, nu: float, force: float, kw: dict[str, Any]
+) -> None:
+    got = indent_disc(force, modulus=1.0, law=law, poisson_ratio=nu, **DISC, **kw).depth / A
+    p = {"balance": force / (np.pi * A**2)}.get(kw.get("pressure", "balance"), kw.get("pressure"))
+    initial = 1 + kw.get("pretension", 0)
+    outer = 1 / (initial * (1 - kw.get("rim_inset", 0)))
+    coarse, fine = (
+        minimised_depth(force / (H * A), n, law, nu, p * A / H, initial, outer) for n in (60, 120)
+    )
+    # The error of straight elements falls with the square of their number.
+    wanted = fine + (fine - coarse) / 3
+    assert abs(fine - coarse) < 5e-3 * fine
+    assert got == pytest.approx(wanted, rel=5e-5)
+
+
+@pytest.mark.parametrize("force", [1e-6, 1e-3])
+def test_closed_form_of_small_slopes(force: float) -> None:
+    # ν = 1/3, no pressure: no point moves sideways, N₁ falls with X^(−2/3).
+    depth = indent_disc(
+        force, modulus=1.0, poisson_ratio=1 / 3, law="hooke", pressure=0, **DISC
+    ).depth
+    wanted = np.pi / 3 * H * depth**3 / (A**2 * (1 - (C / A) ** (2 / 3)) ** 3)
+    assert force == pytest.approx(wanted, rel=1e-3 * (depth / A / 0.0085) ** 2)
+
+
+@pytest.mark.parametrize(
+    ("law", "pressure", "steepness", "ratio"),
+    [
+        ("neo-hooke", "balance", 0.1, 0.413),
+        ("neo-hooke", "balance", 0.4908, 0.704),
+        ("hooke", "balance", 0.1, 0.408),
+        ("hooke", "balance", 0.4908, 0.549),
+        ("neo-hooke", 0, 0.1, 0.681),
+        ("neo-hooke", 0, 0.4908, 1.028),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
+def test_modulus_over_that_of_the_thesis(
+    law: str, pressure: float | str, steepness: float, ratio: float
+) -> None:
+    settings: dict[str, Any] = {"thickness": H, "probe_half_width": C, "poisson_ratio": 0.5}
+    got = disc_modulus(F, A, steepness * A, law=law, pressure=pressure, **settings)
+    thesis = float(elastic_modulus(F, A, steepness * A, **settings))
+    assert got / thesis == pytest.approx(ratio, rel=2e-3)
+    state = indent_disc(F, modulus=got, radius=A, law=law, pressure=pressure, **settings)
+    assert state.depth == pytest.approx(steepness * A, rel=1e-8)
+
+
+@pytest.mark.parametrize("kw", [{"pressure": 0}, {}, {"rim_inset": 0.04}, {"pretension": 0.03}])
+def test_the_work_of_force_and_pressure_is_the_energy(kw: dict[str, Any]) -> None:
+    less, more = (indent_disc(f, modulus=1.0, **DISC, **kw) for f in (0.999 * F, 1.001 * F))
+    p = (less.pressure + more.pressure) / 2
+    work = F * (more.depth - less.depth) - p * (more.volume - less.volume)
+    assert more.energy - less.energy == pytest.approx(work, rel=1e-4)
+
+
+def test_state_is_consistent() -> None:
+    state = indent_disc(F, modulus=1.3, **DISC)
+    assert state.r[0] == pytest.approx(C)
+    assert state.r[-1] == pytest.approx(A)
+    assert state.z[0] == pytest.approx(-state.depth)
+    assert state.z[-1] == 0
+    assert np.all(np.diff(state.r) > 0)
+    assert state.pressure == pytest.approx(F / (np.pi * A**2))
+    # Level at the rim, as the balance of the pressure has it.
+    slope = (state.z[-1] - state.z[-2]) / (state.r[-1] - state.r[-2])
+    assert slope == pytest.approx(0, abs=5e-3)
+    # What the probe's edge carries, from stretches and stresses alone.
+    r, along = state.r[0], state.stresses[0, 0] * H
+    steep = np.gradient(state.z, state.r, edge_order=2)[0]
+    lift = 2 * np.pi * r / state.stretches[1, 0] * along * np.sin(np.arctan(steep))
+    assert lift == pytest.approx(F - state.pressure * np.pi * C**2, rel=2e-3)
+    volume = -np.trapezoid(2 * np.pi * state.r * state.z, state.r) + np.pi * C**2 * state.depth
+    assert state.volume == pytest.approx(volume, rel=1e-4)
+
+
+def test_units_scale() -> None:
+    one = indent_disc(F, modulus=1.0, **DISC)
+    two = indent_disc(F * 2 * 9, modulus=2.0, radius=3 * A, thickness=3 * H, probe_half_width=3 * C)
+    assert two.depth == pytest.approx(3 * one.depth, rel=1e-9)
+    assert two.energy == pytest.approx(2 * 27 * one.energy, rel=1e-9)
+    assert two.volume == pytest.approx(27 * one.volume, rel=1e-9)
+
+
+def test_half_the_mesh_gives_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    fine = indent_disc(F, modulus=1.0, **DISC).depth
+    monkeypatch.setattr(_disc, "_TOLERANCE", 16 * _disc._TOLERANCE)
+    coarse = indent_disc(F, modulus=1.0, **DISC).depth
+    assert 0 < abs(fine / coarse - 1) < 1e-6
+
+
+def test_a_drawn_in_rim_and_pretension_are_different_things() -> None:
+    depth = indent_disc(5.0, modulus=1.0, **DISC).depth
+    assert indent_disc(5.0, modulus=1.0, rim_inset=0.03, **DISC).depth > 1.2 * depth
+    assert indent_disc(5.0, modulus=1.0, pretension=0.03, **DISC).depth < 0.5 * depth
+    # Tight as a drum, it is a spring: N = E h λ⁻¹(λ − λ⁻⁵)/3 carries F with a logarithmic dimple.
+    small = indent_disc(1e-4, modulus=1.0, pretension=0.1, pressure=0, **DISC).depth
+    tension = H * (1 - 1.1**-6) / 3
+    assert small == pytest.approx(1e-4 * np.log(A / C) / (2 * np.pi * tension), rel=1e-3)
+
+
+def test_no_force() -> None:
+    flat = indent_disc(0.0, modulus=1.0, **DISC)
+    assert flat.depth == flat.energy == flat.volume == flat.pressure == 0
+    assert not flat.z.any()
+    tight = indent_disc(0.0, modulus=1.0, pretension=0.1, **DISC)
+    assert tight.depth == pytest.approx(0, abs=1e-9)
+    np.testing.assert_allclose(tight.stretches, 1.1, rtol=1e-9)
+    # An equibiaxial stretch of the whole disc, that on the probe included.
+    stored = (1.1**2 * 2 + 1.1**-4 - 3) / 6 * H * np.pi * (A / 1.1) ** 2
+    assert tight.energy == pytest.approx(stored, rel=1e-9)
+
+
+def test_a_wrinkled_disc_bears_no_compression() -> None:
+    state = indent_disc(20.0, modulus=1.0, rim_inset=0.05, **DISC)
+    assert state.stresses.min() == 0
+    assert state.stretches[1, -1] == pytest.approx(0.95)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"force": -1.0}, "force must be zero or positive, got -1"),
+        ({"force": np.nan}, "force must be finite"),
+        ({"force": [1.0, 2.0]}, "force must be a single number"),
+        ({"force": 5e3}, "force must leave the membrane upright"),
+        ({"modulus": 0.0}, "modulus must be positive"),
+        ({"probe_half_width": A}, "probe_half_width must lie in"),
+        ({"pressure": "none"}, "pressure must be 'balance' or a number"),
+        ({"pressure": -1.0}, "pressure must be zero or positive"),
+        ({"pretension": -0.1}, "pretension must be zero or positive"),
+        ({"rim_inset": 0.5}, r"rim_inset must lie in \[0, 0\.5\)"),
+        ({"force": 0.0, "rim_inset": 0.1}, "force must be positive where rim_inset"),
+        ({"poisson_ratio": 0.4}, r"poisson_ratio must be 0\.5"),
+    ],
+)
+def test_what_cannot_work_is_refused(change: dict[str, Any], message: str) -> None:
+    settings = {"force": F, "modulus": 1.0, **DISC, **change}
+    with pytest.raises(ValueError, match=message):
+        indent_disc(**settings)
+
+
+def test_a_dimple_that_no_modulus_gives_is_refused() -> None:
+    with pytest.raises(ValueError, match="depth must be"):
+        disc_modulus(F, A, 20.0, thickness=H, probe_half_width=C, rim_inset=0.1)
+
+
+def test_a_false_solution_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A wrong sign in the pressure's part of the equilibrium is seen by the virtual work.
+    honest = _disc._Disc.slopes
+
+    def wrong(self: _disc._Disc, t: Any, y: Any) -> Any:
+        _, r, _, _ = self.unpack(t, y)
+        slopes = honest(self, t, y)
+        _, tension, height = self.scales
+        slopes[1] -= 2 * self.pressure * r * slopes[2] * height / tension
+        return slopes
+
+    monkeypatch.setattr(_disc._Disc, "slopes", wrong)
+    with pytest.raises(ValueError, match="force must have an equilibrium"):
+        indent_disc(F, modulus=1.0, **DISC)
