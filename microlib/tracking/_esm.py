@@ -44,17 +44,32 @@ _NEGLIGIBLE = 1e-17
 #: Pixels beyond the template that its gradient needs: the differences span five pixels.
 _MARGIN = 2
 
+# What the following are worth is in the benchmark of tracking, table "Constants".
+
+#: Relative damping of the normal equations: far below any information in an image, it keeps a
+#: direction that the image does not determine (an aperture problem) at rest instead of dividing by
+#: rounding errors. The same success from 0 to 10⁻⁶.
 _DAMPING = 1e-9
 
+#: Ratio of the norms of two columns of the design at which the smaller one counts as absent. The
+#: same results at 10⁻⁹; at 10⁻³ the bias, whose column is the smallest, is taken for absent.
 _VANISHING = 1e-6
 
+#: A template whose area changes by more than this factor within one frame is not tracked any more,
+#: nor one that is turned over. A guard: at 2 1 % fewer homographies are found, at 16 and without it
+#: the results are the same.
 _AREA_FACTOR = 4.0
 
+#: A motion parameter that steps further, in half template sizes, has left the template. A guard
+#: that keeps the exponential finite: the same results at 1, at 16, and without it.
 _LARGEST_STEP = 4.0
 
+#: Least share of the template's pixels that must lie inside the image for it to be in view. Where
+#: the template stays inside, nothing depends on it.
 _LEAST_VISIBLE = 0.25
 
-#: Radius of the Gaussian in standard deviations; 0.3 % of its weight lies beyond.
+#: Radius of the Gaussian in standard deviations; 0.3 % of its weight lies beyond along either axis.
+#: The same results from 1 to 4.
 _TRUNCATION = 3
 
 

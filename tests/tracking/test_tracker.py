@@ -21,6 +21,8 @@ from microlib.tracking._tracker import _distortions as distortions
 
 INTERVAL = 1 / 33
 IMAGE = mixed_texture((80, 90), np.random.default_rng(0), scales=1.0)
+#: A chessboard of squares of 2 px.
+CHECKS = 100.0 * (np.indices((80, 90)) // 2).sum(axis=0) % 200
 
 
 def corner_errors(motion, distance, warp, trials, **options):
@@ -354,6 +356,7 @@ def test_follows_a_fast_square_over_another_texture(speed, runs):
         (IMAGE, (10, 10, 40, 40), {"levels": 5}, "levels must leave"),
         (IMAGE, (10, 10, 40, 40), {"levels": 0}, "levels must be a whole number"),
         (IMAGE, (10, 10, 40, 40), {"smoothing": 0.0}, "smoothing must be positive"),
+        (CHECKS, (10, 10, 40, 40), {"smoothing": 3.0}, "smoothing must leave 1 % of"),
         (IMAGE, (10, 10, 40, 40), {"least_correlation": 1.2}, "least_correlation must lie in"),
     ],
 )
