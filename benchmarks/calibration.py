@@ -33,8 +33,8 @@ LIMITS = {
 DARK, BRIGHT = 55.0, 195.0
 PITCH_PX = 30
 DEGREE = np.pi / 180
-#: By column of Table 5.1: its microscope, the step of the pattern's grid in µm, and the mean error of
-#: Table 5.2.
+#: By column of Table 5.1: its microscope, the step of the pattern's grid in µm, and the mean error
+#: of Table 5.2.
 COLUMNS = {
     column.replace("-", " "): (
         thesis.microscope(column),
