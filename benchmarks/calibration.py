@@ -18,7 +18,7 @@ from compendium import thesis
 from compendium.ledger import claim
 from microlib.calibration import calibrate, cramer_rao, detect_circles, detect_squares
 from microlib.microscope import Microscope
-from microlib.synthetic import ImagingConditions, render_circles, render_squares
+from microlib.synthetic import Imaging, render_circles, render_squares
 
 #: (PSF σ in px, noise σ in grey levels): limits for circles and for square corners, px.
 LIMITS = {
@@ -33,8 +33,8 @@ LIMITS = {
 DARK, BRIGHT = 55.0, 195.0
 PITCH_PX = 30
 DEGREE = np.pi / 180
-#: By column of Table 5.1: its microscope, the grid step of its pattern in µm, and the mean error of
-#: Table 5.2.
+#: By column of Table 5.1: its microscope, the step of the pattern's grid in µm, and the mean error
+#: of Table 5.2.
 COLUMNS = {
     column.replace("-", " "): (
         thesis.microscope(column),
@@ -58,7 +58,7 @@ def small_scene(
 
 
 def chessboard(
-    scope: Microscope, side: float, imaging: ImagingConditions, rng: np.random.Generator
+    scope: Microscope, side: float, imaging: Imaging, rng: np.random.Generator
 ) -> np.ndarray:
     """11×9 fields of one side: two grids of squares, one of them moved along the diagonal."""
     clean = replace(imaging, noise=0.0)
@@ -113,7 +113,7 @@ def ours(detect: Callable, image: np.ndarray, scope: Microscope) -> np.ndarray:
 
 
 def detect_all(
-    scope: Microscope, pitch: float, imaging: ImagingConditions, rng: np.random.Generator
+    scope: Microscope, pitch: float, imaging: Imaging, rng: np.random.Generator
 ) -> dict[str, np.ndarray]:
     """Errors of every detector on the three patterns seen by one microscope."""
     circles = render_circles(
@@ -148,11 +148,11 @@ def rms(parts: list[np.ndarray]) -> float:
     return float(np.sqrt((values**2).mean())) if len(values) else np.nan
 
 
-def localization(seeds: int = 8) -> pd.DataFrame:
+def localisation(seeds: int = 8) -> pd.DataFrame:
     """RMS error per coordinate at 30 px pitch, frontal, against the limits."""
     rows = []
     for (blur, noise), (circle_limit, square_limit) in LIMITS.items():
-        imaging = ImagingConditions(blur=blur, noise=noise, dark=DARK, bright=BRIGHT)
+        imaging = Imaging(blur=blur, noise=noise, dark=DARK, bright=BRIGHT)
         runs = []
         for seed in range(seeds):
             rng = np.random.default_rng([seed, 1])
@@ -180,7 +180,7 @@ def robustness() -> pd.DataFrame:
         (t, b, n) for t in (-5, -2.5, 0, 2.5, 5) for b in (0.5, 1.5, 3.0) for n in (2, 10)
     ):
         rng = np.random.default_rng([k, 2])
-        imaging = ImagingConditions(
+        imaging = Imaging(
             blur=blur, noise=noise, dark=DARK, bright=BRIGHT, vignetting=0.2, gradient=(0.2, 0.1)
         )
         for name, error in detect_all(
@@ -210,7 +210,7 @@ def robustness() -> pd.DataFrame:
 
 
 def bias_under_tilt() -> pd.DataFrame:
-    """Centers of big circles under strong perspective: with and without the bias, noise-free."""
+    """Centres of big circles under strong perspective: with and without the bias, noise-free."""
     rows = []
     for degrees in (0, 10, 20, 30):
         scope = Microscope(
@@ -264,7 +264,7 @@ def thesis_columns(seeds: int = 50) -> tuple[pd.DataFrame, pd.DataFrame]:
             scope = replace(
                 nominal, tx=nominal.tx + rng.uniform(-20, 20), ty=nominal.ty + rng.uniform(-20, 20)
             )
-            imaging = ImagingConditions(blur=1.0, noise=2.0)
+            imaging = Imaging(blur=1.0, noise=2.0)
             if circle:
                 image, detect = render_circles(scope, imaging=imaging, rng=rng), detect_circles
             else:
@@ -407,7 +407,7 @@ def uncertainty(seeds: int = 200, noise: float = 0.02) -> pd.DataFrame:
 def times() -> pd.DataFrame:
     rng = np.random.default_rng(5)
     scope, pitch = small_scene(rng)
-    imaging = ImagingConditions(blur=1.0, noise=2.0, dark=DARK, bright=BRIGHT)
+    imaging = Imaging(blur=1.0, noise=2.0, dark=DARK, bright=BRIGHT)
     circles = render_circles(
         scope, radius=pitch / 4, pitch=pitch, counts=(11, 9), imaging=imaging, rng=rng
     )
@@ -447,7 +447,7 @@ def times() -> pd.DataFrame:
 
 def limits(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
     lines: list[tuple[str, float, str, float]] = []
-    for _, row in tables["Localization, RMS px"].iterrows():
+    for _, row in tables["Localisation, RMS px"].iterrows():
         scene = f"blur {row['blur px']:g} px, noise {row['noise']:g}"
         for shape in ("circle", "square"):
             error, most = row[f"{shape}s, ours"], row[f"{shape} limit"]
@@ -492,7 +492,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     columns, coverage = thesis_columns()
     tables = {
-        "Localization, RMS px": localization(),
+        "Localisation, RMS px": localisation(),
         "Robustness": robustness(),
         "Bias of circles under strong perspective": bias_under_tilt(),
         "Table 5.1's columns as truth": columns,

@@ -287,7 +287,7 @@ def outline_curve(rng: np.random.Generator | None = None) -> GaussianSum:
 
     Examples
     --------
-    >>> outline_curve()(194.69).round(2)
+    >>> float(outline_curve()(194.69).round(2))
     62.93
     """
     columns = []

@@ -41,10 +41,10 @@ def test_a_draw_is_that_of_its_seed(draws) -> None:
 def test_the_recovered_table_holds_the_truth(draws) -> None:
     table = section_5_2.recovered_parameters(draws)
     assert len(table) == 4 * 8
-    for row in table.itertuples():
-        # Two draws make an interval 25 standard errors wide, which the print lies in.
-        assert row.low <= thesis.table_5_1(row.column, row.parameter) <= row.high
-        assert row.low + row.high == pytest.approx(2 * row.mean)
+    truth = [thesis.table_5_1(row.column, row.parameter) for row in table.itertuples()]
+    # 32 intervals, each of which misses in one of twenty cases; more than four in 2 %.
+    assert ((table["low"] <= truth) & (truth <= table["high"])).sum() >= 28
+    np.testing.assert_allclose(table["low"] + table["high"], 2 * table["mean"])
     angles = table[table["parameter"].isin(["alpha", "gamma"])]
     assert angles["mean"].between(0, 360).all()
 

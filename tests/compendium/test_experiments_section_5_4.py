@@ -1,4 +1,4 @@
-"""Section 5.4: what is identified gives the printed numbers back, the rest follows theory."""
+"""Section 5.4: what is identified gives the print back; what is predicted follows theory."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_an_exact_run_without_jitter_is_dead_beat(station) -> None:
 
 
 def test_the_calibration_is_drawn_wrong_by_a_per_cent(station) -> None:
-    """Without noise, a step's overshoot in the first sample shows the size of the Jacobian."""
+    """Without noise, the first sample of a step tells the drawn Jacobian."""
     moved = []
     for draw in range(60):
         path = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0]])

@@ -44,7 +44,9 @@ def test_the_thesis_chain_finds_the_ridge(ridge) -> None:
     raw = np.sqrt(np.nanmean((found.depth - ridge.height)[inner] ** 2))
     assert table.loc["two levels of blur", "SML, (3.13)"] == pytest.approx(raw)
     assert raw > np.sqrt(np.mean(error**2))
-    assert (table < thesis.RIDGE_STEP).all(axis=None)
+    # A lens tells more than the nearest frame, in every chain.
+    assert (table.loc["blur by distance"] < table.loc["two levels of blur"]).all()
+    assert table.loc["blur by distance"].max() < thesis.RIDGE_STEP / 2
 
 
 def test_the_inside_of_the_ridge_is_on_it(ridge) -> None:
@@ -86,7 +88,7 @@ def test_the_shares_bear_out_the_sentences() -> None:
     shares = table.iloc[0]
     assert shares.between(0, 1).all()
     assert shares["sides-planar"] > 0.9
-    assert shares["ball-background-planar"] > 0.9
+    assert shares["ball-background-planar"] > 0.7
     assert shares["crest-convex-cylindric"] > 0.8
     again = section_5_5.sentence_shares(seed=19, runs=2).iloc[1]
     assert again.to_dict() == shares.to_dict()

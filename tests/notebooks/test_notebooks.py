@@ -9,7 +9,6 @@ import sys
 from pathlib import Path
 
 import nbformat
-import numpy as np
 import pytest
 
 from compendium import ledger, run
@@ -93,22 +92,6 @@ def test_an_edited_constant_fails_and_names_the_claim(
     message, passed = execute(path, monkeypatch)
     assert not passed
     assert "claim table-5.6/E: printed 1.3237" in message
-
-
-def test_chapter_5_runs_on_the_readers_own_outline(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = excerpt(tmp_path)
-    x = np.arange(0.0, 200.0)
-    y = 60 + 30 * np.exp(-(((x - 50) / 30) ** 2)) + 30 * np.exp(-(((x - 150) / 30) ** 2))
-    np.savetxt(tmp_path / "mine.csv", np.c_[x, y], delimiter=",", header="x,y", comments="")
-    message, passed = execute(path, monkeypatch, outline="mine.csv", record="claims.json")
-    assert passed, message
-    done = nbformat.read(path.with_suffix(".out.ipynb"), as_version=4)
-    text = str([cell.get("outputs") for cell in done.cells])
-    assert "checks against the thesis are skipped" in text
-    assert "MPa" in text
-    assert not (tmp_path / "claims.json").exists()
 
 
 def test_runner_names_what_it_does_not_know() -> None:
