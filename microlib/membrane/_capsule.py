@@ -22,8 +22,9 @@ _NODES = 40
 _MOST_NODES = 1500
 # Relative residual of the collocation: the depth is then good to about 1e-8.
 _TOLERANCE = 1e-6
-# Enough to see whether the middle of the plate is slack.
+# Enough to see whether the middle of the plate is slack; a guess that needs more nodes is no good.
 _ROUGH = 1e-3
+_ROUGH_NODES = 400
 # What two independent checks of a solution may leave.
 _ACCEPTED = 1e-5
 # The flat zones begin at this fraction of their arc, the rest of which is stretched evenly: the
@@ -251,7 +252,7 @@ class _Capsule:
             by_unknown[:, index] = (self.slopes(x, y, moved) - here) / (moved[index] - k[index])
         return by_state, by_unknown
 
-    def solve(self, x: Array, y: Array, k: Array, tolerance: float = _TOLERANCE) -> Any:
+    def solve(self, x: Array, y: Array, k: Array, *, rough: bool = False) -> Any:
         """Return SciPy's solution from a guess."""
         with np.errstate(all="ignore"):
             return solve_bvp(
@@ -261,8 +262,8 @@ class _Capsule:
                 y,
                 p=k,
                 fun_jac=self.jacobian,
-                tol=tolerance,
-                max_nodes=_MOST_NODES,
+                tol=_ROUGH if rough else _TOLERANCE,
+                max_nodes=_ROUGH_NODES if rough else _MOST_NODES,
             )
 
 
@@ -540,7 +541,7 @@ def _said(problem: _Capsule) -> str:
 
 def _attempt(problem: _Capsule, guess: tuple[Array, Array, Array]) -> tuple[_Capsule, Any]:
     """Return a sound solution, with a slack zone if the plate's middle is compressed, or None."""
-    rough = problem.solve(*guess, tolerance=_ROUGH)
+    rough = problem.solve(*guess, rough=True)
     if rough.status != 0 or not np.isfinite(rough.y).all():
         return problem, None
     u = problem.unpack(rough.p)

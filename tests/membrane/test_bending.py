@@ -93,7 +93,9 @@ class Shell:
         r2 = r1 - self.ghost
         return self.bending([r0, r1, r2, z0, z1, z1], self.part[-1], self.rho[-1])
 
-    def slopes(self, q: Array, p: float, plate: bool) -> tuple[Array, Array, Array]:
+    def slopes(
+        self, q: Array, p: float, plate: bool, matrix: bool = True
+    ) -> tuple[Array, Array, Array]:
         """Gradient and Hessian of U − p V + springs, and the gradient of V."""
         n = self.n
         gradient, hessian = np.zeros(2 * n), np.zeros((2 * n, 2 * n))
@@ -109,7 +111,7 @@ class Shell:
         for energy, places, values in parts:
             for i in range(len(places)):
                 np.add.at(gradient, places[i], partial(energy, values, i))
-                for k in range(len(places)):
+                for k in range(len(places) if matrix else 0):
                     up, down = values.copy(), values.copy()
                     up[k] += 1e-6
                     down[k] -= 1e-6
@@ -121,6 +123,11 @@ class Shell:
             rows = np.arange(n, 2 * n)
             hessian[rows, rows] += stiff * self.per_node / (1 + np.exp(np.clip(z / soft, -50, 50)))
         return gradient, hessian, swept
+
+    def misfit(self, q: Array, p: float, free: Array, closed: bool) -> float:
+        left = self.slopes(q, p, closed, matrix=False)[0][free]
+        excess = 4 / 3 * np.pi - np.sum(self.swept(q[self.pairs])) if closed else 0.0
+        return float(np.hypot(np.linalg.norm(left), excess))
 
     def press(self, q: Array, fixed: list[int], heights: Array, closed: bool) -> list[float]:
         """Force at each height of the last node; `closed` keeps the volume and has a plate."""
@@ -142,11 +149,14 @@ class Shell:
                     left = np.append(left, 4 / 3 * np.pi - excess)
                 step = np.linalg.solve(matrix, -left)
                 size = np.abs(step[: free.size]).max()
-                # The first step follows the tangent to the new height; later ones are kept short.
-                step *= 1.0 if first else min(1.0, 0.02 / size)
-                q[free] += step[: free.size]
-                p += step[-1] if closed else 0.0
-                q[end], first = height, False
+                # The first step follows the tangent to the new height; later ones go downhill.
+                for power in range(1 if first else 8):
+                    trial, push = q.copy(), p + (step[-1] / 2**power if closed else 0.0)
+                    trial[free] += step[: free.size] / 2**power
+                    trial[end] = height
+                    if first or self.misfit(trial, push, free, closed) < np.linalg.norm(left):
+                        break
+                q, p, first = trial, push, False
                 if size < 1e-9:
                     break
             else:
@@ -163,18 +173,19 @@ def partial(energy: Callable[[Any], Any], values: Array, place: int) -> Array:
 
 def test_dimple_of_a_shell_without_pressure() -> None:
     h, top = 0.004, np.array([0.06, 0.12])
-    s = np.linspace(np.pi - 0.75, np.pi - 0.02, 260)
+    s = np.linspace(np.pi - 0.75, np.pi - 0.02, 200)
     shell = Shell(s, 1.0, h**2 / (12 * (1 - NU**2)), clamped=False)
     q = np.concatenate([np.sin(s), 1 - np.cos(s)])
     start = q[-1]
     n = s.size
-    approach = np.linspace(0, top[1], 25)[1:]
+    approach = np.linspace(0, top[1], 17)[1:]
     got = np.array(shell.press(q, [0, n, n - 1], start - approach, closed=False))
     for depth in top:
         force = got[np.argmin(abs(approach - depth))] * h
         wanted = mirror_dimple_force(depth, modulus=1.0, radius=1.0, thickness=h, poisson_ratio=NU)
-        # The model holds for a ridge far from the probe: 15 and 30 thicknesses deep.
-        assert force == pytest.approx(wanted, rel=0.1)
+        # The model holds for a ridge far from the probe: 8 % off when 15 thicknesses deep, 4 % when
+        # 30, and 2 % when 60 (not run here).
+        assert force == pytest.approx(wanted, rel=0.1 if depth < 0.1 else 0.05)
 
 
 def test_added_force_on_a_taut_capsule() -> None:
@@ -189,17 +200,17 @@ def test_added_force_on_a_taut_capsule() -> None:
     }
     state = indent_capsule(120.0, **settings)
     edge = np.arcsin(c / radius)
-    far = np.geomspace(0.0015, np.pi / 2 - edge, 130) + edge
-    s = np.concatenate([np.linspace(0, np.pi / 2, 60)[:-1], np.pi - far[::-1], [np.pi - edge]])
+    far = np.geomspace(0.0028, np.pi / 2 - edge, 70) + edge
+    s = np.concatenate([np.linspace(0, np.pi / 2, 30)[:-1], np.pi - far[::-1], [np.pi - edge]])
     forces = []
     for rigidity in (0.0, (h / radius) ** 2 / (12 * (1 - NU**2))):
         shell = Shell(s, inflation, rigidity, clamped=True)
         q = np.concatenate([np.sin(s), 1 - np.cos(s)])
-        heights = np.linspace(q[-1], 2 - state.approach / radius, 10)[1:]
+        heights = q[-1] - (q[-1] - 2 + state.approach / radius) * np.linspace(0, 1, 8)[1:] ** 1.5
         forces.append(shell.press(q, [0, s.size - 1], heights, closed=True)[-1] * h * radius)
     assert forces[0] == pytest.approx(120.0, rel=1e-2)
     added = capsule_bending_force(120.0, **settings)
-    assert forces[1] - forces[0] == pytest.approx(added, rel=0.15)
+    assert forces[1] - forces[0] == pytest.approx(added, rel=0.06)
 
 
 def test_a_thin_wall_hardly_bends() -> None:

@@ -12,6 +12,7 @@ from scipy.special import k0, k1
 from microlib._common import Array
 from microlib.membrane import _capsule
 from microlib.membrane._capsule import capsule_modulus, indent_capsule
+from microlib.membrane._laws import law_of
 
 R, H, C = 600.0, 3.0, 25.0
 CAPSULE: dict[str, Any] = {"modulus": 1.0, "radius": R, "thickness": H, "probe_half_width": C}
@@ -192,7 +193,7 @@ def test_volume_energy_and_crest(law: str, inflation: float, force: float, punch
 
 
 def test_half_the_mesh_gives_the_same() -> None:
-    problem = _capsule._problem(_capsule.law_of("neo-hooke", 0.5), True, C / R, 100 / H / R, 1.05)
+    problem = _capsule._problem(law_of("neo-hooke", 0.5), True, C / R, 100 / H / R, 1.05)
     _, solution = _capsule._solve(problem)
     middles = (solution.x[1:] + solution.x[:-1]) / 2
     mesh = np.sort(np.concatenate([solution.x, middles]))

@@ -97,7 +97,7 @@ def test_equals_a_minimum_of_the_energy(
     law: str, nu: float, force: float, kw: dict[str, Any]
 ) -> None:
     got = indent_disc(force, modulus=1.0, law=law, poisson_ratio=nu, **DISC, **kw).depth / A
-    p = {"balance": force / (np.pi * A**2)}.get(kw.get("pressure", "balance"), kw.get("pressure"))
+    p = kw.get("pressure", force / (np.pi * A**2))
     initial = 1 + kw.get("pretension", 0)
     outer = 1 / (initial * (1 - kw.get("rim_inset", 0)))
     coarse, fine = (

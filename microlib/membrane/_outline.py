@@ -1,0 +1,224 @@
+"""A capsule's modulus from its outline: the shell that passes closest to the points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+
+from microlib._common import Array, as_array
+from microlib.membrane._capsule import CapsuleModulus, capsule_modulus
+from microlib.membrane._laws import scalar
+from microlib.membrane._state import MembraneState
+
+__all__ = ["CapsuleFit", "fit_capsule"]
+
+# Fewer points than this cannot tell four or five numbers and their scatter.
+_FEWEST_POINTS = 20
+# Relative steps of the shape's derivatives: far above the solver's error, far below any curvature.
+_STEP = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class CapsuleFit:
+    """
+    The capsule that an outline shows, from `fit_capsule`.
+
+    Attributes
+    ----------
+    modulus, modulus_std : float
+        Elastic modulus E at small strain and its standard deviation from the scatter of the points
+        alone, in MPa.
+    inflation : float
+        Stretch of the wall before the test.
+    radius : float
+        Radius R before the test, in µm, fitted or as given.
+    center : tuple of float
+        Position of the axis, and of the plate, in the outline's coordinates, in µm.
+    misfit : float
+        Root mean square distance of the points from the shell, in µm.
+    state : MembraneState
+        The fitted capsule.
+
+    Notes
+    -----
+    `misfit` beside the noise of the points tells whether the model draws the outline at all;
+    `modulus_std` knows nothing of a wrong model.
+    """
+
+    modulus: float
+    modulus_std: float
+    inflation: float
+    radius: float
+    center: tuple[float, float]
+    misfit: float
+    state: MembraneState
+
+
+def fit_capsule(
+    force: float,
+    outline: ArrayLike,
+    *,
+    thickness: float,
+    probe_half_width: float,
+    radius: float | None = None,
+    poisson_ratio: float = 0.5,
+    law: str = "neo-hooke",
+    support: str = "plate",
+    punch: str = "bonded",
+) -> CapsuleFit:
+    r"""
+    Elastic modulus and inflation of a capsule from points of its outline.
+
+    Parameters
+    ----------
+    force : float
+        Force F of the probe, in µN.
+    outline : (N, 2) array_like
+        Points of the outline seen from the side, across and up, in µm, N ≥ 20, in the outline's
+        order. Of one side only, they are counted from about the axis. Points nearer to the axis
+        than `probe_half_width` are left out.
+    thickness, probe_half_width : float
+        h before inflation and c, in µm.
+    radius : float, optional
+        R before the test, in µm. By default it is fitted, which needs the outline's widest part.
+    poisson_ratio, law, support, punch
+        As for `indent_capsule`.
+
+    Returns
+    -------
+    CapsuleFit
+        The fit.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of its range, or if no capsule comes near the points.
+
+    Notes
+    -----
+    Least squares of the distances between points and meridian, over rim radius, depth, the place of
+    axis and plate, and R; `capsule_modulus` gives the shell of each trial. The standard deviation
+    counts neighboring points as one by the correlation ρ of neighboring distances: the variance
+    grows by (1 + ρ)/(1 − ρ).
+
+    Examples
+    --------
+    >>> from microlib.membrane import indent_capsule
+    >>> state = indent_capsule(
+    ...     100.0, modulus=1.0, radius=600.0, thickness=3.0, probe_half_width=25.0, inflation=1.05
+    ... )
+    >>> noise = np.random.default_rng(0).normal(0.0, 0.5, (2, state.r.size))
+    >>> points = np.column_stack([state.r, state.z] + noise)
+    >>> fit = fit_capsule(100.0, points, thickness=3.0, probe_half_width=25.0)
+    >>> print(f"{fit.modulus:.2f} MPa, misfit {fit.misfit:.1f} µm")
+    1.00 MPa, misfit 0.5 µm
+    """
+    load, c = scalar("force", force), scalar("probe_half_width", probe_half_width)
+    points = as_array("outline", outline, shape=(None, 2))
+    if len(points) < _FEWEST_POINTS:
+        raise ValueError(f"outline must have at least {_FEWEST_POINTS} points, got {len(points)}")
+    known = None if radius is None else scalar("radius", radius)
+    settings: dict[str, Any] = {
+        "thickness": thickness,
+        "probe_half_width": c,
+        "poisson_ratio": poisson_ratio,
+        "law": law,
+        "support": support,
+        "punch": punch,
+    }
+    shells: dict[tuple[float, ...], CapsuleModulus] = {}
+
+    def shell(a: float, depth: float, size: float) -> CapsuleModulus:
+        key = (a, depth, size)
+        if key not in shells:
+            shells[key] = capsule_modulus(load, a, depth, radius=size, **settings)
+        return shells[key]
+
+    def unpack(values: Array) -> tuple[float, float, float]:
+        return float(values[0]), float(values[1]), float(values[4] if known is None else known)
+
+    def distances(values: Array) -> Array:
+        state = shell(*unpack(values)).state
+        across, up = np.abs(points[:, 0] - values[2]), points[:, 1] - values[3]
+        near = _signed_distances(across, up, state.r, state.z)
+        return np.where(across > c, near, 0.0)
+
+    def trial(values: Array) -> Array:
+        try:
+            return distances(values)
+        except ValueError:
+            # No such capsule: further than any point can be.
+            return np.full(len(points), 1e3)
+
+    start = _start(points, c, known)
+    a, depth, size = unpack(start)
+    try:
+        start[3] -= shell(a, depth, size).state.z.max()
+    except ValueError as reason:
+        raise ValueError(f"outline must be near to that of a capsule, got {reason}") from None
+    found = least_squares(
+        trial, start, x_scale=np.abs(start) + c, diff_step=_STEP, xtol=1e-8, ftol=1e-8, max_nfev=40
+    )
+    best = shell(*unpack(found.x))
+    left = distances(found.x)
+    used = left[np.abs(points[:, 0] - found.x[2]) > c]
+    misfit = float(np.sqrt(np.mean(used**2)))
+    spread = _covariance(found.jac, used)
+    slopes = np.zeros(found.x.size)
+    for index in [0, 1] + ([4] if known is None else []):
+        moved = found.x.copy()
+        moved[index] *= 1 + _STEP
+        change = shell(*unpack(moved)).modulus - best.modulus
+        slopes[index] = change / (moved[index] - found.x[index])
+    return CapsuleFit(
+        modulus=best.modulus,
+        modulus_std=float(np.sqrt(slopes @ spread @ slopes)),
+        inflation=best.inflation,
+        radius=unpack(found.x)[2],
+        center=(float(found.x[2]), float(found.x[3])),
+        misfit=misfit,
+        state=best.state,
+    )
+
+
+def _start(points: Array, c: float, radius: float | None) -> Array:
+    """Return rim, depth, axis, crest's height and radius as the points show them roughly."""
+    x, z = points.T
+    crest, wide = float(z.max()), float(np.ptp(x)) / 2
+    top = x[z > crest - 0.003 * wide]
+    # Two crests have the dimple between them; one is that of a single side, seen from its axis.
+    between = (x > top.min()) & (x < top.max()) & (z > crest - 0.8 * wide)
+    two = between.any() and crest - z[between].min() > 0.015 * wide
+    axis = float(top.min() + top.max()) / 2 if two else 0.0
+    across = np.abs(x - axis)
+    size = radius if radius is not None else float(across.max())
+    rim = float(np.clip(np.median(np.abs(top - axis)), 1.5 * c, 0.8 * size))
+    inside = (across < rim) & (across > c) & (z > crest - size)
+    bottom = float(z[inside].min()) if inside.any() else crest - 0.1 * size
+    values = [rim, max(crest - bottom, 0.01 * size), axis, crest]
+    return np.array(values + ([size] if radius is None else []))
+
+
+def _signed_distances(across: Array, up: Array, r: Array, z: Array) -> Array:
+    """Return each point's distance from the nearest part of the meridian, positive on one side."""
+    dr, dz = np.diff(r), np.diff(z)
+    square = dr**2 + dz**2
+    x, y = across[:, None] - r[:-1], up[:, None] - z[:-1]
+    along = np.clip((x * dr + y * dz) / square, 0.0, 1.0)
+    gap = np.hypot(x - along * dr, y - along * dz)
+    nearest = np.argmin(gap, axis=1)
+    rows = np.arange(across.size)
+    side = (x * dz - y * dr)[rows, nearest]
+    return np.where(side < 0, -1.0, 1.0) * gap[rows, nearest]
+
+
+def _covariance(jacobian: Array, left: Array) -> Array:
+    """Return the parameters' covariance, neighbors' correlation counted."""
+    freedom = max(left.size - jacobian.shape[1], 1)
+    rho = float(np.clip(np.sum(left[1:] * left[:-1]) / np.sum(left**2), 0.0, 0.98))
+    variance = np.sum(left**2) / freedom * (1 + rho) / (1 - rho)
+    return np.linalg.pinv(jacobian.T @ jacobian) * variance

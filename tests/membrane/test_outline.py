@@ -1,0 +1,82 @@
+"""Modulus from an outline: the truth comes back, with its scatter, from any part that shows it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from microlib._common import Array
+from microlib.membrane._capsule import indent_capsule
+from microlib.membrane._outline import fit_capsule
+
+SHELL: dict[str, Any] = {"thickness": 3.0, "probe_half_width": 25.0}
+FORCE, RADIUS, INFLATION = 100.0, 600.0, 1.05
+
+
+def outline(noise: float, *, law: str = "neo-hooke", seed: int = 0) -> Array:
+    """Both sides of a capsule, down to near the plate, axis at 30 µm and plate at 70 µm."""
+    state = indent_capsule(FORCE, modulus=1.0, radius=RADIUS, inflation=INFLATION, law=law, **SHELL)
+    along = np.concatenate([[0], np.cumsum(np.hypot(np.diff(state.r), np.diff(state.z)))])
+    places = np.linspace(0, 0.85 * along[-1], 100)
+    r, z = np.interp(places, along, state.r), np.interp(places, along, state.z)
+    both = np.column_stack([np.concatenate([-r[::-1], r]), np.concatenate([z[::-1], z])])
+    place = np.array([30.0, 70.0])
+    return both + place + np.random.default_rng(seed).normal(0, noise, both.shape)
+
+
+def test_finds_the_capsule_that_was_drawn() -> None:
+    fit = fit_capsule(FORCE, outline(0.0), **SHELL)
+    # The points lie on chords of the outline: up to 0.05 µm inside it.
+    assert fit.modulus == pytest.approx(1, abs=2e-3)
+    assert fit.inflation == pytest.approx(INFLATION, abs=2e-4)
+    assert fit.radius == pytest.approx(RADIUS, abs=0.1)
+    np.testing.assert_allclose(fit.center, [30, 70], atol=0.1)
+    assert fit.misfit < 0.1
+
+
+def test_standard_deviation_is_that_of_the_errors() -> None:
+    fits = [fit_capsule(FORCE, outline(0.7, seed=seed), **SHELL) for seed in range(4)]
+    scores = np.array([(fit.modulus - 1) / fit.modulus_std for fit in fits])
+    # χ² of four: between 0.2 and 15 in 99 of 100 samples.
+    assert 0.2 < np.sum(scores**2) < 15
+    assert all(0.5 < fit.misfit < 0.9 for fit in fits)
+
+
+def test_the_dimple_alone_needs_the_radius() -> None:
+    points = outline(0.5)
+    dimple = points[points[:, 1] > points[:, 1].max() - 150]
+    fit = fit_capsule(FORCE, dimple, radius=RADIUS, **SHELL)
+    assert fit.radius == RADIUS
+    assert abs(fit.modulus - 1) < 4 * fit.modulus_std
+    assert fit.modulus_std < 0.05
+
+
+def test_one_side_counted_from_the_axis() -> None:
+    points = outline(0.3)
+    side = points[points[:, 0] > 30] - [30.0, 0.0]
+    fit = fit_capsule(FORCE, side, radius=RADIUS, **SHELL)
+    assert fit.center[0] == pytest.approx(0, abs=1)
+    assert abs(fit.modulus - 1) < 4 * fit.modulus_std
+
+
+def test_a_wrong_law_shows_in_the_modulus_not_in_the_misfit() -> None:
+    right = fit_capsule(FORCE, outline(0.3), **SHELL)
+    wrong = fit_capsule(FORCE, outline(0.3), law="hooke", **SHELL)
+    assert wrong.misfit > right.misfit
+    assert abs(wrong.modulus - 1) > 3 * wrong.modulus_std
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (np.zeros((5, 2)), "outline must have at least 20 points"),
+        (np.zeros((30, 3)), "outline must have shape"),
+        (np.full((30, 2), np.nan), "outline must be finite"),
+        (np.random.default_rng(0).uniform(0, 20, (40, 2)), "outline must be near"),
+    ],
+)
+def test_what_is_no_outline_is_refused(points: Array, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        fit_capsule(FORCE, points, **SHELL)
