@@ -18,7 +18,7 @@ from compendium import thesis
 from compendium.ledger import claim
 from microlib.calibration import calibrate, cramer_rao, detect_circles, detect_squares
 from microlib.microscope import Microscope
-from microlib.synthetic import Imaging, render_circles, render_squares
+from microlib.synthetic import ImagingConditions, render_circles, render_squares
 
 #: (PSF σ in px, noise σ in grey levels): limits for circles and for square corners, px.
 LIMITS = {
@@ -58,7 +58,7 @@ def small_scene(
 
 
 def chessboard(
-    scope: Microscope, side: float, imaging: Imaging, rng: np.random.Generator
+    scope: Microscope, side: float, imaging: ImagingConditions, rng: np.random.Generator
 ) -> np.ndarray:
     """11×9 fields of one side: two grids of squares, one of them moved along the diagonal."""
     clean = replace(imaging, noise=0.0)
@@ -113,7 +113,7 @@ def ours(detect: Callable, image: np.ndarray, scope: Microscope) -> np.ndarray:
 
 
 def detect_all(
-    scope: Microscope, pitch: float, imaging: Imaging, rng: np.random.Generator
+    scope: Microscope, pitch: float, imaging: ImagingConditions, rng: np.random.Generator
 ) -> dict[str, np.ndarray]:
     """Errors of every detector on the three patterns seen by one microscope."""
     circles = render_circles(
@@ -152,7 +152,7 @@ def localisation(seeds: int = 8) -> pd.DataFrame:
     """RMS error per coordinate at 30 px pitch, frontal, against the limits."""
     rows = []
     for (blur, noise), (circle_limit, square_limit) in LIMITS.items():
-        imaging = Imaging(blur=blur, noise=noise, dark=DARK, bright=BRIGHT)
+        imaging = ImagingConditions(blur=blur, noise=noise, dark=DARK, bright=BRIGHT)
         runs = []
         for seed in range(seeds):
             rng = np.random.default_rng([seed, 1])
@@ -180,7 +180,7 @@ def robustness() -> pd.DataFrame:
         (t, b, n) for t in (-5, -2.5, 0, 2.5, 5) for b in (0.5, 1.5, 3.0) for n in (2, 10)
     ):
         rng = np.random.default_rng([k, 2])
-        imaging = Imaging(
+        imaging = ImagingConditions(
             blur=blur, noise=noise, dark=DARK, bright=BRIGHT, vignetting=0.2, gradient=(0.2, 0.1)
         )
         for name, error in detect_all(
@@ -264,7 +264,7 @@ def thesis_columns(seeds: int = 50) -> tuple[pd.DataFrame, pd.DataFrame]:
             scope = replace(
                 nominal, tx=nominal.tx + rng.uniform(-20, 20), ty=nominal.ty + rng.uniform(-20, 20)
             )
-            imaging = Imaging(blur=1.0, noise=2.0)
+            imaging = ImagingConditions(blur=1.0, noise=2.0)
             if circle:
                 image, detect = render_circles(scope, imaging=imaging, rng=rng), detect_circles
             else:
@@ -407,7 +407,7 @@ def uncertainty(seeds: int = 200, noise: float = 0.02) -> pd.DataFrame:
 def times() -> pd.DataFrame:
     rng = np.random.default_rng(5)
     scope, pitch = small_scene(rng)
-    imaging = Imaging(blur=1.0, noise=2.0, dark=DARK, bright=BRIGHT)
+    imaging = ImagingConditions(blur=1.0, noise=2.0, dark=DARK, bright=BRIGHT)
     circles = render_circles(
         scope, radius=pitch / 4, pitch=pitch, counts=(11, 9), imaging=imaging, rng=rng
     )
