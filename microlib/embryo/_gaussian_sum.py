@@ -19,7 +19,7 @@ from microlib._common import Array, as_array, inverse_normal, positive, same_len
 _LEAST_WIDTH = 0.01
 _FINENESS = 40
 _ROOT_TOLERANCE = 1e-10
-_GRID, _GRID_BLUR = 256, 4.0
+_GRID_POINTS, _GRID_BLUR = 256, 4.0
 _EVEN_SHARE, _ROUNDING = 0.1, 1e-12
 _OVERLAP = 1.2
 _RCOND = 1e-6
@@ -233,7 +233,7 @@ def fit_gaussians(
 def _starts(x: Array, y: Array, n: int) -> Iterator[Array]:
     """Evenly spaced terms, then terms denser where the outline turns; best amplitudes each."""
     span = np.ptp(x)
-    grid = np.linspace(x.min(), x.max(), _GRID)
+    grid = np.linspace(x.min(), x.max(), _GRID_POINTS)
     order = np.argsort(x)
     smooth = gaussian_filter1d(np.interp(grid, x[order], y[order]), _GRID_BLUR, mode="nearest")
     second_derivative = np.gradient(np.gradient(smooth))

@@ -79,7 +79,7 @@ def cell_image(
     Returns
     -------
     CellImage
-        The image and the outlines in it.
+        The `image`, the `outlines` in it and its `pixel_size`.
 
     Raises
     ------

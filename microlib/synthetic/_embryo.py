@@ -399,7 +399,8 @@ def embryo_image(
     Returns
     -------
     EmbryoImage
-        The image and its truth.
+        The `image` and its truth: `embryo`, `pixel_size`, `center`, `tilt`, and `to_pixels`, which
+        places points of the embryo in the image.
 
     Raises
     ------

@@ -73,7 +73,7 @@ def test_filled_probe_leaves_the_ground(scene):
     off = filled - clean.image[:100]
     bar = np.abs(noisy - filled) > 20
     assert bar.sum() > 100 * 11
-    # The ground is a straight line between noisy neighbours; light bends by less than a grey level.
+    # The ground is a straight line between noisy neighbors; light bends by less than a grey level.
     assert np.abs(off[bar]).max() < 3
 
 

@@ -100,6 +100,36 @@ def test_image_shows_the_embryo_where_the_truth_says():
     assert (right - left) * scene.pixel_size == pytest.approx(50.0, abs=0.5)
 
 
+def test_the_probe_ends_on_the_chorion():
+    embryo = Embryo.pressed(150.0, modulus=1.0)
+    options = {"pixel_size": 0.5, "shape": (120, 100), "noise": 0.0, "unevenness": 0.0}
+    # Under the probe the chorion is flat: at 0.5 µm a px its 3 µm are 6 px of its own grey.
+    rim = 60.0 - embryo.dimple_depth / 0.5
+    scene = embryo_image(embryo, rng=0, center=(50.0, rim), **options)
+    column = scene.image[:, 50].astype(float)
+    assert column[:40] == pytest.approx(42.0, abs=1)
+    wall = np.flatnonzero((column > 51) & (column < 100))
+    # Cells that the edge crosses let some of the bright ground through, half a px further up.
+    assert wall[0] == pytest.approx(60 - 3.5, abs=0.6)
+    assert wall[-1] == pytest.approx(60 + 3, abs=1.0)
+
+
+def test_light_falls_from_any_side():
+    slopes = []
+    for seed in range(8):
+        image = embryo_image(
+            Embryo(1.0, 0.0, 1.0), rng=seed, pixel_size=20.0, shape=(80, 80), unevenness=0.3
+        ).image.astype(float)
+        slopes.append(
+            (
+                image[:5, :5].mean() - image[:5, -5:].mean(),
+                image[:5, :5].mean() - image[-5:, :5].mean(),
+            )
+        )
+    # One side in eight of eight draws has a chance of 1 in 128, for either axis.
+    assert (np.ptp(np.sign(slopes), axis=0) == 2).all()
+
+
 def test_tilt_turns_the_scene_clockwise_about_its_center():
     scene = embryo_image(Embryo(1.0, 0.0, 1.0), rng=np.random.default_rng(0), tilt=0.1)
     turned = scene.to_pixels([[100.0, 0.0], [0.0, 0.0]]) - scene.center
@@ -140,6 +170,7 @@ def test_untouched_embryo_is_round():
     [
         (lambda: Embryo(-1.0, 10.0, 200.0), "modulus must be positive"),
         (lambda: Embryo(1.0, 10.0, 20.0), r"dimple_radius must lie in \(25, 600\)"),
+        (lambda: Embryo(1.0, 0.5, 20.0), r"dimple_radius must lie in \(25, 600\)"),
         (lambda: Embryo(1.0, 10.0, 200.0, poisson_ratio=1.0), "poisson_ratio must lie"),
         (lambda: Embryo(0.01, 500.0, 100.0), "dimple_radius must suit an embryo"),
         (lambda: Embryo.pressed(0.0, modulus=1.0), "force must be positive"),
