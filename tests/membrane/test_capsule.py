@@ -165,9 +165,10 @@ def test_no_force_is_the_inflated_sphere(inflation: float) -> None:
 @pytest.mark.parametrize("law", ["hooke", "neo-hooke", "mooney-rivlin"])
 def test_a_vanishing_force_meets_the_sphere(law: str) -> None:
     kw = {**CAPSULE, "law": law, "inflation": 1.08, "punch": "frictionless"}
-    sphere, state = indent_capsule(0.0, **kw), indent_capsule(1e-3, **kw)
-    assert state.pressure == pytest.approx(sphere.pressure, rel=1e-5)
-    assert state.energy == pytest.approx(sphere.energy, rel=1e-5)
+    # The sphere is written down, the other solved.
+    sphere, state = indent_capsule(0.0, **kw), indent_capsule(1e-4, **kw)
+    assert state.pressure == pytest.approx(sphere.pressure, rel=1e-6)
+    assert state.energy == pytest.approx(sphere.energy, rel=1e-6)
     assert 0 < state.approach < 0.01
     assert state.depth == 0
 
