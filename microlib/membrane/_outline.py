@@ -188,7 +188,7 @@ def _start(
     """Return log modulus, inflation, axis, plate and radius from where the points turn."""
     x, z = points.T
     crest, wide = float(z.max()), float(np.ptp(x)) / 2
-    top = x[z > crest - 0.003 * wide]
+    top = x[z > crest - 0.01 * wide]
     # Two crests have the dimple between them; one is that of a single side, seen from its axis.
     between = (x > top.min()) & (x < top.max()) & (z > crest - 0.8 * wide)
     two = between.any() and crest - z[between].min() > 0.015 * wide
