@@ -111,11 +111,11 @@ def fit_capsule(
     >>> state = indent_capsule(
     ...     100.0, modulus=1.0, radius=600.0, thickness=3.0, probe_half_width=25.0, inflation=1.05
     ... )
-    >>> noise = np.random.default_rng(0).normal(0.0, 0.5, (2, state.r.size))
-    >>> points = np.column_stack([state.r, state.z] + noise)
+    >>> points = np.column_stack([state.r, state.z])[::5]
+    >>> points += np.random.default_rng(0).normal(0.0, 0.5, points.shape)
     >>> fit = fit_capsule(100.0, points, thickness=3.0, probe_half_width=25.0)
-    >>> print(f"{fit.modulus:.2f} MPa, misfit {fit.misfit:.1f} µm")
-    1.00 MPa, misfit 0.5 µm
+    >>> print(f"{fit.modulus:.1f} MPa, misfit {fit.misfit:.1f} µm")
+    1.0 MPa, misfit 0.4 µm
     """
     load, c = scalar("force", force), scalar("probe_half_width", probe_half_width)
     points = as_array("outline", outline, shape=(None, 2))
