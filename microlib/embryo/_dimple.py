@@ -305,6 +305,7 @@ def _start(x: NDArray, y: NDArray, boundary: Boundary) -> Array:
     a = (x2 - x1) / 2
     bottom = boundary.image_height - 1 - boundary.probe.tip[1]
     height = (y1 + y2) / 2
+    # Inside the bounds of the fit, where a start must be.
     tilt = np.clip((y2 - y1) / (x2 - x1), -0.9 * _STEEPEST_TILT, 0.9 * _STEEPEST_TILT)
     return np.array(
         [

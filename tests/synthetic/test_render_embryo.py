@@ -114,6 +114,29 @@ def test_the_probe_ends_on_the_chorion():
     assert wall[-1] == pytest.approx(60 + 3, abs=1.0)
 
 
+def test_the_embryo_is_in_the_middle_by_default():
+    embryo = Embryo.pressed(100.0, modulus=1.0)
+    scene = embryo_image(embryo, rng=0, pixel_size=20.0, shape=(80, 100))
+    middle = scene.to_pixels([[0.0, -embryo.height / 2]])[0]
+    np.testing.assert_allclose(middle, (49.5, 39.5), atol=1e-9)
+
+
+def test_the_yolk_lies_in_the_middle_and_keeps_clear_of_the_chorion():
+    embryo = Embryo.pressed(100.0, modulus=1.0)
+    options = {"pixel_size": 5.0, "shape": (300, 300), "noise": 0.0, "unevenness": 0.0}
+    scene = embryo_image(embryo, rng=0, probe=False, **options)
+    # Half of the gap of 55 µm under the dimple and above the bottom, and the middle of the rest.
+    heights = -embryo.dimple_depth - 27.0, -embryo.height + 27.0
+    places = scene.to_pixels([[0.0, y] for y in (*heights, sum(heights) / 2)])
+    upper, lower, middle = (scene.image[round(y), round(x)].astype(float) for x, y in places)
+    # Fluid, fluid, and yolk with its grain of 8 grey levels.
+    assert (upper, lower) == pytest.approx((168.0, 168.0), abs=3)
+    assert middle == pytest.approx(112.0, abs=30)
+    third = (2 * heights[0] + heights[1]) / 3
+    x, y = scene.to_pixels([[0.0, third]])[0]
+    assert scene.image[round(y), round(x)] == pytest.approx(112.0, abs=30)
+
+
 def test_light_falls_from_any_side():
     slopes = []
     for seed in range(8):
