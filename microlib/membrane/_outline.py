@@ -107,7 +107,7 @@ def fit_capsule(
 
     Examples
     --------
-    >>> from microlib.membrane import indent_capsule
+    >>> from microlib.membrane._capsule import indent_capsule
     >>> state = indent_capsule(
     ...     100.0, modulus=1.0, radius=600.0, thickness=3.0, probe_half_width=25.0, inflation=1.05
     ... )
