@@ -55,21 +55,18 @@ def draw_dimple_section(radius: float, depth: float, half_width: float) -> Figur
     axes.plot([-c, c], [-depth, -depth], color=COLORS["blue"], lw=3)
     axes.fill_between([-c, c], -depth, 75, color=COLORS["grey"], alpha=0.35, lw=0)
     axes.annotate("", (0, -depth), (0, 70), arrowprops={"arrowstyle": "->", "lw": 2})
+    axes.text(8, 50, "F", fontsize=14)
     arrow = {"arrowstyle": "<->", "lw": 1.3, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", (0, 20), (a, 20), arrowprops=arrow)
+    axes.text(a / 2, 26, "a", ha="center", fontsize=14)
     axes.annotate("", (0, -depth - 18), (c, -depth - 18), arrowprops=arrow)
+    axes.text(c / 2, -depth - 48, "c", ha="center", fontsize=14)
     axes.annotate("", (-a, 0), (-a, -depth), arrowprops=arrow)
     axes.plot([-a, -c], [-depth, -depth], color="black", lw=0.8, ls=":")
+    axes.text(-a + 8, -depth / 2 - 12, "$w_d$", fontsize=14)
     rim = (a + bend * np.sin(0.7), bend * (np.cos(0.7) - 1))
     axes.annotate("", (a, -bend), rim, arrowprops={"arrowstyle": "->", "lw": 1.3})
-    for x, y, text, place in (
-        (8, 50, "F", "left"),
-        (a / 2, 26, "a", "center"),
-        (c / 2, -depth - 48, "c", "center"),
-        (-a + 8, -depth / 2 - 12, "$w_d$", "left"),
-        (a + 6, -bend + 30, "R", "left"),
-    ):
-        axes.text(x, y, text, ha=place, fontsize=14)
+    axes.text(a + 6, -bend + 30, "R", fontsize=14)
     axes.set(xlabel="distance from the axis r (µm)", ylabel="height (µm)")
     axes.set(ylim=(-175, 80), aspect="equal")
     return figure
