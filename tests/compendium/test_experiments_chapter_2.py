@@ -126,3 +126,17 @@ def test_simulated_loops_decay_where_their_poles_say() -> None:
     poles = [abs(loop_poles(g, d)[0]) for d, g in loops[["delay", "gain"]].to_numpy()]
     assert (loops["decays"] == (np.array(poles) < 1)).all()
     assert loops["decays"].nunique() == 2
+
+
+@pytest.mark.parametrize(
+    ("delay", "limit"), [(0.0, 2.0), (0.25, 4.0), (0.5, 2.0), (1.0, 1.0), (2.0, 0.618)]
+)
+def test_the_limits_that_chapter_2_states(delay, limit) -> None:
+    assert abs(loop_poles(0.998 * limit, delay)[0]) < 1
+    assert abs(loop_poles(1.002 * limit, delay)[0]) > 1
+
+
+def test_the_thesis_gain_bears_little_more_than_a_frame() -> None:
+    gain = 0.99883  # 2.2/thesis-gain
+    assert 0.999 < abs(loop_poles(gain, 1.0)[0]) < 1
+    assert abs(loop_poles(gain, 1.05)[0]) > 1

@@ -33,6 +33,9 @@ def test_the_section_of_the_dimple_is_to_scale():
     assert y[0] == pytest.approx(-121.22)
     assert y[-1] == pytest.approx(0.0, abs=1e-9)
     assert figure.axes[0].get_aspect() == 1
+    # As the caption says: a quarter as deep as wide, and steeper than 45° at the probe.
+    assert pytest.approx(0.25, abs=0.01) == 121.22 / (2 * 246.95)
+    assert (y[1] - y[0]) / (x[1] - x[0]) > 1
 
 
 def test_rays_meet_where_the_lens_equation_says():
