@@ -9,7 +9,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup book test notebooks html lint format data picture benchmarks oldest mutants lock clean
+.PHONY: help setup book test notebooks html lint format data picture benchmarks oldest mutants vacuity lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -75,6 +75,9 @@ oldest: ## run the library's tests with the oldest dependencies that pyproject.t
 
 mutants: $(STAMP) ## plant faults in the library and count those the tests catch (minutes)
 	@$(BIN)/python tests/mutants.py
+
+vacuity: notebooks ## plant faults in what the checks are fed and list those that nothing turns (minutes)
+	@$(BIN)/python tests/vacuity.py
 
 lock: $(STAMP) ## compile environment.txt anew (needs uv)
 	@uv pip compile pyproject.toml --extra book --extra test --generate-hashes --universal \

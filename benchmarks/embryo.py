@@ -1,4 +1,4 @@
-"""From image to modulus on 100 rendered embryos; LOESS beside statsmodels. About ten minutes.
+"""From image to modulus on 100 rendered embryos; LOESS beside statsmodels. About six minutes.
 
 Run as ``python -m benchmarks.embryo``.
 """
@@ -31,8 +31,8 @@ from microlib.membrane import SmallSlopeWarning, elastic_modulus
 from microlib.synthetic import Embryo, embryo_image
 
 EMBRYOS = 100
-CHOICES_TITLE = "Other values of the constants (18 embryos, six of them in worse light)"
-GAUSSIAN_CHOICES_TITLE = "Other values of the constants of eight Gaussians (6 embryos)"
+CHOICES_TITLE = "Other values of the constants (9 embryos; one, of more noise and blur, is refused)"
+GAUSSIAN_CHOICES_TITLE = "Other values of the constants of eight Gaussians (3 embryos)"
 #: Constants of the chain, each with other values than the library's.
 CHOICES = [
     (_boundary, "_TOP_ROWS", (8, 32)),
@@ -43,7 +43,7 @@ CHOICES = [
     (_boundary, "_BODY_LEVEL", (0.25, 0.55)),
     (_boundary, "_ODD_WIDTH", (0.2, 0.6)),
     (_boundary, "_UPPER_PART", (0.5, 0.85)),
-    (_boundary, "_BORDER", (0, 6)),
+    (_boundary, "_FIRST_ROW", (0, 6)),
     (_boundary, "_MARGIN", (0, 5)),
     (_boundary, "_GROUND_WIDTH", (4.0, 10.0)),
     (_boundary, "_GROUND_SAMPLES", (3, 12)),
@@ -69,7 +69,7 @@ CHOICES = [
     (_wall, "_WIDTHS", ((0.4, 5.0), (0.8, 2.2))),
     (_wall, "_WIDTH_TOLERANCE", (0.001, 0.1)),
     (_wall, "_USUAL_WIDTH", (0.8, 1.6)),
-    (_wall, "_GRID", (0.1, 0.5)),
+    (_wall, "_SEARCH_STEP", (0.1, 0.5)),
     (_wall, "_ITERATIONS", (3, 10)),
     (_wall, "_LONGEST_STEP", (0.25, 1.0)),
     (_wall, "_LEAST_SAMPLES", (5, 10)),
@@ -78,7 +78,7 @@ CHOICES = [
     (_dimple, "_OUTLIER", (3.0, 6.0)),
     (_dimple, "_RIM_WINDOW", (5, 17)),
     (_dimple, "_START_CURVATURE", (0.1, 0.9)),
-    (_dimple, "_NARROWEST", (1.001, 1.1)),
+    (_dimple, "_LEAST_RADIUS", (1.001, 1.1)),
     (_dimple, "_LEAST_ROOT", (0.01, 0.2)),
     (_dimple, "_STEEPEST_TILT", (0.1, 0.6)),
     (_dimple, "_LARGEST_MISFIT", (0.01, 0.06)),
@@ -90,7 +90,7 @@ CHOICES = [
 GAUSSIAN_CHOICES = [
     (_gaussian_sum, "_LEAST_WIDTH", (0.003, 0.03)),
     (_gaussian_sum, "_FINENESS", (10, 160)),
-    (_gaussian_sum, "_GRID", (128, 512)),
+    (_gaussian_sum, "_GRID_POINTS", (128, 512)),
     (_gaussian_sum, "_GRID_BLUR", (2.0, 8.0)),
     (_gaussian_sum, "_EVEN_SHARE", (0.03, 0.3)),
     (_gaussian_sum, "_OVERLAP", (0.9, 1.6)),
@@ -228,9 +228,9 @@ def conditions(count: int = 12) -> pd.DataFrame:
 
 
 def small_scenes() -> list:
-    """The dimple's side of twelve embryos like those of `draw_scene`, and of six in worse light."""
+    """The dimple's side of six embryos like those of `draw_scene`, and of three in other light."""
     scenes = []
-    for seed in range(12):
+    for seed in range(6):
         rng = np.random.default_rng(700 + seed)
         embryo = Embryo.dented(
             rng.uniform(40.0, 150.0),
@@ -241,7 +241,7 @@ def small_scenes() -> list:
         tilt, unevenness = np.deg2rad(rng.uniform(-1.5, 1.5)), rng.uniform(0.0, 0.2)
         options = {"center": place, "tilt": tilt, "unevenness": unevenness}
         scenes.append(embryo_image(embryo, rng=rng, shape=(360, 600), **options))
-    worse = ((8.0, 1.0), (8.0, 1.0), (2.0, 1.8), (4.0, 1.5), (0.0, 1.0), (2.0, 0.7))
+    worse = ((8.0, 1.0), (4.0, 1.5), (0.0, 1.0))
     for seed, (noise, blur) in enumerate(worse):
         rng = np.random.default_rng(800 + seed)
         embryo = Embryo.dented(rng.uniform(40.0, 150.0), modulus=1.0)
@@ -272,20 +272,20 @@ def choices(constants: list, scenes: list, method: str) -> pd.DataFrame:
     usual, stds = measure()
     rows = []
     for module, name, others in constants:
+        changes = []
         for value in others:
             with patch.object(module, name, value):
-                change = np.abs(measure()[0] - usual)
-            rows.append(
-                {
-                    "constant": f"{module.__name__.rsplit('.', 1)[1]}.{name}",
-                    "value": shown(getattr(module, name)),
-                    "instead": shown(value),
-                    "failures": int(np.isnan(change).sum()),
-                    "change of E (%), median": 100 * np.nanmedian(change),
-                    "largest (%)": 100 * np.nanmax(change),
-                    "largest, in its own deviations": np.nanmax(change / stds),
-                }
-            )
+                changes.append(np.abs(measure()[0] - usual))
+        rows.append(
+            {
+                "constant": f"{module.__name__.rsplit('.', 1)[1]}.{name}",
+                "value": shown(getattr(module, name)),
+                "instead": " or ".join(map(shown, others)),
+                "refused, at most": max(int(np.isnan(change).sum()) for change in changes),
+                "largest change of E (%)": 100 * np.nanmax(changes),
+                "in its own deviations": np.nanmax(changes / stds),
+            }
+        )
     return pd.DataFrame(rows).round(2)
 
 
@@ -337,7 +337,7 @@ def main() -> None:
             "More noise and blur (12 embryos each)": conditions(),
             "LOESS of the first degree": smoothers(),
             CHOICES_TITLE: choices(CHOICES, scenes, "membrane"),
-            GAUSSIAN_CHOICES_TITLE: choices(GAUSSIAN_CHOICES, scenes[:6], "gaussians"),
+            GAUSSIAN_CHOICES_TITLE: choices(GAUSSIAN_CHOICES, scenes[:3], "gaussians"),
         },
         limits=limits(runs),
         note="E 0.5–2 MPa, dimples 40–150 µm deep, noise 2/255, light, place and turn varied. "

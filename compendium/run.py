@@ -186,7 +186,7 @@ def run(name: str, key: dict[str, str]) -> tuple[str, bool]:
 def name_cells(records: list[dict], notebook: nbformat.NotebookNode) -> list[dict]:
     """Put a cell's lasting id in place of the number that it had when it was executed."""
     ids = {f"[{c.execution_count}]": c.id for c in notebook.cells if c.cell_type == "code"}
-    return [record | {"cell": ids.get(record["cell"], "")} for record in records]
+    return [record | {"cell": ids.get(record.get("cell", ""), "")} for record in records]
 
 
 def clean(notebook: nbformat.NotebookNode) -> None:

@@ -67,8 +67,8 @@ def undistort(points: ArrayLike, distortion: float) -> Array:
     distort : the inverse.
     """
     points = np.asarray(points, dtype=np.float64)
-    bending = distortion * (points * points).sum(axis=-1, keepdims=True)
-    return points * np.where(bending < -1 / 3, np.nan, 1 + bending)
+    growth = distortion * (points * points).sum(axis=-1, keepdims=True)
+    return points * np.where(growth < -1 / 3, np.nan, 1 + growth)
 
 
 def distort(points: ArrayLike, distortion: float) -> Array:

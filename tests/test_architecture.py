@@ -30,7 +30,7 @@ ARROWS = {
     "synthetic": {"microscope", "optics", "membrane"},
 }
 #: A face that fits on one page of the book.
-MOST_PUBLIC_NAMES = 113
+MOST_PUBLIC_NAMES = 90
 
 
 def sources(folder: Path) -> list[Path]:

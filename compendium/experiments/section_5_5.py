@@ -8,18 +8,43 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy import ndimage
+from skimage.measure import label as connected
 
 from compendium import thesis
+from compendium.experiments.chapter_3 import PRINTED_WINDOWS
+from compendium.ledger import claim
 from microlib.curvature import hk_labels, surface_curvature
 from microlib.focus import FocusResult, correct_spikes, depth_from_focus
 from microlib.synthetic import focal_stack, mixed_texture, parabolic_cylinder, sphere_on_plane
 
-# Assumed, because the thesis does not say.
+# Assumed, because the thesis does not say; the ridge's with its sentences in view.
 RIDGE_SHAPE, RIDGE_WIDTH, RIDGE_NOISE = (200, 200), 100.0, 5.0  # px, px, grey levels
+NARROW_WIDTH = 55.0  # px, at which the windows as printed show saddle ridges
 BALL_SHAPE, BALL_RADIUS = (180, 180), 375.0  # px, µm
 BALL_ROUGHNESS, BALL_GRAIN, BALL_NOISE = 15.0, 3.0, 1.0  # µm, px, grey levels
 #: At 1X, µm.
 BALL_PIXEL = thesis.effective_pixel("1X")
+#: Side of the window of the focus measure, px: the larger of the two that the thesis names.
+SML_WINDOW = int(claim("section-3.1.2/sml-window-large").value)
+#: How far from a pixel the windows reach by which its label follows from the depth, px: half of the
+#: mean, of the smoother (3.15) and of the derivatives (3.16).
+REACH = sum(
+    side // 2
+    for side in (
+        thesis.MEAN_WINDOW,
+        int(claim("section-3.2.1/smoothing-window").value),
+        int(claim("section-3.2.1/derivative-window").value),
+    )
+)
+#: How far they reach altogether: with the focus measure and the median of (3.14), px.
+FULL_REACH = REACH + SML_WINDOW // 2 + thesis.MEDIAN_WINDOW // 2
+
+# What the sentences of section 5.5.2 mean as numbers; ours.
+
+#: Connected pixels that make a patch: a block of two by two, the smallest with an inside.
+PATCH = 4
+#: Largest share that is still small, or that is an exception.
+SMALL = 0.1
 
 
 @dataclass(frozen=True)
@@ -44,11 +69,11 @@ class Scene:
     frames: NDArray[np.uint8]
 
 
-def render_ridge(seed: int) -> Scene:
-    """Render the parabolic ridge by the thesis' recipe, with a little noise."""
+def render_ridge(seed: int, width: float = RIDGE_WIDTH) -> Scene:
+    """Render the parabolic ridge by the thesis' recipe, `width` px wide, with a little noise."""
     rng = np.random.default_rng(seed)
     texture = mixed_texture(RIDGE_SHAPE, rng)
-    height = parabolic_cylinder(RIDGE_SHAPE, thesis.RIDGE_HEIGHT, width=RIDGE_WIDTH)
+    height = parabolic_cylinder(RIDGE_SHAPE, thesis.RIDGE_HEIGHT, width=width)
     positions = np.arange(0, thesis.RIDGE_HEIGHT + 1, thesis.RIDGE_STEP)
     clean = thesis.thesis_stack(texture, height, positions)
     noisy = clean + RIDGE_NOISE * rng.standard_normal(clean.shape)
@@ -82,19 +107,58 @@ def thesis_depth(frames: NDArray, positions: NDArray) -> tuple[NDArray, FocusRes
     Returns
     -------
     depth : ndarray, shape (rows, cols)
-        SML over 5×5 px with the parabola (3.13), spikes corrected by (3.14), mean filter; µm.
+        SML over `SML_WINDOW` px with the parabola (3.13), spikes corrected by (3.14), mean
+        filter; µm.
     found : FocusResult
         Without the last two.
     """
-    found = depth_from_focus(frames, positions, measure="sml", window=5)
+    found = depth_from_focus(frames, positions, measure="sml", window=SML_WINDOW)
     smooth = correct_spikes(found.depth, window=thesis.MEDIAN_WINDOW, delta=thesis.DELTA)
     return ndimage.uniform_filter(smooth, thesis.MEAN_WINDOW), found
 
 
-def thesis_labels(depth: NDArray) -> NDArray[np.uint8]:
-    """Return surface types as the thesis computes them: heights in µm on a grid of pixels."""
-    found = surface_curvature(depth, 1.0)
-    return hk_labels(found.mean, found.gaussian, thesis.H_THRESHOLD, thesis.K_THRESHOLD)
+def thesis_curvature(height: NDArray, *, corrected: bool = False) -> tuple[NDArray, NDArray]:
+    """Return H and K as the thesis computes them, with the windows (3.15)–(3.19) as printed.
+
+    Parameters
+    ----------
+    height : ndarray, shape (rows, cols)
+        Heights, µm.
+    corrected : bool
+        Take 1/42 in (3.19) instead of the printed 1/84.
+
+    Returns
+    -------
+    mean, gaussian : ndarray, shape (rows, cols)
+        H and K on a grid of pixels, as if a pixel were 1 µm wide. NaN where a window leaves the
+        map.
+    """
+    windows = {}
+    for name, integers in PRINTED_WINDOWS.items():
+        entry = claim(f"section-3.2.1/{name}")
+        divisor = entry.corrected if corrected and entry.corrected else entry.printed
+        windows[name] = np.array(integers) / float(divisor)
+
+    def correlate(image: NDArray, along_y: str, along_x: str) -> NDArray:
+        half = ndimage.correlate1d(image, windows[along_y], axis=0)
+        return ndimage.correlate1d(half, windows[along_x], axis=1)
+
+    smooth = correlate(height, "s", "s")
+    zx, zy = correlate(smooth, "d0", "d1"), correlate(smooth, "d1", "d0")
+    zxx, zyy = correlate(smooth, "d0", "d2"), correlate(smooth, "d2", "d0")
+    zxy = correlate(smooth, "d1", "d1")
+    steep = 1 + zx**2 + zy**2
+    mean = ((1 + zx**2) * zyy - 2 * zx * zy * zxy + (1 + zy**2) * zxx) / (2 * steep**1.5)
+    gaussian = (zxx * zyy - zxy**2) / steep**2
+    inner = np.zeros(height.shape, bool)
+    inner[6:-6, 6:-6] = True
+    return np.where(inner, mean, np.nan), np.where(inner, gaussian, np.nan)
+
+
+def thesis_labels(height: NDArray, *, corrected: bool = False) -> NDArray[np.uint8]:
+    """Return surface types with the thesis' thresholds, from `thesis_curvature`."""
+    mean, gaussian = thesis_curvature(height, corrected=corrected)
+    return hk_labels(mean, gaussian, thesis.H_THRESHOLD, thesis.K_THRESHOLD)
 
 
 def inside_ridge() -> NDArray[np.bool_]:
@@ -167,11 +231,101 @@ def share_of(labels: NDArray, where: NDArray[np.bool_], kinds: tuple[int, ...]) 
     return float(np.isin(labels[where], kinds).mean())
 
 
-def sentence_shares(seed: int, runs: int) -> pd.DataFrame:
-    """Turn each sentence of the thesis about its label maps into a share of pixels.
+def count_patches(labels: NDArray, where: NDArray[np.bool_], kinds: tuple[int, ...]) -> int:
+    """Return how many connected patches of some kinds there are, of `PATCH` pixels or more.
 
-    *Crest*, *sides* and *edge* are the places where the thesis' thresholds label the true ridge
-    convex cylindric, planar and concave cylindric.
+    Examples
+    --------
+    >>> count_patches(np.array([[3, 3, 1], [3, 3, 1]]), np.ones((2, 3), bool), (3,))
+    1
+    """
+    regions = connected(np.isin(labels, kinds) & where, connectivity=1)
+    return int((np.bincount(regions.ravel())[1:] >= PATCH).sum())
+
+
+def ridge_sentences(height: NDArray, labels: NDArray[np.uint8]) -> dict[str, float]:
+    """Turn each sentence about the label map of the ridge into a number.
+
+    The places are those of the true shape. The *crest* is what is sharp in the frame at the top,
+    within half a step of it; the *sides* are the rest of the ridge, the *edge* is the line of its
+    foot.
+
+    Parameters
+    ----------
+    height : ndarray, shape (rows, cols)
+        True height, µm; one profile all along the ridge.
+    labels : ndarray, shape (rows, cols)
+        Surface types; 0 where unknown.
+
+    Returns
+    -------
+    dict of str to float
+        By claim of section 5.5.
+    """
+    known, on = labels > 0, height > 0
+    high = height > thesis.RIDGE_HEIGHT - thesis.RIDGE_STEP / 2
+    crest, sides = high & known, on & ~high & known
+    feet = np.flatnonzero(np.diff(on[0])) + np.array([0, 1])  # the ground's last and first pixel
+    near = [known[:, foot - REACH : foot + REACH + 1] for foot in feet]
+    lines = [(labels[:, foot - REACH : foot + REACH + 1] == 8).any(axis=1) for foot in feet]
+    rows = near[0].all(axis=1)
+    misread = crest & (labels != 2)
+    patches = min(count_patches(labels, on, (kind,)) for kind in (1, 3))
+    few = share_of(labels, crest, (1, 3)) <= SMALL
+    return {
+        "sides-planar": share_of(labels, sides, (5,)),
+        "crest-convex-cylindric": share_of(labels, crest, (2,)),
+        "crest-saddle-and-elliptic": float(patches if few else 0),
+        "crest-convex": share_of(labels, misread, (1, 3)) if misread.any() else 1.0,
+        "edge-concave-cylindric": float(np.mean([line[rows] for line in lines])),
+    }
+
+
+def ball_sentences(labels: NDArray[np.uint8]) -> dict[str, float]:
+    """Turn each sentence about the label map of the ball into a number, by claim of section 5.5.
+
+    *On top* is within half of the radius from the axis, where the ball rises by less than 30°; the
+    *background* is what no window that reaches the ball takes part in.
+    """
+    distance = from_ball_center()
+    top = distance < 0.5
+    paper = (distance > 1 + FULL_REACH * BALL_PIXEL / BALL_RADIUS) & (labels > 0)
+    cylindric, hyperbolic = share_of(labels, top, (2, 8)), share_of(labels, top, (3, 6, 9))
+    patches = count_patches(labels, top, (3, 6, 9))
+    return {
+        "ball-top-cylindric": cylindric,
+        "ball-hyperbolic": float(patches if hyperbolic < cylindric else 0),
+        "ball-background-planar": share_of(labels, paper, (5,)),
+    }
+
+
+def ball_shape(depth: NDArray) -> dict[str, float]:
+    """Compare outlines of the ball, cut at several heights, with those of a cylinder and a sphere.
+
+    Parameters
+    ----------
+    depth : ndarray, shape (rows, cols)
+        Height from focus, µm.
+
+    Returns
+    -------
+    dict of str to float
+        By claim of section 5.5: how far the lower part lies from a cylinder, and the top from a
+        sphere, in the distance of the two from each other.
+    """
+    steps = np.array([0.25, 0.5, 0.75])
+    departures = {}
+    for name, levels in (("ball-lower-cylindric", steps), ("ball-top-spherical", 1 + steps)):
+        areas = [(depth > level * BALL_RADIUS).sum() for level in levels]
+        radii = np.sqrt(np.array(areas) / np.pi) * BALL_PIXEL / BALL_RADIUS
+        sphere, cylinder = np.sqrt(1 - (levels - 1) ** 2), np.ones(3)
+        shape = cylinder if "cylindric" in name else sphere
+        departures[name] = float(np.abs(radii - shape).sum() / (cylinder - sphere).sum())
+    return departures
+
+
+def describe_scenes(seed: int, runs: int) -> dict[str, pd.DataFrame]:
+    """Turn each sentence of the thesis about its objects into a number, on several scenes.
 
     Parameters
     ----------
@@ -182,32 +336,33 @@ def sentence_shares(seed: int, runs: int) -> pd.DataFrame:
 
     Returns
     -------
-    pandas.DataFrame
-        A row each run, a column each claim of section 5.5.
+    dict of str to pandas.DataFrame
+        For the windows as *printed* and *corrected*: a row each run, a column each claim of
+        section 5.5.
     """
-    distance = from_ball_center()
-    rows = []
+    rows: dict[str, list[dict[str, float]]] = {"printed": [], "corrected": []}
     for run in range(seed, seed + runs):
         ridge, ball = render_ridge(run), render_ball(run)
-        labels = thesis_labels(thesis_depth(ridge.frames, ridge.positions)[0])
-        exact = thesis_labels(ridge.height)
-        crest, sides, edge = exact == 2, (exact == 5) & (ridge.height > 0), exact == 8
-        misread = crest & ~np.isin(labels, (2, 5))
-        types = thesis_labels(thesis_depth(ball.frames, ball.positions)[0])
-        top, paper = distance < 0.5, (distance > 1.25) & (types > 0)
-        rows.append(
-            {
-                "sides-planar": share_of(labels, sides, (5,)),
-                "crest-convex-cylindric": share_of(labels, crest, (2,)),
-                "crest-saddle-and-elliptic": share_of(labels, crest, (1, 3)),
-                "crest-convex": share_of(labels, misread, (1, 2, 3)),
-                "edge-concave-cylindric": share_of(labels, edge, (8,)),
-                "ball-top-cylindric": share_of(types, top, (2, 8)),
-                "ball-hyperbolic": share_of(types, top, (3, 6, 9)),
-                "ball-background-planar": share_of(types, paper, (5,)),
-            }
-        )
-    return pd.DataFrame(rows)
+        of_ridge = thesis_depth(ridge.frames, ridge.positions)[0]
+        of_ball = thesis_depth(ball.frames, ball.positions)[0]
+        for windows, found in rows.items():
+            corrected = windows == "corrected"
+            found.append(
+                ridge_sentences(ridge.height, thesis_labels(of_ridge, corrected=corrected))
+                | ball_sentences(thesis_labels(of_ball, corrected=corrected))
+                | ball_shape(of_ball)
+            )
+    return {windows: pd.DataFrame(found) for windows, found in rows.items()}
+
+
+def narrow_ridge(seed: int, runs: int, width: float) -> pd.Series:
+    """Return the means of the sentences about the ridge, were it another number of px wide."""
+    found = []
+    for run in range(seed, seed + runs):
+        ridge = render_ridge(run, width)
+        depth = thesis_depth(ridge.frames, ridge.positions)[0]
+        found.append(ridge_sentences(ridge.height, thesis_labels(depth)))
+    return pd.DataFrame(found).mean()
 
 
 def widest_ridge(*, printed_window: bool = False) -> float:

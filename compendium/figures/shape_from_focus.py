@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 from compendium import thesis
 from compendium.experiments.section_5_5 import BALL_PIXEL, BALL_RADIUS, BALL_SHAPE, Scene
 from compendium.figures.style import COLORS
-from compendium.figures.surfaces import draw_labels, draw_surface
+from compendium.figures.surfaces import draw_labels, draw_surface, label_legend
 
 __all__ = [
     "draw_ball_frames",
-    "draw_ball_types",
     "draw_depth",
     "draw_ridge_frames",
-    "draw_ridge_types",
     "draw_thresholds",
+    "draw_types",
     "draw_types_by_window",
 ]
 
@@ -85,24 +84,26 @@ def draw_depth(depth: NDArray, pixel_size: float | None = None) -> Figure:
     return figure
 
 
-def draw_ridge_types(true_labels: NDArray[np.uint8], labels: NDArray[np.uint8]) -> Figure:
-    """Draw figure 5.13: surface types of the true ridge and of the one from focus."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(7.8, 3.4), sharey=True)
-    draw_labels(left, true_labels, legend=False)
-    draw_labels(right, labels)
-    left.set(title="true shape")
-    right.set(title="from focus", ylabel="")
-    return figure
+def draw_types(labels: dict[str, NDArray[np.uint8]], *, ball: bool = False) -> Figure:
+    """Draw figures 5.13 and 5.14: maps of surface types side by side, under one legend.
 
-
-def draw_ball_types(labels: NDArray[np.uint8]) -> Figure:
-    """Draw figure 5.14: surface types of the ball, with its edge and half its radius."""
-    figure, axes = plt.subplots(figsize=(7.0, 3.8))
-    draw_labels(axes, labels)
-    middle = ((BALL_SHAPE[0] - 1) / 2, (BALL_SHAPE[1] - 1) / 2)
-    for share, line in ((1.0, "-"), (0.5, "--")):
-        radius = share * BALL_RADIUS / BALL_PIXEL
-        axes.add_patch(Circle(middle, radius, fill=False, color="black", ls=line))
+    Parameters
+    ----------
+    labels : dict of str to ndarray
+        Surface types by title.
+    ball : bool
+        Show the ball's edge and half its radius.
+    """
+    figure, row = plt.subplots(1, len(labels), figsize=(7.8, 3.0), sharey=True)
+    for axes, (title, types) in zip(row, labels.items(), strict=True):
+        draw_labels(axes, types, legend=False)
+        axes.set(title=title, ylabel="y (px)" if axes is row[0] else "")
+        if ball:
+            middle = ((BALL_SHAPE[0] - 1) / 2, (BALL_SHAPE[1] - 1) / 2)
+            for share, line in ((1.0, "-"), (0.5, "--")):
+                radius = share * BALL_RADIUS / BALL_PIXEL
+                axes.add_patch(Circle(middle, radius, fill=False, color="black", ls=line))
+    label_legend(row[-1], np.stack(list(labels.values())))
     return figure
 
 

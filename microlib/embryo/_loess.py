@@ -9,8 +9,14 @@ from microlib._common import Array, as_array, between, positive, same_length, wh
 
 __all__ = ["loess"]
 
-# Points times neighbours that are solved together: what fits into a processor's cache.
+#: Points times neighbors that are solved together, 256 kB an array: what fits into a processor's
+#: cache. The result is the same for any.
 _BLOCK = 32768
+#: Keeps a product such as 0.29 × 100 from losing its last neighbor to rounding.
+_ROUNDING = 1e-10
+#: Determinant of a row's normal equations, for a weight of 1 in all, at or below which they leave
+#: the polynomial open: a hundred roundings. Evenly spaced points give 1e-4 or more.
+_LEAST_DETERMINANT = 1e-14
 
 
 def loess(
@@ -46,16 +52,16 @@ def loess(
     ------
     ValueError
         If the arrays differ in length or hold NaN, `span` or `degree` is out of range, or a
-        neighbourhood has too few different x for its polynomial.
+        neighborhood has too few different x for its polynomial.
 
     Notes
     -----
-    A neighbourhood is the :math:`k = \lfloor \text{span} \cdot n \rfloor` nearest points, weighted
+    A neighborhood is the :math:`k = \lfloor \text{span} \cdot n \rfloor` nearest points, weighted
     by the tricube :math:`(1 - |u|^3)^3` of the distance over that of the furthest. All local
     normal equations are solved together. Robustness weights are :math:`(1-(r/6s)^2)^2` with s the
     median absolute residual.
 
-    The smoothing is not free: where y(x) bends within a neighbourhood, as at the bottom of a
+    The smoothing is not free: where y(x) bends within a neighborhood, as at the bottom of a
     dimple, the result is flatter than the data.
 
     References
@@ -79,8 +85,7 @@ def loess(
     rounds = whole("robust_iterations", robust_iterations, least=0)
     given = np.ones_like(x) if weights is None else positive("weights", weights)
     same_length(("x", "weights"), x, given)
-    # The small term keeps a product such as 0.29 × 100 from losing its last neighbour.
-    k = int(share * len(x) + 1e-10)
+    k = int(share * len(x) + _ROUNDING)
     if k < degree + 1:
         raise ValueError(
             f"span must hold at least {degree + 1} points for degree {degree}, got {k} of {len(x)}"
@@ -88,13 +93,13 @@ def loess(
 
     order = np.argsort(x, kind="stable")
     x, y, given = x[order], y[order], given[order]
-    # Moving a neighbourhood on by one point swaps its first for the next; it pays as long as the
+    # Moving a neighborhood on by one point swaps its first for the next; it pays as long as the
     # two lie symmetrically left of x. The sums rise, so that the place is a binary search.
     first = np.searchsorted(x[: len(x) - k] + x[k:], 2 * x) if k < len(x) else np.zeros(len(x), int)
     smooth = _smooth(x, y, given, first, k, degree)
     if np.isnan(smooth).any():
         raise ValueError(
-            f"x must hold {degree + 1} different values in each neighbourhood of {k} points, got "
+            f"x must hold {degree + 1} different values in each neighborhood of {k} points, got "
             "fewer"
         )
     for _ in range(rounds):
@@ -104,7 +109,7 @@ def loess(
             break
         bisquare = np.clip(1 - (residual / scale) ** 2, 0, None) ** 2
         again = _smooth(x, y, given * bisquare, first, k, degree)
-        # Where a whole neighbourhood is left out there is nothing better than what was.
+        # Where a whole neighborhood is left out there is nothing better than what was.
         smooth = np.where(np.isnan(again), smooth, again)
     result = np.empty_like(smooth)
     result[order] = smooth
@@ -149,7 +154,7 @@ def _local_fits(u: Array, y: Array, weights: Array, degree: int) -> Array:
         term = term * u
     rows = np.arange(degree + 1)
     normal = moments[:, rows[:, np.newaxis] + rows]
-    poor = np.linalg.det(normal) <= 1e-14 * moments[:, 0] ** (degree + 1)
+    poor = np.linalg.det(normal) <= _LEAST_DETERMINANT * moments[:, 0] ** (degree + 1)
     normal[poor] = np.eye(degree + 1)
     fitted = np.linalg.solve(normal, right[..., np.newaxis])[:, 0, 0]
     return np.where(poor, np.nan, fitted)

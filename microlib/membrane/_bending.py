@@ -131,7 +131,7 @@ def capsule_bending_force(
     ...     100.0, modulus=1.0, radius=600.0, thickness=3.0, probe_half_width=25.0, inflation=1.05
     ... )
     >>> print(f"{added:.1f} µN")
-    1.6 µN
+    0.7 µN
     """
     load = scalar("force", force)
     nu = float(between("poisson_ratio", as_array("poisson_ratio", poisson_ratio, shape=()), -1, 1))

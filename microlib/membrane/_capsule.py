@@ -24,7 +24,7 @@ _MOST_NODES = 1500
 _TOLERANCE = 1e-6
 # Enough to see whether the middle of the plate is slack; a guess that needs more nodes is no good.
 _ROUGH = 1e-3
-_ROUGH_NODES = 400
+_ROUGH_NODES = 800
 # What two independent checks of a solution may leave.
 _ACCEPTED = 1e-5
 # The flat zones begin at this fraction of their arc, the rest of which is stretched evenly: the
@@ -32,8 +32,8 @@ _ACCEPTED = 1e-5
 _CORE = 0.01
 # Force from which every capsule was found to be solved without help, and the steps away from it.
 _EASY_FORCE = 0.03
-_LADDER = 3.0
-_RUNGS = 12
+_LADDER = 2.0
+_RUNGS = 14
 _SPHERE = 4 * np.pi / 3
 
 
@@ -583,20 +583,23 @@ def _climb(problem: _Capsule) -> tuple[_Capsule, Any]:
     steps = int(np.ceil(abs(np.log(problem.force / _EASY_FORCE)) / np.log(_LADDER)))
     if problem.partial or not 0 < steps <= _RUNGS:
         return problem, None
-    solved, state = problem, None
+    solved, found, last = problem, None, None
     for force in np.geomspace(_EASY_FORCE, problem.force, steps + 1):
         stage = replace(
             _problem(problem.law, problem.bonded, problem.probe, force, problem.inflation),
             partial=False,
-            tension=problem.tension,
             unit=problem.unit,
         )
-        if state is not None:
-            stage = replace(stage, slack=solved.slack)
-        solved, found = _attempt(stage, stage.guess() if state is None else state)
+        guess = stage.guess()
+        if found is not None:
+            # The unknowns go on as they went; the tension has another size.
+            k = found.p if last is None or last.size != found.p.size else 2 * found.p - last
+            y = found.y.copy()
+            y[[row for row in (1, 4, 8, 11) if row < len(y)]] *= solved.tension / stage.tension
+            stage, guess, last = replace(stage, slack=solved.slack), (found.x, y, k), found.p
+        solved, found = _attempt(stage, guess)
         if found is None:
-            return problem, None
-        state = (found.x, found.y, found.p)
+            break
     return solved, found
 
 

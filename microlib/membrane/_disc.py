@@ -202,7 +202,7 @@ def indent_disc(
     ...     50.0, modulus=1.3, radius=250.0, thickness=3.0, probe_half_width=25.0
     ... )
     >>> print(f"{state.depth:.2f} µm")
-    67.26 µm
+    60.58 µm
     """
     load = scalar("force", force, zero=True)
     stiffness, a, h, c = (
@@ -293,7 +293,7 @@ def disc_modulus(
 
     Examples
     --------
-    >>> modulus = disc_modulus(50.0, 250.0, 67.26, thickness=3.0, probe_half_width=25.0)
+    >>> modulus = disc_modulus(50.0, 250.0, 60.58, thickness=3.0, probe_half_width=25.0)
     >>> print(f"{modulus:.2f} MPa")
     1.30 MPa
     """

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from microlib._common import Array, as_array
-from microlib.membrane._capsule import CapsuleModulus, capsule_modulus
+from microlib.membrane._capsule import capsule_modulus, indent_capsule
 from microlib.membrane._laws import scalar
 from microlib.membrane._state import MembraneState
 
@@ -18,8 +18,8 @@ __all__ = ["CapsuleFit", "fit_capsule"]
 
 # Fewer points than this cannot tell four or five numbers and their scatter.
 _FEWEST_POINTS = 20
-# Relative steps of the shape's derivatives: far above the solver's error, far below any curvature.
-_STEP = 1e-4
+# Relative step of derivatives: far above the solver's error, far below any curvature.
+_STEP = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +100,8 @@ def fit_capsule(
 
     Notes
     -----
-    Least squares of the distances between points and meridian, over rim radius, depth, the place of
-    axis and plate, and R; `capsule_modulus` gives the shell of each trial. The standard deviation
+    Least squares of the distances between points and the meridian of `indent_capsule`, over E, the
+    inflation (at least 1), the place of axis and plate, and R. The standard deviation
     counts neighboring points as one by the correlation ρ of neighboring distances: the variance
     grows by (1 + ρ)/(1 − ρ).
 
@@ -111,11 +111,11 @@ def fit_capsule(
     >>> state = indent_capsule(
     ...     100.0, modulus=1.0, radius=600.0, thickness=3.0, probe_half_width=25.0, inflation=1.05
     ... )
-    >>> noise = np.random.default_rng(0).normal(0.0, 0.5, (2, state.r.size))
-    >>> points = np.column_stack([state.r, state.z] + noise)
+    >>> points = np.column_stack([state.r, state.z])[::5]
+    >>> points += np.random.default_rng(0).normal(0.0, 0.5, points.shape)
     >>> fit = fit_capsule(100.0, points, thickness=3.0, probe_half_width=25.0)
-    >>> print(f"{fit.modulus:.2f} MPa, misfit {fit.misfit:.1f} µm")
-    1.00 MPa, misfit 0.5 µm
+    >>> print(f"{fit.modulus:.1f} MPa, misfit {fit.misfit:.1f} µm")
+    1.0 MPa, misfit 0.4 µm
     """
     load, c = scalar("force", force), scalar("probe_half_width", probe_half_width)
     points = as_array("outline", outline, shape=(None, 2))
@@ -130,19 +130,19 @@ def fit_capsule(
         "support": support,
         "punch": punch,
     }
-    shells: dict[tuple[float, ...], CapsuleModulus] = {}
+    shells: dict[tuple[float, ...], MembraneState] = {}
 
-    def shell(a: float, depth: float, size: float) -> CapsuleModulus:
-        key = (a, depth, size)
+    def shell(values: Array) -> MembraneState:
+        size = float(values[4]) if known is None else known
+        key = (float(values[0]), float(values[1]), size)
         if key not in shells:
-            shells[key] = capsule_modulus(load, a, depth, radius=size, **settings)
+            shells[key] = indent_capsule(
+                load, modulus=float(np.exp(key[0])), inflation=key[1], radius=size, **settings
+            )
         return shells[key]
 
-    def unpack(values: Array) -> tuple[float, float, float]:
-        return float(values[0]), float(values[1]), float(values[4] if known is None else known)
-
     def distances(values: Array) -> Array:
-        state = shell(*unpack(values)).state
+        state = shell(values)
         across, up = np.abs(points[:, 0] - values[2]), points[:, 1] - values[3]
         near = _signed_distances(across, up, state.r, state.z)
         return np.where(across > c, near, 0.0)
@@ -152,44 +152,43 @@ def fit_capsule(
             return distances(values)
         except ValueError:
             # No such capsule: further than any point can be.
-            return np.full(len(points), 1e3)
+            return np.full(len(points), np.ptp(points))
 
-    start = _start(points, c, known)
-    a, depth, size = unpack(start)
-    try:
-        start[3] -= shell(a, depth, size).state.z.max()
-    except ValueError as reason:
-        raise ValueError(f"outline must be near to that of a capsule, got {reason}") from None
+    start = _start(load, points, c, known, settings)
+    lowest = np.full(start.size, -np.inf)
+    lowest[1] = 1.0
     found = least_squares(
-        trial, start, x_scale=np.abs(start) + c, diff_step=_STEP, xtol=1e-8, ftol=1e-8, max_nfev=40
+        trial,
+        start,
+        bounds=(lowest, np.inf),
+        x_scale="jac",
+        diff_step=_STEP,
+        xtol=1e-8,
+        ftol=1e-8,
+        max_nfev=40,
     )
-    best = shell(*unpack(found.x))
-    left = distances(found.x)
-    used = left[np.abs(points[:, 0] - found.x[2]) > c]
-    misfit = float(np.sqrt(np.mean(used**2)))
-    spread = _covariance(found.jac, used)
-    slopes = np.zeros(found.x.size)
-    for index in [0, 1] + ([4] if known is None else []):
-        moved = found.x.copy()
-        moved[index] *= 1 + _STEP
-        change = shell(*unpack(moved)).modulus - best.modulus
-        slopes[index] = change / (moved[index] - found.x[index])
+    best = shell(found.x)
+    left = distances(found.x)[np.abs(points[:, 0] - found.x[2]) > c]
+    spread = _covariance(found.jac, left)
+    modulus = float(np.exp(found.x[0]))
     return CapsuleFit(
-        modulus=best.modulus,
-        modulus_std=float(np.sqrt(slopes @ spread @ slopes)),
-        inflation=best.inflation,
-        radius=unpack(found.x)[2],
+        modulus=modulus,
+        modulus_std=float(modulus * np.sqrt(spread[0, 0])),
+        inflation=float(found.x[1]),
+        radius=float(found.x[4]) if known is None else known,
         center=(float(found.x[2]), float(found.x[3])),
-        misfit=misfit,
-        state=best.state,
+        misfit=float(np.sqrt(np.mean(left**2))),
+        state=best,
     )
 
 
-def _start(points: Array, c: float, radius: float | None) -> Array:
-    """Return rim, depth, axis, crest's height and radius as the points show them roughly."""
+def _start(
+    force: float, points: Array, c: float, radius: float | None, settings: dict[str, Any]
+) -> Array:
+    """Return log modulus, inflation, axis, plate and radius from where the points turn."""
     x, z = points.T
     crest, wide = float(z.max()), float(np.ptp(x)) / 2
-    top = x[z > crest - 0.003 * wide]
+    top = x[z > crest - 0.01 * wide]
     # Two crests have the dimple between them; one is that of a single side, seen from its axis.
     between = (x > top.min()) & (x < top.max()) & (z > crest - 0.8 * wide)
     two = between.any() and crest - z[between].min() > 0.015 * wide
@@ -198,9 +197,19 @@ def _start(points: Array, c: float, radius: float | None) -> Array:
     size = radius if radius is not None else float(across.max())
     rim = float(np.clip(np.median(np.abs(top - axis)), 1.5 * c, 0.8 * size))
     inside = (across < rim) & (across > c) & (z > crest - size)
-    bottom = float(z[inside].min()) if inside.any() else crest - 0.1 * size
-    values = [rim, max(crest - bottom, 0.01 * size), axis, crest]
-    return np.array(values + ([size] if radius is None else []))
+    depth = max(crest - float(z[inside].min()) if inside.any() else 0.0, 0.02 * size)
+    # The crest is flat, so its radius is the least certain.
+    refused = None
+    for factor in (1.0, 0.9, 1.1, 0.8):
+        try:
+            near = capsule_modulus(force, factor * rim, depth, radius=size, **settings)
+        except ValueError as reason:
+            refused = reason
+            continue
+        plate = crest - near.state.z.max()
+        values = [np.log(near.modulus), near.inflation, axis, plate]
+        return np.array(values + ([size] if radius is None else []))
+    raise ValueError(f"outline must be near to that of a capsule: {refused}")
 
 
 def _signed_distances(across: Array, up: Array, r: Array, z: Array) -> Array:

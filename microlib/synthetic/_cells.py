@@ -30,6 +30,8 @@ _TRIES = 60
 _GRAIN_BLUR, _BLUR = 1.5, 0.9
 #: Corners of an outline: a side of 0.3 µm, about a pixel.
 _CORNERS = 180
+#: Least side of an image, px: a few cells.
+_SMALLEST = 64
 #: Bits of a fraction of a pixel to which an outline is drawn.
 _SHIFT = 4
 
@@ -79,7 +81,7 @@ def cell_image(
     Returns
     -------
     CellImage
-        The image and the outlines in it.
+        The `image`, the `outlines` in it and its `pixel_size`.
 
     Raises
     ------
@@ -95,7 +97,7 @@ def cell_image(
     radius, irregularity, harmonics = _KINDS[one_of("kind", kind, tuple(_KINDS))]
     wanted = whole("count", count, least=1)
     positive("pixel_size", pixel_size)
-    rows, columns = (whole("shape", n, least=64) for n in shape)
+    rows, columns = (whole("shape", n, least=_SMALLEST) for n in shape)
     radius /= pixel_size
     rng = np.random.default_rng(rng)
     outlines: list[Array] = []

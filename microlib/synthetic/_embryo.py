@@ -31,6 +31,10 @@ _SENSOR_HALF_WIDTH, _YOLK_GAP = 60.0, 55.0
 #: Half of the yolk's width in radii of the embryo, over how many px its edge fades, and the
 #: standard deviation (grey levels) and the blur (px of the finer grid) of its grain.
 _YOLK_WIDTH, _YOLK_FADE, _GRAIN, _GRAIN_BLUR = 0.78, 3.0, 8.0, 6.0
+#: Least side of an image, px, and range of its blur: from just above the drawn edges' own on.
+_SMALLEST, _BLURS = 64, (0.5, 10.0)
+#: Largest relative departure of the light: no part of the scene is dark.
+_MOST_UNEVEN = 0.5
 #: Share of the image's height at which the sensor holds the embryos of a sequence.
 _SEAT = 0.9
 
@@ -399,7 +403,8 @@ def embryo_image(
     Returns
     -------
     EmbryoImage
-        The image and its truth.
+        The `image` and its truth: `embryo`, `pixel_size`, `center`, `tilt`, and `to_pixels`, which
+        places points of the embryo in the image.
 
     Raises
     ------
@@ -421,11 +426,11 @@ def embryo_image(
     """
     rng = np.random.default_rng(rng)
     positive("pixel_size", pixel_size)
-    rows, columns = (whole("shape", n, least=64) for n in shape)
+    rows, columns = (whole("shape", n, least=_SMALLEST) for n in shape)
     between("tilt", tilt, -np.pi, np.pi, closed=True)
-    between("blur", blur, 0.5, 10.0, closed=True)
+    between("blur", blur, *_BLURS, closed=True)
     positive("noise", noise, zero=True)
-    between("unevenness", unevenness, 0.0, 0.5, closed=True)
+    between("unevenness", unevenness, 0.0, _MOST_UNEVEN, closed=True)
     if center is None:
         center = ((columns - 1) / 2, (rows - 1 - embryo.height / pixel_size) / 2)
     blank = np.zeros((rows, columns), dtype=np.uint8)

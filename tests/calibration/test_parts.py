@@ -255,6 +255,30 @@ def test_the_dark_area_is_that_of_the_outline(model, parameters, area):
     assert grey.max() == pytest.approx(150)
 
 
+@pytest.mark.parametrize(("pitch", "width"), [(60, 7.0), (29, 4.2), (22, 2.0)])
+def test_a_patch_is_the_band_around_its_outline(pitch, width):
+    """Half of the way to the neighbor, for shapes 20.6 px wide, from 2 to 7 px."""
+    image = np.full((200, 200), 100, np.float32)
+    centers = 70.0 + pitch * np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
+    radius = np.zeros((4, 10))
+    radius[:, [2, 4]] = 1 / 10.3  # the shape matrix of a circle
+    square = np.zeros((4, 13))
+    square[:, :4], square[:, 4:8] = np.arange(4) * np.pi / 2, 10.3
+    for start, patches, distance in (
+        (radius, _circles._patches(image, centers, radius), lambda x, y: 10.3 - np.hypot(x, y)),
+        (
+            square,
+            _squares._patches(image, centers, square),
+            lambda x, y: 10.3 - np.maximum(abs(x), abs(y)),
+        ),
+    ):
+        y, x = np.mgrid[-20:21, -20:21]
+        expected = (np.abs(distance(x, y)) <= width).sum()
+        assert patches.weight.sum(axis=1).tolist() == [expected] * 4
+        assert np.abs(distance(patches.x, patches.y)[patches.weight == 1]).max() <= width
+        assert (start[:, -3] == 100).all()  # where the ground begins
+
+
 # Shapes
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
-from compendium import thesis
+from compendium import ledger, thesis
 from compendium.experiments import section_5_5
+from microlib.curvature import surface_curvature
 
 
 @pytest.fixture(scope="module")
@@ -62,14 +64,43 @@ def test_the_steepest_step_is_the_parabolas_slope(ridge) -> None:
 
 
 def test_the_true_ridge_has_crest_flanks_and_feet(ridge) -> None:
-    labels = section_5_5.thesis_labels(ridge.height)
-    middle = labels[100]
-    assert middle[100] == 2  # convex cylindric
-    assert middle[70] == middle[130] == 5  # planar on the flank
-    assert 8 in middle[45:55]  # concave cylindric at the foot
-    assert middle[10] == 5
-    # One profile all along the ridge.
-    np.testing.assert_array_equal(labels[20:-20], np.tile(middle, (160, 1)))
+    for corrected in (False, True):
+        labels = section_5_5.thesis_labels(ridge.height, corrected=corrected)
+        middle = labels[100]
+        assert middle[100] == 2  # convex cylindric
+        assert middle[70] == middle[130] == 5  # planar on the flank
+        assert 8 in middle[40:50]  # concave cylindric beside the foot
+        assert middle[10] == 5
+        # One profile all along the ridge.
+        np.testing.assert_array_equal(labels[20:-20], np.tile(middle, (160, 1)))
+
+
+def test_the_corrected_windows_are_the_librarys() -> None:
+    rng = np.random.default_rng(2)
+    height = ndimage.gaussian_filter(rng.standard_normal((40, 50)), 3) * 40
+    mean, gaussian = section_5_5.thesis_curvature(height, corrected=True)
+    library = surface_curvature(height, 1.0)
+    np.testing.assert_allclose(mean, library.mean, atol=1e-12)
+    np.testing.assert_allclose(gaussian, library.gaussian, atol=1e-12)
+
+
+def test_the_printed_windows_halve_the_curvature() -> None:
+    y, x = np.mgrid[-20:21, -20:21].astype(float)
+    mean, gaussian = section_5_5.thesis_curvature(-(x**2 + y**2) / 100)
+    # Of H = −0.02 and K = 0.0004 at the top; smoothing leaves a paraboloid as it is.
+    assert mean[20, 20] == pytest.approx(-0.01)
+    assert gaussian[20, 20] == pytest.approx(0.0001)
+    # The mixed derivative has no d2: a saddle along the diagonals keeps its K.
+    assert section_5_5.thesis_curvature(x * y / 50)[1][20, 20] == pytest.approx(-0.0004)
+
+
+def test_the_top_step_is_flat_in_its_middle(ridge) -> None:
+    """What two levels of blur can tell is the nearest frame; averaging keeps that plateau."""
+    nearest = np.rint(ridge.height / thesis.RIDGE_STEP) * thesis.RIDGE_STEP
+    stairs = ndimage.uniform_filter(nearest, thesis.MEAN_WINDOW)
+    assert section_5_5.thesis_labels(ridge.height)[100, 100] == 2
+    assert section_5_5.thesis_labels(stairs)[100, 100] == 5
+    assert 2 in section_5_5.thesis_labels(stairs)[100, 92:108]
 
 
 def test_the_crest_passes_the_threshold_up_to_a_width() -> None:
@@ -82,16 +113,113 @@ def test_the_crest_passes_the_threshold_up_to_a_width() -> None:
         assert share * bend / 2 == pytest.approx(thesis.H_THRESHOLD)
 
 
-def test_the_shares_bear_out_the_sentences() -> None:
-    table = section_5_5.sentence_shares(seed=20, runs=1)
-    assert table.shape == (1, 8)
-    shares = table.iloc[0]
-    assert shares.between(0, 1).all()
-    assert shares["sides-planar"] > 0.9
-    assert shares["ball-background-planar"] > 0.7
-    assert shares["crest-convex-cylindric"] > 0.8
-    again = section_5_5.sentence_shares(seed=19, runs=2).iloc[1]
-    assert again.to_dict() == shares.to_dict()
+def fits(name: str, value: float) -> bool:
+    """The number agrees with the sentence, whatever the book's verdict on it."""
+    return ledger.judge(ledger.claim(f"section-5.5/{name}"), value, value, value) == "consistent"
+
+
+def described_ridge(height: np.ndarray) -> np.ndarray:
+    """Return a label map of the ridge as the thesis' sentences have it."""
+    labels = np.full(height.shape, 5, np.uint8)
+    labels[height > 487.5] = 2
+    labels[50:53, 96:99], labels[90:93, 100:103] = 3, 1
+    labels[:, 46:49] = labels[:, 151:154] = 8
+    return labels
+
+
+def described_ball() -> np.ndarray:
+    labels = np.full(section_5_5.BALL_SHAPE, 5, np.uint8)
+    labels[section_5_5.from_ball_center() < 0.6] = 2
+    labels[70:88, 70:110] = 8
+    labels[90:94, 80:84], labels[100:104, 80:84] = 3, 9
+    return labels
+
+
+def test_a_map_that_the_sentences_describe_bears_them_out(ridge) -> None:
+    right = described_ridge(ridge.height)
+    found = section_5_5.ridge_sentences(ridge.height, right)
+    found |= section_5_5.ball_sentences(described_ball())
+    assert all(fits(name, value) for name, value in found.items()), found
+
+
+@pytest.mark.parametrize(
+    ("fault", "wrong"),
+    [
+        (lambda t: np.full_like(t, 5), {"crest-convex-cylindric", "edge-concave-cylindric"}),
+        (lambda t: np.where(t == 2, 8, np.where(t == 8, 2, t)), {"crest-convex-cylindric"}),
+        (lambda t: np.where(t == 8, 5, t), {"edge-concave-cylindric"}),
+        (lambda t: np.where(t == 3, 2, t), {"crest-saddle-and-elliptic"}),
+        (
+            lambda t: np.where((t == 1) | (t == 3), 5, t),
+            {"crest-saddle-and-elliptic", "crest-convex"},
+        ),
+        (lambda t: np.where(t == 1, 7, np.where(t == 3, 9, t)), {"crest-convex"}),
+        (lambda t: np.where(np.indices(t.shape)[0] % 7 == 0, 1, t), {"sides-planar"}),
+        # So many patches that they are not few.
+        (lambda t: np.where(np.indices(t.shape)[0] % 8 < 2, 3, t), {"crest-saddle-and-elliptic"}),
+        (lambda t: np.roll(t, 30, axis=1), {"crest-convex-cylindric", "edge-concave-cylindric"}),
+    ],
+)
+def test_a_ridge_that_they_do_not_describe_does_not(ridge, fault, wrong: set[str]) -> None:
+    found = section_5_5.ridge_sentences(ridge.height, fault(described_ridge(ridge.height)))
+    assert wrong <= {name for name, value in found.items() if not fits(name, value)}
+
+
+@pytest.mark.parametrize(
+    ("fault", "wrong"),
+    [
+        (lambda t: np.full_like(t, 5), {"ball-top-cylindric", "ball-hyperbolic"}),
+        (lambda t: np.where(np.isin(t, (2, 8)), 1, t), {"ball-top-cylindric", "ball-hyperbolic"}),
+        (lambda t: np.where(np.isin(t, (2, 8)), 6, t), {"ball-top-cylindric", "ball-hyperbolic"}),
+        (lambda t: np.where(t == 9, 2, t), {"ball-hyperbolic"}),
+        (lambda t: np.where(np.indices(t.shape)[1] % 7 == 0, 2, t), {"ball-background-planar"}),
+    ],
+)
+def test_a_ball_that_they_do_not_describe_does_not(fault, wrong: set[str]) -> None:
+    found = section_5_5.ball_sentences(fault(described_ball()))
+    assert wrong <= {name for name, value in found.items() if not fits(name, value)}
+
+
+def test_a_patch_has_four_connected_pixels() -> None:
+    labels = np.zeros((6, 8), int)
+    labels[0:2, 0:2] = 3  # a block
+    labels[0, 4:7] = 3  # three in a row
+    labels[3, 0] = labels[4, 1] = labels[5, 2] = labels[4, 3] = 3  # joined by corners only
+    everywhere = np.ones(labels.shape, bool)
+    assert section_5_5.count_patches(labels, everywhere, (3,)) == 1
+    assert section_5_5.count_patches(labels, everywhere, (1,)) == 0
+    assert section_5_5.count_patches(labels, labels < 0, (3,)) == 0
+
+
+def test_outlines_tell_a_cylinder_from_a_sphere() -> None:
+    distance = section_5_5.from_ball_center()
+    rise = np.sqrt(np.maximum(1 - distance**2, 0)) * section_5_5.BALL_RADIUS
+    ball = distance < 1
+    seen = np.where(ball, section_5_5.BALL_RADIUS + rise, 0)
+    cone = 2 * section_5_5.BALL_RADIUS * np.maximum(1 - distance, 0)
+    flat = np.where(ball, 2 * section_5_5.BALL_RADIUS, 0)
+    for height, lower, top in ((seen, True, True), (cone, False, False), (flat, True, False)):
+        found = section_5_5.ball_shape(height)
+        assert fits("ball-lower-cylindric", found["ball-lower-cylindric"]) == lower
+        assert fits("ball-top-spherical", found["ball-top-spherical"]) == top
+    # A disc of whole pixels has the area of its circle to 1 %, its radius to half of that.
+    assert max(section_5_5.ball_shape(seen).values()) < 0.05
+
+
+def test_scenes_are_described_with_both_windows() -> None:
+    tables = section_5_5.describe_scenes(seed=20, runs=1)
+    printed, corrected = (tables[k].iloc[0] for k in ("printed", "corrected"))
+    assert set(printed.index) == set(corrected.index)
+    assert {f"section-5.5/{name}" for name in printed.index} == {
+        c.id for c in ledger.claims().values() if c.id.startswith("section-5.5/") and c.limit
+    }
+    assert printed["sides-planar"] > 0.9
+    assert printed["ball-background-planar"] > 0.9 > corrected["ball-background-planar"]
+    assert printed["crest-convex-cylindric"] < 0.5 < corrected["crest-convex-cylindric"]
+    again = section_5_5.describe_scenes(seed=19, runs=2)["printed"].iloc[1]
+    assert again.to_dict() == printed.to_dict()
+    narrow = section_5_5.narrow_ridge(20, 1, section_5_5.NARROW_WIDTH)
+    assert narrow["crest-saddle-and-elliptic"] >= 1
 
 
 def test_distances_from_the_balls_middle() -> None:

@@ -42,7 +42,7 @@ def test_the_same_surface_gives_the_same_text():
     assert all(name in once for name in HK_NAMES.values())
 
 
-def test_every_type_has_a_colour_and_the_legend_names_those_that_occur():
+def test_every_type_has_a_color_and_the_legend_names_those_that_occur():
     assert HK_COLORS.keys() == HK_NAMES.keys()
     assert len(set(HK_COLORS.values())) == len(HK_COLORS)
     figure, axes = plt.subplots()

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from microlib.embryo import extract_boundary
-from microlib.embryo._boundary import _find_probe
+from microlib.embryo._boundary import _find_probe, _refine, _remove_probe, _resample, _trace
 from microlib.synthetic import Embryo, embryo_image
 from microlib.synthetic._embryo import EmbryoImage
 
@@ -73,7 +73,7 @@ def test_filled_probe_leaves_the_ground(scene):
     off = filled - clean.image[:100]
     bar = np.abs(noisy - filled) > 20
     assert bar.sum() > 100 * 11
-    # The ground is a straight line between noisy neighbours; light bends by less than a grey level.
+    # The ground is a straight line between noisy neighbors; light bends by less than a grey level.
     assert np.abs(off[bar]).max() < 3
 
 
@@ -105,6 +105,18 @@ def test_mirror_image_gives_the_mirrored_outline(scene):
     off = mirrored - np.interp(x, plain.x, plain.y)
     assert np.abs(off).max() < 0.4
     assert abs(off.mean()) < 0.02
+
+
+def test_a_curve_that_follows_no_wall_is_refused(scene):
+    grey = scene.image.astype(np.float32)
+    probe = _find_probe(grey)
+    sides = [_resample(side) for side in _trace(_remove_probe(grey, probe), probe)]
+    _refine(grey, sides, probe, 3.0)
+    for k, name in enumerate(("left", "right")):
+        # 12 px above the outline is nothing but ground.
+        beside = [side - [[0.0], [12.0 * (j == k)]] for j, side in enumerate(sides)]
+        with pytest.raises(ValueError, match=f"wall along the outline, got .* the {name} of"):
+            _refine(grey, beside, probe, 3.0)
 
 
 def spoiled(name: str) -> np.ndarray:

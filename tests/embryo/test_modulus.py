@@ -6,7 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from microlib.embryo import force_from_image, modulus_from_image
+from microlib.embryo import extract_boundary, force_from_image, modulus_from_image
+from microlib.embryo._modulus import _crop
 from microlib.membrane import SmallSlopeWarning, elastic_modulus
 from microlib.synthetic import Embryo, embryo_image
 from microlib.synthetic._embryo import EmbryoImage
@@ -71,6 +72,19 @@ def test_modulus_is_unbiased_and_its_interval_honest(study):
 def test_the_profile_beats_eight_gaussians(study):
     rms = study.groupby("method")["error"].apply(lambda e: np.sqrt(np.mean(e**2)))
     assert rms["gaussians"] > 2 * rms["membrane"]
+
+
+def test_the_gaussians_see_every_column_of_the_crop():
+    boundary = extract_boundary(draw(7).image)
+    x, y = _crop(boundary)
+    middle = boundary.probe.tip[0]
+    rim = boundary.x[np.where(boundary.x < middle, boundary.y, -np.inf).argmax()]
+    ends = np.clip(middle + np.array([-2, 2]) * (middle - rim), boundary.x[0], boundary.x[-1])
+    # Whole columns, the first and the last of them less than one px inside.
+    assert (np.diff(x) == 1).all()
+    assert 0 <= x[0] - ends[0] < 1
+    assert 0 <= ends[1] - x[-1] < 1
+    np.testing.assert_allclose(y, np.interp(x, boundary.x, boundary.y))
 
 
 def test_force_and_modulus_are_two_views_of_one_dimple():

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import simpson, solve_bvp
+from scipy.sparse import csc_array
+from scipy.sparse.linalg import spsolve
 
 from microlib._common import Array
 from microlib.membrane import _bending
@@ -33,6 +35,10 @@ def test_integral_of_the_ridge() -> None:
     phi_rate, v = found.sol(fine)[[1, 2]]
     got = 2 * simpson(phi_rate**2 + v**2, x=fine)
     assert got == pytest.approx(_bending.RIDGE_INTEGRAL, rel=1e-6)
+
+
+def solve(matrix: Any, right: Any) -> Any:
+    return spsolve(csc_array(matrix), right)
 
 
 class Shell:
@@ -147,7 +153,7 @@ class Shell:
                     matrix = np.block([[matrix, border[:, None]], [border[None], np.zeros((1, 1))]])
                     excess = np.sum(self.swept(q[self.pairs])) + swept[end] * shift
                     left = np.append(left, 4 / 3 * np.pi - excess)
-                step = np.linalg.solve(matrix, -left)
+                step = solve(matrix, -left)
                 size = np.abs(step[: free.size]).max()
                 # The first step follows the tangent to the new height; later ones go downhill.
                 for power in range(1 if first else 8):

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from scipy.sparse import csc_array
+from scipy.sparse.linalg import spsolve
 from scipy.special import k0, k1
 
 from microlib._common import Array
@@ -28,6 +30,10 @@ STATES = [
 
 # A second method: nodes, straight elements, and Newton on the energy with a multiplier for the
 # volume and springs below the plate. It shares nothing with the library.
+
+
+def solve(matrix: Any, right: Any) -> Any:
+    return spsolve(csc_array(matrix), right)
 
 
 def relaxed_slopes(c2: float, l1: Any, l2: Any) -> tuple[Any, Any]:
@@ -106,11 +112,11 @@ def minimised_state(approach: float, inflation: float, c2: float, elements: int)
     for height in np.linspace(q[end], 2 - approach, 13)[1:]:
         matrix = tangent(q)
         shift = height - q[end]
-        q[free] -= np.linalg.solve(matrix[np.ix_(free, free)], matrix[free, end] * shift)
+        q[free] -= solve(matrix[np.ix_(free, free)], matrix[free, end] * shift)
         q[end] = height
         for _ in range(60):
             left = residual(q)[free]
-            step = np.linalg.solve(tangent(q)[np.ix_(free, free)], -left)
+            step = solve(tangent(q)[np.ix_(free, free)], -left)
             for power in range(12):
                 trial = q.copy()
                 trial[free] += step / 2**power
@@ -165,9 +171,10 @@ def test_no_force_is_the_inflated_sphere(inflation: float) -> None:
 @pytest.mark.parametrize("law", ["hooke", "neo-hooke", "mooney-rivlin"])
 def test_a_vanishing_force_meets_the_sphere(law: str) -> None:
     kw = {**CAPSULE, "law": law, "inflation": 1.08, "punch": "frictionless"}
-    sphere, state = indent_capsule(0.0, **kw), indent_capsule(1e-3, **kw)
-    assert state.pressure == pytest.approx(sphere.pressure, rel=1e-5)
-    assert state.energy == pytest.approx(sphere.energy, rel=1e-5)
+    # The sphere is written down, the other solved.
+    sphere, state = indent_capsule(0.0, **kw), indent_capsule(1e-4, **kw)
+    assert state.pressure == pytest.approx(sphere.pressure, rel=1e-6)
+    assert state.energy == pytest.approx(sphere.energy, rel=1e-6)
     assert 0 < state.approach < 0.01
     assert state.depth == 0
 

@@ -186,6 +186,34 @@ def test_first_order_and_sampled_spread_agree_for_small_errors() -> None:
     assert modulus_std(VALUES | {"poisson_ratio": 0.0}, {"poisson_ratio": 0.01}) > 0
 
 
+def test_radius_and_depth_may_vary_together() -> None:
+    independent = {"dimple_radius": 1.0, "dimple_depth": 0.4}
+    apart = modulus_std(VALUES, {}, dimple_covariance=[[1.0, 0.0], [0.0, 0.16]])
+    assert apart == pytest.approx(modulus_std(VALUES, independent), rel=1e-12)
+    covariance = np.array([[1.0, 0.36], [0.36, 0.16]])
+    radius, depth = (
+        np.random.default_rng(0).multivariate_normal([250.0, 40.0], covariance, 40_000).T
+    )
+    force = np.random.default_rng(1).normal(50.0, 0.5, radius.size)
+    drawn = elastic_modulus(
+        **VALUES | {"force": force, "dimple_radius": radius, "dimple_depth": depth}
+    )
+    together = modulus_std(VALUES, {"force": 0.5}, dimple_covariance=covariance)
+    # As above: 40 000 draws know it to 0.35 %, and the second order needs room.
+    assert drawn.std() == pytest.approx(together, rel=0.02)
+    assert together < modulus_std(VALUES, {"force": 0.5, **independent})
+    unknown = modulus_std(VALUES, {}, dimple_covariance=np.full((2, 2), np.nan))
+    assert np.isnan(unknown)
+
+
+def test_a_seed_is_a_generator() -> None:
+    stds = {"dimple_depth": 0.4}
+    first, again = (
+        modulus_samples(VALUES, stds, size=5, rng=rng) for rng in (3, np.random.default_rng(3))
+    )
+    np.testing.assert_array_equal(first, again)
+
+
 def test_large_errors_are_skewed_upwards() -> None:
     values = VALUES | {"dimple_depth": 30.0}
     samples = modulus_samples(
@@ -196,6 +224,11 @@ def test_large_errors_are_skewed_upwards() -> None:
 
 
 def test_steep_dimples_warn() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        elastic_modulus(**VALUES | {"dimple_depth": 0.999 * SmallSlopeWarning.limit * 250.0})
+    with pytest.warns(SmallSlopeWarning, match=r"w_d/a = 0\.20 > 0.2"):
+        elastic_modulus(**VALUES | {"dimple_depth": 1.001 * SmallSlopeWarning.limit * 250.0})
     with pytest.warns(SmallSlopeWarning, match=r"w_d/a = 0\.40"):
         elastic_modulus(**VALUES | {"dimple_depth": 100.0})
     with pytest.warns(SmallSlopeWarning):
@@ -249,6 +282,10 @@ def test_other_refusals() -> None:
         modulus_std(VALUES, {"mass": 1.0})
     with pytest.raises(ValueError, match=r"stds\['force'\] must be zero or positive"):
         modulus_std(VALUES, {"force": -1.0})
+    with pytest.raises(ValueError, match="stds must leave out what dimple_covariance holds"):
+        modulus_std(VALUES, {"dimple_depth": 1.0}, dimple_covariance=np.eye(2))
+    with pytest.raises(ValueError, match=r"dimple_covariance must have shape \(2, 2\)"):
+        modulus_std(VALUES, {}, dimple_covariance=np.eye(3))
     with pytest.raises(ValueError, match="size must be a whole number"):
         modulus_samples(VALUES, {}, size=0, rng=np.random.default_rng(0))
 

@@ -42,6 +42,9 @@ def test_cells_are_dark_where_their_outlines_are_and_do_not_overlap():
     ground = np.median(sample.image)
     assert sample.image[core].mean() < ground - 20
     assert sample.image[rim].mean() > ground + 20
+    # The body's edge fades inwards from the halo's grey: a px inside it is as bright.
+    inside = together - cv2.erode(together.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    assert sample.image[inside].mean() > ground + 20
 
 
 def test_same_seed_same_picture():

@@ -100,6 +100,59 @@ def test_image_shows_the_embryo_where_the_truth_says():
     assert (right - left) * scene.pixel_size == pytest.approx(50.0, abs=0.5)
 
 
+def test_the_probe_ends_on_the_chorion():
+    embryo = Embryo.pressed(150.0, modulus=1.0)
+    options = {"pixel_size": 0.5, "shape": (120, 100), "noise": 0.0, "unevenness": 0.0}
+    # Under the probe the chorion is flat: at 0.5 µm a px its 3 µm are 6 px of its own grey.
+    rim = 60.0 - embryo.dimple_depth / 0.5
+    scene = embryo_image(embryo, rng=0, center=(50.0, rim), **options)
+    column = scene.image[:, 50].astype(float)
+    assert column[:40] == pytest.approx(42.0, abs=1)
+    wall = np.flatnonzero((column > 51) & (column < 100))
+    # Cells that the edge crosses let some of the bright ground through, half a px further up.
+    assert wall[0] == pytest.approx(60 - 3.5, abs=0.6)
+    assert wall[-1] == pytest.approx(60 + 3, abs=1.0)
+
+
+def test_the_embryo_is_in_the_middle_by_default():
+    embryo = Embryo.pressed(100.0, modulus=1.0)
+    scene = embryo_image(embryo, rng=0, pixel_size=20.0, shape=(80, 100))
+    middle = scene.to_pixels([[0.0, -embryo.height / 2]])[0]
+    np.testing.assert_allclose(middle, (49.5, 39.5), atol=1e-9)
+
+
+def test_the_yolk_lies_in_the_middle_and_keeps_clear_of_the_chorion():
+    embryo = Embryo.pressed(100.0, modulus=1.0)
+    options = {"pixel_size": 5.0, "shape": (300, 300), "noise": 0.0, "unevenness": 0.0}
+    scene = embryo_image(embryo, rng=0, probe=False, **options)
+    # Half of the gap of 55 µm under the dimple and above the bottom, and the middle of the rest.
+    heights = -embryo.dimple_depth - 27.0, -embryo.height + 27.0
+    places = scene.to_pixels([[0.0, y] for y in (*heights, sum(heights) / 2)])
+    upper, lower, middle = (scene.image[round(y), round(x)].astype(float) for x, y in places)
+    # Fluid, fluid, and yolk with its grain of 8 grey levels.
+    assert (upper, lower) == pytest.approx((168.0, 168.0), abs=3)
+    assert middle == pytest.approx(112.0, abs=30)
+    third = (2 * heights[0] + heights[1]) / 3
+    x, y = scene.to_pixels([[0.0, third]])[0]
+    assert scene.image[round(y), round(x)] == pytest.approx(112.0, abs=30)
+
+
+def test_light_falls_from_any_side():
+    slopes = []
+    for seed in range(8):
+        image = embryo_image(
+            Embryo(1.0, 0.0, 1.0), rng=seed, pixel_size=20.0, shape=(80, 80), unevenness=0.3
+        ).image.astype(float)
+        slopes.append(
+            (
+                image[:5, :5].mean() - image[:5, -5:].mean(),
+                image[:5, :5].mean() - image[-5:, :5].mean(),
+            )
+        )
+    # One side in eight of eight draws has a chance of 1 in 128, for either axis.
+    assert (np.ptp(np.sign(slopes), axis=0) == 2).all()
+
+
 def test_tilt_turns_the_scene_clockwise_about_its_center():
     scene = embryo_image(Embryo(1.0, 0.0, 1.0), rng=np.random.default_rng(0), tilt=0.1)
     turned = scene.to_pixels([[100.0, 0.0], [0.0, 0.0]]) - scene.center
@@ -140,6 +193,7 @@ def test_untouched_embryo_is_round():
     [
         (lambda: Embryo(-1.0, 10.0, 200.0), "modulus must be positive"),
         (lambda: Embryo(1.0, 10.0, 20.0), r"dimple_radius must lie in \(25, 600\)"),
+        (lambda: Embryo(1.0, 0.5, 20.0), r"dimple_radius must lie in \(25, 600\)"),
         (lambda: Embryo(1.0, 10.0, 200.0, poisson_ratio=1.0), "poisson_ratio must lie"),
         (lambda: Embryo(0.01, 500.0, 100.0), "dimple_radius must suit an embryo"),
         (lambda: Embryo.pressed(0.0, modulus=1.0), "force must be positive"),

@@ -28,11 +28,52 @@ def test_patchy_texture_is_weak_somewhere_and_strong_elsewhere():
     assert tiles.max() > 4 * tiles.min()
 
 
+@pytest.mark.parametrize("options", [{}, {"mean": 90.0, "std": 12.0}])
+def test_a_patchy_texture_without_weak_parts_is_a_mixed_one(options):
+    whole = synthetic.patchy_texture(SHAPE, 3, weakest=1.0, **options)
+    np.testing.assert_allclose(whole, synthetic.mixed_texture(SHAPE, 3, **options), atol=1e-4)
+    assert whole.mean() == pytest.approx(options.get("mean", 128.0), abs=1e-3)
+    assert whole.std() == pytest.approx(options.get("std", 38.0), rel=1e-4)
+
+
+def test_patches_keep_a_share_of_the_contrast():
+    none, some, full = (
+        synthetic.patchy_texture(SHAPE, 3, mean=0.0, weakest=w, patch=4.0) for w in (0.0, 0.3, 1.0)
+    )
+    np.testing.assert_allclose(some, 0.3 * full + 0.7 * none, atol=1e-3)  # float32 of 100
+    strong = np.abs(full) > 1
+    share = (none / full)[strong]
+    # The weakest and the strongest pixel may be among those of little texture, left out.
+    assert 0 <= share.min() < 0.1
+    assert 0.9 < share.max() < 1 + 1e-5
+
+
 def test_one_seed_one_scene():
     for make in (synthetic.mixed_texture, synthetic.patchy_texture):
         once, again, other = (make(SHAPE, np.random.default_rng(seed)) for seed in (1, 1, 2))
         np.testing.assert_array_equal(once, again)
         assert not np.array_equal(once, other)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda rng: synthetic.mixed_texture(SHAPE, rng),
+        lambda rng: synthetic.patchy_texture(SHAPE, rng),
+        lambda rng: synthetic.sphere_on_plane(SHAPE, 15.0, 1.0, roughness=1.0, rng=rng),
+        lambda rng: synthetic.focal_stack(
+            np.eye(8), np.zeros((8, 8)), [0.0, 1.0], blur_rate=1.0, noise=3.0, rng=rng
+        ),
+        lambda rng: synthetic.cell_image("Jurkat", rng=rng, count=2, shape=(80, 80)).image,
+        lambda rng: (
+            synthetic.embryo_image(
+                synthetic.Embryo(1.0, 0.0, 1.0), rng=rng, pixel_size=20.0, shape=(80, 80)
+            ).image
+        ),
+    ],
+)
+def test_a_seed_is_a_generator(make):
+    np.testing.assert_array_equal(make(4), make(np.random.default_rng(4)))
 
 
 def test_surfaces_have_the_curvature_of_their_names():
