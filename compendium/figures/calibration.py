@@ -1,9 +1,12 @@
-"""Drawings of the microscope model and of detected calibration patterns."""
+"""Drawings of the microscope model, of detected patterns, and of what a plane tells about f."""
 
 from __future__ import annotations
 
+import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
@@ -11,7 +14,7 @@ from compendium.figures.style import COLORS
 from microlib.calibration import Detection
 from microlib.microscope import Microscope
 
-__all__ = ["draw_detection", "draw_microscope"]
+__all__ = ["draw_detection", "draw_focal_length_study", "draw_microscope", "draw_residual_valley"]
 
 #: How much longer X and Y are drawn than Z.
 STRETCH = 20
@@ -132,3 +135,52 @@ def draw_microscope(ax: Axes, microscope: Microscope, world: NDArray) -> None:
     ax.spines["left"].set_visible(False)
     ax.set_aspect("equal")
     ax.grid(False)
+
+
+def draw_residual_valley(residuals: pd.DataFrame, noise: float) -> Figure:
+    """Draw residuals (px) over assumed by true focal length (the index), a line a tilt (°)."""
+    figure, axes = plt.subplots(figsize=(7.2, 4.2))
+    colors = ("black", "blue", "sky", "orange", "green")
+    for tilt, color, marker in zip(residuals, colors, "osD^v", strict=True):
+        axes.plot(
+            residuals.index,
+            residuals[tilt],
+            color=COLORS[color],
+            marker=marker,
+            ms=5,
+            label=f"tilt {tilt:.0f}°",
+        )
+    axes.axhline(noise, color=COLORS["grey"], ls="--", lw=1)
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlabel="assumed f / true f",
+        ylabel="RMS residual (px)",
+        xticks=[0.5, 0.7, 1, 1.4, 2],
+        xticklabels=["0.5", "0.7", "1", "1.4", "2"],
+        yticks=[0.02, 0.05, 0.1, 0.2],
+        yticklabels=["0.02", "0.05", "0.1", "0.2"],
+    )
+    axes.minorticks_off()
+    axes.legend()
+    return figure
+
+
+def draw_focal_length_study(study: pd.DataFrame) -> Figure:
+    """Draw the relative standard deviations of f and M of a study against the tilt."""
+    tilt, percent = study["tilt"], 100 * study[["bound", "stated", "scatter", "M"]]
+    gone = study.loc[study["lost"] > 0.5, "tilt"]
+    blue, orange = COLORS["blue"], COLORS["orange"]
+    figure, axes = plt.subplots(figsize=(7.2, 4.2))
+    axes.plot(tilt, percent["bound"], color=COLORS["grey"], label="f: Cramér–Rao bound")
+    axes.plot(tilt, percent["stated"], "o", color=blue, label="f: stated σ")
+    axes.plot(tilt, percent["scatter"], "x", color=orange, ms=9, mew=2, label="f: scatter")
+    axes.plot(tilt, percent["M"], "s-", color=COLORS["green"], ms=5, lw=1, label="M: scatter")
+    # Where there is no number to draw, at the upper edge.
+    height = np.full(len(gone), 60.0)
+    axes.plot(gone, height, "^", color=blue, mfc="none", ms=9, label="f: named unobservable")
+    axes.set(
+        yscale="log", ylim=(1e-3, 100), xlabel="tilt (°)", ylabel="relative standard deviation (%)"
+    )
+    axes.legend(fontsize=10, ncols=2, loc="upper right", bbox_to_anchor=(1, 0.5))
+    return figure

@@ -1,4 +1,4 @@
-"""Drawings of section 5.6: the dimple of an embryo, printed and rendered, and what it gives."""
+"""Drawings of chapter 4 and section 5.6: the dimple, of the model, printed and rendered."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ from compendium.experiments.section_5_6 import MODULUS, Outline, Scene, ShapeCom
 from compendium.figures.embryo import add_scale_bar, show_image, show_outline
 from compendium.figures.style import COLORS
 from microlib.embryo import GaussianSum, dimple_geometry
+from microlib.membrane import dimple_profile
 
 __all__ = [
+    "draw_dimple_section",
     "draw_embryo",
     "draw_estimated_force",
     "draw_image_study",
@@ -25,6 +27,49 @@ __all__ = [
     "draw_rendered_outline",
     "draw_rounding",
 ]
+
+
+def draw_dimple_section(radius: float, depth: float, half_width: float) -> Figure:
+    """Draw figure 4.3: a section through the dimple of the model, with its lengths.
+
+    Parameters
+    ----------
+    radius, depth, half_width : float
+        a, w_d and c, µm.
+
+    Returns
+    -------
+    Figure
+        To scale, with heights above the rim.
+    """
+    a, c = radius, half_width
+    r = np.linspace(c, a, 400)
+    w = dimple_profile(r, a, depth, probe_half_width=c)
+    bend = 80.0  # µm, the radius R outside the rim; the model does not use it
+    turn = np.linspace(0, np.pi / 2, 60)
+    outside, above = a + bend * np.sin(turn), bend * (np.cos(turn) - 1)
+    figure, axes = plt.subplots(figsize=(7.2, 4.0))
+    for side in (-1, 1):
+        axes.plot(side * r, -w, color=COLORS["blue"], lw=3)
+        axes.plot(side * outside, above, color=COLORS["sky"], lw=3)
+    axes.plot([-c, c], [-depth, -depth], color=COLORS["blue"], lw=3)
+    axes.fill_between([-c, c], -depth, 75, color=COLORS["grey"], alpha=0.35, lw=0)
+    axes.annotate("", (0, -depth), (0, 70), arrowprops={"arrowstyle": "->", "lw": 2})
+    axes.text(8, 50, "F", fontsize=14)
+    arrow = {"arrowstyle": "<->", "lw": 1.3, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", (0, 20), (a, 20), arrowprops=arrow)
+    axes.text(a / 2, 26, "a", ha="center", fontsize=14)
+    axes.annotate("", (0, -depth - 18), (c, -depth - 18), arrowprops=arrow)
+    axes.text(c / 2, -depth - 48, "c", ha="center", fontsize=14)
+    axes.annotate("", (-a, 0), (-a, -depth), arrowprops=arrow)
+    axes.plot([-a, -c], [-depth, -depth], color="black", lw=0.8, ls=":")
+    axes.text(-a + 8, -depth / 2 - 12, "$w_d$", fontsize=14)
+    rim = (a + bend * np.sin(0.7), bend * (np.cos(0.7) - 1))
+    axes.annotate("", (a, -bend), rim, arrowprops={"arrowstyle": "->", "lw": 1.3})
+    axes.text(a + 6, -bend + 30, "R", fontsize=14)
+    axes.set(xlabel="distance from the axis r (µm)", ylabel="height (µm)")
+    axes.set(ylim=(-175, 80), aspect="equal")
+    return figure
 
 
 def draw_printed_outline(curve: GaussianSum) -> Figure:

@@ -6,6 +6,7 @@ from typing import Protocol
 
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Polygon
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from compendium.figures.style import COLORS
 from microlib.tracking import Track
 
-__all__ = ["draw_loop", "draw_path_run", "draw_step_runs", "draw_track"]
+__all__ = ["draw_loop", "draw_path_run", "draw_stability", "draw_step_runs", "draw_track"]
 
 
 class Run(Protocol):
@@ -140,4 +141,38 @@ def draw_path_run(run: Run, error: NDArray[np.floating], title: str, unit: str) 
     figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", ncols=2, fontsize=10)
     right.plot(run.time[: len(error)], error, color=COLORS["blue"], lw=1.2)
     right.set(xlabel="time (s)", ylabel=f"tracking error ({unit})", ylim=(0, None))
+    return figure
+
+
+def draw_stability(moduli: pd.DataFrame, loops: pd.DataFrame, gain: float) -> Figure:
+    """Draw where a delayed loop is stable.
+
+    Parameters
+    ----------
+    moduli : DataFrame
+        Modulus of the slowest pole, by loop gain (rows) and delay in frames (columns).
+    loops : DataFrame
+        ``delay`` and ``gain`` of simulated loops, and whether each ``decays``.
+    gain : float
+        Of the thesis' loop.
+
+    Returns
+    -------
+    Figure
+        A map with its stability limit, and the simulated loops on it.
+    """
+    delays, gains = moduli.columns, moduli.index
+    figure, axes = plt.subplots(figsize=(7.2, 4.2))
+    levels = np.arange(0, 2.01, 0.1)
+    shades = axes.contourf(delays, gains, moduli, levels=levels, cmap="cividis")
+    axes.contour(delays, gains, moduli, levels=[1.0], colors="white", linewidths=2.5)
+    for decays, marker in ((True, "o"), (False, "x")):
+        chosen = loops.loc[loops["decays"] == decays, ["delay", "gain"]].to_numpy()
+        label = "simulated: decays" if decays else "simulated: grows"
+        axes.plot(*chosen.T, marker, color="white", mec="black", mew=1.5, ms=7, label=label)
+    axes.axhline(gain, color=COLORS["orange"], ls="--", label="thesis' gain at 1X")
+    figure.colorbar(shades, label="modulus of the slowest pole")
+    axes.set(xlabel="delay (frames)", ylabel="loop gain g", ylim=(gains[0], gains[-1]))
+    axes.grid(False)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3, fontsize=10)
     return figure

@@ -1,21 +1,32 @@
-"""Height maps, surface labels and a lens, drawn for chapters 3 and 5."""
+"""Height maps, surface types and a lens, drawn for chapters 3 and 5."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 import plotly.graph_objects as go
 import plotly.io
 from IPython.display import HTML
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from compendium.figures.style import COLORS
+from microlib import optics
 from microlib.curvature import HK_NAMES
 
-__all__ = ["HK_COLORS", "draw_labels", "draw_surface", "label_legend", "turnable_surface"]
+__all__ = [
+    "HK_COLORS",
+    "draw_labels",
+    "draw_lens",
+    "draw_surface",
+    "label_legend",
+    "turnable_surface",
+]
 
 #: Convex in blues, concave in oranges, saddles and flats between; label 0 (unknown) is white.
 HK_COLORS = {
@@ -31,6 +42,41 @@ HK_COLORS = {
 }
 #: Points along each side of a surface that is sent to the browser: some 50 kB.
 _MOST_POINTS = 100
+
+
+def draw_lens() -> Figure:
+    """Draw figure 3.1: rays from a point in focus and from a nearer one, through a thin lens."""
+    focal, sensor, aperture = 40.0, 100.0, 14.0  # mm
+    focused = float(optics.image_distance(sensor, focal))
+    lens = {"focal_length": focal, "sensor_distance": sensor, "aperture_radius": aperture}
+    figure, axes = plt.subplots(figsize=(7.2, 3.4))
+    for distance, color, name in (
+        (focused, "blue", "in focus"),
+        (focused - 16, "orange", "too near"),
+    ):
+        radius = float(optics.blur_radius(distance, **lens))
+        for side in (-1, 1):
+            axes.plot(
+                [-distance, 0, sensor],
+                [0, side * aperture, side * radius],
+                color=COLORS[color],
+                lw=1.6,
+                label=name if side > 0 else None,
+            )
+        axes.plot([-distance], [0], "o", color=COLORS[color])
+        if radius > 1e-9:
+            ends = (sensor + 3, -radius), (sensor + 3, radius)
+            axes.annotate("", *ends, arrowprops={"arrowstyle": "<->"})
+            axes.text(sensor + 6, 0, "$2 r_b$", va="center")
+    axes.plot([0, 0], [-1.25 * aperture, 1.25 * aperture], color="black", lw=3)
+    axes.plot([sensor, sensor], [-aperture, aperture], color=COLORS["grey"], lw=3)
+    axes.axhline(0, color=COLORS["grey"], lw=0.8, ls=":")
+    axes.text(0, 1.35 * aperture, "lens", ha="center")
+    axes.text(sensor, 1.08 * aperture, "sensor", ha="center")
+    axes.set(xlabel="distance from the lens (mm)", ylabel="height (mm)")
+    axes.set(xlim=(-75, 120), ylim=(-21, 24))
+    axes.legend(loc="upper left")
+    return figure
 
 
 def draw_labels(axes: Axes, labels: NDArray[np.uint8], *, legend: bool = True) -> None:

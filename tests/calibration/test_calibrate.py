@@ -285,7 +285,7 @@ def test_stated_error_of_an_unknown_focal_length(tilt):
 
 
 def test_a_parallel_plane_tells_no_focal_length():
-    """OpenCV returns one, with a standard deviation of nothing; here it is named unobservable."""
+    """OpenCV returns a wrong one and claims to know it well; here it is named unobservable."""
     scope = scope_with(0, 180)
     world = grid_in_view(scope)
     for found in repeat(scope, world, 20):
@@ -311,7 +311,8 @@ def test_a_parallel_plane_tells_no_focal_length():
     )
     true_focal = F * 2.59 / 9.9
     assert abs(peer[1][0, 0] / true_focal - 1) > 0.04
-    assert peer[5].ravel()[0] / peer[1][0, 0] < 1e-4
+    # f_x is tied to f_y, whose standard deviation is the one that is estimated.
+    assert 0 < peer[5].ravel()[1] / peer[1][1, 1] < 1e-4
 
 
 def test_a_hidden_sign_of_the_tilt_is_named():

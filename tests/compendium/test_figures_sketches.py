@@ -1,0 +1,99 @@
+"""Sketches drawn from numbers: they show the lengths that they name."""
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+mpl.use("agg")
+import matplotlib.pyplot as plt
+import pandas as pd
+
+from compendium import thesis
+from compendium.figures import calibration, overview
+from compendium.figures.dimple import draw_dimple_section
+from compendium.figures.servoing import draw_stability
+from compendium.figures.surfaces import draw_lens
+
+
+@pytest.fixture(autouse=True)
+def closed():
+    yield
+    plt.close("all")
+
+
+def lines(figure):
+    return {line.get_label(): line for line in figure.axes[0].lines}
+
+
+def test_the_section_of_the_dimple_is_to_scale():
+    figure = draw_dimple_section(246.95, 121.22, 25.0)
+    right = figure.axes[0].lines[2]
+    x, y = right.get_data()
+    assert (x[0], x[-1]) == (25.0, 246.95)
+    assert y[0] == pytest.approx(-121.22)
+    assert y[-1] == pytest.approx(0.0, abs=1e-9)
+    assert figure.axes[0].get_aspect() == 1
+    # As the caption says: a quarter as deep as wide, and steeper than 45° at the probe.
+    assert pytest.approx(0.25, abs=0.01) == 121.22 / (2 * 246.95)
+    assert (y[1] - y[0]) / (x[1] - x[0]) > 1
+
+
+def test_rays_meet_where_the_lens_equation_says():
+    drawn = lines(draw_lens())
+    x, y = drawn["in focus"].get_data()
+    # 1/f = 1/d_o + 1/d_i with f = 40 and the sensor at 100 mm.
+    assert 1 / -x[0] + 1 / x[-1] == pytest.approx(1 / 40)
+    assert y[-1] == pytest.approx(0, abs=1e-9)
+    x, y = drawn["too near"].get_data()
+    assert x[-1] == 100
+    assert y[-1] == pytest.approx(14 * 100 * (1 / -x[0] + 1 / 100 - 1 / 40))  # (3.4)
+
+
+def test_sizes_stand_in_order_and_agree_with_the_thesis():
+    assert list(overview.THINGS.values()) == sorted(overview.THINGS.values(), reverse=True)
+    sizes = overview.THINGS
+    assert sizes["step of the stage"] == pytest.approx(1e-6 * thesis.STAGE_STEP)
+    assert sizes["gripper opening"] == pytest.approx(1e-6 * thesis.GRIPPER_GAP)
+    assert sizes["pixel at 1X"] == pytest.approx(1e-6 * thesis.effective_pixel("1X"), rel=0.01)
+    axes = overview.draw_scale().axes[0]
+    assert [text.get_text() for text in axes.texts if text.get_text() in sizes] == [*sizes][::-1]
+
+
+def test_every_part_has_an_input_a_method_and_a_result():
+    texts = [text.get_text() for text in overview.draw_parts().axes[0].texts if text.get_text()]
+    assert len(texts) == 12
+    assert [t for t in texts if "chapter" in t] == [part[1] for part in overview.PARTS]
+
+
+def test_a_lost_focal_length_is_marked_and_the_others_in_percent():
+    study = pd.DataFrame(
+        {
+            "tilt": [0.0, 5.0],
+            "lost": [1.0, 0.0],
+            "bound": [np.inf, 0.02],
+            "stated": [np.inf, 0.021],
+            "scatter": [np.nan, 0.019],
+            "M": [2e-5, 2e-5],
+        }
+    )
+    drawn = lines(calibration.draw_focal_length_study(study))
+    assert drawn["f: named unobservable"].get_xdata().tolist() == [0.0]
+    assert drawn["f: stated σ"].get_ydata()[1] == pytest.approx(2.1)
+    assert drawn["M: scatter"].get_ydata()[0] == pytest.approx(0.002)
+
+
+def test_a_valley_has_a_line_for_each_tilt():
+    residuals = pd.DataFrame(
+        {tilt: [0.1, 0.02, 0.1] for tilt in (0.0, 1.0, 2.0, 5.0, 20.0)}, index=[0.5, 1.0, 2.0]
+    )
+    drawn = lines(calibration.draw_residual_valley(residuals, 0.02))
+    assert drawn["tilt 20°"].get_xdata().tolist() == [0.5, 1.0, 2.0]
+
+
+def test_loops_that_decay_and_grow_are_told_apart():
+    delays, gains = np.linspace(0, 1, 5), np.linspace(0.1, 2, 7)
+    moduli = pd.DataFrame(np.add.outer(gains, delays) / 2, gains, delays)
+    loops = pd.DataFrame({"delay": [0.2, 0.9], "gain": [0.3, 1.9], "decays": [True, False]})
+    drawn = lines(draw_stability(moduli, loops, 0.99))
+    assert drawn["simulated: decays"].get_xydata().tolist() == [[0.2, 0.3]]
+    assert drawn["simulated: grows"].get_xydata().tolist() == [[0.9, 1.9]]
