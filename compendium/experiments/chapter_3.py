@@ -34,7 +34,7 @@ def labels_by_name() -> dict[str, int]:
     Returns
     -------
     dict of str to int
-        Labels of `microlib.curvature.hk_labels` by name. ``none``, H = 0 and K > 0, is no surface's;
+        Labels of `microlib.curvature.hk_labels` by name. ``none``, H = 0 and K > 0, fits none;
         its label is that of the formula (3.25).
 
     Examples
