@@ -3,8 +3,8 @@
 ``make mutants`` takes a fixed random sample of cosmic-ray's faults in each package (a plus for a
 minus, another number, a reversed comparison), at least two in every module that can hold one. It
 runs that package's tests and the module's examples on a copy of the project, and writes
-``tests/mutants.csv``; with packages named, it only prints. The faults that no test noticed are
-explained in ``tests/MUTANTS.md``.
+``tests/mutants.csv``; with packages named, only their rows change. The faults that no test noticed
+are explained in ``tests/MUTANTS.md``.
 
 Packages, modules and tests are found by their folders: a fault in ``microlib/focus/_peaks.py`` is
 judged by ``tests/focus/test_peaks.py``, then the examples in the module, then the rest of
@@ -20,6 +20,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from importlib.util import cache_from_source
 from pathlib import Path
@@ -88,13 +89,23 @@ def main() -> int:
         # Several times what the sound package takes: a loop without end is noticed, too.
         limits = {name: 60 + 3 * (spent or 0) for name, spent in seconds.items()}
         rows = list(pool.map(lambda t: judge(copies, *t, limits[t[0]]), todo))
-    if not options.packages:
-        with RESULT.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(Verdict._fields)
-            writer.writerows(rows)
+    keep(rows, packages)
     tell(rows, {name: packages[name] for name in chosen}, faults)
     return 0
+
+
+def keep(rows: list[Verdict], packages: Iterable[str]) -> None:
+    """Write the rows in place of those that the result holds of the same packages."""
+    new = {row.package for row in rows}
+    old: list[list[str]] = []
+    if RESULT.exists():
+        with RESULT.open(newline="", encoding="utf-8") as file:
+            old = [row for row in csv.reader(file) if row[0] in set(packages) - new]
+    every = sorted([*old, *rows], key=lambda row: row[0])
+    with RESULT.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(Verdict._fields)
+        writer.writerows(every)
 
 
 def tell(
