@@ -34,8 +34,8 @@ def labels_by_name() -> dict[str, int]:
     Returns
     -------
     dict of str to int
-        Labels of `microlib.curvature.hk_labels` by name. ``none``, H = 0 and K > 0, fits none;
-        its label is that of the formula (3.25).
+        Labels of `microlib.curvature.hk_labels` by name. ``none``, H = 0 and K > 0, is no
+        surface's; its label is that of the formula (3.25).
 
     Examples
     --------
@@ -64,7 +64,7 @@ def surface_types() -> set[int]:
 
 
 def window_divisors() -> dict[str, float]:
-    """Return by what each window of the library must be multiplied to give the printed numbers.
+    """Return by what the library's windows must be multiplied to give the printed numbers.
 
     Returns
     -------

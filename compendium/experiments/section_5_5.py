@@ -290,11 +290,13 @@ def ball_sentences(labels: NDArray[np.uint8]) -> dict[str, float]:
     distance = from_ball_center()
     top = distance < 0.5
     paper = (distance > 1 + FULL_REACH * BALL_PIXEL / BALL_RADIUS) & (labels > 0)
-    cylindric, hyperbolic = share_of(labels, top, (2, 8)), share_of(labels, top, (3, 6, 9))
+    elliptic, cylindric, hyperbolic = (
+        share_of(labels, top, kinds) for kinds in ((1, 7), (2, 8), (3, 6, 9))
+    )
     patches = count_patches(labels, top, (3, 6, 9))
     return {
         "ball-top-cylindric": cylindric,
-        "ball-hyperbolic": float(patches if hyperbolic < cylindric else 0),
+        "ball-hyperbolic": float(patches if elliptic < hyperbolic < cylindric else 0),
         "ball-background-planar": share_of(labels, paper, (5,)),
     }
 

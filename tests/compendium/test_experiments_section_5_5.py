@@ -172,6 +172,8 @@ def test_a_ridge_that_they_do_not_describe_does_not(ridge, fault, wrong: set[str
         (lambda t: np.where(np.isin(t, (2, 8)), 1, t), {"ball-top-cylindric", "ball-hyperbolic"}),
         (lambda t: np.where(np.isin(t, (2, 8)), 6, t), {"ball-top-cylindric", "ball-hyperbolic"}),
         (lambda t: np.where(t == 9, 2, t), {"ball-hyperbolic"}),
+        (lambda t: np.where(np.isin(t, (3, 9)), 7, t), {"ball-hyperbolic"}),
+        (lambda t: np.where(t == 8, 1, t), {"ball-hyperbolic"}),
         (lambda t: np.where(np.indices(t.shape)[1] % 7 == 0, 2, t), {"ball-background-planar"}),
     ],
 )
