@@ -352,7 +352,7 @@ def peer_calibrate(world: np.ndarray, image: np.ndarray, f: float) -> tuple[floa
     result = cv2.calibrateCameraExtended(
         [flat], [image.astype(np.float32)], (656, 491), camera, np.zeros(5), flags=flags
     )
-    # With the aspect ratio fixed fx follows fy, and the deviation of fx is that of a constant: zero.
+    # The aspect ratio is fixed: fx follows fy, and its own deviation is that of a constant, zero.
     return float(result[1][0, 0] * 9.9), float(result[5].ravel()[1] * 9.9)
 
 
