@@ -710,6 +710,7 @@ def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
     rows = []
     for stated in claims().values():
         record = records.get(stated.id)
+        is_number = stated.kind != "stated" and stated.printed != ""
         rows.append(
             {
                 "claim": stated.id,
@@ -717,7 +718,7 @@ def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
                 "quantity": stated.what,
                 "kind": stated.kind,
                 "printed": stated.printed,
-                "rounding": math.nan if stated.kind == "stated" else half_ulp(stated.printed),
+                "rounding": half_ulp(stated.printed) if is_number else math.nan,
                 "ours": "" if record is None else str(replace(record, unit="")),
                 "low": math.nan if record is None else record.low,
                 "high": math.nan if record is None else record.high,

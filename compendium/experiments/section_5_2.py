@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -79,20 +80,96 @@ def photograph(column: str, rng: np.random.Generator) -> NDArray:
 
 
 def find(column: str, image: NDArray) -> Detection:
-    """Return the points of a photograph.
-
-    Which way the pattern lies is told to within 45°, and whether it is seen from behind.
-    """
+    """Return the points of a photograph; which pattern it shows is all that is told."""
     detect = detect_circles if column.startswith("circle") else detect_squares
-    alpha, gamma = (np.deg2rad(thesis.table_5_1(column, name)) for name in ("alpha", "gamma"))
-    return detect(image, direction=alpha, mirrored=bool(np.cos(gamma) < 0))
+    return detect(image)
 
 
-def world_points(column: str, found: Detection) -> NDArray:
-    """Return the points of the pattern in µm; one known point says where the grid's origin is."""
+def printed_labels(column: str, found: Detection, like: Microscope | None = None) -> NDArray:
+    """Return the points of the pattern in µm, labeled so that the pose is the most like the print.
+
+    An unmarked lattice looks the same after a quarter turn, after a step, and from behind. All
+    labels fit its image equally well, and the detector takes one of them by its own rule. The
+    microscope is calibrated with that one; of those that fit as well, the one whose pose is nearest
+    to the print is returned, so that the two can be compared.
+
+    Parameters
+    ----------
+    column : str
+        One of `thesis.COLUMNS`.
+    found : Detection
+        From `find`.
+    like : Microscope, optional
+        Whose pose to be near to; that of Table 5.1 by default. Only which label is the nearest
+        matters.
+
+    Returns
+    -------
+    ndarray, shape (N, 2)
+        World points, µm.
+    """
+    like = thesis.microscope(column) if like is None else like
     pitch = thesis.pattern_pitch(column)
-    first = thesis.microscope(column).back_project(found.points[:1]) / pitch
-    return (found.grid + np.round(first - found.grid[:1])) * pitch
+    # The same image gives the same pose to within its noise whatever the loss and the groups.
+    blind = calibrate(
+        found.grid * pitch, found.points, focal_length=thesis.table_5_1(column, "f"), **SENSOR
+    ).microscope
+    axes = blind.rotation[:, :2]
+    signs = [np.diag(each) for each in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
+    turns = [sign @ swap for sign in signs for swap in (np.eye(2), np.eye(2)[::-1])]
+    turn = max(turns, key=lambda each: float(np.sum(axes @ each * like.rotation[:, :2])))
+    apart = (like.translation - blind.translation)[:2]
+    steps = np.linalg.solve(axes[:2], apart) / pitch
+    if column.startswith("square"):  # squares fall on squares, not on the gaps between them
+        odd = turn.sum(axis=1) < 0
+        steps = odd + 2 * np.round((steps - odd) / 2)
+    return pitch * (found.grid - np.round(steps)) @ turn
+
+
+def turned_over(column: str, found: Detection) -> tuple[float, float]:
+    """Label a photograph as if the pattern lay the other side up, and calibrate it again.
+
+    Parameters
+    ----------
+    column : str
+        One of `thesis.COLUMNS`.
+    found : Detection
+        From `find`.
+
+    Returns
+    -------
+    gamma : float
+        γ with the other labels, degrees from 0 to 360.
+    residual : float
+        RMS residual with the other labels over that with those of the print.
+    """
+    front = thesis.microscope(column)
+    both = [front, replace(front, gamma=front.gamma + np.pi)]
+    fits = [
+        calibrate(
+            printed_labels(column, found, like),
+            found.points,
+            focal_length=front.focal_length,
+            **SENSOR,
+        )
+        for like in both
+    ]
+    gamma = float(np.rad2deg(fits[1].microscope.gamma) % 360)
+    return gamma, fits[1].reprojection.rms / fits[0].reprojection.rms
+
+
+def dependent_entries(column: str) -> dict[str, float]:
+    """Return what Table 5.1's lengths T_op, f and d say of its entries M, d and T_z.
+
+    M = T_op/f (2.12), d = f²/T_op (2.20) and T_z = f + d (2.8); lengths in µm.
+
+    Examples
+    --------
+    >>> round(dependent_entries("circle-1X")["T_z"])
+    204900
+    """
+    t_op, f, d = (thesis.table_5_1(column, name) for name in ("T_op", "f", "d"))
+    return {"M": t_op / f, "d": f**2 / t_op, "T_z": f + d}
 
 
 def examples(seed: int) -> dict[str, tuple[NDArray, Detection]]:
@@ -133,9 +210,14 @@ def calibration_draws(seed: int, draws: int) -> dict[str, list[CalibrationDraw]]
 
 
 def calibration_draw(column: str, seed: int | list[int]) -> CalibrationDraw:
-    """Photograph the pattern of a column of Table 5.1 and calibrate from nothing but the pixels."""
+    """Photograph the pattern of a column of Table 5.1, find its points, and calibrate.
+
+    What goes in beside the pixels is what the user of a microscope has: which pattern it is, its
+    pitch, the sensor and, for the first of the two calibrations, the focal length. The print
+    chooses among labels that fit equally well, see `printed_labels`.
+    """
     found = find(column, photograph(column, np.random.default_rng(seed)))
-    world = world_points(column, found)
+    world = printed_labels(column, found)
     groups = found.group if column.startswith("square") else None
     focal_length = thesis.table_5_1(column, "f")
     return CalibrationDraw(
@@ -158,6 +240,21 @@ def over_draws(values: ArrayLike) -> tuple[float, tuple[float, float]]:
     x = np.asarray(values, dtype=float)
     reach = student.ppf(0.975, len(x) - 1) * x.std(ddof=1) * np.sqrt(1 + 1 / len(x))
     return float(x.mean()), (float(x.mean() - reach), float(x.mean() + reach))
+
+
+def over_positive_draws(values: ArrayLike) -> tuple[float, tuple[float, float]]:
+    """Return geometric mean and interval as `over_draws` does, of the logarithms.
+
+    For what cannot be negative, whose interval then cannot be either.
+
+    Examples
+    --------
+    >>> mean, (low, high) = over_positive_draws([1.0, 2.0, 4.0])
+    >>> round(mean, 6), round(low, 3), round(high, 1)
+    (2.0, 0.064, 62.6)
+    """
+    mean, (low, high) = over_draws(np.log(np.asarray(values, dtype=float)))
+    return float(np.exp(mean)), (float(np.exp(low)), float(np.exp(high)))
 
 
 def recovered_parameters(draws: dict[str, list[CalibrationDraw]]) -> pd.DataFrame:
@@ -188,14 +285,14 @@ def pattern_errors(draws: dict[str, list[CalibrationDraw]]) -> pd.DataFrame:
     -------
     pandas.DataFrame
         A row each entry: column, statistic (mean, std, max), value, and the ends low and high of
-        the interval of `over_draws`, µm.
+        the interval of `over_positive_draws`, µm.
     """
     rows = []
     for column, several in draws.items():
         for statistic in ("mean", "std", "max"):
             values = [getattr(draw.with_f.plane_error, statistic) for draw in several]
-            mean, (low, high) = over_draws(values)
-            rows.append((column, statistic, mean, low, high))
+            value, (low, high) = over_positive_draws(values)
+            rows.append((column, statistic, value, low, high))
     return pd.DataFrame(rows, columns=["column", "statistic", "value", "low", "high"])
 
 
@@ -225,6 +322,29 @@ def beside_print(errors: pd.DataFrame) -> pd.DataFrame:
         mean, largest = row["mean, printed"], row["max, printed"]
         rows.append(row | {"largest std possible": np.sqrt(mean * (largest - mean))})
     return pd.DataFrame(rows)
+
+
+def printed_means() -> dict[str, float]:
+    """Return the mean errors that Table 5.2 prints by column, µm."""
+    return {column: claim(f"table-5.2/{column}/mean").value for column in thesis.COLUMNS}
+
+
+def squares_over_circles(means: Mapping[str, float]) -> float:
+    """Return by how much the mean error with squares is larger, at the zoom where it is the least.
+
+    Parameters
+    ----------
+    means : mapping of str to float
+        Mean errors by column of Table 5.2, µm.
+
+    Examples
+    --------
+    >>> squares_over_circles(
+    ...     {"circle-1X": 1.0, "square-1X": 3.0, "circle-4X": 1.0, "square-4X": 0.5}
+    ... )
+    0.5
+    """
+    return min(means[f"square-{zoom}"] / means[f"circle-{zoom}"] for zoom in thesis.ZOOMS)
 
 
 def coverage(draws: dict[str, list[CalibrationDraw]], seed: int, runs: int) -> pd.DataFrame:

@@ -92,8 +92,30 @@ def speed_study(seed: int, speeds: ArrayLike, runs: int) -> pd.DataFrame:
     return pd.DataFrame(dict(zip(ways, shares, strict=True)), index=index)
 
 
+def fastest_followed(shares: pd.Series) -> float:
+    """Return the speed up to which every run was followed, px/s; 0 if not even the slowest was.
+
+    Parameters
+    ----------
+    shares : pandas.Series
+        A column of `speed_study`, slowest first.
+
+    Examples
+    --------
+    >>> fastest_followed(pd.Series([1.0, 1.0, 0.9, 1.0], index=[100.0, 200.0, 300.0, 400.0]))
+    200.0
+    """
+    every = np.logical_and.accumulate(shares.to_numpy() == 1.0)
+    return float(max([0.0, *shares.index[every]]))
+
+
 def is_followed(speed: float, seed: int | list[int], predict: bool) -> bool:
-    """Tell whether a run of 25 frames is followed to within a pixel.
+    """Tell whether a run of 25 frames is followed to within a pixel; as `largest_error`."""
+    return largest_error(speed, seed, predict) <= 1.0
+
+
+def largest_error(speed: float, seed: int | list[int], predict: bool) -> float:
+    """Return how far off a run of 25 frames is at most.
 
     Parameters
     ----------
@@ -106,8 +128,9 @@ def is_followed(speed: float, seed: int | list[int], predict: bool) -> bool:
 
     Returns
     -------
-    bool
-        False from the first frame on that is lost or off by more.
+    float
+        Largest distance of the tracked center from the true one, px; infinite if a frame is lost or
+        off by more than a pixel.
     """
     rng = np.random.default_rng(seed)
     angle = speed * thesis.FRAME_INTERVAL / 80 * np.arange(25) + rng.uniform(0, 2 * np.pi)
@@ -120,8 +143,11 @@ def is_followed(speed: float, seed: int | list[int], predict: bool) -> bool:
     tracker = ESMTracker(
         frames[0], (int(x), int(y), side, side), "translation", kalman=kalman if predict else None
     )
+    largest = 0.0
     for frame, position in zip(frames[1:], path[1:], strict=True):
         track = tracker.track(frame)
-        if track.lost or np.linalg.norm(track.center - start - position + path[0]) > 1.0:
-            return False
-    return True
+        off = float(np.linalg.norm(track.center - start - position + path[0]))
+        if track.lost or not off <= 1.0:
+            return np.inf
+        largest = max(largest, off)
+    return largest

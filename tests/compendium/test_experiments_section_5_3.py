@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from compendium.experiments import section_5_3
@@ -41,3 +42,15 @@ def test_the_filter_follows_what_the_last_place_loses() -> None:
     found = section_5_3.speed_study(5, [1000.0, 2500.0], runs=1)
     assert found.loc[1000.0, "with the Kalman filter"] == 1.0
     assert found.loc[2500.0].max() == 0.0
+
+
+def test_the_error_is_a_few_hundredths_of_a_pixel_at_the_printed_speed() -> None:
+    """The frames have noise: an error of zero would be none that was measured."""
+    assert 0.001 < section_5_3.largest_error(250.0, [2, 0], True) < 0.1
+    assert section_5_3.largest_error(4000.0, [2, 0], True) == np.inf
+
+
+def test_no_speed_is_followed_if_the_slowest_is_not() -> None:
+    shares = pd.Series([0.9, 1.0], index=[100.0, 200.0])
+    assert section_5_3.fastest_followed(shares) == 0.0
+    assert section_5_3.fastest_followed(shares[::-1]) == 200.0
