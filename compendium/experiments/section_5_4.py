@@ -7,7 +7,7 @@ the ends that hold 95 % of them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,22 +18,22 @@ from compendium import thesis
 from compendium.experiments import paths
 from compendium.experiments._processes import in_processes
 from compendium.experiments.section_5_3 import gripper
-from compendium.ledger import claim
+from compendium.ledger import claim, judge
 from microlib import servoing
 
-#: Assumed: from an exposure until its command takes effect, s; it stands for exposure, transfer and
-#: tracking.
-LATENCY = 0.01
-#: Assumed: standard deviations of the calibration's angle (rad) and scale, as well as the two
-#: patterns of Table 5.1 agree.
+#: Standard deviations of the calibration's angle (rad) and scale, as well as the two patterns of
+#: Table 5.1 agree.
 CALIBRATION_ANGLE, CALIBRATION_SCALE = np.pi / 180, 0.01
 #: The step of 50 px in both axes, over two seconds.
 STEP_PATH = np.full((66, 2), claim("table-5.3/1X/step").value)
-#: Paths of §5.4 by their speed in px/s, px: sizes are not printed.
-PATHS: dict[str, Callable[[float], NDArray]] = {
-    "circle": lambda speed: paths.circle_path(40.0, speed, thesis.FRAME_INTERVAL),
-    "square": lambda speed: paths.square_path(60.0, speed, thesis.FRAME_INTERVAL),
-    "sinusoid": lambda speed: paths.sinusoid_path(100.0, 20.0, 0.5 * speed, thesis.FRAME_INTERVAL),
+#: Paths of §5.4, px, by their speed (px/s), their size over the one here, and the sinusoid's height
+#: over the one here: neither is printed.
+PATHS: dict[str, Callable[[float, float, float], NDArray]] = {
+    "circle": lambda speed, size, _: paths.circle_path(40.0 * size, speed, thesis.FRAME_INTERVAL),
+    "square": lambda speed, size, _: paths.square_path(60.0 * size, speed, thesis.FRAME_INTERVAL),
+    "sinusoid": lambda speed, size, height: paths.sinusoid_path(
+        100.0 * size, 20.0 * size * height, 0.5 * speed, thesis.FRAME_INTERVAL
+    ),
 }
 #: What `microlib.servoing.simulate` returns.
 Run = Any
@@ -44,6 +44,60 @@ LAW: dict[str, Any] = {
     "interval": thesis.FRAME_INTERVAL,
     "feature_weight": thesis.FEATURE_WEIGHT,
     "control_weight": thesis.CONTROL_WEIGHT_MICROMETER,
+}
+
+
+@dataclass(frozen=True)
+class Assumed:
+    """What the thesis does not print and the simulation needs: readings of ours.
+
+    Attributes
+    ----------
+    band : float
+        Settled means within this share of the step along both axes. The thesis gives no band; it
+        says that the error at settling is less than 3 %.
+    latency : float
+        From an exposure until its command takes effect, s; it stands for exposure, transfer and
+        tracking.
+    one_speed : bool
+        Whether both zooms share one largest speed. The latency is then what gives the settling time
+        at 4X, instead of a lower speed.
+    calibration : float
+        Errors of the calibration over `CALIBRATION_ANGLE` and `CALIBRATION_SCALE`.
+    size, height : float
+        Of `PATHS`, and of the sinusoid alone, over those written there.
+    faster, shakier : float
+        Speed along the paths and jitter at 4X over those at 1X, both in px.
+    """
+
+    band: float = 0.05
+    latency: float = 0.01
+    one_speed: bool = False
+    calibration: float = 1.0
+    size: float = 1.0
+    height: float = 1.0
+    faster: float = 1.0
+    shakier: float = 1.0
+
+
+#: What is assumed throughout, and the other readings by which the verdicts are tried.
+ASSUMED = Assumed()
+OTHER_READINGS = {
+    "band 3 %": Assumed(band=0.03),
+    "band 3 %, one speed": Assumed(band=0.03, one_speed=True),
+    "band 10 %": Assumed(band=0.1),
+    "no latency": Assumed(latency=0.0),
+    "latency 25 ms": Assumed(latency=0.025),
+    "exact calibration": Assumed(calibration=0.0),
+    "paths half as large": Assumed(size=0.5),
+    "paths half as large again": Assumed(size=1.5),
+    "sinusoid half as high": Assumed(height=0.5),
+    "sinusoid twice as high": Assumed(height=2.0),
+    "a twentieth slower at 4X": Assumed(faster=0.95),
+    "a fifth slower at 4X": Assumed(faster=0.8),
+    "3 times the jitter at 4X": Assumed(shakier=3.0),
+    "4.5 times the jitter at 4X": Assumed(shakier=4.5),
+    "5 times the jitter at 4X": Assumed(shakier=5.0),
 }
 
 
@@ -92,21 +146,39 @@ class Workstation:
         Speed along each of `PATHS`, px/s.
     seed : int
         Of all that is drawn.
+    assumed : Assumed
+        Under which it was identified.
     """
 
     saturation: dict[str, float]
     jitter: float
     path_speed: dict[str, float]
     seed: int
+    assumed: Assumed = ASSUMED
 
-    def path(self, name: str) -> NDArray:
+    def path(self, name: str, zoom: str = "1X") -> NDArray:
         """Return one of `PATHS` at its speed, px."""
-        return PATHS[name](self.path_speed[name])
+        faster = self.assumed.faster if zoom == "4X" else 1.0
+        speed = faster * self.path_speed[name]
+        return PATHS[name](speed, self.assumed.size, self.assumed.height)
+
+    def shake(self, zoom: str) -> float:
+        """Return the jitter at a zoom, px."""
+        return self.jitter * (self.assumed.shakier if zoom == "4X" else 1.0)
 
     def run(self, zoom: str, path: NDArray, draw: int = 0, **options: Any) -> Run:
         """Run once, as `run`, at the identified speed and jitter."""
-        options = {"saturation": self.saturation[zoom], "jitter": self.jitter} | options
-        return run(zoom, path, [self.seed, draw], **options)
+        found: dict[str, Any] = {
+            "saturation": self.saturation[zoom],
+            "jitter": self.shake(zoom),
+            "assumed": self.assumed,
+        }
+        return run(zoom, path, [self.seed, draw], **(found | options))
+
+    def step(self, zoom: str, draw: int) -> dict[str, float]:
+        """Make a step of 50 px, as `step`."""
+        saturation, jitter = self.saturation[zoom], self.shake(zoom)
+        return step(zoom, saturation, jitter, self.seed, draw, self.assumed)
 
     def table(self) -> pd.DataFrame:
         """Return the identified values, each with the printed number that it was spent on."""
@@ -153,8 +225,7 @@ def run(
     *,
     saturation: float,
     jitter: float,
-    latency: float = LATENCY,
-    exact: bool = False,
+    assumed: Assumed = ASSUMED,
     controller: Any = None,
     **options: Any,
 ) -> Run:
@@ -168,10 +239,10 @@ def run(
         References, px.
     seed : int or list of int
         Of the calibration's error and the jitter.
-    saturation, jitter, latency : float
-        Largest speed (µm/s), shake of the image (px), and time until a command takes effect (s).
-    exact : bool
-        True for a calibration without error; it is wrong by 1 % and 1° (one σ) otherwise.
+    saturation, jitter : float
+        Largest speed (µm/s), and shake of the image (px).
+    assumed : Assumed
+        Latency and error of the calibration.
     controller : callable, optional
         The optimal controller (2.28) by default.
     **options
@@ -183,25 +254,24 @@ def run(
         What happened.
     """
     rng = np.random.default_rng(seed)
-    angle, size = (
-        (0.0, 1.0)
-        if exact
-        else (rng.normal(0, CALIBRATION_ANGLE), rng.normal(1, CALIBRATION_SCALE))
-    )
+    angle = rng.normal(0, assumed.calibration * CALIBRATION_ANGLE)
+    size = rng.normal(1, assumed.calibration * CALIBRATION_SCALE)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     return servoing.simulate(
         controller or servoing.OptimalController(nominal_jacobian(zoom), **LAW),
         path,
         jacobian=size / thesis.effective_pixel(zoom) * turn,
         stage=servoing.Stage(saturation=saturation, step=thesis.STAGE_STEP),
-        camera=servoing.Camera(interval=thesis.FRAME_INTERVAL, latency=latency, jitter=jitter),
+        camera=servoing.Camera(
+            interval=thesis.FRAME_INTERVAL, latency=assumed.latency, jitter=jitter
+        ),
         rng=rng,
         **options,
     )
 
 
 def step(
-    zoom: str, saturation: float, jitter: float, seed: int, draw: int, **options: Any
+    zoom: str, saturation: float, jitter: float, seed: int, draw: int, assumed: Assumed = ASSUMED
 ) -> dict[str, float]:
     """Make a step of 50 px and measure it: `STEP_RESULTS`, in s and µm."""
     result = run(
@@ -211,20 +281,24 @@ def step(
         saturation=saturation,
         jitter=jitter,
         start=(0.0, 0.0),
-        **options,
+        assumed=assumed,
     )
     pixel = thesis.effective_pixel(zoom)
-    found = servoing.step_metrics(result.time, result.measured * pixel, result.reference[0] * pixel)
-    # The step is commanded at any time before the first exposure that the loop knows it at.
-    ahead = 0.5 if options.get("exact") else np.random.default_rng([seed, draw, 1]).random()
+    found = servoing.step_metrics(
+        result.time, result.measured * pixel, result.reference[0] * pixel, band=assumed.band
+    )
+    # The step is commanded at any time before the first exposure that the loop knows it at; where
+    # nothing else is drawn, in the middle.
+    drawn = jitter > 0 or assumed.calibration > 0
+    ahead = np.random.default_rng([seed, draw, 1]).random() if drawn else 0.5
     settling_time = found.settling_time + ahead * thesis.FRAME_INTERVAL
     return dict(zip(STEP_RESULTS, (settling_time, found.accuracy, found.precision), strict=True))
 
 
-def path_error(zoom: str, result: Run) -> dict[str, float]:
-    """Return mean and standard deviation of |f(k) − f*(k+1)|, `PATH_RESULTS`, µm."""
-    pixel = thesis.effective_pixel(zoom)
-    found = servoing.path_metrics(result.measured[:-1] * pixel, result.reference[1:] * pixel)
+def path_error(zoom: str, result: Run, ahead: int = 1) -> dict[str, float]:
+    """Return mean and standard deviation of |f(k) − f*(k + ahead)|, `PATH_RESULTS`, µm."""
+    pixel, count = thesis.effective_pixel(zoom), len(result.reference) - ahead
+    found = servoing.path_metrics(result.measured[:count] * pixel, result.reference[ahead:] * pixel)
     return {"accuracy": found.accuracy, "precision": found.precision}
 
 
@@ -257,12 +331,32 @@ def nearest(values: NDArray, times: ArrayLike, printed: float) -> float:
     return float(np.mean(values[np.isclose(distance, np.nanmin(distance))]))
 
 
-def identify_settling(seed: int) -> SettlingTimes:
+def within(inputs: NDArray, values: NDArray, printed: float) -> float:
+    """Return the input between those given at which increasing values reach the printed one.
+
+    Raises
+    ------
+    ValueError
+        If the values do not increase past the printed one.
+
+    Examples
+    --------
+    >>> within(np.array([1.0, 2.0]), np.array([10.0, 20.0]), 15.0)
+    1.5
+    """
+    if not values[0] <= printed <= values[-1]:
+        raise ValueError(f"values must reach {printed}, got {values[0]:.3g} to {values[-1]:.3g}")
+    return float(np.interp(printed, values, inputs))
+
+
+def identify_settling(seed: int, assumed: Assumed = ASSUMED) -> SettlingTimes:
     """Find the largest speeds, or the latency, that give the settling times of Table 5.3."""
     printed = {zoom: claim(f"table-5.3/{zoom}/settling-time").value for zoom in thesis.ZOOMS}
+    exact = replace(assumed, calibration=0.0)
 
-    def settling_time(zoom: str, saturation: float, **options: Any) -> float:
-        return step(zoom, saturation, 0.0, seed, 0, exact=True, **options)["settling-time"]
+    def settling_time(zoom: str, saturation: float, latency: float = exact.latency) -> float:
+        reading = replace(exact, latency=latency)
+        return step(zoom, saturation, 0.0, seed, 0, reading)["settling-time"]
 
     speeds = np.arange(120.0, 480.0, 4.0)  # µm/s
     by_speed = {
@@ -277,7 +371,9 @@ def identify_settling(seed: int) -> SettlingTimes:
     return SettlingTimes(speeds, by_speed, saturation, latencies, by_latency, latency, printed)
 
 
-def explanations(seed: int, times: SettlingTimes, draws: int = 60) -> pd.DataFrame:
+def explanations(
+    seed: int, times: SettlingTimes, draws: int = 60, assumed: Assumed = ASSUMED
+) -> pd.DataFrame:
     """Predict the precision of the step at 4X under both explanations of its settling time.
 
     Parameters
@@ -288,6 +384,8 @@ def explanations(seed: int, times: SettlingTimes, draws: int = 60) -> pd.DataFra
         From `identify_settling`.
     draws : int
         Steps under each explanation.
+    assumed : Assumed
+        The readings, the latency of the first explanation aside.
 
     Returns
     -------
@@ -296,18 +394,21 @@ def explanations(seed: int, times: SettlingTimes, draws: int = 60) -> pd.DataFra
     """
     trials = {
         "one speed, long latency": (times.saturation["1X"], times.latency),
-        "a lower speed at 4X": (times.saturation["4X"], LATENCY),
+        "a lower speed at 4X": (times.saturation["4X"], assumed.latency),
     }
     rows = []
     for label, (saturation, latency) in trials.items():
-        steps = [step("4X", saturation, 0.15, seed, k, latency=latency) for k in range(draws)]
+        reading = replace(assumed, latency=latency)
+        steps = [step("4X", saturation, 0.15, seed, k, reading) for k in range(draws)]
         found = median_and_ends([each["precision"] for each in steps])
         rows.append((label, *found, claim("table-5.3/4X/precision").value))
     columns = ["explanation", "precision at 4X (µm)", "from", "to", "printed"]
     return pd.DataFrame(rows, columns=columns)
 
 
-def identify_workstation(seed: int, saturation: dict[str, float]) -> Workstation:
+def identify_workstation(
+    seed: int, saturation: dict[str, float], assumed: Assumed = ASSUMED
+) -> Workstation:
     """Find the speeds along the paths and the jitter that give four numbers of Table 5.4 at 1X.
 
     Parameters
@@ -316,33 +417,40 @@ def identify_workstation(seed: int, saturation: dict[str, float]) -> Workstation
         Of the runs.
     saturation : dict of str to float
         Largest speeds of the stage, µm/s.
+    assumed : Assumed
+        The readings.
 
     Returns
     -------
     Workstation
         Each path's speed from its accuracy, the jitter from the precision on the circle.
+
+    Raises
+    ------
+    ValueError
+        If no speed or jitter gives a printed number.
     """
     jitter, path_speed = 0.1, dict.fromkeys(PATHS, 0.0)
-    jitters, speeds = np.arange(0.0, 0.26, 0.05), np.arange(15.0, 51.0, 5.0)  # px, px/s
+    jitters, speeds = np.arange(0.0, 0.26, 0.05), np.arange(10.0, 51.0, 5.0)  # px, px/s
     for _ in range(2):  # each depends a little on the other
-        each = [(name, speed, jitter, seed, saturation["1X"]) for name in PATHS for speed in speeds]
-        errors = np.reshape(in_processes(_mean_error, each), (len(PATHS), len(speeds), 2))
+        tried = [
+            Workstation(saturation, jitter, dict.fromkeys(PATHS, speed), seed, assumed)
+            for speed in speeds
+        ]
+        each = [(station, name) for name in PATHS for station in tried]
+        errors = np.reshape(in_processes(mean_error, each), (len(PATHS), len(speeds), 2))
         for name, (accuracy, _) in zip(PATHS, errors.transpose(0, 2, 1), strict=True):
-            path_speed[name] = float(
-                np.interp(printed_path("1X", name, "accuracy"), accuracy, speeds)
-            )
-        each = [("circle", path_speed["circle"], j, seed, saturation["1X"]) for j in jitters]
-        spreads = np.array(in_processes(_mean_error, each))[:, 1]
-        jitter = float(np.interp(printed_path("1X", "circle", "precision"), spreads, jitters))
-    return Workstation(saturation, jitter, path_speed, seed)
+            path_speed[name] = within(speeds, accuracy, printed_path("1X", name, "accuracy"))
+        each = [(Workstation(saturation, j, path_speed, seed, assumed), "circle") for j in jitters]
+        spreads = np.array(in_processes(mean_error, each))[:, 1]
+        jitter = within(jitters, spreads, printed_path("1X", "circle", "precision"))
+    return Workstation(saturation, jitter, path_speed, seed, assumed)
 
 
-def _mean_error(
-    name: str, speed: float, jitter: float, seed: int, saturation: float
-) -> tuple[float, float]:
+def mean_error(station: Workstation, name: str) -> tuple[float, float]:
     """Return accuracy and precision along a path at 1X in the mean of eight runs, µm."""
-    path = PATHS[name](speed)
-    runs = [run("1X", path, [seed, k], saturation=saturation, jitter=jitter) for k in range(8)]
+    path = station.path(name)
+    runs = [station.run("1X", path, k) for k in range(8)]
     errors = [path_error("1X", each) for each in runs]
     return (
         float(np.mean([each["accuracy"] for each in errors])),
@@ -422,10 +530,7 @@ def step_table(station: Workstation, draws: int) -> pd.DataFrame:
     """
     rows = []
     for zoom in thesis.ZOOMS:
-        steps = [
-            step(zoom, station.saturation[zoom], station.jitter, station.seed, k)
-            for k in range(draws)
-        ]
+        steps = [station.step(zoom, k) for k in range(draws)]
         for what in STEP_RESULTS:
             found = median_and_ends([each[what] for each in steps])
             rows.append((f"table-5.3/{zoom}/{what}", *found))
@@ -443,9 +548,101 @@ def path_table(station: Workstation, draws: int) -> pd.DataFrame:
 
 
 def _path_errors(station: Workstation, zoom: str, name: str, draws: int) -> list[tuple[float, ...]]:
-    path = station.path(name)
+    path = station.path(name, zoom)
     errors = [path_error(zoom, station.run(zoom, path, k)) for k in range(draws)]
     return [tuple(each[what] for what in PATH_RESULTS) for each in errors]
+
+
+def under(station: Workstation, reading: Assumed) -> Workstation:
+    """Identify the workstation anew under another reading."""
+    if replace(reading, faster=1.0, shakier=1.0) == station.assumed:
+        return replace(station, assumed=reading)  # everything is identified at 1X
+    times = identify_settling(station.seed, reading)
+    saturation = times.saturation
+    if reading.one_speed:
+        saturation = dict.fromkeys(thesis.ZOOMS, times.saturation["1X"])
+        reading = replace(reading, latency=times.latency)
+    return identify_workstation(station.seed, saturation, reading)
+
+
+def by_reading(station: Workstation, draws: int) -> pd.DataFrame:
+    """Judge the predicted numbers anew under each of `OTHER_READINGS`.
+
+    Parameters
+    ----------
+    station : Workstation
+        As identified under our reading.
+    draws : int
+        Runs behind each interval.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row each number of Tables 5.3 and 5.4 from which nothing was identified, and each reading:
+        claim, reading, median, low and high (s or µm), verdict.
+    """
+    rows = []
+    for name, reading in ({"ours": station.assumed} | OTHER_READINGS).items():
+        other = under(station, reading)
+        table = pd.concat([step_table(other, draws), path_table(other, draws)])
+        for id, *found in table.itertuples(index=False):
+            if claim(id).spent != "identified":
+                rows.append((id, name, *found, judge(claim(id), *found)))
+    columns = ["claim", "reading", "median", "low", "high", "verdict"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def decided(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a row each claim of `by_reading`: our verdict, and the readings that turn it."""
+    ours = table[table["reading"] == "ours"].set_index("claim")["verdict"]
+    turned = table[table["verdict"] != table["claim"].map(ours)]
+    names = turned.groupby("claim")["reading"].agg(", ".join)
+    return pd.DataFrame({"verdict": ours, "turned by": names.reindex(ours.index, fill_value="")})
+
+
+def largest_error_in_frame(station: Workstation) -> float:
+    """Return the largest mean of |f(k) − f*(k)| on the circle at 1X, µm.
+
+    Of all latencies tried, and of speeds up to nine tenths of what the stage can follow.
+    """
+    most = 0.9 * station.saturation["1X"] / thesis.effective_pixel("1X")
+    latencies = {each.latency for each in OTHER_READINGS.values()}
+    errors = []
+    for speed in np.linspace(0.2, 1.0, 5) * most:
+        path = PATHS["circle"](speed, 1.0, 1.0)
+        for latency in latencies:
+            found = station.run("1X", path, assumed=replace(station.assumed, latency=latency))
+            errors.append(path_error("1X", found, ahead=0)["accuracy"])
+    return max(errors)
+
+
+def saturated_share(station: Workstation, draws: int) -> float:
+    """Return the share of the settling time in which the velocity stays at its limit.
+
+    From the first sample on, along both axes: the least of both zooms and of `draws` steps.
+    """
+    shares = []
+    for zoom in thesis.ZOOMS:
+        for draw in range(draws):
+            command = station.run(zoom, STEP_PATH, draw, start=(0.0, 0.0)).command
+            least = np.abs(command).min(axis=1)
+            held = int(np.argmin(least >= station.saturation[zoom])) * thesis.FRAME_INTERVAL
+            shares.append(held / station.step(zoom, draw)["settling-time"])
+    return min(shares)
+
+
+def printed_in_pixels() -> pd.DataFrame:
+    """Return the accuracies of Table 5.4, px, a row each path, and the larger over the smaller."""
+    table = pd.DataFrame(
+        {
+            zoom: {
+                name: printed_path(zoom, name, "accuracy") / thesis.effective_pixel(zoom)
+                for name in PATHS
+            }
+            for zoom in thesis.ZOOMS
+        }
+    )
+    return table.assign(ratio=table.max(axis=1) / table.min(axis=1))
 
 
 def printed_ratios() -> pd.DataFrame:
@@ -459,12 +656,6 @@ def printed_ratios() -> pd.DataFrame:
             for zoom in thesis.ZOOMS
         }
     )
-
-
-def tall_sinusoid_precision(station: Workstation) -> float:
-    """Return the precision on a sinusoid twice as high at 1X, µm."""
-    path = paths.sinusoid_path(100.0, 40.0, 7.0, thesis.FRAME_INTERVAL)
-    return path_error("1X", station.run("1X", path))["precision"]
 
 
 def compare_controllers(station: Workstation, draws: int = 10) -> pd.DataFrame:
@@ -486,7 +677,7 @@ def compare_controllers(station: Workstation, draws: int = 10) -> pd.DataFrame:
         (station, zoom, name, latency, draws)
         for zoom in thesis.ZOOMS
         for name in PATHS
-        for latency in (LATENCY, 0.8 * thesis.FRAME_INTERVAL)
+        for latency in (station.assumed.latency, 0.8 * thesis.FRAME_INTERVAL)
     ]
     rows = [
         (zoom, name, 1000 * latency, *means)
@@ -504,7 +695,8 @@ def _mean_true_errors(
     path, pixel = station.path(name), thesis.effective_pixel(zoom)
 
     def error(draw: int, controller: Any) -> float:
-        result = station.run(zoom, path, draw, latency=latency, controller=controller)
+        reading = replace(station.assumed, latency=latency)
+        result = station.run(zoom, path, draw, assumed=reading, controller=controller)
         return servoing.path_metrics(result.feature * pixel, result.reference * pixel).accuracy
 
     def predictive() -> servoing.PredictiveController:
