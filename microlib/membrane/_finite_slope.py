@@ -3,9 +3,9 @@ r"""The point-load model with its slopes kept whole: how far (4.1)–(4.7) may b
 The thesis replaces :math:`\sin\theta` by the slope in the force balance (4.1) and
 :math:`1/\cos\theta - 1` by
 :math:`\theta^2/2` in the strain (4.4). Here both stay as they are; all other assumptions, a uniform
-stress among them, are the model's own. That stress, the same at every radius and in both directions,
-is what no longer balances a dimple beyond `steepest_depth`; one that varies along the radius, as in
-`microlib.membrane._disc`, can.
+stress among them, are the model's own. It is this stress, the same at every radius and in both
+directions, that cannot balance a dimple beyond `steepest_depth`; one that varies along the radius,
+as in `microlib.membrane._disc`, can.
 """
 
 from __future__ import annotations
