@@ -590,7 +590,8 @@ def turning_points(claim: Claim, record: Record) -> tuple[float, float]:
 def _cell() -> str:
     """Return the number of the notebook's cell that is being executed, ``[7]``."""
     shell = sys.modules.get("IPython") and sys.modules["IPython"].get_ipython()
-    return f"[{shell.execution_count}]" if shell else ""
+    # Its inputs, the first of which is empty; the shell's own count may have moved on already.
+    return f"[{len(shell.user_ns['In']) - 1}]" if shell else ""
 
 
 def report(id: str, value: float, unit: str = "", *, digits: int = 2) -> Record:

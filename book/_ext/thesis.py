@@ -2,8 +2,8 @@
 
 - ``{ours}`id` ``: our number as recorded; ``{printed}`id` ``: the thesis' number;
   ``{verdict}`id` ``: the verdict.
-- ``{claims}`` with a prefix: a table of all claims whose id begins with it; with ``:filter:``
-  readers can narrow it down.
+- ``{claims}`` with a prefix: the scorecard of all claims whose id begins with it; with
+  ``:filter:`` readers can narrow it down. Each leads to the cell of the notebook that computed it.
 - ``{errata}``: every fault of the thesis with its proof.
 - ``{benchmarks}``: every result of ``benchmarks/results`` with the machine named.
 - ``{status}``: how each notebook's run went, with the hashes of what it depended on.
@@ -14,10 +14,11 @@ A number that was never recorded stops the build, so the text cannot outlive its
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from docutils import nodes
 from docutils.parsers.rst import directives
@@ -32,17 +33,30 @@ PACKAGES = ("numpy", "scipy", "scikit-image", "opencv-python-headless", "matplot
 FILTER = """<div class="claims-filter">
 <label>Find <input type="search" data-claims-text></label>
 <label>Verdict <select data-claims-verdict><option value="">all</option></select></label>
+<label>Kind <select data-claims-kind><option value="">all</option></select></label>
 <output data-claims-count></output></div>"""
 
 ROOT = Path(__file__).resolve().parents[2]
 CLAIMS = ROOT / "build" / "claims"
 RESULTS = ROOT / "benchmarks" / "results"
 LONG = 20  # rows above which a table is folded
+#: Columns of the scorecard; thesis.css names them again where they are stacked on a phone.
+SCORECARD = ["Claim", "Thesis", "Ours", "Rule", "Verdict", "Where"]
 
 
 @cache
 def records() -> dict[str, ledger.Record]:
     return ledger.read_records(CLAIMS)
+
+
+@cache
+def pages() -> dict[str, str]:
+    """Return the notebook that recorded each claim."""
+    return {
+        entry["id"]: path.stem
+        for path in sorted(CLAIMS.glob("*.json"))
+        for entry in json.loads(path.read_text(encoding="utf-8"))
+    }
 
 
 class Ours(SphinxRole):
@@ -57,7 +71,7 @@ class Ours(SphinxRole):
 class Printed(SphinxRole):
     def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
         claim = ledger.claim(self.text)
-        text = f"{claim.printed} {claim.unit}".rstrip()
+        text = with_unit(claim.printed, claim.unit)
         return [nodes.inline(self.rawtext, text, classes=["printed"])], []
 
 
@@ -71,8 +85,13 @@ def badge(claim: ledger.Claim) -> nodes.inline:
     return nodes.inline(text, text, classes=["verdict", f"verdict-{claim.verdict}"])
 
 
+def with_unit(number: str, unit: str) -> str:
+    """Return a number with its unit, once; nothing without a number."""
+    return f"{number} {unit}".rstrip() if number and not number.endswith(f" {unit}") else number
+
+
 class Claims(SphinxDirective):
-    """A table of the claims whose id begins with the argument; all of them without one."""
+    """The scorecard of the claims whose id begins with the argument; of all without one."""
 
     optional_arguments = 1
     option_spec: ClassVar = {"filter": directives.flag}
@@ -82,25 +101,60 @@ class Claims(SphinxDirective):
         chosen = [c for c in ledger.claims().values() if c.id.startswith(prefix)]
         if not chosen:
             raise self.error(f"no claim begins with {prefix!r}")
-        head = ["Claim", "Quantity", "Printed", "Ours", "Unit", "Verdict"]
-        rows = []
-        for claim in chosen:
-            record = records().get(claim.id)
-            number = ""
-            if record is not None:
-                number = str(record).removesuffix(claim.unit).rstrip()
-            cells = [
-                nodes.literal(claim.id, claim.id),
-                claim.what,
-                claim.printed,
-                number,
-                claim.unit,
-            ]
-            rows.append([*cells, badge(claim)])
-        result = [table(head, rows, classes=["claims"])]
+        scores = ledger.scorecard(CLAIMS).set_index("claim")
+        rows = [self.row(claim, scores.loc[claim.id]) for claim in chosen]
+        kinds = [[f"kind-{claim.kind}"] for claim in chosen]
+        result = [table(SCORECARD, rows, classes=["claims"], row_classes=kinds)]
         if "filter" in self.options:
             result.insert(0, raw_html(FILTER))
         return result
+
+    def row(self, claim: ledger.Claim, score: Mapping[str, Any]) -> list[list[nodes.Node]]:
+        printed = with_unit(claim.printed, claim.unit) or "no number"
+        if claim.limit_of == "ours":
+            printed = f"our limit: {with_unit(claim.limit, claim.unit)}"
+        thesis = [line(printed, "printed")]
+        if claim.says:
+            thesis.append(line(f"It says: {claim.says}."))
+        verdict = nodes.paragraph()
+        verdict += badge(claim)
+        judged = [verdict]
+        if score["turns"]:
+            judged.append(line(f"turns at {score['turns']} of ours"))
+        for label, text in (("spent", claim.input), ("note", claim.note)):
+            if text:
+                judged.append(line(f"{label}: {text}"))
+        number = "–" if not score["ours"] else with_unit(score["ours"], claim.unit)
+        rule = claim.rule
+        if claim.limit_of == "ours" and claim.reason:
+            rule += f": {claim.reason}"
+        return [
+            [line(claim.id, "claim-id"), line(claim.what)],
+            thesis,
+            [line(number, "ours")],
+            [line(f"{claim.kind}: {rule}")],
+            judged,
+            self.sources(claim, score["cell"]),
+        ]
+
+    def sources(self, claim: ledger.Claim, cell: str) -> list[nodes.Node]:
+        """Return where a claim is computed and what holds the computation."""
+        found: list[nodes.Node] = []
+        page = pages().get(claim.id)
+        if page is not None:
+            paragraph = nodes.paragraph()
+            target = f"notebooks/{page}.html" + (f"#{anchor(cell)}" if cell else "")
+            text = f"cell {cell}" if cell else page
+            paragraph += nodes.reference(text, text, refuri=target, internal=True)
+            found.append(paragraph)
+        if claim.test:
+            file, _, function = claim.test.partition("::")
+            found.append(line(f"{file.removeprefix('tests/')} {function}", "claim-test"))
+        return found or [line("–")]
+
+
+def line(text: str, kind: str = "") -> nodes.paragraph:
+    return nodes.paragraph(text, text, classes=[kind] if kind else [])
 
 
 class Status(SphinxDirective):
@@ -218,25 +272,34 @@ def show(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def table(head: list[str], rows: list[list], *, classes: list[str] | None = None) -> nodes.table:
-    """Build a docutils table; cells are text or nodes."""
+def table(
+    head: list[str],
+    rows: list[list],
+    *,
+    classes: list[str] | None = None,
+    row_classes: list[list[str]] | None = None,
+) -> nodes.table:
+    """Build a docutils table; cells are text, nodes, or lists of paragraphs."""
     group = nodes.tgroup(cols=len(head))
     group += [nodes.colspec(colwidth=1) for _ in head]
 
-    def line(cells: list) -> nodes.row:
-        row = nodes.row()
+    def across(cells: list, classes: list[str]) -> nodes.row:
+        row = nodes.row(classes=classes)
         for cell in cells:
-            content = cell if isinstance(cell, nodes.Node) else nodes.Text(cell)
-            paragraph = nodes.paragraph()
-            paragraph += content
             entry = nodes.entry()
-            entry += paragraph
+            if isinstance(cell, list):
+                entry += cell
+            else:
+                paragraph = nodes.paragraph()
+                paragraph += cell if isinstance(cell, nodes.Node) else nodes.Text(cell)
+                entry += paragraph
             row += entry
         return row
 
     header, body = nodes.thead(), nodes.tbody()
-    header += line(head)
-    body += [line(row) for row in rows]
+    header += across(head, [])
+    names = row_classes or [[]] * len(rows)
+    body += [across(row, name) for row, name in zip(rows, names, strict=True)]
     group += [header, body]
     result = nodes.table(classes=["colwidths-auto", *(classes or [])])
     result += group
@@ -246,6 +309,21 @@ def table(head: list[str], rows: list[list], *, classes: list[str] | None = None
 def keep_own_numbers(app: Sphinx, config: Config) -> None:
     # A LaTeX helper of jupyter-book turns Sphinx' own figure numbers on, whatever the settings say.
     config["numfig"] = False
+
+
+def anchor(cell: str) -> str:
+    return f"cell-{cell}"
+
+
+def name_cells(app: Sphinx, doctree: nodes.document) -> None:
+    """Give each code cell of a notebook an address: that of its lasting id."""
+    path = Path(app.env.doc2path(app.env.docname))
+    if path.suffix != ".ipynb":
+        return
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    for node in doctree.findall(nodes.container):
+        if node.get("nb_element") == "cell_code":
+            node["ids"].append(anchor(cells[node["cell_index"]]["id"]))
 
 
 def write_scorecard(app: Sphinx, error: Exception | None) -> None:
@@ -265,5 +343,6 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.add_css_file("thesis.css")
     app.add_js_file("filter.js", loading_method="defer")
     app.connect("config-inited", keep_own_numbers, priority=900)
+    app.connect("doctree-read", name_cells)
     app.connect("build-finished", write_scorecard)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

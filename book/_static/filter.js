@@ -1,23 +1,29 @@
-// Narrow the table of claims by a word and a verdict.
+// Narrow the table of claims by a word, a verdict and a kind.
 {
   const form = document.querySelector(".claims-filter");
   if (form) {
     const rows = [...document.querySelectorAll("table.claims tbody tr")];
-    const verdict = (row) => row.lastElementChild.textContent.trim();
+    const verdict = (row) => row.querySelector(".verdict").textContent.trim();
+    const kind = (row) => /kind-(\w+)/.exec(row.className)[1];
     const text = form.querySelector("[data-claims-text]");
-    const select = form.querySelector("[data-claims-verdict]");
+    const choices = [
+      [form.querySelector("[data-claims-verdict]"), verdict],
+      [form.querySelector("[data-claims-kind]"), kind],
+    ];
     const count = form.querySelector("[data-claims-count]");
-    for (const name of new Set(rows.map(verdict))) select.add(new Option(name, name));
+    for (const [select, sort] of choices)
+      for (const name of new Set(rows.map(sort))) select.add(new Option(name, name));
     const narrow = () => {
       const word = text.value.toLowerCase();
       for (const row of rows) {
         const fits = row.textContent.toLowerCase().includes(word);
-        row.hidden = !fits || (select.value && verdict(row) !== select.value);
+        const chosen = choices.every(([s, sort]) => !s.value || sort(row) === s.value);
+        row.hidden = !fits || !chosen;
       }
       count.textContent = `${rows.filter((row) => !row.hidden).length} of ${rows.length}`;
     };
     text.addEventListener("input", narrow);
-    select.addEventListener("change", narrow);
+    for (const [select] of choices) select.addEventListener("change", narrow);
     narrow();
   }
 }

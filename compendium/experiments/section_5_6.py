@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
+from scipy.optimize import brentq, linprog
+from scipy.stats import chi2
 
 from compendium import thesis
 from compendium.experiments._processes import in_processes
-from compendium.ledger import claim
+from compendium.ledger import claim, half_ulp
 from microlib.embryo import (
     GaussianSum,
     dimple_geometry,
@@ -32,6 +33,9 @@ from microlib.synthetic import Embryo, embryo_image, embryo_sequence
 
 #: Modulus of the rendered embryos: that of Table 5.6, MPa.
 MODULUS = claim("table-5.6/E").value
+#: Of the differences that give the effects of the rounding, in half units: 0.01 and 1 give the same
+#: least share to 1e-10. Three linear programmes leave 1e-11 px of the coordinates, two 3e-6 px.
+_STEP, _LINEAR_STEPS = 0.1, 3
 #: What `microlib.synthetic.embryo_image` and `microlib.embryo.extract_boundary` return.
 Scene = Any
 Outline = Any
@@ -60,6 +64,88 @@ def rounding_draws(seed: int, draws: int) -> pd.DataFrame:
         modulus = thesis.modulus(dimple.dimple_radius, dimple.dimple_depth)
         rows.append([*dimple.rim, *dimple.bottom, modulus, len(curve.extrema()[0])])
     return pd.DataFrame(rows, columns=["x_1", "y_1", "x_2", "y_2", "E", "maxima"])
+
+
+@dataclass(frozen=True)
+class RoundingReach:
+    """What the printed rounding of Table 5.5 can do to what is read off its curve.
+
+    Attributes
+    ----------
+    worst : dict of str to float
+        Largest shift of rim x_1, y_1, bottom x_2, y_2 (px) and modulus E (MPa): the sum of the
+        effects of the 24 coefficients, each half a unit in its last place.
+    share : float
+        Least share of that half unit within which all 24 coefficients have to move for the four
+        coordinates to come out as printed together; no rounding gives more than 1.
+    units : ndarray, shape (24,)
+        How they then move, in half units.
+    chi_squared, p : float
+        Of the four printed coordinates about the computed ones, and how often evenly distributed
+        rounding gives more, as if it were Gaussian.
+    """
+
+    worst: dict[str, float]
+    share: float
+    units: NDArray
+    chi_squared: float
+    p: float
+
+
+def read_off(units: ArrayLike = 0.0) -> NDArray:
+    """Return x_1, y_1, x_2, y_2 (px) and E (MPa) of Table 5.5, moved within its rounding.
+
+    Parameters
+    ----------
+    units : array_like, shape (24,)
+        Changes of a1 … a8, b1 … b8, c1 … c8, in half units of the last printed place.
+    """
+    names = [f"table-5.5/{letter}{i}" for letter in "abc" for i in range(1, 9)]
+    half = np.array([half_ulp(claim(name).printed) for name in names])
+    printed = thesis.outline_curve()
+    values = np.concatenate([printed.amplitudes, printed.centers, printed.widths])
+    moved = (values + half * np.asarray(units)).reshape(3, 8)
+    curve = GaussianSum(*moved, domain=thesis.OUTLINE_DOMAIN)
+    dimple = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL)
+    modulus = thesis.modulus(dimple.dimple_radius, dimple.dimple_depth)
+    return np.array([*dimple.rim, *dimple.bottom, modulus])
+
+
+def rounding_reach() -> RoundingReach:
+    """Judge the four printed coordinates of section 5.6 together, and each by its worst case."""
+    names = ("x_1", "y_1", "x_2", "y_2")
+    printed = np.array([claim(f"section-5.6/{name}").value for name in names])
+    half = np.array([half_ulp(claim(f"section-5.6/{name}").printed) for name in names])
+    found, effects = read_off(), _effects(np.zeros(24))
+    worst = dict(zip((*names, "E"), np.abs(effects).sum(axis=1), strict=True))
+    # An even distribution has a third of its half-width's square as its variance.
+    covariance = (effects[:4] @ effects[:4].T + np.diag(half**2)) / 3
+    apart = printed - found[:4]
+    chi_squared = float(apart @ np.linalg.solve(covariance, apart))
+    units = np.zeros(24)
+    for _ in range(_LINEAR_STEPS):
+        effects = _effects(units)[:4]
+        wanted = printed - read_off(units)[:4] + effects @ units
+        share, units = _least_share(effects, wanted, half)
+    return RoundingReach(worst, share, units, chi_squared, float(chi2.sf(chi_squared, 4)))
+
+
+def _effects(units: NDArray) -> NDArray:
+    """Return the change of what `read_off` gives for one half unit of each coefficient, 5×24."""
+    steps = _STEP * np.eye(24)
+    return np.transpose(
+        [(read_off(units + step) - read_off(units - step)) / (2 * _STEP) for step in steps]
+    )
+
+
+def _least_share(effects: NDArray, wanted: NDArray, half: NDArray) -> tuple[float, NDArray]:
+    """Minimize the largest |unit| for which effects @ units is within `half` of `wanted`."""
+    one, none = np.ones((24, 1)), np.zeros((len(wanted), 1))
+    bounds = np.block([[effects, none], [-effects, none], [np.eye(24), -one], [-np.eye(24), -one]])
+    limits = np.concatenate([wanted + half, half - wanted, np.zeros(48)])
+    cost = np.append(np.zeros(24), 1.0)
+    solution = linprog(cost, A_ub=bounds, b_ub=limits, bounds=(None, None))
+    return float(solution.x[-1]), solution.x[:-1]
 
 
 def printed_dimple() -> tuple[float, float]:

@@ -125,13 +125,13 @@ def modulus_from_image(
     Examples
     --------
     >>> from microlib.synthetic import Embryo, embryo_image
-    >>> embryo = Embryo(modulus=1.2, force=9.0, dimple_radius=240.0)
+    >>> embryo = Embryo(modulus=1.2, force=1.2, dimple_radius=240.0)
     >>> scene = embryo_image(embryo, rng=np.random.default_rng(1))
     >>> estimate = modulus_from_image(
-    ...     scene.image, 9.0, pixel_size=scene.pixel_size, thickness=3.0, probe_half_width=25.0,
+    ...     scene.image, 1.2, pixel_size=scene.pixel_size, thickness=3.0, probe_half_width=25.0,
     ...     poisson_ratio=0.5,
     ... )
-    >>> estimate.interval[0] < 1.2 < estimate.interval[1], estimate.relative_std < 0.04
+    >>> estimate.interval[0] < 1.2 < estimate.interval[1], estimate.relative_std < 0.05
     (True, True)
     """
     load = float(positive("force", as_array("force", force, shape=())))
@@ -186,13 +186,13 @@ def force_from_image(
     Examples
     --------
     >>> from microlib.synthetic import Embryo, embryo_image
-    >>> embryo = Embryo(modulus=1.2, force=9.0, dimple_radius=240.0)
+    >>> embryo = Embryo(modulus=1.2, force=1.2, dimple_radius=240.0)
     >>> scene = embryo_image(embryo, rng=np.random.default_rng(1))
     >>> estimate = force_from_image(
     ...     scene.image, 1.2, pixel_size=scene.pixel_size, thickness=3.0, probe_half_width=25.0,
     ...     poisson_ratio=0.5,
     ... )
-    >>> estimate.interval[0] < 9.0 < estimate.interval[1]
+    >>> estimate.interval[0] < 1.2 < estimate.interval[1]
     True
     """
     stiffness = float(positive("modulus", as_array("modulus", modulus, shape=())))

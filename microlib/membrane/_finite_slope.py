@@ -3,7 +3,9 @@ r"""The point-load model with its slopes kept whole: how far (4.1)–(4.7) may b
 The thesis replaces :math:`\sin\theta` by the slope in the force balance (4.1) and
 :math:`1/\cos\theta - 1` by
 :math:`\theta^2/2` in the strain (4.4). Here both stay as they are; all other assumptions, a uniform
-stress among them, are the model's own.
+stress among them, are the model's own. It is this stress, the same at every radius and in both
+directions, that cannot balance a dimple beyond `steepest_depth`; one that varies along the radius,
+as in `microlib.membrane._disc`, can.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ _SINES, _SINE_TOLERANCE = (1e-9, 1.0), 1e-14
 
 
 def steepest_depth(dimple_radius: float, *, probe_half_width: float) -> float:
-    r"""Depth at which the membrane would stand upright at the probe; none deeper is in balance.
+    r"""Depth at which the membrane would stand upright at the probe, under a uniform stress.
 
     Parameters
     ----------
@@ -33,7 +35,8 @@ def steepest_depth(dimple_radius: float, *, probe_half_width: float) -> float:
     Returns
     -------
     float
-        The largest depth w_d that the force balance allows, in µm.
+        The largest depth w_d that the force balance allows a uniform isotropic stress, in µm. A
+        deeper dimple needs a stress that varies along the radius.
 
     Raises
     ------
@@ -44,7 +47,7 @@ def steepest_depth(dimple_radius: float, *, probe_half_width: float) -> float:
     -----
     (4.1) without its small angle reads :math:`\sin\theta = k(1/r - r/a^2)` with :math:`k =
     F/(2\pi\sigma_d h)`. The sine is largest at the probe and reaches 1 there for :math:`k = 1/(1/c
-    - c/a^2)`. A smaller stress, a larger k, has no solution.
+    - c/a^2)`. A smaller uniform stress, a larger k, has no solution.
 
     Examples
     --------
@@ -74,8 +77,8 @@ def finite_slope_modulus(
     Returns
     -------
     float
-        Modulus, in MPa; NaN if `dimple_depth` is beyond `steepest_depth`, where no uniform stress
-        balances the force.
+        Modulus, in MPa; NaN if `dimple_depth` is beyond `steepest_depth`, where no uniform
+        isotropic stress balances the force.
 
     Raises
     ------

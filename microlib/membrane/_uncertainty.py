@@ -73,13 +73,13 @@ def modulus_std(
 
     Examples
     --------
-    >>> values = dict(force=50.0, dimple_radius=250.0, dimple_depth=40.0, thickness=3.0,
+    >>> values = dict(force=1.0, dimple_radius=250.0, dimple_depth=20.0, thickness=3.0,
     ...               probe_half_width=25.0, poisson_ratio=0.5)
-    >>> print(f"{modulus_std(values, dict(dimple_depth=0.4)):.3f} MPa")  # 1 % of w_d, 3 % of E
-    0.291 MPa
-    >>> together = [[1.0, 0.36], [0.36, 0.16]]  # radius to 1 µm, correlated with the depth by 0.9
+    >>> print(f"{modulus_std(values, dict(dimple_depth=0.2)):.3f} MPa")  # 1 % of w_d, 3 % of E
+    0.047 MPa
+    >>> together = [[1.0, 0.18], [0.18, 0.04]]  # radius to 1 µm, correlated with the depth by 0.9
     >>> print(f"{modulus_std(values, {}, dimple_covariance=together):.3f} MPa")
-    0.192 MPa
+    0.031 MPa
     """
     _check_names(values, stds)
     inputs = checked(**values)
@@ -135,11 +135,11 @@ def modulus_samples(
 
     Examples
     --------
-    >>> values = dict(force=50.0, dimple_radius=250.0, dimple_depth=40.0, thickness=3.0,
+    >>> values = dict(force=1.0, dimple_radius=250.0, dimple_depth=20.0, thickness=3.0,
     ...               probe_half_width=25.0, poisson_ratio=0.5)
-    >>> samples = modulus_samples(values, dict(dimple_depth=0.4), size=20_000, rng=1)
-    >>> print(f"{samples.std():.2f} MPa")
-    0.29 MPa
+    >>> samples = modulus_samples(values, dict(dimple_depth=0.2), size=20_000, rng=1)
+    >>> print(f"{samples.std():.3f} MPa")
+    0.047 MPa
     """
     _check_names(values, stds)
     count = whole("size", size, least=1)

@@ -249,7 +249,7 @@ def test_every_exact_tolerance_can_fail(claim: ledger.Claim) -> None:
 
 
 def test_tolerances_from_table_5_5_are_what_its_rounding_allows() -> None:
-    """No guesses: worst cases for the coordinates, one standard deviation for the modulus."""
+    """No guesses: worst cases for the coordinates, 95 % of even draws for the modulus."""
     columns = {k: [ledger.claim(f"table-5.5/{k}{i}") for i in range(1, 9)] for k in "abc"}
     half = {
         k: np.array([ledger.half_ulp(c.printed) for c in column]) for k, column in columns.items()
@@ -286,7 +286,7 @@ def test_tolerances_from_table_5_5_are_what_its_rounding_allows() -> None:
         assert 0.97 * limit < tolerance <= limit, name
     # The standard deviation of 400 draws is itself known to 3.5 %.
     tolerance = ledger.claim("section-5.6/E-from-table-5.5").tolerance
-    assert np.std(drawn) == pytest.approx(tolerance, rel=0.1)
+    assert 1.96 * np.std(drawn) == pytest.approx(tolerance, rel=0.1)
 
 
 def test_records_are_written_and_read(tmp_path: Path) -> None:
