@@ -33,6 +33,7 @@ PACKAGES = ("numpy", "scipy", "scikit-image", "opencv-python-headless", "matplot
 FILTER = """<div class="claims-filter">
 <label>Find <input type="search" data-claims-text></label>
 <label>Verdict <select data-claims-verdict><option value="">all</option></select></label>
+<label>Spent <select data-claims-spent><option value="">all</option></select></label>
 <label>Kind <select data-claims-kind><option value="">all</option></select></label>
 <output data-claims-count></output></div>"""
 
@@ -103,8 +104,11 @@ class Claims(SphinxDirective):
             raise self.error(f"no claim begins with {prefix!r}")
         scores = ledger.scorecard(CLAIMS).set_index("claim")
         rows = [self.row(claim, scores.loc[claim.id]) for claim in chosen]
-        kinds = [[f"kind-{claim.kind}"] for claim in chosen]
-        result = [table(SCORECARD, rows, classes=["claims"], row_classes=kinds)]
+        # What filter.js narrows the table by.
+        sorts = [
+            [f"has-{c.verdict}", f"spent-{c.spent or 'nothing'}", f"kind-{c.kind}"] for c in chosen
+        ]
+        result = [table(SCORECARD, rows, classes=["claims"], row_classes=sorts)]
         if "filter" in self.options:
             result.insert(0, raw_html(FILTER))
         return result

@@ -1,15 +1,13 @@
-// Narrow the table of claims by a word, a verdict and a kind.
+// Narrow the table of claims by a word, a verdict, what was spent, and a kind.
 {
   const form = document.querySelector(".claims-filter");
   if (form) {
     const rows = [...document.querySelectorAll("table.claims tbody tr")];
-    const verdict = (row) => row.querySelector(".verdict").textContent.trim();
-    const kind = (row) => /kind-(\w+)/.exec(row.className)[1];
     const text = form.querySelector("[data-claims-text]");
-    const choices = [
-      [form.querySelector("[data-claims-verdict]"), verdict],
-      [form.querySelector("[data-claims-kind]"), kind],
-    ];
+    const choices = [["verdict", "has"], ["spent", "spent"], ["kind", "kind"]].map(([name, prefix]) => [
+      form.querySelector(`[data-claims-${name}]`),
+      (row) => new RegExp(`${prefix}-(\\w+)`).exec(row.className)[1],
+    ]);
     const count = form.querySelector("[data-claims-count]");
     for (const [select, sort] of choices)
       for (const name of new Set(rows.map(sort))) select.add(new Option(name, name));
