@@ -80,7 +80,8 @@ class Assumed:
     shakier: float = 1.0
 
 
-#: What is assumed throughout, and the other readings by which the verdicts are tried.
+#: What is assumed throughout, and the other readings by which the verdicts are tried. Those at 4X
+#: were sought so that a verdict turns: they show that it can, not how likely that is.
 ASSUMED = Assumed()
 OTHER_READINGS = {
     "band 3 %": Assumed(band=0.03),
