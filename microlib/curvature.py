@@ -106,7 +106,8 @@ def curvature_windows(size: int = 7) -> Windows:
     :math:`d_2` (3.19) are the value, slope and second derivative at the center of the parabola
     that fits the window in the least-squares sense. (3.19) prints :math:`d_2` with 1/84, which
     yields the coefficient of t², half the second derivative: applied to t² it gives 1 instead of
-    2. Here the factor is 1/42, without which H comes out at half and K at a quarter of the truth.
+    2. Here the factor is 1/42, without which H comes out at half
+    and K at a quarter of the truth, wherever R_xy = 0.
 
     Examples
     --------

@@ -325,7 +325,7 @@ class Microscope:
         world : array_like, shape (N, 2)
             Points of the pattern plane, µm.
         parameters : tuple of str
-            Any of :attr:`PARAMETERS`; or "magnification" or "focus", which is f with the plane
+            Any of `PARAMETERS`; or "magnification" or "focus", which is f with the plane
             kept in focus at the same magnification, T_op = M f and d = f/M.
 
         Returns

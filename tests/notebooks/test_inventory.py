@@ -81,9 +81,8 @@ def test_no_judged_claim_accepts_the_absurd(wrong: float, claims_folder: Path) -
             continue
         width = abs(wrong) if claim.kind == "simulated" else 0.0
         verdict, objection = ledger.appraise(claim, wrong, wrong - width, wrong + width)
-        one_sided = claim.kind in ("stated", "bound") and not math.isfinite(
-            max(ledger.turning_points(claim, records[claim.id]))
-        )
+        down, up = ledger.turning_points(claim, records[claim.id])
+        one_sided = claim.kind in ("stated", "bound") and (down == 0 or math.isinf(up))
         if claim.kind == "simulated" and claim.verdict == "inconclusive":
             continue  # the verdict is that nothing is said
         assert objection or (one_sided and verdict == claim.verdict), claim.id
