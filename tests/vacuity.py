@@ -15,15 +15,19 @@ import argparse
 import csv
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
+import tomllib
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Queue
+
+import nbformat
 
 from compendium import ledger
 
@@ -41,16 +45,15 @@ class Fault:
     old: str
     new: str
     notebooks: tuple[str, ...]
+    cells: str = ""
 
 
 def read_faults() -> list[Fault]:
     """Return the planted faults; each must find its place exactly once."""
-    import tomllib
-
     entries = tomllib.loads(FAULTS.read_text(encoding="utf-8"))
     faults = []
     for name, entry in entries.items():
-        fault = Fault(name, entry["file"], entry["old"], entry["new"], tuple(entry["notebooks"]))
+        fault = Fault(name, **entry | {"notebooks": tuple(entry["notebooks"])})
         found = (ROOT / fault.file).read_text(encoding="utf-8").count(fault.old)
         if found != 1:
             raise ValueError(f"{name} must find its place once in {fault.file}, found {found}")
@@ -100,9 +103,12 @@ def plant(copies: Queue[Path], fault: Fault) -> tuple[set[str], list[str]]:
     sound = path.read_text(encoding="utf-8")
     turned: set[str] = set()
     stopped = []
+    whole = {file: file.read_text(encoding="utf-8") for file in (folder / "notebooks").glob("*")}
     try:
         path.write_text(sound.replace(fault.old, fault.new), encoding="utf-8")
         for name in fault.notebooks:
+            if fault.cells:
+                keep_cells(folder / "notebooks", name, fault.cells)
             run = subprocess.run(
                 [sys.executable, "-m", "compendium.run", name, "--force", "--jobs", "1"],
                 cwd=folder,
@@ -114,9 +120,19 @@ def plant(copies: Queue[Path], fault: Fault) -> tuple[set[str], list[str]]:
             if run.returncode:
                 stopped.append(name)
     finally:
+        for file, text in whole.items():
+            file.write_text(text, encoding="utf-8")
         path.write_text(sound, encoding="utf-8")
         copies.put(folder)
     return turned, stopped
+
+
+def keep_cells(folder: Path, name: str, pattern: str) -> None:
+    """Cut a notebook to the cells whose ids begin as the pattern says."""
+    (path,) = folder.glob(f"{name}*.ipynb")
+    notebook = nbformat.read(path, as_version=4)
+    notebook.cells = [cell for cell in notebook.cells if re.match(pattern, cell.id)]
+    nbformat.write(notebook, path)
 
 
 def objections(folder: Path, name: str) -> Iterator[str]:

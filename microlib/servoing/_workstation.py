@@ -71,7 +71,7 @@ class Stage:
         self, position: Array, velocity: Array, command: Array, duration: float
     ) -> tuple[Array, Array]:
         """Return position (µm) and velocity (µm/s) after a constant command for `duration` s."""
-        target = np.clip(command, -self.saturation, self.saturation)
+        target = np.minimum(np.maximum(command, -self.saturation), self.saturation)
         left = np.exp(-duration / self.lag) if self.lag > 0 else 0.0
         moved = target * duration + (velocity - target) * self.lag * (1.0 - left)
         return position + moved, target + (velocity - target) * left
@@ -214,7 +214,7 @@ def simulate(
         measured[k] = seen if observer is None else observer(seen)
         command = as_array("command", controller(k, measured[k], wanted), shape=(2,))
         saturated[k] = np.abs(command).max() > stage.saturation
-        queue[k + first] = np.clip(command, -stage.saturation, stage.saturation)
+        queue[k + first] = np.minimum(np.maximum(command, -stage.saturation), stage.saturation)
         for active, share in ((queue[k], part), (queue[k + 1], 1.0 - part)):
             position, velocity = stage.move(position, velocity, active, share * camera.interval)
     return Simulation(
