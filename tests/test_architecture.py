@@ -172,3 +172,11 @@ for module in ("matplotlib", "plotly", "IPython"):
 """
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
+
+
+@pytest.mark.parametrize("path", sources(PACKAGE), ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_results_are_frozen(path: Path) -> None:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for decorator in getattr(node, "decorator_list", []):
+            if "dataclass" in ast.unparse(decorator):
+                assert "frozen=True" in ast.unparse(decorator), f"{path.name}: {node.name}"

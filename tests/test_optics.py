@@ -117,3 +117,23 @@ def test_zero_defocus_changes_nothing_and_returns_a_copy():
 def test_bad_input_is_refused_by_name(call, words):
     with pytest.raises(ValueError, match=words):
         call()
+
+
+@pytest.mark.parametrize("sigma", [0.4, 1.0, 3.0])
+def test_blur_is_the_same_from_left_and_right(sigma):
+    image = np.zeros((41, 41))
+    image[20, 20] = 1.0
+    blurred = optics.defocus(image, sigma)
+    assert np.array_equal(blurred, blurred[:, ::-1])
+    assert np.array_equal(blurred, blurred[::-1])
+    assert blurred[20, 20] == blurred.max()
+
+
+def test_a_ladder_reaches_its_largest_blur_from_any_start():
+    """Between two levels of the ladder the blur is mixed; past the last one it would be wrong."""
+    image = np.zeros((121, 121), np.float32)
+    image[60, 60] = 1.0
+    for largest in (0.3, 0.9, 2.0, 4.7, 9.0):
+        seen = optics.BlurLadder(image, largest).at(np.full(image.shape, largest))
+        exact = cv2.GaussianBlur(image, (0, 0), largest, borderType=cv2.BORDER_REFLECT)
+        assert np.abs(seen - exact).max() < 0.03 * exact.max()

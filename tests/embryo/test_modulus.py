@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
-from microlib.embryo import extract_boundary, force_from_image, modulus_from_image
+from microlib.embryo import (
+    extract_boundary,
+    force_from_image,
+    measure_dimple,
+    modulus_from_image,
+)
 from microlib.embryo._modulus import _crop
 from microlib.membrane import SmallSlopeWarning, elastic_modulus
 from microlib.synthetic import Embryo, embryo_image
@@ -147,3 +154,16 @@ def test_force_refuses_a_modulus_that_is_none(steady_image):
 @pytest.fixture(scope="module")
 def steady_image() -> np.ndarray:
     return embryo_image(Embryo.dented(100.0, modulus=1.0), rng=np.random.default_rng(0)).image
+
+
+def test_the_gaussians_measure_a_dimple_wherever_the_outline_stands():
+    """The outline's height in the image is nobody's business, up to where its numbers are small."""
+    scene = draw(501)
+    boundary = extract_boundary(scene.image)
+    options = {"pixel_size": scene.pixel_size, "probe_half_width": 25.0, "method": "gaussians"}
+    here = measure_dimple(boundary, **options)
+    lower = replace(boundary, y=boundary.y - boundary.y.min() + 3.0)
+    moved = measure_dimple(lower, **options)
+    # The fit sees the same numbers but for their last digits.
+    assert moved.dimple_depth == pytest.approx(here.dimple_depth, rel=1e-3)
+    assert moved.dimple_radius == pytest.approx(here.dimple_radius, rel=1e-3)

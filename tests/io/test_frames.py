@@ -175,3 +175,9 @@ def test_a_tiff_without_a_page_is_refused(tmp_path):
     (tmp_path / "empty.tif").write_bytes(b"II*\0 cut off")
     with pytest.raises(ValueError, match=r"cannot be read from .*empty\.tif: it holds no page"):
         list(read_frames(tmp_path / "empty.tif"))
+
+
+@pytest.mark.parametrize("shape", [(4, 5), (2, 3, 4, 5), (7,)])
+def test_an_array_of_frames_has_three_axes(shape):
+    with pytest.raises(ValueError, match="frames must have shape"):
+        list(read_frames(np.zeros(shape, np.uint8)))

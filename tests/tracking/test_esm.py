@@ -16,6 +16,7 @@ from microlib.tracking._esm import (
     half_pixel,
     make_level,
 )
+from microlib.tracking._esm import _correlation as correlation
 
 BOX = (30, 24, 40, 36)
 POSE = np.array([[20.0, 0, 49.5], [0, 20.0, 41.5], [0, 0, 1]])
@@ -142,3 +143,12 @@ def test_smoothing_in_the_frame_of_the_template_commutes_with_the_warp():
     truth = apply_homography(stretch @ POSE, one.corners)
     # Measured 0.011 px, from two interpolations; smoothing the frames instead leaves 0.060 px.
     assert np.abs(found - truth).max() < 0.03
+
+
+def test_what_does_not_vary_correlates_with_nothing():
+    """Products of template, one and image over four pixels, the image being flat."""
+    template, flat = np.array([1.0, 2.0, 4.0, 3.0]), np.full(4, 7.0)
+    parts = np.stack([template, np.ones(4), flat])
+    assert correlation(parts @ parts.T) == 0.0
+    alike = np.stack([template, np.ones(4), 5 - 2 * template])
+    assert correlation(alike @ alike.T) == pytest.approx(-1.0, abs=1e-12)

@@ -371,3 +371,14 @@ def test_refuses_a_frame_of_another_kind():
         tracker.track(IMAGE[:-1])
     with pytest.raises(ValueError, match="frame must be finite"):
         tracker.track(np.full_like(IMAGE, np.nan))
+
+
+def test_a_box_may_touch_each_border_of_the_image():
+    image = mixed_texture((80, 90), np.random.default_rng(1)).astype(np.uint8)
+    for x, y in ((0, 0), (90 - 40, 0), (0, 80 - 40), (90 - 40, 80 - 40)):
+        track = ESMTracker(image, (x, y, 40, 40)).track(image)
+        assert not track.lost
+        assert np.abs(track.center - (x + 19.5, y + 19.5)).max() < 0.01
+    for box in ((51, 0, 40, 40), (0, 41, 40, 40)):
+        with pytest.raises(ValueError, match="must lie inside"):
+            ESMTracker(image, box)
