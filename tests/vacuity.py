@@ -6,7 +6,7 @@ inputs of an experiment, one at a time in a copy of the project, and the noteboo
 there. A check is turned where the verdict is no longer the one that the book states.
 
 The result is ``tests/vacuity.csv``; `tests/VACUITY.md` explains every check that no input's fault
-turns.
+turns. With faults named, only those are planted, and what is known of the others is kept.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import subprocess
 import sys
 import tempfile
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -142,6 +142,19 @@ def objections(folder: Path, name: str) -> Iterator[str]:
                 yield entry["id"]
 
 
+def kept_inputs(claims: Iterable[str], planted: list[Fault]) -> dict[str, list[str]]:
+    """Return which of the faults that are not planted now turned each claim in the last run."""
+    kept: dict[str, list[str]] = {name: [] for name in claims}
+    if RESULT.exists():
+        gone = {fault.name for fault in planted}
+        known = {fault.name for fault in read_faults()}
+        with RESULT.open(newline="", encoding="utf-8") as file:
+            for row in csv.DictReader(file):
+                if row["claim"] in kept:
+                    kept[row["claim"]] = sorted((set(row["inputs"].split()) & known) - gone)
+    return kept
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("faults", nargs="*", help="faults to plant; all of them without any")
@@ -161,18 +174,16 @@ def main() -> int:
         print(f"{fault.name}: turns {len(turned)} checks{stops}")
         if not turned and not stopped:
             print("  no check notices it")
-    by_input = {
-        name: [f.name for f, (turned, _) in zip(faults, outcomes, strict=True) if name in turned]
-        for name in by_number
-    }
-    if not options.faults:
-        with RESULT.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(["claim", "verdict", "numbers", "inputs"])
-            for name in by_number:
-                verdict = ledger.claim(name).qualified
-                row = [name, verdict, " ".join(by_number[name]), " ".join(by_input[name])]
-                writer.writerow(row)
+    by_input = kept_inputs(by_number, faults)
+    for fault, (turned, _) in zip(faults, outcomes, strict=True):
+        for name in turned & by_number.keys():
+            by_input[name].append(fault.name)
+    with RESULT.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["claim", "verdict", "numbers", "inputs"])
+        for name, numbers in by_number.items():
+            verdict = ledger.claim(name).qualified
+            writer.writerow([name, verdict, " ".join(numbers), " ".join(sorted(by_input[name]))])
     idle = [name for name in by_number if not by_input[name]]
     print(f"{len(by_number) - len(idle)} of {len(by_number)} checks are turned by an input's fault")
     for name in idle:
