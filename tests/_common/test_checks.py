@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from microlib._common import as_array, as_image, between, one_of, positive, same_length, whole
+from microlib._common import (
+    as_array,
+    as_image,
+    between,
+    is_in_memory,
+    one_of,
+    positive,
+    same_length,
+    whole,
+)
 
 
 def test_what_is_right_passes():
@@ -60,3 +69,25 @@ def test_what_is_right_passes():
 def test_a_refusal_says_what_is_wrong(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_a_value_on_either_side_of_an_interval_is_refused(closed):
+    for wrong in (-0.5, 1.5, -1e300, [0.5, -0.5], [0.5, 1.5]):
+        with pytest.raises(ValueError, match=r"x must lie in"):
+            between("x", wrong, 0.0, 1.0, closed=closed)
+    for end in (0.0, 1.0):
+        if closed:
+            assert between("x", end, 0.0, 1.0, closed=True) == end
+        else:
+            with pytest.raises(ValueError, match=r"x must lie in"):
+                between("x", end, 0.0, 1.0)
+
+
+def test_only_an_array_whose_frames_are_views_is_in_memory():
+    frames = np.zeros((3, 4, 5), np.uint8)
+    assert is_in_memory(frames)
+    assert not is_in_memory(list(frames))
+    assert not is_in_memory(iter(frames))
+    assert not is_in_memory(frames.astype(float))
+    assert not is_in_memory(frames[:, ::2])
