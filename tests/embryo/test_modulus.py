@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
 import pandas as pd
@@ -167,3 +167,13 @@ def test_the_gaussians_measure_a_dimple_wherever_the_outline_stands():
     # The fit sees the same numbers but for their last digits.
     assert moved.dimple_depth == pytest.approx(here.dimple_depth, rel=1e-3)
     assert moved.dimple_radius == pytest.approx(here.dimple_radius, rel=1e-3)
+
+
+def test_what_was_measured_cannot_be_changed(steady_image):
+    estimate = modulus_from_image(steady_image, 50.0, pixel_size=3.875, **MEMBRANE)
+    for result in (estimate, estimate.boundary, estimate.dimple):
+        with pytest.raises(FrozenInstanceError):
+            result.any_name = 1.0
+    force = force_from_image(steady_image, 1.0, pixel_size=3.875, **MEMBRANE)
+    with pytest.raises(FrozenInstanceError):
+        force.force = 1.0

@@ -181,3 +181,14 @@ def test_a_tiff_without_a_page_is_refused(tmp_path):
 def test_an_array_of_frames_has_three_axes(shape):
     with pytest.raises(ValueError, match="frames must have shape"):
         list(read_frames(np.zeros(shape, np.uint8)))
+
+
+@pytest.mark.parametrize("missing", [1, 200])
+def test_a_page_that_ends_beyond_its_file_is_called_cut_off(tmp_path, missing):
+    path = tmp_path / "stack.tif"
+    with tifffile.TiffWriter(path) as writer:  # each page's data after its own header
+        for _ in range(3):
+            writer.write(np.ones((20, 30), np.uint8), photometric="minisblack", contiguous=False)
+    path.write_bytes(path.read_bytes()[:-missing])
+    with pytest.raises(ValueError, match="the file is cut off"):
+        list(read_frames(path))
