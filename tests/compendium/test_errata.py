@@ -14,8 +14,7 @@ import pytest
 import sympy as sp
 from scipy.signal import convolve2d, correlate2d
 
-from compendium import ledger
-from microlib.embryo import GaussianSum
+from compendium import ledger, thesis
 from microlib.membrane import (
     SmallSlopeWarning,
     elastic_modulus,
@@ -23,7 +22,6 @@ from microlib.membrane import (
     mean_strain,
 )
 
-COLUMNS = ("circle-1X", "circle-4X", "square-1X", "square-4X")
 DIMPLE = {"thickness": 3.0, "poisson_ratio": 0.5}
 
 
@@ -35,11 +33,6 @@ def column(name: str) -> dict[str, float]:
     """Return one column of Table 5.1; angles in degrees, lengths in µm."""
     names = ("M", "T_op", "f", "d", "kappa", "alpha", "beta", "gamma", "T_z")
     return {key: printed(f"table-5.1/{name}/{key}") for key in names}
-
-
-def outline() -> GaussianSum:
-    a, b, c = (np.array([printed(f"table-5.5/{k}{i}") for i in range(1, 9)]) for k in "abc")
-    return GaussianSum(a, b, c, domain=(50.0, 265.0))
 
 
 def probe_gives_the_modulus(zeta: float) -> bool:
@@ -57,7 +50,7 @@ def probe_gives_the_modulus(zeta: float) -> bool:
 
 
 def count_of_maxima(count: int) -> bool:
-    return len(outline().extrema()[0]) == count
+    return len(thesis.outline_curve().extrema()[0]) == count
 
 
 def slopes_hold_up_to(relative_depth: float) -> bool:
@@ -93,7 +86,7 @@ def row_of_intrinsics(second: str) -> bool:
 
 def magnifications(pairs: list[tuple[float, float]] | None) -> bool:
     """The two quotients of (2.12) are these; None for the same in all columns."""
-    for k, name in enumerate(COLUMNS):
+    for k, name in enumerate(thesis.COLUMNS):
         c = column(name)
         both = c["T_op"] / c["f"], (c["T_op"] + c["f"]) / (c["f"] + c["d"])
         wanted = (c["M"], c["M"]) if pairs is None else pairs[k]
@@ -163,7 +156,7 @@ def threshold_of_k(k_zero: float) -> bool:
 
 def lowest_at(x: float) -> bool:
     """The curve is nowhere lower than there."""
-    curve = outline()
+    curve = thesis.outline_curve()
     return bool(curve(np.linspace(*curve.domain, 4000)).min() >= curve(x) - 0.01)
 
 
@@ -187,7 +180,7 @@ def displacement_at_the_corner(pixels: float) -> bool:
 
 def seen_from_one_side(gamma: float) -> bool:
     """All four patterns are mirrored in their images, or none is."""
-    gammas = [column(name)["gamma"] for name in COLUMNS if name != "circle-4X"]
+    gammas = [column(name)["gamma"] for name in thesis.COLUMNS if name != "circle-4X"]
     return len({np.sign(np.cos(np.deg2rad(g))) for g in [*gammas, gamma]}) == 1
 
 
