@@ -6,7 +6,7 @@ the ends that hold 95 % of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -174,6 +174,20 @@ class Workstation:
         }
         return run(zoom, path, [self.seed, draw], **(found | options))
 
+    def path_errors(self, zoom: str, name: str, draws: int) -> NDArray:
+        """Return `PATH_RESULTS` along one of `PATHS`, a row each draw, µm."""
+        path = self.path(name, zoom)
+        measured = measured_in_runs(
+            zoom,
+            path,
+            [[self.seed, draw] for draw in range(draws)],
+            saturation=self.saturation[zoom],
+            jitter=self.shake(zoom),
+            assumed=self.assumed,
+        )
+        apart = np.linalg.norm(measured[:, :-1] - path[1:], axis=2) * thesis.effective_pixel(zoom)
+        return np.stack([apart.mean(axis=1), apart.std(axis=1)], axis=1)
+
     def step(self, zoom: str, draw: int) -> dict[str, float]:
         """Make a step of 50 px, as `step`."""
         saturation, jitter = self.saturation[zoom], self.shake(zoom)
@@ -253,13 +267,10 @@ def run(
         What happened.
     """
     rng = np.random.default_rng(seed)
-    angle = rng.normal(0, assumed.calibration * CALIBRATION_ANGLE)
-    size = rng.normal(1, assumed.calibration * CALIBRATION_SCALE)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     return servoing.simulate(
         controller or servoing.OptimalController(nominal_jacobian(zoom), **LAW),
         path,
-        jacobian=size / thesis.effective_pixel(zoom) * turn,
+        jacobian=drawn_jacobian(zoom, rng, assumed),
         stage=servoing.Stage(saturation=saturation, step=thesis.STAGE_STEP),
         camera=servoing.Camera(
             interval=thesis.FRAME_INTERVAL, latency=assumed.latency, jitter=jitter
@@ -267,6 +278,60 @@ def run(
         rng=rng,
         **options,
     )
+
+
+def drawn_jacobian(zoom: str, rng: np.random.Generator, assumed: Assumed) -> NDArray:
+    """Draw the true px/µm, which the calibration knows with an error."""
+    angle = rng.normal(0, assumed.calibration * CALIBRATION_ANGLE)
+    size = rng.normal(1, assumed.calibration * CALIBRATION_SCALE)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return size / thesis.effective_pixel(zoom) * turn
+
+
+def measured_in_runs(
+    zoom: str,
+    path: NDArray,
+    seeds: Sequence[list[int]],
+    *,
+    saturation: float,
+    jitter: float,
+    assumed: Assumed = ASSUMED,
+) -> NDArray:
+    """Return what `run` measures, for many seeds at once.
+
+    The loop of `servoing.simulate` with the optimal controller, written out for arrays of runs,
+    because the tables and the identification need twenty thousand of them.
+
+    Parameters
+    ----------
+    zoom, path, saturation, jitter, assumed
+        As in `run`; the first feature is the first reference.
+    seeds : sequence of list of int
+        One a run.
+
+    Returns
+    -------
+    ndarray, shape (N, K, 2)
+        Measured features, px, up to rounding those of ``run(...).measured``.
+    """
+    stage = servoing.Stage(saturation=saturation, step=thesis.STAGE_STEP)
+    gain = servoing.OptimalController(nominal_jacobian(zoom), **LAW).gain
+    generators = [np.random.default_rng(seed) for seed in seeds]
+    jacobians = np.array([drawn_jacobian(zoom, rng, assumed) for rng in generators])
+    measured = jitter * np.array([rng.standard_normal((len(path), 2)) for rng in generators])
+    measured += path[0]
+    whole, part = divmod(assumed.latency / thesis.FRAME_INTERVAL, 1.0)
+    late = int(whole) + 1
+    queue = np.zeros((len(path) + late, len(seeds), 2))
+    position, velocity = np.zeros((2, len(seeds), 2))
+    for k in range(len(path)):
+        measured[:, k] += np.einsum("nij,nj->ni", jacobians, stage.quantized(position))
+        error = measured[:, k] - path[min(k + 1, len(path) - 1)]
+        queue[k + late] = np.clip(-error @ gain.T, -saturation, saturation)
+        for command, share in ((queue[k], part), (queue[k + 1], 1.0 - part)):
+            duration = share * thesis.FRAME_INTERVAL
+            position, velocity = stage.move(position, velocity, command, duration)
+    return measured
 
 
 def step(
@@ -436,25 +501,19 @@ def identify_workstation(
             Workstation(saturation, jitter, dict.fromkeys(PATHS, speed), seed, assumed)
             for speed in speeds
         ]
-        each = [(station, name) for name in PATHS for station in tried]
-        errors = np.reshape(in_processes(mean_error, each), (len(PATHS), len(speeds), 2))
-        for name, (accuracy, _) in zip(PATHS, errors.transpose(0, 2, 1), strict=True):
+        for name in PATHS:
+            accuracy = np.array([mean_error(station, name)[0] for station in tried])
             path_speed[name] = within(speeds, accuracy, printed_path("1X", name, "accuracy"))
-        each = [(Workstation(saturation, j, path_speed, seed, assumed), "circle") for j in jitters]
-        spreads = np.array(in_processes(mean_error, each))[:, 1]
+        shaken = [Workstation(saturation, j, path_speed, seed, assumed) for j in jitters]
+        spreads = np.array([mean_error(station, "circle")[1] for station in shaken])
         jitter = within(jitters, spreads, printed_path("1X", "circle", "precision"))
     return Workstation(saturation, jitter, path_speed, seed, assumed)
 
 
 def mean_error(station: Workstation, name: str) -> tuple[float, float]:
     """Return accuracy and precision along a path at 1X in the mean of eight runs, µm."""
-    path = station.path(name)
-    runs = [station.run("1X", path, k) for k in range(8)]
-    errors = [path_error("1X", each) for each in runs]
-    return (
-        float(np.mean([each["accuracy"] for each in errors])),
-        float(np.mean([each["precision"] for each in errors])),
-    )
+    accuracy, precision = station.path_errors("1X", name, draws=8).mean(axis=0)
+    return float(accuracy), float(precision)
 
 
 def over_images(
@@ -538,18 +597,13 @@ def step_table(station: Workstation, draws: int) -> pd.DataFrame:
 
 def path_table(station: Workstation, draws: int) -> pd.DataFrame:
     """Predict Table 5.4, as `step_table` does Table 5.3."""
-    each = [(station, zoom, name, draws) for zoom in thesis.ZOOMS for name in PATHS]
     rows = []
-    for (_, zoom, name, _), errors in zip(each, in_processes(_path_errors, each), strict=True):
-        for what, values in zip(PATH_RESULTS, np.transpose(errors), strict=True):
-            rows.append((f"table-5.4/{zoom}/{name}/{what}", *median_and_ends(values)))
+    for zoom in thesis.ZOOMS:
+        for name in PATHS:
+            errors = station.path_errors(zoom, name, draws)
+            for what, values in zip(PATH_RESULTS, errors.T, strict=True):
+                rows.append((f"table-5.4/{zoom}/{name}/{what}", *median_and_ends(values)))
     return pd.DataFrame(rows, columns=["claim", "median", "low", "high"])
-
-
-def _path_errors(station: Workstation, zoom: str, name: str, draws: int) -> list[tuple[float, ...]]:
-    path = station.path(name, zoom)
-    errors = [path_error(zoom, station.run(zoom, path, k)) for k in range(draws)]
-    return [tuple(each[what] for what in PATH_RESULTS) for each in errors]
 
 
 def under(station: Workstation, reading: Assumed) -> Workstation:
@@ -582,15 +636,18 @@ def by_reading(station: Workstation, draws: int) -> pd.DataFrame:
     """
     rows = []
     readings = {"ours": station.assumed} | OTHER_READINGS
-    others = [under(station, reading) for reading in readings.values()]
-    steps = in_processes(step_table, [(other, draws) for other in others])
-    for name, other, step in zip(readings, others, steps, strict=True):
-        table = pd.concat([step, path_table(other, draws)])
+    each = [(station, reading, draws) for reading in readings.values()]
+    for name, table in zip(readings, in_processes(_tables_under, each), strict=True):
         for id, *found in table.itertuples(index=False):
             if claim(id).spent != "identified":
                 rows.append((id, name, *found, judge(claim(id), *found)))
     columns = ["claim", "reading", "median", "low", "high", "verdict"]
     return pd.DataFrame(rows, columns=columns)
+
+
+def _tables_under(station: Workstation, reading: Assumed, draws: int) -> pd.DataFrame:
+    other = under(station, reading)
+    return pd.concat([step_table(other, draws), path_table(other, draws)])
 
 
 def decided(table: pd.DataFrame) -> pd.DataFrame:

@@ -103,6 +103,23 @@ def test_the_calibration_is_drawn_wrong_by_a_per_cent(station) -> None:
     assert np.std(angle) == pytest.approx(np.pi / 180, rel=0.4)
 
 
+def test_many_runs_at_once_measure_what_the_runs_do(station) -> None:
+    """Two loops over the same draws: they differ by rounding, of features within 200 px."""
+    late = replace(station.assumed, latency=1.3 * thesis.FRAME_INTERVAL)
+    for zoom, name, assumed in (("1X", "square", station.assumed), ("4X", "circle", late)):
+        path = station.path(name, zoom)
+        options = {"saturation": station.saturation[zoom], "jitter": 0.2, "assumed": assumed}
+        seeds = [[station.seed, draw] for draw in range(3)]
+        together = section_5_4.measured_in_runs(zoom, path, seeds, **options)
+        each = [section_5_4.run(zoom, path, seed, **options) for seed in seeds]
+        np.testing.assert_allclose(together, [one.measured for one in each], rtol=0, atol=1e-9)
+        errors = replace(station, jitter=0.2, assumed=assumed).path_errors(zoom, name, 3)
+        for row, one in zip(errors, each, strict=True):
+            assert dict(zip(section_5_4.PATH_RESULTS, row, strict=True)) == pytest.approx(
+                section_5_4.path_error(zoom, one)
+            )
+
+
 def test_the_identified_workstation_gives_the_printed_numbers() -> None:
     found = section_5_4.identify_workstation(SEED, {"1X": 390.0, "4X": 172.0})
     for name in section_5_4.PATHS:
