@@ -31,6 +31,7 @@ qualifier.
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 import operator
@@ -63,6 +64,7 @@ __all__ = [
     "report",
     "scorecard",
     "summary",
+    "turned_by",
     "turning_points",
 ]
 
@@ -685,6 +687,25 @@ def read_records(folder: str | os.PathLike[str]) -> dict[str, Record]:
     return records
 
 
+@cache
+def turned_by() -> Mapping[str, tuple[str, ...]]:
+    """Read which faults turned the check of each claim, when they were planted in its inputs.
+
+    Returns
+    -------
+    mapping of str to tuple of str
+        Names of the faults by the claim's id, as ``make vacuity`` wrote them; the faults themselves
+        stand in ``tests/vacuity_faults.toml``.
+
+    Examples
+    --------
+    >>> "window-d2-halved" in turned_by()["section-3/window-d2"]
+    True
+    """
+    with (_THESIS / "vacuity.csv").open(newline="", encoding="utf-8") as file:
+        return {row["claim"]: tuple(row["inputs"].split()) for row in csv.DictReader(file)}
+
+
 def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
     """Tabulate every claim with what the notebooks recorded for it.
 
@@ -699,7 +720,7 @@ def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
         One row a claim in the thesis' order: claim, part (the table or section it belongs to),
         quantity, kind, printed, rounding (half a unit in the last place), ours, low, high, unit,
         verdict, spent, rule, turns (the factors at which the verdict turns, see `turning_points`),
-        input, says, note, cell, test.
+        faults (of `turned_by`), input, says, note, cell, test.
 
     Examples
     --------
@@ -728,6 +749,7 @@ def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
                 "spent": stated.spent,
                 "rule": stated.rule,
                 "turns": "" if record is None else _in_words(turning_points(stated, record)),
+                "faults": turned_by().get(stated.id, ()),
                 "input": stated.input,
                 "says": stated.says,
                 "note": stated.note,

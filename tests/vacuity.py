@@ -5,8 +5,8 @@ negative, by its double and half, and by the number of another claim. Then a fau
 inputs of an experiment, one at a time in a copy of the project, and the notebooks that use it run
 there. A check is turned where the verdict is no longer the one that the book states.
 
-The result is ``tests/vacuity.csv``; `tests/VACUITY.md` explains every check that no input's fault
-turns. With faults named, only those are planted, and what is known of the others is kept.
+The result is ``data/thesis/vacuity.csv``, which the scorecard shows; `tests/VACUITY.md` explains
+every check that no input's fault turns. With faults named, only those are planted, and what is known of the others is kept.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ import nbformat
 from compendium import ledger
 
 ROOT = Path(__file__).resolve().parent.parent
-RESULT = ROOT / "tests" / "vacuity.csv"
+RESULT = ROOT / "data" / "thesis" / "vacuity.csv"
 FAULTS = ROOT / "tests" / "vacuity_faults.toml"
 
 

@@ -42,6 +42,8 @@ CLAIMS = ROOT / "build" / "claims"
 RESULTS = ROOT / "benchmarks" / "results"
 LONG = 20  # rows above which a table is folded
 #: Columns of the scorecard; thesis.css names them again where they are stacked on a phone.
+#: Names of faults that a row shows.
+MOST_FAULTS = 3
 SCORECARD = ["Claim", "Thesis", "Ours", "Rule", "Verdict", "Where"]
 
 
@@ -125,6 +127,10 @@ class Claims(SphinxDirective):
         judged = [verdict]
         if score["turns"]:
             judged.append(line(f"turns at {score['turns']} of ours"))
+        if score["faults"]:
+            count, names = len(score["faults"]), ", ".join(score["faults"][:MOST_FAULTS])
+            more = f" and {count - MOST_FAULTS} more" if count > MOST_FAULTS else ""
+            judged.append(line(f"turned by: {names}{more}", "faults"))
         for label, text in (("spent", claim.input), ("note", claim.note)):
             if text:
                 judged.append(line(f"{label}: {text}"))

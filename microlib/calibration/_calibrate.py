@@ -267,7 +267,9 @@ def _report(
     )
     jacobian = problem.jacobian(best.theta)[:, free]
     length = np.linalg.norm(jacobian, axis=0)
-    _, singular, directions = np.linalg.svd(jacobian / np.where(length > 0, length, 1.0))
+    _, singular, directions = np.linalg.svd(
+        jacobian / np.where(length > 0, length, 1.0), full_matrices=False
+    )
     with np.errstate(divide="ignore"):
         condition = float(singular[0] / singular[-1])
     return Calibration(
