@@ -699,7 +699,7 @@ def turned_by() -> Mapping[str, tuple[str, ...]]:
 
     Examples
     --------
-    >>> "window-d2-halved" in turned_by()["section-3/window-d2"]
+    >>> "window-d2-halved" in turned_by()["section-3.2.1/d2"]
     True
     """
     with (_THESIS / "vacuity.csv").open(newline="", encoding="utf-8") as file:

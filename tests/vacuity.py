@@ -6,7 +6,8 @@ inputs of an experiment, one at a time in a copy of the project, and the noteboo
 there. A check is turned where the verdict is no longer the one that the book states.
 
 The result is ``data/thesis/vacuity.csv``, which the scorecard shows; `tests/VACUITY.md` explains
-every check that no input's fault turns. With faults named, only those are planted, and what is known of the others is kept.
+every check that no input's fault turns. With faults named, only those are planted, and what is
+known of the others is kept.
 """
 
 from __future__ import annotations

@@ -323,7 +323,8 @@ def measured_in_runs(
     whole, part = divmod(assumed.latency / thesis.FRAME_INTERVAL, 1.0)
     late = int(whole) + 1
     queue = np.zeros((len(path) + late, len(seeds), 2))
-    position, velocity = np.zeros((2, len(seeds), 2))
+    position: NDArray = np.zeros((len(seeds), 2))
+    velocity: NDArray = np.zeros((len(seeds), 2))
     for k in range(len(path)):
         measured[:, k] += np.einsum("nij,nj->ni", jacobians, stage.quantized(position))
         error = measured[:, k] - path[min(k + 1, len(path) - 1)]

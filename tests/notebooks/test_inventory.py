@@ -22,7 +22,7 @@ INVENTORY = {
     "03_visual_reconstruction_and_classification": (42, 3, 2, 8),
     "04_mechanical_characterization": (24, 0, 6, 2),
     "05_experimental_results": (106, 28, 76, 8),
-    "06_conclusion": (12, 0, 7, 0),
+    "06_conclusion": (12, 0, 8, 0),
     "07_guide_calibration": (13, 0, 0, 0),
     "07_guide_embryo": (12, 0, 0, 0),
     "07_guide_focus_stack": (14, 0, 0, 0),
