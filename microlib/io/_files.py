@@ -13,7 +13,7 @@ import numpy as np
 import tifffile
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import as_array, positive
+from microlib._common import as_array, scalar
 from microlib.io._tiff import is_tiff, only_page
 
 _MICROMETERS_PER_CENTIMETER = 1e4
@@ -97,7 +97,7 @@ def write_height_tiff(path: str | PathLike[str], height: ArrayLike, *, pixel_siz
     (4, 5)
     """
     heights = as_array("height", height, shape=(None, None), dtype=np.float32, finite=False)
-    size = float(positive("pixel_size", as_array("pixel_size", pixel_size, shape=())))
+    size = scalar("pixel_size", pixel_size, above=0)
     per_centimeter = _MICROMETERS_PER_CENTIMETER / size
 
     def write(file: Path) -> None:
@@ -144,7 +144,7 @@ def write_ply(path: str | PathLike[str], height: ArrayLike, *, pixel_size: float
     b'ply'
     """
     heights = as_array("height", height, shape=(None, None), finite=False)
-    size = float(positive("pixel_size", as_array("pixel_size", pixel_size, shape=())))
+    size = scalar("pixel_size", pixel_size, above=0)
     known = np.isfinite(heights)
     cells = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
     if not cells.any():
