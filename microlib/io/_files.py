@@ -13,7 +13,7 @@ import numpy as np
 import tifffile
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import as_array, scalar
+from microlib._common import as_array, of_kind, scalar
 from microlib.io._tiff import is_tiff, only_page
 
 _MICROMETERS_PER_CENTIMETER = 1e4
@@ -45,6 +45,7 @@ def read_grey(path: str | PathLike[str]) -> NDArray:
     Traceback (most recent call last):
     ValueError: path must name an image, got missing.png: no such file
     """
+    of_kind("path", path, str, PathLike)
     file = Path(path)
     if not file.is_file():
         raise ValueError(f"path must name an image, got {file}: no such file")
@@ -96,6 +97,7 @@ def write_height_tiff(path: str | PathLike[str], height: ArrayLike, *, pixel_siz
     ...     print(tifffile.imread(Path(folder) / "height.tif").shape)
     (4, 5)
     """
+    of_kind("path", path, str, PathLike)
     heights = as_array("height", height, shape=(None, None), dtype=np.float32, finite=False)
     size = scalar("pixel_size", pixel_size, above=0)
     per_centimeter = _MICROMETERS_PER_CENTIMETER / size
@@ -143,6 +145,7 @@ def write_ply(path: str | PathLike[str], height: ArrayLike, *, pixel_size: float
     ...     print((Path(folder) / "surface.ply").read_bytes()[:3])
     b'ply'
     """
+    of_kind("path", path, str, PathLike)
     heights = as_array("height", height, shape=(None, None), finite=False)
     size = scalar("pixel_size", pixel_size, above=0)
     known = np.isfinite(heights)

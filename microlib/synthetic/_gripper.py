@@ -12,6 +12,7 @@ from scipy import ndimage
 from microlib._common import (
     Array,
     as_array,
+    between,
     generator,
     image_shape,
     one_of,
@@ -166,8 +167,9 @@ def warped_pair(
     array([5., 5., 5., 5.])
     """
     one_of("warp", warp, ("shift", "affine", "homography"))
-    size = whole("size", size, least=2)
-    distance = scalar("distance", distance, least=0)
+    size = whole("size", size, least=2, most=4096)
+    sigma = scalar("sigma", sigma, above=0, most=1e3)
+    distance = scalar("distance", distance, least=0, most=1e4)
     rng = generator("rng", rng)
     side = 3 * size  # the template in the middle, with its own size around it
     texture = mixed_texture((side, side), rng, std=_CONTRAST, scales=sigma)
@@ -246,6 +248,9 @@ def texture_sequence(
     """
     positions = as_array("positions", positions, shape=(None, 2))
     positive("positions", positions, zero=True)
+    between("positions", positions, 0.0, 1e4, closed=True)
+    size = whole("size", size, least=2, most=4096)
+    sigma = scalar("sigma", sigma, above=0, most=1e3)
     rng = generator("rng", rng)
     width, height = (np.ceil(positions.max(axis=0)) + 2 * size).astype(int)
     ground = mixed_texture((height, width), rng, std=_CONTRAST, scales=sigma)

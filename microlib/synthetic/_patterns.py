@@ -15,7 +15,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, as_array, between, generator, of_kind, scalar, whole
+from microlib._common import (
+    Array,
+    as_array,
+    between,
+    generator,
+    image_shape,
+    of_kind,
+    scalar,
+    whole,
+)
 from microlib.microscope import Microscope
 
 #: Cells along a side of a pixel; the edges inside a cell are straight to within its curvature, an
@@ -134,7 +143,7 @@ def render_circles(
         offset = plane - pitch * _nearest(plane / pitch, counts)
         return radius - np.hypot(offset[..., 0], offset[..., 1])
 
-    return _render(microscope, depth, covered, imaging, rng)
+    return _render(microscope, depth, covered, counts, imaging, rng)
 
 
 def render_squares(
@@ -212,7 +221,7 @@ def render_squares(
     def depth(plane: Array) -> Array:
         return half - np.abs(offset(plane)).max(axis=-1)
 
-    return _render(microscope, depth, covered, imaging, rng)
+    return _render(microscope, depth, covered, counts, imaging, rng)
 
 
 def _nearest(lattice: Array, counts: Counts) -> Array:
@@ -247,6 +256,7 @@ def _render(
     microscope: Microscope,
     depth: Callable[[Array], Array],
     covered: Coverage,
+    counts: Counts,
     imaging: ImagingConditions | None,
     rng: np.random.Generator | int | None,
 ) -> NDArray[np.float32]:
@@ -255,6 +265,8 @@ def _render(
     of_kind("microscope", microscope, Microscope)
     imaging = ImagingConditions() if imaging is None else imaging
     of_kind("imaging", imaging, ImagingConditions)
+    if counts is not None:
+        image_shape("counts", counts)
     if imaging.noise > 0 and rng is None:
         raise ValueError(
             "rng must be a numpy.random.Generator or a seed when imaging.noise > 0, got None"
