@@ -224,11 +224,13 @@ class Microscope:
     def __post_init__(self) -> None:
         for name in ("tube_length", "focal_length", "distance"):
             object.__setattr__(self, name, scalar(name, getattr(self, name), above=0))
-        for name in ("distortion", "alpha", "beta", "gamma", "tx", "ty"):
+        for name in ("distortion", "tx", "ty"):
             object.__setattr__(self, name, scalar(name, getattr(self, name)))
-        if np.ndim(self.pixel_size):
-            as_array("pixel_size", self.pixel_size, shape=(2,))
-        positive("pixel_size", self.pixel_size)
+        for name in ("alpha", "beta", "gamma"):
+            object.__setattr__(self, name, scalar(name, getattr(self, name), within=_ANGLES))
+        cell = positive("pixel_size", self.pixel_size)
+        if cell.ndim:
+            as_array("pixel_size", cell, shape=(2,))
         size = positive("image_size", as_array("image_size", self.image_size, shape=(2,)))
         if (size != np.round(size)).any():
             raise ValueError(f"image_size must be whole numbers of pixels, got {self.image_size}")
@@ -236,7 +238,7 @@ class Microscope:
     @property
     def rotation(self) -> Array:
         """R from the world to the objective frame, 3×3 (2.6)."""
-        return euler_rotation(self.alpha, self.beta, self.gamma)
+        return _rotation(self.alpha, self.beta, self.gamma)
 
     @property
     def translation(self) -> Array:
@@ -421,7 +423,14 @@ class Microscope:
         points : ndarray, shape (N, 2)
             (x, y) from the principal point, px.
         jacobian : ndarray, shape (N, 2, 8)
-            Their derivatives by `visible`.
+            Their derivatives by `visible`. Both are NaN beyond the reach of the distortion model
+            and in the plane of the objective, 1 + h Z_r = 0.
+
+        Raises
+        ------
+        ValueError
+            If a shape does not fit, a value is not finite, a cell is not positive, or a point lies
+            on the fold of the distortion model, where derivatives are infinite.
 
         Notes
         -----
@@ -433,11 +442,15 @@ class Microscope:
         (2.9 divided through by T_z). This form stays smooth up to the telecentric limit h = 0 and
         beyond it, where no microscope is, but where a search for one may pass.
         """
+        visible = as_array("visible", visible, shape=(8,))
+        world = as_array("world", world, shape=(None, 2))
+        cell = positive("cell", as_array("cell", cell, shape=(2,)))
         magnification, convergence, distortion, alpha, beta, gamma, tx, ty = visible
         rotation = _rotation(alpha, beta, gamma)
         turned = world @ rotation[:, :2].T  # (N, 3): X − T_x, Y − T_y, Z − T_z
         flat = turned[:, :2] + [tx, ty]
-        shrink = 1 / (1 + convergence * turned[:, 2])
+        distance = 1 + convergence * turned[:, 2]
+        shrink = 1 / np.where(distance != 0, distance, np.nan)
         undistorted = magnification * flat * shrink[:, None]
 
         by = np.empty((len(world), 2, 8))
@@ -461,4 +474,9 @@ class Microscope:
         # (2.10) differentiated: its left side depends on the distorted point.
         by_sensor = (1 + distortion * radius2)[:, None, None] * np.eye(2)
         by_sensor = by_sensor + 2 * distortion * sensor[:, :, None] * sensor[:, None, :]
-        return sensor / cell, np.linalg.solve(by_sensor, by) / cell[:, None]
+        try:
+            return sensor / cell, np.linalg.solve(by_sensor, by) / cell[:, None]
+        except np.linalg.LinAlgError:
+            raise ValueError(
+                "world must keep off the fold of the distortion model, got a point on it"
+            ) from None

@@ -1,6 +1,8 @@
 """What several subjects share: argument checks, types, covariance, a pipeline of threads."""
 
 from microlib._common._checks import (
+    LARGEST,
+    are_small,
     as_array,
     as_image,
     between,
@@ -20,9 +22,11 @@ from microlib._common._pipeline import pipeline
 from microlib._common._types import Array, Image
 
 __all__ = [
+    "LARGEST",
     "Array",
     "Frames",
     "Image",
+    "are_small",
     "as_array",
     "as_image",
     "between",

@@ -6,6 +6,7 @@ came and what is needed.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,6 +19,8 @@ Bounds = tuple[float, float]
 #: No length, force, time or coordinate of any unit comes near these: beyond, squares and quotients
 #: leave the range of floating point and answers become infinite or NaN.
 LARGEST, LEAST = 1e60, 1e-60
+#: Likewise in single precision, whose range ends at 3e38.
+_LARGEST_SINGLE = 1e18
 #: Grey levels are squared, summed and multiplied in single precision; 32-bit levels lie below.
 _LARGEST_GREY = 1e10
 #: Rows or columns, and pixels, of an image to make: beyond any sensor's.
@@ -31,13 +34,13 @@ def as_array(
     shape: tuple[int | None, ...] | None = None,
     dtype: DTypeLike = np.float64,
     finite: bool = True,
+    largest: float | None = None,
 ) -> NDArray:
-    """Return `value` as an array of `dtype`; ``None`` in `shape` allows any length of that axis."""
-    if isinstance(value, np.ma.MaskedArray):
-        raise ValueError(
-            f"{name} must be without a mask, which would be dropped: got a masked array; cut the "
-            "masked values out, or mark unknown ones with NaN where that is allowed"
-        )
+    """Return `value` as an array of `dtype`; ``None`` in `shape` allows any length of that axis.
+
+    Masks are refused, and numbers beyond ±`largest`, by default what the precision bears.
+    """
+    refuse_masks(name, value)
     try:
         array = np.asarray(value)
         if array.dtype.kind not in "buif":
@@ -56,32 +59,51 @@ def as_array(
             raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
     if array.size == 0:
         raise ValueError(f"{name} must not be empty, got shape {array.shape}")
-    if finite and not np.isfinite(array).all():
-        bad = int(array.size - np.isfinite(array).sum())
-        raise ValueError(f"{name} must be finite, got {bad} NaN or infinite of {array.size}")
-    if array.dtype == np.float64:
-        _refuse_absurd(name, array)
+    if array.dtype.kind == "f":
+        if largest is None:
+            largest = LARGEST if array.dtype == np.float64 else _LARGEST_SINGLE
+        if not are_small(array, largest):
+            _refuse_absurd(name, array, finite, largest)
     return array
 
 
-def _refuse_absurd(name: str, array: NDArray) -> None:
-    for extreme in (array.max(), array.min()):
-        if not abs(extreme) <= LARGEST:  # NaN and infinity too, where they are allowed
-            finite = array[np.isfinite(array)]
-            if finite.size and np.abs(finite).max() > LARGEST:
-                raise ValueError(f"{name} must lie within ±{LARGEST:g}, got {extreme:g}")
+def refuse_masks(name: str, value: object) -> None:
+    """Refuse a masked array, or a sequence of them."""
+    masked = isinstance(value, np.ma.MaskedArray) or (
+        isinstance(value, (list, tuple)) and any(isinstance(v, np.ma.MaskedArray) for v in value)
+    )
+    if masked:
+        raise ValueError(
+            f"{name} must be without a mask, which would be dropped: got a masked array; cut the "
+            "masked values out, or mark unknown ones with NaN where that is allowed"
+        )
+
+
+def are_small(array: NDArray, largest: float) -> bool:
+    """Return True only if all numbers are finite and the root of their squares' sum is small.
+
+    One pass without a copy; where it says no, a closer look must tell.
+    """
+    return bool(np.vdot(array, array) <= largest**2)
+
+
+def _refuse_absurd(name: str, array: NDArray, finite: bool, largest: float) -> None:
+    known = array[np.isfinite(array)]
+    if finite and known.size < array.size:
+        bad = array.size - known.size
+        raise ValueError(f"{name} must be finite, got {bad} NaN or infinite of {array.size}")
+    if known.size and np.abs(known).max() > largest:
+        worst = known[np.abs(known).argmax()]
+        raise ValueError(f"{name} must lie within ±{largest:g}, got {worst:g}")
 
 
 def as_image(name: str, value: ArrayLike, *, smallest: int = 1) -> NDArray:
     """Return a grey image as a finite 2-D float32 array, each side at least `smallest` px."""
-    image = as_array(name, value, dtype=np.float32)
+    image = as_array(name, value, dtype=np.float32, largest=_LARGEST_GREY)
     if image.ndim != 2:
         raise ValueError(f"{name} must be a grey image of two dimensions, got {image.ndim}")
     if min(image.shape) < smallest:
         raise ValueError(f"{name} must be at least {smallest} px on each side, got {image.shape}")
-    for extreme in (float(image.max()), float(image.min())):
-        if abs(extreme) > _LARGEST_GREY:
-            raise ValueError(f"{name} must hold levels within ±{_LARGEST_GREY:g}, got {extreme:g}")
     return image
 
 
@@ -107,14 +129,8 @@ def scalar(
     It must exceed `above`, be at least `least` and at most `most`, and lie `within` the open
     interval, or the closed one if `closed`.
     """
-    # NumPy's own numbers and arrays of no dimension count as numbers, its truth values do not.
-    plain = isinstance(value, (int, float, np.number, np.ndarray)) and not isinstance(value, bool)
-    array = np.asarray(value) if plain and not isinstance(value, np.ma.MaskedArray) else None
-    if array is None or array.ndim > 0 or array.dtype.kind not in "uif":
-        came = f"shape {array.shape}" if array is not None and array.ndim else _brief(value)
-        raise ValueError(f"{name} must be a single number, got {came}")
-    number = float(array)
-    if not np.isfinite(number):
+    number = _number(name, value)
+    if not math.isfinite(number):
         raise ValueError(f"{name} must be finite, got {number}")
     if abs(number) > LARGEST:
         raise ValueError(f"{name} must lie within ±{LARGEST:g}, got {number:g}")
@@ -130,8 +146,25 @@ def scalar(
     if need:
         raise ValueError(f"{name} must be {need}, got {number:g}")
     if within is not None:
-        between(name, number, *within, closed=closed)
+        low, high = within
+        if not (low <= number <= high if closed else low < number < high):
+            brackets = "[]" if closed else "()"
+            raise ValueError(
+                f"{name} must lie in {brackets[0]}{low:g}, {high:g}{brackets[1]}, got {number:g}"
+            )
     return number
+
+
+def _number(name: str, value: object) -> float:
+    if type(value) is float:
+        return value
+    # NumPy's own numbers and arrays of no dimension count as numbers, its truth values do not.
+    plain = isinstance(value, (int, float, np.number, np.ndarray)) and not isinstance(value, bool)
+    array = np.asarray(value) if plain and not isinstance(value, np.ma.MaskedArray) else None
+    if array is None or array.ndim > 0 or array.dtype.kind not in "uif":
+        came = f"shape {array.shape}" if array is not None and array.ndim else _brief(value)
+        raise ValueError(f"{name} must be a single number, got {came}")
+    return float(array)
 
 
 def between(name: str, value: ArrayLike, low: float, high: float, *, closed: bool = False) -> Array:

@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_array, positive, same_length, scalar, whole
+from microlib._common import (
+    LARGEST,
+    Array,
+    are_small,
+    as_array,
+    positive,
+    same_length,
+    scalar,
+    whole,
+)
 
 #: Largest ratio of the singular values of a Jacobian that counts as one of full rank: the rounding
 #: of a double (10⁻¹⁶) is then a millionth of what the weakest direction does.
@@ -13,6 +22,9 @@ LARGEST_CONDITION = 1e10
 
 #: Relative difference of two halves of a matrix that rounding explains.
 _ROUNDING = 1e-9
+
+#: Compared by identity, which costs nothing in a loop.
+_DOUBLE = np.dtype(np.float64)
 
 #: Samples: a loop this late is not one, and its poles take minutes.
 _MOST_DELAY = 200
@@ -283,9 +295,15 @@ class OptimalController:
 
     def __call__(self, k: int, measured: Array, reference: Array) -> Array:
         """Return the velocity for sample `k`, µm/s; zero if the feature is lost."""
-        measured, reference = _sample(k, measured, reference, self.gain.shape[1])
+        size = self.gain.shape[1]
+        if not _is_usual(k, measured, reference, size):
+            measured, reference = _checked_sample(k, measured, reference, size)
         error = measured - reference[min(k + 1, len(reference) - 1)]
-        return -self.gain @ error if np.isfinite(error).all() else np.zeros(len(self.gain))
+        if not are_small(error, LARGEST):
+            measured, reference = _checked_sample(k, measured, reference, size)
+            if not np.isfinite(measured).all():
+                return np.zeros(len(self.gain))
+        return -self.gain @ error
 
 
 class PredictiveController:
@@ -364,8 +382,19 @@ class PredictiveController:
 
     def __call__(self, k: int, measured: Array, reference: Array) -> Array:
         """Return the velocity for sample `k`, µm/s."""
-        measured, reference = _sample(k, measured, reference, len(self._step))
-        if not np.isfinite(measured).all():
+        size = len(self._step)
+        if not _is_usual(k, measured, reference, size):
+            measured, reference = _checked_sample(k, measured, reference, size)
+        last = len(reference) - 1.0
+        when = min(k + 1 + self._delay, last)
+        before = int(when)
+        after = min(before + 1, int(last))
+        target = reference[before] + (when - before) * (reference[after] - reference[before])
+        known = are_small(measured, LARGEST)
+        if not (known and are_small(target, LARGEST)):
+            _checked_sample(k, measured, reference, size)
+            known = bool(np.isfinite(measured).all())
+        if not known:
             if self._estimate is None:
                 return np.zeros(self._step.shape[1])
         elif self._estimate is None:
@@ -374,12 +403,8 @@ class PredictiveController:
             self._estimate = self._estimate + self._innovation_gain * (measured - self._estimate)
         coming = self._part * self._pending[0] + self._pending[1:].sum(axis=0)
         ahead = self._estimate + self._step @ coming
-        last = len(reference) - 1.0
-        when = min(k + 1 + self._delay, last)
-        before = int(when)
-        after = min(before + 1, int(last))
-        target = reference[before] + (when - before) * (reference[after] - reference[before])
-        command = np.clip(self._gain @ (target - ahead), -self._limit, self._limit)
+        wanted = self._gain @ (target - ahead)
+        command = np.minimum(np.maximum(wanted, -self._limit), self._limit)
         queue = np.vstack([self._pending, command])
         self._estimate = self._estimate + self._step @ (
             self._part * queue[0] + (1.0 - self._part) * queue[1]
@@ -388,7 +413,23 @@ class PredictiveController:
         return command
 
 
-def _sample(k: int, measured: Array, reference: Array, size: int) -> tuple[Array, Array]:
+def _is_usual(k: int, measured: Array, reference: Array, size: int) -> bool:
+    """Return whether the types and shapes are those of a loop, which then need no further look."""
+    return (
+        type(k) is int
+        and k >= 0
+        and type(measured) is np.ndarray
+        and measured.dtype is _DOUBLE
+        and measured.shape == (size,)
+        and type(reference) is np.ndarray
+        and reference.dtype is _DOUBLE
+        and reference.ndim == 2
+        and reference.shape[1] == size
+        and len(reference) > 0
+    )
+
+
+def _checked_sample(k: int, measured: Array, reference: Array, size: int) -> tuple[Array, Array]:
     """Check what a controller is called with; a lost measurement is NaN."""
     whole("k", k, least=0)
     return (
