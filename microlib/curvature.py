@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from skimage.measure import label as connected
 
-from microlib._common import Array, as_array, positive, whole
+from microlib._common import Array, as_array, of_kind, scalar, whole
 
 __all__ = [
     "HK_NAMES",
@@ -179,8 +179,8 @@ def surface_curvature(
     (-0.01, 0.0001)
     """
     n = whole("size", size, least=3, odd=True)
-    pitch = float(positive("pixel_size", pixel_size))
-    sigma = float(positive("noise", noise, zero=True))
+    pitch = scalar("pixel_size", pixel_size, above=0)
+    sigma = scalar("noise", noise, least=0)
     z = as_array("height", height, shape=(None, None), finite=False)
     if np.isinf(z).any():
         raise ValueError(f"height must be finite or NaN, got {int(np.isinf(z).sum())} infinite")
@@ -297,9 +297,11 @@ def hk_labels(
 
 def _regions(labels: ArrayLike) -> tuple[NDArray[np.uint8], NDArray[np.intp]]:
     """Check a label image and number its regions from 1; 0 where nothing is labeled."""
-    types = as_array("labels", labels, shape=(None, None), dtype=np.uint8)
-    if types.max() > 9:
-        raise ValueError(f"labels must be 0 to 9, got {types.max()}")
+    given = as_array("labels", labels, shape=(None, None))
+    wrong = (given < 0) | (given > 9) | (given != np.rint(given))
+    if wrong.any():
+        raise ValueError(f"labels must be 0 to 9 and whole numbers, got {given[wrong][0]:g}")
+    types = given.astype(np.uint8)
     return types, connected(types, background=0, connectivity=1)
 
 
@@ -370,6 +372,7 @@ def region_table(labels: ArrayLike, curvature: Curvature) -> pd.DataFrame:
     0      1  convex elliptic   841
     """
     types, regions = _regions(labels)
+    of_kind("curvature", curvature, Curvature)
     if types.shape != curvature.mean.shape:
         raise ValueError(
             f"labels must have the curvature's shape {curvature.mean.shape}, got {types.shape}"

@@ -6,15 +6,20 @@ the objective onto the sensor (µm from the sensor's center), distorted, and sam
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, as_array, positive
+from microlib._common import Array, as_array, positive, scalar
 
 __all__ = ["Microscope", "distort", "euler_rotation", "undistort"]
+
+
+#: Of an angle: beyond, the rounding of the number exceeds 1e-7 rad.
+_ANGLES = (-1e9, 1e9)
 
 
 def euler_rotation(alpha: float, beta: float, gamma: float) -> Array:
@@ -29,6 +34,11 @@ def euler_rotation(alpha: float, beta: float, gamma: float) -> Array:
     -------
     ndarray, shape (3, 3)
 
+    Raises
+    ------
+    ValueError
+        If an angle is not a finite number within ±1e9.
+
     Examples
     --------
     >>> euler_rotation(0.0, 0.0, np.pi).round(12) + 0.0  # a pattern seen from behind
@@ -36,6 +46,15 @@ def euler_rotation(alpha: float, beta: float, gamma: float) -> Array:
            [ 0., -1.,  0.],
            [ 0.,  0., -1.]])
     """
+    return _rotation(
+        *(
+            scalar(name, angle, within=_ANGLES)
+            for name, angle in (("alpha", alpha), ("beta", beta), ("gamma", gamma))
+        )
+    )
+
+
+def _rotation(alpha: float, beta: float, gamma: float) -> Array:
     (ca, cb, cg), (sa, sb, sg) = np.cos([alpha, beta, gamma]), np.sin([alpha, beta, gamma])
     return np.array(
         [
@@ -44,6 +63,13 @@ def euler_rotation(alpha: float, beta: float, gamma: float) -> Array:
             [-sb, cb * sg, cb * cg],
         ]
     )
+
+
+def _sensor_points(points: ArrayLike) -> Array:
+    array = as_array("points", points, finite=False)
+    if array.ndim == 0 or array.shape[-1] != 2:
+        raise ValueError(f"points must have shape (..., 2), got {array.shape}")
+    return array
 
 
 def undistort(points: ArrayLike, distortion: float) -> Array:
@@ -66,7 +92,7 @@ def undistort(points: ArrayLike, distortion: float) -> Array:
     --------
     distort : the inverse.
     """
-    points = np.asarray(points, dtype=np.float64)
+    points, distortion = _sensor_points(points), scalar("distortion", distortion)
     growth = distortion * (points * points).sum(axis=-1, keepdims=True)
     return points * np.where(growth < -1 / 3, np.nan, 1 + growth)
 
@@ -100,7 +126,10 @@ def distort(points: ArrayLike, distortion: float) -> Array:
     >>> float(abs(undistort(distort(corner, -8.4e-10), -8.4e-10) - corner).max()) < 1e-11
     True
     """
-    points = np.asarray(points, dtype=np.float64)
+    return _distorted(_sensor_points(points), scalar("distortion", distortion))
+
+
+def _distorted(points: Array, distortion: float) -> Array:
     q = distortion * (points * points).sum(axis=-1, keepdims=True)
     t = 1.5 * np.sqrt(3 * np.abs(q))
     if distortion >= 0:
@@ -194,12 +223,14 @@ class Microscope:
 
     def __post_init__(self) -> None:
         for name in ("tube_length", "focal_length", "distance"):
-            positive(name, as_array(name, getattr(self, name), shape=()))
-        for name in ("distortion", "alpha", "beta", "gamma", "tx", "ty"):
-            as_array(name, getattr(self, name), shape=())
-        if np.ndim(self.pixel_size):
-            as_array("pixel_size", self.pixel_size, shape=(2,))
-        positive("pixel_size", self.pixel_size)
+            object.__setattr__(self, name, scalar(name, getattr(self, name), above=0))
+        for name in ("distortion", "tx", "ty"):
+            object.__setattr__(self, name, scalar(name, getattr(self, name)))
+        for name in ("alpha", "beta", "gamma"):
+            object.__setattr__(self, name, scalar(name, getattr(self, name), within=_ANGLES))
+        cell = positive("pixel_size", self.pixel_size)
+        if cell.ndim:
+            as_array("pixel_size", cell, shape=(2,))
         size = positive("image_size", as_array("image_size", self.image_size, shape=(2,)))
         if (size != np.round(size)).any():
             raise ValueError(f"image_size must be whole numbers of pixels, got {self.image_size}")
@@ -207,7 +238,7 @@ class Microscope:
     @property
     def rotation(self) -> Array:
         """R from the world to the objective frame, 3×3 (2.6)."""
-        return euler_rotation(self.alpha, self.beta, self.gamma)
+        return _rotation(self.alpha, self.beta, self.gamma)
 
     @property
     def translation(self) -> Array:
@@ -255,10 +286,10 @@ class Microscope:
         ValueError
             If `points` is empty, not finite, or has another shape.
         """
-        columns = np.shape(points)[1] if np.ndim(points) == 2 else None
-        if columns not in (2, 3):
-            raise ValueError(f"points must have shape (any, 2) or (any, 3), got {np.shape(points)}")
         points = as_array("points", points)
+        columns = points.shape[1] if points.ndim == 2 else None
+        if columns not in (2, 3):
+            raise ValueError(f"points must have shape (any, 2) or (any, 3), got {points.shape}")
         return points @ self.rotation[:, :columns].T + self.translation
 
     def project(self, points: ArrayLike) -> Array:
@@ -283,7 +314,7 @@ class Microscope:
         x, y, z = self.to_objective(points).T
         z = np.where(z > 0, z, np.nan)
         sensor = (self.tube_length + self.focal_length) * np.column_stack([x / z, y / z])
-        return distort(sensor, self.distortion) / self.cell + self.principal_point
+        return _distorted(sensor, self.distortion) / self.cell + self.principal_point
 
     def back_project(self, pixels: ArrayLike) -> Array:
         """Image points to the pattern plane Z_w = 0: the inverse of :meth:`project` there.
@@ -348,6 +379,12 @@ class Microscope:
                [0.0001377, 0.      ]])
         """
         world = as_array("world", world, shape=(None, 2))
+        if isinstance(parameters, str) or not isinstance(parameters, Sequence) or not parameters:
+            raise ValueError(
+                f"parameters must be a tuple of at least one name, got {type(parameters).__name__}"
+            )
+        if not all(isinstance(name, str) for name in parameters):
+            raise ValueError("parameters must be names, got other values among them")
         depth = self.focal_length + self.distance
         pose = (self.distortion, self.alpha, self.beta, self.gamma, self.tx, self.ty)
         visible = np.array([self.magnification, 1 / depth, *pose])
@@ -386,7 +423,14 @@ class Microscope:
         points : ndarray, shape (N, 2)
             (x, y) from the principal point, px.
         jacobian : ndarray, shape (N, 2, 8)
-            Their derivatives by `visible`.
+            Their derivatives by `visible`. Both are NaN beyond the reach of the distortion model
+            and in the plane of the objective, 1 + h Z_r = 0.
+
+        Raises
+        ------
+        ValueError
+            If a shape does not fit, a value is not finite, a cell is not positive, or a point lies
+            on the fold of the distortion model, where derivatives are infinite.
 
         Notes
         -----
@@ -398,11 +442,15 @@ class Microscope:
         (2.9 divided through by T_z). This form stays smooth up to the telecentric limit h = 0 and
         beyond it, where no microscope is, but where a search for one may pass.
         """
+        visible = as_array("visible", visible, shape=(8,))
+        world = as_array("world", world, shape=(None, 2))
+        cell = positive("cell", as_array("cell", cell, shape=(2,)))
         magnification, convergence, distortion, alpha, beta, gamma, tx, ty = visible
-        rotation = euler_rotation(alpha, beta, gamma)
+        rotation = _rotation(alpha, beta, gamma)
         turned = world @ rotation[:, :2].T  # (N, 3): X − T_x, Y − T_y, Z − T_z
         flat = turned[:, :2] + [tx, ty]
-        shrink = 1 / (1 + convergence * turned[:, 2])
+        distance = 1 + convergence * turned[:, 2]
+        shrink = 1 / np.where(distance != 0, distance, np.nan)
         undistorted = magnification * flat * shrink[:, None]
 
         by = np.empty((len(world), 2, 8))
@@ -420,10 +468,15 @@ class Microscope:
             by[..., column] = magnification * moved[:, :2] * shrink[:, None] + depth
         by[..., 6:] = magnification * shrink[:, None, None] * np.eye(2)
 
-        sensor = distort(undistorted, distortion)
+        sensor = _distorted(undistorted, distortion)
         radius2 = (sensor**2).sum(axis=1)
         by[..., 2] = -sensor * radius2[:, None]
         # (2.10) differentiated: its left side depends on the distorted point.
         by_sensor = (1 + distortion * radius2)[:, None, None] * np.eye(2)
         by_sensor = by_sensor + 2 * distortion * sensor[:, :, None] * sensor[:, None, :]
-        return sensor / cell, np.linalg.solve(by_sensor, by) / cell[:, None]
+        try:
+            return sensor / cell, np.linalg.solve(by_sensor, by) / cell[:, None]
+        except np.linalg.LinAlgError:
+            raise ValueError(
+                "world must keep off the fold of the distortion model, got a point on it"
+            ) from None

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_array, as_image, positive, whole
+from microlib._common import Array, as_array, as_image, positive, scalar, whole
 
 __all__ = [
     "BlurLadder",
@@ -69,7 +69,7 @@ def image_distance(object_distance: ArrayLike, focal_length: float) -> Array:
 def _conjugate(name: str, distance: ArrayLike, focal_length: float) -> Array:
     """Return the distance on the lens' other side that is in focus with that of the given name."""
     given = positive(name, distance)
-    f = float(positive("focal_length", focal_length))
+    f = scalar("focal_length", focal_length, above=0)
     if (given <= f).any():
         raise ValueError(f"{name} must exceed the focal length of {f:g}, got {given.min():g}")
     return np.asarray(given * f / (given - f))
@@ -119,7 +119,7 @@ def blur_radius(
     array([ 5.,  0., -5.])
     """
     distance = positive("object_distance", object_distance)
-    radius = float(positive("aperture_radius", aperture_radius))
+    radius = scalar("aperture_radius", aperture_radius, above=0)
     focused = float(_conjugate("sensor_distance", sensor_distance, focal_length))
     return np.asarray(radius * float(sensor_distance) * (1.0 / distance - 1.0 / focused))
 
@@ -157,7 +157,7 @@ def gaussian_kernel(sigma: float, size: int) -> Array:
            [0.1238, 0.2042, 0.1238],
            [0.0751, 0.1238, 0.0751]])
     """
-    s = float(positive("sigma", sigma))
+    s = scalar("sigma", sigma, above=0)
     n = whole("size", size, least=1, odd=True)
     t = np.arange(n) - n // 2
     profile = np.exp(-(t**2) / (2 * s**2))
@@ -190,7 +190,7 @@ def gaussian_transfer(u: ArrayLike, v: ArrayLike, sigma: float) -> Array:
     >>> gaussian_transfer([0.0, 1.0], 0.0, 1.0).round(4)
     array([1.    , 0.6065])
     """
-    s = float(positive("sigma", sigma, zero=True))
+    s = scalar("sigma", sigma, least=0)
     return np.exp(-(as_array("u", u) ** 2 + as_array("v", v) ** 2) * s**2 / 2)
 
 
@@ -206,6 +206,10 @@ def _blurred(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
         cv2.sepFilter2D(image, cv2.CV_32F, profile, profile, borderType=cv2.BORDER_REFLECT),
         np.float32,
     )
+
+
+#: Largest blur, px: more than any image is wide, and beyond it kernels only cost time.
+_MOST_BLUR = 1e4
 
 
 class BlurLadder:
@@ -241,7 +245,7 @@ class BlurLadder:
 
     def __init__(self, image: ArrayLike, largest: float) -> None:
         focused = as_image("image", image)
-        self.largest = float(positive("largest", largest, zero=True))
+        self.largest = scalar("largest", largest, least=0, most=_MOST_BLUR)
         span = np.log(max(self.largest, _FIRST_LEVEL) / _FIRST_LEVEL) / np.log(_LEVEL_RATIO)
         levels = _FIRST_LEVEL * _LEVEL_RATIO ** np.arange(int(np.ceil(span)) + 3)
         self._levels = np.concatenate([[0.0], levels])
@@ -309,5 +313,6 @@ def defocus(image: ArrayLike, sigma: ArrayLike) -> NDArray[np.float32]:
     """
     blur = positive("sigma", sigma, zero=True)
     if blur.ndim == 0:
+        scalar("sigma", blur, most=_MOST_BLUR)
         return _blurred(as_image("image", image), float(blur)).copy()
     return BlurLadder(image, float(blur.max())).at(blur)

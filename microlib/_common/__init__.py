@@ -1,12 +1,19 @@
 """What several subjects share: argument checks, types, covariance, a pipeline of threads."""
 
 from microlib._common._checks import (
+    LARGEST,
+    are_small,
     as_array,
     as_image,
     between,
+    flag,
+    generator,
+    image_shape,
+    of_kind,
     one_of,
     positive,
     same_length,
+    scalar,
     whole,
 )
 from microlib._common._covariance import inverse_normal
@@ -15,17 +22,24 @@ from microlib._common._pipeline import pipeline
 from microlib._common._types import Array, Image
 
 __all__ = [
+    "LARGEST",
     "Array",
     "Frames",
     "Image",
+    "are_small",
     "as_array",
     "as_image",
     "between",
+    "flag",
+    "generator",
+    "image_shape",
     "inverse_normal",
     "is_in_memory",
+    "of_kind",
     "one_of",
     "pipeline",
     "positive",
     "same_length",
+    "scalar",
     "whole",
 ]

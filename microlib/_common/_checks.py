@@ -6,12 +6,25 @@ came and what is needed.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from microlib._common._types import Array
 
 Bounds = tuple[float, float]
+
+#: No length, force, time or coordinate of any unit comes near these: beyond, squares and quotients
+#: leave the range of floating point and answers become infinite or NaN.
+LARGEST, LEAST = 1e60, 1e-60
+#: Likewise in single precision, whose range ends at 3e38.
+_LARGEST_SINGLE = 1e18
+#: Grey levels are squared, summed and multiplied in single precision; 32-bit levels lie below.
+_LARGEST_GREY = 1e10
+#: Rows or columns, and pixels, of an image to make: beyond any sensor's.
+_LONGEST_SIDE, _MOST_PIXELS = 1 << 16, 1 << 28
 
 
 def as_array(
@@ -21,14 +34,20 @@ def as_array(
     shape: tuple[int | None, ...] | None = None,
     dtype: DTypeLike = np.float64,
     finite: bool = True,
+    largest: float | None = None,
 ) -> NDArray:
-    """Return `value` as an array of `dtype`; ``None`` in `shape` allows any length of that axis."""
+    """Return `value` as an array of `dtype`; ``None`` in `shape` allows any length of that axis.
+
+    Masks are refused, and numbers beyond ±`largest`, by default what the precision bears.
+    """
+    refuse_masks(name, value)
     try:
         array = np.asarray(value)
         if array.dtype.kind not in "buif":
             raise TypeError
-        array = array.astype(dtype, copy=False)
-    except (TypeError, ValueError):
+        with np.errstate(over="ignore"):  # what overflows is infinite, and told below
+            array = array.astype(dtype, copy=False)
+    except (TypeError, ValueError, OverflowError):
         got = getattr(value, "dtype", type(value).__name__)
         raise ValueError(f"{name} must hold real numbers, got {got}") from None
     if shape is not None:
@@ -40,20 +59,112 @@ def as_array(
             raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
     if array.size == 0:
         raise ValueError(f"{name} must not be empty, got shape {array.shape}")
-    if finite and not np.isfinite(array).all():
-        bad = int(array.size - np.isfinite(array).sum())
-        raise ValueError(f"{name} must be finite, got {bad} NaN or infinite of {array.size}")
+    if array.dtype.kind == "f":
+        if largest is None:
+            largest = LARGEST if array.dtype == np.float64 else _LARGEST_SINGLE
+        if not are_small(array, largest):
+            _refuse_absurd(name, array, finite, largest)
     return array
+
+
+def refuse_masks(name: str, value: object) -> None:
+    """Refuse a masked array, or a sequence of them."""
+    masked = isinstance(value, np.ma.MaskedArray) or (
+        isinstance(value, (list, tuple)) and any(isinstance(v, np.ma.MaskedArray) for v in value)
+    )
+    if masked:
+        raise ValueError(
+            f"{name} must be without a mask, which would be dropped: got a masked array; cut the "
+            "masked values out, or mark unknown ones with NaN where that is allowed"
+        )
+
+
+def are_small(array: NDArray, largest: float) -> bool:
+    """Return True only if all numbers are finite and the root of their squares' sum is small.
+
+    One pass without a copy; where it says no, a closer look must tell.
+    """
+    return bool(np.vdot(array, array) <= largest**2)
+
+
+def _refuse_absurd(name: str, array: NDArray, finite: bool, largest: float) -> None:
+    known = array[np.isfinite(array)]
+    if finite and known.size < array.size:
+        bad = array.size - known.size
+        raise ValueError(f"{name} must be finite, got {bad} NaN or infinite of {array.size}")
+    if known.size and np.abs(known).max() > largest:
+        worst = known[np.abs(known).argmax()]
+        raise ValueError(f"{name} must lie within ±{largest:g}, got {worst:g}")
 
 
 def as_image(name: str, value: ArrayLike, *, smallest: int = 1) -> NDArray:
     """Return a grey image as a finite 2-D float32 array, each side at least `smallest` px."""
-    image = as_array(name, value, dtype=np.float32)
+    image = as_array(name, value, dtype=np.float32, largest=_LARGEST_GREY)
     if image.ndim != 2:
         raise ValueError(f"{name} must be a grey image of two dimensions, got {image.ndim}")
     if min(image.shape) < smallest:
         raise ValueError(f"{name} must be at least {smallest} px on each side, got {image.shape}")
     return image
+
+
+def _brief(value: object) -> str:
+    try:
+        return repr(value)[:80]
+    except ValueError:  # an integer of too many digits to print
+        return "a huge number"
+
+
+def scalar(
+    name: str,
+    value: object,
+    *,
+    above: float | None = None,
+    least: float | None = None,
+    most: float | None = None,
+    within: Bounds | None = None,
+    closed: bool = False,
+) -> float:
+    """Return one finite number as a float; not a list of one, a truth value or text.
+
+    It must exceed `above`, be at least `least` and at most `most`, and lie `within` the open
+    interval, or the closed one if `closed`.
+    """
+    number = _number(name, value)
+    if not math.isfinite(number):
+        raise ValueError(f"{name} must be finite, got {number}")
+    if abs(number) > LARGEST:
+        raise ValueError(f"{name} must lie within ±{LARGEST:g}, got {number:g}")
+    need = None
+    if above is not None and not number > above:
+        need = "positive" if above == 0 else f"above {above:g}"
+    elif above == 0 and number < LEAST:
+        need = f"at least {LEAST:g}"
+    if least is not None and not number >= least:
+        need = "zero or positive" if least == 0 else f"at least {least:g}"
+    if most is not None and not number <= most:
+        need = f"at most {most:g}"
+    if need:
+        raise ValueError(f"{name} must be {need}, got {number:g}")
+    if within is not None:
+        low, high = within
+        if not (low <= number <= high if closed else low < number < high):
+            brackets = "[]" if closed else "()"
+            raise ValueError(
+                f"{name} must lie in {brackets[0]}{low:g}, {high:g}{brackets[1]}, got {number:g}"
+            )
+    return number
+
+
+def _number(name: str, value: object) -> float:
+    if type(value) is float:
+        return value
+    # NumPy's own numbers and arrays of no dimension count as numbers, its truth values do not.
+    plain = isinstance(value, (int, float, np.number, np.ndarray)) and not isinstance(value, bool)
+    array = np.asarray(value) if plain and not isinstance(value, np.ma.MaskedArray) else None
+    if array is None or array.ndim > 0 or array.dtype.kind not in "uif":
+        came = f"shape {array.shape}" if array is not None and array.ndim else _brief(value)
+        raise ValueError(f"{name} must be a single number, got {came}")
+    return float(array)
 
 
 def between(name: str, value: ArrayLike, low: float, high: float, *, closed: bool = False) -> Array:
@@ -76,23 +187,68 @@ def positive(name: str, value: ArrayLike, *, zero: bool = False) -> Array:
     if bad.any():
         need = "zero or positive" if zero else "positive"
         raise ValueError(f"{name} must be {need}, got {array[bad].flat[0]:g}")
+    if not zero and (array < LEAST).any():
+        raise ValueError(f"{name} must be at least {LEAST:g}, got {array.min():g}")
     return array
 
 
-def whole(name: str, value: object, *, least: int, odd: bool = False) -> int:
-    """Return `value` as an int of at least `least`; odd if `odd`."""
+def whole(name: str, value: object, *, least: int, odd: bool = False, most: int = 1 << 31) -> int:
+    """Return `value` as an int of at least `least` and at most `most`; odd if `odd`."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-        raise ValueError(f"{name} must be a whole number, got {value!r}")
+        raise ValueError(f"{name} must be a whole number, got {_brief(value)}")
     if value < least or (odd and value % 2 == 0):
         kind = "an odd whole number" if odd else "a whole number"
         raise ValueError(f"{name} must be {kind} of at least {least}, got {value}")
+    if value > most:
+        raise ValueError(f"{name} must be at most {most}, got a larger one")
     return int(value)
+
+
+def of_kind(name: str, value: object, *kinds: type) -> None:
+    """Refuse what is not an instance of one of `kinds`."""
+    if not isinstance(value, kinds):
+        known = " or ".join(kind.__name__ for kind in kinds)
+        raise ValueError(f"{name} must be of the kind {known}, got {type(value).__name__}")
+
+
+def flag(name: str, value: object) -> bool:
+    """Return `value` if it is True or False."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise ValueError(f"{name} must be True or False, got {_brief(value)}")
+    return bool(value)
+
+
+def generator(name: str, value: object) -> np.random.Generator:
+    """Return a generator as it is, or the one of a seed: a whole number of at least zero."""
+    if isinstance(value, np.random.Generator):
+        return value
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
+        raise ValueError(
+            f"{name} must be a numpy.random.Generator or a seed of at least zero, "
+            f"got {_brief(value)}"
+        )
+    return np.random.default_rng(value)
+
+
+def image_shape(name: str, value: object, *, least: int = 1) -> tuple[int, int]:
+    """Return (rows, columns) of an image to make, each at least `least`."""
+    if isinstance(value, (str, bytes)) or not isinstance(value, (Sequence, np.ndarray)):
+        raise ValueError(f"{name} must be two whole numbers, rows and columns, got {_brief(value)}")
+    if isinstance(value, np.ma.MaskedArray) or len(value) != 2:
+        raise ValueError(f"{name} must be two whole numbers, rows and columns, got {_brief(value)}")
+    rows, columns = (whole(name, n, least=least) for n in value)
+    if max(rows, columns) > _LONGEST_SIDE or rows * columns > _MOST_PIXELS:
+        raise ValueError(
+            f"{name} must be at most {_LONGEST_SIDE} px a side and {_MOST_PIXELS} px in all, "
+            f"got {rows}×{columns}"
+        )
+    return rows, columns
 
 
 def one_of(name: str, value: object, known: tuple[str, ...]) -> str:
     """Return `value` if it is one of the `known` names."""
     if not isinstance(value, str) or value not in known:
-        raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
+        raise ValueError(f"{name} must be one of {', '.join(known)}, got {_brief(value)}")
     return value
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import t as student
 
-from microlib._common import Array, as_array, between, one_of, positive, same_length
+from microlib._common import Array, as_array, between, one_of, same_length, scalar
 from microlib.calibration._microscope_fit import NAMES, Minimum, Problem, start_values
 from microlib.microscope import Microscope
 
@@ -31,6 +31,11 @@ _APART = 3.0
 #: The better of the two is told from the other if its sum of squares is smaller by more than this
 #: many variances, the 95 % quantile of χ² with one degree of freedom.
 _TOLD = 3.84
+
+
+#: A kilometer, µm, and a thousand times the longest row of a sensor, px: nothing is calibrated
+#: beyond, and the fits lose their way there.
+_FARTHEST, _FARTHEST_PIXEL = 1e9, 1e8
 
 
 @dataclass(frozen=True)
@@ -51,7 +56,7 @@ class ErrorSummary:
     @classmethod
     def of(cls, differences: Array) -> ErrorSummary:
         """Summarize differences of points, shape (N, 2)."""
-        distance = np.hypot(*differences.T)
+        distance = np.hypot(*as_array("differences", differences, shape=(None, 2)).T)
         return cls(
             float(distance.mean()),
             float(distance.std()),
@@ -128,7 +133,7 @@ class Calibration:
             If `parameter` was not estimated or `level` is not in (0, 1).
         """
         k = self.parameters.index(one_of("parameter", parameter, self.parameters))
-        between("level", level, 0, 1)
+        level = scalar("level", level, within=(0, 1))
         half = float(student.ppf(0.5 + level / 2, self.freedom) * np.sqrt(self.covariance[k, k]))
         value = float(self.estimate[k])
         if parameter == "focal_length" and np.isfinite(half):
@@ -203,11 +208,13 @@ def calibrate(
     world = as_array("world", world, shape=(None, 2))
     image = as_array("image", image, shape=(None, 2))
     same_length(("world", "image"), world, image)
+    between("world", world, -_FARTHEST, _FARTHEST)
+    between("image", image, -_FARTHEST_PIXEL, _FARTHEST_PIXEL)
     one_of("loss", loss, ("linear", "huber"))
     frame = Microscope(1.0, 1.0, 1.0, pixel_size=pixel_size, image_size=image_size)
     free = [0, 2, 3, 4, 5, 6, 7] if focal_length is not None else list(range(8))
     if focal_length is not None:
-        positive("focal_length", as_array("focal_length", focal_length, shape=()))
+        focal_length = scalar("focal_length", focal_length, above=0)
     if len(world) < 5:  # radial alignment has six unknowns up to scale, one equation a point
         raise ValueError(f"world must hold at least 5 points, got {len(world)}")
     for name, points in (("world", world), ("image", image)):

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
-from microlib._common import Array
+from microlib._common import Array, flag, scalar
 from microlib.calibration._dark_regions import find_dark_regions
 from microlib.calibration._detection import FEWEST, Detection, band_half_width, find_inliers
 from microlib.calibration._grid_map import GridMap, fit_grid_map
@@ -82,6 +82,8 @@ def detect_circles(
     >>> len(found.points), bool(abs(error).max() < 0.01)
     (9, True)
     """
+    direction = scalar("direction", direction, within=(-1e9, 1e9))
+    mirrored = flag("mirrored", mirrored)
     regions = find_dark_regions(image)
     try:
         index, grid = order_grid(regions.centers, direction=direction, mirrored=mirrored)

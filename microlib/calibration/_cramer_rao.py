@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, as_array, inverse_normal, positive
+from microlib._common import Array, inverse_normal, of_kind, scalar
 from microlib.microscope import Microscope
 
 
@@ -47,6 +47,7 @@ def cramer_rao(
     >>> np.diag(cramer_rao(scope, world, 0.02, ("tube_length", "focal_length", "distance")))
     array([inf, inf, inf])
     """
-    positive("noise", as_array("noise", noise, shape=()), zero=True)
+    of_kind("microscope", microscope, Microscope)
+    noise = scalar("noise", noise, least=0)
     jacobian = microscope.jacobian(world, parameters).reshape(-1, len(parameters))
     return noise**2 * inverse_normal(jacobian)

@@ -107,6 +107,12 @@ def find_inliers(
     >>> find_inliers((20, 30), low, low + 4, one, one, one)
     array([ True, False])
     """
+    for name, values in (("rms", rms), ("contrast", contrast), ("sigma", sigma)):
+        if np.shape(values) != np.shape(low)[:1]:
+            raise ValueError(
+                f"{name} must hold one value for each of the {len(low)} outlines, got shape "
+                f"{np.shape(values)}"
+            )
     inside = ((low >= 0) & (high <= [shape[1] - 1, shape[0] - 1])).all(axis=1)
     good = inside & np.isfinite(rms) & np.isfinite(sigma)
     if not good.any():

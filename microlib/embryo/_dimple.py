@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import median_filter
 from scipy.optimize import OptimizeResult, least_squares
 
-from microlib._common import Array, as_array, inverse_normal, positive
+from microlib._common import Array, as_array, inverse_normal, of_kind, scalar
 from microlib.embryo._boundary import MAD_TO_STD, Boundary
 from microlib.embryo._gaussian_sum import GaussianSum
 from microlib.membrane import dimple_profile
@@ -120,7 +120,8 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float) -> DimpleGeometry:
     >>> print(f"a = {dimple.dimple_radius:.3f} µm, w_d = {dimple.dimple_depth:.3f} µm")
     a = 29.882 µm, w_d = 11.655 µm
     """
-    size = float(positive("pixel_size", as_array("pixel_size", pixel_size, shape=())))
+    of_kind("curve", curve, GaussianSum)
+    size = scalar("pixel_size", pixel_size, above=0)
     maxima, minima = curve.extrema()
     between_maxima = [x for x in minima if (maxima < x).any() and (maxima > x).any()]
     if not between_maxima:
@@ -244,9 +245,9 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     >>> print(f"{dimple.dimple_depth:.0f} µm, truth {scene.embryo.dimple_depth:.0f} µm")
     121 µm, truth 121 µm
     """
-    size = float(positive("pixel_size", as_array("pixel_size", pixel_size, shape=())))
-    half_width = as_array("probe_half_width", probe_half_width, shape=())
-    c = float(positive("probe_half_width", half_width)) / size
+    of_kind("boundary", boundary, Boundary)
+    size = scalar("pixel_size", pixel_size, above=0)
+    c = scalar("probe_half_width", probe_half_width, above=0) / size
     outline = np.stack([boundary.x, boundary.y, boundary.std])[:, ~boundary.under_probe]
     start = _start(outline[0], outline[1], boundary)
     if start[3] <= c:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_array, between, positive, same_length, whole
+from microlib._common import Array, as_array, between, positive, same_length, scalar, whole
 
 __all__ = ["loess"]
 
@@ -78,7 +78,7 @@ def loess(
     x = as_array("x", x, shape=(None,))
     y = as_array("y", y, shape=(None,))
     same_length(("x", "y"), x, y)
-    share = float(as_array("span", span, shape=()))
+    share = scalar("span", span)
     if not 0 < share <= 1:
         raise ValueError(f"span must lie in (0, 1], got {share:g}")
     between("degree", whole("degree", degree, least=1), 1, 2, closed=True)

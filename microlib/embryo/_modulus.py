@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, as_array, one_of, positive
+from microlib._common import Array, one_of, scalar
 from microlib.embryo._boundary import Boundary, extract_boundary
 from microlib.embryo._dimple import DimpleFit, DimpleGeometry, dimple_geometry, fit_dimple
 from microlib.embryo._gaussian_sum import fit_gaussians
@@ -134,7 +134,7 @@ def modulus_from_image(
     >>> estimate.interval[0] < 1.2 < estimate.interval[1], estimate.relative_std < 0.05
     (True, True)
     """
-    load = float(positive("force", as_array("force", force, shape=())))
+    load = scalar("force", force, above=0)
     boundary = extract_boundary(image)
     dimple = measure_dimple(
         boundary, pixel_size=pixel_size, probe_half_width=probe_half_width, method=method
@@ -195,7 +195,7 @@ def force_from_image(
     >>> estimate.interval[0] < 1.2 < estimate.interval[1]
     True
     """
-    stiffness = float(positive("modulus", as_array("modulus", modulus, shape=())))
+    stiffness = scalar("modulus", modulus, above=0)
     boundary = extract_boundary(image)
     dimple = fit_dimple(boundary, pixel_size=pixel_size, probe_half_width=probe_half_width)
     membrane = {

@@ -8,7 +8,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from microlib._common import Array, as_array, positive, whole
+from microlib._common import Array, as_array, positive, scalar, whole
 
 #: Where the Gaussian of the smoothing is cut off, in standard deviations: a neighbor there counts
 #: e⁻², and twice as far the sums would take four times as long.
@@ -65,7 +65,7 @@ def correct_spikes(depth: ArrayLike, *, window: int = 9, delta: float = 2.0) -> 
     if np.isinf(z).any():
         raise ValueError(f"depth must be finite or NaN, got {int(np.isinf(z).sum())} infinite")
     n = whole("window", window, least=3, odd=True)
-    limit = float(positive("delta", delta, zero=True))
+    limit = scalar("delta", delta, least=0)
     unknown = np.isnan(z)
     if unknown.all():
         return z.copy()
@@ -146,8 +146,8 @@ def smooth_depth(
     z = as_array("depth", depth, shape=(None, None), finite=False)
     if np.isinf(z).any():
         raise ValueError(f"depth must be finite or NaN, got {int(np.isinf(z).sum())} infinite")
-    limit = float(positive("jump", jump))
-    sigma = float(positive("radius", radius))
+    limit = scalar("jump", jump, above=0)
+    sigma = scalar("radius", radius, above=0)
     weights = np.ones_like(z) if weight is None else positive("weight", weight, zero=True)
     if weights.shape != z.shape:
         raise ValueError(f"weight must have the shape {z.shape} of depth, got {weights.shape}")

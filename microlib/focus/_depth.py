@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from microlib._common import Array, Frames, Image, as_array, is_in_memory, positive, whole
+from microlib._common import Array, Frames, Image, as_array, is_in_memory, scalar, whole
 from microlib.focus._correction import smooth_depth
 from microlib.focus._loops import fill_in
 from microlib.focus._measures import (
@@ -199,7 +199,7 @@ def depth_from_focus(
     fit = whole("points", usual if points is None else points, least=3, odd=True)
     threads = whole("workers", workers, least=1)
     side = whole("window", window, least=1, odd=True)
-    limit = float(positive("threshold", threshold, zero=True))
+    limit = scalar("threshold", threshold, least=0)
     reader = read_frames(frames)
     first = next(reader, None)
     if first is None:

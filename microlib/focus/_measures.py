@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Image, as_array, as_image, one_of, positive, whole
+from microlib._common import Image, as_array, as_image, one_of, scalar, whole
 from microlib.focus._loops import sum_rows
 
 #: What `depth_from_focus` accepts in place of a name: grey image to focus measure of the same
@@ -93,7 +93,7 @@ class SumModifiedLaplacian:
     def __post_init__(self) -> None:
         whole("window", self.window, least=1, odd=True)
         whole("step", self.step, least=1)
-        positive("threshold", self.threshold, zero=True)
+        scalar("threshold", self.threshold, least=0)
 
     @property
     def reach(self) -> int:

@@ -61,6 +61,28 @@ class _PeakTracker:
         self._count += 1
 
 
+def _check_window(window: NDArray, index: NDArray, positions: Array) -> None:
+    """Refuse what is not of the kinds that a stack's own windows have; the values are its own."""
+    for name, value, kinds in (
+        ("window", window, "uif"),
+        ("index", index, "ui"),
+        ("positions", positions, "f"),
+    ):
+        plain = isinstance(value, np.ndarray) and not isinstance(value, np.ma.MaskedArray)
+        if not plain or value.ndim == 0 or value.dtype.kind not in kinds:
+            kind = "whole numbers" if kinds == "ui" else "real numbers"
+            raise ValueError(f"{name} must be an array of {kind}, got {type(value).__name__}")
+    if len(window) < 3 or len(window) % 2 == 0 or window.shape[1:] != index.shape:
+        raise ValueError(
+            f"window must hold an odd number of measures for each pixel of index, at least 3, got "
+            f"{window.shape} and {index.shape}"
+        )
+    if len(positions) < 3 or not np.isfinite(positions).all():
+        raise ValueError("positions must be at least three finite numbers")
+    if index.size == 0 or index.max() >= len(positions) or index.min() < 0:
+        raise ValueError(f"index must hold numbers of the {len(positions)} positions")
+
+
 def three_point_peak(
     window: NDArray, index: NDArray[np.uint16], positions: Array
 ) -> NDArray[np.float32]:
@@ -94,6 +116,7 @@ def three_point_peak(
     >>> round(float(depth[0, 0]), 4)
     22.5
     """
+    _check_window(window, index, positions)
     best = window[1].astype(np.float32)
     faint = best * np.float32(_FAINTEST)
     gaps = np.diff(positions)
@@ -157,6 +180,7 @@ def fit_peak(
     >>> round(float(depth[0, 0]), 4)
     42.5
     """
+    _check_window(window, index, positions)
     reach = len(window) // 2
     spacing = float(np.median(np.abs(np.diff(positions))))
     steps = positions / spacing

@@ -13,7 +13,8 @@ import numpy as np
 import tifffile
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import as_array, positive
+from microlib._common import as_array, of_kind, scalar
+from microlib.io._tiff import is_tiff, only_page
 
 _MICROMETERS_PER_CENTIMETER = 1e4
 
@@ -24,17 +25,19 @@ def read_grey(path: str | PathLike[str]) -> NDArray:
     Parameters
     ----------
     path : path-like
-        PNG, TIFF, JPEG or any other format that OpenCV knows; colors become grey.
+        PNG, TIFF of one page, JPEG or any other format that OpenCV knows; colors become grey.
 
     Returns
     -------
     ndarray of uint8 or uint16, shape (rows, cols)
-        The grey values as stored.
+        The grey values as stored: a grey TIFF of 8 or 16 bits in which zero is white is not
+        inverted.
 
     Raises
     ------
     ValueError
-        If there is no such file or it is not an image.
+        If there is no such file, or it is cut off, too large, not an image, or a TIFF of several
+        pages.
 
     Examples
     --------
@@ -42,15 +45,31 @@ def read_grey(path: str | PathLike[str]) -> NDArray:
     Traceback (most recent call last):
     ValueError: path must name an image, got missing.png: no such file
     """
+    of_kind("path", path, str, PathLike)
     file = Path(path)
     if not file.is_file():
         raise ValueError(f"path must name an image, got {file}: no such file")
-    # Not imread: it prints warnings of its own, and fails on names outside the system's encoding.
-    raw = np.frombuffer(file.read_bytes(), dtype=np.uint8)
-    image = cv2.imdecode(raw, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH) if raw.size else None
+    if is_tiff(file):
+        stored = only_page(file)
+        if stored is not None:
+            return stored
+    image = decode(file, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
     if image is None:
         raise ValueError(f"path must name an image, got {file}: damaged or of an unknown format")
     return image
+
+
+def decode(file: Path, flags: int) -> NDArray | None:
+    """Return an image as OpenCV reads it; None if it is damaged, cut off or absurdly large."""
+    # Not imread: it accepts JPEGs that are cut off, and fails on names outside the system's
+    # encoding.
+    raw = np.frombuffer(file.read_bytes(), dtype=np.uint8)
+    if not raw.size:
+        return None
+    try:
+        return cv2.imdecode(raw, flags)
+    except cv2.error:  # a header that claims more than 2³⁰ pixels
+        return None
 
 
 def write_height_tiff(path: str | PathLike[str], height: ArrayLike, *, pixel_size: float) -> None:
@@ -78,8 +97,9 @@ def write_height_tiff(path: str | PathLike[str], height: ArrayLike, *, pixel_siz
     ...     print(tifffile.imread(Path(folder) / "height.tif").shape)
     (4, 5)
     """
+    of_kind("path", path, str, PathLike)
     heights = as_array("height", height, shape=(None, None), dtype=np.float32, finite=False)
-    size = float(positive("pixel_size", as_array("pixel_size", pixel_size, shape=())))
+    size = scalar("pixel_size", pixel_size, above=0)
     per_centimeter = _MICROMETERS_PER_CENTIMETER / size
 
     def write(file: Path) -> None:
@@ -125,8 +145,9 @@ def write_ply(path: str | PathLike[str], height: ArrayLike, *, pixel_size: float
     ...     print((Path(folder) / "surface.ply").read_bytes()[:3])
     b'ply'
     """
+    of_kind("path", path, str, PathLike)
     heights = as_array("height", height, shape=(None, None), finite=False)
-    size = float(positive("pixel_size", as_array("pixel_size", pixel_size, shape=())))
+    size = scalar("pixel_size", pixel_size, above=0)
     known = np.isfinite(heights)
     cells = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
     if not cells.any():

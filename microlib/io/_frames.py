@@ -8,12 +8,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import tifffile
 from numpy.typing import NDArray
 
 from microlib._common import Frames
-
-_TIFF = (".tif", ".tiff")
+from microlib.io._files import decode
+from microlib.io._tiff import is_tiff, tiff_pages
 
 
 def read_frames(frames: Frames) -> Iterator[NDArray]:
@@ -23,20 +22,22 @@ def read_frames(frames: Frames) -> Iterator[NDArray]:
     ----------
     frames : array_like of shape (n, rows, cols), path, or iterable
         An array; a multi-page TIFF or OME-TIFF; or an iterable, such as a list or a generator, of
-        images or of paths to image files.
+        images or of paths to image files. A TIFF has one axis of frames: depth Z, time T, or one
+        without a name.
 
     Yields
     ------
     ndarray, shape (rows, cols)
         8-bit, 16-bit or float32 frames; other number types become float32. Frames of an array are
-        views of it, all others are the reader's own.
+        views of it, all others are the reader's own. Grey values are as stored: a TIFF in which
+        zero is white is not inverted.
 
     Raises
     ------
     ValueError
         If a frame is not grey, not finite, or differs from the first in size or type; or if a
-        file cannot be read, is cut off or damaged. The message names the frame, and the page of a
-        TIFF.
+        file cannot be read, is cut off or damaged, or a TIFF has channels, depth and time, or more
+        pages or fewer than it says. The message names the frame, and the page or axes of a TIFF.
 
     Examples
     --------
@@ -59,7 +60,7 @@ def read_frames(frames: Frames) -> Iterator[NDArray]:
 def _named(frames: Frames) -> Iterator[tuple[str, NDArray]]:
     """Yield each raw frame with the name that an error message should give it."""
     if isinstance(frames, (str, PathLike)):
-        yield from _pages(Path(frames))
+        yield from tiff_pages(Path(frames))
     elif isinstance(frames, np.ndarray):
         if frames.ndim != 3:
             raise ValueError(f"frames must have shape (any, any, any), got {frames.shape}")
@@ -92,37 +93,18 @@ def _check(name: str, frame: NDArray) -> NDArray:
     return result
 
 
-def _pages(path: Path) -> Iterator[tuple[str, NDArray]]:
-    """Yield the pages of a TIFF; a page that ends after the file does is refused, not padded."""
-    try:
-        tiff = tifffile.TiffFile(path)
-    except Exception as error:  # damaged headers raise whatever their bytes lead to
-        raise ValueError(f"frames cannot be read from {path}: {error}") from error
-    with tiff:
-        if len(tiff.pages) == 0:
-            raise ValueError(f"frames cannot be read from {path}: it holds no page")
-        for number in range(len(tiff.pages)):
-            try:
-                page = tiff.pages[number].aspage()
-                ends = np.add(page.dataoffsets, page.databytecounts)
-                if len(ends) == 0 or ends.max() > tiff.filehandle.size:
-                    raise ValueError("the file is cut off")
-                image = page.asarray()
-            except Exception as error:  # as above, and each codec has errors of its own
-                raise ValueError(f"page {number} of {path} cannot be read: {error}") from error
-            yield f"page {number} of {path}", image
-
-
 def _image(path: Path) -> NDArray:
     """Read one image file."""
-    if path.suffix.lower() in _TIFF:
-        pages = list(_pages(path))
+    if is_tiff(path):
+        pages = list(tiff_pages(path))
         if len(pages) != 1:
             raise ValueError(f"{path} must hold one page to be one frame, got {len(pages)}")
         return pages[0][1]
     if not path.is_file():
         raise ValueError(f"frames cannot be read from {path}: no such file")
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    image = decode(path, cv2.IMREAD_UNCHANGED)
     if image is None:
-        raise ValueError(f"frames cannot be read from {path}: not an image that OpenCV knows")
+        raise ValueError(
+            f"frames cannot be read from {path}: damaged, or not an image that OpenCV knows"
+        )
     return image

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from microlib._common import Array, as_array, between
+from microlib._common import Array, scalar
 from microlib.membrane._capsule import indent_capsule
-from microlib.membrane._laws import scalar
 from microlib.membrane._state import MembraneState
 
 __all__ = ["capsule_bending_force", "mirror_dimple_force"]
@@ -74,10 +73,10 @@ def mirror_dimple_force(
     >>> print(f"{force:.2f} µN")
     0.63 µN
     """
-    delta, r0 = scalar("depth", depth), scalar("radius", radius)
+    delta, r0 = scalar("depth", depth, above=0), scalar("radius", radius, above=0)
     if delta >= r0:
         raise ValueError(f"depth must be below radius {r0:g}, got {delta:g}")
-    h, stiffness = scalar("thickness", thickness), scalar("modulus", modulus)
+    h, stiffness = scalar("thickness", thickness, above=0), scalar("modulus", modulus, above=0)
     rigidity = _rigidity(stiffness, h, poisson_ratio)
     width = (rigidity * r0**2 / (stiffness * h)) ** 0.25
     return float(1.5 * np.pi * RIDGE_INTEGRAL * rigidity / width * np.sqrt(delta / r0))
@@ -133,8 +132,8 @@ def capsule_bending_force(
     >>> print(f"{added:.1f} µN")
     0.7 µN
     """
-    load = scalar("force", force)
-    nu = float(between("poisson_ratio", as_array("poisson_ratio", poisson_ratio, shape=()), -1, 1))
+    load = scalar("force", force, above=0)
+    nu = scalar("poisson_ratio", poisson_ratio, within=(-1, 1))
     states = [
         indent_capsule(
             factor * load,
@@ -157,7 +156,7 @@ def capsule_bending_force(
 
 
 def _rigidity(modulus: float, thickness: float, poisson_ratio: float) -> float:
-    nu = float(between("poisson_ratio", as_array("poisson_ratio", poisson_ratio, shape=()), -1, 1))
+    nu = scalar("poisson_ratio", poisson_ratio, within=(-1, 1))
     return modulus * thickness**3 / (12 * (1 - nu**2))
 
 

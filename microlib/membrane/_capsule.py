@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.integrate import solve_bvp
 
-from microlib._common import Array, as_array, between, one_of
-from microlib.membrane._laws import Law, law_of, relaxed_stress, scalar
+from microlib._common import Array, one_of, scalar
+from microlib.membrane._laws import Law, law_of, relaxed_stress
 from microlib.membrane._state import MembraneState, gauss_points, reintegration_error
 
 __all__ = ["CapsuleModulus", "capsule_modulus", "indent_capsule"]
@@ -381,12 +381,12 @@ def indent_capsule(
     >>> print(f"{state.depth:.2f} µm deep, rim at {state.rim_radius:.2f} µm")
     65.35 µm deep, rim at 184.90 µm
     """
-    load = scalar("force", force, zero=True)
-    stiffness = scalar("modulus", modulus)
+    load = scalar("force", force, least=0)
+    stiffness = scalar("modulus", modulus, above=0)
     r0, h, c = _sizes(radius, thickness, probe_half_width)
     one_of("support", support, ("plate",))
     bonded = one_of("punch", punch, ("bonded", "frictionless")) == "bonded"
-    stretch = scalar("inflation", inflation)
+    stretch = scalar("inflation", inflation, above=0)
     if stretch < 1:
         raise ValueError(f"inflation must be at least 1, got {stretch:g}")
     material = law_of(law, poisson_ratio)
@@ -448,9 +448,9 @@ def capsule_modulus(
     >>> print(f"{found.modulus:.2f} MPa, inflated by {found.inflation:.3f}")
     1.12 MPa, inflated by 1.042
     """
-    load = scalar("force", force)
+    load = scalar("force", force, above=0)
     r0, h, c = _sizes(radius, thickness, probe_half_width)
-    a, deep = scalar("rim_radius", rim_radius), scalar("depth", depth)
+    a, deep = scalar("rim_radius", rim_radius, above=0), scalar("depth", depth, above=0)
     one_of("support", support, ("plate",))
     bonded = one_of("punch", punch, ("bonded", "frictionless")) == "bonded"
     if not c < a < r0:
@@ -485,9 +485,8 @@ def capsule_modulus(
 
 
 def _sizes(radius: float, thickness: float, probe_half_width: float) -> tuple[float, float, float]:
-    r0, h = scalar("radius", radius), scalar("thickness", thickness)
-    c = as_array("probe_half_width", probe_half_width, shape=())
-    return r0, h, float(between("probe_half_width", c, 0.0, r0))
+    r0, h = scalar("radius", radius, above=0), scalar("thickness", thickness, above=0)
+    return r0, h, scalar("probe_half_width", probe_half_width, within=(0.0, r0))
 
 
 def _problem(law: Law, bonded: bool, probe: float, force: float, inflation: float) -> _Capsule:

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.integrate import solve_bvp
 from scipy.optimize import brentq
 
-from microlib._common import Array, between
-from microlib.membrane._laws import Law, law_of, relaxed_stress, scalar
+from microlib._common import Array, between, scalar
+from microlib.membrane._laws import Law, law_of, relaxed_stress
 from microlib.membrane._state import MembraneState, gauss_points, reintegration_error
 
 __all__ = ["disc_modulus", "indent_disc"]
@@ -204,9 +204,9 @@ def indent_disc(
     >>> print(f"{state.depth:.2f} µm")
     60.58 µm
     """
-    load = scalar("force", force, zero=True)
+    load = scalar("force", force, least=0)
     stiffness, a, h, c = (
-        scalar(name, value)
+        scalar(name, value, above=0)
         for name, value in (
             ("modulus", modulus),
             ("radius", radius),
@@ -215,8 +215,8 @@ def indent_disc(
         )
     )
     between("probe_half_width", c, 0.0, a)
-    initial = 1 + scalar("pretension", pretension, zero=True)
-    inset = scalar("rim_inset", rim_inset, zero=True)
+    initial = 1 + scalar("pretension", pretension, least=0)
+    inset = scalar("rim_inset", rim_inset, least=0)
     if inset >= 0.5:
         raise ValueError(f"rim_inset must lie in [0, 0.5), got {inset:g}")
     if isinstance(pressure, str):
@@ -224,7 +224,7 @@ def indent_disc(
             raise ValueError(f"pressure must be 'balance' or a number, got {pressure!r}")
         below = load / (np.pi * a**2)
     else:
-        below = scalar("pressure", pressure, zero=True)
+        below = scalar("pressure", pressure, least=0)
     outer = 1 / (initial * (1 - inset))
     if outer <= 1.01 * c / a / initial:
         raise ValueError(f"probe_half_width must leave a membrane to its rim, got {c:g} of {a:g}")
@@ -298,7 +298,7 @@ def disc_modulus(
     1.30 MPa
     """
     load, a, target = (
-        scalar(name, value)
+        scalar(name, value, above=0)
         for name, value in (("force", force), ("rim_radius", rim_radius), ("depth", depth))
     )
     settings: dict[str, Any] = {
@@ -317,7 +317,7 @@ def disc_modulus(
         return (state.depth - target) / a
 
     # F = E h w³/a² up to a factor: within a few e-foldings of any law and load.
-    start = np.log(load * a**2 / (scalar("thickness", thickness) * target**3))
+    start = np.log(load * a**2 / (scalar("thickness", thickness, above=0) * target**3))
     low, high = _bracket(excess, start, target)
     return float(np.exp(brentq(excess, low, high, xtol=1e-11)))
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from microlib._common import as_array, between, positive
+from microlib._common import scalar
 
 #: Nodes of the quadrature over the profile. 200 and 400 give the same modulus to 1e-13, and to
 #: 2e-11 where the membrane stands nearly upright; 100 to 5e-10 there.
@@ -102,14 +102,14 @@ def finite_slope_modulus(
     """
     a, c = _geometry(dimple_radius, probe_half_width)
     load, depth, h = (
-        float(positive(name, as_array(name, value, shape=())))
+        scalar(name, value, above=0)
         for name, value in (
             ("force", force),
             ("dimple_depth", dimple_depth),
             ("thickness", thickness),
         )
     )
-    nu = float(between("poisson_ratio", as_array("poisson_ratio", poisson_ratio, shape=()), -1, 1))
+    nu = scalar("poisson_ratio", poisson_ratio, within=(-1, 1))
     if depth > _depth(1.0, a, c):
         return float("nan")
     # The sine at the probe stands for k: it runs over (0, 1].
@@ -124,9 +124,8 @@ def finite_slope_modulus(
 
 
 def _geometry(dimple_radius: float, probe_half_width: float) -> tuple[float, float]:
-    a = float(positive("dimple_radius", as_array("dimple_radius", dimple_radius, shape=())))
-    c = as_array("probe_half_width", probe_half_width, shape=())
-    return a, float(between("probe_half_width", c, 0.0, a))
+    a = scalar("dimple_radius", dimple_radius, above=0)
+    return a, scalar("probe_half_width", probe_half_width, within=(0.0, a))
 
 
 def _profile(steepest: float, a: float, c: float) -> tuple[NDArray, NDArray, NDArray]:

@@ -16,9 +16,9 @@ from typing import Protocol
 
 import numpy as np
 
-from microlib._common import Array, as_array, between, one_of, positive
+from microlib._common import Array, one_of, scalar
 
-__all__ = ["LAWS", "MOONEY_RATIO", "Law", "law_of", "relaxed_stress", "scalar"]
+__all__ = ["LAWS", "MOONEY_RATIO", "Law", "law_of", "relaxed_stress"]
 
 #: The laws by name.
 LAWS = ("hooke", "neo-hooke", "mooney-rivlin")
@@ -28,14 +28,6 @@ MOONEY_RATIO = 0.2
 
 # Newton on a concave function squares the error with each step.
 _STEPS = 20
-
-
-def scalar(name: str, value: float, *, zero: bool = False) -> float:
-    """Return one positive number (or zero, if `zero`) as a float."""
-    array = positive(name, value, zero=zero)
-    if array.ndim:
-        raise ValueError(f"{name} must be a single number, got shape {array.shape}")
-    return float(array)
 
 
 class Law(Protocol):
@@ -195,7 +187,7 @@ def relaxed_stress(law: Law, first: Array, second: Array) -> tuple[Array, Array]
 def law_of(name: str, poisson_ratio: float) -> Law:
     """Return the law called `name`, or refuse a Poisson ratio that it cannot have."""
     law = one_of("law", name, LAWS)
-    nu = float(between("poisson_ratio", as_array("poisson_ratio", poisson_ratio, shape=()), -1, 1))
+    nu = scalar("poisson_ratio", poisson_ratio, within=(-1, 1))
     if law == "hooke":
         return Hooke(nu)
     if nu != 0.5:

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from microlib._common import Array, as_array
+from microlib._common import Array, as_array, scalar
 from microlib.membrane._capsule import capsule_modulus, indent_capsule
-from microlib.membrane._laws import scalar
 from microlib.membrane._state import MembraneState
 
 __all__ = ["CapsuleFit", "fit_capsule"]
@@ -117,11 +116,11 @@ def fit_capsule(
     >>> print(f"{fit.modulus:.1f} MPa, misfit {fit.misfit:.1f} µm")
     1.0 MPa, misfit 0.4 µm
     """
-    load, c = scalar("force", force), scalar("probe_half_width", probe_half_width)
+    load, c = scalar("force", force, above=0), scalar("probe_half_width", probe_half_width, above=0)
     points = as_array("outline", outline, shape=(None, 2))
     if len(points) < _FEWEST_POINTS:
         raise ValueError(f"outline must have at least {_FEWEST_POINTS} points, got {len(points)}")
-    known = None if radius is None else scalar("radius", radius)
+    known = None if radius is None else scalar("radius", radius, above=0)
     settings: dict[str, Any] = {
         "thickness": thickness,
         "probe_half_width": c,

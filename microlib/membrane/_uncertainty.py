@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, as_array, positive, whole
+from microlib._common import Array, as_array, generator, of_kind, scalar, whole
 from microlib.membrane._point_load import (
     annulus,
     checked,
@@ -143,7 +143,7 @@ def modulus_samples(
     """
     _check_names(values, stds)
     count = whole("size", size, least=1)
-    rng = np.random.default_rng(rng)
+    rng = generator("rng", rng)
     drawn = {name: rng.normal(values[name], stds.get(name, 0.0), count) for name in _INPUTS}
     return elastic_modulus(**drawn)
 
@@ -171,9 +171,13 @@ def _log_derivatives(
 
 
 def _check_names(values: Mapping[str, float], stds: Mapping[str, float]) -> None:
+    of_kind("values", values, Mapping)
+    of_kind("stds", stds, Mapping)
     if set(values) != set(_INPUTS):
         raise ValueError(f"values must have the keys {sorted(_INPUTS)}, got {sorted(values)}")
     if not set(stds) <= set(_INPUTS):
         raise ValueError(f"stds must have keys among {sorted(_INPUTS)}, got {sorted(stds)}")
+    for name in values:
+        scalar(f"values[{name!r}]", values[name])
     for name, std in stds.items():
-        positive(f"stds[{name!r}]", std, zero=True)
+        scalar(f"stds[{name!r}]", std, least=0)

@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_array, between, positive, same_length
+from microlib._common import (
+    LARGEST,
+    Array,
+    are_small,
+    as_array,
+    positive,
+    same_length,
+    scalar,
+    whole,
+)
 
 #: Largest ratio of the singular values of a Jacobian that counts as one of full rank: the rounding
 #: of a double (10⁻¹⁶) is then a millionth of what the weakest direction does.
@@ -13,6 +22,12 @@ LARGEST_CONDITION = 1e10
 
 #: Relative difference of two halves of a matrix that rounding explains.
 _ROUNDING = 1e-9
+
+#: Compared by identity, which costs nothing in a loop.
+_DOUBLE = np.dtype(np.float64)
+
+#: Samples: a loop this late is not one, and its poles take minutes.
+_MOST_DELAY = 200
 
 
 def point_jacobian(
@@ -72,7 +87,7 @@ def point_jacobian(
     cell = as_array(
         "pixel_size", np.broadcast_to(positive("pixel_size", pixel_size), 2), shape=(2,)
     )
-    scale_x, scale_y = float(positive("magnification", magnification)) / cell
+    scale_x, scale_y = scalar("magnification", magnification, above=0) / cell
     aspect = cell[1] / cell[0]
     jacobian = np.zeros((len(xy), 2, 6))
     jacobian[:, 0, 0] = scale_x
@@ -182,7 +197,7 @@ def ibvs_control(
     array([-4.,  4.])
     """
     matrix = _full_rank(jacobian)
-    wanted = -float(positive("gain", gain)) * as_array("error", error, shape=(len(matrix),))
+    wanted = -scalar("gain", gain, above=0) * as_array("error", error, shape=(len(matrix),))
     if drift is not None:
         wanted = wanted - as_array("drift", drift, shape=(len(matrix),))
     return np.linalg.pinv(matrix) @ wanted
@@ -220,9 +235,9 @@ def loop_poles(gain: float, delay: float = 0.0) -> NDArray[np.complex128]:
     >>> abs(loop_poles(0.81, 1.0)).round(3)
     array([0.9, 0.9, 0. ])
     """
-    g = float(positive("gain", gain))
-    whole, part = divmod(float(positive("delay", delay, zero=True)), 1.0)
-    polynomial = np.zeros(int(whole) + 3)
+    g = scalar("gain", gain, above=0)
+    samples, part = divmod(scalar("delay", delay, least=0, most=_MOST_DELAY), 1.0)
+    polynomial = np.zeros(int(samples) + 3)
     polynomial[:2] = 1.0, -1.0
     polynomial[-2:] += g * (1.0 - part), g * part
     poles = np.roots(polynomial)
@@ -280,8 +295,15 @@ class OptimalController:
 
     def __call__(self, k: int, measured: Array, reference: Array) -> Array:
         """Return the velocity for sample `k`, µm/s; zero if the feature is lost."""
+        size = self.gain.shape[1]
+        if not _is_usual(k, measured, reference, size):
+            measured, reference = _checked_sample(k, measured, reference, size)
         error = measured - reference[min(k + 1, len(reference) - 1)]
-        return -self.gain @ error if np.isfinite(error).all() else np.zeros(len(self.gain))
+        if not are_small(error, LARGEST):
+            measured, reference = _checked_sample(k, measured, reference, size)
+            if not np.isfinite(measured).all():
+                return np.zeros(len(self.gain))
+        return -self.gain @ error
 
 
 class PredictiveController:
@@ -343,20 +365,36 @@ class PredictiveController:
             feature_weight=feature_weight,
             control_weight=control_weight,
         )
-        self._step = interval * as_array("jacobian", jacobian, shape=(None, None))
-        self._delay = float(positive("delay", delay, zero=True)) / interval
-        self._limit = float(positive("saturation", saturation))
-        share = between("innovation_gain", innovation_gain, 0.0, 1.0, closed=True)
-        self._innovation_gain = float(share)
-        whole = int(self._delay)
-        self._part = self._delay - whole
+        self._step = scalar("interval", interval, above=0) * as_array(
+            "jacobian", jacobian, shape=(None, None)
+        )
+        self._delay = scalar("delay", delay, least=0) / scalar("interval", interval, above=0)
+        if self._delay > _MOST_DELAY:
+            raise ValueError(f"delay must be at most {_MOST_DELAY} intervals, got {self._delay:g}")
+        self._limit = scalar("saturation", saturation, above=0)
+        share = scalar("innovation_gain", innovation_gain, within=(0.0, 1.0), closed=True)
+        self._innovation_gain = share
+        samples = int(self._delay)
+        self._part = self._delay - samples
         # Commands not yet executed in full, oldest first.
-        self._pending = np.zeros((whole + 1, self._step.shape[1]))
+        self._pending = np.zeros((samples + 1, self._step.shape[1]))
         self._estimate: Array | None = None
 
     def __call__(self, k: int, measured: Array, reference: Array) -> Array:
         """Return the velocity for sample `k`, µm/s."""
-        if not np.isfinite(measured).all():
+        size = len(self._step)
+        if not _is_usual(k, measured, reference, size):
+            measured, reference = _checked_sample(k, measured, reference, size)
+        last = len(reference) - 1.0
+        when = min(k + 1 + self._delay, last)
+        before = int(when)
+        after = min(before + 1, int(last))
+        target = reference[before] + (when - before) * (reference[after] - reference[before])
+        known = are_small(measured, LARGEST)
+        if not (known and are_small(target, LARGEST)):
+            _checked_sample(k, measured, reference, size)
+            known = bool(np.isfinite(measured).all())
+        if not known:
             if self._estimate is None:
                 return np.zeros(self._step.shape[1])
         elif self._estimate is None:
@@ -365,12 +403,8 @@ class PredictiveController:
             self._estimate = self._estimate + self._innovation_gain * (measured - self._estimate)
         coming = self._part * self._pending[0] + self._pending[1:].sum(axis=0)
         ahead = self._estimate + self._step @ coming
-        last = len(reference) - 1.0
-        when = min(k + 1 + self._delay, last)
-        before = int(when)
-        after = min(before + 1, int(last))
-        target = reference[before] + (when - before) * (reference[after] - reference[before])
-        command = np.clip(self._gain @ (target - ahead), -self._limit, self._limit)
+        wanted = self._gain @ (target - ahead)
+        command = np.minimum(np.maximum(wanted, -self._limit), self._limit)
         queue = np.vstack([self._pending, command])
         self._estimate = self._estimate + self._step @ (
             self._part * queue[0] + (1.0 - self._part) * queue[1]
@@ -379,12 +413,37 @@ class PredictiveController:
         return command
 
 
+def _is_usual(k: int, measured: Array, reference: Array, size: int) -> bool:
+    """Return whether the types and shapes are those of a loop, which then need no further look."""
+    return (
+        type(k) is int
+        and k >= 0
+        and type(measured) is np.ndarray
+        and measured.dtype is _DOUBLE
+        and measured.shape == (size,)
+        and type(reference) is np.ndarray
+        and reference.dtype is _DOUBLE
+        and reference.ndim == 2
+        and reference.shape[1] == size
+        and len(reference) > 0
+    )
+
+
+def _checked_sample(k: int, measured: Array, reference: Array, size: int) -> tuple[Array, Array]:
+    """Check what a controller is called with; a lost measurement is NaN."""
+    whole("k", k, least=0)
+    return (
+        as_array("measured", measured, shape=(size,), finite=False),
+        as_array("reference", reference, shape=(None, size)),
+    )
+
+
 def _optimal_gain(
     jacobian: ArrayLike, *, interval: float, feature_weight: ArrayLike, control_weight: ArrayLike
 ) -> Array:
     """Return the matrix K of (2.28) that turns a feature error into a velocity, u = −K e."""
     matrix = _full_rank(jacobian)
-    step = float(positive("interval", interval)) * matrix
+    step = scalar("interval", interval, above=0) * matrix
     q = _weight("feature_weight", feature_weight, matrix.shape[0])
     weight = _weight("control_weight", control_weight, matrix.shape[1])
     return np.linalg.solve(step.T @ q @ step + weight, step.T @ q)

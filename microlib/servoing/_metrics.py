@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import as_array, between, same_length
+from microlib._common import as_array, same_length, scalar
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def step_metrics(
     if (np.diff(t) <= 0).any():
         raise ValueError("time must increase")
     goal = as_array("target", target, shape=(x.shape[1],))
-    share = float(between("band", band, 0.0, 1.0))
+    share = scalar("band", band, within=(0.0, 1.0))
     step = goal - x[0]
     length = float(np.linalg.norm(step))
     if length == 0:

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_array, positive
+from microlib._common import Array, as_array, generator, of_kind, scalar
 from microlib.servoing._control import LARGEST_CONDITION
 
 #: Given the number of the sample, the measured feature (px, NaN if lost) and all references, a
@@ -62,15 +62,27 @@ class Stage:
     travel: float = 7500.0
 
     def __post_init__(self) -> None:
-        positive("saturation", self.saturation)
-        positive("lag", self.lag, zero=True)
-        positive("step", self.step, zero=True)
-        positive("travel", self.travel)
+        for name in ("saturation", "travel"):
+            object.__setattr__(self, name, scalar(name, getattr(self, name), above=0))
+        for name in ("lag", "step"):
+            object.__setattr__(self, name, scalar(name, getattr(self, name), least=0))
 
     def move(
         self, position: Array, velocity: Array, command: Array, duration: float
     ) -> tuple[Array, Array]:
         """Return position (µm) and velocity (µm/s) after a constant command for `duration` s."""
+        position, velocity = as_array("position", position), as_array("velocity", velocity)
+        command = as_array("command", command, shape=position.shape)
+        duration = scalar("duration", duration, least=0)
+        if velocity.shape != position.shape:
+            raise ValueError(
+                f"velocity must have the shape {position.shape} of position, got {velocity.shape}"
+            )
+        return self._moved(position, velocity, command, duration)
+
+    def _moved(
+        self, position: Array, velocity: Array, command: Array, duration: float
+    ) -> tuple[Array, Array]:
         target = np.minimum(np.maximum(command, -self.saturation), self.saturation)
         left = np.exp(-duration / self.lag) if self.lag > 0 else 0.0
         moved = target * duration + (velocity - target) * self.lag * (1.0 - left)
@@ -78,6 +90,9 @@ class Stage:
 
     def quantized(self, position: Array) -> Array:
         """Return the position rounded to the increments of the drive, µm."""
+        return self._rounded(as_array("position", position))
+
+    def _rounded(self, position: Array) -> Array:
         return np.rint(position / self.step) * self.step if self.step > 0 else position
 
 
@@ -101,9 +116,9 @@ class Camera:
     jitter: float = 0.0
 
     def __post_init__(self) -> None:
-        positive("interval", self.interval)
-        positive("latency", self.latency, zero=True)
-        positive("jitter", self.jitter, zero=True)
+        object.__setattr__(self, "interval", scalar("interval", self.interval, above=0))
+        for name in ("latency", "jitter"):
+            object.__setattr__(self, name, scalar(name, getattr(self, name), least=0))
 
 
 @dataclass(frozen=True)
@@ -131,6 +146,10 @@ class Simulation:
     position: Array
     command: Array
     saturated: NDArray[np.bool_]
+
+
+#: Intervals: a loop this late is not one.
+_MOST_LATENCY = 1000
 
 
 def simulate(
@@ -188,6 +207,11 @@ def simulate(
     >>> run.feature[-1].round(1)
     array([5., 5.])
     """
+    of_kind("stage", stage, Stage)
+    of_kind("camera", camera, Camera)
+    for name, function in (("controller", controller), ("observer", observer)):
+        if not callable(function) and not (function is None and name == "observer"):
+            raise ValueError(f"{name} must be callable, got {type(function).__name__}")
     wanted = as_array("reference", reference, shape=(None, 2))
     matrix = as_array("jacobian", jacobian, shape=(2, 2))
     if np.linalg.cond(matrix) > LARGEST_CONDITION:
@@ -198,8 +222,13 @@ def simulate(
         raise ValueError(
             f"reference must lie within ±{stage.travel:g} µm of the start, got {needed:.0f} µm"
         )
-    rng = np.random.default_rng(rng)
+    rng = generator("rng", rng)
     count = len(wanted)
+    if camera.latency > _MOST_LATENCY * camera.interval:
+        raise ValueError(
+            f"camera must have a latency of at most {_MOST_LATENCY} intervals, got "
+            f"{camera.latency:g} s and intervals of {camera.interval:g} s"
+        )
     whole, part = divmod(camera.latency / camera.interval, 1.0)
     first = int(whole) + 1
     queue = np.zeros((count + first, 2))  # queue[k + first] is the command computed at exposure k
@@ -208,7 +237,7 @@ def simulate(
     feature, measured, positions = np.empty((3, count, 2))
     saturated = np.zeros(count, bool)
     for k in range(count):
-        positions[k] = stage.quantized(position)
+        positions[k] = stage._rounded(position)
         feature[k] = origin + matrix @ positions[k]
         seen = feature[k] + camera.jitter * rng.standard_normal(2)
         measured[k] = seen if observer is None else observer(seen)
@@ -216,7 +245,7 @@ def simulate(
         saturated[k] = np.abs(command).max() > stage.saturation
         queue[k + first] = np.minimum(np.maximum(command, -stage.saturation), stage.saturation)
         for active, share in ((queue[k], part), (queue[k + 1], 1.0 - part)):
-            position, velocity = stage.move(position, velocity, active, share * camera.interval)
+            position, velocity = stage._moved(position, velocity, active, share * camera.interval)
     return Simulation(
         time=camera.interval * np.arange(count),
         reference=wanted,
@@ -244,6 +273,11 @@ def tracked_view(render: Callable[[Array], ArrayLike], tracker: Tracker) -> Obse
     callable
         Observer for `simulate`.
     """
+
+    if not callable(render):
+        raise ValueError(f"render must be callable, got {type(render).__name__}")
+    if not callable(getattr(tracker, "track", None)):
+        raise ValueError(f"tracker must have a method track, got {type(tracker).__name__}")
 
     def observe(feature: Array) -> Array:
         track = tracker.track(render(feature))

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, one_of, positive, whole
+from microlib._common import Array, generator, image_shape, one_of, scalar, whole
 
 # What such cells look like is a choice of the scene; no method depends on it.
 #: Radius (µm), irregularity of the outline, and how many harmonics it has.
@@ -96,10 +96,10 @@ def cell_image(
     """
     radius, irregularity, harmonics = _KINDS[one_of("kind", kind, tuple(_KINDS))]
     wanted = whole("count", count, least=1)
-    positive("pixel_size", pixel_size)
-    rows, columns = (whole("shape", n, least=_SMALLEST) for n in shape)
+    pixel_size = scalar("pixel_size", pixel_size, above=0)
+    rows, columns = image_shape("shape", shape, least=_SMALLEST)
     radius /= pixel_size
-    rng = np.random.default_rng(rng)
+    rng = generator("rng", rng)
     outlines: list[Array] = []
     centers: list[Array] = []
     for _ in range(_TRIES * wanted):

@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 from scipy.special import beta, ndtr
 
-from microlib._common import Array, between, positive, whole
+from microlib._common import Array, between, flag, generator, image_shape, of_kind, scalar
 from microlib.membrane import SmallSlopeWarning, dimple_depth, dimple_profile
 
 #: Pixel of the Sony XCD-X710CR (4.65 µm cells) behind the magnification 1.2, in µm, and its image.
@@ -110,12 +110,11 @@ class Embryo:
     radius: float = 600.0
 
     def __post_init__(self) -> None:
-        positive("modulus", self.modulus)
-        positive("force", self.force, zero=True)
-        positive("thickness", self.thickness)
-        positive("probe_half_width", self.probe_half_width)
-        between("poisson_ratio", self.poisson_ratio, -1.0, 1.0)
-        positive("radius", self.radius)
+        for name in ("modulus", "dimple_radius", "thickness", "probe_half_width", "radius"):
+            object.__setattr__(self, name, scalar(name, getattr(self, name), above=0))
+        object.__setattr__(self, "force", scalar("force", self.force, least=0))
+        ratio = scalar("poisson_ratio", self.poisson_ratio, within=(-1.0, 1.0))
+        object.__setattr__(self, "poisson_ratio", ratio)
         if self.force > 0:
             between("dimple_radius", self.dimple_radius, self.probe_half_width, self.radius)
             if self._half_axes()[2] <= self.dimple_depth:
@@ -159,8 +158,8 @@ class Embryo:
         >>> print(f"radius {embryo.dimple_radius:.0f} µm, depth {embryo.dimple_depth:.0f} µm")
         radius 246 µm, depth 121 µm
         """
-        positive("force", force)
-        positive("rim_radius", rim_radius)
+        force = scalar("force", force, above=0)
+        rim_radius = scalar("rim_radius", rim_radius, above=0)
         untouched = cls(modulus, 0.0, 1.0, **properties)
         c = untouched.probe_half_width
 
@@ -204,8 +203,8 @@ class Embryo:
         >>> print(f"radius {embryo.dimple_radius:.0f} µm, force {embryo.force:.0f} µN")
         radius 247 µm, force 198 µN
         """
-        positive("depth", depth)
-        positive("rim_radius", rim_radius)
+        depth = scalar("depth", depth, above=0)
+        rim_radius = scalar("rim_radius", rim_radius, above=0)
         untouched = cls(modulus, 0.0, 1.0, **properties)
         c = untouched.probe_half_width
 
@@ -261,7 +260,7 @@ class Embryo:
         >>> print(f"from {outline[:, 1].min():.0f} µm to {abs(outline[:, 1].max()):.2f} µm")
         from -1059 µm to 0.00 µm
         """
-        positive("spacing", spacing)
+        spacing = scalar("spacing", spacing, above=0)
         quarter = np.linspace(0.0, np.pi / 2, _ARC_POINTS)
         if self.force == 0:
             half = self.radius * np.stack([np.sin(2 * quarter), np.cos(2 * quarter) - 1], axis=1)
@@ -424,13 +423,15 @@ def embryo_image(
     >>> scene.image.shape, scene.image.dtype.name
     ((768, 1024), 'uint8')
     """
-    rng = np.random.default_rng(rng)
-    positive("pixel_size", pixel_size)
-    rows, columns = (whole("shape", n, least=_SMALLEST) for n in shape)
-    between("tilt", tilt, -np.pi, np.pi, closed=True)
-    between("blur", blur, *_BLURS, closed=True)
-    positive("noise", noise, zero=True)
-    between("unevenness", unevenness, 0.0, _MOST_UNEVEN, closed=True)
+    rng = generator("rng", rng)
+    of_kind("embryo", embryo, Embryo)
+    probe = flag("probe", probe)
+    pixel_size = scalar("pixel_size", pixel_size, above=0)
+    rows, columns = image_shape("shape", shape, least=_SMALLEST)
+    tilt = scalar("tilt", tilt, within=(-np.pi, np.pi), closed=True)
+    blur = scalar("blur", blur, within=_BLURS, closed=True)
+    noise = scalar("noise", noise, least=0)
+    unevenness = scalar("unevenness", unevenness, within=(0.0, _MOST_UNEVEN), closed=True)
     if center is None:
         center = ((columns - 1) / 2, (rows - 1 - embryo.height / pixel_size) / 2)
     blank = np.zeros((rows, columns), dtype=np.uint8)
@@ -481,7 +482,7 @@ def embryo_sequence(
     >>> [round(scene.embryo.dimple_depth) for scene in scenes]
     [66, 97]
     """
-    rng = np.random.default_rng(rng)
+    rng = generator("rng", rng)
     scenes = []
     for force in forces:
         embryo = Embryo.pressed(force, modulus=modulus, rim_radius=rim_radius)

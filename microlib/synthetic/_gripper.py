@@ -9,7 +9,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from microlib._common import Array, as_array, one_of, positive, whole
+from microlib._common import (
+    Array,
+    as_array,
+    between,
+    generator,
+    image_shape,
+    one_of,
+    positive,
+    scalar,
+    whole,
+)
 from microlib.synthetic._textures import mixed_texture
 
 #: Samples of the gripper's drawing per pixel, which are interpolated linearly: half or twice as
@@ -85,8 +95,9 @@ def camera_frame(
     array([[ 10, 255]], dtype=uint8)
     """
     grey = as_array("image", image, shape=(None, None))
-    sigma = float(positive("noise", noise, zero=True))
-    rng = np.random.default_rng(rng)
+    sigma = scalar("noise", noise, least=0)
+    rng = generator("rng", rng)
+    gain = scalar("gain", gain)
     grey = gain * grey + sigma * rng.standard_normal(grey.shape, np.float32)
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
 
@@ -156,9 +167,10 @@ def warped_pair(
     array([5., 5., 5., 5.])
     """
     one_of("warp", warp, ("shift", "affine", "homography"))
-    size = whole("size", size, least=2)
-    distance = float(positive("distance", distance, zero=True))
-    rng = np.random.default_rng(rng)
+    size = whole("size", size, least=2, most=4096)
+    sigma = scalar("sigma", sigma, above=0, most=1e3)
+    distance = scalar("distance", distance, least=0, most=1e4)
+    rng = generator("rng", rng)
     side = 3 * size  # the template in the middle, with its own size around it
     texture = mixed_texture((side, side), rng, std=_CONTRAST, scales=sigma)
     unit = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
@@ -236,7 +248,10 @@ def texture_sequence(
     """
     positions = as_array("positions", positions, shape=(None, 2))
     positive("positions", positions, zero=True)
-    rng = np.random.default_rng(rng)
+    between("positions", positions, 0.0, 1e4, closed=True)
+    size = whole("size", size, least=2, most=4096)
+    sigma = scalar("sigma", sigma, above=0, most=1e3)
+    rng = generator("rng", rng)
     width, height = (np.ceil(positions.max(axis=0)) + 2 * size).astype(int)
     ground = mixed_texture((height, width), rng, std=_CONTRAST, scales=sigma)
     square = mixed_texture((size, size), rng, std=_CONTRAST, scales=sigma)
@@ -355,12 +370,12 @@ def gripper_scene(
     """
     opening = float(positive("gap", gap) / positive("pixel_size", pixel_size))
     reach = whole("reach", reach, least=1)
-    rows, columns = (whole(f"shape[{axis}]", shape[axis], least=_SMALLEST) for axis in (0, 1))
+    rows, columns = image_shape("shape", shape, least=_SMALLEST)
     if opening > _LARGEST_OPENING * rows:
         raise ValueError(
             f"gap must be under a third of the frame's {rows} px, got {opening:.0f} px"
         )
-    rng = np.random.default_rng(rng)
+    rng = generator("rng", rng)
     margin = reach + 2  # a pixel for the interpolation, and one that `frame` keeps
     height, width = _DENSITY * (rows + 2 * margin), _DENSITY * (columns + 2 * margin)
     middle = np.array([(columns - 1) / 2, (rows - 1) / 2])

@@ -15,7 +15,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, as_array, between, positive, whole
+from microlib._common import (
+    Array,
+    as_array,
+    between,
+    generator,
+    image_shape,
+    of_kind,
+    scalar,
+    whole,
+)
 from microlib.microscope import Microscope
 
 #: Cells along a side of a pixel; the edges inside a cell are straight to within its curvature, an
@@ -62,11 +71,17 @@ class ImagingConditions:
 
     def __post_init__(self) -> None:
         for name in ("blur", "noise"):
-            positive(name, as_array(name, getattr(self, name), shape=()), zero=True)
+            object.__setattr__(self, name, scalar(name, getattr(self, name), least=0))
         for name in ("dark", "bright"):
-            between(name, as_array(name, getattr(self, name), shape=()), 0, 255, closed=True)
-        between("vignetting", as_array("vignetting", self.vignetting, shape=()), 0, 1, closed=True)
+            level = scalar(name, getattr(self, name), within=(0, 255), closed=True)
+            object.__setattr__(self, name, level)
+        loss = scalar("vignetting", self.vignetting, within=(0, 1), closed=True)
+        object.__setattr__(self, "vignetting", loss)
         between("gradient", as_array("gradient", self.gradient, shape=(2,)), -1, 1, closed=True)
+
+
+#: A kilometer, µm.
+_LONGEST = 1e9
 
 
 def render_circles(
@@ -111,7 +126,10 @@ def render_circles(
     >>> image.shape, float(image.min().round()), float(image.max().round())
     ((90, 120), 50.0, 200.0)
     """
-    positive("radius", radius)
+    radius, pitch = (
+        scalar("radius", radius, above=0, most=_LONGEST),
+        scalar("pitch", pitch, above=0, most=_LONGEST),
+    )
     if not 2 * radius < pitch:
         raise ValueError(f"pitch must exceed the diameter {2 * radius:g} µm, got {pitch:g}")
 
@@ -125,7 +143,7 @@ def render_circles(
         offset = plane - pitch * _nearest(plane / pitch, counts)
         return radius - np.hypot(offset[..., 0], offset[..., 1])
 
-    return _render(microscope, depth, covered, imaging or ImagingConditions(), rng)
+    return _render(microscope, depth, covered, counts, imaging, rng)
 
 
 def render_squares(
@@ -174,7 +192,7 @@ def render_squares(
     >>> round(float(area) ** 0.5, 1)
     200.0
     """
-    positive("side", side)
+    side = scalar("side", side, above=0, most=_LONGEST)
     half = side / 2
 
     def offset(plane: Array) -> Array:
@@ -203,7 +221,7 @@ def render_squares(
     def depth(plane: Array) -> Array:
         return half - np.abs(offset(plane)).max(axis=-1)
 
-    return _render(microscope, depth, covered, imaging or ImagingConditions(), rng)
+    return _render(microscope, depth, covered, counts, imaging, rng)
 
 
 def _nearest(lattice: Array, counts: Counts) -> Array:
@@ -238,11 +256,17 @@ def _render(
     microscope: Microscope,
     depth: Callable[[Array], Array],
     covered: Coverage,
-    imaging: ImagingConditions,
+    counts: Counts,
+    imaging: ImagingConditions | None,
     rng: np.random.Generator | int | None,
 ) -> NDArray[np.float32]:
     """Cover, blur, bin, light up and add noise; `depth` is the signed distance to the outline,
     µm."""
+    of_kind("microscope", microscope, Microscope)
+    imaging = ImagingConditions() if imaging is None else imaging
+    of_kind("imaging", imaging, ImagingConditions)
+    if counts is not None:
+        image_shape("counts", counts)
     if imaging.noise > 0 and rng is None:
         raise ValueError(
             "rng must be a numpy.random.Generator or a seed when imaging.noise > 0, got None"
@@ -279,5 +303,5 @@ def _render(
     )
     image = light * (imaging.bright - (imaging.bright - imaging.dark) * area)
     if rng is not None:
-        image = image + np.random.default_rng(rng).normal(0, imaging.noise, image.shape)
+        image = image + generator("rng", rng).normal(0, imaging.noise, image.shape)
     return np.clip(image, 0, 255).astype(np.float32)

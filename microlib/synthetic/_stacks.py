@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import as_array, as_image, positive
+from microlib._common import as_array, as_image, generator, scalar
 from microlib.optics import BlurLadder
 
 
@@ -60,12 +60,12 @@ def focal_stack(
     image = as_image("texture", texture)
     z = as_array("height", height, shape=image.shape)
     focus = as_array("positions", positions, shape=(None,))
-    rate = float(positive("blur_rate", blur_rate))
-    least = float(positive("sharpest", sharpest, zero=True))
-    sigma = float(positive("noise", noise, zero=True))
+    rate = scalar("blur_rate", blur_rate, above=0)
+    least = scalar("sharpest", sharpest, least=0)
+    sigma = scalar("noise", noise, least=0)
     if sigma > 0 and rng is None:
         raise ValueError("rng must be given for noisy frames, got None")
-    rng = np.random.default_rng(rng)
+    rng = generator("rng", 0 if rng is None else rng)
     furthest = max(focus.max() - z.min(), z.max() - focus.min())
     # The ladder must reach past the largest blur whatever its last digit.
     ladder = BlurLadder(image, float(np.hypot(least, rate * furthest)) * (1 + 1e-9))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from microlib._common import Array, between, positive, whole
+from microlib._common import Array, generator, image_shape, scalar, whole
 
 #: Principal curvatures of the surface types of Table 3.1, in those of the stronger one. Their signs
 #: are the types; the half of the two saddles only has to be neither 0 nor 1.
@@ -23,7 +23,7 @@ _TYPES = {
 
 def _centered(shape: tuple[int, int]) -> tuple[Array, Array]:
     """Return x and y from the center of the image, px."""
-    rows, cols = (whole("shape", n, least=2) for n in shape)
+    rows, cols = image_shape("shape", shape, least=2)
     y, x = np.mgrid[0:rows, 0:cols].astype(np.float64)
     return x - (cols - 1) / 2, y - (rows - 1) / 2
 
@@ -59,8 +59,8 @@ def parabolic_cylinder(
     [0.0, 375.0, 500.0, 375.0, 0.0]
     """
     x, _ = _centered(shape)
-    half = float(positive("width", shape[1] - 1 if width is None else width)) / 2
-    return float(positive("height", height)) * np.maximum(1 - (x / half) ** 2, 0)
+    half = scalar("width", shape[1] - 1 if width is None else width, above=0) / 2
+    return scalar("height", height, above=0) * np.maximum(1 - (x / half) ** 2, 0)
 
 
 def paraboloid(shape: tuple[int, int], height: float) -> Array:
@@ -90,7 +90,7 @@ def paraboloid(shape: tuple[int, int], height: float) -> Array:
     """
     x, y = _centered(shape)
     square = x**2 + y**2
-    return float(positive("height", height)) * (1 - square / square.max())
+    return scalar("height", height, above=0) * (1 - square / square.max())
 
 
 def sphere_on_plane(
@@ -136,16 +136,16 @@ def sphere_on_plane(
     [0.0, 16.0, 20.0, 16.0, 0.0]
     """
     x, y = _centered(shape)
-    r = float(positive("radius", radius))
-    square = (x**2 + y**2) * float(positive("pixel_size", pixel_size)) ** 2
+    r = scalar("radius", radius, above=0)
+    square = (x**2 + y**2) * scalar("pixel_size", pixel_size, above=0) ** 2
     ball = square <= r**2
     height = np.where(ball, r + np.sqrt(np.maximum(r**2 - square, 0)), 0.0)
-    rough = float(positive("roughness", roughness, zero=True))
+    rough = scalar("roughness", roughness, least=0)
     if rough > 0:
         if rng is None:
             raise ValueError("rng must be given for a rough ball, got None")
-        noise = np.random.default_rng(rng).standard_normal(shape)
-        relief = gaussian_filter(noise, float(positive("grain", grain)))
+        noise = generator("rng", rng).standard_normal(shape)
+        relief = gaussian_filter(noise, scalar("grain", grain, above=0))
         height += np.where(ball, rough * relief / relief.std(), 0.0)
     return height
 
@@ -178,8 +178,8 @@ def cone(shape: tuple[int, int], height: float, radius: float) -> Array:
     [0.0, 5.0, 10.0, 5.0, 0.0]
     """
     x, y = _centered(shape)
-    foot = float(positive("radius", radius))
-    return float(positive("height", height)) * np.maximum(1 - np.hypot(x, y) / foot, 0)
+    foot = scalar("radius", radius, above=0)
+    return scalar("height", height, above=0) * np.maximum(1 - np.hypot(x, y) / foot, 0)
 
 
 def tilted_plane(shape: tuple[int, int], rise_x: float, rise_y: float) -> Array:
@@ -208,7 +208,7 @@ def tilted_plane(shape: tuple[int, int], rise_x: float, rise_y: float) -> Array:
     [[-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]]
     """
     x, y = _centered(shape)
-    return rise_x * x + rise_y * y
+    return scalar("rise_x", rise_x) * x + scalar("rise_y", rise_y) * y
 
 
 def step(shape: tuple[int, int], height: float, *, at: float = 0.5) -> Array:
@@ -238,8 +238,9 @@ def step(shape: tuple[int, int], height: float, *, at: float = 0.5) -> Array:
     >>> step((2, 4), 3.0).tolist()
     [[0.0, 0.0, 3.0, 3.0], [0.0, 0.0, 3.0, 3.0]]
     """
-    rows, cols = (whole("shape", n, least=2) for n in shape)
-    edge = float(between("at", at, 0, 1)) * cols
+    rows, cols = image_shape("shape", shape, least=2)
+    height = scalar("height", height)
+    edge = scalar("at", at, within=(0, 1)) * cols
     return np.tile(np.where(np.arange(cols) < edge, 0.0, height), (rows, 1))
 
 
@@ -270,9 +271,9 @@ def quadric_patch(label: int, *, half: int = 20, radius: float = 40.0) -> Array:
     >>> quadric_patch(8, half=1, radius=0.5)[0].tolist()
     [1.0, 0.0, 1.0]
     """
-    if label not in _TYPES:
+    if whole("label", label, least=1) not in _TYPES:
         raise ValueError(f"label must be one of {', '.join(map(str, _TYPES))}, got {label!r}")
     n = 2 * whole("half", half, least=1) + 1
     x, y = _centered((n, n))
     first, second = _TYPES[label]
-    return (first * x**2 + second * y**2) / (2 * float(positive("radius", radius)))
+    return (first * x**2 + second * y**2) / (2 * scalar("radius", radius, above=0))

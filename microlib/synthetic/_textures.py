@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
-from microlib._common import positive, whole
+from microlib._common import generator, image_shape, positive, scalar
 
 
 def mixed_texture(
@@ -47,9 +47,9 @@ def mixed_texture(
     >>> texture.shape, round(float(texture.mean())), round(float(texture.std()))
     ((64, 64), 128, 38)
     """
-    rows, cols = (whole("shape", n, least=2) for n in shape)
-    contrast = float(positive("std", std, zero=True))
-    rng = np.random.default_rng(rng)
+    rows, cols = image_shape("shape", shape, least=2)
+    contrast = scalar("std", std, least=0)
+    rng = generator("rng", rng)
     total = np.zeros((rows, cols))
     for scale in np.atleast_1d(positive("scales", scales)):
         layer = gaussian_filter(rng.standard_normal((rows, cols)), scale, mode="wrap")
@@ -97,9 +97,11 @@ def patchy_texture(
     >>> bool(texture.std() < 38)
     True
     """
-    rng = np.random.default_rng(rng)
+    rng = generator("rng", rng)
     texture = mixed_texture(shape, rng, mean=0.0, std=std)
     noise = rng.standard_normal(shape)
-    blobs = gaussian_filter(noise, float(positive("patch", patch)), mode="wrap")
+    blobs = gaussian_filter(noise, scalar("patch", patch, above=0), mode="wrap")
+    weakest = scalar("weakest", weakest, within=(0, 1), closed=True)
+    mean = scalar("mean", mean)
     contrast = weakest + (1 - weakest) * (blobs - blobs.min()) / np.ptp(blobs)
     return (mean + contrast * texture).astype(np.float32)

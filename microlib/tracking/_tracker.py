@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import hadamard
 
-from microlib._common import Array, Image, as_image, between, one_of, positive, whole
+from microlib._common import Array, Image, as_image, of_kind, one_of, scalar, whole
 from microlib.tracking._esm import (
     MOTIONS,
     Alignment,
@@ -208,8 +208,10 @@ class ESMTracker:
             raise ValueError(
                 f"levels must leave {_COARSEST} px of a box of {width}×{height} px, got {levels}"
             )
-        smoothing = float(positive("smoothing", smoothing))
-        self._least_correlation = float(between("least_correlation", least_correlation, 0.0, 1.0))
+        smoothing = scalar("smoothing", smoothing, above=0, most=1e3)
+        if kalman is not None:
+            of_kind("kalman", kalman, KalmanFilter)
+        self._least_correlation = scalar("least_correlation", least_correlation, within=(0.0, 1.0))
         self._shape = frame.shape
         self._kalman = kalman
         self._last_correlation, self._gain = 1.0, 1.0

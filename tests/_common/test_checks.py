@@ -73,7 +73,7 @@ def test_a_refusal_says_what_is_wrong(call, message):
 
 @pytest.mark.parametrize("closed", [False, True])
 def test_a_value_on_either_side_of_an_interval_is_refused(closed):
-    for wrong in (-0.5, 1.5, -1e300, [0.5, -0.5], [0.5, 1.5]):
+    for wrong in (-0.5, 1.5, -1e50, [0.5, -0.5], [0.5, 1.5]):
         with pytest.raises(ValueError, match=r"x must lie in"):
             between("x", wrong, 0.0, 1.0, closed=closed)
     for end in (0.0, 1.0):

@@ -1,15 +1,20 @@
 """Frames from memory and files: the same values, and faults named by frame and page."""
 
+import importlib.util
+import math
+import struct
 import tracemalloc
 import weakref
+import zlib
 
 import cv2
 import numpy as np
 import pytest
 import tifffile
+from PIL import Image as PIL_Image
 
 from microlib.focus import depth_from_focus
-from microlib.io import read_frames
+from microlib.io import read_frames, read_grey
 
 
 @pytest.fixture
@@ -162,7 +167,7 @@ def test_faults_are_named(stack, tmp_path):
         (7, "frames must be an array, a TIFF or an iterable of images, got int"),
         (missing.with_suffix(".tif"), r"frames cannot be read from .*missing\.tif"),
         ([missing.with_suffix(".png")], r"missing\.png: no such file"),
-        ([tmp_path / "text.png"], r"text\.png: not an image"),
+        ([tmp_path / "text.png"], r"text\.png: damaged, or not an image"),
         ([color], r"frames\[0\], .*color\.png, must be a grey image"),
         ([tmp_path / "many.tif"], r"many\.tif must hold one page to be one frame, got 5"),
     ]
@@ -192,3 +197,159 @@ def test_a_page_that_ends_beyond_its_file_is_called_cut_off(tmp_path, missing):
     path.write_bytes(path.read_bytes()[:-missing])
     with pytest.raises(ValueError, match="the file is cut off"):
         list(read_frames(path))
+
+
+def shaped(stack, *lengths):
+    return stack[: math.prod(lengths)].reshape(*lengths, *stack.shape[1:])
+
+
+@pytest.mark.parametrize("kind", ["imagej", "ome", "shaped"])
+@pytest.mark.parametrize(
+    ("axes", "lengths"), [("ZCYX", (2, 2)), ("TZYX", (2, 2)), ("TCYX", (2, 2)), ("CYX", (4,))]
+)
+def test_channels_and_several_axes_are_refused(stack, tmp_path, kind, axes, lengths):
+    path = tmp_path / ("many.ome.tif" if kind == "ome" else "many.tif")
+    options = {"imagej": True} if kind == "imagej" else {"photometric": "minisblack"}
+    tifffile.imwrite(path, shaped(stack, *lengths), metadata={"axes": axes}, **options)
+    said = ", ".join(f"{a}={n}" for a, n in zip(axes, (*lengths, 24, 31), strict=True))
+    with pytest.raises(ValueError, match=f"has the axes {said}, .* pass an array of shape"):
+        list(read_frames(path))
+
+
+@pytest.mark.parametrize("axes", ["ZYX", "TYX"])
+@pytest.mark.parametrize("compression", [None, "zlib"])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_one_axis_is_the_stack(stack, tmp_path, axes, compression, dtype):
+    given = stack.astype(dtype)
+    options = {"metadata": {"axes": axes}, "compression": compression}
+    tifffile.imwrite(tmp_path / "a.tif", given, imagej=True, **options)
+    tifffile.imwrite(tmp_path / "a.ome.tif", given, photometric="minisblack", **options)
+    for name in ("a.tif", "a.ome.tif"):
+        read = np.stack(list(read_frames(tmp_path / name)))
+        assert read.dtype == dtype
+        np.testing.assert_array_equal(read, given)
+
+
+def test_a_large_imagej_file_has_one_described_page(stack, tmp_path):
+    """Beyond 4 GB ImageJ writes the values of all frames after the one directory."""
+    path = tmp_path / "large.tif"
+    given = stack.astype(np.uint16) * 200
+    tifffile.imwrite(path, given, imagej=True, metadata={"axes": "ZYX"})
+    with tifffile.TiffFile(path) as tiff:
+        second = tiff.pages[1].offset
+        order, first = tiff.byteorder, tiff.pages[0].offset
+        content = bytearray(path.read_bytes())
+    entries = struct.unpack_from(order + "H", content, first)[0]
+    struct.pack_into(order + "I", content, first + 2 + 12 * entries, 0)  # no second directory
+    del content[second:]
+    path.write_bytes(content)
+    np.testing.assert_array_equal(np.stack(list(read_frames(path))), given)
+    path.write_bytes(content[:-1000])
+    with pytest.raises(ValueError, match=r"large\.tif"):
+        list(read_frames(path))
+
+
+@pytest.mark.parametrize("kind", ["imagej", "ome", "shaped", "bare", "appended"])
+@pytest.mark.parametrize("compression", [None, "zlib"])
+def test_a_tiff_that_ends_after_a_page_is_refused(stack, tmp_path, kind, compression):
+    path = tmp_path / ("cut.ome.tif" if kind == "ome" else "cut.tif")
+    if kind == "appended":
+        for frame in stack:
+            tifffile.imwrite(path, frame, append=True, metadata=None, compression=compression)
+    else:
+        options = {"imagej": True} if kind == "imagej" else {"photometric": "minisblack"}
+        metadata = None if kind == "bare" else {"axes": "ZYX"}
+        tifffile.imwrite(path, stack, metadata=metadata, compression=compression, **options)
+    assert len(list(read_frames(path))) == 5
+    with tifffile.TiffFile(path) as tiff:
+        pages = [page.aspage() for page in tiff.pages]
+        ends = {page.offset for page in pages[1:]}
+        ends |= {page.dataoffsets[-1] + page.databytecounts[-1] for page in pages[:-1]}
+    whole = path.read_bytes()
+    for end in ends - {len(whole)}:
+        path.write_bytes(whole[:end])
+        with pytest.raises(ValueError, match=r"cut(\.ome)?\.tif"):
+            list(read_frames(path))
+
+
+def test_the_count_of_pages_is_that_of_the_metadata(stack, tmp_path):
+    path = tmp_path / "few.tif"
+    for compression in (None, "zlib"):
+        tifffile.imwrite(path, stack[:3], imagej=True, compression=compression)
+        content = path.read_bytes().replace(b"images=3", b"images=9")
+        path.write_bytes(content.replace(b"channels=3", b"slices=9\n\0"))
+        with pytest.raises(ValueError, match=r"few\.tif"):
+            list(read_frames(path))
+
+
+def test_other_images_in_the_file_are_not_taken_for_frames(stack, tmp_path):
+    path = tmp_path / "series.tif"
+    tifffile.imwrite(path, stack, photometric="minisblack")
+    tifffile.imwrite(path, stack[0, :5], append=True)
+    with pytest.raises(ValueError, match=r"holds 2 series of images \(QYX \(5, 24, 31\), YX"):
+        list(read_frames(path))
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png"])
+@pytest.mark.parametrize("share", [0.5, 0.98])
+def test_a_cut_off_picture_in_a_list_is_refused(stack, tmp_path, suffix, share):
+    path = tmp_path / f"a{suffix}"
+    cv2.imwrite(str(path), stack[0])
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(share * len(whole))])
+    for read in (lambda: list(read_frames([stack[1], path])), lambda: read_grey(path)):
+        with pytest.raises(ValueError, match=r"a\.(jpg|png): .*damaged"):
+            read()
+
+
+def test_a_header_that_claims_too_much_is_refused(stack, tmp_path):
+    path = tmp_path / "huge.png"
+    cv2.imwrite(str(path), stack[0])
+    content = bytearray(path.read_bytes())
+    struct.pack_into(">II", content, 16, 100_000, 100_000)
+    struct.pack_into(">I", content, 29, zlib.crc32(content[12:29]))
+    path.write_bytes(content)
+    for read in (lambda: list(read_frames([path])), lambda: read_grey(path)):
+        with pytest.raises(ValueError, match=r"huge\.png: .*damaged"):
+            read()
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("compression", [None, "zlib"])
+@pytest.mark.parametrize("photometric", ["minisblack", "miniswhite"])
+def test_every_reader_gives_the_values_as_stored(stack, tmp_path, dtype, compression, photometric):
+    path, image = tmp_path / "a.tif", stack[0].astype(dtype)
+    tifffile.imwrite(path, image, photometric=photometric, compression=compression)
+    for read in (read_grey(path), next(read_frames(path)), next(read_frames([path]))):
+        assert read.dtype == dtype
+        np.testing.assert_array_equal(read, image)
+
+
+def compressed(path, stack, compression):
+    first, *others = (PIL_Image.fromarray(frame) for frame in stack)
+    first.save(path, save_all=True, append_images=others, compression=compression)
+
+
+def test_lzw_is_read(stack, tmp_path):
+    compressed(tmp_path / "a.tif", stack, "tiff_lzw")
+    np.testing.assert_array_equal(np.stack(list(read_frames(tmp_path / "a.tif"))), stack)
+    compressed(tmp_path / "b.tif", stack[:1], "tiff_lzw")
+    np.testing.assert_array_equal(read_grey(tmp_path / "b.tif"), stack[0])
+
+
+def test_a_compression_that_nothing_installed_knows_is_named(stack, tmp_path):
+    path = tmp_path / "a.tif"
+    compressed(path, stack, "zstd")
+    if importlib.util.find_spec("imagecodecs") or importlib.util.find_spec("compression"):
+        np.testing.assert_array_equal(np.stack(list(read_frames(path))), stack)
+        return
+    with pytest.raises(
+        ValueError, match=r"page 0 of .*a\.tif .* compression ZSTD needs .*imagecodecs"
+    ):
+        list(read_frames(path))
+
+
+def test_a_single_image_has_one_page(stack, tmp_path):
+    tifffile.imwrite(tmp_path / "many.tif", stack, photometric="minisblack")
+    with pytest.raises(ValueError, match=r"many\.tif: it must hold one page .* got 5"):
+        read_grey(tmp_path / "many.tif")

@@ -1,0 +1,223 @@
+"""Read the pages of a TIFF in the order of its axes; what is ambiguous or cut off is refused."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+__all__ = ["is_tiff", "only_page", "tiff_pages"]
+
+_MINISWHITE, _MINISBLACK = 0, 1
+
+
+def is_tiff(path: Path) -> bool:
+    """Return whether a file is called a TIFF.
+
+    Examples
+    --------
+    >>> is_tiff(Path("a.TIF")), is_tiff(Path("a.png"))
+    (True, False)
+    """
+    return path.suffix.lower() in (".tif", ".tiff")
+
+
+def tiff_pages(path: Path) -> Iterator[tuple[str, NDArray]]:
+    """Yield the frames of a TIFF along its one axis of frames, each with a name for messages.
+
+    Parameters
+    ----------
+    path : Path
+        A file whose metadata (ImageJ, OME, Micro-Manager or tifffile's own) give one axis besides
+        rows and columns, or none: depth, time, or not said. Files without metadata are read page
+        by page.
+
+    Yields
+    ------
+    str, ndarray
+        "page 3 of …" and its values as stored: where the file says that zero is white, they are
+        not inverted.
+
+    Raises
+    ------
+    ValueError
+        If the file has channels or more axes than one, is cut off, has fewer pages than it says,
+        or makes the reader complain in any other way.
+    """
+    tiff = _opened(path)
+    with tiff:
+        try:
+            with _complaints_are_errors():
+                reads = _in_order(tiff)
+        except Exception as error:
+            raise ValueError(f"frames cannot be read from {path}: {error}") from error
+        for number, read in enumerate(reads):
+            try:
+                with _complaints_are_errors():
+                    image = read()
+            except Exception as error:  # as above, and each codec has errors of its own
+                raise ValueError(f"page {number} of {path} cannot be read: {error}") from error
+            yield f"page {number} of {path}", image
+
+
+def only_page(path: Path) -> NDArray | None:
+    """Return the page of a TIFF that has one, as stored; None if it has colors or other types.
+
+    Raises
+    ------
+    ValueError
+        If it has several pages, or as `tiff_pages`.
+    """
+    with _opened(path) as tiff:
+        try:
+            with _complaints_are_errors():
+                count = len(tiff.pages)
+                if count != 1:
+                    raise ValueError(f"it must hold one page to be one image, got {count}")
+                page = tiff.pages[0].aspage()
+                _check_end(page)
+                plain = page.photometric in (_MINISWHITE, _MINISBLACK) and page.ndim == 2
+                if not plain or page.dtype not in (np.uint8, np.uint16):
+                    return None
+                return _page(page, 0)
+        except Exception as error:
+            raise ValueError(f"path cannot be read, got {path}: {error}") from error
+
+
+def _opened(path: Path) -> tifffile.TiffFile:
+    tiff = None
+    try:
+        with _complaints_are_errors():
+            tiff = tifffile.TiffFile(path)
+            if len(tiff.pages) == 0:
+                raise ValueError("it holds no page")
+    except Exception as error:  # damaged headers raise whatever their bytes lead to
+        if tiff is not None:
+            tiff.close()
+        raise ValueError(f"frames cannot be read from {path}: {error}") from error
+    return tiff
+
+
+@contextmanager
+def _complaints_are_errors() -> Iterator[None]:
+    """Raise what tifffile only logs: pages that it leaves out, metadata that it cannot follow."""
+    said: list[str] = []
+    own = threading.get_ident()
+
+    class Listener(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            if record.thread == own:
+                said.append(record.getMessage())
+
+    log, listener = logging.getLogger("tifffile"), Listener(logging.WARNING)
+    log.addHandler(listener)
+    try:
+        yield
+    finally:
+        log.removeHandler(listener)
+    if said:
+        raise ValueError(f"the file is cut off or damaged: {said[0]}")
+
+
+def _in_order(tiff: tifffile.TiffFile) -> list[Callable[[], NDArray]]:
+    """Return one function a frame that reads it, after a check of the axes and of the count."""
+    found = tiff.series
+    if len(found) > 1 and any(series.axes != "YX" for series in found):
+        shapes = ", ".join(f"{series.axes} {tuple(series.shape)}" for series in found[:5])
+        raise ValueError(
+            f"it holds {len(found)} series of images ({shapes}); pass the array of one, "
+            "as tifffile.imread(path, series=0) gives it"
+        )
+    reads: list[Callable[[], NDArray]] = []
+    for series in found:
+        _check_axes(series)
+        reads += _reads(tiff, series)
+    said = (tiff.imagej_metadata or {}).get("images", len(reads))
+    if said != len(reads) or len(reads) < len(tiff.pages):
+        have = min(len(reads), len(tiff.pages)) if said > len(reads) else len(tiff.pages)
+        raise ValueError(f"its metadata tell of {max(said, len(reads))} pages, it holds {have}")
+    return reads
+
+
+def _check_axes(series: tifffile.TiffPageSeries) -> None:
+    lengths = dict(zip(series.axes, series.shape, strict=True))
+    frames = [n for axis, n in zip(series.axes, series.shape, strict=True) if axis not in "YX"]
+    several = sum(n > 1 for n in frames) > 1
+    if several or lengths.get("C", 1) > 1 or not series.axes.endswith("YX"):
+        names = ", ".join(f"{a}={n}" for a, n in zip(series.axes, series.shape, strict=True))
+        raise ValueError(
+            f"it has the axes {names}, a stack has one besides Y and X, and no channels C or "
+            "samples S; pass an array of shape (frames, rows, cols) of one channel and time, "
+            f"cut from tifffile.imread(path), which has the axes {series.axes}"
+        )
+
+
+def _reads(tiff: tifffile.TiffFile, series: tifffile.TiffPageSeries) -> list[Callable[[], NDArray]]:
+    count = math.prod(series.shape[:-2])
+    pages = [page for page in series.pages if page is not None]
+    if len(pages) == count:
+        return [partial(_page, page, k) for k, page in enumerate(pages)]
+    start = series.dataoffset
+    if start is None:
+        raise ValueError(f"its metadata tell of {count} pages, it holds {len(pages)}")
+    # Beyond 4 GB, ImageJ describes only the first page; the others follow it without a gap.
+    dtype = np.dtype(series.dtype).newbyteorder(tiff.byteorder)
+    size = math.prod(series.shape[-2:])
+    if start + count * size * dtype.itemsize > tiff.filehandle.size:
+        raise ValueError(f"the file is cut off: its metadata tell of {count} pages")
+
+    def read(k: int) -> NDArray:
+        tiff.filehandle.seek(start + k * size * dtype.itemsize)
+        flat = np.frombuffer(tiff.filehandle.read(size * dtype.itemsize), dtype)
+        return flat.astype(dtype.newbyteorder("=")).reshape(series.shape[-2:])
+
+    return [partial(read, k) for k in range(count)]
+
+
+def _page(entry: tifffile.TiffPage | tifffile.TiffFrame, number: int) -> NDArray:
+    """Return a page's values; one that ends after the file does is refused, not padded."""
+    page = entry.aspage()
+    _check_end(page)
+    try:
+        return page.asarray()
+    except (ValueError, ImportError) as error:
+        if "imagecodecs" not in str(error) and not isinstance(error, ImportError):
+            raise
+        image = _by_opencv(page, page.parent.filehandle.path, number)
+        if image is None:
+            codec = tifffile.COMPRESSION(page.compression).name
+            raise ValueError(
+                f"its compression {codec} needs another package (pip install imagecodecs), "
+                "or save the file without compression or as Deflate (zip)"
+            ) from None
+        return image
+
+
+def _check_end(page: tifffile.TiffPage) -> None:
+    ends = np.add(page.dataoffsets, page.databytecounts)
+    if len(ends) == 0 or ends.max() > page.parent.filehandle.size:
+        raise ValueError("the file is cut off")
+
+
+def _by_opencv(page: tifffile.TiffPage, path: str, number: int) -> NDArray | None:
+    """Return a grey page that OpenCV can decompress (LZW, JPEG) where tifffile cannot."""
+    if page.photometric not in (_MINISWHITE, _MINISBLACK) or page.ndim != 2:
+        return None
+    try:
+        _, images = cv2.imreadmulti(path, start=number, count=1, flags=cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return None
+    if len(images) != 1 or images[0].shape != page.shape or images[0].dtype != page.dtype:
+        return None
+    if page.photometric == _MINISWHITE and page.dtype == np.uint8:
+        return 255 - images[0]  # OpenCV inverts 8-bit pages, and only those
+    return images[0]

@@ -1,0 +1,706 @@
+"""Hostile values for every public callable: what may come back is a result or a `ValueError`.
+
+One rule for every wrong value, a wrong kind such as None included: a `ValueError` whose message
+names an argument. No other exception, no warning but the documented ones, no changed input, nothing
+non-finite from finite values unless it is documented, and no call over its time.
+
+    python -m tests.fuzz [name …]    # all of it, or the callables whose name contains a word
+"""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import importlib
+import inspect
+import pkgutil
+import signal
+import sys
+import tempfile
+import time
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, is_dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+import microlib
+from microlib import (
+    calibration,
+    curvature,
+    embryo,
+    focus,
+    io,
+    membrane,
+    microscope,
+    optics,
+    servoing,
+    synthetic,
+    tracking,
+)
+
+#: Processor time for one call, s: waiting for other processes does not count.
+LIMIT = 5.0
+#: Public, but not called by anyone: a category of warnings.
+NOT_CALLED = {"membrane.SmallSlopeWarning"}
+
+EGG = {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
+INPUTS = {"force": 100.0, "dimple_radius": 200.0, "dimple_depth": 40.0, **EGG}
+STDS = {"force": 5.0, "dimple_radius": 2.0, "dimple_depth": 1.0}
+#: Files are written here and nowhere else: calls are made with it as the current folder.
+_KEPT = tempfile.TemporaryDirectory(prefix="fuzz")
+FOLDER = Path(_KEPT.name)
+
+
+def scope() -> microscope.Microscope:
+    return microscope.Microscope(
+        200000.0, 126000.0, 79380.0, alpha=0.02, beta=0.01, image_size=(200, 160)
+    )
+
+
+@cache
+def target() -> np.ndarray:
+    return np.random.default_rng(0).integers(0, 255, (64, 72)).astype(np.uint8)
+
+
+def grid(rows: int = 6, columns: int = 7, pitch: float = 200.0) -> np.ndarray:
+    x, y = np.meshgrid(np.arange(columns) - columns // 2, np.arange(rows) - rows // 2)
+    return np.column_stack([x.ravel(), y.ravel()]) * pitch + 0.0
+
+
+@cache
+def circles() -> np.ndarray:
+    return synthetic.render_circles(
+        microscope.Microscope(200000.0, 126000.0, 79380.0, image_size=(300, 260))
+    )
+
+
+@cache
+def squares() -> np.ndarray:
+    return synthetic.render_squares(
+        microscope.Microscope(200000.0, 126000.0, 79380.0, image_size=(300, 260))
+    )
+
+
+@cache
+def egg() -> synthetic.EmbryoImage:  # type: ignore[name-defined]
+    return synthetic.embryo_image(
+        synthetic.Embryo.pressed(150.0, modulus=1.0), rng=0, pixel_size=7.75, shape=(384, 512)
+    )
+
+
+@cache
+def outline():
+    return embryo.extract_boundary(egg().image)
+
+
+def gaussians() -> embryo.GaussianSum:
+    return embryo.GaussianSum(
+        np.array([3.0, -1.0]), np.array([5.0, 12.0]), np.array([8.0, 3.0]), (0.0, 20.0)
+    )
+
+
+def dented() -> embryo.GaussianSum:
+    return embryo.GaussianSum(
+        np.array([20.0, -18.0]), np.array([50.0, 50.0]), np.array([40.0, 12.0]), (0.0, 100.0)
+    )
+
+
+@cache
+def stack() -> np.ndarray:
+    return np.random.default_rng(1).integers(0, 255, (5, 24, 31)).astype(np.uint8)
+
+
+@cache
+def depths() -> focus.FocusResult:
+    return focus.depth_from_focus(stack(), np.arange(5.0))
+
+
+def dome() -> np.ndarray:
+    return synthetic.paraboloid((24, 28), 6.0)
+
+
+@cache
+def bent():
+    return curvature.surface_curvature(dome(), 1.0)
+
+
+def controller() -> servoing.OptimalController:
+    return servoing.OptimalController(
+        np.eye(2) * 0.3, interval=0.04, feature_weight=np.eye(2), control_weight=np.eye(2) * 0.01
+    )
+
+
+def predictive() -> servoing.PredictiveController:
+    return servoing.PredictiveController(
+        np.eye(2) * 0.3,
+        interval=0.04,
+        feature_weight=np.eye(2),
+        control_weight=np.eye(2) * 0.01,
+        delay=0.06,
+        saturation=500.0,
+    )
+
+
+def filter_() -> tracking.KalmanFilter:
+    return tracking.KalmanFilter([10.0, 20.0], interval=0.04, acceleration=100.0, noise=0.5)
+
+
+def tracker() -> tracking.ESMTracker:
+    return tracking.ESMTracker(target(), (16, 16, 32, 32), "translation")
+
+
+@cache
+def calibrated() -> calibration.Calibration:
+    return calibration.calibrate(
+        grid(), scope().project(grid()), focal_length=126000.0, pixel_size=9.9,
+        image_size=(200, 160),
+    )  # fmt: skip
+
+
+def peaks() -> dict[str, object]:
+    window = np.random.default_rng(2).random((3, 4, 5)).astype(np.float32) + 1
+    window[1] += 2
+    index = np.full((4, 5), 2, np.uint16)
+    return {"window": window, "index": index, "positions": np.arange(5.0)}
+
+
+def reference() -> np.ndarray:
+    return np.tile([100.0, 80.0], (6, 1))
+
+
+def simulation() -> dict[str, object]:
+    return {
+        "controller": controller(), "reference": reference(), "jacobian": np.eye(2) * 0.3,
+        "stage": servoing.Stage(500.0), "camera": servoing.Camera(0.04), "rng": 0,
+        "start": [90.0, 80.0],
+    }  # fmt: skip
+
+
+def control() -> dict[str, object]:
+    return {"k": 0, "measured": np.array([1.0, 2.0]), "reference": reference()}
+
+
+WEIGHTS = {
+    "interval": 0.04, "feature_weight": np.eye(2), "control_weight": np.eye(2) * 0.01
+}  # fmt: skip
+TRACK = {
+    "corners": np.zeros((4, 2)), "lost": False, "reason": "", "correlation": 1.0,
+    "homography": np.eye(3), "gain": 1.0, "bias": 0.0, "visible": 1.0, "iterations": 3,
+    "covariance": np.eye(2),
+}  # fmt: skip
+
+#: Valid arguments of every public callable and of every public method, made anew for each call.
+CALLS: dict[str, Callable[[], dict[str, object]]] = {
+    "calibration.Calibration": lambda: {
+        f.name: getattr(calibrated(), f.name) for f in fields(calibration.Calibration)
+    },
+    "calibration.Calibration.interval": lambda: {
+        "self": calibrated(), "parameter": "magnification", "level": 0.9
+    },
+    "calibration.Detection": lambda: {
+        "points": grid(), "grid": grid().astype(int), "sigma": np.ones(42),
+        "group": np.zeros(42, int),
+    },
+    "calibration.calibrate": lambda: {
+        "world": grid(), "image": scope().project(grid()), "focal_length": 126000.0,
+        "pixel_size": 9.9, "image_size": (200, 160), "loss": "linear", "groups": np.arange(42),
+    },
+    "calibration.cramer_rao": lambda: {
+        "microscope": scope(), "world": grid(), "noise": 0.1, "parameters": ("tx", "ty", "alpha")
+    },
+    "calibration.detect_circles": lambda: {
+        "image": circles(), "direction": 0.0, "mirrored": False
+    },
+    "calibration.detect_squares": lambda: {
+        "image": squares(), "direction": 0.0, "mirrored": False
+    },
+    "calibration.linear_intrinsics": lambda: {
+        "flat": grid()[:, :2] * 1.0, "depth": np.linspace(0.0, 50.0, 42) + 500.0,
+        "sensor": grid() * 1.5,
+    },
+    "calibration.radial_alignment": lambda: {"world": grid(), "sensor": grid() * 1.5 + 3.0},
+    "curvature.clean_labels": lambda: {"labels": target() % 8 + 1, "smallest": 4},
+    "curvature.curvature_windows": lambda: {"size": 7},
+    "curvature.hk_labels": lambda: {
+        "mean": dome() - 3, "gaussian": dome() - 2, "h_zero": 0.1, "k_zero": 0.1
+    },
+    "curvature.region_table": lambda: {
+        "labels": np.tile(np.uint8([1, 2]), (24, 14)), "curvature": bent()
+    },
+    "curvature.surface_curvature": lambda: {
+        "height": dome(), "pixel_size": 1.0, "size": 7, "noise": 0.1
+    },
+    "embryo.GaussianSum": lambda: {
+        "amplitudes": np.array([3.0, -1.0]), "centers": np.array([5.0, 12.0]),
+        "widths": np.array([8.0, 3.0]), "domain": (0.0, 20.0), "covariance": np.eye(6),
+    },
+    **{
+        f"embryo.GaussianSum.{name}": lambda: {"self": gaussians(), "x": np.linspace(1.0, 9.0, 5)}
+        for name in ("__call__", "slope", "second_derivative")
+    },
+    **{
+        f"embryo.GaussianSum.{name}": lambda: {"self": gaussians(), "x": 4.0}
+        for name in ("gradient", "slope_gradient")
+    },
+    "embryo.GaussianSum.extrema": lambda: {"self": gaussians()},
+    "embryo.dimple_geometry": lambda: {"curve": dented(), "pixel_size": 3.9},
+    "embryo.extract_boundary": lambda: {"image": egg().image},
+    "embryo.fit_dimple": lambda: {
+        "boundary": outline(), "pixel_size": 7.75, "probe_half_width": 25.0
+    },
+    "embryo.fit_gaussians": lambda: {
+        "x": np.linspace(0.0, 20.0, 30), "y": gaussians()(np.linspace(0.0, 20.0, 30)), "terms": 2,
+        "max_iterations": 50,
+    },
+    "embryo.force_from_image": lambda: {
+        "image": egg().image, "modulus": 1.0, "pixel_size": 7.75, **EGG
+    },
+    "embryo.loess": lambda: {
+        "x": np.linspace(0.0, 20.0, 30), "y": gaussians()(np.linspace(0.0, 20.0, 30)),
+        "span": 0.4, "degree": 2, "robust_iterations": 1, "weights": np.ones(30),
+    },
+    "embryo.measure_dimple": lambda: {
+        "boundary": outline(), "pixel_size": 7.75, "probe_half_width": 25.0, "method": "membrane"
+    },
+    "embryo.modulus_from_image": lambda: {
+        "image": egg().image, "force": 150.0, "pixel_size": 7.75, **EGG, "method": "membrane"
+    },
+    "focus.FocusResult": lambda: {
+        f.name: getattr(depths(), f.name)
+        for f in fields(focus.FocusResult)
+    },
+    "focus.correct_spikes": lambda: {"depth": dome(), "window": 5, "delta": 2.0},
+    "focus.depth_from_focus": lambda: {
+        "frames": stack(), "positions": np.arange(5.0), "measure": "sml", "window": 5, "step": 1,
+        "threshold": 0.0, "points": 3, "workers": 1,
+    },
+    "focus.smooth_depth": lambda: {
+        "depth": dome(), "jump": 2.0, "radius": 3.0, "weight": np.ones((24, 28))
+    },
+    "focus.sum_modified_laplacian": lambda: {
+        "image": target(), "window": 5, "step": 1, "threshold": 0.0
+    },
+    "focus.three_point_peak": peaks,
+    "io.read_frames": lambda: {"frames": stack()},
+    "io.read_grey": lambda: {"path": written()},
+    "io.write_height_tiff": lambda: {
+        "path": FOLDER / "fuzz.tif", "height": dome(), "pixel_size": 2.0
+    },
+    "io.write_ply": lambda: {"path": FOLDER / "fuzz.ply", "height": dome(), "pixel_size": 2.0},
+    "membrane.dimple_depth": lambda: {
+        "force": 100.0, "dimple_radius": 200.0, "modulus": 1.0, **EGG
+    },
+    "membrane.dimple_profile": lambda: {
+        "radius": np.linspace(30.0, 190.0, 7), "dimple_radius": 200.0, "dimple_depth": 40.0,
+        "probe_half_width": 25.0,
+    },
+    "membrane.elastic_modulus": lambda: dict(INPUTS),
+    "membrane.finite_slope_modulus": lambda: dict(INPUTS),
+    "membrane.indentation_force": lambda: {
+        "modulus": 1.0, "dimple_radius": 200.0, "dimple_depth": 40.0, **EGG
+    },
+    "membrane.mean_strain": lambda: {
+        "dimple_radius": 200.0, "dimple_depth": 40.0, "probe_half_width": 25.0,
+        "small_slopes": False,
+    },
+    "membrane.membrane_stress": lambda: {
+        k: v for k, v in INPUTS.items() if k != "poisson_ratio"
+    },
+    "membrane.modulus_samples": lambda: {
+        "values": dict(INPUTS), "stds": dict(STDS), "size": 10, "rng": 0
+    },
+    "membrane.modulus_std": lambda: {
+        "values": dict(INPUTS), "stds": {"force": 5.0}, "dimple_covariance": np.eye(2)
+    },
+    "membrane.steepest_depth": lambda: {"dimple_radius": 200.0, "probe_half_width": 25.0},
+    "microscope.Microscope": lambda: {f.name: getattr(scope(), f.name) for f in fields(scope())},
+    "microscope.Microscope.to_objective": lambda: {"self": scope(), "points": grid()},
+    "microscope.Microscope.project": lambda: {"self": scope(), "points": grid()},
+    "microscope.Microscope.back_project": lambda: {"self": scope(), "pixels": grid() / 20 + 90},
+    "microscope.Microscope.jacobian": lambda: {
+        "self": scope(), "world": grid(), "parameters": ("tx", "alpha")
+    },
+    "microscope.Microscope.project_plane": lambda: {
+        "visible": np.array([1.6, 5e-6, -1e-10, 0.1, 0.02, 0.01, 3.0, 4.0]), "world": grid(),
+        "cell": np.array([9.9, 9.9]),
+    },
+    "microscope.distort": lambda: {"points": grid(), "distortion": 1e-9},
+    "microscope.euler_rotation": lambda: {"alpha": 0.1, "beta": 0.2, "gamma": 0.3},
+    "microscope.undistort": lambda: {"points": grid(), "distortion": 1e-9},
+    "optics.BlurLadder": lambda: {"image": target(), "largest": 3.0},
+    "optics.BlurLadder.at": lambda: {
+        "self": optics.BlurLadder(target(), 3.0), "sigma": np.full((64, 72), 1.5)
+    },
+    "optics.blur_radius": lambda: {
+        "object_distance": [200.0, 300.0], "focal_length": 100.0, "sensor_distance": 180.0,
+        "aperture_radius": 10.0,
+    },
+    "optics.defocus": lambda: {"image": target(), "sigma": 2.0},
+    "optics.gaussian_kernel": lambda: {"sigma": 1.5, "size": 7},
+    "optics.gaussian_transfer": lambda: {"u": [0.1, 0.2], "v": [0.0, 0.3], "sigma": 1.5},
+    "optics.image_distance": lambda: {"object_distance": [200.0, 300.0], "focal_length": 100.0},
+    "servoing.Camera": lambda: {"interval": 0.04, "latency": 0.02, "jitter": 0.1},
+    "servoing.OptimalController": lambda: {"jacobian": np.eye(2) * 0.3, **WEIGHTS},
+    "servoing.OptimalController.__call__": lambda: {"self": controller(), **control()},
+    "servoing.PredictiveController": lambda: {
+        "jacobian": np.eye(2) * 0.3, **WEIGHTS, "delay": 0.06, "saturation": 500.0,
+        "innovation_gain": 0.3,
+    },
+    "servoing.PredictiveController.__call__": lambda: {"self": predictive(), **control()},
+    "servoing.Stage": lambda: {"saturation": 500.0, "lag": 0.02, "step": 0.05, "travel": 7500.0},
+    "servoing.Stage.move": lambda: {
+        "self": servoing.Stage(200.0, lag=0.02), "position": np.zeros(2), "velocity": np.zeros(2),
+        "command": np.array([-100.0, 50.0]), "duration": 1.0,
+    },
+    "servoing.Stage.quantized": lambda: {
+        "self": servoing.Stage(200.0), "position": np.array([1.23, 4.56])
+    },
+    "servoing.ibvs_control": lambda: {
+        "jacobian": np.eye(2) * 0.3, "error": [3.0, 4.0], "gain": 0.5, "drift": [0.1, 0.1]
+    },
+    "servoing.loop_poles": lambda: {"gain": 0.5, "delay": 1.5},
+    "servoing.optimal_control": lambda: {
+        "jacobian": np.eye(2) * 0.3, "feature": [3.0, 4.0], "target": [5.0, 6.0], **WEIGHTS
+    },
+    "servoing.path_metrics": lambda: {"position": reference() + 1, "reference": reference()},
+    "servoing.point_jacobian": lambda: {
+        "points": [[10.0, 20.0], [5.0, 6.0]], "depth": 500.0, "magnification": 2.0,
+        "pixel_size": 9.9,
+    },
+    "servoing.simulate": simulation,
+    "servoing.step_metrics": lambda: {
+        "time": np.arange(40.0), "position": 10 - 10 * np.exp(-np.arange(40.0) / 5)[:, None],
+        "target": [10.0], "band": 0.05,
+    },
+    "servoing.tracked_view": lambda: {"render": lambda feature: target(), "tracker": tracker()},
+    "synthetic.Embryo": lambda: {
+        f.name: getattr(synthetic.Embryo.pressed(150.0, modulus=1.0), f.name)
+        for f in fields(synthetic.Embryo)
+    },
+    "synthetic.Embryo.pressed": lambda: {
+        "force": 150.0, "modulus": 1.0, "rim_radius": 450.0, "thickness": 3.0
+    },
+    "synthetic.Embryo.dented": lambda: {"depth": 100.0, "modulus": 1.0, "rim_radius": 450.0},
+    "synthetic.Embryo.outline": lambda: {
+        "self": synthetic.Embryo.pressed(150.0, modulus=1.0), "spacing": 5.0
+    },
+    "synthetic.ImagingConditions": lambda: {
+        "blur": 1.0, "dark": 50.0, "bright": 200.0, "vignetting": 0.1, "gradient": (0.1, 0.0),
+        "noise": 1.0,
+    },
+    "synthetic.camera_frame": lambda: {"image": target(), "rng": 0, "noise": 2.0, "gain": 1.0},
+    "synthetic.cell_image": lambda: {
+        "kind": "Jurkat", "rng": 0, "count": 3, "pixel_size": 0.25, "shape": (200, 240)
+    },
+    "synthetic.cone": lambda: {"shape": (20, 24), "height": 5.0, "radius": 8.0},
+    "synthetic.embryo_image": lambda: {
+        "embryo": synthetic.Embryo.pressed(150.0, modulus=1.0), "rng": 0, "pixel_size": 7.75,
+        "shape": (200, 256), "center": (128.0, 40.0), "tilt": 0.1, "blur": 1.0, "noise": 2.0,
+        "unevenness": 0.1, "probe": True,
+    },
+    "synthetic.embryo_sequence": lambda: {
+        "forces": [150.0], "modulus": 1.0, "rng": 0, "rim_radius": 450.0
+    },
+    "synthetic.focal_stack": lambda: {
+        "texture": target(), "height": np.zeros((64, 72)), "positions": [0.0, 1.0, 2.0],
+        "blur_rate": 1.0, "sharpest": 0.5, "noise": 1.0, "rng": 0,
+    },
+    "synthetic.gripper_scene": lambda: {
+        "rng": 0, "pixel_size": 2.0, "gap": 100.0, "shape": (160, 200), "reach": 40
+    },
+    "synthetic.mixed_texture": lambda: {
+        "shape": (20, 24), "rng": 0, "mean": 128.0, "std": 38.0, "scales": (0.6, 1.2)
+    },
+    "synthetic.parabolic_cylinder": lambda: {"shape": (20, 24), "height": 5.0, "width": 9.0},
+    "synthetic.paraboloid": lambda: {"shape": (20, 24), "height": 5.0},
+    "synthetic.patchy_texture": lambda: {
+        "shape": (20, 24), "rng": 0, "mean": 128.0, "std": 38.0, "weakest": 0.1, "patch": 5.0
+    },
+    "synthetic.quadric_patch": lambda: {"label": 3, "half": 8, "radius": 40.0},
+    "synthetic.render_circles": lambda: {
+        "microscope": scope(), "radius": 70.0, "pitch": 280.0, "counts": (3, 3),
+        "imaging": synthetic.ImagingConditions(noise=1.0), "rng": 0,
+    },
+    "synthetic.render_squares": lambda: {
+        "microscope": scope(), "side": 200.0, "counts": (3, 3),
+        "imaging": synthetic.ImagingConditions(noise=1.0), "rng": 0,
+    },
+    "synthetic.sphere_on_plane": lambda: {
+        "shape": (20, 24), "radius": 8.0, "pixel_size": 1.0, "roughness": 0.1, "grain": 2.0,
+        "rng": 0,
+    },
+    "synthetic.step": lambda: {"shape": (20, 24), "height": 5.0, "at": 0.5},
+    "synthetic.texture_sequence": lambda: {
+        "positions": [[0.0, 0.0], [1.0, 2.0]], "rng": 0, "size": 30, "sigma": 1.0, "noise": 2.0
+    },
+    "synthetic.tilted_plane": lambda: {"shape": (20, 24), "rise_x": 5.0, "rise_y": 1.0},
+    "synthetic.warped_pair": lambda: {
+        "rng": 0, "distance": 2.0, "warp": "shift", "size": 30, "sigma": 1.0, "noise": 2.0,
+        "gain": 1.05,
+    },
+    "tracking.ESMTracker": lambda: {
+        "image": target(), "box": (16, 16, 32, 32), "motion": "translation", "levels": 1,
+        "smoothing": 1.25, "least_correlation": 0.7, "kalman": filter_(),
+    },
+    "tracking.ESMTracker.track": lambda: {"self": tracker(), "frame": target()},
+    "tracking.KalmanFilter": lambda: {
+        "position": [10.0, 20.0], "interval": 0.04, "acceleration": 100.0, "noise": 0.5
+    },
+    "tracking.KalmanFilter.predict": lambda: {"self": filter_()},
+    "tracking.KalmanFilter.update": lambda: {"self": filter_(), "position": [11.0, 21.0]},
+    "tracking.Track": lambda: dict(TRACK),
+}  # fmt: skip
+
+#: Where a result may be NaN or infinite from finite values, as its documentation says.
+MAY_BE_UNKNOWN = {
+    "calibration.Calibration.interval": "an unobservable parameter has an infinite interval",
+    "calibration.calibrate": "unobservable parameters have infinite variances",
+    "calibration.cramer_rao": "unobservable parameters have infinite variances",
+    "calibration.Calibration": "holds what calibrate found",
+    "curvature.region_table": "a region without a known curvature",
+    "curvature.surface_curvature": "the border is NaN",
+    "embryo.fit_dimple": "a direction that the outline leaves open",
+    "embryo.measure_dimple": "as fit_dimple",
+    "embryo.modulus_from_image": "as fit_dimple",
+    "embryo.force_from_image": "as fit_dimple",
+    "embryo.fit_gaussians": "terms that coincide have infinite variances",
+    "focus.FocusResult": "unknown pixels are NaN",
+    "focus.depth_from_focus": "unknown pixels are NaN",
+    "membrane.finite_slope_modulus": "NaN where no slope is steep enough",
+    "microscope.Microscope.back_project": "NaN where a ray misses the plane",
+    "optics.image_distance": "an object in the focal plane has its image at infinity",
+    "servoing.step_metrics": "a step that never settles",
+    "tracking.ESMTracker.track": "a lost target has no position",
+}
+
+
+@cache
+def written() -> Path:
+    path = FOLDER / "fuzz_grey.tif"
+    io.write_height_tiff(path, np.ones((4, 5)), pixel_size=1.0)
+    return path
+
+
+def public() -> Iterator[str]:
+    """Yield the name of every public callable, and of every public method of a public class."""
+    for module in pkgutil.iter_modules(microlib.__path__):
+        if module.name.startswith("_"):
+            continue
+        room = importlib.import_module(f"microlib.{module.name}")
+        for name in room.__all__:
+            value = getattr(room, name)
+            if not callable(value) or f"{module.name}.{name}" in NOT_CALLED:
+                continue
+            yield f"{module.name}.{name}"
+            if inspect.isclass(value):
+                for method, found in vars(value).items():
+                    kept = isinstance(found, (staticmethod, classmethod)) or inspect.isfunction(
+                        found
+                    )
+                    if f"{module.name}.{name}.{method}" in NOT_CALLED:
+                        continue
+                    if kept and (not method.startswith("_") or method == "__call__"):
+                        yield f"{module.name}.{name}.{method}"
+
+
+def resolve(name: str) -> Callable:
+    room, *path = name.split(".")
+    value: object = importlib.import_module(f"microlib.{room}")
+    for part in path:
+        value = getattr(value, part)
+    assert callable(value)
+    return value
+
+
+def parameters(name: str, valid: dict[str, object]) -> list[str]:
+    """Return the names of the arguments: those that the table has are all that there are."""
+    given = inspect.signature(resolve(name)).parameters.values()
+    names = [p.name for p in given if p.kind is not p.VAR_KEYWORD]
+    return names + [key for key in valid if key not in names]
+
+
+SINGLES: dict[str, object] = {
+    "nan": np.nan, "inf": np.inf, "-inf": -np.inf, "None": None, "text": "text", "bytes": b"x",
+    "True": True, "np.True_": np.True_, "[]": [], "[1.0]": [1.0], "array([1.0])": np.ones(1),
+    "[[1.0]]": [[1.0]], "0": 0, "-1": -1, "1e30": 1e30, "-1e30": -1e30, "1e300": 1e300,
+    "1e-300": 1e-300, "10**400": 10**400, "1j": 1j, "uint8(200)": np.uint8(200),
+    "int8(-100)": np.int8(-100), "1.5": 1.5, "object()": object(), "{}": {}, "'nan'": "nan",
+    "masked": np.ma.array(1.0, mask=True), "masked array": np.ma.array([1.0, 2.0], mask=[0, 1]),
+    "ragged": [[1.0], [1.0, 2.0]], "1e6": 10**6, "datetime": np.datetime64("2026-01-01"),
+}  # fmt: skip
+
+
+def hostile(value: object) -> Iterator[tuple[str, object]]:
+    """Yield labelled values to put in a valid one's place."""
+    yield from SINGLES.items()
+    if isinstance(value, dict):
+        for key in list(value)[:2]:
+            for label in ("nan", "None", "text", "[1.0]", "-1", "1e300", "True"):
+                yield f"{key}={label}", {**value, key: SINGLES[label]}
+        return
+    if isinstance(value, (str, bool)) or not isinstance(value, (np.ndarray, list, tuple)):
+        return
+    array = np.asarray(value)
+    if array.dtype.kind not in "uif":
+        return
+    plain = array.astype(np.float64)
+    for label, wrong in (("nan", np.nan), ("inf", np.inf)):
+        holed = plain.copy()
+        holed.flat[-1] = wrong
+        yield f"with {label}", holed
+    with np.errstate(over="ignore"):
+        yield "zeros", plain * 0
+        yield "negative", -plain
+        yield "all equal", np.full_like(plain, plain.flat[0])
+        for scale in (1e-300, 1e-30, 1e12, 1e30, 1e100):
+            yield f"×{scale:g}", plain * scale
+    yield "uint8", array.astype(np.uint8)
+    yield "bool", plain > 0
+    yield "complex", array.astype(complex)
+    yield "objects", array.astype(object)
+    yield "text array", array.astype(str)
+    yield "masked", np.ma.array(array, mask=plain > np.median(plain))
+    yield "masked nowhere", np.ma.array(array)
+    yield "empty", array[:0]
+    yield "one less", array[:-1]
+    yield "first", array[:1]
+    yield "one axis more", array[None]
+    yield "flat", array.ravel()
+    yield "one column less", array[..., :-1]
+    yield "reversed", array[::-1]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One call of `name` with one argument replaced."""
+
+    name: str
+    argument: str
+    label: str
+    value: object
+
+    @property
+    def key(self) -> str:
+        return f"{self.name}({self.argument}={self.label})"
+
+
+def cases(name: str) -> Iterator[Case]:
+    for argument, value in CALLS[name]().items():
+        if argument != "self":
+            for label, wrong in hostile(value):
+                yield Case(name, argument, label, wrong)
+
+
+class OutOfTime(BaseException):
+    pass
+
+
+def _stop(*_: object) -> None:
+    raise OutOfTime
+
+
+def same(first: object, second: object) -> bool:
+    if isinstance(first, np.ndarray):
+        return (
+            isinstance(second, np.ndarray)
+            and first.dtype == second.dtype
+            and first.tobytes() == second.tobytes()
+        )
+    if isinstance(first, (list, tuple)) and isinstance(second, (list, tuple)):
+        return len(first) == len(second) and all(map(same, first, second))
+    if isinstance(first, dict) and isinstance(second, dict):
+        return first.keys() == second.keys() and all(same(first[k], second[k]) for k in first)
+    return True
+
+
+def finite(value: object, depth: int = 0) -> bool:
+    """Return whether every number in a value is finite."""
+    if isinstance(value, (float, complex, np.number)):
+        return bool(np.isfinite(value))
+    if isinstance(value, np.ndarray):
+        return value.dtype.kind not in "fc" or bool(np.isfinite(value).all())
+    if depth > 4:
+        return True
+    if isinstance(value, dict):
+        return all(finite(v, depth + 1) for v in value.values())
+    if isinstance(value, (list, tuple)):
+        return all(finite(v, depth + 1) for v in value)
+    if is_dataclass(value) and not isinstance(value, type):
+        return all(finite(getattr(value, f.name), depth + 1) for f in fields(value))
+    return True
+
+
+def fault(case: Case) -> str | None:
+    """Return what is wrong with the answer to a case, or None."""
+    given = CALLS[case.name]()
+    valid = {key: value for key, value in given.items() if key != "self"}
+    call = resolve(case.name)
+    if "self" in given:
+        call = getattr(given["self"], case.name.rsplit(".", 1)[1])
+    given = {**valid, case.argument: case.value}
+    before = {k: v for k, v in given.items() if isinstance(v, (np.ndarray, list, tuple, dict))}
+    before = copy.deepcopy(before)
+    signal.signal(signal.SIGPROF, _stop)
+    signal.setitimer(signal.ITIMER_PROF, LIMIT)
+    try:
+        with contextlib.chdir(FOLDER), warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            warnings.simplefilter("ignore", membrane.SmallSlopeWarning)
+            result = call(**given)
+            if inspect.isgenerator(result):
+                result = list(result)
+    except ValueError as error:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        if not any(n in str(error) for n in parameters(case.name, valid)):
+            return f"names no argument: {error}"[:160]
+        said = [w for w in said if w.category is not membrane.SmallSlopeWarning]
+        return f"warning: {said[0].message}"[:160] if said else None
+    except OutOfTime:
+        return "out of time"
+    except (Exception, RecursionError) as error:
+        return f"{type(error).__name__}: {error}"[:160]
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+    if said:
+        return f"warning: {said[0].message}"[:160]
+    if not all(same(before[key], given[key]) for key in before):
+        return "changed its input"
+    stored = inspect.isclass(resolve(case.name)) and is_dataclass(resolve(case.name))
+    if case.name not in MAY_BE_UNKNOWN and not stored and finite(case.value) and not finite(result):
+        return "not finite"
+    return None
+
+
+def main(words: list[str]) -> int:
+    total, kinds = 0, Counter()
+    wrong = 0
+    for name in CALLS:
+        if words and not any(word in name for word in words):
+            continue
+        begin, count = time.perf_counter(), 0
+        for case in cases(name):
+            total += 1
+            count += 1
+            said = fault(case)
+            if said and case.key not in KNOWN:
+                wrong += 1
+                kinds[said.split(":")[0]] += 1
+                print(f"{case.key}: {said}", flush=True)
+        print(f"# {name}: {count} in {time.perf_counter() - begin:.1f} s", flush=True)
+    print(f"{total} cases, {wrong} new faults {dict(kinds)}, {len(KNOWN)} known", flush=True)
+    return bool(wrong)
+
+
+#: Faults that remain in the callables that the table's short calls reach, one a line; a test holds
+#: their number.
+KNOWN = frozenset(
+    (Path(__file__).parent / "fuzz_known.txt").read_text(encoding="utf-8").splitlines()
+)
+MOST_KNOWN = 79
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
