@@ -79,6 +79,13 @@ class Curvature:
     gaussian_error: Array
 
 
+#: Micrometers, and the inverse of the least: heights and pixels between have curvatures and squares
+#: of them within the range of floating point.
+_FARTHEST = 1e12
+#: Largest window, px: the binomial weights are divided by 2 to its power, at most 2¹⁰²³.
+_LARGEST_WINDOW = 1001
+
+
 def curvature_windows(size: int = 7) -> Windows:
     """Return Besl's separable smoothing and derivative windows for a square of `size` pixels.
 
@@ -117,7 +124,7 @@ def curvature_windows(size: int = 7) -> Windows:
     >>> (42 * windows.second_derivative).round().astype(int).tolist()
     [5, 0, -3, -4, -3, 0, 5]
     """
-    n = whole("size", size, least=3, odd=True)
+    n = whole("size", size, least=3, odd=True, most=_LARGEST_WINDOW)
     t = np.arange(n, dtype=np.float64) - n // 2
     quadratic = t**2 - np.mean(t**2)
     return Windows(
@@ -178,10 +185,10 @@ def surface_curvature(
     >>> round(float(ball.mean[20, 20]), 4), round(float(ball.gaussian[20, 20]), 6)
     (-0.01, 0.0001)
     """
-    n = whole("size", size, least=3, odd=True)
-    pitch = scalar("pixel_size", pixel_size, above=0)
+    n = whole("size", size, least=3, odd=True, most=_LARGEST_WINDOW)
+    pitch = scalar("pixel_size", pixel_size, above=0, least=1 / _FARTHEST, most=_FARTHEST)
     sigma = scalar("noise", noise, least=0)
-    z = as_array("height", height, shape=(None, None), finite=False)
+    z = as_array("height", height, shape=(None, None), finite=False, largest=_FARTHEST)
     if np.isinf(z).any():
         raise ValueError(f"height must be finite or NaN, got {int(np.isinf(z).sum())} infinite")
     if min(z.shape) < 2 * n - 1:

@@ -69,6 +69,8 @@ def _sensor_points(points: ArrayLike) -> Array:
     array = as_array("points", points, finite=False)
     if array.ndim == 0 or array.shape[-1] != 2:
         raise ValueError(f"points must have shape (..., 2), got {array.shape}")
+    if np.isinf(array).any():
+        raise ValueError(f"points must be finite or NaN, got {int(np.isinf(array).sum())} infinite")
     return array
 
 

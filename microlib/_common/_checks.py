@@ -139,9 +139,9 @@ def scalar(
         need = "positive" if above == 0 else f"above {above:g}"
     elif above == 0 and number < LEAST:
         need = f"at least {LEAST:g}"
-    if least is not None and not number >= least:
+    elif least is not None and not number >= least:
         need = "zero or positive" if least == 0 else f"at least {least:g}"
-    if most is not None and not number <= most:
+    elif most is not None and not number <= most:
         need = f"at most {most:g}"
     if need:
         raise ValueError(f"{name} must be {need}, got {number:g}")
@@ -230,13 +230,19 @@ def generator(name: str, value: object) -> np.random.Generator:
     return np.random.default_rng(value)
 
 
+def items(name: str, value: object, count: int) -> tuple[object, ...]:
+    """Return the `count` members of a sequence or array that is no text and has no mask."""
+    text = isinstance(value, (str, bytes, np.ma.MaskedArray))
+    if text or not isinstance(value, (Sequence, np.ndarray)) or getattr(value, "ndim", 1) != 1:
+        raise ValueError(f"{name} must be {count} numbers, got {_brief(value)}")
+    if len(value) != count:
+        raise ValueError(f"{name} must be {count} numbers, got {len(value)}")
+    return tuple(value)
+
+
 def image_shape(name: str, value: object, *, least: int = 1) -> tuple[int, int]:
     """Return (rows, columns) of an image to make, each at least `least`."""
-    if isinstance(value, (str, bytes)) or not isinstance(value, (Sequence, np.ndarray)):
-        raise ValueError(f"{name} must be two whole numbers, rows and columns, got {_brief(value)}")
-    if isinstance(value, np.ma.MaskedArray) or len(value) != 2:
-        raise ValueError(f"{name} must be two whole numbers, rows and columns, got {_brief(value)}")
-    rows, columns = (whole(name, n, least=least) for n in value)
+    rows, columns = (whole(name, n, least=least) for n in items(name, value, 2))
     if max(rows, columns) > _LONGEST_SIDE or rows * columns > _MOST_PIXELS:
         raise ValueError(
             f"{name} must be at most {_LONGEST_SIDE} px a side and {_MOST_PIXELS} px in all, "

@@ -212,13 +212,18 @@ def calibrate(
     between("image", image, -_FARTHEST_PIXEL, _FARTHEST_PIXEL)
     one_of("loss", loss, ("linear", "huber"))
     frame = Microscope(1.0, 1.0, 1.0, pixel_size=pixel_size, image_size=image_size)
+    between("pixel_size", pixel_size, 1 / _FARTHEST, _FARTHEST)
     free = [0, 2, 3, 4, 5, 6, 7] if focal_length is not None else list(range(8))
     if focal_length is not None:
-        focal_length = scalar("focal_length", focal_length, above=0)
+        focal_length = scalar(
+            "focal_length", focal_length, above=0, least=1 / _FARTHEST, most=_FARTHEST
+        )
     if len(world) < 5:  # radial alignment has six unknowns up to scale, one equation a point
         raise ValueError(f"world must hold at least 5 points, got {len(world)}")
     for name, points in (("world", world), ("image", image)):
         spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        if not spread[0] > 1 / _FARTHEST:
+            raise ValueError(f"{name} must extend over more than {1 / _FARTHEST:g}, got less")
         if not spread[1] > _THINNEST * spread[0]:
             raise ValueError(f"{name} must not lie on one line, got {len(points)} points that do")
     if groups is None:

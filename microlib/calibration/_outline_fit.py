@@ -183,7 +183,8 @@ def fit_outlines(
     freedom = patches.weight.sum(axis=1) - start.shape[1]
     with np.errstate(invalid="ignore", divide="ignore"):
         variance = np.where(freedom > 0, cost / freedom, np.nan)
-    covariance = _invert(normal) * variance[:, None, None]
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite has failed
+        covariance = _invert(normal) * variance[:, None, None]
     failed = moving | ~np.isfinite(covariance).all(axis=(1, 2))
     covariance[failed] = np.nan
     return OutlineFit(best, covariance, np.where(failed, np.nan, np.sqrt(variance)))

@@ -275,7 +275,10 @@ def _corner_grid(corners: Array, grid: NDArray[np.intp]) -> NDArray[np.intp]:
     centers = corners.mean(axis=1)
     design = np.column_stack([grid, np.ones(len(grid))])
     steps = np.linalg.lstsq(design, centers, rcond=None)[0][:2]
-    local = (corners - centers[:, None]) @ np.linalg.inv(steps)
+    try:
+        local = (corners - centers[:, None]) @ np.linalg.inv(steps)
+    except np.linalg.LinAlgError:
+        raise ValueError("image must show a grid of squares, got them in one row") from None
     return 2 * grid[:, None] + (local > 0)
 
 
@@ -291,4 +294,9 @@ def _corner_bias(to_image: GridMap, grid: Array) -> Array:
     pair = np.stack([normal, np.roll(normal, 1, axis=1)], axis=2)  # a side and the one before
     along = np.stack([middle, np.roll(middle, 1, axis=1)], axis=2)
     distance = (pair * along).sum(axis=-1)
-    return np.linalg.solve(pair, distance[..., None])[..., 0] - to_image(grid)
+    try:
+        return np.linalg.solve(pair, distance[..., None])[..., 0] - to_image(grid)
+    except np.linalg.LinAlgError:
+        raise ValueError(
+            "image must show squares, got one with parallel neighboring sides"
+        ) from None

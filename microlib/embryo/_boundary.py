@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates, median_filter, spline_filter
 from scipy.signal import savgol_filter
 
-from microlib._common import Array, as_image
+from microlib._common import Array, as_array, as_image
 from microlib.embryo._wall import locate_wall
 
 # Lengths are in px. What other values of these do to the modulus stands in the benchmark "Other
@@ -130,7 +130,7 @@ class Probe:
 
     def axis(self, y: ArrayLike) -> Array:
         """Return x of the probe's axis at the image height `y`, both in px."""
-        return self.tip[0] + self.slope * (np.asarray(y, dtype=np.float64) - self.tip[1])
+        return self.tip[0] + self.slope * (as_array("y", y) - self.tip[1])
 
 
 @dataclass(frozen=True)

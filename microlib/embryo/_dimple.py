@@ -50,6 +50,8 @@ _RIM_WINDOW = 9
 #: Curvature of the arcs to start from, in those of a circle of the dimple's radius; nothing changes
 #: from 0.1 to 0.9.
 _START_CURVATURE = 0.3
+#: Radii of the dimple beyond which the outline has no height: an embryo is 2 to 5 of them wide.
+_END = 10.0
 #: Least radius of a fitted dimple, in half-widths of the probe; nothing changes from 1.001 to 1.1.
 _LEAST_RADIUS = 1.01
 #: Least value of the arc's root, which stays real where a search tries too strong a curvature;
@@ -182,15 +184,20 @@ class DimpleFit:
     probe_half_width: float
 
     def __call__(self, x: ArrayLike) -> Array:
-        """Return the height y of the fitted outline at `x`, both in px."""
+        """Return the height y of the fitted outline at `x`, both in px.
+
+        NaN further from the axis than ten of the dimple's radii, where there is no embryo.
+        """
         along = as_array("x", x) - self.center[0]
+        near = np.abs(along) < _END * self.dimple_radius / self.pixel_size
+        along = np.where(near, along, 0.0)
         # A point of the upright dimple moves sideways when it is turned: a few steps of a fixed
         # point find the one that comes to lie at x.
         cos, sin = np.cos(self.tilt), np.sin(self.tilt)
         u = along / cos
         for _ in range(_FIXED_POINT_STEPS):
             u = (along + sin * self._upright(u)) / cos
-        return self.center[1] + sin * u + cos * self._upright(u)
+        return np.where(near, self.center[1] + sin * u + cos * self._upright(u), np.nan)
 
     def _upright(self, u: Array) -> Array:
         scale = 1 / self.pixel_size

@@ -39,6 +39,8 @@ _OVERLAP = 1.2
 _RCOND = 1e-6
 #: Keeps a straight line from a share of nothing.
 _ROUNDING = 1e-12
+#: px; and its inverse the least extent. No outline is near either.
+_FARTHEST = 1e9
 
 
 @dataclass(frozen=True)
@@ -205,8 +207,8 @@ def fit_gaussians(
     >>> fit.centers.round(3).tolist()
     [25.0, 75.0]
     """
-    x = as_array("x", x, shape=(None,))
-    y = as_array("y", y, shape=(None,))
+    x = as_array("x", x, shape=(None,), largest=_FARTHEST)
+    y = as_array("y", y, shape=(None,), largest=_FARTHEST)
     same_length(("x", "y"), x, y)
     n = whole("terms", terms, least=1)
     if len(x) < 3 * n:
@@ -214,7 +216,7 @@ def fit_gaussians(
             f"x must hold at least {3 * n} points for {n} terms of three parameters, got {len(x)}"
         )
     low, span = x.min(), np.ptp(x)
-    if span == 0:
+    if span < 1 / _FARTHEST:
         raise ValueError(f"x must have an extent, got {len(x)} points at {low:g}")
 
     lower = np.repeat([-np.inf, low - span, _LEAST_WIDTH * span], n)
@@ -233,7 +235,9 @@ def fit_gaussians(
     solution = min(attempts, key=lambda attempt: attempt.cost)
     freedom = len(x) - 3 * n
     variance = 2 * solution.cost / freedom if freedom > 0 else np.nan
-    covariance = variance * inverse_normal(solution.jac)
+    with np.errstate(invalid="ignore"):  # an open direction stays so, however good the fit
+        inverse = inverse_normal(solution.jac)
+        covariance = np.where(np.isinf(inverse), np.inf, variance * inverse)
     order = np.argsort(solution.x[n : 2 * n])
     rows = np.concatenate([order, order + n, order + 2 * n])
     a, b, c = solution.x[rows].reshape(3, n)

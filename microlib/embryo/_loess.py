@@ -14,6 +14,8 @@ __all__ = ["loess"]
 _BLOCK = 32768
 #: Keeps a product such as 0.29 × 100 from losing its last neighbor to rounding.
 _ROUNDING = 1e-10
+#: Robust weights settle within some ten rounds; more only cost time.
+_MOST_ROUNDS = 100
 #: Determinant of a row's normal equations, for a weight of 1 in all, at or below which they leave
 #: the polynomial open: a hundred roundings. Evenly spaced points give 1e-4 or more.
 _LEAST_DETERMINANT = 1e-14
@@ -82,8 +84,9 @@ def loess(
     if not 0 < share <= 1:
         raise ValueError(f"span must lie in (0, 1], got {share:g}")
     between("degree", whole("degree", degree, least=1), 1, 2, closed=True)
-    rounds = whole("robust_iterations", robust_iterations, least=0)
-    given = np.ones_like(x) if weights is None else positive("weights", weights)
+    rounds = whole("robust_iterations", robust_iterations, least=0, most=_MOST_ROUNDS)
+    given = as_array("weights", np.ones_like(x) if weights is None else weights, shape=(None,))
+    positive("weights", given)
     same_length(("x", "weights"), x, given)
     k = int(share * len(x) + _ROUNDING)
     if k < degree + 1:

@@ -27,6 +27,8 @@ _NORMAL_95 = 1.959964
 _CROP = 2.0
 #: Of section 5.6.
 _SPAN, _TERMS = 0.25, 8
+#: Of any force, modulus or length, in µN, MPa and µm: beyond, products leave the range of numbers.
+_MOST = 1e12
 
 
 @dataclass(frozen=True)
@@ -134,16 +136,12 @@ def modulus_from_image(
     >>> estimate.interval[0] < 1.2 < estimate.interval[1], estimate.relative_std < 0.05
     (True, True)
     """
-    load = scalar("force", force, above=0)
+    load = scalar("force", force, above=0, most=_MOST)
+    one_of("method", method, _METHODS)
+    size = scalar("pixel_size", pixel_size, above=0)
+    membrane = _membrane(thickness, probe_half_width, poisson_ratio)
     boundary = extract_boundary(image)
-    dimple = measure_dimple(
-        boundary, pixel_size=pixel_size, probe_half_width=probe_half_width, method=method
-    )
-    membrane = {
-        "thickness": thickness,
-        "probe_half_width": probe_half_width,
-        "poisson_ratio": poisson_ratio,
-    }
+    dimple = _dimple_of(boundary, size, membrane["probe_half_width"], method)
     return ModulusEstimate(*_apply(elastic_modulus, load, dimple, membrane), dimple, boundary)
 
 
@@ -195,14 +193,12 @@ def force_from_image(
     >>> estimate.interval[0] < 1.2 < estimate.interval[1]
     True
     """
-    stiffness = scalar("modulus", modulus, above=0)
+    stiffness = scalar("modulus", modulus, above=0, most=_MOST)
+    size = scalar("pixel_size", pixel_size, above=0)
+    membrane = _membrane(thickness, probe_half_width, poisson_ratio)
     boundary = extract_boundary(image)
-    dimple = fit_dimple(boundary, pixel_size=pixel_size, probe_half_width=probe_half_width)
-    membrane = {
-        "thickness": thickness,
-        "probe_half_width": probe_half_width,
-        "poisson_ratio": poisson_ratio,
-    }
+    dimple = _dimple_of(boundary, size, membrane["probe_half_width"], "membrane")
+    assert isinstance(dimple, DimpleFit)
     return ForceEstimate(*_apply(indentation_force, stiffness, dimple, membrane), dimple, boundary)
 
 
@@ -245,6 +241,29 @@ def measure_dimple(
     # Gaussians die away to zero, so the outline is measured from its own lowest point.
     curve = fit_gaussians(x, loess(x, y - y.min(), span=_SPAN), terms=_TERMS)
     return dimple_geometry(curve, pixel_size=pixel_size)
+
+
+def _membrane(thickness: float, probe_half_width: float, poisson_ratio: float) -> dict[str, float]:
+    return {
+        "thickness": scalar("thickness", thickness, above=0, most=_MOST),
+        "probe_half_width": scalar("probe_half_width", probe_half_width, above=0, most=_MOST),
+        "poisson_ratio": scalar("poisson_ratio", poisson_ratio, within=(-1.0, 1.0)),
+    }
+
+
+def _dimple_of(
+    boundary: Boundary, pixel_size: float, probe_half_width: float, method: str
+) -> DimpleFit | DimpleGeometry:
+    """Measure the dimple of an image, and name the image if it does not fit the lengths."""
+    try:
+        return measure_dimple(
+            boundary, pixel_size=pixel_size, probe_half_width=probe_half_width, method=method
+        )
+    except ValueError as error:
+        raise ValueError(
+            "image must show a dimple of the model for this pixel_size and probe_half_width: "
+            f"{error}"
+        ) from None
 
 
 def _crop(boundary: Boundary) -> tuple[Array, Array]:

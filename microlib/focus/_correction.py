@@ -17,6 +17,12 @@ _CUT_OFF = 2.0
 _SPACING = 2.5
 #: Times that the planes are fitted, the first time to the depths, then to what was left over.
 _TWICING = 2
+#: Largest radius, px: planes over half a thousand pixels already take minutes.
+_MOST_RADIUS = 250.0
+#: Jumps in the range of a map: single precision has digits for so many.
+_MOST_JUMPS = 1e6
+#: Largest window of the median, px, which takes minutes beyond.
+_MOST_WINDOW = 255
 #: Variance of position, px², that is added to the neighbors' own and makes the planes stiff where
 #: neighbors lie on one line; beside that of a full circle, about 0.7 radius², it is nothing.
 _STIFFNESS = 0.05
@@ -64,7 +70,7 @@ def correct_spikes(depth: ArrayLike, *, window: int = 9, delta: float = 2.0) -> 
     z = as_array("depth", depth, shape=(None, None), finite=False)
     if np.isinf(z).any():
         raise ValueError(f"depth must be finite or NaN, got {int(np.isinf(z).sum())} infinite")
-    n = whole("window", window, least=3, odd=True)
+    n = whole("window", window, least=3, odd=True, most=_MOST_WINDOW)
     limit = scalar("delta", delta, least=0)
     unknown = np.isnan(z)
     if unknown.all():
@@ -147,7 +153,13 @@ def smooth_depth(
     if np.isinf(z).any():
         raise ValueError(f"depth must be finite or NaN, got {int(np.isinf(z).sum())} infinite")
     limit = scalar("jump", jump, above=0)
-    sigma = scalar("radius", radius, above=0)
+    span = np.nanmax(z) - np.nanmin(z) if not np.isnan(z).all() else 0.0
+    if span > _MOST_JUMPS * limit:
+        raise ValueError(
+            f"jump must be at least a {1 / _MOST_JUMPS:g} of the depths' range of {span:g} µm, got "
+            f"{limit:g} µm"
+        )
+    sigma = scalar("radius", radius, above=0, most=_MOST_RADIUS)
     weights = np.ones_like(z) if weight is None else positive("weight", weight, zero=True)
     if weights.shape != z.shape:
         raise ValueError(f"weight must have the shape {z.shape} of depth, got {weights.shape}")
@@ -167,6 +179,8 @@ def _plane_shift(depth: Array, weight: Array, sigma: float) -> Array:
     """Return by how much the plane through its neighborhood passes above each depth."""
     stride = max(1, round(sigma / _SPACING))
     reach = stride * int(_CUT_OFF * sigma / stride)
+    if reach == 0:  # a plane through nothing but the pixel itself
+        return np.zeros(depth.shape)
     values = np.pad(np.nan_to_num(depth).astype(np.float32), reach, mode="edge")
     weights = np.pad(weight.astype(np.float32), reach)
     offsets = [

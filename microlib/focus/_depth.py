@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from microlib._common import Array, Frames, Image, as_array, is_in_memory, scalar, whole
+from microlib._common import Array, Frames, Image, as_array, is_in_memory, one_of, scalar, whole
 from microlib.focus._correction import smooth_depth
 from microlib.focus._loops import fill_in
 from microlib.focus._measures import (
+    MEASURES,
     Banded,
     FocusMeasure,
     RowsMeasure,
@@ -24,7 +25,7 @@ from microlib.focus._measures import (
     noise_level,
     noise_response,
 )
-from microlib.focus._peaks import Profile, track_peaks
+from microlib.focus._peaks import FARTHEST, Profile, track_peaks
 from microlib.focus._reliability import (
     below_noise_mask,
     blurred_edge_mask,
@@ -37,6 +38,9 @@ from microlib.io import read_frames
 
 #: Frames whose numbers fit into 16 bits.
 _MOST = 2**16 - 1
+#: Frames in a fit of the peak: beyond, its window takes a gigabyte a megapixel. Threads: more than
+#: any machine has processors.
+_MOST_POINTS, _MOST_WORKERS = 255, 256
 #: Frames of a stream that are read in one go: memory against turns of the interpreter. The result
 #: is the same for any.
 _BATCH = 8
@@ -195,9 +199,11 @@ def depth_from_focus(
     True
     """
     z = _check_positions(positions)
+    if not callable(measure):
+        one_of("measure", measure, MEASURES)
     usual = _POINTS if measure == "multiscale" else 3
-    fit = whole("points", usual if points is None else points, least=3, odd=True)
-    threads = whole("workers", workers, least=1)
+    fit = whole("points", usual if points is None else points, least=3, odd=True, most=_MOST_POINTS)
+    threads = whole("workers", workers, least=1, most=_MOST_WORKERS)
     side = whole("window", window, least=1, odd=True)
     limit = scalar("threshold", threshold, least=0)
     reader = read_frames(frames)
@@ -238,16 +244,20 @@ def depth_from_focus(
 
 
 def _check_positions(positions: ArrayLike) -> Array:
-    z = as_array("positions", positions, shape=(None,))
+    z = as_array("positions", positions, shape=(None,), largest=FARTHEST)
     if len(z) < 3:
         raise ValueError(f"positions must be at least three, one for each frame, got {len(z)}")
     if len(z) > _MOST:
         raise ValueError(f"positions must be at most {_MOST}, got {len(z)}")
     gaps = np.diff(z)
     if not ((gaps > 0).all() or (gaps < 0).all()):
-        at = int(np.flatnonzero(np.sign(gaps) != np.sign(z[-1] - z[0]))[0])
+        at = int(np.flatnonzero((np.sign(gaps) != np.sign(z[-1] - z[0])) | (gaps == 0))[0])
         raise ValueError(
             f"positions must rise or fall strictly, got {z[at]:g} followed by {z[at + 1]:g}"
+        )
+    if np.abs(gaps).min() < 1 / FARTHEST:
+        raise ValueError(
+            f"positions must be at least {1 / FARTHEST:g} µm apart, got {np.abs(gaps).min():g} µm"
         )
     return z
 

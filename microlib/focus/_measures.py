@@ -93,7 +93,7 @@ class SumModifiedLaplacian:
     def __post_init__(self) -> None:
         whole("window", self.window, least=1, odd=True)
         whole("step", self.step, least=1)
-        scalar("threshold", self.threshold, least=0)
+        object.__setattr__(self, "threshold", scalar("threshold", self.threshold, least=0))
 
     @property
     def reach(self) -> int:
@@ -191,9 +191,13 @@ class Banded:
         return seen[rows.start - low : rows.stop - low]
 
 
+#: Names of the focus measures.
+MEASURES = ("multiscale", "sml", "tenengrad", "variance")
+
+
 def named_measure(name: str, window: int, step: int, threshold: float) -> RowsMeasure:
     """Return the classical measure of that name."""
-    one_of("measure", name, ("multiscale", "sml", "tenengrad", "variance"))
+    one_of("measure", name, MEASURES)
     if name == "sml":
         return SumModifiedLaplacian(window, step, threshold)
     if (step, threshold) != (1, 0.0):

@@ -10,7 +10,7 @@ from itertools import chain, islice
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, Image, pipeline
+from microlib._common import Array, Image, are_small, pipeline
 from microlib.focus._loops import track_rows
 from microlib.focus._measures import RowsMeasure
 
@@ -26,6 +26,12 @@ _FAINTEST = 1e-6
 #: Fall of the logarithm of a measure below which it is flat. No default depth of the benchmark
 #: changes from 1e-6 to 0.03.
 _FLAT = 1e-3
+
+
+#: Positions, µm, in single precision: a million meters, and spacings far below an atom.
+FARTHEST = 1e12
+#: Focus measures in single precision, whose range ends at 3e38.
+_LARGEST = 1e18
 
 
 class _PeakTracker:
@@ -77,8 +83,18 @@ def _check_window(window: NDArray, index: NDArray, positions: Array) -> None:
             f"window must hold an odd number of measures for each pixel of index, at least 3, got "
             f"{window.shape} and {index.shape}"
         )
-    if len(positions) < 3 or not np.isfinite(positions).all():
+    if not window.min() >= 0 or (window.dtype == np.float64 and not are_small(window, _LARGEST)):
+        raise ValueError(
+            f"window must hold measures from 0 to {_LARGEST:g}, got {window.min():g} to "
+            f"{window.max():g}"
+        )
+    if positions.ndim != 1 or len(positions) < 3 or not np.isfinite(positions).all():
         raise ValueError("positions must be at least three finite numbers")
+    exact = positions.astype(np.float64)
+    if np.abs(exact).max() > FARTHEST or np.abs(np.diff(exact)).min() < 1 / FARTHEST:
+        raise ValueError(
+            f"positions must be at least {1 / FARTHEST:g} µm apart and within ±{FARTHEST:g} µm"
+        )
     if index.size == 0 or index.max() >= len(positions) or index.min() < 0:
         raise ValueError(f"index must hold numbers of the {len(positions)} positions")
 
@@ -117,6 +133,7 @@ def three_point_peak(
     22.5
     """
     _check_window(window, index, positions)
+    positions = positions.astype(np.float64, copy=False)
     best = window[1].astype(np.float32)
     faint = best * np.float32(_FAINTEST)
     gaps = np.diff(positions)

@@ -17,6 +17,8 @@ from microlib._common import as_array, of_kind, scalar
 from microlib.io._tiff import is_tiff, only_page
 
 _MICROMETERS_PER_CENTIMETER = 1e4
+#: Pixels, µm, whose number a centimeter fits into the 32 bits of a TIFF.
+_FINEST, _COARSEST = 1e-5, 1e9
 
 
 def read_grey(path: str | PathLike[str]) -> NDArray:
@@ -99,7 +101,7 @@ def write_height_tiff(path: str | PathLike[str], height: ArrayLike, *, pixel_siz
     """
     of_kind("path", path, str, PathLike)
     heights = as_array("height", height, shape=(None, None), dtype=np.float32, finite=False)
-    size = scalar("pixel_size", pixel_size, above=0)
+    size = scalar("pixel_size", pixel_size, above=0, least=_FINEST, most=_COARSEST)
     per_centimeter = _MICROMETERS_PER_CENTIMETER / size
 
     def write(file: Path) -> None:
@@ -147,7 +149,7 @@ def write_ply(path: str | PathLike[str], height: ArrayLike, *, pixel_size: float
     """
     of_kind("path", path, str, PathLike)
     heights = as_array("height", height, shape=(None, None), finite=False)
-    size = scalar("pixel_size", pixel_size, above=0)
+    size = scalar("pixel_size", pixel_size, above=0, least=_FINEST, most=_COARSEST)
     known = np.isfinite(heights)
     cells = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
     if not cells.any():

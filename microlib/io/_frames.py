@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Frames
+from microlib._common import Frames, refuse_masks
 from microlib.io._files import decode
 from microlib.io._tiff import is_tiff, tiff_pages
 
@@ -62,6 +62,7 @@ def _named(frames: Frames) -> Iterator[tuple[str, NDArray]]:
     if isinstance(frames, (str, PathLike)):
         yield from tiff_pages(Path(frames))
     elif isinstance(frames, np.ndarray):
+        refuse_masks("frames", frames)
         if frames.ndim != 3:
             raise ValueError(f"frames must have shape (any, any, any), got {frames.shape}")
         for k, frame in enumerate(frames):
@@ -71,6 +72,7 @@ def _named(frames: Frames) -> Iterator[tuple[str, NDArray]]:
             if isinstance(item, (str, PathLike)):
                 yield f"frames[{k}], {item},", _image(Path(item))
             else:
+                refuse_masks(f"frames[{k}]", item)
                 # A camera may hand out the same buffer again and again.
                 yield f"frames[{k}]", np.array(item)
     else:
@@ -86,7 +88,8 @@ def _check(name: str, frame: NDArray) -> NDArray:
         raise ValueError(f"{name} must hold real numbers, got {frame.dtype}")
     if frame.dtype in (np.uint8, np.uint16):
         return frame if frame.flags.c_contiguous else np.ascontiguousarray(frame)
-    result = np.ascontiguousarray(frame, dtype=np.float32)
+    with np.errstate(over="ignore"):  # what overflows is infinite, and told below
+        result = np.ascontiguousarray(frame, dtype=np.float32)
     if not np.isfinite(result).all():
         bad = int(result.size - np.isfinite(result).sum())
         raise ValueError(f"{name} must be finite, got {bad} NaN or infinite of {result.size}")

@@ -112,6 +112,10 @@ def finite_slope_modulus(
     nu = scalar("poisson_ratio", poisson_ratio, within=(-1, 1))
     if depth > _depth(1.0, a, c):
         return float("nan")
+    if depth < _depth(_SINES[0], a, c):
+        raise ValueError(
+            f"dimple_depth must be at least a billionth of the steepest, got {depth:g} µm"
+        )
     # The sine at the probe stands for k: it runs over (0, 1].
     steepest = brentq(lambda sine: _depth(sine, a, c) - depth, *_SINES, xtol=_SINE_TOLERANCE)
     stress = load * (1 / c - c / a**2) / (2 * np.pi * steepest * h)

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, as_array, between, positive
+from microlib._common import Array, as_array, between, flag, positive
 
 #: Below this value x of 1 − ζ² the closed forms lose digits to cancellation, about x⁻³ roundings,
 #: and their series takes over. S is right to 2e-12 for any limit from 0.01 to 0.2 and any number of
@@ -425,7 +425,7 @@ def mean_strain(
     )
     zeta = values["probe_half_width"] / values["dimple_radius"]
     steepness = values["dimple_depth"] / values["dimple_radius"]
-    if not small_slopes:
+    if not flag("small_slopes", small_slopes):
         return _exact_strain(zeta, steepness)
     shape = log_remainder(zeta, 3) / (annulus(zeta) * log_remainder(zeta, 2) ** 2)
     return -(steepness**2) * shape

@@ -23,6 +23,8 @@ LARGEST_CONDITION = 1e10
 #: Relative difference of two halves of a matrix that rounding explains.
 _ROUNDING = 1e-9
 
+#: Samples of a run; a longer one is refused.
+_MOST_SAMPLES = 1 << 31
 #: Compared by identity, which costs nothing in a loop.
 _DOUBLE = np.dtype(np.float64)
 
@@ -81,12 +83,13 @@ def point_jacobian(
     """
     xy = np.atleast_2d(as_array("points", points))
     xy = as_array("points", xy, shape=(None, 2))
-    z = np.atleast_1d(as_array("depth", depth))
-    z = as_array("depth", np.broadcast_to(z, len(xy)) if z.size == 1 else z, shape=(None,))
-    same_length(("points", "depth"), xy, z)
-    cell = as_array(
-        "pixel_size", np.broadcast_to(positive("pixel_size", pixel_size), 2), shape=(2,)
+    z = as_array("depth", depth)
+    z = as_array(
+        "depth", np.full(len(xy), z.item()) if z.size == 1 and z.ndim < 2 else z, shape=(None,)
     )
+    same_length(("points", "depth"), xy, z)
+    cell = positive("pixel_size", pixel_size)
+    cell = as_array("pixel_size", np.full(2, cell) if cell.ndim == 0 else cell, shape=(2,))
     scale_x, scale_y = scalar("magnification", magnification, above=0) / cell
     aspect = cell[1] / cell[0]
     jacobian = np.zeros((len(xy), 2, 6))
@@ -417,7 +420,7 @@ def _is_usual(k: int, measured: Array, reference: Array, size: int) -> bool:
     """Return whether the types and shapes are those of a loop, which then need no further look."""
     return (
         type(k) is int
-        and k >= 0
+        and 0 <= k < _MOST_SAMPLES
         and type(measured) is np.ndarray
         and measured.dtype is _DOUBLE
         and measured.shape == (size,)

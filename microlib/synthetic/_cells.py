@@ -32,6 +32,10 @@ _GRAIN_BLUR, _BLUR = 1.5, 0.9
 _CORNERS = 180
 #: Least side of an image, px: a few cells.
 _SMALLEST = 64
+#: A cell of a lesser radius, px, is a speck.
+_LEAST_RADIUS = 2.0
+#: Cells that are tried at most; each is held against all others.
+_MOST_CELLS = 1000
 #: Bits of a fraction of a pixel to which an outline is drawn.
 _SHIFT = 4
 
@@ -95,9 +99,15 @@ def cell_image(
     ((360, 480), 5)
     """
     radius, irregularity, harmonics = _KINDS[one_of("kind", kind, tuple(_KINDS))]
-    wanted = whole("count", count, least=1)
-    pixel_size = scalar("pixel_size", pixel_size, above=0)
+    wanted = whole("count", count, least=1, most=_MOST_CELLS)
     rows, columns = image_shape("shape", shape, least=_SMALLEST)
+    pixel_size = scalar("pixel_size", pixel_size, above=0)
+    most = min(rows, columns) / 2
+    if not _LEAST_RADIUS <= radius / pixel_size <= most:
+        raise ValueError(
+            f"pixel_size must show a cell's radius of {radius:g} µm by {_LEAST_RADIUS:g} to "
+            f"{most:g} px, got {pixel_size:g} µm"
+        )
     radius /= pixel_size
     rng = generator("rng", rng)
     outlines: list[Array] = []
@@ -153,4 +163,5 @@ def _draw(
     scene += body * (grain - _BODY)
     y, x = np.indices(scene.shape)
     disc = np.hypot(x - center[0], y - center[1])
-    scene -= _NUCLEUS * mask / (1 + np.exp((disc - nucleus) / (_NUCLEUS_FADE * nucleus)))
+    with np.errstate(over="ignore"):  # far outside, where there is nothing of the nucleus
+        scene -= _NUCLEUS * mask / (1 + np.exp((disc - nucleus) / (_NUCLEUS_FADE * nucleus)))

@@ -7,18 +7,30 @@ Lengths are in µm, forces in µN, moduli in MPa; image coordinates in px.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import cast
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 from scipy.special import beta, ndtr
 
-from microlib._common import Array, between, flag, generator, image_shape, of_kind, scalar
+from microlib._common import (
+    Array,
+    as_array,
+    between,
+    flag,
+    generator,
+    image_shape,
+    of_kind,
+    positive,
+    scalar,
+)
 from microlib.membrane import SmallSlopeWarning, dimple_depth, dimple_profile
+from microlib.synthetic._textures import MOST_LEVEL
 
 #: Pixel of the Sony XCD-X710CR (4.65 µm cells) behind the magnification 1.2, in µm, and its image.
 _SONY_PIXEL_SIZE = 4.65 / 1.2
@@ -33,6 +45,11 @@ _SENSOR_HALF_WIDTH, _YOLK_GAP = 60.0, 55.0
 _YOLK_WIDTH, _YOLK_FADE, _GRAIN, _GRAIN_BLUR = 0.78, 3.0, 8.0, 6.0
 #: Least side of an image, px, and range of its blur: from just above the drawn edges' own on.
 _SMALLEST, _BLURS = 64, (0.5, 10.0)
+#: An embryo of fewer px is a speck, and places beyond so many px leave the range of the integers
+#: that outlines are drawn in.
+_LEAST_RADIUS, _FARTHEST = 4.0, 1e6
+#: Least distance of outline points, in radii: six million points.
+_FINEST = 1e-6
 #: Largest relative departure of the light: no part of the scene is dark.
 _MOST_UNEVEN = 0.5
 #: Share of the image's height at which the sensor holds the embryos of a sequence.
@@ -173,7 +190,9 @@ class Embryo:
                 f"force must give a dimple between the probe and the equator when the rim's radius "
                 f"is {rim_radius:g} µm, got {force:g} µN"
             )
-        return cls(modulus, force, brentq(excess, narrowest, widest), **properties)
+        return _fitting(
+            cls, modulus, force, brentq(excess, narrowest, widest), rim_radius, properties
+        )
 
     @classmethod
     def dented(
@@ -220,7 +239,7 @@ class Embryo:
         radius = brentq(excess, narrowest, widest)
         # The depth grows with the cube root of the force.
         force = (depth / _depth(untouched, 1.0, radius)) ** 3
-        return cls(modulus, force, radius, **properties)
+        return _fitting(cls, modulus, force, radius, rim_radius, properties)
 
     @property
     def dimple_depth(self) -> float:
@@ -260,7 +279,7 @@ class Embryo:
         >>> print(f"from {outline[:, 1].min():.0f} µm to {abs(outline[:, 1].max()):.2f} µm")
         from -1059 µm to 0.00 µm
         """
-        spacing = scalar("spacing", spacing, above=0)
+        spacing = scalar("spacing", spacing, above=0, least=_FINEST * self.radius, most=self.radius)
         quarter = np.linspace(0.0, np.pi / 2, _ARC_POINTS)
         if self.force == 0:
             half = self.radius * np.stack([np.sin(2 * quarter), np.cos(2 * quarter) - 1], axis=1)
@@ -303,6 +322,24 @@ class Embryo:
         fullness = beta(1 / _POWER, 1 + 2 / _POWER) / _POWER
         lower = (4 / 3 * self.radius**3 - above) / (fullness * self.radius**2)
         return across, upper, lower
+
+
+def _fitting(
+    kind: type[Embryo],
+    modulus: float,
+    force: float,
+    radius: float,
+    rim_radius: float,
+    properties: dict[str, float],
+) -> Embryo:
+    """Make an embryo whose dimple follows from its rim, and name the rim if none can have it."""
+    try:
+        return kind(modulus, force, radius, **properties)
+    except ValueError as error:
+        raise ValueError(
+            f"rim_radius must be that of a dimple which an embryo can have, got {rim_radius:g} µm: "
+            f"{error}"
+        ) from None
 
 
 def _depth(embryo: Embryo, force: float, radius: float) -> float:
@@ -353,7 +390,7 @@ class EmbryoImage:
 
     def to_pixels(self, points: Array) -> Array:
         """Return points in µm of the embryo's frame (y up from the rim) as image points, in px."""
-        x, y = np.asarray(points, dtype=np.float64).T / self.pixel_size
+        x, y = as_array("points", points, shape=(None, 2)).T / self.pixel_size
         cos, sin = np.cos(self.tilt), np.sin(self.tilt)
         return np.stack(
             [self.center[0] + cos * x + sin * y, self.center[1] + sin * x - cos * y], axis=1
@@ -430,10 +467,17 @@ def embryo_image(
     rows, columns = image_shape("shape", shape, least=_SMALLEST)
     tilt = scalar("tilt", tilt, within=(-np.pi, np.pi), closed=True)
     blur = scalar("blur", blur, within=_BLURS, closed=True)
-    noise = scalar("noise", noise, least=0)
+    noise = scalar("noise", noise, least=0, most=MOST_LEVEL)
     unevenness = scalar("unevenness", unevenness, within=(0.0, _MOST_UNEVEN), closed=True)
     if center is None:
         center = ((columns - 1) / 2, (rows - 1 - embryo.height / pixel_size) / 2)
+    x, y = as_array("center", center, shape=(2,), largest=_FARTHEST).tolist()
+    if not _FARTHEST > embryo.radius / pixel_size > _LEAST_RADIUS:
+        raise ValueError(
+            f"pixel_size must show the embryo's radius of {embryo.radius:g} µm by "
+            f"{_LEAST_RADIUS:g} to {_FARTHEST:g} px, got {pixel_size:g} µm"
+        )
+    center = (x, y)
     blank = np.zeros((rows, columns), dtype=np.uint8)
     frame = EmbryoImage(blank, embryo, pixel_size, center, tilt)
 
@@ -483,9 +527,15 @@ def embryo_sequence(
     [66, 97]
     """
     rng = generator("rng", rng)
+    given = list(forces) if isinstance(forces, Iterator) else forces
+    each = as_array("forces", cast(ArrayLike, given), shape=(None,))
+    positive("forces", each)
     scenes = []
-    for force in forces:
-        embryo = Embryo.pressed(force, modulus=modulus, rim_radius=rim_radius)
+    for force in each.tolist():
+        try:
+            embryo = Embryo.pressed(force, modulus=modulus, rim_radius=rim_radius)
+        except ValueError as error:
+            raise ValueError(f"forces must suit modulus and rim_radius: {error}") from None
         bottom = _SEAT * _SONY_SHAPE[0]
         center = ((_SONY_SHAPE[1] - 1) / 2, bottom - embryo.height / _SONY_PIXEL_SIZE)
         scenes.append(embryo_image(embryo, rng=rng, center=center))

@@ -20,7 +20,7 @@ from microlib._common import (
     scalar,
     whole,
 )
-from microlib.synthetic._textures import mixed_texture
+from microlib.synthetic._textures import MOST_LEVEL, mixed_texture
 
 #: Samples of the gripper's drawing per pixel, which are interpolated linearly: half or twice as
 #: many move the drawn gripper by less than 0.001 px.
@@ -58,6 +58,8 @@ _HOLES, _HOLE_RADIUS, _HOLE_COVER = np.arange(-12.0, -2.7, 0.8), 0.1, 0.35
 _GRAIN = {"mean": 165.0, "std": 18.0, "scales": 1.5}
 _GROUND = {"mean": 70, "std": 4, "scales": 12}
 
+#: Farthest that the gripper may move, px: a drawing of a gigabyte.
+_MOST_REACH = 2048
 #: The smallest side of a frame (px), and the largest opening as a share of its height, that leave
 #: room for both jaws.
 _SMALLEST, _LARGEST_OPENING = 50, 1 / 3
@@ -94,10 +96,10 @@ def camera_frame(
     >>> camera_frame([[10.4, 300.0]], np.random.default_rng(0), noise=0.0)
     array([[ 10, 255]], dtype=uint8)
     """
-    grey = as_array("image", image, shape=(None, None))
-    sigma = scalar("noise", noise, least=0)
+    grey = as_array("image", image, shape=(None, None), largest=MOST_LEVEL**2)
+    sigma = scalar("noise", noise, least=0, most=MOST_LEVEL)
     rng = generator("rng", rng)
-    gain = scalar("gain", gain)
+    gain = scalar("gain", gain, within=(-MOST_LEVEL, MOST_LEVEL))
     grey = gain * grey + sigma * rng.standard_normal(grey.shape, np.float32)
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
 
@@ -302,7 +304,8 @@ class GripperScene:
 
     def box(self, size: int, shift: ArrayLike = (0.0, 0.0)) -> tuple[int, int, int, int]:
         """Return (x, y, width, height) of a window of `size` px about the shifted opening."""
-        shift = as_array("shift", shift, shape=(2,))
+        size = whole("size", size, least=1)
+        shift = as_array("shift", shift, shape=(2,), largest=_MOST_REACH)
         x, y = np.rint(self.home - (size - 1) / 2 + shift).astype(int)
         return int(x), int(y), size, size
 
@@ -368,8 +371,8 @@ def gripper_scene(
     >>> scene.frame((10.5, -3.25), rng).shape, round(scene.opening, 2)
     ((240, 320), 16.05)
     """
-    opening = float(positive("gap", gap) / positive("pixel_size", pixel_size))
-    reach = whole("reach", reach, least=1)
+    opening = scalar("gap", gap, above=0) / scalar("pixel_size", pixel_size, above=0)
+    reach = whole("reach", reach, least=1, most=_MOST_REACH)
     rows, columns = image_shape("shape", shape, least=_SMALLEST)
     if opening > _LARGEST_OPENING * rows:
         raise ValueError(

@@ -7,6 +7,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import as_array, as_image, generator, scalar
 from microlib.optics import BlurLadder
+from microlib.synthetic._textures import MOST_LEVEL
+
+#: Largest blur, px, of a frame: as much as `BlurLadder` takes.
+_MOST_BLUR = 1e4
 
 
 def focal_stack(
@@ -62,13 +66,19 @@ def focal_stack(
     focus = as_array("positions", positions, shape=(None,))
     rate = scalar("blur_rate", blur_rate, above=0)
     least = scalar("sharpest", sharpest, least=0)
-    sigma = scalar("noise", noise, least=0)
+    sigma = scalar("noise", noise, least=0, most=MOST_LEVEL)
     if sigma > 0 and rng is None:
         raise ValueError("rng must be given for noisy frames, got None")
     rng = generator("rng", 0 if rng is None else rng)
     furthest = max(focus.max() - z.min(), z.max() - focus.min())
     # The ladder must reach past the largest blur whatever its last digit.
-    ladder = BlurLadder(image, float(np.hypot(least, rate * furthest)) * (1 + 1e-9))
+    largest = float(np.hypot(least, rate * furthest)) * (1 + 1e-9)
+    if largest > _MOST_BLUR:
+        raise ValueError(
+            f"blur_rate and sharpest must give at most {_MOST_BLUR:g} px of blur over the heights "
+            f"and positions given, got {largest:g} px"
+        )
+    ladder = BlurLadder(image, largest)
     frames = np.empty((focus.size, *image.shape), dtype=np.uint8)
     for k, position in enumerate(focus):
         frame: NDArray = ladder.at(np.hypot(least, rate * (z - position)))

@@ -6,6 +6,10 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from microlib._common import Array, generator, image_shape, scalar, whole
+from microlib.synthetic._textures import MOST_SCALE
+
+#: Half of the side of the largest patch, px: an image of 16 megapixels.
+_MOST_HALF = 2048
 
 #: Principal curvatures of the surface types of Table 3.1, in those of the stronger one. Their signs
 #: are the types; the half of the two saddles only has to be neither 0 nor 1.
@@ -145,7 +149,7 @@ def sphere_on_plane(
         if rng is None:
             raise ValueError("rng must be given for a rough ball, got None")
         noise = generator("rng", rng).standard_normal(shape)
-        relief = gaussian_filter(noise, scalar("grain", grain, above=0))
+        relief = gaussian_filter(noise, scalar("grain", grain, above=0, most=MOST_SCALE))
         height += np.where(ball, rough * relief / relief.std(), 0.0)
     return height
 
@@ -273,7 +277,7 @@ def quadric_patch(label: int, *, half: int = 20, radius: float = 40.0) -> Array:
     """
     if whole("label", label, least=1) not in _TYPES:
         raise ValueError(f"label must be one of {', '.join(map(str, _TYPES))}, got {label!r}")
-    n = 2 * whole("half", half, least=1) + 1
+    n = 2 * whole("half", half, least=1, most=_MOST_HALF) + 1
     x, y = _centered((n, n))
     first, second = _TYPES[label]
     return (first * x**2 + second * y**2) / (2 * scalar("radius", radius, above=0))

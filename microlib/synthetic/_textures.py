@@ -6,7 +6,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
-from microlib._common import generator, image_shape, positive, scalar
+from microlib._common import as_array, between, generator, image_shape, positive, scalar
+
+#: Grey levels lie far below, and sums in single precision stay exact to a level.
+MOST_LEVEL = 1e6
+#: Largest scale of a texture, px: as wide as an image may be to within a factor of ten; the filter
+#: that draws it would take minutes beyond.
+MOST_SCALE = 1e3
 
 
 def mixed_texture(
@@ -48,10 +54,14 @@ def mixed_texture(
     ((64, 64), 128, 38)
     """
     rows, cols = image_shape("shape", shape, least=2)
-    contrast = scalar("std", std, least=0)
+    contrast = scalar("std", std, least=0, most=MOST_LEVEL)
+    mean = scalar("mean", mean, within=(-MOST_LEVEL, MOST_LEVEL))
+    sizes = np.atleast_1d(positive("scales", scales))
+    as_array("scales", sizes, shape=(None,))
+    between("scales", sizes, 0.0, MOST_SCALE)
     rng = generator("rng", rng)
     total = np.zeros((rows, cols))
-    for scale in np.atleast_1d(positive("scales", scales)):
+    for scale in sizes:
         layer = gaussian_filter(rng.standard_normal((rows, cols)), scale, mode="wrap")
         total += layer / layer.std()
     total = mean + contrast * (total - total.mean()) / total.std()
@@ -100,8 +110,8 @@ def patchy_texture(
     rng = generator("rng", rng)
     texture = mixed_texture(shape, rng, mean=0.0, std=std)
     noise = rng.standard_normal(shape)
-    blobs = gaussian_filter(noise, scalar("patch", patch, above=0), mode="wrap")
+    blobs = gaussian_filter(noise, scalar("patch", patch, above=0, most=MOST_SCALE), mode="wrap")
     weakest = scalar("weakest", weakest, within=(0, 1), closed=True)
-    mean = scalar("mean", mean)
+    mean = scalar("mean", mean, within=(-MOST_LEVEL, MOST_LEVEL))
     contrast = weakest + (1 - weakest) * (blobs - blobs.min()) / np.ptp(blobs)
     return (mean + contrast * texture).astype(np.float32)

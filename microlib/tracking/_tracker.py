@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import hadamard
 
-from microlib._common import Array, Image, as_image, of_kind, one_of, scalar, whole
+from microlib._common import Array, Image, as_array, as_image, items, of_kind, one_of, scalar, whole
 from microlib.tracking._esm import (
     MOTIONS,
     Alignment,
@@ -277,11 +277,13 @@ class ESMTracker:
         ValueError
             If the frame is no grey image of that size, or not finite where the template is sought.
         """
-        if np.shape(frame) != self._shape:
-            raise ValueError(f"frame must have shape {self._shape}, got {np.shape(frame)}")
+        if type(frame) is not np.ndarray:
+            frame = as_array("frame", frame)
+        if frame.shape != self._shape:
+            raise ValueError(f"frame must have shape {self._shape}, got {frame.shape}")
         if self._kalman is not None:
             self._move_to(self._kalman.predict())
-        alignment = self._search(np.asarray(frame))
+        alignment = self._search(frame)
         reason = self._reason(alignment)
         self._found = not reason
         if not reason:
@@ -415,13 +417,10 @@ class ESMTracker:
 def _checked_box(
     box: tuple[int, int, int, int], shape: tuple[int, ...]
 ) -> tuple[int, int, int, int]:
-    if len(box) != 4:
-        raise ValueError(f"box must be (x, y, width, height), got {len(box)} numbers")
-    x, y = whole("box x", box[0], least=0), whole("box y", box[1], least=0)
-    width, height = (
-        whole("box width", box[2], least=_COARSEST),
-        whole("box height", box[3], least=_COARSEST),
-    )
+    left, top, across, down = items("box", box, 4)
+    x, y = whole("box x", left, least=0), whole("box y", top, least=0)
+    width = whole("box width", across, least=_COARSEST)
+    height = whole("box height", down, least=_COARSEST)
     if x + width > shape[1] or y + height > shape[0]:
         raise ValueError(
             f"box must lie inside the image of {shape[1]}×{shape[0]} px, got {tuple(box)}"
