@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 import tempfile
 from collections.abc import Callable
 from os import PathLike
@@ -14,11 +15,13 @@ import tifffile
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import as_array, of_kind, scalar
-from microlib.io._tiff import is_tiff, only_page
+from microlib.io._tiff import MOST_PIXELS, is_tiff, only_page
 
 _MICROMETERS_PER_CENTIMETER = 1e4
 #: Pixels, µm, whose number a centimeter fits into the 32 bits of a TIFF.
 _FINEST, _COARSEST = 1e-5, 1e9
+#: Rows or columns that OpenCV reads at most.
+_LONGEST_SIDE = 1 << 20
 
 
 def read_grey(path: str | PathLike[str]) -> NDArray:
@@ -55,14 +58,20 @@ def read_grey(path: str | PathLike[str]) -> NDArray:
         stored = only_page(file)
         if stored is not None:
             return stored
-    image = decode(file, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+    image = decode("path", file, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
     if image is None:
         raise ValueError(f"path must name an image, got {file}: damaged or of an unknown format")
     return image
 
 
-def decode(file: Path, flags: int) -> NDArray | None:
-    """Return an image as OpenCV reads it; None if it is damaged, cut off or absurdly large."""
+def decode(name: str, file: Path, flags: int) -> NDArray | None:
+    """Return an image as OpenCV reads it; None if it is damaged, cut off or of another format.
+
+    Raises
+    ------
+    ValueError
+        If its header tells of more pixels than OpenCV reads.
+    """
     # Not imread: it accepts JPEGs that are cut off, and fails on names outside the system's
     # encoding.
     raw = np.frombuffer(file.read_bytes(), dtype=np.uint8)
@@ -70,8 +79,30 @@ def decode(file: Path, flags: int) -> NDArray | None:
         return None
     try:
         return cv2.imdecode(raw, flags)
-    except cv2.error:  # a header that claims more than 2³⁰ pixels
-        return None
+    except cv2.error:
+        width, height = _size_in_header(raw.tobytes())
+        if width * height <= MOST_PIXELS and max(width, height) <= _LONGEST_SIDE:
+            return None
+        raise ValueError(
+            f"{name} must be of at most {MOST_PIXELS} px, {_LONGEST_SIDE} px a side, got {file} "
+            f"with a header of {width}×{height} px"
+        ) from None
+
+
+def _size_in_header(raw: bytes) -> tuple[int, int]:
+    """Return width and height that the header of a PNG or JPEG states, zeros for others."""
+    if raw[:8] == b"\x89PNG\r\n\x1a\n" and len(raw) >= 24:
+        width, height = struct.unpack(">II", raw[16:24])
+        return width, height
+    # The segments of a JPEG up to the start of a frame, SOF0 to SOF15 without three other tables.
+    at = 2 if raw[:2] == b"\xff\xd8" else len(raw)
+    while at + 9 <= len(raw) and raw[at] == 0xFF:
+        marker, length = raw[at + 1], int.from_bytes(raw[at + 2 : at + 4], "big")
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            height, width = struct.unpack(">HH", raw[at + 5 : at + 9])
+            return width, height
+        at += 2 + length
+    return 0, 0
 
 
 def write_height_tiff(path: str | PathLike[str], height: ArrayLike, *, pixel_size: float) -> None:

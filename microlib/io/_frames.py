@@ -105,7 +105,7 @@ def _image(path: Path) -> NDArray:
         return pages[0][1]
     if not path.is_file():
         raise ValueError(f"frames cannot be read from {path}: no such file")
-    image = decode(path, cv2.IMREAD_UNCHANGED)
+    image = decode("frames", path, cv2.IMREAD_UNCHANGED)
     if image is None:
         raise ValueError(
             f"frames cannot be read from {path}: damaged, or not an image that OpenCV knows"

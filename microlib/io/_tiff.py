@@ -15,7 +15,8 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-__all__ = ["is_tiff", "only_page", "tiff_pages"]
+#: Pixels of an image that are read at most; OpenCV has the same limit.
+MOST_PIXELS = 1 << 30
 
 _MINISWHITE, _MINISBLACK = 0, 1
 
@@ -196,13 +197,16 @@ def _page(entry: tifffile.TiffPage | tifffile.TiffFrame, number: int) -> NDArray
         if image is None:
             codec = tifffile.COMPRESSION(page.compression).name
             raise ValueError(
-                f"its compression {codec} needs another package (pip install imagecodecs), "
-                "or save the file without compression or as Deflate (zip)"
+                f"its compression {codec} needs another package, imagecodecs (the extra "
+                "microlib[codecs]); or save the file without compression or as Deflate (zip)"
             ) from None
         return image
 
 
 def _check_end(page: tifffile.TiffPage) -> None:
+    if math.prod(page.shape) > MOST_PIXELS:
+        size = "×".join(map(str, page.shape))
+        raise ValueError(f"a page must hold at most {MOST_PIXELS} values, got a header of {size}")
     ends = np.add(page.dataoffsets, page.databytecounts)
     if len(ends) == 0 or ends.max() > page.parent.filehandle.size:
         raise ValueError("the file is cut off")

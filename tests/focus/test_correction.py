@@ -29,6 +29,39 @@ def test_correction_is_the_loop(m, delta):
     assert (ours != depth).any()
 
 
+def test_the_defaults_are_the_thesis_own():
+    """Section 5.5.1 takes a window of 9×9 and δ = 2; 3 or a side of 7 keep other depths."""
+    rng = np.random.default_rng(8)
+    depth = rng.standard_normal((40, 40))
+    ours = correct_spikes(depth)
+    np.testing.assert_allclose(ours, printed_correction(depth, 9, 2.0), rtol=1e-12)
+    for m, delta in ((9, 3.0), (7, 2.0)):
+        assert (ours != printed_correction(depth, m, delta)).any()
+
+
+def test_the_deviation_is_that_of_the_known_depths():
+    """With half unknown, dividing by all would put the deviation √2 too low, or far too high."""
+    rng = np.random.default_rng(3)
+    depth = 500 + rng.standard_normal((24, 26))
+    depth[rng.random(depth.shape) < 0.5] = np.nan
+    padded = np.pad(depth, 4, mode="symmetric")
+    expected = depth.copy()
+    for i, j in np.ndindex(depth.shape):
+        window = padded[i : i + 9, j : j + 9]
+        middle = np.nanmedian(window)
+        if not abs(depth[i, j] - middle) <= 2 * np.nanstd(window):
+            expected[i, j] = middle
+    ours = correct_spikes(depth, window=9, delta=2.0)
+    # Variances come from sums of squares about the mean: 1e-12 of the depths is their rounding.
+    np.testing.assert_allclose(ours, expected, rtol=1e-12)
+    assert (ours != depth)[np.isfinite(depth)].any()
+
+
+def test_a_radius_below_half_a_pixel_smooths_nothing():
+    depth = np.random.default_rng(5).standard_normal((9, 11))
+    np.testing.assert_allclose(smooth_depth(depth, jump=9.0, radius=0.3), depth, atol=1e-12)
+
+
 def test_the_printed_condition_would_keep_only_the_spikes():
     """Erratum: (3.14) as printed replaces what lies inside the band."""
     depth = np.random.default_rng(0).standard_normal((15, 15))

@@ -310,7 +310,32 @@ def test_a_header_that_claims_too_much_is_refused(stack, tmp_path):
     struct.pack_into(">I", content, 29, zlib.crc32(content[12:29]))
     path.write_bytes(content)
     for read in (lambda: list(read_frames([path])), lambda: read_grey(path)):
-        with pytest.raises(ValueError, match=r"huge\.png: .*damaged"):
+        with pytest.raises(ValueError, match=r"at most 1073741824 px, .*huge\.png .*100000×100000"):
+            read()
+
+
+def test_a_jpeg_header_that_claims_too_much_is_refused(stack, tmp_path):
+    path = tmp_path / "huge.jpg"
+    cv2.imwrite(str(path), stack[0])
+    content = bytearray(path.read_bytes())
+    frame = content.index(b"\xff\xc0")
+    struct.pack_into(">HH", content, frame + 5, 60_000, 50_000)
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"huge\.jpg with a header of 50000×60000 px"):
+        read_grey(path)
+
+
+@pytest.mark.parametrize("compression", [None, "zlib"])
+def test_a_tiff_header_that_claims_too_much_is_refused(stack, tmp_path, compression):
+    path = tmp_path / "huge.tif"
+    tifffile.imwrite(
+        path, stack[0], compression=compression, metadata=None, photometric="minisblack"
+    )
+    with tifffile.TiffFile(path, mode="r+") as tiff:
+        for name in ("ImageWidth", "ImageLength", "RowsPerStrip"):
+            tiff.pages[0].tags[name].overwrite(100_000)
+    for read in (lambda: list(read_frames(path)), lambda: read_grey(path)):
+        with pytest.raises(ValueError, match=r"huge\.tif.*at most 1073741824 .*100000×100000"):
             read()
 
 
@@ -335,6 +360,14 @@ def test_lzw_is_read(stack, tmp_path):
     np.testing.assert_array_equal(np.stack(list(read_frames(tmp_path / "a.tif"))), stack)
     compressed(tmp_path / "b.tif", stack[:1], "tiff_lzw")
     np.testing.assert_array_equal(read_grey(tmp_path / "b.tif"), stack[0])
+
+
+def test_jpeg_is_read(tmp_path):
+    """A smooth image loses a grey level or two; noise would lose more."""
+    smooth = np.linspace(20, 200, 64 * 48).reshape(48, 64).astype(np.uint8)
+    PIL_Image.fromarray(smooth).save(tmp_path / "a.tif", compression="jpeg", quality=95)
+    (frame,) = read_frames(tmp_path / "a.tif")
+    assert np.abs(frame.astype(int) - smooth).max() <= 3
 
 
 def test_a_compression_that_nothing_installed_knows_is_named(stack, tmp_path):
