@@ -501,6 +501,20 @@ def test_huber_costs_little_without_outliers():
     assert ratio == pytest.approx(1 / np.sqrt(0.95), rel=0.05)  # Huber's efficiency at the normal
 
 
+def test_hubers_bound_is_that_of_normal_errors():
+    """1.345 standard deviations, though the scale is taken from the median of the residuals."""
+    scope = scope_with()
+    world = grid_in_view(scope)
+    noise = np.random.default_rng(4).normal(0, NOISE, world.shape)
+    seen = scope.project(world) + noise - scope.principal_point
+    free = np.array([0, 2, 3, 4, 5, 6, 7])
+    problem = Problem(world, seen, scope.cell, free)
+    fit = problem.fit(np.array([1.59, 1 / F, *truth_of(scope, POSE)]), "huber")
+    # The median tells the scale of n residuals to 1.17/√n, taken three times.
+    assert fit.scale == pytest.approx(1.345 * NOISE, rel=3.5 / np.sqrt(world.size))
+    assert 3.5 / np.sqrt(world.size) < 0.25
+
+
 def test_from_image_to_microscope():
     """Rendered, detected, calibrated: two columns of Table 5.1, better than Table 5.2's mean
     errors."""
