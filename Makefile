@@ -29,13 +29,7 @@ notebooks: $(STAMP) ## run the notebooks that changed
 	@$(BIN)/python -m compendium.run
 
 html: notebooks
-	@echo "Building the book"
-	@# From scratch: pages quote records that Sphinx does not watch.
-	@rm -rf book/notebooks book/generated build/_build
-	@mkdir -p book/notebooks
-	@cp build/notebooks/*.ipynb book/notebooks/
-	@$(BIN)/jupyter-book build book --path-output build --warningiserror --nitpick --keep-going --quiet
-	@ln -sfn _build/html build/html
+	@$(BIN)/python -m compendium.book
 
 book: html ## run the notebooks and build the book
 	@echo "The book is at build/html/index.html"

@@ -46,6 +46,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from microlib._common import replace_file
+
 __all__ = [
     "TALLY_VARIABLE",
     "VERDICTS",
@@ -763,7 +765,7 @@ def _write() -> None:
         return
     _session.path.parent.mkdir(parents=True, exist_ok=True)
     text = json.dumps([asdict(r) for r in _session.records.values()], indent=1, ensure_ascii=False)
-    _session.path.write_text(text + "\n", encoding="utf-8")
+    replace_file(_session.path, lambda file: file.write_text(text + "\n", encoding="utf-8"))
 
 
 def _read(name: str) -> dict:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import os
 from pathlib import Path
 
@@ -11,6 +12,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.container import BarContainer
 from matplotlib.figure import Figure
+
+from microlib._common import replace_file
 
 __all__ = ["FOLDER_VARIABLE", "keep_data", "show"]
 
@@ -57,15 +60,17 @@ def keep_data(figure: Figure, stem: Path) -> list[Path]:
     stem.parent.mkdir(parents=True, exist_ok=True)
     if rows:
         path = stem.with_suffix(".csv")
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(["panel", "series", "x", "y", "x_label", "y_label"])
-            writer.writerows(rows)
+        text = io.StringIO()
+        writer = csv.writer(text)
+        writer.writerow(["panel", "series", "x", "y", "x_label", "y_label"])
+        writer.writerows(rows)
+        content = text.getvalue().encode("utf-8")
+        replace_file(path, lambda file: file.write_bytes(content))
         written.append(path)
     if images:
         path = stem.with_suffix(".npz")
-        titles = [axes.get_title() for axes in figure.axes]
-        np.savez_compressed(path, panel_titles=np.array(titles), **images)  # type: ignore[arg-type]
+        images["panel_titles"] = np.array([axes.get_title() for axes in figure.axes])
+        replace_file(path, lambda file: np.savez_compressed(file, **images))  # type: ignore[arg-type]
         written.append(path)
     return written
 

@@ -1,4 +1,4 @@
-"""What several subjects share: argument checks, types, covariance, a pipeline of threads."""
+"""What several subjects share: argument checks, types, covariance, files, a pipeline."""
 
 from microlib._common._checks import (
     as_array,
@@ -10,6 +10,7 @@ from microlib._common._checks import (
     whole,
 )
 from microlib._common._covariance import inverse_normal
+from microlib._common._files import replace_file
 from microlib._common._frames import Frames, is_in_memory
 from microlib._common._pipeline import pipeline
 from microlib._common._types import Array, Image
@@ -26,6 +27,7 @@ __all__ = [
     "one_of",
     "pipeline",
     "positive",
+    "replace_file",
     "same_length",
     "whole",
 ]
