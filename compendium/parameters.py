@@ -5,8 +5,9 @@ from __future__ import annotations
 import ast
 import json
 import math
+import re
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from glob import glob
@@ -19,6 +20,14 @@ __all__ = ["Parameter", "read_parameters", "read_values"]
 ROOT = Path(__file__).resolve().parent.parent
 #: The guides' parameter for the folder of the results.
 OUT = "out"
+_BOUNDS: dict[str, Callable[[float], bool]] = {
+    "": lambda number: True,
+    ">": lambda number: number > 0,
+    "≥": lambda number: number >= 0,
+    "≠": lambda number: number != 0,
+}
+#: How the comment behind a parameter states its bound: ``# µm, > 0, of the membrane``.
+_STATED = re.compile(r"  # .*?([>≥≠]) 0\b")
 
 
 @dataclass(frozen=True)
@@ -35,12 +44,15 @@ class Parameter:
         Whether it may be ``None``.
     is_input : bool
         Whether the default is a file of this project, so that another value must be a file, too.
+    bound : str
+        What a number must be to zero: ``>``, ``≥`` or ``≠``; empty for anything.
     """
 
     name: str
     like: object
     optional: bool = False
     is_input: bool = False
+    bound: str = ""
 
     def read(self, text: str) -> object:
         """Return the value that a text stands for.
@@ -64,6 +76,9 @@ class Parameter:
         --------
         >>> Parameter("spacing", 25.0).read("1e1")
         10.0
+        >>> Parameter("spacing", 25.0, bound=">").read("-1e1")
+        Traceback (most recent call last):
+        ValueError: spacing must be a finite number > 0, got -1e1
         >>> Parameter("out", "build").read("2025-01-01")
         '2025-01-01'
         """
@@ -76,7 +91,10 @@ class Parameter:
         try:
             if isinstance(self.like, list):
                 return _numbers(json.loads(text), self.like)
-            return _number(text, self.like)
+            number = _number(text, self.like)
+            if not _BOUNDS[self.bound](number):
+                raise ValueError
+            return number
         except (ValueError, TypeError, OverflowError):
             raise ValueError(f"{self.name} must be {self._wanted()}, got {text}") from None
 
@@ -84,6 +102,7 @@ class Parameter:
         if isinstance(self.like, list):
             return f"{len(self.like)} numbers in brackets, such as {self.like}"
         kind = "a whole number" if isinstance(self.like, int) else "a finite number"
+        kind += f" {self.bound} 0" if self.bound else ""
         return f"{kind} or None" if self.optional else kind
 
 
@@ -115,7 +134,7 @@ def read_parameters(notebook: Path) -> dict[str, Parameter]:
     ----------
     notebook : pathlib.Path
         Its cell with the tag ``parameters`` holds one assignment a line; ``name: float | None =
-        None`` makes an optional one.
+        None`` makes an optional one, and ``> 0``, ``≥ 0`` or ``≠ 0`` in the comment a bound.
 
     Returns
     -------
@@ -126,16 +145,19 @@ def read_parameters(notebook: Path) -> dict[str, Parameter]:
     for cell in nbformat.read(notebook, as_version=4).cells:
         if "parameters" not in cell.metadata.get("tags", []):
             continue
+        lines = cell.source.splitlines()
         for node in ast.parse(cell.source).body:
+            stated = _STATED.search(lines[node.lineno - 1])
+            bound = stated[1] if stated else ""
             if isinstance(node, ast.Assign):
                 name, default = ast.unparse(node.targets[0]), ast.literal_eval(node.value)
                 own = isinstance(default, str) and (ROOT / default).is_file()
-                found[name] = Parameter(name, default, is_input=own)
+                found[name] = Parameter(name, default, is_input=own, bound=bound)
             elif isinstance(node, ast.AnnAssign):
                 name = ast.unparse(node.target)
                 if ast.unparse(node.annotation) != "float | None":
                     raise ValueError(f"{name} must be annotated as float | None or not at all")
-                found[name] = Parameter(name, 0.0, optional=True)
+                found[name] = Parameter(name, 0.0, optional=True, bound=bound)
     return found
 
 
@@ -157,8 +179,8 @@ def read_values(notebook: Path, texts: Mapping[str, str]) -> dict[str, object]:
     Raises
     ------
     ValueError
-        If there is no such parameter, a text is of another type, a file does not exist, or the
-        folder for the results cannot be written to.
+        If there is no such parameter, a text is of another type or out of bounds, a file does not
+        exist, or the folder for the results cannot be written to.
     """
     known = read_parameters(notebook)
     for name in texts:
