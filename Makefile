@@ -9,7 +9,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup book test notebooks html lint format data picture benchmarks oldest mutants vacuity lock clean
+.PHONY: help setup book test notebooks html lint format data picture benchmarks oldest mutants vacuity faults lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -72,6 +72,9 @@ mutants: $(STAMP) ## plant faults in the library and count those the tests catch
 
 vacuity: notebooks ## plant faults in what the checks are fed and list those that nothing turns (minutes)
 	@$(BIN)/python tests/vacuity.py
+
+faults: $(STAMP) ## interrupt and kill runs at random moments (an hour)
+	@$(BIN)/python tests/faults.py
 
 lock: $(STAMP) ## compile environment.txt anew (needs uv)
 	@uv pip compile pyproject.toml --extra book --extra test --generate-hashes --universal \

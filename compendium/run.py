@@ -194,7 +194,9 @@ def execute_whole(source: Path, output: Path, values: dict, cwd: Path) -> tuple[
         made = Path(folder) / output.name
         message, passed = execute(source, made, values, cwd)
         if made.exists():
-            replace_file(output, lambda file: shutil.copyfile(made, file))
+            notebook = nbformat.read(made, as_version=4)
+            clean(notebook)
+            replace_file(output, lambda file: nbformat.write(notebook, file))
     return message, passed
 
 
