@@ -68,13 +68,13 @@ oldest: ## run the library's tests with the oldest dependencies that pyproject.t
 	  --ignore tests/book --ignore tests/notebooks --ignore tests/compendium
 
 mutants: $(STAMP) ## plant faults in the library and count those the tests catch (minutes)
-	@$(BIN)/python tests/mutants.py
+	@$(BIN)/python -m tests.mutants
 
 vacuity: notebooks ## plant faults in what the checks are fed and list those that nothing turns (minutes)
 	@$(BIN)/python tests/vacuity.py
 
 faults: $(STAMP) ## interrupt and kill runs at random moments (an hour)
-	@$(BIN)/python tests/faults.py
+	@$(BIN)/python -m tests.faults
 
 lock: $(STAMP) ## compile environment.txt anew (needs uv)
 	@uv pip compile pyproject.toml --extra book --extra test --generate-hashes --universal \

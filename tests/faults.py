@@ -23,7 +23,8 @@ from pathlib import Path
 from time import monotonic, sleep
 
 import numpy as np
-from mutants import ROOT, copy_project
+
+from tests.mutants import ROOT, copy_project
 
 CHAPTER = "04"
 GRACE = (
