@@ -1,0 +1,108 @@
+"""The numbers kept beside a figure are those that it shows, in the right columns."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+mpl.use("agg")
+import matplotlib.pyplot as plt
+
+from compendium.figures.data import FOLDER_VARIABLE, keep_data, show
+
+
+@pytest.fixture(autouse=True)
+def closed():
+    yield
+    plt.close("all")
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def test_points_stand_in_the_columns_of_their_axes(tmp_path: Path) -> None:
+    figure, (left, right) = plt.subplots(1, 2)
+    left.plot([1, 2, 3], [10, 20, 60], label="line")
+    left.scatter([4, 5], [40, 50], label="dots")
+    left.axvline(7, label="helper")
+    left.set(xlabel="time (s)", ylabel="force (µN)")
+    right.bar([1, 3], [5, 9], width=0.5, label="upright")
+    right.barh([2, 4], [6, 8], height=0.5, left=[1, 1], label="lying")
+    (path,) = keep_data(figure, tmp_path / "a")
+    assert path == tmp_path / "a.csv"
+    found = [(r["panel"], r["series"], float(r["x"]), float(r["y"])) for r in rows(path)]
+    assert found == [
+        *(("1", "line", x, y) for x, y in ((1, 10), (2, 20), (3, 60))),
+        *(("1", "dots", x, y) for x, y in ((4, 40), (5, 50))),
+        *(("2", "upright", x, y) for x, y in ((1, 5), (3, 9))),
+        *(("2", "lying", x, y) for x, y in ((6, 2), (8, 4))),
+    ]
+    assert {(r["x_label"], r["y_label"]) for r in rows(path) if r["panel"] == "1"} == {
+        ("time (s)", "force (µN)")
+    }
+
+
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_the_last_bits_are_left_out_and_nothing_that_shows(tmp_path: Path, scale: str) -> None:
+    y = np.array([1e-3, 1 / 3, 123.456789, np.nan, np.inf])
+    texts = []
+    for noise in (0.0, 1e-12):
+        figure, axes = plt.subplots()
+        axes.plot([0, 1, 2, 3, 4], y * (1 + noise))
+        axes.set_yscale(scale)
+        (path,) = keep_data(figure, tmp_path / "a")
+        texts.append(path.read_text())
+    assert texts[0] == texts[1]
+    found = [row["y"] for row in rows(path)]
+    assert found[2:] == ["123.457", "nan", "inf"]
+    assert found[:2] == (["0.001", "0.333"] if scale == "linear" else ["0.001", "0.333333"])
+
+
+def test_rounding_noise_around_zero_is_zero(tmp_path: Path) -> None:
+    figure, axes = plt.subplots()
+    axes.plot([0, 1], [-1e-17, 2.0])
+    axes.plot([0, 1], [0.0, 0.0])
+    (path,) = keep_data(figure, tmp_path / "a")
+    assert [row["y"] for row in rows(path)] == ["0", "2", "0", "0"]
+
+
+def test_images_are_kept_as_they_are(tmp_path: Path) -> None:
+    figure, (left, right) = plt.subplots(1, 2)
+    first, second = np.arange(6.0).reshape(2, 3), np.arange(4).reshape(2, 2)
+    left.imshow(first)
+    left.set_title("height")
+    right.imshow(second)
+    assert keep_data(figure, tmp_path / "new" / "b") == [tmp_path / "new" / "b.npz"]
+    with np.load(tmp_path / "new" / "b.npz") as kept:
+        np.testing.assert_array_equal(kept["panel1_image1"], first)
+        np.testing.assert_array_equal(kept["panel2_image1"], second)
+        assert kept["panel_titles"].tolist() == ["height", ""]
+        assert len(kept.files) == 3
+
+
+def test_a_drawing_without_data_keeps_nothing(tmp_path: Path) -> None:
+    figure, axes = plt.subplots()
+    axes.text(0, 0, "a sketch")
+    assert keep_data(figure, tmp_path / "c") == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_data_is_kept_where_the_variable_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = []
+    monkeypatch.setattr(plt, "show", lambda: shown.append(1))
+    plt.plot([1, 2], [3, 4])
+    monkeypatch.delenv(FOLDER_VARIABLE, raising=False)
+    show("d")
+    assert list(tmp_path.iterdir()) == []
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
+    show("d")
+    assert [path.name for path in tmp_path.iterdir()] == ["d.csv"]
+    assert len(shown) == 2
