@@ -9,7 +9,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup book test notebooks html lint format data picture benchmarks oldest mutants fuzz vacuity lock clean
+.PHONY: help setup book test notebooks html lint format data picture benchmarks oldest mutants vacuity fuzz faults lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -29,13 +29,7 @@ notebooks: $(STAMP) ## run the notebooks that changed
 	@$(BIN)/python -m compendium.run
 
 html: notebooks
-	@echo "Building the book"
-	@# From scratch: pages quote records that Sphinx does not watch.
-	@rm -rf book/notebooks book/generated build/_build
-	@mkdir -p book/notebooks
-	@cp build/notebooks/*.ipynb book/notebooks/
-	@$(BIN)/jupyter-book build book --path-output build --warningiserror --nitpick --keep-going --quiet
-	@ln -sfn _build/html build/html
+	@$(BIN)/python -m compendium.book
 
 book: html ## run the notebooks and build the book
 	@echo "The book is at build/html/index.html"
@@ -74,13 +68,16 @@ oldest: ## run the library's tests with the oldest dependencies that pyproject.t
 	  --ignore tests/book --ignore tests/notebooks --ignore tests/compendium
 
 mutants: $(STAMP) ## plant faults in the library and count those the tests catch (minutes)
-	@$(BIN)/python tests/mutants.py
+	@$(BIN)/python -m tests.mutants
 
 vacuity: notebooks ## plant faults in what the checks are fed and list those that nothing turns (minutes)
 	@$(BIN)/python tests/vacuity.py
 
 fuzz: $(STAMP) ## call everything public with hostile values (minutes)
 	@$(BIN)/python -m tests.fuzz
+
+faults: $(STAMP) ## interrupt and kill runs at random moments (an hour)
+	@$(BIN)/python -m tests.faults
 
 lock: $(STAMP) ## compile environment.txt anew (needs uv)
 	@uv pip compile pyproject.toml --extra book --extra test --generate-hashes --universal \

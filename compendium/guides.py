@@ -7,12 +7,25 @@ from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import tifffile
+from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["FOLDER", "SHARE", "compare", "describe", "find_input", "manifest", "read_outline"]
+from microlib._common import replace_file
+
+__all__ = [
+    "FOLDER",
+    "SHARE",
+    "compare",
+    "describe",
+    "find_input",
+    "keep",
+    "manifest",
+    "read_outline",
+]
 
 #: Where the inputs lie that the guides run on without the reader's own.
 FOLDER = Path(__file__).resolve().parent.parent / "data" / "synthetic"
@@ -194,6 +207,44 @@ def read_outline(path: str | PathLike[str]) -> tuple[NDArray[np.float64], NDArra
             f"{len(values)} rows of {file}, first in row {int(bad.argmax()) + 1}"
         )
     return values[:, 0], values[:, 1]
+
+
+def keep(path: str | PathLike[str], what: pd.DataFrame | pd.Series | Figure | NDArray) -> None:
+    """
+    Keep a result in a file, whole or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+        File to write; an old one is replaced only once the new one is whole.
+    what : pandas.DataFrame, pandas.Series, matplotlib.figure.Figure or ndarray
+        A table goes to a CSV file, with its index if that has a name; a figure and an array, which
+        is taken as a grey image, go to a picture.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     keep(Path(folder) / "a.csv", pd.DataFrame({"x_um": [1.5]}))
+    ...     print((Path(folder) / "a.csv").read_text())
+    x_um
+    1.5
+    """
+
+    def write(file: Path) -> None:
+        if isinstance(what, Figure):
+            what.savefig(file)
+        elif isinstance(what, np.ndarray):
+            plt.imsave(file, what, cmap="gray")
+        else:
+            what.to_csv(file, index=what.index.name is not None)
+
+    replace_file(path, write)
 
 
 def _entry(file: Path) -> dict | None:

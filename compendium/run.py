@@ -1,9 +1,11 @@
 """Run the notebooks with papermill, two at a time, and only those whose inputs changed.
 
 ``python -m compendium.run`` leaves the executed notebooks in ``build/notebooks``, their records in
-``build/claims`` and one status file each in ``build/status``. A notebook is run again when it, the
-library, the compendium, the data or the locked environment changed. Chapter 6 reads the records of
-the others and is run last.
+``build/claims``, the numbers behind their figures in ``build/figures`` and one status file each in
+``build/status``. A notebook is run again when it, the library, the compendium, the data or the
+locked environment changed, or when something that it left is damaged or missing. Chapter 6 reads
+the records of the others and is run last. Whatever a notebook leaves is made in ``build/running``
+and moved when it is whole; a second run in the same tree waits for the first.
 
 With ``-p NAME VALUE`` one notebook runs once on your own data. The executed copy goes to the
 folder ``--output``, and nothing is recorded against the thesis.
@@ -12,38 +14,73 @@ folder ``--output``, and nothing is recorded against the thesis.
 from __future__ import annotations
 
 import argparse
-import base64
 import hashlib
-import io
 import json
 import os
+import shutil
+import signal
 import sys
 import tempfile
-from collections.abc import Iterable
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 from time import perf_counter
+from typing import NoReturn
 
 import nbformat
 import papermill
-import yaml
+from nbclient.exceptions import DeadKernelError
 from papermill.exceptions import PapermillExecutionError
-from PIL import Image
 from traitlets.config import Config
 
+from compendium.executed import clean, lighten, name_cells
 from compendium.figures.data import FOLDER_VARIABLE
+from compendium.parameters import OUT, prepare_folder, read_parameters, read_values
+from compendium.processes import alone_in, end_with_parent
+from microlib._common import replace_file
 
 ROOT = Path(__file__).resolve().parent.parent
 BUILD = ROOT / "build"
 LAST = "06_"
-LARGE_DRAWING = 60_000  # bytes above which a palette does not suit a picture
+INTERRUPTED = 130  # as a shell reports what Ctrl-C ended
 # Two kernels share the cores, so each keeps to one thread; this also fixes the order of sums.
 THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
+class Parser(argparse.ArgumentParser):
+    """Says in one line what is wrong with a call."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{message}; --help lists the options.\n")
+
+
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    """Run what the command line asks for; return the exit status."""
+    if "MAKELEVEL" in os.environ:
+        end_with_parent()  # make may be killed, and would not end what it began
+    os.environ |= THREADS
+    os.environ["PYTHONHASHSEED"] = "0"
+    try:
+        options = parse(sys.argv[1:])
+        names = choose(options.names)
+        if options.own or options.output:
+            return run_own(names, options.own, Path(options.output or "mine"))
+        with alone_in(BUILD):
+            return build(names, options.jobs, force=options.force)
+    except (ValueError, OSError) as error:
+        print(one_line(str(error)), file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        # At once, without waiting for the workers: they and their kernels end with this process.
+        print("Interrupted; nothing unfinished was kept.", file=sys.stderr, flush=True)
+        os._exit(INTERRUPTED)
+
+
+def parse(arguments: Sequence[str]) -> argparse.Namespace:
+    parser = Parser(description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*", help="notebooks to run, by name or its beginning")
     parser.add_argument("--force", action="store_true", help="run them even if nothing changed")
     parser.add_argument("--jobs", type=int, default=2, help="how many at a time")
@@ -54,52 +91,113 @@ def main() -> int:
         default=[],
         metavar=("NAME", "VALUE"),
         dest="own",
-        help="set a parameter of one notebook, as papermill does",
+        help="set a parameter of one notebook",
     )
-    parser.add_argument("--output", default="mine", help="folder for a run with -p")
-    options = parser.parse_args()
-    os.environ |= THREADS
-    os.environ["PYTHONHASHSEED"] = "0"
-    os.environ[FOLDER_VARIABLE] = str(BUILD / "figures")
+    parser.add_argument("--output", help="folder for a run on your own data, mine if not given")
+    # A value may begin with a minus, -5e1, which argparse takes for an option unless a space comes
+    # first.
+    safe = [
+        f" {text}" if "-p" in arguments[k - 2 : k - 1] else text for k, text in enumerate(arguments)
+    ]
+    options = parser.parse_args(safe)
+    options.own = [(name, value.removeprefix(" ")) for name, value in options.own]
+    return options
 
+
+def choose(wanted: Sequence[str]) -> list[str]:
+    """Return the notebooks whose names begin as wanted, all of them if nothing is."""
     every = sorted(path.stem for path in (ROOT / "notebooks").glob("[0-9]*.ipynb"))
-    chosen = [n for n in every if not options.names or n.startswith(tuple(options.names))]
-    if not chosen:
-        print(f"No notebook is called {' or '.join(options.names)}; there are {', '.join(every)}.")
-        return 1
-    if options.own:
-        return run_own(chosen, dict(options.own), Path(options.output))
-    failures = 0
-    first = [name for name in chosen if not name.startswith(LAST)]
-    last = [name for name in chosen if name.startswith(LAST)]
-    for batch in (first, last):
-        keys = {name: input_hashes(name) for name in batch}
-        todo = {n: key for n, key in keys.items() if options.force or not up_to_date(n, key)}
-        for name in sorted(set(batch) - set(todo)):
+    for name in wanted:
+        if not any(stem.startswith(name) for stem in every):
+            near = get_close_matches(name, every, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(every)}."
+            raise ValueError(f"No notebook is called {name}; {hint}")
+    return [stem for stem in every if not wanted or stem.startswith(tuple(wanted))]
+
+
+def build(names: list[str], jobs: int, *, force: bool) -> int:
+    """Run those of the notebooks that must be; the last chapter only if the others passed."""
+    shutil.rmtree(BUILD / "running", ignore_errors=True)  # of a run that was killed
+    for is_last in (False, True):
+        keys = {name: input_hashes(name) for name in names if name.startswith(LAST) == is_last}
+        todo = {n: key for n, key in keys.items() if force or not up_to_date(n, key)}
+        for name in sorted(set(keys) - set(todo)):
             print(f"  {name}: up to date")
-        failures += run_all(todo, options.jobs)
+        # The longest first, so that no core idles at the end; the longer has the larger file.
+        order = sorted(todo, key=lambda n: -(ROOT / "notebooks" / f"{n}.ipynb").stat().st_size)
+        failures = 0
+        calls = {name: (run, name, todo[name]) for name in order}
+        for done, (name, message, passed) in enumerate(in_workers(calls, jobs), 1):
+            failures += not passed
+            text = f"  [{done}/{len(order)}] {name}: {message}"
+            print(text, file=sys.stdout if passed else sys.stderr, flush=True)
         if failures:
-            break
-    return 1 if failures else 0
+            return 1
+    return 0
 
 
-def run_own(names: list[str], values: dict[str, str], folder: Path) -> int:
+def run_own(names: list[str], texts: Sequence[tuple[str, str]], folder: Path) -> int:
     """Run one notebook on the reader's own data; say in one line what is wrong with it, if so."""
     if len(names) != 1:
-        print(f"-p needs one notebook, not {', '.join(names)}.")
-        return 1
+        raise ValueError(f"-p needs one notebook, got {', '.join(names)}.")
+    given = [name for name, _ in texts]
+    if twice := sorted({name for name in given if given.count(name) > 1}):
+        raise ValueError(f"{twice[0]} must be given once, got it {given.count(twice[0])} times")
     source = ROOT / "notebooks" / f"{names[0]}.ipynb"
-    unknown = set(values) - set(papermill.inspect_notebook(source))
-    if unknown:
-        print(f"{names[0]} has no parameter {', '.join(sorted(unknown))}.")
-        return 1
-    folder.mkdir(parents=True, exist_ok=True)
+    values = read_values(source, dict(texts))
+    prepare_folder("--output", folder)
     output = folder / source.name
-    # As on papermill's own command line: 2.5 is a number, mine.tif a text.
-    parameters = {name: yaml.safe_load(value) for name, value in values.items()}
-    message, passed = execute(source, output, parameters, Path.cwd())
-    print(f"{output}: {message}")
-    return 0 if passed else 1
+    calls = {source.stem: (execute_whole, source, output, values, Path.cwd())}
+    for _, message, passed in in_workers(calls, 1):
+        print(f"{output}: {message}", file=sys.stdout if passed else sys.stderr)
+        if not passed:
+            return 1
+    return 0
+
+
+def in_workers(calls: dict[str, tuple], jobs: int) -> Iterable[tuple[str, str, bool]]:
+    """Run functions side by side, and yield each one's name, message and success as it ends.
+
+    Each of `calls` holds a function, which returns a message and whether it passed, and its
+    arguments.
+    """
+    # Not as a context, which would wait for the workers if this process is interrupted.
+    pool = ProcessPoolExecutor(max_workers=max(1, jobs), initializer=begin)
+    runs: dict[Future, str] = {pool.submit(guarded, *call): name for name, call in calls.items()}
+    for future in as_completed(runs):
+        try:
+            yield runs[future], *future.result()
+        except BrokenProcessPool:
+            yield runs[future], "FAILED: its process was killed", False
+    pool.shutdown()
+
+
+def begin() -> None:
+    """End with the parent, which alone heeds Ctrl-C, and drop what kernels say as they end."""
+    end_with_parent()
+    # A function and not SIG_IGN, which the kernels would inherit.
+    signal.signal(signal.SIGINT, lambda *_: None)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+
+
+def guarded(function: Callable[..., tuple[str, bool]], *arguments: object) -> tuple[str, bool]:
+    """Call a function; tell in one line what was refused, such as room on the disk."""
+    try:
+        return function(*arguments)
+    except (OSError, ValueError) as error:
+        return f"FAILED: {one_line(str(error))}", False
+
+
+def execute_whole(source: Path, output: Path, values: dict, cwd: Path) -> tuple[str, bool]:
+    """Execute a notebook; `output` appears when it has ended, well or not."""
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder) / output.name
+        message, passed = execute(source, made, values, cwd)
+        if made.exists():
+            notebook = nbformat.read(made, as_version=4)
+            clean(notebook)
+            replace_file(output, lambda file: nbformat.write(notebook, file))
+    return message, passed
 
 
 def execute(source: Path, output: Path, parameters: dict, cwd: Path) -> tuple[str, bool]:
@@ -119,58 +217,48 @@ def execute(source: Path, output: Path, parameters: dict, cwd: Path) -> tuple[st
                 config=sockets,
             )
         except PapermillExecutionError as error:
-            return f"FAILED in cell {error.cell_index}: {error.ename}: {error.evalue}", False
+            text = one_line(f"{error.ename}: {error.evalue}")
+            return f"FAILED in cell {error.cell_index}: {text}", False
+        except DeadKernelError:
+            return "FAILED: its kernel was killed", False
     return f"{perf_counter() - start:.1f} s", True
 
 
-def run_all(keys: dict[str, dict[str, str]], jobs: int) -> int:
-    """Run notebooks side by side, print a line for each as it ends, and return how many failed.
-
-    `keys` holds each notebook's input hashes.
-    """
-    failures = 0
-    # The longest first, so that no core idles at the end; a longer notebook has the larger file.
-    names = sorted(keys, key=lambda n: -(ROOT / "notebooks" / f"{n}.ipynb").stat().st_size)
-    with ProcessPoolExecutor(max_workers=max(1, jobs), initializer=hush) as pool:
-        runs = {pool.submit(run, name, keys[name]): name for name in names}
-        for done, future in enumerate(as_completed(runs), 1):
-            message, passed = future.result()
-            failures += not passed
-            print(f"  [{done}/{len(names)}] {runs[future]}: {message}", flush=True)
-    return failures
-
-
-def hush() -> None:
-    """Drop what kernels write to the terminal as they shut down; their errors are returned."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+def one_line(text: str) -> str:
+    return " ".join(text.split())
 
 
 def run(name: str, key: dict[str, str]) -> tuple[str, bool]:
     """Execute one notebook; return what to tell the user and whether it passed.
 
-    `key` holds its input hashes, which its status file keeps.
+    `key` holds its input hashes, which its status file keeps beside the hashes of what it left.
     """
-    for folder in ("notebooks", "claims", "status", "failed"):
+    for folder in ("notebooks", "claims", "status", "figures", "failed"):
         (BUILD / folder).mkdir(parents=True, exist_ok=True)
-    output = BUILD / "notebooks" / f"{name}.ipynb"
-    failed = BUILD / "failed" / f"{name}.ipynb"
-    record = BUILD / "claims" / f"{name}.json"
-    for stale in (output, failed, record, BUILD / "status" / f"{name}.json"):
-        stale.unlink(missing_ok=True)
+    running = BUILD / "running" / name
+    shutil.rmtree(running, ignore_errors=True)
+    (running / "figures").mkdir(parents=True)
+    os.environ[FOLDER_VARIABLE] = str(running / "figures")
     source = ROOT / "notebooks" / f"{name}.ipynb"
-    message, passed = execute(source, failed, {"record": str(record.relative_to(ROOT))}, ROOT)
+    made, record = running / "notebook.ipynb", running / "record.json"
+    message, passed = execute(source, made, {"record": str(record.relative_to(ROOT))}, ROOT)
+    failed = BUILD / "failed" / f"{name}.ipynb"
+    if passed:
+        notebook = nbformat.read(made, as_version=4)
+        clean(notebook)
+        lighten(notebook)
+        if str(ROOT) in nbformat.writes(notebook):
+            message, passed = "FAILED: an output names a path of this machine", False
     if not passed:
+        for part, ending in (("status", "json"), ("notebooks", "ipynb"), ("claims", "json")):
+            (BUILD / part / f"{name}.{ending}").unlink(missing_ok=True)
+        if made.exists():
+            os.replace(made, failed)
         return f"{message} ({failed.relative_to(ROOT)})", False
-    notebook = nbformat.read(failed, as_version=4)
-    clean(notebook)
-    lighten(notebook)
-    if str(ROOT) in nbformat.writes(notebook):
-        return f"FAILED: an output names a path of this machine ({failed.relative_to(ROOT)})", False
-    nbformat.write(notebook, output)
-    failed.unlink()
-    if not record.exists():
-        record.write_text("[]\n", encoding="utf-8")  # a guide checks nothing against the thesis
-    checks = name_cells(json.loads(record.read_text()), notebook)
+    nbformat.write(notebook, made)
+    # A guide checks nothing against the thesis.
+    records = json.loads(record.read_text(encoding="utf-8")) if record.exists() else []
+    checks = name_cells(records, notebook)
     record.write_text(json.dumps(checks, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     judged = sum(entry["verdict"] != "result" for entry in checks)
     status = {
@@ -179,52 +267,48 @@ def run(name: str, key: dict[str, str]) -> tuple[str, bool]:
         "checks": judged,
         **key,
     }
-    (BUILD / "status" / f"{name}.json").write_text(json.dumps(status, indent=1) + "\n")
+    publish(name, running, status)
+    failed.unlink(missing_ok=True)
     return f"{message}, {judged} {'check' if judged == 1 else 'checks'} passed", True
 
 
-def name_cells(records: list[dict], notebook: nbformat.NotebookNode) -> list[dict]:
-    """Put a cell's lasting id in place of the number that it had when it was executed."""
-    ids = {f"[{c.execution_count}]": c.id for c in notebook.cells if c.cell_type == "code"}
-    return [record | {"cell": ids.get(record.get("cell", ""), "")} for record in records]
+def publish(name: str, running: Path, status: dict[str, object]) -> None:
+    """Move what a run made to where the book looks for it, its status last."""
+    places = {
+        running / "notebook.ipynb": BUILD / "notebooks" / f"{name}.ipynb",
+        running / "record.json": BUILD / "claims" / f"{name}.json",
+    }
+    places |= {file: BUILD / "figures" / file.name for file in (running / "figures").iterdir()}
+    left = [*places.values(), *results_of(name)]
+    for made, place in places.items():
+        os.replace(made, place)
+    status["left"] = {str(path.relative_to(ROOT)): files_hash([path]) for path in sorted(left)}
+    text = json.dumps(status, indent=1) + "\n"
+    (running / "status.json").write_text(text, encoding="utf-8")
+    os.replace(running / "status.json", BUILD / "status" / f"{name}.json")
+    shutil.rmtree(running)
 
 
-def clean(notebook: nbformat.NotebookNode) -> None:
-    """Remove what papermill and the kernel left that names a time or a place on this machine."""
-    notebook.metadata.pop("papermill", None)
-    for cell in notebook.cells:
-        cell.metadata.pop("papermill", None)
-        cell.metadata.pop("execution", None)
-        if "injected-parameters" in cell.metadata.get("tags", []):
-            cell.metadata.tags.append("remove-cell")
-
-
-def lighten(notebook: nbformat.NotebookNode) -> None:
-    """Store the pictures small: drawings with a palette, photographs and noise as JPEG."""
-    for output in (o for cell in notebook.cells for o in cell.get("outputs", [])):
-        data = output.get("data", {})
-        if "image/png" not in data:
-            continue
-        picture = Image.open(io.BytesIO(base64.b64decode(data["image/png"]))).convert("RGB")
-        drawing = io.BytesIO()
-        palette = picture.quantize(128, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-        palette.save(drawing, "PNG", optimize=True)
-        photograph = io.BytesIO()
-        picture.save(photograph, "JPEG", quality=82, optimize=True)
-        if drawing.tell() > LARGE_DRAWING and photograph.tell() < drawing.tell():
-            del data["image/png"]
-            data["image/jpeg"] = base64.b64encode(photograph.getvalue()).decode()
-        else:
-            data["image/png"] = base64.b64encode(drawing.getvalue()).decode()
+def results_of(name: str) -> list[Path]:
+    """Return the files that a guide keeps in its own folder."""
+    folder = read_parameters(ROOT / "notebooks" / f"{name}.ipynb").get(OUT)
+    if folder is None:
+        return []
+    files = (path for path in (ROOT / str(folder.like)).iterdir() if path.is_file())
+    return [path for path in files if not path.name.startswith(".")]
 
 
 def up_to_date(name: str, key: dict[str, str]) -> bool:
-    """Tell whether a notebook has been run on the inputs of which `key` holds the hashes."""
-    status = BUILD / "status" / f"{name}.json"
-    made = [BUILD / "notebooks" / f"{name}.ipynb", BUILD / "claims" / f"{name}.json", status]
-    if not all(path.exists() for path in made):
-        return False
-    return key.items() <= json.loads(status.read_text()).items()
+    """Tell whether a notebook was run on the inputs of which `key` holds the hashes, and whether
+    all that it left is as it left it."""
+    try:
+        status = json.loads((BUILD / "status" / f"{name}.json").read_text(encoding="utf-8"))
+        left = {ROOT / file: hashed for file, hashed in status["left"].items()}
+        made = {BUILD / "notebooks" / f"{name}.ipynb", BUILD / "claims" / f"{name}.json"}
+        whole = made <= set(left) and all(files_hash([path]) == left[path] for path in left)
+        return whole and key.items() <= status.items()
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return False  # missing, cut off, or anything else but what `publish` writes
 
 
 def input_hashes(name: str) -> dict[str, str]:

@@ -1,14 +1,17 @@
 """Plant one fault at a time in the library and count those that the tests catch.
 
-``make mutants`` takes a fixed random sample of cosmic-ray's faults in each package (a plus for a
-minus, another number, a reversed comparison), at least two in every module that can hold one. It
-runs that package's tests and the module's examples on a copy of the project, and writes
-``tests/mutants.csv``; with packages named, only their rows change. The faults that no test noticed
-are explained in ``tests/MUTANTS.md``.
+``make mutants`` takes a random sample of faults in each package: half of them cosmic-ray's (a plus
+for a minus, another number, a reversed comparison), half those of ``tests/planted.py`` (arguments
+exchanged, a term or a check forgotten, a wrong unit), as many of each kind as of the others, and at
+least two in every module that can hold one. ``--seed`` draws another sample. It runs that package's
+tests and the module's examples on a copy of the project, and writes ``tests/mutants.csv``; with
+packages named, only their rows change. The faults that no test noticed are explained in
+``tests/MUTANTS.md``.
 
 Packages, modules and tests are found by their folders: a fault in ``microlib/focus/_peaks.py`` is
 judged by ``tests/focus/test_peaks.py``, then the examples in the module, then the rest of
-``tests/focus``; one in ``microlib/optics.py`` by ``tests/test_optics.py``.
+``tests/focus``; one in ``microlib/optics.py`` by ``tests/test_optics.py``. The compendium counts as
+three: its experiments, its figures, and the rest.
 """
 
 from __future__ import annotations
@@ -23,6 +26,7 @@ import tempfile
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from importlib.util import cache_from_source
+from itertools import zip_longest
 from pathlib import Path
 from queue import Queue
 from time import perf_counter
@@ -33,6 +37,8 @@ import parso
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator, operator_names
 
+from tests.planted import KINDS, edits, plant
+
 ROOT = Path(__file__).resolve().parent.parent
 RESULT = ROOT / "tests" / "mutants.csv"
 SAMPLE = 24  # faults in each package
@@ -42,15 +48,13 @@ JOBS = 2
 # operators on variables want to be told names.
 IDLE = ("BitOr_", "RemoveDecorator", "ExceptionReplacer", "VariableInserter", "VariableReplacer")
 OPERATORS = [name for name in sorted(operator_names()) if not any(word in name for word in IDLE)]
-LEFT_OUT = {
-    "compendium/figures": "drawings, which readers look at and nobody computes with",
-    "compendium/readme_picture.py": "a drawing, too",
-}
+LEFT_OUT = {"compendium/readme_picture.py": "run by hand, and looked at"}
+PARTS = ("experiments", "figures")  # of the compendium, with tests that are named after them
 NOT_COPIED = (".*", "__pycache__", "build", "*.egg-info")
 
 
 class Fault(NamedTuple):
-    """One fault of a module, by cosmic-ray's name for it and its place among its like."""
+    """One fault of a module, by the name of its kind and its place among its like."""
 
     module: Path
     operator: str
@@ -71,12 +75,13 @@ class Verdict(NamedTuple):
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("packages", nargs="*", help="such as focus; all of them without any")
+    parser.add_argument("--seed", type=int, default=0, help="of the sample")
     options = parser.parse_args()
     packages = find_packages()
     if unknown := set(options.packages) - set(packages):
         parser.error(f"no package {', '.join(unknown)}; there are {', '.join(packages)}")
     chosen = options.packages or list(packages)
-    faults = {name: sample(name, packages[name]) for name in chosen}
+    faults = {name: sample(name, packages[name], options.seed) for name in chosen}
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(JOBS) as pool:
         copies: Queue[Path] = Queue()
         for k in range(JOBS):
@@ -142,30 +147,45 @@ def package_of(path: Path) -> str:
     top, *inner = path.relative_to(ROOT).with_suffix("").parts
     if top == "microlib":
         return top if inner == ["__init__"] else inner[0]
-    return top
+    return inner[0] if inner[0] in PARTS else top
 
 
-def sample(package: str, modules: list[Path]) -> list[Fault]:
+def sample(package: str, modules: list[Path], seed: int) -> list[Fault]:
     """Draw the package's faults: some in each module, and the rest wherever chance has it."""
     every = [fault for path in modules for fault in find_faults(path)]
-    rng = np.random.default_rng(sum(package.encode()))
-    drawn = [every[k] for k in rng.permutation(len(every))]
+    # The name makes packages differ; nothing of the code under test chooses the sample.
+    rng = np.random.default_rng([seed, *package.encode()])
+    drawn = in_turn([every[k] for k in rng.permutation(len(every))])
     first = [f for path in modules for f in [f for f in drawn if f.module == path][:LEAST]]
     rest = [fault for fault in drawn if fault not in first]
     return sorted(first + rest[: max(0, SAMPLE - len(first))])
 
 
+def in_turn(faults: list[Fault]) -> list[Fault]:
+    """Order faults so that every other is cosmic-ray's, and the rest of each kind in turn."""
+    foreign = iter([fault for fault in faults if fault.operator not in KINDS])
+    kinds = [iter([fault for fault in faults if fault.operator == kind]) for kind in KINDS]
+    own = (fault for row in zip_longest(*kinds) for fault in row if fault)
+    return [fault for pair in zip_longest(own, foreign) for fault in pair if fault]
+
+
 def find_faults(module: Path) -> list[Fault]:
-    tree = parso.parse(module.read_text(encoding="utf-8"))
-    nodes = [tree]
+    text = module.read_text(encoding="utf-8")
+    faults = [Fault(module, kind, k) for kind in KINDS for k in range(len(edits(text, kind)))]
+    nodes = [parso.parse(text)]
     for node in nodes:  # grows while it is read
         nodes += getattr(node, "children", [])
-    faults = []
     for operator in OPERATORS:
         visitor = get_operator(operator)()
         count = sum(len(list(visitor.mutation_positions(node))) for node in nodes)
         faults += [Fault(module, operator, k) for k in range(count)]
     return faults
+
+
+def plant_fault(text: str, fault: Fault) -> str:
+    if fault.operator in KINDS:
+        return plant(text, fault.operator, fault.occurrence)
+    return mutate_code(text, get_operator(fault.operator)(), fault.occurrence)
 
 
 def tests_of(module: Path) -> list[str]:
@@ -176,7 +196,13 @@ def tests_of(module: Path) -> list[str]:
     if single.exists():
         return [examples, str(single.relative_to(ROOT))]
     like = f"test_{module.stem.removeprefix('_')}.py"
-    files = sorted((ROOT / "tests" / package).rglob("test_*.py"), key=lambda p: p.name != like)
+    folder = ROOT / "tests" / ("compendium" if package in PARTS else package)
+    if package in PARTS:
+        like = like.replace("test_", f"test_{package}_")
+        files = sorted(folder.glob(f"test_{package}_*.py"))
+    else:
+        files = [p for p in sorted(folder.rglob("test_*.py")) if p.name.split("_")[1] not in PARTS]
+    files.sort(key=lambda path: path.name != like)
     names = [str(path.relative_to(ROOT)) for path in files]
     return [*names[:1], examples, *names[1:]]
 
@@ -205,7 +231,7 @@ def judge(copies: Queue[Path], package: str, fault: Fault, limit: float) -> Verd
     path = folder / name
     times = path.stat()
     sound = path.read_text(encoding="utf-8")
-    faulty = mutate_code(sound, get_operator(fault.operator)(), fault.occurrence)
+    faulty = plant_fault(sound, fault)
     lines = zip(sound.splitlines(), faulty.splitlines(), strict=False)
     line, code = next(
         ((n, new.strip()) for n, (old, new) in enumerate(lines, 1) if old != new), (0, "")

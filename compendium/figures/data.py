@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import os
 from pathlib import Path
 
@@ -12,10 +13,14 @@ from matplotlib.axes import Axes
 from matplotlib.container import BarContainer
 from matplotlib.figure import Figure
 
+from microlib._common import replace_file
+
 __all__ = ["FOLDER_VARIABLE", "keep_data", "show"]
 
 #: Environment variable that names the folder for the data; nothing is kept without it.
 FOLDER_VARIABLE = "MICROLIB_FIGURES"
+#: Significant digits of the data: a drawing shows three or four.
+DIGITS = 6
 
 
 def show(name: str) -> None:
@@ -57,15 +62,17 @@ def keep_data(figure: Figure, stem: Path) -> list[Path]:
     stem.parent.mkdir(parents=True, exist_ok=True)
     if rows:
         path = stem.with_suffix(".csv")
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(["panel", "series", "x", "y", "x_label", "y_label"])
-            writer.writerows(rows)
+        text = io.StringIO()
+        writer = csv.writer(text)
+        writer.writerow(["panel", "series", "x", "y", "x_label", "y_label"])
+        writer.writerows(rows)
+        content = text.getvalue().encode("utf-8")
+        replace_file(path, lambda file: file.write_bytes(content))
         written.append(path)
     if images:
         path = stem.with_suffix(".npz")
-        titles = [axes.get_title() for axes in figure.axes]
-        np.savez_compressed(path, panel_titles=np.array(titles), **images)  # type: ignore[arg-type]
+        images["panel_titles"] = np.array([axes.get_title() for axes in figure.axes])
+        replace_file(path, lambda file: np.savez_compressed(file, **images))  # type: ignore[arg-type]
         written.append(path)
     return written
 
@@ -83,10 +90,28 @@ def _points(panel: int, axes: Axes) -> list[list[object]]:
             series.append((str(collection.get_label()), offsets))
     for container in axes.containers:
         if isinstance(container, BarContainer):
-            bars = [(b.get_x() + b.get_width() / 2, b.get_height()) for b in container.patches]
-            series.append((str(container.get_label()), np.array(bars)))
+            series.append((str(container.get_label()), _bars(container)))
+    scales = (axes.get_xscale(), axes.get_yscale())
     return [
-        [panel, name, f"{x:.8g}", f"{y:.8g}", *labels]
+        [panel, name, x, y, *labels]
         for name, points in series
-        for x, y in points.reshape(-1, 2)
+        for x, y in zip(*map(_texts, points.reshape(-1, 2).T, scales), strict=True)
     ]
+
+
+def _bars(container: BarContainer) -> np.ndarray:
+    """Return the middle of each bar and how long it is, the length where the axis measures it."""
+    if container.orientation == "horizontal":
+        ends = [(b.get_width(), b.get_y() + b.get_height() / 2) for b in container.patches]
+    else:
+        ends = [(b.get_x() + b.get_width() / 2, b.get_height()) for b in container.patches]
+    return np.array(ends)
+
+
+def _texts(values: np.ndarray, scale: str) -> list[str]:
+    """Write numbers as far as they mean something: to `DIGITS` of the largest, or on a logarithmic
+    axis of each. Another machine's last bits are left out."""
+    known = np.abs(values[np.isfinite(values)])
+    if scale == "linear" and known.size and known.max() > 0:
+        values = np.round(values, DIGITS - 1 - int(np.floor(np.log10(known.max())))) + 0.0  # no -0
+    return [f"{value:.{DIGITS}g}" for value in values]

@@ -1,4 +1,4 @@
-"""What several subjects share: argument checks, types, covariance, a pipeline of threads."""
+"""What several subjects share: argument checks, types, covariance, files, a pipeline of threads."""
 
 from microlib._common._checks import (
     LARGEST,
@@ -19,6 +19,7 @@ from microlib._common._checks import (
     whole,
 )
 from microlib._common._covariance import inverse_normal
+from microlib._common._files import replace_file
 from microlib._common._frames import Frames, is_in_memory
 from microlib._common._pipeline import pipeline
 from microlib._common._types import Array, Image
@@ -43,6 +44,7 @@ __all__ = [
     "pipeline",
     "positive",
     "refuse_masks",
+    "replace_file",
     "same_length",
     "scalar",
     "whole",

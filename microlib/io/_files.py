@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import struct
-import tempfile
-from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 
@@ -14,7 +11,7 @@ import numpy as np
 import tifffile
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import as_array, of_kind, scalar
+from microlib._common import as_array, of_kind, replace_file, scalar
 from microlib.io._tiff import MOST_PIXELS, is_tiff, only_page
 
 _MICROMETERS_PER_CENTIMETER = 1e4
@@ -145,7 +142,7 @@ def write_height_tiff(path: str | PathLike[str], height: ArrayLike, *, pixel_siz
             software=False,
         )
 
-    _replace(Path(path), write)
+    replace_file(path, write)
 
 
 def write_ply(path: str | PathLike[str], height: ArrayLike, *, pixel_size: float) -> None:
@@ -222,19 +219,4 @@ def write_ply(path: str | PathLike[str], height: ArrayLike, *, pixel_size: float
     def write(file: Path) -> None:
         file.write_bytes(content)
 
-    _replace(Path(path), write)
-
-
-def _replace(path: Path, write: Callable[[Path], None]) -> None:
-    """Write a file beside `path` and move it there, so that no half-written file is ever seen."""
-    if not path.parent.is_dir():
-        raise ValueError(f"path must lie in an existing folder, got {path.parent}")
-    handle, name = tempfile.mkstemp(dir=path.parent, suffix=path.suffix)
-    os.close(handle)
-    try:
-        write(Path(name))
-        os.chmod(name, 0o644)  # mkstemp lets the owner alone read
-        os.replace(name, path)
-    except BaseException:
-        os.unlink(name)
-        raise
+    replace_file(path, write)

@@ -1,70 +1,108 @@
-"""The numbers kept beside a figure are those that were drawn, x as x and y as y."""
+"""The numbers kept beside a figure are those that it shows, in the right columns."""
+
+from __future__ import annotations
 
 import csv
+from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+import pytest
 
 mpl.use("agg")
 import matplotlib.pyplot as plt
 
-from compendium.figures.data import keep_data
-
-# No number occurs twice, and none of one column lies in the range of another.
-X, Y = np.array([1.125, 2.25, 3.5]), np.array([-10.0625, -20.123457, np.nan])
-SPOTS = np.array([[101.5, 202.25], [103.0, 204.5]])
+from compendium.figures.data import FOLDER_VARIABLE, keep_data, show
 
 
-def read(path):
+@pytest.fixture(autouse=True)
+def closed():
+    yield
+    plt.close("all")
+
+
+def rows(path: Path) -> list[dict[str, str]]:
     with path.open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
 
 
-def drawn():
+def test_points_stand_in_the_columns_of_their_axes(tmp_path: Path) -> None:
     figure, (left, right) = plt.subplots(1, 2)
-    left.plot(X, Y, label="curve")
-    left.scatter(*SPOTS.T, label="spots")
-    left.axvline(2.0, label="helper")
+    left.plot([1, 2, 3], [10, 20, 60], label="line")
+    left.scatter([4, 5], [40, 50], label="dots")
+    left.axvline(7, label="helper")
     left.set(xlabel="time (s)", ylabel="force (µN)")
-    right.bar([5.0, 7.0], [11.0, 13.0], width=1.0, label="bars")
-    right.set(xlabel="class", ylabel="share (%)")
-    return figure
-
-
-def test_every_point_is_kept_in_its_own_column(tmp_path):
-    (path,) = keep_data(drawn(), tmp_path / "figure")
-    rows = read(path)
-    expected = {
-        ("1", "curve", "time (s)", "force (µN)"): np.column_stack([X, Y]),
-        ("1", "spots", "time (s)", "force (µN)"): SPOTS,
-        ("2", "bars", "class", "share (%)"): [[5.0, 11.0], [7.0, 13.0]],
+    right.bar([1, 3], [5, 9], width=0.5, label="upright")
+    right.barh([2, 4], [6, 8], height=0.5, left=[1, 1], label="lying")
+    (path,) = keep_data(figure, tmp_path / "a")
+    assert path == tmp_path / "a.csv"
+    found = [(r["panel"], r["series"], float(r["x"]), float(r["y"])) for r in rows(path)]
+    assert found == [
+        *(("1", "line", x, y) for x, y in ((1, 10), (2, 20), (3, 60))),
+        *(("1", "dots", x, y) for x, y in ((4, 40), (5, 50))),
+        *(("2", "upright", x, y) for x, y in ((1, 5), (3, 9))),
+        *(("2", "lying", x, y) for x, y in ((6, 2), (8, 4))),
+    ]
+    assert {(r["x_label"], r["y_label"]) for r in rows(path) if r["panel"] == "1"} == {
+        ("time (s)", "force (µN)")
     }
-    found = {}
-    for row in rows:
-        key = (row["panel"], row["series"], row["x_label"], row["y_label"])
-        found.setdefault(key, []).append([float(row["x"]), float(row["y"])])
-    assert found.keys() == expected.keys()
-    for key, points in expected.items():
-        # Eight digits are written.
-        np.testing.assert_allclose(found[key], points, rtol=1e-7)
 
 
-def test_an_image_is_kept_row_by_row_with_its_panel(tmp_path):
-    figure, (left, right) = plt.subplots(1, 2)
-    image = np.arange(6.0).reshape(2, 3)
-    left.set_title("nothing")
-    right.imshow(image)
-    right.set_title("height (µm)")
-    (path,) = keep_data(figure, tmp_path / "deep" / "figure")
-    with np.load(path) as kept:
-        assert set(kept) == {"panel_titles", "panel2_image1"}
-        np.testing.assert_array_equal(kept["panel2_image1"], image)
-        assert kept["panel_titles"].tolist() == ["nothing", "height (µm)"]
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_the_last_bits_are_left_out_and_nothing_that_shows(tmp_path: Path, scale: str) -> None:
+    y = np.array([1e-3, 1 / 3, 123.456789, np.nan, np.inf])
+    texts = []
+    for noise in (0.0, 1e-12):
+        figure, axes = plt.subplots()
+        axes.plot([0, 1, 2, 3, 4], y * (1 + noise))
+        axes.set_yscale(scale)
+        (path,) = keep_data(figure, tmp_path / "a")
+        texts.append(path.read_text())
+    assert texts[0] == texts[1]
+    found = [row["y"] for row in rows(path)]
+    assert found[2:] == ["123.457", "nan", "inf"]
+    assert found[:2] == (["0.001", "0.333"] if scale == "linear" else ["0.001", "0.333333"])
 
 
-def test_a_drawing_without_data_keeps_nothing(tmp_path):
+def test_rounding_noise_around_zero_is_zero(tmp_path: Path) -> None:
     figure, axes = plt.subplots()
-    axes.axhline(1.0)
-    axes.set(xlim=(0, 5), ylim=(0, 5))
-    assert keep_data(figure, tmp_path / "figure") == []
+    axes.plot([0, 1], [-1e-17, 2.0])
+    axes.plot([0, 1], [0.0, 0.0])
+    (path,) = keep_data(figure, tmp_path / "a")
+    assert [row["y"] for row in rows(path)] == ["0", "2", "0", "0"]
+
+
+def test_images_are_kept_as_they_are(tmp_path: Path) -> None:
+    figure, (left, right) = plt.subplots(1, 2)
+    first, second = np.arange(6.0).reshape(2, 3), np.arange(4).reshape(2, 2)
+    left.imshow(first)
+    left.set_title("height")
+    right.imshow(second)
+    assert keep_data(figure, tmp_path / "new" / "b") == [tmp_path / "new" / "b.npz"]
+    with np.load(tmp_path / "new" / "b.npz") as kept:
+        np.testing.assert_array_equal(kept["panel1_image1"], first)
+        np.testing.assert_array_equal(kept["panel2_image1"], second)
+        assert kept["panel_titles"].tolist() == ["height", ""]
+        assert len(kept.files) == 3
+
+
+def test_a_drawing_without_data_keeps_nothing(tmp_path: Path) -> None:
+    figure, axes = plt.subplots()
+    axes.text(0, 0, "a sketch")
+    assert keep_data(figure, tmp_path / "c") == []
     assert list(tmp_path.iterdir()) == []
+
+
+def test_data_is_kept_where_the_variable_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = []
+    monkeypatch.setattr(plt, "show", lambda: shown.append(1))
+    plt.plot([1, 2], [3, 4])
+    monkeypatch.delenv(FOLDER_VARIABLE, raising=False)
+    show("d")
+    assert list(tmp_path.iterdir()) == []
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
+    show("d")
+    assert [path.name for path in tmp_path.iterdir()] == ["d.csv"]
+    assert len(shown) == 2

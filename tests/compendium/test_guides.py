@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+import resource
+from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
 
-from compendium.guides import FOLDER, compare, describe, find_input, manifest, read_outline
+from compendium.guides import (
+    FOLDER,
+    compare,
+    describe,
+    find_input,
+    keep,
+    manifest,
+    read_outline,
+)
 
 EMBRYO = find_input("data/synthetic/embryo.png")
 SETTINGS = manifest()["embryo.png"]["settings"]
@@ -111,3 +123,53 @@ def test_an_outline_is_read_as_it_stands(tmp_path: Path) -> None:
     x, y = read_outline(path)
     assert x.tolist() == [10.0, 12.0]
     assert y.tolist() == [1.0, 2.5]
+
+
+@pytest.fixture
+def full_disk() -> Iterator[None]:
+    """No file may grow beyond 60 bytes; the system says so as it says that a disk is full."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (60, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def results() -> dict[str, object]:
+    """One of each kind, none of which fits into 60 bytes."""
+    table = pd.DataFrame({"x_um": np.arange(20) / 8, "lost": True})
+    figure, axes = plt.subplots(figsize=(1, 1))
+    axes.plot([0, 1])
+    plt.close(figure)
+    return {
+        "table.csv": table,
+        "named.csv": table.rename_axis("frame"),
+        "series.csv": pd.Series({"a_um": 1.5, "b_um": 2.5}, name="value").rename_axis("quantity"),
+        "figure.png": figure,
+        "grey.png": np.tile(np.arange(0, 250, 10, np.uint8), (9, 1)),
+    }
+
+
+def test_results_are_kept_as_what_they_are(tmp_path: Path) -> None:
+    kept = results()
+    for name, what in kept.items():
+        keep(tmp_path / name, what)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(kept)
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "table.csv"), kept["table.csv"])
+    named = pd.read_csv(tmp_path / "named.csv", index_col="frame")
+    pd.testing.assert_frame_equal(named, kept["named.csv"])
+    series = pd.read_csv(tmp_path / "series.csv", index_col="quantity")["value"]
+    pd.testing.assert_series_equal(series, kept["series.csv"])
+    grey = cv2.imread(str(tmp_path / "grey.png"), cv2.IMREAD_GRAYSCALE).astype(int)
+    assert grey.shape == (9, 25)
+    # From black to white, as matplotlib scales it; levels of the map are 1 in 255 apart.
+    np.testing.assert_allclose(grey[4], np.linspace(0, 255, 25), atol=1.5)
+    assert cv2.imread(str(tmp_path / "figure.png")).shape[2] == 3
+
+
+@pytest.mark.parametrize("name", ["table.csv", "figure.png", "grey.png"])
+def test_a_full_disk_leaves_the_old_result(tmp_path: Path, full_disk: None, name: str) -> None:
+    (tmp_path / name).write_text("old")
+    with pytest.raises(OSError, match="too large"):
+        keep(tmp_path / name, results()[name])
+    assert (tmp_path / name).read_text() == "old"
+    assert [path.name for path in tmp_path.iterdir()] == [name]

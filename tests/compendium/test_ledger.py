@@ -334,3 +334,43 @@ def test_claims_file_is_plain_toml() -> None:
         raw = tomllib.load(file)
     assert list(raw) == list(ledger.claims())
     assert json.dumps(raw)
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "stored"),
+    [
+        # Three digits of an interval's width, and evenly around the value where it was so.
+        (197883.28293, 180277.68174, 215488.88412, (197900, 180300, 215500)),
+        (2.2764, 1.3934, 3.3666, (2.28, 1.39, 3.37)),
+        (-1.62337123, -1.65425123, -1.59249123, (-1.6234, -1.6543, -1.5925)),
+        # Of a number alone two decimals more than are shown, or four digits.
+        (1.22474487, 1.22474487, 1.22474487, (1.2247, 1.2247, 1.2247)),
+        (184.0, 184.0, 184.0, (184, 184, 184)),
+        (0.0021054123, 0.0021054123, 0.0021054123, (0.002105, 0.002105, 0.002105)),
+        (0.0, 0.0, 0.0, (0, 0, 0)),
+    ],
+)
+def test_what_another_machine_changes_is_not_stored(
+    value: float, low: float, high: float, stored: tuple[float, float, float]
+) -> None:
+    for noise in (-2e-7, 0.0, 2e-7):
+        numbers = [number * (1 + noise) for number in (value, low, high)]
+        decimals = ledger._decimals(numbers[0], numbers[2] - numbers[1], 2, exact=False)
+        found = ledger._rounded(*numbers, decimals)
+        assert found == pytest.approx(stored, rel=1e-12, abs=0)
+        assert len(repr(found[0])) <= 9
+
+
+def test_an_exact_claim_keeps_what_decides_it() -> None:
+    """Table 5.6's modulus has a tolerance of 5e-5 MPa; a wide interval takes no digit from it."""
+    record = ledger.check("table-5.6/E", 1.323719876, 0.4)
+    assert record.value == 1.3237199
+    assert (record.low, record.high) == (0.9237199, 1.7237199)
+    assert record.digits == 5
+    assert ledger.report("5.2/gain", 1.22474487, digits=2).value == 1.2247
+
+
+def test_no_more_is_shown_than_is_stored() -> None:
+    record = ledger.check("table-5.1/circle-4X/T_op", 197883.28, 17605.6)
+    assert str(record) == "197900 ± 17600 µm"
+    assert record.digits == 0

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import base64
-import io
+import errno
 import json
 import os
+import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import nbformat
-import numpy as np
 import pytest
-from nbformat.v4 import new_code_cell, new_notebook, new_output
-from PIL import Image
+from nbformat.v4 import new_code_cell, new_notebook
 
 from compendium import run
 
@@ -24,8 +22,12 @@ pathlib.Path(record).write_text(json.dumps([{"verdict": "consistent"}, {"verdict
 """
 
 
-def write_notebook(root: Path, name: str, source: str) -> None:
-    cells = [new_code_cell('record = ""', metadata={"tags": ["parameters"]}), new_code_cell(source)]
+def write_notebook(root: Path, name: str, source: str, parameters: str = 'record = ""') -> None:
+    """With cells of the same ids each time, as a notebook's own are."""
+    cells = [
+        new_code_cell(parameters, metadata={"tags": ["parameters"]}, id="parameters"),
+        new_code_cell(source, id="source"),
+    ]
     spec = {"name": "python3", "display_name": "Python 3", "language": "python"}
     notebook = new_notebook(cells=cells, metadata={"kernelspec": spec})
     nbformat.write(notebook, root / "notebooks" / f"{name}.ipynb")
@@ -105,10 +107,30 @@ def test_a_run_leaves_notebook_record_and_status(project: Path) -> None:
     injected = [c for c in done.cells if "injected-parameters" in c.metadata.get("tags", [])]
     assert [c.metadata.tags for c in injected] == [["injected-parameters", "remove-cell"]]
     assert "papermill" not in {*done.metadata, *(k for c in done.cells for k in c.metadata)}
-    for made in ("notebooks/01_first.ipynb", "claims/01_first.json", "status/01_first.json"):
-        (project / "build" / made).rename(project / "away")
-        assert not run.up_to_date("01_first", key), made
-        (project / "away").rename(project / "build" / made)
+    assert not list((project / "build" / "running").iterdir())
+
+
+@pytest.mark.parametrize("damage", [None, b"", b"{", b"[]", b"\xff\x00", b"null", b'{"left": 3}'])
+@pytest.mark.parametrize(
+    "file",
+    ["notebooks/01_first.ipynb", "claims/01_first.json", "status/01_first.json", "figures/a.csv"],
+)
+def test_what_is_damaged_is_not_up_to_date(project: Path, file: str, damage: bytes | None) -> None:
+    """A file that is missing, empty, cut off or something else."""
+    running = project / "build" / "running" / "01_first"
+    for part in ("notebooks", "claims", "status", "figures"):
+        (project / "build" / part).mkdir(exist_ok=True)
+    (running / "figures").mkdir(parents=True)
+    for made in ("notebook.ipynb", "record.json", "figures/a.csv"):
+        (running / made).write_text("whole")
+    run.publish("01_first", running, {"lock": "same"})
+    assert run.up_to_date("01_first", {"lock": "same"})
+    path = project / "build" / file
+    if damage is None:
+        path.unlink()
+    else:
+        path.write_bytes(damage)
+    assert not run.up_to_date("01_first", {"lock": "same"})
 
 
 @pytest.mark.parametrize(
@@ -136,11 +158,11 @@ def test_the_last_chapter_waits_for_the_others(
 ) -> None:
     batches = []
 
-    def pretend(keys: dict[str, dict[str, str]], jobs: int) -> int:
-        batches.append((list(keys), jobs))
-        return int("01_first" in keys and failing)
+    def pretend(calls: dict[str, tuple], jobs: int) -> list[tuple[str, str, bool]]:
+        batches.append((list(calls), jobs))
+        return [(name, "ran", not (name == "01_first" and failing)) for name in calls]
 
-    monkeypatch.setattr(run, "run_all", pretend)
+    monkeypatch.setattr(run, "in_workers", pretend)
     monkeypatch.setattr(sys, "argv", ["run"])
     failing = False
     assert run.main() == 0
@@ -161,11 +183,19 @@ def test_the_last_chapter_waits_for_the_others(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "status", "message"),
     [
-        (["7"], "No notebook is called 7; there are 01_first, 06_last."),
-        (["-p", "seed", "1"], "-p needs one notebook, not 01_first, 06_last."),
-        (["01", "-p", "seed", "1"], "01_first has no parameter seed."),
+        (["7"], 1, "No notebook is called 7; there are 01_first, 06_last."),
+        (["01", "06_lst"], 1, "No notebook is called 06_lst; did you mean 06_last?"),
+        (["-p", "seed", "1"], 1, "-p needs one notebook, got 01_first, 06_last."),
+        (["01", "-p", "seed", "1"], 1, "01_first has no parameter seed; it has record, width."),
+        (["01", "-p", "widht", "1"], 1, "01_first has no parameter widht; did you mean width?"),
+        (["01", "-p", "width", "x"], 1, "width must be a finite number, got x"),
+        (["01", "-p", "width", "1", "-p", "width", "2"], 1, "width must be given once, got it 2 "),
+        (["01", "-p", "width", "1", "--output", "file"], 1, "--output must be a folder that can"),
+        (["01", "-p", "width", "1", "--output", "/proc/a"], 1, "--output must be a folder that "),
+        (["01", "-p", "width"], 2, "argument -p: expected 2 arguments; --help lists the options"),
+        (["01", "--jobs", "x"], 2, "argument --jobs: invalid int value: 'x'; --help lists the "),
     ],
 )
 def test_a_wrong_call_is_told_in_one_line(
@@ -173,45 +203,85 @@ def test_a_wrong_call_is_told_in_one_line(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     arguments: list[str],
+    status: int,
     message: str,
 ) -> None:
+    write_notebook(project, "01_first", "print(width)", 'record = ""\nwidth = 1.0')
+    monkeypatch.chdir(project)
+    (project / "file").touch()
     monkeypatch.setattr(sys, "argv", ["run", *arguments])
-    assert run.main() == 1
-    assert capsys.readouterr().out == message + "\n"
+    monkeypatch.setattr(run, "execute", lambda *_: pytest.fail("a kernel was started"))
+    try:
+        returned = run.main()
+    except SystemExit as end:
+        returned = end.code
+    assert returned == status
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith(message)
+    assert said.err.count("\n") == 1
 
 
 @pytest.mark.parametrize(("source", "status"), [("print(record)", 0), ("1 / 0", 1)])
 def test_a_run_on_own_data_is_kept_apart(
     project: Path, monkeypatch: pytest.MonkeyPatch, source: str, status: int
 ) -> None:
-    write_notebook(project, "01_first", source)
+    write_notebook(project, "01_first", source, 'record = ""\nwidth = 1.0')
     monkeypatch.chdir(project)
-    monkeypatch.setattr(sys, "argv", ["run", "01", "-p", "record", "2.5", "--output", "mine"])
+    arguments = ["01", "-p", "record", "2.50", "-p", "width", "-5e1", "--output", "mine"]
+    monkeypatch.setattr(sys, "argv", ["run", *arguments])
     assert run.main() == status
     done = nbformat.read(project / "mine" / "01_first.ipynb", as_version=4)
-    assert any("record = 2.5" in cell.source for cell in done.cells)
+    injected = next(c for c in done.cells if "injected-parameters" in c.metadata.get("tags", []))
+    assert 'record = "2.50"' in injected.source
+    assert "width = -50.0" in injected.source
+    assert [path.name for path in (project / "mine").iterdir()] == ["01_first.ipynb"]
     assert not (project / "build" / "status").exists()
 
 
-def test_drawings_get_a_palette_and_photographs_become_jpeg() -> None:
-    rng = np.random.default_rng(0)
-    ramp = np.linspace(40, 200, 300)[:, None] * [1.0, 0.8, 0.6]
-    scene = (ramp + rng.normal(0, 4, (300, 300, 3))).astype(np.uint8)
-    drawing = np.full((200, 300, 3), 255, np.uint8)
-    drawing[50:60] = (200, 30, 30)
-    cells, sizes = [], []
-    for picture in (scene, drawing, scene[:60, :60]):
-        buffer = io.BytesIO()
-        Image.fromarray(picture).save(buffer, "PNG", compress_level=0)
-        data = {"image/png": base64.b64encode(buffer.getvalue()).decode()}
-        sizes.append(len(data["image/png"]))
-        cells.append(new_code_cell(outputs=[new_output("display_data", data=data)]))
-    notebook = new_notebook(cells=cells)
-    run.lighten(notebook)
-    photograph, drawn, small = (cell.outputs[0].data for cell in notebook.cells)
-    assert list(photograph) == ["image/jpeg"]
-    assert len(photograph["image/jpeg"]) < sizes[0] / 2
-    assert list(drawn) == list(small) == ["image/png"]
-    assert len(drawn["image/png"]) < sizes[1] / 100
-    kept = Image.open(io.BytesIO(base64.b64decode(drawn["image/png"]))).convert("RGB")
-    np.testing.assert_array_equal(np.asarray(kept), drawing)
+def test_a_full_disk_is_told_and_leaves_what_was_there(
+    project: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert run.run("01_first", run.input_hashes("01_first"))[1]
+    kept = {path: path.read_bytes() for path in (project / "build").rglob("*") if path.is_file()}
+    assert len(kept) == 3
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    for holder, name in ((run.nbformat, "write"), (run.papermill, "execute_notebook")):
+        with monkeypatch.context() as patch:
+            patch.setattr(holder, name, full)
+            message, passed = run.guarded(run.run, "01_first", {"lock": "another"})
+        assert not passed
+        assert message == "FAILED: [Errno 28] No space left on device"
+        now = {path: path.read_bytes() for path in kept}
+        assert now == kept
+    assert run.up_to_date("01_first", run.input_hashes("01_first"))
+
+
+def test_a_killed_worker_and_a_killed_kernel_are_told(
+    project: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    calls = {"one": (os.kill, os.getpid, 9)}
+    monkeypatch.setattr(run, "guarded", suicide)
+    assert list(run.in_workers(calls, 1)) == [("one", "FAILED: its process was killed", False)]
+    write_notebook(project, "01_first", "import os; os.kill(os.getpid(), 9)")
+    message, passed = run.run("01_first", {})
+    assert not passed
+    assert message.startswith("FAILED: its kernel was killed (build/failed")
+
+
+def suicide(*_: object) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_the_same_run_leaves_the_same_bytes(project: Path) -> None:
+    source = "import pandas as pd\nobject()\n"
+    write_notebook(project, "01_first", source + "pd.DataFrame({'a': [1.5]}).style")
+    made = []
+    for _ in range(2):
+        assert run.run("01_first", {})[1]
+        made.append((project / "build" / "notebooks" / "01_first.ipynb").read_bytes())
+    assert made[0] == made[1]
+    assert b"T_" in made[0]

@@ -1,0 +1,66 @@
+"""Render the executed notebooks and the text as a book: ``build/html``, whole or the one before.
+
+``python -m compendium.book`` works in a folder of its own in ``build/rendered`` and lets the link
+``build/html`` point to it once it is complete.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+from jupyter_book.cli.main import main as jupyter_book  # type: ignore[import-untyped]
+
+from compendium.processes import alone_in, end_with_parent
+from compendium.run import BUILD, INTERRUPTED, ROOT
+
+RENDERED = BUILD / "rendered"
+STRICT = ("--warningiserror", "--nitpick", "--keep-going", "--quiet")
+
+
+def main() -> int:
+    """Render the book; return the exit status."""
+    if "MAKELEVEL" in os.environ:
+        end_with_parent()  # make may be killed, and would not end what it began
+    try:
+        with alone_in(BUILD):
+            prepare()
+            folder = Path(tempfile.mkdtemp(dir=RENDERED))
+            command = ["build", str(ROOT / "book"), "--path-output", str(folder), *STRICT]
+            jupyter_book(command, standalone_mode=False)
+            publish(folder / "_build" / "html", BUILD / "html")
+    except OSError as error:
+        print(f"The book was not built: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("Interrupted; the book is the one before.", file=sys.stderr)
+        return INTERRUPTED
+    return 0
+
+
+def prepare() -> None:
+    """Lay out what the book is made from, from scratch: pages quote records that Sphinx does not
+    watch."""
+    for old in (ROOT / "book" / "notebooks", ROOT / "book" / "generated"):
+        shutil.rmtree(old, ignore_errors=True)
+    shutil.copytree(BUILD / "notebooks", ROOT / "book" / "notebooks")
+    RENDERED.mkdir(parents=True, exist_ok=True)
+    shown = (BUILD / "html").resolve()
+    for folder in RENDERED.iterdir():
+        if not shown.is_relative_to(folder):  # of a build that was killed, or of one before
+            shutil.rmtree(folder)
+
+
+def publish(html: Path, link: Path) -> None:
+    """Let the link point to the new book, in one step."""
+    new = link.with_name(".html")
+    new.unlink(missing_ok=True)
+    new.symlink_to(html.relative_to(link.parent))
+    os.replace(new, link)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,58 @@
+"""Processes that end with the one that began them, and runs that do not work side by side."""
+
+from __future__ import annotations
+
+import fcntl
+import multiprocessing
+import os
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing.connection import wait
+from pathlib import Path
+from time import sleep
+from typing import Any
+
+__all__ = ["alone_in", "end_with_parent"]
+
+#: Between looks at the parent, s: short beside what a person notices.
+_PAUSE = 0.2
+
+
+def end_with_parent() -> None:
+    """End this process as soon as its parent has ended, even if that was killed."""
+    parent = os.getppid()
+
+    def watch() -> None:
+        starter: Any = multiprocessing.parent_process()
+        if starter is not None:
+            wait([starter.sentinel])
+        while starter is None and os.getppid() == parent:
+            sleep(_PAUSE)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """Hold a folder while the block runs; wait, and say so, while another process holds it.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Made if it is missing. The system gives it free when its holder ends, however it ends.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            text = f"Another run is at work in {folder}; this one waits until it has ended."
+            print(text, file=sys.stderr, flush=True)
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)

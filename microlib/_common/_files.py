@@ -1,0 +1,50 @@
+"""Files that are written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable
+from os import PathLike
+from pathlib import Path
+
+
+def replace_file(path: str | PathLike[str], write: Callable[[Path], object]) -> None:
+    """Write a file beside `path` and move it there, so that no half-written file is ever seen.
+
+    Parameters
+    ----------
+    path : path-like
+        File to write; an old one is replaced only once the new one is whole.
+    write : callable
+        Writes the content to the path that it is given, which has the ending of `path`.
+
+    Raises
+    ------
+    ValueError
+        If the folder does not exist.
+    OSError
+        If the file cannot be written, for one because the disk is full; the old one stays.
+
+    Examples
+    --------
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     replace_file(Path(folder) / "a.txt", lambda file: file.write_text("whole"))
+    ...     print([path.name for path in Path(folder).iterdir()])
+    ['a.txt']
+    """
+    target = Path(path)
+    if not target.parent.is_dir():
+        raise ValueError(f"path must lie in an existing folder, got {target.parent}")
+    # Hidden: what a killed process leaves is not taken for a result.
+    handle, name = tempfile.mkstemp(
+        dir=target.parent, prefix=f".{target.stem}.", suffix=target.suffix
+    )
+    os.close(handle)
+    try:
+        write(Path(name))
+        os.chmod(name, 0o644)  # mkstemp lets the owner alone read
+        os.replace(name, target)
+    except BaseException:
+        os.unlink(name)
+        raise

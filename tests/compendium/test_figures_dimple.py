@@ -1,0 +1,164 @@
+"""Dimples, outlines and forces: the lengths of Table 5.6 can be read from the drawings."""
+
+from types import SimpleNamespace
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+import pytest
+
+mpl.use("agg")
+import matplotlib.pyplot as plt
+
+from compendium import thesis
+from compendium.figures import dimple, embryo
+
+PIXEL = 3.875  # µm, §5.6
+# Table 5.6, in µm.
+RADIUS, DEPTH = 246.95, 121.22
+
+
+@pytest.fixture(autouse=True)
+def closed():
+    yield
+    plt.close("all")
+
+
+def drawn(axes):
+    return {line.get_label(): line.get_xydata() for line in axes.lines}
+
+
+def scene():
+    rng = np.random.default_rng(0)
+    image = rng.integers(0, 255, (768, 1024)).astype(np.uint8)
+    truth = SimpleNamespace(dimple_radius=200.0)
+    return SimpleNamespace(image=image, center=(512.4, 300.6), pixel_size=4.0, embryo=truth)
+
+
+def test_the_printed_outline_has_the_radius_and_depth_of_the_table():
+    curve = thesis.outline_curve()
+    axes = dimple.draw_printed_outline(curve).axes[0]
+    lines = {label.split(" ")[0]: xy for label, xy in drawn(axes).items()}
+    (x1, y1), (x2, y2) = lines["rim"][0], lines["bottom"][0]
+    # The rounding of Table 5.5 leaves a tenth of a pixel of each.
+    assert PIXEL * (x2 - x1) == pytest.approx(RADIUS, abs=0.5)
+    assert PIXEL * (y1 - y2) == pytest.approx(DEPTH, abs=0.5)
+    # Eight Gaussians, summed here.
+    x = lines["$f_m(x)$,"][:, 0]
+    parts = zip(curve.amplitudes, curve.centers, curve.widths, strict=True)
+    expected = sum(a * np.exp(-(((x - b) / c) ** 2)) for a, b, c in parts)
+    np.testing.assert_allclose(lines["$f_m(x)$,"][:, 1], expected)
+    assert len(x) == 800
+    arrows = [(text.xy, text.xyann) for text in axes.texts if not text.get_text()]
+    np.testing.assert_allclose(arrows, [[[x1, y1 + 6], [x2, y1 + 6]], [[x2, y1], [x2, y2]]])
+
+
+def test_extrema_lie_on_the_curve_where_it_is_flat():
+    curve = thesis.outline_curve()
+    axes = dimple.draw_printed_outline(curve).axes[0]
+    for line, sign in zip(axes.lines[1:3], (-1, 1), strict=True):
+        x, y = line.get_data()
+        np.testing.assert_allclose(curve(x), y)
+        for step in (-0.5, 0.5):
+            assert (sign * (curve(x + step) - y) > 0).all()
+
+
+def test_moduli_are_counted():
+    axes = dimple.draw_rounding(pd.Series(np.linspace(1.2, 1.5, 300))).axes[0]
+    assert [patch.get_height() for patch in axes.patches] == [10] * 30
+    assert axes.patches[0].get_x() == pytest.approx(1.2)
+    assert axes.lines[0].get_xdata() == [1.3237, 1.3237]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("modulus E (MPa)", "draws")
+
+
+def test_the_rendered_outline_counts_heights_from_the_lowest_in_view():
+    curve = thesis.outline_curve()
+    boundary = SimpleNamespace(x=np.arange(50.0, 260.0), y=700 + np.arange(210.0))
+    columns, profile = np.linspace(60, 250, 20), np.linspace(710, 900, 20)
+    figure = dimple.draw_rendered_outline(scene(), boundary, columns, curve, profile)
+    lines = drawn(figure.axes[0])
+    # At 60 px the outline is at 710: the lowest among the columns.
+    np.testing.assert_allclose(lines["outline"], np.column_stack([boundary.x, boundary.y - 710]))
+    np.testing.assert_allclose(lines["profile (4.2)"], np.column_stack([columns, profile - 710]))
+    expected = np.column_stack([columns, curve(columns)])
+    np.testing.assert_allclose(lines["LOESS and eight Gaussians"], expected)
+    assert figure.axes[0].get_xlim() == pytest.approx((512.4 - 75, 512.4 + 75))
+
+
+def test_the_profile_is_drawn_beside_the_outline():
+    curve = thesis.outline_curve()
+    shape = SimpleNamespace(x=np.array([100.0, 110.0]), expected=np.array([20.0, 30.0]))
+    lines = drawn(dimple.draw_profile_comparison(curve, shape).axes[0])
+    expected = [[100, 20], [110, 30]]
+    np.testing.assert_allclose(lines["(4.2) with its radius and depth"], expected)
+    x, y = lines["Table 5.5"].T
+    np.testing.assert_allclose(y, curve(x))
+    # From beyond the rim to as far beyond the bottom.
+    (left, _), (middle, _) = dimple._rim_and_bottom(curve)
+    assert (x[0], x[-1]) == pytest.approx((left - 20, middle + (middle - left)))
+
+
+def errors(axes):
+    return [segment.tolist() for segment in axes.collections[0].get_segments()]
+
+
+def test_the_study_shows_each_modulus_with_its_interval():
+    study = pd.DataFrame(
+        {"depth": [20.0, 40.0], "thesis": [2.0, 1.5], "fitted": [1.3, 1.4]}
+        | {"low": [1.1, 1.35], "high": [1.6, 1.42]}
+    )
+    axes = dimple.draw_image_study(study).axes[0]
+    lines = drawn(axes)
+    assert lines["truth"][:, 1].tolist() == [1.3237, 1.3237]
+    np.testing.assert_allclose(lines["LOESS and eight Gaussians"], [[20, 2], [40, 1.5]])
+    np.testing.assert_allclose(axes.containers[0][0].get_xydata(), [[20, 1.3], [40, 1.4]])
+    np.testing.assert_allclose(errors(axes), [[[20, 1.1], [20, 1.6]], [[40, 1.35], [40, 1.42]]])
+
+
+def test_forces_are_drawn_over_time():
+    felt = pd.DataFrame({"time": [1.0, 3.0], "force": [90.0, 150.0]})
+    felt = felt.assign(low=[80.0, 149.0], high=[95.0, 155.0])
+    axes = dimple.draw_estimated_force(felt).axes[0]
+    time, force = drawn(axes)["truth"].T
+    assert (time[0], time[-1]) == (0, 4)
+    # 40 µN at rest, 206 at the turn, 72 at the end.
+    assert (force[0], force[-1]) == pytest.approx((40, 72))
+    assert force.max() == pytest.approx(206, abs=2)
+    np.testing.assert_allclose(axes.containers[0][0].get_xydata(), [[1, 90], [3, 150]])
+    np.testing.assert_allclose(errors(axes), [[[1, 80], [1, 95]], [[3, 149], [3, 155]]])
+
+
+def test_the_embryo_and_its_steps_are_cut_out_around_the_dimple():
+    one = scene()
+    left, right = dimple.draw_embryo(one).axes
+    np.testing.assert_array_equal(left.images[0].get_array(), one.image)
+    np.testing.assert_array_equal(right.images[0].get_array(), one.image[251:617, 322:702])
+    assert right.images[0].get_extent() == [321.5, 701.5, 616.5, 250.5]
+    assert np.ptp(left.lines[0].get_xdata()) == pytest.approx(1000 / 4)
+    assert np.ptp(right.lines[0].get_xdata()) == pytest.approx(300 / 4)
+    points = np.array([[400.0, 300.0], [450.0, 310.0], [500.0, 340.0], [560.0, 320.0]])
+    under = np.array([False, False, True, False])
+    probe = SimpleNamespace(tip=(510.0, 330.0))
+    outline = SimpleNamespace(points=points, under_probe=under, probe=probe)
+    filled = one.image // 2
+    first, second, third = dimple.draw_outline_steps(one, filled, outline).axes
+    part = np.s_[261:371, 362:662]
+    np.testing.assert_array_equal(first.images[0].get_array(), one.image[part])
+    np.testing.assert_array_equal(second.images[0].get_array(), filled[part])
+    assert (third.get_xlim(), third.get_ylim()) == ((362, 662), (371, 261))
+    np.testing.assert_allclose(third.lines[0].get_xydata(), points[:2])
+    np.testing.assert_allclose(third.lines[1].get_xydata(), points[3:])
+    np.testing.assert_allclose(third.lines[2].get_xydata(), points[2:3])
+
+
+def test_a_scale_bar_is_as_long_as_it_says():
+    _, axes = plt.subplots()
+    embryo.show_image(axes, np.zeros((100, 200)))
+    assert axes.images[0].get_extent() == [-0.5, 199.5, 99.5, -0.5]
+    embryo.add_scale_bar(axes, 50, 2.5)
+    x, y = axes.lines[0].get_data()
+    assert x[1] - x[0] == pytest.approx(20)
+    assert x[0] == pytest.approx(-0.5 + 0.05 * 200)
+    assert y[0] == y[1] == pytest.approx(99.5 - 0.06 * 100)
+    assert axes.texts[0].get_text() == "50 µm"
+    assert axes.texts[0].get_position() == pytest.approx((x.mean(), y[0] - 2))

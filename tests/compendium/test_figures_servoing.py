@@ -1,0 +1,95 @@
+"""Runs, tracks and the loop are drawn with what is x on x and what is y on y."""
+
+from types import SimpleNamespace
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+import pytest
+
+mpl.use("agg")
+import matplotlib.pyplot as plt
+
+from compendium.figures import servoing
+
+RUN = SimpleNamespace(
+    time=np.array([0.0, 0.1, 0.2]),
+    reference=np.array([[5.0, 7.0], [15.0, 7.5], [25.0, 9.0]]),
+    feature=np.array([[4.0, 6.0], [9.0, 6.5], [14.0, 6.7]]),
+    measured=np.array([[4.1, 6.2], [9.2, 6.4], [14.3, 6.6]]),
+    command=np.array([[100.0, -3.0], [50.0, -2.0], [20.0, -1.0]]),
+)
+
+
+@pytest.fixture(autouse=True)
+def closed():
+    yield
+    plt.close("all")
+
+
+def drawn(axes):
+    return {line.get_label(): line.get_xydata() for line in axes.lines}
+
+
+def test_a_step_is_drawn_from_where_the_feature_begins():
+    left, right = servoing.draw_step_runs({"1X": RUN}).axes
+    position, control = drawn(left), drawn(right)
+    np.testing.assert_allclose(position["x"], [[0, 0.1], [0.1, 5.2], [0.2, 10.3]])
+    np.testing.assert_allclose(position["y"], [[0, 0.2], [0.1, 0.4], [0.2, 0.6]])
+    np.testing.assert_allclose(position["reference"], [[0, 1], [0.1, 11], [0.2, 21]])
+    np.testing.assert_allclose(control["x"], [[0, 100], [0.1, 50], [0.2, 20]])
+    np.testing.assert_allclose(control["y"], [[0, -3], [0.1, -2], [0.2, -1]])
+    # A command holds until the next one.
+    assert right.lines[0].get_drawstyle() == "steps-post"
+    assert (left.get_ylabel(), right.get_ylabel()) == ("position (px)", "velocity (µm/s)")
+    assert left.get_xlabel() == right.get_xlabel() == "time (s)"
+    assert left.get_title() == "1X"
+
+
+def test_a_path_is_drawn_from_where_its_reference_begins():
+    left, right = servoing.draw_path_run(RUN, np.array([0.5, 0.7]), "circle", "µm").axes
+    np.testing.assert_allclose(drawn(left)["reference"], [[0, 0], [10, 0.5], [20, 2]])
+    expected = [[-0.9, -0.8], [4.2, -0.6], [9.3, -0.4]]
+    np.testing.assert_allclose(drawn(left)["measured"], expected)
+    np.testing.assert_allclose(right.lines[0].get_xydata(), [[0, 0.5], [0.1, 0.7]])
+    assert left.get_aspect() == 1
+    assert right.get_ylim()[0] == 0
+    assert right.get_ylabel() == "tracking error (µm)"
+
+
+def test_a_track_lies_on_its_frame():
+    _, axes = plt.subplots()
+    corners = np.array([[40.0, 20.0], [60.0, 22.0], [58.0, 42.0], [38.0, 40.0]])
+    track = SimpleNamespace(corners=corners, center=corners.mean(axis=0))
+    servoing.draw_track(axes, np.zeros((80, 120), np.uint8), track, "t = 1 s", margin=30)
+    np.testing.assert_allclose(axes.patches[0].get_xy()[:4], corners)
+    np.testing.assert_allclose(axes.lines[0].get_xydata(), [[49, 31]])
+    assert axes.get_xlim() == (19, 79)
+    assert axes.get_ylim() == (61, 1)  # y down
+    assert axes.get_title() == "t = 1 s"
+
+
+def test_the_loop_is_closed():
+    """The line from the tracker ends at the sum, where the reference comes in."""
+    axes = servoing.draw_loop().axes[0]
+    paths = [line.get_xydata() for line in axes.lines if line.get_marker() == "None"]
+    assert np.allclose([path[0] for path in paths][1:4], [[1.05, 2.5], [4.25, 2.5], [7.25, 2.5]])
+    assert (np.diff([path[-1, 0] for path in paths[:4]]) > 0).all()
+    texts = {text.get_text(): text.get_position() for text in axes.texts if text.get_text()}
+    np.testing.assert_allclose(paths[-1][-1], texts["Σ"] - np.array([0, 0.3]))
+    law, tracker = (next(v for k, v in texts.items() if part in k) for part in ("law", "tracker"))
+    assert law[1] == texts["Σ"][1] > tracker[1]
+
+
+def test_the_map_of_stability_has_delays_along_x():
+    delays, gains = np.linspace(0, 1, 5), np.linspace(0.1, 2, 7)
+    # Grows with the gain alone: equal along each row.
+    moduli = pd.DataFrame(np.repeat(gains[:, None], 5, axis=1), gains, delays)
+    loops = pd.DataFrame({"delay": [0.2], "gain": [1.9], "decays": [False]})
+    axes = servoing.draw_stability(moduli, loops, 0.99).axes[0]
+    limit = axes.collections[1].get_paths()[0].vertices
+    np.testing.assert_allclose(limit[:, 1], 1.0)
+    assert np.ptp(limit[:, 0]) == pytest.approx(1.0)
+    assert axes.get_ylim() == (0.1, 2)
+    assert drawn(axes)["thesis' gain at 1X"][:, 1].tolist() == [0.99, 0.99]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("delay (frames)", "loop gain g")

@@ -1,0 +1,117 @@
+"""Tracks, detectors and settling times: every column is drawn against the right index."""
+
+from itertools import pairwise
+from types import SimpleNamespace
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+import pytest
+
+mpl.use("agg")
+import matplotlib.pyplot as plt
+
+from compendium.experiments.section_5_4 import SettlingTimes
+from compendium.figures import workstation
+
+
+@pytest.fixture(autouse=True)
+def closed():
+    yield
+    plt.close("all")
+
+
+def drawn(axes):
+    return {line.get_label(): line.get_xydata() for line in axes.lines}
+
+
+def test_errors_are_drawn_against_the_blur():
+    errors = pd.DataFrame(
+        {"circles": [0.01, 0.02], "squares": [0.1, 0.2], "other": [1.0, 2.0]}, [0.5, 3.0]
+    )
+    axes = workstation.draw_blur_study(errors).axes[0]
+    np.testing.assert_allclose(drawn(axes)["squares"], [[0.5, 0.1], [3, 0.2]])
+    np.testing.assert_allclose(drawn(axes)["other"], [[0.5, 1], [3, 2]])
+    assert axes.get_yscale() == "log"
+    assert axes.get_xlim()[0] == 0
+    assert axes.get_xlim()[1] > 3
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("PSF σ (px)", "RMS error (px)")
+
+
+def test_completed_runs_are_drawn_in_percent():
+    shares = pd.DataFrame({"with": [1.0, 0.5], "without": [0.9, 0.0]}, [200.0, 1500.0])
+    axes = workstation.draw_speed_study(shares).axes[0]
+    np.testing.assert_allclose(drawn(axes)["with"], [[200, 100], [1500, 50]])
+    np.testing.assert_allclose(drawn(axes)["without"], [[200, 90], [1500, 0]])
+    assert axes.lines[-1].get_xdata() == [250, 250]  # §5.3: up to 250 px/s
+    assert axes.get_xlabel() == "speed (px/s)"
+
+
+def test_settling_times_meet_the_printed_ones():
+    times = SettlingTimes(
+        speeds=np.array([100.0, 200.0, 400.0]),
+        by_speed={"1X": np.array([np.nan, 1.0, 0.6]), "4X": np.array([0.9, 0.5, 0.3])},
+        saturation={"1X": 250.0, "4X": 150.0},
+        latencies=np.array([0.01, 0.03]),
+        by_latency=np.array([0.4, 0.8]),
+        latency=0.02,
+        printed={"1X": 0.85, "4X": 0.65},
+    )
+    left, right = workstation.draw_settling_times(times).axes
+    np.testing.assert_allclose(drawn(left)["1X"], [[100, np.nan], [200, 1.0], [400, 0.6]])
+    np.testing.assert_allclose(drawn(left)["4X"], [[100, 0.9], [200, 0.5], [400, 0.3]])
+    points = [line.get_xydata()[0].tolist() for line in left.lines if line.get_marker() == "o"]
+    assert points == [[250, 0.85], [150, 0.65]]
+    np.testing.assert_allclose(drawn(right)["4X, speed as at 1X"], [[10, 0.4], [30, 0.8]])  # ms
+    np.testing.assert_allclose(right.lines[-1].get_xydata(), [[20, 0.65]])
+    assert (left.get_xlabel(), left.get_ylabel()) == ("largest speed (µm/s)", "settling time (s)")
+    assert right.get_xlabel() == "latency (ms)"
+
+
+def test_every_pattern_has_its_points_and_their_number():
+    names = ("circle-1X", "circle-4X", "square-1X", "square-4X")
+    grid = np.stack(np.meshgrid([0, 1, 4, 6], [0, 4, 6]), axis=-1).reshape(-1, 2)
+    examples = {
+        name: (np.zeros((90, 90)), SimpleNamespace(points=10.0 * grid[k:] + k, grid=grid[k:]))
+        for k, name in enumerate(names)
+    }
+    panels = workstation.draw_patterns(examples).axes
+    for k, (axes, name) in enumerate(zip(panels, names, strict=True)):
+        np.testing.assert_allclose(axes.lines[0].get_xydata(), 10.0 * grid[k:] + k)
+        assert axes.get_title().endswith(f": {12 - k} points")
+        every = {"circle-1X": 4, "circle-4X": 1}.get(name, 6)
+        labeled = (grid[k:] % every == 0).all(axis=1).sum()
+        assert len(axes.texts) == labeled
+
+
+def test_every_frame_has_its_window():
+    corners = np.array([[40.0, 20.0], [60.0, 20.0], [60.0, 42.0], [40.0, 42.0]])
+    shown = [
+        (f"t = {k}", np.zeros((90, 160), np.uint8), SimpleNamespace(corners=c, center=c.mean(0)))
+        for k, c in enumerate((corners, corners + np.array([7, 3])))
+    ]
+    first, second = workstation.draw_tracks(shown).axes
+    np.testing.assert_allclose(first.lines[0].get_xydata(), [[50, 31]])
+    np.testing.assert_allclose(second.patches[0].get_xy()[0], [47, 23])
+    assert second.get_xlim() == (57 - 75, 57 + 75)
+    assert (first.get_ylabel(), second.get_ylabel()) == ("y (px)", "")
+    assert (first.get_title(), second.get_title()) == ("t = 0", "t = 1")
+
+
+def test_the_parts_of_the_workstation_carry_their_names():
+    axes = workstation.draw_workstation().axes[0]
+    boxes = [patch.get_bbox() for patch in axes.patches]
+    texts = {text.get_text(): text.get_position() for text in axes.texts}
+    named = [name for name in texts if name not in ("probe", "gripper")]
+    assert len(boxes) == 8
+    assert len(named) == 7  # both manipulators have one name
+    for x, y in (texts[name] for name in named):
+        middle = [((b.x0 + b.x1) / 2, (b.y0 + b.y1) / 2) for b in boxes]
+        assert min(np.hypot(x - u, y - v) for u, v in middle) < 1e-9
+    # The camera looks down through zoom and objective at the sample on its stage.
+    column = ["camera\nBasler A602fc", "zoom\n0.75–11.25", "objective\n1.6X"]
+    heights = [texts[name][1] for name in (*column, "sample stage, x and y")]
+    assert heights == sorted(heights, reverse=True)
+    np.testing.assert_allclose([texts[name][0] for name in column], 4.6)
+    for one, other in pairwise(boxes):
+        assert not one.overlaps(other)

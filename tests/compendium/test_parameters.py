@@ -1,0 +1,120 @@
+"""A reader's text becomes a value of the parameter's type, or one line says why it cannot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbformat.v4 import new_code_cell, new_notebook
+
+from compendium import parameters
+from compendium.parameters import Parameter, read_parameters, read_values
+
+CELL = """record = ""  # not used here
+stack = "data/in.tif"  # the frames
+spacing = 25.0  # µm, ≠ 0, between frames
+size = 3.9  # µm/px, > 0
+spread = 0.0  # µm, ≥ 0, standard deviation
+start = -50.0  # µm
+box = [30, 40, 40, 40]  # px
+seed = 1  # of the noise
+radius: float | None = None  # µm, > 0; or an outline
+out = "build/guides/focus"  # folder"""
+
+
+@pytest.fixture
+def notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A notebook of a project with one input, seen from another folder."""
+    monkeypatch.setattr(parameters, "ROOT", tmp_path / "project")
+    (tmp_path / "project" / "data").mkdir(parents=True)
+    (tmp_path / "project" / "data" / "in.tif").touch()
+    path = tmp_path / "project" / "07_guide.ipynb"
+    cell = new_code_cell(CELL, metadata={"tags": ["parameters"]})
+    nbformat.write(new_notebook(cells=[new_code_cell("other = 1"), cell]), path)
+    (tmp_path / "reader").mkdir()
+    (tmp_path / "reader" / "a.png").touch()
+    monkeypatch.chdir(tmp_path / "reader")
+    return path
+
+
+def test_the_cell_says_which_there_are(notebook: Path) -> None:
+    found = read_parameters(notebook)
+    assert list(found) == [line.split()[0].strip(":") for line in CELL.splitlines()]
+    assert {name for name, one in found.items() if one.is_input} == {"stack"}
+    assert {name for name, one in found.items() if one.optional} == {"radius"}
+    bounds = {name: one.bound for name, one in found.items() if one.bound}
+    assert bounds == {"spacing": "≠", "size": ">", "spread": "≥", "radius": ">"}
+    assert found["box"] == Parameter("box", [30, 40, 40, 40])
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "value"),
+    [
+        ("spacing", "1e1", 10.0),
+        ("spacing", "-7", -7.0),
+        ("start", "0", 0.0),
+        ("spread", "0", 0.0),
+        ("seed", "12", 12),
+        ("box", "[1, 2,3,4]", [1, 2, 3, 4]),
+        ("radius", "None", None),
+        ("radius", "5", 5.0),
+        ("record", "null", "null"),
+        ("stack", "data/in.tif", "data/in.tif"),
+        ("stack", "*.png", "*.png"),
+        ("stack", "a.png", "a.png"),
+        ("out", "2025-01-01", "2025-01-01"),
+    ],
+)
+def test_a_text_takes_the_type_of_its_parameter(
+    notebook: Path, name: str, text: str, value: object
+) -> None:
+    found = read_values(notebook, {name: text})[name]
+    assert found == value
+    assert type(found) is type(value)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("spacing", "1e1x", "spacing must be a finite number ≠ 0, got 1e1x"),
+        ("spacing", "0", "spacing must be a finite number ≠ 0, got 0"),
+        ("spacing", "2025-01-01", "spacing must be"),
+        ("spacing", "None", "spacing must be"),
+        ("size", "-1", "size must be a finite number > 0, got -1"),
+        ("size", "0", "size must be"),
+        ("spread", "-1e-9", "spread must be a finite number ≥ 0, got -1e-9"),
+        ("start", "nan", "start must be a finite number, got nan"),
+        ("start", "inf", "start must be"),
+        ("start", "", "start must be"),
+        ("start", "[1.0]", "start must be"),
+        ("seed", "1.5", "seed must be a whole number, got 1.5"),
+        ("seed", "1e3", "seed must be"),
+        ("radius", "wide", "radius must be a finite number > 0 or None, got wide"),
+        ("box", "[1,2,3]", r"box must be 4 numbers in brackets, such as \[30, 40, 40, 40\], got "),
+        ("box", "[1,2,3,4.5]", "box must be"),
+        ("box", "[1,2,3,true]", "box must be"),
+        ("box", "[1,2,3,NaN]", "box must be"),
+        ("box", "1,2,3,4", "box must be"),
+        ("box", "7", "box must be"),
+        ("stack", "*x.tif", r"stack must name a file, got \*x.tif: no such file"),
+        ("stack", "mine.tif", "stack must name a file, got mine.tif: no such file"),
+        ("out", "a.png", "out must be a folder that can be written to, got a.png: File exists"),
+        ("out", "a.png/b", "out must be a folder that can be written to"),
+        ("spacin", "1", "07_guide has no parameter spacin; did you mean spacing?"),
+        ("zzz", "1", "07_guide has no parameter zzz; it has record, stack"),
+    ],
+)
+def test_a_wrong_text_is_told_in_one_line(
+    notebook: Path, name: str, text: str, message: str
+) -> None:
+    with pytest.raises(ValueError, match=f"^{message.replace('?', '[?]')}") as caught:
+        read_values(notebook, {name: text})
+    assert "\n" not in str(caught.value)
+
+
+def test_an_unknown_type_is_a_fault_of_the_notebook(notebook: Path, tmp_path: Path) -> None:
+    cell = new_code_cell("x: int | None = None", metadata={"tags": ["parameters"]})
+    nbformat.write(new_notebook(cells=[cell]), notebook)
+    with pytest.raises(ValueError, match=r"x must be annotated as float \| None"):
+        read_parameters(notebook)
