@@ -159,7 +159,7 @@ def _number(name: str, value: object) -> float:
     if type(value) is float:
         return value
     # NumPy's own numbers and arrays of no dimension count as numbers, its truth values do not.
-    plain = isinstance(value, (int, float, np.number, np.ndarray)) and not isinstance(value, bool)
+    plain = isinstance(value, (int, float, np.number, np.ndarray))
     array = np.asarray(value) if plain and not isinstance(value, np.ma.MaskedArray) else None
     if array is None or array.ndim > 0 or array.dtype.kind not in "uif":
         came = f"shape {array.shape}" if array is not None and array.ndim else _brief(value)

@@ -13,6 +13,7 @@ from microlib._common import (
     one_of,
     positive,
     same_length,
+    scalar,
     whole,
 )
 
@@ -69,6 +70,70 @@ def test_what_is_right_passes():
 def test_a_refusal_says_what_is_wrong(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+@pytest.mark.parametrize("value", [2, 2.0, np.float32(2), np.uint8(2), np.array(2.0)])
+def test_a_single_number_becomes_a_float(value):
+    number = scalar("x", value, above=0, most=3)
+    assert type(number) is float
+    assert number == 2
+
+
+@pytest.mark.parametrize(
+    "value", [True, np.True_, "2", None, [2.0], np.ones(1), 2j, np.ma.array(2.0), {}, 10**400]
+)
+def test_what_is_no_single_number_is_refused(value):
+    with pytest.raises(ValueError, match=r"x must (be a single number|hold|lie within)"):
+        scalar("x", value)
+
+
+@pytest.mark.parametrize(
+    ("value", "bounds", "message"),
+    [
+        (0.0, {"above": 0}, "x must be positive, got 0"),
+        (1.0, {"above": 1}, "x must be above 1, got 1"),
+        (-1.0, {"least": 0}, "x must be zero or positive, got -1"),
+        (1.5, {"least": 2}, "x must be at least 2, got 1.5"),
+        (3.5, {"most": 3}, "x must be at most 3, got 3.5"),
+        (1e-70, {"above": 0}, "x must be at least 1e-60"),
+        (-1.0, {"above": 0, "least": 1e-5}, "x must be positive"),
+        (1e-6, {"above": 0, "least": 1e-5}, "x must be at least 1e-05"),
+        (np.nan, {}, "x must be finite, got nan"),
+        (1e61, {}, r"x must lie within ±1e\+60, got 1e\+61"),
+        (0.0, {"within": (0, 1)}, r"x must lie in \(0, 1\), got 0"),
+        (1.0, {"within": (0, 1)}, r"x must lie in \(0, 1\), got 1"),
+        (1.1, {"within": (0, 1), "closed": True}, r"x must lie in \[0, 1\], got 1.1"),
+    ],
+)
+def test_a_number_out_of_bounds_is_refused(value, bounds, message):
+    with pytest.raises(ValueError, match=message):
+        scalar("x", value, **bounds)
+
+
+def test_bounds_themselves_are_taken():
+    assert scalar("x", 1.0, within=(0, 1), closed=True) == 1
+    assert scalar("x", 0, least=0) == 0
+    assert scalar("x", 3, most=3) == 3
+    assert whole("x", 5, least=1, most=5) == 5
+
+
+def test_large_counts_are_refused():
+    for wrong in (6, 10**400):
+        with pytest.raises(ValueError, match="x must be at most 5"):
+            whole("x", wrong, least=1, most=5)
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_finite_numbers_that_leave_the_range_when_squared_are_refused(dtype):
+    most = 1e60 if dtype == np.float64 else 1e18
+    taken = np.array([most, -most], dtype) * dtype(0.99)
+    np.testing.assert_array_equal(as_array("x", taken, dtype=dtype), taken)
+    for wrong in (1.01, -1.01):
+        with pytest.raises(ValueError, match="x must lie within ±"):
+            as_array("x", np.array([1.0, wrong * most]), dtype=dtype)
+    np.testing.assert_array_equal(as_array("x", [1.0, np.nan], finite=False), [1.0, np.nan])
+    with pytest.raises(ValueError, match="x must be finite, got 1 NaN or infinite of 2"):
+        as_array("x", [1.0, np.inf])
 
 
 @pytest.mark.parametrize("closed", [False, True])

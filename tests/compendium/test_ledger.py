@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import tomllib
 import warnings
 from dataclasses import replace
@@ -163,6 +164,16 @@ def test_check_records_the_interval_around_its_value() -> None:
     record = ledger.check("table-5.6/E", 1.3237, interval=(1.32, 1.4))
     assert record is not None
     assert (record.low, record.high) == (1.32, 1.4)
+
+
+def test_a_bare_value_of_a_simulated_claim_is_refused() -> None:
+    """Without an interval over seeds, hitting the print is no agreement and missing it no news."""
+    simulated = [claim for claim in ledger.claims().values() if claim.kind == "simulated"]
+    assert simulated
+    for claim in simulated:
+        for given in ({}, {"uncertainty": 0.0}, {"interval": (claim.value, claim.value)}):
+            with pytest.raises(ValueError, match=f"{re.escape(claim.id)} is simulated and needs"):
+                ledger.check(claim.id, claim.value, **given)
 
 
 def test_check_names_the_claim_that_fails() -> None:

@@ -33,6 +33,20 @@ def distances(scene: EmbryoImage, points: np.ndarray) -> np.ndarray:
     return np.einsum("ij,ij->i", points - outline[nearest], outward[nearest])
 
 
+def test_the_probes_width_is_taken_across_it():
+    """A bar of exact edges at 3.9°: along a row it is 0.23 % wider."""
+    slope, half_width, tip = np.tan(np.deg2rad(3.9)), 60.0, 300.0
+    y, x = np.mgrid[:480, :1400].astype(float)
+    across = (x - 330.0 - slope * y) / np.hypot(1.0, slope)
+    bar = np.clip(half_width + 0.5 - np.abs(across), 0, 1) * (y < tip)
+    image = np.where(y > 300, 120.0, 200.0)
+    image += bar * (40.0 - image)
+    probe = _find_probe(np.rint(image).astype(np.uint8))
+    assert probe.slope == pytest.approx(slope, abs=1e-3)
+    # Edges are found to some hundredths of a px, and 0.23 % are 0.14 px.
+    assert probe.half_width == pytest.approx(half_width, abs=0.07)
+
+
 def test_outline_lies_on_the_drawn_one(scene):
     boundary = extract_boundary(scene.image)
     seen = boundary.points[~boundary.under_probe]

@@ -182,6 +182,17 @@ def test_ripples_at_the_bottom_are_not_the_rim() -> None:
     assert dimple_geometry(curve, pixel_size=1.0).rim[0] == pytest.approx(60.0, abs=1.0)
 
 
+def test_the_rim_is_the_nearest_maximum_to_the_left() -> None:
+    """A hill further out is none, even a higher one."""
+    curve = GaussianSum(
+        [70.0, 50.0, 52.0], [0.0, 80.0, 160.0], [30.0, 30.0, 30.0], domain=(-20.0, 200.0)
+    )
+    assert len(curve.extrema()[0]) == 3
+    dimple = dimple_geometry(curve, pixel_size=1.0)
+    assert dimple.bottom[0] == pytest.approx(120.0, abs=2.0)
+    assert dimple.rim[0] == pytest.approx(80.0, abs=2.0)
+
+
 def test_an_outline_without_a_dimple_is_refused() -> None:
     hill = GaussianSum([10.0], [0.0], [5.0], domain=(-10.0, 10.0))
     with pytest.raises(ValueError, match="curve must have a minimum between two maxima"):

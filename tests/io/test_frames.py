@@ -362,6 +362,15 @@ def test_lzw_is_read(stack, tmp_path):
     np.testing.assert_array_equal(read_grey(tmp_path / "b.tif"), stack[0])
 
 
+def test_lzw_in_which_zero_is_white_is_read_as_stored(stack, tmp_path):
+    path = tmp_path / "a.tif"
+    compressed(path, stack, "tiff_lzw")
+    with tifffile.TiffFile(path, mode="r+") as tiff:
+        for page in tiff.pages:
+            page.tags["PhotometricInterpretation"].overwrite(0)
+    np.testing.assert_array_equal(np.stack(list(read_frames(path))), stack)
+
+
 def test_jpeg_is_read(tmp_path):
     """A smooth image loses a grey level or two; noise would lose more."""
     smooth = np.linspace(20, 200, 64 * 48).reshape(48, 64).astype(np.uint8)
@@ -386,3 +395,15 @@ def test_a_single_image_has_one_page(stack, tmp_path):
     tifffile.imwrite(tmp_path / "many.tif", stack, photometric="minisblack")
     with pytest.raises(ValueError, match=r"many\.tif: it must hold one page .* got 5"):
         read_grey(tmp_path / "many.tif")
+
+
+@pytest.mark.parametrize("compression", [None, "zlib"])
+def test_more_pages_than_the_metadata_tell_of_are_not_left_out(stack, tmp_path, compression):
+    """What an editor appended belongs to the stack or not: the file must say."""
+    path = tmp_path / "more.tif"
+    tifffile.imwrite(path, stack, imagej=True, compression=compression, metadata={"axes": "ZYX"})
+    content = path.read_bytes()
+    assert content.count(b"images=5") == content.count(b"slices=5") == 1
+    path.write_bytes(content.replace(b"images=5", b"images=3").replace(b"slices=5", b"slices=3"))
+    with pytest.raises(ValueError, match=r"more\.tif: its metadata tell of 3 pages, it holds 5"):
+        list(read_frames(path))
