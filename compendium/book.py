@@ -6,13 +6,15 @@
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import sys
 import tempfile
+from contextlib import redirect_stdout
 from pathlib import Path
 
-from jupyter_book.cli.main import main as jupyter_book  # type: ignore[import-untyped]
+from click import ClickException
 
 from compendium.processes import alone_in, end_with_parent
 from compendium.run import BUILD, INTERRUPTED, ROOT
@@ -29,10 +31,10 @@ def main() -> int:
         with alone_in(BUILD):
             prepare()
             folder = Path(tempfile.mkdtemp(dir=RENDERED))
-            command = ["build", str(ROOT / "book"), "--path-output", str(folder), *STRICT]
-            jupyter_book(command, standalone_mode=False)
+            folder.chmod(0o755)  # mkdtemp lets the owner alone look into it
+            render(folder)
             publish(folder / "_build" / "html", BUILD / "html")
-    except OSError as error:
+    except (OSError, RuntimeError, ClickException) as error:
         print(f"The book was not built: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
@@ -52,6 +54,16 @@ def prepare() -> None:
     for folder in RENDERED.iterdir():
         if not shown.is_relative_to(folder):  # of a build that was killed, or of one before
             shutil.rmtree(folder)
+
+
+def render(folder: Path) -> None:
+    """Let jupyter-book make the pages in a folder; its warnings go to the terminal."""
+    # Here, since it warns of its own use of click when it is imported.
+    from jupyter_book.cli.main import main as jupyter_book  # type: ignore[import-untyped]
+
+    command = ["build", str(ROOT / "book"), "--path-output", str(folder), *STRICT]
+    with redirect_stdout(io.StringIO()):  # which names the folder
+        jupyter_book(command, standalone_mode=False)
 
 
 def publish(html: Path, link: Path) -> None:
