@@ -6,11 +6,15 @@
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import sys
 import tempfile
+from contextlib import redirect_stdout
 from pathlib import Path
+
+from click import ClickException
 
 from compendium.processes import alone_in, end_with_parent
 from compendium.run import BUILD, INTERRUPTED, ROOT
@@ -21,19 +25,16 @@ STRICT = ("--warningiserror", "--nitpick", "--keep-going", "--quiet")
 
 def main() -> int:
     """Render the book; return the exit status."""
-    # It warns of its own imports, which the tests of this module must not meet.
-    from jupyter_book.cli.main import main as jupyter_book  # type: ignore[import-untyped]
-
     if "MAKELEVEL" in os.environ:
         end_with_parent()  # make may be killed, and would not end what it began
     try:
         with alone_in(BUILD):
             prepare()
             folder = Path(tempfile.mkdtemp(dir=RENDERED))
-            command = ["build", str(ROOT / "book"), "--path-output", str(folder), *STRICT]
-            jupyter_book(command, standalone_mode=False)
+            folder.chmod(0o755)  # mkdtemp lets the owner alone look into it
+            render(folder)
             publish(folder / "_build" / "html", BUILD / "html")
-    except OSError as error:
+    except (OSError, RuntimeError, ClickException) as error:
         print(f"The book was not built: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
@@ -53,6 +54,16 @@ def prepare() -> None:
     for folder in RENDERED.iterdir():
         if not shown.is_relative_to(folder):  # of a build that was killed, or of one before
             shutil.rmtree(folder)
+
+
+def render(folder: Path) -> None:
+    """Let jupyter-book make the pages in a folder; its warnings go to the terminal."""
+    # Here, since it warns of its own use of click when it is imported.
+    from jupyter_book.cli.main import main as jupyter_book  # type: ignore[import-untyped]
+
+    command = ["build", str(ROOT / "book"), "--path-output", str(folder), *STRICT]
+    with redirect_stdout(io.StringIO()):  # which names the folder
+        jupyter_book(command, standalone_mode=False)
 
 
 def publish(html: Path, link: Path) -> None:

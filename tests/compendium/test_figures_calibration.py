@@ -83,6 +83,10 @@ def test_the_microscope_is_drawn_to_its_lengths():
     np.testing.assert_allclose(sensor[1], screen(1000, -500, tube + focal), rtol=1e-9)
     np.testing.assert_allclose(seen[2], screen(500, 250, focal + distance), rtol=1e-9)
     names = {text.get_text(): text.get_position()[0] for text in axes.texts}
+    place = {text.get_text(): text.get_position() for text in axes.texts}
+    for name, (u, v) in {"$C_o$": (0, 0), "$C_i$": (300, 0), "$C_w$": (150, 0)}.items():
+        assert abs(place[name][0] - u) < 8, name
+        assert 0 < place[name][1] - v < 12, name
     assert names["f"] == pytest.approx(50)
     assert names["d"] == pytest.approx(125)
     assert names["$T_{op} + f$"] == pytest.approx(150)

@@ -105,19 +105,19 @@ def errors(axes):
 def test_the_study_shows_each_modulus_with_its_interval():
     study = pd.DataFrame(
         {"depth": [20.0, 40.0], "thesis": [2.0, 1.5], "fitted": [1.3, 1.4]}
-        | {"low": [1.1, 1.35], "high": [1.6, 1.42]}
+        | {"low": [0.4, 1.35], "high": [3.6, 1.42]}
     )
     axes = dimple.draw_image_study(study).axes[0]
     lines = drawn(axes)
     assert lines["truth"][:, 1].tolist() == [1.3237, 1.3237]
     np.testing.assert_allclose(lines["LOESS and eight Gaussians"], [[20, 2], [40, 1.5]])
     np.testing.assert_allclose(axes.containers[0][0].get_xydata(), [[20, 1.3], [40, 1.4]])
-    np.testing.assert_allclose(errors(axes), [[[20, 1.1], [20, 1.6]], [[40, 1.35], [40, 1.42]]])
+    np.testing.assert_allclose(errors(axes), [[[20, 0.4], [20, 3.6]], [[40, 1.35], [40, 1.42]]])
 
 
 def test_forces_are_drawn_over_time():
     felt = pd.DataFrame({"time": [1.0, 3.0], "force": [90.0, 150.0]})
-    felt = felt.assign(low=[80.0, 149.0], high=[95.0, 155.0])
+    felt = felt.assign(low=[30.0, 149.0], high=[195.0, 155.0])
     axes = dimple.draw_estimated_force(felt).axes[0]
     time, force = drawn(axes)["truth"].T
     assert (time[0], time[-1]) == (0, 4)
@@ -125,7 +125,7 @@ def test_forces_are_drawn_over_time():
     assert (force[0], force[-1]) == pytest.approx((40, 72))
     assert force.max() == pytest.approx(206, abs=2)
     np.testing.assert_allclose(axes.containers[0][0].get_xydata(), [[1, 90], [3, 150]])
-    np.testing.assert_allclose(errors(axes), [[[1, 80], [1, 95]], [[3, 149], [3, 155]]])
+    np.testing.assert_allclose(errors(axes), [[[1, 30], [1, 195]], [[3, 149], [3, 155]]])
 
 
 def test_the_embryo_and_its_steps_are_cut_out_around_the_dimple():
@@ -162,3 +162,47 @@ def test_a_scale_bar_is_as_long_as_it_says():
     assert y[0] == y[1] == pytest.approx(99.5 - 0.06 * 100)
     assert axes.texts[0].get_text() == "50 µm"
     assert axes.texts[0].get_position() == pytest.approx((x.mean(), y[0] - 2))
+
+
+def test_the_section_names_the_lengths_that_it_draws():
+    """Each letter stands at its arrow, and beyond the rim the shell bends down by the radius R."""
+    axes = dimple.draw_dimple_section(RADIUS, DEPTH, 25.0).axes[0]
+    arrows = [(np.array(t.xyann), np.array(t.xy)) for t in axes.texts if not t.get_text()]
+    ends = {"F": ((0, 70), (0, -DEPTH)), "a": ((0, 20), (RADIUS, 20))}
+    ends |= {"c": ((0, -DEPTH - 18), (25, -DEPTH - 18)), "$w_d$": ((-RADIUS, 0), (-RADIUS, -DEPTH))}
+    letters = {t.get_text(): np.array(t.get_position()) for t in axes.texts if t.get_text()}
+    assert letters.keys() == {*ends, "R"}
+    for letter, pair in ends.items():
+        assert any({tuple(a), tuple(b)} == set(pair) for a, b in arrows), letter
+        begin, end = np.array(pair)
+        along = np.clip(
+            (letters[letter] - begin) @ (end - begin) / np.sum((end - begin) ** 2), 0, 1
+        )
+        assert np.hypot(*(letters[letter] - begin - along * (end - begin))) < 35, letter
+    for line in (axes.lines[1], axes.lines[3]):
+        x, y = np.abs(line.get_xdata()), line.get_ydata()
+        np.testing.assert_allclose(np.hypot(x - RADIUS, y + 80), 80)  # a circle below the rim
+        assert (x[0], y[0]) == pytest.approx((RADIUS, 0))
+        assert (x[-1], y[-1]) == pytest.approx((RADIUS + 80, -80))
+    (center, onto) = next(
+        (b, a) for a, b in arrows if tuple(b) == (RADIUS, -80.0) or tuple(a) == (RADIUS, -80.0)
+    )
+    assert np.hypot(*(onto - center)) == pytest.approx(80)
+
+
+def test_lengths_are_named_beside_their_arrows():
+    curve = thesis.outline_curve()
+    boundary = SimpleNamespace(x=np.arange(50.0, 260.0), y=np.arange(210.0))
+    columns = np.linspace(60, 250, 20)
+    for figure in (
+        dimple.draw_printed_outline(curve),
+        dimple.draw_rendered_outline(scene(), boundary, columns, curve, columns),
+    ):
+        axes = figure.axes[0]
+        (x1, y1), (x2, y2) = dimple._rim_and_bottom(curve)
+        letters = {t.get_text(): t.get_position() for t in axes.texts if t.get_text()}
+        assert letters["a"][0] == pytest.approx((x1 + x2) / 2)
+        assert 0 < letters["a"][1] - y1 < 10
+        assert abs(letters["$w_d$"][0] - x2) < 6
+        assert y2 < letters["$w_d$"][1] < y1
+        assert axes.get_ylim()[1] > letters["a"][1]

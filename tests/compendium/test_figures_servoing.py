@@ -67,6 +67,9 @@ def test_a_track_lies_on_its_frame():
     assert axes.get_xlim() == (19, 79)
     assert axes.get_ylim() == (61, 1)  # y down
     assert axes.get_title() == "t = 1 s"
+    _, axes = plt.subplots()
+    servoing.draw_track(axes, np.zeros((80, 120), np.uint8), track, "")
+    assert np.ptp(axes.get_xlim()) == 90  # px, two windows of 40 and a rim
 
 
 def test_the_loop_is_closed():
@@ -75,7 +78,18 @@ def test_the_loop_is_closed():
     paths = [line.get_xydata() for line in axes.lines if line.get_marker() == "None"]
     assert np.allclose([path[0] for path in paths][1:4], [[1.05, 2.5], [4.25, 2.5], [7.25, 2.5]])
     assert (np.diff([path[-1, 0] for path in paths[:4]]) > 0).all()
+    for path in paths:
+        # Each piece runs along x or along y, and something is beside its way.
+        assert (np.isclose(np.diff(path, axis=0), 0).sum(axis=1) == 1).all()
+    boxes = [patch.get_bbox() for patch in axes.patches if hasattr(patch, "get_boxstyle")]
+    for (x, y), step in ((path[0], 0.06) for path in paths[2:]):
+        back = -step if y > 1 else step  # against the way of the signal
+        assert any(b.contains(x + 2 * back, y) for b in boxes) or x + back < 1.2
+    assert all(-0.75 <= x <= 11.6 and -0.15 <= y <= 3.3 for path in paths for x, y in path)
     texts = {text.get_text(): text.get_position() for text in axes.texts if text.get_text()}
+    for box in boxes:
+        middle = ((box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2)
+        assert min(np.hypot(*np.subtract(middle, place)) for place in texts.values()) < 1e-9
     np.testing.assert_allclose(paths[-1][-1], texts["Σ"] - np.array([0, 0.3]))
     law, tracker = (next(v for k, v in texts.items() if part in k) for part in ("law", "tracker"))
     assert law[1] == texts["Σ"][1] > tracker[1]

@@ -1,5 +1,7 @@
 """Sketches drawn from numbers: they show the lengths that they name."""
 
+from itertools import pairwise
+
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ import matplotlib.pyplot as plt
 import pandas as pd
 
 from compendium import thesis
-from compendium.figures import calibration, overview
+from compendium.figures import COLORS, calibration, overview, use_style
 from compendium.figures.dimple import draw_dimple_section
 from compendium.figures.servoing import draw_stability
 from compendium.figures.surfaces import draw_lens
@@ -44,7 +46,9 @@ def test_rays_meet_where_the_lens_equation_says():
     # 1/f = 1/d_o + 1/d_i with f = 40 and the sensor at 100 mm.
     assert 1 / -x[0] + 1 / x[-1] == pytest.approx(1 / 40)
     assert y[-1] == pytest.approx(0, abs=1e-9)
+    assert (x[1], y[1]) == (0, 14)  # at the edge of the lens, of 14 mm
     x, y = drawn["too near"].get_data()
+    assert (x[1], y[1]) == (0, 14)
     assert x[-1] == 100
     assert y[-1] == pytest.approx(14 * 100 * (1 / -x[0] + 1 / 100 - 1 / 40))  # (3.4)
 
@@ -97,3 +101,77 @@ def test_loops_that_decay_and_grow_are_told_apart():
     drawn = lines(draw_stability(moduli, loops, 0.99))
     assert drawn["simulated: decays"].get_xydata().tolist() == [[0.2, 0.3]]
     assert drawn["simulated: grows"].get_xydata().tolist() == [[0.9, 1.9]]
+
+
+def test_rays_come_in_pairs_and_all_are_in_view():
+    axes = draw_lens().axes[0]
+    (low, high), (left, right) = axes.get_ylim(), axes.get_xlim()
+    rays = [line.get_xydata() for line in axes.lines if len(line.get_xdata()) == 3]
+    assert len(rays) == 4
+    for down, up in (rays[:2], rays[2:]):
+        np.testing.assert_allclose(down * [1, -1], up, atol=1e-12)
+    for ray in rays:
+        assert (left < ray[:, 0]).all()
+        assert (ray[:, 0] < right).all()
+        assert (low < ray[:, 1]).all()
+        assert (ray[:, 1] < high).all()
+    # The arrow of the blur spans it, beyond the sensor.
+    (arrow,) = (text for text in axes.texts if not text.get_text())
+    assert sorted([arrow.xy[1], arrow.xyann[1]]) == pytest.approx([rays[2][-1, 1], rays[3][-1, 1]])
+    assert arrow.xy[0] == arrow.xyann[0] > 100
+
+
+def test_bands_reach_from_power_to_power():
+    axes = overview.draw_scale().axes[0]
+    ends = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in axes.patches]
+    np.testing.assert_allclose(ends, [(1e-3, 1), (1e-6, 1e-3), (1e-9, 1e-6)], rtol=1e-9)
+    texts = {text.get_text(): text.get_position() for text in axes.texts}
+    assert texts["micro"][0] == pytest.approx(10**-4.5)
+    sizes = [(line.get_xdata()[0], line.get_ydata()[0]) for line in axes.lines]
+    # The smallest at the bottom, and each under the bands.
+    assert sizes == sorted(sizes)
+    assert [row for _, row in sizes] == list(range(8))
+    assert texts["micro"][1] == 8
+    assert axes.get_xscale() == "log"
+    assert axes.get_xlim() == (1e-10, 1)
+
+
+def test_parts_are_joined_by_arrows_from_left_to_right():
+    axes = overview.draw_parts().axes[0]
+    boxes = [patch.get_bbox() for patch in axes.patches if hasattr(patch, "get_boxstyle")]
+    arrows = [(text.xyann, text.xy) for text in axes.texts if not text.get_text()]
+    assert (len(boxes), len(arrows)) == (12, 8)
+    for begin, end in arrows:
+        assert begin[0] < end[0]
+        assert begin[1] == end[1]
+        assert not any(box.contains(*begin) or box.contains(*end) for box in boxes)
+    names = [text for text in axes.texts if text.get_text()]
+    for box in boxes:
+        middle = ((box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2)
+        places = [text.get_position() for text in names]
+        assert min(np.hypot(*np.subtract(middle, place)) for place in places) < 0.01
+    for one, other in pairwise(boxes):
+        assert not one.overlaps(other)
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    assert all(left < b.x0 and b.x1 < right and low < b.y0 and b.y1 < high for b in boxes)
+
+
+def test_figures_lie_open_to_the_right_and_above():
+    before = dict(mpl.rcParams)
+    try:
+        use_style()
+        width, height = mpl.rcParams["figure.figsize"]
+        assert width > height
+        assert width == 7.2  # inches, the width of the book's text
+        for side, drawn in {"left": True, "bottom": True, "top": False, "right": False}.items():
+            assert mpl.rcParams[f"axes.spines.{side}"] is drawn
+        colors = [entry["color"] for entry in mpl.rcParams["axes.prop_cycle"]]
+        assert len(set(colors)) == 7
+        assert COLORS["black"] not in colors
+        assert mpl.rcParams["image.cmap"] == "gray"
+        assert mpl.rcParams["axes.grid"] is True
+        assert mpl.rcParams["axes.axisbelow"] is True
+        assert mpl.rcParams["figure.constrained_layout.use"] is True
+        assert mpl.rcParams["legend.frameon"] is False
+    finally:
+        mpl.rcParams.update(before)

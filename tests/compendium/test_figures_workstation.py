@@ -44,7 +44,8 @@ def test_completed_runs_are_drawn_in_percent():
     np.testing.assert_allclose(drawn(axes)["with"], [[200, 100], [1500, 50]])
     np.testing.assert_allclose(drawn(axes)["without"], [[200, 90], [1500, 0]])
     assert axes.lines[-1].get_xdata() == [250, 250]  # §5.3: up to 250 px/s
-    assert axes.get_xlabel() == "speed (px/s)"
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("speed (px/s)", "runs completed (%)")
+    assert axes.get_ylim() == (-5, 105)
 
 
 def test_settling_times_meet_the_printed_ones():
@@ -66,6 +67,7 @@ def test_settling_times_meet_the_printed_ones():
     np.testing.assert_allclose(right.lines[-1].get_xydata(), [[20, 0.65]])
     assert (left.get_xlabel(), left.get_ylabel()) == ("largest speed (µm/s)", "settling time (s)")
     assert right.get_xlabel() == "latency (ms)"
+    assert left.get_ylim() == right.get_ylim() == (0, 1.6)
 
 
 def test_every_pattern_has_its_points_and_their_number():

@@ -1,0 +1,198 @@
+"""The data that the book offers beside its figures, held against what is known otherwise.
+
+Each number here comes from the thesis, from a formula written out anew, or from what cannot be
+otherwise; none is read from a run.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+# Table 5.6 and its section: µm, µN, MPa.
+RADIUS, DEPTH, FORCE, HALF_WIDTH = 246.95, 121.22, 197.24, 25.0
+
+
+@pytest.fixture
+def figures(claims_folder: Path) -> Path:
+    return claims_folder.parent / "figures"
+
+
+def series(figures: Path, name: str) -> dict[tuple[int, str], np.ndarray]:
+    """Return the points of each series of a figure, by panel and name."""
+    table = pd.read_csv(figures / f"{name}.csv")
+    groups = table.groupby(["panel", "series"], sort=False)
+    return {key: group[["x", "y"]].to_numpy(np.float64) for key, group in groups}
+
+
+def test_every_figure_has_its_columns(figures: Path) -> None:
+    tables = sorted(figures.glob("*.csv"))
+    assert len(tables) > 30
+    for path in tables:
+        table = pd.read_csv(path)
+        columns = ["panel", "series", "x", "y", "x_label", "y_label"]
+        assert list(table.columns) == columns, path.name
+        assert table["panel"].min() >= 1, path.name
+
+
+def test_forces_of_adhesion_fall_in_order(figures: Path) -> None:
+    """Figure 2.2: weight goes with the cube of the diameter, surface tension with itself."""
+    found = series(figures, "fig-2-2")
+    powers = {"weight": 3, "surface tension": 1}
+    for name, power in powers.items():
+        x, y = next(points for (_, label), points in found.items() if label == name).T
+        np.testing.assert_allclose(np.diff(np.log(y)) / np.diff(np.log(x)), power, atol=1e-3)
+
+
+def test_errors_of_a_turned_camera_decay_with_its_cosine(figures: Path) -> None:
+    """(2.4): e(t) = exp(−λ R t) e(0), of length exp(−λ cos θ t), turned by λ sin θ t."""
+    found = series(figures, "fig-ch2-rotation")
+    t, length = found[1, "0°"].T
+    rate = -np.log(length[-1] / length[0]) / t[-1]
+    for k, degrees in enumerate((0, 30, 60, 85, 95)):
+        angle = np.deg2rad(degrees)
+        expected = 50 * np.exp(-rate * np.cos(angle) * t)
+        np.testing.assert_allclose(
+            found[1, f"{degrees}°"], np.c_[t, expected], rtol=1e-4, atol=1e-3
+        )
+        x, y = found[2, f"_child{k}"].T
+        np.testing.assert_allclose(np.hypot(x, y), expected, rtol=1e-4, atol=1e-3)
+        turn = np.unwrap(np.arctan2(y, x))
+        # Of a length below 1 px the digits that are kept leave no angle.
+        clear = expected > 1
+        np.testing.assert_allclose(
+            np.abs(turn - turn[0])[clear], (rate * np.sin(angle) * t)[clear], atol=2e-3
+        )
+
+
+def test_defocus_passes_low_frequencies(figures: Path) -> None:
+    """(3.9): the transfer of a Gaussian is exp(−σ² u² / 2)."""
+    for (_, name), points in series(figures, "fig-ch3-defocus").items():
+        u, gain = points.T
+        sigma = float(name.removesuffix(" px"))
+        np.testing.assert_allclose(gain, np.exp(-((sigma * u) ** 2) / 2), atol=2e-6)
+        assert (u[0], u[-1]) == pytest.approx((0, np.pi))
+
+
+def test_the_focus_measure_peaks_where_its_curve_does(figures: Path) -> None:
+    found = series(figures, "fig-ch3-profile")
+    (frames,) = (points for (_, name), points in found.items() if name.startswith("SML"))
+    (curve,) = (points for (_, name), points in found.items() if name.startswith("Gaussian"))
+    np.testing.assert_allclose(np.diff(frames[:, 0]), 25)  # µm between frames
+    best = frames[frames[:, 1].argmax()]
+    assert abs(curve[curve[:, 1].argmax(), 0] - best[0]) <= 12.5
+    # Through the three highest points.
+    near = np.abs(frames[:, 0] - best[0]) < 30
+    between = np.interp(frames[near, 0], *curve.T)
+    np.testing.assert_allclose(between, frames[near, 1], rtol=0.01)
+
+
+def test_choices_of_the_measure_are_shares_of_their_largest(figures: Path) -> None:
+    for points in series(figures, "fig-ch3-choices").values():
+        assert points[:, 1].max() == 1
+        assert points[:, 1].min() >= 0
+        assert points[0, 0] == 0
+
+
+def test_profiles_are_as_deep_as_they_say(figures: Path) -> None:
+    """(4.2): zero at the rim, the depth at the probe's edge, the same on both sides."""
+    for (_, name), points in series(figures, "fig-ch4-profiles").items():
+        r, height = points.T
+        half = float(name.removeprefix("c = ").removesuffix(" µm"))
+        assert (r[0], r[-1]) == (-RADIUS, RADIUS)
+        np.testing.assert_allclose(np.abs(r).min(), half)
+        np.testing.assert_allclose(height, height[::-1], atol=1e-4)
+        assert height.min() == pytest.approx(-40, abs=1e-3)
+        assert height[0] == pytest.approx(0, abs=1e-3)
+        assert (np.diff(height[r > 0]) > 0).all()
+
+
+def test_forces_go_with_the_modulus_and_the_cube_of_the_depth(figures: Path) -> None:
+    """(5.2), and Table 5.6 as one of its points."""
+    found = series(figures, "fig-ch4-force")
+    assert found[1, "Table 5.6"].tolist() == [[DEPTH, FORCE]]
+    depth, soft = found[1, "E = 0.66 MPa"].T
+    _, stiff = found[1, "E = 2.00 MPa"].T
+    large = depth > 20
+    np.testing.assert_allclose(stiff[large] / soft[large], 2 / 0.66, rtol=1e-3)
+    slope = np.diff(np.log(soft[large])) / np.diff(np.log(depth[large]))
+    np.testing.assert_allclose(slope, 3, atol=5e-3)
+    assert np.interp(DEPTH, *found[1, "E = 1.32 MPa"].T) == pytest.approx(FORCE, rel=2e-4)
+
+
+def test_the_modulus_spreads_by_three_times_the_depth(figures: Path) -> None:
+    """E ~ w_d⁻³: to first order thrice the spread, and a mean that is 6 σ² too large."""
+    found = series(figures, "fig-ch4-monte-carlo")
+    by_name = {name: points for (_, name), points in found.items()}
+    x, first = by_name["spread, first order"].T
+    np.testing.assert_allclose(first, 3 * x, rtol=1e-4)
+    np.testing.assert_allclose(by_name["spread, drawn"][:2, 1], first[:2], rtol=0.03)
+    shift = by_name["shift of the mean, drawn"][-1, 1]
+    # Of 20 000 draws with a spread of half; higher orders add as much again.
+    assert 6 * x[-1] ** 2 / 100 < shift < 3 * 6 * x[-1] ** 2 / 100
+
+
+def test_small_slopes_need_no_correction(figures: Path) -> None:
+    for points in series(figures, "fig-ch4-small-slopes").values():
+        x, factor = points[np.isfinite(points[:, 1])].T
+        assert factor[0] == pytest.approx(1, abs=1e-3)
+        assert (np.diff(factor) > 0).all()
+        assert x.max() <= 0.55
+
+
+def test_the_section_of_the_dimple_has_the_lengths_of_the_table(figures: Path) -> None:
+    points = np.concatenate([p for (_, name), p in series(figures, "fig-4-3").items()])
+    assert points[:, 1].min() == pytest.approx(-DEPTH, abs=1e-3)
+    bottom = points[np.isclose(points[:, 1], -DEPTH, atol=1e-3), 0]
+    assert {HALF_WIDTH, -HALF_WIDTH} <= set(np.round(bottom, 3))
+    rim = points[np.isclose(points[:, 1], 0, atol=1e-3), 0]
+    assert {RADIUS, -RADIUS} <= set(np.round(rim, 3))
+
+
+def test_the_printed_outline_is_higher_at_the_rim(figures: Path) -> None:
+    found = {name.split(" ")[0]: p for (_, name), p in series(figures, "fig-5-18").items()}
+    (x1, y1), (x2, y2) = found["rim"][0], found["bottom"][0]
+    assert 3.875 * (x2 - x1) == pytest.approx(RADIUS, abs=0.5)
+    assert 3.875 * (y1 - y2) == pytest.approx(DEPTH, abs=0.5)
+
+
+@pytest.mark.parametrize("name", ["fig-5-6", "fig-5-7", "fig-5-8"])
+def test_a_path_is_followed_and_its_error_is_not_negative(figures: Path, name: str) -> None:
+    found = series(figures, name)
+    reference, measured = found[1, "reference"], found[1, "measured"]
+    assert reference[0].tolist() == [0, 0]
+    span = np.ptp(reference, axis=0).max()
+    # Late by some frames and moved by the depth's error, but on the way.
+    assert np.median(np.hypot(*(reference - measured).T)) < span / 5
+    ((_, error),) = [(k, v) for k, v in found.items() if k[0] == 2]
+    assert (error[:, 1] >= 0).all()
+    np.testing.assert_allclose(np.diff(error[:, 0]), 1 / 33, atol=1e-5)
+
+
+def test_a_step_ends_at_its_reference(figures: Path) -> None:
+    found = series(figures, "fig-5-4")
+    for panel in (1, 3):
+        x, reference = found[panel, "x"], found[panel, "reference"]
+        assert x[-5:, 1].mean() == pytest.approx(reference[-1, 1], rel=0.1)
+        assert abs(x[0, 1]) < 0.1 * reference[-1, 1]
+        # The command dies down as it arrives.
+        command = np.abs(found[panel + 1, "x"][:, 1])
+        assert command[-5:].mean() < 0.2 * command.max()
+
+
+def test_verdicts_are_counted_once(figures: Path) -> None:
+    """Bars lie: their lengths are numbers of claims, and all together all claims."""
+    table = pd.read_csv(figures / "fig-ch6-verdicts.csv")
+    claims = table["x"].to_numpy()
+    assert (claims == np.round(claims)).all()
+    assert claims.sum() == 197
+
+
+def test_moduli_within_the_rounding_are_all_counted(figures: Path) -> None:
+    (bars,) = series(figures, "fig-ch5-rounding").values()
+    assert bars[:, 1].sum() == 1000
+    assert len(bars) == 30
+    assert bars[0, 0] < 1.3237 < bars[-1, 0]
