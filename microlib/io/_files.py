@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from os import PathLike
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import tifffile
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import as_array, of_kind, replace_file, scalar
+from microlib.io._headers import picture_size
 from microlib.io._tiff import MOST_PIXELS, is_tiff, only_page
 
 _MICROMETERS_PER_CENTIMETER = 1e4
@@ -77,29 +77,13 @@ def decode(name: str, file: Path, flags: int) -> NDArray | None:
     try:
         return cv2.imdecode(raw, flags)
     except cv2.error:
-        width, height = _size_in_header(raw.tobytes())
+        height, width = picture_size(file) or (0, 0)
         if width * height <= MOST_PIXELS and max(width, height) <= _LONGEST_SIDE:
             return None
         raise ValueError(
             f"{name} must be of at most {MOST_PIXELS} px, {_LONGEST_SIDE} px a side, got {file} "
             f"with a header of {width}×{height} px"
         ) from None
-
-
-def _size_in_header(raw: bytes) -> tuple[int, int]:
-    """Return width and height that the header of a PNG or JPEG states, zeros for others."""
-    if raw[:8] == b"\x89PNG\r\n\x1a\n" and len(raw) >= 24:
-        width, height = struct.unpack(">II", raw[16:24])
-        return width, height
-    # The segments of a JPEG up to the start of a frame, SOF0 to SOF15 without three other tables.
-    at = 2 if raw[:2] == b"\xff\xd8" else len(raw)
-    while at + 9 <= len(raw) and raw[at] == 0xFF:
-        marker, length = raw[at + 1], int.from_bytes(raw[at + 2 : at + 4], "big")
-        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
-            height, width = struct.unpack(">HH", raw[at + 5 : at + 9])
-            return width, height
-        at += 2 + length
-    return 0, 0
 
 
 def write_height_tiff(path: str | PathLike[str], height: ArrayLike, *, pixel_size: float) -> None:
