@@ -166,6 +166,8 @@ class FocusResult:
         >>> bool((result.select(255 - stack) == 255 - result.all_in_focus).all())
         True
         """
+        if (self.index < 0).all():
+            raise ValueError("frames cannot be chosen from, got a depth that is nowhere known")
         reader: Iterable[Image] = read_frames(frames, color=True)
         if self.poses is not None:
             known = zip(reader, self.poses, strict=False)
@@ -290,15 +292,16 @@ def depth_from_focus(
     """
     if not callable(measure):
         one_of("measure", measure, MEASURES)
+    registered = flag("register", register)
     stack = open_stack(
-        frames, positions, region=region, reduce=reduce, progress=progress, again=register
+        frames, positions, region=region, reduce=reduce, progress=progress, again=registered
     )
     z = _check_positions(stack.positions)
     stack.check_count(z)
-    if flag("register", register) or stack.color:
+    if registered or stack.color:
         options: dict[str, Any] = {"measure": measure, "window": window, "step": step}
         options |= {"threshold": threshold, "points": points, "workers": workers}
-        return stack.focus(z, partial(depth_from_focus, **options), registered=register)
+        return stack.focus(z, partial(depth_from_focus, **options), registered=registered)
     frames = stack.frames
     usual = _POINTS if measure == "multiscale" else 3
     fit = whole("points", usual if points is None else points, least=3, odd=True, most=_MOST_POINTS)

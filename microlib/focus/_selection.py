@@ -22,7 +22,8 @@ def select(frames: Iterable[Image], index: NDArray[np.integer]) -> Image:
     frames : iterable of ndarray, shape (rows, cols) or (rows, cols, 3)
         Frames, grey or in color.
     index : ndarray of int, shape (rows, cols)
-        Number of the frame of each pixel; where it is negative, that of the nearest pixel counts.
+        Number of the frame of each pixel; where it is negative, that of the nearest pixel counts,
+        or the first if there is none.
 
     Returns
     -------
@@ -31,7 +32,7 @@ def select(frames: Iterable[Image], index: NDArray[np.integer]) -> Image:
     Raises
     ------
     ValueError
-        If no pixel has a frame, or the frames are too few or of another size.
+        If the frames are too few or of another size.
 
     Examples
     --------
@@ -39,8 +40,6 @@ def select(frames: Iterable[Image], index: NDArray[np.integer]) -> Image:
     >>> select(frames, np.array([[1, -1, 0]])).tolist()
     [[20, 20, 10]]
     """
-    if (index < 0).all():
-        raise ValueError("index must name a frame for at least one pixel, got none")
     wanted = _nearest(index)
     last = int(wanted.max())
     result: Image | None = None
@@ -62,6 +61,8 @@ def _nearest(index: NDArray[np.integer]) -> NDArray[np.integer]:
     unknown = index < 0
     if not unknown.any():
         return index
+    if unknown.all():
+        return np.zeros_like(index)
     at = ndimage.distance_transform_edt(unknown, return_distances=False, return_indices=True)
     return index[tuple(at)]
 
