@@ -24,7 +24,7 @@ import time
 import typing
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -300,7 +300,9 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "threshold": 0.0, "points": 3, "workers": 1, "register": False, "region": (0, 0, 20, 20),
         "reduce": 1, "progress": None,
     },
-    "focus.FocusResult.select": lambda: {"self": depths(), "frames": stack()},
+    "focus.FocusResult.select": lambda: {
+        "self": replace(depths(), index=np.full_like(depths().index, 2)), "frames": stack()
+    },
     "focus.smooth_depth": lambda: {
         "depth": dome(), "jump": 2.0, "radius": 3.0, "weight": np.ones((24, 28))
     },
@@ -308,6 +310,8 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "image": target(), "window": 5, "step": 1, "threshold": 0.0
     },
     "focus.three_point_peak": peaks,
+    "io._frames.FrameReader.again": lambda: {"self": io.read_frames(stack()), "color": False},
+    "io._frames.FrameReader.kept": lambda: {"self": io.read_frames(stack())},
     "io.read_frames": lambda: {
         "frames": stack(), "color": False, "region": (0, 0, 20, 20), "reduce": 1
     },

@@ -25,6 +25,8 @@ Progress = Callable[[int, int], object]
 #: Depth from frames and their positions, all other settings given.
 Depth = Callable[[Frames, ArrayLike], "FocusResult"]
 
+#: Axes of metadata that are no focus.
+_NO_FOCUS = {"T": "times", "C": "channels"}
 #: Least number of frames, and share of all, on either side of a pixel's best one that must show it.
 _REACH, _REACH_SHARE = 3, 0.1
 
@@ -140,16 +142,19 @@ def open_stack(
     if progress is not None and not callable(progress):
         raise ValueError(f"progress must be callable, got {progress!r}")
     reader = read_frames(frames, region=region, reduce=reduce)
-    reader.refuse_no_focus()
+    if reader.axis in _NO_FOCUS:
+        raise ValueError(
+            f"frames must differ in focus, got a file of {reader.count} {_NO_FOCUS[reader.axis]} "
+            f"(axis {reader.axis}); if they do, pass the array, as tifffile.imread gives it"
+        )
     if positions is None:
         positions = reader.positions
         if positions is None:
             raise ValueError("positions must be given, got None and frames that do not tell theirs")
     if reader.count == 0:
         raise ValueError("frames must hold at least three frames, got none")
-    if (again or reader.color) and not reader.rereadable:
-        held = list(read_frames(reader.unread(), color=True))
-        reader = read_frames(held)
+    if again or reader.color:
+        reader = reader.kept()
     plain = region is None and reduce == 1 and progress is None and reader.rereadable
     given = frames if plain and not again else _counted(reader, progress, reader.count, 1, 0)
     return Stack(given, positions, reader.color, reader, progress)

@@ -11,7 +11,7 @@ import numpy as np
 import tifffile
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import as_array, of_kind, replace_file, scalar, whole
+from microlib._common import as_array, of_kind, refuse_masks, replace_file, scalar, whole
 from microlib.io._headers import picture_size
 from microlib.io._tiff import MOST_PIXELS, is_tiff, only_page
 
@@ -153,6 +153,7 @@ def write_height_tiff(
 
 def _map(values: ArrayLike) -> NDArray:
     """Return a map in a type that files keep."""
+    refuse_masks("height", values)
     array = values if isinstance(values, np.ndarray) else as_array("height", values, finite=False)
     kept = array.dtype if array.dtype in (np.uint8, np.uint16, np.int32) else np.float32
     if array.ndim == 3 and array.shape[2] == 3:
@@ -224,6 +225,7 @@ def write_ply(
 
 
 def _colors(image: ArrayLike, shape: tuple[int, ...]) -> NDArray:
+    refuse_masks("image", image)
     colors = image if isinstance(image, np.ndarray) else as_array("image", image)
     if colors.dtype != np.uint8 or colors.shape not in (shape, (*shape, 3)):
         raise ValueError(

@@ -17,9 +17,6 @@ __all__ = ["FrameReader", "Region", "read_frames"]
 #: Top row, left column, rows and columns of a part of the frames, px.
 Region = tuple[int, int, int, int]
 
-#: Axes of metadata that are no focus.
-_NO_FOCUS = {"T": "time", "C": "channels"}
-
 
 def read_frames(
     frames: Frames, *, color: bool = False, region: Region | None = None, reduce: int = 1
@@ -128,24 +125,19 @@ class FrameReader(Iterator[NDArray]):
         """
         if not self.rereadable:
             raise ValueError("frames must be readable twice, got an iterator; pass a list of them")
-        return FrameReader(self._source, color, self._region, self._reduce)
+        return FrameReader(self._source, flag("color", color), self._region, self._reduce)
 
-    def unread(self) -> Iterator[NDArray]:
-        """Yield what is left of the source's frames, as they are, in color."""
-        return (raw for _, raw in self._named)
+    def kept(self) -> FrameReader:
+        """Return a reader that can be read again: this one, or one of a list of an iterator's."""
+        if self.rereadable:
+            return self
+        held = open_source([raw for _, raw in self._named])
+        return FrameReader(held, self._in_color, self._region, self._reduce)
 
     @property
     def rereadable(self) -> bool:
         """Whether `again` works."""
         return self._source.again
-
-    def refuse_no_focus(self) -> None:
-        """Refuse a file whose frames are of different times or channels, not of different focus."""
-        if self.axis in _NO_FOCUS:
-            raise ValueError(
-                f"frames must differ in focus, got a file of {self.count} {_NO_FOCUS[self.axis]} "
-                f"(axis {self.axis}); if they do, pass the array, as tifffile.imread gives it"
-            )
 
     def _checked(self, named: Named) -> Iterator[NDArray]:
         for name, raw in named:

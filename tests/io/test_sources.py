@@ -239,7 +239,7 @@ def test_unknown_sizes_are_not_guessed(stack: NDArray, tmp_path: Path) -> None:
 def test_time_is_not_taken_for_focus(stack: NDArray, tmp_path: Path, kind: str) -> None:
     path = tmp_path / ("a.ome.tif" if kind == "ome" else "a.tif")
     tifffile.imwrite(path, stack, imagej=kind == "imagej", metadata={"axes": "TYX"})
-    with pytest.raises(ValueError, match="must differ in focus, got a file of 12 time"):
+    with pytest.raises(ValueError, match="must differ in focus, got a file of 12 times"):
         depth_from_focus(path, np.arange(float(COUNT)))
     assert read_frames(path).count == COUNT  # a sequence for other uses
 
