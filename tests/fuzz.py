@@ -24,7 +24,7 @@ import time
 import typing
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -297,7 +297,11 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "focus.correct_spikes": lambda: {"depth": dome(), "window": 5, "delta": 2.0},
     "focus.depth_from_focus": lambda: {
         "frames": stack(), "positions": np.arange(5.0), "measure": "sml", "window": 5, "step": 1,
-        "threshold": 0.0, "points": 3, "workers": 1,
+        "threshold": 0.0, "points": 3, "workers": 1, "register": False, "region": (0, 0, 20, 20),
+        "reduce": 1, "progress": None,
+    },
+    "focus.FocusResult.select": lambda: {
+        "self": replace(depths(), index=np.full_like(depths().index, 2)), "frames": stack()
     },
     "focus.smooth_depth": lambda: {
         "depth": dome(), "jump": 2.0, "radius": 3.0, "weight": np.ones((24, 28))
@@ -306,12 +310,19 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "image": target(), "window": 5, "step": 1, "threshold": 0.0
     },
     "focus.three_point_peak": peaks,
-    "io.read_frames": lambda: {"frames": stack()},
+    "io._frames.FrameReader.again": lambda: {"self": io.read_frames(stack()), "color": False},
+    "io._frames.FrameReader.kept": lambda: {"self": io.read_frames(stack())},
+    "io.read_frames": lambda: {
+        "frames": stack(), "color": False, "region": (0, 0, 20, 20), "reduce": 1
+    },
     "io.read_grey": lambda: {"path": written()},
     "io.write_height_tiff": lambda: {
-        "path": FOLDER / "fuzz.tif", "height": dome(), "pixel_size": 2.0
+        "path": FOLDER / "fuzz.tif", "height": dome(), "pixel_size": 2.0, "what": "height in um"
     },
-    "io.write_ply": lambda: {"path": FOLDER / "fuzz.ply", "height": dome(), "pixel_size": 2.0},
+    "io.write_ply": lambda: {
+        "path": FOLDER / "fuzz.ply", "height": dome(), "pixel_size": 2.0,
+        "image": np.zeros((24, 28), np.uint8), "step": 1,
+    },
     "membrane.dimple_depth": lambda: {
         "force": 100.0, "dimple_radius": 200.0, "modulus": 1.0, **EGG
     },

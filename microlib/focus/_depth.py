@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain, product
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from microlib._common import Array, Frames, Image, as_array, is_in_memory, one_of, scalar, whole
+from microlib._common import (
+    Array,
+    Frames,
+    Image,
+    as_array,
+    flag,
+    is_in_memory,
+    one_of,
+    scalar,
+    whole,
+)
 from microlib.focus._correction import smooth_depth
 from microlib.focus._loops import fill_in
 from microlib.focus._measures import (
@@ -34,6 +47,8 @@ from microlib.focus._reliability import (
     set_to_nan,
     small_component_mask,
 )
+from microlib.focus._selection import select, warped
+from microlib.focus._stack import Progress, open_stack
 from microlib.io import read_frames
 
 #: Frames whose numbers fit into 16 bits.
@@ -102,6 +117,12 @@ class FocusResult:
     at_end : ndarray of bool, shape (rows, cols)
         Whether the sharpest frame is the first or the last, so that the true focus may lie
         outside the stack.
+    poses : ndarray, shape (n, 2, 3), or None
+        If the stack was registered: for each frame the matrix that takes x, y and 1 of a pixel of
+        the result to x and y of the same place in the frame, px. NaN for frames that were left out.
+    gain, offset : ndarray, shape (n,), or None
+        If the stack was registered: grey levels of the frame at the image's center are `gain` times
+        those of the middle frame, plus `offset`.
     """
 
     depth: NDArray[np.float32]
@@ -110,11 +131,54 @@ class FocusResult:
     index: NDArray[np.int32]
     all_in_focus: Image
     at_end: NDArray[np.bool_]
+    poses: Array | None = None
+    gain: Array | None = None
+    offset: Array | None = None
+
+    def select(self, frames: Frames) -> Image:
+        """Return an image of other frames of the same places, such as another channel.
+
+        Parameters
+        ----------
+        frames : array_like, path, or iterable
+            As many frames as the stack has, of the same size, grey or in color, as for
+            `microlib.io.read_frames`.
+
+        Returns
+        -------
+        ndarray of the frames' type, shape (rows, cols) or (rows, cols, 3)
+            Every pixel from the frame `index`, or that of the nearest pixel that has one. If the
+            stack was registered, its `poses` are applied, its `gain` and `offset` are not.
+
+        Raises
+        ------
+        ValueError
+            If no pixel has a depth, or the frames are too few or of another size.
+
+        Examples
+        --------
+        >>> from microlib import synthetic
+        >>> texture = synthetic.mixed_texture((48, 48), np.random.default_rng(0))
+        >>> positions = np.arange(0.0, 100.0, 10.0)
+        >>> flat = np.full((48, 48), 42.0)
+        >>> stack = synthetic.focal_stack(texture, flat, positions, blur_rate=0.1)
+        >>> result = depth_from_focus(stack, positions)
+        >>> bool((result.select(255 - stack) == 255 - result.all_in_focus).all())
+        True
+        """
+        if (self.index < 0).all():
+            raise ValueError("frames cannot be chosen from, got a depth that is nowhere known")
+        reader: Iterable[Image] = read_frames(frames, color=True)
+        if self.poses is not None:
+            known = zip(reader, self.poses, strict=False)
+            # A frame that was left out is nobody's best one.
+            reader = (warped(f, pose) if np.isfinite(pose).all() else f for f, pose in known)
+        return select(reader, self.index)
 
 
 def depth_from_focus(
     frames: Frames,
-    positions: ArrayLike,
+    positions: ArrayLike | None = None,
     *,
     measure: str | FocusMeasure = "multiscale",
     window: int = 5,
@@ -122,17 +186,24 @@ def depth_from_focus(
     threshold: float = 0.0,
     points: int | None = None,
     workers: int = 1,
+    register: bool = False,
+    region: tuple[int, int, int, int] | None = None,
+    reduce: int = 1,
+    progress: Progress | None = None,
 ) -> FocusResult:
     """Return the depth of every pixel of a focal stack.
 
     Parameters
     ----------
-    frames : array_like of shape (n, rows, cols), path, or iterable
-        At least three grey frames of 8 or 16 bits or floating point: an array, a multi-page TIFF
-        or OME-TIFF, or an iterable of images or image files, such as a generator. Frames are read
-        once and only a few are held.
-    positions : array_like, shape (n,)
+    frames : array_like, path, or iterable
+        At least three frames, grey or in color, of 8 or 16 bits or floating point, in whatever
+        `microlib.io.read_frames` reads: an array or what is like one, a multi-page TIFF or
+        OME-TIFF, a folder or pattern of images, a video, or an iterable of images or image files,
+        such as a generator. The depth comes from luminance. Frames are read once and only a few are
+        held; with colors or `register` they are read anew, and an iterator is held in memory.
+    positions : array_like, shape (n,), optional
         Position of each frame along the optical axis, µm, rising or falling, not necessarily even.
+        By default what a TIFF's OME or ImageJ metadata say.
     measure : {"multiscale", "sml", "tenengrad", "variance"} or callable
         Focus measure. The default is the most accurate; "sml" is the thesis'
         sum-modified-Laplacian. A callable takes a frame and returns its measure, zero or positive
@@ -149,6 +220,17 @@ def depth_from_focus(
         Number of threads that work on bands of rows. The result is the same for any number. With
         more than one, an iterable is asked for its next frame by whichever thread needs it first,
         never by two at a time.
+    register : bool
+        Whether to undo shift, rotation, scale and brightness that change from frame to frame. The
+        result is that of the middle frame's camera; what lies outside some frame that matters for a
+        pixel has no depth.
+    region : tuple of four ints, optional
+        Part of the frames that is looked at: top row, left column, rows and columns, px.
+    reduce : int
+        Side of the square blocks of pixels that become one, for a quick preview.
+    progress : callable, optional
+        Told after each frame how many have been read and how many there are to read, in all
+        passes. An exception from it ends the work.
 
     Returns
     -------
@@ -159,8 +241,14 @@ def depth_from_focus(
     ------
     ValueError
         If there are fewer than three frames or not as many as positions; frames differ in size or
-        type, are not grey or not finite; positions are not finite or not strictly monotonic; a
-        file cannot be read, or an option is out of range.
+        type, are no images or not finite, or differ in time or channel and not in focus; positions
+        are not finite, not strictly monotonic, or not known; a file cannot be read, or an option is
+        out of range. With `register`, if less than half of the frames show one scene.
+
+    Warns
+    -----
+    UserWarning
+        If frames that show something else are left out by `register`.
 
     Notes
     -----
@@ -181,6 +269,10 @@ def depth_from_focus(
     whose best frame is the first or the last is flagged and gets that frame's position, unless a
     fit of more points puts it further in. Equal maxima go to the first.
 
+    Frames are registered by links between neighbors and those two apart: motion, gain and offset
+    of each are fitted together with the change of blur, first without and then with a depth that is
+    known at reduced size. What blur itself moves, half the gradient of its variance, stays.
+
     The first call on a machine compiles the inner loops, which takes some seconds, and keeps them.
 
     References
@@ -198,9 +290,19 @@ def depth_from_focus(
     >>> bool(np.abs(result.depth - 42.0).max() < 1.0)
     True
     """
-    z = _check_positions(positions)
     if not callable(measure):
         one_of("measure", measure, MEASURES)
+    registered = flag("register", register)
+    stack = open_stack(
+        frames, positions, region=region, reduce=reduce, progress=progress, again=registered
+    )
+    z = _check_positions(stack.positions)
+    stack.check_count(z)
+    if registered or stack.color:
+        options: dict[str, Any] = {"measure": measure, "window": window, "step": step}
+        options |= {"threshold": threshold, "points": points, "workers": workers}
+        return stack.focus(z, partial(depth_from_focus, **options), registered=registered)
+    frames = stack.frames
     usual = _POINTS if measure == "multiscale" else 3
     fit = whole("points", usual if points is None else points, least=3, odd=True, most=_MOST_POINTS)
     threads = whole("workers", workers, least=1, most=_MOST_WORKERS)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import struct
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import tifffile
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import as_array, of_kind, replace_file, scalar
+from microlib._common import as_array, of_kind, refuse_masks, replace_file, scalar, whole
+from microlib.io._headers import picture_size
 from microlib.io._tiff import MOST_PIXELS, is_tiff, only_page
 
 _MICROMETERS_PER_CENTIMETER = 1e4
@@ -77,7 +78,7 @@ def decode(name: str, file: Path, flags: int) -> NDArray | None:
     try:
         return cv2.imdecode(raw, flags)
     except cv2.error:
-        width, height = _size_in_header(raw.tobytes())
+        height, width = picture_size(file) or (0, 0)
         if width * height <= MOST_PIXELS and max(width, height) <= _LONGEST_SIDE:
             return None
         raise ValueError(
@@ -86,38 +87,33 @@ def decode(name: str, file: Path, flags: int) -> NDArray | None:
         ) from None
 
 
-def _size_in_header(raw: bytes) -> tuple[int, int]:
-    """Return width and height that the header of a PNG or JPEG states, zeros for others."""
-    if raw[:8] == b"\x89PNG\r\n\x1a\n" and len(raw) >= 24:
-        width, height = struct.unpack(">II", raw[16:24])
-        return width, height
-    # The segments of a JPEG up to the start of a frame, SOF0 to SOF15 without three other tables.
-    at = 2 if raw[:2] == b"\xff\xd8" else len(raw)
-    while at + 9 <= len(raw) and raw[at] == 0xFF:
-        marker, length = raw[at + 1], int.from_bytes(raw[at + 2 : at + 4], "big")
-        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
-            height, width = struct.unpack(">HH", raw[at + 5 : at + 9])
-            return width, height
-        at += 2 + length
-    return 0, 0
-
-
-def write_height_tiff(path: str | PathLike[str], height: ArrayLike, *, pixel_size: float) -> None:
-    """Write a height map as a float32 TIFF that ImageJ and others open to scale.
+def write_height_tiff(
+    path: str | PathLike[str],
+    height: ArrayLike,
+    *,
+    pixel_size: float,
+    what: str = "height in um",
+) -> None:
+    """Write a height map, or another map of its pixels, as a TIFF that others open to scale.
 
     Parameters
     ----------
     path : path-like
-        File to write; an old one is replaced only once the new one is whole.
-    height : array_like, shape (rows, cols)
-        Heights, in µm; NaN where unknown.
+        File to write; an old one is replaced only once the new one is whole. A name that ends in
+        ``.ome.tif`` makes it an OME-TIFF, with the pixel size as PhysicalSizeX and PhysicalSizeY.
+    height : array_like, shape (rows, cols) or (rows, cols, 3)
+        Heights, µm, or their uncertainties, frame numbers, grey levels or colors; NaN where
+        unknown. Integers of 8 and 16 bits without and of 32 with a sign are kept, other types
+        become float32.
     pixel_size : float
         Size of a pixel, in µm/px.
+    what : str
+        What the values are, for whoever opens the file.
 
     Raises
     ------
     ValueError
-        If `height` is not two-dimensional or `pixel_size` is not positive.
+        If `height` is no map or `pixel_size` is not positive.
 
     Examples
     --------
@@ -128,24 +124,51 @@ def write_height_tiff(path: str | PathLike[str], height: ArrayLike, *, pixel_siz
     (4, 5)
     """
     of_kind("path", path, str, PathLike)
-    heights = as_array("height", height, shape=(None, None), dtype=np.float32, finite=False)
+    of_kind("what", what, str)
+    values = _map(height)
     size = scalar("pixel_size", pixel_size, above=0, least=_FINEST, most=_COARSEST)
     per_centimeter = _MICROMETERS_PER_CENTIMETER / size
+    ome = Path(path).name.lower().endswith((".ome.tif", ".ome.tiff"))
+    about: dict[str, Any] = {"description": f"{what}; pixel size {size:g} um"}
+    if ome:
+        sizes = {f"PhysicalSize{axis}": size for axis in "XY"}
+        units = {f"PhysicalSize{axis}Unit": "µm" for axis in "XY"}
+        axes = {"axes": "YX" if values.ndim == 2 else "YXS"}
+        about = {"metadata": {**axes, **sizes, **units, "Name": what}}
 
     def write(file: Path) -> None:
         tifffile.imwrite(
             file,
-            heights,
+            values,
             resolution=(per_centimeter, per_centimeter),
             resolutionunit="CENTIMETER",
-            description=f"height in um; pixel size {size:g} um",
+            photometric="minisblack" if values.ndim == 2 else "rgb",
+            ome=ome,
             software=False,
+            **about,
         )
 
     replace_file(path, write)
 
 
-def write_ply(path: str | PathLike[str], height: ArrayLike, *, pixel_size: float) -> None:
+def _map(values: ArrayLike) -> NDArray:
+    """Return a map in a type that files keep."""
+    refuse_masks("height", values)
+    array = values if isinstance(values, np.ndarray) else as_array("height", values, finite=False)
+    kept = array.dtype if array.dtype in (np.uint8, np.uint16, np.int32) else np.float32
+    if array.ndim == 3 and array.shape[2] == 3:
+        return as_array("height", values, shape=(None, None, 3), dtype=kept, finite=False)
+    return as_array("height", values, shape=(None, None), dtype=kept, finite=False)
+
+
+def write_ply(
+    path: str | PathLike[str],
+    height: ArrayLike,
+    *,
+    pixel_size: float,
+    image: ArrayLike | None = None,
+    step: int = 1,
+) -> None:
     """Write a height map as a triangle mesh in the PLY format, lengths in µm.
 
     Parameters
@@ -156,11 +179,17 @@ def write_ply(path: str | PathLike[str], height: ArrayLike, *, pixel_size: float
         Heights, in µm; cells with a NaN at a corner are left out.
     pixel_size : float
         Size of a pixel, in µm/px.
+    image : array_like of uint8, shape (rows, cols) or (rows, cols, 3), optional
+        Grey levels or colors of the vertices.
+    step : int
+        Side of the square blocks of pixels that become one vertex, at the mean of what is known of
+        them if that is at least half.
 
     Raises
     ------
     ValueError
-        If `height` is not two-dimensional, has no whole cell, or `pixel_size` is not positive.
+        If `height` is not two-dimensional, has no whole cell, `pixel_size` is not positive, or
+        `image` is of another size or type.
 
     Notes
     -----
@@ -178,6 +207,49 @@ def write_ply(path: str | PathLike[str], height: ArrayLike, *, pixel_size: float
     of_kind("path", path, str, PathLike)
     heights = as_array("height", height, shape=(None, None), finite=False)
     size = scalar("pixel_size", pixel_size, above=0, least=_FINEST, most=_COARSEST)
+    by = whole("step", step, least=1)
+    colors = None if image is None else _colors(image, heights.shape)
+    if by > 1:
+        heights = _block_means(heights, by)
+        if colors is not None:
+            colors = np.rint(
+                np.stack([_block_means(c, by) for c in np.moveaxis(colors, 2, 0)], axis=2)
+            ).astype(np.uint8)
+    # The middle of the first block.
+    content = _mesh(heights, colors, size * by, size * (by - 1) / 2)
+
+    def write(file: Path) -> None:
+        file.write_bytes(content)
+
+    replace_file(path, write)
+
+
+def _colors(image: ArrayLike, shape: tuple[int, ...]) -> NDArray:
+    refuse_masks("image", image)
+    colors = image if isinstance(image, np.ndarray) else as_array("image", image)
+    if colors.dtype != np.uint8 or colors.shape not in (shape, (*shape, 3)):
+        raise ValueError(
+            f"image must be uint8 of shape {shape} or {(*shape, 3)}, "
+            f"got {colors.dtype} of shape {colors.shape}"
+        )
+    return colors if colors.ndim == 3 else np.repeat(colors[..., None], 3, axis=2)
+
+
+def _block_means(values: NDArray, by: int) -> NDArray:
+    """Return the means of what is known in square blocks, NaN where that is less than half."""
+    rows, cols = (n // by for n in values.shape)
+    if min(rows, cols) == 0:
+        raise ValueError(f"step must be at most the sides of height {values.shape}, got {by}")
+    blocks = values[: rows * by, : cols * by].reshape(rows, by, cols, by).swapaxes(1, 2)
+    flat = blocks.reshape(rows, cols, by * by).astype(np.float64)
+    known = np.isfinite(flat)
+    count = known.sum(axis=2)
+    total = np.where(known, flat, 0.0).sum(axis=2)
+    return np.where(2 * count >= by * by, total / np.maximum(count, 1), np.nan)
+
+
+def _mesh(heights: NDArray, colors: NDArray | None, spacing: float, first: float) -> bytes:
+    """Return a PLY file of the vertices with known heights and the triangles between them."""
     known = np.isfinite(heights)
     cells = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
     if not cells.any():
@@ -187,7 +259,13 @@ def write_ply(path: str | PathLike[str], height: ArrayLike, *, pixel_size: float
         )
     number = np.cumsum(known.ravel()).reshape(known.shape) - 1
     row, column = np.nonzero(known)
-    vertices = np.column_stack([column * size, -row * size, heights[known]]).astype("<f4")
+    layout = [(axis, "<f4") for axis in "xyz"]
+    layout += [] if colors is None else [(name, "u1") for name in ("red", "green", "blue")]
+    vertices = np.empty(len(row), dtype=layout)
+    vertices["x"], vertices["y"] = first + column * spacing, -(first + row * spacing)
+    vertices["z"] = heights[known]
+    if colors is not None:
+        vertices["red"], vertices["green"], vertices["blue"] = colors[known].T
     corners = [
         number[:-1, :-1][cells],
         number[1:, :-1][cells],
@@ -202,21 +280,17 @@ def write_ply(path: str | PathLike[str], height: ArrayLike, *, pixel_size: float
     )
     faces = np.empty(len(triangles), dtype=[("count", "u1"), ("index", "<i4", 3)])
     faces["count"], faces["index"] = 3, triangles
+    kinds = {"<f4": "float", "u1": "uchar"}
     header = "\n".join(
         [
             "ply",
             "format binary_little_endian 1.0",
             "comment lengths in micrometers",
             f"element vertex {len(vertices)}",
-            *(f"property float {axis}" for axis in "xyz"),
+            *(f"property {kinds[kind]} {name}" for name, kind in layout),
             f"element face {len(faces)}",
             "property list uchar int vertex_indices",
             "end_header\n",
         ]
     )
-    content = header.encode("ascii") + vertices.tobytes() + faces.tobytes()
-
-    def write(file: Path) -> None:
-        file.write_bytes(content)
-
-    replace_file(path, write)
+    return header.encode("ascii") + vertices.tobytes() + faces.tobytes()

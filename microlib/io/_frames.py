@@ -2,92 +2,187 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from os import PathLike
-from pathlib import Path
+from collections.abc import Iterator
+from itertools import chain
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Frames, refuse_masks
-from microlib.io._files import decode
-from microlib.io._tiff import is_tiff, tiff_pages
+from microlib._common import Frames, flag, whole
+from microlib.io._sources import Named, Source, open_source
+
+__all__ = ["FrameReader", "Region", "read_frames"]
+
+#: Top row, left column, rows and columns of a part of the frames, px.
+Region = tuple[int, int, int, int]
 
 
-def read_frames(frames: Frames) -> Iterator[NDArray]:
-    """Yield grey frames of one size, checked, without holding more than one.
+def read_frames(
+    frames: Frames, *, color: bool = False, region: Region | None = None, reduce: int = 1
+) -> FrameReader:
+    """Return the frames of a stack one after the other, checked, without holding more than one.
 
     Parameters
     ----------
-    frames : array_like of shape (n, rows, cols), path, or iterable
-        An array; a multi-page TIFF or OME-TIFF; or an iterable, such as a list or a generator, of
-        images or of paths to image files. A TIFF has one axis of frames: depth Z, time T, or one
-        without a name.
+    frames : array_like, path, or iterable
+        An array of shape (n, rows, cols), or (n, rows, cols, 3) in color, or anything with a
+        `shape` like that whose frames are loaded as it is indexed, such as a zarr array; a folder
+        or a pattern (``"scan/*.jpg"``) of images, taken in the order of their names and of the
+        numbers in them; a multi-page TIFF or OME-TIFF; a video; or an iterable, such as a list or
+        a generator, of images or of paths to image files. A TIFF has one axis of frames: depth Z,
+        time T, or one without a name. ``~`` is the home folder.
+    color : bool
+        Whether color is wanted. If not, it becomes luminance, 0.299 R + 0.587 G + 0.114 B.
+    region : tuple of four ints, optional
+        Part of the frames: top row, left column, rows and columns, px.
+    reduce : int
+        Side of the square blocks of pixels that become one, their mean.
 
-    Yields
-    ------
-    ndarray, shape (rows, cols)
-        8-bit, 16-bit or float32 frames; other number types become float32. Frames of an array are
-        views of it, all others are the reader's own. Grey values are as stored: a TIFF in which
-        zero is white is not inverted.
+    Returns
+    -------
+    FrameReader
+        An iterator over the frames: ndarrays of shape (rows, cols), or (rows, cols, 3) in red,
+        green and blue, of 8 or 16 bits or float32; other number types become float32. Frames of
+        an array are views of it, all others are the reader's own. Values are as stored: a TIFF in
+        which zero is white is not inverted. The reader's attributes `count`, `shape`, `dtype`,
+        `color`, `axis`, `pixel_size` (µm/px) and `positions` (µm) say what the files tell of
+        them, None where they do not.
 
     Raises
     ------
     ValueError
-        If a frame is not grey, not finite, or differs from the first in size or type; or if a
-        file cannot be read, is cut off or damaged, or a TIFF has channels, depth and time, or more
-        pages or fewer than it says. The message names the frame, and the page or axes of a TIFF.
+        If the frames are none of these, a file is missing, is of another size than the first or no
+        image, or a TIFF is cut off, has channels, depth and time, or more pages or fewer than it
+        says: at once. While the frames are read, if one is neither grey nor color, not finite,
+        damaged, or differs from the first in size or type. The message names the frame, and the
+        page or axes of a TIFF.
 
     Examples
     --------
-    >>> [frame.dtype.name for frame in read_frames(np.zeros((2, 4, 5), np.uint8))]
-    ['uint8', 'uint8']
+    >>> reader = read_frames(np.zeros((2, 4, 5), np.uint8))
+    >>> reader.count, reader.shape, [frame.dtype.name for frame in reader]
+    (2, (4, 5), ['uint8', 'uint8'])
     """
-    first: NDArray | None = None
-    for name, frame in _named(frames):
-        checked = _check(name, frame)
-        if first is None:
-            first = checked
-        elif checked.shape != first.shape or checked.dtype != first.dtype:
-            raise ValueError(
-                f"{name} must be {first.dtype} of shape {first.shape} like the first frame, "
-                f"got {checked.dtype} of shape {checked.shape}"
-            )
-        yield checked
+    if isinstance(frames, FrameReader):
+        return frames
+    part = None if region is None else _region(region)
+    return FrameReader(
+        open_source(frames), flag("color", color), part, whole("reduce", reduce, least=1)
+    )
 
 
-def _named(frames: Frames) -> Iterator[tuple[str, NDArray]]:
-    """Yield each raw frame with the name that an error message should give it."""
-    if isinstance(frames, (str, PathLike)):
-        yield from tiff_pages(Path(frames))
-    elif isinstance(frames, np.ndarray):
-        refuse_masks("frames", frames)
-        if frames.ndim != 3:
-            raise ValueError(f"frames must have shape (any, any, any), got {frames.shape}")
-        for k, frame in enumerate(frames):
-            yield f"frames[{k}]", frame
-    elif isinstance(frames, Iterable):
-        for k, item in enumerate(frames):
-            if isinstance(item, (str, PathLike)):
-                yield f"frames[{k}], {item},", _image(Path(item))
-            else:
-                refuse_masks(f"frames[{k}]", item)
-                # A camera may hand out the same buffer again and again.
-                yield f"frames[{k}]", np.array(item)
-    else:
-        raise ValueError(
-            f"frames must be an array, a TIFF or an iterable of images, got {type(frames).__name__}"
-        )
+class FrameReader(Iterator[NDArray]):
+    """The frames of a stack, one after the other.
+
+    Attributes
+    ----------
+    count : int or None
+        Number of frames; None for an iterator, which does not tell.
+    shape : tuple of int
+        Rows and columns.
+    dtype : numpy.dtype
+        Type of the grey levels.
+    color : bool
+        Whether the source has colors.
+    axis : str
+        Letter of the axis of frames in a file's metadata, such as Z or T; empty if not said.
+    pixel_size : float or None
+        Side of a pixel, µm/px.
+    positions : ndarray, shape (count,), or None
+        Position of each frame along the optical axis, µm.
+    """
+
+    def __init__(self, source: Source, color: bool, region: Region | None, reduce: int) -> None:
+        self._source, self._in_color = source, color
+        self._region, self._reduce = region, reduce
+        self.count, self.axis, self.positions = source.count, source.axis, source.positions
+        size = source.pixel_size
+        self.pixel_size = None if size is None else size * reduce
+        named = source.read()
+        first = next(named, None)
+        self.shape: tuple[int, int] = (0, 0)
+        self.dtype = np.dtype(np.uint8)
+        self.color = False
+        if first is not None:
+            self.color = _has_color(first[1])
+            frame = self._prepared(*first)
+            self.shape, self.dtype = (frame.shape[0], frame.shape[1]), frame.dtype
+            named = chain([first], named)
+        self._named = named
+        self._frames = self._checked(named)
+
+    def __next__(self) -> NDArray:
+        return next(self._frames)
+
+    def again(self, *, color: bool = False) -> FrameReader:
+        """Return a reader of the same frames from the first one on.
+
+        Raises
+        ------
+        ValueError
+            If they came from an iterator, which is gone.
+        """
+        if not self.rereadable:
+            raise ValueError("frames must be readable twice, got an iterator; pass a list of them")
+        return FrameReader(self._source, flag("color", color), self._region, self._reduce)
+
+    def kept(self) -> FrameReader:
+        """Return a reader that can be read again: this one, or one of a list of an iterator's."""
+        if self.rereadable:
+            return self
+        held = open_source([raw for _, raw in self._named])
+        return FrameReader(held, self._in_color, self._region, self._reduce)
+
+    @property
+    def rereadable(self) -> bool:
+        """Whether `again` works."""
+        return self._source.again
+
+    def _checked(self, named: Named) -> Iterator[NDArray]:
+        for name, raw in named:
+            frame = self._prepared(name, raw)
+            if frame.shape[:2] != self.shape or frame.dtype != self.dtype:
+                raise ValueError(
+                    f"{name} must be {self.dtype} of shape {self.shape} like the first frame, "
+                    f"got {frame.dtype} of shape {frame.shape[:2]}"
+                )
+            if _has_color(raw) != self.color:
+                kind = "color" if self.color else "grey"
+                raise ValueError(f"{name} must be {kind} like the first frame")
+            yield frame
+            del raw, frame
+
+    def _prepared(self, name: str, raw: NDArray) -> NDArray:
+        """Return the part that is wanted, in a type and colors that are."""
+        frame = raw
+        if frame.ndim not in (2, 3) or (frame.ndim == 3 and not _has_color(frame)):
+            raise ValueError(f"{name} must be a grey or color image, got shape {frame.shape}")
+        if min(frame.shape) == 0:
+            raise ValueError(f"{name} must have pixels, got shape {frame.shape}")
+        if self._region is not None:
+            frame = frame[_slices(self._region, (frame.shape[0], frame.shape[1]))]
+        frame = _numbers(name, frame)
+        if frame.ndim == 3:
+            frame = np.ascontiguousarray(frame[..., :3])
+            if not self._in_color:
+                frame = cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)
+        if self._reduce > 1:
+            frame = _reduced(name, frame, self._reduce)
+        return frame
 
 
-def _check(name: str, frame: NDArray) -> NDArray:
-    if frame.ndim != 2 or min(frame.shape) == 0:
-        raise ValueError(f"{name} must be a grey image of two dimensions, got shape {frame.shape}")
+def _has_color(frame: NDArray) -> bool:
+    return frame.ndim == 3 and frame.shape[-1] in (3, 4)
+
+
+def _numbers(name: str, frame: NDArray) -> NDArray:
     if frame.dtype.kind not in "uif":
         raise ValueError(f"{name} must hold real numbers, got {frame.dtype}")
-    if frame.dtype in (np.uint8, np.uint16):
+    if frame.dtype in (np.uint8, np.uint16) and frame.dtype.isnative:
         return frame if frame.flags.c_contiguous else np.ascontiguousarray(frame)
+    if frame.dtype.kind == "u" and frame.dtype.itemsize <= 2:  # the other order of bytes
+        return np.ascontiguousarray(frame, dtype=frame.dtype.newbyteorder("="))
     with np.errstate(over="ignore"):  # what overflows is infinite, and told below
         result = np.ascontiguousarray(frame, dtype=np.float32)
     if not np.isfinite(result).all():
@@ -96,18 +191,27 @@ def _check(name: str, frame: NDArray) -> NDArray:
     return result
 
 
-def _image(path: Path) -> NDArray:
-    """Read one image file."""
-    if is_tiff(path):
-        pages = list(tiff_pages(path))
-        if len(pages) != 1:
-            raise ValueError(f"{path} must hold one page to be one frame, got {len(pages)}")
-        return pages[0][1]
-    if not path.is_file():
-        raise ValueError(f"frames cannot be read from {path}: no such file")
-    image = decode("frames", path, cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise ValueError(
-            f"frames cannot be read from {path}: damaged, or not an image that OpenCV knows"
-        )
-    return image
+def _region(region: object) -> Region:
+    if not isinstance(region, (tuple, list)) or len(region) != 4:
+        raise ValueError(f"region must be top, left, rows and columns, got {region!r}")
+    return (
+        whole("region top", region[0], least=0),
+        whole("region left", region[1], least=0),
+        whole("region rows", region[2], least=1),
+        whole("region columns", region[3], least=1),
+    )
+
+
+def _slices(region: Region, shape: tuple[int, int]) -> tuple[slice, slice]:
+    top, left, rows, cols = region
+    if top + rows > shape[0] or left + cols > shape[1]:
+        raise ValueError(f"region must lie in frames of shape {shape}, got {region}")
+    return slice(top, top + rows), slice(left, left + cols)
+
+
+def _reduced(name: str, frame: NDArray, by: int) -> NDArray:
+    rows, cols = frame.shape[0] // by, frame.shape[1] // by
+    if min(rows, cols) == 0:
+        raise ValueError(f"{name} must have sides of at least reduce={by} px, got {frame.shape}")
+    whole_blocks = frame[: rows * by, : cols * by]
+    return np.asarray(cv2.resize(whole_blocks, (cols, rows), interpolation=cv2.INTER_AREA))

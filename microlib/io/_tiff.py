@@ -7,6 +7,7 @@ import math
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -15,10 +16,14 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
+from microlib.io._metadata import Scale, tiff_scale
+
 #: Pixels of an image that are read at most; OpenCV has the same limit.
 MOST_PIXELS = 1 << 30
 
 _MINISWHITE, _MINISBLACK = 0, 1
+#: Samples of a color pixel: red, green, blue, and perhaps opacity.
+_COLORS = (3, 4)
 
 
 def is_tiff(path: Path) -> bool:
@@ -30,6 +35,52 @@ def is_tiff(path: Path) -> bool:
     (True, False)
     """
     return path.suffix.lower() in (".tif", ".tiff")
+
+
+@dataclass(frozen=True)
+class TiffStack:
+    """What a TIFF says of its frames.
+
+    Attributes
+    ----------
+    count : int
+        Number of frames.
+    axis : str
+        Letter of the axis of frames in the file's metadata, such as Z or T; empty if they are not
+        said to have one.
+    scale : Scale
+        Physical sizes.
+    """
+
+    count: int
+    axis: str
+    scale: Scale
+
+
+def tiff_stack(path: Path) -> TiffStack:
+    """Check a TIFF without reading its values, and return what it says of its frames.
+
+    Raises
+    ------
+    ValueError
+        As `tiff_pages`, but for values that cannot be read.
+    """
+    with _opened(path) as tiff:
+        try:
+            with _complaints_are_errors():
+                count = len(_in_order(tiff))
+                series = tiff.series[0]
+                lengths = zip(series.axes, series.shape, strict=True)
+                axes = [axis for axis, n in lengths if axis not in "YXS" and n > 1]
+                scale = tiff_scale(tiff, count)
+        except Exception as error:  # metadata raise whatever their bytes lead to
+            raise ValueError(f"frames cannot be read from {path}: {error}") from error
+        for number in range(len(tiff.pages)):
+            try:
+                _check_end(tiff.pages[number].aspage())
+            except Exception as error:
+                raise ValueError(f"page {number} of {path} cannot be read: {error}") from error
+        return TiffStack(count, "".join(axes), scale)
 
 
 def tiff_pages(path: Path) -> Iterator[tuple[str, NDArray]]:
@@ -132,7 +183,7 @@ def _complaints_are_errors() -> Iterator[None]:
 def _in_order(tiff: tifffile.TiffFile) -> list[Callable[[], NDArray]]:
     """Return one function a frame that reads it, after a check of the axes and of the count."""
     found = tiff.series
-    if len(found) > 1 and any(series.axes != "YX" for series in found):
+    if len(found) > 1 and any(series.axes not in ("YX", "YXS") for series in found):
         shapes = ", ".join(f"{series.axes} {tuple(series.shape)}" for series in found[:5])
         raise ValueError(
             f"it holds {len(found)} series of images ({shapes}); pass the array of one, "
@@ -151,9 +202,10 @@ def _in_order(tiff: tifffile.TiffFile) -> list[Callable[[], NDArray]]:
 
 def _check_axes(series: tifffile.TiffPageSeries) -> None:
     lengths = dict(zip(series.axes, series.shape, strict=True))
-    frames = [n for axis, n in zip(series.axes, series.shape, strict=True) if axis not in "YX"]
+    inner = "YXS" if lengths.get("S") in _COLORS else "YX"
+    frames = [n for axis, n in zip(series.axes, series.shape, strict=True) if axis not in inner]
     several = sum(n > 1 for n in frames) > 1
-    if several or lengths.get("C", 1) > 1 or not series.axes.endswith("YX"):
+    if several or lengths.get("C", 1) > 1 or not series.axes.endswith(inner):
         names = ", ".join(f"{a}={n}" for a, n in zip(series.axes, series.shape, strict=True))
         raise ValueError(
             f"it has the axes {names}, a stack has one besides Y and X, and no channels C or "
@@ -163,7 +215,8 @@ def _check_axes(series: tifffile.TiffPageSeries) -> None:
 
 
 def _reads(tiff: tifffile.TiffFile, series: tifffile.TiffPageSeries) -> list[Callable[[], NDArray]]:
-    count = math.prod(series.shape[:-2])
+    inner = 3 if series.axes.endswith("S") else 2
+    count = math.prod(series.shape[:-inner])
     pages = [page for page in series.pages if page is not None]
     if len(pages) == count:
         return [partial(_page, page, k) for k, page in enumerate(pages)]
@@ -172,14 +225,14 @@ def _reads(tiff: tifffile.TiffFile, series: tifffile.TiffPageSeries) -> list[Cal
         raise ValueError(f"its metadata tell of {count} pages, it holds {len(pages)}")
     # Beyond 4 GB, ImageJ describes only the first page; the others follow it without a gap.
     dtype = np.dtype(series.dtype).newbyteorder(tiff.byteorder)
-    size = math.prod(series.shape[-2:])
+    size = math.prod(series.shape[-inner:])
     if start + count * size * dtype.itemsize > tiff.filehandle.size:
         raise ValueError(f"the file is cut off: its metadata tell of {count} pages")
 
     def read(k: int) -> NDArray:
         tiff.filehandle.seek(start + k * size * dtype.itemsize)
         flat = np.frombuffer(tiff.filehandle.read(size * dtype.itemsize), dtype)
-        return flat.astype(dtype.newbyteorder("=")).reshape(series.shape[-2:])
+        return flat.astype(dtype.newbyteorder("=")).reshape(series.shape[-inner:])
 
     return [partial(read, k) for k in range(count)]
 
@@ -213,8 +266,9 @@ def _check_end(page: tifffile.TiffPage) -> None:
 
 
 def _by_opencv(page: tifffile.TiffPage, path: str, number: int) -> NDArray | None:
-    """Return a grey page that OpenCV can decompress (LZW, JPEG) where tifffile cannot."""
-    if page.photometric not in (_MINISWHITE, _MINISBLACK) or page.ndim != 2:
+    """Return a page that OpenCV can decompress (LZW, JPEG) where tifffile cannot."""
+    grey = page.photometric in (_MINISWHITE, _MINISBLACK) and page.ndim == 2
+    if not grey and page.shape[2:] != (3,):
         return None
     try:
         _, images = cv2.imreadmulti(path, start=number, count=1, flags=cv2.IMREAD_UNCHANGED)
@@ -222,6 +276,8 @@ def _by_opencv(page: tifffile.TiffPage, path: str, number: int) -> NDArray | Non
         return None
     if len(images) != 1 or images[0].shape != page.shape or images[0].dtype != page.dtype:
         return None
+    if not grey:
+        return np.ascontiguousarray(images[0][..., ::-1])  # OpenCV puts blue first
     if page.photometric == _MINISWHITE and page.dtype == np.uint8:
         return 255 - images[0]  # OpenCV inverts 8-bit pages, and only those
     return images[0]

@@ -343,7 +343,7 @@ def test_more_than_256_frames_are_counted_right():
         ({"positions": [0, 1, 1, 2]}, "positions must rise or fall strictly, got 1 followed by 1"),
         ({"positions": [0, 2, 1, 3]}, "positions must rise or fall strictly, got 2 followed by 1"),
         ({"positions": [0, 1, 2, np.nan]}, "positions must be finite"),
-        ({"positions": [0, 1, 2]}, "frames and positions must be as many, got more than 3 and 3"),
+        ({"positions": [0, 1, 2]}, "frames and positions must be as many, got 4 and 3"),
         ({"positions": np.arange(9)}, "frames and positions must be as many, got 4 and 9"),
         ({"frames": []}, "frames must hold at least three frames, got none"),
         ({"frames": np.full((4, 9, 9), np.nan)}, r"frames\[0\] must be finite"),

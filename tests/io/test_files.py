@@ -121,3 +121,48 @@ def test_refusals(tmp_path: Path) -> None:
         io.write_height_tiff(tmp_path / "h.tif", np.ones((2, 2)), pixel_size=0.0)
     with pytest.raises(ValueError, match="height must have shape"):
         io.write_ply(tmp_path / "s.ply", np.ones(3), pixel_size=1.0)
+
+
+def test_maps_are_ome_with_the_size_of_a_pixel(tmp_path: Path) -> None:
+    path = tmp_path / "m.ome.tif"
+    rng = np.random.default_rng(0)
+    maps = {
+        "height": rng.normal(size=(6, 7)).astype(np.float32),
+        "index": np.array([[-1, 70_000], [3, 4]], np.int32),
+        "fused": rng.integers(0, 255, (6, 7, 3)).astype(np.uint8),
+    }
+    for what, values in maps.items():
+        io.write_height_tiff(path, values, pixel_size=0.65, what=what)
+        with tifffile.TiffFile(path) as tiff:
+            assert tiff.is_ome
+            np.testing.assert_array_equal(tiff.asarray(), values)
+            pixels = tifffile.xml2dict(tiff.ome_metadata)["OME"]["Image"]["Pixels"]
+            assert tifffile.xml2dict(tiff.ome_metadata)["OME"]["Image"]["Name"] == what
+        assert pixels["PhysicalSizeX"] == pixels["PhysicalSizeY"] == pytest.approx(0.65)
+        assert pixels["PhysicalSizeXUnit"] == "µm"
+        assert io.read_frames(path).pixel_size == pytest.approx(0.65)
+
+
+def test_a_mesh_of_blocks_has_their_means_and_colors(tmp_path: Path) -> None:
+    row, column = np.mgrid[:6, :9]
+    height = 3.0 * column - 2.0 * row
+    height[0, 0] = np.nan  # one of nine: the mean of the others
+    height[3:5, 3:9] = np.nan  # two thirds: unknown
+    image = np.zeros((6, 9, 3), np.uint8)
+    image[..., 0], image[..., 2] = 200, 10 * column
+    with pytest.raises(ValueError, match="height must have at least one cell"):
+        io.write_ply(tmp_path / "s.ply", height, pixel_size=2.0, step=3)
+    height[3:5] = (3.0 * column - 2.0 * row)[3:5]
+    io.write_ply(tmp_path / "s.ply", height, pixel_size=2.0, step=3, image=image)
+    head, body = (tmp_path / "s.ply").read_bytes().split(b"end_header\n", 1)
+    assert b"property uchar red\nproperty uchar green\nproperty uchar blue\n" in head
+    layout = [("xyz", "<f4", 3), ("rgb", "u1", 3)]
+    vertices = np.frombuffer(body, layout, 6)
+    # The middle of the first block is pixel 1; blocks are three pixels of 2 µm apart.
+    np.testing.assert_allclose(vertices["xyz"][:3, 0], [2, 8, 14])
+    np.testing.assert_allclose(vertices["xyz"][[0, 3], 1], [-2, -8])
+    np.testing.assert_allclose(vertices["xyz"][1:3, 2], [10, 19])
+    assert vertices["xyz"][0, 2] == pytest.approx(9 / 8)  # (9 · 1 − 0) / 8 without the corner
+    np.testing.assert_array_equal(vertices["rgb"][:3], [[200, 0, 10], [200, 0, 40], [200, 0, 70]])
+    with pytest.raises(ValueError, match="image must be uint8 of shape"):
+        io.write_ply(tmp_path / "s.ply", height, pixel_size=2.0, image=image[:3])

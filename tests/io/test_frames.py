@@ -151,8 +151,6 @@ def test_what_is_no_tiff_is_refused(content, tmp_path):
 
 def test_faults_are_named(stack, tmp_path):
     missing = tmp_path / "missing"
-    color = tmp_path / "color.png"
-    cv2.imwrite(str(color), np.zeros((8, 8, 3), np.uint8))
     (tmp_path / "text.png").write_text("no image")
     tifffile.imwrite(tmp_path / "many.tif", stack, photometric="minisblack")
     holed = stack.astype(float)
@@ -162,13 +160,13 @@ def test_faults_are_named(stack, tmp_path):
         ([stack[0], stack[1][:-1]], r"frames\[1\] must be uint8 of shape \(24, 31\)"),
         ([stack[0], stack[1].astype(float)], r"frames\[1\] must be uint8"),
         (stack[0], r"frames must have shape \(any, any, any\)"),
-        ([stack], r"frames\[0\] must be a grey image"),
+        ([stack], r"frames\[0\] must be a grey or color image, got shape \(5, 24, 31\)"),
         ([stack[0] > 3], r"frames\[0\] must hold real numbers, got bool"),
-        (7, "frames must be an array, a TIFF or an iterable of images, got int"),
+        (7, "frames must be an array, a file, a folder or an iterable of images, got int"),
         (missing.with_suffix(".tif"), r"frames cannot be read from .*missing\.tif"),
         ([missing.with_suffix(".png")], r"missing\.png: no such file"),
         ([tmp_path / "text.png"], r"text\.png: damaged, or not an image"),
-        ([color], r"frames\[0\], .*color\.png, must be a grey image"),
+        ([stack[0], stack[:1, :, :, None]], r"frames\[1\] must be a grey or color image"),
         ([tmp_path / "many.tif"], r"many\.tif must hold one page to be one frame, got 5"),
     ]
     for source, words in cases:

@@ -1,0 +1,321 @@
+"""Stacks that moved and flickered: their depth is nearly that of the stack at rest.
+
+The renderer shares nothing with the method: blur is a disc, motion is applied to finished frames,
+light after that.
+"""
+
+from __future__ import annotations
+
+import warnings
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from microlib.focus import FocusResult, depth_from_focus
+from microlib.focus._links import fit_link, laplacian, motion_columns, spread_over_stack
+from microlib.focus._poses import Frame, Geometry, reduced
+from microlib.focus._registered import _desaturated
+
+SIDE, MARGIN, COUNT = 160, 24, 15
+POSITIONS = np.arange(float(COUNT))
+MIDDLE = COUNT // 2
+
+
+def disc(image: NDArray, radius: float) -> NDArray:
+    """Blur by a disc whose edge is sampled finely."""
+    half, fine = int(np.ceil(radius)) + 1, 8
+    grid = (np.arange((2 * half + 1) * fine) + 0.5) / fine - half - 0.5
+    inside = (grid[:, None] ** 2 + grid**2 <= max(radius, 0.3) ** 2).astype(float)
+    kernel = inside.reshape(2 * half + 1, fine, 2 * half + 1, fine).mean(axis=(1, 3))
+    return cv2.filter2D(image, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REFLECT)
+
+
+@cache
+def scene(kind: str, seed: int) -> tuple[NDArray, NDArray]:
+    """Return frames with a margin, without noise, and the true depth without it."""
+    side = SIDE + 2 * MARGIN
+    rng = np.random.default_rng(seed)
+    texture = np.zeros((side, side))
+    for sigma in (0.8, 1.6, 4.0, 10.0):
+        grain = cv2.GaussianBlur(rng.standard_normal((side, side)), (0, 0), sigma)
+        texture += 18 * grain / grain.std()
+    texture = 118 + texture
+    y, x = (np.indices((side, side)) - (side - 1) / 2) / (SIDE / 2)
+    depth = {
+        "dome": 11 - 4.0 * (x**2 + y**2),
+        "tilt": 7 + 3.5 * x + y,
+        "flat": np.full((side, side), 7.3),
+    }[kind]
+    radii = np.linspace(0, 20, 61)
+    blurred = np.stack([disc(texture, radius) for radius in radii])
+    frames = np.empty((COUNT, side, side))
+    for frame, position in zip(frames, POSITIONS, strict=True):
+        place = 1.5 * np.abs(depth - position) * 3
+        low = np.minimum(place.astype(int), len(radii) - 2)
+        share = place - low
+        frame[:] = (1 - share) * np.take_along_axis(blurred, low[None], 0)[0]
+        frame += share * np.take_along_axis(blurred, low[None] + 1, 0)[0]
+    return frames, depth[MARGIN:-MARGIN, MARGIN:-MARGIN]
+
+
+def disturbed(
+    frames: NDArray,
+    seed: int,
+    *,
+    shift: float = 0.0,
+    turn: float = 0.0,
+    scale: float = 0.0,
+    flicker: float = 0.0,
+    drift: float = 1.0,
+    vignetting: float = 0.0,
+    offset: float = 0.0,
+    level: float = 1.0,
+) -> NDArray[np.uint8]:
+    """Move and light the frames: px a frame, degrees and share of the scale over the stack."""
+    rng = np.random.default_rng(seed)
+    side = frames.shape[1]
+    center = (side - 1) / 2
+    stack = np.empty((COUNT, SIDE, SIDE), np.uint8)
+    y, x = (np.indices((SIDE, SIDE)) - (SIDE - 1) / 2) / (SIDE / 2)
+    for k, frame in enumerate(frames):
+        part = (k - MIDDLE) / (COUNT - 1)
+        matrix = cv2.getRotationMatrix2D((center, center), turn * part, (1 + scale) ** part)
+        matrix[:, 2] += shift * (k - MIDDLE) * np.array([0.8, 0.6])
+        if shift or turn or scale:
+            frame = cv2.warpAffine(frame, matrix, (side, side), flags=cv2.INTER_LANCZOS4)
+        seen = frame[MARGIN:-MARGIN, MARGIN:-MARGIN] * level
+        seen = seen * drift**part * (1 + flicker * rng.uniform(-1, 1))
+        seen = seen * (1 - vignetting * (part + 0.5) * (x**2 + y**2) / 2)
+        seen = seen + offset * rng.uniform(-1, 1) + 2 * rng.standard_normal(seen.shape)
+        stack[k] = np.clip(np.rint(seen), 0, 255)
+    return stack
+
+
+@cache
+def at_rest(kind: str, seed: int, level: float = 1.0) -> NDArray:
+    frames, _ = scene(kind, seed)
+    return depth_from_focus(disturbed(frames, seed, level=level), POSITIONS).depth
+
+
+def registered(kind: str, seed: int, **how: float) -> FocusResult:
+    frames, _ = scene(kind, seed)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return depth_from_focus(disturbed(frames, seed, **how), POSITIONS, register=True)
+
+
+def ratio(kind: str, seed: int, found: NDArray, level: float = 1.0) -> float:
+    """Return the RMS error over that of the stack at rest, where both are known."""
+    _, truth = scene(kind, seed)
+    rest = at_rest(kind, seed, level)
+    inner = np.zeros(truth.shape, bool)
+    inner[12:-12, 12:-12] = True
+    known = inner & np.isfinite(found) & np.isfinite(rest)
+    assert known.sum() > 0.8 * inner.sum()
+    return float(
+        np.sqrt(np.mean((found - truth)[known] ** 2) / np.mean((rest - truth)[known] ** 2))
+    )
+
+
+# The limits are those of benchmarks/registration.py, a tenth wider: one small scene is no mean.
+CASES = [
+    ({}, 1.15),
+    ({"flicker": 0.15}, 1.25),
+    ({"drift": 2.0, "level": 0.65}, 1.25),
+    ({"shift": 0.5}, 1.25),
+    ({"turn": 1.0}, 1.25),
+    ({"scale": 0.03}, 1.35),
+    ({"scale": 0.15}, 1.35),
+    ({"vignetting": 0.4}, 1.35),
+    ({"flicker": 0.15, "offset": 5.0}, 1.6),
+    ({"shift": 0.5, "offset": 5.0}, 1.6),
+]
+
+
+@pytest.mark.parametrize("kind", ["dome", "tilt"])
+@pytest.mark.parametrize(("how", "limit"), CASES)
+def test_what_moves_and_flickers_is_undone(kind: str, how: dict[str, float], limit: float) -> None:
+    found = registered(kind, 1, **how).depth
+    assert ratio(kind, 1, found, how.get("level", 1.0)) < limit
+
+
+@pytest.mark.parametrize("how", [{"offset": 5.0}, {"offset": 5.0, "flicker": 0.15}])
+def test_a_flat_scene_with_offsets(how: dict[str, float]) -> None:
+    assert ratio("flat", 2, registered("flat", 2, **how).depth) < 1.6
+
+
+def test_disturbances_matter_without_registration() -> None:
+    frames, _ = scene("dome", 1)
+    for how in ({"flicker": 0.15}, {"shift": 0.5}):
+        found = depth_from_focus(disturbed(frames, 1, **how), POSITIONS).depth
+        assert ratio("dome", 1, found) > 2.5
+
+
+def test_the_poses_and_gains_are_the_true_ones() -> None:
+    result = registered("tilt", 1, shift=0.5, drift=2.0, level=0.65)
+    assert result.poses is not None
+    assert result.gain is not None
+    way = 0.5 * (np.arange(COUNT) - MIDDLE)
+    center = np.array([(SIDE - 1) / 2, (SIDE - 1) / 2, 1.0])
+    moved = result.poses @ center - center[:2]
+    # A tilt's blur looks like a shift, a tenth of a px a frame: the depth does not suffer.
+    np.testing.assert_allclose(moved, np.outer(way, [0.8, 0.6]), atol=0.5)
+    near = slice(MIDDLE - 4, MIDDLE + 5)
+    np.testing.assert_allclose(moved[near], np.outer(way, [0.8, 0.6])[near], atol=0.15)
+    true = 2.0 ** ((np.arange(COUNT) - MIDDLE) / (COUNT - 1))
+    np.testing.assert_allclose(result.gain / true, 1, atol=0.01)
+    np.testing.assert_array_equal(result.offset, 0)  # there are none
+
+
+def test_offsets_are_found() -> None:
+    frames, _ = scene("dome", 1)
+    stack = disturbed(frames, 1, offset=0.0).astype(np.float32)
+    true = np.random.default_rng(0).uniform(-8, 8, COUNT)
+    result = depth_from_focus(stack + true[:, None, None], POSITIONS, register=True)
+    assert result.offset is not None
+    near = slice(MIDDLE - 4, MIDDLE + 5)
+    # Gain and offset of a link share one error: 0.5 % of 118 grey levels.
+    np.testing.assert_allclose(result.offset[near], (true - true[MIDDLE])[near], atol=1.5)
+
+
+def test_what_a_frame_does_not_show_has_no_depth() -> None:
+    result = registered("flat", 2, shift=1.0)
+    # In focus at frame 7, from frame 4 to 10 the image moves by ± 3 frames of 0.8 and 0.6 px.
+    unknown = np.isnan(result.depth)
+    assert unknown[:, :2].mean() > 0.9
+    assert unknown[:, -2:].mean() > 0.9
+    assert unknown[6:-6, 6:-6].mean() < 0.01
+    assert (result.index[unknown] == -1).all()
+    assert (result.confidence[unknown] == 0).all()
+
+
+def test_a_foreign_frame_is_named_and_left_out() -> None:
+    frames, _ = scene("dome", 1)
+    stack = disturbed(frames, 1)
+    stack[5] = disturbed(scene("dome", 9)[0], 1)[5]
+    with pytest.warns(UserWarning, match=r"frames 4–5, 5–6 cannot be registered .* left out: 5"):
+        result = depth_from_focus(stack, POSITIONS, register=True)
+    assert result.poses is not None
+    assert np.flatnonzero(np.isnan(result.poses[:, 0, 0])).tolist() == [5]
+    assert 5 not in result.index
+    assert result.index.max() > 9  # numbers are those of the whole stack
+    rest = depth_from_focus(np.delete(disturbed(frames, 1), 5, axis=0), np.delete(POSITIONS, 5))
+    assert ratio("dome", 1, result.depth) < 1.25 * ratio("dome", 1, rest.depth)
+
+
+def test_stacks_without_a_common_scene_are_refused() -> None:
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, 256, (COUNT, 96, 96)).astype(np.uint8)
+    with pytest.raises(ValueError, match=r"frames must show one scene .* frames 0–1, 1–2"):
+        depth_from_focus(noise, POSITIONS, register=True)
+    black = np.zeros_like(noise)
+    with pytest.raises(ValueError, match="frames must show one scene"):
+        depth_from_focus(black, POSITIONS, register=True)
+    with pytest.raises(ValueError, match="frames must be at least 32 px"):
+        depth_from_focus(noise[:, :20], POSITIONS, register=True)
+
+
+def test_colors_and_iterators_are_registered_too() -> None:
+    frames, _ = scene("tilt", 1)
+    grey = disturbed(frames, 1, shift=0.5)
+    color = np.stack([grey, grey, 255 - grey], axis=-1)
+    result = depth_from_focus((frame for frame in color), POSITIONS, register=True)
+    assert result.all_in_focus.shape == (SIDE, SIDE, 3)
+    assert result.all_in_focus.dtype == np.uint8
+    # Luminance is half the contrast of the grey frames; the noise of rounding is small beside it.
+    assert ratio("tilt", 1, result.depth) < 1.6
+    red, _, blue = np.moveaxis(result.all_in_focus.astype(int), 2, 0)
+    assert np.abs(red + blue - 255).max() <= 8  # each channel has the gain of luminance, near 1
+
+
+def test_other_channels_are_chosen_where_the_frames_lie() -> None:
+    frames, _ = scene("tilt", 1)
+    stack = disturbed(frames, 1, shift=0.5)
+    result = depth_from_focus(stack, POSITIONS, register=True)
+    off = result.select(stack).astype(float) - result.all_in_focus
+    assert np.abs(off).mean() < 1.0  # gains within 1 % of 118 grey levels
+    plain = depth_from_focus(stack, POSITIONS)
+    known = plain.index >= 0
+    chosen = np.take_along_axis(stack, np.maximum(plain.index, 0)[None], 0)[0]
+    np.testing.assert_array_equal(plain.select(stack)[known], chosen[known])
+    with pytest.raises(ValueError, match="frames must be at least"):
+        plain.select(stack[:4])
+
+
+# --- Parts ---------------------------------------------------------------------------------------
+
+
+def test_a_link_is_what_it_was_made_of() -> None:
+    rng = np.random.default_rng(3)
+    mean = cv2.GaussianBlur(rng.standard_normal((60, 70)).astype(np.float32), (0, 0), 2) * 100
+    y, x = (np.indices(mean.shape) - 30).astype(np.float32)
+    columns = [*motion_columns(mean, x, y), mean, laplacian(mean)]
+    true = np.array([0.002, -0.003, 0.2, -0.1, 0.05, 0.4])
+    difference = np.tensordot(true.astype(np.float32), np.stack(columns), 1)
+    difference += 0.01 * rng.standard_normal(mean.shape).astype(np.float32)
+    difference[10:20, 10:25] += 50  # something else
+    weight = np.ones_like(mean)
+    found = fit_link(columns, difference, weight)
+    # Noise of 0.01 on 4200 pixels; the outliers are 4 % of them and count nothing.
+    np.testing.assert_allclose(found, true, rtol=0.02, atol=1e-4)
+
+
+def test_motion_is_the_motion_of_frames() -> None:
+    """The sign too: what the columns explain is what `Frame.moved` undoes."""
+    rng = np.random.default_rng(4)
+    image = cv2.GaussianBlur(rng.standard_normal((90, 110)).astype(np.float32), (0, 0), 3) * 100
+    geometry = Geometry(image.shape, 1)
+    true = np.array([0.004, -0.003, 0.3, -0.2])
+    moved = geometry.warped(image, Frame.same().moved(true), flags=cv2.INTER_LANCZOS4)
+    x, y = geometry.coordinates()
+    weight = np.zeros_like(image)
+    weight[8:-8, 8:-8] = 1
+    found = fit_link(motion_columns((image + moved) / 2, x, y), moved - image, weight)
+    # moved(x) = image(x + u), so its points lie at −u. Differences of neighbors flatten gradients,
+    # (1/3)²/6 of waves of 3 px, twice that of the shorter ones; the next fit takes the rest.
+    np.testing.assert_allclose(found, -true, rtol=0.08)
+
+
+def test_links_are_spread_by_least_squares() -> None:
+    rng = np.random.default_rng(5)
+    true = rng.standard_normal((6, 2))
+    links = [(k, k + lag) for lag in (1, 2) for k in range(6 - lag)]
+    values = np.array([true[j] - true[i] for i, j in links])
+    found = spread_over_stack(6, links, values, np.ones(len(links)), 3)
+    np.testing.assert_allclose(found, true - true[3], atol=1e-12)
+    values[0] += 100  # a link without weight does not count
+    weights = np.ones(len(links))
+    weights[0] = 0
+    found = spread_over_stack(6, links, values, weights, 3)
+    np.testing.assert_allclose(found, true - true[3], atol=1e-12)
+
+
+@pytest.mark.parametrize("factor", [1, 2, 4])
+def test_reduced_frames_have_the_pose_of_the_full_ones(factor: int) -> None:
+    y, x = np.indices((66, 83)).astype(np.float32)
+    frame = Frame.same().moved(np.array([0.03, 0.02, 3.0, -2.0]))
+    full, small = Geometry(x.shape, 1), Geometry(x.shape, factor)
+    moved = full.warped(x + 2 * y, frame, flags=cv2.INTER_LINEAR)
+    again = small.warped(reduced(x + 2 * y, factor), frame, flags=cv2.INTER_LINEAR)
+    inner = np.s_[3:-3, 3:-3]
+    np.testing.assert_allclose(reduced(moved, factor)[inner], again[inner], atol=0.02)
+
+
+def test_the_pixels_that_a_frame_shows() -> None:
+    geometry = Geometry((20, 30), 1)
+    seen = geometry.inside(Frame.same().moved(np.array([0, 0, 2.0, 0])))
+    assert seen[:, :28].all()
+    assert not seen[:, 28:].any()
+    assert geometry.inside(Frame.same()).all()
+
+
+def test_saturated_pixels_come_from_the_nearest_frame_that_is_not() -> None:
+    frames = [np.full((1, 3), float(value), np.float32) for value in (10, 20, 30, 40)]
+    bad = [np.array(at, np.intp) for at in ([0], [0, 1], [], [1, 2])]
+    found = [image.ravel().tolist() for image in _desaturated(iter(zip(frames, bad, strict=True)))]
+    # The first two of pixel 0 are 30 of frame 2, the second of pixel 1 is the larger of its own 20
+    # and 10, and the last of 1 and 2 keep their 40.
+    assert found == [[30, 10, 10], [30, 20, 20], [30, 30, 30], [40, 40, 40]]

@@ -1,0 +1,309 @@
+"""Every kind of input that people have gives the same frames; a wrong one is refused at once."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from numpy.typing import NDArray
+
+from microlib import synthetic
+from microlib.focus import depth_from_focus
+from microlib.io import read_frames
+
+COUNT = 12
+
+
+@pytest.fixture(scope="module")
+def stack() -> NDArray[np.uint8]:
+    texture = synthetic.mixed_texture((48, 56), np.random.default_rng(0))
+    height = 5.3 + synthetic.tilted_plane((48, 56), 0.05, 0.02)
+    return synthetic.focal_stack(texture, height, np.arange(float(COUNT)), blur_rate=1.0)
+
+
+class Lazy:
+    """What zarr and dask arrays have in common; counts what is loaded."""
+
+    def __init__(self, values: NDArray) -> None:
+        self._values = values
+        self.shape = values.shape
+        self.loaded: list[int] = []
+
+    def __getitem__(self, key: int) -> NDArray:
+        self.loaded.append(key)
+        return self._values[key]
+
+
+def write_folder(folder: Path, frames: NDArray, suffix: str = ".png") -> Path:
+    folder.mkdir()
+    for k, frame in enumerate(frames):  # 2 comes before 10
+        cv2.imwrite(str(folder / f"frame {k}{suffix}"), frame)
+    (folder / "notes.txt").write_text("not a frame")
+    (folder / ".hidden.png").write_text("not a frame either")
+    return folder
+
+
+def test_every_kind_of_input_ends_in_the_same_depth(
+    stack: NDArray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    z = np.arange(float(COUNT))
+    folder = write_folder(tmp_path / "scan", stack)
+    tifffile.imwrite(tmp_path / "a.tif", stack, photometric="minisblack")
+    tifffile.imwrite(tmp_path / "a.ome.tif", stack, metadata={"axes": "ZYX"})
+    tifffile.imwrite(tmp_path / "ij.tif", stack, imagej=True, metadata={"axes": "ZYX"})
+    tifffile.imwrite(
+        tmp_path / "rgb.tif", np.repeat(stack[..., None], 3, axis=3), photometric="rgb"
+    )
+    monkeypatch.setenv("HOME", str(tmp_path))
+    color = np.repeat(stack[..., None], 3, axis=3)
+    sources = {
+        "array": stack,
+        "folder": folder,
+        "pattern": str(folder / "frame*.png"),
+        "home": "~/scan",
+        "list of files": [folder / f"frame {k}.png" for k in range(COUNT)],
+        "TIFF": tmp_path / "a.tif",
+        "OME-TIFF": tmp_path / "a.ome.tif",
+        "ImageJ": tmp_path / "ij.tif",
+        "RGB TIFF": tmp_path / "rgb.tif",
+        "lazy": Lazy(stack),
+        "lazy in color": Lazy(color),
+        "16 bits": stack.astype(np.uint16) * 16,
+        "color": color,
+        "with opacity": np.concatenate([color, color[..., :1]], axis=3),
+        "generator": (frame for frame in stack),
+    }
+    expected = depth_from_focus(stack, z)
+    assert np.isfinite(expected.depth).mean() > 0.95
+    for name, source in sources.items():
+        found = depth_from_focus(source, z)
+        # 16 bits are not rounded where 8 are: their noise has another estimate.
+        atol = 0.02 if name == "16 bits" else 1e-6
+        np.testing.assert_allclose(found.depth, expected.depth, atol=atol, err_msg=name)
+        if name in ("RGB TIFF", "lazy in color", "color", "with opacity"):
+            assert found.all_in_focus.shape == (48, 56, 3), name
+
+
+def test_a_video_is_a_stack(stack: NDArray, tmp_path: Path) -> None:
+    path = tmp_path / "film.avi"
+    film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25, (56, 48))
+    if not film.isOpened():
+        pytest.skip("OpenCV writes no videos here")
+    for frame in stack:
+        film.write(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR))
+    film.release()
+    reader = read_frames(path)
+    assert (reader.count, reader.shape, reader.color) == (COUNT, (48, 56), True)
+    found = np.stack(list(reader)).astype(float)
+    assert np.abs(found - stack).mean() < 4  # JPEG
+    (tmp_path / "no.mp4").write_bytes(b"no video")
+    with pytest.raises(ValueError, match=r"no\.mp4: not a video"):
+        read_frames(tmp_path / "no.mp4")
+
+
+@pytest.mark.skipif(not importlib.util.find_spec("zarr"), reason="zarr is not installed")
+def test_zarr_arrays_and_files(stack: NDArray, tmp_path: Path) -> None:
+    import zarr
+
+    array = zarr.open(str(tmp_path / "a.zarr"), mode="w", shape=stack.shape, dtype="u1")
+    array[:] = stack
+    for source in (array, tmp_path / "a.zarr"):
+        np.testing.assert_array_equal(np.stack(list(read_frames(source))), stack)
+
+
+@pytest.mark.skipif(bool(importlib.util.find_spec("zarr")), reason="zarr is installed")
+def test_a_zarr_file_says_what_it_needs(tmp_path: Path) -> None:
+    (tmp_path / "a.zarr").mkdir()
+    with pytest.raises(ValueError, match="pip install zarr"):
+        read_frames(tmp_path / "a.zarr")
+
+
+def test_lazy_frames_are_loaded_one_by_one(stack: NDArray) -> None:
+    lazy = Lazy(stack)
+    reader = read_frames(lazy)
+    assert lazy.loaded == [0]  # to know what they are
+    next(reader)
+    next(reader)
+    assert lazy.loaded == [0, 1]
+
+
+def test_colors_are_red_green_and_blue(tmp_path: Path) -> None:
+    color = np.zeros((3, 8, 9, 3), np.uint8)
+    color[..., 0], color[..., 1] = 200, 50
+    bgr = np.ascontiguousarray(color[..., ::-1])
+    write_folder(tmp_path / "scan", bgr)
+    for source in (color, tmp_path / "scan"):
+        np.testing.assert_array_equal(np.stack(list(read_frames(source, color=True))), color)
+        grey = np.stack(list(read_frames(source)))
+        assert grey.shape == (3, 8, 9)
+        assert (grey == round(0.299 * 200 + 0.587 * 50)).all()
+
+
+def test_part_of_the_frames_at_reduced_size(stack: NDArray) -> None:
+    part = np.stack(list(read_frames(stack, region=(4, 8, 20, 30))))
+    np.testing.assert_array_equal(part, stack[:, 4:24, 8:38])
+    small = read_frames(stack.astype(np.float32), reduce=4)
+    assert small.shape == (12, 14)
+    means = stack.reshape(COUNT, 12, 4, 14, 4).mean(axis=(2, 4))
+    np.testing.assert_allclose(np.stack(list(small)), means, rtol=1e-6)
+    for region, words in (
+        ((40, 0, 20, 5), "region must lie in frames of shape"),
+        ((0, 0, 5), "region must be top, left, rows and columns"),
+        ((0, -1, 5, 5), "region left must be"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            read_frames(stack, region=region)
+    with pytest.raises(ValueError, match="must have sides of at least reduce=100"):
+        read_frames(stack, reduce=100)
+
+
+def test_depth_of_a_part_is_that_part_of_the_depth(stack: NDArray) -> None:
+    z = np.arange(float(COUNT))
+    whole = depth_from_focus(stack, z, measure="sml").depth
+    part = depth_from_focus(stack, z, measure="sml", region=(8, 8, 32, 40)).depth
+    inner = np.s_[4:-4, 4:-4]  # beyond the window's border
+    np.testing.assert_allclose(part[inner], whole[8:40, 8:48][inner], atol=1e-5)
+
+
+def test_progress_is_told_and_may_cancel(stack: NDArray) -> None:
+    z, told = np.arange(float(COUNT)), []
+    depth_from_focus(stack, z, progress=lambda done, count: told.append((done, count)))
+    assert told == [(k + 1, COUNT) for k in range(COUNT)]
+
+    class Enough(Exception):
+        pass
+
+    def cancel(done: int, count: int) -> None:
+        if done == 5:
+            raise Enough
+
+    with pytest.raises(Enough):
+        depth_from_focus(stack, z, progress=cancel)
+    with pytest.raises(ValueError, match="progress must be callable"):
+        depth_from_focus(stack, z, progress=3)  # type: ignore[arg-type]
+
+
+# --- Sizes and axes ------------------------------------------------------------------------------
+
+
+def test_sizes_of_ome_are_in_micrometers(stack: NDArray, tmp_path: Path) -> None:
+    path = tmp_path / "a.ome.tif"
+    sizes = {"PhysicalSizeX": 650.0, "PhysicalSizeXUnit": "nm", "PhysicalSizeY": 0.65}
+    depth = {"PhysicalSizeZ": 0.002, "PhysicalSizeZUnit": "mm"}
+    tifffile.imwrite(path, stack, metadata={"axes": "ZYX", **sizes, **depth})
+    reader = read_frames(path, reduce=2)
+    assert reader.pixel_size == pytest.approx(2 * 0.65)
+    assert reader.axis == "Z"
+    np.testing.assert_allclose(reader.positions, 2.0 * np.arange(COUNT))
+    found = depth_from_focus(path)
+    np.testing.assert_allclose(
+        found.depth, depth_from_focus(stack, 2.0 * np.arange(COUNT)).depth, atol=1e-5
+    )
+
+
+def test_positions_of_ome_planes_come_before_the_spacing(stack: NDArray, tmp_path: Path) -> None:
+    path, z = tmp_path / "a.ome.tif", 7.0 - 1.5 * np.arange(COUNT) ** 1.1
+    plane = {"PositionZ": z.tolist(), "PositionZUnit": ["µm"] * COUNT}
+    tifffile.imwrite(path, stack, metadata={"axes": "ZYX", "PhysicalSizeZ": 9.0, "Plane": plane})
+    np.testing.assert_allclose(read_frames(path).positions, z)
+
+
+def test_sizes_of_imagej(stack: NDArray, tmp_path: Path) -> None:
+    path = tmp_path / "a.tif"
+    about = {"axes": "ZYX", "spacing": 2.5, "unit": "micron"}
+    tifffile.imwrite(path, stack, imagej=True, resolution=(4.0, 4.0), metadata=about)
+    reader = read_frames(path)
+    assert reader.pixel_size == pytest.approx(0.25)
+    np.testing.assert_allclose(reader.positions, 2.5 * np.arange(COUNT))
+
+
+def test_unknown_sizes_are_not_guessed(stack: NDArray, tmp_path: Path) -> None:
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, stack, imagej=True, metadata={"axes": "ZYX", "unit": "pixel"})
+    assert read_frames(path).pixel_size is None
+    tifffile.imwrite(path, stack, photometric="minisblack", resolution=(72, 72))
+    reader = read_frames(path)
+    assert (reader.pixel_size, reader.positions) == (None, None)
+    with pytest.raises(ValueError, match="positions must be given, got None"):
+        depth_from_focus(path)
+    sizes = {"PhysicalSizeX": 1.0, "PhysicalSizeY": 2.0}
+    tifffile.imwrite(tmp_path / "b.ome.tif", stack, metadata={"axes": "ZYX", **sizes})
+    assert read_frames(tmp_path / "b.ome.tif").pixel_size is None
+
+
+@pytest.mark.parametrize("kind", ["imagej", "ome"])
+def test_time_is_not_taken_for_focus(stack: NDArray, tmp_path: Path, kind: str) -> None:
+    path = tmp_path / ("a.ome.tif" if kind == "ome" else "a.tif")
+    tifffile.imwrite(path, stack, imagej=kind == "imagej", metadata={"axes": "TYX"})
+    with pytest.raises(ValueError, match="must differ in focus, got a file of 12 times"):
+        depth_from_focus(path, np.arange(float(COUNT)))
+    assert read_frames(path).count == COUNT  # a sequence for other uses
+
+
+# --- Refused before anything slow starts ----------------------------------------------------------
+
+
+def test_wrong_files_are_refused_before_they_are_read(
+    stack: NDArray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = write_folder(tmp_path / "scan", stack)
+    cv2.imwrite(str(folder / "frame 11.png"), stack[0, :20])
+    (tmp_path / "empty").mkdir()
+
+    def never(*_: object) -> None:
+        raise AssertionError("a frame was decoded")
+
+    monkeypatch.setattr(cv2, "imdecode", never)
+    cases: list[tuple[object, str]] = [
+        (folder, r"frames\[11\], .*frame 11\.png, must be of shape \(48, 56\) .* \(20, 56\)"),
+        ([folder / "frame 0.png", folder / "gone.png"], r"gone\.png: no such file"),
+        (tmp_path / "empty", "frames must hold images, got none in"),
+        (str(folder / "*.jpg"), r"frames must hold images, got none in .*\*\.jpg"),
+        (tmp_path / "missing.tif", r"frames cannot be read from .*missing\.tif"),
+        (tmp_path / "missing.avi", r"missing\.avi: no such file"),
+        (np.zeros((3, 4, 5, 6)), r"frames must have shape .* in color, got \(3, 4, 5, 6\)"),
+    ]
+    for source, words in cases:
+        with pytest.raises(ValueError, match=words):
+            read_frames(source)  # type: ignore[arg-type]
+
+
+def test_a_wrong_number_of_positions_is_refused_before_the_second_frame(stack: NDArray) -> None:
+    lazy = Lazy(stack)
+    with pytest.raises(ValueError, match="must be as many, got 12 and 7"):
+        depth_from_focus(lazy, np.arange(7.0))
+    assert lazy.loaded == [0]
+
+
+def test_jpegs_tell_their_size_too(stack: NDArray, tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "scan", stack, ".jpg")
+    assert read_frames(folder).count == COUNT
+    cv2.imwrite(str(folder / "frame 7.jpg"), stack[7, :, :50])
+    with pytest.raises(ValueError, match=r"frame 7\.jpg, must be of shape \(48, 56\)"):
+        read_frames(folder)
+
+
+def test_colors_do_not_change_within_a_stack(stack: NDArray) -> None:
+    mixed = [stack[0], np.repeat(stack[1][..., None], 3, axis=2)]
+    with pytest.raises(ValueError, match=r"frames\[1\] must be grey like the first"):
+        list(read_frames(mixed))
+
+
+def test_an_iterator_is_read_once(stack: NDArray) -> None:
+    reader = read_frames(iter(stack))
+    assert reader.count is None
+    with pytest.raises(ValueError, match="must be readable twice, got an iterator"):
+        reader.again()
+    again = read_frames(stack)
+    list(again)
+    assert len(list(again.again())) == COUNT
+
+
+def test_names_with_numbers_are_in_their_order(tmp_path: Path) -> None:
+    for k in (0, 2, 10, 1):
+        cv2.imwrite(str(tmp_path / f"a{k}.png"), np.full((4, 5), k, np.uint8))
+    assert [int(frame[0, 0]) for frame in read_frames(f"{tmp_path}/a*.png")] == [0, 1, 2, 10]
