@@ -66,7 +66,7 @@
   const { place, refresh } = tool("loop", [
     { name: "gain", label: "Gain g", unit: "share of the error per frame", min: 0.02, max: 2.2, step: 0.01, value: 0.5 },
     { name: "delay", label: "Delay", unit: "frames", min: 0, max: 5, step: 0.05, value: 1 },
-    { name: "jitter", label: "Jitter of the measurement", unit: "px", min: 0, max: 5, step: 0.05, value: 0.5 },
+    { name: "jitter", label: "Jitter of the measurement", unit: "px", min: 0, max: 5, step: 0.05, value: 1 },
   ], update);
   place.append(answer, legend, pictures);
   refresh();

@@ -35,7 +35,7 @@
   const shade = (map) => (i) => {
     const right = map[i % SIDE < SIDE - 1 ? i + 1 : i], below = map[i + SIDE < SIDE * SIDE ? i + SIDE : i];
     const slopes = [(right - map[i]) / PITCH, (below - map[i]) / PITCH];
-    const light = (0.75 - 0.5 * slopes[0] - 0.5 * slopes[1]) / Math.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2);
+    const light = (0.75 + 0.5 * slopes[0] + 0.5 * slopes[1]) / Math.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2);
     return new Array(3).fill(Math.max(20, Math.min(250, 250 * light)));
   };
 
