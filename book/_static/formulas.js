@@ -17,6 +17,7 @@
   const start = async () => {
     await window.MathJax?.startup?.promise;
     fit();
+    globalThis.formulasFit = true;
     let width = innerWidth;
     addEventListener("resize", () => {
       if (innerWidth !== width) fit(); // not when a phone's address bar comes and goes
