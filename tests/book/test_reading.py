@@ -180,3 +180,63 @@ def test_paper_has_whole_code_and_nothing_of_the_screen(page: Page, html: Path) 
         "all => all.filter(e => getComputedStyle(e).breakInside !== 'avoid').length"
     )
     assert parted == 0
+
+
+def previews(html: Path) -> dict[str, str]:
+    text = (html / "_static" / "preview_data.js").read_text(encoding="utf-8")
+    return json.loads(text.partition("= ")[2].rstrip(";\n"))
+
+
+def test_every_formula_figure_source_and_claim_has_a_preview(html: Path) -> None:
+    found = previews(html)
+    counts = {
+        "equation": 63,
+        "fig": 30 - 3,  # three captions stand for two or three figures
+        "claim": len(ledger.claims()),
+        "term": 40,
+    }
+    for name, least in counts.items():
+        assert sum(f"#{name}-" in key for key in found) >= least, name
+    sources = (html / "bibliography.html").read_text(encoding="utf-8").count('class="citation"')
+    assert sum(key.startswith("bibliography") for key in found) == sources
+    for key, preview in found.items():
+        page, _, anchor = key.partition("#")
+        assert f'id="{anchor}"' in (html / page).read_text(encoding="utf-8"), key
+        for image in re.findall(r'src="([^"]+)"', preview):
+            assert (html / image).exists(), key
+
+
+@pytest.mark.parametrize(
+    ("name", "link", "seen"),
+    [
+        (CHAPTER, "a.mention", "mjx-container"),
+        ("errata.html", "a[href*='claims.html#']", "text=in the thesis"),
+        (CHAPTER, "a[href*='bibliography.html#']", "p"),
+    ],
+)
+def test_a_link_shows_what_it_leads_to(
+    page: Page, html: Path, name: str, link: str, seen: str
+) -> None:
+    open_page(page, html / name)
+    page.locator(f"article {link}").first.hover()
+    page.wait_for_selector(f"#link-preview:not([hidden]) {seen}" if "=" not in seen else seen)
+    box = page.locator("#link-preview").bounding_box()
+    assert box is not None
+    assert box["height"] > 20
+    assert box["x"] >= 0
+    assert box["x"] + box["width"] <= 1280
+    page.keyboard.press("Escape")
+    assert page.locator("#link-preview").is_hidden()
+    page.locator(f"article {link}").first.focus()
+    page.keyboard.press("Shift+Tab")
+    page.keyboard.press("Tab")  # the keyboard has one, too
+    page.wait_for_selector("#link-preview:not([hidden])")
+    assert page.faults == []  # type: ignore[attr-defined]
+
+
+def test_a_mention_leads_to_its_formula(page: Page, html: Path) -> None:
+    open_page(page, html / "symbols.html")
+    mentions = page.locator("article a.mention")
+    assert mentions.count() > 60
+    page.get_by_role("link", name="(4.3)").first.click()
+    assert page.url.endswith("04_mechanical_characterization.html#equation-4-3")
