@@ -9,7 +9,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup book test notebooks html lint format data picture benchmarks oldest mutants vacuity fuzz faults lock clean
+.PHONY: help setup book pdf test notebooks html lint format data picture benchmarks oldest mutants vacuity fuzz faults lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -33,6 +33,10 @@ html: notebooks
 
 book: html ## run the notebooks and build the book
 	@echo "The book is at build/html/index.html"
+
+pdf: html ## print the book to build/book.pdf (needs a Chromium)
+	@$(BIN)/python book/make_pdf.py
+	@echo "The book is in build/book.pdf"
 
 test: $(STAMP) ## run every test: library, notebooks, book
 	@$(MAKE) --no-print-directory --jobs 2 html lint

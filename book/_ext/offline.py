@@ -21,6 +21,8 @@ from sphinx.util.fileutil import copy_asset_file
 
 MATHJAX = "mathjax/tex-svg-full.js"
 PLOTLY = "plotly.min.js"
+# No toolbar over a title.
+PLOTLY_SETTINGS = "Plotly.setPlotConfig({displayModeBar: false});"
 PLOTLY_INLINE = re.compile(r"<script[^>]*>(\s*window\.PLOTLYENV)")
 TOGGLE = '<summary><span class="toctree-toggle"'
 WIDE_TABLE = '<div class="pst-scrollable-table-container"'
@@ -53,7 +55,7 @@ def shape_page(app: Sphinx, page: str, template: str, context: dict, doctree: An
     if "plotly-graph-div" in context.get("body", ""):
         # Deferred, and the figures' own scripts with it, so that the page shows before they draw.
         path = context["pathto"](f"_static/{PLOTLY}", 1)
-        body = PLOTLY_INLINE.sub(r'<script type="module">\1', context["body"])
+        body = PLOTLY_INLINE.sub(rf'<script type="module">{PLOTLY_SETTINGS}\1', context["body"])
         context["body"] = f'<script defer src="{path}"></script>\n{body}'
 
 

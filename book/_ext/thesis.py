@@ -14,7 +14,7 @@ A number that was never recorded stops the build, so the text cannot outlive its
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -25,7 +25,10 @@ from docutils.parsers.rst import directives
 from docutils.statemachine import StringList
 from sphinx.application import Sphinx
 from sphinx.config import Config
+from sphinx.environment import BuildEnvironment
 from sphinx.util.docutils import SphinxDirective, SphinxRole
+from test_sources import place_of_proof, place_of_test
+from thesis_map import find_items
 
 from compendium import ledger
 
@@ -79,13 +82,24 @@ class Printed(SphinxRole):
 
 
 class Verdict(SphinxRole):
+    """The verdict of a claim, which leads to its row in the scorecard."""
+
     def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
-        return [badge(ledger.claim(self.text))], []
+        shown = badge(ledger.claim(self.text))
+        return [link(self.env, shown, "claims", f"claim-{self.text}")], []
 
 
 def badge(claim: ledger.Claim) -> nodes.inline:
     text = claim.qualified
     return nodes.inline(text, text, classes=["verdict", f"verdict-{claim.verdict}"])
+
+
+def link(env: BuildEnvironment, shown: nodes.Node, page: str, anchor: str) -> nodes.reference:
+    """Return a link to an anchor of a page of this book."""
+    uri = env.app.builder.get_relative_uri(env.docname, page)
+    result = nodes.reference("", "", internal=True, refuri=f"{uri}#{nodes.make_id(anchor)}")
+    result += shown
+    return result
 
 
 def with_unit(number: str, unit: str) -> str:
@@ -110,7 +124,8 @@ class Claims(SphinxDirective):
         sorts = [
             [f"has-{c.verdict}", f"spent-{c.spent or 'nothing'}", f"kind-{c.kind}"] for c in chosen
         ]
-        result = [table(SCORECARD, rows, classes=["claims"], row_classes=sorts)]
+        anchors = [nodes.make_id(f"claim-{c.id}") for c in chosen]
+        result = [table(SCORECARD, rows, classes=["claims"], row_classes=sorts, row_ids=anchors)]
         if "filter" in self.options:
             result.insert(0, raw_html(FILTER))
         return result
@@ -152,15 +167,23 @@ class Claims(SphinxDirective):
         found: list[nodes.Node] = []
         page = pages().get(claim.id)
         if page is not None:
-            paragraph = nodes.paragraph()
-            target = f"notebooks/{page}.html" + (f"#{anchor(cell)}" if cell else "")
-            text = f"cell {cell}" if cell else page
-            paragraph += nodes.reference(text, text, refuri=target, internal=True)
-            found.append(paragraph)
+            anchored = anchor(cell) if cell else page
+            found.append(
+                self.leads(f"cell {cell}" if cell else page, f"notebooks/{page}", anchored)
+            )
         if claim.test:
             file, _, function = claim.test.partition("::")
-            found.append(line(f"{file.removeprefix('tests/')} {function}", "claim-test"))
+            text = f"{file.removeprefix('tests/')} {function}"
+            found.append(self.leads(text, *place_of_test(claim.test), kind="claim-test"))
+        for name, entry in ledger.errata().items():
+            if claim.id in entry.get("claims", "").split():
+                found.append(self.leads("erratum", "errata", f"erratum-{name}"))
         return found or [line("–")]
+
+    def leads(self, text: str, page: str, anchor: str, *, kind: str = "") -> nodes.paragraph:
+        paragraph = nodes.paragraph(classes=[kind] if kind else [])
+        paragraph += link(self.env, nodes.Text(text), page, anchor)
+        return paragraph
 
 
 def line(text: str, kind: str = "") -> nodes.paragraph:
@@ -213,11 +236,29 @@ class Errata(SphinxDirective):
                 "",
                 entry["proof"],
                 "",
-                f"*Origin: {origins[entry['origin']]}. Proven in* `{entry['test']}`.",
+                f"*Origin: {origins[entry['origin']]}.*",
             ]
             self.state.nested_parse(StringList(lines, source="errata.toml"), 0, part)
+            part += self.sources(name, entry)
             result.append(part)
         return result
+
+    def sources(self, name: str, entry: Mapping[str, str]) -> nodes.paragraph:
+        """Return the way to the proof, to the printed numbers, and to where the formula stands."""
+        file = entry["test"]
+        shown = [("Proof: ", file, *place_of_proof(name))]
+        for k, claim in enumerate(entry.get("claims", "").split()):
+            before = ", " if k else ". Printed numbers: "
+            shown.append((before, claim, "claims", f"claim-{claim}"))
+        if name in (places := find_items(ROOT / "build" / "notebooks")):
+            stem, anchored = places[name]
+            number = name.removeprefix("equation-")
+            shown.append((". Formula: ", f"({number})", f"notebooks/{stem}", anchored))
+        paragraph = nodes.paragraph(classes=["erratum-sources"])
+        for before, text, page, anchored in shown:
+            paragraph += [nodes.Text(before), link(self.env, nodes.Text(text), page, anchored)]
+        paragraph += nodes.Text(".")
+        return paragraph
 
 
 class Benchmarks(SphinxDirective):
@@ -288,13 +329,14 @@ def table(
     *,
     classes: list[str] | None = None,
     row_classes: list[list[str]] | None = None,
+    row_ids: list[str] | None = None,
 ) -> nodes.table:
     """Build a docutils table; cells are text, nodes, or lists of paragraphs."""
     group = nodes.tgroup(cols=len(head))
     group += [nodes.colspec(colwidth=1) for _ in head]
 
-    def across(cells: list, classes: list[str]) -> nodes.row:
-        row = nodes.row(classes=classes)
+    def across(cells: list, classes: list[str], ids: Sequence[str] = ()) -> nodes.row:
+        row = nodes.row(classes=classes, ids=list(ids))
         for cell in cells:
             entry = nodes.entry()
             if isinstance(cell, list):
@@ -309,7 +351,8 @@ def table(
     header, body = nodes.thead(), nodes.tbody()
     header += across(head, [])
     names = row_classes or [[]] * len(rows)
-    body += [across(row, name) for row, name in zip(rows, names, strict=True)]
+    ids = [[name] for name in row_ids] if row_ids else [[]] * len(rows)
+    body += [across(*whole) for whole in zip(rows, names, ids, strict=True)]
     group += [header, body]
     result = nodes.table(classes=["colwidths-auto", *(classes or [])])
     result += group

@@ -15,7 +15,7 @@ import re
 import shutil
 import tomllib
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from importlib import import_module
@@ -37,6 +37,25 @@ FIGURES = ROOT / "build" / "figures"
 CAPTION = re.compile(r"\*\*(Figures?|Tables?) ([^*]+)\*\*")
 TAG = re.compile(r"\\tag\{(\d\.\d+)\}")
 TABLE = re.compile(r"^\(table-(\d)-(\d)\)=", flags=re.M)
+# A number of an equation in brackets, or of a figure or table with its word.
+MENTION = re.compile(
+    r"\((?P<bare>\d\.\d+)\)|\b(?P<kind>Figure|Table|figure|table) (?P<number>\d\.\d+)(?!\.?\d)"
+)
+# Where a link would nest, or change what is quoted.
+UNLINKED = (
+    nodes.reference,
+    nodes.title,
+    nodes.caption,
+    nodes.literal,
+    nodes.literal_block,
+    nodes.math,
+    nodes.math_block,
+    nodes.raw,
+    nodes.comment,
+    nodes.target,
+    addnodes.desc_signature,
+    addnodes.pending_xref,
+)
 # What an item of each kind can be said to be; a table's numbers have verdicts of their own.
 STATES = {
     "equation": ("holds", "corrected", "definition"),
@@ -194,6 +213,36 @@ def link_formulas(app: Sphinx, doctree: nodes.document) -> None:
             block.parent.insert(place, anchor)
 
 
+def link_numbers(app: Sphinx, doctree: nodes.document) -> None:
+    """Make each mention of an equation, a figure or a table of the thesis lead to it."""
+    places = find_items(ROOT / "build" / "notebooks")
+    for text in list(doctree.findall(nodes.Text)):
+        if any(isinstance(node, UNLINKED) for node in ancestors(text)):
+            continue
+        parts, end = [], 0
+        plain = text.astext()
+        for match in MENTION.finditer(plain):
+            kind = (match["kind"] or "equation").lower()
+            place = places.get(f"{kind}-{match['bare'] or match['number']}")
+            if place is None:
+                continue
+            page = f"notebooks/{place[0]}"
+            uri = app.builder.get_relative_uri(app.env.docname, page)
+            address = f"{uri}#{nodes.make_id(place[1])}"
+            link = nodes.reference("", "", internal=True, refuri=address, classes=["mention"])
+            link += nodes.Text(match[0])
+            parts += [nodes.Text(plain[end : match.start()]), link]
+            end = match.end()
+        if parts:
+            text.parent.replace(text, [*parts, nodes.Text(plain[end:])])
+
+
+def ancestors(node: nodes.Node) -> Iterator[nodes.Node]:
+    while node.parent is not None:
+        node = node.parent
+        yield node
+
+
 def link_data(app: Sphinx, doctree: nodes.document) -> None:
     """Put a link to the kept numbers under each figure that has them."""
     up = "../" * app.env.docname.count("/")
@@ -266,6 +315,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.add_directive("map", Map)
     app.connect("doctree-read", link_formulas)
     app.connect("doctree-read", link_data)
+    app.connect("doctree-read", link_numbers)
     # After numpydoc, which rewrites the lines it is given.
     app.connect("autodoc-process-docstring", show_result, priority=900)
     app.connect("autodoc-process-docstring", link_back, priority=900)

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
-from collections.abc import Iterator
+import sys
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
 import yaml
-from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Browser, Page, Request, sync_playwright
+from playwright.sync_api import Page
 
 from compendium import ledger
 
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(Path(__file__).parent))
+from browsing import hindrances, open_page  # noqa: E402
+
 # Pages that Sphinx makes for itself and no reader is sent to.
 INTERNAL = {"genindex.html", "py-modindex.html"}
 # The pages that were written for readers, the search, and one of the library's.
@@ -106,64 +106,6 @@ def test_no_page_names_this_machine(html: Path) -> None:
         assert str(ROOT) not in path.read_text(encoding="utf-8"), path.name
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    executable = (
-        os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
-    )
-    if not executable:
-        if os.environ.get("CI"):
-            pytest.fail("CI must install a Chromium")
-        pytest.skip("no Chromium on this machine (set CHROMIUM to its path)")
-    with sync_playwright() as playwright:
-        instance = playwright.chromium.launch(
-            executable_path=executable,
-            chromium_sandbox=False,
-            args=["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
-        )
-        yield instance
-        instance.close()
-
-
-def was_left(request: Request) -> bool:
-    """Tell whether the browser itself dropped a request: the page was left before it was done."""
-    return request.failure == "net::ERR_ABORTED"
-
-
-@pytest.fixture
-def page(browser: Browser) -> Iterator[Page]:
-    """A page without a network that notes everything that goes wrong in it."""
-    context = browser.new_context(offline=True)
-    page = context.new_page()
-    page.faults = []  # type: ignore[attr-defined]
-    note = page.faults.append  # type: ignore[attr-defined]
-    page.on("console", lambda m: note(f"console: {m.text}") if m.type == "error" else None)
-    page.on("pageerror", lambda error: note(f"script: {error}"))
-    page.on("requestfailed", lambda r: note(f"failed request {r.url}") if not was_left(r) else None)
-    yield page
-    context.close()
-
-
-def open_page(page: Page, path: Path) -> None:
-    """Open a page and wait until its formulas are drawn; fail on whatever is missing in it."""
-    page.goto(path.as_uri())
-    page.evaluate("window.MathJax?.startup?.promise")
-    assert page.faults == [], f"{path.name}: {page.faults}"  # type: ignore[attr-defined]
-    assert refused_formulas(page) == [], path.name
-
-
-def refused_formulas(page: Page) -> list[str]:
-    """Return the source of each formula that stands on the page undrawn, or drawn as an error."""
-    return page.evaluate("""() => {
-        const drawn = new Set(document.querySelectorAll("mjx-container"));
-        const errors = [...document.querySelectorAll("[data-mml-node=merror], mjx-merror")];
-        const undrawn = [...document.querySelectorAll(".math.notranslate, .math.nohighlight")]
-            .filter(math => ![...math.querySelectorAll("mjx-container")].some(m => drawn.has(m)));
-        const source = node => node.closest(".math") ?? node;
-        return [...errors.map(source), ...undrawn].map(node => node.textContent.trim());
-    }""")
-
-
 def test_a_broken_page_is_noticed(page: Page, tmp_path: Path) -> None:
     """The tests below would see a missing file, a script's error, and a foreign request."""
     broken = tmp_path / "broken.html"
@@ -202,16 +144,6 @@ def test_a_formula_that_cannot_be_drawn_is_noticed(
     planted.write_text(text.format(library, "notranslate", formula))
     with pytest.raises(AssertionError, match=r"planted\.html"):
         open_page(page, planted)
-
-
-def hindrances(page: Page) -> list[str]:
-    """Return what axe-core calls a serious or critical hindrance to some readers."""
-    found = Axe().run(page).response["violations"]
-    return [
-        f"{v['id']}: {v['nodes'][0]['html'][:120]}"
-        for v in found
-        if v["impact"] in ("serious", "critical")
-    ]
 
 
 @pytest.mark.parametrize("name", WRITTEN)

@@ -1,0 +1,62 @@
+"""Pages with the source of the tests that hold the claims and prove the errata."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from pygments import highlight
+from pygments.formatters import HtmlFormatter
+from pygments.lexers import PythonLexer
+from sphinx.application import Sphinx
+
+from compendium import ledger
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@cache
+def source(file: str) -> str:
+    return (ROOT / file).read_text(encoding="utf-8")
+
+
+def line_of(file: str, text: str) -> int:
+    """Return the number of the first line that holds a text."""
+    for number, line in enumerate(source(file).splitlines(), start=1):
+        if text in line:
+            return number
+    raise ValueError(f"text must stand in {file}, got {text!r}")
+
+
+def page_of(file: str) -> str:
+    """Return the page that shows a test's file: ``tests/a/b.py`` is on ``_tests/a/b``."""
+    return "_" + file.removesuffix(".py")
+
+
+def place_of_test(test: str) -> tuple[str, str]:
+    """Return page and anchor of a test that is named as pytest does."""
+    file, _, function = test.partition("::")
+    return page_of(file), f"line-{line_of(file, f'def {function}(') if function else 1}"
+
+
+def place_of_proof(erratum: str) -> tuple[str, str]:
+    """Return page and anchor of an erratum's entry in the table of proofs."""
+    file = ledger.errata()[erratum]["test"]
+    entry = f'"{erratum}": ('
+    return page_of(file), f"line-{line_of(file, entry)}"
+
+
+def show_sources(app: Sphinx) -> Iterator[tuple[str, dict[str, Any], str]]:
+    files = {c.test.partition("::")[0] for c in ledger.claims().values() if c.test}
+    files |= {entry["test"] for entry in ledger.errata().values()}
+    formatter = HtmlFormatter(lineanchors="line", anchorlinenos=False)
+    for file in sorted(files):
+        body = highlight(source(file), PythonLexer(), formatter)
+        yield page_of(file), {"title": file, "body": f"<h1>{file}</h1>{body}"}, "page.html"
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    app.connect("html-collect-pages", show_sources)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

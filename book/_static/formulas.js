@@ -1,0 +1,30 @@
+// Shrink a display formula that is wider than its column, so that none has to be scrolled.
+{
+  const fit = () => {
+    for (const formula of document.querySelectorAll("div.math mjx-container[display]")) {
+      const column = formula.closest("div.math");
+      const needed = () => Math.max(column.scrollWidth, formula.scrollWidth);
+      formula.style.fontSize = formula.style.overflowX = column.style.overflowX = "";
+      // The distance to the number does not shrink with the formula: look again.
+      for (let look = 0, size = 1; look < 6 && needed() > column.clientWidth; look++) {
+        size *= (column.clientWidth - 1) / needed();
+        formula.style.fontSize = `${Math.floor(size * 1000) / 10}%`;
+      }
+      // The boxes of glyphs reach a little past what is drawn; that is no reason to scroll.
+      formula.style.overflowX = column.style.overflowX = "clip";
+    }
+  };
+  const start = async () => {
+    await window.MathJax?.startup?.promise;
+    fit();
+    globalThis.formulasFit = true;
+    let width = innerWidth;
+    addEventListener("resize", () => {
+      if (innerWidth !== width) fit(); // not when a phone's address bar comes and goes
+      width = innerWidth;
+    });
+    // What was folded away had no width.
+    for (const fold of document.querySelectorAll("details")) fold.addEventListener("toggle", fit);
+  };
+  addEventListener("load", start);
+}

@@ -1,0 +1,38 @@
+"""What the tests ask of a page: that it opens whole, and that nobody is kept out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Page
+
+
+def open_page(page: Page, path: Path) -> None:
+    """Open a page and wait until its formulas are drawn; fail on whatever is missing in it."""
+    page.goto(path.as_uri())
+    page.evaluate("window.MathJax?.startup?.promise")
+    assert page.faults == [], f"{path.name}: {page.faults}"  # type: ignore[attr-defined]
+    assert refused_formulas(page) == [], path.name
+
+
+def refused_formulas(page: Page) -> list[str]:
+    """Return the source of each formula that stands on the page undrawn, or drawn as an error."""
+    return page.evaluate("""() => {
+        const drawn = new Set(document.querySelectorAll("mjx-container"));
+        const errors = [...document.querySelectorAll("[data-mml-node=merror], mjx-merror")];
+        const undrawn = [...document.querySelectorAll(".math.notranslate, .math.nohighlight")]
+            .filter(math => ![...math.querySelectorAll("mjx-container")].some(m => drawn.has(m)));
+        const source = node => node.closest(".math") ?? node;
+        return [...errors.map(source), ...undrawn].map(node => node.textContent.trim());
+    }""")
+
+
+def hindrances(page: Page) -> list[str]:
+    """Return what axe-core calls a serious or critical hindrance to some readers."""
+    found = Axe().run(page).response["violations"]
+    return [
+        f"{v['id']}: {v['nodes'][0]['html'][:120]}"
+        for v in found
+        if v["impact"] in ("serious", "critical")
+    ]

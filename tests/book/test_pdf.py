@@ -1,0 +1,62 @@
+"""The PDF of the book: whole, with links that lead somewhere, and with page numbers."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "book"))
+from make_pdf import combine, gather, make_pdf, pages_in_order, slug  # noqa: E402
+
+FEW = ["intro", "conventions", "errata", "claims"]
+
+
+def test_the_whole_book_is_in_it_and_no_link_is_dead(html: Path) -> None:
+    pages = pages_in_order()
+    assert pages[0] == "intro"
+    assert {"try", "notebooks/05_experimental_results", "symbols"} < set(pages)
+    text = combine(html, pages)
+    identified = re.findall(r'\sid="([^"]+)"', text)
+    anchors = set(identified)
+    links = re.findall(r'<a\s[^>]*?href="#([^"]+)"', text)
+    assert len(links) > 1000
+    assert [link for link in links if link not in anchors] == []
+    # Pages share names of sections; each has its own in the whole.
+    assert len({one for one in identified if one.startswith("claims--claim-")}) > 190
+
+
+def test_links_keep_their_page(tmp_path: Path) -> None:
+    (tmp_path / "notebooks").mkdir()
+    (tmp_path / "notebooks" / "a.html").write_text(
+        '<article class="bd-article"><p id="x"><a href="#x">1</a><a href="../b.html#y">2</a>'
+        '<a href="../_static/z.csv">3</a><a href="https://example.org/">4</a>'
+        '<img src="../_images/i.png"></p></article>',
+        encoding="utf-8",
+    )
+    body = gather(tmp_path, "notebooks/a", ["notebooks/a", "b"])
+    assert re.findall(r'href="([^"]*)"', body) == [
+        "#notebooks-a--x",
+        "#b--y",
+        "https://example.org/",
+    ]
+    assert 'src="_images/i.png"' in body
+    assert f'id="{slug("notebooks/a")}--x"' in body
+    (tmp_path / "b.html").write_text("<p>nothing</p>", encoding="utf-8")
+    with pytest.raises(ValueError, match="page must hold an article, got b"):
+        gather(tmp_path, "b", ["b"])
+
+
+def test_a_few_pages_are_printed(html: Path, tmp_path: Path, browser: Browser) -> None:
+    target = tmp_path / "few.pdf"
+    make_pdf(browser, html, FEW, target)
+    data = target.read_bytes()
+    assert data.startswith(b"%PDF")
+    assert data.count(b"/Type /Page\n") >= len(FEW)
+    assert data.count(b"/Subtype /Link") > 40  # between errata and claims
+    assert b"/Outlines" in data
+    assert not (html / "whole_book.html").exists()

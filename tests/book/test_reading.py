@@ -1,0 +1,242 @@
+"""Nothing is cut or trapped on any screen or on paper, and everything leads on."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import pytest
+from docutils import nodes
+from playwright.sync_api import Browser, Page
+
+from compendium import ledger
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT / "book" / "_ext"), str(Path(__file__).parent)]
+from browsing import open_page  # noqa: E402
+from test_sources import line_of, place_of_test  # noqa: E402
+
+SURFACES = "notebooks/03_visual_reconstruction_and_classification.html"
+CHAPTER = "notebooks/04_mechanical_characterization.html"
+
+
+def formulas(page: Page) -> list[tuple[str, float, float]]:
+    """Return source, share of its full size, and px that stand out, of each display formula."""
+    page.wait_for_function("window.formulasFit")
+    return page.evaluate("""() =>
+        [...document.querySelectorAll("div.math")].filter(one => one.checkVisibility()).map(one => {
+            const drawn = one.querySelector("mjx-container");
+            const rights = [...drawn.querySelectorAll("svg, g")]
+                .map(part => part.getBoundingClientRect().right);
+            return [one.textContent.slice(0, 40), parseFloat(drawn.style.fontSize || 100) / 100,
+                Math.max(...rights) - one.getBoundingClientRect().right];
+        })
+    """)
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_no_formula_is_cut_or_has_to_be_scrolled(page: Page, html: Path, width: int) -> None:
+    page.set_viewport_size({"width": width, "height": 844})
+    found = []
+    for path in sorted(html.rglob("*.html")):
+        if 'class="math' in path.read_text(encoding="utf-8"):
+            open_page(page, path)
+            found += [(path.name, *one) for one in formulas(page)]
+            excess = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
+            assert excess <= 0, f"{path.name} is {excess} px wider than its screen"
+    assert len(found) > 80
+    assert [one for one in found if one[3] > 1] == []
+    # A sidebar and a margin apart, a line holds every formula; on a phone half its size is legible.
+    least = 1.0 if width == 1280 else 0.45
+    assert [one for one in found if one[2] < least] == []
+
+
+def test_every_claim_leads_to_its_cell_its_test_and_its_erratum(html: Path) -> None:
+    text = (html / "claims.html").read_text(encoding="utf-8")
+    rows = dict(re.findall(r'<tr class="[^"]*" id="(claim-[^"]+)">(.*?)</tr>', text, re.S))
+    claims = ledger.claims()
+    assert rows.keys() == {nodes.make_id(f"claim-{name}") for name in claims}
+    for claim in claims.values():
+        row = rows[nodes.make_id(f"claim-{claim.id}")]
+        if claim.verdict not in ("given", "lost"):
+            assert re.search(r'href="notebooks/0\d_\w+\.html#cell-', row), claim.id
+        if claim.test:
+            page, anchor = place_of_test(claim.test)
+            assert f'href="{page}.html#{anchor}"' in row, claim.id
+    for name, entry in ledger.errata().items():
+        for claim_id in entry.get("claims", "").split():
+            assert (
+                f"errata.html#erratum-{nodes.make_id(name)}"
+                in rows[nodes.make_id(f"claim-{claim_id}")]
+            ), name
+
+
+def test_every_erratum_leads_to_its_proof_and_its_claims(html: Path) -> None:
+    text = (html / "errata.html").read_text(encoding="utf-8")
+    ways = re.findall(r'<p class="erratum-sources">(.*?)</p>', text, re.S)
+    assert len(ways) == len(ledger.errata())
+    for way, (name, entry) in zip(ways, ledger.errata().items(), strict=True):
+        line = line_of(entry["test"], f'"{name}": (')
+        assert f'href="_tests/compendium/test_errata.html#line-{line}"' in way
+        for claim in entry.get("claims", "").split():
+            assert f'href="claims.html#{nodes.make_id(f"claim-{claim}")}"' in way
+        if name.startswith("equation"):
+            assert f"#{nodes.make_id(name)}" in way
+
+
+def test_a_badge_leads_to_its_claim(page: Page, html: Path) -> None:
+    open_page(page, html / "intro.html")
+    page.locator("article .verdict").first.click()
+    assert page.url.endswith("claims.html#claim-table-5-6-e")
+    page.wait_for_function("""() => {
+        const top = document.querySelector("tr:target")?.getBoundingClientRect().top;
+        return 0 <= top && top < 700;
+    }""")
+
+
+@pytest.mark.parametrize(
+    ("query", "first"),
+    [
+        ("5.6", "Section 5.6 Mechanical characterization"),
+        ("section 2.2.1", "Section 2.2.1 Calibration of the optical system"),
+        ("equation (4.7)", "Equation (4.7): "),
+        ("fig. 3.2", "Figure 3.2: "),
+        ("Table 5.1", "Table 5.1: "),
+    ],
+)
+def test_search_leads_to_a_number_first(page: Page, html: Path, query: str, first: str) -> None:
+    page.goto((html / "search.html").as_uri() + f"?q={query}")
+    page.wait_for_selector("ul.search li a")
+    assert page.locator("ul.search li a").first.inner_text().startswith(first)
+    page.goto((html / "search.html").as_uri() + "?q=chorion")
+    page.wait_for_selector("ul.search li a")
+    assert page.locator(".number-results").count() == 0
+
+
+def test_every_number_of_the_thesis_can_be_searched(html: Path) -> None:
+    text = (html / "_static" / "numbers.js").read_text(encoding="utf-8")
+    numbers = json.loads(text.partition("= ")[2].rstrip(";\n"))
+    kinds = [kind for entries in numbers.values() for kind, *_ in entries]
+    assert {kind: kinds.count(kind) for kind in ("equation", "figure", "table")} == {
+        "equation": 63,
+        "figure": 30,
+        "table": 8,
+    }
+    assert kinds.count("section") > 20
+    for _, _, address in (one for entries in numbers.values() for one in entries):
+        name, _, anchor = address.partition("#")
+        target = (html / name).read_text(encoding="utf-8")
+        assert not anchor or f'id="{anchor}"' in target, address
+
+
+def test_a_page_is_scrolled_over_its_surfaces(browser: Browser, html: Path) -> None:
+    context = browser.new_context(
+        offline=True, viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True
+    )
+    page = context.new_page()
+    page.goto((html / SURFACES).as_uri())
+    page.wait_for_selector(".turn-surface", timeout=30_000)
+    figure = page.locator(".plotly-graph-div").first
+    assert figure.evaluate("one => getComputedStyle(one).pointerEvents") == "none"
+    page.locator(".turn-surface").first.click()
+    assert figure.evaluate("one => getComputedStyle(one).pointerEvents") == "auto"
+    assert page.locator(".modebar").count() == 0
+    context.close()
+
+
+def test_a_wheel_scrolls_the_page_and_surfaces_are_dark(page: Page, html: Path) -> None:
+    page.add_init_script("localStorage.mode = 'dark'; localStorage.theme = 'dark'")
+    page.goto((html / SURFACES).as_uri())
+    page.wait_for_selector(".turn-surface", state="attached", timeout=30_000)
+    figure = page.locator(".plotly-graph-div").first
+    figure.scroll_into_view_if_needed()
+    box = figure.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    before = page.evaluate("scrollY")
+    page.mouse.wheel(0, 200)
+    page.wait_for_function(f"scrollY > {before} + 100")
+    ground = page.evaluate("""() => [
+        document.querySelector(".plotly-graph-div").layout.paper_bgcolor,
+        getComputedStyle(document.documentElement).getPropertyValue("--pst-color-background")]""")
+    assert ground[0] == ground[1]
+
+
+def test_paper_has_whole_code_and_nothing_of_the_screen(page: Page, html: Path) -> None:
+    open_page(page, html / CHAPTER)
+    page.emulate_media(media="print")
+    page.set_viewport_size({"width": 650, "height": 900})  # A4 within its margins
+    gone = ".bd-sidebar-primary, .prev-next-footer, .turn-surface, details.hide summary"
+    assert (
+        page.locator(gone).evaluate_all("all => all.filter(e => e.checkVisibility()).length") == 0
+    )
+    cut = page.locator("pre").evaluate_all(
+        "all => all.filter(e => e.checkVisibility() && e.scrollWidth > e.clientWidth + 1).length"
+    )
+    assert cut == 0
+    parted = page.locator("figure").evaluate_all(
+        "all => all.filter(e => getComputedStyle(e).breakInside !== 'avoid').length"
+    )
+    assert parted == 0
+
+
+def previews(html: Path) -> dict[str, str]:
+    text = (html / "_static" / "preview_data.js").read_text(encoding="utf-8")
+    return json.loads(text.partition("= ")[2].rstrip(";\n"))
+
+
+def test_every_formula_figure_source_and_claim_has_a_preview(html: Path) -> None:
+    found = previews(html)
+    counts = {
+        "equation": 63,
+        "fig": 30 - 3,  # three captions stand for two or three figures
+        "claim": len(ledger.claims()),
+        "term": 40,
+    }
+    for name, least in counts.items():
+        assert sum(f"#{name}-" in key for key in found) >= least, name
+    sources = (html / "bibliography.html").read_text(encoding="utf-8").count('class="citation"')
+    assert sum(key.startswith("bibliography") for key in found) == sources
+    for key, preview in found.items():
+        page, _, anchor = key.partition("#")
+        assert f'id="{anchor}"' in (html / page).read_text(encoding="utf-8"), key
+        for image in re.findall(r'src="([^"]+)"', preview):
+            assert (html / image).exists(), key
+
+
+@pytest.mark.parametrize(
+    ("name", "link", "seen"),
+    [
+        (CHAPTER, "a.mention", "mjx-container"),
+        ("errata.html", "a[href*='claims.html#']", "text=in the thesis"),
+        (CHAPTER, "a[href*='bibliography.html#']", "p"),
+    ],
+)
+def test_a_link_shows_what_it_leads_to(
+    page: Page, html: Path, name: str, link: str, seen: str
+) -> None:
+    open_page(page, html / name)
+    page.locator(f"article {link}").first.hover()
+    page.wait_for_selector(f"#link-preview:not([hidden]) {seen}" if "=" not in seen else seen)
+    box = page.locator("#link-preview").bounding_box()
+    assert box is not None
+    assert box["height"] > 20
+    assert box["x"] >= 0
+    assert box["x"] + box["width"] <= 1280
+    page.keyboard.press("Escape")
+    assert page.locator("#link-preview").is_hidden()
+    page.locator(f"article {link}").first.focus()
+    page.keyboard.press("Shift+Tab")
+    page.keyboard.press("Tab")  # the keyboard has one, too
+    page.wait_for_selector("#link-preview:not([hidden])")
+    assert page.faults == []  # type: ignore[attr-defined]
+
+
+def test_a_mention_leads_to_its_formula(page: Page, html: Path) -> None:
+    open_page(page, html / "symbols.html")
+    mentions = page.locator("article a.mention")
+    assert mentions.count() > 60
+    page.get_by_role("link", name="(4.3)").first.click()
+    assert page.url.endswith("04_mechanical_characterization.html#equation-4-3")

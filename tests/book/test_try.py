@@ -1,0 +1,291 @@
+"""The page "Try it": its formulas are those of the library, and everyone can use it."""
+
+from __future__ import annotations
+
+import json
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page
+
+from microlib.curvature import hk_labels, surface_curvature
+from microlib.focus import depth_from_focus, sum_modified_laplacian
+from microlib.membrane import (
+    SmallSlopeWarning,
+    dimple_profile,
+    elastic_modulus,
+    modulus_std,
+)
+from microlib.servoing import Camera, Stage, loop_poles, simulate
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT / "book" / "_ext"), str(Path(__file__).parent)]
+from browsing import hindrances, open_page  # noqa: E402
+from try_page import render_stack  # noqa: E402
+
+COUNT = 1000
+# What was asked of the tools; both sides compute in doubles and differ by some roundings only.
+SAME = {"rtol": 1e-9, "atol": 0.0}
+MEMBRANE = {
+    "force": "force",
+    "dimple_radius": "dimpleRadius",
+    "dimple_depth": "dimpleDepth",
+    "thickness": "thickness",
+    "probe_half_width": "probeHalfWidth",
+    "poisson_ratio": "poissonRatio",
+}
+LOOKS = [(1280, "light"), (1280, "dark"), (390, "light"), (390, "dark")]
+
+
+@pytest.fixture
+def try_page(page: Page, html: Path) -> Page:
+    open_page(page, html / "try.html")
+    page.wait_for_selector("[data-try=focus] .try-answer")
+    return page
+
+
+def draw_membranes() -> list[dict[str, float]]:
+    rng = np.random.default_rng(19)
+    radius = rng.uniform(20, 600, COUNT)
+    inputs = {
+        "force": rng.uniform(1, 500, COUNT),
+        "dimple_radius": radius,
+        "dimple_depth": radius * 10 ** rng.uniform(-2, 0, COUNT),
+        "thickness": rng.uniform(0.5, 10, COUNT),
+        # From a needle to a probe that nearly fills the dimple, where the series takes over.
+        "probe_half_width": radius * rng.uniform(0.005, 0.999, COUNT),
+        "poisson_ratio": rng.uniform(-0.5, 0.5, COUNT),
+    }
+    return [{name: float(values[k]) for name, values in inputs.items()} for k in range(COUNT)]
+
+
+def in_page(values: dict[str, float]) -> dict[str, float]:
+    return {MEMBRANE[name]: value for name, value in values.items()}
+
+
+def test_moduli_are_those_of_the_library(try_page: Page) -> None:
+    drawn = draw_membranes()
+    relative = np.random.default_rng(20).uniform(0, 0.1, (COUNT, len(MEMBRANE)))
+    stds = [
+        dict(zip(MEMBRANE, (row * list(one.values())).tolist(), strict=True))
+        for row, one in zip(np.abs(relative), drawn, strict=True)
+    ]
+    for one in stds:
+        one["poisson_ratio"] = abs(one["poisson_ratio"])
+    radii = [(3 * v["probe_half_width"] + v["dimple_radius"]) / 4 for v in drawn]
+    found = try_page.evaluate(
+        """([inputs, stds, radii]) => inputs.map((p, k) => [tryIt.membrane.elasticModulus(p),
+            tryIt.membrane.modulusStd(p, stds[k]), tryIt.membrane.dimpleProfile(radii[k], p)])""",
+        [list(map(in_page, drawn)), list(map(in_page, stds)), radii],
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SmallSlopeWarning)
+        wanted = [
+            [
+                float(elastic_modulus(**one)),
+                modulus_std(one, std),
+                float(
+                    dimple_profile(
+                        r,
+                        one["dimple_radius"],
+                        one["dimple_depth"],
+                        probe_half_width=one["probe_half_width"],
+                    )
+                ),
+            ]
+            for one, std, r in zip(drawn, stds, radii, strict=True)
+        ]
+    np.testing.assert_allclose(found, wanted, **SAME)
+
+
+def test_the_warning_and_the_refusal_are_those_of_the_library(try_page: Page) -> None:
+    assert try_page.evaluate("tryIt.membrane.STEEP") == SmallSlopeWarning.limit
+    tool = try_page.locator("[data-try=modulus]")
+    assert tool.locator(".try-answer").inner_text().startswith("E = 1.324 ± 0.061 MPa")
+    assert "w_d/a = 0.4909" in tool.locator(".try-warning").inner_text()
+    tool.get_by_label("Dimple depth w_d (µm), exact").fill("24")
+    assert tool.locator(".try-warning").is_hidden()
+    tool.get_by_label("Probe half-width c (µm), exact").fill("300")
+    assert "c must be below a" in tool.locator(".try-answer").inner_text()
+
+
+def draw_loops() -> list[tuple[float, float]]:
+    rng = np.random.default_rng(21)
+    loops = list(zip(rng.uniform(0.02, 2.2, COUNT), rng.uniform(0, 5, COUNT), strict=True))
+    # Whole delays are what readers try first.
+    return [(g, float(round(d)) if k % 10 == 0 else d) for k, (g, d) in enumerate(loops)]
+
+
+def test_poles_are_those_of_the_library(try_page: Page) -> None:
+    """Each pole has its own beside it; conjugate pairs are of one size, so order is not enough."""
+    loops = draw_loops()
+    found = try_page.evaluate("loops => loops.map(([g, d]) => tryIt.loop.poles(g, d))", loops)
+    for (gain, delay), pairs in zip(loops, found, strict=True):
+        wanted = loop_poles(gain, delay)
+        poles = np.array(pairs) @ [1, 1j]
+        assert len(poles) == len(wanted)
+        nearest = np.argmin(np.abs(poles[:, None] - wanted), axis=0)
+        assert len(set(nearest)) == len(wanted), (gain, delay)
+        np.testing.assert_allclose(poles[nearest], wanted, rtol=1e-9, atol=1e-15)
+
+
+def simulated(gain: float, delay: float, noise: np.ndarray) -> np.ndarray:
+    """Return the feature after a step of 50 px, by the simulated workstation, 1 s a frame."""
+    wrong = iter(noise)
+    run = simulate(
+        lambda k, measured, reference: gain * (reference[k] - measured),
+        np.full((len(noise), 2), 50.0),
+        jacobian=np.eye(2),
+        stage=Stage(saturation=1e300, step=0.0, travel=1e300),
+        camera=Camera(interval=1.0, latency=delay),
+        rng=0,
+        start=(0.0, 0.0),
+        observer=lambda feature: feature + next(wrong),
+    )
+    return run.feature[:, 0]
+
+
+def test_answers_are_those_of_the_simulated_workstation(try_page: Page) -> None:
+    loops = draw_loops()
+    noise = np.random.default_rng(22).normal(0, 1, (COUNT, 40))
+    found = try_page.evaluate(
+        "([loops, noise]) => loops.map(([g, d], k) => tryIt.loop.respond(g, d, 50, noise[k]))",
+        [loops, noise.tolist()],
+    )
+    wanted = [simulated(g, d, row) for (g, d), row in zip(loops, noise, strict=True)]
+    # Relative to the largest value of an answer: it crosses zero.
+    largest = np.abs(wanted).max(axis=1, keepdims=True)
+    np.testing.assert_allclose(found / largest, wanted / largest, rtol=0, atol=1e-9)
+
+
+def test_noise_gain_is_the_known_one(try_page: Page) -> None:
+    """Without delay, white noise makes an autoregression of the first order: √(g / (2 − g))."""
+    for gain in (0.05, 0.5, 1.0, 1.9):
+        found = try_page.evaluate("g => tryIt.loop.noiseGain(g, 0)", gain)
+        assert found == pytest.approx(np.sqrt(gain / (2 - gain)), rel=1e-9)
+    assert np.isinf(try_page.evaluate("tryIt.loop.noiseGain(1.05, 1)"))
+
+
+def test_curvatures_and_labels_are_those_of_the_library(try_page: Page) -> None:
+    rng = np.random.default_rng(23)
+    shape = (17, 19)
+    y, x = np.mgrid[: shape[0], : shape[1]] - 8.0
+    inputs = []
+    for _ in range(COUNT):
+        a, b, c, d, e = rng.uniform(-0.5, 0.5, 5)
+        height = a * x**2 + b * x * y + c * y**2 + d * x + e * y + rng.normal(0, 0.3, shape)
+        size = int(rng.choice([3, 5, 7]))
+        inputs.append([height.ravel().tolist(), *shape, rng.uniform(0.5, 20), size, 0.3])
+    found = try_page.evaluate(
+        """inputs => inputs.map(one => {
+            const { surfaceCurvature, hkLabels } = tryIt.curvature;
+            const found = surfaceCurvature(Float64Array.from(one[0]), ...one.slice(1));
+            const labels = hkLabels(found.mean, found.gaussian, 0.02, 0.001);
+            const plain = map => Array.from(map, v => Number.isNaN(v) ? null : v);
+            const names = ["mean", "gaussian", "meanError", "gaussianError"];
+            return [...names.map(name => plain(found[name])), labels];
+        })""",
+        inputs,
+    )
+    for one, (*fields, labels) in zip(inputs, found, strict=True):
+        height, rows, cols, pitch, size, noise = one
+        wanted = surface_curvature(np.reshape(height, (rows, cols)), pitch, size=size, noise=noise)
+        names = ("mean", "gaussian", "mean_error", "gaussian_error")
+        for name, field in zip(names, fields, strict=True):
+            ours, theirs = np.array(field, float), getattr(wanted, name).ravel()
+            # K and H pass zero: what cancels there is measured by the map's largest value.
+            np.testing.assert_allclose(
+                ours, theirs, rtol=1e-9, atol=1e-9 * np.nanmax(np.abs(theirs))
+            )
+        assert labels == hk_labels(wanted.mean, wanted.gaussian, 0.02, 0.001).ravel().tolist()
+
+
+def test_heights_are_those_of_the_library(try_page: Page) -> None:
+    frames, positions, height = render_stack()
+    shown = try_page.evaluate("tryIt.stack")
+    assert shown["positions"] == positions.tolist()
+    found = try_page.evaluate(
+        """() => {
+            const { rows, cols, positions, data } = tryIt.stack;
+            const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
+            const frames = data.map(text => ({ rows, cols, pixels: bytes(text) }));
+            const measure = (frame, i) =>
+                tryIt.focus.sumModifiedLaplacian(frame, i % cols, Math.floor(i / cols));
+            const every = [...Array(rows * cols).keys()];
+            return [every.map(i => measure(frames[3], i)), every.map(i =>
+                tryIt.focus.gaussianPeak(frames.map(f => measure(f, i)), positions).depth)];
+        }"""
+    )
+    measure, depth = (np.reshape(one, height.shape) for one in found)
+    np.testing.assert_array_equal(measure, sum_modified_laplacian(frames[3], window=5))
+    wanted = depth_from_focus(frames, positions, measure="sml", window=5, points=3).depth
+    # The library's depths are of float32, seven digits of the stack's range.
+    np.testing.assert_allclose(depth, wanted, rtol=0, atol=1e-4 * float(np.ptp(positions)))
+    assert np.median(np.abs(depth - height)) < np.diff(positions)[0] / 2  # it is that dome
+
+
+@pytest.mark.parametrize(("width", "theme"), LOOKS)
+def test_every_state_is_open_to_everyone(page: Page, html: Path, width: int, theme: str) -> None:
+    page.add_init_script(f"localStorage.mode = '{theme}'; localStorage.theme = '{theme}'")
+    page.set_viewport_size({"width": width, "height": 844})
+    open_page(page, html / "try.html")
+    assert hindrances(page) == []
+    page.locator("[data-try=modulus] summary").click()
+    page.get_by_label("Dimple depth w_d (µm), exact").fill("2")  # no warning
+    page.get_by_label("Gain g (share of the error per frame), exact").fill("1.05")  # unstable
+    page.get_by_label("Surface", exact=True).select_option("Saddle")
+    page.get_by_role("button", name="Set both thresholds").click()
+    page.get_by_role("button", name="Go to the sharpest").click()
+    assert hindrances(page) == []
+    for label in ("Probe half-width c (µm), exact", "Delay (frames), exact", "Window (px), exact"):
+        page.get_by_label(label).fill("1000")  # refused
+    assert hindrances(page) == []
+    assert page.evaluate("document.documentElement.scrollWidth - window.innerWidth") <= 0
+    # axe-core asks for style sheets once more, which no page from a file may.
+    faults = page.faults  # type: ignore[attr-defined]
+    assert [fault for fault in faults if fault.startswith("script")] == []
+
+
+def test_every_control_has_a_name_and_is_large_enough_for_a_finger(try_page: Page) -> None:
+    try_page.set_viewport_size({"width": 390, "height": 844})
+    try_page.locator("[data-try=modulus] summary").click()
+    controls: list[dict[str, Any]] = try_page.evaluate(
+        """() => [...document.querySelectorAll(
+            ".try :is(input, select, button, summary)")].map(one => ({
+            height: one.getBoundingClientRect().height,
+            name: one.labels?.[0]?.textContent ?? one.ariaLabel ?? one.textContent,
+            html: one.outerHTML }))"""
+    )
+    assert len(controls) > 40
+    # 24 px is what WCAG 2.2 asks for at the least, 44 px what it recommends.
+    assert [one["html"] for one in controls if one["height"] < 44 or not one["name"].strip()] == []
+
+
+def test_sliders_answer_to_the_keyboard_and_to_a_finger(try_page: Page) -> None:
+    answer = try_page.locator("[data-try=loop] .try-answer")
+    before = answer.inner_text()
+    try_page.get_by_label("Gain g (share of the error per frame)", exact=True).focus()
+    try_page.keyboard.press("ArrowRight")
+    assert answer.inner_text() != before
+    assert (
+        try_page.get_by_label("Gain g (share of the error per frame), exact").input_value()
+        == "0.51"
+    )
+    view = try_page.locator("canvas.try-drag")
+    view.scroll_into_view_if_needed()
+    box = view.bounding_box()
+    assert box is not None
+    try_page.mouse.move(box["x"] + box["width"] / 4, box["y"] + box["height"] / 2)
+    try_page.mouse.down()
+    try_page.mouse.move(box["x"] + box["width"] * 0.75, box["y"] + box["height"] / 2)
+    try_page.mouse.up()
+    assert json.loads(try_page.get_by_label("Column (px), exact").input_value()) == 84
+
+
+def test_the_tools_weigh_little(html: Path) -> None:
+    size = sum(file.stat().st_size for file in (html / "_static" / "try").iterdir())
+    assert size < 4e5, f"{size / 1e3:.0f} kB"
