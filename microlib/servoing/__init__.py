@@ -10,6 +10,7 @@ from microlib.servoing._control import (
 )
 from microlib.servoing._metrics import path_metrics, step_metrics
 from microlib.servoing._micromanager import MicroManager
+from microlib.servoing._servo import servo
 from microlib.servoing._simulated import SimulatedWorkstation
 from microlib.servoing._workstation import Camera, Stage, simulate, tracked_view
 
@@ -25,6 +26,7 @@ __all__ = [
     "optimal_control",
     "path_metrics",
     "point_jacobian",
+    "servo",
     "simulate",
     "step_metrics",
     "tracked_view",

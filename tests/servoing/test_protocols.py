@@ -5,9 +5,19 @@ import builtins
 import numpy as np
 import pytest
 
+from compendium.experiments.microscope import SHAPE, make_scope
 from microlib.servoing import Camera, MicroManager, SimulatedWorkstation, Stage
 from microlib.servoing._protocols import VelocityMover
-from tests.servoing.microscopes import HOME, KINDS, MISSING, SHAPE, demo, workstation
+
+MISSING = "pymmcore-plus is not installed (pip install microlib[microscope])"
+
+
+def workstation(kind="simulated", **options):
+    """Return what is to be steered, and the simulation that knows the truth behind it."""
+    if kind != "simulated":
+        pytest.importorskip("pymmcore_plus", reason=MISSING)
+    scope = make_scope(kind, 0, **options)
+    return scope.workstation, scope.truth
 
 
 def wait(scope, mover) -> None:
@@ -16,21 +26,21 @@ def wait(scope, mover) -> None:
         scope.clock.sleep(0.001)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["simulated", "engine"])
 def test_a_move_starts_goes_on_and_arrives(kind) -> None:
     scope, truth = workstation(kind, stage=Stage(saturation=500.0))
     scope.stage.move_to(np.array([50.0, -20.0]))
     assert scope.stage.moving()
     wait(scope, scope.stage)
     np.testing.assert_allclose(scope.stage.position(), (50.0, -20.0), atol=0.05)  # increments
-    moved = truth.feature - HOME
+    moved = truth.feature - truth._home
     np.testing.assert_allclose(moved, truth._jacobian @ (50.0, -20.0), atol=0.03)
     frame, exposed = scope.camera.snap()
     assert frame.shape == SHAPE
     assert exposed <= scope.clock.now()
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["simulated", "engine"])
 def test_stop_ends_a_move_where_it_is(kind) -> None:
     scope, _ = workstation(kind, stage=Stage(saturation=100.0))
     scope.stage.move_to(np.array([300.0, 0.0]))
@@ -43,15 +53,15 @@ def test_stop_ends_a_move_where_it_is(kind) -> None:
     np.testing.assert_array_equal(scope.stage.position(), where)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["simulated", "engine"])
 def test_the_focus_drive_blurs_the_picture(kind) -> None:
     scope, _ = workstation(kind)
     sharp = scope.camera.snap()[0].std()
     scope.focus.move_to(np.array([10.0]))
     wait(scope, scope.focus)
     np.testing.assert_allclose(scope.focus.position(), [10.0], atol=0.05)
-    # A Gaussian of 3 px takes more than half of a texture of 2 px.
-    assert scope.camera.snap()[0].std() < 0.6 * sharp
+    # A Gaussian of 3 px takes the noise and the grain, and leaves the outline of the jaws.
+    assert scope.camera.snap()[0].std() < 0.95 * sharp
 
 
 def test_velocities_drift_and_travel_of_the_simulation() -> None:
@@ -60,7 +70,7 @@ def test_velocities_drift_and_travel_of_the_simulation() -> None:
     scope.stage.move_at(np.array([10.0, -400.0]))
     scope.clock.sleep(0.2)
     np.testing.assert_allclose(scope.stage.position(), (2.0, -10.0))
-    drifted = scope.feature - HOME - scope._jacobian @ (2.0, -10.0)
+    drifted = scope.feature - scope._home - scope._jacobian @ (2.0, -10.0)
     np.testing.assert_allclose(drifted, (0.2, -0.4))
     scope.clock.sleep(10.0)
     np.testing.assert_allclose(scope.stage.position(), (20.0, -20.0))
@@ -77,7 +87,8 @@ def test_exposures_are_an_interval_apart_and_frames_a_latency_late() -> None:
 
 
 def test_the_demo_camera_sees_the_demo_stage() -> None:
-    scope = demo()
+    pytest.importorskip("pymmcore_plus", reason=MISSING)
+    scope = make_scope("demo", 0).workstation
     first, _ = scope.camera.snap()
     scope.stage.move_to(np.array([10.0, 0.0]))
     wait(scope, scope.stage)
