@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -133,6 +134,29 @@ def make_scope(kind: str, seed: int, **options: Any) -> Scope:
     return Scope(MicroManager(rendered_core(truth, SHAPE)), truth, home, box)
 
 
+def open_microscope(configuration: str) -> tuple[Any, SimulatedWorkstation | None]:
+    """Open what a guide steers.
+
+    Parameters
+    ----------
+    configuration : str
+        Path of a configuration of Micro-Manager, ``demo`` for its own, or empty for a simulated
+        workstation.
+
+    Returns
+    -------
+    workstation : SimulatedWorkstation or MicroManager
+        What `servo` steers.
+    truth : SimulatedWorkstation or None
+        The simulation, if it is one.
+    """
+    if configuration in ("", "demo"):
+        options = {} if configuration else {"jacobian": turned(2.2, 0.2, mirrored=True)}
+        scope = make_scope(configuration or "simulated", 1, **options)
+        return scope.workstation, scope.truth
+    return MicroManager(Path(configuration)), None
+
+
 def reach(kind: str, seed: int, *, drive: str = "position") -> dict[str, Any]:
     """Calibrate and go to one target within 50 px of the start.
 
@@ -235,7 +259,7 @@ FAULTS = [
 #: From home to the target, px.
 WAY = (-35.0, 30.0)
 #: How long a device may take in these runs, s, and how long one that hangs does.
-TIMEOUT, HANGS = 0.25, 0.6
+TIMEOUT, HANGS = 0.4, 0.8
 
 
 class Injected(Exception):
@@ -346,7 +370,8 @@ def inject(kind: str, fault: Fault, seed: int = 0, drive: str = "position") -> d
     dict
         The ``reason`` in the log's last row, whether the target was reached all the same
         (``complete``), whether ``stopped`` was called and the stage is truly ``still``, the largest
-        distance from the start over the travel (``excursion``), and the ``run``.
+        distance from the start over the travel (``excursion``), how far it went after the run
+        (``coasted``, px), and the ``run``.
     """
     # Slow enough that moves take time, which an interrupt can come in.
     options = {} if kind == "demo" else {"stage": Stage(saturation=1000.0)}
@@ -384,9 +409,11 @@ def inject(kind: str, fault: Fault, seed: int = 0, drive: str = "position") -> d
         )
     except KeyboardInterrupt as interrupt:
         run = interrupt.run  # type: ignore[attr-defined]
+    ended = scope.workstation.stage.position()
     if fault.name.endswith("hangs"):
         time.sleep(HANGS)  # until the call that was given up has returned
     still = _stands(scope)
+    coasted = np.linalg.norm(scope.workstation.stage.position() - ended) * scope.scale
     return {
         "fault": str(fault),
         "reason": run.log["event"].iloc[-1],
@@ -394,6 +421,7 @@ def inject(kind: str, fault: Fault, seed: int = 0, drive: str = "position") -> d
         "stopped": faulty.stops > 0,
         "still": still,
         "excursion": float(np.max(farthest() / travel)),
+        "coasted": float(coasted),
         "run": run,
     }
 
@@ -458,6 +486,8 @@ def interrupt_after(kind: str, delay: float, seed: int = 0) -> dict[str, Any]:
     farthest = _watch_excursion(scope)
     timer = threading.Timer(delay, lambda: os.kill(os.getpid(), signal.SIGINT))
     complete, reason = False, ""
+    # Before and after the run the signal does nothing, so that it cannot end the experiment.
+    before = signal.signal(signal.SIGINT, lambda *_: None)
     try:
         timer.start()
         run = servo(
@@ -469,11 +499,12 @@ def interrupt_after(kind: str, delay: float, seed: int = 0) -> dict[str, Any]:
             step=10.0 / scope.scale,
         )
         complete = bool(run.reached.all())
+    except KeyboardInterrupt as interrupt:
+        reason = interrupt.run.log["event"].iloc[-1]  # type: ignore[attr-defined]
+    finally:
         timer.cancel()
         timer.join()
-    except KeyboardInterrupt as interrupt:
-        stopped = getattr(interrupt, "run", None)  # none outside of the run
-        reason = stopped.log["event"].iloc[-1] if stopped else "after the run"
+        signal.signal(signal.SIGINT, before)
     return {
         "reason": reason or "done",
         "complete": complete,

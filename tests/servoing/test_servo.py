@@ -158,6 +158,38 @@ def test_the_speed_of_a_position_stage_is_kept_to():
     assert (way / np.diff(log["time_s"])).max() < 100.0 * 1.01
 
 
+@pytest.mark.parametrize("drive", ["position", "velocity"])
+def test_a_controller_cannot_leave_the_travel(drive):
+    scope = scope_of(camera=Camera(interval=0.02, latency=0.015))
+    run = steer(
+        scope,
+        AWAY,
+        jacobian=JACOBIAN,
+        drive=drive,
+        speed=300.0,
+        interval=0.02,
+        travel=170.0,
+        controller=lambda k, measured, goals: np.array([-280.0, 90.0]),
+    )
+    assert "was not reached in 50 frames" in run.reason
+    assert run.log["event"].str.contains("travel").any()
+    farthest = run.log[["stage_x_um", "stage_y_um"]].abs().max()
+    assert farthest.max() == pytest.approx(0.99 * 170.0, abs=1.0)
+    assert farthest.max() < 170.0
+
+
+def test_a_stage_that_runs_away_is_stopped_at_the_travel():
+    scope = scope_of(stage=Stage(saturation=1000.0))
+    stage = scope.workstation.stage
+    move_to = stage.move_to
+    stage.move_to = lambda position: move_to(100.0 * position)
+    run = steer(scope, AWAY, travel=300.0)
+    assert "the stage is beyond the travel" in run.reason
+    # 1000 µm/s over the 2 ms between two questions.
+    assert 300.0 < np.abs(stage.position()).max() < 303.0
+    assert run.still
+
+
 def test_a_target_beyond_the_travel_is_not_gone_to():
     scope = scope_of()
     run = steer(scope, [[10.0, 0.0], [200.0, 0.0]], travel=300.0)
@@ -236,6 +268,28 @@ def test_a_feature_lost_for_a_frame_is_waited_for():
     assert len(lost) == 2
     assert lost[["command_x_um", "velocity_x_um_s", "measured_x_px"]].isna().all(axis=None)
     assert lost["event"].str.len().min() > 0
+
+
+def test_a_feature_lost_for_good_ends_the_run_after_three_frames():
+    scope = scope_of()
+    tracker, snap = scope.tracker(), scope.workstation.camera.snap
+    scope.workstation.camera.snap = lambda: (np.zeros((240, 320)), snap()[1])
+    run = servo(scope.workstation, tracker, scope.home, travel=400.0, jacobian=JACOBIAN)
+    assert run.reason.startswith("lost: ")
+    assert run.reason.endswith("in the first frame")
+    assert run.log["phase"].tolist() == ["start", "end"]
+
+    class Covered:
+        frames = 0
+
+        def track(self, frame):
+            self.frames += 1
+            return tracker.track(frame if self.frames == 1 else 0 * frame)
+
+    scope.workstation.camera.snap = snap
+    run = servo(scope.workstation, Covered(), scope.home + AWAY, travel=400.0, jacobian=JACOBIAN)
+    assert run.log["lost"].sum() == 3
+    assert run.reason.endswith("in 3 frames in a row")
 
 
 def test_a_frame_that_comes_late_finds_the_velocity_stage_stopped():
