@@ -70,6 +70,8 @@ class MicroManager:
 
 
 def _load(path: Path) -> Any:
+    if not path.is_file():
+        raise ValueError(f"core must be a core or a configuration file, got {path}: no such file")
     # Not at the top: the library works without the engine.
     try:
         from pymmcore_plus import CMMCorePlus
@@ -77,8 +79,6 @@ def _load(path: Path) -> Any:
         raise ImportError(
             "MicroManager needs pymmcore-plus: pip install microlib[microscope]"
         ) from error
-    if not path.is_file():
-        raise ValueError(f"core must be a core or a configuration file, got {path}: no such file")
     core = CMMCorePlus()
     try:
         core.loadSystemConfiguration(str(path))

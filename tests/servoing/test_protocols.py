@@ -119,15 +119,16 @@ def test_a_microscope_without_a_stage_and_a_missing_file_are_refused(tmp_path) -
 
     with pytest.raises(ValueError, match="core must have a camera and an XY stage"):
         MicroManager(Empty())
-    pytest.importorskip("pymmcore_plus", reason=MISSING)
     with pytest.raises(ValueError, match="no such file"):
         MicroManager(tmp_path / "mine.cfg")
+    pytest.importorskip("pymmcore_plus", reason=MISSING)
     (tmp_path / "mine.cfg").write_text("Device,Camera,Nowhere,Nothing\n")
     with pytest.raises(ValueError, match="core must be a configuration that loads"):
         MicroManager(tmp_path / "mine.cfg")
 
 
-def test_without_the_engine_the_message_says_what_to_install(monkeypatch) -> None:
+def test_without_the_engine_the_message_says_what_to_install(monkeypatch, tmp_path) -> None:
+    (tmp_path / "mine.cfg").touch()
     real = builtins.__import__
 
     def absent(name, *arguments, **options):
@@ -137,4 +138,4 @@ def test_without_the_engine_the_message_says_what_to_install(monkeypatch) -> Non
 
     monkeypatch.setattr(builtins, "__import__", absent)
     with pytest.raises(ImportError, match=r"pip install microlib\[microscope\]"):
-        MicroManager("mine.cfg")
+        MicroManager(tmp_path / "mine.cfg")
