@@ -58,6 +58,7 @@ class Settings:
     rest: float
     most_frames: int
     most_lost: int
+    timeout: float
     progress: Callable[[dict[str, Any]], object] | None
     keep_frames: bool
 
@@ -342,6 +343,11 @@ class Loop:
         legs = 1
         if settings.speed is not None:
             length = float(np.linalg.norm(target - here))
+            if length > settings.speed * settings.timeout:
+                raise EndRun(
+                    f"a move of {length:.3g} µm at {settings.speed:.3g} µm/s takes longer than "
+                    f"{settings.timeout:g} s"
+                )
             legs = max(1, int(np.ceil(length / (settings.speed * settings.interval))))
         for leg in range(1, legs + 1):
             end = self.workstation.clock.now() + (settings.interval if settings.speed else 0.0)

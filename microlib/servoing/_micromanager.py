@@ -54,6 +54,8 @@ class MicroManager:
     def __init__(self, core: Any) -> None:
         if isinstance(core, (str, PathLike)):
             core = _load(Path(core))
+        if not callable(getattr(core, "getXYStageDevice", None)):
+            raise ValueError(f"core must be a core or a path, got {type(core).__name__}")
         label = core.getXYStageDevice()
         if not core.getCameraDevice() or not label:
             raise ValueError(
@@ -70,8 +72,14 @@ class MicroManager:
 
 
 def _load(path: Path) -> Any:
-    if not path.is_file():
-        raise ValueError(f"core must be a core or a configuration file, got {path}: no such file")
+    try:
+        known = path.is_file()
+    except (OSError, ValueError):  # a name too long, or with a zero in it
+        known = False
+    if not known:
+        raise ValueError(
+            f"core must be a core or a configuration file, got {str(path)[:80]!r}: no such file"
+        )
     # Not at the top: the library works without the engine.
     try:
         from pymmcore_plus import CMMCorePlus

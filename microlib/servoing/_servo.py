@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_array, one_of, positive, whole
+from microlib._common import Array, as_array, flag, one_of, positive, scalar, whole
 from microlib.servoing._control import LARGEST_CONDITION
 from microlib.servoing._guard import EndRun, Guard, interrupts
 from microlib.servoing._log import add_event, as_frame, median_latency, new_row, put
@@ -23,6 +23,12 @@ from microlib.servoing._workstation import Controller, Tracker
 #: What the calibration's test moves are by default, as a share of the travel: far enough from the
 #: noise, and far from the limits.
 _TEST_SHARE = 0.1
+
+#: Limits of an interval, s: no drive takes commands faster, and nobody waits longer for a frame.
+_SHORTEST, _LONGEST = 1e-3, 1e2
+
+#: What a stage must answer to.
+_MOVES = ("position", "move_to", "moving", "stop")
 
 
 @dataclass(frozen=True)
@@ -159,7 +165,7 @@ def servo(
     most_lost : int, optional
         Frames in a row without the feature that end the run; the stage stands from the first.
     timeout : float, optional
-        Longest time that a device may take to answer, and a move to end, s.
+        Longest time that a device may take to answer, and a move to end at its speed, s.
     progress : callable, optional
         Called with each row of the log, a dict, as it is complete.
     keep_frames : bool, optional
@@ -215,23 +221,25 @@ def servo(
     >>> print(run.reached, run.still, (workstation.feature - scene.home).round())
     [ True] True [ 30. -20.]
     """
+    _refuse_others(workstation, tracker, controller, progress)
     settings = Settings(
         targets=as_array("targets", np.atleast_2d(as_array("targets", targets)), shape=(None, 2)),
         travel=_pair("travel", travel),
         unit=one_of("unit", unit, ("px", "um")),
-        path=path,
+        path=flag("path", path),
         drive=one_of("drive", drive, ("position", "velocity")),
         test_move=_test_move(test_move, _pair("travel", travel), step),
         controller=controller,
-        tolerance=_number("tolerance", tolerance),
-        step=None if step is None else _number("step", step),
-        speed=None if speed is None else _number("speed", speed),
-        interval=_number("interval", interval),
-        rest=float(positive("rest", rest, zero=True)),
+        tolerance=scalar("tolerance", tolerance, above=0),
+        step=None if step is None else scalar("step", step, above=0),
+        speed=None if speed is None else scalar("speed", speed, above=0),
+        interval=scalar("interval", interval, least=_SHORTEST, most=_LONGEST),
+        rest=scalar("rest", rest, least=0, most=_LONGEST),
         most_frames=whole("most_frames", most_frames, least=1),
         most_lost=whole("most_lost", most_lost, least=1),
+        timeout=scalar("timeout", timeout, above=0),
         progress=progress,
-        keep_frames=keep_frames,
+        keep_frames=flag("keep_frames", keep_frames),
     )
     if drive == "velocity":
         if speed is None:
@@ -239,7 +247,7 @@ def servo(
         if not isinstance(workstation.stage, VelocityMover):
             raise ValueError("drive must be position for a stage without move_at, got velocity")
     known = None if jacobian is None else _regular(jacobian)
-    guard = Guard(workstation.clock, workstation.stage, _number("timeout", timeout))
+    guard = Guard(workstation.clock, workstation.stage, settings.timeout)
     loop = Loop(workstation, tracker, guard, settings)
     return _run(loop, known)
 
@@ -290,8 +298,20 @@ def _result(loop: Loop, reason: str, error: BaseException | None, still: bool) -
     )
 
 
-def _number(name: str, value: float) -> float:
-    return float(as_array(name, positive(name, value), shape=()))
+def _refuse_others(workstation: Any, tracker: Any, controller: Any, progress: Any) -> None:
+    """Refuse what has not the methods that will be called."""
+    parts = {"camera": ("snap",), "stage": _MOVES, "clock": ("now", "sleep")}
+    for part, methods in parts.items():
+        for method in methods:
+            if not callable(getattr(getattr(workstation, part, None), method, None)):
+                raise ValueError(
+                    f"workstation must have {part}.{method}(), got {type(workstation).__name__}"
+                )
+    if not callable(getattr(tracker, "track", None)):
+        raise ValueError(f"tracker must have a method track, got {type(tracker).__name__}")
+    for name, function in (("controller", controller), ("progress", progress)):
+        if function is not None and not callable(function):
+            raise ValueError(f"{name} must be callable, got {type(function).__name__}")
 
 
 def _pair(name: str, value: ArrayLike) -> Array:
@@ -301,10 +321,12 @@ def _pair(name: str, value: ArrayLike) -> Array:
 
 def _test_move(size: float | None, travel: Array, step: float | None) -> float:
     """Return the length of the test moves, which no limit may cut."""
-    room = min(USED * float(travel.min()), np.inf if step is None else _number("step", step))
+    room = min(
+        USED * float(travel.min()), np.inf if step is None else scalar("step", step, above=0)
+    )
     if size is None:
         return min(_TEST_SHARE * float(travel.min()), room)
-    if (length := _number("test_move", size)) > room:
+    if (length := scalar("test_move", size, above=0)) > room:
         raise ValueError(f"test_move must lie within travel and step, {room:g} µm, got {length:g}")
     return length
 

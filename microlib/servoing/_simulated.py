@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_array
+from microlib._common import Array, as_array, generator, of_kind
 from microlib.servoing._control import LARGEST_CONDITION
 from microlib.servoing._workstation import Camera, Stage
 
@@ -85,6 +85,11 @@ class SimulatedWorkstation:
         drift: ArrayLike = (0.0, 0.0),
         focus_drive: Stage | None = None,
     ) -> None:
+        of_kind("stage", stage, Stage)
+        of_kind("camera", camera, Camera)
+        of_kind("focus_drive", focus_drive, Stage, type(None))
+        if not callable(render):
+            raise ValueError(f"render must be callable, got {type(render).__name__}")
         self._jacobian = as_array("jacobian", jacobian, shape=(2, 2))
         if np.linalg.cond(self._jacobian) > LARGEST_CONDITION:
             raise ValueError("jacobian must be regular, got a singular one")
@@ -93,7 +98,7 @@ class SimulatedWorkstation:
         self.stage = _Drive(stage, 2)
         self.focus = _Drive(focus_drive or Stage(saturation=10.0), 1)
         self.clock = _VirtualClock([self.stage, self.focus])
-        self.camera = _VirtualCamera(self, render, camera, np.random.default_rng(rng))
+        self.camera = _VirtualCamera(self, render, camera, generator("rng", rng))
 
     @property
     def feature(self) -> Array:
@@ -113,7 +118,7 @@ class _Drive:
         self._target: Array | None = None
 
     def position(self) -> Array:
-        return self._model.quantized(self._position)
+        return self._model._rounded(self._position)
 
     def moving(self) -> bool:
         return self._target is not None or bool(self._velocity.any() or self._command.any())
@@ -140,7 +145,9 @@ class _Drive:
             if (self._position == self._target).all():
                 self._target = None
             return
-        moved, self._velocity = model.move(self._position, self._velocity, self._command, duration)
+        moved, self._velocity = model._moved(
+            self._position, self._velocity, self._command, duration
+        )
         self._position = np.clip(moved, -model.travel, model.travel)
 
 
