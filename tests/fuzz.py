@@ -21,6 +21,7 @@ import signal
 import sys
 import tempfile
 import time
+import types
 import typing
 import warnings
 from collections.abc import Callable, Iterator
@@ -192,6 +193,40 @@ def simulation() -> dict[str, object]:
         "controller": controller(), "reference": reference(), "jacobian": np.eye(2) * 0.3,
         "stage": servoing.Stage(500.0), "camera": servoing.Camera(0.04), "rng": 0,
         "start": [90.0, 80.0],
+    }  # fmt: skip
+
+
+def workstation() -> servoing.SimulatedWorkstation:
+    scene = gripper()
+    return servoing.SimulatedWorkstation(
+        lambda feature, focus: scene.frame(feature - scene.home, 0),
+        jacobian=np.eye(2) * 0.3,
+        stage=servoing.Stage(500.0),
+        camera=servoing.Camera(0.04),
+        rng=0,
+        home=scene.home,
+    )
+
+
+def core() -> types.SimpleNamespace:
+    return types.SimpleNamespace(
+        getXYStageDevice=lambda: "XY",
+        getCameraDevice=lambda: "Camera",
+        getShutterDevice=lambda: "Shutter",
+        getFocusDevice=lambda: "Z",
+    )
+
+
+def steering() -> dict[str, object]:
+    scene, station = gripper(), workstation()
+    frame, _ = station.camera.snap()
+    return {
+        "workstation": station, "tracker": tracking.ESMTracker(frame, scene.box(40), "translation"),
+        "targets": [scene.home + 5.0], "travel": [300.0, 300.0], "unit": "px", "path": False,
+        "drive": "position", "jacobian": np.eye(2) * 0.3, "test_move": 30.0,
+        "controller": lambda k, measured, goals: (goals[0] - measured) * 30.0, "tolerance": 0.5,
+        "step": 50.0, "speed": 400.0, "interval": 0.1, "rest": 0.0, "most_frames": 20,
+        "most_lost": 2, "timeout": 10.0, "progress": lambda row: None, "keep_frames": False,
     }  # fmt: skip
 
 
@@ -376,6 +411,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "optics.gaussian_transfer": lambda: {"u": [0.1, 0.2], "v": [0.0, 0.3], "sigma": 1.5},
     "optics.image_distance": lambda: {"object_distance": [200.0, 300.0], "focal_length": 100.0},
     "servoing.Camera": lambda: {"interval": 0.04, "latency": 0.02, "jitter": 0.1},
+    "servoing.MicroManager": lambda: {"core": core()},
     "servoing.OptimalController": lambda: {"jacobian": np.eye(2) * 0.3, **WEIGHTS},
     "servoing.OptimalController.__call__": lambda: {"self": controller(), **control()},
     "servoing.PredictiveController": lambda: {
@@ -383,6 +419,11 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "innovation_gain": 0.3,
     },
     "servoing.PredictiveController.__call__": lambda: {"self": predictive(), **control()},
+    "servoing.SimulatedWorkstation": lambda: {
+        "render": lambda feature, focus: target(), "jacobian": np.eye(2) * 0.3,
+        "stage": servoing.Stage(500.0), "camera": servoing.Camera(0.04), "rng": 0,
+        "home": [10.0, 10.0], "drift": [0.1, 0.2], "focus_drive": servoing.Stage(10.0),
+    },
     "servoing.Stage": lambda: {"saturation": 500.0, "lag": 0.02, "step": 0.05, "travel": 7500.0},
     "servoing.Stage.move": lambda: {
         "self": servoing.Stage(200.0, lag=0.02), "position": np.zeros(2), "velocity": np.zeros(2),
@@ -403,6 +444,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "points": [[10.0, 20.0], [5.0, 6.0]], "depth": 500.0, "magnification": 2.0,
         "pixel_size": 9.9,
     },
+    "servoing.servo": steering,
     "servoing.simulate": simulation,
     "servoing.step_metrics": lambda: {
         "time": np.arange(40.0), "position": 10 - 10 * np.exp(-np.arange(40.0) / 5)[:, None],
@@ -519,6 +561,7 @@ MAY_BE_UNKNOWN = {
     "membrane.finite_slope_modulus": "NaN where no slope is steep enough",
     "microscope.Microscope.back_project": "NaN where a ray misses the plane",
     "optics.image_distance": "an object in the focal plane has its image at infinity",
+    "servoing.servo": "what a run did not come to",
     "servoing.step_metrics": "a step that never settles",
     "tracking.ESMTracker.track": "a lost target has no position",
 }

@@ -1,4 +1,4 @@
-"""Image-based visual servoing: Jacobian, controllers, metrics, a simulated workstation."""
+"""Image-based visual servoing: Jacobian, controllers, metrics, and the loop over a microscope."""
 
 from microlib.servoing._control import (
     OptimalController,
@@ -9,18 +9,24 @@ from microlib.servoing._control import (
     point_jacobian,
 )
 from microlib.servoing._metrics import path_metrics, step_metrics
+from microlib.servoing._micromanager import MicroManager
+from microlib.servoing._servo import servo
+from microlib.servoing._simulated import SimulatedWorkstation
 from microlib.servoing._workstation import Camera, Stage, simulate, tracked_view
 
 __all__ = [
     "Camera",
+    "MicroManager",
     "OptimalController",
     "PredictiveController",
+    "SimulatedWorkstation",
     "Stage",
     "ibvs_control",
     "loop_poles",
     "optimal_control",
     "path_metrics",
     "point_jacobian",
+    "servo",
     "simulate",
     "step_metrics",
     "tracked_view",

@@ -28,6 +28,9 @@ GUIDES = {
     "modulus": ("outline", "outline.csv"),
     "tracking": ("frames", "frames.tif"),
 }
+# Those that take no file of data: they steer a microscope, by default a simulated one.
+WITHOUT_INPUT = ("servoing",)
+EVERY = (*GUIDES, *WITHOUT_INPUT)
 
 
 def source(guide: str) -> nbformat.NotebookNode:
@@ -54,12 +57,12 @@ def said(path: Path) -> str:
 
 def test_every_guide_is_tested() -> None:
     names = {path.stem.removeprefix("07_guide_") for path in ROOT.glob("notebooks/07_*.ipynb")}
-    assert names == set(GUIDES)
+    assert names == set(EVERY)
     contents = (ROOT / "book" / "_toc.yml").read_text()
     assert all(f"notebooks/07_guide_{name}\n" in contents for name in names)
 
 
-@pytest.mark.parametrize("guide", GUIDES)
+@pytest.mark.parametrize("guide", EVERY)
 def test_a_guide_is_written_as_one(guide: str) -> None:
     intro = source(guide).cells[0].source
     for part in ("**The question.**", "**What you need.**", f"07_guide_{guide} \\"):
@@ -87,7 +90,7 @@ def test_the_defaults_are_those_of_the_input(guide: str, parameter: str, name: s
     assert values.items() >= manifest()[name]["settings"].items()
 
 
-@pytest.mark.parametrize("guide", GUIDES)
+@pytest.mark.parametrize("guide", EVERY)
 def test_a_guide_compares_its_own_input_with_the_truth(guide: str, claims_folder: Path) -> None:
     text = said(claims_folder.parent / "notebooks" / f"07_guide_{guide}.ipynb")
     assert "off by" in text
@@ -122,6 +125,26 @@ def test_the_path_that_is_kept_is_the_true_one(claims_folder: Path) -> None:
     assert not track["lost"].any()
     way = 6.23 * (true["x_px"] - true["x_px"][0])
     np.testing.assert_allclose(track["x_um"], way, atol=6.23 * 0.2)
+
+
+def test_the_log_that_is_kept_is_of_the_simulated_run(claims_folder: Path) -> None:
+    log = pd.read_csv(kept("servoing", "log.csv", claims_folder), keep_default_na=True)
+    assert list(log["phase"].unique()) == ["start", "calibration", "servo", "end"]
+    assert (log["event"] == "reached").sum() == len(defaults("servoing")["targets"])
+    assert log["event"].iloc[-1] == "done"
+    assert not log["lost"].any()
+    # The camera of the guide is turned by 2.2 rad, mirrored, and shows 0.2 px/µm.
+    jacobian = pd.read_csv(kept("servoing", "jacobian.csv", claims_folder), index_col=0)["value"]
+    true = 0.2 * np.array([np.cos(2.2), np.sin(2.2), np.sin(2.2), -np.cos(2.2)])
+    np.testing.assert_allclose(jacobian.iloc[:4], true, atol=0.002)
+
+
+def test_a_missing_configuration_gives_one_clear_line(tmp_path: Path) -> None:
+    arguments = ["-p", "configuration", "mine.cfg", "-p", "out", "kept"]
+    result = run_own(tmp_path, "07_guide_servoing", *arguments)
+    assert result.returncode == 1
+    assert "ValueError: core must be a core or a configuration file" in result.stdout
+    assert len(result.stdout.strip().splitlines()) == 1
 
 
 def test_the_heights_that_are_kept_are_the_true_ones(claims_folder: Path) -> None:

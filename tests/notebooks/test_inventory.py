@@ -27,6 +27,7 @@ INVENTORY = {
     "07_guide_embryo": (12, 0, 0, 0),
     "07_guide_focus_stack": (14, 0, 0, 0),
     "07_guide_modulus": (15, 0, 0, 0),
+    "07_guide_servoing": (17, 0, 0, 1),
     "07_guide_tracking": (12, 0, 0, 0),
 }
 

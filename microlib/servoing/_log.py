@@ -1,0 +1,65 @@
+"""The log of a run: one row a frame, the same columns whatever was steered."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from microlib._common import Array
+
+#: Name of each column of a pair of axes, and the type of every column.
+COLUMNS: dict[str, str] = {
+    "time_s": "float64",
+    "phase": "object",
+    "target": "int64",
+    "reference_x_px": "float64",
+    "reference_y_px": "float64",
+    "measured_x_px": "float64",
+    "measured_y_px": "float64",
+    "lost": "bool",
+    "stage_x_um": "float64",
+    "stage_y_um": "float64",
+    "command_x_um": "float64",
+    "command_y_um": "float64",
+    "velocity_x_um_s": "float64",
+    "velocity_y_um_s": "float64",
+    "latency_s": "float64",
+    "event": "object",
+}
+
+
+def new_row(time: float, phase: str, target: int) -> dict[str, Any]:
+    """Return a row in which nothing is known yet."""
+    row: dict[str, Any] = {
+        name: float("nan") for name, kind in COLUMNS.items() if kind == "float64"
+    }
+    return row | {
+        "time_s": time,
+        "phase": phase,
+        "target": target,
+        "lost": False,
+        "event": "",
+    }
+
+
+def put(row: dict[str, Any], name: str, value: Array, unit: str) -> None:
+    """Enter both axes of a quantity."""
+    row[f"{name}_x_{unit}"], row[f"{name}_y_{unit}"] = map(float, value)
+
+
+def add_event(row: dict[str, Any], event: str) -> None:
+    """Enter something that happened beside what the row says already."""
+    row["event"] = "; ".join(filter(None, (row["event"], event)))
+
+
+def as_frame(rows: list[dict[str, Any]]) -> pd.DataFrame:
+    """Return the rows as a table."""
+    return pd.DataFrame(rows, columns=list(COLUMNS)).astype(COLUMNS)
+
+
+def median_latency(rows: list[dict[str, Any]]) -> float:
+    """Return the median time from an exposure until its measurement, s; NaN without a row."""
+    values = [row["latency_s"] for row in rows if np.isfinite(row["latency_s"])]
+    return float(np.median(values)) if values else float("nan")

@@ -1,0 +1,145 @@
+"""Micro-Manager's devices as the camera, stage, focus drive and clock that `servo` steers."""
+
+from __future__ import annotations
+
+import time
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from microlib._common import Array, as_array
+
+
+class MicroManager:
+    """The devices of a Micro-Manager core, under the calls that `servo` makes.
+
+    Needs ``pymmcore-plus``, which ``pip install microlib[microscope]`` brings.
+
+    Parameters
+    ----------
+    core : pymmcore_plus.CMMCorePlus or subclass, or path-like
+        A core whose devices are loaded, or a configuration file (``.cfg``) to load into a new one.
+        Its camera, XY stage and focus drive are those that the core calls its own.
+
+    Attributes
+    ----------
+    core : pymmcore_plus.CMMCorePlus
+        The core, for whatever else is to be set.
+    camera : object with ``snap()``
+        Returns the frame and the middle of its exposure, taken as half the exposure time after the
+        call: what the camera waits before it exposes is not known.
+    stage, focus : objects with ``position()``, ``move_to(position)``, ``moving()``, ``stop()``
+        The XY stage and the focus drive in µm. The focus drive has one axis.
+    clock : object with ``now()``, ``sleep(seconds)``
+        The computer's monotonic clock.
+
+    Raises
+    ------
+    ValueError
+        If there is no such file, it cannot be loaded, or the core has no camera or no XY stage.
+    ImportError
+        If a file is given and ``pymmcore-plus`` is not installed.
+
+    Notes
+    -----
+    Whether a drive moves is asked of the device (``deviceBusy``) and not waited for in the core
+    (``waitForDevice``), which would let no interrupt through until it times out. A shutter that the
+    core would open by itself, and does not have, is switched off (``setAutoShutter``), since
+    snapping fails with it.
+    """
+
+    def __init__(self, core: Any) -> None:
+        if isinstance(core, (str, PathLike)):
+            core = _load(Path(core))
+        if not callable(getattr(core, "getXYStageDevice", None)):
+            raise ValueError(f"core must be a core or a path, got {type(core).__name__}")
+        label = core.getXYStageDevice()
+        if not core.getCameraDevice() or not label:
+            raise ValueError(
+                "core must have a camera and an XY stage, got "
+                f"camera {core.getCameraDevice()!r} and XY stage {label!r}"
+            )
+        if not core.getShutterDevice():
+            core.setAutoShutter(False)
+        self.core = core
+        self.clock = _RealClock()
+        self.camera = _EngineCamera(core, self.clock)
+        self.stage = _EngineStage(core, label)
+        self.focus = _EngineFocus(core, core.getFocusDevice())
+
+
+def _load(path: Path) -> Any:
+    try:
+        known = path.is_file()
+    except (OSError, ValueError):  # a name too long, or with a zero in it
+        known = False
+    if not known:
+        raise ValueError(
+            f"core must be a core or a configuration file, got {str(path)[:80]!r}: no such file"
+        )
+    # Not at the top: the library works without the engine.
+    try:
+        from pymmcore_plus import CMMCorePlus
+    except ImportError as error:
+        raise ImportError(
+            "MicroManager needs pymmcore-plus: pip install microlib[microscope]"
+        ) from error
+    core = CMMCorePlus()
+    try:
+        core.loadSystemConfiguration(str(path))
+    except (OSError, RuntimeError) as error:
+        raise ValueError(f"core must be a configuration that loads, got {path}: {error}") from None
+    return core
+
+
+class _RealClock:
+    def now(self) -> float:
+        return time.monotonic()
+
+    def sleep(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+
+class _EngineCamera:
+    def __init__(self, core: Any, clock: _RealClock) -> None:
+        self._core, self._clock = core, clock
+
+    def snap(self) -> tuple[NDArray[Any], float]:
+        half = self._core.getExposure() / 2000.0  # of ms
+        start = self._clock.now()
+        self._core.snapImage()
+        return self._core.getImage(), start + half
+
+
+class _EngineDrive:
+    """What a stage and a focus drive have in common."""
+
+    def __init__(self, core: Any, label: str) -> None:
+        self._core, self._label = core, label
+
+    def moving(self) -> bool:
+        return bool(self._core.deviceBusy(self._label))
+
+    def stop(self) -> None:
+        self._core.stop(self._label)
+
+
+class _EngineStage(_EngineDrive):
+    def position(self) -> Array:
+        return np.array(self._core.getXYPosition(self._label), dtype=float)
+
+    def move_to(self, position: Array) -> None:
+        x, y = as_array("position", position, shape=(2,))
+        self._core.setXYPosition(self._label, float(x), float(y))
+
+
+class _EngineFocus(_EngineDrive):
+    def position(self) -> Array:
+        return np.array([self._core.getPosition(self._label)], dtype=float)
+
+    def move_to(self, position: Array) -> None:
+        (z,) = as_array("position", position, shape=(1,))
+        self._core.setPosition(self._label, float(z))

@@ -1,0 +1,78 @@
+"""What a microscope must offer to be steered: a camera, movers, and a clock.
+
+The simulated workstation and the adapter for Micro-Manager satisfy them. Another microscope needs
+four small classes with these methods, and no base class.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, runtime_checkable
+
+from numpy.typing import NDArray
+
+from microlib._common import Array
+
+
+class Clock(Protocol):
+    """The time that frames and commands are stamped with, real or simulated."""
+
+    def now(self) -> float:
+        """Return the time, s from any origin."""
+        ...
+
+    def sleep(self, seconds: float) -> None:
+        """Let the time pass."""
+        ...
+
+
+class FrameSource(Protocol):
+    """A camera."""
+
+    def snap(self) -> tuple[NDArray[Any], float]:
+        """Return a grey frame and the middle of its exposure, s of the clock."""
+        ...
+
+
+class Mover(Protocol):
+    """A stage (two axes) or a focus drive (one) that goes to positions."""
+
+    def position(self) -> Array:
+        """Return the position as the encoder has it, µm, one number an axis."""
+        ...
+
+    def move_to(self, position: Array) -> None:
+        """Start towards a position, µm, and return at once."""
+        ...
+
+    def moving(self) -> bool:
+        """Return whether a move is under way."""
+        ...
+
+    def stop(self) -> None:
+        """End any move here and now."""
+        ...
+
+
+@runtime_checkable
+class VelocityMover(Mover, Protocol):
+    """A mover that takes velocities, too."""
+
+    def move_at(self, velocity: Array) -> None:
+        """Move at a velocity, µm/s, until the next command, and return at once."""
+        ...
+
+
+class Workstation(Protocol):
+    """What is steered, with the stage's axes and the clock that stamps the frames."""
+
+    @property
+    def camera(self) -> FrameSource: ...
+
+    @property
+    def stage(self) -> Mover: ...
+
+    @property
+    def focus(self) -> Mover: ...
+
+    @property
+    def clock(self) -> Clock: ...

@@ -1,0 +1,194 @@
+"""A workstation with its own virtual time that is steered by the same calls as a real one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from threading import RLock
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from microlib._common import Array, as_array, generator, of_kind
+from microlib.servoing._control import LARGEST_CONDITION
+from microlib.servoing._workstation import Camera, Stage
+
+#: Given where the feature is (x, y) in px and the position of the focus drive in µm, the frame.
+Render = Callable[[Array, float], ArrayLike]
+
+
+class SimulatedWorkstation:
+    """A camera over a stage and a focus drive, in a time that passes only when it is waited for.
+
+    It is to `servo` what `simulate` is to a controller: the loop is not inside it, but steers it
+    through the calls that a real microscope answers. The drives start at zero.
+
+    Parameters
+    ----------
+    render : callable
+        Given the feature (x, y) in px and the position of the focus drive in µm, returns the grey
+        frame of that moment.
+    jacobian : array_like, shape (2, 2)
+        The true px/µm of the stage's axes, turned and mirrored as the camera is mounted.
+    stage : Stage
+        The model of the stage. A move to a position runs each axis at its saturation; velocities
+        are followed with the lag. No axis leaves the travel.
+    camera : Camera
+        ``snap`` returns one latency after the exposure; each frame is shaken by the jitter. The
+        interval is the shortest time between two exposures.
+    rng : numpy.random.Generator or int
+        Source of the jitter, or its seed.
+    home : array_like, shape (2,), optional
+        The feature at the start, px.
+    drift : array_like, shape (2,), optional
+        How the feature moves while the stage stands, px/s.
+    focus_drive : Stage, optional
+        The model of the focus drive, 10 µm/s by default.
+
+    Attributes
+    ----------
+    camera : object with ``snap()``
+        Returns the frame and the time of its exposure.
+    stage, focus : objects with ``position()``, ``move_to(position)``, ``move_at(velocity)``, \
+``moving()``, ``stop()``
+        The two axes of the stage and the one of the focus drive, µm.
+    clock : object with ``now()``, ``sleep(seconds)``
+        The virtual time; sleeping moves the drives on.
+    feature : ndarray, shape (2,)
+        Where the feature truly is now, px.
+
+    Raises
+    ------
+    ValueError
+        If a shape does not fit or the Jacobian is singular.
+
+    Examples
+    --------
+    >>> workstation = SimulatedWorkstation(
+    ...     lambda feature, focus: np.zeros((9, 9)), jacobian=np.eye(2), home=(4, 4),
+    ...     stage=Stage(saturation=100.0), camera=Camera(interval=0.03, latency=0.01), rng=0)
+    >>> workstation.stage.move_to(np.array([2.0, -1.0]))
+    >>> workstation.clock.sleep(0.01)
+    >>> workstation.feature, workstation.stage.moving()
+    (array([5., 3.]), True)
+    """
+
+    def __init__(
+        self,
+        render: Render,
+        *,
+        jacobian: ArrayLike,
+        stage: Stage,
+        camera: Camera,
+        rng: np.random.Generator | int,
+        home: ArrayLike = (0.0, 0.0),
+        drift: ArrayLike = (0.0, 0.0),
+        focus_drive: Stage | None = None,
+    ) -> None:
+        of_kind("stage", stage, Stage)
+        of_kind("camera", camera, Camera)
+        of_kind("focus_drive", focus_drive, Stage, type(None))
+        if not callable(render):
+            raise ValueError(f"render must be callable, got {type(render).__name__}")
+        self._jacobian = as_array("jacobian", jacobian, shape=(2, 2))
+        if np.linalg.cond(self._jacobian) > LARGEST_CONDITION:
+            raise ValueError("jacobian must be regular, got a singular one")
+        self._home = as_array("home", home, shape=(2,))
+        self._drift = as_array("drift", drift, shape=(2,))
+        self.stage = _Drive(stage, 2)
+        self.focus = _Drive(focus_drive or Stage(saturation=10.0), 1)
+        self.clock = _VirtualClock([self.stage, self.focus])
+        self.camera = _VirtualCamera(self, render, camera, generator("rng", rng))
+
+    @property
+    def feature(self) -> Array:
+        """Where the feature truly is now, (x, y) in px."""
+        moved = self._jacobian @ self.stage.position()
+        return self._home + moved + self._drift * self.clock.now()
+
+
+class _Drive:
+    """Axes that go to a position or at a velocity while the clock moves them on."""
+
+    def __init__(self, model: Stage, axes: int) -> None:
+        self._model = model
+        self._position: Array = np.zeros(axes)
+        self._velocity: Array = np.zeros(axes)
+        self._command: Array = np.zeros(axes)
+        self._target: Array | None = None
+
+    def position(self) -> Array:
+        return self._model._rounded(self._position)
+
+    def moving(self) -> bool:
+        return self._target is not None or bool(self._velocity.any() or self._command.any())
+
+    def move_to(self, position: Array) -> None:
+        target = as_array("position", position, shape=self._position.shape)
+        self._velocity = self._command = np.zeros_like(target)
+        self._target = np.clip(target, -self._model.travel, self._model.travel)
+
+    def move_at(self, velocity: Array) -> None:
+        self._command = as_array("velocity", velocity, shape=self._position.shape)
+        self._target = None
+
+    def stop(self) -> None:
+        self._target = None
+        self._velocity = self._command = np.zeros_like(self._position)
+
+    def advance(self, duration: float) -> None:
+        """Move on by `duration` s."""
+        model = self._model
+        if self._target is not None:
+            reach = model.saturation * duration
+            self._position = self._position + np.clip(self._target - self._position, -reach, reach)
+            if (self._position == self._target).all():
+                self._target = None
+            return
+        moved, self._velocity = model._moved(
+            self._position, self._velocity, self._command, duration
+        )
+        self._position = np.clip(moved, -model.travel, model.travel)
+
+
+class _VirtualClock:
+    """Time that passes when it is waited for; several threads may wait."""
+
+    def __init__(self, drives: list[_Drive]) -> None:
+        self._now = 0.0
+        self._drives = drives
+        self._lock = RLock()
+
+    def now(self) -> float:
+        return self._now
+
+    def sleep(self, seconds: float) -> None:
+        with self._lock:
+            self._now += seconds
+            for drive in self._drives:
+                drive.advance(seconds)
+
+
+class _VirtualCamera:
+    """Renders what the workstation shows."""
+
+    def __init__(
+        self,
+        workstation: SimulatedWorkstation,
+        render: Render,
+        model: Camera,
+        rng: np.random.Generator,
+    ) -> None:
+        self._workstation, self._render, self._model, self._rng = workstation, render, model, rng
+        self._next = -np.inf
+
+    def snap(self) -> tuple[NDArray[Any], float]:
+        clock = self._workstation.clock
+        clock.sleep(max(0.0, self._next - clock.now()))
+        exposed = clock.now()
+        self._next = exposed + self._model.interval
+        shake = self._model.jitter * self._rng.standard_normal(2)
+        seen = self._workstation.feature + shake
+        frame = np.asarray(self._render(seen, float(self._workstation.focus.position()[0])))
+        clock.sleep(self._model.latency)
+        return frame, exposed

@@ -1,0 +1,141 @@
+"""The calls that a loop makes, answered alike by the simulation and by Micro-Manager."""
+
+import builtins
+
+import numpy as np
+import pytest
+
+from compendium.experiments.microscope import SHAPE, make_scope
+from microlib.servoing import Camera, MicroManager, SimulatedWorkstation, Stage
+from microlib.servoing._protocols import VelocityMover
+
+MISSING = "pymmcore-plus is not installed (pip install microlib[microscope])"
+
+
+def workstation(kind="simulated", **options):
+    """Return what is to be steered, and the simulation that knows the truth behind it."""
+    if kind != "simulated":
+        pytest.importorskip("pymmcore_plus", reason=MISSING)
+    scope = make_scope(kind, 0, **options)
+    return scope.workstation, scope.truth
+
+
+def wait(scope, mover) -> None:
+    end = scope.clock.now() + 5.0
+    while mover.moving() and scope.clock.now() < end:
+        scope.clock.sleep(0.001)
+
+
+@pytest.mark.parametrize("kind", ["simulated", "engine"])
+def test_a_move_starts_goes_on_and_arrives(kind) -> None:
+    scope, truth = workstation(kind, stage=Stage(saturation=500.0))
+    scope.stage.move_to(np.array([50.0, -20.0]))
+    assert scope.stage.moving()
+    wait(scope, scope.stage)
+    np.testing.assert_allclose(scope.stage.position(), (50.0, -20.0), atol=0.05)  # increments
+    moved = truth.feature - truth._home
+    np.testing.assert_allclose(moved, truth._jacobian @ (50.0, -20.0), atol=0.03)
+    frame, exposed = scope.camera.snap()
+    assert frame.shape == SHAPE
+    assert exposed <= scope.clock.now()
+
+
+@pytest.mark.parametrize("kind", ["simulated", "engine"])
+def test_stop_ends_a_move_where_it_is(kind) -> None:
+    scope, _ = workstation(kind, stage=Stage(saturation=100.0))
+    scope.stage.move_to(np.array([300.0, 0.0]))
+    scope.clock.sleep(0.1)
+    scope.stage.stop()
+    where = scope.stage.position()
+    assert not scope.stage.moving()
+    assert 5.0 < where[0] < 150.0  # 10 µm after 0.1 s, with room for a slow machine
+    scope.clock.sleep(0.05)
+    np.testing.assert_array_equal(scope.stage.position(), where)
+
+
+@pytest.mark.parametrize("kind", ["simulated", "engine"])
+def test_the_focus_drive_blurs_the_picture(kind) -> None:
+    scope, _ = workstation(kind)
+    sharp = scope.camera.snap()[0].std()
+    scope.focus.move_to(np.array([10.0]))
+    wait(scope, scope.focus)
+    np.testing.assert_allclose(scope.focus.position(), [10.0], atol=0.05)
+    # A Gaussian of 3 px takes the noise and the grain, and leaves the outline of the jaws.
+    assert scope.camera.snap()[0].std() < 0.95 * sharp
+
+
+def test_velocities_drift_and_travel_of_the_simulation() -> None:
+    scope, _ = workstation(stage=Stage(saturation=50.0, step=0.0, travel=20.0), drift=(1.0, -2.0))
+    assert isinstance(scope.stage, VelocityMover)
+    scope.stage.move_at(np.array([10.0, -400.0]))
+    scope.clock.sleep(0.2)
+    np.testing.assert_allclose(scope.stage.position(), (2.0, -10.0))
+    drifted = scope.feature - scope._home - scope._jacobian @ (2.0, -10.0)
+    np.testing.assert_allclose(drifted, (0.2, -0.4))
+    scope.clock.sleep(10.0)
+    np.testing.assert_allclose(scope.stage.position(), (20.0, -20.0))
+    assert scope.stage.moving()
+    scope.stage.stop()
+    assert not scope.stage.moving()
+
+
+def test_exposures_are_an_interval_apart_and_frames_a_latency_late() -> None:
+    scope, _ = workstation(camera=Camera(interval=0.25, latency=0.1))
+    times = [scope.camera.snap()[1] for _ in range(3)]
+    np.testing.assert_allclose(times, [0.0, 0.25, 0.5])
+    assert scope.clock.now() == pytest.approx(0.6)
+
+
+def test_the_demo_camera_sees_the_demo_stage() -> None:
+    pytest.importorskip("pymmcore_plus", reason=MISSING)
+    scope = make_scope("demo", 0).workstation
+    first, _ = scope.camera.snap()
+    scope.stage.move_to(np.array([10.0, 0.0]))
+    wait(scope, scope.stage)
+    second, _ = scope.camera.snap()
+    assert first.shape == second.shape
+    assert np.abs(first.astype(float) - second).max() > 100  # the beads moved
+
+
+@pytest.mark.parametrize("singular", [np.ones((2, 2)), np.zeros((2, 2))])
+def test_refuses_a_jacobian_without_an_inverse(singular) -> None:
+    with pytest.raises(ValueError, match="jacobian must be regular"):
+        SimulatedWorkstation(
+            lambda feature, focus: np.zeros(SHAPE),
+            jacobian=singular,
+            stage=Stage(saturation=1.0),
+            camera=Camera(interval=0.1),
+            rng=0,
+        )
+
+
+def test_a_microscope_without_a_stage_and_a_missing_file_are_refused(tmp_path) -> None:
+    class Empty:
+        def getXYStageDevice(self) -> str:
+            return ""
+
+        def getCameraDevice(self) -> str:
+            return "Camera"
+
+    with pytest.raises(ValueError, match="core must have a camera and an XY stage"):
+        MicroManager(Empty())
+    with pytest.raises(ValueError, match="no such file"):
+        MicroManager(tmp_path / "mine.cfg")
+    pytest.importorskip("pymmcore_plus", reason=MISSING)
+    (tmp_path / "mine.cfg").write_text("Device,Camera,Nowhere,Nothing\n")
+    with pytest.raises(ValueError, match="core must be a configuration that loads"):
+        MicroManager(tmp_path / "mine.cfg")
+
+
+def test_without_the_engine_the_message_says_what_to_install(monkeypatch, tmp_path) -> None:
+    (tmp_path / "mine.cfg").touch()
+    real = builtins.__import__
+
+    def absent(name, *arguments, **options):
+        if name.startswith("pymmcore"):
+            raise ImportError(name)
+        return real(name, *arguments, **options)
+
+    monkeypatch.setattr(builtins, "__import__", absent)
+    with pytest.raises(ImportError, match=r"pip install microlib\[microscope\]"):
+        MicroManager(tmp_path / "mine.cfg")

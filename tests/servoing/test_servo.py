@@ -1,0 +1,360 @@
+"""The loop over a microscope: what it reaches, what it keeps to, and how it ends."""
+
+import signal
+import threading
+
+import numpy as np
+import pytest
+
+from compendium.experiments.microscope import make_scope, turned
+from microlib.servoing import Camera, OptimalController, Stage, path_metrics, servo
+from microlib.servoing._log import COLUMNS
+
+JACOBIAN = turned(0.7, 0.25, mirrored=True)
+AWAY = np.array([30.0, -25.0])
+MISSING = "pymmcore-plus is not installed (pip install microlib[microscope])"
+
+
+def scope_of(kind="simulated", seed=0, **options):
+    if kind != "simulated":
+        pytest.importorskip("pymmcore_plus", reason=MISSING)
+    return make_scope(kind, seed, **({} if kind == "demo" else {"jacobian": JACOBIAN} | options))
+
+
+def steer(scope, targets, **options):
+    """Steer from home by `targets` in px, or as the options say."""
+    settings = {"travel": 400.0, "test_move": 40.0} | options
+    if settings.get("unit") != "um":
+        targets = scope.home + targets
+    return servo(scope.workstation, scope.tracker(), targets, **settings)
+
+
+@pytest.mark.parametrize("kind", ["simulated", "engine", "demo"])
+def test_a_target_is_reached_and_every_frame_logged(kind):
+    scope = scope_of(kind)
+    run = steer(scope, AWAY, test_move=10.0)
+    assert run.reached.all()
+    assert run.still
+    assert run.reason == ""
+    np.testing.assert_allclose(scope.moved(), AWAY, atol=0.12)
+    log = run.log
+    assert {name: str(kind) for name, kind in log.dtypes.items()} == COLUMNS
+    assert (np.diff(log["time_s"]) > 0).all()
+    assert list(log["phase"].unique()) == ["start", "calibration", "servo", "end"]
+    assert log["event"].iloc[-2:].tolist() == ["reached", "done"]
+    seen = log[log["phase"] != "end"]
+    assert np.isfinite(seen[["measured_x_px", "stage_x_um", "latency_s"]]).all(axis=None)
+    # What was commanded is where the stage is seen next, to an increment of its drive.
+    sent = seen[["command_x_um", "command_y_um"]].to_numpy()[:-1]
+    stood = seen[["stage_x_um", "stage_y_um"]].to_numpy()[1:]
+    np.testing.assert_allclose(stood[:8], sent[:8], atol=0.05)
+
+
+def test_the_jacobian_is_the_true_one_within_its_uncertainty():
+    for seed in range(5):
+        scope = scope_of(seed=seed)
+        run = steer(scope, AWAY)
+        error = (run.jacobian - JACOBIAN).ravel()
+        # χ² of 4 degrees of freedom is under 18.5 in 999 of 1000.
+        assert error @ np.linalg.solve(run.jacobian_covariance, error) < 18.5
+        np.testing.assert_allclose(run.jacobian, JACOBIAN, atol=0.005)
+
+
+def test_drift_is_told_apart_from_the_stage():
+    scope = scope_of(drift=(1.5, -0.5))
+    run = steer(scope, AWAY)
+    assert run.reached.all()
+    np.testing.assert_allclose(run.jacobian, JACOBIAN, atol=0.005)
+    # Over half a second of calibration 0.02 px of tracking know 0.1 px/s.
+    np.testing.assert_allclose(run.drift, (1.5, -0.5), atol=0.25)
+
+
+def test_targets_in_micrometers_are_along_the_axes_of_the_stage():
+    scope = scope_of()
+    run = steer(scope, [[60.0, 0.0], [0.0, -80.0]], unit="um")
+    assert run.reached.all()
+    # An error of J of 0.3 %, of the tracker of 0.05 px and the tolerance, at 0.25 px/µm.
+    np.testing.assert_allclose(scope.workstation.stage.position(), (0.0, -80.0), atol=0.8)
+    np.testing.assert_allclose(scope.moved(), JACOBIAN @ (0.0, -80.0), atol=0.25)
+
+
+@pytest.mark.parametrize("drive", ["position", "velocity"])
+def test_a_path_is_followed(drive):
+    angle = np.linspace(0, 2 * np.pi, 60)
+    circle = 20 * np.column_stack([np.cos(angle) - 1, np.sin(angle)])
+    scope = scope_of(camera=Camera(interval=0.02, latency=0.015))
+    run = steer(
+        scope,
+        circle,
+        path=True,
+        drive=drive,
+        speed=None if drive == "position" else 800.0,
+        interval=0.03,
+    )
+    assert run.reached.all()
+    assert run.still
+    log = run.log.query("phase == 'servo'")
+    measured, wanted = (
+        log[[f"{name}_x_px", f"{name}_y_px"]].to_numpy() for name in ("measured", "reference")
+    )
+    found = path_metrics(measured[5:], wanted[5:])
+    # A ninth of a sample of 2.1 px stays behind, with the tracker's; a position stage stands.
+    assert found.accuracy < (0.1 if drive == "position" else 0.4)
+    assert log["velocity_x_um_s"].notna().any() == (drive == "velocity")
+
+
+def test_a_velocity_stage_is_reached_standing_and_its_latency_told():
+    scope = scope_of(
+        camera=Camera(interval=0.02, latency=0.015),
+        stage=Stage(saturation=500.0, lag=0.01),
+    )
+    run = steer(scope, AWAY, drive="velocity", speed=300.0, interval=0.02, most_frames=200)
+    assert run.reached.all()
+    assert run.still
+    # Tracking takes no virtual time.
+    assert run.latency == pytest.approx(0.015)
+    np.testing.assert_allclose(scope.moved(), AWAY, atol=0.15)
+    speed = np.hypot(run.log["velocity_x_um_s"], run.log["velocity_y_um_s"])
+    assert speed.max() == pytest.approx(300.0)
+
+
+def test_a_controller_of_ones_own_moves_a_position_stage():
+    scope = scope_of()
+    law = OptimalController(
+        JACOBIAN, interval=0.1, feature_weight=(1.0, 1.0), control_weight=(1e-4, 1e-4)
+    )
+    run = steer(scope, AWAY, jacobian=JACOBIAN, controller=law, interval=0.1)
+    assert run.reached.all()
+    assert np.isnan(run.jacobian_covariance).all()
+    assert np.isnan(run.misfit)
+    assert len(run.log) > 5  # it takes less than all of the error away in a step
+
+
+@pytest.mark.parametrize("drive", ["position", "velocity"])
+def test_steps_and_travel_are_kept_to(drive):
+    scope = scope_of()
+    run = steer(
+        scope,
+        AWAY,
+        step=20.0,
+        test_move=20.0,
+        travel=170.0,
+        drive=drive,
+        speed=1000.0,
+        interval=0.05,
+    )
+    assert run.reached.all()
+    way = np.hypot(*np.diff(run.log[["stage_x_um", "stage_y_um"]].to_numpy(), axis=0).T)
+    assert way.max() < 20.0 * 1.02 + 0.1  # rounding of times, and two increments
+    assert run.log["event"].str.contains("limit").sum() >= 5  # 39 px are 156 µm
+
+
+def test_the_speed_of_a_position_stage_is_kept_to():
+    scope = scope_of(stage=Stage(saturation=4000.0))
+    run = steer(scope, AWAY, speed=100.0, interval=0.05)
+    assert run.reached.all()
+    log = run.log[run.log["phase"] != "end"]
+    way = np.hypot(*np.diff(log[["stage_x_um", "stage_y_um"]].to_numpy(), axis=0).T)
+    assert (way / np.diff(log["time_s"])).max() < 100.0 * 1.01
+
+
+@pytest.mark.parametrize("drive", ["position", "velocity"])
+def test_a_controller_cannot_leave_the_travel(drive):
+    scope = scope_of(camera=Camera(interval=0.02, latency=0.015))
+    run = steer(
+        scope,
+        AWAY,
+        jacobian=JACOBIAN,
+        drive=drive,
+        speed=300.0,
+        interval=0.02,
+        travel=170.0,
+        controller=lambda k, measured, goals: np.array([-280.0, 90.0]),
+    )
+    assert "was not reached in 50 frames" in run.reason
+    assert run.log["event"].str.contains("travel").any()
+    farthest = run.log[["stage_x_um", "stage_y_um"]].abs().max()
+    assert farthest.max() == pytest.approx(0.99 * 170.0, abs=1.0)
+    assert farthest.max() < 170.0
+
+
+def test_a_stage_that_runs_away_is_stopped_at_the_travel():
+    scope = scope_of(stage=Stage(saturation=1000.0))
+    stage = scope.workstation.stage
+    move_to = stage.move_to
+    stage.move_to = lambda position: move_to(100.0 * position)
+    run = steer(scope, AWAY, travel=300.0)
+    assert "the stage is beyond the travel" in run.reason
+    # 1000 µm/s over the 2 ms between two questions.
+    assert 300.0 < np.abs(stage.position()).max() < 303.0
+    assert run.still
+
+
+def test_a_target_beyond_the_travel_is_not_gone_to():
+    scope = scope_of()
+    run = steer(scope, [[10.0, 0.0], [200.0, 0.0]], travel=300.0)
+    assert "target 1 is beyond the travel" in run.reason
+    assert not run.reached.any()
+    assert run.still
+    np.testing.assert_array_equal(scope.workstation.stage.position(), 0.0)
+
+
+def test_a_calibration_that_knows_too_little_is_refused():
+    scope = scope_of(camera=Camera(interval=0.005, jitter=1.5))
+    run = steer(scope, AWAY, test_move=8.0)  # 2 px
+    assert "calibration refused" in run.reason
+    assert "servo" not in run.log["phase"].to_numpy()
+    assert run.jacobian_covariance.max() > 0
+
+
+def test_pictures_and_progress_are_given_on_request():
+    rows = []
+    scope = scope_of()
+    run = steer(scope, AWAY, progress=rows.append, keep_frames=True)
+    assert len(rows) == len(run.frames) == len(run.log) - 1
+    assert [row["event"] for row in rows] == run.log["event"].tolist()[:-1]
+    assert rows[0]["command_x_um"] == pytest.approx(40.0)
+    assert steer(scope_of(), AWAY).frames == ()
+
+
+def test_a_second_run_can_take_over_the_jacobian():
+    scope = scope_of()
+    first = steer(scope, AWAY)
+    second = servo(
+        scope.workstation, scope.tracker(), scope.home, travel=400.0, jacobian=first.jacobian
+    )
+    assert "calibration" not in second.log["phase"].to_numpy()
+
+
+def test_ctrl_c_is_raised_after_the_stop_and_python_has_its_handler_back():
+    scope = scope_of()
+    before = signal.getsignal(signal.SIGINT)
+
+    def press(row):
+        if row["phase"] == "servo":
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        steer(scope, [[20.0, 0.0], [-20.0, 0.0]], progress=press)
+    run = caught.value.run
+    assert run.reason == "interrupted by the user" == run.log["event"].iloc[-1]
+    assert run.still
+    assert not run.reached.all()
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_it_runs_in_a_thread_that_no_signal_reaches():
+    runs = []
+    thread = threading.Thread(target=lambda: runs.append(steer(scope_of(), AWAY)))
+    thread.start()
+    thread.join(timeout=20.0)
+    assert runs[0].reached.all()
+
+
+def test_a_feature_lost_for_a_frame_is_waited_for():
+    scope = scope_of()
+    tracker, camera, count = scope.tracker(), scope.workstation.camera, []
+
+    class Blinking:
+        def snap(self):
+            frame, exposed = camera.snap()
+            count.append(exposed)
+            return (0 * frame if len(count) in (10, 11) else frame), exposed
+
+    scope.workstation.camera = Blinking()
+    run = servo(scope.workstation, tracker, scope.home + AWAY, travel=400.0, test_move=40.0)
+    assert run.reached.all()
+    lost = run.log[run.log["lost"]]
+    assert len(lost) == 2
+    assert lost[["command_x_um", "velocity_x_um_s", "measured_x_px"]].isna().all(axis=None)
+    assert lost["event"].str.len().min() > 0
+
+
+def test_a_feature_lost_for_good_ends_the_run_after_three_frames():
+    scope = scope_of()
+    tracker, snap = scope.tracker(), scope.workstation.camera.snap
+    scope.workstation.camera.snap = lambda: (np.zeros((240, 320)), snap()[1])
+    run = servo(scope.workstation, tracker, scope.home, travel=400.0, jacobian=JACOBIAN)
+    assert run.reason.startswith("lost: ")
+    assert run.reason.endswith("in the first frame")
+    assert run.log["phase"].tolist() == ["start", "end"]
+
+    class Covered:
+        frames = 0
+
+        def track(self, frame):
+            self.frames += 1
+            return tracker.track(frame if self.frames == 1 else 0 * frame)
+
+    scope.workstation.camera.snap = snap
+    run = servo(scope.workstation, Covered(), scope.home + AWAY, travel=400.0, jacobian=JACOBIAN)
+    assert run.log["lost"].sum() == 3
+    assert run.reason.endswith("in 3 frames in a row")
+
+
+def test_a_frame_that_comes_late_finds_the_velocity_stage_stopped():
+    """The stage has a dead man's switch: real time passes while the camera hangs."""
+    scope = scope_of()
+    tracker, station, count, positions = scope.tracker(), scope.workstation, [], []
+    snap = station.camera.snap
+
+    def late():
+        count.append(1)
+        if len(count) == 14:
+            for _ in range(10):  # 0.3 s in all, under the time-out
+                threading.Event().wait(0.03)
+                station.clock.sleep(0.03)
+                positions.append(station.stage.position())
+        return snap()
+
+    station.camera.snap = late
+    run = servo(
+        station,
+        tracker,
+        scope.home + AWAY,
+        travel=400.0,
+        test_move=40.0,
+        drive="velocity",
+        speed=40.0,
+        interval=0.03,
+        most_frames=400,
+    )
+    assert run.reached.all()
+    # It may go on for two frames and the poll that sees it: 0.03 s each, and 0.03 s of the thread.
+    assert np.linalg.norm(positions[-1] - positions[0]) < 40.0 * 0.15
+    np.testing.assert_array_equal(positions[-1], positions[-4])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"travel": -1.0}, "travel must be positive"),
+        ({"travel": (1.0, 2.0, 3.0)}, "travel must have shape"),
+        ({"unit": "mm"}, "unit must be one of px, um"),
+        ({"drive": "torque"}, "drive must be one of position, velocity"),
+        ({"drive": "velocity"}, "speed must be given"),
+        ({"test_move": 500.0}, "test_move must lie within travel and step, 396 µm, got 500"),
+        ({"test_move": 50.0, "step": 20.0}, "test_move must lie within travel and step, 20 µm"),
+        ({"jacobian": np.ones((2, 2))}, "jacobian must be regular"),
+        ({"tolerance": 0.0}, "tolerance must be positive"),
+        ({"most_frames": 0}, "most_frames must be a whole number"),
+        ({"interval": np.nan}, "interval must be finite"),
+        ({"rest": -1.0}, "rest must be zero or positive"),
+    ],
+)
+def test_wrong_arguments_are_refused_before_anything_moves(options, message):
+    scope = scope_of()
+    with pytest.raises(ValueError, match=message):
+        steer(scope, AWAY, **options)
+    np.testing.assert_array_equal(scope.workstation.stage.position(), 0.0)
+
+
+def test_targets_must_be_points():
+    with pytest.raises(ValueError, match="targets must have shape"):
+        steer(scope_of(), np.zeros((2, 3)), unit="um")
+
+
+def test_a_stage_without_velocities_is_not_driven_by_them():
+    scope = scope_of("engine")
+    with pytest.raises(ValueError, match="drive must be position for a stage without move_at"):
+        steer(scope, AWAY, drive="velocity", speed=10.0)
