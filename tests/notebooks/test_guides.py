@@ -143,8 +143,8 @@ def test_a_missing_configuration_gives_one_clear_line(tmp_path: Path) -> None:
     arguments = ["-p", "configuration", "mine.cfg", "-p", "out", "kept"]
     result = run_own(tmp_path, "07_guide_servoing", *arguments)
     assert result.returncode == 1
-    assert "ValueError: core must be a core or a configuration file" in result.stdout
-    assert len(result.stdout.strip().splitlines()) == 1
+    assert "ValueError: core must be a core or a configuration file" in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
 
 
 def test_the_heights_that_are_kept_are_the_true_ones(claims_folder: Path) -> None:
