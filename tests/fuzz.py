@@ -15,6 +15,7 @@ import faulthandler
 import importlib
 import inspect
 import pkgutil
+import random
 import re
 import resource
 import signal
@@ -740,6 +741,13 @@ def harmless(value: object) -> Iterator[tuple[str, np.ndarray]]:
     yield "other byte order", value.astype(value.dtype.newbyteorder(">"))
 
 
+#: Values that a check of one argument may let through, and how many pairs of them are tried.
+SCALES = frozenset({
+    "0", "-1", "1.5", "uint8(200)", "1e6", "1e30", "1e60", "1e-60", "zeros", "negative", "first",
+    "alternating", "×1e-100", "×1e-30", "×1e+12", "×1e+30",
+})  # fmt: skip
+PAIRS = 40
+
 #: In place of the result of a call that was refused.
 REFUSED = object()
 
@@ -856,8 +864,31 @@ def fault(case: Case) -> str | None:
     stored = is_dataclass(kind) and not hasattr(kind, "__post_init__")
     if "masked" in case.label and not stored:
         return "dropped a mask"
-    known = case.name in MAY_BE_UNKNOWN or stored or not finite(case.value)
+    known = may_be_unknown(case.name) or not finite(case.value)
     return None if known or finite(result) else "not finite"
+
+
+def pairs(name: str) -> Iterator[str]:
+    """Yield faults where two arguments at once have values that may pass one by one."""
+    by: dict[str, list[Case]] = {}
+    for case in cases(name):
+        if case.label in SCALES:
+            by.setdefault(case.argument, []).append(case)
+    draw = random.Random(name)
+    for _ in range(PAIRS if len(by) > 1 else 0):
+        first, second = (draw.choice(by[argument]) for argument in draw.sample(sorted(by), 2))
+        changed = {case.argument: case.value for case in (first, second)}
+        result, wrong = answer(name, changed)
+        if not wrong and result is not REFUSED and not may_be_unknown(name) and not finite(result):
+            wrong = "not finite"
+        if wrong:
+            yield f"{first.key}, {second.argument}={second.label}: {wrong}"
+
+
+def may_be_unknown(name: str) -> bool:
+    """Return whether the result is documented to hold NaN, or only holds what it was given."""
+    kind = resolve(name)
+    return name in MAY_BE_UNKNOWN or (is_dataclass(kind) and not hasattr(kind, "__post_init__"))
 
 
 def differences(name: str) -> Iterator[str]:
@@ -877,7 +908,7 @@ def main(words: list[str]) -> int:
     for name in CALLS:
         if words and not any(word in name for word in words):
             continue
-        begin, found = time.process_time(), list(differences(name))
+        begin, found = time.process_time(), [*differences(name), *pairs(name)]
         every = list(cases(name))
         found += [f"{case.key}: {said}" for case in every if (said := fault(case))]
         print(
