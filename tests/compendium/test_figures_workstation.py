@@ -115,5 +115,11 @@ def test_the_parts_of_the_workstation_carry_their_names():
     heights = [texts[name][1] for name in (*column, "sample stage, x and y")]
     assert heights == sorted(heights, reverse=True)
     np.testing.assert_allclose([texts[name][0] for name in column], 4.6)
+    # Probe and gripper reach from their manipulators to the sample, as mirror images.
+    *_, probe, gripper, sample = (line.get_xydata() for line in axes.lines)
+    np.testing.assert_allclose(probe + gripper, [[9.2, 4.0], [9.2, 3.5]])
+    assert boxes[4].x1 == probe[0, 0]
+    assert boxes[5].x0 == gripper[0, 0]
+    assert np.hypot(*(probe[1] - sample[0])) < 0.6
     for one, other in pairwise(boxes):
         assert not one.overlaps(other)
