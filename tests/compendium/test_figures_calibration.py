@@ -86,6 +86,9 @@ def test_the_microscope_is_drawn_to_its_lengths():
     arrows = [(text.xy, text.xyann) for text in axes.texts if not text.get_text()]
     spans = sorted((a[0], b[0]) for a, b in arrows if a[1] == b[1] and a[1] < -10)
     assert spans == [(0, 100), (0, 300), (100, 150)]  # f, T + f and d, mm
+    # In two rows, so that none lies on another.
+    rows = {b[0]: a[1] for a, b in arrows if a[1] == b[1] and a[1] < -10}
+    assert rows[300] < rows[100] == rows[150]
     # Below everything else, and in view.
     floor = min(a[1] for a, b in arrows)
     assert floor < min(line.get_ydata().min() for line in axes.lines)
@@ -135,3 +138,6 @@ def test_the_valley_shows_its_residuals_and_the_noise():
     np.testing.assert_allclose(drawn["tilt 5°"], [[0.5, 5.3], [1, 5.02], [2, 5.2]])
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
     assert axes.lines[-1].get_ydata() == [0.02, 0.02]
+    for axis in (axes.xaxis, axes.yaxis):
+        ticks = [float(label.get_text()) for label in axis.get_ticklabels()]
+        assert ticks == axis.get_ticklocs().tolist() == sorted(ticks)

@@ -106,6 +106,8 @@ def test_the_parts_of_the_workstation_carry_their_names():
     texts = {text.get_text(): text.get_position() for text in axes.texts}
     named = [name for name in texts if name not in ("probe", "gripper")]
     assert len(boxes) == 8
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    assert all(left < b.x0 and b.x1 < right and low < b.y0 and b.y1 < high for b in boxes)
     assert len(named) == 7  # both manipulators have one name
     for x, y in (texts[name] for name in named):
         middle = [((b.x0 + b.x1) / 2, (b.y0 + b.y1) / 2) for b in boxes]
