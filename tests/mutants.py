@@ -26,7 +26,7 @@ import tempfile
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from importlib.util import cache_from_source
-from itertools import zip_longest
+from itertools import islice, zip_longest
 from pathlib import Path
 from queue import Queue
 from time import perf_counter
@@ -37,7 +37,7 @@ import parso
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator, operator_names
 
-from tests.planted import KINDS, edits, plant
+from tests.planted import KINDS, Source, edits, plant
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULT = ROOT / "tests" / "mutants.csv"
@@ -156,9 +156,20 @@ def sample(package: str, modules: list[Path], seed: int) -> list[Fault]:
     # The name makes packages differ; nothing of the code under test chooses the sample.
     rng = np.random.default_rng([seed, *package.encode()])
     drawn = in_turn([every[k] for k in rng.permutation(len(every))])
-    first = [f for path in modules for f in [f for f in drawn if f.module == path][:LEAST]]
-    rest = [fault for fault in drawn if fault not in first]
-    return sorted(first + rest[: max(0, SAMPLE - len(first))])
+    chosen: list[Fault] = []
+    for path in modules:
+        inside = (fault for fault in drawn if fault.module == path and matters(fault))
+        chosen += islice(inside, LEAST)
+    rest = (fault for fault in drawn if fault not in chosen and matters(fault))
+    return sorted([*chosen, *islice(rest, max(0, SAMPLE - len(chosen)))])
+
+
+def matters(fault: Fault) -> bool:
+    """Tell whether a fault changes more than how a drawing looks, which nobody computes with."""
+    if package_of(fault.module) != "figures":
+        return True
+    text = fault.module.read_text(encoding="utf-8")
+    return not Source(text).is_look(plant_fault(text, fault))
 
 
 def in_turn(faults: list[Fault]) -> list[Fault]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.planted import KINDS, edits, plant
+from tests.planted import KINDS, Source, edits, plant
 
 
 @pytest.mark.parametrize(
@@ -46,3 +46,10 @@ def test_a_kind_has_these_places(kind: str, code: str, faulty: list[str]) -> Non
 def test_what_is_never_computed_is_left_alone(kind: str) -> None:
     code = '__all__ = ["a", "b"]\n"""a + b, f(a, b)."""\ndef f(a: dict[int, str] = None): "a * b"\n'
     assert edits(code + "f'{a + b}'", kind) == []
+
+
+def test_how_a_drawing_looks_is_told_from_what_it_shows() -> None:
+    code = "axes.plot(x, 2 * y, lw=1.5, label='µ')"
+    assert Source(code).is_look(code.replace("1.5", "2.5"))
+    assert not Source(code).is_look(code.replace("2 *", "3 *"))
+    assert not Source(code).is_look(code.replace("x, 2 * y", "2 * y, x"))

@@ -83,6 +83,16 @@ def test_the_microscope_is_drawn_to_its_lengths():
     np.testing.assert_allclose(sensor[1], screen(1000, -500, tube + focal), rtol=1e-9)
     np.testing.assert_allclose(seen[2], screen(500, 250, focal + distance), rtol=1e-9)
     names = {text.get_text(): text.get_position()[0] for text in axes.texts}
+    arrows = [(text.xy, text.xyann) for text in axes.texts if not text.get_text()]
+    spans = sorted((a[0], b[0]) for a, b in arrows if a[1] == b[1] and a[1] < -10)
+    assert spans == [(0, 100), (0, 300), (100, 150)]  # f, T + f and d, mm
+    # In two rows, so that none lies on another.
+    rows = {b[0]: a[1] for a, b in arrows if a[1] == b[1] and a[1] < -10}
+    assert rows[300] < rows[100] == rows[150]
+    # Below everything else, and in view.
+    floor = min(a[1] for a, b in arrows)
+    assert floor < min(line.get_ydata().min() for line in axes.lines)
+    assert axes.get_ylim()[0] < floor
     place = {text.get_text(): text.get_position() for text in axes.texts}
     for name, (u, v) in {"$C_o$": (0, 0), "$C_i$": (300, 0), "$C_w$": (150, 0)}.items():
         assert abs(place[name][0] - u) < 8, name
@@ -128,3 +138,6 @@ def test_the_valley_shows_its_residuals_and_the_noise():
     np.testing.assert_allclose(drawn["tilt 5°"], [[0.5, 5.3], [1, 5.02], [2, 5.2]])
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
     assert axes.lines[-1].get_ydata() == [0.02, 0.02]
+    for axis in (axes.xaxis, axes.yaxis):
+        ticks = [float(label.get_text()) for label in axis.get_ticklabels()]
+        assert ticks == axis.get_ticklocs().tolist() == sorted(ticks)

@@ -179,6 +179,8 @@ def test_the_section_names_the_lengths_that_it_draws():
             (letters[letter] - begin) @ (end - begin) / np.sum((end - begin) ** 2), 0, 1
         )
         assert np.hypot(*(letters[letter] - begin - along * (end - begin))) < 35, letter
+    helper = axes.lines[5].get_xydata()
+    np.testing.assert_allclose(helper, [[-RADIUS, -DEPTH], [-25, -DEPTH]])  # from w_d to the probe
     for line in (axes.lines[1], axes.lines[3]):
         x, y = np.abs(line.get_xdata()), line.get_ydata()
         np.testing.assert_allclose(np.hypot(x - RADIUS, y + 80), 80)  # a circle below the rim

@@ -106,6 +106,8 @@ def test_the_parts_of_the_workstation_carry_their_names():
     texts = {text.get_text(): text.get_position() for text in axes.texts}
     named = [name for name in texts if name not in ("probe", "gripper")]
     assert len(boxes) == 8
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    assert all(left < b.x0 and b.x1 < right and low < b.y0 and b.y1 < high for b in boxes)
     assert len(named) == 7  # both manipulators have one name
     for x, y in (texts[name] for name in named):
         middle = [((b.x0 + b.x1) / 2, (b.y0 + b.y1) / 2) for b in boxes]
@@ -115,5 +117,11 @@ def test_the_parts_of_the_workstation_carry_their_names():
     heights = [texts[name][1] for name in (*column, "sample stage, x and y")]
     assert heights == sorted(heights, reverse=True)
     np.testing.assert_allclose([texts[name][0] for name in column], 4.6)
+    # Probe and gripper reach from their manipulators to the sample, as mirror images.
+    *_, probe, gripper, sample = (line.get_xydata() for line in axes.lines)
+    np.testing.assert_allclose(probe + gripper, [[9.2, 4.0], [9.2, 3.5]])
+    assert boxes[4].x1 == probe[0, 0]
+    assert boxes[5].x0 == gripper[0, 0]
+    assert np.hypot(*(probe[1] - sample[0])) < 0.6
     for one, other in pairwise(boxes):
         assert not one.overlaps(other)
