@@ -129,7 +129,7 @@ def only_page(path: Path) -> NDArray | None:
     ValueError
         If it has several pages, or as `tiff_pages`.
     """
-    with _opened(path) as tiff:
+    with _opened(path, "path must name an image, got") as tiff:
         try:
             with _complaints_are_errors():
                 count = len(tiff.pages)
@@ -145,7 +145,7 @@ def only_page(path: Path) -> NDArray | None:
             raise ValueError(f"path cannot be read, got {path}: {error}") from error
 
 
-def _opened(path: Path) -> tifffile.TiffFile:
+def _opened(path: Path, wanted: str = "frames cannot be read from") -> tifffile.TiffFile:
     tiff = None
     try:
         with _complaints_are_errors():
@@ -155,7 +155,7 @@ def _opened(path: Path) -> tifffile.TiffFile:
     except Exception as error:  # damaged headers raise whatever their bytes lead to
         if tiff is not None:
             tiff.close()
-        raise ValueError(f"frames cannot be read from {path}: {error}") from error
+        raise ValueError(f"{wanted} {path}: {error}") from error
     return tiff
 
 

@@ -34,6 +34,9 @@ def test_what_is_no_image_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "bad.png").write_bytes(content)
     with pytest.raises(ValueError, match=r"got .*bad\.png: damaged or of an unknown format"):
         io.read_grey(tmp_path / "bad.png")
+    (tmp_path / "bad.tif").write_bytes(content)
+    with pytest.raises(ValueError, match=r"path must name an image, got .*bad\.tif: "):
+        io.read_grey(tmp_path / "bad.tif")
 
 
 def test_height_tiff_carries_heights_and_scale(tmp_path: Path) -> None:

@@ -33,6 +33,13 @@ WITHOUT_INPUT = ("servoing",)
 EVERY = (*GUIDES, *WITHOUT_INPUT)
 
 
+#: What the guide to heights leaves.
+FOCUS_FILES = {
+    *(f"{name}.ome.tif" for name in ("height", "uncertainty", "frame", "all_in_focus")),
+    *("surface.ply", "regions.csv", "all_in_focus.png"),
+}
+
+
 def source(guide: str) -> nbformat.NotebookNode:
     return nbformat.read(ROOT / "notebooks" / f"07_guide_{guide}.ipynb", as_version=4)
 
@@ -148,7 +155,7 @@ def test_a_missing_configuration_gives_one_clear_line(tmp_path: Path) -> None:
 
 
 def test_the_heights_that_are_kept_are_the_true_ones(claims_folder: Path) -> None:
-    height = tifffile.imread(kept("focus", "height.tif", claims_folder))
+    height = tifffile.imread(kept("focus", "height.ome.tif", claims_folder))
     off = np.abs(height - tifffile.imread(FOLDER / "height_um.tif"))
     assert np.isnan(off).mean() < 0.02
     assert np.nanquantile(off, 0.95) < 5.0
@@ -212,7 +219,7 @@ def test_a_wrong_file_gives_one_clear_line(tmp_path: Path, guide: str, message: 
     [
         ("calibration", {"camera.csv", "points.csv"}),
         ("embryo", {"modulus.csv", "outline.csv", "outline.png"}),
-        ("focus_stack", {"height.tif", "surface.ply", "regions.csv", "all_in_focus.png"}),
+        ("focus_stack", FOCUS_FILES),
         ("modulus", {"modulus.csv", "inputs.csv", "dimple.png"}),
     ],
 )
@@ -229,8 +236,10 @@ def test_a_guide_runs_on_the_readers_own_file(tmp_path: Path, guide: str, files:
     assert {path.name for path in (tmp_path / "kept").iterdir()} == files
     assert f"No truth is known of {mine}" in said(tmp_path / "mine" / f"07_guide_{guide}.ipynb")
     if guide == "focus_stack":
-        with tifffile.TiffFile(tmp_path / "kept" / "height.tif") as tiff:
-            assert "pixel size 2 um" in tiff.pages[0].aspage().description
+        for file in FOCUS_FILES:
+            if file.endswith(".tif"):
+                with tifffile.TiffFile(tmp_path / "kept" / file) as tiff:
+                    assert 'PhysicalSizeX="2.0"' in (tiff.ome_metadata or "")
 
 
 def test_frames_may_be_files_of_their_own(tmp_path: Path) -> None:
