@@ -240,3 +240,17 @@ def test_a_mention_leads_to_its_formula(page: Page, html: Path) -> None:
     assert mentions.count() > 60
     page.get_by_role("link", name="(4.3)").first.click()
     assert page.url.endswith("04_mechanical_characterization.html#equation-4-3")
+
+
+def test_every_guide_stands_on_the_first_page_with_its_picture(page: Page, html: Path) -> None:
+    open_page(page, html / "start.html")
+    cards = page.locator(".guide")
+    assert cards.count() == len(list((ROOT / "notebooks").glob("07_*.ipynb")))
+    for card in cards.all():
+        card.scroll_into_view_if_needed()
+        picture = card.locator("img")
+        assert picture.get_attribute("alt")
+        page.wait_for_function(
+            "src => [...document.images].some(i => i.src === src && i.complete && i.naturalWidth)",
+            arg=picture.evaluate("one => one.src"),
+        )
