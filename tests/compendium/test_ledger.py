@@ -329,7 +329,9 @@ def test_record_text() -> None:
 
 def test_errata_are_complete() -> None:
     for name, entry in ledger.errata().items():
-        assert set(entry) == {"where", "printed", "corrected", "origin", "proof", "test"}, name
+        keys = {"where", "printed", "corrected", "origin", "proof", "test"}
+        assert set(entry) - {"claims"} == keys, name
+        assert all(id in ledger.claims() for id in entry.get("claims", "").split()), name
         assert entry["origin"] in ("print", "open", "wording"), name
         assert (ROOT / entry["test"]).is_file(), name
 
