@@ -154,7 +154,10 @@ def indent_disc(
     Returns
     -------
     MembraneState
-        The state; `depth` is below the rim and equals `approach`.
+        `depth` of the probe's edge below the rim, which equals `approach` (µm); the meridian `r`,
+        `z` from the probe to the rim (µm), with `stretches` and nominal `stresses` (MPa) along it
+        and around the axis, (2, N) each; `rim_radius` and `contact_radius`, both a (µm); `pressure`
+        (MPa); elastic `energy` (pJ); `volume` below the rim's plane (µm³).
 
     Raises
     ------
