@@ -20,7 +20,7 @@ INVENTORY = {
     "01_introduction": (5, 0, 0, 0),
     "02_microsystems_and_vision": (42, 2, 8, 13),
     "03_visual_reconstruction_and_classification": (42, 3, 2, 8),
-    "04_mechanical_characterization": (24, 0, 6, 2),
+    "04_mechanical_characterization": (28, 0, 8, 2),
     "05_experimental_results": (106, 28, 76, 8),
     "06_conclusion": (12, 0, 8, 0),
     "07_guide_calibration": (13, 0, 0, 0),
