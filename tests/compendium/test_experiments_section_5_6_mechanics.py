@@ -43,7 +43,7 @@ def test_each_draw_has_the_printed_dimple(posterior: pd.DataFrame) -> None:
     rows = [posterior.iloc[k] for k in range(12)]
     off = np.array([np.log(row.E / direct(row)) for row in rows])
     assert np.median(np.abs(off)) < 0.03
-    assert np.abs(off).max() < 0.15
+    assert np.abs(off).max() < 0.15  # near the ends of the range that was solved
 
 
 def test_draws_lie_within_their_priors(posterior: pd.DataFrame, crest: tuple[float, float]) -> None:
