@@ -1,9 +1,9 @@
 """From an image to the upper outline of an embryo: find the probe, take it out, follow the edge.
 
 The chain of the thesis' section 5.6 (crop, mark and remove the probe, Canny, contour), with nobody
-marking anything. The image shows the probe coming down from its upper edge onto the embryo, dark on
-a bright ground. Image points are (x, y) in px with y *down*; the outline is given with y *up*, as
-`fit_gaussians` and the thesis' figures have it.
+marking anything. The image shows the probe coming from one of its edges onto the embryo, dark on a
+bright ground, and is turned so that this edge is the upper one. Image points are (x, y) in px with
+y *down*; the outline is given with y *up*, as `fit_gaussians` and the thesis' figures have it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates, median_filter, spline_filter
 from scipy.signal import savgol_filter
 
-from microlib._common import Array, as_image
+from microlib._common import Array, as_image, one_of
+from microlib.embryo._view import DIRECTIONS, View, part_of
 from microlib.embryo._wall import locate_wall
 
 # Lengths are in px. What other values of these do to the modulus stands in the benchmark "Other
@@ -54,6 +55,9 @@ _GROUND_WIDTH, _GROUND_SAMPLES = 6.0, 6
 _STEP = 0.25
 #: Standard deviations beyond which a line leaves a point out; 2 to 5 change E by up to 0.9 %.
 _OUTLIER = 3.0
+#: Rows in which the edges of a probe are seen, at least: more than a line's two numbers, fewer than
+#: the 20 of the shortest probe.
+_FEWEST_EDGES = 8
 #: Median absolute deviation to standard deviation, of the normal distribution.
 MAD_TO_STD = 1.4826
 #: More than rounding of grey levels, less than any of their steps.
@@ -112,7 +116,7 @@ _LARGEST_STD = 6.0
 
 @dataclass(frozen=True)
 class Probe:
-    """The probe in an image.
+    """The probe in an image that is turned so that it comes from above.
 
     Attributes
     ----------
@@ -135,7 +139,9 @@ class Probe:
 
 @dataclass(frozen=True)
 class Boundary:
-    """The upper outline of an embryo, the middle of its chorion, from left to right.
+    """The outline of an embryo on the probe's side, the middle of its chorion, from left to right.
+
+    All but `points` is as seen with the probe coming from above, in the part that was looked at.
 
     Attributes
     ----------
@@ -146,11 +152,13 @@ class Boundary:
     under_probe : ndarray of bool, shape (n,)
         Points at the probe's end, where the probe hides the chorion.
     probe : Probe
-        The probe, in image coordinates.
+        The probe, y down.
     blur : float
         Standard deviation of the image's blur at the outline, in px.
     image_height : int
-        Rows of the image: y = image_height − 1 − row.
+        Rows of the part as it is turned: y = image_height − 1 − row.
+    view : View
+        The part that was looked at: its `region` and the `direction` that the probe comes from.
     """
 
     x: Array
@@ -160,36 +168,49 @@ class Boundary:
     probe: Probe
     blur: float
     image_height: int
+    view: View
 
     @property
     def points(self) -> Array:
-        """The outline as image points (x, y), y down, in px; shape (n, 2)."""
-        return np.stack([self.x, self.image_height - 1 - self.y], axis=1)
+        """The outline as points (x, y) of the whole image, y down, in px; shape (n, 2)."""
+        return self.view.to_image(np.stack([self.x, self.image_height - 1 - self.y], axis=1))
 
     def without_probe(self, image: ArrayLike) -> NDArray[np.float32]:
         """Return `image`, in which the outline was found, with the probe filled by the ground."""
-        return _remove_probe(image, self.probe)
+        grey = as_image("image", image, smallest=_SMALLEST)
+        return self.view.put_back(_remove_probe(self.view.of(grey), self.probe), grey)
 
 
-def extract_boundary(image: ArrayLike) -> Boundary:
-    """Find the upper outline of an embryo that a probe presses from above.
+def extract_boundary(
+    image: ArrayLike,
+    *,
+    direction: str = "auto",
+    region: tuple[int, int, int, int] | None = None,
+) -> Boundary:
+    """Find the outline of an embryo on the side where a probe presses it.
 
     Parameters
     ----------
     image : array_like, shape (rows, columns)
         Grey image, integer or float; bright ground, dark probe.
+    direction : {"auto", "top", "bottom", "left", "right"}
+        Edge of the image (or the region) that the probe comes from; ``"auto"`` takes the first of
+        the four, in this order, from which one comes that makes a dimple.
+    region : tuple of int, optional
+        Part of the image to look at, (x, y, width, height) in px; all of it by default.
 
     Returns
     -------
     Boundary
-        The outline as a function y(x), about one point a px of its length: `x`, `y` and `std`, and
-        as image points, `points`; with the `probe`, and the image `without_probe`.
+        The outline as a function y(x) with the probe above, about one point a px of its length:
+        `x`, `y` and `std`, and as points of the image, `points`; with the `probe`, the image
+        `without_probe`, and the `direction` and `region` in `view`.
 
     Raises
     ------
     ValueError
-        If the image is saturated, no probe comes from its upper edge or the probe is tilted by more
-        than 4°, or there is no outline or no dimple on both sides of the probe.
+        If the image is saturated, no probe comes from the edge or the probe is tilted by more than
+        4°, or there is no outline or no dimple on both sides of the probe.
 
     See Also
     --------
@@ -211,8 +232,25 @@ def extract_boundary(image: ArrayLike) -> Boundary:
     >>> bool(abs(np.interp(rim[0], x, y) - rim[1]) < 0.2)
     True
     """
-    grey = as_image("image", image, smallest=_SMALLEST)
-    _refuse_saturated(np.asarray(image), grey)
+    whole = as_image("image", image, smallest=_SMALLEST)
+    one_of("direction", direction, ("auto", *DIRECTIONS))
+    part = part_of(whole.shape, region, _SMALLEST)
+    upright = View(part, "top")
+    _refuse_saturated(upright.of(np.asarray(image)), upright.of(whole))
+    refused: dict[str, list[str]] = {}
+    for edge in DIRECTIONS if direction == "auto" else (direction,):
+        view = View(part, edge)
+        try:
+            return _outline_from_above(np.ascontiguousarray(view.of(whole)), view)
+        except ValueError as reason:
+            refused.setdefault(str(reason), []).append(edge)
+    raise ValueError(
+        "; ".join(f"{reason} (from the {', '.join(edges)})" for reason, edges in refused.items())
+    )
+
+
+def _outline_from_above(grey: NDArray[np.float32], view: View) -> Boundary:
+    """Find the outline on both sides of a probe that comes from above."""
     probe = _find_probe(grey)
     sides = [_resample(side) for side in _trace(_remove_probe(grey, probe), probe)]
     _refuse_without_dimple(sides, probe)
@@ -233,6 +271,7 @@ def extract_boundary(image: ArrayLike) -> Boundary:
         probe=probe,
         blur=blur,
         image_height=len(grey),
+        view=view,
     )
 
 
@@ -394,6 +433,11 @@ def _crossings(
 def _robust_line(x: NDArray, y: NDArray) -> tuple[float, float]:
     """Slope and value at 0 of a straight line, outliers beyond three deviations left out once."""
     use = np.isfinite(y)
+    if use.sum() < _FEWEST_EDGES:
+        raise ValueError(
+            f"image must show the probe's edges against a brighter ground, got {use.sum()} of "
+            f"{use.size} rows in which it does"
+        )
     for _ in range(2):
         slope, start = np.polyfit(x[use], y[use], 1)
         off = np.abs(y - start - slope * x)

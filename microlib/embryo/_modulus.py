@@ -89,13 +89,15 @@ def modulus_from_image(
     probe_half_width: float,
     poisson_ratio: float,
     method: str = "membrane",
+    direction: str = "auto",
+    region: tuple[int, int, int, int] | None = None,
 ) -> ModulusEstimate:
     """Measure the elastic modulus of a chorion in one image of its indentation.
 
     Parameters
     ----------
     image : array_like, shape (rows, columns)
-        Grey image; the probe comes down on the embryo from the upper edge.
+        Grey image; the probe comes upright to one of its edges onto the embryo.
     force : float
         Force F of the probe, in µN.
     pixel_size : float
@@ -104,6 +106,9 @@ def modulus_from_image(
         As for `microlib.membrane.elastic_modulus`.
     method : {"membrane", "gaussians"}
         How the dimple is measured; see `measure_dimple`.
+    direction, region
+        Edge that the probe comes from, and part of the image to look at; see
+        `microlib.embryo.extract_boundary`.
 
     Returns
     -------
@@ -135,7 +140,7 @@ def modulus_from_image(
     (True, True)
     """
     load = float(positive("force", as_array("force", force, shape=())))
-    boundary = extract_boundary(image)
+    boundary = extract_boundary(image, direction=direction, region=region)
     dimple = measure_dimple(
         boundary, pixel_size=pixel_size, probe_half_width=probe_half_width, method=method
     )
@@ -155,6 +160,8 @@ def force_from_image(
     thickness: float,
     probe_half_width: float,
     poisson_ratio: float,
+    direction: str = "auto",
+    region: tuple[int, int, int, int] | None = None,
 ) -> ForceEstimate:
     """Measure the force on an embryo of known modulus in one image, without a force sensor.
 
@@ -164,7 +171,7 @@ def force_from_image(
         As for `modulus_from_image`.
     modulus : float
         Elastic modulus E, in MPa.
-    pixel_size, thickness, probe_half_width, poisson_ratio : float
+    pixel_size, thickness, probe_half_width, poisson_ratio, direction, region
         As for `modulus_from_image`.
 
     Returns
@@ -196,7 +203,7 @@ def force_from_image(
     True
     """
     stiffness = float(positive("modulus", as_array("modulus", modulus, shape=())))
-    boundary = extract_boundary(image)
+    boundary = extract_boundary(image, direction=direction, region=region)
     dimple = fit_dimple(boundary, pixel_size=pixel_size, probe_half_width=probe_half_width)
     membrane = {
         "thickness": thickness,
