@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
@@ -107,6 +108,43 @@ def test_mirror_image_gives_the_mirrored_outline(scene):
     off = mirrored - np.interp(x, plain.x, plain.y)
     assert np.abs(off).max() < 0.4
     assert abs(off.mean()) < 0.02
+
+
+def with_probe(taper: float, glass: bool) -> tuple[EmbryoImage, np.ndarray]:
+    """A probe drawn by hand, of four samples a px and side: tapering, or two walls of glass."""
+    bare = render(probe=False, noise=0.0)
+    image = cv2.resize(bare.image.astype(np.float32), None, fx=4, fy=4)
+    y, x = np.mgrid[: image.shape[0], : image.shape[1]] / 4 - 0.375
+    embryo = bare.embryo
+    tip = bare.to_pixels(np.array([[0.0, embryo.thickness / 2 - embryo.dimple_depth]]))[0]
+    above, beside = tip[1] - y, np.abs(x - tip[0])
+    half = embryo.probe_half_width / bare.pixel_size + taper * above
+    bar = (beside < half) & (above > 0)
+    wall = bar & ((beside > half - 2.2) | (above < 1.5)) if glass else bar
+    image[bar] = 205
+    image[wall] = 60
+    small = cv2.resize(cv2.GaussianBlur(image, (0, 0), 2.5), (720, 480), interpolation=3)
+    noise = np.random.default_rng(0).normal(0, 2, small.shape)
+    return bare, (small + noise).clip(0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("glass", [False, True], ids=["metal", "glass"])
+@pytest.mark.parametrize("taper", [0.0, 0.1])
+def test_probes_of_other_kinds(taper, glass):
+    truth, image = with_probe(taper, glass)
+    found = extract_boundary(image)
+    tip = truth.to_pixels(np.array([[0.0, 1.5 - truth.embryo.dimple_depth]]))[0]
+    assert found.probe.tip[0] == pytest.approx(tip[0], abs=0.1)
+    # The end of glass is a wall as dark as the chorion below it: both are filled, 2 px more.
+    assert found.probe.tip[1] == pytest.approx(tip[1], abs=2.5 if glass else 0.7)
+    assert found.probe.taper == pytest.approx(-taper, abs=0.002)
+    # Thin walls lose half of their blur to the outside.
+    half = truth.embryo.probe_half_width / truth.pixel_size
+    assert found.probe.half_width == pytest.approx(half, abs=1.0 if glass else 0.15)
+    off = distances(truth, found.points[~found.under_probe])
+    # As with the renderer's own probe, but for 0.6 px more of blur, which flattens the wall.
+    assert abs(off.mean()) < 0.04
+    assert np.abs(off).max() < 0.5
 
 
 @pytest.mark.parametrize(("edge", "turns"), [("left", 1), ("bottom", 2), ("right", 3)])
