@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_smoothing_spline
 from statsmodels.nonparametric.smoothers_lowess import lowess
 
+from benchmarks.photographs import without_embryo
 from benchmarks.report import must_hold, paired_times, publish
 from microlib.embryo import (
     _boundary,
@@ -183,7 +184,7 @@ def summarise(runs: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows).round(3)
 
 
-def limits(runs: pd.DataFrame) -> pd.DataFrame:
+def limits(runs: pd.DataFrame, foreign: pd.DataFrame) -> pd.DataFrame:
     ours = runs[runs["method"] == "membrane"]
     error = ours["error"]
     holds = 100 * (error.abs() < 1.96 * ours["std"]).mean()
@@ -195,8 +196,24 @@ def limits(runs: pd.DataFrame) -> pd.DataFrame:
             ("95 % intervals that hold, %", holds, "≥", 90),
             ("95 % intervals that hold, %", holds, "≤", 98),
             ("CPU time of an image, longest, s", ours["seconds"].max(), "≤", 1),
+            ("pictures of other things given a modulus", foreign["given a modulus"][0], "≤", 0),
+            ("errors of another kind on them", foreign["another error"][0], "≤", 0),
         ]
     )
+
+
+def others(count: int = 430) -> pd.DataFrame:
+    """What the chain makes of images that show no indented embryo."""
+    outcomes = {"refused with the reason": 0, "given a modulus": 0, "another error": 0}
+    for _, image in without_embryo(np.random.default_rng(0), count):
+        try:
+            modulus_from_image(image, 100.0, pixel_size=4.65 / 1.2, **MEMBRANE)
+            outcomes["given a modulus"] += 1
+        except ValueError:
+            outcomes["refused with the reason"] += 1
+        except Exception:
+            outcomes["another error"] += 1
+    return pd.DataFrame([{"images": count} | outcomes])
 
 
 def conditions(count: int = 12) -> pd.DataFrame:
@@ -329,17 +346,19 @@ def main() -> None:
     cv2.setNumThreads(1)
     warnings.simplefilter("ignore", SmallSlopeWarning)  # the scenes obey the model by construction
     runs = pd.DataFrame([row for seed in range(EMBRYOS) for row in characterize(seed)])
+    foreign = others()
     scenes = small_scenes()
     publish(
         "embryo",
         {
             "Modulus of 100 rendered embryos by method": summarise(runs),
             "More noise and blur (12 embryos each)": conditions(),
+            "Pictures, pieces of them and textures without an embryo": foreign,
             "LOESS of the first degree": smoothers(),
             CHOICES_TITLE: choices(CHOICES, scenes, "membrane"),
             GAUSSIAN_CHOICES_TITLE: choices(GAUSSIAN_CHOICES, scenes[:3], "gaussians"),
         },
-        limits=limits(runs),
+        limits=limits(runs, foreign),
         note="E 0.5–2 MPa, dimples 40–150 µm deep, noise 2/255, light, place and turn varied. "
         "The chain starts at the image and knows force, pixel, thickness, probe width and ν.",
     )

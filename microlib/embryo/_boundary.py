@@ -1,22 +1,25 @@
 """From an image to the upper outline of an embryo: find the probe, take it out, follow the edge.
 
 The chain of the thesis' section 5.6 (crop, mark and remove the probe, Canny, contour), with nobody
-marking anything. The image shows the probe coming down from its upper edge onto the embryo, dark on
-a bright ground. Image points are (x, y) in px with y *down*; the outline is given with y *up*, as
-`fit_gaussians` and the thesis' figures have it.
+marking anything. The image shows the probe coming from one of its edges onto the embryo, dark on a
+bright ground, and is turned so that this edge is the upper one. Image points are (x, y) in px with
+y *down*; the outline is given with y *up*, as `fit_gaussians` and the thesis' figures have it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates, median_filter, spline_filter
 from scipy.signal import savgol_filter
 
-from microlib._common import Array, as_array, as_image
+from microlib._common import Array, as_array, as_image, one_of
+from microlib.embryo._view import DIRECTIONS, View, part_of
 from microlib.embryo._wall import locate_wall
 
 # Lengths are in px. What other values of these do to the modulus stands in the benchmark "Other
@@ -32,13 +35,17 @@ _DARK = 0.7
 #: Least width of a probe, and largest as a share of the image's: what else enters from above is a
 #: scratch or no probe. Nothing changes from 2 to 8 and from 0.05 to 0.2.
 _NARROWEST, _WIDEST = 4.0, 0.1
+#: A wall of a glass tube has at least this width, two differ by at most this factor: what a blur of
+#: 1 px leaves of a thin wall, and light from one side.
+_THINNEST_WALL, _UNLIKE_WALLS = 2, 2.0
 #: Blur under which the probe is looked for, so that noise does not break its outline: 0.5 to 2
 #: change E by up to 0.3 %.
 _PROBE_BLUR = 1.0
 #: The probe is what is darker than this, from its own grey at 0 to that of the ground at 1; below
 #: one half, which the embryo's fluid does not reach. Nothing changes from 0.25 to 0.55.
 _BODY_LEVEL = 0.4
-#: Share by which a row's width must differ to end the probe; nothing changes from 0.2 to 0.6.
+#: Share by which a row's width must differ from those above it to end the probe; nothing changes
+#: from 0.2 to 0.6.
 _ODD_WIDTH = 0.35
 #: Rows wanted below the probe's end, where its grey turns to the embryo's.
 _BELOW_TIP = 5
@@ -54,6 +61,9 @@ _GROUND_WIDTH, _GROUND_SAMPLES = 6.0, 6
 _STEP = 0.25
 #: Standard deviations beyond which a line leaves a point out; 2 to 5 change E by up to 0.9 %.
 _OUTLIER = 3.0
+#: Rows in which the edges of a probe are seen, at least: more than a line's two numbers, fewer than
+#: the 20 of the shortest probe.
+_FEWEST_EDGES = 8
 #: Median absolute deviation to standard deviation, of the normal distribution.
 MAD_TO_STD = 1.4826
 #: More than rounding of grey levels, less than any of their steps.
@@ -112,7 +122,7 @@ _LARGEST_STD = 6.0
 
 @dataclass(frozen=True)
 class Probe:
-    """The probe in an image.
+    """The probe in an image that is turned so that it comes from above.
 
     Attributes
     ----------
@@ -121,21 +131,31 @@ class Probe:
     slope : float
         Change of x for each px down: the tangent of its tilt.
     half_width : float
-        Half of its width, in px.
+        Half of its width at the tip, in px.
+    taper : float
+        Change of that for each px down; 0 for a probe whose sides are parallel.
     """
 
     tip: tuple[float, float]
     slope: float
     half_width: float
+    taper: float = 0.0
 
     def axis(self, y: ArrayLike) -> Array:
         """Return x of the probe's axis at the image height `y`, both in px."""
         return self.tip[0] + self.slope * (as_array("y", y) - self.tip[1])
 
+    def half_width_at(self, y: ArrayLike) -> Array:
+        """Return half of the width in px at the image height `y`; the tip's below the tip."""
+        above = np.minimum(np.asarray(y, dtype=np.float64) - self.tip[1], 0.0)
+        return self.half_width + self.taper * above
+
 
 @dataclass(frozen=True)
 class Boundary:
-    """The upper outline of an embryo, the middle of its chorion, from left to right.
+    """The outline of an embryo on the probe's side, the middle of its chorion, from left to right.
+
+    All but `points` is as seen with the probe coming from above, in the part that was looked at.
 
     Attributes
     ----------
@@ -146,11 +166,13 @@ class Boundary:
     under_probe : ndarray of bool, shape (n,)
         Points at the probe's end, where the probe hides the chorion.
     probe : Probe
-        The probe, in image coordinates.
+        The probe, y down.
     blur : float
         Standard deviation of the image's blur at the outline, in px.
     image_height : int
-        Rows of the image: y = image_height − 1 − row.
+        Rows of the part as it is turned: y = image_height − 1 − row.
+    view : View
+        The part that was looked at: its `region` and the `direction` that the probe comes from.
     """
 
     x: Array
@@ -160,36 +182,49 @@ class Boundary:
     probe: Probe
     blur: float
     image_height: int
+    view: View
 
     @property
     def points(self) -> Array:
-        """The outline as image points (x, y), y down, in px; shape (n, 2)."""
-        return np.stack([self.x, self.image_height - 1 - self.y], axis=1)
+        """The outline as points (x, y) of the whole image, y down, in px; shape (n, 2)."""
+        return self.view.to_image(np.stack([self.x, self.image_height - 1 - self.y], axis=1))
 
     def without_probe(self, image: ArrayLike) -> NDArray[np.float32]:
         """Return `image`, in which the outline was found, with the probe filled by the ground."""
-        return _remove_probe(image, self.probe)
+        grey = as_image("image", image, smallest=_SMALLEST)
+        return self.view.put_back(_remove_probe(self.view.of(grey), self.probe), grey)
 
 
-def extract_boundary(image: ArrayLike) -> Boundary:
-    """Find the upper outline of an embryo that a probe presses from above.
+def extract_boundary(
+    image: ArrayLike,
+    *,
+    direction: str = "auto",
+    region: tuple[int, int, int, int] | None = None,
+) -> Boundary:
+    """Find the outline of an embryo on the side where a probe presses it.
 
     Parameters
     ----------
     image : array_like, shape (rows, columns)
         Grey image, integer or float; bright ground, dark probe.
+    direction : {"auto", "top", "bottom", "left", "right"}
+        Edge of the image (or the region) that the probe comes from; ``"auto"`` takes the first of
+        the four, in this order, from which one comes that makes a dimple.
+    region : tuple of int, optional
+        Part of the image to look at, (x, y, width, height) in px; all of it by default.
 
     Returns
     -------
     Boundary
-        The outline as a function y(x), about one point a px of its length: `x`, `y` and `std`, and
-        as image points, `points`; with the `probe`, and the image `without_probe`.
+        The outline as a function y(x) with the probe above, about one point a px of its length:
+        `x`, `y` and `std`, and as points of the image, `points`; with the `probe`, the image
+        `without_probe`, and the `direction` and `region` in `view`.
 
     Raises
     ------
     ValueError
-        If the image is saturated, no probe comes from its upper edge or the probe is tilted by more
-        than 4°, or there is no outline or no dimple on both sides of the probe.
+        If the image is saturated, no probe comes from the edge or the probe is tilted by more than
+        4°, or there is no outline or no dimple on both sides of the probe.
 
     See Also
     --------
@@ -211,8 +246,25 @@ def extract_boundary(image: ArrayLike) -> Boundary:
     >>> bool(abs(np.interp(rim[0], x, y) - rim[1]) < 0.2)
     True
     """
-    grey = as_image("image", image, smallest=_SMALLEST)
-    _refuse_saturated(np.asarray(image), grey)
+    whole = as_image("image", image, smallest=_SMALLEST)
+    one_of("direction", direction, ("auto", *DIRECTIONS))
+    part = part_of(whole.shape, region, _SMALLEST)
+    upright = View(part, "top")
+    _refuse_saturated(upright.of(np.asarray(image)), upright.of(whole))
+    refused: dict[str, list[str]] = {}
+    for edge in DIRECTIONS if direction == "auto" else (direction,):
+        view = View(part, edge)
+        try:
+            return _outline_from_above(np.ascontiguousarray(view.of(whole)), view)
+        except ValueError as reason:
+            refused.setdefault(str(reason), []).append(edge)
+    raise ValueError(
+        "; ".join(f"{reason} (from the {', '.join(edges)})" for reason, edges in refused.items())
+    )
+
+
+def _outline_from_above(grey: NDArray[np.float32], view: View) -> Boundary:
+    """Find the outline on both sides of a probe that comes from above."""
     probe = _find_probe(grey)
     sides = [_resample(side) for side in _trace(_remove_probe(grey, probe), probe)]
     _refuse_without_dimple(sides, probe)
@@ -233,11 +285,12 @@ def extract_boundary(image: ArrayLike) -> Boundary:
         probe=probe,
         blur=blur,
         image_height=len(grey),
+        view=view,
     )
 
 
 def _find_probe(image: ArrayLike) -> Probe:
-    """Find the dark bar that enters an image through its upper edge.
+    """Find the dark bar or the glass tube that enters an image through its upper edge.
 
     Parameters
     ----------
@@ -254,6 +307,11 @@ def _find_probe(image: ArrayLike) -> Probe:
     ValueError
         If there is not exactly one such bar, or it is tilted by more than 4°.
 
+    Notes
+    -----
+    A tube of glass is bright between two dark walls, and is filled before it is measured. The probe
+    ends where its width jumps; a taper is no jump.
+
     Examples
     --------
     >>> image = np.full((120, 160), 200.0)
@@ -268,22 +326,25 @@ def _find_probe(image: ArrayLike) -> Probe:
     ground = median_filter(top, 4 * widest + 1, mode="nearest")  # a bar is a quarter of it
     dark = top < _DARK * ground
     edges = np.flatnonzero(np.diff(np.concatenate([[0], dark.view(np.int8), [0]])))
-    runs = [run for run in edges.reshape(-1, 2) if _NARROWEST <= run[1] - run[0] <= widest]
-    if len(runs) != 1:
+    runs = edges.reshape(-1, 2)
+    bars = [run for run in runs if _NARROWEST <= run[1] - run[0] <= widest]
+    tubes = _tubes(runs, widest)
+    glass = len(tubes) == 1 and all(tubes[0][0] <= b[0] and b[1] <= tubes[0][1] for b in bars)
+    if not glass and len(bars) != 1:
         raise ValueError(
             "image must show one dark probe that enters through its upper edge, "
-            f"got {len(runs)} bars of {_NARROWEST:.0f} to {widest} px there"
+            f"got {len(bars)} bars of {_NARROWEST:.0f} to {widest} px there"
         )
-    left, right = runs[0]
+    left, right = tubes[0][:2] if glass else bars[0]
     level = ground[left:right].mean()
-    bar = top[(left + right) // 2]
-    _, labels = cv2.connectedComponents((grey < bar + _BODY_LEVEL * (level - bar)).astype(np.uint8))
+    bar = top[left:right].min() if glass else top[(left + right) // 2]
+    limit = bar + _BODY_LEVEL * (level - bar)
+    if glass:
+        grey = _filled_tube(grey, tubes[0], limit, bar)
+    _, labels = cv2.connectedComponents((grey < limit).astype(np.uint8))
     body = labels == labels[0, (left + right) // 2]
     width = body.sum(axis=1)
-    # The probe ends where its rows do, or where something dark widens it.
-    usual = np.median(width[:_TOP_ROWS])
-    odd = np.abs(width - usual) > _ODD_WIDTH * usual
-    end = int(odd.argmax()) if odd.any() else len(width)
+    end = _end_row(width)
     if end < 2 * _TOP_ROWS or end >= len(width) - _BELOW_TIP:
         raise ValueError(
             f"image must show the probe's end inside it, got a bar that ends at row {end} of "
@@ -292,8 +353,10 @@ def _find_probe(image: ArrayLike) -> Probe:
     # Near the end the embryo stands beside the probe: the upper part gives direction and width.
     rows = np.arange(_FIRST_ROW, int(_UPPER_PART * end))
     middle = np.array([np.flatnonzero(body[r]).mean() for r in rows])
+    usual = np.median(width[:_TOP_ROWS])
+    across = np.where(np.abs(width - usual) > _MARGIN, width, usual)[rows]
     sides = np.array(
-        [_crossings(grey[r], m, usual, bar) for r, m in zip(rows, middle, strict=True)]
+        [_crossings(grey[r], m, w, bar) for r, m, w in zip(rows, middle, across, strict=True)]
     )
     slopes, starts = zip(*(_robust_line(rows, side) for side in sides.T), strict=True)
     slope = float(np.mean(slopes))
@@ -302,10 +365,55 @@ def _find_probe(image: ArrayLike) -> Probe:
             f"image must show the probe upright to within {np.rad2deg(_LARGEST_TILT):.0f}°, got "
             f"{np.rad2deg(np.arctan(slope)):.1f}°: rotate the image"
         )
-    half_width = float(starts[1] - starts[0] + (slopes[1] - slopes[0]) * rows.mean()) / 2
+    narrowing = slopes[1] - slopes[0]
+    tapered = abs(narrowing) * rows.size > _MARGIN
+    half_width = float(starts[1] - starts[0] + narrowing * (end if tapered else rows.mean())) / 2
     upper = Probe((float(np.mean(starts)), 0.0), slope, half_width)
     tip = _tip_row(grey, upper, end, bar)
-    return Probe((float(upper.axis(tip)), tip), slope, half_width / np.hypot(1.0, slope))
+    return Probe(
+        (float(upper.axis(tip)), tip),
+        slope,
+        half_width / np.hypot(1.0, slope),
+        narrowing / 2 if tapered else 0.0,
+    )
+
+
+def _tubes(runs: NDArray, widest: int) -> list[tuple[int, int, int]]:
+    """Return pairs of dark runs that are a tube's walls: its two ends, and the walls' width."""
+    found = []
+    for first, second in pairwise(runs):
+        across = int(second[1] - first[0])
+        walls = sorted((int(first[1] - first[0]), int(second[1] - second[0])))
+        alike = walls[0] >= _THINNEST_WALL and walls[1] <= _UNLIKE_WALLS * walls[0]
+        if alike and walls[1] <= across / 3 and across <= widest:
+            found.append((int(first[0]), int(second[1]), walls[1]))
+    return found
+
+
+def _filled_tube(
+    grey: NDArray[np.float32], tube: tuple[int, int, int], limit: float, bar: float
+) -> NDArray[np.float32]:
+    """Fill a tube between its walls with their grey, from the upper edge as far as they go."""
+    filled = grey.copy()
+    left, right, wall = tube
+    for row in range(len(grey)):
+        start = max(left - _MARGIN, 0)
+        near_left = np.flatnonzero(grey[row, start : left + wall + _MARGIN] < limit)
+        inner = max(right - wall - _MARGIN, 0)
+        near_right = np.flatnonzero(grey[row, inner : right + _MARGIN] < limit)
+        if near_left.size == 0 or near_right.size == 0:
+            break
+        left, right = start + int(near_left[0]), inner + int(near_right[-1]) + 1
+        filled[row, left:right] = np.minimum(grey[row, left:right], bar)
+    return filled
+
+
+def _end_row(width: NDArray) -> int:
+    """Return the row in which a bar of these widths ends: they jump, as no taper does, or are 0."""
+    before = np.concatenate([width[:_TOP_ROWS], width[:-1]])
+    usual = np.median(sliding_window_view(before, _TOP_ROWS), axis=1)
+    odd = np.abs(width - usual[: len(width)]) > _ODD_WIDTH * usual[: len(width)]
+    return int(odd.argmax()) if odd.any() else len(width)
 
 
 def _remove_probe(image: ArrayLike, probe: Probe) -> NDArray[np.float32]:
@@ -343,15 +451,16 @@ def _remove_probe(image: ArrayLike, probe: Probe) -> NDArray[np.float32]:
     filled = as_image("image", image, smallest=_SMALLEST).copy()
     rows = np.arange(int(np.ceil(probe.tip[1] + 1)))
     axis = probe.axis(rows)
-    reach = probe.half_width + _CLEARANCE
+    reach = probe.half_width_at(rows) + _CLEARANCE
     measured = rows[: int(_UPPER_PART * rows.size)]
     levels = []
     for side in (-1, 1):
-        beside = np.rint(axis[measured] + side * (reach + _MARGIN)).astype(int)
+        beside = np.rint(axis[measured] + side * (reach[measured] + _MARGIN)).astype(int)
         beside = np.clip(beside, 0, filled.shape[1] - 1)
         slope, start = _robust_line(measured, filled[measured, beside])
         levels.append(start + slope * rows)
     columns = np.arange(filled.shape[1])
+    reach = reach[:, np.newaxis]
     across = (columns - axis[:, np.newaxis] + reach) / (2 * reach)
     ground = levels[0][:, np.newaxis] * (1 - across) + levels[1][:, np.newaxis] * across
     inside = (across >= 0) & (across <= 1)
@@ -394,6 +503,11 @@ def _crossings(
 def _robust_line(x: NDArray, y: NDArray) -> tuple[float, float]:
     """Slope and value at 0 of a straight line, outliers beyond three deviations left out once."""
     use = np.isfinite(y)
+    if use.sum() < _FEWEST_EDGES:
+        raise ValueError(
+            f"image must show the probe's edges against a brighter ground, got {use.sum()} of "
+            f"{use.size} rows in which it does"
+        )
     for _ in range(2):
         slope, start = np.polyfit(x[use], y[use], 1)
         off = np.abs(y - start - slope * x)
@@ -473,7 +587,7 @@ def _refine(
     normal = np.stack([-along[1], along[0]]) / np.hypot(*along)
     x, y = start[:, :, np.newaxis] + normal[:, :, np.newaxis] * _PROFILE
     profiles = map_coordinates(spline_filter(grey, 3), [y, x], order=3, prefilter=False)
-    beside = np.abs(x - probe.axis(y)) > probe.half_width + clearance
+    beside = np.abs(x - probe.axis(y)) > probe.half_width_at(y) + clearance
     clear = beside | (y > probe.tip[1] + clearance + _MARGIN)
     wall = locate_wall(profiles, _PROFILE, weights=clear)
     points = start + normal * wall.position

@@ -91,13 +91,15 @@ def modulus_from_image(
     probe_half_width: float,
     poisson_ratio: float,
     method: str = "membrane",
+    direction: str = "auto",
+    region: tuple[int, int, int, int] | None = None,
 ) -> ModulusEstimate:
     """Measure the elastic modulus of a chorion in one image of its indentation.
 
     Parameters
     ----------
     image : array_like, shape (rows, columns)
-        Grey image; the probe comes down on the embryo from the upper edge.
+        Grey image; the probe comes upright to one of its edges onto the embryo.
     force : float
         Force F of the probe, in µN.
     pixel_size : float
@@ -106,6 +108,9 @@ def modulus_from_image(
         As for `microlib.membrane.elastic_modulus`.
     method : {"membrane", "gaussians"}
         How the dimple is measured; see `measure_dimple`.
+    direction, region
+        Edge that the probe comes from, and part of the image to look at; see
+        `microlib.embryo.extract_boundary`.
 
     Returns
     -------
@@ -140,7 +145,7 @@ def modulus_from_image(
     one_of("method", method, _METHODS)
     size = scalar("pixel_size", pixel_size, above=0)
     membrane = _membrane(thickness, probe_half_width, poisson_ratio)
-    boundary = extract_boundary(image)
+    boundary = extract_boundary(image, direction=direction, region=region)
     dimple = _dimple_of(boundary, size, membrane["probe_half_width"], method)
     return ModulusEstimate(*_apply(elastic_modulus, load, dimple, membrane), dimple, boundary)
 
@@ -153,6 +158,8 @@ def force_from_image(
     thickness: float,
     probe_half_width: float,
     poisson_ratio: float,
+    direction: str = "auto",
+    region: tuple[int, int, int, int] | None = None,
 ) -> ForceEstimate:
     """Measure the force on an embryo of known modulus in one image, without a force sensor.
 
@@ -162,7 +169,7 @@ def force_from_image(
         As for `modulus_from_image`.
     modulus : float
         Elastic modulus E, in MPa.
-    pixel_size, thickness, probe_half_width, poisson_ratio : float
+    pixel_size, thickness, probe_half_width, poisson_ratio, direction, region
         As for `modulus_from_image`.
 
     Returns
@@ -196,7 +203,7 @@ def force_from_image(
     stiffness = scalar("modulus", modulus, above=0, most=_MOST)
     size = scalar("pixel_size", pixel_size, above=0)
     membrane = _membrane(thickness, probe_half_width, poisson_ratio)
-    boundary = extract_boundary(image)
+    boundary = extract_boundary(image, direction=direction, region=region)
     dimple = _dimple_of(boundary, size, membrane["probe_half_width"], "membrane")
     assert isinstance(dimple, DimpleFit)
     return ForceEstimate(*_apply(indentation_force, stiffness, dimple, membrane), dimple, boundary)

@@ -330,8 +330,11 @@ def indent_capsule(
     Returns
     -------
     MembraneState
-        The state. `approach` is 2R less the height of the probe's end above the plate; `depth` is
-        that of the end below the dimple's crest.
+        `depth` of the probe's end below the dimple's crest, and `approach`, 2R less the height of
+        that end above the plate (µm); `rim_radius` of the crest and `contact_radius` on the plate,
+        which are equal (µm); the meridian `r`, `z` from the probe to the middle of the plate (µm),
+        with `stretches` and nominal `stresses` (MPa) along it and around the axis, (2, N) each;
+        `pressure` above that outside (MPa); elastic `energy` (pJ); `volume` (µm³).
 
     Raises
     ------
@@ -428,7 +431,7 @@ def capsule_modulus(
     Returns
     -------
     CapsuleModulus
-        Modulus, inflation and the state.
+        `modulus` (MPa), `inflation`, and the `state` of the capsule, as from `indent_capsule`.
 
     Raises
     ------

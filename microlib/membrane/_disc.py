@@ -29,6 +29,9 @@ _ACCEPTED = 1e-5
 # Factor of force from one state to the next where the first guess is too far.
 _LADDER = 3.0
 _RUNGS = 8
+# Of the logarithm of the modulus, where the softest membrane that has an equilibrium is sought: a
+# dimple within 1 % of the deepest is refused.
+_LEAST_STEP = 0.02
 
 
 @dataclass(frozen=True)
@@ -154,7 +157,10 @@ def indent_disc(
     Returns
     -------
     MembraneState
-        The state; `depth` is below the rim and equals `approach`.
+        `depth` of the probe's edge below the rim, which equals `approach` (µm); the meridian `r`,
+        `z` from the probe to the rim (µm), with `stretches` and nominal `stresses` (MPa) along it
+        and around the axis, (2, N) each; `rim_radius` and `contact_radius`, both a (µm); `pressure`
+        (MPa); elastic `energy` (pJ); `volume` below the rim's plane (µm³).
 
     Raises
     ------
@@ -334,14 +340,15 @@ def _bracket(excess: Any, start: float, depth: float) -> tuple[float, float]:
         raise ValueError(
             f"depth must be one that some modulus gives, got {depth:g} µm: {reason}"
         ) from None
-    below = above
-    for _ in range(25):
-        below -= 1.0
+    below, step = above, 1.0
+    while above - below < 25 and step > _LEAST_STEP:
         try:
-            if excess(below) >= 0:
-                return below, below + 1.0
+            if excess(below - step) >= 0:
+                return below - step, below
+            below -= step
         except ValueError:
-            break
+            # Softer ones fold; the one that is deep enough may lie before them.
+            step /= 2
     raise ValueError(
         f"depth must be one that some modulus gives, got {depth:g} µm: softer membranes are not "
         "deep enough or fold"

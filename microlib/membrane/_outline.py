@@ -90,7 +90,10 @@ def fit_capsule(
     Returns
     -------
     CapsuleFit
-        The fit.
+        `modulus` and `modulus_std` (MPa), `inflation`, `radius` (µm), the `center` of axis and
+        plate in the outline's coordinates (µm), the root mean square `misfit` (µm), and the `state`
+        of the capsule, as from `indent_capsule`. `modulus_std` is that of the points' scatter
+        alone: a `misfit` above the noise says that the capsule does not draw the outline.
 
     Raises
     ------
@@ -106,7 +109,7 @@ def fit_capsule(
 
     Examples
     --------
-    >>> from microlib.membrane._capsule import indent_capsule
+    >>> from microlib.membrane import indent_capsule
     >>> state = indent_capsule(
     ...     100.0, modulus=1.0, radius=600.0, thickness=3.0, probe_half_width=25.0, inflation=1.05
     ... )

@@ -36,7 +36,8 @@ class SmallSlopeWarning(UserWarning):
     limit : float
         Relative depth w_d/a above which the warning is given, 0.1. There the two small-slope steps,
         in the force balance (4.1) and in the strain (4.4), make the modulus 5 % too low at c/a =
-        0.1 (4 % at 0.2, 13 % at 0.04); at twice the depth 25 %. `finite_slope_modulus` undoes both.
+        0.1 (4 % at 0.2, 13 % at 0.04); at twice the depth 25 %. `finite_slope_modulus` undoes both
+        and keeps the uniform stress; `disc_modulus` lets it vary.
     """
 
     limit = 0.1  # there finite_slope_modulus is 1.05 times elastic_modulus at c/a = 0.1 (tests)
@@ -508,8 +509,9 @@ def _warn_if_steep(dimple_radius: Array, depth: Array) -> None:
     steepest = float(np.max(depth / dimple_radius))
     if steepest > SmallSlopeWarning.limit:
         warnings.warn(
-            f"w_d/a = {steepest:.2f} > {SmallSlopeWarning.limit}: small slopes make the modulus "
-            "about 5 % too low or more; see finite_slope_modulus",
+            f"w_d/a = {steepest:.2f} > {SmallSlopeWarning.limit}: small slopes make the modulus of "
+            "a uniform stress about 5 % too low or more (finite_slope_modulus); a stress that "
+            "varies along the radius gives another one at any depth (disc_modulus)",
             SmallSlopeWarning,
             stacklevel=3,
         )

@@ -15,6 +15,7 @@ import sympy as sp
 from scipy.signal import convolve2d, correlate2d
 
 from compendium import ledger, thesis
+from compendium.experiments import chapter_4
 from microlib.membrane import (
     SmallSlopeWarning,
     elastic_modulus,
@@ -295,3 +296,18 @@ def test_both_steps_of_the_slopes_cost_what_the_erratum_says() -> None:
     assert both(0.2) - 1 == pytest.approx(0.25, abs=0.01)
     assert both(0.1) - 1 == pytest.approx(0.05, abs=0.005)
     assert np.isnan(both(0.49))
+
+
+def test_a_stress_that_varies_gives_the_moduli_that_the_erratum_says() -> None:
+    assert (
+        "0.41 of the modulus of (4.7) at 0.1, and 0.70" in ledger.errata()["small-slopes"]["proof"]
+    )
+    deep = printed("table-5.6/w_d") / printed("table-5.6/a")
+    ratios = {
+        ("neo-Hooke", 0.1): 0.41,
+        ("Hooke", 0.1): 0.41,
+        ("neo-Hooke", deep): 0.70,
+        ("Hooke", deep): 0.55,
+    }
+    for (disc, depth), ratio in ratios.items():
+        assert chapter_4.modulus_ratio(disc, depth) == pytest.approx(ratio, abs=0.005)

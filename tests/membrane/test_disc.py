@@ -242,6 +242,19 @@ def test_what_cannot_work_is_refused(change: dict[str, Any], message: str) -> No
         indent_disc(**settings)
 
 
+def test_a_dimple_near_the_deepest_is_found() -> None:
+    """An e-fold softer disc folds, so that no coarse search brackets this one."""
+    settings: dict[str, Any] = {
+        "thickness": 2.573,
+        "probe_half_width": 27.34,
+        "law": "mooney-rivlin",
+        "pretension": 0.0403,
+        "rim_inset": 0.0236,
+    }
+    got = disc_modulus(197.24, 254.8, 121.2, **settings)
+    assert indent_disc(197.24, modulus=got, radius=254.8, **settings).depth == pytest.approx(121.2)
+
+
 def test_a_dimple_that_no_modulus_gives_is_refused() -> None:
     with pytest.raises(ValueError, match="depth must be"):
         disc_modulus(F, A, 20.0, thickness=H, probe_half_width=C, rim_inset=0.1)

@@ -1,0 +1,87 @@
+"""Images without an indented embryo, of which no modulus may be read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import skimage.data
+from numpy.typing import NDArray
+
+#: Photographs and drawings that come with scikit-image; the others would need the network.
+PICTURES = (
+    "astronaut.png",
+    "brick.png",
+    "camera.png",
+    "cell.png",
+    "chelsea.png",
+    "chessboard_GRAY.png",
+    "clock_motion.png",
+    "coffee.png",
+    "coins.png",
+    "color.png",
+    "grass.png",
+    "gravel.png",
+    "horse.png",
+    "hubble_deep_field.jpg",
+    "ihc.png",
+    "logo.png",
+    "microaneurysms.png",
+    "moon.png",
+    "motorcycle_left.png",
+    "page.png",
+    "phantom.png",
+    "retina.jpg",
+    "rocket.jpg",
+    "text.png",
+)
+
+
+def pictures() -> Iterator[tuple[str, NDArray[np.uint8]]]:
+    """Yield scikit-image's pictures by name, in grey, at most 800 px on the longer side."""
+    folder = Path(skimage.data.__file__).parent
+    for name in PICTURES:
+        grey = cv2.imread(str(folder / name), cv2.IMREAD_GRAYSCALE)
+        scale = min(1.0, 800 / max(grey.shape))
+        yield name, cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+
+
+def texture(rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Draw noise of a random coarseness and contrast, with or without stripes down the image."""
+    rows, columns = rng.integers(80, 500, 2)
+    noise = cv2.GaussianBlur(rng.normal(size=(rows, columns)), (0, 0), rng.uniform(0.3, 12))
+    grey = 150 + rng.uniform(5, 60) * noise / noise.std()
+    if rng.random() < 0.5:
+        for _ in range(rng.integers(1, 4)):
+            left, width = rng.integers(0, columns - 20), rng.integers(4, 30)
+            grey[: rng.integers(20, rows), left : left + width] *= rng.uniform(0.1, 0.8)
+    return np.clip(grey, 0, 250).astype(np.uint8)
+
+
+def without_embryo(rng: np.random.Generator, count: int) -> Iterator[tuple[str, NDArray]]:
+    """Yield images without an embryo: pictures as they are, then pieces of them and textures.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of crops, turns, contrasts and textures.
+    count : int
+        How many, more than there are pictures.
+    """
+    known = list(pictures())
+    yield from known
+    for k in range(count - len(known)):
+        if k % 5 == 0:
+            yield f"texture {k}", texture(rng)
+            continue
+        name, image = known[rng.integers(len(known))]
+        sides = [max(64, int(n * rng.uniform(0.3, 1.0))) for n in image.shape]
+        top, left = (
+            rng.integers(0, max(n - m, 0) + 1) for n, m in zip(image.shape, sides, strict=True)
+        )
+        piece = np.rot90(image[top : top + sides[0], left : left + sides[1]], rng.integers(4))
+        # Saturated ground would be refused before anything is looked for.
+        dim = piece.astype(float) * rng.uniform(0.4, 0.98)
+        yield f"piece of {name} {k}", dim.astype(np.uint8)
