@@ -60,6 +60,7 @@ STDS = {"force": 5.0, "dimple_radius": 2.0, "dimple_depth": 1.0}
 #: Files are written here and nowhere else: calls are made with it as the current folder.
 _KEPT = tempfile.TemporaryDirectory(prefix="fuzz")
 FOLDER = Path(_KEPT.name)
+GREY = FOLDER / "grey.tif"
 
 
 def scope() -> microscope.Microscope:
@@ -570,9 +571,8 @@ MAY_BE_UNKNOWN = {
 
 @cache
 def written() -> Path:
-    path = FOLDER / "fuzz_grey.tif"
-    io.write_height_tiff(path, np.ones((4, 5)), pixel_size=1.0)
-    return path
+    io.write_height_tiff(GREY, np.ones((4, 5)), pixel_size=1.0)
+    return GREY
 
 
 def public() -> Iterator[str]:
@@ -848,6 +848,9 @@ def answer(name: str, changed: dict[str, object]) -> tuple[object, str | None]:
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
         faulthandler.cancel_dump_traceback_later()
+        for path in FOLDER.iterdir():  # what one call writes is not there for the next
+            if path != GREY:
+                path.unlink()
     if not wrong and said:
         wrong = f"warning: {said[0].message}"
     if not wrong and not same(before, kept):

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from microlib._common import Array, inverse_normal, of_kind, scalar
 from microlib.microscope import Microscope
+
+#: Largest noise, px: beyond any sensor's rows.
+_MOST_NOISE = 1e9
 
 
 def cramer_rao(
@@ -48,6 +52,8 @@ def cramer_rao(
     array([inf, inf, inf])
     """
     of_kind("microscope", microscope, Microscope)
-    noise = scalar("noise", noise, least=0)
+    noise = scalar("noise", noise, least=0, most=_MOST_NOISE)
     jacobian = microscope.jacobian(world, parameters).reshape(-1, len(parameters))
-    return noise**2 * inverse_normal(jacobian)
+    inverse = inverse_normal(jacobian)
+    with np.errstate(invalid="ignore"):  # what is open stays so without noise, too
+        return np.where(np.isinf(inverse), np.inf, noise**2 * inverse)
