@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import chain, product
 
@@ -33,6 +34,8 @@ from microlib.focus._reliability import (
     set_to_nan,
     small_component_mask,
 )
+from microlib.focus._replay import Replay
+from microlib.focus._scale import averaged, averaged_positions, group_sizes, peak_width
 from microlib.io import read_frames
 
 #: Frames whose numbers fit into 16 bits.
@@ -90,14 +93,16 @@ class FocusResult:
         errors that are smooth over some ten pixels, and is large at steps, where a pixel may belong
         to either side. NaN where `depth` is.
     confidence : ndarray of float32, shape (rows, cols)
-        1 / (1 + (uncertainty / spacing of the frames)²), from 0 to 1; 0 where `depth` is NaN.
+        1 / (1 + (uncertainty / spacing of the frames)²), from 0 to 1; 0 where `depth` is NaN. The
+        spacing is that of the averaged frames where "multiscale" averages, see Notes.
     index : ndarray of int, shape (rows, cols)
-        Number of the sharpest frame; -1 where `depth` is NaN.
+        Number of the frame nearest to the depth by "multiscale", of the sharpest frame by any other
+        measure; -1 where `depth` is NaN.
     all_in_focus : ndarray of the frames' type, shape (rows, cols)
-        Every pixel from its sharpest frame.
+        Every pixel from the frame `index`, or where there is no depth from its sharpest one.
     at_end : ndarray of bool, shape (rows, cols)
         Whether the sharpest frame is the first or the last, so that the true focus may lie
-        outside the stack.
+        outside the stack. Averaged frames count as one.
     """
 
     depth: NDArray[np.float32]
@@ -125,8 +130,9 @@ def depth_from_focus(
     ----------
     frames : array_like of shape (n, rows, cols), path, or iterable
         At least three grey frames of 8 or 16 bits or floating point: an array, a multi-page TIFF
-        or OME-TIFF, or an iterable of images or image files, such as a generator. Frames are read
-        once and only a few are held.
+        or OME-TIFF, or an iterable of images or image files, such as a generator. Only a few are
+        held. "multiscale" looks at them three times: what is no array, file, list or tuple, and so
+        may come but once, is kept in a temporary file until then. Other measures look once.
     positions : array_like, shape (n,)
         Position of each frame along the optical axis, µm, rising or falling, not necessarily even.
     measure : {"multiscale", "sml", "tenengrad", "variance"} or callable
@@ -166,8 +172,10 @@ def depth_from_focus(
     over seven frames, weighted with the measure, because Gaussian blur makes the profile nearly a
     Gaussian, (3.9). A second measure decides on which side of a step a pixel lies, and
     `smooth_depth` averages over what remains on its side; detail that stands out of the noise is
-    put back. With any other measure the peak is
-    fitted and nothing is corrected; `correct_spikes` and `smooth_depth` may follow.
+    put back. Frames that are closer than the depth of field asks for are averaged first, as many as
+    make the peaks about four frames wide, so that more frames mean less noise. With any other
+    measure the peak is fitted and nothing is corrected; `correct_spikes` and `smooth_depth` may
+    follow.
 
     A depth is NaN where the measure is zero or flat, and where the best frame is random: half of
     its neighbors are more than two frames away from their median. "multiscale" also gives NaN
@@ -200,41 +208,60 @@ def depth_from_focus(
     threads = whole("workers", workers, least=1)
     side = whole("window", window, least=1, odd=True)
     limit = float(positive("threshold", threshold, zero=True))
+    batch = len(z) if is_in_memory(frames) else _BATCH
+    if measure == "multiscale":
+        with Replay(frames, len(z)) as stack:
+            return _multiscale(stack, z, fit, batch, threads)
     reader = read_frames(frames)
     first = next(reader, None)
     if first is None:
         raise ValueError("frames must hold at least three frames, got none")
-
-    measures: list[RowsMeasure]
-    refined = measure == "multiscale"
-    if refined:
-        noise = noise_level(first)
-        measures = [multiscale_measure(noise), edge_measure(noise)]
-    elif callable(measure):
-        function = _checked(measure)
-        measures = [Banded(function, reach=max(first.shape))]
+    chosen: RowsMeasure
+    if callable(measure):
+        chosen = Banded(_checked(measure), reach=max(first.shape))
     else:
-        measures = [named_measure(measure, side, whole("step", step, least=1), limit)]
+        chosen = named_measure(measure, side, whole("step", step, least=1), limit)
     profile = track_peaks(
-        chain([first], reader),
+        chain([first], reader), z, [chosen], reaches=[fit // 2], batch=batch, workers=threads
+    )
+    depth = profile.depths[0]
+    set_to_nan(depth, incoherent_mask(profile.index, len(z)))
+    return _result(depth, profile, z, 1.0)
+
+
+def _multiscale(
+    stack: Replay, positions: Array, points: int, batch: int, workers: int
+) -> FocusResult:
+    """Find the depth by the product of two scales, and correct it."""
+    sizes = group_sizes(len(positions), peak_width(stack))
+    z = averaged_positions(positions, sizes)
+    plain = len(sizes) == len(positions)
+    frames = iter(stack) if plain else averaged(iter(stack), sizes)
+    first = next(frames)
+    noise = noise_level(first)
+    profile = track_peaks(
+        chain([first], frames),
         z,
-        measures,
-        reaches=[fit // 2, 1][: len(measures)],
-        batch=len(z) if is_in_memory(frames) else _BATCH,
-        workers=threads,
+        [multiscale_measure(noise), edge_measure(noise)],
+        reaches=[points // 2, 1],
+        batch=batch if plain else _BATCH,
+        workers=workers,
+        ends=(positions[0], positions[-1]),
     )
     depth: NDArray = profile.depths[0]
     set_to_nan(depth, incoherent_mask(profile.index, len(z)))
-    if refined:
-        spacing = float(np.median(np.abs(np.diff(z))))
-        inverse_variance = None
-        if profile.peak is not None:
-            ratio = profile.peak.value / np.float32(noise_response(noise))
-            depth[below_noise_mask(ratio, len(z))] = np.nan
-            inverse_variance = profile.peak.inverse_variance
-        depth = _refine(depth, profile.depths[1], inverse_variance, spacing)
-        depth = np.clip(depth, z.min(), z.max())
-    return _result(depth, profile, z, _HIDDEN if refined else 1.0)
+    spacing = float(np.median(np.abs(np.diff(z))))
+    inverse_variance = None
+    if profile.peak is not None:
+        ratio = profile.peak.value / np.float32(noise_response(noise))
+        depth[below_noise_mask(ratio, len(z))] = np.nan
+        inverse_variance = profile.peak.inverse_variance
+    depth = _refine(depth, profile.depths[1], inverse_variance, spacing)
+    depth = np.clip(depth, positions.min(), positions.max())
+    starts = np.cumsum(sizes) - sizes
+    best = _nearest_frame(depth, positions, (starts + sizes // 2)[profile.index])
+    image = _picked(stack, best)
+    return _result(depth, profile, z, _HIDDEN, (best, image))
 
 
 def _check_positions(positions: ArrayLike) -> Array:
@@ -367,35 +394,45 @@ def _choose_side(broad: NDArray, fine: NDArray, sure: NDArray[np.bool_]) -> NDAr
     return result
 
 
+def _nearest_frame(depth: Array, positions: Array, otherwise: NDArray) -> NDArray[np.uint16]:
+    """Return the number of the frame nearest to each depth, or another where there is none."""
+    order = np.argsort(positions)
+    between = (positions[order][1:] + positions[order][:-1]) / 2
+    nearest = order[np.searchsorted(between, depth)]
+    return np.where(np.isnan(depth), otherwise, nearest).astype(np.uint16)
+
+
+def _picked(frames: Iterable[Image], number: NDArray[np.uint16]) -> Image:
+    """Return every pixel from the frame of that number."""
+    for k, frame in enumerate(frames):
+        if k == 0:
+            image = frame.copy()
+        else:
+            np.copyto(image, frame, where=number == k)
+    return image
+
+
 def _result(
     depth: NDArray,
     profile: Profile,
     positions: Array,
     hidden: float,
+    picked: tuple[NDArray[np.uint16], Image] | None = None,
 ) -> FocusResult:
     """Estimate the errors of the depths and put the result together."""
     spacing = np.float32(np.median(np.abs(np.diff(positions))))
     error = _roughness(depth, positions, profile.index)
     error *= np.float32(hidden) / spacing
+    best, image = (profile.index, profile.image) if picked is None else picked
     result = FocusResult(
         depth=depth.astype(np.float32, copy=False),
         uncertainty=error,
         confidence=np.empty_like(error),
         index=np.empty(depth.shape, np.int32),
-        all_in_focus=profile.image,
-        at_end=np.empty(depth.shape, bool),
+        all_in_focus=image,
+        at_end=(profile.index == 0) | (profile.index == len(positions) - 1),
     )
-
-    fill_in(
-        result.depth,
-        profile.index,
-        len(positions) - 1,
-        spacing,
-        result.uncertainty,
-        result.confidence,
-        result.index,
-        result.at_end,
-    )
+    fill_in(result.depth, best, spacing, result.uncertainty, result.confidence, result.index)
     return result
 
 

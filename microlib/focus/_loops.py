@@ -192,19 +192,16 @@ def _pick(frame: NDArray, now: np.uint16, index: NDArray, image: NDArray) -> Non
 def fill_in(
     depth: NDArray,
     best: NDArray[np.uint16],
-    last: int,
     spacing: np.float32,
     uncertainty: NDArray[np.float32],
     confidence: NDArray[np.float32],
     index: NDArray[np.int32],
-    at_end: NDArray[np.bool_],
 ) -> None:
     """Turn the uncertainty, in frames, into µm, and fill in what follows from it and the depth."""
     for y in range(len(depth)):
         for x in range(depth.shape[1]):
-            number, error = best[y, x], uncertainty[y, x]
+            error = uncertainty[y, x]
             known = not np.isnan(depth[y, x])
             uncertainty[y, x] = error * spacing if known else np.float32(np.nan)
             confidence[y, x] = 1 / (1 + error * error) if known else np.float32(0)
-            index[y, x] = np.int32(number) if known else np.int32(-1)
-            at_end[y, x] = (number == 0) | (number == last)
+            index[y, x] = np.int32(best[y, x]) if known else np.int32(-1)
