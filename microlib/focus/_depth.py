@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import chain, product
 
@@ -13,6 +13,7 @@ from scipy import ndimage
 
 from microlib._common import Array, Frames, Image, as_array, is_in_memory, positive, whole
 from microlib.focus._correction import smooth_depth
+from microlib.focus._directions import directional_depths
 from microlib.focus._loops import fill_in
 from microlib.focus._measures import (
     Banded,
@@ -25,7 +26,7 @@ from microlib.focus._measures import (
     noise_level,
     noise_response,
 )
-from microlib.focus._peaks import Profile, track_peaks
+from microlib.focus._peaks import track_peaks
 from microlib.focus._reliability import (
     below_noise_mask,
     blurred_edge_mask,
@@ -34,6 +35,7 @@ from microlib.focus._reliability import (
     set_to_nan,
     small_component_mask,
 )
+from microlib.focus._relief import find_relief
 from microlib.focus._replay import Replay
 from microlib.focus._scale import averaged, averaged_positions, group_sizes, peak_width
 from microlib.io import read_frames
@@ -58,9 +60,8 @@ _FINE_WINDOW, _FINE_SPREAD = 5, 1.0
 #: which it is sought, and up to which a neighbor agrees, frames; how much better one must agree for
 #: each px that it is further away, frames.
 _SIDE_DISTANCES, _SIDE_GAP, _SIDE_AGREES, _SIDE_SLOPE = (3, 6), 1.5, 1.0, 0.05
-#: Difference in depth across which nothing is smoothed, frames, and the radii of the wide and the
-#: close smoothing, px.
-_JUMP, _WIDE, _CLOSE = 1.5, 7.0, 2.0
+#: Difference in depth across which nothing is smoothed, frames, and the smoothing's radius, px.
+_JUMP, _WIDE = 1.5, 7.0
 #: Largest ratio of a pixel's inverse variance to the median, either way: one pixel shall not decide
 #: alone. From 1e3 to 1e5 nothing changes.
 _WEIGHTS = 1e4
@@ -69,15 +70,9 @@ _WEIGHTS = 1e4
 #: JPEG (error 0.8 times that without) and cost on planes (up to 1.9 times); table "outermost 8 px"
 #: of benchmarks/focus.py. Further in nothing depends on them.
 _BORDER_REACH, _BORDER_LEAST, _BORDER_POWER = 8, 0.1, 4
-#: Variance of the medium over that of the fine detail above which it is relief, see `_relief`; the
-#: radius over which both are averaged, px; the largest detail, frames.
-_RELIEF_RATIO, _RELIEF_RADIUS, _RELIEF_MOST = 2.6, 8.0, 0.5
 #: Differences from a Gaussian mean that leave the roughness, its radius and the window over which
 #: its square is averaged, in every second pixel. The depth does not depend on them.
 _ROUGH_TIMES, _ROUGH_RADIUS, _ROUGH_WINDOW = 4, 4.0, 3
-#: Error of a smoothed depth over its roughness, which does not show errors that are smooth too:
-#: 1.4 to 2.6 on the smooth scenes of the benchmark.
-_HIDDEN = 2.0
 
 
 @dataclass(frozen=True)
@@ -89,9 +84,11 @@ class FocusResult:
     depth : ndarray of float32, shape (rows, cols)
         Position at which the pixel is sharpest, µm; NaN where that cannot be told.
     uncertainty : ndarray of float32, shape (rows, cols)
-        Estimate of the error, µm, from how rough the depth is around the pixel. It does not see
-        errors that are smooth over some ten pixels, and is large at steps, where a pixel may belong
-        to either side. NaN where `depth` is.
+        Estimate of the error, µm; NaN where `depth` is. By "multiscale" from how far depths from
+        horizontal and from vertical detail differ: noise, relief that could not be told from it,
+        and steps, where a pixel may belong to either side; it does not see a depth that is wrong as
+        a whole. By other measures from how rough the depth is, which does not show errors that are
+        smooth over some ten pixels.
     confidence : ndarray of float32, shape (rows, cols)
         1 / (1 + (uncertainty / spacing of the frames)²), from 0 to 1; 0 where `depth` is NaN. The
         spacing is that of the averaged frames where "multiscale" averages, see Notes.
@@ -171,11 +168,12 @@ def depth_from_focus(
     texture; a product peaks where both agree. The logarithm of its profile is fitted by a parabola
     over seven frames, weighted with the measure, because Gaussian blur makes the profile nearly a
     Gaussian, (3.9). A second measure decides on which side of a step a pixel lies, and
-    `smooth_depth` averages over what remains on its side; detail that stands out of the noise is
-    put back. Frames that are closer than the depth of field asks for are averaged first, as many as
-    make the peaks about four frames wide, so that more frames mean less noise. With any other
-    measure the peak is fitted and nothing is corrected; `correct_spikes` and `smooth_depth` may
-    follow.
+    `smooth_depth` averages over what remains on its side. Detail that this takes away is put back
+    as far as it is relief: depths from second differences along rows and along columns have nearly
+    independent errors, so that their covariance is that of the object. The same tells the errors.
+    Frames that are closer than the depth of field asks for are averaged first, as many as make the
+    peaks about four frames wide, so that more frames mean less noise. With any other measure the
+    peak is fitted and nothing is corrected; `correct_spikes` and `smooth_depth` may follow.
 
     A depth is NaN where the measure is zero or flat, and where the best frame is random: half of
     its neighbors are more than two frames away from their median. "multiscale" also gives NaN
@@ -225,43 +223,51 @@ def depth_from_focus(
         chain([first], reader), z, [chosen], reaches=[fit // 2], batch=batch, workers=threads
     )
     depth = profile.depths[0]
-    set_to_nan(depth, incoherent_mask(profile.index, len(z)))
-    return _result(depth, profile, z, 1.0)
+    index = profile.index
+    set_to_nan(depth, incoherent_mask(index, len(z)))
+    spacing = np.float32(np.median(np.abs(np.diff(z))))
+    error = _roughness(depth, z, index) / spacing
+    at_end = (index == 0) | (index == len(z) - 1)
+    return _result(depth, error, index, profile.image, at_end, spacing)
 
 
 def _multiscale(
     stack: Replay, positions: Array, points: int, batch: int, workers: int
 ) -> FocusResult:
-    """Find the depth by the product of two scales, and correct it."""
+    """Find the depth by the product of two scales, correct it, and put fine relief back."""
     sizes = group_sizes(len(positions), peak_width(stack))
     z = averaged_positions(positions, sizes)
+    spacing = float(np.median(np.abs(np.diff(z))))
     plain = len(sizes) == len(positions)
-    frames = iter(stack) if plain else averaged(iter(stack), sizes)
-    first = next(frames)
-    noise = noise_level(first)
+
+    def frames() -> Iterator[Image]:
+        return iter(stack) if plain else averaged(iter(stack), sizes)
+
+    turn = {"batch": batch if plain else _BATCH, "workers": workers}
+    noise = noise_level(next(frames()))
     profile = track_peaks(
-        chain([first], frames),
+        frames(),
         z,
         [multiscale_measure(noise), edge_measure(noise)],
         reaches=[points // 2, 1],
-        batch=batch if plain else _BATCH,
-        workers=workers,
         ends=(positions[0], positions[-1]),
+        **turn,
     )
     depth: NDArray = profile.depths[0]
     set_to_nan(depth, incoherent_mask(profile.index, len(z)))
-    spacing = float(np.median(np.abs(np.diff(z))))
     inverse_variance = None
     if profile.peak is not None:
         ratio = profile.peak.value / np.float32(noise_response(noise))
         depth[below_noise_mask(ratio, len(z))] = np.nan
         inverse_variance = profile.peak.inverse_variance
-    depth = _refine(depth, profile.depths[1], inverse_variance, spacing)
-    depth = np.clip(depth, positions.min(), positions.max())
+    smooth = _refine(depth, profile.depths[1], inverse_variance, spacing)
+    relief = find_relief(smooth, directional_depths(frames(), z, smooth * spacing, **turn))
+    depth = np.clip((smooth + relief.offset) * spacing, positions.min(), positions.max())
     starts = np.cumsum(sizes) - sizes
     best = _nearest_frame(depth, positions, (starts + sizes // 2)[profile.index])
-    image = _picked(stack, best)
-    return _result(depth, profile, z, _HIDDEN, (best, image))
+    at_end = (profile.index == 0) | (profile.index == len(z) - 1)
+    error = np.sqrt(relief.variance)
+    return _result(depth, error, best, _picked(stack, best), at_end, np.float32(spacing))
 
 
 def _check_positions(positions: ArrayLike) -> Array:
@@ -297,10 +303,10 @@ def _refine(
     inverse_variance: NDArray | None,
     spacing: float,
 ) -> Array:
-    """Take out spikes, put pixels at steps on their own side, smooth on both sides of steps."""
+    """Take out spikes, put pixels at steps on their own side, smooth on both sides; in frames."""
     known = np.isfinite(depth)
     if not known.any():
-        return depth.astype(np.float64)
+        return depth / spacing
     broad = _without_spikes(_filled(depth) / np.float32(spacing), _SPIKE_WINDOWS[0])
     sharp = _filled(fine) / np.float32(spacing)
     median = cv2.medianBlur(sharp, _FINE_WINDOW)
@@ -322,36 +328,13 @@ def _refine(
         weight *= np.where(fitted, relative, 1.0)
     steps[small_component_mask(steps)] = np.nan
     steps[isolated_mask(steps)] = np.nan
-    wide = smooth_depth(steps, jump=_JUMP, radius=_WIDE, weight=weight)
-    close = smooth_depth(steps, jump=_JUMP, radius=_CLOSE, weight=weight)
-    relief = np.where(inner < 1, 0, _relief(steps - close, close - wide))
-    return (wide + relief * (close - wide)) * spacing
+    return smooth_depth(steps, jump=_JUMP, radius=_WIDE, weight=weight)
 
 
 def _inside(shape: tuple[int, ...]) -> Array:
     """Return 1 where the broad windows stay inside the image, less towards its border."""
     down, along = (np.minimum(np.arange(n), np.arange(n)[::-1]) for n in shape)
     return np.clip((1 + np.minimum.outer(down, along)) / _BORDER_REACH, _BORDER_LEAST, 1.0)
-
-
-def _relief(fine: NDArray, medium: NDArray) -> NDArray:
-    """Return how much of the depth's medium detail is relief and not noise, 0 to 1.
-
-    Noise goes through the windows of the measure, which leave it a fixed spectrum: whatever its
-    strength, its variance between the wide and the close smoothing is 1.0 to 1.7 times that below
-    the close one on smooth surfaces of any texture, contrast, noise and JPEG quality, and nine
-    tenths of all pixels stay below 2.5. What exceeds that is on the object. As in Wiener's filter,
-    its share of the variance is what is kept.
-    """
-    fine, medium = (
-        blur(
-            np.clip(np.nan_to_num(part), -_RELIEF_MOST, _RELIEF_MOST).astype(np.float32) ** 2,
-            _RELIEF_RADIUS,
-        )
-        for part in (fine, medium)
-    )
-    # A millionth of a frame is no detail at all.
-    return np.maximum(1 - _RELIEF_RATIO * fine / np.maximum(medium, 1e-12), 0)
 
 
 def _filled(depth: NDArray) -> NDArray:
@@ -414,23 +397,20 @@ def _picked(frames: Iterable[Image], number: NDArray[np.uint16]) -> Image:
 
 def _result(
     depth: NDArray,
-    profile: Profile,
-    positions: Array,
-    hidden: float,
-    picked: tuple[NDArray[np.uint16], Image] | None = None,
+    error: NDArray,
+    best: NDArray[np.uint16],
+    image: Image,
+    at_end: NDArray[np.bool_],
+    spacing: np.float32,
 ) -> FocusResult:
-    """Estimate the errors of the depths and put the result together."""
-    spacing = np.float32(np.median(np.abs(np.diff(positions))))
-    error = _roughness(depth, positions, profile.index)
-    error *= np.float32(hidden) / spacing
-    best, image = (profile.index, profile.image) if picked is None else picked
+    """Put the result together; errors are in frames."""
     result = FocusResult(
         depth=depth.astype(np.float32, copy=False),
         uncertainty=error,
         confidence=np.empty_like(error),
         index=np.empty(depth.shape, np.int32),
         all_in_focus=image,
-        at_end=(profile.index == 0) | (profile.index == len(positions) - 1),
+        at_end=at_end,
     )
     fill_in(result.depth, best, spacing, result.uncertainty, result.confidence, result.index)
     return result

@@ -168,7 +168,7 @@ def fit_peak(
     steps = positions / spacing
     here = steps[index]
     outer = (steps[0], steps[-1]) if ends is None else (ends[0] / spacing, ends[1] / spacing)
-    lowest, highest, width = _limits(steps, reach, outer)[:, index]
+    lowest, highest, width = fit_limits(steps, reach, outer)[:, index]
     best = window[reach].astype(np.float64)
     samples = []
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -191,7 +191,7 @@ def fit_peak(
     return ((here + vertex) * spacing).astype(np.float32), inverse_variance.astype(np.float32)
 
 
-def _limits(steps: Array, reach: int, ends: tuple[float, float]) -> Array:
+def fit_limits(steps: Array, reach: int, ends: tuple[float, float]) -> Array:
     """Return for each frame the least and greatest vertex around it and half the fit's width.
 
     The vertex lies between the neighboring frames and within the stack. The fit looks equally far
