@@ -14,6 +14,7 @@ from scipy import ndimage
 from microlib._common import Array, Frames, Image, as_array, is_in_memory, positive, whole
 from microlib.focus._correction import smooth_depth
 from microlib.focus._directions import directional_depths
+from microlib.focus._halos import Wide, check_halos
 from microlib.focus._loops import fill_in
 from microlib.focus._measures import (
     Banded,
@@ -65,6 +66,9 @@ _JUMP, _WIDE = 1.5, 7.0
 #: Largest ratio of a pixel's inverse variance to the median, either way: one pixel shall not decide
 #: alone. From 1e3 to 1e5 nothing changes.
 _WEIGHTS = 1e4
+#: Weight of a depth by the wide window, where the median of the others is 1: its error is some
+#: seven times theirs.
+_WIDE_WEIGHT = 0.02
 #: Reach of the broad windows that matters, px; the least share of it that a pixel is given, and the
 #: power of that share that weighs it. In the outermost 8 px the weights pay on patchy texture and
 #: JPEG (error 0.8 times that without) and cost on planes (up to 1.9 times); table "outermost 8 px"
@@ -128,7 +132,7 @@ def depth_from_focus(
     frames : array_like of shape (n, rows, cols), path, or iterable
         At least three grey frames of 8 or 16 bits or floating point: an array, a multi-page TIFF
         or OME-TIFF, or an iterable of images or image files, such as a generator. Only a few are
-        held. "multiscale" looks at them three times: what is no array, file, list or tuple, and so
+        held. "multiscale" looks at them several times: what is no array, file, list or tuple, and so
         may come but once, is kept in a temporary file until then. Other measures look once.
     positions : array_like, shape (n,)
         Position of each frame along the optical axis, µm, rising or falling, not necessarily even.
@@ -168,8 +172,10 @@ def depth_from_focus(
     texture; a product peaks where both agree. The logarithm of its profile is fitted by a parabola
     over seven frames, weighted with the measure, because Gaussian blur makes the profile nearly a
     Gaussian, (3.9). A second measure decides on which side of a step a pixel lies, and
-    `smooth_depth` averages over what remains on its side. Detail that this takes away is put back
-    as far as it is relief: depths from second differences along rows and along columns have nearly
+    `smooth_depth` averages over what remains on its side. Where the depth is unknown or far from
+    that by a window of 52 px, the scene as the wide window has it is blurred anew: if that explains
+    what was measured, the wide depth is taken, and beside steps none. Detail that the smoothing
+    takes away is put back as far as it is relief: depths from second differences along rows and along columns have nearly
     independent errors, so that their covariance is that of the object. The same tells the errors.
     Frames that are closer than the depth of field asks for are averaged first, as many as make the
     peaks about four frames wide, so that more frames mean less noise. With any other measure the
@@ -260,7 +266,9 @@ def _multiscale(
         ratio = profile.peak.value / np.float32(noise_response(noise))
         depth[below_noise_mask(ratio, len(z))] = np.nan
         inverse_variance = profile.peak.inverse_variance
-    smooth = _refine(depth, profile.depths[1], inverse_variance, spacing)
+    sided = _sided(depth, profile.depths[1], spacing)
+    wide = check_halos(frames, len(z), np.interp(sided * spacing, *_rising(z)), noise)
+    smooth = _smoothed(*_with_wide(sided, inverse_variance, wide, z / spacing))
     relief = find_relief(smooth, directional_depths(frames(), z, smooth * spacing, **turn))
     depth = np.clip((smooth + relief.offset) * spacing, positions.min(), positions.max())
     starts = np.cumsum(sizes) - sizes
@@ -297,13 +305,14 @@ def _checked(measure: FocusMeasure) -> FocusMeasure:
     return checked
 
 
-def _refine(
-    depth: NDArray,
-    fine: NDArray,
-    inverse_variance: NDArray | None,
-    spacing: float,
-) -> Array:
-    """Take out spikes, put pixels at steps on their own side, smooth on both sides; in frames."""
+def _rising(positions: Array) -> tuple[Array, Array]:
+    """Return positions in rising order, and the number of the frame at each."""
+    order = np.argsort(positions)
+    return positions[order], order.astype(float)
+
+
+def _sided(depth: NDArray, fine: NDArray, spacing: float) -> Array:
+    """Take out spikes and put pixels at steps on their own side; in frames."""
     known = np.isfinite(depth)
     if not known.any():
         return depth / spacing
@@ -313,22 +322,43 @@ def _refine(
     spread = np.asarray(cv2.medianBlur(np.abs(sharp - median), _FINE_WINDOW))
     steady = np.asarray(cv2.medianBlur(median, _FINE_WINDOW))
     sided = _choose_side(broad, steady, spread < _FINE_SPREAD)
-    steps = np.where(known, _without_spikes(sided, _SPIKE_WINDOWS[1]), np.nan)
-    # At the image's border the windows see one side only and pull a slope inwards: there the planes
-    # are to be laid through what lies further in.
-    inner = _inside(depth.shape)
-    weight = inner**_BORDER_POWER
+    return np.where(known, _without_spikes(sided, _SPIKE_WINDOWS[1]), np.nan)
+
+
+def _with_wide(
+    depth: Array, inverse_variance: NDArray | None, wide: Wide, steps: Array
+) -> tuple[Array, NDArray]:
+    """Put the wide depth where it is the better, and return the weight of every depth too."""
+    there, neither = (_doubled(mask, depth.shape) for mask in (wide.instead, wide.neither))
+    enlarged = cv2.resize(wide.depth, depth.shape[::-1])
+    level = np.interp(enlarged, np.arange(len(steps)), steps)
+    there &= np.isfinite(level)
+    weight = np.ones(depth.shape, np.float32)
     if inverse_variance is not None:
         # At an end of the stack a depth may come without a fit and so without a variance.
-        fitted = known & (inverse_variance > 0)
-        fitted_weight = np.where(fitted, inverse_variance, 0)
-        set_to_nan(steps, blurred_edge_mask(steps, fitted_weight))
+        fitted = np.isfinite(depth) & (inverse_variance > 0)
         typical = np.median(inverse_variance[fitted]) if fitted.any() else 1.0
-        relative = np.clip(fitted_weight / typical, 1 / _WEIGHTS, _WEIGHTS)
-        weight *= np.where(fitted, relative, 1.0)
+        relative = np.clip(inverse_variance / typical, 1 / _WEIGHTS, _WEIGHTS)
+        weight = np.where(fitted, relative, 1).astype(np.float32)
+    weight[there] = _WIDE_WEIGHT
+    return np.where(there, level, np.where(neither, np.nan, depth)), weight
+
+
+def _doubled(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return the mask for which one of half the size stands, two pixels by two."""
+    rows, cols = shape
+    return mask.repeat(2, axis=0)[:rows].repeat(2, axis=1)[:, :cols]
+
+
+def _smoothed(steps: Array, weight: NDArray) -> Array:
+    """Leave out what is not to be believed, and smooth on both sides of steps."""
+    set_to_nan(steps, blurred_edge_mask(steps, weight))
     steps[small_component_mask(steps)] = np.nan
     steps[isolated_mask(steps)] = np.nan
-    return smooth_depth(steps, jump=_JUMP, radius=_WIDE, weight=weight)
+    # At the image's border the windows see one side only and pull a slope inwards: there the planes
+    # are to be laid through what lies further in.
+    inner = _inside(steps.shape)
+    return smooth_depth(steps, jump=_JUMP, radius=_WIDE, weight=weight * inner**_BORDER_POWER)
 
 
 def _inside(shape: tuple[int, ...]) -> Array:

@@ -257,7 +257,8 @@ def fit_near(
                 for _ in range(2):
                     linear, square = _parabola(t, y, share, vertex, limits[2, middle])
                     vertex = min(max(-linear / (2 * square), limits[0, middle]), limits[1, middle])
-                if square < 0 and lowest < -1e-3:
+                # Too few frames within the stack leave the parabola open or endless.
+                if -np.inf < square < 0 and lowest < -1e-3:
                     offsets[kind, row, col] = steps[middle] + vertex - depth[row, col]
                     weights[kind, row, col] = np.sqrt(-square * top)
 
