@@ -132,8 +132,8 @@ def depth_from_focus(
     frames : array_like of shape (n, rows, cols), path, or iterable
         At least three grey frames of 8 or 16 bits or floating point: an array, a multi-page TIFF
         or OME-TIFF, or an iterable of images or image files, such as a generator. Only a few are
-        held. "multiscale" looks at them several times: what is no array, file, list or tuple, and so
-        may come but once, is kept in a temporary file until then. Other measures look once.
+        held. "multiscale" looks at them several times: what is no array, file, list or tuple, and
+        so may come but once, is kept in a temporary file until then. Other measures look once.
     positions : array_like, shape (n,)
         Position of each frame along the optical axis, µm, rising or falling, not necessarily even.
     measure : {"multiscale", "sml", "tenengrad", "variance"} or callable
@@ -173,10 +173,11 @@ def depth_from_focus(
     over seven frames, weighted with the measure, because Gaussian blur makes the profile nearly a
     Gaussian, (3.9). A second measure decides on which side of a step a pixel lies, and
     `smooth_depth` averages over what remains on its side. Where the depth is unknown or far from
-    that by a window of 52 px, the scene as the wide window has it is blurred anew: if that explains
-    what was measured, the wide depth is taken, and beside steps none. Detail that the smoothing
-    takes away is put back as far as it is relief: depths from second differences along rows and along columns have nearly
-    independent errors, so that their covariance is that of the object. The same tells the errors.
+    that by a window of 52 px, the scene as the wide window has it is blurred anew: if what was
+    measured is no finer than that, it is the halo of an edge, and the wide depth is taken; beside
+    steps none. Detail that the smoothing takes away is put back as far as it is relief: depths from
+    second differences along rows and along columns have nearly independent errors, so that their
+    covariance is that of the object. The same tells the errors.
     Frames that are closer than the depth of field asks for are averaged first, as many as make the
     peaks about four frames wide, so that more frames mean less noise. With any other measure the
     peak is fitted and nothing is corrected; `correct_spikes` and `smooth_depth` may follow.

@@ -40,6 +40,20 @@ def test_a_halo_takes_the_depth_of_its_edge():
     assert not wide.instead[40:50, 20:30].any()
 
 
+def test_a_thing_with_texture_of_its_own_keeps_its_depth():
+    """A patch four frames higher than strokes that are brighter and take the wide window."""
+    texture, height = lettering(), np.full(SHAPE, 5.0)
+    patch = np.s_[76:116, 90:116]
+    texture[patch] = synthetic.mixed_texture(SHAPE, np.random.default_rng(3))[patch]
+    height[patch] = 9.0
+    stack = stack_of(texture, height)
+    wide = check_halos(lambda: iter(stack), 15, height, 1.0)
+    inner = np.s_[43:53, 48:54]
+    assert np.abs(wide.depth[inner] - 5.0).mean() < 2.0  # or there is nothing to keep
+    assert wide.instead[inner].mean() < 0.2
+    assert wide.neither[inner].mean() < 0.2
+
+
 def test_the_blur_of_a_frame_is_measured():
     texture = synthetic.mixed_texture(SHAPE, np.random.default_rng(0))
     height = 7 + synthetic.tilted_plane(SHAPE, 6 / 160, 0.0)
