@@ -29,7 +29,15 @@ from skimage.color import rgb2gray
 from benchmarks.report import RESULTS, must_hold, publish
 from microlib import synthetic
 from microlib.curvature import hk_labels, surface_curvature
-from microlib.focus import _correction, _depth, _measures, _reliability, depth_from_focus
+from microlib.focus import (
+    _correction,
+    _depth,
+    _directions,
+    _measures,
+    _reliability,
+    _relief,
+    depth_from_focus,
+)
 
 #: Frames of every stack, one step apart; blur grows by 1 px a step.
 POSITIONS = np.arange(21.0)
@@ -314,6 +322,11 @@ def _nothing_of_every_second(image: NDArray, *_: object) -> NDArray:
     return np.zeros(image[::2, ::2].shape, bool)
 
 
+def _no_relief(base: NDArray, directions: _directions.Directions) -> _relief.Relief:
+    found = _relief.find_relief(base, directions)
+    return _relief.Relief(np.zeros_like(found.offset), found.variance)
+
+
 def _sized(scale: _measures.Scale, factor: float) -> _measures.Scale:
     return _measures.Scale(factor * scale.smooth, factor * scale.spread)
 
@@ -330,7 +343,7 @@ RULES: dict[str, dict[str, Callable]] = {
     "small components": {"small_component_mask": lambda depth: np.isnan(depth)},
     "below noise": {"below_noise_mask": _nothing},
     "choose side": {"_choose_side": lambda broad, fine, sure: broad},
-    "relief": {"_relief": lambda fine, medium: np.zeros_like(fine)},
+    "relief": {"find_relief": _no_relief},
     "spikes": {"_without_spikes": lambda depth, window: depth},
 }
 
@@ -362,7 +375,6 @@ CONSTANTS: tuple[Constant, ...] = (
     ("spikes: distance, frames", _depth, "_SPIKE", ()),
     ("smoothing: jump, frames", _depth, "_JUMP", ()),
     ("smoothing: wide radius, px", _depth, "_WIDE", ()),
-    ("smoothing: close radius, px", _depth, "_CLOSE", ()),
     ("smoothing: cut-off, radii", _correction, "_CUT_OFF", ()),
     ("smoothing: radius over spacing", _correction, "_SPACING", ()),
     ("smoothing: stiffness, px²", _correction, "_STIFFNESS", ()),
@@ -370,9 +382,11 @@ CONSTANTS: tuple[Constant, ...] = (
     ("border: reach, px", _depth, "_BORDER_REACH", ()),
     ("border: least", _depth, "_BORDER_LEAST", ()),
     ("border: power", _depth, "_BORDER_POWER", ()),
-    ("relief: ratio", _depth, "_RELIEF_RATIO", ()),
-    ("relief: radius, px", _depth, "_RELIEF_RADIUS", ()),
-    ("relief: largest, frames", _depth, "_RELIEF_MOST", ()),
+    ("relief: smoothing before, px", _directions, "_SMOOTH", ()),
+    ("relief: largest, frames", _relief, "_MOST", ()),
+    ("relief: windows, px", _relief, "_WINDOWS", ((14.0, 14.0, 14.0, 20.0), (28.0,) * 4)),
+    ("relief: doubt", _relief, "_DOUBT", ()),
+    ("relief: blur, px²", _relief, "_BLUR", ()),
     ("incoherent: median, every second px", _reliability, "_COHERENCE_WINDOW", (3, 7)),
     ("incoherent: frames", _reliability, "_INCOHERENT", (1, 3)),
     ("isolated and below noise: radius, px", _reliability, "_SURROUNDINGS", ()),

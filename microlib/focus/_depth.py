@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain, product
@@ -25,6 +25,8 @@ from microlib._common import (
     whole,
 )
 from microlib.focus._correction import smooth_depth
+from microlib.focus._directions import directional_depths
+from microlib.focus._halos import Wide, check_halos
 from microlib.focus._loops import fill_in
 from microlib.focus._measures import (
     MEASURES,
@@ -38,7 +40,7 @@ from microlib.focus._measures import (
     noise_level,
     noise_response,
 )
-from microlib.focus._peaks import FARTHEST, Profile, track_peaks
+from microlib.focus._peaks import FARTHEST, track_peaks
 from microlib.focus._reliability import (
     below_noise_mask,
     blurred_edge_mask,
@@ -47,6 +49,9 @@ from microlib.focus._reliability import (
     set_to_nan,
     small_component_mask,
 )
+from microlib.focus._relief import find_relief
+from microlib.focus._replay import Replay
+from microlib.focus._scale import averaged, averaged_positions, group_sizes, peak_width
 from microlib.focus._selection import select, warped
 from microlib.focus._stack import Progress, open_stack
 from microlib.io import read_frames
@@ -74,26 +79,22 @@ _FINE_WINDOW, _FINE_SPREAD = 5, 1.0
 #: which it is sought, and up to which a neighbor agrees, frames; how much better one must agree for
 #: each px that it is further away, frames.
 _SIDE_DISTANCES, _SIDE_GAP, _SIDE_AGREES, _SIDE_SLOPE = (3, 6), 1.5, 1.0, 0.05
-#: Difference in depth across which nothing is smoothed, frames, and the radii of the wide and the
-#: close smoothing, px.
-_JUMP, _WIDE, _CLOSE = 1.5, 7.0, 2.0
+#: Difference in depth across which nothing is smoothed, frames, and the smoothing's radius, px.
+_JUMP, _WIDE = 1.5, 7.0
 #: Largest ratio of a pixel's inverse variance to the median, either way: one pixel shall not decide
 #: alone. From 1e3 to 1e5 nothing changes.
 _WEIGHTS = 1e4
+#: Weight of a depth by the wide window, where the median of the others is 1: its error is some
+#: seven times theirs.
+_WIDE_WEIGHT = 0.02
 #: Reach of the broad windows that matters, px; the least share of it that a pixel is given, and the
 #: power of that share that weighs it. In the outermost 8 px the weights pay on patchy texture and
 #: JPEG (error 0.8 times that without) and cost on planes (up to 1.9 times); table "outermost 8 px"
 #: of benchmarks/focus.py. Further in nothing depends on them.
 _BORDER_REACH, _BORDER_LEAST, _BORDER_POWER = 8, 0.1, 4
-#: Variance of the medium over that of the fine detail above which it is relief, see `_relief`; the
-#: radius over which both are averaged, px; the largest detail, frames.
-_RELIEF_RATIO, _RELIEF_RADIUS, _RELIEF_MOST = 2.6, 8.0, 0.5
 #: Differences from a Gaussian mean that leave the roughness, its radius and the window over which
 #: its square is averaged, in every second pixel. The depth does not depend on them.
 _ROUGH_TIMES, _ROUGH_RADIUS, _ROUGH_WINDOW = 4, 4.0, 3
-#: Error of a smoothed depth over its roughness, which does not show errors that are smooth too:
-#: 1.4 to 2.6 on the smooth scenes of the benchmark.
-_HIDDEN = 2.0
 
 
 @dataclass(frozen=True)
@@ -105,18 +106,22 @@ class FocusResult:
     depth : ndarray of float32, shape (rows, cols)
         Position at which the pixel is sharpest, µm; NaN where that cannot be told.
     uncertainty : ndarray of float32, shape (rows, cols)
-        Estimate of the error, µm, from how rough the depth is around the pixel. It does not see
-        errors that are smooth over some ten pixels, and is large at steps, where a pixel may belong
-        to either side. NaN where `depth` is.
+        Estimate of the error, µm; NaN where `depth` is. By "multiscale" from how far depths from
+        horizontal and from vertical detail differ: noise, relief that could not be told from it,
+        and steps, where a pixel may belong to either side; it does not see a depth that is wrong as
+        a whole. By other measures from how rough the depth is, which does not show errors that are
+        smooth over some ten pixels.
     confidence : ndarray of float32, shape (rows, cols)
-        1 / (1 + (uncertainty / spacing of the frames)²), from 0 to 1; 0 where `depth` is NaN.
+        1 / (1 + (uncertainty / spacing of the frames)²), from 0 to 1; 0 where `depth` is NaN. The
+        spacing is that of the averaged frames where "multiscale" averages, see Notes.
     index : ndarray of int, shape (rows, cols)
-        Number of the sharpest frame; -1 where `depth` is NaN.
+        Number of the frame nearest to the depth by "multiscale", of the sharpest frame by any other
+        measure; -1 where `depth` is NaN.
     all_in_focus : ndarray of the frames' type, shape (rows, cols)
-        Every pixel from its sharpest frame.
+        Every pixel from the frame `index`, or where there is no depth from its sharpest one.
     at_end : ndarray of bool, shape (rows, cols)
         Whether the sharpest frame is the first or the last, so that the true focus may lie
-        outside the stack.
+        outside the stack. Averaged frames count as one.
     poses : ndarray, shape (n, 2, 3), or None
         If the stack was registered: for each frame the matrix that takes x, y and 1 of a pixel of
         the result to x and y of the same place in the frame, px. NaN for frames that were left out.
@@ -199,8 +204,10 @@ def depth_from_focus(
         At least three frames, grey or in color, of 8 or 16 bits or floating point, in whatever
         `microlib.io.read_frames` reads: an array or what is like one, a multi-page TIFF or
         OME-TIFF, a folder or pattern of images, a video, or an iterable of images or image files,
-        such as a generator. The depth comes from luminance. Frames are read once and only a few are
-        held; with colors or `register` they are read anew, and an iterator is held in memory.
+        such as a generator. The depth comes from luminance. Only a few frames are held.
+        "multiscale" looks at them several times: what is no array, file, list or tuple, and so may
+        come but once, is kept in a temporary file until then. Other measures look once, but with
+        colors or `register` frames are read anew, and an iterator is held in memory.
     positions : array_like, shape (n,), optional
         Position of each frame along the optical axis, µm, rising or falling, not necessarily even.
         By default what a TIFF's OME or ImageJ metadata say.
@@ -257,9 +264,15 @@ def depth_from_focus(
     texture; a product peaks where both agree. The logarithm of its profile is fitted by a parabola
     over seven frames, weighted with the measure, because Gaussian blur makes the profile nearly a
     Gaussian, (3.9). A second measure decides on which side of a step a pixel lies, and
-    `smooth_depth` averages over what remains on its side; detail that stands out of the noise is
-    put back. With any other measure the peak is
-    fitted and nothing is corrected; `correct_spikes` and `smooth_depth` may follow.
+    `smooth_depth` averages over what remains on its side. Where the depth is unknown or far from
+    that by a window of 52 px, the scene as the wide window has it is blurred anew: if what was
+    measured is no finer than that, it is the halo of an edge, and the wide depth is taken; beside
+    steps none. Detail that the smoothing takes away is put back as far as it is relief: depths from
+    second differences along rows and along columns have nearly independent errors, so that their
+    covariance is that of the object. The same tells the errors.
+    Frames that are closer than the depth of field asks for are averaged first, as many as make the
+    peaks about four frames wide, so that more frames mean less noise. With any other measure the
+    peak is fitted and nothing is corrected; `correct_spikes` and `smooth_depth` may follow.
 
     A depth is NaN where the measure is zero or flat, and where the best frame is random: half of
     its neighbors are more than two frames away from their median. "multiscale" also gives NaN
@@ -308,41 +321,70 @@ def depth_from_focus(
     threads = whole("workers", workers, least=1, most=_MOST_WORKERS)
     side = whole("window", window, least=1, odd=True)
     limit = scalar("threshold", threshold, least=0)
+    batch = len(z) if is_in_memory(frames) else _BATCH
+    if measure == "multiscale":
+        with Replay(frames, len(z)) as replay:
+            return _multiscale(replay, z, fit, batch, threads)
     reader = read_frames(frames)
     first = next(reader, None)
     if first is None:
         raise ValueError("frames must hold at least three frames, got none")
-
-    measures: list[RowsMeasure]
-    refined = measure == "multiscale"
-    if refined:
-        noise = noise_level(first)
-        measures = [multiscale_measure(noise), edge_measure(noise)]
-    elif callable(measure):
-        function = _checked(measure)
-        measures = [Banded(function, reach=max(first.shape))]
+    chosen: RowsMeasure
+    if callable(measure):
+        chosen = Banded(_checked(measure), reach=max(first.shape))
     else:
-        measures = [named_measure(measure, side, whole("step", step, least=1), limit)]
+        chosen = named_measure(measure, side, whole("step", step, least=1), limit)
     profile = track_peaks(
-        chain([first], reader),
+        chain([first], reader), z, [chosen], reaches=[fit // 2], batch=batch, workers=threads
+    )
+    depth = profile.depths[0]
+    index = profile.index
+    set_to_nan(depth, incoherent_mask(index, len(z)))
+    spacing = np.float32(np.median(np.abs(np.diff(z))))
+    error = _roughness(depth, z, index) / spacing
+    at_end = (index == 0) | (index == len(z) - 1)
+    return _result(depth, error, index, profile.image, at_end, spacing)
+
+
+def _multiscale(
+    stack: Replay, positions: Array, points: int, batch: int, workers: int
+) -> FocusResult:
+    """Find the depth by the product of two scales, correct it, and put fine relief back."""
+    sizes = group_sizes(len(positions), peak_width(stack))
+    z = averaged_positions(positions, sizes)
+    spacing = float(np.median(np.abs(np.diff(z))))
+    plain = len(sizes) == len(positions)
+
+    def frames() -> Iterator[Image]:
+        return iter(stack) if plain else averaged(iter(stack), sizes)
+
+    turn = {"batch": batch if plain else _BATCH, "workers": workers}
+    noise = noise_level(next(frames()))
+    profile = track_peaks(
+        frames(),
         z,
-        measures,
-        reaches=[fit // 2, 1][: len(measures)],
-        batch=len(z) if is_in_memory(frames) else _BATCH,
-        workers=threads,
+        [multiscale_measure(noise), edge_measure(noise)],
+        reaches=[points // 2, 1],
+        ends=(positions[0], positions[-1]),
+        **turn,
     )
     depth: NDArray = profile.depths[0]
     set_to_nan(depth, incoherent_mask(profile.index, len(z)))
-    if refined:
-        spacing = float(np.median(np.abs(np.diff(z))))
-        inverse_variance = None
-        if profile.peak is not None:
-            ratio = profile.peak.value / np.float32(noise_response(noise))
-            depth[below_noise_mask(ratio, len(z))] = np.nan
-            inverse_variance = profile.peak.inverse_variance
-        depth = _refine(depth, profile.depths[1], inverse_variance, spacing)
-        depth = np.clip(depth, z.min(), z.max())
-    return _result(depth, profile, z, _HIDDEN if refined else 1.0)
+    inverse_variance = None
+    if profile.peak is not None:
+        ratio = profile.peak.value / np.float32(noise_response(noise))
+        depth[below_noise_mask(ratio, len(z))] = np.nan
+        inverse_variance = profile.peak.inverse_variance
+    sided = _sided(depth, profile.depths[1], spacing)
+    wide = check_halos(frames, len(z), np.interp(sided * spacing, *_rising(z)), noise)
+    smooth = _smoothed(*_with_wide(sided, inverse_variance, wide, z / spacing))
+    relief = find_relief(smooth, directional_depths(frames(), z, smooth * spacing, **turn))
+    depth = np.clip((smooth + relief.offset) * spacing, positions.min(), positions.max())
+    starts = np.cumsum(sizes) - sizes
+    best = _nearest_frame(depth, positions, (starts + sizes // 2)[profile.index])
+    at_end = (profile.index == 0) | (profile.index == len(z) - 1)
+    error = np.sqrt(relief.variance)
+    return _result(depth, error, best, _picked(stack, best), at_end, np.float32(spacing))
 
 
 def _check_positions(positions: ArrayLike) -> Array:
@@ -376,67 +418,66 @@ def _checked(measure: FocusMeasure) -> FocusMeasure:
     return checked
 
 
-def _refine(
-    depth: NDArray,
-    fine: NDArray,
-    inverse_variance: NDArray | None,
-    spacing: float,
-) -> Array:
-    """Take out spikes, put pixels at steps on their own side, smooth on both sides of steps."""
+def _rising(positions: Array) -> tuple[Array, Array]:
+    """Return positions in rising order, and the number of the frame at each."""
+    order = np.argsort(positions)
+    return positions[order], order.astype(float)
+
+
+def _sided(depth: NDArray, fine: NDArray, spacing: float) -> Array:
+    """Take out spikes and put pixels at steps on their own side; in frames."""
     known = np.isfinite(depth)
     if not known.any():
-        return depth.astype(np.float64)
+        return depth / spacing
     broad = _without_spikes(_filled(depth) / np.float32(spacing), _SPIKE_WINDOWS[0])
     sharp = _filled(fine) / np.float32(spacing)
     median = cv2.medianBlur(sharp, _FINE_WINDOW)
     spread = np.asarray(cv2.medianBlur(np.abs(sharp - median), _FINE_WINDOW))
     steady = np.asarray(cv2.medianBlur(median, _FINE_WINDOW))
     sided = _choose_side(broad, steady, spread < _FINE_SPREAD)
-    steps = np.where(known, _without_spikes(sided, _SPIKE_WINDOWS[1]), np.nan)
-    # At the image's border the windows see one side only and pull a slope inwards: there the planes
-    # are to be laid through what lies further in.
-    inner = _inside(depth.shape)
-    weight = inner**_BORDER_POWER
+    return np.where(known, _without_spikes(sided, _SPIKE_WINDOWS[1]), np.nan)
+
+
+def _with_wide(
+    depth: Array, inverse_variance: NDArray | None, wide: Wide, steps: Array
+) -> tuple[Array, NDArray]:
+    """Put the wide depth where it is the better, and return the weight of every depth too."""
+    there, neither = (_doubled(mask, depth.shape) for mask in (wide.instead, wide.neither))
+    enlarged = cv2.resize(wide.depth, depth.shape[::-1])
+    level = np.interp(enlarged, np.arange(len(steps)), steps)
+    there &= np.isfinite(level)
+    weight = np.ones(depth.shape, np.float32)
     if inverse_variance is not None:
         # At an end of the stack a depth may come without a fit and so without a variance.
-        fitted = known & (inverse_variance > 0)
-        fitted_weight = np.where(fitted, inverse_variance, 0)
-        set_to_nan(steps, blurred_edge_mask(steps, fitted_weight))
+        fitted = np.isfinite(depth) & (inverse_variance > 0)
         typical = np.median(inverse_variance[fitted]) if fitted.any() else 1.0
-        relative = np.clip(fitted_weight / typical, 1 / _WEIGHTS, _WEIGHTS)
-        weight *= np.where(fitted, relative, 1.0)
+        relative = np.clip(inverse_variance / typical, 1 / _WEIGHTS, _WEIGHTS)
+        weight = np.where(fitted, relative, 1).astype(np.float32)
+    weight[there] = _WIDE_WEIGHT
+    return np.where(there, level, np.where(neither, np.nan, depth)), weight
+
+
+def _doubled(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return the mask for which one of half the size stands, two pixels by two."""
+    rows, cols = shape
+    return mask.repeat(2, axis=0)[:rows].repeat(2, axis=1)[:, :cols]
+
+
+def _smoothed(steps: Array, weight: NDArray) -> Array:
+    """Leave out what is not to be believed, and smooth on both sides of steps."""
+    set_to_nan(steps, blurred_edge_mask(steps, weight))
     steps[small_component_mask(steps)] = np.nan
     steps[isolated_mask(steps)] = np.nan
-    wide = smooth_depth(steps, jump=_JUMP, radius=_WIDE, weight=weight)
-    close = smooth_depth(steps, jump=_JUMP, radius=_CLOSE, weight=weight)
-    relief = np.where(inner < 1, 0, _relief(steps - close, close - wide))
-    return (wide + relief * (close - wide)) * spacing
+    # At the image's border the windows see one side only and pull a slope inwards: there the planes
+    # are to be laid through what lies further in.
+    inner = _inside(steps.shape)
+    return smooth_depth(steps, jump=_JUMP, radius=_WIDE, weight=weight * inner**_BORDER_POWER)
 
 
 def _inside(shape: tuple[int, ...]) -> Array:
     """Return 1 where the broad windows stay inside the image, less towards its border."""
     down, along = (np.minimum(np.arange(n), np.arange(n)[::-1]) for n in shape)
     return np.clip((1 + np.minimum.outer(down, along)) / _BORDER_REACH, _BORDER_LEAST, 1.0)
-
-
-def _relief(fine: NDArray, medium: NDArray) -> NDArray:
-    """Return how much of the depth's medium detail is relief and not noise, 0 to 1.
-
-    Noise goes through the windows of the measure, which leave it a fixed spectrum: whatever its
-    strength, its variance between the wide and the close smoothing is 1.0 to 1.7 times that below
-    the close one on smooth surfaces of any texture, contrast, noise and JPEG quality, and nine
-    tenths of all pixels stay below 2.5. What exceeds that is on the object. As in Wiener's filter,
-    its share of the variance is what is kept.
-    """
-    fine, medium = (
-        blur(
-            np.clip(np.nan_to_num(part), -_RELIEF_MOST, _RELIEF_MOST).astype(np.float32) ** 2,
-            _RELIEF_RADIUS,
-        )
-        for part in (fine, medium)
-    )
-    # A millionth of a frame is no detail at all.
-    return np.maximum(1 - _RELIEF_RATIO * fine / np.maximum(medium, 1e-12), 0)
 
 
 def _filled(depth: NDArray) -> NDArray:
@@ -479,35 +520,42 @@ def _choose_side(broad: NDArray, fine: NDArray, sure: NDArray[np.bool_]) -> NDAr
     return result
 
 
+def _nearest_frame(depth: Array, positions: Array, otherwise: NDArray) -> NDArray[np.uint16]:
+    """Return the number of the frame nearest to each depth, or another where there is none."""
+    order = np.argsort(positions)
+    between = (positions[order][1:] + positions[order][:-1]) / 2
+    nearest = order[np.searchsorted(between, depth)]
+    return np.where(np.isnan(depth), otherwise, nearest).astype(np.uint16)
+
+
+def _picked(frames: Iterable[Image], number: NDArray[np.uint16]) -> Image:
+    """Return every pixel from the frame of that number."""
+    for k, frame in enumerate(frames):
+        if k == 0:
+            image = frame.copy()
+        else:
+            np.copyto(image, frame, where=number == k)
+    return image
+
+
 def _result(
     depth: NDArray,
-    profile: Profile,
-    positions: Array,
-    hidden: float,
+    error: NDArray,
+    best: NDArray[np.uint16],
+    image: Image,
+    at_end: NDArray[np.bool_],
+    spacing: np.float32,
 ) -> FocusResult:
-    """Estimate the errors of the depths and put the result together."""
-    spacing = np.float32(np.median(np.abs(np.diff(positions))))
-    error = _roughness(depth, positions, profile.index)
-    error *= np.float32(hidden) / spacing
+    """Put the result together; errors are in frames."""
     result = FocusResult(
         depth=depth.astype(np.float32, copy=False),
         uncertainty=error,
         confidence=np.empty_like(error),
         index=np.empty(depth.shape, np.int32),
-        all_in_focus=profile.image,
-        at_end=np.empty(depth.shape, bool),
+        all_in_focus=image,
+        at_end=at_end,
     )
-
-    fill_in(
-        result.depth,
-        profile.index,
-        len(positions) - 1,
-        spacing,
-        result.uncertainty,
-        result.confidence,
-        result.index,
-        result.at_end,
-    )
+    fill_in(result.depth, best, spacing, result.uncertainty, result.confidence, result.index)
     return result
 
 

@@ -189,22 +189,129 @@ def _pick(frame: NDArray, now: np.uint16, index: NDArray, image: NDArray) -> Non
 
 
 @_compiled
+def keep_near(
+    measures: NDArray[np.float32],
+    number: int,
+    center: NDArray[np.int32],
+    windows: NDArray[np.float32],
+) -> None:
+    """Keep the measures of frame `number` where it lies in the window around the center.
+
+    `windows` holds 2 reach + 1 measures of every kind.
+    """
+    kinds, count, rows, cols = windows.shape
+    reach = count // 2
+    for y in range(rows):
+        for x in range(cols):
+            k = number - center[y, x] + reach
+            if 0 <= k < count:
+                for kind in range(kinds):
+                    windows[kind, k, y, x] = measures[kind, y, x]
+
+
+@_compiled
+def fit_near(
+    windows: NDArray[np.float32],
+    center: NDArray[np.int32],
+    depth: NDArray,
+    steps: NDArray,
+    limits: NDArray,
+    reach: int,
+    offsets: NDArray[np.float32],
+    weights: NDArray[np.float32],
+) -> None:
+    """Fit a parabola to the logarithm around the best of the frames in the window's middle.
+
+    As `fit_peak`, for the sum of two measures and for each of them. Offsets are from `depth`, and
+    weights the root of the inverse variance; both stay as they are where there is no peak.
+    """
+    count, rows, cols = windows.shape[1:]
+    near = count // 2 - reach
+    y = np.empty(2 * reach + 1)
+    share = np.empty(2 * reach + 1)
+    t = np.empty(2 * reach + 1)
+    for row in range(rows):
+        for col in range(cols):
+            if np.isnan(depth[row, col]):
+                continue
+            for kind in range(3):
+                best, top = -1, 0.0
+                for k in range(count // 2 - near, count // 2 + near + 1):
+                    frame = center[row, col] + k - count // 2
+                    value = _kind_of(windows, kind, k, row, col)
+                    if 0 <= frame < len(steps) and value > top:
+                        best, top = k, value
+                if best < 0:
+                    continue
+                middle = center[row, col] + best - count // 2
+                lowest = 0.0
+                for j in range(2 * reach + 1):
+                    frame = middle + j - reach
+                    inside = 0 <= frame < len(steps)
+                    t[j] = steps[min(max(frame, 0), len(steps) - 1)] - steps[middle]
+                    value = _kind_of(windows, kind, best + j - reach, row, col) / top
+                    share[j] = max(value, 1e-6) if inside else 0.0
+                    y[j] = np.log(share[j]) if inside else 0.0
+                    lowest = min(lowest, y[j])
+                vertex, square = 0.0, 0.0
+                for _ in range(2):
+                    linear, square = _parabola(t, y, share, vertex, limits[2, middle])
+                    vertex = min(max(-linear / (2 * square), limits[0, middle]), limits[1, middle])
+                # Too few frames within the stack leave the parabola open or endless.
+                if -np.inf < square < 0 and lowest < -1e-3:
+                    offsets[kind, row, col] = steps[middle] + vertex - depth[row, col]
+                    weights[kind, row, col] = np.sqrt(-square * top)
+
+
+@_compiled
+def _kind_of(windows: NDArray[np.float32], kind: int, k: int, row: int, col: int) -> float:
+    """Return the sum of both measures (0), the first (1) or the second (2)."""
+    if kind == 0:
+        return windows[0, k, row, col] + windows[1, k, row, col]
+    return windows[kind - 1, k, row, col]
+
+
+@_compiled
+def _parabola(
+    t: NDArray, y: NDArray, share: NDArray, center: float, reach: float
+) -> tuple[float, float]:
+    """Return the linear and the square coefficient of a weighted parabola y(t)."""
+    s0, s1, s2, s3, s4, p0, p1, p2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(len(t)):
+        bow = max(1 - ((t[j] - center) / reach) ** 2, 0.0)
+        w = share[j] * bow * bow
+        s0 += w
+        p0 += w * y[j]
+        w *= t[j]
+        s1 += w
+        p1 += w * y[j]
+        w *= t[j]
+        s2 += w
+        p2 += w * y[j]
+        w *= t[j]
+        s3 += w
+        s4 += w * t[j]
+    m02, m12, m22 = s2 * s4 - s3 * s3, s1 * s4 - s2 * s3, s1 * s3 - s2 * s2
+    det = s0 * m02 - s1 * m12 + s2 * m22
+    linear = (-p0 * m12 + p1 * (s0 * s4 - s2 * s2) - p2 * (s0 * s3 - s1 * s2)) / det
+    square = (p0 * m22 - p1 * (s0 * s3 - s1 * s2) + p2 * (s0 * s2 - s1 * s1)) / det
+    return linear, square
+
+
+@_compiled
 def fill_in(
     depth: NDArray,
     best: NDArray[np.uint16],
-    last: int,
     spacing: np.float32,
     uncertainty: NDArray[np.float32],
     confidence: NDArray[np.float32],
     index: NDArray[np.int32],
-    at_end: NDArray[np.bool_],
 ) -> None:
     """Turn the uncertainty, in frames, into µm, and fill in what follows from it and the depth."""
     for y in range(len(depth)):
         for x in range(depth.shape[1]):
-            number, error = best[y, x], uncertainty[y, x]
+            error = uncertainty[y, x]
             known = not np.isnan(depth[y, x])
             uncertainty[y, x] = error * spacing if known else np.float32(np.nan)
             confidence[y, x] = 1 / (1 + error * error) if known else np.float32(0)
-            index[y, x] = np.int32(number) if known else np.int32(-1)
-            at_end[y, x] = (number == 0) | (number == last)
+            index[y, x] = np.int32(best[y, x]) if known else np.int32(-1)

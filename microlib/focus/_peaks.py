@@ -157,7 +157,10 @@ def three_point_peak(
 
 
 def fit_peak(
-    window: NDArray, index: NDArray[np.uint16], positions: Array
+    window: NDArray,
+    index: NDArray[np.uint16],
+    positions: Array,
+    ends: tuple[float, float] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the depth of the Gaussian fitted to all frames of the window, and how sure it is.
 
@@ -170,6 +173,9 @@ def fit_peak(
         Number of the best frame.
     positions : ndarray of float64, shape (n,)
         Position of each frame, µm.
+    ends : tuple of float, optional
+        Where the stack begins and ends, µm: further out than the first and the last position if
+        these are means of several frames.
 
     Returns
     -------
@@ -202,7 +208,8 @@ def fit_peak(
     spacing = float(np.median(np.abs(np.diff(positions))))
     steps = positions / spacing
     here = steps[index]
-    lowest, highest, width = _limits(steps, reach)[:, index]
+    outer = (steps[0], steps[-1]) if ends is None else (ends[0] / spacing, ends[1] / spacing)
+    lowest, highest, width = fit_limits(steps, reach, outer)[:, index]
     best = window[reach].astype(np.float64)
     samples = []
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -225,7 +232,7 @@ def fit_peak(
     return ((here + vertex) * spacing).astype(np.float32), inverse_variance.astype(np.float32)
 
 
-def _limits(steps: Array, reach: int) -> Array:
+def fit_limits(steps: Array, reach: int, ends: tuple[float, float]) -> Array:
     """Return for each frame the least and greatest vertex around it and half the fit's width.
 
     The vertex lies between the neighboring frames and within the stack. The fit looks equally far
@@ -237,7 +244,8 @@ def _limits(steps: Array, reach: int) -> Array:
         # At an end there is but one side, and two frames on it make up the least three.
         count = min(k, last - k, reach) or 2
         seen = steps[max(k - count, 0) : k + count + 1] - here
-        near = steps[max(k - 1, 0) : k + 2] - here
+        around = (*((ends[0],) if k == 0 else ()), *steps[max(k - 1, 0) : k + 2])
+        near = np.array((*around, *((ends[1],) if k == last else ()))) - here
         # The window moves to the vertex, which is half a frame away at most, or a whole one at an
         # end of the stack: no frame of three may lose its weight by that.
         margin = (0.5 if count > 1 else 1.0) * np.abs(near).max()
@@ -312,11 +320,13 @@ class _Band:
         measures: Sequence[RowsMeasure],
         reaches: Sequence[int],
         positions: Array,
+        ends: tuple[float, float],
         result: Profile,
     ) -> None:
         index, image = result.index[rows], result.image[rows]
         self._rows = rows
         self._positions = positions
+        self._ends = ends
         self._result = result
         self._work = []
         for measure, reach in zip(measures, reaches, strict=True):
@@ -337,7 +347,9 @@ class _Band:
             if len(tracker.window) == 3:
                 fitted = three_point_peak(tracker.window, tracker.index, self._positions)
             else:
-                fitted, inverse_variance = fit_peak(tracker.window, tracker.index, self._positions)
+                fitted, inverse_variance = fit_peak(
+                    tracker.window, tracker.index, self._positions, self._ends
+                )
                 if self._result.peak is not None:
                     self._result.peak.inverse_variance[self._rows] = inverse_variance
                     self._result.peak.value[self._rows] = tracker.window[len(tracker.window) // 2]
@@ -353,6 +365,7 @@ def track_peaks(
     reaches: Sequence[int],
     batch: int,
     workers: int,
+    ends: tuple[float, float] | None = None,
 ) -> Profile:
     """Read all frames once and follow the peak of every pixel by each measure.
 
@@ -371,6 +384,8 @@ def track_peaks(
         held.
     workers : int
         Threads that share the bands of rows.
+    ends : tuple of float, optional
+        Where the stack begins and ends, µm, if not at the first and the last position.
 
     Returns
     -------
@@ -398,8 +413,9 @@ def track_peaks(
     # times their reach it is half as much again.
     thinnest = 4 * max(measure.reach for measure in measures)
     rows = max(min(-(-height // workers), _BAND // width), thinnest, 1)
+    limits = (positions[0], positions[-1]) if ends is None else ends
     bands = [
-        _Band(slice(top, min(top + rows, height)), measures, reaches, positions, result)
+        _Band(slice(top, min(top + rows, height)), measures, reaches, positions, limits, result)
         for top in range(0, height, rows)
     ]
 

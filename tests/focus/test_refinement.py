@@ -50,21 +50,6 @@ def test_a_neighbor_that_does_not_agree_is_not_taken():
     assert not changed[:, :12].any()  # 0.8 + 6 · 0.05 is more than one
 
 
-@pytest.mark.parametrize(("ratio", "kept"), [(1.0, 0.0), (2.6, 0.0), (5.2, 0.5), (26.0, 0.9)])
-def test_relief_is_the_share_of_the_variance_that_noise_does_not_explain(ratio, kept):
-    fine = np.full((40, 40), 0.05)
-    medium = np.sqrt(ratio) * fine
-    np.testing.assert_allclose(_depth._relief(fine, medium), kept, atol=1e-6)  # float32
-
-
-def test_large_or_unknown_detail_is_cut_off_before_it_is_averaged():
-    fine, medium = np.full((40, 40), 0.1), np.full((40, 40), 3.0)
-    # (0.5 / 0.1)² = 25, and not 900
-    np.testing.assert_allclose(_depth._relief(fine, medium), 1 - 2.6 / 25, rtol=1e-5)
-    np.testing.assert_allclose(_depth._relief(-fine, -medium), 1 - 2.6 / 25, rtol=1e-5)
-    assert (_depth._relief(fine, np.full((40, 40), np.nan)) == 0).all()
-
-
 def test_windows_see_less_towards_the_border():
     inner = _depth._inside((30, 40))
     np.testing.assert_allclose(inner[15, :9], [1 / 8, 2 / 8, 3 / 8, 0.5, 5 / 8, 6 / 8, 7 / 8, 1, 1])

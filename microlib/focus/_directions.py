@@ -1,0 +1,153 @@
+"""Depths from the second difference along rows, along columns and from both, near a known depth.
+
+Their windows see the same surface, but the noise and the texture that disturb the one are nearly
+independent of those that disturb the other: what both agree on is on the object.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from microlib._common import Array, Image, pipeline
+from microlib.focus._loops import fit_near, keep_near
+from microlib.focus._measures import blur
+from microlib.focus._peaks import fit_limits
+
+#: Smoothing before the second difference and spread after it, px: little, as what they blur is lost
+#: to the relief. Table "constant changed" of benchmarks/focus_depth.py.
+_SMOOTH, _SPREAD = 0.7, 1.0
+#: OpenCV cuts a Gaussian of float32 off at four standard deviations.
+_REACH = int(np.ceil(4 * _SMOOTH + 1 + 4 * _SPREAD))
+#: Frames on either side in the fit, as by default, and how far from the known depth its middle may
+#: lie: the vertex may lie one further, and larger relief is no relief to the smoothing either.
+_FIT, _NEAR = 3, 1
+#: Rows of a band: its windows, 72 bytes a pixel, stay near the processor.
+_ROWS = 64
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Three depths of every pixel, in frames from the known one, and the weight of each.
+
+    Attributes
+    ----------
+    offsets : ndarray of float32, shape (3, rows, cols)
+        From both directions, along rows, along columns; 0 where there is none.
+    weights : ndarray of float32, shape (3, rows, cols)
+        Root of the inverse variance, up to a common factor; 0 where there is none.
+    """
+
+    offsets: NDArray[np.float32]
+    weights: NDArray[np.float32]
+
+
+def directional_depths(
+    frames: Iterator[Image], positions: Array, base: Array, *, batch: int, workers: int
+) -> Directions:
+    """Fit the peaks of directional second differences near a depth that is known.
+
+    Parameters
+    ----------
+    frames : iterator of ndarray, shape (rows, cols)
+        Frames of one size and type, one for each position.
+    positions : ndarray of float64, shape (n,)
+        Position of each frame, µm.
+    base : ndarray of float64, shape (rows, cols)
+        Known depth, µm; NaN where there is none.
+    batch, workers : int
+        As in `track_peaks`.
+
+    Returns
+    -------
+    Directions
+        Offsets in frames and weights.
+    """
+    spacing = float(np.median(np.abs(np.diff(positions))))
+    steps = positions / spacing
+    depth = base / spacing
+    order = np.argsort(steps)
+    between = (steps[order][1:] + steps[order][:-1]) / 2
+    center = order[np.searchsorted(between, np.nan_to_num(depth))].astype(np.int32)
+    limits = fit_limits(steps, _FIT, (steps[0], steps[-1]))
+    result = Directions(
+        np.zeros((3, *base.shape), np.float32), np.zeros((3, *base.shape), np.float32)
+    )
+    height = len(base)
+    bands = [
+        _Band(slice(top, min(top + _ROWS, height)), depth, center, steps, limits, result)
+        for top in range(0, height, _ROWS)
+    ]
+
+    def rounds() -> Iterator[Callable[[_Band], None]]:
+        number = 0
+        while taken := list(islice(frames, batch)):
+            last = number + len(taken) == len(positions)
+            yield partial(_Band.push, frames=taken, number=number, last=last)
+            number += len(taken)
+
+    pipeline(rounds(), bands, workers)
+    return result
+
+
+class _Band:
+    """A band of rows with the measures around its known depth, until the peaks are fitted."""
+
+    def __init__(
+        self,
+        rows: slice,
+        depth: Array,
+        center: NDArray[np.int32],
+        steps: Array,
+        limits: Array,
+        result: Directions,
+    ) -> None:
+        self._rows = rows
+        self._depth = depth[rows]
+        self._center = center[rows]
+        self._steps = steps
+        self._limits = limits
+        self._result = result
+
+    def push(self, frames: Sequence[Image], number: int, last: bool) -> None:
+        if number == 0:
+            count = 2 * (_FIT + _NEAR) + 1
+            self._windows = np.zeros((2, count, *self._depth.shape), np.float32)
+        for k, frame in enumerate(frames, number):
+            keep_near(_second_differences(frame, self._rows), k, self._center, self._windows)
+        if last:
+            offsets, weights = (
+                part[:, self._rows] for part in (self._result.offsets, self._result.weights)
+            )
+            fit_near(
+                self._windows,
+                self._center,
+                self._depth,
+                self._steps,
+                self._limits,
+                _FIT,
+                offsets,
+                weights,
+            )
+            del self._windows
+
+
+def _second_differences(image: Image, rows: slice) -> NDArray[np.float32]:
+    """Return the measures along rows and along columns of some rows of an image."""
+    low = max(rows.start - _REACH, 0)
+    smooth = blur(image[low : rows.stop + _REACH].astype(np.float32), _SMOOTH)
+    second = np.array([[-1.0, 2.0, -1.0]], np.float32)
+    return np.stack(
+        [
+            blur(np.abs(cv2.filter2D(smooth, -1, kernel)), _SPREAD)[
+                rows.start - low : rows.stop - low
+            ]
+            for kernel in (second, second.T)
+        ]
+    )

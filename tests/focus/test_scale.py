@@ -1,0 +1,167 @@
+"""More frames over the same travel: how many are averaged, and that they never hurt."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from microlib import synthetic
+from microlib.focus import depth_from_focus
+from microlib.focus._replay import Replay
+from microlib.focus._scale import averaged, averaged_positions, group_sizes, peak_width
+
+SHAPE = (96, 96)
+
+
+def tilted(factor: int, *, noise: float = 3.0, seed: int = 0):
+    """True depth, positions and a stack over twenty depths of field, with `factor` frames a step.
+
+    Blur grows by 1 px for a step of 1 µm.
+    """
+    rng = np.random.default_rng(seed)
+    positions = np.linspace(0, 14, 14 * factor + 1)
+    height = 7.2 + synthetic.tilted_plane(SHAPE, 5 / 96, 2 / 96)
+    texture = synthetic.mixed_texture(SHAPE, rng)
+    stack = synthetic.focal_stack(texture, height, positions, blur_rate=1.0, noise=noise, rng=rng)
+    return height, positions, stack
+
+
+def rms(error: np.ndarray) -> float:
+    return float(np.sqrt(np.nanmean(error[8:-8, 8:-8] ** 2)))
+
+
+def test_width_of_a_known_peak():
+    """The contrast of a checkerboard rises and falls as a triangle of known area over height."""
+    y, x = np.indices((64, 64))
+    board = np.where((x // 3 + y // 3) % 2 == 0, -1.0, 1.0)
+    contrast = np.clip(1 - np.abs(np.arange(40.0) - 17) / 8, 0, 1)
+    frames = [(128 + 50 * c * board).astype(np.float32) for c in contrast]
+    # The area of a triangle of half width 8 over its height; its foot is on frames.
+    assert peak_width(frames) == pytest.approx(8.0, rel=1e-5)
+    assert peak_width([np.full((64, 64), 7, np.uint8)] * 5) == 1.0
+
+
+def test_width_in_travel_does_not_depend_on_the_number_of_frames():
+    widths = [peak_width(tilted(factor)[2]) / factor for factor in (1, 4, 8)]
+    # Noise chooses the highest of more frames, which makes a peak higher and so narrower.
+    np.testing.assert_allclose(widths, widths[0], rtol=0.15)
+
+
+@pytest.mark.parametrize(
+    ("count", "width", "sizes"),
+    [
+        (21, 2.4, [1] * 21),
+        (5, 5.4, [1] * 5),  # 1.46 frames are rounded to one
+        (7, 7.4, [2, 2, 3]),
+        (8, 7.4, [2, 2, 2, 2]),
+        (400, 45.0, [12, 12, 12]),
+        (4, 40.0, [1, 1, 2]),
+    ],
+)
+def test_groups(count, width, sizes):
+    found = group_sizes(count, width)
+    assert found.sum() == count
+    np.testing.assert_array_equal(found[: len(sizes)], sizes)
+    assert np.ptp(found) <= 1
+    assert len(found) >= 3
+
+
+def test_groups_are_means_of_frames_and_of_positions():
+    rng = np.random.default_rng(0)
+    frames = rng.integers(0, 2**16, (7, 4, 5)).astype(np.uint16)
+    positions = np.sort(rng.uniform(0, 10, 7))
+    sizes = group_sizes(7, 7.4)
+    means = list(averaged(iter(frames), sizes))
+    for mean, group in zip(means, ([0, 1], [2, 3], [4, 5, 6]), strict=True):
+        np.testing.assert_allclose(mean, frames[group].mean(axis=0), rtol=1e-6)  # float32
+    wanted = [positions[:2].mean(), positions[2:4].mean(), positions[4:].mean()]
+    np.testing.assert_allclose(averaged_positions(positions, sizes), wanted)
+
+
+def test_more_frames_never_hurt():
+    errors = []
+    for factor in (1, 4, 20):
+        height, positions, stack = tilted(factor)
+        found = depth_from_focus(stack, positions)
+        assert np.isnan(found.depth[8:-8, 8:-8]).mean() <= 0.01
+        errors.append(rms(found.depth - height))
+    assert errors[1] < 0.75 * errors[0]
+    # What is left is no noise, on an image this small; with constants in frames it was 0.06.
+    assert errors[2] < 0.95 * errors[1]
+
+
+def test_the_ends_of_the_stack_are_reached_although_frames_are_averaged():
+    """The first mean lies half a group inside; a surface in focus in the first frame lies not."""
+    positions = np.linspace(0, 10, 81)
+    texture = synthetic.mixed_texture(SHAPE, np.random.default_rng(0))
+    for end in (0.1, 9.9):
+        height = np.full(SHAPE, end)
+        stack = synthetic.focal_stack(
+            texture, height, positions, blur_rate=1.0, noise=1.0, rng=np.random.default_rng(1)
+        )
+        found = depth_from_focus(stack, positions)
+        # Groups of 2 to 3 µm begin with a mean that lies 0.2 to 0.4 µm inside.
+        assert np.abs(np.median(found.depth) - end) < 0.1
+        assert found.at_end.mean() > 0.9
+
+
+def test_picture_and_index_come_from_the_frame_nearest_to_the_depth():
+    _, positions, stack = tilted(4)
+    for order in (1, -1):
+        found = depth_from_focus(stack[::order], positions[::order])
+        away = np.abs(positions[::order][found.index] - found.depth)
+        assert away.max() <= 0.125 + 1e-5  # half the spacing
+        chosen = np.take_along_axis(stack[::order], found.index[None], axis=0)[0]
+        np.testing.assert_array_equal(found.all_in_focus, chosen)
+
+
+def test_beside_a_step_the_picture_is_that_of_the_corrected_side():
+    """The peak is the other side's within some pixels of it, the corrected depth is not."""
+    height = 3.2 + synthetic.step(SHAPE, 7.7)
+    positions = np.arange(15.0)
+    rng = np.random.default_rng(1)
+    texture = synthetic.mixed_texture(SHAPE, rng)
+    stack = synthetic.focal_stack(texture, height, positions, blur_rate=1.0)
+    found = depth_from_focus(stack, positions)
+    beside = np.s_[8:-8, SHAPE[1] // 2 - 4 : SHAPE[1] // 2 + 4]
+    assert np.mean(np.abs(positions[found.index] - height)[beside] > 1) < 0.1
+    error = np.abs(found.all_in_focus.astype(float) - texture)
+    assert error[beside].mean() < 1.5 * error[8:-8, 8:40].mean()
+
+
+def test_frames_that_come_once_are_as_good_as_frames_in_memory():
+    _, positions, stack = tilted(4)
+    whole = depth_from_focus(stack, positions)
+    for frames in (iter(stack), (frame.copy() for frame in stack), list(stack)):
+        found = depth_from_focus(frames, positions)
+        for field in ("depth", "uncertainty", "index", "all_in_focus"):
+            np.testing.assert_array_equal(getattr(found, field), getattr(whole, field))
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_replay_gives_the_same_frames_again(dtype):
+    frames = np.random.default_rng(0).integers(0, 200, (5, 6, 7)).astype(dtype)
+    with Replay(iter(frames), 5) as stack:
+        for _ in range(3):
+            np.testing.assert_array_equal(np.stack(list(stack)), frames)
+
+
+@pytest.mark.parametrize(("count", "got"), [(4, "5"), (6, "5")])
+def test_replay_counts(count, got):
+    words = f"must be as many, got (more than {count}|{got}) and {count}"
+    with Replay(iter(np.zeros((5, 6, 7))), count) as stack, pytest.raises(ValueError, match=words):
+        list(stack)
+
+
+def test_memory_does_not_grow_with_the_number_of_frames():
+    def peak(count: int) -> int:
+        rng = np.random.default_rng(0)
+        frames = (rng.integers(0, 256, (200, 200)).astype(np.uint8) for _ in range(count))
+        tracemalloc.start()
+        depth_from_focus(frames, np.arange(float(count)))
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return most
+
+    peak(20)  # what is loaded once is not counted
+    assert peak(200) < 1.1 * peak(20)
