@@ -318,7 +318,7 @@ def _blur_growth(
         change = distances[j] - distances[i]
         mean = (images[i] + images[j]) / 2
         weight = weights[i] * weights[j]
-        size = np.median(np.abs(change)) + np.finfo(np.float32).tiny
+        size = float(np.abs(change).mean()) or 1.0
         columns = [mean, change * laplacian(mean)]
         weight = weight / (1 + (change / size) ** 2)
         found.append(fit_link(columns, images[j] - images[i], weight)[1])
