@@ -322,8 +322,8 @@ def _nothing_of_every_second(image: NDArray, *_: object) -> NDArray:
     return np.zeros(image[::2, ::2].shape, bool)
 
 
-def _no_relief(base: NDArray, directions: _directions.Directions) -> _relief.Relief:
-    found = _relief.find_relief(base, directions)
+def _no_relief(base: NDArray, *others: object) -> _relief.Relief:
+    found = _relief.find_relief(base, *others)  # type: ignore[arg-type]
     return _relief.Relief(np.zeros_like(found.offset), found.variance)
 
 

@@ -378,7 +378,9 @@ def _multiscale(
     sided = _sided(depth, profile.depths[1], spacing)
     wide = check_halos(frames, len(z), np.interp(sided * spacing, *_rising(z)), noise)
     smooth = _smoothed(*_with_wide(sided, inverse_variance, wide, z / spacing))
-    relief = find_relief(smooth, directional_depths(frames(), z, smooth * spacing, **turn))
+    doubtful = np.isnan(smooth) | _doubled(wide.instead | wide.neither, smooth.shape)
+    fine = directional_depths(frames(), z, smooth * spacing, **turn)
+    relief = find_relief(smooth, fine, doubtful)
     depth = np.clip((smooth + relief.offset) * spacing, positions.min(), positions.max())
     starts = np.cumsum(sizes) - sizes
     best = _nearest_frame(depth, positions, (starts + sizes // 2)[profile.index])

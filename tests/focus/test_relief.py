@@ -9,10 +9,11 @@ from microlib import synthetic
 from microlib.focus import depth_from_focus
 from microlib.focus._directions import Directions, _second_differences, directional_depths
 from microlib.focus._peaks import fit_peak
-from microlib.focus._relief import _step_variance, find_relief
+from microlib.focus._relief import _halo_variance, _step_variance, find_relief
 
 SHAPE = (144, 144)
 POSITIONS = np.arange(15.0)
+NOWHERE = np.zeros(SHAPE, bool)
 
 
 def stack_of(height, *, seed=0, noise=2.0, texture=None):
@@ -104,7 +105,7 @@ def directions(relief, *, noise=0.1, grain=1.0, seed=0):
 @pytest.mark.parametrize(("period", "least"), [(8.0, 0.6), (12.0, 0.8), (20.0, 0.9)])
 def test_relief_on_which_both_directions_agree_is_found_and_sharpened(period, least):
     relief = waves(period, 0.3)
-    found = find_relief(np.full(SHAPE, 5.3), directions(relief, noise=0.04))
+    found = find_relief(np.full(SHAPE, 5.3), directions(relief, noise=0.04), NOWHERE)
     # Without sharpening 0.46, 0.71 and 0.88 of it are seen.
     assert least < gain(found.offset, relief) < 1.1
     stated = np.sqrt(np.mean(inner(found.variance)))
@@ -113,7 +114,7 @@ def test_relief_on_which_both_directions_agree_is_found_and_sharpened(period, le
 
 def test_noise_of_each_direction_alone_is_no_relief():
     for seed in range(3):
-        found = find_relief(np.full(SHAPE, 5.3), directions(np.zeros(SHAPE), seed=seed))
+        found = find_relief(np.full(SHAPE, 5.3), directions(np.zeros(SHAPE), seed=seed), NOWHERE)
         # 0.07 is the noise of their mean.
         assert rms(found.offset) < 0.004
 
@@ -124,7 +125,7 @@ def test_a_few_bad_pixels_that_agree_are_no_relief():
     rng = np.random.default_rng(2)
     for y, x in rng.integers(15, 129, (8, 2)):
         wrong[y - 2 : y + 3, x - 2 : x + 3] = 1.0
-    found = find_relief(np.full(SHAPE, 5.3), directions(wrong))
+    found = find_relief(np.full(SHAPE, 5.3), directions(wrong), NOWHERE)
     plain = gaussian_filter(directions(wrong).offsets[0], 0.5)
     assert np.sum(found.offset**2) < 0.1 * np.sum(plain**2)
 
@@ -132,17 +133,17 @@ def test_a_few_bad_pixels_that_agree_are_no_relief():
 def test_the_pull_towards_frames_is_no_relief():
     base = 5 + synthetic.tilted_plane(SHAPE, 0.05, 0.01)
     pull = -0.05 * np.sin(2 * np.pi * base) + 0.02 * np.cos(4 * np.pi * base)
-    found = find_relief(base, directions(pull, noise=0.03))
+    found = find_relief(base, directions(pull, noise=0.03), NOWHERE)
     assert rms(found.offset) < 0.2 * rms(pull)
     # On a plane all of one place between frames the same offsets are relief.
-    level = find_relief(np.full(SHAPE, 5.3), directions(pull, noise=0.03))
+    level = find_relief(np.full(SHAPE, 5.3), directions(pull, noise=0.03), NOWHERE)
     assert rms(level.offset) > 0.6 * rms(pull)
 
 
 def test_errors_that_are_smooth_are_stated_too():
     """Noise of a grain of 8 px passes all windows, and shows as a difference of the directions."""
     made = directions(np.zeros(SHAPE), noise=0.1, grain=8.0, seed=1)
-    stated = np.sqrt(np.mean(inner(find_relief(np.full(SHAPE, 5.3), made).variance)))
+    stated = np.sqrt(np.mean(inner(find_relief(np.full(SHAPE, 5.3), made, NOWHERE).variance)))
     # The mean of both has an error of 0.07; some of it is smoothed away.
     assert 0.04 < stated < 0.09
 
@@ -152,23 +153,36 @@ def test_a_step_has_the_error_of_its_height():
     base[20, 5] = np.nan  # which is no step
     variance = _step_variance(base)
     error = np.sqrt(variance[10])
-    np.testing.assert_allclose(error[[29, 30]], 0.35 * 6, rtol=0.01)
+    np.testing.assert_allclose(error[[29, 30]], 0.42 * 6, rtol=0.01)
     np.testing.assert_allclose(error[[28, 31]], 0.09 * 6, rtol=0.03)
     assert 0.003 * 6 < error[24] < 0.012 * 6
     assert error[5] < 0.01
     assert not _step_variance(np.tile(0.7 * np.arange(60), (50, 1))).any()  # a slope is none
 
 
+def test_around_halos_the_error_is_a_share_of_the_range_of_depths():
+    base = np.tile(np.where(np.arange(120) < 60, 2.0, 8.0), (120, 1))
+    base[:, 100:] = np.nan
+    halo = np.zeros(base.shape, bool)
+    halo[40:80, 40:60] = True
+    variance = _halo_variance(base, halo)
+    # Half of what is around the border of the halo is halo; the step is within 21 px.
+    assert variance[60, 59] == pytest.approx(0.05 * 0.5 * 36, rel=0.1)
+    assert variance[60, 20] < 1e-3
+    assert not _halo_variance(base, np.zeros_like(halo)).any()
+    assert np.isfinite(variance).all()
+
+
 def test_unknown_depths_give_no_relief_and_do_no_harm():
     relief = waves(12.0, 0.3)
     base = np.full(SHAPE, 5.3)
-    whole = find_relief(base, directions(relief))
+    whole = find_relief(base, directions(relief), NOWHERE)
     made = directions(relief)
     base[:, :40] = np.nan
     made.offsets[:, :, :40] = 1.5
-    part = find_relief(base, made)
+    part = find_relief(base, made, NOWHERE)
     assert gain(part.offset[:, 50:], relief[:, 50:]) > 0.9 * gain(whole.offset, relief)
-    empty = find_relief(np.full(SHAPE, np.nan), made)
+    empty = find_relief(np.full(SHAPE, np.nan), made, NOWHERE)
     assert np.isfinite(empty.offset).all()
 
 
