@@ -140,7 +140,7 @@ def simulated(gain: float, delay: float, noise: np.ndarray) -> np.ndarray:
         lambda k, measured, reference: gain * (reference[k] - measured),
         np.full((len(noise), 2), 50.0),
         jacobian=np.eye(2),
-        stage=Stage(saturation=1e300, step=0.0, travel=1e300),
+        stage=Stage(saturation=1e50, step=0.0, travel=1e50),
         camera=Camera(interval=1.0, latency=delay),
         rng=0,
         start=(0.0, 0.0),
