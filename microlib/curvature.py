@@ -205,7 +205,6 @@ def surface_curvature(
     blind = (
         ndimage.binary_dilation(unknown, np.ones((2 * n - 1,) * 2)) if unknown.any() else unknown
     )
-    blind = blind.copy()
     margin = n - 1
     blind[:margin], blind[-margin:], blind[:, :margin], blind[:, -margin:] = True, True, True, True
 

@@ -45,6 +45,8 @@ def test_windows_are_those_of_the_thesis_with_the_second_derivative_doubled():
     np.testing.assert_allclose(windows.slope * 28, [-3, -2, -1, 0, 1, 2, 3], atol=1e-12)
     printed = np.array([5, 0, -3, -4, -3, 0, 5]) / 84
     np.testing.assert_allclose(windows.second_derivative, 2 * printed, atol=1e-15)
+    defaults = curvature.curvature_windows()
+    np.testing.assert_array_equal(defaults.second_derivative, windows.second_derivative)
     # The proof: t² has the second derivative 2, and the printed window answers 1.
     t = np.arange(-3, 4)
     assert printed @ t**2 == pytest.approx(1)
@@ -154,6 +156,18 @@ def test_errors_are_the_scatter_over_noise(height):
         assert stated < (1.2 if field == "mean" else 1.5) * scatter
 
 
+def test_errors_on_a_slope_are_the_answers_to_single_errors():
+    """On a plane H and K are linear in a small error: the answer to one pixel has all weights."""
+    tilted, noise, push = 0.8 * X + 1.5 * Y, 0.02, 1e-6
+    pushed = tilted.copy()
+    pushed[HALF, HALF] += push
+    plane, answer = (surface_curvature(z, 1.0, noise=noise) for z in (tilted, pushed))
+    weights = (answer.mean - plane.mean)[6:-6, 6:-6] / push
+    # The slopes' own errors enter in the second order only: 1e-6 beside 1.
+    expected = noise * np.sqrt(np.sum(weights**2))
+    assert plane.mean_error[HALF, HALF] == pytest.approx(expected, rel=1e-4)
+
+
 @pytest.mark.parametrize("name", SURFACES)
 def test_labels_are_right_at_the_noise_the_thresholds_come_from(name):
     height, _, _, label = SURFACES[name]
@@ -239,6 +253,7 @@ def test_region_table_counts_every_labeled_pixel_once():
         (lambda: surface_curvature(np.zeros((12, 40)), 1.0), "height must be at least 13 px"),
         (lambda: surface_curvature(np.zeros((40, 40)), -1.0), "pixel_size must be positive"),
         (lambda: surface_curvature(np.zeros((40, 40)), 1.0, size=4), "size must be an odd"),
+        (lambda: curvature.curvature_windows(1), "size must be an odd whole number of at least 3"),
         (lambda: surface_curvature(np.zeros((40, 40)), 1.0, noise=-1), "noise must be zero or"),
         (lambda: surface_curvature(np.full((40, 40), np.inf), 1.0), "height must be finite or NaN"),
         (lambda: surface_curvature(np.zeros(40), 1.0), "height must have shape"),
