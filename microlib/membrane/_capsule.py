@@ -351,8 +351,12 @@ def indent_capsule(
     A point at the angle S of the undeformed sphere, counted from the plate's middle, has ρ =
     (R/λ) sin S and moves to r(S), z(S). With the tension's parts a radian as in `indent_disc`,
 
-    .. math:: V = \frac{p r^2}{2} - \frac{F}{2\pi}, \qquad H' = h N_2 - p\, r z', \qquad
-              \sqrt{H^2 + V^2} = h \rho N_1, \qquad (r', z') = \lambda_1 (H, V)/\sqrt{H^2 + V^2},
+    .. math::
+
+        V &= \frac{p r^2}{2} - \frac{F}{2\pi},\\
+        H' &= h N_2 - p\, r z',\\
+        \sqrt{H^2 + V^2} &= h \rho N_1,\\
+        (r', z') &= \lambda_1 (H, V)/\sqrt{H^2 + V^2},
 
     the primes per undeformed arc (derived here). On the plate V = 0, and the pressure p is the one
     that keeps the volume :math:`\frac43 \pi R^3`. V is zero again at the crest of the dimple,

@@ -179,13 +179,17 @@ def indent_disc(
     :math:`\lambda_1 = \sqrt{r'^2 + z'^2}` and :math:`\lambda_2 = r/X`. The meridian's tension
     a radian has a vertical part V and a horizontal part H,
 
-    .. math:: V = \frac{F}{2\pi} - \frac{p r^2}{2}, \qquad H' = h N_2 + p\, r z', \qquad
-              \sqrt{H^2 + V^2} = h X N_1, \qquad (r', z') = \lambda_1 (H, V)/\sqrt{H^2 + V^2}
+    .. math::
+
+        V &= \frac{F}{2\pi} - \frac{p r^2}{2},\\
+        H' &= h N_2 + p\, r z',\\
+        \sqrt{H^2 + V^2} &= h X N_1,\\
+        (r', z') &= \lambda_1 (H, V)/\sqrt{H^2 + V^2}
 
     with the nominal stresses :math:`N_i = \partial W/\partial\lambda_i` (derived here; the last
     equation is solved for :math:`\lambda_1`). The edges are at :math:`r = c`, :math:`X = c/(1 +
     \text{pretension})` and at :math:`r = a`, :math:`X = a/((1 + \text{pretension})(1 -
-    \text{rim_inset}))`. Hoop stress is never negative: the membrane wrinkles (relaxed energy).
+    \text{rim\_inset}))`. Hoop stress is never negative: the membrane wrinkles (relaxed energy).
 
     The energies per volume, with :math:`e_i = \lambda_i - 1`:
 
