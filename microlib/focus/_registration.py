@@ -55,8 +55,9 @@ _NEAR_FOCUS = 20
 #: stacks without offsets find up to 0.009; a neglected one costs what 1 % of flicker does.
 _OFFSET = 0.01
 #: A link is trusted if its frames correlate by more and its motion departs by less from that of the
-#: links beside it, 1 and full px. Noise and foreign frames: below 0.2 and above 2.
-_CORRELATION, _CLOSURE = 0.5, 0.5
+#: links beside it, 1 and px of the first pass's last level. Noise and foreign frames: below 0.2 and
+#: above 0.5; frames whose blur differs much, in the stack pcb: 0.85 and 0.04.
+_CORRELATION, _CLOSURE = 0.5, 0.125
 #: Correlation that a link is given at least, so that it still ties its frames together.
 _LEAST_CORRELATION = 0.01
 
@@ -131,7 +132,7 @@ def register(source: Iterator[Image], positions: Array, depth: Depth) -> Registe
     for level in levels[:0:-1] or levels:
         for _ in range(_FITS):
             frames, left, correlation = _aligned(level, frames, links)
-    kept = _kept(links, left, correlation, count, max(work.geometry.shape) / 2)
+    kept = _kept(links, left, correlation, count, level.geometry)
     links = [(k, k + lag) for lag in (1, 2) for k in range(len(kept) - lag)]
     frames = _from_reference([frames[k] for k in kept])
     z = positions[kept]
@@ -244,6 +245,7 @@ def _equally_bright(level: _Level, frames: list[Frame], links: Sequence[Link]) -
     """Give the frames gains that make the smoothed ones alike."""
     images, weights = level.corrected(frames)
     smooth = [cv2.GaussianBlur(image, (0, 0), _SMOOTH) for image in images]
+    weights = [_away(weight) for weight in weights]
     shapes = basis(*_unit(level.geometry))
     found = np.zeros((len(links), 6))
     for k, (i, j) in enumerate(links):
@@ -259,6 +261,7 @@ def _equally_bright_at(
     """Give the frames gains and, if there are any, offsets, from what blurs known."""
     images, weights = level.corrected(frames)
     smooth = [cv2.GaussianBlur(image, (0, 0), _SMOOTH) for image in images]
+    weights = [_away(weight) for weight in weights]
     shapes = basis(*_unit(level.geometry))
     rows, cols = level.geometry.small
     small = cv2.resize(depth, (cols, rows), interpolation=cv2.INTER_AREA)
@@ -277,6 +280,12 @@ def _equally_bright_at(
         found[:, 6] = 0
     values = spread_over_stack(len(frames), links, found, _weights(links), len(frames) // 2)
     return [frame.brighter(v[:6], v[6]) for frame, v in zip(frames, values, strict=True)]
+
+
+def _away(weight: NDArray) -> NDArray:
+    """Return the weights without pixels into which the smoothing brings saturated ones."""
+    side = 2 * round(2 * _SMOOTH) + 1
+    return np.asarray(cv2.erode(weight, np.ones((side, side), np.uint8)))
 
 
 def _fit_near_focus(
@@ -377,14 +386,15 @@ def _correlation(first: NDArray, second: NDArray, weight: NDArray) -> float:
 
 
 def _kept(
-    links: Sequence[Link], left: Array, correlation: Array, count: int, half: float
+    links: Sequence[Link], left: Array, correlation: Array, count: int, geometry: Geometry
 ) -> NDArray[np.intp]:
     """Return the frames that trusted links tie to the middle of the stack, or refuse the stack.
 
     A trusted link correlates, and agrees with the links beside it: what is left of its motion after
     all have been fitted is small, at the border of the image too.
     """
-    off = np.abs(left) @ (half, half, 1, 1)
+    half = max(geometry.shape) / 2
+    off = np.abs(left) @ (half, half, 1, 1) / geometry.factor
     trusted = (correlation > _CORRELATION) & (off < _CLOSURE)
     group = np.arange(count)
     for (i, j), good in zip(links, trusted, strict=True):
