@@ -134,7 +134,7 @@ def test_steep_dimples_are_warned_of():
     [
         ({"force": 0.0}, "force must be positive"),
         ({"force": np.nan}, "force must be finite"),
-        ({"method": "eyes"}, "method must be one of membrane, gaussians, got 'eyes'"),
+        ({"method": "eyes"}, "method must be one of membrane, gaussians, capsule, got 'eyes'"),
         ({"pixel_size": -1.0}, "pixel_size must be positive"),
         ({"thickness": 0.0}, "thickness"),
         ({"probe_half_width": 45.0}, "probe's end at the bottom of the dimple"),
