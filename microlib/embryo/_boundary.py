@@ -321,28 +321,7 @@ def _find_probe(image: ArrayLike) -> Probe:
     [80.0, 69.5, 0.0, 6.5]
     """
     grey = _blurred(as_image("image", image, smallest=_SMALLEST), _PROBE_BLUR)
-    top = grey[:_TOP_ROWS].mean(axis=0)
-    widest = int(_WIDEST * grey.shape[1])
-    ground = median_filter(top, 4 * widest + 1, mode="nearest")  # a bar is a quarter of it
-    dark = top < _DARK * ground
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], dark.view(np.int8), [0]])))
-    runs = edges.reshape(-1, 2)
-    bars = [run for run in runs if _NARROWEST <= run[1] - run[0] <= widest]
-    tubes = _tubes(runs, widest)
-    glass = len(tubes) == 1 and all(tubes[0][0] <= b[0] and b[1] <= tubes[0][1] for b in bars)
-    if not glass and len(bars) != 1:
-        raise ValueError(
-            "image must show one dark probe that enters through its upper edge, "
-            f"got {len(bars)} bars of {_NARROWEST:.0f} to {widest} px there"
-        )
-    left, right = tubes[0][:2] if glass else bars[0]
-    level = ground[left:right].mean()
-    bar = top[left:right].min() if glass else top[(left + right) // 2]
-    limit = bar + _BODY_LEVEL * (level - bar)
-    if glass:
-        grey = _filled_tube(grey, tubes[0], limit, bar)
-    _, labels = cv2.connectedComponents((grey < limit).astype(np.uint8))
-    body = labels == labels[0, (left + right) // 2]
+    grey, body, bar = _probe_body(grey)
     width = body.sum(axis=1)
     end = _end_row(width)
     if end < 2 * _TOP_ROWS or end >= len(width) - _BELOW_TIP:
@@ -378,6 +357,37 @@ def _find_probe(image: ArrayLike) -> Probe:
     )
 
 
+def _probe_body(
+    grey: NDArray[np.float32],
+) -> tuple[NDArray[np.float32], NDArray[np.bool_], float]:
+    """Return the image with a tube filled, what is probe in it or hangs on it, and its grey."""
+    top = grey[:_TOP_ROWS].mean(axis=0)
+    widest = int(_WIDEST * grey.shape[1])
+    ground = median_filter(top, 4 * widest + 1, mode="nearest")  # a bar is a quarter of it
+    dark = top < _DARK * ground
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], dark.view(np.int8), [0]])))
+    runs = edges.reshape(-1, 2)
+    bars = [run for run in runs if _NARROWEST <= run[1] - run[0] <= widest]
+    tubes = _tubes(runs, widest)
+    glass = len(tubes) == 1 and all(tubes[0][0] <= b[0] and b[1] <= tubes[0][1] for b in bars)
+    if not glass and len(bars) != 1:
+        raise ValueError(
+            "image must show one dark probe that enters through its upper edge, "
+            f"got {len(bars)} bars of {_NARROWEST:.0f} to {widest} px there"
+        )
+    left, right = tubes[0][:2] if glass else bars[0]
+    level = ground[left:right].mean()
+    bar = top[left:right].min() if glass else top[(left + right) // 2]
+    limit = bar + _BODY_LEVEL * (level - bar)
+    if glass:
+        body = _tube_body(grey, tubes[0], limit)
+        grey = np.where(body, np.minimum(grey, bar), grey)
+    else:
+        _, labels = cv2.connectedComponents((grey < limit).astype(np.uint8))
+        body = labels == labels[0, (left + right) // 2]
+    return grey, body, float(bar)
+
+
 def _tubes(runs: NDArray, widest: int) -> list[tuple[int, int, int]]:
     """Return pairs of dark runs that are a tube's walls: its two ends, and the walls' width."""
     found = []
@@ -390,11 +400,11 @@ def _tubes(runs: NDArray, widest: int) -> list[tuple[int, int, int]]:
     return found
 
 
-def _filled_tube(
-    grey: NDArray[np.float32], tube: tuple[int, int, int], limit: float, bar: float
-) -> NDArray[np.float32]:
-    """Fill a tube between its walls with their grey, from the upper edge as far as they go."""
-    filled = grey.copy()
+def _tube_body(
+    grey: NDArray[np.float32], tube: tuple[int, int, int], limit: float
+) -> NDArray[np.bool_]:
+    """Return what lies between a tube's walls, from the upper edge as far as both go on."""
+    body = np.zeros(grey.shape, dtype=bool)
     left, right, wall = tube
     for row in range(len(grey)):
         start = max(left - _MARGIN, 0)
@@ -404,8 +414,8 @@ def _filled_tube(
         if near_left.size == 0 or near_right.size == 0:
             break
         left, right = start + int(near_left[0]), inner + int(near_right[-1]) + 1
-        filled[row, left:right] = np.minimum(grey[row, left:right], bar)
-    return filled
+        body[row, left:right] = True
+    return body
 
 
 def _end_row(width: NDArray) -> int:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +19,13 @@ from microlib.embryo._boundary import Boundary, extract_boundary
 from microlib.embryo._dimple import DimpleFit, DimpleGeometry, dimple_geometry, fit_dimple
 from microlib.embryo._gaussian_sum import fit_gaussians
 from microlib.embryo._loess import loess
-from microlib.membrane import elastic_modulus, indentation_force, modulus_std
+from microlib.embryo._models import moduli_by_model
+from microlib.membrane import (
+    elastic_modulus,
+    fit_capsule,
+    indentation_force,
+    modulus_std,
+)
 
 _METHODS = ("membrane", "gaussians")
 #: Standard deviations to either side that hold 95 % of a normal distribution.
@@ -44,17 +52,50 @@ class ModulusEstimate:
         and the probe's width come on top.
     interval : tuple of float
         95 % interval of E from `relative_std`, in MPa.
-    dimple : DimpleFit or DimpleGeometry
-        Radius and depth with their covariance.
+    dimple : DimpleFit, DimpleGeometry or CapsuleFit
+        Radius and depth with their covariance, or the capsule of `microlib.membrane.fit_capsule`.
     boundary : Boundary
         The outline that was found.
+    given : dict
+        Force, thickness, probe_half_width, poisson_ratio and radius as given, in µN and µm.
+
+    Notes
+    -----
+    `interval` says how well the outline is known, as if the model were right. `model_moduli` and
+    `model_interval` say what other models make of the same dimple. They are computed when they are
+    asked for, which takes about a second.
     """
 
     modulus: float
     relative_std: float
     interval: tuple[float, float]
-    dimple: DimpleFit | DimpleGeometry
+    dimple: Any
     boundary: Boundary
+    given: dict[str, Any]
+
+    @cached_property
+    def model_moduli(self) -> dict[str, float]:
+        """Modulus of this dimple by each model that can have it, in MPa, by the model's name.
+
+        (4.7) with its uniform stress; a flat disc with and without the pressure F/(π a²), and a
+        capsule of the radius that was given or fitted, each for neo-Hooke and Hooke. Without a
+        radius no capsule is among them, and an egg that is one may have a quarter of the modulus by
+        (4.7), or less (benchmarks/capsule_embryo.py).
+        """
+        state = getattr(self.dimple, "state", None)  # of a capsule
+        if state is None:
+            return moduli_by_model(
+                rim_radius=self.dimple.dimple_radius, depth=self.dimple.dimple_depth, **self.given
+            )
+        fitted = self.given | {"radius": self.dimple.radius}
+        return moduli_by_model(rim_radius=state.rim_radius, depth=state.depth, **fitted)
+
+    @property
+    def model_interval(self) -> tuple[float, float]:
+        """From the least of `model_moduli` to the largest, widened as `interval` is, in MPa."""
+        every = [self.modulus, *self.model_moduli.values()]
+        wider = float(np.exp(_NORMAL_95 * self.relative_std))
+        return min(every) / wider, max(every) * wider
 
 
 @dataclass(frozen=True)
@@ -91,6 +132,8 @@ def modulus_from_image(
     probe_half_width: float,
     poisson_ratio: float,
     method: str = "membrane",
+    radius: float | None = None,
+    law: str = "neo-hooke",
     direction: str = "auto",
     region: tuple[int, int, int, int] | None = None,
 ) -> ModulusEstimate:
@@ -106,8 +149,15 @@ def modulus_from_image(
         Pixel in the object plane, in µm.
     thickness, probe_half_width, poisson_ratio : float
         As for `microlib.membrane.elastic_modulus`.
-    method : {"membrane", "gaussians"}
-        How the dimple is measured; see `measure_dimple`.
+    method : {"membrane", "gaussians", "capsule"}
+        How the dimple is measured, see `measure_dimple`; ``"capsule"`` fits a closed capsule to the
+        whole outline, see `microlib.membrane.fit_capsule`, and takes seconds.
+    radius : float, optional
+        Radius of the egg before the test, in µm. A capsule needs none where the outline reaches the
+        egg's widest part: it is then fitted, which also takes up an outline that is off by a
+        fraction of the wall's thickness (half a µm would be 2 % of the modulus).
+    law : {"neo-hooke", "hooke", "mooney-rivlin"}
+        Of a capsule's wall.
     direction, region
         Edge that the probe comes from, and part of the image to look at; see
         `microlib.embryo.extract_boundary`.
@@ -116,7 +166,8 @@ def modulus_from_image(
     -------
     ModulusEstimate
         The `modulus`, its `relative_std` and `interval`, and the `dimple` and `boundary` that it
-        was computed from.
+        was computed from; with what other models make of the same dimple in `model_moduli` and
+        `model_interval`.
 
     Raises
     ------
@@ -142,12 +193,31 @@ def modulus_from_image(
     (True, True)
     """
     load = scalar("force", force, above=0, most=_MOST)
-    one_of("method", method, _METHODS)
+    one_of("method", method, (*_METHODS, "capsule"))
     size = scalar("pixel_size", pixel_size, above=0)
     membrane = _membrane(thickness, probe_half_width, poisson_ratio)
+    egg = None if radius is None else scalar("radius", radius, above=0, most=_MOST)
+    given = {"force": load, **membrane, "radius": egg}
     boundary = extract_boundary(image, direction=direction, region=region)
+    if method == "capsule":
+        outline = size * np.stack([boundary.x, boundary.y], axis=1)[~boundary.under_probe]
+        capsule = fit_capsule(
+            load,
+            outline,
+            thickness=thickness,
+            probe_half_width=probe_half_width,
+            radius=egg,
+            poisson_ratio=poisson_ratio,
+            law=law,
+        )
+        std = capsule.modulus_std / capsule.modulus
+        return ModulusEstimate(
+            capsule.modulus, std, _interval(capsule.modulus, std), capsule, boundary, given
+        )
     dimple = _dimple_of(boundary, size, membrane["probe_half_width"], method)
-    return ModulusEstimate(*_apply(elastic_modulus, load, dimple, membrane), dimple, boundary)
+    return ModulusEstimate(
+        *_apply(elastic_modulus, load, dimple, membrane), dimple, boundary, given
+    )
 
 
 def force_from_image(
@@ -300,6 +370,10 @@ def _apply(
     # E is F times a function of the dimple, whose error moves ln E and ln F by as much.
     force, modulus = (known, value) if formula is elastic_modulus else (value, known)
     std = modulus_std({"force": force, **inputs}, {}, dimple_covariance=dimple.covariance) / modulus
-    # Of a positive quantity whose logarithm is normal.
+    return value, std, _interval(value, std)
+
+
+def _interval(value: float, std: float) -> tuple[float, float]:
+    """Return the 95 % interval of a positive quantity whose logarithm is normal."""
     factor = float(np.exp(_NORMAL_95 * std))
-    return value, std, (value / factor, value * factor)
+    return value / factor, value * factor
