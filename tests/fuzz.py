@@ -49,6 +49,8 @@ from microlib import (
 
 #: Processor time for one call, s: waiting for other processes does not count.
 LIMIT = 5.0
+#: The same for what fits a boundary value problem to an outline, tried by `make fuzz` only.
+SLOW = {"membrane.fit_capsule": 60.0}
 #: Memory that all of it may take, bytes.
 MEMORY = 4 << 30
 #: Public, but not called by anyone: a category of warnings.
@@ -103,6 +105,19 @@ def egg() -> synthetic.EmbryoImage:  # type: ignore[name-defined]
 @cache
 def outline():
     return embryo.extract_boundary(egg().image)
+
+
+def part() -> tuple[int, int, int, int]:
+    """The whole image."""
+    rows, cols = egg().image.shape
+    return 0, 0, cols, rows
+
+
+@cache
+def capsule_outline() -> np.ndarray:
+    settings = {**EGG, "modulus": 1.0, "radius": 600.0, "inflation": 1.05}
+    state = membrane.indent_capsule(100.0, **settings)
+    return np.column_stack([state.r, state.z])[::10]
 
 
 @cache
@@ -291,6 +306,9 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "self": outline(), "image": egg().image
     },
     "embryo._boundary.Probe.axis": lambda: {"self": outline().probe, "y": np.arange(5.0)},
+    "embryo._boundary.Probe.half_width_at": lambda: {
+        "self": outline().probe, "y": np.arange(5.0)
+    },
     "embryo._dimple.DimpleFit.__call__": lambda: {"self": dimple(), "x": np.linspace(200, 300, 9)},
     "embryo.GaussianSum": lambda: {
         "amplitudes": np.array([3.0, -1.0]), "centers": np.array([5.0, 12.0]),
@@ -306,7 +324,9 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "embryo.GaussianSum.extrema": lambda: {"self": gaussians()},
     "embryo.dimple_geometry": lambda: {"curve": dented(), "pixel_size": 3.9},
-    "embryo.extract_boundary": lambda: {"image": egg().image},
+    "embryo.extract_boundary": lambda: {
+        "image": egg().image, "direction": "top", "region": part()
+    },
     "embryo.fit_dimple": lambda: {
         "boundary": outline(), "pixel_size": 7.75, "probe_half_width": 25.0
     },
@@ -315,7 +335,8 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "max_iterations": 50,
     },
     "embryo.force_from_image": lambda: {
-        "image": egg().image, "modulus": 1.0, "pixel_size": 7.75, **EGG
+        "image": egg().image, "modulus": 1.0, "pixel_size": 7.75, **EGG,
+        "direction": "top", "region": part(),
     },
     "embryo.loess": lambda: {
         "x": np.linspace(0.0, 20.0, 30), "y": gaussians()(np.linspace(0.0, 20.0, 30)),
@@ -325,7 +346,8 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "boundary": outline(), "pixel_size": 7.75, "probe_half_width": 25.0, "method": "membrane"
     },
     "embryo.modulus_from_image": lambda: {
-        "image": egg().image, "force": 150.0, "pixel_size": 7.75, **EGG, "method": "membrane"
+        "image": egg().image, "force": 150.0, "pixel_size": 7.75, **EGG, "method": "membrane",
+        "radius": 600.0, "law": "neo-hooke", "direction": "top", "region": part(),
     },
     "focus.FocusResult": lambda: {
         f.name: getattr(depths(), f.name)
@@ -359,6 +381,30 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "io.write_ply": lambda: {
         "path": FOLDER / "fuzz.ply", "height": dome(), "pixel_size": 2.0,
         "image": np.zeros((24, 28), np.uint8), "step": 1,
+    },
+    "membrane.capsule_bending_force": lambda: {
+        "force": 100.0, "modulus": 1.0, "radius": 600.0, **EGG, "law": "neo-hooke",
+        "inflation": 1.05, "support": "plate",
+    },
+    "membrane.capsule_modulus": lambda: {
+        "force": 100.0, "rim_radius": 185.0, "depth": 65.0, "radius": 600.0, **EGG,
+        "law": "neo-hooke", "support": "plate", "punch": "bonded",
+    },
+    "membrane.disc_modulus": lambda: {
+        "force": 100.0, "rim_radius": 200.0, "depth": 40.0, **EGG, "law": "neo-hooke",
+        "pressure": 0.0, "pretension": 0.0, "rim_inset": 0.0,
+    },
+    "membrane.fit_capsule": lambda: {
+        "force": 100.0, "outline": capsule_outline(), "radius": 600.0, **EGG,
+        "law": "neo-hooke", "support": "plate", "punch": "bonded",
+    },
+    "membrane.indent_capsule": lambda: {
+        "force": 100.0, "modulus": 1.0, "radius": 600.0, **EGG, "law": "neo-hooke",
+        "inflation": 1.05, "support": "plate", "punch": "bonded",
+    },
+    "membrane.indent_disc": lambda: {
+        "force": 100.0, "modulus": 1.0, "radius": 200.0, **EGG, "law": "neo-hooke",
+        "pressure": 0.0, "pretension": 0.0, "rim_inset": 0.0,
     },
     "membrane.dimple_depth": lambda: {
         "force": 100.0, "dimple_radius": 200.0, "modulus": 1.0, **EGG
@@ -821,10 +867,11 @@ def answer(name: str, changed: dict[str, object]) -> tuple[object, str | None]:
     given = {**valid, **changed}
     kept = {k: v for k, v in given.items() if isinstance(v, (np.ndarray, list, tuple, dict))}
     before = copy.deepcopy(kept)
+    limit = SLOW.get(name, LIMIT)
     signal.signal(signal.SIGPROF, _stop)
     # What waits, or never returns from a library in C, is told by the watchdog.
-    faulthandler.dump_traceback_later(20 * LIMIT, exit=True)
-    signal.setitimer(signal.ITIMER_PROF, LIMIT)
+    faulthandler.dump_traceback_later(20 * limit, exit=True)
+    signal.setitimer(signal.ITIMER_PROF, limit)
     result, wrong = None, None
     try:
         with contextlib.chdir(FOLDER), warnings.catch_warnings(record=True) as said:

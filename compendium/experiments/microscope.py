@@ -78,7 +78,7 @@ def turned(angle: float, scale: float, mirrored: bool) -> NDArray:
 
     Examples
     --------
-    >>> turned(np.pi / 2, 0.5, mirrored=True).round(3)
+    >>> turned(np.pi / 2, 0.5, mirrored=True).round(3) + 0.0
     array([[0. , 0.5],
            [0.5, 0. ]])
     """

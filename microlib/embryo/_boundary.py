@@ -147,7 +147,7 @@ class Probe:
 
     def half_width_at(self, y: ArrayLike) -> Array:
         """Return half of the width in px at the image height `y`; the tip's below the tip."""
-        above = np.minimum(np.asarray(y, dtype=np.float64) - self.tip[1], 0.0)
+        above = np.minimum(as_array("y", y) - self.tip[1], 0.0)
         return self.half_width + self.taper * above
 
 
@@ -171,8 +171,10 @@ class Boundary:
         Standard deviation of the image's blur at the outline, in px.
     image_height : int
         Rows of the part as it is turned: y = image_height − 1 − row.
-    view : View
-        The part that was looked at: its `region` and the `direction` that the probe comes from.
+    direction : str
+        Edge of the image that the probe comes from.
+    region : tuple of int
+        The part that was looked at: x and y of its first pixel, width and height, in px.
     """
 
     x: Array
@@ -182,17 +184,20 @@ class Boundary:
     probe: Probe
     blur: float
     image_height: int
-    view: View
+    direction: str
+    region: tuple[int, int, int, int]
 
     @property
     def points(self) -> Array:
         """The outline as points (x, y) of the whole image, y down, in px; shape (n, 2)."""
-        return self.view.to_image(np.stack([self.x, self.image_height - 1 - self.y], axis=1))
+        view = View(self.region, self.direction)
+        return view.to_image(np.stack([self.x, self.image_height - 1 - self.y], axis=1))
 
     def without_probe(self, image: ArrayLike) -> NDArray[np.float32]:
         """Return `image`, in which the outline was found, with the probe filled by the ground."""
         grey = as_image("image", image, smallest=_SMALLEST)
-        return self.view.put_back(_remove_probe(self.view.of(grey), self.probe), grey)
+        view = View(self.region, self.direction)
+        return view.put_back(_remove_probe(view.of(grey), self.probe), grey)
 
 
 def extract_boundary(
@@ -218,7 +223,7 @@ def extract_boundary(
     Boundary
         The outline as a function y(x) with the probe above, about one point a px of its length:
         `x`, `y` and `std`, and as points of the image, `points`; with the `probe`, the image
-        `without_probe`, and the `direction` and `region` in `view`.
+        `without_probe`, and the `direction` and `region`.
 
     Raises
     ------
@@ -285,7 +290,8 @@ def _outline_from_above(grey: NDArray[np.float32], view: View) -> Boundary:
         probe=probe,
         blur=blur,
         image_height=len(grey),
-        view=view,
+        direction=view.direction,
+        region=view.region,
     )
 
 

@@ -27,6 +27,7 @@ from microlib.membrane import (
     modulus_std,
 )
 
+_LAWS = ("hooke", "neo-hooke", "mooney-rivlin")
 _METHODS = ("membrane", "gaussians")
 #: Standard deviations to either side that hold 95 % of a normal distribution.
 _NORMAL_95 = 1.959964
@@ -194,6 +195,7 @@ def modulus_from_image(
     """
     load = scalar("force", force, above=0, most=_MOST)
     one_of("method", method, (*_METHODS, "capsule"))
+    one_of("law", law, _LAWS)
     size = scalar("pixel_size", pixel_size, above=0)
     membrane = _membrane(thickness, probe_half_width, poisson_ratio)
     egg = None if radius is None else scalar("radius", radius, above=0, most=_MOST)

@@ -62,7 +62,7 @@ def part_of(
     rows, columns = shape[:2]
     if region is None:
         return 0, 0, columns, rows
-    if len(region) != 4:
+    if not isinstance(region, (tuple, list)) or len(region) != 4:
         raise ValueError(f"region must be (x, y, width, height), got {region!r}")
     x, y = (whole("region", value, least=0) for value in region[:2])
     width, height = (whole("region", value, least=smallest) for value in region[2:])

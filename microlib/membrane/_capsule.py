@@ -51,6 +51,10 @@ class _Unknowns(NamedTuple):
     face_core: float  # where the zone below the probe begins, from the top pole
 
 
+#: Of a radius or a thickness, µm: beyond, products of sizes leave the range of numbers.
+_LARGEST = 1e12
+
+
 @dataclass(frozen=True)
 class _Capsule:
     """The problem without units: lengths in inflated radii R, forces in E h R."""
@@ -492,7 +496,8 @@ def capsule_modulus(
 
 
 def _sizes(radius: float, thickness: float, probe_half_width: float) -> tuple[float, float, float]:
-    r0, h = scalar("radius", radius, above=0), scalar("thickness", thickness, above=0)
+    r0 = scalar("radius", radius, above=0, most=_LARGEST)
+    h = scalar("thickness", thickness, above=0, most=_LARGEST)
     return r0, h, scalar("probe_half_width", probe_half_width, within=(0.0, r0))
 
 

@@ -24,6 +24,7 @@ def test_what_is_right_passes():
     assert as_array("x", [True, False]).tolist() == [1.0, 0.0]
     assert np.isnan(as_array("x", [np.nan], finite=False)).all()
     assert as_image("x", np.zeros((3, 4), np.uint8), smallest=3).dtype == np.float32
+    assert as_image("x", [[7.0]]).shape == (1, 1)
     assert between("x", [0.0, 1.0], 0, 1, closed=True).tolist() == [0.0, 1.0]
     assert positive("x", [0.0, 2.0], zero=True).tolist() == [0.0, 2.0]
     assert whole("x", np.int64(3), least=3, odd=True) == 3

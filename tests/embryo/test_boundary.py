@@ -166,7 +166,7 @@ def test_probe_may_come_from_any_edge(scene, edge, turns):
     plain, turned = extract_boundary(scene.image), np.rot90(scene.image, turns)
     for direction in (edge, "auto"):
         found = extract_boundary(turned, direction=direction)
-        assert found.view.direction == edge
+        assert found.direction == edge
         # Where each pixel of the turned image was before, read at the points found in it.
         before = [np.rot90(axis, turns).astype(float) for axis in np.mgrid[:480, :720][::-1]]
         points = np.stack(

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from microlib.embryo import fit_dimple
 from microlib.embryo._boundary import Boundary, Probe
-from microlib.embryo._view import View
 from microlib.synthetic import Embryo
 
 PIXEL = 4.0  # µm
@@ -41,7 +40,8 @@ def outline(
         probe=probe,
         blur=1.0,
         image_height=ROWS,
-        view=View((0, 0, 1000, ROWS), "top"),
+        direction="top",
+        region=(0, 0, 1000, ROWS),
     )
 
 
@@ -106,7 +106,8 @@ def test_a_dimple_of_another_shape_is_refused():
         boundary.probe,
         boundary.blur,
         boundary.image_height,
-        boundary.view,
+        boundary.direction,
+        boundary.region,
     )
     with pytest.raises(ValueError, match=r"follow the membrane's profile \(4.2\)"):
         fit_dimple(rippled, pixel_size=PIXEL, probe_half_width=25.0)
@@ -140,7 +141,8 @@ def test_a_probe_beside_the_dimple_is_refused():
         moved,
         boundary.blur,
         boundary.image_height,
-        boundary.view,
+        boundary.direction,
+        boundary.region,
     )
     with pytest.raises(ValueError, match="got it 12"):
         fit_dimple(shifted, pixel_size=PIXEL, probe_half_width=25.0)

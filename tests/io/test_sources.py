@@ -152,6 +152,7 @@ def test_part_of_the_frames_at_reduced_size(stack: NDArray) -> None:
     np.testing.assert_allclose(np.stack(list(small)), means, rtol=1e-6)
     for region, words in (
         ((40, 0, 20, 5), "region must lie in frames of shape"),
+        ((0, 30, 5, stack.shape[2] - 29), "region must lie in frames of shape"),
         ((0, 0, 5), "region must be top, left, rows and columns"),
         ((0, -1, 5, 5), "region left must be"),
     ):
