@@ -9,7 +9,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup book pdf test notebooks html lint format data picture benchmarks oldest mutants vacuity fuzz faults lock clean
+.PHONY: help setup book pdf test notebooks html lint format data picture benchmarks oldest newest mutants vacuity fuzz faults lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -65,11 +65,18 @@ benchmarks: $(STAMP) ## measure microlib beside its peers (minutes)
 	@for file in benchmarks/[a-z]*.py; do \
 	  name=$$(basename $$file .py); [ $$name = report ] || $(BIN)/python -m benchmarks.$$name || exit 1; done
 
+# The library's tests; the others need what runs and renders the book.
+LIBRARY := tests microlib $(foreach name,book notebooks compendium faults.py mutants.py vacuity.py,--ignore tests/$(name))
+
 oldest: ## run the library's tests with the oldest dependencies that pyproject.toml allows
 	@$(PYTHON) -m venv --clear .venv-oldest
 	@.venv-oldest/bin/pip install --quiet --requirement tests/oldest.txt .
-	@.venv-oldest/bin/python -m pytest --numprocesses 2 --quiet tests microlib --ignore tests/mutants.py \
-	  --ignore tests/book --ignore tests/notebooks --ignore tests/compendium
+	@.venv-oldest/bin/python -m pytest --numprocesses 2 --quiet $(LIBRARY)
+
+newest: ## run the library's tests with the newest dependencies, of this PYTHON, unlocked
+	@$(PYTHON) -m venv --clear .venv-newest
+	@.venv-newest/bin/pip install --quiet --upgrade .[codecs] $$(sed -n '/^hypothesis/,$$s/==.*//p' tests/oldest.txt)
+	@.venv-newest/bin/python -m pytest --numprocesses 2 --quiet $(LIBRARY)
 
 mutants: $(STAMP) ## plant faults in the library and count those the tests catch (minutes)
 	@$(BIN)/python -m tests.mutants

@@ -717,7 +717,7 @@ def hostile(value: object) -> Iterator[tuple[str, object]]:
     if isinstance(value, (str, bool)) or not isinstance(value, (np.ndarray, list, tuple)):
         return
     array = np.asarray(value)
-    if array.dtype.kind not in "uif":
+    if array.dtype.kind not in "uif" or not array.size:
         return
     plain = array.astype(np.float64)
     for label, wrong in (("nan", np.nan), ("inf", np.inf)):

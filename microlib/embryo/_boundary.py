@@ -323,7 +323,7 @@ def _find_probe(image: ArrayLike) -> Probe:
     >>> image = np.full((120, 160), 200.0)
     >>> image[:70, 74:87] = 40.0
     >>> probe = _find_probe(image)
-    >>> [round(float(v), 1) for v in (*probe.tip, probe.slope, probe.half_width)]
+    >>> [round(float(v), 1) + 0.0 for v in (*probe.tip, probe.slope, probe.half_width)]
     [80.0, 69.5, 0.0, 6.5]
     """
     grey = _blurred(as_image("image", image, smallest=_SMALLEST), _PROBE_BLUR)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -127,7 +128,7 @@ def write_height_tiff(
     of_kind("what", what, str)
     values = _map(height)
     size = scalar("pixel_size", pixel_size, above=0, least=_FINEST, most=_COARSEST)
-    per_centimeter = _MICROMETERS_PER_CENTIMETER / size
+    per_centimeter = _ratio(_MICROMETERS_PER_CENTIMETER / size)
     ome = Path(path).name.lower().endswith((".ome.tif", ".ome.tiff"))
     about: dict[str, Any] = {"description": f"{what}; pixel size {size:g} um"}
     if ome:
@@ -294,3 +295,10 @@ def _mesh(heights: NDArray, colors: NDArray | None, spacing: float, first: float
         ]
     )
     return header.encode("ascii") + vertices.tobytes() + faces.tobytes()
+
+
+def _ratio(number: float) -> tuple[int, int]:
+    """Return the best ratio of two 32-bit numbers; older versions of tifffile keep six digits only."""
+    most = 2**32 - 1
+    ratio = Fraction(number).limit_denominator(max(1, int(min(1, 1 / number) * most)))
+    return ratio.numerator, ratio.denominator
