@@ -95,4 +95,4 @@ lock: $(STAMP) ## compile environment.txt anew (needs uv)
 	  --python-version 3.11 --no-header --no-annotate --quiet -o environment.txt
 
 clean: ## remove what was built
-	@rm -rf build book/notebooks book/generated .venv-oldest
+	@rm -rf build book/notebooks book/generated .venv-oldest .venv-newest

@@ -34,12 +34,26 @@ def clean(notebook: NotebookNode) -> None:
         if "injected-parameters" in cell.metadata.get("tags", []):
             cell.id = "injected-parameters"
             cell.metadata.tags.append("remove-cell")
+        if "outputs" in cell:
+            cell.outputs = _joined(cell.outputs)
         for number, output in enumerate(cell.get("outputs", [])):
             data = output.get("data", {})
             if "text/plain" in data:
                 data["text/plain"] = _ADDRESS.sub("", data["text/plain"])
             for name in _TABLE.findall(data.get("text/html", "")):
                 data["text/html"] = data["text/html"].replace(name, f"T_{cell.id}_{number}")
+
+
+def _joined(outputs: list[NotebookNode]) -> list[NotebookNode]:
+    """Join what a cell printed in a row: how it was parted into messages depends on time."""
+    joined: list[NotebookNode] = []
+    for output in outputs:
+        last = joined[-1] if joined else None
+        if last and output.output_type == last.output_type == "stream" and output.name == last.name:
+            last.text += output.text
+        else:
+            joined.append(output)
+    return joined
 
 
 def lighten(notebook: NotebookNode) -> None:

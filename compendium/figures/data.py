@@ -21,6 +21,8 @@ __all__ = ["FOLDER_VARIABLE", "keep_data", "show"]
 FOLDER_VARIABLE = "MICROLIB_FIGURES"
 #: Significant digits of the data: a drawing shows three or four.
 DIGITS = 6
+#: Those of its images, where a color stands for one of 256 levels and there are many more numbers.
+IMAGE_DIGITS = 5
 
 
 def show(name: str) -> None:
@@ -54,7 +56,7 @@ def keep_data(figure: Figure, stem: Path) -> list[Path]:
     """
     rows = [row for number, axes in enumerate(figure.axes, 1) for row in _points(number, axes)]
     images = {
-        f"panel{number}_image{k}": np.asarray(image.get_array())
+        f"panel{number}_image{k}": _rounded(np.asarray(image.get_array()), IMAGE_DIGITS)
         for number, axes in enumerate(figure.axes, 1)
         for k, image in enumerate(axes.images, 1)
     }
@@ -111,7 +113,14 @@ def _bars(container: BarContainer) -> np.ndarray:
 def _texts(values: np.ndarray, scale: str) -> list[str]:
     """Write numbers as far as they mean something: to `DIGITS` of the largest, or on a logarithmic
     axis of each. Another machine's last bits are left out."""
-    known = np.abs(values[np.isfinite(values)])
-    if scale == "linear" and known.size and known.max() > 0:
-        values = np.round(values, DIGITS - 1 - int(np.floor(np.log10(known.max())))) + 0.0  # no -0
+    if scale == "linear":
+        values = _rounded(values, DIGITS)
     return [f"{value:.{DIGITS}g}" for value in values]
+
+
+def _rounded(values: np.ndarray, digits: int) -> np.ndarray:
+    """Round to digits of the largest number; whole numbers are left as they are."""
+    known = np.abs(values[np.isfinite(values)])
+    if values.dtype.kind != "f" or not known.size or known.max() == 0:
+        return values
+    return np.round(values, digits - 1 - int(np.floor(np.log10(known.max())))) + 0.0  # no -0

@@ -298,7 +298,7 @@ def _mesh(heights: NDArray, colors: NDArray | None, spacing: float, first: float
 
 
 def _ratio(number: float) -> tuple[int, int]:
-    """Return the best ratio of two 32-bit numbers; older versions of tifffile keep six digits only."""
+    """Return the best ratio of two 32-bit numbers; older versions of tifffile keep six digits."""
     most = 2**32 - 1
     ratio = Fraction(number).limit_denominator(max(1, int(min(1, 1 / number) * most)))
     return ratio.numerator, ratio.denominator

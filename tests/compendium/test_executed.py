@@ -44,6 +44,24 @@ def test_times_and_tools_go() -> None:
     assert cell.metadata == {}
 
 
+def test_what_is_printed_in_a_row_is_one_output() -> None:
+    """However the kernel parted it: errors and results in between part it, too."""
+
+    def printed(*texts: str) -> list[object]:
+        return [new_output("stream", name="stdout", text=text) for text in texts]
+
+    kept = []
+    for parts in (["a\n", "b\n", "c\n"], ["a\nb\n", "c\n"]):
+        error = new_output("stream", name="stderr", text="late\n")
+        outputs = [*printed(*parts), error, *printed("d\n"), shown(3), *printed("e\n")]
+        notebook = new_notebook(cells=[new_code_cell(outputs=outputs, id="prints")])
+        clean(notebook)
+        kept.append(notebook)
+    assert kept[0] == kept[1]
+    texts = [output.get("text") for output in kept[0].cells[0].outputs]
+    assert texts == ["a\nb\nc\n", "late\n", "d\n", None, "e\n"]
+
+
 def test_a_record_names_its_cell_for_good() -> None:
     notebook = new_notebook(cells=[new_code_cell(id="one", execution_count=7)])
     records = name_cells([{"id": "a", "cell": "[7]"}, {"id": "b", "cell": "[8]"}], notebook)

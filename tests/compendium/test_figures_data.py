@@ -86,6 +86,19 @@ def test_images_are_kept_as_they_are(tmp_path: Path) -> None:
         assert len(kept.files) == 3
 
 
+def test_the_last_bits_of_an_image_are_left_out(tmp_path: Path) -> None:
+    height = np.array([[1 / 3, 19.876543], [np.nan, 0.0]])
+    kept = []
+    for noise in (0.0, 1e-9):
+        plt.figure()
+        plt.imshow(height * (1 + noise))
+        (path,) = keep_data(plt.gcf(), tmp_path / "a")
+        with np.load(path) as file:
+            kept.append(file["panel1_image1"])
+    np.testing.assert_array_equal(*kept)
+    np.testing.assert_array_equal(kept[0], [[0.333, 19.877], [np.nan, 0.0]])
+
+
 def test_a_drawing_without_data_keeps_nothing(tmp_path: Path) -> None:
     figure, axes = plt.subplots()
     axes.text(0, 0, "a sketch")
