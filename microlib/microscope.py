@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, as_array, positive, scalar
+from microlib._common import Array, Tidy, as_array, positive, scalar
 
 __all__ = ["Microscope", "distort", "euler_rotation", "undistort"]
 
@@ -142,7 +142,7 @@ def _distorted(points: Array, distortion: float) -> Array:
 
 
 @dataclass(frozen=True)
-class Microscope:
+class Microscope(Tidy):
     """An optical microscope with its camera, looking at a pattern plane (2.5–2.12).
 
     Parameters

@@ -653,8 +653,11 @@ def public() -> Iterator[str]:
 
 
 def methods(kind: type) -> Iterator[tuple[str, Callable]]:
+    """Yield what can be called wrongly; `to_dict` and `to_frame` take nothing."""
     for name, value in vars(kind).items():
         found = value.__func__ if isinstance(value, (staticmethod, classmethod)) else value
+        if name in ("to_dict", "to_frame"):
+            continue
         if inspect.isfunction(found) and (name == "__call__" or name[0] != "_"):
             yield name, found
 

@@ -22,6 +22,7 @@ from microlib._common._covariance import inverse_normal
 from microlib._common._files import replace_file
 from microlib._common._frames import Frames, is_in_memory
 from microlib._common._pipeline import pipeline
+from microlib._common._tidy import Tidy, flat_row
 from microlib._common._types import Array, Image
 
 __all__ = [
@@ -29,11 +30,13 @@ __all__ = [
     "Array",
     "Frames",
     "Image",
+    "Tidy",
     "are_small",
     "as_array",
     "as_image",
     "between",
     "flag",
+    "flat_row",
     "generator",
     "image_shape",
     "inverse_normal",

@@ -8,12 +8,13 @@ determine is held or named, never made up.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import t as student
 
-from microlib._common import Array, as_array, between, one_of, same_length, scalar
+from microlib._common import Array, Tidy, as_array, between, flat_row, one_of, same_length, scalar
 from microlib.calibration._microscope_fit import NAMES, Minimum, Problem, start_values
 from microlib.microscope import Microscope
 
@@ -39,7 +40,7 @@ _FARTHEST, _FARTHEST_PIXEL = 1e9, 1e8
 
 
 @dataclass(frozen=True)
-class ErrorSummary:
+class ErrorSummary(Tidy):
     """Statistics of the distances between two sets of points, as in Table 5.2.
 
     Parameters
@@ -66,7 +67,7 @@ class ErrorSummary:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class Calibration(Tidy):
     """A calibrated microscope and how well it is known.
 
     Parameters
@@ -95,6 +96,9 @@ class Calibration:
         Image points projected back to the pattern minus the world points, µm.
     """
 
+    _samples = ("residuals", "plane_residuals")
+    _large = ("microscope", "parameters", "estimate", "covariance", "weakest")
+
     microscope: Microscope
     parameters: tuple[str, ...]
     estimate: Array
@@ -105,6 +109,20 @@ class Calibration:
     weakest: Array
     residuals: Array
     plane_residuals: Array
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the calibration as a flat dictionary that JSON can hold.
+
+        Returns
+        -------
+        dict
+            Every parameter of the microscope by its name, its standard deviation as ``…_sigma``
+            where it was estimated, the fields with one value, and both summaries of the errors.
+        """
+        sigma = {f"{name}_sigma": value for name, value in self.sigma.items()}
+        errors = {"reprojection": self.reprojection, "plane_error": self.plane_error}
+        scope = {**vars(self.microscope), "magnification": self.microscope.magnification}
+        return flat_row({**scope, **sigma, **errors}) | super().to_dict()
 
     @property
     def reprojection(self) -> ErrorSummary:

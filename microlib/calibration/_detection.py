@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from microlib._common import Array
+from microlib._common import Array, Tidy
 
 #: A homography from the grid to the image needs as many shapes.
 FEWEST = 4
@@ -24,7 +24,7 @@ _MOST_RMS, _LEAST_CONTRAST, _MOST_SIGMA = 3.0, 0.5, 5.0
 
 
 @dataclass(frozen=True)
-class Detection:
+class Detection(Tidy):
     """Points of a calibration pattern found in an image.
 
     Parameters
@@ -39,6 +39,8 @@ class Detection:
     group : ndarray of int, shape (N,)
         Number of the shape that each point belongs to: errors within one shape are correlated.
     """
+
+    _samples = ("grid", "points", "sigma", "group")
 
     points: Array
     grid: NDArray[np.intp]

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates, median_filter, spline_filter
 from scipy.signal import savgol_filter
 
-from microlib._common import Array, as_array, as_image, one_of
+from microlib._common import Array, Tidy, as_array, as_image, one_of
 from microlib.embryo._view import DIRECTIONS, View, part_of
 from microlib.embryo._wall import locate_wall
 
@@ -121,7 +121,7 @@ _LARGEST_STD = 6.0
 
 
 @dataclass(frozen=True)
-class Probe:
+class Probe(Tidy):
     """The probe in an image that is turned so that it comes from above.
 
     Attributes
@@ -152,7 +152,7 @@ class Probe:
 
 
 @dataclass(frozen=True)
-class Boundary:
+class Boundary(Tidy):
     """The outline of an embryo on the probe's side, the middle of its chorion, from left to right.
 
     All but `points` is as seen with the probe coming from above, in the part that was looked at.
@@ -176,6 +176,8 @@ class Boundary:
     region : tuple of int
         The part that was looked at: x and y of its first pixel, width and height, in px.
     """
+
+    _samples = ("x", "y", "std", "under_probe")
 
     x: Array
     y: Array

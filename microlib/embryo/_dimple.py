@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import median_filter
 from scipy.optimize import OptimizeResult, least_squares
 
-from microlib._common import Array, as_array, inverse_normal, of_kind, scalar
+from microlib._common import Array, Tidy, as_array, inverse_normal, of_kind, scalar
 from microlib.embryo._boundary import MAD_TO_STD, Boundary
 from microlib.embryo._gaussian_sum import GaussianSum
 from microlib.membrane import dimple_profile
@@ -60,7 +60,7 @@ _LEAST_ROOT = 0.05
 
 
 @dataclass(frozen=True)
-class DimpleGeometry:
+class DimpleGeometry(Tidy):
     """Size of a dimple and the two points of the outline that define it.
 
     Attributes
@@ -152,7 +152,7 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float) -> DimpleGeometry:
 
 
 @dataclass(frozen=True)
-class DimpleFit:
+class DimpleFit(Tidy):
     """A dimple of the form (4.2) fitted to an outline; calling it with x in px gives y in px.
 
     Attributes

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import brentq, least_squares
 
-from microlib._common import Array, as_array, inverse_normal, positive, same_length, whole
+from microlib._common import Array, Tidy, as_array, inverse_normal, positive, same_length, whole
 
 # What other values do to the modulus by this chain stands in the benchmark "Other values of the
 # constants of eight Gaussians" (benchmarks/embryo.py).
@@ -44,7 +44,7 @@ _FARTHEST = 1e9
 
 
 @dataclass(frozen=True)
-class GaussianSum:
+class GaussianSum(Tidy):
     r"""A sum of Gaussians as in equation (5.1).
 
     .. math:: f_m(x) = \sum_i a_i \exp\left(-\left(\frac{x-b_i}{c_i}\right)^2\right)
@@ -77,6 +77,9 @@ class GaussianSum:
     >>> minima.round(6).tolist()
     [15.0]
     """
+
+    _samples = ("amplitudes", "centers", "widths")
+    _large = ("covariance",)
 
     amplitudes: Array
     centers: Array

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, one_of, scalar
+from microlib._common import Array, Tidy, one_of, scalar
 from microlib.embryo._boundary import Boundary, extract_boundary
 from microlib.embryo._dimple import DimpleFit, DimpleGeometry, dimple_geometry, fit_dimple
 from microlib.embryo._gaussian_sum import fit_gaussians
@@ -41,7 +41,7 @@ _MOST = 1e12
 
 
 @dataclass(frozen=True)
-class ModulusEstimate:
+class ModulusEstimate(Tidy):
     """A modulus read off an image.
 
     Attributes
@@ -100,7 +100,7 @@ class ModulusEstimate:
 
 
 @dataclass(frozen=True)
-class ForceEstimate:
+class ForceEstimate(Tidy):
     """A force read off an image.
 
     Attributes

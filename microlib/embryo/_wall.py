@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import minimize_scalar
 from scipy.special import ndtr
 
-from microlib._common import Array, as_array
+from microlib._common import Array, Tidy, as_array
 
 # Lengths are in px. What other values do to the modulus stands in the benchmark "Other values of
 # the constants" (benchmarks/embryo.py).
@@ -43,7 +43,7 @@ _DAMPING = 1e-9
 
 
 @dataclass(frozen=True)
-class WallPosition:
+class WallPosition(Tidy):
     """Walls found in a set of profiles.
 
     Attributes
@@ -55,6 +55,8 @@ class WallPosition:
     width : float
         Standard deviation of the blur common to all profiles, in the same unit.
     """
+
+    _samples = ("position", "std")
 
     position: Array
     std: Array

@@ -17,6 +17,7 @@ from microlib._common import (
     Array,
     Frames,
     Image,
+    Tidy,
     as_array,
     flag,
     is_in_memory,
@@ -98,7 +99,7 @@ _ROUGH_TIMES, _ROUGH_RADIUS, _ROUGH_WINDOW = 4, 4.0, 3
 
 
 @dataclass(frozen=True)
-class FocusResult:
+class FocusResult(Tidy):
     """Shape from focus, one value for every pixel.
 
     Attributes
@@ -139,6 +140,31 @@ class FocusResult:
     poses: Array | None = None
     gain: Array | None = None
     offset: Array | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what the maps come to as a flat dictionary that JSON can hold.
+
+        Returns
+        -------
+        dict
+            ``rows`` and ``columns``; ``known``, the share of pixels that have a depth; least,
+            median and largest depth, median and largest uncertainty, µm, None where nothing is
+            known; ``at_end``, the share of pixels that are sharpest in an end frame.
+        """
+        known = np.isfinite(self.depth)
+        depth, uncertainty = self.depth[known], self.uncertainty[known]
+        nothing = not known.any()
+        return {
+            "rows": self.depth.shape[0],
+            "columns": self.depth.shape[1],
+            "known": float(known.mean()),
+            "depth_least": None if nothing else float(depth.min()),
+            "depth_median": None if nothing else float(np.median(depth)),
+            "depth_largest": None if nothing else float(depth.max()),
+            "uncertainty_median": None if nothing else float(np.median(uncertainty)),
+            "uncertainty_largest": None if nothing else float(uncertainty.max()),
+            "at_end": float(self.at_end.mean()),
+        }
 
     def select(self, frames: Frames) -> Image:
         """Return an image of other frames of the same places, such as another channel.

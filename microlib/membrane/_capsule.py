@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.integrate import solve_bvp
 
-from microlib._common import Array, one_of, scalar
+from microlib._common import Array, Tidy, one_of, scalar
 from microlib.membrane._laws import Law, law_of, relaxed_stress
 from microlib.membrane._state import MembraneState, gauss_points, reintegration_error
 
@@ -272,7 +272,7 @@ class _Capsule:
 
 
 @dataclass(frozen=True, eq=False)
-class CapsuleModulus:
+class CapsuleModulus(Tidy):
     """
     What an indented capsule's shape says of its wall, from `capsule_modulus`.
 

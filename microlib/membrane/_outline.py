@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from microlib._common import Array, as_array, scalar
+from microlib._common import Array, Tidy, as_array, scalar
 from microlib.membrane._capsule import capsule_modulus, indent_capsule
 from microlib.membrane._state import MembraneState
 
@@ -27,7 +27,7 @@ _ARCS = 0.85
 
 
 @dataclass(frozen=True, eq=False)
-class CapsuleFit:
+class CapsuleFit(Tidy):
     """
     The capsule that an outline shows, from `fit_capsule`.
 

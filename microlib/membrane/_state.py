@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from microlib._common import Array
+from microlib._common import Array, Tidy
 
 __all__ = ["MembraneState", "gauss_points", "reintegration_error"]
 
@@ -18,7 +18,7 @@ _GAUSS = np.polynomial.legendre.leggauss(5)
 
 
 @dataclass(frozen=True, eq=False)
-class MembraneState:
+class MembraneState(Tidy):
     r"""
     A membrane in equilibrium under a probe, from `indent_disc` or `indent_capsule`.
 
@@ -52,6 +52,8 @@ class MembraneState:
     -----
     The true stress is :math:`\lambda_i` times the nominal one in an incompressible membrane.
     """
+
+    _samples = ("r", "z", "stretches", "stresses")
 
     depth: float
     approach: float

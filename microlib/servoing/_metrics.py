@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import as_array, same_length, scalar
+from microlib._common import Tidy, as_array, same_length, scalar
 
 
 @dataclass(frozen=True)
-class StepMetrics:
+class StepMetrics(Tidy):
     """How a step was answered; NaN throughout, except the overshoot, if it never settled.
 
     Attributes
@@ -33,7 +33,7 @@ class StepMetrics:
 
 
 @dataclass(frozen=True)
-class PathMetrics:
+class PathMetrics(Tidy):
     """How a path was followed, in the unit of the positions.
 
     Attributes

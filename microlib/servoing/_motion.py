@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from microlib._common import Array
+from microlib._common import Array, Tidy
 
 #: Smallest standard deviation of a measured feature, px, so that frames without noise can be
 #: weighted: the interpolation of a tracker is wrong by thousandths of a pixel.
@@ -18,7 +18,7 @@ LARGEST_SHARE = 0.5
 
 
 @dataclass(frozen=True)
-class StageMotion:
+class StageMotion(Tidy):
     """The image's answer to the stage, f = f₀ + J·x + drift·t.
 
     Attributes

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_array, flag, one_of, positive, scalar, whole
+from microlib._common import Array, Tidy, as_array, flag, one_of, positive, scalar, whole
 from microlib.servoing._control import LARGEST_CONDITION
 from microlib.servoing._guard import EndRun, Guard, interrupts
 from microlib.servoing._log import add_event, as_frame, median_latency, new_row, put
@@ -32,7 +32,7 @@ _MOVES = ("position", "move_to", "moving", "stop")
 
 
 @dataclass(frozen=True)
-class ServoRun:
+class ServoRun(Tidy):
     """What `servo` did.
 
     Attributes
@@ -76,6 +76,19 @@ class ServoRun:
     latency: float
     error: BaseException | None
     frames: tuple[NDArray[Any], ...]
+
+    _samples = ("reached",)
+    _large = ("log", "frames")
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return `log`.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row a frame.
+        """
+        return self.log
 
 
 class ServoInterrupt(KeyboardInterrupt):

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_array, generator, of_kind, scalar
+from microlib._common import Array, Tidy, as_array, generator, of_kind, scalar
 from microlib.servoing._control import LARGEST_CONDITION
 
 #: Given the number of the sample, the measured feature (px, NaN if lost) and all references, a
@@ -122,7 +122,7 @@ class Camera:
 
 
 @dataclass(frozen=True)
-class Simulation:
+class Simulation(Tidy):
     """What happened, one row a frame.
 
     Attributes
@@ -138,6 +138,8 @@ class Simulation:
     saturated : ndarray of bool, shape (K,)
         Where more was asked for than the stage can do.
     """
+
+    _samples = ("time", "reference", "feature", "measured", "position", "command", "saturated")
 
     time: Array
     reference: Array

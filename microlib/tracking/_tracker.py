@@ -10,7 +10,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import hadamard
 
-from microlib._common import Array, Image, as_array, as_image, items, of_kind, one_of, scalar, whole
+from microlib._common import (
+    Array,
+    Image,
+    Tidy,
+    as_array,
+    as_image,
+    items,
+    of_kind,
+    one_of,
+    scalar,
+    whole,
+)
 from microlib.tracking._esm import (
     MOTIONS,
     Alignment,
@@ -85,7 +96,7 @@ _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
-class Track:
+class Track(Tidy):
     """Where the template is in one frame.
 
     Attributes
