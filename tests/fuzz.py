@@ -260,8 +260,17 @@ TRACK = {
     "covariance": np.eye(2),
 }  # fmt: skip
 
+
+def len_of(path: Path) -> dict[str, int]:
+    return {"letters": len(str(path))}
+
+
 #: Valid arguments of every public callable and of every public method, made anew for each call.
 CALLS: dict[str, Callable[[], dict[str, object]]] = {
+    "batch.process_files": lambda: {
+        "files": [FOLDER / "a.txt"], "work": len_of, "table": FOLDER / "t.csv", "workers": 1,
+        "retry": False, "progress": None,
+    },
     "calibration.Calibration": lambda: {
         f.name: getattr(calibrated(), f.name) for f in fields(calibration.Calibration)
     },
