@@ -29,12 +29,20 @@ _ROUNDS = 5
 TUKEY = 4.685
 
 
+#: Divisions by zero give what NumPy's do and are told from the result; no lock of the interpreter.
+_OPTIONS: dict[str, Any] = {
+    "nogil": True,
+    "error_model": "numpy",
+    "fastmath": {"contract", "reassoc", "nsz"},
+}
+
+
 def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile without the interpreter's lock, and keep the machine code where a folder allows."""
+    """Compile, and keep the machine code where a folder allows."""
     try:
-        return numba.njit(nogil=True, cache=True, fastmath={"contract", "reassoc", "nsz"})(function)
+        return numba.njit(cache=True, **_OPTIONS)(function)
     except RuntimeError:  # no folder to write to
-        return numba.njit(nogil=True, fastmath={"contract", "reassoc", "nsz"})(function)
+        return numba.njit(**_OPTIONS)(function)
 
 
 @_compiled
@@ -50,8 +58,8 @@ def sample_patch(image: Image, warp: Array, patch: Image, inside: Image) -> None
             y = (warp[1, 0] * column + warp[1, 1] * row + warp[1, 2]) * scale
             shown = scale > 0.0 and 0.0 <= x <= width - 1 and 0.0 <= y <= height - 1
             inside[row, column] = 1.0 if shown else 0.0
-            x = min(max(x, 0.0), width - 1.0)
-            y = min(max(y, 0.0), height - 1.0)
+            x = min(x, width - 1.0) if x > 0.0 else 0.0  # also where it is not a number
+            y = min(y, height - 1.0) if y > 0.0 else 0.0
             left = min(int(x), width - 2)
             top = min(int(y), height - 2)
             u = np.float32(x - left)

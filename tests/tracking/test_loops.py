@@ -123,3 +123,18 @@ def test_a_motion_is_the_exponential():
 def test_the_weighted_median_halves_the_weight():
     values, weights = np.array([5.0, 1, 3, 2]), np.array([1.0, 1, 4, 1])
     assert _loops._weighted_median(values, weights) == 3.0
+
+
+def test_a_warp_of_zeros_and_one_of_nan_are_torn_and_sample_within_the_image():
+    corners = np.array([[0.0, 0], [9, 0], [9, 9], [0, 9]])
+    for warp in (np.zeros((3, 3)), np.full((3, 3), np.nan)):
+        moved = _loops.corners_of(warp, corners)
+        assert _loops._torn(warp, moved, corners)
+        image, patch, inside = (
+            grey(),
+            np.empty((10, 10), np.float32),
+            np.empty((10, 10), np.float32),
+        )
+        _loops.sample_patch(image, warp, patch, inside)
+        np.testing.assert_array_equal(inside, 0)
+        assert image.min() <= patch.min() <= patch.max() <= image.max()
