@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array, Image
+from microlib.tracking._loops import moved
 
 #: Group of warps to the entries (row, column, value) of each of its generators.
 _GENERATORS: dict[str, list[list[tuple[int, int, float]]]] = {
@@ -35,12 +36,6 @@ MOTIONS = tuple(_GENERATORS)
 
 #: Lagrange's interpolation half-way between six equidistant samples, exact for quintic polynomials.
 _HALF_SAMPLE = np.array([[3, -25, 150, 150, -25, 3]], np.float32) / 256
-
-#: Orders of the exponential's series: its argument is at most ½, and 0.5¹⁶/16! is 10⁻¹⁸.
-_TAYLOR_ORDERS = 16
-
-#: A term of that series below this is lost in the rounding of the sum, whose diagonal is about 1.
-_NEGLIGIBLE = 1e-17
 
 #: Pixels beyond the template that its gradient needs: the differences span five pixels.
 _MARGIN = 2
@@ -81,28 +76,6 @@ def generators(motion: str) -> Array:
         for row, column, value in entries:
             matrix[row, column] = value
     return basis
-
-
-def exponential(matrix: Array) -> Array:
-    """Return the exponential of a small square matrix by scaling, Taylor series and squaring.
-
-    Examples
-    --------
-    >>> exponential(np.array([[0.0, -np.pi / 2], [np.pi / 2, 0.0]])).round(12) + 0.0
-    array([[ 0., -1.],
-           [ 1.,  0.]])
-    """
-    halvings = int(np.ceil(np.log2(max(np.abs(matrix).sum(), 0.5)))) + 1
-    scaled = matrix / 2.0**halvings
-    term, total = scaled, np.eye(len(matrix)) + scaled
-    for order in range(2, _TAYLOR_ORDERS):
-        term = term @ scaled / order
-        total += term
-        if np.abs(term).max() < _NEGLIGIBLE:
-            break
-    for _ in range(halvings):
-        total = total @ total
-    return total
 
 
 def apply_homography(matrix: Array, points: Array) -> Array:
@@ -225,11 +198,11 @@ class Level:
             step = -solution[:n]
             if not np.abs(step).max() < _LARGEST_STEP:  # also True for NaN
                 return Alignment(pose, failure="diverged", visible=visible, iterations=count)
-            moved = pose @ exponential(np.tensordot(step, self.basis, 1))
-            before, corners = corners, apply_homography(moved, self.corners)
+            after = moved(pose, step, self.basis)
+            before, corners = corners, apply_homography(after, self.corners)
             if _degenerate(corners, first):
                 return Alignment(pose, failure="diverged", visible=visible, iterations=count)
-            pose, gain = moved, float(solution[n])
+            pose, gain = after, float(solution[n])
             if np.abs(corners - before).max() < tolerance:
                 break
         return Alignment(

@@ -10,11 +10,12 @@ import numpy as np
 
 from microlib._common import Array, Image
 from microlib.tracking._blocks import Agreement, agreement, edges
-from microlib.tracking._esm import Level, apply_homography, exponential, half_pixel, make_level
+from microlib.tracking._esm import Level, apply_homography, half_pixel, make_level
 from microlib.tracking._loops import (
     align_locally,
     block_votes,
     local_fit,
+    moved,
     patch_at,
     sample_patch,
 )
@@ -210,7 +211,7 @@ class LocalLevel:
             normal = np.einsum("b,bki,bkj->ij", weight, flow, flow) + 0.05 * self.prior
             normal.flat[:: len(step) + 1] += 1e-9
             step = np.linalg.solve(normal, np.einsum("b,bki,bk->i", weight, flow, moves))
-        return pose @ exponential(np.tensordot(step, self.level.basis, 1))
+        return moved(pose, step, self.level.basis)
 
 
 def _best_shifts(votes: Image) -> tuple[Array, Array]:

@@ -19,6 +19,9 @@ _LEAST_SHOWN, _AREA_FACTOR = 0.15, 4.0
 #: Correlation of the surroundings, and trust, of the pixels whose residuals tell their size.
 _ALIKE, _TRUSTED = 0.5, 0.3
 
+#: Sum of the sizes of a matrix of motion above which it is none.
+_HUGE = 1e3
+
 #: Relative and absolute ridge of the light: knots that no pixel shows stay as they are.
 _RIDGE, _LEAST_RIDGE = 1e-6, 1e-3
 
@@ -209,7 +212,7 @@ def _times(left: Array, right: Array) -> Array:
 
 
 @_compiled
-def _moved(warp: Array, step: Array, basis: Array) -> Array:
+def moved(warp: Array, step: Array, basis: Array) -> Array:
     """Return ``warp exp(Σ stepₖ basisₖ)``; a step that is not finite or huge gives zeros."""
     matrix, size = np.zeros((3, 3)), 0.0
     for k in range(len(basis)):
@@ -219,7 +222,7 @@ def _moved(warp: Array, step: Array, basis: Array) -> Array:
     for i in range(3):
         for j in range(3):
             size += abs(matrix[i, j])
-    if not size < 1e3:
+    if not size < _HUGE:
         return np.zeros((3, 3))
     halvings = 0
     while size > 0.5:
@@ -229,7 +232,7 @@ def _moved(warp: Array, step: Array, basis: Array) -> Array:
     for i in range(3):
         for j in range(3):
             matrix[i, j] /= 2.0**halvings
-    for order in range(1, 12):  # 0.5¹²/12! is 5·10⁻¹³
+    for order in range(1, 16):  # 0.5¹⁶/16! is 10⁻¹⁸
         term = _times(term, matrix)
         for i in range(3):
             for j in range(3):
@@ -387,13 +390,13 @@ def align_locally(
             return start, 0
         for k in range(n):
             total[k] += right[k]
-        warp = _moved(warp, right, basis)
+        warp = moved(warp, right, basis)
         after = corners_of(warp, corners)
         if _torn(warp, after, first):
             return start, 0
-        moved = _largest_move(before, after)
+        way = _largest_move(before, after)
         before = after
-        if moved < tolerance:
+        if way < tolerance:
             break
     return warp, count
 
@@ -750,13 +753,13 @@ def align_lit(
             solution[k] = amounts[k]
         for k in range(n):
             right[k] = -right[k]
-        warp = _moved(warp, right, basis)
+        warp = moved(warp, right, basis)
         after = corners_of(warp, corners)
         if _torn(warp, after, first):
             return start, 0, scale
-        moved = _largest_move(before, after)
+        way = _largest_move(before, after)
         before = after
-        if moved < tolerance:
+        if way < tolerance:
             break
     return warp, steps, scale
 

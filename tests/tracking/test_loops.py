@@ -114,10 +114,10 @@ def test_a_motion_is_the_exponential():
     basis = generators("homography")
     for scale in (1e-3, 0.3, 3.0):
         step = scale * default_rng(0).standard_normal(8)
-        found = _loops._moved(np.eye(3), step, basis)
+        found = _loops.moved(np.eye(3), step, basis)
         expected = expm(np.tensordot(step, basis, 1))
         np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max())
-    assert not _loops._moved(np.eye(3), np.full(8, np.nan), basis).any()
+    assert not _loops.moved(np.eye(3), np.full(8, np.nan), basis).any()
 
 
 def test_the_weighted_median_halves_the_weight():
