@@ -56,7 +56,7 @@ CONSTANTS = {
     (_tracker, "_DEFORMABLE"): (6, 24),
     (_tracker, "_TOLERANCE"): (0.25, 1.0),
     (_tracker, "_LAST_TOLERANCE"): (0.01, 0.2, 0.5),
-    (_tracker, "_MOST_STEPS"): (4, 8, 30),
+    (_tracker, "_MOST_STEPS"): (4, 15, 30),
     (_tracker, "_CONVINCING"): (0.8, 0.95),
     (_tracker, "_NOISE_FACTOR"): (1.0, 4.0, 1e3),
     (_tracker, "_INTERPOLATION_LOSS"): (0.0, 0.01),
@@ -88,8 +88,10 @@ class GradientOnly(ESMTracker):
     def _starts(self, pose: Array, image: NDArray) -> Iterator:
         return islice(super()._starts(pose, image), len(self._levels))
 
-    def _align_distorted(self, image: NDArray, pose: Array) -> None:
-        return None
+    def _search_robustly(
+        self, image: NDArray, start: Array, best: _esm.Alignment, origin: Array
+    ) -> _tracker.Found:
+        return self._lost(best, self._reason(best))
 
 
 def esm(

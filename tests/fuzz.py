@@ -257,7 +257,8 @@ WEIGHTS = {
 TRACK = {
     "corners": np.zeros((4, 2)), "lost": False, "reason": "", "correlation": 1.0,
     "homography": np.eye(3), "gain": 1.0, "bias": 0.0, "visible": 1.0, "iterations": 3,
-    "covariance": np.eye(2),
+    "covariance": np.eye(2), "corner_covariance": np.eye(8), "confidence": 1.0,
+    "hidden": np.zeros((6, 6), bool),
 }  # fmt: skip
 
 
@@ -582,7 +583,8 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "tracking.ESMTracker": lambda: {
         "image": target(), "box": (16, 16, 32, 32), "motion": "translation", "levels": 1,
-        "smoothing": 1.25, "least_correlation": 0.7, "kalman": filter_(),
+        "smoothing": 1.25, "least_correlation": 0.7, "mask": np.ones((32, 32), bool),
+        "kalman": filter_(),
     },
     "tracking.ESMTracker.track": lambda: {"self": tracker(), "frame": target()},
     "tracking.KalmanFilter": lambda: {

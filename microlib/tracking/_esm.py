@@ -12,8 +12,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from microlib._common import Array, Image
+from microlib.tracking._loops import moved
 
 #: Group of warps to the entries (row, column, value) of each of its generators.
 _GENERATORS: dict[str, list[list[tuple[int, int, float]]]] = {
@@ -34,12 +36,6 @@ MOTIONS = tuple(_GENERATORS)
 
 #: Lagrange's interpolation half-way between six equidistant samples, exact for quintic polynomials.
 _HALF_SAMPLE = np.array([[3, -25, 150, 150, -25, 3]], np.float32) / 256
-
-#: Orders of the exponential's series: its argument is at most ½, and 0.5¹⁶/16! is 10⁻¹⁸.
-_TAYLOR_ORDERS = 16
-
-#: A term of that series below this is lost in the rounding of the sum, whose diagonal is about 1.
-_NEGLIGIBLE = 1e-17
 
 #: Pixels beyond the template that its gradient needs: the differences span five pixels.
 _MARGIN = 2
@@ -80,28 +76,6 @@ def generators(motion: str) -> Array:
         for row, column, value in entries:
             matrix[row, column] = value
     return basis
-
-
-def exponential(matrix: Array) -> Array:
-    """Return the exponential of a small square matrix by scaling, Taylor series and squaring.
-
-    Examples
-    --------
-    >>> exponential(np.array([[0.0, -np.pi / 2], [np.pi / 2, 0.0]])).round(12) + 0.0
-    array([[ 0., -1.],
-           [ 1.,  0.]])
-    """
-    halvings = int(np.ceil(np.log2(max(np.abs(matrix).sum(), 0.5)))) + 1
-    scaled = matrix / 2.0**halvings
-    term, total = scaled, np.eye(len(matrix)) + scaled
-    for order in range(2, _TAYLOR_ORDERS):
-        term = term @ scaled / order
-        total += term
-        if np.abs(term).max() < _NEGLIGIBLE:
-            break
-    for _ in range(halvings):
-        total = total @ total
-    return total
 
 
 def apply_homography(matrix: Array, points: Array) -> Array:
@@ -145,8 +119,9 @@ class Alignment:
         Share of the template's pixels that the image shows.
     iterations : int
         Steps taken.
-    covariance : ndarray, shape (n, n)
-        Covariance of the motion parameters, from the residual.
+    design : ndarray, shape (n + 3, N)
+        Derivatives of the grey values by the motion; template, one and image, less the mean of the
+        template; all zero where the image shows nothing. Of the last step.
     """
 
     pose: Array
@@ -156,7 +131,7 @@ class Alignment:
     bias: float = 0.0
     visible: float = 0.0
     iterations: int = 0
-    covariance: Array | None = None
+    design: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -184,6 +159,8 @@ class Level:
         Grey values less `mean`, and their gradient in x and y per px of the patch.
     mean, contrast : float
         Mean and standard deviation of the template's grey values.
+    mask : ndarray of uint8, shape (H, W), or None
+        Pixels that count; all of them without one.
     """
 
     to_image: Array
@@ -197,6 +174,7 @@ class Level:
     gradient: Image
     mean: float
     contrast: float
+    mask: NDArray[np.uint8] | None = None
 
     def align(
         self, image: Image, pose: Array, *, tolerance: float, iterations: int, gain: float = 1.0
@@ -220,15 +198,13 @@ class Level:
             step = -solution[:n]
             if not np.abs(step).max() < _LARGEST_STEP:  # also True for NaN
                 return Alignment(pose, failure="diverged", visible=visible, iterations=count)
-            moved = pose @ exponential(np.tensordot(step, self.basis, 1))
-            before, corners = corners, apply_homography(moved, self.corners)
+            after = moved(pose, step, self.basis)
+            before, corners = corners, apply_homography(after, self.corners)
             if _degenerate(corners, first):
                 return Alignment(pose, failure="diverged", visible=visible, iterations=count)
-            pose, gain = moved, float(solution[n])
+            pose, gain = after, float(solution[n])
             if np.abs(corners - before).max() < tolerance:
                 break
-        freedom = visible * self.template.size - len(solution)
-        residual = max(float(normal[-1, -1] - normal[-1, :-1] @ solution), 0.0) / max(freedom, 1.0)
         return Alignment(
             pose=pose,
             correlation=_correlation(normal[n:, n:]),
@@ -236,8 +212,7 @@ class Level:
             bias=float(solution[n + 1]) + self.mean * (1.0 - gain),
             visible=visible,
             iterations=count,
-            covariance=residual
-            * (np.linalg.inv(system) / np.outer(scale[:-1], scale[:-1]))[:n, :n],
+            design=rows,
         )
 
     def correlate(self, image: Image, pose: Array, reach: int) -> Array:
@@ -249,11 +224,31 @@ class Level:
         warp = self.to_image @ pose @ self.to_template @ to_window
         window = _sample(image, warp, size, self.smoothing)
         width = self.padded[0] - 2 * _padding(self.smoothing)
-        scores = cv2.matchTemplate(window, self.template.reshape(-1, width), cv2.TM_CCOEFF_NORMED)
+        scores = cv2.matchTemplate(
+            window, self.template.reshape(-1, width), cv2.TM_CCOEFF_NORMED, mask=self.mask
+        )
         row, column = np.unravel_index(np.argmax(scores), scores.shape)
         shift = np.eye(3)
         shift[:2, 2] = self.to_template[0, 0] * (np.array([column, row]) - reach)
         return pose @ shift
+
+    def places(self, image: Image, count: int) -> Array:
+        """Return (x, y) of the template's middle, px of the frame, where it correlates best.
+
+        `image` is the whole frame at this level's resolution.
+        """
+        width = self.padded[0] - 2 * _padding(self.smoothing)
+        template = self.template.reshape(-1, width)
+        if min(np.subtract(image.shape, template.shape)) < 0:
+            return np.empty((0, 2))
+        smooth = cv2.GaussianBlur(image, (0, 0), self.smoothing) if self.smoothing else image
+        scores = cv2.matchTemplate(smooth, template, cv2.TM_CCOEFF_NORMED, mask=self.mask)
+        apart = np.ones((2 * (len(template) // 4) + 1, 2 * (width // 4) + 1), np.uint8)
+        peaks = (scores == cv2.dilate(scores, apart)) & np.isfinite(scores) & (scores > 0)
+        rows, columns = np.nonzero(peaks)
+        best = np.argsort(-scores[rows, columns])[:count]
+        middle = np.array([width - 1, len(template) - 1]) / 2
+        return (np.column_stack([columns[best], rows[best]]) + middle) / self.to_image[0, 0]
 
     def _design(self, image: Image, pose: Array, gain: float) -> tuple[Array, float]:
         """Return image Jacobian, template, one and image as rows, and the share of pixels in view.
@@ -271,9 +266,13 @@ class Level:
         rows[:n] += self.flow[1] * gradient[1]
         rows[n], rows[n + 1], rows[n + 2] = self.template, 1.0, grey
         visible = _visible(image, warp, self.padded, _padding(self.smoothing))
-        if visible is None:
-            return rows.astype(np.float64), 1.0
-        return (rows * visible).astype(np.float64), float(visible.mean())
+        if self.mask is None:
+            if visible is None:
+                return rows.astype(np.float64), 1.0
+            return (rows * visible).astype(np.float64), float(visible.mean())
+        counts = self.mask.ravel().astype(np.float32)
+        seen = counts if visible is None else counts * visible
+        return (rows * seen).astype(np.float64), float(seen.sum() / counts.sum())
 
 
 def make_level(
@@ -285,6 +284,7 @@ def make_level(
     density: int,
     smoothing: float,
     motion: str,
+    mask: NDArray[np.bool_] | None = None,
 ) -> Level:
     """Cut a template from an image of the pyramid.
 
@@ -305,6 +305,8 @@ def make_level(
         Standard deviation of the Gaussian in px of the template.
     motion : str
         One of `MOTIONS`.
+    mask : ndarray of bool, optional
+        Pixels of the box that count.
     """
     x, y, width, height = box
     left, top = -(-x // step), -(-y // step)
@@ -317,7 +319,11 @@ def make_level(
     to_image = np.diag([density / step, density / step, 1.0])
     to_template = np.linalg.inv(pose) @ to_frame
     template, gradient = _grey_and_gradient(_sample(image, to_image @ to_frame, padded, smoothing))
-    mean = float(template.mean())
+    counts = None
+    if mask is not None:
+        counts = mask[step * top - y :: step, step * left - x :: step].astype(np.uint8)
+    counted = template if counts is None else template[counts.ravel() > 0]
+    mean = float(counted.mean())
     column, row = np.meshgrid(np.arange(columns) + pad, np.arange(rows) + pad)
     grid = np.stack([column.ravel(), row.ravel(), np.ones(column.size)])
     points = to_template @ grid
@@ -336,7 +342,8 @@ def make_level(
         template=template - np.float32(mean),
         gradient=gradient,
         mean=mean,
-        contrast=float(template.std()),
+        contrast=float(counted.std()),
+        mask=counts,
     )
 
 
@@ -389,11 +396,39 @@ def _correlation(normal: Array) -> float:
 
 def _degenerate(corners: Array, first: Array) -> bool:
     """Return whether a warp tore the template: not finite, turned over, or of another area."""
-    ratio = _area(corners) / _area(first)
+    ratio = area(corners) / area(first)
     return not 1 / _AREA_FACTOR < ratio < _AREA_FACTOR  # also True for NaN
 
 
-def _area(corners: Array) -> float:
+def area(corners: Array) -> float:
     """Return the signed area of a quadrilateral."""
     (ax, ay), (bx, by) = corners[2] - corners[0], corners[3] - corners[1]
     return 0.5 * float(ax * by - ay * bx)
+
+
+def cut_around(image: NDArray, corners: Array, margin: float) -> tuple[NDArray, Array]:
+    """Return the part of an image around some corners and where its first pixel was, (x, y)."""
+    size = np.array(image.shape[::-1])
+    first = np.clip(np.floor(corners.min(axis=0) - margin), 0, size).astype(int)
+    last = np.clip(np.ceil(corners.max(axis=0) + margin) + 1, 0, size).astype(int)
+    return image[first[1] : last[1], first[0] : last[0]], first.astype(np.float64)
+
+
+def shifted(pose: Array, by: Array) -> Array:
+    """Return the pose followed by a translation of the image."""
+    shift = np.eye(3)
+    shift[:2, 2] = by
+    return shift @ pose
+
+
+def halved(image: Image) -> Image:
+    """Return the image at half its resolution; its pixels are the even ones of the image."""
+    return cv2.pyrDown(image).astype(np.float32, copy=False)
+
+
+def pyramid(image: Image, levels: int) -> list[Image]:
+    """Return the image and its successive halves."""
+    layers = [image]
+    for _ in range(levels - 1):
+        layers.append(halved(layers[-1]))
+    return layers

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,21 +17,38 @@ from microlib._common import (
     Tidy,
     as_array,
     as_image,
+    flat_row,
     items,
     of_kind,
     one_of,
     scalar,
     whole,
 )
+from microlib.tracking._blocks import agreement
+from microlib.tracking._covariance import (
+    corner_jacobian,
+    kept_between,
+    lag_between,
+    sandwich,
+    squared_frequency,
+)
 from microlib.tracking._esm import (
     MOTIONS,
     Alignment,
     Level,
     apply_homography,
+    cut_around,
     half_pixel,
+    halved,
     make_level,
+    pyramid,
+    shifted,
 )
 from microlib.tracking._kalman import KalmanFilter
+from microlib.tracking._light import LitFit
+from microlib.tracking._noise import ceiling_of, noise_of
+from microlib.tracking._search import Finding, RobustSearch
+from microlib.tracking._verdict import confidence
 
 # What each of these is worth is in the benchmark of tracking, table "Constants", where they are
 # changed one at a time; success means there templates of 50 px whose corners moved by 15 px.
@@ -49,8 +67,8 @@ _DEFORMABLE = 12
 _TOLERANCE, _LAST_TOLERANCE = 0.5, 0.05
 
 #: Most steps of one level: a converging one takes 1 to 6. The same success from 8 to 30; with 4 3 %
-#: fewer homographies are found.
-_MOST_STEPS = 15
+#: fewer homographies are found. More only take longer where the template is not to be found.
+_MOST_STEPS = 8
 
 #: Correlation that an attempt must reach to be convincing, whatever the noise. 0.8 is as good here;
 #: 0.95 rejects 3 % of the homographies.
@@ -73,8 +91,8 @@ _LARGEST_MATCHED = 64
 #: and 88 %.
 _DISTORTION = 0.17
 
-#: Correlation below which a distorted start is given up at a coarse resolution; right ones have
-#: more. At 0.9 2 % fewer homographies are found; without it a lost frame takes a third longer.
+#: Correlation below which a start is given up at a coarse resolution; right ones have more. At 0.9
+#: 2 % fewer homographies are found.
 _PROMISING = 0.8
 
 #: Margin (px) around the template that the last level samples; it starts a fraction of a pixel
@@ -90,6 +108,36 @@ _LEAST_CONTRAST = 0.01
 #: and grippers have 0.2 to 0.9, a straight edge has none. A guard against edges without noise only:
 #: with one of 0.5 % of the step's height an edge has 0.002.
 _LEAST_CORNERNESS = 1e-4
+
+#: Least noise, in the template's contrast: what interpolation leaves where there is no noise.
+_LEAST_NOISE = 0.01
+
+#: Standard deviation of the rounding of whole numbers.
+_ROUNDED = 12**-0.5
+
+#: Share of the texture that must agree, and how much of it (blocks' variance over the noise's) and
+#: how certain a corner (px) there must be, for a pose to need no further search.
+_AGREED, _LEAST_TEXTURE, _CERTAIN = 0.95, 100.0, 0.15
+
+#: Drift of the blocks' grey levels, in the noise and in the contrast, that is no change of light;
+#: and that is none of the template, where nothing better is found.
+_STEADY, _UNSTEADY = (0.5, 0.02), (1.0, 0.2)
+
+#: Residual in smooth light, in the noise, up to which nothing is hidden.
+_CLEAR = 1.5
+
+#: Probability of being right from which on a pose is believed.
+_BELIEVED = 0.5
+
+#: Nats that an alignment from a distortion must promise to be finished.
+_PROMISED = 5.0
+
+#: Side (px) of the template where it is sought in the whole frame, and how many places are tried.
+_SOUGHT, _PLACES = 12, 6
+
+#: A pixel is hidden where the mean square residual about it, over 1.5 px, exceeds nine times the
+#: noise's and a quarter of the template's variance about it, over 3.5 px.
+_HIDDEN, _HIDDEN_SHARE, _ABOUT, _ABOUT_TEMPLATE = 9.0, 0.25, 1.5, 3.5
 
 #: A move of a corner, in half template sizes, that is none but for rounding.
 _ROUNDING = 1e-9
@@ -108,10 +156,11 @@ class Track(Tidy):
     lost : bool
         Whether the template was not found.
     reason : str
-        Empty, or why it was not: ``"singular"``, ``"diverged"``, ``"out of view"`` or ``"low
-        correlation"``.
+        Empty, or why it was not: ``"singular"``, ``"diverged"``, ``"out of view"``, ``"low
+        correlation"`` or ``"no agreement"`` of the template's parts.
     correlation : float
-        Normalized correlation of the template and the frame under the warp, −1 to 1.
+        Normalized correlation of the template and the frame under the warp, −1 to 1; where only
+        parts of the template agree or the light changes, of these parts in that light.
     homography : ndarray, shape (3, 3)
         Maps px of the template's frame to px of this frame.
     gain, bias : float
@@ -121,7 +170,15 @@ class Track(Tidy):
     iterations : int
         Steps of the attempt that was kept, all resolutions together.
     covariance : ndarray, shape (2, 2)
-        Covariance of `center` in px², from the residual of the alignment; NaN when `lost`.
+        Covariance of `center` in px², from the residual of the alignment and how it varies over the
+        template; NaN when `lost`.
+    corner_covariance : ndarray, shape (8, 8)
+        The same of the corners, x and y of the first one first.
+    confidence : float
+        Probability that the pose is right: 1 where every part of the template agrees within the
+        noise, else an estimate from what the parts say; below ½ the template counts as lost.
+    hidden : ndarray of bool, shape (height, width)
+        Pixels of the box where the frame shows something else, or nothing; all when `lost`.
     """
 
     corners: Array
@@ -134,11 +191,39 @@ class Track(Tidy):
     visible: float
     iterations: int
     covariance: Array
+    corner_covariance: Array
+    confidence: float
+    hidden: NDArray[np.bool_]
+
+    _large = ("corner_covariance", "hidden")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the track as a flat dictionary that JSON can hold.
+
+        Returns
+        -------
+        dict
+            The fields but `corner_covariance`, `center`, and the share of the box that is `hidden`.
+        """
+        share = {"center": self.center, "hidden": float(np.mean(self.hidden))}
+        return super().to_dict() | flat_row(share)
 
     @property
     def center(self) -> Array:
         """Mean of the corners, (x, y) in px: the feature that §5.4 servos on."""
         return self.corners.mean(axis=0)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the search made of a frame."""
+
+    alignment: Alignment
+    reason: str
+    corner_covariance: Array
+    confidence: float
+    hidden: NDArray[np.bool_]
+    plain: bool = False
 
 
 class ESMTracker:
@@ -147,10 +232,19 @@ class ESMTracker:
     Gain and bias are estimated along with the motion, on a template and a warped frame smoothed in
     the template's coordinates. A search begins at the finest resolution; while the correlation is
     not convincing it begins again from coarser ones, and in the end from the best match by
-    correlation in the surroundings. A template that may deform, and was seen in the frame before,
-    is not given up until the search has begun from 32 distortions of it. Resolutions with fewer
-    than 12 px a side estimate the translation only. A last level without smoothing samples the
-    frame at half pixels, which removes most of the error of bilinear interpolation.
+    correlation in the surroundings. Resolutions with fewer than 12 px a side estimate the
+    translation only. A last level without smoothing samples the frame at half pixels, which removes
+    most of the error of bilinear interpolation.
+
+    That pose is believed if the blocks of the template agree with it to within the noise, which is
+    estimated from the frames. Else the frame is searched robustly: the blocks vote for shifts, the
+    best of which are aligned in local illumination and then in a light that varies smoothly,
+    through a blur and a tone curve, with Tukey's weights [3]_. What the blocks agree in, what they
+    agree in elsewhere, the residuals and the uncertainty of the corners then say how probable it is
+    that this is the template; without evidence it is lost. A template that may deform, and was seen
+    in the frame before, is not given up until the search has begun from 32 distortions of it; one
+    that was lost is sought in the whole frame. Templates above 64 px are searched robustly on
+    halved frames.
 
     Parameters
     ----------
@@ -169,6 +263,8 @@ class ESMTracker:
         reach as far as the default with one.
     least_correlation : float, optional
         Normalized correlation below which the template counts as lost.
+    mask : array_like of bool, shape (height, width), optional
+        Pixels of the box that belong to the template. By default all of them.
     kalman : KalmanFilter, optional
         Predicts where each frame's search starts. By default a search starts where the last one
         ended.
@@ -187,6 +283,7 @@ class ESMTracker:
     .. [2] S. Benhimane and E. Malis, "Real-time image-based tracking of planes using efficient
        second-order minimization", IEEE/RSJ International Conference on Intelligent Robots and
        Systems, 2004.
+    .. [3] P. J. Huber and E. M. Ronchetti, "Robust Statistics", 2nd edition, Wiley, 2009.
 
     Examples
     --------
@@ -207,6 +304,7 @@ class ESMTracker:
         levels: int | None = None,
         smoothing: float = 1.25,
         least_correlation: float = 0.7,
+        mask: ArrayLike | None = None,
         kalman: KalmanFilter | None = None,
     ) -> None:
         frame = as_image("image", image)
@@ -223,15 +321,18 @@ class ESMTracker:
         if kalman is not None:
             of_kind("kalman", kalman, KalmanFilter)
         self._least_correlation = scalar("least_correlation", least_correlation, within=(0.0, 1.0))
+        counts = _checked_mask(mask, (height, width))
         self._shape = frame.shape
         self._kalman = kalman
         self._last_correlation, self._gain = 1.0, 1.0
         self._found = True
+        self._whole = np.issubdtype(frame.dtype, np.integer)
         size = max(width, height) / 2
         self._start = np.array(
             [[size, 0, x + (width - 1) / 2], [0, size, y + (height - 1) / 2], [0, 0, 1.0]]
         )
         self._pose = self._start
+        layers = pyramid(frame, levels)
         self._levels = [
             make_level(
                 layer,
@@ -241,8 +342,9 @@ class ESMTracker:
                 density=1,
                 smoothing=smoothing,
                 motion=motion if min(width, height) >= _DEFORMABLE * 2**halvings else "translation",
+                mask=counts,
             )
-            for halvings, layer in enumerate(_pyramid(frame, levels))
+            for halvings, layer in enumerate(layers)
         ]
         self._refinement = make_level(
             half_pixel(frame),
@@ -252,6 +354,7 @@ class ESMTracker:
             density=2,
             smoothing=0.0,
             motion=motion,
+            mask=counts,
         )
         _check_texture(self._refinement)
         least = _LEAST_CONTRAST * self._refinement.contrast
@@ -263,11 +366,30 @@ class ESMTracker:
             )
         while self._levels[-1].contrast < least:
             self._levels.pop()  # a texture too fine for this resolution, which would follow noise
-        sizes = [len(level.basis) for level in self._levels]
-        self._deformable = sizes.count(len(self._refinement.basis))
-        # At the finest resolution alone each would cost as much as a whole search.
-        several = self._deformable > 1
+        several = [len(level.basis) for level in self._levels].count(
+            len(self._refinement.basis)
+        ) > 1
         self._distortions = _distortions(self._refinement.corners, motion) if several else []
+        self._prepare_judgement(np.asarray(frame, np.float32), motion, counts)
+
+    def _prepare_judgement(
+        self, frame: Image, motion: str, counts: NDArray[np.bool_] | None
+    ) -> None:
+        """Keep what is needed to judge a pose, and to search where it does not convince."""
+        x, y, width, height = self._box
+        self._noise = self._noise_of(frame)
+        weight = np.ones((height, width)) if counts is None else counts
+        self._robust = RobustSearch(
+            frame, self._box, self._start, motion, np.asarray(weight, np.float32)
+        )
+        # Some of the template's pixels: enough to average over their places between pixels.
+        rows, columns = np.mgrid[y + 2 : y + height : 5, x + 2 : x + width : 5]
+        some = np.column_stack([columns.ravel(), rows.ravel()])
+        self._lattice = apply_homography(np.linalg.inv(self._start), some)
+        gradient = self._refinement.gradient.reshape(2, height, width)
+        self._fineness = squared_frequency(gradient.astype(np.float64))
+        self._nothing_hidden = np.zeros((height, width), bool)
+        self._nothing_hidden.flags.writeable = False
 
     def track(self, frame: ArrayLike) -> Track:
         """Find the template in the next frame.
@@ -294,29 +416,34 @@ class ESMTracker:
             raise ValueError(f"frame must have shape {self._shape}, got {frame.shape}")
         if self._kalman is not None:
             self._move_to(self._kalman.predict())
-        alignment = self._search(frame)
-        reason = self._reason(alignment)
-        self._found = not reason
-        if not reason:
+        found = self._search(frame)
+        alignment, lost = found.alignment, bool(found.reason)
+        self._found = not lost
+        if not lost:
             self._pose = alignment.pose
-            self._last_correlation, self._gain = alignment.correlation, alignment.gain
+            if found.plain:
+                self._last_correlation, self._gain = alignment.correlation, alignment.gain
             if self._kalman is not None:
                 self._kalman.update(self._corners().mean(axis=0))
+        corner_covariance = np.full((8, 8), np.nan) if lost else found.corner_covariance
         return Track(
             corners=self._corners(),
-            lost=bool(reason),
-            reason=reason,
+            lost=lost,
+            reason=found.reason,
             correlation=alignment.correlation,
             homography=_unit(self._pose @ np.linalg.inv(self._start)),
             gain=alignment.gain,
             bias=alignment.bias,
             visible=alignment.visible,
             iterations=alignment.iterations,
-            covariance=np.full((2, 2), np.nan) if reason else self._center_covariance(alignment),
+            covariance=_of_mean(corner_covariance),
+            corner_covariance=corner_covariance,
+            confidence=found.confidence,
+            hidden=found.hidden,
         )
 
-    def _search(self, frame: NDArray) -> Alignment:
-        """Align from ever more distant starts until one is convincing, and return the best.
+    def _search(self, frame: NDArray) -> Found:
+        """Align from ever more distant starts, and search robustly if the parts do not agree.
 
         The first start is at the finest resolution: one close to the truth is thus never led astray
         by a coarse resolution, where the surroundings of the template weigh most, and costs little.
@@ -324,21 +451,181 @@ class ESMTracker:
         search by correlation.
         """
         corners = self._corners()
-        region, origin = _cut(frame, corners, np.ptp(corners, axis=0).max())
+        region, origin = cut_around(frame, corners, np.ptp(corners, axis=0).max())
         if min(region.shape) < 2:
-            return Alignment(self._pose, failure="out of view")
-        image = as_image("frame", region)
-        start = _shifted(self._pose, -origin)
+            found = self._lost(Alignment(self._pose, failure="out of view"), "out of view")
+        else:
+            image = np.asarray(as_image("frame", region), np.float32)
+            found = self._search_near(image, shifted(self._pose, -origin), origin)
+        if found.reason and not self._found:
+            found = self._search_anywhere(frame) or found
+        return found
+
+    def _search_near(self, image: Image, start: Array, origin: Array) -> Found:
         best = Alignment(start, failure="diverged", correlation=-1.0)
         for pose, layers in self._starts(start, image):
-            alignment = self._align(layers, pose)
+            alignment = self._align(layers, pose, _PROMISING if len(layers) > 1 else -1.0)
             if best.failure or (not alignment.failure and alignment.correlation > best.correlation):
                 best = alignment
             if not best.failure and best.correlation > self._convincing():
                 break
-        if self._found and self._distortions and self._reason(best):
-            best = self._align_distorted(image, start) or best
-        return replace(best, pose=_shifted(best.pose, origin))
+        best = replace(best, pose=shifted(best.pose, origin))
+        if not self._reason(best):
+            plain = self._plain(best, _STEADY)
+            if plain is not None:
+                return plain
+        found = self._search_robustly(image, start, best, origin)
+        if found.reason and not self._reason(best):
+            # What has texture agrees, though the ground between it has changed.
+            found = self._plain(best, _UNSTEADY) or found
+        return found
+
+    def _plain(self, alignment: Alignment, drift: tuple[float, float]) -> Found | None:
+        """Return the alignment as the result if all parts of the template agree with it."""
+        level = self._refinement
+        if alignment.design is None or alignment.design.shape[1] != level.template.size:
+            return None
+        n = len(level.basis)
+        shape = self._box[3], self._box[2]
+        template, ones, grey = (
+            row.astype(np.float32).reshape(shape) for row in alignment.design[n:]
+        )
+        said = agreement(grey, template, ones, self._noise)
+        steady = drift[0] * self._noise + drift[1] * abs(alignment.gain) * level.contrast
+        if said.agreeing < _AGREED or said.texture < _LEAST_TEXTURE or said.drift > steady:
+            return None
+        bias = alignment.bias - level.mean * (1.0 - alignment.gain)
+        residual = grey - np.float32(alignment.gain) * template - np.float32(bias) * ones
+        places = apply_homography(alignment.pose, self._lattice)
+        counts, k = ones.ravel(), kept_between(places)
+        covariance = sandwich(
+            alignment.design[: n + 2], residual.ravel(), counts, counts, (1.0, k), shape, n
+        )
+        jacobian = corner_jacobian(alignment.pose, level.basis, level.corners)
+        lag = np.tile(lag_between(places) * self._fineness, 4)
+        covariance = jacobian.T @ covariance @ jacobian + np.outer(lag, lag)
+        if not covariance.diagonal().max() < _CERTAIN**2:
+            return None
+        hidden = self._nothing_hidden if alignment.visible == 1.0 else ones == 0
+        return Found(alignment, "", covariance, 1.0, hidden, plain=True)
+
+    def _search_robustly(self, image: Image, start: Array, best: Alignment, origin: Array) -> Found:
+        """Search among the starts, what they led to, and where the blocks of the template point."""
+        robust = self._robust
+        noise = self._noise_of(image)
+        ceiling = ceiling_of(image, noise)
+        layers = pyramid(image, robust.coarsest + 1)
+        others = []
+        if not best.failure:
+            others.append(shifted(best.pose, -origin))
+            if not self._reason(best):
+                fit = robust.polish(layers[robust.finest], others[0], noise, ceiling)
+                if fit is not None and self._clear(fit):
+                    return self._believed(fit, 1.0, origin, noise)
+        finding = robust.search(layers, start, others, noise, ceiling, near=self._found)
+        found = self._judged(finding, best, origin, noise)
+        if found.reason and self._found and self._distortions:
+            second = self._search_distorted(layers, start, best, origin, noise, ceiling)
+            found = found if second.reason else second
+        return found
+
+    def _search_distorted(
+        self,
+        layers: list[Image],
+        start: Array,
+        best: Alignment,
+        origin: Array,
+        noise: float,
+        ceiling: float,
+    ) -> Found:
+        """Search from distortions of the template."""
+        starts = [start @ distortion for distortion in self._distortions]
+        finding = self._robust.search(
+            layers, start, starts, noise, ceiling, vote=False, hopeless=_PROMISED
+        )
+        if finding is not None:
+            alignment = self._align(layers[:1], finding.pose)
+            moved = replace(alignment, pose=shifted(alignment.pose, origin))
+            plain = self._plain(moved, _STEADY)
+            if plain is not None and not self._reason(alignment):
+                return plain
+        return self._judged(finding, best, origin, noise)
+
+    def _search_anywhere(self, frame: NDArray) -> Found | None:
+        """Look for a template that was lost in the whole frame."""
+        image = np.asarray(as_image("frame", frame), np.float32)
+        robust = self._robust
+        halvings = max(
+            (k for k in range(len(self._levels)) if min(self._box[2:]) >= _SOUGHT * 2**k), default=0
+        )
+        layers = pyramid(image, max(halvings, robust.coarsest) + 1)
+        middle = self._corners().mean(axis=0)
+        starts = [
+            shifted(self._pose, place - middle)
+            for place in self._levels[halvings].places(layers[halvings], _PLACES)
+        ]
+        if not starts:
+            return None
+        noise = self._noise_of(image)
+        finding = robust.search(
+            layers, starts[0], starts[1:], noise, ceiling_of(image, noise), near=False, vote=False
+        )
+        found = self._judged(finding, Alignment(self._pose, "diverged"), np.zeros(2), noise)
+        return None if found.reason else found
+
+    def _judged(
+        self, finding: Finding | None, best: Alignment, origin: Array, noise: float
+    ) -> Found:
+        """Return what was found if it is believed to be the template, else that it is lost."""
+        if finding is not None and finding.fit is not None:
+            sigma = self._robust.sigma(finding.fit)
+            if self._clear(finding.fit):
+                probability = 1.0
+            else:
+                probability = confidence(finding, sigma, size=max(self._box[2:]), near=self._found)
+            if probability >= _BELIEVED:
+                found = self._believed(finding.fit, probability, origin, noise)
+                if found.alignment.correlation >= self._least_correlation:
+                    return found
+            return self._lost(best, self._reason(best) or "no agreement", probability)
+        return self._lost(best, self._reason(best) or "no agreement")
+
+    def _lost(self, alignment: Alignment, reason: str, probability: float = 0.0) -> Found:
+        hidden = np.ones_like(self._nothing_hidden)
+        return Found(alignment, reason, np.full((8, 8), np.nan), probability, hidden)
+
+    def _clear(self, fit: LitFit) -> bool:
+        """Return whether all parts of the template agree in smooth light."""
+        said = fit.agreement
+        return (
+            said.agreeing >= _AGREED
+            and said.texture >= _LEAST_TEXTURE
+            and fit.noise < _CLEAR
+            and self._robust.sigma(fit) < _CERTAIN
+        )
+
+    def _believed(self, fit: LitFit, probability: float, origin: Array, noise: float) -> Found:
+        """Return a fit in smooth light as the result."""
+        height, width = self._box[3], self._box[2]
+        hidden = _hidden(fit, noise * self._robust.kept_noise)
+        if hidden.shape != (height, width):
+            hidden = cv2.resize(
+                hidden.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST
+            ).astype(bool)
+        alignment = Alignment(
+            pose=shifted(fit.pose, origin),
+            correlation=fit.correlation,
+            gain=fit.gain,
+            bias=fit.bias,
+            visible=fit.visible,
+            iterations=fit.iterations,
+        )
+        return Found(alignment, "", self._robust.corner_covariance(fit), probability, hidden)
+
+    def _noise_of(self, image: Image) -> float:
+        """Return the noise of a frame, at least that of rounding and of interpolation."""
+        least = max(_LEAST_NOISE * self._refinement.contrast, _ROUNDED if self._whole else 0.0)
+        return max(noise_of(image), least)
 
     def _reason(self, alignment: Alignment) -> str:
         """Return why an alignment does not count as the template, or nothing if it does."""
@@ -359,24 +646,13 @@ class ESMTracker:
         """Yield starting poses and the resolutions to refine them through, the finest first."""
         layers: list[Image] = []
         for _ in self._levels:
-            layers.append(_halved(layers[-1]) if layers else image)
+            layers.append(halved(layers[-1]) if layers else image)
             yield pose, layers
         halvings = min(int(np.log2(max(self._box[2:]) / _LARGEST_MATCHED)), len(layers) - 1)
         halvings = max(halvings, 0)
         reach = max(self._box[2:]) // 2**halvings
         matched = self._levels[halvings].correlate(layers[halvings], pose, reach)
         yield matched, layers[: halvings + 1]
-
-    def _align_distorted(self, image: Image, pose: Array) -> Alignment | None:
-        """Align from distortions of the template, and return the first alignment that convinces."""
-        layers = _pyramid(image, self._deformable)
-        for distortion in self._distortions:
-            alignment = self._align(layers, pose @ distortion, promising=_PROMISING)
-            if not alignment.failure and alignment.correlation > max(
-                self._least_correlation, _CONVINCING
-            ):
-                return alignment
-        return None
 
     def _align(self, layers: list[Image], pose: Array, promising: float = -1.0) -> Alignment:
         """Refine a pose from the last of the layers to the first, and then between the pixels."""
@@ -391,17 +667,17 @@ class ESMTracker:
             if alignment.failure or alignment.correlation < promising:
                 return replace(alignment, iterations=iterations)
         if alignment.correlation > self._least_correlation:
-            near, offset = _cut(
+            near, offset = cut_around(
                 layers[0], apply_homography(pose, self._refinement.corners), _LAST_MARGIN
             )
             alignment = self._refinement.align(
                 half_pixel(near),
-                _shifted(pose, -offset),
+                shifted(pose, -offset),
                 tolerance=_LAST_TOLERANCE,
                 iterations=_MOST_STEPS,
                 gain=gain,
             )
-            alignment = replace(alignment, pose=_shifted(alignment.pose, offset))
+            alignment = replace(alignment, pose=shifted(alignment.pose, offset))
             iterations += alignment.iterations
         return replace(alignment, iterations=iterations)
 
@@ -409,20 +685,7 @@ class ESMTracker:
         return apply_homography(self._pose, self._refinement.corners)
 
     def _move_to(self, center: Array) -> None:
-        self._pose = _shifted(self._pose, center - self._corners().mean(axis=0))
-
-    def _center_covariance(self, alignment: Alignment) -> Array:
-        """Carry the covariance of the motion parameters over to the mean of the corners."""
-        if alignment.covariance is None:
-            return np.full((2, 2), np.nan)
-        level = self._refinement
-        corners = np.column_stack([level.corners, np.ones(4)])
-        mapped = corners @ alignment.pose.T
-        velocity = np.einsum("ij,njk,ck->nci", alignment.pose, level.basis, corners)
-        depth = mapped[:, 2:]
-        slope = (velocity[..., :2] - mapped[:, :2] / depth * velocity[..., 2:]) / depth
-        jacobian = slope.mean(axis=1)
-        return jacobian.T @ alignment.covariance @ jacobian
+        self._pose = shifted(self._pose, center - self._corners().mean(axis=0))
 
 
 def _checked_box(
@@ -437,6 +700,31 @@ def _checked_box(
             f"box must lie inside the image of {shape[1]}×{shape[0]} px, got {tuple(box)}"
         )
     return x, y, width, height
+
+
+def _checked_mask(mask: ArrayLike | None, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
+    if mask is None:
+        return None
+    as_array("mask", mask, shape=shape)
+    counts = np.asarray(mask)
+    if counts.dtype != bool:
+        raise ValueError(f"mask must hold True and False, got {counts.dtype}")
+    if counts.sum() < _COARSEST**2:
+        raise ValueError(f"mask must keep {_COARSEST**2} pixels, got {counts.sum()}")
+    return counts
+
+
+def _hidden(fit: LitFit, noise: float) -> NDArray[np.bool_]:
+    """Return the pixels whose residual is neither noise nor small beside the template."""
+    square = cv2.GaussianBlur(fit.residual**2, (0, 0), _ABOUT)
+    mean = cv2.GaussianBlur(fit.model, (0, 0), _ABOUT_TEMPLATE)
+    variance = cv2.GaussianBlur(fit.model**2, (0, 0), _ABOUT_TEMPLATE) - mean**2
+    return np.asarray(square > _HIDDEN * noise**2 + _HIDDEN_SHARE * variance)
+
+
+def _of_mean(covariance: Array) -> Array:
+    """Return the covariance of the mean of the corners from that of all of them."""
+    return covariance.reshape(4, 2, 4, 2).mean(axis=(0, 2))
 
 
 def _check_texture(level: Level) -> None:
@@ -472,33 +760,5 @@ def _distortions(corners: Array, motion: str) -> list[Array]:
     return [np.asarray(cv2.getPerspectiveTransform(first, target)) for target in moved]
 
 
-def _halved(image: Image) -> Image:
-    """Return the image at half its resolution; its pixels are the even ones of the image."""
-    return cv2.pyrDown(image).astype(np.float32, copy=False)
-
-
-def _pyramid(image: Image, levels: int) -> list[Image]:
-    """Return the image and its successive halves."""
-    layers = [image]
-    for _ in range(levels - 1):
-        layers.append(_halved(layers[-1]))
-    return layers
-
-
-def _cut(image: NDArray, corners: Array, margin: float) -> tuple[NDArray, Array]:
-    """Return the part of an image around some corners and where its first pixel was, (x, y)."""
-    size = np.array(image.shape[::-1])
-    first = np.clip(np.floor(corners.min(axis=0) - margin), 0, size).astype(int)
-    last = np.clip(np.ceil(corners.max(axis=0) + margin) + 1, 0, size).astype(int)
-    return image[first[1] : last[1], first[0] : last[0]], first.astype(np.float64)
-
-
 def _unit(homography: Array) -> Array:
     return homography / homography[2, 2]
-
-
-def _shifted(pose: Array, by: Array) -> Array:
-    """Return the pose followed by a translation of the image."""
-    shift = np.eye(3)
-    shift[:2, 2] = by
-    return shift @ pose

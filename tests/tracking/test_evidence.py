@@ -1,0 +1,205 @@
+"""Hidden, in another light, gone: what the tracker finds, what it doubts, and how certain it is."""
+
+import cv2
+import numpy as np
+import pytest
+from numpy.random import default_rng
+from scipy import ndimage
+
+from microlib.synthetic import camera_frame, mixed_texture
+from microlib.tracking import ESMTracker
+from microlib.tracking._covariance import kept_between, sandwich
+from microlib.tracking._esm import half_pixel
+from microlib.tracking._noise import ceiling_of, noise_of
+
+BOX = (70, 65, 50, 50)
+CORNERS = np.array([[70.0, 65], [119, 65], [119, 114], [70, 114]])
+
+
+def scene(seed):
+    """A texture with details of every size."""
+    return mixed_texture((180, 190), default_rng(seed), scales=(1.5, 3.0, 8.0), std=40.0)
+
+
+def moved(image, by):
+    return ndimage.shift(image, (by[1], by[0]), order=5, mode="mirror")
+
+
+def track_of(first, second, rng, motion="translation", **options):
+    tracker = ESMTracker(camera_frame(first, rng, noise=2.0), BOX, motion, **options)
+    return tracker.track(camera_frame(second, rng, noise=2.0))
+
+
+def hide(image, corner, size, seed):
+    """Lay another texture over a part of an image, (x, y) and (width, height)."""
+    image = image.copy()
+    (x, y), (width, height) = corner, size
+    image[y : y + height, x : x + width] = scene(seed)[:height, :width]
+    return image
+
+
+def test_noise_is_found_behind_a_texture_and_saturation_by_its_plateau():
+    smooth = mixed_texture((200, 200), default_rng(0), scales=6.0, std=30.0)
+    for sigma in (1.0, 4.0):
+        noisy = smooth + default_rng(1).normal(0, sigma, smooth.shape)
+        # Simulated spread 4 %; what is left of the texture adds a little.
+        assert noise_of(noisy.astype(np.float32)) == pytest.approx(sigma, rel=0.15)
+    assert noise_of(np.zeros((4, 4), np.float32)) == 0.0
+    bright = np.minimum(3 * smooth, 255)
+    assert 255 - 6 < ceiling_of(bright, 2.0) < 255
+    assert ceiling_of(smooth, 2.0) == np.inf
+
+
+@pytest.mark.parametrize("motion", ["translation", "homography"])
+def test_a_template_hidden_for_a_third_is_found_and_its_hidden_part_named(motion):
+    by = (8.3, -6.6)
+    for seed in range(3):
+        first = scene(seed)
+        second = hide(moved(first, by), (78, 58), (17, 52), seed + 100)
+        track = track_of(first, second, default_rng(seed), motion)
+        assert not track.lost
+        # 1700 visible pixels of noise 2 and gradients of 8: 0.01 px; deformed corners 0.1 px.
+        limit = 0.05 if motion == "translation" else 0.5
+        assert np.abs(track.corners - CORNERS - by).max() < limit
+        truth = np.zeros((50, 50), bool)
+        truth[:, :17] = True  # the strip, in the template's pixels
+        both, either = (track.hidden & truth).sum(), (track.hidden | truth).sum()
+        assert both / either > 0.6  # measured 0.75 to 0.9
+
+
+@pytest.mark.parametrize("light", ["ramp", "gamma", "blur", "glare"])
+def test_another_light_moves_nothing(light):
+    by = np.array([3.4, 2.7])
+    rows, columns = np.mgrid[:180, :190]
+    for seed in range(3):
+        first = scene(seed)
+        second = moved(first, by)
+        if light == "ramp":
+            second = second * (1 + 0.12 * (columns - 97) / 25)
+        elif light == "gamma":
+            second = 255 * np.sqrt(np.clip(second, 0, 255) / 255)
+        elif light == "blur":
+            second = ndimage.gaussian_filter(second, 1.5)
+        else:
+            second = second + 200 * np.exp(-((columns - 85) ** 2 + (rows - 90) ** 2) / 162)
+        track = track_of(first, second, default_rng(seed))
+        assert not track.lost
+        assert np.abs(track.corners - CORNERS - by).max() < 0.1
+        if light == "glare":
+            assert track.hidden[90 - 67, 85 - 73]  # its middle, in the template's pixels
+
+
+@pytest.mark.parametrize("motion", ["translation", "homography"])
+def test_a_template_that_is_gone_or_replaced_is_lost(motion):
+    for seed in range(6):
+        first = scene(seed)
+        gone = hide(first, (60, 55), (72, 72), seed + 50)
+        for second in (gone, scene(seed + 200)):
+            track = track_of(first, second, default_rng(seed), motion)
+            assert track.lost
+            assert track.reason in ("no agreement", "low correlation", "diverged")
+            assert track.hidden.all()
+            assert np.isnan(track.corner_covariance).all()
+            assert track.confidence < 0.5
+
+
+def test_pixels_outside_the_mask_do_not_count():
+    # A disk that moves over a ground of its own.
+    by, rng = np.array([6.0, -4.0]), default_rng(5)
+    ground, disk = scene(11), scene(12)
+    rows, columns = np.mgrid[:180, :190]
+    mask = (columns - 94.5) ** 2 + (rows - 89.5) ** 2 < 18**2
+    shifted = (columns - 94.5 - by[0]) ** 2 + (rows - 89.5 - by[1]) ** 2 < 18**2
+    first = np.where(mask, disk, ground)
+    second = np.where(shifted, np.roll(disk, (-4, 6), (0, 1)), ground)
+    track = track_of(first, second, rng, mask=mask[65:115, 70:120])
+    assert not track.lost
+    assert np.abs(track.corners - CORNERS - by).max() < 0.05
+    assert track.confidence == 1.0  # nothing that counts has changed
+
+
+@pytest.mark.parametrize(
+    ("mask", "message"),
+    [
+        (np.ones((50, 49), bool), "mask must have shape"),
+        (np.ones((50, 50)), "mask must hold True and False"),
+        (np.zeros((50, 50), bool), "mask must keep"),
+    ],
+)
+def test_refuses_a_mask_of_another_kind(mask, message):
+    with pytest.raises(ValueError, match=message):
+        ESMTracker(scene(0), BOX, mask=mask)
+
+
+def test_a_lost_template_is_found_anywhere_in_the_frame():
+    rng = default_rng(3)
+    texture = mixed_texture((50, 50), rng, scales=(1.5, 4.0), std=40.0)
+    ground = mixed_texture((300, 400), rng, scales=(2.0, 6.0), std=40.0)
+
+    def frame(place):
+        image = ground.copy()
+        if place is not None:
+            x, y = place
+            image[y : y + 50, x : x + 50] = texture
+        return camera_frame(image, rng, noise=2.0)
+
+    tracker = ESMTracker(frame((30, 40)), (30, 40, 50, 50), "homography")
+    assert not tracker.track(frame((32, 41))).lost
+    assert tracker.track(frame(None)).lost
+    assert tracker.track(frame(None)).lost
+    found = tracker.track(frame((310, 220)))
+    assert not found.lost
+    np.testing.assert_allclose(found.corners[0], (310, 220), atol=0.1)
+
+
+@pytest.mark.parametrize("condition", ["noise", "ramp", "hidden"])
+def test_errors_are_of_the_size_that_is_stated(condition):
+    scores = []
+    columns = np.mgrid[:180, :190][1]
+    for seed in range(40):
+        rng = default_rng(seed)
+        by = rng.uniform(-3, 3, 2)
+        first = scene(seed % 8)
+        second = moved(first, by)
+        if condition == "ramp":
+            second = second * (1 + 0.1 * (columns - 95) / 25)
+        elif condition == "hidden":
+            second = hide(second, (100, 60), (14, 60), seed + 70)
+        track = track_of(first, second, rng)
+        assert not track.lost
+        off = track.center - CORNERS.mean(axis=0) - by
+        scores.extend(off / np.sqrt(np.diag(track.covariance)))
+    # Eighty scores know their root mean square to 8 %; 0.8 to 1.3 is wanted of many.
+    assert 0.7 < np.sqrt(np.mean(np.square(scores))) < 1.5
+
+
+def test_the_sandwich_is_the_spread_of_fits_to_spread_noise():
+    rng = default_rng(0)
+    shape = (40, 40)
+    v, u = np.mgrid[:40, :40] / 20.0 - 1
+    design = np.stack([np.sin(5 * u + v), np.cos(4 * v), np.ones(shape), u]).reshape(4, -1)
+    sigma = 0.7
+    solver = np.linalg.inv(design @ design.T) @ design
+    ones = np.ones(1600)
+    # What a Gaussian leaves of the variance of white noise.
+    kept = 1 / (4 * np.pi * sigma**2)
+    fits, stated = [], []
+    for _ in range(300):
+        noise = ndimage.gaussian_filter(rng.standard_normal(shape), sigma, mode="wrap").ravel()
+        fits.append(solver @ noise)
+        residual = noise - design.T @ fits[-1]
+        stated.append(sandwich(design, residual, ones, ones, (kept, kept), shape, 2))
+    # 300 fits know a variance to 8 %; the surroundings' average adds a little.
+    truth = np.cov(np.transpose(fits)[:2])
+    np.testing.assert_allclose(np.diag(np.mean(stated, axis=0)), np.diag(truth), rtol=0.25)
+
+
+def test_what_is_left_of_noise_between_the_pixels():
+    noise = default_rng(1).standard_normal((200, 200)).astype(np.float32)
+    fine = half_pixel(noise)
+    for part in ((0.0, 0.0), (0.25, 0.0), (0.5, 0.5), (0.1, 0.4)):
+        warp = np.array([[2.0, 0, 2 * part[0]], [0, 2, 2 * part[1]]])
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        sampled = cv2.warpAffine(fine, warp, (190, 190), flags=flags)[10:, 10:]
+        # 32,000 pixels know a variance to 1 %.
+        assert kept_between(np.array([part])) == pytest.approx(float(sampled.var()), rel=0.04)
