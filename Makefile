@@ -5,6 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 # The executed notebooks and the tests never need the network.
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# What make begins ends with it, even if it is killed: MAKE_PID says which make that is.
 # Packages are compiled as they are first used; pip would compile all, which takes half a minute.
 export PYTHONDONTWRITEBYTECODE :=
 
@@ -26,10 +27,10 @@ $(STAMP): environment.txt pyproject.toml
 
 notebooks: $(STAMP) ## run the notebooks that changed
 	@echo "Running the notebooks"
-	@$(BIN)/python -m compendium.run
+	@MAKE_PID=$$PPID $(BIN)/python -m compendium.run
 
 html: notebooks
-	@$(BIN)/python -m compendium.book
+	@MAKE_PID=$$PPID $(BIN)/python -m compendium.book
 
 book: html ## run the notebooks and build the book
 	@echo "The book is at build/html/index.html"

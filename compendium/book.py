@@ -16,7 +16,7 @@ from pathlib import Path
 
 from click import ClickException
 
-from compendium.processes import alone_in, end_with_parent
+from compendium.processes import alone_in, end_with_make
 from compendium.run import BUILD, INTERRUPTED, ROOT
 
 RENDERED = BUILD / "rendered"
@@ -25,8 +25,7 @@ STRICT = ("--warningiserror", "--nitpick", "--keep-going", "--quiet")
 
 def main() -> int:
     """Render the book; return the exit status."""
-    if "MAKELEVEL" in os.environ:
-        end_with_parent()  # make may be killed, and would not end what it began
+    end_with_make()
     try:
         with alone_in(BUILD):
             prepare()

@@ -7,32 +7,58 @@ import multiprocessing
 import os
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import wait
 from pathlib import Path
 from time import sleep
-from typing import Any
 
-__all__ = ["alone_in", "end_with_parent"]
+__all__ = ["alone_in", "end_with_make", "end_with_parent"]
 
 #: Between looks at the parent, s: short beside what a person notices.
 _PAUSE = 0.2
 
 
+def end_with_make() -> None:
+    """End this process as soon as the make that began it has ended: killed, make ends nothing.
+
+    The Makefile says which it is. Whose parent this process is does not: it may be a shell between
+    them, and another process altogether if make ended while this one was starting.
+    """
+    maker = os.environ.get("MAKE_PID")
+    if maker:
+        _end_unless(lambda: _is_alive(int(maker)))
+
+
 def end_with_parent() -> None:
     """End this process as soon as its parent has ended, even if that was killed."""
-    parent = os.getppid()
+    parent, starter = os.getppid(), multiprocessing.parent_process()
+    if starter is None:
+        _end_unless(lambda: os.getppid() == parent)
+        return
 
     def watch() -> None:
-        starter: Any = multiprocessing.parent_process()
-        if starter is not None:
-            wait([starter.sentinel])
-        while starter is None and os.getppid() == parent:
+        wait([starter.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _end_unless(goes_on: Callable[[], bool]) -> None:
+    def watch() -> None:
+        while goes_on():
             sleep(_PAUSE)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return True
 
 
 @contextmanager

@@ -39,7 +39,7 @@ from traitlets.config import Config
 from compendium.executed import clean, lighten, name_cells
 from compendium.figures.data import FOLDER_VARIABLE
 from compendium.parameters import OUT, prepare_folder, read_parameters, read_values
-from compendium.processes import alone_in, end_with_parent
+from compendium.processes import alone_in, end_with_make, end_with_parent
 from microlib._common import replace_file
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -59,8 +59,7 @@ class Parser(argparse.ArgumentParser):
 
 def main() -> int:
     """Run what the command line asks for; return the exit status."""
-    if "MAKELEVEL" in os.environ:
-        end_with_parent()  # make may be killed, and would not end what it began
+    end_with_make()
     os.environ |= THREADS
     os.environ["PYTHONHASHSEED"] = "0"
     try:

@@ -14,7 +14,7 @@ def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(book, "ROOT", tmp_path)
     monkeypatch.setattr(book, "BUILD", tmp_path / "build")
     monkeypatch.setattr(book, "RENDERED", tmp_path / "build" / "rendered")
-    monkeypatch.delenv("MAKELEVEL", raising=False)
+    monkeypatch.delenv("MAKE_PID", raising=False)
     for folder in ("book/notebooks", "book/generated", "build/notebooks"):
         (tmp_path / folder).mkdir(parents=True)
     (tmp_path / "book" / "notebooks" / "removed.ipynb").touch()

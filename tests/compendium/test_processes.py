@@ -83,6 +83,38 @@ def test_no_worker_outlives_its_parent(how: signal.Signals) -> None:
     parent.communicate()
 
 
+MADE = """
+import time
+from compendium.processes import end_with_make
+print("begins", flush=True)
+end_with_make()
+time.sleep(float(__import__("sys").argv[1]))
+print("ends")
+"""
+
+
+@pytest.mark.parametrize("when", ["before", "while"])
+def test_nothing_outlives_make(when: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not even what had hardly begun when make was killed, whose parent is another one by then."""
+    maker = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+    monkeypatch.setenv("MAKE_PID", str(maker.pid))
+    if when == "before":
+        maker.kill()
+        maker.wait()
+    made = start(MADE, "30")
+    assert made.stdout
+    assert made.stdout.readline() == "begins\n"
+    maker.kill()
+    maker.wait()
+    assert made.communicate(timeout=10)[0] == ""
+    assert made.returncode == 1
+
+
+def test_what_make_began_goes_on_while_make_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MAKE_PID", str(os.getpid()))
+    assert start(MADE, "0.5").communicate()[0] == "begins\nends\n"
+
+
 def test_a_second_run_waits_and_says_so(tmp_path: Path) -> None:
     first = start(HOLD, str(tmp_path))
     assert first.stdout
