@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import tomllib
+import warnings
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -14,7 +16,10 @@ import tifffile
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import replace_file
+from microlib._common import Tidy, replace_file
+from microlib.embryo import modulus_from_image
+from microlib.io import read_grey
+from microlib.membrane import SmallSlopeWarning
 
 __all__ = [
     "FOLDER",
@@ -24,6 +29,7 @@ __all__ = [
     "find_input",
     "keep",
     "manifest",
+    "modulus_of",
     "read_outline",
 ]
 
@@ -162,6 +168,15 @@ def compare(
                 f"at most {row['allowed']:.4g} is allowed"
             )
     return table
+
+
+def modulus_of(path: Path, *, force: float, **settings: Any) -> Tidy:
+    """Return the modulus of the embryo in an image file, as `microlib.embryo.modulus_from_image`
+    does; here, where processes of their own can find it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SmallSlopeWarning)
+        found: Tidy = modulus_from_image(read_grey(path), force, **settings)
+    return found
 
 
 def read_outline(path: str | PathLike[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -242,6 +242,26 @@ def test_a_guide_runs_on_the_readers_own_file(tmp_path: Path, guide: str, files:
                     assert 'PhysicalSizeX="2.0"' in (tiff.ome_metadata or "")
 
 
+def test_a_folder_of_embryos_is_a_table_of_moduli(tmp_path: Path) -> None:
+    """One image of three is none of an embryo: it costs its row, and its reason is said."""
+    plate = tmp_path / "plate"
+    plate.mkdir()
+    for name in ("a.png", "b.png"):
+        shutil.copy(FOLDER / "embryo.png", plate / name)
+    shutil.copy(FOLDER / "circles.png", plate / "c.png")
+    arguments = ["-p", "more", "plate/*.png", "-p", "out", "kept"]
+    result = run_own(tmp_path, "07_guide_embryo", *arguments)
+    assert result.returncode == 0, result.stderr
+    table = pd.read_csv(tmp_path / "kept" / "moduli.csv")
+    assert table["file"].tolist() == [f"plate/{k}.png" for k in "abc"]
+    alone = pd.read_csv(tmp_path / "kept" / "modulus.csv", index_col=0)["value"]
+    assert table["modulus"].tolist()[:2] == [pytest.approx(alone["modulus_MPa"], rel=1e-12)] * 2
+    assert table["error"][2].startswith("ValueError: ")
+    text = said(tmp_path / "mine" / "07_guide_embryo.ipynb")
+    assert "3 images, 1 of them without a modulus" in text
+    assert "c.png: ValueError: " in text
+
+
 def test_frames_may_be_files_of_their_own(tmp_path: Path) -> None:
     true = pd.read_csv(FOLDER / "frames_path.csv")
     (tmp_path / "frames").mkdir()

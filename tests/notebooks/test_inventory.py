@@ -24,7 +24,7 @@ INVENTORY = {
     "05_experimental_results": (115, 28, 91, 8),
     "06_conclusion": (12, 0, 8, 0),
     "07_guide_calibration": (13, 0, 0, 0),
-    "07_guide_embryo": (12, 0, 0, 0),
+    "07_guide_embryo": (14, 0, 0, 0),
     "07_guide_focus_stack": (14, 0, 0, 0),
     "07_guide_modulus": (15, 0, 0, 0),
     "07_guide_servoing": (17, 0, 0, 1),
