@@ -126,7 +126,7 @@ def test_a_pause_lasts_and_lets_an_interrupt_between() -> None:
     assert len(clock.slept) == 6
     guard.interrupted.set()
     for waits in (lambda: guard.pause(1.0), lambda: guard.call(divmod, 7, 2), guard.check):
-        with pytest.raises(EndRun, match="^interrupted by the user$"):
+        with pytest.raises(EndRun, match=r"^interrupted by the user$"):
             waits()
     assert len(clock.slept) == 6
 
