@@ -15,6 +15,7 @@ from tests import fuzz
 #: Every default of the public callables but None. A user who leaves an argument out gets another
 #: result when its default changes: such a change belongs here and into the changelog.
 DEFAULTS: dict[str, dict[str, object]] = {
+    "batch.process_files": {"workers": 1, "retry": False},
     "calibration.Calibration.interval": {"level": 0.95},
     "calibration.calibrate": {"loss": "linear"},
     "calibration.detect_circles": {"direction": 0.0, "mirrored": False},
@@ -170,7 +171,7 @@ def test_defaults_are_those_that_are_listed(name: str) -> None:
     given = inspect.signature(fuzz.resolve(name)).parameters.values()
     found = {p.name: p.default for p in given if p.default not in (p.empty, None)}
     listed = DEFAULTS.get(name, {})
-    assert set(found) == set(listed)
+    assert set(found) == set(listed), f"list in DEFAULTS: {name!r}: {found}"
     for argument, value in listed.items():
         assert type(found[argument]) is type(value), argument
         # Some are quotients of round numbers, good to rounding.
