@@ -341,7 +341,7 @@ def clean_labels(labels: ArrayLike, smallest: int) -> NDArray[np.uint8]:
     small = (area < whole("smallest", smallest, least=1))[regions] & (types > 0)
     anchor = ~small & (types > 0)
     if not anchor.any():
-        return types.copy()
+        return types
     nearest = ndimage.distance_transform_edt(~anchor, return_distances=False, return_indices=True)
     return np.where(small, types[tuple(nearest)], types)
 

@@ -10,8 +10,9 @@ packages named, only their rows change. The faults that no test noticed are expl
 
 Packages, modules and tests are found by their folders: a fault in ``microlib/focus/_peaks.py`` is
 judged by ``tests/focus/test_peaks.py``, then the examples in the module, then the rest of
-``tests/focus``; one in ``microlib/optics.py`` by ``tests/test_optics.py``. The compendium counts as
-three: its experiments, its figures, and the rest.
+``tests/focus``; one in ``microlib/optics.py`` by ``tests/test_optics.py``. What they pass is judged
+by the tests that go through every package, and the result says which of the two noticed a fault.
+The compendium counts as three: its experiments, its figures, and the rest.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ import sys
 import tempfile
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from importlib.util import cache_from_source
 from itertools import islice, zip_longest
 from pathlib import Path
@@ -51,6 +53,9 @@ OPERATORS = [name for name in sorted(operator_names()) if not any(word in name f
 LEFT_OUT = {"compendium/readme_picture.py": "run by hand, and looked at"}
 PARTS = ("experiments", "figures")  # of the compendium, with tests that are named after them
 NOT_COPIED = (".*", "__pycache__", "build", "*.egg-info")
+# Tests that go through every package of the library. Of the fuzz only the package's part is run.
+THROUGH_ALL = ("test_defaults", "test_refusals", "test_fuzz")
+OWN, LIBRARY, NONE = "by its own tests", "by the library's", "no"
 
 
 class Fault(NamedTuple):
@@ -69,7 +74,7 @@ class Verdict(NamedTuple):
     fault: str
     line: int
     code: str
-    caught: bool
+    caught: str
 
 
 def main() -> int:
@@ -87,14 +92,21 @@ def main() -> int:
         for k in range(JOBS):
             copies.put(copy_project(Path(folder) / str(k)))
         seconds = dict(zip(chosen, pool.map(lambda n: time_tests(copies, n), chosen), strict=True))
-        if failing := [name for name, spent in seconds.items() if spent is None]:
+        failing = [name for name, spent in seconds.items() if spent is None]
+        first = Path(folder) / "0"
+        if not run_tests(first, tests_through_all("_common"), first / "numba", 600):
+            failing.append("the whole library")
+        if failing:
             print(f"Without any fault the tests of {', '.join(failing)} fail; mend them first.")
             return 1
-        todo = [(name, fault) for name in chosen for fault in faults[name]]
         # Several times what the sound package takes: a loop without end is noticed, too.
         limits = {name: 60 + 3 * (spent or 0) for name, spent in seconds.items()}
-        rows = list(pool.map(lambda t: judge(copies, *t, limits[t[0]]), todo))
-    keep(rows, packages)
+        rows: list[Verdict] = []
+        for name in chosen:
+            found = list(pool.map(partial(judge, copies, name, limits[name]), faults[name]))
+            rows += found
+            keep(found, packages)  # what is known stays known if this is ended
+            print(f"{name}: {count(found)}", flush=True)
     tell(rows, {name: packages[name] for name in chosen}, faults)
     return 0
 
@@ -118,19 +130,22 @@ def tell(
 ) -> None:
     """Print what was not caught, the count of each package, and what was not sampled."""
     for row in rows:
-        if not row.caught:
+        if row.caught == NONE:
             print(f"not caught: {row.module}:{row.line} {row.fault}: {row.code}")
-    for name, modules in packages.items():
-        mine = [row.caught for row in rows if row.package == name]
-        print(f"{name}: {sum(mine)} of {len(mine)} caught, in {len(modules)} modules")
-    caught = sum(row.caught for row in rows)
-    print(f"all: {caught} of {len(rows)} caught, {100 * caught / max(1, len(rows)):.0f} %")
+    print(f"all: {count(rows)}")
     for name, modules in packages.items():
         sampled = {fault.module for fault in faults[name]}
         if bare := [str(m.relative_to(ROOT)) for m in modules if m not in sampled]:
             print(f"not sampled, for no fault can be planted in it: {', '.join(bare)}")
     for path, reason in LEFT_OUT.items():
         print(f"not sampled: {path} ({reason})")
+
+
+def count(rows: list[Verdict]) -> str:
+    own = sum(row.caught == OWN for row in rows)
+    caught = own + sum(row.caught == LIBRARY for row in rows)
+    share = f"{100 * caught / max(1, len(rows)):.0f} %"
+    return f"{caught} of {len(rows)} caught, {share}, {own} of them {OWN}"
 
 
 def find_packages() -> dict[str, list[Path]]:
@@ -218,6 +233,14 @@ def tests_of(module: Path) -> list[str]:
     return [*names[:1], examples, *names[1:]]
 
 
+def tests_through_all(package: str) -> list[str]:
+    """Return those tests of the whole library that are about a package; all for `_common`."""
+    if package in ("compendium", *PARTS):
+        return []
+    names = [f"tests/{name}.py" for name in THROUGH_ALL]
+    return names if package == "_common" else [*names, "-k", f"not test_fuzz or {package}."]
+
+
 def copy_project(folder: Path) -> Path:
     return Path(shutil.copytree(ROOT, folder, ignore=shutil.ignore_patterns(*NOT_COPIED)))
 
@@ -235,7 +258,7 @@ def time_tests(copies: Queue[Path], package: str) -> float | None:
     return perf_counter() - start if passed else None
 
 
-def judge(copies: Queue[Path], package: str, fault: Fault, limit: float) -> Verdict:
+def judge(copies: Queue[Path], package: str, limit: float, fault: Fault) -> Verdict:
     """Plant one fault in a free copy, run the tests of its module there, and undo it."""
     folder = copies.get()
     name = fault.module.relative_to(ROOT)
@@ -252,7 +275,11 @@ def judge(copies: Queue[Path], package: str, fault: Fault, limit: float) -> Verd
     try:
         path.write_text(faulty, encoding="utf-8")
         Path(cache_from_source(str(path))).unlink(missing_ok=True)
-        caught = not run_tests(folder, tests_of(fault.module), compiled, limit)
+        caught, shared = NONE, tests_through_all(package)
+        if not run_tests(folder, tests_of(fault.module), compiled, limit):
+            caught = OWN
+        elif shared and not run_tests(folder, shared, compiled, limit):
+            caught = LIBRARY
     finally:
         path.write_text(sound, encoding="utf-8")
         os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))

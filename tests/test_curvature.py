@@ -271,3 +271,98 @@ def test_region_table_counts_every_labeled_pixel_once():
 def test_bad_input_is_refused_by_name(call, words):
     with pytest.raises(ValueError, match=words):
         call()
+
+
+@pytest.mark.parametrize("size", [3, 5, 7])
+def test_the_smallest_map_has_one_pixel_that_is_known(size):
+    side = 2 * size - 1
+    x, y = np.arange(side) - size + 1.0, np.arange(side + 1)[:, None] - size + 1.0
+    bowl = (x**2 + y**2) / 400
+    found = surface_curvature(bowl, 2.0, size=size)
+    known = np.zeros((side + 1, side), bool)
+    known[size - 1 : size + 1, size - 1] = True
+    for field in (found.mean, found.gaussian, found.mean_error, found.gaussian_error):
+        np.testing.assert_array_equal(np.isfinite(field), known)
+    # At the vertex, whose second derivatives are 1/200 in heights of 1 over pixels of 2 by 2.
+    assert found.mean[size - 1, size - 1] == pytest.approx(1 / 800, rel=1e-9)
+    assert found.gaussian[size - 1, size - 1] == pytest.approx(1 / 800**2, rel=1e-9)
+    for short in (bowl[:, :-1], bowl[:-2]):
+        with pytest.raises(ValueError, match=f"height must be at least {side} px on each side"):
+            surface_curvature(short, 2.0, size=size)
+
+
+def test_the_error_of_k_is_that_of_its_derivatives_where_they_are_large():
+    """On a strong bowl or saddle K is linear in a small error: the answer to one pixel has all
+    weights. Slopes are zero at the center, and the second order is 1e-6 of the first."""
+    for bowl in ((X**2 + Y**2) / 40, (X**2 - Y**2) / 40, X * Y / 20, X**2 / 20 + X * Y / 30):
+        noise, push = 1e-5, 1e-7
+        plane = surface_curvature(bowl, 1.0, noise=noise)
+        squares = 0.0
+        # One pixel after the other within the windows' reach of the center.
+        for row in range(-6, 7):
+            for column in range(-6, 7):
+                pushed = bowl[HALF - 6 : HALF + 7, HALF - 6 : HALF + 7].copy()
+                pushed[6 + row, 6 + column] += push
+                answer = surface_curvature(pushed, 1.0).gaussian[6, 6]
+                squares += ((answer - plane.gaussian[HALF, HALF]) / push) ** 2
+        assert plane.gaussian_error[HALF, HALF] == pytest.approx(noise * squares**0.5, rel=2e-3)
+
+
+def test_errors_are_in_the_units_of_the_map():
+    """Twice the noise is twice the error; a map in other units has the errors in those."""
+    z = (X**2 + 3 * Y**2) / 400 + 0.2 * X
+    once = surface_curvature(z, 1.0, noise=1e-3)
+    loud = surface_curvature(z, 1.0, noise=2e-3)
+    large = surface_curvature(5 * z, 5.0, noise=5e-3)
+    inner = np.isfinite(once.mean)
+    np.testing.assert_allclose(loud.mean_error[inner], 2 * once.mean_error[inner], rtol=1e-12)
+    np.testing.assert_allclose(5 * large.mean_error[inner], once.mean_error[inner], rtol=1e-9)
+    np.testing.assert_allclose(
+        25 * large.gaussian_error[inner], once.gaussian_error[inner], rtol=1e-9
+    )
+    quiet = surface_curvature(z, 1.0)
+    assert (quiet.mean_error[inner] == 0).all()
+    assert (quiet.gaussian_error[inner] == 0).all()
+
+
+def test_a_threshold_may_be_a_map_and_is_unknown_where_it_is():
+    h, k = np.full((2, 2), -1.0), np.full((2, 2), 0.2)
+    limit = np.array([[0.1, 2.0], [np.nan, 0.1]])
+    assert hk_labels(h, k, limit, 0.1).tolist() == [[1, 4], [0, 1]]
+    assert hk_labels(h, k, 0.1, limit).tolist() == [[1, 2], [0, 1]]
+    assert hk_labels(h, k, 0, 0).tolist() == [[1, 1], [1, 1]]
+    for wrong in ("h_zero", "k_zero"):
+        thresholds = {"h_zero": 0.1, "k_zero": 0.1, wrong: [[0.1, -0.1], [0.1, 0.1]]}
+        with pytest.raises(ValueError, match=f"{wrong} must be zero or positive, got -0.1"):
+            hk_labels(h, k, **thresholds)
+    # One value of K is no map of it.
+    with pytest.raises(ValueError, match="gaussian must have the shape"):
+        hk_labels(h, 0.2, 0.1, 0.1)
+
+
+def test_regions_are_connected_along_rows_and_columns():
+    """Two pixels that touch at a corner are two regions; a region as large as asked for stays."""
+    labels = np.full((6, 7), 5, np.uint8)
+    labels[1, 1] = labels[2, 2] = 3
+    labels[4, 3:5] = 8
+    assert (curvature.clean_labels(labels, 2)[:3] == 5).all()
+    assert (curvature.clean_labels(labels, 2)[4, 3:5] == 8).all()
+    assert (curvature.clean_labels(labels, 3) == 5).all()
+    flat = surface_curvature(np.zeros((13, 14)), 1.0)
+    rows = np.zeros((13, 14), np.uint8)
+    rows[2:4, 5:9], rows[7, 1], rows[8, 2] = 2, 9, 9
+    table = curvature.region_table(rows, flat)
+    assert table["area"].tolist() == [8, 1, 1]
+    assert table["label"].tolist() == [2, 9, 9]
+    assert table["name"].tolist() == ["convex cylindric", "saddle valley", "saddle valley"]
+    assert table[["x", "y"]].to_numpy().tolist() == [[6.5, 2.5], [1.0, 7.0], [2.0, 8.0]]
+    with pytest.raises(ValueError, match="curvature must be of the kind Curvature, got int"):
+        curvature.region_table(rows, 3)
+
+
+@pytest.mark.parametrize("wrong", [-1, 10, 2.5, np.nan])
+def test_labels_that_are_none_are_refused(wrong):
+    labels = np.ones((3, 3))
+    labels[1, 2] = wrong
+    with pytest.raises(ValueError, match="labels must be"):
+        curvature.clean_labels(labels, 1)

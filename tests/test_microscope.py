@@ -190,3 +190,121 @@ def test_bad_points_are_refused(points):
         SCOPE.project(points)
     with pytest.raises(ValueError, match="pixels"):
         SCOPE.back_project(points)
+
+
+@pytest.mark.parametrize("change", [distort, undistort])
+def test_sensor_points_come_in_pairs_and_may_be_unknown(change):
+    points = np.array([[[100.0, 200.0], [np.nan, 1.0]], [[0.0, 0.0], [-300.0, 5.0]]])
+    found = change(points, 1e-9)
+    assert found.shape == points.shape
+    np.testing.assert_array_equal(np.isnan(found).all(axis=2), [[False, True], [False, False]])
+    for wrong, words in (
+        (3.0, r"points must have shape \(\.\.\., 2\), got \(\)"),
+        ([1.0, 2.0, 3.0], r"points must have shape \(\.\.\., 2\), got \(3,\)"),
+        ([1.0, np.inf], "points must be finite or NaN, got 1 infinite"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            change(wrong, 1e-9)
+    with pytest.raises(ValueError, match="distortion must be finite"):
+        change(points, np.nan)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ("alpha", "parameters must be a tuple of at least one name, got str"),
+        ((), "parameters must be a tuple of at least one name, got tuple"),
+        (3, "parameters must be a tuple of at least one name, got int"),
+        ({"alpha"}, "parameters must be a tuple of at least one name, got set"),
+        (("alpha", 3), "parameters must be names"),
+        (("alpha", "height"), r"parameters must be among tube_length, .* got \['height'\]"),
+    ],
+)
+def test_parameters_are_asked_for_by_name(parameters, words):
+    with pytest.raises(ValueError, match=words):
+        SCOPE.jacobian([[0.0, 1.0]], parameters)
+
+
+@pytest.mark.parametrize("name", ["magnification", "focus"])
+@pytest.mark.parametrize("scope", [SCOPE, replace(SCOPE, distortion=2e-9, beta=0.3, alpha=0.7)])
+def test_the_lengths_that_a_plane_shows_have_derivatives_too(scope, name):
+    """M by the tube alone, with f + d as it is; and f with the plane kept in focus at the same M,
+    T_op = M f and d = f/M."""
+    if name == "focus":  # of a microscope that is in focus
+        m = scope.magnification
+        scope = replace(scope, tube_length=m * scope.focal_length, distance=scope.focal_length / m)
+
+    def moved(by: float) -> Microscope:
+        if name == "focus":
+            f = scope.focal_length + by
+            m = scope.magnification
+            return replace(scope, focal_length=f, tube_length=m * f, distance=f / m)
+        depth = scope.focal_length + scope.distance
+        return replace(scope, tube_length=(scope.magnification + by) * depth - scope.focal_length)
+
+    world = np.random.default_rng(6).uniform(-1500, 1500, (12, 2))
+    step = 10.0 if name == "focus" else 1e-4
+    numeric = (moved(step).project(world) - moved(-step).project(world)) / (2 * step)
+    # A tilted plane shows the depth; the derivative is good to the square of the step.
+    found = scope.jacobian(world, (name,))[..., 0]
+    np.testing.assert_allclose(found, numeric, atol=1e-6 * np.abs(numeric).max())
+    assert np.abs(numeric).max() > 1e-6
+
+
+def test_a_search_may_pass_through_planes_that_no_microscope_sees():
+    """1 + h Z_r below zero, where the image comes back from infinity; zero itself is unknown."""
+    pose = np.array([2.0, 1e-5, 0.0, 0.0, np.pi / 2, 0.0, 3.0, 4.0])  # edge on: Z_r = −X_w
+    world = np.array([[5e4, 10.0], [3e5, 10.0], [1e5, 10.0]])
+    seen, by = Microscope.project_plane(pose, world, np.array([2.0, 4.0]))
+    # By hand: (0 + 3)·2/(1 − 1e-5 X_w)/2 and (10 + 4)·2/(1 − 1e-5 X_w)/4.
+    np.testing.assert_allclose(seen[:2], [[6.0, 14.0], [-1.5, -3.5]], rtol=1e-9)
+    assert np.isfinite(by[:2]).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"visible": np.zeros(7)}, "visible must have shape"),
+        ({"visible": np.full(8, np.nan)}, "visible must be finite"),
+        ({"world": np.zeros((3, 3))}, "world must have shape"),
+        ({"cell": np.array([1.0, 0.0])}, "cell must be positive"),
+        ({"cell": np.ones(3)}, "cell must have shape"),
+    ],
+)
+def test_what_a_plane_shows_is_checked(change, words):
+    # With κ = −1/3 the fold of u(1 + κu²) lies at 1, the image of 2/3.
+    visible = np.array([2 / 3, 0.0, -1 / 3, 0.0, 0.0, 0.0, 0.0, 0.0])
+    good = {"visible": visible, "world": [[0.1, 0.2]], "cell": np.ones(2)}
+    assert np.isfinite(Microscope.project_plane(**good)[1]).all()
+    with pytest.raises(ValueError, match=words):
+        Microscope.project_plane(**good | change)
+
+
+def test_a_point_on_the_fold_has_no_derivative():
+    """Rounding decides which points meet the fold exactly: of many some do, and are refused."""
+    said = []
+    for k in range(1, 400):
+        distortion = -k / 7.0
+        edge = 2 / 3 / np.sqrt(-3 * distortion)
+        visible = np.array([1.0, 0.0, distortion, 0.0, 0.0, 0.0, 0.0, 0.0])
+        try:
+            seen, by = Microscope.project_plane(visible, np.array([[edge, 0.0]]), np.ones(2))
+        except ValueError as error:
+            said.append(str(error))
+        else:
+            assert np.isnan(seen).all() == np.isnan(by).all()
+    assert said
+    assert set(said) == {"world must keep off the fold of the distortion model, got a point on it"}
+
+
+def test_defaults_are_an_untilted_microscope_with_the_sensor_of_the_thesis():
+    scope = Microscope(2e5, 1e5, 5e4)
+    np.testing.assert_allclose(scope.rotation, np.eye(3), atol=1e-15)
+    assert scope.tilt == 0
+    np.testing.assert_array_equal(scope.translation, [0, 0, 1.5e5])
+    np.testing.assert_array_equal(scope.cell, [9.9, 9.9])
+    np.testing.assert_array_equal(scope.principal_point, [327.5, 245.0])
+    # M = 2: 99 µm of the plane are 198 µm of the sensor, 20 px.
+    np.testing.assert_allclose(scope.project([[99.0, -49.5]]), [[347.5, 235.0]], rtol=1e-12)
+    wide = replace(scope, pixel_size=(9.9, 19.8), image_size=(100, 50))
+    np.testing.assert_allclose(wide.project([[99.0, -49.5]]), [[69.5, 19.5]], rtol=1e-12)

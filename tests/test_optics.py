@@ -137,3 +137,44 @@ def test_a_ladder_reaches_its_largest_blur_from_any_start():
         seen = optics.BlurLadder(image, largest).at(np.full(image.shape, largest))
         exact = cv2.GaussianBlur(image, (0, 0), largest, borderType=cv2.BORDER_REFLECT)
         assert np.abs(seen - exact).max() < 0.03 * exact.max()
+
+
+def test_where_a_ladder_is_not_blurred_the_image_is_as_it_was():
+    image = np.random.default_rng(4).normal(128, 38, (24, 26)).astype(np.float32)
+    ladder = optics.BlurLadder(image, 9.0)
+    sigma = np.full(image.shape, 9.0)
+    sigma[::2] = 0.0
+    # The lowest level is the image itself: rounding only.
+    np.testing.assert_allclose(ladder.at(sigma)[::2], image[::2], rtol=1e-6)
+    np.testing.assert_allclose(ladder.at(0.0), image, rtol=1e-6)
+    assert ladder.largest == 9.0
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: optics.image_distance(200.0, -1.0), "focal_length must be positive"),
+        (
+            lambda: optics.blur_radius(4e4, **LENS | {"sensor_distance": -1.0}),
+            "sensor_distance must be positive",
+        ),
+        (
+            lambda: optics.blur_radius(4e4, **LENS | {"aperture_radius": -1.0}),
+            "aperture_radius must be positive",
+        ),
+        (lambda: optics.gaussian_kernel(1.0, 1.5), "size must be"),
+        (lambda: optics.gaussian_transfer(np.nan, 0.0, 1.0), "must be finite"),
+        (lambda: optics.gaussian_transfer(0.0, np.nan, 1.0), "must be finite"),
+        (lambda: optics.defocus(np.full((4, 4), np.nan), 1.0), "image must be finite"),
+        (lambda: optics.defocus(np.zeros((4, 4)), np.full((4, 4), np.nan)), "sigma must be finite"),
+        (lambda: optics.defocus(np.zeros((4, 4)), 1e9), "sigma must be at most"),
+        (lambda: optics.defocus(np.zeros((4, 4)), np.full((4, 4), 1e9)), "must be at most"),
+        (lambda: optics.BlurLadder(np.eye(4), -1.0), "largest must be zero or positive"),
+        (lambda: optics.BlurLadder(np.eye(4), 1e9), "largest must be at most"),
+        (lambda: optics.BlurLadder(np.eye(4), 1.0).at(-0.5), "sigma must be zero or positive"),
+        (lambda: optics.BlurLadder(np.eye(4), 1.0).at([0.5, 0.5]), "sigma must be one number or"),
+    ],
+)
+def test_each_argument_is_refused_by_its_own_name(call, words):
+    with pytest.raises(ValueError, match=words):
+        call()

@@ -9,9 +9,15 @@ from microlib._common import (
     as_array,
     as_image,
     between,
+    flag,
+    generator,
+    image_shape,
     is_in_memory,
+    items,
+    of_kind,
     one_of,
     positive,
+    refuse_masks,
     same_length,
     scalar,
     whole,
@@ -66,11 +72,76 @@ def test_what_is_right_passes():
         (lambda: one_of("x", "c", ("a", "b")), "x must be one of a, b, got 'c'"),
         (lambda: one_of("x", 1, ("a", "b")), "x must be one of a, b, got 1"),
         (lambda: same_length(("x", "y"), np.zeros(2), np.zeros(3)), "x and y .* got 2 and 3"),
+        (lambda: same_length(("x", "y"), np.zeros(3), np.zeros(2)), "x and y .* got 3 and 2"),
+        (lambda: as_image("x", np.full((2, 2), 2e10)), r"x must lie within ±1e\+10, got 2e\+10"),
+        (
+            lambda: as_image("x", np.zeros((3, 9)), smallest=4),
+            r"x must be at least 4 px .*\(3, 9\)",
+        ),
+        (lambda: positive("x", [1.0, 1e-70]), "x must be at least 1e-60, got 1e-70"),
+        (lambda: positive("x", [1.0, -3.0], zero=True), "x must be zero or positive, got -3"),
+        (lambda: refuse_masks("x", np.ma.array([1.0])), "x must be without a mask"),
+        (lambda: refuse_masks("x", [0, np.ma.array([1.0])]), "x must be without a mask"),
+        (lambda: as_array("x", (np.ma.array([1.0]),)), "x must be without a mask"),
+        (lambda: of_kind("x", 3, str, bytes), "x must be of the kind str or bytes, got int"),
+        (lambda: flag("x", 1), "x must be True or False, got 1"),
+        (lambda: flag("x", None), "x must be True or False, got None"),
+        (lambda: generator("x", -1), "x must be a numpy.random.Generator or a seed .* got -1"),
+        (lambda: generator("x", True), "x must be a numpy.random.Generator .* got True"),
+        (lambda: generator("x", 1.0), r"x must be a numpy.random.Generator .* got 1\.0"),
+        (lambda: items("x", "ab", 2), "x must be 2 numbers, got 'ab'"),
+        (lambda: items("x", b"ab", 2), "x must be 2 numbers, got b'ab'"),
+        (lambda: items("x", np.ma.array([1, 2]), 2), "x must be 2 numbers, got masked"),
+        (lambda: items("x", {1, 2}, 2), "x must be 2 numbers, got {1, 2}"),
+        (lambda: items("x", np.zeros((2, 2)), 2), "x must be 2 numbers, got array"),
+        (lambda: items("x", [1], 2), "x must be 2 numbers, got 1"),
+        (lambda: items("x", [1, 2, 3], 2), "x must be 2 numbers, got 3"),
+        (lambda: image_shape("x", (3, 4, 5)), "x must be 2 numbers, got 3"),
+        (lambda: image_shape("x", (0, 4)), "x must be a whole number of at least 1, got 0"),
+        (lambda: image_shape("x", (4, 0)), "x must be a whole number of at least 1, got 0"),
+        (lambda: image_shape("x", (5, 4), least=5), "x must be a whole number of at least 5"),
+        (lambda: image_shape("x", (65537, 1)), "x must be at most 65536 px a side .* got 65537×1"),
+        (lambda: image_shape("x", (1, 65537)), "x must be at most 65536 px a side .* got 1×65537"),
+        (lambda: image_shape("x", (16385, 16384)), "and 268435456 px in all, got 16385×16384"),
     ],
 )
 def test_a_refusal_says_what_is_wrong(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_what_is_right_passes_the_other_checks():
+    assert flag("x", np.False_) is False
+    assert flag("x", True) is True
+    rng = np.random.default_rng(7)
+    assert generator("x", rng) is rng
+    # NumPy's generator of the same seed draws the same; zero is a seed.
+    for seed in (0, np.int64(3)):
+        assert generator("x", seed).random() == np.random.default_rng(int(seed)).random()
+    assert items("x", [1, "a"], 2) == (1, "a")
+    assert items("x", np.arange(3), 3) == (0, 1, 2)
+    assert items("x", range(2), 2) == (0, 1)
+    assert image_shape("x", [3, np.int64(4)]) == (3, 4)
+    assert image_shape("x", (1, 1)) == (1, 1)
+    assert image_shape("x", (16384, 16384)) == (16384, 16384)
+    assert image_shape("x", (65536, 4096)) == (65536, 4096)
+    of_kind("x", "a", str, bytes)
+    of_kind("x", b"a", str, bytes)
+    refuse_masks("x", [np.ones(2), 3, None])
+    assert whole("x", 4, least=1) == 4
+    assert whole("x", (1 << 31), least=0) == 1 << 31
+
+
+def test_what_came_is_told_in_80_characters():
+    with pytest.raises(ValueError, match=r"got 'a{79}$"):
+        flag("x", "a" * 1000)
+    with pytest.raises(ValueError, match=r"got a huge number$"):
+        flag("x", 10**5000)
+
+
+def test_counts_end_at_31_bits():
+    with pytest.raises(ValueError, match="x must be at most 2147483648, got a larger one"):
+        whole("x", (1 << 31) + 1, least=0)
 
 
 @pytest.mark.parametrize("value", [2, 2.0, np.float32(2), np.uint8(2), np.array(2.0)])

@@ -70,3 +70,9 @@ def test_an_error_of_the_source_arrives(workers):
 
     with pytest.raises(OSError, match="disk is gone"):
         pipeline(rounds(), range(3), workers)
+
+
+def test_one_worker_is_the_caller():
+    names = set()
+    pipeline(iter([lambda part: names.add(get_ident())] * 3), range(4), 1)
+    assert names == {get_ident()}

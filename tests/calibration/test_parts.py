@@ -350,3 +350,29 @@ def test_sides_are_ordered_alike_whatever_side_came_first():
         ][0],
         atol=1e-12,
     )
+
+
+@pytest.mark.parametrize("field", ["rms", "contrast", "sigma"])
+def test_every_measure_is_one_for_each_outline(field):
+    fields = {"rms": np.ones(6), "contrast": np.ones(6), "sigma": np.ones(6)}
+    low = np.full((6, 2), 5.0)
+    for wrong in (np.ones(5), np.ones((6, 1)), 1.0):
+        with pytest.raises(ValueError, match=f"{field} must hold one value for each of the 6"):
+            find_inliers((20, 30), low, low + 4, **fields | {field: wrong})
+
+
+def test_without_an_outline_that_can_be_judged_none_is_taken():
+    low = np.full((3, 2), -5.0)
+    assert find_inliers((20, 30), low, low + 4, *np.ones((3, 3))).tolist() == [False] * 3
+
+
+def test_squares_in_one_row_have_no_grid_of_corners():
+    unit = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    grid = np.array([[k, m] for m in range(2) for k in range(3)])
+    corners = 10.0 * (2 * grid[:, None] + unit)
+    np.testing.assert_array_equal(
+        _squares._corner_grid(corners, grid), 2 * grid[:, None] + unit.astype(int)
+    )
+    row = grid[:3]
+    with pytest.raises(ValueError, match="image must show a grid of squares, got them in one row"):
+        _squares._corner_grid(corners[:3], row)

@@ -61,3 +61,19 @@ def test_a_drawn_surface_keeps_its_scale():
     assert axes.get_xlim()[1] > 190
     assert axes.get_ylim()[1] > 390
     plt.close(figure)
+
+
+def test_the_colors_of_labels_are_nine_even_steps():
+    height, labels = np.zeros((30, 20)), np.full((30, 20), 3, np.uint8)
+    labels[0, 0] = 9
+    html = turnable_surface(height, 1.0, name="s", title="t", labels=labels).data
+    data = json.loads(re.search(r"Plotly\.newPlot\(\s*\"s\",\s*(\[.*?\]),\s*\{", html, re.S)[1])
+    scale = data[0]["colorscale"]
+    # Each color from one ninth to the next, over the labels 0.5 to 9.5.
+    places = [place for place, _ in scale]
+    np.testing.assert_allclose(places, np.repeat(np.arange(10) / 9, 2)[1:-1])
+    assert [color for _, color in scale[::2]] == [HK_COLORS[k] for k in range(1, 10)]
+    assert [color for _, color in scale[1::2]] == [HK_COLORS[k] for k in range(1, 10)]
+    assert (data[0]["cmin"], data[0]["cmax"]) == (0.5, 9.5)
+    assert data[0]["surfacecolor"] == labels.tolist()
+    assert data[0]["colorbar"]["tickvals"] == list(range(1, 10))

@@ -371,6 +371,12 @@ def test_more_than_256_frames_are_counted_right():
             r"frames\[3\] must be float32 of shape",
         ),
         ({"positions": np.arange(65536.0)}, "positions must be at most 65535"),
+        ({"positions": None}, "positions must be given, got None"),
+        ({"frames": (f for f in np.zeros((3, 9, 9)))}, "must be as many, got 3 and 4"),
+        ({"frames": (f for f in np.zeros((6, 9, 9)))}, "must be as many, got more than 4 and 4"),
+        ({"frames": (f for f in np.zeros((0, 9, 9)))}, "frames must hold"),
+        ({"register": 1}, "register must be True or False"),
+        ({"progress": 3}, "progress must be callable, got 3"),
     ],
 )
 def test_bad_input_is_refused_by_name(change, words):
@@ -423,3 +429,59 @@ def test_ground_in_the_first_frame_is_known():
     assert np.isfinite(result.depth).all()
     assert np.abs(result.depth[ground]).mean() < 0.05 * STEP
     assert result.at_end[ground].all()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"window": [[1.0]]}, "window must be an array of real numbers, got list"),
+        ({"window": np.ma.ones((3, 4, 5))}, "window must be an array of real numbers, got Masked"),
+        ({"window": np.ones((3, 4, 5), complex)}, "window must be an array of real numbers"),
+        ({"index": np.ones((4, 5))}, "index must be an array of whole numbers"),
+        ({"positions": np.arange(5)}, "positions must be an array of real numbers"),
+        ({"window": np.ones((4, 4, 5))}, "window must hold an odd number of measures"),
+        ({"window": np.ones((1, 4, 5))}, "window must hold an odd number of measures"),
+        ({"window": np.ones((3, 5, 4))}, "window must hold an odd number of measures"),
+        ({"window": np.full((3, 4, 5), -1.0)}, "window must hold measures from 0 to"),
+        ({"window": np.full((3, 4, 5), np.nan)}, "window must hold measures from 0 to"),
+        ({"window": np.full((3, 4, 5), 1e200)}, "window must hold measures from 0 to"),
+        ({"positions": np.arange(2.0)}, "positions must be at least three finite numbers"),
+        ({"positions": np.array([0, 1, np.inf])}, "positions must be at least three finite"),
+        ({"positions": np.zeros((3, 3))}, "positions must be at least three finite numbers"),
+        ({"positions": np.array([0.0, 1.0, 1.0])}, "positions must be at least"),
+        ({"positions": np.array([0.0, 1.0, 1e300])}, "positions must be at least"),
+        ({"index": np.full((4, 5), 5)}, "index must hold numbers of the 5 positions"),
+        ({"index": np.full((4, 5), -1)}, "index must hold numbers of the 5 positions"),
+    ],
+)
+@pytest.mark.parametrize("fit", [fit_peak, three_point_peak])
+def test_what_is_no_window_around_the_best_frame_is_refused(fit, change, words):
+    good = {
+        "window": np.ones((3, 4, 5), np.float32),
+        "index": np.full((4, 5), 2, np.uint16),
+        "positions": np.arange(5.0),
+    }
+    fit(**good)
+    with pytest.raises(ValueError, match=words):
+        fit(**good | change)
+
+
+@pytest.mark.parametrize("color", [False, True])
+@pytest.mark.parametrize("register", [False, True])
+def test_progress_goes_once_through_all_passes(color, register):
+    count = 9
+    texture = synthetic.mixed_texture((40, 44), 0)
+    height = 4.0 + synthetic.tilted_plane((40, 44), 0.05, 0.02)
+    frames = synthetic.focal_stack(texture, height, np.arange(float(count)), blur_rate=1.0)
+    if color:
+        frames = np.repeat(frames[..., None], 3, axis=3)
+    told = []
+    depth_from_focus(
+        frames,
+        np.arange(float(count)),
+        register=register,
+        progress=lambda *done: told.append(done),
+    )
+    passes = told[0][1] // count
+    assert told == [(k + 1, passes * count) for k in range(passes * count)]
+    assert passes == 1 + color + register

@@ -169,3 +169,116 @@ def test_a_mesh_of_blocks_has_their_means_and_colors(tmp_path: Path) -> None:
     np.testing.assert_array_equal(vertices["rgb"][:3], [[200, 0, 10], [200, 0, 40], [200, 0, 70]])
     with pytest.raises(ValueError, match="image must be uint8 of shape"):
         io.write_ply(tmp_path / "s.ply", height, pixel_size=2.0, image=image[:3])
+
+
+def test_a_colored_tiff_becomes_grey(tmp_path: Path) -> None:
+    image = np.full((5, 6, 3), (255, 0, 0), np.uint8)
+    tifffile.imwrite(tmp_path / "c.tif", image, photometric="rgb")
+    assert io.read_grey(tmp_path / "c.tif")[0, 0] == 76  # 0.299 of 255: luma of pure red
+
+
+def test_a_file_that_is_missing_or_no_path_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"path must name an image, got .*no\.png: no such file"):
+        io.read_grey(tmp_path / "no.png")
+    with pytest.raises(ValueError, match=r"path must name an image, got .*: no such file"):
+        io.read_grey(tmp_path)
+    for call in (
+        lambda: io.read_grey(3),  # type: ignore[arg-type]
+        lambda: io.write_ply(3, np.ones((2, 2)), pixel_size=1.0),  # type: ignore[arg-type]
+        lambda: io.write_height_tiff(3, np.ones((2, 2)), pixel_size=1.0),  # type: ignore[arg-type]
+    ):
+        with pytest.raises(ValueError, match="path must be of the kind str or PathLike, got int"):
+            call()
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e10, -1.0, np.nan])
+def test_a_pixel_of_no_microscope_is_refused(tmp_path: Path, size: float) -> None:
+    for write in (io.write_ply, io.write_height_tiff):
+        with pytest.raises(ValueError, match="pixel_size must be"):
+            write(tmp_path / "h", np.ones((2, 2)), pixel_size=size)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [np.ones(3), np.ones((2, 2, 2)), "map", [["a"]], np.ma.array([[1.0]]), np.ones((0, 3)), 1j],
+)
+def test_what_is_no_map_is_refused(tmp_path: Path, wrong: object) -> None:
+    for write in (io.write_ply, io.write_height_tiff):
+        with pytest.raises(ValueError, match=r"^height must"):
+            write(tmp_path / "h", wrong, pixel_size=1.0)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="what must be of the kind str"):
+        io.write_height_tiff(tmp_path / "h", np.ones((2, 2)), pixel_size=1.0, what=3)  # type: ignore[arg-type]
+
+
+def test_steps_and_colors_of_a_mesh_are_checked(tmp_path: Path) -> None:
+    height = np.ones((4, 6))
+    for step, words in (
+        (0, "step must be a whole number of at least 1, got 0"),
+        (1.5, "step must be a whole number"),
+        (5, r"step must be at most the sides of height \(4, 6\), got 5"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            io.write_ply(tmp_path / "s.ply", height, pixel_size=1.0, step=step)  # type: ignore[arg-type]
+    for image in (
+        np.ones((4, 6)),
+        np.ones((6, 4), np.uint8),
+        np.ones((4, 6, 4), np.uint8),
+        np.ma.ones((4, 6), np.uint8),
+    ):
+        with pytest.raises(ValueError, match="image must be"):
+            io.write_ply(tmp_path / "s.ply", height, pixel_size=1.0, image=image)
+
+
+def test_grey_levels_color_the_vertices_and_blocks_that_are_half_known_count(
+    tmp_path: Path,
+) -> None:
+    row, column = np.mgrid[:4, :6]
+    grey = (10 * column + row).astype(np.uint8)
+    io.write_ply(tmp_path / "s.ply", np.ones((4, 6)), pixel_size=1.5, image=grey)
+    head, body = (tmp_path / "s.ply").read_bytes().split(b"end_header\n", 1)
+    layout = [("xyz", "<f4", 3), ("rgb", "u1", 3)]
+    vertices = np.frombuffer(body, layout, 24)
+    np.testing.assert_array_equal(vertices["rgb"], np.repeat(grey.reshape(-1, 1), 3, axis=1))
+    np.testing.assert_allclose(vertices["xyz"][:, 0], 1.5 * column.ravel())
+    np.testing.assert_allclose(vertices["xyz"][:, 1], -1.5 * row.ravel())
+    assert b"comment lengths in micrometers\nelement vertex 24\n" in head
+    assert b"element face 30\nproperty list uchar int vertex_indices" in head
+    # A block of four with two known ones has their mean; with one it is unknown.
+    height = row + 10.0 * column
+    height[0, :2] = np.nan
+    io.write_ply(tmp_path / "s.ply", height, pixel_size=1.0, step=2)
+    points, faces = read_ply(tmp_path / "s.ply")
+    assert (len(points), len(faces)) == (6, 4)
+    np.testing.assert_allclose(points[0], [0.5, -0.5, 6.0])
+    np.testing.assert_allclose(points[1], [2.5, -0.5, 25.5])
+    height[1, 0] = np.nan
+    io.write_ply(tmp_path / "s.ply", height, pixel_size=1.0, step=2)
+    points, faces = read_ply(tmp_path / "s.ply")
+    assert (len(points), len(faces)) == (5, 2)
+
+
+def test_the_description_says_what_the_map_is(tmp_path: Path) -> None:
+    io.write_height_tiff(tmp_path / "h.tif", np.ones((2, 3)), pixel_size=0.25, what="spread")
+    with tifffile.TiffFile(tmp_path / "h.tif") as tiff:
+        page = tiff.pages[0].aspage()
+        assert page.description == "spread; pixel size 0.25 um"
+        assert page.photometric == 1  # zero is black
+        assert not tiff.is_ome
+    for path in ("a.OME.TIF", "b.ome.tiff"):
+        io.write_height_tiff(tmp_path / path, np.ones((2, 3)), pixel_size=0.25)
+        with tifffile.TiffFile(tmp_path / path) as tiff:
+            assert tiff.is_ome
+
+
+@pytest.mark.parametrize(
+    ("dtype", "kept"),
+    [(np.uint8, np.uint8), (np.uint16, np.uint16), (np.int32, np.int32), (np.int64, np.float32),
+     (np.float64, np.float32), (bool, np.float32)],
+)  # fmt: skip
+def test_types_that_files_keep(tmp_path: Path, dtype: type, kept: type) -> None:
+    for shape in ((2, 3), (2, 5, 3)):
+        io.write_height_tiff(tmp_path / "h.tif", np.ones(shape, dtype), pixel_size=1.0)
+        read = tifffile.imread(tmp_path / "h.tif")
+        assert (read.shape, read.dtype) == (shape, kept)
+        assert (read == 1).all()

@@ -405,3 +405,69 @@ def test_more_pages_than_the_metadata_tell_of_are_not_left_out(stack, tmp_path, 
     path.write_bytes(content.replace(b"images=5", b"images=3").replace(b"slices=5", b"slices=3"))
     with pytest.raises(ValueError, match=r"more\.tif: its metadata tell of 3 pages, it holds 5"):
         list(read_frames(path))
+
+
+@pytest.mark.parametrize("compression", ["tiff_lzw", None])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_colors_and_sixteen_bits_are_read_from_any_compression(stack, tmp_path, compression, dtype):
+    """Where tifffile has no codec OpenCV reads, with blue first: red must stay red."""
+    path, given = tmp_path / "a.tif", np.stack([stack, stack // 2, 255 - stack], axis=-1)
+    if dtype == np.uint8:
+        compressed(path, given, compression)
+        np.testing.assert_array_equal(np.stack(list(read_frames(path, color=True))), given)
+    large = stack.astype(np.uint16) * 100
+    compressed(path, large, compression)
+    np.testing.assert_array_equal(np.stack(list(read_frames(path))), large)
+
+
+def test_a_single_page_of_a_compression_that_nothing_knows_is_named(stack, tmp_path):
+    compressed(tmp_path / "a.tif", stack[:1], "zstd")
+    if importlib.util.find_spec("imagecodecs") or importlib.util.find_spec("compression"):
+        np.testing.assert_array_equal(read_grey(tmp_path / "a.tif"), stack[0])
+        return
+    with pytest.raises(ValueError, match=r"path cannot be read, got .*compression ZSTD needs"):
+        read_grey(tmp_path / "a.tif")
+
+
+def one_directory(path, stack, **options):
+    """Write a stack as ImageJ does beyond 4 GB: the values of all frames after one directory."""
+    tifffile.imwrite(path, stack, imagej=True, metadata={"axes": "ZYX"}, **options)
+    with tifffile.TiffFile(path) as tiff:
+        second = tiff.pages[1].offset
+        order, first = tiff.byteorder, tiff.pages[0].offset
+        content = bytearray(path.read_bytes())
+    entries = struct.unpack_from(order + "H", content, first)[0]
+    struct.pack_into(order + "I", content, first + 2 + 12 * entries, 0)
+    del content[second:]
+    path.write_bytes(content)
+    return bytes(content)
+
+
+def test_a_large_imagej_file_that_is_cut_off_anywhere_is_refused(stack, tmp_path):
+    path = tmp_path / "large.tif"
+    whole = one_directory(path, stack)
+    reader = read_frames(path)
+    assert (reader.count, reader.axis) == (5, "Z")
+    end = whole.index(stack.tobytes()) + stack.nbytes
+    assert np.stack(list(reader)).tobytes() == stack.tobytes()
+    for size in (end - 1, end - stack[0].size, end - 3 * stack[0].size, end - 4 * stack[0].size):
+        path.write_bytes(whole[:size])
+        with pytest.raises(ValueError, match=r"large\.tif"):
+            list(read_frames(path))
+    path.write_bytes(whole[:end])
+    assert len(list(read_frames(path))) == 5
+
+
+def test_a_reader_holds_the_axes_that_a_file_names(stack, tmp_path):
+    for axes, axis in (("ZYX", "Z"), ("TYX", "T"), ("QYX", "Q")):
+        tifffile.imwrite(
+            tmp_path / "a.tif", stack, photometric="minisblack", metadata={"axes": axes}
+        )
+        assert read_frames(tmp_path / "a.tif").axis == axis
+    assert read_frames(stack).axis == ""
+    rgb = np.repeat(stack[..., None], 3, axis=3)
+    tifffile.imwrite(tmp_path / "a.tif", rgb, photometric="rgb", metadata={"axes": "ZYXS"})
+    reader = read_frames(tmp_path / "a.tif")
+    assert (reader.axis, reader.count, reader.color) == ("Z", 5, True)
+    tifffile.imwrite(tmp_path / "a.tif", stack[:1], photometric="minisblack")
+    assert read_frames(tmp_path / "a.tif").count == 1

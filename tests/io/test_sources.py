@@ -308,3 +308,148 @@ def test_names_with_numbers_are_in_their_order(tmp_path: Path) -> None:
     for k in (0, 2, 10, 1):
         cv2.imwrite(str(tmp_path / f"a{k}.png"), np.full((4, 5), k, np.uint8))
     assert [int(frame[0, 0]) for frame in read_frames(f"{tmp_path}/a*.png")] == [0, 1, 2, 10]
+
+
+def test_digits_come_before_letters_and_small_numbers_before_large(tmp_path: Path) -> None:
+    names = ["2a1", "10a1", "10a2", "10b", "a1", "a1b", "a02", "a10", "a", "b1"]
+    for k, name in enumerate(names):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.full((4, 5), k, np.uint8))
+    assert [int(frame[0, 0]) for frame in read_frames(tmp_path)] == list(range(len(names)))
+
+
+def test_one_picture_is_a_stack_of_one(stack: NDArray, tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "one.png"), stack[0])
+    reader = read_frames(str(tmp_path / "one.png"))
+    assert reader.count == 1
+    np.testing.assert_array_equal(list(reader), stack[:1])
+
+
+def test_a_picture_that_is_removed_meanwhile_is_named(stack: NDArray, tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "scan", stack)
+    for source in (folder, (folder / f"frame {k}.png" for k in range(COUNT))):
+        reader = read_frames(source)
+        assert len([next(reader) for _ in range(3)]) == 3
+        kept = (folder / "frame 3.png").read_bytes()
+        (folder / "frame 3.png").unlink()
+        with pytest.raises(ValueError, match=r"read from .*frame 3\.png: no such file"):
+            next(reader)
+        (folder / "frame 3.png").write_bytes(kept)
+
+
+def test_frames_are_named_by_their_place_and_file(stack: NDArray, tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "scan", stack[:3])
+    cv2.imwrite(str(folder / "frame 1.png"), np.zeros((48, 56), np.uint16))
+    files = [folder / f"frame {k}.png" for k in range(3)]
+    for source in (folder, files, iter(files)):
+        with pytest.raises(ValueError, match=r"^frames\[1\], .*frame 1\.png, must be uint8"):
+            list(read_frames(source))
+
+
+def test_a_video_with_fewer_frames_than_it_tells_of_is_refused(
+    stack: NDArray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Film:
+        """Tells of five frames, in blue, green and red, and holds three."""
+
+        left = 3
+
+        def __init__(self, path: str) -> None:
+            self.left = Film.left
+
+        def isOpened(self) -> bool:
+            return True
+
+        def get(self, which: int) -> float:
+            return 5.0 if which == cv2.CAP_PROP_FRAME_COUNT else -1.0
+
+        def read(self) -> tuple[bool, NDArray | None]:
+            self.left -= 1
+            image = np.full((4, 6, 3), (1, 2, 3), np.uint8)
+            return (True, image) if self.left >= 0 else (False, None)
+
+        def release(self) -> None:
+            self.left = 0
+
+    monkeypatch.setattr(cv2, "VideoCapture", Film)
+    (tmp_path / "a.MP4").write_bytes(b"film")
+    reader = read_frames(tmp_path / "a.MP4", color=True)
+    assert (reader.count, reader.shape) == (5, (4, 6))
+    for _ in range(3):
+        np.testing.assert_array_equal(next(reader), np.full((4, 6, 3), (3, 2, 1)))
+    with pytest.raises(ValueError, match=r"a\.MP4: it tells of 5 frames, 3 can be read"):
+        next(reader)
+    Film.get = lambda self, which: 0.0  # type: ignore[method-assign]
+    with pytest.raises(ValueError, match=r"a\.MP4: not a video"):
+        read_frames(tmp_path / "a.MP4")
+
+
+def test_a_reader_is_taken_as_it_is_and_read_again(stack: NDArray) -> None:
+    reader = read_frames(stack, region=(2, 3, 20, 30), reduce=2)
+    assert read_frames(reader) is reader
+    assert reader.kept() is reader
+    assert reader.rereadable
+    first = np.stack(list(reader))
+    np.testing.assert_array_equal(np.stack(list(reader.again())), first)
+    once = read_frames(iter(stack), region=(2, 3, 20, 30), reduce=2)
+    assert not once.rereadable
+    assert not once.color
+    kept = once.kept()
+    assert kept.rereadable
+    assert kept.count == COUNT
+    for _ in range(2):
+        np.testing.assert_array_equal(np.stack(list(kept.again())), first)
+
+
+def test_color_is_kept_when_asked_for_and_only_then(stack: NDArray) -> None:
+    color = np.repeat(stack[..., None], 3, axis=3)
+    reader = read_frames(iter(color), color=True)
+    assert reader.color
+    assert next(reader.kept()).shape == (48, 56, 3)
+    plain = read_frames(color)
+    assert next(plain).shape == (48, 56)
+    assert next(plain.again()).shape == (48, 56)
+    assert next(plain.again(color=True)).shape == (48, 56, 3)
+    with pytest.raises(ValueError, match="color must be True or False"):
+        plain.again(color=1)  # type: ignore[arg-type]
+
+
+def test_a_part_keeps_to_rows_and_columns(stack: NDArray) -> None:
+    """Of a frame that is no square, up to its edges and not beyond."""
+    rows, columns = stack.shape[1:]
+    whole = read_frames(stack, region=(0, 0, rows, columns))
+    assert whole.shape == (rows, columns)
+    last = read_frames(stack, region=(rows - 1, columns - 2, 1, 2))
+    np.testing.assert_array_equal(next(last), stack[0, -1:, -2:])
+    for wrong, words in (
+        ((1, 0, rows, columns), "must lie in"),
+        ((0, 1, rows, columns), "must lie in"),
+        ((-1, 0, 4, 4), "region top must be"),
+        ((0, 0, 0, 4), "region rows must be"),
+        ((0, 0, 4, 0), "region columns must be"),
+        ("abcd", "region must be top, left, rows and columns"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            read_frames(stack, region=wrong)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(next(read_frames(stack, reduce=1)), stack[0])
+    for wrong in (0, 1.5):
+        with pytest.raises(ValueError, match="reduce must be"):
+            read_frames(stack, reduce=wrong)  # type: ignore[arg-type]
+    assert read_frames(stack, reduce=48).shape == (1, 1)
+    with pytest.raises(ValueError, match="sides of at least reduce=49 px"):
+        read_frames(stack, reduce=49)
+
+
+def test_sixteen_bits_in_the_other_order_of_bytes_are_the_same(stack: NDArray) -> None:
+    large = stack.astype(np.uint16) * 257
+    read = next(read_frames(large.astype(">u2")))
+    assert read.dtype == np.uint16
+    assert read.dtype.isnative
+    np.testing.assert_array_equal(read, large[0])
+
+
+def test_frames_without_pixels_are_refused() -> None:
+    for shape in ((2, 0, 5), (2, 5, 0)):
+        with pytest.raises(ValueError, match=r"frames\[0\] must have pixels, got shape"):
+            read_frames(np.zeros(shape, np.uint8))
+    reader = read_frames([])
+    assert (reader.count, reader.shape, list(reader)) == (0, (0, 0), [])

@@ -306,6 +306,12 @@ def test_other_refusals() -> None:
         modulus_std(VALUES, {"dimple_depth": 1.0}, dimple_covariance=np.eye(2))
     with pytest.raises(ValueError, match=r"dimple_covariance must have shape \(2, 2\)"):
         modulus_std(VALUES, {}, dimple_covariance=np.eye(3))
+    for wrong in ([[1.0, 0.1], [0.2, 1.0]], [[1.0, 2.0], [2.0, 1.0]], [[-1.0, 0.0], [0.0, 1.0]]):
+        with pytest.raises(ValueError, match="dimple_covariance must be a covariance, symmetric"):
+            modulus_std(VALUES, {}, dimple_covariance=wrong)
+    # Singular, or not symmetric by rounding alone, is a covariance still.
+    rounded = [[1.0, 0.5], [0.5 + 1e-16, 0.25]]
+    assert modulus_std(VALUES, {}, dimple_covariance=rounded) > 0
     with pytest.raises(ValueError, match="size must be a whole number"):
         modulus_samples(VALUES, {}, size=0, rng=np.random.default_rng(0))
 

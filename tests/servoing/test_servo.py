@@ -358,3 +358,224 @@ def test_a_stage_without_velocities_is_not_driven_by_them():
     scope = scope_of("engine")
     with pytest.raises(ValueError, match="drive must be position for a stage without move_at"):
         steer(scope, AWAY, drive="velocity", speed=10.0)
+
+
+# --- How a run ends, and that it says why -------------------------------------------------------
+
+
+class Still:
+    """A tracker that always answers alike, as on a frozen picture."""
+
+    def __init__(self, center, **more):
+        self.answer = {"center": np.asarray(center, float), "lost": False, **more}
+
+    def track(self, frame):
+        return type("Track", (), self.answer)()
+
+
+@pytest.mark.parametrize("drive", ["position", "velocity"])
+def test_an_image_that_does_not_follow_ends_the_run(drive):
+    scope = scope_of()
+    away = AWAY / 3  # three such moves stay in the picture
+    run = servo(
+        scope.workstation, Still(scope.home), scope.home + away, travel=800.0, jacobian=JACOBIAN,
+        drive=drive, speed=300.0, tolerance=0.2, interval=0.05,
+    )  # fmt: skip
+    assert run.reason.startswith("the image does not follow the stage: 3 moves in a row were off")
+    assert "the last [0. 0.] px instead of [" in run.reason
+    assert run.still
+    assert not run.reached.any()
+    if drive == "position":  # three moves by what J says that is missing
+        assert "instead of [10.   -8.33] px" in run.reason
+        assert run.log["phase"].tolist() == ["start"] + ["servo"] * 4 + ["end"]
+
+
+def test_two_bad_tracks_are_no_image_that_does_not_follow():
+    scope = scope_of()
+    tracker, bad = scope.tracker(), iter([0, 0, 1, 1, 0, 1, 1] + [0] * 20)
+
+    class Wrong:
+        def track(self, frame):
+            track = tracker.track(frame)
+            return Still(track.center + 60.0).track(frame) if next(bad) else track
+
+    run = servo(
+        scope.workstation, Wrong(), scope.home + AWAY, travel=500.0, jacobian=JACOBIAN, step=60.0
+    )
+    assert run.reached.all()
+    assert run.reason == ""
+
+
+def test_a_stage_that_stays_where_it_is_ends_the_run():
+    scope = scope_of()
+    scope.workstation.stage.move_to = lambda position: None
+    run = steer(scope, AWAY)
+    assert run.reason == (
+        "the stage did not go where it was sent: it stands at [0. 0.] µm instead of [40.  0.] µm"
+    )
+    assert run.log["phase"].tolist() == ["start", "end"]
+    assert np.isnan(run.jacobian).all()
+    assert np.isnan(run.drift).all()
+
+
+def test_a_move_that_lasts_longer_than_the_time_out_is_not_begun():
+    scope = scope_of()
+    run = steer(scope, AWAY, speed=1.0, timeout=10.0)
+    assert run.reason == "a move of 40 µm at 1 µm/s takes longer than 10 s"
+    np.testing.assert_array_equal(scope.workstation.stage.position(), 0.0)
+
+
+@pytest.mark.parametrize("answer", [[1.0], [np.nan, 0.0], [1.0, 2.0, 3.0], [[0.0, 0.0]]])
+def test_a_controller_must_give_two_velocities(answer):
+    run = steer(scope_of(), AWAY, jacobian=JACOBIAN, controller=lambda *_: np.array(answer))
+    assert run.reason.startswith("the controller must give two finite velocities, got [")
+    assert run.still
+
+
+def test_what_the_tracker_raises_is_the_reason_and_kept():
+    scope = scope_of()
+
+    class Broken:
+        def track(self, frame):
+            raise ZeroDivisionError("no gradient")
+
+    run = servo(scope.workstation, Broken(), scope.home, travel=400.0)
+    assert run.reason == "ZeroDivisionError: no gradient"
+    assert isinstance(run.error, ZeroDivisionError)
+    assert run.still
+    assert run.log["event"].iloc[-1] == run.reason
+
+
+def test_a_stage_that_cannot_be_stopped_is_not_called_still():
+    scope = scope_of()
+
+    def stop():
+        raise OSError("line is dead")
+
+    scope.workstation.stage.stop = stop
+    run = steer(scope, AWAY)
+    assert not run.still
+    assert run.reason == "the stage may not stand still: stop failed: OSError: line is dead"
+
+
+def test_a_feature_lost_at_a_test_move_ends_the_run():
+    scope = scope_of()
+    tracker, count = scope.tracker(), []
+
+    class Once:
+        def track(self, frame):
+            count.append(1)
+            return tracker.track(frame if len(count) < 3 else 0 * frame)
+
+    run = servo(scope.workstation, Once(), scope.home + AWAY, travel=400.0, test_move=30.0)
+    assert run.reason.startswith("lost: ")
+    assert run.reason.endswith("at a test move of 30 µm")
+    assert run.log["lost"].tolist() == [False, False, True, False]
+
+
+def test_a_tracker_without_reason_or_covariance_will_do():
+    scope = scope_of()
+
+    class Plain:
+        def track(self, frame):
+            feature = scope.workstation.feature
+            return type("Track", (), {"center": feature, "lost": False})()
+
+    run = servo(scope.workstation, Plain(), scope.home + AWAY, travel=400.0)
+    assert run.reached.all()
+    # Exact but for the focus and the increments of the drive.
+    np.testing.assert_allclose(run.jacobian, JACOBIAN, atol=0.005)
+
+    class Blind:
+        def track(self, frame):
+            return type("Track", (), {"center": None, "lost": True})()
+
+    run = servo(scope.workstation, Blind(), scope.home, travel=400.0)
+    assert run.reason == "lost: lost in the first frame"
+
+
+def test_pictures_that_are_kept_are_not_the_cameras_buffer():
+    scope = scope_of()
+    tracker, snap = scope.tracker(), scope.workstation.camera.snap
+    buffer = np.zeros_like(snap()[0])
+
+    def reusing():
+        frame, exposed = snap()
+        buffer[...] = frame
+        return buffer, exposed
+
+    scope.workstation.camera.snap = reusing
+    run = servo(
+        scope.workstation, tracker, scope.home + AWAY, travel=400.0, test_move=40.0,
+        keep_frames=True,
+    )  # fmt: skip
+    assert len(run.frames) > 5
+    assert np.abs(run.frames[0].astype(float) - run.frames[-1]).max() > 50  # the jaws moved
+
+
+def test_a_jacobian_that_is_given_leaves_the_rest_unknown():
+    run = steer(scope_of(), AWAY, jacobian=JACOBIAN)
+    np.testing.assert_array_equal(run.jacobian, JACOBIAN)
+    assert run.jacobian_covariance.shape == (4, 4)
+    assert run.drift.shape == (2,)
+    assert np.isnan(run.jacobian_covariance).all()
+    assert np.isnan(run.drift).all()
+    assert np.isnan(run.misfit)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"speed": 0.0}, "speed must be positive"),
+        ({"step": 0.0}, "step must be positive"),
+        ({"timeout": 0.0}, "timeout must be positive"),
+        ({"most_lost": 0}, "most_lost must be a whole number"),
+        ({"interval": 0.0}, "interval must be at least"),
+        ({"interval": 1e9}, "interval must be at most"),
+        ({"rest": 1e9}, "rest must be at most"),
+        ({"path": 1}, "path must be True or False"),
+        ({"keep_frames": 1}, "keep_frames must be True or False"),
+        ({"jacobian": np.eye(3)}, "jacobian must have shape"),
+        ({"test_move": 0.0}, "test_move must be positive"),
+        ({"travel": (400.0, 0.0)}, "travel must be positive"),
+        ({"controller": 3}, "controller must be callable, got int"),
+        ({"progress": 3}, "progress must be callable, got int"),
+        ({"targets": [np.nan, 0.0]}, "targets must be finite"),
+    ],
+)
+def test_each_argument_is_refused_by_its_own_name(options, message):
+    scope = scope_of()
+    settings = {"travel": 400.0, "targets": scope.home} | options
+    with pytest.raises(ValueError, match=message):
+        servo(scope.workstation, scope.tracker(), **settings)
+    np.testing.assert_array_equal(scope.workstation.stage.position(), 0.0)
+
+
+@pytest.mark.parametrize(
+    "missing", ["snap", "position", "move_to", "moving", "stop", "now", "sleep"]
+)
+def test_a_method_that_is_missing_is_named(missing):
+    methods = {
+        "camera": ("snap",),
+        "stage": ("position", "move_to", "moving", "stop"),
+        "clock": ("now", "sleep"),
+    }
+    parts = {
+        part: type(part, (), {name: lambda self: None for name in names if name != missing})()
+        for part, names in methods.items()
+    }
+    part = next(part for part, names in methods.items() if missing in names)
+    broken = type("Broken", (), parts)()
+    with pytest.raises(ValueError, match=rf"must have {part}\.{missing}\(\), got Broken"):
+        servo(broken, Still((0, 0)), (0, 0), travel=1.0)
+    with pytest.raises(ValueError, match="tracker must have a method track, got int"):
+        servo(scope_of().workstation, 3, (0, 0), travel=1.0)
+
+
+def test_a_travel_for_each_axis():
+    scope = scope_of()
+    target = JACOBIAN @ (0.0, 150.0)
+    run = steer(scope, target, travel=(100.0, 200.0), test_move=40.0)
+    assert run.reached.all()
+    run = steer(scope_of(), target, travel=(200.0, 100.0), test_move=40.0)
+    assert run.reason.startswith("target 0 is beyond the travel of ±[198.  99.] µm")

@@ -1,0 +1,136 @@
+"""Sizes in TIFF files: each unit, and silence where a file says nothing that can be used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+from microlib.io import read_frames
+
+STACK = np.arange(3 * 8 * 10, dtype=np.uint8).reshape(3, 8, 10)
+
+
+@pytest.mark.parametrize(
+    ("unit", "micrometers"),
+    [("nm", 1e-3), ("µm", 1), ("mm", 1e3), ("cm", 1e4), ("m", 1e6)],
+)
+def test_units_of_ome(tmp_path: Path, unit: str, micrometers: float) -> None:
+    sizes = {f"PhysicalSize{axis}": 2.0 for axis in "XYZ"}
+    units = {f"PhysicalSize{axis}Unit": unit for axis in "XYZ"}
+    metadata = {"axes": "ZYX", **sizes, **units}
+    tifffile.imwrite(tmp_path / "a.ome.tif", STACK, metadata=metadata)
+    reader = read_frames(tmp_path / "a.ome.tif")
+    assert reader.pixel_size == pytest.approx(2 * micrometers)
+    np.testing.assert_allclose(reader.positions, [0, 2 * micrometers, 4 * micrometers])
+
+
+@pytest.mark.parametrize(
+    ("unit", "micrometers"),
+    [("nm", 1e-3), ("um", 1), ("\\u00b5m", 1), ("micron", 1), ("microns", 1), ("Micrometer", 1),
+     ("mm", 1e3), ("cm", 1e4), ("inch", 25400)],
+)  # fmt: skip
+def test_units_of_imagej(tmp_path: Path, unit: str, micrometers: float) -> None:
+    about = {"axes": "ZYX", "spacing": 2.5, "unit": unit}
+    tifffile.imwrite(tmp_path / "a.tif", STACK, imagej=True, resolution=(4.0, 4.0), metadata=about)
+    reader = read_frames(tmp_path / "a.tif")
+    assert reader.pixel_size == pytest.approx(0.25 * micrometers)
+    np.testing.assert_allclose(reader.positions, 2.5 * micrometers * np.arange(3))
+
+
+@pytest.mark.parametrize("unit", ["pixel", "PIXELS", "furlong", ""])
+def test_a_unit_that_is_none_gives_no_size(tmp_path: Path, unit: str) -> None:
+    about = {"axes": "ZYX", "spacing": 2.5, "unit": unit}
+    tifffile.imwrite(tmp_path / "a.tif", STACK, imagej=True, resolution=(4, 4), metadata=about)
+    reader = read_frames(tmp_path / "a.tif")
+    assert (reader.pixel_size, reader.positions) == (None, None)
+
+
+@pytest.mark.parametrize(("spacing", "told"), [(-2.5, 2.5), (0, None), ("two", None)])
+def test_a_spacing_is_a_length(tmp_path: Path, spacing: object, told: float | None) -> None:
+    about = {"axes": "ZYX", "spacing": spacing, "unit": "um"}
+    tifffile.imwrite(tmp_path / "a.tif", STACK, imagej=True, resolution=(4, 4), metadata=about)
+    reader = read_frames(tmp_path / "a.tif")
+    assert reader.pixel_size == 0.25
+    if told is None:
+        assert reader.positions is None
+    else:
+        np.testing.assert_allclose(reader.positions, told * np.arange(3))
+
+
+@pytest.mark.parametrize(
+    ("resolution", "unit", "size"),
+    [
+        ((4000, 4000), "CENTIMETER", 2.5),
+        ((4000, 4003), "CENTIMETER", 2.5),  # one in a thousand apart is square still
+        ((4000, 4010), "CENTIMETER", None),
+        ((4010, 4000), "CENTIMETER", None),
+        ((0, 0), "CENTIMETER", None),
+        # A resolution in inches is a printer's, which software writes unasked.
+        ((100, 100), "INCH", None),
+        ((100, 100), "NONE", None),
+    ],
+)
+def test_a_plain_tiff_has_a_resolution_in_centimeters(
+    tmp_path: Path, resolution: tuple[int, int], unit: str, size: float | None
+) -> None:
+    tifffile.imwrite(
+        tmp_path / "a.tif", STACK, photometric="minisblack", metadata=None,
+        resolution=resolution, resolutionunit=unit,
+    )  # fmt: skip
+    reader = read_frames(tmp_path / "a.tif")
+    assert reader.positions is None
+    if size is None:
+        assert reader.pixel_size is None
+    else:
+        assert reader.pixel_size == pytest.approx(size, rel=1e-6)
+
+
+def ome_text(path: Path) -> str:
+    with tifffile.TiffFile(path) as tiff:
+        text = tiff.ome_metadata
+    assert text
+    return text
+
+
+def written(path: Path, positions: list[float], order: list[int] | None = None) -> None:
+    """Write an OME-TIFF with a position of each plane, and planes in another order."""
+    plane = {"PositionZ": positions, "PositionZUnit": ["mm"] * 3}
+    metadata = {"axes": "ZYX", "PhysicalSizeZ": 9.0, "Plane": plane}
+    tifffile.imwrite(path, STACK, metadata=metadata)
+    if order:
+        text = ome_text(path)
+        for k, other in enumerate(order):
+            text = text.replace(f'TheZ="{k}"', f'TheZ="#{other}"')
+        tifffile.tiffcomment(path, text.replace("#", "").encode())
+
+
+def test_positions_are_in_the_order_of_the_planes(tmp_path: Path) -> None:
+    path = tmp_path / "a.ome.tif"
+    written(path, [0.1, 0.2, 0.4])
+    np.testing.assert_allclose(read_frames(path).positions, [100, 200, 400])
+    written(path, [0.4, 0.2, 0.1])
+    np.testing.assert_allclose(read_frames(path).positions, [400, 200, 100])
+    written(path, [0.4, 0.1, 0.2], [2, 0, 1])
+    np.testing.assert_allclose(read_frames(path).positions, [100, 200, 400])
+
+
+@pytest.mark.parametrize("positions", [[0.1, 0.4, 0.2], [0.1, 0.1, 0.2], [0.1, float("nan"), 0.2]])
+def test_positions_that_go_back_and_forth_give_way_to_the_spacing(
+    tmp_path: Path, positions: list[float]
+) -> None:
+    written(tmp_path / "a.ome.tif", positions)
+    np.testing.assert_allclose(read_frames(tmp_path / "a.ome.tif").positions, [0, 9, 18])
+
+
+@pytest.mark.parametrize("wrong", ["two", "nan", "-1.0", "0.0"])
+def test_a_size_that_is_no_length_is_not_told(tmp_path: Path, wrong: str) -> None:
+    path = tmp_path / "a.ome.tif"
+    tifffile.imwrite(path, STACK, metadata={"axes": "ZYX", "PhysicalSizeX": 3.25})
+    text = ome_text(path)
+    assert text.count('"3.25"') == 1
+    tifffile.tiffcomment(path, text.replace('"3.25"', f'"{wrong}"').encode())
+    reader = read_frames(path)
+    assert (reader.pixel_size, reader.positions) == (None, None)

@@ -1,0 +1,196 @@
+"""Calls to devices that raise, hang or do not stop: what is told, and that the stage is stopped."""
+
+from __future__ import annotations
+
+import signal
+import time
+from threading import Event, Thread
+
+import numpy as np
+import pytest
+
+from microlib.servoing._guard import POLL, DeviceError, EndRun, Guard, interrupts
+
+
+class Clock:
+    """Time that passes when somebody sleeps."""
+
+    def __init__(self) -> None:
+        self.time = 100.0
+        self.slept: list[float] = []
+
+    def now(self) -> float:
+        return self.time
+
+    def sleep(self, seconds: float) -> None:
+        self.slept.append(seconds)
+        self.time += seconds
+
+
+class Stage:
+    """Moves for so many questions; refuses to stop for so many tries."""
+
+    def __init__(self, questions: int = 0, refusals: int = 0) -> None:
+        self.questions, self.refusals = questions, refusals
+        self.stops = 0
+
+    def position(self) -> np.ndarray:
+        return np.zeros(2)
+
+    def move_to(self, position: np.ndarray) -> None:
+        pass
+
+    def moving(self) -> bool:
+        self.questions -= 1
+        return self.questions >= 0
+
+    def stop(self) -> None:
+        self.stops += 1
+        if self.stops <= self.refusals:
+            raise OSError("busy")
+
+
+def guard_of(stage: Stage | None = None, timeout: float = 1.0) -> tuple[Guard, Clock, Stage]:
+    clock, stage = Clock(), stage or Stage()
+    return Guard(clock, stage, timeout), clock, stage
+
+
+def test_what_a_device_answers_is_returned() -> None:
+    guard, _, stage = guard_of()
+    assert guard.call(divmod, 7, 2) == (3, 1)
+    assert stage.stops == 0
+
+
+def test_what_a_device_raises_is_told_with_its_name() -> None:
+    guard, _, stage = guard_of()
+
+    def snap() -> None:
+        raise OSError("no light")
+
+    with pytest.raises(DeviceError, match=r"^snap failed: OSError: no light$") as caught:
+        guard.call(snap)
+    assert isinstance(caught.value.__cause__, OSError)
+    assert stage.stops == 0
+
+    class Camera:
+        def __call__(self) -> None:
+            raise SystemExit(2)
+
+    with pytest.raises(DeviceError, match="Camera failed: SystemExit: 2"):
+        guard.call(Camera())
+
+
+def test_a_device_that_hangs_is_given_up_and_the_stage_stopped_when_it_answers() -> None:
+    guard, _, stage = guard_of(timeout=0.05)
+    free, asked = Event(), []
+
+    def move_to() -> None:
+        free.wait(10.0)
+
+    start = time.monotonic()
+    with pytest.raises(DeviceError, match=r"^move_to did not answer within 0\.05 s$"):
+        guard.call(move_to, waiting=lambda: asked.append(1))
+    assert 0.05 < time.monotonic() - start < 5.0
+    assert asked  # what runs meanwhile may stop a stage
+    assert stage.stops == 0  # the driver is still busy with the move
+    free.set()
+    end = time.monotonic() + 5.0
+    while not stage.stops and time.monotonic() < end:
+        time.sleep(0.001)
+    assert stage.stops == 1
+
+
+def test_what_fails_while_a_device_is_waited_for_ends_the_call() -> None:
+    guard, _, stage = guard_of()
+    free = Event()
+
+    def fail() -> None:
+        raise EndRun("too late")
+
+    with pytest.raises(EndRun, match="too late"):
+        guard.call(free.wait, 10.0, waiting=fail)
+    free.set()
+    end = time.monotonic() + 5.0
+    while not stage.stops and time.monotonic() < end:
+        time.sleep(0.001)
+    assert stage.stops == 1
+
+
+def test_a_pause_lasts_and_lets_an_interrupt_between() -> None:
+    guard, clock, _ = guard_of()
+    guard.pause(5 * POLL + 0.007)
+    assert clock.now() == pytest.approx(100 + 5 * POLL + 0.007)
+    assert max(clock.slept) <= POLL
+    guard.pause(-1.0)
+    guard.pause(0.0)
+    assert len(clock.slept) == 6
+    guard.interrupted.set()
+    for waits in (lambda: guard.pause(1.0), lambda: guard.call(divmod, 7, 2), guard.check):
+        with pytest.raises(EndRun, match=r"^interrupted by the user$"):
+            waits()
+    assert len(clock.slept) == 6
+
+
+def test_a_stage_is_waited_for_until_it_stands() -> None:
+    guard, clock, stage = guard_of(Stage(questions=5))
+    seen: list[float] = []
+    guard.settle(lambda: seen.append(clock.now()))
+    assert len(seen) == 5
+    assert stage.questions == -1
+    assert clock.now() == pytest.approx(100 + 5 * POLL / 10)
+
+
+def test_a_stage_that_never_stands_ends_the_run() -> None:
+    guard, clock, _ = guard_of(Stage(questions=10**9), timeout=0.1)
+    with pytest.raises(DeviceError, match=r"^the stage still moves after 0\.1 s$"):
+        guard.settle()
+    assert 100.1 < clock.now() < 100.2
+
+
+def test_a_stage_whose_clock_is_slow_is_waited_for_in_real_time() -> None:
+    guard, clock, _ = guard_of(Stage(questions=10**9), timeout=0.05)
+    ticks = clock.sleep
+
+    def slow(seconds: float) -> None:
+        time.sleep(0.005)
+        ticks(0.001)
+
+    clock.sleep = slow  # type: ignore[method-assign]
+    with pytest.raises(DeviceError, match="still moves"):
+        guard.settle()
+    assert clock.now() < 100.04
+
+
+@pytest.mark.parametrize(
+    ("refusals", "said"), [(0, ""), (2, ""), (3, "stop failed: OSError: busy")]
+)
+def test_a_stop_is_tried_three_times(refusals: int, said: str) -> None:
+    guard, _, stage = guard_of(Stage(refusals=refusals))
+    guard.interrupted.set()  # which must not keep the stage from being stopped
+    assert guard.halt() == said
+    assert stage.stops == min(refusals + 1, 3)
+
+
+def test_a_stop_that_does_not_stop_is_told() -> None:
+    guard, _, stage = guard_of(Stage(questions=10**9), timeout=0.02)
+    assert guard.halt() == "the stage still moves after 0.02 s"
+    assert stage.stops == 3
+
+
+def test_ctrl_c_sets_the_flag_in_the_main_thread_only() -> None:
+    flag, before = Event(), signal.getsignal(signal.SIGINT)
+    with interrupts(flag):
+        assert signal.getsignal(signal.SIGINT) is not before
+        signal.raise_signal(signal.SIGINT)
+    assert flag.is_set()
+    assert signal.getsignal(signal.SIGINT) is before
+    during = []
+
+    def elsewhere() -> None:
+        with interrupts(Event()):
+            during.append(signal.getsignal(signal.SIGINT))
+
+    thread = Thread(target=elsewhere)
+    thread.start()
+    thread.join()
+    assert during == [before]
