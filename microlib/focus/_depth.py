@@ -26,6 +26,7 @@ from microlib._common import (
 )
 from microlib.focus._correction import smooth_depth
 from microlib.focus._directions import directional_depths
+from microlib.focus._flicker import flicker_variance, watched
 from microlib.focus._halos import Wide, check_halos
 from microlib.focus._loops import fill_in
 from microlib.focus._measures import (
@@ -107,10 +108,11 @@ class FocusResult:
         Position at which the pixel is sharpest, µm; NaN where that cannot be told.
     uncertainty : ndarray of float32, shape (rows, cols)
         Estimate of the error, µm; NaN where `depth` is. By "multiscale" from how far depths from
-        horizontal and from vertical detail differ: noise, relief that could not be told from it,
-        and steps, where a pixel may belong to either side; it does not see a depth that is wrong as
-        a whole. By other measures from how rough the depth is, which does not show errors that are
-        smooth over some ten pixels.
+        horizontal and from vertical detail differ: noise, and relief that could not be told from
+        it; from edges of the depth, where a pixel may belong to either side; and from how the light
+        changes from frame to frame. It does not see a depth that is wrong as a whole. By other
+        measures from how rough the depth is, which does not show errors that are smooth over some
+        ten pixels.
     confidence : ndarray of float32, shape (rows, cols)
         1 / (1 + (uncertainty / spacing of the frames)²), from 0 to 1; 0 where `depth` is NaN. The
         spacing is that of the averaged frames where "multiscale" averages, see Notes.
@@ -350,7 +352,9 @@ def _multiscale(
     stack: Replay, positions: Array, points: int, batch: int, workers: int
 ) -> FocusResult:
     """Find the depth by the product of two scales, correct it, and put fine relief back."""
-    sizes = group_sizes(len(positions), peak_width(stack))
+    levels: list[float] = []
+    width = peak_width(watched(stack, levels))
+    sizes = group_sizes(len(positions), width)
     z = averaged_positions(positions, sizes)
     spacing = float(np.median(np.abs(np.diff(z))))
     plain = len(sizes) == len(positions)
@@ -385,7 +389,8 @@ def _multiscale(
     starts = np.cumsum(sizes) - sizes
     best = _nearest_frame(depth, positions, (starts + sizes // 2)[profile.index])
     at_end = (profile.index == 0) | (profile.index == len(z) - 1)
-    error = np.sqrt(relief.variance)
+    place = np.interp(depth, *_rising(z))
+    error = np.sqrt(relief.variance + flicker_variance(place, np.array(levels), sizes, width))
     return _result(depth, error, best, _picked(stack, best), at_end, np.float32(spacing))
 
 
