@@ -379,8 +379,9 @@ def _multiscale(
         ratio = profile.peak.value / np.float32(noise_response(noise))
         depth[below_noise_mask(ratio, len(z))] = np.nan
         inverse_variance = profile.peak.inverse_variance
-    sided = _sided(depth, profile.depths[1], spacing)
-    wide = check_halos(frames, len(z), np.interp(sided * spacing, *_rising(z)), noise)
+    sided, disagreement = _sided(depth, profile.depths[1], spacing)
+    place = np.interp(sided * spacing, *_rising(z))
+    wide = check_halos(frames, len(z), place, disagreement, noise)
     smooth = _smoothed(*_with_wide(sided, inverse_variance, wide, z / spacing))
     doubtful = np.isnan(smooth) | _doubled(wide.instead | wide.neither, smooth.shape)
     fine = directional_depths(frames(), z, smooth * spacing, **turn)
@@ -431,18 +432,22 @@ def _rising(positions: Array) -> tuple[Array, Array]:
     return positions[order], order.astype(float)
 
 
-def _sided(depth: NDArray, fine: NDArray, spacing: float) -> Array:
-    """Take out spikes and put pixels at steps on their own side; in frames."""
+def _sided(depth: NDArray, fine: NDArray, spacing: float) -> tuple[Array, NDArray]:
+    """Take out spikes and put pixels at steps on their own side; in frames.
+
+    Also returned is how far both depths lie from each other.
+    """
     known = np.isfinite(depth)
     if not known.any():
-        return depth / spacing
+        return depth / spacing, np.zeros(depth.shape, np.float32)
     broad = _without_spikes(_filled(depth) / np.float32(spacing), _SPIKE_WINDOWS[0])
     sharp = _filled(fine) / np.float32(spacing)
     median = cv2.medianBlur(sharp, _FINE_WINDOW)
     spread = np.asarray(cv2.medianBlur(np.abs(sharp - median), _FINE_WINDOW))
     steady = np.asarray(cv2.medianBlur(median, _FINE_WINDOW))
     sided = _choose_side(broad, steady, spread < _FINE_SPREAD)
-    return np.where(known, _without_spikes(sided, _SPIKE_WINDOWS[1]), np.nan)
+    own = np.where(known, _without_spikes(sided, _SPIKE_WINDOWS[1]), np.nan)
+    return own, np.abs(broad - median)
 
 
 def _with_wide(
