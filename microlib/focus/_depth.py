@@ -27,6 +27,7 @@ from microlib._common import (
 )
 from microlib.focus._correction import smooth_depth
 from microlib.focus._directions import directional_depths
+from microlib.focus._flicker import flicker_variance, watched
 from microlib.focus._halos import Wide, check_halos
 from microlib.focus._loops import fill_in
 from microlib.focus._measures import (
@@ -108,10 +109,11 @@ class FocusResult(Tidy):
         Position at which the pixel is sharpest, µm; NaN where that cannot be told.
     uncertainty : ndarray of float32, shape (rows, cols)
         Estimate of the error, µm; NaN where `depth` is. By "multiscale" from how far depths from
-        horizontal and from vertical detail differ: noise, relief that could not be told from it,
-        and steps, where a pixel may belong to either side; it does not see a depth that is wrong as
-        a whole. By other measures from how rough the depth is, which does not show errors that are
-        smooth over some ten pixels.
+        horizontal and from vertical detail differ: noise, and relief that could not be told from
+        it; from edges of the depth, where a pixel may belong to either side; and from how the light
+        changes from frame to frame. It does not see a depth that is wrong as a whole. By other
+        measures from how rough the depth is, which does not show errors that are smooth over some
+        ten pixels.
     confidence : ndarray of float32, shape (rows, cols)
         1 / (1 + (uncertainty / spacing of the frames)²), from 0 to 1; 0 where `depth` is NaN. The
         spacing is that of the averaged frames where "multiscale" averages, see Notes.
@@ -376,7 +378,9 @@ def _multiscale(
     stack: Replay, positions: Array, points: int, batch: int, workers: int
 ) -> FocusResult:
     """Find the depth by the product of two scales, correct it, and put fine relief back."""
-    sizes = group_sizes(len(positions), peak_width(stack))
+    levels: list[float] = []
+    width = peak_width(watched(stack, levels))
+    sizes = group_sizes(len(positions), width)
     z = averaged_positions(positions, sizes)
     spacing = float(np.median(np.abs(np.diff(z))))
     plain = len(sizes) == len(positions)
@@ -401,8 +405,9 @@ def _multiscale(
         ratio = profile.peak.value / np.float32(noise_response(noise))
         depth[below_noise_mask(ratio, len(z))] = np.nan
         inverse_variance = profile.peak.inverse_variance
-    sided = _sided(depth, profile.depths[1], spacing)
-    wide = check_halos(frames, len(z), np.interp(sided * spacing, *_rising(z)), noise)
+    sided, disagreement = _sided(depth, profile.depths[1], spacing)
+    place = np.interp(sided * spacing, *_rising(z))
+    wide = check_halos(frames, len(z), place, disagreement, noise)
     smooth = _smoothed(*_with_wide(sided, inverse_variance, wide, z / spacing))
     doubtful = np.isnan(smooth) | _doubled(wide.instead | wide.neither, smooth.shape)
     fine = directional_depths(frames(), z, smooth * spacing, **turn)
@@ -411,7 +416,8 @@ def _multiscale(
     starts = np.cumsum(sizes) - sizes
     best = _nearest_frame(depth, positions, (starts + sizes // 2)[profile.index])
     at_end = (profile.index == 0) | (profile.index == len(z) - 1)
-    error = np.sqrt(relief.variance)
+    place = np.interp(depth, *_rising(z))
+    error = np.sqrt(relief.variance + flicker_variance(place, np.array(levels), sizes, width))
     return _result(depth, error, best, _picked(stack, best), at_end, np.float32(spacing))
 
 
@@ -452,18 +458,22 @@ def _rising(positions: Array) -> tuple[Array, Array]:
     return positions[order], order.astype(float)
 
 
-def _sided(depth: NDArray, fine: NDArray, spacing: float) -> Array:
-    """Take out spikes and put pixels at steps on their own side; in frames."""
+def _sided(depth: NDArray, fine: NDArray, spacing: float) -> tuple[Array, NDArray]:
+    """Take out spikes and put pixels at steps on their own side; in frames.
+
+    Also returned is how far both depths lie from each other.
+    """
     known = np.isfinite(depth)
     if not known.any():
-        return depth / spacing
+        return depth / spacing, np.zeros(depth.shape, np.float32)
     broad = _without_spikes(_filled(depth) / np.float32(spacing), _SPIKE_WINDOWS[0])
     sharp = _filled(fine) / np.float32(spacing)
     median = cv2.medianBlur(sharp, _FINE_WINDOW)
     spread = np.asarray(cv2.medianBlur(np.abs(sharp - median), _FINE_WINDOW))
     steady = np.asarray(cv2.medianBlur(median, _FINE_WINDOW))
     sided = _choose_side(broad, steady, spread < _FINE_SPREAD)
-    return np.where(known, _without_spikes(sided, _SPIKE_WINDOWS[1]), np.nan)
+    own = np.where(known, _without_spikes(sided, _SPIKE_WINDOWS[1]), np.nan)
+    return own, np.abs(broad - median)
 
 
 def _with_wide(

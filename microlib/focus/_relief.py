@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from microlib._common import Array
 from microlib.focus._directions import Directions
+from microlib.focus._errors import smooth_variance
 from microlib.focus._measures import blur
 
 # What the depth and its uncertainty owe to each constant is measured in benchmarks/focus_depth.py.
@@ -47,21 +48,11 @@ _DOUBT, _SURE = 2.5, 4.5
 _BLUR = 1.25
 #: Largest factor by which that is undone; relief finer than 8 px is lost in noise.
 _SHARPEN = 2.2
-#: Radii over which the composed relief and the errors of the smooth part are averaged, px.
-_COMPOSED, _SMOOTH_PART = 16.0, 28.0
-#: Variance of the smoothed depth over that of half the difference of both directions, smoothed as
-#: widely; over what both differ from it in common; and what neither shows, the pull of the fit
-#: towards frames, frames². Measured on smooth surfaces, where the true error is known.
-_NOISE_SHARE, _COMMON_SHARE, _UNSEEN = 0.7, 0.7, 0.009**2
-#: The same for the noise that comes back with the relief and for relief that does not come back.
+#: Radius over which the composed relief is averaged, px.
+_COMPOSED = 16.0
+#: Variance of the noise that comes back with the relief, and of relief that does not come back,
+#: over what both directions show of them. Measured on rendered relief, where the error is known.
 _RETURNED, _LOST = 1.4, 1.6
-#: Rise over 3 px that is a step, frames. Error there, one pixel beside, and further away under the
-#: smoothing, over the height of the step: 0.2 to 0.5, 0.01 to 0.13, and 0.003 to 0.012.
-_STEP, _AT_STEP, _BESIDE_STEP, _NEAR_STEP, _NEAR = 1.5, 0.42, 0.09, 0.026, 7.0
-#: Mean square error over the square of the range of depths within 21 px, for each share of pixels
-#: within 6 px (sigma) that are halos or unknown: some halos are always left. 0.04 to 0.06 on
-#: photographs with steps of 7.7 frames, 0.04 to 0.2 without.
-_HALO, _HALO_RANGE, _HALO_RADIUS = 0.05, 43, 6.0
 
 
 @dataclass(frozen=True)
@@ -108,9 +99,8 @@ def find_relief(base: Array, directions: Directions, doubtful: NDArray[np.bool_]
     more than chance. The relief so composed has a mean square wavenumber, again from the covariance
     of both directions, which tells what the windows of the measure took from it.
 
-    The variance has five parts: noise of the smooth part, from the difference of the directions
-    after the widest smoothing; noise that returned with the relief, which is its variance less the
-    covariance; relief that was seen but held back; steps; and halos that may be left.
+    The variance has the parts of `smooth_variance`, and two of its own: noise that returned with
+    the relief, which is its variance less the covariance, and relief that was seen but held back.
     """
     known = np.isfinite(base)
     weights = _weights(directions.weights, known)
@@ -128,11 +118,11 @@ def find_relief(base: Array, directions: Directions, doubtful: NDArray[np.bool_]
     sharpen, returned = _composed(relief, mean)
     lost_sharpen, _ = _composed(held, mean)
     lost = np.maximum(mean(held[1] * held[2]), 0) * lost_sharpen**2
-    noise = _noise_of_the_smooth_part(smooth, plain, weights, _mean(known, _SMOOTH_PART))
-    variance = _enlarged(_RETURNED * returned * sharpen**2 + _LOST * lost + noise, base.shape)
+    own = _enlarged(_RETURNED * returned * sharpen**2 + _LOST * lost, base.shape)
+    half_difference = (smooth[1] - smooth[2]) / 2
     return Relief(
         offset=relief[0] * _enlarged(sharpen, base.shape),
-        variance=variance + _step_variance(base) + _halo_variance(base, doubtful),
+        variance=own + smooth_variance(base, half_difference, weights[0], doubtful),
     )
 
 
@@ -200,6 +190,11 @@ def _mean(known: NDArray[np.bool_], sigma: float) -> _Mean:
     return lambda image: blur(image[::2, ::2] * weight, sigma / 2) / total
 
 
+def _mean_square(mean: _Mean, image: NDArray) -> NDArray:
+    # Running sums leave less than nothing where all is zero beside something large.
+    return np.maximum(mean(image**2), 0)
+
+
 def _enlarged(image: NDArray, shape: tuple[int, ...]) -> NDArray[np.float32]:
     return np.asarray(cv2.resize(image, shape[::-1]))
 
@@ -209,14 +204,14 @@ def _agreement(band: NDArray, mean: _Mean, common: float, chance: float) -> tupl
     both, along, down = band
     product = along * down
     covariance = mean(product)
-    alone = np.sqrt(mean(along**2) * mean(down**2))
+    alone = np.sqrt(_mean_square(mean, along) * _mean_square(mean, down))
     # Where a few pixels hold most of the noise, chance is that of so few: the root of the products'
     # mean square takes the place of that of two normal variates.
-    scatter = chance * np.maximum(alone, np.sqrt(mean(product**2)))
+    scatter = chance * np.maximum(alone, np.sqrt(_mean_square(mean, product)))
     least = np.float32(1e-30)
     above = (covariance - common * alone) / np.maximum(scatter, least)
     agreed = np.clip((above - _DOUBT) / (_SURE - _DOUBT), 0, 1)
-    share = np.clip(covariance / np.maximum(mean(both**2), least), 0, 1)
+    share = np.clip(covariance / np.maximum(_mean_square(mean, both), least), 0, 1)
     return share * agreed, agreed
 
 
@@ -229,42 +224,3 @@ def _composed(relief: NDArray, mean: _Mean) -> tuple[NDArray, NDArray]:
     wavenumber = np.where(covariance > 1e-6, slopes / np.maximum(covariance, 1e-6), 0)
     sharpen = np.exp(np.clip(_BLUR / 2 * wavenumber, 0, np.log(_SHARPEN)))
     return sharpen, np.maximum(mean(both**2) - covariance, 0)
-
-
-def _noise_of_the_smooth_part(
-    smooth: NDArray, offsets: NDArray, weights: NDArray, mean: _Mean
-) -> NDArray:
-    """Return the variance of the smoothed depth, from two that are smoothed as widely."""
-    difference = (smooth[1] - smooth[2]) / 2
-    along, down = (_weighted_blur(offsets[k], weights[k], _SIGMAS[-1]) for k in (1, 2))
-    common = np.maximum(mean(along * down), 0)
-    return _NOISE_SHARE * mean(difference**2) + _COMMON_SHARE * common + _UNSEEN
-
-
-def _extremes(base: Array, side: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the lowest and the highest depth in a square; what is unknown is neither."""
-    level, square = base.astype(np.float32), np.ones((side, side), np.uint8)
-    unknown, most = np.isnan(level), np.float32(2**16)
-    low = cv2.erode(np.where(unknown, most, level), square)
-    high = cv2.dilate(np.where(unknown, -most, level), square)
-    return np.asarray(low), np.asarray(high)
-
-
-def _halo_variance(base: Array, doubtful: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return the mean square error around halos, of which some are left."""
-    if not doubtful.any():
-        return np.zeros(base.shape, np.float32)
-    low, high = _extremes(base[::2, ::2], _HALO_RANGE // 2)
-    share = blur(doubtful[::2, ::2].astype(np.float32), _HALO_RADIUS / 2)
-    return _enlarged(_HALO * share * np.maximum(high - low, 0) ** 2, base.shape)
-
-
-def _step_variance(base: Array) -> NDArray[np.float32]:
-    """Return the mean square error around steps, where a pixel may be on either side."""
-    low, high = _extremes(base, 3)
-    rise = np.where(high - low > _STEP, high - low, np.float32(0))
-    if not rise.any():
-        return np.zeros(base.shape, np.float32)
-    square = np.ones((3, 3), np.uint8)
-    at = np.maximum(_AT_STEP * rise, _BESIDE_STEP * cv2.dilate(rise, square)) ** 2
-    return np.asarray(at + _NEAR_STEP**2 * blur(rise * rise, _NEAR))

@@ -9,7 +9,7 @@ from microlib import synthetic
 from microlib.focus import depth_from_focus
 from microlib.focus._directions import Directions, _second_differences, directional_depths
 from microlib.focus._peaks import fit_peak
-from microlib.focus._relief import _halo_variance, _step_variance, find_relief
+from microlib.focus._relief import find_relief
 
 SHAPE = (144, 144)
 POSITIONS = np.arange(15.0)
@@ -146,31 +146,6 @@ def test_errors_that_are_smooth_are_stated_too():
     stated = np.sqrt(np.mean(inner(find_relief(np.full(SHAPE, 5.3), made, NOWHERE).variance)))
     # The mean of both has an error of 0.07; some of it is smoothed away.
     assert 0.04 < stated < 0.09
-
-
-def test_a_step_has_the_error_of_its_height():
-    base = np.tile(np.where(np.arange(60) < 30, 2.0, 8.0), (50, 1))
-    base[20, 5] = np.nan  # which is no step
-    variance = _step_variance(base)
-    error = np.sqrt(variance[10])
-    np.testing.assert_allclose(error[[29, 30]], 0.42 * 6, rtol=0.01)
-    np.testing.assert_allclose(error[[28, 31]], 0.09 * 6, rtol=0.03)
-    assert 0.003 * 6 < error[24] < 0.012 * 6
-    assert error[5] < 0.01
-    assert not _step_variance(np.tile(0.7 * np.arange(60), (50, 1))).any()  # a slope is none
-
-
-def test_around_halos_the_error_is_a_share_of_the_range_of_depths():
-    base = np.tile(np.where(np.arange(120) < 60, 2.0, 8.0), (120, 1))
-    base[:, 100:] = np.nan
-    halo = np.zeros(base.shape, bool)
-    halo[40:80, 40:60] = True
-    variance = _halo_variance(base, halo)
-    # Half of what is around the border of the halo is halo; the step is within 21 px.
-    assert variance[60, 59] == pytest.approx(0.05 * 0.5 * 36, rel=0.1)
-    assert variance[60, 20] < 1e-3
-    assert not _halo_variance(base, np.zeros_like(halo)).any()
-    assert np.isfinite(variance).all()
 
 
 def test_unknown_depths_give_no_relief_and_do_no_harm():

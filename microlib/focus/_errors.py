@@ -1,0 +1,159 @@
+"""How far a smoothed depth is likely to be wrong: noise, pull towards frames, steps and halos.
+
+All depths are in frames. What each part is worth is measured in benchmarks/focus_depth.py; the
+factors were fitted to errors that are known, of rendered scenes: domes, tilts and steps, with drawn
+texture and with photographs, other than those of the benchmark.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from microlib._common import Array
+from microlib.focus._measures import blur
+
+#: Radius over which weights tell how much texture a depth rests on, px, and the number of groups of
+#: such pixels: in each, a few hundred independent differences tell their variance.
+_SUPPORT, _GROUPS = 2.0, 16
+#: Median of the square of a normal variate of unit variance. Halos and steps hold few pixels but
+#: most of the mean square, so that the median speaks for the rest.
+_MEDIAN_SQUARE = 0.455
+#: Variance of the smoothed depth over that of half the difference of both directions: 0.4 on coarse
+#: texture, 0.6 to 0.8 on others.
+_NOISE_SHARE = 0.6
+#: Variance that neither direction shows, everywhere and where the depth is level, frames²; the fit
+#: pulls depths towards frames, and a smoothing over this radius, px, takes the mean over a slope.
+_UNSEEN, _PULL, _PULL_RADIUS = 0.009**2, 0.016**2, 5.2
+#: Radius over which the slope is looked at for that, px.
+_SLOPE_RADIUS = 3.0
+#: Rise over 3 px, beyond that of a slope as it is over 7 px, that is an edge, frames: ten times the
+#: error of a depth on weak texture.
+_EDGE = 0.25
+#: Error at an edge, within 3 px of it, and further away under the smoothing, over its height.
+_AT_EDGE, _BESIDE_EDGE, _NEAR_EDGE, _NEAR = 0.4, 0.09, 0.029, 7.0
+#: Mean square error over the square of the range of depths in a square of this side, px, for each
+#: share of pixels within a radius (sigma), px, that are halos or unknown: some halos are left.
+_HALOS = ((43, 6.0, 0.006), (23, 3.0, 0.0125))
+
+
+def smooth_variance(
+    base: Array,
+    half_difference: NDArray[np.float32],
+    weight: NDArray[np.float32],
+    doubtful: NDArray[np.bool_],
+) -> NDArray[np.float32]:
+    """Return the mean square error of a smoothed depth.
+
+    Parameters
+    ----------
+    base : ndarray of float64, shape (rows, cols)
+        Smoothed depth, frames; NaN where unknown.
+    half_difference : ndarray of float32, shape (rows, cols)
+        Half the difference of two independent depths, smoothed as widely, frames.
+    weight : ndarray of float32, shape (rows, cols)
+        Weight of each pixel's own depth; 0 where there is none.
+    doubtful : ndarray of bool, shape (rows, cols)
+        Where light from elsewhere was found, or no depth.
+
+    Returns
+    -------
+    ndarray of float32, shape (rows, cols)
+        Variance, frames².
+    """
+    known = np.isfinite(base)
+    if not known.any():
+        return np.zeros(base.shape, np.float32)
+    noise = _noise_variance(half_difference, weight, known)
+    rest = _pull_variance(base) + _edge_variance(base) + _halo_variance(base, doubtful)
+    return np.asarray(noise + rest, np.float32)
+
+
+def _noise_variance(
+    half_difference: NDArray, weight: NDArray, known: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    """Return the variance from noise, as a function of how much texture there is around a pixel.
+
+    A local mean square would be of few independent differences, and be lowest where it happens to
+    be too low. All pixels with as much texture together tell it well: the medians of groups, made
+    to rise with what they are grouped by, and a line through them, which has less scatter.
+    """
+    scarcity = 1 / np.maximum(blur(weight[::2, ::2], _SUPPORT / 2), np.float32(0.01))
+    there = known[::2, ::2]
+    if not there.any():
+        return np.zeros(known.shape, np.float32)
+    square = half_difference[::2, ::2][there] ** 2
+    groups = np.array_split(np.argsort(scarcity[there]), min(_GROUPS, there.sum()))
+    center = np.array([scarcity[there][group].mean() for group in groups])
+    level = np.array([np.median(square[group]) for group in groups]) / _MEDIAN_SQUARE
+    offset, slope = _rising_line(center, level)
+    curve = np.interp(scarcity, center, _never_falling(level))
+    # Beyond the scarcest group the line goes on, but not far: nothing was measured there.
+    line = offset + slope * np.minimum(scarcity, 3 * center[-1])
+    variance = (_NOISE_SHARE / 2 * (curve + line)).astype(np.float32)
+    return np.asarray(cv2.resize(variance, known.shape[::-1]))
+
+
+def _rising_line(x: Array, y: Array) -> tuple[float, float]:
+    """Return offset and slope, neither below zero, of a line through points."""
+    variance, covariance = float(np.var(x)), float(np.mean((x - x.mean()) * (y - y.mean())))
+    slope = max(covariance / variance, 0.0) if variance > 0 else 0.0
+    offset = float(y.mean()) - slope * float(x.mean())
+    return (offset, slope) if offset >= 0 else (0.0, float(y.mean()) / float(x.mean()))
+
+
+def _never_falling(values: Array) -> Array:
+    """Return the nearest sequence that never falls: neighbors that do are put to their mean."""
+    blocks: list[tuple[float, int]] = []
+    for value in values:
+        mean, count = float(value), 1
+        while blocks and blocks[-1][0] > mean:
+            before, several = blocks.pop()
+            mean = (mean * count + before * several) / (count + several)
+            count += several
+        blocks.append((mean, count))
+    return np.repeat([mean for mean, _ in blocks], [count for _, count in blocks])
+
+
+def _pull_variance(base: Array) -> NDArray[np.float32]:
+    """Return the mean square of what the fit pulls towards frames, less on slopes."""
+    level = blur(np.nan_to_num(base[::2, ::2]).astype(np.float32), _SLOPE_RADIUS / 2)
+    down, along = (slope / 2 for slope in np.gradient(level))
+    wavenumber = (2 * np.pi) ** 2 * (down**2 + along**2)
+    pull = _PULL * np.exp(-wavenumber * _PULL_RADIUS**2) + _UNSEEN
+    return np.asarray(cv2.resize(pull.astype(np.float32), base.shape[::-1]))
+
+
+def _range(base: Array, side: int) -> NDArray[np.float32]:
+    """Return the range of depths in a square; what is unknown does not count."""
+    level, square = base.astype(np.float32), np.ones((side, side), np.uint8)
+    unknown, most = np.isnan(level), np.float32(2**16)
+    low = cv2.erode(np.where(unknown, most, level), square)
+    high = cv2.dilate(np.where(unknown, -most, level), square)
+    return np.asarray(np.maximum(high - low, 0))
+
+
+def _edge_variance(base: Array) -> NDArray[np.float32]:
+    """Return the mean square error around steps, where a pixel may be on either side."""
+    # A plane rises three times as far over 7 px as over 3, a step as far. It goes on outside.
+    wide = np.pad(base, 3, mode="reflect", reflect_type="odd")
+    rise = np.maximum(1.5 * _range(wide, 3) - 0.5 * _range(wide, 7), 0)[3:-3, 3:-3].copy()
+    rise[rise < _EDGE] = 0
+    if not rise.any():
+        return np.zeros(base.shape, np.float32)
+    beside = cv2.dilate(rise, np.ones((7, 7), np.uint8))
+    near = _NEAR_EDGE**2 * blur(rise * rise, _NEAR)
+    return np.asarray((_AT_EDGE * rise) ** 2 + (_BESIDE_EDGE * beside) ** 2 + near)
+
+
+def _halo_variance(base: Array, doubtful: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return the mean square error around halos, of which some are left."""
+    if not doubtful.any():
+        return np.zeros(base.shape, np.float32)
+    coarse, mask = base[::2, ::2], doubtful[::2, ::2].astype(np.float32)
+    total = np.zeros(coarse.shape, np.float32)
+    for side, radius, factor in _HALOS:
+        share = np.maximum(blur(mask, radius / 2), 0)
+        total += np.float32(factor) * share * _range(coarse, side // 2) ** 2
+    return np.asarray(cv2.resize(total, base.shape[::-1]))
