@@ -438,20 +438,19 @@ class ESMTracker:
         The first start is at the finest resolution: one close to the truth is thus never led astray
         by a coarse resolution, where the surroundings of the template weigh most, and costs little.
         Only a distant one pays for the pyramid, and only one beyond the reach of any gradient for a
-        search by correlation.
+        search by correlation. A template that was lost is sought in the whole frame.
         """
-        corners = self._corners()
-        region, origin = cut_around(frame, corners, np.ptp(corners, axis=0).max())
-        if min(region.shape) < 2:
-            found = self._lost(Alignment(self._pose, failure="out of view"), "out of view")
+        if not self._found:
+            region, origin = frame, np.zeros(2)
         else:
-            image = np.ascontiguousarray(as_image("frame", region))
-            found = self._search_near(image, shifted(self._pose, -origin), origin)
-        if found.reason and not self._found:
-            found = self._search_anywhere(frame) or found
-        return found
+            corners = self._corners()
+            region, origin = cut_around(frame, corners, np.ptp(corners, axis=0).max())
+        if min(region.shape) < 2:
+            return self._lost(Alignment(self._pose, failure="out of view"), "out of view")
+        image = np.ascontiguousarray(as_image("frame", region))
+        return self._search_in(image, shifted(self._pose, -origin), origin)
 
-    def _search_near(self, image: Image, start: Array, origin: Array) -> Found:
+    def _search_in(self, image: Image, start: Array, origin: Array) -> Found:
         best = Alignment(start, failure="diverged", correlation=-1.0)
         for pose, layers in self._starts(start, image):
             alignment = self._align(layers, pose, _PROMISING if len(layers) > 1 else -1.0)
@@ -526,11 +525,11 @@ class ESMTracker:
         noise = self._noise_of(image)
         ceiling = ceiling_of(image, noise)
         layers = pyramid(image, robust.coarsest + 1)
-        others = []
+        others = [] if self._found else self._anywhere(layers)
         if not best.failure:
             others.append(shifted(best.pose, -origin))
             if not self._reason(best):
-                fit = robust.polish(layers[robust.finest], others[0], noise, ceiling)
+                fit = robust.polish(layers[robust.finest], others[-1], noise, ceiling)
                 if fit is not None:
                     spread = robust.corner_covariance(fit)
                     if _clear(fit, spread) or self._confirms(fit, spread, best, origin):
@@ -564,27 +563,15 @@ class ESMTracker:
                 return plain
         return self._judged(finding, best, origin, noise)
 
-    def _search_anywhere(self, frame: NDArray) -> Found | None:
-        """Look for a template that was lost in the whole frame."""
-        image = np.ascontiguousarray(as_image("frame", frame))
-        robust = self._robust
-        halvings = max(
-            (k for k in range(len(self._levels)) if min(self._box[2:]) >= _SOUGHT * 2**k), default=0
-        )
-        layers = pyramid(image, max(halvings, robust.coarsest) + 1)
+    def _anywhere(self, layers: list[Image]) -> list[Array]:
+        """Return the pose shifted to where the template correlates best in the whole frame."""
+        small = [min(self._box[2:]) >= _SOUGHT * 2**k for k in range(len(self._levels))]
+        halvings = max(sum(small) - 1, 0)
+        while len(layers) <= halvings:
+            layers.append(halved(layers[-1]))
         middle = self._corners().mean(axis=0)
-        starts = [
-            shifted(self._pose, place - middle)
-            for place in self._levels[halvings].places(layers[halvings], _PLACES)
-        ]
-        if not starts:
-            return None
-        noise = self._noise_of(image)
-        finding = robust.search(
-            layers, starts[0], starts[1:], noise, ceiling_of(image, noise), near=False, vote=False
-        )
-        found = self._judged(finding, Alignment(self._pose, "diverged"), np.zeros(2), noise)
-        return None if found.reason else found
+        places = self._levels[halvings].places(layers[halvings], _PLACES)
+        return [shifted(self._pose, place - middle) for place in places]
 
     def _judged(
         self, finding: Finding | None, best: Alignment, origin: Array, noise: float
