@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -213,11 +214,6 @@ class RobustSearch:
     def kept_noise(self) -> float:
         """Standard deviation that unit white noise has in the residuals of a fit."""
         return self._lit[0].local.noise
-
-    def sigma(self, fit: LitFit) -> float:
-        """Return the largest standard deviation of a corner coordinate, px of the frame."""
-        variance = np.diag(self.corner_covariance(fit))
-        return float(np.sqrt(variance.max())) if np.isfinite(variance).all() else np.inf
 
     def corner_covariance(self, fit: LitFit) -> Array:
         """Return the covariance of the corners (8: x, y of each), px² of the frame."""
@@ -431,3 +427,19 @@ def _shifted_before(pose: Array, level: LocalLevel, x: float, y: float) -> Array
     shift = np.eye(3)
     shift[:2, 2] = level.level.to_template[0, 0] * np.array([x, y])
     return pose @ shift
+
+
+@cache
+def compile_loops() -> None:
+    """Run everything that is compiled once, so that the first frame that needs it need not wait.
+
+    It takes half a minute where the library runs for the first time, else a tenth of a second to
+    load what was compiled then.
+    """
+    noise = np.random.default_rng(0).uniform(0, 255, (48, 48))
+    image: Image = cv2.GaussianBlur(noise.astype(np.float32), (0, 0), 1.0)
+    pose = np.array([[8.0, 0, 23.5], [0, 8.0, 23.5], [0, 0, 1]])
+    search = RobustSearch(
+        image, (16, 16, 16, 16), pose, "homography", np.ones((16, 16), np.float32)
+    )
+    search.search(pyramid(image, search.coarsest + 1), pose, [], 1.0, np.inf, hopeless=0.0)

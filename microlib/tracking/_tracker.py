@@ -29,6 +29,7 @@ from microlib.tracking._covariance import (
     corner_jacobian,
     kept_between,
     lag_between,
+    largest_sigma,
     sandwich,
     squared_frequency,
 )
@@ -47,7 +48,7 @@ from microlib.tracking._esm import (
 from microlib.tracking._kalman import KalmanFilter
 from microlib.tracking._light import LitFit
 from microlib.tracking._noise import ceiling_of, noise_of
-from microlib.tracking._search import Finding, RobustSearch
+from microlib.tracking._search import Finding, RobustSearch, compile_loops
 from microlib.tracking._verdict import confidence
 
 # What each of these is worth is in the benchmark of tracking, table "Constants", where they are
@@ -122,6 +123,10 @@ _AGREED, _LEAST_TEXTURE, _CERTAIN = 0.95, 100.0, 0.15
 #: Drift of the blocks' grey levels, in the noise and in the contrast, that is no change of light;
 #: and that is none of the template, where nothing better is found.
 _STEADY, _UNSTEADY = (0.5, 0.02), (1.0, 0.2)
+
+#: Corner distance (px) up to which two alignments in different light say the same, and their
+#: standard deviation.
+_CONFIRMED = 0.5
 
 #: Residual in smooth light, in the noise, up to which nothing is hidden.
 _CLEAR = 1.5
@@ -307,7 +312,7 @@ class ESMTracker:
         mask: ArrayLike | None = None,
         kalman: KalmanFilter | None = None,
     ) -> None:
-        frame = as_image("image", image)
+        frame = np.ascontiguousarray(as_image("image", image))
         motion = one_of("motion", motion, MOTIONS)
         x, y, width, height = self._box = _checked_box(box, frame.shape)
         if levels is None:
@@ -326,7 +331,7 @@ class ESMTracker:
         self._kalman = kalman
         self._last_correlation, self._gain = 1.0, 1.0
         self._found = True
-        self._whole = np.issubdtype(frame.dtype, np.integer)
+        self._whole = np.asarray(image).dtype.kind in "bui"
         size = max(width, height) / 2
         self._start = np.array(
             [[size, 0, x + (width - 1) / 2], [0, size, y + (height - 1) / 2], [0, 0, 1.0]]
@@ -370,13 +375,14 @@ class ESMTracker:
             len(self._refinement.basis)
         ) > 1
         self._distortions = _distortions(self._refinement.corners, motion) if several else []
-        self._prepare_judgement(np.asarray(frame, np.float32), motion, counts)
+        self._prepare_judgement(frame, motion, counts)
 
     def _prepare_judgement(
         self, frame: Image, motion: str, counts: NDArray[np.bool_] | None
     ) -> None:
         """Keep what is needed to judge a pose, and to search where it does not convince."""
         x, y, width, height = self._box
+        compile_loops()
         self._noise = self._noise_of(frame)
         weight = np.ones((height, width)) if counts is None else counts
         self._robust = RobustSearch(
@@ -448,20 +454,19 @@ class ESMTracker:
         The first start is at the finest resolution: one close to the truth is thus never led astray
         by a coarse resolution, where the surroundings of the template weigh most, and costs little.
         Only a distant one pays for the pyramid, and only one beyond the reach of any gradient for a
-        search by correlation.
+        search by correlation. A template that was lost is sought in the whole frame.
         """
-        corners = self._corners()
-        region, origin = cut_around(frame, corners, np.ptp(corners, axis=0).max())
+        region: Image = frame
+        origin: Array = np.zeros(2)
+        if self._found:
+            corners = self._corners()
+            region, origin = cut_around(frame, corners, np.ptp(corners, axis=0).max())
         if min(region.shape) < 2:
-            found = self._lost(Alignment(self._pose, failure="out of view"), "out of view")
-        else:
-            image = np.asarray(as_image("frame", region), np.float32)
-            found = self._search_near(image, shifted(self._pose, -origin), origin)
-        if found.reason and not self._found:
-            found = self._search_anywhere(frame) or found
-        return found
+            return self._lost(Alignment(self._pose, failure="out of view"), "out of view")
+        image = np.ascontiguousarray(as_image("frame", region))
+        return self._search_in(image, shifted(self._pose, -origin), origin)
 
-    def _search_near(self, image: Image, start: Array, origin: Array) -> Found:
+    def _search_in(self, image: Image, start: Array, origin: Array) -> Found:
         best = Alignment(start, failure="diverged", correlation=-1.0)
         for pose, layers in self._starts(start, image):
             alignment = self._align(layers, pose, _PROMISING if len(layers) > 1 else -1.0)
@@ -483,17 +488,11 @@ class ESMTracker:
     def _plain(self, alignment: Alignment, drift: tuple[float, float]) -> Found | None:
         """Return the alignment as the result if all parts of the template agree with it."""
         level = self._refinement
-        if alignment.design is None or alignment.design.shape[1] != level.template.size:
+        rows = self._agreeing(alignment, drift)
+        if rows is None or alignment.design is None:
             return None
-        n = len(level.basis)
-        shape = self._box[3], self._box[2]
-        template, ones, grey = (
-            row.astype(np.float32).reshape(shape) for row in alignment.design[n:]
-        )
-        said = agreement(grey, template, ones, self._noise)
-        steady = drift[0] * self._noise + drift[1] * abs(alignment.gain) * level.contrast
-        if said.agreeing < _AGREED or said.texture < _LEAST_TEXTURE or said.drift > steady:
-            return None
+        template, ones, grey = rows
+        n, shape = len(level.basis), grey.shape
         bias = alignment.bias - level.mean * (1.0 - alignment.gain)
         residual = grey - np.float32(alignment.gain) * template - np.float32(bias) * ones
         places = apply_homography(alignment.pose, self._lattice)
@@ -509,19 +508,48 @@ class ESMTracker:
         hidden = self._nothing_hidden if alignment.visible == 1.0 else ones == 0
         return Found(alignment, "", covariance, 1.0, hidden, plain=True)
 
+    def _agreeing(self, alignment: Alignment, drift: tuple[float, float]) -> list[Image] | None:
+        """Return template, visibility and image of an alignment if all parts agree with it."""
+        level = self._refinement
+        if alignment.design is None or alignment.design.shape[1] != level.template.size:
+            return None
+        shape = self._box[3], self._box[2]
+        rows = [
+            row.astype(np.float32).reshape(shape) for row in alignment.design[len(level.basis) :]
+        ]
+        template, ones, grey = rows
+        said = agreement(grey, template, ones, self._noise)
+        steady = drift[0] * self._noise + drift[1] * abs(alignment.gain) * level.contrast
+        if said.agreeing < _AGREED or said.texture < _LEAST_TEXTURE or said.drift > steady:
+            return None
+        return rows
+
+    def _confirms(self, fit: LitFit, covariance: Array, plain: Alignment, origin: Array) -> bool:
+        """Return whether smooth light leads to where one gain and bias did, and all parts agree."""
+        corners = self._refinement.corners
+        moved = apply_homography(shifted(fit.pose, origin), corners)
+        off = np.abs(moved - apply_homography(plain.pose, corners)).max()
+        return bool(
+            off < _CONFIRMED
+            and self._agreeing(plain, _UNSTEADY) is not None
+            and largest_sigma(covariance) < _CONFIRMED
+        )
+
     def _search_robustly(self, image: Image, start: Array, best: Alignment, origin: Array) -> Found:
         """Search among the starts, what they led to, and where the blocks of the template point."""
         robust = self._robust
         noise = self._noise_of(image)
         ceiling = ceiling_of(image, noise)
         layers = pyramid(image, robust.coarsest + 1)
-        others = []
+        others = [] if self._found else self._anywhere(layers)
         if not best.failure:
             others.append(shifted(best.pose, -origin))
             if not self._reason(best):
-                fit = robust.polish(layers[robust.finest], others[0], noise, ceiling)
-                if fit is not None and self._clear(fit):
-                    return self._believed(fit, 1.0, origin, noise)
+                fit = robust.polish(layers[robust.finest], others[-1], noise, ceiling)
+                if fit is not None:
+                    spread = robust.corner_covariance(fit)
+                    if _clear(fit, spread) or self._confirms(fit, spread, best, origin):
+                        return self._believed(fit, spread, 1.0, origin, noise)
         finding = robust.search(layers, start, others, noise, ceiling, near=self._found)
         found = self._judged(finding, best, origin, noise)
         if found.reason and self._found and self._distortions:
@@ -551,40 +579,30 @@ class ESMTracker:
                 return plain
         return self._judged(finding, best, origin, noise)
 
-    def _search_anywhere(self, frame: NDArray) -> Found | None:
-        """Look for a template that was lost in the whole frame."""
-        image = np.asarray(as_image("frame", frame), np.float32)
-        robust = self._robust
-        halvings = max(
-            (k for k in range(len(self._levels)) if min(self._box[2:]) >= _SOUGHT * 2**k), default=0
-        )
-        layers = pyramid(image, max(halvings, robust.coarsest) + 1)
+    def _anywhere(self, layers: list[Image]) -> list[Array]:
+        """Return the pose shifted to where the template correlates best in the whole frame."""
+        small = [min(self._box[2:]) >= _SOUGHT * 2**k for k in range(len(self._levels))]
+        halvings = max(sum(small) - 1, 0)
+        while len(layers) <= halvings:
+            layers.append(halved(layers[-1]))
         middle = self._corners().mean(axis=0)
-        starts = [
-            shifted(self._pose, place - middle)
-            for place in self._levels[halvings].places(layers[halvings], _PLACES)
-        ]
-        if not starts:
-            return None
-        noise = self._noise_of(image)
-        finding = robust.search(
-            layers, starts[0], starts[1:], noise, ceiling_of(image, noise), near=False, vote=False
-        )
-        found = self._judged(finding, Alignment(self._pose, "diverged"), np.zeros(2), noise)
-        return None if found.reason else found
+        places = self._levels[halvings].places(layers[halvings], _PLACES)
+        return [shifted(self._pose, place - middle) for place in places]
 
     def _judged(
         self, finding: Finding | None, best: Alignment, origin: Array, noise: float
     ) -> Found:
         """Return what was found if it is believed to be the template, else that it is lost."""
         if finding is not None and finding.fit is not None:
-            sigma = self._robust.sigma(finding.fit)
-            if self._clear(finding.fit):
+            spread = self._robust.corner_covariance(finding.fit)
+            if _clear(finding.fit, spread):
                 probability = 1.0
             else:
-                probability = confidence(finding, sigma, size=max(self._box[2:]), near=self._found)
+                probability = confidence(
+                    finding, largest_sigma(spread), size=max(self._box[2:]), near=self._found
+                )
             if probability >= _BELIEVED:
-                found = self._believed(finding.fit, probability, origin, noise)
+                found = self._believed(finding.fit, spread, probability, origin, noise)
                 if found.alignment.correlation >= self._least_correlation:
                     return found
             return self._lost(best, self._reason(best) or "no agreement", probability)
@@ -594,17 +612,9 @@ class ESMTracker:
         hidden = np.ones_like(self._nothing_hidden)
         return Found(alignment, reason, np.full((8, 8), np.nan), probability, hidden)
 
-    def _clear(self, fit: LitFit) -> bool:
-        """Return whether all parts of the template agree in smooth light."""
-        said = fit.agreement
-        return (
-            said.agreeing >= _AGREED
-            and said.texture >= _LEAST_TEXTURE
-            and fit.noise < _CLEAR
-            and self._robust.sigma(fit) < _CERTAIN
-        )
-
-    def _believed(self, fit: LitFit, probability: float, origin: Array, noise: float) -> Found:
+    def _believed(
+        self, fit: LitFit, covariance: Array, probability: float, origin: Array, noise: float
+    ) -> Found:
         """Return a fit in smooth light as the result."""
         height, width = self._box[3], self._box[2]
         hidden = _hidden(fit, noise * self._robust.kept_noise)
@@ -620,7 +630,7 @@ class ESMTracker:
             visible=fit.visible,
             iterations=fit.iterations,
         )
-        return Found(alignment, "", self._robust.corner_covariance(fit), probability, hidden)
+        return Found(alignment, "", covariance, probability, hidden)
 
     def _noise_of(self, image: Image) -> float:
         """Return the noise of a frame, at least that of rounding and of interpolation."""
@@ -712,6 +722,17 @@ def _checked_mask(mask: ArrayLike | None, shape: tuple[int, int]) -> NDArray[np.
     if counts.sum() < _COARSEST**2:
         raise ValueError(f"mask must keep {_COARSEST**2} pixels, got {counts.sum()}")
     return counts
+
+
+def _clear(fit: LitFit, covariance: Array) -> bool:
+    """Return whether all parts of the template agree in smooth light."""
+    said = fit.agreement
+    return (
+        said.agreeing >= _AGREED
+        and said.texture >= _LEAST_TEXTURE
+        and fit.noise < _CLEAR
+        and largest_sigma(covariance) < _CERTAIN
+    )
 
 
 def _hidden(fit: LitFit, noise: float) -> NDArray[np.bool_]:
