@@ -11,6 +11,7 @@ from skimage.filters import threshold_otsu
 
 from microlib._common import Array, as_image
 from microlib.calibration._detection import FEWEST
+from microlib.calibration._outline_fit import START_BLUR
 
 #: Smaller components are noise, px; 5 to 20 find the same shapes, 80 loses squares
 #: of 9 px.
@@ -48,6 +49,8 @@ class DarkRegions:
         Second central moments, px².
     areas : ndarray, shape (N,)
         Number of pixels.
+    blur : float
+        Blur of their edges with which a fit may start, px.
     """
 
     image: NDArray[np.float32]
@@ -55,6 +58,7 @@ class DarkRegions:
     centers: Array
     moments: Array
     areas: Array
+    blur: float = START_BLUR
 
     @property
     def fullness(self) -> Array:
@@ -91,6 +95,8 @@ def find_dark_regions(image: ArrayLike) -> DarkRegions:
     for _ in range(_ROUNDS):
         threshold = threshold_otsu(smooth)
         light = _paraboloid(smooth, smooth > threshold)
+        if not light.max() > 0:
+            raise ValueError("image must show a pattern on a lit ground, got a dark one")
         smooth = smooth / np.maximum(light, _LEAST_LIGHT * light.max())
     mask = (smooth < threshold_otsu(smooth)).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
