@@ -33,6 +33,9 @@ _TO_SIGMA = 1.4826
 #: as many marks. The map has absorbed a constant and a slope already.
 _COEFFICIENTS = {4: 15, 3: 10, 2: 6}
 _MARKS_PER_COEFFICIENT = 3
+#: Powers of the squared radius that a lens' distortion has beside the map's own; each is used with
+#: so many marks a power.
+_RADIAL_POWERS, _MARKS_PER_POWER = (2, 3), 6
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,14 @@ class Agreement:
 
 
 def agree(
-    residuals: Array, places: Array, sigma: Array, groups: NDArray, pitch: float, spent: int
+    residuals: Array,
+    places: Array,
+    radial: Array,
+    sigma: Array,
+    groups: NDArray,
+    *,
+    pitch: float,
+    spent: int,
 ) -> Agreement:
     """Hold the residuals of a grid map against the σ of the points.
 
@@ -66,6 +76,9 @@ def agree(
         Points minus the map that was fitted to them, px.
     places : ndarray, shape (N, 2)
         Coordinates in the lattice, in which what is left of a distortion is smooth.
+    radial : ndarray, shape (N, 2)
+        Image points from the image's middle, in halves of its longer side: in them a lens'
+        distortion is radial.
     sigma : ndarray, shape (N,)
         Standard deviation of a coordinate as the outlines' own fits tell it, px.
     groups : ndarray of int, shape (N,)
@@ -88,13 +101,15 @@ def agree(
     --------
     >>> rng = np.random.default_rng(0)
     >>> places = np.stack(np.meshgrid(np.arange(8.0), np.arange(8.0)), -1).reshape(-1, 2)
-    >>> found = agree(rng.normal(0, 0.1, (64, 2)), places, np.full(64, 0.05), np.arange(64), 30, 9)
+    >>> found = agree(rng.normal(0, 0.1, (64, 2)), places, places / 4 - 1, np.full(64, 0.05),
+    ...               np.arange(64), pitch=30, spent=9)
     >>> bool(abs(found.misfit - 2) < 0.2)
     True
     """
     kept = np.ones(len(sigma), dtype=bool)
+    fields, numbers = _smooth_fields(places, radial, groups, spent)
     for _ in range(2):  # strays bend the polynomial that they are found by
-        left, freedom = _smooth_away(residuals, places, kept, groups, spent)
+        left, freedom = _smooth_away(residuals, fields, kept), 2 * int(kept.sum()) - numbers
         if freedom <= 0:
             return Agreement(kept, sigma, np.nan)
         spread = _TO_SIGMA * np.median(np.abs(left[kept])) * np.sqrt(2 * kept.sum() / freedom)
@@ -102,7 +117,7 @@ def agree(
         kept = ~np.isin(groups, groups[stray])
         if not kept.any():
             break
-    left, freedom = _smooth_away(residuals, places, kept, groups, spent)
+    left, freedom = _smooth_away(residuals, fields, kept), 2 * int(kept.sum()) - numbers
     share = kept.mean()
     rms = float(np.sqrt((left[kept] ** 2).sum() / freedom)) if freedom > 0 else np.inf
     own = float(np.sqrt((sigma[kept] ** 2).mean())) if kept.any() else 0.0
@@ -115,19 +130,32 @@ def agree(
     return Agreement(kept, np.sqrt(sigma**2 + added), rms / own)
 
 
-def _smooth_away(
-    residuals: Array, places: Array, kept: NDArray[np.bool_], groups: NDArray, spent: int
-) -> tuple[Array, int]:
-    """Residuals less a polynomial through the kept ones, and their degrees of freedom."""
-    marks = len(np.unique(groups[kept]))
+def _smooth_fields(places: Array, radial: Array, groups: NDArray, spent: int) -> tuple[Array, int]:
+    """Smooth displacements that so many marks can tell, (fields, N, 2), and the numbers that they
+    and the map have together."""
+    marks = len(np.unique(groups))
+    squared = (radial**2).sum(axis=1, keepdims=True)
+    powers = [p for p in _RADIAL_POWERS if marks >= _MARKS_PER_POWER * p]
+    fields = [radial * squared**p for p in powers]
     degree = max(
         (d for d, count in _COEFFICIENTS.items() if marks >= _MARKS_PER_COEFFICIENT * count),
         default=0,
     )
     if degree == 0:
-        return residuals, 2 * int(kept.sum()) - spent
+        return np.array(fields).reshape(-1, *radial.shape), spent + len(powers)
     x, y = ((places - places.mean(axis=0)) / np.ptp(places)).T
-    basis = np.column_stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)])
-    fitted = basis @ np.linalg.lstsq(basis[kept], residuals[kept], rcond=None)[0]
-    # Of the map's parameters the six of an affine map are the polynomial's too.
-    return residuals - fitted, 2 * int(kept.sum()) - 2 * basis.shape[1] - max(spent - 6, 0)
+    for i in range(degree + 1):
+        for j in range(degree + 1 - i):
+            term = (x**i * y**j)[:, None]
+            fields += [term * [1.0, 0.0], term * [0.0, 1.0]]
+    # Of the map's numbers the six of an affine map are the polynomial's too.
+    return np.array(fields), len(fields) + max(spent - 6, 0)
+
+
+def _smooth_away(residuals: Array, fields: Array, kept: NDArray[np.bool_]) -> Array:
+    """Residuals less the smooth displacements that fit the kept ones best."""
+    if len(fields) == 0:
+        return residuals
+    design = fields[:, kept].reshape(len(fields), -1).T
+    best = np.linalg.lstsq(design, residuals[kept].ravel(), rcond=None)[0]
+    return residuals - np.tensordot(best, fields, axes=1)

@@ -159,12 +159,12 @@ def _detection(
     points, sigma = points - bias, _sigma(fit)
     if np.abs(bias).max() > _SMALL_BIAS * np.median(sigma):
         to_image = fit_grid_map(points, positions, image_shape)
-    number = np.arange(len(points))
     agreement = agree(
         points - to_image(positions),
         positions,
+        (points - to_image.middle) / to_image.unit,
         sigma,
-        number,
+        np.arange(len(points)),
         pitch=float(np.sqrt(np.median(to_image.scale(positions)))),
         spent=to_image.freedom,
     )

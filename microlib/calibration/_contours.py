@@ -25,6 +25,11 @@ _FULLNESS = (0.90, 1.02)
 _MOST_UNEVEN = 0.5
 #: A mark is wider than two pixels: the second moment of these across is 4/16 px².
 _THINNEST = 0.25
+#: The mean gradient of an edge is so many standard deviations of the noise's: contours of noise
+#: alone have up to 3.
+_TOLD = 4.0
+#: Median of the absolute values to standard deviation, for normal errors.
+_TO_SIGMA = 1.4826
 #: Contours are of one mark if their centers are this near, in radii.
 _SAME = 0.5
 #: A start of the blur below this is no better than the usual one.
@@ -50,11 +55,11 @@ def find_marks(image: NDArray[np.float32]) -> list[DarkRegions]:
     gradient = (
         np.hypot(cv2.Scharr(smooth, cv2.CV_32F, 1, 0), cv2.Scharr(smooth, cv2.CV_32F, 0, 1)) / 32
     )  # the kernel's sum over its step
+    steepest = _TOLD * _noise_gradient(image)
     low, high = np.percentile(smooth, [0.5, 99.5])
     ranks = np.percentile(smooth[::2, ::2], np.linspace(2, 98, _LEVELS))
     levels = np.unique(np.concatenate([np.linspace(low, high, _LEVELS + 2)[1:-1], ranks]))
-    found = [_at_level(smooth, gradient, level) for level in levels]
-    rows = np.concatenate(found) if found else np.empty((0, 10))
+    rows = np.concatenate([_at_level(smooth, gradient, level, steepest) for level in levels])
     negative = (image.max() + image.min()) - image
     dark = rows[:, 9] > 0
     return [
@@ -63,9 +68,18 @@ def find_marks(image: NDArray[np.float32]) -> list[DarkRegions]:
     ]
 
 
-def _at_level(smooth: NDArray, gradient: NDArray, level: float) -> Array:
-    """Contours of a level that may be marks: center, moments (3), area, fullness, mean gradient,
-    contrast, and whether dark (1) or bright (0)."""
+def _noise_gradient(image: NDArray[np.float32]) -> float:
+    """Standard deviation of the smoothed image's derivative that noise alone makes, grey levels a
+    pixel."""
+    # A mask that no plane or ridge answers; the squares of its weights sum to 36.
+    mask = np.array([[1.0, -2, 1], [-2, 4, -2], [1, -2, 1]])
+    noise = float(np.median(np.abs(cv2.filter2D(image, cv2.CV_32F, mask)))) * _TO_SIGMA / 6
+    return noise / (np.sqrt(8 * np.pi) * _SMOOTHING**2)
+
+
+def _at_level(smooth: NDArray, gradient: NDArray, level: float, least: float) -> Array:
+    """Contours of a level that may be marks, their mean gradient more than `least`: center, moments
+    (3), area, fullness, mean gradient, contrast, and whether dark (1) or bright (0)."""
     mask = (smooth > level).astype(np.uint8)
     contours, hierarchy = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     size = np.fromiter(map(len, contours), dtype=np.intp, count=len(contours))
@@ -95,7 +109,7 @@ def _at_level(smooth: NDArray, gradient: NDArray, level: float) -> Array:
     start = np.concatenate([[0], np.cumsum(count)[:-1]])
     mean = np.add.reduceat(steep, start) / count
     square = np.add.reduceat(steep**2, start) / count
-    even = square - mean**2 < (_MOST_UNEVEN * mean) ** 2
+    even = (square - mean**2 < (_MOST_UNEVEN * mean) ** 2) & (mean > least)
     table = np.array(rows)
     column, row = np.round(table[:, :2]).astype(int).T
     beside = 2 * np.abs(smooth[row, column] - level)

@@ -100,7 +100,8 @@ def _grey_levels(parameters: Array, patches: Patches) -> tuple[Array, Array]:
     jacobian = np.empty((*distance.shape, 10))
     jacobian[..., 0], jacobian[..., 1] = slope * nx, slope * ny
     jacobian[..., SHAPE] = -slope[..., None] * by_shape
-    jacobian[..., BLUR] = -slope * z
+    turned = np.where(parameters[:, BLUR, None] < 0, -1.0, 1.0)  # the model has |blur|
+    jacobian[..., BLUR] = -slope * z * turned
     jacobian[..., CONTRAST] = -light * inside
     jacobian[..., GROUND] = by_light * (1 - contrast * inside)[..., None]
     return light * (1 - contrast * inside), jacobian

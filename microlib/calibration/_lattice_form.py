@@ -31,7 +31,7 @@ _MOST_SCATTER = 0.08
 _MOST_RATIO, _MOST_COSINE = 1.15, 0.12
 #: Least part of the lattice's places inside the marks' convex hull that hold one. False lattices
 #: of the development images hold a fifth to a half.
-_LEAST_FULL = 0.6
+LEAST_FULL = 0.6
 
 
 @dataclass(frozen=True)
@@ -125,25 +125,40 @@ def _reduced(gram: Array) -> tuple[float, float, float]:
         b, c = b - turns * a, c - 2 * turns * b + turns**2 * a
 
 
-def refuse_gaps(marks: str, grid: NDArray[np.intp]) -> None:
-    """Refuse a lattice of which most marks are missing, as chance puts it together.
+def fill(grid: NDArray[np.intp]) -> float:
+    """Part of a lattice's places inside the convex hull of the marks that hold one.
 
     Parameters
     ----------
-    marks : str
-        What it is of.
     grid : ndarray of int, shape (N, 2)
-        Coordinates of the marks, which span a plane.
+        Coordinates of the marks.
+
+    Returns
+    -------
+    float
+        Zero for marks in one row.
+
+    Examples
+    --------
+    >>> fill(np.array([[0, 0], [2, 0], [0, 2], [2, 2]]))
+    0.4444444444444444
     """
     if np.linalg.matrix_rank(grid - grid[0]) < 2:
-        raise ValueError(f"image must show a grid of {marks}, got {len(grid)} in one row")
+        return 0.0
     hull = ConvexHull(grid)
     corners = grid[hull.vertices]
     border = np.gcd(*np.abs(corners - np.roll(corners, 1, axis=0)).T).sum()
-    places = hull.volume + border / 2 + 1  # Pick's theorem; the volume in a plane is the area
-    if len(grid) < _LEAST_FULL * places:
+    # Pick's theorem; a hull's volume in the plane is its area.
+    return float(len(grid) / (hull.volume + border / 2 + 1))
+
+
+def refuse_gaps(marks: str, grid: NDArray[np.intp]) -> None:
+    """Refuse a lattice of which many marks are missing, as chance puts it together."""
+    share = fill(grid)
+    if share < LEAST_FULL:
         raise ValueError(
-            f"image must show a grid of {marks}, got {len(grid)} at {places:.0f} places of one"
+            f"image must show a grid of {marks}, got {len(grid)} that fill {100 * share:.0f} % of "
+            "the places of one"
         )
 
 

@@ -177,7 +177,8 @@ def _grey_levels(parameters: Array, patches: Patches) -> tuple[Array, Array]:
     scale = -(light * contrast)[..., None]
     jacobian[..., ANGLE] = scale * by_distance * turning
     jacobian[..., OFFSET] = scale * by_distance
-    jacobian[..., BLUR] = -(scale * by_distance * z).sum(axis=-1)
+    turned = np.where(parameters[:, BLUR, None] < 0, -1.0, 1.0)  # the model has |blur|
+    jacobian[..., BLUR] = -(scale * by_distance * z).sum(axis=-1) * turned
     jacobian[..., CONTRAST] = -light * inside
     jacobian[..., GROUND] = by_light * (1 - contrast * inside)[..., None]
     return light * (1 - contrast * inside), jacobian

@@ -14,7 +14,7 @@ from microlib.calibration._quads import fit_quads
 #: outline at one of them.
 _SURELY_SQUARE, _SURELY_ROUND = 0.965, 0.992
 #: Regions that are asked, evenly among all: each has hundreds of pixels to tell by.
-_ASKED = 12
+_ASKED = 6
 
 
 def are_round(regions: DarkRegions, index: NDArray[np.intp]) -> bool:

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import as_array, as_image, items, whole
+from microlib.calibration._complete import complete
 from microlib.calibration._contours import find_marks
 from microlib.calibration._dark_regions import DarkRegions, find_dark_regions
 from microlib.calibration._detection import Detection
 from microlib.calibration._grid_order import order_grid
 from microlib.calibration._grow import grow_lattices
+from microlib.calibration._lattice_form import LEAST_FULL, fill
 
 #: From regions, those of a lattice, and their integer coordinates to a detection, or a refusal.
 Assemble = Callable[[DarkRegions, NDArray[np.intp], NDArray[np.intp]], Detection]
@@ -68,14 +70,15 @@ def search(
     for regions, index, grid in _candidates(grey, marks, lattice, refusals):
         if best is not None and _LARGER * len(index) <= len(np.unique(best.group)):
             continue
+        on_lattice = len(index) / len(regions.centers)
         try:
-            found = assemble(regions, index, grid)
+            found = assemble(*complete(regions, index, grid))
         except ValueError as refusal:
             refusals.append((len(index), refusal))
             continue
         if best is None or len(found.points) > len(best.points):
             best = found
-        if len(index) >= _NOTHING_ELSE * len(regions.centers):
+        if on_lattice >= _NOTHING_ELSE:
             break
     if best is None:
         raise max(refusals, key=lambda each: each[0])[1]
@@ -95,7 +98,8 @@ def _candidates(
     pieces = [
         (regions, *piece)
         for regions in find_marks(grey)
-        for piece in grow_lattices(regions, lattice)[:_PIECES]
+        for piece in grow_lattices(regions, lattice)
+        if fill(piece[1]) > LEAST_FULL
     ]
     yield from sorted(pieces, key=lambda piece: -len(piece[1]))[:_PIECES]
 

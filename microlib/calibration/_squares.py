@@ -152,6 +152,7 @@ def _detection(
     agreement = agree(
         points - to_image(positions),
         positions,
+        (points - to_image.middle) / to_image.unit,
         sigma.ravel(),
         np.repeat(np.arange(len(corners)), 4),
         pitch=float(np.sqrt(np.median(to_image.scale(middle)))),
