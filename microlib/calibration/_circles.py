@@ -7,9 +7,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, flag, one_of, scalar
 from microlib.calibration._agreement import agree
+from microlib.calibration._complete import SHARP, refuse_fields
 from microlib.calibration._dark_regions import DarkRegions
 from microlib.calibration._detection import FEWEST, Detection, find_inliers
 from microlib.calibration._ellipses import (
+    BLUR,
     CENTER,
     CONTRAST,
     ellipse_reach,
@@ -132,6 +134,9 @@ def _fit(
     if not are_round(regions, index[inlier]):
         raise ValueError("image must show circles, got squares")
     origins = patches.centers[inlier]
+    radius = 1 / np.sqrt(np.median(np.linalg.det(ellipse_shape(found[inlier]))))
+    if np.median(np.abs(found[inlier, BLUR])) < SHARP * radius:
+        refuse_fields("circles", regions, index[inlier], grid[inlier])
     return smooth_parameters(fit[inlier], origins, _SMOOTH), origins, grid[inlier]
 
 

@@ -1,4 +1,4 @@
-"""Marks that a lattice lacks although the image shows them: a threshold or a contour missed them."""
+"""Marks that a lattice lacks although the image shows them, and what lies between them."""
 
 from __future__ import annotations
 
@@ -21,6 +21,14 @@ _HALF_WIDTH = 2.0
 _FEWEST_FOR_MAP = 12
 #: Rings around the lattice that are looked at, one after the other.
 _RINGS = 4
+#: Places half a step from a mark, across and along the axes.
+_ACROSS = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, 0.5], [-0.5, -0.5]])
+_ALONG = np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
+#: Least ratio of the ground's contrast along and across: 1 but for blur and light, a half between
+#: the fields of a chessboard.
+_LEAST_ALIKE = 0.75
+#: With more blur than this part of a mark's half-width its neighbors shade the places between.
+SHARP = 0.3
 
 
 def complete(
@@ -104,10 +112,45 @@ def _quadratic(points: Array, like: Array) -> Array:
     return np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
 
 
+def refuse_fields(
+    marks: str, regions: DarkRegions, index: NDArray[np.intp], grid: NDArray[np.intp]
+) -> None:
+    """Refuse marks between which there is more than ground: fields of a chessboard, or a part of a
+    finer lattice.
+
+    Parameters
+    ----------
+    marks : str
+        What the lattice is said to be of.
+    regions : DarkRegions
+        From an image.
+    index : ndarray of int, shape (N,)
+        Those that lie on the lattice.
+    grid : ndarray of int, shape (N, 2)
+        Their coordinates.
+
+    Raises
+    ------
+    ValueError
+        If the grey levels half a step away along the axes and across differ.
+    """
+    centers = regions.centers[index]
+    steps = mean_steps(centers, grid)
+    middle = _levels(regions.smooth, centers)
+    across, along = (
+        float(np.median(_levels(regions.smooth, centers[:, None] + half @ steps) - middle[:, None]))
+        for half in (_ACROSS, _ALONG)
+    )
+    if min(across, along) < _LEAST_ALIKE * max(across, along):
+        raise ValueError(
+            f"image must show {marks} apart from each other, got fields of a chessboard or marks "
+            "between them"
+        )
+
+
 def _contrast(smooth: NDArray, centers: Array, steps: Array) -> Array:
     """Grey levels half a step away on all four sides across, less that in the middle."""
-    half = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, 0.5], [-0.5, -0.5]]) @ steps
-    around = centers[:, None] + half
+    around = centers[:, None] + _ACROSS @ steps
     return _levels(smooth, around).min(axis=1) - _levels(smooth, centers)
 
 

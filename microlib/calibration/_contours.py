@@ -8,14 +8,15 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from microlib._common import Array
-from microlib.calibration._dark_regions import DarkRegions
-from microlib.calibration._outline_fit import START_BLUR
+from microlib.calibration._dark_regions import DarkRegions, start_blur
 
 #: Levels at which contours are drawn: as many evenly spaced as by rank. A mark is found if one of
 #: them separates it from its ground all round.
 _LEVELS = 20
 #: Standard deviation of the Gaussian that takes the noise off, px.
 _SMOOTHING = 1.0
+#: What Scharr's kernel makes of a gradient of one: its positive weights times two pixels.
+_SCHARR = 32
 #: Shortest contour of a mark of 5 px across, px; and its most area as a part of the image's.
 _SHORTEST, _LARGEST = 14, 1 / 16
 #: Fullness of an ellipse is 1, of a square 0.955; contours of few pixels come out a little beside.
@@ -32,10 +33,6 @@ _TOLD = 4.0
 _TO_SIGMA = 1.4826
 #: Contours are of one mark if their centers are this near, in radii.
 _SAME = 0.5
-#: A start of the blur below this is no better than the usual one.
-_USUAL_BLUR = 2.0
-#: Least gradient that is divided by, grey levels a pixel.
-_FLAT = 1e-9
 
 
 def find_marks(image: NDArray[np.float32]) -> list[DarkRegions]:
@@ -52,14 +49,13 @@ def find_marks(image: NDArray[np.float32]) -> list[DarkRegions]:
         Two, of which either may hold no mark.
     """
     smooth: NDArray = cv2.GaussianBlur(image, (0, 0), _SMOOTHING)
-    gradient = (
-        np.hypot(cv2.Scharr(smooth, cv2.CV_32F, 1, 0), cv2.Scharr(smooth, cv2.CV_32F, 0, 1)) / 32
-    )  # the kernel's sum over its step
-    steepest = _TOLD * _noise_gradient(image)
+    dx, dy = (cv2.Scharr(smooth, cv2.CV_32F, *order) for order in ((1, 0), (0, 1)))
+    slope = np.hypot(dx, dy) / _SCHARR
+    least = _TOLD * _noise_gradient(image)
     low, high = np.percentile(smooth, [0.5, 99.5])
     ranks = np.percentile(smooth[::2, ::2], np.linspace(2, 98, _LEVELS))
     levels = np.unique(np.concatenate([np.linspace(low, high, _LEVELS + 2)[1:-1], ranks]))
-    rows = np.concatenate([_at_level(smooth, gradient, level, steepest) for level in levels])
+    rows = np.concatenate([_at_level(smooth, slope, level, least) for level in levels])
     negative = (image.max() + image.min()) - image
     dark = rows[:, 9] > 0
     return [
@@ -77,7 +73,7 @@ def _noise_gradient(image: NDArray[np.float32]) -> float:
     return noise / (np.sqrt(8 * np.pi) * _SMOOTHING**2)
 
 
-def _at_level(smooth: NDArray, gradient: NDArray, level: float, least: float) -> Array:
+def _at_level(smooth: NDArray, slope: NDArray, level: float, least: float) -> Array:
     """Contours of a level that may be marks, their mean gradient more than `least`: center, moments
     (3), area, fullness, mean gradient, contrast, and whether dark (1) or bright (0)."""
     mask = (smooth > level).astype(np.uint8)
@@ -105,7 +101,7 @@ def _at_level(smooth: NDArray, gradient: NDArray, level: float, least: float) ->
     hole = hierarchy[0, kept, 3] >= 0
     count = size[kept]
     points = np.concatenate(outlines)
-    steep = gradient[points[:, 1], points[:, 0]]
+    steep = slope[points[:, 1], points[:, 0]]
     start = np.concatenate([[0], np.cumsum(count)[:-1]])
     mean = np.add.reduceat(steep, start) / count
     square = np.add.reduceat(steep**2, start) / count
@@ -136,14 +132,5 @@ def _strongest(rows: Array, image: NDArray[np.float32], smooth: NDArray) -> Dark
         rows[:, :2],
         rows[:, [2, 3, 3, 4]].reshape(-1, 2, 2),
         rows[:, 5],
-        _blur(rows[:, 8], rows[:, 7]),
+        start_blur(rows[:, 8], rows[:, 7]),
     )
-
-
-def _blur(contrast: Array, steep: Array) -> float:
-    """Blur with which to start the fits: a Gaussian edge of contrast C has the gradient
-    C/(√(2π) blur)."""
-    if len(contrast) == 0:
-        return START_BLUR
-    blur = float(np.median(contrast / np.maximum(steep, _FLAT))) / np.sqrt(2 * np.pi)
-    return blur if blur > _USUAL_BLUR else START_BLUR

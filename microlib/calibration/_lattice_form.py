@@ -27,8 +27,9 @@ LATTICES = tuple(STEPS)
 #: chance mostly more than 0.2.
 _MOST_SCATTER = 0.08
 #: Longer over shorter step of a lattice of equal steps, at most, and how far the cosine between
-#: them may lie from 0 or ½: half way to the other lattice is 0.25.
-_MOST_RATIO, _MOST_COSINE = 1.15, 0.12
+#: them may lie from 0 or ½. Every second place of every second row of a square lattice is nearest
+#: to a hexagonal one, with a ratio of 1.118 and a cosine of 0.447.
+_MOST_RATIO, _MOST_COSINE = 1.1, 0.1
 #: Least part of the lattice's places inside the marks' convex hull that hold one. False lattices
 #: of the development images hold a fifth to a half.
 LEAST_FULL = 0.6

@@ -8,13 +8,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, flag, scalar
 from microlib.calibration._agreement import agree
+from microlib.calibration._complete import SHARP, refuse_fields
 from microlib.calibration._dark_regions import DarkRegions
 from microlib.calibration._detection import FEWEST, Detection, find_inliers
 from microlib.calibration._grid_map import GridMap, fit_square_map
 from microlib.calibration._grid_order import mean_steps
 from microlib.calibration._lattice_form import Form, orient, refuse_gaps
 from microlib.calibration._outline_fit import smooth_parameters
-from microlib.calibration._quads import CONTRAST, fit_quads, quad_corners, untangle
+from microlib.calibration._quads import BLUR, CONTRAST, OFFSET, fit_quads, quad_corners, untangle
 from microlib.calibration._roundness import are_round
 from microlib.calibration._search import search
 
@@ -124,6 +125,9 @@ def _fit(
     if are_round(regions, index[inlier]):
         raise ValueError("image must show squares, got circles")
     origins = patches.centers[inlier]
+    half = np.median(fit.parameters[inlier, OFFSET])
+    if np.median(np.abs(fit.parameters[inlier, BLUR])) < SHARP * half:
+        refuse_fields("squares", regions, index[inlier], grid[inlier])
     corners, sigma = quad_corners(
         smooth_parameters(untangle(fit[inlier]), origins, _SMOOTH), origins
     )
