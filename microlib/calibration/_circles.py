@@ -22,6 +22,7 @@ from microlib.calibration._grid_map import GridMap, fit_grid_map, homography_map
 from microlib.calibration._lattice_form import (
     LATTICES,
     STEPS,
+    Form,
     lattice_form,
     orient,
     refuse_gaps,
@@ -152,8 +153,7 @@ def _detection(
     """Points freed of bias, on a lattice that is named and tested."""
     points = fit.parameters[:, CENTER] + origins
     shape = np.linalg.inv(ellipse_shape(fit.parameters))
-    steps = homography_map(points, grid.astype(np.float64), image_shape).steps(grid)
-    form = lattice_form(shape @ shape, steps)
+    form = _form(points, grid, shape @ shape, image_shape)
     refuse_other("circles", form, lattice)
     refuse_gaps("circles", grid)
     grid = orient(points, grid, form, lattice, direction=direction, mirrored=mirrored)
@@ -184,6 +184,17 @@ def _detection(
         np.nan,
         agreement.misfit,
     )
+
+
+def _form(
+    points: Array, grid: NDArray[np.intp], moments: Array, image_shape: tuple[int, ...]
+) -> Form:
+    """The lattice's form, by a homography where that does: it is quicker than a bent map."""
+    flat = grid.astype(np.float64)
+    try:
+        return lattice_form(moments, homography_map(points, flat, image_shape).steps(flat))
+    except ValueError:
+        return lattice_form(moments, fit_grid_map(points, flat, image_shape).steps(flat))
 
 
 def _sigma(fit: OutlineFit) -> Array:

@@ -99,11 +99,12 @@ def _predict(centers: Array, grid: NDArray[np.intp], places: NDArray[np.intp]) -
         seen: Array = cv2.perspectiveTransform(points[None], homography)[0]
         return seen
 
-    predicted = through(places.astype(np.float64))
+    wanted = places.astype(np.float64)
+    predicted = through(wanted)
     if len(grid) >= _FEWEST_FOR_MAP:
         left = centers - through(flat)
         bend = np.linalg.lstsq(_quadratic(flat, flat), left, rcond=None)[0]
-        predicted = predicted + _quadratic(places, flat) @ bend
+        predicted = predicted + _quadratic(wanted, flat) @ bend
     return predicted
 
 

@@ -81,7 +81,7 @@ def _at_level(smooth: NDArray, slope: NDArray, level: float, least: float) -> Ar
     size = np.fromiter(map(len, contours), dtype=np.intp, count=len(contours))
     chosen = np.flatnonzero(size >= _SHORTEST)
     rows, outlines, kept = [], [], []
-    for k in chosen:
+    for k in chosen.tolist():
         m = cv2.moments(contours[k])
         area = m["m00"]
         if not 0 < area < _LARGEST * mask.size:

@@ -145,8 +145,8 @@ def start_blur(contrast: Array, steep: Array) -> float:
 
     Examples
     --------
-    >>> start_blur(np.array([100.0]), np.array([8.0]))
-    4.886025119029199
+    >>> round(start_blur(np.array([100.0]), np.array([8.0])), 3)
+    4.885
     """
     if len(contrast) == 0:
         return START_BLUR

@@ -118,7 +118,10 @@ def fit_square_map(
     quads = corners.reshape(-1, 4, 2)
     diagonals = quads[:, 2:] - quads[:, :2]
     area = np.abs(np.linalg.det(diagonals)) / 2
-    side = np.sqrt(np.median(area / to_image.scale(cells[::4])))
+    cell = np.median(to_image.scale(cells[::4]))
+    if not cell > 0:
+        raise ValueError("image must show squares on a plane grid, got them in one row")
+    side = np.sqrt(np.median(area) / cell)
     to_image, sides = _fit(
         corners, lambda sides: cells + halves * sides, np.full(2, side), image_shape
     )
@@ -140,7 +143,7 @@ def homography_map(points: Array, grid: Array, image_shape: tuple[int, ...]) -> 
     homography, _ = cv2.findHomography(grid, (points - middle) / unit)
     if homography is None or not np.isfinite(homography).all():
         raise ValueError(f"image must show a plane grid, got {len(points)} points that fit none")
-    return GridMap(homography, 0.0, middle, unit, 8)
+    return GridMap(np.asarray(homography, dtype=np.float64), 0.0, middle, unit, 8)
 
 
 def _fit(
