@@ -281,7 +281,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "calibration.Detection": lambda: {
         "points": grid(), "grid": grid().astype(int), "sigma": np.ones(42),
-        "group": np.zeros(42, int),
+        "group": np.zeros(42, int), "positions": grid(), "side": 0.5, "misfit": 1.0,
     },
     "calibration.calibrate": lambda: {
         "world": grid(), "image": scope().project(grid()), "focal_length": 126000.0,
@@ -291,10 +291,11 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "microscope": scope(), "world": grid(), "noise": 0.1, "parameters": ("tx", "ty", "alpha")
     },
     "calibration.detect_circles": lambda: {
-        "image": circles(), "direction": 0.0, "mirrored": False
+        "image": circles(), "direction": 0.0, "mirrored": False, "lattice": "square",
+        "region": (0, 0, 160, 120),
     },
     "calibration.detect_squares": lambda: {
-        "image": squares(), "direction": 0.0, "mirrored": False
+        "image": squares(), "direction": 0.0, "mirrored": False, "region": (0, 0, 160, 120),
     },
     "calibration.linear_intrinsics": lambda: {
         "flat": grid()[:, :2] * 1.0, "depth": np.linspace(0.0, 50.0, 42) + 500.0,

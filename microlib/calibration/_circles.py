@@ -4,55 +4,69 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtr
 
-from microlib._common import Array, flag, scalar
-from microlib.calibration._dark_regions import find_dark_regions
-from microlib.calibration._detection import FEWEST, Detection, band_half_width, find_inliers
-from microlib.calibration._grid_map import GridMap, fit_grid_map
-from microlib.calibration._grid_order import order_grid
-from microlib.calibration._outline_fit import (
-    LEAST_BLUR,
-    START_BLUR,
-    START_CONTRAST,
-    OutlineFit,
-    Patches,
-    cut_patches,
-    fit_outlines,
-    ground,
-    smooth_parameters,
+from microlib._common import Array, flag, one_of, scalar
+from microlib.calibration._agreement import agree
+from microlib.calibration._complete import SHARP, refuse_fields
+from microlib.calibration._dark_regions import DarkRegions
+from microlib.calibration._detection import FEWEST, Detection, find_inliers
+from microlib.calibration._ellipses import (
+    BLUR,
+    CENTER,
+    CONTRAST,
+    ellipse_reach,
+    ellipse_shape,
+    fit_ellipses,
 )
+from microlib.calibration._grid_map import GridMap, fit_grid_map, homography_map
+from microlib.calibration._lattice_form import (
+    LATTICES,
+    STEPS,
+    Form,
+    lattice_form,
+    orient,
+    refuse_gaps,
+    refuse_other,
+)
+from microlib.calibration._outline_fit import OutlineFit, smooth_parameters
+from microlib.calibration._roundness import are_round
+from microlib.calibration._search import search
 
-# Places of the parameters: center, shape matrix A (|A·(x − center)| = 1 on the ellipse), blur,
-# contrast, ground.
-CENTER, SHAPE, BLUR, CONTRAST, GROUND = slice(0, 2), slice(2, 5), 5, 6, slice(7, 10)
 # What varies smoothly across the image: blur, contrast, slope of the ground.
 _SMOOTH = [5, 6, 8, 9]
-#: Ellipses have a fullness of 1, squares of 0.955 to 0.97 as blur rounds them.
-_LEAST_FULLNESS = 0.98
-#: Half the side of a patch in radii, without the band: the longer axis of an ellipse is 1.2 times
-#: its mean radius at an axis ratio of 1.44, a tilt of 46°.
-_HALF_SIDE = 1.2
+#: The map is fitted anew to the points freed of their bias if that is more than this part of their
+#: σ: less does not show in the residuals.
+_SMALL_BIAS = 0.3
 #: Corners of the polygon that stands for a circle's rim; errors are the same from 8 to 64.
 _RIM = 32
-#: Keeps the center of an ellipse, where ρ has no gradient, from 0/0; no fitted pixel is near it.
-_AT_CENTER = 1e-9
 
 
 def detect_circles(
-    image: ArrayLike, *, direction: float = 0.0, mirrored: bool = False
+    image: ArrayLike,
+    *,
+    direction: float = 0.0,
+    mirrored: bool = False,
+    lattice: str = "square",
+    region: tuple[int, int, int, int] | None = None,
 ) -> Detection:
-    """Centers of the dark circles of a regular grid, with their places in the grid.
+    """Centers of the circles of a regular grid, with their places in the grid.
 
     Parameters
     ----------
-    image : array_like, shape (height, width)
-        Grey levels, any range; the circles darker than their ground.
+    image : array_like, shape (height, width) or (height, width, 3 or 4)
+        Grey levels of any range, or red, green and blue, which become luminance. The circles are
+        darker than their ground or, if no such grid is found, brighter.
     direction : float
         Direction in the image in which the pattern's x axis points (about α), rad, right to within
-        45°.
+        45°, on a hexagonal lattice 30°.
     mirrored : bool
         True if the pattern is seen from behind (γ near 180°).
+    lattice : {"square", "hexagonal", "asymmetric"}
+        What the circles lie on. The second step of a hexagonal lattice is at 60° to the first.
+        An asymmetric grid has every second row shifted by half a step; its x and y count the half
+        steps and the rows, as OpenCV's does. Another lattice than the named one is refused.
+    region : (int, int, int, int), optional
+        Where to look, (x, y, width, height) in px.
 
     Returns
     -------
@@ -63,7 +77,9 @@ def detect_circles(
     Raises
     ------
     ValueError
-        If `image` is not a grey image or no grid of at least four whole circles is found in it.
+        If `image` is no image, no grid of at least four whole circles is found in it, or what is
+        found is none: the circles are not of one size, lie on another lattice, or beside any smooth
+        image of it.
 
     Notes
     -----
@@ -72,30 +88,40 @@ def detect_circles(
     is not the image of the circle's center: the map from the grid to the image is fitted to the
     points, the circle is sent through it, and the difference between the two centers is taken off.
 
+    An image that shows nothing but the grid is thresholded against its light. In any other, the
+    circles are looked for among closed contours of many grey levels, of both polarities.
+
     Examples
     --------
     >>> from microlib.microscope import Microscope
     >>> from microlib.synthetic import render_circles
     >>> scope = Microscope(200000, 126000, 79380, tx=-300, ty=-300, image_size=(160, 120))
     >>> found = detect_circles(render_circles(scope))
-    >>> error = found.points - scope.project(280.0 * found.grid)
+    >>> error = found.points - scope.project(280.0 * found.positions)
     >>> len(found.points), bool(abs(error).max() < 0.01)
     (9, True)
     """
     direction = scalar("direction", direction, within=(-1e9, 1e9))
     mirrored = flag("mirrored", mirrored)
-    regions = find_dark_regions(image)
-    try:
-        index, grid = order_grid(regions.centers, direction=direction, mirrored=mirrored)
-    except ValueError as error:
-        raise ValueError(f"image must show a grid of circles: {error}") from None
-    start = _start(regions.centers[index], regions.moments[index])
-    patches = _patches(regions.image, regions.centers[index], start)
-    fit = fit_outlines(lambda p: _grey_levels(p, patches), start, patches)
+    lattice = one_of("lattice", lattice, LATTICES)
 
+    def assemble(
+        regions: DarkRegions, index: NDArray[np.intp], grid: NDArray[np.intp]
+    ) -> Detection:
+        fit, origins, grid = _fit(regions, index, grid)
+        return _detection(fit, origins, grid, regions.image.shape, lattice, direction, mirrored)
+
+    return search(image, assemble, "circles", lattice=lattice, region=region)
+
+
+def _fit(
+    regions: DarkRegions, index: NDArray[np.intp], grid: NDArray[np.intp]
+) -> tuple[OutlineFit, Array, NDArray[np.intp]]:
+    """Ellipses of the whole circles, the origins of their patches, and their grid."""
+    fit, patches = fit_ellipses(regions, index)
     found = fit.parameters
     points = found[:, CENTER] + patches.centers
-    reach = _reach(found)
+    reach = ellipse_reach(found)
     inlier = find_inliers(
         regions.image.shape,
         points - reach,
@@ -106,94 +132,74 @@ def detect_circles(
     )
     if inlier.sum() < FEWEST:
         raise ValueError(f"image must show a grid of circles, got {int(inlier.sum())} whole ones")
-    fullness = np.median(regions.fullness[index][inlier])
-    if fullness < _LEAST_FULLNESS:
-        raise ValueError(f"image must show circles, got shapes of fullness {fullness:.3f}, not 1")
-    fit, origins = (
-        smooth_parameters(fit[inlier], patches.centers[inlier], _SMOOTH),
-        patches.centers[inlier],
-    )
+    if not are_round(regions, index[inlier]):
+        raise ValueError("image must show circles, got squares")
+    origins = patches.centers[inlier]
+    radius = 1 / np.sqrt(np.median(np.linalg.det(ellipse_shape(found[inlier]))))
+    if np.median(np.abs(found[inlier, BLUR])) < SHARP * radius:
+        refuse_fields("circles", regions, index[inlier], grid[inlier])
+    return smooth_parameters(fit[inlier], origins, _SMOOTH), origins, grid[inlier]
+
+
+def _detection(
+    fit: OutlineFit,
+    origins: Array,
+    grid: NDArray[np.intp],
+    image_shape: tuple[int, ...],
+    lattice: str,
+    direction: float,
+    mirrored: bool,
+) -> Detection:
+    """Points freed of bias, on a lattice that is named and tested."""
     points = fit.parameters[:, CENTER] + origins
-    grid = grid[inlier] - grid[inlier].min(axis=0)
-    area = np.pi / np.abs(np.linalg.det(_shape(fit.parameters)))
-    to_image = fit_grid_map(points, grid.astype(np.float64), regions.image.shape)
-    points = points - _center_bias(to_image, grid, area)
-    return Detection(points, grid, _sigma(fit), np.arange(len(points)))
+    shape = np.linalg.inv(ellipse_shape(fit.parameters))
+    form = _form(points, grid, shape @ shape, image_shape)
+    refuse_other("circles", form, lattice)
+    refuse_gaps("circles", grid)
+    grid = orient(points, grid, form, lattice, direction=direction, mirrored=mirrored)
+    positions = grid @ STEPS[lattice]
+    to_image = fit_grid_map(points, positions, image_shape)
+    area = np.pi / np.abs(np.linalg.det(ellipse_shape(fit.parameters)))
+    bias = _center_bias(to_image, positions, area)
+    points, sigma = points - bias, _sigma(fit)
+    if np.abs(bias).max() > _SMALL_BIAS * np.median(sigma):
+        to_image = fit_grid_map(points, positions, image_shape)
+    agreement = agree(
+        points - to_image(positions),
+        positions,
+        (points - to_image.middle) / to_image.unit,
+        sigma,
+        np.arange(len(points)),
+        pitch=float(np.sqrt(np.median(to_image.scale(positions)))),
+        spent=to_image.freedom,
+    )
+    kept = agreement.kept
+    grid = grid[kept] - grid[kept].min(axis=0)
+    return Detection(
+        points[kept],
+        grid,
+        agreement.sigma[kept],
+        np.arange(len(grid)),
+        grid @ STEPS[lattice],
+        np.nan,
+        agreement.misfit,
+    )
+
+
+def _form(
+    points: Array, grid: NDArray[np.intp], moments: Array, image_shape: tuple[int, ...]
+) -> Form:
+    """The lattice's form, by a homography where that does: it is quicker than a bent map."""
+    flat = grid.astype(np.float64)
+    try:
+        return lattice_form(moments, homography_map(points, flat, image_shape).steps(flat))
+    except ValueError:
+        return lattice_form(moments, fit_grid_map(points, flat, image_shape).steps(flat))
 
 
 def _sigma(fit: OutlineFit) -> Array:
     """Standard deviation of a coordinate of each center, px."""
     return np.sqrt(np.einsum("nii->ni", fit.covariance[:, CENTER, CENTER]).mean(axis=1))
-
-
-def _shape(parameters: Array) -> Array:
-    """Symmetric matrix A of each ellipse, (n, 2, 2)."""
-    a, b, d = np.moveaxis(parameters[:, SHAPE], 1, 0)
-    return np.stack([a, b, b, d], axis=-1).reshape(-1, 2, 2)
-
-
-def _reach(parameters: Array) -> Array:
-    """Half the width and height of each ellipse, px; (AᵀA)⁻¹ has their squares on its diagonal."""
-    a, b, d = parameters[:, SHAPE].T
-    return np.sqrt(np.column_stack([b * b + d * d, a * a + b * b])) / np.abs(a * d - b * b)[:, None]
-
-
-def _start(centers: Array, moments: Array) -> Array:
-    """Parameters from the regions' moments: a filled ellipse has A = ½ Σ^(−½)."""
-    values, vectors = np.linalg.eigh(moments)
-    shape = (vectors / (2 * np.sqrt(values))[:, None, :]) @ vectors.transpose(0, 2, 1)
-    start = np.zeros((len(centers), 10))
-    start[:, CENTER] = centers - np.round(centers)
-    start[:, SHAPE] = shape[:, [0, 0, 1], [0, 1, 1]]
-    start[:, BLUR], start[:, CONTRAST] = START_BLUR, START_CONTRAST
-    return start
-
-
-def _patches(image: NDArray[np.float32], centers: Array, start: Array) -> Patches:
-    """Pixels in a band around each outline."""
-    radius = float(1 / np.sqrt(np.linalg.det(_shape(start)).min()))
-    margin = band_half_width(centers, radius)
-
-    def near(x: Array, y: Array) -> NDArray[np.bool_]:
-        distance, *_ = _distance(start, x, y)
-        return np.abs(distance) <= margin
-
-    patches = cut_patches(image, centers, int(np.ceil(radius * _HALF_SIDE + margin)), near)
-    start[:, GROUND.start] = patches.grey.max(axis=1)
-    return patches
-
-
-def _distance(parameters: Array, x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
-    """Distance to the ellipse, positive inside, px: (1 − ρ)/|∇ρ| with ρ = |A (x − center)|.
-
-    Also the unit normal ∇ρ/|∇ρ| (two arrays) and ∂ρ/∂A divided by |∇ρ|, (n, k, 3).
-    """
-    a, b, d = (p[:, None] for p in parameters[:, SHAPE].T)
-    dx, dy = x - parameters[:, :1], y - parameters[:, 1:2]
-    qx, qy = a * dx + b * dy, b * dx + d * dy
-    rho = np.maximum(np.hypot(qx, qy), _AT_CENTER)
-    gx, gy = (a * qx + b * qy) / rho, (b * qx + d * qy) / rho
-    steep = np.maximum(np.hypot(gx, gy), _AT_CENTER)
-    by_shape = np.stack([qx * dx, qx * dy + qy * dx, qy * dy], axis=-1) / (rho * steep)[..., None]
-    return (1 - rho) / steep, gx / steep, gy / steep, by_shape
-
-
-def _grey_levels(parameters: Array, patches: Patches) -> tuple[Array, Array]:
-    """Model of a blurred dark ellipse, and its derivatives."""
-    distance, nx, ny, by_shape = _distance(parameters, patches.x, patches.y)
-    blur = np.maximum(np.abs(parameters[:, BLUR, None]), LEAST_BLUR)
-    contrast = parameters[:, CONTRAST, None]
-    light, by_light = ground(patches, parameters[:, GROUND])
-    z = distance / blur
-    inside = ndtr(z)
-    slope = -light * contrast * np.exp(-0.5 * z * z) / (np.sqrt(2 * np.pi) * blur)
-    jacobian = np.empty((*distance.shape, 10))
-    jacobian[..., 0], jacobian[..., 1] = slope * nx, slope * ny
-    jacobian[..., SHAPE] = -slope[..., None] * by_shape
-    jacobian[..., BLUR] = -slope * z
-    jacobian[..., CONTRAST] = -light * inside
-    jacobian[..., GROUND] = by_light * (1 - contrast * inside)[..., None]
-    return light * (1 - contrast * inside), jacobian
 
 
 def _center_bias(to_image: GridMap, grid: Array, area: Array) -> Array:

@@ -11,6 +11,7 @@ from skimage.filters import threshold_otsu
 
 from microlib._common import Array, as_image
 from microlib.calibration._detection import FEWEST
+from microlib.calibration._outline_fit import START_BLUR
 
 #: Smaller components are noise, px; 5 to 20 find the same shapes, 80 loses squares
 #: of 9 px.
@@ -30,6 +31,10 @@ _STRIDE = 4
 #: Regions of one pattern differ in area by less than this factor from the median; 2 to 8 find
 #: the same shapes of patterns with dirt on them.
 _ALIKE = 4.0
+#: Below this, px, an estimate of the blur is no better a start than the usual one.
+_USUAL_BLUR = 2.0
+#: Least gradient that is divided by, grey levels a pixel.
+_FLAT = 1e-9
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,8 @@ class DarkRegions:
         Second central moments, px².
     areas : ndarray, shape (N,)
         Number of pixels.
+    blur : float
+        Blur of their edges with which a fit may start, px.
     """
 
     image: NDArray[np.float32]
@@ -55,6 +62,7 @@ class DarkRegions:
     centers: Array
     moments: Array
     areas: Array
+    blur: float = START_BLUR
 
     @property
     def fullness(self) -> Array:
@@ -91,6 +99,8 @@ def find_dark_regions(image: ArrayLike) -> DarkRegions:
     for _ in range(_ROUNDS):
         threshold = threshold_otsu(smooth)
         light = _paraboloid(smooth, smooth > threshold)
+        if not light.max() > 0:
+            raise ValueError("image must show a pattern on a lit ground, got a dark one")
         smooth = smooth / np.maximum(light, _LEAST_LIGHT * light.max())
     mask = (smooth < threshold_otsu(smooth)).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
@@ -103,7 +113,46 @@ def find_dark_regions(image: ArrayLike) -> DarkRegions:
     if keep.sum() < FEWEST:
         raise ValueError(f"image must show a pattern, got {int(keep.sum())} dark regions")
     centers, moments = _moments(labels, count)
-    return DarkRegions(image, smooth, centers[keep], moments[keep], areas[keep])
+    blur = start_blur(*_edge(smooth, keep[labels]))
+    return DarkRegions(image, smooth, centers[keep], moments[keep], areas[keep], blur)
+
+
+def _edge(smooth: NDArray, dark: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Contrast of the dark regions, and the gradients at some of their edges' pixels."""
+    sample = np.s_[::_STRIDE, ::_STRIDE]
+    contrast = np.median(smooth[sample][~dark[sample]]) - np.median(smooth[dark])
+    edge = dark[1:-1:_STRIDE, 1:-1] & ~dark[1:-1:_STRIDE, 2:]
+    row, column = np.nonzero(edge)
+    row, column = 1 + _STRIDE * row, 1 + column
+    dx = smooth[row, column + 1] - smooth[row, column - 1]
+    dy = smooth[row + 1, column] - smooth[row - 1, column]
+    return np.full(len(row), contrast), np.hypot(dx, dy) / 2
+
+
+def start_blur(contrast: Array, steep: Array) -> float:
+    """Blur with which to start the fits of marks, px.
+
+    Parameters
+    ----------
+    contrast, steep : ndarray, shape (N,)
+        Contrast of each mark and gradient at its edge, after the noise was smoothed away. A
+        Gaussian edge of contrast C has the gradient C/(√(2π) blur).
+
+    Returns
+    -------
+    float
+        The usual one if the edges are not much softer.
+
+    Examples
+    --------
+    >>> round(start_blur(np.array([100.0]), np.array([8.0])), 3)
+    4.885
+    """
+    if len(contrast) == 0:
+        return START_BLUR
+    seen = float(np.median(contrast / np.maximum(steep, _FLAT))) / np.sqrt(2 * np.pi)
+    blur = float(np.sqrt(max(seen**2 - _SMOOTHING**2, 0)))
+    return blur if blur > _USUAL_BLUR else START_BLUR
 
 
 def _paraboloid(image: NDArray[np.float32], bright: NDArray[np.bool_]) -> NDArray[np.float32]:

@@ -35,9 +35,19 @@ class Detection(Tidy):
         Coordinates in the pattern, from zero on; times the pitch they are world points up to a
         shift.
     sigma : ndarray, shape (N,)
-        Standard deviation of a coordinate of each point as the fit's residual tells it, px.
+        Standard deviation of a coordinate of each point, px: as the fit of its outline tells it, or
+        as the points' residuals from a smooth image of a lattice do, where these are larger.
     group : ndarray of int, shape (N,)
         Number of the shape that each point belongs to: errors within one shape are correlated.
+    positions : ndarray, shape (N, 2)
+        Where the points lie in the pattern, in pitches from mark to mark; times the pitch in µm
+        they are world points up to a shift. Of squares they hold the side that was measured, which
+        need not be half of the pitch; of an asymmetric grid the unit is the distance of its rows.
+    side : float
+        Side of the squares in pitches; NaN for circles.
+    misfit : float
+        What the points' residuals are, over what their outlines' fits state; about one for a
+        pattern without faults. NaN where there are too few marks to tell.
     """
 
     _samples = ("grid", "points", "sigma", "group")
@@ -46,6 +56,9 @@ class Detection(Tidy):
     grid: NDArray[np.intp]
     sigma: Array
     group: NDArray[np.intp]
+    positions: Array
+    side: float
+    misfit: float
 
 
 def band_half_width(centers: Array, radius: float) -> float:

@@ -164,13 +164,18 @@ def _attach(
     return index, grid
 
 
+def mean_steps(points: Array, grid: NDArray[np.intp]) -> Array:
+    """Mean step in the image for each of the two coordinates, (2, 2), px."""
+    design = np.column_stack([grid, np.ones(len(grid))])
+    return np.linalg.lstsq(design, points, rcond=None)[0][:2]
+
+
 def _axes(
     points: Array, grid: NDArray[np.intp], direction: float, mirrored: bool
 ) -> NDArray[np.intp]:
     """Signed permutation from the grown coordinates to those with the wanted direction and
     sense."""
-    design = np.column_stack([grid, np.ones(len(grid))])
-    along = np.linalg.lstsq(design, points, rcond=None)[0][:2]  # step in the image per coordinate
+    along = mean_steps(points, grid)
     unit = along / np.hypot(*along.T)[:, None]
     score = unit @ [np.cos(direction), np.sin(direction)]
     x = int(np.argmax(np.abs(score)))

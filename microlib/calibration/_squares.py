@@ -3,79 +3,72 @@ levels of each."""
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtr
 
 from microlib._common import Array, flag, scalar
-from microlib.calibration._dark_regions import DarkRegions, find_dark_regions
-from microlib.calibration._detection import FEWEST, Detection, band_half_width, find_inliers
-from microlib.calibration._grid_map import GridMap, fit_grid_map
-from microlib.calibration._grid_order import order_grid
-from microlib.calibration._outline_fit import (
-    LEAST_BLUR,
-    START_BLUR,
-    START_CONTRAST,
-    OutlineFit,
-    Patches,
-    cut_patches,
-    fit_outlines,
-    ground,
-    smooth_parameters,
-)
+from microlib.calibration._agreement import agree
+from microlib.calibration._complete import SHARP, refuse_fields
+from microlib.calibration._dark_regions import DarkRegions
+from microlib.calibration._detection import FEWEST, Detection, find_inliers
+from microlib.calibration._grid_map import GridMap, fit_square_map
+from microlib.calibration._grid_order import mean_steps
+from microlib.calibration._lattice_form import Form, orient, refuse_gaps
+from microlib.calibration._outline_fit import smooth_parameters
+from microlib.calibration._quads import BLUR, CONTRAST, OFFSET, fit_quads, quad_corners, untangle
+from microlib.calibration._roundness import are_round
+from microlib.calibration._search import search
 
-# Places of the parameters: directions of the four outward normals, distances of the lines from the
-# patch's origin along them, blur, contrast, ground.
-ANGLE, OFFSET, BLUR, CONTRAST, GROUND = slice(0, 4), slice(4, 8), 8, 9, slice(10, 13)
 # What varies smoothly across the image: directions of the sides, blur, contrast, slope of the
 # ground.
 _SMOOTH = [0, 1, 2, 3, 8, 9, 11, 12]
-#: Squares have a fullness of 0.955, up to 0.991 where blur of a fifth of a side rounds them;
-#: circles of 7 px radius have 0.994 and larger ones more.
-_MOST_FULLNESS = 0.9925
-#: Reach of the window of Sobel edges around a square's center, in sides: half a diagonal is 0.71;
-#: and two pixels more for the blur.
-_WINDOW, _WINDOW_MARGIN = 0.75, 2
-#: Least gradient of an edge pixel, as a part of the greatest; from 0.15 to 0.5 the
-#: points' error varies by 1 %.
-_LEAST_GRADIENT = 0.3
-#: Edge pixels are linked to a side if the cosine of their direction to it exceeds this (26°);
-#: from 0.8 to 0.97 the points' error varies by 1 %.
-_LIKE_DIRECTION = 0.9
-#: Sine of the angle below which two lines are parallel.
-_PARALLEL = 1e-9
-#: Half the side of a patch in sides, without the band: half a diagonal and a tenth for the tilt.
-_HALF_SIDE = 0.8
 #: Places along a side at which its bend by the distortion is taken; 3 to 33 give the same points.
 _PLACES = 9
+#: The map is fitted anew to the points freed of their bias if that is more than this part of their
+#: σ: less does not show in the residuals.
+_SMALL_BIAS = 0.3
+#: Most ratio of width to height of a square, both in steps of the lattice: what is fitted to four
+#: squares with noise comes within 0.02.
+_MOST_RATIO = 1.1
+#: Squares are counted along their sides.
+_SQUARE = Form("square", np.eye(2))
 
 
 def detect_squares(
-    image: ArrayLike, *, direction: float = 0.0, mirrored: bool = False
+    image: ArrayLike,
+    *,
+    direction: float = 0.0,
+    mirrored: bool = False,
+    region: tuple[int, int, int, int] | None = None,
 ) -> Detection:
-    """Corners of the dark squares of a regular grid, one side apart, with their places in the grid.
+    """Corners of the squares of a regular grid, with their places in the grid.
 
     Parameters
     ----------
-    image : array_like, shape (height, width)
-        Grey levels, any range; the squares darker than their ground.
+    image : array_like, shape (height, width) or (height, width, 3 or 4)
+        Grey levels of any range, or red, green and blue, which become luminance. The squares are
+        darker than their ground or, if no such grid is found, brighter.
     direction : float
         Direction in the image in which the pattern's x axis points (about α), rad, right to within
         45°.
     mirrored : bool
         True if the pattern is seen from behind (γ near 180°).
+    region : (int, int, int, int), optional
+        Where to look, (x, y, width, height) in px.
 
     Returns
     -------
     Detection
-        Four `points` for each square that lies whole in the image; `grid` counts sides, so that
-        square (m, n) has its corners from (2m, 2n) to (2m + 1, 2n + 1).
+        Four `points` for each square that lies whole in the image. `grid` counts sides and gaps:
+        square (m, n) has its corners from (2m, 2n) to (2m + 1, 2n + 1). Where they are of one
+        length, the side times `grid` gives world points. `side` says what was measured, and
+        `positions` allow for it.
 
     Raises
     ------
     ValueError
-        If `image` is not a grey image or no grid of at least four whole squares is found in it.
+        If `image` is no image, no grid of at least four whole squares is found in it, or what is
+        found is none: the marks are rectangles, or lie beside any smooth image of a grid.
 
     Notes
     -----
@@ -84,6 +77,9 @@ def detect_squares(
     are then fitted together to the grey levels, a product of four blurred half-planes, which near a
     right angle is the exact image of a corner under a Gaussian point-spread function.
 
+    An image that shows nothing but the grid is thresholded against its light. In any other, the
+    squares are looked for among closed contours of many grey levels, of both polarities.
+
     Examples
     --------
     >>> from microlib.microscope import Microscope
@@ -91,21 +87,31 @@ def detect_squares(
     >>> scope = Microscope(200000, 126000, 79380, tx=-450, ty=-330, image_size=(160, 120))
     >>> found = detect_squares(render_squares(scope))
     >>> error = found.points - scope.project(200.0 * found.grid)
-    >>> len(found.points), bool(abs(error).max() < 0.01)
-    (16, True)
+    >>> len(found.points), bool(abs(error).max() < 0.01), round(found.side, 3)
+    (16, True, 0.5)
     """
     direction = scalar("direction", direction, within=(-1e9, 1e9))
     mirrored = flag("mirrored", mirrored)
-    regions = find_dark_regions(image)
-    try:
-        index, grid = order_grid(regions.centers, direction=direction, mirrored=mirrored)
-    except ValueError as error:
-        raise ValueError(f"image must show a grid of squares: {error}") from None
-    start = _start(regions, index)
-    patches = _patches(regions.image, regions.centers[index], start)
-    fit = fit_outlines(lambda p: _grey_levels(p, patches), start, patches)
 
-    corners, sigma = _corners(fit, patches.centers)
+    def assemble(
+        regions: DarkRegions, index: NDArray[np.intp], grid: NDArray[np.intp]
+    ) -> Detection:
+        corners, sigma, grid = _fit(regions, index, grid)
+        refuse_gaps("squares", grid)
+        grid = orient(
+            corners.mean(axis=1), grid, _SQUARE, "square", direction=direction, mirrored=mirrored
+        )
+        return _detection(corners, sigma, grid, regions.image.shape)
+
+    return search(image, assemble, "squares", region=region)
+
+
+def _fit(
+    regions: DarkRegions, index: NDArray[np.intp], grid: NDArray[np.intp]
+) -> tuple[Array, Array, NDArray[np.intp]]:
+    """Corners of the whole squares (n, 4, 2), their σ (n, 4), and the squares' grid."""
+    fit, patches = fit_quads(regions, index)
+    corners, sigma = quad_corners(fit, patches.centers)
     inlier = find_inliers(
         regions.image.shape,
         corners.min(axis=1),
@@ -116,165 +122,65 @@ def detect_squares(
     )
     if inlier.sum() < FEWEST:
         raise ValueError(f"image must show a grid of squares, got {int(inlier.sum())} whole ones")
-    fullness = np.median(regions.fullness[index][inlier])
-    if fullness > _MOST_FULLNESS:
-        raise ValueError(
-            f"image must show squares, got shapes of fullness {fullness:.3f}, not 0.955"
-        )
+    if are_round(regions, index[inlier]):
+        raise ValueError("image must show squares, got circles")
     origins = patches.centers[inlier]
-    corners, sigma = _corners(smooth_parameters(_untangle(fit[inlier]), origins, _SMOOTH), origins)
-    grid = _corner_grid(corners, grid[inlier] - grid[inlier].min(axis=0))
-    flat = grid.reshape(-1, 2).astype(np.float64)
-    to_image = fit_grid_map(corners.reshape(-1, 2), flat, regions.image.shape)
-    corners = corners - _corner_bias(to_image, flat.reshape(corners.shape))
-    group = np.repeat(np.arange(len(corners)), 4)
-    return Detection(corners.reshape(-1, 2), grid.reshape(-1, 2), sigma.ravel(), group)
-
-
-def _start(regions: DarkRegions, index: NDArray[np.intp]) -> Array:
-    """Sobel edges around each square, linked by place and direction, and a line through each of the
-    four links."""
-    gx = cv2.Sobel(regions.smooth, cv2.CV_32F, 1, 0, ksize=3)
-    gy = cv2.Sobel(regions.smooth, cv2.CV_32F, 0, 1, ksize=3)
-    start = np.zeros((len(index), 13))
-    start[:, BLUR], start[:, CONTRAST] = START_BLUR, START_CONTRAST
-    sides = np.sqrt(regions.areas[index])
-    for out, center, side in zip(start, regions.centers[index], sides, strict=True):
-        lines = _sobel_lines(gx, gy, center, side)
-        out[ANGLE], out[OFFSET] = lines
-    return start
-
-
-def _sobel_lines(gx: NDArray, gy: NDArray, center: Array, side: float) -> tuple[Array, Array]:
-    """Outward normals' angles and distances from the rounded center of the four lines of one
-    square."""
-    origin = np.round(center).astype(int)
-    half = int(np.ceil(_WINDOW * side)) + _WINDOW_MARGIN
-    rows = slice(max(origin[1] - half, 0), origin[1] + half + 1)
-    columns = slice(max(origin[0] - half, 0), origin[0] + half + 1)
-    row, column = np.mgrid[rows, columns][:, : gx[rows].shape[0], : gx[:, columns].shape[1]]
-    x, y = column - origin[0], row - origin[1]
-    u, v = gx[rows, columns], gy[rows, columns]
-    magnitude = np.hypot(u, v)
-    # An edge pixel of this square has its gradient pointing away from it; its neighbors' point
-    # back.
-    strong = (
-        (magnitude > _LEAST_GRADIENT * magnitude.max())
-        & (u * x + v * y > 0)
-        & (np.hypot(x, y) < side)
+    half = np.median(fit.parameters[inlier, OFFSET])
+    if np.median(np.abs(fit.parameters[inlier, BLUR])) < SHARP * half:
+        refuse_fields("squares", regions, index[inlier], grid[inlier])
+    corners, sigma = quad_corners(
+        smooth_parameters(untangle(fit[inlier]), origins, _SMOOTH), origins
     )
-    x, y, u, v, weight = x[strong], y[strong], u[strong], v[strong], magnitude[strong] ** 2
-    # The four directions are one direction when their angle is taken four times.
-    first = np.angle((weight * np.exp(4j * np.arctan2(v, u))).sum()) / 4
-    angles, offsets = first + np.arange(4) * np.pi / 2, np.empty(4)
-    for k, angle in enumerate(angles.copy()):
-        along = np.cos(angle) * u + np.sin(angle) * v
-        link = along > _LIKE_DIRECTION * np.hypot(u, v)
-        if link.sum() < 3:  # no line; the fit to the grey levels decides
-            offsets[k] = side / 2
-            continue
-        w, points = weight[link], np.column_stack([x, y])[link].astype(np.float64)
-        middle = w @ points / w.sum()
-        spread = (points - middle).T @ (w[:, None] * (points - middle))
-        normal = np.linalg.eigh(spread)[1][:, 0]
-        normal = normal if normal @ [np.cos(angle), np.sin(angle)] > 0 else -normal
-        angles[k] = np.arctan2(normal[1], normal[0])
-        offsets[k] = normal @ middle
-    return angles, offsets
+    return corners, sigma, grid[inlier]
 
 
-def _patches(image: NDArray[np.float32], centers: Array, start: Array) -> Patches:
-    """Pixels in a band around each outline."""
-    side = float(np.median(start[:, OFFSET].sum(axis=1)) / 2)
-    margin = band_half_width(centers, side / 2)
-
-    def near(x: Array, y: Array) -> NDArray[np.bool_]:
-        return np.abs(_distances(start, x, y).min(axis=-1)) <= margin
-
-    patches = cut_patches(image, centers, int(np.ceil(side * _HALF_SIDE + margin)), near)
-    start[:, GROUND.start] = patches.grey.max(axis=1)
-    return patches
-
-
-def _distances(parameters: Array, x: Array, y: Array) -> Array:
-    """Distances to the four lines, positive inside, (n, k, 4), px."""
-    angle = parameters[:, None, ANGLE]
-    across = np.cos(angle) * x[..., None] + np.sin(angle) * y[..., None]
-    return parameters[:, None, OFFSET] - across
-
-
-def _grey_levels(parameters: Array, patches: Patches) -> tuple[Array, Array]:
-    """Model of a blurred dark quadrilateral, and its derivatives."""
-    x, y = patches.x, patches.y
-    blur = np.maximum(np.abs(parameters[:, BLUR, None, None]), LEAST_BLUR)
-    contrast = parameters[:, CONTRAST, None]
-    light, by_light = ground(patches, parameters[:, GROUND])
-    z = _distances(parameters, x, y) / blur
-    steps = ndtr(z)
-    a, b, c, d = np.moveaxis(steps, -1, 0)
-    inside = a * b * c * d
-    others = np.stack([b * c * d, a * c * d, a * b * d, a * b * c], axis=-1)
-    by_distance = others * np.exp(-0.5 * z * z) / (np.sqrt(2 * np.pi) * blur)
-    angle = parameters[:, None, ANGLE]
-    turning = np.sin(angle) * x[..., None] - np.cos(angle) * y[..., None]
-    jacobian = np.empty((*x.shape, 13))
-    scale = -(light * contrast)[..., None]
-    jacobian[..., ANGLE] = scale * by_distance * turning
-    jacobian[..., OFFSET] = scale * by_distance
-    jacobian[..., BLUR] = -(scale * by_distance * z).sum(axis=-1)
-    jacobian[..., CONTRAST] = -light * inside
-    jacobian[..., GROUND] = by_light * (1 - contrast * inside)[..., None]
-    return light * (1 - contrast * inside), jacobian
-
-
-def _untangle(fit: OutlineFit) -> OutlineFit:
-    """Order the four lines of every square alike and count their angles from one branch."""
-    angle = fit.parameters[:, ANGLE]
-    first = np.angle(np.exp(4j * angle).mean()) / 4
-    turn = np.round((angle - first) / (np.pi / 2)).astype(int)
-    order = np.argsort(turn % 4, axis=1)
-    parameters, covariance = fit.parameters.copy(), fit.covariance.copy()
-    parameters[:, ANGLE] = angle - np.pi / 2 * (turn - turn % 4)
-    places = np.concatenate([order, order + 4, np.tile(np.arange(8, 13), (len(order), 1))], axis=1)
-    parameters = np.take_along_axis(parameters, places, axis=1)
-    covariance = np.take_along_axis(covariance, places[:, :, None], axis=1)
-    covariance = np.take_along_axis(covariance, places[:, None, :], axis=2)
-    return OutlineFit(parameters, covariance, fit.rms)
-
-
-def _corners(fit: OutlineFit, origins: Array) -> tuple[Array, Array]:
-    """Intersections of consecutive lines, (n, 4, 2), and the standard deviation of a coordinate,
-    (n, 4), px."""
-    angle, offset = fit.parameters[:, ANGLE], fit.parameters[:, OFFSET]
-    corners, sigma = np.empty((len(angle), 4, 2)), np.empty((len(angle), 4))
-    for k in range(4):
-        pair = [k, (k + 1) % 4]
-        cos, sin = np.cos(angle[:, pair]), np.sin(angle[:, pair])
-        inverse = _inverse(np.stack([cos, sin], axis=-1))
-        corners[:, k] = np.einsum("nij,nj->ni", inverse, offset[:, pair])
-        # Turning a line by dθ moves it at the corner by (sin θ x − cos θ y) dθ along its normal.
-        slide = sin * corners[:, k, :1] - cos * corners[:, k, 1:]
-        by = np.concatenate([inverse * slide[:, None], inverse], axis=-1)
-        places = [*pair, *(4 + np.array(pair))]
-        part = fit.covariance[:, places][:, :, places]
-        sigma[:, k] = np.sqrt(np.einsum("nij,njk,nik->n", by, part, by) / 2)
-    return corners + origins[:, None], sigma
-
-
-def _inverse(matrices: Array) -> Array:
-    """Inverse of 2×2 matrices; NaN where two lines are parallel."""
-    (a, b), (c, d) = np.moveaxis(matrices, (1, 2), (0, 1))
-    det = a * d - b * c
-    det = np.where(np.abs(det) > _PARALLEL, det, np.nan)
-    return np.moveaxis(np.array([[d, -b], [-c, a]]) / det, (0, 1), (1, 2))
+def _detection(
+    corners: Array, sigma: Array, cells: NDArray[np.intp], image_shape: tuple[int, ...]
+) -> Detection:
+    """Corners freed of bias, on a grid that is measured and tested."""
+    grid = _corner_grid(corners, cells)
+    places = grid.reshape(-1, 2)
+    middle, half = (places // 2).astype(np.float64), places % 2 - 0.5
+    to_image, sides = fit_square_map(corners.reshape(-1, 2), middle, half, image_shape)
+    if not 1 / _MOST_RATIO < sides[0] / sides[1] < _MOST_RATIO or not 0 < sides.min() < 1:
+        raise ValueError(
+            "image must show squares on a square lattice, got rectangles of "
+            f"{sides[0]:.3g} × {sides[1]:.3g} steps"
+        )
+    positions = middle + half * sides
+    bias = _corner_bias(to_image, positions.reshape(corners.shape))
+    points = (corners - bias).reshape(-1, 2)
+    if np.abs(bias).max() > _SMALL_BIAS * np.median(sigma):
+        to_image, sides = fit_square_map(points, middle, half, image_shape)
+        positions = middle + half * sides
+    agreement = agree(
+        points - to_image(positions),
+        positions,
+        (points - to_image.middle) / to_image.unit,
+        sigma.ravel(),
+        np.repeat(np.arange(len(corners)), 4),
+        pitch=float(np.sqrt(np.median(to_image.scale(middle)))),
+        spent=to_image.freedom,
+    )
+    kept = agreement.kept
+    side = float(sides.mean())
+    places = places[kept] - 2 * (places[kept].min(axis=0) // 2)
+    return Detection(
+        points[kept],
+        places,
+        agreement.sigma[kept],
+        np.repeat(np.arange(len(places) // 4), 4),
+        places // 2 + side * (places % 2),
+        side,
+        agreement.misfit,
+    )
 
 
 def _corner_grid(corners: Array, grid: NDArray[np.intp]) -> NDArray[np.intp]:
     """Grid coordinates of the corners: twice the square's own, plus the side of its center they lie
     on."""
     centers = corners.mean(axis=1)
-    design = np.column_stack([grid, np.ones(len(grid))])
-    steps = np.linalg.lstsq(design, centers, rcond=None)[0][:2]
+    steps = mean_steps(centers, grid)
     try:
         local = (corners - centers[:, None]) @ np.linalg.inv(steps)
     except np.linalg.LinAlgError:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from microlib.calibration import _circles, _squares
+from microlib.calibration import _circles, _ellipses, _quads
 from microlib.calibration._dark_regions import find_dark_regions
 from microlib.calibration._detection import band_half_width, find_inliers
 from microlib.calibration._grid_map import GridMap, fit_grid_map
@@ -141,6 +141,7 @@ def view(distortion):
         distortion,
         np.array([319.5, 239.5]),
         319.5,
+        9,
     )
 
 
@@ -219,12 +220,12 @@ SQUARES = np.array(
 
 @pytest.mark.parametrize(
     ("model", "parameters"),
-    [(_circles._grey_levels, ELLIPSES), (_squares._grey_levels, SQUARES)],
+    [(_ellipses._grey_levels, ELLIPSES), (_quads._grey_levels, SQUARES)],
 )
 def test_derivatives_of_the_grey_levels_agree_with_differences(model, parameters):
     patches = patch()
     analytic = model(parameters, patches)[1]
-    exact = [k for k in range(parameters.shape[1]) if model is _squares._grey_levels or k > 4]
+    exact = [k for k in range(parameters.shape[1]) if model is _quads._grey_levels or k > 4]
     for k in range(parameters.shape[1]):
         move = 1e-6 * np.eye(parameters.shape[1])[k]
         up, down = (model(parameters + s * move, patches)[0] for s in (1, -1))
@@ -240,8 +241,8 @@ def test_derivatives_of_the_grey_levels_agree_with_differences(model, parameters
 @pytest.mark.parametrize(
     ("model", "parameters", "area"),
     [
-        (_circles._grey_levels, ELLIPSES[1:], np.pi / (0.10 * 0.11 - 0.01**2)),
-        (_squares._grey_levels, [[0, np.pi / 2, np.pi, -np.pi / 2, 6, 7, 6.5, 5, 0.8, 0.6, 150.0,
+        (_ellipses._grey_levels, ELLIPSES[1:], np.pi / (0.10 * 0.11 - 0.01**2)),
+        (_quads._grey_levels, [[0, np.pi / 2, np.pi, -np.pi / 2, 6, 7, 6.5, 5, 0.8, 0.6, 150.0,
                                   0, 0.2]], 12.5 * 12),
     ],
 )  # fmt: skip
@@ -265,10 +266,10 @@ def test_a_patch_is_the_band_around_its_outline(pitch, width):
     square = np.zeros((4, 13))
     square[:, :4], square[:, 4:8] = np.arange(4) * np.pi / 2, 10.3
     for start, patches, distance in (
-        (radius, _circles._patches(image, centers, radius), lambda x, y: 10.3 - np.hypot(x, y)),
+        (radius, _ellipses._patches(image, centers, radius), lambda x, y: 10.3 - np.hypot(x, y)),
         (
             square,
-            _squares._patches(image, centers, square),
+            _quads._patches(image, centers, square),
             lambda x, y: 10.3 - np.maximum(abs(x), abs(y)),
         ),
     ):
@@ -286,14 +287,14 @@ def test_the_start_of_an_ellipse_follows_from_its_moments():
     axes = np.array([[0.8, -0.6], [0.6, 0.8]])
     half = np.array([9.0, 5.0])
     moments = axes @ np.diag(half**2 / 4) @ axes.T
-    start = _circles._start(np.array([[20.3, 31.8]]), moments[None])
+    start = _ellipses._start(np.array([[20.3, 31.8]]), moments[None], 1.2)
     np.testing.assert_allclose(start[0, :2], [0.3, -0.2], atol=1e-12)
     turn = np.linspace(0, 6, 9)
     rim = (axes * half) @ [np.cos(turn), np.sin(turn)]
     np.testing.assert_allclose(
-        np.linalg.norm(_circles._shape(start)[0] @ rim, axis=0), 1, atol=1e-12
+        np.linalg.norm(_ellipses.ellipse_shape(start)[0] @ rim, axis=0), 1, atol=1e-12
     )
-    reach = _circles._reach(start)[0]
+    reach = _ellipses.ellipse_reach(start)[0]
     np.testing.assert_allclose(reach, np.hypot(*(axes * half).T), rtol=1e-12)
 
 
@@ -310,7 +311,7 @@ def test_lines_cross_where_they_do_and_carry_their_errors_there():
     mixing = rng.normal(size=(13, 13)) * 1e-3
     covariance = mixing @ mixing.T
     fit = OutlineFit(SQUARES[:1], covariance[None], np.ones(1))
-    corners, sigma = _squares._corners(fit, np.array([[100.0, 50.0]]))
+    corners, sigma = _quads.quad_corners(fit, np.array([[100.0, 50.0]]))
     angle, offset = SQUARES[0, :4], SQUARES[0, 4:8]
     for k in range(4):
         for line in (k, (k + 1) % 4):
@@ -318,7 +319,7 @@ def test_lines_cross_where_they_do_and_carry_their_errors_there():
             assert normal @ (corners[0, k] - [100, 50]) == pytest.approx(offset[line], abs=1e-12)
     drawn = SQUARES[:1] + rng.normal(size=(4000, 13)) @ mixing.T
     many = OutlineFit(drawn, np.tile(covariance, (4000, 1, 1)), np.ones(4000))
-    spread = _squares._corners(many, np.zeros((4000, 2)))[0].std(axis=0)
+    spread = _quads.quad_corners(many, np.zeros((4000, 2)))[0].std(axis=0)
     # A standard deviation from 4000 is known to 1.1 %; four of them.
     np.testing.assert_allclose(sigma[0], np.sqrt((spread**2).mean(axis=1)), rtol=0.045)
 
@@ -326,7 +327,7 @@ def test_lines_cross_where_they_do_and_carry_their_errors_there():
 def test_parallel_lines_have_no_corner():
     fit = OutlineFit(SQUARES[:1].copy(), np.tile(np.eye(13), (1, 1, 1)), np.ones(1))
     fit.parameters[0, 1] = fit.parameters[0, 0]
-    corners, _ = _squares._corners(fit, np.zeros((1, 2)))
+    corners, _ = _quads.quad_corners(fit, np.zeros((1, 2)))
     assert np.isnan(corners[0]).all(axis=1).tolist() == [True, False, False, False]
 
 
@@ -340,14 +341,14 @@ def test_sides_are_ordered_alike_whatever_side_came_first():
     covariance = np.diag(np.arange(1.0, 14.0))
     covariance[0, 5] = covariance[5, 0] = 0.5
     fit = OutlineFit(both, np.stack([covariance, covariance[np.ix_(places, places)]]), np.ones(2))
-    found = _squares._untangle(fit)
+    found = _quads.untangle(fit)
     np.testing.assert_allclose(found.parameters[1], found.parameters[0], atol=1e-12)
     np.testing.assert_allclose(found.covariance[1], found.covariance[0], atol=1e-12)
     np.testing.assert_allclose(
-        _squares._corners(found, np.zeros((2, 2)))[0][0],
-        _squares._corners(OutlineFit(SQUARES[:1], covariance[None], np.ones(1)), np.zeros((1, 2)))[
-            0
-        ][0],
+        _quads.quad_corners(found, np.zeros((2, 2)))[0][0],
+        _quads.quad_corners(
+            OutlineFit(SQUARES[:1], covariance[None], np.ones(1)), np.zeros((1, 2))
+        )[0][0],
         atol=1e-12,
     )
 

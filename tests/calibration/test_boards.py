@@ -1,0 +1,328 @@
+"""Detectors on photographed boards: drawn by sampling, seen through a homography and Brown's
+distortion, none of which the library's renderer or models use."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+import skimage.data
+from scipy.spatial import cKDTree
+from skimage.draw import polygon
+
+from microlib.calibration import detect_circles, detect_squares
+from microlib.calibration._agreement import agree
+from microlib.calibration._complete import complete
+from microlib.calibration._dark_regions import find_dark_regions
+from microlib.calibration._grid_order import order_grid
+from microlib.calibration._lattice_form import lattice_form
+
+WIDTH, HEIGHT, FINE = 320, 240, 8
+HEX = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
+#: Places of a 7×5 grid, of a hexagonal one and of an asymmetric one, in pitches.
+SQUARE = np.stack(np.meshgrid(np.arange(7.0), np.arange(5.0)), axis=-1).reshape(-1, 2)
+HEXAGONAL = np.array([[i, j] for j in range(5) for i in range(-(j // 2), 7 - j // 2)]) @ HEX
+ASYMMETRIC = np.array([[2 * i + j % 2, j] for j in range(7) for i in range(4)], dtype=float)
+
+
+def outline(kind: str, size: float) -> np.ndarray:
+    """Polygon around the origin: a circle of radius `size` or a square of side `size`."""
+    if kind == "circle":
+        turn = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+        return size * np.column_stack([np.cos(turn), np.sin(turn)])
+    return size / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]])
+
+
+def camera(points: np.ndarray, pitch: float, turn: float, k1: float) -> np.ndarray:
+    """Points of the pattern, in pitches from its middle, as they are seen, px."""
+    cos, sin = np.cos(turn), np.sin(turn)
+    homography = np.array(
+        [[pitch * cos, -pitch * sin, 0], [pitch * sin, pitch * cos, 0], [4e-3, -3e-3, 1]]
+    )
+    seen = cv2.perspectiveTransform(points.reshape(1, -1, 2), homography)[0] / (WIDTH / 2)
+    seen = seen * (1 + k1 * (seen**2).sum(axis=1, keepdims=True))
+    return (seen * WIDTH / 2 + [WIDTH / 2 + 3.3, HEIGHT / 2 - 2.1]).reshape(points.shape)
+
+
+def board(
+    places: np.ndarray,
+    kind: str = "circle",
+    size: float = 0.25,
+    *,
+    pitch: float = 34.0,
+    turn: float = 0.1,
+    k1: float = 0.02,
+    blur: float = 1.0,
+    noise: float = 2.0,
+    ink: float = 50.0,
+    paper: float = 200.0,
+    behind: np.ndarray | None = None,
+    seed: int = 0,
+) -> tuple[np.ndarray, np.ndarray]:
+    """A photograph and the true points: centers of circles, corners of squares."""
+    middle = (places.max(axis=0) + places.min(axis=0)) / 2
+    shapes = (places - middle)[:, None] + outline(kind, size)
+    dense = shapes if kind == "circle" else subdivided(shapes)
+    mask = np.zeros((HEIGHT * FINE, WIDTH * FINE), np.uint8)
+    fine = (camera(dense, pitch, turn, k1) + 0.5) * FINE - 0.5
+    for each in fine:
+        mask[polygon(each[:, 1], each[:, 0], mask.shape)] = 255
+    covered = cv2.resize(mask, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA) / 255.0
+    ground = np.full((HEIGHT, WIDTH), paper)
+    if behind is not None:
+        low, high = middle - places.max(axis=0) - 0.6, places.max(axis=0) - middle + 0.6
+        frame = camera(np.array([low, [high[0], low[1]], high, [low[0], high[1]]]), pitch, turn, k1)
+        ground = cv2.resize(behind, (WIDTH, HEIGHT)).astype(float)
+        cv2.fillPoly(ground, [np.round(frame).astype(np.int32)], paper)
+    image = cv2.GaussianBlur(ground + (ink - paper) * covered, (0, 0), blur)
+    image = image + np.random.default_rng(seed).normal(0, noise, image.shape)
+    truth = camera(places - middle, pitch, turn, k1) if kind == "circle" else None
+    if truth is None:
+        truth = camera(shapes, pitch, turn, k1).reshape(-1, 2)
+    return np.clip(np.round(image), 0, 255).astype(np.uint8), truth
+
+
+def subdivided(shapes: np.ndarray) -> np.ndarray:
+    part = np.linspace(0, 1, 8, endpoint=False)[:, None]
+    following = np.roll(shapes, -1, axis=1)
+    return (shapes[:, :, None] * (1 - part) + following[:, :, None] * part).reshape(
+        len(shapes), -1, 2
+    )
+
+
+def beside(found, truth: np.ndarray) -> np.ndarray:
+    """Distances per coordinate to the nearest true points."""
+    return found.points - truth[cKDTree(truth).query(found.points)[1]]
+
+
+def held(found, truth: np.ndarray) -> float:
+    """RMS error over the stated σ."""
+    return float(np.sqrt((beside(found, truth) ** 2).mean() / (found.sigma**2).mean()))
+
+
+# Side and gap
+
+
+@pytest.mark.parametrize("side", [0.3, 0.6, 0.8, 0.9])
+def test_side_and_gap_are_measured(side):
+    blur = 1.0 if side < 0.5 else 0.7  # the gap of the last is 3.4 px
+    image, truth = board(SQUARE, "square", side, blur=blur, noise=1.0)
+    found = detect_squares(image)
+    assert len(found.points) == len(truth)
+    # Edges are drawn to an eighth of a pixel, which averages out along them; the corners' noise is
+    # 0.005 px. With side and gap taken as equal the corners were 0.4 to 1.6 px off.
+    assert np.sqrt((beside(found, truth) ** 2).mean()) < 0.015
+    assert found.side == pytest.approx(side, abs=0.01)
+    steps = found.positions - found.positions[0]
+    flat = np.column_stack([found.grid // 2, found.grid % 2])
+    np.testing.assert_allclose(
+        steps, (flat[:, :2] - flat[0, :2]) + found.side * (flat[:, 2:] - flat[0, 2:]), atol=1e-12
+    )
+
+
+# What is shown
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"ink": 200.0, "paper": 50.0},
+        {"ink": 110.0, "paper": 140.0},
+        {"k1": -0.15},
+        {"k1": 0.08},
+        {"behind": skimage.data.camera()},
+        {"behind": skimage.data.coins(), "ink": 220.0, "paper": 60.0},
+        {"behind": skimage.data.brick()},
+    ],
+    ids=["bright", "faint", "barrel", "cushion", "camera", "bright, coins", "brick"],
+)
+@pytest.mark.parametrize(("kind", "size"), [("circle", 0.25), ("square", 0.5)])
+def test_boards_are_found_whole_in_clutter_and_either_polarity(kind, size, change):
+    image, truth = board(SQUARE, kind, size, **change)
+    found = (detect_circles if kind == "circle" else detect_squares)(image)
+    assert len(found.points) >= 0.97 * len(truth)
+    assert np.abs(beside(found, truth)).max() < 0.2  # a wrong point is off by pixels
+    # 35 centers tell the ratio to 8 %; the bias of circles and
+    # bent sides is taken off with a distortion of one term, and drawing adds 0.003 px.
+    assert 0.7 < held(found, truth) < 1.6
+
+
+def test_color_becomes_luminance():
+    grey, _ = board(SQUARE)
+    color = np.stack([grey, grey // 2 + 60, 255 - grey // 4], axis=-1)
+    by_color = detect_circles(color)
+    luminance = color.astype(np.float32) @ np.array([0.299, 0.587, 0.114], dtype=np.float32)
+    np.testing.assert_array_equal(by_color.points, detect_circles(luminance).points)
+    with_alpha = np.concatenate([color, np.full((*grey.shape, 1), 7, np.uint8)], axis=-1)
+    np.testing.assert_array_equal(by_color.points, detect_circles(with_alpha).points)
+
+
+def test_a_region_is_looked_at_alone():
+    image, truth = board(SQUARE, pitch=28.0)
+    both = np.concatenate([image, board(SQUARE, pitch=28.0, turn=0.4)[0]], axis=1)
+    found = detect_circles(both, region=(WIDTH, 0, WIDTH, HEIGHT))
+    assert found.points[:, 0].min() > WIDTH
+    left = detect_circles(both, region=(0, 0, WIDTH, HEIGHT))
+    np.testing.assert_allclose(left.points, detect_circles(image).points, atol=1e-12)
+    assert len(left.points) == len(truth)
+    for wrong in ((0, 0, 2 * WIDTH + 1, 30), (0, 0, 8, 8), (-1, 0, 30, 30), (0, 0, 30), "all"):
+        with pytest.raises(ValueError, match="region"):
+            detect_circles(both, region=wrong)
+
+
+# What it lies on
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3])
+def test_a_hexagonal_lattice_is_found_by_name_only(turn):
+    image, truth = board(HEXAGONAL, pitch=32.0, turn=turn)
+    with pytest.raises(ValueError, match="hexagonal"):
+        detect_circles(image)
+    found = detect_circles(image, lattice="hexagonal", direction=turn)
+    assert len(found.points) == len(truth)
+    assert np.abs(beside(found, truth)).max() < 0.05
+    np.testing.assert_allclose(found.positions, found.grid @ HEX, atol=1e-12)
+    world = found.positions - found.positions.mean(axis=0)
+    expected = HEXAGONAL[cKDTree(truth).query(found.points)[1]]
+    np.testing.assert_allclose(world, expected - expected.mean(axis=0), atol=1e-9)
+
+
+def test_a_square_lattice_is_no_hexagonal_one():
+    with pytest.raises(ValueError, match="square"):
+        detect_circles(board(SQUARE)[0], lattice="hexagonal")
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_an_asymmetric_grid_counts_half_steps_and_rows(mirrored):
+    image, truth = board(ASYMMETRIC, size=0.35, pitch=26.0)
+    image, truth = (image[::-1], [0, HEIGHT - 1] + truth * [1, -1]) if mirrored else (image, truth)
+    found = detect_circles(image, lattice="asymmetric", mirrored=mirrored)
+    assert len(found.points) == len(truth)
+    seen = ASYMMETRIC[cKDTree(truth).query(found.points)[1]]
+    np.testing.assert_array_equal(found.grid - found.grid[0], seen - seen[0])
+    np.testing.assert_array_equal(found.positions, found.grid)
+
+
+def test_a_rectangular_lattice_is_named():
+    with pytest.raises(ValueError, match=r"rectangular \(1 : 1.3"):
+        detect_circles(board(SQUARE * [1.0, 1.3], pitch=26.0)[0])
+
+
+def test_rectangles_are_no_squares():
+    with pytest.raises(ValueError, match="rectangles"):
+        detect_squares(board(SQUARE * [1.0, 1.3], "square", 0.5, pitch=26.0)[0])
+
+
+@pytest.mark.parametrize("detect", [detect_circles, detect_squares])
+@pytest.mark.parametrize("blur", [0.7, 2.0])
+def test_a_chessboard_is_no_grid_of_marks(detect, blur):
+    fields = np.array([[i, j] for i in range(8) for j in range(6) if (i + j) % 2 == 0], dtype=float)
+    image, _ = board(fields, "square", 1.0, pitch=30.0, blur=blur)
+    with pytest.raises(ValueError, match="image"):
+        detect(image)
+
+
+@pytest.mark.parametrize("detect", [detect_circles, detect_squares])
+@pytest.mark.parametrize("seed", range(3))
+def test_marks_of_chance_are_no_lattice(detect, seed):
+    rng = np.random.default_rng(seed)
+    image = np.full((HEIGHT, WIDTH), 200, np.uint8)
+    for x, y in rng.uniform([10, 10], [WIDTH - 10, HEIGHT - 10], (60, 2)).astype(int):
+        if image[y - 9 : y + 10, x - 9 : x + 10].min() == 200:
+            if detect is detect_circles:
+                cv2.circle(image, (int(x), int(y)), 6, 50, -1, cv2.LINE_AA)
+            else:
+                cv2.rectangle(image, (int(x) - 6, int(y) - 6), (int(x) + 6, int(y) + 6), 50, -1)
+    with pytest.raises(ValueError, match="image"):
+        detect(cv2.GaussianBlur(image, (0, 0), 1.0))
+
+
+# The final test
+
+
+def test_the_stated_error_is_that_of_the_residuals_where_larger():
+    """A board whose circles were printed 0.1 px beside their places."""
+    rng = np.random.default_rng(3)
+    shifted = SQUARE + rng.normal(0, 0.1 / 34, SQUARE.shape)
+    image, _ = board(shifted)
+    _, truth = board(SQUARE)
+    found = detect_circles(image)
+    assert found.misfit > 5
+    # 35 marks less 25 numbers of the map leave 45 residuals: σ to 11 %, and 15 % by the eight
+    # that the fits' own σ counts for.
+    assert held(found, truth) == pytest.approx(1.0, abs=0.3)
+    assert detect_circles(board(SQUARE)[0]).misfit < 1.5
+
+
+def test_marks_off_a_lattice_are_refused():
+    rng = np.random.default_rng(4)
+    image, _ = board(SQUARE + rng.uniform(-0.08, 0.08, SQUARE.shape))
+    with pytest.raises(ValueError, match="regular lattice"):
+        detect_circles(image)
+
+
+def test_a_stray_mark_is_dropped():
+    places = SQUARE.copy()
+    places[17] += [0.12, 0.0]  # 4 px
+    image, _ = board(places)
+    found = detect_circles(image)
+    assert len(found.points) == 34
+    assert np.abs(beside(found, board(SQUARE)[1])).max() < 0.05
+
+
+PLACES = np.stack(np.meshgrid(np.arange(8.0), np.arange(8.0)), axis=-1).reshape(-1, 2)
+EVEN = {"places": PLACES, "radial": PLACES / 4 - 0.9, "groups": np.arange(64), "spent": 9}
+
+
+def test_smooth_displacements_are_no_error():
+    x, y = (PLACES / 7).T
+    bent = np.column_stack([np.sin(2 * x + y), x * y**2])  # a pixel, by no power of the radius
+    noise = np.random.default_rng(5).normal(0, 0.01, (64, 2))
+    found = agree(bent + noise, sigma=np.full(64, 0.01), pitch=30, **EVEN)
+    assert found.kept.all()
+    assert found.misfit == pytest.approx(1.0, abs=0.25)
+    with pytest.raises(ValueError, match="regular lattice"):
+        agree(40 * noise, sigma=np.full(64, 0.01), pitch=30, **EVEN)
+
+
+def test_noise_explains_a_residual_however_small_the_pitch():
+    noise = np.random.default_rng(6).normal(0, 0.4, (64, 2))
+    assert agree(noise, sigma=np.full(64, 0.4), pitch=30, **EVEN).kept.all()
+
+
+def test_four_marks_leave_nothing_to_tell():
+    found = agree(
+        np.zeros((4, 2)), SQUARE[:4], SQUARE[:4], np.full(4, 0.02), np.arange(4), pitch=30, spent=8
+    )
+    assert np.isnan(found.misfit)
+    np.testing.assert_array_equal(found.sigma, 0.02)
+
+
+def test_the_form_is_that_of_the_lattice_whatever_its_coordinates():
+    """Circles seen through any affine map, counted along any two steps."""
+    rng = np.random.default_rng(7)
+    for steps, name in ((np.eye(2), "square"), (HEX, "hexagonal"), (np.diag([1, 1.5]), "rect")):
+        view = rng.normal(size=(2, 2)) + 3 * np.eye(2)
+        shapes = np.tile(view @ view.T, (5, 1, 1))
+        for basis in ([[1, 0], [0, 1]], [[1, 1], [0, 1]], [[2, 1], [3, 2]]):
+            columns = view @ (np.array(basis) @ steps).T
+            form = lattice_form(shapes, np.tile(columns, (5, 1, 1)))
+            assert form.name.startswith(name)
+    shapes = np.einsum("n,ij->nij", [1.0, 1.5, 0.6, 1.3, 0.7], np.eye(2))
+    with pytest.raises(ValueError, match="one shape"):
+        lattice_form(shapes, np.tile(np.eye(2), (5, 1, 1)))
+
+
+def test_marks_that_a_threshold_missed_are_added():
+    image, truth = board(SQUARE)
+    regions = find_dark_regions(image)
+    index, grid = order_grid(regions.centers)
+    some = np.setdiff1d(np.arange(35), [0, 17, 18, 34])
+    more, chosen, places = complete(regions, index[some], grid[some])
+    assert len(chosen) == 35
+    assert len(np.unique(places, axis=0)) == 35
+    added = more.centers[chosen[31:]]
+    assert cKDTree(truth).query(added)[0].max() < 1.0
+    same, chosen, _ = complete(regions, index, grid)
+    assert same is regions
+    assert len(chosen) == 35
