@@ -8,7 +8,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from microlib._common import Array, as_array, positive, scalar, whole
+from microlib._common import Array, as_array, pipeline, positive, scalar, whole
+from microlib.focus._planes import BLOCK, plane_rows
 
 #: Where the Gaussian of the smoothing is cut off, in standard deviations: a neighbor there counts
 #: e⁻², and twice as far the sums would take four times as long.
@@ -26,7 +27,7 @@ _MOST_WINDOW = 255
 #: Variance of position, px², that is added to the neighbors' own and makes the planes stiff where
 #: neighbors lie on one line; beside that of a full circle, about 0.7 radius², it is nothing.
 _STIFFNESS = 0.05
-#: Rows that are smoothed at a time, so that they stay in the processor's cache.
+#: Rows that a thread smooths at a time.
 _BAND_ROWS = 64
 
 
@@ -163,68 +164,49 @@ def smooth_depth(
     weights = np.ones_like(z) if weight is None else positive("weight", weight, zero=True)
     if weights.shape != z.shape:
         raise ValueError(f"weight must have the shape {z.shape} of depth, got {weights.shape}")
-    known = ~np.isnan(z)
-    if not known.any():
+    if np.isnan(z).all():
         return z.copy()
-    # In units of the jump and from the median, where float32 has digits to spare.
-    rest = (np.where(known, z, np.nan) - np.nanmedian(z)) / limit
-    smooth = np.nanmedian(z)
+    return smooth_by_planes(z, weights, jump=limit, radius=sigma, workers=1)
+
+
+def smooth_by_planes(
+    depth: Array, weight: NDArray, *, jump: float, radius: float, workers: int
+) -> Array:
+    """Do the work of `smooth_depth` in several threads; at least one depth is known."""
+    unknown = np.isnan(depth)
+    weights = np.where(unknown, 0, weight)
+    # In units of the jump and from the middle, where float32 has digits to spare.
+    middle = (np.nanmin(depth) + np.nanmax(depth)) / 2
+    rest = np.where(unknown, 0, (depth - middle) / jump)
+    # What planes leave over is their shift with its sign turned; the smooth parts are the rest.
     for _ in range(_TWICING):
-        once = rest + _plane_shift(rest, np.where(known, weights, 0.0), sigma)
-        smooth, rest = smooth + limit * once, rest - once
-    return smooth
+        rest = -_plane_shift(rest, weights, radius, workers)
+    return depth - jump * rest
 
 
-def _plane_shift(depth: Array, weight: Array, sigma: float) -> Array:
+def _plane_shift(
+    depth: NDArray, weight: NDArray, sigma: float, workers: int
+) -> NDArray[np.float32]:
     """Return by how much the plane through its neighborhood passes above each depth."""
     stride = max(1, round(sigma / _SPACING))
     reach = stride * int(_CUT_OFF * sigma / stride)
+    shift = np.zeros(depth.shape, np.float32)
     if reach == 0:  # a plane through nothing but the pixel itself
-        return np.zeros(depth.shape)
-    values = np.pad(np.nan_to_num(depth).astype(np.float32), reach, mode="edge")
-    weights = np.pad(weight.astype(np.float32), reach)
-    offsets = [
-        (dx, dy)
-        for dy in range(-reach, reach + 1, stride)
-        for dx in range(-reach, reach + 1, stride)
-        if dx * dx + dy * dy <= (_CUT_OFF * sigma) ** 2
-    ]
-    shift = np.empty(depth.shape)
-    for top in range(0, len(depth), _BAND_ROWS):
-        end = min(top + _BAND_ROWS, len(depth))
-        rows = slice(top, end + 2 * reach)
-        shift[top:end] = _band_shift(values[rows], weights[rows], reach, offsets, sigma)
+        return shift
+    values, weights = _padded(depth, reach), _padded(weight, reach)
+
+    def smooth(top: int) -> None:
+        out = shift[top : top + _BAND_ROWS]
+        radius = _CUT_OFF * sigma
+        plane_rows(values, weights, top, reach, stride, sigma, radius, _STIFFNESS, out)
+
+    pipeline(iter([smooth]), range(0, len(depth), _BAND_ROWS), workers)
     return shift
 
 
-def _band_shift(
-    values: NDArray[np.float32],
-    weights: NDArray[np.float32],
-    reach: int,
-    offsets: list[tuple[int, int]],
-    sigma: float,
-) -> Array:
-    """Do the work of `_plane_shift` for a band with `reach` pixels around it."""
-    here = values[reach:-reach, reach:-reach]
-    height, width = here.shape
-    # Sums of w, wx, wy, wx², wy², wxy and of wv, wvx, wvy over the neighbors.
-    moments = np.zeros((9, height, width), np.float32)
-    buffer = np.empty_like(here)
-    for dx, dy in offsets:
-        there = np.s_[reach + dy : reach + dy + height, reach + dx : reach + dx + width]
-        v = values[there] - here
-        w = np.maximum(1 - v * v, 0)
-        w *= w
-        w *= weights[there]
-        w *= np.float32(np.exp(-(dx * dx + dy * dy) / (2 * sigma**2)))
-        v *= w
-        factors = (1, dx, dy, dx * dx, dy * dy, dx * dy, 1, dx, dy)
-        for k, (total, factor) in enumerate(zip(moments, factors, strict=True)):
-            if factor:
-                total += np.multiply(w if k < 6 else v, np.float32(factor), out=buffer)
-    s, sx, sy, sxx, syy, sxy, t, tx, ty = moments.astype(np.float64)
-    sxx += _STIFFNESS * s
-    syy += _STIFFNESS * s
-    a, b, c = sxx * syy - sxy * sxy, sx * syy - sxy * sy, sx * sxy - sxx * sy
-    det = s * a - sx * b + sy * c
-    return np.divide(t * a - tx * b + ty * c, det, out=np.zeros_like(det), where=det > 0)
+def _padded(image: NDArray, reach: int) -> NDArray[np.float32]:
+    """Put zeros beside an image, to the left as far as windows reach, to the right a block more."""
+    rows, cols = image.shape
+    padded = np.zeros((rows, -(-cols // BLOCK) * BLOCK + 2 * reach), np.float32)
+    padded[:, reach : reach + cols] = image
+    return padded

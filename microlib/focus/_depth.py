@@ -25,7 +25,7 @@ from microlib._common import (
     scalar,
     whole,
 )
-from microlib.focus._correction import smooth_depth
+from microlib.focus._correction import smooth_by_planes
 from microlib.focus._directions import directional_depths
 from microlib.focus._flicker import flicker_variance, watched
 from microlib.focus._halos import Wide, check_halos
@@ -408,7 +408,7 @@ def _multiscale(
     sided, disagreement = _sided(depth, profile.depths[1], spacing)
     place = np.interp(sided * spacing, *_rising(z))
     wide = check_halos(frames, len(z), place, disagreement, noise)
-    smooth = _smoothed(*_with_wide(sided, inverse_variance, wide, z / spacing))
+    smooth = _smoothed(*_with_wide(sided, inverse_variance, wide, z / spacing), workers)
     doubtful = np.isnan(smooth) | _doubled(wide.instead | wide.neither, smooth.shape)
     fine = directional_depths(frames(), z, smooth * spacing, **turn)
     relief = find_relief(smooth, fine, doubtful)
@@ -501,15 +501,18 @@ def _doubled(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool
     return mask.repeat(2, axis=0)[:rows].repeat(2, axis=1)[:, :cols]
 
 
-def _smoothed(steps: Array, weight: NDArray) -> Array:
+def _smoothed(steps: Array, weight: NDArray, workers: int) -> Array:
     """Leave out what is not to be believed, and smooth on both sides of steps."""
     set_to_nan(steps, blurred_edge_mask(steps, weight))
     steps[small_component_mask(steps)] = np.nan
     steps[isolated_mask(steps)] = np.nan
+    if np.isnan(steps).all():
+        return steps
     # At the image's border the windows see one side only and pull a slope inwards: there the planes
     # are to be laid through what lies further in.
     inner = _inside(steps.shape)
-    return smooth_depth(steps, jump=_JUMP, radius=_WIDE, weight=weight * inner**_BORDER_POWER)
+    weight = weight * inner**_BORDER_POWER
+    return smooth_by_planes(steps, weight, jump=_JUMP, radius=_WIDE, workers=workers)
 
 
 def _inside(shape: tuple[int, ...]) -> Array:

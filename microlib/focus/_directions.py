@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array, Image, pipeline
-from microlib.focus._loops import fit_near, keep_near
+from microlib.focus._loops import keep_near
 from microlib.focus._measures import blur
 from microlib.focus._peaks import fit_limits
+from microlib.focus._vertex import fit_near, places
 
 #: Smoothing before the second difference and spread after it, px: little, as what they blur is lost
 #: to the relief. Table "constant changed" of benchmarks/focus_depth.py.
@@ -75,7 +76,7 @@ def directional_depths(
     order = np.argsort(steps)
     between = (steps[order][1:] + steps[order][:-1]) / 2
     center = order[np.searchsorted(between, np.nan_to_num(depth))].astype(np.int32)
-    limits = fit_limits(steps, _FIT, (steps[0], steps[-1]))
+    limits = fit_limits(steps, _FIT, (steps[0], steps[-1])).astype(np.float32)
     result = Directions(
         np.zeros((3, *base.shape), np.float32), np.zeros((3, *base.shape), np.float32)
     )
@@ -105,7 +106,7 @@ class _Band:
         depth: Array,
         center: NDArray[np.int32],
         steps: Array,
-        limits: Array,
+        limits: NDArray[np.float32],
         result: Directions,
     ) -> None:
         self._rows = rows
@@ -122,20 +123,25 @@ class _Band:
         for k, frame in enumerate(frames, number):
             keep_near(_second_differences(frame, self._rows), k, self._center, self._windows)
         if last:
-            offsets, weights = (
-                part[:, self._rows] for part in (self._result.offsets, self._result.weights)
-            )
-            fit_near(
-                self._windows,
-                self._center,
-                self._depth,
-                self._steps,
-                self._limits,
-                _FIT,
-                offsets,
-                weights,
-            )
+            self._fit()
             del self._windows
+
+    def _fit(self) -> None:
+        """Write the offsets and weights of the band."""
+        shape = self._depth.shape
+        found = np.empty((2, 3, self._depth.size), np.float32)
+        fit_near(
+            self._windows.reshape(*self._windows.shape[:2], -1),
+            self._center.ravel(),
+            self._depth.ravel(),
+            places(self._steps, _FIT),
+            self._limits,
+            self._steps,
+            found[0],
+            found[1],
+        )
+        self._result.offsets[:, self._rows] = found[0].reshape(3, *shape)
+        self._result.weights[:, self._rows] = found[1].reshape(3, *shape)
 
 
 def _second_differences(image: Image, rows: slice) -> NDArray[np.float32]:

@@ -1,27 +1,17 @@
 """The inner loops of shape from focus, compiled: each looks at a row while it is in the cache.
 
-They hold no lock of the interpreter, so that threads work side by side. Loops that read all their
-operands before they write are turned into vector instructions.
+Loops that read all their operands before they write are turned into vector instructions.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-
-def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    try:
-        return numba.njit(nogil=True, cache=True, error_model="numpy")(function)
-    except RuntimeError:  # no folder may be written to: compile again in every process
-        return numba.njit(nogil=True, error_model="numpy")(function)
+from microlib.focus._compiled import compiled
 
 
-@_compiled
+@compiled
 def sum_rows(
     image: NDArray, top: int, window: int, step: int, threshold: float, out: NDArray
 ) -> None:
@@ -55,7 +45,7 @@ def sum_rows(
             _slide(total, window, out[done])
 
 
-@_compiled
+@compiled
 def _mirror(k: int, length: int) -> int:
     """Return the pixel that stands for pixel `k`, which may lie outside 0 … length - 1."""
     period = max(2 * length - 2, 1)
@@ -63,13 +53,13 @@ def _mirror(k: int, length: int) -> int:
     return min(k, period - k)
 
 
-@_compiled
+@compiled
 def _copy(source: NDArray, target: NDArray) -> None:
     for x in range(len(source)):
         target[x] = source[x]
 
 
-@_compiled
+@compiled
 def _laplace(
     here: NDArray, above: NDArray, below: NDArray, step: int, threshold: float, out: NDArray
 ) -> None:
@@ -88,7 +78,7 @@ def _laplace(
         out[x] = value if value > least else kind(0)
 
 
-@_compiled
+@compiled
 def _add_up(rows: NDArray, count: int, out: NDArray) -> None:
     """Add an odd number of rows, in few passes."""
     kind = out.dtype.type
@@ -104,7 +94,7 @@ def _add_up(rows: NDArray, count: int, out: NDArray) -> None:
             out[x] = kind(out[x] + one[x] + two[x])
 
 
-@_compiled
+@compiled
 def _slide(row: NDArray, count: int, out: NDArray) -> None:
     """Add an odd number of neighbors, this one and those to the right, in few passes."""
     kind = out.dtype.type
@@ -120,7 +110,7 @@ def _slide(row: NDArray, count: int, out: NDArray) -> None:
             out[x] = kind(out[x] + one[x] + two[x])
 
 
-@_compiled
+@compiled
 def track_rows(
     measure: NDArray,
     frame: NDArray,
@@ -152,7 +142,7 @@ def track_rows(
         _pick(frame[y], now, index[y], image[y])
 
 
-@_compiled
+@compiled
 def _move(
     measure: NDArray,
     then: np.uint16,
@@ -170,7 +160,7 @@ def _move(
         after[x] = new if at == then else old_after
 
 
-@_compiled
+@compiled
 def _choose(
     measure: NDArray, now: np.uint16, best: NDArray, index: NDArray, newest: NDArray
 ) -> None:
@@ -181,14 +171,14 @@ def _choose(
         newest[x] = new
 
 
-@_compiled
+@compiled
 def _pick(frame: NDArray, now: np.uint16, index: NDArray, image: NDArray) -> None:
     for x in range(len(frame)):
         new, old = frame[x], image[x]
         image[x] = new if index[x] == now else old
 
 
-@_compiled
+@compiled
 def keep_near(
     measures: NDArray[np.float32],
     number: int,
@@ -209,96 +199,7 @@ def keep_near(
                     windows[kind, k, y, x] = measures[kind, y, x]
 
 
-@_compiled
-def fit_near(
-    windows: NDArray[np.float32],
-    center: NDArray[np.int32],
-    depth: NDArray,
-    steps: NDArray,
-    limits: NDArray,
-    reach: int,
-    offsets: NDArray[np.float32],
-    weights: NDArray[np.float32],
-) -> None:
-    """Fit a parabola to the logarithm around the best of the frames in the window's middle.
-
-    As `fit_peak`, for the sum of two measures and for each of them. Offsets are from `depth`, and
-    weights the root of the inverse variance; both stay as they are where there is no peak.
-    """
-    count, rows, cols = windows.shape[1:]
-    near = count // 2 - reach
-    y = np.empty(2 * reach + 1)
-    share = np.empty(2 * reach + 1)
-    t = np.empty(2 * reach + 1)
-    for row in range(rows):
-        for col in range(cols):
-            if np.isnan(depth[row, col]):
-                continue
-            for kind in range(3):
-                best, top = -1, 0.0
-                for k in range(count // 2 - near, count // 2 + near + 1):
-                    frame = center[row, col] + k - count // 2
-                    value = _kind_of(windows, kind, k, row, col)
-                    if 0 <= frame < len(steps) and value > top:
-                        best, top = k, value
-                if best < 0:
-                    continue
-                middle = center[row, col] + best - count // 2
-                lowest = 0.0
-                for j in range(2 * reach + 1):
-                    frame = middle + j - reach
-                    inside = 0 <= frame < len(steps)
-                    t[j] = steps[min(max(frame, 0), len(steps) - 1)] - steps[middle]
-                    value = _kind_of(windows, kind, best + j - reach, row, col) / top
-                    share[j] = max(value, 1e-6) if inside else 0.0
-                    y[j] = np.log(share[j]) if inside else 0.0
-                    lowest = min(lowest, y[j])
-                vertex, square = 0.0, 0.0
-                for _ in range(2):
-                    linear, square = _parabola(t, y, share, vertex, limits[2, middle])
-                    vertex = min(max(-linear / (2 * square), limits[0, middle]), limits[1, middle])
-                # Too few frames within the stack leave the parabola open or endless.
-                if -np.inf < square < 0 and lowest < -1e-3:
-                    offsets[kind, row, col] = steps[middle] + vertex - depth[row, col]
-                    weights[kind, row, col] = np.sqrt(-square * top)
-
-
-@_compiled
-def _kind_of(windows: NDArray[np.float32], kind: int, k: int, row: int, col: int) -> float:
-    """Return the sum of both measures (0), the first (1) or the second (2)."""
-    if kind == 0:
-        return windows[0, k, row, col] + windows[1, k, row, col]
-    return windows[kind - 1, k, row, col]
-
-
-@_compiled
-def _parabola(
-    t: NDArray, y: NDArray, share: NDArray, center: float, reach: float
-) -> tuple[float, float]:
-    """Return the linear and the square coefficient of a weighted parabola y(t)."""
-    s0, s1, s2, s3, s4, p0, p1, p2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for j in range(len(t)):
-        bow = max(1 - ((t[j] - center) / reach) ** 2, 0.0)
-        w = share[j] * bow * bow
-        s0 += w
-        p0 += w * y[j]
-        w *= t[j]
-        s1 += w
-        p1 += w * y[j]
-        w *= t[j]
-        s2 += w
-        p2 += w * y[j]
-        w *= t[j]
-        s3 += w
-        s4 += w * t[j]
-    m02, m12, m22 = s2 * s4 - s3 * s3, s1 * s4 - s2 * s3, s1 * s3 - s2 * s2
-    det = s0 * m02 - s1 * m12 + s2 * m22
-    linear = (-p0 * m12 + p1 * (s0 * s4 - s2 * s2) - p2 * (s0 * s3 - s1 * s2)) / det
-    square = (p0 * m22 - p1 * (s0 * s3 - s1 * s2) + p2 * (s0 * s2 - s1 * s1)) / det
-    return linear, square
-
-
-@_compiled
+@compiled
 def fill_in(
     depth: NDArray,
     best: NDArray[np.uint16],

@@ -13,20 +13,11 @@ from numpy.typing import NDArray
 from microlib._common import Array, Image, are_small, pipeline
 from microlib.focus._loops import track_rows
 from microlib.focus._measures import RowsMeasure
+from microlib.focus._vertex import FAINTEST, fit_window, places
 
 #: Pixels of a band: few enough for its state, some 15 bytes a pixel, to stay near the processor,
 #: and enough for a thread to work some time before it needs the interpreter again.
 _BAND = 2**17
-
-#: Smallest focus measure a logarithm is taken of, as a share of the peak's. It holds three points
-#: finite; a fit of more weights frames with their share. No default depth of the benchmark changes
-#: from 1e-9 to 1e-3.
-_FAINTEST = 1e-6
-
-#: Fall of the logarithm of a measure below which it is flat. No default depth of the benchmark
-#: changes from 1e-6 to 0.03.
-_FLAT = 1e-3
-
 
 #: Positions, µm, in single precision: a million meters, and spacings far below an atom.
 FARTHEST = 1e12
@@ -133,9 +124,15 @@ def three_point_peak(
     22.5
     """
     _check_window(window, index, positions)
-    positions = positions.astype(np.float64, copy=False)
+    return _three_points(window, index, positions.astype(np.float64, copy=False))
+
+
+def _three_points(
+    window: NDArray, index: NDArray[np.uint16], positions: Array
+) -> NDArray[np.float32]:
+    """Do the work of `three_point_peak` on a window that is known to be one."""
     best = window[1].astype(np.float32)
-    faint = best * np.float32(_FAINTEST)
+    faint = best * np.float32(FAINTEST)
     gaps = np.diff(positions)
     even = np.allclose(gaps, gaps[0], rtol=1e-9, atol=0)  # but for rounding
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -203,33 +200,23 @@ def fit_peak(
     >>> round(float(depth[0, 0]), 4)
     42.5
     """
-    _check_window(window, index, positions)
     reach = len(window) // 2
     spacing = float(np.median(np.abs(np.diff(positions))))
     steps = positions / spacing
-    here = steps[index]
     outer = (steps[0], steps[-1]) if ends is None else (ends[0] / spacing, ends[1] / spacing)
-    lowest, highest, width = fit_limits(steps, reach, outer)[:, index]
-    best = window[reach].astype(np.float64)
-    samples = []
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for offset, measure in zip(range(-reach, reach + 1), window, strict=True):
-            frame = index.astype(np.intp) + offset
-            inside = (frame >= 0) & (frame < len(positions))
-            t = steps[np.clip(frame, 0, len(positions) - 1)] - here
-            share = np.maximum(np.where(inside, measure / best, 1.0), _FAINTEST)
-            samples.append((t, np.log(share), np.where(inside, share, 0.0)))
-        vertex = np.zeros_like(best)
-        for _ in range(2):
-            linear, square = _fit_parabola(samples, vertex, width)
-            vertex = np.clip(-linear / (2 * square), lowest, highest)
-        at_end = (index == 0) | (index == len(positions) - 1)
-        vertex = np.where(square < 0, vertex, np.where(at_end, 0.0, np.nan))
-        # Rounding makes peaks too.
-        lowest_log = np.min([y for _, y, _ in samples], axis=0)
-        vertex[~(lowest_log < -_FLAT)] = np.nan
-    inverse_variance = best * np.fmax(-square, 0)
-    return ((here + vertex) * spacing).astype(np.float32), inverse_variance.astype(np.float32)
+    limits = fit_limits(steps, reach, outer).astype(np.float32)
+    depth, inverse_variance = (np.empty(index.size, np.float32) for _ in range(2))
+    fit_window(
+        window.reshape(len(window), -1),
+        index.ravel(),
+        places(steps, reach),
+        limits,
+        steps,
+        spacing,
+        depth,
+        inverse_variance,
+    )
+    return depth.reshape(index.shape), inverse_variance.reshape(index.shape)
 
 
 def fit_limits(steps: Array, reach: int, ends: tuple[float, float]) -> Array:
@@ -251,28 +238,6 @@ def fit_limits(steps: Array, reach: int, ends: tuple[float, float]) -> Array:
         margin = (0.5 if count > 1 else 1.0) * np.abs(near).max()
         limits[:, k] = near.min(), near.max(), np.abs(seen).max() + margin
     return limits
-
-
-def _fit_parabola(
-    samples: list[tuple[NDArray, NDArray, NDArray]], center: NDArray, reach: NDArray
-) -> tuple[Array, Array]:
-    """Return the linear and the square coefficient of weighted parabolas y(t)."""
-    sums = np.zeros((5, *center.shape))
-    products = np.zeros((3, *center.shape))
-    for t, y, weight in samples:
-        power = weight * np.maximum(1 - ((t - center) / reach) ** 2, 0) ** 2
-        for k in range(5):
-            sums[k] += power
-            if k < 3:
-                products[k] += power * y
-            power = power * t
-    s0, s1, s2, s3, s4 = sums
-    p0, p1, p2 = products
-    m02, m12, m22 = s2 * s4 - s3 * s3, s1 * s4 - s2 * s3, s1 * s3 - s2 * s2
-    det = s0 * m02 - s1 * m12 + s2 * m22
-    linear = (-p0 * m12 + p1 * (s0 * s4 - s2 * s2) - p2 * (s0 * s3 - s1 * s2)) / det
-    square = (p0 * m22 - p1 * (s0 * s3 - s1 * s2) + p2 * (s0 * s2 - s1 * s1)) / det
-    return linear, square
 
 
 @dataclass(frozen=True)
@@ -345,7 +310,7 @@ class _Band:
         """Write the depths of the band and let go of what they came from."""
         for (_, tracker), depth in zip(self._work, self._result.depths, strict=True):
             if len(tracker.window) == 3:
-                fitted = three_point_peak(tracker.window, tracker.index, self._positions)
+                fitted = _three_points(tracker.window, tracker.index, self._positions)
             else:
                 fitted, inverse_variance = fit_peak(
                     tracker.window, tracker.index, self._positions, self._ends

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from microlib.calibration import _circles, _ellipses, _quads
+from microlib.calibration import _circles, _ellipses, _quads, _squares
 from microlib.calibration._dark_regions import find_dark_regions
 from microlib.calibration._detection import band_half_width, find_inliers
 from microlib.calibration._grid_map import GridMap, fit_grid_map
