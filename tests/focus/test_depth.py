@@ -454,16 +454,15 @@ def test_ground_in_the_first_frame_is_known():
         ({"index": np.full((4, 5), -1)}, "index must hold numbers of the 5 positions"),
     ],
 )
-@pytest.mark.parametrize("fit", [fit_peak, three_point_peak])
-def test_what_is_no_window_around_the_best_frame_is_refused(fit, change, words):
+def test_what_is_no_window_around_the_best_frame_is_refused(change, words):
     good = {
         "window": np.ones((3, 4, 5), np.float32),
         "index": np.full((4, 5), 2, np.uint16),
         "positions": np.arange(5.0),
     }
-    fit(**good)
+    three_point_peak(**good)
     with pytest.raises(ValueError, match=words):
-        fit(**good | change)
+        three_point_peak(**good | change)
 
 
 @pytest.mark.parametrize("color", [False, True])
