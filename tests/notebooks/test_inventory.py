@@ -21,7 +21,7 @@ INVENTORY = {
     "02_microsystems_and_vision": (42, 2, 8, 13),
     "03_visual_reconstruction_and_classification": (42, 3, 2, 8),
     "04_mechanical_characterization": (28, 0, 8, 2),
-    "05_experimental_results": (115, 28, 91, 8),
+    "05_experimental_results": (116, 28, 91, 8),
     "06_conclusion": (12, 0, 8, 0),
     "07_guide_calibration": (13, 0, 0, 0),
     "07_guide_embryo": (14, 0, 0, 0),
