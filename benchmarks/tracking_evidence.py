@@ -69,6 +69,10 @@ SIDE, FRAME, MARGIN = 50, 190, 60
 LEAST_GRADIENT = 2.5
 NOISE = 2.0
 PAIRS = 150
+#: Standard deviation (px) of the corners of homographies, and of those that are fitted to, too, so
+#: that a large deformation with much evidence is believed.
+SPREAD, WIDE_SPREAD = 2.0, 6.0
+FITTED_MOTIONS = (("homography", SPREAD), ("homography", WIDE_SPREAD), ("translation", SPREAD))
 #: First seeds, so that fitting and reporting share no frame.
 SEED, FIT_SEED = 5000, 1000
 
@@ -149,8 +153,13 @@ def elsewhere(names: tuple[str, ...], rng: np.random.Generator, shape: tuple[int
             return part
 
 
-def make_pair(seed: int, motion: str, condition: str, names: tuple[str, ...]) -> Pair:
-    """Warp a photograph and do to the second frame what the condition says."""
+def make_pair(
+    seed: int, motion: str, condition: str, names: tuple[str, ...], spread: float = SPREAD
+) -> Pair:
+    """Warp a photograph and do to the second frame what the condition says.
+
+    The corners of a homography move by `spread` px (standard deviation of each coordinate).
+    """
     rng = np.random.default_rng([seed, CONDITIONS.index(condition), motion == "homography"])
     name, x, y = textured(names, rng)
     grey = photograph(name)
@@ -160,7 +169,7 @@ def make_pair(seed: int, motion: str, condition: str, names: tuple[str, ...]) ->
     unit = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
     source = unit * (SIDE - 1) + box[:2]
     if motion == "homography":
-        target = source + 2 * rng.standard_normal((4, 2)) + rng.uniform(-2, 2, 2)
+        target = source + spread * rng.standard_normal((4, 2)) + rng.uniform(-2, 2, 2)
     else:
         angle = rng.uniform(0, 2 * np.pi)
         target = source + 12 * np.array([np.cos(angle), np.sin(angle)])
@@ -250,11 +259,16 @@ class Outcome:
 
 
 def outcomes(
-    motion: str, condition: str, names: tuple[str, ...], pairs: int, seed: int
+    motion: str,
+    condition: str,
+    names: tuple[str, ...],
+    pairs: int,
+    seed: int,
+    spread: float = SPREAD,
 ) -> Iterator[Outcome]:
     """Track pair after pair; a template that is not there is infinitely far off."""
     for k in range(pairs):
-        pair = make_pair(seed + k, motion, condition, names)
+        pair = make_pair(seed + k, motion, condition, names, spread)
         tracker = ESMTracker(pair.first, pair.box, motion)
         start = thread_time()
         track = tracker.track(pair.second)
@@ -322,9 +336,9 @@ def fitted(pairs: int = PAIRS) -> Array:
     usual = _tracker.confidence
     try:
         _tracker.confidence = believe
-        for motion in ("homography", "translation"):
+        for motion, spread in FITTED_MOTIONS:
             for condition in CONDITIONS:
-                for one in outcomes(motion, condition, DEVELOPMENT, pairs, FIT_SEED):
+                for one in outcomes(motion, condition, DEVELOPMENT, pairs, FIT_SEED, spread):
                     if rows and not one.track.lost and not 1 <= one.error <= 3:
                         judged.append(rows[-1])
                         right.append(one.error < 1)
