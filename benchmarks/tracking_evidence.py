@@ -72,6 +72,9 @@ PAIRS = 150
 #: Standard deviation (px) of the corners of homographies, and of those that are fitted to, too, so
 #: that a large deformation with much evidence is believed.
 SPREAD, WIDE_SPREAD = 2.0, 6.0
+#: Share of the right ones among them that the verdict refuses: half of the good frames need none,
+#: so that 1 in 100 of all is lost.
+REFUSED = 0.02
 FITTED_MOTIONS = (("homography", SPREAD), ("homography", WIDE_SPREAD), ("translation", SPREAD))
 #: First seeds, so that fitting and reporting share no frame.
 SEED, FIT_SEED = 5000, 1000
@@ -349,7 +352,7 @@ def fitted(pairs: int = PAIRS) -> Array:
 
 
 def logistic(rows: Array, right: NDArray[np.bool_], ridge: float = 0.5) -> Array:
-    """Return ridge coefficients of standardized features that refuse one right row in 100."""
+    """Return ridge coefficients of standardized features that refuse a share of right rows."""
     mean, spread = rows.mean(axis=0), rows.std(axis=0)
     mean[0], spread[0] = 0.0, 1.0
     scaled, sign = (rows - mean) / spread, np.where(right, 1.0, -1.0)
@@ -364,7 +367,7 @@ def logistic(rows: Array, right: NDArray[np.bool_], ridge: float = 0.5) -> Array
     weights = optimize.minimize(loss, np.zeros(rows.shape[1]), jac=True).x
     coefficients = weights / spread
     coefficients[0] -= float(coefficients[1:] @ mean[1:])
-    coefficients[0] -= float(np.quantile(rows[right] @ coefficients, 0.01))
+    coefficients[0] -= float(np.quantile(rows[right] @ coefficients, REFUSED))
     return coefficients
 
 
