@@ -103,6 +103,17 @@ def test_a_template_that_is_gone_or_replaced_is_lost(motion):
             assert track.confidence < 0.5
 
 
+@pytest.mark.parametrize("motion", ["translation", "homography"])
+def test_blobs_that_resemble_the_template_are_not_believed(motion):
+    # Without the verdict half of them are: any blob can be warped onto another.
+    for seed in range(8):
+        first, other = (
+            mixed_texture((180, 190), default_rng(s), scales=8.0, std=40.0)
+            for s in (seed, seed + 200)
+        )
+        assert track_of(first, other, default_rng(seed), motion).lost
+
+
 def spoil(image, condition, box, rng):
     """Do to an image what a condition says, about the template in a box."""
     x, y, size, _ = box
