@@ -84,6 +84,7 @@ CONSTANTS = {
     (_tracker, "_AGREED"): (0.9, 1.0),
     (_tracker, "_CERTAIN"): (0.05, 0.4),
     (_tracker, "_STEADY"): ((0.25, 0.01), (1.0, 0.04)),
+    (_tracker, "_CONFIRMED"): (0.0, 2.0),
     (_tracker, "_CLEAR"): (1.2, 2.0),
     (_tracker, "_BELIEVED"): (0.2, 0.8),
     (_search, "_BLURS"): ((0.0,), (0.0, 1.6)),
