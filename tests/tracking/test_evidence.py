@@ -103,6 +103,74 @@ def test_a_template_that_is_gone_or_replaced_is_lost(motion):
             assert track.confidence < 0.5
 
 
+@pytest.mark.parametrize("motion", ["translation", "homography"])
+def test_blobs_that_resemble_the_template_are_not_believed(motion):
+    # Without the verdict half of them are: any blob can be warped onto another.
+    for seed in range(8):
+        first, other = (
+            mixed_texture((180, 190), default_rng(s), scales=8.0, std=40.0)
+            for s in (seed, seed + 200)
+        )
+        assert track_of(first, other, default_rng(seed), motion).lost
+
+
+def spoil(image, condition, box, rng):
+    """Do to an image what a condition says, about the template in a box."""
+    x, y, size, _ = box
+    rows, columns = np.mgrid[: image.shape[0], : image.shape[1]]
+    other = mixed_texture(image.shape, rng, scales=(1.5, 3.0, 8.0), std=40.0)
+    if condition == "hidden":
+        return np.where((columns < x + 0.3 * size) & (rows > y) & (rows < y + size), other, image)
+    if condition == "gone":
+        near = (abs(columns - x - size / 2) < 0.7 * size) & (abs(rows - y - size / 2) < 0.7 * size)
+        return np.where(near, other, image)
+    if condition == "ramp":
+        return image * (1 + 0.12 * (columns - x - size / 2) / (size / 2))
+    if condition == "glare":
+        square = (columns - x - size / 3) ** 2 + (rows - y - size / 2) ** 2
+        return image + 200 * np.exp(-square / (2 * (0.15 * size) ** 2))
+    return ndimage.gaussian_filter(image, 2) if condition == "blur" else image
+
+
+@pytest.mark.parametrize("motion", ["translation", "homography"])
+@pytest.mark.parametrize("size", [24, 90, 150])
+@pytest.mark.parametrize("condition", ["clean", "hidden", "ramp", "glare", "blur", "gone"])
+def test_a_template_of_any_size_is_found_or_lost_and_never_somewhere_else(size, condition, motion):
+    rng, by = default_rng(size), np.array([3.3, -2.6])
+    first = mixed_texture((290, 290), rng, scales=(1.5, 3.0, 8.0), std=40.0)
+    box = (70, 65, size, size)
+    second = spoil(moved(first, by), condition, (73, 62, size, size), rng)
+    tracker = ESMTracker(camera_frame(first, rng, noise=2.0), box, motion)
+    track = tracker.track(camera_frame(second, rng, noise=2.0))
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (size - 1.0) + box[:2]
+    if condition == "gone":
+        assert track.lost
+    elif condition == "clean" or (size > 24 and condition != "glare"):
+        assert not track.lost
+    assert track.lost or np.abs(track.corners - corners - by).max() < 1.0
+
+
+@pytest.mark.parametrize("condition", ["clean", "hidden", "glare"])
+def test_depth_of_the_grey_values_and_their_order_in_memory_change_nothing(condition):
+    rng = default_rng(7)
+    first = scene(7)
+    second = spoil(moved(first, (2.4, 1.7)), condition, (72, 66, 50, 50), rng)
+    eight = [camera_frame(image, rng, noise=2.0) for image in (first, second)]
+    expected = ESMTracker(eight[0], BOX).track(eight[1])
+    assert not expected.lost
+    kinds = (
+        lambda image: image.astype(np.uint16) * 257,
+        lambda image: (image / 255).astype(np.float32),
+        lambda image: np.asfortranarray(image.astype(np.float64)),
+    )
+    for kind in kinds:
+        track = ESMTracker(kind(eight[0]), BOX).track(kind(eight[1]))
+        assert not track.lost
+        # The same numbers but for their scale: single precision, and what it decides on the way.
+        np.testing.assert_allclose(track.corners, expected.corners, atol=0.02)
+        np.testing.assert_allclose(track.covariance, expected.covariance, rtol=0.1)
+
+
 def test_pixels_outside_the_mask_do_not_count():
     # A disk that moves over a ground of its own.
     by, rng = np.array([6.0, -4.0]), default_rng(5)

@@ -369,6 +369,10 @@ def test_refuses_a_frame_of_another_kind():
     tracker = ESMTracker(IMAGE, (20, 20, 40, 40))
     with pytest.raises(ValueError, match="frame must have shape"):
         tracker.track(IMAGE[:-1])
+    with pytest.raises(ValueError, match="frame must have shape"):
+        tracker.track(np.stack([IMAGE] * 3, axis=-1))
+    with pytest.raises(ValueError, match="image must be a grey image"):
+        ESMTracker(np.stack([IMAGE] * 3, axis=-1), (20, 15, 40, 40))
     with pytest.raises(ValueError, match="frame must be finite"):
         tracker.track(np.full_like(IMAGE, np.nan))
 
