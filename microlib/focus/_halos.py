@@ -4,7 +4,9 @@ Beside a strong edge the blur of the edge is the largest change of all frames, a
 wide window sees the edge itself and is right there, but wrong beside a step. So where the two
 differ, the scene as the wide depth has it is blurred as far as the other depth is out of its focus.
 Light that is so blurred has no finer detail than the blurred scene has, however bright it is: where
-no finer was measured, the wide depth stands. All at half the frames' size.
+no finer was measured, the wide depth stands. On bare ground noise and compression have the largest
+change in some frame or other: there depths by two measures differ, and the wide depth stands too.
+All at half the frames' size.
 """
 
 from __future__ import annotations
@@ -40,10 +42,13 @@ _NEARBY, _REACH = 11, 27
 #: half a frame at the most, on relief too; above 0.4, on photographs, 1 to 5 frames.
 _ERRATIC, _ERRATIC_SIDE, _MOST_DISAGREEMENT = 0.3, 11, 3.0
 #: The difference there from which two depths are not the same, frames: twice that of a depth by
-#: weak texture from the truth.
+#: weak texture from the truth. Beside steps twice as much: unknown is what cannot be kept.
 _ERRATIC_GAP = 0.4
 #: Slope of the wide depth that is a step, frames/px.
 _CLIFF = 0.5
+#: How far from a step that was not seen itself no wide depth is taken, over its window's reach: at
+#: 1.0 a fiftieth of all pixels beside a step with one faint side are wrong, from 1.25 on less.
+_HIDDEN = 1.25
 #: Further than any frame.
 _FAR = 2.0**17
 #: Distances from focus at which the scene is imaged again, frames.
@@ -81,8 +86,8 @@ class Wide:
     instead : ndarray of bool, shape (rows, cols)
         Where it is to be taken in place of the other depth.
     neither : ndarray of bool, shape (rows, cols)
-        Where the other depth is that of blurred light, and the wide one may be that of the other
-        side of a step.
+        Where the other depth is that of blurred light or of noise, and the wide one is unknown or
+        may be that of the other side of a step.
     """
 
     depth: NDArray[np.float32]
@@ -119,11 +124,11 @@ def check_halos(
     """
     wide, silence = _wide_depth(frames(), count, _NOISE_FINE * noise**2)
     narrow = np.asarray(depth[::2, ::2], np.float32)
-    plain = _steepest(_filled(wide)) < _CLIFF
+    # Between a step and what the wide window does not know it may show the wrong side.
+    plain = _steepest(np.nan_to_num(wide)) < _CLIFF
     differs = _differs(narrow, wide, _NEARBY) & (plain | _differs(narrow, wide, _REACH))
+    gap = np.isnan(narrow) & np.isfinite(wide)
     erratic = _erratic(disagreement)
-    # Beside what the wide window does not know either, it reaches into a void from afar.
-    gap = np.isnan(narrow) & np.isfinite(wide) & (_steepest(np.nan_to_num(wide)) < _CLIFF)
     blurred = np.zeros_like(gap)
     if differs.any():
         scene, fine, coarse = _scene(frames(), wide, narrow)
@@ -132,9 +137,13 @@ def check_halos(
         expected = _expected(scene, rate, np.abs(narrow - wide))
         finer = (measured > _FINER * expected) & (fine > _ABOVE_NOISE * silence)
         blurred = differs & ~_large(differs & finer & ~erratic)
-    blurred |= erratic & _differs(narrow, wide, _NEARBY, _ERRATIC_GAP)
-    lost = erratic & ~np.isfinite(wide)
-    return Wide(wide, gap | (blurred & plain), (blurred & ~plain) | lost)
+    # A random depth is worse than the wide one, and beside a step it is none if it is far off.
+    stray = erratic & _differs(narrow, wide, _NEARBY, _ERRATIC_GAP)
+    far = erratic & _differs(narrow, wide, _NEARBY, 2 * _ERRATIC_GAP)
+    level = _away_from_steps(wide)
+    instead = ((gap | blurred) & plain) | (stray & level)
+    unknown = erratic & np.isnan(wide)
+    return Wide(wide, instead, ((blurred | far) & ~instead) | unknown)
 
 
 def _erratic(disagreement: NDArray) -> NDArray[np.bool_]:
@@ -163,6 +172,19 @@ def _overhang(shape: tuple[int, ...]) -> NDArray[np.float32]:
     return (outside / 2).astype(np.float32)
 
 
+def _away_from_steps(wide: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Tell where the wide depth is that of the pixel's own side, though it is not known all around.
+
+    A step that lies somewhere in what is not known is taken for in its middle, so that the side
+    that is shown beyond the step ends further away from there than a wide window reaches.
+    """
+    filled = _filled(wide)
+    hidden = np.isnan(wide) & (_slope(filled) >= _CLIFF)
+    side = 2 * round(_HIDDEN * _WIDE) + 1
+    reached = cv2.dilate(hidden.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
+    return np.asarray((_steepest(filled) < _CLIFF) & ~reached)
+
+
 def _filled(depth: NDArray[np.float32]) -> NDArray[np.float32]:
     """Put the nearest known depth in place of each NaN: where nothing is known there is no step."""
     unknown = np.isnan(depth)
@@ -172,11 +194,15 @@ def _filled(depth: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(depth[tuple(at)])
 
 
+def _slope(wide: NDArray[np.float32]) -> NDArray[np.float32]:
+    down, along = np.gradient(wide)
+    return np.asarray(np.hypot(down, along))
+
+
 def _steepest(wide: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the steepest slope within the reach of a wide window."""
-    down, along = np.gradient(wide)
     side = 2 * _WIDE + 1
-    return np.asarray(cv2.dilate(np.hypot(down, along), np.ones((side, side), np.uint8)))
+    return np.asarray(cv2.dilate(_slope(wide), np.ones((side, side), np.uint8)))
 
 
 def _half(frame: Image) -> NDArray[np.float32]:
