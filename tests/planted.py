@@ -89,6 +89,10 @@ def _idle(node: ast.AST) -> list[ast.AST]:
         parts.append(node)
     if isinstance(node, ast.Compare) and isinstance(node.ops[0], ast.In | ast.NotIn):
         parts += node.comparators  # a set, in whatever order it is written
+    if isinstance(node, ast.Call) and ast.unparse(node.func) in ("isinstance", "issubclass"):
+        parts += node.args[1:]  # types, likewise
+    if isinstance(node, ast.ExceptHandler):
+        parts.append(node.type)
     if isinstance(node, ast.JoinedStr):  # whose parts have no places of their own before 3.12
         parts += node.values
     return [part for part in parts if part is not None]

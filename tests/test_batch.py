@@ -205,3 +205,45 @@ def test_what_cannot_work_is_refused(folder: Path, change: dict, match: str) -> 
 def test_what_work_returns_wrongly_is_its_row(folder: Path, wrong: object) -> None:
     found = process_files(f"{folder}/f0*", lambda path: wrong, folder.parent / "t.csv")
     assert found["error"][0].startswith("TypeError: work must")
+
+
+def test_progress_counts_what_is_done_already(folder: Path) -> None:
+    table, told = folder.parent / "t.csv", []
+    process_files([folder / "f0.txt", folder / "f3.txt"], measure, table)
+    process_files(f"{folder}/*", measure, table, progress=lambda *counts: told.append(counts))
+    assert told == [(3, 4), (4, 4)]
+
+
+def test_the_file_that_is_named_twice_is_told(folder: Path) -> None:
+    files = [folder / "f3.txt", folder / "f0.txt", folder / "f0.txt"]
+    with pytest.raises(ValueError, match=r"each file once, got .*f0\.txt twice"):
+        process_files(files, measure, folder.parent / "t.csv")
+
+
+def test_seconds_are_those_of_the_file(folder: Path) -> None:
+    (folder / "f0.txt").write_text("wait5")
+    begun = time.perf_counter()
+    found = process_files(f"{folder}/*", measure, folder.parent / "t.csv")
+    assert found["seconds"][0] >= 0.15
+    assert found["seconds"].sum() <= time.perf_counter() - begun + 0.002  # four are rounded
+    assert found["bytes"].tolist() == [5, 4, 9, 1]
+    assert found["modified"].tolist() == [f.stat().st_mtime_ns for f in sorted(folder.iterdir())]
+
+
+def test_an_empty_table_is_a_new_one(folder: Path) -> None:
+    table = folder.parent / "t.csv"
+    table.touch()
+    assert len(process_files(f"{folder}/*", measure, table)) == 4
+
+
+@pytest.mark.parametrize("row", [1, 2, 4])
+def test_a_row_with_fields_missing_is_done_again(folder: Path, row: int) -> None:
+    table, log = folder.parent / "t.csv", folder.parent / "log"
+    work = partial(measure, log=log)
+    whole = process_files(f"{folder}/*", work, table)
+    lines = table.read_text().splitlines()
+    lines[row] = ",".join(lines[row].split(",")[:3])
+    table.write_text("\n".join(lines) + "\n")
+    again = process_files(f"{folder}/*", work, table)
+    assert again["value"].dropna().tolist() == whole["value"].dropna().tolist()
+    assert log.read_text().split()[4:] == [f"f{row - 1}.txt"]

@@ -20,6 +20,8 @@ from tests.planted import KINDS, Source, edits, plant
         ("swapped_axes", "z.sum(axis=0)", ["z.sum(axis=1)"]),
         ("swapped_axes", "x: tuple[int, str] = y", []),
         ("swapped_axes", "a in (b, c)", []),
+        ("swapped_axes", "isinstance(a, (int, float))", []),
+        ("swapped_axes", "try:\n    f()\nexcept (A, B):\n    g()", []),
         ("swapped_axes", "x, y = y, x", ["x, y = x, y"]),
         ("dropped_terms", "a + b * c", ["(a)", "(b * c)"]),
         ("dropped_terms", "a - b", ["(a)"]),

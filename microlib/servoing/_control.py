@@ -401,7 +401,7 @@ class PredictiveController:
             if self._estimate is None:
                 return np.zeros(self._step.shape[1])
         elif self._estimate is None:
-            self._estimate = measured.copy()
+            self._estimate = measured
         else:
             self._estimate = self._estimate + self._innovation_gain * (measured - self._estimate)
         coming = self._part * self._pending[0] + self._pending[1:].sum(axis=0)

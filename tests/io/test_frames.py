@@ -471,3 +471,34 @@ def test_a_reader_holds_the_axes_that_a_file_names(stack, tmp_path):
     assert (reader.axis, reader.count, reader.color) == ("Z", 5, True)
     tifffile.imwrite(tmp_path / "a.tif", stack[:1], photometric="minisblack")
     assert read_frames(tmp_path / "a.tif").count == 1
+
+
+def test_colors_with_opacity_are_right_or_refused(stack, tmp_path):
+    """OpenCV puts opacity last and blue first: turned around, the four would be no colors."""
+    given = np.stack([stack, stack // 2, 255 - stack, np.full_like(stack, 200)], axis=-1)
+    compressed(tmp_path / "a.tif", given, "tiff_lzw")
+    if importlib.util.find_spec("imagecodecs"):
+        read = np.stack(list(read_frames(tmp_path / "a.tif", color=True)))
+        np.testing.assert_array_equal(read, given[..., :3])
+        return
+    with pytest.raises(ValueError, match="compression LZW needs another package"):
+        list(read_frames(tmp_path / "a.tif", color=True))
+
+
+@pytest.mark.parametrize(
+    ("shape", "words"), [((24, 31), "damaged"), ((40_000, 30_000), "30000×40000")]
+)
+def test_what_opencv_raises_is_told_by_the_size_in_the_header(tmp_path, monkeypatch, shape, words):
+    path = tmp_path / "a.png"
+    cv2.imwrite(str(path), np.zeros((3, 4), np.uint8))
+    content = bytearray(path.read_bytes())
+    struct.pack_into(">II", content, 16, shape[1], shape[0])
+    path.write_bytes(content)
+
+    def fail(*_):
+        raise cv2.error("assertion failed")
+
+    monkeypatch.setattr(cv2, "imdecode", fail)
+    for read in (lambda: list(read_frames([path])), lambda: read_grey(path)):
+        with pytest.raises(ValueError, match=words):
+            read()

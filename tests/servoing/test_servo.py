@@ -579,3 +579,18 @@ def test_a_travel_for_each_axis():
     assert run.reached.all()
     run = steer(scope_of(), target, travel=(200.0, 100.0), test_move=40.0)
     assert run.reason.startswith("target 0 is beyond the travel of ±[198.  99.] µm")
+
+
+def test_a_velocity_cannot_bring_the_stage_to_its_end_within_two_intervals():
+    scope = scope_of(camera=Camera(interval=0.02, latency=0.015))
+    run = steer(
+        scope, AWAY, jacobian=JACOBIAN, drive="velocity", speed=300.0, interval=0.05,
+        travel=170.0, controller=lambda k, measured, goals: np.array([-280.0, 90.0]),
+    )  # fmt: skip
+    log = run.log[run.log["velocity_x_um_s"].notna()]
+    for axis in "xy":
+        position, velocity = log[f"stage_{axis}_um"], log[f"velocity_{axis}_um_s"]
+        room = 0.99 * 170.0 - np.sign(velocity) * position
+        # The position is taken again after the frame, nearer to the end: the limit is stricter.
+        assert (np.abs(velocity) <= room / (2 * 0.05) + 1e-6).all()
+    assert np.abs(log["velocity_x_um_s"]).max() > 250

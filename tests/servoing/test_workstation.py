@@ -217,3 +217,42 @@ def arguments(**changes):
 def test_refuses_a_workstation_that_cannot_be(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.4, 1.0, 2.3])
+@pytest.mark.parametrize("lag", [0.0, 0.04])
+def test_commands_act_from_their_latency_on_whatever_the_lag(delay, lag):
+    """Each command in turn by the closed solution of the lag, which SciPy confirms above."""
+    interval, count = 0.03, 9
+    commands = np.random.default_rng(3).uniform(-90, 90, (count, 2))
+    run = simulate(
+        lambda k, measured, reference: commands[k],
+        np.tile([7.0, -3.0], (count, 1)),
+        jacobian=np.array([[0.2, 0.1], [-0.1, 0.3]]),
+        stage=Stage(saturation=100.0, lag=lag, step=0.0),
+        camera=Camera(interval=interval, latency=delay * interval),
+        rng=0,
+    )
+    position, velocity = np.zeros(2), np.zeros(2)
+    edges = np.concatenate([[0.0], (np.arange(count) + delay) * interval])
+    times = interval * np.arange(count)
+    for begin, command, end in zip(
+        edges, np.vstack([np.zeros(2), commands]), [*edges[1:], np.inf], strict=True
+    ):
+        here = times[(times >= begin) & (times < end)]
+        for when in (*here, min(end, times[-1])):
+            spent = when - begin
+            if lag:
+                decay = np.exp(-spent / lag)
+                moved = command * spent + (velocity - command) * lag * (1 - decay)
+            else:
+                moved = command * spent
+            if when in here:
+                k = int(np.argmin(np.abs(times - when)))
+                np.testing.assert_allclose(run.position[k], position + moved, atol=1e-9)
+        if lag:
+            velocity = command + (velocity - command) * decay
+        position = position + moved
+    np.testing.assert_allclose(
+        run.feature, [7.0, -3.0] + run.position @ np.array([[0.2, 0.1], [-0.1, 0.3]]).T, atol=1e-9
+    )
