@@ -165,22 +165,25 @@ def direction_rows(
     along: NDArray[np.float32],
     down: NDArray[np.float32],
 ) -> None:
-    """Write the moduli of second differences along rows and along columns, averaged, of a tile.
+    """Write the moduli of second differences along rows and along columns, averaged.
 
-    As `product_rows`, from column `left` on, for no more than a tile.
+    As `product_rows`, of the columns from `left` on.
     """
     smooth, spread = filters
     beyond = len(spread)
     reach = len(smooth) - 1 + beyond
     grey, other, third = room[0], room[1], room[2]
-    count = len(along)
-    _load(image, first, height, top - reach, count + 2 * reach, left, grey)
-    _smooth(grey, third, other, reach - beyond, count + 2 * beyond, smooth)
-    for out, step in ((along, 1), (down, _STRIDE)):
-        _second_difference(other, third, step, reach - beyond + 1, count + 2 * beyond - 2)
-        _down(third, grey, reach, count, spread)
-        _along(grey, third, reach, count, spread)
-        _put(third, reach, np.float32(0), out)
+    rows, cols = along.shape
+    for y in range(0, rows, _ROWS):
+        count = min(_ROWS, rows - y)
+        for x in range(0, cols, _COLS):
+            _load(image, first, height, top + y - reach, count + 2 * reach, left + x, grey)
+            _smooth(grey, third, other, reach - beyond, count + 2 * beyond, smooth)
+            for out, step in ((along, 1), (down, _STRIDE)):
+                _second_difference(other, third, step, reach - beyond + 1, count + 2 * beyond - 2)
+                _down(third, grey, reach, count, spread)
+                _along(grey, third, reach, count, spread)
+                _put(third, reach, np.float32(0), out[y : y + count, x : x + _COLS])
 
 
 @compiled
