@@ -20,6 +20,7 @@ __all__ = [
     "direction_rows",
     "edge_rows",
     "gaussian_taps",
+    "laplacian_rows",
     "own_room",
     "product_rows",
     "taps",
@@ -121,6 +122,29 @@ def product_rows(
             _laplace(other, third, reach - two + 1, count + 2 * two - 2)
             _smooth(third, grey, other, reach, count, wide_spread)
             _multiply(other, reach, floors[1], tile)
+
+
+@compiled
+def laplacian_rows(
+    image: NDArray[np.float32],
+    filters: tuple[NDArray, NDArray],
+    room: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
+    """Write the modified Laplacian of a whole image at one scale; as `product_rows`."""
+    smooth, spread = filters
+    one = len(spread)
+    reach = one + len(smooth) - 1
+    grey, other, third = room[0], room[1], room[2]
+    rows, cols = out.shape
+    for y in range(0, rows, _ROWS):
+        count = min(_ROWS, rows - y)
+        for x in range(0, cols, _COLS):
+            _load(image, 0, rows, y - reach, count + 2 * reach, x, grey)
+            _smooth(grey, third, other, reach - one, count + 2 * one, smooth)
+            _laplace(other, third, reach - one + 1, count + 2 * one - 2)
+            _smooth(third, grey, other, reach, count, spread)
+            _put(other, reach, np.float32(0), out[y : y + count, x : x + _COLS])
 
 
 @compiled

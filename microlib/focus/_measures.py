@@ -12,7 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Image, as_array, as_image, one_of, scalar, whole
-from microlib.focus._filters import edge_rows, gaussian_taps, own_room, product_rows, taps
+from microlib.focus._filters import (
+    edge_rows,
+    gaussian_taps,
+    laplacian_rows,
+    own_room,
+    product_rows,
+    taps,
+)
 from microlib.focus._loops import sum_rows
 
 #: What `depth_from_focus` accepts in place of a name: grey image to focus measure of the same
@@ -245,7 +252,10 @@ class Scale:
         return int(np.ceil(4 * self.smooth + 1 + 4 * self.spread))
 
     def __call__(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        return blur(_modified_laplacian(blur(image, self.smooth)), self.spread)
+        filters = blur_taps(self.smooth), blur_taps(self.spread)
+        out = np.empty(image.shape, np.float32)
+        laplacian_rows(np.ascontiguousarray(image), filters, own_room(), out)
+        return out
 
 
 #: The scales that decide the depth, chosen on rendered stacks with slopes, weak and coarse texture,
@@ -344,8 +354,3 @@ def noise_level(frame: Image) -> float:
     quiet = float(np.percentile(measure, _QUIET)) / _NOISE_SCALE.gain
     rounding = np.sqrt(1 / 12) if frame.dtype.kind == "u" else 0.0
     return max(quiet, rounding, _LEAST_NOISE_SHARE * float(np.abs(frame).max()), _LEAST_NOISE)
-
-
-def _modified_laplacian(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    second = np.array([[-1.0, 2.0, -1.0]], np.float32)
-    return np.abs(cv2.filter2D(image, -1, second)) + np.abs(cv2.filter2D(image, -1, second.T))
