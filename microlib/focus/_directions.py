@@ -163,5 +163,5 @@ def _second_differences(
     part, first = rows_around(image, rows, len(filters[0]) + len(filters[1]) - 1)
     found = np.empty((2, rows.stop - rows.start, seen.stop - seen.start), np.float32)
     at = first, len(image), rows.start, seen.start
-    direction_rows(part, *at, filters, own_room(), found[0], found[1])
+    direction_rows(part, *at, filters, own_room(), (found[0], found[1]))
     return found

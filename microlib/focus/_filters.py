@@ -16,11 +16,17 @@ from numpy.typing import NDArray
 from microlib.focus._compiled import compiled
 
 __all__ = [
+    "COLS",
+    "FRONT",
     "MOST_REACH",
+    "STRIDE",
+    "along",
     "direction_rows",
+    "down",
     "edge_rows",
     "gaussian_taps",
     "laplacian_rows",
+    "load",
     "own_room",
     "product_rows",
     "taps",
@@ -28,17 +34,17 @@ __all__ = [
 
 #: Rows and columns of a tile: with what the widest filter needs around it, three of them stay in
 #: the processor's second cache.
-_ROWS, _COLS = 64, 512
+_ROWS, COLS = 64, 512
 #: Pixels around a tile; no measure may look further.
 MOST_REACH = 24
 #: Taps on either side that are added in one go, without putting the sum away in between. Filters
 #: are filled up with zeros to a multiple.
 _GROUP = 4
 #: Distance of the rows in memory, and pixels in front of the first row.
-_STRIDE, _FRONT = _COLS + 2 * MOST_REACH, 64
+STRIDE, FRONT = COLS + 2 * MOST_REACH, 64
 # Whole numbers without a sign, which need no test for counting from an array's end.
 _1, _2, _3, _4 = (np.uintp(k) for k in range(1, 5))
-_S, _2S, _3S, _4S = (np.uintp(k * _STRIDE) for k in range(1, 5))
+_S, _2S, _3S, _4S = (np.uintp(k * STRIDE) for k in range(1, 5))
 _TWO = np.float32(2)
 
 
@@ -67,11 +73,12 @@ _kept = threading.local()
 
 
 def own_room() -> NDArray[np.float32]:
-    """Return memory for three tiles that no other thread uses: the same each time, as to get it
-    from the system would take as long as the filters.
+    """Return memory for five tiles that no other thread uses.
+
+    The same each time: to get it from the system would take as long as the filters.
     """
     if not hasattr(_kept, "room"):
-        _kept.room = np.empty((3, 2 * _FRONT + (_ROWS + 2 * MOST_REACH) * _STRIDE), np.float32)
+        _kept.room = np.empty((5, 2 * FRONT + (_ROWS + 2 * MOST_REACH) * STRIDE), np.float32)
     return _kept.room
 
 
@@ -110,13 +117,13 @@ def product_rows(
     rows, cols = out.shape
     for y in range(0, rows, _ROWS):
         count = min(_ROWS, rows - y)
-        for x in range(0, cols, _COLS):
-            _load(image, first, height, top + y - reach, count + 2 * reach, x, grey)
+        for x in range(0, cols, COLS):
+            load(image, first, height, top + y - reach, count + 2 * reach, x, grey)
             _smooth(grey, third, other, reach - one, count + 2 * one, smooth)
             _laplace(other, third, reach - one + 1, count + 2 * one - 2)
-            tile = out[y : y + count, x : x + _COLS]
-            _down(third, other, reach, count, spread)
-            _along(other, third, reach, count, spread)
+            tile = out[y : y + count, x : x + COLS]
+            down(third, other, reach, count, spread)
+            along(other, third, reach, count, spread)
             _put(third, reach, floors[0], tile)
             _smooth(grey, third, other, reach - two, count + 2 * two, wide_smooth)
             _laplace(other, third, reach - two + 1, count + 2 * two - 2)
@@ -139,12 +146,12 @@ def laplacian_rows(
     rows, cols = out.shape
     for y in range(0, rows, _ROWS):
         count = min(_ROWS, rows - y)
-        for x in range(0, cols, _COLS):
-            _load(image, 0, rows, y - reach, count + 2 * reach, x, grey)
+        for x in range(0, cols, COLS):
+            load(image, 0, rows, y - reach, count + 2 * reach, x, grey)
             _smooth(grey, third, other, reach - one, count + 2 * one, smooth)
             _laplace(other, third, reach - one + 1, count + 2 * one - 2)
             _smooth(third, grey, other, reach, count, spread)
-            _put(other, reach, np.float32(0), out[y : y + count, x : x + _COLS])
+            _put(other, reach, np.float32(0), out[y : y + count, x : x + COLS])
 
 
 @compiled
@@ -166,11 +173,11 @@ def edge_rows(
     rows, cols = out.shape
     for y in range(0, rows, _ROWS):
         count = min(_ROWS, rows - y)
-        for x in range(0, cols, _COLS):
-            _load(image, first, height, top + y - reach, count + 2 * reach, x, grey)
+        for x in range(0, cols, COLS):
+            load(image, first, height, top + y - reach, count + 2 * reach, x, grey)
             _smooth(grey, third, other, reach - beyond, count + 2 * beyond, wide)
             _deviate(other, grey, third, reach - beyond, count + 2 * beyond)
-            tile = out[y : y + count, x : x + _COLS]
+            tile = out[y : y + count, x : x + COLS]
             _smooth(third, other, grey, reach, count, fine)
             _put(grey, reach, floors[0], tile)
             _smooth(third, other, grey, reach, count, coarse)
@@ -186,8 +193,7 @@ def direction_rows(
     left: int,
     filters: tuple[NDArray, NDArray],
     room: NDArray[np.float32],
-    along: NDArray[np.float32],
-    down: NDArray[np.float32],
+    outs: tuple[NDArray, NDArray],
 ) -> None:
     """Write the moduli of second differences along rows and along columns, averaged.
 
@@ -197,17 +203,17 @@ def direction_rows(
     beyond = len(spread)
     reach = len(smooth) - 1 + beyond
     grey, other, third = room[0], room[1], room[2]
-    rows, cols = along.shape
+    rows, cols = outs[0].shape
     for y in range(0, rows, _ROWS):
         count = min(_ROWS, rows - y)
-        for x in range(0, cols, _COLS):
-            _load(image, first, height, top + y - reach, count + 2 * reach, left + x, grey)
+        for x in range(0, cols, COLS):
+            load(image, first, height, top + y - reach, count + 2 * reach, left + x, grey)
             _smooth(grey, third, other, reach - beyond, count + 2 * beyond, smooth)
-            for out, step in ((along, 1), (down, _STRIDE)):
+            for out, step in ((outs[0], 1), (outs[1], STRIDE)):
                 _second_difference(other, third, step, reach - beyond + 1, count + 2 * beyond - 2)
-                _down(third, grey, reach, count, spread)
-                _along(grey, third, reach, count, spread)
-                _put(third, reach, np.float32(0), out[y : y + count, x : x + _COLS])
+                down(third, grey, reach, count, spread)
+                along(grey, third, reach, count, spread)
+                _put(third, reach, np.float32(0), out[y : y + count, x : x + COLS])
 
 
 @compiled
@@ -219,7 +225,7 @@ def _mirror(k: int, length: int) -> int:
 
 
 @compiled
-def _load(
+def load(
     image: NDArray[np.float32],
     first: int,
     height: int,
@@ -231,16 +237,16 @@ def _load(
     """Copy rows of the image, mirrored at its border, with the margin of a tile at `left`."""
     width = image.shape[1]
     start = left - MOST_REACH
-    begin, end = max(-start, 0), min(width - start, _STRIDE)
+    begin, end = max(-start, 0), min(width - start, STRIDE)
     for r in range(count):
         row = image[_mirror(top + r, height) - first]
-        at = _FRONT + r * _STRIDE
+        at = FRONT + r * STRIDE
         source, target = row[begin + start : end + start], out[at + begin : at + end]
         for c in range(np.uintp(len(target))):
             target[c] = source[c]
         for c in range(begin):
             out[at + c] = row[_mirror(c + start, width)]
-        for c in range(end, _STRIDE):
+        for c in range(end, STRIDE):
             out[at + c] = row[_mirror(c + start, width)]
 
 
@@ -254,12 +260,12 @@ def _smooth(
     filter_: NDArray[np.float32],
 ) -> None:
     """Filter `count` rows of a tile in both directions."""
-    _down(source, between, row, count, filter_)
-    _along(between, out, row, count, filter_)
+    down(source, between, row, count, filter_)
+    along(between, out, row, count, filter_)
 
 
 @compiled
-def _along(
+def along(
     source: NDArray[np.float32],
     out: NDArray[np.float32],
     row: int,
@@ -267,7 +273,7 @@ def _along(
     filter_: NDArray[np.float32],
 ) -> None:
     """Filter `count` rows of a tile along its rows."""
-    start, stop = _FRONT + row * _STRIDE, _FRONT + (row + count) * _STRIDE
+    start, stop = FRONT + row * STRIDE, FRONT + (row + count) * STRIDE
     k0, k1, k2, k3, k4 = filter_[0], filter_[1], filter_[2], filter_[3], filter_[4]
     for p in range(np.uintp(start), np.uintp(stop)):
         out[p] = (
@@ -301,7 +307,7 @@ def _add_along(
 
 
 @compiled
-def _down(
+def down(
     source: NDArray[np.float32],
     out: NDArray[np.float32],
     row: int,
@@ -309,7 +315,7 @@ def _down(
     filter_: NDArray[np.float32],
 ) -> None:
     """Filter `count` rows of a tile along its columns."""
-    start, stop = _FRONT + row * _STRIDE, _FRONT + (row + count) * _STRIDE
+    start, stop = FRONT + row * STRIDE, FRONT + (row + count) * STRIDE
     k0, k1, k2, k3, k4 = filter_[0], filter_[1], filter_[2], filter_[3], filter_[4]
     for p in range(np.uintp(start), np.uintp(stop)):
         out[p] = (
@@ -320,8 +326,8 @@ def _down(
             + k4 * (source[p - _4S] + source[p + _4S])
         )
     for j in range(_GROUP, len(filter_) - 1, _GROUP):
-        low = source[start - (j + _GROUP) * _STRIDE :]
-        high = source[start + (j + 1) * _STRIDE :]
+        low = source[start - (j + _GROUP) * STRIDE :]
+        high = source[start + (j + 1) * STRIDE :]
         _add_down(low, high, filter_[j + 1 : j + 5], out[start:stop])
 
 
@@ -345,11 +351,11 @@ def _add_down(
 @compiled
 def _laplace(source: NDArray[np.float32], out: NDArray[np.float32], row: int, count: int) -> None:
     """Write the modified Laplacian."""
-    for p in range(np.uintp(_FRONT + row * _STRIDE), np.uintp(_FRONT + (row + count) * _STRIDE)):
+    for p in range(np.uintp(FRONT + row * STRIDE), np.uintp(FRONT + (row + count) * STRIDE)):
         twice = _TWO * source[p]
-        along = twice - (source[p - _1] + source[p + _1])
-        down = twice - (source[p - _S] + source[p + _S])
-        out[p] = abs(along) + abs(down)
+        across = twice - (source[p - _1] + source[p + _1])
+        upright = twice - (source[p - _S] + source[p + _S])
+        out[p] = abs(across) + abs(upright)
 
 
 @compiled
@@ -357,7 +363,7 @@ def _second_difference(
     source: NDArray[np.float32], out: NDArray[np.float32], step: int, row: int, count: int
 ) -> None:
     before, after = np.uintp(-step), np.uintp(step)
-    for p in range(np.uintp(_FRONT + row * _STRIDE), np.uintp(_FRONT + (row + count) * _STRIDE)):
+    for p in range(np.uintp(FRONT + row * STRIDE), np.uintp(FRONT + (row + count) * STRIDE)):
         out[p] = abs(_TWO * source[p] - (source[p + before] + source[p + after]))
 
 
@@ -369,7 +375,7 @@ def _deviate(
     row: int,
     count: int,
 ) -> None:
-    for p in range(np.uintp(_FRONT + row * _STRIDE), np.uintp(_FRONT + (row + count) * _STRIDE)):
+    for p in range(np.uintp(FRONT + row * STRIDE), np.uintp(FRONT + (row + count) * STRIDE)):
         out[p] = abs(image[p] - mean[p])
 
 
@@ -379,8 +385,8 @@ def _put(
 ) -> None:
     """Write a tile without its margin, raised by a floor."""
     for y in range(len(out)):
-        start = _FRONT + (reach + y) * _STRIDE + MOST_REACH
-        source, row = tile[start : start + _COLS], out[y]
+        start = FRONT + (reach + y) * STRIDE + MOST_REACH
+        source, row = tile[start : start + COLS], out[y]
         for x in range(np.uintp(len(row))):
             row[x] = source[x] + floor
 
@@ -391,7 +397,7 @@ def _multiply(
 ) -> None:
     """Multiply by a tile without its margin, raised by a floor."""
     for y in range(len(out)):
-        start = _FRONT + (reach + y) * _STRIDE + MOST_REACH
-        source, row = tile[start : start + _COLS], out[y]
+        start = FRONT + (reach + y) * STRIDE + MOST_REACH
+        source, row = tile[start : start + COLS], out[y]
         for x in range(np.uintp(len(row))):
             row[x] *= source[x] + floor
