@@ -11,12 +11,21 @@ from typing import Any
 
 import numba
 
-__all__ = ["compiled"]
+__all__ = ["compiled", "summing"]
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a function when it is first called; a product may be added without rounding."""
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+    return _compiled(function, {"contract"})
+
+
+def summing(function: Callable[..., Any]) -> Callable[..., Any]:
+    """As `compiled`, and sums may be made in any order, several numbers at a time."""
+    return _compiled(function, {"contract", "reassoc", "nsz"})
+
+
+def _compiled(function: Callable[..., Any], freedom: set[str]) -> Callable[..., Any]:
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": freedom}
     try:
         return numba.njit(cache=True, **options)(function)
     except RuntimeError:  # no folder may be written to: compile again in every process

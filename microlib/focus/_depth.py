@@ -411,7 +411,7 @@ def _multiscale(
     smooth = _smoothed(*_with_wide(sided, inverse_variance, wide, z / spacing), workers)
     doubtful = np.isnan(smooth) | _doubled(wide.instead | wide.neither, smooth.shape)
     fine = directional_depths(frames(), z, smooth * spacing, **turn)
-    relief = find_relief(smooth, fine, doubtful)
+    relief = find_relief(smooth, fine, doubtful, workers=workers)
     depth = np.clip((smooth + relief.offset) * spacing, positions.min(), positions.max())
     starts = np.cumsum(sizes) - sizes
     best = _nearest_frame(depth, positions, (starts + sizes // 2)[profile.index])

@@ -11,26 +11,24 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array, Image, pipeline
+from microlib.focus._filters import direction_rows, own_room
 from microlib.focus._loops import keep_near
-from microlib.focus._measures import blur
+from microlib.focus._measures import blur_taps, rows_around
 from microlib.focus._peaks import fit_limits
 from microlib.focus._vertex import fit_near, places
 
+#: Rows of a band: its windows, 72 bytes a pixel, stay near the processor.
+_ROWS = 64
 #: Smoothing before the second difference and spread after it, px: little, as what they blur is lost
 #: to the relief. Table "constant changed" of benchmarks/focus_depth.py.
 _SMOOTH, _SPREAD = 0.7, 1.0
-#: OpenCV cuts a Gaussian of float32 off at four standard deviations.
-_REACH = int(np.ceil(4 * _SMOOTH + 1 + 4 * _SPREAD))
 #: Frames on either side in the fit, as by default, and how far from the known depth its middle may
 #: lie: the vertex may lie one further, and larger relief is no relief to the smoothing either.
 _FIT, _NEAR = 3, 1
-#: Rows of a band: its windows, 72 bytes a pixel, stay near the processor.
-_ROWS = 64
 
 
 @dataclass(frozen=True)
@@ -112,6 +110,7 @@ class _Band:
         self._rows = rows
         self._depth = depth[rows]
         self._center = center[rows]
+        self._range = self._center.min(axis=0), self._center.max(axis=0)
         self._steps = steps
         self._limits = limits
         self._result = result
@@ -121,10 +120,20 @@ class _Band:
             count = 2 * (_FIT + _NEAR) + 1
             self._windows = np.zeros((2, count, *self._depth.shape), np.float32)
         for k, frame in enumerate(frames, number):
-            keep_near(_second_differences(frame, self._rows), k, self._center, self._windows)
+            cols = self._near(k)
+            if cols.start < cols.stop:
+                measures = _second_differences(frame, self._rows, cols)
+                keep_near(measures, k, self._center[:, cols], self._windows[..., cols])
         if last:
             self._fit()
             del self._windows
+
+    def _near(self, number: int) -> slice:
+        """Return the columns between which a frame lies in some pixel's window."""
+        lowest, highest = self._range
+        reach = _FIT + _NEAR
+        near = np.flatnonzero((lowest - reach <= number) & (number <= highest + reach))
+        return slice(int(near[0]), int(near[-1]) + 1) if len(near) else slice(0, 0)
 
     def _fit(self) -> None:
         """Write the offsets and weights of the band."""
@@ -144,16 +153,15 @@ class _Band:
         self._result.weights[:, self._rows] = found[1].reshape(3, *shape)
 
 
-def _second_differences(image: Image, rows: slice) -> NDArray[np.float32]:
-    """Return the measures along rows and along columns of some rows of an image."""
-    low = max(rows.start - _REACH, 0)
-    smooth = blur(image[low : rows.stop + _REACH].astype(np.float32), _SMOOTH)
-    second = np.array([[-1.0, 2.0, -1.0]], np.float32)
-    return np.stack(
-        [
-            blur(np.abs(cv2.filter2D(smooth, -1, kernel)), _SPREAD)[
-                rows.start - low : rows.stop - low
-            ]
-            for kernel in (second, second.T)
-        ]
-    )
+def _second_differences(
+    image: Image, rows: slice, cols: slice | None = None
+) -> NDArray[np.float32]:
+    """Return the measures along rows and along columns of some rows and columns of an image."""
+    filters = blur_taps(_SMOOTH), blur_taps(_SPREAD)
+    seen = cols or slice(0, image.shape[1])
+    # The length of taps is one more than the radius; the second difference looks one further.
+    part, first = rows_around(image, rows, len(filters[0]) + len(filters[1]) - 1)
+    found = np.empty((2, rows.stop - rows.start, seen.stop - seen.start), np.float32)
+    at = first, len(image), rows.start, seen.start
+    direction_rows(part, *at, filters, own_room(), (found[0], found[1]))
+    return found

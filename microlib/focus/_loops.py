@@ -178,6 +178,10 @@ def _pick(frame: NDArray, now: np.uint16, index: NDArray, image: NDArray) -> Non
         image[x] = new if index[x] == now else old
 
 
+#: Pixels of a row that are looked at together: on most surfaces they are near few frames.
+_PART = 128
+
+
 @compiled
 def keep_near(
     measures: NDArray[np.float32],
@@ -187,16 +191,31 @@ def keep_near(
 ) -> None:
     """Keep the measures of frame `number` where it lies in the window around the center.
 
-    `windows` holds 2 reach + 1 measures of every kind.
+    `measures` are of two kinds, and `windows` holds 2 reach + 1 of either.
     """
-    kinds, count, rows, cols = windows.shape
+    count, rows, cols = windows.shape[1:]
     reach = count // 2
     for y in range(rows):
-        for x in range(cols):
-            k = number - center[y, x] + reach
-            if 0 <= k < count:
-                for kind in range(kinds):
-                    windows[kind, k, y, x] = measures[kind, y, x]
+        for left in range(0, cols, _PART):
+            part = slice(left, min(left + _PART, cols))
+            near = center[y, part]
+            lowest, highest = near[0], near[0]
+            for x in range(len(near)):
+                lowest, highest = min(lowest, near[x]), max(highest, near[x])
+            first = max(number + reach - highest, 0)
+            for k in range(first, min(number + reach - lowest, count - 1) + 1):
+                _keep(near, number + reach - k, measures[0, y, part], windows[0, k, y, part])
+                _keep(near, number + reach - k, measures[1, y, part], windows[1, k, y, part])
+
+
+@compiled
+def _keep(
+    center: NDArray[np.int32], here: int, measure: NDArray[np.float32], out: NDArray[np.float32]
+) -> None:
+    wanted = np.int32(here)
+    for x in range(len(center)):
+        new, old = measure[x], out[x]
+        out[x] = new if center[x] == wanted else old
 
 
 @compiled

@@ -12,6 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Image, as_array, as_image, one_of, scalar, whole
+from microlib.focus._filters import (
+    edge_rows,
+    gaussian_taps,
+    laplacian_rows,
+    own_room,
+    product_rows,
+    taps,
+)
 from microlib.focus._loops import sum_rows
 
 #: What `depth_from_focus` accepts in place of a name: grey image to focus measure of the same
@@ -160,13 +168,27 @@ def blur(image: NDArray, sigma: float) -> NDArray:
     """Smooth by a Gaussian; a wide one by two boxes of the same variance, which is faster."""
     if sigma < _BOXES_FROM:
         return cv2.GaussianBlur(image, (0, 0), sigma, borderType=_MIRROR)
-    # A box of n has the variance (n² - 1) / 12: the odd n for which two have that of the Gaussian.
-    n = 2 * round((np.sqrt(6 * sigma**2 + 1) - 1) / 2) + 1
+    n = _box_side(sigma)
     if n < 10:  # two such boxes are a triangle, in one go; a wider one takes longer than two boxes
-        triangle = np.convolve(np.ones(n), np.ones(n)) / n**2
+        triangle = _two_boxes(n)
         return cv2.sepFilter2D(image, -1, triangle, triangle, borderType=_MIRROR)
     once = cv2.boxFilter(image, -1, (n, n), borderType=_MIRROR)
     return cv2.boxFilter(once, -1, (n, n), borderType=_MIRROR)
+
+
+def _box_side(sigma: float) -> int:
+    """Return the side of the box of which two have the variance of a Gaussian, odd."""
+    # A box of n has the variance (n² - 1) / 12.
+    return 2 * round((np.sqrt(6 * sigma**2 + 1) - 1) / 2) + 1
+
+
+def _two_boxes(n: int) -> NDArray[np.float64]:
+    return np.convolve(np.ones(n), np.ones(n)) / n**2
+
+
+def blur_taps(sigma: float) -> NDArray[np.float32]:
+    """Return the taps of `blur`, for the compiled filters."""
+    return gaussian_taps(sigma) if sigma < _BOXES_FROM else taps(_two_boxes(_box_side(sigma)))
 
 
 class RowsMeasure(Protocol):
@@ -230,7 +252,10 @@ class Scale:
         return int(np.ceil(4 * self.smooth + 1 + 4 * self.spread))
 
     def __call__(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        return blur(_modified_laplacian(blur(image, self.smooth)), self.spread)
+        filters = blur_taps(self.smooth), blur_taps(self.spread)
+        out = np.empty(image.shape, np.float32)
+        laplacian_rows(np.ascontiguousarray(image), filters, own_room(), out)
+        return out
 
 
 #: The scales that decide the depth, chosen on rendered stacks with slopes, weak and coarse texture,
@@ -240,7 +265,34 @@ _SCALES = (Scale(0.8, 1.0), Scale(2.0, 3.0))
 _NOISE_SCALE = Scale(0.5, 3.0)
 
 
-def multiscale_measure(noise: float) -> Banded:
+def rows_around(image: Image, rows: slice, reach: int) -> tuple[NDArray[np.float32], int]:
+    """Return the rows of an image up to `reach` further, float32, and the number of the first."""
+    low = max(rows.start - reach, 0)
+    return np.ascontiguousarray(image[low : rows.stop + reach], np.float32), low
+
+
+@dataclass(frozen=True)
+class _Multiscale:
+    """A product of modified Laplacians at two scales, see `multiscale_measure`."""
+
+    filters: tuple[NDArray, NDArray, NDArray, NDArray]
+    floors: tuple[np.float32, np.float32]
+
+    @property
+    def reach(self) -> int:
+        smooth, spread, wide_smooth, wide_spread = map(len, self.filters)
+        # The length of taps is one more than the radius; the second difference looks one further.
+        return max(smooth + spread, wide_smooth + wide_spread) - 1
+
+    def __call__(self, image: Image, rows: slice) -> NDArray[np.float32]:
+        part, first = rows_around(image, rows, self.reach)
+        out = np.empty((rows.stop - rows.start, image.shape[1]), np.float32)
+        at = first, len(image), rows.start
+        product_rows(part, *at, self.filters, self.floors, own_room(), out)
+        return out
+
+
+def multiscale_measure(noise: float) -> RowsMeasure:
     """Return a product of modified Laplacians at two scales, for frames with that much noise.
 
     The fine scale places the peak on a slope, the coarse one keeps it where texture is weak. Each
@@ -248,13 +300,10 @@ def multiscale_measure(noise: float) -> Banded:
     the other decides.
     """
     fine, coarse = _SCALES
-    floors = [np.float32(noise * scale.gain) for scale in _SCALES]
-
-    def measure(image: Image) -> NDArray:
-        grey = image.astype(np.float32)
-        return (fine(grey) + floors[0]) * (coarse(grey) + floors[1])
-
-    return Banded(measure, reach=max(scale.reach for scale in _SCALES))
+    smooth, spread = blur_taps(fine.smooth), blur_taps(fine.spread)
+    wide_smooth, wide_spread = blur_taps(coarse.smooth), blur_taps(coarse.spread)
+    floors = np.float32(noise * fine.gain), np.float32(noise * coarse.gain)
+    return _Multiscale((smooth, spread, wide_smooth, wide_spread), floors)
 
 
 def noise_response(noise: float) -> float:
@@ -265,7 +314,27 @@ def noise_response(noise: float) -> float:
     return float(np.prod([2 * noise * scale.gain for scale in _SCALES]))
 
 
-def edge_measure(noise: float) -> Banded:
+@dataclass(frozen=True)
+class _Edge:
+    """A product of two means of a deviation, see `edge_measure`."""
+
+    filters: tuple[NDArray, NDArray, NDArray]
+    floors: tuple[np.float32, np.float32]
+
+    @property
+    def reach(self) -> int:
+        wide, fine, coarse = map(len, self.filters)
+        return wide + max(fine, coarse) - 2
+
+    def __call__(self, image: Image, rows: slice) -> NDArray[np.float32]:
+        part, first = rows_around(image, rows, self.reach)
+        out = np.empty((rows.stop - rows.start, image.shape[1]), np.float32)
+        at = first, len(image), rows.start
+        edge_rows(part, *at, self.filters, self.floors, own_room(), out)
+        return out
+
+
+def edge_measure(noise: float) -> RowsMeasure:
     """Return a measure that tells on which side of a step in depth a pixel lies.
 
     It is the deviation of the pixel from the mean around it. A second difference takes half of its
@@ -273,16 +342,10 @@ def edge_measure(noise: float) -> Banded:
     pixel itself counts, and its neighbors only through a window of half a pixel. A second, wider
     window steadies the product.
     """
+    filters = blur_taps(_EDGE_MEAN), blur_taps(_EDGE_FINE), blur_taps(_EDGE_COARSE)
     # The mean of the modulus of a normal variate.
     floor = np.float32(noise * np.sqrt(2 / np.pi))
-
-    def measure(image: Image) -> NDArray:
-        grey = image.astype(np.float32)
-        deviation = np.abs(grey - blur(grey, _EDGE_MEAN))
-        return (blur(deviation, _EDGE_FINE) + floor) * (blur(deviation, _EDGE_COARSE) + floor)
-
-    # Four standard deviations of each, one after the other.
-    return Banded(measure, reach=int(np.ceil(4 * (_EDGE_MEAN + _EDGE_COARSE))))
+    return _Edge(filters, (floor, floor))
 
 
 def noise_level(frame: Image) -> float:
@@ -291,8 +354,3 @@ def noise_level(frame: Image) -> float:
     quiet = float(np.percentile(measure, _QUIET)) / _NOISE_SCALE.gain
     rounding = np.sqrt(1 / 12) if frame.dtype.kind == "u" else 0.0
     return max(quiet, rounding, _LEAST_NOISE_SHARE * float(np.abs(frame).max()), _LEAST_NOISE)
-
-
-def _modified_laplacian(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    second = np.array([[-1.0, 2.0, -1.0]], np.float32)
-    return np.abs(cv2.filter2D(image, -1, second)) + np.abs(cv2.filter2D(image, -1, second.T))

@@ -13,10 +13,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array
+from microlib._common import Array, pipeline
+from microlib.focus._bands import (
+    TILE_ROWS,
+    add_products,
+    compose_rows,
+    median_above_zero,
+    split_rows,
+    unlock,
+)
 from microlib.focus._directions import Directions
 from microlib.focus._errors import smooth_variance
-from microlib.focus._measures import blur
+from microlib.focus._filters import own_room
+from microlib.focus._measures import blur, blur_taps
 
 # What the depth and its uncertainty owe to each constant is measured in benchmarks/focus_depth.py.
 
@@ -75,7 +84,9 @@ class Relief:
 _Mean = Callable[[NDArray], NDArray]
 
 
-def find_relief(base: Array, directions: Directions, doubtful: NDArray[np.bool_]) -> Relief:
+def find_relief(
+    base: Array, directions: Directions, doubtful: NDArray[np.bool_], *, workers: int = 1
+) -> Relief:
     """Return the relief above a smoothed depth on which two independent depths agree.
 
     Parameters
@@ -86,6 +97,8 @@ def find_relief(base: Array, directions: Directions, doubtful: NDArray[np.bool_]
         Offsets of the directional depths from it.
     doubtful : ndarray of bool, shape (rows, cols)
         Where light from elsewhere was found, or no depth.
+    workers : int
+        Threads; the result does not depend on them.
 
     Returns
     -------
@@ -104,20 +117,14 @@ def find_relief(base: Array, directions: Directions, doubtful: NDArray[np.bool_]
     """
     known = np.isfinite(base)
     weights = _weights(directions.weights, known)
-    plain = np.clip(directions.offsets, -_MOST, _MOST)
-    offsets = plain - _locking(plain, weights, base)
-    bands, smooth = _bands(offsets, weights)
-    relief, held = np.zeros_like(offsets), np.zeros_like(offsets)
-    for band, window, common, chance in zip(bands, _WINDOWS, _COMMON, _CHANCE, strict=True):
-        mean = _mean(known, window)
-        share, agreed = _agreement(band, mean, common, chance / window)
-        share, agreed = (_enlarged(part, base.shape) for part in (share, agreed))
-        relief += share * band
-        held += agreed * (1 - share) * band
+    offsets = _unlocked(np.clip(directions.offsets, -_MOST, _MOST), weights, base)
+    bands, smooth = _bands(offsets, weights, workers)
+    relief, held = _relief(bands, known, workers)
     mean = _mean(known, _COMPOSED)
-    sharpen, returned = _composed(relief, mean)
-    lost_sharpen, _ = _composed(held, mean)
-    lost = np.maximum(mean(held[1] * held[2]), 0) * lost_sharpen**2
+    covariance, sharpen = _composed(relief[1:], mean)
+    returned = np.maximum(mean(relief[0, ::2, ::2] ** 2) - covariance, 0)
+    lost_covariance, lost_sharpen = _composed(held, mean)
+    lost = np.maximum(lost_covariance, 0) * lost_sharpen**2
     own = _enlarged(_RETURNED * returned * sharpen**2 + _LOST * lost, base.shape)
     half_difference = (smooth[1] - smooth[2]) / 2
     return Relief(
@@ -128,54 +135,80 @@ def find_relief(base: Array, directions: Directions, doubtful: NDArray[np.bool_]
 
 def _weights(weights: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Return weights around 1, without extremes, and 0 where there is no depth."""
-    result = np.zeros_like(weights)
-    for kind, raw in enumerate(weights):
-        used = known & (raw > 0)
-        typical = np.median(raw[used]) if used.any() else 1.0
-        relative = np.clip(raw / typical, 1 / _WEIGHTS, _WEIGHTS)
-        result[kind] = np.where(used, relative, 0)
+    result = weights * known
+    for weight in result:
+        typical = np.float32(median_above_zero(weight))
+        scaled = np.clip(weight / typical, 1 / _WEIGHTS, _WEIGHTS)
+        np.multiply(scaled, weight > 0, out=weight)
     return result
 
 
-def _locking(offsets: NDArray, weights: NDArray, base: Array) -> NDArray[np.float32]:
-    """Return how far each depth is pulled towards frames, as a function of its place between them.
+def _unlocked(
+    offsets: NDArray[np.float32], weights: NDArray[np.float32], base: Array
+) -> NDArray[np.float32]:
+    """Take from each depth how far it is pulled towards frames, by its place between them.
 
     The logarithm of a profile is no parabola, so that its fit depends on where the frames lie. Both
     directions are pulled alike, and it would pass for relief. Two harmonics of the place, fitted to
     all pixels.
     """
-    level = np.nan_to_num(base).astype(np.float32)
-    large = _weighted_blur(level, np.isfinite(base).astype(np.float32), _LARGE)
+    known = np.isfinite(base)
+    level = np.where(known, base, 0).astype(np.float32)
+    every = known.all()
+    large = (
+        blur(level, _LARGE) if every else _weighted_blur(level, known.astype(np.float32), _LARGE)
+    )
+    sums = np.zeros((len(offsets), 5, 6))
     # At the image's border and beside steps the wide mean says nothing of a pixel's own place.
-    certain = weights * (np.abs(large - level) < _ALIKE)
-    pull = np.empty_like(offsets)
-    for kind, (offset, weight) in enumerate(zip(offsets, certain, strict=True)):
-        total = max(float(weight.sum()), 1e-30)
-        centered = [wave - np.vdot(wave, weight) / total for wave in (*_harmonics(large), offset)]
-        weighted = [weight * wave for wave in centered[:-1]]
-        products = np.array([[np.vdot(a, b) for b in centered] for a in weighted]) / total
-        factors = np.linalg.solve(products[:, :-1] + _RIDGE * np.eye(4), products[:, -1])
-        pull[kind] = np.tensordot(factors.astype(np.float32), _harmonics(level), axes=1)
-    return pull
+    add_products(level, large, _ALIKE, offsets, weights, sums)
+    factors = np.zeros((len(offsets), 4), np.float32)
+    for factor, products in zip(factors, sums, strict=True):
+        mean = products / max(products[0, 0], 1e-30)
+        central = (mean - np.outer(mean[:, 0], mean[0]))[1:, 1:]
+        factor[:] = np.linalg.solve(central[:, :-1] + _RIDGE * np.eye(4), central[:, -1])
+    result = np.empty_like(offsets)
+    unlock(level, offsets, factors, result)
+    return result
 
 
-def _harmonics(depth: NDArray[np.float32]) -> NDArray[np.float32]:
-    phase = 2 * np.pi * (depth % 1)
-    return np.stack([wave(k * phase) for k in (1, 2) for wave in (np.sin, np.cos)])
-
-
-def _bands(offsets: NDArray, weights: NDArray) -> tuple[list[NDArray], NDArray]:
+def _bands(
+    offsets: NDArray[np.float32], weights: NDArray[np.float32], workers: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the differences of ever smoother offsets, weighted, and the smoothest."""
-    bands = []
-    finer = None
-    for sigma in _SIGMAS:
-        smooth = np.stack(
-            [_weighted_blur(*pair, sigma) for pair in zip(offsets, weights, strict=True)]
-        )
-        if finer is not None:
-            bands.append(finer - smooth)
-        finer = smooth
+    filters = tuple(blur_taps(sigma) for sigma in _SIGMAS)
+    bands = np.empty((len(filters) - 1, *offsets.shape), np.float32)
+    smooth = np.zeros_like(offsets)
+
+    def split(top: int) -> None:
+        bottom = min(top + TILE_ROWS, offsets.shape[1])
+        split_rows(offsets, weights, filters, top, bottom, own_room(), bands, smooth)
+
+    pipeline(iter([split]), range(0, offsets.shape[1], TILE_ROWS), workers)
     return bands, smooth
+
+
+def _relief(
+    bands: NDArray[np.float32], known: NDArray[np.bool_], workers: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the relief by both directions and each alone, and what is held back of these two."""
+    shares, agreed = np.empty((2, len(bands), *known.shape), np.float32)
+
+    def judge(k: int) -> None:
+        mean = _mean(known, _WINDOWS[k])
+        found = _agreement(bands[k, :, ::2, ::2], mean, _COMMON[k], _CHANCE[k] / _WINDOWS[k])
+        for part, out in zip(found, (shares[k], agreed[k]), strict=True):
+            cv2.resize(part, known.shape[::-1], dst=out)
+
+    relief, held = np.empty((3, *known.shape), np.float32), np.empty((2, *known.shape), np.float32)
+
+    def compose(top: int) -> None:
+        rows = slice(top, top + TILE_ROWS)
+        part = shares[:, rows], agreed[:, rows], relief[:, rows], held[:, rows]
+        compose_rows(bands[:, :, rows], *part)
+
+    pipeline(iter([judge]), range(len(bands)), workers)
+    pipeline(iter([compose]), range(0, len(known), TILE_ROWS), workers)
+    return relief, held
 
 
 def _weighted_blur(image: NDArray, weight: NDArray, sigma: float) -> NDArray[np.float32]:
@@ -184,10 +217,10 @@ def _weighted_blur(image: NDArray, weight: NDArray, sigma: float) -> NDArray[np.
 
 
 def _mean(known: NDArray[np.bool_], sigma: float) -> _Mean:
-    """Return a function that averages over known pixels, in every second pixel of an image."""
+    """Return a function that averages over known pixels an image of every second pixel."""
     weight = known[::2, ::2].astype(np.float32)
     total = np.maximum(blur(weight, sigma / 2), np.float32(1e-6))
-    return lambda image: blur(image[::2, ::2] * weight, sigma / 2) / total
+    return lambda image: blur(image * weight, sigma / 2) / total
 
 
 def _mean_square(mean: _Mean, image: NDArray) -> NDArray:
@@ -216,11 +249,22 @@ def _agreement(band: NDArray, mean: _Mean, common: float, chance: float) -> tupl
 
 
 def _composed(relief: NDArray, mean: _Mean) -> tuple[NDArray, NDArray]:
-    """Return what undoes the measure's windows, and the variance of noise within the relief."""
-    both, along, down = relief
-    covariance = mean(along * down)
-    slopes = sum(mean(a * b) for a, b in zip(np.gradient(along), np.gradient(down), strict=True))
+    """Return the covariance of both directions, and what undoes the measure's windows."""
+    along, down = relief
+    covariance = mean(along[::2, ::2] * down[::2, ::2])
+    slopes = sum(
+        mean(_slope(along, axis) * _slope(down, axis)) for axis in range(2) if along.shape[axis] > 1
+    )
     # Below a thousandth of a frame there is no relief whose wavenumber could be told.
     wavenumber = np.where(covariance > 1e-6, slopes / np.maximum(covariance, 1e-6), 0)
-    sharpen = np.exp(np.clip(_BLUR / 2 * wavenumber, 0, np.log(_SHARPEN)))
-    return sharpen, np.maximum(mean(both**2) - covariance, 0)
+    return covariance, np.exp(np.clip(_BLUR / 2 * wavenumber, 0, np.log(_SHARPEN)))
+
+
+def _slope(image: NDArray, axis: int) -> NDArray:
+    """Return the slope along an axis, from both neighbors, at every second pixel."""
+    turned = np.moveaxis(image, axis, 0)[:, ::2] if axis == 0 else image[::2].T
+    last = len(turned) - 1
+    at = np.arange(0, last + 1, 2)
+    before, after = np.maximum(at - 1, 0), np.minimum(at + 1, last)
+    slope = (turned[after] - turned[before]) / (after - before).astype(np.float32)[:, None]
+    return slope if axis == 0 else slope.T

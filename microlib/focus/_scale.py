@@ -55,15 +55,22 @@ def peak_width(frames: Iterable[Image]) -> float:
 def _samples(frame: Image) -> NDArray[np.float32]:
     """Return the measure at samples from squares all over the frame."""
     reach = _MEASURE.reach
-    found = []
-    for top in _starts(frame.shape[0]):
-        for left in _starts(frame.shape[1]):
-            rows = slice(max(top - reach, 0), top + _SQUARE + reach)
-            cols = slice(max(left - reach, 0), left + _SQUARE + reach)
-            measure = _MEASURE(frame[rows, cols].astype(np.float32))
-            inner = measure[top - rows.start :, left - cols.start :][:_SQUARE, :_SQUARE]
-            found.append(inner[::_SAMPLE, ::_SAMPLE].ravel())
-    return np.concatenate(found)
+    rows, cols = (_around(side, reach) for side in frame.shape)
+    # Side by side in one image: none reaches into its neighbor as far as its samples.
+    squares = frame[rows.ravel()][:, cols.ravel()].astype(np.float32)
+    measure = _MEASURE(squares).reshape(*rows.shape, *cols.shape)
+    inner = (
+        slice(reach, rows.shape[1] - reach, _SAMPLE),
+        slice(reach, cols.shape[1] - reach, _SAMPLE),
+    )
+    return measure[:, inner[0], :, inner[1]].ravel()
+
+
+def _around(side: int, reach: int) -> NDArray[np.intp]:
+    """Return the pixels of every square along a side and around it, mirrored at the border."""
+    square = np.arange(-reach, min(_SQUARE, side) + reach)
+    pixels = np.abs(_starts(side)[:, None] + square) % max(2 * side - 2, 1)
+    return np.minimum(pixels, np.abs(2 * side - 2 - pixels))
 
 
 def _starts(side: int) -> NDArray[np.intp]:
