@@ -18,7 +18,7 @@ from microlib._common._checks import (
     scalar,
     whole,
 )
-from microlib._common._covariance import inverse_normal
+from microlib._common._covariance import OPEN, inverse_normal
 from microlib._common._files import replace_file
 from microlib._common._frames import Frames, is_in_memory
 from microlib._common._pipeline import pipeline
@@ -27,6 +27,7 @@ from microlib._common._types import Array, Image
 
 __all__ = [
     "LARGEST",
+    "OPEN",
     "Array",
     "Frames",
     "Image",

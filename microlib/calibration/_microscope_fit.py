@@ -9,6 +9,12 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from microlib._common import Array, inverse_normal
+from microlib.calibration._discrepancy import (
+    Discrepancy,
+    discrepancy,
+    response,
+    smooth_fields,
+)
 from microlib.calibration._radial_alignment import linear_intrinsics, radial_alignment
 from microlib.microscope import Microscope, euler_rotation
 
@@ -27,6 +33,8 @@ _LEAST_SCALE = 1e-9
 _RESCALED = 2
 #: Relative changes at which the search ends: as far as rounding lets it come.
 _TOLERANCE = 1e-15
+#: Least variance of exact data, px².
+_TINY = 1e-18
 
 
 @dataclass(frozen=True)
@@ -78,6 +86,11 @@ class Problem:
             return theta
 
         robust = np.isfinite(scale)
+        if not np.isfinite(self.residuals(start)).all():
+            raise ValueError(
+                "world and image must fit a microscope, got points that the nearest one images "
+                "beyond the reach of its distortion"
+            )
         solution = least_squares(
             lambda free: self.residuals(full(free)),
             start[self.free],
@@ -120,6 +133,37 @@ class Problem:
         shrink = (len(members) - 1) / len(members)
         jackknife = shrink * spread @ spread.T
         return np.where(np.isfinite(inverse), jackknife, inverse), len(members) - 1
+
+    def discrepancy(self, fit: Minimum, groups: Array | None) -> Discrepancy:
+        """The smooth part of the residuals, of the groups' means where errors are correlated."""
+        residuals, jacobian = self.residuals(fit.theta), self.jacobian(fit.theta)[:, self.free]
+        score = np.clip(residuals, -fit.scale, fit.scale)
+        # Where the model has the points: fields of the noisy ones would hold their noise.
+        seen = self.seen + residuals.reshape(-1, 2)
+        if groups is not None:
+            _, label, count = np.unique(groups, return_inverse=True, return_counts=True)
+            mean = np.zeros((len(count), len(label)))
+            mean[label, np.arange(len(label))] = 1 / count[label]
+            seen = mean @ seen
+            score = (mean @ score.reshape(-1, 2)).ravel()
+            jacobian = np.einsum("gn,ncp->gcp", mean, jacobian.reshape(-1, 2, len(self.free)))
+            jacobian = jacobian.reshape(-1, len(self.free))
+        return discrepancy(score, jacobian, smooth_fields(seen))
+
+    def axis_errors(self, fit: Minimum, aside: float) -> Array:
+        """Covariance of the free parameters that an optical axis beside the sensor's middle makes.
+
+        `aside` is the standard deviation of that, px; what of it the points would show against
+        their residuals is no more in question. The position is counted from the middle as ever.
+        """
+        residuals, jacobian = self.residuals(fit.theta), self.jacobian(fit.theta)[:, self.free]
+        variance = float((residuals**2).mean())
+        shift = np.tile(np.eye(2), (len(self.seen), 1))
+        followed = response(jacobian, shift)
+        shown = shift - jacobian @ followed
+        left = np.linalg.inv(np.eye(2) / aside**2 + shown.T @ shown / max(variance, _TINY))
+        followed[np.isin(self.free, [NAMES.index("tx"), NAMES.index("ty")])] = 0
+        return followed @ left @ followed.T
 
 
 def _visible(theta: Array) -> Array:

@@ -24,6 +24,7 @@ from microlib.calibration import (
     radial_alignment,
 )
 from microlib.calibration._calibrate import ErrorSummary
+from microlib.calibration._discrepancy import discrepancy, response, smooth_fields
 from microlib.calibration._microscope_fit import Problem
 from microlib.microscope import Microscope
 from microlib.synthetic import ImagingConditions, render_circles, render_squares
@@ -451,13 +452,14 @@ def test_group_covariance_is_the_jackknife():
 
 
 def test_groups_of_correlated_errors_still_cover():
-    """Errors shared by four neighbors: intervals that take them as independent are too short."""
+    """Errors shared by four neighbors; taken as independent they are smooth, and it is said."""
     scope = scope_with()
     world = grid_in_view(scope)[:148]
     groups = np.arange(148) // 4
     names = ("magnification", *POSE)
     truth = truth_of(scope, names)
-    inside = {True: [], False: []}
+    inside: dict[bool, list] = {True: [], False: []}
+    fits: dict[bool, list] = {True: [], False: []}
     for seed in range(60):
         rng = np.random.default_rng(seed)
         image = scope.project(world) + rng.normal(0, NOISE, (37, 2))[groups]
@@ -467,9 +469,12 @@ def test_groups_of_correlated_errors_still_cover():
             )
             spans = [found.interval(name) for name in names]
             inside[known].append([a <= t <= b for (a, b), t in zip(spans, truth, strict=True)])
+            fits[known].append(found.fits)
     # 420 intervals, correlated in sevens: 95 ± 2.8 % if as good as independent in 60; two of them.
     assert np.mean(inside[True]) > 0.9
-    assert np.mean(inside[False]) < 0.8
+    assert np.mean(inside[False]) > 0.85  # from the smooth part alone, without their groups
+    assert np.mean(fits[True]) > 0.9
+    assert np.mean(fits[False]) < 0.5
 
 
 def test_huber_resists_outliers():
@@ -608,3 +613,99 @@ def test_bad_interval_is_named():
         found.interval("focal_length")
     with pytest.raises(ValueError, match="level"):
         found.interval("alpha", 1.0)
+
+
+# A model that does not fit
+
+
+def seen_by_a_lens(scope, world, *, bend=0.0, aside=(0.0, 0.0), fifth=0.0):
+    """Image points of a pattern on a bent plane, an axis aside, and a distortion of fifth order."""
+    turned = np.column_stack([world, bend * (world[:, 0] / 2000) ** 2]) @ scope.rotation.T
+    depth = 1 + turned[:, 2] / (scope.focal_length + scope.distance)
+    flat = scope.magnification * (turned[:, :2] + [scope.tx, scope.ty]) / depth[:, None] / 9.9
+    third = scope.distortion * 9.9**2
+    square = (flat**2).sum(axis=1, keepdims=True)
+    inverse = 1 - third * square + (3 * third**2 + fifth) * square**2 - 12 * (third * square) ** 3
+    return flat * inverse + scope.principal_point + aside
+
+
+@pytest.mark.parametrize(
+    ("lack", "fits"),
+    [({}, True), ({"bend": 60.0}, False), ({"aside": (8, -6)}, False), ({"fifth": 3e-13}, False)],
+    ids=["none", "bent", "aside", "fifth order"],
+)
+def test_a_model_that_does_not_fit_says_so(lack, fits):
+    scope = scope_with(beta=12, gamma=9)
+    world = grid_in_view(scope)
+    said, sigmas = [], []
+    for seed in range(10):
+        noise = np.random.default_rng(seed).normal(0, NOISE, world.shape)
+        found = calibrate(world, seen_by_a_lens(scope, world, **lack) + noise, **SENSOR)
+        said.append(found.fits)
+        sigmas.append(found.sigma["focal_length"])
+    # One in a thousand by chance; seen_by_a_lens ends the inverse of (2.10) after three terms,
+    # within 0.001 px.
+    assert np.mean(said) >= 0.9 if fits else np.mean(said) <= 0.1
+    exact = [c.sigma["focal_length"] for c in repeat(scope, world, 3)]
+    assert np.median(sigmas) < 1.5 * np.median(exact) if fits else np.median(sigmas) > 2 * exact[0]
+
+
+def test_few_points_tell_no_misfit():
+    scope = scope_with()
+    world = grid_in_view(scope)[::9]
+    assert len(world) < 24
+    found = calibrate(world, scope.project(world), focal_length=F, **SENSOR)
+    assert np.isnan(found.misfit)
+    assert found.fits
+
+
+def test_an_axis_that_is_not_known_widens_the_intervals():
+    scope = scope_with(beta=12, gamma=9)
+    world = grid_in_view(scope)
+    image = scope.project(world) + np.random.default_rng(0).normal(0, NOISE, world.shape)
+    trusted, doubted, barely = (
+        calibrate(world, image, axis_sigma=a, **SENSOR) for a in (0.0, 10.0, 1e-3)
+    )
+    assert trusted.covariance == pytest.approx(calibrate(world, image, **SENSOR).covariance)
+    for name in ("tx", "ty"):  # they count from the middle of the image
+        assert doubted.sigma[name] == pytest.approx(trusted.sigma[name])
+    assert doubted.sigma["focal_length"] > 1.5 * trusted.sigma["focal_length"]
+    assert barely.sigma["focal_length"] == pytest.approx(trusted.sigma["focal_length"], rel=1e-3)
+
+
+def test_smooth_fields_are_of_length_one_and_smooth():
+    fields = smooth_fields(np.random.default_rng(1).normal(size=(70, 2)))
+    assert fields.shape == (140, 30)
+    np.testing.assert_allclose(fields.T @ fields, np.eye(30), atol=1e-12)
+    assert [smooth_fields(np.zeros((n, 2)) + np.arange(n)[:, None]).shape[1] for n in (23, 24, 40)]
+
+
+def test_noise_is_no_discrepancy_and_a_field_is():
+    rng = np.random.default_rng(2)
+    points = rng.uniform(-1, 1, (80, 2))
+    fields = smooth_fields(points)
+    jacobian = fields[:, :6] @ rng.normal(size=(6, 6))
+    by_noise = [discrepancy(rng.normal(size=160), jacobian, fields).chance for _ in range(300)]
+    # Uniform: 30 ± 5 of 300 below a tenth; three of them.
+    assert 14 <= sum(chance < 0.1 for chance in by_noise) <= 46
+    hidden, shown = fields @ rng.normal(0, 5, 30), rng.normal(size=160)
+    residuals = hidden + shown
+    residuals = residuals - jacobian @ np.linalg.lstsq(jacobian, residuals, rcond=None)[0]
+    found = discrepancy(residuals, jacobian, fields)
+    assert found.chance < 1e-6
+    # Fields of amplitude 5, known from 24 of them: ± 15 %.
+    followed = response(jacobian, fields)
+    np.testing.assert_allclose(found.covariance, 25 * followed @ followed.T, rtol=0.6)
+
+
+def test_points_that_no_microscope_images_are_refused():
+    """The linear start lies beyond the reach of its distortion: nothing of SciPy comes out."""
+    refusals = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        world, image = rng.uniform(-500, 500, (30, 2)), rng.uniform(0, 400, (30, 2))
+        try:
+            calibrate(world, image, **SENSOR)
+        except ValueError as refusal:
+            refusals.append(str(refusal))
+    assert all("world and image" in refusal for refusal in refusals)
