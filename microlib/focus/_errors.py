@@ -17,6 +17,9 @@ from microlib.focus._measures import blur
 #: Radius over which weights tell how much texture a depth rests on, px, and the number of groups of
 #: such pixels: in each, a few hundred independent differences tell their variance.
 _SUPPORT, _GROUPS = 2.0, 16
+#: Pixels that tell it, at the most: they are alike over some 6 px, and a group of these holds a few
+#: thousand.
+_SAMPLES = 2**16
 #: Median of the square of a normal variate of unit variance. Halos and steps hold few pixels but
 #: most of the mean square, so that the median speaks for the rest.
 _MEDIAN_SQUARE = 0.455
@@ -83,9 +86,10 @@ def _noise_variance(
     there = known[::2, ::2]
     if not there.any():
         return np.zeros(known.shape, np.float32)
-    square = half_difference[::2, ::2][there] ** 2
-    groups = np.array_split(np.argsort(scarcity[there]), min(_GROUPS, there.sum()))
-    center = np.array([scarcity[there][group].mean() for group in groups])
+    every = -(-int(there.sum()) // _SAMPLES)
+    square, sample = half_difference[::2, ::2][there][::every] ** 2, scarcity[there][::every]
+    groups = np.array_split(np.argsort(sample), min(_GROUPS, len(sample)))
+    center = np.array([sample[group].mean() for group in groups])
     level = np.array([np.median(square[group]) for group in groups]) / _MEDIAN_SQUARE
     offset, slope = _rising_line(center, level)
     curve = np.interp(scarcity, center, _never_falling(level))
@@ -129,6 +133,8 @@ def _range(base: Array, side: int) -> NDArray[np.float32]:
     """Return the range of depths in a square; what is unknown does not count."""
     level, square = base.astype(np.float32), np.ones((side, side), np.uint8)
     unknown, most = np.isnan(level), np.float32(2**16)
+    if not unknown.any():
+        return np.asarray(cv2.dilate(level, square) - cv2.erode(level, square))
     low = cv2.erode(np.where(unknown, most, level), square)
     high = cv2.dilate(np.where(unknown, -most, level), square)
     return np.asarray(np.maximum(high - low, 0))
@@ -138,13 +144,16 @@ def _edge_variance(base: Array) -> NDArray[np.float32]:
     """Return the mean square error around steps, where a pixel may be on either side."""
     # A plane rises three times as far over 7 px as over 3, a step as far. It goes on outside.
     wide = np.pad(base, 3, mode="reflect", reflect_type="odd")
-    rise = np.maximum(1.5 * _range(wide, 3) - 0.5 * _range(wide, 7), 0)[3:-3, 3:-3].copy()
+    near = _range(wide, 3)
+    if near.max() < _EDGE:
+        return np.zeros(base.shape, np.float32)
+    rise = np.maximum(1.5 * near - 0.5 * _range(wide, 7), 0)[3:-3, 3:-3].copy()
     rise[rise < _EDGE] = 0
     if not rise.any():
         return np.zeros(base.shape, np.float32)
     beside = cv2.dilate(rise, np.ones((7, 7), np.uint8))
-    near = _NEAR_EDGE**2 * blur(rise * rise, _NEAR)
-    return np.asarray((_AT_EDGE * rise) ** 2 + (_BESIDE_EDGE * beside) ** 2 + near)
+    around = _NEAR_EDGE**2 * blur(rise * rise, _NEAR)
+    return np.asarray((_AT_EDGE * rise) ** 2 + (_BESIDE_EDGE * beside) ** 2 + around)
 
 
 def _halo_variance(base: Array, doubtful: NDArray[np.bool_]) -> NDArray[np.float32]:
