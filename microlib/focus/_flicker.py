@@ -27,6 +27,8 @@ _POWER = 2
 _FINE = 8
 #: Frames on either side in the fit, and around it where a peak that leans may have its best frame.
 _FIT, _AROUND = 3, 2
+#: Variance that is not worth stating, frames²: a tenth of what no depth shows, see _errors.py.
+_LEAST = 0.003**2
 
 
 def watched(frames: Iterable[Image], levels: list[float]) -> Iterator[Image]:
@@ -66,6 +68,8 @@ def flicker_variance(
     place, pull = _pull(np.log(level), float(deviation))
     square = np.pad(pull**2, _FINE // 2, mode="edge")
     mean = np.convolve(square, np.full(_FINE + 1, 1 / (_FINE + 1)), mode="valid")
+    if mean.max() < _LEAST:
+        return np.zeros(depth.shape, np.float32)
     known = np.isfinite(depth)
     return np.where(known, np.interp(np.nan_to_num(depth), place, mean), 0).astype(np.float32)
 

@@ -137,13 +137,14 @@ def check_halos(
         expected = _expected(scene, rate, np.abs(narrow - wide))
         finer = (measured > _FINER * expected) & (fine > _ABOVE_NOISE * silence)
         blurred = differs & ~_large(differs & finer & ~erratic)
-    # A random depth is worse than the wide one, and beside a step it is none if it is far off.
-    stray = erratic & _differs(narrow, wide, _NEARBY, _ERRATIC_GAP)
-    far = erratic & _differs(narrow, wide, _NEARBY, 2 * _ERRATIC_GAP)
-    level = _away_from_steps(wide)
-    instead = ((gap | blurred) & plain) | (stray & level)
-    unknown = erratic & np.isnan(wide)
-    return Wide(wide, instead, ((blurred | far) & ~instead) | unknown)
+    instead = (gap | blurred) & plain
+    neither = blurred & ~plain
+    if erratic.any():
+        # A random depth is worse than the wide one; beside a step it is none if it is far off.
+        stray, far = (erratic & _differs(narrow, wide, _NEARBY, k * _ERRATIC_GAP) for k in (1, 2))
+        instead |= stray & _away_from_steps(wide)
+        neither = ((neither | far) & ~instead) | (erratic & np.isnan(wide))
+    return Wide(wide, instead, neither)
 
 
 def _erratic(disagreement: NDArray) -> NDArray[np.bool_]:
