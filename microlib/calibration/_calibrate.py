@@ -17,6 +17,7 @@ from scipy.stats import t as student
 
 from microlib._common import Array, Tidy, as_array, between, flat_row, one_of, same_length, scalar
 from microlib.calibration._discrepancy import BY_CHANCE
+from microlib.calibration._export import to_json
 from microlib.calibration._microscope_fit import (
     NAMES,
     Minimum,
@@ -178,6 +179,51 @@ class Calibration(Tidy):
     def sigma(self) -> dict[str, float]:
         """Standard deviation of each parameter."""
         return dict(zip(self.parameters, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
+    def principal_point(self) -> Array:
+        """Where the optical axis meets the sensor, (x, y) px: the middle, unless it was found."""
+        aside = np.array([self._value("principal_x"), self._value("principal_y")])
+        return self.microscope.principal_point + aside
+
+    def um_per_pixel(self, level: float = 0.95) -> tuple[float, float, float]:
+        """Width on the pattern of a pixel at the optical axis, µm, and its confidence interval.
+
+        The cell's width over the magnification, of the first view; the pattern stands for the
+        sample in focus.
+
+        Parameters
+        ----------
+        level : float
+            Probability that the interval holds it.
+
+        Returns
+        -------
+        value, low, high : float
+        """
+        low, high = self.interval("magnification", level)
+        cell = float(self.microscope.cell[0])
+        return cell / self.microscope.magnification, cell / high, cell / low
+
+    def to_json(self) -> str:
+        """Text in JSON from which OpenCV, Micro-Manager and ImageJ can be set up.
+
+        OpenCV's camera matrix and distortion coefficients (with the most that they are off the
+        model in the image), rotation and translation of each view; Micro-Manager's and ImageJ's
+        size of a pixel with its 95 % interval; standard deviations, null where a parameter is not
+        determined.
+
+        Returns
+        -------
+        str
+        """
+        second = self._value("distortion_2")
+        return to_json(self.views, self.principal_point, second, self.um_per_pixel(), self.sigma)
+
+    def _value(self, parameter: str) -> float:
+        """The estimate of a parameter, zero if it was not estimated."""
+        found = parameter in self.parameters
+        return float(self.estimate[self.parameters.index(parameter)]) if found else 0.0
 
     def interval(self, parameter: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of a parameter, from Student's distribution.
