@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -342,7 +342,7 @@ def calibrate(
     if groups is None:
         label = None
     else:
-        label = as_array("groups", np.asarray(groups), shape=(len(world),))
+        label = as_array("groups", cast(ArrayLike, groups), shape=(len(world),))
         if len(np.unique(label)) <= len(free):
             raise ValueError(
                 f"groups must be more than the {len(free)} parameters, got {len(np.unique(label))}"

@@ -165,7 +165,7 @@ def axis_errors(jacobian: Array, residuals: Array, shifted: list[int], aside: fl
     shift = np.tile(np.eye(2), (len(residuals) // 2, 1))
     followed = response(jacobian, shift)
     shown = shift - jacobian @ followed
-    left = np.linalg.inv(np.eye(2) / aside**2 + shown.T @ shown / variance)
+    left = aside**2 * np.linalg.inv(np.eye(2) + aside**2 * (shown.T @ shown) / variance)
     followed[shifted] = 0
     errors: Array = followed @ left @ followed.T
     return errors
