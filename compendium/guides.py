@@ -224,7 +224,9 @@ def read_outline(path: str | PathLike[str]) -> tuple[NDArray[np.float64], NDArra
     return values[:, 0], values[:, 1]
 
 
-def keep(path: str | PathLike[str], what: pd.DataFrame | pd.Series | Figure | NDArray) -> None:
+def keep(
+    path: str | PathLike[str], what: pd.DataFrame | pd.Series | Figure | NDArray | str
+) -> None:
     """
     Keep a result in a file, whole or not at all.
 
@@ -232,9 +234,9 @@ def keep(path: str | PathLike[str], what: pd.DataFrame | pd.Series | Figure | ND
     ----------
     path : path-like
         File to write; an old one is replaced only once the new one is whole.
-    what : pandas.DataFrame, pandas.Series, matplotlib.figure.Figure or ndarray
+    what : pandas.DataFrame, pandas.Series, matplotlib.figure.Figure, ndarray or str
         A table goes to a CSV file, with its index if that has a name; a figure and an array, which
-        is taken as a grey image, go to a picture.
+        is taken as a grey image, go to a picture; a text stays one.
 
     Raises
     ------
@@ -256,6 +258,8 @@ def keep(path: str | PathLike[str], what: pd.DataFrame | pd.Series | Figure | ND
             what.savefig(file)
         elif isinstance(what, np.ndarray):
             plt.imsave(file, what, cmap="gray")
+        elif isinstance(what, str):
+            file.write_text(what, encoding="utf-8")
         else:
             what.to_csv(file, index=what.index.name is not None)
 

@@ -279,6 +279,8 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "calibration.Calibration.interval": lambda: {
         "self": calibrated(), "parameter": "magnification", "level": 0.9
     },
+    "calibration.Calibration.um_per_pixel": lambda: {"self": calibrated(), "level": 0.9},
+    "calibration.Calibration.to_json": lambda: {"self": calibrated()},
     "calibration.Detection": lambda: {
         "points": grid(), "grid": grid().astype(int), "sigma": np.ones(42),
         "group": np.zeros(42, int), "positions": grid(), "side": 0.5, "misfit": 1.0,
@@ -286,6 +288,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "calibration.calibrate": lambda: {
         "world": grid(), "image": scope().project(grid()), "focal_length": 126000.0,
         "pixel_size": 9.9, "image_size": (200, 160), "loss": "linear", "groups": np.arange(42),
+        "axis_sigma": 1.0,
     },
     "calibration.cramer_rao": lambda: {
         "microscope": scope(), "world": grid(), "noise": 0.1, "parameters": ("tx", "ty", "alpha")
@@ -301,6 +304,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "flat": grid()[:, :2] * 1.0, "depth": np.linspace(0.0, 50.0, 42) + 500.0,
         "sensor": grid() * 1.5,
     },
+    "calibration.stage_affine": lambda: {"stage": grid() * 1.0, "image": grid() * 1.5 + 3.0},
     "calibration.radial_alignment": lambda: {"world": grid(), "sensor": grid() * 1.5 + 3.0},
     "curvature.clean_labels": lambda: {"labels": target() % 8 + 1, "smallest": 4},
     "curvature.curvature_windows": lambda: {"size": 7},
@@ -602,6 +606,8 @@ MAY_BE_UNKNOWN = {
     "calibration.calibrate": "unobservable parameters have infinite variances",
     "calibration.cramer_rao": "unobservable parameters have infinite variances",
     "calibration.Calibration": "holds what calibrate found",
+    "calibration.detect_circles": "circles have no side",
+    "calibration.stage_affine": "three moves leave no residual to tell an error by",
     "embryo._dimple.DimpleFit.__call__": "NaN far from the dimple",
     "embryo.dimple_geometry": "the covariance, where that of the curve is not known",
     "focus.three_point_peak": "NaN where the three measures are equal or zero",

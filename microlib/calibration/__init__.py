@@ -6,6 +6,7 @@ from microlib.calibration._cramer_rao import cramer_rao
 from microlib.calibration._detection import Detection
 from microlib.calibration._radial_alignment import linear_intrinsics, radial_alignment
 from microlib.calibration._squares import detect_squares
+from microlib.calibration._stage import stage_affine
 
 __all__ = [
     "Calibration",
@@ -16,4 +17,5 @@ __all__ = [
     "detect_squares",
     "linear_intrinsics",
     "radial_alignment",
+    "stage_affine",
 ]

@@ -7,16 +7,34 @@ determine is held or named, never made up.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.stats import t as student
 
 from microlib._common import Array, Tidy, as_array, between, flat_row, one_of, same_length, scalar
 from microlib.calibration._discrepancy import BY_CHANCE
-from microlib.calibration._microscope_fit import NAMES, Minimum, Problem, start_values
+from microlib.calibration._export import to_json
+from microlib.calibration._microscope_fit import (
+    NAMES,
+    Minimum,
+    Problem,
+    axis_errors,
+    start_values,
+)
+from microlib.calibration._several_views import (
+    LENS,
+    VIEW,
+    Joint,
+    Views,
+    fit_views,
+    views_covariance,
+    views_discrepancy,
+    without_terms,
+)
 from microlib.microscope import Microscope
 
 #: Standard errors by which 1/f must exceed zero to be told from it. As the sign of the tilt is
@@ -106,6 +124,8 @@ class Calibration(Tidy):
         Probability of so much by noise alone. Below a tenth the covariance allows for it: what the
         model lacks, a distortion or a bend of the pattern, is taken to be as large in the
         directions that the parameters absorb as in those that show.
+    views : tuple of Microscope
+        One for each view; `microscope` is the first.
     """
 
     _samples = ("residuals", "plane_residuals")
@@ -123,6 +143,7 @@ class Calibration(Tidy):
     plane_residuals: Array
     misfit: float
     misfit_chance: float
+    views: tuple[Microscope, ...]
 
     @property
     def fits(self) -> bool:
@@ -159,6 +180,51 @@ class Calibration(Tidy):
         """Standard deviation of each parameter."""
         return dict(zip(self.parameters, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
+    @property
+    def principal_point(self) -> Array:
+        """Where the optical axis meets the sensor, (x, y) px: the middle, unless it was found."""
+        aside = np.array([self._value("principal_x"), self._value("principal_y")])
+        return self.microscope.principal_point + aside
+
+    def um_per_pixel(self, level: float = 0.95) -> tuple[float, float, float]:
+        """Width on the pattern of a pixel at the optical axis, µm, and its confidence interval.
+
+        The cell's width over the magnification, of the first view; the pattern stands for the
+        sample in focus.
+
+        Parameters
+        ----------
+        level : float
+            Probability that the interval holds it.
+
+        Returns
+        -------
+        value, low, high : float
+        """
+        low, high = self.interval("magnification", level)
+        cell = float(self.microscope.cell[0])
+        return cell / self.microscope.magnification, cell / high, cell / low
+
+    def to_json(self) -> str:
+        """Text in JSON from which OpenCV, Micro-Manager and ImageJ can be set up.
+
+        OpenCV's camera matrix and distortion coefficients (with the most that they are off the
+        model in the image), rotation and translation of each view; Micro-Manager's and ImageJ's
+        size of a pixel with its 95 % interval; standard deviations, null where a parameter is not
+        determined.
+
+        Returns
+        -------
+        str
+        """
+        second = self._value("distortion_2")
+        return to_json(self.views, self.principal_point, second, self.um_per_pixel(), self.sigma)
+
+    def _value(self, parameter: str) -> float:
+        """The estimate of a parameter, zero if it was not estimated."""
+        found = parameter in self.parameters
+        return float(self.estimate[self.parameters.index(parameter)]) if found else 0.0
+
     def interval(self, parameter: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of a parameter, from Student's distribution.
 
@@ -181,23 +247,23 @@ class Calibration(Tidy):
 
 
 def calibrate(
-    world: ArrayLike,
-    image: ArrayLike,
+    world: ArrayLike | Sequence[ArrayLike],
+    image: ArrayLike | Sequence[ArrayLike],
     *,
     focal_length: float | None = None,
     pixel_size: float | tuple[float, float],
     image_size: tuple[int, int],
     loss: str = "linear",
-    groups: ArrayLike | None = None,
+    groups: ArrayLike | Sequence[ArrayLike] | None = None,
     axis_sigma: float | None = None,
 ) -> Calibration:
-    """Pose, magnification and distortion of a microscope from one image of a plane pattern.
+    """Pose, magnification and distortion of a microscope from images of a plane pattern.
 
     Parameters
     ----------
-    world : array_like, shape (N, 2)
-        Points of the pattern, µm.
-    image : array_like, shape (N, 2)
+    world : array_like, shape (N, 2), or a list of them
+        Points of the pattern, µm; of several views, one array for each.
+    image : array_like, shape (N, 2), or a list of them
         Where they are seen, (x, y) px.
     focal_length : float, optional
         Focal length f of the objective as its manufacturer gives it, µm. Without it f is estimated
@@ -211,7 +277,9 @@ def calibrate(
     groups : array_like of int, shape (N,), optional
         Points of one number have correlated errors, as the corners of one square have
         (``group`` of :class:`microlib.calibration.Detection`). The covariance then allows for it.
-        Without `groups` all errors are taken as independent and alike.
+        Without `groups` all errors are taken as independent and alike. Of several views, one array
+        for each, and a number means the same mark in all; without them that is a world point: a
+        mark that was made beside its place is so in every view.
     axis_sigma : float, optional
         Standard deviation with which the optical axis meets the image's middle, px: the intervals
         then allow for it, but for those of T_x and T_y, which count from the middle. By default the
@@ -236,6 +304,13 @@ def calibrate(
     perspective determines. If 1/f is less than four standard errors from zero, f and the tilt's
     angles are named in `unobservable`.
 
+    Several views share the lens: T_op + f and the distortion. Each has a magnification and a pose
+    of its own; their names end in the view's number from the second view on, and f is that of the
+    first. Where the views hold them, that is where Schwarz' criterion is in favor, a second term of
+    the distortion and the point where the optical axis meets the sensor are estimated too
+    ("distortion_2" in 1/µm⁴; "principal_x" and "principal_y" in px from the image's middle): with
+    u from that point, the image has u (1 + κ₂ r⁴) where one term alone has u.
+
     Tilts (β, γ) and (−β, −γ) give the same image but for perspective. Both are tried. If the better
     one is not better by more than noise, "beta" and "gamma" are named in `unobservable`.
 
@@ -249,11 +324,6 @@ def calibrate(
     >>> round(found.microscope.tube_length, 3), round(found.microscope.gamma, 6)
     (200000.0, 3.1)
     """
-    world = as_array("world", world, shape=(None, 2))
-    image = as_array("image", image, shape=(None, 2))
-    same_length(("world", "image"), world, image)
-    between("world", world, -_FARTHEST, _FARTHEST)
-    between("image", image, -_FARTHEST_PIXEL, _FARTHEST_PIXEL)
     one_of("loss", loss, ("linear", "huber"))
     frame = Microscope(1.0, 1.0, 1.0, pixel_size=pixel_size, image_size=image_size)
     between("pixel_size", pixel_size, 1 / _FARTHEST, _FARTHEST)
@@ -262,25 +332,21 @@ def calibrate(
         focal_length = scalar(
             "focal_length", focal_length, above=0, least=1 / _FARTHEST, most=_FARTHEST
         )
-    if len(world) < 5:  # radial alignment has six unknowns up to scale, one equation a point
-        raise ValueError(f"world must hold at least 5 points, got {len(world)}")
-    for name, points in (("world", world), ("image", image)):
-        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-        if not spread[0] > 1 / _FARTHEST:
-            raise ValueError(f"{name} must extend over more than {1 / _FARTHEST:g}, got less")
-        if not spread[1] > _THINNEST * spread[0]:
-            raise ValueError(f"{name} must not lie on one line, got {len(points)} points that do")
+    if axis_sigma is not None:
+        axis_sigma = scalar("axis_sigma", axis_sigma, least=0, most=_FARTHEST_PIXEL)
+    if _are_several(world):
+        if loss != "linear":
+            raise ValueError(f'loss must be "linear" for several views, got {loss!r}')
+        return _of_views(world, image, frame, focal_length, groups, axis_sigma)
+    world, image = _points(world, image)
     if groups is None:
         label = None
     else:
-        label = as_array("groups", groups, shape=(len(world),))
+        label = as_array("groups", cast(ArrayLike, groups), shape=(len(world),))
         if len(np.unique(label)) <= len(free):
             raise ValueError(
                 f"groups must be more than the {len(free)} parameters, got {len(np.unique(label))}"
             )
-
-    if axis_sigma is not None:
-        axis_sigma = scalar("axis_sigma", axis_sigma, least=0, most=_FARTHEST_PIXEL)
 
     problem = Problem(world, image - frame.principal_point, frame.cell, np.array(free))
     fits = [problem.fit(start, loss) for start in start_values(problem, focal_length)]
@@ -291,6 +357,155 @@ def calibrate(
             f"world and image must fit a microscope, got magnification {magnification}"
         )
     return _report(problem, best, other, frame, label, axis_sigma)
+
+
+def _points(world: Any, image: Any) -> tuple[Array, Array]:
+    """Checked points of one view."""
+    world = as_array("world", world, shape=(None, 2))
+    image = as_array("image", image, shape=(None, 2))
+    same_length(("world", "image"), world, image)
+    between("world", world, -_FARTHEST, _FARTHEST)
+    between("image", image, -_FARTHEST_PIXEL, _FARTHEST_PIXEL)
+    if len(world) < 5:  # radial alignment has six unknowns up to scale, one equation a point
+        raise ValueError(f"world must hold at least 5 points, got {len(world)}")
+    for name, points in (("world", world), ("image", image)):
+        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        if not spread[0] > 1 / _FARTHEST:
+            raise ValueError(f"{name} must extend over more than {1 / _FARTHEST:g}, got less")
+        if not spread[1] > _THINNEST * spread[0]:
+            raise ValueError(f"{name} must not lie on one line, got {len(points)} points that do")
+    return world, image
+
+
+def _are_several(world: ArrayLike | Sequence[ArrayLike]) -> bool:
+    """True for a sequence of arrays of points, False for the points of one view."""
+    if isinstance(world, np.ndarray):
+        return world.ndim == 3
+    if not isinstance(world, (list, tuple)) or len(world) == 0:
+        return False
+    try:
+        return np.ndim(world[0]) == 2
+    except ValueError:  # ragged: told by the checks of one view
+        return False
+
+
+def _of_views(
+    world: Any,
+    image: Any,
+    frame: Microscope,
+    focal_length: float | None,
+    groups: Any,
+    axis_sigma: float | None,
+) -> Calibration:
+    """Calibration from several views."""
+    for name, each in (("image", image), ("groups", world if groups is None else groups)):
+        if not isinstance(each, (list, tuple, np.ndarray)) or len(each) != len(world):
+            raise ValueError(f"{name} must hold one array for each of the {len(world)} views")
+    pairs = [_points(w, i) for w, i in zip(world, image, strict=True)]
+    middle = frame.principal_point
+    views = Views([w for w, _ in pairs], [i - middle for _, i in pairs], frame.cell, focal_length)
+    if groups is None:
+        _, marks = np.unique(np.round(np.concatenate(views.world), 6), axis=0, return_inverse=True)
+    else:
+        marks = np.concatenate(
+            [
+                as_array("groups", g, shape=(len(w),))
+                for g, w in zip(groups, views.world, strict=True)
+            ]
+        )
+    fit = fit_views(views)
+    if not (fit.poses[:, 0] > 0).all():
+        raise ValueError(
+            f"world and image must fit a microscope, got magnifications {fit.poses[:, 0]}"
+        )
+    return _report_views(views, fit, marks.ravel(), frame, axis_sigma)
+
+
+def _report_views(
+    views: Views, fit: Joint, marks: NDArray, frame: Microscope, axis_sigma: float | None
+) -> Calibration:
+    """Covariance in f instead of the power, what is lost, and a microscope for each view."""
+    count = len(fit.poses)
+    every = [*LENS, *(n if v == 0 else f"{n}_{v + 1}" for v in range(count) for n in VIEW)]
+    every[0] = "focal_length"
+    names = tuple(every[k] for k in fit.free)
+    covariance, freedom = views_covariance(fit, marks)
+    smooth = views_discrepancy(fit, views)
+    covariance = covariance + smooth.covariance
+    if axis_sigma is None:
+        axis_sigma = _AXIS_ASIDE * frame.image_size[0] if smooth.chance < BY_CHANCE else 0.0
+    if axis_sigma > 0 and "principal_x" not in names:
+        shifted = [k for k, name in enumerate(names) if name[:2] in ("tx", "ty")]
+        covariance = covariance + axis_errors(fit.jacobian, fit.residuals, shifted, axis_sigma)
+    estimate = np.concatenate([fit.lens, fit.poses.ravel()])[fit.free]
+    lost = {name for name, v in zip(names, np.diag(covariance), strict=True) if np.isinf(v)}
+    if "focal_length" in names:
+        magnification, power = fit.poses[0, 0], fit.lens[0]
+        turn = np.eye(len(names))
+        turn[0, 0], turn[0, names.index("magnification")] = 1 + magnification, power
+        estimate[0] = power = max(power * (1 + magnification), _SMALLEST_POWER)
+        covariance = turn @ covariance @ turn.T
+        if not power > _CERTAIN * np.sqrt(covariance[0, 0]):
+            lost |= {n for n in names if n.startswith(("focal", "beta", "gamma"))}
+        estimate[0] = 1 / power
+        to_length = np.ones(len(names))
+        to_length[0] = -1 / power**2
+        covariance = covariance * np.outer(to_length, to_length)
+    for k in (names.index(name) for name in lost):
+        covariance[k] = covariance[:, k] = np.nan
+        covariance[k, k] = np.inf
+    scopes = tuple(_scope(frame, views, fit, v) for v in range(count))
+    condition, weakest = _weakest(fit.jacobian)
+    return Calibration(
+        scopes[0],
+        names,
+        estimate,
+        covariance,
+        tuple(name for name in names if name in lost),
+        freedom,
+        condition,
+        weakest,
+        -fit.residuals.reshape(-1, 2),
+        np.concatenate(
+            [
+                scope.back_project(
+                    without_terms(fit.lens, seen, frame.cell) + frame.principal_point
+                )
+                - world
+                for scope, seen, world in zip(scopes, views.seen, views.world, strict=True)
+            ]
+        ),
+        smooth.misfit,
+        smooth.chance,
+        scopes,
+    )
+
+
+def _scope(frame: Microscope, views: Views, fit: Joint, view: int) -> Microscope:
+    """The microscope of a view, in focus."""
+    magnification, *pose = fit.poses[view].tolist()
+    if views.focal_length is None:
+        focal_length = 1 / (max(fit.lens[0], _SMALLEST_POWER) * (1 + magnification))
+    else:
+        focal_length = views.focal_length
+    return replace(
+        frame,
+        tube_length=magnification * focal_length,
+        focal_length=focal_length,
+        distance=focal_length / magnification,
+        distortion=float(fit.lens[1]),
+        **dict(zip(VIEW[1:], pose, strict=True)),
+    )
+
+
+def _weakest(jacobian: Array) -> tuple[float, Array]:
+    """Condition of a Jacobian with columns of one length, and its weakest direction."""
+    length = np.linalg.norm(jacobian, axis=0)
+    _, singular, directions = np.linalg.svd(
+        jacobian / np.where(length > 0, length, 1.0), full_matrices=False
+    )
+    with np.errstate(divide="ignore"):
+        return float(singular[0] / singular[-1]), directions[-1]
 
 
 def _report(
@@ -310,7 +525,13 @@ def _report(
     if axis_sigma is None:
         axis_sigma = _AXIS_ASIDE * frame.image_size[0] if smooth.chance < BY_CHANCE else 0.0
     if axis_sigma > 0:
-        covariance = covariance + problem.axis_errors(best, axis_sigma)
+        shifted = [names.index("tx"), names.index("ty")]
+        covariance = covariance + axis_errors(
+            problem.jacobian(best.theta)[:, free],
+            problem.residuals(best.theta),
+            shifted,
+            axis_sigma,
+        )
     lost = {name for name, v in zip(names, np.diag(covariance), strict=True) if np.isinf(v)}
     theta = best.theta.copy()
     if "focal_length" in names:
@@ -336,12 +557,7 @@ def _report(
         **dict(zip(NAMES[2:], others, strict=True)),
     )
     jacobian = problem.jacobian(best.theta)[:, free]
-    length = np.linalg.norm(jacobian, axis=0)
-    _, singular, directions = np.linalg.svd(
-        jacobian / np.where(length > 0, length, 1.0), full_matrices=False
-    )
-    with np.errstate(divide="ignore"):
-        condition = float(singular[0] / singular[-1])
+    condition, weakest = _weakest(jacobian)
     return Calibration(
         microscope,
         names,
@@ -350,11 +566,12 @@ def _report(
         tuple(name for name in names if name in lost),
         freedom,
         condition,
-        directions[-1],
+        weakest,
         -problem.residuals(best.theta).reshape(-1, 2),
         microscope.back_project(problem.seen + frame.principal_point) - problem.world,
         smooth.misfit,
         smooth.chance,
+        (microscope,),
     )
 
 

@@ -123,16 +123,7 @@ class Problem:
         freedom = len(residuals) - len(self.free)
         if groups is None:
             return inverse * float(score @ score) / freedom / kept, freedom
-        finite = np.where(np.isfinite(inverse), inverse, 0.0)
-        members = [np.flatnonzero(groups.repeat(2) == g) for g in np.unique(groups)]
-        totals = []
-        for m in members:
-            leverage = kept * jacobian[m] @ finite @ jacobian[m].T
-            totals.append(jacobian[m].T @ np.linalg.solve(np.eye(len(m)) - leverage, score[m]))
-        spread = finite @ np.transpose(totals)
-        shrink = (len(members) - 1) / len(members)
-        jackknife = shrink * spread @ spread.T
-        return np.where(np.isfinite(inverse), jackknife, inverse), len(members) - 1
+        return jackknife(jacobian, score, inverse, groups, kept), len(np.unique(groups)) - 1
 
     def discrepancy(self, fit: Minimum, groups: Array | None) -> Discrepancy:
         """The smooth part of the residuals, of the groups' means where errors are correlated."""
@@ -150,20 +141,68 @@ class Problem:
             jacobian = jacobian.reshape(-1, len(self.free))
         return discrepancy(score, jacobian, smooth_fields(seen))
 
-    def axis_errors(self, fit: Minimum, aside: float) -> Array:
-        """Covariance of the free parameters that an optical axis beside the sensor's middle makes.
 
-        `aside` is the standard deviation of that, px; what of it the points would show against
-        their residuals is no more in question. The position is counted from the middle as ever.
-        """
-        residuals, jacobian = self.residuals(fit.theta), self.jacobian(fit.theta)[:, self.free]
-        variance = float((residuals**2).mean())
-        shift = np.tile(np.eye(2), (len(self.seen), 1))
-        followed = response(jacobian, shift)
-        shown = shift - jacobian @ followed
-        left = np.linalg.inv(np.eye(2) / aside**2 + shown.T @ shown / max(variance, _TINY))
-        followed[np.isin(self.free, [NAMES.index("tx"), NAMES.index("ty")])] = 0
-        return followed @ left @ followed.T
+def axis_errors(jacobian: Array, residuals: Array, shifted: list[int], aside: float) -> Array:
+    """Covariance that an optical axis beside the sensor's middle makes.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (2 N, p)
+        Derivatives of the residuals by the parameters.
+    residuals : ndarray, shape (2 N,)
+        px.
+    shifted : list of int
+        Parameters that count from the middle as ever, and have no error by it.
+    aside : float
+        Standard deviation of the axis, px. What of it the points would show against their residuals
+        is no more in question.
+
+    Returns
+    -------
+    ndarray, shape (p, p)
+    """
+    variance = max(float((residuals**2).mean()), _TINY)
+    shift = np.tile(np.eye(2), (len(residuals) // 2, 1))
+    followed = response(jacobian, shift)
+    shown = shift - jacobian @ followed
+    left = aside**2 * np.linalg.inv(np.eye(2) + aside**2 * (shown.T @ shown) / variance)
+    followed[shifted] = 0
+    errors: Array = followed @ left @ followed.T
+    return errors
+
+
+def jackknife(
+    jacobian: Array, score: Array, inverse: Array, groups: Array, kept: float = 1.0
+) -> Array:
+    """Covariance of least-squares parameters by leaving out one group of points after the other.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (2 N, p)
+        Derivatives of the residuals.
+    score : ndarray, shape (2 N,)
+        Residuals, clipped as the loss does.
+    inverse : ndarray, shape (p, p)
+        Of the normal matrix; infinite and NaN where the points leave a parameter open, and then
+        returned as it is.
+    groups : ndarray, shape (N,)
+        Group of each point.
+    kept : float
+        Mean second derivative of the loss.
+
+    Returns
+    -------
+    ndarray, shape (p, p)
+    """
+    finite = np.where(np.isfinite(inverse), inverse, 0.0)
+    members = [np.flatnonzero(groups.repeat(2) == g) for g in np.unique(groups)]
+    totals = []
+    for m in members:
+        leverage = kept * jacobian[m] @ finite @ jacobian[m].T
+        totals.append(jacobian[m].T @ np.linalg.solve(np.eye(len(m)) - leverage, score[m]))
+    spread = finite @ np.transpose(totals)
+    shrink = (len(members) - 1) / len(members)
+    return np.where(np.isfinite(inverse), shrink * spread @ spread.T, inverse)
 
 
 def _visible(theta: Array) -> Array:

@@ -217,7 +217,7 @@ def test_a_wrong_file_gives_one_clear_line(tmp_path: Path, guide: str, message: 
 @pytest.mark.parametrize(
     ("guide", "files"),
     [
-        ("calibration", {"camera.csv", "points.csv"}),
+        ("calibration", {"camera.csv", "camera.json", "points.csv"}),
         ("embryo", {"modulus.csv", "outline.csv", "outline.png"}),
         ("focus_stack", FOCUS_FILES),
         ("modulus", {"modulus.csv", "inputs.csv", "dimple.png"}),

@@ -1,0 +1,136 @@
+"""Stage moves to image shifts: the affine map that a few moves tell, with its uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import t as student
+
+from microlib._common import Array, as_array, between, same_length
+
+#: Farthest stage and image positions, µm and px: a kilometer, and far beyond any sensor.
+_FARTHEST = 1e9
+#: The positions span a plane if their second extent is more than this part of the first.
+_FLATTEST = 1e-6
+#: An affine map has three numbers a coordinate.
+_FEWEST = 3
+
+
+@dataclass(frozen=True)
+class StageAffine:
+    """Affine map from stage positions to the image.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (2, 3)
+        Image point in px = matrix[:, :2] @ position in µm + matrix[:, 2].
+    covariance : ndarray, shape (6, 6)
+        Of the numbers of `matrix`, row by row; NaN for three moves, which leave no residual.
+    um_per_pixel : tuple of float
+        Square root of the area of a pixel on the stage, µm, and the ends of its 95 % interval.
+    angle : float
+        From the image's x axis to the stage's, rad, from x to y.
+    mirrored : bool
+        True if the image shows the stage's axes turning the other way.
+    shear : float
+        How far the images of the stage's axes are from a right angle, rad.
+    residuals : ndarray, shape (N, 2)
+        Image points minus the map, px.
+    """
+
+    matrix: Array
+    covariance: Array
+    um_per_pixel: tuple[float, float, float]
+    angle: float
+    mirrored: bool
+    shear: float
+    residuals: Array
+
+    @property
+    def micro_manager(self) -> str:
+        """Micro-Manager's PixelSizeAffine: six numbers "a;b;0;c;d;0" from px to µm of the stage."""
+        (a, b), (c, d) = np.linalg.inv(self.matrix[:, :2])
+        return ";".join(f"{float(n):.9g}" for n in (a, b, 0, c, d, 0))
+
+
+def stage_affine(stage: ArrayLike, image: ArrayLike) -> StageAffine:
+    """Affine map from stage moves to what they do to the image, by least squares.
+
+    Parameters
+    ----------
+    stage : array_like, shape (N, 2)
+        Positions of the stage as it reports them, µm; at least three, not on one line.
+    image : array_like, shape (N, 2)
+        Where the same detail is seen at each of them, (x, y) px.
+
+    Returns
+    -------
+    StageAffine
+
+    Raises
+    ------
+    ValueError
+        If shapes disagree, there are fewer than three positions, or they or their images lie on one
+        line.
+
+    Notes
+    -----
+    Micro-Manager's pixel calibrator finds the same map and gives no error. Here the residuals do,
+    from four positions on; backlash of the stage shows in them if each is reached from both sides.
+
+    Examples
+    --------
+    >>> moves = np.array([[0.0, 0], [50, 0], [0, 50], [50, 50], [-50, 0], [0, -50]])
+    >>> found = stage_affine(moves, moves @ np.array([[0.0, 2.0], [-2.0, 0.0]]) + [320, 240])
+    >>> round(found.um_per_pixel[0], 6), round(found.angle / np.pi, 6), found.mirrored
+    (0.5, 0.5, False)
+    """
+    stage = as_array("stage", stage, shape=(None, 2))
+    image = as_array("image", image, shape=(None, 2))
+    same_length(("stage", "image"), stage, image)
+    for name, points in (("stage", stage), ("image", image)):
+        between(name, points, -_FARTHEST, _FARTHEST)
+        if len(points) < _FEWEST:
+            raise ValueError(f"{name} must hold at least {_FEWEST} positions, got {len(points)}")
+        extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        if not extent[1] > max(_FLATTEST * extent[0], 1 / _FARTHEST):
+            raise ValueError(
+                f"{name} must not lie on one line, got {len(points)} positions that do"
+            )
+    middle = stage.mean(axis=0)
+    design = np.column_stack([stage - middle, np.ones(len(stage))])
+    best = np.linalg.lstsq(design, image, rcond=None)[0]
+    residuals = image - design @ best
+    freedom = 2 * (len(stage) - _FEWEST)
+    variance = float((residuals**2).sum()) / freedom if freedom else np.nan
+    # From positions about their middle to positions as they are.
+    shift = np.eye(3)
+    shift[2, :2] = -middle
+    matrix = (shift @ best).T
+    one = shift @ np.linalg.inv(design.T @ design) @ shift.T
+    covariance = variance * np.kron(np.eye(2), one)
+    linear = matrix[:, :2]
+    first, second = (np.arctan2(*column[::-1]) for column in linear.T)
+    mirrored = bool(np.linalg.det(linear) < 0)
+    apart = np.angle(np.exp(1j * (second - first + (np.pi / 2 if mirrored else -np.pi / 2))))
+    return StageAffine(
+        matrix,
+        covariance,
+        _pixel(linear, covariance[np.ix_([0, 1, 3, 4], [0, 1, 3, 4])], freedom),
+        float(first),
+        mirrored,
+        float(apart),
+        residuals,
+    )
+
+
+def _pixel(linear: Array, covariance: Array, freedom: int) -> tuple[float, float, float]:
+    """µm per px, 1/√|det|, and its interval."""
+    value = 1 / np.sqrt(np.abs(np.linalg.det(linear)))
+    # d log √|det A| = ½ tr(A⁻¹ dA)
+    by = 0.5 * np.linalg.inv(linear).T.ravel()
+    relative = float(np.sqrt(by @ covariance @ by))
+    half = float(student.ppf(0.975, freedom)) * relative if freedom else np.nan
+    return float(value), float(value * (1 - half)), float(value * (1 + half))

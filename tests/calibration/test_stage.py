@@ -1,0 +1,124 @@
+"""What a microscopist takes away: µm per pixel, the stage's axes, and files for other programs."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from microlib.calibration import calibrate, stage_affine
+from microlib.microscope import Microscope
+
+MOVES = np.array([[0.0, 0], [40, 0], [0, 40], [-40, 0], [0, -40], [40, 40], [-40, 30]])
+
+
+def turned(scale, angle, *, mirrored=False):
+    cos, sin = np.cos(angle), np.sin(angle)
+    return scale * np.array([[cos, -sin], [sin, cos]]) @ np.diag([1, -1 if mirrored else 1])
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("angle", [-3.0, -0.4, 0.02, 1.7])
+def test_exact_moves_give_the_exact_map(angle, mirrored):
+    matrix = turned(1.6, angle, mirrored=mirrored)
+    found = stage_affine(MOVES + np.array([1e4, -3e3]), MOVES @ matrix.T + [320, 240])
+    np.testing.assert_allclose(found.matrix[:, :2], matrix, atol=1e-12)
+    np.testing.assert_allclose(
+        found.matrix @ [1e4, -3e3, 1], [320, 240], atol=1e-8
+    )  # where the stage was
+    assert found.um_per_pixel[0] == pytest.approx(1 / 1.6)
+    assert found.angle == pytest.approx(angle)
+    assert found.mirrored is mirrored
+    assert found.shear == pytest.approx(0, abs=1e-12)
+    a, b, tx, c, d, ty = map(float, found.micro_manager.split(";"))
+    np.testing.assert_allclose(np.array([[a, b], [c, d]]) @ matrix, np.eye(2), atol=1e-7)
+    assert tx == ty == 0
+
+
+def test_axes_that_are_not_square_are_told():
+    skew = turned(2.0, 0.3) @ np.array([[1, -np.sin(0.05)], [0, np.cos(0.05)]])
+    assert stage_affine(MOVES, MOVES @ skew.T).shear == pytest.approx(0.05)
+
+
+def test_the_intervals_of_the_stage_cover():
+    matrix, inside, scores = turned(1.6, 0.4), [], []
+    for seed in range(400):
+        seen = MOVES @ matrix.T + np.random.default_rng(seed).normal(0, 0.3, MOVES.shape)
+        found = stage_affine(MOVES, seen)
+        _, low, high = found.um_per_pixel
+        inside.append(low <= 1 / 1.6 <= high)
+        error = (found.matrix - np.column_stack([matrix, [0, 0]])).ravel()
+        scores.append(error @ np.linalg.solve(found.covariance, error) / 6)
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.033)  # three standard errors
+    # F with 6 and 8 degrees of freedom: mean 8/6, standard deviation 1.3.
+    assert np.mean(scores) == pytest.approx(8 / 6, abs=0.2)
+
+
+def test_three_moves_leave_no_error_to_tell():
+    found = stage_affine(MOVES[:3], MOVES[:3] * 2)
+    assert np.isnan(found.covariance).all()
+    assert np.isnan(found.um_per_pixel[1])
+
+
+@pytest.mark.parametrize(
+    ("stage", "image", "word"),
+    [
+        (MOVES[:2], MOVES[:2], "stage"),
+        (MOVES, MOVES[:5], "stage"),
+        (MOVES * [1, 0], MOVES, "stage"),
+        (MOVES, MOVES * [0, 1], "image"),
+        (MOVES * np.nan, MOVES, "stage"),
+    ],
+)
+def test_moves_that_tell_nothing_are_refused(stage, image, word):
+    with pytest.raises(ValueError, match=word):
+        stage_affine(stage, image)
+
+
+SCOPE = Microscope(2e5, 126000, 79380, -8e-10, 0.3, 0.2, -0.15, -900, -700)
+WORLD = 280.0 * np.stack(np.meshgrid(np.arange(-4, 14), np.arange(-4, 12)), -1).reshape(-1, 2)
+WORLD = WORLD[((SCOPE.project(WORLD) > 5) & (SCOPE.project(WORLD) < [650, 485])).all(axis=1)]
+
+
+def test_micrometers_per_pixel_are_those_of_the_magnification():
+    noise = np.random.default_rng(0).normal(0, 0.02, WORLD.shape)
+    found = calibrate(
+        WORLD,
+        SCOPE.project(WORLD) + noise,
+        focal_length=126000,
+        pixel_size=9.9,
+        image_size=(656, 491),
+    )
+    value, low, high = found.um_per_pixel()
+    assert low < value < high
+    assert value == pytest.approx(9.9 / SCOPE.magnification, rel=1e-4)
+    bounds = found.interval("magnification")
+    assert (9.9 / high, 9.9 / low) == pytest.approx(bounds)
+
+
+def test_opencv_projects_from_the_json_as_the_microscope_does():
+    found = calibrate(WORLD, SCOPE.project(WORLD), pixel_size=9.9, image_size=(656, 491))
+    content = json.loads(found.to_json())
+    camera = content["opencv"]
+    seen, _ = cv2.projectPoints(
+        np.column_stack([WORLD, np.zeros(len(WORLD))]),
+        np.array(camera["rotation_vectors"][0]),
+        np.array(camera["translation_vectors_um"][0]),
+        np.array(camera["camera_matrix"]),
+        np.array(camera["distortion_coefficients"]),
+    )
+    error = np.abs(seen[:, 0] - SCOPE.project(WORLD)).max()
+    assert error < camera["distortion_model_error_px"] + 1e-4
+    assert camera["distortion_model_error_px"] < 1e-3
+    assert content["imagej"]["pixel_width"] == pytest.approx(9.9 / SCOPE.magnification)
+    assert content["micro_manager"]["PixelSizeUm"] == content["imagej"]["pixel_width"]
+    assert set(content["standard_deviations"]) == set(found.parameters)
+
+
+def test_what_is_not_determined_is_null_in_json():
+    flat = Microscope(2e5, 126000, 79380, -8e-10, 0.3, 0, 0, -900, -700)
+    noise = np.random.default_rng(0).normal(0, 0.02, WORLD.shape)
+    found = calibrate(WORLD, flat.project(WORLD) + noise, pixel_size=9.9, image_size=(656, 491))
+    assert json.loads(found.to_json())["standard_deviations"]["focal_length"] is None
