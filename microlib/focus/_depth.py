@@ -25,8 +25,9 @@ from microlib._common import (
     scalar,
     whole,
 )
+from microlib.focus._bands import median_above_zero
 from microlib.focus._correction import smooth_by_planes
-from microlib.focus._directions import directional_depths
+from microlib.focus._directions import directional_depths, nearest_frames
 from microlib.focus._flicker import flicker_variance, watched
 from microlib.focus._halos import Wide, check_halos
 from microlib.focus._loops import fill_in
@@ -419,7 +420,8 @@ def _multiscale(
     relief = find_relief(smooth, fine, doubtful, workers=workers)
     depth = np.clip((smooth + relief.offset) * spacing, positions.min(), positions.max())
     starts = np.cumsum(sizes) - sizes
-    best = _nearest_frame(depth, positions, (starts + sizes // 2)[profile.index])
+    middles = (starts + sizes // 2).astype(np.uint16)
+    best = _nearest_frame(depth, positions, middles[profile.index])
     at_end = (profile.index == 0) | (profile.index == len(z) - 1)
     # The pull changes with the depth alone: every second pixel tells it.
     half = np.interp(depth[::2, ::2], *_rising(z))
@@ -495,7 +497,7 @@ def _with_wide(
     if inverse_variance is not None:
         # At an end of the stack a depth may come without a fit and so without a variance.
         fitted = np.isfinite(depth) & (inverse_variance > 0)
-        typical = np.median(inverse_variance[fitted]) if fitted.any() else 1.0
+        typical = median_above_zero(np.where(fitted, inverse_variance, np.float32(0)))
         relative = np.clip(inverse_variance / typical, 1 / _WEIGHTS, _WEIGHTS)
         weight = np.where(fitted, relative, 1).astype(np.float32)
     weight[there] = _WIDE_WEIGHT
@@ -570,10 +572,9 @@ def _choose_side(broad: NDArray, fine: NDArray, sure: NDArray[np.bool_]) -> NDAr
 
 def _nearest_frame(depth: Array, positions: Array, otherwise: NDArray) -> NDArray[np.uint16]:
     """Return the number of the frame nearest to each depth, or another where there is none."""
-    order = np.argsort(positions)
-    between = (positions[order][1:] + positions[order][:-1]) / 2
-    nearest = order[np.searchsorted(between, depth)]
-    return np.where(np.isnan(depth), otherwise, nearest).astype(np.uint16)
+    nearest = nearest_frames(depth, positions)
+    np.copyto(nearest, otherwise, where=np.isnan(depth))
+    return nearest
 
 
 def _picked(frames: Iterable[Image], number: NDArray[np.uint16]) -> Image:

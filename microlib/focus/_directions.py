@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from microlib._common import Array, Image, pipeline
 from microlib.focus._filters import direction_rows, own_room
-from microlib.focus._loops import keep_near
+from microlib.focus._loops import keep_near, nearest_rows
 from microlib.focus._measures import blur_taps, rows_around
 from microlib.focus._peaks import fit_limits
 from microlib.focus._vertex import fit_near, places
@@ -71,9 +71,7 @@ def directional_depths(
     spacing = float(np.median(np.abs(np.diff(positions))))
     steps = positions / spacing
     depth = base / spacing
-    order = np.argsort(steps)
-    between = (steps[order][1:] + steps[order][:-1]) / 2
-    center = order[np.searchsorted(between, np.nan_to_num(depth))].astype(np.int32)
+    center = nearest_frames(depth, steps).astype(np.int32)
     limits = fit_limits(steps, _FIT, (steps[0], steps[-1])).astype(np.float32)
     result = Directions(
         np.zeros((3, *base.shape), np.float32), np.zeros((3, *base.shape), np.float32)
@@ -93,6 +91,15 @@ def directional_depths(
 
     pipeline(rounds(), bands, workers)
     return result
+
+
+def nearest_frames(depth: Array, positions: Array) -> NDArray[np.uint16]:
+    """Return the number of the frame nearest to each depth, any where it is NaN."""
+    order = np.argsort(positions)
+    between = (positions[order][1:] + positions[order][:-1]) / 2
+    nearest = np.empty(depth.shape, np.uint16)
+    nearest_rows(depth, between, order.astype(np.uint16), nearest)
+    return nearest
 
 
 class _Band:

@@ -235,3 +235,41 @@ def fill_in(
             uncertainty[y, x] = error * spacing if known else np.float32(np.nan)
             confidence[y, x] = 1 / (1 + error * error) if known else np.float32(0)
             index[y, x] = np.int32(best[y, x]) if known else np.int32(-1)
+
+
+@compiled
+def nearest_rows(
+    depth: NDArray, between: NDArray, order: NDArray[np.uint16], out: NDArray[np.uint16]
+) -> None:
+    """Write the number of the frame nearest to each depth; that of the lowest where it is NaN.
+
+    `between` are the middles between frames in rising order, and `order` the numbers of the frames
+    in that order.
+    """
+    for y in range(len(depth)):
+        row, counts = depth[y], out[y]
+        counts[:] = 0
+        for k in range(len(between)):
+            _count_above(row, between[k], counts)
+        for x in range(len(row)):
+            counts[x] = order[counts[x]]
+
+
+@compiled
+def _count_above(values: NDArray, limit: float, counts: NDArray[np.uint16]) -> None:
+    for x in range(len(values)):
+        counts[x] = np.uint16(counts[x] + np.uint16(1)) if values[x] > limit else counts[x]
+
+
+@compiled
+def balance(weights: NDArray[np.float32], typical: np.float32, most: np.float32) -> None:
+    """Divide positive weights by a typical one, and hold them within a factor of it."""
+    one = np.float32(1)
+    for y in range(len(weights)):
+        row = weights[y]
+        for x in range(len(row)):
+            raw = row[x]
+            relative = raw / typical
+            relative = relative if relative < most else most
+            relative = relative if relative > one / most else one / most
+            row[x] = relative if raw > 0 else np.float32(0)

@@ -25,6 +25,7 @@ from microlib.focus._bands import (
 from microlib.focus._directions import Directions
 from microlib.focus._errors import smooth_variance
 from microlib.focus._filters import own_room
+from microlib.focus._loops import balance
 from microlib.focus._measures import blur, blur_taps
 
 # What the depth and its uncertainty owe to each constant is measured in benchmarks/focus_depth.py.
@@ -137,9 +138,7 @@ def _weights(weights: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[
     """Return weights around 1, without extremes, and 0 where there is no depth."""
     result = weights * known
     for weight in result:
-        typical = np.float32(median_above_zero(weight))
-        scaled = np.clip(weight / typical, 1 / _WEIGHTS, _WEIGHTS)
-        np.multiply(scaled, weight > 0, out=weight)
+        balance(weight, np.float32(median_above_zero(weight)), np.float32(_WEIGHTS))
     return result
 
 

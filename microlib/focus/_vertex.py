@@ -22,7 +22,7 @@ FAINTEST = 1e-6
 FLAT = 1e-3
 
 #: Pixels that are fitted at a time: their samples stay in the processor's first or second cache.
-_BLOCK = 512
+_BLOCK = 256
 #: Samples whose sums are made in one go, without putting them away in between.
 _GROUP = 4
 #: Least part of the spread that samples have in a parabola, squared: a thousand times the rounding
@@ -96,8 +96,9 @@ def fit_window(
         here = slice(start, min(start + _BLOCK, pixels))
         best = window[count // 2, here]
         _take_limits(index[here], limits, state)
+        alike = _are_inside(index[here], place)
         for j in range(count):
-            _take_sample(window[j, here], best, index[here], place, j, samples, state)
+            _take_sample(window[j, here], best, index[here], place, alike, j, samples, state)
         _fit(samples, sums, state)
         _put_depth(state, best, index[here], steps, spacing, depth[here], inverse_variance[here])
 
@@ -171,11 +172,14 @@ def fit_near(
                 _take_kind(windows[0, k, here], windows[1, k, here], kind, values[k])
             _seek_best(values, center[here], near, count // 2, frames, best, top, middle)
             _take_limits(middle[:size], limits, state)
+            alike = _are_inside(middle[:size], place)
             for j in range(count):
                 shifted[:] = values[j]
                 for k in range(1, 2 * near + 1):
                     _replace(best, k, values[j + k], shifted)
-                _take_sample(shifted[:size], top[:size], middle[:size], place, j, samples, state)
+                _take_sample(
+                    shifted[:size], top[:size], middle[:size], place, alike, j, samples, state
+                )
             _fit(samples, sums, state)
             _put_offsets(
                 state,
@@ -233,6 +237,23 @@ def _take_limits(index: NDArray, limits: NDArray[np.float32], state: NDArray[np.
 
 
 @compiled
+def _are_inside(index: NDArray, place: NDArray[np.float32]) -> bool:
+    """Tell whether all neighbors of all pixels are in the stack, at whole distances."""
+    frames, count = place.shape
+    lowest, highest = frames, -1
+    for x in range(len(index)):
+        at = np.int64(index[x])
+        lowest, highest = min(lowest, at), max(highest, at)
+    if lowest < count // 2 or highest >= frames - count // 2:
+        return False
+    for at in range(lowest, highest + 1):
+        for j in range(count):
+            if place[at, j] != place[lowest, j]:
+                return False
+    return True
+
+
+@compiled
 def _take_kind(
     one: NDArray[np.float32], other: NDArray[np.float32], kind: int, out: NDArray[np.float32]
 ) -> None:
@@ -287,12 +308,25 @@ def _take_sample(
     best: NDArray,
     index: NDArray,
     place: NDArray[np.float32],
+    alike: bool,
     j: int,
     samples: NDArray[np.float32],
     state: NDArray[np.float32],
 ) -> None:
     """Put sample j of every pixel: its distance, the logarithm of its share, and the share."""
     at = np.uintp(4 * j * _BLOCK)
+    if alike:
+        t = place[index[0], j]
+        for x in range(np.uintp(len(measure))):
+            share = np.float32(measure[x]) / np.float32(best[x])
+            share = share if share > _LEAST else _LEAST
+            y = _logarithm(share)
+            lowest = state[_5 + x]
+            samples[at + x] = t
+            samples[at + _1 + x] = y
+            samples[at + _2 + x] = share
+            state[_5 + x] = y if y < lowest else lowest
+        return
     row = place.shape[1]
     flat = place.reshape(place.size)
     for x in range(np.uintp(len(measure))):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from microlib.focus import _bands, _relief
+from microlib.focus import _bands, _directions, _loops, _relief
 
 SHAPE = (75, 530)
 
@@ -92,3 +92,18 @@ def test_relief_is_composed_of_shares():
     np.testing.assert_allclose(relief, (shares[:, None] * bands).sum(axis=0), atol=1e-6)
     back = (agreed * (1 - shares))[:, None] * bands[:, 1:]
     np.testing.assert_allclose(held, back.sum(axis=0), atol=1e-6)
+
+
+def test_weights_are_balanced_around_a_typical_one():
+    weights = np.array([[0, 1, 2, 4000, 1e-9, 3]], np.float32)
+    _loops.balance(weights, np.float32(2), np.float32(100))
+    np.testing.assert_allclose(weights, [[0, 0.5, 1, 100, 0.01, 1.5]])
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_nearest_frame_is_that_of_argmin(sign):
+    rng = np.random.default_rng(6)
+    positions = sign * np.cumsum(rng.uniform(0.5, 2, 40))
+    depth = rng.uniform(positions.min() - 2, positions.max() + 2, (7, 90))
+    found = _directions.nearest_frames(depth, positions)
+    np.testing.assert_array_equal(found, np.abs(depth[..., None] - positions).argmin(axis=-1))
