@@ -39,12 +39,12 @@ class Run(Protocol):
 
 def draw_loop() -> Figure:
     """Draw figure 2.3: image-based servoing as dynamic look-and-move."""
-    figure, axes = plt.subplots(figsize=(8.4, 3.1))
+    figure, axes = plt.subplots(figsize=(7.2, 3.1))
     axes.set(xlim=(-0.75, 11.6), ylim=(-0.15, 3.3), aspect="equal")
     axes.axis("off")
     blocks = {
         "control law\n(2.3) or (2.28)": (2.0, 2.0, "orange"),
-        "stage with its\nown position loop": (5.0, 2.0, "grey"),
+        "stage with its\nposition loop": (5.0, 2.0, "grey"),
         "microscope\nand camera": (8.6, 2.0, "grey"),
         "tracker\nESM, Kalman": (6.8, 0.0, "blue"),
     }
@@ -60,7 +60,7 @@ def draw_loop() -> Figure:
                 linewidth=1.6,
             )
         )
-        axes.text(x + 1.1, y + 0.5, text, ha="center", va="center", fontsize=10.5)
+        axes.text(x + 1.1, y + 0.5, text, ha="center", va="center", fontsize=11)
     axes.plot(0.75, 2.5, "o", ms=20, mfc="white", mec="black", mew=1.4)
     axes.text(0.75, 2.5, "Σ", ha="center", va="center")
 
@@ -104,7 +104,7 @@ def draw_track(
 def draw_step_runs(runs: dict[str, Run]) -> Figure:
     """Draw figures 5.4 and 5.5: position and velocity of both axes against time, a row a run."""
     figure, grid = plt.subplots(
-        len(runs), 2, figsize=(8.4, 2.8 * len(runs)), squeeze=False, sharex=True
+        len(runs), 2, figsize=(7.2, 2.8 * len(runs)), squeeze=False, sharex=True
     )
     for (title, run), (left, right) in zip(runs.items(), grid, strict=True):
         offset = run.feature[0]
@@ -131,14 +131,14 @@ def draw_step_runs(runs: dict[str, Run]) -> Figure:
 
 def draw_path_run(run: Run, error: NDArray[np.floating], title: str, unit: str) -> Figure:
     """Draw one of figures 5.6 to 5.8: the path with its reference, and an error against time."""
-    figure, (left, right) = plt.subplots(
-        1, 2, figsize=(8.4, 3.6), gridspec_kw={"width_ratios": [1, 1.3]}
-    )
+    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.8))
     offset = run.reference[0]
-    left.plot(*(run.reference - offset).T, color="black", lw=1, label="reference")
-    left.plot(*(run.measured - offset).T, ".", color=COLORS["blue"], ms=4, label="measured")
-    left.set(xlabel="x (px)", ylabel="y (px)", aspect="equal", title=title)
-    figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", ncols=2, fontsize=10)
+    # The measurement hardly leaves the reference, which therefore lies on top of it.
+    left.plot(*(run.measured - offset).T, "o", color=COLORS["sky"], ms=6, label="measured")
+    left.plot(*(run.reference - offset).T, color="black", lw=1.4, label="reference")
+    left.set(xlabel="x (px)", ylabel="y (px)", title=title)
+    left.set_aspect("equal", adjustable="datalim")  # all paths get panels of one size
+    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=2)
     right.plot(run.time[: len(error)], error, color=COLORS["blue"], lw=1.2)
     right.set(xlabel="time (s)", ylabel=f"tracking error ({unit})", ylim=(0, None))
     return figure
@@ -162,17 +162,21 @@ def draw_stability(moduli: pd.DataFrame, loops: pd.DataFrame, gain: float) -> Fi
         A map with its stability limit, and the simulated loops on it.
     """
     delays, gains = moduli.columns, moduli.index
-    figure, axes = plt.subplots(figsize=(7.2, 4.2))
-    levels = np.arange(0, 2.01, 0.1)
-    shades = axes.contourf(delays, gains, moduli, levels=levels, cmap="cividis")
-    axes.contour(delays, gains, moduli, levels=[1.0], colors="white", linewidths=2.5)
-    for decays, marker in ((True, "o"), (False, "x")):
+    figure, axes = plt.subplots(figsize=(7.2, 4.6))
+    # White at 1, where the loop neither decays nor grows; blue is stable and orange is not.
+    shades = axes.contourf(
+        delays, gains, moduli, levels=np.arange(0, 2.01, 0.2), cmap="PuOr_r", alpha=0.8
+    )
+    axes.contour(delays, gains, moduli, levels=[1.0], colors="black", linewidths=2.5)
+    for decays, marker in ((True, "o"), (False, "X")):
         chosen = loops.loc[loops["decays"] == decays, ["delay", "gain"]].to_numpy()
         label = "simulated: decays" if decays else "simulated: grows"
-        axes.plot(*chosen.T, marker, color="white", mec="black", mew=1.5, ms=7, label=label)
-    axes.axhline(gain, color=COLORS["orange"], ls="--", label="thesis' gain at 1X")
-    figure.colorbar(shades, label="modulus of the slowest pole")
+        axes.plot(*chosen.T, marker, color="white", mec="black", mew=1.2, ms=8, label=label)
+    axes.axhline(gain, color="black", ls="--", lw=1.4, label="thesis' gain at 1X")
+    figure.colorbar(shades, label="modulus of the slowest pole", ticks=np.arange(0, 2.01, 0.4))
     axes.set(xlabel="delay (frames)", ylabel="loop gain g", ylim=(gains[0], gains[-1]))
     axes.grid(False)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3, fontsize=10)
+    for x, y, name in ((0.12, 0.57, "stable"), (0.52, 0.76, "unstable")):
+        axes.text(x, y, name, transform=axes.transAxes, fontsize=14, weight="bold", va="center")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
