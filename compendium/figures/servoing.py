@@ -12,10 +12,19 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Polygon
 from numpy.typing import NDArray
 
+from compendium.experiments.chapter_2_tracking import KalmanStep
 from compendium.figures.style import COLORS
 from microlib.tracking import Track
 
-__all__ = ["draw_loop", "draw_path_run", "draw_stability", "draw_step_runs", "draw_track"]
+__all__ = [
+    "draw_esm_step",
+    "draw_kalman_step",
+    "draw_loop",
+    "draw_path_run",
+    "draw_stability",
+    "draw_step_runs",
+    "draw_track",
+]
 
 
 class Run(Protocol):
@@ -179,4 +188,73 @@ def draw_stability(moduli: pd.DataFrame, loops: pd.DataFrame, gain: float) -> Fi
     for x, y, name in ((0.12, 0.57, "stable"), (0.52, 0.76, "unstable")):
         axes.text(x, y, name, transform=axes.transAxes, fontsize=14, weight="bold", va="center")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return figure
+
+
+def draw_esm_step(errors: pd.DataFrame) -> Figure:
+    """Draw one step of ESM along a row of pixels, and the errors of an image's corners after each.
+
+    Parameters
+    ----------
+    errors : DataFrame
+        As `errors_by_gradient` returns it, px.
+    """
+    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 4.1))
+    x, shift = np.linspace(-2, 8.5, 200), 4.0  # px; the image is the template, moved by the shift
+    grey = 100 + 60 * np.sin(x / 3.5)
+    value, goal = 100.0, 100 + 60 * np.sin(shift / 3.5)
+    slopes = (
+        60 / 3.5 * np.array([np.cos(shift / 3.5), 1.0])
+    )  # of the template and of the image at 0
+    left.plot(x, grey, color="black", lw=1.4, label="image")
+    left.axhline(goal, color=COLORS["grey"], lw=1.2, ls=":")
+    left.text(-1.9, goal + 2, "template at 0", fontsize=11)
+    looks = (("orange", "--"), ("sky", "-."), ("blue", "-"))
+    for slope, (color, line) in zip((*slopes, slopes.mean()), looks, strict=True):
+        end = (goal - value) / slope
+        left.plot([0, end], [value, goal], line, color=COLORS[color])
+        left.plot([end], [goal], "o", color=COLORS[color], ms=7)
+    left.plot([shift], [goal], "o", mfc="none", mec="black", ms=14, mew=1.6)
+    left.set(xlabel="shift (px)", ylabel="grey value", title="one step", ylim=(65, 168))
+    for name, (color, line) in zip(errors, looks, strict=True):
+        right.plot(errors.index, errors[name], line, color=COLORS[color], marker="o", label=name)
+    right.set(yscale="log", xlabel="step", ylabel="error of the corners (px)", title="all steps")
+    handles, labels = right.get_legend_handles_labels()
+    figure.legend(
+        handles, [f"gradient: {name}" for name in labels], loc="outside lower center", ncols=2
+    )
+    return figure
+
+
+def draw_kalman_step(step: KalmanStep) -> Figure:
+    """Draw a track with its predictions, and how the last one meets the measurement."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.9))
+    track = step.track.iloc[1:]  # of the first frame the filter expects anything
+    left.errorbar(
+        track["frame"],
+        track["predicted"],
+        yerr=track["predicted_std"],
+        fmt="s",
+        color=COLORS["orange"],
+        capsize=4,
+        lw=1.5,
+        label="predicted, ± σ",
+    )
+    left.plot(track["frame"], track["measured"], "o", color=COLORS["blue"], label="measured")
+    left.plot(track["frame"], track["true"], color="black", lw=1.2, label="truth")
+    left.set(xlabel="frame", ylabel="x (px)", title="a track")
+    left.legend(loc="upper left", fontsize=11)
+    bells = {
+        "predicted": (step.predicted, step.predicted_std, "orange", "--"),
+        "measured": (step.measured, step.measured_std, "blue", "-."),
+        "estimated": (step.estimated, step.estimated_std, "black", "-"),
+    }
+    reach = 3 * max(step.predicted_std, step.measured_std)
+    x = np.linspace(step.estimated - 1.2 * reach, step.estimated + 1.2 * reach, 300)
+    for name, (mean, std, color, line) in bells.items():
+        density = np.exp(-(((x - mean) / std) ** 2) / 2) / (std * np.sqrt(2 * np.pi))
+        right.plot(x, density, line, color=COLORS[color], label=name)
+    right.set(xlabel="x (px)", ylabel="probability density (1/px)", title="its last frame")
+    right.set(ylim=(0, 1.45 * np.max(density)))
+    right.legend(loc="upper left", fontsize=11)
     return figure
