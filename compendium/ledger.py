@@ -68,6 +68,7 @@ __all__ = [
     "summary",
     "turned_by",
     "turning_points",
+    "with_error",
 ]
 
 KINDS = ("exact", "simulated", "stated", "bound", "lost", "given")
@@ -86,6 +87,7 @@ SPENT = ("", "identified", "assumed")
 
 # Kinds that no computation can judge: the verdict is the kind itself.
 _UNJUDGED = ("lost", "given")
+_RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
 _THESIS = Path(__file__).resolve().parent.parent / "data" / "thesis"
 _COMPARISONS = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
@@ -299,6 +301,10 @@ class Record:
     def __str__(self) -> str:
         # Tiny numbers (a distortion per µm²) read better in powers of ten.
         style = f".{self.digits}f" if self.digits <= 7 else ".2e"
+        if self.high > self.low and self.digits <= 7:
+            # Of an interval two digits, and of the number no more than they are worth.
+            places = 1 - math.floor(math.log10((self.high - self.low) / 2))
+            style = f".{min(self.digits, max(0, places))}f"
         text = format(self.value, style)
         if self.high > self.low:
             half = (self.high - self.low) / 2
@@ -307,6 +313,28 @@ class Record:
             else:
                 text += f" ({format(self.low, style)} to {format(self.high, style)})"
         return f"{text} {self.unit}".rstrip()
+
+
+def with_error(value: float, error: float) -> str:
+    """Return a number and its error, both to two digits of the error.
+
+    Parameters
+    ----------
+    value, error : float
+        Of one unit; the error is positive.
+
+    Examples
+    --------
+    >>> with_error(201173.2, 1290.0), with_error(-2.79268, 0.009)
+    ('201200 ± 1300', '-2.7927 ± 0.0090')
+    >>> with_error(-8.39877e-10, 1.7e-12)
+    '(-8.399 ± 0.017)·10⁻¹⁰'
+    """
+    power = math.floor(math.log10(abs(value))) if 0 < abs(value) < 1e-5 else 0
+    places = 1 - math.floor(math.log10(error)) + power
+    scaled = [f"{round(part / 10**power, places):.{max(0, places)}f}" for part in (value, error)]
+    text = " ± ".join(scaled)
+    return f"({text})·10{str(power).translate(_RAISED)}" if power else text
 
 
 def half_ulp(printed: str) -> float:

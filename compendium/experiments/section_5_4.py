@@ -557,6 +557,30 @@ def step_runs_over_images(
     return dict(zip(thesis.ZOOMS, in_processes(over_images, each), strict=True))
 
 
+def step_frames(station: Workstation, result: Run) -> tuple[list[NDArray[np.uint8]], NDArray]:
+    """Render the gripper once more along its step at 1X, to be looked at.
+
+    Parameters
+    ----------
+    station : Workstation
+        The apparatus.
+    result : Run
+        Of `step_runs_over_images`.
+
+    Returns
+    -------
+    frames : list of ndarray of uint8
+        One for each sample, with noise of their own.
+    places : ndarray, shape (K, 2)
+        Where the run measured the feature, (x, y) in px of the frames.
+    """
+    rng = np.random.default_rng(station.seed)
+    away = -np.rint(STEP_PATH[0] / 2)  # begins and ends as far from the middle of the frame
+    frame, tracker = gripper("1X", away, rng)
+    origin = tracker.track(frame(away, rng)).center
+    return [frame(feature + away, rng) for feature in result.feature], result.measured + origin
+
+
 def path_runs_over_images(station: Workstation) -> dict[str, Run]:
     """Return the runs of figures 5.6 to 5.8: each of `PATHS` at 1X over rendered frames."""
     each = [(station, "1X", station.path(name)) for name in PATHS]

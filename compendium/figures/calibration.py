@@ -48,7 +48,7 @@ def draw_detection(
                 xytext=(3, -3),
                 textcoords="offset points",
                 va="top",
-                fontsize=9,
+                fontsize=11,
                 color=COLORS["orange"],
                 path_effects=[withStroke(linewidth=2.5, foreground="white")],
                 clip_on=True,
@@ -184,5 +184,5 @@ def draw_focal_length_study(study: pd.DataFrame) -> Figure:
     axes.set(
         yscale="log", ylim=(1e-3, 100), xlabel="tilt (°)", ylabel="relative standard deviation (%)"
     )
-    axes.legend(fontsize=10, ncols=2, loc="upper right", bbox_to_anchor=(1, 0.5))
+    axes.legend(fontsize=11, ncols=2, loc="upper right", bbox_to_anchor=(1, 0.5))
     return figure

@@ -77,18 +77,21 @@ def draw_printed_outline(curve: GaussianSum) -> Figure:
     maxima, minima = curve.extrema()
     (x1, y1), (x2, y2) = _rim_and_bottom(curve)
     x = np.linspace(*curve.domain, 800)
-    figure, axes = plt.subplots(figsize=(7.2, 4.4))
+    figure, axes = plt.subplots(figsize=(7.2, 3.8))
     axes.plot(x, curve(x), color=COLORS["blue"], label="$f_m(x)$, (5.1)")
-    axes.plot(maxima, curve(maxima), ".", color=COLORS["orange"], ms=9)
-    axes.plot(minima, curve(minima), ".", color=COLORS["green"], ms=9)
     axes.plot(x1, y1, "o", color=COLORS["orange"], ms=9, label="rim $(x_1, y_1)$")
     axes.plot(x2, y2, "s", color=COLORS["green"], ms=9, label="bottom $(x_2, y_2)$")
+    for places, marker, color, name in (
+        (maxima[maxima > x2], "^", "orange", "maxima of the right rim"),
+        (minima[minima > x2 + 1], "v", "green", "dip between them"),
+    ):
+        axes.plot(places, curve(places), marker, color=COLORS[color], ms=7, label=name)
     _draw_lengths(axes, curve, gap=6)
     axes.text((x1 + x2) / 2, y1 + 8, "a", ha="center", fontsize=14)
-    axes.text(x2 - 4, y1 - 11, "$w_d$", fontsize=14, ha="right")
-    top = max(y1, y2) + 22
-    axes.set(xlabel="x (px)", ylabel="y, up (px)", aspect="equal", ylim=(None, top))
-    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1))
+    axes.text(x2 - 2, y1 - 12, "$w_d$", fontsize=14, ha="right")
+    axes.set(xlabel="x (px)", ylabel="y, up (px)", aspect="equal")
+    axes.set(xlim=(x[0] - 3, x[-1] + 3), ylim=(None, max(y1, y2) + 20))
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 
@@ -155,18 +158,24 @@ def draw_rendered_outline(
     """
     base = np.interp(columns, boundary.x, boundary.y).min()
     (x1, y1), (x2, y2) = _rim_and_bottom(smooth)
-    figure, axes = plt.subplots(figsize=(7.2, 4.6))
-    axes.plot(boundary.x, boundary.y - base, ".", color=COLORS["grey"], ms=3, label="outline")
-    axes.plot(columns, smooth(columns), color=COLORS["sky"], label="LOESS and eight Gaussians")
-    axes.plot(columns, profile - base, color=COLORS["blue"], ls="--", label="profile (4.2)")
-    _draw_lengths(axes, smooth, gap=4)
-    axes.text((x1 + x2) / 2, y1 + 6, "a", ha="center", fontsize=14)
-    axes.text(x2 + 3, (y1 + y2) / 2 + 6, "$w_d$", fontsize=14)
+    figure, (whole, bottom) = plt.subplots(2, 1, figsize=(7.2, 6.0))
+    for axes in (whole, bottom):
+        axes.plot(columns, smooth(columns), color=COLORS["yellow"], label="eight Gaussians")
+        axes.plot(columns, profile - base, color=COLORS["blue"], lw=3, label="profile (4.2)")
+        axes.plot(boundary.x, boundary.y - base, ".k", ms=4, label="outline")
+        axes.set(xlabel="x (px)", ylabel="y, up (px)", aspect="equal")
+    _draw_lengths(whole, smooth, gap=4)
+    whole.text((x1 + x2) / 2, y1 + 6, "a", ha="center", fontsize=14)
+    whole.text(x2 + 3, (y1 + y2) / 2 + 6, "$w_d$", fontsize=14)
     near = 1.5 * scene.embryo.dimple_radius / scene.pixel_size
     middle = scene.center[0]
-    axes.set(xlabel="x (px)", ylabel="y, up (px)", aspect="equal")
-    axes.set(xlim=(middle - near, middle + near), ylim=(-6, y1 + 18))
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.25), ncols=3, markerscale=3)
+    whole.set(xlim=(middle - near, middle + near), ylim=(-6, y1 + 18))
+    # Where the two ways part: four widths of the probe.
+    reach = 4 * thesis.MEMBRANE["probe_half_width"] / scene.pixel_size
+    bottom.set(xlim=(middle - reach, middle + reach), ylim=(-2, reach / 2), title="the bottom")
+    figure.legend(
+        *whole.get_legend_handles_labels(), loc="outside lower center", ncols=3, markerscale=2
+    )
     return figure
 
 

@@ -47,7 +47,7 @@ def draw_modulus_posterior(
             if np.isfinite(end):
                 lower.barh(-place, end - middle, left=middle, height=0.6, color=COLORS["sky"])
             else:
-                lower.text(1.03 * middle, -place, "no capsule", va="center", fontsize=10)
+                lower.text(1.03 * middle, -place, "no capsule", va="center", fontsize=11)
     lower.set_yticks(range(0, 1 - len(readings), -1), readings["input"].iloc[1:])
     lower.axvline(middle, color=COLORS["blue"], lw=1.2)
     for axes in (upper, lower):

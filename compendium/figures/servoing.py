@@ -12,10 +12,19 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Polygon
 from numpy.typing import NDArray
 
+from compendium.experiments.chapter_2_tracking import KalmanStep
 from compendium.figures.style import COLORS
 from microlib.tracking import Track
 
-__all__ = ["draw_loop", "draw_path_run", "draw_stability", "draw_step_runs", "draw_track"]
+__all__ = [
+    "draw_esm_step",
+    "draw_kalman_step",
+    "draw_loop",
+    "draw_path_run",
+    "draw_stability",
+    "draw_step_runs",
+    "draw_track",
+]
 
 
 class Run(Protocol):
@@ -39,12 +48,12 @@ class Run(Protocol):
 
 def draw_loop() -> Figure:
     """Draw figure 2.3: image-based servoing as dynamic look-and-move."""
-    figure, axes = plt.subplots(figsize=(8.4, 3.1))
+    figure, axes = plt.subplots(figsize=(7.2, 3.1))
     axes.set(xlim=(-0.75, 11.6), ylim=(-0.15, 3.3), aspect="equal")
     axes.axis("off")
     blocks = {
         "control law\n(2.3) or (2.28)": (2.0, 2.0, "orange"),
-        "stage with its\nown position loop": (5.0, 2.0, "grey"),
+        "stage with its\nposition loop": (5.0, 2.0, "grey"),
         "microscope\nand camera": (8.6, 2.0, "grey"),
         "tracker\nESM, Kalman": (6.8, 0.0, "blue"),
     }
@@ -60,7 +69,7 @@ def draw_loop() -> Figure:
                 linewidth=1.6,
             )
         )
-        axes.text(x + 1.1, y + 0.5, text, ha="center", va="center", fontsize=10.5)
+        axes.text(x + 1.1, y + 0.5, text, ha="center", va="center", fontsize=11)
     axes.plot(0.75, 2.5, "o", ms=20, mfc="white", mec="black", mew=1.4)
     axes.text(0.75, 2.5, "Σ", ha="center", va="center")
 
@@ -104,7 +113,7 @@ def draw_track(
 def draw_step_runs(runs: dict[str, Run]) -> Figure:
     """Draw figures 5.4 and 5.5: position and velocity of both axes against time, a row a run."""
     figure, grid = plt.subplots(
-        len(runs), 2, figsize=(8.4, 2.8 * len(runs)), squeeze=False, sharex=True
+        len(runs), 2, figsize=(7.2, 2.8 * len(runs)), squeeze=False, sharex=True
     )
     for (title, run), (left, right) in zip(runs.items(), grid, strict=True):
         offset = run.feature[0]
@@ -131,14 +140,14 @@ def draw_step_runs(runs: dict[str, Run]) -> Figure:
 
 def draw_path_run(run: Run, error: NDArray[np.floating], title: str, unit: str) -> Figure:
     """Draw one of figures 5.6 to 5.8: the path with its reference, and an error against time."""
-    figure, (left, right) = plt.subplots(
-        1, 2, figsize=(8.4, 3.6), gridspec_kw={"width_ratios": [1, 1.3]}
-    )
+    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.8))
     offset = run.reference[0]
-    left.plot(*(run.reference - offset).T, color="black", lw=1, label="reference")
-    left.plot(*(run.measured - offset).T, ".", color=COLORS["blue"], ms=4, label="measured")
-    left.set(xlabel="x (px)", ylabel="y (px)", aspect="equal", title=title)
-    figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", ncols=2, fontsize=10)
+    # The measurement hardly leaves the reference, which therefore lies on top of it.
+    left.plot(*(run.measured - offset).T, "o", color=COLORS["sky"], ms=6, label="measured")
+    left.plot(*(run.reference - offset).T, color="black", lw=1.4, label="reference")
+    left.set(xlabel="x (px)", ylabel="y (px)", title=title)
+    left.set_aspect("equal", adjustable="datalim")  # all paths get panels of one size
+    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=2)
     right.plot(run.time[: len(error)], error, color=COLORS["blue"], lw=1.2)
     right.set(xlabel="time (s)", ylabel=f"tracking error ({unit})", ylim=(0, None))
     return figure
@@ -162,17 +171,90 @@ def draw_stability(moduli: pd.DataFrame, loops: pd.DataFrame, gain: float) -> Fi
         A map with its stability limit, and the simulated loops on it.
     """
     delays, gains = moduli.columns, moduli.index
-    figure, axes = plt.subplots(figsize=(7.2, 4.2))
-    levels = np.arange(0, 2.01, 0.1)
-    shades = axes.contourf(delays, gains, moduli, levels=levels, cmap="cividis")
-    axes.contour(delays, gains, moduli, levels=[1.0], colors="white", linewidths=2.5)
-    for decays, marker in ((True, "o"), (False, "x")):
+    figure, axes = plt.subplots(figsize=(7.2, 4.6))
+    # White at 1, where the loop neither decays nor grows; blue is stable and orange is not.
+    shades = axes.contourf(
+        delays, gains, moduli, levels=np.arange(0, 2.01, 0.2), cmap="PuOr_r", alpha=0.8
+    )
+    axes.contour(delays, gains, moduli, levels=[1.0], colors="black", linewidths=2.5)
+    for decays, marker in ((True, "o"), (False, "X")):
         chosen = loops.loc[loops["decays"] == decays, ["delay", "gain"]].to_numpy()
         label = "simulated: decays" if decays else "simulated: grows"
-        axes.plot(*chosen.T, marker, color="white", mec="black", mew=1.5, ms=7, label=label)
-    axes.axhline(gain, color=COLORS["orange"], ls="--", label="thesis' gain at 1X")
-    figure.colorbar(shades, label="modulus of the slowest pole")
+        axes.plot(*chosen.T, marker, color="white", mec="black", mew=1.2, ms=8, label=label)
+    axes.axhline(gain, color="black", ls="--", lw=1.4, label="thesis' gain at 1X")
+    figure.colorbar(shades, label="modulus of the slowest pole", ticks=np.arange(0, 2.01, 0.4))
     axes.set(xlabel="delay (frames)", ylabel="loop gain g", ylim=(gains[0], gains[-1]))
     axes.grid(False)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3, fontsize=10)
+    for x, y, name in ((0.12, 0.57, "stable"), (0.52, 0.76, "unstable")):
+        axes.text(x, y, name, transform=axes.transAxes, fontsize=14, weight="bold", va="center")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return figure
+
+
+def draw_esm_step(errors: pd.DataFrame) -> Figure:
+    """Draw one step of ESM along a row of pixels, and the errors of an image's corners after each.
+
+    Parameters
+    ----------
+    errors : DataFrame
+        As `errors_by_gradient` returns it, px.
+    """
+    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 4.1))
+    x, shift = np.linspace(-2, 8.5, 200), 4.0  # px; the image is the template, moved by the shift
+    grey = 100 + 60 * np.sin(x / 3.5)
+    value, goal = 100.0, 100 + 60 * np.sin(shift / 3.5)
+    slopes = (
+        60 / 3.5 * np.array([np.cos(shift / 3.5), 1.0])
+    )  # of the template and of the image at 0
+    left.plot(x, grey, color="black", lw=1.4, label="image")
+    left.axhline(goal, color=COLORS["grey"], lw=1.2, ls=":")
+    left.text(-1.9, goal + 2, "template at 0", fontsize=11)
+    looks = (("orange", "--"), ("sky", "-."), ("blue", "-"))
+    for slope, (color, line) in zip((*slopes, slopes.mean()), looks, strict=True):
+        end = (goal - value) / slope
+        left.plot([0, end], [value, goal], line, color=COLORS[color])
+        left.plot([end], [goal], "o", color=COLORS[color], ms=7)
+    left.plot([shift], [goal], "o", mfc="none", mec="black", ms=14, mew=1.6)
+    left.set(xlabel="shift (px)", ylabel="grey value", title="one step", ylim=(65, 168))
+    for name, (color, line) in zip(errors, looks, strict=True):
+        right.plot(errors.index, errors[name], line, color=COLORS[color], marker="o", label=name)
+    right.set(yscale="log", xlabel="step", ylabel="error of the corners (px)", title="all steps")
+    handles, labels = right.get_legend_handles_labels()
+    figure.legend(
+        handles, [f"gradient: {name}" for name in labels], loc="outside lower center", ncols=2
+    )
+    return figure
+
+
+def draw_kalman_step(step: KalmanStep) -> Figure:
+    """Draw a track with its predictions, and how the last one meets the measurement."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.9))
+    track = step.track.iloc[1:]  # of the first frame the filter expects anything
+    left.errorbar(
+        track["frame"],
+        track["predicted"],
+        yerr=track["predicted_std"],
+        fmt="s",
+        color=COLORS["orange"],
+        capsize=4,
+        lw=1.5,
+        label="predicted, ± σ",
+    )
+    left.plot(track["frame"], track["measured"], "o", color=COLORS["blue"], label="measured")
+    left.plot(track["frame"], track["true"], color="black", lw=1.2, label="truth")
+    left.set(xlabel="frame", ylabel="x (px)", title="a track")
+    left.legend(loc="upper left", fontsize=11)
+    bells = {
+        "predicted": (step.predicted, step.predicted_std, "orange", "--"),
+        "measured": (step.measured, step.measured_std, "blue", "-."),
+        "estimated": (step.estimated, step.estimated_std, "black", "-"),
+    }
+    reach = 3 * max(step.predicted_std, step.measured_std)
+    x = np.linspace(step.estimated - 1.2 * reach, step.estimated + 1.2 * reach, 300)
+    for name, (mean, std, color, line) in bells.items():
+        density = np.exp(-(((x - mean) / std) ** 2) / 2) / (std * np.sqrt(2 * np.pi))
+        right.plot(x, density, line, color=COLORS[color], label=name)
+    right.set(xlabel="x (px)", ylabel="probability density (1/px)", title="its last frame")
+    right.set(ylim=(0, 1.45 * np.max(density)))
+    right.legend(loc="upper left", fontsize=11)
     return figure

@@ -14,6 +14,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 from compendium.figures.style import COLORS
 from microlib import optics
@@ -23,8 +24,10 @@ __all__ = [
     "HK_COLORS",
     "draw_labels",
     "draw_lens",
+    "draw_sinking_stage",
     "draw_surface",
     "label_legend",
+    "label_patches",
     "turnable_surface",
 ]
 
@@ -79,6 +82,45 @@ def draw_lens() -> Figure:
     return figure
 
 
+def draw_sinking_stage() -> Figure:
+    """Draw figure 3.2: a hill on a stage that sinks until its top is in focus."""
+    across = np.linspace(-1, 1, 300)
+    top = 0.75  # d_s, the height of S, in units of the drawing
+    surface = top * np.exp(-((across / 0.45) ** 2))
+    sinks = {"d = 0:\nthe ground is sharp": 0.0, "d < $d_s$:\nthe flank is sharp": 0.45}
+    sinks["d = $d_s$:\nthe top is sharp"] = top
+    figure, row = plt.subplots(1, 3, figsize=(7.2, 3.9), sharey=True)
+    for axes, (title, lowered) in zip(row, sinks.items(), strict=True):
+        axes.fill_between(across, -lowered, surface - lowered, color=COLORS["sky"], alpha=0.6, lw=0)
+        axes.fill_between(across, -lowered - 0.08, -lowered, color=COLORS["grey"], lw=0)
+        axes.axhline(0, color=COLORS["orange"], lw=2)
+        sharp = np.abs(surface - lowered) < 0.035
+        axes.plot(np.where(sharp, across, np.nan), surface - lowered, color="black", lw=4)
+        axes.plot([0], [top - lowered], "o", color=COLORS["blue"])
+        axes.text(0.08, top + 0.02 - lowered, "S")
+        axes.set_title(title, fontsize=12)
+        axes.set(xlim=(-1.25, 1.25), ylim=(-1.05, 1.3))
+        axes.axis("off")
+        axes.fill([-0.3, 0.3, 0.18, -0.18], [1.28, 1.28, 1.0, 1.0], color="black", alpha=0.65, lw=0)
+        if lowered:
+            # From the plane in focus, where the ground was, down to where it is.
+            _dimension(axes, -0.92, (0, -lowered), "d")
+    _dimension(row[0], 0.62, (0, top), "$d_s$")
+    row[0].text(0.36, 1.06, "objective", fontsize=11)
+    row[0].text(-1.25, 0.04, "plane in focus", color=COLORS["orange"], fontsize=11)
+    for axes in row[1:]:
+        axes.annotate("", (1.15, -0.95), (1.15, -0.3), arrowprops={"arrowstyle": "-|>", "lw": 4})
+    row[1].text(1.05, -0.85, "the stage sinks", ha="right", va="center", fontsize=11)
+    return figure
+
+
+def _dimension(axes: Axes, x: float, ends: tuple[float, float], name: str) -> None:
+    """Draw a length along y with its name on the right."""
+    arrow = {"arrowstyle": "<->", "lw": 1.3, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", (x, ends[0]), (x, ends[1]), arrowprops=arrow)
+    axes.text(x + 0.06, sum(ends) / 2, name, va="center", fontsize=13)
+
+
 def draw_labels(axes: Axes, labels: NDArray[np.uint8], *, legend: bool = True) -> None:
     """Show a map of surface types, with a legend of those that occur in it."""
     colors = ListedColormap(["#FFFFFF", *HK_COLORS.values()])
@@ -93,9 +135,14 @@ def draw_labels(axes: Axes, labels: NDArray[np.uint8], *, legend: bool = True) -
 
 def label_legend(axes: Axes, labels: NDArray[np.uint8]) -> None:
     """Put a legend of the surface types that occur in `labels` beside the axes."""
+    patches = label_patches(labels)
+    axes.legend(handles=patches, loc="upper left", bbox_to_anchor=(1.01, 1), fontsize=11)
+
+
+def label_patches(labels: NDArray[np.uint8]) -> list[Patch]:
+    """Return the entries of a legend of the surface types that occur in `labels`."""
     present = [label for label in HK_NAMES if np.any(labels == label)]
-    patches = [Patch(color=HK_COLORS[k], label=f"{k} {HK_NAMES[k]}") for k in present]
-    axes.legend(handles=patches, loc="upper left", bbox_to_anchor=(1.01, 1), fontsize=10)
+    return [Patch(color=HK_COLORS[k], label=f"{k} {HK_NAMES[k]}") for k in present]
 
 
 def draw_surface(
@@ -105,22 +152,70 @@ def draw_surface(
     *,
     labels: NDArray[np.uint8] | None = None,
     unit: str = "µm",
+    turned: bool = False,
 ) -> None:
-    """Draw a height map as a surface, colored by height or, if given, by surface type."""
-    stride = max(1, -(-max(height.shape) // 80))
-    rows, cols = height.shape
-    x, y = np.meshgrid(pixel_size * np.arange(cols), pixel_size * np.arange(rows))
+    """Draw a height map as a surface, colored by height or, if given, by surface type.
+
+    Parameters
+    ----------
+    axes : Axes3D
+        Where to draw.
+    height : ndarray, shape (rows, cols)
+        Heights, in `unit`.
+    pixel_size : float
+        Distance between pixels, in `unit`.
+    labels : ndarray of uint8, optional
+        Surface types for the colors; the height otherwise.
+    unit : str
+        Unit of the axes.
+    turned : bool
+        The object is round about the middle of the map, and so is the mesh: an upright wall is then
+        a smooth ring and not a flight of stairs. Its surface type is not shown, as it has no pixel
+        of its own, and the corners of the map are left out.
+    """
+    rows, cols = _round_mesh(height.shape) if turned else _square_mesh(height.shape)
+    points = map_coordinates(height, [rows, cols], order=1)
     if labels is None:
         look: dict[str, Any] = {"cmap": "viridis"}
     else:
         palette = ListedColormap(["#FFFFFF", *HK_COLORS.values()])
-        look = {"facecolors": palette(labels[::stride, ::stride])}
-    part = np.s_[::stride, ::stride]
+        types = map_coordinates(labels, [rows, cols], order=0)
+        if turned:
+            types[:-1][_upright(points)] = 0
+        look = {"facecolors": palette(types)}
     axes.plot_surface(
-        x[part], y[part], height[part], rstride=1, cstride=1, linewidth=0, antialiased=False, **look
+        pixel_size * cols,
+        pixel_size * rows,
+        points,
+        rstride=1,
+        cstride=1,
+        linewidth=0,
+        antialiased=False,  # smoothed edges would leave gaps between the faces
+        **look,
     )
     axes.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})", zlabel=f"height ({unit})")
     axes.view_init(elev=35, azim=-60)
+
+
+def _square_mesh(shape: tuple[int, ...]) -> tuple[NDArray, NDArray]:
+    """Return rows and columns of every nth pixel, at most 80 a side."""
+    stride = max(1, -(-max(shape) // 80))
+    rows, cols = np.indices(shape, dtype=float)[:, ::stride, ::stride]
+    return rows, cols
+
+
+def _upright(points: NDArray) -> NDArray[np.bool_]:
+    """Find the steps of a mesh, from ring to ring, that are a tenth of the object's height."""
+    return np.abs(np.diff(points, axis=0)) > 0.1 * np.ptp(points)
+
+
+def _round_mesh(shape: tuple[int, ...]) -> tuple[NDArray, NDArray]:
+    """Return rows and columns of points on 60 circles about the middle of a map."""
+    middle = (np.array(shape[:2]) - 1) / 2
+    radius, angle = np.meshgrid(
+        np.linspace(0, middle.min(), 60), np.linspace(0, 2 * np.pi, 121), indexing="ij"
+    )
+    return middle[0] + radius * np.sin(angle), middle[1] + radius * np.cos(angle)
 
 
 def turnable_surface(

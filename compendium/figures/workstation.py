@@ -43,13 +43,13 @@ def draw_workstation() -> Figure:
     figure, axes = plt.subplots(figsize=(7.2, 4.6))
     for name, (x, y, w, h, color) in parts.items():
         axes.add_patch(Rectangle((x, y), w, h, fc=COLORS[color], ec=COLORS[color], alpha=0.35))
-        axes.text(x + w / 2, y + h / 2, name.strip(), ha="center", va="center", fontsize=10)
+        axes.text(x + w / 2, y + h / 2, name.strip(), ha="center", va="center", fontsize=11)
     axes.plot([4.6, 4.6], [1.65, 3.5], color="black", lw=1, ls=":")
     axes.plot([7.0, 4.9], [3.8, 1.9], color="black", lw=1, ls=":")
     axes.plot([2.0, 4.1], [2.0, 1.75], color=COLORS["orange"], lw=3)
     axes.plot([7.2, 5.1], [2.0, 1.75], color=COLORS["orange"], lw=3)
-    axes.text(2.2, 2.25, "probe", fontsize=10)
-    axes.text(6.2, 2.25, "gripper", fontsize=10, ha="left")
+    axes.text(2.2, 2.25, "probe", fontsize=11)
+    axes.text(6.2, 2.25, "gripper", fontsize=11, ha="left")
     axes.plot(4.6, 1.62, "o", color="black", ms=7)
     axes.set(xlim=(-0.1, 9.5), ylim=(0, 6.6), aspect="equal")
     axes.axis("off")
@@ -58,7 +58,7 @@ def draw_workstation() -> Figure:
 
 def draw_patterns(examples: dict[str, tuple[NDArray, Detection]]) -> Figure:
     """Draw figure 5.2: each pattern with its detected points, by column of Table 5.1."""
-    figure, grid = plt.subplots(2, 2, figsize=(7.6, 5.9))
+    figure, grid = plt.subplots(2, 2, figsize=(7.2, 5.8))
     for axes, (column, (image, found)) in zip(grid.flat, examples.items(), strict=True):
         every = 4 if column == "circle-1X" else 6 if "square" in column else 1
         draw_detection(axes, image, found, label_every=every)
@@ -78,12 +78,10 @@ def draw_blur_study(errors: pd.DataFrame) -> Figure:
 
 def draw_tracks(shown: list[tuple[str, NDArray[np.uint8], Track]]) -> Figure:
     """Draw figure 5.3: frames with their tracked windows."""
-    figure, row = plt.subplots(1, len(shown), figsize=(9.6, 2.9))
-    for axes, (label, frame, track) in zip(row, shown, strict=True):
-        draw_track(axes, frame, track, label, margin=75)
-        axes.title.set_fontsize(10)
-    for axes in row[1:]:
-        axes.set(ylabel="")
+    figure, grid = plt.subplots(len(shown) // 2, 2, figsize=(7.2, 3.6 * (len(shown) // 2)))
+    for axes, (label, frame, track) in zip(grid.flat, shown, strict=True):
+        draw_track(axes, frame, track, label, margin=60)
+        axes.label_outer()
     return figure
 
 
@@ -100,7 +98,7 @@ def draw_speed_study(shares: pd.DataFrame) -> Figure:
 
 def draw_settling_times(times: SettlingTimes) -> Figure:
     """Draw settling times against the largest speed, and at 4X against the latency."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(8.4, 3.2), sharey=True)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.2), sharey=True)
     for zoom, color in zip(times.by_speed, ("blue", "orange"), strict=True):
         left.plot(times.speeds, times.by_speed[zoom], color=COLORS[color], label=zoom)
         left.plot(times.saturation[zoom], times.printed[zoom], "o", color=COLORS[color])

@@ -76,13 +76,21 @@ def test_the_rendered_outline_counts_heights_from_the_lowest_in_view():
     boundary = SimpleNamespace(x=np.arange(50.0, 260.0), y=700 + np.arange(210.0))
     columns, profile = np.linspace(60, 250, 20), np.linspace(710, 900, 20)
     figure = dimple.draw_rendered_outline(scene(), boundary, columns, curve, profile)
-    lines = drawn(figure.axes[0])
+    whole, bottom = figure.axes
+    lines = drawn(whole)
     # At 60 px the outline is at 710: the lowest among the columns.
     np.testing.assert_allclose(lines["outline"], np.column_stack([boundary.x, boundary.y - 710]))
     np.testing.assert_allclose(lines["profile (4.2)"], np.column_stack([columns, profile - 710]))
     expected = np.column_stack([columns, curve(columns)])
-    np.testing.assert_allclose(lines["LOESS and eight Gaussians"], expected)
-    assert figure.axes[0].get_xlim() == pytest.approx((512.4 - 75, 512.4 + 75))
+    np.testing.assert_allclose(lines["eight Gaussians"], expected)
+    assert whole.get_xlim() == pytest.approx((512.4 - 75, 512.4 + 75))
+    # The same curves, four half widths of the probe (25 µm) to either side.
+    assert {name: points.tolist() for name, points in drawn(bottom).items()} == {
+        name: points.tolist() for name, points in lines.items()
+    }
+    reach = 4 * 25 / scene().pixel_size
+    assert bottom.get_xlim() == pytest.approx((512.4 - reach, 512.4 + reach))
+    assert whole.get_aspect() == bottom.get_aspect() == 1
 
 
 def test_the_profile_is_drawn_beside_the_outline():

@@ -107,3 +107,54 @@ def test_the_map_of_stability_has_delays_along_x():
     assert axes.get_ylim() == (0.1, 2)
     assert drawn(axes)["thesis' gain at 1X"][:, 1].tolist() == [0.99, 0.99]
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("delay (frames)", "loop gain g")
+
+
+def test_one_step_ends_where_its_tangent_meets_the_template():
+    errors = pd.DataFrame({"template": [9.0, 1.0], "image": [9.0, 4.0], "mean": [9.0, 0.1]})
+    left, right = servoing.draw_esm_step(errors).axes
+    tangents = [line.get_xydata() for line in left.lines if len(line.get_xydata()) == 2]
+    level = left.lines[1].get_ydata()[0]
+    ends = [points[1] for points in tangents if points[0, 0] == 0 and points[0, 1] == 100]
+    assert len(ends) == 3
+    x, grey = left.lines[0].get_xydata().T
+    truth = np.interp(level, grey[x < 5], x[x < 5])
+    assert [end[1] for end in ends] == pytest.approx([level] * 3)
+    by_template, by_image, by_mean = (end[0] for end in ends)
+    assert by_image < truth < by_mean < by_template
+    assert abs(by_mean - truth) < min(truth - by_image, by_template - truth)
+    # The slope of the mean tangent is the mean of both.
+    slopes = (level - 100) / np.array([by_template, by_image, by_mean])
+    assert slopes[2] == pytest.approx(slopes[:2].mean())
+    for name, points in drawn(right).items():
+        np.testing.assert_allclose(points[:, 1], errors[name])
+    assert right.get_yscale() == "log"
+
+
+def test_the_bells_have_their_means_and_widths():
+    track = pd.DataFrame(
+        {
+            "frame": [1, 2, 3],
+            "true": [0.0, 2.0, 4.0],
+            "measured": [0.5, 2.5, 4.5],
+            "predicted": [0.0, 1.0, 3.0],
+            "predicted_std": [30.0, 2.0, 1.5],
+        }
+    )
+    step = SimpleNamespace(
+        predicted=3.0,
+        predicted_std=1.5,
+        measured=4.5,
+        measured_std=1.0,
+        estimated=4.0,
+        estimated_std=0.8,
+        track=track,
+    )
+    left, right = servoing.draw_kalman_step(step).axes
+    np.testing.assert_allclose(drawn(left)["measured"], [[2, 2.5], [3, 4.5]])
+    bells = drawn(right)
+    for name, mean, std in (("predicted", 3, 1.5), ("measured", 4.5, 1), ("estimated", 4, 0.8)):
+        x, density = bells[name].T
+        step_of_x = x[1] - x[0]
+        assert density.sum() * step_of_x == pytest.approx(1, abs=0.02)  # cut off at its tails
+        assert x[density.argmax()] == pytest.approx(mean, abs=step_of_x)
+        assert density.max() == pytest.approx(1 / (std * np.sqrt(2 * np.pi)), rel=1e-3)

@@ -91,7 +91,8 @@ def test_the_thresholds_are_the_thesis_own_and_a_ball_lies_on_its_parabola():
 
 def test_types_are_drawn_with_the_ball_and_its_half():
     labels = {"found": np.full((180, 180), 1, np.uint8), "clean": np.full((180, 180), 5, np.uint8)}
-    first, second = drawing.draw_types(labels, ball=True).axes
+    figure = drawing.draw_types(labels, ball=True)
+    first, second = figure.axes
     assert (first.get_title(), second.get_title()) == ("found", "clean")
     assert (first.get_ylabel(), second.get_ylabel()) == ("y (px)", "")
     edge, half = first.patches
@@ -99,17 +100,41 @@ def test_types_are_drawn_with_the_ball_and_its_half():
     assert edge.center == half.center == (89.5, 89.5)
     assert edge.radius == pytest.approx(375 / 6.19, rel=0.01)
     assert half.radius == pytest.approx(edge.radius / 2)
-    shown = [text.get_text() for text in second.get_legend().get_texts()]
-    assert shown == ["1 convex elliptic", "5 planar"]
+    assert legend(figure) == ["1 convex elliptic", "5 planar"]
     plain, _ = drawing.draw_types(labels).axes
     assert not plain.patches
-    assert plain.get_legend() is None
+
+
+def legend(figure):
+    return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def test_a_part_is_enlarged_below_its_frame():
+    labels = {"one": np.full((60, 80), 1, np.uint8), "two": np.full((60, 80), 5, np.uint8)}
+    first, second, below, beside = drawing.draw_types(labels, enlarged=(10, 20, 30, 15)).axes
+    for whole, part in ((first, below), (second, beside)):
+        assert whole.patches[0].get_bbox().bounds == (10, 20, 30, 15)
+        assert (part.get_xlim(), part.get_ylim()) == ((10, 40), (35, 20))
+        np.testing.assert_array_equal(part.images[0].get_array(), whole.images[0].get_array())
+    assert (below.get_ylabel(), beside.get_ylabel()) == ("y (px)", "")
+
+
+def test_bars_mark_the_columns_that_only_one_frame_shows_sharp():
+    ridge = stack(20)
+    # Frame 10 stands at 200 µm and 25 µm from its neighbours.
+    ridge.height = np.tile([0.0, 189.0, 211.0, 213.0, 200.0], (2, 1))
+    figure = drawing.draw_ridge_frames(ridge, np.full((2, 5), 9.0))
+    bars = [line.get_xdata().tolist() for line in figure.axes[2].lines]
+    # Above and below the image: two columns side by side, and one alone.
+    assert bars == [[0.5, 2.5], [0.5, 2.5], [3.5, 4.5], [3.5, 4.5]]
+    assert not figure.axes[0].lines
+    assert not figure.axes[4].lines
 
 
 def test_types_are_drawn_by_their_window():
     labels = {3: np.full((4, 4), 1, np.uint8), 9: np.full((4, 4), 5, np.uint8)}
-    first, second = drawing.draw_types_by_window(labels).axes
+    figure = drawing.draw_types_by_window(labels)
+    first, second = figure.axes
     assert (first.get_title(), second.get_title()) == ("windows of 3 px", "windows of 9 px")
     assert first.images[0].get_array()[0, 0] == 1
-    assert first.get_legend() is None
-    assert second.get_legend() is not None
+    assert legend(figure) == ["1 convex elliptic", "5 planar"]

@@ -9,7 +9,13 @@ import numpy as np
 mpl.use("agg")
 import matplotlib.pyplot as plt
 
-from compendium.figures.surfaces import HK_COLORS, draw_labels, draw_surface, turnable_surface
+from compendium.figures.surfaces import (
+    HK_COLORS,
+    draw_labels,
+    draw_sinking_stage,
+    draw_surface,
+    turnable_surface,
+)
 from microlib.curvature import HK_NAMES
 
 
@@ -77,3 +83,42 @@ def test_the_colors_of_labels_are_nine_even_steps():
     assert (data[0]["cmin"], data[0]["cmax"]) == (0.5, 9.5)
     assert data[0]["surfacecolor"] == labels.tolist()
     assert data[0]["colorbar"]["tickvals"] == list(range(1, 10))
+
+
+def test_a_round_object_is_drawn_in_rings(monkeypatch):
+    v, u = np.mgrid[-20:21, -20:21]
+    height = np.where(np.hypot(u, v) < 10, 30.0, 0.0)
+    axes = plt.figure().add_subplot(projection="3d")
+    seen = []
+    monkeypatch.setattr(axes, "plot_surface", lambda *points, **look: seen.append((points, look)))
+    draw_surface(axes, height, 2.0, labels=np.full(height.shape, 5, np.uint8), turned=True)
+    ((x, y, z), look) = seen[0]
+    radius = np.hypot(x - 40, y - 40)
+    np.testing.assert_allclose(radius, radius[:, :1] + 0 * radius, atol=1e-9)
+    np.testing.assert_allclose(radius.max(), 40)  # µm, to the edge and not into the corners
+    np.testing.assert_allclose(z[radius < 16], 30)
+    np.testing.assert_allclose(z[radius > 24], 0, atol=1e-12)
+    # The wall has no type; what lies on it and around it has.
+    types = look["facecolors"]
+    planar = np.allclose(types[radius < 16], mpl.colors.to_rgba(HK_COLORS[5]))
+    assert planar
+    walls = (types == 1).all(axis=-1)
+    assert walls.any(axis=0).all()
+    assert (np.abs(radius[walls] - 20) < 3).all()
+    plt.close("all")
+
+
+def test_the_stage_sinks_until_the_top_is_in_focus():
+    row = draw_sinking_stage().axes
+    tops = [float(axes.lines[-1].get_ydata()[0]) for axes in row]
+    assert tops == sorted(tops, reverse=True)
+    assert tops[0] > tops[1] > tops[2] == 0
+    for axes, top in zip(row, tops, strict=True):
+        sharp = np.asarray(axes.lines[1].get_ydata())[np.isfinite(axes.lines[1].get_xdata())]
+        assert np.abs(sharp).max() < 0.05  # at the plane in focus
+        arrows = {t.get_text(): t for t in axes.texts}
+        if axes is not row[0]:
+            # d is how far the ground has sunk, and the hill with it.
+            assert arrows["d"].get_position()[1] == (top - tops[0]) / 2
+    assert next(t for t in row[0].texts if t.get_text() == "$d_s$").get_position()[1] == tops[0] / 2
+    plt.close("all")

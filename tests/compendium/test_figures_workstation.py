@@ -95,7 +95,7 @@ def test_every_frame_has_its_window():
     first, second = workstation.draw_tracks(shown).axes
     np.testing.assert_allclose(first.lines[0].get_xydata(), [[50, 31]])
     np.testing.assert_allclose(second.patches[0].get_xy()[0], [47, 23])
-    assert second.get_xlim() == (57 - 75, 57 + 75)
+    assert second.get_xlim() == (57 - 60, 57 + 60)
     assert (first.get_ylabel(), second.get_ylabel()) == ("y (px)", "")
     assert (first.get_title(), second.get_title()) == ("t = 0", "t = 1")
 

@@ -1,0 +1,192 @@
+"""Chapter 2: one step of ESM and one of the Kalman filter, taken apart to be drawn.
+
+The minimization is written out here by its equations, for the text; `microlib.tracking` has its
+own, which a test holds against this one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.linalg import expm
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from microlib.synthetic import mixed_texture
+from microlib.tracking import KalmanFilter
+
+#: Half the side of the template, px, and the middle of the image, (x, y) in px.
+HALF, MIDDLE = 32, np.array([80.0, 80.0])
+#: Rim of the template, px, that is not compared: its derivatives would reach over its edge.
+RIM = 4
+#: Which gradients make the step: shares of the template's and of the warped image's.
+GRADIENTS = {"template": (1.0, 0.0), "image": (0.0, 1.0), "mean of both (ESM)": (0.5, 0.5)}
+#: Elementary motions Bᵢ on coordinates from −1 to 1: shifts, and the four of a linear map.
+MOTIONS = np.zeros((6, 3, 3))
+for _motion, _entry in zip(MOTIONS, [(0, 2), (1, 2), (0, 0), (0, 1), (1, 0), (1, 1)], strict=True):
+    _motion[_entry] = 1.0
+
+
+@dataclass(frozen=True)
+class Target:
+    """A textured square, and an image that shows it shifted, turned and stretched.
+
+    Attributes
+    ----------
+    template : ndarray, shape (N, N)
+        The square as it was at first, grey levels.
+    image : ndarray, shape (H, W)
+        Grey levels.
+    warp : ndarray, shape (3, 3)
+        The true G: from coordinates of the template, −1 to 1, to those of the image.
+    """
+
+    template: NDArray[np.float64]
+    image: NDArray[np.float64]
+    warp: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class KalmanStep:
+    """One coordinate before and after a measurement, px and px/s.
+
+    Attributes
+    ----------
+    predicted, measured, estimated : float
+        Position, px.
+    predicted_std, measured_std, estimated_std : float
+        Their standard deviations, px.
+    track : pandas.DataFrame
+        All steps until then: ``frame``, ``true``, ``measured``, ``predicted``, ``predicted_std``.
+    """
+
+    predicted: float
+    measured: float
+    estimated: float
+    predicted_std: float
+    measured_std: float
+    estimated_std: float
+    track: pd.DataFrame
+
+
+def render_target(seed: int, noise: float = 2.0) -> Target:
+    """Draw the square on a plain ground, moved by a tenth of its side, turned and stretched."""
+    rng = np.random.default_rng(seed)
+    side = 2 * HALF + 1
+    texture = gaussian_filter(mixed_texture((side, side), rng).astype(float), 2.0)
+    linear = np.array([[0.12, 0.13], [-0.10, -0.08]])  # turn, stretch and shear
+    warp = expm(np.block([[linear, np.array([[0.22], [-0.17]])], [np.zeros((1, 3))]]))
+    rows, cols = np.indices((160, 160), dtype=float)
+    seen = (np.stack([cols, rows], axis=-1) - MIDDLE) / HALF
+    place = (seen - warp[:2, 2]) @ np.linalg.inv(warp[:2, :2]).T
+    index = HALF * (place[..., ::-1] + 1)
+    image = map_coordinates(texture, np.moveaxis(index, -1, 0), order=3, cval=60.0)
+    return Target(texture, image + rng.normal(0, noise, image.shape), warp)
+
+
+def warped(image: NDArray, warp: NDArray) -> NDArray:
+    """Return the image at the pixels of the template, moved by `warp`."""
+    steps = np.linspace(-1, 1, 2 * HALF + 1)
+    x, y = np.meshgrid(steps, steps)
+    moved = np.stack([x, y], axis=-1) @ warp[:2, :2].T + warp[:2, 2]
+    points = MIDDLE + HALF * moved
+    return map_coordinates(image, [points[..., 1], points[..., 0]], order=3, mode="nearest")
+
+
+def corners(warp: NDArray) -> NDArray:
+    """Return the corners of the warped template in the image, 4×2 px."""
+    square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    return MIDDLE + HALF * (square @ warp[:2, :2].T + warp[:2, 2])
+
+
+def align(target: Target, gradients: tuple[float, float], iterations: int) -> list[NDArray]:
+    """Minimize the difference between template and warped image, from where it was before.
+
+    Parameters
+    ----------
+    target : Target
+        Template and image.
+    gradients : tuple of float
+        Shares of the gradients of the template and of the warped image, as in `GRADIENTS`.
+    iterations : int
+        Steps.
+
+    Returns
+    -------
+    list of ndarray
+        The warp at the start, which is none, and after each step.
+    """
+    inside = np.s_[..., RIM:-RIM, RIM:-RIM]
+    template = target.template
+    steps = np.linspace(-1, 1, 2 * HALF + 1)
+    x, y = np.meshgrid(steps, steps)
+    moves = np.einsum("nij,jrc->nirc", MOTIONS, np.stack([x, y, np.ones_like(x)]))[:, :2]
+    warps = [np.eye(3)]
+    for _ in range(iterations):
+        current = warped(target.image, warps[-1])
+        # Of the template and of the warped image, along x and y.
+        slopes = [np.stack([*np.gradient(g, steps, steps)][::-1]) for g in (template, current)]
+        slope = gradients[0] * slopes[0] + gradients[1] * slopes[1]
+        jacobian = np.einsum("irc,nirc->rcn", slope[inside], moves[inside]).reshape(
+            -1, len(MOTIONS)
+        )
+        missing = (template - current)[inside].ravel()
+        step = np.linalg.lstsq(jacobian, missing, rcond=None)[0]
+        warps.append(warps[-1] @ expm(np.einsum("n,nij->ij", step, MOTIONS)))
+    return warps
+
+
+def errors_by_gradient(target: Target, iterations: int) -> pd.DataFrame:
+    """Return the mean error of the corners, px, after each step and for each of `GRADIENTS`."""
+    true = corners(target.warp)
+    return pd.DataFrame(
+        {
+            name: [
+                np.linalg.norm(corners(warp) - true, axis=1).mean()
+                for warp in align(target, shares, iterations)
+            ]
+            for name, shares in GRADIENTS.items()
+        }
+    ).rename_axis("iteration")
+
+
+def kalman_step(seed: int, *, interval: float, acceleration: float, noise: float) -> KalmanStep:
+    """Follow a coordinate that speeds up for eight frames, and take the last step apart.
+
+    Parameters
+    ----------
+    seed : int
+        Of the noise.
+    interval, acceleration, noise : float
+        As for `KalmanFilter`: s, px/s², px.
+
+    Returns
+    -------
+    KalmanStep
+        Of the x coordinate; the motion is steady, apart from an acceleration as large as stated.
+    """
+    rng = np.random.default_rng(seed)
+    times = interval * np.arange(9)
+    true = 40 * times + acceleration * times**2 / 2
+    measured = true + rng.normal(0, noise, len(times))
+    kalman = KalmanFilter(
+        (measured[0], 0.0), interval=interval, acceleration=acceleration, noise=noise
+    )
+    rows = []
+    for frame in range(1, len(times)):
+        predicted = float(kalman.predict()[0])
+        std = float(np.sqrt(kalman.covariance[0, 0]))
+        rows.append([frame, true[frame], measured[frame], predicted, std])
+        kalman.update((measured[frame], 0.0))
+    track = pd.DataFrame(rows, columns=["frame", "true", "measured", "predicted", "predicted_std"])
+    return KalmanStep(
+        predicted=predicted,
+        measured=float(measured[-1]),
+        estimated=float(kalman.position[0]),
+        predicted_std=std,
+        measured_std=noise,
+        estimated_std=float(np.sqrt(kalman.covariance[0, 0])),
+        track=track,
+    )

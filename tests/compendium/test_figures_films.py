@@ -1,0 +1,132 @@
+"""Films: small, looping, with a still, and showing what is so at each moment."""
+
+import base64
+import re
+from io import BytesIO
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+mpl.use("agg")
+
+from compendium.experiments import chapter_2_tracking as tracking
+from compendium.figures import films
+
+TEXTS = {"name": "film-x", "alt": 'a "dot"', "caption": "<strong>Film.</strong> A dot."}
+
+
+def pictures(html):
+    return [
+        Image.open(BytesIO(base64.b64decode(text)))
+        for text in re.findall(r"data:image/webp;base64,([^\"]*)", html.data)
+    ]
+
+
+def test_a_film_loops_beside_its_still():
+    figure = Figure(figsize=(2, 1), dpi=50)
+    axes = figure.subplots()
+    bar = axes.axvspan(0, 1, color="black")
+    axes.set(xlim=(0, 3), ylim=(0, 1))
+    axes.axis("off")
+    html = films.film(figure, lambda k: bar.set_x(k), [100, 200, 300], still=1, **TEXTS)
+    moving, still = pictures(html)
+    assert (moving.n_frames, moving.info["loop"]) == (3, 0)
+    assert (moving.size, still.size, getattr(still, "n_frames", 1)) == ((100, 50), (100, 50), 1)
+    middle = np.asarray(still.convert("L"))[25]
+    for k, length in enumerate((100, 200, 300)):
+        moving.seek(k)
+        moving.load()
+        assert moving.info["duration"] == length
+        shown = np.asarray(moving.convert("L"))[25].astype(int)
+        dark = np.flatnonzero(shown < 128).mean()
+        assert np.digitize(dark, np.linspace(0, 100, 4)) == k + 1
+        if k == 1:
+            assert np.abs(shown - middle).max() < 60  # both lossy
+    assert html.data.count('alt="a &quot;dot&quot;"') == 2
+    assert html.data.count(" hidden ") == 1
+    assert 'id="film-x"' in html.data
+
+
+def test_a_film_that_is_too_heavy_is_refused(monkeypatch):
+    monkeypatch.setattr(films, "MOST_BYTES", 50)
+    with pytest.raises(ValueError, match=r"film-x weighs \d+ bytes, at most 50"):
+        films.film(Figure(figsize=(1, 1)), lambda _: None, [100, 100], still=0, **TEXTS)
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Return the figure, and what each picture brings it to, without drawing any."""
+    seen = {}
+
+    def keep(figure, draw, durations, *, still, **texts):
+        seen.update(figure=figure, draw=draw, durations=durations, still=still, texts=texts)
+
+    monkeypatch.setattr(films, "film", keep)
+    return seen
+
+
+def test_heights_are_shown_once_they_were_in_focus(drawn):
+    depth = np.array([[0.0, 10.0], [22.0, 40.0]])
+    frames = np.arange(5)[:, None, None] + np.zeros((5, 2, 2))
+    films.film_focus(frames, 10.0 * np.arange(5), depth, **TEXTS)
+    left, right, *_ = drawn["figure"].axes
+    for k, known in enumerate(([0], [0, 10], [0, 10, 22], [0, 10, 22], [0, 10, 22, 40])):
+        drawn["draw"](k)
+        assert left.images[0].get_array()[0, 0] == k
+        assert left.get_title() == f"frame at d = {10 * k} µm"
+        shown = np.ma.masked_invalid(right.images[0].get_array()).compressed()
+        assert sorted(shown) == known
+    assert len(drawn["durations"]) == 5
+
+
+def test_the_dimple_is_as_deep_as_the_dot_says(drawn):
+    depths = np.linspace(0, 40, 50)
+    films.film_dimple(depths, depths**3 / 500, radius=200.0, half_width=20.0, **TEXTS)
+    section, curve = drawn["figure"].axes
+    count = len(drawn["durations"])
+    reached = []
+    for k in range(count):
+        drawn["draw"](k)
+        depth, force = (float(v[0]) for v in curve.lines[1].get_data())
+        assert section.lines[0].get_ydata().min() == pytest.approx(-depth, abs=1e-9)
+        assert section.patches[0].get_xy()[:, 1].min() == pytest.approx(-depth)
+        assert force == pytest.approx(depth**3 / 500, abs=0.2)  # between points of the curve
+        reached.append(depth)
+    # Down and back again, to where it began.
+    assert reached[0] == 0
+    assert reached[count // 2] == max(reached) == pytest.approx(40)
+    np.testing.assert_allclose(reached[1:], reached[:0:-1], atol=1e-9)
+
+
+def test_the_window_lies_where_the_feature_was_measured(drawn):
+    places = np.array([[100.0, 50.0], [110.0, 55.0], [120.0, 58.0]])
+    frames = [np.full((4, 4), k) for k in range(3)]
+    films.film_step(frames, np.array([0.0, 0.1, 0.2]), places, np.array([121, 59]), 20.0, **TEXTS)
+    left, right = drawn["figure"].axes
+    drawn["draw"](1)
+    np.testing.assert_allclose(left.patches[0].get_xy()[:4].mean(axis=0), [110, 55])
+    assert np.ptp(left.patches[0].get_xy()[:, 0]) == 20
+    assert left.images[0].get_array()[0, 0] == 1
+    np.testing.assert_allclose(right.lines[0].get_xydata(), [[0, 0], [0.1, 10]])
+    np.testing.assert_allclose(right.lines[1].get_xydata(), [[0, 0], [0.1, 5]])
+    np.testing.assert_allclose(left.lines[0].get_xydata(), [[121, 59]])
+
+
+def test_the_window_passes_through_every_warp_of_the_alignment(drawn):
+    target = tracking.render_target(1)
+    warps = tracking.align(target, (0.5, 0.5), 2)
+    films.film_alignment(target, warps, **TEXTS)
+    left, right = drawn["figure"].axes
+    for number, warp in enumerate(warps):
+        drawn["draw"](4 * number)
+        found = left.patches[0].get_xy()[:4]
+        np.testing.assert_allclose(found, tracking.corners(warp), atol=1e-6)
+        off = np.linalg.norm(found - tracking.corners(target.warp), axis=1).mean()
+        assert right.get_title() == f"step {number}: corners off by {off:.2f} px"
+    difference = np.asarray(right.images[0].get_array())
+    np.testing.assert_allclose(
+        difference, tracking.warped(target.image, warps[-1]) - target.template, atol=1e-6
+    )
