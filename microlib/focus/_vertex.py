@@ -242,8 +242,7 @@ def _are_inside(index: NDArray, place: NDArray[np.float32]) -> bool:
     frames, count = place.shape
     lowest, highest = frames, -1
     for x in range(len(index)):
-        at = np.int64(index[x])
-        lowest, highest = min(lowest, at), max(highest, at)
+        lowest, highest = min(lowest, int(index[x])), max(highest, int(index[x]))
     if lowest < count // 2 or highest >= frames - count // 2:
         return False
     for at in range(lowest, highest + 1):
