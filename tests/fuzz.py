@@ -298,7 +298,8 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "region": (0, 0, 160, 120),
     },
     "calibration.detect_squares": lambda: {
-        "image": squares(), "direction": 0.0, "mirrored": False, "region": (0, 0, 160, 120),
+        "image": squares(), "direction": 0.0, "mirrored": False, "pattern": "squares",
+        "region": (0, 0, 160, 120),
     },
     "calibration.linear_intrinsics": lambda: {
         "flat": grid()[:, :2] * 1.0, "depth": np.linspace(0.0, 50.0, 42) + 500.0,

@@ -52,10 +52,10 @@ def complete(
     """
     for _ in range(_RINGS):
         centers = regions.centers[index]
-        absent = _absent(grid)
+        absent = absent_places(grid)
         if len(absent) == 0:
             break
-        places = _predict(centers, grid, absent)
+        places = predict_places(centers, grid, absent)
         near = np.linalg.norm(absent[:, None] - grid, axis=2).argmin(axis=1)
         moments = regions.moments[index][near]
         reach = _HALF_WIDTH * np.sqrt(np.einsum("nii->ni", moments)) + 1
@@ -81,14 +81,14 @@ def complete(
     return regions, index, grid
 
 
-def _absent(grid: NDArray[np.intp]) -> NDArray[np.intp]:
+def absent_places(grid: NDArray[np.intp]) -> NDArray[np.intp]:
     """Places beside a mark, along one of the axes, that hold none."""
     held = set(map(tuple, grid.tolist()))
     beside = (grid[:, None] + [[1, 0], [-1, 0], [0, 1], [0, -1]]).reshape(-1, 2)
     return np.array(sorted(set(map(tuple, beside.tolist())) - held), dtype=np.intp)
 
 
-def _predict(centers: Array, grid: NDArray[np.intp], places: NDArray[np.intp]) -> Array:
+def predict_places(centers: Array, grid: NDArray[np.intp], places: NDArray[np.intp]) -> Array:
     """Where the lattice's places would be seen: a homography, and a quadratic that bends it."""
     flat = grid.astype(np.float64)
     homography, _ = cv2.findHomography(flat, centers)

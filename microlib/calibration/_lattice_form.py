@@ -203,7 +203,10 @@ def orient(
     shortest = length[length > 0].min()
     axes = every[(length > 0) & (length < _MOST_RATIO * shortest)]
     seen = axes @ along
-    heading = seen / np.hypot(*seen.T)[:, None] @ [np.cos(direction), np.sin(direction)]
+    size = np.hypot(*seen.T)
+    if not (size > 0).all():
+        raise ValueError(f"image must show a plane grid, got {len(points)} points in one row")
+    heading = seen / size[:, None] @ [np.cos(direction), np.sin(direction)]
     first = int(np.argmax(heading))
     turn = seen[first, 0] * seen[:, 1] - seen[first, 1] * seen[:, 0]
     cosine = axes[first] @ form.gram @ axes.T / shortest**2

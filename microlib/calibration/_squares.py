@@ -6,8 +6,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, flag, scalar
+from microlib._common import Array, flag, one_of, scalar
 from microlib.calibration._agreement import agree
+from microlib.calibration._chessboard import chessboard
 from microlib.calibration._complete import SHARP, refuse_fields
 from microlib.calibration._dark_regions import DarkRegions
 from microlib.calibration._detection import FEWEST, Detection, find_inliers
@@ -39,6 +40,7 @@ def detect_squares(
     *,
     direction: float = 0.0,
     mirrored: bool = False,
+    pattern: str = "squares",
     region: tuple[int, int, int, int] | None = None,
 ) -> Detection:
     """Corners of the squares of a regular grid, with their places in the grid.
@@ -53,6 +55,9 @@ def detect_squares(
         45°.
     mirrored : bool
         True if the pattern is seen from behind (γ near 180°).
+    pattern : {"squares", "chessboard"}
+        Squares with gaps between them, or the fields of a chessboard, which touch at their corners:
+        of it the inner corners are found, one `points` each, and a pitch is the side of a field.
     region : (int, int, int, int), optional
         Where to look, (x, y, width, height) in px.
 
@@ -92,10 +97,13 @@ def detect_squares(
     """
     direction = scalar("direction", direction, within=(-1e9, 1e9))
     mirrored = flag("mirrored", mirrored)
+    one_of("pattern", pattern, ("squares", "chessboard"))
 
     def assemble(
         regions: DarkRegions, index: NDArray[np.intp], grid: NDArray[np.intp]
     ) -> Detection:
+        if pattern == "chessboard":
+            return chessboard(regions, index, grid, direction, mirrored)
         corners, sigma, grid = _fit(regions, index, grid)
         refuse_gaps("squares", grid)
         grid = orient(
@@ -103,7 +111,7 @@ def detect_squares(
         )
         return _detection(corners, sigma, grid, regions.image.shape)
 
-    return search(image, assemble, "squares", region=region)
+    return search(image, assemble, pattern, region=region)
 
 
 def _fit(

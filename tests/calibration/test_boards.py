@@ -10,12 +10,13 @@ import skimage.data
 from scipy.spatial import cKDTree
 from skimage.draw import polygon
 
-from microlib.calibration import detect_circles, detect_squares
+from microlib.calibration import _chessboard, detect_circles, detect_squares
 from microlib.calibration._agreement import agree
 from microlib.calibration._complete import complete
 from microlib.calibration._dark_regions import find_dark_regions
 from microlib.calibration._grid_order import order_grid
 from microlib.calibration._lattice_form import lattice_form
+from microlib.calibration._outline_fit import Patches
 
 WIDTH, HEIGHT, FINE = 320, 240, 8
 HEX = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
@@ -326,3 +327,63 @@ def test_marks_that_a_threshold_missed_are_added():
     same, chosen, _ = complete(regions, index, grid)
     assert same is regions
     assert len(chosen) == 35
+
+
+# Chessboards
+
+FIELDS = np.array([[i, j] for i in range(8) for j in range(6) if (i + j) % 2 == 0], dtype=float)
+CORNERS = np.stack(np.meshgrid(np.arange(7.0), np.arange(5.0)), axis=-1).reshape(-1, 2) + 0.5
+
+
+def chessboard(**change):
+    """A board of 8×6 fields and its inner corners."""
+    settings = {"pitch": 30.0, "turn": 0.15, "k1": 0.02} | change
+    image, _ = board(FIELDS, "square", 1.0, **settings)
+    middle = (FIELDS.max(axis=0) + FIELDS.min(axis=0)) / 2
+    lens = {name: settings[name] for name in ("pitch", "turn", "k1")}
+    return image, camera(CORNERS - middle, **lens)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {},
+        {"blur": 2.5},
+        {"noise": 8.0},
+        {"turn": 0.7},
+        {"k1": -0.05},
+        {"ink": 200.0, "paper": 50.0},
+        {"behind": skimage.data.camera()},
+    ],
+    ids=["plain", "blurred", "noisy", "turned", "barrel", "negative", "clutter"],
+)
+def test_every_inner_corner_of_a_chessboard_is_found(change):
+    image, truth = chessboard(**change)
+    found = detect_squares(image, pattern="chessboard", direction=change.get("turn", 0.15))
+    assert len(found.points) == len(truth)
+    assert np.abs(beside(found, truth)).max() < 0.2
+    # 35 corners tell the ratio to 8 %; edges bent by the distortion are taken as straight.
+    assert 0.6 < held(found, truth) < 1.6
+    seen = CORNERS[cKDTree(truth).query(found.points)[1]]
+    np.testing.assert_array_equal(found.grid - found.grid[0], seen - seen[0])
+    np.testing.assert_array_equal(found.positions, found.grid)
+
+
+@pytest.mark.parametrize(("kind", "size"), [("circle", 0.25), ("square", 0.5)])
+def test_marks_with_gaps_are_no_chessboard(kind, size):
+    with pytest.raises(ValueError, match="image"):
+        detect_squares(board(SQUARE, kind, size)[0], pattern="chessboard")
+    with pytest.raises(ValueError, match="pattern"):
+        detect_squares(board(SQUARE, kind, size)[0], pattern="chess")
+
+
+def test_derivatives_of_a_crossing_agree_with_differences():
+    y, x = np.mgrid[-4:5, -4:5].astype(float)
+    patches = Patches(x.ravel()[None], y.ravel()[None], x.ravel()[None], x.ravel()[None], x[:1, :2])
+    at = np.array([[0.3, -0.2, 0.4, 1.8, 1.1, 60.0, 0.5, -0.3, 120.0, 1.0, 0.4]])
+    _, jacobian = _chessboard._grey_levels(at, patches)
+    for k in range(at.shape[1]):
+        step = np.zeros_like(at)
+        step[0, k] = 1e-6
+        ahead, behind = (_chessboard._grey_levels(at + s * step, patches)[0] for s in (1, -1))
+        np.testing.assert_allclose(jacobian[..., k], (ahead - behind) / 2e-6, atol=1e-5)
