@@ -15,13 +15,17 @@ __all__ = ["compiled", "summing"]
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function when it is first called; a product may be added without rounding."""
-    return _compiled(function, {"contract"})
+    """Compile a function when it is first called; every number is rounded as it is written.
+
+    A product that is added without rounding would save nothing, as loops wait for memory, and make
+    a pixel depend on its place in a loop.
+    """
+    return _compiled(function, set())
 
 
 def summing(function: Callable[..., Any]) -> Callable[..., Any]:
     """As `compiled`, and sums may be made in any order, several numbers at a time."""
-    return _compiled(function, {"contract", "reassoc", "nsz"})
+    return _compiled(function, {"reassoc", "nsz"})
 
 
 def _compiled(function: Callable[..., Any], freedom: set[str]) -> Callable[..., Any]:
