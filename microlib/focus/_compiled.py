@@ -2,16 +2,40 @@
 
 They hold no lock of the interpreter, so that threads work side by side, and are kept on disk. Two
 functions of one name in a module would take each other's place there: each has a name of its own.
+What is kept goes by the text of the function's file: after a change here it is to be deleted.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from typing import Any
 
 import numba
+from numba.core import event
 
 __all__ = ["compiled", "summing"]
+
+_LOG = logging.getLogger("microlib.focus")
+
+
+class _Teller(event.Listener):
+    """Says once in a process that there is something to compile, and not only to load."""
+
+    def __init__(self) -> None:
+        self._told = False
+
+    def on_start(self, event: Any) -> None:
+        module = getattr(event.data.get("dispatcher"), "__module__", "")
+        if not self._told and module.startswith("microlib."):
+            self._told = True
+            _LOG.info("compiling the inner loops of shape from focus, once on this machine")
+
+    def on_end(self, event: Any) -> None:
+        """Nothing is said at the end."""
+
+
+event.register("numba:compile", _Teller())
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
