@@ -320,7 +320,8 @@ def depth_from_focus(
     of each are fitted together with the change of blur, first without and then with a depth that is
     known at reduced size. What blur itself moves, half the gradient of its variance, stays.
 
-    The first call on a machine compiles the inner loops, which takes some seconds, and keeps them.
+    The first call on a machine compiles the inner loops, which takes some seconds, and keeps them;
+    the logger "microlib.focus" says so.
 
     References
     ----------

@@ -242,12 +242,14 @@ def _are_inside(index: NDArray, place: NDArray[np.float32]) -> bool:
     frames, count = place.shape
     lowest, highest = frames, -1
     for x in range(len(index)):
-        lowest, highest = min(lowest, int(index[x])), max(highest, int(index[x]))
+        at = int(index[x])
+        lowest = at if at < lowest else lowest
+        highest = at if at > highest else highest
     if lowest < count // 2 or highest >= frames - count // 2:
         return False
-    for at in range(lowest, highest + 1):
+    for k in range(lowest, highest + 1):
         for j in range(count):
-            if place[at, j] != place[lowest, j]:
+            if place[k, j] != place[lowest, j]:
                 return False
     return True
 
