@@ -359,8 +359,10 @@ def main() -> None:
             GAUSSIAN_CHOICES_TITLE: choices(GAUSSIAN_CHOICES, scenes[:3], "gaussians"),
         },
         limits=limits(runs, foreign),
-        note="E 0.5–2 MPa, dimples 40–150 µm deep, noise 2/255, light, place and turn varied. "
-        "The chain starts at the image and knows force, pixel, thickness, probe width and ν.",
+        note="The rendered embryos have a modulus of 0.5 to 2 MPa and dimples 40 to 150 µm deep. "
+        "The noise is 2 of 255 grey levels; light, place and turn vary. Each method starts at the "
+        "image and is given the force, the pixel size, the thickness, the width of the probe and "
+        "Poisson's ratio.",
     )
 
 

@@ -168,10 +168,11 @@ def main() -> None:
         },
         limits=must_hold(lines),
         note=(
-            f"{len(SEEDS)} runs each: rendered gripper of 50 px under a camera at a random turn, "
-            "mirrored or not, 0.08 to 0.6 px/µm, noise of two grey levels, a target up to 50 px "
-            "away in x and y, tolerance 0.05 px. Errors are of the true feature; the demo's is "
-            "its stage at 1 µm/px. "
+            f"Each row is over {len(SEEDS)} runs. A rendered gripper of 50 px stands under a "
+            "camera that is turned at random, mirrored or not, with 0.08 to 0.6 px/µm and a noise "
+            "of two grey levels. The target lies up to 50 px away in x and in y, and the tolerance "
+            "is 0.05 px. Errors are those of the true feature; for the demo camera that is its "
+            "stage at 1 µm/px. "
             + (f"pymmcore-plus {installed}." if installed else "pymmcore-plus was not installed.")
         ),
     )

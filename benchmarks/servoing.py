@@ -246,9 +246,11 @@ def main() -> None:
             "Stability": stability(),
         },
         note=(
-            f"33 frames/s, latency 0.8 frames, saturation 400 µm/s, 50 nm increments, image jitter "
-            f"{CAMERA.jitter} px, calibration known to 1 % and 1°, {SEEDS} seeds. Errors are of "
-            "the true feature; after a step from 1.5 s on."
+            "The simulated camera takes 33 frames per second, and a command takes effect 0.8 "
+            "frames after its exposure. The stage moves at up to 400 µm/s in increments of 50 nm, "
+            f"the image shakes by {CAMERA.jitter} px, and the calibration is known to 1 % and 1°. "
+            f"Every number is over {SEEDS} seeds. Errors are those of the true feature; after a "
+            "step they are counted from 1.5 s on."
         ),
     )
 

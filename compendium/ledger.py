@@ -538,6 +538,10 @@ def check(
     decimals = _decimals(value, high - low, places, exact=stated.kind == "exact")
     # What is stored is what is judged.
     value, low, high = _rounded(value, low, high, decimals)
+    shown = min(places, max(0, decimals))
+    if stated.kind == "stated" and value:
+        # No printed digits say how many to show: four in all.
+        shown = min(shown, max(0, 3 - math.floor(math.log10(abs(value)))))
     verdict, objection = appraise(stated, value, low, high)
     if objection and not os.environ.get(TALLY_VARIABLE):
         raise ClaimError(
@@ -552,7 +556,7 @@ def check(
             high,
             stated.unit,
             f"{verdict}: {objection}" if objection else verdict,
-            min(places, max(0, decimals)),
+            shown,
             _cell(),
         )
     )

@@ -387,3 +387,17 @@ def test_no_more_is_shown_than_is_stored() -> None:
     record = ledger.check("table-5.1/circle-4X/T_op", 197883.28, 17605.6)
     assert str(record) == "197900 ± 17600 µm"
     assert record.digits == 0
+
+
+def test_numbers_are_shown_as_far_as_their_intervals_allow(tmp_path):
+    record = ledger.Record("5.2/gain", 1.32338, 1.30074, 1.34891, "MPa", "result", 5)
+    assert str(record) == "1.323 (1.301 to 1.349) MPa"
+    assert str(replace(record, low=1.30338, high=1.34338)) == "1.323 ± 0.020 MPa"
+    # Of a stated limit, which has no printed digits, four.
+    ledger.open_record(tmp_path / "record.json")
+    try:
+        assert str(ledger.check("section-2.1/robot-precision", 100.0)) == "100.0 µm"
+    finally:
+        ledger.open_record("")
+    assert ledger.with_error(31199.3, 980.0) == "31200 ± 980"
+    assert ledger.with_error(1.28582e-11, 4.9e-12) == "(1.29 ± 0.49)·10⁻¹¹"
