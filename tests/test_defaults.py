@@ -17,8 +17,9 @@ from tests import fuzz
 DEFAULTS: dict[str, dict[str, object]] = {
     "batch.process_files": {"workers": 1, "retry": False},
     "calibration.Calibration.interval": {"level": 0.95},
+    "calibration.Calibration.um_per_pixel": {"level": 0.95},
     "calibration.calibrate": {"loss": "linear"},
-    "calibration.detect_circles": {"direction": 0.0, "mirrored": False},
+    "calibration.detect_circles": {"direction": 0.0, "mirrored": False, "lattice": "square"},
     "calibration.detect_squares": {"direction": 0.0, "mirrored": False},
     "curvature.curvature_windows": {"size": 7},
     "curvature.surface_curvature": {"size": 7, "noise": 0.0},
