@@ -20,7 +20,7 @@ DEFAULTS: dict[str, dict[str, object]] = {
     "calibration.Calibration.um_per_pixel": {"level": 0.95},
     "calibration.calibrate": {"loss": "linear"},
     "calibration.detect_circles": {"direction": 0.0, "mirrored": False, "lattice": "square"},
-    "calibration.detect_squares": {"direction": 0.0, "mirrored": False},
+    "calibration.detect_squares": {"direction": 0.0, "mirrored": False, "pattern": "squares"},
     "curvature.curvature_windows": {"size": 7},
     "curvature.surface_curvature": {"size": 7, "noise": 0.0},
     "embryo.extract_boundary": {"direction": "auto"},

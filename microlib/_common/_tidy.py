@@ -15,6 +15,7 @@ _PARTS = {
     "domain": ("low", "high"),
     "rim_curvatures": ("left", "right"),
     "image_size": ("width", "height"),
+    "um_per_pixel": ("estimate", "low", "high"),
     **dict.fromkeys(("bottom", "center", "corners", "drift", "rim", "tip"), ("x", "y")),
     **dict.fromkeys(("feature", "measured", "points", "position", "reference"), ("x", "y")),
     **dict.fromkeys(("command", "residuals", "plane_residuals", "pixel_size"), ("x", "y")),

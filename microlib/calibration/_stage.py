@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import t as student
 
-from microlib._common import Array, as_array, between, same_length
+from microlib._common import Array, Tidy, as_array, between, same_length
 
 #: Farthest stage and image positions, µm and px: a kilometer, and far beyond any sensor.
 _FARTHEST = 1e9
@@ -19,7 +19,7 @@ _FEWEST = 3
 
 
 @dataclass(frozen=True)
-class StageAffine:
+class StageAffine(Tidy):
     """Affine map from stage positions to the image.
 
     Parameters
@@ -39,6 +39,8 @@ class StageAffine:
     residuals : ndarray, shape (N, 2)
         Image points minus the map, px.
     """
+
+    _samples = ("residuals",)
 
     matrix: Array
     covariance: Array

@@ -166,7 +166,9 @@ def smooth_depth(
         raise ValueError(f"weight must have the shape {z.shape} of depth, got {weights.shape}")
     if np.isnan(z).all():
         return z.copy()
-    return smooth_by_planes(z, weights, jump=limit, radius=sigma, workers=1)
+    # A jump far beyond all differences is none: every neighbor counts in full.
+    most = _MOST_JUMPS * span if span > 0 else limit
+    return smooth_by_planes(z, weights, jump=min(limit, most), radius=sigma, workers=1)
 
 
 def smooth_by_planes(
