@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from microlib._common import Array, as_array, pipeline, positive, scalar, whole
 from microlib.focus._planes import BLOCK, plane_rows
@@ -76,7 +75,7 @@ def correct_spikes(depth: ArrayLike, *, window: int = 9, delta: float = 2.0) -> 
     unknown = np.isnan(z)
     if unknown.all():
         return z.copy()
-    median = ndimage.median_filter(z, n) if not unknown.any() else _median_of_known(z, n)
+    median = _median_of_known(z, n) if unknown.any() else _median(z, n)
     # Deviations from one common value keep the difference of squares exact for small steps on a
     # great height.
     centered = np.where(unknown, 0.0, z - np.nanmean(z))
@@ -91,6 +90,13 @@ def correct_spikes(depth: ArrayLike, *, window: int = 9, delta: float = 2.0) -> 
 def _mean(image: Array, n: int) -> Array:
     mean = cv2.boxFilter(image, cv2.CV_64F, (n, n), borderType=cv2.BORDER_REFLECT)
     return np.asarray(mean, np.float64)
+
+
+def _median(z: Array, n: int) -> Array:
+    # Imported late, as in `nearest_known`.
+    from scipy import ndimage
+
+    return np.asarray(ndimage.median_filter(z, n))
 
 
 def _median_of_known(z: Array, n: int) -> Array:

@@ -11,7 +11,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from microlib._common import (
     Array,
@@ -43,6 +42,7 @@ from microlib.focus._measures import (
     noise_level,
     noise_response,
 )
+from microlib.focus._nearest import nearest_known
 from microlib.focus._peaks import FARTHEST, track_peaks
 from microlib.focus._reliability import (
     below_noise_mask,
@@ -538,8 +538,8 @@ def _filled(depth: NDArray) -> NDArray:
         return depth
     if unknown.all():
         return np.zeros_like(depth)
-    nearest = ndimage.distance_transform_edt(unknown, return_distances=False, return_indices=True)
-    return depth[tuple(nearest)]
+    nearest = nearest_known(unknown)
+    return depth[nearest]
 
 
 def _without_spikes(depth: NDArray, window: int) -> NDArray:

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from microlib._common import Array, Image
 from microlib.focus._measures import Banded, Scale, blur
+from microlib.focus._nearest import nearest_known
 from microlib.focus._peaks import track_peaks
 from microlib.focus._reliability import blurred_edge_mask, set_to_nan
 
@@ -191,8 +191,8 @@ def _filled(depth: NDArray[np.float32]) -> NDArray[np.float32]:
     unknown = np.isnan(depth)
     if unknown.all() or not unknown.any():
         return np.nan_to_num(depth)
-    at = ndimage.distance_transform_edt(unknown, return_distances=False, return_indices=True)
-    return np.asarray(depth[tuple(at)])
+    at = nearest_known(unknown)
+    return np.asarray(depth[at])
 
 
 def _slope(wide: NDArray[np.float32]) -> NDArray[np.float32]:

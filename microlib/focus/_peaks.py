@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from microlib._common import Array, Image, are_small, pipeline
 from microlib.focus._loops import track_rows
 from microlib.focus._measures import RowsMeasure
-from microlib.focus._vertex import FAINTEST, fit_window, places
+from microlib.focus._vertex import fit_window, places, three_points
 
 #: Pixels of a band: few enough for its state, some 15 bytes a pixel, to stay near the processor,
 #: and enough for a thread to work some time before it needs the interpreter again.
@@ -131,26 +131,12 @@ def _three_points(
     window: NDArray, index: NDArray[np.uint16], positions: Array
 ) -> NDArray[np.float32]:
     """Do the work of `three_point_peak` on a window that is known to be one."""
-    best = window[1].astype(np.float32)
-    faint = best * np.float32(FAINTEST)
     gaps = np.diff(positions)
-    even = np.allclose(gaps, gaps[0], rtol=1e-9, atol=0)  # but for rounding
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # Logarithms of ratios keep their digits in float32 where differences of logarithms would
-        # not.
-        before = np.log(best / np.maximum(window[0], faint))
-        after = np.log(best / np.maximum(window[2], faint))
-        if even:
-            shift = (before - after) / (before + after) * np.float32(gaps[0] / 2)
-            here = index * np.float32(gaps[0]) + np.float32(positions[0])
-        else:
-            left = -np.append(1.0, gaps).astype(np.float32)[index]
-            right = np.append(gaps, 1.0).astype(np.float32)[index]
-            shift = (left**2 * after - right**2 * before) / (left * after - right * before) / 2
-            here = positions.astype(np.float32)[index]
-    at_end = (index == 0) | (index == len(positions) - 1)
-    np.copyto(shift, 0, where=at_end & (best > 0))
-    return here + shift
+    before, after = -np.append(np.nan, gaps), np.append(gaps, np.nan)
+    around = np.stack([positions, before, after]).astype(np.float32)
+    depth = np.empty(index.size, np.float32)
+    three_points(window.reshape(3, -1), index.ravel(), around, depth)
+    return depth.reshape(index.shape)
 
 
 def fit_peak(

@@ -7,9 +7,9 @@ from collections.abc import Iterable
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from microlib._common import Array, Image
+from microlib.focus._nearest import nearest_known
 
 __all__ = ["as_type", "select", "warped"]
 
@@ -63,8 +63,8 @@ def _nearest(index: NDArray[np.integer]) -> NDArray[np.integer]:
         return index
     if unknown.all():
         return np.zeros_like(index)
-    at = ndimage.distance_transform_edt(unknown, return_distances=False, return_indices=True)
-    return index[tuple(at)]
+    at = nearest_known(unknown)
+    return index[at]
 
 
 def warped(image: Image, pose: Array) -> Image:

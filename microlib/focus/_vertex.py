@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from microlib._common import Array
 from microlib.focus._compiled import compiled
 
-__all__ = ["FAINTEST", "FLAT", "fit_near", "fit_window", "places"]
+__all__ = ["FLAT", "fit_near", "fit_window", "places", "three_points"]
 
 #: Smallest focus measure a logarithm is taken of, as a share of the peak's. It holds three points
 #: finite; a fit of more weights frames with their share. No default depth of the benchmark changes
 #: from 1e-9 to 1e-3.
-FAINTEST = 1e-6
+_FAINTEST = 1e-6
 #: Fall of the logarithm of a measure below which it is flat. No default depth of the benchmark
 #: changes from 1e-6 to 0.03.
 FLAT = 1e-3
@@ -32,7 +32,7 @@ _LEAST_BOW = np.float32(1e-8)
 _B = np.uintp(_BLOCK)
 _1, _2, _3, _4, _5, _6, _7 = (np.uintp(k * _BLOCK) for k in range(1, 8))
 _FOUR = np.uintp(_GROUP)
-_ZERO, _ONE, _HALF, _LEAST = (np.float32(v) for v in (0.0, 1.0, 0.5, FAINTEST))
+_ZERO, _ONE, _HALF, _LEAST = (np.float32(v) for v in (0.0, 1.0, 0.5, _FAINTEST))
 
 
 def places(steps: Array, reach: int) -> NDArray[np.float32]:
@@ -58,6 +58,61 @@ def places(steps: Array, reach: int) -> NDArray[np.float32]:
     around = np.pad(steps, reach, constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(around, 2 * reach + 1)
     return np.ascontiguousarray(windows - steps[:, None], np.float32)
+
+
+@compiled
+def three_points(
+    window: NDArray, index: NDArray, places_: NDArray[np.float32], depth: NDArray[np.float32]
+) -> None:
+    """Write the vertex of the Gaussian through three measures.
+
+    Parameters
+    ----------
+    window : ndarray, shape (3, pixels)
+        Measures of the best frame, in the middle, and of its neighbors.
+    index : ndarray of int, shape (pixels,)
+        Number of the best frame.
+    places_ : ndarray of float32, shape (3, n)
+        For each frame its own position, and those of the one before and after it from there, µm;
+        NaN where there is none.
+    depth : ndarray of float32, shape (pixels,)
+        Results, as of `three_point_peak`.
+    """
+    near = np.empty(3 * _BLOCK, np.float32)
+    for start in range(0, len(depth), _BLOCK):
+        here = slice(start, min(start + _BLOCK, len(depth)))
+        at = index[here]
+        for k in range(3):
+            _look_up(places_[k], at, near[k * _BLOCK : (k + 1) * _BLOCK])
+        _put_vertex(window[0, here], window[1, here], window[2, here], near, depth[here])
+
+
+@compiled
+def _look_up(table: NDArray[np.float32], index: NDArray, out: NDArray[np.float32]) -> None:
+    for x in range(np.uintp(len(index))):
+        out[x] = table[np.uintp(index[x])]
+
+
+@compiled
+def _put_vertex(
+    first: NDArray,
+    middle: NDArray,
+    third: NDArray,
+    near: NDArray[np.float32],
+    depth: NDArray[np.float32],
+) -> None:
+    for x in range(np.uintp(len(depth))):
+        left, right = near[_1 + x], near[_2 + x]
+        best = np.float32(middle[x])
+        # The logarithm is of a share: a difference of logarithms would lose digits.
+        before, after = np.float32(first[x]) / best, np.float32(third[x]) / best
+        before = _logarithm(before if before > _LEAST else _LEAST)
+        after = _logarithm(after if after > _LEAST else _LEAST)
+        bow = left * after - right * before
+        shift = _HALF * (left * left * after - right * right * before) / bow
+        # Where a neighbor is missing, NaN stands for its place.
+        shift = shift if (left == left) & (right == right) else _ZERO
+        depth[x] = near[x] + shift if best > 0 else np.float32(np.nan)
 
 
 @compiled
