@@ -14,6 +14,7 @@ A number that was never recorded stops the build, so the text cannot outlive its
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import version
@@ -43,6 +44,8 @@ FILTER = """<div class="claims-filter">
 ROOT = Path(__file__).resolve().parents[2]
 CLAIMS = ROOT / "build" / "claims"
 RESULTS = ROOT / "benchmarks" / "results"
+#: A cell that holds a number, perhaps with a sign of comparison.
+NUMBER = re.compile(r"[≤≥]?\s?[−+-]?\d[\d.,e+-]*")
 LONG = 20  # rows above which a table is folded
 #: Columns of the scorecard; thesis.css names them again where they are stacked on a phone.
 #: Names of faults that a row shows.
@@ -342,6 +345,8 @@ def table(
             if isinstance(cell, list):
                 entry += cell
             else:
+                if isinstance(cell, str) and NUMBER.fullmatch(cell):
+                    entry["classes"] += ["number"]  # not broken on a phone
                 paragraph = nodes.paragraph()
                 paragraph += cell if isinstance(cell, nodes.Node) else nodes.Text(cell)
                 entry += paragraph

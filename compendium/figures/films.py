@@ -87,7 +87,7 @@ def film(
         append_images=pictures[1:],
         duration=durations,
         loop=0,
-        quality=60,
+        quality=45,
         method=4,
     )
     if len(moving) > MOST_BYTES:

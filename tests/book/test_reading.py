@@ -254,3 +254,18 @@ def test_every_guide_stands_on_the_first_page_with_its_picture(page: Page, html:
             "src => [...document.images].some(i => i.src === src && i.complete && i.naturalWidth)",
             arg=picture.evaluate("one => one.src"),
         )
+
+
+def test_numbers_are_not_broken_on_a_phone(page: Page, html: Path) -> None:
+    page.set_viewport_size({"width": 390, "height": 844})
+    for name, numbers in (("symbols", "td a[href*='#equation-']"), ("benchmarks", "td.number p")):
+        page.goto((html / f"{name}.html").as_uri())
+        lines = page.locator(numbers).evaluate_all(
+            """all => all.filter(one => one.checkVisibility()).map(one => {
+                const range = document.createRange();
+                range.selectNodeContents(one);
+                return new Set([...range.getClientRects()].map(box => Math.round(box.top))).size;
+            })"""
+        )
+        assert len(lines) > 40
+        assert set(lines) == {1}, name
