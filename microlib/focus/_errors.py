@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from microlib._common import Array
 from microlib.focus._measures import blur
+from microlib.focus._nearest import gradients
 
 #: Radius over which weights tell how much texture a depth rests on, px, and the number of groups of
 #: such pixels: in each, a few hundred independent differences tell their variance.
@@ -127,7 +128,7 @@ def _never_falling(values: Array) -> Array:
 def _pull_variance(base: Array) -> NDArray[np.float32]:
     """Return the mean square of what the fit pulls towards frames, and of shifts on slopes."""
     level = blur(np.nan_to_num(base[::2, ::2]).astype(np.float32), _SLOPE_RADIUS / 2)
-    down, along = (slope / 2 for slope in np.gradient(level))
+    down, along = (slope / 2 for slope in gradients(level))
     steepness = down**2 + along**2
     # A step is no slope: its errors are those of edges.
     shift = _SHIFT**2 * np.minimum(steepness, _STEEPEST**2)

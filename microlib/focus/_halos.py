@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from microlib._common import Array, Image
 from microlib.focus._measures import Banded, Scale, blur
-from microlib.focus._nearest import nearest_known
+from microlib.focus._nearest import gradients, nearest_known
 from microlib.focus._peaks import track_peaks
 from microlib.focus._reliability import blurred_edge_mask, set_to_nan
 
@@ -196,7 +196,7 @@ def _filled(depth: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _slope(wide: NDArray[np.float32]) -> NDArray[np.float32]:
-    down, along = np.gradient(wide)
+    down, along = gradients(wide)
     return np.asarray(np.hypot(down, along))
 
 

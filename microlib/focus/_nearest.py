@@ -1,11 +1,11 @@
-"""The nearest pixel at which something is known."""
+"""Look around a pixel: the nearest one at which something is known, and the slopes."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["nearest_known"]
+__all__ = ["gradients", "nearest_known"]
 
 
 def nearest_known(unknown: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -23,3 +23,11 @@ def nearest_known(unknown: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray
         unknown, return_distances=False, return_indices=True
     )
     return rows, cols
+
+
+def gradients(image: NDArray) -> list[NDArray]:
+    """Return the slopes down and along, per px; 0 along a side of one pixel."""
+    return [
+        np.gradient(image, axis=axis) if image.shape[axis] > 1 else np.zeros_like(image)
+        for axis in range(2)
+    ]

@@ -151,3 +151,11 @@ def test_beside_a_step_the_wide_depth_takes_no_place():
     assert not (wide.instead & late).any()
     wrong = np.abs(depth_from_focus(stack, POSITIONS).depth - height)[10:-10, 10:-10] > 1
     assert wrong.mean() < 0.02  # 0.069 if the wide depth were taken
+
+
+@pytest.mark.parametrize("shape", [(1, 40), (40, 1), (2, 40), (40, 2), (1, 1)])
+def test_a_stack_of_a_row_or_a_column_has_a_result(shape):
+    frames = np.random.default_rng(0).integers(0, 255, (9, *shape)).astype(np.uint8)
+    result = depth_from_focus(frames, np.arange(9.0))
+    assert result.depth.shape == shape
+    assert (np.isnan(result.uncertainty) == np.isnan(result.depth)).all()
