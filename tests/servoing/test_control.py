@@ -306,3 +306,24 @@ def test_refuses_weights_that_are_not_positive(name, value):
 def test_refuses_what_has_no_solution(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_prediction_of_several_points_needs_as_many_rows_and_two_velocities():
+    """Three points that move alike are one point three times: the same command, whatever the
+    delay."""
+    for delay in (0.0, 0.8, 1.7):
+        options = {"interval": INTERVAL, "delay": delay * INTERVAL, "saturation": 300.0}
+        one = PredictiveController(
+            JACOBIAN, feature_weight=(3.0, 3.0), control_weight=(1e-6, 1e-6), **options
+        )
+        three = PredictiveController(
+            np.vstack([JACOBIAN] * 3),
+            feature_weight=np.ones(6), control_weight=(1e-6, 1e-6), **options,
+        )  # fmt: skip
+        goals = np.tile([50.0, -20.0], (9, 1))
+        for k, seen in enumerate(np.linspace([0.0, 0.0], [40.0, -10.0], 8)):
+            command = one(k, seen, goals)
+            assert command.shape == (2,)
+            np.testing.assert_allclose(
+                three(k, np.tile(seen, 3), np.tile(goals, 3)), command, rtol=1e-9
+            )

@@ -70,3 +70,10 @@ def test_an_axis_that_never_moved_leaves_the_jacobian_open():
     time, position, feature, covariance = looks(np.random.default_rng(4), 1e-4 * np.eye(2))
     position[:, 1] = 0.0
     assert fit_motion(time, position, feature, covariance).share == float("inf")
+
+
+def test_the_test_moves_go_both_ways_along_both_axes_and_come_back():
+    moves = visits(40.0)
+    assert moves.tolist() == [
+        [40, 0], [0, 0], [-40, 0], [0, 0], [0, 40], [0, 0], [0, -40], [0, 0]
+    ]  # fmt: skip
