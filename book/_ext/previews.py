@@ -49,12 +49,13 @@ def preview_formulas(text: str) -> dict[str, str]:
 
 
 def preview_figures(text: str) -> dict[str, str]:
-    return {
-        figure[
-            "id"
-        ]: f'<img src="{figure["src"]}" alt="{figure["alt"]}"><p>{plain(figure["text"])}</p>'
-        for figure in FIGURE.finditer(text)
-    }
+    """Picture and caption; of a film, which lies in the page itself and is heavy, the caption."""
+    found = {}
+    for figure in FIGURE.finditer(text):
+        picture = f'<img src="{figure["src"]}" alt="{figure["alt"]}">'
+        shown = "" if figure["src"].startswith("data:") else picture
+        found[figure["id"]] = f"{shown}<p>{plain(figure['text'])}</p>"
+    return found
 
 
 def preview_claims() -> dict[str, str]:

@@ -106,8 +106,9 @@ def test_memory_does_not_grow_with_the_number_of_frames():
         tracemalloc.stop()
         return most
 
-    # The limit of the benchmark, where the whole process is weighed.
-    assert peak(200) < 1.1 * peak(20)
+    peak(20)  # what the first call imports and compiles is no frame's
+    # The limit of the benchmark, where the whole process is weighed. A short stack needs less.
+    assert peak(400) < 1.1 * peak(40)
 
 
 def cut(path, size):
