@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import fcntl
-import multiprocessing
 import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from multiprocessing.connection import wait
 from pathlib import Path
 from time import sleep
+
+from microlib._common import end_with_starter
 
 __all__ = ["alone_in", "end_with_make", "end_with_parent"]
 
@@ -32,16 +32,9 @@ def end_with_make() -> None:
 
 def end_with_parent() -> None:
     """End this process as soon as its parent has ended, even if that was killed."""
-    parent, starter = os.getppid(), multiprocessing.parent_process()
-    if starter is None:
+    parent = os.getppid()
+    if not end_with_starter():
         _end_unless(lambda: os.getppid() == parent)
-        return
-
-    def watch() -> None:
-        wait([starter.sentinel])
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 def _end_unless(goes_on: Callable[[], bool]) -> None:

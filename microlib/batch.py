@@ -12,13 +12,11 @@ import json
 import multiprocessing
 import os
 import pickle
-import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
-from multiprocessing.connection import wait as wait_for
 from os import PathLike
 from pathlib import Path
 from time import perf_counter
@@ -28,7 +26,7 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from microlib._common import Tidy, flag, flat_row, of_kind, replace_file, whole
+from microlib._common import Tidy, end_with_starter, flag, flat_row, of_kind, replace_file, whole
 
 __all__ = ["process_files"]
 
@@ -254,14 +252,7 @@ def _pooled(
 def _begin() -> None:
     """Use one thread, and end with the process that began this one."""
     cv2.setNumThreads(1)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-
-        def end() -> None:
-            wait_for([parent.sentinel])
-            os._exit(1)
-
-        threading.Thread(target=end, daemon=True).start()
+    end_with_starter()
 
 
 class _Table:

@@ -22,6 +22,7 @@ from microlib._common._covariance import OPEN, inverse_normal
 from microlib._common._files import replace_file
 from microlib._common._frames import Frames, is_in_memory
 from microlib._common._pipeline import pipeline
+from microlib._common._processes import end_with_starter
 from microlib._common._tidy import Tidy, flat_row
 from microlib._common._types import Array, Image
 
@@ -36,6 +37,7 @@ __all__ = [
     "as_array",
     "as_image",
     "between",
+    "end_with_starter",
     "flag",
     "flat_row",
     "generator",

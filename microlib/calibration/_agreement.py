@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array
+from microlib.calibration._grid_map import GridMap
 
 #: Most residual of a lattice, in pitches. Printed boards, photographed, lie within 0.01; false
 #: lattices, which are grown within a quarter of a step, mostly beyond 0.03.
@@ -56,6 +57,27 @@ class Agreement:
     kept: NDArray[np.bool_]
     sigma: Array
     misfit: float
+
+
+def agree_with_map(
+    points: Array,
+    positions: Array,
+    to_image: GridMap,
+    sigma: Array,
+    groups: NDArray,
+    *,
+    middles: Array,
+) -> Agreement:
+    """Hold points of a pattern against the map of its grid; the pitch is that at `middles`."""
+    return agree(
+        points - to_image(positions),
+        positions,
+        (points - to_image.middle) / to_image.unit,
+        sigma,
+        groups,
+        pitch=float(np.sqrt(np.median(to_image.scale(middles)))),
+        spent=to_image.freedom,
+    )
 
 
 def agree(

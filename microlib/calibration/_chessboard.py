@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from microlib._common import Array
-from microlib.calibration._agreement import agree
+from microlib.calibration._agreement import agree_with_map
 from microlib.calibration._complete import absent_places, predict_places
 from microlib.calibration._dark_regions import DarkRegions
 from microlib.calibration._detection import FEWEST, Detection, find_inliers
@@ -109,15 +109,7 @@ def chessboard(
     flat = places.astype(np.float64)
     to_image = fit_grid_map(points, flat, regions.image.shape)
     _refuse_slant(fit, to_image, flat)
-    agreement = agree(
-        points - to_image(flat),
-        flat,
-        (points - to_image.middle) / to_image.unit,
-        sigma,
-        np.arange(len(points)),
-        pitch=float(np.sqrt(np.median(to_image.scale(flat)))),
-        spent=to_image.freedom,
-    )
+    agreement = agree_with_map(points, flat, to_image, sigma, np.arange(len(points)), middles=flat)
     kept = agreement.kept
     places = places[kept] - places[kept].min(axis=0)
     return Detection(

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, flag, one_of, scalar
-from microlib.calibration._agreement import agree
+from microlib.calibration._agreement import agree_with_map
 from microlib.calibration._complete import SHARP, refuse_fields
 from microlib.calibration._dark_regions import DarkRegions
 from microlib.calibration._detection import FEWEST, Detection, find_inliers
@@ -164,14 +164,8 @@ def _detection(
     points, sigma = points - bias, _sigma(fit)
     if np.abs(bias).max() > _SMALL_BIAS * np.median(sigma):
         to_image = fit_grid_map(points, positions, image_shape)
-    agreement = agree(
-        points - to_image(positions),
-        positions,
-        (points - to_image.middle) / to_image.unit,
-        sigma,
-        np.arange(len(points)),
-        pitch=float(np.sqrt(np.median(to_image.scale(positions)))),
-        spent=to_image.freedom,
+    agreement = agree_with_map(
+        points, positions, to_image, sigma, np.arange(len(points)), middles=positions
     )
     kept = agreement.kept
     grid = grid[kept] - grid[kept].min(axis=0)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, flag, one_of, scalar
-from microlib.calibration._agreement import agree
+from microlib.calibration._agreement import agree_with_map
 from microlib.calibration._chessboard import chessboard
 from microlib.calibration._complete import SHARP, refuse_fields
 from microlib.calibration._dark_regions import DarkRegions
@@ -161,14 +161,13 @@ def _detection(
     if np.abs(bias).max() > _SMALL_BIAS * np.median(sigma):
         to_image, sides = fit_square_map(points, middle, half, image_shape)
         positions = middle + half * sides
-    agreement = agree(
-        points - to_image(positions),
+    agreement = agree_with_map(
+        points,
         positions,
-        (points - to_image.middle) / to_image.unit,
+        to_image,
         sigma.ravel(),
         np.repeat(np.arange(len(corners)), 4),
-        pitch=float(np.sqrt(np.median(to_image.scale(middle)))),
-        spent=to_image.freedom,
+        middles=middle,
     )
     kept = agreement.kept
     side = float(sides.mean())
