@@ -6,6 +6,9 @@ STAMP := $(VENV)/.installed
 # The executed notebooks and the tests never need the network.
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # What make begins ends with it, even if it is killed: MAKE_PID says which make that is.
+# Two processes of tests whose linear algebra has two threads each wait for one another: a calibration
+# takes ten times as long then. No matrix here is large enough for a second thread.
+export OPENBLAS_NUM_THREADS := 1
 # Packages are compiled as they are first used; pip would compile all, which takes half a minute.
 export PYTHONDONTWRITEBYTECODE :=
 
@@ -60,8 +63,6 @@ data: $(STAMP) ## write data/synthetic anew, the same bytes
 picture: $(STAMP) ## draw the readme's picture anew
 	@$(BIN)/python -m compendium.readme_picture
 
-# A second thread of BLAS helps no matrix of this size, and would count as CPU time.
-benchmarks: export OPENBLAS_NUM_THREADS := 1
 benchmarks: $(STAMP) ## measure microlib beside its peers (minutes)
 	@for file in benchmarks/[a-z]*.py; do \
 	  name=$$(basename $$file .py); [ $$name = report ] || $(BIN)/python -m benchmarks.$$name || exit 1; done

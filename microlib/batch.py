@@ -32,6 +32,8 @@ __all__ = ["process_files"]
 
 #: What a row begins with; the rest is the result's.
 _OWN = ("file", "error", "seconds", "bytes", "modified", "work")
+#: What the libraries of linear algebra read when they are loaded.
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 #: Files that are handed to a process before it asks: it never waits, and few are done twice.
 _AHEAD = 2
 
@@ -239,7 +241,8 @@ def _pooled(
         while waiting or begun:
             while waiting and len(begun) < _AHEAD * workers:
                 path = waiting.pop()
-                begun[pool.submit(_row, path, work, description)] = path
+                with _one_thread_each():
+                    begun[pool.submit(_row, path, work, description)] = path
             for future in wait(begun, return_when=FIRST_COMPLETED).done:
                 path = begun.pop(future)
                 yield future.result()
@@ -247,6 +250,22 @@ def _pooled(
         broken += [path, *begun.values()]
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Let the processes that begin meanwhile have one thread of linear algebra, unless told.
+
+    Threads of several processes that wait for one core make a calibration ten times slower.
+    """
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update({name: "1" for name, value in before.items() if value is None})
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
 
 
 def _begin() -> None:

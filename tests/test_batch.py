@@ -63,6 +63,25 @@ def test_a_row_per_file_and_failures_among_them(folder: Path, workers: int) -> N
     assert sorted(p.name for p in folder.parent.iterdir()) == ["files", "t.csv"]
 
 
+def threads(path: Path) -> dict[str, str]:
+    return {name: os.environ.get(name, "") for name in THREADS}
+
+
+THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def test_processes_do_not_share_a_core_among_threads_unless_told(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in THREADS:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    found = process_files(folder.glob("f0*"), threads, folder / "t.csv", workers=2)
+    row = found.iloc[0]
+    assert [int(row[name]) for name in THREADS] == [1, 2, 1]
+    assert [os.environ.get(name) for name in THREADS] == [None, "2", None]
+
+
 def test_only_what_is_missing_or_has_changed_is_done(folder: Path) -> None:
     log = folder.parent / "log"
     work = partial(measure, log=log)

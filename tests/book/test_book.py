@@ -163,32 +163,6 @@ def test_pages_of_the_library_open_without_a_fault(page: Page, html: Path) -> No
         open_page(page, path)
 
 
-def test_every_formula_is_drawn(page: Page, html: Path) -> None:
-    """On every page that has one, in both themes and on both screens."""
-    pages = [p for p in sorted(html.rglob("*.html")) if 'class="math' in p.read_text()]
-    assert len(pages) > 30
-    for path in pages:
-        open_page(page, path)
-        for theme in ("dark", "light"):
-            page.evaluate(f"document.documentElement.dataset.theme = '{theme}'")
-            assert hidden_formulas(page) == 0, f"{path.name}, {theme}"
-
-
-def hidden_formulas(page: Page) -> int:
-    """Count the drawn display formulas that have no extent or the color of what is behind them."""
-    return page.evaluate("""() =>
-        [...document.querySelectorAll("mjx-container[display=true]")].filter(formula => {
-            if (!formula.checkVisibility()) return false;  // folded away with what is around it
-            let behind = formula;
-            while (behind && getComputedStyle(behind).backgroundColor === "rgba(0, 0, 0, 0)")
-                behind = behind.parentElement;
-            const ground = behind ? getComputedStyle(behind).backgroundColor : "rgb(255, 255, 255)";
-            const box = formula.querySelector("svg").getBoundingClientRect();
-            return box.width * box.height === 0 || getComputedStyle(formula).color === ground;
-        }).length
-    """)
-
-
 def test_equations_are_drawn(page: Page, html: Path) -> None:
     open_page(page, html / "notebooks" / "04_mechanical_characterization.html")
     assert page.locator("mjx-container").count() > 20
