@@ -80,23 +80,23 @@ def photograph(
     shape = np.clip(inside + 0.5, 0, 1)
     shape *= ((cell >= 0) & (cell < COUNTS)).all(axis=-1)
     board = ((flat > -0.7) & (flat < np.array(COUNTS) - 0.3)).all(axis=-1)
-    covered, board = (
-        cv2.resize(each.astype(np.float32), (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
-        for each in (shape, board)
-    )
-    image = paper + (ink - paper) * covered
+    scene = (paper + (ink - paper) * shape).astype(np.float32)
     if clutter:
         every = [picture for _, picture in pictures()]
-        behind = cv2.resize(every[rng.integers(len(every))], (WIDTH, HEIGHT)).astype(float)
-        image = board * image + (1 - board) * behind
+        behind = cv2.resize(every[rng.integers(len(every))], (WIDTH * FINE, HEIGHT * FINE))
+        scene = np.where(board, scene, behind).astype(np.float32)
     x, y = x[::FINE, ::FINE], y[::FINE, ::FINE]
-    image = image * (1 + light * (x / WIDTH - 0.5))
     at = rng.uniform(0.3, 0.7, 2) * [WIDTH, HEIGHT]
-    image = image + glare * np.exp(-((x - at[0]) ** 2 + (y - at[1]) ** 2) / (2 * 30**2))
     for _ in range(dirt):
-        where = rng.uniform([60, 60], [WIDTH - 60, HEIGHT - 60]).astype(int)
-        cv2.circle(image, where.tolist(), int(rng.integers(2, 6)), float(rng.uniform(40, 120)), -1)
-    image = cv2.GaussianBlur(image, (0, 0), blur) + rng.normal(0, noise, image.shape)
+        where = FINE * rng.uniform([60, 60], [WIDTH - 60, HEIGHT - 60])
+        size_px, level = int(FINE * rng.uniform(2, 6)), float(rng.uniform(40, 120))
+        cv2.circle(scene, where.astype(int).tolist(), size_px, level, -1)
+    # The lens blurs before the pixels sum: blurred pixels would have another edge in each phase.
+    scene = cv2.GaussianBlur(scene, (0, 0), blur * FINE)
+    image = cv2.resize(scene, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA).astype(np.float64)
+    image *= 1 + light * (x / WIDTH - 0.5)
+    image += glare * np.exp(-((x - at[0]) ** 2 + (y - at[1]) ** 2) / (2 * 30**2))
+    image += rng.normal(0, noise, image.shape)
     grey = np.clip(np.round(image), 0, 255).astype(np.uint8)
     if jpeg is not None:
         code = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, jpeg])[1]

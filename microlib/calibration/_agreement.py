@@ -23,6 +23,9 @@ _EXPLAINED = 3.0
 #: A mark so many standard deviations beside the others' map is none of theirs: by chance one of
 #: 10⁸.
 _STRAY = 6.0
+#: A mark of which less than this part of its freedom is left beside the smooth fields is told by
+#: itself alone: what the fields lack of the lens would count 30 times there.
+_LEAST_FREE = 1e-3
 #: Least part of the marks that must agree.
 _LEAST_AGREEING = 0.75
 #: Degrees of freedom that the fits' own σ counts for when it is held against the residuals; of
@@ -139,6 +142,7 @@ def agree(
         kept = ~np.isin(groups, groups[stray])
         if not kept.any():
             break
+    kept = _without_strays(residuals, fields, sigma, groups, kept, numbers)
     left, freedom = _smooth_away(residuals, fields, kept), 2 * int(kept.sum()) - numbers
     share = kept.mean()
     rms = float(np.sqrt((left[kept] ** 2).sum() / freedom)) if freedom > 0 else np.inf
@@ -152,6 +156,48 @@ def agree(
     return Agreement(kept, np.sqrt(sigma**2 + added), rms / own)
 
 
+def _without_strays(
+    residuals: Array,
+    fields: Array,
+    sigma: Array,
+    groups: NDArray,
+    kept: NDArray[np.bool_],
+    numbers: int,
+) -> NDArray[np.bool_]:
+    """Drop, one at a time, marks that the map of the others does not lead to.
+
+    A mark at the edge of the lattice pulls the smooth fields towards itself, and its residual says
+    little. So each is judged by what the sum of squares falls by when it is left out: eᵀ(I − H)⁻¹e
+    over its own residuals e and their part H of the projection onto the fields, as the externally
+    studentized residual has it.
+    """
+    kept = kept.copy()
+    while kept.mean() >= _LEAST_AGREEING:
+        freedom = 2 * int(kept.sum()) - numbers
+        own = groups[kept]
+        left = _smooth_away(residuals, fields, kept)[kept]
+        basis = np.linalg.qr(fields[:, kept].reshape(len(fields), 2 * len(own)).T)[0]
+        basis = basis.reshape(len(own), 2, len(fields))
+        squares, worst, excess = (left**2).sum(), None, _STRAY**2
+        for mark in np.unique(own):
+            of_mark = own == mark
+            count = 2 * int(of_mark.sum())
+            if freedom <= count:
+                return kept
+            e, q = left[of_mark].ravel(), basis[of_mark].reshape(count, -1)
+            outside = np.eye(count) - q @ q.T
+            if np.linalg.eigvalsh(outside)[0] < _LEAST_FREE:
+                continue  # nothing but the mark itself tells where it belongs
+            fall = float(e @ np.linalg.solve(outside, e))
+            spread = max((squares - fall) / (freedom - count), (sigma[kept][of_mark] ** 2).mean())
+            if fall > excess * count * spread:
+                worst, excess = mark, fall / (count * spread)
+        if worst is None:
+            return kept
+        kept &= groups != worst
+    return kept
+
+
 def _smooth_fields(places: Array, radial: Array, groups: NDArray, spent: int) -> tuple[Array, int]:
     """Smooth displacements that so many marks can tell, (fields, N, 2), and the numbers that they
     and the map have together."""
@@ -163,13 +209,14 @@ def _smooth_fields(places: Array, radial: Array, groups: NDArray, spent: int) ->
         (d for d, count in _COEFFICIENTS.items() if marks >= _MARKS_PER_COEFFICIENT * count),
         default=0,
     )
-    if degree == 0:
-        return np.array(fields).reshape(-1, *radial.shape), spent + len(powers)
     x, y = ((places - places.mean(axis=0)) / np.ptp(places)).T
-    for i in range(degree + 1):
-        for j in range(degree + 1 - i):
+    for i in range(max(degree, 1) + 1):
+        for j in range(max(degree, 1) + 1 - i):
             term = (x**i * y**j)[:, None]
             fields += [term * [1.0, 0.0], term * [0.0, 1.0]]
+    if degree == 0:  # what the map itself has: a change of perspective moves points in proportion
+        fields += [radial * x[:, None], radial * y[:, None]]
+        return np.array(fields), spent + len(powers)
     # Of the map's numbers the six of an affine map are the polynomial's too.
     return np.array(fields), len(fields) + max(spent - 6, 0)
 

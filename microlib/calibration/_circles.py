@@ -168,7 +168,10 @@ def _detection(
         points, positions, to_image, sigma, np.arange(len(points)), middles=positions
     )
     kept = agreement.kept
-    grid = grid[kept] - grid[kept].min(axis=0)
+    if not kept.all():  # strays bent the map
+        rest = fit[kept], origins[kept], grid[kept], image_shape, lattice, direction, mirrored
+        return _detection(*rest)
+    grid = grid - grid.min(axis=0)
     return Detection(
         points[kept],
         grid,

@@ -9,13 +9,13 @@ from scipy.special import ndtr
 from microlib._common import Array
 from microlib.calibration._dark_regions import DarkRegions
 from microlib.calibration._detection import band_half_width
+from microlib.calibration._neighbors import fit_among_neighbors
 from microlib.calibration._outline_fit import (
     LEAST_BLUR,
     START_CONTRAST,
     OutlineFit,
     Patches,
     cut_patches,
-    fit_outlines,
     ground,
 )
 
@@ -33,7 +33,7 @@ def fit_ellipses(regions: DarkRegions, index: NDArray[np.intp]) -> tuple[Outline
     """Fit an ellipse to each of the chosen regions; also the pixels that it was fitted to."""
     start = _start(regions.centers[index], regions.moments[index], regions.blur)
     patches = _patches(regions.image, regions.centers[index], start)
-    return fit_outlines(lambda p: _grey_levels(p, patches), start, patches), patches
+    return fit_among_neighbors(_grey_levels, start, patches, GROUND), patches
 
 
 def ellipse_shape(parameters: Array) -> Array:

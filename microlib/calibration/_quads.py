@@ -10,13 +10,13 @@ from scipy.special import ndtr
 from microlib._common import Array
 from microlib.calibration._dark_regions import DarkRegions
 from microlib.calibration._detection import band_half_width
+from microlib.calibration._neighbors import fit_among_neighbors
 from microlib.calibration._outline_fit import (
     LEAST_BLUR,
     START_CONTRAST,
     OutlineFit,
     Patches,
     cut_patches,
-    fit_outlines,
     ground,
 )
 
@@ -42,7 +42,7 @@ def fit_quads(regions: DarkRegions, index: NDArray[np.intp]) -> tuple[OutlineFit
     """Fit four lines to each of the chosen regions; also the pixels that they were fitted to."""
     start = _start(regions, index)
     patches = _patches(regions.image, regions.centers[index], start)
-    return fit_outlines(lambda p: _grey_levels(p, patches), start, patches), patches
+    return fit_among_neighbors(_grey_levels, start, patches, GROUND), patches
 
 
 def untangle(fit: OutlineFit) -> OutlineFit:

@@ -170,6 +170,9 @@ def _detection(
         middles=middle,
     )
     kept = agreement.kept
+    if not kept.all():  # strays bent the map
+        marks = kept[::4]
+        return _detection(corners[marks], sigma[marks], cells[marks], image_shape)
     side = float(sides.mean())
     places = places[kept] - 2 * (places[kept].min(axis=0) // 2)
     return Detection(

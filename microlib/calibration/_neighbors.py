@@ -1,0 +1,90 @@
+"""Outlines whose blur reaches into each other: each is fitted to what the others leave."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from microlib._common import Array
+from microlib.calibration._outline_fit import OutlineFit, Patches, fit_outlines, ground
+
+#: A neighbor lies no further than this times the distance to the nearest: the diagonal of a square
+#: of the lattice has 1.41, two steps of it 2.
+_NEAR = 1.7
+#: Neighbors of a mark on a square lattice; a hexagonal one has six.
+_NEIGHBORS = 8
+#: What the neighbors take of the light is left in where it is below this part of the residual's
+#: standard deviation everywhere: no fit could see it.
+_UNSEEN = 0.3
+#: Most rounds of taking the neighbors off and fitting anew. With a gap of 2.8 times the blur one is
+#: 0.085 px off without any, then 0.0092 after two, 0.0074 after three, and 0.0070 after six.
+_ROUNDS = 3
+
+
+def fit_among_neighbors(
+    model: Callable[..., tuple[Array, Array]],
+    start: Array,
+    patches: Patches,
+    grounds: slice,
+) -> OutlineFit:
+    """Fit outlines that are no further from each other than their blur reaches.
+
+    The grey levels of separate marks add: where two lie close, both take light from the pixels
+    between them, and an outline that is fitted alone is drawn to its neighbor. So what the others
+    take, as they were fitted, is given back before the next fit.
+
+    Parameters
+    ----------
+    model : callable
+        From parameters (n, p) and `patches` to grey levels (n, k) and their derivatives (n, k, p).
+    start : ndarray, shape (n, p)
+        Where to begin.
+    patches : Patches
+        What the model should look like.
+    grounds : slice
+        Which parameters are the ground's.
+
+    Returns
+    -------
+    OutlineFit
+        As of `fit_outlines`, which it equals where all marks lie apart.
+    """
+    fit = fit_outlines(partial(model, patches=patches), start, patches)
+    neighbors = _neighbors(patches.centers)
+    for _ in range(_ROUNDS):
+        failed = ~np.isfinite(fit.rms)
+        if failed.all():
+            break
+        taken = np.zeros_like(patches.grey)
+        for other in neighbors.T:
+            shift = patches.centers - patches.centers[other]
+            there = replace(patches, x=patches.x + shift[:, :1], y=patches.y + shift[:, 1:])
+            parameters = fit.parameters[other]
+            of_other = ground(there, parameters[:, grounds])[0] - model(parameters, there)[0]
+            known = (other != np.arange(len(other))) & ~failed[other]
+            taken += np.where(known[:, None], of_other, 0.0)
+        taken *= patches.weight
+        if np.abs(taken).max() < _UNSEEN * np.median(fit.rms[~failed]):
+            break
+        alone = replace(patches, grey=patches.grey + taken)
+        fit = fit_outlines(partial(model, patches=alone), fit.parameters, alone)
+    return fit
+
+
+def _neighbors(centers: Array) -> NDArray[np.intp]:
+    """Numbers of the nearest others, (n, 8); a mark's own number where it has no more."""
+    count = min(_NEIGHBORS + 1, len(centers))
+    distance, index = cKDTree(centers).query(centers, k=count)
+    distance, index = (
+        distance.reshape(len(centers), -1)[:, 1:],
+        index.reshape(len(centers), -1)[:, 1:],
+    )
+    if not distance.size:
+        return np.empty((len(centers), 0), dtype=np.intp)
+    near = distance <= _NEAR * np.median(distance[:, 0])
+    return np.where(near, index, np.arange(len(centers))[:, None])
