@@ -16,7 +16,7 @@ from microlib._common import Array, Tidy, one_of, scalar
 from microlib.membrane._laws import Law, law_of, relaxed_stress
 from microlib.membrane._state import MembraneState, gauss_points, reintegration_error
 
-__all__ = ["CapsuleModulus", "capsule_modulus", "indent_capsule"]
+__all__ = ["CapsuleModulus", "capsule_modulus", "indent_capsule", "indent_near"]
 
 _NODES = 40
 _MOST_NODES = 1500
@@ -35,6 +35,11 @@ _EASY_FORCE = 0.03
 _LADDER = 2.0
 _RUNGS = 14
 _SPHERE = 4 * np.pi / 3
+# A search starts from another's solution if the inflations differ by less than this, the logarithms
+# of the forces by ten times as much, and the nodes stay below their number: beyond, a start from
+# the sphere is faster (timed on the fits of outlines).
+_NEAR = 0.02
+_NEAR_NODES = 400
 
 
 class _Unknowns(NamedTuple):
@@ -256,7 +261,15 @@ class _Capsule:
             by_unknown[:, index] = (self.slopes(x, y, moved) - here) / (moved[index] - k[index])
         return by_state, by_unknown
 
-    def solve(self, x: Array, y: Array, k: Array, *, rough: bool = False) -> Any:
+    def solve(
+        self,
+        x: Array,
+        y: Array,
+        k: Array,
+        *,
+        tolerance: float = _TOLERANCE,
+        most_nodes: int = _MOST_NODES,
+    ) -> Any:
         """Return SciPy's solution from a guess."""
         with np.errstate(all="ignore"):
             return solve_bvp(
@@ -266,9 +279,13 @@ class _Capsule:
                 y,
                 p=k,
                 fun_jac=self.jacobian,
-                tol=_ROUGH if rough else _TOLERANCE,
-                max_nodes=_ROUGH_NODES if rough else _MOST_NODES,
+                tol=tolerance,
+                max_nodes=most_nodes,
             )
+
+
+#: A problem and SciPy's solution of it.
+Solved = tuple[_Capsule, Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -392,6 +409,36 @@ def indent_capsule(
     >>> print(f"{state.depth:.2f} µm deep, rim at {state.rim_radius:.2f} µm")
     65.35 µm deep, rim at 184.90 µm
     """
+    return indent_near(
+        None,
+        force,
+        modulus=modulus,
+        radius=radius,
+        thickness=thickness,
+        probe_half_width=probe_half_width,
+        poisson_ratio=poisson_ratio,
+        law=law,
+        inflation=inflation,
+        support=support,
+        punch=punch,
+    )[0]
+
+
+def indent_near(
+    near: Solved | None,
+    force: float,
+    *,
+    modulus: float,
+    radius: float,
+    thickness: float,
+    probe_half_width: float,
+    poisson_ratio: float = 0.5,
+    law: str = "neo-hooke",
+    inflation: float = 1.0,
+    support: str = "plate",
+    punch: str = "bonded",
+) -> tuple[MembraneState, Solved | None]:
+    """Return the state of `indent_capsule`, and what the search for one nearby can start from."""
     load = scalar("force", force, least=0)
     stiffness = scalar("modulus", modulus, above=0)
     r0, h, c = _sizes(radius, thickness, probe_half_width)
@@ -402,11 +449,12 @@ def indent_capsule(
         raise ValueError(f"inflation must be at least 1, got {stretch:g}")
     material = law_of(law, poisson_ratio)
     if load == 0:
-        return _sphere(material, stretch, stiffness, r0, h)
+        return _sphere(material, stretch, stiffness, r0, h), None
     unit = stiffness * h * r0
     problem = replace(_problem(material, bonded, c / r0, load / unit, stretch), unit=unit)
-    problem, solution = _solve(problem)
-    return _state(problem, solution, stiffness, r0, h)
+    solved = None if near is None else _solve_near(problem, *near)
+    problem, solution = solved or _solve(problem)
+    return _state(problem, solution, stiffness, r0, h), (problem, solution)
 
 
 def capsule_modulus(
@@ -534,6 +582,36 @@ def _solve(problem: _Capsule) -> tuple[_Capsule, Any]:
     return solved, solution
 
 
+def _solve_near(problem: _Capsule, other: _Capsule, start: Any) -> Solved | None:
+    """Return a checked solution found from that of another problem, or None if it is too far."""
+    stretches, forces = (
+        np.array(pair, float)
+        for pair in ((problem.inflation, other.inflation), (problem.force, other.force))
+    )
+    apart = max(np.ptp(stretches), 0.1 * np.ptp(np.log(forces)))
+    if apart > _NEAR or problem.partial != other.partial or start.x.size > _NEAR_NODES:
+        return None
+    problem = replace(problem, slack=other.slack)
+    with_tension = _retensed(other, problem, start.y)
+    solution = problem.solve(start.x, with_tension, start.p, most_nodes=_NEAR_NODES)
+    if solution.status != 0 or not np.isfinite(solution.y).all():
+        return None
+    u = problem.unpack(solution.p)
+    compressed = not problem.slack and solution.y[0, 0] < np.sin(u.core) / u.inflation
+    dimpled = (u.rim > problem.probe) != problem.partial
+    if compressed or u.core <= 0 or not dimpled or not _is_sound(problem, solution):
+        return None
+    _check_shape(problem, solution, u)
+    return problem, solution
+
+
+def _retensed(old: _Capsule, new: _Capsule, y: Array) -> Array:
+    """Return a state with its tensions in the size of another problem's."""
+    scaled = y.copy()
+    scaled[[row for row in (1, 4, 8, 11) if row < len(y)]] *= old.tension / new.tension
+    return scaled
+
+
 def _find(problem: _Capsule) -> tuple[_Capsule, Any, _Unknowns]:
     """Return a solution of the problem as posed, or refuse."""
     solved, solution = _attempt(problem, problem.guess())
@@ -552,7 +630,7 @@ def _said(problem: _Capsule) -> str:
 
 def _attempt(problem: _Capsule, guess: tuple[Array, Array, Array]) -> tuple[_Capsule, Any]:
     """Return a sound solution, with a slack zone if the plate's middle is compressed, or None."""
-    rough = problem.solve(*guess, rough=True)
+    rough = problem.solve(*guess, tolerance=_ROUGH, most_nodes=_ROUGH_NODES)
     if rough.status != 0 or not np.isfinite(rough.y).all():
         return problem, None
     u = problem.unpack(rough.p)
@@ -605,8 +683,7 @@ def _climb(problem: _Capsule) -> tuple[_Capsule, Any]:
         if found is not None:
             # The unknowns go on as they went; the tension has another size.
             k = found.p if last is None or last.size != found.p.size else 2 * found.p - last
-            y = found.y.copy()
-            y[[row for row in (1, 4, 8, 11) if row < len(y)]] *= solved.tension / stage.tension
+            y = _retensed(solved, stage, found.y)
             stage, guess, last = replace(stage, slack=solved.slack), (found.x, y, k), found.p
         solved, found = _attempt(stage, guess)
         if found is None:

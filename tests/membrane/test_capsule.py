@@ -13,7 +13,7 @@ from scipy.special import k0, k1
 
 from microlib._common import Array
 from microlib.membrane import _capsule
-from microlib.membrane._capsule import capsule_modulus, indent_capsule
+from microlib.membrane._capsule import capsule_modulus, indent_capsule, indent_near
 from microlib.membrane._laws import law_of
 
 R, H, C = 600.0, 3.0, 25.0
@@ -340,3 +340,16 @@ def test_a_false_solution_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_capsule._Capsule, "slopes", wrong)
     with pytest.raises(ValueError, match="force must have an equilibrium"):
         indent_capsule(100.0, inflation=1.05, **CAPSULE)
+
+
+@pytest.mark.parametrize("force", [60.0, 66.0, 150.0])
+def test_a_start_from_a_neighbor_finds_the_same_state(force: float) -> None:
+    """Near enough to go on from it, and too far, so that the search begins at the sphere."""
+    shell = CAPSULE | {"inflation": 1.05}
+    _, near = indent_near(None, 60.0, **shell)
+    wanted = indent_capsule(force, **shell)
+    found, solved = indent_near(near, force, **shell)
+    # Two meshes of one tolerance.
+    assert found.depth == pytest.approx(wanted.depth, rel=1e-6)
+    assert found.energy == pytest.approx(wanted.energy, rel=1e-6)
+    assert solved[0].force == pytest.approx(force / 1800)
