@@ -152,6 +152,11 @@ def depths() -> focus.FocusResult:
     return focus.depth_from_focus(stack(), np.arange(5.0))
 
 
+@cache
+def surveyed() -> focus.FocusSurvey:
+    return focus.survey_focus(stack(), np.arange(5.0))
+
+
 def dome() -> np.ndarray:
     return synthetic.paraboloid((24, 28), 6.0)
 
@@ -373,7 +378,13 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "focus.depth_from_focus": lambda: {
         "frames": stack(), "positions": np.arange(5.0), "measure": "sml", "window": 5, "step": 1,
         "threshold": 0.0, "points": 3, "workers": 1, "register": False, "region": (0, 0, 20, 20),
-        "reduce": 1, "progress": None,
+        "reduce": 1, "progress": None, "tile": None, "survey": None,
+    },
+    "focus.FocusSurvey": lambda: {
+        f.name: getattr(surveyed(), f.name) for f in fields(focus.FocusSurvey)
+    },
+    "focus.survey_focus": lambda: {
+        "frames": stack(), "positions": np.arange(5.0), "points": 7, "workers": 1
     },
     "focus.FocusResult.select": lambda: {
         "self": replace(depths(), index=np.full_like(depths().index, 2)), "frames": stack()

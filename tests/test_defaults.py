@@ -40,6 +40,7 @@ DEFAULTS: dict[str, dict[str, object]] = {
         "reduce": 1,
     },
     "focus.smooth_depth": {"radius": 7.0},
+    "focus.survey_focus": {"workers": 1},
     "focus.sum_modified_laplacian": {"window": 5, "step": 1, "threshold": 0.0},
     "io._frames.FrameReader.again": {"color": False},
     "io.read_frames": {"color": False, "reduce": 1},

@@ -174,17 +174,18 @@ def smooth_depth(
         return z.copy()
     # A jump far beyond all differences is none: every neighbor counts in full.
     most = _MOST_JUMPS * span if span > 0 else limit
-    return smooth_by_planes(z, weights, jump=min(limit, most), radius=sigma, workers=1)
+    middle = (np.nanmin(z) + np.nanmax(z)) / 2
+    options = {"middle": middle, "jump": min(limit, most), "radius": sigma, "workers": 1}
+    return smooth_by_planes(z, weights, **options)
 
 
 def smooth_by_planes(
-    depth: Array, weight: NDArray, *, jump: float, radius: float, workers: int
+    depth: Array, weight: NDArray, *, middle: float, jump: float, radius: float, workers: int
 ) -> Array:
-    """Do the work of `smooth_depth` in several threads; at least one depth is known."""
+    """Do the work of `smooth_depth` in several threads, around a depth in the middle of all."""
     unknown = np.isnan(depth)
     weights = np.where(unknown, 0, weight)
     # In units of the jump and from the middle, where float32 has digits to spare.
-    middle = (np.nanmin(depth) + np.nanmax(depth)) / 2
     rest = np.where(unknown, 0, (depth - middle) / jump)
     # What planes leave over is their shift with its sign turned; the smooth parts are the rest.
     for _ in range(_TWICING):

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain, product
+from itertools import chain
 from typing import Any
 
 import cv2
@@ -20,15 +20,11 @@ from microlib._common import (
     as_array,
     flag,
     is_in_memory,
+    of_kind,
     one_of,
     scalar,
     whole,
 )
-from microlib.focus._bands import median_above_zero
-from microlib.focus._correction import smooth_by_planes
-from microlib.focus._directions import directional_depths, nearest_frames
-from microlib.focus._flicker import flicker_variance, watched
-from microlib.focus._halos import Wide, check_halos
 from microlib.focus._loops import fill_in
 from microlib.focus._measures import (
     MEASURES,
@@ -36,27 +32,26 @@ from microlib.focus._measures import (
     FocusMeasure,
     RowsMeasure,
     blur,
-    edge_measure,
-    multiscale_measure,
     named_measure,
-    noise_level,
-    noise_response,
 )
-from microlib.focus._nearest import nearest_known
+from microlib.focus._multiscale import Axis, Maps, Part, depth_steps
 from microlib.focus._peaks import FARTHEST, track_peaks
-from microlib.focus._reliability import (
-    below_noise_mask,
-    blurred_edge_mask,
-    incoherent_mask,
-    isolated_mask,
-    set_to_nan,
-    small_component_mask,
-)
-from microlib.focus._relief import find_relief
+from microlib.focus._questions import answered
+from microlib.focus._reliability import incoherent_mask, set_to_nan
 from microlib.focus._replay import Replay
-from microlib.focus._scale import averaged, averaged_positions, group_sizes, peak_width
 from microlib.focus._selection import select, warped
 from microlib.focus._stack import Progress, open_stack
+from microlib.focus._survey import (
+    MOST_PIXELS,
+    FocusSurvey,
+    answers_of,
+    axis_of,
+    axis_of_survey,
+    check_survey,
+    survey_of,
+)
+from microlib.focus._tiles import tile_maps, tiles_of
+from microlib.focus._window import Window
 from microlib.io import read_frames
 
 #: Frames whose numbers fit into 16 bits.
@@ -67,34 +62,18 @@ _MOST_POINTS, _MOST_WORKERS = 255, 256
 #: Frames of a stream that are read in one go: memory against turns of the interpreter. The result
 #: is the same for any.
 _BATCH = 8
+#: Pixels up to which an image is worked on as a whole, which takes some 200 bytes for each, and the
+#: side of the tiles of a larger one, px: with what is around them they take half a gigabyte. A tile
+#: of less than a depth's own windows is no tile.
+_MOST_WHOLE, _TILE, _LEAST_TILE = 2**24, 1024, 16
+#: What a result has for each pixel.
+_MAPS = ("depth", "uncertainty", "confidence", "index", "all_in_focus", "at_end")
 
 # The constants of the default depth. What the result owes to each is measured in the table
 # "constant changed" of benchmarks/focus.py; lengths along the axis are in frames.
 
 #: Frames in the default's fit of the peak.
 _POINTS = 7
-#: Sides of the medians that find spikes before and after the choice of a side, px, and how far from
-#: its median a spike lies, frames.
-_SPIKE_WINDOWS, _SPIKE = (5, 3), 1.0
-#: Side of the medians that steady the fine depth, px, and its spread below which it is trusted.
-_FINE_WINDOW, _FINE_SPREAD = 5, 1.0
-#: Distances at which a pixel's own side is sought, px; the difference of fine and broad depth from
-#: which it is sought, and up to which a neighbor agrees, frames; how much better one must agree for
-#: each px that it is further away, frames.
-_SIDE_DISTANCES, _SIDE_GAP, _SIDE_AGREES, _SIDE_SLOPE = (3, 6), 1.5, 1.0, 0.05
-#: Difference in depth across which nothing is smoothed, frames, and the smoothing's radius, px.
-_JUMP, _WIDE = 1.5, 7.0
-#: Largest ratio of a pixel's inverse variance to the median, either way: one pixel shall not decide
-#: alone. From 1e3 to 1e5 nothing changes.
-_WEIGHTS = 1e4
-#: Weight of a depth by the wide window, where the median of the others is 1: its error is some
-#: seven times theirs.
-_WIDE_WEIGHT = 0.02
-#: Reach of the broad windows that matters, px; the least share of it that a pixel is given, and the
-#: power of that share that weighs it. In the outermost 8 px the weights pay on patchy texture and
-#: JPEG (error 0.8 times that without) and cost on planes (up to 1.9 times); table "outermost 8 px"
-#: of benchmarks/focus.py. Further in nothing depends on them.
-_BORDER_REACH, _BORDER_LEAST, _BORDER_POWER = 8, 0.1, 4
 #: Differences from a Gaussian mean that leave the roughness, its radius and the window over which
 #: its square is averaged, in every second pixel. The depth does not depend on them.
 _ROUGH_TIMES, _ROUGH_RADIUS, _ROUGH_WINDOW = 4, 4.0, 3
@@ -224,6 +203,8 @@ def depth_from_focus(
     region: tuple[int, int, int, int] | None = None,
     reduce: int = 1,
     progress: Progress | None = None,
+    tile: int | None = None,
+    survey: FocusSurvey | None = None,
 ) -> FocusResult:
     """Return the depth of every pixel of a focal stack.
 
@@ -266,7 +247,16 @@ def depth_from_focus(
         Side of the square blocks of pixels that become one, for a quick preview.
     progress : callable, optional
         Told after each frame how many have been read and how many there are to read, in all
-        passes. An exception from it ends the work.
+        passes; in tiles, how many are done and how many there are. An exception from it ends the
+        work.
+    tile : int, optional
+        Side of the square tiles that are worked on one after the other, px, for grey frames and
+        "multiscale". Of an array only the tile and what is around it are loaded, such as from zarr;
+        other frames are kept in a temporary file. The result does not depend on it. By default
+        images of more than 16 million pixels are worked on in tiles of 1024.
+    survey : FocusSurvey, optional
+        What `survey_focus` found in the whole of these frames. Then `region` has the depth that the
+        whole image has there, to the last bit, so that several machines can share an image.
 
     Returns
     -------
@@ -341,11 +331,20 @@ def depth_from_focus(
     if not callable(measure):
         one_of("measure", measure, MEASURES)
     registered = flag("register", register)
+    of_whole = region if survey is None else None
     stack = open_stack(
-        frames, positions, region=region, reduce=reduce, progress=progress, again=registered
+        frames, positions, region=of_whole, reduce=reduce, progress=progress, again=registered
     )
     z = _check_positions(stack.positions)
     stack.check_count(z)
+    if survey is not None:
+        of_kind("survey", survey, FocusSurvey)
+    in_tiles = tile is not None or survey is not None
+    if in_tiles and (measure != "multiscale" or registered or stack.color):
+        raise ValueError(
+            "tile and survey must be for grey frames, measure 'multiscale' and no register, got "
+            f"measure {measure!r}, register {registered} and {'color' if stack.color else 'grey'}"
+        )
     if registered or stack.color:
         options: dict[str, Any] = {"measure": measure, "window": window, "step": step}
         options |= {"threshold": threshold, "points": points, "workers": workers}
@@ -357,9 +356,15 @@ def depth_from_focus(
     side = whole("window", window, least=1, odd=True)
     limit = scalar("threshold", threshold, least=0)
     batch = len(z) if is_in_memory(frames) else _BATCH
+    if measure == "multiscale" and (in_tiles or np.prod(stack.shape) > _MOST_WHOLE):
+        square = _TILE if tile is None else whole("tile", tile, least=_LEAST_TILE)
+        wanted = _wanted(region if survey else None, stack.shape)
+        with Replay(stack.untold, len(z), in_parts=True) as replay:
+            turn = {"points": fit, "workers": threads}
+            return _tiled(replay, z, survey, tiles_of(wanted, square), wanted, progress, **turn)
     if measure == "multiscale":
         with Replay(frames, len(z)) as replay:
-            return _multiscale(replay, z, fit, batch, threads)
+            return _multiscale(replay, z, points=fit, batch=batch, workers=threads)
     reader = read_frames(frames)
     first = next(reader, None)
     if first is None:
@@ -382,53 +387,122 @@ def depth_from_focus(
 
 
 def _multiscale(
-    stack: Replay, positions: Array, points: int, batch: int, workers: int
+    stack: Replay, positions: Array, *, points: int, batch: int, workers: int
 ) -> FocusResult:
-    """Find the depth by the product of two scales, correct it, and put fine relief back."""
-    levels: list[float] = []
-    width = peak_width(watched(stack, levels))
-    sizes = group_sizes(len(positions), width)
-    z = averaged_positions(positions, sizes)
-    spacing = float(np.median(np.abs(np.diff(z))))
-    plain = len(sizes) == len(positions)
+    """Find the default depth of a whole image, which answers its own questions if it is small."""
+    shape = stack.shape
+    turn: dict[str, Any] = {"points": points, "batch": batch, "workers": workers}
+    if shape[0] * shape[1] <= MOST_PIXELS:
+        axis, answers = axis_of(stack, positions), {}
+    else:
+        survey = survey_of(stack, positions, **turn)
+        axis, answers = axis_of_survey(survey), answers_of(survey)
+    window = Window.whole(shape)
+    part = Part(lambda: iter(stack), window, window)
+    maps = answered([depth_steps(part, axis, **turn)], answers)[0]
+    return _of_maps(maps, axis)
 
-    def frames() -> Iterator[Image]:
-        return iter(stack) if plain else averaged(iter(stack), sizes)
 
-    turn = {"batch": batch if plain else _BATCH, "workers": workers}
-    noise = noise_level(next(frames()))
-    profile = track_peaks(
-        frames(),
-        z,
-        [multiscale_measure(noise), edge_measure(noise)],
-        reaches=[points // 2, 1],
-        ends=(positions[0], positions[-1]),
-        **turn,
+def survey_focus(
+    frames: Frames,
+    positions: ArrayLike | None = None,
+    *,
+    points: int | None = None,
+    workers: int = 1,
+) -> FocusSurvey:
+    """Measure what the default depth of a pixel owes to the whole stack.
+
+    Parameters
+    ----------
+    frames, positions, points, workers
+        As for `depth_from_focus`, the frames grey.
+
+    Returns
+    -------
+    FocusSurvey
+        To be passed to `depth_from_focus` with a `region`.
+
+    Raises
+    ------
+    ValueError
+        As `depth_from_focus`, or if the frames are in color.
+
+    Notes
+    -----
+    An image of up to four million pixels is looked at as a whole. Of a larger one 64 small squares
+    are, and nine patches of 384 px around those of them that have the highest and the lowest focus
+    measures and evenly between.
+
+    Examples
+    --------
+    >>> from microlib import synthetic
+    >>> texture = synthetic.mixed_texture((48, 90), np.random.default_rng(0))
+    >>> positions = np.arange(0.0, 100.0, 10.0)
+    >>> stack = synthetic.focal_stack(texture, np.full((48, 90), 42.0), positions, blur_rate=0.1)
+    >>> survey = survey_focus(stack, positions)
+    >>> part = depth_from_focus(stack, positions, survey=survey, region=(8, 30, 32, 40))
+    >>> whole = depth_from_focus(stack, positions)
+    >>> bool((part.depth == whole.depth[8:40, 30:70]).all())
+    True
+    """
+    stack = open_stack(frames, positions, region=None, reduce=1, progress=None, again=False)
+    z = _check_positions(stack.positions)
+    stack.check_count(z)
+    if stack.color:
+        raise ValueError("frames must be grey, got frames in color")
+    fit = whole(
+        "points", _POINTS if points is None else points, least=3, odd=True, most=_MOST_POINTS
     )
-    depth: NDArray = profile.depths[0]
-    set_to_nan(depth, incoherent_mask(profile.index, len(z)))
-    inverse_variance = None
-    if profile.peak is not None:
-        ratio = profile.peak.value / np.float32(noise_response(noise))
-        depth[below_noise_mask(ratio, len(z))] = np.nan
-        inverse_variance = profile.peak.inverse_variance
-    sided, disagreement = _sided(depth, profile.depths[1], spacing)
-    place = np.interp(sided * spacing, *_rising(z))
-    wide = check_halos(frames, len(z), place, disagreement, noise)
-    smooth = _smoothed(*_with_wide(sided, inverse_variance, wide, z / spacing), workers)
-    doubtful = np.isnan(smooth) | _doubled(wide.instead | wide.neither, smooth.shape)
-    fine = directional_depths(frames(), z, smooth * spacing, **turn)
-    relief = find_relief(smooth, fine, doubtful, workers=workers)
-    depth = np.clip((smooth + relief.offset) * spacing, positions.min(), positions.max())
-    starts = np.cumsum(sizes) - sizes
-    middles = (starts + sizes // 2).astype(np.uint16)
-    best = _nearest_frame(depth, positions, middles[profile.index])
-    at_end = (profile.index == 0) | (profile.index == len(z) - 1)
-    # The pull changes with the depth alone: every second pixel tells it.
-    half = np.interp(depth[::2, ::2], *_rising(z))
-    pull = flicker_variance(half, np.array(levels), sizes, width)
-    error = np.sqrt(relief.variance + cv2.resize(pull, depth.shape[::-1]))
-    return _result(depth, error, best, _picked(stack, best), at_end, np.float32(spacing))
+    threads = whole("workers", workers, least=1, most=_MOST_WORKERS)
+    with Replay(stack.untold, len(z), in_parts=True) as replay:
+        return survey_of(replay, z, points=fit, batch=_BATCH, workers=threads)
+
+
+def _wanted(region: tuple[int, int, int, int] | None, shape: tuple[int, int]) -> Window:
+    if region is None:
+        return Window.whole(shape)
+    if not isinstance(region, (tuple, list)) or len(region) != 4:
+        raise ValueError(f"region must be top, left, rows and columns, got {region!r}")
+    names = ("top", "left", "rows", "columns")
+    values = zip(names, region, (0, 0, 1, 1), strict=True)
+    top, left, rows, cols = (whole(f"region {name}", v, least=k) for name, v, k in values)
+    if top + rows > shape[0] or left + cols > shape[1]:
+        raise ValueError(f"region must lie in frames of shape {shape}, got {region}")
+    return Window(top, left, top + rows, left + cols, shape)
+
+
+def _tiled(
+    stack: Replay,
+    positions: Array,
+    survey: FocusSurvey | None,
+    tiles: list[Window],
+    wanted: Window,
+    progress: Progress | None,
+    *,
+    points: int,
+    workers: int,
+) -> FocusResult:
+    """Find the default depth of a window tile by tile."""
+    if survey is None:
+        survey = survey_of(stack, positions, points=points, batch=_BATCH, workers=workers)
+    check_survey(survey, stack.shape, positions, points)
+    whole_maps: dict[str, NDArray] = {}
+    for number, tile in enumerate(tiles):
+        maps = tile_maps(stack, survey, tile, points=points, workers=workers)
+        found = _of_maps(maps, axis_of_survey(survey))
+        for name in _MAPS:
+            value = getattr(found, name)
+            if name not in whole_maps:
+                whole_maps[name] = np.empty(wanted.size, value.dtype)
+            whole_maps[name][tile.inside(wanted)] = value
+        if progress is not None:
+            progress(number + 1, len(tiles))
+    return FocusResult(**whole_maps)
+
+
+def _of_maps(maps: Maps, axis: Axis) -> FocusResult:
+    spacing = np.float32(axis.spacing)
+    return _result(maps.depth, maps.error, maps.best, maps.image, maps.at_end, spacing)
 
 
 def _check_positions(positions: ArrayLike) -> Array:
@@ -460,132 +534,6 @@ def _checked(measure: FocusMeasure) -> FocusMeasure:
         return np.ascontiguousarray(value)
 
     return checked
-
-
-def _rising(positions: Array) -> tuple[Array, Array]:
-    """Return positions in rising order, and the number of the frame at each."""
-    order = np.argsort(positions)
-    return positions[order], order.astype(float)
-
-
-def _sided(depth: NDArray, fine: NDArray, spacing: float) -> tuple[Array, NDArray]:
-    """Take out spikes and put pixels at steps on their own side; in frames.
-
-    Also returned is how far both depths lie from each other.
-    """
-    known = np.isfinite(depth)
-    if not known.any():
-        return depth / spacing, np.zeros(depth.shape, np.float32)
-    broad = _without_spikes(_filled(depth) / np.float32(spacing), _SPIKE_WINDOWS[0])
-    sharp = _filled(fine) / np.float32(spacing)
-    median = cv2.medianBlur(sharp, _FINE_WINDOW)
-    spread = np.asarray(cv2.medianBlur(np.abs(sharp - median), _FINE_WINDOW))
-    steady = np.asarray(cv2.medianBlur(median, _FINE_WINDOW))
-    sided = _choose_side(broad, steady, spread < _FINE_SPREAD)
-    own = np.where(known, _without_spikes(sided, _SPIKE_WINDOWS[1]), np.nan)
-    return own, np.abs(broad - median)
-
-
-def _with_wide(
-    depth: Array, inverse_variance: NDArray | None, wide: Wide, steps: Array
-) -> tuple[Array, NDArray]:
-    """Put the wide depth where it is the better, and return the weight of every depth too."""
-    there, neither = (_doubled(mask, depth.shape) for mask in (wide.instead, wide.neither))
-    enlarged = cv2.resize(wide.depth, depth.shape[::-1])
-    level = np.interp(enlarged, np.arange(len(steps)), steps)
-    there &= np.isfinite(level)
-    weight = np.ones(depth.shape, np.float32)
-    if inverse_variance is not None:
-        # At an end of the stack a depth may come without a fit and so without a variance.
-        fitted = np.isfinite(depth) & (inverse_variance > 0)
-        typical = median_above_zero(np.where(fitted, inverse_variance, np.float32(0)))
-        relative = np.clip(inverse_variance / typical, 1 / _WEIGHTS, _WEIGHTS)
-        weight = np.where(fitted, relative, 1).astype(np.float32)
-    weight[there] = _WIDE_WEIGHT
-    return np.where(there, level, np.where(neither, np.nan, depth)), weight
-
-
-def _doubled(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Return the mask for which one of half the size stands, two pixels by two."""
-    rows, cols = shape
-    return mask.repeat(2, axis=0)[:rows].repeat(2, axis=1)[:, :cols]
-
-
-def _smoothed(steps: Array, weight: NDArray, workers: int) -> Array:
-    """Leave out what is not to be believed, and smooth on both sides of steps."""
-    set_to_nan(steps, blurred_edge_mask(steps, weight))
-    steps[small_component_mask(steps)] = np.nan
-    steps[isolated_mask(steps)] = np.nan
-    if np.isnan(steps).all():
-        return steps
-    # At the image's border the windows see one side only and pull a slope inwards: there the planes
-    # are to be laid through what lies further in.
-    inner = _inside(steps.shape)
-    weight = weight * inner**_BORDER_POWER
-    return smooth_by_planes(steps, weight, jump=_JUMP, radius=_WIDE, workers=workers)
-
-
-def _inside(shape: tuple[int, ...]) -> Array:
-    """Return 1 where the broad windows stay inside the image, less towards its border."""
-    down, along = (np.minimum(np.arange(n), np.arange(n)[::-1]) for n in shape)
-    return np.clip((1 + np.minimum.outer(down, along)) / _BORDER_REACH, _BORDER_LEAST, 1.0)
-
-
-def _filled(depth: NDArray) -> NDArray:
-    """Put the nearest known depth in place of each NaN."""
-    unknown = np.isnan(depth)
-    if not unknown.any():
-        return depth
-    if unknown.all():
-        return np.zeros_like(depth)
-    nearest = nearest_known(unknown)
-    return depth[nearest]
-
-
-def _without_spikes(depth: NDArray, window: int) -> NDArray:
-    """Replace by the median what is too far from it."""
-    median = cv2.medianBlur(depth, window)
-    return np.where(np.abs(depth - median) > _SPIKE, median, depth)
-
-
-def _choose_side(broad: NDArray, fine: NDArray, sure: NDArray[np.bool_]) -> NDArray:
-    """Where fine and broad depth differ, take a neighbor's broad depth that agrees with the fine.
-
-    Next to a step the broad window sees the other side as well, and the better textured side
-    wins. A few pixels away, on the pixel's own side, it does not.
-    """
-    far = max(_SIDE_DISTANCES)
-    rows, cols = broad.shape
-    padded = np.pad(broad, far, mode="symmetric")
-    result = broad.copy()
-    gap = np.abs(broad - fine)
-    wrong = sure & (gap > _SIDE_GAP)
-    for distance in _SIDE_DISTANCES:
-        for dy, dx in product((-distance, 0, distance), repeat=2):
-            there = padded[far + dy : far + dy + rows, far + dx : far + dx + cols]
-            # Nearer neighbors first: what is further away must agree the better.
-            other = np.abs(there - fine) + np.float32(_SIDE_SLOPE * distance)
-            better = wrong & (other < gap) & (other < _SIDE_AGREES)
-            result[better] = there[better]
-            gap[better] = other[better]
-    return result
-
-
-def _nearest_frame(depth: Array, positions: Array, otherwise: NDArray) -> NDArray[np.uint16]:
-    """Return the number of the frame nearest to each depth, or another where there is none."""
-    nearest = nearest_frames(depth, positions)
-    np.copyto(nearest, otherwise, where=np.isnan(depth))
-    return nearest
-
-
-def _picked(frames: Iterable[Image], number: NDArray[np.uint16]) -> Image:
-    """Return every pixel from the frame of that number."""
-    for k, frame in enumerate(frames):
-        if k == 0:
-            image = frame.copy()
-        else:
-            np.copyto(image, frame, where=number == k)
-    return image
 
 
 def _result(

@@ -7,13 +7,16 @@ texture and with photographs, other than those of the benchmark.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array
 from microlib.focus._measures import blur
-from microlib.focus._nearest import gradients
+from microlib.focus._nearest import enlarged, gradients
+from microlib.focus._questions import Question, Steps
 
 #: Radius over which weights tell how much texture a depth rests on, px, and the number of groups of
 #: such pixels: in each, a few hundred independent differences tell their variance.
@@ -51,7 +54,7 @@ def smooth_variance(
     half_difference: NDArray[np.float32],
     weight: NDArray[np.float32],
     doubtful: NDArray[np.bool_],
-) -> NDArray[np.float32]:
+) -> Steps[NDArray[np.float32]]:
     """Return the mean square error of a smoothed depth.
 
     Parameters
@@ -71,37 +74,69 @@ def smooth_variance(
         Variance, frames².
     """
     known = np.isfinite(base)
+    noise = yield from _noise_variance(half_difference, weight, known)
     if not known.any():
         return np.zeros(base.shape, np.float32)
-    noise = _noise_variance(half_difference, weight, known)
     rest = _pull_variance(base) + _edge_variance(base) + _halo_variance(base, doubtful)
     return np.asarray(noise + rest, np.float32)
 
 
+@dataclass(frozen=True)
+class NoiseCurve:
+    """The variance from noise, for how little texture there is.
+
+    Attributes
+    ----------
+    scarcity, variance : ndarray of float64, shape (n,)
+        Points of the curve, which never falls, frames².
+    offset, slope : float
+        The line through them.
+    """
+
+    scarcity: Array
+    variance: Array
+    offset: float
+    slope: float
+
+
 def _noise_variance(
     half_difference: NDArray, weight: NDArray, known: NDArray[np.bool_]
-) -> NDArray[np.float32]:
+) -> Steps[NDArray[np.float32]]:
     """Return the variance from noise, as a function of how much texture there is around a pixel.
 
     A local mean square would be of few independent differences, and be lowest where it happens to
-    be too low. All pixels with as much texture together tell it well: the medians of groups, made
-    to rise with what they are grouped by, and a line through them, which has less scatter.
+    be too low. All pixels with as much texture together tell it well.
     """
     scarcity = 1 / np.maximum(blur(weight[::2, ::2], _SUPPORT / 2), np.float32(0.01))
     there = known[::2, ::2]
-    if not there.any():
+    curve: NoiseCurve | None = yield Question(
+        "noise_curve",
+        lambda: (half_difference[::2, ::2][there], scarcity[there]),
+        _noise_curve,
+    )
+    if curve is None:
         return np.zeros(known.shape, np.float32)
-    every = -(-int(there.sum()) // _SAMPLES)
-    square, sample = half_difference[::2, ::2][there][::every] ** 2, scarcity[there][::every]
+    level = np.interp(scarcity, curve.scarcity, curve.variance)
+    # Beyond the scarcest group the line goes on, but not far: nothing was measured there.
+    line = curve.offset + curve.slope * np.minimum(scarcity, 3 * curve.scarcity[-1])
+    variance = (_NOISE_SHARE / 2 * (level + line)).astype(np.float32)
+    return enlarged(variance, known.shape)
+
+
+def _noise_curve(samples: list[tuple[NDArray, NDArray]]) -> NoiseCurve | None:
+    """Return the medians of groups with as much texture, made to rise, and the line through them.
+
+    The line has less scatter. None where no depth is known.
+    """
+    difference, scarcity = (np.concatenate(part) for part in zip(*samples, strict=True))
+    if not len(scarcity):
+        return None
+    every = -(-len(scarcity) // _SAMPLES)
+    square, sample = difference[::every] ** 2, scarcity[::every]
     groups = np.array_split(np.argsort(sample), min(_GROUPS, len(sample)))
     center = np.array([sample[group].mean() for group in groups])
     level = np.array([np.median(square[group]) for group in groups]) / _MEDIAN_SQUARE
-    offset, slope = _rising_line(center, level)
-    curve = np.interp(scarcity, center, _never_falling(level))
-    # Beyond the scarcest group the line goes on, but not far: nothing was measured there.
-    line = offset + slope * np.minimum(scarcity, 3 * center[-1])
-    variance = (_NOISE_SHARE / 2 * (curve + line)).astype(np.float32)
-    return np.asarray(cv2.resize(variance, known.shape[::-1]))
+    return NoiseCurve(center, _never_falling(level), *_rising_line(center, level))
 
 
 def _rising_line(x: Array, y: Array) -> tuple[float, float]:
@@ -133,7 +168,7 @@ def _pull_variance(base: Array) -> NDArray[np.float32]:
     # A step is no slope: its errors are those of edges.
     shift = _SHIFT**2 * np.minimum(steepness, _STEEPEST**2)
     pull = _PULL * np.exp(-((2 * np.pi * _PULL_RADIUS) ** 2) * steepness) + shift + _UNSEEN
-    return np.asarray(cv2.resize(pull.astype(np.float32), base.shape[::-1]))
+    return enlarged(pull.astype(np.float32), base.shape)
 
 
 def _range(base: Array, side: int) -> NDArray[np.float32]:
@@ -172,4 +207,4 @@ def _halo_variance(base: Array, doubtful: NDArray[np.bool_]) -> NDArray[np.float
     for side, radius, factor in _HALOS:
         share = np.maximum(blur(mask, radius / 2), 0)
         total += np.float32(factor) * share * _range(coarse, side // 2) ** 2
-    return np.asarray(cv2.resize(total, base.shape[::-1]))
+    return enlarged(total, base.shape)

@@ -21,14 +21,17 @@ __all__ = [
     "MOST_REACH",
     "STRIDE",
     "along",
+    "box_rows",
     "direction_rows",
     "down",
     "edge_rows",
+    "energy_rows",
     "gaussian_taps",
     "laplacian_rows",
     "load",
     "own_room",
     "product_rows",
+    "smooth_rows",
     "taps",
 ]
 
@@ -214,6 +217,135 @@ def direction_rows(
                 down(third, grey, reach, count, spread)
                 along(grey, third, reach, count, spread)
                 _put(third, reach, np.float32(0), out[y : y + count, x : x + COLS])
+
+
+@compiled
+def smooth_rows(
+    image: NDArray[np.float32],
+    filter_: NDArray[np.float32],
+    room: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
+    """Filter a whole image in both directions; as `product_rows`."""
+    reach = len(filter_) - 1
+    grey, other, third = room[0], room[1], room[2]
+    rows, cols = out.shape
+    for y in range(0, rows, _ROWS):
+        count = min(_ROWS, rows - y)
+        for x in range(0, cols, COLS):
+            load(image, 0, rows, y - reach, count + 2 * reach, x, grey)
+            _smooth(grey, third, other, reach, count, filter_)
+            _put(other, reach, np.float32(0), out[y : y + count, x : x + COLS])
+
+
+@compiled
+def energy_rows(
+    image: NDArray[np.float32],
+    filter_: NDArray[np.float32],
+    room: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
+    """Write the squares of both second differences of a smoothed image; as `product_rows`."""
+    reach = len(filter_)
+    grey, other, third = room[0], room[1], room[2]
+    rows, cols = out.shape
+    for y in range(0, rows, _ROWS):
+        count = min(_ROWS, rows - y)
+        for x in range(0, cols, COLS):
+            load(image, 0, rows, y - reach, count + 2 * reach, x, grey)
+            _smooth(grey, third, other, reach - 1, count + 2, filter_)
+            _square(other, third, reach, count)
+            _put(third, reach, np.float32(0), out[y : y + count, x : x + COLS])
+
+
+@compiled
+def box_rows(
+    image: NDArray[np.float32],
+    side: int,
+    room: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
+    """Write the mean over a square of an odd `side` of up to 2 MOST_REACH + 1 px.
+
+    Sums of two, four, eight and so on neighbors make up the side, always in the same order: running
+    sums would depend on where they began.
+    """
+    reach = side // 2
+    grey, one, two, third = room[0], room[1], room[2], room[3]
+    rows, cols = out.shape
+    share = np.float32(1 / (side * side))
+    for y in range(0, rows, _ROWS):
+        count = min(_ROWS, rows - y)
+        for x in range(0, cols, COLS):
+            load(image, 0, rows, y - reach, count + 2 * reach, x, grey)
+            tall = (count + 2 * reach) * STRIDE
+            _add_powers(grey, one, two, third, side, 1, FRONT, FRONT + tall, reach)
+            _add_powers(third, one, two, grey, side, STRIDE, FRONT, FRONT + count * STRIDE, 0)
+            for r in range(count):
+                at = FRONT + r * STRIDE + MOST_REACH
+                _scale_to(grey[at : at + COLS], share, out[y + r, x : x + COLS])
+
+
+@compiled
+def _add_powers(
+    source: NDArray[np.float32],
+    one: NDArray[np.float32],
+    two: NDArray[np.float32],
+    out: NDArray[np.float32],
+    side: int,
+    step: int,
+    start: int,
+    stop: int,
+    before: int,
+) -> None:
+    """Add up `side` pixels that are `step` apart, from `before` steps before each pixel on."""
+    first = start - before * step
+    _copy_flat(source[first:], out[start:stop])
+    done, width = 1, 1
+    earlier, later = source, one
+    while 2 * width <= side:
+        # As many sums as the widest of those to come is made of.
+        last = stop + (side - before - 2 * width) * step
+        _add_flat(earlier[first:], earlier[first + width * step :], later[first:last])
+        width *= 2
+        if side & width:
+            _add_to_flat(later[first + done * step :], out[start:stop])
+            done += width
+        earlier, later = later, two if later is one else one
+
+
+@compiled
+def _copy_flat(source: NDArray[np.float32], out: NDArray[np.float32]) -> None:
+    for p in range(np.uintp(len(out))):
+        out[p] = source[p]
+
+
+@compiled
+def _add_flat(one: NDArray[np.float32], two: NDArray[np.float32], out: NDArray[np.float32]) -> None:
+    for p in range(np.uintp(len(out))):
+        out[p] = one[p] + two[p]
+
+
+@compiled
+def _add_to_flat(source: NDArray[np.float32], out: NDArray[np.float32]) -> None:
+    for p in range(np.uintp(len(out))):
+        out[p] += source[p]
+
+
+@compiled
+def _scale_to(source: NDArray[np.float32], share: np.float32, out: NDArray[np.float32]) -> None:
+    for x in range(np.uintp(len(out))):
+        out[x] = share * source[x]
+
+
+@compiled
+def _square(source: NDArray[np.float32], out: NDArray[np.float32], row: int, count: int) -> None:
+    """Write the sum of the squared second differences."""
+    for p in range(np.uintp(FRONT + row * STRIDE), np.uintp(FRONT + (row + count) * STRIDE)):
+        twice = _TWO * source[p]
+        across = twice - (source[p - _1] + source[p + _1])
+        upright = twice - (source[p - _S] + source[p + _S])
+        out[p] = across * across + upright * upright
 
 
 @compiled

@@ -19,10 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array, Image
-from microlib.focus._measures import Banded, Scale, blur
-from microlib.focus._nearest import gradients, nearest_known
+from microlib.focus._filters import energy_rows, gaussian_taps, own_room
+from microlib.focus._measures import Banded, Scale, blur, blur_side, box
+from microlib.focus._nearest import enlarged, gradients, halved, nearest_known
 from microlib.focus._peaks import track_peaks
+from microlib.focus._questions import Question, Steps
 from microlib.focus._reliability import blurred_edge_mask, set_to_nan
+from microlib.focus._window import Window
 
 # What the default owes to each constant is measured in benchmarks/focus_depth.py. Pixels are those
 # of the frames at half their size.
@@ -101,7 +104,10 @@ def check_halos(
     depth: Array,
     disagreement: NDArray,
     noise: float,
-) -> Wide:
+    *,
+    window: Window | None = None,
+    thorough: bool = False,
+) -> Steps[Wide]:
     """Find where a depth is only that of blurred light, and the depth by a wide window.
 
     Parameters
@@ -116,23 +122,29 @@ def check_halos(
         How far it is from the depth by another measure, frames.
     noise : float
         Standard deviation of the frames' noise, grey levels.
+    window : Window, optional
+        Where the frames lie in the image, if they are a part of it.
+    thorough : bool
+        Whether to measure the growth of the blur even if no depth here asks for it.
 
     Returns
     -------
     Wide
         The wide depth, and where it takes the place of the other one.
     """
-    wide, silence = _wide_depth(frames(), count, _NOISE_FINE * noise**2)
+    wide, silence = yield from _wide_depth(frames(), count, _NOISE_FINE * noise**2)
     narrow = np.asarray(depth[::2, ::2], np.float32)
+    overhang = _overhang(window or Window.whole(depth.shape))
     # Between a step and what the wide window does not know it may show the wrong side.
     plain = _steepest(np.nan_to_num(wide)) < _CLIFF
-    differs = _differs(narrow, wide, _NEARBY) & (plain | _differs(narrow, wide, _REACH))
+    differs = _differs(narrow, wide, overhang, _NEARBY)
+    differs &= plain | _differs(narrow, wide, overhang, _REACH)
     gap = np.isnan(narrow) & np.isfinite(wide)
     erratic = _erratic(disagreement)
     blurred = np.zeros_like(gap)
-    if differs.any():
+    if thorough or differs.any():
         scene, fine, coarse = _scene(frames(), wide, narrow)
-        rate = _blur_rate(frames(), scene, wide)
+        rate = yield Question("blur_rate", lambda: _misfit(frames(), scene, wide), _growth)
         measured = _share(fine, coarse, silence)
         expected = _expected(scene, rate, np.abs(narrow - wide))
         finer = (measured > _FINER * expected) & (fine > _ABOVE_NOISE * silence)
@@ -141,7 +153,9 @@ def check_halos(
     neither = blurred & ~plain
     if erratic.any():
         # A random depth is worse than the wide one; beside a step it is none if it is far off.
-        stray, far = (erratic & _differs(narrow, wide, _NEARBY, k * _ERRATIC_GAP) for k in (1, 2))
+        stray, far = (
+            erratic & _differs(narrow, wide, overhang, _NEARBY, k * _ERRATIC_GAP) for k in (1, 2)
+        )
         instead |= stray & _away_from_steps(wide)
         neither = ((neither | far) & ~instead) | (erratic & np.isnan(wide))
     return Wide(wide, instead, neither)
@@ -150,15 +164,19 @@ def check_halos(
 def _erratic(disagreement: NDArray) -> NDArray[np.bool_]:
     """Tell where depths by two measures differ at random, at half the size."""
     half = np.minimum(disagreement[::2, ::2], np.float32(_MOST_DISAGREEMENT)).astype(np.float32)
-    return _box(half, _ERRATIC_SIDE) > _ERRATIC
+    return box(half, _ERRATIC_SIDE) > _ERRATIC
 
 
 def _differs(
-    narrow: NDArray[np.float32], wide: NDArray[np.float32], nearby: int, gap: float = _GAP
+    narrow: NDArray[np.float32],
+    wide: NDArray[np.float32],
+    overhang: NDArray[np.float32],
+    nearby: int,
+    gap: float = _GAP,
 ) -> NDArray[np.bool_]:
     """Tell where a depth is none of the wide ones nearby."""
     known = np.isfinite(wide)
-    tolerance = gap + _overhang(wide.shape) * _steepest(np.where(known, wide, 0))
+    tolerance = gap + overhang * _steepest(np.where(known, wide, 0))
     square = np.ones((nearby, nearby), np.uint8)
     lowest = cv2.erode(np.where(known, wide, np.float32(_FAR)), square)
     highest = cv2.dilate(np.where(known, wide, np.float32(-_FAR)), square)
@@ -166,9 +184,9 @@ def _differs(
     return np.asarray(known & beyond)
 
 
-def _overhang(shape: tuple[int, ...]) -> NDArray[np.float32]:
+def _overhang(window: Window) -> NDArray[np.float32]:
     """Return by how many px the part of a wide window that is in the image lies further inside."""
-    down, along = (np.minimum(np.arange(n), np.arange(n)[::-1]) for n in shape)
+    down, along = window.border(2)
     outside = np.add.outer(np.maximum(_WIDE - down, 0), np.maximum(_WIDE - along, 0))
     return (outside / 2).astype(np.float32)
 
@@ -206,28 +224,16 @@ def _steepest(wide: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(cv2.dilate(_slope(wide), np.ones((side, side), np.uint8)))
 
 
-def _half(frame: Image) -> NDArray[np.float32]:
-    rows, cols = frame.shape
-    size = ((cols + 1) // 2, (rows + 1) // 2)
-    return np.asarray(cv2.resize(frame, size, interpolation=cv2.INTER_AREA), np.float32)
-
-
 def _energy(half: NDArray[np.float32], smooth: float = _FINE) -> NDArray[np.float32]:
     """Return the squared second differences, which add up where light does."""
-    image = blur(half, smooth)
-    second = np.array([[-1.0, 2.0, -1.0]], np.float32)
-    along, down = cv2.filter2D(image, -1, second), cv2.filter2D(image, -1, second.T)
-    return np.asarray(along * along + down * down)
-
-
-def _box(image: NDArray[np.float32], side: int) -> NDArray[np.float32]:
-    mean = cv2.boxFilter(image, -1, (side, side), borderType=cv2.BORDER_REFLECT_101)
-    return np.asarray(mean, np.float32)
+    out = np.empty(half.shape, np.float32)
+    energy_rows(half, gaussian_taps(smooth), own_room(), out)
+    return out
 
 
 def _wide_depth(
     frames: Iterator[Image], count: int, least: float
-) -> tuple[NDArray[np.float32], float]:
+) -> Steps[tuple[NDArray[np.float32], float]]:
     """Return the depth by the wide window, in frames, and the energy of noise.
 
     That is the energy of the quietest windows of all frames, and no less than `least`.
@@ -238,23 +244,32 @@ def _wide_depth(
     def coarse() -> Iterator[NDArray[np.float32]]:
         nonlocal shape
         for frame in frames:
-            energy = _energy(_half(frame))
+            energy = _energy(halved(frame))
             shape = energy.shape
-            quarter = _half(energy)
-            quiet.append(float(np.percentile(_box(quarter, _WIDE)[::4, ::4], _QUIET)))
-            yield quarter
+            averaged = box(halved(energy), _WIDE)
+            quiet.append(averaged[::4, ::4].copy())
+            yield averaged
 
-    measure = Banded(lambda image: _box(image, _WIDE), reach=_WIDE)
+    measure = Banded(lambda image: image, reach=0)
     found = track_peaks(
         coarse(), np.arange(float(count)), [measure], reaches=[2], batch=8, workers=1
     )
-    noise = max(min(quiet), least)
+    silence = yield Question("silence", lambda: quiet, _silence)
+    noise = max(silence, least)
     depth = found.depths[0]
     if found.peak is not None:
         depth[found.peak.value < _CLEAR * noise] = np.nan
         # The wide window has halos of its own, where only blurred light reaches into it.
         set_to_nan(depth, blurred_edge_mask(depth, found.peak.value))
-    return np.asarray(cv2.resize(depth, shape[::-1], interpolation=cv2.INTER_LINEAR)), noise
+    return enlarged(depth, shape), noise
+
+
+def _silence(samples: list[list[NDArray[np.float32]]]) -> float:
+    """Return the energy of the quietest windows of the quietest frame."""
+    frames = (
+        np.concatenate([part.ravel() for part in parts]) for parts in zip(*samples, strict=True)
+    )
+    return min(float(np.percentile(frame, _QUIET)) for frame in frames)
 
 
 def _share(
@@ -272,36 +287,48 @@ def _scene(
     first, second = (np.rint(np.nan_to_num(d)).astype(np.int32) for d in (wide, narrow))
     scene, fine, coarse = (np.zeros_like(wide) for _ in range(3))
     for number, frame in enumerate(frames):
-        half = _half(frame)
+        half = halved(frame)
         np.copyto(scene, half, where=first == number)
         there = second == number
         for energy, smooth in ((fine, _FINE), (coarse, _COARSE)):
-            np.copyto(energy, _box(_energy(half, smooth), _NARROW), where=there)
+            np.copyto(energy, box(_energy(half, smooth), _NARROW), where=there)
     return scene, fine, coarse
 
 
-def _blur_rate(
+def _misfit(
     frames: Iterator[Image], scene: NDArray[np.float32], wide: NDArray[np.float32]
-) -> float:
-    """Return by how many px the blur grows for each frame out of focus.
-
-    For every distance, the blur of the scene that is most like the frames so far away.
-    """
+) -> Array:
+    """Return how far frames are from the scene blurred, for distances from focus and for blurs."""
     blurred = [scene if s == 0 else blur(scene, s) for s in _BLURS]
     blurred = [image[::2, ::2] for image in blurred]
     level = wide[::2, ::2]
     misfit = np.zeros((len(_DISTANCES), len(_BLURS)))
     for number, frame in enumerate(frames):
-        half = _half(frame)[::2, ::2]
+        half = halved(frame)[::2, ::2]
         away = np.abs(level - number)
         for row, distance in zip(misfit, _DISTANCES, strict=True):
             there = np.abs(away - distance) < 0.25
             seen = half[there]
             row += [float(np.sum((seen - image[there]) ** 2)) for image in blurred]
+    return misfit
+
+
+def _growth(samples: list[Array]) -> float:
+    """Return by how many px the blur grows for each frame out of focus.
+
+    For every distance, the blur of the scene that is most like the frames so far away.
+    """
+    misfit = np.sum(samples, axis=0)
     blurs = np.array(_BLURS)
     used = misfit.sum(axis=1) > 0
     best = np.clip(misfit.argmin(axis=1), 1, len(blurs) - 1)
     return float(np.median((blurs[best] / _DISTANCES)[used])) if used.any() else 0.0
+
+
+def scene_around(rate: float) -> int:
+    """Return how far around a pixel the scene is looked at where it is blurred anew, full px."""
+    # Two boxes for the widest blur; a detail's energy 8, its window 2 and what goes astray 2.
+    return 2 * (2 * (blur_side(rate * _LADDER[-1]) // 2) + 12)
 
 
 def _expected(
@@ -313,7 +340,7 @@ def _expected(
     expected = np.zeros_like(scene)
     for k, distance in enumerate(_LADDER):
         blurred = blur(scene, rate * distance) if rate > 0 else scene
-        fine, coarse = (_box(_energy(blurred, smooth), _NARROW) for smooth in (_FINE, _COARSE))
+        fine, coarse = (box(_energy(blurred, smooth), _NARROW) for smooth in (_FINE, _COARSE))
         share = cv2.dilate(_share(fine, coarse, 0.0), square)
         # Shares fall by powers of the distance: their logarithms are interpolated.
         near = np.maximum(1 - np.abs(place - k), 0)

@@ -13,11 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Image, as_array, as_image, one_of, scalar, whole
 from microlib.focus._filters import (
+    MOST_REACH,
+    box_rows,
     edge_rows,
     gaussian_taps,
     laplacian_rows,
     own_room,
     product_rows,
+    smooth_rows,
     taps,
 )
 from microlib.focus._loops import sum_rows
@@ -164,20 +167,55 @@ def _box_sum(image: NDArray, n: int) -> NDArray:
     return cv2.boxFilter(image, cv2.CV_32F, (n, n), normalize=False, borderType=_MIRROR)
 
 
-def blur(image: NDArray, sigma: float) -> NDArray:
-    """Smooth by a Gaussian; a wide one by two boxes of the same variance, which is faster."""
+def blur(image: NDArray, sigma: float) -> NDArray[np.float32]:
+    """Smooth by a Gaussian; a wide one by two boxes of the same variance, which is faster.
+
+    A pixel's mean depends on the pixels around it alone, to the last bit, and not on where the
+    image begins or ends: OpenCV's running sums do.
+    """
     if sigma < _BOXES_FROM:
-        return cv2.GaussianBlur(image, (0, 0), sigma, borderType=_MIRROR)
-    n = _box_side(sigma)
-    if n < 10:  # two such boxes are a triangle, in one go; a wider one takes longer than two boxes
-        triangle = _two_boxes(n)
-        return cv2.sepFilter2D(image, -1, triangle, triangle, borderType=_MIRROR)
-    once = cv2.boxFilter(image, -1, (n, n), borderType=_MIRROR)
-    return cv2.boxFilter(once, -1, (n, n), borderType=_MIRROR)
+        return _filtered(image, gaussian_taps(sigma))
+    side = blur_side(sigma)
+    return box(box(image, side), side)
 
 
-def _box_side(sigma: float) -> int:
-    """Return the side of the box of which two have the variance of a Gaussian, odd."""
+def _filtered(image: NDArray, filter_: NDArray[np.float32]) -> NDArray[np.float32]:
+    out = np.empty(image.shape, np.float32)
+    smooth_rows(np.ascontiguousarray(image, np.float32), filter_, own_room(), out)
+    return out
+
+
+def box(image: NDArray, side: int) -> NDArray[np.float32]:
+    """Return the mean over a square; as of `blur`, a pixel's depends on those around it alone."""
+    source = np.ascontiguousarray(image, np.float32)
+    out = np.empty(source.shape, np.float32)
+    if side // 2 <= MOST_REACH:
+        box_rows(source, side, own_room(), out)
+        return out
+    # Seldom so wide: the same sums without a tile's memory.
+    for axis in range(2):
+        pad = [(0, 0), (0, 0)]
+        pad[axis] = (side // 2, side // 2)
+        source = np.moveaxis(np.pad(source, pad, mode="reflect"), axis, 0)
+        source = np.moveaxis(_sums(source, side), 0, axis)
+    return source * np.float32(1 / side**2)
+
+
+def _sums(image: NDArray[np.float32], side: int) -> NDArray[np.float32]:
+    """Add up `side` rows from each on, by sums of two, four, eight and so on."""
+    count = len(image) - side + 1
+    total, done, width, power = image[:count].copy(), 1, 1, image
+    while 2 * width <= side:
+        power = power[: len(power) - width] + power[width:]
+        width *= 2
+        if side & width:
+            total += power[done : done + count]
+            done += width
+    return total
+
+
+def blur_side(sigma: float) -> int:
+    """Return the side of the box of which two have the variance of a wide Gaussian, px, odd."""
     # A box of n has the variance (n² - 1) / 12.
     return 2 * round((np.sqrt(6 * sigma**2 + 1) - 1) / 2) + 1
 
@@ -188,7 +226,7 @@ def _two_boxes(n: int) -> NDArray[np.float64]:
 
 def blur_taps(sigma: float) -> NDArray[np.float32]:
     """Return the taps of `blur`, for the compiled filters."""
-    return gaussian_taps(sigma) if sigma < _BOXES_FROM else taps(_two_boxes(_box_side(sigma)))
+    return gaussian_taps(sigma) if sigma < _BOXES_FROM else taps(_two_boxes(blur_side(sigma)))
 
 
 class RowsMeasure(Protocol):
@@ -348,9 +386,19 @@ def edge_measure(noise: float) -> RowsMeasure:
     return _Edge(filters, (floor, floor))
 
 
-def noise_level(frame: Image) -> float:
-    """Estimate the noise of a frame from its quietest twentieth, grey levels."""
-    measure = _NOISE_SCALE(frame.astype(np.float32))
+def noise_level(samples: list[tuple[NDArray[np.float32], float, np.dtype]]) -> float:
+    """Estimate the noise of a frame from its quietest twentieth, grey levels.
+
+    From what `noise_sample` makes of its parts.
+    """
+    measure = np.concatenate([values.ravel() for values, _, _ in samples])
     quiet = float(np.percentile(measure, _QUIET)) / _NOISE_SCALE.gain
-    rounding = np.sqrt(1 / 12) if frame.dtype.kind == "u" else 0.0
-    return max(quiet, rounding, _LEAST_NOISE_SHARE * float(np.abs(frame).max()), _LEAST_NOISE)
+    rounding = np.sqrt(1 / 12) if samples[0][2].kind == "u" else 0.0
+    largest = max(most for _, most, _ in samples)
+    return max(quiet, rounding, _LEAST_NOISE_SHARE * largest, _LEAST_NOISE)
+
+
+def noise_sample(frame: Image) -> tuple[NDArray[np.float32], float, np.dtype]:
+    """Return a fine measure of a part of a frame, its largest grey level, and its type."""
+    measure = _NOISE_SCALE(frame.astype(np.float32))
+    return measure, float(np.abs(frame).max()), frame.dtype

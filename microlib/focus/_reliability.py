@@ -35,8 +35,8 @@ _APART, _TOGETHER = 2.0, 1.0
 _FAINT_EDGE = 0.2
 #: Largest area that is no surface of its own, px, and the jump between surfaces, frames.
 _SMALL_AREA, _COMPONENT_JUMP = 50, 1.5
-#: Parts of a frame that a whole number counts: 64 leave 512 frames to 16 bits, and what lies higher
-#: counts as one surface.
+#: Parts of a frame that a whole number counts: 64 leave 1023 frames to 16 bits, and what lies
+#: higher counts as one surface.
 _FIXED_POINT = 64
 
 
@@ -89,13 +89,13 @@ def blurred_edge_mask(depth: NDArray, inverse_variance: NDArray) -> NDArray[np.b
     return faint & apart
 
 
-def small_component_mask(depth: Array) -> NDArray[np.bool_]:
+def small_component_mask(depth: Array, least: float) -> NDArray[np.bool_]:
     """Tell which pixels are of a surface of their own, but of a few pixels only; depths in frames.
 
-    Unknown depths are among them.
+    No depth is half a frame below `least`. Unknown depths are among them.
     """
     unknown = -(2**15)
-    above = _FIXED_POINT * (depth - np.fmin.reduce(depth, axis=None))
+    above = np.floor(_FIXED_POINT * (depth - (least - 0.5))) + (unknown + 1)
     fine = np.where(np.isfinite(depth), above, unknown)
     level = np.clip(fine, unknown, 2**15 - 1).astype(np.int16)
     cv2.filterSpeckles(level, unknown, _SMALL_AREA, _FIXED_POINT * _COMPONENT_JUMP)

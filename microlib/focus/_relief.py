@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,6 +26,8 @@ from microlib.focus._errors import smooth_variance
 from microlib.focus._filters import own_room
 from microlib.focus._loops import balance
 from microlib.focus._measures import blur, blur_taps
+from microlib.focus._nearest import enlarged
+from microlib.focus._questions import Question, Steps
 
 # What the depth and its uncertainty owe to each constant is measured in benchmarks/focus_depth.py.
 
@@ -87,7 +88,7 @@ _Mean = Callable[[NDArray], NDArray]
 
 def find_relief(
     base: Array, directions: Directions, doubtful: NDArray[np.bool_], *, workers: int = 1
-) -> Relief:
+) -> Steps[Relief]:
     """Return the relief above a smoothed depth on which two independent depths agree.
 
     Parameters
@@ -117,8 +118,8 @@ def find_relief(
     the relief, which is its variance less the covariance, and relief that was seen but held back.
     """
     known = np.isfinite(base)
-    weights = _weights(directions.weights, known)
-    offsets = _unlocked(np.clip(directions.offsets, -_MOST, _MOST), weights, base)
+    weights = yield from _weights(directions.weights, known)
+    offsets = yield from _unlocked(np.clip(directions.offsets, -_MOST, _MOST), weights, base)
     bands, smooth = _bands(offsets, weights, workers)
     relief, held = _relief(bands, known, workers)
     mean = _mean(known, _COMPOSED)
@@ -126,33 +127,51 @@ def find_relief(
     returned = np.maximum(mean(relief[0, ::2, ::2] ** 2) - covariance, 0)
     lost_covariance, lost_sharpen = _composed(held, mean)
     lost = np.maximum(lost_covariance, 0) * lost_sharpen**2
-    own = _enlarged(_RETURNED * returned * sharpen**2 + _LOST * lost, base.shape)
+    own = enlarged(_RETURNED * returned * sharpen**2 + _LOST * lost, base.shape)
     half_difference = (smooth[1] - smooth[2]) / 2
-    return Relief(
-        offset=relief[0] * _enlarged(sharpen, base.shape),
-        variance=own + smooth_variance(base, half_difference, weights[0], doubtful),
-    )
+    variance = yield from smooth_variance(base, half_difference, weights[0], doubtful)
+    return Relief(relief[0] * enlarged(sharpen, base.shape), own + variance)
 
 
-def _weights(weights: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _weights(weights: NDArray[np.float32], known: NDArray[np.bool_]) -> Steps[NDArray[np.float32]]:
     """Return weights around 1, without extremes, and 0 where there is no depth."""
     result = weights * known
-    for weight in result:
-        balance(weight, np.float32(median_above_zero(weight)), np.float32(_WEIGHTS))
+    typical = yield Question(
+        "weights",
+        lambda: [weight[weight > 0] for weight in result],
+        lambda samples: [
+            median_above_zero(np.concatenate(kind)) for kind in zip(*samples, strict=True)
+        ],
+    )
+    for weight, middle in zip(result, typical, strict=True):
+        balance(weight, np.float32(middle), np.float32(_WEIGHTS))
     return result
 
 
 def _unlocked(
     offsets: NDArray[np.float32], weights: NDArray[np.float32], base: Array
-) -> NDArray[np.float32]:
+) -> Steps[NDArray[np.float32]]:
     """Take from each depth how far it is pulled towards frames, by its place between them.
 
     The logarithm of a profile is no parabola, so that its fit depends on where the frames lie. Both
     directions are pulled alike, and it would pass for relief. Two harmonics of the place, fitted to
     all pixels.
     """
+    level = np.where(np.isfinite(base), base, 0).astype(np.float32)
+    factors = yield Question("pull", lambda: _products(level, base, offsets, weights), _factors)
+    result = np.empty_like(offsets)
+    unlock(level, offsets, factors, result)
+    return result
+
+
+def _products(
+    level: NDArray[np.float32],
+    base: Array,
+    offsets: NDArray[np.float32],
+    weights: NDArray[np.float32],
+) -> Array:
+    """Return sums over all pixels of the products of harmonics and offsets, (kinds, 5, 6)."""
     known = np.isfinite(base)
-    level = np.where(known, base, 0).astype(np.float32)
     every = known.all()
     large = (
         blur(level, _LARGE) if every else _weighted_blur(level, known.astype(np.float32), _LARGE)
@@ -160,14 +179,18 @@ def _unlocked(
     sums = np.zeros((len(offsets), 5, 6))
     # At the image's border and beside steps the wide mean says nothing of a pixel's own place.
     add_products(level, large, _ALIKE, offsets, weights, sums)
-    factors = np.zeros((len(offsets), 4), np.float32)
+    return sums
+
+
+def _factors(samples: list[Array]) -> NDArray[np.float32]:
+    """Return the factors of four harmonics for each kind of offset, by least squares."""
+    sums = np.sum(samples, axis=0)
+    factors = np.zeros((len(sums), 4), np.float32)
     for factor, products in zip(factors, sums, strict=True):
         mean = products / max(products[0, 0], 1e-30)
         central = (mean - np.outer(mean[:, 0], mean[0]))[1:, 1:]
         factor[:] = np.linalg.solve(central[:, :-1] + _RIDGE * np.eye(4), central[:, -1])
-    result = np.empty_like(offsets)
-    unlock(level, offsets, factors, result)
-    return result
+    return factors
 
 
 def _bands(
@@ -196,7 +219,7 @@ def _relief(
         mean = _mean(known, _WINDOWS[k])
         found = _agreement(bands[k, :, ::2, ::2], mean, _COMMON[k], _CHANCE[k] / _WINDOWS[k])
         for part, out in zip(found, (shares[k], agreed[k]), strict=True):
-            cv2.resize(part, known.shape[::-1], dst=out)
+            out[:] = enlarged(part, known.shape)
 
     relief, held = np.empty((3, *known.shape), np.float32), np.empty((2, *known.shape), np.float32)
 
@@ -212,7 +235,8 @@ def _relief(
 
 def _weighted_blur(image: NDArray, weight: NDArray, sigma: float) -> NDArray[np.float32]:
     # Beyond the reach of any weight there is nothing to smooth.
-    return blur(image * weight, sigma) / np.maximum(blur(weight, sigma), np.float32(1e-12))
+    total = np.maximum(blur(weight, sigma), np.float32(1e-12))
+    return np.asarray(blur(image * weight, sigma) / total, np.float32)
 
 
 def _mean(known: NDArray[np.bool_], sigma: float) -> _Mean:
@@ -225,10 +249,6 @@ def _mean(known: NDArray[np.bool_], sigma: float) -> _Mean:
 def _mean_square(mean: _Mean, image: NDArray) -> NDArray:
     # Running sums leave less than nothing where all is zero beside something large.
     return np.maximum(mean(image**2), 0)
-
-
-def _enlarged(image: NDArray, shape: tuple[int, ...]) -> NDArray[np.float32]:
-    return np.asarray(cv2.resize(image, shape[::-1]))
 
 
 def _agreement(band: NDArray, mean: _Mean, common: float, chance: float) -> tuple[NDArray, NDArray]:
@@ -256,7 +276,7 @@ def _composed(relief: NDArray, mean: _Mean) -> tuple[NDArray, NDArray]:
     )
     # Below a thousandth of a frame there is no relief whose wavenumber could be told.
     wavenumber = np.where(covariance > 1e-6, slopes / np.maximum(covariance, 1e-6), 0)
-    return covariance, np.exp(np.clip(_BLUR / 2 * wavenumber, 0, np.log(_SHARPEN)))
+    return covariance, np.exp(np.clip(_BLUR / 2 * wavenumber, 0, float(np.log(_SHARPEN))))
 
 
 def _slope(image: NDArray, axis: int) -> NDArray:

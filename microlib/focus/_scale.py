@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from microlib._common import Array, Image
 from microlib.focus._measures import Scale
+from microlib.focus._window import Window
 
 #: The measure whose peak is looked at: fine, as wide texture has wide peaks of its own, and
 #: averaged over 2 px, so that noise does not choose the highest frame.
@@ -43,13 +44,60 @@ def peak_width(frames: Iterable[Image]) -> float:
         Area of the peak over its height, both above the profile's 20th percentile: the median
         over the half of the samples that have the higher peaks. One where no peak stands out.
     """
-    profiles = np.stack([_samples(frame) for frame in frames])
-    above = profiles - np.percentile(profiles, _GROUND, axis=0).astype(np.float32)
+    return _width(np.stack([_samples(frame) for frame in frames]))
+
+
+def width_of_squares(squares: list[list[Image]], shape: tuple[int, int]) -> tuple[float, Array]:
+    """Return what `peak_width` does from the `square_windows` of a large image, and their peaks.
+
+    Parameters
+    ----------
+    squares : list of lists of ndarray
+        For each window, what all frames show of it.
+    shape : tuple of int
+        Rows and columns of the image.
+
+    Returns
+    -------
+    width : float
+        As `peak_width` returns it.
+    height : ndarray, shape (len(squares),)
+        Median height of the peaks in each square.
+    """
+    reach = _MEASURE.reach
+    rows, cols = (_around(side, reach) for side in shape)
+    places = [(down - down.min(), along - along.min()) for down in rows for along in cols]
+    profiles, heights = [], []
+    for frames, place in zip(squares, places, strict=True):
+        inner = np.s_[reach:-reach:_SAMPLE, reach:-reach:_SAMPLE]
+        samples = [_MEASURE(frame[np.ix_(*place)].astype(np.float32))[inner] for frame in frames]
+        profile = np.stack([sample.ravel() for sample in samples])
+        profiles.append(profile)
+        heights.append(float(np.median(_above_ground(profile).max(axis=0))))
+    return _width(np.concatenate(profiles, axis=1)), np.array(heights)
+
+
+def square_windows(shape: tuple[int, int]) -> list[Window]:
+    """Return the squares that a stack's width is measured in, with what is around them."""
+    rows, cols = (_around(side, _MEASURE.reach) for side in shape)
+    return [
+        Window(down.min(), along.min(), down.max() + 1, along.max() + 1, shape)
+        for down in rows
+        for along in cols
+    ]
+
+
+def _width(profiles: NDArray[np.float32]) -> float:
+    above = _above_ground(profiles)
     height = above.max(axis=0)
     clear = (height >= np.median(height)) & (height > 0)
     if not clear.any():
         return 1.0
     return float(np.median(above.sum(axis=0)[clear] / height[clear]))
+
+
+def _above_ground(profiles: NDArray[np.float32]) -> NDArray[np.float32]:
+    return profiles - np.percentile(profiles, _GROUND, axis=0).astype(np.float32)
 
 
 def _samples(frame: Image) -> NDArray[np.float32]:

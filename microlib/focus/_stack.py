@@ -35,6 +35,7 @@ class _Reader(Protocol):
     """What `microlib.io.read_frames` returns."""
 
     count: int | None
+    shape: tuple[int, int]
     dtype: np.dtype
     color: bool
 
@@ -62,6 +63,17 @@ class Stack:
     color: bool
     _reader: _Reader
     _progress: Progress | None
+    _untold: Frames
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the frames."""
+        return self._reader.shape
+
+    @property
+    def untold(self) -> Frames:
+        """The frames, of which it is not told that they are read: arrays as they are."""
+        return self._untold
 
     def check_count(self, positions: Array) -> None:
         """Refuse another number of positions than of frames, if that is known."""
@@ -155,9 +167,10 @@ def open_stack(
         raise ValueError("frames must hold at least three frames, got none")
     if again or reader.color:
         reader = reader.kept()
-    plain = region is None and reduce == 1 and progress is None and reader.rereadable
-    given = frames if plain and not again else _counted(reader, progress, reader.count, 1, 0)
-    return Stack(given, positions, reader.color, reader, progress)
+    untold = frames if region is None and reduce == 1 and reader.rereadable else reader
+    plain = untold is frames and progress is None and not again
+    given = frames if plain else _counted(reader, progress, reader.count, 1, 0)
+    return Stack(given, positions, reader.color, reader, progress, untold)
 
 
 def _cut(result: FocusResult, found: Registered) -> FocusResult:

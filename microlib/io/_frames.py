@@ -99,12 +99,15 @@ class FrameReader(Iterator[NDArray]):
         self.count, self.axis, self.positions = source.count, source.axis, source.positions
         size = source.pixel_size
         self.pixel_size = None if size is None else size * reduce
-        named = source.read()
-        first = next(named, None)
         self.shape: tuple[int, int] = (0, 0)
         self.dtype = np.dtype(np.uint8)
         self.color = False
-        if first is not None:
+        named = source.read()
+        if source.shape is not None and source.pixel is not None:
+            self.color = _has_color(source.pixel)
+            self.shape = self._prepared_shape(source.shape)
+            self.dtype = _numbers("frames[0]", source.pixel).dtype
+        elif (first := next(named, None)) is not None:
             self.color = _has_color(first[1])
             frame = self._prepared(*first)
             self.shape, self.dtype = (frame.shape[0], frame.shape[1]), frame.dtype
@@ -152,6 +155,14 @@ class FrameReader(Iterator[NDArray]):
                 raise ValueError(f"{name} must be {kind} like the first frame")
             yield frame
             del raw, frame
+
+    def _prepared_shape(self, shape: tuple[int, ...]) -> tuple[int, int]:
+        """Return rows and columns of what is wanted of a frame of that shape."""
+        rows, cols = shape[0], shape[1]
+        if self._region is not None:
+            _slices(self._region, (rows, cols))
+            rows, cols = self._region[2:]
+        return rows // self._reduce, cols // self._reduce
 
     def _prepared(self, name: str, raw: NDArray) -> NDArray:
         """Return the part that is wanted, in a type and colors that are."""

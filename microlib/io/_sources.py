@@ -51,6 +51,10 @@ class Source:
         Side of a pixel, µm/px, if the file tells.
     positions : ndarray, shape (count,), or None
         Positions of the frames along the optical axis, µm, if the file tells.
+    shape : tuple of int, or None
+        Shape of a frame, if it is known without reading one.
+    pixel : ndarray of shape (1, 1) or (1, 1, channels), or None
+        A pixel of a frame whose shape is known: it tells the type.
     """
 
     read: Callable[[], Named]
@@ -59,6 +63,8 @@ class Source:
     axis: str = ""
     pixel_size: float | None = None
     positions: Array | None = None
+    shape: tuple[int, ...] | None = None
+    pixel: NDArray | None = None
 
 
 def open_source(frames: Frames) -> Source:
@@ -118,7 +124,11 @@ def _array(frames: Any) -> Source:
         for k in range(shape[0]):
             yield f"frames[{k}]", np.asarray(frames[k])
 
-    return Source(read, count=shape[0])
+    if isinstance(frames, np.ndarray) or min(shape) == 0 or not hasattr(frames, "dtype"):
+        return Source(read, count=shape[0])
+    # A frame may be large, and is to be read when it is wanted.
+    pixel = np.asarray(frames[0, :1, :1])
+    return Source(read, count=shape[0], shape=shape[1:], pixel=pixel)
 
 
 def _zarr(store: Any) -> Source:

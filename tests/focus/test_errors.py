@@ -12,6 +12,7 @@ from microlib.focus._errors import (
     _pull_variance,
     smooth_variance,
 )
+from microlib.focus._questions import alone
 
 SHAPE = (160, 160)
 
@@ -35,7 +36,7 @@ def test_noise_follows_the_texture():
     deviation = np.broadcast_to(np.where(faint, 0.2, 0.1), SHAPE)
     variance = np.mean(
         [
-            _noise_variance(differences(deviation, seed), weight, np.ones(SHAPE, bool))
+            alone(_noise_variance(differences(deviation, seed), weight, np.ones(SHAPE, bool)))
             for seed in range(4)
         ],
         axis=0,
@@ -50,14 +51,14 @@ def test_a_few_wrong_pixels_do_not_pass_for_noise():
     weight, known = textured(1.0), np.ones(SHAPE, bool)
     spoiled = plain.copy()
     spoiled[40:60, 40:80] = 1.5  # 3 % of the image, seven times its mean square
-    before, after = (_noise_variance(d, weight, known).mean() for d in (plain, spoiled))
+    before, after = (alone(_noise_variance(d, weight, known)).mean() for d in (plain, spoiled))
     assert after == pytest.approx(before, rel=0.1)
 
 
 def test_noise_does_not_fall_with_less_texture():
     weight = textured(np.where(np.arange(SHAPE[1]) < 80, 1.0, 0.25))
     deviation = np.broadcast_to(np.where(np.arange(SHAPE[1]) < 80, 0.3, 0.1), SHAPE)
-    variance = _noise_variance(differences(deviation), weight, np.ones(SHAPE, bool))
+    variance = alone(_noise_variance(differences(deviation), weight, np.ones(SHAPE, bool)))
     assert variance[:, 120:].mean() >= 0.99 * variance[:, :40].mean()
 
 
@@ -106,9 +107,9 @@ def test_around_halos_the_error_is_a_share_of_the_range_of_depths():
 
 def test_where_nothing_is_known_there_is_no_error():
     nothing, zero = np.full(SHAPE, np.nan), np.zeros(SHAPE, np.float32)
-    assert not smooth_variance(nothing, zero, zero, np.ones(SHAPE, bool)).any()
+    assert not alone(smooth_variance(nothing, zero, zero, np.ones(SHAPE, bool))).any()
     one = nothing.copy()
     one[30, 30] = 4.0
-    variance = smooth_variance(one, zero, zero, np.isnan(one))
+    variance = alone(smooth_variance(one, zero, zero, np.isnan(one)))
     assert np.isfinite(variance).all()
     assert variance[30, 30] > 0

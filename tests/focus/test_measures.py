@@ -101,15 +101,19 @@ def test_gain_is_the_mean_on_white_noise():
         assert scale(noise).mean() == pytest.approx(scale.gain, rel=0.05)
 
 
+def noise_level(frame):
+    return _measures.noise_level([_measures.noise_sample(frame)])
+
+
 def test_noise_level_finds_the_noise_beside_texture():
     rng = np.random.default_rng(4)
     for sigma in (2.0, 5.0):
         frame = 128 + sigma * rng.standard_normal((200, 200))
         frame[:, :150] += 40 * rng.standard_normal((200, 150))
-        found = _measures.noise_level(np.clip(np.rint(frame), 0, 255).astype(np.uint8))
+        found = noise_level(np.clip(np.rint(frame), 0, 255).astype(np.uint8))
         # The quietest twentieth lies two scatters of a 3 px window below the mean.
         assert 0.7 * sigma < found < 1.1 * sigma
-    assert _measures.noise_level(np.zeros((32, 32), np.float32)) > 0
+    assert noise_level(np.zeros((32, 32), np.float32)) > 0
 
 
 def test_wide_blur_has_the_variance_asked_for():

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from microlib.focus import _depth
+from microlib.focus import _depth, _multiscale
+from microlib.focus._window import Window
 
 
 def test_spikes_go_where_they_are_further_than_a_frame_from_the_median():
     depth = np.full((20, 20), 5.0, np.float32)
     depth[5, 5], depth[10, 10] = 6.0, 6.1
-    found = _depth._without_spikes(depth, 5)
+    found = _multiscale._without_spikes(depth, 5)
     assert found[5, 5] == 6.0
     assert found[10, 10] == 5.0
 
@@ -20,12 +21,12 @@ def test_a_pixel_at_a_step_takes_the_depth_of_its_own_side():
     fine = np.tile(np.where(place < 20, 0.0, 5.0), (40, 1)).astype(np.float32)
     broad = np.tile(np.where(place < 22, 0.0, 5.1), (40, 1)).astype(np.float32)
     sure = np.ones(fine.shape, bool)
-    mended = _depth._choose_side(broad, fine, sure)
+    mended = _multiscale._choose_side(broad, fine, sure)
     np.testing.assert_allclose(mended, np.where(fine > 0, broad[0, -1], 0.0))
-    np.testing.assert_array_equal(_depth._choose_side(broad, fine, ~sure), broad)
+    np.testing.assert_array_equal(_multiscale._choose_side(broad, fine, ~sure), broad)
     far = np.tile(np.where(place < 25, 0.0, 5.1), (40, 1)).astype(np.float32)
     # Five pixels away the nearer neighbors see the wrong side still, those at six do not.
-    np.testing.assert_allclose(_depth._choose_side(far, fine, sure), mended)
+    np.testing.assert_allclose(_multiscale._choose_side(far, fine, sure), mended)
 
 
 @pytest.mark.parametrize(("gap", "moves"), [(1.4, False), (1.6, True)])
@@ -34,24 +35,24 @@ def test_a_side_is_chosen_only_where_the_two_depths_differ_clearly(gap, moves):
     broad[:, 15:] = gap
     fine = np.zeros_like(broad)
     fine[:, 16:] = gap  # one column is on the wrong side
-    mended = _depth._choose_side(broad, fine, np.ones(fine.shape, bool))
+    mended = _multiscale._choose_side(broad, fine, np.ones(fine.shape, bool))
     assert (mended[:, 15] == (0 if moves else np.float32(gap))).all()
 
 
 def test_a_neighbor_that_does_not_agree_is_not_taken():
     broad, fine = np.full((30, 30), 4.0, np.float32), np.zeros((30, 30), np.float32)
     sure = np.ones(fine.shape, bool)
-    np.testing.assert_array_equal(_depth._choose_side(broad, fine, sure), broad)
+    np.testing.assert_array_equal(_multiscale._choose_side(broad, fine, sure), broad)
     broad[:, 15:] = 0.9  # with 0.05 a pixel: 1.05 at three
-    assert (_depth._choose_side(broad, fine, sure)[:, :15] == 4.0).all()
+    assert (_multiscale._choose_side(broad, fine, sure)[:, :15] == 4.0).all()
     broad[:, 15:] = 0.8
-    changed = _depth._choose_side(broad, fine, sure)[:, :15] < 4
+    changed = _multiscale._choose_side(broad, fine, sure)[:, :15] < 4
     assert changed[:, 12:].all()
     assert not changed[:, :12].any()  # 0.8 + 6 · 0.05 is more than one
 
 
 def test_windows_see_less_towards_the_border():
-    inner = _depth._inside((30, 40))
+    inner = _multiscale._inside(Window.whole((30, 40)))
     np.testing.assert_allclose(inner[15, :9], [1 / 8, 2 / 8, 3 / 8, 0.5, 5 / 8, 6 / 8, 7 / 8, 1, 1])
     np.testing.assert_allclose(inner, inner[::-1, ::-1])
     np.testing.assert_allclose(inner.min(axis=1)[:2], 1 / 8)
@@ -61,11 +62,11 @@ def test_unknown_depths_are_filled_by_the_nearest():
     depth = np.tile(np.arange(8.0), (6, 1))
     depth[:, 3] = np.nan
     depth[2, 4] = np.nan
-    filled = _depth._filled(depth)
+    filled = _multiscale._filled(depth)
     assert np.isin(filled[:, 3], [2.0, 4.0]).all()
     known = ~np.isnan(depth)
     np.testing.assert_array_equal(filled[known], depth[known])
-    np.testing.assert_array_equal(_depth._filled(np.full((3, 3), np.nan)), np.zeros((3, 3)))
+    np.testing.assert_array_equal(_multiscale._filled(np.full((3, 3), np.nan)), np.zeros((3, 3)))
 
 
 def test_roughness_is_that_of_the_noise_and_not_of_the_slope():

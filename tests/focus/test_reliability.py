@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from microlib.focus._measures import blur, multiscale_measure, noise_level, noise_response
+from microlib.focus._measures import (
+    blur,
+    multiscale_measure,
+    noise_level,
+    noise_response,
+    noise_sample,
+)
 from microlib.focus._reliability import (
     below_noise_mask,
     blurred_edge_mask,
@@ -71,7 +77,7 @@ def test_the_peaks_of_noise_are_averaged_before_they_are_judged():
 def test_the_limit_is_just_above_what_noise_reaches(count):
     rng = np.random.default_rng(count)
     frames = np.clip(np.rint(128 + 3 * rng.standard_normal((count, 160, 160))), 0, 255)
-    noise = noise_level(frames[0].astype(np.uint8))
+    noise = noise_level([noise_sample(frames[0].astype(np.uint8))])
     measure = multiscale_measure(noise)
     peak = np.max([measure(frame, slice(0, 160)) for frame in frames], axis=0)
     ratio = (peak / noise_response(noise)).astype(np.float32)
@@ -134,14 +140,14 @@ def test_a_component_of_up_to_fifty_pixels_that_stands_apart_goes(sides, higher,
     wanted = np.zeros(depth.shape, bool)
     wanted[part] = goes
     wanted[30, 30] = True
-    np.testing.assert_array_equal(small_component_mask(depth), wanted)
+    np.testing.assert_array_equal(small_component_mask(depth, 0.0), wanted)
 
 
 def test_steps_high_above_the_lowest_depth_are_seen_up_to_512_frames():
     depth = np.zeros((40, 40))
     depth[:, 20:] = 500.0
     depth[5:8, 30:33] = 503.0
-    assert small_component_mask(depth).sum() == 9
+    assert small_component_mask(depth, 0.0).sum() == 9
 
 
 def test_what_has_fewer_known_depths_around_it_than_unknown_ones_is_isolated():

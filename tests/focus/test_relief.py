@@ -9,6 +9,7 @@ from microlib import synthetic
 from microlib.focus import depth_from_focus
 from microlib.focus._directions import Directions, _second_differences, directional_depths
 from microlib.focus._peaks import fit_peak
+from microlib.focus._questions import alone
 from microlib.focus._relief import find_relief
 
 SHAPE = (144, 144)
@@ -105,7 +106,7 @@ def directions(relief, *, noise=0.1, grain=1.0, seed=0):
 @pytest.mark.parametrize(("period", "least"), [(8.0, 0.6), (12.0, 0.8), (20.0, 0.9)])
 def test_relief_on_which_both_directions_agree_is_found_and_sharpened(period, least):
     relief = waves(period, 0.3)
-    found = find_relief(np.full(SHAPE, 5.3), directions(relief, noise=0.04), NOWHERE)
+    found = alone(find_relief(np.full(SHAPE, 5.3), directions(relief, noise=0.04), NOWHERE))
     # Without sharpening 0.46, 0.71 and 0.88 of it are seen.
     assert least < gain(found.offset, relief) < 1.1
     stated = np.sqrt(np.mean(inner(found.variance)))
@@ -114,7 +115,9 @@ def test_relief_on_which_both_directions_agree_is_found_and_sharpened(period, le
 
 def test_noise_of_each_direction_alone_is_no_relief():
     for seed in range(3):
-        found = find_relief(np.full(SHAPE, 5.3), directions(np.zeros(SHAPE), seed=seed), NOWHERE)
+        found = alone(
+            find_relief(np.full(SHAPE, 5.3), directions(np.zeros(SHAPE), seed=seed), NOWHERE)
+        )
         # 0.07 is the noise of their mean.
         assert rms(found.offset) < 0.004
 
@@ -125,7 +128,7 @@ def test_a_few_bad_pixels_that_agree_are_no_relief():
     rng = np.random.default_rng(2)
     for y, x in rng.integers(15, 129, (8, 2)):
         wrong[y - 2 : y + 3, x - 2 : x + 3] = 1.0
-    found = find_relief(np.full(SHAPE, 5.3), directions(wrong), NOWHERE)
+    found = alone(find_relief(np.full(SHAPE, 5.3), directions(wrong), NOWHERE))
     plain = gaussian_filter(directions(wrong).offsets[0], 0.5)
     assert np.sum(found.offset**2) < 0.1 * np.sum(plain**2)
 
@@ -133,17 +136,19 @@ def test_a_few_bad_pixels_that_agree_are_no_relief():
 def test_the_pull_towards_frames_is_no_relief():
     base = 5 + synthetic.tilted_plane(SHAPE, 0.05, 0.01)
     pull = -0.05 * np.sin(2 * np.pi * base) + 0.02 * np.cos(4 * np.pi * base)
-    found = find_relief(base, directions(pull, noise=0.03), NOWHERE)
+    found = alone(find_relief(base, directions(pull, noise=0.03), NOWHERE))
     assert rms(found.offset) < 0.2 * rms(pull)
     # On a plane all of one place between frames the same offsets are relief.
-    level = find_relief(np.full(SHAPE, 5.3), directions(pull, noise=0.03), NOWHERE)
+    level = alone(find_relief(np.full(SHAPE, 5.3), directions(pull, noise=0.03), NOWHERE))
     assert rms(level.offset) > 0.6 * rms(pull)
 
 
 def test_errors_that_are_smooth_are_stated_too():
     """Noise of a grain of 8 px passes all windows, and shows as a difference of the directions."""
     made = directions(np.zeros(SHAPE), noise=0.1, grain=8.0, seed=1)
-    stated = np.sqrt(np.mean(inner(find_relief(np.full(SHAPE, 5.3), made, NOWHERE).variance)))
+    stated = np.sqrt(
+        np.mean(inner(alone(find_relief(np.full(SHAPE, 5.3), made, NOWHERE)).variance))
+    )
     # The mean of both has an error of 0.07; some of it is smoothed away.
     assert 0.04 < stated < 0.09
 
@@ -151,13 +156,13 @@ def test_errors_that_are_smooth_are_stated_too():
 def test_unknown_depths_give_no_relief_and_do_no_harm():
     relief = waves(12.0, 0.3)
     base = np.full(SHAPE, 5.3)
-    whole = find_relief(base, directions(relief), NOWHERE)
+    whole = alone(find_relief(base, directions(relief), NOWHERE))
     made = directions(relief)
     base[:, :40] = np.nan
     made.offsets[:, :, :40] = 1.5
-    part = find_relief(base, made, NOWHERE)
+    part = alone(find_relief(base, made, NOWHERE))
     assert gain(part.offset[:, 50:], relief[:, 50:]) > 0.9 * gain(whole.offset, relief)
-    empty = find_relief(np.full(SHAPE, np.nan), made, NOWHERE)
+    empty = alone(find_relief(np.full(SHAPE, np.nan), made, NOWHERE))
     assert np.isfinite(empty.offset).all()
 
 
