@@ -1,4 +1,4 @@
-"""What several subjects share: argument checks, types, covariance, files, a pipeline of threads."""
+"""What several subjects share: argument checks, types, covariance, files, threads, devices."""
 
 from microlib._common._checks import (
     LARGEST,
@@ -19,8 +19,10 @@ from microlib._common._checks import (
     whole,
 )
 from microlib._common._covariance import OPEN, inverse_normal
+from microlib._common._devices import Mover, VelocityMover, Workstation
 from microlib._common._files import replace_file
 from microlib._common._frames import Frames, is_in_memory
+from microlib._common._guard import POLL, DeviceError, EndRun, Guard, interrupts
 from microlib._common._pipeline import pipeline
 from microlib._common._processes import end_with_starter
 from microlib._common._tidy import Tidy, flat_row
@@ -29,10 +31,17 @@ from microlib._common._types import Array, Image
 __all__ = [
     "LARGEST",
     "OPEN",
+    "POLL",
     "Array",
+    "DeviceError",
+    "EndRun",
     "Frames",
+    "Guard",
     "Image",
+    "Mover",
     "Tidy",
+    "VelocityMover",
+    "Workstation",
     "are_small",
     "as_array",
     "as_image",
@@ -42,6 +51,7 @@ __all__ = [
     "flat_row",
     "generator",
     "image_shape",
+    "interrupts",
     "inverse_normal",
     "is_in_memory",
     "items",

@@ -141,6 +141,12 @@ def _basis(scaled: Array) -> Array:
     return np.stack([np.ones_like(scaled), ndtr(scaled), np.exp(-(scaled**2) / 2)], axis=-1)
 
 
+def _normal(keep: Array, columns: Array) -> Array:
+    """Return the weighted normal matrix of each profile."""
+    # As products of matrices: a sum over three factors takes four times as long.
+    return (keep[..., np.newaxis] * columns).swapaxes(1, 2) @ columns
+
+
 def _grid_search(data: Array, offsets: Array, keep: Array, width: float) -> Array:
     """Best position of each profile on a coarse grid."""
     grid = np.arange(-_REACH, _REACH + _SEARCH_STEP / 2, _SEARCH_STEP)
@@ -167,14 +173,14 @@ def _gauss_newton(
     for _ in range(_ITERATIONS):
         scaled = (offsets - position[:, np.newaxis]) / width
         basis = _basis(scaled)
-        normal = np.einsum("nm,nmi,nmj->nij", keep, basis, basis) + _DAMPING * np.eye(3)
-        right = np.einsum("nm,nmi->ni", keep * data, basis)
+        normal = _normal(keep, basis) + _DAMPING * np.eye(3)
+        right = ((keep * data)[:, np.newaxis] @ basis)[:, 0]
         linear = np.linalg.solve(normal, right[..., np.newaxis])[..., 0]
         bell = basis[..., 2]
         slope = bell * (scaled * linear[:, 2:] - linear[:, 1:2] / np.sqrt(2 * np.pi)) / width
         jacobian = np.concatenate([basis, slope[..., np.newaxis]], axis=-1)
         residual = keep * (data - np.einsum("nmi,ni->nm", basis, linear))
-        hessian = np.einsum("nm,nmi,nmj->nij", keep, jacobian, jacobian) + _DAMPING * np.eye(4)
+        hessian = _normal(keep, jacobian) + _DAMPING * np.eye(4)
         gradient = np.einsum("nmi,nm->ni", jacobian, residual)
         step = np.linalg.solve(hessian, gradient[..., np.newaxis])[:, 3, 0]
         position += np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)

@@ -9,12 +9,10 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array
+from microlib._common import Array, EndRun, Guard, VelocityMover, Workstation
 from microlib.servoing._control import PredictiveController
-from microlib.servoing._guard import EndRun, Guard
 from microlib.servoing._log import add_event, median_latency, new_row, put
 from microlib.servoing._motion import LARGEST_SHARE, StageMotion, fit_motion, visits
-from microlib.servoing._protocols import VelocityMover, Workstation
 from microlib.servoing._workstation import Controller, Tracker
 
 #: Moves in a row that the image may fail to follow: one can be a bad track, and a second its

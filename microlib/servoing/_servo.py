@@ -11,13 +11,25 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, Tidy, as_array, flag, one_of, positive, scalar, whole
+from microlib._common import (
+    Array,
+    EndRun,
+    Guard,
+    Tidy,
+    VelocityMover,
+    Workstation,
+    as_array,
+    flag,
+    interrupts,
+    one_of,
+    positive,
+    scalar,
+    whole,
+)
 from microlib.servoing._control import LARGEST_CONDITION
-from microlib.servoing._guard import EndRun, Guard, interrupts
 from microlib.servoing._log import add_event, as_frame, median_latency, new_row, put
 from microlib.servoing._loop import USED, Loop, Settings
 from microlib.servoing._motion import StageMotion
-from microlib.servoing._protocols import VelocityMover, Workstation
 from microlib.servoing._workstation import Controller, Tracker
 
 #: What the calibration's test moves are by default, as a share of the travel: far enough from the

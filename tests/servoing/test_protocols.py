@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from compendium.experiments.microscope import SHAPE, make_scope
+from microlib._common import VelocityMover
 from microlib.servoing import Camera, MicroManager, SimulatedWorkstation, Stage
-from microlib.servoing._protocols import VelocityMover
 
 MISSING = "pymmcore-plus is not installed (pip install microlib[microscope])"
 

@@ -9,7 +9,7 @@ from threading import Event, Thread
 import numpy as np
 import pytest
 
-from microlib.servoing._guard import POLL, DeviceError, EndRun, Guard, interrupts
+from microlib._common import POLL, DeviceError, EndRun, Guard, interrupts
 
 
 class Clock:

@@ -10,7 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from numpy.typing import NDArray
 
-from microlib._common import Array
+from microlib._common._types import Array
 
 
 class Clock(Protocol):

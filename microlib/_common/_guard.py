@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from threading import Event, Thread, current_thread, main_thread
 from typing import Any
 
-from microlib.servoing._protocols import Clock, Mover
+from microlib._common._devices import Clock, Mover
 
 #: Time between two questions (whether a device answered, still moves, or the user wants an end), s:
 #: of the order of what a serial line needs for an answer, and short beside a person's reaction.
