@@ -82,6 +82,12 @@ def grid(rows: int = 6, columns: int = 7, pitch: float = 200.0) -> np.ndarray:
 
 
 @cache
+def lines() -> np.ndarray:
+    noise = np.random.default_rng(0).normal(0, 2, (40, 120))
+    return 190 - 120 * np.exp(-((np.arange(120) % 12 - 5.5) ** 2) / 4) + noise
+
+
+@cache
 def circles() -> np.ndarray:
     return synthetic.render_circles(
         microscope.Microscope(200000.0, 126000.0, 79380.0, image_size=(300, 260))
@@ -309,6 +315,10 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "calibration.linear_intrinsics": lambda: {
         "flat": grid()[:, :2] * 1.0, "depth": np.linspace(0.0, 50.0, 42) + 500.0,
         "sensor": grid() * 1.5,
+    },
+    "calibration.detect_micrometer": lambda: {"image": lines(), "region": (0, 0, 120, 40)},
+    "calibration._micrometer.Micrometer.um_per_pixel": lambda: {
+        "self": calibration.detect_micrometer(lines()), "division": 10.0,
     },
     "calibration.stage_affine": lambda: {"stage": grid() * 1.0, "image": grid() * 1.5 + 3.0},
     "calibration.radial_alignment": lambda: {"world": grid(), "sensor": grid() * 1.5 + 3.0},

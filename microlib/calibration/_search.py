@@ -64,7 +64,7 @@ def search(
     ValueError
         If nothing is accepted: what was wrong with the largest lattice, or why there was none.
     """
-    grey, corner = _region(_grey(image), region)
+    grey, corner = crop(to_grey(image), region)
     refusals: list[tuple[int, ValueError]] = []
     best = None
     for regions, index, grid in _candidates(grey, marks, lattice, refusals):
@@ -104,14 +104,14 @@ def _candidates(
     yield from sorted(pieces, key=lambda piece: -len(piece[1]))[:_PIECES]
 
 
-def _grey(image: ArrayLike) -> NDArray[np.float32]:
+def to_grey(image: ArrayLike) -> NDArray[np.float32]:
     array = as_array("image", image, dtype=np.float32)
     if array.ndim == 3 and array.shape[2] in (3, 4):
         array = array[..., :3] @ np.array(_LUMINANCE, dtype=np.float32)
     return np.ascontiguousarray(as_image("image", array, smallest=_SMALLEST))
 
 
-def _region(
+def crop(
     grey: NDArray[np.float32], region: tuple[int, int, int, int] | None
 ) -> tuple[NDArray[np.float32], NDArray]:
     """The part of the image to look at, and its first pixel (x, y)."""
