@@ -139,9 +139,9 @@ def _weights(weights: NDArray[np.float32], known: NDArray[np.bool_]) -> Steps[ND
     typical = yield Question(
         "weights",
         lambda: [weight[weight > 0] for weight in result],
-        lambda samples: [
-            median_above_zero(np.concatenate(kind)) for kind in zip(*samples, strict=True)
-        ],
+        lambda samples: np.array(
+            [median_above_zero(np.concatenate(kind)) for kind in zip(*samples, strict=True)]
+        ),
     )
     for weight, middle in zip(result, typical, strict=True):
         balance(weight, np.float32(middle), np.float32(_WEIGHTS))
