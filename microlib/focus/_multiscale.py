@@ -206,9 +206,13 @@ def depth_steps(
     here = inner.inside(near)
     smooth, doubtful, index = smooth[here], doubtful[here], index[here]
     frames = _averaged(part, axis, inner)
-    fine = directional_depths(frames, z, smooth * spacing, batch=batch, workers=workers)
-    relief = yield from find_relief(smooth, fine, doubtful, workers=workers)
-    del fine
+    # Not held here: the relief lets go of them as soon as it can.
+    relief = yield from find_relief(
+        smooth,
+        directional_depths(frames, z, smooth * spacing, batch=batch, workers=workers),
+        doubtful,
+        workers=workers,
+    )
     depth = np.clip((smooth + relief.offset) * spacing, positions.min(), positions.max())
     # The pull changes with the depth alone: every second pixel tells it.
     half = np.interp(depth[::2, ::2], *_rising(z))

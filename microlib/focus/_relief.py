@@ -121,6 +121,7 @@ def find_relief(
     known = np.isfinite(base)
     weights = yield from _weights(directions.weights, known)
     offsets = yield from _unlocked(np.clip(directions.offsets, -_MOST, _MOST), weights, base)
+    del directions
     relief, held, half_difference = _relief(offsets, weights, known, workers)
     del offsets
     mean = _mean(known, _COMPOSED)
