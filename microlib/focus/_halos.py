@@ -243,7 +243,13 @@ def _wide_depth(
 
     measure = Banded(lambda image: image, reach=0)
     found = track_peaks(
-        coarse(), np.arange(float(count)), [measure], reaches=[2], batch=8, workers=1
+        coarse(),
+        np.arange(float(count)),
+        [measure],
+        reaches=[2],
+        batch=8,
+        workers=1,
+        pictured=False,
     )
     silence = yield Question("silence", lambda: quiet, _silence)
     noise = max(silence, least)

@@ -256,6 +256,7 @@ def _coarse_steps(
         [multiscale_measure(noise), edge_measure(noise)],
         reaches=[points // 2, 1],
         ends=(positions[0], positions[-1]),
+        pictured=False,
         batch=batch,
         workers=workers,
     )

@@ -215,10 +215,11 @@ def _relief(
         compose_rows(band[:, rows], *part)
 
     tops = range(0, shape[0], TILE_ROWS)
+    means = {window: _mean(known, window) for window in set(_WINDOWS)}
     _split(offsets, weights, 0, band, finer, workers)
     for k, window in enumerate(_WINDOWS):
         _split(offsets, weights, k + 1, band, finer, workers)
-        found = _agreement(band[:, ::2, ::2], _mean(known, window), _COMMON[k], _CHANCE[k] / window)
+        found = _agreement(band[:, ::2, ::2], means[window], _COMMON[k], _CHANCE[k] / window)
         share, agreed = (enlarged(part, shape) for part in found)
         pipeline(iter([partial(compose, share=share, agreed=agreed)]), tops, workers)
     return relief, held, (finer[1] - finer[2]) / 2
