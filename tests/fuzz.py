@@ -390,6 +390,10 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "threshold": 0.0, "points": 3, "workers": 1, "register": False, "region": (0, 0, 20, 20),
         "reduce": 1, "progress": None, "tile": None, "survey": None,
     },
+    "focus.depth_to_zarr": lambda: {
+        "frames": stack(), "path": FOLDER / "fuzz.zarr", "positions": np.arange(5.0),
+        "pixel_size": 0.5, "tile": 32, "points": 7, "workers": 1, "client": None, "progress": None,
+    },
     "focus.FocusSurvey": lambda: {
         f.name: getattr(surveyed(), f.name) for f in fields(focus.FocusSurvey)
     },

@@ -34,9 +34,10 @@ ARROWS = {
 #: six of large deflections (a disc and a capsule under a probe, the modulus by either, the fit of
 #: an outline, what bending adds), which no parameter of the small-slope functions could stand for;
 #: one that applies any of them to many files; and the affine map of a stage, which needs moves and
-#: no pattern; and what a tile must know of its image, with what measures it;
-#: and the stage micrometer, which has lines and no lattice.
-MOST_PUBLIC_NAMES = 104
+#: no pattern; what a tile must know of its image, with what measures it; the depth of an image
+#: larger than memory, which no result in memory can hold; and the stage micrometer, which has lines
+#: and no lattice.
+MOST_PUBLIC_NAMES = 105
 
 
 def sources(folder: Path) -> list[Path]:

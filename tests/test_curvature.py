@@ -366,3 +366,15 @@ def test_labels_that_are_none_are_refused(wrong):
     labels[1, 2] = wrong
     with pytest.raises(ValueError, match="labels must be"):
         curvature.clean_labels(labels, 1)
+
+
+def test_a_part_with_the_windows_overlap_is_that_of_the_whole_to_the_bit():
+    rng = np.random.default_rng(8)
+    height = 10 * rng.random((90, 130))
+    height[rng.random(height.shape) < 0.001] = np.nan
+    whole = surface_curvature(height, 1.3, noise=0.1)
+    for top, left, rows, cols in ((0, 0, 40, 50), (31, 17, 45, 60), (50, 63, 40, 67)):
+        part = surface_curvature(height[top : top + rows, left : left + cols], 1.3, noise=0.1)
+        for name in ("mean", "gaussian", "mean_error", "gaussian_error"):
+            inner = getattr(whole, name)[top : top + rows, left : left + cols][6:-6, 6:-6]
+            np.testing.assert_array_equal(getattr(part, name)[6:-6, 6:-6], inner)

@@ -39,6 +39,7 @@ DEFAULTS: dict[str, dict[str, object]] = {
         "register": False,
         "reduce": 1,
     },
+    "focus.depth_to_zarr": {"tile": 1024, "points": 7, "workers": 1},
     "focus.smooth_depth": {"radius": 7.0},
     "focus.survey_focus": {"workers": 1},
     "focus.sum_modified_laplacian": {"window": 5, "step": 1, "threshold": 0.0},

@@ -23,35 +23,33 @@ _ZERO, _ONE, _TWO = np.float32(0), np.float32(1), np.float32(2)
 def split_rows(
     offsets: NDArray[np.float32],
     weights: NDArray[np.float32],
-    filters: tuple[NDArray, ...],
+    filter_: NDArray[np.float32],
     top: int,
     bottom: int,
     room: NDArray[np.float32],
-    bands: NDArray[np.float32],
+    band: NDArray[np.float32],
     smooth: NDArray[np.float32],
 ) -> None:
-    """Write the differences of ever smoother weighted means, and the smoothest.
+    """Put a weighted mean in the place of a finer one, and write the difference.
 
     Parameters
     ----------
     offsets, weights : ndarray of float32, shape (kinds, rows, cols)
         What is averaged, and with what weights.
-    filters : tuple of ndarray
-        The `taps` of each mean.
+    filter_ : ndarray
+        The `taps` of the mean.
     top, bottom : int
         Rows that are wanted.
     room : ndarray of float32
         As from `own_room`.
-    bands : ndarray of float32, shape (len(filters) - 1, kinds, rows, cols)
-        Differences between one mean and the next.
+    band : ndarray of float32, shape (kinds, rows, cols)
+        Difference between the finer mean and this one.
     smooth : ndarray of float32, shape (kinds, rows, cols)
-        The last mean.
+        The finer mean, then this one.
     """
     kinds, height, width = offsets.shape
     product, weight, between, upper, lower = room[0], room[1], room[2], room[3], room[4]
-    reach = 0
-    for filter_ in filters:
-        reach = max(reach, len(filter_) - 1)
+    reach = len(filter_) - 1
     for kind in range(kinds):
         for y in range(top, bottom, TILE_ROWS):
             count = min(TILE_ROWS, bottom - y)
@@ -59,17 +57,15 @@ def split_rows(
                 load(offsets[kind], 0, height, y - reach, count + 2 * reach, x, product)
                 load(weights[kind], 0, height, y - reach, count + 2 * reach, x, weight)
                 _scale(product, weight, (count + 2 * reach) * STRIDE)
-                finer = smooth[kind, y : y + count, x : x + COLS]
-                for number in range(len(filters)):
-                    down(product, between, reach, count, filters[number])
-                    along(between, upper, reach, count, filters[number])
-                    down(weight, between, reach, count, filters[number])
-                    along(between, lower, reach, count, filters[number])
-                    # The first mean has none before it: its difference is overwritten.
-                    band = bands[max(number - 1, 0), kind, y : y + count, x : x + COLS]
-                    for r in range(count):
-                        at = FRONT + (reach + r) * STRIDE + MOST_REACH
-                        _divide(upper[at : at + COLS], lower[at : at + COLS], finer[r], band[r])
+                down(product, between, reach, count, filter_)
+                along(between, upper, reach, count, filter_)
+                down(weight, between, reach, count, filter_)
+                along(between, lower, reach, count, filter_)
+                tile = smooth[kind, y : y + count, x : x + COLS]
+                above = band[kind, y : y + count, x : x + COLS]
+                for r in range(count):
+                    at = FRONT + (reach + r) * STRIDE + MOST_REACH
+                    _divide(upper[at : at + COLS], lower[at : at + COLS], tile[r], above[r])
 
 
 @compiled
@@ -97,35 +93,31 @@ def _divide(
 
 @compiled
 def compose_rows(
-    bands: NDArray[np.float32],
-    shares: NDArray[np.float32],
+    band: NDArray[np.float32],
+    share: NDArray[np.float32],
     agreed: NDArray[np.float32],
     relief: NDArray[np.float32],
     held: NDArray[np.float32],
 ) -> None:
-    """Add up the share of relief in each band, and what is held back of it.
+    """Add the share of relief in a band, and what is held back of it.
 
     Parameters
     ----------
-    bands : ndarray of float32, shape (n, 3, rows, cols)
-        Bands by both directions, and by each alone.
-    shares, agreed : ndarray of float32, shape (n, rows, cols)
+    band : ndarray of float32, shape (3, rows, cols)
+        The band by both directions, and by each alone.
+    share, agreed : ndarray of float32, shape (rows, cols)
         Share of relief, and how far it is more than chance.
     relief : ndarray of float32, shape (3, rows, cols)
         Sum of the shares.
     held : ndarray of float32, shape (2, rows, cols)
         What is agreed on but no share, by each direction.
     """
-    count, kinds, rows, _ = bands.shape
-    relief[:] = 0
-    held[:] = 0
+    kinds, rows, _ = band.shape
     for y in range(rows):
-        for number in range(count):
-            share, sure = shares[number, y], agreed[number, y]
-            for kind in range(kinds):
-                _add_share(bands[number, kind, y], share, relief[kind, y])
-            for kind in range(1, kinds):
-                _add_held(bands[number, kind, y], share, sure, held[kind - 1, y])
+        for kind in range(kinds):
+            _add_share(band[kind, y], share[y], relief[kind, y])
+        for kind in range(1, kinds):
+            _add_held(band[kind, y], share[y], agreed[y], held[kind - 1, y])
 
 
 @compiled

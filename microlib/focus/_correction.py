@@ -184,9 +184,9 @@ def smooth_by_planes(
 ) -> Array:
     """Do the work of `smooth_depth` in several threads, around a depth in the middle of all."""
     unknown = np.isnan(depth)
-    weights = np.where(unknown, 0, weight)
+    weights = np.where(unknown, 0, weight).astype(np.float32, copy=False)
     # In units of the jump and from the middle, where float32 has digits to spare.
-    rest = np.where(unknown, 0, (depth - middle) / jump)
+    rest = np.where(unknown, 0, (depth - middle) / jump).astype(np.float32)
     # What planes leave over is their shift with its sign turned; the smooth parts are the rest.
     for _ in range(_TWICING):
         rest = -_plane_shift(rest, weights, radius, workers)

@@ -118,7 +118,7 @@ def _noise_variance(
         return np.zeros(known.shape, np.float32)
     level = np.interp(scarcity, curve.scarcity, curve.variance)
     # Beyond the scarcest group the line goes on, but not far: nothing was measured there.
-    line = curve.offset + curve.slope * np.minimum(scarcity, 3 * curve.scarcity[-1])
+    line = curve.offset + curve.slope * np.minimum(scarcity, 3 * float(curve.scarcity[-1]))
     variance = (_NOISE_SHARE / 2 * (level + line)).astype(np.float32)
     return enlarged(variance, known.shape)
 
@@ -134,8 +134,9 @@ def _noise_curve(samples: list[tuple[NDArray, NDArray]]) -> NoiseCurve | None:
     every = -(-len(scarcity) // _SAMPLES)
     square, sample = difference[::every] ** 2, scarcity[::every]
     groups = np.array_split(np.argsort(sample), min(_GROUPS, len(sample)))
-    center = np.array([sample[group].mean() for group in groups])
-    level = np.array([np.median(square[group]) for group in groups]) / _MEDIAN_SQUARE
+    center = np.array([sample[group].mean() for group in groups], np.float64)
+    median = np.array([np.median(square[group]) for group in groups], np.float64)
+    level = median / _MEDIAN_SQUARE
     return NoiseCurve(center, _never_falling(level), *_rising_line(center, level))
 
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from microlib._common import Array, Image
 from microlib.focus._filters import energy_rows, gaussian_taps, own_room
 from microlib.focus._measures import Banded, Scale, blur, blur_side, box
-from microlib.focus._nearest import enlarged, gradients, halved, nearest_known
+from microlib.focus._nearest import enlarged, filled, gradients, halved
 from microlib.focus._peaks import track_peaks
 from microlib.focus._questions import Question, Steps
 from microlib.focus._reliability import blurred_edge_mask, set_to_nan
@@ -105,7 +105,7 @@ def check_halos(
     disagreement: NDArray,
     noise: float,
     *,
-    window: Window | None = None,
+    window: Window,
     thorough: bool = False,
 ) -> Steps[Wide]:
     """Find where a depth is only that of blurred light, and the depth by a wide window.
@@ -117,13 +117,13 @@ def check_halos(
     count : int
         Number of frames.
     depth : ndarray, shape (rows, cols)
-        Depth, as a number of frames; NaN where unknown.
+        Depth of every second pixel, as a number of frames; NaN where unknown.
     disagreement : ndarray, shape (rows, cols)
-        How far it is from the depth by another measure, frames.
+        How far it is from the depth by another measure there, frames.
     noise : float
         Standard deviation of the frames' noise, grey levels.
-    window : Window, optional
-        Where the frames lie in the image, if they are a part of it.
+    window : Window
+        Where the frames lie in the image.
     thorough : bool
         Whether to measure the growth of the blur even if no depth here asks for it.
 
@@ -133,8 +133,8 @@ def check_halos(
         The wide depth, and where it takes the place of the other one.
     """
     wide, silence = yield from _wide_depth(frames(), count, _NOISE_FINE * noise**2)
-    narrow = np.asarray(depth[::2, ::2], np.float32)
-    overhang = _overhang(window or Window.whole(depth.shape))
+    narrow = np.asarray(depth, np.float32)
+    overhang = _overhang(window)
     # Between a step and what the wide window does not know it may show the wrong side.
     plain = _steepest(np.nan_to_num(wide)) < _CLIFF
     differs = _differs(narrow, wide, overhang, _NEARBY)
@@ -143,7 +143,7 @@ def check_halos(
     erratic = _erratic(disagreement)
     blurred = np.zeros_like(gap)
     if thorough or differs.any():
-        scene, fine, coarse = _scene(frames(), wide, narrow)
+        scene, fine, coarse = _scene(frames(), wide, narrow, differs)
         rate = yield Question("blur_rate", lambda: _misfit(frames(), scene, wide), _growth)
         measured = _share(fine, coarse, silence)
         expected = _expected(scene, rate, np.abs(narrow - wide))
@@ -163,7 +163,7 @@ def check_halos(
 
 def _erratic(disagreement: NDArray) -> NDArray[np.bool_]:
     """Tell where depths by two measures differ at random, at half the size."""
-    half = np.minimum(disagreement[::2, ::2], np.float32(_MOST_DISAGREEMENT)).astype(np.float32)
+    half = np.minimum(disagreement, np.float32(_MOST_DISAGREEMENT)).astype(np.float32)
     return box(half, _ERRATIC_SIDE) > _ERRATIC
 
 
@@ -197,20 +197,11 @@ def _away_from_steps(wide: NDArray[np.float32]) -> NDArray[np.bool_]:
     A step that lies somewhere in what is not known is taken for in its middle, so that the side
     that is shown beyond the step ends further away from there than a wide window reaches.
     """
-    filled = _filled(wide)
-    hidden = np.isnan(wide) & (_slope(filled) >= _CLIFF)
+    whole = filled(wide)
+    hidden = np.isnan(wide) & (_slope(whole) >= _CLIFF)
     side = 2 * round(_HIDDEN * _WIDE) + 1
     reached = cv2.dilate(hidden.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
-    return np.asarray((_steepest(filled) < _CLIFF) & ~reached)
-
-
-def _filled(depth: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Put the nearest known depth in place of each NaN: where nothing is known there is no step."""
-    unknown = np.isnan(depth)
-    if unknown.all() or not unknown.any():
-        return np.nan_to_num(depth)
-    at = nearest_known(unknown)
-    return np.asarray(depth[at])
+    return np.asarray((_steepest(whole) < _CLIFF) & ~reached)
 
 
 def _slope(wide: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -252,7 +243,13 @@ def _wide_depth(
 
     measure = Banded(lambda image: image, reach=0)
     found = track_peaks(
-        coarse(), np.arange(float(count)), [measure], reaches=[2], batch=8, workers=1
+        coarse(),
+        np.arange(float(count)),
+        [measure],
+        reaches=[2],
+        batch=8,
+        workers=1,
+        pictured=False,
     )
     silence = yield Question("silence", lambda: quiet, _silence)
     noise = max(silence, least)
@@ -281,15 +278,23 @@ def _share(
 
 
 def _scene(
-    frames: Iterator[Image], wide: NDArray[np.float32], narrow: NDArray[np.float32]
+    frames: Iterator[Image],
+    wide: NDArray[np.float32],
+    narrow: NDArray[np.float32],
+    differs: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Return every pixel from its frame by the wide depth, and its energies by the other depth."""
+    """Return every pixel from its frame by the wide depth, and its energies by the other depth.
+
+    The energies are 0 where both depths are the same.
+    """
     first, second = (np.rint(np.nan_to_num(d)).astype(np.int32) for d in (wide, narrow))
     scene, fine, coarse = (np.zeros_like(wide) for _ in range(3))
     for number, frame in enumerate(frames):
         half = halved(frame)
         np.copyto(scene, half, where=first == number)
-        there = second == number
+        there = differs & (second == number)
+        if not there.any():
+            continue
         for energy, smooth in ((fine, _FINE), (coarse, _COARSE)):
             np.copyto(energy, box(_energy(half, smooth), _NARROW), where=there)
     return scene, fine, coarse

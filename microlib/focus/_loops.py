@@ -123,7 +123,7 @@ def track_rows(
     """Take in frame `number`: where it is the sharpest so far, remember it and those before.
 
     `window` (2 reach + 1 measures) is centered on the best frame, `recent` is a ring of the last
-    `reach` measures.
+    `reach` measures. An `image` without rows is not wanted.
     """
     reach = len(recent)
     now = np.uint16(number)
@@ -139,7 +139,8 @@ def track_rows(
                 window[reach + j, y],
             )
         _choose(measure[y], now, window[reach, y], index[y], recent[number % reach, y])
-        _pick(frame[y], now, index[y], image[y])
+        if len(image) > 0:
+            _pick(frame[y], now, index[y], image[y])
 
 
 @compiled
@@ -259,6 +260,18 @@ def nearest_rows(
 def _count_above(values: NDArray, limit: float, counts: NDArray[np.uint16]) -> None:
     for x in range(len(values)):
         counts[x] = np.uint16(counts[x] + np.uint16(1)) if values[x] > limit else counts[x]
+
+
+@compiled
+def fixed_point(depth: NDArray, least: float, parts: float, out: NDArray[np.int16]) -> None:
+    """Write whole numbers of a depth's parts above `least`: 2¹⁵ - 1 at most, -2¹⁵ for NaN."""
+    for y in range(len(depth)):
+        row, levels = depth[y], out[y]
+        for x in range(len(row)):
+            level = np.floor(parts * (row[x] - least)) - 32767.0
+            level = level if level < 32767.0 else 32767.0
+            level = level if level > -32767.0 else -32767.0
+            levels[x] = np.int16(level) if row[x] == row[x] else np.int16(-32768)
 
 
 @compiled

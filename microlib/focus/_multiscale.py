@@ -27,7 +27,7 @@ from microlib.focus._measures import (
     noise_response,
     noise_sample,
 )
-from microlib.focus._nearest import enlarged, nearest_known
+from microlib.focus._nearest import enlarged, filled
 from microlib.focus._peaks import track_peaks
 from microlib.focus._questions import Question, Steps
 from microlib.focus._reliability import (
@@ -196,50 +196,23 @@ def depth_steps(
         The depth and what goes with it.
     """
     z, sizes, spacing = axis.means, axis.sizes, axis.spacing
-    plain = len(sizes) == len(axis.positions)
-    positions, window = axis.positions, part.window
-
-    def frames(inner: Window = window) -> Iterator[Image]:
-        return part.seen(inner) if plain else averaged(part.seen(inner), sizes)
-
-    turn = {"batch": batch, "workers": workers}
-    noise = yield Question("noise", lambda: [noise_sample(next(frames()))], _noise)
-    near = part.wanted.grown(_PEAKS_AROUND, window)
-    profile = track_peaks(
-        frames(near),
-        z,
-        [multiscale_measure(noise), edge_measure(noise)],
-        reaches=[points // 2, 1],
-        ends=(positions[0], positions[-1]),
-        **turn,
+    positions = axis.positions
+    near = part.wanted.grown(_PEAKS_AROUND, part.window)
+    coarse = _coarse_steps(
+        part, axis, near, points=points, batch=batch, workers=workers, thorough=thorough
     )
-    depth: NDArray = profile.depths[0]
-    set_to_nan(depth, incoherent_mask(profile.index, len(z)))
-    inverse_variance = None
-    if profile.peak is not None:
-        ratio = profile.peak.value / np.float32(noise_response(noise))
-        depth[below_noise_mask(ratio, len(z))] = np.nan
-        inverse_variance = profile.peak.inverse_variance
-    sided, disagreement = _sided(depth, profile.depths[1], spacing)
-    place = np.interp(sided * spacing, *_rising(z))
-    wide = yield from check_halos(
-        frames,
-        len(z),
-        _put_into(window, near, place, np.nan),
-        _put_into(window, near, disagreement, 0),
-        noise,
-        window=window,
-        thorough=thorough,
-    )
-    wide = _part_of(wide, near.inside(window, 2))
-    steps, weight = yield from _with_wide(sided, inverse_variance, wide, z / spacing)
-    smooth = _smoothed(steps, weight, near, z / spacing, workers)
-    doubtful = np.isnan(smooth) | _doubled(wide.instead | wide.neither, smooth.shape)
+    smooth, doubtful, index = yield from coarse
     inner = part.wanted.grown(_RELIEF_AROUND, near)
     here = inner.inside(near)
-    smooth, doubtful, index = smooth[here], doubtful[here], profile.index[here]
-    fine = directional_depths(frames(inner), z, smooth * spacing, **turn)
-    relief = yield from find_relief(smooth, fine, doubtful, workers=workers)
+    smooth, doubtful, index = smooth[here], doubtful[here], index[here]
+    frames = _averaged(part, axis, inner)
+    # Not held here: the relief lets go of them as soon as it can.
+    relief = yield from find_relief(
+        smooth,
+        directional_depths(frames, z, smooth * spacing, batch=batch, workers=workers),
+        doubtful,
+        workers=workers,
+    )
     depth = np.clip((smooth + relief.offset) * spacing, positions.min(), positions.max())
     # The pull changes with the depth alone: every second pixel tells it.
     half = np.interp(depth[::2, ::2], *_rising(z))
@@ -251,6 +224,70 @@ def depth_steps(
     best = _nearest_frame(depth, positions, middles[index])
     at_end = (index == 0) | (index == len(z) - 1)
     return Maps(depth, error, best, _picked(part.seen(part.wanted), best), at_end)
+
+
+def _averaged(part: Part, axis: Axis, window: Window) -> Iterator[Image]:
+    """Yield what the averaged frames show of a window."""
+    frames, sizes = part.seen(window), axis.sizes
+    return frames if len(sizes) == len(axis.positions) else averaged(frames, sizes)
+
+
+def _coarse_steps(
+    part: Part,
+    axis: Axis,
+    near: Window,
+    *,
+    points: int,
+    batch: int,
+    workers: int,
+    thorough: bool,
+) -> Steps[tuple[Array, NDArray[np.bool_], NDArray[np.uint16]]]:
+    """Find the smoothed depth of a window, where it is doubtful, and the sharpest frames."""
+    z, spacing, positions = axis.means, axis.spacing, axis.positions
+    window = part.window
+
+    def frames(inner: Window = window) -> Iterator[Image]:
+        return _averaged(part, axis, inner)
+
+    noise = yield Question("noise", lambda: [noise_sample(next(frames()))], _noise)
+    profile = track_peaks(
+        frames(near),
+        z,
+        [multiscale_measure(noise), edge_measure(noise)],
+        reaches=[points // 2, 1],
+        ends=(positions[0], positions[-1]),
+        pictured=False,
+        batch=batch,
+        workers=workers,
+    )
+    (depth, fine), index = profile.depths, profile.index
+    set_to_nan(depth, incoherent_mask(index, len(z)))
+    inverse_variance = None
+    if profile.peak is not None:
+        ratio = profile.peak.value / np.float32(noise_response(noise))
+        depth[below_noise_mask(ratio, len(z))] = np.nan
+        inverse_variance = profile.peak.inverse_variance
+        del ratio
+    del profile
+    sided, disagreement = _sided(depth, fine, spacing)
+    del depth, fine
+    place = np.interp(sided[::2, ::2] * spacing, *_rising(z))
+    wide = yield from check_halos(
+        frames,
+        len(z),
+        _put_into(window, near, place, np.nan),
+        _put_into(window, near, disagreement[::2, ::2], 0),
+        noise,
+        window=window,
+        thorough=thorough,
+    )
+    wide = _part_of(wide, near.inside(window, 2))
+    del disagreement
+    steps, weight = yield from _with_wide(sided, inverse_variance, wide, z / spacing)
+    del sided, inverse_variance
+    smooth = _smoothed(steps, weight, near, z / spacing, workers)
+    doubtful = np.isnan(smooth) | _doubled(wide.instead | wide.neither, smooth.shape)
+    return smooth, doubtful, index
 
 
 def seen_around(wanted: Window, blur_rate: float | None) -> Window:
@@ -272,11 +309,11 @@ def _cut(frames: Iterable[Image], inner: Window, outer: Window) -> Iterator[Imag
 
 
 def _put_into(outer: Window, inner: Window, values: NDArray, otherwise: float) -> NDArray:
-    """Return an array of the outer window with the values of the inner one."""
+    """Return an array of every second pixel of the outer window with the inner one's values."""
     if inner == outer:
         return values
-    result = np.full(outer.size, otherwise, values.dtype)
-    result[inner.inside(outer)] = values
+    result = np.full([-(-length // 2) for length in outer.size], otherwise, values.dtype)
+    result[inner.inside(outer, 2)] = values
     return result
 
 
@@ -298,8 +335,8 @@ def _sided(depth: NDArray, fine: NDArray, spacing: float) -> tuple[Array, NDArra
     known = np.isfinite(depth)
     if not known.any():
         return depth / spacing, np.zeros(depth.shape, np.float32)
-    broad = _without_spikes(_filled(depth) / np.float32(spacing), _SPIKE_WINDOWS[0])
-    sharp = _filled(fine) / np.float32(spacing)
+    broad = _without_spikes(filled(depth) / np.float32(spacing), _SPIKE_WINDOWS[0])
+    sharp = filled(fine) / np.float32(spacing)
     median = cv2.medianBlur(sharp, _FINE_WINDOW)
     spread = np.asarray(cv2.medianBlur(np.abs(sharp - median), _FINE_WINDOW))
     steady = np.asarray(cv2.medianBlur(median, _FINE_WINDOW))
@@ -313,21 +350,23 @@ def _with_wide(
 ) -> Steps[tuple[Array, NDArray]]:
     """Put the wide depth where it is the better, and return the weight of every depth too."""
     there, neither = (_doubled(mask, depth.shape) for mask in (wide.instead, wide.neither))
-    level = np.interp(enlarged(wide.depth, depth.shape), np.arange(len(steps)), steps)
-    there &= np.isfinite(level)
+    broad = enlarged(wide.depth, depth.shape)
+    there &= np.isfinite(broad)
     weight = np.ones(depth.shape, np.float32)
     if inverse_variance is not None:
         # At an end of the stack a depth may come without a fit and so without a variance.
         fitted = np.isfinite(depth) & (inverse_variance > 0)
         typical = yield Question(
             "strength",
-            lambda: inverse_variance[fitted],
+            lambda: inverse_variance[::2, ::2][fitted[::2, ::2]],
             lambda samples: median_above_zero(np.concatenate(samples)),
         )
         relative = np.clip(inverse_variance / typical, 1 / _WEIGHTS, _WEIGHTS)
         weight = np.where(fitted, relative, 1).astype(np.float32)
     weight[there] = _WIDE_WEIGHT
-    return np.where(there, level, np.where(neither, np.nan, depth)), weight
+    depth = np.where(neither, np.nan, depth)
+    depth[there] = np.interp(broad[there], np.arange(len(steps)), steps)
+    return depth, weight
 
 
 def _doubled(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -348,26 +387,16 @@ def _smoothed(
         return steps
     # At the image's border the windows see one side only and pull a slope inwards: there the planes
     # are to be laid through what lies further in.
-    weight = weight * _inside(window) ** _BORDER_POWER
+    weight *= _inside(window) ** _BORDER_POWER
     options = {"middle": (lowest + highest) / 2, "jump": _JUMP, "radius": _WIDE}
     return smooth_by_planes(steps, weight, **options, workers=workers)
 
 
-def _inside(window: Window) -> Array:
+def _inside(window: Window) -> NDArray[np.float32]:
     """Return 1 where the broad windows stay inside the image, less towards its border."""
     down, along = window.border()
-    return np.clip((1 + np.minimum.outer(down, along)) / _BORDER_REACH, _BORDER_LEAST, 1.0)
-
-
-def _filled(depth: NDArray) -> NDArray:
-    """Put the nearest known depth in place of each NaN."""
-    unknown = np.isnan(depth)
-    if not unknown.any():
-        return depth
-    if unknown.all():
-        return np.zeros_like(depth)
-    nearest = nearest_known(unknown)
-    return depth[nearest]
+    far = (1 + np.minimum.outer(down, along).astype(np.float32)) / _BORDER_REACH
+    return np.clip(far, _BORDER_LEAST, 1.0)
 
 
 def _without_spikes(depth: NDArray, window: int) -> NDArray:
@@ -383,19 +412,20 @@ def _choose_side(broad: NDArray, fine: NDArray, sure: NDArray[np.bool_]) -> NDAr
     wins. A few pixels away, on the pixel's own side, it does not.
     """
     far = max(_SIDE_DISTANCES)
-    rows, cols = broad.shape
     padded = np.pad(broad, far, mode="symmetric")
-    result = broad.copy()
-    gap = np.abs(broad - fine)
-    wrong = sure & (gap > _SIDE_GAP)
+    rows, cols = np.nonzero(sure & (np.abs(broad - fine) > _SIDE_GAP))
+    own, found = fine[rows, cols], broad[rows, cols]
+    gap = np.abs(found - own)
     for distance in _SIDE_DISTANCES:
         for dy, dx in product((-distance, 0, distance), repeat=2):
-            there = padded[far + dy : far + dy + rows, far + dx : far + dx + cols]
+            there = padded[rows + (far + dy), cols + (far + dx)]
             # Nearer neighbors first: what is further away must agree the better.
-            other = np.abs(there - fine) + np.float32(_SIDE_SLOPE * distance)
-            better = wrong & (other < gap) & (other < _SIDE_AGREES)
-            result[better] = there[better]
-            gap[better] = other[better]
+            other = np.abs(there - own) + np.float32(_SIDE_SLOPE * distance)
+            better = (other < gap) & (other < _SIDE_AGREES)
+            found = np.where(better, there, found)
+            gap = np.where(better, other, gap)
+    result = broad.copy()
+    result[rows, cols] = found
     return result
 
 

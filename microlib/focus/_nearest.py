@@ -6,7 +6,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["enlarged", "gradients", "halved", "nearest_known"]
+from microlib.focus._compiled import compiled
+
+__all__ = ["enlarged", "filled", "gradients", "halved", "nearest_known"]
+
+#: How far a known depth is sought, px: further than any window around a known pixel reaches.
+_FAR = 48
 
 
 def nearest_known(unknown: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -52,3 +57,57 @@ def enlarged(half: NDArray, shape: tuple[int, ...]) -> NDArray[np.float32]:
     rows, cols = half.shape
     twice = cv2.resize(half, (2 * cols, 2 * rows), interpolation=cv2.INTER_LINEAR)
     return np.ascontiguousarray(twice[: shape[0], : shape[1]])
+
+
+def filled(depth: NDArray) -> NDArray[np.float32]:
+    """Put the nearest known depth in place of each NaN, and 0 where none is near.
+
+    Examples
+    --------
+    >>> filled(np.array([[1.0, np.nan, np.nan, 4.0]])).tolist()
+    [[1.0, 1.0, 4.0, 4.0]]
+    """
+    source = np.ascontiguousarray(depth, np.float32)
+    if not np.isnan(source).any():
+        return source
+    away = np.full(source.shape, _FAR + 1, np.int8)
+    out = np.empty_like(source)
+    _fill(source, away, out)
+    return out
+
+
+@compiled
+def _fill(depth: NDArray[np.float32], away: NDArray[np.int8], out: NDArray[np.float32]) -> None:
+    """Find the nearest known pixel in each column, then among those in a row."""
+    rows, cols = depth.shape
+    none = np.int8(_FAR + 1)
+    for y in range(rows):
+        for x in range(cols):
+            if depth[y, x] == depth[y, x]:
+                away[y, x] = 0
+            elif y > 0 and away[y - 1, x] < none:
+                away[y, x] = away[y - 1, x] + np.int8(1)
+    # Up to here counted from above; from below it is negative, and must be nearer.
+    for y in range(rows - 2, -1, -1):
+        for x in range(cols):
+            below = away[y + 1, x]
+            if below <= 0 and below > -_FAR and 1 - below < away[y, x]:
+                away[y, x] = below - np.int8(1)
+    for y in range(rows):
+        for x in range(cols):
+            out[y, x] = depth[y, x] if away[y, x] == 0 else _nearest(depth, away, y, x)
+
+
+@compiled
+def _nearest(depth: NDArray[np.float32], away: NDArray[np.int8], y: int, x: int) -> np.float32:
+    cols = depth.shape[1]
+    best, found = _FAR * _FAR + 1, np.float32(0)
+    k = 0
+    while k * k < best:
+        for at in (x - k, x + k):
+            if 0 <= at < cols:
+                up = int(away[y, at])
+                if up <= _FAR and up * up + k * k < best:
+                    best, found = up * up + k * k, depth[y - up, at]
+        k += 1
+    return found

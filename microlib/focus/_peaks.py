@@ -251,7 +251,8 @@ class Profile:
     depths : list of ndarray of float32, shape (rows, cols)
         Depth from each measure, µm.
     index, image : ndarray, shape (rows, cols)
-        Number of the best frame by the first measure, and the grey level in it.
+        Number of the best frame by the first measure, and the grey level in it; an image without
+        rows if it was not wanted.
     peak : PeakFit or None
         The peak of the first measure; None from a fit of three points.
     """
@@ -283,7 +284,7 @@ class _Band:
         for measure, reach in zip(measures, reaches, strict=True):
             self._work.append((measure, _PeakTracker(reach, index, image)))
             # Index and image of the result are those by the first measure.
-            index, image = np.empty_like(index), np.empty_like(image)
+            index, image = np.empty_like(index), image[:0]
 
     def push(self, frames: Sequence[Image], last: bool) -> None:
         for measure, tracker in self._work:
@@ -317,6 +318,7 @@ def track_peaks(
     batch: int,
     workers: int,
     ends: tuple[float, float] | None = None,
+    pictured: bool = True,
 ) -> Profile:
     """Read all frames once and follow the peak of every pixel by each measure.
 
@@ -337,6 +339,8 @@ def track_peaks(
         Threads that share the bands of rows.
     ends : tuple of float, optional
         Where the stack begins and ends, µm, if not at the first and the last position.
+    pictured : bool
+        Whether the grey levels of the best frames are wanted.
 
     Returns
     -------
@@ -357,7 +361,7 @@ def track_peaks(
     result = Profile(
         depths=[empty() for _ in measures],
         index=np.empty(first.shape, np.uint16),
-        image=np.empty_like(first),
+        image=np.empty_like(first if pictured else first[:0]),
         peak=PeakFit(empty(), empty()) if reaches[0] > 1 else None,
     )
     # Bands much thinner than what the measures look at would compute most of it twice; with four

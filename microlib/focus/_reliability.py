@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array
+from microlib.focus._loops import fixed_point
 from microlib.focus._measures import blur
 
 #: Side of the medians that find incoherent frames, in every second pixel: its deviation from the
@@ -95,9 +96,8 @@ def small_component_mask(depth: Array, least: float) -> NDArray[np.bool_]:
     No depth is half a frame below `least`. Unknown depths are among them.
     """
     unknown = -(2**15)
-    above = np.floor(_FIXED_POINT * (depth - (least - 0.5))) + (unknown + 1)
-    fine = np.where(np.isfinite(depth), above, unknown)
-    level = np.clip(fine, unknown, 2**15 - 1).astype(np.int16)
+    level = np.empty(depth.shape, np.int16)
+    fixed_point(depth, least - 0.5, _FIXED_POINT, level)
     cv2.filterSpeckles(level, unknown, _SMALL_AREA, _FIXED_POINT * _COMPONENT_JUMP)
     return level == unknown
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,15 +121,15 @@ def find_relief(
     known = np.isfinite(base)
     weights = yield from _weights(directions.weights, known)
     offsets = yield from _unlocked(np.clip(directions.offsets, -_MOST, _MOST), weights, base)
-    bands, smooth = _bands(offsets, weights, workers)
-    relief, held = _relief(bands, known, workers)
+    del directions
+    relief, held, half_difference = _relief(offsets, weights, known, workers)
+    del offsets
     mean = _mean(known, _COMPOSED)
     covariance, sharpen = _composed(relief[1:], mean)
     returned = np.maximum(mean(relief[0, ::2, ::2] ** 2) - covariance, 0)
     lost_covariance, lost_sharpen = _composed(held, mean)
     lost = np.maximum(lost_covariance, 0) * lost_sharpen**2
     own = enlarged(_RETURNED * returned * sharpen**2 + _LOST * lost, base.shape)
-    half_difference = (smooth[1] - smooth[2]) / 2
     variance = yield from smooth_variance(base, half_difference, weights[0], doubtful)
     return Relief(relief[0] * enlarged(sharpen, base.shape), own + variance)
 
@@ -138,10 +139,10 @@ def _weights(weights: NDArray[np.float32], known: NDArray[np.bool_]) -> Steps[ND
     result = weights * known
     typical = yield Question(
         "weights",
-        lambda: [weight[weight > 0] for weight in result],
-        lambda samples: [
-            median_above_zero(np.concatenate(kind)) for kind in zip(*samples, strict=True)
-        ],
+        lambda: [weight[::2, ::2][weight[::2, ::2] > 0] for weight in result],
+        lambda samples: np.array(
+            [median_above_zero(np.concatenate(kind)) for kind in zip(*samples, strict=True)]
+        ),
     )
     for weight, middle in zip(result, typical, strict=True):
         balance(weight, np.float32(middle), np.float32(_WEIGHTS))
@@ -193,44 +194,53 @@ def _factors(samples: list[Array]) -> NDArray[np.float32]:
     return factors
 
 
-def _bands(
-    offsets: NDArray[np.float32], weights: NDArray[np.float32], workers: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the differences of ever smoother offsets, weighted, and the smoothest."""
-    filters = tuple(blur_taps(sigma) for sigma in _SIGMAS)
-    bands = np.empty((len(filters) - 1, *offsets.shape), np.float32)
-    smooth = np.zeros_like(offsets)
+def _relief(
+    offsets: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    known: NDArray[np.bool_],
+    workers: int,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Return the relief by both directions and by each, what is held back of it, and the rest.
+
+    The rest is half the difference of both directions, smoothed as widely as the widest band. One
+    band after the other, as they are large.
+    """
+    shape = known.shape
+    relief, held = np.zeros((3, *shape), np.float32), np.zeros((2, *shape), np.float32)
+    finer, band = np.zeros_like(offsets), np.empty_like(offsets)
+
+    def compose(top: int, share: NDArray, agreed: NDArray) -> None:
+        rows = slice(top, top + TILE_ROWS)
+        part = share[rows], agreed[rows], relief[:, rows], held[:, rows]
+        compose_rows(band[:, rows], *part)
+
+    tops = range(0, shape[0], TILE_ROWS)
+    means = {window: _mean(known, window) for window in set(_WINDOWS)}
+    _split(offsets, weights, 0, band, finer, workers)
+    for k, window in enumerate(_WINDOWS):
+        _split(offsets, weights, k + 1, band, finer, workers)
+        found = _agreement(band[:, ::2, ::2], means[window], _COMMON[k], _CHANCE[k] / window)
+        share, agreed = (enlarged(part, shape) for part in found)
+        pipeline(iter([partial(compose, share=share, agreed=agreed)]), tops, workers)
+    return relief, held, (finer[1] - finer[2]) / 2
+
+
+def _split(
+    offsets: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    number: int,
+    band: NDArray[np.float32],
+    finer: NDArray[np.float32],
+    workers: int,
+) -> None:
+    """Put the next smoothing in the place of a finer one, and the difference into the band."""
+    filter_ = blur_taps(_SIGMAS[number])
 
     def split(top: int) -> None:
         bottom = min(top + TILE_ROWS, offsets.shape[1])
-        split_rows(offsets, weights, filters, top, bottom, own_room(), bands, smooth)
+        split_rows(offsets, weights, filter_, top, bottom, own_room(), band, finer)
 
     pipeline(iter([split]), range(0, offsets.shape[1], TILE_ROWS), workers)
-    return bands, smooth
-
-
-def _relief(
-    bands: NDArray[np.float32], known: NDArray[np.bool_], workers: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the relief by both directions and each alone, and what is held back of these two."""
-    shares, agreed = np.empty((2, len(bands), *known.shape), np.float32)
-
-    def judge(k: int) -> None:
-        mean = _mean(known, _WINDOWS[k])
-        found = _agreement(bands[k, :, ::2, ::2], mean, _COMMON[k], _CHANCE[k] / _WINDOWS[k])
-        for part, out in zip(found, (shares[k], agreed[k]), strict=True):
-            out[:] = enlarged(part, known.shape)
-
-    relief, held = np.empty((3, *known.shape), np.float32), np.empty((2, *known.shape), np.float32)
-
-    def compose(top: int) -> None:
-        rows = slice(top, top + TILE_ROWS)
-        part = shares[:, rows], agreed[:, rows], relief[:, rows], held[:, rows]
-        compose_rows(bands[:, :, rows], *part)
-
-    pipeline(iter([judge]), range(len(bands)), workers)
-    pipeline(iter([compose]), range(0, len(known), TILE_ROWS), workers)
-    return relief, held
 
 
 def _weighted_blur(image: NDArray, weight: NDArray, sigma: float) -> NDArray[np.float32]:

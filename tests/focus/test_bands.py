@@ -22,7 +22,9 @@ def maps(seed):
 @pytest.mark.parametrize("workers", [1, 2])
 def test_bands_are_differences_of_weighted_means(workers):
     offsets, weights = maps(0)
-    bands, smooth = _relief._bands(offsets, weights, workers)
+    smooth, bands = np.zeros_like(offsets), np.empty((5, *offsets.shape), np.float32)
+    for k in range(5):
+        _relief._split(offsets, weights, k, bands[k], smooth, workers)
 
     def mean(kind, sigma):
         def blurred(image):
@@ -35,7 +37,7 @@ def test_bands_are_differences_of_weighted_means(workers):
     for kind in range(3):
         for k, (fine, coarse) in enumerate(pairwise(_relief._SIGMAS[:4])):
             expected = mean(kind, fine) - mean(kind, coarse)
-            np.testing.assert_allclose(bands[k, kind], expected, atol=1e-5)
+            np.testing.assert_allclose(bands[k + 1, kind], expected, atol=1e-5)
         # The widest is of two boxes of 15 px.
         weight = weights[kind].astype(float)
         upper, lower = offsets[kind] * weight, weight
@@ -87,8 +89,9 @@ def test_relief_is_composed_of_shares():
     rng = np.random.default_rng(5)
     bands = rng.uniform(-1, 1, (4, 3, 9, 40)).astype(np.float32)
     shares, agreed = rng.random((2, 4, 9, 40)).astype(np.float32)
-    relief, held = np.empty((3, 9, 40), np.float32), np.empty((2, 9, 40), np.float32)
-    _bands.compose_rows(bands, shares, agreed, relief, held)
+    relief, held = np.zeros((3, 9, 40), np.float32), np.zeros((2, 9, 40), np.float32)
+    for k in range(4):
+        _bands.compose_rows(bands[k], shares[k], agreed[k], relief, held)
     np.testing.assert_allclose(relief, (shares[:, None] * bands).sum(axis=0), atol=1e-6)
     back = (agreed * (1 - shares))[:, None] * bands[:, 1:]
     np.testing.assert_allclose(held, back.sum(axis=0), atol=1e-6)

@@ -22,6 +22,12 @@ def stack_of(texture, height, *, noise=1.0, seed=0, rate=1.0):
     return synthetic.focal_stack(texture, height, POSITIONS, blur_rate=rate, noise=noise, rng=rng)
 
 
+def halos(stack, depth, disagreement, noise):
+    depth, apart = depth[::2, ::2], disagreement[::2, ::2]
+    window = Window.whole(SHAPE)
+    return alone(check_halos(lambda: iter(stack), 15, depth, apart, noise, window=window))
+
+
 def inner(half):
     """How far the wide windows' parts in the image lie further inside."""
     rows, cols = half.shape
@@ -43,7 +49,7 @@ def test_a_halo_takes_the_depth_of_its_edge():
     depth = np.full(SHAPE, 7.0)
     depth[30:50, 18:28] = 11.0  # beside a stroke, as its blur has it
     depth[100:120, 60:70] = np.nan
-    wide = alone(check_halos(lambda: iter(stack), 15, depth, AGREED, 1.0))
+    wide = halos(stack, depth, AGREED, 1.0)
     inner = np.s_[16:24, 10:13]
     assert wide.instead[inner].all()
     np.testing.assert_allclose(wide.depth[inner], 7.0, atol=0.2)
@@ -57,14 +63,14 @@ def test_where_two_measures_have_no_peak_in_common_the_wide_depth_is_taken():
     depth = 7.0 + np.random.default_rng(5).uniform(-1, 1, SHAPE)
     apart = AGREED.copy()
     apart[:, :80] = 0.6
-    wide = alone(check_halos(lambda: iter(stack), 15, depth, apart, 1.0))
+    wide = halos(stack, depth, apart, 1.0)
     far = np.abs(depth[::2, ::2] - 7.0) > 0.5
     assert wide.instead[10:-10, 10:30][far[10:-10, 10:30]].all()
     assert not wide.instead[10:-10, 50:-10].any()
     # One pixel alone may be far off: it is the mean that counts, and no pixel more than 3 frames.
     spike = AGREED.copy()
     spike[40, 40] = 1e3
-    assert not alone(check_halos(lambda: iter(stack), 15, depth, spike, 1.0)).instead.any()
+    assert not halos(stack, depth, spike, 1.0).instead.any()
 
 
 def test_random_depths_are_unknown_beside_a_step_and_where_the_wide_window_sees_nothing():
@@ -72,12 +78,12 @@ def test_random_depths_are_unknown_beside_a_step_and_where_the_wide_window_sees_
     texture = synthetic.mixed_texture(SHAPE, np.random.default_rng(6))
     depth = np.random.default_rng(7).uniform(0, 14, SHAPE)
     stack = stack_of(texture, height)
-    step = alone(check_halos(lambda: iter(stack), 15, depth, AGREED + 2, 1.0))
+    step = halos(stack, depth, AGREED + 2, 1.0)
     beyond = (depth[::2, ::2] < 2.0) | (depth[::2, ::2] > 11.0)
     assert step.neither[14:-14, 36:44][beyond[14:-14, 36:44]].all()
     assert not step.instead[14:-14, 36:44].any()
     blank = stack_of(np.full(SHAPE, 100.0), height, noise=3.0)
-    nothing = alone(check_halos(lambda: iter(blank), 15, depth, AGREED + 2, 3.0))
+    nothing = halos(blank, depth, AGREED + 2, 3.0)
     assert nothing.neither[np.isnan(nothing.depth)].all()
     assert np.isnan(nothing.depth).mean() > 0.9
 
@@ -89,7 +95,7 @@ def test_a_thing_with_texture_of_its_own_keeps_its_depth():
     texture[patch] = synthetic.mixed_texture(SHAPE, np.random.default_rng(3))[patch]
     height[patch] = 9.0
     stack = stack_of(texture, height)
-    wide = alone(check_halos(lambda: iter(stack), 15, height, AGREED, 1.0))
+    wide = halos(stack, height, AGREED, 1.0)
     inner = np.s_[43:53, 48:54]
     assert np.abs(wide.depth[inner] - 5.0).mean() < 2.0  # or there is nothing to keep
     assert wide.instead[inner].mean() < 0.2
@@ -154,7 +160,7 @@ def test_beside_a_step_the_wide_depth_takes_no_place():
     texture = synthetic.mixed_texture(SHAPE, np.random.default_rng(1))
     texture[:, :80] = 128 + 0.2 * (texture[:, :80] - 128)
     stack = stack_of(texture, height)
-    wide = alone(check_halos(lambda: iter(stack), 15, height, AGREED, 1.0))
+    wide = halos(stack, height, AGREED, 1.0)
     late = np.abs(wide.depth - height[::2, ::2]) > 4
     assert late.mean() > 0.1  # or there is nothing to see
     assert not (wide.instead & late).any()

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from microlib.focus import _depth, _multiscale
+from microlib.focus._nearest import filled
 from microlib.focus._window import Window
 
 
@@ -62,11 +64,31 @@ def test_unknown_depths_are_filled_by_the_nearest():
     depth = np.tile(np.arange(8.0), (6, 1))
     depth[:, 3] = np.nan
     depth[2, 4] = np.nan
-    filled = _multiscale._filled(depth)
-    assert np.isin(filled[:, 3], [2.0, 4.0]).all()
+    found = filled(depth)
+    assert np.isin(found[:, 3], [2.0, 4.0]).all()
     known = ~np.isnan(depth)
-    np.testing.assert_array_equal(filled[known], depth[known])
-    np.testing.assert_array_equal(_multiscale._filled(np.full((3, 3), np.nan)), np.zeros((3, 3)))
+    np.testing.assert_array_equal(found[known], depth[known])
+    np.testing.assert_array_equal(filled(np.full((3, 3), np.nan)), np.zeros((3, 3)))
+
+
+def test_filled_depths_are_those_of_a_distance_transform():
+    rng = np.random.default_rng(1)
+    depth = rng.random((120, 150)).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.97] = np.nan
+    depth[40:80, 30:70] = np.nan
+    distance = ndimage.distance_transform_edt(np.isnan(depth))
+    found = filled(depth)
+    # Of several that are as near any may be taken: how far it is tells.
+    place = {value: divmod(k, 150) for k, value in enumerate(depth.ravel()) if value == value}
+    y, x = (
+        np.array([place[value] for value in found.ravel()]).reshape(120, 150, 2).transpose(2, 0, 1)
+    )
+    rows, cols = np.indices(depth.shape)
+    np.testing.assert_allclose(np.hypot(y - rows, x - cols), distance)
+    alone = np.full((200, 3), np.nan)
+    alone[0] = 5.0
+    np.testing.assert_array_equal(filled(alone)[:49], 5.0)
+    assert not filled(alone)[49:].any()
 
 
 def test_roughness_is_that_of_the_noise_and_not_of_the_slope():

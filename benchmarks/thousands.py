@@ -1,0 +1,170 @@
+"""What grows: a calibration with thousands of marks, and a folder of a thousand images.
+
+Run as ``python -m benchmarks.thousands``; takes five minutes. The files of the folder are twenty
+rendered images and five stacks, each under many names: what is measured is that none is lost.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from time import monotonic, perf_counter, process_time, sleep
+
+import cv2
+import numpy as np
+import pandas as pd
+import tifffile
+from numpy.typing import NDArray
+
+from benchmarks.calibration import peer_calibrate, tilted
+from benchmarks.report import must_hold, publish
+from microlib import synthetic
+from microlib.batch import process_files
+from microlib.calibration import calibrate
+from microlib.embryo import extract_boundary, measure_dimple
+from microlib.focus import depth_from_focus
+from microlib.io import read_grey
+
+MARKS = (4096, 16384)
+IMAGES, STACKS, KILLED_AT = 1000, 200, 400
+
+CALIBRATION = "Calibration from many marks of one view, CPU time"
+BATCH = "1000 embryos and 200 stacks in one table, two files damaged; killed once and begun again"
+
+
+def view(count: int) -> tuple[float, NDArray, NDArray]:
+    """Return the length of the optical path, and marks of a tilted plane with where they are."""
+    scope, marks = tilted(10)
+    side = round(np.sqrt(count))
+    ends = zip(marks.min(axis=0), marks.max(axis=0), strict=True)
+    world = np.stack(np.meshgrid(*(np.linspace(*end, side) for end in ends)), axis=-1)
+    flat = world.reshape(-1, 2)
+    noise = np.random.default_rng(0).normal(0, 0.02, flat.shape)
+    return scope.tube_length + scope.focal_length, flat, scope.project(flat) + noise
+
+
+def calibrations() -> pd.DataFrame:
+    focal = tilted(10)[0].focal_length
+    rows = []
+    for count in MARKS:
+        path, world, seen = view(count)
+        options = {"focal_length": focal, "pixel_size": 9.9, "image_size": (656, 491)}
+        seconds = []
+        for work in (
+            lambda: calibrate(world, seen, **options),  # noqa: B023
+            lambda: peer_calibrate(world, seen, path),  # noqa: B023
+        ):
+            times = []
+            for _ in range(3):
+                start = process_time()
+                work()
+                times.append(process_time() - start)
+            seconds.append(min(times))
+        rows.append((count, *(round(s, 3) for s in seconds), round(seconds[0] / seconds[1], 3)))
+    return pd.DataFrame(rows, columns=["marks", "ours, s", "calibrateCamera, s", "ratio"])
+
+
+def measured(path: Path) -> object:
+    """Return the dimple of an embryo, or the depth of a stack."""
+    if path.suffix == ".tiff":
+        return depth_from_focus(path, np.arange(7.0))
+    boundary = extract_boundary(read_grey(path))
+    return measure_dimple(boundary, pixel_size=7.75, probe_half_width=25.0)
+
+
+def write_files(folder: Path) -> None:
+    """Write all files: a few contents under many names, and two that are damaged."""
+    kinds = []
+    for k in range(20):
+        pressed = synthetic.Embryo.pressed(100.0 + 5 * k, modulus=1.0)
+        made = synthetic.embryo_image(pressed, rng=k, pixel_size=7.75, shape=(384, 512))
+        kinds.append(cv2.imencode(".png", made.image)[1].tobytes())
+    for k in range(IMAGES):
+        (folder / f"embryo {k:04}.png").write_bytes(kinds[k % len(kinds)])
+    for k in range(5):
+        rng = np.random.default_rng(k)
+        texture, height = synthetic.mixed_texture((64, 64), rng), np.full((64, 64), 2.0 + k / 2)
+        stack = synthetic.focal_stack(texture, height, np.arange(7.0), blur_rate=1.0, rng=rng)
+        tifffile.imwrite(folder / "stack 0000.tiff", np.asarray(stack), photometric="minisblack")
+        for number in range(k, STACKS, 5):
+            shutil.copy(folder / "stack 0000.tiff", folder / f"stack {number + 1:04}.tiff")
+    (folder / "stack 0000.tiff").unlink()
+    (folder / "embryo 0123.png").write_bytes(kinds[0][:2000])
+    (folder / "stack 0077.tiff").write_bytes(b"II*\0 and no more")
+
+
+def run(folder: Path) -> None:
+    process_files(f"{folder}/*.*", measured, folder.parent / "table.csv", workers=2)
+
+
+def rows_of(table: Path) -> pd.DataFrame:
+    """Return the table as it is, perhaps while it is written."""
+    if not table.exists():
+        return pd.DataFrame(columns=["file", "seconds", "error"])
+    return pd.read_csv(table, usecols=["file", "seconds", "error"], on_bad_lines="skip")
+
+
+def batch(folder: Path) -> Iterator[tuple[str, float]]:
+    """Yield what a killed run and the one after it came to."""
+    files = folder / "files"
+    files.mkdir()
+    write_files(files)
+    table = folder / "table.csv"
+    command = [sys.executable, "-m", "benchmarks.thousands", "--batch", str(files)]
+    start = perf_counter()
+    first = subprocess.Popen(command, start_new_session=True)
+    end = monotonic() + 600
+    while len(rows_of(table)) < KILLED_AT and monotonic() < end:
+        sleep(0.5)
+    os.killpg(first.pid, signal.SIGKILL)
+    first.wait()
+    before = rows_of(table)
+    yield "rows when it was killed", len(before)
+    subprocess.run(command, check=True)
+    after = rows_of(table)
+    yield "rows in the end", len(after)
+    yield "failures", int(after["error"].notna().sum())
+    both = before.merge(after, on="file", suffixes=("", " after"))
+    # A file that is done again takes another time, to the millisecond, as a rule.
+    yield "rows done again", int((both["seconds"] != both["seconds after"]).sum())
+    yield "time of both, s", round(perf_counter() - start, 1)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--batch", type=Path, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.batch:
+        run(given.batch)
+        return
+    cv2.setNumThreads(1)
+    marks = calibrations()
+    with tempfile.TemporaryDirectory() as folder:
+        found = dict(batch(Path(folder)))
+    ours = marks["ours, s"]
+    limits = must_hold(
+        [
+            ("calibrate over calibrateCamera, 16384 marks", marks["ratio"].iloc[-1], "≤", 1),
+            ("time of 16384 marks over that of 4096", ours.iloc[-1] / ours.iloc[0], "≤", 6),
+            ("rows of 1200 files", found["rows in the end"], "≥", IMAGES + STACKS),
+            ("failures, less the two", abs(found["failures"] - 2), "≤", 0),
+            # What is written when the kill comes may be lost.
+            ("rows done again", found["rows done again"], "≤", 1),
+        ]
+    )
+    tables = {
+        CALIBRATION: marks,
+        BATCH: pd.DataFrame(list(found.items()), columns=["what", "number"]),
+    }
+    publish("thousands", tables, limits=limits, note=__doc__ or "")
+
+
+if __name__ == "__main__":
+    main()
