@@ -2,14 +2,19 @@
 
 The renderer of `microlib.synthetic` draws the profile (4.2), which the chain then fits. This one
 draws the capsule, with what real images have: a wall of two dark lines, granules, the near rim out
-of focus before the dimple, debris, a neighbor, a holder, uneven light, a scale bar and JPEG.
+of focus before the dimple, debris, a neighbor, a holder, uneven light, color, a scale bar and
+writing, JPEG, and a probe of any kind from any side.
 
 Run as ``python -m benchmarks.capsule_embryo``; about a quarter of an hour.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import process_time
 
 import cv2
 import numpy as np
@@ -18,16 +23,35 @@ from numpy.typing import NDArray
 
 from benchmarks.report import must_hold, publish
 from microlib.embryo import modulus_from_image
+from microlib.io import read_grey
 from microlib.membrane import indent_capsule
+from microlib.membrane._state import MembraneState
 
 #: Images of each kind of probe.
 EMBRYOS = 50
-PROBES = ("rod", "glass", "tapered", "blunt")
-#: Pixel of the Sony camera behind 1.2×, µm, and samples of a pixel's side.
-PIXEL, FINE = 4.65 / 1.2, 4
-_COLUMNS = ["seed", "probe", "error", "std", "holds", "models hold", "reason"]
+PROBES = ("rod", "needle", "glass", "tapered", "angled", "blunt")
+#: Half-width of the end, µm, and what it grows by for each µm away from it.
+_WIDTHS = {"needle": (8.0, 14.0), "blunt": (38.0, 50.0)}
+_TAPERS = {"needle": 0.08, "tapered": 0.08}
+#: Largest angle of the probe against the image's edge: as mounted, and of the angled one.
+_TILT, _ANGLE = np.deg2rad(3.0), np.deg2rad(60.0)
+#: Pixel of a camera of 4.65 µm cells behind 2.4×, µm, its image, and samples of a pixel's side.
+PIXEL, ROWS, COLUMNS, FINE = 4.65 / 2.4, 960, 1280, 2
+_COLUMNS = [
+    "seed",
+    "probe",
+    "shrink",
+    "error",
+    "std",
+    "holds",
+    "models hold",
+    "seconds",
+    "reason",
+]
 #: Fractional bits of OpenCV's drawing.
 _SHIFT = 4
+
+Place = Callable[[NDArray], NDArray]
 
 
 @dataclass(frozen=True)
@@ -44,21 +68,22 @@ class Scene:
     depth: float
     rim_radius: float
     pixel_size: float
+    shrink: int
 
 
-def draw_scene(rng: np.random.Generator, probe: str, *, shrink: int = 1) -> Scene:
+def draw_scene(rng: np.random.Generator, probe: str) -> Scene:
     """Draw one embryo of random stiffness, inflation, size, force, light and surroundings.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        Source of all that is random.
+        Source of all that is random: among it whether the image is kept as it is, or at half or a
+        quarter of its resolution, and the side that the probe comes from.
     probe : str
         One of `PROBES`.
-    shrink : int
-        Reduce the image: 2 for half the resolution, 4 for a quarter.
     """
-    c = rng.uniform(38, 50) if probe == "blunt" else rng.uniform(18, 32)
+    shrink = int(rng.choice((1, 2, 4)))
+    c = rng.uniform(*_WIDTHS.get(probe, (18.0, 32.0)))
     while True:
         radius, inflation = rng.uniform(520, 680), rng.uniform(1.01, 1.08)
         modulus, force = rng.uniform(0.5, 2.0), rng.uniform(40, 220)
@@ -73,18 +98,13 @@ def draw_scene(rng: np.random.Generator, probe: str, *, shrink: int = 1) -> Scen
             )
         except ValueError:
             continue
-        if 30 < state.depth < 140:
+        # At a quarter of the resolution 45 µm are 6 px, twice the least that is measured.
+        if (45 if shrink == 4 else 30) < state.depth < 140:
             break
-    half = np.stack([state.r, state.z], axis=1)
-    outline = np.concatenate([half[::-1] * [-1, 1], half])
-    image = _draw(rng, outline, state, c, probe)
-    if shrink > 1:
-        size = (image.shape[1] // shrink, image.shape[0] // shrink)
-        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    noisy = np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8)
-    jpeg = cv2.imdecode(cv2.imencode(".jpg", noisy, [cv2.IMWRITE_JPEG_QUALITY, 90])[1], 0)
+    image = _photograph(rng, _draw(rng, state, c, probe), shrink)
+    turns = int(rng.integers(4))
     return Scene(
-        jpeg,
+        np.ascontiguousarray(np.rot90(image, turns)),
         modulus,
         inflation,
         force,
@@ -94,31 +114,65 @@ def draw_scene(rng: np.random.Generator, probe: str, *, shrink: int = 1) -> Scen
         state.depth,
         state.rim_radius,
         PIXEL * shrink,
+        shrink,
     )
 
 
-def _draw(rng, outline: NDArray, state, c: float, probe: str) -> NDArray[np.float32]:
-    """Draw the scene at the camera's full resolution, before noise."""
-    rows, columns = 480, 640
-    axis = (columns / 2 + rng.uniform(-30, 30)) * FINE
-    floor = (rows - 40) * FINE
-    scale = FINE / PIXEL
+def _photograph(
+    rng: np.random.Generator, picture: NDArray[np.float32], shrink: int
+) -> NDArray[np.uint8]:
+    """Return grey levels of the drawing as a camera and a file of colors leave them."""
+    # The optics' blur is that of the object, whatever the camera's cells are.
+    blurred = cv2.GaussianBlur(picture, (0, 0), rng.uniform(1.4, 2.4) * FINE)
+    size = (COLUMNS // shrink, ROWS // shrink)
+    small = cv2.resize(blurred, size, interpolation=cv2.INTER_AREA)
+    slope = rng.uniform(-0.1, 0.1, 2)
+    down, right = (np.linspace(-1, 1, n) for n in small.shape)
+    small *= 1 + slope[0] * down[:, np.newaxis] + slope[1] * right
+    tint = np.array([rng.uniform(0.85, 1.0), 1.0, rng.uniform(0.9, 1.08)], np.float32)
+    colored = small[..., np.newaxis] * tint
+    colored += rng.normal(0, 2, colored.shape)
+    sharp = np.clip(colored, 0, 255).astype(np.uint8)
+    rows = len(small)
+    bar, edge = 100.0 / (PIXEL * shrink), 8
+    cv2.line(sharp, (edge, rows - edge), (edge + round(bar), rows - edge), (20, 20, 20), 2)
+    written = {"thickness": 1, "lineType": cv2.LINE_AA}
+    font = cv2.FONT_HERSHEY_SIMPLEX
+    cv2.putText(sharp, "100 um", (edge, rows - 2 * edge), font, 0.4, (20, 20, 20), **written)
+    cv2.putText(sharp, "t = 12.5 s", (edge, 2 * edge), font, 0.4, (40, 220, 250), **written)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "embryo.jpg"
+        cv2.imwrite(str(path), sharp, [cv2.IMWRITE_JPEG_QUALITY, 90])
+        return read_grey(path)
 
-    def place(points: NDArray) -> NDArray[np.int32]:
-        across, up = np.asarray(points, float).T
-        fine = np.stack([axis + scale * across, floor - scale * up], axis=1)
+
+def _draw(
+    rng: np.random.Generator, state: MembraneState, c: float, probe: str
+) -> NDArray[np.float32]:
+    """Draw the scene in cells finer than the camera's, before any blur."""
+    half = np.stack([state.r, state.z], axis=1)
+    outline = np.concatenate([half[::-1] * [-1, 1], half])
+    width, height = float(np.abs(outline[:, 0]).max()), float(outline[:, 1].max())
+    scale = FINE / PIXEL
+    angle = rng.uniform(-_ANGLE, _ANGLE) if probe == "angled" else rng.uniform(-_TILT, _TILT)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    middle = np.array([COLUMNS / 2, ROWS / 2]) * FINE + rng.uniform(-40, 40, 2) * [FINE, 1]
+
+    def place(points: NDArray) -> NDArray:
+        along = (np.asarray(points, float) - [0, height / 2]) @ turn.T
+        fine = middle + scale * along * [1, -1]
         return np.rint((fine - 0.5) * 2**_SHIFT).astype(np.int32)
 
-    def line(points: NDArray, grey: float, width: float, closed: bool = False) -> None:
-        thick = max(1, round(width * scale))
-        cv2.polylines(picture, [place(points)], closed, grey, thick, cv2.LINE_AA, _SHIFT)
+    def line(points: NDArray, grey: float, wide: float) -> None:
+        thick = max(1, round(wide * scale))
+        cv2.polylines(picture, [place(points)], False, grey, thick, cv2.LINE_AA, _SHIFT)
 
-    picture = np.full((rows * FINE, columns * FINE), 190.0, np.float32)
-    side = rng.choice((-1, 1))
-    neighbor = 2.15 * np.abs(outline[:, 0]).max() * side
-    turn = np.linspace(0, 2 * np.pi, 400)
-    other = np.stack([neighbor + 450 * np.cos(turn), 460 + 450 * np.sin(turn)], axis=1)
-    line(other, 110.0, 5.0, closed=True)
+    picture = np.full((ROWS * FINE, COLUMNS * FINE), 190.0, np.float32)
+    neighbor = 2.15 * width * rng.choice((-1, 1))
+    around = np.linspace(0, 2 * np.pi, 400)
+    line(
+        np.stack([neighbor + 450 * np.cos(around), 460 + 450 * np.sin(around)], axis=1), 110.0, 5.0
+    )
     cv2.fillPoly(picture, [place(outline)], 172.0, cv2.LINE_AA, _SHIFT)
     _draw_yolk(rng, picture, place, state)
     normal = np.gradient(outline, axis=0)[:, ::-1] * [-1, 1]
@@ -126,28 +180,30 @@ def _draw(rng, outline: NDArray, state, c: float, probe: str) -> NDArray[np.floa
     for shift, grey in ((2.2, 90.0), (-2.2, 105.0), (0.0, 140.0)):
         line(outline + shift * normal, grey, 2.0)
     rim = np.zeros_like(picture)
-    level = float(outline[:, 1].max())
-    ends = np.array([[-state.rim_radius, level], [state.rim_radius, level]])
+    ends = np.array([[-state.rim_radius, height], [state.rim_radius, height]])
     cv2.polylines(rim, [place(ends)], False, 1.0, round(12 * scale), cv2.LINE_AA, _SHIFT)
-    picture -= rng.uniform(5, 15) * cv2.GaussianBlur(rim, (0, 0), 4.0 * FINE)
-    holder = np.array([[-90, 0], [90, 0], [90, -300], [-90, -300]])
+    picture -= rng.uniform(5, 15) * cv2.GaussianBlur(rim, (0, 0), 8.0 * FINE)
+    holder = np.array([[-90, 0], [90, 0], [90, -600], [-90, -600]])
     cv2.fillPoly(picture, [place(holder)], 70.0, cv2.LINE_AA, _SHIFT)
     _draw_probe(picture, place, float(state.z[0]), c, probe)
     for _ in range(rng.integers(3, 9)):
-        spot = place(np.array([[rng.uniform(-1200, 1200), rng.uniform(-100, 1600)]]))[0]
-        across = abs(spot[0] / 2**_SHIFT - axis) / scale
-        if across > 1.3 * np.abs(outline[:, 0]).max():
-            cv2.circle(picture, spot.tolist(), int(FINE * 2**_SHIFT), 120.0, -1, 16, _SHIFT)
-    blurred = cv2.GaussianBlur(picture, (0, 0), rng.uniform(0.7, 1.2) * FINE)
-    small = cv2.resize(blurred, (columns, rows), interpolation=cv2.INTER_AREA)
-    slope = rng.uniform(-0.1, 0.1, 2)
-    down, right = np.linspace(-1, 1, rows), np.linspace(-1, 1, columns)
-    small *= 1 + slope[0] * down[:, np.newaxis] + slope[1] * right
-    cv2.line(small, (30, rows - 12), (90, rows - 12), 20.0, 3)
-    return small
+        spot = np.array([[rng.uniform(-1200, 1200), rng.uniform(-100, 1600)]])
+        if abs(spot[0, 0]) > 1.3 * width:
+            cv2.circle(
+                picture,
+                place(spot)[0].tolist(),
+                round(4 * scale * 2**_SHIFT),
+                120.0,
+                -1,
+                16,
+                _SHIFT,
+            )
+    return picture
 
 
-def _draw_yolk(rng, picture: NDArray, place, state) -> None:
+def _draw_yolk(
+    rng: np.random.Generator, picture: NDArray, place: Place, state: MembraneState
+) -> None:
     """Draw granules in a round yolk below the dimple."""
     reach = 0.35 * float(state.z[0])
     for _ in range(900):
@@ -157,10 +213,10 @@ def _draw_yolk(rng, picture: NDArray, place, state) -> None:
         cv2.circle(picture, place(spot)[0].tolist(), int(size * 2**_SHIFT), grey, -1, 16, _SHIFT)
 
 
-def _draw_probe(picture: NDArray, place, end: float, c: float, probe: str) -> None:
+def _draw_probe(picture: NDArray, place: Place, end: float, c: float, probe: str) -> None:
     """Draw the probe from above, its flat end on the wall at the height `end` (µm)."""
-    top, low = end + 1500.0, end + 2.0
-    wide = c + (0.08 * (top - low) if probe == "tapered" else 0.0)
+    top, low = end + 2200.0, end + 2.0
+    wide = c + _TAPERS.get(probe, 0.0) * (top - low)
     body = np.array([[-c, low], [c, low], [wide, top], [-wide, top]])
     if probe == "glass":
         cv2.fillPoly(picture, [place(body)], 195.0, cv2.LINE_AA, _SHIFT)
@@ -171,11 +227,13 @@ def _draw_probe(picture: NDArray, place, end: float, c: float, probe: str) -> No
         cv2.fillPoly(picture, [place(body)], 45.0, cv2.LINE_AA, _SHIFT)
 
 
-def measure(seeds: range, probe: str, shrink: int = 1) -> pd.DataFrame:
+def measure(seeds: range, probe: str) -> pd.DataFrame:
     """Measure one embryo a seed as a capsule, neo-Hookean as it was drawn, of unknown radius."""
     rows = []
     for seed in seeds:
-        scene = draw_scene(np.random.default_rng(seed), probe, shrink=shrink)
+        scene = draw_scene(np.random.default_rng(seed), probe)
+        row = {"seed": seed, "probe": probe, "shrink": scene.shrink}
+        start = process_time()
         try:
             found = modulus_from_image(
                 scene.image,
@@ -187,18 +245,19 @@ def measure(seeds: range, probe: str, shrink: int = 1) -> pd.DataFrame:
                 method="capsule",
             )
         except ValueError as reason:
-            rows.append({"seed": seed, "probe": probe, "reason": str(reason)})
+            rows.append(row | {"reason": str(reason)})
             continue
+        seconds = process_time() - start
         error, std = float(np.log(found.modulus / scene.modulus)), found.relative_std
         low, high = found.model_interval
         rows.append(
-            {
-                "seed": seed,
-                "probe": probe,
+            row
+            | {
                 "error": error,
                 "std": std,
                 "holds": abs(error) < 1.96 * std,
                 "models hold": low < scene.modulus < high,
+                "seconds": seconds,
             }
         )
     return pd.DataFrame(rows, columns=_COLUMNS)

@@ -82,10 +82,10 @@ CHOICES = [
     (_dimple, "_LEAST_RADIUS", (1.001, 1.1)),
     (_dimple, "_LEAST_ROOT", (0.01, 0.2)),
     (_dimple, "_STEEPEST_TILT", (0.1, 0.6)),
-    (_dimple, "_LARGEST_MISFIT", (0.01, 0.06)),
+    (_dimple, "_LARGEST_MISFIT", (0.03, 0.3)),
     (_dimple, "_MOST_LEFT_OUT", (0.05, 0.4)),
-    (_dimple, "_TIP_OFF", (0.05, 0.3)),
-    (_dimple, "_TIP_OFF_PIXELS", (1.0, 4.0)),
+    (_dimple, "_TIP_OFF", (0.1, 0.6)),
+    (_dimple, "_TIP_OFF_PIXELS", (0.7, 4.0)),
 ]
 #: Those of the thesis' chain, by Gaussians.
 GAUSSIAN_CHOICES = [

@@ -8,9 +8,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from microlib.embryo import dimple_geometry, fit_gaussians, loess
-from microlib.membrane import dimple_profile
+from microlib.membrane import dimple_profile, disc_modulus
 
-__all__ = ["LEAST", "REACH", "SPANS", "MeasuredDimple", "dimple_of_numbers", "dimple_of_outline"]
+__all__ = [
+    "LEAST",
+    "REACH",
+    "SPANS",
+    "MeasuredDimple",
+    "dimple_of_numbers",
+    "dimple_of_outline",
+    "disc_moduli",
+]
 
 #: Spans of LOESS whose results are compared. The middle one is that of section 5.6; a smaller one
 #: follows the corners at the bottom more closely and the noise as well.
@@ -168,6 +176,39 @@ def dimple_of_numbers(
         rim=(-float(radius), 0.0),
         bottom=(0.0, -float(depth)),
     )
+
+
+def disc_moduli(
+    force: float, dimple: MeasuredDimple, poisson_ratio: float, **sizes: float
+) -> dict[str, float]:
+    """
+    Return the modulus that a flat disc in equilibrium has with a dimple, by its law.
+
+    Parameters
+    ----------
+    force : float
+        In µN.
+    dimple : MeasuredDimple
+        Its radius and depth.
+    poisson_ratio : float
+        Of Hooke's law; rubber is incompressible.
+    **sizes : float
+        ``thickness`` and ``probe_half_width``, in µm.
+
+    Returns
+    -------
+    dict of str to float
+        Moduli in MPa, NaN where no such disc has this dimple.
+    """
+    found = {}
+    for law, ratio in (("neo-hooke", 0.5), ("hooke", poisson_ratio)):
+        try:
+            found[law] = disc_modulus(
+                force, dimple.radius, dimple.depth, law=law, poisson_ratio=ratio, **sizes
+            )
+        except ValueError:
+            found[law] = float("nan")
+    return found
 
 
 def _side(x: Points, y: Points) -> tuple[Points, Points]:

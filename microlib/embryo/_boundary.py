@@ -75,8 +75,13 @@ _TIP_REACH, _TIP_COLUMNS, _EMBRYO_SAMPLES = 8.0, 7, 12
 #: Standard deviation given to the probe's end, which the fit of a dimple leaves out.
 _TIP_STD = 0.5
 #: The model has its load along the axis. The outline is found up to four times this tilt
-#: (measured), but whoever sees that much wants the image turned, or the probe.
-_LARGEST_TILT = np.deg2rad(4.0)
+#: (measured); beyond it the image is turned, up to the largest lean.
+_LARGEST_TILT, _LARGEST_LEAN = np.deg2rad(4.0), np.deg2rad(62.0)
+#: A leaning bar is looked for in so many rows at the edge and followed from row to row, in which it
+#: moves by up to 1.9 px, for at least as many rows as a probe must have.
+_LEAN_ROWS, _LEAN_REACH, _SHORTEST_LEAN = 3, 3, 16
+#: Half-width in px below which a run may be one wall of a tube.
+_THIN_RUN = 8.0
 #: Share of an image at the top of its scale. A rendered embryo keeps its modulus with 15 % of the
 #: pixels saturated, 22 % cost 0.6 % and 53 % cost 2.4 % of it (measured); but saturated ground is a
 #: fault of the exposure that only the operator can mend.
@@ -109,6 +114,10 @@ _SHORTEST_SIDE = 20
 #: Depth that a dimple must have, and points of the outline beyond its rim. At 3 px the modulus is
 #: uncertain by 20 %, at 6 by 5 % (measured); the estimate says so itself.
 _LEAST_DEPTH, _LEAST_ENDS = 3.0, 3
+#: Share of a dimple's depth by which the outline has fallen beside the probe, at least: (4.2) and
+#: capsules have fallen by half of it 3 px beside the thinnest needle. What only holds an embryo
+#: stands on an outline that has not fallen at all.
+_LEAST_FALL = 0.3
 #: Samples along the normal, from outside to inside: a wall's blur of 1 px to either side of where
 #: Canny may err, and ground and fluid beyond. 4 to 7 to either side change E by up to one
 #: deviation.
@@ -175,6 +184,11 @@ class Boundary(Tidy):
         Edge of the image that the probe comes from.
     region : tuple of int
         The part that was looked at: x and y of its first pixel, width and height, in px.
+    tilt : float
+        Angle by which the part was turned clockwise to bring the probe upright, in radians; 0 where
+        it is within 4°.
+    frame : tuple of int
+        What of the turned part was looked at, in px; all zero without a turn.
     """
 
     _samples = ("x", "y", "std", "under_probe")
@@ -188,17 +202,19 @@ class Boundary(Tidy):
     image_height: int
     direction: str
     region: tuple[int, int, int, int]
+    tilt: float = 0.0
+    frame: tuple[int, int, int, int] = (0, 0, 0, 0)
 
     @property
     def points(self) -> Array:
         """The outline as points (x, y) of the whole image, y down, in px; shape (n, 2)."""
-        view = View(self.region, self.direction)
+        view = View(self.region, self.direction, self.tilt, self.frame)
         return view.to_image(np.stack([self.x, self.image_height - 1 - self.y], axis=1))
 
     def without_probe(self, image: ArrayLike) -> NDArray[np.float32]:
         """Return `image`, in which the outline was found, with the probe filled by the ground."""
         grey = as_image("image", image, smallest=_SMALLEST)
-        view = View(self.region, self.direction)
+        view = View(self.region, self.direction, self.tilt, self.frame)
         return view.put_back(_remove_probe(view.of(grey), self.probe), grey)
 
 
@@ -230,8 +246,8 @@ def extract_boundary(
     Raises
     ------
     ValueError
-        If the image is saturated, no probe comes from the edge or the probe is tilted by more than
-        4°, or there is no outline or no dimple on both sides of the probe.
+        If the image is saturated, no probe comes from the edge or it leans by more than 60°, or
+        there is no outline or no dimple on both sides of the probe.
 
     See Also
     --------
@@ -242,6 +258,7 @@ def extract_boundary(
     Canny edges give the outline to a pixel. Along the normals of that curve the grey profile of a
     blurred wall is fitted twice (`locate_wall`), which gives the *middle* of the chorion; samples
     that the probe's blur reaches are left out. Below the probe the outline is the end of the probe.
+    An image in which the probe leans by more than 4° is turned first, so that it comes from above.
 
     Examples
     --------
@@ -262,7 +279,7 @@ def extract_boundary(
     for edge in DIRECTIONS if direction == "auto" else (direction,):
         view = View(part, edge)
         try:
-            return _outline_from_above(np.ascontiguousarray(view.of(whole)), view)
+            return _outline_from_above(whole, view)
         except ValueError as reason:
             refused.setdefault(str(reason), []).append(edge)
     raise ValueError(
@@ -270,9 +287,9 @@ def extract_boundary(
     )
 
 
-def _outline_from_above(grey: NDArray[np.float32], view: View) -> Boundary:
+def _outline_from_above(whole: NDArray[np.float32], view: View) -> Boundary:
     """Find the outline on both sides of a probe that comes from above."""
-    probe = _find_probe(grey)
+    grey, probe, view = _upright_probe(whole, view)
     sides = [_resample(side) for side in _trace(_remove_probe(grey, probe), probe)]
     _refuse_without_dimple(sides, probe)
     sides, blur = _refine(grey, sides, probe, _CLEARANCE)
@@ -294,7 +311,86 @@ def _outline_from_above(grey: NDArray[np.float32], view: View) -> Boundary:
         image_height=len(grey),
         direction=view.direction,
         region=view.region,
+        tilt=view.tilt,
+        frame=view.frame,
     )
+
+
+def _upright_probe(
+    whole: NDArray[np.float32], view: View
+) -> tuple[NDArray[np.float32], Probe, View]:
+    """Return the turned part of an image, the probe in it, and the view in which it is upright."""
+    grey = np.ascontiguousarray(view.of(whole))
+    refused = None
+    try:
+        probe = _find_probe(grey)
+        if abs(probe.slope) <= np.tan(_LARGEST_TILT):
+            return grey, probe, view
+    except ValueError as reason:
+        refused = reason
+    lean = _leaning_bar(grey)
+    if lean is None:
+        raise refused or ValueError("image must show the probe's direction, got none")
+    upright = view.upright(*lean)
+    if min(upright.frame[2:]) < _SMALLEST:
+        raise refused or ValueError("image must show the probe's end, got its shaft alone")
+    grey = np.ascontiguousarray(upright.of(whole))
+    probe = _find_probe(grey)
+    if abs(probe.slope) > np.tan(_LARGEST_TILT):
+        raise ValueError(
+            f"image must show a straight probe, got one that bends by "
+            f"{np.rad2deg(np.arctan(probe.slope)):.1f}°"
+        )
+    return grey, probe, upright
+
+
+def _leaning_bar(grey: NDArray[np.float32]) -> tuple[float, Array] | None:
+    """Return slope and entry of the longest bar that enters at the upper edge, or None.
+
+    Dark runs of the first rows are followed downwards from row to row for as long as they keep
+    their width. The entry is where the bar has come in with all of its width.
+    """
+    smooth = _blurred(grey, _PROBE_BLUR)
+    top = smooth[:_LEAN_ROWS].mean(axis=0)
+    widest = int(_WIDEST * grey.shape[1] / np.cos(_LARGEST_LEAN))
+    ground = median_filter(top, 4 * widest + 1, mode="nearest")
+    dark = top < _DARK * ground
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], dark.view(np.int8), [0]])))
+    found: tuple[float, float, float] | None = None
+    longest = _SHORTEST_LEAN
+    for left, right in edges.reshape(-1, 2):
+        if not _THINNEST_WALL <= right - left <= widest:
+            continue
+        limit = float((top[left:right].min() + ground[left:right].mean()) / 2)
+        middles = _follow(smooth, int(left), int(right), limit)
+        if len(middles) <= longest:
+            continue
+        rows = np.arange(len(middles))
+        slope, start = _robust_line(rows, np.array(middles))
+        if abs(slope) < np.tan(_LARGEST_LEAN):
+            longest, found = len(middles), (slope, start, (right - left) / 2)
+    if found is None:
+        return None
+    slope, start, half = found
+    # A tube's other wall may stand on either side of the one that was followed.
+    reach = np.array([-1.0, 1.0]) * (half + widest * (half < _THIN_RUN))
+    return slope, np.stack([start + reach, np.zeros(2)], axis=1)
+
+
+def _follow(smooth: NDArray[np.float32], left: int, right: int, limit: float) -> list[float]:
+    """Return the middle of a dark run in each row down to where its width changes."""
+    middles: list[float] = []
+    usual = right - left
+    for row in smooth:
+        first, last = max(left - _LEAN_REACH, 0), min(right + _LEAN_REACH, row.size)
+        dark = np.flatnonzero(row[first:last] < limit)
+        if dark.size == 0:
+            break
+        left, right = first + int(dark[0]), first + int(dark[-1]) + 1
+        if abs(right - left - usual) > _ODD_WIDTH * usual + _MARGIN:
+            break
+        middles.append((left + right - 1) / 2)
+    return middles
 
 
 def _find_probe(image: ArrayLike) -> Probe:
@@ -313,7 +409,7 @@ def _find_probe(image: ArrayLike) -> Probe:
     Raises
     ------
     ValueError
-        If there is not exactly one such bar, or it is tilted by more than 4°.
+        If there is not exactly one such bar.
 
     Notes
     -----
@@ -347,11 +443,6 @@ def _find_probe(image: ArrayLike) -> Probe:
     )
     slopes, starts = zip(*(_robust_line(rows, side) for side in sides.T), strict=True)
     slope = float(np.mean(slopes))
-    if abs(slope) > np.tan(_LARGEST_TILT):
-        raise ValueError(
-            f"image must show the probe upright to within {np.rad2deg(_LARGEST_TILT):.0f}°, got "
-            f"{np.rad2deg(np.arctan(slope)):.1f}°: rotate the image"
-        )
     narrowing = slopes[1] - slopes[0]
     tapered = abs(narrowing) * rows.size > _MARGIN
     half_width = float(starts[1] - starts[0] + narrowing * (end if tapered else rows.mean())) / 2
@@ -429,8 +520,14 @@ def _tube_body(
 def _end_row(width: NDArray) -> int:
     """Return the row in which a bar of these widths ends: they jump, as no taper does, or are 0."""
     before = np.concatenate([width[:_TOP_ROWS], width[:-1]])
-    usual = np.median(sliding_window_view(before, _TOP_ROWS), axis=1)
-    odd = np.abs(width - usual[: len(width)]) > _ODD_WIDTH * usual[: len(width)]
+    windows = sliding_window_view(before, _TOP_ROWS)[: len(width)]
+    half = _TOP_ROWS // 2
+    upper, lower = np.median(windows[:, :half], axis=1), np.median(windows[:, half:], axis=1)
+    # A taper goes on as between the middles of the last rows' halves.
+    usual = lower + (lower - upper) * (half + 1) / (2 * half)
+    usual[:_TOP_ROWS] = np.median(windows[:_TOP_ROWS], axis=1)
+    odd = np.abs(width - usual) > _ODD_WIDTH * usual + 1
+    odd |= width == 0
     return int(odd.argmax()) if odd.any() else len(width)
 
 
@@ -636,4 +733,10 @@ def _refuse_without_dimple(sides: list[Array], probe: Probe) -> None:
             raise ValueError(
                 f"image must show a dimple at least {_LEAST_DEPTH:.0f} px deep around the probe's "
                 f"end, got {depth:.1f} px on the {name}"
+            )
+        inner = y[-1] if name == "left" else y[0]
+        if inner - y[rim] < _LEAST_FALL * depth:
+            raise ValueError(
+                "image must show the outline falling to the probe's end, got one that has fallen by "
+                f"{inner - y[rim]:.1f} px of {depth:.1f} px beside it on the {name}"
             )

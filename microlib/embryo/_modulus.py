@@ -16,7 +16,13 @@ from numpy.typing import ArrayLike
 
 from microlib._common import Array, Tidy, one_of, scalar
 from microlib.embryo._boundary import Boundary, extract_boundary
-from microlib.embryo._dimple import DimpleFit, DimpleGeometry, dimple_geometry, fit_dimple
+from microlib.embryo._dimple import (
+    DimpleFit,
+    DimpleGeometry,
+    dimple_geometry,
+    fit_dimple,
+    refuse_another_width,
+)
 from microlib.embryo._gaussian_sum import fit_gaussians
 from microlib.embryo._loess import loess
 from microlib.embryo._models import moduli_by_model
@@ -34,6 +40,9 @@ _NORMAL_95 = 1.959964
 #: Dimple radii to either side that the Gaussians describe, a choice that the thesis leaves open:
 #: 1.6 and 2.5 change E by up to 12 and 27 % (benchmarks/embryo.py).
 _CROP = 2.0
+#: Points of an outline's end that give its direction, and the sine of its fall from which the egg's
+#: radius is read off: at 60° a degree is 1 % of it.
+_END_POINTS, _STEEP_END = 15, 0.87
 #: Of section 5.6.
 _SPAN, _TERMS = 0.25, 8
 #: Of any force, modulus or length, in µN, MPa and µm: beyond, products leave the range of numbers.
@@ -62,9 +71,10 @@ class ModulusEstimate(Tidy):
 
     Notes
     -----
-    `interval` says how well the outline is known, as if the model were right. `model_moduli` and
-    `model_interval` say what other models make of the same dimple. They are computed when they are
-    asked for, which takes about a second.
+    `interval` says how well the outline is known, as if the model were right; `misfit` whether the
+    outline looks like the model at all, which widens `interval` where it does not. `model_moduli`
+    and `model_interval` say what other models make of the same dimple. They are computed when they
+    are asked for, which takes about a second.
     """
 
     modulus: float
@@ -74,22 +84,36 @@ class ModulusEstimate(Tidy):
     boundary: Boundary
     given: dict[str, Any]
 
+    @property
+    def misfit(self) -> float:
+        """Root mean square departure of the outline from the model, as a share of the dimple's
+        depth; NaN for Gaussians, which follow any outline. Noise leaves less than 0.01."""
+        if isinstance(self.dimple, DimpleGeometry):
+            return float("nan")
+        if isinstance(self.dimple, DimpleFit):
+            return self.dimple.misfit * self.dimple.pixel_size / self.dimple.dimple_depth
+        return float(self.dimple.misfit / self.dimple.state.depth)
+
     @cached_property
     def model_moduli(self) -> dict[str, float]:
         """Modulus of this dimple by each model that can have it, in MPa, by the model's name.
 
         (4.7) with its uniform stress; a flat disc with and without the pressure F/(π a²), and a
-        capsule of the radius that was given or fitted, each for neo-Hooke and Hooke. Without a
-        radius no capsule is among them, and an egg that is one may have a quarter of the modulus by
+        capsule, each for neo-Hooke and Hooke. The capsule's radius is the one that was given or
+        fitted, or else the outline's where both of its ends fall steeply enough to tell; without
+        one no capsule is among them, and an egg that is one may have a quarter of the modulus by
         (4.7), or less (benchmarks/capsule_embryo.py).
         """
         state = getattr(self.dimple, "state", None)  # of a capsule
-        if state is None:
-            return moduli_by_model(
-                rim_radius=self.dimple.dimple_radius, depth=self.dimple.dimple_depth, **self.given
-            )
-        fitted = self.given | {"radius": self.dimple.radius}
-        return moduli_by_model(rim_radius=state.rim_radius, depth=state.depth, **fitted)
+        if state is not None:
+            fitted = self.given | {"radius": self.dimple.radius}
+            return moduli_by_model(rim_radius=state.rim_radius, depth=state.depth, **fitted)
+        settings = dict(self.given)
+        if settings["radius"] is None and isinstance(self.dimple, DimpleFit):
+            settings["radius"] = _egg_radius(self.boundary, self.dimple.pixel_size)
+        return moduli_by_model(
+            rim_radius=self.dimple.dimple_radius, depth=self.dimple.dimple_depth, **settings
+        )
 
     @property
     def model_interval(self) -> tuple[float, float]:
@@ -167,8 +191,8 @@ def modulus_from_image(
     -------
     ModulusEstimate
         The `modulus`, its `relative_std` and `interval`, and the `dimple` and `boundary` that it
-        was computed from; with what other models make of the same dimple in `model_moduli` and
-        `model_interval`.
+        was computed from; with the `misfit` of outline and model, and what other models make of the
+        same dimple in `model_moduli` and `model_interval`.
 
     Raises
     ------
@@ -202,6 +226,7 @@ def modulus_from_image(
     given = {"force": load, **membrane, "radius": egg}
     boundary = extract_boundary(image, direction=direction, region=region)
     if method == "capsule":
+        refuse_another_width(boundary, membrane["probe_half_width"] / size, size)
         outline = size * np.stack([boundary.x, boundary.y], axis=1)[~boundary.under_probe]
         capsule = fit_capsule(
             load,
@@ -343,6 +368,23 @@ def _dimple_of(
             "image must show a dimple of the model for this pixel_size and probe_half_width: "
             f"{error}"
         ) from None
+
+
+def _egg_radius(boundary: Boundary, pixel_size: float) -> float | None:
+    """Return the radius in µm of the sphere that has the outline's ends, or None if they are flat.
+
+    A pressed capsule is about as wide as the sphere was: its equator grows by 2 % under the largest
+    loads, and less than its wall's turn to the vertical is uncertain.
+    """
+    ends = []
+    for part in (slice(None, _END_POINTS), slice(-_END_POINTS, None)):
+        x, y = boundary.x[part], boundary.y[part]
+        along = np.linalg.svd(np.stack([x - x.mean(), y - y.mean()]))[0][:, 0]
+        ends.append((float(x.mean()), abs(float(along[1]))))
+    (left, fall_left), (right, fall_right) = ends
+    if min(fall_left, fall_right) < _STEEP_END:
+        return None
+    return pixel_size * (right - left) / (fall_left + fall_right)
 
 
 def _crop(boundary: Boundary) -> tuple[Array, Array]:

@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 
 from compendium.guides import find_input, manifest, read_outline
-from compendium.measured_dimple import MeasuredDimple, dimple_of_numbers, dimple_of_outline
-from microlib.membrane import dimple_profile
+from compendium.measured_dimple import (
+    MeasuredDimple,
+    dimple_of_numbers,
+    dimple_of_outline,
+    disc_moduli,
+)
+from microlib.membrane import dimple_profile, indent_disc
 from microlib.synthetic import Embryo
 
 PIXEL = manifest()["outline.csv"]["settings"]["pixel_size"]
@@ -73,3 +78,14 @@ def test_two_numbers_are_taken_as_they_are() -> None:
 def test_one_number_is_not_enough(radius: float | None, depth: float | None) -> None:
     with pytest.raises(ValueError, match="must be given together"):
         dimple_of_numbers(radius, depth, radius_std=0, depth_std=0, probe_half_width=25.0)
+
+
+def test_discs_have_the_dimple_that_is_given() -> None:
+    sizes = {"thickness": 3.0, "probe_half_width": 25.0}
+    shape = {"radius_std": 0.0, "depth_std": 0.0, "probe_half_width": 25.0}
+    found = disc_moduli(50.0, dimple_of_numbers(250.0, 60.58, **shape), 0.4, **sizes)
+    for law, ratio in (("neo-hooke", 0.5), ("hooke", 0.4)):
+        options = {"law": law, "poisson_ratio": ratio, "radius": 250.0, **sizes}
+        assert indent_disc(50.0, modulus=found[law], **options).depth == pytest.approx(60.58)
+    steep = disc_moduli(50.0, dimple_of_numbers(100.0, 3000.0, **shape), 0.5, **sizes)
+    assert np.isnan(list(steep.values())).all()

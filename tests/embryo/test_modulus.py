@@ -137,7 +137,11 @@ def test_steep_dimples_are_warned_of():
         ({"method": "eyes"}, "method must be one of membrane, gaussians, capsule, got 'eyes'"),
         ({"pixel_size": -1.0}, "pixel_size must be positive"),
         ({"thickness": 0.0}, "thickness"),
-        ({"probe_half_width": 45.0}, "probe's end at the bottom of the dimple"),
+        ({"probe_half_width": 45.0}, "probe_half_width must be that of the probe in the image"),
+        (
+            {"probe_half_width": 45.0, "method": "capsule"},
+            "probe_half_width must be that of the probe in the image",
+        ),
         ({"poisson_ratio": 1.0}, "poisson_ratio"),
     ],
 )
@@ -227,8 +231,30 @@ def test_models_of_one_dimple_span_its_modulus():
     assert found.model_moduli["disc, hooke"] == pytest.approx(by_hand, rel=1e-9)
 
 
-def test_without_the_radius_no_capsule_is_among_the_models(steady_image):
-    found = modulus_from_image(steady_image, 100.0, pixel_size=4.65 / 1.2, **MEMBRANE)
+def test_the_models_have_the_radius_of_the_outline(steady_image):
+    options = {"pixel_size": 4.65 / 1.2, **MEMBRANE}
+    found = modulus_from_image(steady_image, 100.0, **options)
+    given = modulus_from_image(steady_image, 100.0, radius=600.0, **options)
+    assert found.misfit < 0.01
+    assert found.model_interval[0] < found.interval[0]
+    # The wall's turn tells the radius to a few hundredths, and the modulus goes with its square.
+    for name, modulus in given.model_moduli.items():
+        assert found.model_moduli[name] == pytest.approx(modulus, rel=0.15)
+    assert given.given["radius"] == 600.0
+    assert found.given["radius"] is None
+
+
+def test_where_the_sides_are_hidden_no_capsule_is_among_the_models(steady_image):
+    found = modulus_from_image(
+        steady_image, 100.0, pixel_size=4.65 / 1.2, region=(400, 0, 224, 768), **MEMBRANE
+    )
     assert len(found.model_moduli) == 5
     assert not any("capsule" in name for name in found.model_moduli)
-    assert found.model_interval[0] < found.interval[0]
+
+
+def test_another_shape_widens_the_interval(pressed_capsule):
+    """A capsule's dimple measured as (4.2): it says so, and its interval is no 2 % wide."""
+    found = of_capsule(pressed_capsule)
+    assert found.relative_std > 0.2
+    assert found.model_interval[0] < pressed_capsule.modulus < found.model_interval[1]
+    assert np.isnan(of_capsule(pressed_capsule, method="gaussians").misfit)
