@@ -737,6 +737,6 @@ def _refuse_without_dimple(sides: list[Array], probe: Probe) -> None:
         inner = y[-1] if name == "left" else y[0]
         if inner - y[rim] < _LEAST_FALL * depth:
             raise ValueError(
-                "image must show the outline falling to the probe's end, got one that has fallen by "
+                "image must show the outline falling to the probe, got one that has fallen by "
                 f"{inner - y[rim]:.1f} px of {depth:.1f} px beside it on the {name}"
             )
