@@ -292,6 +292,10 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "calibration.Calibration.um_per_pixel": lambda: {"self": calibrated(), "level": 0.9},
     "calibration.Calibration.to_json": lambda: {"self": calibrated()},
+    "calibration.Calibration.undistort": lambda: {"self": calibrated(), "points": grid() + 700.0},
+    "calibration.Calibration.undistort_image": lambda: {
+        "self": calibrated(), "image": np.zeros(calibrated().microscope.image_size[::-1], np.uint8),
+    },
     "calibration.Detection": lambda: {
         "points": grid(), "grid": grid().astype(int), "sigma": np.ones(42),
         "group": np.zeros(42, int), "positions": grid(), "side": 0.5, "misfit": 1.0,

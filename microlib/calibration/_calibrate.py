@@ -35,6 +35,7 @@ from microlib.calibration._several_views import (
     views_discrepancy,
     without_terms,
 )
+from microlib.calibration._straighten import straighten_image, straighten_points
 from microlib.microscope import Microscope
 
 #: Standard errors by which 1/f must exceed zero to be told from it. As the sign of the tilt is
@@ -219,6 +220,53 @@ class Calibration(Tidy):
         """
         second = self._value("distortion_2")
         return to_json(self.views, self.principal_point, second, self.um_per_pixel(), self.sigma)
+
+    def undistort(self, points: ArrayLike) -> Array:
+        """Where image points would be seen through a lens without distortion.
+
+        Parameters
+        ----------
+        points : array_like, shape (N, 2)
+            px.
+
+        Returns
+        -------
+        ndarray, shape (N, 2)
+            px, at the scale on the optical axis; NaN beyond the fold of (2.10).
+
+        Raises
+        ------
+        ValueError
+            If the points are no finite pairs.
+        """
+        return straighten_points(
+            self.microscope,
+            self.principal_point,
+            self._value("distortion_2"),
+            as_array("points", points, shape=(None, 2), largest=_FARTHEST_PIXEL),
+        )
+
+    def undistort_image(self, image: ArrayLike) -> NDArray:
+        """Resample an image of the calibrated microscope to one without distortion.
+
+        Parameters
+        ----------
+        image : array_like, shape (height, width) or (height, width, channels)
+            Of the size that the calibration has.
+
+        Returns
+        -------
+        ndarray, shape and type of `image`
+            At the scale on the optical axis, by bicubic interpolation; zero where the image does
+            not reach. Floating-point images become single precision.
+
+        Raises
+        ------
+        ValueError
+            If the image has another size.
+        """
+        second = self._value("distortion_2")
+        return straighten_image(self.microscope, self.principal_point, second, image)
 
     def _value(self, parameter: str) -> float:
         """The estimate of a parameter, zero if it was not estimated."""
