@@ -24,6 +24,7 @@ ROOMS = sorted(
 )
 # Which subjects a subject may import; `_common` is free to all.
 ARROWS = {
+    "automation": {"embryo", "focus", "membrane", "servoing"},
     "calibration": {"microscope"},
     "embryo": {"membrane"},
     "focus": {"io"},
@@ -34,8 +35,9 @@ ARROWS = {
 #: six of large deflections (a disc and a capsule under a probe, the modulus by either, the fit of
 #: an outline, what bending adds), which no parameter of the small-slope functions could stand for;
 #: one that applies any of them to many files; and the affine map of a stage, which needs moves and
-#: no pattern; and what a tile must know of its image, with what measures it.
-MOST_PUBLIC_NAMES = 103
+#: no pattern; and what a tile must know of its image, with what measures it;
+#: what joins them on a live microscope: an injection and its scene.
+MOST_PUBLIC_NAMES = 105
 
 
 def sources(folder: Path) -> list[Path]:
