@@ -258,6 +258,44 @@ def steering() -> dict[str, object]:
     }  # fmt: skip
 
 
+@cache
+def pipette() -> synthetic.InjectionScene:
+    return synthetic.InjectionScene(
+        0, modulus=1.0, radius=300.0, pixel_size=3.0, shape=(180, 220), strongest=5.0
+    )
+
+
+def injection() -> dict[str, object]:
+    scene = pipette()
+    station = servoing.SimulatedWorkstation(
+        lambda tip, focus: scene.frame(tip),
+        jacobian=np.eye(2) / 3.0,
+        stage=servoing.Stage(500.0),
+        camera=servoing.Camera(0.04),
+        rng=0,
+        home=scene.home,
+    )
+    return {
+        "workstation": station, "pixel_size": 3.0, "probe_half_width": 25.0, "thickness": 3.0,
+        "travel": 300.0, "force": 1.0, "modulus": 1.0, "law": "neo-hooke", "tolerance": 0.05,
+        "approach_step": 1.0, "press_step": 5.0, "hold": 0.0, "jacobian": np.eye(2) / 3.0,
+        "direction": "top", "region": (0, 0, 220, 180), "most_lost": 1, "timeout": 5.0,
+        "progress": _end_soon(), "keep_frames": False,
+    }  # fmt: skip
+
+
+def _end_soon() -> Callable[[dict], None]:
+    """Return what ends an injection after a few frames: how it goes on is tested elsewhere."""
+    rows = []
+
+    def progress(row: dict) -> None:
+        rows.append(row)
+        if len(rows) > 3:
+            raise ValueError("workstation must be given up")
+
+    return progress
+
+
 def control() -> dict[str, object]:
     return {"k": 0, "measured": np.array([1.0, 2.0]), "reference": reference()}
 
@@ -360,7 +398,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "embryo.GaussianSum.extrema": lambda: {"self": gaussians()},
     "embryo.dimple_geometry": lambda: {"curve": dented(), "pixel_size": 3.9},
     "embryo.extract_boundary": lambda: {
-        "image": egg().image, "direction": "top", "region": part()
+        "image": egg().image, "direction": "top", "region": part(), "dimple": True
     },
     "embryo.fit_dimple": lambda: {
         "boundary": outline(), "pixel_size": 7.75, "probe_half_width": 25.0
@@ -441,7 +479,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "membrane.fit_capsule": lambda: {
         "force": 100.0, "outline": capsule_outline(), "radius": 600.0, **EGG,
-        "law": "neo-hooke", "support": "plate", "punch": "bonded",
+        "law": "neo-hooke", "support": "plate", "punch": "bonded", "start": (1.0, 1.05),
     },
     "membrane.indent_capsule": lambda: {
         "force": 100.0, "modulus": 1.0, "radius": 600.0, **EGG, "law": "neo-hooke",
@@ -503,6 +541,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "optics.gaussian_kernel": lambda: {"sigma": 1.5, "size": 7},
     "optics.gaussian_transfer": lambda: {"u": [0.1, 0.2], "v": [0.0, 0.3], "sigma": 1.5},
     "optics.image_distance": lambda: {"object_distance": [200.0, 300.0], "focal_length": 100.0},
+    "automation.inject": injection,
     "servoing.Camera": lambda: {"interval": 0.04, "latency": 0.02, "jitter": 0.1},
     "servoing.MicroManager": lambda: {"core": core()},
     "servoing.OptimalController": lambda: {"jacobian": np.eye(2) * 0.3, **WEIGHTS},
@@ -555,6 +594,15 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "synthetic.Embryo.outline": lambda: {
         "self": synthetic.Embryo.pressed(150.0, modulus=1.0), "spacing": 5.0
     },
+    "synthetic.InjectionScene": lambda: {
+        "rng": 0, "modulus": 1.0, "radius": 300.0, "thickness": 3.0, "probe_half_width": 25.0,
+        "inflation": 1.05, "law": "neo-hooke", "strongest": 3.0, "rupture": 2.0,
+        "pixel_size": 4.0, "shape": (160, 170), "noise": 1.0,
+    },
+    "synthetic.InjectionScene.approach": lambda: {"self": pipette(), "tip": pipette().home},
+    "synthetic.InjectionScene.depth": lambda: {"self": pipette(), "tip": pipette().contact},
+    "synthetic.InjectionScene.force": lambda: {"self": pipette(), "tip": pipette().contact},
+    "synthetic.InjectionScene.frame": lambda: {"self": pipette(), "tip": pipette().home},
     "synthetic.ImagingConditions": lambda: {
         "blur": 1.0, "dark": 50.0, "bright": 200.0, "vignetting": 0.1, "gradient": (0.1, 0.0),
         "noise": 1.0,
@@ -657,6 +705,7 @@ MAY_BE_UNKNOWN = {
     "membrane.finite_slope_modulus": "NaN where no slope is steep enough",
     "microscope.Microscope.back_project": "NaN where a ray misses the plane",
     "optics.image_distance": "an object in the focal plane has its image at infinity",
+    "automation.inject": "what a run did not come to",
     "servoing.servo": "what a run did not come to",
     "servoing.step_metrics": "a step that never settles",
     "tracking.ESMTracker.track": "a lost target has no position",

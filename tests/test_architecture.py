@@ -24,6 +24,7 @@ ROOMS = sorted(
 )
 # Which subjects a subject may import; `_common` is free to all.
 ARROWS = {
+    "automation": {"embryo", "focus", "membrane", "servoing"},
     "calibration": {"microscope"},
     "embryo": {"membrane"},
     "focus": {"io"},
@@ -35,9 +36,9 @@ ARROWS = {
 #: an outline, what bending adds), which no parameter of the small-slope functions could stand for;
 #: one that applies any of them to many files; and the affine map of a stage, which needs moves and
 #: no pattern; what a tile must know of its image, with what measures it; the depth of an image
-#: larger than memory, which no result in memory can hold; and the stage micrometer, which has lines
-#: and no lattice.
-MOST_PUBLIC_NAMES = 105
+#: larger than memory, which no result in memory can hold; the stage micrometer, which has lines and
+#: no lattice; and what joins subjects on a live microscope: an injection and its scene.
+MOST_PUBLIC_NAMES = 120
 
 
 def sources(folder: Path) -> list[Path]:

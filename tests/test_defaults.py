@@ -15,6 +15,17 @@ from tests import fuzz
 #: Every default of the public callables but None. A user who leaves an argument out gets another
 #: result when its default changes: such a change belongs here and into the changelog.
 DEFAULTS: dict[str, dict[str, object]] = {
+    "automation.inject": {
+        "law": "neo-hooke",
+        "tolerance": 0.02,
+        "approach_step": 0.5,
+        "press_step": 10.0,
+        "hold": 0.0,
+        "direction": "auto",
+        "most_lost": 3,
+        "timeout": 10.0,
+        "keep_frames": False,
+    },
     "batch.process_files": {"workers": 1, "retry": False},
     "calibration.Calibration.interval": {"level": 0.95},
     "calibration.Calibration.um_per_pixel": {"level": 0.95},
@@ -23,7 +34,7 @@ DEFAULTS: dict[str, dict[str, object]] = {
     "calibration.detect_squares": {"direction": 0.0, "mirrored": False, "pattern": "squares"},
     "curvature.curvature_windows": {"size": 7},
     "curvature.surface_curvature": {"size": 7, "noise": 0.0},
-    "embryo.extract_boundary": {"direction": "auto"},
+    "embryo.extract_boundary": {"direction": "auto", "dimple": True},
     "embryo.fit_gaussians": {"terms": 8, "max_iterations": 1500},
     "embryo.force_from_image": {"direction": "auto"},
     "embryo.loess": {"span": 0.25, "degree": 2, "robust_iterations": 0},
@@ -134,6 +145,17 @@ DEFAULTS: dict[str, dict[str, object]] = {
     },
     "synthetic._gripper.GripperScene.box": {"shift": (0.0, 0.0)},
     "synthetic._gripper.GripperScene.frame": {"noise": 2.0, "gain": 1.0},
+    "synthetic.InjectionScene": {
+        "radius": 600.0,
+        "thickness": 3.0,
+        "probe_half_width": 25.0,
+        "inflation": 1.05,
+        "law": "neo-hooke",
+        "strongest": 100.0,
+        "pixel_size": 3.875,
+        "shape": (260, 360),
+        "noise": 2.0,
+    },
     "synthetic.camera_frame": {"gain": 1.0},
     "synthetic.cell_image": {"count": 14, "pixel_size": 0.25, "shape": (360, 480)},
     "synthetic.embryo_image": {

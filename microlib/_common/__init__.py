@@ -19,7 +19,7 @@ from microlib._common._checks import (
     whole,
 )
 from microlib._common._covariance import OPEN, inverse_normal
-from microlib._common._devices import Mover, VelocityMover, Workstation
+from microlib._common._devices import Mover, VelocityMover, Workstation, check_devices
 from microlib._common._files import replace_file
 from microlib._common._frames import Frames, is_in_memory
 from microlib._common._guard import POLL, DeviceError, EndRun, Guard, interrupts
@@ -46,6 +46,7 @@ __all__ = [
     "as_array",
     "as_image",
     "between",
+    "check_devices",
     "end_with_starter",
     "flag",
     "flat_row",

@@ -76,3 +76,13 @@ class Workstation(Protocol):
 
     @property
     def clock(self) -> Clock: ...
+
+
+def check_devices(workstation: object, **parts: tuple[str, ...]) -> None:
+    """Refuse a workstation whose parts have not the methods that will be called."""
+    for part, methods in parts.items():
+        for method in methods:
+            if not callable(getattr(getattr(workstation, part, None), method, None)):
+                raise ValueError(
+                    f"workstation must have {part}.{method}(), got {type(workstation).__name__}"
+                )

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates, median_filter, spline_filter
 from scipy.signal import savgol_filter
 
-from microlib._common import Array, Tidy, as_array, as_image, one_of
+from microlib._common import Array, Tidy, as_array, as_image, flag, one_of
 from microlib.embryo._view import DIRECTIONS, View, part_of
 from microlib.embryo._wall import locate_wall
 
@@ -223,6 +223,7 @@ def extract_boundary(
     *,
     direction: str = "auto",
     region: tuple[int, int, int, int] | None = None,
+    dimple: bool = True,
 ) -> Boundary:
     """Find the outline of an embryo on the side where a probe presses it.
 
@@ -235,6 +236,9 @@ def extract_boundary(
         the four, in this order, from which one comes that makes a dimple.
     region : tuple of int, optional
         Part of the image to look at, (x, y, width, height) in px; all of it by default.
+    dimple : bool, optional
+        Whether the probe must make a dimple. If not, it may as well be on its way to the embryo,
+        and the outline has no points under it.
 
     Returns
     -------
@@ -247,7 +251,7 @@ def extract_boundary(
     ------
     ValueError
         If the image is saturated, no probe comes from the edge or it leans by more than 60°, or
-        there is no outline or no dimple on both sides of the probe.
+        there is no outline or, if there must be one, no dimple on both sides of the probe.
 
     See Also
     --------
@@ -272,6 +276,7 @@ def extract_boundary(
     """
     whole = as_image("image", image, smallest=_SMALLEST)
     one_of("direction", direction, ("auto", *DIRECTIONS))
+    wanted = flag("dimple", dimple)
     part = part_of(whole.shape, region, _SMALLEST)
     upright = View(part, "top")
     _refuse_saturated(upright.of(np.asarray(image)), upright.of(whole))
@@ -279,7 +284,7 @@ def extract_boundary(
     for edge in DIRECTIONS if direction == "auto" else (direction,):
         view = View(part, edge)
         try:
-            return _outline_from_above(whole, view)
+            return _outline_from_above(whole, view, wanted)
         except ValueError as reason:
             refused.setdefault(str(reason), []).append(edge)
     raise ValueError(
@@ -287,16 +292,17 @@ def extract_boundary(
     )
 
 
-def _outline_from_above(whole: NDArray[np.float32], view: View) -> Boundary:
+def _outline_from_above(whole: NDArray[np.float32], view: View, dimple: bool) -> Boundary:
     """Find the outline on both sides of a probe that comes from above."""
     grey, probe, view = _upright_probe(whole, view)
     sides = [_resample(side) for side in _trace(_remove_probe(grey, probe), probe)]
-    _refuse_without_dimple(sides, probe)
+    if dimple:
+        _refuse_without_dimple(sides, probe)
     sides, blur = _refine(grey, sides, probe, _CLEARANCE)
     sides, blur = _refine(grey, sides, probe, max(_CLEARANCE, _BLUR_REACH * blur))
 
     reach = int(probe.half_width)
-    hidden = probe.tip[0] + np.arange(-reach, reach + 1.0)
+    hidden = probe.tip[0] + np.arange(-reach, reach + 1.0 if dimple else -reach)
     tip = np.stack([hidden, np.full(hidden.size, probe.tip[1]), np.full(hidden.size, _TIP_STD)])
     x, y, std = np.concatenate([*sides, tip], axis=1)
     under = np.arange(x.size) >= x.size - hidden.size

@@ -19,6 +19,7 @@ from microlib._common import (
     VelocityMover,
     Workstation,
     as_array,
+    check_devices,
     flag,
     interrupts,
     one_of,
@@ -325,13 +326,7 @@ def _result(loop: Loop, reason: str, error: BaseException | None, still: bool) -
 
 def _refuse_others(workstation: Any, tracker: Any, controller: Any, progress: Any) -> None:
     """Refuse what has not the methods that will be called."""
-    parts = {"camera": ("snap",), "stage": _MOVES, "clock": ("now", "sleep")}
-    for part, methods in parts.items():
-        for method in methods:
-            if not callable(getattr(getattr(workstation, part, None), method, None)):
-                raise ValueError(
-                    f"workstation must have {part}.{method}(), got {type(workstation).__name__}"
-                )
+    check_devices(workstation, camera=("snap",), stage=_MOVES, clock=("now", "sleep"))
     if not callable(getattr(tracker, "track", None)):
         raise ValueError(f"tracker must have a method track, got {type(tracker).__name__}")
     for name, function in (("controller", controller), ("progress", progress)):

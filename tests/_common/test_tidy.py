@@ -101,5 +101,5 @@ def test_every_result_of_the_library_can_be_written_down(name: str) -> None:
         assert row or len(found._samples)
         assert not any(isinstance(v, (list, dict, np.ndarray)) for v in table.iloc[0])
         assert len(table) == (len(getattr(found, found._samples[0])) if found._samples else 1) or (
-            type(found).__name__ == "ServoRun"
+            type(found).__name__ in ("ServoRun", "InjectionRun")
         )
