@@ -16,6 +16,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from time import perf_counter
 from types import ModuleType
+from typing import Any
 from unittest.mock import patch
 
 import cv2
@@ -34,10 +35,12 @@ from microlib.focus import (
     _depth,
     _directions,
     _measures,
+    _multiscale,
     _reliability,
     _relief,
     depth_from_focus,
 )
+from microlib.focus._questions import Steps
 
 #: Frames of every stack, one step apart; blur grows by 1 px a step.
 POSITIONS = np.arange(21.0)
@@ -322,8 +325,8 @@ def _nothing_of_every_second(image: NDArray, *_: object) -> NDArray:
     return np.zeros(image[::2, ::2].shape, bool)
 
 
-def _no_relief(base: NDArray, *others: object) -> _relief.Relief:
-    found = _relief.find_relief(base, *others)  # type: ignore[arg-type]
+def _no_relief(*given: Any, **options: Any) -> Steps[_relief.Relief]:
+    found = yield from _relief.find_relief(*given, **options)
     return _relief.Relief(np.zeros_like(found.offset), found.variance)
 
 
@@ -331,7 +334,7 @@ def _sized(scale: _measures.Scale, factor: float) -> _measures.Scale:
     return _measures.Scale(factor * scale.smooth, factor * scale.spread)
 
 
-#: Each rule, with what takes the place of which functions of `microlib.focus._depth`.
+#: Each rule, with what takes the place of which functions of `microlib.focus._multiscale`.
 RULES: dict[str, dict[str, Callable]] = {
     "incoherent": {"incoherent_mask": _nothing_of_every_second},
     "isolated": {"isolated_mask": _nothing},
@@ -340,7 +343,7 @@ RULES: dict[str, dict[str, Callable]] = {
         "isolated_mask": _nothing,
     },
     "blurred-edge mask": {"blurred_edge_mask": _nothing_of_every_second},
-    "small components": {"small_component_mask": lambda depth: np.isnan(depth)},
+    "small components": {"small_component_mask": lambda depth, least: np.isnan(depth)},
     "below noise": {"below_noise_mask": _nothing},
     "choose side": {"_choose_side": lambda broad, fine, sure: broad},
     "relief": {"find_relief": _no_relief},
@@ -365,23 +368,23 @@ CONSTANTS: tuple[Constant, ...] = (
     ("side: mean, px", _measures, "_EDGE_MEAN", ()),
     ("side: fine window, px", _measures, "_EDGE_FINE", ()),
     ("side: coarse window, px", _measures, "_EDGE_COARSE", ()),
-    ("side: median, px", _depth, "_FINE_WINDOW", (3,)),
-    ("side: spread, frames", _depth, "_FINE_SPREAD", ()),
-    ("side: distances, px", _depth, "_SIDE_DISTANCES", ((2, 4), (4, 8))),
-    ("side: gap, frames", _depth, "_SIDE_GAP", ()),
-    ("side: agreement, frames", _depth, "_SIDE_AGREES", ()),
-    ("side: slope, frames/px", _depth, "_SIDE_SLOPE", ()),
-    ("spikes: windows, px", _depth, "_SPIKE_WINDOWS", ((3, 3), (5, 5))),
-    ("spikes: distance, frames", _depth, "_SPIKE", ()),
-    ("smoothing: jump, frames", _depth, "_JUMP", ()),
-    ("smoothing: wide radius, px", _depth, "_WIDE", ()),
+    ("side: median, px", _multiscale, "_FINE_WINDOW", (3,)),
+    ("side: spread, frames", _multiscale, "_FINE_SPREAD", ()),
+    ("side: distances, px", _multiscale, "_SIDE_DISTANCES", ((2, 4), (4, 8))),
+    ("side: gap, frames", _multiscale, "_SIDE_GAP", ()),
+    ("side: agreement, frames", _multiscale, "_SIDE_AGREES", ()),
+    ("side: slope, frames/px", _multiscale, "_SIDE_SLOPE", ()),
+    ("spikes: windows, px", _multiscale, "_SPIKE_WINDOWS", ((3, 3), (5, 5))),
+    ("spikes: distance, frames", _multiscale, "_SPIKE", ()),
+    ("smoothing: jump, frames", _multiscale, "_JUMP", ()),
+    ("smoothing: wide radius, px", _multiscale, "_WIDE", ()),
     ("smoothing: cut-off, radii", _correction, "_CUT_OFF", ()),
     ("smoothing: radius over spacing", _correction, "_SPACING", ()),
     ("smoothing: stiffness, px²", _correction, "_STIFFNESS", ()),
-    ("smoothing: largest weight", _depth, "_WEIGHTS", (1e3, 1e5)),
-    ("border: reach, px", _depth, "_BORDER_REACH", ()),
-    ("border: least", _depth, "_BORDER_LEAST", ()),
-    ("border: power", _depth, "_BORDER_POWER", ()),
+    ("smoothing: largest weight", _multiscale, "_WEIGHTS", (1e3, 1e5)),
+    ("border: reach, px", _multiscale, "_BORDER_REACH", ()),
+    ("border: least", _multiscale, "_BORDER_LEAST", ()),
+    ("border: power", _multiscale, "_BORDER_POWER", ()),
     ("relief: smoothing before, px", _directions, "_SMOOTH", ()),
     ("relief: largest, frames", _relief, "_MOST", ()),
     ("relief: windows, px", _relief, "_WINDOWS", ((14.0, 14.0, 14.0, 20.0), (28.0,) * 4)),
@@ -413,11 +416,11 @@ def border() -> pd.DataFrame:
 
     The other tables leave them out.
     """
-    width, rows = _depth._BORDER_REACH, []
+    width, rows = _multiscale._BORDER_REACH, []
     for name, truth, stack in scenes(0):
         errors = []
-        for power in (_depth._BORDER_POWER, 0):
-            with patch.object(_depth, "_BORDER_POWER", power):
+        for power in (_multiscale._BORDER_POWER, 0):
+            with patch.object(_multiscale, "_BORDER_POWER", power):
                 error = depth_from_focus(stack, POSITIONS).depth - truth
             error[width:-width, width:-width] = np.nan
             errors.append(_rms(error))
@@ -470,7 +473,7 @@ def rules() -> dict[str, pd.DataFrame]:
     full = _with([], drawn), _with([], photos)
     rows = []
     for name, changes in RULES.items():
-        change = [(_depth, function, value) for function, value in changes.items()]
+        change = [(_multiscale, function, value) for function, value in changes.items()]
         found = _with(change, drawn), _with(change, photos)
         rows.append({"without": name} | _both(*found, full))
     full = full[0], _with([], domes)
