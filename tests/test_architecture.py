@@ -33,9 +33,9 @@ ARROWS = {
 #: adapter for Micro-Manager, the simulated workstation), which no other name can stand for; and the
 #: six of large deflections (a disc and a capsule under a probe, the modulus by either, the fit of
 #: an outline, what bending adds), which no parameter of the small-slope functions could stand for;
-#: one that applies any of them to many files; and the affine map of a stage, which needs moves and
-#: no pattern.
-MOST_PUBLIC_NAMES = 101
+#: one that applies any of them to many files; the affine map of a stage, which needs moves and no
+#: pattern; and the law of a wall that relaxes, with the force over time that follows from it.
+MOST_PUBLIC_NAMES = 103
 
 
 def sources(folder: Path) -> list[Path]:
