@@ -113,7 +113,8 @@ def recognize_part(
     errors and a quarter of the map's strongest bends. Numbers that neither shift, turn nor mirror
     image changes go into a small network that was fitted to rendered parts and to other shapes;
     learned parts rise by a fifth to about once their half-width (a ball on the ground by twice),
-    cones have slopes of 0.3 to 1.5. A map is refused if *other* is likelier than any kind, or if it
+    cones have slopes of 0.3 to 1.5, and the two curvatures of a saddle differ by a factor of 1.8 at
+    most. A map is refused if *other* is likelier than any kind, or if it
     lies far from all examples of its kind. A shape that resembles none of either may still be
     misnamed: the benchmark says how often.
 
@@ -188,7 +189,7 @@ def _judge(features: dict[str, float]) -> dict[str, Any]:
     if likely[-1] >= likely[best]:
         reason = "resembles other shapes more than any known part"
     elif distance > 1:
-        reason = f"nearest to a {kind}, but {distance:.2g} times as far as its examples reach"
+        reason = f"nearest to a {kind}, but {distance:.3g} times as far as its examples reach"
     return {
         "kind": None if reason else kind,
         "confidence": float(likely[best]),

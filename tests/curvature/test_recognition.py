@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks import recognition as held_out
+from microlib import synthetic
 from microlib.curvature import PART_KINDS, recognize_part
 from microlib.curvature._descriptor import describe
 from microlib.curvature._graph import FAMILY_NAMES, region_graph
@@ -69,6 +70,28 @@ def test_units_turns_and_mirror_images_change_nothing(kind: str) -> None:
         # Only the order of sums differs; a pixel at a threshold may fall to the other side.
         assert other.kind == first.kind, what
         assert other.confidence == pytest.approx(first.confidence, abs=0.02), what
+
+
+@pytest.mark.parametrize(
+    ("kind", "z", "pitch"),
+    [
+        ("sphere", synthetic.sphere_on_plane((128, 128), 45.0, 1.0), 1.0),
+        ("sphere", synthetic.sphere_on_plane((160, 160), 250.0, 4.3, roughness=3.0, rng=0), 4.3),
+        ("sphere", synthetic.quadric_patch(1, half=40, radius=80.0), 1.0),
+        ("cylinder", synthetic.parabolic_cylinder((128, 128), 30.0, width=80.0), 1.0),
+        ("cylinder", synthetic.parabolic_cylinder((128, 128), 500.0), 5.0),
+        ("cone", synthetic.cone((128, 128), 45.0, 50.0), 1.0),
+        ("plane", synthetic.tilted_plane((128, 128), 0.3, 0.1), 1.0),
+        ("saddle", synthetic.quadric_patch(6, half=40, radius=80.0), 1.0),
+        ("step", synthetic.step((128, 128), 2.0), 1.0),
+        (None, synthetic.quadric_patch(7, half=40, radius=80.0), 1.0),
+        (None, synthetic.quadric_patch(8, half=40, radius=80.0), 1.0),
+    ],
+)
+def test_the_surfaces_of_the_thesis_are_named(
+    kind: str | None, z: np.ndarray, pitch: float
+) -> None:
+    assert recognize_part(z, pitch).kind == kind
 
 
 def test_held_out_solids_are_named_at_a_threshold_of_six_tenths() -> None:
