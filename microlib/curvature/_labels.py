@@ -11,8 +11,7 @@ from skimage.measure import label as connected
 from microlib._common import as_array, of_kind, whole
 from microlib.curvature._surface import Curvature
 
-#: Table 3.1: the surface type of each label. A smooth surface has H² ≥ K, so label 4 (H = 0 and K
-#: > 0) cannot occur but through noise or thresholds that do not match.
+#: The surface types of Table 3.1 by label.
 HK_NAMES = {
     1: "convex elliptic",
     2: "convex cylindric",

@@ -18,8 +18,7 @@ from microlib.curvature._descriptor import WIDE, Description, describe
 from microlib.curvature._graph import FAMILY_NAMES
 from microlib.curvature._grid import on_grid
 
-#: What `recognize_part` can name: a ball or its cap, a rod or its cap, a cone, a plane, a saddle
-#: and a straight step.
+#: In the order of the networks' outputs; a last output stands for all other shapes.
 PART_KINDS = ("sphere", "cylinder", "cone", "plane", "saddle", "step")
 
 #: Learned with maps of 64 px and more; below, the wide window sees less than half of the map.
