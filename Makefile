@@ -63,8 +63,6 @@ data: $(STAMP) ## write data/synthetic anew, the same bytes
 picture: $(STAMP) ## draw the readme's picture anew
 	@$(BIN)/python -m compendium.readme_picture
 
-# One thread, for sums in another order would end elsewhere.
-parts: export OPENBLAS_NUM_THREADS := 1
 parts: $(STAMP) ## learn anew by what parts are recognized (ten minutes)
 	@$(BIN)/python -m compendium.part_classes
 
