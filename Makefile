@@ -63,7 +63,7 @@ data: $(STAMP) ## write data/synthetic anew, the same bytes
 picture: $(STAMP) ## draw the readme's picture anew
 	@$(BIN)/python -m compendium.readme_picture
 
-parts: $(STAMP) ## learn anew by what parts are recognized (ten minutes)
+parts: $(STAMP) ## learn anew by what parts are recognized (minutes)
 	@$(BIN)/python -m compendium.part_classes
 
 benchmarks: $(STAMP) ## measure microlib beside its peers (minutes)
