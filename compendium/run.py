@@ -46,6 +46,8 @@ ROOT = Path(__file__).resolve().parent.parent
 BUILD = ROOT / "build"
 LAST = "06_"
 INTERRUPTED = 130  # as a shell reports what Ctrl-C ended
+# What of the library decides what a notebook shows: its code, and what it learned.
+LIBRARY = (".py", ".json")
 # Two kernels share the cores, so each keeps to one thread; this also fixes the order of sums.
 THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -324,7 +326,7 @@ def shared_key() -> dict[str, str]:
     """Return what all notebooks depend on: the version of Python and hashes by kind of file."""
     return {
         "python": sys.version.split()[0],
-        "library": files_hash((ROOT / "microlib").rglob("*.py")),
+        "library": files_hash(p for p in (ROOT / "microlib").rglob("*") if p.suffix in LIBRARY),
         "compendium": files_hash((ROOT / "compendium").rglob("*.py")),
         "data": files_hash(path for path in (ROOT / "data").rglob("*") if path.is_file()),
         "lock": files_hash([ROOT / "environment.txt"]),

@@ -14,6 +14,8 @@ from setuptools import find_packages
 import microlib
 
 ROOT = Path(__file__).resolve().parent.parent
+#: What is code, and what Python and Numba keep of it.
+CODE = {".py", ".pyc", ".nbi", ".nbc"}
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 
@@ -21,7 +23,12 @@ def test_the_library_alone_is_installed_and_all_of_it() -> None:
     found = find_packages(str(ROOT), **PROJECT["tool"]["setuptools"]["packages"]["find"])
     folders = {path.parent.relative_to(ROOT) for path in (ROOT / "microlib").rglob("*.py")}
     assert set(found) == {".".join(folder.parts) for folder in folders}
-    assert (ROOT / "microlib" / "py.typed").exists()
+    data = PROJECT["tool"]["setuptools"]["package-data"]
+    listed = {
+        ROOT.joinpath(*room.split("."), name) for room, names in data.items() for name in names
+    }
+    own = {p for p in (ROOT / "microlib").rglob("*") if p.is_file() and p.suffix not in CODE}
+    assert own == listed
 
 
 def test_each_lower_bound_is_the_version_that_was_tested() -> None:

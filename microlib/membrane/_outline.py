@@ -260,10 +260,10 @@ def _starts(
     own = [] if radius is not None else [size]
     if start is not None:
         with suppress(ValueError):  # no such capsule: the outline itself says where to begin
-            first = indent_capsule(
+            egg = indent_capsule(
                 force, modulus=start[0], inflation=start[1], radius=size, **settings
             )
-            yield np.array([np.log(start[0]), start[1], axis, crest - first.z.max(), *own])
+            yield np.array([np.log(start[0]), start[1], axis, crest - egg.z.max(), *own])
     rim = float(np.clip(np.median(np.abs(top - axis)), 1.5 * c, 0.8 * size))
     inside = (across < rim) & (across > c) & (z > crest - size)
     depth = 0.02 * size
