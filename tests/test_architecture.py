@@ -37,7 +37,8 @@ ARROWS = {
 #: one that applies any of them to many files; and the affine map of a stage, which needs moves and
 #: no pattern; what a tile must know of its image, with what measures it; the depth of an image
 #: larger than memory, which no result in memory can hold; the stage micrometer, which has lines and
-#: no lattice; and what joins subjects on a live microscope: an injection and its scene.
+#: no lattice; and what joins subjects on a live microscope: an injection and its scene, depth while
+#: acquiring, by hand or by the focus drive, and autofocus.
 MOST_PUBLIC_NAMES = 120
 
 
