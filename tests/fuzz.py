@@ -34,6 +34,7 @@ import numpy as np
 
 import microlib
 from microlib import (
+    automation,
     calibration,
     curvature,
     embryo,
@@ -282,6 +283,24 @@ def injection() -> dict[str, object]:
         "direction": "top", "region": (0, 0, 220, 180), "most_lost": 1, "timeout": 5.0,
         "progress": _end_soon(), "keep_frames": False,
     }  # fmt: skip
+
+
+def live() -> automation.LiveDepth:
+    found = automation.LiveDepth()
+    for z, frame in enumerate(stack()):
+        found.push(frame, float(z))
+    return found
+
+
+def focusing() -> servoing.SimulatedWorkstation:
+    return servoing.SimulatedWorkstation(
+        lambda feature, z: stack()[int(np.clip(round(z), 0, 4))],
+        jacobian=np.eye(2),
+        stage=servoing.Stage(500.0),
+        camera=servoing.Camera(0.01),
+        rng=0,
+        focus_drive=servoing.Stage(1e6),
+    )
 
 
 def _end_soon() -> Callable[[dict], None]:
@@ -553,6 +572,19 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "optics.gaussian_kernel": lambda: {"sigma": 1.5, "size": 7},
     "optics.gaussian_transfer": lambda: {"u": [0.1, 0.2], "v": [0.0, 0.3], "sigma": 1.5},
     "optics.image_distance": lambda: {"object_distance": [200.0, 300.0], "focal_length": 100.0},
+    "automation.LiveDepth": lambda: {"farthest": 3.0},
+    "automation.LiveDepth.push": lambda: {
+        "self": automation.LiveDepth(), "frame": stack()[0], "z": 1.0
+    },
+    "automation.LiveDepth.result": lambda: {"self": live()},
+    "automation.acquire_depth": lambda: {
+        "workstation": focusing(), "positions": np.arange(5.0), "farthest": 3.0, "coarse": 2,
+        "timeout": 5.0, "progress": lambda live: None,
+    },
+    "automation.autofocus": lambda: {
+        "workstation": focusing(), "positions": np.arange(5.0), "region": (0, 0, 20, 20),
+        "timeout": 5.0,
+    },
     "automation.inject": injection,
     "servoing.Camera": lambda: {"interval": 0.04, "latency": 0.02, "jitter": 0.1},
     "servoing.MicroManager": lambda: {"core": core()},
@@ -717,6 +749,9 @@ MAY_BE_UNKNOWN = {
     "membrane.finite_slope_modulus": "NaN where no slope is steep enough",
     "microscope.Microscope.back_project": "NaN where a ray misses the plane",
     "optics.image_distance": "an object in the focal plane has its image at infinity",
+    "automation.LiveDepth.result": "unknown pixels are NaN",
+    "automation.acquire_depth": "unknown pixels are NaN",
+    "automation.autofocus": "where a drive that does not answer stands",
     "automation.inject": "what a run did not come to",
     "servoing.servo": "what a run did not come to",
     "servoing.step_metrics": "a step that never settles",

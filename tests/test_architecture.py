@@ -37,9 +37,10 @@ ARROWS = {
 #: one that applies any of them to many files; and the affine map of a stage, which needs moves and
 #: no pattern; what a tile must know of its image, with what measures it; the depth of an image
 #: larger than memory, which no result in memory can hold; the stage micrometer, which has lines and
-#: no lattice; and what joins subjects on a live microscope: an injection and its scene;
-#: and the law of a wall that relaxes, with the force over time that follows from it;
-#: and the recognition of a part by its surface types, with the kinds it can name.
+#: no lattice; what joins subjects on a live microscope: an injection and its scene, depth while
+#: acquiring, by hand or by the focus drive, and autofocus; the law of a wall that relaxes, with the
+#: force over time that follows from it; and the recognition of a part by its surface types, with
+#: the kinds it can name.
 MOST_PUBLIC_NAMES = 120
 
 

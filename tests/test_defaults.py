@@ -15,6 +15,8 @@ from tests import fuzz
 #: Every default of the public callables but None. A user who leaves an argument out gets another
 #: result when its default changes: such a change belongs here and into the changelog.
 DEFAULTS: dict[str, dict[str, object]] = {
+    "automation.acquire_depth": {"timeout": 10.0},
+    "automation.autofocus": {"timeout": 10.0},
     "automation.inject": {
         "law": "neo-hooke",
         "tolerance": 0.02,

@@ -1,5 +1,7 @@
-"""What joins several subjects on a live microscope: an injection."""
+"""What joins several subjects on a live microscope: depth while acquiring, and an injection."""
 
+from microlib.automation._acquire import acquire_depth, autofocus
 from microlib.automation._injection import inject
+from microlib.automation._live import LiveDepth
 
-__all__ = ["inject"]
+__all__ = ["LiveDepth", "acquire_depth", "autofocus", "inject"]

@@ -1,0 +1,205 @@
+"""Depth while acquiring: the same as afterwards, no part missed, faults of the drive."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from compendium.experiments.live_depth import (
+    COARSE,
+    PART,
+    POSITIONS,
+    SCENES,
+    SHAPE,
+    acquire_by_engine,
+    frames_of,
+    microscope,
+    same,
+    small_part,
+)
+from microlib.automation import LiveDepth, acquire_depth, autofocus
+from microlib.automation._live import Peaks
+from microlib.focus import depth_from_focus, sum_modified_laplacian
+
+SEED = 20
+
+
+def _fail(*_):
+    raise OSError("no light")
+
+
+@pytest.fixture(scope="module")
+def cone():
+    return frames_of("cone", SEED)
+
+
+def test_every_prefix_is_what_the_whole_would_be(cone):
+    live = LiveDepth()
+    for k, (frame, z) in enumerate(zip(cone, POSITIONS, strict=True)):
+        live.push(frame, z)
+        if k + 1 in (3, 17):
+            assert same(live.result(), depth_from_focus(cone[: k + 1], POSITIONS[: k + 1]))
+    tenengrad = LiveDepth(measure="tenengrad")
+    for frame, z in zip(cone[:5], POSITIONS[:5], strict=True):
+        tenengrad.push(frame, z)
+    whole = depth_from_focus(cone[:5], POSITIONS[:5], measure="tenengrad")
+    assert same(tenengrad.result(), whole)
+    assert not same(tenengrad.result(), depth_from_focus(cone[:5], POSITIONS[:5]))
+
+
+def test_a_frame_that_the_camera_overwrites_is_kept(cone):
+    live, buffer = LiveDepth(), np.empty(SHAPE, np.uint8)
+    for frame, z in zip(cone[:4], POSITIONS[:4], strict=True):
+        buffer[:] = frame
+        live.push(buffer, z)
+    assert same(live.result(), depth_from_focus(cone[:4], POSITIONS[:4]))
+
+
+def test_the_quick_look_is_the_depth_where_something_was_in_focus(cone):
+    live, height = LiveDepth(), SCENES["cone"]()
+    for frame, z in zip(cone, POSITIONS, strict=True):
+        live.push(frame, z)
+    look = live.depth
+    known = np.isfinite(look)
+    assert known.mean() > 0.9
+    # One spacing of 12 µm: three points in a window of 7 px, with noise.
+    assert np.median(np.abs(look - height)[known]) < 12
+
+
+def test_peaks_are_those_of_all_measures_at_once(cone):
+    peaks = Peaks(SHAPE)
+    for frame in cone:
+        peaks.push(frame)
+    every = np.stack([sum_modified_laplacian(frame, window=7) for frame in cone])
+    np.testing.assert_array_equal(peaks.index, every.argmax(axis=0))
+    np.testing.assert_array_equal(peaks.best, every.max(axis=0))
+    np.testing.assert_array_equal(peaks.least, every.min(axis=0))
+    last = len(cone) - 1
+    later = np.arange(len(cone))[:, None, None] > peaks.index
+    half = (every.max(axis=0) + np.median(every.min(axis=0))) / 2
+    faded = ((every < half) & later).any(axis=0)
+    np.testing.assert_array_equal(peaks.passed(), faded & (last - peaks.index >= 3))
+
+
+def test_without_a_limit_it_cannot_know(cone):
+    live = LiveDepth()
+    for frame, z in zip(cone, POSITIONS, strict=True):
+        live.push(frame, z)
+        assert not live.done
+        assert "cannot be known" in live.reason
+    run = acquire_depth(microscope(cone), POSITIONS)
+    assert run.frames == len(POSITIONS)
+    assert run.complete
+    assert run.reason == "all positions were visited"
+
+
+@pytest.mark.parametrize("name", ["cone", "step"])
+@pytest.mark.parametrize("falling", [False, True])
+def test_a_quarter_of_the_frames_is_saved_and_the_depth_the_same(name, falling):
+    stack, height = frames_of(name, SEED), SCENES[name]()
+    order = slice(None, None, -1 if falling else 1)
+    far = float(height.min() if falling else height.max())
+    for options in ({"farthest": far}, {"coarse": COARSE}):
+        run = acquire_depth(microscope(stack), POSITIONS[order], **options)
+        assert run.complete
+        assert run.still
+        if not falling:  # the stack reaches five times further beyond the top than below the ground
+            assert "beyond" in run.reason
+            assert run.frames <= 0.75 * len(POSITIONS)
+        taken = [int(np.flatnonzero(z == POSITIONS)[0]) for z in run.positions]
+        assert same(run.result, depth_from_focus(stack[taken], run.positions))
+        error = run.result.depth - height
+        # The error of the whole stack, 1 to 4 µm: the step's edge is most of it.
+        assert np.sqrt(np.nanmean(error**2)) < 5
+
+
+def test_a_part_of_twelve_pixels_is_not_missed():
+    stack, height = frames_of("small part", SEED), SCENES["small part"]()
+    part = height == height.max()
+    assert part.sum() == PART**2
+    for options in ({"farthest": float(height.max())}, {"coarse": COARSE}):
+        run = acquire_depth(microscope(stack), POSITIONS, **options)
+        assert run.positions[-1] > height.max() + 24
+
+
+def test_autofocus_finds_the_plane_and_turns_round():
+    flat = frames_of("step", SEED)
+    part = (0, 0, SHAPE[1] // 2 - 8, SHAPE[0])
+    plane = float(SCENES["step"]()[0, 0])
+    run = autofocus(microscope(flat), POSITIONS, region=part)
+    assert run.complete
+    assert run.still
+    assert run.frames < len(POSITIONS)
+    # A sixth of the spacing.
+    assert run.focus == pytest.approx(plane, abs=2.0)
+    short = autofocus(microscope(flat), POSITIONS[20:], region=part)
+    assert not short.complete
+    assert "clearly" in short.reason or "end of those" in short.reason
+    grey = autofocus(microscope(0 * flat + 9), POSITIONS[:5])
+    assert "no position is clearly sharper" in grey.reason
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda s: setattr(s.camera, "snap", _fail), "failed: OSError: no light"),
+        (lambda s: setattr(s.focus, "move_to", _fail), "failed: OSError: no light"),
+        (lambda s: setattr(s.focus, "move_to", lambda z: None), "the focus drive stands"),
+        (lambda s: setattr(s.focus, "moving", lambda: True), "still moves after"),
+    ],
+)
+def test_a_fault_ends_with_the_drive_stopped_and_what_was_seen(cone, spoil, reason):
+    scope, stops = microscope(cone), []
+    stop = scope.focus.stop
+    scope.focus.stop = lambda: stops.append(1) or stop()
+
+    def late(live):
+        if live.frames == 5:
+            spoil(scope)
+
+    run = acquire_depth(scope, POSITIONS, progress=late, timeout=0.2)
+    assert reason in run.reason
+    assert not run.complete
+    assert stops
+    assert len(run.positions) == 5
+    assert same(run.result, depth_from_focus(cone[:5], POSITIONS[:5]))
+
+
+def test_ctrl_c_is_raised_after_the_stop(cone):
+    import signal
+
+    def press(live):
+        if live.frames == 4:
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        acquire_depth(microscope(cone), POSITIONS, progress=press)
+    assert len(caught.value.run.positions) == 4
+    assert caught.value.run.still
+
+
+def test_the_engines_acquisition_gives_the_same_and_ends_early(cone):
+    reason = "pymmcore-plus is not installed (pip install microlib[microscope])"
+    pytest.importorskip("pymmcore_plus", reason=reason)
+    live = acquire_by_engine(cone, float(SCENES["cone"]().max()))
+    assert live.done
+    assert live.frames < 0.75 * len(POSITIONS)
+    count = live.frames
+    assert same(live.result(), depth_from_focus(cone[:count], POSITIONS[:count]))
+
+
+def test_wrong_frames_and_places_are_refused():
+    live = LiveDepth()
+    live.push(np.zeros((16, 16)), 1.0)
+    live.push(np.zeros((16, 16)), 0.0)
+    with pytest.raises(ValueError, match="z must go on from 0 µm"):
+        live.push(np.zeros((16, 16)), 0.5)
+    with pytest.raises(ValueError, match=r"frame must be \(16, 16\) float64"):
+        live.push(np.zeros((16, 17)), -1.0)
+    for ask in (lambda: live.depth, live.result):
+        with pytest.raises(ValueError, match="at least three"):
+            ask()
+    assert live.frames == 2
+    with pytest.raises(ValueError, match="positions must be at least three"):
+        acquire_depth(microscope(np.zeros((44, 16, 16), np.uint8)), [0.0, 2.0, 1.0])
+    assert small_part(np.ones((40, 40))).max() == 101.0
