@@ -373,6 +373,11 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "image": egg().image, "modulus": 1.0, "pixel_size": 7.75, **EGG,
         "direction": "top", "region": part(),
     },
+    "embryo.force_over_time": lambda: {
+        "images": [egg().image] * 2, "time": np.array([0.0, 1.0]), "modulus": 1.0,
+        "shares": np.array([0.3]), "relaxation_times": np.array([2.0]), "modulus_std": 0.1,
+        "pixel_size": 7.75, **EGG, "direction": "top", "region": part(),
+    },
     "embryo.loess": lambda: {
         "x": np.linspace(0.0, 20.0, 30), "y": gaussians()(np.linspace(0.0, 20.0, 30)),
         "span": 0.4, "degree": 2, "robust_iterations": 1, "weights": np.ones(30),
@@ -438,6 +443,10 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "membrane.disc_modulus": lambda: {
         "force": 100.0, "rim_radius": 200.0, "depth": 40.0, **EGG, "law": "neo-hooke",
         "pressure": 0.0, "pretension": 0.0, "rim_inset": 0.0,
+    },
+    "membrane.viscoelastic_force": lambda: {
+        "time": np.arange(4.0), "elastic_force": np.arange(4.0), "shares": np.array([0.3]),
+        "relaxation_times": np.array([2.0]),
     },
     "membrane.fit_capsule": lambda: {
         "force": 100.0, "outline": capsule_outline(), "radius": 600.0, **EGG,

@@ -35,9 +35,9 @@ ARROWS = {
 #: an outline, what bending adds), which no parameter of the small-slope functions could stand for;
 #: one that applies any of them to many files; and the affine map of a stage, which needs moves and
 #: no pattern; what a tile must know of its image, with what measures it; the depth of an image
-#: larger than memory, which no result in memory can hold; and the stage micrometer, which has lines
-#: and no lattice.
-MOST_PUBLIC_NAMES = 105
+#: larger than memory, which no result in memory can hold; the stage micrometer, which has lines
+#: and no lattice; and the law of a wall that relaxes, with the force over time that follows from it.
+MOST_PUBLIC_NAMES = 107
 
 
 def sources(folder: Path) -> list[Path]:

@@ -26,6 +26,7 @@ DEFAULTS: dict[str, dict[str, object]] = {
     "embryo.extract_boundary": {"direction": "auto"},
     "embryo.fit_gaussians": {"terms": 8, "max_iterations": 1500},
     "embryo.force_from_image": {"direction": "auto"},
+    "embryo.force_over_time": {"modulus_std": 0.0, "direction": "auto"},
     "embryo.loess": {"span": 0.25, "degree": 2, "robust_iterations": 0},
     "embryo.measure_dimple": {"method": "membrane"},
     "embryo.modulus_from_image": {"method": "membrane", "law": "neo-hooke", "direction": "auto"},

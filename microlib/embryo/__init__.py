@@ -2,6 +2,7 @@
 
 from microlib.embryo._boundary import extract_boundary
 from microlib.embryo._dimple import dimple_geometry, fit_dimple
+from microlib.embryo._force_history import force_over_time
 from microlib.embryo._gaussian_sum import GaussianSum, fit_gaussians
 from microlib.embryo._loess import loess
 from microlib.embryo._modulus import force_from_image, measure_dimple, modulus_from_image
@@ -13,6 +14,7 @@ __all__ = [
     "fit_dimple",
     "fit_gaussians",
     "force_from_image",
+    "force_over_time",
     "loess",
     "measure_dimple",
     "modulus_from_image",

@@ -8,7 +8,7 @@ y *down*; the outline is given with y *up*, as `fit_gaussians` and the thesis' f
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import cv2
@@ -41,6 +41,9 @@ _THINNEST_WALL, _UNLIKE_WALLS = 2, 2.0
 #: Blur under which the probe is looked for, so that noise does not break its outline: 0.5 to 2
 #: change E by up to 0.3 %.
 _PROBE_BLUR = 1.0
+#: Where no probe is found so, it is looked for once more with less blur and on a fainter mark: the
+#: walls of a glass tube are one px wide in a coarse image.
+_FINE_BLUR, _FAINT = 0.5, 0.85
 #: The probe is what is darker than this, from its own grey at 0 to that of the ground at 1; below
 #: one half, which the embryo's fluid does not reach. Nothing changes from 0.25 to 0.55.
 _BODY_LEVEL = 0.4
@@ -122,6 +125,9 @@ _LEAST_FALL = 0.3
 #: Canny may err, and ground and fluid beyond. 4 to 7 to either side change E by up to one
 #: deviation.
 _PROFILE = np.arange(-5.0, 5.01, 0.5)
+#: Blur in px from which the outline is found in the image at half its size: the profiles above hold
+#: three of its deviations to either side.
+_BROAD_BLUR = 1.7
 #: Points over which the direction of the outline is averaged; 7 to 17 change E by up to 0.14 of its
 #: deviation.
 _SMOOTHING = 11
@@ -289,11 +295,27 @@ def extract_boundary(
 
 def _outline_from_above(whole: NDArray[np.float32], view: View) -> Boundary:
     """Find the outline on both sides of a probe that comes from above."""
-    grey, probe, view = _upright_probe(whole, view)
-    sides = [_resample(side) for side in _trace(_remove_probe(grey, probe), probe)]
-    _refuse_without_dimple(sides, probe)
-    sides, blur = _refine(grey, sides, probe, _CLEARANCE)
-    sides, blur = _refine(grey, sides, probe, max(_CLEARANCE, _BLUR_REACH * blur))
+    try:
+        grey, probe, view = _upright_probe(whole, view, _PROBE_BLUR, _DARK)
+    except ValueError as reason:
+        try:
+            grey, probe, view = _upright_probe(whole, view, _FINE_BLUR, _FAINT)
+        except ValueError:
+            raise reason from None
+    sides, blur = _find_sides(grey, probe)
+    if blur > _BROAD_BLUR:
+        # Half of the size holds all of such an image, and what is sought beside an edge is in px.
+        rows, columns = (2 * (side // 2) for side in grey.shape)
+        half = cv2.resize(
+            grey[:rows, :columns], (columns // 2, rows // 2), interpolation=cv2.INTER_AREA
+        )
+        x, y = probe.tip
+        smaller = replace(
+            probe, tip=((x - 0.5) / 2, (y - 0.5) / 2), half_width=probe.half_width / 2
+        )
+        sides, blur = _find_sides(np.asarray(half, dtype=np.float32), smaller)
+        sides = [2 * side + [[0.5], [0.5], [0.0]] for side in sides]
+        blur *= 2
 
     reach = int(probe.half_width)
     hidden = probe.tip[0] + np.arange(-reach, reach + 1.0)
@@ -316,26 +338,34 @@ def _outline_from_above(whole: NDArray[np.float32], view: View) -> Boundary:
     )
 
 
+def _find_sides(grey: NDArray[np.float32], probe: Probe) -> tuple[list[Array], float]:
+    """Return x, y and std of the outline on each side of a probe, and the blur, in px."""
+    sides = [_resample(side) for side in _trace(_remove_probe(grey, probe), probe)]
+    _refuse_without_dimple(sides, probe)
+    sides, blur = _refine(grey, sides, probe, _CLEARANCE)
+    return _refine(grey, sides, probe, max(_CLEARANCE, _BLUR_REACH * blur))
+
+
 def _upright_probe(
-    whole: NDArray[np.float32], view: View
+    whole: NDArray[np.float32], view: View, blur: float, dark: float
 ) -> tuple[NDArray[np.float32], Probe, View]:
     """Return the turned part of an image, the probe in it, and the view in which it is upright."""
     grey = np.ascontiguousarray(view.of(whole))
     refused = None
     try:
-        probe = _find_probe(grey)
+        probe = _find_probe(grey, blur, dark)
         if abs(probe.slope) <= np.tan(_LARGEST_TILT):
             return grey, probe, view
     except ValueError as reason:
         refused = reason
-    lean = _leaning_bar(grey)
+    lean = _leaning_bar(grey, blur, dark)
     if lean is None:
         raise refused or ValueError("image must show the probe's direction, got none")
     upright = view.upright(*lean)
     if min(upright.frame[2:]) < _SMALLEST:
         raise refused or ValueError("image must show the probe's end, got its shaft alone")
     grey = np.ascontiguousarray(upright.of(whole))
-    probe = _find_probe(grey)
+    probe = _find_probe(grey, blur, dark)
     if abs(probe.slope) > np.tan(_LARGEST_TILT):
         raise ValueError(
             f"image must show a straight probe, got one that bends by "
@@ -344,17 +374,19 @@ def _upright_probe(
     return grey, probe, upright
 
 
-def _leaning_bar(grey: NDArray[np.float32]) -> tuple[float, Array] | None:
+def _leaning_bar(
+    grey: NDArray[np.float32], blur: float, dark_share: float
+) -> tuple[float, Array] | None:
     """Return slope and entry of the longest bar that enters at the upper edge, or None.
 
     Dark runs of the first rows are followed downwards from row to row for as long as they keep
     their width. The entry is where the bar has come in with all of its width.
     """
-    smooth = _blurred(grey, _PROBE_BLUR)
+    smooth = _blurred(grey, blur)
     top = smooth[:_LEAN_ROWS].mean(axis=0)
     widest = int(_WIDEST * grey.shape[1] / np.cos(_LARGEST_LEAN))
     ground = median_filter(top, 4 * widest + 1, mode="nearest")
-    dark = top < _DARK * ground
+    dark = top < dark_share * ground
     edges = np.flatnonzero(np.diff(np.concatenate([[0], dark.view(np.int8), [0]])))
     found: tuple[float, float, float] | None = None
     longest = _SHORTEST_LEAN
@@ -393,13 +425,17 @@ def _follow(smooth: NDArray[np.float32], left: int, right: int, limit: float) ->
     return middles
 
 
-def _find_probe(image: ArrayLike) -> Probe:
+def _find_probe(image: ArrayLike, blur: float = _PROBE_BLUR, dark: float = _DARK) -> Probe:
     """Find the dark bar or the glass tube that enters an image through its upper edge.
 
     Parameters
     ----------
     image : array_like, shape (rows, columns)
         Grey image, bright ground, dark probe.
+    blur : float
+        Standard deviation of the blur under which it is looked for, in px.
+    dark : float
+        Share of the ground's grey below which it is dark.
 
     Returns
     -------
@@ -424,8 +460,8 @@ def _find_probe(image: ArrayLike) -> Probe:
     >>> [round(float(v), 1) + 0.0 for v in (*probe.tip, probe.slope, probe.half_width)]
     [80.0, 69.5, 0.0, 6.5]
     """
-    grey = _blurred(as_image("image", image, smallest=_SMALLEST), _PROBE_BLUR)
-    grey, body, bar = _probe_body(grey)
+    grey = _blurred(as_image("image", image, smallest=_SMALLEST), blur)
+    grey, body, bar = _probe_body(grey, dark)
     width = body.sum(axis=1)
     end = _end_row(width)
     if end < 2 * _TOP_ROWS or end >= len(width) - _BELOW_TIP:
@@ -457,13 +493,13 @@ def _find_probe(image: ArrayLike) -> Probe:
 
 
 def _probe_body(
-    grey: NDArray[np.float32],
+    grey: NDArray[np.float32], dark_share: float
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_], float]:
     """Return the image with a tube filled, what is probe in it or hangs on it, and its grey."""
     top = grey[:_TOP_ROWS].mean(axis=0)
     widest = int(_WIDEST * grey.shape[1])
     ground = median_filter(top, 4 * widest + 1, mode="nearest")  # a bar is a quarter of it
-    dark = top < _DARK * ground
+    dark = top < dark_share * ground
     edges = np.flatnonzero(np.diff(np.concatenate([[0], dark.view(np.int8), [0]])))
     runs = edges.reshape(-1, 2)
     bars = [run for run in runs if _NARROWEST <= run[1] - run[0] <= widest]
@@ -737,6 +773,6 @@ def _refuse_without_dimple(sides: list[Array], probe: Probe) -> None:
         inner = y[-1] if name == "left" else y[0]
         if inner - y[rim] < _LEAST_FALL * depth:
             raise ValueError(
-                "image must show the outline falling to the probe, got one that has fallen by "
+                "image must show an outline that falls to the probe's end, got a fall of "
                 f"{inner - y[rim]:.1f} px of {depth:.1f} px beside it on the {name}"
             )

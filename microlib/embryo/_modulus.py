@@ -36,7 +36,7 @@ from microlib.membrane import (
 _LAWS = ("hooke", "neo-hooke", "mooney-rivlin")
 _METHODS = ("membrane", "gaussians")
 #: Standard deviations to either side that hold 95 % of a normal distribution.
-_NORMAL_95 = 1.959964
+NORMAL_95 = 1.959964
 #: Dimple radii to either side that the Gaussians describe, a choice that the thesis leaves open:
 #: 1.6 and 2.5 change E by up to 12 and 27 % (benchmarks/embryo.py).
 _CROP = 2.0
@@ -119,7 +119,7 @@ class ModulusEstimate(Tidy):
     def model_interval(self) -> tuple[float, float]:
         """From the least of `model_moduli` to the largest, widened as `interval` is, in MPa."""
         every = [self.modulus, *self.model_moduli.values()]
-        wider = float(np.exp(_NORMAL_95 * self.relative_std))
+        wider = float(np.exp(NORMAL_95 * self.relative_std))
         return min(every) / wider, max(every) * wider
 
 
@@ -227,10 +227,9 @@ def modulus_from_image(
     boundary = extract_boundary(image, direction=direction, region=region)
     if method == "capsule":
         refuse_another_width(boundary, membrane["probe_half_width"] / size, size)
-        outline = size * np.stack([boundary.x, boundary.y], axis=1)[~boundary.under_probe]
         capsule = fit_capsule(
             load,
-            outline,
+            size * _seen_from_the_probe(boundary),
             thickness=thickness,
             probe_half_width=probe_half_width,
             radius=egg,
@@ -370,6 +369,15 @@ def _dimple_of(
         ) from None
 
 
+def _seen_from_the_probe(boundary: Boundary) -> Array:
+    """Return the outline's points in px across and up along the probe, from its end, (n, 2)."""
+    probe, seen = boundary.probe, ~boundary.under_probe
+    right = boundary.x[seen] - probe.tip[0]
+    up = boundary.y[seen] - (boundary.image_height - 1 - probe.tip[1])
+    long = np.hypot(1.0, probe.slope)
+    return np.stack([right + probe.slope * up, up - probe.slope * right], axis=1) / long
+
+
 def _egg_radius(boundary: Boundary, pixel_size: float) -> float | None:
     """Return the radius in µm of the sphere that has the outline's ends, or None if they are flat.
 
@@ -419,5 +427,5 @@ def _apply(
 
 def _interval(value: float, std: float) -> tuple[float, float]:
     """Return the 95 % interval of a positive quantity whose logarithm is normal."""
-    factor = float(np.exp(_NORMAL_95 * std))
+    factor = float(np.exp(NORMAL_95 * std))
     return value / factor, value * factor

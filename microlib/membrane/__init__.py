@@ -15,6 +15,7 @@ from microlib.membrane._point_load import (
     membrane_stress,
 )
 from microlib.membrane._uncertainty import modulus_samples, modulus_std
+from microlib.membrane._viscoelastic import viscoelastic_force
 
 __all__ = [
     "SmallSlopeWarning",
@@ -34,4 +35,5 @@ __all__ = [
     "modulus_samples",
     "modulus_std",
     "steepest_depth",
+    "viscoelastic_force",
 ]

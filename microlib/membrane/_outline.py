@@ -24,6 +24,9 @@ _STEP = 1e-4
 # Relative change of the squares that ends a search: of N points it is N × 1e-6 of their variance,
 # which moves no parameter by more than 0.03 of its deviation for a thousand of them.
 _COST = 1e-6
+# Way of the first step in widths of the outline: 1 µm of an egg. What is tried further off is
+# another capsule, which takes the solver ten times as long.
+_FIRST_STEP = 1e-3
 # Correlation of neighboring distances from which other starts are tried: of points found in an
 # image it is 0.3 to 0.5 where the capsule is the right one, and 0.97 where a search was caught.
 _ARCS = 0.85
@@ -169,45 +172,57 @@ def fit_capsule(
             # No such capsule: further than any point can be.
             return np.full(len(used), np.ptp(used))
 
-    def search(start: Array, used: Array) -> OptimizeResult:
+    def search(start: Array, used: Array) -> tuple[Array, OptimizeResult]:
+        # Counted from the start, but for the plate's height, whose distance from its origin is how
+        # far the first step may go.
+        origin = start.copy()
+        origin[3] -= _FIRST_STEP * np.ptp(points[:, 0])
         lowest = np.full(start.size, -np.inf)
-        lowest[1] = 1.0
-        return least_squares(
-            trial,
-            start,
+        lowest[1] = 1.0 - origin[1]
+        step = _STEP * np.array([1.0, 1.0, np.ptp(points[:, 0]), np.ptp(points[:, 0]), start[-1]])
+
+        def slopes(moved: Array) -> Array:
+            here = trial(origin + moved, used)
+            moves = np.diag(step[: start.size])
+            return np.transpose(
+                [(trial(origin + moved + move, used) - here) / move.sum() for move in moves]
+            )
+
+        fit = least_squares(
+            lambda moved: trial(origin + moved, used),
+            start - origin,
+            jac=slopes,
             bounds=(lowest, np.inf),
             x_scale="jac",
-            diff_step=_STEP,
             xtol=1e-8,
             ftol=_COST,
             max_nfev=40,
-            args=(used,),
         )
+        return origin + fit.x, fit
 
-    found = None
+    place, found = None, None
     for start in islice(_starts(load, points, c, known, settings), _MOST_SEARCHES):
-        again = search(start, points[np.abs(points[:, 0] - start[2]) > c])
+        there, again = search(start, points[np.abs(points[:, 0] - start[2]) > c])
         if found is None or again.cost < found.cost:
-            found = again
+            place, found = there, again
         # What is left of a capsule's outline changes sign from point to point; a search that was
         # caught on its way leaves arcs.
         if _correlation(again.fun) < _ARCS:
             break
-    assert found is not None  # there is a start, or _starts refuses
+    assert place is not None  # there is a start, or _starts refuses
     # Once more with the points that lie outside the probe as it was found.
-    found = search(found.x, points[np.abs(points[:, 0] - found.x[2]) > c])
+    place, found = search(place, points[np.abs(points[:, 0] - place[2]) > c])
     left = found.fun
-    best = shell(found.x)
     spread = _covariance(found.jac, left)
-    modulus = float(np.exp(found.x[0]))
+    modulus = float(np.exp(place[0]))
     return CapsuleFit(
         modulus=modulus,
         modulus_std=float(modulus * np.sqrt(spread[0, 0])),
-        inflation=float(found.x[1]),
-        radius=float(found.x[4]) if known is None else known,
-        center=(float(found.x[2]), float(found.x[3])),
+        inflation=float(place[1]),
+        radius=float(place[4]) if known is None else known,
+        center=(float(place[2]), float(place[3])),
         misfit=float(np.sqrt(np.mean(left**2))),
-        state=best,
+        state=shell(place),
     )
 
 
@@ -226,9 +241,15 @@ def _starts(
     size = radius if radius is not None else float(across.max())
     rim = float(np.clip(np.median(np.abs(top - axis)), 1.5 * c, 0.8 * size))
     inside = (across < rim) & (across > c) & (z > crest - size)
-    depth = max(crest - float(z[inside].min()) if inside.any() else 0.0, 0.02 * size)
-    # The crest is flat, so its radius is the least certain; and the outline ends beside the probe,
-    # where a shallow dimple is steepest.
+    depth = 0.02 * size
+    if inside.any():
+        # The outline ends beside the probe, where it is steepest: it goes on as a logarithm.
+        first = float(across[inside].min())
+        beside = inside & (across < 2 * first)
+        fall = np.polyfit(np.log(across[beside]), z[beside], 1)[0] if beside.sum() > 2 else 0.0
+        below = crest - float(z[beside].min()) + max(float(fall), 0.0) * np.log(first / c)
+        depth = max(below, depth)
+    # The crest is flat, so its radius is the least certain.
     refused, found = None, False
     for wider, deeper in product((1.0, 0.9, 1.1, 0.8), (1.0, 1.4, 2.0)):
         try:
