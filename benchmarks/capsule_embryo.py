@@ -263,16 +263,17 @@ def measure(seeds: range, probe: str) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=_COLUMNS)
 
 
-def summarize(runs: pd.DataFrame) -> pd.DataFrame:
-    """One row a kind of probe: failures, bias, spread, worst error and coverage."""
+def summarize(runs: pd.DataFrame, by: str) -> pd.DataFrame:
+    """One row a kind of image: failures, bias, spread, worst error, coverage and time."""
     rows = []
-    for probe, group in runs.groupby("probe", sort=False):
+    for kind, group in runs.groupby(by, sort=False):
         error = group["error"].dropna()
         rows.append(
             {
-                "probe": probe,
+                by: kind,
                 "images": len(group),
                 "failures": int(group["error"].isna().sum()),
+                "silent errors": int(_silent(group)),
                 "bias of E (%)": 100 * error.mean(),
                 "spread of E (%)": 100 * error.std(),
                 "worst (%)": 100 * error.abs().max(),
@@ -280,30 +281,50 @@ def summarize(runs: pd.DataFrame) -> pd.DataFrame:
                 "intervals over the models that hold (%)": (
                     100 * group["models hold"].dropna().mean()
                 ),
+                "CPU s an image, median": group["seconds"].median(),
             }
         )
     return pd.DataFrame(rows).round(2)
 
 
-def main() -> None:
-    cv2.setNumThreads(1)
-    runs = pd.concat([measure(range(EMBRYOS), probe) for probe in PROBES])
-    half = measure(range(EMBRYOS), "rod", 2).assign(probe="rod, half resolution")
+def _silent(runs: pd.DataFrame) -> int:
+    """Count errors beyond 20 % that no interval tells of."""
+    return int(((runs["error"].abs() > 0.2) & ~runs["holds"].fillna(True).astype(bool)).sum())
+
+
+def report(runs: pd.DataFrame) -> None:
+    """Publish what the images gave."""
+    by_probe = summarize(runs, "probe")
+    failed = 100 * (by_probe["failures"] / by_probe["images"])
+    held = 100 * runs["holds"].dropna().mean()
+    reduced = {1: "as it is", 2: "half", 4: "a quarter"}
+    by_size = summarize(runs.assign(resolution=runs["shrink"].map(reduced)), "resolution")
     publish(
         "capsule_embryo",
-        {"Modulus of rendered capsules, by probe": summarize(pd.concat([runs, half]))},
+        {"Modulus of rendered capsules, by probe": by_probe, "By the image's resolution": by_size},
         limits=must_hold(
             [
-                ("failures of all images, %", 100 * runs["error"].isna().mean(), "≤", 4),
-                ("bias of E, %", 100 * abs(runs["error"].mean()), "≤", 3),
-                ("worst error of E, %", 100 * runs["error"].abs().max(), "≤", 20),
-                ("95 % intervals that hold, %", 100 * runs["holds"].mean(), "≥", 90),
-                ("95 % intervals that hold, %", 100 * runs["holds"].mean(), "≤", 98),
+                ("failures, worst kind of probe, %", failed.max(), "≤", 4),
+                (
+                    "bias of E, worst kind of probe, %",
+                    by_probe["bias of E (%)"].abs().max(),
+                    "≤",
+                    3,
+                ),
+                ("errors beyond 20 % that no interval tells of", _silent(runs), "≤", 0),
+                ("95 % intervals that hold, %", held, "≥", 90),
+                ("95 % intervals that hold, %", held, "≤", 98),
             ]
         ),
         note="Drawn from indent_capsule, neo-Hooke: E 0.5–2 MPa, radius 520–680 µm, inflated by "
-        "1–8 %, dimples 30–140 µm deep. The chain knows force, thickness, pixel and probe width.",
+        "1–8 %, dimples 30–140 µm deep, from any side, in color and JPEG. The chain knows force, "
+        "thickness, pixel and probe width. The constants were chosen on other seeds.",
     )
+
+
+def main() -> None:
+    cv2.setNumThreads(1)
+    report(pd.concat([measure(range(EMBRYOS), probe) for probe in PROBES]))
 
 
 if __name__ == "__main__":

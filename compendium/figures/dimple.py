@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from compendium import thesis
+from compendium.experiments.chapter_6_force import true_force
 from compendium.experiments.section_5_6 import MODULUS, Outline, Scene, ShapeComparison, push
 from compendium.figures.embryo import add_scale_bar, show_image, show_outline
 from compendium.figures.style import COLORS
@@ -226,6 +227,26 @@ def draw_estimated_force(felt: pd.DataFrame) -> Figure:
         color=COLORS["blue"],
         lw=1.5,
         label="from the outline, 95 %",
+    )
+    axes.set(xlabel="time (s)", ylabel="force F (µN)", ylim=(0, None))
+    axes.legend()
+    return figure
+
+
+def draw_relaxing_force(felt: pd.DataFrame) -> Figure:
+    """Draw a `relaxing_sequence`: truth, what each outline alone says, and the force over time."""
+    fine = np.linspace(0.0, float(felt["time"].iloc[-1]), 300)
+    figure, axes = plt.subplots(figsize=(7.2, 3.6))
+    axes.plot(fine, true_force(fine), color="black", lw=1.2, label="truth")
+    axes.plot(felt["time"], felt["elastic"], "s", color=COLORS["orange"], label="one outline alone")
+    axes.errorbar(
+        felt["time"],
+        felt["force"],
+        yerr=[felt["force"] - felt["low"], felt["high"] - felt["force"]],
+        fmt="o",
+        color=COLORS["blue"],
+        lw=1.5,
+        label="all outlines so far, 95 %",
     )
     axes.set(xlabel="time (s)", ylabel="force F (µN)", ylim=(0, None))
     axes.legend()

@@ -108,15 +108,16 @@ def force_over_time(
 
     Examples
     --------
-    >>> from microlib.synthetic import embryo_sequence
-    >>> scenes = embryo_sequence([0.01, 8.0, 8.0], modulus=1.0, rng=1)
+    >>> from microlib.synthetic import Embryo, embryo_image
+    >>> free, pressed = Embryo(1.2, 0.0, 240.0), Embryo(1.2, 1.2, 240.0)
+    >>> scenes = [embryo_image(embryo, rng=k) for k, embryo in enumerate((free, pressed, pressed))]
     >>> found = force_over_time(
-    ...     [scene.image for scene in scenes], [0.0, 1.0, 5.0], 1.0,
-    ...     shares=[0.4], relaxation_times=[2.0],
-    ...     pixel_size=scenes[0].pixel_size, thickness=3.0, probe_half_width=25.0,
-    ...     poisson_ratio=0.5,
+    ...     [scene.image for scene in scenes], [0.0, 1.0, 5.0], 1.2,
+    ...     shares=[0.4], relaxation_times=[2.0], pixel_size=scenes[0].pixel_size,
+    ...     thickness=3.0, probe_half_width=25.0, poisson_ratio=0.5,
     ... )
-    >>> bool(found.low[2] < 8.0 * (0.6 + 0.4 * 0.787 * np.exp(-2.0)) < found.high[2])
+    >>> relaxed = 1.2 * (0.6 + 0.4 * 0.787 * np.exp(-2.0))  # pressed within 1 s, held for 4 s
+    >>> bool(found.low[2] < relaxed < found.high[2] < found.elastic_force[2])
     True
     """
     when = as_array("time", time, shape=(None,))

@@ -136,6 +136,25 @@ def test_forces_are_drawn_over_time():
     np.testing.assert_allclose(errors(axes), [[[1, 30], [1, 195]], [[3, 149], [3, 155]]])
 
 
+def test_the_relaxing_force_stands_beside_what_one_outline_says():
+    felt = pd.DataFrame(
+        {
+            "time": [1.0, 8.0],
+            "force": [70.0, 97.0],
+            "low": [68.0, 95.0],
+            "high": [73.0, 99.0],
+            "elastic": [75.0, 150.0],
+        }
+    )
+    axes = dimple.draw_relaxing_force(felt).axes[0]
+    lines = drawn(axes)
+    # 40 % of 150 µN relax with 3 s, most of it in the 6 s that the probe is held.
+    assert lines["truth"][-1] == pytest.approx((8, 97.2), abs=2.0)
+    np.testing.assert_allclose(lines["one outline alone"], [[1, 75], [8, 150]])
+    np.testing.assert_allclose(axes.containers[0][0].get_xydata(), [[1, 70], [8, 97]])
+    np.testing.assert_allclose(errors(axes), [[[1, 68], [1, 73]], [[8, 95], [8, 99]]])
+
+
 def test_the_embryo_and_its_steps_are_cut_out_around_the_dimple():
     one = scene()
     left, right = dimple.draw_embryo(one).axes
