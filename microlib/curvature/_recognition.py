@@ -96,8 +96,11 @@ def recognize_part(
     Returns
     -------
     PartRecognition
-        The ``kind`` (None if refused, with the ``reason``), its ``confidence``, and as evidence the
-        ``labels``, the ``regions`` with H and K, and their ``borders``.
+        The ``kind`` (None if refused, with the ``reason``), its ``confidence`` (0 to 1), the
+        ``probabilities`` of all kinds, and the ``distance`` from the examples of the kind (1 is
+        their reach). As evidence the ``features``, the ``labels`` of the map, the ``regions`` (a
+        table with family, share of the map, H in 1/µm, K in 1/µm² and middle in px) and their
+        ``borders`` (a table with two rows of `regions` and a length in µm).
 
     Raises
     ------
