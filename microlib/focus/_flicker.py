@@ -95,6 +95,7 @@ def _vertex(logarithm: Array, frame: NDArray[np.intp], last: int) -> Array:
     best = _FIT + logarithm[middle].argmax(axis=0)
     rows = np.clip(best + np.arange(-_FIT, _FIT + 1)[:, None], 0, len(frame) - 1)
     peak = np.take_along_axis(logarithm, best[None], 0)
-    window = np.exp(np.take_along_axis(logarithm, rows, 0) - peak)
+    # The fit is of float32, and compiled for no other type.
+    window = np.exp(np.take_along_axis(logarithm, rows, 0) - peak).astype(np.float32)
     index = np.clip(np.take_along_axis(frame, best[None], 0), 0, last).astype(np.uint16)
     return fit_peak(window[:, None], index, np.arange(last + 1.0))[0][0].astype(float)
