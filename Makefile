@@ -103,7 +103,7 @@ lock: $(STAMP) ## compile environment.txt and extras.txt anew (needs uv)
 	@uv pip compile pyproject.toml --extra book --extra test --generate-hashes --universal \
 	  --python-version 3.11 --no-header --no-annotate --quiet -o environment.txt
 	@uv pip compile pyproject.toml --extra dask --extra microscope --extra zarr --generate-hashes --universal \
-	  --python-version 3.11 --no-header --no-annotate --quiet --constraints environment.txt -o extras.txt
+	  --python-version 3.11 --no-header --no-annotate --quiet --no-strip-extras --constraints environment.txt -o extras.txt
 
 clean: ## remove what was built
 	@rm -rf build book/notebooks book/generated .venv-oldest .venv-newest
