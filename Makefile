@@ -28,9 +28,10 @@ $(STAMP): environment.txt pyproject.toml
 	@$(BIN)/pip install --quiet --no-deps --no-build-isolation --config-settings editable_mode=compat -e .
 	@touch $@
 
-# Installed over environment.txt, whose versions extras.txt keeps to.
+# Installed over environment.txt, whose versions extras.txt keeps to. It names all that is needed; pip
+# would not find the hash of a package that one of them wants with an extra.
 extras: $(STAMP) ## add the locked microscope engine, dask and zarr to .venv, whose tests skip without
-	@$(BIN)/pip install --quiet --no-compile --require-hashes -r extras.txt
+	@$(BIN)/pip install --quiet --no-compile --no-deps --require-hashes -r extras.txt
 
 notebooks: $(STAMP) ## run the notebooks that changed
 	@echo "Running the notebooks"
@@ -103,7 +104,7 @@ lock: $(STAMP) ## compile environment.txt and extras.txt anew (needs uv)
 	@uv pip compile pyproject.toml --extra book --extra test --generate-hashes --universal \
 	  --python-version 3.11 --no-header --no-annotate --quiet -o environment.txt
 	@uv pip compile pyproject.toml --extra dask --extra microscope --extra zarr --generate-hashes --universal \
-	  --python-version 3.11 --no-header --no-annotate --quiet --no-strip-extras --constraints environment.txt -o extras.txt
+	  --python-version 3.11 --no-header --no-annotate --quiet --constraints environment.txt -o extras.txt
 
 clean: ## remove what was built
 	@rm -rf build book/notebooks book/generated .venv-oldest .venv-newest

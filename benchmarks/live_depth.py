@@ -11,15 +11,8 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.report import must_hold, publish
-from compendium.experiments.live_depth import (
-    COARSE,
-    POSITIONS,
-    SCENES,
-    frames_of,
-    microscope,
-    same,
-)
-from microlib.automation import LiveDepth, acquire_depth
+from compendium.experiments.live_depth import COARSE, POSITIONS, frames_of, saved
+from microlib.automation import LiveDepth
 from microlib.focus import depth_from_focus
 
 #: The rules were chosen on seeds 0 to 37.
@@ -29,33 +22,7 @@ WAYS = ("farthest", "coarse")
 
 def runs() -> pd.DataFrame:
     """One row a scene, a seed and a way to know the end."""
-    rows = []
-    for name, make in SCENES.items():
-        height = make()
-        for seed in SEEDS:
-            stack = frames_of(name, seed)
-            whole = depth_from_focus(stack, POSITIONS)
-            for way in WAYS:
-                options = (
-                    {"farthest": float(height.max())} if way == "farthest" else {"coarse": COARSE}
-                )
-                run = acquire_depth(microscope(stack), POSITIONS, **options)
-                taken = np.searchsorted(POSITIONS, run.positions)
-                again = depth_from_focus(stack[taken], run.positions)
-                error = run.result.depth - height
-                rows.append(
-                    {
-                        "scene": name,
-                        "way": way,
-                        "saved": 100 * (1 - run.frames / len(POSITIONS)),
-                        "same": same(run.result, again),
-                        # Three positions beyond the highest point its peak has passed.
-                        "seen": run.positions[-1] >= height.max() + 2 * np.diff(POSITIONS)[0],
-                        "rms": float(np.sqrt(np.nanmean(error**2))),
-                        "rms of all": float(np.sqrt(np.nanmean((whole.depth - height) ** 2))),
-                    }
-                )
-    return pd.DataFrame(rows)
+    return pd.concat([saved(seed) for seed in SEEDS])
 
 
 def summarize(table: pd.DataFrame) -> pd.DataFrame:
