@@ -13,7 +13,7 @@ export OPENBLAS_NUM_THREADS := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup book pdf test notebooks html lint format data picture parts benchmarks oldest newest mutants vacuity fuzz faults lock clean
+.PHONY: help setup extras book pdf test notebooks html lint format data picture parts benchmarks oldest newest mutants vacuity fuzz faults lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -27,6 +27,11 @@ $(STAMP): environment.txt pyproject.toml
 	@$(BIN)/pip install --quiet --no-compile --require-hashes -r environment.txt
 	@$(BIN)/pip install --quiet --no-deps --no-build-isolation --config-settings editable_mode=compat -e .
 	@touch $@
+
+# Installed over environment.txt, whose versions extras.txt keeps to. It names all that is needed; pip
+# would not find the hash of a package that one of them wants with an extra.
+extras: $(STAMP) ## add the locked microscope engine, dask and zarr to .venv, whose tests skip without
+	@$(BIN)/pip install --quiet --no-compile --no-deps --require-hashes -r extras.txt
 
 notebooks: $(STAMP) ## run the notebooks that changed
 	@echo "Running the notebooks"
@@ -95,9 +100,11 @@ fuzz: $(STAMP) ## call everything public with hostile values (minutes)
 faults: $(STAMP) ## interrupt and kill runs at random moments (an hour)
 	@$(BIN)/python -m tests.faults
 
-lock: $(STAMP) ## compile environment.txt anew (needs uv)
+lock: $(STAMP) ## compile environment.txt and extras.txt anew (needs uv)
 	@uv pip compile pyproject.toml --extra book --extra test --generate-hashes --universal \
 	  --python-version 3.11 --no-header --no-annotate --quiet -o environment.txt
+	@uv pip compile pyproject.toml --extra dask --extra microscope --extra zarr --generate-hashes --universal \
+	  --python-version 3.11 --no-header --no-annotate --quiet --constraints environment.txt -o extras.txt
 
 clean: ## remove what was built
 	@rm -rf build book/notebooks book/generated .venv-oldest .venv-newest

@@ -286,7 +286,7 @@ def injection() -> dict[str, object]:
 
 
 def live() -> automation.LiveDepth:
-    found = automation.LiveDepth()
+    found = automation.LiveDepth(measure="tenengrad")
     for z, frame in enumerate(stack()):
         found.push(frame, float(z))
     return found
@@ -579,7 +579,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "automation.LiveDepth.result": lambda: {"self": live()},
     "automation.acquire_depth": lambda: {
         "workstation": focusing(), "positions": np.arange(5.0), "farthest": 3.0, "coarse": 2,
-        "timeout": 5.0, "progress": lambda live: None,
+        "timeout": 5.0, "progress": lambda live: None, "measure": "tenengrad",
     },
     "automation.autofocus": lambda: {
         "workstation": focusing(), "positions": np.arange(5.0), "region": (0, 0, 20, 20),

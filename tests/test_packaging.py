@@ -57,3 +57,21 @@ def test_new_addresses_in_the_changelog_exist() -> None:
     assert len(new) > 15
     for name in new:
         assert find_spec(name), name
+
+
+def locked(name: str) -> dict[str, str]:
+    text = (ROOT / name).read_text(encoding="utf-8")
+    return dict(re.findall(r"^([\w.-]+)==([^ \\;]+)", text, flags=re.M))
+
+
+def test_the_extras_are_locked_and_keep_to_the_environment() -> None:
+    extras, environment = locked("extras.txt"), locked("environment.txt")
+    apart = {n: (v, environment[n]) for n, v in extras.items() if environment.get(n, v) != v}
+    assert not apart
+    optional = PROJECT["project"]["optional-dependencies"]
+    for group in ("dask", "microscope", "zarr"):
+        for text in optional[group]:
+            need = Requirement(text)
+            assert need.specifier.contains(extras[need.name]), text
+    text = (ROOT / "extras.txt").read_text(encoding="utf-8")
+    assert text.count("--hash=sha256:") >= len(extras)

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from compendium.experiments.microscope import turned
@@ -71,6 +72,11 @@ class Rig:
     jacobian: NDArray
     known: dict[str, Any]
     target: float
+
+    def truths(self, log: pd.DataFrame) -> pd.DataFrame:
+        """Return `truth` for each row of a log of `inject`."""
+        places = log[["stage_x_um", "stage_y_um"]].to_numpy()
+        return pd.DataFrame([self.truth(place) for place in places])
 
     def truth(self, stage: NDArray) -> dict[str, float]:
         """Return ``approach`` and ``depth`` (µm) and ``force`` (µN) with the stage there."""

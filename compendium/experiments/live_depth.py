@@ -10,11 +10,12 @@ from dataclasses import fields
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from compendium.rendered_microscope import rendered_core
-from microlib.automation import LiveDepth
-from microlib.focus import FocusResult
+from microlib.automation import LiveDepth, acquire_depth
+from microlib.focus import FocusResult, depth_from_focus
 from microlib.servoing import Camera, SimulatedWorkstation, Stage
 from microlib.synthetic import (
     cone,
@@ -163,3 +164,47 @@ def same(first: FocusResult, second: FocusResult) -> bool:
         elif a.dtype != b.dtype or not np.array_equal(a, b, equal_nan=a.dtype.kind == "f"):
             return False
     return True
+
+
+def saved(seed: int) -> pd.DataFrame:
+    """Acquire every scene with its greatest height given, and after a coarse look.
+
+    Parameters
+    ----------
+    seed : int
+        Of textures and noise.
+
+    Returns
+    -------
+    DataFrame
+        ``scene``; ``way``, ``farthest`` or ``coarse``; ``saved``, % of the positions; ``same``,
+        whether the result is that of `depth_from_focus` on the same frames to the last bit;
+        ``seen``, whether the highest part has had its peak; the error ``rms`` and that of the whole
+        stack, ``rms of all``, µm.
+    """
+    rows = []
+    for name, make in SCENES.items():
+        height, stack = make(), frames_of(name, seed)
+        whole = depth_from_focus(stack, POSITIONS)
+        given: dict[str, dict[str, Any]] = {
+            "farthest": {"farthest": float(height.max())},
+            "coarse": {"coarse": COARSE},
+        }
+        for way, options in given.items():
+            run = acquire_depth(microscope(stack), POSITIONS, **options)
+            assert run.result is not None, run.reason
+            taken = np.searchsorted(POSITIONS, run.positions)
+            error, all_error = run.result.depth - height, whole.depth - height
+            rows.append(
+                {
+                    "scene": name,
+                    "way": way,
+                    "saved": 100 * (1 - run.frames / len(POSITIONS)),
+                    "same": same(run.result, depth_from_focus(stack[taken], run.positions)),
+                    # Two positions beyond the highest point the peak is seen from both sides.
+                    "seen": bool(run.positions[-1] >= height.max() + 2 * np.diff(POSITIONS)[0]),
+                    "rms": float(np.sqrt(np.nanmean(error**2))),
+                    "rms of all": float(np.sqrt(np.nanmean(all_error**2))),
+                }
+            )
+    return pd.DataFrame(rows)

@@ -22,7 +22,7 @@ INVENTORY = {
     "03_visual_reconstruction_and_classification": (43, 3, 2, 8),
     "04_mechanical_characterization": (29, 0, 8, 2),
     "05_experimental_results": (117, 28, 91, 8),
-    "06_conclusion": (21, 0, 13, 1),
+    "06_conclusion": (28, 0, 16, 4),
     "07_guide_calibration": (13, 0, 0, 0),
     "07_guide_embryo": (14, 0, 0, 0),
     "07_guide_focus_stack": (14, 0, 0, 0),
