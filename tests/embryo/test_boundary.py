@@ -179,6 +179,49 @@ def test_probe_may_come_from_any_edge(scene, edge, turns):
         extract_boundary(turned, direction="top")
 
 
+@pytest.mark.parametrize("degrees", [-50.0, -10.0, 25.0])
+def test_a_leaning_probe_is_turned_upright(degrees):
+    """Of an image of the same size, turned about the middle of the dimple's side."""
+    leaning = render(tilt=np.deg2rad(degrees), shape=(520, 720), center=(360.0, 230.0))
+    found = extract_boundary(leaning.image, direction="top")
+    assert np.rad2deg(found.tilt) == pytest.approx(-degrees, abs=2.0)
+    assert abs(found.probe.slope) < np.tan(np.deg2rad(2.0))
+    off = distances(leaning, found.points[~found.under_probe])
+    # As upright, and what interpolation between turned pixels adds.
+    assert abs(off.mean()) < 0.05
+    assert off.std() < 0.12
+    assert np.abs(off).max() < 0.6
+    assert (found.points >= -0.5).all()
+    # Filled, the probe is gone where it stood, and nothing else has changed.
+    filled = found.without_probe(leaning.image)
+    changed = np.abs(filled - leaning.image) > 30
+    assert changed.sum() > 100 * 11
+    plain = render(
+        tilt=np.deg2rad(degrees), shape=(520, 720), center=(360.0, 230.0), probe=False, noise=0.0
+    )
+    assert np.abs(filled - plain.image)[changed][:500].mean() < 6
+
+
+def test_what_holds_an_embryo_is_no_probe(scene):
+    """From below the sensor enters, as dark as a probe, and the outline does not fall to it."""
+    with pytest.raises(ValueError, match=r"image must"):
+        extract_boundary(scene.image, direction="bottom")
+
+
+def test_a_broad_edge_is_found_at_half_the_size():
+    coarse = render(center=(350.0, 127.0))
+    broad = cv2.resize(coarse.image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+    found, before = extract_boundary(broad), extract_boundary(coarse.image)
+    assert found.blur == pytest.approx(2 * before.blur, rel=0.1)
+    x = np.arange(200.0, 500.0)
+    x = x[np.abs(x - 350.0) > 16]
+    # Pixel k of the image is the middle of 2k and 2k + 1; each outline has its own noise.
+    y = (found.points[:, 1] - 0.5) / 2
+    off = np.interp(x, (found.points[:, 0] - 0.5) / 2, y) - np.interp(x, *before.points.T)
+    assert abs(off.mean()) < 0.03
+    assert np.abs(off).max() < 0.4
+
+
 def test_a_region_is_looked_at_alone(scene):
     plain = extract_boundary(scene.image)
     beside = np.full((500, 900), 180, np.uint8)
@@ -253,7 +296,6 @@ def spoiled(name: str) -> np.ndarray:
         "no probe": lambda: render(probe=False).image,
         "saturated": lambda: (image * 1.4).clip(0, 255).astype(np.uint8),
         "saturated 0 to 1": lambda: (image / 255 * 1.4).clip(0, 1),
-        "turned 10°": lambda: render(tilt=np.deg2rad(10)).image,
         "half of it": lambda: image[:, 340:],
         "noise": lambda: np.random.default_rng(0).integers(0, 250, image.shape).astype(np.uint8),
         "flat": lambda: np.full(image.shape, 120, np.uint8),
@@ -275,7 +317,6 @@ def spoiled(name: str) -> np.ndarray:
         ("no probe", "one dark probe .* got 0 bars"),
         ("saturated", "image must not be saturated"),
         ("saturated 0 to 1", "image must not be saturated"),
-        ("turned 10°", "upright to within 4°, got -10.0°"),
         ("half of it", "image must show an embryo's outline on both sides"),
         ("noise", "one dark probe .* got 0 bars"),
         ("flat", "one dark probe .* got 0 bars"),
