@@ -52,7 +52,7 @@ def test_tiles_of_columns_of_other_types_and_of_averaged_frames_too():
     stack = stack.astype(np.uint16) * 17
     positions = np.arange(float(len(stack)))
     whole = depth_from_focus(stack, positions)
-    assert_same(depth_from_focus(stack, positions, tile=300), whole)
+    assert_same(depth_from_focus(stack, positions, tile=700), whole)
 
 
 def test_a_region_with_a_survey_is_that_of_the_whole_image():
@@ -97,7 +97,7 @@ def test_of_a_lazy_array_only_the_tile_and_its_surroundings_are_loaded(monkeypat
 
 def test_patches_stand_for_a_large_image(monkeypatch):
     """Depths and errors by a survey of patches are those by one of all pixels."""
-    stack = stack_of("waves", seed=6, shape=(300, 600))
+    stack = stack_of("waves", seed=6, shape=(200, 500))
     whole = depth_from_focus(stack, POSITIONS)
     monkeypatch.setattr(_survey, "MOST_PIXELS", 1000)
     monkeypatch.setattr(_depth, "MOST_PIXELS", 1000)
