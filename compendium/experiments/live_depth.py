@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from compendium.rendered_microscope import rendered_core
 from microlib.automation import LiveDepth, acquire_depth
 from microlib.focus import FocusResult, depth_from_focus
-from microlib.servoing import Camera, SimulatedWorkstation, Stage
+from microlib.servoing import Camera, MicroManager, SimulatedWorkstation, Stage
 from microlib.synthetic import (
     cone,
     focal_stack,
@@ -127,7 +127,8 @@ def acquire_by_engine(stack: NDArray[np.uint8], farthest: float) -> LiveDepth:
     """
     from useq import MDAEvent
 
-    core = rendered_core(microscope(stack), stack.shape[1:])
+    # The adapter switches off the shutter that there is none of.
+    core = MicroManager(rendered_core(microscope(stack), stack.shape[1:])).core
     live = LiveDepth(farthest=farthest)
     faults: list[Exception] = []
 

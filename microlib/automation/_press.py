@@ -29,7 +29,7 @@ _STILL_FRAMES = 5
 #: Contact is where the outline lies this many standard deviations below the untouched one, and at
 #: least so many px, in two frames in a row: one of 16 000 does by chance, and two never.
 _SIGMAS, _LEAST_SINK = 4.0, 0.015
-#: What an outline may lie off before its scatter is known, px: far over that of any usable image.
+#: What an outline may lie off while nothing can touch it, px: thirty times the scatter of its mean.
 _MOVED = 0.3
 #: How far from the expected place the contact may be, px: over that the egg moves by itself, and
 #: below that it is not there. Four times the error of the expected place.
@@ -311,7 +311,7 @@ class Press:
             look.row.update({"gap_um": left, "sunk_um": sunk * plan.pixel_size})
             self._follow(look)
             over, least = self._sinking(sunk, still)
-            if abs(over) > least and left > _PLACE * plan.pixel_size:
+            if abs(over) > max(least, _MOVED) and left > _PLACE * plan.pixel_size:
                 raise EndRun(f"the egg moves before it is touched: {over:.2f} px")
             sinks = over > least
             if sinks and sunk_before:
@@ -341,7 +341,7 @@ class Press:
         """Press until the outline tells that the target is reached."""
         plan, deepest = self._plan, 0.0
         known: list[tuple[float, float]] = []
-        step = plan.press_step
+        step = self._next_step(known, 0.0)
         while True:
             self._go(self._advance + step)
             look = self._look("press")
@@ -376,7 +376,8 @@ class Press:
         """Return how far to go on: part of what a power law leaves to the target."""
         plan = self._plan
         if not known or known[-1][1] <= 0:
-            return plan.press_step
+            # The dimple grows by less than the way: by a pixel at most until something is known.
+            return min(plan.press_step, max(plan.pixel_size, plan.approach_step))
         last, value = known[-1]
         power = _FIRST_POWER
         if len(known) > 1 and 0 < known[-2][1] < value:

@@ -118,9 +118,11 @@ def test_an_egg_that_gives_way_is_noticed():
 def test_the_next_step_is_part_of_what_a_power_law_leaves():
     rig = rig_of()
     given = {"press_step": 50.0, "approach_step": 0.5, "target": 8.0, "direction": "top"}
+    given["pixel_size"] = 4.0
     plan = type("Plan", (), given)()
     loop = Press(rig.workstation, None, plan)  # type: ignore[arg-type]
-    assert loop._next_step([], 0.0) == 50.0
+    # Nothing known: a pixel, which is more than the dimple can grow by.
+    assert loop._next_step([], 0.0) == 4.0
     # 1 at 10 and 2 at 20 is a line: 8 comes at 80.
     assert loop._next_step([(10.0, 1.0), (20.0, 2.0)], 20.0) == pytest.approx(0.7 * 60.0)
     # As the square: 4 at 20, and 8 at 28.3.
