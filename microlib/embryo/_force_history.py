@@ -121,8 +121,14 @@ def force_over_time(
     True
     """
     when = as_array("time", time, shape=(None,))
-    if len(images) != when.size:
-        raise ValueError(f"images must be as many as the times, got {len(images)} and {when.size}")
+    try:
+        frames = list(images)
+    except TypeError:
+        raise ValueError(
+            f"images must be a sequence of images, got {type(images).__name__}"
+        ) from None
+    if len(frames) != when.size:
+        raise ValueError(f"images must be as many as the times, got {len(frames)} and {when.size}")
     stiffness = scalar("modulus", modulus, above=0)
     common = scalar("modulus_std", modulus_std, least=0) / stiffness
     settings: dict[str, Any] = {
@@ -138,7 +144,7 @@ def force_over_time(
     response = viscoelastic_force(when, np.eye(when.size), **law).T
     elastic, spread = np.full(when.size, np.nan), np.full(when.size, np.nan)
     reasons = [""] * when.size
-    for k, image in enumerate(images):
+    for k, image in enumerate(frames):
         try:
             found = force_from_image(image, stiffness, **settings)
         except ValueError as reason:

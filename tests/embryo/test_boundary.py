@@ -8,6 +8,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
+from benchmarks.capsule_embryo import draw_scene
 from benchmarks.photographs import without_embryo
 from microlib.embryo import extract_boundary
 from microlib.embryo._boundary import _find_probe, _refine, _remove_probe, _resample, _trace
@@ -200,6 +201,21 @@ def test_a_leaning_probe_is_turned_upright(degrees):
         tilt=np.deg2rad(degrees), shape=(520, 720), center=(360.0, 230.0), probe=False, noise=0.0
     )
     assert np.abs(filled - plain.image)[changed][:500].mean() < 6
+
+
+@pytest.mark.parametrize("probe", ["needle", "glass", "angled"])
+def test_probes_of_the_other_renderer(probe):
+    """From any side, in a file of colors, at a quarter of the resolution (seed 2002)."""
+    drawn = draw_scene(np.random.default_rng(2002), probe)
+    assert drawn.shrink == 4
+    found = extract_boundary(drawn.image)
+    seen = found.y[~found.under_probe]
+    depth = seen.max() - (found.image_height - 1 - found.probe.tip[1])
+    # The end of glass is a wall as dark as the chorion: 2 px, as above.
+    assert depth == pytest.approx(drawn.depth / drawn.pixel_size, abs=2.0)
+    assert np.ptp(found.x) / 2 == pytest.approx(drawn.radius / drawn.pixel_size, rel=0.05)
+    half = drawn.probe_half_width / drawn.pixel_size
+    assert found.probe.half_width == pytest.approx(half, abs=1.0)
 
 
 def test_what_holds_an_embryo_is_no_probe(scene):
