@@ -2,7 +2,7 @@
 
 Draws the parts of `compendium.part_shapes` as height maps with noise, with smooth errors, and
 through focus; describes each as `recognize_part` does; fits a small network and, for each kind, the
-spread of its descriptions. The same seed gives the same file.
+spread of its descriptions. The same seed and the same library give the same file.
 """
 
 from __future__ import annotations
