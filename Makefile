@@ -100,11 +100,16 @@ fuzz: $(STAMP) ## call everything public with hostile values (minutes)
 faults: $(STAMP) ## interrupt and kill runs at random moments (an hour)
 	@$(BIN)/python -m tests.faults
 
+# Nothing is read from S3, whose client that agrees with the other versions is ten years old and
+# hinders imports.
+UNUSED := s3fs boto3 botocore bcdoc jmespath six
+
 lock: $(STAMP) ## compile environment.txt and extras.txt anew (needs uv)
 	@uv pip compile pyproject.toml --extra book --extra test --generate-hashes --universal \
 	  --python-version 3.11 --no-header --no-annotate --quiet -o environment.txt
 	@uv pip compile pyproject.toml --extra dask --extra microscope --extra zarr --generate-hashes --universal \
-	  --python-version 3.11 --no-header --no-annotate --quiet --constraints environment.txt -o extras.txt
+	  --python-version 3.11 --no-header --no-annotate --quiet --constraints environment.txt \
+	  $(addprefix --no-emit-package ,$(UNUSED)) -o extras.txt
 
 clean: ## remove what was built
 	@rm -rf build book/notebooks book/generated .venv-oldest .venv-newest

@@ -18,6 +18,7 @@ import pkgutil
 import random
 import re
 import resource
+import shutil
 import signal
 import sys
 import tempfile
@@ -367,7 +368,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "calibration.detect_circles": lambda: {
         "image": circles(), "direction": 0.0, "mirrored": False, "lattice": "square",
-        "region": (0, 0, 160, 120),
+        "region": (0, 0, 160, 120), "origin": "first",
     },
     "calibration.detect_squares": lambda: {
         "image": squares(), "direction": 0.0, "mirrored": False, "pattern": "squares",
@@ -1044,7 +1045,7 @@ def answer(name: str, changed: dict[str, object]) -> tuple[object, str | None]:
         faulthandler.cancel_dump_traceback_later()
         for path in FOLDER.iterdir():  # what one call writes is not there for the next
             if path != GREY:
-                path.unlink()
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
     if not wrong and said:
         wrong = f"warning: {said[0].message}"
     if not wrong and not same(before, kept):

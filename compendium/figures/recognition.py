@@ -28,11 +28,12 @@ def draw_recognized(parts: Sequence[Recognized]) -> Figure:
         above.set_title(part.name, fontsize=12)
         draw_labels(below, part.found.labels, legend=False)
         _draw_graph(below, part.found)
-        verdict = part.found.kind or "refused"
-        below.set_title(f"→ {verdict}\n{part.found.confidence:.0%}", fontsize=12)
+        named = part.found.kind and f"→ {part.found.kind}\n{part.found.confidence:.0%}"
+        below.set_title(named or "→ refused\n", fontsize=12)
         for panel in (above, below):
             panel.set(xticks=[], yticks=[], xlabel="", ylabel="")
             panel.grid(False)
+            panel.spines[:].set_visible(False)
     present = label_patches(np.concatenate([part.found.labels.ravel() for part in parts]))
     figure.legend(handles=present, loc="outside lower center", ncols=4, fontsize=11)
     return figure

@@ -28,6 +28,7 @@ from microlib.calibration._lattice_form import (
     refuse_gaps,
     refuse_other,
 )
+from microlib.calibration._origin import find_origin
 from microlib.calibration._outline_fit import OutlineFit, smooth_parameters
 from microlib.calibration._roundness import are_round
 from microlib.calibration._search import search
@@ -48,6 +49,7 @@ def detect_circles(
     mirrored: bool = False,
     lattice: str = "square",
     region: tuple[int, int, int, int] | None = None,
+    origin: str = "first",
 ) -> Detection:
     """Centers of the circles of a regular grid, with their places in the grid.
 
@@ -67,6 +69,10 @@ def detect_circles(
         steps and the rows, as OpenCV's does. Another lattice than the named one is refused.
     region : (int, int, int, int), optional
         Where to look, (x, y, width, height) in px.
+    origin : {"first", "odd"}
+        Where the coordinates begin: at the first column and row that were found, or at the origin
+        mark of the pattern, the one circle that is larger or smaller than the others by a fifth of
+        its diameter or more, or the one place inside the grid that has none.
 
     Returns
     -------
@@ -79,7 +85,7 @@ def detect_circles(
     ValueError
         If `image` is no image, no grid of at least four whole circles is found in it, or what is
         found is none: the circles are not of one size, lie on another lattice, or beside any smooth
-        image of it.
+        image of it; or if there is not one origin mark that is asked for.
 
     Notes
     -----
@@ -104,12 +110,14 @@ def detect_circles(
     direction = scalar("direction", direction, within=(-1e9, 1e9))
     mirrored = flag("mirrored", mirrored)
     lattice = one_of("lattice", lattice, LATTICES)
+    one_of("origin", origin, ("first", "odd"))
 
     def assemble(
         regions: DarkRegions, index: NDArray[np.intp], grid: NDArray[np.intp]
     ) -> Detection:
         fit, origins, grid = _fit(regions, index, grid)
-        return _detection(fit, origins, grid, regions.image.shape, lattice, direction, mirrored)
+        shape = regions.image.shape
+        return _detection(fit, origins, grid, shape, lattice, direction, mirrored, origin == "odd")
 
     return search(image, assemble, "circles", lattice=lattice, region=region)
 
@@ -149,6 +157,7 @@ def _detection(
     lattice: str,
     direction: float,
     mirrored: bool,
+    odd: bool,
 ) -> Detection:
     """Points freed of bias, on a lattice that is named and tested."""
     points = fit.parameters[:, CENTER] + origins
@@ -169,9 +178,10 @@ def _detection(
     )
     kept = agreement.kept
     if not kept.all():  # strays bent the map
-        rest = fit[kept], origins[kept], grid[kept], image_shape, lattice, direction, mirrored
+        rest = fit[kept], origins[kept], grid[kept], image_shape, lattice, direction, mirrored, odd
         return _detection(*rest)
-    grid = grid - grid.min(axis=0)
+    first = find_origin(grid, area / to_image.scale(positions)) if odd else grid.min(axis=0)
+    grid = grid - first
     return Detection(
         points[kept],
         grid,

@@ -32,8 +32,8 @@ class Detection(Tidy):
     points : ndarray, shape (N, 2)
         (x, y), px.
     grid : ndarray of int, shape (N, 2)
-        Coordinates in the pattern, from zero on; times the pitch they are world points up to a
-        shift.
+        Coordinates in the pattern, from zero on, or from its origin mark; times the pitch they are
+        world points up to a shift.
     sigma : ndarray, shape (N,)
         Standard deviation of a coordinate of each point, px: as the fit of its outline tells it, or
         as the points' residuals from a smooth image of a lattice do, where these are larger.

@@ -101,6 +101,37 @@ def held(found, truth: np.ndarray) -> float:
     return float(np.sqrt((beside(found, truth) ** 2).mean() / (found.sigma**2).mean()))
 
 
+# Origin
+
+
+@pytest.mark.parametrize("size", [0.36, 0.16, 0.0])
+def test_coordinates_begin_at_the_odd_mark(size):
+    """A larger circle, a smaller one, or none, in the fourth column and the second row."""
+    place = np.array([3.0, 1.0]) + SQUARE.min(axis=0)
+    odd = (place == SQUARE).all(axis=1)
+    image, truth = board(SQUARE)
+    plain, _ = board(SQUARE[~odd]) if size == 0 else (image, None)
+    if size:
+        alone, _ = board(np.array([place]), size=size)  # at the middle of the image
+        x, y = np.round(truth[odd][0]).astype(int)
+        cx, cy = WIDTH // 2, HEIGHT // 2
+        plain = image.copy()
+        plain[y - 16 : y + 17, x - 16 : x + 17] = alone[cy - 18 : cy + 15, cx - 13 : cx + 20]
+    found = detect_circles(plain, origin="odd")
+    first = detect_circles(plain)
+    np.testing.assert_array_equal(found.points, first.points)
+    np.testing.assert_array_equal(first.grid - found.grid, np.tile([3, 1], (len(found.grid), 1)))
+    assert len(found.points) >= 34
+
+
+def test_an_origin_must_be_one():
+    with pytest.raises(ValueError, match="for origin='odd', got 0 and 0"):
+        detect_circles(board(SQUARE)[0], origin="odd")
+    two = np.delete(SQUARE, [9, 17], axis=0)
+    with pytest.raises(ValueError, match="got 0 and 2"):
+        detect_circles(board(two)[0], origin="odd")
+
+
 # Side and gap
 
 
