@@ -279,8 +279,9 @@ def injection() -> dict[str, object]:
     )
     return {
         "workstation": station, "pixel_size": 3.0, "probe_half_width": 25.0, "thickness": 3.0,
-        "travel": 300.0, "force": 1.0, "modulus": 1.0, "law": "neo-hooke", "tolerance": 0.05,
-        "approach_step": 1.0, "press_step": 5.0, "hold": 0.0, "jacobian": np.eye(2) / 3.0,
+        "travel": 300.0, "depth": None, "force": 1.0, "modulus": 1.0,
+        "law": "neo-hooke", "tolerance": 0.05, "approach_step": 1.0,
+        "press_step": 5.0, "hold": 0.0, "jacobian": np.eye(2) / 3.0,
         "direction": "top", "region": (0, 0, 220, 180), "most_lost": 1, "timeout": 5.0,
         "progress": _end_soon(), "keep_frames": False,
     }  # fmt: skip

@@ -32,7 +32,12 @@ DEFAULTS: dict[str, dict[str, object]] = {
     "calibration.Calibration.interval": {"level": 0.95},
     "calibration.Calibration.um_per_pixel": {"level": 0.95},
     "calibration.calibrate": {"loss": "linear"},
-    "calibration.detect_circles": {"direction": 0.0, "mirrored": False, "lattice": "square"},
+    "calibration.detect_circles": {
+        "direction": 0.0,
+        "mirrored": False,
+        "lattice": "square",
+        "origin": "first",
+    },
     "calibration.detect_squares": {"direction": 0.0, "mirrored": False, "pattern": "squares"},
     "curvature.curvature_windows": {"size": 7},
     "curvature.surface_curvature": {"size": 7, "noise": 0.0},

@@ -96,6 +96,10 @@ class Peaks:
         return found
 
 
+#: A stack on which options are tried: noise, with as many frames as any fit of a peak asks for.
+_TRIAL = np.random.default_rng(0).integers(0, 255, (15, 32, 32)).astype(np.uint8)
+
+
 class LiveDepth:
     """The depth of a focal stack as its frames come, and an end as soon as all has been seen.
 
@@ -123,7 +127,7 @@ class LiveDepth:
     Raises
     ------
     ValueError
-        If `farthest` is no number.
+        If `farthest` is no number, or an option none that `depth_from_focus` takes.
 
     Notes
     -----
@@ -158,6 +162,9 @@ class LiveDepth:
     def __init__(self, *, farthest: float | None = None, **options: Any) -> None:
         self._farthest = None if farthest is None else scalar("farthest", farthest)
         self._options = options
+        if tried := {k: v for k, v in options.items() if k != "region"}:
+            # A wrong option is refused now and not after the scan.
+            depth_from_focus(_TRIAL, np.arange(float(len(_TRIAL))), **tried)
         self._frames: list[Image] = []
         self._positions: list[float] = []
         self._peaks: Peaks | None = None

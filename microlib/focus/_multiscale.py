@@ -264,7 +264,8 @@ def _coarse_steps(
     set_to_nan(depth, incoherent_mask(index, len(z)))
     inverse_variance = None
     if profile.peak is not None:
-        ratio = profile.peak.value / np.float32(noise_response(noise))
+        with np.errstate(invalid="ignore", divide="ignore"):  # a stack without any noise
+            ratio = profile.peak.value / np.float32(noise_response(noise))
         depth[below_noise_mask(ratio, len(z))] = np.nan
         inverse_variance = profile.peak.inverse_variance
         del ratio

@@ -164,4 +164,5 @@ def test_memory_does_not_grow_with_the_number_of_frames():
         return most
 
     peak(20)  # what is loaded once is not counted
-    assert peak(200) < 1.1 * peak(20)
+    # A stack too short to tell how wide its peaks are needs less: 132 bytes a pixel, not 182.
+    assert peak(400) < 1.1 * peak(60)
