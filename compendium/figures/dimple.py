@@ -219,17 +219,7 @@ def draw_estimated_force(felt: pd.DataFrame) -> Figure:
     fine = np.linspace(0.0, 4.0, 200)
     figure, axes = plt.subplots(figsize=(7.2, 3.6))
     axes.plot(fine, push(fine), color="black", lw=1.2, label="truth")
-    axes.errorbar(
-        felt["time"],
-        felt["force"],
-        yerr=[felt["force"] - felt["low"], felt["high"] - felt["force"]],
-        fmt="o",
-        color=COLORS["blue"],
-        lw=1.5,
-        label="from the outline, 95 %",
-    )
-    axes.set(xlabel="time (s)", ylabel="force F (µN)", ylim=(0, None))
-    axes.legend()
+    _draw_forces(axes, felt, "from the outline, 95 %")
     return figure
 
 
@@ -239,6 +229,12 @@ def draw_relaxing_force(felt: pd.DataFrame) -> Figure:
     figure, axes = plt.subplots(figsize=(7.2, 3.6))
     axes.plot(fine, true_force(fine), color="black", lw=1.2, label="truth")
     axes.plot(felt["time"], felt["elastic"], "s", color=COLORS["orange"], label="one outline alone")
+    _draw_forces(axes, felt, "all outlines so far, 95 %")
+    return figure
+
+
+def _draw_forces(axes: Axes, felt: pd.DataFrame, label: str) -> None:
+    """Draw forces with their intervals against time, and name the axes."""
     axes.errorbar(
         felt["time"],
         felt["force"],
@@ -246,11 +242,10 @@ def draw_relaxing_force(felt: pd.DataFrame) -> Figure:
         fmt="o",
         color=COLORS["blue"],
         lw=1.5,
-        label="all outlines so far, 95 %",
+        label=label,
     )
     axes.set(xlabel="time (s)", ylabel="force F (µN)", ylim=(0, None))
     axes.legend()
-    return figure
 
 
 def _rim_and_bottom(curve: GaussianSum) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -196,7 +196,9 @@ def _direction(grey: NDArray[np.float32]) -> float:
     best = int(np.clip(np.argmax(sharp), 1, _TURNS - 2))
     below, here, above = sharp[best - 1 : best + 2]
     bend = below - 2 * here + above
-    return float(turns[best] + (0.5 * (below - above) / bend if bend < 0 else 0) * 2 * _TURN / 40)
+    return float(
+        turns[best] + (0.5 * (below - above) / bend if bend < 0 else 0) * 2 * _TURN / (_TURNS - 1)
+    )
 
 
 def _turned(grey: NDArray[np.float32], angle: float) -> tuple[NDArray[np.float32], Array]:
@@ -256,15 +258,18 @@ def _profile_lines(
 def _regular(places: Array) -> bool:
     """Tell whether most gaps are alike."""
     gaps = np.diff(places)
-    return len(gaps) >= _FEWEST - 1 and bool(
-        np.mean(np.abs(gaps - np.median(gaps)) < 0.25 * np.median(gaps)) >= _LEAST_PRESENT
-    )
+    return len(gaps) >= _FEWEST - 1 and bool(_alike(gaps).mean() >= _LEAST_PRESENT)
 
 
 def _spacing(places: Array) -> float:
     gaps = np.diff(places)
-    alike = np.abs(gaps - np.median(gaps)) < 0.25 * np.median(gaps)
-    return float(gaps[alike].mean())
+    return float(gaps[_alike(gaps)].mean())
+
+
+def _alike(gaps: Array) -> NDArray[np.bool_]:
+    """Tell the gaps that are one division: a missing line makes two of it."""
+    middle = np.median(gaps)
+    return np.abs(gaps - middle) < 0.25 * middle
 
 
 def _fit(
