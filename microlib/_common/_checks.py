@@ -218,6 +218,12 @@ def flag(name: str, value: object) -> bool:
     return bool(value)
 
 
+def check_callable(name: str, value: object, *, optional: bool = False) -> None:
+    """Refuse what cannot be called; nothing at all is as good if `optional`."""
+    if not callable(value) and not (optional and value is None):
+        raise ValueError(f"{name} must be callable, got {type(value).__name__}")
+
+
 def generator(name: str, value: object) -> np.random.Generator:
     """Return a generator as it is, or the one of a seed: a whole number of at least zero."""
     if isinstance(value, np.random.Generator):

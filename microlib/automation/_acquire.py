@@ -17,6 +17,7 @@ from microlib._common import (
     Tidy,
     Workstation,
     as_array,
+    check_callable,
     check_devices,
     interrupts,
     scalar,
@@ -150,8 +151,7 @@ def acquire_depth(
     z = _scan(positions)
     every = None if coarse is None else whole("coarse", coarse, least=2, most=len(z))
     end = None if farthest is None else scalar("farthest", farthest)
-    if progress is not None and not callable(progress):
-        raise ValueError(f"progress must be callable, got {type(progress).__name__}")
+    check_callable("progress", progress, optional=True)
     drive = _Drive(workstation, z, scalar("timeout", timeout, above=0, most=_MOST_TIME))
     live = LiveDepth(farthest=end, **options)
 

@@ -18,6 +18,7 @@ from microlib._common import (
     Tidy,
     Workstation,
     as_array,
+    check_callable,
     check_devices,
     flag,
     interrupts,
@@ -231,8 +232,7 @@ def inject(
     (True, True, 8)
     """
     check_devices(workstation, camera=("snap",), stage=_MOVES, clock=("now", "sleep"))
-    if progress is not None and not callable(progress):
-        raise ValueError(f"progress must be callable, got {type(progress).__name__}")
+    check_callable("progress", progress, optional=True)
     wanted, target = _target(depth, force, modulus)
     plan = Plan(
         pixel_size=scalar("pixel_size", pixel_size, above=0, most=_MOST),

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Frames, as_array, as_image, refuse_masks, scalar, whole
+from microlib._common import Frames, as_array, as_image, check_callable, refuse_masks, scalar, whole
 from microlib.focus._depth import depth_from_focus, survey_focus
 from microlib.focus._errors import NoiseCurve
 from microlib.focus._stack import Progress
@@ -116,8 +116,7 @@ def depth_to_zarr(
     z = as_array("positions", positions, shape=(None,))
     if not isinstance(path, (str, PathLike)):
         raise ValueError(f"path must be text or a path, got {type(path).__name__}")
-    if progress is not None and not callable(progress):
-        raise ValueError(f"progress must be callable, got {type(progress).__name__}")
+    check_callable("progress", progress, optional=True)
     if client is not None and not hasattr(client, "scatter"):
         raise ValueError(f"client must be one of dask.distributed, got {type(client).__name__}")
     target = str(Path(path).expanduser())

@@ -19,6 +19,7 @@ from microlib._common import (
     VelocityMover,
     Workstation,
     as_array,
+    check_callable,
     check_devices,
     flag,
     interrupts,
@@ -329,9 +330,8 @@ def _refuse_others(workstation: Any, tracker: Any, controller: Any, progress: An
     check_devices(workstation, camera=("snap",), stage=_MOVES, clock=("now", "sleep"))
     if not callable(getattr(tracker, "track", None)):
         raise ValueError(f"tracker must have a method track, got {type(tracker).__name__}")
-    for name, function in (("controller", controller), ("progress", progress)):
-        if function is not None and not callable(function):
-            raise ValueError(f"{name} must be callable, got {type(function).__name__}")
+    check_callable("controller", controller, optional=True)
+    check_callable("progress", progress, optional=True)
 
 
 def _pair(name: str, value: ArrayLike) -> Array:

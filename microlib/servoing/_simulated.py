@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_array, generator, of_kind
+from microlib._common import Array, as_array, check_callable, generator, of_kind
 from microlib.servoing._control import LARGEST_CONDITION
 from microlib.servoing._workstation import Camera, Stage
 
@@ -88,8 +88,7 @@ class SimulatedWorkstation:
         of_kind("stage", stage, Stage)
         of_kind("camera", camera, Camera)
         of_kind("focus_drive", focus_drive, Stage, type(None))
-        if not callable(render):
-            raise ValueError(f"render must be callable, got {type(render).__name__}")
+        check_callable("render", render)
         self._jacobian = as_array("jacobian", jacobian, shape=(2, 2))
         if np.linalg.cond(self._jacobian) > LARGEST_CONDITION:
             raise ValueError("jacobian must be regular, got a singular one")

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, Tidy, as_array, generator, of_kind, scalar
+from microlib._common import Array, Tidy, as_array, check_callable, generator, of_kind, scalar
 from microlib.servoing._control import LARGEST_CONDITION
 
 #: Given the number of the sample, the measured feature (px, NaN if lost) and all references, a
@@ -211,9 +211,8 @@ def simulate(
     """
     of_kind("stage", stage, Stage)
     of_kind("camera", camera, Camera)
-    for name, function in (("controller", controller), ("observer", observer)):
-        if not callable(function) and not (function is None and name == "observer"):
-            raise ValueError(f"{name} must be callable, got {type(function).__name__}")
+    check_callable("controller", controller)
+    check_callable("observer", observer, optional=True)
     wanted = as_array("reference", reference, shape=(None, 2))
     matrix = as_array("jacobian", jacobian, shape=(2, 2))
     if np.linalg.cond(matrix) > LARGEST_CONDITION:
@@ -276,8 +275,7 @@ def tracked_view(render: Callable[[Array], ArrayLike], tracker: Tracker) -> Obse
         Observer for `simulate`.
     """
 
-    if not callable(render):
-        raise ValueError(f"render must be callable, got {type(render).__name__}")
+    check_callable("render", render)
     if not callable(getattr(tracker, "track", None)):
         raise ValueError(f"tracker must have a method track, got {type(tracker).__name__}")
 
