@@ -27,8 +27,8 @@ from microlib.io import read_grey
 from microlib.membrane import indent_capsule
 from microlib.membrane._state import MembraneState
 
-#: Images of each kind of probe.
-EMBRYOS = 50
+#: One image of each kind of probe for each; the method was developed on others below 100.
+SEEDS = range(200, 250)
 PROBES = ("rod", "needle", "glass", "tapered", "angled", "blunt")
 #: Half-width of the end, µm, and what it grows by for each µm away from it.
 _WIDTHS = {"needle": (8.0, 14.0), "blunt": (38.0, 50.0)}
@@ -324,7 +324,7 @@ def report(runs: pd.DataFrame) -> None:
 
 def main() -> None:
     cv2.setNumThreads(1)
-    report(pd.concat([measure(range(EMBRYOS), probe) for probe in PROBES]))
+    report(pd.concat([measure(SEEDS, probe) for probe in PROBES]))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Injections into simulated eggs: contact, force and depth beside truth, and how faults end.
 
-Run with ``python -m benchmarks.injection``; it takes some five minutes of one core.
+Run with ``python -m benchmarks.injection``; it takes a quarter of an hour of one core.
 """
 
 from __future__ import annotations
@@ -12,9 +12,8 @@ from benchmarks.report import must_hold, publish
 from compendium.experiments.injection import FAULTS, MOMENTS, RUPTURE, make_rig, press, spoil
 from microlib.automation._sight import see
 
-#: The loop was developed on seeds 0 to 9. An earlier run over 100 to 199 led to changes by 101,
-#: 102, 143 and 171, so that of these two were seen before.
-SEEDS = (*range(100, 110), *range(150, 162))
+#: The loop was developed on seeds 0 to 9 and mended after 100 to 199.
+SEEDS = range(300, 400)
 #: Of the eggs with faults.
 FAULT_SEED = 210
 PRESS_STEP = 20.0

@@ -449,36 +449,38 @@ class Microscope(Tidy):
         cell = positive("cell", as_array("cell", cell, shape=(2,)))
         magnification, convergence, distortion, alpha, beta, gamma, tx, ty = visible
         rotation = _rotation(alpha, beta, gamma)
-        turned = world @ rotation[:, :2].T  # (N, 3): X − T_x, Y − T_y, Z − T_z
-        flat = turned[:, :2] + [tx, ty]
-        distance = 1 + convergence * turned[:, 2]
+        # A row a component: the points of each lie side by side in memory, which is several times
+        # faster here.
+        turned = rotation[:, :2] @ world.T  # (3, N): X - T_x, Y - T_y, Z - T_z
+        flat = turned[:2] + np.array([[tx], [ty]])
+        distance = 1 + convergence * turned[2]
         shrink = 1 / np.where(distance != 0, distance, np.nan)
-        undistorted = magnification * flat * shrink[:, None]
+        undistorted = magnification * shrink * flat
 
-        by = np.empty((len(world), 2, 8))
-        by[..., 0] = flat * shrink[:, None]
-        by[..., 1] = -undistorted * (shrink * turned[:, 2])[:, None]
+        by = np.empty((8, 2, len(world)))
+        by[0] = flat * shrink
+        by[1] = -undistorted * (shrink * turned[2])
         # Rotating about the axis a changes a point by a × point.
-        axes = {
-            3: np.array([0.0, 0.0, 1.0]),
-            4: np.array([-np.sin(alpha), np.cos(alpha), 0.0]),
-            5: rotation[:, 0],
-        }
-        for column, axis in axes.items():
-            moved = np.cross(axis, turned)
-            depth = -undistorted * (convergence * shrink * moved[:, 2])[:, None]
-            by[..., column] = magnification * moved[:, :2] * shrink[:, None] + depth
-        by[..., 6:] = magnification * shrink[:, None, None] * np.eye(2)
+        axes = np.array(
+            [[0.0, 0.0, 1.0], [-np.sin(alpha), np.cos(alpha), 0.0], rotation[:, 0]]
+        ).tolist()
+        for row, (x, y, z) in enumerate(axes, 3):
+            moved = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ turned
+            by[row] = shrink * (magnification * moved[:2] - undistorted * (convergence * moved[2]))
+        by[6:] = np.eye(2)[:, :, np.newaxis] * (magnification * shrink)
 
-        sensor = _distorted(undistorted, distortion)
-        radius2 = (sensor**2).sum(axis=1)
-        by[..., 2] = -sensor * radius2[:, None]
-        # (2.10) differentiated: its left side depends on the distorted point.
-        by_sensor = (1 + distortion * radius2)[:, None, None] * np.eye(2)
-        by_sensor = by_sensor + 2 * distortion * sensor[:, :, None] * sensor[:, None, :]
-        try:
-            return sensor / cell, np.linalg.solve(by_sensor, by) / cell[:, None]
-        except np.linalg.LinAlgError:
+        sensor = _distorted(undistorted.T, distortion).T
+        radius2 = (sensor**2).sum(axis=0)
+        by[2] = -sensor * radius2
+        # (2.10) differentiated: its left side depends on the distorted point, by (1 + κr²) I +
+        # 2κ s sᵀ, which is a diagonal and one outer product, so that its inverse is, too.
+        along, across = 1 + 3 * distortion * radius2, 1 + distortion * radius2
+        if (along == 0).any() or (across == 0).any():
             raise ValueError(
                 "world must keep off the fold of the distortion model, got a point on it"
-            ) from None
+            )
+        radial = (by * sensor).sum(axis=1, keepdims=True)
+        by -= radial * (2 * distortion * sensor / along)
+        by /= across
+        by /= cell[:, np.newaxis]
+        return sensor.T / cell, by.transpose(2, 1, 0)

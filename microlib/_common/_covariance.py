@@ -47,10 +47,9 @@ def inverse_normal(jacobian: Array) -> Array:
     """
     scale = np.linalg.norm(jacobian, axis=0)
     scale = np.where(scale == 0, 1.0, scale)
-    # With fewer residuals than parameters the full decomposition has the open directions too.
-    _, singular, directions = np.linalg.svd(
-        jacobian / scale, full_matrices=len(jacobian) < len(scale)
-    )
+    # The triangle has the singular values and the directions of all rows. With fewer residuals than
+    # parameters the full decomposition has the open directions too.
+    _, singular, directions = np.linalg.svd(np.linalg.qr(jacobian / scale, mode="r"))
     determined = np.count_nonzero(singular > OPEN * singular[0])
     kept = directions[:determined].T / singular[:determined]
     inverse = kept @ kept.T / np.outer(scale, scale)

@@ -417,7 +417,8 @@ def _points(world: Any, image: Any) -> tuple[Array, Array]:
     if len(world) < 5:  # radial alignment has six unknowns up to scale, one equation a point
         raise ValueError(f"world must hold at least 5 points, got {len(world)}")
     for name, points in (("world", world), ("image", image)):
-        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        triangle = np.linalg.qr(points - points.mean(axis=0), mode="r")
+        spread = np.linalg.svd(triangle, compute_uv=False)
         if not spread[0] > 1 / _FARTHEST:
             raise ValueError(f"{name} must extend over more than {1 / _FARTHEST:g}, got less")
         if not spread[1] > _THINNEST * spread[0]:
@@ -549,9 +550,8 @@ def _scope(frame: Microscope, views: Views, fit: Joint, view: int) -> Microscope
 def _weakest(jacobian: Array) -> tuple[float, Array]:
     """Condition of a Jacobian with columns of one length, and its weakest direction."""
     length = np.linalg.norm(jacobian, axis=0)
-    _, singular, directions = np.linalg.svd(
-        jacobian / np.where(length > 0, length, 1.0), full_matrices=False
-    )
+    triangle = np.linalg.qr(jacobian / np.where(length > 0, length, 1.0), mode="r")
+    _, singular, directions = np.linalg.svd(triangle, full_matrices=False)
     with np.errstate(divide="ignore"):
         return float(singular[0] / singular[-1]), directions[-1]
 

@@ -77,7 +77,9 @@ def smooth_fields(points: Array) -> Array:
     powers = [(i, total - i) for total in range(degree + 1) for i in range(total + 1)]
     each, _ = np.linalg.qr(np.column_stack([x**i * y**j for i, j in powers]))
     each = each * [_FALL ** -(i + j) for i, j in powers]
-    return np.einsum("nk,cd->nckd", each, np.eye(2)).reshape(2 * len(points), -1)
+    fields = np.zeros((len(points), 2, each.shape[1], 2))
+    fields[:, 0, :, 0] = fields[:, 1, :, 1] = each
+    return fields.reshape(2 * len(points), -1)
 
 
 def discrepancy(residuals: Array, jacobian: Array, fields: Array) -> Discrepancy:
@@ -111,21 +113,24 @@ def discrepancy(residuals: Array, jacobian: Array, fields: Array) -> Discrepancy
     scale = np.where(scale == 0, 1.0, scale)
     basis, singular, directions = np.linalg.svd(jacobian / scale, full_matrices=False)
     seen = fields - basis @ (basis.T @ fields)
-    left, size, _ = np.linalg.svd(seen, full_matrices=False)
-    left = left[:, size > _FOLLOWED]
-    freedom = len(residuals) - count - left.shape[1]
-    if left.shape[1] == 0 or freedom <= 0:
+    # Of squares, which are quicker than the fields themselves: what is followed lies far above the
+    # root of rounding.
+    size, axes = np.linalg.eigh(seen.T @ seen)
+    shown = size > _FOLLOWED**2
+    free = int(shown.sum())
+    freedom = len(residuals) - count - free
+    if free == 0 or freedom <= 0:
         return Discrepancy(np.nan, 1.0, np.zeros((count, count)))
-    smooth = float(((left.T @ residuals) ** 2).sum())
+    smooth = float(((axes.T @ (seen.T @ residuals))[shown] ** 2 / size[shown]).sum())
     rest = float((residuals**2).sum()) - smooth
     noise = max(rest, 0.0) / freedom
     if not noise > _EXACT**2:
         return Discrepancy(1.0, 1.0, np.zeros((count, count)))
-    ratio = smooth / left.shape[1] / noise
-    chance = float(fisher.sf(ratio, left.shape[1], freedom))
+    ratio = smooth / free / noise
+    chance = float(fisher.sf(ratio, free, freedom))
     if chance > BY_CHANCE:
         return Discrepancy(float(np.sqrt(ratio)), chance, np.zeros((count, count)))
-    amplitude = (smooth - noise * left.shape[1]) / float((seen**2).sum())
+    amplitude = (smooth - noise * free) / float((seen**2).sum())
     followed = _response(basis, singular, directions, scale, fields)
     return Discrepancy(float(np.sqrt(ratio)), chance, amplitude * followed @ followed.T)
 

@@ -62,7 +62,8 @@ def radial_alignment(world: ArrayLike, sensor: ArrayLike) -> Array:
     (x, y), (u, v) = ((world - center) / scale).T, (sensor / (np.abs(sensor).max() or 1.0)).T
     rows = np.column_stack([-v * x, -v * y, -v, u * x, u * y, u])
     # Of five points the sixth direction is in the full decomposition only.
-    singular, directions = np.linalg.svd(rows, full_matrices=len(rows) < 6)[1:]
+    triangle = np.linalg.qr(rows, mode="r")
+    singular, directions = np.linalg.svd(triangle)[1:]
     if len(world) < 5 or not singular[4] > _DEGENERATE * singular[0]:
         raise ValueError(
             f"world and sensor must determine a pose, got {len(world)} degenerate points"

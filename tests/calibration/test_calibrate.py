@@ -238,6 +238,20 @@ def test_exact_data_gives_exact_parameters(alpha, beta, gamma, behind, magnifica
     )
 
 
+def test_of_many_marks_all_count():
+    """The search begins with a part of them; where it ends, no residual of all slopes down."""
+    scope = scope_with(10, 170)
+    world = grid_in_view(scope, pitch=70.0)
+    assert len(world) > 2000
+    rng = np.random.default_rng(0)
+    found = calibrate(world, scope.project(world) + rng.normal(0, NOISE, world.shape), **SENSOR)
+    slope = np.einsum("ncp,nc->p", found.microscope.jacobian(world), found.residuals)
+    length = np.sqrt((found.microscope.jacobian(world) ** 2).sum(axis=(0, 1)))
+    # The part's own minimum is NOISE away from it in each direction, a millionfold.
+    assert np.abs(slope / length).max() < 1e-6 * NOISE
+    assert found.residuals.std() == pytest.approx(NOISE, rel=0.03)  # 1/√(2N), twice
+
+
 def test_the_focal_length_is_found_from_a_tilted_plane():
     scope = scope_with(10, 170)
     world = grid_in_view(scope)
