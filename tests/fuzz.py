@@ -433,7 +433,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "embryo.force_from_image": lambda: {
         "image": egg().image, "modulus": 1.0, "pixel_size": 7.75, **EGG,
-        "direction": "top", "region": part(),
+        "radius": 600.0, "direction": "top", "region": part(),
     },
     "embryo.force_over_time": lambda: {
         "images": [egg().image] * 2, "time": np.array([0.0, 1.0]), "modulus": 1.0,

@@ -108,23 +108,12 @@ class ModulusEstimate(Tidy):
         one no capsule is among them, and an egg that is one may have a quarter of the modulus by
         (4.7), or less (benchmarks/capsule_embryo.py).
         """
-        state = getattr(self.dimple, "state", None)  # of a capsule
-        if state is not None:
-            fitted = self.given | {"radius": self.dimple.radius}
-            return moduli_by_model(rim_radius=state.rim_radius, depth=state.depth, **fitted)
-        settings = dict(self.given)
-        if settings["radius"] is None and isinstance(self.dimple, DimpleFit):
-            settings["radius"] = _egg_radius(self.boundary, self.dimple.pixel_size)
-        return moduli_by_model(
-            rim_radius=self.dimple.dimple_radius, depth=self.dimple.dimple_depth, **settings
-        )
+        return _moduli_of(self.dimple, self.boundary, self.given)
 
     @property
     def model_interval(self) -> tuple[float, float]:
         """From the least of `model_moduli` to the largest, widened as `interval` is, in MPa."""
-        every = [self.modulus, *self.model_moduli.values()]
-        wider = float(np.exp(NORMAL_95 * self.relative_std))
-        return min(every) / wider, max(every) * wider
+        return _around([self.modulus, *self.model_moduli.values()], self.relative_std)
 
 
 @dataclass(frozen=True)
@@ -143,6 +132,13 @@ class ForceEstimate(Tidy):
         Radius and depth with their covariance.
     boundary : Boundary
         The outline that was found.
+    given : dict
+        Modulus, thickness, probe_half_width, poisson_ratio and radius as given, in MPa and µm.
+
+    Notes
+    -----
+    `interval` says how well the outline is known, as if (4.7) were right; `model_forces` and
+    `model_interval` what other models make of the same dimple, as those of a `ModulusEstimate`.
     """
 
     force: float
@@ -150,6 +146,24 @@ class ForceEstimate(Tidy):
     interval: tuple[float, float]
     dimple: DimpleFit
     boundary: Boundary
+    given: dict[str, Any]
+
+    @cached_property
+    def model_forces(self) -> dict[str, float]:
+        """Force on this dimple by each model that can have it, in µN, by the model's name.
+
+        The modulus is the only stress that is given, so that in every model the force of a dimple
+        grows with it: a model by which the egg would be half as stiff has twice the force.
+        """
+        settings = {name: value for name, value in self.given.items() if name != "modulus"}
+        moduli = _moduli_of(self.dimple, self.boundary, {"force": self.force, **settings})
+        modulus = self.given["modulus"]
+        return {name: self.force * modulus / found for name, found in moduli.items()}
+
+    @property
+    def model_interval(self) -> tuple[float, float]:
+        """From the least of `model_forces` to the largest, widened as `interval` is, in µN."""
+        return _around([self.force, *self.model_forces.values()], self.relative_std)
 
 
 def modulus_from_image(
@@ -258,6 +272,7 @@ def force_from_image(
     thickness: float,
     probe_half_width: float,
     poisson_ratio: float,
+    radius: float | None = None,
     direction: str = "auto",
     region: tuple[int, int, int, int] | None = None,
 ) -> ForceEstimate:
@@ -271,12 +286,16 @@ def force_from_image(
         Elastic modulus E, in MPa.
     pixel_size, thickness, probe_half_width, poisson_ratio, direction, region
         As for `modulus_from_image`.
+    radius : float, optional
+        Radius of the egg before the test, in µm: for the capsule among the `model_forces`. Without
+        it the outline's ends tell it where they fall steeply enough.
 
     Returns
     -------
     ForceEstimate
         The `force`, its `relative_std` and `interval`, and the `dimple` and `boundary` that it was
-        computed from.
+        computed from; with what other models make of the same dimple in `model_forces` and
+        `model_interval`.
 
     Raises
     ------
@@ -303,10 +322,13 @@ def force_from_image(
     stiffness = scalar("modulus", modulus, above=0, most=_MOST)
     size = scalar("pixel_size", pixel_size, above=0)
     membrane = _membrane(thickness, probe_half_width, poisson_ratio)
+    egg = None if radius is None else scalar("radius", radius, above=0, most=_MOST)
     boundary = extract_boundary(image, direction=direction, region=region)
     dimple = _dimple_of(boundary, size, membrane["probe_half_width"], "membrane")
     assert isinstance(dimple, DimpleFit)
-    return ForceEstimate(*_apply(indentation_force, stiffness, dimple, membrane), dimple, boundary)
+    given = {"modulus": stiffness, **membrane, "radius": egg}
+    found = _apply(indentation_force, stiffness, dimple, membrane)
+    return ForceEstimate(*found, dimple, boundary, given)
 
 
 def measure_dimple(
@@ -371,6 +393,24 @@ def _dimple_of(
             "image must show a dimple of the model for this pixel_size and probe_half_width: "
             f"{error}"
         ) from None
+
+
+def _moduli_of(dimple: Any, boundary: Boundary, given: dict[str, Any]) -> dict[str, float]:
+    """Modulus of a dimple by each model that can have it; `given` is the force and the lengths."""
+    state = getattr(dimple, "state", None)  # of a capsule
+    if state is not None:
+        fitted = given | {"radius": dimple.radius}
+        return moduli_by_model(rim_radius=state.rim_radius, depth=state.depth, **fitted)
+    settings = dict(given)
+    if settings["radius"] is None and isinstance(dimple, DimpleFit):
+        settings["radius"] = _egg_radius(boundary, dimple.pixel_size)
+    return moduli_by_model(rim_radius=dimple.dimple_radius, depth=dimple.dimple_depth, **settings)
+
+
+def _around(values: list[float], relative_std: float) -> tuple[float, float]:
+    """Interval from the least to the largest value, widened by 95 % of their deviation."""
+    wider = float(np.exp(NORMAL_95 * relative_std))
+    return min(values) / wider, max(values) * wider
 
 
 def _seen_from_the_probe(boundary: Boundary) -> Array:

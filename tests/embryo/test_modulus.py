@@ -16,7 +16,13 @@ from microlib.embryo import (
     modulus_from_image,
 )
 from microlib.embryo._modulus import _crop
-from microlib.membrane import SmallSlopeWarning, disc_modulus, elastic_modulus
+from microlib.membrane import (
+    SmallSlopeWarning,
+    capsule_modulus,
+    disc_modulus,
+    elastic_modulus,
+    indent_disc,
+)
 from microlib.synthetic import Embryo, embryo_image
 from microlib.synthetic._embryo import EmbryoImage
 
@@ -256,3 +262,35 @@ def test_another_shape_widens_the_interval(pressed_capsule):
     assert found.relative_std > 0.2
     assert found.model_interval[0] < pressed_capsule.modulus < found.model_interval[1]
     assert np.isnan(of_capsule(pressed_capsule, method="gaussians").misfit)
+
+
+def test_models_of_one_dimple_span_its_force(pressed_capsule):
+    scene = pressed_capsule
+    sizes = {"thickness": scene.thickness, "probe_half_width": scene.probe_half_width}
+    found = force_from_image(
+        scene.image,
+        scene.modulus,
+        pixel_size=scene.pixel_size,
+        poisson_ratio=0.5,
+        radius=scene.radius,
+        **sizes,
+    )
+    assert found.model_forces["point load"] == pytest.approx(found.force, rel=1e-9)
+    assert found.model_interval[0] < scene.force < found.model_interval[1]
+    by_hand = capsule_modulus(
+        found.model_forces["capsule, hooke"],
+        found.dimple.dimple_radius,
+        found.dimple.dimple_depth,
+        radius=scene.radius,
+        law="hooke",
+        **sizes,
+    )
+    # The solvers end at a relative change of 1e-6 or less.
+    assert by_hand.modulus == pytest.approx(scene.modulus, rel=1e-4)
+    pressed = indent_disc(
+        found.model_forces["disc, neo-hooke"],
+        modulus=scene.modulus,
+        radius=found.dimple.dimple_radius,
+        **sizes,
+    )
+    assert pressed.depth == pytest.approx(found.dimple.dimple_depth, rel=1e-4)
