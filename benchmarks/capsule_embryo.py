@@ -28,7 +28,7 @@ from microlib.membrane import indent_capsule
 from microlib.membrane._state import MembraneState
 
 #: One image of each kind of probe for each; the method was developed on others below 100.
-SEEDS = range(200, 250)
+SEEDS = range(250, 300)
 PROBES = ("rod", "needle", "glass", "tapered", "angled", "blunt")
 #: Half-width of the end, µm, and what it grows by for each µm away from it.
 _WIDTHS = {"needle": (8.0, 14.0), "blunt": (38.0, 50.0)}

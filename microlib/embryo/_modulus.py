@@ -43,7 +43,7 @@ _CROP = 2.0
 #: Part of a capsule's relative deviation that the points do not scatter by: the middle of a wall's
 #: blurred profile is not quite that of the wall, alike at all points. Chosen on rendered capsules
 #: whose wall is darker outside than inside, the seeds from 2000 on of benchmarks/capsule_embryo.py.
-_OUTLINE_STD = 0.007
+_OUTLINE_STD = 0.005
 #: Points of an outline's end that give its direction, and the sine of its fall from which the egg's
 #: radius is read off: at 60° a degree is 1 % of it.
 _END_POINTS, _STEEP_END = 15, 0.87

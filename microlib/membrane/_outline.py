@@ -308,8 +308,18 @@ def _correlation(left: Array) -> float:
 
 
 def _covariance(jacobian: Array, left: Array) -> Array:
-    """Return the parameters' covariance, neighbors' correlation counted."""
-    freedom = max(left.size - jacobian.shape[1], 1)
-    rho = float(np.clip(_correlation(left), 0.0, 0.98))
-    variance = np.sum(left**2) / freedom * (1 + rho) / (1 - rho)
-    return np.linalg.pinv(jacobian.T @ jacobian) * variance
+    """Return the parameters' covariance, whatever correlation neighbors along the outline have.
+
+    Products of scores up to the root of the number of points apart, with weights that fall to none
+    there (Newey and West 1987): distances along an outline are alike over some points, and then of
+    the other sign, which no single correlation describes.
+    """
+    count, size = jacobian.shape
+    score = jacobian * left[:, np.newaxis]
+    middle = score.T @ score
+    reach = round(np.sqrt(count))
+    for apart in range(1, reach):
+        product = score[apart:].T @ score[:-apart]
+        middle += (1 - apart / reach) * (product + product.T)
+    inverse = np.linalg.pinv(jacobian.T @ jacobian)
+    return inverse @ middle @ inverse * (count / max(count - size, 1))
