@@ -39,6 +39,7 @@ COLUMNS = (
     "speed",
     "size",
     "height",
+    "start",  # µm, standard deviation along either axis of where a path is begun
 )
 #: Experiments at each zoom; a step's or a path's place here is its number in the loop.
 EXPERIMENTS = ("step", "circle", "square", "sinusoid")
@@ -97,7 +98,7 @@ def simulated(
     ----------
     kind : str
         One of `EXPERIMENTS`.
-    settings : ndarray, shape (N, 18)
+    settings : ndarray, shape (N, 19)
         `COLUMNS`, a row each.
     repetitions : int
         Runs of each row, with draws of their own.
@@ -124,7 +125,7 @@ def measured_once(kind: str, settings: NDArray, rng: np.random.Generator) -> tup
     ----------
     kind, rng
         As in `simulated`.
-    settings : ndarray, shape (18,)
+    settings : ndarray, shape (19,)
         `COLUMNS`.
 
     Returns
@@ -172,6 +173,9 @@ def _close_loop(
     frames = len(reference)
     begin_x = 0.0 if is_step else reference[0, 0]
     begin_y = 0.0 if is_step else reference[0, 1]
+    if s[18] > 0 and not is_step:
+        begin_x += s[18] / pixel * rng.standard_normal()
+        begin_y += s[18] / pixel * rng.standard_normal()
     # (2.28) for a diagonal Jacobian.
     along = _INTERVAL * _WEIGHT / pixel
     gain_x = along / (along * _INTERVAL / pixel + _CONTROL_X)

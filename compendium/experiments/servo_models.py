@@ -104,6 +104,11 @@ MECHANISMS: dict[str, tuple[Prior, ...]] = {
     "latency jitter": (
         Prior("latency jitter", "ms", 0.3, 15.0, "log", "a desktop's scheduler, idle to busy"),
     ),
+    "start off the path": (
+        Prior(
+            "start off the path", "µm", 1.0, 100.0, "log", "what a step leaves, to a third of it"
+        ),
+    ),
     "own speeds at 4X": tuple(
         Prior(f"{name} faster at 4X", "times", 0.25, 4.0, "log", "the ratio of the zooms")
         for name in EXPERIMENTS[1:]
@@ -143,7 +148,7 @@ def settings(model: str, normal: NDArray, zoom: str, kind: str) -> NDArray[np.fl
 
     Returns
     -------
-    ndarray, shape (N, 18)
+    ndarray, shape (N, 19)
         In the loop's units.
     """
     found = values(model, normal)
@@ -167,6 +172,7 @@ def settings(model: str, normal: NDArray, zoom: str, kind: str) -> NDArray[np.fl
         "speed": found.get(f"speed on the {kind}", 1.0),
         "size": found["path size"],
         "height": found["sinusoid height"],
+        "start": found.get("start off the path", 0.0),
     }
     if zoom == "4X" and f"{kind} faster at 4X" in found:
         given["speed"] = given["speed"] * found[f"{kind} faster at 4X"]
