@@ -24,7 +24,7 @@ SEEDS = range(5)
 #: Sets of numbers drawn from the prior, and particles of each: fewer than elsewhere, which only
 #: makes the test harder.
 SETS, SET_PARTICLES = 100, 200
-CALIBRATED = ("base", "stage jumps")
+CALIBRATED = ("base", "stage jumps", "start off the path")
 #: Particles at which the noise of the likelihood is measured, and estimates at each.
 NOISY, ESTIMATES = 20, 30
 

@@ -15,7 +15,7 @@ from compendium.figures.style import COLORS
 
 __all__ = ["draw_identified", "draw_left_out", "draw_ranks"]
 
-_MODEL_COLORS = ("grey", "green", "blue", "orange")
+_MODEL_COLORS = ("black", "sky", "blue", "green", "orange")
 
 
 def draw_left_out(
@@ -43,7 +43,7 @@ def draw_left_out(
     figure, axes = plt.subplots(figsize=(7.2, 0.38 * len(names) + 1.3))
     for k, (model, ends) in enumerate(intervals.items()):
         ratios = np.asarray(ends, dtype=float) / numbers[:, None]
-        rows = np.arange(len(names)) + 0.18 * (k - (len(intervals) - 1) / 2)
+        rows = np.arange(len(names)) + 0.16 * (k - (len(intervals) - 1) / 2)
         color = COLORS[_MODEL_COLORS[k]]
         for row, (low, middle, high) in zip(rows, ratios, strict=True):
             style = "-" if low <= 1 <= high else ":"
@@ -64,7 +64,7 @@ def draw_identified(widths: Mapping[str, pd.Series]) -> Figure:
     figure, axes = plt.subplots(figsize=(7.2, 0.3 * len(names) + 1.3))
     for k, (model, each) in enumerate(widths.items()):
         rows = [names.index(name) for name in each.index]
-        axes.plot(each.to_numpy(), rows, "osD^"[k], color=COLORS[_MODEL_COLORS[k]], label=model)
+        axes.plot(each.to_numpy(), rows, "osD^v"[k], color=COLORS[_MODEL_COLORS[k]], label=model)
     axes.axvline(1.0, color="black", lw=1)
     axes.set(xlabel="width after the tables over before", xlim=(0, 1.25))
     axes.set(yticks=range(len(names)), yticklabels=names, ylim=(len(names) - 0.4, -0.6))
