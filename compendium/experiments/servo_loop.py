@@ -30,7 +30,8 @@ COLUMNS = (
     "stage noise",  # µm, anew at each exposure
     "jump rate",  # share of the frames before which the stage jumps
     "jump size",  # µm, standard deviation along either axis
-    "lost",  # share of the frames that are lost: no new command, the last measurement stays
+    "lost",  # share of the frames without a measurement: no new command, the last one is logged
+    "dropped",  # likewise, and nothing is logged
     "burst rate",  # share of the frames with more noise
     "burst size",  # px, its standard deviation along either axis
     "backlash",  # µm
@@ -98,7 +99,7 @@ def simulated(
     ----------
     kind : str
         One of `EXPERIMENTS`.
-    settings : ndarray, shape (N, 19)
+    settings : ndarray, shape (N, 20)
         `COLUMNS`, a row each.
     repetitions : int
         Runs of each row, with draws of their own.
@@ -125,7 +126,7 @@ def measured_once(kind: str, settings: NDArray, rng: np.random.Generator) -> tup
     ----------
     kind, rng
         As in `simulated`.
-    settings : ndarray, shape (19,)
+    settings : ndarray, shape (20,)
         `COLUMNS`.
 
     Returns
@@ -142,7 +143,7 @@ def measured_once(kind: str, settings: NDArray, rng: np.random.Generator) -> tup
 @compiled
 def _reference(kind: int, s: NDArray, reference: NDArray) -> int:
     """Write the references of a run, px, as `compendium.experiments.paths` does; count them."""
-    speed, size, height = s[15], s[16], s[17]
+    speed, size, height = s[16], s[17], s[18]
     if kind == 0:
         reference[:STEP_FRAMES] = _STEP
         return STEP_FRAMES
@@ -173,18 +174,18 @@ def _close_loop(
     frames = len(reference)
     begin_x = 0.0 if is_step else reference[0, 0]
     begin_y = 0.0 if is_step else reference[0, 1]
-    if s[18] > 0 and not is_step:
-        begin_x += s[18] / pixel * rng.standard_normal()
-        begin_y += s[18] / pixel * rng.standard_normal()
+    if s[19] > 0 and not is_step:
+        begin_x += s[19] / pixel * rng.standard_normal()
+        begin_y += s[19] / pixel * rng.standard_normal()
     # (2.28) for a diagonal Jacobian.
     along = _INTERVAL * _WEIGHT / pixel
     gain_x = along / (along * _INTERVAL / pixel + _CONTROL_X)
     gain_y = along / (along * _INTERVAL / pixel + _CONTROL_Y)
-    cosine, sine = s[14] / pixel * np.cos(s[13]), s[14] / pixel * np.sin(s[13])
+    cosine, sine = s[15] / pixel * np.cos(s[14]), s[15] / pixel * np.sin(s[14])
     due, command = np.empty(_QUEUE), np.empty((_QUEUE, 2))
     first = last = 0  # of the commands on their way, modulo _QUEUE
     x = y = shown_x = shown_y = velocity_x = velocity_y = 0.0
-    play = s[12] / 2
+    play = s[13] / 2
     for k in range(frames):
         seen_x, seen_y = s[4] * rng.standard_normal(), s[5] * rng.standard_normal()
         if s[7] > 0 and rng.random() < s[7]:
@@ -197,11 +198,13 @@ def _close_loop(
         if s[6] > 0:
             at_x += s[6] * rng.standard_normal()
             at_y += s[6] * rng.standard_normal()
-        if s[10] > 0 and rng.random() < s[10]:
-            seen_x += s[11] * rng.standard_normal()
-            seen_y += s[11] * rng.standard_normal()
+        if s[11] > 0 and rng.random() < s[11]:
+            seen_x += s[12] * rng.standard_normal()
+            seen_y += s[12] * rng.standard_normal()
         if s[9] > 0 and k > 0 and rng.random() < s[9]:
             measured[k] = measured[k - 1]
+        elif s[10] > 0 and k > 0 and rng.random() < s[10]:
+            measured[k] = np.nan
         else:
             measured[k, 0] = begin_x + cosine * at_x - sine * at_y + seen_x
             measured[k, 1] = begin_y + sine * at_x + cosine * at_y + seen_y
@@ -255,25 +258,31 @@ def _simulate_all(kind: int, settings: NDArray, rng: np.random.Generator, found:
 def _measure_step(measured: NDArray, pixel: float, ahead: float, found: NDArray) -> None:
     """Measure a step by each of `STEP_READINGS`."""
     frames, wanted = len(measured), np.sqrt(2.0) * _STEP
-    # Sums from each sample to the last: of the distance and of the error along x, and squares.
-    sums = np.zeros((frames + 1, 4))
+    # Sums from each sample to the last: of the distance and of the error along x, squares, count.
+    sums = np.zeros((frames + 1, 5))
     largest = np.zeros((frames + 1, 2))
     errors = np.empty((frames, 2))
     for k in range(frames - 1, -1, -1):
+        sums[k], largest[k], errors[k] = sums[k + 1], largest[k + 1], np.nan
+        if np.isnan(measured[k, 0]):
+            continue
+        sums[k, 4] += 1
         dx, dy = abs(measured[k, 0] - _STEP), abs(measured[k, 1] - _STEP)
         errors[k, 0], errors[k, 1] = np.hypot(dx, dy), dx
         for axis in range(2):
-            sums[k, axis] = sums[k + 1, axis] + errors[k, axis]
-            sums[k, 2 + axis] = sums[k + 1, 2 + axis] + errors[k, axis] ** 2
+            sums[k, axis] += errors[k, axis]
+            sums[k, 2 + axis] += errors[k, axis] ** 2
         largest[k, 0] = max(largest[k + 1, 0], errors[k, 0] / wanted)
         largest[k, 1] = max(largest[k + 1, 1], dx / _STEP, dy / _STEP)
     reading = 0
     for band in _BAND_ARRAY:
         for within in range(2):
             settled = 0
-            while settled < frames and largest[settled, within] > band:
+            while settled < frames and (
+                largest[settled, within] > band or np.isnan(errors[settled, 0])
+            ):
                 settled += 1
-            count = frames - settled
+            count = sums[settled, 4]
             for axis in range(2):
                 mean = sums[settled, axis] / count if count else np.nan
                 variance = sums[settled, 2 + axis] / count - mean**2 if count else np.nan
@@ -292,8 +301,10 @@ def _measure_step(measured: NDArray, pixel: float, ahead: float, found: NDArray)
 def _measure_path(measured: NDArray, reference: NDArray, pixel: float, found: NDArray) -> None:
     """Measure a path by each of `PATH_READINGS`."""
     frames = len(measured)
-    sums = np.zeros((3, 6))  # of x, y, x², y², distance and |x|, against each reference
+    sums = np.zeros((3, 7))  # of x, y, x², y², distance, |x| and one, against each reference
     for k in range(frames):
+        if np.isnan(measured[k, 0]):
+            continue
         ahead = min(k + 1, frames - 1)
         before = max(ahead - 1, 0)
         run_x = reference[ahead, 0] - reference[before, 0]
@@ -312,9 +323,10 @@ def _measure_path(measured: NDArray, reference: NDArray, pixel: float, found: ND
             sums[lead, 3] += dy * dy
             sums[lead, 4] += np.sqrt(dx * dx + dy * dy)
             sums[lead, 5] += abs(dx)
+            sums[lead, 6] += 1
     reading = 0
     for lead in range(3):
-        total = sums[lead] / (frames - 1 if lead == 1 else frames)
+        total = sums[lead] / sums[lead, 6]
         square = total[2] + total[3]
         for kind in range(3):
             if lead == 2 and kind == 2:

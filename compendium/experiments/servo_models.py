@@ -78,6 +78,7 @@ BASE = (
     Prior("scale error at 4X", "%", 0.0, 100 * CALIBRATION_SCALE, "normal", _DRAWN),
 )
 _RARE = "from once in ten seconds to every third frame"
+_LOST = "with more the tracker loses its way"
 #: What each model adds.
 MECHANISMS: dict[str, tuple[Prior, ...]] = {
     "base": (),
@@ -88,9 +89,8 @@ MECHANISMS: dict[str, tuple[Prior, ...]] = {
         Prior("jump rate", "of frames", 0.003, 0.3, "log", _RARE),
         Prior("jump size", "µm", 0.5, 20.0, "log", "slip of a screw's nut, to four backlashes"),
     ),
-    "lost frames": (
-        Prior("lost frames", "of frames", 0.0, 0.3, "even", "with more the tracker loses its way"),
-    ),
+    "dropped frames": (Prior("dropped frames", "of frames", 0.0, 0.3, "even", _LOST),),
+    "lost frames": (Prior("lost frames", "of frames", 0.0, 0.3, "even", _LOST),),
     "bursts": (
         Prior("burst rate", "of frames", 0.003, 0.3, "log", _RARE),
         Prior("burst size", "px", 0.2, 10.0, "log", "up to what the tracker still follows"),
@@ -148,7 +148,7 @@ def settings(model: str, normal: NDArray, zoom: str, kind: str) -> NDArray[np.fl
 
     Returns
     -------
-    ndarray, shape (N, 19)
+    ndarray, shape (N, 20)
         In the loop's units.
     """
     found = values(model, normal)
@@ -164,6 +164,7 @@ def settings(model: str, normal: NDArray, zoom: str, kind: str) -> NDArray[np.fl
         "jump rate": found.get("jump rate", 0.0),
         "jump size": found.get("jump size", 0.0),
         "lost": found.get("lost frames", 0.0),
+        "dropped": found.get("dropped frames", 0.0),
         "burst rate": found.get("burst rate", 0.0),
         "burst size": found.get("burst size", 0.0),
         "backlash": found.get("backlash", 0.0),

@@ -98,6 +98,7 @@ def test_each_model_puts_its_numbers_where_the_loop_reads_them() -> None:
             expected = {
                 "stage jumps": {"jump rate", "jump size"},
                 "lost frames": {"lost"},
+                "dropped frames": {"dropped"},
                 "bursts": {"burst rate", "burst size"},
                 "one-axis noise": {"noise y"},
                 "start off the path": {"start"},

@@ -172,6 +172,28 @@ def test_a_lost_frame_repeats_the_last_measurement() -> None:
     assert repeated == pytest.approx(0.25, abs=0.1)  # 207 frames: three deviations are 0.09
 
 
+def test_a_dropped_frame_leaves_no_trace() -> None:
+    """Neither measured nor counted; the stage goes on at its speed, so that little is amiss."""
+    settings = row("4X", noise_x=0.1, noise_y=0.1, dropped=0.25)
+    reference, measured = servo_loop.measured_once("circle", settings, np.random.default_rng(2))
+    missing = np.isnan(measured[:, 0])
+    assert missing.mean() == pytest.approx(0.25, abs=0.1)
+    found = servo_loop.simulated("circle", settings[None], 1, np.random.default_rng(2))[0, 0]
+    distance = np.hypot(*(measured - reference).T)[~missing] * thesis.effective_pixel("4X")
+    assert found[0] == pytest.approx([distance.mean(), distance.std()])
+    step = row("4X", noise_x=0.1, noise_y=0.1, dropped=0.25)
+    found = servo_loop.simulated("step", step[None], 1, np.random.default_rng(4))[0, 0]
+    _, measured = servo_loop.measured_once("step", step, np.random.default_rng(4))
+    off = np.hypot(*(measured - 50).T)
+    place = STEP_READINGS.index((0.05, "distance within", "of the distance", "at settling"))
+    settled = int(found[place, 0] / thesis.FRAME_INTERVAL)
+    assert (off[settled:][np.isfinite(off[settled:])] <= 0.05 * 50 * np.sqrt(2)).all()
+    pixel = thesis.effective_pixel("4X")
+    assert found[place, 1:] == pytest.approx(
+        [off[settled] * pixel, np.nanstd(off[settled:]) * pixel]
+    )
+
+
 def first_way(seed: int = 0, **given: float) -> float:
     """Return how far, µm along x, a saturated stage goes in the first frame of a step."""
     _, measured = servo_loop.measured_once("step", row(**given), np.random.default_rng(seed))
