@@ -18,7 +18,7 @@ from scipy.special import logsumexp
 from compendium import thesis
 from compendium.experiments.section_5_4 import PATH_RESULTS, STEP_RESULTS
 from compendium.experiments.servo_loop import EXPERIMENTS, compiled, simulated
-from compendium.experiments.servo_models import priors, settings
+from compendium.experiments.servo_models import RARE, priors, settings
 from compendium.ledger import claim
 
 #: The experiments as (zoom, kind), steps first, and what each prints.
@@ -34,10 +34,10 @@ NUMBERS = tuple(
 #: is a count of frames and has half. Student's t with four degrees, so that no single number rules.
 SCALE, SETTLING_SCALE = 0.08, 0.05
 SCALES = np.array([SETTLING_SCALE if id.endswith("settling-time") else SCALE for id in NUMBERS])
-#: Runs of a step and of a path behind one estimate of the likelihood: the accuracy of a step is
-#: chance, that of a path a mean of hundreds of frames. The logarithm then has a deviation near one,
-#: where such samplers work best (benchmark of servo inference, "Noise of the likelihood").
-REPETITIONS = {"step": 48, "path": 4}
+#: Runs of a step, of a path, and of a path with a rare disturbance behind one estimate of the
+#: likelihood: what is chance needs more than a mean of hundreds of frames. The logarithm then has a
+#: deviation near one, where such samplers work best (benchmark of servo inference, "Noise").
+STEP_RUNS, PATH_RUNS, RARE_PATH_RUNS = 48, 4, 12
 #: Particles, moves after each warming, and share of the particles that a warming leaves effective.
 PARTICLES, MOVES, SHARE = 500, 3, 0.5
 #: Moves at the end.
@@ -96,7 +96,8 @@ class Problem:
         """Return a block's runs as `simulated` does, and the product of each one's kernels."""
         zoom, kind = BLOCKS[block]
         rows = settings(self.model, normal, zoom, kind)
-        found = simulated(kind, rows, REPETITIONS.get(kind, REPETITIONS["path"]), rng)
+        path_runs = RARE_PATH_RUNS if self.model in RARE else PATH_RUNS
+        found = simulated(kind, rows, STEP_RUNS if kind == "step" else path_runs, rng)
         at = places(block)
         used = np.arange(len(NUMBERS))[at] != self.left_out
         product = np.empty(found.shape[:3])

@@ -268,7 +268,7 @@ def _measure_step(measured: NDArray, pixel: float, ahead: float, found: NDArray)
             continue
         sums[k, 4] += 1
         dx, dy = abs(measured[k, 0] - _STEP), abs(measured[k, 1] - _STEP)
-        errors[k, 0], errors[k, 1] = np.hypot(dx, dy), dx
+        errors[k, 0], errors[k, 1] = np.sqrt(dx * dx + dy * dy), dx
         for axis in range(2):
             sums[k, axis] += errors[k, axis]
             sums[k, 2 + axis] += errors[k, axis] ** 2
@@ -309,7 +309,7 @@ def _measure_path(measured: NDArray, reference: NDArray, pixel: float, found: ND
         before = max(ahead - 1, 0)
         run_x = reference[ahead, 0] - reference[before, 0]
         run_y = reference[ahead, 1] - reference[before, 1]
-        run = np.hypot(run_x, run_y)
+        run = np.sqrt(run_x * run_x + run_y * run_y)
         for lead in range(3):
             if lead == 1 and k == frames - 1:
                 continue  # the last sample has no next reference

@@ -230,3 +230,12 @@ def test_a_path_may_begin_away_from_its_start() -> None:
     np.testing.assert_allclose(measured[0] - reference[0], away)
     _, stepped = servo_loop.measured_once("step", settings, np.random.default_rng(9))
     assert (stepped[0] == 0).all()
+
+
+def test_with_weights_in_micrometers_no_step_settles() -> None:
+    """So that the sum over this reading has one term: even a tenth is not reached in the run."""
+    slow = section_5_4.gains().query("unit == 'px/µm'")
+    run = servo_loop.STEP_FRAMES * thesis.FRAME_INTERVAL
+    assert len(slow) == 2
+    # The slower axis has the larger weight; the table is of the faster.
+    assert (np.log(10) * slow["time constant (s)"] > run).all()
