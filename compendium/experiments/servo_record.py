@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from compendium.experiments.servo_inference import NUMBERS, Posterior, Problem, infer, printed
 from compendium.experiments.servo_loop import PATH_READINGS, STEP_READINGS
@@ -39,6 +38,11 @@ def small_piece() -> Posterior:
     """Make the small piece of the record anew."""
     model, seed, particles = SMALL
     return infer(Problem(model, printed()), seed, particles)
+
+
+def agrees() -> bool:
+    """Whether the small piece, made anew, is the one of the record."""
+    return np.allclose(summary(small_piece()), record()["small"], rtol=0, atol=1e-6)
 
 
 def summary(posterior: Posterior) -> list[float]:
@@ -79,6 +83,12 @@ def held() -> pd.DataFrame:
     )
 
 
+def left_out() -> dict[str, Any]:
+    """Return what `figures.inference.draw_left_out` takes."""
+    names = [claim(id).what for id in NUMBERS]
+    return {"names": names, "printed": printed(), "intervals": record()["left out"]}
+
+
 def left_out_table() -> pd.DataFrame:
     """Return each number beside its intervals, and ``outside`` where it is; the counts last."""
     inside = held()
@@ -88,7 +98,7 @@ def left_out_table() -> pd.DataFrame:
         for model, ends in record()["left out"].items():
             low, _, high = ends[place]
             mark = "" if inside.loc[id, model] else " outside"
-            row[model] = f"{low:.3g} to {high:.3g}{mark}"
+            row[model] = f"{_short(low)} to {_short(high)}{mark}"
         rows.append(row)
     counts = {str(model): f"{inside[model].sum()} of {len(NUMBERS)}" for model in inside}
     rows.append({"number": "inside", "printed": "", **counts})
@@ -135,18 +145,10 @@ def widths(model: str) -> pd.Series:
     return pd.Series(kept["widths"], index=kept["names"])
 
 
-def trades(model: str, least: float = 0.4) -> pd.DataFrame:
-    """Return the pairs of numbers that trade, with their correlation, the strongest first."""
+def trades(model: str) -> dict[str, Any]:
+    """Return what `figures.inference.draw_trades` takes."""
     kept = record()["posterior"][model]
-    correlation: NDArray = np.array(kept["correlation"])
-    rows = [
-        (kept["names"][i], kept["names"][j], correlation[i, j])
-        for i in range(len(correlation))
-        for j in range(i)
-        if abs(correlation[i, j]) >= least
-    ]
-    rows.sort(key=lambda row: -abs(row[2]))
-    return pd.DataFrame(rows, columns=["number", "and", "correlation"])
+    return {"names": kept["names"], "correlation": kept["correlation"]}
 
 
 def quantiles() -> pd.DataFrame:
@@ -154,10 +156,14 @@ def quantiles() -> pd.DataFrame:
     columns = {}
     for model, kept in record()["posterior"].items():
         columns[model] = {
-            name: f"{middle:.3g} ({low:.3g} to {high:.3g})"
+            name: f"{_short(middle)} ({_short(low)} to {_short(high)})"
             for name, (low, middle, high) in zip(kept["names"], kept["quantiles"], strict=True)
         }
     return pd.DataFrame(columns).fillna("")
+
+
+def _short(value: float) -> str:
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
 def reading_table(model: str, most: int = 4) -> pd.DataFrame:

@@ -8,12 +8,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
 from numpy.typing import ArrayLike
 from scipy.stats import binom
 
 from compendium.figures.style import COLORS
 
-__all__ = ["draw_identified", "draw_left_out", "draw_ranks"]
+__all__ = ["draw_identified", "draw_left_out", "draw_ranks", "draw_trades"]
 
 _MODEL_COLORS = ("black", "sky", "blue", "green", "orange")
 
@@ -52,6 +53,9 @@ def draw_left_out(
         axes.plot([], [], color=color, label=model)
     axes.axvline(1.0, color="black", lw=1)
     axes.set(xscale="log", xlabel="predicted without it, over printed")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
+    axes.xaxis.set_minor_locator(NullLocator())
     axes.set(yticks=range(len(names)), yticklabels=names, ylim=(len(names) - 0.4, -0.6))
     axes.tick_params(axis="y", labelsize=10)
     figure.legend(loc="outside upper center", ncols=len(intervals), fontsize=10)
@@ -70,6 +74,20 @@ def draw_identified(widths: Mapping[str, pd.Series]) -> Figure:
     axes.set(yticks=range(len(names)), yticklabels=names, ylim=(len(names) - 0.4, -0.6))
     axes.tick_params(axis="y", labelsize=10)
     figure.legend(loc="outside upper center", ncols=len(widths), fontsize=10)
+    return figure
+
+
+def draw_trades(names: Sequence[str], correlation: ArrayLike) -> Figure:
+    """Draw which unknown numbers trade: their correlation after the tables, each pair once."""
+    matrix = np.asarray(correlation, dtype=float)
+    shown = np.where(np.tri(len(names), k=-1, dtype=bool), matrix, np.nan)
+    figure, axes = plt.subplots(figsize=(7.2, 5.4))
+    image = axes.imshow(shown, cmap="RdBu", vmin=-1, vmax=1)
+    axes.set(xticks=range(len(names)), yticks=range(len(names)), yticklabels=names)
+    axes.set_xticklabels(names, rotation=90)
+    axes.tick_params(labelsize=10)
+    axes.grid(False)
+    figure.colorbar(image, label="correlation")
     return figure
 
 

@@ -57,3 +57,12 @@ def test_ranks_are_counted_beside_what_chance_allows():
     band = axes.patches[0]
     # 99 % of a binomial of 100 at a tenth: 3 to 18.
     assert (band.get_y(), band.get_y() + band.get_height()) == (3, 18)
+
+
+def test_each_pair_that_trades_is_drawn_once():
+    correlation = [[1.0, -0.7, 0.2], [-0.7, 1.0, 0.1], [0.2, 0.1, 1.0]]
+    axes = inference.draw_trades(["a", "b", "c"], correlation).axes[0]
+    shown = np.ma.filled(axes.images[0].get_array(), np.nan)
+    np.testing.assert_array_equal(shown, [[np.nan] * 3, [-0.7, np.nan, np.nan], [0.2, 0.1, np.nan]])
+    assert axes.images[0].get_clim() == (-1, 1)
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["a", "b", "c"]
