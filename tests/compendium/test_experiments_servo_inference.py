@@ -147,18 +147,28 @@ def test_priors_keep_their_ranges_and_shapes() -> None:
 
 
 def test_a_drawn_table_is_found_again() -> None:
-    """Numbers from known unknowns: the true speed lies among the particles, the others' do not."""
-    truth, numbers = servo_predictions.drawn_tables("base", np.random.default_rng(6))
-    found = servo_inference.infer(Problem("base", numbers), 0, 80)
-    rank = servo_predictions.rank("base", [6, 7], 40)
-    assert len(rank) == SIZE
-    assert all(0 < each < 1 for each in rank)
-    # Each table is drawn anew from its seed, the same one from the same.
-    again = servo_predictions.drawn_tables("base", np.random.default_rng(6))
+    """What its numbers tell, the particles gather around; a table is the same from its seed."""
+    truth, numbers = servo_predictions.drawn_tables("base", np.random.default_rng(7))
+    again = servo_predictions.drawn_tables("base", np.random.default_rng(7))
     np.testing.assert_array_equal(again[1], numbers)
-    # Speeds and limits are what tables tell: the particles gather around the truth.
-    off = np.abs(found.normal - truth)[:, :2].mean()
-    assert off < 0.6 * np.abs(np.random.default_rng(0).standard_normal((80, 2)) - truth[:2]).mean()
+    found = servo_inference.infer(Problem("base", numbers), 0, 50)
+    off = np.sqrt(((found.normal - truth) ** 2).mean(axis=0))
+    # Before the numbers, particles are √(1 + truth²) away; limit, noise and three speeds are told.
+    assert (off / np.sqrt(1 + truth**2))[[0, 3, 4, 5, 6]].mean() < 0.3
+
+
+def test_ranks_are_of_the_drawn_unknowns(monkeypatch) -> None:
+    truth = np.linspace(-1, 1, SIZE)
+
+    def infer(problem: Problem, seed: list[int], particles: int) -> servo_inference.Posterior:
+        assert (seed, particles) == ([3, 7, 1], 99)
+        normal = np.repeat(np.linspace(-2, 2, 99)[:, None], SIZE, axis=1)
+        return servo_inference.Posterior(problem, normal, 0.0, 0.0)
+
+    monkeypatch.setattr(servo_predictions, "drawn_tables", lambda *_: (truth, np.ones(18)))
+    monkeypatch.setattr(servo_predictions, "infer", infer)
+    rank = servo_predictions.rank("base", [3, 7], 99)
+    np.testing.assert_allclose(rank, (truth + 2) / 4, atol=0.02)
 
 
 def test_a_number_is_predicted_by_the_others_of_its_experiment(monkeypatch) -> None:
