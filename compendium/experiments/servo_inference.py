@@ -70,14 +70,11 @@ class Problem:
         In the order of `NUMBERS`.
     left_out : int
         Place of the number that is not used; −1 for none.
-    widening : float
-        Of all kernels, over `SCALES`.
     """
 
     model: str
     numbers: NDArray[np.float64]
     left_out: int = -1
-    widening: float = 1.0
 
     def log_likelihood(self, normal: NDArray, rng: np.random.Generator) -> NDArray[np.float64]:
         """Return an unbiased estimate's logarithm for each row of standard normal numbers."""
@@ -101,8 +98,7 @@ class Problem:
         at = places(block)
         used = np.arange(len(NUMBERS))[at] != self.left_out
         product = np.empty(found.shape[:3])
-        scales = self.widening * SCALES[at]
-        _kernel_products(found, np.log(self.numbers[at]), scales, used, product)
+        _kernel_products(found, np.log(self.numbers[at]), SCALES[at], used, product)
         return found, product
 
 

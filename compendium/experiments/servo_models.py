@@ -51,8 +51,7 @@ class Prior:
         return self.low * (self.high / self.low) ** share
 
 
-_FASTEST = "from what crosses the 1X step in two seconds to the fastest such stages"
-_PACE = "from ten minutes a figure to the tracker's limit of section 5.3"
+_FASTEST = "from what crosses the 1X step in three seconds to the fastest such stages"
 _DRAWN = "the two patterns of Table 5.1 agree as well"
 #: Numbers that every model has.
 BASE = (

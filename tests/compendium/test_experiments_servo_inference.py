@@ -71,16 +71,6 @@ def test_what_runs_say_is_the_mean_of_their_kernels() -> None:
         np.testing.assert_allclose(product, np.nan_to_num(expected), rtol=1e-9)
 
 
-def test_a_wider_kernel_is_wider() -> None:
-    normal = np.zeros((2, SIZE))
-    found, product = Problem("base", servo_inference.printed(), widening=2.0).runs(
-        normal, 3, np.random.default_rng(0)
-    )
-    scales = 2 * SCALES[places(3)]
-    off = np.log(found / servo_inference.printed()[places(3)]) / scales
-    np.testing.assert_allclose(product, (t.pdf(off, 4) / scales).prod(axis=-1), rtol=1e-9)
-
-
 def test_the_likelihood_sums_readings_and_multiplies_experiments(monkeypatch) -> None:
     given = np.random.default_rng(1).standard_normal((8, 5, 32))
 
