@@ -32,7 +32,7 @@ SEEDS = range(5)
 #: Particles of each seed where a disturbance is rare and its paths need more runs: the five seeds
 #: together have more than one run elsewhere.
 RARE_PARTICLES = 150
-#: Sets of numbers drawn from the prior, and particles of each: fewer than elsewhere, which only
+#: Sets of numbers drawn from the prior, and particles of each: fewer than elsewhere, which
 #: makes the test harder.
 SETS, SET_PARTICLES = 100, 120
 #: Particles of each of the ninety runs without a number.

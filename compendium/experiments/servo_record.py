@@ -117,25 +117,28 @@ def calibration() -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        Data sets, unknown numbers, the least uniform of them, its probability, and whether all are
-        believed: at `LEVEL` over the count of numbers.
+        Data sets, unknown numbers, the least uniform of them, its probability, whether all are
+        believed (at `LEVEL` over the count of numbers), and the ranks' deviation over that of
+        uniform ones, the mean over the numbers: above one, the posteriors are too narrow.
     """
     rows = []
     for model, tried in record()["calibration"].items():
-        chance = uniform(np.array(tried["ranks"]))
+        ranks = np.array(tried["ranks"])
+        chance = uniform(ranks)
         worst = int(chance.argmin())
         believed = "yes" if chance[worst] > LEVEL / len(chance) else "no"
-        rows.append(
-            (
-                model,
-                len(tried["ranks"]),
-                len(chance),
-                tried["names"][worst],
-                chance[worst],
-                believed,
-            )
-        )
-    columns = ["model", "data sets", "numbers", "least uniform", "probability", "uniform"]
+        spread = np.sqrt(12) * ranks.std(axis=0).mean()
+        least = tried["names"][worst]
+        rows.append((model, len(ranks), len(chance), least, chance[worst], believed, spread))
+    columns = [
+        "model",
+        "data sets",
+        "numbers",
+        "least uniform",
+        "probability",
+        "uniform",
+        "deviation",
+    ]
     return pd.DataFrame(rows, columns=columns)
 
 
@@ -198,6 +201,7 @@ def findings() -> list[tuple[str, float, str, int]]:
         (f"band-{100 * band:g}", 100 * share, "%", 0)
         for band, share in band_shares(FAVORED).items()
     ]
+    found.append(("rank-deviation", calibration()["deviation"].max(), "", 2))
     favored = kept["posterior"][FAVORED]
     place = PATH_READINGS.index(("next reference", "of the distance"))
     found.append(("next-reference", 100 * favored["paths"][place], "%", 0))
