@@ -119,4 +119,7 @@ def test_the_text_of_the_chapter_follows_the_record() -> None:
     assert calibration["deviation"].between(1.1, 1.3).all()
     widths = servo_record.widths(servo_record.FAVORED)
     assert widths["image noise"] < 0.3
+    trades = servo_record.trades(servo_record.FAVORED)
+    places = [trades["names"].index(name) for name in ("latency", "image noise")]
+    assert trades["correlation"][places[0]][places[1]] < -0.5
     assert widths[["path size", "sinusoid height", "scale error at 4X"]].min() > 0.6
