@@ -471,6 +471,15 @@ def explanations(
     return pd.DataFrame(rows, columns=columns)
 
 
+def explanations_by_band(seed: int, draws: int, bands: Sequence[float]) -> pd.DataFrame:
+    """Return `explanations` for settling bands, with the band in front, one below the other."""
+    tables = {}
+    for band in bands:
+        reading = replace(ASSUMED, band=band)
+        tables[band] = explanations(seed, identify_settling(seed, reading), draws, reading)
+    return pd.concat(tables, names=["band"]).reset_index("band")
+
+
 def identify_workstation(
     seed: int, saturation: dict[str, float], assumed: Assumed = ASSUMED
 ) -> Workstation:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from compendium import thesis
@@ -74,6 +75,23 @@ def test_a_band_of_three_per_cent_decides_for_the_other_explanation() -> None:
     # A narrower band is reached later by the same stage, so that the stage must be faster.
     wide = section_5_4.identify_settling(SEED).saturation
     assert all(times.saturation[zoom] > wide[zoom] for zoom in thesis.ZOOMS)
+
+
+def test_each_band_has_its_own_explanations(monkeypatch) -> None:
+    """The band is in the reading that both the identification and the steps are given."""
+
+    def times(seed: int, reading: section_5_4.Assumed) -> tuple:
+        return seed, reading.band
+
+    def table(seed: int, found: tuple, draws: int, reading: section_5_4.Assumed) -> pd.DataFrame:
+        assert found == (seed, reading.band)
+        return pd.DataFrame({"printed": [draws, 100 * reading.band]})
+
+    monkeypatch.setattr(section_5_4, "identify_settling", times)
+    monkeypatch.setattr(section_5_4, "explanations", table)
+    found = section_5_4.explanations_by_band(7, 9, (0.05, 0.03))
+    assert found["band"].tolist() == [0.05, 0.05, 0.03, 0.03]
+    assert found["printed"].tolist() == [9, 5, 9, 3]
 
 
 def test_an_exact_run_without_jitter_is_dead_beat(station) -> None:

@@ -21,7 +21,7 @@ INVENTORY = {
     "02_microsystems_and_vision": (49, 2, 13, 13),
     "03_visual_reconstruction_and_classification": (43, 3, 2, 8),
     "04_mechanical_characterization": (29, 0, 8, 2),
-    "05_experimental_results": (117, 28, 91, 8),
+    "05_experimental_results": (134, 28, 92, 9),
     "06_conclusion": (28, 0, 16, 4),
     "07_guide_calibration": (13, 0, 0, 0),
     "07_guide_embryo": (14, 0, 0, 0),
