@@ -97,6 +97,12 @@ def test_every_internal_link_resolves(pages: dict[Path, Links]) -> None:
                 )
 
 
+def test_every_benchmark_has_its_question(pages: dict[Path, Links], html: Path) -> None:
+    listed = {link for link in pages[html / "benchmarks.html"].links if link.startswith("#bench")}
+    for result in (ROOT / "benchmarks" / "results").glob("*.json"):
+        assert f"#benchmark-{result.stem.replace('_', '-')}" in listed, result.name
+
+
 def test_every_figure_has_alternative_text(pages: dict[Path, Links]) -> None:
     assert {p.name: n.images_without_alt for p, n in pages.items() if n.images_without_alt} == {}
 
