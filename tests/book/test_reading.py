@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from docutils import nodes
+from PIL import Image
 from playwright.sync_api import Browser, Page
 
 from compendium import ledger
@@ -16,6 +17,7 @@ from compendium import ledger
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT / "book" / "_ext"), str(Path(__file__).parent)]
 from browsing import open_page  # noqa: E402
+from pictures import PICTURES  # noqa: E402
 from test_sources import line_of, place_of_test  # noqa: E402
 
 SURFACES = "notebooks/03_visual_reconstruction_and_classification.html"
@@ -120,26 +122,20 @@ def test_a_badge_leads_to_its_claim(page: Page, html: Path) -> None:
     }""")
 
 
-@pytest.mark.parametrize(
-    ("query", "first"),
-    [
+def test_search_leads_to_a_number_first(page: Page, html: Path) -> None:
+    for query, first in (
         ("5.6", "Section 5.6 Mechanical characterization"),
-        ("section 2.2.1", "Section 2.2.1 Calibration of the optical system"),
         ("equation (4.7)", "Equation (4.7): "),
-        ("fig. 3.2", "Figure 3.2: "),
-        ("Table 5.1", "Table 5.1: "),
-    ],
-)
-def test_search_leads_to_a_number_first(page: Page, html: Path, query: str, first: str) -> None:
-    page.goto((html / "search.html").as_uri() + f"?q={query}")
-    page.wait_for_selector("ul.search li a")
-    assert page.locator("ul.search li a").first.inner_text().startswith(first)
+    ):
+        page.goto((html / "search.html").as_uri() + f"?q={query}")
+        page.wait_for_selector("ul.search li a")
+        assert page.locator("ul.search li a").first.inner_text().startswith(first)
     page.goto((html / "search.html").as_uri() + "?q=chorion")
     page.wait_for_selector("ul.search li a")
     assert page.locator(".number-results").count() == 0
 
 
-def test_every_number_of_the_thesis_can_be_searched(html: Path) -> None:
+def test_every_number_of_the_thesis_is_found_and_leads_somewhere(page: Page, html: Path) -> None:
     text = (html / "_static" / "numbers.js").read_text(encoding="utf-8")
     numbers = json.loads(text.partition("= ")[2].rstrip(";\n"))
     kinds = [kind for entries in numbers.values() for kind, *_ in entries]
@@ -149,10 +145,25 @@ def test_every_number_of_the_thesis_can_be_searched(html: Path) -> None:
         "table": 8,
     }
     assert kinds.count("section") > 20
-    for _, _, address in (one for entries in numbers.values() for one in entries):
-        name, _, anchor = address.partition("#")
-        target = (html / name).read_text(encoding="utf-8")
-        assert not anchor or f'id="{anchor}"' in target, address
+    asked = {
+        "section": ("Section {}", "sec. {}", "§ {}", "section {} of the thesis"),
+        "equation": ("equation ({})", "Eq. {}", "eq ({})"),
+        "figure": ("figure {}", "Fig. {}", "fig.{}"),
+        "table": ("Table {}", "tab. {}"),
+    }
+    queries = {}
+    for number, entries in numbers.items():
+        assert "section" not in [kind for kind, *_ in entries[1:]], number
+        queries |= dict.fromkeys((number, f"({number})", f"what is {number}?"), entries[0])
+        for entry in entries:
+            queries |= {form.format(number): entry for form in asked[entry[0]]}
+            name, _, anchor = entry[2].partition("#")
+            target = (html / name).read_text(encoding="utf-8")
+            assert not anchor or f'id="{anchor}"' in target, entry[2]
+    queries |= dict.fromkeys(("4X zoom", "3-D surface", "16 frames", "4.99X", "v2.1"), None)
+    page.goto((html / "search.html").as_uri())
+    found = page.evaluate("all => all.map(one => findNumber(one)[0] ?? null)", list(queries))
+    assert dict(zip(queries, found, strict=True)) == queries
 
 
 def test_a_page_is_scrolled_over_its_surfaces(browser: Browser, html: Path) -> None:
@@ -278,6 +289,52 @@ def test_every_guide_stands_on_the_first_page_with_its_picture(page: Page, html:
             "src => [...document.images].some(i => i.src === src && i.complete && i.naturalWidth)",
             arg=picture.evaluate("one => one.src"),
         )
+
+
+def test_a_main_function_shows_a_small_picture(html: Path) -> None:
+    assert len(PICTURES) > 12
+    for name, anchor in PICTURES.items():
+        text = (html / "generated" / f"{name}.html").read_text(encoding="utf-8")
+        found = re.search(
+            r'<a class="function-picture" href="\.\./([^"#]+)#([^"]+)">'
+            r'<img src="\.\./([^"]+)" alt="([^"]{40,})" width="(\d+)"',
+            text,
+        )
+        assert found, name
+        assert found[2] == anchor
+        assert f'id="{anchor}"' in (html / found[1]).read_text(encoding="utf-8"), name
+        file = html / found[3]
+        assert file.stat().st_size <= 20_000, name
+        assert Image.open(file).width >= int(found[5])
+
+
+@pytest.mark.parametrize(
+    ("ways", "seen"),
+    [
+        # Install, and recompute the modulus with an own force: by a command, or in the page.
+        (
+            ["a:has-text('Start here')"],
+            ["pip install .", "make book", "07_guide_modulus -p force 150"],
+        ),
+        (
+            ["a:has-text('Four tools in the page')"],
+            ["From a dent to a modulus", "Force F (µN)"],
+        ),
+        # What is wrong in the thesis, and why.
+        (["a:has-text('Errata')"], ["Printed:", "Right:"]),
+        (["a:has-text('Errata')", ".erratum-sources a"], ["def test_"]),
+        # Track a sequence of one's own.
+        (["a:has-text('Start here')", "a:has-text('Follow a part')"], ["-p frames my_film.mp4"]),
+    ],
+)
+def test_a_newcomer_comes_from_the_front_page_to_what_was_asked(
+    page: Page, html: Path, ways: list[str], seen: list[str]
+) -> None:
+    page.goto((html / "intro.html").as_uri())
+    for way in ways:
+        page.locator("article").locator(way).first.click()
+    for text in seen:
+        page.get_by_text(text).locator("visible=true").first.wait_for(timeout=5_000)
 
 
 def test_numbers_are_not_broken_on_a_phone(page: Page, html: Path) -> None:
