@@ -27,7 +27,7 @@ IMAGE_DIGITS = 5
 
 
 def show(name: str) -> None:
-    """Show the current figure; keep its data, `name`.csv and `name`.npz, and `name`.webp for phones."""
+    """Show the current figure; keep its data (`name`.csv, `name`.npz) and a copy for phones."""
     folder = os.environ.get(FOLDER_VARIABLE)
     if folder:
         keep_data(plt.gcf(), Path(folder) / name)

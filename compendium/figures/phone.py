@@ -16,7 +16,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpec
+from matplotlib.gridspec import GridSpec, SubplotSpec
 from matplotlib.legend import Legend
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox, ScaledTranslation
@@ -38,7 +38,7 @@ TOO_FAR = 0.03
 #: Height of a stacked diagram, inches: three of them are seen at once on a phone of 844 px.
 HEIGHT = 2.9
 #: A diagram that is drawn to scale and gets lower than this has no room for its texts, inches.
-LOWEST = 1.2
+LOWEST = 1.5
 #: Mean width of a letter over the size of the text.
 _LETTER = 0.53
 
@@ -46,6 +46,7 @@ _LETTER = 0.53
 def keep_narrow(figure: Figure, path: Path) -> None:
     """Write the second rendering of a figure as WebP."""
     drawn = narrow(figure)
+    drawn.draw_without_rendering()
     drawn.set_layout_engine("none")  # its panels are where they should be
     drawn.set_dpi(DPI)
     canvas = FigureCanvasAgg(drawn)
@@ -122,18 +123,26 @@ def _stack(figure: Figure) -> None:
     beside = max(_place(axes).get_gridspec().ncols for axes in panels)
     bare = all(map(_is_bare, panels))
     columns = min(beside, 2 if bare else 1)
-    if bare and len(panels) == 2 * beside:  # pairs, one below the other, are put side by side
-        panels = [axes for pair in zip(panels[:beside], panels[beside:], strict=True) for axes in pair]
+    if len(panels) == 2 * beside and all(axes.images for axes in panels):
+        # Pictures in pairs, one below the other, are put side by side.
+        panels = [
+            axes for pair in zip(panels[:beside], panels[beside:], strict=True) for axes in pair
+        ]
     if beside > 1:
         for axes in panels:
             _label(axes, panels)
-    for axes in panels:
-        _wrap(axes, WIDTH / columns)
-        if legend := axes.get_legend():
-            _write_legend(axes, legend, loc="upper center")
     for legend in figure.legends[:]:
         legend.remove()
         _write_legend(figure, legend, loc="outside lower center")
+    for axes in panels:
+        _wrap(axes, WIDTH / columns)
+        main = axes.get_legend()
+        for legend in [one for one in axes.get_children() if isinstance(one, Legend)]:
+            legend.remove()
+            if legend is main:
+                _write_legend(axes, legend, loc="upper center")
+            else:
+                _write_legend(figure, legend, loc="outside upper center")
     least = HEIGHT if beside > 1 else max(HEIGHT, panels[0].bbox.height / figure.dpi)
     heights = [_height(axes, WIDTH / columns, least) for axes in panels]
     rows = [max(heights[k : k + columns]) for k in range(0, len(panels), columns)]
@@ -143,11 +152,11 @@ def _stack(figure: Figure) -> None:
     figure.set_size_inches(WIDTH, sum(rows) + sum(map(_inches, figure.legends)))
     figure.draw_without_rendering()
     for axes in panels:
-        if legend := axes.get_legend():
-            _put_below(axes, legend)
+        if below := axes.get_legend():
+            _put_below(axes, below)
 
 
-def _place(axes: Axes):  # noqa: ANN202
+def _place(axes: Axes) -> SubplotSpec:
     place = axes.get_subplotspec()
     if place is None:
         raise ValueError("axes of a figure must stand in a grid, got axes at a fixed place")
@@ -161,19 +170,24 @@ def _label(axes: Axes, panels: list[Axes]) -> None:
         others = [one for one in panels if one is not axes and shared.joined(one, axes)]
         if not others:
             continue
-        axes.tick_params(**{"labelbottom" if name == "x" else "labelleft": True})
+        if name == "x":
+            axes.tick_params(labelbottom=True)
+        else:
+            axes.tick_params(labelleft=True)
         if not getattr(axes, f"get_{name}label")():
             names = [text for one in others if (text := getattr(one, f"get_{name}label")())]
             getattr(axes, f"set_{name}label")(names[0] if names else "")
 
 
 def _height(axes: Axes, width: float, least: float) -> float:
-    """Return how high a panel should be with its texts, inches; of a diagram without scale `least`."""
+    """Return how high a panel should be with its texts, inches: `least` if it has no scale."""
     names = (axes.title, axes.xaxis.label)
     texts = sum(_inches(text) + 0.05 for text in names if text.get_text()) + 0.25 * axes.axison
     if legend := axes.get_legend():
         texts += _inches(legend)
-    if axes.get_aspect() == "auto" or axes.name == "3d":
+    if axes.name == "3d":
+        return width + texts
+    if axes.get_aspect() == "auto":
         return least + texts
     bars = [one for one in axes.figure.axes if hasattr(one, "_colorbar")]
     beside = any(one._colorbar.orientation == "vertical" for one in bars)
@@ -201,7 +215,7 @@ def _write_legend(where: Axes | Figure, legend: Legend, *, loc: str) -> None:
     labels = [text.get_text() for text in legend.get_texts()]
     # Its line and gaps; a legend that is wider than the panel would press it together.
     wide = 0.75 + max(map(len, labels)) * _LETTER * LEAST / 72
-    where.legend(
+    where.legend(  # type: ignore[call-overload]
         handles=legend.legend_handles,
         labels=labels,
         title=legend.get_title().get_text() or None,
@@ -238,12 +252,12 @@ def _text_boxes(figure: Figure) -> Iterator[Bbox]:
     hidden: set[Text] = set()
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):
-            drawn = set(axis._update_ticks()) if axes.axison and axis.get_visible() else set()
+            low, high = sorted(axis.get_view_interval())
             for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()):
-                if tick not in drawn:
+                if not low <= tick.get_loc() <= high:
                     hidden |= {tick.label1, tick.label2}
-            if not axes.axison:
-                hidden |= {axis.label, axis.offsetText}
+            if not (axes.axison and axis.get_visible()):
+                hidden |= set(axis.findobj(Text))
     for text in figure.findobj(Text):
         if text.get_visible() and text.get_text().strip() and text not in hidden:
             box = text.get_window_extent()
