@@ -106,7 +106,9 @@ def show_picture(
         f'<img src="../_static/pictures/{anchor}.webp" alt="{escape(figure.alt)}" '
         f'width="{2 * width // 3}" height="{2 * height // 3}" loading="lazy"></a>'
     )
-    end = lines.index("") if "" in lines else len(lines)
+    # Numpydoc may begin with empty lines.
+    begin = next(k for k, line in enumerate(lines) if line)
+    end = lines.index("", begin) if "" in lines[begin:] else len(lines)
     lines[end:end] = ["", ".. raw:: html", "", f"   {html}", ""]
 
 

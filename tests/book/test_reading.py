@@ -24,61 +24,6 @@ SURFACES = "notebooks/03_visual_reconstruction_and_classification.html"
 CHAPTER = "notebooks/04_mechanical_characterization.html"
 
 
-def formulas(page: Page) -> list[tuple[str, float, float]]:
-    """Return source, share of its full size, and px that stand out, of each display formula."""
-    return page.evaluate("""() =>
-        [...document.querySelectorAll("div.math")].filter(one => one.checkVisibility()).map(one => {
-            const drawn = one.querySelector("mjx-container");
-            one.style.overflowX = drawn.style.overflowX = "auto"; // so that what stands out counts
-            return [one.textContent.slice(0, 40), parseFloat(drawn.style.fontSize || 100) / 100,
-                Math.max(one.scrollWidth, drawn.scrollWidth) - one.clientWidth];
-        })
-    """)
-
-
-def hidden_formulas(page: Page) -> int:
-    """Count the drawn display formulas that have no extent or the color of what is behind them."""
-    return page.evaluate("""() =>
-        [...document.querySelectorAll("mjx-container[display=true]")].filter(formula => {
-            if (!formula.checkVisibility()) return false;  // folded away with what is around it
-            let behind = formula;
-            while (behind && getComputedStyle(behind).backgroundColor === "rgba(0, 0, 0, 0)")
-                behind = behind.parentElement;
-            const ground = behind ? getComputedStyle(behind).backgroundColor : "rgb(255, 255, 255)";
-            const box = formula.querySelector("svg").getBoundingClientRect();
-            return box.width * box.height === 0 || getComputedStyle(formula).color === ground;
-        }).length
-    """)
-
-
-def test_every_formula_is_drawn_and_none_is_cut_or_has_to_be_scrolled(
-    page: Page, html: Path
-) -> None:
-    """On every page that has one, in both themes and on both screens."""
-    # A sidebar and a margin apart, a line holds every formula; on a phone half its size is legible.
-    least = {1280: 1.0, 390: 0.45}
-    pages = [p for p in sorted(html.rglob("*.html")) if 'class="math' in p.read_text("utf-8")]
-    assert len(pages) > 30
-    found = []
-    for path in pages:
-        page.set_viewport_size({"width": 1280, "height": 844})
-        open_page(page, path)
-        page.wait_for_function("window.formulasFit")
-        for width in least:
-            page.set_viewport_size({"width": width, "height": 844})
-            page.evaluate("new Promise(drawn => requestAnimationFrame(() => setTimeout(drawn)))")
-            for theme in ("dark", "light"):
-                page.evaluate(f"document.documentElement.dataset.theme = '{theme}'")
-                assert hidden_formulas(page) == 0, f"{path.name}, {theme}"
-            excess = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
-            assert excess <= 0, f"{path.name} is {excess} px wider than its screen"
-            found += [(path.name, width, *one) for one in formulas(page)]
-    assert len(found) > 160
-    # The box of a glyph reaches a few px past what is drawn of it.
-    assert [one for one in found if one[4] > 6] == []
-    assert [one for one in found if one[3] < least[one[1]]] == []
-
-
 def test_every_claim_leads_to_its_cell_its_test_and_its_erratum(html: Path) -> None:
     text = (html / "claims.html").read_text(encoding="utf-8")
     rows = dict(re.findall(r'<tr class="[^"]*" id="(claim-[^"]+)">(.*?)</tr>', text, re.S))
