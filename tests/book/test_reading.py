@@ -259,7 +259,7 @@ def test_a_main_function_shows_a_small_picture(html: Path) -> None:
         # Install, and recompute the modulus with an own force: by a command, or in the page.
         (
             ["a:has-text('Start here')"],
-            ["pip install .", "make book", "07_guide_modulus -p force 150"],
+            ["pip install .", "make book", "-p force 150 -p force_std 3"],
         ),
         (
             ["a:has-text('Four tools in the page')"],
