@@ -282,6 +282,12 @@ def test_a_newcomer_comes_from_the_front_page_to_what_was_asked(
         page.get_by_text(text).locator("visible=true").first.wait_for(timeout=5_000)
 
 
+def test_an_initial_begins_no_list(html: Path) -> None:
+    pages = {p.stem: p.read_text(encoding="utf-8") for p in (html / "generated").glob("*.html")}
+    assert [name for name, text in pages.items() if '<ol class="upperalpha' in text] == []
+    assert "S. K. Nayar and Y. Nakagawa" in pages["microlib.focus.depth_from_focus"]
+
+
 def test_numbers_are_not_broken_on_a_phone(page: Page, html: Path) -> None:
     page.set_viewport_size({"width": 390, "height": 844})
     for name, numbers in (("symbols", "td a[href*='#equation-']"), ("benchmarks", "td.number p")):
