@@ -35,7 +35,7 @@ from compendium import ledger
 ROOT = Path(__file__).resolve().parents[2]
 FIGURES = ROOT / "build" / "figures"
 CAPTION = re.compile(r"\*\*(Figures?|Tables?) ([^*]+)\*\*")
-INITIAL = re.compile(r"^(\s*)([A-Z]\. [A-Z])")
+INITIAL = re.compile(r"^(\s*(?:\.\. \[[\w-]+\] )?)([A-Z]\. [A-Z])")
 TAG = re.compile(r"\\tag\{(\d\.\d+)\}")
 TABLE = re.compile(r"^\(table-(\d)-(\d)\)=", flags=re.M)
 # A number of an equation in brackets, or of a figure or table with its word.
