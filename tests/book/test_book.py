@@ -184,6 +184,8 @@ def test_surfaces_can_be_turned(page: Page, html: Path) -> None:
     turned = [p for p in (html / "notebooks").glob("*.html") if "plotly-graph-div" in p.read_text()]
     assert turned
     for path in turned:
+        if path.name.startswith("03_"):  # test_reading.py opens it twice
+            continue
         page.goto(path.as_uri())
         page.wait_for_selector(".plotly-graph-div .main-svg", state="attached", timeout=30_000)
         assert page.faults == [], f"{path.name}: {page.faults}"  # type: ignore[attr-defined]

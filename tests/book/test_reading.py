@@ -123,6 +123,9 @@ def test_a_page_is_scrolled_over_its_surfaces(browser: Browser, html: Path) -> N
     page.locator(".turn-surface").first.click()
     assert figure.evaluate("one => getComputedStyle(one).pointerEvents") == "auto"
     assert page.locator(".modebar").count() == 0
+    sizes = figure.evaluate("""one => ["xaxis", "yaxis", "zaxis"].map(
+        name => one._fullLayout.scene[name].tickfont.size).concat(one._fullLayout.font.size)""")
+    assert min(sizes) >= 16  # px, as the page's text
     context.close()
 
 
@@ -138,6 +141,7 @@ def test_a_wheel_scrolls_the_page_and_surfaces_are_dark(page: Page, html: Path) 
     before = page.evaluate("scrollY")
     page.mouse.wheel(0, 200)
     page.wait_for_function(f"scrollY > {before} + 100")
+    assert page.faults == []  # type: ignore[attr-defined]
     ground = page.evaluate("""() => [
         document.querySelector(".plotly-graph-div").layout.paper_bgcolor,
         getComputedStyle(document.documentElement).getPropertyValue("--pst-color-background")]""")
