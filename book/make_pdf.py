@@ -2,7 +2,7 @@
 
 ``make pdf`` runs it after ``make html``. All pages become one, so that links between them hold in
 the PDF; its links, its bookmarks and the numbers below its pages are the browser's. On which page
-a chapter begins is read from a first print, and stands in the contents of the second.
+a chapter begins is read from a first print, and stands in the contents of the next.
 """
 
 from __future__ import annotations
@@ -44,6 +44,8 @@ STYLE = """<style>
 OBJECT = re.compile(rb"^(\d+) 0 obj\n(.*?)^endobj", re.S | re.M)
 KIDS = re.compile(rb"/Kids \[(.*?)\]", re.S)
 DESTINATION = re.compile(rb"/([^\s/<>\[\]]+) \[(\d+) 0 R /XYZ")
+# One to see the numbers, one with them, and one more if they or what is loaded late moved a page.
+MOST_PRINTS = 4
 # Formulas in every script of a big page take their time, s.
 PATIENCE = 600
 
@@ -88,7 +90,7 @@ def gather(html: Path, page: str, pages: list[str]) -> str:
         return f' src="{normpath(join(dirname(page), loaded[1]))}"'
 
     body = IDENTIFIED.sub(rf'\1id="{slug(page)}--\2"', match[1])
-    return LOADED.sub(load, LINKED.sub(lead, body))
+    return LOADED.sub(load, LINKED.sub(lead, body)).replace(' loading="lazy"', "")
 
 
 def title_of(html: Path, page: str) -> str:
@@ -163,17 +165,20 @@ def print_page(page: Page) -> bytes:
 
 
 def print_numbered(page: Page) -> bytes:
-    """Print twice: once to see on which pages the anchors stand, then with that in the contents."""
-    numbers = page_numbers(print_page(page))
-    page.evaluate(
-        """numbers => document.querySelectorAll("[data-page]").forEach(
-            one => { one.textContent = numbers[one.dataset.page]; })""",
-        numbers,
-    )
-    printed = print_page(page)
-    if page_numbers(printed) != numbers:
-        raise ValueError("page must keep its breaks when its contents are numbered, moved some")
-    return printed
+    """Print until the contents have the numbers of the pages on which the anchors stand."""
+    numbers: dict[str, int] = {}
+    for _ in range(MOST_PRINTS):
+        printed = print_page(page)
+        found = page_numbers(printed)
+        if found == numbers:
+            return printed
+        numbers = found
+        page.evaluate(
+            """numbers => document.querySelectorAll("[data-page]").forEach(
+                one => { one.textContent = numbers[one.dataset.page]; })""",
+            numbers,
+        )
+    raise ValueError("page must keep its breaks when its contents are numbered, moved some")
 
 
 def make_pdf(browser: Browser, html: Path, pages: list[str], target: Path) -> None:
