@@ -166,10 +166,12 @@ def print_page(page: Page) -> bytes:
 
 def print_numbered(page: Page) -> bytes:
     """Print until the contents have the numbers of the pages on which the anchors stand."""
+    listed = page.locator("[data-page]").evaluate_all("all => all.map(one => one.dataset.page)")
     numbers: dict[str, int] = {}
     for _ in range(MOST_PRINTS):
         printed = print_page(page)
-        found = page_numbers(printed)
+        every = page_numbers(printed)
+        found = {name: every[name] for name in listed}
         if found == numbers:
             return printed
         numbers = found
