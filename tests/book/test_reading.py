@@ -254,7 +254,8 @@ def test_a_main_function_shows_a_small_picture(html: Path) -> None:
         assert f'id="{anchor}"' in (html / found[1]).read_text(encoding="utf-8"), name
         file = html / found[3]
         assert file.stat().st_size <= 20_000, name
-        assert Image.open(file).width >= int(found[5])
+        with Image.open(file) as picture:
+            assert picture.width >= int(found[5])
 
 
 @pytest.mark.parametrize(
