@@ -342,6 +342,13 @@ def smoothers() -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+NOTE = """\
+The rendered embryos have a modulus of 0.5 to 2 MPa and dimples 40 to 150 µm deep. The noise is 2
+of 255 grey levels; light, place and turn vary. Each method starts from the image and is given the
+force, the pixel size, the thickness, the width of the probe and Poisson's ratio.
+"""
+
+
 def main() -> None:
     cv2.setNumThreads(1)
     warnings.simplefilter("ignore", SmallSlopeWarning)  # the scenes obey the model by construction
@@ -359,10 +366,7 @@ def main() -> None:
             GAUSSIAN_CHOICES_TITLE: choices(GAUSSIAN_CHOICES, scenes[:3], "gaussians"),
         },
         limits=limits(runs, foreign),
-        note="The rendered embryos have a modulus of 0.5 to 2 MPa and dimples 40 to 150 µm deep. "
-        "The noise is 2 of 255 grey levels; light, place and turn vary. Each method starts at the "
-        "image and is given the force, the pixel size, the thickness, the width of the probe and "
-        "Poisson's ratio.",
+        note=NOTE,
     )
 
 

@@ -683,27 +683,32 @@ def limits(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
     )
 
 
-NOTE = (
-    "Depth errors: mean of the seeds, default settings for all scenes, 16 px of border "
-    "left out. The gain of two threads is the median of 60 rounds (10 to 90 %). What the box "
-    "filter gains tells what the machine's second core is worth; a sixth of the work, the "
-    "estimate of the errors, is done by one thread alone. Errors of "
-    "H and K are those at the center without noise; labels are the least share of 20 seeds. "
-    "On photographs the others are judged where microlib gives a depth. The rules that refuse "
-    "a depth were made with the domes of brick, camera, coins and moon in view; the other "
-    "photographs were first seen after. Above 0.75 are four balls and the stereo scene, for "
-    "their vertical edges. An error that falls clearly without the least confident tenth is "
-    "read as one of at most 0.95; three smooth scenes stay above. Rules and constants: RMS error "
-    "over that of the full default, geometric mean (least to most), and the change of the share of "
-    "all pixels without a depth and of those wrong by more than a step, in percent of the pixels, "
-    "on the 13 scenes (one seed) and the photographs (all surfaces for the rules, domes for the "
-    "constants). A rule that is off also gives depths to pixels that then count in the error; an "
-    "RMS below 1 with more unknown pixels is no gain. No constant was changed for these tables. "
-    "Each rule earns its place somewhere: on the scenes, which have texture everywhere, only the "
-    "choice of a side and the relief do; on photographs all but the relief. Incoherent and "
-    "isolated pixels are few, and worth a tenth of the error together. The weights at the image's "
-    "border earn nothing on most scenes; they are kept until a stack says more."
-)
+NOTE = """\
+Depth errors are means over the seeds, with the default settings for all scenes and without the
+outermost 16 px.
+
+- *Peers.* On photographs the other methods are judged where `microlib` gives a depth. The rules
+  that refuse a depth were made with the domes of brick, camera, coins and moon in view; the other
+  photographs were first seen afterwards. Four balls and the stereo scene miss the limit of 0.75,
+  because of their vertical edges.
+- *Confidence.* An error that clearly falls when the least confident tenth is left out is read as a
+  ratio of at most 0.95. Three smooth scenes stay above it.
+- *Threads.* The gain of two threads is the median of 60 rounds (10 to 90 %). The gain of the box
+  filter shows what the machine's second core is worth. One thread alone does a sixth of the work,
+  the estimate of the errors.
+- *Curvature.* Errors of H and K are those at the center without noise; the share of right labels
+  is the least of 20 seeds.
+- *Rules and constants.* Each row gives the RMS error over that of the full default (geometric
+  mean, least to most), and how the shares of pixels without a depth, and of pixels wrong by more
+  than a step, change, in percent of all pixels. The 13 scenes have one seed; the photographs are
+  all surfaces for the rules and domes for the constants. With a rule switched off, more pixels get
+  a depth and count in the error, so an RMS below 1 together with more unknown pixels is no gain.
+  No constant was changed because of these tables.
+- *What the rules are worth.* On the scenes, which have texture everywhere, only the choice of a
+  side and the relief matter; on photographs all rules matter except the relief. Incoherent and
+  isolated pixels are few and account for a tenth of the error together. The weights at the image's
+  border gain nothing on most scenes, and are kept until a stack shows otherwise.
+"""
 
 
 def _republish(tables: dict[str, pd.DataFrame]) -> None:

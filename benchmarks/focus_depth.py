@@ -454,17 +454,22 @@ def limits(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
     return must_hold(lines)
 
 
-NOTE = (
-    "Frames of 192×192 px, 21 a stack, blur 1 px a step: discs for even seeds, Gaussians for odd "
-    "ones; 12 px of border left out; seeds and photographs that were not in view while constants "
-    "were chosen. Before: the default that measured in frames, tables of this file's neighbor. "
-    "Deciles: pixels sorted by their stated uncertainty, RMS error over RMS stated. Constants: "
-    "below 1 is better. Real stacks, grey as OpenCV reads them, registered only where said: board, "
-    "two SMD parts, 49 frames, dorinbotan/FocusStack, assets/9, Apache-2.0; pcb, ten coarse frames "
-    "whose scale changes by 15 %, PetteriAimonen/focus-stack, examples/depthmap, MIT. The rule "
-    "against halos was made with board in view, its limits with rendered lettering and "
-    "photographs; that against random depths with pcb in view, its limits with photographs."
-)
+NOTE = """\
+These stacks were rendered by formulas that the method does not share: 21 frames of 192×192 px,
+with a blur that grows by 1 px per step, of discs for even seeds and of Gaussians for odd ones. The
+outermost 12 px are left out. Seeds and photographs were not in view while constants were chosen.
+
+- *Before* is the default of an earlier version, whose lengths were counted in frames.
+- *Deciles*: pixels are sorted by their stated uncertainty, and the RMS error of each tenth is
+  divided by the RMS stated.
+- *Constants*: below 1 is better than the default.
+- *Real stacks* are read as grey by OpenCV, and registered only where the row says so. *Board*
+  shows two SMD parts in 49 frames (dorinbotan/FocusStack, assets/9, Apache-2.0). *Pcb* has ten
+  coarse frames whose scale changes by 15 % (PetteriAimonen/focus-stack, examples/depthmap, MIT).
+  The rule against halos was made with board in view, and its limits with rendered lettering and
+  photographs; the rule against random depths was made with pcb in view, and its limits with
+  photographs.
+"""
 
 
 def main() -> None:

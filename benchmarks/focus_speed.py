@@ -147,6 +147,13 @@ print((peak() - before) / {SIDE}**2)
 """
 
 
+NOTE = """\
+Time is processor time of one thread, in units of one pass of OpenCV's 5×5 box filter over the same
+frames. Both are measured in turn. On a machine that does other work as well, their ratio changes
+by a tenth. The first call compiles the code, which later processes load from disk.
+"""
+
+
 def main() -> None:
     cv2.setNumThreads(1)
     stacks = scenes()
@@ -187,7 +194,7 @@ def main() -> None:
             ("memory, bytes a pixel", memory, "≤", 40),
         ]
     )
-    publish("focus_speed", tables, limits=limits, note=__doc__ or "")
+    publish("focus_speed", tables, limits=limits, note=NOTE)
 
 
 if __name__ == "__main__":

@@ -228,6 +228,14 @@ def kills(folder: Path) -> Iterator[tuple[str, int, int, int]]:
         yield name, done_of(place), loads(place), wrong_in(place, whole)
 
 
+NOTE = """\
+`depth_to_zarr` works on stacks that are larger than memory, tile by tile. The first table compares
+its depths with those of `depth_from_focus` on the whole stack, bit by bit. The second has its peak
+memory, and the third what is computed twice after a worker or the whole run was killed. A stack of
+16384×16384×20 takes ten to twenty minutes, and is measured only when asked for (`--whole`).
+"""
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--whole", action="store_true", help="do 16384×16384×20, too")
@@ -266,7 +274,7 @@ def main() -> None:
             ("tiles begun twice, the run killed", killed[1][2] - killed[1][1], "≤", 2),
         ]
     )
-    publish("focus_tiles", tables, limits=limits, note=__doc__ or "")
+    publish("focus_tiles", tables, limits=limits, note=NOTE)
 
 
 if __name__ == "__main__":

@@ -87,6 +87,16 @@ def ends() -> pd.DataFrame:
     return pd.DataFrame(rows).round(3)
 
 
+NOTE = """\
+The eggs have a radius of 520 to 660 µm and a modulus of 0.5 to 2 MPa, and are inflated by 1 to 8
+%. The pipette is 36 to 64 µm wide, and an image has 3.9 µm per pixel and a noise of two grey
+levels. Dimples are at least 18 µm deep, and the wall gives way at {rupture} times the target.
+
+The true egg is the capsule of `indent_capsule`, and the force is read with the same model and the
+exact modulus. What a real egg does otherwise is not in these errors.
+"""
+
+
 def main() -> None:
     runs, failed = approaches(), faults()
     # What had happened before the fault came has nothing to answer for.
@@ -130,11 +140,7 @@ def main() -> None:
                 ),
             ]
         ),
-        note="Eggs of 520 to 660 µm radius and 0.5 to 2 MPa, inflated by 1 to 8 %, under a pipette "
-        "36 to 64 µm wide at 3.9 µm/px with a noise of two grey levels; dimples of 18 µm or more. "
-        f"The wall gives way at {RUPTURE} times the target. The truth is the capsule of "
-        "indent_capsule, which the force is read by as well: what a real egg does otherwise is "
-        "not in these errors. The modulus is known exactly.",
+        note=NOTE.format(rupture=RUPTURE),
     )
 
 

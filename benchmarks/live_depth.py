@@ -60,6 +60,14 @@ def push_times() -> tuple[float, float]:
     return float(np.median(pushes)), float(np.median(shares))
 
 
+NOTE = """\
+Each stack has {positions} positions, 12 µm apart. The parts are 120 to 150 µm high; one scene
+fills the whole range, and one has a part 12 px wide and 100 µm high on a dome. The blur grows by
+0.06 px per µm, the noise is two grey levels, a coarse look takes every {coarse} positions, and
+there are {seeds} seeds.
+"""
+
+
 def main() -> None:
     table = runs()
     push, share = push_times()
@@ -97,9 +105,7 @@ def main() -> None:
                 ("time of a push over the frame's share of the whole", push / share, "≤", 1),
             ]
         ),
-        note=f"{len(POSITIONS)} positions, 12 µm apart, for parts of 120 to 150 µm, one that fills "
-        f"the range, and one of 12 px and 100 µm on a dome; 0.06 px of blur a µm, noise of two "
-        f"grey levels; a coarse look at every {COARSE} positions; {len(SEEDS)} seeds.",
+        note=NOTE.format(positions=len(POSITIONS), coarse=COARSE, seeds=len(SEEDS)),
     )
 
 

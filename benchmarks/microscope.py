@@ -137,6 +137,14 @@ def loop_gains() -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+NOTE = """\
+Each row is over {runs} runs. A rendered gripper of 50 px stands under a camera that is turned at
+random, mirrored or not, with 0.08 to 0.6 px/µm and a noise of two grey levels. The target lies up
+to 50 px away in x and in y, and the tolerance is 0.05 px. Errors are those of the true feature;
+for the demo camera that is its stage at 1 µm/px.
+"""
+
+
 def main() -> None:
     installed = engine()
     kinds = ["simulated", "engine"] if installed else ["simulated"]
@@ -167,14 +175,8 @@ def main() -> None:
             "Loop gain": loop_gains(),
         },
         limits=must_hold(lines),
-        note=(
-            f"Each row is over {len(SEEDS)} runs. A rendered gripper of 50 px stands under a "
-            "camera that is turned at random, mirrored or not, with 0.08 to 0.6 px/µm and a noise "
-            "of two grey levels. The target lies up to 50 px away in x and in y, and the tolerance "
-            "is 0.05 px. Errors are those of the true feature; for the demo camera that is its "
-            "stage at 1 µm/px. "
-            + (f"pymmcore-plus {installed}." if installed else "pymmcore-plus was not installed.")
-        ),
+        note=NOTE.format(runs=len(SEEDS))
+        + (f" pymmcore-plus {installed}." if installed else " pymmcore-plus was not installed."),
     )
 
 

@@ -38,13 +38,16 @@ FOCUS_SIDES = ((112, 112), (120, 128), (144, 144), (160, 140))
 
 RIGHT = "Named right, by threshold over |H| and through focus, %"
 REFUSED = "Unknown shapes refused, %"
-NOTE = (
-    "Solids cast from above, seed {seed}, 20 parts of each kind and size, each with five levels of "
-    "noise and once through a focal stack of 21 frames (blur by discs in half of them). The "
-    "threshold is 3.5 standard errors of H with windows of 7 px on the map as given. Half of the "
-    "maps tell their noise, the others leave it to be estimated. Pyramids, tori and egg boxes were "
-    "not among the other shapes of learning; mesas, tents, washers and waves were."
-)
+NOTE = """\
+The parts are solids that are seen from above, with sizes, turns and tilts of their own: 20 parts
+of each kind and size (seed {seed}), each at five levels of noise, and once through a focal stack
+of 21 frames. Half of the stacks are blurred by discs. The columns give the noise as threshold over
+|H|; the threshold is 3.5 standard errors of H with windows of 7 px.
+
+- Half of the maps come with their noise stated; for the others it is estimated.
+- *Unknown shapes* are pyramids, tori and egg boxes, which learning was not shown. It was shown
+  mesas, tents, washers and waves as examples of what is no part.
+"""
 
 Rng = np.random.Generator
 Field = Callable[[NDArray], NDArray]

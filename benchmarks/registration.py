@@ -414,13 +414,16 @@ def limits(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
     return must_hold(lines)
 
 
-NOTE = (
-    "Ratios are of RMS errors where both depths are known, 14 px of border left out; the mean is "
-    "geometric, over scenes with textures and seeds that the method was not made with. Pixels that "
-    "some frame near their focus does not show have no depth. The reference is the middle frame. "
-    "A single wrong patch decides the worst ratios on photographs, where texture is missing in "
-    "places. Real stacks: luminance; the halves are those of one registration."
-)
+NOTE = """\
+A ratio compares the RMS error after registration with that of the same stack at rest, where both
+depths are known and without the outermost 14 px. Means are geometric. The textures and seeds are
+not those that the method was made with, and the renderers share nothing with it.
+
+- A pixel that a frame near its focus does not show has no depth. The reference is the middle
+  frame.
+- On photographs, where texture is missing in places, a single wrong patch decides the worst ratio.
+- Real stacks are read as luminance. Odd and even frames are halves of one registered stack.
+"""
 
 
 def main() -> None:

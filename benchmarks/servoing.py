@@ -236,6 +236,14 @@ def _decays(gain: float, delay: float) -> bool:
     return bool(size[400:].max() < 1.0)
 
 
+NOTE = """\
+The simulated camera takes 33 frames per second, and a command takes effect 0.8 frames after its
+exposure. The stage moves at up to 400 µm/s in increments of 50 nm, the image shakes by {jitter}
+px, and the calibration is known to 1 % and 1°. Every number is over {seeds} seeds. Errors are
+those of the true feature; after a step they are counted from 1.5 s on.
+"""
+
+
 def main() -> None:
     publish(
         "servoing",
@@ -245,13 +253,7 @@ def main() -> None:
             "Rendered and fast loop": modes(),
             "Stability": stability(),
         },
-        note=(
-            "The simulated camera takes 33 frames per second, and a command takes effect 0.8 "
-            "frames after its exposure. The stage moves at up to 400 µm/s in increments of 50 nm, "
-            f"the image shakes by {CAMERA.jitter} px, and the calibration is known to 1 % and 1°. "
-            f"Every number is over {SEEDS} seeds. Errors are those of the true feature; after a "
-            "step they are counted from 1.5 s on."
-        ),
+        note=NOTE.format(jitter=CAMERA.jitter, seeds=SEEDS),
     )
 
 

@@ -447,6 +447,21 @@ def limits(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
     )
 
 
+NOTE = """\
+Templates are 50×50 px of white noise, blurred by σ = 1 px; the camera's noise is 2 grey levels,
+and the gain changes by 5 %. A trial moves the corners by exactly the displacement named (root mean
+square), either by a shift in a random direction or each corner on its own. It succeeds if all four
+corners are found to within 1 px.
+
+- *ESM, gradients only* omits the search by correlation and the distorted starts; *one resolution*
+  does so as well, and smooths by σ = 3 px.
+- A *basin* is the largest shift at which 38 of 40 trials succeed, sought up to 30 px.
+- *Times* are those of one frame within a sequence.
+- *Constants* have the names of the source, where each is explained. *Wrong* is a result that is
+  more than 1 px off and not called lost.
+"""
+
+
 def main() -> None:
     cv2.setNumThreads(1)
     tables = {
@@ -461,17 +476,7 @@ def main() -> None:
         "tracking",
         tables,
         limits=limits(tables),
-        note=(
-            "Templates of 50×50 px of white noise blurred by σ = 1 px, camera noise of 2 grey "
-            "levels, 5 % gain change. Every trial moves the corners by exactly the displacement "
-            "named (root mean square): a shift in a random direction, or corners displaced "
-            "independently. Success: all four corners within 1 px. ESM by gradients only omits the "
-            "search by correlation and the distorted starts, as does the single resolution, "
-            "which is smoothed by σ = 3 px. A basin "
-            "is the largest shift that 38 of 40 trials survive, sought up to 30 px. Times are "
-            "those of a frame within a sequence. Constants are those of the source, in which "
-            "each is explained, and wrong is what lies over 1 px off without being called lost."
-        ),
+        note=NOTE,
     )
 
 

@@ -460,6 +460,25 @@ def limits(held: pd.DataFrame) -> pd.DataFrame:
     )
 
 
+NOTE = """\
+Each row has {pairs} pairs of images, those of the development photographs a third as many.
+Templates are 50×50 px of scikit-image's photographs, with a gradient of at least 2.5 grey levels
+per px in every direction and a noise of 2. Quintic splines warp them: for a homography each corner
+moves by a normal deviate of 2 px, and a translation is 12 px long.
+
+- *Hidden*: covered in part by a rectangle of another photograph.
+- *Ramp*: brightness changes by ±12 % over the template. *Gamma*: 0.5. *Blur*: σ = 2 px.
+- *Gone*: the template and its surroundings are replaced by another photograph or another place of
+  the same. *Other image*: the whole frame shows another photograph.
+- *Success*: all corners are found to within 1 px. *Silent*: more than 3 px off and not called
+  lost. *Good but lost*: within 1 px if the verdict is ignored.
+- *z-rms*: root mean square of the middle's errors over their stated standard deviation.
+
+The verdict was fitted to the development photographs (seeds {fit} and following), on which the
+constants are changed as well. Times are processor time.
+"""
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--fit", action="store_true", help="fit the verdict's coefficients")
@@ -477,19 +496,7 @@ def main() -> None:
         "tracking_evidence",
         tables,
         limits=limits(held),
-        note=(
-            f"{PAIRS} pairs a cell, of the development photographs a third, from photographs of "
-            "scikit-image, templates of 50×50 px with a gradient of 2.5 grey levels a px at least "
-            "in every direction, noise 2, warped by quintic splines: homographies whose corners "
-            "move by a normal 2 px, shifts of 12 px. "
-            "Hidden: a rectangle of another photograph; ramp ±12 % over the template; gamma 0.5; "
-            "blur σ = 2 px; gone: the template and its surroundings replaced by another photograph "
-            "or another place of the same. Success: all corners within 1 px; silent: over 3 px off "
-            "and not called lost. z-rms: errors of the middle over their standard deviation. "
-            "Good but lost: within 1 px if the verdict is ignored. The verdict was fitted to the "
-            f"development photographs, seeds {FIT_SEED} and following; constants are changed on "
-            "the same photographs. Times are processor time."
-        ),
+        note=NOTE.format(pairs=PAIRS, fit=FIT_SEED),
     )
 
 

@@ -199,12 +199,13 @@ class Rooms(SphinxDirective):
         users = {name for name, others in graph.items() if COMMON in others}
         subjects = {n: others - {COMMON} for n, others in graph.items() if n != COMMON}
         without = subjects.keys() - users
-        below = f"{COMMON}, for all" + (f" but {listed(without)}" if without else "")
+        below = f"{COMMON}, for all" + (f" except {listed(without)}" if without else "")
         drawing = nodes.raw("", draw(subjects, below=below), format="html")
         from thesis import table
 
         rows = [self.row(name, subjects[name]) for name in sorted(subjects)]
-        return [drawing, table(["Package", "What it is for", "Imports"], rows)]
+        head = ["Package", "What it is for", "Imports"]
+        return [drawing, table(head, rows, classes=["whole-names"])]
 
     def row(self, name: str, others: set[str]) -> list[nodes.Node | str]:
         uri = self.env.app.builder.get_relative_uri(self.env.docname, "api")

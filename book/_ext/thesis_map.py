@@ -35,6 +35,7 @@ from compendium import ledger
 ROOT = Path(__file__).resolve().parents[2]
 FIGURES = ROOT / "build" / "figures"
 CAPTION = re.compile(r"\*\*(Figures?|Tables?) ([^*]+)\*\*")
+INITIAL = re.compile(r"^(\s*(?:\.\. \[[\w-]+\] )?)([A-Z]\. [A-Z])")
 TAG = re.compile(r"\\tag\{(\d\.\d+)\}")
 TABLE = re.compile(r"^\(table-(\d)-(\d)\)=", flags=re.M)
 # A number of an equation in brackets, or of a figure or table with its word.
@@ -279,6 +280,13 @@ def link_back(
         lines += ["", ".. rubric:: In the thesis", "", ", ".join(links) + ".", ""]
 
 
+def keep_initials(
+    app: Sphinx, what: str, name: str, obj: object, options: Any, lines: list[str]
+) -> None:
+    """Let a source that begins with an initial be no item of a list from A to Z."""
+    lines[:] = [INITIAL.sub(r"\1\\\2", line) for line in lines]
+
+
 def show_result(
     app: Sphinx, what: str, name: str, obj: object, options: Any, lines: list[str]
 ) -> None:
@@ -317,6 +325,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("doctree-read", link_data)
     app.connect("doctree-read", link_numbers)
     # After numpydoc, which rewrites the lines it is given.
+    app.connect("autodoc-process-docstring", keep_initials, priority=900)
     app.connect("autodoc-process-docstring", show_result, priority=900)
     app.connect("autodoc-process-docstring", link_back, priority=900)
     app.connect("build-finished", copy_figures)

@@ -1,11 +1,16 @@
 // On the search page, put what "5.6", "equation 4.7" or "fig. 3.2" leads to before the other results.
+// Kind, text and address of all that a query may mean; nothing for "4X", "3-D" or "16 frames".
+globalThis.findNumber = query => {
+  const kinds = { sec: "section", ch: "section", eq: "equation", fig: "figure", tab: "table" };
+  const asked = /(?:\b(sec|ch|eq|fig|tab)[a-z]*\.?\s*|(?<![\w.]))\(?(\d(?:\.\d+)*)(?!\.?[\w-])/i.exec(query);
+  const kind = kinds[asked?.[1]?.toLowerCase()];
+  return (thesisNumbers[asked?.[2]] ?? []).filter(([one]) => !kind || one === kind);
+};
+
 addEventListener("DOMContentLoaded", () => {
   const results = document.getElementById("search-results");
   if (!results || !globalThis.thesisNumbers) return;
-  const query = new URLSearchParams(location.search).get("q") ?? "";
-  const asked = /(?:(sec|eq|fig|tab|chapter)\w*\.?)?\s*\(?(\d(?:\.\d+)*)\)?/i.exec(query);
-  const kind = { sec: "section", eq: "equation", fig: "figure", tab: "table", chapter: "section" }[asked?.[1]?.toLowerCase()];
-  const found = (thesisNumbers[asked?.[2]] ?? []).filter(([one]) => !kind || one === kind);
+  const found = findNumber(new URLSearchParams(location.search).get("q") ?? "");
   if (!found.length) return;
   const list = document.createElement("ul");
   list.className = "search number-results";

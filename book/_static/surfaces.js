@@ -19,13 +19,19 @@ addEventListener("load", () => {
   paint();
   new MutationObserver(paint).observe(document.documentElement, { attributes: true, attributeFilter: ["data-theme"] });
 
-  // On a phone the colors' scale is thin and the eye further back, so that no axis is cut.
+  // On a phone texts are as large as the page's, and the eye further back, so that no axis is cut. Colors that repeat the
+  // heights, which an axis has, need no scale.
   if (innerWidth < 600)
     for (const figure of figures) {
       const eye = figure._fullLayout?.scene?.camera?.eye;
       if (!eye) continue;
-      Plotly.restyle(figure, { "colorbar.thickness": 10, "colorbar.xpad": 0 });
-      Plotly.relayout(figure, { "scene.camera.eye": { x: 1.75 * eye.x, y: 1.75 * eye.y, z: 1.75 * eye.z } });
+      Plotly.restyle(figure, { "colorbar.thickness": 10, showscale: Boolean(figure.data[0].colorbar?.ticktext) });
+      const title = figure._fullLayout.title.text.replace(/(.{1,30})(\s|$)/g, "$1<br>").replace(/<br>$/, "");
+      const change = { "font.size": 16, "title.font.size": 18, "title.text": title, "margin.t": 60,
+        "scene.camera.eye": { x: 1.75 * eye.x, y: 1.75 * eye.y, z: 1.75 * eye.z } };
+      for (const axis of ["xaxis", "yaxis", "zaxis"])
+        Object.assign(change, { [`scene.${axis}.tickfont.size`]: 16, [`scene.${axis}.nticks`]: 3 });
+      Plotly.relayout(figure, change);
     }
 
   // The wheel belongs to the page; plotly would take it whether it zooms or not.

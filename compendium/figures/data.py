@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.container import BarContainer
 from matplotlib.figure import Figure
 
+from compendium.figures.phone import keep_narrow
 from microlib._common import replace_file
 
 __all__ = ["FOLDER_VARIABLE", "keep_data", "show"]
@@ -26,10 +27,11 @@ IMAGE_DIGITS = 5
 
 
 def show(name: str) -> None:
-    """Show the current figure and keep its data as `name`.csv and `name`.npz."""
+    """Show the current figure; keep its data (`name`.csv, `name`.npz) and a copy for phones."""
     folder = os.environ.get(FOLDER_VARIABLE)
     if folder:
         keep_data(plt.gcf(), Path(folder) / name)
+        keep_narrow(plt.gcf(), Path(folder) / f"{name}.webp")
     plt.show()
 
 

@@ -107,7 +107,8 @@ def draw_sinking_stage() -> Figure:
             _dimension(axes, -0.92, (0, -lowered), "d")
     _dimension(row[0], 0.62, (0, top), "$d_s$")
     row[0].text(0.36, 1.06, "objective", fontsize=11)
-    row[0].text(-1.25, 0.04, "plane in focus", color=COLORS["orange"], fontsize=11)
+    below = {"color": COLORS["orange"], "fontsize": 11, "va": "top"}
+    row[0].text(-1.25, -0.12, "plane in focus", **below)
     for axes in row[1:]:
         axes.annotate("", (1.15, -0.95), (1.15, -0.3), arrowprops={"arrowstyle": "-|>", "lw": 4})
     row[1].text(1.05, -0.85, "the stage sinks", ha="right", va="center", fontsize=11)

@@ -30,7 +30,9 @@ def refused_formulas(page: Page) -> list[str]:
 
 def hindrances(page: Page) -> list[str]:
     """Return what axe-core calls a serious or critical hindrance to some readers."""
-    found = Axe().run(page).response["violations"]
+    # It would ask for the style sheets once more, which no page from a file may.
+    options = {"resultTypes": ["violations"], "preload": False}
+    found = Axe().run(page, options=options).response["violations"]
     return [
         f"{v['id']}: {v['nodes'][0]['html'][:120]}"
         for v in found

@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser
+from playwright.sync_api import Browser, Page
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "book"))
-from make_pdf import combine, gather, make_pdf, pages_in_order, slug  # noqa: E402
+from make_pdf import combine, gather, make_pdf, page_numbers, pages_in_order, print_numbered, slug  # noqa: E402
 
 FEW = ["intro", "conventions", "errata", "claims"]
 
@@ -60,3 +60,34 @@ def test_a_few_pages_are_printed(html: Path, tmp_path: Path, browser: Browser) -
     assert data.count(b"/Subtype /Link") > 40  # between errata and claims
     assert b"/Outlines" in data
     assert not (html / "whole_book.html").exists()
+    numbers = page_numbers(data)
+    first = [numbers[slug(name)] for name in FEW[1:]]
+    assert first[0] > 2  # behind the first page and the contents
+    assert first == sorted(set(first))
+    assert first[-1] <= data.count(b"/Type /Page\n")
+
+
+def test_the_contents_say_on_which_page_a_chapter_begins(page: Page) -> None:
+    # More sheets than one node of the browser's tree of pages holds.
+    sheets = {"one": 2, "two--x": 3, "three": 14}
+    starts = {number: name for name, number in sheets.items()}
+    body = "".join(
+        f'<p style="break-before: page" id="{starts.get(k, k)}">{k}</p>' for k in range(2, 20)
+    )
+    lines = "".join(f'<a href="#{name}">go</a><i data-page="{name}"></i>' for name in sheets)
+    page.set_content(lines + body)
+    assert print_numbered(page).count(b"/Type /Page\n") == 19
+    shown = page.locator("i").all_inner_texts()
+    assert dict(zip(sheets, map(int, shown), strict=True)) == sheets
+    # Numbers that take room move what they name.
+    page.set_content('<a href="#x">go</a><i data-page="x"></i><p id="x">1</p>' + "<p>2</p>" * 50)
+    page.add_style_tag(content="i:not(:empty) { display: block; height: 2000px }")
+    printed = print_numbered(page)
+    assert page.locator("i").inner_text() == str(page_numbers(printed)["x"]) != "1"
+    page.evaluate("""() => new MutationObserver(
+        () => document.querySelector("i").classList.toggle("restless")
+    ).observe(document.querySelector("i"), { childList: true })""")
+    page.add_style_tag(content="i.restless { height: 4000px !important }")
+    page.locator("i").evaluate("one => one.replaceChildren()")
+    with pytest.raises(ValueError, match="page must keep its breaks"):
+        print_numbered(page)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from docutils import nodes
+from PIL import Image
 from playwright.sync_api import Browser, Page
 
 from compendium import ledger
@@ -16,65 +17,11 @@ from compendium import ledger
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT / "book" / "_ext"), str(Path(__file__).parent)]
 from browsing import open_page  # noqa: E402
+from pictures import PICTURES  # noqa: E402
 from test_sources import line_of, place_of_test  # noqa: E402
 
 SURFACES = "notebooks/03_visual_reconstruction_and_classification.html"
 CHAPTER = "notebooks/04_mechanical_characterization.html"
-
-
-def formulas(page: Page) -> list[tuple[str, float, float]]:
-    """Return source, share of its full size, and px that stand out, of each display formula."""
-    return page.evaluate("""() =>
-        [...document.querySelectorAll("div.math")].filter(one => one.checkVisibility()).map(one => {
-            const drawn = one.querySelector("mjx-container");
-            one.style.overflowX = drawn.style.overflowX = "auto"; // so that what stands out counts
-            return [one.textContent.slice(0, 40), parseFloat(drawn.style.fontSize || 100) / 100,
-                Math.max(one.scrollWidth, drawn.scrollWidth) - one.clientWidth];
-        })
-    """)
-
-
-def hidden_formulas(page: Page) -> int:
-    """Count the drawn display formulas that have no extent or the color of what is behind them."""
-    return page.evaluate("""() =>
-        [...document.querySelectorAll("mjx-container[display=true]")].filter(formula => {
-            if (!formula.checkVisibility()) return false;  // folded away with what is around it
-            let behind = formula;
-            while (behind && getComputedStyle(behind).backgroundColor === "rgba(0, 0, 0, 0)")
-                behind = behind.parentElement;
-            const ground = behind ? getComputedStyle(behind).backgroundColor : "rgb(255, 255, 255)";
-            const box = formula.querySelector("svg").getBoundingClientRect();
-            return box.width * box.height === 0 || getComputedStyle(formula).color === ground;
-        }).length
-    """)
-
-
-def test_every_formula_is_drawn_and_none_is_cut_or_has_to_be_scrolled(
-    page: Page, html: Path
-) -> None:
-    """On every page that has one, in both themes and on both screens."""
-    # A sidebar and a margin apart, a line holds every formula; on a phone half its size is legible.
-    least = {1280: 1.0, 390: 0.45}
-    pages = [p for p in sorted(html.rglob("*.html")) if 'class="math' in p.read_text("utf-8")]
-    assert len(pages) > 30
-    found = []
-    for path in pages:
-        page.set_viewport_size({"width": 1280, "height": 844})
-        open_page(page, path)
-        page.wait_for_function("window.formulasFit")
-        for width in least:
-            page.set_viewport_size({"width": width, "height": 844})
-            page.evaluate("new Promise(drawn => requestAnimationFrame(() => setTimeout(drawn)))")
-            for theme in ("dark", "light"):
-                page.evaluate(f"document.documentElement.dataset.theme = '{theme}'")
-                assert hidden_formulas(page) == 0, f"{path.name}, {theme}"
-            excess = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
-            assert excess <= 0, f"{path.name} is {excess} px wider than its screen"
-            found += [(path.name, width, *one) for one in formulas(page)]
-    assert len(found) > 160
-    # The box of a glyph reaches a few px past what is drawn of it.
-    assert [one for one in found if one[4] > 6] == []
-    assert [one for one in found if one[3] < least[one[1]]] == []
 
 
 def test_every_claim_leads_to_its_cell_its_test_and_its_erratum(html: Path) -> None:
@@ -120,26 +67,20 @@ def test_a_badge_leads_to_its_claim(page: Page, html: Path) -> None:
     }""")
 
 
-@pytest.mark.parametrize(
-    ("query", "first"),
-    [
+def test_search_leads_to_a_number_first(page: Page, html: Path) -> None:
+    for query, first in (
         ("5.6", "Section 5.6 Mechanical characterization"),
-        ("section 2.2.1", "Section 2.2.1 Calibration of the optical system"),
         ("equation (4.7)", "Equation (4.7): "),
-        ("fig. 3.2", "Figure 3.2: "),
-        ("Table 5.1", "Table 5.1: "),
-    ],
-)
-def test_search_leads_to_a_number_first(page: Page, html: Path, query: str, first: str) -> None:
-    page.goto((html / "search.html").as_uri() + f"?q={query}")
-    page.wait_for_selector("ul.search li a")
-    assert page.locator("ul.search li a").first.inner_text().startswith(first)
+    ):
+        page.goto((html / "search.html").as_uri() + f"?q={query}")
+        page.wait_for_selector("ul.search li a")
+        assert page.locator("ul.search li a").first.inner_text().startswith(first)
     page.goto((html / "search.html").as_uri() + "?q=chorion")
     page.wait_for_selector("ul.search li a")
     assert page.locator(".number-results").count() == 0
 
 
-def test_every_number_of_the_thesis_can_be_searched(html: Path) -> None:
+def test_every_number_of_the_thesis_is_found_and_leads_somewhere(page: Page, html: Path) -> None:
     text = (html / "_static" / "numbers.js").read_text(encoding="utf-8")
     numbers = json.loads(text.partition("= ")[2].rstrip(";\n"))
     kinds = [kind for entries in numbers.values() for kind, *_ in entries]
@@ -149,10 +90,25 @@ def test_every_number_of_the_thesis_can_be_searched(html: Path) -> None:
         "table": 8,
     }
     assert kinds.count("section") > 20
-    for _, _, address in (one for entries in numbers.values() for one in entries):
-        name, _, anchor = address.partition("#")
-        target = (html / name).read_text(encoding="utf-8")
-        assert not anchor or f'id="{anchor}"' in target, address
+    asked = {
+        "section": ("Section {}", "sec. {}", "§ {}", "section {} of the thesis"),
+        "equation": ("equation ({})", "Eq. {}", "eq ({})"),
+        "figure": ("figure {}", "Fig. {}", "fig.{}"),
+        "table": ("Table {}", "tab. {}"),
+    }
+    queries = {}
+    for number, entries in numbers.items():
+        assert "section" not in [kind for kind, *_ in entries[1:]], number
+        queries |= dict.fromkeys((number, f"({number})", f"what is {number}?"), entries[0])
+        for entry in entries:
+            queries |= {form.format(number): entry for form in asked[entry[0]]}
+            name, _, anchor = entry[2].partition("#")
+            target = (html / name).read_text(encoding="utf-8")
+            assert not anchor or f'id="{anchor}"' in target, entry[2]
+    queries |= dict.fromkeys(("4X zoom", "3-D surface", "16 frames", "4.99X", "v2.1"), None)
+    page.goto((html / "search.html").as_uri())
+    found = page.evaluate("all => all.map(one => findNumber(one)[0] ?? null)", list(queries))
+    assert dict(zip(queries, found, strict=True)) == queries
 
 
 def test_a_page_is_scrolled_over_its_surfaces(browser: Browser, html: Path) -> None:
@@ -167,6 +123,9 @@ def test_a_page_is_scrolled_over_its_surfaces(browser: Browser, html: Path) -> N
     page.locator(".turn-surface").first.click()
     assert figure.evaluate("one => getComputedStyle(one).pointerEvents") == "auto"
     assert page.locator(".modebar").count() == 0
+    sizes = figure.evaluate("""one => ["xaxis", "yaxis", "zaxis"].map(
+        name => one._fullLayout.scene[name].tickfont.size).concat(one._fullLayout.font.size)""")
+    assert min(sizes) >= 16  # px, as the page's text
     context.close()
 
 
@@ -182,6 +141,7 @@ def test_a_wheel_scrolls_the_page_and_surfaces_are_dark(page: Page, html: Path) 
     before = page.evaluate("scrollY")
     page.mouse.wheel(0, 200)
     page.wait_for_function(f"scrollY > {before} + 100")
+    assert page.faults == []  # type: ignore[attr-defined]
     ground = page.evaluate("""() => [
         document.querySelector(".plotly-graph-div").layout.paper_bgcolor,
         getComputedStyle(document.documentElement).getPropertyValue("--pst-color-background")]""")
@@ -278,6 +238,59 @@ def test_every_guide_stands_on_the_first_page_with_its_picture(page: Page, html:
             "src => [...document.images].some(i => i.src === src && i.complete && i.naturalWidth)",
             arg=picture.evaluate("one => one.src"),
         )
+
+
+def test_a_main_function_shows_a_small_picture(html: Path) -> None:
+    assert len(PICTURES) > 12
+    for name, anchor in PICTURES.items():
+        text = (html / "generated" / f"{name}.html").read_text(encoding="utf-8")
+        found = re.search(
+            r'<a class="function-picture" href="\.\./([^"#]+)#([^"]+)">'
+            r'<img src="\.\./([^"]+)" alt="([^"]{40,})" width="(\d+)"',
+            text,
+        )
+        assert found, name
+        assert found[2] == anchor
+        assert f'id="{anchor}"' in (html / found[1]).read_text(encoding="utf-8"), name
+        file = html / found[3]
+        assert file.stat().st_size <= 20_000, name
+        with Image.open(file) as picture:
+            assert picture.width >= int(found[5])
+
+
+@pytest.mark.parametrize(
+    ("ways", "seen"),
+    [
+        # Install, and recompute the modulus with an own force: by a command, or in the page.
+        (
+            ["a:has-text('Start here')"],
+            ["pip install .", "make book", "-p force 150 -p force_std 3"],
+        ),
+        (
+            ["a:has-text('Four tools in the page')"],
+            ["From a dent to a modulus", "Force F (µN)"],
+        ),
+        # What is wrong in the thesis, and why.
+        (["a:has-text('Errata')"], ["Printed:", "Right:"]),
+        (["a:has-text('Errata')", ".erratum-sources a"], ["def test_"]),
+        # Track a sequence of one's own.
+        (["a:has-text('Start here')", "a:has-text('Follow a part')"], ["-p frames my_film.mp4"]),
+    ],
+)
+def test_a_newcomer_comes_from_the_front_page_to_what_was_asked(
+    page: Page, html: Path, ways: list[str], seen: list[str]
+) -> None:
+    page.goto((html / "intro.html").as_uri())
+    for way in ways:
+        page.locator("article").locator(way).first.click()
+    for text in seen:
+        page.get_by_text(text).locator("visible=true").first.wait_for(timeout=5_000)
+
+
+def test_an_initial_begins_no_list(html: Path) -> None:
+    pages = {p.stem: p.read_text(encoding="utf-8") for p in (html / "generated").glob("*.html")}
+    assert [name for name, text in pages.items() if '<ol class="upperalpha' in text] == []
+    assert "S. K. Nayar and Y. Nakagawa" in pages["microlib.focus.depth_from_focus"]
 
 
 def test_numbers_are_not_broken_on_a_phone(page: Page, html: Path) -> None:

@@ -175,7 +175,7 @@ def test_curvatures_and_labels_are_those_of_the_library(try_page: Page) -> None:
     shape = (17, 19)
     y, x = np.mgrid[: shape[0], : shape[1]] - 8.0
     inputs = []
-    for _ in range(COUNT):
+    for _ in range(COUNT // 5):  # every pixel of a map is an input, and its windows are random
         a, b, c, d, e = rng.uniform(-0.5, 0.5, 5)
         height = a * x**2 + b * x * y + c * y**2 + d * x + e * y + rng.normal(0, 0.3, shape)
         size = int(rng.choice([3, 5, 7]))
@@ -245,9 +245,7 @@ def test_every_state_is_open_to_everyone(page: Page, html: Path, width: int, the
         page.get_by_label(label).fill("1000")  # refused
     assert hindrances(page) == []
     assert page.evaluate("document.documentElement.scrollWidth - window.innerWidth") <= 0
-    # axe-core asks for style sheets once more, which no page from a file may.
-    faults = page.faults  # type: ignore[attr-defined]
-    assert [fault for fault in faults if fault.startswith("script")] == []
+    assert page.faults == []  # type: ignore[attr-defined]
 
 
 def test_every_control_has_a_name_and_is_large_enough_for_a_finger(try_page: Page) -> None:

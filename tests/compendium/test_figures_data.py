@@ -117,5 +117,5 @@ def test_data_is_kept_where_the_variable_says(
     assert list(tmp_path.iterdir()) == []
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
     show("d")
-    assert [path.name for path in tmp_path.iterdir()] == ["d.csv"]
+    assert {path.name for path in tmp_path.iterdir()} == {"d.csv", "d.webp"}
     assert len(shown) == 2

@@ -115,7 +115,8 @@ def test_the_same_run_gives_the_same_numbers(
         shutil.copy(source, folder / "chapter.ipynb")
         message, passed = execute(folder / "chapter.ipynb", monkeypatch, record="record.json")
         assert passed, message
-        files = [*folder.glob("*.csv"), *folder.glob("*.npz"), folder / "record.json"]
+        files = [p for kind in ("csv", "npz", "webp") for p in folder.glob(f"*.{kind}")]
+        files.append(folder / "record.json")
         notebook = nbformat.read(folder / "chapter.out.ipynb", as_version=4)
         clean(notebook)
         made.append({path.name: path.read_bytes() for path in files})

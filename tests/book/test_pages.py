@@ -1,0 +1,146 @@
+"""Every page opens whole, on both screens and in both themes, with its formulas drawn and uncut.
+
+Each is opened once and asked everything: drawing formulas takes longer than all the questions.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from playwright.sync_api import Page
+
+from compendium.figures import phone
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(Path(__file__).parent))
+from browsing import hindrances, open_page  # noqa: E402
+
+# The pages that were written for readers, the search, and one of the library's.
+CONTENTS = yaml.safe_load((ROOT / "book" / "_toc.yml").read_text(encoding="utf-8"))
+WRITTEN = [
+    CONTENTS["root"],
+    *(chapter["file"] for part in CONTENTS["parts"] for chapter in part["chapters"]),
+    "search",
+    "generated/microlib.membrane.elastic_modulus",
+]
+
+
+# Pages of which a reader of the dark theme is asked for, too.
+DARK = ("intro", "claims", "errata", "notebooks/01_introduction", "notebooks/06_conclusion")
+PARTS = 6
+#: Smallest text of the second renderings, px: tests/compendium/test_figures_phone.py measures it.
+TEXT = phone.LEAST * phone.DPI / 72
+#: That of a film, px: 12 points at 100 px per inch.
+FILM_TEXT = 12 * 100 / 72
+# A sidebar and a margin apart, a line holds every formula; on a phone half its size is legible.
+LEAST = {1280: 1.0, 390: 0.45}
+
+
+def formulas(page: Page) -> list[tuple[str, float, float]]:
+    """Return source, share of its full size, and px that stand out, of each display formula."""
+    return page.evaluate("""() =>
+        [...document.querySelectorAll("div.math")].filter(one => one.checkVisibility()).map(one => {
+            const drawn = one.querySelector("mjx-container");
+            one.style.overflowX = drawn.style.overflowX = "auto"; // so that what stands out counts
+            return [one.textContent.slice(0, 40), parseFloat(drawn.style.fontSize || 100) / 100,
+                Math.max(one.scrollWidth, drawn.scrollWidth) - one.clientWidth];
+        })
+    """)
+
+
+def hidden_formulas(page: Page) -> int:
+    """Count the drawn display formulas that have no extent or the color of what is behind them."""
+    return page.evaluate("""() =>
+        [...document.querySelectorAll("mjx-container[display=true]")].filter(formula => {
+            if (!formula.checkVisibility()) return false;  // folded away with what is around it
+            let behind = formula;
+            while (behind && getComputedStyle(behind).backgroundColor === "rgba(0, 0, 0, 0)")
+                behind = behind.parentElement;
+            const ground = behind ? getComputedStyle(behind).backgroundColor : "rgb(255, 255, 255)";
+            const box = formula.querySelector("svg").getBoundingClientRect();
+            return box.width * box.height === 0 || getComputedStyle(formula).color === ground;
+        }).length
+    """)
+
+
+def smallest_texts(page: Page) -> dict[str, float]:
+    """Return the size of the smallest text of each figure, over that of the page's text."""
+    page.wait_for_function(
+        "[...document.querySelectorAll('article figure img')].every(one => one.complete)"
+    )
+    shown = page.evaluate("""() => [...document.querySelectorAll("article figure img")]
+        .filter(one => one.checkVisibility()).map(one => [
+            one.closest("figure").id, one.currentSrc.split("?")[0].slice(-5),
+            one.getBoundingClientRect().width / one.naturalWidth])""")
+    body = page.evaluate(
+        "parseFloat(getComputedStyle(document.querySelector('article p')).fontSize)"
+    )
+    # A picture that is not of the second rendering has text of no known size.
+    sizes = {"film": FILM_TEXT, "fig": TEXT}
+    return {
+        name: scale * (sizes[name.split("-")[0]] if kind == ".webp" or "film" in name else 0) / body
+        for name, kind, scale in shown
+    }
+
+
+def pages_to_open(html: Path) -> list[Path]:
+    """Return the written pages, all with formulas, and of the library's, which are alike, some."""
+    written = [html / f"{name}.html" for name in WRITTEN]
+    formulas = [p for p in sorted(html.rglob("*.html")) if 'class="math' in p.read_text("utf-8")]
+    assert len(formulas) > 30
+    library = sorted((html / "generated").glob("*.html"))[::8]
+    return list(dict.fromkeys([*written, *formulas, *library]))
+
+
+def opens_to_everyone(page: Page, name: str) -> None:
+    assert hindrances(page) == [], name
+    if name in DARK:
+        page.evaluate(
+            """() => { // colors change gradually
+                document.documentElement.dataset.theme = "dark";
+                return Promise.all(document.getAnimations().map(one => one.finished));
+            }"""
+        )
+        assert hindrances(page) == [], f"{name}, dark"
+
+
+def fits_and_is_drawn(page: Page, name: str) -> list[tuple[str, int, str, float, float]]:
+    """Hold a page against both screens and themes; return its formulas as `formulas` does."""
+    found = []
+    for width in LEAST:
+        page.set_viewport_size({"width": width, "height": 844})
+        page.evaluate("new Promise(drawn => requestAnimationFrame(() => setTimeout(drawn)))")
+        for theme in ("dark", "light"):
+            page.evaluate(f"document.documentElement.dataset.theme = '{theme}'")
+            assert hidden_formulas(page) == 0, f"{name}, {theme}"
+        excess = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
+        assert excess <= 0, f"{name} is {excess} px wider than its screen"
+        found += [(name, width, *one) for one in formulas(page)]
+    if name.startswith("notebooks/"):  # still on the phone; widths are whole px
+        texts = smallest_texts(page)
+        assert texts, name
+        assert {figure: size for figure, size in texts.items() if size < 0.99} == {}, name
+    return found
+
+
+@pytest.mark.parametrize("part", range(PARTS))
+def test_a_page_is_whole_on_every_screen_for_every_reader(
+    page: Page, html: Path, part: int
+) -> None:
+    found = []
+    for path in pages_to_open(html)[part::PARTS]:
+        name = str(path.relative_to(html).with_suffix(""))
+        page.set_viewport_size({"width": 1280, "height": 844})
+        open_page(page, path)
+        if page.locator(".math").count():
+            page.wait_for_function("window.formulasFit")
+        if name in WRITTEN:
+            opens_to_everyone(page, name)
+        found += fits_and_is_drawn(page, name)
+    assert found
+    # The box of a glyph reaches a few px past what is drawn of it.
+    assert [one for one in found if one[4] > 6] == []
+    assert [one for one in found if one[3] < LEAST[one[1]]] == []
