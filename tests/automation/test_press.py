@@ -316,9 +316,9 @@ def test_the_way_is_along_the_axis_from_where_it_was_lined_up(world):
         with pytest.raises(EndRun, match="beyond the travel"):
             loop._go(way)
     np.testing.assert_allclose(world.place, [13.0, 16.0])
-    world.move_to = lambda place: setattr(world, "place", place + [0.0, 0.4])
+    world.move_to = lambda place: setattr(world, "place", np.add(place, [0.0, 0.4]))
     loop._go(4.0)
-    world.move_to = lambda place: setattr(world, "place", place + [0.4, 0.4])
+    world.move_to = lambda place: setattr(world, "place", np.add(place, [0.4, 0.4]))
     with pytest.raises(EndRun, match=r"stands 0\.57 µm from where"):
         loop._go(3.0)
 
