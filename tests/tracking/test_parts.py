@@ -23,7 +23,7 @@ from microlib.tracking._covariance import (
     sandwich,
     squared_frequency,
 )
-from microlib.tracking._esm import apply_homography, half_pixel
+from microlib.tracking._esm import Alignment, apply_homography, half_pixel, shifted
 from microlib.tracking._light import _knots, _tukey_slope, make_lit
 from microlib.tracking._local import _best_shifts, _kept_noise, gaussian, make_local
 from microlib.tracking._loops import TUKEY, moved
@@ -437,3 +437,34 @@ def test_parts_agree_within_the_drift_that_is_allowed(tracker, image, monkeypatc
         assert (tracker._agreeing(alignment, _tracker._STEADY) is not None) == fine, changes
     assert _tracker._UNSTEADY == (1.0, 0.2)
     assert tracker._agreeing(replace(alignment, design=None), (1.0, 1.0)) is None
+
+
+def test_only_a_plain_alignment_says_what_convinces_the_next_time(image, monkeypatch):
+    tracker = ESMTracker(image, BOX)
+    covariance, hidden = np.eye(8), np.zeros((30, 40), bool)
+    for plain, expected in ((False, (1.0, 1.0)), (True, (0.8, 1.3))):
+        alignment = Alignment(START, correlation=0.8, gain=1.3, visible=1.0)
+        more = {"plain": True} if plain else {}
+        found = _tracker.Found(alignment, "", covariance, 1.0, hidden, **more)
+        monkeypatch.setattr(tracker, "_search", lambda frame, found=found: found)
+        tracker.track(image)
+        assert (tracker._last_correlation, tracker._gain) == expected
+
+
+def test_where_nothing_was_aligned_the_light_is_taken_for_the_same(image):
+    nothing = Alignment(START, failure="diverged")
+    assert (nothing.gain, nothing.bias, nothing.correlation) == (1.0, 0.0, 0.0)
+    assert (nothing.visible, nothing.iterations, nothing.design) == (0.0, 0, None)
+    away = ESMTracker(image, BOX)
+    away._pose = shifted(START, np.array([1e4, 0.0]))
+    track = away.track(image)
+    assert (track.reason, track.gain, track.bias) == ("out of view", 1.0, 0.0)
+
+
+def test_a_fit_is_polished_with_the_template_as_it_is(image):
+    search = RobustSearch(image, BOX, START, "homography", np.ones((30, 40), np.float32))
+    plain, sharp, blurred = (
+        search.polish(image, START, 2.0, np.inf, *blur) for blur in ((), (0,), (1,))
+    )
+    np.testing.assert_array_equal(plain.model, sharp.model)
+    assert np.abs(plain.model - blurred.model).max() > 1e-3
