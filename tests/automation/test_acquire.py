@@ -258,3 +258,21 @@ def test_a_wrong_option_is_refused_before_the_first_frame():
     assert LiveDepth(region=(0, 0, 900, 900)).frames == 0  # which the frames decide on
     with pytest.raises(ValueError, match="z must"):
         LiveDepth().push(np.zeros((16, 16)), 1.1e12)
+
+
+def test_frames_that_the_camera_overwrites_are_kept_between_the_two_looks() -> None:
+    class Buffered(Scope):
+        buffer = np.zeros((24, 24), np.uint8)
+
+        def snap(self):
+            self.buffer[:] = super().snap()[0]
+            return self.buffer, 0.0
+
+    def sharp(z):
+        return max(0.02, 1 - abs(z - 92) / 40)
+
+    found, expected = (
+        acquire_depth(kind(sharp), POSITIONS, coarse=3) for kind in (Buffered, Scope)
+    )
+    np.testing.assert_array_equal(found.positions, expected.positions)
+    np.testing.assert_array_equal(found.result.depth, expected.result.depth)
