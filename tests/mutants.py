@@ -3,9 +3,9 @@
 ``make mutants`` takes a random sample of faults in each package: half of them cosmic-ray's (a plus
 for a minus, another number, a reversed comparison), half those of ``tests/planted.py`` (arguments
 exchanged, a term or a check forgotten, a wrong unit), as many of each kind as of the others, and at
-least two in every module that can hold one. ``--seed`` draws another sample. It runs that package's
-tests and the module's examples on a copy of the project, and writes ``tests/mutants.csv``; with
-packages named, only their rows change. The faults that no test noticed are explained in
+least two in every module that can hold one (one, if the package has more than a dozen). ``--seed``
+draws another sample. It runs that package's tests and the module's examples on a copy of the
+project, and writes ``tests/mutants.csv``; with packages named, only their rows change. The faults that no test noticed are explained in
 ``tests/MUTANTS.md``.
 
 Packages, modules and tests are found by their folders: a fault in ``microlib/focus/_peaks.py`` is
@@ -45,7 +45,7 @@ from tests.planted import KINDS, Source, edits, plant
 ROOT = Path(__file__).resolve().parent.parent
 RESULT = ROOT / "tests" / "mutants.csv"
 SAMPLE = 24  # faults in each package
-LEAST = 2  # faults in each module
+LEAST = 2  # faults in each module; one where the package has so many that these are over SAMPLE
 # "X | None" in annotations is never evaluated, a decorator left off is no numerical fault, and the
 # operators on variables want to be told names.
 IDLE = ("BitOr_", "RemoveDecorator", "ExceptionReplacer", "VariableInserter", "VariableReplacer")
@@ -176,10 +176,11 @@ def sample(package: str, modules: list[Path], seed: int) -> list[Fault]:
     # The name makes packages differ; nothing of the code under test chooses the sample.
     rng = np.random.default_rng([seed, *package.encode()])
     drawn = in_turn([every[k] for k in rng.permutation(len(every))])
+    least = LEAST if LEAST * len(modules) <= SAMPLE else 1
     chosen: list[Fault] = []
     for path in modules:
         inside = (fault for fault in drawn if fault.module == path and matters(fault))
-        chosen += islice(inside, LEAST)
+        chosen += islice(inside, least)
     rest = (fault for fault in drawn if fault not in chosen and matters(fault))
     return sorted([*chosen, *islice(rest, max(0, SAMPLE - len(chosen)))])
 
