@@ -5,8 +5,8 @@ for a minus, another number, a reversed comparison), half those of ``tests/plant
 exchanged, a term or a check forgotten, a wrong unit), as many of each kind as of the others, and at
 least two in every module that can hold one (one, if the package has more than a dozen). ``--seed``
 draws another sample. It runs that package's tests and the module's examples on a copy of the
-project, and writes ``tests/mutants.csv``; with packages named, only their rows change. The faults that no test noticed are explained in
-``tests/MUTANTS.md``.
+project, and writes ``tests/mutants.csv``; with packages named, only their rows change. The faults
+that no test noticed are explained in ``tests/MUTANTS.md``.
 
 Packages, modules and tests are found by their folders: a fault in ``microlib/focus/_peaks.py`` is
 judged by ``tests/focus/test_peaks.py``, the quick ``tests/focus/test_parts.py`` and the examples in

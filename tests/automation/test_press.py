@@ -167,6 +167,17 @@ def test_force_and_depth_are_the_models_and_the_run_ends_at_the_target(world):
     assert np.diff(true).max() <= 10.0
 
 
+def test_steps_are_part_of_what_the_last_two_values_foretell(world):
+    log = run(world).log.query("phase == 'press'")
+    way, force = log["approach_um"].to_numpy(), log["force_uN"].to_numpy()
+    known = np.flatnonzero(np.isfinite(force))
+    assert len(known) >= 4
+    for before, here, after in zip(known, known[1:], known[2:], strict=False):
+        power = np.log(force[here] / force[before]) / np.log(way[here] / way[before])
+        left = way[here] * (2.0 / force[here]) ** (1 / np.clip(power, 1, 3)) - way[here]
+        assert way[after] - way[here] == pytest.approx(np.clip(0.7 * left, 1.0, 10.0))
+
+
 def test_what_the_model_is_asked(world):
     found = run(world, law="hooke")
     known = {"thickness": THICKNESS, "probe_half_width": 25.0, "radius": RADIUS * PIXEL}

@@ -6,7 +6,7 @@ import csv
 import re
 from collections import Counter
 
-from tests.mutants import NONE, RESULT, ROOT, SAMPLE, Verdict, count, find_packages
+from tests.mutants import NONE, RESULT, SAMPLE, Verdict, count, find_packages
 
 TEXT = (RESULT.parent / "MUTANTS.md").read_text(encoding="utf-8")
 
