@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from microlib.membrane import _outline
+from microlib.membrane._bending import _bending_energy
 from microlib.membrane._disc import _bracket
 from microlib.membrane._outline import _correlation, _covariance, _signed_distances, _starts
 from microlib.membrane._state import gauss_points, reintegration_error
@@ -179,3 +181,36 @@ def test_moduli_to_either_side_of_a_dimple() -> None:
 
     low, high = _bracket(folding, 5.0, 5.0)
     assert 3.2 <= low <= 3.3 <= high
+
+
+def test_bending_at_the_plates_edge_is_that_of_the_wall_that_leaves_it() -> None:
+    """Four points: the probe's edge, the wall, where it meets the plate, and the plate's middle."""
+    r, z = np.array([20.0, 90.0, 60.0, 0.0]), np.array([150.0, 80.0, 0.0, 0.0])
+    first, second = np.array([1.2, 1.1, 1.05, 1.0]), np.array([1.0, 1.15, 1.1, 1.0])
+    stresses = np.array([[0.8, 0.6, 0.5, 0.4], [0.2, 0.5, 0.4, 0.4]])
+    pressure, rim, h, natural, rigidity, nu = 0.02, 40.0, 3.0, 1 / 100, 7.0, 0.3
+    state = SimpleNamespace(
+        r=r, z=z, stretches=np.stack([first, second]), stresses=stresses, pressure=pressure,
+        rim_radius=rim,
+    )  # fmt: skip
+    along, across = h * stresses[0] / second, h * stresses[1] / first
+
+    def density(meridian: float, hoop: float, k: int) -> float:
+        k1, k2 = first[k] * meridian - natural, second[k] * hoop - natural
+        return rigidity / 2 * (k1**2 + k2**2 + 2 * nu * k1 * k2)
+
+    sine = pressure * (r**2 - rim**2) / (2 * r.clip(1) * along)
+    free = [density((pressure - s / x * t) / a, s / x, k) for k, (s, x, t, a) in
+            enumerate(zip(sine[:2], r[:2], across[:2], along[:2], strict=True))]  # fmt: skip
+    flat = [density(0.0, 0.0, k) for k in (2, 3)]
+    leaving = density(pressure / along[2], 0.0, 2)
+    weight, length = 2 * np.pi * r / (first * second), np.hypot(np.diff(r), np.diff(z))
+    smooth = sum(
+        (a * weight[k] + b * weight[k + 1]) / 2 * length[k]
+        for k, (a, b) in enumerate([(free[0], free[1]), (free[1], leaving), (flat[0], flat[1])])
+    )
+    angle = np.arcsin(-sine[0])
+    corner = 2 * np.pi * r[0] * 4 * np.sqrt(rigidity * along[0]) * (1 - np.cos(angle / 2))
+    assert angle > 0.1
+    found = _bending_energy(state, rigidity, nu, h, natural)
+    assert found == pytest.approx(smooth + corner)
