@@ -31,6 +31,8 @@ from tests.planted import KINDS, Source, edits, plant
         ("removed_checks", "if a:\n    raise E", ["if False:\n    raise E", "if a:\n    pass"]),
         ("removed_copies", "a.copy()", ["a"]),
         ("removed_copies", "np.array(a)", ["np.asarray(a)"]),
+        ("removed_copies", "a: list[int] = b\nnp.array(a)", []),
+        ("removed_copies", "a = [b for b in c]\nnp.array(a)", []),
         ("wrong_units", "a * b", ["(a * b * 1000)"]),
         ("wrong_units", "a / b", ["(a / b / 1000)"]),
         ("wrong_units", "'-' * 3", []),
