@@ -11,7 +11,9 @@ from microlib.focus._links import basis, fit_link, motion_columns, spread_over_s
 from microlib.focus._nearest import filled, gradients
 from microlib.focus._poses import Frame, Geometry, reduced
 from microlib.focus._questions import Question, answered
+from microlib.focus._replay import Replay
 from microlib.focus._selection import as_type, select, warped
+from microlib.focus._stack import _counted
 from microlib.focus._survey import _patch, held
 from microlib.focus._tiles import tiles_of
 from microlib.focus._window import Window
@@ -266,3 +268,54 @@ def test_frames_that_are_held_can_be_read_again() -> None:
     assert part.window == part.wanted == Window.whole((4, 5))
     inner, outer = Window(1, 1, 2, 2, (9, 9)), Window(0, 0, 4, 5, (9, 9))
     assert (held(frames, outer, inner).window, held(frames, outer, inner).wanted) == (outer, inner)
+
+
+STACK = np.random.default_rng(4).integers(0, 60000, (4, 20, 30)).astype(np.uint16)
+SOURCES = {
+    "array": lambda: STACK,
+    "list": lambda: list(STACK),
+    "generator": lambda: iter(STACK),
+}
+
+
+@pytest.mark.parametrize("in_parts", [False, True])
+@pytest.mark.parametrize("source", SOURCES)
+def test_a_stack_is_read_as_often_as_is_asked_and_in_parts(source: str, in_parts: bool) -> None:
+    windows = [Window(2, 3, 9, 14, (20, 30)), Window(11, 0, 20, 30, (20, 30))]
+    with Replay(SOURCES[source](), 4, in_parts=in_parts) as stack:
+        assert stack.shape == (20, 30)
+        for _ in range(2):
+            read = list(stack)
+            assert len(read) == 4
+            assert all(frame.dtype == np.uint16 for frame in read)
+            np.testing.assert_array_equal(np.stack(read), STACK)
+        for window, part in zip(windows, stack.parts(windows), strict=True):
+            rows, cols = slice(window.top, window.bottom), slice(window.left, window.right)
+            np.testing.assert_array_equal(np.stack(part), STACK[:, rows, cols])
+        kept = source == "generator" or (in_parts and source == "list")
+        assert (stack._kept is not None) == kept
+    if kept:
+        assert stack._kept.closed
+
+
+@pytest.mark.parametrize("source", SOURCES)
+@pytest.mark.parametrize(("count", "got"), [(3, "more than 3 and 3"), (5, "4 and 5")])
+def test_another_number_of_frames_is_refused(source: str, count: int, got: str) -> None:
+    message = f"frames and positions must be as many, got {got}"
+    with Replay(SOURCES[source](), count) as stack, pytest.raises(ValueError, match=message):
+        list(stack)
+    with (
+        Replay(iter(()), count) as stack,
+        pytest.raises(ValueError, match="three frames, got none"),
+    ):
+        list(stack)
+
+
+def test_progress_counts_the_frames_of_all_passes() -> None:
+    told: list = []
+    frames = list(_counted(STACK, lambda *at: told.append(at), 4, 3, 1))
+    assert len(frames) == 4
+    assert told == [(5, 12), (6, 12), (7, 12), (8, 12)]
+    assert len(list(_counted(STACK, None, 4, 3, 1))) == 4
+    assert len(list(_counted(iter(STACK), lambda *at: told.append(at), None, 1, 0))) == 4
+    assert len(told) == 4  # of a stream nobody knows how many there are
