@@ -35,6 +35,11 @@ def test_an_injection_is_drawn_beside_its_truth():
     np.testing.assert_array_equal(depth.lines[1].get_ydata(), [0.5, 4.0, 8.0])
     assert force.lines[2].get_xdata()[0] == 1.0
     assert (force.get_ylabel(), depth.get_ylabel()) == ("force (µN)", "depth (µm)")
+    # One legend for both.
+    names = [text.get_text() for text in force.get_legend().get_texts()]
+    assert names == ["truth", "outline", "contact seen"]
+    assert depth.get_legend() is None
+    assert [axes.get_xlabel() for axes in (force, depth)] == ["", "time (s)"]
 
 
 def test_bars_are_the_frames_saved_in_the_order_of_the_scenes():
