@@ -90,6 +90,7 @@ def test_the_rendered_outline_counts_heights_from_the_lowest_in_view():
     }
     reach = 4 * 25 / scene().pixel_size
     assert bottom.get_xlim() == pytest.approx((512.4 - reach, 512.4 + reach))
+    assert bottom.get_ylim() == pytest.approx((-2, reach / 2))
     assert whole.get_aspect() == bottom.get_aspect() == 1
 
 
