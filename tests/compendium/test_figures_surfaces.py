@@ -129,6 +129,7 @@ def test_the_stage_sinks_until_the_top_is_in_focus():
 def test_heights_are_written_to_a_thousandth_of_their_range(span, digits):
     height = span * np.random.default_rng(3).random((12, 15))
     height[0, :2] = 0, span
+    height += 30 * span  # wherever the heights are counted from
     html = turnable_surface(height, 1.0, name="s", title="t").data
     data = json.loads(re.search(r"Plotly\.newPlot\(\s*\"s\",\s*(\[.*?\]),\s*\{", html, re.S)[1])
     np.testing.assert_array_equal(data[0]["z"], np.round(height, digits))
