@@ -33,6 +33,8 @@ from tests.planted import KINDS, Source, edits, plant
         ("removed_copies", "np.array(a)", ["np.asarray(a)"]),
         ("removed_copies", "a: list[int] = b\nnp.array(a)", []),
         ("removed_copies", "a = [b for b in c]\nnp.array(a)", []),
+        ("removed_copies", "def f(a: tuple[int, ...]):\n    np.array(a[:2])", []),
+        ("removed_copies", "a = [b, c]\nnp.array(a[0])", ["np.asarray(a[0])"]),
         ("wrong_units", "a * b", ["(a * b * 1000)"]),
         ("wrong_units", "a / b", ["(a / b / 1000)"]),
         ("wrong_units", "'-' * 3", []),
