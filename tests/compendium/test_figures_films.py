@@ -105,11 +105,12 @@ def test_the_dimple_is_as_deep_as_the_dot_says(drawn):
 def test_the_window_lies_where_the_feature_was_measured(drawn):
     places = np.array([[100.0, 50.0], [110.0, 55.0], [120.0, 58.0]])
     frames = [np.full((4, 4), k) for k in range(3)]
-    films.film_step(frames, np.array([0.0, 0.1, 0.2]), places, np.array([121, 59]), 20.0, **TEXTS)
+    films.film_step(frames, np.array([0.0, 0.1, 0.2]), places, np.array([121, 59]), 21.0, **TEXTS)
     left, right = drawn["figure"].axes
     drawn["draw"](1)
     np.testing.assert_allclose(left.patches[0].get_xy()[:4].mean(axis=0), [110, 55])
-    assert np.ptp(left.patches[0].get_xy()[:, 0]) == 20
+    assert np.ptp(left.patches[0].get_xy()[:, 0]) == 21
+    assert right.get_ylim() == pytest.approx((-3, 1.15 * 20))
     assert left.images[0].get_array()[0, 0] == 1
     np.testing.assert_allclose(right.lines[0].get_xydata(), [[0, 0], [0.1, 10]])
     np.testing.assert_allclose(right.lines[1].get_xydata(), [[0, 0], [0.1, 5]])

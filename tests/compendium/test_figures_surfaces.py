@@ -115,6 +115,10 @@ def test_the_stage_sinks_until_the_top_is_in_focus():
     assert tops == sorted(tops, reverse=True)
     assert tops[0] > tops[1] > tops[2] == 0
     for axes, top in zip(row, tops, strict=True):
+        # The plate of the stage, 0.08 thick, under the ground, which sinks with the top.
+        ground = axes.collections[-1].get_paths()[0].vertices[:, 1]
+        assert np.ptp(ground) == pytest.approx(0.08), top
+    for axes, top in zip(row, tops, strict=True):
         sharp = np.asarray(axes.lines[1].get_ydata())[np.isfinite(axes.lines[1].get_xdata())]
         assert np.abs(sharp).max() < 0.05  # at the plane in focus
         arrows = {t.get_text(): t for t in axes.texts}
