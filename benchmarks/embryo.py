@@ -32,7 +32,7 @@ from microlib.membrane import SmallSlopeWarning, elastic_modulus
 from microlib.synthetic import Embryo, embryo_image
 
 EMBRYOS = 100
-CHOICES_TITLE = "Other values of the constants (9 embryos; one, of more noise and blur, is refused)"
+CHOICES_TITLE = "Other values of the constants (9 embryos, three of them with other noise or blur)"
 GAUSSIAN_CHOICES_TITLE = "Other values of the constants of eight Gaussians (3 embryos)"
 #: Constants of the chain, each with other values than the library's.
 CHOICES = [

@@ -3,15 +3,16 @@
 ``make mutants`` takes a random sample of faults in each package: half of them cosmic-ray's (a plus
 for a minus, another number, a reversed comparison), half those of ``tests/planted.py`` (arguments
 exchanged, a term or a check forgotten, a wrong unit), as many of each kind as of the others, and at
-least two in every module that can hold one. ``--seed`` draws another sample. It runs that package's
-tests and the module's examples on a copy of the project, and writes ``tests/mutants.csv``; with
-packages named, only their rows change. The faults that no test noticed are explained in
-``tests/MUTANTS.md``.
+least two in every module that can hold one (one, if the package has more than a dozen). ``--seed``
+draws another sample. It runs that package's tests and the module's examples on a copy of the
+project, and writes ``tests/mutants.csv``; with packages named, only their rows change. The faults
+that no test noticed are explained in ``tests/MUTANTS.md``.
 
 Packages, modules and tests are found by their folders: a fault in ``microlib/focus/_peaks.py`` is
-judged by ``tests/focus/test_peaks.py``, then the examples in the module, then the rest of
-``tests/focus``; one in ``microlib/optics.py`` by ``tests/test_optics.py``. What they pass is judged
-by the tests that go through every package, and the result says which of the two noticed a fault.
+judged by ``tests/focus/test_peaks.py``, the quick ``tests/focus/test_parts.py`` and the examples in
+the module, then by the rest of ``tests/focus``; one in ``microlib/optics.py`` by
+``tests/test_optics.py``. What they pass is judged by the tests that go through every package, and
+the result says which of the two noticed a fault.
 The compendium counts as three: its experiments, its figures, and the rest.
 """
 
@@ -44,8 +45,7 @@ from tests.planted import KINDS, Source, edits, plant
 ROOT = Path(__file__).resolve().parent.parent
 RESULT = ROOT / "tests" / "mutants.csv"
 SAMPLE = 24  # faults in each package
-LEAST = 2  # faults in each module
-JOBS = 2
+LEAST = 2  # faults in each module; one where the package has so many that these are over SAMPLE
 # "X | None" in annotations is never evaluated, a decorator left off is no numerical fault, and the
 # operators on variables want to be told names.
 IDLE = ("BitOr_", "RemoveDecorator", "ExceptionReplacer", "VariableInserter", "VariableReplacer")
@@ -54,10 +54,11 @@ LEFT_OUT = {
     "compendium/readme_picture.py": "run by hand, and looked at",
     "compendium/figures/style.py": "how drawings look, which nobody computes with",
 }
+QUICK = "test_parts.py"  # single functions on known numbers, which take no time
 PARTS = ("experiments", "figures")  # of the compendium, with tests that are named after them
 NOT_COPIED = (".*", "__pycache__", "build", "*.egg-info")
 # Tests that go through every package of the library. Of the fuzz only the package's part is run.
-THROUGH_ALL = ("test_defaults", "test_refusals", "test_fuzz")
+THROUGH_ALL = ("test_defaults", "test_measured", "test_refusals", "test_fuzz")
 OWN, LIBRARY, NONE = "by its own tests", "by the library's", "no"
 
 
@@ -84,15 +85,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("packages", nargs="*", help="such as focus; all of them without any")
     parser.add_argument("--seed", type=int, default=0, help="of the sample")
+    parser.add_argument("--jobs", type=int, default=2, help="copies of the project at a time")
     options = parser.parse_args()
     packages = find_packages()
     if unknown := set(options.packages) - set(packages):
         parser.error(f"no package {', '.join(unknown)}; there are {', '.join(packages)}")
     chosen = options.packages or list(packages)
     faults = {name: sample(name, packages[name], options.seed) for name in chosen}
-    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(JOBS) as pool:
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(options.jobs) as pool:
         copies: Queue[Path] = Queue()
-        for k in range(JOBS):
+        for k in range(options.jobs):
             copies.put(copy_project(Path(folder) / str(k)))
         seconds = dict(zip(chosen, pool.map(lambda n: time_tests(copies, n), chosen), strict=True))
         failing = [name for name, spent in seconds.items() if spent is None]
@@ -174,10 +176,11 @@ def sample(package: str, modules: list[Path], seed: int) -> list[Fault]:
     # The name makes packages differ; nothing of the code under test chooses the sample.
     rng = np.random.default_rng([seed, *package.encode()])
     drawn = in_turn([every[k] for k in rng.permutation(len(every))])
+    least = LEAST if LEAST * len(modules) <= SAMPLE else 1
     chosen: list[Fault] = []
     for path in modules:
         inside = (fault for fault in drawn if fault.module == path and matters(fault))
-        chosen += islice(inside, LEAST)
+        chosen += islice(inside, least)
     rest = (fault for fault in drawn if fault not in chosen and matters(fault))
     return sorted([*chosen, *islice(rest, max(0, SAMPLE - len(chosen)))])
 
@@ -231,9 +234,9 @@ def tests_of(module: Path) -> list[str]:
         files = sorted(folder.glob(f"test_{package}_*.py"))
     else:
         files = [p for p in sorted(folder.rglob("test_*.py")) if p.name.split("_")[1] not in PARTS]
-    files.sort(key=lambda path: path.name != like)
+    files.sort(key=lambda path: (path.name != like, path.name != QUICK))
     names = [str(path.relative_to(ROOT)) for path in files]
-    return [*names[:1], examples, *names[1:]]
+    return [*names[:2], examples, *names[2:]]
 
 
 def tests_through_all(package: str) -> list[str]:

@@ -19,7 +19,20 @@ SYMMETRIC = (
 #: Arguments of a drawing that only say how it looks.
 LOOKS = {
     *("alpha", "bbox_to_anchor", "dpi", "figsize", "fontsize", "lw", "linewidth", "linewidths"),
-    *("loc", "markerscale", "mew", "ms", "ncols", "shrink", "shrinkA", "shrinkB", "size", "zorder"),
+    *(
+        "loc",
+        "markerscale",
+        "mec",
+        "mew",
+        "mfc",
+        "ms",
+        "ncols",
+        "shrink",
+        "shrinkA",
+        "shrinkB",
+        "size",
+        "zorder",
+    ),
     *("width_ratios", "elev", "azim"),
 }
 
@@ -45,6 +58,8 @@ class Source:
             id(inner) for node in ast.walk(tree) for part in _idle(node) for inner in ast.walk(part)
         }
         self.nodes = [node for node in ast.walk(tree) if id(node) not in idle]
+        #: Names that hold a list or a tuple somewhere in the module.
+        self.lists = {ast.unparse(name) for node in ast.walk(tree) for name in _lists(node)}
 
     def span(self, node: ast.AST) -> tuple[int, int]:
         begin = self._starts[node.lineno - 1] + node.col_offset  # type: ignore[attr-defined]
@@ -96,6 +111,18 @@ def _idle(node: ast.AST) -> list[ast.AST]:
     if isinstance(node, ast.JoinedStr):  # whose parts have no places of their own before 3.12
         parts += node.values
     return [part for part in parts if part is not None]
+
+
+def _lists(node: ast.AST) -> list[ast.expr]:
+    """Return what an assignment, or the type of an argument, makes a list or a tuple."""
+    kinds = ("list[", "tuple[")
+    if isinstance(node, ast.AnnAssign) and ast.unparse(node.annotation).startswith(kinds):
+        return [node.target]
+    if isinstance(node, ast.arg) and node.annotation is not None:
+        return [ast.Name(node.arg)] * ast.unparse(node.annotation).startswith(kinds)
+    if isinstance(node, ast.Assign) and isinstance(node.value, ast.List | ast.ListComp):
+        return node.targets
+    return []
 
 
 def _is_text(node: ast.AST) -> bool:
@@ -171,12 +198,20 @@ def removed_checks(source: Source, node: ast.AST) -> Iterator[Edit]:
 
 
 def removed_copies(source: Source, node: ast.AST) -> Iterator[Edit]:
-    """``a.copy()`` → ``a``, ``np.array(a)`` → ``np.asarray(a)``."""
+    """``a.copy()`` → ``a``, ``np.array(a)`` → ``np.asarray(a)``.
+
+    Not of a list or a tuple, which either copies.
+    """
     if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
         return
     if node.func.attr == "copy" and not node.args:
         yield source.replace(node, source.of(node.func.value))
-    elif source.of(node.func) == "np.array" and isinstance(node.args[0], ast.Name | ast.Subscript):
+        return
+    given = node.args[0] if node.args else None
+    part = isinstance(given, ast.Subscript) and isinstance(given.slice, ast.Slice)
+    whole = given.value if part and isinstance(given, ast.Subscript) else given
+    named = isinstance(given, ast.Name | ast.Subscript)
+    if named and source.of(node.func) == "np.array" and ast.unparse(whole) not in source.lists:
         yield source.replace(node.func, "np.asarray")
 
 

@@ -28,7 +28,8 @@ from microlib.embryo._wall import locate_wall
 
 #: Least side of an image: four times the rows in which a probe is looked for.
 _SMALLEST = 64
-#: Rows at the upper edge in which the probe is looked for; nothing changes from 8 to 32.
+#: Rows at the upper edge in which the probe is looked for; 8 to 32 change E by up to 0.05 of its
+#: deviation.
 _TOP_ROWS = 16
 #: A probe is darker than this share of the ground beside it; nothing changes from 0.5 to 0.85.
 _DARK = 0.7
@@ -39,13 +40,14 @@ _NARROWEST, _WIDEST = 4.0, 0.1
 #: 1 px leaves of a thin wall, and light from one side.
 _THINNEST_WALL, _UNLIKE_WALLS = 2, 2.0
 #: Blur under which the probe is looked for, so that noise does not break its outline: 0.5 to 2
-#: change E by up to 0.3 %.
+#: change E by up to 0.5 of its deviation.
 _PROBE_BLUR = 1.0
 #: Where no probe is found so, it is looked for once more with less blur and on a fainter mark: the
 #: walls of a glass tube are one px wide in a coarse image.
 _FINE_BLUR, _FAINT = 0.5, 0.85
 #: The probe is what is darker than this, from its own grey at 0 to that of the ground at 1; below
-#: one half, which the embryo's fluid does not reach. Nothing changes from 0.25 to 0.55.
+#: one half, which the embryo's fluid does not reach. 0.25 to 0.55 change E by up to 0.1 of its
+#: deviation.
 _BODY_LEVEL = 0.4
 #: Share by which a row's width must differ from those above it to end the probe; nothing changes
 #: from 0.2 to 0.6.
@@ -54,15 +56,18 @@ _ODD_WIDTH = 0.35
 _BELOW_TIP = 5
 #: Direction and width of the probe, and the ground beside it, are read from this part of its
 #: length, from this row on: near its end the embryo stands beside it. The share may be 0.5 to 0.85
-#: and the row 0 to 6 for changes of E up to 0.2 of its deviation.
+#: and the row 0 to 6 for changes of E up to 0.35 of its deviation.
 _UPPER_PART, _FIRST_ROW = 0.7, 2
-#: What is left free beside a blurred edge to be sure of it; 0 to 5 change E by up to 0.1 %.
+#: What is left free beside a blurred edge to be sure of it; 0 to 5 change E by up to 0.2 of its
+#: deviation.
 _MARGIN = 2
 #: A crossing of the probe's outline is sought so far beside it, in steps of `_STEP`, half-way to
-#: the mean of the last samples. Widths of 4 to 10 and 3 to 12 samples change E by up to 0.3 %.
+#: the mean of the last samples. Widths of 4 to 10 and 3 to 12 samples change E by up to 0.5 of its
+#: deviation.
 _GROUND_WIDTH, _GROUND_SAMPLES = 6.0, 6
 _STEP = 0.25
-#: Standard deviations beyond which a line leaves a point out; 2 to 5 change E by up to 0.9 %.
+#: Standard deviations beyond which a line leaves a point out; 2 to 5 change E by up to 0.15 of its
+#: deviation.
 _OUTLIER = 3.0
 #: Rows in which the edges of a probe are seen, at least: more than a line's two numbers, fewer than
 #: the 20 of the shortest probe.
@@ -91,7 +96,7 @@ _THIN_RUN = 8.0
 _SATURATED_SHARE = 0.005
 #: What the probe's blur reaches is left out: so many px, and so many standard deviations of the
 #: blur once it is known. At 3 the normal distribution leaves 0.1 %. Less biases the flank, more
-#: takes its steepest part away: 2 to 4.5 change E by up to 0.6 of its deviation.
+#: takes its steepest part away: 2 to 4.5 change E by up to 0.9 of its deviation.
 _CLEARANCE, _BLUR_REACH = 3.0, 3.0
 #: Blur of Canny's edge, which only starts the fits of the wall; 1 to 2 change E by up to 0.7 of its
 #: deviation, in the noisiest image.
@@ -128,10 +133,11 @@ _PROFILE = np.arange(-5.0, 5.01, 0.5)
 #: Blur in px from which the outline is found in the image at half its size: the profiles above hold
 #: three of its deviations to either side.
 _BROAD_BLUR = 1.7
-#: Points over which the direction of the outline is averaged; 7 to 17 change E by up to 0.14 of its
+#: Points over which the direction of the outline is averaged; 7 to 17 change E by up to 0.63 of its
 #: deviation.
 _SMOOTHING = 11
-#: Points less certain than so many times the usual are left out; nothing changes from 4 to 10.
+#: Points less certain than so many times the usual are left out; 4 to 10 change E by up to 0.13
+#: of its deviation.
 _LARGEST_STD = 6.0
 
 

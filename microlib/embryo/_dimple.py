@@ -24,12 +24,12 @@ from microlib.membrane import dimple_profile
 # (benchmarks/embryo.py).
 
 #: Radii up to which the outline enters the fit. What lies beyond the rim fixes it, as an arc of a
-#: circle, which it is only nearby: 1.15 changes E by up to 0.8 of its deviation, 1.6 by up to 3.7,
-#: or 4 %.
+#: circle, which it is only nearby: 1.15 changes E by up to 0.8 of its deviation, 1.6 by up to 3.7.
 _BEYOND_RIM = 1.3
 #: An outline that departs from the profile by more than this share of the depth (root mean square)
 #: has no dimple of that depth: E goes with its third power, so that one error of a sixth makes a
-#: factor of √e. Of the benchmark's nine embryos none changes from 0.03 to 0.3.
+#: factor of √e. Of the benchmark's nine embryos one is refused at 0.03, and up to 0.3 none
+#: changes.
 _LARGEST_MISFIT = 1 / 6
 #: Points further off than the others are strays up to this share of them; more are the outline, and
 #: all are fitted. Nothing changes from 0.05 to 0.4.
@@ -45,7 +45,7 @@ _TIP_OFF, _TIP_OFF_PIXELS = 1 / 3, 1.0
 #: glass, and the taper of a needle's end.
 _WIDTH_OFF_PIXELS, _WIDTH_OFF = 2.0, 1.5
 #: Standard deviations beyond which a point is left out, which one in 16 000 is by chance; 3 to 6
-#: change E by up to 0.4 of its deviation.
+#: change E by up to 1.2 of its deviation.
 _OUTLIER = 4.0
 #: Steps of the fixed point that finds a turned dimple's height at x. They are exact to 2e-5 px for
 #: a tilt of 0.1 and to 0.2 px for 0.3, at the edge of the probe (measured).

@@ -24,15 +24,15 @@ from microlib._common import Array, Tidy, as_array
 #: wall's outer flank and in whole px. 1.8 loses steep walls and changes E by more than its
 #: deviation; 3.5 by 0.2 of it.
 _REACH = 2.5
-#: Range of the blur, and how well it is found; 0.4 to 5, and 0.001 to 0.1, change E by less than
-#: 0.1 %.
+#: Range of the blur, and how well it is found; 0.4 to 5, and 0.001 to 0.1, change E by up to
+#: 0.24 of its deviation.
 _WIDTHS, _WIDTH_TOLERANCE = (0.6, 3.0), 0.01
 #: Blur of the first search, about that of the workstation's images, and its steps, a quarter of it,
 #: from which the least squares converge. 0.8 to 1.6, and 0.1 to 0.5, change E by up to 0.3 of its
 #: deviation.
 _USUAL_WIDTH, _SEARCH_STEP = 1.1, 0.25
 #: Steps of Gauss–Newton, none longer than this: half a px leaves the wall in sight. 3 to 10, and
-#: 0.25 to 1, change E by up to 0.1 of its deviation.
+#: 0.25 to 1, change E by up to 0.44 of its deviation.
 _ITERATIONS = 5
 _LONGEST_STEP = 0.5
 #: Samples wanted of a profile, more than its four unknowns; nothing changes from 5 to 10.

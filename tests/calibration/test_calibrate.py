@@ -718,13 +718,14 @@ def test_noise_is_no_discrepancy_and_a_field_is():
 def test_points_that_no_microscope_images_are_refused():
     """The linear start lies beyond the reach of its distortion: nothing of SciPy comes out."""
     refusals = []
-    for seed in range(40):
+    for seed in range(12):
         rng = np.random.default_rng(seed)
         world, image = rng.uniform(-500, 500, (30, 2)), rng.uniform(0, 400, (30, 2))
         try:
             calibrate(world, image, **SENSOR)
         except ValueError as refusal:
             refusals.append(str(refusal))
+    assert refusals
     assert all("world and image" in refusal for refusal in refusals)
 
 

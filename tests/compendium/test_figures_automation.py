@@ -35,6 +35,11 @@ def test_an_injection_is_drawn_beside_its_truth():
     np.testing.assert_array_equal(depth.lines[1].get_ydata(), [0.5, 4.0, 8.0])
     assert force.lines[2].get_xdata()[0] == 1.0
     assert (force.get_ylabel(), depth.get_ylabel()) == ("force (µN)", "depth (µm)")
+    # One legend for both.
+    names = [text.get_text() for text in force.get_legend().get_texts()]
+    assert names == ["truth", "outline", "contact seen"]
+    assert depth.get_legend() is None
+    assert [axes.get_xlabel() for axes in (force, depth)] == ["", "time (s)"]
 
 
 def test_bars_are_the_frames_saved_in_the_order_of_the_scenes():
@@ -44,3 +49,17 @@ def test_bars_are_the_frames_saved_in_the_order_of_the_scenes():
     (axes,) = figure.axes
     assert [bar.get_height() for bar in axes.patches] == [50.0, 52.0, 30.0, 31.0]
     assert [label.get_text() for label in axes.get_xticklabels()] == ["step", "cone"]
+
+
+def test_bars_stand_beside_each_other_under_their_names():
+    table = pd.DataFrame(
+        {"scene": ["cone"] * 2, "way": ["coarse", "farthest"], "saved": [31.0, 52.0]}
+    )
+    (axes,) = draw_frames_saved(table).axes
+    left, right = axes.patches
+    assert [bar.get_x() + bar.get_width() / 2 for bar in axes.patches] == pytest.approx([-0.2, 0.2])
+    assert left.get_width() < 0.4  # with a gap
+    assert [bar.get_height() for bar in (left, right)] == [52.0, 31.0]
+    names = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert names == ["greatest height given", "coarse look first"]
+    assert axes.get_ylabel() == "frames saved (%)"

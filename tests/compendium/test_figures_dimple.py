@@ -90,6 +90,7 @@ def test_the_rendered_outline_counts_heights_from_the_lowest_in_view():
     }
     reach = 4 * 25 / scene().pixel_size
     assert bottom.get_xlim() == pytest.approx((512.4 - reach, 512.4 + reach))
+    assert bottom.get_ylim() == pytest.approx((-2, reach / 2))
     assert whole.get_aspect() == bottom.get_aspect() == 1
 
 
@@ -176,6 +177,10 @@ def test_the_embryo_and_its_steps_are_cut_out_around_the_dimple():
     np.testing.assert_allclose(third.lines[0].get_xydata(), points[:2])
     np.testing.assert_allclose(third.lines[1].get_xydata(), points[3:])
     np.testing.assert_allclose(third.lines[2].get_xydata(), points[2:3])
+    # The bar of 200 µm stands in the first alone.
+    assert [len(axes.texts) for axes in (first, second, third)] == [1, 0, 0]
+    assert first.texts[0].get_text() == "200 µm"
+    assert np.ptp(first.lines[0].get_xdata()) == pytest.approx(200 / one.pixel_size)
 
 
 def test_a_scale_bar_is_as_long_as_it_says():

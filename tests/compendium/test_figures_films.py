@@ -92,7 +92,8 @@ def test_the_dimple_is_as_deep_as_the_dot_says(drawn):
         drawn["draw"](k)
         depth, force = (float(v[0]) for v in curve.lines[1].get_data())
         assert section.lines[0].get_ydata().min() == pytest.approx(-depth, abs=1e-9)
-        assert section.patches[0].get_xy()[:, 1].min() == pytest.approx(-depth)
+        corners = [[-20, -depth], [20, -depth], [20, 40], [-20, 40]]
+        np.testing.assert_allclose(section.patches[0].get_xy()[:4], corners, atol=1e-9)
         assert force == pytest.approx(depth**3 / 500, abs=0.2)  # between points of the curve
         reached.append(depth)
     # Down and back again, to where it began.
@@ -104,11 +105,12 @@ def test_the_dimple_is_as_deep_as_the_dot_says(drawn):
 def test_the_window_lies_where_the_feature_was_measured(drawn):
     places = np.array([[100.0, 50.0], [110.0, 55.0], [120.0, 58.0]])
     frames = [np.full((4, 4), k) for k in range(3)]
-    films.film_step(frames, np.array([0.0, 0.1, 0.2]), places, np.array([121, 59]), 20.0, **TEXTS)
+    films.film_step(frames, np.array([0.0, 0.1, 0.2]), places, np.array([121, 59]), 21.0, **TEXTS)
     left, right = drawn["figure"].axes
     drawn["draw"](1)
     np.testing.assert_allclose(left.patches[0].get_xy()[:4].mean(axis=0), [110, 55])
-    assert np.ptp(left.patches[0].get_xy()[:, 0]) == 20
+    assert np.ptp(left.patches[0].get_xy()[:, 0]) == 21
+    assert right.get_ylim() == pytest.approx((-3, 1.15 * 20))
     assert left.images[0].get_array()[0, 0] == 1
     np.testing.assert_allclose(right.lines[0].get_xydata(), [[0, 0], [0.1, 10]])
     np.testing.assert_allclose(right.lines[1].get_xydata(), [[0, 0], [0.1, 5]])

@@ -128,6 +128,8 @@ def test_one_step_ends_where_its_tangent_meets_the_template():
     for name, points in drawn(right).items():
         np.testing.assert_allclose(points[:, 1], errors[name])
     assert right.get_yscale() == "log"
+    with pytest.raises(ValueError, match="argument"):  # a fourth gradient has no line of its own
+        servoing.draw_esm_step(errors.assign(other=1.0))
 
 
 def test_the_bells_have_their_means_and_widths():

@@ -5,6 +5,7 @@ import re
 
 import matplotlib as mpl
 import numpy as np
+import pytest
 
 mpl.use("agg")
 import matplotlib.pyplot as plt
@@ -114,6 +115,10 @@ def test_the_stage_sinks_until_the_top_is_in_focus():
     assert tops == sorted(tops, reverse=True)
     assert tops[0] > tops[1] > tops[2] == 0
     for axes, top in zip(row, tops, strict=True):
+        # The plate of the stage, 0.08 thick, under the ground, which sinks with the top.
+        ground = axes.collections[-1].get_paths()[0].vertices[:, 1]
+        assert np.ptp(ground) == pytest.approx(0.08), top
+    for axes, top in zip(row, tops, strict=True):
         sharp = np.asarray(axes.lines[1].get_ydata())[np.isfinite(axes.lines[1].get_xdata())]
         assert np.abs(sharp).max() < 0.05  # at the plane in focus
         arrows = {t.get_text(): t for t in axes.texts}
@@ -122,3 +127,13 @@ def test_the_stage_sinks_until_the_top_is_in_focus():
             assert arrows["d"].get_position()[1] == (top - tops[0]) / 2
     assert next(t for t in row[0].texts if t.get_text() == "$d_s$").get_position()[1] == tops[0] / 2
     plt.close("all")
+
+
+@pytest.mark.parametrize(("span", "digits"), [(500.0, 1), (0.004, 6), (2e6, 0)])
+def test_heights_are_written_to_a_thousandth_of_their_range(span, digits):
+    height = span * np.random.default_rng(3).random((12, 15))
+    height[0, :2] = 0, span
+    height += 30 * span  # wherever the heights are counted from
+    html = turnable_surface(height, 1.0, name="s", title="t").data
+    data = json.loads(re.search(r"Plotly\.newPlot\(\s*\"s\",\s*(\[.*?\]),\s*\{", html, re.S)[1])
+    np.testing.assert_array_equal(data[0]["z"], np.round(height, digits))

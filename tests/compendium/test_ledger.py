@@ -9,6 +9,7 @@ import tomllib
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -401,3 +402,18 @@ def test_numbers_are_shown_as_far_as_their_intervals_allow(tmp_path):
         ledger.open_record("")
     assert ledger.with_error(31199.3, 980.0) == "31200 ± 980"
     assert ledger.with_error(1.28582e-11, 4.9e-12) == "(1.29 ± 0.49)·10⁻¹¹"
+
+
+@pytest.mark.parametrize(
+    ("kind", "printed", "corrected", "digits"),
+    [
+        ("stated", "0.5", None, 3),
+        ("exact", "1.23", None, 3),
+        ("exact", "250", None, 1),
+        ("exact", "1.2e3", None, 0),
+        ("given", "1.23", "1.234", 4),
+    ],
+)
+def test_one_decimal_more_than_printed_is_shown(kind, printed, corrected, digits) -> None:
+    stated = SimpleNamespace(kind=kind, printed=printed, corrected=corrected)
+    assert ledger._places(stated) == digits

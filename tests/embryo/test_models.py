@@ -26,6 +26,7 @@ def test_every_model_has_its_own_law_pressure_and_ratio() -> None:
         "capsule, hooke": capsule_modulus(*DIMPLE, radius=600.0, **hooke).modulus,
     }
     assert found == pytest.approx(expected, rel=1e-9)
+    assert list(found) == list(expected)  # a disc with its pressure before that without, by law
 
 
 def test_a_model_that_cannot_have_the_dimple_is_left_out(monkeypatch) -> None:

@@ -228,6 +228,7 @@ def test_a_wrinkled_disc_bears_no_compression() -> None:
         ({"force": 5e3}, "force must leave the membrane upright"),
         ({"modulus": 0.0}, "modulus must be positive"),
         ({"probe_half_width": A}, "probe_half_width must lie in"),
+        ({"probe_half_width": 0.992 * A}, "probe_half_width must leave a membrane to its rim"),
         ({"pressure": "none"}, "pressure must be 'balance' or a number"),
         ({"pressure": -1.0}, "pressure must be zero or positive"),
         ({"pretension": -0.1}, "pretension must be zero or positive"),

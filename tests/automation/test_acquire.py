@@ -1,0 +1,278 @@
+"""The focus drive: where it goes, when it turns round and what it says, with known measures."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from microlib.automation import LiveDepth, _acquire, acquire_depth, autofocus
+from microlib.automation._acquire import _region, _vertex
+from microlib.automation._live import UNKNOWN, Peaks, coarse_range
+from microlib.focus import sum_modified_laplacian, three_point_peak
+
+POSITIONS = np.arange(0.0, 200.0, 10.0)
+TEXTURE = np.random.default_rng(5).integers(-90, 90, (24, 24))
+
+
+class Scope:
+    """A drive that arrives at once, and a camera whose picture is as sharp as is asked for."""
+
+    def __init__(self, sharp) -> None:
+        self.z, self.visited, self.stops, self.off = 0.0, [], 0, 0.0
+        self.sharp, self.time = sharp, 0.0
+        self.camera = self.clock = self
+        self.focus = SimpleNamespace(
+            position=self.position, move_to=self.move_to, moving=lambda: False, stop=self.stop
+        )
+
+    def now(self) -> float:
+        return self.time
+
+    def sleep(self, seconds: float) -> None:
+        self.time += seconds
+
+    def position(self):
+        return np.array([self.z])
+
+    def move_to(self, place) -> None:
+        self.z = float(place[0]) + self.off
+
+    def stop(self) -> None:
+        self.stops += 1
+
+    def snap(self):
+        self.visited.append(self.z)
+        return np.clip(128 + self.sharp(self.z) * TEXTURE, 0, 255).astype(np.uint8), 0.0
+
+
+@pytest.fixture
+def measured(monkeypatch):
+    """Let autofocus be told the measure at each position."""
+
+    def scope(measure):
+        made = Scope(lambda z: 1.0)
+        monkeypatch.setattr(_acquire, "_sharpness", lambda frame, part: measure(made.z))
+        return made
+
+    return scope
+
+
+def bell(center, width, height=10.0, ground=1.0):
+    return lambda z: ground + height * np.exp(-((z - center) ** 2) / (2 * width**2))
+
+
+@pytest.mark.parametrize(
+    ("width", "frames"),
+    # The best is the fifth. Three later the narrow one has fallen to half; the wide one has then
+    # fallen to 6.3 of 10.9, and in the next to 4.2.
+    [(10.0, 8), (25.0, 9)],
+)
+def test_it_turns_round_three_frames_behind_the_best_at_half(measured, width, frames):
+    scope = measured(bell(42.0, width))
+    run = autofocus(scope, POSITIONS)
+    assert run.complete
+    assert run.error is None
+    assert run.result is None
+    assert run.positions.size == 0
+    assert run.frames == frames
+    assert scope.visited == POSITIONS[:frames].tolist()
+    assert scope.stops == 1
+    assert run.focus == scope.z
+    assert run.reason == "the sharpest position was passed and gone back to"
+
+
+def test_the_vertex_is_that_of_the_gaussian():
+    for z in (np.array([30.0, 40.0, 55.0]), np.array([55.0, 40.0, 30.0])):
+        found = _vertex(z, bell(42.0, 9.0, ground=0.0)(z))
+        assert found == pytest.approx(42.0)
+    assert _vertex(np.array([30.0, 40.0, 55.0]), bell(70.0, 9.0, ground=0.0)(z[::-1])) == 55.0
+    run = autofocus(Scope(lambda z: float(bell(42.0, 15.0, 1.0, 0.0)(z))), POSITIONS)
+    # The measure is of the second order in the contrast, but noise of the rounding is in it.
+    assert run.focus == pytest.approx(42.0, abs=0.3)
+
+
+@pytest.mark.parametrize(("height", "clear"), [(1.6, True), (1.4, False)])
+def test_a_peak_is_two_and_a_half_times_the_least(measured, height, clear):
+    scope = measured(bell(50.0, 20.0, height))
+    run = autofocus(scope, POSITIONS)
+    assert run.complete == clear
+    if not clear:
+        assert run.frames == len(POSITIONS)
+        assert run.reason == "no position is clearly sharper than the others"
+        assert scope.z == 50.0  # the best there is
+
+
+@pytest.mark.parametrize("center", [-5.0, 195.0])
+def test_an_end_is_not_taken_for_the_sharpest(measured, center):
+    scope = measured(bell(center, 30.0))
+    run = autofocus(scope, POSITIONS)
+    assert run.reason == "the sharpest position is an end of those given"
+    assert not run.complete
+    assert run.still
+    assert scope.z == POSITIONS[0 if center < 0 else -1]
+
+
+def test_a_region_is_columns_and_rows():
+    assert _region((1, 2, 8, 9)) == (slice(2, 11), slice(1, 9))
+    assert _region(None) == (slice(None), slice(None))
+    for wrong in ((1, 2, 7, 9), (1, 2, 9, 7), (-1, 0, 9, 9), (0, -1, 9, 9), (0, 0, 9), 3):
+        with pytest.raises(ValueError, match="region must be"):
+            _region(wrong)
+    for outside in ((17, 0, 8, 8), (0, 17, 8, 8)):
+        run = autofocus(Scope(lambda z: 1.0), POSITIONS, region=outside)
+        assert run.reason == "the region lies outside of the image of (24, 24) px"
+        assert not run.complete
+
+
+@pytest.mark.parametrize(("off", "fine"), [(0.9, True), (-0.9, True), (1.1, False), (-1.1, False)])
+def test_the_drive_may_stand_half_of_the_least_spacing_beside(off, fine):
+    scope = Scope(lambda z: 1.0)
+    scope.off = off
+    run = acquire_depth(scope, [0.0, 5.0, 7.0, 12.0])
+    assert run.complete == fine
+    assert fine or "stands 1.1 µm from where it was sent" in run.reason
+
+
+def test_a_coarse_look_takes_the_others_only_around_what_it_saw():
+    scope = Scope(lambda z: 1.0 if 85 < z < 95 else 0.02)
+    run = acquire_depth(scope, POSITIONS, coarse=3)
+    assert run.complete
+    assert run.reason == "a look at every 3 positions found nothing beyond those taken"
+    # Seen at number 9; a coarse step and three frames to either side, and nothing is taken twice.
+    np.testing.assert_array_equal(run.positions, POSITIONS[3:16])
+    assert sorted(set(scope.visited)) == sorted(scope.visited)
+    assert run.frames == len(scope.visited) == 7 + 13 - 5
+    assert run.result is not None
+    grey = acquire_depth(Scope(lambda z: 0.0), POSITIONS, coarse=3)
+    assert grey.reason == "nothing comes into focus in the coarse frames"
+    assert not grey.complete
+    assert grey.frames == 7
+    assert grey.result is None
+    for wrong in (1, 21):
+        with pytest.raises(ValueError, match="coarse must"):
+            acquire_depth(scope, POSITIONS, coarse=wrong)
+
+
+def test_the_range_ends_where_the_positions_end():
+    def frames(*sharp):
+        return [np.clip(128 + (k in sharp) * TEXTURE, 0, 255).astype(np.uint8) for k in range(9)]
+
+    z = np.arange(9.0)
+    assert coarse_range(frames(4), z, 4, 33) == (9, 23)
+    assert coarse_range(frames(0), z, 4, 33) == (0, 7)
+    assert coarse_range(frames(8), z, 4, 33) == (25, 32)
+    assert coarse_range(frames(), z, 4, 33) is None
+
+
+def test_a_fault_of_progress_is_the_reason_and_ends_the_scan():
+    def wrong(live):
+        if live.frames == 2:
+            raise RuntimeError("no window")
+
+    scope = Scope(lambda z: 1.0)
+    run = acquire_depth(scope, POSITIONS, progress=wrong)
+    assert run.reason == "RuntimeError: no window"
+    assert isinstance(run.error, RuntimeError)
+    assert not run.complete
+    assert run.result is None  # two frames are no depth
+    np.testing.assert_array_equal(run.positions, [0.0, 10.0])
+    assert scope.stops == 1
+
+
+def test_a_drive_that_does_not_stop_or_say_where_it_is():
+    scope = Scope(lambda z: 1.0)
+
+    def broken(*_):
+        raise OSError("no power")
+
+    scope.focus.stop = broken
+    run = acquire_depth(scope, POSITIONS[:4])
+    assert "all positions were visited; the drive may not stand still: " in run.reason
+    assert not run.still
+    assert not run.complete
+    assert run.focus == 30.0
+    assert run.result is not None
+    scope = Scope(lambda z: 1.0)
+    scope.focus.position = broken
+    assert np.isnan(acquire_depth(scope, POSITIONS[:4]).focus)
+
+
+def pushed(*sharp, farthest=None, step=10.0):
+    live = LiveDepth(farthest=farthest)
+    for k, share in enumerate(sharp):
+        live.push(np.clip(128 + share * TEXTURE, 0, 255).astype(np.uint8), step * k)
+    return live
+
+
+def test_the_end_of_a_scan_is_known_from_the_farthest_on():
+    assert pushed(0.0, farthest=5.0).reason == "too few frames"
+    assert LiveDepth(farthest=5.0).reason == "no frame yet"
+    assert pushed(1.0, 0.1).reason == UNKNOWN
+    for step in (10.0, -10.0):
+        far = np.sign(step) * 40.0
+        live = pushed(0.1, 1.0, 0.1, 0.05, farthest=far, step=step)
+        assert live.reason == f"farthest, {far:g} µm, is not reached"
+        assert not live.done
+        # At the farthest itself, and with the peak three frames back.
+        live = pushed(0.1, 1.0, 0.1, 0.05, 0.05, farthest=far, step=step)
+        assert live.done, live.reason
+        assert live.reason.endswith(f"none lies beyond {far:g} µm")
+        live = pushed(0.1, 0.1, 1.0, 0.05, 0.05, farthest=far, step=step)
+        assert not live.done
+        assert "pixels with texture have not had their peak" in live.reason
+    grey = pushed(0.0, 0.0, 0.0, 0.0, 0.0, farthest=10.0)
+    assert not grey.done
+
+
+def test_a_peak_has_passed_at_half_of_the_way_to_the_ground():
+    # The measure is as the contrast: half of 1 and the ground at 0.1 is 0.55.
+    for low, passed in ((0.5, True), (0.6, False)):
+        live = pushed(0.1, 1.0, low, 0.9, 0.9, farthest=10.0)
+        assert live.done == passed, live.reason
+
+
+def test_the_quick_look_is_the_vertex_through_the_best_and_its_neighbors():
+    rng = np.random.default_rng(2)
+    frames = rng.integers(0, 255, (9, 30, 20)).astype(np.uint8)
+    frames[:, :, :10] //= 25  # nothing to be seen there
+    positions = np.cumsum(rng.uniform(5.0, 9.0, 9))
+    peaks = Peaks(frames[0].shape)
+    for frame in frames:
+        peaks.push(frame)
+    every = np.stack([sum_modified_laplacian(frame, window=7) for frame in frames])
+    index = every.argmax(axis=0)
+    around = np.pad(every, [(1, 1), (0, 0), (0, 0)])
+    window = np.stack([np.take_along_axis(around, (index + k)[None], 0)[0] for k in range(3)])
+    known = every.max(axis=0) > 2.5 * np.median(every.min(axis=0))
+    assert 0.1 < known.mean() < 0.9
+    expected = three_point_peak(window.astype(np.float32), index.astype(np.uint16), positions)
+    np.testing.assert_array_equal(peaks.depth(positions), np.where(known, expected, np.nan))
+
+
+def test_a_wrong_option_is_refused_before_the_first_frame():
+    for wrong in ({"measure": "none"}, {"window": 4}, {"farthest": [1.0]}):
+        with pytest.raises(ValueError, match=f"{next(iter(wrong))} must"):
+            LiveDepth(**wrong)
+    assert LiveDepth(region=(0, 0, 900, 900)).frames == 0  # which the frames decide on
+    with pytest.raises(ValueError, match="z must"):
+        LiveDepth().push(np.zeros((16, 16)), 1.1e12)
+
+
+def test_frames_that_the_camera_overwrites_are_kept_between_the_two_looks() -> None:
+    class Buffered(Scope):
+        buffer = np.zeros((24, 24), np.uint8)
+
+        def snap(self):
+            self.buffer[:] = super().snap()[0]
+            return self.buffer, 0.0
+
+    def sharp(z):
+        return max(0.02, 1 - abs(z - 92) / 40)
+
+    found, expected = (
+        acquire_depth(kind(sharp), POSITIONS, coarse=3) for kind in (Buffered, Scope)
+    )
+    np.testing.assert_array_equal(found.positions, expected.positions)
+    np.testing.assert_array_equal(found.result.depth, expected.result.depth)

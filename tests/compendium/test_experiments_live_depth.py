@@ -1,0 +1,78 @@
+"""The live depth's experiment: its microscope, its scenes, and what it counts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from compendium.experiments import live_depth
+from compendium.experiments.live_depth import POSITIONS, SCENES, frames_of, microscope, same, saved
+from microlib.focus import depth_from_focus
+
+
+def test_the_drive_shows_the_nearest_frame_and_takes_its_time() -> None:
+    stack = np.arange(len(POSITIONS), dtype=np.uint8)[:, None, None] + np.zeros((1, 4, 5), np.uint8)
+    scope = microscope(stack)
+    scope.focus.move_to(np.array([POSITIONS[5] + 5.0]))
+    assert scope.focus.moving()
+    scope.clock.sleep(0.2)
+    assert not scope.focus.moving()
+    assert (scope.camera.snap()[0] == 5).all()
+    scope.focus.move_to(np.array([POSITIONS[5] + 7.0]))
+    scope.clock.sleep(0.01)
+    assert (scope.camera.snap()[0] == 6).all()
+    before = scope.focus.position()[0]
+    scope.focus.move_to(np.array([before + 200.0]))
+    scope.clock.sleep(0.05)
+    assert scope.focus.position()[0] - before == pytest.approx(100.0, abs=0.1)  # 2000 µm/s
+
+
+def test_scenes_lie_within_the_positions_and_differ() -> None:
+    heights = {name: make() for name, make in SCENES.items()}
+    assert len(heights) == 5
+    greatest = {name: float(z.max()) for name, z in heights.items()}
+    assert greatest == pytest.approx(
+        {"cylinder": 150, "cone": 150, "step": 120, "fills the range": 390, "small part": 220},
+        rel=0.02,
+    )
+    assert all(POSITIONS[0] < z.min() and z.max() < POSITIONS[-1] for z in heights.values())
+    assert np.sum(heights["small part"] == greatest["small part"]) == 12**2
+    first, again = (frames_of("step", 3)[20] for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+    assert (frames_of("step", 4)[20] != first).any()
+    flat = frames_of("step", 3).astype(float)
+    # In focus at its height: neighbors differ most there.
+    left = np.abs(np.diff(flat[:, :, :50], axis=2)).mean(axis=(1, 2))
+    assert POSITIONS[left.argmax()] == 0.0
+
+
+def test_results_are_the_same_to_the_last_bit_or_not() -> None:
+    stack = frames_of("cone", 0)[:6, :24, :24]
+    found = depth_from_focus(stack, POSITIONS[:6])
+    assert same(found, depth_from_focus(stack, POSITIONS[:6]))
+    depth = found.depth.copy()
+    depth[3, 4] = np.nextafter(depth[3, 4], np.float32(1e9))
+    assert not same(found, replace(found, depth=depth))
+    assert not same(found, replace(found, depth=found.depth.astype(np.float64)))
+    names = [name for name in found.__dataclass_fields__ if getattr(found, name) is None]
+    for name in names:
+        assert not same(found, replace(found, **{name: depth}))
+    nan = found.depth.copy()
+    nan[0, 0] = np.nan
+    assert same(replace(found, depth=nan), replace(found, depth=nan.copy()))
+
+
+def test_what_is_saved_and_seen_is_counted(monkeypatch) -> None:
+    monkeypatch.setattr(live_depth, "SHAPE", (40, 40))
+    monkeypatch.setattr(live_depth, "SCENES", {"step": SCENES["step"]})
+    table = saved(20)
+    assert table["scene"].tolist() == ["step"] * 2
+    assert table["way"].tolist() == ["farthest", "coarse"]
+    assert table["same"].all()
+    assert table["seen"].all()
+    # Of 44 positions those up to three or four beyond the step's 120 µm, at the nineteenth.
+    assert (table["saved"].between(25, 60)).all()
+    assert table["rms of all"].nunique() == 1
+    assert (table["rms"] < 12).all()
