@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from microlib._common import Array, EndRun, Guard, Workstation
 from microlib.automation._sight import Sight, TipTracker, see
 from microlib.membrane import fit_capsule
-from microlib.membrane._outline import CapsuleFit
 from microlib.servoing import servo
 
 #: The pipette is led by sight to so many px over the egg: `extract_boundary` looks for its end in
@@ -416,7 +415,7 @@ class Press:
             "force_std_uN": force * fit.modulus_std / fit.modulus,
         }
 
-    def _capsule(self, sight: Sight, way: float) -> CapsuleFit | None:
+    def _capsule(self, sight: Sight, way: float) -> Any:
         """Return the capsule that has this outline and the dimple that is seen, or None."""
         plan = self._plan
         assert self._reference is not None
