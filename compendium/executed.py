@@ -64,10 +64,10 @@ def lighten(notebook: NotebookNode) -> None:
             continue
         picture = Image.open(io.BytesIO(base64.b64decode(data["image/png"]))).convert("RGB")
         drawing = io.BytesIO()
-        palette = picture.quantize(128, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+        palette = picture.quantize(64, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
         palette.save(drawing, "PNG", optimize=True)
         photograph = io.BytesIO()
-        picture.save(photograph, "JPEG", quality=82, optimize=True)
+        picture.save(photograph, "JPEG", quality=75, optimize=True)
         if drawing.tell() > LARGE_DRAWING and photograph.tell() < drawing.tell():
             del data["image/png"]
             data["image/jpeg"] = base64.b64encode(photograph.getvalue()).decode()

@@ -149,11 +149,10 @@ def run_own(names: list[str], texts: Sequence[tuple[str, str]], folder: Path) ->
     prepare_folder("--output", folder)
     output = folder / source.name
     calls = {source.stem: (execute_whole, source, output, values, Path.cwd())}
-    for _, message, passed in in_workers(calls, 1):
-        print(f"{output}: {message}", file=sys.stdout if passed else sys.stderr)
-        if not passed:
-            return 1
-    return 0
+    # To its end, where the pool is closed: closed as Python ends, it may say so in a traceback.
+    ((_, message, passed),) = in_workers(calls, 1)
+    print(f"{output}: {message}", file=sys.stdout if passed else sys.stderr)
+    return 0 if passed else 1
 
 
 def in_workers(calls: dict[str, tuple], jobs: int) -> Iterable[tuple[str, str, bool]]:
