@@ -55,8 +55,8 @@ _LEAST_DIMPLE = 4.0
 #: Where the first fit of a capsule begins: F/(E h) over the way since contact, and inflation. At
 #: dimples of 4 px the first is 0.04 to 0.18 for eggs inflated by 1 to 7 %, and rises with it.
 _FIRST_SHAPES = ((0.07, 1.03), (0.14, 1.06))
-#: Share by which a fitted dimple may be deeper or less deep than the one that is seen: those of
-#: benchmarks/injection.py are up to a fifth apart, a search that lost its way by a factor of ten.
+#: Share by which a fitted dimple may be deeper or less deep than the one that is seen, which is
+#: true to some percent. A search that lost its way is off by a factor of ten.
 _ASTRAY = 0.5
 #: Points of an outline that the capsule is fitted to: neighbors share pixels.
 _FIT_POINTS = 160
