@@ -12,7 +12,7 @@ from PIL import Image
 __all__ = ["clean", "lighten", "name_cells"]
 
 #: Size above which a palette does not suit a picture, bytes.
-LARGE_DRAWING = 60_000
+LARGE_DRAWING = 45_000
 #: The random name that pandas gives a styled table.
 _TABLE = re.compile(r'<table id="(T_[0-9a-f]{5})"')
 #: Where an object lay in memory, in its default text.
