@@ -241,7 +241,7 @@ def test_how_a_spoiled_run_ended_is_seen_from_outside(monkeypatch) -> None:
         forces = rig.truths(run_of(rig, [1.0, 20.0, 10.0]).log)["force"]
         assert found["strongest"] == pytest.approx(forces.max() / rig.target)
     assert asked["press_step"] == 4.0
-    assert (asked["travel"], asked["timeout"], asked["force"]) == (600.0, 0.4, rig.target)
+    assert (asked["travel"], asked["timeout"], asked["force"]) == (600.0, 1.0, rig.target)
 
     def interrupted(faulty, **settings):
         error = KeyboardInterrupt()
