@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from compendium.experiments.microscope import turned
+from compendium.experiments.microscope import HANGS, TIMEOUT, turned
 from microlib.automation import inject
 from microlib.servoing import Camera, SimulatedWorkstation, Stage
 from microlib.synthetic import InjectionScene
@@ -43,9 +43,6 @@ FAULTS = {
 }
 #: The frames from which on: in the calibration, the approach, and under pressure.
 MOMENTS = {"calibration": 4, "approach": 20, "press": 42}
-#: How long a device may take in these runs, s, and how long one that hangs does: on a busy machine
-#: a sound one takes half a second.
-TIMEOUT, HANGS = 1.0, 2.0
 #: Where a stage may go from its start, µm.
 TRAVEL = 600.0
 

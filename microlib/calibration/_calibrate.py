@@ -572,14 +572,11 @@ def _report(
     covariance = covariance + smooth.covariance
     if axis_sigma is None:
         axis_sigma = _AXIS_ASIDE * frame.image_size[0] if smooth.chance < BY_CHANCE else 0.0
+    residuals, every = problem.at(best.theta)
+    jacobian = every[:, free]
     if axis_sigma > 0:
         shifted = [names.index("tx"), names.index("ty")]
-        covariance = covariance + axis_errors(
-            problem.jacobian(best.theta)[:, free],
-            problem.residuals(best.theta),
-            shifted,
-            axis_sigma,
-        )
+        covariance = covariance + axis_errors(jacobian, residuals, shifted, axis_sigma)
     lost = {name for name, v in zip(names, np.diag(covariance), strict=True) if np.isinf(v)}
     theta = best.theta.copy()
     if "focal_length" in names:
@@ -604,7 +601,6 @@ def _report(
         distance=1 / (power * magnification),
         **dict(zip(NAMES[2:], others, strict=True)),
     )
-    jacobian = problem.jacobian(best.theta)[:, free]
     condition, weakest = _weakest(jacobian)
     return Calibration(
         microscope,
@@ -615,7 +611,7 @@ def _report(
         freedom,
         condition,
         weakest,
-        -problem.residuals(best.theta).reshape(-1, 2),
+        -residuals.reshape(-1, 2),
         microscope.back_project(problem.seen + frame.principal_point) - problem.world,
         smooth.misfit,
         smooth.chance,

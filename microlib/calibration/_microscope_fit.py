@@ -134,7 +134,8 @@ class Problem:
         asymptotic variance. Groups: the delete-one-group jackknife, in its closed form for a linear
         problem, which assumes nothing of the errors inside a group.
         """
-        residuals, jacobian = self.residuals(fit.theta), self.jacobian(fit.theta)[:, self.free]
+        residuals, every = self.at(fit.theta)
+        jacobian = every[:, self.free]
         score = np.clip(residuals, -fit.scale, fit.scale)
         # Mean second derivative of Huber's loss.
         kept = float(np.mean(np.abs(residuals) < fit.scale))
@@ -146,7 +147,8 @@ class Problem:
 
     def discrepancy(self, fit: Minimum, groups: Array | None) -> Discrepancy:
         """The smooth part of the residuals, of the groups' means where errors are correlated."""
-        residuals, jacobian = self.residuals(fit.theta), self.jacobian(fit.theta)[:, self.free]
+        residuals, every = self.at(fit.theta)
+        jacobian = every[:, self.free]
         score = np.clip(residuals, -fit.scale, fit.scale)
         # Where the model has the points: fields of the noisy ones would hold their noise.
         seen = self.seen + residuals.reshape(-1, 2)
