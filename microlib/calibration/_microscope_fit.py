@@ -63,10 +63,6 @@ class Problem:
     def residuals(self, theta: Array) -> Array:
         return self.at(theta)[0]
 
-    def jacobian(self, theta: Array) -> Array:
-        """Derivatives by all eight numbers."""
-        return self.at(theta)[1]
-
     def at(self, theta: Array) -> tuple[Array, Array]:
         """Residuals and their derivatives; h = M/(f (1 + M)) depends on two of the numbers."""
         seen, by = Microscope.project_plane(_visible(theta), self.world, self.cell)

@@ -15,7 +15,7 @@ from compendium import ledger
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(Path(__file__).parent))
-from browsing import open_page  # noqa: E402
+from browsing import open_page, without_solids  # noqa: E402
 
 # Pages that Sphinx makes for itself and no reader is sent to.
 INTERNAL = {"genindex.html", "py-modindex.html"}
@@ -163,8 +163,8 @@ def test_pages_are_light(pages: dict[Path, Links], html: Path) -> None:
     is not counted."""
     for path, page in pages.items():
         own = {(path.parent / unquote(u)).resolve() for u in page.loads if "_images" in u}
-        solid = re.findall(r"<script[^>]*>[^<]*Plotly.*?</script>", path.read_text("utf-8"), re.S)
-        size = sum(file.stat().st_size for file in (path, *own)) - sum(map(len, solid))
+        text = without_solids(path.read_text("utf-8"))
+        size = len(text.encode()) + sum(file.stat().st_size for file in own - {path})
         assert size < 1.5e6, f"{path.name} weighs {size / 1e6:.2f} MB"
 
 

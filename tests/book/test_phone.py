@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 
 import pytest
 from PIL import Image
 from playwright.sync_api import Page
+
+sys.path.insert(0, str(Path(__file__).parent))
+from browsing import without_solids
 
 
 @pytest.fixture
@@ -32,8 +36,7 @@ def test_pages_are_light_on_phones(html: Path) -> None:
     for path in sorted((html / "notebooks").glob("*.html")):
         text = path.read_text(encoding="utf-8")
         pictures = [path.parent / src for src in re.findall(r'srcset="([^"]+)"', text)]
-        text = re.sub(r"<script[^>]*>[^<]*Plotly.*?</script>", "", text, flags=re.DOTALL)  # 3-D
-        size = len(text.encode()) + sum(one.stat().st_size for one in pictures)
+        size = len(without_solids(text).encode()) + sum(one.stat().st_size for one in pictures)
         assert size < 1.5e6, f"{path.name} weighs {size / 1e6:.2f} MB"
 
 
