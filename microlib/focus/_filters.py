@@ -289,8 +289,8 @@ def box_rows(
 @compiled
 def _add_powers(
     source: NDArray[np.float32],
-    one: NDArray[np.float32],
-    two: NDArray[np.float32],
+    fours: NDArray[np.float32],
+    sixteens: NDArray[np.float32],
     out: NDArray[np.float32],
     side: int,
     step: int,
@@ -298,38 +298,62 @@ def _add_powers(
     stop: int,
     before: int,
 ) -> None:
-    """Add up `side` pixels that are `step` apart, from `before` steps before each pixel on."""
+    """Add up `side` pixels that are `step` apart, from `before` steps before each pixel on.
+
+    One, two, four, eight, … of them, as the bits of `side` say. Only sums of four and of sixteen
+    are put away: twice as many are two of those.
+    """
     first = start - before * step
-    _copy_flat(source[first:], out[start:stop])
-    done, width = 1, 1
-    earlier, later = source, one
-    while 2 * width <= side:
-        # As many sums as the widest of those to come is made of.
-        last = stop + (side - before - 2 * width) * step
-        _add_flat(earlier[first:], earlier[first + width * step :], later[first:last])
-        width *= 2
-        if side & width:
-            _add_to_flat(later[first + done * step :], out[start:stop])
-            done += width
-        earlier, later = later, two if later is one else one
+    target = out[start:stop]
+    _first_odd(source[first:], step, side & 2 > 0, target)
+    done, width, earlier = side & 3, 4, source
+    for sums in (fours, sixteens):
+        if side < width:
+            break
+        # As many as the widest sums to come are made of.
+        last = stop + (side - before - width) * step
+        _add_four(earlier[first:], width // 4 * step, sums[first:last])
+        bits = side // width & 3
+        if bits:
+            _add_sums(sums[first + done * step :], width * step, bits, target)
+        done, width, earlier = done + bits * width, 4 * width, sums
 
 
 @compiled
-def _copy_flat(source: NDArray[np.float32], out: NDArray[np.float32]) -> None:
-    for p in range(np.uintp(len(out))):
-        out[p] = source[p]
+def _first_odd(
+    source: NDArray[np.float32], step: int, three: bool, out: NDArray[np.float32]
+) -> None:
+    """Write one pixel, or the sum of three."""
+    if three:
+        one, two = source[step:], source[2 * step :]
+        for p in range(np.uintp(len(out))):
+            out[p] = source[p] + (one[p] + two[p])
+    else:
+        for p in range(np.uintp(len(out))):
+            out[p] = source[p]
 
 
 @compiled
-def _add_flat(one: NDArray[np.float32], two: NDArray[np.float32], out: NDArray[np.float32]) -> None:
+def _add_four(source: NDArray[np.float32], step: int, out: NDArray[np.float32]) -> None:
+    """Write the sum of two neighbors and the next two."""
+    one, two, three = source[step:], source[2 * step :], source[3 * step :]
     for p in range(np.uintp(len(out))):
-        out[p] = one[p] + two[p]
+        out[p] = (source[p] + one[p]) + (two[p] + three[p])
 
 
 @compiled
-def _add_to_flat(source: NDArray[np.float32], out: NDArray[np.float32]) -> None:
-    for p in range(np.uintp(len(out))):
-        out[p] += source[p]
+def _add_sums(sums: NDArray[np.float32], width: int, bits: int, out: NDArray[np.float32]) -> None:
+    """Add one sum (`bits` 1), that of two neighbors (2), or one and then two more (3)."""
+    one, two = sums[width:], sums[2 * width :]
+    if bits == 1:
+        for p in range(np.uintp(len(out))):
+            out[p] += sums[p]
+    elif bits == 2:
+        for p in range(np.uintp(len(out))):
+            out[p] += sums[p] + one[p]
+    else:
+        for p in range(np.uintp(len(out))):
+            out[p] = (out[p] + sums[p]) + (one[p] + two[p])
 
 
 @compiled
