@@ -65,6 +65,15 @@ def test_a_pixel_does_not_depend_on_the_rows_that_are_asked_for(make):
         np.testing.assert_array_equal(measure(image, rows), whole[rows])
 
 
+@pytest.mark.parametrize("side", range(1, 2 * _filters.MOST_REACH + 4, 2))
+def test_a_box_is_the_mean_of_its_square(side):
+    """Every side is made of other sums, of which one may be wrong."""
+    image = np.random.default_rng(side).normal(size=(70, 60)).astype(np.float32)
+    expected = ndimage.uniform_filter(image.astype(float), side, mode="mirror")
+    # A few dozen sums in float32 of numbers around 1, over the square.
+    np.testing.assert_allclose(_measures.box(image, side), expected, atol=1e-6)
+
+
 def test_every_filter_fits_into_the_margin_of_a_tile():
     for measure in (_measures.multiscale_measure(1.0), _measures.edge_measure(1.0)):
         assert measure.reach <= _filters.MOST_REACH

@@ -5,7 +5,7 @@ import pytest
 
 from microlib import synthetic
 from microlib.focus import _depth, _survey, depth_from_focus, survey_focus
-from microlib.focus._measures import blur, box
+from microlib.focus._measures import blur
 from microlib.focus._nearest import enlarged, halved
 from microlib.focus._window import Window
 
@@ -117,14 +117,6 @@ def test_a_mean_does_not_depend_on_where_the_image_begins(sigma):
     far = np.zeros((400, 1), np.float32)
     far[:100] = 1e6
     assert not blur(far, sigma)[300:].any()  # running sums leave something
-
-
-@pytest.mark.parametrize("side", [1, 3, 13, 49, 51])
-def test_a_box_is_the_mean_over_a_mirrored_square(side):
-    image = np.random.default_rng(1).random((60, 70)).astype(np.float32)
-    around = np.pad(image, side // 2, mode="reflect")
-    squares = np.lib.stride_tricks.sliding_window_view(around, (side, side))
-    np.testing.assert_allclose(box(image, side), squares.mean(axis=(2, 3)), rtol=1e-5)
 
 
 def test_half_and_twice_the_size_begin_at_the_first_pixel():
