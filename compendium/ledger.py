@@ -682,7 +682,7 @@ def summary(prefix: str = "") -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        One row a claim: id, quantity, printed, ours, unit, verdict.
+        One row for each claim, by its id: quantity, printed, ours, unit, verdict.
     """
     rows = [
         {
@@ -696,7 +696,10 @@ def summary(prefix: str = "") -> pd.DataFrame:
         for record in _session.records.values()
         if record.id.startswith(prefix) and (stated := claims().get(record.id)) is not None
     ]
-    return pd.DataFrame(rows, columns=["claim", "quantity", "printed", "ours", "unit", "verdict"])
+    columns = ["claim", "quantity", "printed", "ours", "unit", "verdict"]
+    table = pd.DataFrame(rows, columns=columns).set_index("claim")
+    # The word above the ids, in the same line as the other columns' names.
+    return table.rename_axis(index=None, columns="claim")
 
 
 def read_records(folder: str | os.PathLike[str]) -> dict[str, Record]:

@@ -68,6 +68,17 @@ PRIORS: dict[str, tuple[float, float]] = {
     "pretension": (0.0, 0.05),
     "rim_inset": (0.0, 0.05),
 }
+#: The same for readers, with the crest's place.
+_READ = {
+    "thickness": "thickness (µm)",
+    "probe_half_width": "half-width of the probe (µm)",
+    "radius": "capsule: radius, inflated (µm)",
+    "inflation": "capsule: stretch when inflated",
+    "pressure": "disc: pressure below it, over F/(π a²)",
+    "pretension": "disc: strain before the test",
+    "rim_inset": "disc: share by which the rim is drawn in",
+    "rim_radius": "crest of the rim (µm)",
+}
 #: Height in px within which a crest is level: the finest that the image shows.
 _LEVEL = 1.0
 #: Solved states behind each law of a capsule and of a disc. Left out one by one, they are
@@ -163,6 +174,12 @@ def crest_reach(curve: GaussianSum) -> tuple[float, float]:
     outer, inner = x[below[below < crest].max()], x[below[below > crest].min()]
     to_radius = thesis.EMBRYO_PIXEL
     return to_radius * float(dimple.bottom[0] - inner), to_radius * float(dimple.bottom[0] - outer)
+
+
+def prior_table(crest: tuple[float, float]) -> pd.DataFrame:
+    """Return the ends between which each number is drawn, in words, with a crest's."""
+    ends = {_READ[name]: reach for name, reach in (PRIORS | {"rim_radius": crest}).items()}
+    return pd.DataFrame(ends, index=["from", "to"]).T
 
 
 def single_readings(crest: tuple[float, float]) -> pd.DataFrame:

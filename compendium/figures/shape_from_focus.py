@@ -133,7 +133,8 @@ def draw_types(
         Part (x, y, width, height), px, that a second row shows larger.
     """
     rows = 1 if enlarged is None else 2
-    size = (7.2, 1.0 + 7.2 / len(labels) * rows)  # inches: square maps, and a legend below
+    # Inches: square maps, a legend below, and labels and a title between two rows.
+    size = (7.2, 1.0 + 7.2 / len(labels) * rows + 0.6 * (rows - 1))
     figure, grid = plt.subplots(rows, len(labels), figsize=size, squeeze=False)
     row = grid[0]
     for axes, (title, types) in zip(row, labels.items(), strict=True):

@@ -310,7 +310,7 @@ def test_records_are_written_and_read(tmp_path: Path) -> None:
         records = ledger.read_records(tmp_path / "claims")
         assert records["table-5.6/E"].value == 1.32371
         assert str(records["5.6/ours"]) == "25.0 µm"
-        assert list(ledger.summary("table-5.6")["claim"]) == ["table-5.6/E"]
+        assert list(ledger.summary("table-5.6").index) == ["table-5.6/E"]
         (tmp_path / "claims" / "06.json").write_text((tmp_path / "claims" / "05.json").read_text())
         with pytest.raises(ValueError, match="recorded twice"):
             ledger.read_records(tmp_path / "claims")
