@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.container import BarContainer
 from matplotlib.figure import Figure
 
-from compendium.figures.phone import keep_narrow
+from compendium.figures.phone import keep_narrow, overlaps
 from microlib._common import replace_file
 
 __all__ = ["FOLDER_VARIABLE", "keep_data", "show"]
@@ -27,11 +27,21 @@ IMAGE_DIGITS = 5
 
 
 def show(name: str) -> None:
-    """Show the current figure; keep its data (`name`.csv, `name`.npz) and a copy for phones."""
+    """Show the current figure; keep its data (`name`.csv, `name`.npz) and a copy for phones.
+
+    Raises
+    ------
+    ValueError
+        If two of its texts lie on each other, where it is kept.
+    """
     folder = os.environ.get(FOLDER_VARIABLE)
     if folder:
-        keep_data(plt.gcf(), Path(folder) / name)
-        keep_narrow(plt.gcf(), Path(folder) / f"{name}.webp")
+        figure = plt.gcf()
+        figure.draw_without_rendering()
+        if found := overlaps(figure):
+            raise ValueError(f"texts of {name} must lie side by side, got {found}")
+        keep_data(figure, Path(folder) / name)
+        keep_narrow(figure, Path(folder) / f"{name}.webp")
     plt.show()
 
 

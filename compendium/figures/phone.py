@@ -24,7 +24,7 @@ from PIL import Image
 
 from microlib._common import replace_file
 
-__all__ = ["DPI", "LEAST", "keep_narrow", "narrow"]
+__all__ = ["DPI", "LEAST", "keep_narrow", "narrow", "overlaps"]
 
 #: Smallest text of the second rendering, points, which the page shows as large as its own text.
 LEAST = 12.0
@@ -95,11 +95,11 @@ def narrow(figure: Figure) -> Figure:
         return wide
     ink = stacked.get_tightbbox()
     narrow_enough = ink.x0 > -TOO_FAR and ink.x1 < WIDTH + TOO_FAR
-    overlaps = _overlaps(stacked)
-    if narrow_enough and overlaps:
+    more = len(overlaps(stacked))
+    if narrow_enough and more:
         wide.draw_without_rendering()
-        overlaps -= _overlaps(wide)
-    return stacked if narrow_enough and overlaps <= 0 else wide
+        more -= len(overlaps(wide))
+    return stacked if narrow_enough and more <= 0 else wide
 
 
 def _copy(figure: Figure) -> Figure:
@@ -239,19 +239,20 @@ def _put_below(axes: Axes, legend: Legend) -> None:
     legend.set_bbox_to_anchor((0.5, 0), transform=axes.transAxes + down)
 
 
-def _overlaps(figure: Figure) -> int:
-    """Count the pairs of texts of a drawn figure that lie on each other."""
-    boxes = list(_text_boxes(figure))
-    shared = (Bbox.intersection(a, b) for a, b in combinations(boxes, 2))
+def overlaps(figure: Figure) -> list[tuple[str, str]]:
+    """Return the pairs of texts of a drawn figure that lie on each other."""
     # The box of a text is higher than its letters.
-    return sum(
-        box is not None and min(box.width, box.height) > 0.25 * LEAST / 72 * figure.dpi
-        for box in shared
-    )
+    least = 0.25 * LEAST / 72 * figure.dpi
+    found = []
+    for (one, a), (other, b) in combinations(_text_boxes(figure), 2):
+        shared = Bbox.intersection(a, b)
+        if shared is not None and min(shared.width, shared.height) > least:
+            found.append((one, other))
+    return found
 
 
-def _text_boxes(figure: Figure) -> Iterator[Bbox]:
-    """Yield the places of the texts that are drawn, px."""
+def _text_boxes(figure: Figure) -> Iterator[tuple[str, Bbox]]:
+    """Yield the texts that are drawn and their places, px."""
     hidden: set[Text] = set()
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):
@@ -265,4 +266,4 @@ def _text_boxes(figure: Figure) -> Iterator[Bbox]:
         if text.get_visible() and text.get_text().strip() and text not in hidden:
             box = text.get_window_extent()
             if np.isfinite(box.bounds).all():
-                yield box
+                yield text.get_text(), box
