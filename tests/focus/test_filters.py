@@ -77,3 +77,11 @@ def test_a_box_is_the_mean_of_its_square(side):
 def test_every_filter_fits_into_the_margin_of_a_tile():
     for measure in (_measures.multiscale_measure(1.0), _measures.edge_measure(1.0)):
         assert measure.reach <= _filters.MOST_REACH
+
+
+def test_rows_of_a_tile_begin_with_a_cache_line():
+    room = _filters.own_room()
+    first = room[:, _filters.FRONT :: _filters.STRIDE]
+    assert room.ctypes.data % 64 == 0
+    assert all(step % 64 == 0 for step in first.strides)
+    assert 4 * _filters.FRONT % 64 == 0
