@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.container import BarContainer
 from matplotlib.figure import Figure
 
-from compendium.figures.phone import keep_narrow, overlaps
+from compendium.figures.phone import keep_narrow, touching_texts
 from microlib._common import replace_file
 
 __all__ = ["FOLDER_VARIABLE", "keep_data", "show"]
@@ -37,8 +37,7 @@ def show(name: str) -> None:
     folder = os.environ.get(FOLDER_VARIABLE)
     if folder:
         figure = plt.gcf()
-        figure.draw_without_rendering()
-        if found := overlaps(figure):
+        if found := touching_texts(figure):
             raise ValueError(f"texts of {name} must lie side by side, got {found}")
         keep_data(figure, Path(folder) / name)
         keep_narrow(figure, Path(folder) / f"{name}.webp")

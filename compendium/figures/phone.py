@@ -24,7 +24,7 @@ from PIL import Image
 
 from microlib._common import replace_file
 
-__all__ = ["DPI", "LEAST", "keep_narrow", "narrow", "overlaps"]
+__all__ = ["DPI", "LEAST", "keep_narrow", "narrow", "touching_texts"]
 
 #: Smallest text of the second rendering, points, which the page shows as large as its own text.
 LEAST = 12.0
@@ -95,19 +95,34 @@ def narrow(figure: Figure) -> Figure:
         return wide
     ink = stacked.get_tightbbox()
     narrow_enough = ink.x0 > -TOO_FAR and ink.x1 < WIDTH + TOO_FAR
-    more = len(overlaps(stacked))
+    more = len(_overlaps(stacked))
     if narrow_enough and more:
         wide.draw_without_rendering()
-        more -= len(overlaps(wide))
+        more -= len(_overlaps(wide))
     return stacked if narrow_enough and more <= 0 else wide
+
+
+def touching_texts(figure: Figure) -> list[tuple[str, str]]:
+    """Return the pairs of texts of a figure that lie on each other; it is not drawn itself.
+
+    A figure that was drawn before has other ticks when its size changes.
+    """
+    copy = _same(figure)
+    copy.draw_without_rendering()
+    return _overlaps(copy)
+
+
+def _same(figure: Figure) -> Figure:
+    copy: Figure = pickle.loads(pickle.dumps(figure))
+    plt.close(copy)  # it is not to be shown
+    return copy
 
 
 def _copy(figure: Figure) -> Figure:
     """Return a copy without small texts."""
-    copy = pickle.loads(pickle.dumps(figure))
-    plt.close(copy)  # it is not to be shown
+    copy = _same(figure)
     for text in copy.findobj(Text):
-        if text.get_fontsize() < LEAST:
+        if float(text.get_fontsize()) < LEAST:
             text.set_fontsize(LEAST)
     for axes in copy.axes:
         axes.tick_params(which="both", labelsize=LEAST)
@@ -239,7 +254,7 @@ def _put_below(axes: Axes, legend: Legend) -> None:
     legend.set_bbox_to_anchor((0.5, 0), transform=axes.transAxes + down)
 
 
-def overlaps(figure: Figure) -> list[tuple[str, str]]:
+def _overlaps(figure: Figure) -> list[tuple[str, str]]:
     """Return the pairs of texts of a drawn figure that lie on each other."""
     # The box of a text is higher than its letters.
     least = 0.25 * LEAST / 72 * figure.dpi
