@@ -88,8 +88,8 @@ def ends() -> pd.DataFrame:
 
 
 NOTE = """\
-The eggs have a radius of 520 to 660 µm and a modulus of 0.5 to 2 MPa, and are inflated by 1 to 8
-%. The pipette is 36 to 64 µm wide, and an image has 3.9 µm per pixel and a noise of two grey
+The eggs have a radius of 520 to 660 µm and a modulus of 0.5 to 2 MPa, and are inflated by 1 % to
+8 %. The pipette is 36 to 64 µm wide, and an image has 3.9 µm per pixel and a noise of two grey
 levels. Dimples are at least 18 µm deep, and the wall gives way at {rupture} times the target.
 
 The true egg is the capsule of `indent_capsule`, and the force is read with the same model and the

@@ -166,6 +166,47 @@ def test_paper_has_whole_code_and_nothing_of_the_screen(page: Page, html: Path) 
     assert parted == 0
 
 
+def test_wide_tables_of_the_benchmarks_fit_with_whole_words(page: Page, html: Path) -> None:
+    open_page(page, html / "benchmarks.html")
+    page.locator("details").evaluate_all("all => all.forEach(one => one.open = true)")
+    scrolled, broken = page.evaluate("""() => {
+        const tables = [...document.querySelectorAll("section table:has(th:nth-child(7))")];
+        const parted = text => [...text.data.matchAll(/[\\p{L}\\p{N}]+/gu)].filter(word => {
+            const range = document.createRange();
+            range.setStart(text, word.index);
+            range.setEnd(text, word.index + word[0].length);
+            const tops = [...range.getClientRects()].map(box => Math.round(box.top));
+            return new Set(tops).size > 1;
+        }).map(word => word[0]);
+        const words = heading => {
+            const walker = document.createTreeWalker(heading, NodeFilter.SHOW_TEXT), found = [];
+            while (walker.nextNode()) found.push(...parted(walker.currentNode));
+            return found;
+        };
+        const isScrolled = box => box.scrollWidth > box.clientWidth + 1;
+        return [
+            tables.filter(table => isScrolled(table.parentElement)).length,
+            tables.flatMap(table => [...table.querySelectorAll("th")].flatMap(words)),
+        ];
+    }""")
+    assert scrolled == 0
+    assert broken == []
+
+
+def test_no_line_of_the_text_is_lost_as_a_comment() -> None:
+    """In the book's markup a line that begins with a percent sign is a comment."""
+    texts = {path.name: path.read_text("utf-8") for path in (ROOT / "book").glob("*.md")}
+    for path in (ROOT / "notebooks").glob("*.ipynb"):
+        cells = json.loads(path.read_text("utf-8"))["cells"]
+        prose = ("".join(one["source"]) for one in cells if one["cell_type"] == "markdown")
+        texts[path.name] = "\n".join(prose)
+    for path in (ROOT / "benchmarks" / "results").glob("*.json"):
+        texts[path.name] = json.loads(path.read_text("utf-8"))["note"]
+    lost = [name for name, text in texts.items() if re.search(r"^\s*%", text, re.M)]
+    assert len(texts) > 30
+    assert lost == []
+
+
 def previews(html: Path) -> dict[str, str]:
     text = (html / "_static" / "preview_data.js").read_text(encoding="utf-8")
     return json.loads(text.partition("= ")[2].rstrip(";\n"))
