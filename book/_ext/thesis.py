@@ -185,8 +185,16 @@ class Claims(SphinxDirective):
 
     def leads(self, text: str, page: str, anchor: str, *, kind: str = "") -> nodes.paragraph:
         paragraph = nodes.paragraph(classes=[kind] if kind else [])
-        paragraph += link(self.env, nodes.Text(text), page, anchor)
+        paragraph += link(self.env, breakable(text), page, anchor)
         return paragraph
+
+
+def breakable(name: str) -> nodes.inline:
+    """Return a long name of the code that may be broken after its underscores and slashes."""
+    shown = nodes.inline()
+    for part in re.findall(r"[^_/]+[_/]*|[_/]+", name):
+        shown += [nodes.Text(part), raw_html("<wbr>")]
+    return shown
 
 
 def line(text: str, kind: str = "") -> nodes.paragraph:

@@ -166,11 +166,20 @@ def test_paper_has_whole_code_and_nothing_of_the_screen(page: Page, html: Path) 
     assert parted == 0
 
 
-def test_wide_tables_of_the_benchmarks_fit_with_whole_words(page: Page, html: Path) -> None:
-    open_page(page, html / "benchmarks.html")
+@pytest.mark.parametrize(
+    ("name", "tables", "cells"),
+    [
+        ("benchmarks.html", "section table:has(th:nth-child(7))", "th"),
+        ("claims.html", "table.claims", ".claim-test"),
+    ],
+)
+def test_wide_tables_fit_with_whole_words(
+    page: Page, html: Path, name: str, tables: str, cells: str
+) -> None:
+    open_page(page, html / name)
     page.locator("details").evaluate_all("all => all.forEach(one => one.open = true)")
-    scrolled, broken = page.evaluate("""() => {
-        const tables = [...document.querySelectorAll("section table:has(th:nth-child(7))")];
+    scrolled, broken = page.locator(tables).evaluate_all(
+        """(tables, cells) => {
         const parted = text => [...text.data.matchAll(/[\\p{L}\\p{N}]+/gu)].filter(word => {
             const range = document.createRange();
             range.setStart(text, word.index);
@@ -178,17 +187,19 @@ def test_wide_tables_of_the_benchmarks_fit_with_whole_words(page: Page, html: Pa
             const tops = [...range.getClientRects()].map(box => Math.round(box.top));
             return new Set(tops).size > 1;
         }).map(word => word[0]);
-        const words = heading => {
-            const walker = document.createTreeWalker(heading, NodeFilter.SHOW_TEXT), found = [];
+        const words = cell => {
+            const walker = document.createTreeWalker(cell, NodeFilter.SHOW_TEXT), found = [];
             while (walker.nextNode()) found.push(...parted(walker.currentNode));
             return found;
         };
         const isScrolled = box => box.scrollWidth > box.clientWidth + 1;
         return [
             tables.filter(table => isScrolled(table.parentElement)).length,
-            tables.flatMap(table => [...table.querySelectorAll("th")].flatMap(words)),
+            tables.flatMap(table => [...table.querySelectorAll(cells)].flatMap(words)),
         ];
-    }""")
+    }""",
+        cells,
+    )
     assert scrolled == 0
     assert broken == []
 
