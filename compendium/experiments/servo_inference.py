@@ -9,7 +9,9 @@ draws fresh noise, and the target and the evidence are those of the exact likeli
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,7 @@ from scipy.special import logsumexp
 
 from compendium import thesis
 from compendium.experiments.section_5_4 import PATH_RESULTS, STEP_RESULTS
-from compendium.experiments.servo_loop import EXPERIMENTS, compiled, simulated
+from compendium.experiments.servo_loop import COLUMNS, EXPERIMENTS, IGNORED, compiled, simulated
 from compendium.experiments.servo_models import RARE, priors, settings
 from compendium.ledger import claim
 
@@ -38,12 +40,6 @@ SCALES = np.array([SETTLING_SCALE if id.endswith("settling-time") else SCALE for
 #: likelihood: what is chance needs more than a mean of hundreds of frames. The logarithm then has a
 #: deviation near one, where such samplers work best (benchmark of servo inference, "Noise").
 STEP_RUNS, PATH_RUNS, RARE_PATH_RUNS = 48, 4, 12
-#: Particles, moves after each warming, and share of the particles that a warming leaves effective.
-PARTICLES, MOVES, SHARE = 500, 3, 0.5
-#: Moves at the end.
-LAST_MOVES = 4
-#: Share of the proposals that adapting aims at, and the first length of a move.
-ACCEPTED, FIRST_LENGTH = 0.25, 0.6
 
 
 def printed() -> NDArray[np.float64]:
@@ -76,30 +72,49 @@ class Problem:
     numbers: NDArray[np.float64]
     left_out: int = -1
 
-    def log_likelihood(self, normal: NDArray, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Return an unbiased estimate's logarithm for each row of standard normal numbers."""
-        blocks = [self.of_block(normal, block, rng) for block in range(len(BLOCKS))]
-        steps, paths = np.sum(blocks[:2], axis=0), np.sum(blocks[2:], axis=0)
-        return _mean_of_readings(steps) + _mean_of_readings(paths)
+    def of_block(
+        self, normal: NDArray, block: int, rng: np.random.Generator, effort: float = 1.0
+    ) -> NDArray:
+        """Return what one experiment's numbers say, (N, readings), logarithms.
 
-    def of_block(self, normal: NDArray, block: int, rng: np.random.Generator) -> NDArray:
-        """Return what one experiment's numbers say, (N, readings), logarithms."""
+        That is of an unbiased estimate, from a share `effort` of the runs.
+        """
         with np.errstate(divide="ignore"):
-            return np.log(self.runs(normal, block, rng)[1].mean(axis=1))
+            return np.log(self.runs(normal, block, rng, effort)[1].mean(axis=1))
 
     def runs(
-        self, normal: NDArray, block: int, rng: np.random.Generator
+        self, normal: NDArray, block: int, rng: np.random.Generator, effort: float = 1.0
     ) -> tuple[NDArray, NDArray]:
         """Return a block's runs as `simulated` does, and the product of each one's kernels."""
         zoom, kind = BLOCKS[block]
         rows = settings(self.model, normal, zoom, kind)
         path_runs = RARE_PATH_RUNS if self.model in RARE else PATH_RUNS
-        found = simulated(kind, rows, STEP_RUNS if kind == "step" else path_runs, rng)
+        runs = round(effort * (STEP_RUNS if kind == "step" else path_runs))
+        found = simulated(kind, rows, runs, rng)
         at = places(block)
         used = np.arange(len(NUMBERS))[at] != self.left_out
         product = np.empty(found.shape[:3])
         _kernel_products(found, np.log(self.numbers[at]), SCALES[at], used, product)
         return found, product
+
+
+@cache
+def touched(model: str) -> tuple[tuple[int, ...], ...]:
+    """Return, for each unknown number of a model, which of `BLOCKS` it has a part in."""
+    size = len(priors(model))
+    found: list[list[int]] = [[] for _ in range(size)]
+    for block, (zoom, kind) in enumerate(BLOCKS):
+        used = [name not in IGNORED[kind] for name in COLUMNS]
+        rows = settings(model, np.vstack([np.zeros(size), np.eye(size)]), zoom, kind)[:, used]
+        for place in np.flatnonzero((rows[1:] != rows[0]).any(axis=1)):
+            found[place].append(block)
+    return tuple(map(tuple, found))
+
+
+def log_likelihood(said: Sequence[NDArray]) -> NDArray[np.float64]:
+    """Return what all experiments say, from what each says by every reading; logarithms."""
+    steps, paths = np.sum(said[:2], axis=0), np.sum(said[2:], axis=0)
+    return _mean_of_readings(steps) + _mean_of_readings(paths)
 
 
 def _mean_of_readings(by_reading: NDArray) -> NDArray:
@@ -123,122 +138,3 @@ def _kernel_products(
                             part = 1.0 + 0.25 * off * off
                             density *= 0.375 / (scales[n] * part * part * np.sqrt(part))
                 product[i, r, reading] = density
-
-
-@dataclass(frozen=True)
-class Posterior:
-    """What the numbers leave of a model's unknowns.
-
-    Attributes
-    ----------
-    problem : Problem
-        What was asked.
-    normal : ndarray, shape (N, D)
-        Particles of equal weight, as standard normal numbers a priori.
-    log_evidence : float
-        Logarithm of the numbers' density in log y under the model.
-    accepted : float
-        Share of the last moves that was accepted.
-    """
-
-    problem: Problem
-    normal: NDArray[np.float64]
-    log_evidence: float
-    accepted: float
-
-
-def infer(problem: Problem, seed: int | list[int], particles: int = PARTICLES) -> Posterior:
-    """Warm particles from the prior to the posterior.
-
-    Parameters
-    ----------
-    problem : Problem
-        Model and numbers.
-    seed : int or list of int
-        Of all draws.
-    particles : int
-        How many.
-
-    Returns
-    -------
-    Posterior
-        Particles and evidence.
-
-    Raises
-    ------
-    ValueError
-        If no particle of the prior can give numbers at all.
-    """
-    rng = np.random.default_rng(seed)
-    normal = rng.standard_normal((particles, len(priors(problem.model))))
-    logs = problem.log_likelihood(normal, rng)
-    alive = np.isfinite(logs)
-    if not alive.any():
-        raise ValueError(f"particles must be more than {particles}: no draw of the prior settles")
-    heat, log_evidence, length, accepted = 0.0, float(np.log(alive.mean())), FIRST_LENGTH, 0.0
-    chosen = _resampled(alive / alive.sum(), rng)
-    normal, logs = normal[chosen], logs[chosen]
-    while heat < 1:
-        added = _warming(logs, 1 - heat)
-        heat += added
-        log_evidence += float(logsumexp(added * logs) - np.log(particles))
-        chosen = _resampled(np.exp(added * logs - logsumexp(added * logs)), rng)
-        normal, logs = normal[chosen], logs[chosen]
-        for _ in range(MOVES if heat < 1 else LAST_MOVES):
-            normal, logs, accepted = _move(problem, normal, logs, heat, length, rng)
-            length = float(np.clip(length * np.exp(accepted - ACCEPTED), 0.05, 1.0))
-    return Posterior(problem, normal, log_evidence, accepted)
-
-
-def _warming(logs: NDArray, most: float) -> float:
-    """Return how much warmer leaves `SHARE` of the particles effective."""
-
-    def effective(added: float) -> float:
-        weight = np.exp(added * (logs - logs.max()))
-        return float(weight.sum() ** 2 / (weight**2).sum() / len(logs))
-
-    if effective(most) >= SHARE:
-        return most
-    low, high = 0.0, most
-    for _ in range(30):
-        middle = (low + high) / 2
-        low, high = (middle, high) if effective(middle) > SHARE else (low, middle)
-    return high
-
-
-def _resampled(weight: NDArray, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Return places drawn by weight, evenly spaced."""
-    at = (np.arange(len(weight)) + rng.random()) / len(weight)
-    return np.searchsorted(np.cumsum(weight) / weight.sum(), at).clip(max=len(weight) - 1)
-
-
-def _move(
-    problem: Problem,
-    normal: NDArray,
-    logs: NDArray,
-    heat: float,
-    length: float,
-    rng: np.random.Generator,
-) -> tuple[NDArray, NDArray, float]:
-    """Propose towards and around the particles' own normal distribution; keep by Metropolis.
-
-    ``x' = m + √(1 − length²) (x − m) + length · noise`` leaves N(m, C) as it is, so that the
-    acceptance compares the target with that distribution.
-    """
-    mean, covariance = normal.mean(axis=0), np.cov(normal.T) + 1e-6 * np.eye(normal.shape[1])
-    root = np.linalg.cholesky(covariance)
-    noise = rng.standard_normal(normal.shape) @ root.T
-    proposed = mean + np.sqrt(1 - length**2) * (normal - mean) + length * noise
-    new_logs = problem.log_likelihood(proposed, rng)
-
-    def log_target(x: NDArray, log_likelihood: NDArray) -> NDArray:
-        off = np.linalg.solve(root, (x - mean).T)
-        return heat * log_likelihood - (x**2).sum(axis=1) / 2 + (off**2).sum(axis=0) / 2
-
-    gain = log_target(proposed, new_logs) - log_target(normal, logs)
-    keep = np.log(rng.random(len(normal))) < gain
-    return (
-        np.where(keep[:, None], proposed, normal),
-        np.where(keep, new_logs, logs),
-        float(keep.mean()),
-    )

@@ -44,6 +44,13 @@ COLUMNS = (
 )
 #: Experiments at each zoom; a step's or a path's place here is its number in the loop.
 EXPERIMENTS = ("step", "circle", "square", "sinusoid")
+#: Columns that an experiment does not read.
+IGNORED = {
+    "step": ("speed", "size", "height", "start"),
+    "circle": ("height",),
+    "square": ("height",),
+    "sinusoid": (),
+}
 #: Frames of a step, two seconds and more as in `section_5_4.STEP_PATH`.
 STEP_FRAMES = 66
 #: Frames of a path at most: mean and deviation of ten seconds are those of the whole turn within
@@ -185,7 +192,7 @@ def _close_loop(
     due, command = np.empty(_QUEUE), np.empty((_QUEUE, 2))
     first = last = 0  # of the commands on their way, modulo _QUEUE
     x = y = shown_x = shown_y = velocity_x = velocity_y = 0.0
-    play = s[13] / 2
+    play, per_step = s[13] / 2, 1 / _STAGE_STEP
     for k in range(frames):
         seen_x, seen_y = s[4] * rng.standard_normal(), s[5] * rng.standard_normal()
         if s[7] > 0 and rng.random() < s[7]:
@@ -193,8 +200,8 @@ def _close_loop(
             y += s[8] * rng.standard_normal()
         shown_x = min(max(shown_x, x - play), x + play)
         shown_y = min(max(shown_y, y - play), y + play)
-        at_x = np.rint(shown_x / _STAGE_STEP) * _STAGE_STEP
-        at_y = np.rint(shown_y / _STAGE_STEP) * _STAGE_STEP
+        at_x = np.rint(shown_x * per_step) * _STAGE_STEP
+        at_y = np.rint(shown_y * per_step) * _STAGE_STEP
         if s[6] > 0:
             at_x += s[6] * rng.standard_normal()
             at_y += s[6] * rng.standard_normal()

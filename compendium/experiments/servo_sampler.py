@@ -1,0 +1,254 @@
+"""From the prior to the posterior of §5.4's unknown numbers, where likelihoods are only estimated.
+
+A density-tempered sampler (Duan and Fulop 2015) in which every state of every chain counts
+(waste-free: Dau and Chopin 2022). Each state keeps its estimates of what the experiments say, and
+each proposal draws fresh noise, so that the target and the evidence are those of the exact
+likelihood. An unknown number has a part in some of the experiments only: what is moved are the
+numbers of the same experiments, and those experiments alone are simulated anew (block
+pseudo-marginal: Tran et al. 2016). The estimates of the others stand, with their noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from compendium.experiments.servo_inference import (
+    BLOCKS,
+    Problem,
+    log_likelihood,
+    touched,
+)
+
+#: States, sweeps of a chain at each heat, and share of the states that a warming leaves effective.
+PARTICLES, SWEEPS, SHARE = 480, 8, 0.5
+#: Until this heat a part of the runs is enough, since the estimate's noise is warmed like itself.
+COLD, COLD_EFFORT = 0.1, 0.25
+#: Share of the proposals that adapting aims at, and ends of a move's length.
+ACCEPTED, LENGTHS = 0.3, (0.1, 1.0)
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """What the numbers leave of a model's unknowns.
+
+    Attributes
+    ----------
+    problem : Problem
+        What was asked.
+    normal : ndarray, shape (N, D)
+        States of equal weight, as standard normal numbers a priori; chain by chain in each sweep.
+    log_evidence : float
+        Logarithm of the numbers' density in log y under the model.
+    accepted : float
+        Share of the last moves that was accepted.
+    """
+
+    problem: Problem
+    normal: NDArray[np.float64]
+    log_evidence: float
+    accepted: float
+
+
+@dataclass(frozen=True)
+class _States:
+    """Unknown numbers (N, D) and what each of `BLOCKS` says of them, (N, readings) each."""
+
+    normal: NDArray[np.float64]
+    said: tuple[NDArray[np.float64], ...]
+
+    @property
+    def logs(self) -> NDArray[np.float64]:
+        return log_likelihood(self.said)
+
+    def at(self, places: NDArray) -> _States:
+        return _States(self.normal[places], tuple(each[places] for each in self.said))
+
+
+@dataclass(frozen=True)
+class _Normal:
+    """A normal distribution: mean (D,) and inverse covariance (D, D)."""
+
+    mean: NDArray[np.float64]
+    precision: NDArray[np.float64]
+
+    def log_density(self, x: NDArray) -> NDArray[np.float64]:
+        """Return the logarithm but for a constant."""
+        off = x - self.mean
+        return -np.einsum("ni,ij,nj->n", off, self.precision, off) / 2
+
+    def proposed(
+        self, x: NDArray, places: NDArray, length: float, rng: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """Draw some of the numbers anew, given the others, in a way that leaves this as it is.
+
+        ``x' = m + √(1 − length²) (x − m) + length · noise`` leaves N(m, C) as it is; here m and C
+        are those of the numbers at `places` given the rest.
+        """
+        rest = np.setdiff1d(np.arange(len(self.mean)), places)
+        covariance = np.linalg.inv(self.precision[np.ix_(places, places)])
+        slope = -self.precision[np.ix_(rest, places)] @ covariance
+        middle = self.mean[places] + (x[:, rest] - self.mean[rest]) @ slope
+        noise = rng.standard_normal(middle.shape) @ np.linalg.cholesky(covariance).T
+        found = x.copy()
+        found[:, places] = middle + np.sqrt(1 - length**2) * (x[:, places] - middle)
+        found[:, places] += length * noise
+        return found
+
+
+def infer(problem: Problem, seed: int | list[int], particles: int = PARTICLES) -> Posterior:
+    """Warm states from the prior to the posterior.
+
+    Parameters
+    ----------
+    problem : Problem
+        Model and numbers.
+    seed : int or list of int
+        Of all draws.
+    particles : int
+        How many states, a multiple of `SWEEPS`.
+
+    Returns
+    -------
+    Posterior
+        States and evidence.
+
+    Raises
+    ------
+    ValueError
+        If no state of the prior can give numbers at all.
+    """
+    rng = np.random.default_rng(seed)
+    every, effort = np.arange(len(BLOCKS)), COLD_EFFORT
+    normal = rng.standard_normal((particles, len(touched(problem.model))))
+    states = _States(normal, tuple(problem.of_block(normal, b, rng, effort) for b in every))
+    alive = np.isfinite(states.logs)
+    if not alive.any():
+        raise ValueError(f"particles must be more than {particles}: no draw of the prior settles")
+    states, log_evidence, heat = states.at(alive), float(np.log(alive.mean())), 0.0
+    parts = groups(problem.model)
+    lengths = np.full(len(parts), LENGTHS[1])
+    while heat < 1:
+        logs = states.logs
+        added = _warming(logs, 1 - heat)
+        heat += added
+        log_evidence += float(logsumexp(added * logs) - np.log(len(logs)))
+        weight = np.exp(added * logs - logsumexp(added * logs))
+        around = _fitted(states.normal, weight)
+        states = states.at(_resampled(weight, particles // SWEEPS, rng))
+        if heat > COLD and effort < 1:
+            effort = 1.0
+            states, gained = _exchanged(problem, states, heat, rng)
+            log_evidence += gained
+        chains = []
+        for _ in range(SWEEPS):
+            accepted = np.empty(len(parts))
+            for k, (places, blocks) in enumerate(parts):
+                proposed = around.proposed(states.normal, places, lengths[k], rng)
+                states, accepted[k] = _moved(
+                    problem, states, proposed, blocks, heat, around, effort, rng
+                )
+            lengths = np.clip(lengths * np.exp(accepted - ACCEPTED), *LENGTHS)
+            chains.append(states)
+        states = _States(
+            np.concatenate([each.normal for each in chains]),
+            tuple(np.concatenate([each.said[b] for each in chains]) for b in every),
+        )
+    return Posterior(problem, states.normal, log_evidence, float(accepted.mean()))
+
+
+def groups(model: str) -> list[tuple[NDArray[np.intp], tuple[int, ...]]]:
+    """Return which unknown numbers are moved together, and which experiments they have a part in.
+
+    Those of the same experiments go together, and those of more than half of them.
+    """
+    most = len(BLOCKS) // 2
+    shared = touched(model)
+    wide = tuple(sorted({b for blocks in shared if len(blocks) > most for b in blocks}))
+    keys = [wide if len(blocks) > most else blocks for blocks in shared]
+    return [
+        (np.array([place for place, key in enumerate(keys) if key == each]), each)
+        for each in dict.fromkeys(keys)
+    ]
+
+
+def _moved(
+    problem: Problem,
+    states: _States,
+    proposed: NDArray,
+    blocks: tuple[int, ...],
+    heat: float,
+    around: _Normal,
+    effort: float,
+    rng: np.random.Generator,
+) -> tuple[_States, float]:
+    """Keep proposals by Metropolis, with new estimates of the experiments that they change.
+
+    Proposing leaves `around` as it is, so that the target is compared with that.
+    """
+    said = list(states.said)
+    for block in blocks:
+        said[block] = problem.of_block(proposed, block, rng, effort)
+    new = _States(proposed, tuple(said))
+
+    def log_target(these: _States) -> NDArray:
+        x = these.normal
+        return heat * these.logs - (x**2).sum(axis=1) / 2 - around.log_density(x)
+
+    keep = np.log(rng.random(len(proposed))) < log_target(new) - log_target(states)
+    chosen = tuple(
+        np.where(keep[:, None], after, before) if block in blocks else before
+        for block, (before, after) in enumerate(zip(states.said, said, strict=True))
+    )
+    normal = np.where(keep[:, None], proposed, states.normal)
+    return _States(normal, chosen), float(keep.mean())
+
+
+def _exchanged(
+    problem: Problem, states: _States, heat: float, rng: np.random.Generator
+) -> tuple[_States, float]:
+    """Put estimates of all runs in the place of those of a part, and return what evidence gains."""
+    said = tuple(problem.of_block(states.normal, b, rng, 1.0) for b in range(len(BLOCKS)))
+    change = heat * (log_likelihood(said) - states.logs)
+    gained = float(logsumexp(change) - np.log(len(change)))
+    weight = np.exp(change - logsumexp(change))
+    return _States(states.normal, said).at(_resampled(weight, len(change), rng)), gained
+
+
+def _fitted(normal: NDArray, weight: NDArray) -> _Normal:
+    """Return mean and covariance of weighted states, the latter drawn towards its diagonal.
+
+    As much as if as many states as there are numbers knew of no correlation: of few states alone,
+    a covariance is too narrow in some direction.
+    """
+    size = normal.shape[1]
+    mean = weight @ normal
+    covariance = (normal - mean).T @ ((normal - mean) * weight[:, None])
+    apart = size / (size + 1 / (weight**2).sum())
+    covariance = (1 - apart) * covariance + apart * np.diag(np.diag(covariance) + 1e-6)
+    return _Normal(mean, np.linalg.inv(covariance))
+
+
+def _warming(logs: NDArray, most: float) -> float:
+    """Return how much warmer leaves `SHARE` of the states effective."""
+
+    def effective(added: float) -> float:
+        weight = np.exp(added * (logs - logs.max()))
+        return float(weight.sum() ** 2 / (weight**2).sum() / len(logs))
+
+    if effective(most) >= SHARE:
+        return most
+    low, high = 0.0, most
+    for _ in range(30):
+        middle = (low + high) / 2
+        low, high = (middle, high) if effective(middle) > SHARE else (low, middle)
+    return high
+
+
+def _resampled(weight: NDArray, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Return places drawn by weight, evenly spaced."""
+    at = (np.arange(count) + rng.random()) / count
+    return np.searchsorted(np.cumsum(weight) / weight.sum(), at).clip(max=len(weight) - 1)
