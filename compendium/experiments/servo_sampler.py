@@ -28,7 +28,7 @@ PARTICLES, SWEEPS, SHARE = 480, 8, 0.5
 #: Until this heat a part of the runs is enough, since the estimate's noise is warmed like itself.
 COLD, COLD_EFFORT = 0.1, 0.25
 #: Share of the proposals that adapting aims at, and ends of a move's length.
-ACCEPTED, LENGTHS = 0.3, (0.1, 1.0)
+ACCEPTED, LENGTHS = 0.15, (0.3, 1.0)
 
 
 @dataclass(frozen=True)
