@@ -1,10 +1,8 @@
-"""Simulation-based inference from the eighteen numbers of Tables 5.3 and 5.4.
+"""What the eighteen numbers of Tables 5.3 and 5.4 say of a model, estimated by simulation.
 
 The eight experiments are independent given a model's numbers and the readings of the words. What an
 experiment's numbers say is the mean over its repetitions of a product of kernels in log y; the
-readings are summed exactly. The particles are moved by a density-tempered sampler with an unbiased
-estimate of the likelihood (Duan and Fulop 2015): each particle keeps its estimate, each proposal
-draws fresh noise, and the target and the evidence are those of the exact likelihood.
+readings are summed exactly.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ from scipy.special import logsumexp
 from compendium import thesis
 from compendium.experiments.section_5_4 import PATH_RESULTS, STEP_RESULTS
 from compendium.experiments.servo_loop import COLUMNS, EXPERIMENTS, IGNORED, compiled, simulated
-from compendium.experiments.servo_models import RARE, priors, settings
+from compendium.experiments.servo_models import priors, settings
 from compendium.ledger import claim
 
 #: The experiments as (zoom, kind), steps first, and what each prints.
@@ -36,10 +34,6 @@ NUMBERS = tuple(
 #: is a count of frames and has half. Student's t with four degrees, so that no single number rules.
 SCALE, SETTLING_SCALE = 0.08, 0.05
 SCALES = np.array([SETTLING_SCALE if id.endswith("settling-time") else SCALE for id in NUMBERS])
-#: Runs of a step, of a path, and of a path with a rare disturbance behind one estimate of the
-#: likelihood: what is chance needs more than a mean of hundreds of frames. The logarithm then has a
-#: deviation near one, where such samplers work best (benchmark of servo inference, "Noise").
-STEP_RUNS, PATH_RUNS, RARE_PATH_RUNS = 48, 4, 12
 
 
 def printed() -> NDArray[np.float64]:
@@ -73,23 +67,21 @@ class Problem:
     left_out: int = -1
 
     def of_block(
-        self, normal: NDArray, block: int, rng: np.random.Generator, effort: float = 1.0
-    ) -> NDArray:
+        self, normal: NDArray, block: int, rng: np.random.Generator, runs: int
+    ) -> NDArray[np.float64]:
         """Return what one experiment's numbers say, (N, readings), logarithms.
 
-        That is of an unbiased estimate, from a share `effort` of the runs.
+        That is of an unbiased estimate, the mean over so many runs of each row.
         """
         with np.errstate(divide="ignore"):
-            return np.log(self.runs(normal, block, rng, effort)[1].mean(axis=1))
+            return np.log(self.runs(normal, block, rng, runs)[1].mean(axis=1))
 
     def runs(
-        self, normal: NDArray, block: int, rng: np.random.Generator, effort: float = 1.0
+        self, normal: NDArray, block: int, rng: np.random.Generator, runs: int
     ) -> tuple[NDArray, NDArray]:
         """Return a block's runs as `simulated` does, and the product of each one's kernels."""
         zoom, kind = BLOCKS[block]
         rows = settings(self.model, normal, zoom, kind)
-        path_runs = RARE_PATH_RUNS if self.model in RARE else PATH_RUNS
-        runs = round(effort * (STEP_RUNS if kind == "step" else path_runs))
         found = simulated(kind, rows, runs, rng)
         at = places(block)
         used = np.arange(len(NUMBERS))[at] != self.left_out

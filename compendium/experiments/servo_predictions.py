@@ -13,14 +13,13 @@ from compendium.experiments.servo_inference import (
     BLOCKS,
     NUMBERS,
     SCALES,
-    Posterior,
     Problem,
-    infer,
     places,
     printed,
 )
 from compendium.experiments.servo_loop import PATH_READINGS, STEP_READINGS, simulated
 from compendium.experiments.servo_models import priors, settings
+from compendium.experiments.servo_sampler import Posterior, infer
 
 #: Quantiles of every interval here: 90 % lie between the ends.
 QUANTILES = (0.05, 0.5, 0.95)
@@ -49,8 +48,8 @@ def predicted(posterior: Posterior, rng: np.random.Generator) -> NDArray[np.floa
     problem, place = posterior.problem, posterior.problem.left_out
     (block,) = [b for b in range(len(BLOCKS)) if places(b).start <= place < places(b).stop]
     alike = [b for b in range(len(BLOCKS)) if (b < 2) == (block < 2) and b != block]
-    others = np.sum([problem.of_block(posterior.normal, b, rng) for b in alike], axis=0)
-    found, kernels = problem.runs(posterior.normal, block, rng)
+    others = np.sum([problem.of_block(posterior.normal, b, rng, posterior.runs[b]) for b in alike], axis=0)
+    found, kernels = problem.runs(posterior.normal, block, rng, posterior.runs[block])
     weight = kernels * np.exp(others - others.max(axis=1, keepdims=True))[:, None, :]
     weight = weight.reshape(len(weight), -1)
     numbers = found[..., place - places(block).start].reshape(len(weight), -1)
@@ -116,7 +115,7 @@ def rank(model: str, seed: int | list[int], particles: int) -> list[float]:
     normal, numbers = drawn_tables(model, rng)
     found = infer(Problem(model, numbers), [*np.atleast_1d(seed), 1], particles)
     below = (found.normal < normal).sum(axis=0)
-    return [float(each) for each in (below + rng.random(len(below))) / (particles + 1)]
+    return [float(each) for each in (below + rng.random(len(below))) / (len(found.normal) + 1)]
 
 
 def uniform(ranks: NDArray) -> NDArray[np.float64]:
@@ -140,11 +139,10 @@ class Readings:
 
 def readings(posterior: Posterior, rng: np.random.Generator) -> Readings:
     """Return the probabilities of the readings, the mean over the particles."""
-    shares = []
+    shares, runs = [], posterior.runs
     for blocks in (range(2), range(2, len(BLOCKS))):
-        logs = np.sum(
-            [posterior.problem.of_block(posterior.normal, b, rng) for b in blocks], axis=0
-        )
+        told = [posterior.problem.of_block(posterior.normal, b, rng, runs[b]) for b in blocks]
+        logs = np.sum(told, axis=0)
         logs = logs[np.isfinite(logs).any(axis=1)]
         shares.append(np.exp(logs - logsumexp(logs, axis=1, keepdims=True)).mean(axis=0))
     return Readings(*shares)

@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from compendium.experiments.servo_inference import NUMBERS, Posterior, Problem, infer, printed
+from compendium.experiments.servo_inference import NUMBERS, Problem, printed
 from compendium.experiments.servo_loop import PATH_READINGS, STEP_READINGS
 from compendium.experiments.servo_models import priors
 from compendium.experiments.servo_predictions import uniform
+from compendium.experiments.servo_sampler import Posterior, infer
 from compendium.ledger import claim
 
 PATH = Path(__file__).resolve().parents[2] / "data" / "inference" / "section_5_4.json"

@@ -5,7 +5,8 @@ A density-tempered sampler (Duan and Fulop 2015) in which every state of every c
 each proposal draws fresh noise, so that the target and the evidence are those of the exact
 likelihood. An unknown number has a part in some of the experiments only: what is moved are the
 numbers of the same experiments, and those experiments alone are simulated anew (block
-pseudo-marginal: Tran et al. 2016). The estimates of the others stand, with their noise.
+pseudo-marginal: Tran et al. 2016). How many runs are behind an estimate follows from its noise,
+which differs a hundredfold from table to table: too noisy, and a few lucky states carry all.
 """
 
 from __future__ import annotations
@@ -16,17 +17,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from compendium.experiments.servo_inference import (
-    BLOCKS,
-    Problem,
-    log_likelihood,
-    touched,
-)
+from compendium.experiments.servo_inference import BLOCKS, Problem, log_likelihood, touched
+from compendium.experiments.servo_loop import MOST_FRAMES, STEP_FRAMES
 
 #: States, sweeps of a chain at each heat, and share of the states that a warming leaves effective.
-PARTICLES, SWEEPS, SHARE = 480, 8, 0.5
-#: Until this heat a part of the runs is enough, since the estimate's noise is warmed like itself.
-COLD, COLD_EFFORT = 0.1, 0.25
+#: Readings of the words make modes between which no chain moves, so that many chains count for
+#: more than long ones.
+PARTICLES, SWEEPS, SHARE = 480, 3, 0.5
+#: Draws of the prior for each state: they cost little and miss no mode.
+DRAWS = 8
+#: Deviation of the log likelihood at a heat: near the best for such chains (Doucet et al. 2015).
+NOISE = 1.2
+#: Runs of each experiment at first, and at most; what a run costs, in frames; how many times more
+#: runs a heat may take than the one before, since noise far above one is not well told.
+FIRST_RUNS = np.array([12 if kind == "step" else 2 for _, kind in BLOCKS])
+MOST_RUNS = 64 * FIRST_RUNS
+_COST = np.array([STEP_FRAMES if kind == "step" else MOST_FRAMES for _, kind in BLOCKS])
+_GROWTH = 4
 #: Share of the proposals that adapting aims at, and ends of a move's length.
 ACCEPTED, LENGTHS = 0.15, (0.3, 1.0)
 
@@ -45,12 +52,15 @@ class Posterior:
         Logarithm of the numbers' density in log y under the model.
     accepted : float
         Share of the last moves that was accepted.
+    runs : ndarray, shape (8,)
+        Of each experiment, behind the last estimates.
     """
 
     problem: Problem
     normal: NDArray[np.float64]
     log_evidence: float
     accepted: float
+    runs: NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -122,9 +132,9 @@ def infer(problem: Problem, seed: int | list[int], particles: int = PARTICLES) -
         If no state of the prior can give numbers at all.
     """
     rng = np.random.default_rng(seed)
-    every, effort = np.arange(len(BLOCKS)), COLD_EFFORT
-    normal = rng.standard_normal((particles, len(touched(problem.model))))
-    states = _States(normal, tuple(problem.of_block(normal, b, rng, effort) for b in every))
+    every, runs = range(len(BLOCKS)), FIRST_RUNS
+    normal = rng.standard_normal((DRAWS * particles, len(touched(problem.model))))
+    states = _States(normal, tuple(problem.of_block(normal, b, rng, runs[b]) for b in every))
     alive = np.isfinite(states.logs)
     if not alive.any():
         raise ValueError(f"particles must be more than {particles}: no draw of the prior settles")
@@ -133,23 +143,22 @@ def infer(problem: Problem, seed: int | list[int], particles: int = PARTICLES) -
     lengths = np.full(len(parts), LENGTHS[1])
     while heat < 1:
         logs = states.logs
-        added = _warming(logs, 1 - heat)
+        added = _warming(logs, 1 - heat, SHARE * particles)
         heat += added
         log_evidence += float(logsumexp(added * logs) - np.log(len(logs)))
         weight = np.exp(added * logs - logsumexp(added * logs))
         around = _fitted(states.normal, weight)
         states = states.at(_resampled(weight, particles // SWEEPS, rng))
-        if heat > COLD and effort < 1:
-            effort = 1.0
-            states, gained = _exchanged(problem, states, heat, rng)
-            log_evidence += gained
+        more = _needed(problem, states, runs, heat, rng)
+        states, gained = _with_more(problem, states, runs, more, heat, rng)
+        runs, log_evidence = more, log_evidence + gained
         chains = []
         for _ in range(SWEEPS):
             accepted = np.empty(len(parts))
             for k, (places, blocks) in enumerate(parts):
                 proposed = around.proposed(states.normal, places, lengths[k], rng)
                 states, accepted[k] = _moved(
-                    problem, states, proposed, blocks, heat, around, effort, rng
+                    problem, states, proposed, blocks, heat, around, runs, rng
                 )
             lengths = np.clip(lengths * np.exp(accepted - ACCEPTED), *LENGTHS)
             chains.append(states)
@@ -157,7 +166,7 @@ def infer(problem: Problem, seed: int | list[int], particles: int = PARTICLES) -
             np.concatenate([each.normal for each in chains]),
             tuple(np.concatenate([each.said[b] for each in chains]) for b in every),
         )
-    return Posterior(problem, states.normal, log_evidence, float(accepted.mean()))
+    return Posterior(problem, states.normal, log_evidence, float(accepted.mean()), runs)
 
 
 def groups(model: str) -> list[tuple[NDArray[np.intp], tuple[int, ...]]]:
@@ -182,7 +191,7 @@ def _moved(
     blocks: tuple[int, ...],
     heat: float,
     around: _Normal,
-    effort: float,
+    runs: NDArray,
     rng: np.random.Generator,
 ) -> tuple[_States, float]:
     """Keep proposals by Metropolis, with new estimates of the experiments that they change.
@@ -191,7 +200,7 @@ def _moved(
     """
     said = list(states.said)
     for block in blocks:
-        said[block] = problem.of_block(proposed, block, rng, effort)
+        said[block] = problem.of_block(proposed, block, rng, runs[block])
     new = _States(proposed, tuple(said))
 
     def log_target(these: _States) -> NDArray:
@@ -207,15 +216,49 @@ def _moved(
     return _States(normal, chosen), float(keep.mean())
 
 
-def _exchanged(
-    problem: Problem, states: _States, heat: float, rng: np.random.Generator
+def _needed(
+    problem: Problem, states: _States, runs: NDArray, heat: float, rng: np.random.Generator
+) -> NDArray[np.intp]:
+    """Return how many runs of each experiment keep the noise at a heat to `NOISE`.
+
+    The variance of a block is v/R for R runs that cost c each; the least Σ c R of all that add up
+    to the same variance is at R ∝ √(v/c).
+    """
+    variance = np.empty(len(BLOCKS))
+    for block in range(len(BLOCKS)):
+        told = []
+        for _ in range(2):
+            said = list(states.said)
+            said[block] = problem.of_block(states.normal, block, rng, runs[block])
+            told.append(log_likelihood(said))
+        with np.errstate(invalid="ignore"):
+            apart = np.nan_to_num(np.abs(told[0] - told[1]), nan=np.inf)
+        # Of a normal variable the quarter that is farthest is 1.15 deviations away; so are two
+        # estimates by √2. The noise of the noisier states counts: there a chain would stick.
+        variance[block] = min(np.quantile(apart, 0.75) / 1.15, 10.0) ** 2 / 2 * runs[block]
+    least = np.sqrt(variance / _COST) * np.sqrt(variance * _COST).sum() * (heat / NOISE) ** 2
+    wanted = np.ceil(np.minimum(least, _GROWTH * runs)).astype(int)
+    return np.clip(wanted, runs, np.maximum(MOST_RUNS, runs))
+
+
+def _with_more(
+    problem: Problem,
+    states: _States,
+    runs: NDArray,
+    more: NDArray,
+    heat: float,
+    rng: np.random.Generator,
 ) -> tuple[_States, float]:
-    """Put estimates of all runs in the place of those of a part, and return what evidence gains."""
-    said = tuple(problem.of_block(states.normal, b, rng, 1.0) for b in range(len(BLOCKS)))
+    """Add runs to the estimates, weigh by what they change, and return what the evidence gains."""
+    said = list(states.said)
+    for block in np.flatnonzero(more > runs):
+        added = more[block] - runs[block]
+        new = problem.of_block(states.normal, block, rng, added) + np.log(added)
+        said[block] = np.logaddexp(said[block] + np.log(runs[block]), new) - np.log(more[block])
     change = heat * (log_likelihood(said) - states.logs)
     gained = float(logsumexp(change) - np.log(len(change)))
     weight = np.exp(change - logsumexp(change))
-    return _States(states.normal, said).at(_resampled(weight, len(change), rng)), gained
+    return _States(states.normal, tuple(said)).at(_resampled(weight, len(change), rng)), gained
 
 
 def _fitted(normal: NDArray, weight: NDArray) -> _Normal:
@@ -232,19 +275,19 @@ def _fitted(normal: NDArray, weight: NDArray) -> _Normal:
     return _Normal(mean, np.linalg.inv(covariance))
 
 
-def _warming(logs: NDArray, most: float) -> float:
-    """Return how much warmer leaves `SHARE` of the states effective."""
+def _warming(logs: NDArray, most: float, states: float) -> float:
+    """Return how much warmer leaves so many states effective."""
 
     def effective(added: float) -> float:
         weight = np.exp(added * (logs - logs.max()))
-        return float(weight.sum() ** 2 / (weight**2).sum() / len(logs))
+        return float(weight.sum() ** 2 / (weight**2).sum())
 
-    if effective(most) >= SHARE:
+    if effective(most) >= states:
         return most
     low, high = 0.0, most
     for _ in range(30):
         middle = (low + high) / 2
-        low, high = (middle, high) if effective(middle) > SHARE else (low, middle)
+        low, high = (middle, high) if effective(middle) > states else (low, middle)
     return high
 
 
