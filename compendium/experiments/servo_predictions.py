@@ -48,7 +48,9 @@ def predicted(posterior: Posterior, rng: np.random.Generator) -> NDArray[np.floa
     problem, place = posterior.problem, posterior.problem.left_out
     (block,) = [b for b in range(len(BLOCKS)) if places(b).start <= place < places(b).stop]
     alike = [b for b in range(len(BLOCKS)) if (b < 2) == (block < 2) and b != block]
-    others = np.sum([problem.of_block(posterior.normal, b, rng, posterior.runs[b]) for b in alike], axis=0)
+    others = np.sum(
+        [problem.of_block(posterior.normal, b, rng, posterior.runs[b]) for b in alike], axis=0
+    )
     found, kernels = problem.runs(posterior.normal, block, rng, posterior.runs[block])
     weight = kernels * np.exp(others - others.max(axis=1, keepdims=True))[:, None, :]
     weight = weight.reshape(len(weight), -1)

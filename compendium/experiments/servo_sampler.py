@@ -27,7 +27,7 @@ PARTICLES, SWEEPS, SHARE = 480, 3, 0.5
 #: Draws of the prior for each state: they cost little and miss no mode.
 DRAWS = 8
 #: Deviation of the log likelihood at a heat: near the best for such chains (Doucet et al. 2015).
-NOISE = 1.2
+NOISE = 1.0
 #: Runs of each experiment at first, and at most; what a run costs, in frames; how many times more
 #: runs a heat may take than the one before, since noise far above one is not well told.
 FIRST_RUNS = np.array([12 if kind == "step" else 2 for _, kind in BLOCKS])
@@ -119,7 +119,7 @@ def infer(problem: Problem, seed: int | list[int], particles: int = PARTICLES) -
     seed : int or list of int
         Of all draws.
     particles : int
-        How many states, a multiple of `SWEEPS`.
+        How many states, of which as many are kept as `SWEEPS` divides.
 
     Returns
     -------
@@ -143,7 +143,7 @@ def infer(problem: Problem, seed: int | list[int], particles: int = PARTICLES) -
     lengths = np.full(len(parts), LENGTHS[1])
     while heat < 1:
         logs = states.logs
-        added = _warming(logs, 1 - heat, SHARE * particles)
+        added = _warming(logs, 1 - heat, SHARE * min(particles, len(logs)))
         heat += added
         log_evidence += float(logsumexp(added * logs) - np.log(len(logs)))
         weight = np.exp(added * logs - logsumexp(added * logs))
@@ -170,17 +170,11 @@ def infer(problem: Problem, seed: int | list[int], particles: int = PARTICLES) -
 
 
 def groups(model: str) -> list[tuple[NDArray[np.intp], tuple[int, ...]]]:
-    """Return which unknown numbers are moved together, and which experiments they have a part in.
-
-    Those of the same experiments go together, and those of more than half of them.
-    """
-    most = len(BLOCKS) // 2
+    """Return which unknown numbers are moved together: those of the same experiments; and these."""
     shared = touched(model)
-    wide = tuple(sorted({b for blocks in shared if len(blocks) > most for b in blocks}))
-    keys = [wide if len(blocks) > most else blocks for blocks in shared]
     return [
-        (np.array([place for place, key in enumerate(keys) if key == each]), each)
-        for each in dict.fromkeys(keys)
+        (np.array([place for place, blocks in enumerate(shared) if blocks == each]), each)
+        for each in dict.fromkeys(shared)
     ]
 
 
