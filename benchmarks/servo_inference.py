@@ -36,7 +36,7 @@ RAREST = ("stage jumps", "bursts")
 #: Sets of numbers drawn from the prior, their seeds' second part, and states of each.
 SETS, SET_SEED, SET_PARTICLES = 100, 8, 480
 #: States of each of the ninety runs without a number.
-LEFT_OUT_PARTICLES = 480
+LEFT_OUT_PARTICLES = 300
 CALIBRATED = ("base", "stage jumps")
 #: Particles at which the noise of the likelihood is measured, and estimates at each.
 NOISY, ESTIMATES = 20, 30

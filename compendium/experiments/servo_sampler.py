@@ -26,7 +26,7 @@ from compendium.experiments.servo_loop import MOST_FRAMES, STEP_FRAMES
 PARTICLES, SWEEPS, SHARE = 480, 3, 0.5
 #: Draws of the prior for each state: they cost little and miss no mode.
 DRAWS = 8
-#: Deviation of the log likelihood at a heat: near the best for such chains (Doucet et al. 2015).
+#: Deviation of the log likelihood at a heat; 1.0 to 1.7 is best for such chains (Doucet et al. 2015).
 NOISE = 1.0
 #: Runs of each experiment at first, and at most; what a run costs, in frames; how many times more
 #: runs a heat may take than the one before, since noise far above one is not well told.
