@@ -34,9 +34,9 @@ SEEDS = range(5)
 PARTICLES, RARE_PARTICLES, RAREST_PARTICLES = 960, 1440, 1920
 RAREST = ("stage jumps", "bursts")
 #: Sets of numbers drawn from the prior, their seeds' second part, and states of each.
-SETS, SET_SEED, SET_PARTICLES = 100, 8, 480
+SETS, SET_SEED, SET_PARTICLES = 100, 8, 240
 #: States of each of the ninety runs without a number.
-LEFT_OUT_PARTICLES = 300
+LEFT_OUT_PARTICLES = 240
 CALIBRATED = ("base", "stage jumps")
 #: Particles at which the noise of the likelihood is measured, and estimates at each.
 NOISY, ESTIMATES = 20, 30
