@@ -25,14 +25,13 @@ from compendium.experiments.servo_inference import (
     log_likelihood,
     printed,
 )
-from compendium.experiments.servo_models import LEADING, MECHANISMS, RARE, priors, values
+from compendium.experiments.servo_models import LEADING, MECHANISMS, RARE, RAREST, priors, values
 from compendium.experiments.servo_sampler import Posterior, infer
 
 SEEDS = range(5)
-#: States of each seed, where a disturbance is rare, and where what is rare moves the stage or the
-#: image by far: there a good explanation takes a small part of the prior.
-PARTICLES, RARE_PARTICLES, RAREST_PARTICLES = 960, 1440, 1920
-RAREST = ("stage jumps", "bursts")
+#: States of each seed: where a disturbance is rare, and rarest, a good explanation takes a smaller
+#: part of the prior.
+PARTICLES, RARE_PARTICLES, RAREST_PARTICLES = 720, 960, 1440
 #: Sets of numbers drawn from the prior, their seeds' second part, and states of each.
 SETS, SET_SEED, SET_PARTICLES = 100, 8, 240
 #: States of each of the ninety runs without a number.

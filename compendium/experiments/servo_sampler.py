@@ -19,6 +19,7 @@ from scipy.special import logsumexp
 
 from compendium.experiments.servo_inference import BLOCKS, Problem, log_likelihood, touched
 from compendium.experiments.servo_loop import MOST_FRAMES, STEP_FRAMES
+from compendium.experiments.servo_models import RAREST
 
 #: States, sweeps of a chain at each heat, and share of the states that a warming leaves effective.
 #: Readings of the words make modes between which no chain moves, so that many chains count for
@@ -26,12 +27,15 @@ from compendium.experiments.servo_loop import MOST_FRAMES, STEP_FRAMES
 PARTICLES, SWEEPS, SHARE = 480, 3, 0.5
 #: Draws of the prior for each state: they cost little and miss no mode.
 DRAWS = 8
-#: Deviation of the log likelihood at a heat; 1.0 to 1.7 is best for such chains (Doucet et al. 2015).
+#: Deviation of the log likelihood at a heat: 1.0 to 1.7 is best for a chain (Doucet et al. 2015).
 NOISE = 1.0
 #: Runs of each experiment at first, and at most; what a run costs, in frames; how many times more
 #: runs a heat may take than the one before, since noise far above one is not well told.
 FIRST_RUNS = np.array([12 if kind == "step" else 2 for _, kind in BLOCKS])
 MOST_RUNS = 64 * FIRST_RUNS
+#: Times as many runs of a path at first where one may show nothing of the disturbance: from few
+#: runs, what is rare seems unlikely until the last heats, and the evidence comes late and varies.
+RAREST_RUNS = 4
 _COST = np.array([STEP_FRAMES if kind == "step" else MOST_FRAMES for _, kind in BLOCKS])
 _GROWTH = 4
 #: Share of the proposals that adapting aims at, and ends of a move's length.
@@ -132,7 +136,7 @@ def infer(problem: Problem, seed: int | list[int], particles: int = PARTICLES) -
         If no state of the prior can give numbers at all.
     """
     rng = np.random.default_rng(seed)
-    every, runs = range(len(BLOCKS)), FIRST_RUNS
+    every, runs = range(len(BLOCKS)), first_runs(problem.model)
     normal = rng.standard_normal((DRAWS * particles, len(touched(problem.model))))
     states = _States(normal, tuple(problem.of_block(normal, b, rng, runs[b]) for b in every))
     alive = np.isfinite(states.logs)
@@ -167,6 +171,12 @@ def infer(problem: Problem, seed: int | list[int], particles: int = PARTICLES) -
             tuple(np.concatenate([each.said[b] for each in chains]) for b in every),
         )
     return Posterior(problem, states.normal, log_evidence, float(accepted.mean()), runs)
+
+
+def first_runs(model: str) -> NDArray[np.intp]:
+    """Return how many runs of each experiment are behind the first estimates."""
+    paths = np.array([kind != "step" for _, kind in BLOCKS])
+    return FIRST_RUNS * np.where(paths & (model in RAREST), RAREST_RUNS, 1)
 
 
 def groups(model: str) -> list[tuple[NDArray[np.intp], tuple[int, ...]]]:
@@ -232,7 +242,7 @@ def _needed(
         variance[block] = min(np.quantile(apart, 0.75) / 1.15, 10.0) ** 2 / 2 * runs[block]
     least = np.sqrt(variance / _COST) * np.sqrt(variance * _COST).sum() * (heat / NOISE) ** 2
     wanted = np.ceil(np.minimum(least, _GROWTH * runs)).astype(int)
-    return np.clip(wanted, runs, np.maximum(MOST_RUNS, runs))
+    return np.clip(wanted, runs, MOST_RUNS)
 
 
 def _with_more(
@@ -246,7 +256,7 @@ def _with_more(
     """Add runs to the estimates, weigh by what they change, and return what the evidence gains."""
     said = list(states.said)
     for block in np.flatnonzero(more > runs):
-        added = more[block] - runs[block]
+        added = int(more[block] - runs[block])
         new = problem.of_block(states.normal, block, rng, added) + np.log(added)
         said[block] = np.logaddexp(said[block] + np.log(runs[block]), new) - np.log(more[block])
     change = heat * (log_likelihood(said) - states.logs)

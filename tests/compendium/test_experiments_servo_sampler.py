@@ -10,6 +10,7 @@ from scipy.stats import norm
 
 from compendium.experiments import servo_models, servo_sampler
 from compendium.experiments.servo_inference import BLOCKS, Problem, log_likelihood, printed
+from compendium.experiments.servo_loop import MOST_FRAMES
 from compendium.experiments.servo_sampler import FIRST_RUNS, MOST_RUNS, NOISE
 
 SIZE = len(servo_models.BASE)
@@ -66,6 +67,16 @@ def test_what_is_moved_together_has_the_same_experiments() -> None:
     assert ["speed on the sinusoid", "sinusoid height"] in [
         [names[place] for place in each] for each, _ in servo_sampler.groups("base")
     ]
+
+
+def test_what_a_run_may_not_show_has_more_runs_at_first() -> None:
+    steps, paths = [12] * 2, [2] * 6
+    assert servo_sampler.first_runs("lost frames").tolist() == steps + paths
+    for model in servo_models.RAREST:
+        assert servo_sampler.first_runs(model).tolist() == steps + [8] * 6
+        rate = next(p for p in servo_models.priors(model) if p.name.endswith("rate"))
+        # Within a path of three hundred frames less than one is expected at the least rate.
+        assert rate.low * MOST_FRAMES < 1
 
 
 @pytest.mark.parametrize("length", [0.3, 1.0])
