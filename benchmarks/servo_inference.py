@@ -25,13 +25,12 @@ from compendium.experiments.servo_inference import (
     log_likelihood,
     printed,
 )
-from compendium.experiments.servo_models import LEADING, MECHANISMS, RARE, RAREST, priors, values
+from compendium.experiments.servo_models import LEADING, MECHANISMS, RARE, priors, values
 from compendium.experiments.servo_sampler import Posterior, infer
 
 SEEDS = range(5)
-#: States of each seed: where a disturbance is rare, and rarest, a good explanation takes a smaller
-#: part of the prior.
-PARTICLES, RARE_PARTICLES, RAREST_PARTICLES = 720, 960, 1440
+#: States of each seed; where a disturbance is rare, a good explanation takes less of the prior.
+PARTICLES, RARE_PARTICLES = 720, 960
 #: Sets of numbers drawn from the prior, their seeds' second part, and states of each.
 SETS, SET_SEED, SET_PARTICLES = 100, 8, 240
 #: States of each of the ninety runs without a number.
@@ -44,14 +43,8 @@ NOISY, ESTIMATES = 20, 30
 @cache
 def run(model: str, seed: int) -> Posterior:
     """All eighteen numbers by one model and seed."""
-    return infer(Problem(model, printed()), seed, particles(model))
-
-
-def particles(model: str) -> int:
-    """States of a run that all eighteen numbers tell."""
-    if model in RAREST:
-        return RAREST_PARTICLES
-    return RARE_PARTICLES if model in RARE else PARTICLES
+    particles = RARE_PARTICLES if model in RARE else PARTICLES
+    return infer(Problem(model, printed()), seed, particles)
 
 
 def evidence() -> dict[str, list[float]]:
@@ -194,7 +187,7 @@ def tell() -> None:
             ]
         ),
         note=f"{PARTICLES} states, {RARE_PARTICLES} where a disturbance is rare, "
-        f"{RAREST_PARTICLES} for {' and '.join(RAREST)}, {LEFT_OUT_PARTICLES} for each number left "
+        f"{LEFT_OUT_PARTICLES} for each number left "
         f"out, {SET_PARTICLES} for the calibration; "
         "intervals hold 90 %. The noise is that of the runs beside it. "
         "Ranks by Kolmogorov and Smirnov, at 5 % over the count of numbers. "
