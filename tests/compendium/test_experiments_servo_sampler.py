@@ -74,9 +74,10 @@ def test_what_a_run_may_not_show_has_more_runs_at_first() -> None:
     assert servo_sampler.first_runs("lost frames").tolist() == steps + paths
     for model in servo_models.RAREST:
         assert servo_sampler.first_runs(model).tolist() == steps + [8] * 6
-        rate = next(p for p in servo_models.priors(model) if p.name.endswith("rate"))
-        # Within a path of three hundred frames less than one is expected at the least rate.
-        assert rate.low * MOST_FRAMES < 1
+        # Once a run, or at the least rate less than once in a path of three hundred frames.
+        rates = [p for p in servo_models.priors(model) if p.name.endswith("rate")]
+        assert all(rate.low * MOST_FRAMES < 1 for rate in rates)
+        assert rates or model == "start off the path"
 
 
 @pytest.mark.parametrize("length", [0.3, 1.0])
