@@ -75,7 +75,7 @@ benchmarks: $(STAMP) ## measure microlib beside its peers (minutes)
 	@for file in benchmarks/[a-z]*.py; do \
 	  name=$$(basename $$file .py); [ $$name = report ] || $(BIN)/python -m benchmarks.$$name || exit 1; done
 
-inference: $(STAMP) ## infer anew what Tables 5.3 and 5.4 can tell (half an hour)
+inference: $(STAMP) ## infer anew what Tables 5.3 and 5.4 can tell (three quarters of an hour)
 	@$(BIN)/python -m benchmarks.servo_inference
 
 # The library's tests; the others need what runs and renders the book.

@@ -18,7 +18,7 @@ def test_a_small_piece_is_remade() -> None:
 
 
 def test_the_small_piece_is_of_the_wide_record() -> None:
-    """With few particles the evidence varies by one and the means by a half."""
+    """With few states the evidence varies by one."""
     kept = servo_record.record()
     assert kept["small"][0] == pytest.approx(np.mean(kept["evidence"]["base"]), abs=3)
 
@@ -113,12 +113,15 @@ def test_the_text_of_the_chapter_follows_the_record() -> None:
     inside = servo_record.held().sum()
     assert inside.idxmax() == servo_record.FAVORED
     assert servo_record.band_shares(servo_record.FAVORED)[0.1] < 0.05
-    # The calibration fails: the small runs that it can afford are too sure of themselves.
+    # Where the evidence is not known to a half, and by how much the calibrated runs are narrow.
+    deviation = servo_record.evidence().set_index("model")["deviation"]
+    assert set(deviation.index[deviation > servo_record.STEADY]) == {"bursts", "latency jitter"}
+    assert deviation.max() < 1
     calibration = servo_record.calibration()
-    assert set(calibration["uniform"]) == {"no"}
-    assert calibration["deviation"].between(1.1, 1.3).all()
+    assert set(calibration["uniform"]) == {"yes"}
+    assert calibration["deviation"].between(1.0, 1.1).all()
     widths = servo_record.widths(servo_record.FAVORED)
-    assert widths["image noise"] < 0.3
+    assert widths["image noise"] < 0.5
     trades = servo_record.trades(servo_record.FAVORED)
     places = [trades["names"].index(name) for name in ("latency", "image noise")]
     assert trades["correlation"][places[0]][places[1]] < -0.5
