@@ -156,6 +156,7 @@ def tell() -> None:
     """Print and keep the tables of the record."""
     evidences, ranks = servo_record.evidence(), servo_record.calibration()
     intervals = servo_record.record()["left out"]
+    unsteady = evidences["model"][evidences["deviation"] > servo_record.STEADY]
     publish(
         "servo_inference",
         {
@@ -191,6 +192,8 @@ def tell() -> None:
         f"out, {SET_PARTICLES} for the calibration; "
         "intervals hold 90 %. The noise is that of the runs beside it. "
         "Ranks by Kolmogorov and Smirnov, at 5 % over the count of numbers. "
+        f"The evidence is not yet known to {servo_record.STEADY} for {', '.join(unsteady)}: what "
+        "explains the tables best is there a small and noisy part of the prior. "
         "Section 5.4 of the book says what is inferred.",
     )
 

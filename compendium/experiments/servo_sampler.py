@@ -255,7 +255,7 @@ def _with_more(
 ) -> tuple[_States, float]:
     """Add runs to the estimates, weigh by what they change, and return what the evidence gains."""
     said = list(states.said)
-    for block in np.flatnonzero(more > runs):
+    for block in map(int, np.flatnonzero(more > runs)):
         added = int(more[block] - runs[block])
         new = problem.of_block(states.normal, block, rng, added) + np.log(added)
         said[block] = np.logaddexp(said[block] + np.log(runs[block]), new) - np.log(more[block])
