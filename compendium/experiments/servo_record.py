@@ -1,4 +1,4 @@
-"""The record of the wide inference of §5.4, which takes three quarters of an hour, and what it shows.
+"""The record of the wide inference of §5.4, three quarters of an hour of work, and what it shows.
 
 ``python -m benchmarks.servo_inference`` writes it; the book reads it and remakes a small piece.
 """
