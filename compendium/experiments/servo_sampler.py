@@ -25,7 +25,7 @@ from compendium.experiments.servo_models import RAREST
 #: Readings of the words make modes between which no chain moves, so that many chains count for
 #: more than long ones.
 PARTICLES, SWEEPS, SHARE = 480, 3, 0.5
-#: Draws of the prior for each state: they cost little and miss no mode.
+#: Draws of the prior for each state: they cost little, and a mode is missed less easily.
 DRAWS = 8
 #: Deviation of the log likelihood at a heat: 1.0 to 1.7 is best for a chain (Doucet et al. 2015).
 NOISE = 1.0
