@@ -513,6 +513,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "membrane.fit_capsule": lambda: {
         "force": 100.0, "outline": capsule_outline(), "radius": 600.0, **EGG,
         "law": "neo-hooke", "support": "plate", "punch": "bonded", "start": (1.0, 1.05),
+        "fit_tilt": True,
     },
     "membrane.indent_capsule": lambda: {
         "force": 100.0, "modulus": 1.0, "radius": 600.0, **EGG, "law": "neo-hooke",

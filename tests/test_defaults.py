@@ -90,6 +90,7 @@ DEFAULTS: dict[str, dict[str, object]] = {
         "law": "neo-hooke",
         "support": "plate",
         "punch": "bonded",
+        "fit_tilt": False,
     },
     "membrane.indent_capsule": {
         "poisson_ratio": 0.5,

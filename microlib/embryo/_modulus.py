@@ -253,6 +253,7 @@ def modulus_from_image(
             radius=egg,
             poisson_ratio=poisson_ratio,
             law=law,
+            fit_tilt=True,
         )
         std = float(np.hypot(capsule.modulus_std / capsule.modulus, _OUTLINE_STD))
         return ModulusEstimate(

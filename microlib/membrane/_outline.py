@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import OptimizeResult, least_squares
 
-from microlib._common import Array, Tidy, as_array, scalar
+from microlib._common import Array, Tidy, as_array, flag, scalar
 from microlib.membrane._capsule import Solved, capsule_modulus, indent_capsule, indent_near
 from microlib.membrane._state import MembraneState
 
@@ -51,6 +51,8 @@ class CapsuleFit(Tidy):
         Radius R before the test, in µm, fitted or as given.
     center : tuple of float
         Position of the axis, and of the plate, in the outline's coordinates, in µm.
+    tilt : float
+        Angle of the axis clockwise from the vertical, in radians; 0 where it was not fitted.
     misfit : float
         Root mean square distance of the points from the shell, in µm.
     state : MembraneState
@@ -67,6 +69,7 @@ class CapsuleFit(Tidy):
     inflation: float
     radius: float
     center: tuple[float, float]
+    tilt: float
     misfit: float
     state: MembraneState
 
@@ -83,6 +86,7 @@ def fit_capsule(
     support: str = "plate",
     punch: str = "bonded",
     start: tuple[float, float] | None = None,
+    fit_tilt: bool = False,
 ) -> CapsuleFit:
     r"""
     Elastic modulus and inflation of a capsule from points of its outline.
@@ -105,14 +109,19 @@ def fit_capsule(
         Modulus (MPa) and inflation to search from first, such as those of the same egg in the image
         before; saves most of the time. By default, and where that search ends further from the
         points than `thickness`, from where the outline turns.
+    fit_tilt : bool, optional
+        Whether the axis may be off the vertical by a small angle, which is then fitted; needs both
+        sides. An image shows a probe's direction to about a mrad, and an outline whose sides are
+        off by that scatters as if the modulus were twice as uncertain.
 
     Returns
     -------
     CapsuleFit
         `modulus` and `modulus_std` (MPa), `inflation`, `radius` (µm), the `center` of axis and
-        plate in the outline's coordinates (µm), the root mean square `misfit` (µm), and the `state`
-        of the capsule, as from `indent_capsule`. `modulus_std` is that of the points' scatter
-        alone: a `misfit` above the noise says that the capsule does not draw the outline.
+        plate in the outline's coordinates (µm), the axis' `tilt` (radians), the root mean square
+        `misfit` (µm), and the `state` of the capsule, as from `indent_capsule`. `modulus_std` is
+        that of the points' scatter alone: a `misfit` above the noise says that the capsule does not
+        draw the outline.
 
     Raises
     ------
@@ -122,7 +131,7 @@ def fit_capsule(
     Notes
     -----
     Least squares of the distances between points and the meridian of `indent_capsule`, over E, the
-    inflation (at least 1), the place of axis and plate, and R. The standard deviation
+    inflation (at least 1), the place of axis and plate, R, and the tilt. The standard deviation
     counts neighboring points as one by the correlation ρ of neighboring distances: the variance
     grows by (1 + ρ)/(1 − ρ).
 
@@ -155,6 +164,9 @@ def fit_capsule(
     if start is not None:
         first = as_array("start", start, shape=(2,))
         near = (scalar("start", first[0], above=0), scalar("start", first[1], least=1))
+    upright = 4 + (known is None)
+    tilted = flag("fit_tilt", fit_tilt)
+    middle = points.mean(axis=0)
     shells: dict[tuple[float, ...], MembraneState] = {}
     last: Solved | None = None
 
@@ -171,6 +183,8 @@ def fit_capsule(
 
     def distances(values: Array, used: Array) -> Array:
         state = shell(values)
+        if values.size > upright:
+            used = middle + (used - middle) @ _turn(values[-1])
         # A point that the axis comes too near to stays beside the probe: no distance jumps.
         across = np.maximum(np.abs(used[:, 0] - values[2]), c)
         return _signed_distances(across, used[:, 1] - values[3], state.r, state.z)
@@ -189,7 +203,8 @@ def fit_capsule(
         origin[3] -= _FIRST_STEP * np.ptp(points[:, 0])
         lowest = np.full(start.size, -np.inf)
         lowest[1] = 1.0 - origin[1]
-        step = _STEP * np.array([1.0, 1.0, np.ptp(points[:, 0]), np.ptp(points[:, 0]), start[-1]])
+        wide = float(np.ptp(points[:, 0]))
+        step = _STEP * np.array([1.0, 1.0, wide, wide, *start[4:upright], 1.0])
 
         def slopes(moved: Array) -> Array:
             here = trial(origin + moved, used)
@@ -224,19 +239,29 @@ def fit_capsule(
             break
     assert place is not None  # there is a start, or _starts refuses
     # Once more with the points that lie outside the probe as it was found.
-    place, found = search(place, points[np.abs(points[:, 0] - place[2]) > c])
+    turned = np.append(place, 0.0) if tilted else place
+    place, found = search(turned, points[np.abs(points[:, 0] - place[2]) > c])
     left = found.fun
     spread = _covariance(found.jac, left)
     modulus = float(np.exp(place[0]))
+    tilt = float(place[-1]) if tilted else 0.0
+    center = middle + _turn(tilt) @ (place[2:4] - middle)
     return CapsuleFit(
         modulus=modulus,
         modulus_std=float(modulus * np.sqrt(spread[0, 0])),
         inflation=float(place[1]),
         radius=float(place[4]) if known is None else known,
-        center=(float(place[2]), float(place[3])),
+        center=(float(center[0]), float(center[1])),
+        tilt=tilt,
         misfit=float(np.sqrt(np.mean(left**2))),
         state=shell(place),
     )
+
+
+def _turn(angle: float) -> Array:
+    """Return the matrix that turns columns (x, y) clockwise, and rows, multiplied by it, back."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.array([[cos, sin], [-sin, cos]])
 
 
 def _starts(
