@@ -126,6 +126,9 @@ _LEAST_DEPTH, _LEAST_ENDS = 3.0, 3
 #: capsules have fallen by half of it 3 px beside the thinnest needle. What only holds an embryo
 #: stands on an outline that has not fallen at all.
 _LEAST_FALL = 0.3
+#: The outline is followed in whole rows, so that a fall is seen up to one row too small; but a fall
+#: of two rows is one.
+_SURE_ROWS = 2
 #: Samples along the normal, from outside to inside: a wall's blur of 1 px to either side of where
 #: Canny may err, and ground and fluid beyond. 4 to 7 to either side change E by up to one
 #: deviation.
@@ -392,24 +395,27 @@ def _leaning_bar(
     """Return slope and entry of the longest bar that enters at the upper edge, or None.
 
     Dark runs of the first rows are followed downwards from row to row for as long as they keep
-    their width. The entry is where the bar has come in with all of its width.
+    their width. The entry is where the bar has come in with all of its width, which through a
+    corner of the image is below the upper edge.
     """
     smooth = _blurred(grey, blur)
     top = smooth[:_LEAN_ROWS].mean(axis=0)
     widest = int(_WIDEST * grey.shape[1] / np.cos(_LARGEST_LEAN))
-    ground = median_filter(top, 4 * widest + 1, mode="nearest")
+    # Reflected, for a bar in the corner would be continued as dark ground.
+    ground = median_filter(top, 4 * widest + 1, mode="reflect")
     dark = top < dark_share * ground
     edges = np.flatnonzero(np.diff(np.concatenate([[0], dark.view(np.int8), [0]])))
     found: tuple[float, float, float] | None = None
     longest = _SHORTEST_LEAN
     for left, right in edges.reshape(-1, 2):
+        limit = float((top[left:right].min() + ground[left:right].mean()) / 2)
+        row, left, right = _off_the_side(smooth, int(left), int(right), limit)
         if not _THINNEST_WALL <= right - left <= widest:
             continue
-        limit = float((top[left:right].min() + ground[left:right].mean()) / 2)
-        middles = _follow(smooth, int(left), int(right), limit)
+        middles = _follow(smooth[row:], left, right, limit)
         if len(middles) <= longest:
             continue
-        rows = np.arange(len(middles))
+        rows = np.arange(row, row + len(middles))
         slope, start = _robust_line(rows, np.array(middles))
         if abs(slope) < np.tan(_LARGEST_LEAN):
             longest, found = len(middles), (slope, start, (right - left) / 2)
@@ -417,8 +423,32 @@ def _leaning_bar(
         return None
     slope, start, half = found
     # A tube's other wall may stand on either side of the one that was followed.
-    reach = np.array([-1.0, 1.0]) * (half + widest * (half < _THIN_RUN))
-    return slope, np.stack([start + reach, np.zeros(2)], axis=1)
+    apart = np.array([-1.0, 1.0])
+    beside = start + apart * (half + widest * (half < _THIN_RUN))
+    ends = start + apart * half
+    # What comes in through a side of the image does so below its upper edge.
+    inside = np.clip(ends, 0.0, grey.shape[1] - 1.0)
+    below = np.maximum((inside - ends) / slope, 0.0) if slope else np.zeros(2)
+    return slope, np.stack(
+        [np.concatenate([beside, inside]), np.concatenate([np.zeros(2), below])], axis=1
+    )
+
+
+def _off_the_side(
+    smooth: NDArray[np.float32], left: int, right: int, limit: float
+) -> tuple[int, int, int]:
+    """Return the row in which a dark run stands off the image's sides, and its ends there.
+
+    A side cuts a bar that comes in through a corner, so that its width grows on the first rows.
+    """
+    row, columns = 0, smooth.shape[1]
+    while (left == 0 or right == columns) and row + 1 < len(smooth):
+        first, last = max(left - _LEAN_REACH, 0), min(right + _LEAN_REACH, columns)
+        dark = np.flatnonzero(smooth[row + 1, first:last] < limit)
+        if dark.size == 0:
+            break
+        row, left, right = row + 1, first + int(dark[0]), first + int(dark[-1]) + 1
+    return row, left, right
 
 
 def _follow(smooth: NDArray[np.float32], left: int, right: int, limit: float) -> list[float]:
@@ -782,9 +812,9 @@ def _refuse_without_dimple(sides: list[Array], probe: Probe) -> None:
                 f"image must show a dimple at least {_LEAST_DEPTH:.0f} px deep around the probe's "
                 f"end, got {depth:.1f} px on the {name}"
             )
-        inner = y[-1] if name == "left" else y[0]
-        if inner - y[rim] < _LEAST_FALL * depth:
+        fall = (y[-1] if name == "left" else y[0]) - y[rim]
+        if fall < _LEAST_FALL * depth - (fall >= _SURE_ROWS):
             raise ValueError(
                 "image must show an outline that falls to the probe's end, got a fall of "
-                f"{inner - y[rim]:.1f} px of {depth:.1f} px beside it on the {name}"
+                f"{fall:.1f} px of {depth:.1f} px beside it on the {name}"
             )

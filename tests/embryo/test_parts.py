@@ -16,6 +16,7 @@ from microlib.embryo._boundary import (
     _end_row,
     _follow,
     _leaning_bar,
+    _off_the_side,
     _refuse_saturated,
     _refuse_without_dimple,
     _remove_probe,
@@ -24,6 +25,7 @@ from microlib.embryo._boundary import (
     _tip_row,
     _tube_body,
     _tubes,
+    _upright_probe,
 )
 from microlib.embryo._dimple import (
     DimpleFit,
@@ -180,7 +182,14 @@ def test_a_dimple_is_three_px_deep_and_wide_and_falls_to_the_probe():
     for good, bad, words in (
         ({"depth": 3.1, "fall": 2.0}, {"depth": 2.9, "fall": 2.0}, "dimple at least 3 px deep"),
         ({"beside": 3.0}, {"beside": 2.0}, "dimple at least 3 px deep"),
-        ({"fall": 6.1}, {"fall": 5.9}, "an outline that falls to the probe's end"),
+        # A row less than 0.3 of the depth, for it is seen in whole rows, but no fewer than two.
+        ({"fall": 5.1}, {"fall": 4.9}, "an outline that falls to the probe's end"),
+        (
+            {"depth": 7.0, "fall": 2.0},
+            {"depth": 7.0, "fall": 1.9},
+            "got a fall of 1.9 px of 7.0 px beside it",
+        ),
+        ({"depth": 4.0, "fall": 1.3}, {"depth": 4.0, "fall": 1.1}, "an outline that falls"),
     ):
         _refuse_without_dimple(sides(**good), probe)
         for side, name in enumerate(("left", "right")):
@@ -239,6 +248,47 @@ def test_a_leaning_bar_is_followed_to_where_its_width_changes():
     assert (entry[:, 1] == 0).all()
     assert _leaning_bar(sharp[:16], 0.3, 0.7) is None  # as short as no probe is
     assert _leaning_bar(np.full((80, 200), 200.0, np.float32), 0.3, 0.7) is None
+
+
+def corner_bar(slope: float, height: float = 0.0, length: float = 150.0) -> np.ndarray:
+    """A bar 12 px wide whose axis enters the image's left side at `height`, of a slope in x/y."""
+    y, x = np.mgrid[:240, :320].astype(float)
+    wide = np.hypot(1.0, slope)
+    across = (x - slope * (y - height)) / wide
+    along = (slope * x + y - height) / wide
+    return 190.0 - 150.0 * ((np.abs(across) <= 6.0) & (along < length))
+
+
+@pytest.mark.parametrize("height", [-8.0, 0.0, 8.0])
+def test_a_bar_that_enters_through_a_corner_is_turned_upright(height):
+    image = corner_bar(0.7, height).astype(np.float32)
+    whole = (0, 0, image.shape[1], image.shape[0])
+    _, probe, view = _upright_probe(image, View(whole, "top"), 1.0, 0.7)
+    assert view.tilt == pytest.approx(np.arctan(0.7), abs=0.02)
+    assert abs(probe.slope) < 0.01
+    # Its end as drawn, in the image; pixels are 1 px wide along it.
+    tip = view.to_image(np.array([probe.tip]))[0]
+    end = np.array([0.0, height]) + 150.0 * np.array([0.7, 1.0]) / np.hypot(1.0, 0.7)
+    np.testing.assert_allclose(tip, end, atol=1.0)
+    assert probe.half_width == pytest.approx(6.0, abs=0.3)
+    # Mirrored, it enters through the other corner.
+    mirrored = np.ascontiguousarray(image[:, ::-1])
+    _, other, _ = _upright_probe(mirrored, View(whole, "top"), 1.0, 0.7)
+    assert other.half_width == pytest.approx(probe.half_width, abs=0.02)
+
+
+def test_a_run_is_followed_until_it_stands_off_the_sides():
+    smooth = np.full((40, 60), 200.0, np.float32)
+    for row in range(20):
+        smooth[row, max(0, row - 8) : row + 2] = 40.0
+    # Its left end is at 0 down to row 8.
+    assert _off_the_side(smooth, 0, 2, 120.0) == (9, 1, 11)
+    assert _off_the_side(smooth[:, ::-1], 58, 60, 120.0) == (9, 49, 59)
+    assert _off_the_side(smooth, 5, 9, 120.0) == (0, 5, 9)
+    # One that ends at the side, or never leaves it, is left where it was last.
+    assert _off_the_side(smooth[:4], 0, 2, 120.0) == (3, 0, 5)
+    smooth[4:] = 200.0
+    assert _off_the_side(smooth, 0, 2, 120.0) == (3, 0, 5)
 
 
 def test_a_region_lies_inside_and_is_large_enough():
@@ -457,7 +507,7 @@ def test_a_capsules_deviation_has_a_part_that_points_do_not_show(monkeypatch):
     np.testing.assert_array_equal(asked.pop("points"), np.full((3, 2), 4.0))
     assert asked == {
         "force": 70.0, "thickness": 3.0, "probe_half_width": 25.0, "radius": 600.0,
-        "poisson_ratio": 0.4, "law": "hooke",
+        "poisson_ratio": 0.4, "law": "hooke", "fit_tilt": True,
     }  # fmt: skip
     assert found.given == {
         "force": 70.0, "thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.4,
