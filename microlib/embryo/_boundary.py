@@ -376,27 +376,42 @@ def _upright_probe(
     lean = _leaning_bar(grey, blur, dark)
     if lean is None:
         raise refused or ValueError("image must show the probe's direction, got none")
-    upright = view.upright(*lean)
-    if min(upright.frame[2:]) < _SMALLEST:
-        raise refused or ValueError("image must show the probe's end, got its shaft alone")
-    grey = np.ascontiguousarray(upright.of(whole))
+    slope, entries = lean
+    reasons = []
+    for entry in entries:
+        upright = view.upright(slope, entry)
+        if min(upright.frame[2:]) < _SMALLEST:
+            reasons.append(
+                refused or ValueError("image must show the probe's end, got its shaft alone")
+            )
+            continue
+        grey = np.ascontiguousarray(upright.of(whole))
+        try:
+            return grey, _straight_probe(grey, blur, dark), upright
+        except ValueError as reason:
+            reasons.append(reason)
+    raise reasons[0]
+
+
+def _straight_probe(grey: NDArray[np.float32], blur: float, dark: float) -> Probe:
+    """Find the probe in an image that was turned to have it upright."""
     probe = _find_probe(grey, blur, dark)
     if abs(probe.slope) > np.tan(_LARGEST_TILT):
         raise ValueError(
             f"image must show a straight probe, got one that bends by "
             f"{np.rad2deg(np.arctan(probe.slope)):.1f}°"
         )
-    return grey, probe, upright
+    return probe
 
 
 def _leaning_bar(
     grey: NDArray[np.float32], blur: float, dark_share: float
-) -> tuple[float, Array] | None:
-    """Return slope and entry of the longest bar that enters at the upper edge, or None.
+) -> tuple[float, list[Array]] | None:
+    """Return slope and entries of the longest bar that enters at the upper edge, or None.
 
     Dark runs of the first rows are followed downwards from row to row for as long as they keep
     their width. The entry is where the bar has come in with all of its width, which through a
-    corner of the image is below the upper edge.
+    corner of the image is below the upper edge; of a thin one first as if it were a tube's wall.
     """
     smooth = _blurred(grey, blur)
     top = smooth[:_LEAN_ROWS].mean(axis=0)
@@ -422,16 +437,17 @@ def _leaning_bar(
     if found is None:
         return None
     slope, start, half = found
-    # A tube's other wall may stand on either side of the one that was followed.
-    apart = np.array([-1.0, 1.0])
-    beside = start + apart * (half + widest * (half < _THIN_RUN))
-    ends = start + apart * half
+    ends = start + np.array([-half, half])
     # What comes in through a side of the image does so below its upper edge.
     inside = np.clip(ends, 0.0, grey.shape[1] - 1.0)
     below = np.maximum((inside - ends) / slope, 0.0) if slope else np.zeros(2)
-    return slope, np.stack(
-        [np.concatenate([beside, inside]), np.concatenate([np.zeros(2), below])], axis=1
-    )
+    bar = np.stack([inside, below], axis=1)
+    if half >= _THIN_RUN:
+        return slope, [bar]
+    # A tube's other wall may stand on either side of the one that was followed. What that costs of
+    # a short bar's length may be too much.
+    tube = np.stack([ends + np.array([-widest, widest]), np.zeros(2)], axis=1)
+    return slope, [np.concatenate([tube, bar]), bar]
 
 
 def _off_the_side(

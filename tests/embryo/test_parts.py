@@ -14,6 +14,7 @@ from microlib.embryo._boundary import (
     Probe,
     _crossings,
     _end_row,
+    _find_probe,
     _follow,
     _leaning_bar,
     _off_the_side,
@@ -239,13 +240,16 @@ def test_a_leaning_bar_is_followed_to_where_its_width_changes():
     for row in range(60):
         start = 40 + row
         sharp[row, start : start + 12] = 40.0
-    slope, entry = _leaning_bar(sharp, 0.3, 0.7)
+    slope, (entry, near) = _leaning_bar(sharp, 0.3, 0.7)
     assert slope == pytest.approx(1.0, abs=0.01)
     middle, half = entry[:, 0].mean(), np.ptp(entry[:, 0]) / 2
     assert middle == pytest.approx(45.5, abs=1.1)
     # A tube's other wall may stand so far beside a run that is thin.
     assert half == pytest.approx(6.5 + int(0.1 * 200 / np.cos(np.deg2rad(62.0))), abs=1.6)
     assert (entry[:, 1] == 0).all()
+    # And where there is none, the bar alone: 12 px in a row.
+    assert near[:, 0].mean() == pytest.approx(middle)
+    assert np.ptp(near[:, 0]) / 2 == pytest.approx(6.5, abs=1.6)
     assert _leaning_bar(sharp[:16], 0.3, 0.7) is None  # as short as no probe is
     assert _leaning_bar(np.full((80, 200), 200.0, np.float32), 0.3, 0.7) is None
 
@@ -275,6 +279,20 @@ def test_a_bar_that_enters_through_a_corner_is_turned_upright(height):
     mirrored = np.ascontiguousarray(image[:, ::-1])
     _, other, _ = _upright_probe(mirrored, View(whole, "top"), 1.0, 0.7)
     assert other.half_width == pytest.approx(probe.half_width, abs=0.02)
+
+
+def test_a_thin_bar_that_is_short_is_turned_upright():
+    """As far below the edge as a tube's other wall would enter, too little of it is left."""
+    image = corner_bar(0.7, -160.0, 240.0).astype(np.float32)
+    view = View((0, 0, image.shape[1], image.shape[0]), "top")
+    slope, (entry, near) = _leaning_bar(image, 1.0, 0.7)
+    with pytest.raises(ValueError, match="image must show"):
+        _find_probe(view.upright(slope, entry).of(image))
+    _, probe, upright = _upright_probe(image, view, 1.0, 0.7)
+    assert upright == view.upright(slope, near)
+    tip = upright.to_image(np.array([probe.tip]))[0]
+    end = np.array([0.0, -160.0]) + 240.0 * np.array([0.7, 1.0]) / np.hypot(1.0, 0.7)
+    np.testing.assert_allclose(tip, end, atol=1.0)
 
 
 def test_a_run_is_followed_until_it_stands_off_the_sides():
