@@ -254,18 +254,18 @@ def test_a_leaning_bar_is_followed_to_where_its_width_changes():
     assert _leaning_bar(np.full((80, 200), 200.0, np.float32), 0.3, 0.7) is None
 
 
-def corner_bar(slope: float, height: float = 0.0, length: float = 150.0) -> np.ndarray:
-    """A bar 12 px wide whose axis enters the image's left side at `height`, of a slope in x/y."""
+def corner_bar(slope: float, height: float, length: float, half: float) -> np.ndarray:
+    """A bar whose axis, of a slope in x/y, passes the image's left side at `height`."""
     y, x = np.mgrid[:240, :320].astype(float)
     wide = np.hypot(1.0, slope)
     across = (x - slope * (y - height)) / wide
     along = (slope * x + y - height) / wide
-    return 190.0 - 150.0 * ((np.abs(across) <= 6.0) & (along < length))
+    return 190.0 - 150.0 * ((np.abs(across) <= half) & (along < length))
 
 
-@pytest.mark.parametrize("height", [-8.0, 0.0, 8.0])
-def test_a_bar_that_enters_through_a_corner_is_turned_upright(height):
-    image = corner_bar(0.7, height).astype(np.float32)
+@pytest.mark.parametrize(("height", "half"), [(-8.0, 6.0), (0.0, 6.0), (8.0, 6.0), (2.0, 10.0)])
+def test_a_bar_that_enters_through_a_corner_is_turned_upright(height, half):
+    image = corner_bar(0.7, height, 150.0, half).astype(np.float32)
     whole = (0, 0, image.shape[1], image.shape[0])
     _, probe, view = _upright_probe(image, View(whole, "top"), 1.0, 0.7)
     assert view.tilt == pytest.approx(np.arctan(0.7), abs=0.02)
@@ -274,7 +274,10 @@ def test_a_bar_that_enters_through_a_corner_is_turned_upright(height):
     tip = view.to_image(np.array([probe.tip]))[0]
     end = np.array([0.0, height]) + 150.0 * np.array([0.7, 1.0]) / np.hypot(1.0, 0.7)
     np.testing.assert_allclose(tip, end, atol=1.0)
-    assert probe.half_width == pytest.approx(6.0, abs=0.3)
+    assert probe.half_width == pytest.approx(half, abs=0.3)
+    # Nothing above that the image's side has cut: all rows are as wide.
+    row = view.of(image)[0]
+    assert (row < 115).sum() == pytest.approx(2 * half, abs=1.5)
     # Mirrored, it enters through the other corner.
     mirrored = np.ascontiguousarray(image[:, ::-1])
     _, other, _ = _upright_probe(mirrored, View(whole, "top"), 1.0, 0.7)
@@ -283,7 +286,7 @@ def test_a_bar_that_enters_through_a_corner_is_turned_upright(height):
 
 def test_a_thin_bar_that_is_short_is_turned_upright():
     """As far below the edge as a tube's other wall would enter, too little of it is left."""
-    image = corner_bar(0.7, -160.0, 240.0).astype(np.float32)
+    image = corner_bar(0.7, -160.0, 240.0, 6.0).astype(np.float32)
     view = View((0, 0, image.shape[1], image.shape[0]), "top")
     slope, (entry, near) = _leaning_bar(image, 1.0, 0.7)
     with pytest.raises(ValueError, match="image must show"):
