@@ -316,6 +316,9 @@ def _starts(
 
 def _signed_distances(across: Array, up: Array, r: Array, z: Array) -> Array:
     """Return each point's distance from the nearest part of the meridian, positive on one side."""
+    # Where two parts of the meridian meet, the solver may give a point twice.
+    apart = np.append(True, (np.diff(r) != 0) | (np.diff(z) != 0))
+    r, z = r[apart], z[apart]
     dr, dz = np.diff(r), np.diff(z)
     square = dr**2 + dz**2
     x, y = across[:, None] - r[:-1], up[:, None] - z[:-1]

@@ -9,7 +9,7 @@ import pytest
 
 from microlib._common import Array
 from microlib.membrane._capsule import indent_capsule
-from microlib.membrane._outline import _covariance, fit_capsule
+from microlib.membrane._outline import _covariance, _signed_distances, fit_capsule
 
 SHELL: dict[str, Any] = {"thickness": 3.0, "probe_half_width": 25.0}
 FORCE, RADIUS, INFLATION = 100.0, 600.0, 1.05
@@ -81,6 +81,15 @@ def test_one_side_counted_from_the_axis() -> None:
     fit = fit_capsule(FORCE, side, radius=RADIUS, **SHELL)
     assert fit.center[0] == pytest.approx(0, abs=1)
     assert abs(fit.modulus - 1) < 4 * fit.modulus_std
+
+
+def test_a_point_that_the_meridian_has_twice_changes_no_distance() -> None:
+    r, z = np.array([1.0, 2.0, 3.0, 3.0]), np.array([2.0, 2.0, 1.0, 0.0])
+    across, up = np.array([1.5, 2.0, 3.5, 2.0]), np.array([2.5, 2.5, 0.5, 1.0])
+    plain = _signed_distances(across, up, r, z)
+    np.testing.assert_allclose(plain, [-0.5, -0.5, -0.5, np.sqrt(0.5)])
+    twice = np.array([0, 1, 1, 2, 2, 3])
+    np.testing.assert_array_equal(_signed_distances(across, up, r[twice], z[twice]), plain)
 
 
 def test_a_wrong_law_shows_in_the_modulus_not_in_the_misfit() -> None:
