@@ -13,7 +13,7 @@ export OPENBLAS_NUM_THREADS := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup extras book pdf test notebooks html lint format data picture parts benchmarks inference oldest newest mutants vacuity fuzz faults lock clean
+.PHONY: help setup extras book pdf test notebooks html lint format data picture parts benchmarks inference oldest newest mutants vacuity drawn fuzz faults lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -96,6 +96,9 @@ mutants: $(STAMP) ## plant faults in the library and count those the tests catch
 
 vacuity: notebooks ## plant faults in what the checks are fed and list those that nothing turns (minutes)
 	@$(BIN)/python tests/vacuity.py
+
+drawn: $(STAMP) ## write anew what the figures draw; look at build/drawn then
+	@$(BIN)/python -m tests.drawn
 
 fuzz: $(STAMP) ## call everything public with hostile values (minutes)
 	@$(BIN)/python -m tests.fuzz

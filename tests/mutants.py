@@ -54,7 +54,8 @@ LEFT_OUT = {
     "compendium/readme_picture.py": "run by hand, and looked at",
     "compendium/figures/style.py": "how drawings look, which nobody computes with",
 }
-QUICK = "test_parts.py"  # single functions on known numbers, which take no time
+# Single functions on known numbers, which take no time; what every figure draws, in seconds.
+QUICK = ("test_parts.py", "test_figures_drawn.py")
 PARTS = ("experiments", "figures")  # of the compendium, with tests that are named after them
 NOT_COPIED = (".*", "__pycache__", "build", "*.egg-info")
 # Tests that go through every package of the library. Of the fuzz only the package's part is run.
@@ -234,7 +235,7 @@ def tests_of(module: Path) -> list[str]:
         files = sorted(folder.glob(f"test_{package}_*.py"))
     else:
         files = [p for p in sorted(folder.rglob("test_*.py")) if p.name.split("_")[1] not in PARTS]
-    files.sort(key=lambda path: (path.name != like, path.name != QUICK))
+    files.sort(key=lambda path: (path.name != like, path.name not in QUICK))
     names = [str(path.relative_to(ROOT)) for path in files]
     return [*names[:2], examples, *names[2:]]
 

@@ -1,0 +1,584 @@
+"""Every drawing of `compendium.figures` on small inputs that are alike in nothing.
+
+No two numbers, sides or names of an input are equal unless they have to be, so that exchanged ones
+show. ``tests/drawn.py`` writes down what is drawn from them.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import patch
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+mpl.use("agg")
+import matplotlib.pyplot as plt
+
+from compendium import thesis
+from compendium.experiments import chapter_2_tracking
+from compendium.experiments.section_5_4 import SettlingTimes
+from compendium.figures import (
+    automation,
+    calibration,
+    dimple,
+    embryo,
+    films,
+    inference,
+    mechanics,
+    overview,
+    phone,
+    recognition,
+    servoing,
+    shape_from_focus,
+    surfaces,
+    use_style,
+    verdicts,
+    workstation,
+)
+from compendium.figures.data import keep_data
+from microlib.microscope import Microscope
+from tests.drawn import describe, describe_data
+
+TEXTS = {"name": "film-x", "alt": "a film", "caption": "Film."}
+DETECTION: Any = SimpleNamespace(
+    points=np.array([[10.0, 20.0], [50.0, 22.0], [98.0, 40.0], [30.0, 55.0], [93.0, 7.0]]),
+    grid=np.array([[0, 0], [1, 0], [4, 4], [0, 4], [4, 0]]),
+)
+SCOPE = Microscope(
+    tube_length=200_000.0,
+    focal_length=100_000.0,
+    distance=50_000.0,
+    distortion=0.0,
+    alpha=0.02,
+    beta=-0.03,
+    gamma=1.5,
+    tx=130.0,
+    ty=-70.0,
+    pixel_size=10.0,
+    image_size=(201, 101),
+)
+RUN: Any = SimpleNamespace(
+    time=np.array([0.0, 0.1, 0.2]),
+    reference=np.array([[5.0, 7.0], [15.0, 7.5], [25.0, 9.0]]),
+    feature=np.array([[4.0, 6.0], [9.0, 6.5], [14.0, 6.7]]),
+    measured=np.array([[4.1, 6.2], [9.2, 6.4], [14.3, 6.6]]),
+    command=np.array([[100.0, -3.0], [50.0, -2.0], [20.0, -1.0]]),
+)
+
+
+def picture(rows: int, cols: int, seed: float = 0.0) -> NDArray:
+    """Return grey levels in which no two places are alike."""
+    y, x = np.mgrid[:rows, :cols]
+    return 128 + 100 * np.sin(0.7 * x + 0.11 * y * x + seed) * np.cos(0.4 * y - seed)
+
+
+def heights(rows: int, cols: int) -> NDArray:
+    y, x = np.mgrid[:rows, :cols]
+    return 40 * np.exp(-(((x - 0.4 * cols) / 6) ** 2) - ((y - 0.6 * rows) / 4) ** 2) + 0.3 * x
+
+
+def types(rows: int, cols: int, *kinds: int) -> NDArray[np.uint8]:
+    y, x = np.mgrid[:rows, :cols]
+    return np.array(kinds, np.uint8)[(x // 3 + 2 * (y // 4)) % len(kinds)]
+
+
+def on_axes(draw: Callable[[Axes], None]) -> Callable[[], Figure]:
+    def made() -> Figure:
+        figure, axes = plt.subplots()
+        draw(axes)
+        return figure
+
+    return made
+
+
+def injection() -> Figure:
+    log = pd.DataFrame(
+        {
+            "time_s": [0.0, 1.0, 2.0, 3.0, 4.0, 5.0],
+            "phase": ["start", "approach", "press", "press", "withdraw", "end"],
+            "event": ["", "contact", "", "reached", "", "done"],
+            "force_uN": [np.nan, np.nan, 5.0, 9.0, 3.0, np.nan],
+            "depth_um": [np.nan, 0.5, 4.0, 8.0, 2.5, np.nan],
+        }
+    )
+    truth = pd.DataFrame({"force": [0, 0.1, 5.5, 9.5, 3.3, 0], "depth": [0, 0, 4.5, 8.5, 2.2, 0]})
+    return automation.draw_injection(log, truth, [picture(4, 5, k) for k in range(3)])
+
+
+def frames_saved() -> Figure:
+    rows = [("step", "farthest", 50.0), ("step", "coarse", 30.0)]
+    rows += [("cone", "farthest", 52.0), ("cone", "coarse", 31.0)]
+    return automation.draw_frames_saved(pd.DataFrame(rows, columns=["scene", "way", "saved"]))
+
+
+def valley() -> Figure:
+    tilts = (0.0, 1.0, 2.0, 5.0, 20.0)
+    residuals = pd.DataFrame({t: [0.3 + t, 0.02 + t, 0.2 + t] for t in tilts}, [0.5, 1.0, 2.0])
+    return calibration.draw_residual_valley(residuals, 0.03)
+
+
+def focal_length_study() -> Figure:
+    study = pd.DataFrame(
+        {
+            "tilt": [0.0, 1.0, 5.0],
+            "lost": [1.0, 0.5, 0.0],
+            "bound": [0.3, 0.2, 0.1],
+            "stated": [0.31, 0.21, 0.11],
+            "scatter": [0.32, 0.22, 0.12],
+            "M": [1e-4, 2e-4, 3e-4],
+        }
+    )
+    return calibration.draw_focal_length_study(study)
+
+
+def scene() -> Any:
+    truth = SimpleNamespace(dimple_radius=200.0)
+    image = picture(768, 1024).astype(np.uint8)
+    return SimpleNamespace(image=image, center=(512.4, 300.6), pixel_size=4.0, embryo=truth)
+
+
+def boundary() -> Any:
+    x = np.arange(400.0, 625.0, 5.0)
+    return SimpleNamespace(
+        points=np.column_stack([x, 300 + 0.001 * (x - 500) ** 2]),
+        under_probe=np.abs(x - 512) < 20,
+        probe=SimpleNamespace(tip=(512.0, 330.0)),
+        x=np.arange(50.0, 260.0),
+        y=780 + 72 * np.sin(np.arange(210.0) / 41),
+    )
+
+
+def rendered_outline() -> Figure:
+    columns, profile = np.linspace(60, 250, 20), 780 + 70 * np.sin(np.linspace(0, 5, 20))
+    middle = vars(scene()) | {"center": (189.0, 60.0)}
+    return dimple.draw_rendered_outline(
+        SimpleNamespace(**middle), boundary(), columns, thesis.outline_curve(), profile
+    )
+
+
+def profile_comparison() -> Figure:
+    shape: Any = SimpleNamespace(x=np.array([100.0, 110.0]), expected=np.array([20.0, 33.0]))
+    return dimple.draw_profile_comparison(thesis.outline_curve(), shape)
+
+
+def image_study() -> Figure:
+    study = pd.DataFrame(
+        {"depth": [20.0, 40.0], "thesis": [2.0, 1.5], "fitted": [1.3, 1.4]}
+        | {"low": [0.4, 1.35], "high": [3.6, 1.42]}
+    )
+    return dimple.draw_image_study(study)
+
+
+def felt() -> pd.DataFrame:
+    return pd.DataFrame(
+        {"time": [1.0, 8.0], "force": [70.0, 97.0], "low": [68.0, 92.0], "high": [73.0, 99.0]}
+        | {"elastic": [75.0, 150.0]}
+    )
+
+
+def scale_bar(axes: Axes) -> None:
+    embryo.show_image(axes, picture(80, 200), box=(30, 20, 40, 25))
+    embryo.add_scale_bar(axes, 50, 2.5)
+
+
+def left_out() -> Figure:
+    ends = {"base": [[1.0, 2.0, 3.0], [5.0, 6.0, 8.0]], "other": [[2.5, 3.0, 4.0], [1.0, 2.1, 5.0]]}
+    return inference.draw_left_out(["one", "two"], [2.0, 4.0], ends)
+
+
+def identified() -> Figure:
+    widths = {
+        "base": pd.Series([0.5, 0.9], ["latency", "noise"]),
+        "other": pd.Series([0.4, 0.8, 0.2], ["latency", "noise", "rate"]),
+    }
+    return inference.draw_identified(widths)
+
+
+def ranks() -> Figure:
+    columns = np.column_stack([(np.arange(100) + 0.5) / 100, np.modf(np.arange(100) * 0.618)[0]])
+    return inference.draw_ranks({"base": columns, "other": columns[:60] ** 2})
+
+
+def modulus_posterior() -> Figure:
+    readings = pd.DataFrame(
+        {
+            "input": ["middle", "crest of the rim", "thickness"],
+            "one": [1.0, 0.8, np.nan],
+            "other": [1.0, 1.3, 1.5],
+        }
+    )
+    capsule = pd.DataFrame({"E": np.geomspace(0.5, 0.9, 200)})
+    disc = pd.DataFrame({"E": np.geomspace(1.5, 2.5, 50)})
+    return mechanics.draw_modulus_posterior(capsule, disc, readings)
+
+
+def recognized() -> Figure:
+    parts = []
+    for k, (name, kind) in enumerate((("ball", "sphere"), ("pyramid", None))):
+        regions = {"x": [3.0, 9.0, 5.0], "y": [2.0, 7.0, 8.0], "area": [0.2, 0.5, 0.3]}
+        found = SimpleNamespace(
+            kind=kind,
+            confidence=0.876,
+            labels=types(10, 12, 1 + k, 5),
+            regions=pd.DataFrame(regions) + 0.1 * k,
+            borders=pd.DataFrame({"one": [0, 1], "two": [2, 2], "length": [4.0, 5.0]}),
+        )
+        parts.append(SimpleNamespace(name=name, depth=heights(10, 12) + k, found=found))
+    return recognition.draw_recognized(parts)  # type: ignore[arg-type]
+
+
+def stability() -> Figure:
+    delays, gains = np.linspace(0, 1, 5), np.linspace(0.1, 2, 7)
+    moduli = pd.DataFrame(gains[:, None] * (0.9 + 0.3 * delays), gains, delays)
+    loops = pd.DataFrame({"delay": [0.2, 0.7], "gain": [1.9, 0.4], "decays": [False, True]})
+    return servoing.draw_stability(moduli, loops, 0.99)
+
+
+def kalman_step() -> Figure:
+    track = pd.DataFrame(
+        {
+            "frame": [1, 2, 3],
+            "true": [0.0, 2.0, 4.0],
+            "measured": [0.5, 2.5, 4.6],
+            "predicted": [0.0, 1.0, 3.1],
+            "predicted_std": [30.0, 2.0, 1.5],
+        }
+    )
+    step: Any = SimpleNamespace(
+        predicted=3.1,
+        predicted_std=1.5,
+        measured=4.6,
+        measured_std=1.0,
+        estimated=4.0,
+        estimated_std=0.8,
+        track=track,
+    )
+    return servoing.draw_kalman_step(step)
+
+
+def track(shift: float = 0.0) -> Any:
+    square = np.array([[40.0, 20.0], [60.0, 22.0], [58.0, 42.0], [38.0, 43.0]])
+    corners = square + np.array([shift, shift / 2])
+    return SimpleNamespace(corners=corners, center=corners.mean(axis=0))
+
+
+def esm_step() -> Figure:
+    errors = {"template": [9.0, 1.0, 0.5], "image": [9.0, 4.0, 2.0], "mean": [9.0, 0.1, 0.01]}
+    return servoing.draw_esm_step(pd.DataFrame(errors))
+
+
+def stack() -> Any:
+    frames = np.stack([picture(4, 5, k) for k in range(20)])
+    positions = 25.0 * np.arange(20) - 50
+    # Frame 10 stands at 200 µm and 25 µm from its neighbours; the 18th is sharp in the last column.
+    height = np.tile([0.0, 189.0, 211.0, 213.0, 400.0], (4, 1))
+    return SimpleNamespace(
+        texture=picture(4, 5, 0.5), height=height, positions=positions, frames=frames
+    )
+
+
+def surface(**how: Any) -> Callable[[], Figure]:
+    def made() -> Figure:
+        figure = plt.figure()
+        axes = figure.add_subplot(projection="3d")
+        surfaces.draw_surface(axes, heights(20, 30), 2.0, **how)
+        return figure
+
+    return made
+
+
+def turnable(labels: NDArray[np.uint8] | None = None, cols: int = 30, **how: Any) -> str:
+    height = heights(20, cols)
+    height[3, 4] = np.nan
+    html = surfaces.turnable_surface(
+        height, 2.5, name="solid", title="A solid", labels=labels, **how
+    )
+    # Plotly.newPlot(name, data, layout, config)
+    begin = re.search(r'Plotly\.newPlot\(\s*"solid",\s*', html.data)
+    assert begin is not None
+    rest, parts = html.data[begin.end() :], []
+    for _ in range(3):
+        part, end = json.JSONDecoder().raw_decode(rest)
+        parts.append(part)
+        rest = rest[end:].lstrip(" \n,")
+    data, layout, config = parts
+    layout["template"] = layout["template"]["layout"]["scene"]["xaxis"]["backgroundcolor"]
+    around = [
+        html.data[: html.data.index("<script")].strip(),
+        f"library {'plotly.js v' in html.data}",
+    ]
+    lines = [*around, *describe_data(data, "data"), *describe_data(layout, "layout")]
+    return "\n".join([*lines, *describe_data(config, "config")]) + "\n"
+
+
+def scorecard() -> Figure:
+    cells = [
+        (part, verdict, spent)
+        for part in ("2", "5.2", "5.4")
+        for verdict in ("reproduced", "consistent", "differs", "lost")
+        for spent in ("", "identified", "assumed")
+    ]
+    rows = [cell for k, cell in enumerate(cells) for _ in range(2 * k % 37)]
+    return verdicts.draw_verdicts(pd.DataFrame(rows, columns=["part", "verdict", "spent"]))
+
+
+def patterns() -> Figure:
+    grid = np.stack(np.meshgrid([0, 1, 4, 6], [0, 4, 6]), axis=-1).reshape(-1, 2)
+    examples: Any = {
+        name: (picture(90, 80, k), SimpleNamespace(points=10.0 * grid[k:] + k, grid=grid[k:]))
+        for k, name in enumerate(("circle-1X", "circle-4X", "square-1X", "square-4X"))
+    }
+    return workstation.draw_patterns(examples)
+
+
+def settling() -> Figure:
+    return workstation.draw_settling_times(
+        SettlingTimes(
+            speeds=np.array([100.0, 200.0, 400.0]),
+            by_speed={"1X": np.array([np.nan, 1.0, 0.6]), "4X": np.array([0.9, 0.5, 0.3])},
+            saturation={"1X": 250.0, "4X": 150.0},
+            latencies=np.array([0.01, 0.03]),
+            by_latency=np.array([0.4, 0.8]),
+            latency=0.02,
+            printed={"1X": 0.85, "4X": 0.65},
+        )
+    )
+
+
+def filmed(make: Callable[[], object]) -> Callable[[], str]:
+    """Describe a film's first picture, its still, the one after and its last."""
+
+    def made() -> str:
+        seen: dict[str, Any] = {}
+        with patch.object(films, "film", lambda *given, **named: seen.update(named, given=given)):
+            make()
+        figure, draw, durations = seen.pop("given")
+        text = f"durations {durations} {sorted(seen.items())}\n"
+        for k in (0, seen["still"], seen["still"] + 1, len(durations) - 1):
+            draw(k)
+            text += f"\npicture {k}\n{describe(figure)}"
+        return text
+
+    return made
+
+
+def film_alignment() -> object:
+    target = chapter_2_tracking.render_target(1)
+    return films.film_alignment(target, chapter_2_tracking.align(target, (0.5, 0.5), 3), **TEXTS)
+
+
+def film_focus() -> object:
+    frames = np.stack([picture(10, 14, k) for k in range(5)])
+    return films.film_focus(frames, 10.0 * np.arange(5) - 3, heights(10, 14), **TEXTS)
+
+
+def film_dimple() -> object:
+    depths = np.linspace(0, 40, 21)
+    return films.film_dimple(depths, depths**3 / 500, radius=200.0, half_width=20.0, **TEXTS)
+
+
+def film_step() -> object:
+    places = np.array([[100.0, 50.0], [110.0, 55.0], [120.0, 58.0], [125.0, 52.0]])
+    frames = [picture(30, 40, k) for k in range(4)]
+    times = np.array([0.0, 0.1, 0.2, 0.35])
+    return films.film_step(frames, times, places, np.array([121, 59]), 21.0, **TEXTS)
+
+
+def narrow(make: Callable[[], Figure]) -> Callable[[], Figure]:
+    return lambda: phone.narrow(make())
+
+
+def shared_curves() -> Figure:
+    """Panels, legends and names of axes of each kind that a narrow copy has to move."""
+    figure, axes = plt.subplots(2, 2, figsize=(7.2, 5.0), sharex=True, sharey="row")
+    for k, one in enumerate(axes.flat):
+        one.plot([0, 1 + k], [k, 3], label=f"a curve {k}")
+        one.plot([0, 2], [k, 1], label="other one")
+        one.set_title(f"panel {k} of curves whose title is far too long for one line of a phone")
+    axes[0, 0].set(ylabel="error (px)")
+    axes[1, 0].set(xlabel="time (s)", ylabel="force (µN)")
+    axes[0, 1].legend(title="curves", fontsize=8)
+    figure.legend(*axes[1, 1].get_legend_handles_labels(), loc="outside upper center")
+    return figure
+
+
+def pictures_in_pairs() -> Figure:
+    figure, axes = plt.subplots(2, 3, figsize=(7.2, 4))
+    for k, one in enumerate(axes.flat):
+        one.imshow(picture(9, 11, k))
+        one.set(xticks=[], yticks=[], title=f"picture {k}")
+    return figure
+
+
+def picture_to_scale() -> Figure:
+    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 4))
+    left.plot([0, 3], [1, 2], label="curve")
+    left.legend()
+    shown = right.imshow(picture(60, 50))
+    right.set(xlabel="x (px)", ylabel="y (px)")
+    figure.colorbar(shown, label="level")
+    return figure
+
+
+def kept_data() -> str:
+    """What is written of curves, dots, errors and bars, on axes of both kinds."""
+    figure, (left, right, last) = plt.subplots(1, 3)
+    x = np.array([1e-7, 1 / 3, 123.456789, np.nan])
+    left.plot(x, 1000 * x[::-1], label="line")
+    left.scatter([4, 5], [40, 50.1234567], label="dots")
+    left.axvline(7)
+    left.set(xlabel="time (s)", ylabel="force (µN)", title="first")
+    right.loglog(x, 2 * x, label="log")
+    right.bar([1, 3], [5, 9], width=0.5, label="upright")
+    right.barh([2, 4], [6, 8], height=0.5, left=[1, 1], label="lying")
+    last.imshow(heights(3, 4) / 7)
+    last.imshow(types(3, 4, 2, 7))
+    with tempfile.TemporaryDirectory() as folder:
+        table, images = keep_data(figure, Path(folder) / "kept")
+        with table.open(newline="", encoding="utf-8") as file:
+            lines = ["; ".join(row) for row in csv.reader(file)]
+        with np.load(images) as kept:
+            lines += [f"{name}: {kept[name].tolist()}" for name in kept.files]
+    return "\n".join(lines) + "\n"
+
+
+CURVE = thesis.outline_curve
+CASES: dict[str, Callable[[], Figure | str]] = {
+    "automation.draw_injection": injection,
+    "automation.draw_frames_saved": frames_saved,
+    "calibration.draw_detection": on_axes(
+        lambda axes: calibration.draw_detection(axes, picture(60, 100), DETECTION, label_every=4)
+    ),
+    "calibration.draw_detection-without_labels": on_axes(
+        lambda axes: calibration.draw_detection(axes, picture(60, 100), DETECTION)
+    ),
+    "calibration.draw_microscope": on_axes(
+        lambda axes: calibration.draw_microscope(axes, SCOPE, np.array([[300, 500], [0, -100.0]]))
+    ),
+    "calibration.draw_residual_valley": valley,
+    "calibration.draw_focal_length_study": focal_length_study,
+    "data.keep_data": kept_data,
+    "dimple.draw_dimple_section": lambda: dimple.draw_dimple_section(246.95, 121.22, 25.0),
+    "dimple.draw_printed_outline": lambda: dimple.draw_printed_outline(CURVE()),
+    "dimple.draw_rounding": lambda: dimple.draw_rounding(pd.Series(np.linspace(1.2, 1.5, 77) ** 2)),
+    "dimple.draw_embryo": lambda: dimple.draw_embryo(scene()),
+    "dimple.draw_outline_steps": lambda: dimple.draw_outline_steps(
+        scene(), picture(768, 1024, 1.0), boundary()
+    ),
+    "dimple.draw_rendered_outline": rendered_outline,
+    "dimple.draw_profile_comparison": profile_comparison,
+    "dimple.draw_image_study": image_study,
+    "dimple.draw_estimated_force": lambda: dimple.draw_estimated_force(felt()),
+    "dimple.draw_relaxing_force": lambda: dimple.draw_relaxing_force(felt()),
+    "embryo.add_scale_bar": on_axes(scale_bar),
+    "embryo.show_image": on_axes(lambda axes: embryo.show_image(axes, picture(8, 11))),
+    "embryo.show_outline": on_axes(lambda axes: embryo.show_outline(axes, boundary(), lw=2.5)),
+    "films.film_alignment": filmed(film_alignment),
+    "films.film_dimple": filmed(film_dimple),
+    "films.film_focus": filmed(film_focus),
+    "films.film_step": filmed(film_step),
+    "inference.draw_identified": identified,
+    "inference.draw_left_out": left_out,
+    "inference.draw_ranks": ranks,
+    "inference.draw_trades": lambda: inference.draw_trades(
+        ["a", "b", "c"], [[1.0, -0.7, 0.2], [-0.7, 1.0, 0.1], [0.2, 0.1, 1.0]]
+    ),
+    "mechanics.draw_modulus_posterior": modulus_posterior,
+    "overview.draw_parts": overview.draw_parts,
+    "overview.draw_scale": overview.draw_scale,
+    "phone.narrow-curves": narrow(shared_curves),
+    "phone.narrow-pictures": narrow(pictures_in_pairs),
+    "phone.narrow-scale": narrow(picture_to_scale),
+    "phone.narrow-solid": narrow(lambda: shape_from_focus.draw_depth(heights(32, 30), 4.0)),
+    "phone.narrow-sketch": narrow(overview.draw_parts),
+    "phone.narrow-verdicts": narrow(scorecard),
+    "recognition.draw_recognized": recognized,
+    "servoing.draw_esm_step": esm_step,
+    "servoing.draw_kalman_step": kalman_step,
+    "servoing.draw_loop": servoing.draw_loop,
+    "servoing.draw_path_run": lambda: servoing.draw_path_run(
+        RUN, np.array([0.5, 0.7]), "circle", "µm"
+    ),
+    "servoing.draw_stability": stability,
+    "servoing.draw_step_runs": lambda: servoing.draw_step_runs({"1X": RUN, "4X": RUN}),
+    "servoing.draw_track": on_axes(
+        lambda axes: servoing.draw_track(
+            axes, picture(80, 120).astype(np.uint8), track(), "t = 1 s"
+        )
+    ),
+    "shape_from_focus.draw_ball_frames": lambda: shape_from_focus.draw_ball_frames(
+        stack(), picture(4, 5, 30)
+    ),
+    "shape_from_focus.draw_depth": lambda: shape_from_focus.draw_depth(heights(20, 30)),
+    "shape_from_focus.draw_depth-turned": lambda: shape_from_focus.draw_depth(
+        heights(20, 30), 4.0, turned=True
+    ),
+    "shape_from_focus.draw_ridge_frames": lambda: shape_from_focus.draw_ridge_frames(
+        stack(), picture(4, 5, 30)
+    ),
+    "shape_from_focus.draw_thresholds": shape_from_focus.draw_thresholds,
+    "shape_from_focus.draw_types-ball": lambda: shape_from_focus.draw_types(
+        {"found": types(180, 180, 1, 5), "clean": types(180, 180, 5, 9)}, ball=True
+    ),
+    "shape_from_focus.draw_types-enlarged": lambda: shape_from_focus.draw_types(
+        {"one": types(60, 80, 1, 3), "two": types(60, 80, 7, 0)}, enlarged=(10, 20, 30, 15)
+    ),
+    "shape_from_focus.draw_types_by_window": lambda: shape_from_focus.draw_types_by_window(
+        {3: types(10, 12, 1, 5), 9: types(10, 12, 5, 8)}
+    ),
+    "surfaces.draw_labels": on_axes(
+        lambda axes: surfaces.draw_labels(axes, types(10, 12, 0, 9, 4))
+    ),
+    "surfaces.label_legend": on_axes(
+        lambda axes: surfaces.label_legend(axes, types(10, 12, 0, 2, 6))
+    ),
+    "surfaces.draw_lens": surfaces.draw_lens,
+    "surfaces.draw_sinking_stage": surfaces.draw_sinking_stage,
+    "surfaces.draw_surface": surface(),
+    "surfaces.draw_surface-types": surface(labels=types(20, 30, 1, 5, 8), unit="px"),
+    "surfaces.draw_surface-turned": surface(labels=types(20, 30, 1, 5, 8), turned=True),
+    "surfaces.turnable_surface": turnable,
+    "surfaces.turnable_surface-types": lambda: turnable(types(20, 230, 1, 5, 8), 230, unit="px"),
+    "verdicts.draw_verdicts": scorecard,
+    "workstation.draw_blur_study": lambda: workstation.draw_blur_study(
+        pd.DataFrame({"circles": [0.01, 0.02], "squares": [0.1, 0.2], "other": [1, 2]}, [0.5, 3.0])
+    ),
+    "workstation.draw_patterns": patterns,
+    "workstation.draw_settling_times": settling,
+    "workstation.draw_speed_study": lambda: workstation.draw_speed_study(
+        pd.DataFrame({"with": [1.0, 0.5], "without": [0.9, 0.0]}, [200.0, 1500.0])
+    ),
+    "workstation.draw_tracks": lambda: workstation.draw_tracks(
+        [(f"t = {k}", picture(90, 160, k).astype(np.uint8), track(7 * k)) for k in range(4)]
+    ),
+    "workstation.draw_workstation": workstation.draw_workstation,
+}
+
+
+def draw(name: str, pictures: Path | None = None) -> str:
+    """Return the text of a drawing, whatever was drawn before; keep its picture in a folder."""
+    with mpl.rc_context(), pd.option_context("display.max_colwidth", 50, "display.max_rows", 60):
+        mpl.rcdefaults()
+        mpl.use("agg")
+        use_style()
+        try:
+            made = CASES[name]()
+            text = made if isinstance(made, str) else describe(made)
+            if pictures is not None and isinstance(made, Figure):
+                pictures.mkdir(parents=True, exist_ok=True)
+                made.savefig(pictures / f"{name}.png")
+        finally:
+            plt.close("all")
+    return text
