@@ -13,7 +13,7 @@ export OPENBLAS_NUM_THREADS := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup extras book pdf test notebooks html lint format data picture parts benchmarks inference oldest newest mutants vacuity drawn fuzz faults lock clean
+.PHONY: help setup extras book pdf test notebooks html lint format data picture parts benchmarks inference oldest newest mutants vacuity drawn results fuzz faults lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -99,6 +99,9 @@ vacuity: notebooks ## plant faults in what the checks are fed and list those tha
 
 drawn: $(STAMP) ## write anew what the figures draw; look at build/drawn then
 	@$(BIN)/python -m tests.drawn
+
+results: $(STAMP) ## write anew what public callables return; the commit says why
+	@$(BIN)/python -m tests.results
 
 fuzz: $(STAMP) ## call everything public with hostile values (minutes)
 	@$(BIN)/python -m tests.fuzz

@@ -8,10 +8,8 @@ the same drawings into ``build/drawn``: what changed is to be looked at there.
 
 from __future__ import annotations
 
-import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping
-from difflib import unified_diff
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import matplotlib as mpl
@@ -31,58 +29,11 @@ from matplotlib.spines import Spine
 from matplotlib.text import Annotation, Text
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-from numpy.typing import ArrayLike
+
+from tests.snapshots import FEW, compare, numbers
 
 FOLDER = Path(__file__).parent / "compendium" / "drawn"
 PICTURES = Path("build") / "drawn"
-LOCK = Path(__file__).resolve().parent.parent / "environment.txt"
-#: Numbers that are written one by one; of more, the ends, the range and means.
-FEW = 12
-#: Two numbers are the same if they differ by less than these shares of themselves and of the
-#: largest in their line. Other BLAS kernels change results by 5e-7; a drawing shows 1e-3.
-OF_ITSELF, OF_LARGEST = 2e-4, 1e-9
-
-
-def locked_version() -> str:
-    """Return the version of matplotlib that drew the texts; others place ticks otherwise."""
-    found = re.search(r"^matplotlib==([\w.]+)", LOCK.read_text(encoding="utf-8"), re.MULTILINE)
-    if found is None:
-        raise ValueError(f"{LOCK.name} must name the version of matplotlib")
-    return found[1]
-
-
-def compare(expected: str, found: str) -> list[str]:
-    """Return the lines in which two texts differ by more than rounding, as a diff."""
-    old, new = expected.splitlines(), found.splitlines()
-    if len(old) == len(new):
-        new = [one if _agree(one, other) else other for one, other in zip(old, new, strict=True)]
-    return list(unified_diff(old, new, "drawn before", "drawn now", lineterm="", n=2))
-
-
-def _agree(one: str, other: str) -> bool:
-    if one == other:
-        return True
-    first, second = one.split(), other.split()
-    if len(first) != len(second):
-        return False
-    numbers = [_number(word) for word in (*first, *second)]
-    largest = max((abs(v) for v in numbers if v is not None and np.isfinite(v)), default=0.0)
-    for left, right in zip(first, second, strict=True):
-        a, b = _number(left), _number(right)
-        if left == right:
-            continue
-        if a is None or b is None:
-            return False
-        if not abs(a - b) <= OF_ITSELF * max(abs(a), abs(b)) + OF_LARGEST * largest:
-            return False
-    return True
-
-
-def _number(word: str) -> float | None:
-    try:
-        return float(word)
-    except ValueError:
-        return None
 
 
 def describe(figure: Figure) -> str:
@@ -120,7 +71,7 @@ def _panel(axes: Axes) -> Iterator[str]:
     ground = _color(axes.get_facecolor())
     yield f"ground {ground} aspect={axes.get_aspect()} {axes.get_adjustable()}"
     if isinstance(axes, Axes3D):
-        yield _numbers("view", [axes.elev, axes.azim, *axes.get_box_aspect()])  # type: ignore[attr-defined]
+        yield numbers("view", [axes.elev, axes.azim, *axes.get_box_aspect()])  # type: ignore[attr-defined]
     if axes.axison or isinstance(axes, Axes3D):
         yield from _axis("x", axes.xaxis)
         yield from _axis("y", axes.yaxis)
@@ -129,8 +80,8 @@ def _panel(axes: Axes) -> Iterator[str]:
         seen = [name for name, spine in axes.spines.items() if spine.get_visible()]
         yield f"spines {' '.join(seen) or 'none'}"
     else:
-        yield _numbers("without axes, x", axes.get_xlim())
-        yield _numbers("without axes, y", axes.get_ylim())
+        yield numbers("without axes, x", axes.get_xlim())
+        yield numbers("without axes, y", axes.get_ylim())
     titles = (axes.title, axes._left_title, axes._right_title)  # type: ignore[attr-defined]
     furniture = (Spine, Axis)
     drawn = [
@@ -146,14 +97,14 @@ def _axis(name: str, axis: Axis) -> Iterator[str]:
     low, high = axis.get_view_interval()
     ends = axis.axes.__getattribute__(f"get_{name}lim")()
     label = axis.get_label()
-    yield _numbers(f"{name} {axis.get_scale()} from", ends)
+    yield numbers(f"{name} {axis.get_scale()} from", ends)
     if not axis.get_visible():
         return
     yield f"  named {label.get_text()!r} size={_plain(label.get_fontsize())}"
     ticks = axis.get_major_ticks(len(axis.get_majorticklocs()))
     axis.get_majorticklabels()  # brings the texts up to date
     shown = [tick for tick in ticks if min(low, high) <= tick.get_loc() <= max(low, high)]
-    yield _numbers("  ticks", [tick.get_loc() for tick in shown], few=40)
+    yield numbers("  ticks", [tick.get_loc() for tick in shown], few=40)
     labels = [tick.label1 for tick in shown if tick.label1.get_visible()]
     looks = {f"{_plain(t.get_fontsize())} {_plain(t.get_rotation())}" for t in labels}
     texts = " ".join(repr(text.get_text()) for text in labels)
@@ -202,8 +153,8 @@ def _line(one: Line2D) -> Iterator[str]:
         look += f" {_color(one.get_markerfacecolor())} {_color(one.get_markeredgecolor())}"
         look += f" {_plain(one.get_markeredgewidth())}"
     yield f"line{_name(one)} {look} {_alpha(one)}{_frame(one)}"
-    yield _numbers("  x", one.get_xdata(orig=False))
-    yield _numbers("  y", one.get_ydata(orig=False))
+    yield numbers("  x", one.get_xdata(orig=False))
+    yield numbers("  y", one.get_ydata(orig=False))
 
 
 def _text(one: Text) -> Iterator[str]:
@@ -216,10 +167,10 @@ def _text(one: Text) -> Iterator[str]:
         if isinstance(effect, withStroke):
             yield f"  stroke {sorted(effect._gc.items())}"  # type: ignore[attr-defined]
     if not isinstance(one, Annotation):
-        yield _numbers("  at", one.get_position())
+        yield numbers("  at", one.get_position())
         return
-    yield _numbers(f"  to ({one.xycoords})", one.xy)
-    yield _numbers(f"  from ({one.anncoords})", one.xyann)
+    yield numbers(f"  to ({one.xycoords})", one.xy)
+    yield numbers(f"  from ({one.anncoords})", one.xyann)
     if one.arrowprops is not None:
         yield f"  arrow {sorted((key, str(value)) for key, value in one.arrowprops.items())}"
 
@@ -231,7 +182,7 @@ def _legend(one: Legend) -> Iterator[str]:
     yield f"legend {title!r} at {place} columns, frame={frame} {one._alignment}"  # type: ignore[attr-defined]
     anchor = one.get_bbox_to_anchor()
     if anchor is not None and one.axes is not None:
-        yield _numbers("  anchor", one.axes.transAxes.inverted().transform(anchor.p0))
+        yield numbers("  anchor", one.axes.transAxes.inverted().transform(anchor.p0))
     yield f"  gaps {_plain(one.borderaxespad)} {_plain(one.columnspacing)}"  # type: ignore[attr-defined]
     for handle, text in zip(one.legend_handles, one.get_texts(), strict=True):
         look = next(iter(_artist(handle)), "nothing") if handle is not None else "nothing"
@@ -242,9 +193,9 @@ def _image(one: AxesImage) -> Iterator[str]:
     array = np.ma.asarray(one.get_array())
     shape = "x".join(map(str, np.shape(array)))
     yield f"image of {shape} {one.cmap.name} {one.get_interpolation()} {one.origin} {_alpha(one)}"
-    yield _numbers("  levels", one.get_clim())
-    yield _numbers("  extent", one.get_extent())
-    yield _numbers("  values", np.ma.filled(np.ma.asarray(array, float), np.nan))
+    yield numbers("  levels", one.get_clim())
+    yield numbers("  extent", one.get_extent())
+    yield numbers("  values", np.ma.filled(np.ma.asarray(array, float), np.nan))
     if array.ndim == 2 and len(levels := np.unique(np.ma.compressed(array))) <= FEW:
         yield f"  in {' '.join(_color(color) for color in one.cmap(one.norm(levels)))}"
 
@@ -255,10 +206,10 @@ def _collection(one: Collection) -> Iterator[str]:
         faces = np.asarray(one._faces)
         yield f"solid of {len(faces)} faces {_alpha(one)}{_name(one)}"
         for axis, values in zip("xyz", np.moveaxis(faces, -1, 0), strict=True):
-            yield _numbers(f"  {axis}", values)
-        yield _numbers("  colors", one._facecolor3d)  # type: ignore[attr-defined]
+            yield numbers(f"  {axis}", values)
+        yield numbers("  colors", one._facecolor3d)  # type: ignore[attr-defined]
         if one.get_array() is not None:
-            yield _numbers(f"  {one.cmap.name}", np.asarray(one.get_array()))
+            yield numbers(f"  {one.cmap.name}", np.asarray(one.get_array()))
         return
     colors, edges = (
         " ".join(dict.fromkeys(map(_color, each)))
@@ -268,19 +219,19 @@ def _collection(one: Collection) -> Iterator[str]:
     look = f"fill {colors} edge {edges} {widths} {_alpha(one)}"
     yield f"{type(one).__name__}{_name(one)} {look}{_frame(one)}"
     if one.get_array() is not None:
-        yield _numbers(f"  {one.cmap.name} of", one.get_clim())
-        yield _numbers("  values", np.ma.filled(np.ma.asarray(one.get_array(), float), np.nan))
+        yield numbers(f"  {one.cmap.name} of", one.get_clim())
+        yield numbers("  values", np.ma.filled(np.ma.asarray(one.get_array(), float), np.nan))
     if one.get_offset_transform().is_affine and np.any(one.get_offsets()):
         for axis, values in zip("xy", np.asarray(one.get_offsets()).T, strict=True):
-            yield _numbers(f"  {axis}", values)
-        yield _numbers("  sizes", getattr(one, "get_sizes", list)())
+            yield numbers(f"  {axis}", values)
+        yield numbers("  sizes", getattr(one, "get_sizes", list)())
         return
     paths = [path.vertices for path in one.get_paths() if len(path.vertices)]
     if len(paths) > FEW:
         paths = [np.concatenate(paths)]
     for vertices in paths:
         for axis, values in zip("xy", vertices.T, strict=True):
-            yield _numbers(f"  path {axis}", values)
+            yield numbers(f"  path {axis}", values)
 
 
 def _patch(one: Patch) -> Iterator[str]:
@@ -290,14 +241,14 @@ def _patch(one: Patch) -> Iterator[str]:
     if isinstance(one, FancyBboxPatch):
         style = one.get_boxstyle()
         kind = sorted((key, _plain(value)) for key, value in vars(style).items())
-        yield _numbers(f"  {type(style).__name__} {kind}", one.get_bbox().bounds)
+        yield numbers(f"  {type(style).__name__} {kind}", one.get_bbox().bounds)
     elif isinstance(one, StepPatch):
-        yield _numbers("  values", one.get_data().values)
-        yield _numbers("  edges", one.get_data().edges)
+        yield numbers("  values", one.get_data().values)
+        yield numbers("  edges", one.get_data().edges)
     else:
         corners = one.get_patch_transform().transform(one.get_path().vertices)
         for axis, values in zip("xy", np.asarray(corners).T, strict=True):
-            yield _numbers(f"  {axis}", values)
+            yield numbers(f"  {axis}", values)
 
 
 def _alpha(one: Artist) -> str:
@@ -313,48 +264,6 @@ def _color(color: object) -> str:
 
 def _plain(value: object) -> str:
     return f"{value:.5g}" if isinstance(value, float | int | np.number) else str(value)
-
-
-def _numbers(name: str, values: ArrayLike, *, few: int = FEW) -> str:
-    """Write a few numbers; of many their count, ends, range, quarters and means.
-
-    The last of the means has weights that no two places share, so that numbers in another order
-    are noticed.
-    """
-    numbers = np.asarray(np.ma.filled(np.ma.asarray(values, float), np.nan)).ravel()
-    if numbers.size <= few:
-        return f"{name}: {' '.join(map(_short, numbers))}"
-    finite = numbers[np.isfinite(numbers)]
-    count = f"{numbers.size}" if finite.size == numbers.size else f"{finite.size} of {numbers.size}"
-    if not finite.size:
-        return f"{name}: none of {numbers.size}"
-    weights = np.modf(0.6180339887498949 * np.arange(1, finite.size + 1))[0]
-    told = {
-        "ends": numbers[[0, 1, -2, -1]],
-        "range": (finite.min(), finite.max()),
-        "quarters": numbers[(np.array([1, 2, 3]) * numbers.size) // 4],
-        "means": (finite.mean(), finite.std(), (weights * finite).mean()),
-    }
-    parts = [f"{key} {' '.join(map(_short, each))}" for key, each in told.items()]
-    return f"{name}: [{count}] {' '.join(parts)}"
-
-
-def _short(value: float) -> str:
-    return f"{value + 0.0:.6g}"
-
-
-def describe_data(data: object, name: str = "") -> list[str]:
-    """Return lines of nested mappings, lists and values such as plotly's."""
-    if isinstance(data, Mapping):
-        return [line for key, each in data.items() for line in describe_data(each, f"{name}.{key}")]
-    if isinstance(data, list | tuple):
-        flat = np.array(
-            [each for row in data for each in (row if isinstance(row, list) else [row])], object
-        )
-        if all(each is None or isinstance(each, float | int) for each in flat):
-            return [_numbers(name, flat.astype(float))]
-        return [line for k, one in enumerate(data) for line in describe_data(one, f"{name}.{k}")]
-    return [f"{name} {data!r}"]
 
 
 def main() -> int:

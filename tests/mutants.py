@@ -58,8 +58,9 @@ LEFT_OUT = {
 QUICK = ("test_parts.py", "test_figures_drawn.py")
 PARTS = ("experiments", "figures")  # of the compendium, with tests that are named after them
 NOT_COPIED = (".*", "__pycache__", "build", "*.egg-info")
-# Tests that go through every package of the library. Of the fuzz only the package's part is run.
-THROUGH_ALL = ("test_defaults", "test_measured", "test_refusals", "test_fuzz")
+# Tests that go through every package of the library. Of what calls everything public only the
+# package's part is run.
+THROUGH_ALL = ("test_results", "test_defaults", "test_measured", "test_refusals", "test_fuzz")
 OWN, LIBRARY, NONE = "by its own tests", "by the library's", "no"
 
 
@@ -245,7 +246,11 @@ def tests_through_all(package: str) -> list[str]:
     if package in ("compendium", *PARTS):
         return []
     names = [f"tests/{name}.py" for name in THROUGH_ALL]
-    return names if package == "_common" else [*names, "-k", f"not test_fuzz or {package}."]
+    return (
+        names
+        if package == "_common"
+        else [*names, "-k", f"not (test_fuzz or test_results) or {package}."]
+    )
 
 
 def copy_project(folder: Path) -> Path:

@@ -49,7 +49,8 @@ from compendium.figures import (
 )
 from compendium.figures.data import keep_data
 from microlib.microscope import Microscope
-from tests.drawn import describe, describe_data
+from tests.drawn import describe
+from tests.snapshots import describe_data
 
 TEXTS = {"name": "film-x", "alt": "a film", "caption": "Film."}
 DETECTION: Any = SimpleNamespace(

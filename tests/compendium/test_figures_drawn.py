@@ -10,22 +10,19 @@ from __future__ import annotations
 import importlib
 import pkgutil
 
-import matplotlib as mpl
 import pytest
 
 import compendium.figures
 from tests.compendium.figure_cases import CASES, draw
-from tests.drawn import FOLDER, compare, locked_version
+from tests.drawn import FOLDER
+from tests.snapshots import compare, others_than_locked
 
 #: Without a text: `label_patches` is drawn by the legends, `film` by films, `show` shows.
 DRAWING = ("draw_", "film_", "show_", "add_", "label_legend", "turnable_", "narrow", "keep_data")
-other_version = pytest.mark.skipif(
-    mpl.__version__ != locked_version(),
-    reason=f"the texts are of matplotlib {locked_version()}, others place ticks otherwise",
-)
+OTHERS = others_than_locked("matplotlib")
 
 
-@other_version
+@pytest.mark.skipif(bool(OTHERS), reason="another matplotlib places ticks otherwise")
 @pytest.mark.parametrize("name", CASES)
 def test_a_figure_draws_what_it_drew(name: str) -> None:
     expected = (FOLDER / f"{name}.txt").read_text(encoding="utf-8")

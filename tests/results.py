@@ -1,0 +1,94 @@
+"""Write down what every public callable returns, and compare it with what it returned before.
+
+``tests/results`` holds a text for each subject: what comes of the valid calls of `tests/fuzz.py`,
+and of those with the arguments of `tests/result_variants.py`, which take other ways through the
+code. The texts hold what is returned, not that it is right, which the tests against known truth
+say. ``make results`` writes those anew that changed; the commit that changes one says why.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import warnings
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from tests import fuzz
+from tests.result_variants import VARIANTS
+from tests.snapshots import compare, describe_data, numbers
+
+FOLDER = Path(__file__).parent / "results"
+#: Hardly bounded in time, and what an extra is needed for.
+LEFT_OUT = {*fuzz.SLOW, "focus.depth_to_zarr"}
+#: What the texts are of; other versions round or draw noise otherwise.
+PACKAGES = ("numpy", "scipy", "opencv-python-headless", "scikit-image", "numba")
+
+
+def names() -> list[str]:
+    """Return the names of all calls: of a callable, and of its variants after a dash."""
+    every = [*fuzz.CALLS, *(f"{name}-{label}" for name in VARIANTS for label in VARIANTS[name])]
+    return sorted(name for name in every if name.partition("-")[0] not in LEFT_OUT)
+
+
+def told(name: str) -> str:
+    """Make a call and return what comes of it and what it writes."""
+    known, _, label = name.partition("-")
+    given = fuzz.CALLS[known]() | (VARIANTS[known][label]() if label else {})
+    owner = given.pop("self", None)
+    call = fuzz.resolve(known) if owner is None else getattr(owner, known.rpartition(".")[2])
+    with contextlib.chdir(fuzz.FOLDER), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            result = call(**given)
+            lines = describe_data(owner if result is None else result, "returns")
+        except ValueError as error:
+            lines = [f"refuses: {error}"]
+        for path in sorted(Path().iterdir()):
+            if path.name != fuzz.GREY.name:
+                # Another tifffile writes the same picture in other bytes.
+                content = np.frombuffer(path.read_bytes() * (path.suffix != ".tif"), np.uint8)
+                lines.append(numbers(f"writes {path}", content))
+                path.unlink()
+    return "\n".join(lines) + "\n"
+
+
+@cache
+def _texts(room: str) -> dict[str, str]:
+    return sections(FOLDER / f"{room}.txt")
+
+
+def kept(name: str) -> str:
+    """Return what a call returned when its text was written; nothing if it is new."""
+    return _texts(name.partition(".")[0]).get(name, "")
+
+
+def sections(path: Path) -> dict[str, str]:
+    text = path.read_text(encoding="utf-8") if path.exists() else ""
+    parts = [part.partition("\n") for part in text.split("== ")[1:]]
+    return {name: content.strip("\n") + "\n" for name, _, content in parts}
+
+
+def main() -> int:
+    FOLDER.mkdir(exist_ok=True)
+    rooms = {name.partition(".")[0] for name in names()}
+    for old in FOLDER.glob("*.txt"):
+        if old.stem not in rooms:
+            old.unlink()
+    for room in sorted(rooms):
+        path = FOLDER / f"{room}.txt"
+        texts = {}
+        for name in (name for name in names() if name.startswith(f"{room}.")):
+            text, before = told(name), kept(name)
+            texts[name] = text if compare(before, text) else before
+            if texts[name] != before:
+                print(f"another result: {name}")
+        content = "\n".join(f"== {name}\n{text}" for name, text in texts.items())
+        path.write_text(content, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
