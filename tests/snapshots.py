@@ -136,7 +136,11 @@ def _parts(data: object, name: str) -> Iterator[str]:
     kinds = type(data).__mro__
     public += [k for kind in kinds for k, v in vars(kind).items() if isinstance(v, property)]
     for key in dict.fromkeys(public):
-        value = None if key.startswith("_") else getattr(data, key)
+        try:
+            value = None if key.startswith("_") else getattr(data, key)
+        except ValueError as error:  # a property of what is not yet complete
+            yield f"{name}.{key} refuses: {error}"
+            continue
         if value is not None and not callable(value):
             yield from describe_data(value, f"{name}.{key}")
     if isinstance(data, Iterable):
