@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from scipy.ndimage import map_coordinates, shift
+from scipy.ndimage import map_coordinates
 
 from microlib import automation, calibration, focus, optics, servoing, synthetic
 from microlib.microscope import Microscope
@@ -31,20 +31,6 @@ def relief() -> np.ndarray:
     texture = synthetic.mixed_texture(SHAPE, 5)
     texture[40:50, 5:25] = 240  # without texture, and nearly saturated
     return synthetic.focal_stack(texture, height, POSITIONS, blur_rate=0.6, noise=2.0, rng=6)
-
-
-@cache
-def moved_relief() -> np.ndarray:
-    """The same, with frames that drift and get brighter."""
-    frames = [
-        np.clip(
-            (1 + 0.01 * k) * shift(frame.astype(float), (0.2 * k, -0.15 * k), mode="nearest"),
-            0,
-            255,
-        )
-        for k, frame in enumerate(relief())
-    ]
-    return np.stack(frames).astype(np.uint8)
 
 
 def stacked(**changes: object) -> Callable[[], Arguments]:
@@ -183,11 +169,6 @@ def run_of(**changes: object) -> Callable[[], Arguments]:
         "stage": servoing.Stage(600.0, lag=0.02, step=0.05),
         "camera": servoing.Camera(0.04, latency=0.03, jitter=0.2), **changes,
     }  # fmt: skip
-
-
-def steered(**changes: object) -> Callable[[], Arguments]:
-    plain = {"jacobian": None, "most_frames": 12, "controller": None, "step": None, "speed": None}
-    return lambda: {**fuzz.steering(), **plain, **changes}
 
 
 def curve(noise: float = 0.2) -> Arguments:
@@ -406,7 +387,6 @@ VARIANTS: dict[str, dict[str, Callable[[], Arguments]]] = {
         "tenengrad": stacked(measure="tenengrad", points=5),
         "variance": stacked(measure="variance", window=9, points=3),
         "downwards": lambda: stacked(frames=relief()[::-1], positions=POSITIONS[::-1])(),
-        "registered": lambda: stacked(frames=moved_relief(), register=True)(),
         "reduced": stacked(reduce=2, points=3),
         "part": stacked(region=(5, 8, 50, 40)),
         "unequal": lambda: stacked(positions=POSITIONS + 0.3 * np.sin(np.arange(11)))(),
@@ -541,13 +521,6 @@ VARIANTS: dict[str, dict[str, Callable[[], Arguments]]] = {
         "stiff": lambda: {"self": servoing.Stage(200.0), "command": np.array([300.0, -90.0])},
     },
     "servoing.Stage.quantized": {"coarse": lambda: {"self": servoing.Stage(200.0, step=0.7)}},
-    "servoing.servo": {
-        "itself": steered(),
-        "path": lambda: steered(
-            path=True, targets=[fuzz.gripper().home + 0.8 * k for k in range(6)]
-        )(),
-        "velocity": lambda: steered(drive="velocity", jacobian=np.eye(2) * 0.3, speed=400.0)(),
-    },
     "synthetic.InjectionScene.approach": {"pressed": pressed_scene},
     "synthetic.InjectionScene.depth": {"pressed": pressed_scene},
     "synthetic.InjectionScene.force": {"pressed": pressed_scene},

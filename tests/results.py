@@ -9,6 +9,7 @@ say. ``make results`` writes those anew that changed; the commit that changes on
 from __future__ import annotations
 
 import contextlib
+import json
 import sys
 import warnings
 from functools import cache
@@ -23,13 +24,28 @@ from tests.snapshots import compare, describe_data, numbers
 FOLDER = Path(__file__).parent / "results"
 #: Hardly bounded in time; what an extra is needed for; what tells the length of a folder's name.
 LEFT_OUT = {*fuzz.SLOW, "focus.depth_to_zarr", "batch.process_files"}
+#: On exact points, or at the edge of being lost: rounding decides. Variants are on noisy points.
+EXACT = {
+    "calibration.Calibration",
+    "calibration.Calibration.to_json",
+    "calibration.calibrate",
+    "calibration.stage_affine",
+    "curvature.recognize_part",
+    "embryo.fit_gaussians",
+    "servoing.servo",
+}
+#: Other kernels of BLAS, OpenCV and NumPy change what a fit finds by up to half of that.
+CLOSE = {"of_itself": 1e-3, "of_largest": 1e-5}
 #: What the texts are of; other versions round or draw noise otherwise.
 PACKAGES = ("numpy", "scipy", "opencv-python-headless", "scikit-image", "numba")
 
 
 def names() -> list[str]:
     """Return the names of all calls: of a callable, and of its variants after a dash."""
-    every = [*fuzz.CALLS, *(f"{name}-{label}" for name in VARIANTS for label in VARIANTS[name])]
+    every = [
+        *(name for name in fuzz.CALLS if name not in EXACT),
+        *(f"{name}-{label}" for name in VARIANTS for label in VARIANTS[name]),
+    ]
     return sorted(name for name in every if name.partition("-")[0] not in LEFT_OUT)
 
 
@@ -43,6 +59,8 @@ def told(name: str) -> str:
         warnings.simplefilter("ignore")
         try:
             result = call(**given)
+            if isinstance(result, str) and result.startswith("{"):
+                result = json.loads(result)
             lines = describe_data(owner if result is None else result, "returns")
         except ValueError as error:
             lines = [f"refuses: {error}"]
@@ -82,7 +100,7 @@ def main() -> int:
         texts = {}
         for name in (name for name in names() if name.startswith(f"{room}.")):
             text, before = told(name), kept(name)
-            texts[name] = text if compare(before, text) else before
+            texts[name] = text if compare(before, text, **CLOSE) else before
             if texts[name] != before:
                 print(f"another result: {name}")
         content = "\n".join(f"== {name}\n{text}" for name, text in texts.items())

@@ -19,9 +19,6 @@ from numpy.typing import ArrayLike
 LOCK = Path(__file__).resolve().parent.parent / "environment.txt"
 #: Numbers that are written one by one; of more, the ends, the range and means.
 FEW = 12
-#: Two numbers are the same if they differ by less than these shares of themselves and of the
-#: largest in their line. Other BLAS kernels change results by 5e-7; a drawing shows 1e-3.
-OF_ITSELF, OF_LARGEST = 2e-4, 1e-9
 _NUMBERS = (float, int, np.number)
 
 
@@ -31,15 +28,23 @@ def others_than_locked(*packages: str) -> list[str]:
     return [name for name in packages if version(name) != lock[name]]
 
 
-def compare(expected: str, found: str) -> list[str]:
-    """Return the lines in which two texts differ by more than rounding, as a diff."""
+def compare(
+    expected: str, found: str, *, of_itself: float = 2e-4, of_largest: float = 1e-9
+) -> list[str]:
+    """Return the lines in which two texts differ by more than rounding, as a diff.
+
+    Two numbers are the same that differ by no more than these shares of the larger of them and of
+    the largest in their line. Both being below 1e-15, they are rounding noise around zero.
+    """
     old, new = expected.splitlines(), found.splitlines()
     if len(old) == len(new):
-        new = [one if _agree(one, other) else other for one, other in zip(old, new, strict=True)]
+        shares = (of_itself, of_largest)
+        pairs = zip(old, new, strict=True)
+        new = [one if _agree(one, other, *shares) else other for one, other in pairs]
     return list(unified_diff(old, new, "drawn before", "drawn now", lineterm="", n=2))
 
 
-def _agree(one: str, other: str) -> bool:
+def _agree(one: str, other: str, of_itself: float, of_largest: float) -> bool:
     if one == other:
         return True
     first, second = one.split(), other.split()
@@ -53,7 +58,8 @@ def _agree(one: str, other: str) -> bool:
             continue
         if a is None or b is None:
             return False
-        if not abs(a - b) <= OF_ITSELF * max(abs(a), abs(b)) + OF_LARGEST * largest:
+        size = max(abs(a), abs(b))
+        if not (abs(a - b) <= of_itself * size + of_largest * largest or size < 1e-15):
             return False
     return True
 
@@ -101,8 +107,9 @@ def describe_data(data: object, name: str = "") -> list[str]:
         columns = {f"{key}": data[key] for key in data}
         return [line for k, each in columns.items() for line in describe_data(each, f"{name}.{k}")]
     if isinstance(data, pd.Series):
-        index = describe_data(data.index.to_numpy(), f"{name} by {data.index.name}")
-        return [*index, *describe_data(data.to_numpy(), name)]
+        plain = isinstance(data.index, pd.RangeIndex)
+        by = [] if plain else describe_data(data.index.to_numpy(), f"{name} by {data.index.name}")
+        return [*by, *describe_data(data.to_numpy(), name)]
     if isinstance(data, np.ndarray):
         return _array(data, name)
     if isinstance(data, list | tuple):

@@ -191,7 +191,7 @@ def felt() -> pd.DataFrame:
 
 def scale_bar(axes: Axes) -> None:
     embryo.show_image(axes, picture(80, 200), box=(30, 20, 40, 25))
-    embryo.add_scale_bar(axes, 50, 2.5)
+    embryo.add_scale_bar(axes, 50, 2.3)
 
 
 def left_out() -> Figure:
