@@ -248,11 +248,7 @@ def tests_through_all(package: str) -> list[str]:
     if package in ("compendium", *PARTS):
         return []
     names = [f"tests/{name}.py" for name in THROUGH_ALL]
-    return (
-        names
-        if package == "_common"
-        else [*names, "-k", f"not (test_fuzz or test_results) or {package}."]
-    )
+    return names if package == "_common" else [*names, "-k", f"not test_fuzz or {package}."]
 
 
 def copy_project(folder: Path) -> Path:
@@ -290,7 +286,9 @@ def judge(copies: Queue[Path], package: str, limit: float, fault: Fault) -> Verd
         path.write_text(faulty, encoding="utf-8")
         Path(cache_from_source(str(path))).unlink(missing_ok=True)
         caught, shared = NONE, tests_through_all(package)
-        returned = shared and [f"tests/{RETURNED}.py", "-k", f"{package}."]
+        returned = shared and [f"tests/{RETURNED}.py"]
+        if returned and package != "_common":
+            returned += ["-k", f"{package}."]
         if returned and not run_tests(folder, returned, compiled, limit):
             caught = LIBRARY
         elif not run_tests(folder, tests_of(fault.module), compiled, limit):
