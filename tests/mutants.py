@@ -55,8 +55,9 @@ LEFT_OUT = {
     "compendium/readme_picture.py": "run by hand, and looked at",
     "compendium/figures/style.py": "how drawings look, which nobody computes with",
 }
-# Single functions on known numbers, which take no time; what every figure draws, in seconds.
-QUICK = ("test_parts.py", "test_figures_drawn.py")
+# Single functions on known numbers, which take no time; what every figure draws and what every
+# experiment finds on small inputs, in seconds.
+QUICK = ("test_parts.py", "test_figures_drawn.py", "test_experiments_results.py")
 PARTS = ("experiments", "figures")  # of the compendium, with tests that are named after them
 NOT_COPIED = (".*", "__pycache__", "build", "*.egg-info")
 # Tests that go through every package of the library. Of what calls everything public only the

@@ -2,8 +2,9 @@
 
 ``tests/results`` holds a text for each subject: what comes of the valid calls of `tests/fuzz.py`,
 and of those with the arguments of `tests/result_variants.py`, which take other ways through the
-code. The texts hold what is returned, not that it is right, which the tests against known truth
-say. ``make results`` writes those anew that changed; the commit that changes one says why.
+code; ``tests/compendium/experiments`` holds what the experiments find on small inputs. The texts
+hold what is returned, not that it is right, which the tests against known truth say. ``make
+results`` writes those anew that changed; the commit that changes one says why.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import contextlib
 import json
 import sys
 import warnings
+from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
 
@@ -73,38 +75,41 @@ def told(name: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-@cache
-def _texts(room: str) -> dict[str, str]:
-    return sections(FOLDER / f"{room}.txt")
-
-
-def kept(name: str) -> str:
+def kept(folder: Path, name: str) -> str:
     """Return what a call returned when its text was written; nothing if it is new."""
-    return _texts(name.partition(".")[0]).get(name, "")
+    return sections(folder / f"{name.partition('.')[0]}.txt").get(name, "")
 
 
+@cache
 def sections(path: Path) -> dict[str, str]:
     text = path.read_text(encoding="utf-8") if path.exists() else ""
     parts = [part.partition("\n") for part in text.split("== ")[1:]]
     return {name: content.strip("\n") + "\n" for name, _, content in parts}
 
 
-def main() -> int:
-    FOLDER.mkdir(exist_ok=True)
-    rooms = {name.partition(".")[0] for name in names()}
-    for old in FOLDER.glob("*.txt"):
-        if old.stem not in rooms:
+def renew(folder: Path, told: Callable[[str], str], names: Iterable[str]) -> None:
+    """Write the texts of a folder, one a subject, those as they were that say the same."""
+    folder.mkdir(exist_ok=True)
+    texts: dict[str, dict[str, str]] = {}
+    for name in names:
+        text, before = told(name), kept(folder, name)
+        same = not compare(before, text, **CLOSE)
+        texts.setdefault(name.partition(".")[0], {})[name] = before if same else text
+        if not same:
+            print(f"another result: {name}")
+    for old in folder.glob("*.txt"):
+        if old.stem not in texts:
             old.unlink()
-    for room in sorted(rooms):
-        path = FOLDER / f"{room}.txt"
-        texts = {}
-        for name in (name for name in names() if name.startswith(f"{room}.")):
-            text, before = told(name), kept(name)
-            texts[name] = text if compare(before, text, **CLOSE) else before
-            if texts[name] != before:
-                print(f"another result: {name}")
-        content = "\n".join(f"== {name}\n{text}" for name, text in texts.items())
-        path.write_text(content, encoding="utf-8")
+    for room, parts in texts.items():
+        content = "\n".join(f"== {name}\n{text}" for name, text in parts.items())
+        (folder / f"{room}.txt").write_text(content, encoding="utf-8")
+
+
+def main() -> int:
+    from tests.compendium import experiment_cases as experiments
+
+    renew(FOLDER, told, names())
+    renew(experiments.FOLDER, experiments.told, experiments.CASES)
     return 0
 
 

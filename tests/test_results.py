@@ -36,7 +36,7 @@ def test_other_arguments_give_what_they_gave(name: str) -> None:
 
 
 def check(name: str, text: str) -> None:
-    if lines := compare(results.kept(name), text, **results.CLOSE):
+    if lines := compare(results.kept(results.FOLDER, name), text, **results.CLOSE):
         pytest.fail("\n".join([*lines, "", "`make results` writes it anew"]), pytrace=False)
 
 
