@@ -9,7 +9,7 @@ project, and writes ``tests/mutants.csv``; with packages named, only their rows 
 that no test noticed are explained in ``tests/MUTANTS.md``.
 
 Packages, modules and tests are found by their folders: a fault in ``microlib/focus/_peaks.py`` is
-judged by ``tests/focus/test_peaks.py``, the quick ``tests/focus/test_parts.py`` and the examples in
+judged by the quick ``tests/focus/test_parts.py``, ``tests/focus/test_peaks.py`` and the examples in
 the module, then by the rest of ``tests/focus``; one in ``microlib/optics.py`` by
 ``tests/test_optics.py``. What they pass is judged by the tests that go through every package. What
 all public callables of a package return is looked at first, for it takes seconds. The result says
@@ -226,7 +226,7 @@ def plant_fault(text: str, fault: Fault) -> str:
 
 
 def tests_of(module: Path) -> list[str]:
-    """Return what judges a module, the likeliest to notice a fault first."""
+    """Return what judges a module: what is quick first, and what is likely to notice a fault."""
     examples = str(module.relative_to(ROOT))
     package = package_of(module)
     single = ROOT / "tests" / f"test_{package}.py"
@@ -239,7 +239,7 @@ def tests_of(module: Path) -> list[str]:
         files = sorted(folder.glob(f"test_{package}_*.py"))
     else:
         files = [p for p in sorted(folder.rglob("test_*.py")) if p.name.split("_")[1] not in PARTS]
-    files.sort(key=lambda path: (path.name != like, path.name not in QUICK))
+    files.sort(key=lambda path: (path.name not in QUICK, path.name != like))
     names = [str(path.relative_to(ROOT)) for path in files]
     return [*names[:2], examples, *names[2:]]
 

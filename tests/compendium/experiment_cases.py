@@ -267,9 +267,6 @@ CASES: dict[str, Callable[[], object]] = {
     "section_5_6.probe_half_widths": lambda: section_5_6.probe_half_widths(247.0, 121.0),
     "section_5_6.compare_shape": lambda: section_5_6.compare_shape(thesis.outline_curve()),
     "section_5_6.table_5_7": lambda: section_5_6.table_5_7(np.random.default_rng(3), study(), 40),
-    "section_5_6_mechanics.shape_misfits": lambda: section_5_6_mechanics.shape_misfits(
-        thesis.outline_curve()
-    ),
     "section_5_6_mechanics.fit_shoulder": lambda: section_5_6_mechanics.fit_shoulder(
         thesis.outline_curve()
     ),
