@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import map_coordinates, shift
 
 from microlib import automation, calibration, focus, optics, servoing, synthetic
 from microlib.microscope import Microscope
@@ -31,6 +31,16 @@ def relief() -> np.ndarray:
     texture = synthetic.mixed_texture(SHAPE, 5)
     texture[40:50, 5:25] = 240  # without texture, and nearly saturated
     return synthetic.focal_stack(texture, height, POSITIONS, blur_rate=0.6, noise=2.0, rng=6)
+
+
+@cache
+def moved_relief() -> np.ndarray:
+    """The same, with frames that drift and get brighter."""
+    moved = [
+        (1 + 0.01 * k) * shift(frame.astype(float), (0.2 * k, -0.15 * k), mode="nearest")
+        for k, frame in enumerate(relief())
+    ]
+    return np.clip(moved, 0, 255).astype(np.uint8)
 
 
 def stacked(**changes: object) -> Callable[[], Arguments]:
@@ -387,6 +397,7 @@ VARIANTS: dict[str, dict[str, Callable[[], Arguments]]] = {
         "tenengrad": stacked(measure="tenengrad", points=5),
         "variance": stacked(measure="variance", window=9, points=3),
         "downwards": lambda: stacked(frames=relief()[::-1], positions=POSITIONS[::-1])(),
+        "registered": lambda: stacked(frames=moved_relief(), register=True)(),
         "reduced": stacked(reduce=2, points=3),
         "part": stacked(region=(5, 8, 50, 40)),
         "unequal": lambda: stacked(positions=POSITIONS + 0.3 * np.sin(np.arange(11)))(),

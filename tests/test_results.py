@@ -9,7 +9,7 @@ from __future__ import annotations
 import pytest
 
 from tests import fuzz, results
-from tests.snapshots import compare, describe_data, others_than_locked
+from tests.snapshots import describe_data, others_than_locked
 
 OTHERS = others_than_locked(*results.PACKAGES)
 #: What a call needs that is installed by `make extras` alone.
@@ -36,7 +36,7 @@ def test_other_arguments_give_what_they_gave(name: str) -> None:
 
 
 def check(name: str, text: str) -> None:
-    if lines := compare(results.kept(results.FOLDER, name), text, **results.CLOSE):
+    if lines := results.differences(name, results.kept(results.FOLDER, name), text):
         pytest.fail("\n".join([*lines, "", "`make results` writes it anew"]), pytrace=False)
 
 

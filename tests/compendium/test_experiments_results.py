@@ -10,7 +10,7 @@ import pytest
 
 from tests import results
 from tests.compendium.experiment_cases import CASES, FOLDER, told
-from tests.snapshots import compare, others_than_locked
+from tests.snapshots import others_than_locked
 
 OTHERS = others_than_locked(*results.PACKAGES)
 
@@ -18,7 +18,7 @@ OTHERS = others_than_locked(*results.PACKAGES)
 @pytest.mark.skipif(bool(OTHERS), reason="other packages round or draw noise otherwise")
 @pytest.mark.parametrize("name", CASES)
 def test_an_experiment_finds_what_it_found(name: str) -> None:
-    if lines := compare(results.kept(FOLDER, name), told(name), **results.CLOSE):
+    if lines := results.differences(name, results.kept(FOLDER, name), told(name)):
         pytest.fail("\n".join([*lines, "", "`make results` writes it anew"]), pytrace=False)
 
 
