@@ -184,3 +184,10 @@ def test_unknown_depths_stay_unknown_and_do_not_matter():
 def test_bad_input_is_refused_by_name(call, words):
     with pytest.raises(ValueError, match=words):
         call(np.zeros((12, 12)))
+
+
+def test_a_map_of_unknown_depths_is_returned_as_another_one():
+    unknown = np.full((9, 9), np.nan)
+    found = correct_spikes(unknown)
+    assert np.isnan(found).all()
+    assert not np.shares_memory(found, unknown)

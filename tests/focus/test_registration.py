@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from microlib.focus import FocusResult, depth_from_focus
 from microlib.focus._links import fit_link, laplacian, motion_columns, spread_over_stack
 from microlib.focus._poses import Frame, Geometry, reduced
-from microlib.focus._registered import _desaturated
+from microlib.focus._registered import _AHEAD, _desaturated
 
 SIDE, MARGIN, COUNT = 160, 24, 15
 POSITIONS = np.arange(float(COUNT))
@@ -347,3 +347,18 @@ def test_saturated_pixels_come_from_the_nearest_frame_that_is_not() -> None:
     # The first two of pixel 0 are 30 of frame 2, the second of pixel 1 is the larger of its own 20
     # and 10, and the last of 1 and 2 keep their 40.
     assert found == [[30, 10, 10], [30, 20, 20], [30, 30, 30], [40, 40, 40]]
+
+
+def test_saturated_pixels_come_from_the_nearest_frame_wherever_they_are_saturated_again() -> None:
+    """Against a search pixel by pixel: frames before count however far, a tie goes to them."""
+    rng = np.random.default_rng(0)
+    frames = rng.uniform(0, 200, (12, 1, 60)).astype(np.float32)
+    bad = rng.random((12, 60)) < 0.5
+    bad[0] = False
+    expected = frames[:, 0].copy()
+    for k, p in np.argwhere(bad):
+        good = [j for j in range(min(k + _AHEAD + 1, 12)) if not bad[j, p]]
+        nearest = min(good, key=lambda j: (abs(j - k), j))
+        expected[k, p] = max(frames[k, 0, p], frames[nearest, 0, p])
+    given = ((f.copy(), np.flatnonzero(b)) for f, b in zip(frames, bad, strict=True))
+    np.testing.assert_array_equal([filled.ravel() for filled in _desaturated(given)], expected)
