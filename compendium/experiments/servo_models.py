@@ -116,7 +116,9 @@ MECHANISMS: dict[str, tuple[Prior, ...]] = {
 #: Those whose disturbance comes a few times a path, so that the path's numbers are chance.
 RARE = ("dropped frames", "lost frames", "bursts", "stage jumps", "start off the path")
 #: Those of them that a path may show hardly or not at all: a few events, or one start.
-RAREST = ("bursts", "stage jumps", "start off the path")
+RAREST = ("dropped frames", "bursts", "stage jumps", "start off the path")
+#: Those that a step shows by chance, too.
+RAREST_IN_STEPS = ("latency jitter",)
 #: Those whose numbers are left out one by one: the base, and what a first run explained best.
 LEADING = ("base", "lost frames", "bursts", "stage jumps", "start off the path")
 

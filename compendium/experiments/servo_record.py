@@ -199,7 +199,6 @@ def findings() -> list[tuple[str, float, str, int]]:
     kept, table = record(), evidence().set_index("model")
     found = [(f"over-{model}", table.loc[model, "over the base"], "", 1) for model in table.index]
     found.append(("evidence-deviation", table["deviation"].max(), "", 2))
-    found.append(("evidence-steady", (table["deviation"] <= STEADY).sum(), "", 0))
     found += [(f"inside-{model}", held()[model].sum(), "", 0) for model in held()]
     found += [
         (f"band-{100 * band:g}", 100 * share, "%", 0)

@@ -19,7 +19,7 @@ from scipy.special import logsumexp
 
 from compendium.experiments.servo_inference import BLOCKS, Problem, log_likelihood, touched
 from compendium.experiments.servo_loop import MOST_FRAMES, STEP_FRAMES
-from compendium.experiments.servo_models import RAREST
+from compendium.experiments.servo_models import RAREST, RAREST_IN_STEPS
 
 #: States, sweeps of a chain at each heat, and share of the states that a warming leaves effective.
 #: Readings of the words make modes between which no chain moves, so that many chains count for
@@ -33,7 +33,7 @@ NOISE = 1.0
 #: runs a heat may take than the one before, since noise far above one is not well told.
 FIRST_RUNS = np.array([12 if kind == "step" else 2 for _, kind in BLOCKS])
 MOST_RUNS = 64 * FIRST_RUNS
-#: Times as many runs of a path at first where one may show nothing of the disturbance: from few
+#: Times as many runs at first where one may show nothing of the disturbance: from few
 #: runs, what is rare seems unlikely until the last heats, and the evidence comes late and varies.
 RAREST_RUNS = 4
 _COST = np.array([STEP_FRAMES if kind == "step" else MOST_FRAMES for _, kind in BLOCKS])
@@ -176,7 +176,8 @@ def infer(problem: Problem, seed: int | list[int], particles: int = PARTICLES) -
 def first_runs(model: str) -> NDArray[np.intp]:
     """Return how many runs of each experiment are behind the first estimates."""
     paths = np.array([kind != "step" for _, kind in BLOCKS])
-    return FIRST_RUNS * np.where(paths & (model in RAREST), RAREST_RUNS, 1)
+    rare = (paths & (model in RAREST)) | (model in RAREST_IN_STEPS)
+    return FIRST_RUNS * np.where(rare, RAREST_RUNS, 1)
 
 
 def groups(model: str) -> list[tuple[NDArray[np.intp], tuple[int, ...]]]:

@@ -113,14 +113,8 @@ def test_the_text_of_the_chapter_follows_the_record() -> None:
     inside = servo_record.held().sum()
     assert inside.idxmax() == servo_record.FAVORED
     assert servo_record.band_shares(servo_record.FAVORED)[0.1] < 0.05
-    # Where the evidence is not known to a half, and by how much the calibrated runs are narrow.
-    deviation = servo_record.evidence().set_index("model")["deviation"]
-    assert set(deviation.index[deviation > servo_record.STEADY]) == {
-        "dropped frames",
-        "bursts",
-        "latency jitter",
-    }
-    assert deviation.max() < 1
+    # The evidence is known to a half; by how much the calibrated runs are narrow.
+    assert servo_record.evidence()["deviation"].max() < servo_record.STEADY
     calibration = servo_record.calibration()
     assert set(calibration["uniform"]) == {"yes"}
     assert calibration["deviation"].between(1.0, 1.1).all()

@@ -77,7 +77,9 @@ def test_what_a_run_may_not_show_has_more_runs_at_first() -> None:
         # Once a run, or at the least rate less than once in a path of three hundred frames.
         rates = [p for p in servo_models.priors(model) if p.name.endswith("rate")]
         assert all(rate.low * MOST_FRAMES < 1 for rate in rates)
-        assert rates or model == "start off the path"
+        assert rates or model in ("start off the path", "dropped frames")
+    for model in servo_models.RAREST_IN_STEPS:
+        assert servo_sampler.first_runs(model).tolist() == [48] * 2 + [8] * 6
 
 
 @pytest.mark.parametrize("length", [0.3, 1.0])
