@@ -91,6 +91,8 @@ NOTE = """\
 The eggs have a radius of 520 to 660 µm and a modulus of 0.5 to 2 MPa, and are inflated by 1 % to
 8 %. The pipette is 36 to 64 µm wide, and an image has 3.9 µm per pixel and a noise of two grey
 levels. Dimples are at least 18 µm deep, and the wall gives way at {rupture} times the target.
+A run that does not reach its target ends where no capsule is like the outline of three frames in a
+row, with the stage at rest.
 
 The true egg is the capsule of `indent_capsule`, and the force is read with the same model and the
 exact modulus. What a real egg does otherwise is not in these errors.
