@@ -216,8 +216,8 @@ class LiveDepth:
         >>> live.frames, live.done
         (1, False)
         """
+        as_image("frame", frame)
         image = np.array(frame)  # a camera may write the next one into the same place
-        as_image("frame", image)
         place = scalar("z", z, within=(-_MOST, _MOST))
         if self._frames and (image.shape, image.dtype) != (
             self._frames[0].shape,

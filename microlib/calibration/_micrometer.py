@@ -11,7 +11,7 @@ from scipy.signal import find_peaks, peak_widths
 from scipy.special import ndtr
 from scipy.stats import t as student
 
-from microlib._common import Array, Tidy, positive
+from microlib._common import Array, Tidy, scalar
 from microlib.calibration._outline_fit import (
     LEAST_BLUR,
     START_CONTRAST,
@@ -98,7 +98,7 @@ class Micrometer(Tidy):
         tuple of float
             Estimate, low and high.
         """
-        size = float(positive("division", division) / self.spacing)
+        size = scalar("division", division, above=0) / self.spacing
         quantile = float(student.ppf(0.975, len(self.points) - 2))
         reach = quantile * self.spacing_sigma / self.spacing * size
         return size, size - reach, size + reach

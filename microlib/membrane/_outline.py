@@ -151,6 +151,8 @@ def fit_capsule(
     points = as_array("outline", outline, shape=(None, 2))
     if len(points) < _FEWEST_POINTS:
         raise ValueError(f"outline must have at least {_FEWEST_POINTS} points, got {len(points)}")
+    if (wide := np.ptp(points[:, 0])) <= c:
+        raise ValueError(f"outline must be wider than half the probe, {c:g} µm, got {wide:g} µm")
     known = None if radius is None else scalar("radius", radius, above=0)
     settings: dict[str, Any] = {
         "thickness": thickness,

@@ -105,7 +105,8 @@ def test_a_wrong_law_shows_in_the_modulus_not_in_the_misfit() -> None:
         (np.zeros((5, 2)), "outline must have at least 20 points"),
         (np.zeros((30, 3)), "outline must have shape"),
         (np.full((30, 2), np.nan), "outline must be finite"),
-        (np.random.default_rng(0).uniform(0, 20, (40, 2)), "outline must be near"),
+        (np.zeros((30, 2)), "outline must be wider than half the probe"),
+        (np.random.default_rng(0).uniform(0, 60, (40, 2)), "outline must be near"),
     ],
 )
 def test_what_is_no_outline_is_refused(points: Array, message: str) -> None:
