@@ -41,7 +41,7 @@ def compare(
         shares = (of_itself, of_largest)
         pairs = zip(old, new, strict=True)
         new = [one if _agree(one, other, *shares) else other for one, other in pairs]
-    return list(unified_diff(old, new, "drawn before", "drawn now", lineterm="", n=2))
+    return list(unified_diff(old, new, "before", "now", lineterm="", n=2))
 
 
 def _agree(one: str, other: str, of_itself: float, of_largest: float) -> bool:

@@ -130,8 +130,8 @@ def valley() -> Figure:
     return calibration.draw_residual_valley(residuals, 0.03)
 
 
-def focal_length_study() -> Figure:
-    study = pd.DataFrame(
+def focal_lengths() -> pd.DataFrame:
+    return pd.DataFrame(
         {
             "tilt": [0.0, 1.0, 5.0],
             "lost": [1.0, 0.5, 0.0],
@@ -141,7 +141,10 @@ def focal_length_study() -> Figure:
             "M": [1e-4, 2e-4, 3e-4],
         }
     )
-    return calibration.draw_focal_length_study(study)
+
+
+def focal_length_study() -> Figure:
+    return calibration.draw_focal_length_study(focal_lengths())
 
 
 def scene() -> Any:
@@ -344,18 +347,20 @@ def patterns() -> Figure:
     return workstation.draw_patterns(examples)
 
 
-def settling() -> Figure:
-    return workstation.draw_settling_times(
-        SettlingTimes(
-            speeds=np.array([100.0, 200.0, 400.0]),
-            by_speed={"1X": np.array([np.nan, 1.0, 0.6]), "4X": np.array([0.9, 0.5, 0.3])},
-            saturation={"1X": 250.0, "4X": 150.0},
-            latencies=np.array([0.01, 0.03]),
-            by_latency=np.array([0.4, 0.8]),
-            latency=0.02,
-            printed={"1X": 0.85, "4X": 0.65},
-        )
+def settling_times() -> SettlingTimes:
+    return SettlingTimes(
+        speeds=np.array([100.0, 200.0, 400.0]),
+        by_speed={"1X": np.array([np.nan, 1.0, 0.6]), "4X": np.array([0.9, 0.5, 0.3])},
+        saturation={"1X": 250.0, "4X": 150.0},
+        latencies=np.array([0.01, 0.03]),
+        by_latency=np.array([0.4, 0.8]),
+        latency=0.02,
+        printed={"1X": 0.85, "4X": 0.65},
     )
+
+
+def settling() -> Figure:
+    return workstation.draw_settling_times(settling_times())
 
 
 def filmed(make: Callable[[], object]) -> Callable[[], str]:

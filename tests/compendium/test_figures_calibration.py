@@ -12,6 +12,7 @@ import matplotlib.pyplot as plt
 
 from compendium.figures import calibration
 from microlib.microscope import Microscope
+from tests.compendium.figure_cases import focal_lengths
 
 FOUND = SimpleNamespace(
     points=np.array([[10.0, 20.0], [50.0, 22.0], [98.0, 40.0], [30.0, 55.0]]),
@@ -103,16 +104,7 @@ def test_the_microscope_is_drawn_to_its_lengths():
 
 
 def test_every_point_of_the_study_of_f_is_drawn():
-    study = pd.DataFrame(
-        {
-            "tilt": [0.0, 1.0, 5.0],
-            "lost": [1.0, 0.5, 0.0],
-            "bound": [0.3, 0.2, 0.1],
-            "stated": [0.31, 0.21, 0.11],
-            "scatter": [0.32, 0.22, 0.12],
-            "M": [1e-4, 2e-4, 3e-4],
-        }
-    )
+    study = focal_lengths()
     axes = calibration.draw_focal_length_study(study).axes[0]
     drawn = {line.get_label(): line.get_xydata() for line in axes.lines}
     columns = {

@@ -11,8 +11,8 @@ import pytest
 mpl.use("agg")
 import matplotlib.pyplot as plt
 
-from compendium.experiments.section_5_4 import SettlingTimes
 from compendium.figures import workstation
+from tests.compendium.figure_cases import settling_times
 
 
 @pytest.fixture(autouse=True)
@@ -49,15 +49,7 @@ def test_completed_runs_are_drawn_in_percent():
 
 
 def test_settling_times_meet_the_printed_ones():
-    times = SettlingTimes(
-        speeds=np.array([100.0, 200.0, 400.0]),
-        by_speed={"1X": np.array([np.nan, 1.0, 0.6]), "4X": np.array([0.9, 0.5, 0.3])},
-        saturation={"1X": 250.0, "4X": 150.0},
-        latencies=np.array([0.01, 0.03]),
-        by_latency=np.array([0.4, 0.8]),
-        latency=0.02,
-        printed={"1X": 0.85, "4X": 0.65},
-    )
+    times = settling_times()
     left, right = workstation.draw_settling_times(times).axes
     np.testing.assert_allclose(drawn(left)["1X"], [[100, np.nan], [200, 1.0], [400, 0.6]])
     np.testing.assert_allclose(drawn(left)["4X"], [[100, 0.9], [200, 0.5], [400, 0.3]])
