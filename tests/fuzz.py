@@ -5,6 +5,9 @@ names an argument. No other exception, no warning but the documented ones, no ch
 non-finite from finite values unless it is documented, and no call over its time.
 
     python -m tests.fuzz [name …]    # all of it, or the callables whose name contains a word
+
+Values are put in the place of one argument of a valid call, or of two. All of it tries every
+callable's call of this file, and those of ``result_variants.py``, which go other ways.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ import contextlib
 import copy
 import faulthandler
 import importlib
+import importlib.util
 import inspect
 import pkgutil
 import random
@@ -55,6 +59,8 @@ LIMIT = 5.0
 SLOW = {"membrane.fit_capsule": 60.0}
 #: Memory that all of it may take, bytes.
 MEMORY = 4 << 30
+#: What a call needs that is installed by `make extras` alone.
+EXTRAS = {"focus.depth_to_zarr": "zarr"}
 #: Public, but not called by anyone: a category of warnings.
 NOT_CALLED = {"membrane.SmallSlopeWarning"}
 
@@ -260,7 +266,6 @@ def steering() -> dict[str, object]:
     }  # fmt: skip
 
 
-@cache
 def pipette() -> synthetic.InjectionScene:
     return synthetic.InjectionScene(
         0, modulus=1.0, radius=300.0, pixel_size=3.0, shape=(180, 220), strongest=5.0
@@ -749,6 +754,8 @@ MAY_BE_UNKNOWN = {
     "embryo.fit_gaussians": "terms that coincide have infinite variances",
     "focus.FocusResult": "unknown pixels are NaN",
     "focus.depth_from_focus": "unknown pixels are NaN",
+    "membrane.capsule_modulus": "stretches are NaN where the wall is slack",
+    "membrane.indent_capsule": "stretches are NaN where the wall is slack",
     "membrane.finite_slope_modulus": "NaN where no slope is steep enough",
     "microscope.Microscope.back_project": "NaN where a ray misses the plane",
     "optics.image_distance": "an object in the focal plane has its image at infinity",
@@ -826,8 +833,25 @@ def hinted(owner: object, key: str) -> Iterator[tuple[str, object]]:
             yield f"{module.removeprefix('microlib.')}.{hint.__name__}", hint
 
 
+def base(name: str) -> str:
+    """Return the name of what a call is of, without the label of a variant."""
+    return name.partition("-")[0]
+
+
+def valid_call(name: str) -> dict[str, object]:
+    """Return the arguments of a valid call, or of the variant that a dash and a label name."""
+    known, _, label = name.partition("-")
+    return CALLS[known]() | (variants()[known][label]() if label else {})
+
+
+def variants() -> dict[str, dict[str, Callable[[], dict[str, object]]]]:
+    from tests.result_variants import VARIANTS  # which is made of the calls of this file
+
+    return VARIANTS
+
+
 def resolve(name: str) -> Callable:
-    room, *path = name.split(".")
+    room, *path = base(name).split(".")
     value: object = importlib.import_module(f"microlib.{room}")
     for part in path:
         value = getattr(value, part)
@@ -917,7 +941,7 @@ class Case:
 
 
 def cases(name: str) -> Iterator[Case]:
-    for argument, value in CALLS[name]().items():
+    for argument, value in valid_call(name).items():
         if argument != "self":
             for label, wrong in hostile(value):
                 yield Case(name, argument, label, wrong)
@@ -1009,15 +1033,15 @@ def alike(first: object, second: object, depth: int = 0) -> bool:
 
 def answer(name: str, changed: dict[str, object]) -> tuple[object, str | None]:
     """Call with some arguments replaced; return the result and what is wrong, if anything."""
-    given = CALLS[name]()
+    given = valid_call(name)
     valid = {key: value for key, value in given.items() if key != "self"}
     call = resolve(name)
     if "self" in given:
-        call = getattr(given["self"], name.rsplit(".", 1)[1])
+        call = getattr(given["self"], base(name).rsplit(".", 1)[1])
     given = {**valid, **changed}
     kept = {k: v for k, v in given.items() if isinstance(v, (np.ndarray, list, tuple, dict))}
     before = copy.deepcopy(kept)
-    limit = SLOW.get(name, LIMIT)
+    limit = SLOW.get(base(name), LIMIT)
     signal.signal(signal.SIGPROF, _stop)
     # What waits, or never returns from a library in C, is told by the watchdog.
     faulthandler.dump_traceback_later(20 * limit, exit=True)
@@ -1027,6 +1051,7 @@ def answer(name: str, changed: dict[str, object]) -> tuple[object, str | None]:
         with contextlib.chdir(FOLDER), warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             warnings.simplefilter("ignore", membrane.SmallSlopeWarning)
+            warnings.filterwarnings("ignore", "frames .* cannot be registered to each other")
             result = call(**given)
             if inspect.isgenerator(result):
                 result = list(result)
@@ -1064,7 +1089,8 @@ def fault(case: Case) -> str | None:
     stored = is_dataclass(kind) and not hasattr(kind, "__post_init__")
     if "masked" in case.label and not stored:
         return "dropped a mask"
-    known = may_be_unknown(case.name) or not finite(case.value)
+    given = list(valid_call(case.name).values())
+    known = may_be_unknown(case.name) or not finite(case.value) or not finite(given)
     return None if known or finite(result) else "not finite"
 
 
@@ -1079,7 +1105,8 @@ def pairs(name: str) -> Iterator[str]:
         first, second = (draw.choice(by[argument]) for argument in draw.sample(sorted(by), 2))
         changed = {case.argument: case.value for case in (first, second)}
         result, wrong = answer(name, changed)
-        if not wrong and result is not REFUSED and not may_be_unknown(name) and not finite(result):
+        known = may_be_unknown(name) or not finite(list(valid_call(name).values()))
+        if not wrong and result is not REFUSED and not known and not finite(result):
             wrong = "not finite"
         if wrong:
             yield f"{first.key}, {second.argument}={second.label}: {wrong}"
@@ -1088,12 +1115,14 @@ def pairs(name: str) -> Iterator[str]:
 def may_be_unknown(name: str) -> bool:
     """Return whether the result is documented to hold NaN, or only holds what it was given."""
     kind = resolve(name)
-    return name in MAY_BE_UNKNOWN or (is_dataclass(kind) and not hasattr(kind, "__post_init__"))
+    return base(name) in MAY_BE_UNKNOWN or (
+        is_dataclass(kind) and not hasattr(kind, "__post_init__")
+    )
 
 
 def differences(name: str) -> Iterator[str]:
     """Yield where the same numbers in another form are refused, or give another answer."""
-    for argument, value in CALLS[name]().items():
+    for argument, value in valid_call(name).items():
         for label, other in harmless(value):
             expected, _ = answer(name, {})
             result, wrong = answer(name, {argument: other})
@@ -1105,8 +1134,14 @@ def main(words: list[str]) -> int:
     # What asks for more fails instead of taking the machine down.
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     total, wrong = 0, 0
-    for name in CALLS:
+    for name in [
+        *CALLS,
+        *(f"{name}-{label}" for name, all_ in variants().items() for label in all_),
+    ]:
         if words and not any(word in name for word in words):
+            continue
+        if (extra := EXTRAS.get(base(name))) and not importlib.util.find_spec(extra):
+            print(f"# {name}: not tried, {extra} is not installed")
             continue
         begin, found = time.process_time(), [*differences(name), *pairs(name)]
         every = list(cases(name))
@@ -1123,4 +1158,6 @@ def main(words: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    from tests import fuzz  # the calls are made of that module's, not of this script's
+
+    sys.exit(fuzz.main(sys.argv[1:]))

@@ -12,14 +12,12 @@ from tests import fuzz, results
 from tests.snapshots import describe_data, others_than_locked
 
 OTHERS = others_than_locked(*results.PACKAGES)
-#: What a call needs that is installed by `make extras` alone.
-EXTRAS = {"focus.depth_to_zarr": "zarr"}
 
 
 @pytest.mark.parametrize("name", [name for name in fuzz.CALLS if name not in fuzz.SLOW])
 def test_a_valid_call_works_as_before(name: str) -> None:
-    if name in EXTRAS:
-        pytest.importorskip(EXTRAS[name], reason=f"{EXTRAS[name]} is not installed")
+    if extra := fuzz.EXTRAS.get(name):
+        pytest.importorskip(extra, reason=f"{extra} is not installed")
     result, wrong = fuzz.answer(name, {})
     assert wrong is None
     assert result is not fuzz.REFUSED

@@ -2,6 +2,8 @@
 
 from microlib._common._checks import (
     LARGEST,
+    LARGEST_GREY,
+    LEAST,
     are_small,
     as_array,
     as_image,
@@ -31,6 +33,8 @@ from microlib._common._types import Array, Image
 
 __all__ = [
     "LARGEST",
+    "LARGEST_GREY",
+    "LEAST",
     "OPEN",
     "POLL",
     "Array",

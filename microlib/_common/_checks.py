@@ -22,7 +22,7 @@ LARGEST, LEAST = 1e60, 1e-60
 #: Likewise in single precision, whose range ends at 3e38.
 _LARGEST_SINGLE = 1e18
 #: Grey levels are squared, summed and multiplied in single precision; 32-bit levels lie below.
-_LARGEST_GREY = 1e10
+LARGEST_GREY = 1e10
 #: Rows or columns, and pixels, of an image to make: beyond any sensor's.
 _LONGEST_SIDE, _MOST_PIXELS = 1 << 16, 1 << 28
 
@@ -99,7 +99,7 @@ def _refuse_absurd(name: str, array: NDArray, finite: bool, largest: float) -> N
 
 def as_image(name: str, value: ArrayLike, *, smallest: int = 1) -> NDArray:
     """Return a grey image as a finite 2-D float32 array, each side at least `smallest` px."""
-    image = as_array(name, value, dtype=np.float32, largest=_LARGEST_GREY)
+    image = as_array(name, value, dtype=np.float32, largest=LARGEST_GREY)
     if image.ndim != 2:
         raise ValueError(f"{name} must be a grey image of two dimensions, got {image.ndim}")
     if min(image.shape) < smallest:

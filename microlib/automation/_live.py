@@ -25,6 +25,8 @@ STANDS_OUT = 2.5
 #: A peak has passed if its best frame lies so many frames back and the measure has fallen under
 #: this share of the way to the ground since.
 _BACK, _FADED = 3, 0.5
+#: Side of a frame, px: the measure looks at both neighbors of a pixel.
+_LEAST_SIDE = 2
 #: Frames of a stack, at least.
 _LEAST_FRAMES = 3
 #: Of a position, µm: beyond, single precision has no digits left.
@@ -207,7 +209,8 @@ class LiveDepth:
         Raises
         ------
         ValueError
-            If the frame is of another size or type, or `z` does not go on.
+            If the frame is of another size or type, has a single row or column, or `z` does not go
+            on.
 
         Examples
         --------
@@ -216,7 +219,7 @@ class LiveDepth:
         >>> live.frames, live.done
         (1, False)
         """
-        as_image("frame", frame)
+        as_image("frame", frame, smallest=_LEAST_SIDE)
         image = np.array(frame)  # a camera may write the next one into the same place
         place = scalar("z", z, within=(-_MOST, _MOST))
         if self._frames and (image.shape, image.dtype) != (

@@ -286,7 +286,9 @@ class Calibration(Tidy):
         """
         k = self.parameters.index(one_of("parameter", parameter, self.parameters))
         level = scalar("level", level, within=(0, 1))
-        half = float(student.ppf(0.5 + level / 2, self.freedom) * np.sqrt(self.covariance[k, k]))
+        std = float(np.sqrt(self.covariance[k, k]))
+        # Half of an infinite interval is infinite at any level.
+        half = std if np.isinf(std) else float(student.ppf(0.5 + level / 2, self.freedom)) * std
         value = float(self.estimate[k])
         if parameter == "focal_length" and np.isfinite(half):
             relative = half / value
@@ -448,7 +450,8 @@ def _of_views(
 ) -> Calibration:
     """Calibration from several views."""
     for name, each in (("image", image), ("groups", world if groups is None else groups)):
-        if not isinstance(each, (list, tuple, np.ndarray)) or len(each) != len(world):
+        listed = isinstance(each, (list, tuple)) or (isinstance(each, np.ndarray) and each.ndim)
+        if not listed or len(each) != len(world):
             raise ValueError(f"{name} must hold one array for each of the {len(world)} views")
     pairs = [_points(w, i) for w, i in zip(world, image, strict=True)]
     middle = frame.principal_point

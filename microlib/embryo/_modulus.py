@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, Tidy, one_of, scalar
+from microlib._common import Array, Tidy, of_kind, one_of, scalar
 from microlib.embryo._boundary import Boundary, extract_boundary
 from microlib.embryo._dimple import (
     DimpleFit,
@@ -239,7 +239,7 @@ def modulus_from_image(
     load = scalar("force", force, above=0, most=_MOST)
     one_of("method", method, (*_METHODS, "capsule"))
     one_of("law", law, _LAWS)
-    size = scalar("pixel_size", pixel_size, above=0)
+    size = scalar("pixel_size", pixel_size, above=0, most=_MOST)
     membrane = _membrane(thickness, probe_half_width, poisson_ratio)
     egg = None if radius is None else scalar("radius", radius, above=0, most=_MOST)
     given = {"force": load, **membrane, "radius": egg}
@@ -322,7 +322,7 @@ def force_from_image(
     True
     """
     stiffness = scalar("modulus", modulus, above=0, most=_MOST)
-    size = scalar("pixel_size", pixel_size, above=0)
+    size = scalar("pixel_size", pixel_size, above=0, most=_MOST)
     membrane = _membrane(thickness, probe_half_width, poisson_ratio)
     egg = None if radius is None else scalar("radius", radius, above=0, most=_MOST)
     boundary = extract_boundary(image, direction=direction, region=region)
@@ -368,6 +368,8 @@ def measure_dimple(
     one_of("method", method, _METHODS)
     if method == "membrane":
         return fit_dimple(boundary, pixel_size=pixel_size, probe_half_width=probe_half_width)
+    of_kind("boundary", boundary, Boundary)
+    scalar("probe_half_width", probe_half_width, above=0, most=_MOST)
     x, y = _crop(boundary)
     # Gaussians die away to zero, so the outline is measured from its own lowest point.
     curve = fit_gaussians(x, loess(x, y - y.min(), span=_SPAN), terms=_TERMS)

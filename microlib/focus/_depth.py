@@ -354,6 +354,7 @@ def depth_from_focus(
     fit = whole("points", usual if points is None else points, least=3, odd=True, most=_MOST_POINTS)
     threads = whole("workers", workers, least=1, most=_MOST_WORKERS)
     side = whole("window", window, least=1, odd=True)
+    apart = whole("step", step, least=1)
     limit = scalar("threshold", threshold, least=0)
     batch = len(z) if is_in_memory(frames) else _BATCH
     if measure == "multiscale" and (in_tiles or np.prod(stack.shape) > _MOST_WHOLE):
@@ -373,7 +374,7 @@ def depth_from_focus(
     if callable(measure):
         chosen = Banded(_checked(measure), reach=max(first.shape))
     else:
-        chosen = named_measure(measure, side, whole("step", step, least=1), limit)
+        chosen = named_measure(measure, side, apart, limit)
     profile = track_peaks(
         chain([first], reader), z, [chosen], reaches=[fit // 2], batch=batch, workers=threads
     )

@@ -34,6 +34,8 @@ _MIRROR = cv2.BORDER_REFLECT_101
 #: Smoothing from which on boxes take the place of a Gaussian, px: a matter of time, not of the
 #: result.
 _BOXES_FROM = 4.0
+#: Side of a window, px: no image is larger.
+_WIDEST = (1 << 16) - 1
 #: Radius of the mean that a pixel is compared with to tell the side of a step, and the two windows
 #: over which its deviation is averaged, px; the first is half a pixel, so that the pixel itself
 #: counts. Table "constant changed" of benchmarks/focus.py.
@@ -102,7 +104,7 @@ class SumModifiedLaplacian:
     threshold: float
 
     def __post_init__(self) -> None:
-        whole("window", self.window, least=1, odd=True)
+        whole("window", self.window, least=1, odd=True, most=_WIDEST)
         whole("step", self.step, least=1)
         object.__setattr__(self, "threshold", scalar("threshold", self.threshold, least=0))
 
@@ -132,7 +134,7 @@ def _tenengrad(image: ArrayLike, *, window: int = 5) -> NDArray[np.float32]:
     >>> float(_tenengrad(ramp, window=3)[3, 3])  # nine times the square of 8
     576.0
     """
-    n = whole("window", window, least=1, odd=True)
+    n = whole("window", window, least=1, odd=True, most=_WIDEST)
     grey = _grey(image)
     gx = cv2.Sobel(grey, cv2.CV_32F, 1, 0)
     gy = cv2.Sobel(grey, cv2.CV_32F, 0, 1)
@@ -148,7 +150,7 @@ def _grey_variance(image: ArrayLike, *, window: int = 5) -> NDArray[np.float32]:
     >>> round(float(_grey_variance(ramp, window=3)[3, 3]), 4)
     0.6667
     """
-    n = whole("window", window, least=1, odd=True)
+    n = whole("window", window, least=1, odd=True, most=_WIDEST)
     grey = _grey(image)
     # The difference of two large numbers: float64 keeps 16-bit images exact.
     mean = cv2.boxFilter(grey, cv2.CV_64F, (n, n))

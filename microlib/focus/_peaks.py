@@ -124,7 +124,13 @@ def three_point_peak(
     22.5
     """
     _check_window(window, index, positions)
-    return _three_points(window, index, positions.astype(np.float64, copy=False))
+    # Compiled code knows neither half nor extended precision, nor the other order of bytes.
+    exact = np.float32 if np.can_cast(window.dtype, np.float32) else np.float64
+    return _three_points(
+        np.ascontiguousarray(window, exact),
+        np.ascontiguousarray(index, np.intp),
+        positions.astype(np.float64, copy=False),
+    )
 
 
 def _three_points(

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Frames, flag, whole
+from microlib._common import LARGEST_GREY, Frames, as_array, flag, whole
 from microlib.io._sources import Named, Source, open_source
 
 __all__ = ["FrameReader", "Region", "read_frames"]
@@ -194,12 +194,8 @@ def _numbers(name: str, frame: NDArray) -> NDArray:
         return frame if frame.flags.c_contiguous else np.ascontiguousarray(frame)
     if frame.dtype.kind == "u" and frame.dtype.itemsize <= 2:  # the other order of bytes
         return np.ascontiguousarray(frame, dtype=frame.dtype.newbyteorder("="))
-    with np.errstate(over="ignore"):  # what overflows is infinite, and told below
-        result = np.ascontiguousarray(frame, dtype=np.float32)
-    if not np.isfinite(result).all():
-        bad = int(result.size - np.isfinite(result).sum())
-        raise ValueError(f"{name} must be finite, got {bad} NaN or infinite of {result.size}")
-    return result
+    # The products of sharpness that depths are found by stay in single precision's range.
+    return np.ascontiguousarray(as_array(name, frame, dtype=np.float32, largest=LARGEST_GREY))
 
 
 def _region(region: object) -> Region:

@@ -34,6 +34,8 @@ _CORE = 0.01
 _EASY_FORCE = 0.03
 _LADDER = 2.0
 _RUNGS = 14
+# A guess has at least this strain: far more than rounding, and its pressure has a logarithm.
+_LEAST_STRETCH = 1e-12
 _SPHERE = 4 * np.pi / 3
 # A search starts from another's solution if the inflations differ by less than this, the logarithms
 # of the forces by ten times as much, and the nodes stay below their number: beyond, a start from
@@ -58,6 +60,9 @@ class _Unknowns(NamedTuple):
 
 #: Of a radius or a thickness, µm: beyond, products of sizes leave the range of numbers.
 _LARGEST = 1e12
+#: Of a probe or a flattened spot, in radii: π less the arc of its edge is rounded to 4e-16, a
+#: hundred-thousandth of the least one, which is what the checks of a solution accept.
+_LEAST_WIDTH = 4e-11
 
 
 @dataclass(frozen=True)
@@ -79,7 +84,8 @@ class _Capsule:
     def unpack(self, k: Array) -> _Unknowns:
         """Return the unknowns of the parameter vector."""
         values = list(k)
-        pressure, plate = float(np.exp(values.pop(0))), values.pop(0)
+        # Of NumPy, whose quotients by zero are infinite: a step may go anywhere.
+        pressure, plate = np.exp(values.pop(0)), values.pop(0)
         if self.force is None or self.inflation is None:
             assert self.rim is not None
             rim, inflation = self.rim, values.pop(0)
@@ -190,7 +196,7 @@ class _Capsule:
         inflation = self.inflation or 1.05
         if self.force is not None:
             # An unstretched shell gets its tension from the force; the power was fitted to states.
-            inflation = max(inflation, 1 + 0.3 * self.force**0.7)
+            inflation = max(inflation, 1 + max(0.3 * self.force**0.7, _LEAST_STRETCH))
         even = np.array(inflation)
         tension = float(self.law.stress(even, even)[0]) / inflation
         pressure = 2 * tension
@@ -199,6 +205,11 @@ class _Capsule:
             rim = self.rim
         else:
             rim = min(np.sqrt(self.force / (np.pi * pressure)), 0.7)
+        if not rim > _LEAST_WIDTH:
+            raise ValueError(
+                "force must be zero or flatten a spot that rounding does not hide, got one that "
+                f"flattens {rim:.2g} R{_said(self)}"
+            )
         if not self.partial:
             rim = max(rim, 1.2 * self.probe)
         rim = min(rim, 0.95)
@@ -546,7 +557,7 @@ def capsule_modulus(
 def _sizes(radius: float, thickness: float, probe_half_width: float) -> tuple[float, float, float]:
     r0 = scalar("radius", radius, above=0, most=_LARGEST)
     h = scalar("thickness", thickness, above=0, most=_LARGEST)
-    return r0, h, scalar("probe_half_width", probe_half_width, within=(0.0, r0))
+    return r0, h, scalar("probe_half_width", probe_half_width, within=(_LEAST_WIDTH * r0, r0))
 
 
 def _problem(law: Law, bonded: bool, probe: float, force: float, inflation: float) -> _Capsule:

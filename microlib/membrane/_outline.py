@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import OptimizeResult, least_squares
 
-from microlib._common import Array, Tidy, as_array, flag, scalar
+from microlib._common import LARGEST, LEAST, Array, Tidy, as_array, flag, scalar
 from microlib.membrane._capsule import Solved, capsule_modulus, indent_capsule, indent_near
 from microlib.membrane._state import MembraneState
 
@@ -309,6 +309,11 @@ def _starts(
         except ValueError as reason:
             refused = reason
             continue
+        if not LEAST <= near.modulus <= LARGEST:
+            raise ValueError(
+                f"force must be that of a wall of {LEAST:g} to {LARGEST:g} MPa, got {force:g} µN, "
+                f"which takes {near.modulus:g} MPa"
+            )
         found = True
         plate = crest - near.state.z.max()
         yield np.array([np.log(near.modulus), near.inflation, axis, plate, *own])

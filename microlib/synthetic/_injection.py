@@ -5,8 +5,10 @@ Lengths are in µm, forces in µN, moduli in MPa; image coordinates in px.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -31,6 +33,8 @@ _ANGLES = 6001
 #: Forces of the solved states over E h R, from where the flattened top is narrower than any probe
 #: to twice what fills a dimple; between them depth and outline are interpolated.
 _LEAST_FORCE, _STATES = 3e-5, 24
+#: Pixels in an egg's radius, at most: as many as the largest images have on a side.
+_MOST_PIXELS = 1 << 16
 #: A capsule that does not carry its load at some step has it at the next.
 _MOST_MISSING = 6
 
@@ -135,7 +139,10 @@ class InjectionScene:
         self._thickness = scalar("thickness", thickness, above=0)
         self._half_width = scalar("probe_half_width", probe_half_width, above=0)
         self._size = scalar("radius", radius, above=self._half_width)
-        self.pixel_size = scalar("pixel_size", pixel_size, above=0)
+        # An egg is larger than a pixel, and smaller than any image holds pixels.
+        self.pixel_size = scalar(
+            "pixel_size", pixel_size, least=self._size / _MOST_PIXELS, most=self._size
+        )
         self._shape = image_shape("shape", shape, least=_SMALLEST)
         self._noise = scalar("noise", noise, least=0, most=255.0)
         self._rupture = None if rupture is None else scalar("rupture", rupture, above=0)
@@ -337,32 +344,32 @@ def _solve(
     law: str,
 ) -> _Indented:
     """Solve an egg of 1 MPa from untouched to the strongest force."""
+    egg: dict[str, Any] = {
+        "modulus": 1.0,
+        "radius": radius,
+        "thickness": thickness,
+        "probe_half_width": probe_half_width,
+        "inflation": inflation,
+        "law": law,
+    }
     unit = thickness * radius
     forces = np.geomspace(_LEAST_FORCE * unit, max(strongest, 2 * _LEAST_FORCE * unit), _STATES)
+    last = _pressed(egg, forces[-1])  # refuses the rest, if at all
     angle = np.linspace(0.0, np.pi, _ANGLES)
     states = [(0.0, 0.0, 0.0, np.full(_ANGLES, radius))]
     missing = 0
     for force in forces:
-        state = None
-        for punch in ("bonded", "frictionless"):
-            try:
-                state = indent_capsule(
-                    float(force),
-                    modulus=1.0,
-                    radius=radius,
-                    thickness=thickness,
-                    probe_half_width=probe_half_width,
-                    inflation=inflation,
-                    law=law,
-                    punch=punch,
-                )
-                break
-            except ValueError as error:
-                reason = error
+        try:
+            state = last if force == forces[-1] else _pressed(egg, force)
+        except ValueError:
+            state = None
         if state is None or state.approach <= states[-1][0]:
             missing += 1
             if missing > _MOST_MISSING or force == forces[-1]:
-                raise ValueError(f"strongest must suit the capsule: {reason}")
+                raise ValueError(
+                    f"strongest must suit the capsule: {missing} of {_STATES} forces up to "
+                    f"{forces[-1]:.3g} µN have no deeper shape than those before"
+                )
             continue
         # The middle under the probe, then the meridian down to the plate.
         r, z = np.append(0.0, state.r), np.append(state.z[0], state.z)
@@ -372,6 +379,19 @@ def _solve(
         states.append((state.approach, float(force), state.depth, own))
     approach, force, depth, outlines = zip(*states, strict=True)
     return _Indented(np.array(approach), np.array(force), np.array(depth), np.array(outlines))
+
+
+def _pressed(egg: dict[str, Any], force: float) -> Any:
+    """Return the state under a bonded face, or a sliding one if the wall lies on part of it."""
+    # Pressing raises the pressure, so that less force never lays the wall on the whole face.
+    whole_face = np.pi * egg["probe_half_width"] ** 2 * indent_capsule(0.0, **egg).pressure
+    if force >= whole_face:
+        with suppress(ValueError):
+            return indent_capsule(float(force), **egg, punch="bonded")
+    try:
+        return indent_capsule(float(force), **egg, punch="frictionless")
+    except ValueError as error:
+        raise ValueError(f"strongest must suit the capsule: {error}") from None
 
 
 def _light(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float32]:

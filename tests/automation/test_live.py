@@ -196,6 +196,10 @@ def test_wrong_frames_and_places_are_refused():
         live.push(np.zeros((16, 16)), 0.5)
     with pytest.raises(ValueError, match=r"frame must be \(16, 16\) float64"):
         live.push(np.zeros((16, 17)), -1.0)
+    with pytest.raises(
+        ValueError, match=r"frame must be at least 2 px on each side, got \(1, 16\)"
+    ):
+        LiveDepth().push(np.zeros((1, 16)), 0.0)
     for ask in (lambda: live.depth, live.result):
         with pytest.raises(ValueError, match="at least three"):
             ask()

@@ -423,7 +423,8 @@ def test_what_is_not_observable_has_no_covariance():
     scope = scope_with(0, 180)
     found = calibrate(grid_in_view(scope), scope.project(grid_in_view(scope)), **SENSOR)
     lost = np.isin(found.parameters, found.unobservable)
-    assert found.interval("focal_length") == (-np.inf, np.inf)
+    for level in (0.95, 1e-60):
+        assert found.interval("focal_length", level) == (-np.inf, np.inf)
     assert np.isinf(found.covariance[lost, lost]).all()
     beside = np.outer(lost, ~lost)
     assert np.isnan(found.covariance[beside]).all()
@@ -841,6 +842,9 @@ def test_views_that_tell_no_focal_length_say_so():
         ({"image": [np.zeros((9, 2))]}, "image"),
         ({"loss": "huber"}, "loss"),
         ({"groups": [np.arange(3)]}, "groups"),
+        ({"image": np.array(np.nan)}, "image must hold one array for each of the 2 views"),
+        # Of 1.5 µm: seconds, and then magnifications of both signs.
+        ({"focal_length": 1.5}, "with the focal_length if it is given: none was found in 200"),
         ({"axis_sigma": -1.0}, "axis_sigma"),
     ],
 )

@@ -175,6 +175,10 @@ def test_the_gaussians_measure_a_dimple_wherever_the_outline_stands():
     here = measure_dimple(boundary, **options)
     lower = replace(boundary, y=boundary.y - boundary.y.min() + 3.0)
     moved = measure_dimple(lower, **options)
+    with pytest.raises(ValueError, match="boundary must be of the kind Boundary"):
+        measure_dimple(boundary.y, **options)
+    with pytest.raises(ValueError, match="probe_half_width must be positive"):
+        measure_dimple(boundary, **options | {"probe_half_width": 0.0})
     # The fit sees the same numbers but for their last digits.
     assert moved.dimple_depth == pytest.approx(here.dimple_depth, rel=1e-3)
     assert moved.dimple_radius == pytest.approx(here.dimple_radius, rel=1e-3)

@@ -361,6 +361,8 @@ def test_more_than_256_frames_are_counted_right():
         ({"measure": lambda frame: frame * np.nan}, r"measure\(frame\) must be finite"),
         ({"measure": "variance", "step": 2}, "step and threshold are for measure 'sml' only"),
         ({"measure": "sml", "window": 4}, "window must be an odd"),
+        ({"step": 1.5}, "step must be a whole number"),
+        ({"frames": np.full((4, 9, 9), 2e10)}, r"frames\[0\] must lie within ±1e\+10"),
         ({"measure": "sml", "threshold": -1}, "threshold must be zero or positive"),
         ({"points": 4}, "points must be an odd"),
         ({"workers": 0}, "workers must be a whole number"),
@@ -463,6 +465,16 @@ def test_what_is_no_window_around_the_best_frame_is_refused(change, words):
     three_point_peak(**good)
     with pytest.raises(ValueError, match=words):
         three_point_peak(**good | change)
+
+
+@pytest.mark.parametrize("kind", [">f4", "<f2", ">f8", "longdouble", "int64", ">u2"])
+def test_a_window_may_be_of_any_numbers(kind):
+    profile = np.rint(1000 * np.exp(-((np.arange(5.0) - 2.25) ** 2) / 8))
+    window, index = profile[1:4, None, None], np.full((1, 1), 2)
+    expected = three_point_peak(window, index, np.arange(5.0))
+    found = three_point_peak(window.astype(kind), index.astype(">i4"), np.arange(5.0))
+    # Whole numbers up to 1000, which all kinds hold.
+    assert found == expected
 
 
 @pytest.mark.parametrize("color", [False, True])

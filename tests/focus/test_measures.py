@@ -131,6 +131,9 @@ def test_wide_blur_has_the_variance_asked_for():
     ("call", "words"),
     [
         (lambda image: sum_modified_laplacian(image, window=4), "window must be an odd"),
+        (lambda image: sum_modified_laplacian(image, window=65537), "window must be at most 65535"),
+        (lambda image: _tenengrad(image, window=65537), "window must be at most 65535"),
+        (lambda image: _grey_variance(image, window=65537), "window must be at most 65535"),
         (lambda image: sum_modified_laplacian(image, step=0), "step must be a whole number"),
         (lambda image: sum_modified_laplacian(image, step=9), "step must be below"),
         (lambda image: sum_modified_laplacian(image, threshold=-1), "threshold must be zero"),

@@ -301,6 +301,10 @@ def test_units_scale() -> None:
         ({"modulus": np.inf}, "modulus must be finite"),
         ({"radius": 0.0}, "radius must be positive"),
         ({"probe_half_width": R}, "probe_half_width must lie in"),
+        # π less the arc to its edge has no digits left.
+        ({"probe_half_width": 2e-8}, r"probe_half_width must lie in \(2.4e-08, 600\), got 2e-08"),
+        ({"force": 1e-9, "inflation": 1.0, "punch": "frictionless"}, "have an equilibrium"),
+        ({"force": 1e-60, "inflation": 1.05, "punch": "frictionless"}, "force must be zero or fla"),
         ({"inflation": 0.9}, "inflation must be at least 1, got 0.9"),
         ({"support": "bowl"}, "support must be one of plate"),
         ({"punch": "glued"}, "punch must be one of bonded, frictionless"),

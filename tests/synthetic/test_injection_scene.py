@@ -62,6 +62,19 @@ def test_a_wall_that_gives_way_lets_the_egg_be_round_again():
     np.testing.assert_array_equal(torn[:, :100], free[:, :100])
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"strongest": 1e6}, "strongest must suit the capsule: force must have an equilibrium"),
+        ({"pixel_size": 601.0}, "pixel_size must be at most 600"),
+        ({"pixel_size": 0.009}, "pixel_size must be at least 0.0091"),
+    ],
+)
+def test_what_is_no_scene_is_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        InjectionScene(0, modulus=1.0, **change)
+
+
 def test_what_no_egg_bears_is_refused(scene):
     with pytest.raises(ValueError, match="tip must be at most"):
         scene.frame(at(scene, scene.deepest + 1.0))
