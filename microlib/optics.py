@@ -317,7 +317,7 @@ def defocus(image: ArrayLike, sigma: ArrayLike) -> NDArray[np.float32]:
     [0.097, 0.035]
     """
     blur = positive("sigma", sigma, zero=True)
+    scalar("sigma", float(blur.max()), most=_MOST_BLUR)
     if blur.ndim == 0:
-        scalar("sigma", blur, most=_MOST_BLUR)
         return _blurred(as_image("image", image), float(blur)).copy()
     return BlurLadder(image, float(blur.max())).at(blur)

@@ -1051,6 +1051,7 @@ def answer(name: str, changed: dict[str, object]) -> tuple[object, str | None]:
         with contextlib.chdir(FOLDER), warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             warnings.simplefilter("ignore", membrane.SmallSlopeWarning)
+            # Documented: what the rest is found without.
             warnings.filterwarnings("ignore", "frames .* cannot be registered to each other")
             result = call(**given)
             if inspect.isgenerator(result):

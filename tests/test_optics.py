@@ -168,6 +168,7 @@ def test_where_a_ladder_is_not_blurred_the_image_is_as_it_was():
         (lambda: optics.defocus(np.full((4, 4), np.nan), 1.0), "image must be finite"),
         (lambda: optics.defocus(np.zeros((4, 4)), np.full((4, 4), np.nan)), "sigma must be finite"),
         (lambda: optics.defocus(np.zeros((4, 4)), 1e9), "sigma must be at most"),
+        (lambda: optics.defocus(np.zeros((4, 4)), np.full((4, 4), 1e9)), "sigma must be at most"),
         (lambda: optics.defocus(np.zeros((4, 4)), np.full((4, 4), 1e9)), "must be at most"),
         (lambda: optics.BlurLadder(np.eye(4), -1.0), "largest must be zero or positive"),
         (lambda: optics.BlurLadder(np.eye(4), 1e9), "largest must be at most"),

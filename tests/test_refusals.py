@@ -161,6 +161,7 @@ CONTROLLERS = [
         ({"reference": np.empty((0, 2))}, "reference"),
         ({"reference": REFERENCE * np.nan}, "reference"),
         ({"reference": REFERENCE * 1e100}, "reference"),
+        ({"reference": np.full((2, 2), np.inf)}, "reference"),
     ],
 )
 def test_a_controller_refuses_by_name(control, change, name) -> None:
@@ -217,6 +218,8 @@ def test_angles_and_distortions_are_numbers(wrong) -> None:
             np.ones((9, 9)), np.zeros((9, 9)), [0.0, 1.0], blur_rate=1e30)),
         ("radius", lambda: focus.smooth_depth(np.ones((9, 9)), jump=1.0, radius=1e6)),
         ("delay", lambda: servoing.loop_poles(0.5, 1e9)),
+        ("grain", lambda: synthetic.sphere_on_plane((9, 9), 3.0, 1.0, grain=1e30)),
+        ("rng", lambda: synthetic.sphere_on_plane((9, 9), 3.0, 1.0, rng="any")),
         ("patch", lambda: synthetic.patchy_texture((20, 24), 0, patch=1e6)),
     ],
 )  # fmt: skip

@@ -392,11 +392,11 @@ class PredictiveController:
         when = min(k + 1 + self._delay, last)
         before = int(when)
         after = min(before + 1, int(last))
-        target = reference[before] + (when - before) * (reference[after] - reference[before])
         known = are_small(measured, LARGEST)
-        if not (known and are_small(target, LARGEST)):
+        if not (known and are_small(reference[before : after + 1], LARGEST)):
             _checked_sample(k, measured, reference, size)
             known = bool(np.isfinite(measured).all())
+        target = reference[before] + (when - before) * (reference[after] - reference[before])
         if not known:
             if self._estimate is None:
                 return np.zeros(self._step.shape[1])

@@ -199,7 +199,8 @@ def render_squares(
         return plane - half - 2 * side * _nearest((plane - half) / (2 * side), counts)
 
     def sides(o: Array, jacobian: Array) -> Array:
-        normals = np.sign(o)[:, :, None] * np.eye(2)
+        # A cell in the very middle is as far from either side.
+        normals = np.where(o < 0, -1.0, 1.0)[:, :, None] * np.eye(2)
         inside = half - np.abs(o)
         return np.stack([_half_plane(inside[:, k], normals[:, k], jacobian) for k in (0, 1)])
 

@@ -145,11 +145,12 @@ def sphere_on_plane(
     ball = square <= r**2
     height = np.where(ball, r + np.sqrt(np.maximum(r**2 - square, 0)), 0.0)
     rough = scalar("roughness", roughness, least=0)
+    smooth = scalar("grain", grain, above=0, most=MOST_SCALE)
+    source = None if rng is None else generator("rng", rng)
     if rough > 0:
-        if rng is None:
+        if source is None:
             raise ValueError("rng must be given for a rough ball, got None")
-        noise = generator("rng", rng).standard_normal(shape)
-        relief = gaussian_filter(noise, scalar("grain", grain, above=0, most=MOST_SCALE))
+        relief = gaussian_filter(source.standard_normal(shape), smooth)
         height += np.where(ball, rough * relief / relief.std(), 0.0)
     return height
 

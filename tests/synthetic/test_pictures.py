@@ -105,6 +105,14 @@ def signature(image: NDArray) -> list[float]:
     return [*(float(part.mean()) for part in parts), float(np.std(image))]
 
 
+def test_a_pixel_in_the_very_middle_of_a_square_is_dark():
+    """Its middle is as far from either side: that leaked a division by zero."""
+    straight = Microscope(200000.0, 126000.0, 79380.0, tx=-60.0, ty=-60.0, image_size=(21, 21))
+    image = synthetic.render_squares(straight, side=120.0)
+    assert straight.project([[60.0, 60.0]]).round(9).tolist() == [[10.0, 10.0]]
+    assert image[10, 10] == image.min()
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_a_seed_keeps_its_picture(name: str) -> None:
     record = json.loads(RECORD.read_text(encoding="utf-8"))
