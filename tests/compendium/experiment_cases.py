@@ -175,6 +175,12 @@ CASES: dict[str, Callable[[], object]] = {
     "live_depth.frames_of": lambda: {
         name: live_depth.frames_of(name, 2)[::9] for name in live_depth.SCENES
     },
+    "live_depth.saved": small(
+        live_depth,
+        lambda: live_depth.saved(20),
+        SHAPE=(40, 40),
+        SCENES={"step": live_depth.SCENES["step"]},
+    ),
     "live_depth.small_part": lambda: live_depth.small_part(np.zeros((100, 120))),
     "microscope.turned": lambda: [
         microscope.turned(0.3, 1.7, mirrored) for mirrored in (True, False)
@@ -205,6 +211,7 @@ CASES: dict[str, Callable[[], object]] = {
         section_5_2.printed_means()
     ),
     "section_5_2.coverage": lambda: section_5_2.coverage(draws(), 6, 4),
+    "section_5_2.blur_study": lambda: section_5_2.blur_study(1, [1.0, 2.5]),
     "section_5_2.corner_shift": lambda: section_5_2.corner_shift("square-4X"),
     "section_5_3.gripper_tracks": lambda: section_5_3.gripper_tracks(3),
     "section_5_3.largest_error": lambda: [
@@ -241,6 +248,8 @@ CASES: dict[str, Callable[[], object]] = {
     ),
     "section_5_4.step_table": lambda: section_5_4.step_table(STATION, 3),
     "section_5_4.path_table": lambda: section_5_4.path_table(STATION, 2),
+    "section_5_4.over_images": lambda: section_5_4.over_images(STATION, "4X", PATH[:8]),
+    "section_5_4.step_frames": lambda: section_5_4.step_frames(STATION, ran())[0][::9],
     "section_5_4.saturated_share": lambda: section_5_4.saturated_share(STATION, 2),
     "section_5_4.printed_in_pixels": section_5_4.printed_in_pixels,
     "section_5_4.printed_ratios": section_5_4.printed_ratios,
@@ -258,6 +267,9 @@ CASES: dict[str, Callable[[], object]] = {
     "section_5_5.ball_sentences": lambda: section_5_5.ball_sentences(
         section_5_5.thesis_labels(ball_depth())
     ),
+    "section_5_5.ball_labels_by_window": lambda: section_5_5.ball_labels_by_window(
+        section_5_5.render_ball(2), (5, 9)
+    ),
     "section_5_5.ball_shape": lambda: section_5_5.ball_shape(ball_depth()),
     "section_5_5.steepest_step": lambda: section_5_5.steepest_step(section_5_5.render_ridge(1)),
     "section_5_5.render_ball": lambda: section_5_5.render_ball(2),
@@ -267,6 +279,17 @@ CASES: dict[str, Callable[[], object]] = {
     "section_5_6.probe_half_widths": lambda: section_5_6.probe_half_widths(247.0, 121.0),
     "section_5_6.compare_shape": lambda: section_5_6.compare_shape(thesis.outline_curve()),
     "section_5_6.table_5_7": lambda: section_5_6.table_5_7(np.random.default_rng(3), study(), 40),
+    "section_5_6_mechanics.shape_misfits": lambda: section_5_6_mechanics.shape_misfits(
+        thesis.outline_curve()
+    ),
+    "section_5_6_mechanics.lengths": lambda: [
+        section_5_6_mechanics._lengths(
+            "capsule", "hooke", {"load": 0.05, "slenderness": 0.04, "inflation": 1.02}
+        ),
+        section_5_6_mechanics._lengths(
+            "disc", "neo-hooke", {"load": 0.05, "slenderness": 0.1, "pressure": 0.3}
+        ),
+    ],
     "section_5_6_mechanics.fit_shoulder": lambda: section_5_6_mechanics.fit_shoulder(
         thesis.outline_curve()
     ),

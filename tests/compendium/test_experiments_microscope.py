@@ -7,7 +7,16 @@ import importlib.util
 import numpy as np
 import pytest
 
-from compendium.experiments.microscope import FAULTS, inject, interrupt_after, reach
+from compendium.experiments.microscope import (
+    FAULTS,
+    Fault,
+    Injected,
+    _Faulty,
+    inject,
+    interrupt_after,
+    make_scope,
+    reach,
+)
 
 HERE = importlib.util.find_spec("pymmcore_plus") is not None
 ENGINE = pytest.mark.skipif(not HERE, reason="pymmcore-plus is not installed")
@@ -40,6 +49,54 @@ def test_both_stages_behind_one_truth_log_the_same() -> None:
     # The same frames but for their noise, which is that of another draw.
     names = ["measured_x_px", "measured_y_px"]
     np.testing.assert_allclose(logs[0][names][:9], logs[1][names][:9], atol=0.3)
+
+
+def spoiled(name, first=0) -> _Faulty:
+    """Return a microscope with a fault from that frame on; its next frame is the first."""
+    faulty = _Faulty(make_scope("simulated", 3), Fault(name, "stage", first))
+    faulty.frames = 0
+    return faulty
+
+
+def test_pictures_are_spoiled_from_their_frame_on() -> None:
+    frame, exposed = spoiled("none").snap()
+    assert exposed > 0
+    assert not spoiled("black").snap()[0].any()
+    assert spoiled("black", first=2).snap()[0].any()
+    noise = spoiled("noise").snap()[0]
+    assert (noise.shape, noise.dtype) == (frame.shape, frame.dtype)
+    # Of even levels: 255/√12.
+    assert noise.std() == pytest.approx(73.6, rel=0.02)
+    assert spoiled("other size").snap()[0].shape == (frame.shape[0] - 2, frame.shape[1])
+    frozen = spoiled("frozen", first=2)
+    before = frozen.snap()[0]
+    assert frozen.snap()[0] is before
+
+
+def test_the_stage_and_what_is_asked_are_spoiled() -> None:
+    for name, call in (
+        ("camera error", lambda faulty: faulty.snap()),
+        ("tracker error", lambda faulty: faulty.track(np.zeros((9, 9)))),
+        ("position error", lambda faulty: faulty.position()),
+        ("move error", lambda faulty: faulty.move_to(np.zeros(2))),
+    ):
+        with pytest.raises(Injected):
+            call(spoiled(name))
+    stuck = spoiled("stuck")
+    stuck.move_to(stuck.position() + 5.0)
+    assert not stuck.moving()
+    back = spoiled("reversed")
+    here = back.position()
+    back.move_to(np.add(here, [3.0, -2.0]))
+    back.clock.sleep(2.0)
+    np.testing.assert_allclose(back.position(), here - [3.0, -2.0], atol=0.1)
+    assert spoiled("never arrives").moving()
+    stops = spoiled("stop fails twice")
+    for _ in range(2):
+        with pytest.raises(Injected):
+            stops.stop()
+    stops.stop()
+    assert stops.stops == 3
 
 
 def check(result) -> None:

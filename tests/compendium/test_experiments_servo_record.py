@@ -124,3 +124,37 @@ def test_the_text_of_the_chapter_follows_the_record() -> None:
     places = [trades["names"].index(name) for name in ("latency", "image noise")]
     assert trades["correlation"][places[0]][places[1]] < -0.5
     assert widths[["path size", "sinusoid height", "scale error at 4X"]].min() > 0.6
+
+
+def test_what_the_text_quotes_is_the_record() -> None:
+    """Names, values, units and digits, read from the record by another way."""
+    kept, favored = servo_record.record(), servo_record.FAVORED
+    found = {name.removeprefix("5.4/"): rest for name, *rest in servo_record.findings()}
+    logs = {model: np.mean(each) for model, each in kept["evidence"].items()}
+    for model, log in logs.items():
+        assert found[f"over-{model}".replace(" ", "-")] == [
+            pytest.approx(log - logs["base"], abs=1e-9), "", 1,
+        ]  # fmt: skip
+    spread = max(np.std(each, ddof=1) for each in kept["evidence"].values())
+    assert found["evidence-deviation"] == [pytest.approx(spread, rel=1e-6), "", 2]
+    bands = [found[f"band-{100 * band:g}"] for band in BANDS]
+    assert sum(value for value, *_ in bands) == pytest.approx(100, abs=0.1)
+    assert {tuple(rest) for _, *rest in bands} == {("%", 0)}
+    for model in LEADING:
+        inside = sum(
+            low <= y <= high
+            for (low, _, high), y in zip(kept["left out"][model], printed(), strict=True)
+        )
+        assert found[f"inside-{model}".replace(" ", "-")] == [inside, "", 0]
+    assert found["rank-deviation-base"][1:] == ["", 2]
+    # Nearly all of the paths' weight lies on one reading.
+    assert found["next-reference"] == [100 * max(kept["posterior"][favored]["paths"]), "%", 0]
+    ends = kept["posterior"][favored]["quantiles"]
+    for prior, (low, _, high) in zip(priors(favored), ends, strict=True):
+        name = prior.name.replace(" ", "-")
+        value, unit, digits = found[f"{name}-low"]
+        assert (value, unit) == (low, prior.unit)
+        assert found[f"{name}-high"] == [high, prior.unit, digits]
+        # At least two figures of the smaller end, and no more than it needs.
+        assert abs(round(low, digits) / low - 1) < 0.05
+        assert digits == 0 or abs(low) < 10 ** (2 - digits)
