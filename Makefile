@@ -79,7 +79,7 @@ inference: $(STAMP) ## infer anew what Tables 5.3 and 5.4 can tell (three quarte
 	@$(BIN)/python -m benchmarks.servo_inference
 
 # The library's tests; the others need what runs and renders the book.
-LIBRARY := tests microlib $(foreach name,book notebooks compendium faults.py mutants.py vacuity.py,--ignore tests/$(name))
+LIBRARY := tests microlib $(foreach name,book notebooks compendium drawn.py faults.py mutants.py vacuity.py,--ignore tests/$(name))
 
 oldest: ## run the library's tests with the oldest dependencies that pyproject.toml allows
 	@$(PYTHON) -m venv --clear .venv-oldest
@@ -100,7 +100,7 @@ vacuity: notebooks ## plant faults in what the checks are fed and list those tha
 drawn: $(STAMP) ## write anew what the figures draw; look at build/drawn then
 	@$(BIN)/python -m tests.drawn
 
-results: $(STAMP) ## write anew what public callables return; the commit says why
+results: $(STAMP) ## write anew what callables return, and constants; the commit says why
 	@$(BIN)/python -m tests.results
 
 fuzz: $(STAMP) ## call everything public with hostile values (minutes)

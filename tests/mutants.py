@@ -11,9 +11,9 @@ that no test noticed are explained in ``tests/MUTANTS.md``.
 Packages, modules and tests are found by their folders: a fault in ``microlib/focus/_peaks.py`` is
 judged by the quick ``tests/focus/test_parts.py``, ``tests/focus/test_peaks.py`` and the examples in
 the module, then by the rest of ``tests/focus``; one in ``microlib/optics.py`` by
-``tests/test_optics.py``. What they pass is judged by the tests that go through every package. What
-all public callables of a package return is looked at first, for it takes seconds. The result says
-which of the two noticed a fault.
+``tests/test_optics.py``. What they pass is judged by the tests that go through every package. Its
+constants, and what its public callables return, are looked at first, for it takes seconds. The
+result says which of the two noticed a fault.
 The compendium counts as three: its experiments, its figures, and the rest.
 """
 
@@ -63,7 +63,7 @@ NOT_COPIED = (".*", "__pycache__", "build", "*.egg-info")
 # Tests that go through every package of the library. Of what calls everything public only the
 # package's part is run.
 THROUGH_ALL = ("test_defaults", "test_measured", "test_refusals", "test_fuzz")
-RETURNED = "test_results"
+RETURNED = ("test_constants", "test_results")
 OWN, LIBRARY, NONE = "by its own tests", "by the library's", "no"
 
 
@@ -287,7 +287,7 @@ def judge(copies: Queue[Path], package: str, limit: float, fault: Fault) -> Verd
         path.write_text(faulty, encoding="utf-8")
         Path(cache_from_source(str(path))).unlink(missing_ok=True)
         caught, shared = NONE, tests_through_all(package)
-        returned = shared and [f"tests/{RETURNED}.py"]
+        returned = shared and [f"tests/{name}.py" for name in RETURNED]
         if returned and package != "_common":
             returned += ["-k", f"{package}."]
         if returned and not run_tests(folder, returned, compiled, limit):

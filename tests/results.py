@@ -116,7 +116,10 @@ def renew(folder: Path, told: Callable[[str], str], names: Iterable[str]) -> Non
 
 
 def main() -> int:
+    from tests import constants
     from tests.compendium import experiment_cases as experiments
+
+    constants.renew()
 
     renew(FOLDER, told, names())
     renew(experiments.FOLDER, experiments.told, experiments.CASES)
