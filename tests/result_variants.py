@@ -96,7 +96,10 @@ def board(kind: str) -> np.ndarray:
     rows, cols = 200, 260
     v, u = np.indices((4 * rows, 4 * cols)) / 4
     x, y = (u - 125) / 27, (v - 103) / 27
-    w = 1 + 0.012 * x - 0.009 * y
+    if kind == "barrel":
+        x, y = (n * (1 + 0.006 * (x**2 + y**2)) for n in (x, y))
+    tilt = 4 if kind == "steep" else 1
+    w = 1 + tilt * (0.012 * x - 0.009 * y)
     x, y = (np.cos(0.13) * x + np.sin(0.13) * y) / w, (np.cos(0.13) * y - np.sin(0.13) * x) / w
     across, along = np.round(x), np.round(y)
     if kind == "chessboard":
@@ -109,6 +112,9 @@ def board(kind: str) -> np.ndarray:
         across = np.round(x - along / 2) + along / 2
         dark = np.hypot(x - across, y - along * 0.75**0.5) < 0.3
         dark &= (np.abs(across) <= 3) & (np.abs(along) <= 2)
+    elif "squares" in kind:
+        dark = (np.maximum(abs(x - across), abs(y - along)) < 0.26) & (np.abs(across) <= 3)
+        dark &= np.abs(along) <= 2
     else:
         dark = (
             (np.hypot(x - across, y - along) < 0.27) & (np.abs(across) <= 3) & (np.abs(along) <= 2)
@@ -116,9 +122,17 @@ def board(kind: str) -> np.ndarray:
         if kind == "marked":
             odd = (across == 0) & (along == 0) & (np.hypot(x, y) < 0.16)
             dark = (dark & ~((across == 0) & (along == 0))) | odd
+        if kind == "dirty":
+            for at, wide in (((0.45, 0.5), 0.1), ((-1.5, 0.45), 0.27), ((2.1, -1.4), 0.2)):
+                dark |= np.hypot(x - at[0], (y - at[1]) * 1.7) < wide
+        if kind == "in pieces":
+            dark &= across != along
     image = np.where(dark, 60.0, 190.0).reshape(rows, 4, cols, 4).mean(axis=(1, 3))
     noise = np.random.default_rng(8).normal(0, 2, image.shape)
-    return np.clip(optics.defocus(image, 0.9) + noise, 0, 255).astype(np.uint8)
+    if kind == "uneven":
+        image = image * np.linspace(0.45, 1.1, cols) * np.linspace(1, 0.7, rows)[:, None]
+    blurred = optics.defocus(image, 2.4 if "blurred" in kind else 0.9)
+    return np.clip(blurred + noise, 0, 255).astype(np.uint8)
 
 
 def photographed(kind: str, **changes: object) -> Callable[[], Arguments]:
@@ -345,10 +359,16 @@ VARIANTS: dict[str, dict[str, Callable[[], Arguments]]] = {
         "asymmetric": photographed("asymmetric", lattice="asymmetric"),
         "marked": photographed("marked", origin="odd"),
         "part": photographed("circles", region=(40, 30, 160, 140)),
+        **{
+            kind: photographed(kind)
+            for kind in ("barrel", "steep", "dirty", "in pieces", "uneven", "blurred circles")
+        },
     },
     "calibration.detect_squares": {
         "chessboard": photographed("chessboard", pattern="chessboard"),
         "turned": photographed("chessboard", pattern="chessboard", direction=-1.0, mirrored=True),
+        "squares": photographed("squares"),
+        "blurred squares": photographed("blurred squares"),
     },
     "calibration.linear_intrinsics": {"noisy": plane_points},
     "calibration.radial_alignment": {"noisy": lambda: {"sensor": tilted(0.2, 0.1) - [100.0, 80.0]}},

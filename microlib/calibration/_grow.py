@@ -24,7 +24,7 @@ _TRIES = 4
 
 
 def grow_lattices(regions: DarkRegions, lattice: str) -> list[tuple[NDArray, NDArray]]:
-    """Pieces of lattice among the regions, the largest first.
+    """Pieces of lattice among the regions, from the most likely marks on.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def grow_lattices(regions: DarkRegions, lattice: str) -> list[tuple[NDArray, NDA
             grid = np.array(list(best), dtype=np.intp)
             if (np.ptp(grid, axis=0) > 0).all():
                 pieces.append((index, grid))
-    return sorted(pieces, key=lambda piece: -len(piece[0]))
+    return pieces
 
 
 class _Marks:

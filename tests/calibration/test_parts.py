@@ -5,12 +5,13 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from microlib.calibration import _circles, _ellipses, _quads, _squares
 from microlib.calibration._dark_regions import find_dark_regions
 from microlib.calibration._detection import band_half_width, find_inliers
 from microlib.calibration._grid_map import GridMap, fit_grid_map
-from microlib.calibration._grid_order import order_grid
+from microlib.calibration._grid_order import _grow_from, order_grid
 from microlib.calibration._outline_fit import OutlineFit, Patches
 
 # Dark regions
@@ -185,6 +186,17 @@ def test_points_beyond_a_hole_keep_their_place():
     index, found = order_grid(points)
     assert len(index) == len(points)
     np.testing.assert_array_equal(found, grid[index])
+
+
+def test_each_branch_of_a_lattice_goes_on_with_its_own_steps():
+    """Steps that turn by some 60° along the rings of a fan, and grow by a third across them."""
+    ring, along = np.meshgrid(np.arange(6), np.arange(16), indexing="ij")
+    angle, radius = 1.2 * along.ravel() / 16, 100 * 1.06 ** ring.ravel()
+    points = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    seed = 2 * 16 + 8
+    steps = points[[seed + 1, seed + 16]] - points[seed]
+    found = _grow_from(seed, points, cKDTree(points), steps)
+    assert found == {(k % 16 - 8, k // 16 - 2): k for k in range(len(points))}
 
 
 def test_a_point_off_the_lattice_is_left_out():
