@@ -124,9 +124,10 @@ def test_what_is_no_dimple_is_refused(monkeypatch):
     zigzag = replace(zigzag, y=zigzag.y + 7.0 * (-1.0) ** np.arange(zigzag.x.size))
     with pytest.raises(ValueError, match=r"probe's end at the bottom of the dimple"):
         fit_dimple(zigzag, pixel_size=PIXEL, probe_half_width=25.0)
-    # Ripples of 2 px in 30 are let pass, and would not be by a limit below that.
-    monkeypatch.setattr(_dimple, "_LARGEST_MISFIT", 0.06)
-    with pytest.raises(ValueError, match=r"profile \(4.2\) to within .* got 1.84 px of 30"):
+    # Ripples of 2 px in 30 (1.82 or 1.84, by SciPy's version) are let pass, and would not be by a
+    # limit below that.
+    monkeypatch.setattr(_dimple, "_LARGEST_MISFIT", 0.055)
+    with pytest.raises(ValueError, match=r"profile \(4.2\) to within .* got 1.8. px of 30"):
         fit_dimple(rippled(3), pixel_size=PIXEL, probe_half_width=25.0)
 
 
