@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.results import sections
-from tests.snapshots import describe_data
+from tests.snapshots import compare, describe_data
 
 ROOT = Path(__file__).resolve().parent.parent
 TEXT = ROOT / "tests" / "constants.txt"
@@ -36,11 +36,11 @@ def modules(folder: str) -> list[str]:
 
 
 def changes(module: str) -> list[str]:
-    """Return the lines that are not as they were written, old and new."""
-    before, now = sections(TEXT).get(module, "").splitlines(), told(module).splitlines()
-    if before == now:
-        return []
-    return [*sorted(set(before) ^ set(now)), "", "`make results` writes the constants anew"]
+    """Return the lines that are not as they were written."""
+    before = sections(TEXT).get(module, "")
+    # Rounding decides the mean of what lies evenly around zero.
+    lines = compare(before, told(module), of_itself=1e-9, of_largest=1e-12)
+    return lines and [*lines, "", "`make results` writes the constants anew"]
 
 
 def told(module: str) -> str:
@@ -106,9 +106,8 @@ def shown(value: object) -> str:
 def renew() -> None:
     """Write the text anew."""
     every = {module: told(module) for module in modules("microlib") + modules("compendium")}
-    before = sections(TEXT)
     for module, text in every.items():
-        if text and text != before.get(module):
+        if text and changes(module):
             print(f"another constant: {module}")
     content = "\n".join(f"== {module}\n{text}" for module, text in every.items() if text)
     TEXT.write_text(content, encoding="utf-8")
