@@ -14,6 +14,7 @@ import pytest
 
 from compendium.experiments._processes import in_processes
 from compendium.experiments.section_5_3 import is_followed
+from tests.running import alive
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -48,15 +49,6 @@ if __name__ == "__main__":
     print(*set(in_processes(os.getpid, [()] * 8)), flush=True)
     time.sleep(float(sys.argv[1]))
 """
-
-
-def alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    stat = Path(f"/proc/{pid}/stat")  # one that nobody waits for stays in the list when it ended
-    return not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] != "Z"
 
 
 @pytest.mark.parametrize("killed", [False, True], ids=["ends", "is killed"])

@@ -11,6 +11,8 @@ from time import monotonic, sleep
 
 import pytest
 
+from tests.running import alive
+
 ROOT = Path(__file__).resolve().parents[2]
 HOLD = """
 import sys
@@ -54,15 +56,6 @@ def start(code: str, *arguments: str) -> subprocess.Popen[str]:
         text=True,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
     )
-
-
-def alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    state = Path(f"/proc/{pid}/stat")  # one that ended and waits for its parent is not alive
-    return not state.exists() or state.read_text().rpartition(")")[2].split()[0] != "Z"
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])

@@ -1,0 +1,49 @@
+"""A worker ends with what began it, however that ended."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import time
+from multiprocessing.connection import Connection
+
+import pytest
+
+from microlib._common import end_with_starter
+from tests.running import alive
+
+
+def worker(tell: Connection) -> None:
+    tell.send((end_with_starter(), os.getpid()))
+    time.sleep(60)
+
+
+def starter(tell: Connection) -> None:
+    multiprocessing.get_context("spawn").Process(target=worker, args=(tell,)).start()
+    time.sleep(60)
+
+
+def test_what_multiprocessing_did_not_begin_goes_on() -> None:
+    if multiprocessing.parent_process() is None:
+        assert not end_with_starter()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")
+def test_a_worker_ends_with_its_killed_starter() -> None:
+    spawn = multiprocessing.get_context("spawn")
+    hear, tell = spawn.Pipe(duplex=False)
+    first = spawn.Process(target=starter, args=(tell,))
+    first.start()
+    assert hear.poll(30)
+    watched, pid = hear.recv()
+    assert watched
+    assert alive(pid)
+    os.kill(first.pid, signal.SIGKILL)
+    first.join()
+    # At once; the limit is for a busy machine.
+    end = time.monotonic() + 20
+    while alive(pid) and time.monotonic() < end:
+        time.sleep(0.02)
+    assert not alive(pid)
