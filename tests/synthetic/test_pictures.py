@@ -105,6 +105,15 @@ def signature(image: NDArray) -> list[float]:
     return [*(float(part.mean()) for part in parts), float(np.std(image))]
 
 
+def test_a_pattern_may_be_black_on_white():
+    light = synthetic.ImagingConditions(blur=0.0, dark=0, bright=255)
+    image = synthetic.render_squares(SCOPE, imaging=light)
+    assert (image.min(), image.max()) == (0, 255)
+    for name in ("dark", "bright"):
+        with pytest.raises(ValueError, match=f"{name} must lie in"):
+            synthetic.ImagingConditions(**{name: 255.5})
+
+
 def test_a_pixel_in_the_very_middle_of_a_square_is_dark():
     """Its middle is as far from either side: that leaked a division by zero."""
     straight = Microscope(200000.0, 126000.0, 79380.0, tx=-60.0, ty=-60.0, image_size=(21, 21))

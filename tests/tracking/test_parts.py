@@ -468,3 +468,13 @@ def test_a_fit_is_polished_with_the_template_as_it_is(image):
     )
     np.testing.assert_array_equal(plain.model, sharp.model)
     assert np.abs(plain.model - blurred.model).max() > 1e-3
+
+
+@pytest.mark.parametrize(("size", "coarsest"), [((40, 23), 0), ((40, 24), 1)])
+def test_no_template_is_halved_that_is_too_small_to_bend(size, coarsest):
+    """Half of it is to be at least 12 px wide and high, as in the usual search."""
+    width, height = size
+    image = np.random.default_rng(0).uniform(0, 255, (80, 90)).astype(np.float32)
+    mask = np.ones((height, width), np.float32)
+    search = RobustSearch(image, (20, 20, width, height), START, "homography", mask)
+    assert (search.finest, search.coarsest) == (0, coarsest)
