@@ -24,6 +24,7 @@ from compendium.experiments import (
     chapter_3,
     chapter_4,
     chapter_6_force,
+    injection,
     live_depth,
     microscope,
     paths,
@@ -33,6 +34,11 @@ from compendium.experiments import (
     section_5_5,
     section_5_6,
     section_5_6_mechanics,
+    servo_explanations,
+    servo_inference,
+    servo_loop,
+    servo_models,
+    servo_predictions,
 )
 from microlib.calibration import calibrate
 from microlib.membrane import SmallSlopeWarning
@@ -119,6 +125,38 @@ def ball_depth() -> np.ndarray:
     return cap + np.random.default_rng(6).normal(0, 1.0, cap.shape)
 
 
+def rig(seed: int, **options: Any) -> dict[str, object]:
+    made = injection.make_rig(seed, **options)
+    tip = np.add(made.scene.contact, [0.0, 4.0])
+    return {
+        "known": made.known,
+        "target": made.target,
+        "jacobian": made.jacobian,
+        "rupture": made.scene._rupture,
+        "truth": made.truth(made.workstation.stage.position()),
+        "frame": made.scene.frame(tip),
+    }
+
+
+def normal(model: str) -> np.ndarray:
+    """Three draws of a model's unknown numbers."""
+    return np.random.default_rng(4).standard_normal((3, len(servo_models.priors(model))))
+
+
+def of_models(zoom: str, kind: str) -> dict[str, np.ndarray]:
+    return {
+        model: servo_models.settings(model, normal(model), zoom, kind)
+        for model in servo_models.MECHANISMS
+    }
+
+
+def measured(kind: str) -> dict[str, np.ndarray]:
+    return {
+        model: servo_loop.simulated(kind, given, 2, np.random.default_rng(9))
+        for model, given in of_models("4X", kind).items()
+    }
+
+
 def study() -> pd.DataFrame:
     rng = np.random.default_rng(8)
     depth = np.tile([40.0, 60.0, 80.0], 4)
@@ -172,6 +210,8 @@ CASES: dict[str, Callable[[], object]] = {
     ],
     "chapter_6_force.elastic_push": lambda: chapter_6_force.elastic_push(np.linspace(0, 9, 20)),
     "chapter_6_force.true_force": lambda: chapter_6_force.true_force(np.linspace(0, 9, 20)),
+    "injection.make_rig": lambda: rig(5),
+    "injection.make_rig-other": lambda: rig(6, rupture=False, radius=560.0),
     "live_depth.frames_of": lambda: {
         name: live_depth.frames_of(name, 2)[::9] for name in live_depth.SCENES
     },
@@ -250,6 +290,19 @@ CASES: dict[str, Callable[[], object]] = {
     "section_5_4.path_table": lambda: section_5_4.path_table(STATION, 2),
     "section_5_4.over_images": lambda: section_5_4.over_images(STATION, "4X", PATH[:8]),
     "section_5_4.step_frames": lambda: section_5_4.step_frames(STATION, ran())[0][::9],
+    "section_5_4.explanations": lambda: section_5_4.explanations(
+        3,
+        section_5_4.SettlingTimes(
+            np.array([100.0, 400.0]),
+            np.array([2.0, 1.0]),
+            {"1X": 390.0, "4X": 172.0},
+            np.array([0.0, 0.1]),
+            np.array([1.0, 2.0]),
+            0.05,
+            {"1X": 1.0, "4X": 1.0},
+        ),
+        draws=4,
+    ),
     "section_5_4.saturated_share": lambda: section_5_4.saturated_share(STATION, 2),
     "section_5_4.printed_in_pixels": section_5_4.printed_in_pixels,
     "section_5_4.printed_ratios": section_5_4.printed_ratios,
@@ -274,6 +327,12 @@ CASES: dict[str, Callable[[], object]] = {
     "section_5_5.steepest_step": lambda: section_5_5.steepest_step(section_5_5.render_ridge(1)),
     "section_5_5.render_ball": lambda: section_5_5.render_ball(2),
     "section_5_6.rounding_draws": lambda: section_5_6.rounding_draws(2, 12),
+    "section_5_6.rendered_embryo": lambda: section_5_6.rendered_embryo(np.random.default_rng(2)),
+    "section_5_6.image_study": lambda: section_5_6.image_study(np.random.default_rng(2), 1, 2),
+    "section_5_6.force_sequence": lambda: section_5_6.force_sequence(
+        np.random.default_rng(2), np.array([1.0, 2.5])
+    ),
+    "section_5_6.rounding_reach": section_5_6.rounding_reach,
     "section_5_6.read_off": lambda: section_5_6.read_off(0.3),
     "section_5_6.printed_dimple": section_5_6.printed_dimple,
     "section_5_6.probe_half_widths": lambda: section_5_6.probe_half_widths(247.0, 121.0),
@@ -295,6 +354,27 @@ CASES: dict[str, Callable[[], object]] = {
     ),
     "section_5_6_mechanics.crest_reach": lambda: section_5_6_mechanics.crest_reach(
         thesis.outline_curve()
+    ),
+    "servo_explanations.path_numbers": lambda: [
+        servo_explanations.path_numbers(STATION, zoom, name, {"stage noise": 0.4}, 2)
+        for zoom, name in (("1X", "circle"), ("4X", "square"))
+    ],
+    "servo_inference.printed": servo_inference.printed,
+    "servo_inference.touched": lambda: {
+        model: [list(each) for each in servo_inference.touched(model)]
+        for model in servo_models.MECHANISMS
+    },
+    "servo_loop.simulated-step": lambda: measured("step"),
+    "servo_loop.simulated-square": lambda: measured("square"),
+    "servo_loop.simulated-sinusoid": lambda: measured("sinusoid"),
+    "servo_models.settings-step": lambda: of_models("1X", "step"),
+    "servo_models.settings-circle": lambda: of_models("4X", "circle"),
+    "servo_models.table": servo_models.table,
+    "servo_predictions.drawn_tables": lambda: servo_predictions.drawn_tables(
+        "stage jumps", np.random.default_rng(1)
+    ),
+    "servo_predictions.uniform": lambda: servo_predictions.uniform(
+        np.random.default_rng(2).random((40, 3)) ** 1.2
     ),
 }
 
