@@ -7,12 +7,15 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
 
+from microlib import batch
 from microlib.batch import process_files
 from microlib.microscope import Microscope
 
@@ -266,3 +269,28 @@ def test_a_row_with_fields_missing_is_done_again(folder: Path, row: int) -> None
     again = process_files(f"{folder}/*", work, table)
     assert again["value"].dropna().tolist() == whole["value"].dropna().tolist()
     assert log.read_text().split()[4:] == [f"f{row - 1}.txt"]
+
+
+def test_no_more_is_begun_than_processes_soon_need(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two files a process: more would be lost with one that dies, fewer would leave it idle."""
+    held: list[int] = []
+
+    class Pool:
+        def __init__(self, *_: object, **__: object) -> None:
+            self.shutdown = lambda **_: None
+
+        def submit(self, _: object, path: Path, *__: object) -> Future:
+            future: Future = Future()
+            future.set_result({"file": str(path)})
+            return future
+
+    def wait(begun: dict, return_when: str) -> SimpleNamespace:
+        held.append(len(begun))
+        return SimpleNamespace(done={next(iter(begun))})
+
+    monkeypatch.setattr(batch, "ProcessPoolExecutor", Pool)
+    monkeypatch.setattr(batch, "wait", wait)
+    files = [Path(f"{k}.tif") for k in range(20)]
+    rows = list(batch._pooled(files[::-1], len, "len", 3, []))
+    assert [row["file"] for row in rows] == [str(path) for path in files]
+    assert held == [6] * 15 + [5, 4, 3, 2, 1]
