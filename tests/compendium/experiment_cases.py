@@ -39,6 +39,7 @@ from compendium.experiments import (
     servo_loop,
     servo_models,
     servo_predictions,
+    servo_sampler,
 )
 from microlib.calibration import calibrate
 from microlib.membrane import SmallSlopeWarning
@@ -155,6 +156,15 @@ def measured(kind: str) -> dict[str, np.ndarray]:
         model: servo_loop.simulated(kind, given, 2, np.random.default_rng(9))
         for model, given in of_models("4X", kind).items()
     }
+
+
+def predicted(place: int) -> np.ndarray:
+    """What a few states say of a number, and what other runs of its experiments say of them."""
+    numbers = servo_inference.printed() * np.linspace(0.9, 1.1, 18)
+    states = servo_sampler.Posterior(
+        servo_inference.Problem("base", numbers, place), normal("base"), 0.0, 0.2, np.full(8, 60)
+    )
+    return servo_predictions.predicted(states, np.random.default_rng(place))
 
 
 def study() -> pd.DataFrame:
@@ -373,6 +383,7 @@ CASES: dict[str, Callable[[], object]] = {
     "servo_predictions.drawn_tables": lambda: servo_predictions.drawn_tables(
         "stage jumps", np.random.default_rng(1)
     ),
+    "servo_predictions.predicted": lambda: [predicted(place) for place in (2, 9)],
     "servo_predictions.uniform": lambda: servo_predictions.uniform(
         np.random.default_rng(2).random((40, 3)) ** 1.2
     ),

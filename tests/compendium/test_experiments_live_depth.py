@@ -64,6 +64,15 @@ def test_results_are_the_same_to_the_last_bit_or_not() -> None:
     assert same(replace(found, depth=nan), replace(found, depth=nan.copy()))
 
 
+def test_a_part_is_put_on_a_copy() -> None:
+    below = np.zeros((40, 48))
+    above = live_depth.small_part(below)
+    assert (above.max(), below.max()) == (100.0, 0.0)
+    # A square of 12 px, its corner at a quarter of the sides.
+    assert (above > 0).sum() == 144
+    assert above[10:22, 12:24].min() == 100.0
+
+
 def test_what_is_saved_and_seen_is_counted(monkeypatch) -> None:
     monkeypatch.setattr(live_depth, "SHAPE", (40, 40))
     monkeypatch.setattr(live_depth, "SCENES", {"step": SCENES["step"]})
