@@ -686,7 +686,10 @@ def _refuse_saturated(image: NDArray, grey: NDArray[np.float32]) -> None:
     if image.dtype.kind in "ui":
         top = float(np.iinfo(image.dtype).max)
     else:
-        top = 1.0 if grey.max() <= 1.0 else 255.0
+        # Resampling may overshoot 8 bits; levels of more bits end at an unknown top, which they
+        # reach.
+        peak = float(grey.max())
+        top = 1.0 if peak <= 1.0 else 255.0 if peak < 2 * 255.0 else peak
     share = float(np.mean(grey >= top))
     if share > _SATURATED_SHARE:
         raise ValueError(

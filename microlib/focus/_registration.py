@@ -381,7 +381,7 @@ def _band(image: NDArray, factor: int) -> NDArray:
 
 def _correlation(first: NDArray, second: NDArray, weight: NDArray) -> float:
     a, b = first * weight, second * weight
-    norm = float(np.sqrt(np.vdot(a, a) * np.vdot(b, b)))
+    norm = float(np.sqrt(np.vdot(a, a))) * float(np.sqrt(np.vdot(b, b)))
     return float(np.vdot(a, b)) / norm if norm > 0 else 0.0
 
 

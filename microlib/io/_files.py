@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from hashlib import sha256
 from os import PathLike
 from pathlib import Path
 from typing import Any
+from uuid import NAMESPACE_OID, uuid5
 
 import cv2
 import numpy as np
@@ -135,7 +137,8 @@ def write_height_tiff(
         sizes = {f"PhysicalSize{axis}": size for axis in "XY"}
         units = {f"PhysicalSize{axis}Unit": "µm" for axis in "XY"}
         axes = {"axes": "YX" if values.ndim == 2 else "YXS"}
-        about = {"metadata": {**axes, **sizes, **units, "Name": what}}
+        named = {"Name": what, "UUID": _identifier(values, size, what)}
+        about = {"metadata": {**axes, **sizes, **units, **named}}
 
     def write(file: Path) -> None:
         tifffile.imwrite(
@@ -150,6 +153,13 @@ def write_height_tiff(
         )
 
     replace_file(path, write)
+
+
+def _identifier(values: NDArray, pixel_size: float, what: str) -> str:
+    """Return the identifier of a map that OME asks for: the same for the same map."""
+    told = f"{what} {pixel_size!r} {values.dtype.str} {values.shape}".encode()
+    content = sha256(told + np.ascontiguousarray(values).tobytes()).hexdigest()
+    return f"urn:uuid:{uuid5(NAMESPACE_OID, content)}"
 
 
 def _map(values: ArrayLike) -> NDArray:

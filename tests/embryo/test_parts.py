@@ -166,6 +166,12 @@ def test_ground_at_the_top_of_the_scale_is_refused():
     wide = np.full((100, 100), 255.0)
     with pytest.raises(ValueError, match=r"100\.0% of its pixels at 255"):
         _refuse_saturated(wide, wide.astype(np.float32))
+    # Floats of 12 bits: what is over 8 bits' top is no sign, what many reach is.
+    many = np.linspace(300, 4000, 10_000).reshape(100, 100)
+    _refuse_saturated(many, many.astype(np.float32))
+    cut = many.clip(0, 3900)
+    with pytest.raises(ValueError, match=r"got 2\.7% of its pixels at 3900 or above"):
+        _refuse_saturated(cut, cut.astype(np.float32))
 
 
 def sides(depth: float = 20.0, beside: float = 30.0, fall: float = 10.0) -> list[np.ndarray]:

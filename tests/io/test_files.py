@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import cv2
@@ -144,6 +145,15 @@ def test_maps_are_ome_with_the_size_of_a_pixel(tmp_path: Path) -> None:
         assert pixels["PhysicalSizeX"] == pixels["PhysicalSizeY"] == pytest.approx(0.65)
         assert pixels["PhysicalSizeXUnit"] == "µm"
         assert io.read_frames(path).pixel_size == pytest.approx(0.65)
+        # The same map is the same file, and another has another identifier.
+        first = path.read_bytes()
+        io.write_height_tiff(path, values, pixel_size=0.65, what=what)
+        assert path.read_bytes() == first
+        told = re.findall(rb'UUID="urn:uuid:([0-9a-f-]{36})"', first)
+        assert len(told) == 1
+        for other in ({"pixel_size": 0.66, "what": what}, {"pixel_size": 0.65, "what": "other"}):
+            io.write_height_tiff(path, values, **other)
+            assert told[0] not in path.read_bytes()
 
 
 def test_a_mesh_of_blocks_has_their_means_and_colors(tmp_path: Path) -> None:
