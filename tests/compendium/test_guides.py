@@ -19,8 +19,11 @@ from compendium.guides import (
     find_input,
     keep,
     manifest,
+    modulus_of,
     read_outline,
 )
+from microlib.embryo import modulus_from_image
+from microlib.membrane import SmallSlopeWarning
 
 EMBRYO = find_input("data/synthetic/embryo.png")
 SETTINGS = manifest()["embryo.png"]["settings"]
@@ -42,6 +45,14 @@ def test_an_input_is_found_from_any_folder(tmp_path: Path, monkeypatch: pytest.M
 
 def test_an_input_is_described() -> None:
     assert describe(EMBRYO) == f"embryo.png, {manifest()['embryo.png']['what']}"
+
+
+def test_the_modulus_of_a_file_is_that_of_its_image() -> None:
+    """Also where the dimple is so deep that the library warns: a table is made of many."""
+    given = SETTINGS | {"method": "membrane"}
+    with pytest.warns(SmallSlopeWarning):
+        expected = modulus_from_image(cv2.imread(EMBRYO, cv2.IMREAD_GRAYSCALE), **given)
+    assert modulus_of(Path(EMBRYO), **given).modulus == expected.modulus
 
 
 def test_the_truth_passes() -> None:

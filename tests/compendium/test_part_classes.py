@@ -48,6 +48,26 @@ def test_a_network_tells_groups_apart_and_the_reach_holds_most_of_them() -> None
     assert np.sum(distance > 1) == 1
 
 
+def test_no_step_makes_a_fitted_network_better() -> None:
+    """Its cost written once more: cross entropy, and half of DECAY times the squared weights."""
+    rng = np.random.default_rng(5)
+    classes = np.repeat(np.arange(7), 12)
+    unit = np.eye(7, 9)[classes] * 2 + rng.standard_normal((84, 9))
+    net = part_classes.fit_network(unit, classes, 1)
+
+    def cost(one: dict[str, np.ndarray]) -> float:
+        likely = probabilities(unit, [one])[np.arange(84), classes]
+        weights = (one["inner"] ** 2).sum() + (one["outer"] ** 2).sum()
+        return -np.log(likely).mean() + part_classes.DECAY * weights / 2
+
+    for name in net:
+        step = 1e-3 * rng.standard_normal(net[name].shape)
+        there, back = (cost(net | {name: net[name] + sign * step}) for sign in (1, -1))
+        # Over steps of the weights' own size the cost would change by less than a hundredth.
+        assert abs(there - back) / 2e-3 < 0.01, name
+        assert there + back > 2 * cost(net) - 1e-9, name
+
+
 def test_examples_are_described_both_ways() -> None:
     features, classes, names = part_classes.examples((1, 0, 1, 0))
     assert features.shape == (12, len(names))
