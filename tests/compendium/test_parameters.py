@@ -97,6 +97,8 @@ def test_a_text_takes_the_type_of_its_parameter(
         ("box", "[1,2,3,NaN]", "box must be"),
         ("box", "1,2,3,4", "box must be"),
         ("box", "7", "box must be"),
+        ("box", '"3040"', "box must be"),
+        ("box", '{"1": 0, "2": 0, "3": 0, "4": 0}', "box must be"),
         ("stack", "*x.tif", r"stack must name a file, got \*x.tif: no such file"),
         ("stack", "mine.tif", "stack must name a file, got mine.tif: no such file"),
         ("out", "a.png", "out must be a folder that can be written to, got a.png: File exists"),
