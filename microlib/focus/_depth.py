@@ -267,9 +267,10 @@ def depth_from_focus(
     ------
     ValueError
         If there are fewer than three frames or not as many as positions; frames differ in size or
-        type, are no images or not finite, or differ in time or channel and not in focus; positions
-        are not finite, not strictly monotonic, or not known; a file cannot be read, or an option is
-        out of range. With `register`, if less than half of the frames show one scene.
+        type, are no images, not finite or beyond ±10¹⁰, or differ in time or channel and not in
+        focus; positions are not finite, not strictly monotonic, or not known; a file cannot be
+        read, or an option is out of range. With `register`, if less than half of the frames show
+        one scene.
 
     Warns
     -----

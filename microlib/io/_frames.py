@@ -55,8 +55,8 @@ def read_frames(
         If the frames are none of these, a file is missing, is of another size than the first or no
         image, or a TIFF is cut off, has channels, depth and time, or more pages or fewer than it
         says: at once. While the frames are read, if one is neither grey nor color, not finite,
-        damaged, or differs from the first in size or type. The message names the frame, and the
-        page or axes of a TIFF.
+        beyond ±10¹⁰, damaged, or differs from the first in size or type. The message names the
+        frame, and the page or axes of a TIFF.
 
     Examples
     --------
