@@ -495,10 +495,13 @@ def _report_views(
         magnification, power = fit.poses[0, 0], fit.lens[0]
         turn = np.eye(len(names))
         turn[0, 0], turn[0, names.index("magnification")] = 1 + magnification, power
-        estimate[0] = power = max(power * (1 + magnification), _SMALLEST_POWER)
+        power *= 1 + magnification
         covariance = turn @ covariance @ turn.T
         if not power > _CERTAIN * np.sqrt(covariance[0, 0]):
             lost |= {n for n in names if n.startswith(("focal", "beta", "gamma"))}
+        else:
+            _refuse_least_power(power)
+        power = max(power, _SMALLEST_POWER)
         estimate[0] = 1 / power
         to_length = np.ones(len(names))
         to_length[0] = -1 / power**2
@@ -585,6 +588,8 @@ def _report(
     if "focal_length" in names:
         if not theta[1] > _CERTAIN * np.sqrt(covariance[1, 1]):
             lost |= {"focal_length", "beta", "gamma"}
+        else:
+            _refuse_least_power(theta[1])
         theta[1] = max(theta[1], _SMALLEST_POWER)
         to_length = np.ones(len(free))
         to_length[1] = -1 / theta[1] ** 2
@@ -620,6 +625,15 @@ def _report(
         smooth.chance,
         (microscope,),
     )
+
+
+def _refuse_least_power(power: float) -> None:
+    """Refuse a power that is certain and less than any objective's; 0 stands for what is lost."""
+    if power < _SMALLEST_POWER:
+        raise ValueError(
+            "world and pixel_size must be in µm, got points that tell a focal length of "
+            f"{1 / power:.3g} µm, more than {1 / _SMALLEST_POWER:g} µm"
+        )
 
 
 def _two_tilts(best: Minimum, other: Minimum, covariance: Array, freedom: int) -> bool:

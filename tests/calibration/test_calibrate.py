@@ -836,6 +836,19 @@ def test_views_that_tell_no_focal_length_say_so():
     assert np.isinf(found.sigma["focal_length"])
 
 
+@pytest.mark.parametrize("views", [1, 3])
+def test_a_pattern_in_another_unit_is_refused(views):
+    """In units of 10 pm f is 10 km: it was put at one, with an interval around it."""
+    scope, rng = scope_with(beta=15, gamma=10), np.random.default_rng(2)
+    world = grid_in_view(scope)
+    scopes = [replace(scope, gamma=scope.gamma + turn) for turn in (0.0, 0.3, -0.2)[:views]]
+    seen = [one.project(world) + rng.normal(0, 0.02, world.shape) for one in scopes]
+    camera = SENSOR | {"pixel_size": 9.9e5}
+    given = (1e5 * world, seen[0]) if views == 1 else ([1e5 * world] * views, seen)
+    with pytest.raises(ValueError, match="world and pixel_size must be in µm"):
+        calibrate(*given, **camera)
+
+
 @pytest.mark.parametrize(
     ("change", "word"),
     [
