@@ -1090,9 +1090,8 @@ def fault(case: Case) -> str | None:
     stored = is_dataclass(kind) and not hasattr(kind, "__post_init__")
     if "masked" in case.label and not stored:
         return "dropped a mask"
-    given = list(valid_call(case.name).values())
-    known = may_be_unknown(case.name) or not finite(case.value) or not finite(given)
-    return None if known or finite(result) else "not finite"
+    known = finite(result) or not finite(case.value) or may_be_unknown(case.name)
+    return None if known else "not finite"
 
 
 def pairs(name: str) -> Iterator[str]:
@@ -1106,19 +1105,17 @@ def pairs(name: str) -> Iterator[str]:
         first, second = (draw.choice(by[argument]) for argument in draw.sample(sorted(by), 2))
         changed = {case.argument: case.value for case in (first, second)}
         result, wrong = answer(name, changed)
-        known = may_be_unknown(name) or not finite(list(valid_call(name).values()))
-        if not wrong and result is not REFUSED and not known and not finite(result):
+        if not wrong and not finite(result) and not may_be_unknown(name):
             wrong = "not finite"
         if wrong:
             yield f"{first.key}, {second.argument}={second.label}: {wrong}"
 
 
 def may_be_unknown(name: str) -> bool:
-    """Return whether the result is documented to hold NaN, or only holds what it was given."""
+    """Return whether the result may hold NaN: by its documentation, or as it was given some."""
     kind = resolve(name)
-    return base(name) in MAY_BE_UNKNOWN or (
-        is_dataclass(kind) and not hasattr(kind, "__post_init__")
-    )
+    stored = is_dataclass(kind) and not hasattr(kind, "__post_init__")
+    return base(name) in MAY_BE_UNKNOWN or stored or not finite(valid_call(name))
 
 
 def differences(name: str) -> Iterator[str]:

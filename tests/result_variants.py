@@ -555,6 +555,7 @@ VARIANTS: dict[str, dict[str, Callable[[], Arguments]]] = {
     "synthetic.InjectionScene.approach": {"pressed": pressed_scene},
     "synthetic.InjectionScene.depth": {"pressed": pressed_scene},
     "synthetic.InjectionScene.force": {"pressed": pressed_scene},
+    "synthetic.InjectionScene.frame": {"pressed": pressed_scene},
     "synthetic.cell_image": {"293T": lambda: {"kind": "293T", "count": 4, "pixel_size": 0.3}},
     "synthetic.camera_frame": {"bright": lambda: {"gain": 1.4, "noise": 5.0}},
     "synthetic.embryo_image": {

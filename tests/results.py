@@ -25,10 +25,7 @@ from tests.snapshots import compare, describe_data, numbers
 
 FOLDER = Path(__file__).parent / "results"
 #: Hardly bounded in time; what an extra is needed for; what tells the length of a folder's name.
-_UNBOUNDED = {*fuzz.SLOW, "focus.depth_to_zarr", "batch.process_files"}
-#: The noise of a scene that is shared goes on from call to call: the test before decides.
-_NOISY = {"automation.inject", "synthetic.InjectionScene.frame"}
-LEFT_OUT = _UNBOUNDED | _NOISY
+LEFT_OUT = {*fuzz.SLOW, "focus.depth_to_zarr", "batch.process_files"}
 #: On exact points, or at the edge of being lost: rounding decides. Variants are on noisy points.
 EXACT = {
     "calibration.Calibration",
@@ -120,7 +117,6 @@ def main() -> int:
     from tests.compendium import experiment_cases as experiments
 
     constants.renew()
-
     renew(FOLDER, told, names())
     renew(experiments.FOLDER, experiments.told, experiments.CASES)
     return 0

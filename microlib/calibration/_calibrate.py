@@ -628,7 +628,7 @@ def _report(
 
 
 def _refuse_least_power(power: float) -> None:
-    """Refuse a power that is certain and less than any objective's; 0 stands for what is lost."""
+    """Refuse a power, which the points tell for certain, that is less than any objective's."""
     if power < _SMALLEST_POWER:
         raise ValueError(
             "world and pixel_size must be in µm, got points that tell a focal length of "

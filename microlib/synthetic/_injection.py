@@ -354,13 +354,15 @@ def _solve(
     }
     unit = thickness * radius
     forces = np.geomspace(_LEAST_FORCE * unit, max(strongest, 2 * _LEAST_FORCE * unit), _STATES)
-    last = _pressed(egg, forces[-1])  # refuses the rest, if at all
+    # Pressing raises the pressure, so that less force never lays the wall on the whole face.
+    whole_face = np.pi * probe_half_width**2 * indent_capsule(0.0, **egg).pressure
+    last = _pressed(egg, forces[-1], whole_face)  # refuses the rest, if at all
     angle = np.linspace(0.0, np.pi, _ANGLES)
     states = [(0.0, 0.0, 0.0, np.full(_ANGLES, radius))]
     missing = 0
     for force in forces:
         try:
-            state = last if force == forces[-1] else _pressed(egg, force)
+            state = last if force == forces[-1] else _pressed(egg, force, whole_face)
         except ValueError:
             state = None
         if state is None or state.approach <= states[-1][0]:
@@ -381,10 +383,8 @@ def _solve(
     return _Indented(np.array(approach), np.array(force), np.array(depth), np.array(outlines))
 
 
-def _pressed(egg: dict[str, Any], force: float) -> Any:
+def _pressed(egg: dict[str, Any], force: float, whole_face: float) -> Any:
     """Return the state under a bonded face, or a sliding one if the wall lies on part of it."""
-    # Pressing raises the pressure, so that less force never lays the wall on the whole face.
-    whole_face = np.pi * egg["probe_half_width"] ** 2 * indent_capsule(0.0, **egg).pressure
     if force >= whole_face:
         with suppress(ValueError):
             return indent_capsule(float(force), **egg, punch="bonded")
