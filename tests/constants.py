@@ -1,6 +1,6 @@
 """Write down every constant and default of the modules, and say which have changed.
 
-``tests/constants.txt`` holds what is set at the top of each module and the defaults of its
+``tests/constants`` holds what is set at the top of each module and the defaults of its
 functions and classes, private ones included. It holds what is, not that it is right: why a number
 has its value says the comment beside it, and what rests on it the benchmarks. ``make results``
 writes it anew; the commit that changes a number says why.
@@ -15,15 +15,17 @@ import inspect
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from tests.results import sections
+from tests.results import kept
 from tests.snapshots import compare, describe_data
 
 ROOT = Path(__file__).resolve().parent.parent
-TEXT = ROOT / "tests" / "constants.txt"
+#: One text for the library, one for the compendium.
+FOLDER = ROOT / "tests" / "constants"
 #: Of an array more is told by its ends and means.
 _MANY = 60
 
@@ -35,14 +37,19 @@ def modules(folder: str) -> list[str]:
     return sorted(".".join(parts) for parts in named)
 
 
+def differences(_: str, before: str, text: str) -> list[str]:
+    """Return the lines in which two texts of a module differ."""
+    # Rounding decides the mean of what lies evenly around zero.
+    return compare(before, text, of_itself=1e-9, of_largest=1e-12)
+
+
 def changes(module: str) -> list[str]:
     """Return the lines that are not as they were written."""
-    before = sections(TEXT).get(module, "")
-    # Rounding decides the mean of what lies evenly around zero.
-    lines = compare(before, told(module), of_itself=1e-9, of_largest=1e-12)
+    lines = differences(module, kept(FOLDER, module), told(module))
     return lines and [*lines, "", "`make results` writes the constants anew"]
 
 
+@cache
 def told(module: str) -> str:
     """Return the lines of a module: its constants, then its defaults."""
     found = importlib.import_module(module)
@@ -103,11 +110,6 @@ def shown(value: object) -> str:
     return ""
 
 
-def renew() -> None:
-    """Write the text anew."""
-    every = {module: told(module) for module in modules("microlib") + modules("compendium")}
-    for module, text in every.items():
-        if text and changes(module):
-            print(f"another constant: {module}")
-    content = "\n".join(f"== {module}\n{text}" for module, text in every.items() if text)
-    TEXT.write_text(content, encoding="utf-8")
+def names() -> list[str]:
+    """Return the modules that have a constant or a default."""
+    return [name for name in modules("microlib") + modules("compendium") if told(name)]
