@@ -46,6 +46,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from microlib._common import replace_file
 
@@ -57,6 +58,7 @@ __all__ = [
     "Record",
     "appraise",
     "check",
+    "check_equation",
     "claim",
     "claims",
     "errata",
@@ -94,6 +96,8 @@ _COMPARISONS = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": ope
 #: Largest half-width of a simulated interval over the printed number, where a claim states none:
 #: wider, and zero or the double would do as well.
 _WIDEST = 0.5
+#: What the record of a check says that compares no printed number.
+CHECKED = "checked"
 #: Set to make `check` record a verdict that the book does not state instead of failing.
 TALLY_VARIABLE = "COMPENDIUM_TALLY"
 
@@ -545,8 +549,9 @@ def check(
     verdict, objection = appraise(stated, value, low, high)
     if objection and not os.environ.get(TALLY_VARIABLE):
         raise ClaimError(
-            f"claim {id}: printed {stated.corrected or stated.printed or stated.limit} "
-            f"{stated.unit}, ours {value:.8g} in [{low:.8g}, {high:.8g}]: {objection}"
+            f"claim {id}, {stated.what} ({stated.where}): printed "
+            f"{stated.corrected or stated.printed or stated.limit} {stated.unit}, recomputed "
+            f"{value:.8g} in [{low:.8g}, {high:.8g}]: {objection}"
         )
     return _add(
         Record(
@@ -560,6 +565,72 @@ def check(
             _cell(),
         )
     )
+
+
+def check_equation(
+    number: str,
+    formula: ArrayLike,
+    library: ArrayLike,
+    *,
+    rtol: float = 1e-9,
+    atol: float = 0.0,
+) -> None:
+    """Assert that a formula of the thesis and the library's function agree on the same numbers.
+
+    Parameters
+    ----------
+    number : str
+        The equation, ``3.13``.
+    formula : array_like
+        What the printed formula gives, corrected where the thesis has an erratum.
+    library : array_like
+        What the library's function gives for the same input, in the same shape.
+    rtol, atol : float
+        Largest difference, relative to each of the formula's numbers and absolute. Rounding of
+        64 units in the last place of the largest number is always allowed.
+
+    Raises
+    ------
+    ClaimError
+        If a number differs by more, or is not finite; the message names the equation and both
+        numbers.
+    ValueError
+        If the thesis has no such equation, or the shapes differ or are empty.
+
+    Examples
+    --------
+    >>> from compendium.ledger import check_equation
+    >>> from microlib.membrane import elastic_modulus, indentation_force
+    >>> membrane = {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
+    >>> modulus = elastic_modulus(100.0, 250.0, 10.0, **membrane)
+    >>> check_equation("4.7", 100.0, indentation_force(modulus, 250.0, 10.0, **membrane))
+    """
+    if f"equation-{number}" not in _read("map.toml"):
+        raise ValueError(f"number must be that of an equation of the thesis, got {number!r}")
+    printed, found = np.asarray(formula, float), np.asarray(library, float)
+    if printed.shape != found.shape or not printed.size:
+        raise ValueError(
+            f"formula and library of ({number}) must have one shape, and not be empty, "
+            f"got {printed.shape} and {found.shape}"
+        )
+    finite = np.isfinite(printed) & np.isfinite(found)
+    size = np.abs(np.where(finite, printed, 0.0))
+    rounding = 64 * np.finfo(float).eps * size.max()
+    difference = np.full(printed.shape, np.inf)
+    np.subtract(printed, found, out=difference, where=finite)
+    difference = np.abs(difference)
+    excess = difference - (atol + rtol * size + rounding)
+    worst = np.unravel_index(excess.argmax(), excess.shape)
+    if excess[worst] > 0:
+        place = f" at {tuple(int(k) for k in worst)}" if worst else ""
+        raise ClaimError(
+            f"equation ({number}): the formula gives {printed[worst]:.10g}, the library "
+            f"{found[worst]:.10g}{place}; they differ by {difference[worst]:.3g}, and at most "
+            f"{difference.max():.3g} over {printed.size} numbers"
+        )
+    largest = float(difference.max())
+    name = f"equation-{number}/{sum(r.verdict == CHECKED for r in _session.records.values())}"
+    _add(Record(name, largest, largest, largest, "", CHECKED, 0, _cell()))
 
 
 def appraise(claim: Claim, value: float, low: float, high: float) -> tuple[str, str]:
@@ -713,7 +784,7 @@ def read_records(folder: str | os.PathLike[str]) -> dict[str, Record]:
     Returns
     -------
     dict of str to Record
-        By id.
+        By id; without what `check_equation` recorded.
 
     Raises
     ------
@@ -722,7 +793,9 @@ def read_records(folder: str | os.PathLike[str]) -> dict[str, Record]:
     """
     records: dict[str, Record] = {}
     for path in sorted(Path(folder).glob("*.json")):
-        for entry in json.loads(path.read_text()):
+        for entry in json.loads(path.read_text(encoding="utf-8")):
+            if entry["verdict"] == CHECKED:
+                continue
             if entry["id"] in records:
                 raise ValueError(f"{entry['id']} is recorded twice, the second time in {path.name}")
             records[entry["id"]] = Record(**entry)
@@ -853,6 +926,7 @@ def _write() -> None:
     replace_file(_session.path, lambda file: file.write_text(text + "\n", encoding="utf-8"))
 
 
+@cache
 def _read(name: str) -> dict:
     path = _THESIS / name
     if not path.exists():

@@ -123,6 +123,41 @@ def test_a_difference_that_changes_is_noticed(value: float) -> None:
     assert "not within 0.1 of 3" in ledger.appraise(claim, value, value, value)[1]
 
 
+@pytest.mark.parametrize(
+    ("formula", "library", "message"),
+    [
+        (2.0, 2.0 + 1e-6, r"equation \(3.13\): the formula gives 2, the library 2.000001"),
+        ([1.0, 5.0], [1.0, -5.0], r"gives 5, the library -5 at \(1,\); they differ by 10"),
+        ([1.0, 1e-9], [1.0, 2e-9], "they differ by 1e-09"),
+        (1.0, math.nan, "the library nan"),
+        (math.inf, math.inf, "the formula gives inf"),
+    ],
+)
+def test_an_equation_that_does_not_hold_is_named(
+    formula: object, library: object, message: str
+) -> None:
+    with pytest.raises(ledger.ClaimError, match=message):
+        ledger.check_equation("3.13", formula, library)
+
+
+def test_an_equation_is_counted_and_is_no_claim(tmp_path: Path) -> None:
+    try:
+        ledger.open_record(tmp_path / "03.json")
+        ledger.check_equation("3.13", [0.1 + 0.2, 1.0], [0.3, 1.0])  # apart by rounding
+        ledger.check_equation("3.13", 0.5, 0.51, rtol=0.03)
+        ledger.check_equation("3.13", 0.0, 0.01, atol=0.02)
+        entries = json.loads((tmp_path / "03.json").read_text())
+        assert [entry["verdict"] for entry in entries] == ["checked"] * 3
+        assert ledger.read_records(tmp_path) == {}
+        assert ledger.summary().empty
+    finally:
+        ledger.open_record("")
+    with pytest.raises(ValueError, match="number must be that of an equation"):
+        ledger.check_equation("9.9", 1.0, 1.0)
+    with pytest.raises(ValueError, match="must have one shape"):
+        ledger.check_equation("3.13", [1.0, 1.0], 1.0)
+
+
 def test_an_interval_that_says_nothing_is_no_agreement() -> None:
     claim = make(kind="simulated", verdict="consistent")
     assert ledger.appraise(claim, 2.5, 1.3, 3.7) == ("consistent", "")
@@ -178,7 +213,7 @@ def test_a_bare_value_of_a_simulated_claim_is_refused() -> None:
 
 
 def test_check_names_the_claim_that_fails() -> None:
-    with pytest.raises(ledger.ClaimError, match=r"claim table-5\.6/E: printed 1\.3237 MPa"):
+    with pytest.raises(ledger.ClaimError, match=r"claim table-5\.6/E, .*: printed 1\.3237 MPa"):
         ledger.check("table-5.6/E", 1.31)
     with pytest.raises(ValueError, match="id must name a claim"):
         ledger.check("table-9.9/x", 1.0)
