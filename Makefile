@@ -13,7 +13,7 @@ export OPENBLAS_NUM_THREADS := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup extras book pdf test notebooks html lint format data picture parts benchmarks inference oldest newest mutants vacuity drawn results fuzz faults lock clean
+.PHONY: help setup extras book pdf test notebooks html lint format data picture parts benchmarks inference oldest newest fuzz lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -79,7 +79,7 @@ inference: $(STAMP) ## infer anew what Tables 5.3 and 5.4 can tell (three quarte
 	@$(BIN)/python -m benchmarks.servo_inference
 
 # The library's tests; the others need what runs and renders the book.
-LIBRARY := tests microlib $(foreach name,book notebooks compendium drawn.py faults.py mutants.py vacuity.py,--ignore tests/$(name))
+LIBRARY := tests microlib $(foreach name,book notebooks compendium,--ignore tests/$(name))
 
 oldest: ## run the library's tests with the oldest dependencies that pyproject.toml allows
 	@$(PYTHON) -m venv --clear .venv-oldest
@@ -91,23 +91,8 @@ newest: ## run the library's tests with the newest dependencies, of this PYTHON,
 	@.venv-newest/bin/pip install --quiet --upgrade .[codecs] $$(sed -n '/^hypothesis/,$$s/==.*//p' tests/oldest.txt)
 	@.venv-newest/bin/python -m pytest --numprocesses 2 --quiet $(LIBRARY)
 
-mutants: $(STAMP) ## plant faults in the library and count those the tests catch (minutes)
-	@$(BIN)/python -m tests.mutants
-
-vacuity: notebooks ## plant faults in what the checks are fed and list those that nothing turns (minutes)
-	@$(BIN)/python tests/vacuity.py
-
-drawn: $(STAMP) ## write anew what the figures draw; look at build/drawn then
-	@$(BIN)/python -m tests.drawn
-
-results: $(STAMP) ## write anew what callables return, and constants; the commit says why
-	@$(BIN)/python -m tests.results
-
 fuzz: $(STAMP) ## call everything public with hostile values (minutes)
 	@$(BIN)/python -m tests.fuzz
-
-faults: $(STAMP) ## interrupt and kill runs at random moments (an hour)
-	@$(BIN)/python -m tests.faults
 
 # Nothing is read from S3, whose client that agrees with the other versions is ten years old and
 # hinders imports.

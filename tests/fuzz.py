@@ -6,8 +6,7 @@ non-finite from finite values unless it is documented, and no call over its time
 
     python -m tests.fuzz [name …]    # all of it, or the callables whose name contains a word
 
-Values are put in the place of one argument of a valid call, or of two. All of it tries every
-callable's call of this file, and those of ``result_variants.py``, which go other ways.
+Values are put in the place of one argument of a valid call, or of two.
 """
 
 from __future__ import annotations
@@ -833,25 +832,12 @@ def hinted(owner: object, key: str) -> Iterator[tuple[str, object]]:
             yield f"{module.removeprefix('microlib.')}.{hint.__name__}", hint
 
 
-def base(name: str) -> str:
-    """Return the name of what a call is of, without the label of a variant."""
-    return name.partition("-")[0]
-
-
 def valid_call(name: str) -> dict[str, object]:
-    """Return the arguments of a valid call, or of the variant that a dash and a label name."""
-    known, _, label = name.partition("-")
-    return CALLS[known]() | (variants()[known][label]() if label else {})
-
-
-def variants() -> dict[str, dict[str, Callable[[], dict[str, object]]]]:
-    from tests.result_variants import VARIANTS  # which is made of the calls of this file
-
-    return VARIANTS
+    return CALLS[name]()
 
 
 def resolve(name: str) -> Callable:
-    room, *path = base(name).split(".")
+    room, *path = name.split(".")
     value: object = importlib.import_module(f"microlib.{room}")
     for part in path:
         value = getattr(value, part)
@@ -1037,11 +1023,11 @@ def answer(name: str, changed: dict[str, object]) -> tuple[object, str | None]:
     valid = {key: value for key, value in given.items() if key != "self"}
     call = resolve(name)
     if "self" in given:
-        call = getattr(given["self"], base(name).rsplit(".", 1)[1])
+        call = getattr(given["self"], name.rsplit(".", 1)[1])
     given = {**valid, **changed}
     kept = {k: v for k, v in given.items() if isinstance(v, (np.ndarray, list, tuple, dict))}
     before = copy.deepcopy(kept)
-    limit = SLOW.get(base(name), LIMIT)
+    limit = SLOW.get(name, LIMIT)
     signal.signal(signal.SIGPROF, _stop)
     # What waits, or never returns from a library in C, is told by the watchdog.
     faulthandler.dump_traceback_later(20 * limit, exit=True)
@@ -1115,7 +1101,7 @@ def may_be_unknown(name: str) -> bool:
     """Return whether the result may hold NaN: by its documentation, or as it was given some."""
     kind = resolve(name)
     stored = is_dataclass(kind) and not hasattr(kind, "__post_init__")
-    return base(name) in MAY_BE_UNKNOWN or stored or not finite(valid_call(name))
+    return name in MAY_BE_UNKNOWN or stored or not finite(valid_call(name))
 
 
 def differences(name: str) -> Iterator[str]:
@@ -1135,13 +1121,10 @@ def main(words: list[str]) -> int:
     tracker().track(target())
     surveyed()
     total, wrong = 0, 0
-    for name in [
-        *CALLS,
-        *(f"{name}-{label}" for name, all_ in variants().items() for label in all_),
-    ]:
+    for name in CALLS:
         if words and not any(word in name for word in words):
             continue
-        if (extra := EXTRAS.get(base(name))) and not importlib.util.find_spec(extra):
+        if (extra := EXTRAS.get(name)) and not importlib.util.find_spec(extra):
             print(f"# {name}: not tried, {extra} is not installed")
             continue
         begin, found = time.process_time(), [*differences(name), *pairs(name)]

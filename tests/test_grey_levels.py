@@ -7,13 +7,53 @@ own. Floats carry all of them; that whole numbers of 16 bits do, too, is seen wh
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter, map_coordinates
 
-from microlib import automation, calibration, embryo, focus, tracking
+from microlib import automation, calibration, embryo, focus, synthetic, tracking
 from tests import fuzz
-from tests.result_variants import POSITIONS, board, relief, texture_frame
+
+POSITIONS = 2.5 * np.arange(11) - 3
+
+
+@cache
+def relief() -> np.ndarray:
+    """A stack of a ridge on a slope, with noise and a part that is nearly saturated."""
+    y, x = np.indices((56, 68))
+    height = 8 * np.exp(-(((x - 30) / 9) ** 2) - ((y - 25) / 14) ** 2) + 0.12 * y + 2
+    height[:, 50:] += 6
+    texture = synthetic.mixed_texture((56, 68), 5)
+    texture[40:50, 5:25] = 240
+    return synthetic.focal_stack(texture, height, POSITIONS, blur_rate=0.6, noise=2.0, rng=6)
+
+
+@cache
+def board(kind: str) -> np.ndarray:
+    """A board seen at an angle, drawn by sampling, without the library's renderer and models."""
+    v, u = np.indices((800, 1040)) / 4
+    x, y = (u - 125) / 27, (v - 103) / 27
+    w = 1 + 0.012 * x - 0.009 * y
+    x, y = (np.cos(0.13) * x + np.sin(0.13) * y) / w, (np.cos(0.13) * y - np.sin(0.13) * x) / w
+    across, along = np.clip(np.round(x), -3, 3), np.clip(np.round(y), -2, 2)
+    x, y = np.abs(x - across), np.abs(y - along)
+    dark = np.maximum(x, y) < 0.26 if kind == "squares" else np.hypot(x, y) < 0.27
+    image = np.where(dark, 60.0, 190.0).reshape(200, 4, 260, 4).mean(axis=(1, 3))
+    noise = np.random.default_rng(8).normal(0, 2, image.shape)
+    return np.clip(gaussian_filter(image, 0.9) + noise, 0, 255).astype(np.uint8)
+
+
+def texture_frame(k: int) -> np.ndarray:
+    """Frames of a texture that moves, turns and gets brighter."""
+    texture = synthetic.mixed_texture((70, 80), 40).astype(float)
+    y, x = np.indices((70, 80), dtype=float) - [[[32 + 0.7 * k]], [[34 - 0.5 * k]]]
+    cos, sin = np.cos(0.02 * k), np.sin(0.02 * k)
+    place = [32 + cos * y - sin * x, 34 + sin * y + cos * x]
+    moved = map_coordinates(texture, place, order=3, mode="nearest")
+    noise = np.random.default_rng(50 + k).normal(0, 1.5, moved.shape)
+    return np.clip(moved * (1 + 0.02 * k) + 3 * k + noise, 0, 255).astype(np.uint8)
 
 
 def followed(unit: float) -> np.ndarray:
@@ -35,7 +75,7 @@ def depth_by(measure: str) -> Callable[[float], np.ndarray]:
 
 #: What is read of an image whose levels are so many times those of 8 bits; px or µm.
 READ: dict[str, Callable[[float], np.ndarray]] = {
-    "circles": lambda unit: calibration.detect_circles(board("dirty") * unit).points,
+    "circles": lambda unit: calibration.detect_circles(board("circles") * unit).points,
     "squares": lambda unit: calibration.detect_squares(board("squares") * unit).points,
     "ruler": lambda unit: np.array(
         calibration.detect_micrometer(fuzz.lines() * unit).um_per_pixel(10.0)

@@ -1,20 +1,14 @@
 """Every drawing of `compendium.figures` on small inputs that are alike in nothing.
 
 No two numbers, sides or names of an input are equal unless they have to be, so that exchanged ones
-show. ``tests/drawn.py`` writes down what is drawn from them.
+show. `test_figures.py` draws each of them.
 """
 
 from __future__ import annotations
 
-import csv
-import json
-import re
-import tempfile
 from collections.abc import Callable
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
-from unittest.mock import patch
 
 import matplotlib as mpl
 import numpy as np
@@ -27,30 +21,22 @@ mpl.use("agg")
 import matplotlib.pyplot as plt
 
 from compendium import thesis
-from compendium.experiments import chapter_2_tracking
 from compendium.experiments.section_5_4 import SettlingTimes
 from compendium.figures import (
     automation,
     calibration,
     dimple,
-    embryo,
-    films,
     inference,
     mechanics,
     overview,
-    phone,
     recognition,
     servoing,
     shape_from_focus,
     surfaces,
-    use_style,
     verdicts,
     workstation,
 )
-from compendium.figures.data import keep_data
 from microlib.microscope import Microscope
-from tests.drawn import describe
-from tests.snapshots import describe_data
 
 TEXTS = {"name": "film-x", "alt": "a film", "caption": "Film."}
 DETECTION: Any = SimpleNamespace(
@@ -192,11 +178,6 @@ def felt() -> pd.DataFrame:
     )
 
 
-def scale_bar(axes: Axes) -> None:
-    embryo.show_image(axes, picture(80, 200), box=(30, 20, 40, 25))
-    embryo.add_scale_bar(axes, 50, 2.3)
-
-
 def left_out() -> Figure:
     ends = {"base": [[1.0, 2.0, 3.0], [5.0, 6.0, 8.0]], "other": [[2.5, 3.0, 4.0], [1.0, 2.1, 5.0]]}
     return inference.draw_left_out(["one", "two"], [2.0, 4.0], ends)
@@ -303,30 +284,6 @@ def surface(**how: Any) -> Callable[[], Figure]:
     return made
 
 
-def turnable(labels: NDArray[np.uint8] | None = None, cols: int = 30, **how: Any) -> str:
-    height = heights(20, cols)
-    height[3, 4] = np.nan
-    html = surfaces.turnable_surface(
-        height, 2.5, name="solid", title="A solid", labels=labels, **how
-    )
-    # Plotly.newPlot(name, data, layout, config)
-    begin = re.search(r'Plotly\.newPlot\(\s*"solid",\s*', html.data)
-    assert begin is not None
-    rest, parts = html.data[begin.end() :], []
-    for _ in range(3):
-        part, end = json.JSONDecoder().raw_decode(rest)
-        parts.append(part)
-        rest = rest[end:].lstrip(" \n,")
-    data, layout, config = parts
-    layout["template"] = layout["template"]["layout"]["scene"]["xaxis"]["backgroundcolor"]
-    around = [
-        html.data[: html.data.index("<script")].strip(),
-        f"library {'plotly.js v' in html.data}",
-    ]
-    lines = [*around, *describe_data(data, "data"), *describe_data(layout, "layout")]
-    return "\n".join([*lines, *describe_data(config, "config")]) + "\n"
-
-
 def scorecard() -> Figure:
     cells = [
         (part, verdict, spent)
@@ -363,105 +320,8 @@ def settling() -> Figure:
     return workstation.draw_settling_times(settling_times())
 
 
-def filmed(make: Callable[[], object]) -> Callable[[], str]:
-    """Describe a film's first picture, its still, the one after and its last."""
-
-    def made() -> str:
-        seen: dict[str, Any] = {}
-        with patch.object(films, "film", lambda *given, **named: seen.update(named, given=given)):
-            make()
-        figure, draw, durations = seen.pop("given")
-        text = f"durations {durations} {sorted(seen.items())}\n"
-        for k in (0, seen["still"], seen["still"] + 1, len(durations) - 1):
-            draw(k)
-            text += f"\npicture {k}\n{describe(figure)}"
-        return text
-
-    return made
-
-
-def film_alignment() -> object:
-    target = chapter_2_tracking.render_target(1)
-    return films.film_alignment(target, chapter_2_tracking.align(target, (0.5, 0.5), 3), **TEXTS)
-
-
-def film_focus() -> object:
-    frames = np.stack([picture(10, 14, k) for k in range(5)])
-    return films.film_focus(frames, 10.0 * np.arange(5) - 3, heights(10, 14), **TEXTS)
-
-
-def film_dimple() -> object:
-    depths = np.linspace(0, 40, 21)
-    return films.film_dimple(depths, depths**3 / 500, radius=200.0, half_width=20.0, **TEXTS)
-
-
-def film_step() -> object:
-    places = np.array([[100.0, 50.0], [110.0, 55.0], [120.0, 58.0], [125.0, 52.0]])
-    frames = [picture(30, 40, k) for k in range(4)]
-    times = np.array([0.0, 0.1, 0.2, 0.35])
-    return films.film_step(frames, times, places, np.array([121, 59]), 21.0, **TEXTS)
-
-
-def narrow(make: Callable[[], Figure]) -> Callable[[], Figure]:
-    return lambda: phone.narrow(make())
-
-
-def shared_curves() -> Figure:
-    """Panels, legends and names of axes of each kind that a narrow copy has to move."""
-    figure, axes = plt.subplots(2, 2, figsize=(7.2, 5.0), sharex=True, sharey="row")
-    for k, one in enumerate(axes.flat):
-        one.plot([0, 1 + k], [k, 3], label=f"a curve {k}")
-        one.plot([0, 2], [k, 1], label="other one")
-        one.set_title(f"panel {k} of curves whose title is far too long for one line of a phone")
-    axes[0, 0].set(ylabel="error (px)")
-    axes[1, 0].set(xlabel="time (s)", ylabel="force (µN)")
-    axes[0, 1].legend(title="curves", fontsize=8)
-    figure.legend(*axes[1, 1].get_legend_handles_labels(), loc="outside upper center")
-    return figure
-
-
-def pictures_in_pairs() -> Figure:
-    figure, axes = plt.subplots(2, 3, figsize=(7.2, 4))
-    for k, one in enumerate(axes.flat):
-        one.imshow(picture(9, 11, k))
-        one.set(xticks=[], yticks=[], title=f"picture {k}")
-    return figure
-
-
-def picture_to_scale() -> Figure:
-    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 4))
-    left.plot([0, 3], [1, 2], label="curve")
-    left.legend()
-    shown = right.imshow(picture(60, 50))
-    right.set(xlabel="x (px)", ylabel="y (px)")
-    figure.colorbar(shown, label="level")
-    return figure
-
-
-def kept_data() -> str:
-    """What is written of curves, dots, errors and bars, on axes of both kinds."""
-    figure, (left, right, last) = plt.subplots(1, 3)
-    x = np.array([1e-7, 1 / 3, 123.456789, np.nan])
-    left.plot(x, 1000 * x[::-1], label="line")
-    left.scatter([4, 5], [40, 50.1234567], label="dots")
-    left.axvline(7)
-    left.set(xlabel="time (s)", ylabel="force (µN)", title="first")
-    right.loglog(x, 2 * x, label="log")
-    right.bar([1, 3], [5, 9], width=0.5, label="upright")
-    right.barh([2, 4], [6, 8], height=0.5, left=[1, 1], label="lying")
-    last.imshow(heights(3, 4) / 7)
-    last.imshow(types(3, 4, 2, 7))
-    with tempfile.TemporaryDirectory() as folder:
-        table, images = keep_data(figure, Path(folder) / "kept")
-        with table.open(newline="", encoding="utf-8") as file:
-            lines = ["; ".join(row) for row in csv.reader(file)]
-        with np.load(images) as kept:
-            lines += [f"{name}: {kept[name].tolist()}" for name in kept.files]
-    return "\n".join(lines) + "\n"
-
-
 CURVE = thesis.outline_curve
-CASES: dict[str, Callable[[], Figure | str]] = {
+CASES: dict[str, Callable[[], Figure]] = {
     "automation.draw_injection": injection,
     "automation.draw_frames_saved": frames_saved,
     "calibration.draw_detection": on_axes(
@@ -475,7 +335,6 @@ CASES: dict[str, Callable[[], Figure | str]] = {
     ),
     "calibration.draw_residual_valley": valley,
     "calibration.draw_focal_length_study": focal_length_study,
-    "data.keep_data": kept_data,
     "dimple.draw_dimple_section": lambda: dimple.draw_dimple_section(246.95, 121.22, 25.0),
     "dimple.draw_printed_outline": lambda: dimple.draw_printed_outline(CURVE()),
     "dimple.draw_rounding": lambda: dimple.draw_rounding(pd.Series(np.linspace(1.2, 1.5, 77) ** 2)),
@@ -488,13 +347,6 @@ CASES: dict[str, Callable[[], Figure | str]] = {
     "dimple.draw_image_study": image_study,
     "dimple.draw_estimated_force": lambda: dimple.draw_estimated_force(felt()),
     "dimple.draw_relaxing_force": lambda: dimple.draw_relaxing_force(felt()),
-    "embryo.add_scale_bar": on_axes(scale_bar),
-    "embryo.show_image": on_axes(lambda axes: embryo.show_image(axes, picture(8, 11))),
-    "embryo.show_outline": on_axes(lambda axes: embryo.show_outline(axes, boundary(), lw=2.5)),
-    "films.film_alignment": filmed(film_alignment),
-    "films.film_dimple": filmed(film_dimple),
-    "films.film_focus": filmed(film_focus),
-    "films.film_step": filmed(film_step),
     "inference.draw_identified": identified,
     "inference.draw_left_out": left_out,
     "inference.draw_ranks": ranks,
@@ -504,12 +356,6 @@ CASES: dict[str, Callable[[], Figure | str]] = {
     "mechanics.draw_modulus_posterior": modulus_posterior,
     "overview.draw_parts": overview.draw_parts,
     "overview.draw_scale": overview.draw_scale,
-    "phone.narrow-curves": narrow(shared_curves),
-    "phone.narrow-pictures": narrow(pictures_in_pairs),
-    "phone.narrow-scale": narrow(picture_to_scale),
-    "phone.narrow-solid": narrow(lambda: shape_from_focus.draw_depth(heights(32, 30), 4.0)),
-    "phone.narrow-sketch": narrow(overview.draw_parts),
-    "phone.narrow-verdicts": narrow(scorecard),
     "recognition.draw_recognized": recognized,
     "servoing.draw_esm_step": esm_step,
     "servoing.draw_kalman_step": kalman_step,
@@ -547,16 +393,11 @@ CASES: dict[str, Callable[[], Figure | str]] = {
     "surfaces.draw_labels": on_axes(
         lambda axes: surfaces.draw_labels(axes, types(10, 12, 0, 9, 4))
     ),
-    "surfaces.label_legend": on_axes(
-        lambda axes: surfaces.label_legend(axes, types(10, 12, 0, 2, 6))
-    ),
     "surfaces.draw_lens": surfaces.draw_lens,
     "surfaces.draw_sinking_stage": surfaces.draw_sinking_stage,
     "surfaces.draw_surface": surface(),
     "surfaces.draw_surface-types": surface(labels=types(20, 30, 1, 5, 8), unit="px"),
     "surfaces.draw_surface-turned": surface(labels=types(20, 30, 1, 5, 8), turned=True),
-    "surfaces.turnable_surface": turnable,
-    "surfaces.turnable_surface-types": lambda: turnable(types(20, 230, 1, 5, 8), 230, unit="px"),
     "verdicts.draw_verdicts": scorecard,
     "workstation.draw_blur_study": lambda: workstation.draw_blur_study(
         pd.DataFrame({"circles": [0.01, 0.02], "squares": [0.1, 0.2], "other": [1, 2]}, [0.5, 3.0])
@@ -571,20 +412,3 @@ CASES: dict[str, Callable[[], Figure | str]] = {
     ),
     "workstation.draw_workstation": workstation.draw_workstation,
 }
-
-
-def draw(name: str, pictures: Path | None = None) -> str:
-    """Return the text of a drawing, whatever was drawn before; keep its picture in a folder."""
-    with mpl.rc_context(), pd.option_context("display.max_colwidth", 50, "display.max_rows", 60):
-        mpl.rcdefaults()
-        mpl.use("agg")
-        use_style()
-        try:
-            made = CASES[name]()
-            text = made if isinstance(made, str) else describe(made)
-            if pictures is not None and isinstance(made, Figure):
-                pictures.mkdir(parents=True, exist_ok=True)
-                made.savefig(pictures / f"{name}.png")
-        finally:
-            plt.close("all")
-    return text

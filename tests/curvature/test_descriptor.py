@@ -1,80 +1,14 @@
-"""The description of a part number by number: what was learned holds for these numbers only.
-
-The coefficients of `_part_classes.json` were fitted to descriptions. When a description changes
-they must be learned anew (``make parts``), and then `descriptions.json` be written anew by
-``python -m tests.curvature.test_descriptor``. The numbers that have a known truth are held to that.
-"""
+"""The numbers that describe a part, where they have a known truth."""
 
 from __future__ import annotations
-
-import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from microlib.curvature import recognize_part
 from microlib.curvature._descriptor import NARROW, WIDE, Bends, bends, describe
 from microlib.curvature._graph import region_graph
 from microlib.curvature._grid import on_grid, white_noise
 from microlib.curvature._recognition import probabilities, standardized
-
-KEPT = Path(__file__).with_name("descriptions.json")
-
-
-def scenes() -> dict[str, tuple[np.ndarray, float, float | None]]:
-    """Return maps that have something of everything, with pixel size and noise."""
-    rng = np.random.default_rng(11)
-    y, x = np.mgrid[:80, :100].astype(float)
-    ball = np.sqrt(np.maximum(24.0**2 - (x - 36) ** 2 - (y - 30) ** 2, 0))
-    pit = 14 * np.exp(-((x - 78) ** 2 + (y - 55) ** 2) / (2 * 9.0**2))
-    two = 2.5 * (ball - pit) + 0.05 * rng.standard_normal(x.shape)
-    y, x = np.mgrid[:90, :66].astype(float)
-    cone = np.maximum(20 - 0.8 * np.hypot(x - 30, y - 50), 0) + 6.0 * (y + 0.4 * x > 95)
-    cone += 0.1 * rng.standard_normal(x.shape)
-    y, x = np.mgrid[:72, :72].astype(float)
-    saddle = ((x - 40) ** 2 - 1.4 * (y - 33) ** 2) / 120 + 0.1 * x
-    saddle += 0.05 * rng.standard_normal(x.shape)
-    y, x = np.mgrid[:150, :210].astype(float)
-    rods = np.sqrt(np.maximum(30.0**2 - (0.8 * (x - 90) + 0.6 * (y - 80)) ** 2, 0))
-    rods += 0.4 * rng.standard_normal(x.shape)
-    rods[60:66, 95:104] = np.nan
-    return {
-        "ball and pit": (two, 2.5, 0.05),
-        "cone and step": (cone, 1.0, 0.1),
-        "saddle": (saddle, 1.0, None),
-        "rod with a hole": (0.2 * rods, 0.2, None),
-        "nothing": (np.zeros((64, 64)), 1.0, None),
-    }
-
-
-def numbers(z: np.ndarray, pitch: float, noise: float | None) -> dict[str, Any]:
-    found = recognize_part(z, pitch, noise=noise)
-    return {
-        "features": found.features,
-        "probabilities": found.probabilities,
-        "confidence": found.confidence,
-        "distance": found.distance,
-        "regions": found.regions.drop(columns="family").to_numpy().tolist(),
-        "families": found.regions["family"].tolist(),
-        "borders": found.borders.to_numpy(float).tolist(),
-        "labels": np.bincount(found.labels.ravel(), minlength=10).tolist(),
-    }
-
-
-@pytest.mark.parametrize("name", scenes())
-def test_a_description_is_the_one_that_was_learned_from(name: str) -> None:
-    kept, found = json.loads(KEPT.read_text(encoding="utf-8"))[name], numbers(*scenes()[name])
-    assert list(found["features"]) == list(kept["features"])
-    assert found["families"] == kept["families"]
-    for part in ("features", "probabilities"):
-        # Sums in another order differ by 1e-12; nothing lies that near to a threshold.
-        assert found[part] == pytest.approx(kept[part], rel=1e-6, abs=1e-8)
-    for part in ("confidence", "distance"):
-        assert found[part] == pytest.approx(kept[part], rel=1e-6)
-    for part in ("regions", "borders", "labels"):
-        np.testing.assert_allclose(found[part], kept[part], rtol=1e-6, atol=1e-8)
 
 
 def test_bends_of_a_known_surface() -> None:
@@ -170,9 +104,3 @@ def test_networks_are_averaged_and_features_cut_at_five() -> None:
     middle, spread = np.array([1.0, 2.0, 3.0]), np.array([2.0, 0.1, 1.0])
     found = standardized(np.array([4.0, 9.0, -9.0]), middle, spread)
     np.testing.assert_allclose(found, [1.5, 5.0, -5.0])
-
-
-if __name__ == "__main__":
-    every = {name: numbers(*scene) for name, scene in scenes().items()}
-    text = json.dumps(every, default=float, indent=0)
-    KEPT.write_text(text + "\n", encoding="utf-8")
