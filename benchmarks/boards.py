@@ -179,7 +179,7 @@ def faulty_views(
         made[:, 2] = 6 * (world / 1400 @ rng.normal(size=2)) ** 2
     aside = rng.normal(0, 10, 2) if fault == "axis aside" else np.zeros(2)
     slant = rng.normal(0, 4e-3, 2) if fault == "tangential distortion" else np.zeros(2)
-    images = []
+    worlds, images = [], []
     for _ in range(views):
         azimuth = rng.uniform(0, 2 * np.pi)
         turn = euler_rotation(0.3, 0.35 * np.cos(azimuth), 0.35 * np.sin(azimuth))
@@ -191,8 +191,11 @@ def faulty_views(
             camera,
             np.array([-0.2, 0.0, *slant]),
         )
-        images.append(seen[:, 0] + rng.normal(0, 0.03, world.shape))
-    return [world] * views, images
+        seen = seen[:, 0] + rng.normal(0, 0.03, world.shape)
+        shown = ((seen >= 0) & (seen <= [639, 479])).all(axis=1)
+        worlds.append(world[shown])
+        images.append(seen[shown])
+    return worlds, images
 
 
 def faults(seeds: int = 40) -> pd.DataFrame:

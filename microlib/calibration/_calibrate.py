@@ -388,7 +388,7 @@ def calibrate(
         if loss != "linear":
             raise ValueError(f'loss must be "linear" for several views, got {loss!r}')
         return _of_views(world, image, frame, focal_length, groups, axis_sigma)
-    world, image = _points(world, image)
+    world, image = _points(world, image, image_size)
     if groups is None:
         label = None
     else:
@@ -409,7 +409,7 @@ def calibrate(
     return _report(problem, best, other, frame, label, axis_sigma)
 
 
-def _points(world: Any, image: Any) -> tuple[Array, Array]:
+def _points(world: Any, image: Any, image_size: tuple[int, int]) -> tuple[Array, Array]:
     """Checked points of one view."""
     world = as_array("world", world, shape=(None, 2))
     image = as_array("image", image, shape=(None, 2))
@@ -425,6 +425,13 @@ def _points(world: Any, image: Any) -> tuple[Array, Array]:
             raise ValueError(f"{name} must extend over more than {1 / _FARTHEST:g}, got less")
         if not spread[1] > _THINNEST * spread[0]:
             raise ValueError(f"{name} must not lie on one line, got {len(points)} points that do")
+    beyond = ((image < -1) | (image > image_size)).any(axis=1)
+    if beyond.any():
+        width, height = image_size
+        raise ValueError(
+            f"image must lie in the image_size of (width, height) = ({width}, {height}) px, got "
+            f"{int(beyond.sum())} of {len(image)} points beyond it, one at {image[beyond][0]}"
+        )
     return world, image
 
 
@@ -453,7 +460,7 @@ def _of_views(
         listed = isinstance(each, (list, tuple)) or (isinstance(each, np.ndarray) and each.ndim)
         if not listed or len(each) != len(world):
             raise ValueError(f"{name} must hold one array for each of the {len(world)} views")
-    pairs = [_points(w, i) for w, i in zip(world, image, strict=True)]
+    pairs = [_points(w, i, frame.image_size) for w, i in zip(world, image, strict=True)]
     middle = frame.principal_point
     views = Views([w for w, _ in pairs], [i - middle for _, i in pairs], frame.cell, focal_length)
     if groups is None:
@@ -481,14 +488,16 @@ def _report_views(
     every = [*LENS, *(n if v == 0 else f"{n}_{v + 1}" for v in range(count) for n in VIEW)]
     every[0] = "focal_length"
     names = tuple(every[k] for k in fit.free)
-    covariance, freedom = views_covariance(fit, marks)
+    covariance, freedom = views_covariance(fit, marks, views.rounding(fit.poses))
     smooth = views_discrepancy(fit, views)
     covariance = covariance + smooth.covariance
     if axis_sigma is None:
         axis_sigma = _AXIS_ASIDE * frame.image_size[0] if smooth.chance < BY_CHANCE else 0.0
     if axis_sigma > 0 and "principal_x" not in names:
         shifted = [k for k, name in enumerate(names) if name[:2] in ("tx", "ty")]
-        covariance = covariance + axis_errors(fit.jacobian, fit.residuals, shifted, axis_sigma)
+        covariance = covariance + axis_errors(
+            fit.jacobian, fit.residuals, shifted, axis_sigma, views.rounding(fit.poses)
+        )
     estimate = np.concatenate([fit.lens, fit.poses.ravel()])[fit.free]
     lost = {name for name, v in zip(names, np.diag(covariance), strict=True) if np.isinf(v)}
     if "focal_length" in names:
@@ -582,7 +591,9 @@ def _report(
     jacobian = every[:, free]
     if axis_sigma > 0:
         shifted = [names.index("tx"), names.index("ty")]
-        covariance = covariance + axis_errors(jacobian, residuals, shifted, axis_sigma)
+        covariance = covariance + axis_errors(
+            jacobian, residuals, shifted, axis_sigma, problem.rounding(best.theta)
+        )
     lost = {name for name, v in zip(names, np.diag(covariance), strict=True) if np.isinf(v)}
     theta = best.theta.copy()
     if "focal_length" in names:
@@ -594,7 +605,7 @@ def _report(
         to_length = np.ones(len(free))
         to_length[1] = -1 / theta[1] ** 2
         covariance = covariance * np.outer(to_length, to_length)
-    elif _two_tilts(best, other, covariance, freedom):
+    elif _two_tilts(best, other, covariance, best.cost / freedom + problem.rounding(best.theta)):
         lost |= {"beta", "gamma"}
     for k in (names.index(name) for name in lost):
         covariance[k] = covariance[:, k] = np.nan
@@ -636,9 +647,9 @@ def _refuse_least_power(power: float) -> None:
         )
 
 
-def _two_tilts(best: Minimum, other: Minimum, covariance: Array, freedom: int) -> bool:
+def _two_tilts(best: Minimum, other: Minimum, covariance: Array, variance: float) -> bool:
     """True if the opposite tilt is another minimum, and not worse by more than noise."""
     angles = slice(3, 5)  # β and γ among the parameters without f
-    apart = np.abs(best.theta[4:6] - other.theta[4:6])
+    apart = np.abs(np.angle(np.exp(1j * (best.theta[4:6] - other.theta[4:6]))))
     distinct = (apart > _APART * np.sqrt(np.diag(covariance)[angles])).any()
-    return bool(distinct and other.cost - best.cost < _TOLD * best.cost / freedom)
+    return bool(distinct and other.cost - best.cost < _TOLD * variance)

@@ -37,8 +37,9 @@ _TOLERANCE = 1e-15
 #: Of more than twice so many marks the search begins with these alone: eight parameters of 2000
 #: numbers leave it a fifteenth of the noise from the end, and two or three steps of ten.
 _FEW = 1000
-#: Least variance of exact data, px².
-_TINY = 1e-18
+#: Error of a point that is given exactly, as a part of the largest coordinate: rounding makes
+#: 1e-16 of it, another order of the same sums up to 1e-15. Nothing smaller decides anything.
+_ROUNDING = 1e-13
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,12 @@ class Problem:
     seen: Array
     cell: Array
     free: NDArray[np.intp]
+
+    def rounding(self, theta: Array) -> float:
+        """Least variance of a coordinate, px²: points are not known better than they are
+        written down."""
+        largest = np.abs(theta[0] * self.world / self.cell).max()
+        return float((_ROUNDING * max(largest, np.abs(self.seen).max())) ** 2)
 
     def residuals(self, theta: Array) -> Array:
         return self.at(theta)[0]
@@ -137,9 +144,11 @@ class Problem:
         kept = float(np.mean(np.abs(residuals) < fit.scale))
         inverse = inverse_normal(jacobian) / kept
         freedom = len(residuals) - len(self.free)
+        rounding = inverse * self.rounding(fit.theta)
         if groups is None:
-            return inverse * float(score @ score) / freedom / kept, freedom
-        return jackknife(jacobian, score, inverse, groups, kept), len(np.unique(groups)) - 1
+            return inverse * float(score @ score) / freedom / kept + rounding, freedom
+        spread = jackknife(jacobian, score, inverse, groups, kept)
+        return spread + rounding, len(np.unique(groups)) - 1
 
     def discrepancy(self, fit: Minimum, groups: Array | None) -> Discrepancy:
         """The smooth part of the residuals, of the groups' means where errors are correlated."""
@@ -159,7 +168,9 @@ class Problem:
         return discrepancy(score, jacobian, smooth_fields(seen))
 
 
-def axis_errors(jacobian: Array, residuals: Array, shifted: list[int], aside: float) -> Array:
+def axis_errors(
+    jacobian: Array, residuals: Array, shifted: list[int], aside: float, rounding: float
+) -> Array:
     """Covariance that an optical axis beside the sensor's middle makes.
 
     Parameters
@@ -173,12 +184,14 @@ def axis_errors(jacobian: Array, residuals: Array, shifted: list[int], aside: fl
     aside : float
         Standard deviation of the axis, px. What of it the points would show against their residuals
         is no more in question.
+    rounding : float
+        Least variance of a residual, px².
 
     Returns
     -------
     ndarray, shape (p, p)
     """
-    variance = max(float((residuals**2).mean()), _TINY)
+    variance = float((residuals**2).mean()) + rounding
     shift = np.tile(np.eye(2), (len(residuals) // 2, 1))
     followed = response(jacobian, shift)
     shown = shift - jacobian @ followed

@@ -56,6 +56,13 @@ class Views:
     cell: Array
     focal_length: float | None
 
+    def rounding(self, poses: Array) -> float:
+        """Least variance of a coordinate, px²."""
+        return max(
+            Problem(world, seen, self.cell, np.arange(8)).rounding(pose)
+            for world, seen, pose in zip(self.world, self.seen, poses, strict=True)
+        )
+
     def predict(self, lens: Array, poses: Array) -> tuple[Array, Array]:
         """Image points of all views, (N, 2), and their derivatives, (N, 2, 5 + 6 V)."""
         points, rows = [], []
@@ -138,7 +145,7 @@ def fit_views(views: Views) -> Joint:
             break
         trial, term = min(trials, key=lambda each: each[0].cost)
         count = len(trial.residuals)
-        variance = trial.cost / max(count - len(trial.free), 1)
+        variance = trial.cost / max(count - len(trial.free), 1) + views.rounding(best.poses)
         if best.cost - trial.cost <= len(term) * np.log(count) * variance:
             break
         best = trial
@@ -231,15 +238,16 @@ def without_terms(lens: Array, seen: Array, cell: Array) -> Array:
     return free
 
 
-def views_covariance(fit: Joint, groups: NDArray) -> tuple[Array, int]:
+def views_covariance(fit: Joint, groups: NDArray, rounding: float) -> tuple[Array, int]:
     """Covariance of the free numbers and its degrees of freedom; errors of one mark of the pattern
-    may be the same in all views."""
+    may be the same in all views. The least variance of a coordinate is that of `rounding`, px²."""
     inverse = inverse_normal(fit.jacobian)
     freedom = len(fit.residuals) - len(fit.free)
     marks = len(np.unique(groups))
     if marks <= len(fit.free):
-        return inverse * fit.cost / freedom, freedom
-    return jackknife(fit.jacobian, fit.residuals, inverse, groups), marks - 1
+        return inverse * (fit.cost / freedom + rounding), freedom
+    spread = jackknife(fit.jacobian, fit.residuals, inverse, groups)
+    return spread + inverse * rounding, marks - 1
 
 
 def views_discrepancy(fit: Joint, views: Views) -> Discrepancy:
