@@ -44,8 +44,13 @@ def small_piece() -> Posterior:
 
 
 def agrees() -> bool:
-    """Whether the small piece, made anew, is the one of the record."""
-    return np.allclose(summary(small_piece()), record()["small"], rtol=0, atol=1e-6)
+    """Whether the small piece, made anew, is the one of the record within its Monte Carlo error.
+
+    Another processor's last bits send the chains elsewhere. Of ninety states of standard normal
+    numbers mean and deviation scatter by 0.1 to 0.2, and the log evidence by one.
+    """
+    off = np.abs(np.subtract(summary(small_piece()), record()["small"]))
+    return bool(off[0] < 3 and (off[1:] < 0.7).all())
 
 
 def summary(posterior: Posterior) -> list[float]:

@@ -12,7 +12,6 @@ from compendium.experiments.servo_models import LEADING, MECHANISMS, priors
 
 
 def test_a_small_piece_is_remade() -> None:
-    """The same seeds give the same particles; functions may differ in the last bit by machine."""
     assert servo_record.agrees()
     assert len(servo_record.record()["small"]) == 1 + 2 * len(priors("base"))
 
