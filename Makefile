@@ -13,7 +13,7 @@ export OPENBLAS_NUM_THREADS := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup extras book pdf test notebooks html lint format data picture parts benchmarks inference oldest newest fuzz lock clean
+.PHONY: help setup extras book pdf test notebooks html lint format data picture benchmarks inference oldest newest fuzz lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -67,9 +67,6 @@ data: $(STAMP) ## write data/synthetic anew, the same bytes
 
 picture: $(STAMP) ## draw the readme's picture anew
 	@$(BIN)/python -m compendium.readme_picture
-
-parts: $(STAMP) ## learn anew by what parts are recognized (minutes)
-	@$(BIN)/python -m compendium.part_classes
 
 benchmarks: $(STAMP) ## measure microlib beside its peers (minutes)
 	@for file in benchmarks/[a-z]*.py; do \

@@ -394,9 +394,6 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "curvature.hk_labels": lambda: {
         "mean": dome() - 3, "gaussian": dome() - 2, "h_zero": 0.1, "k_zero": 0.1
     },
-    "curvature.recognize_part": lambda: {
-        "height": np.tile(dome(), (3, 3)), "pixel_size": 1.0, "noise": 0.1
-    },
     "curvature.region_table": lambda: {
         "labels": np.tile(np.uint8([1, 2]), (24, 14)), "curvature": bent()
     },

@@ -26,7 +26,6 @@ PICTURES = {
     "microlib.calibration.calibrate": "fig-5-2",
     "microlib.calibration.detect_circles": "fig-guide-calibration",
     "microlib.curvature.hk_labels": "fig-guide-classes",
-    "microlib.curvature.recognize_part": "fig-ch6-recognition",
     "microlib.curvature.surface_curvature": "fig-3-4",
     "microlib.embryo.dimple_geometry": "fig-guide-dimple",
     "microlib.embryo.extract_boundary": "fig-5-17",

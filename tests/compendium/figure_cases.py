@@ -29,7 +29,6 @@ from compendium.figures import (
     inference,
     mechanics,
     overview,
-    recognition,
     servoing,
     shape_from_focus,
     surfaces,
@@ -209,21 +208,6 @@ def modulus_posterior() -> Figure:
     return mechanics.draw_modulus_posterior(capsule, disc, readings)
 
 
-def recognized() -> Figure:
-    parts = []
-    for k, (name, kind) in enumerate((("ball", "sphere"), ("pyramid", None))):
-        regions = {"x": [3.0, 9.0, 5.0], "y": [2.0, 7.0, 8.0], "area": [0.2, 0.5, 0.3]}
-        found = SimpleNamespace(
-            kind=kind,
-            confidence=0.876,
-            labels=types(10, 12, 1 + k, 5),
-            regions=pd.DataFrame(regions) + 0.1 * k,
-            borders=pd.DataFrame({"one": [0, 1], "two": [2, 2], "length": [4.0, 5.0]}),
-        )
-        parts.append(SimpleNamespace(name=name, depth=heights(10, 12) + k, found=found))
-    return recognition.draw_recognized(parts)  # type: ignore[arg-type]
-
-
 def stability() -> Figure:
     delays, gains = np.linspace(0, 1, 5), np.linspace(0.1, 2, 7)
     moduli = pd.DataFrame(gains[:, None] * (0.9 + 0.3 * delays), gains, delays)
@@ -356,7 +340,6 @@ CASES: dict[str, Callable[[], Figure]] = {
     "mechanics.draw_modulus_posterior": modulus_posterior,
     "overview.draw_parts": overview.draw_parts,
     "overview.draw_scale": overview.draw_scale,
-    "recognition.draw_recognized": recognized,
     "servoing.draw_esm_step": esm_step,
     "servoing.draw_kalman_step": kalman_step,
     "servoing.draw_loop": servoing.draw_loop,

@@ -7,8 +7,13 @@ import pytest
 
 from compendium import ledger
 from compendium.experiments import chapter_3
-from microlib.curvature import HK_NAMES, curvature_windows, hk_labels, surface_curvature
-from microlib.curvature._surface import Curvature
+from microlib.curvature import (
+    HK_NAMES,
+    Curvature,
+    curvature_windows,
+    hk_labels,
+    surface_curvature,
+)
 
 NAMES = set(HK_NAMES.values())
 
