@@ -5,7 +5,6 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 # The executed notebooks and the tests never need the network.
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
-# What make begins ends with it, even if it is killed: MAKE_PID says which make that is.
 # Two processes of tests whose linear algebra has two threads each wait for one another: a calibration
 # takes ten times as long then. No matrix here is large enough for a second thread.
 export OPENBLAS_NUM_THREADS := 1
@@ -35,10 +34,12 @@ extras: $(STAMP) ## add the locked microscope engine, dask and zarr to .venv, wh
 
 notebooks: $(STAMP) ## run the notebooks that changed
 	@echo "Running the notebooks"
-	@MAKE_PID=$$PPID $(BIN)/python -m compendium.run
+	@$(BIN)/python -m compendium.run
 
-html: notebooks
-	@MAKE_PID=$$PPID $(BIN)/python -m compendium.book
+# What fails stops nothing else: it is listed at the end, and make ends with its exit status.
+html: $(STAMP)
+	@echo "Running the notebooks"
+	@trap 'exit 130' INT; $(BIN)/python -m compendium.run || true; $(BIN)/python -m compendium.book
 
 book: html ## run the notebooks and build the book
 	@echo "The book is at build/html/index.html"
@@ -48,8 +49,10 @@ pdf: html ## print the book to build/book.pdf (needs a Chromium)
 	@echo "The book is in build/book.pdf"
 
 test: $(STAMP) ## run every test: library, notebooks, book
-	@$(MAKE) --no-print-directory --jobs 2 html lint
-	@$(BIN)/python -m pytest --numprocesses 2 --quiet
+	@trap 'exit 130' INT; failed=0; \
+	$(MAKE) --no-print-directory --keep-going --jobs 2 html lint || failed=1; \
+	$(BIN)/python -m pytest --numprocesses 2 --quiet || failed=1; \
+	$(BIN)/python -m compendium.run --failures && exit $$failed
 
 lint: $(STAMP) ## check format, style, types, and that notebooks carry no outputs
 	@$(BIN)/ruff format --check --quiet .

@@ -1,7 +1,8 @@
 """Render the executed notebooks and the text as a book: ``build/html``, whole or the one before.
 
 ``python -m compendium.book`` works in a folder of its own in ``build/rendered`` and lets the link
-``build/html`` point to it once it is complete.
+``build/html`` point to it once it is complete. With a notebook that failed the other pages are
+rendered all the same; the command then lists what failed and ends with exit status 1.
 """
 
 from __future__ import annotations
@@ -16,8 +17,7 @@ from pathlib import Path
 
 from click import ClickException
 
-from compendium.processes import alone_in, end_with_make
-from compendium.run import BUILD, INTERRUPTED, ROOT
+from compendium.run import BUILD, INTERRUPTED, ROOT, alone, failures, report_failures
 
 RENDERED = BUILD / "rendered"
 STRICT = ("--warningiserror", "--nitpick", "--keep-going", "--quiet")
@@ -25,21 +25,26 @@ STRICT = ("--warningiserror", "--nitpick", "--keep-going", "--quiet")
 
 def main() -> int:
     """Render the book; return the exit status."""
-    end_with_make()
     try:
-        with alone_in(BUILD):
+        with alone():
             prepare()
             folder = Path(tempfile.mkdtemp(dir=RENDERED))
             folder.chmod(0o755)  # mkdtemp lets the owner alone look into it
-            render(folder)
-            publish(folder / "_build" / "html", BUILD / "html")
+            html = folder / "_build" / "html"
+            try:
+                render(folder)
+            except (RuntimeError, ClickException):
+                # Pages that quote what a failed notebook did not record say so as errors.
+                if not failures() or not (html / "index.html").exists():
+                    raise
+            publish(html, BUILD / "html")
+        return report_failures()
     except (OSError, RuntimeError, ClickException) as error:
         print(f"The book was not built: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("Interrupted; the book is the one before.", file=sys.stderr)
         return INTERRUPTED
-    return 0
 
 
 def prepare() -> None:

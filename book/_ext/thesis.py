@@ -208,21 +208,22 @@ class Status(SphinxDirective):
         runs = [
             json.loads(p.read_text()) for p in sorted((ROOT / "build" / "status").glob("*.json"))
         ]
+        key = runs[0]["key"]
         head = ["Notebook", "Run time (s)", "Checks passed", "Notebook's hash"]
         rows = [
             [
                 r["notebook"],
                 str(r["seconds"]),
-                str(r["checks"]),
-                nodes.literal("", r["notebook_file"][:12]),
+                r["failed"] or str(r["checks"]),
+                nodes.literal("", r["key"]["notebook"][:12]),
             ]
             for r in runs
         ]
         shared = [
-            ["microlib", nodes.literal("", runs[0]["library"][:12])],
-            ["data", nodes.literal("", runs[0]["data"][:12])],
-            ["environment.txt", nodes.literal("", runs[0]["lock"][:12])],
-            ["Python", runs[0]["python"]],
+            ["microlib", nodes.literal("", key["microlib"][:12])],
+            ["data", nodes.literal("", key["data"][:12])],
+            ["environment.txt", nodes.literal("", key["lock"][:12])],
+            ["Python", key["python"]],
             *([name, version(name)] for name in PACKAGES),
         ]
         return [table(head, rows), table(["What they ran with", "Hash or version"], shared)]

@@ -6,15 +6,20 @@ import errno
 import json
 import os
 import signal
+import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
+from time import monotonic, sleep
 
 import nbformat
 import pytest
 from nbformat.v4 import new_code_cell, new_notebook
 
 from compendium import run
+from tests.running import alive
+
+ROOT = Path(__file__).resolve().parents[2]
 
 CHECKS = """
 import json, pathlib
@@ -34,7 +39,7 @@ def write_notebook(root: Path, name: str, source: str, parameters: str = 'record
 
 
 @pytest.fixture
-def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A project of two small notebooks, in place of this one."""
     for folder in ("notebooks", "microlib/focus", "compendium", "data/thesis", "build/claims"):
         (tmp_path / folder).mkdir(parents=True)
@@ -46,140 +51,135 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setattr(run, "ROOT", tmp_path)
     monkeypatch.setattr(run, "BUILD", tmp_path / "build")
     monkeypatch.setattr(os, "environ", dict(os.environ))
-    run.shared_key.cache_clear()
-    yield tmp_path
-    run.shared_key.cache_clear()
+    return tmp_path
 
 
-@pytest.mark.parametrize(
-    ("file", "part"),
-    [
-        ("notebooks/01_first.ipynb", "notebook_file"),
-        ("microlib/focus/_a.py", "library"),
-        ("compendium/b.py", "compendium"),
-        ("data/thesis/c.toml", "data"),
-        ("environment.txt", "lock"),
-    ],
-)
-def test_a_changed_file_changes_its_part_of_the_key(project: Path, file: str, part: str) -> None:
-    before = run.input_hashes("01_first")
-    assert before["python"] == sys.version.split()[0]
-    (project / file).write_text("two")
-    run.shared_key.cache_clear()
-    after = run.input_hashes("01_first")
-    assert {name for name in before if before[name] != after[name]} == {part}
-
-
-def test_a_renamed_file_and_a_moved_line_change_the_hash(project: Path) -> None:
-    one, two = project / "microlib" / "one.py", project / "microlib" / "two.py"
-    hashes = set()
-    for path, text in ((one, "ab"), (two, "ab"), (one, "ba")):
-        path.write_text(text)
-        hashes.add(run.files_hash([path]))
-    assert len(hashes) == 3
-    assert run.files_hash([one, two]) == run.files_hash(iter([two, one]))
-
-
-def test_only_the_last_chapter_reads_the_records_of_the_others(project: Path) -> None:
-    first, last = run.input_hashes("01_first"), run.input_hashes("06_last")
-    assert "claims" not in first
-    (project / "build" / "claims" / "06_last.json").write_text("own")
-    assert run.input_hashes("06_last") == last
+def test_a_changed_file_changes_the_key(project: Path) -> None:
+    keys = [run.key_of("01_first", run.shared_key())]
+    for file in (
+        "notebooks/01_first.ipynb", "microlib/focus/_a.py", "compendium/b.py",
+        "data/thesis/c.toml", "environment.txt",
+    ):  # fmt: skip
+        (project / file).write_text("two")
+        keys.append(run.key_of("01_first", run.shared_key()))
+        assert keys[-1] not in keys[:-1], file
+    # The records of the others are an input of the last chapter alone.
+    last = run.key_of("06_last", run.shared_key())
     (project / "build" / "claims" / "01_first.json").write_text("of another")
-    assert run.input_hashes("06_last")["claims"] != last["claims"]
+    assert run.key_of("01_first", run.shared_key()) == keys[-1]
+    assert run.key_of("06_last", run.shared_key()) != last
 
 
-def test_a_run_leaves_notebook_record_and_status(project: Path) -> None:
-    key = run.input_hashes("01_first")
-    assert not run.up_to_date("01_first", key)
-    message, passed = run.run("01_first", key)
-    assert passed, message
-    assert message.endswith(" s, 1 check passed")
-    status = json.loads((project / "build" / "status" / "01_first.json").read_text())
-    assert status["notebook"] == "01_first"
-    assert status["checks"] == 1
-    assert 0 < status["seconds"] < 100
-    assert status.items() >= key.items()
-    assert run.up_to_date("01_first", key)
-    assert not run.up_to_date("01_first", key | {"lock": "another"})
-    assert not list((project / "build" / "failed").iterdir())
+def statuses(project: Path) -> dict[str, dict]:
+    files = (project / "build" / "status").glob("*.json")
+    return {path.stem: json.loads(path.read_text()) for path in files}
+
+
+def test_only_what_changed_or_is_missing_runs_again(
+    project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["run"])
+    assert run.main() == 0
+    assert statuses(project)["01_first"].items() >= {"checks": 1, "failed": ""}.items()
     done = nbformat.read(project / "build" / "notebooks" / "01_first.ipynb", as_version=4)
     injected = [c for c in done.cells if "injected-parameters" in c.metadata.get("tags", [])]
     assert [c.metadata.tags for c in injected] == [["injected-parameters", "remove-cell"]]
     assert "papermill" not in {*done.metadata, *(k for c in done.cells for k in c.metadata)}
-    assert not list((project / "build" / "running").iterdir())
+    for file, damage in (
+        (None, None),
+        ("build/notebooks/01_first.ipynb", None),
+        ("build/status/01_first.json", None),
+        ("build/status/01_first.json", "{"),
+        ("notebooks/01_first.ipynb", (project / "notebooks/01_first.ipynb").read_text() + " "),
+    ):
+        if file and damage is None:
+            (project / file).unlink()
+        elif file:
+            (project / file).write_text(damage)
+        capsys.readouterr()
+        assert run.main() == 0
+        assert ("01_first: up to date" in capsys.readouterr().out) == (file is None), file
 
 
-@pytest.mark.parametrize("damage", [None, b"", b"{", b"[]", b"\xff\x00", b"null", b'{"left": 3}'])
-@pytest.mark.parametrize(
-    "file",
-    ["notebooks/01_first.ipynb", "claims/01_first.json", "status/01_first.json", "figures/a.csv"],
-)
-def test_what_is_damaged_is_not_up_to_date(project: Path, file: str, damage: bytes | None) -> None:
-    """A file that is missing, empty, cut off or something else."""
-    running = project / "build" / "running" / "01_first"
-    for part in ("notebooks", "claims", "status", "figures"):
-        (project / "build" / part).mkdir(exist_ok=True)
-    (running / "figures").mkdir(parents=True)
-    for made in ("notebook.ipynb", "record.json", "figures/a.csv"):
-        (running / made).write_text("whole")
-    run.publish("01_first", running, {"lock": "same"})
-    assert run.up_to_date("01_first", {"lock": "same"})
-    path = project / "build" / file
-    if damage is None:
-        path.unlink()
-    else:
-        path.write_bytes(damage)
-    assert not run.up_to_date("01_first", {"lock": "same"})
+def test_a_failure_stops_nothing_and_is_listed_at_the_end(
+    project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is named with cell and message; what it computed before stays, and it runs again."""
+    write_notebook(project, "01_first", CHECKS + "1 / 0")
+    write_notebook(project, "02_second", CHECKS)
+    monkeypatch.setattr(sys, "argv", ["run"])
+    assert run.main() == 1
+    said = capsys.readouterr()
+    failure = "01_first: FAILED in cell source: ZeroDivisionError: division by zero"
+    assert said.err.endswith(f"These notebooks failed:\n  {failure}\n")
+    assert {name for name, one in statuses(project).items() if not one["failed"]} == {
+        "02_second", "06_last",
+    }  # fmt: skip
+    assert json.loads((project / "build" / "claims" / "01_first.json").read_text())
+    page = nbformat.read(project / "build" / "notebooks" / "01_first.ipynb", as_version=4)
+    assert [cell.id for cell in page.cells] == ["parameters", "injected-parameters", "source"]
+    monkeypatch.setattr(sys, "argv", ["run", "--failures"])
+    assert run.main() == 1
+    assert failure in capsys.readouterr().err
+    write_notebook(project, "01_first", CHECKS)
+    monkeypatch.setattr(sys, "argv", ["run"])
+    assert run.main() == 0
+    assert not capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("source", "message"),
     [
-        ("1 / 0", "FAILED in cell 2: ZeroDivisionError: division by zero (build/failed/01_"),
         ("import os; print(os.getcwd())", "FAILED: an output names a path of this machine"),
+        ("import os; os.kill(os.getpid(), 9)", "FAILED: its kernel was killed"),
     ],
 )
-def test_a_failed_run_leaves_nothing_that_the_book_would_show(
-    project: Path, source: str, message: str
-) -> None:
-    assert run.run("01_first", {})[1]
+def test_other_failures_are_told(project: Path, source: str, message: str) -> None:
     write_notebook(project, "01_first", source)
-    said, passed = run.run("01_first", {})
-    assert not passed
-    assert message in said
-    assert not (project / "build" / "notebooks" / "01_first.ipynb").exists()
-    assert not (project / "build" / "status" / "01_first.json").exists()
-    assert (project / "build" / "failed" / "01_first.ipynb").exists()
+    run.build(["01_first"], 1, force=False)
+    assert run.failures() == {"01_first": message}
 
 
-def test_the_last_chapter_waits_for_the_others(
-    project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    batches = []
+def test_a_killed_run_leaves_nothing_that_counts(project: Path) -> None:
+    """Its workers and kernels end with it, and the notebook runs again."""
+    write_notebook(
+        project, "01_first", "import os, time; print(os.getpid(), flush=True); "
+        "open('pid', 'w').write(str(os.getpid())); time.sleep(60)",
+    )  # fmt: skip
+    code = "import sys, pathlib; from compendium import run; run.ROOT = pathlib.Path.cwd(); "
+    code += "run.BUILD = run.ROOT / 'build'; sys.argv = ['run', '01']; run.main()"
+    path = os.environ | {"PYTHONPATH": str(ROOT)}
+    with subprocess.Popen([sys.executable, "-c", code], cwd=project, env=path) as running:
+        until(lambda: (project / "pid").exists() and (project / "pid").read_text())
+        running.kill()
+    kernel = int((project / "pid").read_text())
+    until(lambda: not alive(kernel))
+    assert not statuses(project)
+    assert not list((project / "build" / "notebooks").iterdir())
+    write_notebook(project, "01_first", CHECKS)
+    run.build(["01_first"], 1, force=False)
+    assert run.failures() == {}
 
-    def pretend(calls: dict[str, tuple], jobs: int) -> list[tuple[str, str, bool]]:
-        batches.append((list(calls), jobs))
-        return [(name, "ran", not (name == "01_first" and failing)) for name in calls]
 
-    monkeypatch.setattr(run, "in_workers", pretend)
-    monkeypatch.setattr(sys, "argv", ["run"])
-    failing = False
-    assert run.main() == 0
-    assert batches == [(["01_first"], 2), (["06_last"], 2)]
-    batches.clear()
-    failing = True
-    assert run.main() == 1
-    assert batches == [(["01_first"], 2)]
-    batches.clear()
-    monkeypatch.setattr(run, "up_to_date", lambda name, key: True)
-    assert run.main() == 0
-    assert batches == [([], 2), ([], 2)]
-    assert "01_first: up to date" in capsys.readouterr().out
-    monkeypatch.setattr(sys, "argv", ["run", "06", "--force", "--jobs", "1"])
-    batches.clear()
-    assert run.main() == 0
-    assert batches == [([], 1), (["06_last"], 1)]
+def until(happened: Callable[[], object]) -> None:
+    end = monotonic() + 30
+    while not happened():
+        assert monotonic() < end
+        sleep(0.05)
+
+
+def test_a_second_run_waits_and_says_so(project: Path) -> None:
+    code = "import sys, pathlib; from compendium import run; "
+    code += f"run.BUILD = pathlib.Path({str(project / 'build')!r})\n"
+    code += "with run.alone(): print('holds', flush=True)"
+    with run.alone():
+        second = subprocess.Popen(
+            [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+        )  # fmt: skip
+        assert second.stderr
+        assert second.stderr.readline().startswith("Another run is at work in ")
+    assert second.communicate()[0] == "holds\n"
 
 
 @pytest.mark.parametrize(
@@ -239,49 +239,21 @@ def test_a_run_on_own_data_is_kept_apart(
     assert not (project / "build" / "status").exists()
 
 
-def test_a_full_disk_is_told_and_leaves_what_was_there(
+def test_a_full_disk_and_a_killed_worker_are_told(
     project: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert run.run("01_first", run.input_hashes("01_first"))[1]
-    kept = {path: path.read_bytes() for path in (project / "build").rglob("*") if path.is_file()}
-    assert len(kept) == 3
-
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    for holder, name in ((run.nbformat, "write"), (run.papermill, "execute_notebook")):
-        with monkeypatch.context() as patch:
-            patch.setattr(holder, name, full)
-            message, passed = run.guarded(run.run, "01_first", {"lock": "another"})
-        assert not passed
-        assert message == "FAILED: [Errno 28] No space left on device"
-        now = {path: path.read_bytes() for path in kept}
-        assert now == kept
-    assert run.up_to_date("01_first", run.input_hashes("01_first"))
+    monkeypatch.setattr(run.papermill, "execute_notebook", full)
+    calls = {"01_first": (run.run, "01_first", {})}
+    message = "FAILED: [Errno 28] No space left on device"
+    (project / "build" / ".running").mkdir()
+    (project / "build" / "status").mkdir()
+    assert list(run.in_workers(calls, 1)) == [("01_first", message, False)]
+    killed = list(run.in_workers({"one": (suicide,)}, 1))
+    assert killed == [("one", "FAILED: its process was killed", False)]
 
 
-def test_a_killed_worker_and_a_killed_kernel_are_told(
-    project: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    calls = {"one": (os.kill, os.getpid, 9)}
-    monkeypatch.setattr(run, "guarded", suicide)
-    assert list(run.in_workers(calls, 1)) == [("one", "FAILED: its process was killed", False)]
-    write_notebook(project, "01_first", "import os; os.kill(os.getpid(), 9)")
-    message, passed = run.run("01_first", {})
-    assert not passed
-    assert message.startswith("FAILED: its kernel was killed (build/failed")
-
-
-def suicide(*_: object) -> None:
+def suicide() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
-
-
-def test_the_same_run_leaves_the_same_bytes(project: Path) -> None:
-    source = "import pandas as pd\nobject()\n"
-    write_notebook(project, "01_first", source + "pd.DataFrame({'a': [1.5]}).style")
-    made = []
-    for _ in range(2):
-        assert run.run("01_first", {})[1]
-        made.append((project / "build" / "notebooks" / "01_first.ipynb").read_bytes())
-    assert made[0] == made[1]
-    assert b"T_" in made[0]

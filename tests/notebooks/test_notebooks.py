@@ -12,8 +12,6 @@ import nbformat
 import pytest
 
 from compendium import ledger, run
-from compendium.executed import clean, lighten
-from compendium.figures.data import FOLDER_VARIABLE
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("[0-9]*.ipynb"))
@@ -100,33 +98,3 @@ def test_runner_names_what_it_does_not_know() -> None:
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode == 1
     assert "No notebook is called 99" in result.stderr
-
-
-def test_the_same_run_gives_the_same_numbers(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, claims_folder: Path
-) -> None:
-    """Chapter 4 run once more gives what `make html` made of it, to the last byte.
-
-    That is its notebook but for where the record goes, its record, and its figures with their data.
-    """
-    name, build = "04_mechanical_characterization", claims_folder.parent
-    path = shutil.copy(ROOT / "notebooks" / f"{name}.ipynb", tmp_path / "chapter.ipynb")
-    figures = tmp_path / "figures"
-    figures.mkdir()
-    monkeypatch.setenv(FOLDER_VARIABLE, str(figures))
-    message, passed = execute(Path(path), monkeypatch, record="record.json")
-    assert passed, message
-    made = {file.name: file.read_bytes() for file in figures.iterdir()}
-    assert len(made) > 4
-    known = [*build.glob("figures/fig-4-*"), *build.glob("figures/fig-ch4-*")]
-    assert made == {file.name: file.read_bytes() for file in known}
-    record = tmp_path / "record.json"
-    assert record.read_bytes() == (claims_folder / f"{name}.json").read_bytes()
-    again = nbformat.read(tmp_path / "chapter.out.ipynb", as_version=4)
-    clean(again)
-    lighten(again)
-    first = nbformat.read(build / "notebooks" / f"{name}.ipynb", as_version=4)
-    for notebook in (first, again):
-        (given,) = [cell for cell in notebook.cells if cell.id == "injected-parameters"]
-        given.source = ""
-    assert again == first
