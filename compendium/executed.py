@@ -8,16 +8,10 @@ import io
 from nbformat import NotebookNode
 from PIL import Image
 
-__all__ = ["clean", "error_cell", "name_cells"]
+__all__ = ["clean", "error_cell"]
 
 #: Size above which a palette does not suit a picture, bytes.
 LARGE_DRAWING = 45_000
-
-
-def name_cells(records: list[dict], notebook: NotebookNode) -> list[dict]:
-    """Put a cell's lasting id in place of the number that it had when it was executed."""
-    ids = {f"[{c.execution_count}]": c.id for c in notebook.cells if c.cell_type == "code"}
-    return [record | {"cell": ids.get(record.get("cell", ""), "")} for record in records]
 
 
 def error_cell(notebook: NotebookNode) -> str:

@@ -2,41 +2,35 @@
 
 `data/thesis/claims.toml` holds every printed number once. A notebook computes a number and calls
 `check`, which compares it with the printed one, asserts that the verdict is the one the book
-states, and writes a record. The book, its scorecard and its prose are rendered from these records.
+states, and writes a record. The book's pages, tables and prose are made from these records.
 
-Kinds of claims and how they are judged:
+Verdicts:
 
-- ``exact`` follows from other printed numbers. Ours must lie within the claim's tolerance: half a
-  unit in the last printed place unless the claim states another one with its reason. Verdict:
-  reproduced, or differs.
-- ``simulated`` was measured in 2008 with an apparatus that is gone. Ours is a 95 % interval over
-  seeds; the printed value lies inside (consistent) or not (differs). An interval that is too wide
-  to say anything is inconclusive.
-- ``stated`` is a sentence turned into a predicate. It holds (consistent) or not (differs). Its
-  limit is the thesis' own, or it is ours and then has a reason.
-- ``bound`` is simulated with a cause left out, so that ours is a lower or an upper bound only. The
-  printed value respects it (bounded) or not (differs).
-- ``lost`` cannot be checked without data that nobody has.
-- ``given`` is a choice or a catalogue value, not a result: used as printed.
+- ``agrees``: the recomputed number agrees with the printed one.
+- ``disagrees``: it does not. A right value that can be proven stands as ``corrected``.
+- ``cannot tell``: what was published does not decide it. Data are missing, or the simulation gives
+  a bound only, or an interval too wide to say anything.
+- ``input``: a setting, or a number that the computation was fed with; not a result.
 
-A claim with a ``corrected`` value is an erratum: ours must agree with the correction and contradict
-the print. A claim that differs says what ours is and within what, so that a change of it is
-noticed, too.
+How a number is compared:
 
-What was ``spent`` on a claim qualifies its verdict: an input was ``identified`` from the printed
-number itself or from one that follows from it, or an input that the thesis does not print is
-``assumed`` and decides it. Such agreement is no evidence, and is never counted without its
-qualifier.
+- by ``arithmetic``: it follows from other printed numbers and must lie within the tolerance;
+- by ``simulation``: on rendered images or in a simulated loop. The printed number must lie in the
+  95 % interval, whose half-width must be less than half of the number;
+- a ``sentence`` is turned into a predicate of printed numbers. (A sentence that needs a simulation
+  counts as one.)
+
+A ``star`` says that the verdict hangs on something that the thesis does not print: an input was
+tuned to the printed number, or assumed. Such agreement is no evidence, and starred and unstarred
+verdicts are always counted apart.
 """
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import operator
 import os
-import sys
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -51,6 +45,8 @@ from numpy.typing import ArrayLike
 from microlib._common import replace_file
 
 __all__ = [
+    "COMPARED",
+    "STAR",
     "TALLY_VARIABLE",
     "VERDICTS",
     "Claim",
@@ -62,44 +58,30 @@ __all__ = [
     "claim",
     "claims",
     "errata",
+    "half_ulp",
     "judge",
     "open_record",
     "read_records",
     "report",
     "scorecard",
     "summary",
-    "turned_by",
-    "turning_points",
     "with_error",
 ]
 
-KINDS = ("exact", "simulated", "stated", "bound", "lost", "given")
-VERDICTS = (
-    "reproduced",
-    "consistent",
-    "bounded",
-    "inconclusive",
-    "differs",
-    "erratum",
-    "lost",
-    "given",
-    "pending",
-)
-SPENT = ("", "identified", "assumed")
-
-# Kinds that no computation can judge: the verdict is the kind itself.
-_UNJUDGED = ("lost", "given")
-_RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
-
-_THESIS = Path(__file__).resolve().parent.parent / "data" / "thesis"
-_COMPARISONS = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
-#: Largest half-width of a simulated interval over the printed number, where a claim states none:
-#: wider, and zero or the double would do as well.
-_WIDEST = 0.5
+VERDICTS = ("agrees", "disagrees", "cannot tell", "input")
+COMPARED = ("arithmetic", "simulation", "sentence")
+STAR = "★"
 #: What the record of a check says that compares no printed number.
 CHECKED = "checked"
 #: Set to make `check` record a verdict that the book does not state instead of failing.
 TALLY_VARIABLE = "COMPENDIUM_TALLY"
+#: Largest half-width of a simulated interval over the printed number: wider, and zero or the
+#: double would do as well.
+WIDEST = 0.5
+
+_RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+_THESIS = Path(__file__).resolve().parent.parent / "data" / "thesis"
+_COMPARISONS = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
 
 
 class ClaimError(AssertionError):
@@ -118,39 +100,34 @@ class Claim:
         The quantity in words.
     where : str
         Table, section or figure of the thesis.
-    kind : str
-        One of exact, simulated, stated, bound, lost, given.
     verdict : str
-        The verdict that the book states, which `check` asserts; ``pending`` if not yet judged.
+        One of `VERDICTS`: what the book states, and `check` asserts.
     printed : str
-        The number as printed, so that its last place is known; for a stated claim the limit as
-        printed, or empty if the thesis gives none.
+        The number as printed, so that its last place is known; empty if the thesis gives none.
+    compared : str
+        One of `COMPARED`; empty if nothing was compared.
     unit : str
         Unit of the number; empty for pure numbers.
     says : str
-        What the thesis says there, in our words; needed for a stated claim.
+        What the thesis says there, in other words.
     limit : str
-        For a stated claim, the predicate that ours must fulfil, ``>= 0.5``.
-    limit_of : str
-        ``thesis``, or ``ours`` with a `reason`.
-    side : str
-        For a bound, whether ours is a ``lower`` or an ``upper`` bound of the printed number.
+        The predicate that a recomputed number must fulfil for a sentence to hold, ``>= 0.5``.
+    bound : str
+        ``lower`` or ``upper``, where the simulation leaves causes out, so that it gives a bound.
     tolerance : float
-        Largest difference at which ours still agrees, in `unit`.
+        Largest difference at which arithmetic still agrees, in `unit`.
     reason : str
-        Why the tolerance, the limit or the largest width is what it is.
-    widest : float
-        Largest half-width of a simulated interval, in `unit`, that still says something.
+        Why the tolerance is not half a unit in the last printed place, or why the limit is what it
+        is where the thesis gives none.
     corrected : str
-        The right value where the printed one is wrong.
-    ours, within : float
-        For a claim that differs, our number and how far a later run may depart from it, in `unit`.
-    spent : str
-        Empty, ``identified`` or ``assumed``.
-    input : str
-        Which input was identified or assumed, and how; needed where something was spent.
+        The right value where the printed one is proven wrong.
+    recomputed, within : float
+        For a claim that disagrees, the number found and how far a later run may depart from it.
+    star : str
+        What the verdict hangs on that the thesis does not print, ``tuned: ...`` or
+        ``assumed: ...``; empty if nothing.
     note : str
-        Explanation of what differs, or which data are missing.
+        Why it disagrees, or which data are missing.
     test : str
         The test that holds what is computed, as pytest names it.
     """
@@ -158,139 +135,72 @@ class Claim:
     id: str
     what: str
     where: str
-    kind: str
     verdict: str
     printed: str
+    compared: str = ""
     unit: str = ""
     says: str = ""
     limit: str = ""
-    limit_of: str = ""
-    side: str = ""
+    bound: str = ""
     tolerance: float = math.nan
     reason: str = ""
-    widest: float = math.nan
     corrected: str = ""
-    ours: float = math.nan
+    recomputed: float = math.nan
     within: float = math.nan
-    spent: str = ""
-    input: str = ""
+    star: str = ""
     note: str = ""
     test: str = ""
 
     def __post_init__(self) -> None:
-        for name, allowed in (("kind", KINDS), ("verdict", VERDICTS), ("spent", SPENT)):
-            if getattr(self, name) not in allowed:
-                raise ValueError(
-                    f"{name} of {self.id} must be one of {allowed}, got {getattr(self, name)!r}"
-                )
-        if (self.kind in _UNJUDGED or self.verdict in _UNJUDGED) and self.verdict != self.kind:
-            raise ValueError(
-                f"{self.id} is {self.kind} and cannot have the verdict {self.verdict!r}"
-            )
-        if self.kind == "exact" and math.isnan(self.tolerance):
+        if self.compared == "arithmetic" and math.isnan(self.tolerance):
             object.__setattr__(self, "tolerance", half_ulp(self.corrected or self.printed))
-            if not self.reason:
-                object.__setattr__(self, "reason", "half a unit in the last printed place")
-        if self.kind == "simulated" and math.isnan(self.widest):
-            object.__setattr__(self, "widest", _WIDEST * abs(self.value))
-        for wanted, sound in self._rules():
-            if not sound:
-                raise ValueError(f"{self.id} {wanted}")
-
-    def _rules(self) -> list[tuple[str, bool]]:
-        """Return what must hold of the entry, in words, and whether it does."""
-        stated, exact = self.kind == "stated", self.kind == "exact"
-        own = self.limit_of == "ours"
-        size = abs(self.value) if self.kind in ("exact", "simulated") else math.inf
-        return [
-            (
-                "must have a corrected value if and only if it is an erratum",
-                (self.verdict == "erratum") == bool(self.corrected),
-            ),
-            (
-                f"must explain its verdict {self.verdict!r} in a note",
-                self.verdict not in ("differs", "inconclusive", "lost") or bool(self.note),
-            ),
-            (
-                "is stated and needs a limit, whose it is, and what the thesis says",
-                stated == bool(self.limit) == bool(self.limit_of) and stated <= bool(self.says),
-            ),
-            (
-                "must give the limit of the thesis or of ours",
-                self.limit_of in ("", "thesis", "ours"),
-            ),
-            ("must give the reason for a limit of ours", not own or bool(self.reason)),
-            ("must not print a limit that is ours", not own or not self.printed),
-            ("is a bound and needs its side", (self.kind == "bound") == bool(self.side)),
-            ("must give lower or upper as its side", self.side in ("", "lower", "upper")),
-            ("has a tolerance and needs to be exact", exact or math.isnan(self.tolerance)),
-            ("must give the reason for its tolerance", not exact or bool(self.reason)),
-            (
-                "must have a tolerance below half of the printed number",
-                not exact or 0 < self.tolerance <= max(0.5 * size, half_ulp(self.printed)),
-            ),
-            (
-                "must have a largest width below the printed number, or a reason",
-                self.kind != "simulated" or 0 < self.widest < (math.inf if self.reason else size),
-            ),
-            (
-                "differs and must say what ours is, and within what",
-                (self.verdict == "differs") == (self.ours == self.ours)
-                and (self.ours == self.ours) == (0 < self.within < math.inf),
-            ),
-            ("must name the input that was spent", bool(self.spent) == bool(self.input)),
-        ]
 
     @property
     def value(self) -> float:
-        """The printed number; for a stated claim, its limit."""
+        """The printed number; for a sentence, its limit."""
         return float((self.limit or self.printed).split()[-1])
+
+    @property
+    def label(self) -> str:
+        """The verdict, with its star if it has one."""
+        return f"{self.verdict} {STAR}" if self.star else self.verdict
 
     @property
     def rule(self) -> str:
         """How the claim is judged, in words."""
         unit = f" {self.unit}".rstrip()
-        if self.kind in _UNJUDGED:
-            return "not judged"
-        if self.kind == "stated":
-            whose = "the thesis' limit" if self.limit_of == "thesis" else "our limit"
-            return f"ours {self.limit}{unit} ({whose})"
-        if self.kind == "simulated":
-            return f"printed lies in our 95 % interval of at most ± {self.widest:.3g}{unit}"
-        if self.kind == "bound":
-            return f"ours is {'an upper' if self.side == 'upper' else 'a lower'} bound of the print"
+        if not self.compared:
+            return ""
+        if self.limit:
+            return f"recomputed {self.limit}{unit}"
+        if self.bound:
+            return f"{self.bound} bound by a simulation that leaves causes out"
+        if self.compared == "simulation":
+            return "printed lies in the 95 % interval of the simulation"
         if self.corrected:
-            return f"ours within {self.tolerance:.2g}{unit} of {self.corrected}, and not the print"
-        return f"ours within {self.tolerance:.2g}{unit} of the print: {self.reason}"
-
-    @property
-    def qualified(self) -> str:
-        """The verdict, with what was spent on it."""
-        text = "not yet judged" if self.verdict == "pending" else self.verdict
-        return f"{text} ({self.spent})" if self.spent else text
+            return f"recomputed within {self.tolerance:.2g}{unit} of {self.corrected}"
+        return f"recomputed within {self.tolerance:.2g}{unit} of printed"
 
 
 @dataclass(frozen=True)
 class Record:
-    """What a notebook found for a claim, or a number of its own for the prose.
+    """What a notebook found for a claim, or a number without a printed one for the prose.
 
     Attributes
     ----------
     id : str
-        The claim's id, or a name of ours for a number without a printed one.
+        The claim's id, or a name of its own.
     value : float
-        Our number, in `unit`.
+        The recomputed number, in `unit`.
     low, high : float
         The ends of its interval: 95 % over seeds for a simulation, the propagated rounding of
-        printed inputs for an exact claim; both equal `value` where there is none.
+        printed inputs for arithmetic; both equal `value` where there is none.
     unit : str
         Unit of the number.
     verdict : str
-        The verdict; ``result`` for a number of ours.
+        The verdict; ``result`` for a number without a printed one.
     digits : int
-        Decimal places to show.
-    cell : str
-        The notebook's cell that computed it; empty outside of a notebook.
+        Decimal places to show at most.
     """
 
     id: str
@@ -300,45 +210,54 @@ class Record:
     unit: str
     verdict: str
     digits: int
-    cell: str = ""
 
     def __str__(self) -> str:
-        # Tiny numbers (a distortion per µm²) read better in powers of ten.
-        style = f".{self.digits}f" if self.digits <= 7 else ".2e"
-        if self.high > self.low and self.digits <= 7:
-            # Of an interval two digits, and of the number no more than they are worth.
-            places = 1 - math.floor(math.log10((self.high - self.low) / 2))
-            style = f".{min(self.digits, max(0, places))}f"
-        text = format(self.value, style)
-        if self.high > self.low:
-            half = (self.high - self.low) / 2
-            if math.isclose(self.high + self.low, 2 * self.value, rel_tol=1e-6):
-                text += f" ± {format(half, style)}"
-            else:
-                text += f" ({format(self.low, style)} to {format(self.high, style)})"
-        return f"{text} {self.unit}".rstrip()
+        half = (self.high - self.low) / 2
+        if half and abs(self.high + self.low - 2 * self.value) < 1e-6 * half:
+            return f"{with_error(self.value, half)} {self.unit}".rstrip()
+        ends = (self.value, self.low, self.high)
+        text, low, high = (_text(number, half, self.digits) for number in ends)
+        between = f" ({low} to {high})" if half else ""
+        return f"{text}{between} {self.unit}".rstrip()
 
 
 def with_error(value: float, error: float) -> str:
-    """Return a number and its error, both to two digits of the error.
+    """Write a number with its standard deviation, of which two digits say how far it is known.
 
     Parameters
     ----------
     value, error : float
-        Of one unit; the error is positive.
+        The number and its standard deviation, above 0.
+
+    Returns
+    -------
+    str
+        Both to the same place; below 1e-5 in powers of ten.
 
     Examples
     --------
+    >>> from compendium.ledger import with_error
     >>> with_error(201173.2, 1290.0), with_error(-2.79268, 0.009)
     ('201200 ± 1300', '-2.7927 ± 0.0090')
     >>> with_error(-8.39877e-10, 1.7e-12)
     '(-8.399 ± 0.017)·10⁻¹⁰'
     """
     power = math.floor(math.log10(abs(value))) if 0 < abs(value) < 1e-5 else 0
-    places = 1 - math.floor(math.log10(error)) + power
-    scaled = [f"{round(part / 10**power, places):.{max(0, places)}f}" for part in (value, error)]
-    text = " ± ".join(scaled)
+    parts = [part / 10**power for part in (value, error)]
+    text = " ± ".join(_text(part, parts[1]) for part in parts)
     return f"({text})·10{str(power).translate(_RAISED)}" if power else text
+
+
+def _text(value: float, error: float, most: int = 99) -> str:
+    """Write a number to the second digit of its error, or to `most` decimals if they are fewer.
+
+    A number without an interval takes them all. A tiny one, such as a distortion per µm², reads
+    better in powers of ten.
+    """
+    if most > 7 and 0 < abs(value) < 1e-5:
+        return f"{value:.2e}"
+    decimals = min(most, 1 - math.floor(math.log10(error))) if error > 0 else most
+    return f"{round(value, decimals):.{max(0, decimals)}f}"
 
 
 def half_ulp(printed: str) -> float:
@@ -361,10 +280,11 @@ def claims() -> Mapping[str, Claim]:
     Raises
     ------
     ValueError
-        If the data file is missing or a claim in it is incomplete.
+        If the data file is missing.
 
     Examples
     --------
+    >>> from compendium.ledger import claims
     >>> claims()["table-5.6/E"].printed
     '1.3237'
     """
@@ -391,6 +311,7 @@ def claim(id: str) -> Claim:
 
     Examples
     --------
+    >>> from compendium.ledger import claim
     >>> claim("table-5.6/w_d").value
     121.22
     """
@@ -399,18 +320,19 @@ def claim(id: str) -> Claim:
     return claims()[id]
 
 
-@cache
 def errata() -> Mapping[str, Mapping[str, str]]:
     """Read the faults of the thesis.
 
     Returns
     -------
     mapping of str to mapping
-        By id: ``where``, ``printed``, ``corrected``, ``proof`` and the ``origin`` of the fault,
-        which is ``print``, or ``open`` where print and machine reading cannot be told apart.
+        By id: ``title``, ``where``, ``printed``, ``corrected``, ``proof`` and the ``origin`` of the
+        fault: ``print``, ``open`` where print and machine reading cannot be told apart, or
+        ``wording`` where the text can be understood so that nothing is wrong.
 
     Examples
     --------
+    >>> from compendium.ledger import errata
     >>> errata()["table-5.6-zeta"]["printed"]
     'ζ = c/a = 44.78'
     """
@@ -425,45 +347,80 @@ def judge(claim: Claim, value: float, low: float, high: float) -> str:
     claim : Claim
         What was printed.
     value : float
-        Our number, in the claim's unit.
+        The computed number, in the claim's unit.
     low, high : float
-        Ends of our interval; a simulated claim and a bound are judged by them.
+        Ends of its interval, by which a simulation is judged.
 
     Returns
     -------
     str
-        ``reproduced``, ``consistent``, ``bounded``, ``inconclusive``, ``differs`` or
-        ``erratum``.
+        One of `VERDICTS`.
 
     Raises
     ------
     ValueError
-        If the claim is of a kind that no number can judge.
+        If nothing was compared for this claim.
 
     Examples
     --------
+    >>> from compendium.ledger import claim, judge
     >>> judge(claim("table-5.6/E"), 1.32372, 1.32372, 1.32372)
-    'reproduced'
+    'agrees'
     >>> judge(claim("table-5.6/E"), 1.30, 1.30, 1.30)
-    'differs'
+    'disagrees'
     """
-    if claim.kind == "exact":
-        if claim.corrected:
-            contradicts = abs(value - claim.value) > claim.tolerance + half_ulp(claim.printed)
-            agrees = abs(value - float(claim.corrected)) <= claim.tolerance
-            return "erratum" if agrees and contradicts else "differs"
-        return "reproduced" if abs(value - claim.value) <= claim.tolerance else "differs"
-    if claim.kind == "simulated":
-        if not low <= claim.value <= high:
-            return "differs"
-        return "consistent" if (high - low) / 2 <= claim.widest else "inconclusive"
-    if claim.kind == "stated":
-        comparison = _COMPARISONS[claim.limit.split()[0]]
-        return "consistent" if comparison(value, claim.value) else "differs"
-    if claim.kind == "bound":
-        respected = claim.value >= low if claim.side == "lower" else claim.value <= high
-        return "bounded" if respected else "differs"
-    raise ValueError(f"{claim.id} is {claim.kind}; no number can judge it")
+    if not claim.compared:
+        raise ValueError(f"{claim.id} is not compared; no number can judge it")
+    if claim.limit:
+        holds = _COMPARISONS[claim.limit.split()[0]](value, claim.value)
+    elif claim.compared == "arithmetic":
+        holds = abs(value - claim.value) <= claim.tolerance
+    elif claim.bound:
+        holds = claim.value >= low if claim.bound == "lower" else claim.value <= high
+    else:
+        holds = low <= claim.value <= high
+    if not holds:
+        return "disagrees"
+    if claim.compared != "simulation" or claim.limit:
+        return "agrees"
+    if claim.verdict == "input":
+        return "input"
+    wide = (high - low) / 2 > WIDEST * abs(claim.value)
+    return "cannot tell" if claim.bound or wide else "agrees"
+
+
+def appraise(claim: Claim, value: float, low: float, high: float) -> tuple[str, str]:
+    """Judge a computed number, and hold the verdict against the one that the book states.
+
+    Parameters
+    ----------
+    claim : Claim
+        What was printed.
+    value, low, high : float
+        As for `judge`.
+
+    Returns
+    -------
+    verdict : str
+        As from `judge`.
+    objection : str
+        Empty if all is as the book says; otherwise what is not.
+
+    Examples
+    --------
+    >>> from compendium.ledger import appraise, claim
+    >>> appraise(claim("table-5.6/E"), 1.30, 1.30, 1.30)
+    ('disagrees', 'disagrees, but the book says agrees')
+    """
+    verdict = judge(claim, value, low, high)
+    if verdict != claim.verdict:
+        return verdict, f"{verdict}, but the book says {claim.verdict}"
+    if verdict == "disagrees":
+        found = float(claim.corrected or claim.recomputed)
+        within = claim.tolerance if claim.corrected else claim.within
+        if not abs(value - found) <= within:
+            return verdict, f"not within {within:g} of {found:g}, which the book says"
+    return verdict, ""
 
 
 @dataclass
@@ -472,6 +429,20 @@ class _Session:
 
     path: Path | None = None
     records: dict[str, Record] = field(default_factory=dict)
+
+    def add(self, record: Record) -> Record:
+        """Keep a record; a cell that is run again replaces what it recorded."""
+        self.records[record.id] = record
+        self.write()
+        return record
+
+    def write(self) -> None:
+        if self.path is None:
+            return
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        records = [asdict(record) for record in self.records.values()]
+        text = json.dumps(records, indent=1, ensure_ascii=False) + "\n"
+        replace_file(self.path, lambda file: file.write_text(text, encoding="utf-8"))
 
 
 _session = _Session()
@@ -487,7 +458,7 @@ def open_record(path: str | os.PathLike[str]) -> None:
     """
     _session.path = Path(path) if os.fspath(path) else None
     _session.records = {}
-    _write()
+    _session.write()
 
 
 def check(
@@ -504,29 +475,30 @@ def check(
     id : str
         The claim, ``table-5.6/E``.
     value : float
-        Our number, in the claim's unit; 1 or 0 for a predicate that simply holds or not.
+        The computed number, in the claim's unit; 1 or 0 for a predicate that simply holds or not.
     uncertainty : float
-        Half-width of the interval around it: of the 95 % interval over seeds for a simulated claim,
-        of the propagated rounding of the printed inputs for an exact one.
+        Half-width of the interval around it: of the 95 % interval over seeds for a simulation, of
+        the propagated rounding of the printed inputs for arithmetic.
     interval : tuple of float, optional
         Both ends, where they do not lie evenly around `value`.
 
     Returns
     -------
     Record
-        The verdict with our number.
+        The verdict with the computed number.
 
     Raises
     ------
     ClaimError
-        If the verdict is not the one that ``claims.toml`` states, or ours differs by another amount
-        than it states.
+        If the verdict is not the one that ``claims.toml`` states, or the number differs by another
+        amount than it states.
     ValueError
-        If there is no such claim, the value is not finite, or a simulated claim comes without an
+        If there is no such claim, the value is not finite, or a simulated number comes without an
         interval.
 
     Examples
     --------
+    >>> from compendium.ledger import check
     >>> print(check("table-5.6/E", 1.32372))
     1.32372 MPa
     """
@@ -536,16 +508,13 @@ def check(
         raise ValueError(f"value of {id} must be finite, got {value} in [{low}, {high}]")
     if not low <= value <= high:
         raise ValueError(f"interval of {id} must contain its value, got {value} in [{low}, {high}]")
-    if stated.kind == "simulated" and low == high:
+    if stated.compared == "simulation" and not stated.limit and low == high:
         raise ValueError(f"{id} is simulated and needs an interval, got a bare {value}")
-    places = _places(stated)
-    decimals = _decimals(value, high - low, places, exact=stated.kind == "exact")
-    # What is stored is what is judged.
-    value, low, high = _rounded(value, low, high, decimals)
-    shown = min(places, max(0, decimals))
-    if stated.kind == "stated" and value:
-        # No printed digits say how many to show: four in all.
-        shown = min(shown, max(0, 3 - math.floor(math.log10(abs(value)))))
+    if stated.limit:
+        # No printed digits say how many to show: four in all, and three decimals at most.
+        shown = min(3, max(0, 3 - math.floor(math.log10(abs(value))))) if value else 3
+    else:  # one place more than printed
+        shown = max(0, 1 - int(Decimal(stated.corrected or stated.printed).as_tuple().exponent))
     verdict, objection = appraise(stated, value, low, high)
     if objection and not os.environ.get(TALLY_VARIABLE):
         raise ClaimError(
@@ -553,18 +522,9 @@ def check(
             f"{stated.corrected or stated.printed or stated.limit} {stated.unit}, recomputed "
             f"{value:.8g} in [{low:.8g}, {high:.8g}]: {objection}"
         )
-    return _add(
-        Record(
-            id,
-            value,
-            low,
-            high,
-            stated.unit,
-            f"{verdict}: {objection}" if objection else verdict,
-            shown,
-            _cell(),
-        )
-    )
+    verdict = f"{verdict}: {objection}" if objection else verdict
+    numbers = (float(value), float(low), float(high))
+    return _session.add(Record(id, *numbers, stated.unit, verdict, shown))
 
 
 def check_equation(
@@ -630,83 +590,11 @@ def check_equation(
         )
     largest = float(difference.max())
     name = f"equation-{number}/{sum(r.verdict == CHECKED for r in _session.records.values())}"
-    _add(Record(name, largest, largest, largest, "", CHECKED, 0, _cell()))
-
-
-def appraise(claim: Claim, value: float, low: float, high: float) -> tuple[str, str]:
-    """Judge a computed number, and hold the verdict against the one that the book states.
-
-    Parameters
-    ----------
-    claim : Claim
-        What was printed.
-    value, low, high : float
-        As for `judge`.
-
-    Returns
-    -------
-    verdict : str
-        As from `judge`.
-    objection : str
-        Empty if all is as the book says; otherwise what is not.
-
-    Examples
-    --------
-    >>> appraise(claim("table-5.6/E"), 1.30, 1.30, 1.30)
-    ('differs', 'differs, but the book says reproduced')
-    """
-    verdict = judge(claim, value, low, high)
-    if verdict != claim.verdict:
-        return verdict, f"{verdict}, but the book says {claim.verdict}"
-    if claim.verdict == "differs" and not abs(value - claim.ours) <= claim.within:
-        return verdict, f"not within {claim.within:g} of {claim.ours:g}, which the book says"
-    return verdict, ""
-
-
-def turning_points(claim: Claim, record: Record) -> tuple[float, float]:
-    """Return by what factors our number can fall and rise before the verdict turns.
-
-    Parameters
-    ----------
-    claim : Claim
-        A claim that was judged.
-    record : Record
-        What was found for it; its interval is moved with the value.
-
-    Returns
-    -------
-    tuple of float
-        The largest factor below one and the smallest above one, of a ladder in steps of 1 % up to
-        a hundredfold, at which the verdict is another; 0 and infinity if there is none. Our number
-        must not be zero.
-
-    Examples
-    --------
-    >>> low, high = turning_points(
-    ...     claim("table-5.6/w_d"), Record("table-5.6/w_d", 121.217, 121.217, 121.217, "µm", "", 3)
-    ... )
-    >>> round(low, 2), round(high, 2)
-    (0.99, 1.01)
-    """
-    ladder = 1.01 ** np.arange(1, 464)
-
-    def turns(factor: float) -> bool:
-        ends = sorted((factor * record.low, factor * record.high))
-        return bool(appraise(claim, factor * record.value, *ends)[1])
-
-    down = next((1 / float(f) for f in ladder if turns(1 / f)), 0.0)
-    return down, next((float(f) for f in ladder if turns(f)), math.inf)
-
-
-def _cell() -> str:
-    """Return the number of the notebook's cell that is being executed, ``[7]``."""
-    shell = sys.modules.get("IPython") and sys.modules["IPython"].get_ipython()
-    # Its inputs, the first of which is empty; the shell's own count may have moved on already.
-    return f"[{len(shell.user_ns['In']) - 1}]" if shell else ""
+    _session.add(Record(name, largest, largest, largest, "", CHECKED, 0))
 
 
 def report(id: str, value: float, unit: str = "", *, digits: int = 2) -> Record:
-    """Record a number of ours that has no printed counterpart, so that the prose can quote it.
+    """Record a number that has no printed counterpart, so that the prose can quote it.
 
     Parameters
     ----------
@@ -731,6 +619,7 @@ def report(id: str, value: float, unit: str = "", *, digits: int = 2) -> Record:
 
     Examples
     --------
+    >>> from compendium.ledger import report
     >>> print(report("4/example", 1.27791, digits=2))
     1.28
     """
@@ -738,8 +627,8 @@ def report(id: str, value: float, unit: str = "", *, digits: int = 2) -> Record:
         raise ValueError(f"id must not be that of a claim, got {id!r}")
     if not math.isfinite(value):
         raise ValueError(f"value of {id} must be finite, got {value}")
-    value = round(float(value), _decimals(value, 0.0, digits, exact=True))
-    return _add(Record(id, value, value, value, unit, "result", digits))
+    number = float(value)
+    return _session.add(Record(id, number, number, number, unit, "result", digits))
 
 
 def summary(prefix: str = "") -> pd.DataFrame:
@@ -753,24 +642,22 @@ def summary(prefix: str = "") -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        One row for each claim, by its id: quantity, printed, ours, unit, verdict.
+        One row for each claim, by its id: quantity, printed, recomputed, unit, verdict.
     """
-    rows = [
-        {
-            "claim": record.id,
+    rows = {
+        record.id: {
             "quantity": stated.what,
             "printed": stated.printed,
-            "ours": str(replace(record, unit="")),
+            "recomputed": str(replace(record, unit="")),
             "unit": stated.unit,
-            "verdict": stated.qualified,
+            "verdict": stated.label,
         }
         for record in _session.records.values()
         if record.id.startswith(prefix) and (stated := claims().get(record.id)) is not None
-    ]
-    columns = ["claim", "quantity", "printed", "ours", "unit", "verdict"]
-    table = pd.DataFrame(rows, columns=columns).set_index("claim")
-    # The word above the ids, in the same line as the other columns' names.
-    return table.rename_axis(index=None, columns="claim")
+    }
+    columns = ["quantity", "printed", "recomputed", "unit", "verdict"]
+    table = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
+    return table.rename_axis(columns="claim")
 
 
 def read_records(folder: str | os.PathLike[str]) -> dict[str, Record]:
@@ -802,25 +689,6 @@ def read_records(folder: str | os.PathLike[str]) -> dict[str, Record]:
     return records
 
 
-@cache
-def turned_by() -> Mapping[str, tuple[str, ...]]:
-    """Read which faults turned the check of each claim, when they were planted in its inputs.
-
-    Returns
-    -------
-    mapping of str to tuple of str
-        Names of the faults by the claim's id, as ``make vacuity`` wrote them; the faults themselves
-        stand in ``tests/vacuity_faults.toml``.
-
-    Examples
-    --------
-    >>> "window-d2-halved" in turned_by()["section-3.2.1/d2"]
-    True
-    """
-    with (_THESIS / "vacuity.csv").open(newline="", encoding="utf-8") as file:
-        return {row["claim"]: tuple(row["inputs"].split()) for row in csv.DictReader(file)}
-
-
 def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
     """Tabulate every claim with what the notebooks recorded for it.
 
@@ -833,12 +701,12 @@ def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
     -------
     pandas.DataFrame
         One row a claim in the thesis' order: claim, part (the table or section it belongs to),
-        quantity, kind, printed, rounding (half a unit in the last place), ours, low, high, unit,
-        verdict, spent, rule, turns (the factors at which the verdict turns, see `turning_points`),
-        faults (of `turned_by`), input, says, note, cell, test.
+        quantity, printed, recomputed, low, high, unit, verdict, star, compared, rule, reason,
+        corrected, says, note, test.
 
     Examples
     --------
+    >>> from compendium.ledger import scorecard
     >>> table = scorecard("no/such/folder")
     >>> table.loc[table["claim"] == "table-5.6/E", "printed"].item()
     '1.3237'
@@ -846,84 +714,23 @@ def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
     records = read_records(folder)
     rows = []
     for stated in claims().values():
-        record = records.get(stated.id)
-        is_number = stated.kind != "stated" and stated.printed != ""
+        found = records.get(stated.id)
         rows.append(
             {
                 "claim": stated.id,
                 "part": stated.id.split("/")[0].replace("-", " ").capitalize(),
                 "quantity": stated.what,
-                "kind": stated.kind,
                 "printed": stated.printed,
-                "rounding": half_ulp(stated.printed) if is_number else math.nan,
-                "ours": "" if record is None else str(replace(record, unit="")),
-                "low": math.nan if record is None else record.low,
-                "high": math.nan if record is None else record.high,
+                "recomputed": "" if found is None else str(replace(found, unit="")),
+                "low": math.nan if found is None else found.low,
+                "high": math.nan if found is None else found.high,
                 "unit": stated.unit,
                 "verdict": stated.verdict,
-                "spent": stated.spent,
-                "rule": stated.rule,
-                "turns": "" if record is None else _in_words(turning_points(stated, record)),
-                "faults": turned_by().get(stated.id, ()),
-                "input": stated.input,
-                "says": stated.says,
-                "note": stated.note,
-                "cell": "" if record is None else record.cell,
-                "test": stated.test,
             }
         )
+        names = ("star", "compared", "rule", "reason", "corrected", "says", "note", "test")
+        rows[-1] |= {name: getattr(stated, name) for name in names}
     return pd.DataFrame(rows)
-
-
-def _in_words(factors: tuple[float, float]) -> str:
-    down, up = factors
-    return f"× {down:.2g}, × {up:.3g}" if down > 0 and up < math.inf else f"× {down:.2g}, × {up:g}"
-
-
-def _decimals(value: float, width: float, places: int, *, exact: bool) -> int:
-    """Return to how many decimals a number is stored: as many as mean something.
-
-    Other BLAS kernels move results by up to 2e-6 of themselves or of their interval's width (93 of
-    193 records of another machine); three digits of the width, or four of a number without an
-    interval and two more than are shown, leave such a change out.
-    """
-    by_width = 2 - math.floor(math.log10(width)) if width > 0 else None
-    if by_width is not None and not exact:
-        return by_width
-    by_size = 3 - math.floor(math.log10(abs(value))) if value else 0
-    return max(places + 2, by_size if by_width is None else by_width)
-
-
-def _rounded(value: float, low: float, high: float, decimals: int) -> tuple[float, float, float]:
-    """Round a number and its interval; one that lies evenly around the number stays so."""
-    middle = round(float(value), decimals)
-    if abs(high + low - 2 * value) > 1e-6 * (high - low):
-        return middle, round(float(low), decimals), round(float(high), decimals)
-    half = round((high - low) / 2, decimals)
-    return middle, round(middle - half, decimals), round(middle + half, decimals)
-
-
-def _places(stated: Claim) -> int:
-    """Return how many decimals to show: one more than printed."""
-    if stated.kind == "stated":
-        return 3
-    exponent = Decimal(stated.corrected or stated.printed).as_tuple().exponent
-    return max(0, 1 - int(exponent))
-
-
-def _add(record: Record) -> Record:
-    # A cell that is run again replaces what it recorded.
-    _session.records[record.id] = record
-    _write()
-    return record
-
-
-def _write() -> None:
-    if _session.path is None:
-        return
-    _session.path.parent.mkdir(parents=True, exist_ok=True)
-    text = json.dumps([asdict(r) for r in _session.records.values()], indent=1, ensure_ascii=False)
-    replace_file(_session.path, lambda file: file.write_text(text + "\n", encoding="utf-8"))
 
 
 @cache

@@ -36,7 +36,7 @@ from nbclient.exceptions import DeadKernelError
 from papermill.exceptions import PapermillExecutionError
 from traitlets.config import Config
 
-from compendium.executed import clean, error_cell, name_cells
+from compendium.executed import clean, error_cell
 from compendium.figures.data import FOLDER_VARIABLE
 from compendium.parameters import prepare_folder, read_values
 from microlib._common import end_with_starter, replace_file
@@ -251,7 +251,6 @@ def run(name: str, key: dict[str, str]) -> tuple[str, bool]:
         notebook = nbformat.read(made, as_version=4)
         if passed and str(ROOT) in nbformat.writes(notebook):
             message, passed = "FAILED: an output names a path of this machine", False
-        records = name_cells(records, notebook)
         os.replace(made, BUILD / "notebooks" / made.name)
     write_json(BUILD / "claims" / record.name, records)
     checks = sum(entry["verdict"] != "result" for entry in records)

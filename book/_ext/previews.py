@@ -2,6 +2,7 @@
 
 A page that was opened from a file may read no other page, so all previews stand in one script,
 which is loaded when the first one is asked for. They are taken from the pages as they were built.
+sphinx-hoverxref asks a server for them, and sphinx-tippy shows neither a formula nor a claim.
 """
 
 from __future__ import annotations
@@ -13,10 +14,8 @@ from pathlib import Path
 
 from docutils import nodes
 from sphinx.application import Sphinx
-from thesis import with_unit
+from thesis import preview_claims
 from thesis_map import TAG, find_items, read_map
-
-from compendium import ledger
 
 ROOT = Path(__file__).resolve().parents[2]
 FORMULA = re.compile(r'<div class="math notranslate nohighlight">\s*(\\\[.*?\\\])', re.S)
@@ -58,26 +57,18 @@ def preview_figures(text: str) -> dict[str, str]:
     return found
 
 
-def preview_claims() -> dict[str, str]:
-    return {
-        nodes.make_id(f"claim-{claim.id}"): f"<p>{escape(claim.what)}: "
-        f"{escape(with_unit(claim.printed, claim.unit) or 'no number')} in the thesis; "
-        f"{escape(claim.qualified)}. {escape(claim.note or claim.says)}</p>"
-        for claim in ledger.claims().values()
-    }
-
-
 def preview_page(name: str, text: str) -> dict[str, str]:
     """Return what the anchors of a page stand for."""
     if name == "claims.html":
         return preview_claims()
     if name == "bibliography.html":
         return {anchor: f"<p>{plain(entry)}</p>" for anchor, entry in CITATION.findall(text)}
-    if name == "glossary.html":
+    if name == "symbols.html":
         return {a: f"<p><b>{plain(t)}</b> {plain(says)}</p>" for a, t, says in TERM.findall(text)}
     found = preview_formulas(text) | preview_figures(text)
+    places = find_items(ROOT / "build" / "notebooks")
     for item in read_map().values():
-        stem, anchor = find_items(ROOT / "build" / "notebooks")[item.id]
+        stem, anchor = places.get(item.id, ("", ""))
         if item.kind == "table" and name == f"notebooks/{stem}.html":
             found[nodes.make_id(anchor)] = f"<p>Table {item.number}: {escape(item.what)}</p>"
     return found
@@ -87,7 +78,7 @@ def write_previews(app: Sphinx, error: Exception | None) -> None:
     if error or app.builder.format != "html":
         return
     out = Path(app.outdir)
-    names = ["claims.html", "bibliography.html", "glossary.html"]
+    names = ["claims.html", "bibliography.html", "symbols.html"]
     names += [f"notebooks/{path.name}" for path in sorted((out / "notebooks").glob("*.html"))]
     previews = {
         f"{name}#{anchor}": preview

@@ -1,52 +1,57 @@
-"""Where each numbered section, equation, figure and table stands, for the search.
+"""Where each number stands, for the search: of sections, equations, figures, tables, and claims.
 
-The search of Sphinx knows words and no numbers such as 5.6. ``_static/search_numbers.js`` reads the
-list that is written here and puts what a number leads to before the other results.
+The search of Sphinx knows words and no numbers such as 5.6 or 1.3237. It is given the list that is
+written here; ``_static/search_numbers.js`` puts what a number leads to before the other results.
 """
 
 from __future__ import annotations
 
 import json
-import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import nbformat
 from docutils import nodes
 from sphinx.application import Sphinx
-from thesis_map import find_items, read_map
+from thesis import printed, records
+from thesis_map import HEADING, find_items, read_map
+
+from compendium import ledger
 
 ROOT = Path(__file__).resolve().parents[2]
-TITLE = re.compile(r"(\d(?:\.\d+)*) \S")
-
-
-def find_sections(app: Sphinx) -> list[tuple[str, str, str]]:
-    """Return number, title and address of each section that carries a number of the thesis."""
-    found = []
-    for page in sorted(app.env.found_docs):
-        if not re.match(r"notebooks/0[1-6]_", page):
-            continue
-        for section in app.env.get_doctree(page).findall(nodes.section):
-            title = section.next_node(nodes.title)
-            if title is not None and (match := TITLE.match(title.astext())):
-                uri = app.builder.get_target_uri(page)
-                # A chapter's own title is the page's beginning.
-                anchor = f"#{section['ids'][0]}" if "." in match[1] else ""
-                found.append((match[1], title.astext(), uri + anchor))
-    return found
 
 
 def list_numbers(app: Sphinx) -> dict[str, list[list[str]]]:
     """Return kind, text and address of what each number may mean, sections first."""
     numbers: dict[str, list[list[str]]] = {}
-    for number, title, address in find_sections(app):
-        numbers.setdefault(number, []).append(["section", f"Section {title}", address])
+
+    def add(number: str, kind: str, text: str, page: str, anchor: str) -> None:
+        address = f"{app.builder.get_target_uri(page)}#{nodes.make_id(anchor)}"
+        entry = [kind, text, address]
+        if entry not in numbers.setdefault(number, []):
+            numbers[number].append(entry)
+
     places = find_items(ROOT / "build" / "notebooks")
+    for path in sorted((ROOT / "build" / "notebooks").glob("0[1-6]_*.ipynb")):
+        for cell in nbformat.read(path, as_version=4).cells:
+            for number, title in HEADING.findall(cell.source) if cell.cell_type != "code" else []:
+                where = (f"notebooks/{path.stem}", f"section-{number}")
+                add(number, "section", f"Section {number} {title}", *where)
     for item in read_map().values():
-        stem, anchor = places[item.id]
-        address = app.builder.get_target_uri(f"notebooks/{stem}") + "#" + nodes.make_id(anchor)
-        number = f"({item.number})" if item.kind == "equation" else item.number
-        text = f"{item.kind.capitalize()} {number}: {item.what}"
-        numbers.setdefault(item.number, []).append([item.kind, text, address])
+        if item.id in places:
+            stem, anchor = places[item.id]
+            text = f"{item.kind.capitalize()} {item.shown}: {item.what}"
+            add(item.number, item.kind, text, f"notebooks/{stem}", anchor)
+    for claim in ledger.claims().values():
+        found = records().get(claim.id)
+        text = f"{claim.what} ({claim.where}): printed {printed(claim)}"
+        text += f", recomputed {found}" if found else ""
+        shown = {claim.printed.split()[-1]} if claim.printed else set()
+        shown |= {claim.corrected} if claim.corrected else set()
+        shown |= {str(replace(found, unit="")).split()[0].strip("()")} if found else set()
+        for number in sorted(shown):
+            add(number, "value", f"{text}: {claim.label}", "claims", f"claim-{claim.id}")
     return numbers
 
 

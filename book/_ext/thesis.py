@@ -1,56 +1,64 @@
 """Roles and directives that put the ledger's numbers into the book's text.
 
-- ``{ours}`id` ``: our number as recorded; ``{printed}`id` ``: the thesis' number;
-  ``{verdict}`id` ``: the verdict.
-- ``{claims}`` with a prefix: the scorecard of all claims whose id begins with it; with
-  ``:filter:`` readers can narrow it down. Each leads to the cell of the notebook that computed it.
+- ``{recomputed}`id` `` (or ``ours``), ``{printed}`id` ``, ``{verdict}`id` ``: the recomputed
+  number, the thesis' number and the verdict; a verdict leads to its row in the list of claims.
+- ``{verdict-map}``: a bar for each part of the thesis, each piece of which leads to its claims.
+- ``{claims}``: the list of all claims, which ``_static/filter.js`` narrows; ``{differences}``:
+  those that disagree, with the reason; ``{deviations}``: where another rule than 95 % judges.
 - ``{errata}``: every fault of the thesis with its proof.
-- ``{benchmarks}``: every result of ``benchmarks/results`` with the machine named.
-- ``{status}``: how each notebook's run went, with the hashes of what it depended on.
 
-A number that was never recorded stops the build, so the text cannot outlive its notebook.
+A number that was never recorded stops the build, so the text cannot outlive its notebook. No
+extension that exists knows of claims, which is what all of this file is about.
 """
 
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from functools import cache
-from importlib.metadata import version
+from html import escape
 from pathlib import Path
-from typing import Any, ClassVar
 
 from docutils import nodes
-from docutils.parsers.rst import directives
 from docutils.statemachine import StringList
 from sphinx.application import Sphinx
-from sphinx.config import Config
-from sphinx.environment import BuildEnvironment
 from sphinx.util.docutils import SphinxDirective, SphinxRole
+from tables import line, link, long_name, raw_html, section, table
 from test_sources import place_of_proof, place_of_test
 from thesis_map import find_items
 
 from compendium import ledger
 
-PACKAGES = ("numpy", "scipy", "scikit-image", "opencv-python-headless", "matplotlib", "pandas")
-FILTER = """<div class="claims-filter">
-<label>Find <input type="search" data-claims-text></label>
-<label>Verdict <select data-claims-verdict><option value="">all</option></select></label>
-<label>Spent <select data-claims-spent><option value="">all</option></select></label>
-<label>Kind <select data-claims-kind><option value="">all</option></select></label>
-<output data-claims-count></output></div>"""
-
 ROOT = Path(__file__).resolve().parents[2]
 CLAIMS = ROOT / "build" / "claims"
-RESULTS = ROOT / "benchmarks" / "results"
-#: A cell that holds a number, perhaps with a sign of comparison.
-NUMBER = re.compile(r"[≤≥]?\s?[−+-]?\d[\d.,e+-]*")
-LONG = 20  # rows above which a table is folded
-#: Columns of the scorecard; thesis.css names them again where they are stacked on a phone.
-#: Names of faults that a row shows.
-MOST_FAULTS = 3
-SCORECARD = ["Claim", "Thesis", "Ours", "Rule", "Verdict", "Where"]
+#: Most telling first.
+ORDER = ("disagrees", "cannot tell", "agrees", "input")
+#: Parts of the thesis, and what the ids of their claims begin with.
+PARTS = {
+    "1 and 2 Introduction, microsystems and vision": ("section-1", "section-2"),
+    "3 Visual reconstruction and classification": ("section-3", "table-3"),
+    "4 Mechanical characterization": ("section-4",),
+    "5.1 Hardware": ("section-5.1",),
+    "5.2 Calibration": ("section-5.2", "table-5.1", "table-5.2"),
+    "5.3 Tracking": ("section-5.3",),
+    "5.4 Visual servoing": ("section-5.4", "table-5.3", "table-5.4"),
+    "5.5 Shape from focus and surface types": ("section-5.5",),
+    "5.6 Stiffness of the embryo": ("section-5.6", "table-5.5", "table-5.6", "table-5.7"),
+    "6 Abstract and conclusion": ("abstract", "section-6"),
+}
+FILTER = """<div class="claims-filter">
+<label>Find <input type="search" data-claims="text"></label>
+<label>Verdict <select data-claims="verdict"><option value="">all</option></select></label>
+<label>Star <select data-claims="star"><option value="">all</option></select></label>
+<label>Compared by <select data-claims="by"><option value="">all</option></select></label>
+<label>Part <select data-claims="part"><option value="">all</option></select></label>
+<output data-claims-count></output></div>"""
+ORIGINS = {
+    "print": "a fault of the thesis",
+    "open": "print and machine reading cannot be told apart",
+    "wording": "the text can be understood so that nothing is wrong",
+}
 
 
 @cache
@@ -58,197 +66,207 @@ def records() -> dict[str, ledger.Record]:
     return ledger.read_records(CLAIMS)
 
 
-@cache
-def pages() -> dict[str, str]:
-    """Return the notebook that recorded each claim."""
-    return {
-        entry["id"]: path.stem
-        for path in sorted(CLAIMS.glob("*.json"))
-        for entry in json.loads(path.read_text(encoding="utf-8"))
-    }
+def part_of(claim: ledger.Claim) -> str:
+    """Return the part of the thesis that a claim belongs to."""
+    return next(part for part, starts in PARTS.items() if claim.id.startswith(starts))
 
 
-class Ours(SphinxRole):
+def facets(claim: ledger.Claim) -> dict[str, str]:
+    """Return what the list of claims can be narrowed by, as the address has it."""
+    star = "starred" if claim.star else "unstarred"
+    by = claim.compared or "not compared"
+    return {"verdict": claim.verdict, "star": star, "by": by, "part": part_of(claim).split()[0]}
+
+
+class Recomputed(SphinxRole):
     def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
         record = records().get(self.text)
         if record is None:
             message = self.inliner.reporter.error(f"no notebook recorded {self.text!r}")
             return [nodes.problematic(self.rawtext, self.rawtext)], [message]
-        return [nodes.inline(self.rawtext, str(record), classes=["ours"])], []
+        return [nodes.inline(self.rawtext, str(record), classes=["recomputed"])], []
 
 
 class Printed(SphinxRole):
     def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
-        claim = ledger.claim(self.text)
-        text = with_unit(claim.printed, claim.unit)
+        text = printed(ledger.claim(self.text))
         return [nodes.inline(self.rawtext, text, classes=["printed"])], []
 
 
 class Verdict(SphinxRole):
-    """The verdict of a claim, which leads to its row in the scorecard."""
-
     def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
-        shown = badge(ledger.claim(self.text))
-        return [link(self.env, shown, "claims", f"claim-{self.text}")], []
+        return [lead_to(self.env, ledger.claim(self.text))], []
+
+
+def printed(claim: ledger.Claim) -> str:
+    """Return the number that the thesis prints, with its unit."""
+    return f"{claim.printed} {claim.unit}".rstrip() if claim.printed else "no number"
 
 
 def badge(claim: ledger.Claim) -> nodes.inline:
-    text = claim.qualified
-    return nodes.inline(text, text, classes=["verdict", f"verdict-{claim.verdict}"])
+    kind = claim.verdict.replace(" ", "-")
+    return nodes.inline(claim.label, claim.label, classes=["verdict", f"verdict-{kind}"])
 
 
-def link(env: BuildEnvironment, shown: nodes.Node, page: str, anchor: str) -> nodes.reference:
-    """Return a link to an anchor of a page of this book."""
-    uri = env.app.builder.get_relative_uri(env.docname, page)
-    result = nodes.reference("", "", internal=True, refuri=f"{uri}#{nodes.make_id(anchor)}")
-    result += shown
-    return result
+def lead_to(env: object, claim: ledger.Claim) -> nodes.reference:
+    """Return a claim's badge, which leads to its row."""
+    return link(env, badge(claim), "claims", f"claim-{claim.id}")
 
 
-def with_unit(number: str, unit: str) -> str:
-    """Return a number with its unit, once; nothing without a number."""
-    return f"{number} {unit}".rstrip() if number and not number.endswith(f" {unit}") else number
+class VerdictMap(SphinxDirective):
+    """A bar for each part of the thesis; each piece leads to the claims that it counts."""
+
+    def run(self) -> list[nodes.Node]:
+        page = self.env.app.builder.get_relative_uri(self.env.docname, "claims")
+        shades = [(verdict, star) for verdict in ORDER for star in ("unstarred", "starred")]
+        rows = []
+        totals = Counter(part_of(claim) for claim in ledger.claims().values())
+        for part in PARTS:
+            pieces = ""
+            for verdict, star in shades:
+                wanted = {"verdict": verdict, "star": star, "part": part.split()[0]}
+                count = sum(
+                    wanted.items() <= facets(claim).items() for claim in ledger.claims().values()
+                )
+                if count:
+                    query = "&amp;".join(f"{key}={value}" for key, value in wanted.items())
+                    said = f"{part}: {count} {verdict}, {star}"
+                    pieces += (
+                        f'<a class="verdict-{verdict.replace(" ", "-")} {star}" '
+                        f'style="flex-grow: {count}" href="{page}?{query.replace(" ", "%20")}" '
+                        f'title="{said}" aria-label="{said}">{count}</a>'
+                    )
+            if pieces:
+                rest = max(totals.values()) - totals[part]
+                rest = f'<span style="flex-grow: {rest}"></span>'
+                rows.append(f"<dt>{part}</dt><dd>{pieces}{rest}</dd>")
+        key = "".join(
+            f'<span class="verdict-{verdict.replace(" ", "-")}">{verdict}</span>'
+            for verdict in ORDER
+        )
+        key += f'<span class="starred">{ledger.STAR} hangs on something not printed</span>'
+        html = f'<p class="verdict-key">{key}</p><dl>{"".join(rows)}</dl>'
+        return [raw_html(f'<div class="verdict-map">{html}</div>')]
 
 
 class Claims(SphinxDirective):
-    """The scorecard of the claims whose id begins with the argument; of all without one."""
-
-    optional_arguments = 1
-    option_spec: ClassVar = {"filter": directives.flag}
+    """The list of all claims with a filter, those that disagree first."""
 
     def run(self) -> list[nodes.Node]:
-        prefix = self.arguments[0] if self.arguments else ""
-        chosen = [c for c in ledger.claims().values() if c.id.startswith(prefix)]
-        if not chosen:
-            raise self.error(f"no claim begins with {prefix!r}")
-        scores = ledger.scorecard(CLAIMS).set_index("claim")
-        rows = [self.row(claim, scores.loc[claim.id]) for claim in chosen]
-        # What filter.js narrows the table by.
-        sorts = [
-            [f"has-{c.verdict}", f"spent-{c.spent or 'nothing'}", f"kind-{c.kind}"] for c in chosen
-        ]
-        anchors = [nodes.make_id(f"claim-{c.id}") for c in chosen]
-        result = [table(SCORECARD, rows, classes=["claims"], row_classes=sorts, row_ids=anchors)]
-        if "filter" in self.options:
-            result.insert(0, raw_html(FILTER))
-        return result
+        chosen = sorted(ledger.claims().values(), key=lambda claim: ORDER.index(claim.verdict))
+        head = ["Claim", "Thesis", "Recomputed", "Verdict", "Where"]
+        rows = [self.row(claim) for claim in chosen]
+        result = table(head, rows, ids=[f"claim-{claim.id}" for claim in chosen])
+        result["classes"].append("claims")
+        data = {nodes.make_id(f"claim-{claim.id}"): facets(claim) for claim in chosen}
+        script = f'<script type="application/json" id="claims-facets">{json.dumps(data)}</script>'
+        return [raw_html(FILTER), result, raw_html(script)]
 
-    def row(self, claim: ledger.Claim, score: Mapping[str, Any]) -> list[list[nodes.Node]]:
-        printed = with_unit(claim.printed, claim.unit) or "no number"
-        if claim.limit_of == "ours":
-            printed = f"our limit: {with_unit(claim.limit, claim.unit)}"
-        thesis = [line(printed, "printed")]
-        if claim.says:
-            thesis.append(line(f"It says: {claim.says}."))
+    def row(self, claim: ledger.Claim) -> list[list[nodes.Node]]:
+        record = records().get(claim.id)
         verdict = nodes.paragraph()
         verdict += badge(claim)
-        judged = [verdict]
-        if score["turns"]:
-            judged.append(line(f"turns at {score['turns']} of ours"))
-        if score["faults"]:
-            count, names = len(score["faults"]), ", ".join(score["faults"][:MOST_FAULTS])
-            more = f" and {count - MOST_FAULTS} more" if count > MOST_FAULTS else ""
-            judged.append(line(f"turned by: {names}{more}", "faults"))
-        for label, text in (("spent", claim.input), ("note", claim.note)):
-            if text:
-                judged.append(line(f"{label}: {text}"))
-        number = "–" if not score["ours"] else with_unit(score["ours"], claim.unit)
-        rule = claim.rule
-        if claim.limit_of == "ours" and claim.reason:
-            rule += f": {claim.reason}"
+        if claim.compared:
+            verdict += nodes.Text(f" by {claim.compared}")
+        said = [(f"{ledger.STAR} ", claim.star), ("", claim.note), ("Corrected: ", claim.corrected)]
+        rule = f"{claim.rule}: {claim.reason}" if claim.reason else claim.rule
+        said.append(("Rule: ", rule))
+        thesis = [line(printed(claim), "printed")]
         return [
-            [line(claim.id, "claim-id"), line(claim.what)],
-            thesis,
-            [line(number, "ours")],
-            [line(f"{claim.kind}: {rule}")],
-            judged,
-            self.sources(claim, score["cell"]),
+            [line(claim.what), line(claim.id, "claim-id")],
+            [*thesis, line(f"{claim.says}.")] if claim.says else thesis,
+            [line("–" if record is None else str(record), "recomputed")],
+            [verdict, *(line(f"{label}{text.rstrip('.')}.") for label, text in said if text)],
+            list(self.sources(claim)),
         ]
 
-    def sources(self, claim: ledger.Claim, cell: str) -> list[nodes.Node]:
-        """Return where a claim is computed and what holds the computation."""
-        found: list[nodes.Node] = []
-        page = pages().get(claim.id)
-        if page is not None:
-            anchored = anchor(cell) if cell else page
-            found.append(
-                self.leads(f"cell {cell}" if cell else page, f"notebooks/{page}", anchored)
-            )
+    def sources(self, claim: ledger.Claim) -> Iterator[nodes.Node]:
+        """Yield where a claim stands in the chapters, what holds its computation, its erratum."""
+        page, anchor = place_of(claim)
+        yield self.leads(claim.where, page, anchor)
         if claim.test:
-            file, _, function = claim.test.partition("::")
-            text = f"{file.removeprefix('tests/')} {function}"
-            found.append(self.leads(text, *place_of_test(claim.test), kind="claim-test"))
+            text = claim.test.removeprefix("tests/").replace("::", " ")
+            yield self.leads(text, *place_of_test(claim.test), kind="claim-test")
         for name, entry in ledger.errata().items():
             if claim.id in entry.get("claims", "").split():
-                found.append(self.leads("erratum", "errata", f"erratum-{name}"))
-        return found or [line("–")]
+                yield self.leads("erratum", "errata", f"erratum-{name}")
 
     def leads(self, text: str, page: str, anchor: str, *, kind: str = "") -> nodes.paragraph:
         paragraph = nodes.paragraph(classes=[kind] if kind else [])
-        paragraph += link(self.env, breakable(text), page, anchor)
+        paragraph += link(self.env, long_name(text), page, anchor)
         return paragraph
 
 
-def breakable(name: str) -> nodes.inline:
-    """Return a long name of the code that may be broken after its underscores and slashes."""
-    shown = nodes.inline()
-    for part in re.findall(r"[^_/]+[_/]*|[_/]+", name):
-        shown += [nodes.Text(part), raw_html("<wbr>")]
-    return shown
+def place_of(claim: ledger.Claim) -> tuple[str, str]:
+    """Return page and anchor of the table or section that a claim's id begins with."""
+    places = find_items(ROOT / "build" / "notebooks")
+    name = claim.id.split("/")[0]
+    while name not in places and "." in name:
+        name = name.rpartition(".")[0]  # a subsection without a heading of its own
+    stem, anchor = places.get(name, places["section-6"])
+    return f"notebooks/{stem}", anchor
 
 
-def line(text: str, kind: str = "") -> nodes.paragraph:
-    return nodes.paragraph(text, text, classes=[kind] if kind else [])
-
-
-class Status(SphinxDirective):
-    """A table of the notebooks' runs, and the versions that they ran with."""
+class Differences(SphinxDirective):
+    """Each claim that disagrees: both numbers and the reason, by part of the thesis."""
 
     def run(self) -> list[nodes.Node]:
-        runs = [
-            json.loads(p.read_text()) for p in sorted((ROOT / "build" / "status").glob("*.json"))
-        ]
-        key = runs[0]["key"]
-        head = ["Notebook", "Run time (s)", "Checks passed", "Notebook's hash"]
-        rows = [
-            [
-                r["notebook"],
-                str(r["seconds"]),
-                r["failed"] or str(r["checks"]),
-                nodes.literal("", r["key"]["notebook"][:12]),
-            ]
-            for r in runs
-        ]
-        shared = [
-            ["microlib", nodes.literal("", key["microlib"][:12])],
-            ["data", nodes.literal("", key["data"][:12])],
-            ["environment.txt", nodes.literal("", key["lock"][:12])],
-            ["Python", key["python"]],
-            *([name, version(name)] for name in PACKAGES),
-        ]
-        return [table(head, rows), table(["What they ran with", "Hash or version"], shared)]
+        found = [claim for claim in ledger.claims().values() if claim.verdict == "disagrees"]
+        result: list[nodes.Node] = []
+        for part in PARTS:
+            entries = [self.entry(claim) for claim in found if part_of(claim) == part]
+            if entries:
+                whole = section(f"differences-{part.split()[0]}", part)
+                whole += nodes.bullet_list("", *entries)
+                result.append(whole)
+        return result
+
+    def entry(self, claim: ledger.Claim) -> nodes.list_item:
+        record = records().get(claim.id)
+        text = nodes.paragraph()
+        text += [nodes.strong("", f"{claim.what}. "), lead_to(self.env, claim), nodes.Text(" ")]
+        thesis = f"Printed: {printed(claim)}. " if claim.printed else f"It says: {claim.says}. "
+        text += nodes.Text(f"{thesis}Recomputed: {'–' if record is None else record}. {claim.note}")
+        item = nodes.list_item("", text)
+        if claim.star:
+            item += line(f"{ledger.STAR} {claim.star}.")
+        return item
+
+
+class Deviations(SphinxDirective):
+    """Every tolerance and limit that is not the general rule, with its reason."""
+
+    def run(self) -> list[nodes.Node]:
+        groups: dict[str, list[ledger.Claim]] = {}
+        for claim in ledger.claims().values():
+            if claim.reason:
+                groups.setdefault(claim.reason, []).append(claim)
+        rows = []
+        for reason, alike in groups.items():
+            names = nodes.paragraph()
+            for k, claim in enumerate(alike):
+                shown = long_name(claim.id)
+                names += [nodes.Text(", " if k else "")]
+                names += link(self.env, shown, "claims", f"claim-{claim.id}")
+            rows.append([[names], alike[0].rule, reason])
+        return [table(["Claims", "Rule", "Reason"], rows)]
 
 
 class Errata(SphinxDirective):
     """One section an erratum: where, what was printed, what is right, and the proof."""
 
     def run(self) -> list[nodes.Node]:
-        origins = {
-            "print": "a fault of the thesis",
-            "open": "print and machine reading cannot be told apart",
-            "wording": "another reading is possible, in which nothing is wrong",
-        }
         result: list[nodes.Node] = []
         for name, entry in ledger.errata().items():
-            part = section(f"erratum-{name}", entry["where"])
+            part = section(f"erratum-{name}", entry["title"])
             lines = [
+                f"**{entry['where']}.** *{ORIGINS[entry['origin']].capitalize()}.*",
+                "",
                 f"**Printed:** {entry['printed']}",
                 "",
                 f"**Right:** {entry['corrected']}",
                 "",
                 entry["proof"],
-                "",
-                f"*Origin: {origins[entry['origin']]}.*",
             ]
             self.state.nested_parse(StringList(lines, source="errata.toml"), 0, part)
             part += self.sources(name, entry)
@@ -257,8 +275,7 @@ class Errata(SphinxDirective):
 
     def sources(self, name: str, entry: Mapping[str, str]) -> nodes.paragraph:
         """Return the way to the proof, to the printed numbers, and to where the formula stands."""
-        file = entry["test"]
-        shown = [("Proof: ", file, *place_of_proof(name))]
+        shown = [("Proof: ", entry["test"], *place_of_proof(name))]
         for k, claim in enumerate(entry.get("claims", "").split()):
             before = ", " if k else ". Printed numbers: "
             shown.append((before, claim, "claims", f"claim-{claim}"))
@@ -273,143 +290,35 @@ class Errata(SphinxDirective):
         return paragraph
 
 
-class Benchmarks(SphinxDirective):
-    """What must hold, and every benchmark on file, with the machine it was measured on."""
-
-    def run(self) -> list[nodes.Node]:
-        found = {
-            path.stem.replace("_", " ").capitalize(): json.loads(path.read_text(encoding="utf-8"))
-            for path in sorted(RESULTS.glob("*.json"))
-        }
-        lines = [
-            [name, *line[:3], holds(line[3])] for name, r in found.items() for line in r["limits"]
-        ]
-        limits = section("benchmark-limits", "What must hold")
-        text = (
-            "Limits are what was asked for before anything was measured; "
-            f"{sum(line[-1].astext() == 'yes' for line in lines)} of {len(lines)} hold."
-        )
-        limits += nodes.paragraph(text, text)
-        limits += table(["", "what", "measured", "limit", "holds"], lines)
-        return [limits, *(self.one(name, record) for name, record in found.items())]
-
-    def one(self, name: str, record: dict) -> nodes.section:
-        result = section(f"benchmark-{name}", name)
-        machine = record["machine"]
-        versions = ", ".join(
-            f"{k} {v}" for k, v in machine.items() if k not in ("processor", "cores")
-        )
-        text = f"Measured on {machine['processor']}, {machine['cores']} cores; {versions}."
-        result += nodes.paragraph(text, text)
-        if record["note"]:
-            self.state.nested_parse(StringList(record["note"].split("\n")), 0, result)
-        for title, content in record["tables"].items():
-            rows = [[show(value) for value in row] for row in content["data"]]
-            whole = table([str(column) for column in content["columns"]], rows)
-            if len(rows) <= LONG:
-                result += [nodes.rubric("", title), whole]
-                continue
-            summary = f"<details><summary>{title} ({len(rows)} rows)</summary>"
-            result += [raw_html(summary), whole, raw_html("</details>")]
-        return result
-
-
-def section(name: str, title: str) -> nodes.section:
-    result = nodes.section(ids=[nodes.make_id(name)])
-    result += nodes.title(title, title)
-    return result
-
-
-def raw_html(text: str) -> nodes.raw:
-    return nodes.raw("", text, format="html")
-
-
-def holds(answer: str) -> nodes.inline:
-    kind = "reproduced" if answer == "yes" else "differs"
-    return nodes.inline(answer, answer, classes=["verdict", f"verdict-{kind}"])
-
-
-def show(value: object) -> str:
-    if value is None or value != value:  # NaN
-        return "–"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def table(
-    head: list[str],
-    rows: list[list],
-    *,
-    classes: list[str] | None = None,
-    row_classes: list[list[str]] | None = None,
-    row_ids: list[str] | None = None,
-) -> nodes.table:
-    """Build a docutils table; cells are text, nodes, or lists of paragraphs."""
-    group = nodes.tgroup(cols=len(head))
-    group += [nodes.colspec(colwidth=1) for _ in head]
-
-    def across(cells: list, classes: list[str], ids: Sequence[str] = ()) -> nodes.row:
-        row = nodes.row(classes=classes, ids=list(ids))
-        for cell in cells:
-            entry = nodes.entry()
-            if isinstance(cell, list):
-                entry += cell
-            else:
-                if isinstance(cell, str) and NUMBER.fullmatch(cell):
-                    entry["classes"] += ["number"]  # not broken on a phone
-                paragraph = nodes.paragraph()
-                paragraph += cell if isinstance(cell, nodes.Node) else nodes.Text(cell)
-                entry += paragraph
-            row += entry
-        return row
-
-    header, body = nodes.thead(), nodes.tbody()
-    header += across(head, [])
-    names = row_classes or [[]] * len(rows)
-    ids = [[name] for name in row_ids] if row_ids else [[]] * len(rows)
-    body += [across(*whole) for whole in zip(rows, names, ids, strict=True)]
-    group += [header, body]
-    result = nodes.table(classes=["colwidths-auto", *(classes or [])])
-    result += group
-    return result
-
-
-def keep_own_numbers(app: Sphinx, config: Config) -> None:
-    # A LaTeX helper of jupyter-book turns Sphinx' own figure numbers on, whatever the settings say.
-    config["numfig"] = False
-
-
-def anchor(cell: str) -> str:
-    return f"cell-{cell}"
-
-
-def name_cells(app: Sphinx, doctree: nodes.document) -> None:
-    """Give each code cell of a notebook an address: that of its lasting id."""
-    path = Path(app.env.doc2path(app.env.docname))
-    if path.suffix != ".ipynb":
-        return
-    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
-    for node in doctree.findall(nodes.container):
-        if node.get("nb_element") == "cell_code":
-            node["ids"].append(anchor(cells[node["cell_index"]]["id"]))
+def preview_claims() -> dict[str, str]:
+    """Return what a link to a claim's row shows of it, by the row's anchor."""
+    return {
+        nodes.make_id(f"claim-{claim.id}"): f"<p>{escape(claim.what)}: {escape(printed(claim))} "
+        f"in the thesis; {escape(claim.label)}. {escape(claim.note or claim.says)}</p>"
+        for claim in ledger.claims().values()
+    }
 
 
 def write_scorecard(app: Sphinx, error: Exception | None) -> None:
+    """Publish all verdicts as a spreadsheet and as JSON."""
     if error is None and app.builder.format == "html":
-        path = Path(app.outdir) / "_static" / "scorecard.csv"
-        ledger.scorecard(CLAIMS).to_csv(path, index=False)
+        scores = ledger.scorecard(CLAIMS)
+        scores.to_csv(Path(app.outdir) / "_static" / "scorecard.csv", index=False)
+        text = scores.to_json(orient="records", force_ascii=False, indent=1)
+        (Path(app.outdir) / "_static" / "verdicts.json").write_text(text, encoding="utf-8")
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    app.add_role("ours", Ours())
+    for name in ("recomputed", "ours"):
+        app.add_role(name, Recomputed())
     app.add_role("printed", Printed())
     app.add_role("verdict", Verdict())
+    app.add_directive("verdict-map", VerdictMap)
     app.add_directive("claims", Claims)
+    app.add_directive("differences", Differences)
+    app.add_directive("deviations", Deviations)
     app.add_directive("errata", Errata)
-    app.add_directive("benchmarks", Benchmarks)
-    app.add_directive("status", Status)
     app.add_css_file("thesis.css")
     app.add_js_file("filter.js", loading_method="defer")
-    app.connect("config-inited", keep_own_numbers, priority=900)
-    app.connect("doctree-read", name_cells)
     app.connect("build-finished", write_scorecard)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -2,10 +2,13 @@
 
 - ``{map}`` with ``equation``, ``figure`` or ``table``: the map's rows of that kind, each linked to
   its place in the chapter and to the function behind it.
-- Every displayed formula with a ``\\tag`` of the thesis gets an anchor and a link to its function.
+- Every displayed formula with a ``\\tag`` of the thesis gets an anchor and a link to its function;
+  every numbered section and every mention of an item gets an anchor or a link, too.
 - The page of a function that the map names links back to its equations, figures and tables.
 - The page of a function that returns a class without a page of its own lists what it holds.
-- A figure whose data were kept gets a link to them.
+- A figure whose data were kept gets a link to them, and opens larger.
+
+Sphinx numbers equations and figures by itself; none of its extensions keeps another text's numbers.
 """
 
 from __future__ import annotations
@@ -15,12 +18,11 @@ import re
 import shutil
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, is_dataclass
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 from typing import Any, get_args, get_type_hints
 
 import nbformat
@@ -29,6 +31,7 @@ from numpydoc.docscrape import NumpyDocString
 from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
+from tables import link, table
 
 from compendium import ledger
 
@@ -38,6 +41,7 @@ CAPTION = re.compile(r"\*\*(Figures?|Tables?) ([^*]+)\*\*")
 INITIAL = re.compile(r"^(\s*(?:\.\. \[[\w-]+\] )?)([A-Z]\. [A-Z])")
 TAG = re.compile(r"\\tag\{(\d\.\d+)\}")
 TABLE = re.compile(r"^\(table-(\d)-(\d)\)=", flags=re.M)
+HEADING = re.compile(r"^#+ (\d(?:\.\d+)*) (.+)$", flags=re.M)
 # A number of an equation in brackets, or of a figure or table with its word.
 MENTION = re.compile(
     r"\((?P<bare>\d\.\d+)\)|\b(?P<kind>Figure|Table|figure|table) (?P<number>\d\.\d+)(?!\.?\d)"
@@ -57,11 +61,14 @@ UNLINKED = (
     addnodes.desc_signature,
     addnodes.pending_xref,
 )
-# What an item of each kind can be said to be; a table's numbers have verdicts of their own.
+# What the map says of an item; a table's numbers have verdicts of their own.
 STATES = {
-    "equation": ("holds", "corrected", "definition"),
-    "figure": ("redrawn", "stand-in"),
-    "table": ("",),
+    "holds": "holds",
+    "corrected": "corrected",
+    "definition": "definition",
+    "redrawn": "redrawn",
+    "own data": "same drawing, data of this book",
+    "stand-in": "stand-in for a photograph",
 }
 
 
@@ -75,14 +82,6 @@ class Item:
     status: str = ""
     erratum: str = ""
 
-    def __post_init__(self) -> None:
-        if self.kind not in STATES or self.status not in STATES[self.kind]:
-            raise ValueError(f"status of {self.id} cannot be {self.status!r}")
-        if (self.status == "corrected") != bool(self.erratum):
-            raise ValueError(f"{self.id} must name an erratum if and only if it is corrected")
-        if self.erratum and self.erratum not in ledger.errata():
-            raise ValueError(f"erratum of {self.id} must be one of errata.toml: {self.erratum!r}")
-
     @property
     def kind(self) -> str:
         return self.id.split("-")[0]
@@ -91,25 +90,21 @@ class Item:
     def number(self) -> str:
         return self.id.partition("-")[2]
 
+    @property
+    def shown(self) -> str:
+        """Its number as the thesis writes it."""
+        return f"({self.number})" if self.kind == "equation" else self.number
+
 
 @cache
 def read_map() -> dict[str, Item]:
     with (ROOT / "data" / "thesis" / "map.toml").open("rb") as file:
-        return parse_map(tomllib.load(file))
-
-
-def parse_map(entries: dict[str, dict[str, Any]]) -> dict[str, Item]:
-    """Return the items by their ids; refuse a field that nothing here reads."""
-    known = {field.name for field in fields(Item)} - {"id"}
-    for name, entry in entries.items():
-        if unknown := entry.keys() - known:
-            raise ValueError(f"{name} has {', '.join(unknown)}; known are {', '.join(known)}")
-    return {name: Item(id=name, **entry) for name, entry in entries.items()}
+        return {name: Item(id=name, **entry) for name, entry in tomllib.load(file).items()}
 
 
 @cache
 def find_items(notebooks: Path) -> dict[str, tuple[str, str]]:
-    """Return where each item stands in the notebooks: its id, the notebook's stem, the anchor."""
+    """Return where each item and each numbered section stands: the notebook's stem, the anchor."""
     found: dict[str, tuple[str, str]] = {}
     for path in sorted(notebooks.glob("0[1-6]_*.ipynb")):
         for cell in nbformat.read(path, as_version=4).cells:
@@ -119,6 +114,7 @@ def find_items(notebooks: Path) -> dict[str, tuple[str, str]]:
             if cell.cell_type == "markdown":
                 items = [f"equation-{number}" for number in TAG.findall(cell.source)]
                 items += [f"table-{a}.{b}" for a, b in TABLE.findall(cell.source)]
+                items += [f"section-{number}" for number, _ in HEADING.findall(cell.source)]
                 for item in items:
                     found.setdefault(item, (path.stem, nodes.make_id(item)))
     return found
@@ -137,58 +133,57 @@ def captioned(caption: str) -> list[str]:
     return numbers
 
 
-def link_to_function(name: str, docname: str) -> addnodes.pending_xref:
-    shown = name.removeprefix("microlib.")
-    reference = addnodes.pending_xref(
-        "", refdomain="py", reftype="obj", reftarget=name, refdoc=docname, refwarn=True
-    )
-    reference += nodes.literal(shown, shown)
-    return reference
+def link_functions(names: list[str], docname: str) -> nodes.inline:
+    """Return links to the pages of functions, with commas between them."""
+    result = nodes.inline()
+    for k, name in enumerate(names):
+        reference = addnodes.pending_xref(
+            "", refdomain="py", reftype="obj", reftarget=name, refdoc=docname, refwarn=True
+        )
+        shown = name.removeprefix("microlib.")
+        reference += nodes.literal(shown, shown)
+        result += [nodes.Text(", ")] if k else []
+        result += reference
+    return result
 
 
 class Map(SphinxDirective):
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        kind = self.arguments[0]
-        if kind not in STATES:
-            raise self.error(f"the map has {', '.join(STATES)}, not {kind!r}")
-        from thesis import table
-
         places = find_items(ROOT / "build" / "notebooks")
         rows = []
         for item in read_map().values():
-            if item.kind != kind:
+            if item.kind != self.arguments[0]:
                 continue
-            label: nodes.Node = nodes.Text(
-                f"({item.number})" if kind == "equation" else item.number
-            )
+            label: nodes.Node = nodes.Text(item.shown)
             if item.id in places:
                 stem, anchor = places[item.id]
-                label = self.link(label, f"notebooks/{stem}", anchor)
-            functions = nodes.inline()
-            for k, name in enumerate(item.functions):
-                functions += [nodes.Text(", ")] if k else []
-                functions += link_to_function(name, self.env.docname)
-            verdict: nodes.Node = nodes.Text(verdict_of(item))
+                label = link(self.env, label, f"notebooks/{stem}", anchor)
+            state: nodes.Node = nodes.Text(state_of(item))
             if item.erratum:
-                verdict = self.link(verdict, "errata", f"erratum-{item.erratum}")
-            rows.append([label, item.what, functions, verdict])
-        return [table(["Number", "What", "In the library", "Verdict"], rows, classes=["map"])]
-
-    def link(self, shown: nodes.Node, page: str, anchor: str) -> nodes.reference:
-        uri = self.env.app.builder.get_relative_uri(self.env.docname, page)
-        link = nodes.reference("", "", internal=True, refuri=f"{uri}#{nodes.make_id(anchor)}")
-        link += shown
-        return link
+                state = link(self.env, state, "errata", f"erratum-{item.erratum}")
+            functions: nodes.Node = nodes.Text("no function")
+            if item.functions:
+                functions = link_functions(item.functions, self.env.docname)
+            rows.append([label, item.what, functions, state])
+        return [table(["Number", "What", "In the library", "State"], rows)]
 
 
-def verdict_of(item: Item) -> str:
+def state_of(item: Item) -> str:
     """Return an item's status, and for a table how many of its numbers have which verdict."""
     if item.kind != "table":
-        return item.status
-    chosen = [c.verdict for c in ledger.claims().values() if c.id.startswith(f"{item.id}/")]
-    return ", ".join(f"{count} {verdict}" for verdict, count in Counter(chosen).most_common())
+        return STATES[item.status]
+    found = Counter(c.label for c in ledger.claims().values() if c.id.startswith(f"{item.id}/"))
+    return ", ".join(f"{count} {label}" for label, count in found.most_common())
+
+
+def name_sections(app: Sphinx, doctree: nodes.document) -> None:
+    """Give each section that carries a number of the thesis an anchor with that number."""
+    if re.match(r"notebooks/0[1-6]_", app.env.docname):
+        for part in doctree.findall(nodes.section):
+            if match := re.match(r"(\d(?:\.\d+)*) ", part.next_node(nodes.title).astext()):
+                part["ids"].append(nodes.make_id(f"section-{match[1]}"))
 
 
 def link_formulas(app: Sphinx, doctree: nodes.document) -> None:
@@ -203,10 +198,8 @@ def link_formulas(app: Sphinx, doctree: nodes.document) -> None:
         seen.update(fresh)
         names = dict.fromkeys(f for n in fresh for f in thesis[f"equation-{n}"].functions)
         note = nodes.paragraph(classes=["equation-link"])
-        note += nodes.Text("in code: ")
-        for k, name in enumerate(names):
-            note += [nodes.Text(", ")] if k else []
-            note += link_to_function(name, app.env.docname)
+        if names:
+            note += [nodes.Text("in code: "), link_functions(list(names), app.env.docname)]
         anchors = [nodes.target("", "", ids=[nodes.make_id(f"equation-{n}")]) for n in fresh]
         place = block.parent.index(block)
         block.parent.insert(place + 1, note)
@@ -227,12 +220,9 @@ def link_numbers(app: Sphinx, doctree: nodes.document) -> None:
             place = places.get(f"{kind}-{match['bare'] or match['number']}")
             if place is None:
                 continue
-            page = f"notebooks/{place[0]}"
-            uri = app.builder.get_relative_uri(app.env.docname, page)
-            address = f"{uri}#{nodes.make_id(place[1])}"
-            link = nodes.reference("", "", internal=True, refuri=address, classes=["mention"])
-            link += nodes.Text(match[0])
-            parts += [nodes.Text(plain[end : match.start()]), link]
+            mention = link(app.env, nodes.Text(match[0]), f"notebooks/{place[0]}", place[1])
+            mention["classes"].append("mention")
+            parts += [nodes.Text(plain[end : match.start()]), mention]
             end = match.end()
         if parts:
             text.parent.replace(text, [*parts, nodes.Text(plain[end:])])
@@ -266,14 +256,11 @@ def link_back(
     app: Sphinx, what: str, name: str, obj: object, options: Any, lines: list[str]
 ) -> None:
     """Append to a docstring where in the book its equations, figures and tables stand."""
-    items = [item for item in read_map().values() if name in item.functions]
-    if not items:
-        return
     places = find_items(ROOT / "build" / "notebooks")
     links = []
-    for item in items:
-        shown = f"({item.number})" if item.kind == "equation" else f"{item.kind} {item.number}"
-        if item.id in places:
+    for item in read_map().values():
+        if name in item.functions and item.id in places:
+            shown = item.shown if item.kind == "equation" else f"{item.kind} {item.number}"
             stem, anchor = places[item.id]
             links.append(f"`{shown} <../notebooks/{stem}.html#{nodes.make_id(anchor)}>`__")
     if links:
@@ -291,27 +278,20 @@ def show_result(
     app: Sphinx, what: str, name: str, obj: object, options: Any, lines: list[str]
 ) -> None:
     """Append to a function's docstring the attributes of a result that has no page of its own."""
-    if inspect.isfunction(obj):
-        for result in unlisted_results(obj):
+    if not inspect.isfunction(obj):
+        return
+    try:
+        hint = get_type_hints(obj).get("return")
+    except NameError:  # a type that is imported for checks only
+        return
+    for result in (hint, *get_args(hint)):
+        if not (inspect.isclass(result) and is_dataclass(result)):
+            continue
+        face = import_module(".".join(result.__module__.split(".")[:2]))
+        if face.__name__.startswith("microlib.") and result.__name__ not in face.__all__:
             lines += ["", f".. rubric:: Attributes of {result.__name__}", ""]
             for one in NumpyDocString(inspect.getdoc(result) or "")["Attributes"]:
                 lines += [f"**{one.name}** : {one.type}", *(f"    {text}" for text in one.desc), ""]
-
-
-def unlisted_results(function: Callable[..., Any]) -> list[type]:
-    """Return the library's dataclasses that a function returns and no package's face names."""
-    hint = get_type_hints(function).get("return")
-    found = [
-        part
-        for part in (hint, *get_args(hint))
-        if inspect.isclass(part) and is_dataclass(part) and part.__module__.startswith("microlib.")
-    ]
-    return [part for part in found if part.__name__ not in face_of(part).__all__]
-
-
-def face_of(result: type) -> ModuleType:
-    """Return the package whose file defines a class."""
-    return import_module(".".join(result.__module__.split(".")[:2]))
 
 
 def copy_figures(app: Sphinx, error: Exception | None) -> None:
@@ -321,6 +301,7 @@ def copy_figures(app: Sphinx, error: Exception | None) -> None:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     app.add_directive("map", Map)
+    app.connect("doctree-read", name_sections)
     app.connect("doctree-read", link_formulas)
     app.connect("doctree-read", link_data)
     app.connect("doctree-read", link_numbers)

@@ -1,27 +1,27 @@
-// Narrow the table of claims by a word, a verdict, what was spent, and a kind.
+// Narrow the list of claims by a word and by what each is; the choice stands in the address.
 {
-  const form = document.querySelector(".claims-filter");
-  if (form) {
+  const facets = document.getElementById("claims-facets");
+  if (facets) {
+    const known = JSON.parse(facets.textContent);
     const rows = [...document.querySelectorAll("table.claims tbody tr")];
-    const text = form.querySelector("[data-claims-text]");
-    const choices = [["verdict", "has"], ["spent", "spent"], ["kind", "kind"]].map(([name, prefix]) => [
-      form.querySelector(`[data-claims-${name}]`),
-      (row) => new RegExp(`${prefix}-(\\w+)`).exec(row.className)[1],
-    ]);
-    const count = form.querySelector("[data-claims-count]");
-    for (const [select, sort] of choices)
-      for (const name of new Set(rows.map(sort))) select.add(new Option(name, name));
+    const fields = [...document.querySelectorAll("[data-claims]")];
+    const count = document.querySelector("[data-claims-count]");
+    for (const field of fields.filter((one) => one.tagName === "SELECT"))
+      for (const name of new Set(rows.map((row) => known[row.id][field.dataset.claims]))) field.add(new Option(name, name));
     const narrow = () => {
-      const word = text.value.toLowerCase();
-      for (const row of rows) {
-        const fits = row.textContent.toLowerCase().includes(word);
-        const chosen = choices.every(([s, sort]) => !s.value || sort(row) === s.value);
-        row.hidden = !fits || !chosen;
-      }
+      const chosen = fields.filter((field) => field.value).map((field) => [field.dataset.claims, field.value]);
+      for (const row of rows)
+        row.hidden = !chosen.every(([name, value]) =>
+          name === "text" ? row.textContent.toLowerCase().includes(value.toLowerCase()) : known[row.id][name] === value);
       count.textContent = `${rows.filter((row) => !row.hidden).length} of ${rows.length}`;
+      const query = new URLSearchParams(chosen).toString();
+      history.replaceState(null, "", `${location.pathname}${query && `?${query}`}${location.hash}`);
     };
-    text.addEventListener("input", narrow);
-    for (const [select] of choices) select.addEventListener("change", narrow);
+    for (const [name, value] of new URLSearchParams(location.search)) {
+      const field = fields.find((one) => one.dataset.claims === name);
+      if (field) field.value = value;
+    }
+    for (const field of fields) field.addEventListener("input", narrow);
     narrow();
   }
 }

@@ -1,10 +1,13 @@
-// On the search page, put what "5.6", "equation 4.7" or "fig. 3.2" leads to before the other results.
+// On the search page, put what "5.6", "equation 4.7", "fig. 3.2" or "1.3237" leads to before the other results.
 // Kind, text and address of all that a query may mean; nothing for "4X", "3-D" or "16 frames".
 globalThis.findNumber = query => {
   const kinds = { sec: "section", ch: "section", eq: "equation", fig: "figure", tab: "table" };
-  const asked = /(?:\b(sec|ch|eq|fig|tab)[a-z]*\.?\s*|(?<![\w.]))\(?(\d(?:\.\d+)*)(?!\.?[\w-])/i.exec(query);
+  const asked = /(?:\b(sec|ch|eq|fig|tab)[a-z]*\.?\s*|(?<![\w.]))\(?([−-]?\d+(?:\.\d+)*(?:e[+-]?\d+)?)(?!\.?[\w-])/i.exec(query);
   const kind = kinds[asked?.[1]?.toLowerCase()];
-  return (thesisNumbers[asked?.[2]] ?? []).filter(([one]) => !kind || one === kind);
+  const found = thesisNumbers[asked?.[2].replace("−", "-")] ?? [];
+  // A whole number alone, as in "16 frames", is no question for a value.
+  const whole = /^\d+$/.test(asked?.[2] ?? "") && asked[2] !== query.trim();
+  return found.filter(([one]) => (kind ? one === kind : !(whole && one === "value")));
 };
 
 addEventListener("DOMContentLoaded", () => {
@@ -21,4 +24,11 @@ addEventListener("DOMContentLoaded", () => {
     list.append(item);
   }
   results.before(list);
+  // Sphinx, which knows no numbers, would say that nothing was found.
+  const mend = () => {
+    for (const text of document.querySelectorAll("#search-results p.search-summary, #search-results > p"))
+      text.hidden = !document.querySelector("#search-results ul.search li");
+  };
+  new MutationObserver(mend).observe(results, { childList: true, subtree: true });
+  mend();
 });

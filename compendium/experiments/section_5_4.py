@@ -673,7 +673,7 @@ def by_reading(station: Workstation, draws: int) -> pd.DataFrame:
     each = [(station, reading, draws) for reading in readings.values()]
     for name, table in zip(readings, in_processes(_tables_under, each), strict=True):
         for id, *found in table.itertuples(index=False):
-            if claim(id).spent != "identified":
+            if not claim(id).star.startswith("tuned"):
                 rows.append((id, name, *found, judge(claim(id), *found)))
     columns = ["claim", "reading", "median", "low", "high", "verdict"]
     return pd.DataFrame(rows, columns=columns)

@@ -13,7 +13,6 @@ from matplotlib.axes import Axes
 from matplotlib.container import BarContainer
 from matplotlib.figure import Figure
 
-from compendium.figures.phone import keep_narrow, touching_texts
 from microlib._common import replace_file
 
 __all__ = ["FOLDER_VARIABLE", "keep_data", "show"]
@@ -27,20 +26,10 @@ IMAGE_DIGITS = 5
 
 
 def show(name: str) -> None:
-    """Show the current figure; keep its data (`name`.csv, `name`.npz) and a copy for phones.
-
-    Raises
-    ------
-    ValueError
-        If two of its texts lie on each other, where it is kept.
-    """
+    """Show the current figure; keep its data (`name`.csv, `name`.npz) where a folder is named."""
     folder = os.environ.get(FOLDER_VARIABLE)
     if folder:
-        figure = plt.gcf()
-        if found := touching_texts(figure):
-            raise ValueError(f"texts of {name} must lie side by side, got {found}")
-        keep_data(figure, Path(folder) / name)
-        keep_narrow(figure, Path(folder) / f"{name}.webp")
+        keep_data(plt.gcf(), Path(folder) / name)
     plt.show()
 
 

@@ -32,7 +32,6 @@ from compendium.figures import (
     servoing,
     shape_from_focus,
     surfaces,
-    verdicts,
     workstation,
 )
 from microlib.microscope import Microscope
@@ -268,17 +267,6 @@ def surface(**how: Any) -> Callable[[], Figure]:
     return made
 
 
-def scorecard() -> Figure:
-    cells = [
-        (part, verdict, spent)
-        for part in ("2", "5.2", "5.4")
-        for verdict in ("reproduced", "consistent", "differs", "lost")
-        for spent in ("", "identified", "assumed")
-    ]
-    rows = [cell for k, cell in enumerate(cells) for _ in range(2 * k % 37)]
-    return verdicts.draw_verdicts(pd.DataFrame(rows, columns=["part", "verdict", "spent"]))
-
-
 def patterns() -> Figure:
     grid = np.stack(np.meshgrid([0, 1, 4, 6], [0, 4, 6]), axis=-1).reshape(-1, 2)
     examples: Any = {
@@ -381,7 +369,6 @@ CASES: dict[str, Callable[[], Figure]] = {
     "surfaces.draw_surface": surface(),
     "surfaces.draw_surface-types": surface(labels=types(20, 30, 1, 5, 8), unit="px"),
     "surfaces.draw_surface-turned": surface(labels=types(20, 30, 1, 5, 8), turned=True),
-    "verdicts.draw_verdicts": scorecard,
     "workstation.draw_blur_study": lambda: workstation.draw_blur_study(
         pd.DataFrame({"circles": [0.01, 0.02], "squares": [0.1, 0.2], "other": [1, 2]}, [0.5, 3.0])
     ),

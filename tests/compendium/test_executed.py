@@ -9,7 +9,7 @@ import numpy as np
 from nbformat.v4 import new_code_cell, new_notebook, new_output
 from PIL import Image
 
-from compendium.executed import clean, name_cells
+from compendium.executed import clean
 
 
 def test_times_and_tools_go() -> None:
@@ -18,12 +18,6 @@ def test_times_and_tools_go() -> None:
     clean(notebook)
     assert notebook.metadata == {"title": "kept"}
     assert cell.metadata == {}
-
-
-def test_a_record_names_its_cell_for_good() -> None:
-    notebook = new_notebook(cells=[new_code_cell(id="one", execution_count=7)])
-    records = name_cells([{"id": "a", "cell": "[7]"}, {"id": "b", "cell": "[8]"}], notebook)
-    assert records == [{"id": "a", "cell": "one"}, {"id": "b", "cell": ""}]
 
 
 def test_drawings_get_a_palette_and_photographs_become_jpeg() -> None:

@@ -115,7 +115,7 @@ def test_the_crest_passes_the_threshold_up_to_a_width() -> None:
 
 def fits(name: str, value: float) -> bool:
     """The number agrees with the sentence, whatever the book's verdict on it."""
-    return ledger.judge(ledger.claim(f"section-5.5/{name}"), value, value, value) == "consistent"
+    return ledger.judge(ledger.claim(f"section-5.5/{name}"), value, value, value) == "agrees"
 
 
 def described_ridge(height: np.ndarray) -> np.ndarray:

@@ -19,13 +19,13 @@ from compendium.figures import use_style
 from compendium.figures.data import keep_data
 from tests.compendium.figure_cases import CASES
 
-#: What has no unit, as an axis names it; the verdicts are drawn by section.
+#: What has no unit, as an axis names it.
 PURE = (
     "assumed f / true f", "draws", "data sets", "grey value", "step", "frame", "loop gain g",
     "number of claims", "rank of the truth", "width after the tables over before",
     "predicted without it, over printed", "correlation", "modulus of the slowest pole",
 )  # fmt: skip
-UNNAMED = {"verdicts.draw_verdicts y"}
+UNNAMED: set[str] = set()
 
 
 def has_numbers(axis: Axis) -> bool:

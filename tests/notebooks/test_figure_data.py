@@ -185,14 +185,6 @@ def test_a_step_ends_at_its_reference(figures: Path) -> None:
         assert command[-5:].mean() < 0.2 * command.max()
 
 
-def test_verdicts_are_counted_once(figures: Path) -> None:
-    """Bars lie: their lengths are numbers of claims, and all together all claims."""
-    table = pd.read_csv(figures / "fig-ch6-verdicts.csv")
-    claims = table["x"].to_numpy()
-    assert (claims == np.round(claims)).all()
-    assert claims.sum() == 197
-
-
 def test_moduli_within_the_rounding_are_all_counted(figures: Path) -> None:
     (bars,) = series(figures, "fig-ch5-rounding").values()
     assert bars[:, 1].sum() == 1000
