@@ -6,6 +6,7 @@ own, which a test holds against this one.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from scipy.linalg import expm
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from microlib.synthetic import mixed_texture
-from microlib.tracking import KalmanFilter
+from microlib.tracking import ESMTracker, KalmanFilter
 
 #: Half the side of the template, px, and the middle of the image, (x, y) in px.
 HALF, MIDDLE = 32, np.array([80.0, 80.0])
@@ -150,6 +151,42 @@ def errors_by_gradient(target: Target, iterations: int) -> pd.DataFrame:
             for name, shares in GRADIENTS.items()
         }
     ).rename_axis("iteration")
+
+
+def corners_by_library(target: Target) -> tuple[NDArray, NDArray]:
+    """Return where `ESMTracker` finds the corners of the square without its rim, and the truth."""
+    first = np.full(target.image.shape, 60.0, np.float32)
+    side, (left, top) = 2 * HALF + 1, (MIDDLE - HALF).astype(int)
+    first[top : top + side, left : left + side] = target.template
+    box = (int(left) + RIM, int(top) + RIM, side - 2 * RIM, side - 2 * RIM)
+    found = ESMTracker(first, box, "affine").track(target.image.astype(np.float32))
+    true = target.warp.copy()
+    true[:2, :2] *= 1 - RIM / HALF
+    return found.corners, corners(true)
+
+
+def kalman_by_formula(
+    places: Sequence[float], *, interval: float, acceleration: float, noise: float
+) -> NDArray:
+    """Return (x, v, P₁₁, P₁₂, P₂₂) after measurements, by the formulas, from x = v = 0."""
+    start = KalmanFilter((0, 0), interval=interval, acceleration=acceleration, noise=noise)
+    a, b = np.array([[1, interval], [0, 1]]), np.array([interval**2 / 2, interval])
+    state, p = np.zeros(2), start.covariance
+    for place in places:
+        state, p = a @ state, a @ p @ a.T + acceleration**2 * np.outer(b, b)
+        gain = p[:, 0] / (p[0, 0] + noise**2)
+        state, p = state + gain * (place - state[0]), p - np.outer(gain, p[0])
+    return np.array([*state, p[0, 0], p[0, 1], p[1, 1]])
+
+
+def kalman_by_library(places: Sequence[float], **settings: float) -> NDArray:
+    """Return the same by `KalmanFilter`."""
+    kalman = KalmanFilter((0, 0), **settings)
+    for place in places:
+        kalman.predict()
+        kalman.update((place, 0))
+    p = kalman.covariance
+    return np.array([kalman.position[0], kalman.velocity[0], p[0, 0], p[0, 1], p[1, 1]])
 
 
 def kalman_step(seed: int, *, interval: float, acceleration: float, noise: float) -> KalmanStep:

@@ -65,6 +65,16 @@ def slopes_hold_up_to(relative_depth: float) -> bool:
     return bool(whole / small - 1 < 0.055)  # NaN, where nothing balances, is no agreement
 
 
+def profile_from_the_balance(sign: int) -> bool:
+    """(4.1) with sin θ = sign · dw/dr, integrated from w(a) = 0, is the printed (4.2)."""
+    r, a, force, h, stress = sp.symbols("r a F h sigma_d", positive=True)
+    sine = (force - sp.pi * r**2 * force / (sp.pi * a**2)) / (stress * 2 * sp.pi * r * h)
+    inward = sp.Symbol("t", positive=True)
+    profile = sign * sp.integrate(sine.subs(r, inward), (inward, a, r))
+    printed = -force / (4 * sp.pi * stress * h) * (1 - (r / a) ** 2 + sp.log((r / a) ** 2))
+    return bool(sp.simplify(sp.expand_log(profile - printed, force=True)) == 0)
+
+
 def row_of_alignment(row: tuple[str, ...]) -> bool:
     """The row times the unknowns of (2.15) is u, where (2.14) holds."""
     u, v, x, y, tx, ty = sp.symbols("u v X_w Y_w T_x T_y")
@@ -201,6 +211,7 @@ PROOFS: dict[str, tuple[Callable, tuple[str, object], tuple[str, object]]] = {
     "table-5.6-zeta": (probe_gives_the_modulus, ("44.78", 44.78), ("ζ = 0.1012", 0.1012)),
     "section-5.6-maxima": (count_of_maxima, ("two", 2), ("three", 3)),
     "small-slopes": (slopes_hold_up_to, ("no limit", 0.49), ("up to w_d/a = 0.1 only", 0.1)),
+    "section-4.1-sign": (profile_from_the_balance, ("sin θ ≈ dw/dr", 1), ("sin θ ≈ −dw/dr", -1)),
     "equation-2.15": (
         row_of_alignment,
         ("[uX_w, vY_w, v, −uX_w, vY_w]", ROW_PRINTED),

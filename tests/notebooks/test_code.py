@@ -38,7 +38,7 @@ def bound(source: str) -> list[str]:
 
 def test_chapter_5_has_little_code() -> None:
     (chapter,) = FOLDER.glob("05_*.ipynb")
-    assert sum(len(cell.source.splitlines()) for cell in code(chapter)) <= 500
+    assert sum(len(cell.source.splitlines()) for cell in code(chapter)) <= 540
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
