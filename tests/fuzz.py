@@ -35,6 +35,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 import microlib
 from microlib import (
@@ -74,7 +75,7 @@ GREY = FOLDER / "grey.tif"
 
 def scope() -> microscope.Microscope:
     return microscope.Microscope(
-        200000.0, 126000.0, 79380.0, alpha=0.02, beta=0.01, image_size=(200, 160)
+        200000.0, 126000.0, 79380.0, alpha=0.02, beta=0.01, image_size=(300, 260)
     )
 
 
@@ -208,7 +209,7 @@ def tracker() -> tracking.ESMTracker:
 def calibrated() -> calibration.Calibration:
     return calibration.calibrate(
         grid(), scope().project(grid()), focal_length=126000.0, pixel_size=9.9,
-        image_size=(200, 160),
+        image_size=(300, 260),
     )  # fmt: skip
 
 
@@ -365,7 +366,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "calibration.calibrate": lambda: {
         "world": grid(), "image": scope().project(grid()), "focal_length": 126000.0,
-        "pixel_size": 9.9, "image_size": (200, 160), "loss": "linear", "groups": np.arange(42),
+        "pixel_size": 9.9, "image_size": (300, 260), "loss": "linear", "groups": np.arange(42),
         "axis_sigma": 1.0,
     },
     "calibration.cramer_rao": lambda: {
@@ -818,7 +819,7 @@ def returned(function: object) -> Iterator[tuple[str, object]]:
 
 def hinted(owner: object, key: str) -> Iterator[tuple[str, object]]:
     """Yield the library's own classes in a type hint, each with its name below `microlib`."""
-    waiting = [typing.get_type_hints(owner).get(key)]
+    waiting = [typing.get_type_hints(owner, None, {"pd": pd}).get(key)]
     while waiting:
         hint = waiting.pop()
         waiting += typing.get_args(hint)
