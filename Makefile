@@ -12,7 +12,7 @@ export OPENBLAS_NUM_THREADS := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup extras book pdf test notebooks html lint format data picture benchmarks inference oldest newest fuzz lock clean
+.PHONY: help setup extras book pdf test notebooks html lint format data picture benchmarks oldest newest fuzz lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -74,9 +74,6 @@ picture: $(STAMP) ## draw the readme's picture anew
 benchmarks: $(STAMP) ## measure microlib beside its peers (minutes)
 	@for file in benchmarks/[a-z]*.py; do \
 	  name=$$(basename $$file .py); [ $$name = report ] || $(BIN)/python -m benchmarks.$$name || exit 1; done
-
-inference: $(STAMP) ## infer anew what Tables 5.3 and 5.4 can tell (three quarters of an hour)
-	@$(BIN)/python -m benchmarks.servo_inference
 
 # The library's tests; the others need what runs and renders the book.
 LIBRARY := tests microlib $(foreach name,book notebooks compendium,--ignore tests/$(name))

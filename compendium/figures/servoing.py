@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -12,38 +12,21 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Polygon
 from numpy.typing import NDArray
 
+from compendium import thesis
 from compendium.experiments.chapter_2_tracking import KalmanStep
 from compendium.figures.style import COLORS
+from compendium.ledger import claim
 from microlib.tracking import Track
 
 __all__ = [
     "draw_esm_step",
     "draw_kalman_step",
     "draw_loop",
-    "draw_path_run",
+    "draw_path_runs",
     "draw_stability",
     "draw_step_runs",
     "draw_track",
 ]
-
-
-class Run(Protocol):
-    """What is drawn of a run, one row a frame, such as `microlib.servoing.simulate` returns it."""
-
-    @property
-    def time(self) -> NDArray[np.floating]: ...
-
-    @property
-    def reference(self) -> NDArray[np.floating]: ...
-
-    @property
-    def feature(self) -> NDArray[np.floating]: ...
-
-    @property
-    def measured(self) -> NDArray[np.floating]: ...
-
-    @property
-    def command(self) -> NDArray[np.floating]: ...
 
 
 def draw_loop() -> Figure:
@@ -110,46 +93,75 @@ def draw_track(
     axes.grid(False)
 
 
-def draw_step_runs(runs: dict[str, Run]) -> Figure:
-    """Draw figures 5.4 and 5.5: position and velocity of both axes against time, a row a run."""
+def draw_step_runs(runs: dict[str, Any], band: float) -> Figure:
+    """Draw figures 5.4 and 5.5: position, velocity and distance to the goal, a column a run.
+
+    The printed settling time and the printed error at that time are marked.
+
+    Parameters
+    ----------
+    runs : dict of str to Simulation
+        By zoom; ``time`` (s), ``reference`` and ``measured`` (px) and ``command`` (µm/s) are drawn.
+    band : float
+        Share of the step within which it counts as settled, which is shaded.
+    """
     figure, grid = plt.subplots(
-        len(runs), 2, figsize=(7.2, 2.8 * len(runs)), squeeze=False, sharex=True
+        3, len(runs), figsize=(7.2, 7.6), squeeze=False, sharex="col", sharey="row"
     )
-    for (title, run), (left, right) in zip(runs.items(), grid, strict=True):
-        offset = run.feature[0]
-        for axis, (name, color) in enumerate((("x", "blue"), ("y", "orange"))):
-            style = "-" if axis == 0 else "--"
-            left.plot(
-                run.time,
-                run.measured[:, axis] - offset[axis],
-                style,
-                color=COLORS[color],
-                label=name,
+    for (zoom, run), (top, middle, bottom) in zip(runs.items(), grid.T, strict=True):
+        entry = f"table-5.3/{zoom}/{{}}".format
+        time, error = claim(entry("settling-time")).value, claim(entry("accuracy")).value
+        moved, step = run.measured - run.measured[0], run.reference[-1] - run.measured[0]
+        for k, (name, color, line) in enumerate((("x", "blue", "-"), ("y", "orange", "--"))):
+            top.plot(run.time, moved[:, k], line, color=COLORS[color], label=name)
+            middle.step(
+                run.time, run.command[:, k], line, where="post", color=COLORS[color], label=name
             )
-            right.step(
-                run.time, run.command[:, axis], style, where="post", color=COLORS[color], label=name
-            )
-        left.plot(run.time, (run.reference - offset)[:, 0], color="black", lw=1, label="reference")
-        left.set(title=title, ylabel="position (px)")
-        right.set(title="control", ylabel="velocity (µm/s)")
-    grid[0, 0].legend(loc="lower right")
-    for axes in grid[-1]:
-        axes.set(xlabel="time (s)")
+        top.axhline(step[0], color="black", lw=1, label="goal")
+        distance = thesis.effective_pixel(zoom) * np.linalg.norm(moved - step, axis=1)
+        bottom.plot(run.time, distance, color=COLORS["blue"], label="simulated")
+        bottom.axhspan(0, band * distance[0], color=COLORS["grey"], alpha=0.2, lw=0)
+        bottom.plot(time, error, "D", color=COLORS["orange"], ms=8, label="printed")
+        for axes in (top, middle, bottom):
+            axes.axvline(time, color=COLORS["orange"], ls=":", lw=1.5)
+        top.set(title=f"step at {zoom}")
+        bottom.set(yscale="log", xlabel="time (s)")
+    for axes, name in zip(
+        grid[:, 0], ("position (px)", "velocity (µm/s)", "error (µm)"), strict=True
+    ):
+        axes.set_ylabel(name)
+    grid[0, -1].legend(loc="lower right")
+    grid[2, -1].legend(loc="upper right")
     return figure
 
 
-def draw_path_run(run: Run, error: NDArray[np.floating], title: str, unit: str) -> Figure:
-    """Draw one of figures 5.6 to 5.8: the path with its reference, and an error against time."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.8))
-    offset = run.reference[0]
-    # The measurement hardly leaves the reference, which therefore lies on top of it.
-    left.plot(*(run.measured - offset).T, "o", color=COLORS["sky"], ms=6, label="measured")
-    left.plot(*(run.reference - offset).T, color="black", lw=1.4, label="reference")
-    left.set(xlabel="x (px)", ylabel="y (px)", title=title)
-    left.set_aspect("equal", adjustable="datalim")  # all paths get panels of one size
-    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=2)
-    right.plot(run.time[: len(error)], error, color=COLORS["blue"], lw=1.2)
-    right.set(xlabel="time (s)", ylabel=f"tracking error ({unit})", ylim=(0, None))
+def draw_path_runs(runs: dict[str, Any]) -> Figure:
+    """Draw figures 5.6 to 5.8: each path at 1X with its reference, and its error against time.
+
+    The printed mean of the error is a line in a band of the printed standard deviation.
+
+    Parameters
+    ----------
+    runs : dict of str to Simulation
+        By path.
+    """
+    pixel = thesis.effective_pixel("1X")
+    figure, grid = plt.subplots(len(runs), 2, figsize=(7.2, 2.9 * len(runs)), squeeze=False)
+    for (name, run), (left, right) in zip(runs.items(), grid, strict=True):
+        start = run.reference[0]
+        # The measurement hardly leaves the reference, which therefore lies on top of it.
+        left.plot(*(run.measured - start).T, "o", color=COLORS["sky"], ms=6, label="measured")
+        left.plot(*(run.reference - start).T, color="black", lw=1.4, label="reference")
+        left.set(xlabel="x (px)", ylabel="y (px)", title=name)
+        left.set_aspect("equal", adjustable="datalim")  # all paths get panels of one size
+        error = pixel * np.linalg.norm(run.measured[:-1] - run.reference[1:], axis=1)
+        right.plot(run.time[:-1], error, color=COLORS["blue"], lw=1.2, label="simulated")
+        mean, std = (claim(f"table-5.4/1X/{name}/{w}").value for w in ("accuracy", "precision"))
+        right.axhline(mean, color=COLORS["orange"], ls="--", label="printed mean")
+        right.axhspan(mean - std, mean + std, color=COLORS["orange"], alpha=0.2, lw=0)
+        right.set(xlabel="time (s)", ylabel="error (µm)", ylim=(0, None))
+    (shown, names), (more, others) = (axes.get_legend_handles_labels() for axes in grid[0])
+    figure.legend(shown + more, names + others, loc="outside upper center", ncols=4, fontsize=11)
     return figure
 
 

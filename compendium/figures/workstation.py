@@ -10,7 +10,6 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from compendium import thesis
-from compendium.experiments.section_5_4 import SettlingTimes
 from compendium.figures.calibration import draw_detection
 from compendium.figures.servoing import draw_track
 from compendium.figures.style import COLORS
@@ -21,7 +20,7 @@ from microlib.tracking import Track
 __all__ = [
     "draw_blur_study",
     "draw_patterns",
-    "draw_settling_times",
+    "draw_printed_and_recomputed",
     "draw_speed_study",
     "draw_tracks",
     "draw_workstation",
@@ -96,18 +95,31 @@ def draw_speed_study(shares: pd.DataFrame) -> Figure:
     return figure
 
 
-def draw_settling_times(times: SettlingTimes) -> Figure:
-    """Draw settling times against the largest speed, and at 4X against the latency."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.2), sharey=True)
-    for zoom, color in zip(times.by_speed, ("blue", "orange"), strict=True):
-        left.plot(times.speeds, times.by_speed[zoom], color=COLORS[color], label=zoom)
-        left.plot(times.saturation[zoom], times.printed[zoom], "o", color=COLORS[color])
-    left.set(xlabel="largest speed (µm/s)", ylabel="settling time (s)", ylim=(0, 1.6))
-    left.legend()
-    right.plot(
-        1000 * times.latencies, times.by_latency, color=COLORS["orange"], label="4X, speed as at 1X"
+def draw_printed_and_recomputed(panels: dict[str, pd.DataFrame]) -> Figure:
+    """Draw recomputed over printed numbers as dots with their 95 % intervals.
+
+    Parameters
+    ----------
+    panels : dict of str to pandas.DataFrame
+        By title: ``claim`` (id), ``value``, ``low`` and ``high`` in the printed unit, and
+        ``input``, whether the simulation was given the printed number; such dots are hollow.
+    """
+    rows = max(map(len, panels.values()))
+    figure, grid = plt.subplots(
+        1, len(panels), figsize=(7.2, 1.3 + 0.32 * rows), squeeze=False, sharex=True
     )
-    right.plot(1000 * times.latency, times.printed["4X"], "s", color=COLORS["orange"])
-    right.set(xlabel="latency (ms)")
-    right.legend()
+    for axes, (title, table) in zip(grid[0], panels.items(), strict=True):
+        printed = np.array([claim(id).value for id in table["claim"]])
+        place = -np.arange(len(table))
+        value, low, high = (table[name] / printed for name in ("value", "low", "high"))
+        axes.axvline(1, color="black", lw=1)
+        for given, face, label in ((True, "white", "input"), (False, COLORS["blue"], "predicted")):
+            at = (table["input"] == given).to_numpy()
+            axes.hlines(place[at], low[at], high[at], color=COLORS["blue"], lw=1.5)
+            axes.plot(value[at], place[at], "o", color=COLORS["blue"], mfc=face, label=label)
+        axes.set(xscale="log", title=title, xlabel="recomputed / printed", ylim=(0.6 - rows, 0.4))
+        axes.set_yticks(place, [" ".join(id.split("/")[1:]) for id in table["claim"]], fontsize=10)
+        axes.set_xticks(ticks := [0.2, 0.5, 1, 2], list(map(str, ticks)))
+        axes.minorticks_off()
+    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return figure

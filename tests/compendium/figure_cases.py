@@ -21,12 +21,10 @@ mpl.use("agg")
 import matplotlib.pyplot as plt
 
 from compendium import thesis
-from compendium.experiments.section_5_4 import SettlingTimes
 from compendium.figures import (
     automation,
     calibration,
     dimple,
-    inference,
     mechanics,
     overview,
     servoing,
@@ -176,24 +174,6 @@ def felt() -> pd.DataFrame:
     )
 
 
-def left_out() -> Figure:
-    ends = {"base": [[1.0, 2.0, 3.0], [5.0, 6.0, 8.0]], "other": [[2.5, 3.0, 4.0], [1.0, 2.1, 5.0]]}
-    return inference.draw_left_out(["one", "two"], [2.0, 4.0], ends)
-
-
-def identified() -> Figure:
-    widths = {
-        "base": pd.Series([0.5, 0.9], ["latency", "noise"]),
-        "other": pd.Series([0.4, 0.8, 0.2], ["latency", "noise", "rate"]),
-    }
-    return inference.draw_identified(widths)
-
-
-def ranks() -> Figure:
-    columns = np.column_stack([(np.arange(100) + 0.5) / 100, np.modf(np.arange(100) * 0.618)[0]])
-    return inference.draw_ranks({"base": columns, "other": columns[:60] ** 2})
-
-
 def modulus_posterior() -> Figure:
     readings = pd.DataFrame(
         {
@@ -276,20 +256,11 @@ def patterns() -> Figure:
     return workstation.draw_patterns(examples)
 
 
-def settling_times() -> SettlingTimes:
-    return SettlingTimes(
-        speeds=np.array([100.0, 200.0, 400.0]),
-        by_speed={"1X": np.array([np.nan, 1.0, 0.6]), "4X": np.array([0.9, 0.5, 0.3])},
-        saturation={"1X": 250.0, "4X": 150.0},
-        latencies=np.array([0.01, 0.03]),
-        by_latency=np.array([0.4, 0.8]),
-        latency=0.02,
-        printed={"1X": 0.85, "4X": 0.65},
-    )
-
-
-def settling() -> Figure:
-    return workstation.draw_settling_times(settling_times())
+def printed_and_recomputed() -> Figure:
+    ids = ["table-5.3/1X/accuracy", "table-5.3/4X/accuracy", "table-5.3/4X/precision"]
+    table = pd.DataFrame({"claim": ids, "value": [9.0, 1.5, 0.5], "input": [False, True, False]})
+    table = table.assign(low=[8.0, 1.4, 0.3], high=[12.0, 1.7, 0.9])
+    return workstation.draw_printed_and_recomputed({"one": table, "two": table[:2]})
 
 
 CURVE = thesis.outline_curve
@@ -319,23 +290,15 @@ CASES: dict[str, Callable[[], Figure]] = {
     "dimple.draw_image_study": image_study,
     "dimple.draw_estimated_force": lambda: dimple.draw_estimated_force(felt()),
     "dimple.draw_relaxing_force": lambda: dimple.draw_relaxing_force(felt()),
-    "inference.draw_identified": identified,
-    "inference.draw_left_out": left_out,
-    "inference.draw_ranks": ranks,
-    "inference.draw_trades": lambda: inference.draw_trades(
-        ["a", "b", "c"], [[1.0, -0.7, 0.2], [-0.7, 1.0, 0.1], [0.2, 0.1, 1.0]]
-    ),
     "mechanics.draw_modulus_posterior": modulus_posterior,
     "overview.draw_parts": overview.draw_parts,
     "overview.draw_scale": overview.draw_scale,
     "servoing.draw_esm_step": esm_step,
     "servoing.draw_kalman_step": kalman_step,
     "servoing.draw_loop": servoing.draw_loop,
-    "servoing.draw_path_run": lambda: servoing.draw_path_run(
-        RUN, np.array([0.5, 0.7]), "circle", "µm"
-    ),
+    "servoing.draw_path_runs": lambda: servoing.draw_path_runs({"circle": RUN, "square": RUN}),
     "servoing.draw_stability": stability,
-    "servoing.draw_step_runs": lambda: servoing.draw_step_runs({"1X": RUN, "4X": RUN}),
+    "servoing.draw_step_runs": lambda: servoing.draw_step_runs({"1X": RUN, "4X": RUN}, 0.05),
     "servoing.draw_track": on_axes(
         lambda axes: servoing.draw_track(
             axes, picture(80, 120).astype(np.uint8), track(), "t = 1 s"
@@ -373,7 +336,7 @@ CASES: dict[str, Callable[[], Figure]] = {
         pd.DataFrame({"circles": [0.01, 0.02], "squares": [0.1, 0.2], "other": [1, 2]}, [0.5, 3.0])
     ),
     "workstation.draw_patterns": patterns,
-    "workstation.draw_settling_times": settling,
+    "workstation.draw_printed_and_recomputed": printed_and_recomputed,
     "workstation.draw_speed_study": lambda: workstation.draw_speed_study(
         pd.DataFrame({"with": [1.0, 0.5], "without": [0.9, 0.0]}, [200.0, 1500.0])
     ),

@@ -21,9 +21,8 @@ from tests.compendium.figure_cases import CASES
 
 #: What has no unit, as an axis names it.
 PURE = (
-    "assumed f / true f", "draws", "data sets", "grey value", "step", "frame", "loop gain g",
-    "number of claims", "rank of the truth", "width after the tables over before",
-    "predicted without it, over printed", "correlation", "modulus of the slowest pole",
+    "assumed f / true f", "draws", "grey value", "step", "frame", "loop gain g",
+    "number of claims", "recomputed / printed", "modulus of the slowest pole",
 )  # fmt: skip
 UNNAMED: set[str] = set()
 

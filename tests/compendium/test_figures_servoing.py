@@ -31,30 +31,28 @@ def drawn(axes):
     return {line.get_label(): line.get_xydata() for line in axes.lines}
 
 
-def test_a_step_is_drawn_from_where_the_feature_begins():
-    left, right = servoing.draw_step_runs({"1X": RUN}).axes
-    position, control = drawn(left), drawn(right)
-    np.testing.assert_allclose(position["x"], [[0, 0.1], [0.1, 5.2], [0.2, 10.3]])
-    np.testing.assert_allclose(position["y"], [[0, 0.2], [0.1, 0.4], [0.2, 0.6]])
-    np.testing.assert_allclose(position["reference"], [[0, 1], [0.1, 11], [0.2, 21]])
+def test_a_step_is_drawn_from_its_first_measurement():
+    position, control, error = (drawn(a) for a in servoing.draw_step_runs({"4X": RUN}, 0.05).axes)
+    np.testing.assert_allclose(position["x"], [[0, 0], [0.1, 5.1], [0.2, 10.2]])
+    np.testing.assert_allclose(position["y"], [[0, 0], [0.1, 0.2], [0.2, 0.4]])
     np.testing.assert_allclose(control["x"], [[0, 100], [0.1, 50], [0.2, 20]])
     np.testing.assert_allclose(control["y"], [[0, -3], [0.1, -2], [0.2, -1]])
-    # A command holds until the next one.
-    assert right.lines[0].get_drawstyle() == "steps-post"
-    assert (left.get_ylabel(), right.get_ylabel()) == ("position (px)", "velocity (µm/s)")
-    assert left.get_xlabel() == right.get_xlabel() == "time (s)"
-    assert left.get_title() == "1X"
+    # The way that is left to the last reference, at 9.9 µm over 6.3859.
+    left = np.hypot([20.9, 15.8, 10.7], [2.8, 2.6, 2.4]) * 9.9 / 6.3859
+    np.testing.assert_allclose(error["simulated"], np.column_stack([RUN.time, left]))
+    np.testing.assert_allclose(error["printed"], [[0.45, 1.35]])  # Table 5.3
 
 
 def test_a_path_is_drawn_from_where_its_reference_begins():
-    left, right = servoing.draw_path_run(RUN, np.array([0.5, 0.7]), "circle", "µm").axes
+    left, right = servoing.draw_path_runs({"square": RUN}).axes
     np.testing.assert_allclose(drawn(left)["reference"], [[0, 0], [10, 0.5], [20, 2]])
     expected = [[-0.9, -0.8], [4.2, -0.6], [9.3, -0.4]]
     np.testing.assert_allclose(drawn(left)["measured"], expected)
-    np.testing.assert_allclose(right.lines[0].get_xydata(), [[0, 0.5], [0.1, 0.7]])
+    error = np.hypot([10.9, 15.8], [1.3, 2.6]) * 9.9 / 1.5893
+    np.testing.assert_allclose(drawn(right)["simulated"], [[0, error[0]], [0.1, error[1]]])
+    assert list(right.lines[-1].get_ydata()) == [5.93, 5.93]  # Table 5.4
     assert left.get_aspect() == 1
     assert right.get_ylim()[0] == 0
-    assert right.get_ylabel() == "tracking error (µm)"
 
 
 def test_a_track_lies_on_its_frame():

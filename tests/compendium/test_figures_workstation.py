@@ -12,7 +12,6 @@ mpl.use("agg")
 import matplotlib.pyplot as plt
 
 from compendium.figures import workstation
-from tests.compendium.figure_cases import settling_times
 
 
 @pytest.fixture(autouse=True)
@@ -46,20 +45,6 @@ def test_completed_runs_are_drawn_in_percent():
     assert axes.lines[-1].get_xdata() == [250, 250]  # §5.3: up to 250 px/s
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("speed (px/s)", "runs completed (%)")
     assert axes.get_ylim() == (-5, 105)
-
-
-def test_settling_times_meet_the_printed_ones():
-    times = settling_times()
-    left, right = workstation.draw_settling_times(times).axes
-    np.testing.assert_allclose(drawn(left)["1X"], [[100, np.nan], [200, 1.0], [400, 0.6]])
-    np.testing.assert_allclose(drawn(left)["4X"], [[100, 0.9], [200, 0.5], [400, 0.3]])
-    points = [line.get_xydata()[0].tolist() for line in left.lines if line.get_marker() == "o"]
-    assert points == [[250, 0.85], [150, 0.65]]
-    np.testing.assert_allclose(drawn(right)["4X, speed as at 1X"], [[10, 0.4], [30, 0.8]])  # ms
-    np.testing.assert_allclose(right.lines[-1].get_xydata(), [[20, 0.65]])
-    assert (left.get_xlabel(), left.get_ylabel()) == ("largest speed (µm/s)", "settling time (s)")
-    assert right.get_xlabel() == "latency (ms)"
-    assert left.get_ylim() == right.get_ylim() == (0, 1.6)
 
 
 def test_every_pattern_has_its_points_and_their_number():
@@ -117,3 +102,27 @@ def test_the_parts_of_the_workstation_carry_their_names():
     assert np.hypot(*(probe[1] - sample[0])) < 0.6
     for one, other in pairwise(boxes):
         assert not one.overlaps(other)
+
+
+def test_dots_are_over_the_printed_number():
+    (axes,) = workstation.draw_printed_and_recomputed(
+        {
+            "Table 5.3": pd.DataFrame(
+                {
+                    "claim": ["table-5.3/1X/settling-time", "table-5.3/1X/accuracy"],
+                    "value": [0.8, 4.93],
+                    "low": [0.4, 4.93],
+                    "high": [1.6, 9.86],
+                    "input": [True, False],
+                }
+            )
+        }
+    ).axes
+    np.testing.assert_allclose(drawn(axes)["input"], [[1, 0]])
+    np.testing.assert_allclose(drawn(axes)["predicted"], [[0.5, -1]])
+    ends = [lines.get_segments()[0] for lines in axes.collections]
+    np.testing.assert_allclose(ends, [[[0.5, 0], [2, 0]], [[0.5, -1], [1, -1]]])
+    assert [label.get_text() for label in axes.get_yticklabels()] == [
+        "1X settling-time",
+        "1X accuracy",
+    ]

@@ -161,27 +161,27 @@ def test_the_printed_outline_is_higher_at_the_rim(figures: Path) -> None:
     assert 3.875 * (y1 - y2) == pytest.approx(DEPTH, abs=0.5)
 
 
-@pytest.mark.parametrize("name", ["fig-5-6", "fig-5-7", "fig-5-8"])
-def test_a_path_is_followed_and_its_error_is_not_negative(figures: Path, name: str) -> None:
-    found = series(figures, name)
-    reference, measured = found[1, "reference"], found[1, "measured"]
-    assert reference[0].tolist() == [0, 0]
-    span = np.ptp(reference, axis=0).max()
-    # Late by some frames and moved by the depth's error, but on the way.
-    assert np.median(np.hypot(*(reference - measured).T)) < span / 5
-    ((_, error),) = [(k, v) for k, v in found.items() if k[0] == 2]
-    assert (error[:, 1] >= 0).all()
-    np.testing.assert_allclose(np.diff(error[:, 0]), 1 / 33, atol=1e-5)
+def test_a_path_is_followed_and_its_error_is_not_negative(figures: Path) -> None:
+    found = series(figures, "fig-5-6")
+    for panel in (1, 3, 5):
+        reference, measured = found[panel, "reference"], found[panel, "measured"]
+        assert reference[0].tolist() == [0, 0]
+        span = np.ptp(reference, axis=0).max()
+        # Late by some frames and moved by the depth's error, but on the way.
+        assert np.median(np.hypot(*(reference - measured).T)) < span / 5
+        error = found[panel + 1, "simulated"]
+        assert (error[:, 1] >= 0).all()
+        np.testing.assert_allclose(np.diff(error[:, 0]), 1 / 33, atol=1e-5)
 
 
 def test_a_step_ends_at_its_reference(figures: Path) -> None:
     found = series(figures, "fig-5-4")
-    for panel in (1, 3):
-        x, reference = found[panel, "x"], found[panel, "reference"]
-        assert x[-5:, 1].mean() == pytest.approx(reference[-1, 1], rel=0.1)
-        assert abs(x[0, 1]) < 0.1 * reference[-1, 1]
+    for panel in (1, 2):
+        x = found[panel, "x"]
+        assert x[-5:, 1].mean() == pytest.approx(50, rel=0.1)
+        assert abs(x[0, 1]) < 5
         # The command dies down as it arrives.
-        command = np.abs(found[panel + 1, "x"][:, 1])
+        command = np.abs(found[panel + 2, "x"][:, 1])
         assert command[-5:].mean() < 0.2 * command.max()
 
 

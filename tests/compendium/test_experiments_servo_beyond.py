@@ -1,0 +1,66 @@
+"""Disturbances and controllers beyond the thesis: strengths are found again, delay costs less."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from compendium import thesis
+from compendium.experiments import section_5_4, servo_controllers, servo_disturbances
+
+STATION = section_5_4.Workstation(
+    saturation={"1X": 390.0, "4X": 172.0},
+    jitter=0.15,
+    path_speed={"circle": 40.0, "square": 32.0, "sinusoid": 27.0},
+    seed=5,
+)
+
+
+@pytest.mark.parametrize("label", servo_disturbances.DISTURBANCES)
+def test_a_disturbance_adds_to_the_error(label: str) -> None:
+    path = STATION.path("circle")
+    strength = {"frames dropped": (0.3, 0.0), "frames logged twice": (0.3, 0.0)}
+    strong = strength.get(label, (1.0 if "begun" in label or "noise" in label else 0.1, 8.0))
+    values = np.repeat([(0.0, 0.0), strong], 12, axis=0)
+    jitter = np.full(24, STATION.jitter)
+    found = servo_disturbances.disturbed(STATION, "4X", path, label, values, jitter)
+    still, disturbed = np.median(found.reshape(2, 12, 2), axis=1)
+    # A lag of one frame of motion, without the disturbance.
+    lag = 40.0 * thesis.FRAME_INTERVAL * thesis.effective_pixel("4X")
+    assert still[0] == pytest.approx(lag, rel=0.1)
+    assert (disturbed[1] > 1.2 * still[1]) == (label != "none")
+
+
+def test_a_known_disturbance_is_found_again(monkeypatch) -> None:
+    """Numbers that paths begun 14 µm beside their start give, in place of the printed ones."""
+    label = "begun beside the start"
+    made = {}
+    for name in section_5_4.PATHS:
+        for zoom in thesis.ZOOMS:
+            found = servo_disturbances.disturbed(
+                STATION, zoom, STATION.path(name), label, np.tile([1.0, 14.0], (60, 1)),
+                np.full(60, STATION.jitter),
+            )  # fmt: skip
+            made[zoom, name] = dict(
+                zip(section_5_4.PATH_RESULTS, np.median(found, axis=0), strict=True)
+            )
+    monkeypatch.setattr(
+        servo_disturbances, "printed_path", lambda zoom, name, what: made[zoom, name][what]
+    )
+    few = {label: servo_disturbances.DISTURBANCES[label], "none": ("", [(0.0, 0.0)])}
+    monkeypatch.setattr(servo_disturbances, "DISTURBANCES", few)
+    table, numbers = servo_disturbances.compare(STATION)
+    assert table["disturbance"].tolist() == [label, "none"]
+    assert table["fitted"].iloc[0].split()[0] in {"10", "14", "20"}
+    assert table["misfit"].iloc[0] < 0.1 < 0.3 < table["misfit"].iloc[1]
+    logs = np.log(numbers[label]["fitted"] / numbers[label]["printed"])
+    assert np.sqrt(np.mean(logs**2)) == pytest.approx(table["misfit"].iloc[0])
+
+
+def test_prediction_gains_most_at_a_long_latency() -> None:
+    table = servo_controllers.compare(STATION, draws=1)
+    assert len(table) == 12
+    better = table["optimal (2.28), µm"] / table["predictive, µm"]
+    assert (better > 1).all()
+    short = table["latency (ms)"] == 1000 * section_5_4.ASSUMED.latency
+    assert (better[~short].to_numpy() > better[short].to_numpy()).all()
