@@ -25,7 +25,7 @@ from benchmarks.report import must_hold, publish
 from microlib.embryo import modulus_from_image
 from microlib.io import read_grey
 from microlib.membrane import indent_capsule
-from microlib.membrane._state import MembraneState
+from microlib.membrane._solver import MembraneState
 
 #: One image of each kind of probe for each. The method was developed on others: below 100, 200 to
 #: 299, 600 to 629, 700 to 729 and from 2000 on.

@@ -1,6 +1,33 @@
-"""The membrane of chapter 4 under a point load (4.1–4.7), and discs and capsules at any depth."""
+"""Membranes under a probe: the thesis' point load (4.1–4.7, 5.2), discs and capsules.
 
-from microlib.membrane._bending import capsule_bending_force
+Which function is for which dimple, by its relative depth w_d/a, and how far the modulus of (5.2),
+`elastic_modulus`, is from that function's, at c/a = 0.1 and ν = 0.5 (measured):
+
+=============================================  ==========================  =======================
+the membrane                                   its function                (5.2) beside it
+=============================================  ==========================  =======================
+the thesis' own: one stress everywhere, small  `elastic_modulus`,          –
+slopes, w_d/a up to 0.1                        `indentation_force`
+the same stress, but slopes that are not       `finite_slope_modulus`      −1 % at w_d/a = 0.05,
+small; up to `steepest_depth`, w_d/a = 0.25                                −5 % at 0.1, −20 % at
+                                                                           0.2
+a flat disc, clamped at its rim, with the      `disc_modulus`,             +145 % at 0.1, +124 to
+pressure F/(π a²) below it, at any depth       `indent_disc`               135 % at 0.2, +42 to 82 %
+                                                                           at 0.49, by law
+the same disc over an open hole                `disc_modulus(…,            +47 %, +38 to 44 %, −3 to
+                                               pressure=0)`                20 %
+a closed capsule full of fluid, such as an     `capsule_modulus`,          −27 to +470 % for R =
+egg: rim, depth and radius are known           `indent_capsule`            600 µm, h = 3 µm inflated
+                                                                           by 1 to 8 %; +18 to 51 %
+                                                                           for the thesis' dimple
+the same, of which the outline is known        `fit_capsule`               as above
+=============================================  ==========================  =======================
+
+The first three lines are one model with its slopes small or whole; a stress that is the same at all
+radii is an assumption that no clamped disc meets. `modulus_std` and `modulus_samples` give the
+error of (5.2) that its inputs make, and `viscoelastic_force` the force of a wall that relaxes.
+"""
+
 from microlib.membrane._capsule import capsule_modulus, indent_capsule
 from microlib.membrane._disc import disc_modulus, indent_disc
 from microlib.membrane._finite_slope import finite_slope_modulus, steepest_depth
@@ -19,7 +46,6 @@ from microlib.membrane._viscoelastic import viscoelastic_force
 
 __all__ = [
     "SmallSlopeWarning",
-    "capsule_bending_force",
     "capsule_modulus",
     "dimple_depth",
     "dimple_profile",

@@ -7,25 +7,21 @@ its equilibrium is solved as it stands.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.integrate import solve_bvp
 from scipy.optimize import brentq
 
-from microlib._common import Array, between, scalar
-from microlib.membrane._laws import Law, law_of, relaxed_stress
-from microlib.membrane._state import MembraneState, gauss_points, reintegration_error
+from microlib._common import Array, scalar
+from microlib.membrane._laws import Law, law_of
+from microlib.membrane._point_load import warn_of_units
+from microlib.membrane._solver import Guess, MembraneState, Problem, gauss_points, in_units
 
 __all__ = ["disc_modulus", "indent_disc"]
 
 _NODES = 60
-_MOST_NODES = 3000
-# Relative residual of the collocation; the depth is then good to about 1e-9.
-_TOLERANCE = 1e-8
-# What two independent checks of a solution may leave.
-_ACCEPTED = 1e-5
 # Factor of force from one state to the next where the first guess is too far.
 _LADDER = 3.0
 _RUNGS = 8
@@ -35,7 +31,7 @@ _LEAST_STEP = 0.02
 
 
 @dataclass(frozen=True)
-class _Disc:
+class _Disc(Problem):
     """The problem without units: lengths in rim radii, forces in E h a."""
 
     law: Law
@@ -46,6 +42,17 @@ class _Disc:
     outer: float  # undeformed radius of the rim
     unit: float  # E h a in µN, for messages
 
+    # Relative residual of the collocation; the depth is then good to about 1e-9.
+    tolerance = 1e-8
+    most_nodes = 3000
+
+    @property
+    def said(self) -> str:
+        return (
+            f": {self.force * self.unit:.4g} µN, {self.force:.3g} of modulus × thickness × radius, "
+            f"with a pressure of {self.pressure:.3g} modulus × thickness / radius"
+        )
+
     @property
     def scales(self) -> tuple[float, float, float]:
         """Sizes of the displacement, of the horizontal force and of the height."""
@@ -55,8 +62,7 @@ class _Disc:
         if rim < 1:
             # A slack disc hangs as deep as its meridians are long, however small the force.
             height += np.sqrt(self.outer**2 - 1)
-        even = np.array(max(rim, 1.0))
-        tension = float(self.law.stress(even, even)[0]) + load / height
+        tension = self.law.even_stress(max(rim, 1.0)) + load / height
         # Below 1e-8 rounding would be resolved.
         return max(height**2, abs(self.initial - rim), 1e-8), tension, load / tension + 1e-12
 
@@ -71,7 +77,7 @@ class _Disc:
         r = x * self.initial + move * y[0]
         return x, r, tension * y[1], self.force / (2 * np.pi) - self.pressure * r**2 / 2
 
-    def slopes(self, t: Array, y: Array) -> Array:
+    def slopes(self, t: Array, y: Array, k: Any = None) -> Array:
         """Right-hand side of the equilibrium over t."""
         move, tension, height = self.scales
         x, r, horizontal, vertical = self.unpack(t, y)
@@ -89,27 +95,49 @@ class _Disc:
         )
         return per_x * x * np.log(self.outer / self.inner)
 
-    def edges(self, left: Array, right: Array) -> Array:
+    def edges(self, left: Array, right: Array, k: Any = None) -> Array:
         """Residual: the edges where they are held, the rim at height zero."""
         move, _, _ = self.scales
         rim = (1 - self.outer * self.initial) / move
         return np.array([left[0], right[0] - rim, right[2]])
 
-    def guess(self, t: Array) -> Array:
+    def guess(self) -> Guess:
         """Return a state near enough for a moderate force: evenly stretched, in balance."""
         move, tension, height = self.scales
+        t = np.linspace(0.0, 1.0, _NODES)
         x = self.material(t)
         vertical = self.force / (2 * np.pi) - self.pressure * x**2 / (2 * self.outer**2)
         rise = np.clip(vertical / (0.5 * tension * x), -2, 2)
         steps = (rise[1:] + rise[:-1]) / 2 * np.diff(x)
         z = np.concatenate([[0.0], np.cumsum(steps)])
         rim = (1 - self.outer * self.initial) / move
-        return np.array([rim * t, 0.5 * x, (z - z[-1]) / height])
+        return t, np.array([rim * t, 0.5 * x, (z - z[-1]) / height]), None
 
-    def solve(self, t: Array, y: Array) -> Any:
-        """Return SciPy's solution from a guess `y` at `t`."""
-        with np.errstate(all="ignore"):
-            return solve_bvp(self.slopes, self.edges, t, y, tol=_TOLERANCE, max_nodes=_MOST_NODES)
+    def stages(self) -> Iterator[_Disc]:
+        """Yield problems of a load that grows to this one's."""
+        for rung in range(_RUNGS, -1, -1):
+            share = _LADDER**-rung
+            yield replace(self, force=share * self.force, pressure=share * self.pressure)
+
+    def virtual_work(self, solution: Any) -> float:
+        """Return the imbalance of virtual work for a swelling of the whole shape, relative."""
+        move, _, height = self.scales
+        t, weight = gauss_points(solution.x)
+        y, rate = solution.sol(t), solution.sol(t, 1)
+        x, r, _, _ = self.unpack(t, y)
+        per_t = x * np.log(self.outer / self.inner)
+        r_rate = self.initial + move * rate[0] / per_t
+        z, z_rate = height * y[2], height * rate[2] / per_t
+        first, second = np.hypot(r_rate, z_rate), r / x
+        along, across = self.law.relaxed_stress(first, second)
+        area = x * per_t * weight
+        inside = np.sum((along * first + across * second) * area)
+        push = self.pressure * np.sum((r_rate * z - z_rate * r) * r * per_t * weight)
+        ends = self.unpack(solution.x[[0, -1]], solution.y[:, [0, -1]])
+        outward = ends[2][1] * ends[1][1] - ends[2][0] * ends[1][0]
+        down = -ends[3][0] * height * solution.y[2, 0]
+        work = outward + down + push
+        return float(abs(inside - work) / (abs(inside) + abs(outward) + abs(down) + 1e-300))
 
 
 def indent_disc(
@@ -208,6 +236,7 @@ def indent_disc(
 
     Examples
     --------
+    >>> from microlib.membrane import indent_disc
     >>> state = indent_disc(
     ...     50.0, modulus=1.3, radius=250.0, thickness=3.0, probe_half_width=25.0
     ... )
@@ -215,38 +244,29 @@ def indent_disc(
     60.58 µm
     """
     load = scalar("force", force, least=0)
-    stiffness, a, h, c = (
-        scalar(name, value, above=0)
-        for name, value in (
-            ("modulus", modulus),
-            ("radius", radius),
-            ("thickness", thickness),
-            ("probe_half_width", probe_half_width),
-        )
-    )
-    between("probe_half_width", c, 0.0, a)
+    stiffness, h = scalar("modulus", modulus, above=0), scalar("thickness", thickness, above=0)
+    a = scalar("radius", radius, above=0)
+    c = scalar("probe_half_width", probe_half_width, within=(0.0, a))
     initial = 1 + scalar("pretension", pretension, least=0)
     inset = scalar("rim_inset", rim_inset, least=0)
     if inset >= 0.5:
         raise ValueError(f"rim_inset must lie in [0, 0.5), got {inset:g}")
-    if isinstance(pressure, str):
-        if pressure != "balance":
-            raise ValueError(f"pressure must be 'balance' or a number, got {pressure!r}")
-        below = load / (np.pi * a**2)
-    else:
+    below = load / (np.pi * a**2)
+    if not isinstance(pressure, str):
         below = scalar("pressure", pressure, least=0)
+    elif pressure != "balance":
+        raise ValueError(f"pressure must be 'balance' or a number, got {pressure!r}")
     outer = 1 / (initial * (1 - inset))
     if outer <= 1.01 * c / a / initial:
         raise ValueError(f"probe_half_width must leave a membrane to its rim, got {c:g} of {a:g}")
-    unit = stiffness * h * a
     problem = _Disc(
         law=law_of(law, poisson_ratio),
-        force=load / unit,
+        force=load / (stiffness * h * a),
         pressure=below * a / (stiffness * h),
         initial=initial,
         inner=c / a / initial,
         outer=outer,
-        unit=unit,
+        unit=stiffness * h * a,
     )
     if load == 0 and below == 0:
         if inset == 0:
@@ -255,7 +275,13 @@ def indent_disc(
             raise ValueError(
                 f"force must be positive where rim_inset {inset:g} leaves a slack disc, got 0"
             )
-    solution = _solve(problem)
+    _, solution = problem.find()
+    _, _, horizontal, _ = problem.unpack(solution.x, solution.y)
+    if (horizontal <= 0).any():
+        where = "below the probe" if horizontal[0] <= 0 else "over its rim"
+        raise ValueError(
+            f"force must leave the membrane upright, got one that folds it {where}{problem.said}"
+        )
     return _state(problem, solution, stiffness, a, h)
 
 
@@ -296,6 +322,11 @@ def disc_modulus(
     ValueError
         As for `indent_disc`, or if no modulus gives this depth.
 
+    Warns
+    -----
+    UserWarning
+        As for `elastic_modulus`, if the modulus is that of no membrane.
+
     Notes
     -----
     `indent_disc` is solved for the modulus whose depth is `depth`; the depth falls as the modulus
@@ -303,33 +334,35 @@ def disc_modulus(
 
     Examples
     --------
+    >>> from microlib.membrane import disc_modulus
     >>> modulus = disc_modulus(50.0, 250.0, 60.58, thickness=3.0, probe_half_width=25.0)
     >>> print(f"{modulus:.2f} MPa")
     1.30 MPa
     """
-    load, a, target = (
-        scalar(name, value, above=0)
-        for name, value in (("force", force), ("rim_radius", rim_radius), ("depth", depth))
-    )
-    settings: dict[str, Any] = {
-        "radius": a,
-        "thickness": thickness,
-        "probe_half_width": probe_half_width,
-        "poisson_ratio": poisson_ratio,
-        "law": law,
-        "pressure": pressure,
-        "pretension": pretension,
-        "rim_inset": rim_inset,
-    }
+    load, a = scalar("force", force, above=0), scalar("rim_radius", rim_radius, above=0)
+    target = scalar("depth", depth, above=0)
 
     def excess(log_modulus: float) -> float:
-        state = indent_disc(load, modulus=float(np.exp(log_modulus)), **settings)
+        state = indent_disc(
+            load,
+            modulus=float(np.exp(log_modulus)),
+            radius=a,
+            thickness=thickness,
+            probe_half_width=probe_half_width,
+            poisson_ratio=poisson_ratio,
+            law=law,
+            pressure=pressure,
+            pretension=pretension,
+            rim_inset=rim_inset,
+        )
         return (state.depth - target) / a
 
     # F = E h w³/a² up to a factor: within a few e-foldings of any law and load.
     start = np.log(load * a**2 / (scalar("thickness", thickness, above=0) * target**3))
     low, high = _bracket(excess, start, target)
-    return float(np.exp(brentq(excess, low, high, xtol=1e-11)))
+    found = float(np.exp(brentq(excess, low, high, xtol=1e-11)))
+    warn_of_units(found)
+    return found
 
 
 def _bracket(excess: Any, start: float, depth: float) -> tuple[float, float]:
@@ -359,126 +392,51 @@ def _bracket(excess: Any, start: float, depth: float) -> tuple[float, float]:
     )
 
 
-def _solve(problem: _Disc) -> Any:
-    """Return a checked solution, through smaller forces where the guess is too far."""
-    mesh = np.linspace(0.0, 1.0, _NODES)
-    solution = problem.solve(mesh, problem.guess(mesh))
-    if not _is_sound(problem, solution):
-        solution = _climb(problem, mesh)
-    _, _, horizontal, _ = problem.unpack(solution.x, solution.y)
-    if (horizontal <= 0).any():
-        where = "below the probe" if horizontal[0] <= 0 else "over its rim"
-        raise ValueError(
-            f"force must leave the membrane upright, got one that folds it {where}: "
-            f"{_said(problem)}"
-        )
-    return solution
-
-
-def _said(problem: _Disc) -> str:
-    return (
-        f"{problem.force * problem.unit:.4g} µN, {problem.force:.3g} of modulus × thickness × "
-        f"radius, with a pressure of {problem.pressure:.3g} modulus × thickness / radius"
-    )
-
-
-def _climb(problem: _Disc, mesh: Array) -> Any:
-    """Return the solution by steps in the load, each a guess for the next."""
-    stages = [problem]
-    for _ in range(_RUNGS):
-        last = stages[-1]
-        stages.append(replace(last, force=last.force / _LADDER, pressure=last.pressure / _LADDER))
-    y = stages[-1].guess(mesh)
-    for stage in reversed(stages):
-        solution = stage.solve(mesh, y)
-        if solution.status != 0:
-            break
-        mesh, y = solution.x, solution.y
-    if not _is_sound(problem, solution) or solution.status != 0:
-        raise ValueError(
-            f"force must have an equilibrium, got one for which none was found: {_said(problem)}"
-        )
-    return solution
-
-
-def _is_sound(problem: _Disc, solution: Any) -> bool:
-    """Tell whether a solution passes two checks that the collocation knows nothing of."""
-    if solution.status != 0 or not np.isfinite(solution.y).all():
-        return False
-    with np.errstate(all="ignore"):
-        missed = reintegration_error(problem.slopes, solution.x, solution.y)
-        return bool(missed < _ACCEPTED and _virtual_work(problem, solution) < _ACCEPTED)
-
-
-def _virtual_work(problem: _Disc, solution: Any) -> float:
-    """Return the imbalance of virtual work for a swelling of the whole shape, relative."""
-    move, _, height = problem.scales
-    t, weight = gauss_points(solution.x)
-    y, rate = solution.sol(t), solution.sol(t, 1)
-    x, r, _, _ = problem.unpack(t, y)
-    per_t = x * np.log(problem.outer / problem.inner)
-    r_rate = problem.initial + move * rate[0] / per_t
-    z, z_rate = height * y[2], height * rate[2] / per_t
-    first, second = np.hypot(r_rate, z_rate), r / x
-    along, across = relaxed_stress(problem.law, first, second)
-    area = x * per_t * weight
-    inside = np.sum((along * first + across * second) * area)
-    push = problem.pressure * np.sum((r_rate * z - z_rate * r) * r * per_t * weight)
-    ends = problem.unpack(solution.x[[0, -1]], solution.y[:, [0, -1]])
-    outward = ends[2][1] * ends[1][1] - ends[2][0] * ends[1][0]
-    down = -ends[3][0] * height * solution.y[2, 0]
-    work = outward + down + push
-    return float(abs(inside - work) / (abs(inside) + abs(outward) + abs(down) + 1e-300))
-
-
 def _state(problem: _Disc, solution: Any, modulus: float, a: float, h: float) -> MembraneState:
     _, _, height = problem.scales
+    t, weight = gauss_points(solution.x)
+    y = solution.sol(t)
+    x, r, horizontal, vertical = problem.unpack(t, y)
+    stretch, _ = problem.law.meridian(np.hypot(horizontal, vertical) / x, r / x)
+    area = x**2 * np.log(problem.outer / problem.inner) * weight
+    energy = 2 * np.pi * np.sum(problem.law.energy(stretch, r / x) * area)
+    energy += np.pi * problem.inner**2 * problem.law.even_energy(problem.initial)
+    # Shells between the axis and the membrane, one above the other, from the probe to the rim.
+    volume = np.pi * np.sum(r**2 * height * solution.sol(t, 1)[2] * weight)
     x, r, horizontal, vertical = problem.unpack(solution.x, solution.y)
     along = np.hypot(horizontal, vertical) / x
     first, across = problem.law.meridian(along, r / x)
     z = height * solution.y[2]
-    t, weight = gauss_points(solution.x)
-    y = solution.sol(t)
-    xg, rg, hg, vg = problem.unpack(t, y)
-    area = xg**2 * np.log(problem.outer / problem.inner) * weight
-    stretch, _ = problem.law.meridian(np.hypot(hg, vg) / xg, rg / xg)
-    start = np.array(problem.initial)
-    energy = 2 * np.pi * np.sum(problem.law.energy(stretch, rg / xg) * area)
-    energy += np.pi * problem.inner**2 * float(problem.law.energy(start, start))
-    rise = height * solution.sol(t, 1)[2]
-    # Shells between the axis and the membrane, one above the other, from the probe to the rim.
-    volume = np.pi * np.sum(rg**2 * rise * weight)
-    return MembraneState(
-        depth=float(-z[0] * a),
-        approach=float(-z[0] * a),
-        rim_radius=a,
-        r=r * a,
-        z=z * a,
-        stretches=np.array([first, r / x]),
-        stresses=modulus * np.array([along, across]),
-        pressure=float(problem.pressure * modulus * h / a),
-        contact_radius=a,
-        energy=float(energy * modulus * h * a**2),
-        volume=float(volume * a**3),
+    return in_units(
+        np.array([r, z, first, r / x, along, across]),
+        modulus,
+        h,
+        a,
+        depth=-z[0],
+        approach=-z[0],
+        rim_radius=1.0,
+        contact_radius=1.0,
+        pressure=problem.pressure,
+        energy=energy,
+        volume=volume,
     )
 
 
 def _flat(problem: _Disc, modulus: float, a: float, h: float) -> MembraneState:
     """Return the disc that nothing presses, evenly stretched."""
-    r = np.geomspace(problem.inner * problem.initial, 1.0, _NODES) * a
-    even = np.array(problem.initial)
-    stress = float(problem.law.stress(even, even)[0])
-    area = np.pi * (a / problem.initial) ** 2
-    return MembraneState(
+    r = np.geomspace(problem.inner * problem.initial, 1.0, _NODES)
+    even, same = problem.initial, np.ones((2, _NODES))
+    stress = problem.law.even_stress(even)
+    return in_units(
+        np.vstack([r, 0 * r, even * same, stress * same]),
+        modulus,
+        h,
+        a,
         depth=0.0,
         approach=0.0,
-        rim_radius=a,
-        r=r,
-        z=np.zeros_like(r),
-        stretches=np.full((2, r.size), problem.initial),
-        stresses=np.full((2, r.size), modulus * stress),
+        rim_radius=1.0,
+        contact_radius=1.0,
         pressure=0.0,
-        contact_radius=a,
-        energy=float(problem.law.energy(even, even)) * modulus * h * area,
+        energy=np.pi * problem.law.even_energy(even) / even**2,
         volume=0.0,
     )

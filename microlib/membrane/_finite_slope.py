@@ -51,6 +51,7 @@ def steepest_depth(dimple_radius: float, *, probe_half_width: float) -> float:
 
     Examples
     --------
+    >>> from microlib.membrane import steepest_depth
     >>> print(f"{steepest_depth(250.0, probe_half_width=25.0):.1f} µm")
     62.1 µm
     """
@@ -94,6 +95,7 @@ def finite_slope_modulus(
 
     Examples
     --------
+    >>> from microlib.membrane import finite_slope_modulus
     >>> modulus = finite_slope_modulus(
     ...     50.0, 250.0, 40.0, thickness=3.0, probe_half_width=25.0, poisson_ratio=0.5
     ... )
@@ -101,14 +103,8 @@ def finite_slope_modulus(
     11.09 MPa
     """
     a, c = _geometry(dimple_radius, probe_half_width)
-    load, depth, h = (
-        scalar(name, value, above=0)
-        for name, value in (
-            ("force", force),
-            ("dimple_depth", dimple_depth),
-            ("thickness", thickness),
-        )
-    )
+    load, depth = scalar("force", force, above=0), scalar("dimple_depth", dimple_depth, above=0)
+    h = scalar("thickness", thickness, above=0)
     nu = scalar("poisson_ratio", poisson_ratio, within=(-1, 1))
     if depth > _depth(1.0, a, c):
         return float("nan")

@@ -12,13 +12,13 @@ its tension as in a strip that contracts freely.
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Callable
 
 import numpy as np
 
 from microlib._common import Array, one_of, scalar
 
-__all__ = ["LAWS", "MOONEY_RATIO", "Law", "law_of", "relaxed_stress"]
+__all__ = ["LAWS", "MOONEY_RATIO", "Law", "law_of"]
 
 #: The laws by name.
 LAWS = ("hooke", "neo-hooke", "mooney-rivlin")
@@ -30,29 +30,40 @@ MOONEY_RATIO = 0.2
 _STEPS = 20
 
 
-class Law(Protocol):
-    """A membrane's energy for a modulus of 1, wrinkles included."""
+class Law:
+    """A membrane's energy for a modulus of 1, wrinkles included.
+
+    `energy` is the relaxed energy per undeformed volume; `stress` the nominal stresses of two
+    stretches, before any wrinkling; `strip` that of one that contracts freely across; `meridian`
+    the meridian's stretch under a nominal stress and the hoop stress, relaxed.
+    """
 
     poisson_ratio: float
+    energy: Callable[[Array, Array], Array]
+    stress: Callable[[Array, Array], tuple[Array, Array]]
+    strip: Callable[[Array], Array]
+    meridian: Callable[[Array, Array], tuple[Array, Array]]
 
-    def energy(self, first: Array, second: Array) -> Array:
-        """Return the relaxed energy per undeformed volume."""
-        ...
+    def even_stress(self, stretch: float) -> float:
+        """Return the nominal stress of a stretch that is the same in all directions."""
+        return float(self.stress(np.array(stretch), np.array(stretch))[0])
 
-    def stress(self, first: Array, second: Array) -> tuple[Array, Array]:
-        """Return the nominal stresses of two stretches, before any wrinkling."""
-        ...
+    def even_energy(self, stretch: float) -> float:
+        """Return the energy of a stretch that is the same in all directions."""
+        return float(self.energy(np.array(stretch), np.array(stretch)))
 
-    def strip(self, stretch: Array) -> Array:
-        """Return the nominal stress of a strip that contracts freely across."""
-        ...
+    def relaxed_stress(self, first: Array, second: Array) -> tuple[Array, Array]:
+        """Return the nominal stresses of two stretches, with wrinkles in place of compression."""
+        along, across = self.stress(first, second)
+        strip = self.strip(first), self.strip(second)
+        wrinkled = (across < 0) & (strip[0] > 0), (along < 0) & (strip[1] > 0)
+        slack = (first <= 1) & (second <= 1)
+        along = np.select([slack, *wrinkled], [0.0, strip[0], 0.0], along)
+        across = np.select([slack, *wrinkled], [0.0, 0.0, strip[1]], across)
+        return along, across
 
-    def meridian(self, stress: Array, hoop: Array) -> tuple[Array, Array]:
-        """Return the meridian's stretch under a nominal stress, and the hoop stress, relaxed."""
-        ...
 
-
-class Hooke:
+class Hooke(Law):
     r"""
     Linear elasticity of the stretches, exact in rotations.
 
@@ -67,7 +78,8 @@ class Hooke:
         e1, e2 = first - 1, second - 1
         nu = self.poisson_ratio
         both = (e1**2 + e2**2 + 2 * nu * e1 * e2) / (2 * self._plane)
-        return _relax(both, e1, e2, nu)
+        strip = np.maximum(np.maximum(e1, e2), 0.0) ** 2 / 2
+        return np.where((e1 + nu * e2 >= 0) & (e2 + nu * e1 >= 0), both, strip)
 
     def stress(self, first: Array, second: Array) -> tuple[Array, Array]:
         e1, e2 = first - 1, second - 1
@@ -85,14 +97,7 @@ class Hooke:
         return 1 + np.where(wrinkled, stress, e1), np.where(wrinkled, 0.0, across)
 
 
-def _relax(both: Array, e1: Array, e2: Array, nu: float) -> Array:
-    """Return Hooke's energy where both stresses are tensile, a strip's or none elsewhere."""
-    strip = np.where(e1 >= e2, e1, e2)
-    single = np.where(strip > 0, strip**2 / 2, 0.0)
-    return np.where((e1 + nu * e2 >= 0) & (e2 + nu * e1 >= 0), both, single)
-
-
-class MooneyRivlin:
+class MooneyRivlin(Law):
     r"""
     Incompressible rubber; neo-Hookean where the second constant is zero.
 
@@ -171,17 +176,6 @@ def _solve_biaxial(ratio: Array, hoop: Array) -> Array:
         slope = 1 + 3 * fourth
         root = root - miss * slope / (slope**2 + 6 * miss * fourth * inverse)
     return natural * root
-
-
-def relaxed_stress(law: Law, first: Array, second: Array) -> tuple[Array, Array]:
-    """Return the nominal stresses of two stretches, with wrinkles in place of compression."""
-    along, across = law.stress(first, second)
-    strip = law.strip(first), law.strip(second)
-    wrinkled = (across < 0) & (strip[0] > 0), (along < 0) & (strip[1] > 0)
-    slack = (first <= 1) & (second <= 1)
-    along = np.select([slack, *wrinkled], [0.0, strip[0], 0.0], along)
-    across = np.select([slack, *wrinkled], [0.0, 0.0, strip[1]], across)
-    return along, across
 
 
 def law_of(name: str, poisson_ratio: float) -> Law:

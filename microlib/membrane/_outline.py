@@ -14,7 +14,7 @@ from scipy.optimize import OptimizeResult, least_squares
 
 from microlib._common import LARGEST, LEAST, Array, Tidy, as_array, flag, scalar
 from microlib.membrane._capsule import Solved, capsule_modulus, indent_capsule, indent_near
-from microlib.membrane._state import MembraneState
+from microlib.membrane._solver import MembraneState
 
 __all__ = ["CapsuleFit", "fit_capsule"]
 
@@ -83,7 +83,6 @@ def fit_capsule(
     radius: float | None = None,
     poisson_ratio: float = 0.5,
     law: str = "neo-hooke",
-    support: str = "plate",
     punch: str = "bonded",
     start: tuple[float, float] | None = None,
     fit_tilt: bool = False,
@@ -103,7 +102,7 @@ def fit_capsule(
         h before inflation and c, in µm.
     radius : float, optional
         R before the test, in µm. By default it is fitted, which needs the outline's widest part.
-    poisson_ratio, law, support, punch
+    poisson_ratio, law, punch
         As for `indent_capsule`.
     start : tuple of float, optional
         Modulus (MPa) and inflation to search from first, such as those of the same egg in the image
@@ -137,7 +136,8 @@ def fit_capsule(
 
     Examples
     --------
-    >>> from microlib.membrane import indent_capsule
+    >>> import numpy as np
+    >>> from microlib.membrane import fit_capsule, indent_capsule
     >>> state = indent_capsule(
     ...     100.0, modulus=1.0, radius=600.0, thickness=3.0, probe_half_width=25.0, inflation=1.05
     ... )
@@ -159,7 +159,6 @@ def fit_capsule(
         "probe_half_width": c,
         "poisson_ratio": poisson_ratio,
         "law": law,
-        "support": support,
         "punch": punch,
     }
     near = None
@@ -178,45 +177,41 @@ def fit_capsule(
         key = (float(values[0]), float(values[1]), size)
         if key not in shells:
             # The search goes on from where it was: a third of the time.
-            shells[key], last = indent_near(
-                last, load, modulus=float(np.exp(key[0])), inflation=key[1], radius=size, **settings
-            )
+            wall = (size, *settings.values())
+            shells[key], last = indent_near(last, load, float(np.exp(key[0])), key[1], wall)
         return shells[key]
 
     def distances(values: Array, used: Array) -> Array:
-        state = shell(values)
+        try:
+            state = shell(values)
+        except ValueError:
+            # No such capsule: further than any point can be.
+            return np.full(len(used), np.ptp(used))
         if values.size > upright:
             used = middle + (used - middle) @ _turn(values[-1])
         # A point that the axis comes too near to stays beside the probe: no distance jumps.
         across = np.maximum(np.abs(used[:, 0] - values[2]), c)
         return _signed_distances(across, used[:, 1] - values[3], state.r, state.z)
 
-    def trial(values: Array, used: Array) -> Array:
-        try:
-            return distances(values, used)
-        except ValueError:
-            # No such capsule: further than any point can be.
-            return np.full(len(used), np.ptp(used))
-
-    def search(start: Array, used: Array) -> tuple[Array, OptimizeResult]:
+    def search(start: Array) -> tuple[Array, OptimizeResult]:
+        used = points[np.abs(points[:, 0] - start[2]) > c]
         # Counted from the start, but for the plate's height, whose distance from its origin is how
         # far the first step may go.
         origin = start.copy()
         origin[3] -= _FIRST_STEP * np.ptp(points[:, 0])
         lowest = np.full(start.size, -np.inf)
         lowest[1] = 1.0 - origin[1]
-        wide = float(np.ptp(points[:, 0]))
         step = _STEP * np.array([1.0, 1.0, wide, wide, *start[4:upright], 1.0])
 
         def slopes(moved: Array) -> Array:
-            here = trial(origin + moved, used)
+            here = distances(origin + moved, used)
             moves = np.diag(step[: start.size])
             return np.transpose(
-                [(trial(origin + moved + move, used) - here) / move.sum() for move in moves]
+                [(distances(origin + moved + move, used) - here) / move.sum() for move in moves]
             )
 
         fit = least_squares(
-            lambda moved: trial(origin + moved, used),
+            lambda moved: distances(origin + moved, used),
             start - origin,
             jac=slopes,
             bounds=(lowest, np.inf),
@@ -229,7 +224,7 @@ def fit_capsule(
 
     place, found = None, None
     for guess in islice(_starts(load, points, c, known, settings, near), _MOST_SEARCHES):
-        there, again = search(guess, points[np.abs(points[:, 0] - guess[2]) > c])
+        there, again = search(guess)
         if found is None or again.cost < found.cost:
             place, found = there, again
         # Whoever says where to begin knows the egg: a search that comes this near was not caught.
@@ -241,8 +236,7 @@ def fit_capsule(
             break
     assert place is not None  # there is a start, or _starts refuses
     # Once more with the points that lie outside the probe as it was found.
-    turned = np.append(place, 0.0) if tilted else place
-    place, found = search(turned, points[np.abs(points[:, 0] - place[2]) > c])
+    place, found = search(np.append(place, 0.0) if tilted else place)
     left = found.fun
     spread = _covariance(found.jac, left)
     modulus = float(np.exp(place[0]))

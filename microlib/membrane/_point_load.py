@@ -16,7 +16,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, as_array, between, flag, positive
+from microlib._common import Array, between, flag, positive
 
 #: Below this value x of 1 − ζ² the closed forms lose digits to cancellation, about x⁻³ roundings,
 #: and their series takes over. S is right to 2e-12 for any limit from 0.01 to 0.2 and any number of
@@ -26,6 +26,8 @@ _SERIES_TERMS = 16
 #: Nodes of the exact strain's quadrature. 32 or 128 give the same to 1e-14 for w_d/a up to 1 and ζ
 #: from 0.01 on.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
+#: MPa: 10 Pa is the softest of gels, and steel has 2e5.
+_SOFTEST, _STIFFEST = 1e-5, 2e5
 
 
 class SmallSlopeWarning(UserWarning):
@@ -41,43 +43,6 @@ class SmallSlopeWarning(UserWarning):
     """
 
     limit = 0.1  # there finite_slope_modulus is 1.05 times elastic_modulus at c/a = 0.1 (tests)
-
-
-def _shape_factor(zeta: ArrayLike) -> Array:
-    r"""Bracket of the force equation (4.7), a function of the relative probe width alone.
-
-    .. math:: S(\zeta) =
-              \frac{3 - 4\zeta^2 + \zeta^4 + 2\ln\zeta^2}{(1-\zeta^2)(1-\zeta^2+\ln\zeta^2)^3}
-
-    Parameters
-    ----------
-    zeta : array_like
-        Probe half-width over dimple radius, c/a, in (0, 1).
-
-    Returns
-    -------
-    ndarray
-        S, positive, without unit; the shape of `zeta`.
-
-    Raises
-    ------
-    ValueError
-        If a value of `zeta` is not in (0, 1).
-
-    Notes
-    -----
-    With :math:`x = 1-\zeta^2` the numerator and the base of the cube are remainders of the
-    logarithm's series,
-    :math:`2(\ln(1-x) + x + x^2/2)` and :math:`\ln(1-x) + x`. For small :math:`x` they are summed as
-    such, since the closed form would lose all its digits there.
-
-    Examples
-    --------
-    >>> float(_shape_factor(0.5).round(4))
-    3.6752
-    """
-    z = between("zeta", zeta, 0.0, 1.0)
-    return 2 * log_remainder(z, 3) / (annulus(z) * log_remainder(z, 2) ** 3)
 
 
 def elastic_modulus(
@@ -123,6 +88,9 @@ def elastic_modulus(
     -----
     SmallSlopeWarning
         If a dimple has w_d/a above `SmallSlopeWarning.limit`.
+    UserWarning
+        If a modulus is above that of steel, 2·10⁵ MPa, or below 10 Pa, as it comes out for lengths
+        in mm or m or forces in N.
 
     See Also
     --------
@@ -141,6 +109,7 @@ def elastic_modulus(
 
     Examples
     --------
+    >>> from microlib.membrane import elastic_modulus
     >>> modulus = elastic_modulus(
     ...     1.0, 250.0, 20.0, thickness=3.0, probe_half_width=25.0, poisson_ratio=0.5
     ... )
@@ -156,7 +125,9 @@ def elastic_modulus(
         poisson_ratio=poisson_ratio,
     )
     _warn_if_steep(values["dimple_radius"], values["dimple_depth"])
-    return values["force"] / force_per_modulus(values)
+    modulus = values["force"] / force_per_modulus(values)
+    warn_of_units(modulus)
+    return modulus
 
 
 def indentation_force(
@@ -196,6 +167,7 @@ def indentation_force(
 
     Examples
     --------
+    >>> from microlib.membrane import indentation_force
     >>> force = indentation_force(
     ...     1.3, 250.0, 20.0, thickness=3.0, probe_half_width=25.0, poisson_ratio=0.5
     ... )
@@ -255,6 +227,7 @@ def dimple_depth(
 
     Examples
     --------
+    >>> from microlib.membrane import dimple_depth
     >>> depth = dimple_depth(
     ...     0.838, 250.0, 1.3, thickness=3.0, probe_half_width=25.0, poisson_ratio=0.5
     ... )
@@ -313,14 +286,22 @@ def dimple_profile(
 
     Examples
     --------
+    >>> from microlib.membrane import dimple_profile
     >>> dimple_profile([25.0, 100.0, 250.0], 250.0, 40.0, probe_half_width=25.0).round(3).tolist()
     [40.0, 10.982, 0.0]
     """
     values = checked(
-        dimple_radius=dimple_radius, dimple_depth=dimple_depth, probe_half_width=probe_half_width
+        radius=radius,
+        dimple_radius=dimple_radius,
+        dimple_depth=dimple_depth,
+        probe_half_width=probe_half_width,
     )
-    a, c = values["dimple_radius"], values["probe_half_width"]
-    r = _within("radius", radius, c, a)
+    r, a, c = values["radius"], values["dimple_radius"], values["probe_half_width"]
+    if (outside := (r < c) | (r > a)).any():
+        worst = np.broadcast_to(r, outside.shape)[outside].flat[0]
+        raise ValueError(
+            f"radius must lie between probe_half_width and dimple_radius, got {worst:g} µm"
+        )
     return values["dimple_depth"] * log_remainder(r / a, 2) / log_remainder(c / a, 2)
 
 
@@ -356,6 +337,7 @@ def membrane_stress(
 
     Examples
     --------
+    >>> from microlib.membrane import membrane_stress
     >>> stress = membrane_stress(50.0, 250.0, 40.0, thickness=3.0, probe_half_width=25.0)
     >>> print(f"{stress:.4f} MPa")
     0.1199 MPa
@@ -414,6 +396,7 @@ def mean_strain(
 
     Examples
     --------
+    >>> from microlib.membrane import mean_strain
     >>> print(f"{mean_strain(250.0, 40.0, probe_half_width=25.0):.6f}")
     0.006183
     >>> geometry = {"dimple_radius": 250.0, "dimple_depth": [2.5, 120.0], "probe_half_width": 25.0}
@@ -464,7 +447,10 @@ def force_per_modulus(values: Mapping[str, Array]) -> Array:
     """Return F/E of (4.7), in µm²."""
     a, c = values["dimple_radius"], values["probe_half_width"]
     numerator = 2 * np.pi * values["thickness"] * values["dimple_depth"] ** 3
-    return numerator / (a**2 * (1 - values["poisson_ratio"])) * _shape_factor(c / a)
+    # The bracket of (4.7) is a quotient of remainders of the logarithm's series, which for small
+    # 1 − ζ² are summed as such: the closed form would lose all its digits there.
+    shape = 2 * log_remainder(c / a, 3) / (annulus(c / a) * log_remainder(c / a, 2) ** 3)
+    return numerator / (a**2 * (1 - values["poisson_ratio"])) * shape
 
 
 def checked(**arguments: ArrayLike) -> dict[str, Array]:
@@ -489,20 +475,16 @@ def checked(**arguments: ArrayLike) -> dict[str, Array]:
     return values
 
 
-def _within(name: str, value: ArrayLike, low: Array, high: Array) -> Array:
-    array = as_array(name, value)
-    try:
-        outside = (array < low) | (array > high)
-    except ValueError:
-        raise ValueError(
-            f"{name} must broadcast with the geometry, got {array.shape} and {np.shape(low + high)}"
-        ) from None
-    if outside.any():
-        worst = np.broadcast_to(array, outside.shape)[outside].flat[0]
-        raise ValueError(
-            f"{name} must lie between probe_half_width and dimple_radius, got {worst:g} µm"
+def warn_of_units(modulus: ArrayLike) -> None:
+    """Warn of a modulus that no membrane has, as lengths in mm or m or forces in N give it."""
+    low, high = np.min(modulus), np.max(modulus)
+    if low < _SOFTEST or high > _STIFFEST:
+        odd = high if high > _STIFFEST else low
+        warnings.warn(
+            f"a modulus of {odd:.3g} MPa is that of no membrane: are all lengths in µm and forces "
+            "in µN?",
+            stacklevel=3,
         )
-    return array
 
 
 def _warn_if_steep(dimple_radius: Array, depth: Array) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -76,6 +77,7 @@ def modulus_std(
 
     Examples
     --------
+    >>> from microlib.membrane import modulus_std
     >>> values = dict(force=1.0, dimple_radius=250.0, dimple_depth=20.0, thickness=3.0,
     ...               probe_half_width=25.0, poisson_ratio=0.5)
     >>> print(f"{modulus_std(values, dict(dimple_depth=0.2)):.3f} MPa")  # 1 % of w_d, 3 % of E
@@ -86,17 +88,19 @@ def modulus_std(
     """
     _check_names(values, stds)
     inputs = checked(**values)
-    modulus = inputs["force"] / force_per_modulus(inputs)
-    exponents = _log_derivatives(
-        values["dimple_radius"],
-        probe_half_width=values["probe_half_width"],
-        poisson_ratio=values["poisson_ratio"],
-    )
-    # ν may be zero, where ∂ ln E / ∂ ln ν vanishes but ∂ ln E / ∂ν = −1/(1−ν) does not.
-    gradient = {
-        name: -1 / (1 - values[name]) if name == "poisson_ratio" else float(by) / values[name]
-        for name, by in exponents.items()
+    zeta = inputs["probe_half_width"] / inputs["dimple_radius"]
+    x = annulus(zeta)
+    by_zeta = 2 * x**2 / log_remainder(zeta, 3) + 2 * zeta**2 / x - 6 * x / log_remainder(zeta, 2)
+    exponents: dict[str, Any] = {
+        "force": 1.0,
+        "dimple_radius": 2 + by_zeta,
+        "dimple_depth": -3,
+        "thickness": -1,
+        "probe_half_width": -by_zeta,
     }
+    gradient = {name: float(by) / values[name] for name, by in exponents.items()}
+    # ν may be zero, where ∂ ln E / ∂ ln ν vanishes but ∂ ln E / ∂ν = −1/(1−ν) does not.
+    gradient["poisson_ratio"] = -1 / (1 - values["poisson_ratio"])
     relative = np.linalg.norm([stds.get(name, 0.0) * gradient[name] for name in _INPUTS])
     if dimple_covariance is not None:
         if twice := [name for name in _DIMPLE if name in stds]:
@@ -113,7 +117,7 @@ def modulus_std(
                 )
         variance = by_dimple @ covariance @ by_dimple
         relative = np.hypot(relative, np.sqrt(variance if np.isnan(variance) else max(variance, 0)))
-    return float(modulus * relative)
+    return float(inputs["force"] / force_per_modulus(inputs) * relative)
 
 
 def modulus_samples(
@@ -147,6 +151,7 @@ def modulus_samples(
 
     Examples
     --------
+    >>> from microlib.membrane import modulus_samples
     >>> values = dict(force=1.0, dimple_radius=250.0, dimple_depth=20.0, thickness=3.0,
     ...               probe_half_width=25.0, poisson_ratio=0.5)
     >>> samples = modulus_samples(values, dict(dimple_depth=0.2), size=20_000, rng=1)
@@ -158,28 +163,6 @@ def modulus_samples(
     rng = generator("rng", rng)
     drawn = {name: rng.normal(values[name], stds.get(name, 0.0), count) for name in _INPUTS}
     return elastic_modulus(**drawn)
-
-
-def _log_derivatives(
-    dimple_radius: ArrayLike, *, probe_half_width: ArrayLike, poisson_ratio: ArrayLike
-) -> dict[str, Array]:
-    """Return ∂ ln E / ∂ ln x of (5.2) for each input x, by its name; see `modulus_std`."""
-    values = checked(
-        dimple_radius=dimple_radius, probe_half_width=probe_half_width, poisson_ratio=poisson_ratio
-    )
-    zeta = values["probe_half_width"] / values["dimple_radius"]
-    x = annulus(zeta)
-    by_zeta = 2 * x**2 / log_remainder(zeta, 3) + 2 * zeta**2 / x - 6 * x / log_remainder(zeta, 2)
-    nu = values["poisson_ratio"]
-    one = np.ones(np.broadcast_shapes(by_zeta.shape, nu.shape))
-    return {
-        "force": one,
-        "dimple_radius": (2 + by_zeta) * one,
-        "dimple_depth": -3 * one,
-        "thickness": -one,
-        "probe_half_width": -by_zeta * one,
-        "poisson_ratio": -nu / (1 - nu) * one,
-    }
 
 
 def _check_names(values: Mapping[str, float], stds: Mapping[str, float]) -> None:

@@ -57,6 +57,7 @@ def viscoelastic_force(
 
     Examples
     --------
+    >>> from microlib.membrane import viscoelastic_force
     >>> time = [0.0, 1.0, 2.0, 20.0]  # pressed within a second, and held
     >>> force = viscoelastic_force(
     ...     time, [0.0, 100.0, 100.0, 100.0], shares=[0.4], relaxation_times=[2.0]
