@@ -12,7 +12,7 @@ export OPENBLAS_NUM_THREADS := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup extras book pdf test notebooks html lint format data picture benchmarks oldest newest fuzz lock clean
+.PHONY: help setup extras book pdf test notebooks html lint format data picture benchmarks oldest newest portable fuzz lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -87,6 +87,9 @@ newest: ## run the library's tests with the newest dependencies, of this PYTHON,
 	@$(PYTHON) -m venv --clear .venv-newest
 	@.venv-newest/bin/pip install --quiet --upgrade .[codecs] $$(sed -n '/^hypothesis/,$$s/==.*//p' tests/oldest.txt)
 	@.venv-newest/bin/python -m pytest --numprocesses 2 --quiet $(LIBRARY)
+
+portable: $(STAMP) ## run what is sensitive as other processors would round (half an hour)
+	@$(BIN)/python .ci/portable.py $(PORTABLE)
 
 fuzz: $(STAMP) ## call everything public with hostile values (minutes)
 	@$(BIN)/python -m tests.fuzz
