@@ -229,7 +229,10 @@ def test_every_tolerance_can_fail(claim: ledger.Claim) -> None:
         if wrong == 1.02 * right and claim.printed.lstrip("-").isdigit() and right < 26:
             wrong = right + 1
         assert ledger.appraise(claim, wrong, wrong, wrong)[1]
-    assert ledger.appraise(claim, right, right, right) == (claim.verdict, "")
+    # Just within and just outside of the tolerance, on either side.
+    for share in (0.0, -0.99, 0.99, -1.01, 1.01):
+        near = right + share * claim.tolerance
+        assert bool(ledger.appraise(claim, near, near, near)[1]) == (abs(share) > 1)
 
 
 def test_tolerances_from_table_5_5_are_what_its_rounding_allows() -> None:
