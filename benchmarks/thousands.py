@@ -101,7 +101,7 @@ def write_files(folder: Path) -> None:
 
 
 def run(folder: Path) -> None:
-    process_files(f"{folder}/*.*", measured, folder.parent / "table.csv", workers=2)
+    process_files(f"{folder}/*.*", measured, folder.parent / "table.csv")
 
 
 def rows_of(table: Path) -> pd.DataFrame:

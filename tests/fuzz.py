@@ -30,6 +30,7 @@ import types
 import typing
 import warnings
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -258,37 +259,11 @@ def steering() -> dict[str, object]:
     frame, _ = station.camera.snap()
     return {
         "workstation": station, "tracker": tracking.ESMTracker(frame, scene.box(40), "translation"),
-        "targets": [scene.home + 5.0], "travel": [300.0, 300.0], "unit": "px", "path": False,
-        "drive": "position", "jacobian": np.eye(2) * 0.3, "test_move": 30.0,
+        "targets": [scene.home + 5.0], "travel": [300.0, 300.0], "path": False,
+        "jacobian": np.eye(2) * 0.3, "test_move": 30.0,
         "controller": lambda k, measured, goals: (goals[0] - measured) * 30.0, "tolerance": 0.5,
-        "step": 50.0, "speed": 400.0, "interval": 0.1, "rest": 0.0, "most_frames": 20,
-        "most_lost": 2, "timeout": 10.0, "progress": lambda row: None, "keep_frames": False,
-    }  # fmt: skip
-
-
-def pipette() -> synthetic.InjectionScene:
-    return synthetic.InjectionScene(
-        0, modulus=1.0, radius=300.0, pixel_size=3.0, shape=(180, 220), strongest=5.0
-    )
-
-
-def injection() -> dict[str, object]:
-    scene = pipette()
-    station = servoing.SimulatedWorkstation(
-        lambda tip, focus: scene.frame(tip),
-        jacobian=np.eye(2) / 3.0,
-        stage=servoing.Stage(500.0),
-        camera=servoing.Camera(0.04),
-        rng=0,
-        home=scene.home,
-    )
-    return {
-        "workstation": station, "pixel_size": 3.0, "probe_half_width": 25.0, "thickness": 3.0,
-        "travel": 300.0, "depth": None, "force": 1.0, "modulus": 1.0,
-        "law": "neo-hooke", "tolerance": 0.05, "approach_step": 1.0,
-        "press_step": 5.0, "hold": 0.0, "jacobian": np.eye(2) / 3.0,
-        "direction": "top", "region": (0, 0, 220, 180), "most_lost": 1, "timeout": 5.0,
-        "progress": _end_soon(), "keep_frames": False,
+        "step": 50.0, "speed": 400.0, "interval": 0.1, "most_frames": 20,
+        "most_lost": 2, "timeout": 10.0, "progress": lambda row: None,
     }  # fmt: skip
 
 
@@ -310,18 +285,6 @@ def focusing() -> servoing.SimulatedWorkstation:
     )
 
 
-def _end_soon() -> Callable[[dict], None]:
-    """Return what ends an injection after a few frames: how it goes on is tested elsewhere."""
-    rows = []
-
-    def progress(row: dict) -> None:
-        rows.append(row)
-        if len(rows) > 3:
-            raise ValueError("workstation must be given up")
-
-    return progress
-
-
 def control() -> dict[str, object]:
     return {"k": 0, "measured": np.array([1.0, 2.0]), "reference": reference()}
 
@@ -337,6 +300,10 @@ TRACK = {
 }  # fmt: skip
 
 
+#: Where files are measured: a pool of processes for each call would take half a second.
+THREADS = ThreadPoolExecutor(1)
+
+
 def len_of(path: Path) -> dict[str, int]:
     return {"letters": len(str(path))}
 
@@ -344,8 +311,8 @@ def len_of(path: Path) -> dict[str, int]:
 #: Valid arguments of every public callable and of every public method, made anew for each call.
 CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "batch.process_files": lambda: {
-        "files": [FOLDER / "a.txt"], "work": len_of, "table": FOLDER / "t.csv", "workers": 1,
-        "retry": False, "progress": None,
+        "files": [FOLDER / "a.txt"], "work": len_of, "table": FOLDER / "t.csv",
+        "executor": THREADS, "retry": False, "progress": False,
     },
     "calibration.Calibration": lambda: {
         f.name: getattr(calibrated(), f.name) for f in fields(calibration.Calibration)
@@ -586,7 +553,6 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "workstation": focusing(), "positions": np.arange(5.0), "region": (0, 0, 20, 20),
         "timeout": 5.0,
     },
-    "automation.inject": injection,
     "servoing.Camera": lambda: {"interval": 0.04, "latency": 0.02, "jitter": 0.1},
     "servoing.MicroManager": lambda: {"core": core()},
     "servoing.OptimalController": lambda: {"jacobian": np.eye(2) * 0.3, **WEIGHTS},
@@ -639,15 +605,6 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "synthetic.Embryo.outline": lambda: {
         "self": synthetic.Embryo.pressed(150.0, modulus=1.0), "spacing": 5.0
     },
-    "synthetic.InjectionScene": lambda: {
-        "rng": 0, "modulus": 1.0, "radius": 300.0, "thickness": 3.0, "probe_half_width": 25.0,
-        "inflation": 1.05, "law": "neo-hooke", "strongest": 3.0, "rupture": 2.0,
-        "pixel_size": 4.0, "shape": (160, 170), "noise": 1.0,
-    },
-    "synthetic.InjectionScene.approach": lambda: {"self": pipette(), "tip": pipette().home},
-    "synthetic.InjectionScene.depth": lambda: {"self": pipette(), "tip": pipette().contact},
-    "synthetic.InjectionScene.force": lambda: {"self": pipette(), "tip": pipette().contact},
-    "synthetic.InjectionScene.frame": lambda: {"self": pipette(), "tip": pipette().home},
     "synthetic.ImagingConditions": lambda: {
         "blur": 1.0, "dark": 50.0, "bright": 200.0, "vignetting": 0.1, "gradient": (0.1, 0.0),
         "noise": 1.0,
@@ -755,7 +712,6 @@ MAY_BE_UNKNOWN = {
     "automation.LiveDepth.result": "unknown pixels are NaN",
     "automation.acquire_depth": "unknown pixels are NaN",
     "automation.autofocus": "where a drive that does not answer stands",
-    "automation.inject": "what a run did not come to",
     "servoing.servo": "what a run did not come to",
     "servoing.step_metrics": "a step that never settles",
     "tracking.ESMTracker.track": "a lost target has no position",

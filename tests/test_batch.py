@@ -7,15 +7,13 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import Future
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 
 import pandas as pd
 import pytest
 
-from microlib import batch
 from microlib.batch import process_files
 from microlib.microscope import Microscope
 
@@ -45,52 +43,45 @@ def folder(tmp_path: Path) -> Path:
     return place
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_a_row_per_file_and_failures_among_them(folder: Path, workers: int) -> None:
-    table, told = folder.parent / "t.csv", []
-    found = process_files(
-        f"{folder}/*.txt",
-        partial(measure, factor=2.0),
-        table,
-        workers=workers,
-        progress=lambda *counts: told.append(counts),
-    )
+@pytest.fixture
+def threads():
+    with ThreadPoolExecutor(1) as executor:
+        yield executor
+
+
+def test_a_row_per_file_and_failures_among_them(folder: Path) -> None:
+    table = folder.parent / "t.csv"
+    found = process_files(f"{folder}/*.txt", partial(measure, factor=2.0), table)
     assert found["file"].tolist() == [str(folder / f"f{k}.txt") for k in range(4)]
     assert found["value"].dropna().tolist() == [7.0, 2e-3, 14.0]
     assert found["odd"].dropna().tolist() == [False, False, True]
     assert found["error"].tolist()[:2] + found["error"].tolist()[3:] == ["", "", ""]
     assert found["error"][2].startswith("ValueError: could not convert string to float")
-    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
-    kept = pd.read_csv(table).fillna({"error": ""})
-    pd.testing.assert_frame_equal(kept, found)
+    assert found["modified"].tolist() == [f.stat().st_mtime_ns for f in sorted(folder.iterdir())]
+    kept = pd.read_csv(table).fillna({"error": ""}).sort_values("file", ignore_index=True)
+    pd.testing.assert_frame_equal(kept, found[kept.columns])
     assert sorted(p.name for p in folder.parent.iterdir()) == ["files", "t.csv"]
 
 
-def threads(path: Path) -> dict[str, str]:
-    return {name: os.environ.get(name, "") for name in THREADS}
+def thread_counts(path: Path) -> dict[str, str]:
+    return {name: os.environ.get(name, "") for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")}
 
 
-THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-
-
-def test_processes_do_not_share_a_core_among_threads_unless_told(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in THREADS:
-        monkeypatch.delenv(name, raising=False)
+def test_processes_do_not_share_a_core_among_threads_unless_told(folder, monkeypatch) -> None:
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
-    found = process_files(folder.glob("f0*"), threads, folder / "t.csv", workers=2)
-    row = found.iloc[0]
-    assert [int(row[name]) for name in THREADS] == [1, 2, 1]
-    assert [os.environ.get(name) for name in THREADS] == [None, "2", None]
+    row = process_files(sorted(folder.iterdir())[:1], thread_counts, folder.parent / "t.csv").iloc[
+        0
+    ]
+    assert (int(row["OPENBLAS_NUM_THREADS"]), int(row["OMP_NUM_THREADS"])) == (1, 2)
+    assert "OPENBLAS_NUM_THREADS" not in os.environ
 
 
-def test_only_what_is_missing_or_has_changed_is_done(folder: Path) -> None:
+def test_only_what_is_missing_or_has_changed_is_done(folder: Path, threads) -> None:
     log = folder.parent / "log"
     work = partial(measure, log=log)
-    run = partial(process_files, work=work, table=folder.parent / "t.csv")
-    first = run(sorted(folder.iterdir())[:3])
-    assert len(first) == 3
+    run = partial(process_files, work=work, table=folder.parent / "t.csv", executor=threads)
+    assert len(run(sorted(folder.iterdir())[:3])) == 3
     (folder / "f1.txt").write_text("22")
     found = run(sorted(folder.iterdir()))
     assert found["value"].dropna().tolist() == [3.5, 22.0, 7.0]
@@ -102,37 +93,35 @@ def test_only_what_is_missing_or_has_changed_is_done(folder: Path) -> None:
     assert len(pd.read_csv(folder.parent / "t.csv")) == 4
 
 
-def test_a_folder_changes_with_its_files(tmp_path: Path) -> None:
+def test_a_folder_changes_with_its_files(tmp_path: Path, threads) -> None:
     stack = tmp_path / "stack"
     stack.mkdir()
     (stack / "1.txt").write_text("1")
     calls = []
-
-    def count(path: Path) -> dict[str, int]:
-        calls.append(path)
-        return {"files": len(list(path.iterdir()))}
-
-    for _ in range(2):
-        assert process_files([stack], count, tmp_path / "t.csv")["files"].tolist() == [1]
-    (stack / "1.txt").write_text("longer")
-    process_files([stack], count, tmp_path / "t.csv")
+    run = partial(process_files, [stack], calls.append, tmp_path / "t.csv", executor=threads)
+    run(), run()
+    assert len(calls) == 1
+    os.utime(stack / "1.txt", ns=(1, 2**62))
+    run()
     assert len(calls) == 2
 
 
-def test_a_result_of_the_library_is_a_row(folder: Path) -> None:
+def test_a_result_of_the_library_is_a_row(folder: Path, threads) -> None:
     def scope(path: Path) -> Microscope:
         return Microscope(2e5, 1e5, 5e4, pixel_size=9.9, image_size=(656, 491))
 
-    found = process_files(f"{folder}/f0*", scope, folder.parent / "t.csv")
+    found = process_files(f"{folder}/f0*", scope, folder.parent / "t.csv", executor=threads)
     assert found["image_size_width"].tolist() == [656]
     assert found["focal_length"].tolist() == [1e5]
 
 
-def test_a_process_that_dies_costs_one_row(folder: Path) -> None:
+def test_a_process_that_dies_is_an_error_and_the_call_returns(folder: Path) -> None:
     (folder / "f2.txt").write_text("die")
-    found = process_files(f"{folder}/*", measure, folder.parent / "t.csv", workers=2)
-    assert found["value"].dropna().tolist() == [3.5, 1e-3, 7.0]
-    assert found["error"][2] == "BrokenProcessPool: the process ended while it did this file"
+    found = process_files(f"{folder}/*", measure, folder.parent / "t.csv")
+    assert found["error"][2].startswith("BrokenProcessPool")
+    (folder / "f2.txt").write_text("5")
+    found = process_files(f"{folder}/*", measure, folder.parent / "t.csv", retry=True)
+    assert found["value"].tolist() == [3.5, 1e-3, 5.0, 7.0]
 
 
 SCRIPT = """
@@ -144,7 +133,7 @@ from tests.test_batch import measure
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
     work = partial(measure, log=folder.parent / "log")
-    process_files(f"{folder}/*", work, folder.parent / "t.csv", workers=2)
+    process_files(f"{folder}/*", work, folder.parent / "t.csv")
 """
 
 
@@ -164,22 +153,23 @@ def test_a_killed_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
         time.sleep(0.01)
     run.send_signal(signal.SIGKILL)
     run.wait()
+    done = table.read_text().count("\n") - 1
+    time.sleep(1.0)
+    assert len((tmp_path / "log").read_text().split()) < 24  # nobody goes on
     with table.open("a") as file:  # as if it had been killed while it wrote
         file.write(str(folder / "23.txt") + ",,0.1")
-    time.sleep(1.0)
-    calls = (tmp_path / "log").read_text().split()
-    assert len(calls) < 24  # nobody goes on
     subprocess.run(command, env=environment, check=True)
-    found = pd.read_csv(table)
+    found = pd.read_csv(table).sort_values("file")
     assert found["value"].tolist() == list(range(24))
     calls = (tmp_path / "log").read_text().split()
     assert set(calls) == {f"{k:02d}.txt" for k in range(24)}
-    assert len(calls) - 24 <= 4  # what the two processes had in hand
+    assert len(calls) - 24 <= (os.cpu_count() or 1) + 1  # what the processes had in hand
+    assert done >= 5
 
 
-def test_other_settings_and_other_tables_are_refused(folder: Path) -> None:
+def test_other_settings_and_other_tables_are_refused(folder: Path, threads) -> None:
     table = folder.parent / "t.csv"
-    process_files(f"{folder}/*", partial(measure, factor=1.0), table)
+    process_files(f"{folder}/*", partial(measure, factor=1.0), table, executor=threads)
     before = table.read_bytes()
     with pytest.raises(ValueError, match=r"table must be of the same work, .*factor=1\.0"):
         process_files(f"{folder}/*", partial(measure, factor=2.0), table)
@@ -191,28 +181,17 @@ def test_other_settings_and_other_tables_are_refused(folder: Path) -> None:
     assert other.read_text() == "a,b\n1,2\n"
 
 
-def test_two_calls_do_not_write_one_table(folder: Path) -> None:
-    table = folder.parent / "t.csv"
-
-    def nested(path: Path) -> None:
-        process_files(f"{folder}/*", nested, table)
-
-    found = process_files(f"{folder}/f0*", nested, table)
-    assert found["error"][0].startswith("ValueError: table must be written by one call")
-
-
 @pytest.mark.parametrize(
     ("change", "match"),
     [
         ({"files": "none/*.tif"}, "files must name at least one"),
-        ({"files": "a.tif"}, "files must be a list of paths or a pattern"),
         ({"files": ["a", "a"]}, "files must name each file once, got a twice"),
-        ({"files": [3]}, "files must be paths, got int"),
+        ({"files": [3]}, "files must be"),
         ({"files": None}, "files must be paths or a pattern, got NoneType"),
         ({"work": 3}, "work must be a function of a path, got int"),
-        ({"work": lambda path: {}, "workers": 2}, "work must be a function of a module"),
-        ({"workers": 0}, "workers"),
-        ({"progress": 3}, "progress must be a function"),
+        ({"work": lambda path: {}}, "work must be a function of a module"),
+        ({"executor": 2}, "executor must be"),
+        ({"progress": 3}, "progress must be"),
         ({"table": "nowhere/t.csv"}, "table must lie in an existing folder"),
     ],
 )
@@ -224,73 +203,20 @@ def test_what_cannot_work_is_refused(folder: Path, change: dict, match: str) -> 
 
 
 @pytest.mark.parametrize("wrong", [3, {"file": 1}, [1]])
-def test_what_work_returns_wrongly_is_its_row(folder: Path, wrong: object) -> None:
-    found = process_files(f"{folder}/f0*", lambda path: wrong, folder.parent / "t.csv")
+def test_what_work_returns_wrongly_is_its_row(folder: Path, wrong: object, threads) -> None:
+    table = folder.parent / "t.csv"
+    found = process_files(f"{folder}/f0*", lambda path: wrong, table, executor=threads)
     assert found["error"][0].startswith("TypeError: work must")
 
 
-def test_progress_counts_what_is_done_already(folder: Path) -> None:
-    table, told = folder.parent / "t.csv", []
-    process_files([folder / "f0.txt", folder / "f3.txt"], measure, table)
-    process_files(f"{folder}/*", measure, table, progress=lambda *counts: told.append(counts))
-    assert told == [(3, 4), (4, 4)]
-
-
-def test_the_file_that_is_named_twice_is_told(folder: Path) -> None:
-    files = [folder / "f3.txt", folder / "f0.txt", folder / "f0.txt"]
-    with pytest.raises(ValueError, match=r"each file once, got .*f0\.txt twice"):
-        process_files(files, measure, folder.parent / "t.csv")
-
-
-def test_seconds_are_those_of_the_file(folder: Path) -> None:
-    (folder / "f0.txt").write_text("wait5")
-    begun = time.perf_counter()
-    found = process_files(f"{folder}/*", measure, folder.parent / "t.csv")
-    assert found["seconds"][0] >= 0.15
-    assert found["seconds"].sum() <= time.perf_counter() - begun + 0.002  # four are rounded
-    assert found["bytes"].tolist() == [5, 4, 9, 1]
-    assert found["modified"].tolist() == [f.stat().st_mtime_ns for f in sorted(folder.iterdir())]
-
-
-def test_an_empty_table_is_a_new_one(folder: Path) -> None:
-    table = folder.parent / "t.csv"
-    table.touch()
-    assert len(process_files(f"{folder}/*", measure, table)) == 4
-
-
-@pytest.mark.parametrize("row", [1, 2, 4])
-def test_a_row_with_fields_missing_is_done_again(folder: Path, row: int) -> None:
+def test_an_empty_table_and_one_with_a_short_row_are_gone_on_with(folder: Path, threads) -> None:
     table, log = folder.parent / "t.csv", folder.parent / "log"
+    table.touch()
     work = partial(measure, log=log)
-    whole = process_files(f"{folder}/*", work, table)
+    whole = process_files(f"{folder}/*", work, table, executor=threads)
     lines = table.read_text().splitlines()
-    lines[row] = ",".join(lines[row].split(",")[:3])
+    lines[2] = ",".join(lines[2].split(",")[:3])
     table.write_text("\n".join(lines) + "\n")
-    again = process_files(f"{folder}/*", work, table)
+    again = process_files(f"{folder}/*", work, table, executor=threads)
     assert again["value"].dropna().tolist() == whole["value"].dropna().tolist()
-    assert log.read_text().split()[4:] == [f"f{row - 1}.txt"]
-
-
-def test_no_more_is_begun_than_processes_soon_need(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two files a process: more would be lost with one that dies, fewer would leave it idle."""
-    held: list[int] = []
-
-    class Pool:
-        def __init__(self, *_: object, **__: object) -> None:
-            self.shutdown = lambda **_: None
-
-        def submit(self, _: object, path: Path, *__: object) -> Future:
-            future: Future = Future()
-            future.set_result({"file": str(path)})
-            return future
-
-    def wait(begun: dict, return_when: str) -> SimpleNamespace:
-        held.append(len(begun))
-        return SimpleNamespace(done={next(iter(begun))})
-
-    monkeypatch.setattr(batch, "ProcessPoolExecutor", Pool)
-    monkeypatch.setattr(batch, "wait", wait)
-    files = [Path(f"{k}.tif") for k in range(20)]
-    rows = list(batch._pooled(files[::-1], len, "len", 3, []))
-    assert [row["file"] for row in rows] == [str(path) for path in files]
-    assert held == [6] * 15 + [5, 4, 3, 2, 1]
+    assert log.read_text().split()[4:] == ["f1.txt"]

@@ -1,305 +1,327 @@
-"""Runs of `microlib.automation.inject` on simulated eggs, and what can go wrong in them.
+"""A pipette that is led by sight onto a simulated egg and presses it to a force.
 
 Chapter 6 of the thesis names microinjection as what comes next; nothing of this is in the thesis.
+Lengths are in µm, forces in µN, moduli in MPa; image coordinates in px, y down.
 """
 
 from __future__ import annotations
 
-import os
-import signal
-import time
+from contextlib import suppress
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
+import cv2
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+from scipy.special import ndtr
 
-from compendium.experiments.microscope import HANGS, TIMEOUT, turned
-from microlib.automation import inject
-from microlib.servoing import Camera, SimulatedWorkstation, Stage
-from microlib.synthetic import InjectionScene
+from compendium.experiments.microscope import turned
+from microlib.embryo import extract_boundary
+from microlib.membrane import fit_capsule, indent_capsule
+from microlib.servoing import Camera, SimulatedWorkstation, Stage, servo
 
-#: The force that a scene can show, over E h R, and the least depth of a target, µm.
-STRONGEST, SHALLOWEST = 0.06, 18.0
-#: Share of the target's force over it at which the wall gives way.
-RUPTURE = 1.1
-#: What goes wrong, by the part that it happens in.
-FAULTS = {
-    "camera": ("camera error", "camera hangs", "black", "noise", "frozen", "pipette lost"),
-    "stage": (
-        "move error",
-        "move hangs",
-        "position error",
-        "stuck",
-        "slips",
-        "never arrives",
-        "reversed",
-        "stop fails twice",
-    ),
-    "egg": ("egg moves", "wall gives way"),
-    "user": ("Ctrl-C",),
-}
-#: The frames from which on: in the calibration, the approach, and under pressure.
-MOMENTS = {"calibration": 4, "approach": 20, "press": 42}
-#: Where a stage may go from its start, µm.
-TRAVEL = 600.0
+#: Pixel in the object plane; rows and columns of a frame; its noise in grey levels of 255.
+PIXEL_SIZE, SHAPE, NOISE = 4.65 / 1.2, (260, 360), 2.0
+#: Grey levels of what is drawn, and the width of its edges, px.
+_GROUND, _FLUID, _YOLK, _WALL, _GLASS, _EDGE = 195.0, 168.0, 120.0, 60.0, 42.0, 0.9
+#: Directions in which the outline is kept, and solved states between which it is interpolated.
+_ANGLES, _STATES = 6001, 24
+#: The force of the strongest state over E h R.
+_STRONGEST = 0.06
+#: The pipette is led to so many px over the egg, by test moves of so many px.
+_HOVER, _TEST = 10.0, 10.0
+#: Small steps begin so many px above the egg, µm long.
+_STANDOFF, _STEP = 3.0, 0.5
+#: Contact: the outline lies so many standard deviations, and px, below the untouched one, twice.
+_SIGMAS, _LEAST_SINK, _STILL_FRAMES = 4.0, 0.015, 5
+#: Dimple from which a capsule is fitted, px: at 2 px the force is open by 5 %.
+_LEAST_DIMPLE = 4.0
+#: Share of the way to the target, as a power law foretells it, that a step takes.
+_SHARE = 0.85
 
 
-@dataclass(frozen=True)
-class Rig:
-    """An egg under a pipette, with what is known of it.
+class Egg:
+    """The capsule of `indent_capsule` under a pipette, from before contact on.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Draws the egg, the pipette, their places and the noise.
 
     Attributes
     ----------
-    scene : InjectionScene
-        The truth.
-    workstation : SimulatedWorkstation
-        The pipette on its stage, and the camera.
-    jacobian : ndarray, shape (2, 2)
-        Of the stage, px/µm.
     known : dict
-        What `inject` is told of the egg and the camera.
-    target : float
-        Force to press to, µN.
+        What a user would know: ``modulus``, ``thickness``, ``probe_half_width``, ``law``.
+    contact, home : ndarray, shape (2,)
+        Where the pipette's end touches on the axis, and where it is at the start, px.
+    force, depth : PchipInterpolator
+        Force and depth of the dimple over the way since contact.
     """
 
-    scene: InjectionScene
-    workstation: SimulatedWorkstation
-    jacobian: NDArray
-    known: dict[str, Any]
-    target: float
-
-    def truths(self, log: pd.DataFrame) -> pd.DataFrame:
-        """Return `truth` for each row of a log of `inject`."""
-        places = log[["stage_x_um", "stage_y_um"]].to_numpy()
-        return pd.DataFrame([self.truth(place) for place in places])
-
-    def truth(self, stage: NDArray) -> dict[str, float]:
-        """Return ``approach`` and ``depth`` (µm) and ``force`` (µN) with the stage there."""
-        tip = self.scene.home + self.jacobian @ np.asarray(stage, dtype=float)
-        return {
-            "approach": self.scene.approach(tip),
-            "depth": self.scene.depth(tip),
-            "force": self.scene.force(tip),
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._radius, self._thickness = rng.uniform(520.0, 660.0), 3.0
+        self._half_width = rng.uniform(18.0, 32.0)
+        self.known: dict[str, Any] = {
+            "modulus": rng.uniform(0.5, 2.0),
+            "thickness": self._thickness,
+            "probe_half_width": self._half_width,
+            "law": "neo-hooke" if rng.random() < 0.5 else "mooney-rivlin",
         }
+        way, force, depth, outline = self._solve(rng.uniform(1.01, 1.08))
+        self.force, self.depth, self._outline = (
+            PchipInterpolator(way, values) for values in (force, depth, outline)
+        )
+        rows, columns = SHAPE
+        self.contact = np.array([(columns - 1) / 2, 0.45 * rows]) + rng.uniform(-6, 6, 2)
+        self.home = self.contact + rng.uniform((-20, -45), (20, -35))
+        y, x = np.indices(SHAPE, dtype=float)
+        across = (x - self.contact[0]) * PIXEL_SIZE
+        # The pipette touches the outside of the wall, whose middle is the outline.
+        up = (self.contact[1] - y) * PIXEL_SIZE + self._radius + self._thickness / 2
+        self._distance = np.hypot(across, up)
+        self._place = np.rint(np.arctan2(np.abs(across), up) / np.pi * (_ANGLES - 1)).astype(int)
+        yolk = ndtr((0.62 * self._radius - self._distance) / 20.0)
+        grain = cv2.GaussianBlur(rng.standard_normal(SHAPE), (0, 0), 3.0)
+        self._inner = _FLUID + yolk * (_YOLK - _FLUID + 8.0 * grain / grain.std())
+
+    def _solve(self, inflation: float) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+        """Return way, force, depth and outline of the states from untouched on."""
+        egg = self.known | {"radius": self._radius, "inflation": inflation}
+        unit = egg["modulus"] * self._thickness * self._radius
+        # Pressing raises the pressure, so that less force never lays the wall on the whole face.
+        whole_face = np.pi * self._half_width**2 * indent_capsule(0.0, **egg).pressure
+        angle = np.linspace(0.0, np.pi, _ANGLES)
+        states = [(0.0, 0.0, 0.0, np.full(_ANGLES, self._radius))]
+        for force in np.geomspace(3e-5, _STRONGEST, _STATES) * unit:
+            # What does not carry its load at some step does at the next.
+            for punch in ("bonded", "frictionless") if force >= whole_face else ("frictionless",):
+                with suppress(ValueError):
+                    state = indent_capsule(float(force), **egg, punch=punch)
+                    break
+            else:
+                continue
+            if state.approach <= states[-1][0]:
+                continue
+            # The middle under the probe, then the meridian down to the plate.
+            r, z = np.append(0.0, state.r), np.append(state.z[0], state.z) - self._radius
+            order = np.argsort(np.arctan2(r, z), kind="stable")
+            own = np.interp(angle, np.arctan2(r, z)[order], np.hypot(r, z)[order])
+            states.append((state.approach, float(force), state.depth, own))
+        way, forces, depth, outline = zip(*states, strict=True)
+        return np.array(way), np.array(forces), np.array(depth), np.array(outline)
+
+    def way(self, tip: NDArray) -> float:
+        """Return how far a pipette whose end is at `tip` has come since contact; zero before."""
+        return max(0.0, float(tip[1] - self.contact[1]) * PIXEL_SIZE)
+
+    def frame(self, tip: NDArray) -> NDArray[np.uint8]:
+        """Draw the scene with the pipette's end at `tip`, px."""
+        outline = self._outline(self.way(tip))
+        upright = 1 / np.hypot(1.0, np.gradient(outline, np.pi / (_ANGLES - 1)) / outline)
+        inside = (outline[self._place] - self._distance) * upright[self._place] / PIXEL_SIZE
+        half = self._thickness / PIXEL_SIZE / 2
+        scene = _GROUND + (self._inner - _GROUND) * ndtr(inside / _EDGE)
+        line = ndtr((inside + half) / _EDGE) - ndtr((inside - half) / _EDGE)
+        scene += line * (_WALL - scene)
+        y, x = (np.arange(n) for n in SHAPE)
+        bar = ndtr((self._half_width / PIXEL_SIZE - np.abs(x - tip[0])) / _EDGE)
+        scene += np.outer(ndtr((tip[1] - y) / _EDGE), bar) * (_GLASS - scene)
+        noisy = scene + NOISE * self._rng.standard_normal(SHAPE)
+        return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 
-def make_rig(seed: int, *, rupture: bool = True, **options: Any) -> Rig:
-    """Draw an egg, a pipette and a stage.
+@dataclass(frozen=True)
+class Sight:
+    """What one frame shows: the pipette's end, the wall's outline and the circle through it, px."""
+
+    tip: NDArray
+    outline: NDArray
+    center: NDArray
+    radius: float
+
+    def sunk(self, reference: Sight) -> float:
+        """Return how far the outline near the pipette lies below another's circle, px."""
+        x, y = self.outline.T
+        across = x - reference.center[0]
+        near = np.abs(across) < 0.25 * reference.radius
+        circle = reference.center[1] - np.sqrt(reference.radius**2 - across[near] ** 2)
+        return float(np.mean(y[near] - circle))
+
+
+def see(image: NDArray) -> Sight:
+    """Find pipette and egg; a `ValueError` of `extract_boundary` says what is not there."""
+    found = extract_boundary(image, direction="top", dimple=False)
+    seen = ~found.under_probe
+    x, y = found.x[seen], found.image_height - 1 - found.y[seen]
+    # x² + y² = 2 x x₀ + 2 y y₀ + (R² − x₀² − y₀²), linear in what is sought.
+    design = np.column_stack([2 * x, 2 * y, np.ones_like(x)])
+    x0, y0, rest = np.linalg.lstsq(design, x**2 + y**2, rcond=None)[0]
+    radius = float(np.sqrt(rest + x0**2 + y0**2))
+    return Sight(np.array(found.probe.tip), np.column_stack([x, y]), np.array([x0, y0]), radius)
+
+
+class TipTracker:
+    """Finds the pipette's end in each frame anew, in the form that `servo` takes."""
+
+    def track(self, frame: NDArray) -> Any:
+        """Return the pipette's end, px, known to 0.02 px."""
+        try:
+            tip, reason = see(frame).tip, ""
+        except ValueError as error:
+            tip, reason = np.full(2, np.nan), str(error)
+        return SimpleNamespace(
+            center=tip, lost=bool(reason), reason=reason, covariance=4e-4 * np.eye(2)
+        )
+
+
+def press(seed: int, *, press_step: float = 15.0) -> dict[str, Any]:
+    """Bring a pipette over an egg, down to contact, and press it to a force.
 
     Parameters
     ----------
     seed : int
-        Of everything.
-    rupture : bool
-        Whether the wall gives way above the target.
-    **options
-        Of `InjectionScene`, instead of those drawn.
+        Of egg, pipette, target and the camera's mounting.
+    press_step : float
+        Longest step after contact, µm.
 
     Returns
     -------
-    Rig
-        With the pipette 35 to 45 px above the egg.
+    dict
+        ``log`` (a data frame: time, phase, way, force and depth as seen and as they truly are),
+        ``pictures`` (at the start, at contact and at the target), ``late`` (how far after the true
+        contact it was seen, µm), ``force error`` and ``depth error`` (relative, at the target), and
+        the number of ``frames``.
+
+    Raises
+    ------
+    ValueError
+        If the pipette or the egg is not seen, contact does not come where it should, or the target
+        was passed by a tenth.
     """
     rng = np.random.default_rng([seed, 81])
-    radius, thickness = rng.uniform(520.0, 660.0), 3.0
-    settings: dict[str, Any] = {
-        "modulus": rng.uniform(0.5, 2.0),
-        "radius": radius,
-        "thickness": thickness,
-        "probe_half_width": rng.uniform(18.0, 32.0),
-        "inflation": rng.uniform(1.01, 1.08),
-        "law": "neo-hooke" if rng.random() < 0.5 else "mooney-rivlin",
-        "strongest": STRONGEST * thickness * radius,
-    } | options
-    scene = InjectionScene(rng, **settings)
-    down = np.array([0.0, 1.0]) / scene.pixel_size
-    ways = np.linspace(0.0, 0.85 * scene.deepest, 400)
-    depths = [scene.depth(scene.contact + way * down) for way in ways]
-    way = np.interp(rng.uniform(SHALLOWEST, depths[-1]), depths, ways)
-    target = scene.force(scene.contact + way * down)
-    if rupture:
-        scene._rupture = RUPTURE * target
-    angle, mirrored = rng.uniform(0, 2 * np.pi), bool(rng.random() < 0.5)
-    jacobian = turned(angle, 1 / scene.pixel_size, mirrored)
+    egg = Egg(rng)
+    last = 0.85 * float(egg.force.x[-1])  # of the ways that the states reach
+    ways = np.linspace(0.0, last, 400)
+    target = float(egg.force(np.interp(rng.uniform(18.0, egg.depth(last)), egg.depth(ways), ways)))
+    jacobian = turned(rng.uniform(0, 2 * np.pi), 1 / PIXEL_SIZE, bool(rng.random() < 0.5))
     workstation = SimulatedWorkstation(
-        lambda tip, focus: scene.frame(tip),
+        lambda tip, focus: egg.frame(tip),
         jacobian=jacobian,
-        home=scene.home,
+        home=egg.home,
         stage=Stage(saturation=400.0),
         camera=Camera(interval=0.03, latency=0.02),
         rng=rng,
     )
-    known = {name: settings[name] for name in ("modulus", "thickness", "probe_half_width", "law")}
-    return Rig(scene, workstation, jacobian, known | {"pixel_size": scene.pixel_size}, target)
+    first, _ = workstation.camera.snap()
+    start = see(first)
+    over = np.array([start.center[0], start.center[1] - start.radius - _HOVER])
+    run = servo(
+        workstation, TipTracker(), over, travel=600.0, test_move=_TEST * PIXEL_SIZE, tolerance=0.25
+    )
+    if run.reason:
+        raise ValueError(f"the pipette was not brought over the egg: {run.reason}")
+    origin = workstation.stage.position()
+    down = np.linalg.solve(run.jacobian, (0.0, 1.0 / PIXEL_SIZE))
+    rows: list[dict[str, Any]] = []
+    pictures = [first]
 
+    def look(advance: float, phase: str) -> tuple[Sight, dict[str, Any]]:
+        """Bring the pipette forward to `advance`, µm from above the egg, and look."""
+        workstation.stage.move_to(origin + down * advance)
+        while workstation.stage.moving():
+            workstation.clock.sleep(0.002)
+        frame, time = workstation.camera.snap()
+        pictures.append(frame)
+        way = egg.way(workstation.feature)
+        true = {"true_force": float(egg.force(way)), "true_depth": float(egg.depth(way))}
+        rows.append({"time_s": time, "phase": phase, "force_uN": np.nan, "depth_um": np.nan} | true)
+        return see(frame), rows[-1]
 
-def press(seed: int, *, egg: dict[str, Any] | None = None, **options: Any) -> dict[str, Any]:
-    """Press one egg to its target.
+    reference, _ = look(0.0, "approach")
+    gap = (reference.center[1] - reference.radius - reference.tip[1]) * PIXEL_SIZE
+    advance = gap - _STANDOFF * PIXEL_SIZE
+    still: list[float] = []
+    sinking = 0
+    while sinking < 2:
+        sunk = look(advance, "approach")[0].sunk(reference)
+        if len(still) < _STILL_FRAMES:
+            still.append(sunk)
+        else:
+            scatter = np.std(still, ddof=1) * np.sqrt(1 + 1 / len(still))
+            if sunk - np.mean(still) > max(_SIGMAS * scatter, _LEAST_SINK):
+                sinking += 1
+            else:
+                sinking = 0
+                still.append(sunk)
+        if advance > gap + 2 * PIXEL_SIZE:
+            raise ValueError("no contact is seen where the egg should be touched")
+        advance += _STEP
+    touched, late = advance - _STEP, egg.way(workstation.feature)
+    at_contact = len(pictures) - 1
 
-    Parameters
-    ----------
-    seed : int
-        Of the egg.
-    egg : dict, optional
-        Of `InjectionScene`, instead of what is drawn.
-    **options
-        Of `inject`.
-
-    Returns
-    -------
-    dict
-        ``reached``, ``reason``; how far after the true contact it was seen (``late``, µm); the
-        force's and the depth's error at the target (``force error``, ``depth error``, relative);
-        the largest true force over the target (``strongest``); the number of ``frames``; and
-        ``run`` and ``rig``.
-    """
-    rig = make_rig(seed, **(egg or {}))
-    settings = {"force": rig.target, "travel": TRAVEL, **rig.known, **options}
-    run = inject(rig.workstation, **settings)
-    log = run.log
-    places = log[["stage_x_um", "stage_y_um"]].to_numpy()
-    # Without rupture: what the wall had to bear, whether it did or not.
-    rig.scene._rupture = None
-    forces = np.array([rig.truth(place)["force"] for place in places])
-    result = {"reached": run.reached, "reason": run.reason, "frames": len(log) - 1}
-    result |= {"strongest": float(forces.max() / rig.target), "run": run, "rig": rig}
-    result |= dict.fromkeys(("late", "force error", "depth error"), float("nan"))
-    if np.isfinite(run.contact).all():
-        result["late"] = rig.truth(run.contact)["approach"]
-    if run.reached:
-        true = rig.truth(places[log["phase"] == "press"][-1])
-        result["force error"] = run.force / true["force"] - 1
-        result["depth error"] = run.depth / true["depth"] - 1
-    return result
-
-
-class Injected(Exception):
-    """Raised by a device that fails on purpose."""
-
-
-class _Faulty:
-    """Stands between `inject` and a rig, and spoils one of its parts from some frame on."""
-
-    def __init__(self, rig: Rig, fault: str, frame: int) -> None:
-        self.rig, self.fault, self.first = rig, fault, frame
-        self.frames, self.stops = -1, 0
-        self._last: NDArray | None = None
-        self._lie: NDArray | None = None
-        self._rng = np.random.default_rng(0)
-        self.camera = SimpleNamespace(snap=self.snap)
-        self.stage = SimpleNamespace(
-            position=self.position, move_to=self.move_to, moving=self.moving, stop=self.stop
-        )
-        self.focus, self.clock = rig.workstation.focus, rig.workstation.clock
-
-    def now(self, *names: str) -> bool:
-        return self.fault in names and self.frames >= self.first
-
-    def snap(self) -> tuple[NDArray, float]:
-        self.frames += 1
-        if self.now("camera error"):
-            raise Injected("no trigger")
-        if self.now("camera hangs"):
-            time.sleep(HANGS)
-        if self.now("Ctrl-C") and self.frames == self.first:
-            os.kill(os.getpid(), signal.SIGINT)
-        if self.now("egg moves") and self.frames == self.first:
-            self.rig.scene.contact[1] += 1.5
-            self.rig.scene._draw_still()
-        if self.now("wall gives way"):
-            self.rig.scene._rupture = 0.1 * self.rig.target
-        frame, exposed = self.rig.workstation.camera.snap()
-        if self.now("black"):
-            frame = np.zeros_like(frame)
-        if self.now("noise"):
-            frame = self._rng.integers(0, 255, frame.shape).astype(frame.dtype)
-        if self.now("frozen") and self._last is not None:
-            frame = self._last
-        if self.now("pipette lost"):
-            frame = self.rig.scene.frame((self.rig.scene.home[0], -20.0))
-        self._last = frame
-        return frame, exposed
-
-    def position(self) -> NDArray:
-        if self.now("position error"):
-            raise Injected("no encoder")
-        if self.now("slips") and self._lie is not None:
-            return self._lie
-        return self.rig.workstation.stage.position()
-
-    def move_to(self, position: NDArray) -> None:
-        if self.now("move error"):
-            raise Injected("no power")
-        if self.now("move hangs"):
-            time.sleep(HANGS)
-        self._lie = np.array(position)
-        if self.now("stuck", "slips"):
-            return
-        if self.now("reversed"):
-            here = self.rig.workstation.stage.position()
-            position = 2 * here - position
-        self.rig.workstation.stage.move_to(position)
-
-    def moving(self) -> bool:
-        return self.now("never arrives") or self.rig.workstation.stage.moving()
-
-    def stop(self) -> None:
-        self.stops += 1
-        if self.now("stop fails twice") and self.stops <= 2:
-            raise Injected("busy")
-        self.rig.workstation.stage.stop()
-
-
-def spoil(
-    seed: int, fault: str, frame: int, *, egg: dict[str, Any] | None = None, **options: Any
-) -> dict[str, Any]:
-    """Let one thing go wrong on the way to the target, and see how the run ends.
-
-    Parameters
-    ----------
-    seed : int
-        Of the egg.
-    fault : str
-        One of those in `FAULTS`.
-    frame : int
-        The first frame that it concerns, such as one of `MOMENTS`.
-    egg : dict, optional
-        Of `InjectionScene`, instead of what is drawn.
-    **options
-        Of `inject`.
-
-    Returns
-    -------
-    dict
-        The ``fault``; the ``reason``; whether the target was ``reached``; whether the stage
-        was ``stopped`` and is truly ``still``; the largest true force over the target
-        (``strongest``); and the ``run``.
-    """
-    rig = make_rig(seed, rupture=False, **(egg or {}))
-    faulty: Any = _Faulty(rig, fault, frame)
-    settings = {"force": rig.target, "travel": TRAVEL, "timeout": TIMEOUT, **rig.known, **options}
-    try:
-        run = inject(faulty, **settings)
-    except KeyboardInterrupt as interrupt:
-        run = interrupt.run  # type: ignore[attr-defined]
-    if fault.endswith("hangs"):
-        time.sleep(HANGS)  # until the call that was given up has returned
-    stage, clock = rig.workstation.stage, rig.workstation.clock
-    before = stage.position()
-    clock.sleep(0.1)
-    still = bool((stage.position() == before).all()) and not stage.moving()
-    rig.scene._rupture = None
-    places = run.log[["stage_x_um", "stage_y_um"]].dropna().to_numpy()
-    forces = [rig.truth(place)["force"] for place in (*places, before)]
+    known: list[tuple[float, float]] = []
+    fit: Any = None
+    step, unread = PIXEL_SIZE, 0
+    while not known or known[-1][1] < 0.98 * target:
+        advance += step
+        sight, row = look(advance, "press")
+        if (sight.tip[1] - sight.outline[:, 1].min()) < _LEAST_DIMPLE:
+            continue
+        found = _capsule(sight, reference, egg.known, fit, advance - touched)
+        if found is None:
+            unread += 1
+            if unread == 3:
+                raise ValueError("no capsule has the outline in three frames")
+            continue
+        fit = found
+        row |= {"force_uN": egg.known["modulus"] / fit.modulus, "depth_um": fit.state.depth}
+        known.append((advance - touched, row["force_uN"]))
+        if known[-1][1] > 1.1 * target:
+            raise ValueError(f"the target was passed: {known[-1][1]:.3g} µN")
+        power = 1.5
+        if len(known) > 1:
+            longer, stronger = np.diff(np.log(known[-2:]), axis=0)[0]
+            power = float(np.clip(stronger / longer, 1.0, 3.0))
+        left = known[-1][0] * (target / known[-1][1]) ** (1 / power) - known[-1][0]
+        step = float(np.clip(_SHARE * left, _STEP, press_step))
+    reached = rows[-1]
+    at_target = len(pictures) - 1
+    for back in np.linspace(advance, 0.0, 5)[1:]:
+        look(float(back), "withdraw")
     return {
-        "fault": fault,
-        "reason": run.reason,
-        "reached": run.reached,
-        "stopped": faulty.stops > 0,
-        "still": still,
-        "strongest": float(max(forces) / rig.target),
-        "run": run,
+        "log": pd.DataFrame(rows),
+        "pictures": [pictures[k] for k in (0, at_contact, at_target)],
+        "contact": rows[at_contact - 1]["time_s"],
+        "late": late,
+        "force error": reached["force_uN"] / reached["true_force"] - 1,
+        "depth error": reached["depth_um"] / reached["true_depth"] - 1,
+        "frames": len(run.log) + len(rows),
     }
+
+
+def _capsule(sight: Sight, reference: Sight, known: dict[str, Any], before: Any, way: float) -> Any:
+    """Return the capsule that has this outline and the dimple that is seen; None if none has.
+
+    Of a force of 1 µN the shape knows only F/(E h R), so that the modulus is that over the force.
+    """
+    seen = (sight.tip[1] - sight.outline[:, 1].min()) * PIXEL_SIZE
+    starts = [(before.modulus, before.inflation)] if before else []
+    starts += [(1 / (f * known["thickness"] * way), s) for f, s in ((0.07, 1.03), (0.14, 1.06))]
+    for start in starts:
+        with suppress(ValueError):  # no capsule is like it, from there
+            fit = fit_capsule(
+                1.0,
+                PIXEL_SIZE * sight.outline[:: max(1, len(sight.outline) // 160)] * (1, -1),
+                thickness=known["thickness"],
+                probe_half_width=known["probe_half_width"],
+                radius=reference.radius * PIXEL_SIZE,
+                law=known["law"],
+                start=start,
+            )
+            if abs(fit.state.depth / seen - 1) < 0.5:  # a search that lost its way is far off
+                return fit
+    return None

@@ -1,4 +1,4 @@
-"""Depth while the stack is acquired: scenes, a simulated focus drive, Micro-Manager's acquisition.
+"""Depth while the stack is acquired: scenes and a simulated focus drive.
 
 Chapter 6 of the thesis names real-time reconstruction as what comes next.
 """
@@ -6,17 +6,15 @@ Chapter 6 of the thesis names real-time reconstruction as what comes next.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from compendium.rendered_microscope import rendered_core
-from microlib.automation import LiveDepth, acquire_depth
-from microlib.focus import FocusResult, depth_from_focus
-from microlib.servoing import Camera, MicroManager, SimulatedWorkstation, Stage
+from microlib.automation import acquire_depth
+from microlib.focus import depth_from_focus
+from microlib.servoing import Camera, SimulatedWorkstation, Stage
 from microlib.synthetic import (
     cone,
     focal_stack,
@@ -105,68 +103,6 @@ def microscope(stack: NDArray[np.uint8]) -> SimulatedWorkstation:
     )
 
 
-def acquire_by_engine(stack: NDArray[np.uint8], farthest: float) -> LiveDepth:
-    """Let Micro-Manager's acquisition take the frames, and end its sequence early.
-
-    Parameters
-    ----------
-    stack : ndarray of uint8, shape (n, rows, cols)
-        The frames at `POSITIONS`.
-    farthest : float
-        As of `LiveDepth`, µm.
-
-    Returns
-    -------
-    LiveDepth
-        With what was acquired.
-
-    Raises
-    ------
-    ImportError
-        If ``pymmcore-plus`` is not installed.
-    """
-    from useq import MDAEvent
-
-    # The adapter switches off the shutter that there is none of.
-    core = MicroManager(rendered_core(microscope(stack), stack.shape[1:])).core
-    live = LiveDepth(farthest=farthest)
-    faults: list[Exception] = []
-
-    def take(frame: NDArray, event: Any) -> None:
-        try:  # the engine swallows what is raised here
-            live.push(frame, event.z_pos)
-        except Exception as fault:
-            faults.append(fault)
-
-    core.mda.events.frameReady.connect(take)
-    core.mda.run(MDAEvent(z_pos=float(z)) for z in POSITIONS if not (live.done or faults))
-    if faults:
-        raise faults[0]
-    return live
-
-
-def same(first: FocusResult, second: FocusResult) -> bool:
-    """Return whether two results agree in every field, to the last bit.
-
-    Parameters
-    ----------
-    first, second : FocusResult
-        As of `depth_from_focus`.
-
-    Returns
-    -------
-    bool
-    """
-    for field in fields(first):
-        a, b = getattr(first, field.name), getattr(second, field.name)
-        if a is None or b is None:
-            if a is not b:
-                return False
-        elif a.dtype != b.dtype or not np.array_equal(a, b, equal_nan=a.dtype.kind == "f"):
-            return False
-    return True
-
-
 def saved(seed: int) -> pd.DataFrame:
     """Acquire every scene with its greatest height given, and after a coarse look.
 
@@ -178,9 +114,8 @@ def saved(seed: int) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        ``scene``; ``way``, ``farthest`` or ``coarse``; ``saved``, % of the positions; ``same``,
-        whether the result is that of `depth_from_focus` on the same frames to the last bit;
-        ``seen``, whether the highest part has had its peak; the error ``rms`` and that of the whole
+        ``scene``; ``way``, ``farthest`` or ``coarse``; ``saved``, % of the positions; ``seen``,
+        whether the highest part has had its peak; the error ``rms`` and that of the whole
         stack, ``rms of all``, µm.
     """
     rows = []
@@ -194,14 +129,12 @@ def saved(seed: int) -> pd.DataFrame:
         for way, options in given.items():
             run = acquire_depth(microscope(stack), POSITIONS, **options)
             assert run.result is not None, run.reason
-            taken = np.searchsorted(POSITIONS, run.positions)
             error, all_error = run.result.depth - height, whole.depth - height
             rows.append(
                 {
                     "scene": name,
                     "way": way,
                     "saved": 100 * (1 - run.frames / len(POSITIONS)),
-                    "same": same(run.result, depth_from_focus(stack[taken], run.positions)),
                     # Two positions beyond the highest point the peak is seen from both sides.
                     "seen": bool(run.positions[-1] >= height.max() + 2 * np.diff(POSITIONS)[0]),
                     "rms": float(np.sqrt(np.nanmean(error**2))),

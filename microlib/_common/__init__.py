@@ -22,10 +22,10 @@ from microlib._common._checks import (
     whole,
 )
 from microlib._common._covariance import OPEN, inverse_normal
-from microlib._common._devices import Mover, VelocityMover, Workstation, check_devices
+from microlib._common._devices import Mover, Workstation, check_devices
 from microlib._common._files import replace_file
 from microlib._common._frames import Frames, is_in_memory
-from microlib._common._guard import POLL, DeviceError, EndRun, Guard, interrupts
+from microlib._common._guard import POLL, DeviceError, Ending, EndRun, Guard, RunInterrupt
 from microlib._common._pipeline import pipeline
 from microlib._common._processes import end_with_starter
 from microlib._common._tidy import Tidy, flat_row
@@ -40,12 +40,13 @@ __all__ = [
     "Array",
     "DeviceError",
     "EndRun",
+    "Ending",
     "Frames",
     "Guard",
     "Image",
     "Mover",
+    "RunInterrupt",
     "Tidy",
-    "VelocityMover",
     "Workstation",
     "are_small",
     "as_array",
@@ -58,7 +59,6 @@ __all__ = [
     "flat_row",
     "generator",
     "image_shape",
-    "interrupts",
     "inverse_normal",
     "is_in_memory",
     "items",

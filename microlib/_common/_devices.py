@@ -6,7 +6,7 @@ four small classes with these methods, and no base class.
 
 from __future__ import annotations
 
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
@@ -50,15 +50,6 @@ class Mover(Protocol):
 
     def stop(self) -> None:
         """End any move here and now."""
-        ...
-
-
-@runtime_checkable
-class VelocityMover(Mover, Protocol):
-    """A mover that takes velocities, too."""
-
-    def move_at(self, velocity: Array) -> None:
-        """Move at a velocity, µm/s, until the next command, and return at once."""
         ...
 
 

@@ -6,6 +6,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from threading import Event, Thread, current_thread, main_thread
 from typing import Any
 
@@ -27,6 +28,36 @@ class DeviceError(EndRun):
     """A device raised, or did not answer in time."""
 
 
+class RunInterrupt(KeyboardInterrupt):
+    """Ctrl-C, after the device was stopped; `run` is the result of what was done until then."""
+
+    def __init__(self, run: Any) -> None:
+        super().__init__(run.reason)
+        self.run = run
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a run over a device ended.
+
+    Attributes
+    ----------
+    reason : str
+        What the work returned, or why it ended early.
+    complete : bool
+        Whether the work returned and the device stands still.
+    still : bool
+        Whether the device said, after the stop, that it does not move.
+    error : Exception or None
+        The exception behind `reason`, if there is one.
+    """
+
+    reason: str
+    complete: bool
+    still: bool
+    error: BaseException | None
+
+
 class Guard:
     """Makes each call in a thread of its own, so that a device that hangs cannot hold the loop.
 
@@ -36,15 +67,40 @@ class Guard:
     Parameters
     ----------
     clock, stage : Clock, Mover
-        Of the workstation.
+        Of the workstation; the stage may be a focus drive.
     timeout : float
         Longest time that a call or a move may take, s.
+    name : str, optional
+        What reasons call the stage.
     """
 
-    def __init__(self, clock: Clock, stage: Mover, timeout: float) -> None:
+    def __init__(self, clock: Clock, stage: Mover, timeout: float, name: str = "stage") -> None:
         self.interrupted = Event()
-        self._clock, self._stage, self._timeout = clock, stage, timeout
+        self._clock, self._stage, self._timeout, self._name = clock, stage, timeout, name
         self._ending = False
+
+    def run(self, work: Callable[[], str]) -> Ending:
+        """Do the work, stop the device however it ended, and say what happened.
+
+        A fault of the device or of anything that the work calls is a reason and not an exception.
+        Ctrl-C sets `interrupted`, which the next call sees; whoever called raises `RunInterrupt`.
+        """
+        reason, complete, error = "", False, None
+        with interrupts(self.interrupted):
+            try:
+                reason, complete = work(), True
+            except EndRun as end:
+                reason, error = str(end), end.__cause__
+            except Exception as fault:  # of a tracker, a controller or `progress`
+                reason, error = f"{type(fault).__name__}: {fault}", fault
+            finally:
+                trouble = self._halt()
+        if self.interrupted.is_set() and complete:
+            reason, complete = "interrupted by the user", False
+        if trouble:
+            trouble = f"the {self._name} may not stand still: {trouble}"
+            reason, complete = "; ".join(filter(None, (reason, trouble))), False
+        return Ending(reason, complete, not trouble, error)
 
     def check(self) -> None:
         """End the run if the user wants that."""
@@ -102,12 +158,12 @@ class Guard:
         end, real_end = self._clock.now() + self._timeout, time.monotonic() + self._timeout
         while self.call(self._stage.moving):
             if self._clock.now() > end or time.monotonic() > real_end:
-                raise DeviceError(f"the stage still moves after {self._timeout:g} s")
+                raise DeviceError(f"the {self._name} still moves after {self._timeout:g} s")
             watch()
             # A tenth: moves of some milliseconds are common, and polling is all that this costs.
             self.pause(POLL / 10)
 
-    def halt(self) -> str:
+    def _halt(self) -> str:
         """Stop the stage whatever happens; return why it may not stand still, or nothing."""
         self._ending = True
         trouble = ""

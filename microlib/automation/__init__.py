@@ -1,7 +1,6 @@
-"""What joins several subjects on a live microscope: depth while acquiring, and an injection."""
+"""Depth and autofocus while a microscope acquires."""
 
 from microlib.automation._acquire import acquire_depth, autofocus
-from microlib.automation._injection import inject
 from microlib.automation._live import LiveDepth
 
-__all__ = ["LiveDepth", "acquire_depth", "autofocus", "inject"]
+__all__ = ["LiveDepth", "acquire_depth", "autofocus"]

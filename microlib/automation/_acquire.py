@@ -14,12 +14,12 @@ from microlib._common import (
     EndRun,
     Guard,
     Image,
+    RunInterrupt,
     Tidy,
     Workstation,
     as_array,
     check_callable,
     check_devices,
-    interrupts,
     scalar,
     whole,
 )
@@ -35,7 +35,7 @@ _BACK = 3
 _MOST_TIME = 1e9
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Acquisition(Tidy):
     """What a drive of the focus brought.
 
@@ -71,14 +71,6 @@ class Acquisition(Tidy):
     error: BaseException | None
 
     _large = ("positions", "result")
-
-
-class AcquisitionInterrupt(KeyboardInterrupt):
-    """Ctrl-C, after the drive was stopped; `run` is what was done until then."""
-
-    def __init__(self, run: Acquisition) -> None:
-        super().__init__(run.reason)
-        self.run = run
 
 
 def acquire_depth(
@@ -135,7 +127,9 @@ def acquire_depth(
 
     Examples
     --------
+    >>> import numpy as np
     >>> from microlib import synthetic
+    >>> from microlib.automation import acquire_depth
     >>> from microlib.servoing import Camera, SimulatedWorkstation, Stage
     >>> texture = synthetic.mixed_texture((48, 48), np.random.default_rng(0))
     >>> flat = np.full((48, 48), 42.0)
@@ -220,7 +214,9 @@ def autofocus(
 
     Examples
     --------
+    >>> import numpy as np
     >>> from microlib import synthetic
+    >>> from microlib.automation import autofocus
     >>> from microlib.servoing import Camera, SimulatedWorkstation, Stage
     >>> texture = synthetic.mixed_texture((48, 48), np.random.default_rng(0))
     >>> flat = np.full((48, 48), 42.0)
@@ -259,7 +255,7 @@ class _Drive:
     """The focus drive and the camera, each call watched."""
 
     def __init__(self, workstation: Workstation, positions: Array, timeout: float) -> None:
-        self.guard = Guard(workstation.clock, workstation.focus, timeout)
+        self.guard = Guard(workstation.clock, workstation.focus, timeout, "focus drive")
         self.frames = 0
         self._workstation, self._positions = workstation, positions
         self._room = _MISSED * float(np.abs(np.diff(positions)).min())
@@ -286,37 +282,23 @@ class _Drive:
 
 def _finish(drive: _Drive, work: Callable[[], str], live: LiveDepth | None) -> Acquisition:
     """Do the work, stop the drive however it ended, and say what happened."""
-    guard, complete = drive.guard, False
-    error: BaseException | None = None
-    with interrupts(guard.interrupted):
-        try:
-            reason = work()
-            complete = True
-        except EndRun as end:
-            reason, error = str(end), end.__cause__
-        except Exception as fault:  # of `progress`, or a frame that is none
-            reason, error = f"{type(fault).__name__}: {fault}", fault
-        finally:
-            trouble = guard.halt()
+    end = drive.guard.run(work)
     try:
         focus = drive.where()
     except EndRun:
         focus = float("nan")  # the reason says already what failed
-    if trouble:
-        reason, complete = f"{reason}; the drive may not stand still: {trouble}", False
-    enough = live is not None and live.frames >= 3
     run = Acquisition(
         positions=np.zeros(0) if live is None else live.positions,
         frames=drive.frames,
-        result=live.result() if live is not None and enough else None,
+        result=live.result() if live is not None and live.frames >= 3 else None,
         focus=focus,
-        reason=reason,
-        complete=complete,
-        still=not trouble,
-        error=error,
+        reason=end.reason,
+        complete=end.complete,
+        still=end.still,
+        error=end.error,
     )
-    if guard.interrupted.is_set():
-        raise AcquisitionInterrupt(run)
+    if drive.guard.interrupted.is_set():
+        raise RunInterrupt(run)
     return run
 
 

@@ -105,8 +105,8 @@ _TRIAL = np.random.default_rng(0).integers(0, 255, (15, 32, 32)).astype(np.uint8
 class LiveDepth:
     """The depth of a focal stack as its frames come, and an end as soon as all has been seen.
 
-    Every frame is kept. `result` is what `microlib.focus.depth_from_focus` makes of them, to the
-    last bit; `depth` is a quick look that is there after every frame.
+    Every frame is kept. `result` is what `microlib.focus.depth_from_focus` makes of them;
+    `depth` is a quick look that is there after every frame.
 
     Parameters
     ----------
@@ -148,7 +148,9 @@ class LiveDepth:
 
     Examples
     --------
+    >>> import numpy as np
     >>> from microlib import synthetic
+    >>> from microlib.automation import LiveDepth
     >>> texture = synthetic.mixed_texture((48, 48), np.random.default_rng(0))
     >>> positions = np.arange(0.0, 200.0, 10.0)
     >>> stack = synthetic.focal_stack(texture, np.full((48, 48), 42.0), positions, blur_rate=0.1)
@@ -214,6 +216,8 @@ class LiveDepth:
 
         Examples
         --------
+        >>> import numpy as np
+        >>> from microlib.automation import LiveDepth
         >>> live = LiveDepth()
         >>> live.push(np.zeros((16, 16)), 0.0)
         >>> live.frames, live.done
@@ -254,7 +258,9 @@ class LiveDepth:
 
         Examples
         --------
+        >>> import numpy as np
         >>> from microlib import synthetic
+        >>> from microlib.automation import LiveDepth
         >>> texture = synthetic.mixed_texture((48, 48), np.random.default_rng(0))
         >>> live = LiveDepth()
         >>> for z in (0.0, 10.0, 20.0, 30.0):

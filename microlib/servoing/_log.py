@@ -23,8 +23,6 @@ COLUMNS: dict[str, str] = {
     "stage_y_um": "float64",
     "command_x_um": "float64",
     "command_y_um": "float64",
-    "velocity_x_um_s": "float64",
-    "velocity_y_um_s": "float64",
     "latency_s": "float64",
     "event": "object",
 }

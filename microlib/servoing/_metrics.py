@@ -82,6 +82,8 @@ def step_metrics(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.servoing import step_metrics
     >>> time = np.arange(6) / 10
     >>> step_metrics(time, [[0], [60], [104], [98], [98], [98]], [100]).settling_time
     0.2
@@ -128,6 +130,7 @@ def path_metrics(position: ArrayLike, reference: ArrayLike) -> PathMetrics:
 
     Examples
     --------
+    >>> from microlib.servoing import path_metrics
     >>> path_metrics([[0, 0], [3, 4]], [[0, 0], [0, 0]])
     PathMetrics(accuracy=2.5, precision=2.5, largest=5.0)
     """

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from microlib._common import Array, Tidy
+from microlib._common import Array
 
 #: Smallest standard deviation of a measured feature, px, so that frames without noise can be
 #: weighted: the interpolation of a tracker is wrong by thousandths of a pixel.
@@ -17,8 +17,8 @@ _LEAST_STD = 1e-3
 LARGEST_SHARE = 0.5
 
 
-@dataclass(frozen=True)
-class StageMotion(Tidy):
+@dataclass(frozen=True, eq=False)
+class StageMotion:
     """The image's answer to the stage, f = f₀ + J·x + drift·t.
 
     Attributes
@@ -46,6 +46,12 @@ class StageMotion(Tidy):
         if least == 0 or not np.isfinite(self.covariance).all():
             return float("inf")
         return float(3.0 * np.sqrt(np.linalg.eigvalsh(self.covariance)[-1]) / least)
+
+
+#: Of a run that never came to know it.
+UNKNOWN = StageMotion(
+    np.full((2, 2), np.nan), np.full((4, 4), np.nan), np.full(2, np.nan), float("nan")
+)
 
 
 def visits(size: float) -> Array:

@@ -15,15 +15,13 @@ from microlib._common import (
     Array,
     EndRun,
     Guard,
+    RunInterrupt,
     Tidy,
-    VelocityMover,
     Workstation,
     as_array,
     check_callable,
     check_devices,
     flag,
-    interrupts,
-    one_of,
     positive,
     scalar,
     whole,
@@ -31,21 +29,21 @@ from microlib._common import (
 from microlib.servoing._control import LARGEST_CONDITION
 from microlib.servoing._log import add_event, as_frame, median_latency, new_row, put
 from microlib.servoing._loop import USED, Loop, Settings
-from microlib.servoing._motion import StageMotion
+from microlib.servoing._motion import UNKNOWN
 from microlib.servoing._workstation import Controller, Tracker
 
 #: What the calibration's test moves are by default, as a share of the travel: far enough from the
 #: noise, and far from the limits.
 _TEST_SHARE = 0.1
 
-#: Limits of an interval, s: no drive takes commands faster, and nobody waits longer for a frame.
+#: Limits of an interval, s: no drive takes commands faster, and nobody waits longer for a move.
 _SHORTEST, _LONGEST = 1e-3, 1e2
 
 #: What a stage must answer to.
 _MOVES = ("position", "move_to", "moving", "stop")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ServoRun(Tidy):
     """What `servo` did.
 
@@ -75,8 +73,6 @@ class ServoRun(Tidy):
         Median time from an exposure until its command, s.
     error : Exception or None
         The exception behind `reason`, if there is one.
-    frames : tuple of ndarray
-        The pictures, if they were to be kept.
     """
 
     log: pd.DataFrame
@@ -89,10 +85,9 @@ class ServoRun(Tidy):
     misfit: float
     latency: float
     error: BaseException | None
-    frames: tuple[NDArray[Any], ...]
 
     _samples = ("reached",)
-    _large = ("log", "frames")
+    _large = ("log",)
 
     def to_frame(self) -> pd.DataFrame:
         """Return `log`.
@@ -105,23 +100,13 @@ class ServoRun(Tidy):
         return self.log
 
 
-class ServoInterrupt(KeyboardInterrupt):
-    """Ctrl-C, after the stage was stopped; `run` is what was done until then."""
-
-    def __init__(self, run: ServoRun) -> None:
-        super().__init__(run.reason)
-        self.run = run
-
-
 def servo(
     workstation: Workstation,
     tracker: Tracker,
     targets: ArrayLike,
     *,
     travel: ArrayLike,
-    unit: str = "px",
     path: bool = False,
-    drive: str = "position",
     jacobian: ArrayLike | None = None,
     test_move: float | None = None,
     controller: Controller | None = None,
@@ -129,12 +114,10 @@ def servo(
     step: float | None = None,
     speed: float | None = None,
     interval: float = 0.1,
-    rest: float = 0.0,
     most_frames: int = 50,
     most_lost: int = 3,
     timeout: float = 10.0,
     progress: Callable[[dict[str, Any]], object] | None = None,
-    keep_frames: bool = False,
 ) -> ServoRun:
     """Bring a tracked feature to targets, or along a path, by moving the stage under the camera.
 
@@ -152,19 +135,13 @@ def servo(
         Started on a frame of this camera, such as `microlib.tracking.ESMTracker`. What ``track``
         returns has ``center``, (x, y) px, ``lost`` and ``covariance``, 2×2 px².
     targets : array_like, shape (N, 2) or (2,)
-        Where the feature is to go, one after the other: (x, y) in px of the image, or in µm along
-        the stage's axes from where it is at the start.
+        Where the feature is to go, one after the other: (x, y) in px of the image.
     travel : float or array_like, shape (2,)
         How far either axis may go from where it is at the start, ± µm. There is no default: it is
         what keeps glass from glass. A hundredth of it is left for what the drive overshoots;
         targets beyond end the run before it goes to any.
-    unit : {"px", "um"}, optional
-        Of the targets.
     path : bool, optional
         Whether the targets are points of a path, one a frame, and not each to be reached.
-    drive : {"position", "velocity"}, optional
-        Whether the stage is sent to positions and stands at each look, or moves while the camera
-        looks, which needs a stage with ``move_at``.
     jacobian : array_like, shape (2, 2), optional
         px/µm, for example of a run before; calibrated by default.
     test_move : float, optional
@@ -172,21 +149,17 @@ def servo(
         image are good: the error of J is that of the tracker over it.
     controller : callable, optional
         Velocity in µm/s for (sample, measured, references) such as an `OptimalController` with this
-        `interval`; a stage that takes positions is moved by velocity times interval. By default a
-        position stage goes where J says that the target is, and a velocity stage has a
-        `PredictiveController` that takes nine tenths of the error away in a sample and knows the
-        latency that was measured.
+        `interval`; the stage is moved by velocity times interval. By default it goes where J says
+        that the target is.
     tolerance : float, optional
-        A target is reached within this distance, px, seen while the stage stands.
+        A target is reached within this distance, px.
     step : float, optional
         Longest move between two frames, µm; the travel alone limits it by default.
     speed : float, optional
-        Largest speed, µm/s. A position stage is led in legs that last an `interval` each, so its
-        mean speed over one is no more. A velocity stage needs it.
+        Largest speed, µm/s: the stage is led in legs that last an `interval` each, so its mean
+        speed over one is no more. By default the drive moves at its own speed.
     interval : float, optional
-        Between two commands of a velocity stage, and of a leg, s.
-    rest : float, optional
-        For how long a position stage stands before it is looked at, s.
+        Of a controller, and of a leg, s.
     most_frames : int, optional
         Frames after which a target counts as not reachable.
     most_lost : int, optional
@@ -195,15 +168,13 @@ def servo(
         Longest time that a device may take to answer, and a move to end at its speed, s.
     progress : callable, optional
         Called with each row of the log, a dict, as it is complete.
-    keep_frames : bool, optional
-        Whether to keep the pictures.
 
     Returns
     -------
     ServoRun
         ``log`` (a data frame, one row a frame), ``reached`` (N), ``reason`` (why it ended early, or
         empty), ``still``, ``jacobian`` (2×2, px/µm), ``jacobian_covariance`` (4×4), ``drift`` (2,
-        px/s), ``misfit``, ``latency`` (s), ``error`` and ``frames``. A fault of a device or a lost
+        px/s), ``misfit``, ``latency`` (s) and ``error``. A fault of a device or a lost
         feature raises nothing: look at ``reached`` before you go on.
 
     Raises
@@ -222,18 +193,16 @@ def servo(
     move: a wrong Jacobian, a stuck or reversed axis, or a frozen frame. Fewer could be one bad
     track.
 
-    A velocity stage gets no velocity that would reach the end of the travel within twice the longer
-    of the interval and the slowest frame, and is stopped when a frame takes longer.
-
     The columns of the log are ``time_s`` from the first exposure; ``phase`` (start, calibration,
     servo, end); ``target``, its number, or −1; ``reference``, ``measured`` in px; ``lost``;
     ``stage``, the encoder before the frame, and ``command``, where it is sent after it, µm;
-    ``velocity`` that it is given instead, µm/s; ``latency_s`` from the exposure until the command
-    is known; ``event``. The last row holds where the stage stopped, and why.
+    ``latency_s`` from the exposure until the command is known; ``event``. The last row holds where
+    the stage stopped, and why.
 
     Examples
     --------
-    >>> from microlib.servoing import Camera, SimulatedWorkstation, Stage
+    >>> import numpy as np
+    >>> from microlib.servoing import Camera, SimulatedWorkstation, Stage, servo
     >>> from microlib.synthetic import gripper_scene
     >>> from microlib.tracking import ESMTracker
     >>> rng = np.random.default_rng(0)
@@ -248,90 +217,55 @@ def servo(
     >>> print(run.reached, run.still, (workstation.feature - scene.home).round())
     [ True] True [ 30. -20.]
     """
-    _refuse_others(workstation, tracker, controller, progress)
-    settings = Settings(
-        targets=as_array("targets", np.atleast_2d(as_array("targets", targets)), shape=(None, 2)),
-        travel=_pair("travel", travel),
-        unit=one_of("unit", unit, ("px", "um")),
-        path=flag("path", path),
-        drive=one_of("drive", drive, ("position", "velocity")),
-        test_move=_test_move(test_move, _pair("travel", travel), step),
-        controller=controller,
-        tolerance=scalar("tolerance", tolerance, above=0),
-        step=None if step is None else scalar("step", step, above=0),
-        speed=None if speed is None else scalar("speed", speed, above=0),
-        interval=scalar("interval", interval, least=_SHORTEST, most=_LONGEST),
-        rest=scalar("rest", rest, least=0, most=_LONGEST),
-        most_frames=whole("most_frames", most_frames, least=1),
-        most_lost=whole("most_lost", most_lost, least=1),
-        timeout=scalar("timeout", timeout, above=0),
-        progress=progress,
-        keep_frames=flag("keep_frames", keep_frames),
-    )
-    if drive == "velocity":
-        if speed is None:
-            raise ValueError("speed must be given for a stage that is driven by velocities")
-        if not isinstance(workstation.stage, VelocityMover):
-            raise ValueError("drive must be position for a stage without move_at, got velocity")
-    known = None if jacobian is None else _regular(jacobian)
-    guard = Guard(workstation.clock, workstation.stage, settings.timeout)
-    loop = Loop(workstation, tracker, guard, settings)
-    return _run(loop, known)
-
-
-def _run(loop: Loop, jacobian: Array | None) -> ServoRun:
-    """Run the loop, stop the stage however it ended, and say what happened."""
-    guard, reason, error = loop.guard, "", None
-    with interrupts(guard.interrupted):
-        try:
-            loop.run(jacobian)
-        except EndRun as end:
-            reason, error = str(end), end.__cause__
-        except Exception as fault:  # of the tracker, the controller or `progress`
-            reason, error = f"{type(fault).__name__}: {fault}", fault
-        finally:
-            trouble = guard.halt()
-    if guard.interrupted.is_set() and not reason:
-        reason = "interrupted by the user"
-    if trouble:
-        reason = "; ".join(filter(None, (reason, f"the stage may not stand still: {trouble}")))
-    run = _result(loop, reason, error, not trouble)
-    if guard.interrupted.is_set():
-        raise ServoInterrupt(run)
-    return run
-
-
-def _result(loop: Loop, reason: str, error: BaseException | None, still: bool) -> ServoRun:
-    last = new_row(loop.now(), "end", -1)
-    with suppress(EndRun):  # the reason says already what failed
-        put(last, "stage", loop.guard.call(loop.workstation.stage.position), "um")
-    add_event(last, reason or "done")
-    unknown = StageMotion(
-        np.full((2, 2), np.nan), np.full((4, 4), np.nan), np.full(2, np.nan), float("nan")
-    )
-    motion = loop.motion or unknown
-    return ServoRun(
-        log=as_frame([*loop.rows, last]),
-        reached=loop.reached,
-        reason=reason,
-        still=still,
-        jacobian=motion.jacobian,
-        jacobian_covariance=motion.covariance,
-        drift=motion.drift,
-        misfit=motion.misfit,
-        latency=median_latency(loop.rows),
-        error=error,
-        frames=tuple(loop.frames),
-    )
-
-
-def _refuse_others(workstation: Any, tracker: Any, controller: Any, progress: Any) -> None:
-    """Refuse what has not the methods that will be called."""
     check_devices(workstation, camera=("snap",), stage=_MOVES, clock=("now", "sleep"))
     if not callable(getattr(tracker, "track", None)):
         raise ValueError(f"tracker must have a method track, got {type(tracker).__name__}")
     check_callable("controller", controller, optional=True)
     check_callable("progress", progress, optional=True)
+    reach = _pair("travel", travel)
+    settings = Settings(
+        targets=as_array("targets", np.atleast_2d(as_array("targets", targets)), shape=(None, 2)),
+        travel=reach,
+        path=flag("path", path),
+        test_move=_test_move(test_move, reach, step),
+        controller=controller,
+        tolerance=scalar("tolerance", tolerance, above=0),
+        step=None if step is None else scalar("step", step, above=0),
+        speed=None if speed is None else scalar("speed", speed, above=0),
+        interval=scalar("interval", interval, least=_SHORTEST, most=_LONGEST),
+        most_frames=whole("most_frames", most_frames, least=1),
+        most_lost=whole("most_lost", most_lost, least=1),
+        timeout=scalar("timeout", timeout, above=0),
+        progress=progress,
+    )
+    known = None
+    if jacobian is not None:
+        known = as_array("jacobian", jacobian, shape=(2, 2))
+        if np.linalg.cond(known) > LARGEST_CONDITION:
+            raise ValueError("jacobian must be regular, got a singular one")
+    guard = Guard(workstation.clock, workstation.stage, settings.timeout)
+    loop = Loop(workstation, tracker, guard, settings)
+    end = guard.run(lambda: loop.run(known))
+    last = new_row(loop.now(), "end", -1)
+    with suppress(EndRun):  # the reason says already what failed
+        put(last, "stage", guard.call(workstation.stage.position), "um")
+    add_event(last, end.reason or "done")
+    motion = loop.motion or UNKNOWN
+    run = ServoRun(
+        log=as_frame([*loop.rows, last]),
+        reached=loop.reached,
+        reason=end.reason,
+        still=end.still,
+        jacobian=motion.jacobian,
+        jacobian_covariance=motion.covariance,
+        drift=motion.drift,
+        misfit=motion.misfit,
+        latency=median_latency(loop.rows),
+        error=end.error,
+    )
+    if guard.interrupted.is_set():
+        raise RunInterrupt(run)
+    return run
 
 
 def _pair(name: str, value: ArrayLike) -> Array:
@@ -349,10 +283,3 @@ def _test_move(size: float | None, travel: Array, step: float | None) -> float:
     if (length := scalar("test_move", size, above=0)) > room:
         raise ValueError(f"test_move must lie within travel and step, {room:g} µm, got {length:g}")
     return length
-
-
-def _regular(jacobian: ArrayLike) -> Array:
-    matrix = as_array("jacobian", jacobian, shape=(2, 2))
-    if np.linalg.cond(matrix) > LARGEST_CONDITION:
-        raise ValueError("jacobian must be regular, got a singular one")
-    return matrix

@@ -31,8 +31,8 @@ class SimulatedWorkstation:
     jacobian : array_like, shape (2, 2)
         The true px/µm of the stage's axes, turned and mirrored as the camera is mounted.
     stage : Stage
-        The model of the stage. A move to a position runs each axis at its saturation; velocities
-        are followed with the lag. No axis leaves the travel.
+        The model of the stage. Each axis runs at its saturation and none leaves the travel; the
+        lag is that of `simulate` alone.
     camera : Camera
         ``snap`` returns one latency after the exposure; each frame is shaken by the jitter. The
         interval is the shortest time between two exposures.
@@ -49,8 +49,7 @@ class SimulatedWorkstation:
     ----------
     camera : object with ``snap()``
         Returns the frame and the time of its exposure.
-    stage, focus : objects with ``position()``, ``move_to(position)``, ``move_at(velocity)``, \
-``moving()``, ``stop()``
+    stage, focus : objects with ``position()``, ``move_to(position)``, ``moving()``, ``stop()``
         The two axes of the stage and the one of the focus drive, µm.
     clock : object with ``now()``, ``sleep(seconds)``
         The virtual time; sleeping moves the drives on.
@@ -64,6 +63,8 @@ class SimulatedWorkstation:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.servoing import Camera, SimulatedWorkstation, Stage
     >>> workstation = SimulatedWorkstation(
     ...     lambda feature, focus: np.zeros((9, 9)), jacobian=np.eye(2), home=(4, 4),
     ...     stage=Stage(saturation=100.0), camera=Camera(interval=0.03, latency=0.01), rng=0)
@@ -107,47 +108,32 @@ class SimulatedWorkstation:
 
 
 class _Drive:
-    """Axes that go to a position or at a velocity while the clock moves them on."""
+    """Axes that go to a position while the clock moves them on."""
 
     def __init__(self, model: Stage, axes: int) -> None:
         self._model = model
         self._position: Array = np.zeros(axes)
-        self._velocity: Array = np.zeros(axes)
-        self._command: Array = np.zeros(axes)
-        self._target: Array | None = None
+        self._target: Array = np.zeros(axes)
 
     def position(self) -> Array:
-        return self._model._rounded(self._position)
+        return self._model.quantized(self._position)
 
     def moving(self) -> bool:
-        return self._target is not None or bool(self._velocity.any() or self._command.any())
+        return bool((self._position != self._target).any())
 
     def move_to(self, position: Array) -> None:
         target = as_array("position", position, shape=self._position.shape)
-        self._velocity = self._command = np.zeros_like(target)
         self._target = np.clip(target, -self._model.travel, self._model.travel)
 
-    def move_at(self, velocity: Array) -> None:
-        self._command = as_array("velocity", velocity, shape=self._position.shape)
-        self._target = None
-
     def stop(self) -> None:
-        self._target = None
-        self._velocity = self._command = np.zeros_like(self._position)
+        self._target = self._position
 
     def advance(self, duration: float) -> None:
         """Move on by `duration` s."""
-        model = self._model
-        if self._target is not None:
-            reach = model.saturation * duration
-            self._position = self._position + np.clip(self._target - self._position, -reach, reach)
-            if (self._position == self._target).all():
-                self._target = None
-            return
-        moved, self._velocity = model._moved(
-            self._position, self._velocity, self._command, duration
-        )
-        self._position = np.clip(moved, -model.travel, model.travel)
+        reach = self._model.saturation * duration
+        way = self._target - self._position
+        near = np.abs(way) <= reach
+        self._position = np.where(near, self._target, self._position + np.sign(way) * reach)
 
 
 class _VirtualClock:

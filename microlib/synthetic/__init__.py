@@ -8,7 +8,6 @@ from microlib.synthetic._gripper import (
     texture_sequence,
     warped_pair,
 )
-from microlib.synthetic._injection import InjectionScene
 from microlib.synthetic._patterns import ImagingConditions, render_circles, render_squares
 from microlib.synthetic._stacks import focal_stack
 from microlib.synthetic._surfaces import (
@@ -25,7 +24,6 @@ from microlib.synthetic._textures import mixed_texture, patchy_texture
 __all__ = [
     "Embryo",
     "ImagingConditions",
-    "InjectionScene",
     "camera_frame",
     "cell_image",
     "cone",

@@ -96,14 +96,9 @@ def injection() -> Figure:
             "depth_um": [np.nan, 0.5, 4.0, 8.0, 2.5, np.nan],
         }
     )
-    truth = pd.DataFrame({"force": [0, 0.1, 5.5, 9.5, 3.3, 0], "depth": [0, 0, 4.5, 8.5, 2.2, 0]})
-    return automation.draw_injection(log, truth, [picture(4, 5, k) for k in range(3)])
-
-
-def frames_saved() -> Figure:
-    rows = [("step", "farthest", 50.0), ("step", "coarse", 30.0)]
-    rows += [("cone", "farthest", 52.0), ("cone", "coarse", 31.0)]
-    return automation.draw_frames_saved(pd.DataFrame(rows, columns=["scene", "way", "saved"]))
+    log["true_force"], log["true_depth"] = [0, 0.1, 5.5, 9.5, 3.3, 0], [0, 0, 4.5, 8.5, 2.2, 0]
+    pictures = [picture(4, 5, k) for k in range(3)]
+    return automation.draw_injection({"log": log, "contact": 1.0, "pictures": pictures})
 
 
 def valley() -> Figure:
@@ -266,7 +261,6 @@ def printed_and_recomputed() -> Figure:
 CURVE = thesis.outline_curve
 CASES: dict[str, Callable[[], Figure]] = {
     "automation.draw_injection": injection,
-    "automation.draw_frames_saved": frames_saved,
     "calibration.draw_detection": on_axes(
         lambda axes: calibration.draw_detection(axes, picture(60, 100), DETECTION, label_every=4)
     ),

@@ -1,66 +1,22 @@
-"""Microscopes without hardware on Micro-Manager's engine: its own demo, and a rendered one.
+"""Micro-Manager's engine with the simulated workstation for devices, in real time.
 
-The rendered one has the simulated workstation for devices, in real time: the engine then snaps,
-moves and locks as it does with hardware, and the truth is still known.
+The engine snaps, moves and locks as it does with hardware, and the truth is still known.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib.servoing import MicroManager, SimulatedWorkstation
-
-__all__ = ["demo_microscope", "rendered_core"]
-
-
-def demo_microscope() -> MicroManager:
-    """
-    Return Micro-Manager's demo microscope, in the mode whose picture depends on the stage.
-
-    Returns
-    -------
-    MicroManager
-        512 × 512 px of fluorescent beads, 1 µm/px, the same in every run.
-
-    Raises
-    ------
-    ImportError
-        If ``pymmcore-plus`` and ``mm-test-adapters`` are not installed.
-    """
-    from pymmcore_plus import find_micromanager
-
-    microscope = MicroManager(Path(find_micromanager() or "") / "MMConfig_demo.cfg")
-    microscope.core.setProperty("Camera", "Mode", "Fluorescent Beads")
-    return microscope
+from microlib.servoing import SimulatedWorkstation
 
 
 def rendered_core(workstation: SimulatedWorkstation, shape: tuple[int, int]) -> Any:
-    """
-    Return a core whose camera, XY stage and focus drive are those of a simulated workstation.
-
-    Parameters
-    ----------
-    workstation : SimulatedWorkstation
-        Its virtual time is moved on as real time passes.
-    shape : tuple of int
-        Rows and columns of a frame, which are of eight bits.
-
-    Returns
-    -------
-    pymmcore_plus.experimental.unicore.UniMMCore
-        With the devices ``Camera``, ``XY`` and ``Z``.
-
-    Raises
-    ------
-    ImportError
-        If ``pymmcore-plus`` is not installed.
-    """
+    """Return a core whose camera, XY stage and focus drive are those of a simulated workstation."""
     from pymmcore_plus.experimental.unicore import (
         SimpleCameraDevice,
         StageDevice,
