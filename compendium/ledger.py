@@ -701,8 +701,8 @@ def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
     -------
     pandas.DataFrame
         One row a claim in the thesis' order: claim, part (the table or section it belongs to),
-        quantity, printed, recomputed, low, high, unit, verdict, star, compared, rule, reason,
-        corrected, says, note, test.
+        where, quantity, printed, recomputed, low, high, unit, verdict, star, compared, rule,
+        reason, corrected, says, note, test.
 
     Examples
     --------
@@ -719,6 +719,7 @@ def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
             {
                 "claim": stated.id,
                 "part": stated.id.split("/")[0].replace("-", " ").capitalize(),
+                "where": stated.where,
                 "quantity": stated.what,
                 "printed": stated.printed,
                 "recomputed": "" if found is None else str(replace(found, unit="")),

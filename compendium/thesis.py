@@ -1,7 +1,7 @@
 """What the thesis prints of its apparatus and settings, as the numbers that code needs.
 
-Every printed number comes from ``data/thesis/claims.toml``. What the thesis does not print, but the
-data sheet of a camera or a figure's axis does, is said to.
+Every printed number comes from ``data/thesis/claims.toml``. What the thesis does not print is said
+to be from a data sheet, or assumed.
 """
 
 from __future__ import annotations
@@ -72,7 +72,8 @@ K_THRESHOLD = claim("section-5.5/k-threshold").value
 
 #: Pixel of the Sony camera in the object plane, µm.
 EMBRYO_PIXEL = SONY_CELL / claim("section-5.6/magnification").value
-#: Where the curve of Table 5.5 holds, px: the axis of figure 5.18.
+#: Where the curve of Table 5.5 is drawn and searched, px: about the outermost centers of its
+#: Gaussians, 48 and 243 px. The thesis prints no ends, and no verdict depends on them.
 OUTLINE_DOMAIN = (50.0, 265.0)
 #: Of the smoothing by local regression.
 LOESS_SPAN = claim("section-5.6/span").value

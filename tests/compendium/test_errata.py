@@ -166,9 +166,10 @@ def threshold_of_k(k_zero: float) -> bool:
 
 
 def lowest_at(x: float) -> bool:
-    """The curve is nowhere lower than there."""
+    """The curve is nowhere lower between the centers of its outermost Gaussians."""
     curve = thesis.outline_curve()
-    return bool(curve(np.linspace(*curve.domain, 4000)).min() >= curve(x) - 0.01)
+    places = np.linspace(curve.centers.min(), curve.centers.max(), 4000)
+    return bool(curve(places).min() >= curve(x) - 0.01)
 
 
 def slope_of(operation: Callable[..., np.ndarray]) -> bool:
@@ -195,10 +196,35 @@ def seen_from_one_side(gamma: float) -> bool:
     return len({np.sign(np.cos(np.deg2rad(g))) for g in [*gammas, gamma]}) == 1
 
 
-def steps(distances: tuple[float, float]) -> bool:
-    """50 px of the printed effective pixels, to the tenth of a micrometer."""
-    pixels = [printed(f"section-5.4/pixel-{zoom}") for zoom in ("1X", "4X")]
-    return bool(np.allclose(distances, 50 * np.array(pixels), atol=0.06, rtol=0))
+def step_at_4x(micrometers: float) -> bool:
+    """50 px by the magnification of the circles, which gives the printed step at 1X."""
+    sizes = [50 * 9.9 / printed(f"table-5.1/circle-{zoom}/M") for zoom in ("1X", "4X")]
+    return (
+        round(sizes[0]) == printed("section-5.4/distance-1X") and abs(sizes[1] - micrometers) < 0.06
+    )
+
+
+def one_magnification(tolerance: float) -> bool:
+    """No two patterns of one zoom differ by more than this; the printed ones do."""
+    gaps = [abs(column(f"circle-{z}")["M"] / column(f"square-{z}")["M"] - 1) for z in ("1X", "4X")]
+    errors = [
+        printed(f"table-5.2/{p}-{z}/mean") for p in ("circle", "square") for z in ("1X", "4X")
+    ]
+    # What a magnification that is off by the gap does over 3 mm, beside the printed errors, µm.
+    return min(gaps) > tolerance and 3000 * min(gaps) > 10 * max(errors)
+
+
+def bends_one_way(gaussian: float) -> bool:
+    """A surface with H < 0 and this K has two principal curvatures of one sign."""
+    mean = -1.0
+    root = np.sqrt(mean**2 - gaussian)
+    return bool(np.sign(mean + root) == np.sign(mean - root))
+
+
+def blur_grows(radius: Callable[[np.ndarray], np.ndarray]) -> bool:
+    """Twice as far from the focused plane the blur is twice as large, as (3.4) has it."""
+    steps = np.array([1.0, 2.0, 4.0])
+    return bool(np.allclose(radius(steps) / radius(steps[:1]), steps))
 
 
 ROW_PRINTED = ("u*X", "v*Y", "v", "-u*X", "v*Y")
@@ -254,7 +280,7 @@ PROOFS: dict[str, tuple[Callable, tuple[str, object], tuple[str, object]]] = {
     "section-5.6-global-minimum": (
         lowest_at,
         ("global minimum, at x = 194.71", 194.71),
-        ("f_m(50)", 50.0),
+        ("f_m(48.01)", 48.01),
     ),
     "equation-3.20": (slope_of, ("a convolution", convolve2d), ("a correlation", correlate2d)),
     "section-5.2-distortion": (
@@ -267,10 +293,17 @@ PROOFS: dict[str, tuple[Callable, tuple[str, object], tuple[str, object]]] = {
         ("γ = 0.9088°", 0.9088),
         ("γ = 180° − 0.9088°", 180 - 0.9088),
     ),
-    "section-5.4-distances": (
-        steps,
-        ("311 µm and 77 µm", (311, 77)),
-        ("311.5 µm and 77.5 µm", (311.5, 77.5)),
+    "section-5.4-distances": (step_at_4x, ("77 µm", 77.0), ("77.5 µm", 77.5)),
+    "table-5.1-two-patterns": (
+        one_magnification,
+        ("1.5893 and 1.6236", abs(1.5893 / 1.6236 - 1)),
+        ("within 0.1 %", 0.001),
+    ),
+    "section-5.5-also-convex": (bends_one_way, ("saddle ridge", -1.0), ("convex elliptic", 0.5)),
+    "section-5.5-one-blur": (
+        blur_grows,
+        ("one Gaussian", lambda steps: np.ones_like(steps)),
+        ("grows in proportion", lambda steps: 0.7 * steps),
     ),
 }
 

@@ -21,11 +21,6 @@ def test_a_wet_grain_sticks_below_six_millimeters(recorded) -> None:
     assert recorded["section-2.1/part-size"] == pytest.approx(diameter, abs=5e-5)
 
 
-def test_the_two_precisions_of_a_robot_are_those_of_the_text(recorded) -> None:
-    """Chapter 1 says 100 µm; §2.1 a few hundred."""
-    assert recorded["section-2.1/robot-precision"] == 100
-
-
 def test_the_zoom_goes_from_three_quarters_to_eleven_and_a_quarter(recorded) -> None:
     assert recorded["section-5.1/zoom-ratio"] == pytest.approx(11.25 / 0.75, rel=1e-12)
 
