@@ -33,7 +33,7 @@ def main() -> int:
             html = folder / "_build" / "html"
             try:
                 render(folder)
-            except (RuntimeError, ClickException):
+            except (RuntimeError, ClickException, SystemExit):
                 # Pages that quote what a failed notebook did not record say so as errors.
                 if not failures() or not (html / "index.html").exists():
                     raise

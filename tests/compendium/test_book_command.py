@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from compendium import book
+from compendium import book, run
 
 
 @pytest.fixture
@@ -14,7 +14,7 @@ def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(book, "ROOT", tmp_path)
     monkeypatch.setattr(book, "BUILD", tmp_path / "build")
     monkeypatch.setattr(book, "RENDERED", tmp_path / "build" / "rendered")
-    monkeypatch.delenv("MAKE_PID", raising=False)
+    monkeypatch.setattr(run, "BUILD", tmp_path / "build")
     for folder in ("book/notebooks", "book/generated", "build/notebooks"):
         (tmp_path / folder).mkdir(parents=True)
     (tmp_path / "book" / "notebooks" / "removed.ipynb").touch()
@@ -41,6 +41,7 @@ def test_a_new_book_takes_the_place_of_the_old(tree: Path, monkeypatch: pytest.M
     # The one that is shown and, until the next run, the one before.
     assert len(list((tree / "build" / "rendered").iterdir())) == 2
     assert sorted(path.name for path in (tree / "build").iterdir()) == [
+        ".lock",
         "html",
         "notebooks",
         "rendered",
@@ -76,3 +77,20 @@ def test_a_book_that_fails_leaves_the_old_one(
     assert book.main() == 0
     assert (tree / "build" / "html" / "index.html").read_text() == "other"
     assert len(list((tree / "build" / "rendered").iterdir())) == 2
+
+
+def test_with_a_failed_notebook_the_other_pages_are_rendered_and_it_is_named(
+    tree: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status = tree / "build" / "status"
+    status.mkdir()
+    (status / "04.json").write_text('{"notebook": "04", "failed": "FAILED in cell a: E: 1"}')
+
+    def warn(folder: Path) -> None:  # of what the failed notebook did not record
+        render(folder)
+        raise SystemExit(1)
+
+    monkeypatch.setattr(book, "render", warn)
+    assert book.main() == 1
+    assert (tree / "build" / "html" / "index.html").read_text() == "new"
+    assert capsys.readouterr().err.endswith("notebooks failed:\n  04: FAILED in cell a: E: 1\n")
