@@ -85,7 +85,7 @@ oldest: ## run the library's tests with the oldest dependencies that pyproject.t
 
 newest: ## run the library's tests with the newest dependencies, of this PYTHON, unlocked
 	@$(PYTHON) -m venv --clear .venv-newest
-	@.venv-newest/bin/pip install --quiet --upgrade .[codecs] $$(sed -n '/^hypothesis/,$$s/==.*//p' tests/oldest.txt)
+	@.venv-newest/bin/pip install --quiet --upgrade .[codecs,opencv] $$(sed -n '/^hypothesis/,$$s/==.*//p' tests/oldest.txt)
 	@.venv-newest/bin/python -m pytest --numprocesses 2 --quiet $(LIBRARY)
 
 portable: $(STAMP) ## run what is sensitive as other processors would round (half an hour)

@@ -34,7 +34,8 @@ def test_the_library_alone_is_installed_and_all_of_it() -> None:
 def test_each_lower_bound_is_the_version_that_was_tested() -> None:
     lines = (ROOT / "tests" / "oldest.txt").read_text(encoding="utf-8").splitlines()
     tested = dict(line.split("==") for line in lines if line and not line.startswith("#"))
-    for text in PROJECT["project"]["dependencies"]:
+    optional = PROJECT["project"]["optional-dependencies"]
+    for text in [*PROJECT["project"]["dependencies"], *optional["opencv"]]:
         need = Requirement(text)
         (bound,) = need.specifier
         assert bound.operator == ">=", text

@@ -250,8 +250,8 @@ def _page(entry: tifffile.TiffPage | tifffile.TiffFrame, number: int) -> NDArray
         if image is None:
             codec = tifffile.COMPRESSION(page.compression).name
             raise ValueError(
-                f"its compression {codec} needs another package, imagecodecs (the extra "
-                "microlib[codecs]); or save the file without compression or as Deflate (zip)"
+                f"its compression {codec} needs another package (pip install imagecodecs); or save "
+                "the file without compression or as Deflate (zip)"
             ) from None
         return image
 

@@ -16,7 +16,7 @@ from microlib._common import Array, as_array
 class MicroManager:
     """The devices of a Micro-Manager core, under the calls that `servo` makes.
 
-    Needs ``pymmcore-plus``, which ``pip install microlib[microscope]`` brings.
+    Needs ``pymmcore-plus``: ``pip install pymmcore-plus``.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def _load(path: Path) -> Any:
         from pymmcore_plus import CMMCorePlus
     except ImportError as error:
         raise ImportError(
-            "MicroManager needs pymmcore-plus: pip install microlib[microscope]"
+            "MicroManager needs pymmcore-plus: pip install pymmcore-plus"
         ) from error
     core = CMMCorePlus()
     try:

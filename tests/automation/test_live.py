@@ -167,7 +167,7 @@ def test_ctrl_c_is_raised_after_the_stop(cone):
 
 
 def test_the_engines_acquisition_gives_the_same_and_ends_early(cone):
-    reason = "pymmcore-plus is not installed (pip install microlib[microscope])"
+    reason = "pymmcore-plus is not installed"
     pytest.importorskip("pymmcore_plus", reason=reason)
     from useq import MDAEvent
 

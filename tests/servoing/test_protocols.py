@@ -9,7 +9,7 @@ from compendium.experiments.microscope import SHAPE, make_scope
 from microlib.servoing import Camera, MicroManager, SimulatedWorkstation, Stage
 from tests.servoing.faults import engine_scope
 
-MISSING = "pymmcore-plus is not installed (pip install microlib[microscope])"
+MISSING = "pymmcore-plus is not installed"
 
 
 def workstation(kind="simulated", **options):
@@ -135,5 +135,5 @@ def test_without_the_engine_the_message_says_what_to_install(monkeypatch, tmp_pa
         return real(name, *arguments, **options)
 
     monkeypatch.setattr(builtins, "__import__", absent)
-    with pytest.raises(ImportError, match=r"pip install microlib\[microscope\]"):
+    with pytest.raises(ImportError, match=r"pip install pymmcore-plus"):
         MicroManager(tmp_path / "mine.cfg")

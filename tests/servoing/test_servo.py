@@ -13,7 +13,7 @@ from tests.servoing.faults import engine_scope
 
 JACOBIAN = turned(0.7, 0.25, mirrored=True)
 AWAY = np.array([30.0, -25.0])
-MISSING = "pymmcore-plus is not installed (pip install microlib[microscope])"
+MISSING = "pymmcore-plus is not installed"
 
 
 def scope_of(kind="simulated", seed=0, **options):
