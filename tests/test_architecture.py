@@ -8,6 +8,7 @@ import inspect
 import re
 import subprocess
 import sys
+import tomllib
 from importlib.metadata import distribution, packages_distributions
 from pathlib import Path
 
@@ -136,6 +137,17 @@ def test_public_names_are_documented(name: str, value: object) -> None:
     assert any(f"{heading}\n---" in doc for heading in wanted), (
         f"{name} lacks {' or '.join(wanted)}"
     )
+
+
+def test_every_public_result_is_held_against_something() -> None:
+    """By a truth, a second implementation or a law, as tests/held.toml says."""
+    table = tomllib.loads((ROOT / "tests" / "held.toml").read_text(encoding="utf-8"))
+    held = {f"{room}.{name}": by for room, names in table.items() for name, by in names.items()}
+    assert held.keys() == {name for name, _ in public_objects()}
+    for name, by in held.items():
+        assert all(part.split(":")[0] in ("truth", "second", "law") for part in by.split("; ")), (
+            name
+        )
 
 
 def needed(name: str) -> set[str]:

@@ -84,9 +84,7 @@ def _load(path: Path) -> Any:
     try:
         from pymmcore_plus import CMMCorePlus
     except ImportError as error:
-        raise ImportError(
-            "MicroManager needs pymmcore-plus: pip install pymmcore-plus"
-        ) from error
+        raise ImportError("MicroManager needs pymmcore-plus: pip install pymmcore-plus") from error
     core = CMMCorePlus()
     try:
         core.loadSystemConfiguration(str(path))
