@@ -667,9 +667,8 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "gain": 1.05,
     },
     "tracking.ESMTracker": lambda: {
-        "image": target(), "box": (16, 16, 32, 32), "motion": "translation", "levels": 1,
-        "smoothing": 1.25, "least_correlation": 0.7, "mask": np.ones((32, 32), bool),
-        "kalman": filter_(),
+        "image": target(), "box": (16, 16, 32, 32), "motion": "translation",
+        "mask": np.ones((32, 32), bool), "kalman": filter_(),
     },
     "tracking.ESMTracker.track": lambda: {"self": tracker(), "frame": target()},
     "tracking.KalmanFilter": lambda: {
@@ -678,6 +677,10 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "tracking.KalmanFilter.predict": lambda: {"self": filter_()},
     "tracking.KalmanFilter.update": lambda: {"self": filter_(), "position": [11.0, 21.0]},
     "tracking.Track": lambda: dict(TRACK),
+    "tracking.track_all": lambda: {
+        "frames": [target(), target()], "box": (16, 16, 32, 32), "motion": "translation",
+        "rate": 25.0, "mask": np.ones((32, 32), bool), "kalman": filter_(), "progress": None,
+    },
 }  # fmt: skip
 
 #: Where a result may be NaN or infinite from finite values, as its documentation says.

@@ -8,8 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Image
-from microlib.tracking._loops import block_sums, judge_blocks
+from microlib._common import Array, Image
 
 # The benchmark of tracking in bad light, table "Constants", says what the following are worth.
 
@@ -63,29 +62,47 @@ class Agreement:
     drift: float
 
 
-def agreement(grey: Image, template: Image, share: Image, noise: float) -> Agreement:
-    """Compare template and image block by block.
+@lru_cache(maxsize=64)
+def _members(length: int) -> Array:
+    """Return the matrix, blocks×length, that sums each block of a side."""
+    at, ends = np.arange(length), edges(length)
+    return ((at >= ends[:-2, None]) & (at < ends[2:, None])).astype(np.float64)
 
-    Parameters
-    ----------
-    grey, template : ndarray, shape (H, W)
-        Image under the warp, and template.
-    share : ndarray, shape (H, W)
-        How far each pixel counts, 0 to 1.
-    noise : float
-        Standard deviation of the noise of either.
-    """
-    down, across = edges(grey.shape[0]), edges(grey.shape[1])
-    sums = np.empty((len(down) - 2, len(across) - 2, 6))
-    block_sums(grey, template, share, across, down, sums)
+
+def agreement(grey: Image, template: Image, share: Image, noise: float) -> Agreement:
+    """Compare template and image block by block; of several images, …×H×W, each by itself."""
+    template = np.broadcast_to(template, grey.shape)
+    wt, wg = share * template, share * grey
+    each = np.stack([share, wt, wg, wt * template, wg * grey, wt * grey]).astype(np.float64)
+    sums = _members(grey.shape[-2]) @ each @ _members(grey.shape[-1]).T
+    sums = sums.reshape(*sums.shape[:-2], -1)
+    expected = 2.0 * noise**2
+    count = np.maximum(sums[0], 1e-9)
+    seen = sums[0] / np.maximum(sums[0].max(axis=-1, keepdims=True), 1e-9)
+    t, g, tt, gg, tg = sums[1:] / count
+    tt, gg, tg = np.maximum(tt - t * t, 1e-9), np.maximum(gg - g * g, 1e-9), tg - t * g
+    square = np.where(tg > 0, np.minimum(tg * tg / (tt * gg), 0.9999), 0.0)
+    residual, information = gg * (1 - square), -0.5 * np.log1p(-square)
+    gain = np.log(np.clip(tg / tt, 1e-2, 1e2))
+    weight = np.where(information > _CHANCE, information * seen, 0.0)
+    order = np.argsort(gain, axis=-1)
+    total = np.cumsum(np.take_along_axis(weight, order, -1), axis=-1)
+    half = (total < total[..., -1:] / 2).sum(axis=-1, keepdims=True)
+    middle = np.take_along_axis(np.take_along_axis(gain, order, -1), half, -1)
+    says = np.maximum(information - _CHANCE - (gain - middle) ** 2, 0)
+    say = np.clip(gg / expected - 1, 0, _LARGEST_SAY) * seen
+    texture = say.sum(axis=-1)
+    least = np.maximum(texture, 1e-9)
+    fine = residual <= _AGREEING * expected + _RELATIVE * gg
+    # About the one gain and bias of all blocks together.
+    n, st, sg, stt, _, stg = sums.sum(axis=-1, keepdims=True)
+    n = np.maximum(n, 1e-9)
+    slope = (stg - st * sg / n) / np.maximum(stt - st * st / n, 1e-9)
+    off = np.where(sums[0] > 0, g - sg / n - slope * (t - st / n), 0.0)
     return Agreement(
-        *judge_blocks(
-            sums.reshape(-1, 6),
-            2.0 * noise**2,
-            _CHANCE,
-            _ODD**2,
-            _AGREEING,
-            _RELATIVE,
-            _LARGEST_SAY,
-        )
+        score=(says * seen / (1 + residual / expected / _ODD**2)).sum(axis=-1),
+        share=(says > 0).mean(axis=-1),
+        agreeing=(say * fine).sum(axis=-1) / least,
+        texture=texture,
+        drift=np.sqrt((say * off**2).sum(axis=-1) / least),
     )

@@ -1,36 +1,34 @@
-"""The search for a template that is partly hidden, in another light, or not there at all.
+"""The robust attempts: at a template that is partly hidden, in another light, or far away.
 
-Blocks of the template vote for shifts; the best shifts are refined in local illumination, first at
-half the resolution, then with the template as blurred as the frame; a last alignment takes light,
-blur and tone as smooth. What the blocks agree in, beyond chance, ranks the poses.
+Every start is aligned in local illumination, all as one stack at half the resolution; the best ones
+go on, with the template as blurred as the frame, and end in smooth light. What the blocks agree in,
+beyond chance, ranks the poses.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import partial
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from microlib._common import Array, Image
-from microlib.tracking._covariance import (
-    corner_jacobian,
-    lag_between,
-    sandwich,
-    squared_frequency,
-)
-from microlib.tracking._esm import apply_homography, area, cut_around, half_pixel, pyramid, shifted
+from microlib._common import Array
+from microlib.tracking._covariance import corner_covariance
+from microlib.tracking._geometry import apply_homography, area, cut_around, shifted
 from microlib.tracking._light import LitFit, LitLevel, make_lit
 from microlib.tracking._local import LocalLevel, make_local
+from microlib.tracking._sampling import View, half_pixel
+from microlib.tracking._starts import Flow, PointFlow, best_matches, distortions
 
 # The benchmark of tracking in bad light, table "Constants", says what the following are worth.
 
 #: Side (px) that the template has at most at the finest level of the search.
 _LARGEST = 64
 
-#: Least side (px) of a template that may deform, and of the coarser level of the search.
+#: Least side (px) of a template that may deform, and of the coarser levels of the search.
 _DEFORMABLE = 12
 
 #: Standard deviations (px of the finest level) of the blurs that are tried.
@@ -42,17 +40,21 @@ _LITTLE = 0.8
 #: How much more, as a factor and in nats, a blurred template must say to be taken.
 _BLURRED = (1.1, 1.0)
 
-#: Reach (sides of the template) of the blocks' votes, smoothing of their sum and distance of its
-#: peaks (px), and how many of them are tried.
-_REACH, _PEAK, _APART, _PEAKS = 0.5, 1.0, 3, 6
+#: Reach (sides of the template) of the flow of its points.
+_REACH = 1.0
 
-#: Most steps of the coarser level; of more starts than so many, the best ones after some steps at
-#: half its resolution.
-_COARSE_STEPS, _MANY, _FIRST_STEPS = 15, 10, 10
+#: Most steps at half the resolution, and how many places are looked at where the template
+#: correlates best.
+_STEPS, _PLACES = 15, 6
 
-#: Starts that are finished, the share of the best one's nats they need, and how far apart (px)
-#: their corners must be to be two.
-_FINISHED, _RIVALING, _DIFFERENT = 3, 0.4, 1.5
+#: Corner step (px of the level) that ends a coarse level.
+_TOLERANCE = 0.15
+
+#: Most steps of the distant starts at a quarter of the resolution, and how many of them go on.
+_FAR_STEPS, _FAR = 10, 3
+
+#: Starts that are compared in every blur.
+_HOPEFUL = 3
 
 #: Nats below which no start is finished: no template that was there had less.
 _HOPELESS = 1.0
@@ -73,373 +75,248 @@ _MARGIN = 8.0
 #: little, and a blur between those tried. Measured on development images.
 _UNMODELED = 1.3
 
-#: Residual, in the noise, that no other blur could explain better.
-_EXPLAINED = 1.2
 
-#: Reach (px) of the blocks when they fit the deformation, before and after an alignment.
-_FIT, _REFIT = 5, 3
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A pose, what the blocks say of it, and the template's blur; with a fit at the end."""
+
+    pose: Array
+    score: float
+    blur: int = 0
+    fit: LitFit | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Finding:
-    """The best pose that the search found.
+    """The best pose that a search found.
 
     Attributes
     ----------
-    pose : ndarray, shape (3, 3)
-        Normalized template coordinates to px of the image.
-    score : float
-        Nats in which the blocks agree, less those of the motion.
-    rival : float
-        The same of the best pose elsewhere.
-    share : float
-        Share of the blocks that agree in anything.
-    fit : LitFit or None
-        Light, weights and residuals; none if only local illumination explains the frame.
-    blur : int
-        Index of the template's blur.
-    motion, deformation : float
-        Of the corners since the start: of their mean, and root mean square about it, px.
+    fit : LitFit
+        Pose, light, weights and residuals.
+    score, rival : float
+        Nats in which the blocks agree, less those of the motion; and those of the best pose
+        elsewhere.
+    support : float
+        Share of the template's points that stay when they are followed from the pose.
     area : float
         Logarithm of the area's ratio, without sign.
     """
 
-    pose: Array
+    fit: LitFit
     score: float
     rival: float
-    share: float
-    fit: LitFit | None
-    blur: int
-    motion: float
-    deformation: float
+    support: float
     area: float
 
 
-@dataclass(frozen=True)
-class _Pose:
-    pose: Array
-    score: float
-    share: float
-    blur: int
-    fit: LitFit | None = None
-
-
-@dataclass(frozen=True)
-class _View:
-    """A frame as the search sees it."""
-
-    coarse: Image
-    fine: Image
-    noise: float
-    ceiling: float
-
-
 class RobustSearch:
-    """The levels of a template for the robust search, and the search."""
+    """A template at the resolutions of the robust attempts."""
 
     def __init__(
         self,
-        image: Image,
+        view: View,
         box: tuple[int, int, int, int],
         pose: Array,
         motion: str,
-        mask: Image,
+        mask: NDArray[np.bool_],
     ) -> None:
         width, height = box[2:]
-        self.finest = max(0, int(np.ceil(np.log2(max(width, height) / _LARGEST))))
-        layers = pyramid(image, self.finest + 3)
-        self.coarsest = self.finest + 1
-        if min(width, height) < _DEFORMABLE * 2**self.coarsest:
-            self.coarsest = self.finest
+        self._finest = max(0, int(np.ceil(np.log2(max(width, height) / _LARGEST))))
+        self._scale = 2.0**self._finest
         self._motion = _MOTION * max(width, height)
-        self._reach = int(_REACH * max(width, height)) >> self.finest
-
-        def cut(image: Image, halvings: int, smoothing: float, density: int = 1) -> LocalLevel:
-            return make_local(
-                image,
-                box,
-                pose,
-                halvings=halvings,
-                finest=self.finest,
-                smoothing=smoothing,
-                motion=motion,
-                mask=mask,
-                density=density,
-            )
-
-        self._coarse = cut(layers[self.coarsest], self.coarsest, 1.0)
-        self._first = self._coarse
-        if min(width, height) >= _DEFORMABLE << (self.coarsest + 1):
-            self._first = cut(layers[self.coarsest + 1], self.coarsest + 1, 1.0)
+        cut = partial(make_local, box=box, pose=pose, motion=motion, mask=mask, finest=self._finest)
+        fine = view.layer(self._finest)
+        #: From the finest level on, halved while the template may deform.
+        halvings = [self._finest]
+        while len(halvings) < 3 and min(width, height) >= _DEFORMABLE << (halvings[-1] + 1):
+            halvings.append(halvings[-1] + 1)
+        self._half, self._quarter = halvings[min(1, len(halvings) - 1)], halvings[-1]
+        coarse = {k: cut(view.layer(k), halvings=k, smoothing=1.0) for k in halvings}
+        self._coarse = coarse[self._half]
+        self._coarsest = coarse[self._quarter]
         self._wide: list[LocalLevel] = []
         self._sharp: list[LocalLevel] = []
         self._lit: list[LitLevel] = []
         for blur in _BLURS:
-            image = layers[self.finest]
-            if blur:
-                image = cv2.GaussianBlur(image, (0, 0), blur)
-            self._wide.append(cut(image, self.finest, 1.0))
-            self._sharp.append(cut(image, self.finest, 0.6))
+            image = cv2.GaussianBlur(fine, (0, 0), blur) if blur else fine
+            self._wide.append(cut(image, halvings=self._finest, smoothing=1.0))
+            self._sharp.append(cut(image, halvings=self._finest, smoothing=0.6))
             lit, blurrier = (
-                cut(half_pixel(one), self.finest, 0.6, 2)
+                cut(half_pixel(one), halvings=self._finest, smoothing=0.6, density=2)
                 for one in (image, cv2.GaussianBlur(image, (0, 0), _LITTLE))
             )
             self._lit.append(make_lit(lit, blurrier))
-        sharpest = self._lit[0].local
-        self._lattice = sharpest.lattice()
-        self._fineness = squared_frequency(
-            sharpest.slope.reshape(2, *sharpest.grey.shape).astype(np.float64)
-        )
-        self._corners = self._coarse.level.corners
-        self._scale = 2.0**self.finest
+        self._corners = self._coarse.corners
+        reach = int(_REACH * max(width, height)) >> self._finest
+        self._points = PointFlow(self._wide[0], fine, pose, reach)
+        self._distortions = distortions(self._corners, motion)
 
-    def polish(
-        self, fine: Image, pose: Array, noise: float, ceiling: float, blur: int = 0
-    ) -> LitFit | None:
-        """Align in smooth light on an image of the finest level."""
-        level = self._lit[blur]
-        near, first = cut_around(fine, self._at(pose) / self._scale, _MARGIN)
-        if min(near.shape) < _MARGIN:
-            return None
-        offset = first * self._scale
-        half = half_pixel(near)
-        near_pose = shifted(pose, -offset)
-        trust = np.ascontiguousarray(level.local.trust(half, near_pose, noise, ceiling))
-        fit = level.align(
-            half, near_pose, trust, noise=noise, ceiling=ceiling, iterations=6, tolerance=0.02
-        )
-        return None if fit is None else replace(fit, pose=shifted(fit.pose, offset))
+    def follow(self, view: View, pose: Array) -> Flow:
+        """Return where the points of the template flow to from a pose."""
+        return self._points.follow(view.layer(self._finest), pose)
 
-    @property
-    def kept_noise(self) -> float:
-        """Standard deviation that unit white noise has in the residuals of a fit."""
-        return self._lit[0].local.noise
+    def places(self, view: View, pose: Array) -> list[Array]:
+        """Return the pose shifted to where the template correlates best in the view."""
+        return best_matches(self._coarsest, view.layer(self._quarter), pose, _PLACES)
 
-    def corner_covariance(self, fit: LitFit) -> Array:
-        """Return the covariance of the corners (8: x, y of each), px² of the frame."""
-        level = self._lit[0].local
-        weight, residual = fit.weight.ravel(), fit.residual.ravel()
-        n = len(level.basis)
-        kept = (level.noise**2, level.noise**2)
-        covariance = sandwich(
-            fit.design, residual, weight, fit.slope.ravel(), kept, fit.weight.shape, n
-        )
-        jacobian = corner_jacobian(fit.pose, level.level.basis, self._corners)
-        places = apply_homography(fit.pose, self._lattice) / self._scale
-        lag = np.tile(lag_between(places) * self._fineness, 4) * self._scale
-        return _UNMODELED * jacobian.T @ covariance @ jacobian + np.outer(lag, lag)
+    def far_starts(self, view: View, pose: Array) -> list[Array]:
+        """Return the best of a pose that is distorted, or shifted to the best matches.
+
+        They are aligned for some steps at a quarter of the resolution, and the template's points
+        followed from the best one.
+        """
+        starts = [pose @ warp for warp in self._distortions] + self.places(view, pose)
+        begun = self._aligned(view, self._coarsest, self._quarter, starts, _FAR_STEPS)
+        best = [one.pose for one in self._different(sorted(begun, key=_score, reverse=True))[:_FAR]]
+        return best + [pose for start in best[:1] for pose in self.follow(view, start).poses[:1]]
 
     def search(
-        self,
-        layers: list[Image],
-        pose: Array,
-        others: Sequence[Array],
-        noise: float,
-        ceiling: float,
-        *,
-        near: bool = True,
-        vote: bool = True,
-        hopeless: float = _HOPELESS,
+        self, view: View, pose: Array, starts: Sequence[Array], *, near: bool = True
     ) -> Finding | None:
-        """Return the best pose, or None if no start leads to any.
+        """Return the best pose that the starts lead to, or None if none is any good.
 
         Parameters
         ----------
-        layers : list of ndarray
-            The frame and its halves.
+        view : View
+            The frame.
         pose : ndarray, shape (3, 3)
             Where the template should be.
-        others : sequence of ndarray
-            Further starts.
-        noise, ceiling : float
-            Of the frame.
+        starts : sequence of ndarray, shape (3, 3)
+            Poses to begin with.
         near : bool
             Whether far from `pose` is unlikely.
-        vote : bool
-            Whether the blocks' votes give starts, too.
-        hopeless : float
-            Nats below which no start is finished.
         """
-        view = _View(layers[self.coarsest], layers[self.finest], noise, ceiling)
-        starts = [pose, *others, *(self._peaks(view, pose) if vote else [])]
-        found = self._refined(view, starts)
-        spent = self._spent(pose) if near else lambda _: 0.0
-        hopeful = [self._blurred(view, one) for one in found[:_FINISHED]]
-        best = max((one.score for one in hopeful), default=0.0)
-        if best < hopeless:
+        start = self._at(pose)
+
+        def score(one: Candidate) -> float:
+            off = self._at(one.pose).mean(axis=0) - start.mean(axis=0)
+            return one.score - (float(off @ off) / (2 * self._motion**2) if near else 0.0)
+
+        begun = self._aligned(view, self._coarse, self._half, starts, _STEPS)
+        begun += self._judged(view, self._wide[0], starts)
+        found = self._different(sorted(begun, key=score, reverse=True))
+        hopeful = [self._blurred(view, one) for one in found[:_HOPEFUL]]
+        if max(map(score, hopeful), default=0.0) < _HOPELESS:
             return None
-        finished = [self._finished(view, one) for one in hopeful if one.score > _RIVALING * best]
-        finished.sort(key=lambda one: spent(one.pose) - one.score)
-        first = self._reblurred(view, finished[0])
-        corners = self._at(first.pose)
-        rivals = [
-            one.score - spent(one.pose)
-            for one in [*finished[1:], *found]
+        best = self._finished(view, max(hopeful, key=score))
+        if best.fit is None:
+            return None
+        corners = self._at(best.pose)
+        elsewhere = [
+            score(one)
+            for one in [*hopeful, *found]
             if np.abs(self._at(one.pose) - corners).max() > _OTHER * self._scale
         ]
-        start = self._at(pose)
-        moved = corners - start
-        shift = moved.mean(axis=0)
         return Finding(
-            pose=first.pose,
-            score=first.score - spent(first.pose),
-            rival=max(rivals, default=0.0),
-            share=first.share,
-            fit=first.fit,
-            blur=first.blur,
-            motion=float(np.hypot(*shift)),
-            deformation=float(np.sqrt(((moved - shift) ** 2).sum(axis=1).mean())),
-            area=abs(float(np.log(max(area(corners) / area(start), 1e-9)))),
+            fit=best.fit,
+            score=score(best),
+            rival=max(elsewhere, default=0.0),
+            support=self.follow(view, best.pose).support(best.pose),
+            area=abs(float(np.log(max(float(area(corners) / area(start)), 1e-9)))),
         )
+
+    def polish(self, view: View, pose: Array, blur: int = 0) -> LitFit | None:
+        """Align in smooth light at half pixels of the finest level."""
+        level, image = self._lit[blur], view.layer(self._finest)
+        near, first = cut_around(image, self._at(pose) / self._scale, _MARGIN)
+        if min(near.shape) < _MARGIN:
+            return None
+        offset = first * self._scale
+        fit = level.align_lit(
+            half_pixel(near),
+            shifted(pose, -offset),
+            noise=view.noise,
+            ceiling=view.ceiling,
+            iterations=6,
+            tolerance=0.02,
+        )
+        return None if fit is None else replace(fit, pose=shifted(fit.pose, offset))
+
+    def covariance(self, fit: LitFit) -> Array:
+        """Return the covariance of the corners (8: x, y of each), px² of the frame."""
+        level = self._lit[0]
+        return corner_covariance(level, fit, fit.slope, level.noise**2, _UNMODELED)
 
     def _at(self, pose: Array) -> Array:
         return apply_homography(pose, self._corners)
 
-    def _spent(self, pose: Array) -> Callable[[Array], float]:
-        """Return the nats that a motion costs."""
-        start = self._at(pose).mean(axis=0)
+    def _aligned(
+        self,
+        view: View,
+        level: LocalLevel,
+        halvings: int,
+        starts: Sequence[Array],
+        steps: int,
+    ) -> list[Candidate]:
+        """Return starts aligned in local illumination, judged at the finest level."""
+        poses = level.align_locally(
+            view.layer(halvings),
+            starts,
+            noise=view.noise,
+            ceiling=view.ceiling,
+            iterations=steps,
+            tolerance=_TOLERANCE,
+        )
+        return self._judged(view, self._wide[0], poses)
 
-        def cost(other: Array) -> float:
-            off = self._at(other).mean(axis=0) - start
-            return float(off @ off) / (2 * self._motion**2)
-
-        return cost
-
-    def _peaks(self, view: _View, pose: Array) -> list[Array]:
-        """Return the pose shifted to where most blocks agree."""
-        level = self._wide[0]
-        each = level.votes(view.fine, pose, self._reach, view.noise)
-        near = np.ones((3, 3), np.uint8)  # between the pixels, and where the template is deformed
-        votes = np.sum([cv2.dilate(v, near) for v in each.reshape(-1, *each.shape[2:])], axis=0)
-        votes = cv2.GaussianBlur(votes, (0, 0), _PEAK, borderType=cv2.BORDER_CONSTANT)
-        size = 2 * _APART + 1
-        peaks = (votes == cv2.dilate(votes, np.ones((size, size), np.uint8))) & (votes > 0)
-        rows, columns = np.nonzero(peaks)
-        best = np.argsort(-votes[rows, columns])[:_PEAKS]
+    def _judged(
+        self, view: View, level: LocalLevel, poses: Sequence[Array], blur: int = 0
+    ) -> list[Candidate]:
+        if not len(poses):
+            return []
+        image = view.layer(self._finest)
+        said = level.agreement(image, np.array(poses), view.noise, view.ceiling)
+        scores = np.atleast_1d(said.score)
         return [
-            _shifted_before(pose, level, columns[k] - self._reach, rows[k] - self._reach)
-            for k in best
+            Candidate(pose, float(score), blur) for pose, score in zip(poses, scores, strict=True)
         ]
 
-    def _refined(self, view: _View, starts: list[Array]) -> list[_Pose]:
-        """Return the starts aligned at the coarser level, those that differ, the best first."""
-        if len(starts) > _MANY:  # a few steps tell the better ones
-            begun = self._coarsely(view, starts, _FIRST_STEPS, self._first)
-            starts = [one.pose for one in sorted(begun, key=lambda one: -one.score)[:_MANY]]
-        aligned = self._coarsely(view, starts, _COARSE_STEPS, self._coarse)
-        found: list[_Pose] = []
-        limit = _DIFFERENT * self._scale
-        for one in sorted(aligned, key=lambda one: -one.score):
-            corners = self._at(one.pose)
-            if all(np.abs(self._at(other.pose) - corners).max() > limit for other in found):
+    def _different(self, ranked: list[Candidate]) -> list[Candidate]:
+        """Return those that are not the same as a better one."""
+        found: list[Candidate] = []
+        for one in ranked:
+            off = [
+                float(np.abs(self._at(other.pose) - self._at(one.pose)).max()) for other in found
+            ]
+            if min(off, default=np.inf) > _OTHER * self._scale:
                 found.append(one)
         return found
 
-    def _coarsely(
-        self, view: _View, starts: Sequence[Array], steps: int, level: LocalLevel
-    ) -> list[_Pose]:
-        """Return the starts aligned at a coarser level, but for those that diverge."""
-        aligned = []
-        image = view.coarse if level is self._coarse else cv2.pyrDown(view.coarse)
-        for start in starts:
-            pose = level.align(
-                image,
-                start,
-                noise=view.noise,
-                ceiling=view.ceiling,
-                iterations=steps,
-                tolerance=0.15,
-            )
-            if pose is not None:
-                aligned.append(self._judged(view, pose, self._wide[0], 0))
-        return aligned
-
-    def _judged(self, view: _View, pose: Array, level: LocalLevel, blur: int) -> _Pose:
-        said = level.agreement(view.fine, pose, view.noise, view.ceiling)
-        return _Pose(pose, said.score, said.share, blur)
-
-    def _blurred(self, view: _View, one: _Pose) -> _Pose:
+    def _blurred(self, view: View, one: Candidate) -> Candidate:
         """Return the pose with the blur of which the blocks say most."""
         tried = [
-            self._judged(view, one.pose, level, blur)
+            self._judged(view, level, [one.pose], blur)[0]
             for blur, level in enumerate(self._wide)
             if blur
         ]
-        best = max(tried, key=lambda other: other.score, default=one)
+        best = max(tried, key=_score)
         return best if best.score > _BLURRED[0] * one.score + _BLURRED[1] else one
 
-    def _finished(self, view: _View, one: _Pose) -> _Pose:
-        """Return a start aligned to the end: locally, by its blocks, and in smooth light."""
-        blur = one.blur
-        wide, sharp = self._wide[blur], self._sharp[blur]
-        moved = wide.fit_blocks(view.fine, one.pose, _FIT, view.noise)
-        one = max(one, self._judged(view, moved, wide, blur), key=lambda other: other.score)
-        tried = [self._judged(view, one.pose, sharp, blur)]
-        pose: Array | None = one.pose
-        for again in (True, False):
-            for level, tolerance in ((wide, 0.1), (sharp, 0.03)):
-                if pose is not None:
-                    pose = level.align(
-                        view.fine,
-                        pose,
-                        noise=view.noise,
-                        ceiling=view.ceiling,
-                        iterations=10,
-                        tolerance=tolerance,
-                    )
-            if pose is not None:
-                tried.append(self._judged(view, pose, sharp, blur))
-            if again:
-                pose = wide.fit_blocks(view.fine, tried[-1].pose, _REFIT, view.noise)
-        best = max(tried, key=lambda other: other.score)
-        polished = [self._polished(view, best.pose, blur)]
-        if blur and best is not tried[0]:
-            polished.append(self._polished(view, tried[0].pose, blur))
+    def _finished(self, view: View, one: Candidate) -> Candidate:
+        """Return a start aligned to the end: locally, and in smooth light."""
+        blur, image, poses = one.blur, view.layer(self._finest), [one.pose]
+        tried = self._judged(view, self._sharp[blur], poses, blur)
+        for level, tolerance in ((self._wide[blur], 0.1), (self._sharp[blur], 0.03)):
+            poses = level.align_locally(
+                image,
+                poses,
+                noise=view.noise,
+                ceiling=view.ceiling,
+                iterations=10,
+                tolerance=tolerance,
+            )
+        tried += self._judged(view, self._sharp[blur], poses, blur)
+        best = max(tried, key=_score)
+        starts = [best, tried[0]] if blur and best is not tried[0] else [best]
+        polished = [self._polished(view, start.pose, blur) for start in starts]
         kept = [p for p in polished if p is not None and p.score > _KEPT * best.score]
-        return max(kept, key=lambda other: other.score, default=best)
+        return max(kept, key=_score, default=best)
 
-    def _polished(self, view: _View, pose: Array, blur: int) -> _Pose | None:
-        fit = self.polish(view.fine, pose, view.noise, view.ceiling, blur)
-        if fit is None:
-            return None
-        return _Pose(fit.pose, fit.agreement.score, fit.agreement.share, blur, fit)
-
-    def _reblurred(self, view: _View, one: _Pose) -> _Pose:
-        """Return the pose aligned with the neighboring blurs of which the blocks say more."""
-        for _ in range(len(_BLURS)):
-            if one.fit is not None and one.fit.noise < _EXPLAINED:
-                break
-            better = one
-            for blur in (one.blur + 1, one.blur - 1):
-                if not 0 <= blur < len(_BLURS):
-                    continue
-                other = self._polished(view, one.pose, blur)
-                if other is not None and other.score > better.score:
-                    better = other
-            if better is one:
-                break
-            one = better
-        return one
+    def _polished(self, view: View, pose: Array, blur: int) -> Candidate | None:
+        fit = self.polish(view, pose, blur)
+        return None if fit is None else Candidate(fit.pose, float(fit.agreement.score), blur, fit)
 
 
-def _shifted_before(pose: Array, level: LocalLevel, x: float, y: float) -> Array:
-    """Return the pose of a template that lies (x, y) px of the level further on."""
-    shift = np.eye(3)
-    shift[:2, 2] = level.level.to_template[0, 0] * np.array([x, y])
-    return pose @ shift
-
-
-@cache
-def compile_loops() -> None:
-    """Run everything that is compiled once, so that the first frame that needs it need not wait.
-
-    It takes half a minute where the library runs for the first time, else a tenth of a second to
-    load what was compiled then.
-    """
-    noise = np.random.default_rng(0).uniform(0, 255, (48, 48))
-    image: Image = cv2.GaussianBlur(noise.astype(np.float32), (0, 0), 1.0)
-    pose = np.array([[8.0, 0, 23.5], [0, 8.0, 23.5], [0, 0, 1]])
-    search = RobustSearch(
-        image, (16, 16, 16, 16), pose, "homography", np.ones((16, 16), np.float32)
-    )
-    search.search(pyramid(image, search.coarsest + 1), pose, [], 1.0, np.inf, hopeless=0.0)
+def _score(one: Candidate) -> float:
+    return one.score

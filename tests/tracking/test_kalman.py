@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import solve_discrete_are
 
 from microlib.tracking import KalmanFilter
 
@@ -66,6 +67,24 @@ def test_the_covariance_is_the_spread_of_the_errors():
     spread = np.std(errors)
     # 400 numbers know a standard deviation to 3.5 %; four times that.
     assert spread == pytest.approx(np.sqrt(kalman.covariance[0, 0]), rel=0.14)
+
+
+def test_settles_where_the_riccati_equation_says():
+    kalman = KalmanFilter((0, 0), interval=INTERVAL, acceleration=ACCELERATION, noise=NOISE)
+    for _ in range(200):
+        kalman.predict()
+        predicted = kalman.covariance
+        kalman.update((0, 0))
+    step = np.array([[1.0, INTERVAL], [0, 1]])
+    drive = np.array([INTERVAL**2 / 2, INTERVAL])
+    steady = solve_discrete_are(
+        step.T,
+        np.array([[1.0], [0.0]]),
+        ACCELERATION**2 * np.outer(drive, drive),
+        np.array([[NOISE**2]]),
+    )
+    # The filter forgets its start by a factor in each frame; after 200 rounding is left.
+    np.testing.assert_allclose(predicted, steady, rtol=1e-9)
 
 
 @pytest.mark.parametrize(

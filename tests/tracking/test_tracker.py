@@ -1,7 +1,5 @@
 """The tracker on known warps, beside OpenCV, at borders, and when there is nothing to track."""
 
-from itertools import islice
-
 import cv2
 import numpy as np
 import pytest
@@ -15,127 +13,50 @@ from microlib.synthetic import (
     texture_sequence,
     warped_pair,
 )
-from microlib.tracking import ESMTracker, KalmanFilter
-from microlib.tracking._esm import apply_homography
-from microlib.tracking._tracker import _distortions as distortions
+from microlib.tracking import ESMTracker, KalmanFilter, track_all
 
 INTERVAL = 1 / 33
 IMAGE = mixed_texture((80, 90), np.random.default_rng(0), scales=1.0)
-#: A chessboard of squares of 2 px.
-CHECKS = 100.0 * (np.indices((80, 90)) // 2).sum(axis=0) % 200
+#: A chessboard of squares of 1 px.
+CHECKS = 100.0 * np.indices((80, 90)).sum(axis=0) % 200
 
 
-def corner_errors(motion, distance, warp, trials, **options):
-    """Track `trials` pairs; return the RMS corner error of each and the iterations spent."""
-    errors, iterations = [], []
+def corner_errors(motion, distance, warp, trials):
+    """Track `trials` pairs; return the RMS corner error of each, infinite where it is lost."""
+    errors = []
     for seed in range(trials):
         pair = warped_pair(np.random.default_rng(seed), distance, warp=warp)
-        track = ESMTracker(pair.first, pair.box, motion, **options).track(pair.second)
+        track = ESMTracker(pair.first, pair.box, motion).track(pair.second)
         distances = np.linalg.norm(track.corners - pair.corners, axis=1)
         errors.append(np.inf if track.lost else np.sqrt(np.mean(distances**2)))
-        iterations.append(track.iterations)
-    return np.array(errors), np.array(iterations)
+    return np.array(errors)
 
 
-# 200 trials a cell are in benchmarks/tracking.py; 25 still fail, with a probability of 90 % or
-# more, for a tracker whose success rate has dropped to 75 %.
+# More trials are in benchmarks/tracking.py; 25 fail, with a probability of 90 % or more, for a
+# tracker whose success rate has dropped to 75 %.
 @pytest.mark.parametrize(
     ("motion", "warp", "distance", "least"),
     [
-        ("translation", "shift", 7.6, 0.96),
-        ("translation", "shift", 20.0, 0.88),
+        ("translation", "shift", 3.0, 1.0),
+        ("translation", "shift", 7.6, 1.0),
+        ("translation", "shift", 20.0, 1.0),
+        ("translation", "shift", 32.0, 1.0),
         ("affine", "affine", 7.6, 0.96),
-        ("homography", "homography", 7.6, 0.96),
-        ("homography", "shift", 15.0, 0.88),
-        # Without distorted starts 0.88 and 0.64 of these.
         ("affine", "affine", 15.0, 0.96),
+        ("homography", "homography", 7.6, 0.96),
         ("homography", "homography", 15.0, 0.80),
+        ("homography", "shift", 15.0, 0.96),
     ],
 )
 def test_reaches_as_far_as_promised(motion, warp, distance, least):
-    errors, _ = corner_errors(motion, distance, warp, 25)
+    errors = corner_errors(motion, distance, warp, 25)
     assert np.mean(errors < 1.0) >= least
     assert (errors[errors >= 1.0] == np.inf).all()  # what is not found is called lost
 
 
-def test_a_close_start_is_aligned_once():
-    class Counting(ESMTracker):
-        attempts = 0
-
-        def _align(self, *arguments):
-            self.attempts += 1
-            return super()._align(*arguments)
-
-    tracker = Counting(IMAGE, (20, 15, 40, 40))
-    tracker.track(np.roll(IMAGE, (1, -1), axis=(0, 1)))
-    assert tracker.attempts == 1
-
-
-def test_a_template_that_stays_away_is_sought_by_distortions_once():
-    class Counting(ESMTracker):
-        sought = 0
-
-        def _search_distorted(self, *arguments):
-            self.sought += 1
-            return super()._search_distorted(*arguments)
-
-    tracker = Counting(IMAGE, (20, 15, 40, 40))
-    nothing = mixed_texture(IMAGE.shape, np.random.default_rng(1), scales=1.0)
-    sought = []
-    for frame in (IMAGE, nothing, nothing, IMAGE, nothing):
-        tracker.track(frame)
-        sought.append(tracker.sought)
-    assert sought == [0, 1, 1, 1, 2]
-
-
-def test_distorted_starts_lie_as_far_apart_as_they_can():
-    corners = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
-    warps = distortions(corners, "homography")
-    moves = np.array([apply_homography(warp, corners) - corners for warp in warps]).reshape(32, 8)
-    # Corner coordinates in single precision.
-    np.testing.assert_allclose(np.abs(moves), 0.17 * 2, atol=1e-6)
-    signs = np.sign(moves)
-    apart = (signs[:, None] != signs[None]).sum(axis=-1)
-    # 32 words of 8 bits differ by 2 bits at best: at most 20 words can differ by 3.
-    assert apart[~np.eye(32, dtype=bool)].min() == 2
-    # An affine map keeps a parallelogram, and none of the 32 is the identity.
-    warps = distortions(corners, "affine")
-    moved = np.array([apply_homography(warp, corners) for warp in warps])
-    np.testing.assert_allclose(moved[:, 0] + moved[:, 2], moved[:, 1] + moved[:, 3], atol=1e-6)
-    assert (np.abs(moved - corners).max(axis=(1, 2)) > 0.1).all()
-    assert distortions(corners, "translation") == []
-
-
-def test_gradients_alone_reach_as_far_through_the_pyramid():
-    class GradientOnly(ESMTracker):
-        """Without the search by correlation, the last of the starts, and distorted ones."""
-
-        def _starts(self, pose, image):
-            return islice(super()._starts(pose, image), len(self._levels))
-
-        def _search_robustly(self, image, start, best, origin):
-            return self._lost(best, self._reason(best))
-
-    hits = 0
-    for seed in range(12):
-        pair = warped_pair(np.random.default_rng(seed), 15.0)
-        track = GradientOnly(pair.first, pair.box, "homography").track(pair.second)
-        hits += not track.lost and np.abs(track.corners - pair.corners).max() < 1.0
-    # All of 200 in the benchmark; a homography at the coarsest resolution, too, finds a third.
-    assert hits >= 11
-
-
-def test_a_single_resolution_needs_few_steps():
-    errors, iterations = corner_errors("affine", 5.0, "affine", 20, levels=1, smoothing=3.0)
-    assert (errors < 1.0).all()
-    assert iterations.mean() <= 5.0
-    errors, _ = corner_errors("affine", 7.6, "affine", 20, levels=1, smoothing=3.0)
-    assert np.mean(errors < 1.0) >= 0.95
-
-
 @pytest.mark.parametrize("distance", [0.5, 1.0, 3.0])
 def test_translation_is_found_to_a_hundredth_of_a_pixel(distance):
-    errors, _ = corner_errors("translation", distance, "shift", 20)
+    errors = corner_errors("translation", distance, "shift", 20)
     # The limit asked for; measured 0.004, where bilinear interpolation alone would leave 0.017.
     assert np.sqrt(np.mean(errors**2)) <= 0.015
 
@@ -351,13 +272,9 @@ def test_follows_a_fast_square_over_another_texture(speed, runs):
         (np.full((80, 90), 7.0), (10, 10, 40, 40), {}, "flat"),
         (np.tile(np.arange(90.0) ** 2, (80, 1)), (10, 10, 40, 40), {}, "two directions"),
         (IMAGE * np.nan, (10, 10, 40, 40), {}, "image must be finite"),
-        (np.zeros((8, 9, 3)), (0, 0, 6, 6), {}, "image must be a grey image"),
+        (np.zeros((8, 9, 2)), (0, 0, 6, 6), {}, "image must be a grey image"),
         (IMAGE, (10, 10, 40, 40), {"motion": "rigid"}, "motion must be one of"),
-        (IMAGE, (10, 10, 40, 40), {"levels": 5}, "levels must leave"),
-        (IMAGE, (10, 10, 40, 40), {"levels": 0}, "levels must be a whole number"),
-        (IMAGE, (10, 10, 40, 40), {"smoothing": 0.0}, "smoothing must be positive"),
-        (CHECKS, (10, 10, 40, 40), {"smoothing": 3.0}, "smoothing must leave 1 % of"),
-        (IMAGE, (10, 10, 40, 40), {"least_correlation": 1.2}, "least_correlation must lie in"),
+        (CHECKS, (10, 10, 40, 40), {}, "details of more than a px"),
     ],
 )
 def test_refuses_a_template_that_cannot_be_tracked(image, box, options, message):
@@ -370,9 +287,7 @@ def test_refuses_a_frame_of_another_kind():
     with pytest.raises(ValueError, match="frame must have shape"):
         tracker.track(IMAGE[:-1])
     with pytest.raises(ValueError, match="frame must have shape"):
-        tracker.track(np.stack([IMAGE] * 3, axis=-1))
-    with pytest.raises(ValueError, match="image must be a grey image"):
-        ESMTracker(np.stack([IMAGE] * 3, axis=-1), (20, 15, 40, 40))
+        tracker.track(np.stack([IMAGE] * 2, axis=-1))
     with pytest.raises(ValueError, match="frame must be finite"):
         tracker.track(np.full_like(IMAGE, np.nan))
 
@@ -386,3 +301,80 @@ def test_a_box_may_touch_each_border_of_the_image():
     for box in ((51, 0, 40, 40), (0, 41, 40, 40)):
         with pytest.raises(ValueError, match="must lie inside"):
             ESMTracker(image, box)
+
+
+def test_color_is_followed_by_its_luminance():
+    rng = np.random.default_rng(2)
+    color = np.stack([IMAGE, rng.permutation(IMAGE), IMAGE[::-1]], axis=-1)
+    grey = color @ [0.299, 0.587, 0.114]  # Rec. 601
+    shifted = [np.roll(image, (2, -3), axis=(0, 1)) for image in (color, grey)]
+    colored = ESMTracker(color, (20, 15, 40, 40)).track(shifted[0])
+    plain = ESMTracker(grey, (20, 15, 40, 40)).track(shifted[1])
+    np.testing.assert_allclose(colored.corners, plain.corners, atol=1e-3)
+    np.testing.assert_allclose(colored.corners[0], (17, 17), atol=2e-3)
+
+
+def test_a_disturbance_by_rounding_changes_no_result_by_more_than_the_last_step():
+    # Of one part in 10¹⁵, as another processor makes it: in the pose where the search begins.
+    rng = np.random.default_rng(4)
+    frames = [
+        np.roll(IMAGE, (2, -1), axis=(0, 1)) + rng.normal(0, 3, IMAGE.shape),
+        np.where(np.arange(90) < 32, rng.uniform(0, 255, IMAGE.shape), IMAGE),
+        np.roll(IMAGE, (9, 12), axis=(0, 1)) * np.linspace(0.8, 1.2, 90),
+        rng.uniform(0, 255, IMAGE.shape),
+    ]
+    for motion in ("translation", "homography"):
+        one, other = (ESMTracker(IMAGE, (20, 15, 40, 40), motion) for _ in range(2))
+        for frame in frames:
+            other._pose = other._pose * (1 + 1e-15 * rng.choice([-1, 1], (3, 3)))
+            first, second = one.track(frame), other.track(frame)
+            assert (first.lost, first.reason) == (second.lost, second.reason)
+            # The iteration ends within 0.05 px, from where another step moves by 0.05² px.
+            np.testing.assert_allclose(first.corners, second.corners, atol=2.5e-3)
+
+
+def film(lost=()):
+    rng = np.random.default_rng(1)
+    path = np.array([60.0, 60.0]) + np.outer(np.arange(8), [2.5, 1.25])
+    frames = texture_sequence(path, rng)
+    for k in lost:
+        frames[k] = rng.integers(0, 255, frames[k].shape).astype(np.uint8)
+    return frames, path
+
+
+def test_a_film_becomes_a_table_and_a_lost_frame_an_empty_row():
+    frames, path = film(lost=[4])
+    done = []
+    table = track_all(
+        iter(frames), (60, 60, 49, 49), "translation", rate=20.0, progress=done.append
+    )
+    assert done == list(range(1, 9))
+    assert table["lost"].tolist() == [k == 4 for k in range(8)]
+    np.testing.assert_allclose(table["time_s"], np.arange(8) / 20.0)
+    truth = path - path[0] + (84, 84)
+    found = table[["center_x", "center_y"]].to_numpy(float)
+    assert np.isnan(found[4]).all()
+    np.testing.assert_allclose(np.delete(found, 4, 0), np.delete(truth, 4, 0), atol=0.05)
+
+
+def test_a_film_is_predicted_by_the_filter_that_is_given():
+    frames, _ = film()
+    kalman = KalmanFilter((84, 84), interval=0.05, acceleration=1000.0, noise=0.1)
+    table = track_all(np.stack(frames), (60, 60, 49, 49), kalman=kalman)
+    assert not table["lost"].any()
+    off = np.abs(kalman.velocity - (50.0, 25.0))  # px a frame over s a frame
+    assert (off < 4 * np.sqrt(kalman.covariance[1, 1])).all()
+
+
+@pytest.mark.parametrize(
+    ("frames", "options", "message"),
+    [
+        ([], {}, "frames must hold at least one"),
+        ([IMAGE], {"rate": 0.0}, "rate must be positive"),
+        ([IMAGE], {"progress": 3}, "progress must be"),
+        ([IMAGE, IMAGE[:-1]], {}, "frame must have shape"),
+    ],
+)
+def test_refuses_a_film_that_cannot_be_tracked(frames, options, message):
+    with pytest.raises(ValueError, match=message):
+        track_all(frames, (20, 15, 40, 40), **options)

@@ -1,0 +1,95 @@
+"""Groups of warps, and what a warp does to points, corners and patches.
+
+A warp is a matrix on homogeneous coordinates, moved as ``G ← G exp(Σ xᵢ Bᵢ)`` with the generators
+Bᵢ of its group: translation, affine, or the homographies through sl(3).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from microlib._common import Array
+
+_E = np.eye(9).reshape(3, 3, 3, 3)
+#: Group of warps to its generators, n×3×3; those of the homographies have no trace.
+GENERATORS: dict[str, Array] = {
+    "translation": _E[[0, 1], [2, 2]],
+    "affine": _E[[0, 1, 0, 0, 1, 1], [2, 2, 0, 1, 0, 1]],
+    "homography": np.concatenate(
+        [
+            _E[[0, 1, 0, 1, 2, 2], [2, 2, 1, 0, 0, 1]],
+            [_E[0, 0] - _E[1, 1], _E[2, 2] - _E[1, 1]],
+        ]
+    ),
+}
+
+#: A template whose area changes by more than this factor within one frame is not tracked any more,
+#: nor one that is turned over. A guard: with 16 the results are the same.
+_AREA_FACTOR = 4.0
+
+#: Sum of the sizes of a matrix of motion above which it is none.
+_HUGE = 1e3
+
+
+def apply_homography(matrix: Array, points: Array) -> Array:
+    """Map N×2 points by a homography, 3×3, or by several, …×3×3."""
+    mapped = points @ np.swapaxes(matrix[..., :2], -1, -2) + matrix[..., None, :, 2]
+    return mapped[..., :2] / mapped[..., 2:]
+
+
+def moved(warp: Array, step: Array, basis: Array) -> Array:
+    """Return ``warp exp(Σ stepₖ basisₖ)``; a step that is not finite or huge gives zeros.
+
+    Several warps, …×3×3, and steps, …×n, are moved at once.
+    """
+    matrix = np.tensordot(step, basis, 1)
+    size = np.abs(matrix).sum(axis=(-2, -1))
+    good = (size < _HUGE)[..., None, None]  # not for NaN
+    matrix = np.where(good, matrix, 0.0)
+    largest = float(np.max(size, initial=0.0, where=good[..., 0, 0]))
+    halvings = max(0, int(np.ceil(np.log2(max(16 * largest, 1.0)))))
+    matrix, one = matrix / 2.0**halvings, np.eye(3)
+    total = one + matrix / 7
+    for order in range(6, 0, -1):  # 16⁻⁸/8! is 10⁻¹⁴
+        total = one + matrix @ total / order
+    for _ in range(halvings):
+        total = total @ total
+    return np.where(good, warp @ total, 0.0)
+
+
+def shifted(pose: Array, by: Array) -> Array:
+    """Return the pose followed by a translation of the image."""
+    shift = np.eye(3)
+    shift[:2, 2] = by
+    return shift @ pose
+
+
+def area(corners: Array) -> Array:
+    """Return the signed area of a quadrilateral, or of several, …×4×2."""
+    a, b = corners[..., 2, :] - corners[..., 0, :], corners[..., 3, :] - corners[..., 1, :]
+    return 0.5 * (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
+def torn(corners: Array, first: Array) -> NDArray[np.bool_]:
+    """Return whether a warp turned the template over or changed its area too much."""
+    ratio = area(corners) / area(first)
+    return ~((ratio > 1 / _AREA_FACTOR) & (ratio < _AREA_FACTOR))  # also for NaN
+
+
+def cut_around(image: NDArray, corners: Array, margin: float) -> tuple[NDArray, Array]:
+    """Return the part of an image around some corners and where its first pixel was, (x, y)."""
+    size = np.array(image.shape[1::-1])
+    first = np.clip(np.floor(corners.min(axis=0) - margin), 0, size).astype(int)
+    last = np.clip(np.ceil(corners.max(axis=0) + margin) + 1, 0, size).astype(int)
+    return image[first[1] : last[1], first[0] : last[0]], first.astype(np.float64)
+
+
+def corner_jacobian(pose: Array, basis: Array, corners: Array) -> Array:
+    """Return the derivatives of the mapped corners by the motion, shape (n, 8)."""
+    points = np.column_stack([corners, np.ones(len(corners))])
+    mapped = points @ pose.T
+    velocity = np.einsum("ij,njk,ck->nci", pose, basis, points)
+    depth = mapped[:, 2:]
+    slope = (velocity[..., :2] - mapped[:, :2] / depth * velocity[..., 2:]) / depth
+    return slope.reshape(len(basis), -1)

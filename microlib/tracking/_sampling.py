@@ -1,0 +1,214 @@
+"""Between the pixels: resolutions of a frame, the patches that warps cut out, and their noise."""
+
+from __future__ import annotations
+
+from functools import cached_property, lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from microlib._common import Array, Image
+
+#: Lagrange's interpolation half-way between six equidistant samples, exact for quintic polynomials.
+_HALF_SAMPLE = np.array([[3, -25, 150, 150, -25, 3]], np.float32) / 256
+
+#: Fourth-order central difference, and the pixels that it needs on either side.
+_DIFFERENCE, _MARGIN = np.array([[1, -8, 0, 8, -1]], np.float32) / 12, 2
+
+#: Radius of the Gaussian in standard deviations; 0.3 % of its weight lies beyond along either axis.
+#: The same results from 1 to 4.
+_TRUNCATION = 3
+
+#: OpenCV before version 5 rounds the places between pixels to 1/32 px. That costs nothing but at
+#: the last level, which is not smoothed: there it leaves 0.008 instead of 0.004 px.
+_ROUNDS = int(cv2.__version__.split(".")[0]) < 5
+
+#: Least depth of a point before a warp, of the depth of the template's middle.
+_LEAST_DEPTH = np.float32(1e-6)
+
+#: Second differences along both axes; white noise keeps its variance, and a plane, or an edge along
+#: an axis, vanishes (Immerkær 1996).
+_SECOND_DIFFERENCE = np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32) / 6
+
+#: Side (px) of the tiles, the share of them that is taken to show next to no texture, and what that
+#: quantile of their root mean squares is of white noise: simulated on 100 images of 180×180 px,
+#: 0.792 ± 0.001.
+_TILE, _FLATTEST, _QUANTILE_OF_WHITE = 8, 0.1, 0.792
+
+#: Pixels at the largest grey value from which on it counts as the sensor's limit, and how far below
+#: it (standard deviations of the noise) a pixel may have been cut off.
+_PLATEAU, _CUT = 25, 2.5
+
+
+class View:
+    """The part of a frame in which a template is sought: what is asked of it is made once.
+
+    `noise` is the standard deviation of its noise, at least the one given; pixels from `ceiling` on
+    count as saturated.
+    """
+
+    def __init__(self, image: Image, least_noise: float) -> None:
+        self.image, self._layers, self._least_noise = image, [image], least_noise
+
+    def layer(self, halvings: int) -> Image:
+        """Return the image halved so many times; its pixels are the even ones of the one before."""
+        while len(self._layers) <= halvings:
+            self._layers.append(cv2.pyrDown(self._layers[-1]))
+        return self._layers[halvings]
+
+    @cached_property
+    def noise(self) -> float:
+        return max(noise_of(self.image), self._least_noise)
+
+    @cached_property
+    def ceiling(self) -> float:
+        return ceiling_of(self.image, self.noise)
+
+
+def noise_of(image: Image) -> float:
+    """Return the standard deviation of the noise of an image, from its smoothest tiles.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from microlib.tracking._sampling import noise_of
+    >>> grey = 100 + np.random.default_rng(0).normal(0, 2, (120, 120))
+    >>> abs(noise_of(grey.astype(np.float32)) - 2) < 0.1
+    True
+    """
+    square = cv2.filter2D(image, -1, _SECOND_DIFFERENCE)[2:-2, 2:-2] ** 2
+    half = _TILE // 2
+    tiles = cv2.blur(square, (_TILE, _TILE))[half::_TILE, half::_TILE] if square.size else square
+    if not tiles.size:
+        return 0.0
+    return float(np.sqrt(max(np.quantile(tiles, _FLATTEST), 0.0))) / _QUANTILE_OF_WHITE
+
+
+def ceiling_of(image: Image, noise: float) -> float:
+    """Return the grey value from which on pixels count as saturated; infinite if none is.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from microlib.tracking._sampling import ceiling_of
+    >>> ceiling_of(np.minimum(np.arange(400.0), 255).reshape(20, 20), 2.0)
+    250.0
+    >>> ceiling_of(np.arange(400.0).reshape(20, 20), 2.0)
+    inf
+    """
+    largest = float(image.max())
+    plateau = np.count_nonzero(image == largest) >= _PLATEAU
+    return largest - _CUT * noise if plateau else np.inf
+
+
+def half_pixel(image: Image) -> Image:
+    """Return the image sampled every half pixel; the even samples are the image itself.
+
+    Bilinear interpolation between these samples has an eighth of the phase error of bilinear
+    interpolation between the pixels, which is what limits the accuracy of a tracker on fine
+    texture.
+    """
+    fine = np.empty((2 * image.shape[0], 2 * image.shape[1]), np.float32)
+    rows = np.empty((image.shape[0], fine.shape[1]), np.float32)
+    rows[:, ::2] = image
+    rows[:, 1::2] = cv2.filter2D(image, -1, _HALF_SAMPLE, anchor=(2, 0))
+    fine[::2] = rows
+    fine[1::2] = cv2.filter2D(rows, -1, _HALF_SAMPLE.T, anchor=(0, 2))
+    return fine
+
+
+def padding(smoothing: float) -> int:
+    """Return the margin of a patch: the Gaussian's radius and two pixels for the gradient."""
+    return int(np.ceil(_TRUNCATION * smoothing)) + _MARGIN
+
+
+@lru_cache(maxsize=64)
+def _grid(width: int, height: int) -> Image:
+    column, row = np.meshgrid(np.arange(width), np.arange(height))
+    return np.stack([column.ravel(), row.ravel(), np.ones(column.size)]).astype(np.float32)
+
+
+def sample(
+    image: Image, warps: Array, size: tuple[int, int], *, exact: bool = False
+) -> tuple[Image, NDArray[np.bool_]]:
+    """Cut patches out of an image, bilinearly.
+
+    Parameters
+    ----------
+    image : ndarray, shape (H, W)
+        Grey levels.
+    warps : ndarray, shape (…, 3, 3)
+        From px of a patch to those of the image.
+    size : tuple of int
+        Width and height of a patch.
+    exact : bool
+        Whether to interpolate where it is told, with any version of OpenCV.
+
+    Returns
+    -------
+    patches : ndarray, shape (…, height, width)
+        Beyond the image its nearest pixel.
+    inside : ndarray of bool, shape (…, height, width)
+        Whether the image shows a pixel.
+    """
+    place = warps.astype(np.float32) @ _grid(*size)
+    place = place[..., :2, :] / np.maximum(place[..., 2:, :], _LEAST_DEPTH)
+    last = np.array([[image.shape[1] - 1], [image.shape[0] - 1]], np.float32)
+    inside = ((place >= 0) & (place <= last)).all(axis=-2)
+    place = np.clip(place, 0, last)
+    x, y = place[..., 0, :], place[..., 1, :]
+    shape = (*warps.shape[:-2], size[1], size[0])
+    if exact and _ROUNDS:
+        column = np.minimum(x.astype(np.intp), image.shape[1] - 2)
+        row = np.minimum(y.astype(np.intp), image.shape[0] - 2)
+        x, y = x - column, y - row
+        first, width, flat = row * image.shape[1] + column, image.shape[1], image.ravel()
+        above = (1 - x) * flat[first] + x * flat[first + 1]
+        below = (1 - x) * flat[first + width] + x * flat[first + width + 1]
+        patches = ((1 - y) * above + y * below).astype(np.float32)
+    else:
+        x, y = (np.ascontiguousarray(v).reshape(-1, size[0]) for v in (x, y))
+        patches = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return patches.reshape(shape), inside.reshape(shape)
+
+
+def cut_out(
+    image: Image, warps: Array, shape: tuple[int, int], smoothing: float
+) -> tuple[Image, Image, NDArray[np.bool_]]:
+    """Return patches, …×H×W, smoothed, their gradients (x, y), …×2×HW, and what the image shows.
+
+    The warps, …×3×3, begin at the first pixel of the padding. Smoothing in the template's frame,
+    and not in the image, commutes with the warp.
+    """
+    pad = padding(smoothing)
+    size = (shape[1] + 2 * pad, shape[0] + 2 * pad)
+    patches, inside = sample(image, warps, size, exact=smoothing == 0)
+    tall = patches.reshape(-1, size[0])  # what one patch does to the next stays in the padding
+    if smoothing:
+        width = 2 * (pad - _MARGIN) + 1
+        tall = cv2.GaussianBlur(tall, (width, width), smoothing)
+    each = (tall, cv2.filter2D(tall, -1, _DIFFERENCE), cv2.filter2D(tall, -1, _DIFFERENCE.T))
+    grey, *slope = (one.reshape(patches.shape)[..., pad:-pad, pad:-pad] for one in each)
+    gradient = np.stack(slope, axis=-3)
+    return (
+        np.ascontiguousarray(grey),
+        gradient.reshape(*gradient.shape[:-2], -1),
+        inside[..., pad:-pad, pad:-pad],
+    )
+
+
+@lru_cache(maxsize=64)
+def kept_noise(halvings: int, density: int, smoothing: float) -> float:
+    """Return the standard deviation of unit white noise after halving, sampling and smoothing."""
+    noise = np.random.default_rng(0).standard_normal((64 << halvings, 64 << halvings))
+    layer: Image = noise.astype(np.float32)
+    for _ in range(halvings):
+        layer = cv2.pyrDown(layer)
+    # Half-way between the best and the worst phase of the interpolation.
+    between = np.array([0.25, 0.75] if density == 1 else [0.5, 0.5], np.float32)
+    layer = half_pixel(layer) if density == 2 else layer
+    layer = cv2.sepFilter2D(layer, -1, between, between)[::density, ::density]
+    if smoothing:
+        layer = cv2.GaussianBlur(layer, (0, 0), smoothing)
+    return float(layer[8:-8, 8:-8].std())
