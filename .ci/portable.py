@@ -49,8 +49,11 @@ found = {
 for name, arrays in found.items():
     print(hashlib.sha256(b"".join(x.tobytes() for x in arrays)).hexdigest()[:8], name)
 """
-QUICK = ["tests/test_disturbed.py", "tests/compendium/test_synthetic_data.py", "tests/calibration"]
-ALL = [*QUICK, *(f"tests/{room}" for room in ("tracking", "servoing", "focus", "synthetic"))]
+QUICK = ["tests/test_disturbed.py", "tests/compendium/test_synthetic_data.py"]
+ALL = [
+    *QUICK,
+    *(f"tests/{room}" for room in ("calibration", "tracking", "servoing", "focus", "synthetic")),
+]
 
 
 def probe(switches: dict[str, str]) -> dict[str, str]:

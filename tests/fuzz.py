@@ -6,7 +6,7 @@ non-finite from finite values unless it is documented, and no call over its time
 
     python -m tests.fuzz [name …]    # all of it, or the callables whose name contains a word
 
-Values are put in the place of one argument of a valid call, or of two.
+Values are put in the place of one argument of a valid call.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ import importlib
 import importlib.util
 import inspect
 import pkgutil
-import random
 import re
 import resource
 import shutil
@@ -900,13 +899,6 @@ def harmless(value: object) -> Iterator[tuple[str, np.ndarray]]:
     yield "other byte order", value.astype(value.dtype.newbyteorder(">"))
 
 
-#: Values that a check of one argument may let through, and how many pairs of them are tried.
-SCALES = frozenset({
-    "0", "-1", "1.5", "uint8(200)", "1e6", "1e30", "1e60", "1e-60", "zeros", "negative", "first",
-    "alternating", "×1e-100", "×1e-30", "×1e+12", "×1e+30",
-})  # fmt: skip
-PAIRS = 40
-
 #: In place of the result of a call that was refused.
 REFUSED = object()
 
@@ -1034,23 +1026,6 @@ def fault(case: Case) -> str | None:
     return None if known else "not finite"
 
 
-def pairs(name: str) -> Iterator[str]:
-    """Yield faults where two arguments at once have values that may pass one by one."""
-    by: dict[str, list[Case]] = {}
-    for case in cases(name):
-        if case.label in SCALES:
-            by.setdefault(case.argument, []).append(case)
-    draw = random.Random(name)
-    for _ in range(PAIRS if len(by) > 1 else 0):
-        first, second = (draw.choice(by[argument]) for argument in draw.sample(sorted(by), 2))
-        changed = {case.argument: case.value for case in (first, second)}
-        result, wrong = answer(name, changed)
-        if not wrong and not finite(result) and not may_be_unknown(name):
-            wrong = "not finite"
-        if wrong:
-            yield f"{first.key}, {second.argument}={second.label}: {wrong}"
-
-
 def may_be_unknown(name: str) -> bool:
     """Return whether the result may hold NaN: by its documentation, or as it was given some."""
     kind = resolve(name)
@@ -1081,7 +1056,7 @@ def main(words: list[str]) -> int:
         if (extra := EXTRAS.get(name)) and not importlib.util.find_spec(extra):
             print(f"# {name}: not tried, {extra} is not installed")
             continue
-        begin, found = time.process_time(), [*differences(name), *pairs(name)]
+        begin, found = time.process_time(), [*differences(name)]
         every = list(cases(name))
         found += [f"{case.key}: {said}" for case in every if (said := fault(case))]
         print(

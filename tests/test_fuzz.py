@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import random
-import warnings
 
-import numpy as np
 import pytest
 
 from tests import fuzz
@@ -40,49 +38,3 @@ def test_hostile_values_are_refused_by_name(name):
 @pytest.mark.parametrize("name", ["tracking.ESMTracker.track", "servoing.simulate"])
 def test_numbers_in_another_form_give_the_same(name):
     assert not list(fuzz.differences(name))
-
-
-def wrong_function(kind):
-    def called(image, direction=0.0, mirrored=False):
-        if kind == "exception":
-            raise IndexError("direction")
-        if kind == "nameless":
-            raise ValueError("x must be finite")
-        if kind == "warning":
-            warnings.warn("overflow in direction", RuntimeWarning, stacklevel=1)
-        if kind == "changed":
-            image[0, 0] = 77
-        if kind == "hang":
-            while True:
-                sum(range(1000))
-        return np.nan if kind == "unknown" else image
-
-    return called
-
-
-@pytest.mark.parametrize(
-    ("kind", "said"),
-    [
-        ("exception", "IndexError: direction"),
-        ("nameless", "names no argument"),
-        ("warning", "warning: overflow"),
-        ("changed", "changed its input"),
-        ("hang", "out of time"),
-        ("unknown", "not finite"),
-        ("mask", "dropped a mask"),
-    ],
-)
-def test_the_fuzz_sees_each_kind_of_fault(monkeypatch, kind, said):
-    monkeypatch.setattr(fuzz, "LIMIT", 0.2)
-    monkeypatch.setattr(fuzz.calibration, "detect_circles", wrong_function(kind))
-    monkeypatch.setattr(fuzz, "may_be_unknown", lambda name: False)
-    label = "masked" if kind == "mask" else "zero"
-    value = np.ma.array([1.0], mask=[True]) if kind == "mask" else 0.0
-    monkeypatch.setitem(
-        fuzz.CALLS,
-        "calibration.detect_circles",
-        lambda: {"image": np.ones((4, 4)), "direction": 0.0, "mirrored": False},
-    )
-    wrong = fuzz.fault(fuzz.Case("calibration.detect_circles", "direction", label, value))
-    assert wrong is not None
-    assert wrong.startswith(said)

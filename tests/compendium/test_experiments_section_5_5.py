@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import ndimage
 
 from compendium import ledger, thesis
 from compendium.experiments import section_5_5
-from microlib.curvature import surface_curvature
 
 
 @pytest.fixture(scope="module")
@@ -19,19 +17,6 @@ def ridge() -> section_5_5.Scene:
 @pytest.fixture(scope="module")
 def ball() -> section_5_5.Scene:
     return section_5_5.render_ball(9)
-
-
-def test_the_scenes_are_as_assumed(ridge, ball) -> None:
-    assert ridge.frames.shape == (21, *section_5_5.RIDGE_SHAPE)
-    # No pixel lies on the crest itself, between two columns: 500 (1 − (0.5/50)²).
-    assert ridge.height.max() == pytest.approx(500 * (1 - (0.5 / 50) ** 2))
-    assert (ridge.height > 0).sum(axis=1) == pytest.approx(section_5_5.RIDGE_WIDTH, abs=1)
-    assert ball.frames.shape == (19, *section_5_5.BALL_SHAPE)
-    # A camera sees the upper half; three standard deviations of roughness.
-    top = ball.height.max() - 2 * section_5_5.BALL_RADIUS
-    assert abs(top) < 4 * section_5_5.BALL_ROUGHNESS
-    assert not np.array_equal(section_5_5.render_ball(10).frames, ball.frames)
-    np.testing.assert_array_equal(section_5_5.render_ball(9).frames, ball.frames)
 
 
 def test_the_thesis_chain_finds_the_ridge(ridge) -> None:
@@ -51,13 +36,6 @@ def test_the_thesis_chain_finds_the_ridge(ridge) -> None:
     assert table.loc["blur by distance"].max() < thesis.RIDGE_STEP / 2
 
 
-def test_the_inside_of_the_ridge_is_on_it(ridge) -> None:
-    inner = section_5_5.inside_ridge()
-    assert (ridge.height[inner] > 0).all()
-    assert not inner[:10].any()
-    assert inner.sum() == 180 * 84
-
-
 def test_the_steepest_step_is_the_parabolas_slope(ridge) -> None:
     # 500 (1 − (x/50)²) falls by 20 µm a pixel at its foot, between pixels by 19.8.
     assert section_5_5.steepest_step(ridge) == pytest.approx(19.8 / 25, rel=0.02)
@@ -75,15 +53,6 @@ def test_the_true_ridge_has_crest_flanks_and_feet(ridge) -> None:
         np.testing.assert_array_equal(labels[20:-20], np.tile(middle, (160, 1)))
 
 
-def test_the_corrected_windows_are_the_librarys() -> None:
-    rng = np.random.default_rng(2)
-    height = ndimage.gaussian_filter(rng.standard_normal((40, 50)), 3) * 40
-    mean, gaussian = section_5_5.thesis_curvature(height, corrected=True)
-    library = surface_curvature(height, 1.0)
-    np.testing.assert_allclose(mean, library.mean, atol=1e-12)
-    np.testing.assert_allclose(gaussian, library.gaussian, atol=1e-12)
-
-
 def test_the_printed_windows_halve_the_curvature() -> None:
     y, x = np.mgrid[-20:21, -20:21].astype(float)
     mean, gaussian = section_5_5.thesis_curvature(-(x**2 + y**2) / 100)
@@ -92,15 +61,6 @@ def test_the_printed_windows_halve_the_curvature() -> None:
     assert gaussian[20, 20] == pytest.approx(0.0001)
     # The mixed derivative has no d2: a saddle along the diagonals keeps its K.
     assert section_5_5.thesis_curvature(x * y / 50)[1][20, 20] == pytest.approx(-0.0004)
-
-
-def test_the_top_step_is_flat_in_its_middle(ridge) -> None:
-    """What two levels of blur can tell is the nearest frame; averaging keeps that plateau."""
-    nearest = np.rint(ridge.height / thesis.RIDGE_STEP) * thesis.RIDGE_STEP
-    stairs = ndimage.uniform_filter(nearest, thesis.MEAN_WINDOW)
-    assert section_5_5.thesis_labels(ridge.height)[100, 100] == 2
-    assert section_5_5.thesis_labels(stairs)[100, 100] == 5
-    assert 2 in section_5_5.thesis_labels(stairs)[100, 92:108]
 
 
 def test_the_crest_passes_the_threshold_up_to_a_width() -> None:
@@ -206,35 +166,3 @@ def test_outlines_tell_a_cylinder_from_a_sphere() -> None:
         assert fits("ball-top-spherical", found["ball-top-spherical"]) == top
     # A disc of whole pixels has the area of its circle to 1 %, its radius to half of that.
     assert max(section_5_5.ball_shape(seen).values()) < 0.05
-
-
-def test_scenes_are_described_with_both_windows() -> None:
-    tables = section_5_5.describe_scenes(seed=20, runs=1)
-    printed, corrected = (tables[k].iloc[0] for k in ("printed", "corrected"))
-    assert set(printed.index) == set(corrected.index)
-    assert {f"section-5.5/{name}" for name in printed.index} == {
-        c.id for c in ledger.claims().values() if c.id.startswith("section-5.5/") and c.limit
-    }
-    assert printed["sides-planar"] > 0.9
-    assert printed["ball-background-planar"] > 0.9 > corrected["ball-background-planar"]
-    assert printed["crest-convex-cylindric"] < 0.5 < corrected["crest-convex-cylindric"]
-    again = section_5_5.describe_scenes(seed=19, runs=2)["printed"].iloc[1]
-    assert again.to_dict() == printed.to_dict()
-    narrow = section_5_5.narrow_ridge(20, 1, section_5_5.NARROW_WIDTH)
-    assert narrow["crest-saddle-and-elliptic"] >= 1
-
-
-def test_distances_from_the_balls_middle() -> None:
-    distance = section_5_5.from_ball_center()
-    assert distance.shape == section_5_5.BALL_SHAPE
-    radius = section_5_5.BALL_RADIUS / section_5_5.BALL_PIXEL  # px
-    assert (distance < 1).sum() == pytest.approx(np.pi * radius**2, rel=0.01)
-    np.testing.assert_allclose(distance, distance[::-1, ::-1])
-
-
-def test_a_wide_window_sees_the_ball(ball) -> None:
-    labels = section_5_5.ball_labels_by_window(ball, (7, 31))
-    top = section_5_5.from_ball_center() < 0.5
-    rough, smooth = (section_5_5.share_of(labels[size], top, (1,)) for size in (7, 31))
-    assert smooth > 0.7  # convex elliptic, as a ball is
-    assert rough < smooth - 0.2

@@ -119,27 +119,6 @@ def test_the_printed_modulus_needs_half_of_a_50_um_probe() -> None:
         assert back == pytest.approx(thesis.FORCE, rel=1e-6)
 
 
-def test_the_rendered_embryo_is_that_of_table_5_6() -> None:
-    scene = section_5_6.rendered_embryo(np.random.default_rng(0))
-    assert scene.image.shape == thesis.SONY_IMAGE_SIZE[::-1]
-    assert scene.pixel_size == thesis.EMBRYO_PIXEL
-    assert scene.embryo.modulus == section_5_6.MODULUS
-    assert scene.embryo.dimple_depth == pytest.approx(claim("table-5.6/w_d").value, abs=0.01)
-    boundary = extract_boundary(scene.image)
-    columns, curve = section_5_6.smooth_outline(scene, boundary)
-    middle = scene.center[0]
-    reach = 2 * scene.embryo.dimple_radius / scene.pixel_size
-    assert np.abs(columns - middle).max() < reach
-    heights = np.interp(columns, boundary.x, boundary.y)
-    assert curve(columns).min() == pytest.approx(0.0, abs=2.0)
-    # The smooth curve rounds the corner at the probe, and is near the outline elsewhere.
-    off = np.abs(curve(columns) - (heights - heights.min()))
-    assert np.median(off) < 0.3  # px
-    dimple = dimple_geometry(curve, pixel_size=scene.pixel_size)
-    assert dimple.bottom[0] == pytest.approx(middle, abs=3.0)
-    assert dimple.dimple_depth == pytest.approx(scene.embryo.dimple_depth, rel=0.1)
-
-
 def test_a_curve_is_compared_with_its_own_profile() -> None:
     curve = thesis.outline_curve()
     shape = section_5_6.compare_shape(curve)
@@ -187,17 +166,3 @@ def test_table_5_7_is_scaled_to_the_largest_force() -> None:
     counts = [np.isclose(found["mean"], value).sum() for value in values]
     assert sum(counts) == 400
     assert min(counts) > 100 - 4 * np.sqrt(75)
-
-
-def test_the_force_is_felt_within_its_interval() -> None:
-    time = np.array([0.5, 2.0])
-    felt = section_5_6.force_sequence(np.random.default_rng(4), time)
-    np.testing.assert_allclose(felt["true"], section_5_6.push(time))
-    assert (felt["force"] / felt["true"]).to_list() == pytest.approx([1.0, 1.0], abs=0.06)
-    assert (felt["low"] < felt["force"]).all()
-    assert (felt["force"] < felt["high"]).all()
-    assert ((felt["high"] - felt["low"]) / felt["force"] < 0.12).all()
-
-
-def test_a_shallow_dimple_is_known_to_some_per_cent() -> None:
-    assert 0.005 < section_5_6.shallow_dimple_std(np.random.default_rng(0)) < 0.05

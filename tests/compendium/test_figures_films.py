@@ -12,7 +12,6 @@ from PIL import Image
 
 mpl.use("agg")
 
-from compendium.experiments import chapter_2_tracking as tracking
 from compendium.figures import films
 
 TEXTS = {"name": "film-x", "alt": 'a "dot"', "caption": "<strong>Film.</strong> A dot."}
@@ -68,20 +67,6 @@ def drawn(monkeypatch):
     return seen
 
 
-def test_heights_are_shown_once_they_were_in_focus(drawn):
-    depth = np.array([[0.0, 10.0], [22.0, 40.0]])
-    frames = np.arange(5)[:, None, None] + np.zeros((5, 2, 2))
-    films.film_focus(frames, 10.0 * np.arange(5), depth, **TEXTS)
-    left, right, *_ = drawn["figure"].axes
-    for k, known in enumerate(([0], [0, 10], [0, 10, 22], [0, 10, 22], [0, 10, 22, 40])):
-        drawn["draw"](k)
-        assert left.images[0].get_array()[0, 0] == k
-        assert left.get_title() == f"frame at d = {10 * k} µm"
-        shown = np.ma.masked_invalid(right.images[0].get_array()).compressed()
-        assert sorted(shown) == known
-    assert len(drawn["durations"]) == 5
-
-
 def test_the_dimple_is_as_deep_as_the_dot_says(drawn):
     depths = np.linspace(0, 40, 50)
     films.film_dimple(depths, depths**3 / 500, radius=200.0, half_width=20.0, **TEXTS)
@@ -100,35 +85,3 @@ def test_the_dimple_is_as_deep_as_the_dot_says(drawn):
     assert reached[0] == 0
     assert reached[count // 2] == max(reached) == pytest.approx(40)
     np.testing.assert_allclose(reached[1:], reached[:0:-1], atol=1e-9)
-
-
-def test_the_window_lies_where_the_feature_was_measured(drawn):
-    places = np.array([[100.0, 50.0], [110.0, 55.0], [120.0, 58.0]])
-    frames = [np.full((4, 4), k) for k in range(3)]
-    films.film_step(frames, np.array([0.0, 0.1, 0.2]), places, np.array([121, 59]), 21.0, **TEXTS)
-    left, right = drawn["figure"].axes
-    drawn["draw"](1)
-    np.testing.assert_allclose(left.patches[0].get_xy()[:4].mean(axis=0), [110, 55])
-    assert np.ptp(left.patches[0].get_xy()[:, 0]) == 21
-    assert right.get_ylim() == pytest.approx((-3, 1.15 * 20))
-    assert left.images[0].get_array()[0, 0] == 1
-    np.testing.assert_allclose(right.lines[0].get_xydata(), [[0, 0], [0.1, 10]])
-    np.testing.assert_allclose(right.lines[1].get_xydata(), [[0, 0], [0.1, 5]])
-    np.testing.assert_allclose(left.lines[0].get_xydata(), [[121, 59]])
-
-
-def test_the_window_passes_through_every_warp_of_the_alignment(drawn):
-    target = tracking.render_target(1)
-    warps = tracking.align(target, (0.5, 0.5), 2)
-    films.film_alignment(target, warps, **TEXTS)
-    left, right = drawn["figure"].axes
-    for number, warp in enumerate(warps):
-        drawn["draw"](4 * number)
-        found = left.patches[0].get_xy()[:4]
-        np.testing.assert_allclose(found, tracking.corners(warp), atol=1e-6)
-        off = np.linalg.norm(found - tracking.corners(target.warp), axis=1).mean()
-        assert right.get_title() == f"step {number}: corners off by {off:.2f} px"
-    difference = np.asarray(right.images[0].get_array())
-    np.testing.assert_allclose(
-        difference, tracking.warped(target.image, warps[-1]) - target.template, atol=1e-6
-    )

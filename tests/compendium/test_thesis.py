@@ -41,13 +41,6 @@ def test_the_pixels_are_cells_over_magnifications() -> None:
     assert pytest.approx((0.025e-6, 0.05e-6)) == thesis.CONTROL_WEIGHT_MICROMETER
 
 
-def test_a_wrong_name_is_refused() -> None:
-    with pytest.raises(ValueError, match="column must be one of"):
-        thesis.pattern_pitch("hexagon-1X")
-    with pytest.raises(ValueError, match="id must name a claim"):
-        thesis.microscope("hexagon-1X")
-
-
 def test_the_outline_is_drawn_within_its_rounding() -> None:
     printed = thesis.outline_curve()
     rng = np.random.default_rng(0)
@@ -88,16 +81,3 @@ def test_thesis_stack_knows_two_levels_of_blur() -> None:
     assert np.median(focused) <= 2  # its own frame, and chance
     nearest = np.abs(height - positions[:, None, None]).argmin(axis=0)
     np.testing.assert_array_equal(np.take_along_axis(stack, nearest[None], 0)[0], sharp)
-
-
-@pytest.mark.parametrize(
-    ("height", "positions", "words"),
-    [
-        (np.eye(5), [0.0], r"height must have shape \(4, 4\), got \(5, 5\)"),
-        (np.full((4, 4), np.nan), [0.0], "height must be finite"),
-        (np.eye(4), [np.inf], "positions must be finite"),
-    ],
-)
-def test_thesis_stack_refuses_what_does_not_fit(height, positions, words) -> None:
-    with pytest.raises(ValueError, match=words):
-        thesis.thesis_stack(np.eye(4), height, positions)
