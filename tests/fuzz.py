@@ -11,6 +11,7 @@ Values are put in the place of one argument of a valid call.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import copy
 import faulthandler
@@ -69,6 +70,7 @@ INPUTS = {"force": 100.0, "dimple_radius": 200.0, "dimple_depth": 40.0, **EGG}
 STDS = {"force": 5.0, "dimple_radius": 2.0, "dimple_depth": 1.0}
 #: Files are written here and nowhere else: calls are made with it as the current folder.
 _KEPT = tempfile.TemporaryDirectory(prefix="fuzz")
+atexit.register(_KEPT.cleanup)
 FOLDER = Path(_KEPT.name)
 GREY = FOLDER / "grey.tif"
 

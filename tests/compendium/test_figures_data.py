@@ -89,17 +89,5 @@ def test_data_is_kept_where_the_variable_says(
     assert list(tmp_path.iterdir()) == []
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
     show("d")
-    assert {path.name for path in tmp_path.iterdir()} == {"d.csv", "d.webp"}
+    assert {path.name for path in tmp_path.iterdir()} == {"d.csv"}
     assert len(shown) == 2
-
-
-def test_a_figure_whose_texts_lie_on_each_other_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
-    _, axes = plt.subplots()
-    axes.text(0.2, 0.5, "a long name")
-    axes.text(0.25, 0.5, "another one")
-    with pytest.raises(ValueError, match=r"texts of d must lie side by side.*'a long name', 'anot"):
-        show("d")
-    assert list(tmp_path.iterdir()) == []
