@@ -8,10 +8,8 @@ photographs as texture. Real stacks are measured if they lie in ``../shared/real
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from unittest.mock import patch
 
 import cv2
@@ -24,8 +22,7 @@ from skimage.color import rgb2gray
 from benchmarks.focus import scenes
 from benchmarks.report import must_hold, publish
 from microlib import synthetic
-from microlib.focus import _directions, _halos, _relief, _scale, depth_from_focus
-from microlib.focus._registration import register
+from microlib.focus import _axis, depth_from_focus
 
 #: Side of a frame and border that is left out, px; frames at one a step; seeds, none of which was
 #: used while constants were chosen.
@@ -53,8 +50,11 @@ SCALE_TABLE = (
 RELIEF_TABLE = "Relief A·sin·sin, noise 2: RMS error in steps, mean of the seeds"
 SMOOTH_TABLE = "Smooth scenes: RMS error in steps, before and now"
 STATED_TABLE = "RMS error over stated uncertainty, by decile of what is stated, worst of the seeds"
-HALO_TABLE = "Photographs on a tilted plane: unknown, and wrong by more than a step, %"
-CONSTANT_TABLE = "One constant changed: RMS error over the default's"
+PHOTOGRAPH_TABLE = (
+    "Photographs on a tilted plane and on a step: unknown, and wrong by more than a step"
+)
+STEEP_TABLE = "Narrow bars and steep roofs, noise 2: RMS error in steps"
+GROUP_TABLE = "Frames averaged into one: RMS error, first spacing"
 REAL_TABLE = "Real stacks"
 
 
@@ -275,64 +275,53 @@ def stated() -> pd.DataFrame:
     return pd.DataFrame(rows, columns=columns).round(3)
 
 
-def halos() -> pd.DataFrame:
-    """Return shares of unknown and of wrong depths, with the wide window's check and without."""
+def photographs() -> pd.DataFrame:
+    """Return errors and shares of unknown and of wrong depths."""
     rows = []
     for name in PHOTOGRAPHS:
-        scene = render(photograph(name), tilted(), 100)
         row: dict[str, object] = {"photograph": name.replace("_", " ")}
-        for title, known in (("", True), ("without check: ", False)):
-            # Nothing that differs is anything to check, no peak is clear enough to fill in, and no
-            # depth is random.
-            off = {} if known else {"_GAP": 2.0**15, "_CLEAR": np.inf, "_ERRATIC": np.inf}
-            with ExitStack() as changed:
-                for constant, value in off.items():
-                    changed.enter_context(patch.object(_halos, constant, value))
-                error = error_of(scene)
-            row[f"{title}unknown"] = round(100 * float(np.isnan(error).mean()), 2)
-            row[f"{title}wrong"] = round(100 * float(np.mean(np.abs(error) > 1)), 2)
+        for kind, scene in (
+            ("plane", render(photograph(name), tilted(), 100)),
+            ("step", render_step(photograph(name), 5.7, 13.4, 100)),
+        ):
+            error = error_of(scene)
+            row[f"{kind}: RMS"] = round(rms(error), 3)
+            row[f"{kind}: unknown, %"] = round(100 * float(np.isnan(error).mean()), 2)
+            row[f"{kind}: wrong, %"] = round(100 * float(np.mean(np.abs(error) > 1)), 2)
         rows.append(row)
     return pd.DataFrame(rows)
 
 
-CONSTANTS: tuple[tuple[ModuleType, str, tuple[object, ...]], ...] = (
-    (_scale, "_WIDTH", (2.6, 5.2)),
-    (_directions, "_SMOOTH", (0.5, 1.0)),
-    (_directions, "_SPREAD", (0.7, 1.4)),
-    (_relief, "_WINDOWS", ((14.0, 14.0, 14.0, 20.0), (28.0, 28.0, 28.0, 40.0))),
-    (_relief, "_DOUBT", (1.5, 3.5)),
-    (_relief, "_BLUR", (0.9, 1.75)),
-    (_relief, "_RIDGE", (0.03, 0.3)),
-    (_halos, "_GAP", (0.85, 1.7)),
-    (_halos, "_NEARBY", (7, 15)),
-    (_halos, "_CLIFF", (0.35, 0.7)),
-    (_halos, "_ASTRAY", (3, 9)),
-    (_halos, "_FINER", (1.75, 3.5)),
-    (_halos, "_CLEAR", (1.5, 3.0)),
-    (_halos, "_ERRATIC", (0.2, 0.42)),
-    (_halos, "_ERRATIC_GAP", (0.28, 0.56)),
-)
-
-
-def constants() -> pd.DataFrame:
-    """Return what becomes of the errors with one constant at 0.7 and at 1.4 times itself, or so."""
-    cases = {
-        "4× frames": render(drawn(7), tilted(), 7, noise=3.0, factor=4),
-        "dome": render(drawn(8), dome(), 8),
-        "relief 12 px": render(drawn(9), tilted(1.5) + waves(12), 9),
-        "step": render_step(drawn(10), 5.7, 13.4, 10),
-        "coins": render(photograph("coins"), tilted(), 12),
-    }
-    default = {name: rms(error_of(scene)) for name, scene in cases.items()}
+def steep() -> pd.DataFrame:
+    """Return errors on narrow bars, and beside them, and on roofs of 14 steps."""
     rows = []
-    for module, name, values in CONSTANTS:
-        for value in values:
-            with patch.object(module, name, value):
-                ratios = {n: round(rms(error_of(s)) / default[n], 2) for n, s in cases.items()}
-            shown = f"{module.__name__.rpartition('.')[2]}.{name}"
-            rows.append(
-                {"constant": shown, "is": str(getattr(module, name)), "put to": str(value)} | ratios
-            )
+    x = np.arange(SIDE) - (SIDE - 1) / 2
+    for width in (12, 8):
+        bar = np.abs(x) < width / 2
+        scene_of = np.tile(np.where(bar, 12.3, 8.3), (SIDE, 1))
+        errors = [error_of(render(drawn(s), scene_of, s)) for s in SEEDS]
+        inside = inner(np.tile(bar, (SIDE, 1)))
+        on, beside = (np.mean([rms(e[m]) for e in errors]) for m in (inside, ~inside))
+        rows.append((f"bar of {width} px, 4 steps high", on, beside))
+    for slope in (0.6, 1.0):
+        period = round(28 / slope)
+        roof = np.tile(16 - slope * np.abs(np.arange(SIDE) % period - 14 / slope), (SIDE, 1))
+        errors = [error_of(render(drawn(s), roof.clip(1, 19), s)) for s in SEEDS]
+        rows.append((f"roof of {slope} steps/px", np.mean([rms(e) for e in errors]), np.nan))
+    columns = ["surface", "RMS error", "RMS error of the ground"]
+    return pd.DataFrame(rows, columns=columns).round(3)
+
+
+def averaged() -> pd.DataFrame:
+    """Return errors when other numbers of frames are averaged into one."""
+    rows = []
+    for width in (2.0, 2.8, 3.7, 4.5, 6.0):
+        row: dict[str, object] = {"width of a peak, averaged frames": width}
+        with patch.object(_axis, "_WIDTH", width):
+            for factor in (4, 20):
+                scene = render(drawn(100), tilted(), 100, noise=3.0, factor=factor)
+                row[f"{factor}×"] = round(rms(error_of(scene)), 4)
+        rows.append(row)
     return pd.DataFrame(rows)
 
 
@@ -383,16 +372,15 @@ def real() -> pd.DataFrame:
             parts.append(flatness(step * depth_from_focus(part, np.arange(float(len(part)))).depth))
         low = min(p[0] for p in parts), max(p[1] for p in parts), max(p[2] for p in parts)
         rows.append((f"board, every {step}. frame, worst", *(round(value, 4) for value in low)))
+    found = depth_from_focus(board, np.arange(float(len(board))), register=True)
+    rows.append(("board, registered", *flatness(found.depth)))
     pcb = frames("pcb")
     z = np.arange(float(len(pcb)))
-    found = register(iter(pcb), z, lambda some, at: depth_from_focus(some, at).depth)
-    for title, stack in (("as it is", pcb), ("registered", np.stack([*found.images(iter(pcb))]))):
-        even, odd = (depth_from_focus(stack[k::2], z[k::2]).depth for k in (0, 1))
-        apart = np.abs(odd - even)
-        known = np.isfinite(apart)
-        share = float((apart[known] > 2).mean())
-        name = f"pcb, odd against even frames, {title}"
-        rows.append((name, np.nan, share, float(1 - known.mean())))
+    even, odd = (depth_from_focus(pcb[k::2], z[k::2]).depth for k in (0, 1))
+    apart = np.abs(odd - even)
+    known = np.isfinite(apart)
+    share = float((apart[known] > 2).mean())
+    rows.append(("pcb, odd against even frames", np.nan, share, float(1 - known.mean())))
     columns = ["stack", "within 1 frame", "beyond 3 (pcb: 2) of those known", "unknown"]
     return pd.DataFrame(rows, columns=columns).round(3)
 
@@ -462,7 +450,6 @@ outermost 12 px are left out. Seeds and photographs were not in view while const
 - *Before* is the default of an earlier version, whose lengths were counted in frames.
 - *Deciles*: pixels are sorted by their stated uncertainty, and the RMS error of each tenth is
   divided by the RMS stated.
-- *Constants*: below 1 is better than the default.
 - *Real stacks* are read as grey by OpenCV, and registered only where the row says so. *Board*
   shows two SMD parts in 49 frames (dorinbotan/FocusStack, assets/9, Apache-2.0). *Pcb* has ten
   coarse frames whose scale changes by 15 % (PetteriAimonen/focus-stack, examples/depthmap, MIT).
@@ -479,8 +466,9 @@ def main() -> None:
         RELIEF_TABLE: relief(),
         SMOOTH_TABLE: smooth(),
         STATED_TABLE: stated(),
-        HALO_TABLE: halos(),
-        CONSTANT_TABLE: constants(),
+        PHOTOGRAPH_TABLE: photographs(),
+        STEEP_TABLE: steep(),
+        GROUP_TABLE: averaged(),
     }
     if REAL.is_dir():
         tables[REAL_TABLE] = real()

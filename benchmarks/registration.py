@@ -23,7 +23,7 @@ from skimage.color import rgb2gray
 
 from benchmarks.report import must_hold, publish
 from microlib.focus import FocusResult, depth_from_focus
-from microlib.focus._registration import register
+from microlib.focus._registration import register as find_registration
 from microlib.io import read_frames
 
 #: Frames of every stack, one step apart; the disc's radius grows by 1.5 px a step.
@@ -373,8 +373,7 @@ def _halves(files: list[Path], z: NDArray, registered: bool) -> float:
     """Return the share of pixels where depths of every second frame differ by more than 2, %."""
     frames: list[NDArray] = list(read_frames(files))
     if registered:
-        found = register(iter(frames), z, lambda some, at: depth_from_focus(some, at).depth)
-        frames = list(found.images(iter(frames)))
+        frames = find_registration(frames).images(frames)
     odd, even = (depth_from_focus(frames[k::2], z[k::2]).depth for k in (1, 0))
     apart = np.abs(odd - even)
     return round(100 * float((apart[np.isfinite(apart)] > 2).mean()), 1)

@@ -60,8 +60,6 @@ LIMIT = 5.0
 SLOW = {"membrane.fit_capsule": 60.0}
 #: Memory that all of it may take, bytes.
 MEMORY = 4 << 30
-#: What a call needs that is installed by `make extras` alone.
-EXTRAS = {"focus.depth_to_zarr": "zarr"}
 #: Public, but not called by anyone: a category of warnings.
 NOT_CALLED = {"membrane.SmallSlopeWarning"}
 
@@ -166,11 +164,6 @@ def stack() -> np.ndarray:
 @cache
 def depths() -> focus.FocusResult:
     return focus.depth_from_focus(stack(), np.arange(5.0))
-
-
-@cache
-def surveyed() -> focus.FocusSurvey:
-    return focus.survey_focus(stack(), np.arange(5.0))
 
 
 def dome() -> np.ndarray:
@@ -429,17 +422,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "focus.depth_from_focus": lambda: {
         "frames": stack(), "positions": np.arange(5.0), "measure": "sml", "window": 5, "step": 1,
         "threshold": 0.0, "points": 3, "workers": 1, "register": False, "region": (0, 0, 20, 20),
-        "reduce": 1, "progress": None, "tile": None, "survey": None,
-    },
-    "focus.depth_to_zarr": lambda: {
-        "frames": stack(), "path": FOLDER / "fuzz.zarr", "positions": np.arange(5.0),
-        "pixel_size": 0.5, "tile": 32, "points": 7, "workers": 1, "client": None, "progress": None,
-    },
-    "focus.FocusSurvey": lambda: {
-        f.name: getattr(surveyed(), f.name) for f in fields(focus.FocusSurvey)
-    },
-    "focus.survey_focus": lambda: {
-        "frames": stack(), "positions": np.arange(5.0), "points": 7, "workers": 1
+        "reduce": 1, "progress": None, "spacing": None,
     },
     "focus.FocusResult.select": lambda: {
         "self": replace(depths(), index=np.full_like(depths().index, 2)), "frames": stack()
@@ -1050,13 +1033,9 @@ def main(words: list[str]) -> int:
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     # What is compiled at its first use takes half a minute, once on a machine.
     tracker().track(target())
-    surveyed()
     total, wrong = 0, 0
     for name in CALLS:
         if words and not any(word in name for word in words):
-            continue
-        if (extra := EXTRAS.get(name)) and not importlib.util.find_spec(extra):
-            print(f"# {name}: not tried, {extra} is not installed")
             continue
         begin, found = time.process_time(), [*differences(name)]
         every = list(cases(name))

@@ -2,32 +2,31 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from itertools import product
+
 import cv2
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_array, pipeline, positive, scalar, whole
-from microlib.focus._planes import BLOCK, plane_rows
+from microlib._common import Array, as_array, positive, scalar, whole
 
 #: Where the Gaussian of the smoothing is cut off, in standard deviations: a neighbor there counts
 #: e⁻², and twice as far the sums would take four times as long.
 _CUT_OFF = 2.0
-#: Standard deviation over the spacing of the neighbors: about 2.5 leaves 50 to 80 in the circle.
-_SPACING = 2.5
+#: Standard deviation over the spacing of the neighbors: 37 are left in the circle.
+_SPACING = 1.75
 #: Times that the planes are fitted, the first time to the depths, then to what was left over.
 _TWICING = 2
-#: Largest radius, px: planes over half a thousand pixels already take minutes.
-_MOST_RADIUS = 250.0
-#: Jumps in the range of a map: single precision has digits for so many.
-_MOST_JUMPS = 1e6
-#: Largest window of the median, px, which takes minutes beyond.
-_MOST_WINDOW = 255
-#: Variance of position, px², that is added to the neighbors' own and makes the planes stiff where
-#: neighbors lie on one line; beside that of a full circle, about 0.7 radius², it is nothing.
-_STIFFNESS = 0.05
-#: Rows that a thread smooths at a time.
-_BAND_ROWS = 64
+#: Largest radius, px; most jumps in the range of a map, of single precision; largest window of the
+#: median, px.
+_MOST_RADIUS, _MOST_JUMPS, _MOST_WINDOW = 250.0, 1e6, 255
+#: Variance of position, over the radius squared, that is added to the neighbors' own and makes the
+#: planes stiff where neighbors lie on one line; beside that of a full circle, 0.7, it is nothing.
+_STIFFNESS = 0.001
+#: Pixels that are smoothed at a time: all their neighbors stay in the processor's cache.
+_BAND = 6144
 
 
 def correct_spikes(depth: ArrayLike, *, window: int = 9, delta: float = 2.0) -> Array:
@@ -63,7 +62,10 @@ def correct_spikes(depth: ArrayLike, *, window: int = 9, delta: float = 2.0) -> 
 
     Examples
     --------
-    >>> depth = np.zeros((9, 9)); depth[4, 4] = 50.0
+    >>> import numpy as np
+    >>> from microlib.focus import correct_spikes
+    >>> depth = np.zeros((9, 9))
+    >>> depth[4, 4] = 50.0
     >>> float(np.abs(correct_spikes(depth)).max())
     0.0
     """
@@ -93,8 +95,7 @@ def _mean(image: Array, n: int) -> Array:
 
 
 def _median(z: Array, n: int) -> Array:
-    # Imported late, as in `nearest_known`.
-    from scipy import ndimage
+    from scipy import ndimage  # here, as it takes long to import
 
     return np.asarray(ndimage.median_filter(z, n))
 
@@ -151,6 +152,8 @@ def smooth_depth(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.focus import smooth_depth
     >>> x = np.arange(32.0)
     >>> step = np.tile(np.where(x < 16, 0.0, 100.0) + 0.1 * x, (32, 1))
     >>> bool(np.allclose(smooth_depth(step, jump=20.0), step, atol=0.02))
@@ -172,50 +175,74 @@ def smooth_depth(
         raise ValueError(f"weight must have the shape {z.shape} of depth, got {weights.shape}")
     if np.isnan(z).all():
         return z.copy()
-    # A jump far beyond all differences is none: every neighbor counts in full.
-    most = _MOST_JUMPS * span if span > 0 else limit
-    middle = (np.nanmin(z) + np.nanmax(z)) / 2
-    options = {"middle": middle, "jump": min(limit, most), "radius": sigma, "workers": 1}
-    return smooth_by_planes(z, weights, **options)
+    return smooth_planes(z, weights, jump=limit, sigma=sigma)
 
 
-def smooth_by_planes(
-    depth: Array, weight: NDArray, *, middle: float, jump: float, radius: float, workers: int
-) -> Array:
-    """Do the work of `smooth_depth` in several threads, around a depth in the middle of all."""
+def smooth_planes(
+    depth: NDArray, weight: NDArray, *, jump: float, sigma: float, workers: int = 1
+) -> NDArray:
+    """Do the work of `smooth_depth`; depth and result in the type of `depth`."""
     unknown = np.isnan(depth)
-    weights = np.where(unknown, 0, weight).astype(np.float32, copy=False)
+    if unknown.all():
+        return depth.copy()
+    stride = max(1, round(sigma / _SPACING))
+    reach = stride * int(_CUT_OFF * sigma / stride)
+    span = range(-reach, reach + 1, stride)
+    offsets = [(y, x) for y, x in product(span, span) if y * y + x * x <= (_CUT_OFF * sigma) ** 2]
+    if len(offsets) == 1:  # a plane through nothing but the pixel itself
+        return depth.copy()
+    low, high = np.nanmin(depth), np.nanmax(depth)
+    # A jump far beyond all differences is none: every neighbor counts in full.
+    unit = depth.dtype.type(min(jump, _MOST_JUMPS * (high - low)) if high > low else jump)
     # In units of the jump and from the middle, where float32 has digits to spare.
-    rest = np.where(unknown, 0, (depth - middle) / jump).astype(np.float32)
+    rest = np.where(unknown, 0, (depth - (low + high) / 2) / unit).astype(np.float32)
+    mass = np.pad(np.where(unknown, 0, weight).astype(np.float32), reach)
     # What planes leave over is their shift with its sign turned; the smooth parts are the rest.
     for _ in range(_TWICING):
-        rest = -_plane_shift(rest, weights, radius, workers)
-    return depth - jump * rest
+        rest = -_plane_shift(np.pad(rest, reach), mass, np.array(offsets), sigma, workers)
+    return depth - unit * rest
 
 
 def _plane_shift(
-    depth: NDArray, weight: NDArray, sigma: float, workers: int
+    value: NDArray[np.float32],
+    mass: NDArray[np.float32],
+    offsets: NDArray[np.intp],
+    sigma: float,
+    workers: int,
 ) -> NDArray[np.float32]:
-    """Return by how much the plane through its neighborhood passes above each depth."""
-    stride = max(1, round(sigma / _SPACING))
-    reach = stride * int(_CUT_OFF * sigma / stride)
-    shift = np.zeros(depth.shape, np.float32)
-    if reach == 0:  # a plane through nothing but the pixel itself
-        return shift
-    values, weights = _padded(depth, reach), _padded(weight, reach)
+    """Return by how much the plane through its neighborhood passes above each value, in jumps."""
+    reach = int(offsets.max())
+    rows, cols = (n - 2 * reach for n in value.shape)
+    y, x = offsets.T
+    share = np.exp(-(y**2 + x**2) / (2 * sigma**2))
+    basis = (np.stack([np.ones(len(x)), x, y, x * x, y * y, x * y]) * share).astype(np.float32)
+    out = np.empty((rows, cols), np.float32)
+    height = max(1, _BAND // cols)
 
-    def smooth(top: int) -> None:
-        out = shift[top : top + _BAND_ROWS]
-        radius = _CUT_OFF * sigma
-        plane_rows(values, weights, top, reach, stride, sigma, radius, _STIFFNESS, out)
+    def fit(top: int) -> None:
+        band = out[top : top + height]
+        here = value[top + reach : top + reach + len(band), reach : reach + cols]
+        gaps, weights = np.empty((2, len(offsets), *band.shape), np.float32)
+        for (dy, dx), gap, weight in zip(offsets + reach, gaps, weights, strict=True):
+            there = np.s_[top + dy : top + dy + len(band), dx : dx + cols]
+            np.subtract(value[there], here, out=gap)
+            np.multiply(gap, gap, out=weight)
+            np.subtract(1, weight, out=weight)
+            np.maximum(weight, 0, out=weight)
+            np.multiply(weight, weight, out=weight)
+            np.multiply(weight, mass[there], out=weight)
+        gaps, weights = gaps.reshape(len(offsets), -1), weights.reshape(len(offsets), -1)
+        # Sums of the weights with 1, x, y, x², y², xy, and of the weighted gaps with 1, x, y.
+        s, sx, sy, sxx, syy, sxy = (basis @ weights).astype(np.float64)
+        t, tx, ty = basis[:3] @ np.multiply(weights, gaps, out=weights)
+        sxx, syy = sxx + _STIFFNESS * sigma**2 * s, syy + _STIFFNESS * sigma**2 * s
+        # Cramer's rule for the height of the plane above the pixel.
+        c0, c1, c2 = sxx * syy - sxy * sxy, sx * syy - sxy * sy, sx * sxy - sxx * sy
+        determinant = s * c0 - sx * c1 + sy * c2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shift = (t * c0 - tx * c1 + ty * c2) / determinant
+        band[:] = np.where(determinant > 0, shift, 0).reshape(band.shape)
 
-    pipeline(iter([smooth]), range(0, len(depth), _BAND_ROWS), workers)
-    return shift
-
-
-def _padded(image: NDArray, reach: int) -> NDArray[np.float32]:
-    """Put zeros beside an image, to the left as far as windows reach, to the right a block more."""
-    rows, cols = image.shape
-    padded = np.zeros((rows, -(-cols // BLOCK) * BLOCK + 2 * reach), np.float32)
-    padded[:, reach : reach + cols] = image
-    return padded
+    with ThreadPoolExecutor(workers) as pool:
+        list(pool.map(fit, range(0, rows, height)))
+    return out

@@ -1,447 +1,352 @@
-"""The default depth of a part of an image, step by step, as it would be in the whole image.
+"""The default depth, stage after stage.
 
-What needs the whole image is asked for (`_questions.py`), and what is looked at around a pixel
-reaches so far and no further (`_AROUND`): a tile has the depth of the whole image to the last bit.
+frames → averaged to the depth of field (`_axis`) → measures, the best frame, its neighbors and one
+fit (`_follow`) → side at edges and rules for what is not to be believed (`_reliability`) → planes
+(`_correction`) → relief and error (`_relief`) → full size, and a fit at full size where the depth
+is steep or stepped. Depths are in steps of the averaged frames.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from itertools import product
+from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, Image
-from microlib.focus._bands import median_above_zero
-from microlib.focus._correction import smooth_by_planes
-from microlib.focus._directions import directional_depths, nearest_frames
-from microlib.focus._flicker import flicker_variance
-from microlib.focus._halos import Wide, check_halos, scene_around
-from microlib.focus._measures import (
-    edge_measure,
-    multiscale_measure,
-    noise_level,
-    noise_response,
-    noise_sample,
-)
-from microlib.focus._nearest import enlarged, filled
-from microlib.focus._peaks import track_peaks
-from microlib.focus._questions import Question, Steps
+from microlib._common import Image
+from microlib.focus._axis import Axis
+from microlib.focus._correction import smooth_planes
+from microlib.focus._follow import COARSE, COARSE_WINDOW, FINE, Followed, Levels, follow
+from microlib.focus._measures import absolute_seconds, blur, doubled, halved
+from microlib.focus._peaks import PeakFollower, fit_peaks
 from microlib.focus._reliability import (
     below_noise_mask,
     blurred_edge_mask,
+    check_wide,
+    choose_side,
+    fill_nearest,
     incoherent_mask,
     isolated_mask,
-    set_to_nan,
-    small_component_mask,
+    small_piece_mask,
+    to_border,
+    without_spikes,
 )
-from microlib.focus._relief import find_relief
-from microlib.focus._scale import averaged, averaged_positions, group_sizes
-from microlib.focus._window import Window
+from microlib.focus._relief import depth_range, error_variance, find_relief
+from microlib.focus._result import FocusResult, picked
 
-__all__ = ["Axis", "Maps", "Part", "depth_steps", "seen_around"]
+__all__ = ["multiscale_depth", "multiscale_result"]
 
-# The constants of the default depth. What the result owes to each is measured in the table
-# "constant changed" of benchmarks/focus.py; lengths along the axis are in frames.
-
-#: Sides of the medians that find spikes before and after the choice of a side, px, and how far from
-#: its median a spike lies, frames.
-_SPIKE_WINDOWS, _SPIKE = (5, 3), 1.0
-#: Side of the medians that steady the fine depth, px, and its spread below which it is trusted.
-_FINE_WINDOW, _FINE_SPREAD = 5, 1.0
-#: Distances at which a pixel's own side is sought, px; the difference of fine and broad depth from
-#: which it is sought, and up to which a neighbor agrees, frames; how much better one must agree for
-#: each px that it is further away, frames.
-_SIDE_DISTANCES, _SIDE_GAP, _SIDE_AGREES, _SIDE_SLOPE = (3, 6), 1.5, 1.0, 0.05
-#: Difference in depth across which nothing is smoothed, frames, and the smoothing's radius, px.
-_JUMP, _WIDE = 1.5, 7.0
-#: Largest ratio of a pixel's inverse variance to the median, either way: one pixel shall not decide
-#: alone. From 1e3 to 1e5 nothing changes.
+#: Side of the median that steadies the fine depth, px, and its spread below which it is trusted.
+_FINE_WINDOW, _FINE_SPREAD = 3, 1.0
+#: Difference in depth across which nothing is smoothed, steps, and the smoothing's radius, px.
+_JUMP, _RADIUS = 1.5, 3.5
+#: Largest ratio of a pixel's weight to the median, either way: one pixel shall not decide alone.
 _WEIGHTS = 1e4
-#: Weight of a depth by the wide window, where the median of the others is 1: its error is some
-#: seven times theirs.
+#: Weight of a depth by the wide window, whose error is some seven times the others'.
 _WIDE_WEIGHT = 0.02
-#: Reach of the broad windows that matters, px; the least share of it that a pixel is given, and the
-#: power of that share that weighs it. In the outermost 8 px the weights pay on patchy texture and
-#: JPEG (error 0.8 times that without) and cost on planes (up to 1.9 times); table "outermost 8 px"
-#: of benchmarks/focus.py. Further in nothing depends on them.
+#: Share of fine detail in coarse that blurred light stays below: 95 % of the halos of five
+#: photographs and of lettering below 0.4, of faint texture with a depth of its own 5 % below 0.6.
+_SHARP = 0.8
+#: Least wide peak over its level on noise.
+_CLEAR = 2.0
+#: Reach of the windows at the image's border that matters, px of the full grid; the least share of
+#: it that a pixel is given, and the power of that share that weighs it: the planes are to be laid
+#: through what lies further in. Table "outermost 8 px" of benchmarks/focus.py.
 _BORDER_REACH, _BORDER_LEAST, _BORDER_POWER = 8, 0.1, 4
+#: How far a pixel's own depth may lie from the smoothed one to tell of relief, and how far that may
+#: rise, steps.
+_OWN, _MOST_RELIEF = 1.2, 1.6
+#: Rise at a step from which on the nearest depth is taken and no mean across it, steps.
+_SUDDEN = 2.0
+#: Least side of an image that is worked on, px: a smaller one is mirrored at its border.
+_LEAST_SIDE = 8
 
-# How far around a pixel something is looked at, px: what is further away changes no bit of it.
-# Each is the sum of what its steps look at, one after the other, in pixels of the full frame.
+# The constants of the fit at full size, in px of the full grid.
 
-#: For relief, in the smoothed depth and in frames: the mean of what is composed 36, two
-#: enlargements 4, the widest window of agreement 68, the widest band 14, the measures 8.
-_RELIEF_AROUND = 130
-#: For the smoothed depth, in frames by its peaks: two planes 28, what is isolated 14, small
-#: surfaces 51, blurred edges 26, things of their own 24, disagreement 11, and depths that are
-#: filled in 21; and for the peak itself, noise around it 14 and the measure 24.
-_PEAKS_AROUND = _RELIEF_AROUND + 213
-#: For the same by the wide window: as for peaks up to things of their own 143,
-#: the wide window's own blurred edges 104, its window 24, and what it averages 16; between them
-#: steps hidden in the unknown 82 or, if that is more, the scene blurred anew.
-_WIDE_AROUND, _HIDDEN_AROUND = _RELIEF_AROUND + 143 + 144, 82
-
-
-@dataclass(frozen=True)
-class Axis:
-    """The frames of a stack along the optical axis.
-
-    Attributes
-    ----------
-    positions : ndarray of float64, shape (n,)
-        Position of each frame, µm.
-    levels : ndarray of float64, shape (n,)
-        Mean grey level of each frame.
-    width : float
-        Width of the stack's peaks, frames, as `peak_width` returns it.
-    """
-
-    positions: Array
-    levels: Array
-    width: float
-
-    @property
-    def sizes(self) -> NDArray[np.intp]:
-        """How many frames are averaged into each."""
-        return group_sizes(len(self.positions), self.width)
-
-    @property
-    def means(self) -> Array:
-        """Positions of the averaged frames, µm."""
-        return averaged_positions(self.positions, self.sizes)
-
-    @property
-    def spacing(self) -> float:
-        """Distance of averaged frames, µm."""
-        return float(np.median(np.abs(np.diff(self.means))))
+#: Range of depths in 3×3 px of the coarser grid that is steep, steps, and how far around it.
+_STEEP, _STEEP_AROUND = 1.4, 5
+#: Rows of a block, and what is seen around it, px.
+_REFIT_ROWS, _SEEN = 64, 10
+#: Side of the square whose coarse depths are looked at, and how far beyond them, steps.
+_SQUARE, _BEYOND = 13, 3.0
+#: A lost depth returns where it is within this distance of that by the edge measure, steps, and its
+#: peak above this share of the strongest in a square of this side, px.
+_AGREES, _SHARE, _STRONGEST = 0.4, 0.3, 21
 
 
-@dataclass(frozen=True)
-class Part:
-    """A part of a stack.
-
-    Attributes
-    ----------
-    frames : callable
-        Gives the frames of `window` anew, each time it is called.
-    window : Window
-        What the frames show.
-    wanted : Window
-        What is to be computed.
-    """
-
-    frames: Callable[[], Iterator[Image]]
-    window: Window
-    wanted: Window
-
-    def seen(self, window: Window) -> Iterator[Image]:
-        """Yield what the frames show of a smaller window."""
-        return _cut(self.frames(), window, self.window)
-
-
-@dataclass(frozen=True)
-class Maps:
-    """The default depth of a part of an image.
-
-    Attributes
-    ----------
-    depth : ndarray of float64, shape (rows, cols)
-        Depth, µm; NaN where unknown.
-    error : ndarray of float32, shape (rows, cols)
-        Its error, averaged frames.
-    best : ndarray of uint16, shape (rows, cols)
-        Number of the frame nearest to it, or where there is none of the sharpest.
-    image : ndarray, shape (rows, cols)
-        Every pixel from that frame.
-    at_end : ndarray of bool, shape (rows, cols)
-        Whether the sharpest averaged frame is the first or the last.
-    """
-
-    depth: Array
-    error: NDArray[np.float32]
-    best: NDArray[np.uint16]
-    image: Image
-    at_end: NDArray[np.bool_]
-
-
-def depth_steps(
-    part: Part,
+def multiscale_result(
+    frames: Sequence[Image],
+    color: Sequence[Image] | None,
     axis: Axis,
     *,
     points: int,
-    batch: int,
     workers: int,
-    thorough: bool = False,
-) -> Steps[Maps]:
-    """Find the depth by the product of two scales, correct it, and put fine relief back.
+    done: Callable[[float], object] = lambda share: None,
+) -> FocusResult:
+    """Return the default depth of a stack in µm, with all that goes with it.
 
     Parameters
     ----------
-    part : Part
-        Frames, and what of them is wanted.
+    frames : sequence of ndarray, shape (rows, cols)
+        All frames.
+    color : sequence of ndarray, shape (rows, cols, 3), optional
+        What the image is made of instead.
+    axis, points, workers, done
+        As for `multiscale_depth`.
+    """
+    rows, cols = frames[0].shape
+    more = [max(_LEAST_SIDE - n, 0) for n in (rows, cols)]
+    if any(more):
+        mirrored = cv2.BORDER_REFLECT
+        frames = [cv2.copyMakeBorder(f, 0, more[0], 0, more[1], mirrored) for f in frames]
+    maps = multiscale_depth(frames, axis, points=points, workers=workers, done=done)
+    whole: list[NDArray] = [np.ascontiguousarray(part[:rows, :cols]) for part in maps]
+    steps, error, best = whole
+    depth = axis.micrometers(steps)
+    known = np.isfinite(depth)
+    order = np.argsort(axis.positions)
+    nearest = np.rint(np.interp(depth, axis.positions[order], order))
+    middles = (axis.ends[:-1] + axis.ends[1:]) // 2
+    number = np.where(known, nearest, middles[best]).astype(np.int32)
+    seen = frames if color is None else color
+    return FocusResult(
+        depth=depth,
+        uncertainty=error * np.float32(axis.spacing),
+        confidence=np.where(known, 1 / (1 + error * error), np.float32(0)),
+        index=np.where(known, number, np.int32(-1)),
+        all_in_focus=picked((frame[:rows, :cols] for frame in seen), number),
+        at_end=(best == 0) | (best == len(axis.steps) - 1),
+    )
+
+
+def multiscale_depth(
+    frames: Sequence[Image],
+    axis: Axis,
+    *,
+    points: int = 7,
+    workers: int = 1,
+    done: Callable[[float], object] = lambda share: None,
+) -> tuple[NDArray, NDArray, NDArray[np.uint16]]:
+    """Find the default depth of a stack.
+
+    Parameters
+    ----------
+    frames : sequence of ndarray, shape (rows, cols)
+        All frames, each side at least 8 px.
     axis : Axis
-        Where the frames lie.
-    points, batch, workers : int
-        As for `depth_from_focus` and `track_peaks`.
-    thorough : bool
-        Whether to ask what no pixel here, but perhaps another, has need of.
+        How they are averaged, and their noise.
+    points : int
+        Averaged frames in a fit.
+    workers : int
+        Threads.
+    done : callable
+        Told what share of the rows has been followed through all frames.
 
     Returns
     -------
-    Maps
-        The depth and what goes with it.
+    depth, error : ndarray of float32, shape (rows, cols)
+        Depth and its standard deviation, steps; NaN where unknown.
+    best : ndarray of uint16, shape (rows, cols)
+        Number of the averaged frame that is the sharpest.
     """
-    z, sizes, spacing = axis.means, axis.sizes, axis.spacing
-    positions = axis.positions
-    near = part.wanted.grown(_PEAKS_AROUND, part.window)
-    coarse = _coarse_steps(
-        part, axis, near, points=points, batch=batch, workers=workers, thorough=thorough
+    shape = frames[0].shape
+    seen = follow(frames, axis, points // 2, workers=workers, done=done)
+    depth, weight = believed(seen, axis)
+    smooth = smooth_planes(
+        depth, weight * border_weight(depth.shape), jump=_JUMP, sigma=_RADIUS, workers=workers
     )
-    smooth, doubtful, index = yield from coarse
-    inner = part.wanted.grown(_RELIEF_AROUND, near)
-    here = inner.inside(near)
-    smooth, doubtful, index = smooth[here], doubtful[here], index[here]
-    frames = _averaged(part, axis, inner)
-    # Not held here: the relief lets go of them as soon as it can.
-    relief = yield from find_relief(
-        smooth,
-        directional_depths(frames, z, smooth * spacing, batch=batch, workers=workers),
-        doubtful,
-        workers=workers,
+    relief, half_difference = relief_of(seen, smooth, axis)
+    place = np.nan_to_num(smooth)
+    pull = np.interp(place, axis.steps, axis.pull).astype(np.float32)
+    error = np.sqrt(error_variance(smooth + relief, half_difference, pull))
+    full = enlarged(smooth, relief, shape)
+    known = doubled(np.isfinite(smooth), shape)
+    steep = doubled(steep_mask(fill_nearest(smooth)), shape)
+    full, known = refit(full, known, steep, frames, axis)
+    error = doubled(error, shape)
+    full[~known] = error[~known] = np.nan
+    return full, error, doubled(seen.best, shape, cv2.INTER_NEAREST)
+
+
+def believed(seen: Followed, axis: Axis) -> tuple[NDArray, NDArray]:
+    """Return each pixel's depth on its own side of an edge, NaN where lost, and its weight."""
+    levels = Levels.of(axis.noise)
+    depth = seen.depth.copy()
+    depth[incoherent_mask(seen.best)] = np.nan
+    # On noise alone each factor is its level, and as much again, its floor.
+    ratio = seen.top / np.float32(4 * levels.fine * levels.coarse)
+    depth[below_noise_mask(ratio, len(axis.steps))] = np.nan
+    edge = fill_nearest(seen.edge)
+    fine = np.asarray(cv2.medianBlur(edge, _FINE_WINDOW))
+    spread = cv2.medianBlur(np.abs(edge - fine), 5)
+    broad = without_spikes(fill_nearest(depth))
+    sided = choose_side(
+        broad, np.asarray(cv2.medianBlur(fine, _FINE_WINDOW)), spread < _FINE_SPREAD
     )
-    depth = np.clip((smooth + relief.offset) * spacing, positions.min(), positions.max())
-    # The pull changes with the depth alone: every second pixel tells it.
-    half = np.interp(depth[::2, ::2], *_rising(z))
-    pull = flicker_variance(half, axis.levels, sizes, axis.width)
-    error = np.sqrt(relief.variance + enlarged(pull, depth.shape))
-    here = part.wanted.inside(inner)
-    depth, error, index = (np.ascontiguousarray(map_[here]) for map_ in (depth, error, index))
-    middles = (np.cumsum(sizes) - sizes + sizes // 2).astype(np.uint16)
-    best = _nearest_frame(depth, positions, middles[index])
-    at_end = (index == 0) | (index == len(z) - 1)
-    return Maps(depth, error, best, _picked(part.seen(part.wanted), best), at_end)
-
-
-def _averaged(part: Part, axis: Axis, window: Window) -> Iterator[Image]:
-    """Yield what the averaged frames show of a window."""
-    frames, sizes = part.seen(window), axis.sizes
-    return frames if len(sizes) == len(axis.positions) else averaged(frames, sizes)
-
-
-def _coarse_steps(
-    part: Part,
-    axis: Axis,
-    near: Window,
-    *,
-    points: int,
-    batch: int,
-    workers: int,
-    thorough: bool,
-) -> Steps[tuple[Array, NDArray[np.bool_], NDArray[np.uint16]]]:
-    """Find the smoothed depth of a window, where it is doubtful, and the sharpest frames."""
-    z, spacing, positions = axis.means, axis.spacing, axis.positions
-    window = part.window
-
-    def frames(inner: Window = window) -> Iterator[Image]:
-        return _averaged(part, axis, inner)
-
-    noise = yield Question("noise", lambda: [noise_sample(next(frames()))], _noise)
-    profile = track_peaks(
-        frames(near),
-        z,
-        [multiscale_measure(noise), edge_measure(noise)],
-        reaches=[points // 2, 1],
-        ends=(positions[0], positions[-1]),
-        pictured=False,
-        batch=batch,
-        workers=workers,
-    )
-    (depth, fine), index = profile.depths, profile.index
-    set_to_nan(depth, incoherent_mask(index, len(z)))
-    inverse_variance = None
-    if profile.peak is not None:
-        with np.errstate(invalid="ignore", divide="ignore"):  # a stack without any noise
-            ratio = profile.peak.value / np.float32(noise_response(noise))
-        depth[below_noise_mask(ratio, len(z))] = np.nan
-        inverse_variance = profile.peak.inverse_variance
-        del ratio
-    del profile
-    sided, disagreement = _sided(depth, fine, spacing)
-    del depth, fine
-    place = np.interp(sided[::2, ::2] * spacing, *_rising(z))
-    wide = yield from check_halos(
-        frames,
-        len(z),
-        _put_into(window, near, place, np.nan),
-        _put_into(window, near, disagreement[::2, ::2], 0),
-        noise,
-        window=window,
-        thorough=thorough,
-    )
-    wide = _part_of(wide, near.inside(window, 2))
-    del disagreement
-    steps, weight = yield from _with_wide(sided, inverse_variance, wide, z / spacing)
-    del sided, inverse_variance
-    smooth = _smoothed(steps, weight, near, z / spacing, workers)
-    doubtful = np.isnan(smooth) | _doubled(wide.instead | wide.neither, smooth.shape)
-    return smooth, doubtful, index
-
-
-def seen_around(wanted: Window, blur_rate: float | None) -> Window:
-    """Return what must be seen of an image for the depth of a part of it."""
-    return wanted.grown(_WIDE_AROUND + max(_HIDDEN_AROUND, scene_around(blur_rate or 0.0)))
-
-
-def _noise(samples: list[list]) -> float:
-    return noise_level([part for parts in samples for part in parts])
-
-
-def _cut(frames: Iterable[Image], inner: Window, outer: Window) -> Iterator[Image]:
-    if inner == outer:
-        yield from frames
-        return
-    here = inner.inside(outer)
-    for frame in frames:
-        yield np.ascontiguousarray(frame[here])
-
-
-def _put_into(outer: Window, inner: Window, values: NDArray, otherwise: float) -> NDArray:
-    """Return an array of every second pixel of the outer window with the inner one's values."""
-    if inner == outer:
-        return values
-    result = np.full([-(-length // 2) for length in outer.size], otherwise, values.dtype)
-    result[inner.inside(outer, 2)] = values
-    return result
-
-
-def _part_of(wide: Wide, here: tuple[slice, slice]) -> Wide:
-    return Wide(wide.depth[here], wide.instead[here], wide.neither[here])
-
-
-def _rising(positions: Array) -> tuple[Array, Array]:
-    """Return positions in rising order, and the number of the frame at each."""
-    order = np.argsort(positions)
-    return positions[order], order.astype(float)
-
-
-def _sided(depth: NDArray, fine: NDArray, spacing: float) -> tuple[Array, NDArray]:
-    """Take out spikes and put pixels at steps on their own side; in frames.
-
-    Also returned is how far both depths lie from each other.
-    """
-    known = np.isfinite(depth)
-    if not known.any():
-        return depth / spacing, np.zeros(depth.shape, np.float32)
-    broad = _without_spikes(filled(depth) / np.float32(spacing), _SPIKE_WINDOWS[0])
-    sharp = filled(fine) / np.float32(spacing)
-    median = cv2.medianBlur(sharp, _FINE_WINDOW)
-    spread = np.asarray(cv2.medianBlur(np.abs(sharp - median), _FINE_WINDOW))
-    steady = np.asarray(cv2.medianBlur(median, _FINE_WINDOW))
-    sided = _choose_side(broad, steady, spread < _FINE_SPREAD)
-    own = np.where(known, _without_spikes(sided, _SPIKE_WINDOWS[1]), np.nan)
-    return own, np.abs(broad - median)
-
-
-def _with_wide(
-    depth: Array, inverse_variance: NDArray | None, wide: Wide, steps: Array
-) -> Steps[tuple[Array, NDArray]]:
-    """Put the wide depth where it is the better, and return the weight of every depth too."""
-    there, neither = (_doubled(mask, depth.shape) for mask in (wide.instead, wide.neither))
-    broad = enlarged(wide.depth, depth.shape)
-    there &= np.isfinite(broad)
-    weight = np.ones(depth.shape, np.float32)
-    if inverse_variance is not None:
-        # At an end of the stack a depth may come without a fit and so without a variance.
-        fitted = np.isfinite(depth) & (inverse_variance > 0)
-        typical = yield Question(
-            "strength",
-            lambda: inverse_variance[::2, ::2][fitted[::2, ::2]],
-            lambda samples: median_above_zero(np.concatenate(samples)),
-        )
-        relative = np.clip(inverse_variance / typical, 1 / _WEIGHTS, _WEIGHTS)
-        weight = np.where(fitted, relative, 1).astype(np.float32)
-    weight[there] = _WIDE_WEIGHT
-    depth = np.where(neither, np.nan, depth)
-    depth[there] = np.interp(broad[there], np.arange(len(steps)), steps)
+    depth = np.where(np.isfinite(depth), without_spikes(sided), np.float32(np.nan))
+    weight = relative(seen.strength)
+    wide = wide_depth(seen, levels, depth.shape)
+    own = sharp_mask(seen, levels)
+    instead, neither = check_wide(depth, wide, np.abs(broad - fine), seen.top, own)
+    depth[neither] = np.nan
+    depth[instead], weight[instead] = wide[instead], _WIDE_WEIGHT
+    depth[blurred_edge_mask(depth, weight) & ~own] = np.nan
+    depth[small_piece_mask(depth)] = np.nan
+    depth[isolated_mask(depth)] = np.nan
     return depth, weight
 
 
-def _doubled(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Return the mask for which one of half the size stands, two pixels by two."""
-    rows, cols = shape
-    return mask.repeat(2, axis=0)[:rows].repeat(2, axis=1)[:, :cols]
+def sharp_mask(seen: Followed, levels: Levels) -> NDArray[np.bool_]:
+    """Tell where the sharpest frame has fine detail of its own, which no blurred light has."""
+    fine = seen.along[seen.along.shape[0] // 2] + seen.down[seen.down.shape[0] // 2]
+    coarse = seen.top / (fine + np.float32(levels.fine)) - np.float32(levels.coarse)
+    # Noise alone is at its highest twice its mean.
+    above = blur(fine - np.float32(2 * levels.fine), 1.0)
+    return np.asarray(above > _SHARP * blur(coarse, 1.0))
 
 
-def _smoothed(
-    steps: Array, weight: NDArray, window: Window, positions: Array, workers: int
-) -> Array:
-    """Leave out what is not to be believed, and smooth on both sides of steps."""
-    lowest, highest = positions.min(), positions.max()
-    set_to_nan(steps, blurred_edge_mask(steps, weight))
-    steps[small_component_mask(steps, lowest)] = np.nan
-    steps[isolated_mask(steps)] = np.nan
-    if np.isnan(steps).all():
-        return steps
-    # At the image's border the windows see one side only and pull a slope inwards: there the planes
-    # are to be laid through what lies further in.
-    weight *= _inside(window) ** _BORDER_POWER
-    options = {"middle": (lowest + highest) / 2, "jump": _JUMP, "radius": _WIDE}
-    return smooth_by_planes(steps, weight, **options, workers=workers)
+def relative(strength: NDArray) -> NDArray:
+    """Return strengths over their median, 1 where a depth came without a fit."""
+    fitted = strength > 0
+    typical = np.median(strength[fitted]) if fitted.any() else 1.0
+    ratio = np.clip(strength / np.float32(typical), 1 / _WEIGHTS, _WEIGHTS)
+    return np.where(fitted, ratio, np.float32(1))
 
 
-def _inside(window: Window) -> NDArray[np.float32]:
-    """Return 1 where the broad windows stay inside the image, less towards its border."""
-    down, along = window.border()
-    far = (1 + np.minimum.outer(down, along).astype(np.float32)) / _BORDER_REACH
-    return np.clip(far, _BORDER_LEAST, 1.0)
+def wide_depth(seen: Followed, levels: Levels, shape: tuple[int, ...]) -> NDArray:
+    """Return the depth by the wide window, NaN where its peak is of noise or of a blurred edge."""
+    wide = seen.wide.copy()
+    wide[seen.wide_top < _CLEAR * levels.wide] = np.nan
+    edges = blurred_edge_mask(wide[::2, ::2], seen.wide_top[::2, ::2])
+    wide[doubled(edges, wide.shape)] = np.nan
+    return doubled(wide, shape)
 
 
-def _without_spikes(depth: NDArray, window: int) -> NDArray:
-    """Replace by the median what is too far from it."""
-    median = cv2.medianBlur(depth, window)
-    return np.where(np.abs(depth - median) > _SPIKE, median, depth)
+def border_weight(shape: tuple[int, ...]) -> NDArray:
+    """Return 1 where the windows stay inside of the image, less towards its border."""
+    inside = (1 + 2 * to_border(shape)) / _BORDER_REACH
+    return np.clip(inside, _BORDER_LEAST, 1) ** _BORDER_POWER
 
 
-def _choose_side(broad: NDArray, fine: NDArray, sure: NDArray[np.bool_]) -> NDArray:
-    """Where fine and broad depth differ, take a neighbor's broad depth that agrees with the fine.
+def relief_of(seen: Followed, smooth: NDArray, axis: Axis) -> tuple[NDArray, NDArray]:
+    """Return the fine relief that the smoothing took away, and half the directions' difference."""
+    level = np.nan_to_num(smooth)
+    there = np.isfinite(smooth) & (np.abs(seen.depth - smooth) < _OWN)
+    offsets, strengths = [], []
+    for window in (seen.along, seen.down):
+        depth, strength = fit_peaks(window, seen.best, axis.steps, near=level)
+        good = there & (strength > 0) & np.isfinite(depth)
+        offset = np.clip(depth - level, -_MOST_RELIEF, _MOST_RELIEF)
+        offsets.append(np.where(good, offset, np.float32(0)))
+        strengths.append(np.where(good, strength, np.float32(0)))
+    mass = np.sqrt(np.sqrt(strengths[0] * strengths[1]))
+    middle = np.float32(max(np.median(mass), 1e-12))
+    mass = np.where(mass > 0, np.clip(mass / middle, 0.01, 100), np.float32(0))
+    return find_relief(offsets[0], offsets[1], mass)
 
-    Next to a step the broad window sees the other side as well, and the better textured side
-    wins. A few pixels away, on the pixel's own side, it does not.
+
+def enlarged(smooth: NDArray, relief: NDArray, shape: tuple[int, ...]) -> NDArray:
+    """Return the depth at full size: interpolated, but the nearest one at steps."""
+    full = doubled(fill_nearest(smooth), shape)
+    fine = np.where(np.isfinite(smooth), relief, np.float32(0))
+    full = full + doubled(fine, shape, cv2.INTER_CUBIC)
+    both = fill_nearest(smooth + relief)
+    jump = 1.5 * depth_range(both, 3) - 0.5 * depth_range(both, 7)
+    sudden = doubled(jump > _SUDDEN, shape)
+    full[sudden] = doubled(both, shape, cv2.INTER_NEAREST)[sudden]
+    return full
+
+
+# --- At full size, where it is steep ------------------------------------------------------------
+
+
+def steep_mask(depth: NDArray) -> NDArray[np.bool_]:
+    """Tell where a depth on the coarser grid is steep or has a step, and just beside it."""
+    steep = (depth_range(depth, 3) > _STEEP).astype(np.uint8)
+    return np.asarray(cv2.dilate(steep, np.ones((_STEEP_AROUND, _STEEP_AROUND), np.uint8))) > 0
+
+
+def refit(
+    depth: NDArray,
+    known: NDArray[np.bool_],
+    steep: NDArray[np.bool_],
+    frames: Sequence[Image],
+    axis: Axis,
+) -> tuple[NDArray, NDArray[np.bool_]]:
+    """Fit again where it is steep, in blocks of rows.
+
+    Parameters
+    ----------
+    depth : ndarray of float32, shape (rows, cols)
+        Depth from the coarser grid, steps, everywhere.
+    known, steep : ndarray of bool, shape (rows, cols)
+        Where it is to be believed, and where to fit again.
+    frames, axis
+        The stack.
+
+    Returns
+    -------
+    depth, known : ndarray, shape (rows, cols)
+        With the new depths, and with those that were lost and returned.
     """
-    far = max(_SIDE_DISTANCES)
-    padded = np.pad(broad, far, mode="symmetric")
-    rows, cols = np.nonzero(sure & (np.abs(broad - fine) > _SIDE_GAP))
-    own, found = fine[rows, cols], broad[rows, cols]
-    gap = np.abs(found - own)
-    for distance in _SIDE_DISTANCES:
-        for dy, dx in product((-distance, 0, distance), repeat=2):
-            there = padded[rows + (far + dy), cols + (far + dx)]
-            # Nearer neighbors first: what is further away must agree the better.
-            other = np.abs(there - own) + np.float32(_SIDE_SLOPE * distance)
-            better = (other < gap) & (other < _SIDE_AGREES)
-            found = np.where(better, there, found)
-            gap = np.where(better, other, gap)
-    result = broad.copy()
-    result[rows, cols] = found
-    return result
+    result, there = depth.copy(), known.copy()
+    around = np.ones((1, 2 * _SEEN + 1), np.uint8)
+    for top in range(0, len(depth), _REFIT_ROWS):
+        strip = steep[top : top + _REFIT_ROWS]
+        columns = np.atleast_2d(strip.any(axis=0)).astype(np.uint8)
+        dilated: NDArray = np.asarray(cv2.dilate(columns, around))
+        busy = dilated[0]
+        for left, right in np.flatnonzero(np.diff(busy, prepend=0, append=0)).reshape(-1, 2):
+            rows = top + np.flatnonzero(strip[:, left:right].any(axis=1))
+            first = max(int(rows[0]) - _SEEN, 0)
+            view = np.s_[first : int(rows[-1]) + 1 + _SEEN, int(left) : int(right)]
+            new = _closer(depth[view], known[view], frames, axis, view)
+            good = np.isfinite(new) & steep[view]
+            good[: int(rows[0]) - first] = good[int(rows[-1]) + 1 - first :] = False
+            result[view][good] = new[good]
+            there[view] |= good
+    return result, there
 
 
-def _nearest_frame(depth: Array, positions: Array, otherwise: NDArray) -> NDArray[np.uint16]:
-    """Return the number of the frame nearest to each depth, or another where there is none."""
-    nearest = nearest_frames(depth, positions)
-    np.copyto(nearest, otherwise, where=np.isnan(depth))
-    return nearest
-
-
-def _picked(frames: Iterable[Image], number: NDArray[np.uint16]) -> Image:
-    """Return every pixel from the frame of that number."""
-    for k, frame in enumerate(frames):
-        if k == 0:
-            image = frame.copy()
-        else:
-            np.copyto(image, frame, where=number == k)
-    return image
+def _closer(
+    rough: NDArray,
+    known: NDArray[np.bool_],
+    frames: Sequence[Image],
+    axis: Axis,
+    view: tuple[slice, slice],
+) -> NDArray:
+    """Return the depths of one block from measures at full size; NaN where they are lost."""
+    steps, levels = axis.steps, Levels.of(axis.noise)
+    square = np.ones((_SQUARE, _SQUARE), np.uint8)
+    low, high = cv2.erode(rough, square) - _BEYOND, cv2.dilate(rough, square) + _BEYOND
+    near = np.flatnonzero((steps > low.min() - 1) & (steps < high.max() + 1))
+    first = min(int(near[0]), len(steps) - 3)
+    part = steps[first : max(int(near[-1]) + 1, first + 3)]
+    main = PeakFollower(len(part), 1, rough.shape, 3)
+    edge = PeakFollower(len(part), 1, rough.shape, 1)
+    fine, coarse = np.float32(levels.fine), np.float32(levels.coarse)
+    floor = np.float32(2 * levels.edge)  # of noise that was not halved
+    for k, step in enumerate(part):
+        frame = axis.frame(frames, first + k, view).astype(np.float32)
+        wider = blur(np.add(*absolute_seconds(halved(frame), COARSE, 7)), COARSE_WINDOW)
+        own = blur(np.add(*absolute_seconds(frame, FINE, 5)), 0.8)
+        np.multiply(own + fine, doubled(wider, frame.shape) + coarse, out=main.slot(k)[0])
+        allowed = (low <= step) & (step <= high)
+        main.push(k, allowed)
+        off = cv2.absdiff(frame, blur(frame, 4.0))
+        np.multiply(blur(off, 0.5) + floor, blur(off, 2.0) + floor, out=edge.slot(k)[0])
+        edge.push(k, allowed)
+    broad, strength = fit_peaks(main.windows()[0], main.best, part)
+    sharp, _ = fit_peaks(edge.windows()[0], edge.best, part)
+    broad = without_spikes(broad, 5)
+    median = cv2.medianBlur(sharp, 5)
+    spread = cv2.medianBlur(np.abs(sharp - median), 5)
+    own = without_spikes(
+        choose_side(broad, np.asarray(cv2.medianBlur(median, 5)), spread < _FINE_SPREAD)
+    )
+    mean = blur(main.top, 2.0)
+    clear = mean > _SHARE * cv2.dilate(mean, np.ones((_STRONGEST, _STRONGEST), np.uint8))
+    agrees = cv2.medianBlur(np.abs(broad - median), 5) < _AGREES
+    depth = np.where(known | (clear & agrees), own, np.float32(np.nan))
+    return smooth_planes(depth, relative(strength), jump=_JUMP, sigma=2 * _RADIUS)

@@ -1,7 +1,7 @@
-"""Where a depth from focus is not to be believed, so that NaN is the better answer.
+"""Where a depth is not to be believed, on which side of a step it lies, and what stands instead.
 
-What each rule is worth, and what depends on its constants, stands in the tables "rule switched off"
-and "constant changed" of benchmarks/focus.py.
+All depths are in steps of the averaged frames, all lengths in pixels of the grid of every second
+pixel. What each rule is worth stands in the table "rule switched off" of benchmarks/focus.py.
 """
 
 from __future__ import annotations
@@ -12,96 +12,202 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array
-from microlib.focus._loops import fixed_point
 from microlib.focus._measures import blur
 
-#: Side of the medians that find incoherent frames, in every second pixel: its deviation from the
-#: median then reaches further than the window of a measure, inside which even noise is alike.
-_COHERENCE_WINDOW = 5
-#: Frames by which half the neighbors must differ for a pixel's best frame to count as incoherent.
-_INCOHERENT = 2
-#: Radius over which a depth needs others around it, and the share of them that it needs, px and 1.
-_SURROUNDINGS, _LEAST_KNOWN = 6.0, 0.5
+__all__ = [
+    "below_noise_mask",
+    "blurred_edge_mask",
+    "check_wide",
+    "choose_side",
+    "fill_nearest",
+    "incoherent_mask",
+    "isolated_mask",
+    "small_piece_mask",
+    "to_border",
+    "without_spikes",
+]
+
+#: Side of the medians that find incoherent frames, wider than a measure's window, inside which even
+#: noise is alike; frames by which half the neighbors must differ from them.
+_COHERENCE_WINDOW, _INCOHERENT = 5, 2
+#: Radius over which a depth needs others around it, and the share of them that it needs.
+_SURROUNDINGS, _LEAST_KNOWN = 3.0, 0.5
 #: Peak over the mean of the measure on noise, averaged over `_SURROUNDINGS`: this and the other
 #: times ln n is 5 % above what 99.9 % of the pixels of n frames of noise stay below, simulated with
-#: n from 12 to 300 and the noise as `noise_level` finds it.
+#: n from 12 to 300.
 _NOISE_PEAK, _NOISE_PEAK_GROWTH = 1.46, 0.113
-#: Radius over which the blur of a strong edge outshines weak texture, in every second pixel.
-_SPREAD = 5.0
-#: Distance of a blurred edge's depth from that of the brighter ones around, and the half width of
-#: what counts as one depth, frames.
-_APART, _TOGETHER = 2.0, 1.0
-#: Share of the peaks around that those of a blurred edge stay below.
-_FAINT_EDGE = 0.2
-#: Largest area that is no surface of its own, px, and the jump between surfaces, frames.
-_SMALL_AREA, _COMPONENT_JUMP = 50, 1.5
-#: Parts of a frame that a whole number counts: 64 leave 1023 frames to 16 bits, and what lies
-#: higher counts as one surface.
+#: Radius over which the blur of a strong edge outshines weak texture; distance of its depth from
+#: that of the brighter peaks around; half the range of what counts as one depth; the share of the
+#: peaks around that its own stay below.
+_SPREAD, _APART, _TOGETHER, _FAINT_EDGE = 5.0, 2.0, 1.0, 0.2
+#: Largest area that is no surface of its own, px, and the jump between surfaces, steps.
+_SMALL_AREA, _PIECE_JUMP = 12, 1.5
+#: Parts of a step that a whole number counts: 64 leave 1023 steps to 16 bits, and what lies higher
+#: counts as one surface.
 _FIXED_POINT = 64
+#: Difference of fine and broad depth from which a pixel's own side is sought, and up to which a
+#: neighbor agrees, steps; distances of the neighbors, px; how much better one must agree for each
+#: px that it is further away.
+_SIDE_GAP, _SIDE_AGREES, _SIDE_DISTANCES, _SIDE_SLOPE = 1.5, 1.0, (1, 3), 0.1
+#: Distance from its median from which a depth is a spike, steps.
+_SPIKE = 1.0
+#: Slope of the wide depth that is a step, steps/px, and how far from one it is not taken.
+_CLIFF, _NEAR_CLIFF = 0.5, 13
+#: Side of the square in which the wide depth is looked for, and over which disagreement is
+#: averaged; differences from which two depths are not the same, and for a depth that is erratic,
+#: or erratic and without a substitute, steps.
+_NEARBY, _GAP, _ERRATIC_GAP, _LONE_GAP = 11, 1.2, 0.4, 0.8
+#: Mean distance of the depths by two measures from which on they have no peak in common, and the
+#: most that one pixel counts, steps.
+_ERRATIC, _MOST_DISAGREEMENT = 0.3, 3.0
+#: A peak is faint below this share of the strongest in a square of this side, px.
+_FAINT, _FAINT_AROUND = 0.1, 45
+#: Further than any depth.
+_FAR = np.float32(1e6)
 
 
-def incoherent_mask(index: NDArray[np.uint16], count: int) -> NDArray[np.bool_]:
-    """Tell, of every second pixel, where the best frame differs at random from pixel to pixel."""
-    coarse = index[::2, ::2]
-    if count <= 256:
-        coarse = coarse.astype(np.uint8)
-    coarse = np.ascontiguousarray(coarse)
-    deviation = cv2.absdiff(coarse, cv2.medianBlur(coarse, _COHERENCE_WINDOW))
-    return np.asarray(cv2.medianBlur(deviation, _COHERENCE_WINDOW)) > _INCOHERENT
+def incoherent_mask(best: NDArray[np.uint16]) -> NDArray[np.bool_]:
+    """Tell where the best frame differs at random from pixel to pixel."""
+    off = cv2.absdiff(best, cv2.medianBlur(best, _COHERENCE_WINDOW))
+    return np.asarray(cv2.medianBlur(off, _COHERENCE_WINDOW)) > _INCOHERENT
 
 
-def set_to_nan(depth: NDArray, mask: NDArray[np.bool_]) -> None:
-    """Make NaN of the pixels that the mask of every second one stands for, two by two."""
-    for dy, dx in product((0, 1), repeat=2):
-        part = depth[dy::2, dx::2]
-        part[mask[: part.shape[0], : part.shape[1]]] = np.nan
-
-
-def below_noise_mask(ratio: NDArray[np.float32], count: int) -> NDArray[np.bool_]:
-    """Tell where the peak, over the mean of the measure on noise, is no higher than by noise alone.
-
-    The limit is 1.8 with 21 frames and 2.1 with 300, where 99.9 % of the pixels of pure noise stay
-    below 1.72 and 2.02.
-    """
+def below_noise_mask(ratio: NDArray, count: int) -> NDArray[np.bool_]:
+    """Tell where the peak, over the measure's mean on noise, is no higher than by noise alone."""
     return blur(ratio, _SURROUNDINGS) < _NOISE_PEAK + _NOISE_PEAK_GROWTH * np.log(count)
 
 
-def blurred_edge_mask(depth: NDArray, inverse_variance: NDArray) -> NDArray[np.bool_]:
-    """Tell, of every second pixel, where the peak is that of something brighter, out of focus.
+def isolated_mask(depth: NDArray) -> NDArray[np.bool_]:
+    """Tell where most of the surroundings have no depth: what is left was right by chance."""
+    return blur(np.isfinite(depth).astype(np.float32), _SURROUNDINGS) < _LEAST_KNOWN
+
+
+def blurred_edge_mask(depth: NDArray, strength: NDArray) -> NDArray[np.bool_]:
+    """Tell where the peak is that of something brighter, out of focus.
 
     Blur carries the light of a strong edge into places without texture, where it is the largest
     change of all frames, but at the wrong depth. Peaks at that depth are faint, on average, beside
-    those all around, whereas both sides of a step have strong ones. Depths are in frames.
+    those all around, whereas both sides of a step have strong ones.
     """
-    coarse, weight = depth[::2, ::2], inverse_variance[::2, ::2]
-    level = np.nan_to_num(coarse).astype(np.float32)
-    strength = np.where(np.isfinite(coarse), weight, 0).astype(np.float32)
-    around = blur(strength, _SPREAD)
-    # The least positive weight that float32 divides by without overflow.
-    mean = blur(level * strength, _SPREAD) / np.maximum(around, 1e-30)
-    apart = np.abs(level - mean) > _APART
-    faint = np.zeros(level.shape, bool)
-    nearest = np.rint(level)
+    level = np.nan_to_num(depth).astype(np.float32)
+    mass = np.where(np.isfinite(depth), strength, 0).astype(np.float32)
+    around = blur(mass, _SPREAD)
+    apart = np.abs(level - blur(level * mass, _SPREAD) / np.maximum(around, 1e-30)) > _APART
+    faint, nearest = np.zeros(level.shape, bool), np.rint(level)
     for k in np.unique(nearest[apart]):
         near = (np.abs(level - k) <= _TOGETHER).astype(np.float32)
-        share, theirs = blur(near, _SPREAD), blur(near * strength, _SPREAD)
+        theirs, share = blur(near * mass, _SPREAD), blur(near, _SPREAD)
         faint |= (nearest == k) & (theirs < _FAINT_EDGE * around * share)
     return faint & apart
 
 
-def small_component_mask(depth: Array, least: float) -> NDArray[np.bool_]:
-    """Tell which pixels are of a surface of their own, but of a few pixels only; depths in frames.
-
-    No depth is half a frame below `least`. Unknown depths are among them.
-    """
+def small_piece_mask(depth: NDArray) -> NDArray[np.bool_]:
+    """Tell which pixels are of a surface of their own, but of a few pixels only, or unknown."""
     unknown = -(2**15)
-    level = np.empty(depth.shape, np.int16)
-    fixed_point(depth, least - 0.5, _FIXED_POINT, level)
-    cv2.filterSpeckles(level, unknown, _SMALL_AREA, _FIXED_POINT * _COMPONENT_JUMP)
-    return level == unknown
+    level = np.clip(_FIXED_POINT * (depth + 0.5) + unknown + 1, unknown + 1, 2**15 - 1)
+    level = np.where(np.isnan(depth), unknown, level).astype(np.int16)
+    cv2.filterSpeckles(level, unknown, _SMALL_AREA, _FIXED_POINT * _PIECE_JUMP)
+    return np.asarray(level == unknown)
 
 
-def isolated_mask(depth: Array) -> NDArray[np.bool_]:
-    """Tell where most of the surroundings have no depth: what is left was right by chance."""
-    return blur(np.isfinite(depth).astype(np.float32), _SURROUNDINGS) < _LEAST_KNOWN
+def without_spikes(depth: NDArray, side: int = 3) -> NDArray:
+    """Replace by the median what is too far from it."""
+    median = cv2.medianBlur(depth, side)
+    return np.where(np.abs(depth - median) > _SPIKE, median, depth)
+
+
+def fill_nearest(depth: NDArray) -> NDArray:
+    """Give unknown pixels the depth of the nearest known one; 0 if there is none."""
+    unknown = np.isnan(depth)
+    if not unknown.any():
+        return depth
+    if unknown.all():
+        return np.zeros_like(depth)
+    _, label = cv2.distanceTransformWithLabels(
+        unknown.astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    table = np.zeros(label.max() + 1, np.float32)
+    table[label[~unknown]] = depth[~unknown]
+    return table[label]
+
+
+def choose_side(broad: NDArray, fine: NDArray, sure: NDArray[np.bool_]) -> NDArray:
+    """Where fine and broad depth differ, take a neighbor's broad depth that agrees with the fine.
+
+    Next to a step the broad window sees the other side as well, and the better textured side
+    wins. A few pixels away, on the pixel's own side, it does not.
+    """
+    far = max(_SIDE_DISTANCES)
+    padded = np.pad(broad, far, mode="symmetric")
+    rows, cols = np.nonzero(sure & (np.abs(broad - fine) > _SIDE_GAP))
+    own, found = fine[rows, cols], broad[rows, cols]
+    gap = np.abs(found - own)
+    for distance in _SIDE_DISTANCES:
+        for dy, dx in product((-distance, 0, distance), repeat=2):
+            there = padded[rows + far + dy, cols + far + dx]
+            # Nearer neighbors first: what is further away must agree the better.
+            other = np.abs(there - own) + np.float32(_SIDE_SLOPE * distance)
+            better = (other < gap) & (other < _SIDE_AGREES)
+            found, gap = np.where(better, there, found), np.where(better, other, gap)
+    result = broad.copy()
+    result[rows, cols] = found
+    return result
+
+
+def check_wide(
+    depth: NDArray,
+    wide: NDArray,
+    disagreement: NDArray,
+    top: NDArray,
+    own: NDArray[np.bool_],
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Tell where the depth by a wide window is the better one, and where neither is to be believed.
+
+    Beside a strong edge its blur is the largest change of all frames, at a wrong depth. A wide
+    window sees the edge itself and is right there, but wrong beside a step. On bare ground noise
+    has the largest change in some frame or other, and the depths by two measures differ.
+
+    Parameters
+    ----------
+    depth, wide : ndarray, shape (rows, cols)
+        Both depths, NaN where unknown.
+    disagreement : ndarray, shape (rows, cols)
+        Distance of the depths by the default's two measures.
+    top : ndarray, shape (rows, cols)
+        Height of the measure's peak.
+    own : ndarray of bool, shape (rows, cols)
+        Where there is fine detail, which is no blurred light.
+
+    Returns
+    -------
+    instead, neither : ndarray of bool, shape (rows, cols)
+    """
+    known = np.isfinite(wide)
+    square = np.ones((_NEARBY, _NEARBY), np.uint8)
+    down, along = np.gradient(np.nan_to_num(wide))
+    steep = cv2.dilate(np.hypot(down, along), np.ones((2 * _NEAR_CLIFF + 1,) * 2, np.uint8))
+    plain = steep < _CLIFF
+    low = cv2.erode(np.where(known, wide, _FAR), square)
+    high = cv2.dilate(np.where(known, wide, -_FAR), square)
+    # At the image's border the wide window sees the inner side only, and is late on a slope.
+    outer = np.maximum(_NEAR_CLIFF - to_border(depth.shape), 0)
+    late = steep * (outer * outer / (2 * _NEAR_CLIFF))
+
+    def beyond(gap: float) -> NDArray[np.bool_]:
+        return known & ((depth < low - late - gap) | (depth > high + late + gap))
+
+    apart = np.minimum(disagreement, np.float32(_MOST_DISAGREEMENT))
+    erratic = cv2.blur(apart, (_NEARBY, _NEARBY)) > _ERRATIC
+    mean = blur(top, 1.0)
+    around = cv2.dilate(mean, np.ones((_FAINT_AROUND, _FAINT_AROUND), np.uint8))
+    faint = (mean < np.float32(_FAINT) * around) & ~own
+    doubtful = beyond(_GAP) | (erratic & beyond(_ERRATIC_GAP))
+    instead = plain & known & (np.isnan(depth) | (doubtful & faint))
+    neither = erratic & (beyond(_LONE_GAP) | ~known) & ~instead & ~own
+    return instead, neither
+
+
+def to_border(shape: tuple[int, ...]) -> NDArray:
+    """Return the distance of each pixel from the outermost, px."""
+    down, along = (np.minimum(np.arange(n), np.arange(n)[::-1]) for n in shape)
+    return np.minimum.outer(down, along).astype(np.float32)

@@ -14,7 +14,7 @@ from microlib.io._sources import Named, Source, open_source
 
 __all__ = ["FrameReader", "Region", "read_frames"]
 
-#: Top row, left column, rows and columns of a part of the frames, px.
+#: Left column, top row, width and height of a part of the frames, px.
 Region = tuple[int, int, int, int]
 
 
@@ -35,7 +35,7 @@ def read_frames(
     color : bool
         Whether color is wanted. If not, it becomes luminance, 0.299 R + 0.587 G + 0.114 B.
     region : tuple of four ints, optional
-        Part of the frames: top row, left column, rows and columns, px.
+        Part of the frames, (x, y, width, height) in px.
     reduce : int
         Side of the square blocks of pixels that become one, their mean.
 
@@ -161,7 +161,7 @@ class FrameReader(Iterator[NDArray]):
         rows, cols = shape[0], shape[1]
         if self._region is not None:
             _slices(self._region, (rows, cols))
-            rows, cols = self._region[2:]
+            cols, rows = self._region[2:]
         return rows // self._reduce, cols // self._reduce
 
     def _prepared(self, name: str, raw: NDArray) -> NDArray:
@@ -200,17 +200,17 @@ def _numbers(name: str, frame: NDArray) -> NDArray:
 
 def _region(region: object) -> Region:
     if not isinstance(region, (tuple, list)) or len(region) != 4:
-        raise ValueError(f"region must be top, left, rows and columns, got {region!r}")
+        raise ValueError(f"region must be (x, y, width, height), got {region!r}")
     return (
-        whole("region top", region[0], least=0),
-        whole("region left", region[1], least=0),
-        whole("region rows", region[2], least=1),
-        whole("region columns", region[3], least=1),
+        whole("region x", region[0], least=0),
+        whole("region y", region[1], least=0),
+        whole("region width", region[2], least=1),
+        whole("region height", region[3], least=1),
     )
 
 
 def _slices(region: Region, shape: tuple[int, int]) -> tuple[slice, slice]:
-    top, left, rows, cols = region
+    left, top, cols, rows = region
     if top + rows > shape[0] or left + cols > shape[1]:
         raise ValueError(f"region must lie in frames of shape {shape}, got {region}")
     return slice(top, top + rows), slice(left, left + cols)

@@ -6,8 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from microlib.focus import _measures, sum_modified_laplacian
-from microlib.focus._measures import _grey_variance, _tenengrad
+from microlib.focus import _axis, _measures, sum_modified_laplacian
+
+TENENGRAD = _measures.named_measure("tenengrad", 5, 1, 0.0)
+VARIANCE = _measures.named_measure("variance", 5, 1, 0.0)
 
 
 def printed_sml(image: np.ndarray, w: int, step: int, threshold: float) -> np.ndarray:
@@ -58,15 +60,12 @@ def test_the_largest_possible_sml_does_not_overflow():
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
 @pytest.mark.parametrize("window", [1, 5, 41])
-def test_rows_are_those_of_the_whole_even_where_the_window_exceeds_the_image(dtype, window):
+def test_sml_is_scipys_mean_even_where_the_window_exceeds_the_image(dtype, window):
     image = np.random.default_rng(0).integers(0, 256, (12, 13)).astype(dtype)
-    measure = _measures.SumModifiedLaplacian(window, 2, 0.0)
-    whole = sum_modified_laplacian(image, window=window, step=2)
-    for rows in (slice(0, 3), slice(5, 6), slice(9, 12)):
-        np.testing.assert_array_equal(measure(image, rows), whole[rows])
+    found = sum_modified_laplacian(image, window=window, step=2)
     laplacian = sum_modified_laplacian(image, window=1, step=2).astype(float)
     peer = ndimage.uniform_filter(laplacian, window, mode="mirror") * window**2
-    np.testing.assert_allclose(whole, peer, rtol=1e-6)  # float32
+    np.testing.assert_allclose(found, peer, rtol=1e-6)  # float32
 
 
 def test_tenengrad_is_scipys_sobel():
@@ -74,35 +73,46 @@ def test_tenengrad_is_scipys_sobel():
     grey = image.astype(float)
     energy = ndimage.sobel(grey, 0, mode="mirror") ** 2 + ndimage.sobel(grey, 1, mode="mirror") ** 2
     peer = 25 * ndimage.uniform_filter(energy, 5, mode="mirror")
-    np.testing.assert_allclose(_tenengrad(image), peer, rtol=1e-5)  # float32 sums
+    np.testing.assert_allclose(TENENGRAD(image), peer, rtol=1e-5)  # float32 sums
 
 
 @pytest.mark.parametrize("offset", [0, 60000])
 def test_variance_is_numpys_even_on_a_bright_background(offset):
     image = (offset + np.random.default_rng(2).integers(0, 9, (12, 12))).astype(np.uint16)
     peer = np.var(image[3:8, 4:9].astype(float))
-    assert _grey_variance(image)[5, 6] == pytest.approx(peer, rel=1e-4)  # 60000² · 2⁻⁵² = 1e-6
+    assert VARIANCE(image)[5, 6] == pytest.approx(peer, rel=1e-4)  # 60000² · 2⁻⁵² = 1e-6
 
 
 @settings(deadline=None, max_examples=25)
 @given(seed=st.integers(0, 2**32 - 1), shift=st.integers(0, 100))
 def test_measures_ignore_brightness_and_grow_with_contrast(seed, shift):
     image = np.random.default_rng(seed).integers(0, 50, (12, 12)).astype(np.uint8)
-    for measure, power in ((sum_modified_laplacian, 1), (_tenengrad, 2), (_grey_variance, 2)):
+    for measure, power in ((sum_modified_laplacian, 1), (TENENGRAD, 2), (VARIANCE, 2)):
         once = measure(image).astype(float)
         np.testing.assert_allclose(measure(image + np.uint8(shift)), once, rtol=1e-4, atol=1e-3)
         np.testing.assert_allclose(measure(2 * image), 2**power * once, rtol=1e-4, atol=1e-3)
 
 
-def test_gain_is_the_mean_on_white_noise():
+def test_second_differences_of_noise_are_on_average_what_is_said():
     noise = np.random.default_rng(3).standard_normal((400, 400)).astype(np.float32)
-    for scale in _measures._SCALES:
-        # 160000 pixels, about 1000 independent at the widest: 0.76 / sqrt(1000) / sqrt(2) is 2 %.
-        assert scale(noise).mean() == pytest.approx(scale.gain, rel=0.05)
+    for sigma, side in ((0.5, 5), (0.8, 5), (1.0, 7)):
+        found = np.add(*_measures.absolute_seconds(noise, sigma, side)).mean()
+        # 160000 pixels, some 10000 independent: 1 %; a Gaussian of few taps is a bit narrower.
+        assert found == pytest.approx(_measures.noise_gain(sigma), rel=0.03)
+
+
+def test_directions_are_those_of_rows_and_columns():
+    stripes = np.tile(100 * np.sin(np.arange(60.0)), (50, 1)).astype(np.float32)
+    along, down = _measures.absolute_seconds(stripes, 0.8, 5)
+    # Of sin x the second difference is −4 sin² ½ sin x, and the Gaussian of σ takes e^(−σ²/2).
+    expected = 4 * np.sin(0.5) ** 2 * np.exp(-0.32) * np.abs(stripes)
+    np.testing.assert_allclose(along[:, 5:-5], expected[:, 5:-5], rtol=0.03)
+    np.testing.assert_allclose(down, 0, atol=1e-3)  # float32 differences of 100
 
 
 def noise_level(frame):
-    return _measures.noise_level([_measures.noise_sample(frame)])
+    rows, cols = (_axis.sampled(n) for n in frame.shape)
+    return _axis.noise_level(frame[np.ix_(rows, cols)])
 
 
 def test_noise_level_finds_the_noise_beside_texture():
@@ -119,7 +129,7 @@ def test_noise_level_finds_the_noise_beside_texture():
 def test_wide_blur_has_the_variance_asked_for():
     spot = np.zeros((101, 101), np.float32)
     spot[50, 50] = 1
-    for sigma in (1.5, 6.0, 8.0):
+    for sigma in (0.8, 1.15, 2.0, 6.0, 8.0):
         blurred = _measures.blur(spot, sigma).astype(float)
         offset = np.arange(101) - 50
         variance = (blurred.sum(axis=0) * offset**2).sum()
@@ -132,18 +142,14 @@ def test_wide_blur_has_the_variance_asked_for():
     [
         (lambda image: sum_modified_laplacian(image, window=4), "window must be an odd"),
         (lambda image: sum_modified_laplacian(image, window=65537), "window must be at most 65535"),
-        (lambda image: _tenengrad(image, window=65537), "window must be at most 65535"),
-        (lambda image: _grey_variance(image, window=65537), "window must be at most 65535"),
         (lambda image: sum_modified_laplacian(image, step=0), "step must be a whole number"),
         (lambda image: sum_modified_laplacian(image, step=9), "step must be below"),
         (lambda image: sum_modified_laplacian(image, threshold=-1), "threshold must be zero"),
         (lambda image: sum_modified_laplacian(np.stack([image] * 3)), "image must have shape"),
         (lambda image: sum_modified_laplacian(image * np.nan), "image must be finite"),
         (lambda image: sum_modified_laplacian([[1, 2], [3]]), "image must"),
-        (lambda image: _tenengrad(np.stack([image] * 3) / 2), "image must be a grey image"),
-        (lambda image: _grey_variance(image[:0]), "image must not be empty"),
-        (lambda image: _tenengrad(image, window=2), "window must be an odd"),
-        (lambda image: _grey_variance(image, window=0), "window must be an odd"),
+        (lambda image: sum_modified_laplacian(np.stack([image] * 3) / 2), "image must be a grey"),
+        (lambda image: sum_modified_laplacian(image[:0]), "image must not be empty"),
     ],
 )
 def test_bad_options_are_refused_by_name(call, words):

@@ -7,14 +7,11 @@ from skimage import data
 
 from microlib import synthetic
 from microlib.focus import depth_from_focus
-from microlib.focus._directions import Directions, _second_differences, directional_depths
-from microlib.focus._peaks import fit_peak
-from microlib.focus._questions import alone
+from microlib.focus._axis import light_pull
 from microlib.focus._relief import find_relief
 
 SHAPE = (144, 144)
 POSITIONS = np.arange(15.0)
-NOWHERE = np.zeros(SHAPE, bool)
 
 
 def stack_of(height, *, seed=0, noise=2.0, texture=None):
@@ -50,120 +47,43 @@ def deciles(error, stated):
     return np.array([np.sqrt(np.mean(error[k] ** 2) / np.mean(stated[k] ** 2)) for k in parts])
 
 
-def test_directional_depths_are_the_fit_of_the_peak_in_the_whole_stack():
-    height = 7 + synthetic.tilted_plane((70, 48), 0.04, 0.02)
-    stack = stack_of(height, noise=1.0)
-    height[3, 4] = np.nan
-    found = directional_depths(iter(stack), POSITIONS, height, batch=4, workers=1)
-    volumes = np.stack([_second_differences(frame, slice(0, 70)) for frame in stack])
-    along, down = volumes[:, 0], volumes[:, 1]
-    for kind, volume in enumerate((along + down, along, down)):
-        # The best frame within one of the height, and a window of seven around it.
-        near = np.abs(POSITIONS[:, None, None] - np.rint(np.nan_to_num(height))) <= 1
-        index = np.where(near, volume, 0).argmax(axis=0)
-        window = np.stack(
-            [
-                np.take_along_axis(volume, np.clip(index + k, 0, 14)[None], axis=0)[0]
-                for k in range(-3, 4)
-            ]
-        )
-        depth, inverse_variance = fit_peak(window, index, POSITIONS)
-        peak = np.isfinite(depth) & np.isfinite(height)
-        assert peak.mean() > 0.98
-        np.testing.assert_allclose(found.offsets[kind][peak], (depth - height)[peak], atol=1e-5)
-        np.testing.assert_allclose(
-            found.weights[kind][peak], np.sqrt(inverse_variance[peak]), rtol=1e-4
-        )
-        assert (found.weights[kind][~peak] == 0).all()
-    for workers, batch in ((3, 4), (1, 15)):
-        again = directional_depths(iter(stack), POSITIONS, height, batch=batch, workers=workers)
-        np.testing.assert_array_equal(again.offsets, found.offsets)
-
-
-def test_directions_are_those_of_rows_and_columns():
-    stripes = np.tile(100 * np.sin(np.arange(60.0)), (50, 1)).astype(np.float32)
-    along, down = _second_differences(stripes, slice(0, 50))
-    assert along.min() > 1
-    np.testing.assert_allclose(down, 0, atol=1e-3)  # float32 differences of 100
-    turned = _second_differences(stripes.T, slice(0, 60))
-    np.testing.assert_allclose(turned[1], along.T, rtol=1e-4)
-
-
 def directions(relief, *, noise=0.1, grain=1.0, seed=0):
-    """Offsets that show the same relief through a window of 1 px, each with noise of its own."""
+    """Offsets that show the same relief, each with noise of its own, on every second pixel."""
     rng = np.random.default_rng(seed)
 
     def alone():
         rough = gaussian_filter(rng.standard_normal(relief.shape), grain)
         return noise * rough / rough.std()
 
-    seen = gaussian_filter(relief, np.sqrt(1.25), mode="mirror")
-    along, down = seen + alone(), seen + alone()
-    offsets = np.stack([(along + down) / 2, along, down]).astype(np.float32)
-    return Directions(offsets, np.ones_like(offsets))
+    return tuple((relief + alone()).astype(np.float32) for _ in range(2))
 
 
-@pytest.mark.parametrize(("period", "least"), [(8.0, 0.6), (12.0, 0.8), (20.0, 0.9)])
-def test_relief_on_which_both_directions_agree_is_found_and_sharpened(period, least):
+ONES = np.ones((144, 144), np.float32)
+
+
+@pytest.mark.parametrize("period", [6.0, 10.0])
+def test_relief_on_which_both_directions_agree_is_found(period):
     relief = waves(period, 0.3)
-    found = alone(find_relief(np.full(SHAPE, 5.3), directions(relief, noise=0.04), NOWHERE))
-    # Without sharpening 0.46, 0.71 and 0.88 of it are seen.
-    assert least < gain(found.offset, relief) < 1.1
-    stated = np.sqrt(np.mean(inner(found.variance)))
-    assert 0.6 < rms(found.offset - relief) / stated < 1.5
+    found, _ = find_relief(*directions(relief, noise=0.04), ONES)
+    assert 0.8 < gain(found, relief) < 2.2  # more is given back than was taken from these
+    assert np.corrcoef(inner(found).ravel(), inner(relief).ravel())[0, 1] > 0.97
 
 
 def test_noise_of_each_direction_alone_is_no_relief():
     for seed in range(3):
-        found = alone(
-            find_relief(np.full(SHAPE, 5.3), directions(np.zeros(SHAPE), seed=seed), NOWHERE)
-        )
+        found, _ = find_relief(*directions(np.zeros(SHAPE), seed=seed), ONES)
         # 0.07 is the noise of their mean.
-        assert rms(found.offset) < 0.004
+        assert rms(found) < 0.007
 
 
-def test_a_few_bad_pixels_that_agree_are_no_relief():
-    """Halos give both directions the same wrong depth, in places."""
-    wrong = np.zeros(SHAPE)
-    rng = np.random.default_rng(2)
-    for y, x in rng.integers(15, 129, (8, 2)):
-        wrong[y - 2 : y + 3, x - 2 : x + 3] = 1.0
-    found = alone(find_relief(np.full(SHAPE, 5.3), directions(wrong), NOWHERE))
-    plain = gaussian_filter(directions(wrong).offsets[0], 0.5)
-    assert np.sum(found.offset**2) < 0.1 * np.sum(plain**2)
-
-
-def test_the_pull_towards_frames_is_no_relief():
-    base = 5 + synthetic.tilted_plane(SHAPE, 0.05, 0.01)
-    pull = -0.05 * np.sin(2 * np.pi * base) + 0.02 * np.cos(4 * np.pi * base)
-    found = alone(find_relief(base, directions(pull, noise=0.03), NOWHERE))
-    assert rms(found.offset) < 0.2 * rms(pull)
-    # On a plane all of one place between frames the same offsets are relief.
-    level = alone(find_relief(np.full(SHAPE, 5.3), directions(pull, noise=0.03), NOWHERE))
-    assert rms(level.offset) > 0.6 * rms(pull)
-
-
-def test_errors_that_are_smooth_are_stated_too():
-    """Noise of a grain of 8 px passes all windows, and shows as a difference of the directions."""
-    made = directions(np.zeros(SHAPE), noise=0.1, grain=8.0, seed=1)
-    stated = np.sqrt(
-        np.mean(inner(alone(find_relief(np.full(SHAPE, 5.3), made, NOWHERE)).variance))
-    )
-    # The mean of both has an error of 0.07; some of it is smoothed away.
-    assert 0.04 < stated < 0.09
-
-
-def test_unknown_depths_give_no_relief_and_do_no_harm():
-    relief = waves(12.0, 0.3)
-    base = np.full(SHAPE, 5.3)
-    whole = alone(find_relief(base, directions(relief), NOWHERE))
-    made = directions(relief)
-    base[:, :40] = np.nan
-    made.offsets[:, :, :40] = 1.5
-    part = alone(find_relief(base, made, NOWHERE))
-    assert gain(part.offset[:, 50:], relief[:, 50:]) > 0.9 * gain(whole.offset, relief)
-    empty = alone(find_relief(np.full(SHAPE, np.nan), made, NOWHERE))
-    assert np.isfinite(empty.offset).all()
+def test_what_the_directions_do_not_share_is_stated_as_noise():
+    """Noise of a grain of 4 px passes all windows, and shows as half their difference."""
+    made = directions(np.zeros(SHAPE), noise=0.1, grain=4.0, seed=1)
+    _, half = find_relief(*made, ONES)
+    # 0.1 / √2; some of it is smoothed away.
+    assert 0.03 < rms(half) < 0.08
+    _, none = find_relief(made[0], made[0], ONES)
+    assert not none.any()
 
 
 @pytest.mark.parametrize(
@@ -194,8 +114,44 @@ def surfaces():
     ("name", "height", "texture"), list(surfaces()), ids=lambda v: v if isinstance(v, str) else ""
 )
 def test_errors_are_as_stated_in_every_decile(name, height, texture):
-    """Within a factor of two: 0.01 to 3 before. The benchmark's limits are those of many scenes."""
+    """No tenth more than twice as wrong as it says; beside relief and steps more is said."""
     found = depth_from_focus(stack_of(height, seed=5, texture=texture), POSITIONS)
     ratio = deciles(inner(found.depth - height), inner(found.uncertainty))
-    assert ratio.min() > 0.5
+    assert ratio.min() > (0.5 if name in ("tilt", "dome of gravel") else 0.25)
     assert ratio.max() < 2
+
+
+def test_drift_pulls_a_gaussian_by_its_variance_times_the_slope():
+    """Two factors exp(g k) of the measure: −(k − z)²/2 + 2 g k is highest at z + 2 g."""
+    light = 100 * np.exp(0.02 * np.arange(21))
+    np.testing.assert_allclose(light_pull(light, 1.0)[4:-4], 0.04, rtol=1e-6)
+    # A peak of twice the deviation moves four times as far.
+    np.testing.assert_allclose(light_pull(light, 2.0)[4:-4], 0.16, rtol=1e-6)
+
+
+def test_one_bright_frame_pulls_its_neighbors_and_no_others():
+    light = np.full(21, 100.0)
+    light[10] *= 1.1
+    pull = light_pull(light, 1.0)
+    assert (pull[[9, 11]] > 0.03).all()
+    assert pull[[3, 17]].max() < 1e-9
+
+
+def test_steady_light_and_light_that_is_not_known_pull_nothing():
+    assert light_pull(np.full(21, 50.0), 1.0).max() < 1e-12
+    assert not light_pull(np.linspace(-1, 1, 21), 1.0).any()
+    assert np.isfinite(light_pull(np.geomspace(1e-3, 1e30, 21), 1.0)).all()
+
+
+@pytest.mark.parametrize("drift", [False, True])
+def test_errors_from_flicker_are_stated(drift):
+    """Of 15 % a frame, or of a factor of two over the stack; else ratios of 4 to 8."""
+    height = 4 + synthetic.tilted_plane(SHAPE, 5 / 144, 2 / 144)
+    gains = 2 ** (POSITIONS / 14)
+    if not drift:
+        gains = 1 + np.random.default_rng(3).uniform(-0.15, 0.15, 15)
+    shown = 0.6 * gains[:, None, None] * stack_of(height, seed=3)
+    found = depth_from_focus(np.clip(shown, 0, 255).astype(np.uint8), POSITIONS)
+    error = rms(found.depth - height)
+    assert error > 0.05
+    assert 0.5 < error / np.sqrt(np.mean(inner(found.uncertainty) ** 2)) < 2

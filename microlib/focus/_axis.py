@@ -1,0 +1,186 @@
+"""How many frames is a peak wide? So many are averaged that it has the width the default expects.
+
+All lengths along the axis are in averaged frames further on. Frames are averaged and not their
+measures: a measure takes the modulus, and what noise adds to that no average takes away again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from microlib._common import Array, Image
+from microlib.focus._measures import absolute_seconds, blur, noise_gain
+
+#: Squares along each side of the image that a stack is looked at in first, their side and the
+#: border of each that its neighbor in the mosaic reaches into, px.
+_SQUARES, _SQUARE, _SEAM = 6, 48, 12
+#: Distance of the pixels whose profiles are looked at, px, and the percentile of a profile that is
+#: taken for its ground.
+_SAMPLE, _GROUND = 6, 20
+#: Share of a frame that is taken for its quietest, %.
+_QUIET = 5
+#: Least noise over the largest grey level, where float32 has seven digits, and the least of all,
+#: which keeps the logarithm of a black frame's measure finite.
+_LEAST_NOISE_SHARE, _LEAST_NOISE = 1e-6, 1e-30
+#: Equivalent width of a peak in averaged frames: the error is flat from 2.8 to 4.5, table "frames
+#: averaged into one" of benchmarks/focus_depth.py.
+_WIDTH = 3.7
+#: Standard deviation of the default measure's peak over its equivalent width, and the power of the
+#: light in that measure, which is a product of two: for what a change of light pulls.
+_DEVIATION, _LIGHT_POWER = 0.4, 2
+
+
+@dataclass(frozen=True)
+class Axis:
+    """The averaged frames along the optical axis, and what is known of the whole stack.
+
+    Attributes
+    ----------
+    ends : ndarray of int, shape (groups + 1,)
+        Group k is the mean of the frames from ``ends[k]`` to ``ends[k + 1]``, exclusive.
+    positions : ndarray, shape (n,)
+        Positions of all frames, µm.
+    noise : float
+        Noise of an averaged frame, grey levels.
+    pull : ndarray, shape (groups,)
+        How far changes of the light pull a depth near each group, averaged frames.
+    """
+
+    ends: NDArray[np.intp]
+    positions: Array
+    noise: float
+    pull: Array
+
+    @property
+    def means(self) -> Array:
+        """Position of each group, µm."""
+        parts = np.split(self.positions, self.ends[1:-1])
+        return np.array([part.mean() for part in parts])
+
+    @property
+    def spacing(self) -> float:
+        """Distance of the groups, µm."""
+        return float(np.median(np.abs(np.diff(self.means))))
+
+    @property
+    def steps(self) -> Array:
+        """Position of each group, in spacings from the first; it always rises."""
+        return np.abs(self.means - self.means[0]) / self.spacing
+
+    def micrometers(self, steps: NDArray) -> NDArray:
+        """Return positions from steps, within the stack."""
+        z = self.positions
+        way = np.float32(np.sign(z[-1] - z[0]) * self.spacing)
+        low, high = np.float32(z.min()), np.float32(z.max())
+        return np.clip(np.float32(self.means[0]) + way * steps, low, high)
+
+    def frame(self, frames: Sequence[Image], k: int, view: tuple[slice, ...]) -> Image:
+        """Return what group k shows of a part of the image."""
+        a, b = self.ends[k : k + 2]
+        if b - a == 1:
+            return frames[a][view]
+        total = frames[a][view].astype(np.float32)
+        for frame in frames[a + 1 : b]:
+            cv2.add(total, frame[view], dst=total, dtype=cv2.CV_32F)
+        return total / np.float32(b - a)
+
+
+def sampled(length: int) -> NDArray[np.intp]:
+    """Return the rows, or the columns, of the squares that a stack is looked at in first."""
+    starts = np.linspace(0, max(length - _SQUARE, 0), _SQUARES).astype(np.intp)
+    return (starts[:, None] + np.arange(min(_SQUARE, length))).ravel()
+
+
+def find_axis(mosaics: Sequence[Image], positions: Array) -> Axis:
+    """Return how a stack is to be averaged, and its noise.
+
+    Parameters
+    ----------
+    mosaics : sequence of ndarray
+        The `sampled` rows and columns of each frame.
+    positions : ndarray, shape (n,)
+        Position of each frame, µm.
+    """
+    count, width = len(mosaics), peak_width(mosaics)
+    groups = max(count // max(round(width / _WIDTH), 1), 3)
+    ends = np.arange(groups + 1) * count // groups
+    first = mosaics[0]
+    if ends[1] > 1:
+        first = np.asarray(np.mean(mosaics[: ends[1]], axis=0, dtype=np.float32))
+    light = np.array([float(np.mean(mosaic)) for mosaic in mosaics])
+    light = np.add.reduceat(light, ends[:-1]) / np.diff(ends)
+    deviation = float(np.clip(_DEVIATION * width * groups / count, 0.5, 3.0))
+    return Axis(ends, positions, noise_level(first), light_pull(light, deviation))
+
+
+def peak_width(mosaics: Sequence[Image]) -> float:
+    """Return the width of the peaks of a stack's focus measure, in frames.
+
+    Area of the peak over its height, both above the profile's 20th percentile: the median over the
+    half of the samples that have the higher peaks. One where no peak stands out.
+    """
+    profiles = []
+    for mosaic in mosaics:
+        # Fine detail, as coarse texture has wide peaks of its own; averaged over 2 px, so that
+        # noise does not choose the highest frame.
+        seconds = np.add(*absolute_seconds(mosaic.astype(np.float32), 0.8, 5))
+        profiles.append(_inner(blur(seconds, 2.0))[..., ::_SAMPLE, ::_SAMPLE].ravel())
+    above = np.array(profiles) - np.percentile(profiles, _GROUND, axis=0)
+    height = above.max(axis=0)
+    clear = (height >= np.median(height)) & (height > 0)
+    return float(np.median(above.sum(axis=0)[clear] / height[clear])) if clear.any() else 1.0
+
+
+def noise_level(mosaic: Image) -> float:
+    """Estimate the noise of a frame from its quietest twentieth, grey levels.
+
+    No less than what rounding to whole grey levels makes, or the digits of float32.
+    """
+    seconds = np.add(*absolute_seconds(mosaic.astype(np.float32), 0.5, 5))
+    quiet = float(np.percentile(_inner(blur(seconds, 3.0)), _QUIET)) / noise_gain(0.5)
+    rounding = np.sqrt(1 / 12) if mosaic.dtype.kind == "u" else 0.0
+    digits = _LEAST_NOISE_SHARE * float(np.abs(mosaic).max())
+    return max(quiet, rounding, digits, _LEAST_NOISE)
+
+
+def _inner(mosaic: NDArray) -> NDArray:
+    """Return the squares of a mosaic without the borders that their neighbors reach into."""
+    rows, cols = (n // _SQUARES for n in mosaic.shape)
+    squares = mosaic.reshape(_SQUARES, rows, _SQUARES, cols).swapaxes(1, 2)
+    down, along = (_SEAM if n == _SQUARE else 0 for n in (rows, cols))
+    return squares[:, :, down : rows - down, along : cols - along]
+
+
+def light_pull(light: Array, deviation: float) -> Array:
+    """Return how far changes of the light pull the depth of something in focus at each frame.
+
+    A measure that grows with a power of the light leans towards the brighter frames. To a peak of
+    `deviation` frames the logarithm of the light adds a slope, found here with the weights of the
+    fit, and its vertex moves by the slope times the deviation's square.
+
+    Parameters
+    ----------
+    light : ndarray, shape (n,)
+        Mean grey level of each frame. Where it is not positive it tells nothing, and the pull is 0.
+    deviation : float
+        Of the peak, frames.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Root mean square of the pull around each frame, frames.
+    """
+    if not (light > 0).all():
+        return np.zeros(len(light))
+    away = np.arange(-3, 4)
+    weight = np.exp(-(away**2) / (2 * deviation**2)) * (1 - (away / 4) ** 2) ** 2
+    kernel = weight * away / np.sum(weight * away**2)
+    level = _LIGHT_POWER * np.pad(np.log(light), 4, mode="edge")
+    slope = np.correlate(level, kernel, mode="valid")  # from one frame before to one behind
+    square = np.correlate((deviation**2 * slope) ** 2, np.array([0.25, 0.5, 0.25]), mode="valid")
+    return np.sqrt(square)

@@ -1,0 +1,98 @@
+"""Depth of what is larger than memory, or than one machine: block by block, by dask."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from microlib._common import Array, whole
+from microlib.focus._axis import Axis, find_axis, sampled
+from microlib.focus._multiscale import multiscale_result
+from microlib.focus._result import FocusResult
+
+__all__ = ["depth_in_blocks", "is_in_blocks"]
+
+#: What is seen around a block and the side of a block, px, and what its place must be a multiple
+#: of: every fourth pixel is looked at, and blocks of 64 rows are fitted again where it is steep.
+_AROUND, _SIDE, _GRID = 128, 1024, 64
+#: What a result has for each pixel, in the order in which blocks stack it, and its type.
+_MAPS = (
+    ("depth", "f4"),
+    ("uncertainty", "f4"),
+    ("confidence", "f4"),
+    ("index", "i4"),
+    ("at_end", "?"),
+)
+
+
+def is_in_blocks(frames: object) -> bool:
+    """Return whether frames are a dask or a zarr array."""
+    module, name = type(frames).__module__.split(".")[0], type(frames).__name__
+    return module in ("dask", "zarr") and name == "Array"
+
+
+def depth_in_blocks(
+    frames: Any,
+    positions: Array,
+    region: tuple[int, int, int, int] | None,
+    *,
+    points: int,
+) -> FocusResult:
+    """Return the default depth of a dask or zarr array, as dask arrays.
+
+    Parameters
+    ----------
+    frames : dask.array.Array or zarr.Array, shape (n, rows, cols)
+        Grey frames.
+    positions : ndarray, shape (n,)
+        Position of each frame, µm.
+    region, points
+        As for `depth_from_focus`.
+    """
+    import dask.array as da
+
+    stack = frames if isinstance(frames, da.Array) else da.from_zarr(frames)
+    if stack.ndim != 3 or stack.dtype.kind not in "uif":
+        raise ValueError(
+            "frames must be a dask array of shape (n, rows, cols) and of real numbers, got "
+            f"{stack.shape} of {stack.dtype}"
+        )
+    if len(positions) != len(stack):
+        raise ValueError(
+            f"frames and positions must be as many, got {len(stack)} and {len(positions)}"
+        )
+    if region is not None:
+        x, y, width, height = (whole("region", value, least=0) for value in region)
+        stack = stack[:, y : y + height, x : x + width]
+        if stack.shape[1:] != (height, width) or stack.size == 0:
+            raise ValueError(f"region must lie in frames of shape {frames.shape[1:]}, got {region}")
+    if stack.dtype not in (np.uint8, np.uint16):
+        stack = stack.astype(np.float32)
+    rows, cols = (sampled(n) for n in stack.shape[1:])
+    # What needs the whole image is found once, from the squares that are looked at first.
+    axis = find_axis(list(stack[:, rows][:, :, cols].compute()), positions)
+    inner = [n for chunks in stack.chunks[1:] for n in chunks[:-1]]
+    if any(n % _GRID or n > 2 * _SIDE or n < _AROUND for n in inner):
+        stack = stack.rechunk((len(stack), _SIDE, _SIDE))
+    # Where one chunk shows all of a side, nothing is around it.
+    around = {k: _AROUND if k > 0 and len(stack.chunks[k]) > 1 else 0 for k in range(3)}
+    seen = da.overlap.overlap(stack.rechunk({0: len(stack)}), around, boundary="none")
+    found = seen.map_blocks(
+        _block,
+        axis=axis,
+        points=points,
+        chunks=((len(_MAPS) + 1,), *seen.chunks[1:]),
+        meta=np.empty((0, 0, 0), np.float32),
+    )
+    found = da.overlap.trim_internal(found, around, boundary="none")
+    maps = {name: found[k].astype(kind) for k, (name, kind) in enumerate(_MAPS)}
+    return FocusResult(**maps, all_in_focus=found[len(_MAPS)].astype(stack.dtype))
+
+
+def _block(frames: NDArray, *, axis: Axis, points: int) -> NDArray[np.float32]:
+    """Return the maps of one block, one above the other."""
+    result = multiscale_result(list(frames), None, axis, points=points, workers=1)
+    names = [name for name, _ in _MAPS]
+    return np.stack([*(getattr(result, n) for n in names), result.all_in_focus]).astype(np.float32)

@@ -1,0 +1,190 @@
+"""The one pass through the frames: what every second pixel and every fourth saw over the stack."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields
+from itertools import count
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from microlib._common import Image
+from microlib.focus._axis import Axis
+from microlib.focus._measures import absolute_seconds, blur, halved, noise_gain
+from microlib.focus._peaks import PeakFollower, fit_peaks
+
+__all__ = ["Followed", "Levels", "follow"]
+
+#: Rows that are looked at on either side of a strip: what the measures' windows reach. Rows of a
+#: strip, of which fewer are taken of more frames, so that its measures stay below this memory.
+_MARGIN, _MOST_ROWS, _LEAST_ROWS, _MEASURES = 32, 256, 64, 2**24
+#: Smoothings of the second differences at full size and at half, and their windows, px of the grid
+#: they are taken on: the fine scale places the peak on a slope, the coarse one keeps it where
+#: texture is weak. A product peaks where both agree.
+FINE, COARSE, FINE_WINDOW, COARSE_WINDOW = 0.8, 1.0, 0.6, 1.15
+#: Radius of the mean that the edge measure takes a pixel's deviation from, and its window, px.
+_EDGE_MEAN, _EDGE_WINDOW = 2.0, 1.0
+#: Side of the wide window, every fourth pixel, and the share of noise that halving leaves.
+_WIDE = 13
+
+
+@dataclass(frozen=True)
+class Levels:
+    """What the measures are on noise alone. Each is raised by it: where a measure sees nothing but
+    noise it is nearly flat then, and the others decide.
+
+    Attributes
+    ----------
+    fine, coarse, edge, wide : float
+        Of the second differences at full size and at half, of the deviation from a mean, and of the
+        energy in the wide window.
+    """
+
+    fine: float
+    coarse: float
+    edge: float
+    wide: float
+
+    @classmethod
+    def of(cls, noise: float) -> Levels:
+        """Return them for a noise, grey levels. Halving halves it."""
+        coarse = 0.5 * noise * noise_gain(COARSE)
+        # The mean square of one of two directions is π/2 times the square of its mean modulus,
+        # (coarse / 2)²: over both directions about 0.8 coarse².
+        return cls(noise * noise_gain(FINE), coarse, 0.4 * noise, 0.8 * coarse**2)
+
+
+@dataclass(frozen=True)
+class Followed:
+    """The peaks of every second pixel, the wide ones of every fourth; depths in steps.
+
+    Attributes
+    ----------
+    depth, strength, top, best : ndarray, shape (rows, cols)
+        By the product of the fine and the coarse measure: depth and its certainty, height of the
+        peak, and number of the best frame.
+    along, down : ndarray, shape (2 reach + 1, rows, cols)
+        The fine measure of either direction in the frames around the best one.
+    edge : ndarray, shape (rows, cols)
+        Depth by the edge measure.
+    wide, wide_strength, wide_top : ndarray, shape (rows / 2, cols / 2)
+        By the wide window.
+    """
+
+    depth: NDArray[np.float32]
+    strength: NDArray[np.float32]
+    top: NDArray[np.float32]
+    best: NDArray[np.uint16]
+    along: NDArray[np.float32]
+    down: NDArray[np.float32]
+    edge: NDArray[np.float32]
+    wide: NDArray[np.float32]
+    wide_strength: NDArray[np.float32]
+    wide_top: NDArray[np.float32]
+
+
+def follow(
+    frames: Sequence[Image],
+    axis: Axis,
+    reach: int,
+    *,
+    workers: int = 1,
+    done: Callable[[float], object] = lambda share: None,
+) -> Followed:
+    """Follow the focus measures of every pixel through the stack, in strips of rows.
+
+    Parameters
+    ----------
+    frames : sequence of ndarray, shape (rows, cols)
+        All frames.
+    axis : Axis
+        How they are averaged.
+    reach : int
+        How many averaged frames to either side of the best one are fitted.
+    workers : int
+        Threads that share the strips.
+    done : callable
+        Told after each strip what share of the rows is done.
+    """
+    shape = frames[0].shape
+    counted = count(1)
+    tops = range(0, shape[0], strip_rows(shape, len(axis.steps)))
+
+    def strip(top: int) -> Followed:
+        bottom = min(top + tops.step, shape[0])
+        start = max(top - _MARGIN, 0)
+        seen = slice(start, min(bottom + _MARGIN, shape[0]))
+        found = _follow_strip(frames, axis, reach, seen, slice(top - start, bottom - start))
+        done(next(counted) / len(tops))
+        return found
+
+    with ThreadPoolExecutor(workers) as pool:
+        parts = list(pool.map(strip, tops))
+    whole = {}
+    for field in fields(Followed):
+        block = 4 if field.name.startswith("wide") else 2
+        rows, cols = (-(-n // block) for n in shape)
+        joined = np.concatenate([getattr(part, field.name) for part in parts], axis=-2)
+        whole[field.name] = np.ascontiguousarray(joined[..., :rows, :cols])
+    return Followed(**whole)
+
+
+def strip_rows(shape: tuple[int, ...], count: int) -> int:
+    """Return how many rows are worked on at a time: a multiple of four."""
+    rows = _MEASURES // max(shape[1] * count, 1) - 2 * _MARGIN
+    return int(np.clip(rows // 4 * 4, _LEAST_ROWS, _MOST_ROWS))
+
+
+def _follow_strip(
+    frames: Sequence[Image], axis: Axis, reach: int, rows: slice, keep: slice
+) -> Followed:
+    """Do the work of `follow` on some rows of the frames, of which those to keep are fitted."""
+    steps, levels = axis.steps, Levels.of(axis.noise)
+    groups = len(steps)
+    for k in range(groups):
+        frame = axis.frame(frames, k, (rows, slice(None)))
+        # Blocks of four by four pixels for every fourth.
+        down, right = (-n % 4 for n in frame.shape)
+        if down or right:
+            frame = cv2.copyMakeBorder(frame, 0, down, 0, right, cv2.BORDER_REPLICATE)
+        half = halved(frame.astype(np.float32, copy=False))
+        if k == 0:
+            main = PeakFollower(groups, 3, half.shape, reach)
+            edge = PeakFollower(groups, 1, half.shape, 1)
+            wide = PeakFollower(groups, 1, (half.shape[0] // 2, half.shape[1] // 2), 2)
+        product, *directions = main.slot(k)
+        for second, out in zip(absolute_seconds(frame, FINE, 5), directions, strict=True):
+            out[:] = blur(halved(second), FINE_WINDOW)
+        p, q = absolute_seconds(half, COARSE, 7)
+        np.add(directions[0], directions[1], out=product)
+        product += np.float32(levels.fine)
+        product *= blur(p + q, COARSE_WINDOW) + np.float32(levels.coarse)
+        main.push(k)
+        off, floor = cv2.absdiff(half, blur(half, _EDGE_MEAN)), np.float32(levels.edge)
+        np.multiply(off + floor, blur(off, _EDGE_WINDOW) + floor, out=edge.slot(k)[0])
+        edge.push(k)
+        wide.slot(k)[0] = cv2.blur(halved(p * p + q * q), (_WIDE, _WIDE))
+        wide.push(k)
+    here = slice(keep.start // 2, -(-keep.stop // 2))
+    coarse = slice(keep.start // 4, -(-keep.stop // 4))
+    windows = main.windows(here)
+    z, ends = axis.means, axis.positions[[0, -1]]
+    outside = (abs(z[0] - ends[0]) / axis.spacing, abs(ends[1] - z[-1]) / axis.spacing)
+    depth, strength = fit_peaks(windows[0], main.best[here], steps, outside=outside)
+    edges, _ = fit_peaks(edge.windows(here)[0], edge.best[here], steps, outside=outside)
+    far, far_strength = fit_peaks(wide.windows(coarse)[0], wide.best[coarse], steps)
+    return Followed(
+        depth=depth,
+        strength=strength,
+        top=main.top[here],
+        best=main.best[here],
+        along=windows[1],
+        down=windows[2],
+        edge=edges,
+        wide=far,
+        wide_strength=far_strength,
+        wide_top=wide.top[coarse],
+    )

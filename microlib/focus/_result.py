@@ -1,0 +1,197 @@
+"""What shape from focus returns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from microlib._common import Array, Frames, Image, Tidy
+from microlib.io import read_frames
+
+__all__ = ["FocusResult", "as_type", "picked", "warped"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FocusResult(Tidy):
+    """Shape from focus, one value for every pixel; of a dask array dask arrays.
+
+    Attributes
+    ----------
+    depth : ndarray of float32, shape (rows, cols)
+        Position at which the pixel is sharpest, µm; NaN where that cannot be told.
+    uncertainty : ndarray of float32, shape (rows, cols)
+        Estimate of the error, µm; NaN where `depth` is. By "multiscale" from how far depths from
+        horizontal and from vertical detail differ: noise, and relief that could not be told from
+        it; from slopes and edges of the depth, where a pixel may belong to either side; and from
+        how the light changes from frame to frame. It does not see a depth that is wrong as a whole.
+        By other measures from how rough the depth is, which does not show errors that are smooth
+        over some ten pixels.
+    confidence : ndarray of float32, shape (rows, cols)
+        1 / (1 + (uncertainty / spacing of the frames)²), from 0 to 1; 0 where `depth` is NaN. The
+        spacing is that of the averaged frames where "multiscale" averages.
+    index : ndarray of int32, shape (rows, cols)
+        Number of the frame nearest to the depth by "multiscale", of the sharpest frame by any other
+        measure; -1 where `depth` is NaN.
+    all_in_focus : ndarray of the frames' type, shape (rows, cols) or (rows, cols, 3)
+        Every pixel from the frame `index`, or where there is no depth from its sharpest one.
+    at_end : ndarray of bool, shape (rows, cols)
+        Whether the sharpest frame is the first or the last, so that the true focus may lie
+        outside the stack. Averaged frames count as one.
+    poses : ndarray, shape (n, 2, 3), or None
+        If the stack was registered: for each frame the matrix that takes x, y and 1 of a pixel of
+        the result to x and y of the same place in the frame, px. NaN for frames that were left out.
+    gain, offset : ndarray, shape (n,), or None
+        If the stack was registered: grey levels of the frame are `gain` times those of the middle
+        frame, plus `offset`.
+    """
+
+    depth: NDArray[np.float32]
+    uncertainty: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    index: NDArray[np.int32]
+    all_in_focus: Image
+    at_end: NDArray[np.bool_]
+    poses: Array | None = None
+    gain: Array | None = None
+    offset: Array | None = None
+
+    def __repr__(self) -> str:
+        rows, cols = self.depth.shape
+        if not isinstance(self.depth, np.ndarray):
+            return f"FocusResult({rows}×{cols} px, dask arrays that are not computed yet)"
+        numbers = self.to_dict()
+        known = f"{rows}×{cols} px, {100 * numbers['known']:.1f} % known"
+        if not numbers["known"]:
+            return f"FocusResult({known})"
+        return (
+            f"FocusResult({known}, depth {numbers['depth_least']:.4g} to "
+            f"{numbers['depth_largest']:.4g} µm, uncertainty {numbers['uncertainty_median']:.2g} "
+            f"µm{'' if self.poses is None else ', registered'})"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what the maps come to as a flat dictionary that JSON can hold.
+
+        Returns
+        -------
+        dict
+            ``rows`` and ``columns``; ``known``, the share of pixels that have a depth; least,
+            median and largest depth, median and largest uncertainty, µm, None where nothing is
+            known; ``at_end``, the share of pixels that are sharpest in an end frame.
+        """
+        maps = np.asarray(self.depth), np.asarray(self.uncertainty)
+        known = np.isfinite(maps[0])
+        depth, uncertainty = (value[known] for value in maps)
+        nothing = not known.any()
+        return {
+            "rows": self.depth.shape[0],
+            "columns": self.depth.shape[1],
+            "known": float(known.mean()),
+            "depth_least": None if nothing else float(depth.min()),
+            "depth_median": None if nothing else float(np.median(depth)),
+            "depth_largest": None if nothing else float(depth.max()),
+            "uncertainty_median": None if nothing else float(np.median(uncertainty)),
+            "uncertainty_largest": None if nothing else float(uncertainty.max()),
+            "at_end": float(np.asarray(self.at_end).mean()),
+        }
+
+    def select(self, frames: Frames) -> Image:
+        """Return an image of other frames of the same places, such as another channel.
+
+        Parameters
+        ----------
+        frames : array_like, path, or iterable
+            As many frames as the stack has, of the same size, grey or in color, as for
+            `microlib.io.read_frames`.
+
+        Returns
+        -------
+        ndarray of the frames' type, shape (rows, cols) or (rows, cols, 3)
+            Every pixel from the frame `index`, or that of the nearest pixel that has one. If the
+            stack was registered, its `poses` are applied, its `gain` and `offset` are not.
+
+        Raises
+        ------
+        ValueError
+            If no pixel has a depth, or the frames are too few or of another size.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from microlib import synthetic
+        >>> from microlib.focus import depth_from_focus
+        >>> texture = synthetic.mixed_texture((48, 48), np.random.default_rng(0))
+        >>> positions = np.arange(0.0, 100.0, 10.0)
+        >>> flat = np.full((48, 48), 42.0)
+        >>> stack = synthetic.focal_stack(texture, flat, positions, blur_rate=0.1)
+        >>> result = depth_from_focus(stack, positions)
+        >>> bool((result.select(255 - stack) == 255 - result.all_in_focus).all())
+        True
+        """
+        index = np.asarray(self.index)
+        unknown = index < 0
+        if unknown.all():
+            raise ValueError("frames cannot be chosen from, got a depth that is nowhere known")
+        if unknown.any():
+            from scipy import ndimage  # here, as it takes long to import
+
+            rows, cols = ndimage.distance_transform_edt(
+                unknown, return_distances=False, return_indices=True
+            )
+            index = index[rows, cols]
+        reader: Iterable[Image] = read_frames(frames, color=True)
+        if self.poses is not None:
+            known = zip(reader, self.poses, strict=False)
+            # A frame that was left out is nobody's best one.
+            reader = (
+                as_type(warped(f, pose), f.dtype) if np.isfinite(pose).all() else f
+                for f, pose in known
+            )
+        return picked(reader, index)
+
+
+def picked(frames: Iterable[Image], index: NDArray[np.integer]) -> Image:
+    """Return every pixel from the frame of that number.
+
+    Raises
+    ------
+    ValueError
+        If the frames are too few or of another size.
+    """
+    result, count, number = np.zeros(0), 0, index.astype(np.uint16)
+    for k, frame in enumerate(frames):
+        if frame.shape[:2] != index.shape:
+            raise ValueError(f"frames must have the shape {index.shape}, got {frame.shape[:2]}")
+        if k == 0:
+            result = frame.copy()
+        else:
+            cv2.copyTo(frame, cv2.inRange(number, k, k), result)
+        count = k + 1
+    if count <= index.max():
+        raise ValueError(f"frames must be at least {index.max() + 1}, got {count}")
+    return result
+
+
+def warped(image: Image, pose: Array) -> NDArray[np.float32]:
+    """Return an image where the reference has it; the pose takes the reference's px to its."""
+    moved = cv2.warpAffine(
+        image.astype(np.float32),
+        pose,
+        (image.shape[1], image.shape[0]),
+        flags=cv2.INTER_LANCZOS4 | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    return np.asarray(moved)
+
+
+def as_type(image: Image, dtype: np.dtype) -> Image:
+    """Return an image in a type: rounded, and no further than its ends if that is of integers."""
+    if dtype.kind not in "ui":
+        return image.astype(dtype, copy=False)
+    ends = np.iinfo(dtype)
+    return np.clip(np.rint(image), ends.min, ends.max).astype(dtype)

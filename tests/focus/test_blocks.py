@@ -1,0 +1,93 @@
+"""A dask array, block by block, against the whole image at once."""
+
+import numpy as np
+import pytest
+
+from microlib import synthetic
+from microlib.focus import depth_from_focus
+
+da = pytest.importorskip("dask.array")
+dask = pytest.importorskip("dask")
+
+SHAPE = (352, 416)
+POSITIONS = np.arange(11.0)
+
+
+@pytest.fixture(scope="module")
+def stack():
+    """A dome with a step and a patch of bare ground."""
+    rng = np.random.default_rng(0)
+    texture = synthetic.mixed_texture(SHAPE, rng)
+    texture[200:260, 250:330] = 128
+    height = 2 + synthetic.paraboloid(SHAPE, 6.0)
+    height[:, 150:] += 1.8
+    return synthetic.focal_stack(texture, height, POSITIONS, blur_rate=1.0, noise=2.0, rng=rng)
+
+
+@pytest.fixture(scope="module")
+def whole(stack):
+    return depth_from_focus(stack, POSITIONS)
+
+
+def test_blocks_are_the_whole(stack, whole):
+    blocks = depth_from_focus(da.from_array(stack, chunks=(4, 192, 192)), POSITIONS)
+    assert blocks.depth.shape == SHAPE
+    assert len(blocks.depth.chunks[0]) == 2
+    names = ("depth", "uncertainty", "confidence", "index", "all_in_focus", "at_end")
+    with dask.config.set(scheduler="synchronous"):
+        found = dict(zip(names, dask.compute(*(getattr(blocks, n) for n in names)), strict=True))
+    for name, value in found.items():
+        assert value.shape == SHAPE
+        assert value.dtype == getattr(whole, name).dtype == getattr(blocks, name).dtype
+    error = found["depth"] - whole.depth
+    assert np.sqrt(np.nanmean(error**2)) <= 0.004
+    assert np.nanmax(np.abs(error)) <= 0.02
+    assert np.mean(np.isnan(found["depth"]) != np.isnan(whole.depth)) <= 1e-4
+    assert np.mean(found["all_in_focus"] != whole.all_in_focus) < 1e-3
+    assert "not computed" in repr(blocks)
+
+
+def test_chunks_of_any_shape_and_a_region(stack, whole):
+    frames = da.from_array(stack, chunks=(11, 101, 416))
+    part = depth_from_focus(frames, spacing=1.0, region=(40, 8, 160, 128))
+    with dask.config.set(scheduler="synchronous"):
+        found = part.depth.compute()
+    same = depth_from_focus(stack, POSITIONS, region=(40, 8, 160, 128)).depth
+    np.testing.assert_allclose(found, same, atol=0.02)
+
+
+def test_zarr_comes_in_and_goes_out(stack, tmp_path):
+    zarr = pytest.importorskip("zarr")
+    store = zarr.create_array(
+        tmp_path / "in.zarr", shape=(11, 96, 128), chunks=(1, 96, 128), dtype="u1"
+    )
+    store[:] = stack[:, :96, :128]
+    result = depth_from_focus(store, POSITIONS)
+    da.to_zarr(result.depth, tmp_path / "out.zarr")
+    kept = zarr.open_array(tmp_path / "out.zarr", mode="r")[:]
+    np.testing.assert_allclose(
+        kept, depth_from_focus(stack[:, :96, :128], POSITIONS).depth, atol=1e-5
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"measure": "sml"}, "dask arrays must be for measure 'multiscale'"),
+        ({"register": True}, "dask arrays must be for measure 'multiscale'"),
+        ({"reduce": 2}, "without register and reduce"),
+        ({"positions": [0, 1, 2]}, "frames and positions must be as many, got 11 and 3"),
+        ({"positions": None}, "positions or spacing must be given"),
+        ({"region": (0, 0, 900, 20)}, "region must lie in frames of shape"),
+    ],
+)
+def test_what_blocks_cannot_do_is_refused(stack, change, words):
+    arguments = {"frames": da.from_array(stack[:, :96, :96]), "positions": POSITIONS, **change}
+    with pytest.raises(ValueError, match=words):
+        depth_from_focus(**arguments)
+
+
+def test_frames_in_color_or_of_complex_numbers_are_refused(stack):
+    for frames in (np.repeat(stack[:, :32, :32, None], 3, axis=3), stack[:, :32, :32] * 1j):
+        with pytest.raises(ValueError, match="frames must be a dask array of shape"):
+            depth_from_focus(da.from_array(frames), POSITIONS)

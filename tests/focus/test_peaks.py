@@ -1,0 +1,151 @@
+"""The peak of a profile against (3.13), against exact Gaussians, and against its own laws."""
+
+import numpy as np
+import pytest
+import sympy
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from microlib.focus import depth_from_focus, three_point_peak
+from microlib.focus._peaks import fit_peaks
+
+
+def test_equation_3_13_is_the_vertex_of_a_parabola_through_the_logarithms():
+    d, step, a, b, c = sympy.symbols("d Delta a b c")
+    below, best, above = a, b, c
+    printed = (
+        (best - above) * (d**2 - (d - step) ** 2) - (best - below) * (d**2 - (d + step) ** 2)
+    ) / (2 * step * ((best - below) + (best - above)))
+    x = sympy.symbols("x")
+    parabola = sympy.interpolate([(d - step, a), (d, b), (d + step, c)], x)
+    vertex = sympy.solve(sympy.diff(parabola, x), x)[0]
+    assert sympy.simplify(printed - vertex) == 0
+
+
+@settings(deadline=None, max_examples=100)
+@given(
+    center=st.floats(1.0, 5.0),
+    width=st.floats(0.5, 3.0),
+    gaps=st.lists(st.floats(0.5, 1.5), min_size=6, max_size=6),
+    falling=st.booleans(),
+)
+def test_gaussian_profiles_are_found_exactly(center, width, gaps, falling):
+    """Both fits are exact on a Gaussian, at uneven and falling positions too."""
+    positions = np.concatenate([[0.0], np.cumsum(gaps)])
+    if falling:
+        positions = positions[::-1].copy()
+    profile = 1000 * np.exp(-((positions - center) ** 2) / (2 * width**2))
+    best = int(profile.argmax())
+    if not 0 < best < len(positions) - 1:
+        return
+    index = np.full((1, 1), best, np.uint8)
+    three = profile[best - 1 : best + 2, None, None].astype(np.float32)
+    # float32 measures: 6e-8 relative, over the curvature 0.25 / 3².
+    assert three_point_peak(three, index, positions)[0, 0] == pytest.approx(center, abs=1e-4)
+    frames = np.arange(best - 3, best + 4)
+    seven = np.where((frames >= 0) & (frames <= 6), profile[np.clip(frames, 0, 6)], 0)
+    window = seven[:, None, None].astype(np.float32)
+    steps = np.abs(positions - positions[0])
+    found = fit_peaks(window, index, steps)[0][0, 0]
+    # A fit divides by the third and fourth moments of the frames that have a weight.
+    assert found == pytest.approx(abs(center - positions[0]), abs=5e-4)
+
+
+def stack_of_profiles(profiles):
+    """Frames whose grey level at each pixel is the profile: what a measure may return."""
+    return np.broadcast_to(profiles[:, :, None], (*profiles.shape, 8)).astype(np.float32).copy()
+
+
+def levels(frame):
+    return frame
+
+
+@pytest.mark.parametrize("count", [4, 5, 6])
+def test_points_beyond_the_positions_count_nothing(count):
+    """A fit of all frames is the same, however many more it is allowed to take."""
+    position = np.arange(float(count))
+    centers = np.linspace(0.6, count - 1.6, 12)
+    profiles = 100 * np.exp(-((position[:, None] - centers) ** 2) / 3) + 20
+    stack = stack_of_profiles(profiles)
+    most = 2 * count - 1  # from the first frame to the last, seen from either end
+
+    def found(points):
+        return depth_from_focus(stack, position, measure=levels, points=points).depth
+
+    whole = found(most)
+    assert np.isfinite(whole).all()
+    for points in (most + 2, 25, 255):
+        np.testing.assert_allclose(found(points), whole, atol=1e-5)
+    # What is on a ground is no Gaussian: fewer frames give another depth.
+    assert np.abs(found(3) - whole).max() > 1e-3
+
+
+def test_the_last_bit_of_an_input_decides_nothing():
+    """Equal measures, whole positions and symmetric profiles, and the same but for rounding."""
+    rng = np.random.default_rng(3)
+    position = np.arange(9.0)
+    centers = np.repeat(np.arange(1, 8, 0.5), 4)  # on frames, and half-way between them
+    profiles = np.exp(-((position[:, None] - centers) ** 2) / 4)
+    window = np.stack([profiles[k, np.arange(len(centers))] for k in range(9)])
+    best = window.argmax(axis=0)
+    for reach in (1, 3):
+        around = np.clip(best + np.arange(-reach, reach + 1)[:, None], 0, 8)
+        inside = (best + np.arange(-reach, reach + 1)[:, None] == around)[..., None]
+        part = np.take_along_axis(window, around, 0)[..., None] * inside
+        noisy = part * (1 + 1e-15 * rng.standard_normal(part.shape))
+        moved = position * (1 + 1e-15 * rng.standard_normal(9))
+        index = best[:, None]
+        if reach == 1:
+            plain, other = (
+                three_point_peak(w, index, z) for w, z in ((part, position), (noisy, moved))
+            )
+        else:
+            plain, other = (
+                fit_peaks(w.astype(np.float32), index.astype(np.uint16), z)[0]
+                for w, z in ((part, position), (noisy, moved))
+            )
+        np.testing.assert_allclose(other, plain, atol=1e-5)  # float32 of up to 9 steps
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"window": [[1.0]]}, "window must be an array of real numbers, got list"),
+        ({"window": np.ma.ones((3, 4, 5))}, "window must be an array of real numbers, got Masked"),
+        ({"window": np.ones((3, 4, 5), complex)}, "window must be an array of real numbers"),
+        ({"index": np.ones((4, 5))}, "index must be an array of whole numbers"),
+        ({"positions": np.arange(5)}, "positions must be an array of real numbers"),
+        ({"window": np.ones((4, 4, 5))}, "window must hold three measures"),
+        ({"window": np.ones((1, 4, 5))}, "window must hold three measures"),
+        ({"window": np.ones((3, 5, 4))}, "window must hold three measures"),
+        ({"window": np.full((3, 4, 5), -1.0)}, "window must hold measures from 0 to"),
+        ({"window": np.full((3, 4, 5), np.nan)}, "window must hold measures from 0 to"),
+        ({"window": np.full((3, 4, 5), 1e200)}, "window must hold measures from 0 to"),
+        ({"positions": np.arange(2.0)}, "positions must be at least three finite numbers"),
+        ({"positions": np.array([0, 1, np.inf])}, "positions must be at least three finite"),
+        ({"positions": np.zeros((3, 3))}, "positions must be at least three finite numbers"),
+        ({"positions": np.array([0.0, 1.0, 1.0])}, "positions must be at least"),
+        ({"positions": np.array([0.0, 1.0, 1e300])}, "positions must be at least"),
+        ({"index": np.full((4, 5), 5)}, "index must hold numbers of the 5 positions"),
+        ({"index": np.full((4, 5), -1)}, "index must hold numbers of the 5 positions"),
+    ],
+)
+def test_what_is_no_window_around_the_best_frame_is_refused(change, words):
+    good = {
+        "window": np.ones((3, 4, 5), np.float32),
+        "index": np.full((4, 5), 2, np.uint16),
+        "positions": np.arange(5.0),
+    }
+    three_point_peak(**good)
+    with pytest.raises(ValueError, match=words):
+        three_point_peak(**good | change)
+
+
+@pytest.mark.parametrize("kind", [">f4", "<f2", ">f8", "longdouble", "int64", ">u2"])
+def test_a_window_may_be_of_any_numbers(kind):
+    profile = np.rint(1000 * np.exp(-((np.arange(5.0) - 2.25) ** 2) / 8))
+    window, index = profile[1:4, None, None], np.full((1, 1), 2)
+    expected = three_point_peak(window, index, np.arange(5.0))
+    found = three_point_peak(window.astype(kind), index.astype(">i4"), np.arange(5.0))
+    # Whole numbers up to 1000, which all kinds hold.
+    assert found == expected
