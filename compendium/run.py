@@ -128,12 +128,10 @@ def build(names: list[str], jobs: int, *, force: bool) -> None:
     """Run those of the notebooks that must be, the last chapter after the others."""
     for folder in (".running", "notebooks", "claims", "status", "figures"):
         (BUILD / folder).mkdir(exist_ok=True)
-    shared = shared_key()
     for is_last in (False, True):
-        keys = {name: key_of(name, shared) for name in names if name.startswith(LAST) == is_last}
+        keys = {name: key_of(name) for name in names if name.startswith(LAST) == is_last}
         todo = {n: key for n, key in keys.items() if force or not up_to_date(n, key)}
-        for name in sorted(set(keys) - set(todo)):
-            print(f"  {name}: up to date")
+        print(*(f"  {name}: up to date\n" for name in keys if name not in todo), sep="", end="")
         # The longest first, so that no core idles at the end; the longer has the larger file.
         order = sorted(todo, key=lambda n: -(ROOT / "notebooks" / f"{n}.ipynb").stat().st_size)
         calls = {name: (run, name, todo[name]) for name in order}
@@ -144,27 +142,22 @@ def build(names: list[str], jobs: int, *, force: bool) -> None:
 
 def failures() -> dict[str, str]:
     """Return the notebooks whose last run failed, each with its cell and message."""
-    status = [json.loads(path.read_text()) for path in sorted((BUILD / "status").glob("*.json"))]
-    return {one["notebook"]: one["failed"] for one in status if one["failed"]}
+    told = {path.stem: read_status(path.stem) for path in sorted((BUILD / "status").glob("*.json"))}
+    return {name: status["failed"] for name, status in told.items() if status.get("failed")}
 
 
 def report_failures() -> int:
     """List what failed; return the exit status."""
-    found = failures()
-    if found:
-        print("These notebooks failed:", file=sys.stderr)
-    for name, message in found.items():
-        print(f"  {name}: {message}", file=sys.stderr)
-    return 1 if found else 0
+    lines = [f"  {name}: {message}" for name, message in failures().items()]
+    if lines:
+        print("These notebooks failed:", *lines, sep="\n", file=sys.stderr)
+    return 1 if lines else 0
 
 
 def run_own(names: list[str], texts: Sequence[tuple[str, str]], folder: Path) -> int:
     """Run one notebook on the reader's own data; say in one line what is wrong with it, if so."""
     if len(names) != 1:
         raise ValueError(f"-p needs one notebook, got {', '.join(names)}.")
-    given = [name for name, _ in texts]
-    if twice := sorted({name for name in given if given.count(name) > 1}):
-        raise ValueError(f"{twice[0]} must be given once, got it {given.count(twice[0])} times")
     source = ROOT / "notebooks" / f"{names[0]}.ipynb"
     values = read_values(source, dict(texts))
     prepare_folder("--output", folder)
@@ -266,34 +259,35 @@ def write_json(path: Path, content: object) -> None:
     replace_file(path, lambda file: file.write_text(text, encoding="utf-8"))
 
 
+def read_status(name: str) -> dict:
+    """Return what the last run of a notebook left; nothing if that is missing or damaged."""
+    try:
+        return dict(json.loads((BUILD / "status" / f"{name}.json").read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return {}
+
+
 def up_to_date(name: str, key: dict[str, str]) -> bool:
     """Tell whether a notebook was run well on the inputs of which `key` holds the hashes."""
     made = (BUILD / "notebooks" / f"{name}.ipynb", BUILD / "claims" / f"{name}.json")
-    try:
-        status = json.loads((BUILD / "status" / f"{name}.json").read_text(encoding="utf-8"))
-        return status["key"] == key and not status["failed"] and all(p.exists() for p in made)
-    except (OSError, ValueError, LookupError, TypeError):
-        return False  # missing, or not what `run` writes
+    status = read_status(name)
+    return status.get("key") == key and not status["failed"] and all(p.exists() for p in made)
 
 
-def key_of(name: str, shared: dict[str, str]) -> dict[str, str]:
-    """Return the hashes of all that a notebook depends on."""
-    key = {"notebook": files_hash([ROOT / "notebooks" / f"{name}.ipynb"]), **shared}
-    if name.startswith(LAST):
-        claims = (BUILD / "claims").glob("*.json")
-        key["claims"] = files_hash(p for p in claims if not p.name.startswith(LAST))
-    return key
-
-
-def shared_key() -> dict[str, str]:
-    """Return what all notebooks depend on: the version of Python and hashes by kind of file."""
-    return {
+def key_of(name: str) -> dict[str, str]:
+    """Return the version of Python and the hashes of all else that a notebook depends on."""
+    key = {
         "python": sys.version.split()[0],
+        "notebook": files_hash([ROOT / "notebooks" / f"{name}.ipynb"]),
         "microlib": files_hash((ROOT / "microlib").rglob("*.py")),
         "compendium": files_hash((ROOT / "compendium").rglob("*.py")),
         "data": files_hash(path for path in (ROOT / "data").rglob("*") if path.is_file()),
         "lock": files_hash([ROOT / "environment.txt"]),
     }
+    if name.startswith(LAST):
+        claims = (BUILD / "claims").glob("*.json")
+        key["claims"] = files_hash(p for p in claims if not p.name.startswith(LAST))
+    return key
 
 
 def files_hash(files: Iterable[Path]) -> str:

@@ -55,19 +55,19 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_changed_file_changes_the_key(project: Path) -> None:
-    keys = [run.key_of("01_first", run.shared_key())]
+    keys = [run.key_of("01_first")]
     for file in (
         "notebooks/01_first.ipynb", "microlib/focus/_a.py", "compendium/b.py",
         "data/thesis/c.toml", "environment.txt",
     ):  # fmt: skip
         (project / file).write_text("two")
-        keys.append(run.key_of("01_first", run.shared_key()))
+        keys.append(run.key_of("01_first"))
         assert keys[-1] not in keys[:-1], file
     # The records of the others are an input of the last chapter alone.
-    last = run.key_of("06_last", run.shared_key())
+    last = run.key_of("06_last")
     (project / "build" / "claims" / "01_first.json").write_text("of another")
-    assert run.key_of("01_first", run.shared_key()) == keys[-1]
-    assert run.key_of("06_last", run.shared_key()) != last
+    assert run.key_of("01_first") == keys[-1]
+    assert run.key_of("06_last") != last
 
 
 def statuses(project: Path) -> dict[str, dict]:
@@ -191,7 +191,6 @@ def test_a_second_run_waits_and_says_so(project: Path) -> None:
         (["01", "-p", "seed", "1"], 1, "01_first has no parameter seed; it has record, width."),
         (["01", "-p", "widht", "1"], 1, "01_first has no parameter widht; did you mean width?"),
         (["01", "-p", "width", "x"], 1, "width must be a finite number, got x"),
-        (["01", "-p", "width", "1", "-p", "width", "2"], 1, "width must be given once, got it 2 "),
         (["01", "-p", "width", "1", "--output", "file"], 1, "--output must be a folder that can"),
         (["01", "-p", "width", "1", "--output", "/proc/a"], 1, "--output must be a folder that "),
         (["01", "-p", "width"], 2, "argument -p: expected 2 arguments; --help lists the options"),
