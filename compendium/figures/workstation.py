@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
@@ -14,7 +17,6 @@ from compendium.figures.calibration import draw_detection
 from compendium.figures.servoing import draw_track
 from compendium.figures.style import COLORS
 from compendium.ledger import claim
-from microlib.calibration import Detection
 from microlib.tracking import Track
 
 __all__ = [
@@ -55,13 +57,20 @@ def draw_workstation() -> Figure:
     return figure
 
 
-def draw_patterns(examples: dict[str, tuple[NDArray, Detection]]) -> Figure:
-    """Draw figure 5.2: each pattern with its detected points, by column of Table 5.1."""
+def draw_patterns(taken: Mapping[str, Any]) -> Figure:
+    """Draw figure 5.2: each pattern with its detected points, by column of Table 5.1.
+
+    Parameters
+    ----------
+    taken : mapping of str to Photograph
+        ``image`` and ``found`` are drawn.
+    """
     figure, grid = plt.subplots(2, 2, figsize=(7.2, 5.8))
-    for axes, (column, (image, found)) in zip(grid.flat, examples.items(), strict=True):
+    for axes, (column, photo) in zip(grid.flat, taken.items(), strict=True):
         every = 4 if column == "circle-1X" else 6 if "square" in column else 1
-        draw_detection(axes, image, found, label_every=every)
-        axes.set_title(f"{thesis.COLUMNS[column]}: {len(found.points)} points", fontsize=11)
+        draw_detection(axes, photo.image, photo.found, label_every=every)
+        count = len(photo.found.points)
+        axes.set_title(f"{thesis.COLUMNS[column]}: {count} points", fontsize=11)
     return figure
 
 
@@ -95,31 +104,56 @@ def draw_speed_study(shares: pd.DataFrame) -> Figure:
     return figure
 
 
-def draw_printed_and_recomputed(panels: dict[str, pd.DataFrame]) -> Figure:
-    """Draw recomputed over printed numbers as dots with their 95 % intervals.
+def draw_printed_and_recomputed(
+    panels: Mapping[str, pd.DataFrame], *, percent: bool = False
+) -> Figure:
+    """Draw recomputed beside printed numbers as dots with their 95 % intervals.
 
     Parameters
     ----------
-    panels : dict of str to pandas.DataFrame
+    panels : mapping of str to pandas.DataFrame
         By title: ``claim`` (id), ``value``, ``low`` and ``high`` in the printed unit, and
         ``input``, whether the simulation was given the printed number; such dots are hollow.
+    percent : bool
+        Draw the deviation in per cent, of panels with the same rows, instead of the ratio.
     """
-    rows = max(map(len, panels.values()))
+    rows, deep = max(map(len, panels.values())), -(-len(panels) // 2)
     figure, grid = plt.subplots(
-        1, len(panels), figsize=(7.2, 1.3 + 0.32 * rows), squeeze=False, sharex=True
+        deep,
+        min(2, len(panels)),
+        figsize=(7.2, 0.8 + deep * (0.6 + 0.3 * rows)),
+        squeeze=False,
+        sharex=True,
+        sharey=percent,
     )
-    for axes, (title, table) in zip(grid[0], panels.items(), strict=True):
+    for axes in grid[-1]:
+        axes.set_xlabel("deviation (%)" if percent else "recomputed / printed")
+    ends = [0.25, 2.0]
+    for axes, (title, table) in zip(grid.flat, panels.items(), strict=True):
         printed = np.array([claim(id).value for id in table["claim"]])
+        value, low, high = (table[name].to_numpy() / printed for name in ("value", "low", "high"))
+        if percent:
+            value, low, high = (100 * (ratio - 1) for ratio in (value, low, high))
         place = -np.arange(len(table))
-        value, low, high = (table[name] / printed for name in ("value", "low", "high"))
-        axes.axvline(1, color="black", lw=1)
-        for given, face, label in ((True, "white", "input"), (False, COLORS["blue"], "predicted")):
+        axes.axvline(0 if percent else 1, color="black", lw=1)
+        for given, face, label in ((True, "white", "input"), (False, COLORS["blue"], "computed")):
             at = (table["input"] == given).to_numpy()
+            if not at.any():
+                continue
             axes.hlines(place[at], low[at], high[at], color=COLORS["blue"], lw=1.5)
             axes.plot(value[at], place[at], "o", color=COLORS["blue"], mfc=face, label=label)
-        axes.set(xscale="log", title=title, xlabel="recomputed / printed", ylim=(0.6 - rows, 0.4))
-        axes.set_yticks(place, [" ".join(id.split("/")[1:]) for id in table["claim"]], fontsize=10)
-        axes.set_xticks(ticks := [0.2, 0.5, 1, 2], list(map(str, ticks)))
+        names = [id.split("/")[2 if percent else 1 :] for id in table["claim"]]
+        axes.set_yticks(place, map(" ".join, names), fontsize=10)
+        axes.set_title(title, fontsize=11)
+        axes.set_ylim(0.6 - rows, 0.4)
+        if percent:
+            axes.set_xscale("symlog", linthresh=0.01)
+            axes.set_xticks([-10, -0.1, 0, 0.1, 10], ["−10", "−0.1", "0", "0.1", "10"])
+        else:
+            axes.set_xscale("log")
+            axes.set_xticks(ticks := [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2], list(map(str, ticks)))
+            ends.extend([low.min(), high.max()])
+            axes.set_xlim(0.9 * min(ends), 1.1 * max(ends))
         axes.minorticks_off()
     figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return figure

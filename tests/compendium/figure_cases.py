@@ -245,7 +245,10 @@ def surface(**how: Any) -> Callable[[], Figure]:
 def patterns() -> Figure:
     grid = np.stack(np.meshgrid([0, 1, 4, 6], [0, 4, 6]), axis=-1).reshape(-1, 2)
     examples: Any = {
-        name: (picture(90, 80, k), SimpleNamespace(points=10.0 * grid[k:] + k, grid=grid[k:]))
+        name: SimpleNamespace(
+            image=picture(90, 80, k),
+            found=SimpleNamespace(points=10.0 * grid[k:] + k, grid=grid[k:]),
+        )
         for k, name in enumerate(("circle-1X", "circle-4X", "square-1X", "square-4X"))
     }
     return workstation.draw_patterns(examples)
@@ -256,6 +259,16 @@ def printed_and_recomputed() -> Figure:
     table = pd.DataFrame({"claim": ids, "value": [9.0, 1.5, 0.5], "input": [False, True, False]})
     table = table.assign(low=[8.0, 1.4, 0.3], high=[12.0, 1.7, 0.9])
     return workstation.draw_printed_and_recomputed({"one": table, "two": table[:2]})
+
+
+def in_percent() -> Figure:
+    names = ("M", "d", "T_z")
+    panels = {
+        c: pd.DataFrame({"claim": [f"table-5.1/{c}/{n}" for n in names], "input": [k, False, True]})
+        .assign(value=[1.6, 8e4, 2e5], low=[1.5, 7e4, 1e5], high=[1.7, 9e4, 3e5])
+        for k, c in ((True, "circle-1X"), (False, "square-1X"))
+    }  # fmt: skip
+    return workstation.draw_printed_and_recomputed(panels, percent=True)
 
 
 CURVE = thesis.outline_curve
@@ -331,6 +344,7 @@ CASES: dict[str, Callable[[], Figure]] = {
     ),
     "workstation.draw_patterns": patterns,
     "workstation.draw_printed_and_recomputed": printed_and_recomputed,
+    "workstation.draw_printed_and_recomputed-percent": in_percent,
     "workstation.draw_speed_study": lambda: workstation.draw_speed_study(
         pd.DataFrame({"with": [1.0, 0.5], "without": [0.9, 0.0]}, [200.0, 1500.0])
     ),

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from compendium.experiments._processes import in_processes
-from compendium.experiments.section_5_3 import is_followed
 from tests.running import alive
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -29,11 +28,6 @@ def test_arguments_are_taken_one_by_one_in_order() -> None:
     rng, same = np.random.default_rng(0), np.random.default_rng(0)
     found = in_processes(float.hex, ((rng.random(),) for _ in range(9)))
     assert found == [same.random().hex() for _ in range(9)]
-
-
-def test_an_experiment_gives_the_same_in_a_process() -> None:
-    each = [(speed, [7, 0], True) for speed in (250.0, 8000.0)]
-    assert in_processes(is_followed, each) == [is_followed(*one) for one in each] == [True, False]
 
 
 def test_a_failure_reaches_the_caller() -> None:

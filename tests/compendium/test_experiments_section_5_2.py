@@ -5,29 +5,27 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from compendium import thesis
 from compendium.experiments import section_5_2
 from compendium.ledger import claim
-from microlib.calibration import calibrate, detect_circles
+from microlib.calibration import calibrate
 
 
 @pytest.fixture(scope="module")
-def draws() -> dict[str, list[section_5_2.CalibrationDraw]]:
-    return section_5_2.calibration_draws(seed=11, draws=2)
+def taken() -> dict[str, section_5_2.Photograph]:
+    return section_5_2.photographs(seed=11, draws=6)
 
 
-def test_every_image_gives_its_microscope_back(draws) -> None:
-    assert list(draws) == list(thesis.COLUMNS)
-    for column, both in draws.items():
+def test_every_image_gives_its_microscope_back(taken) -> None:
+    assert list(taken) == list(thesis.COLUMNS)
+    for column, photo in taken.items():
         truth = thesis.microscope(column)
-        assert not np.array_equal(both[0].errors, both[1].errors)
-        for draw in both:
-            assert len(draw.world) >= 6
-            assert np.abs(draw.errors).max() < 0.2  # px
-            fit = draw.with_f
+        assert photo.image.shape == thesis.BASLER_IMAGE_SIZE[::-1]
+        np.testing.assert_allclose(truth.project(photo.world), photo.found.points, atol=0.2)
+        assert 0.001 < photo.errors.std() < 0.1  # px
+        for fit in photo.with_f:
             assert fit.microscope.focal_length == pytest.approx(truth.focal_length)
             # Five stated standard deviations.
             for name in ("magnification", "alpha", "beta", "gamma", "tx", "ty"):
@@ -35,24 +33,40 @@ def test_every_image_gives_its_microscope_back(draws) -> None:
                 assert abs(off) < 5 * fit.sigma[name], (column, name)
 
 
-def test_a_draw_is_that_of_its_seed(draws) -> None:
-    alone = section_5_2.calibration_draw("circle-4X", [11, 1, 0])
-    np.testing.assert_array_equal(alone.errors, draws["circle-4X"][0].errors)
-    np.testing.assert_array_equal(alone.with_f.estimate, draws["circle-4X"][0].with_f.estimate)
+def test_corners_of_a_square_err_together(taken) -> None:
+    """What is drawn are whole squares: the residuals of their four corners share its sides."""
+    photo = taken["square-1X"]
+    errors = photo.errors.reshape(-1, 4, 2)
+    assert len(errors) == len(photo.world) / 4 > section_5_2.LEAST_MARKS
+    assert abs(np.corrcoef(errors[:, 0, 0], errors[:, 1, 0])[0, 1]) < 0.9
+    # Drawn errors are errors of this image, four at a time.
+    fit = photo.with_f[0]
+    assert len(fit.residuals) == len(photo.world)
 
 
-def test_the_recovered_table_holds_the_truth(draws) -> None:
-    table = section_5_2.recovered_parameters(draws)
-    assert len(table) == 4 * 8
-    truth = [thesis.table_5_1(row.column, row.parameter) for row in table.itertuples()]
+def test_few_marks_are_measured_in_more_images(taken) -> None:
+    assert len(taken["circle-4X"].world) == 6
+    assert len(taken["circle-4X"].errors) == 30
+
+
+def test_the_recovered_table_holds_the_truth(taken) -> None:
+    table = section_5_2.table_5_1(taken)
+    assert len(table) == 4 * 11
+    table = table[table["input"]]
+    truth = np.array([claim(id).value for id in table["claim"]])
     # 32 intervals, each of which misses in one of twenty cases; more than four in 2 %.
     assert ((table["low"] <= truth) & (truth <= table["high"])).sum() >= 28
-    np.testing.assert_allclose(table["low"] + table["high"], 2 * table["mean"])
+    np.testing.assert_allclose(table["low"] + table["high"], 2 * table["value"])
     # Narrow enough to say something: 1 % where neither the tilt nor the distortion is asked for.
-    firm = table[table["parameter"].isin(["alpha", "T_x", "T_y"])]
-    assert (firm["high"] - firm["low"] < 0.01 * firm["mean"].abs()).all()
-    angles = table[table["parameter"].isin(["alpha", "gamma"])]
-    assert angles["mean"].between(0, 360).all()
+    firm = table[table["claim"].str.endswith(("alpha", "T_x", "T_y"))]
+    assert (firm["high"] - firm["low"] < 0.01 * firm["value"].abs()).all()
+
+
+def test_printed_stands_above_recomputed(taken) -> None:
+    shown = section_5_2.printed_above(section_5_2.table_5_1(taken))
+    assert shown.index[0] == "M"
+    assert shown.loc["T_z", "squares, 4X"] == "203610<br>36007.5"
+    assert shown.loc["alpha", "circles, 1X"].startswith("90.7144<br>90.7")
 
 
 def test_one_more_draw_falls_into_its_interval() -> None:
@@ -60,51 +74,37 @@ def test_one_more_draw_falls_into_its_interval() -> None:
     inside = []
     for _ in range(2000):
         *seen, after = rng.normal(5.0, 2.0, 6)
-        mean, (low, high) = section_5_2.over_draws(seen)
+        mean, low, high = section_5_2.over_draws(seen, len(seen))
         assert mean == pytest.approx(np.mean(seen))
         inside.append(low <= after <= high)
     assert np.mean(inside) == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / 2000))
 
 
-def test_the_errors_on_the_pattern_are_far_below_the_printed_ones(draws) -> None:
-    errors = section_5_2.pattern_errors(draws)
-    table = section_5_2.beside_print(errors).set_index("column")
-    assert list(table.index) == list(thesis.COLUMNS.values())
-    first = draws["square-4X"]
-    each = [np.linalg.norm(d.with_f.plane_residuals, axis=1).mean() for d in first]
-    expected = np.exp(np.mean(np.log(each)))
-    assert table.loc["squares, 4X", "mean, ours"] == pytest.approx(expected)
-    assert table.loc["circles, 1X", "max, printed"] == claim("table-5.2/circle-1X/max").value
-    assert (table["mean, ours"] < table["mean, printed"]).all()
-    # Distances are never spread wider than their mean and maximum allow; two printed ones are.
-    assert (table["std, ours"] <= np.sqrt(table["mean, ours"] * table["max, ours"])).all()
-    impossible = table["std, printed"] > table["largest std possible"]
-    assert impossible.to_list() == [False, False, True, True]
-
-
-def test_distances_have_positive_intervals(draws) -> None:
-    errors = section_5_2.pattern_errors(draws)
+def test_distances_have_positive_intervals(taken) -> None:
+    errors = section_5_2.pattern_errors(taken)
     assert (errors["low"] > 0).all()
-    assert ((errors["low"] < errors["value"]) & (errors["value"] < errors["high"])).all()
     # As far below as above, in factors.
     np.testing.assert_allclose(errors["low"] * errors["high"], errors["value"] ** 2)
+    value = errors.set_index("claim")["value"]
+    fits = taken["square-4X"].with_f
+    means = [np.linalg.norm(fit.plane_residuals, axis=1).mean() for fit in fits]
+    assert value["table-5.2/square-4X/mean"] == pytest.approx(np.exp(np.mean(np.log(means))))
+    assert (value < [claim(id).value for id in value.index]).all()
 
 
-def test_one_more_positive_draw_falls_into_its_interval() -> None:
-    rng = np.random.default_rng(1)
-    inside = []
-    for _ in range(2000):
-        *seen, after = rng.lognormal(0.0, 1.0, 6)
-        value, (low, high) = section_5_2.over_positive_draws(seen)
-        assert 0 < low < value < high
-        inside.append(low <= after <= high)
-    assert np.mean(inside) == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / 2000))
+def test_two_printed_spreads_are_impossible() -> None:
+    """Numbers between 0 and m with the mean a have a variance of at most a (m − a)."""
+    beyond = []
+    for column in thesis.COLUMNS:
+        mean, std, most = (claim(f"table-5.2/{column}/{s}").value for s in ("mean", "std", "max"))
+        beyond.append(std > np.sqrt(mean * (most - mean)))
+    assert beyond == [False, False, True, True]
 
 
 @pytest.mark.parametrize("column", ["circle-4X", "square-4X"])
 def test_all_labels_of_an_unmarked_pattern_fit_alike(column: str) -> None:
     """A quarter turn, a step and a look from behind change the pose, and not the residuals."""
-    found = section_5_2.find(column, section_5_2.photograph(column, np.random.default_rng(4)))
+    found = section_5_2.render(column, np.random.default_rng(4))[1]
     truth = thesis.microscope(column)
     step = 2 * thesis.pattern_pitch(column)
     rms = []
@@ -130,7 +130,7 @@ def test_all_labels_of_an_unmarked_pattern_fit_alike(column: str) -> None:
 def test_the_print_enters_by_its_labels_only() -> None:
     """Another pose by far more than the fit's error, but with the same nearest labels."""
     for column in thesis.COLUMNS:
-        found = section_5_2.find(column, section_5_2.photograph(column, np.random.default_rng(6)))
+        found = section_5_2.render(column, np.random.default_rng(6))[1]
         truth = thesis.microscope(column)
         aside = 0.3 * thesis.pattern_pitch(column)
         other = replace(
@@ -143,23 +143,6 @@ def test_the_print_enters_by_its_labels_only() -> None:
         labels = section_5_2.printed_labels(column, found)
         np.testing.assert_array_equal(labels, section_5_2.printed_labels(column, found, other))
         np.testing.assert_allclose(truth.project(labels), found.points, atol=0.2)
-
-
-def test_labels_ask_for_no_truth() -> None:
-    """The detector is told nothing: it returns the same points whatever Table 5.1 says."""
-    image = section_5_2.photograph("circle-4X", np.random.default_rng(3))
-    found = section_5_2.find("circle-4X", image)
-    np.testing.assert_array_equal(found.points, detect_circles(image).points)
-    np.testing.assert_array_equal(found.grid.min(axis=0), 0)
-
-
-def test_a_pattern_seen_from_behind_has_another_gamma() -> None:
-    found = section_5_2.find(
-        "circle-4X", section_5_2.photograph("circle-4X", np.random.default_rng(8))
-    )
-    gamma, residual = section_5_2.turned_over("circle-4X", found)
-    assert gamma == pytest.approx(thesis.table_5_1("circle-4X", "gamma") + 180, abs=0.2)
-    assert residual == pytest.approx(1, abs=1e-6)
 
 
 def test_the_rest_of_table_5_1_follows_from_its_lengths() -> None:
@@ -179,22 +162,8 @@ def test_the_zoom_with_the_least_gain_decides() -> None:
     assert section_5_2.squares_over_circles(means | {"square-4X": 0.5}) == 0.5
 
 
-def test_the_intervals_cover_the_truth(draws) -> None:
-    found = section_5_2.coverage(draws, seed=3, runs=20)
-    # 7 parameters in 20 runs and 4 columns: four standard errors of 560 coins, were they apart.
-    assert found["all"].mean() == pytest.approx(95, abs=4)
-    assert found["points"].to_list() == [len(both[0].world) for both in draws.values()]
-    np.testing.assert_allclose(
-        found["noise (px)"], [both[0].errors.std() for both in draws.values()]
-    )
-    shares = found[list(section_5_2.COVERED.values())]
-    np.testing.assert_allclose(shares.mean(axis=1), found["all"])
-    assert ((shares * 20 / 100) % 1 == 0).all(axis=None)
-
-
 def test_blur_misleads_a_local_corner_detector_most() -> None:
     found = section_5_2.blur_study(1, [0.8, 2.5])
-    assert isinstance(found, pd.DataFrame)
     assert (found["squares, cornerSubPix"] > 3 * found["squares"]).all()
     assert (found["circles"] < found["squares"]).all()
     assert (found.loc[2.5] > found.loc[0.8]).all()
@@ -212,12 +181,3 @@ def test_distortion_moves_a_corner_by_its_formula() -> None:
         corner = np.hypot(*np.array(thesis.BASLER_IMAGE_SIZE)) * thesis.BASLER_CELL / 2  # µm
         expected = abs(thesis.table_5_1(column, "kappa")) * corner**3 / thesis.BASLER_CELL
         assert section_5_2.corner_shift(column) == pytest.approx(expected, rel=1e-6)
-
-
-def test_examples_show_every_column() -> None:
-    shown = section_5_2.examples(2)
-    assert list(shown) == list(thesis.COLUMNS)
-    for column, (image, found) in shown.items():
-        assert image.shape == thesis.BASLER_IMAGE_SIZE[::-1]
-        true = thesis.microscope(column).project(section_5_2.printed_labels(column, found))
-        assert np.abs(found.points - true).max() < 0.2  # px

@@ -51,7 +51,10 @@ def test_every_pattern_has_its_points_and_their_number():
     names = ("circle-1X", "circle-4X", "square-1X", "square-4X")
     grid = np.stack(np.meshgrid([0, 1, 4, 6], [0, 4, 6]), axis=-1).reshape(-1, 2)
     examples = {
-        name: (np.zeros((90, 90)), SimpleNamespace(points=10.0 * grid[k:] + k, grid=grid[k:]))
+        name: SimpleNamespace(
+            image=np.zeros((90, 90)),
+            found=SimpleNamespace(points=10.0 * grid[k:] + k, grid=grid[k:]),
+        )
         for k, name in enumerate(names)
     }
     panels = workstation.draw_patterns(examples).axes
@@ -119,7 +122,7 @@ def test_dots_are_over_the_printed_number():
         }
     ).axes
     np.testing.assert_allclose(drawn(axes)["input"], [[1, 0]])
-    np.testing.assert_allclose(drawn(axes)["predicted"], [[0.5, -1]])
+    np.testing.assert_allclose(drawn(axes)["computed"], [[0.5, -1]])
     ends = [lines.get_segments()[0] for lines in axes.collections]
     np.testing.assert_allclose(ends, [[[0.5, 0], [2, 0]], [[0.5, -1], [1, -1]]])
     assert [label.get_text() for label in axes.get_yticklabels()] == [
