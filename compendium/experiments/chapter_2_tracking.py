@@ -153,40 +153,33 @@ def errors_by_gradient(target: Target, iterations: int) -> pd.DataFrame:
     ).rename_axis("iteration")
 
 
-def corners_by_library(target: Target) -> tuple[NDArray, NDArray]:
-    """Return where `ESMTracker` finds the corners of the square without its rim, and the truth."""
+def library_error(seed: int) -> float:
+    """Return by how much (px) `ESMTracker` misses the corners of the square without noise."""
+    target = render_target(seed, noise=0.0)
     first = np.full(target.image.shape, 60.0, np.float32)
     side, (left, top) = 2 * HALF + 1, (MIDDLE - HALF).astype(int)
     first[top : top + side, left : left + side] = target.template
     box = (int(left) + RIM, int(top) + RIM, side - 2 * RIM, side - 2 * RIM)
     found = ESMTracker(first, box, "affine").track(target.image.astype(np.float32))
-    true = target.warp.copy()
-    true[:2, :2] *= 1 - RIM / HALF
-    return found.corners, corners(true)
+    inner = np.diag([1 - RIM / HALF, 1 - RIM / HALF, 1.0])
+    return float(np.abs(found.corners - corners(target.warp @ inner)).max())
 
 
-def kalman_by_formula(
+def kalman_both_ways(
     places: Sequence[float], *, interval: float, acceleration: float, noise: float
-) -> NDArray:
-    """Return (x, v, P₁₁, P₁₂, P₂₂) after measurements, by the formulas, from x = v = 0."""
-    start = KalmanFilter((0, 0), interval=interval, acceleration=acceleration, noise=noise)
+) -> tuple[NDArray, NDArray]:
+    """Return (x, v, P₁₁, P₁₂, P₂₂) after measurements, by the formulas and by `KalmanFilter`."""
+    kalman = KalmanFilter((0, 0), interval=interval, acceleration=acceleration, noise=noise)
     a, b = np.array([[1, interval], [0, 1]]), np.array([interval**2 / 2, interval])
-    state, p = np.zeros(2), start.covariance
+    state, p = np.zeros(2), kalman.covariance
     for place in places:
         state, p = a @ state, a @ p @ a.T + acceleration**2 * np.outer(b, b)
         gain = p[:, 0] / (p[0, 0] + noise**2)
         state, p = state + gain * (place - state[0]), p - np.outer(gain, p[0])
-    return np.array([*state, p[0, 0], p[0, 1], p[1, 1]])
-
-
-def kalman_by_library(places: Sequence[float], **settings: float) -> NDArray:
-    """Return the same by `KalmanFilter`."""
-    kalman = KalmanFilter((0, 0), **settings)
-    for place in places:
         kalman.predict()
         kalman.update((place, 0))
-    p = kalman.covariance
-    return np.array([kalman.position[0], kalman.velocity[0], p[0, 0], p[0, 1], p[1, 1]])
+    found = [kalman.position[0], kalman.velocity[0], *kalman.covariance.ravel()[[0, 1, 3]]]
+    return np.array([*state, *p.ravel()[[0, 1, 3]]]), np.array(found)
 
 
 def kalman_step(seed: int, *, interval: float, acceleration: float, noise: float) -> KalmanStep:

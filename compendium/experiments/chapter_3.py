@@ -1,10 +1,16 @@
-"""Chapter 3: the surface types of Table 3.1 and the windows of (3.15) to (3.19)."""
+"""Chapter 3: depth of a rendered dome, and surfaces whose type and curvature are known."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
 
 from microlib.curvature import curvature_windows, hk_labels, surface_curvature
+from microlib.focus import FocusResult, depth_from_focus
 
 #: Table 3.1's types as surfaces z = (a x² + b y²)/100, bent as their names say: a dome is convex
 #: and has its top towards the viewer, so a < 0.
@@ -18,79 +24,100 @@ BENT = {
     "concave cylindric": (1, 0),
     "saddle valley": (2, -1),
 }
-
 #: The whole numbers that (3.15), (3.17), (3.18) and (3.19) print, each divided by one number.
 PRINTED_WINDOWS = {
-    "s": (1, 6, 15, 20, 15, 6, 1),
-    "d0": (1, 1, 1, 1, 1, 1, 1),
-    "d1": (-3, -2, -1, 0, 1, 2, 3),
-    "d2": (5, 0, -3, -4, -3, 0, 5),
+    "s": ("smooth", (1, 6, 15, 20, 15, 6, 1)),
+    "d0": ("mean", (1, 1, 1, 1, 1, 1, 1)),
+    "d1": ("slope", (-3, -2, -1, 0, 1, 2, 3)),
+    "d2": ("second_derivative", (5, 0, -3, -4, -3, 0, 5)),
 }
 
 
-def labels_by_name() -> dict[str, int]:
-    """Return the label of each type of Table 3.1, from a surface that its name describes.
+def depths(
+    frames: NDArray, positions: ArrayLike, truth: NDArray, methods: Mapping[str, dict[str, Any]]
+) -> tuple[dict[str, FocusResult], pd.DataFrame]:
+    """Return each method's result, and its error off the border in steps of the stage."""
+    step = float(np.diff(positions)[0])
+    results = {name: depth_from_focus(frames, positions, **how) for name, how in methods.items()}
+    rows = {}
+    for name, result in results.items():
+        error = (result.depth - truth)[10:-10, 10:-10] / step
+        rows[name] = {
+            "RMS error (steps)": np.sqrt(np.nanmean(error**2)),
+            "beyond one step (%)": 100 * np.mean(np.abs(error) > 1),
+        }
+    return results, pd.DataFrame(rows).T
 
-    Returns
-    -------
-    dict of str to int
-        Labels of `microlib.curvature.hk_labels` by name. ``none``, H = 0 and K > 0, is no
-        surface's; its label is that of the formula (3.25).
 
-    Examples
-    --------
-    >>> labels_by_name()["saddle ridge"]
-    3
-    """
+def labelled_patches() -> dict[str, tuple[NDArray, int]]:
+    """Return by type of Table 3.1 a surface as its name says, and the label found in its middle."""
     y, x = np.mgrid[-20:21, -20:21]
     found = {}
     for name, (a, b) in BENT.items():
-        bend = surface_curvature((a * x**2 + b * y**2) / 100, 1.0)
+        height = (a * x**2 + b * y**2) / 100
+        bend = surface_curvature(height, 1.0)
         labels = hk_labels(bend.mean, bend.gaussian, h_zero=1e-3, k_zero=1e-5)
-        found[name] = int(labels[20, 20])
-    return found | {"none": int(hk_labels([0.0], [1.0], h_zero=0.5, k_zero=0.5)[0])}
+        found[name] = height, int(labels[20, 20])
+    return found
+
+
+def labels_by_name() -> dict[str, int]:
+    """Return the label of each type; ``none``, H = 0 and K > 0, is no surface's: by (3.25)."""
+    none = int(hk_labels([0.0], [1.0], h_zero=0.5, k_zero=0.5)[0])
+    return {name: label for name, (_, label) in labelled_patches().items()} | {"none": none}
 
 
 def surface_types() -> set[int]:
-    """Return the labels that a surface can have: those of all pairs of principal curvatures.
-
-    Examples
-    --------
-    >>> sorted(set(range(1, 10)) - surface_types())
-    [4]
-    """
+    """Return the labels that a surface can have: those of all pairs of principal curvatures."""
     first, second = np.meshgrid(np.arange(-2.0, 3.0), np.arange(-2.0, 3.0))
     return set(hk_labels((first + second) / 2, first * second, 0.0, 0.0).ravel().tolist())
 
 
 def window_divisors() -> dict[str, float]:
-    """Return by what the library's windows must be multiplied to give the printed numbers.
-
-    Returns
-    -------
-    dict of str to float
-        By name in `PRINTED_WINDOWS`: the ratio of a printed number to the window's, at the pixel
-        where it departs most from the median of them; 0 if one has a zero where the other has none.
-
-    Examples
-    --------
-    >>> round(window_divisors()["s"], 9)
-    64.0
-    """
-    windows = curvature_windows(7)
-    ours = {
-        "s": windows.smooth,
-        "d0": windows.mean,
-        "d1": windows.slope,
-        "d2": windows.second_derivative,
+    """Return by what the library's windows must be multiplied to give the printed numbers."""
+    windows = vars(curvature_windows(7))
+    return {
+        name: float(np.dot(integers, integers) / np.dot(integers, windows[field]))
+        for name, (field, integers) in PRINTED_WINDOWS.items()
     }
-    found = {}
-    for name, integers in PRINTED_WINDOWS.items():
-        printed, window = np.array(integers, float), ours[name]
-        filled = printed != 0
-        if not np.array_equal(filled, np.abs(window) > 1e-12):
-            found[name] = 0.0
-            continue
-        ratios = printed[filled] / window[filled]
-        found[name] = float(ratios[np.abs(ratios - np.median(ratios)).argmax()])
-    return found
+
+
+def exact_surfaces() -> pd.DataFrame:
+    """Return H and K (1/px, 1/px²) of surfaces of known curvature, exact and by the windows."""
+    y, x = np.mgrid[-20:21, -20:21].astype(float)
+    r, tube, ring = 150.0, 120.0, 150.0
+    torus = np.sqrt((ring + np.sqrt(tube**2 - x**2)) ** 2 - y**2)
+    around = 1 / (ring + tube)
+    surfaces = {
+        "sphere": (np.sqrt(r**2 - x**2 - y**2), -1 / r, 1 / r**2),
+        "cylinder": (np.sqrt(r**2 - x**2), -1 / (2 * r), 0.0),
+        "saddle": ((x**2 - y**2) / (2 * r), 0.0, -1 / r**2),
+        "torus, outside": (torus, -(1 / tube + around) / 2, around / tube),
+        "plane": (0.3 * x - 0.2 * y, 0.0, 0.0),
+    }
+    rows = []
+    for name, (height, mean, gaussian) in surfaces.items():
+        bend = surface_curvature(height, 1.0)
+        rows.append([name, mean, bend.mean[20, 20], gaussian, bend.gaussian[20, 20]])
+    return pd.DataFrame(rows, columns=["surface", "H", "H found", "K", "K found"])
+
+
+def noisy_labels(noise: float, rng: np.random.Generator) -> tuple[dict[str, NDArray], pd.Series]:
+    """Label a ball, a saddle and a plane with noise (µm) at 3.5 standard errors.
+
+    Returns the label maps by name, and the share of right labels within 15 px of the middle.
+    """
+    y, x = np.mgrid[-40:41, -40:41].astype(float)
+    pieces = {
+        "ball": (np.sqrt(90.0**2 - x**2 - y**2), 1),
+        "saddle": ((x**2 - y**2) / 120, 6),
+        "plane": (0 * x, 5),
+    }
+    maps, shares = {}, {}
+    for name, (height, label) in pieces.items():
+        bend = surface_curvature(height + noise * rng.standard_normal(x.shape), 1.0, noise=noise)
+        limits = 3.5 * bend.mean_error, 3.5 * bend.gaussian_error
+        maps[name] = hk_labels(bend.mean, bend.gaussian, *limits)
+        near = (maps[name] > 0) & (np.hypot(x, y) < 15)
+        shares[name] = float(np.mean(maps[name][near] == label))
+    return maps, pd.Series(shares)

@@ -1,79 +1,69 @@
-"""Chapter 4: what modulus a dimple has where the stress may vary along the radius."""
+"""Chapter 4: what the modulus depends on, and how wrong small slopes are."""
 
 from __future__ import annotations
 
 import warnings
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from compendium import thesis
 from compendium.ledger import claim
-from microlib.membrane import SmallSlopeWarning, disc_modulus, elastic_modulus, indent_disc
+from microlib.membrane import (
+    SmallSlopeWarning,
+    elastic_modulus,
+    finite_slope_modulus,
+    mean_strain,
+    modulus_samples,
+    modulus_std,
+)
 
-#: Flat discs with a clamped rim, under the thesis' pressure F/(π a²) unless they say otherwise. Two
-#: per cent of stretch and five of the rim are examples; nobody measured either.
-DISCS: dict[str, dict[str, Any]] = {
-    "neo-Hooke": {},
-    "Hooke": {"law": "hooke"},
-    "neo-Hooke, no pressure": {"pressure": 0.0},
-    "Hooke, no pressure": {"law": "hooke", "pressure": 0.0},
-    "stretched by 2 % before": {"pretension": 0.02},
-    "rim drawn in by 5 %": {"rim_inset": 0.05},
+#: Every input of (5.2), from Table 5.6 and for c from chapter 5.
+INPUTS = {
+    "force": thesis.FORCE,
+    "dimple_radius": claim("table-5.6/a").value,
+    "dimple_depth": claim("table-5.6/w_d").value,
+    **thesis.MEMBRANE,
 }
-#: Forces of a curve in modulus × thickness × radius: dimples a tenth to a half of the radius deep.
-_LOADS = np.geomspace(2e-3, 0.5, 16)
-_RADIUS = claim("table-5.6/a").value
 
 
-def modulus_ratio(disc: str, relative_depth: float) -> float:
-    """Return a disc's modulus over that of (4.7) from the same dimple and force.
-
-    Parameters
-    ----------
-    disc : str
-        One of `DISCS`.
-    relative_depth : float
-        w_d/a of the dimple, whose radius is that of Table 5.6.
-
-    Returns
-    -------
-    float
-        The ratio, whatever the force is: both moduli are proportional to it.
-
-    Raises
-    ------
-    ValueError
-        If no modulus gives the disc this depth.
-    """
-    depth = relative_depth * _RADIUS
-    found = disc_modulus(thesis.FORCE, _RADIUS, depth, **thesis.MEMBRANE, **DISCS[disc])
-    return found / _small_slope_modulus(thesis.FORCE, depth)
+def exponents(change: float = 1e-3) -> pd.Series:
+    """Return ∂ ln E / ∂ ln of each input of (5.2), from a small change to either side."""
+    found = {}
+    for name, value in INPUTS.items():
+        low, high = (elastic_modulus(**INPUTS | {name: (1 + s) * value}) for s in (-change, change))
+        found[name.replace("_", " ")] = float(
+            np.log(high / low) / np.log((1 + change) / (1 - change))
+        )
+    return pd.Series(found)
 
 
-def modulus_ratio_curve(disc: str) -> pd.DataFrame:
-    """Return the ratio of `modulus_ratio` over the depths that a range of forces makes.
-
-    Parameters
-    ----------
-    disc : str
-        One of `DISCS`.
-
-    Returns
-    -------
-    pandas.DataFrame
-        A row each force: depth (w_d/a) and ratio.
-    """
+def spread_of_modulus(errors: NDArray, rng: np.random.Generator) -> pd.DataFrame:
+    """Return spread and bias of E (%) for standard deviations of the depth (%), two ways."""
+    modulus = float(elastic_modulus(**INPUTS))
     rows = []
-    for load in _LOADS * thesis.MEMBRANE["thickness"] * _RADIUS:  # µN, for a modulus of 1 MPa
-        state = indent_disc(load, modulus=1.0, radius=_RADIUS, **thesis.MEMBRANE, **DISCS[disc])
-        rows.append((state.depth / _RADIUS, 1 / _small_slope_modulus(load, state.depth)))
-    return pd.DataFrame(rows, columns=["depth", "ratio"])
+    for error in errors:
+        stds = {"dimple_depth": error / 100 * INPUTS["dimple_depth"]}
+        drawn = modulus_samples(INPUTS, stds, size=20_000, rng=rng)
+        first = modulus_std(INPUTS, stds)
+        rows.append(100 * np.array([first, drawn.std(), drawn.mean() - modulus]) / modulus)
+    columns = ["spread, first order", "spread, drawn", "shift of the mean, drawn"]
+    return pd.DataFrame(rows, pd.Index(errors, name="standard deviation of $w_d$ (%)"), columns)
 
 
-def _small_slope_modulus(force: float, depth: float) -> float:
-    with warnings.catch_warnings():
-        # How much it is worth beyond small slopes is the question here.
-        warnings.simplefilter("ignore", SmallSlopeWarning)
-        return float(elastic_modulus(force, _RADIUS, depth, **thesis.MEMBRANE))
+def slope_corrections(depths: Sequence[float] | NDArray) -> pd.DataFrame:
+    """Return the modulus without small slopes over (5.2), by relative depth w_d/a."""
+    a, c = INPUTS["dimple_radius"], INPUTS["probe_half_width"]
+    w_d = a * np.asarray(depths)
+    strains = [mean_strain(a, w_d, probe_half_width=c, small_slopes=s) for s in (True, False)]
+    # How much it is worth beyond small slopes is the question here.
+    with warnings.catch_warnings(action="ignore", category=SmallSlopeWarning):
+        small = elastic_modulus(thesis.FORCE, a, w_d, **thesis.MEMBRANE)
+    whole = [finite_slope_modulus(thesis.FORCE, a, depth, **thesis.MEMBRANE) for depth in w_d]
+    table = {
+        "strain (4.4) exact": strains[0] / strains[1],
+        "and balance (4.1) exact": whole / small,
+    }
+    return pd.DataFrame(table, pd.Index(np.asarray(depths), name="relative depth $w_d/a$"))

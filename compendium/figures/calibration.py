@@ -14,7 +14,7 @@ from compendium.figures.style import COLORS
 from microlib.calibration import Detection
 from microlib.microscope import Microscope
 
-__all__ = ["draw_detection", "draw_focal_length_study", "draw_microscope", "draw_residual_valley"]
+__all__ = ["draw_detection", "draw_focal_length_study", "draw_microscope"]
 
 #: How much longer X and Y are drawn than Z.
 STRETCH = 20
@@ -135,35 +135,6 @@ def draw_microscope(ax: Axes, microscope: Microscope, world: NDArray) -> None:
     ax.spines["left"].set_visible(False)
     ax.set_aspect("equal")
     ax.grid(False)
-
-
-def draw_residual_valley(residuals: pd.DataFrame, noise: float) -> Figure:
-    """Draw residuals (px) over assumed by true focal length (the index), a line a tilt (°)."""
-    figure, axes = plt.subplots(figsize=(7.2, 4.2))
-    colors = ("black", "blue", "sky", "orange", "green")
-    for tilt, color, marker in zip(residuals, colors, "osD^v", strict=True):
-        axes.plot(
-            residuals.index,
-            residuals[tilt],
-            color=COLORS[color],
-            marker=marker,
-            ms=5,
-            label=f"tilt {tilt:.0f}°",
-        )
-    axes.axhline(noise, color=COLORS["grey"], ls="--", lw=1)
-    axes.set(
-        xscale="log",
-        yscale="log",
-        xlabel="assumed f / true f",
-        ylabel="RMS residual (px)",
-        xticks=[0.5, 0.7, 1, 1.4, 2],
-        xticklabels=["0.5", "0.7", "1", "1.4", "2"],
-        yticks=[0.02, 0.05, 0.1, 0.2],
-        yticklabels=["0.02", "0.05", "0.1", "0.2"],
-    )
-    axes.minorticks_off()
-    axes.legend()
-    return figure
 
 
 def draw_focal_length_study(study: pd.DataFrame) -> Figure:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from compendium import thesis
 from compendium.experiments.chapter_6_force import true_force
-from compendium.experiments.section_5_6 import MODULUS, Outline, Scene, ShapeComparison, push
+from compendium.experiments.section_5_6 import MODULUS, Outline, Scene, push
 from compendium.figures.embryo import add_scale_bar, show_image, show_outline
 from compendium.figures.style import COLORS
 from microlib.embryo import GaussianSum, dimple_geometry
@@ -24,7 +24,6 @@ __all__ = [
     "draw_image_study",
     "draw_outline_steps",
     "draw_printed_outline",
-    "draw_profile_comparison",
     "draw_rendered_outline",
     "draw_rounding",
 ]
@@ -177,19 +176,6 @@ def draw_rendered_outline(
     figure.legend(
         *whole.get_legend_handles_labels(), loc="outside lower center", ncols=3, markerscale=2
     )
-    return figure
-
-
-def draw_profile_comparison(curve: GaussianSum, shape: ShapeComparison) -> Figure:
-    """Draw the printed outline beside the profile of its own radius and depth."""
-    (x1, _), (x2, _) = _rim_and_bottom(curve)
-    across = np.linspace(x1 - 20, 2 * x2 - x1, 500)
-    figure, axes = plt.subplots(figsize=(7.2, 3.8))
-    axes.plot(across, curve(across), color=COLORS["blue"], label="Table 5.5")
-    label = "(4.2) with its radius and depth"
-    axes.plot(shape.x, shape.expected, color=COLORS["orange"], ls="--", label=label)
-    axes.set(xlabel="x (px)", ylabel="y, up (px)", aspect="equal")
-    figure.legend(loc="outside lower center", ncols=2)
     return figure
 
 

@@ -1,105 +1,83 @@
-"""Drawings of what the book is about: its four parts, and the sizes that it deals with."""
+"""Drawings of what the book is about: the whole system, and the sizes that it deals with."""
 
 from __future__ import annotations
 
 import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyBboxPatch
 
+from compendium.figures.panels import arrows, boxes
 from compendium.figures.style import COLORS
 
-__all__ = ["draw_parts", "draw_scale"]
+__all__ = ["draw_scale", "draw_system"]
 
-#: What goes in, what is done, what comes out, and a color, of each part.
-PARTS = (
-    (
-        "photograph of\na known pattern",
-        "calibration\nchapters 2, 5.2",
-        "camera model:\nµm per pixel, tilt",
-        "sky",
-    ),
-    (
-        "frames of a\nmoving gripper",
-        "tracking, servoing\nchapters 2, 5.3–5.4",
-        "where it is,\nhow to move it",
-        "yellow",
-    ),
-    (
-        "frames at many\nfocus positions",
-        "shape from focus, HK\nchapters 3, 5.5",
-        "heights and\nclasses of surface",
-        "green",
-    ),
-    (
-        "outline of a\ndented embryo",
-        "point-load model\nchapters 4, 5.6",
-        "elastic modulus\nof its shell",
-        "pink",
-    ),
+#: What each task gets, does and gives, with a color.
+TASKS = (
+    ("photograph of a known pattern", "calibration", "µm per pixel, tilt", "sky"),
+    ("frames of a moving gripper", "tracking, servoing", "command to the stage", "yellow"),
+    ("frames at many focus positions", "shape from focus, HK", "heights, surface types", "green"),
+    ("outline of a dented embryo", "point-load model", "modulus of the shell", "pink"),
 )
-#: From, to (m) and color of the three worlds.
-BANDS = {
-    "macro": (1e-3, 1, "blue"),
-    "micro": (1e-6, 1e-3, "orange"),
-    "nano": (1e-9, 1e-6, "green"),
-}
 #: Sizes of what the book meets, m.
 THINGS = {
-    "hand": 0.1,
-    "zebrafish embryo": 1.2e-3,
-    "calibration circle": 140e-6,
-    "gripper opening": 100e-6,
-    "pixel at 1X": 6.2e-6,
-    "wavelength of light": 0.55e-6,
-    "step of the stage": 50e-9,
-    "film of the contact": 0.4e-9,
+    0.1: "hand",
+    1.2e-3: "embryo",
+    1.4e-4: "calibration circle",
+    6.2e-6: "pixel at 1X",
+    5e-8: "step of the stage",
+    4e-10: "contact film",
 }
 
 
-def draw_parts() -> Figure:
-    """Draw the four tasks of the thesis as rows of boxes: input, method, result."""
-    figure, axes = plt.subplots(figsize=(7.2, 4.6))
-    for row, (*texts, color) in enumerate(PARTS):
-        for column, text in enumerate(texts):
-            x, y = 3.4 * column, -1.25 * row
-            axes.add_patch(
-                FancyBboxPatch(
-                    (x, y),
-                    2.6,
-                    0.85,
-                    boxstyle="round,pad=0.06",
-                    fc=COLORS[color],
-                    alpha=0.55 if column == 1 else 0.15,
-                    lw=0,
-                )
-            )
-            axes.text(x + 1.3, y + 0.42, text, ha="center", va="center", fontsize=11)
-            if column:
-                arrow = {"arrowstyle": "->", "lw": 1.6}
-                axes.annotate("", (x - 0.1, y + 0.42), (x - 0.7, y + 0.42), arrowprops=arrow)
-    axes.set(xlim=(-0.2, 9.6), ylim=(-3.95, 1.05))
-    axes.axis("off")
+def draw_system() -> Figure:
+    """Draw the microscope over its sample, and beside it the four tasks of its camera's frames."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 4.6), width_ratios=(1, 1.35))
+    _draw_microscope(left)
+    for row, (given, task, result, color) in enumerate(TASKS):
+        y = -2.0 * row
+        boxes(right, {task: (0.0, y, 4.2, 0.62, color)})
+        right.text(2.1, y + 1.02, given, ha="center", va="center", fontsize=10)
+        right.text(2.1, y - 0.38, f"→ {result}", ha="center", va="center", fontsize=10)
+    right.set(xlim=(-0.2, 4.4), ylim=(-6.7, 1.5))
+    for axes in (left, right):
+        axes.axis("off")
     return figure
 
 
+def _draw_microscope(axes: Axes) -> None:
+    boxes(
+        axes,
+        {
+            "camera": (1.3, 6.6, 1.8, 0.8, "sky"),
+            "zoom": (1.5, 5.3, 1.4, 0.9, "grey"),
+            "objective": (1.4, 4.1, 1.6, 0.7, "grey"),
+            "sample stage": (0.3, 0.3, 3.8, 0.7, "blue"),
+        },
+    )
+    axes.fill([1.6, 2.8, 2.25, 2.15], [4.0, 4.0, 1.7, 1.7], color=COLORS["yellow"], alpha=0.25)
+    turn = np.linspace(0, 2 * np.pi, 80)
+    axes.plot(2.2 + 0.34 * np.cos(turn), 1.38 + 0.34 * np.sin(turn), color="black", lw=2)
+    axes.text(3.05, 1.3, "embryo", fontsize=10, va="center")
+    for side, name in ((-1, "gripper"), (1, "probe")):
+        axes.plot([2.2 + 2.1 * side, 2.2 + 0.4 * side], [2.6, 1.6], color=COLORS["orange"], lw=4)
+        axes.text(2.2 + 1.75 * side, 2.85, name, ha="center", fontsize=10)
+    arrows(axes, [((3.2, 7.0), (4.6, 7.0))])
+    axes.text(3.9, 7.25, "frames", ha="center", fontsize=10)
+    axes.set(xlim=(-0.1, 4.7), ylim=(0.1, 7.7))
+
+
 def draw_scale() -> Figure:
-    """Draw figure 2.1: the scale of micromanipulation."""
-    figure, axes = plt.subplots(figsize=(7.2, 3.6))
-    top = len(THINGS)
-    for name, (low, high, color) in BANDS.items():
-        axes.barh(top, high - low, left=low, color=COLORS[color], height=0.8)
-        axes.text((low * high) ** 0.5, top, name, ha="center", va="center", color="white")
-    for row, (name, size) in enumerate(reversed(THINGS.items())):
-        axes.plot(size, row, "o", color="black", ms=6)
-        right = size < 1e-5
-        axes.annotate(
-            name,
-            (size, row),
-            xytext=(8 if right else -8, 0),
-            textcoords="offset points",
-            ha="left" if right else "right",
-            va="center",
-        )
-    axes.set(xscale="log", xlim=(1e-10, 1), yticks=[], xlabel="size (m)")
+    """Draw figure 2.1: the scale of micromanipulation, as one ruler."""
+    figure, axes = plt.subplots(figsize=(7.2, 1.9))
+    bands = (("nano", 1e-9, "green"), ("micro", 1e-6, "orange"), ("macro", 1e-3, "blue"))
+    for name, low, color in bands:
+        axes.barh(0, 999 * low, left=low, height=0.5, color=COLORS[color])
+        axes.text(low * 10**1.5, 0, name, ha="center", va="center", color="white")
+    for k, (size, name) in enumerate(THINGS.items()):
+        axes.plot([size, size], [0.3, 0.5 + 0.4 * (k % 2)], color="black", lw=1)
+        axes.text(size, 0.55 + 0.4 * (k % 2), name, ha="center", va="bottom", fontsize=11)
+    axes.set(xscale="log", xlim=(3e-11, 1), ylim=(-0.3, 1.3), yticks=[], xlabel="size (m)")
     axes.spines["left"].set_visible(False)
+    axes.grid(False)
     return figure

@@ -21,14 +21,17 @@ mpl.use("agg")
 import matplotlib.pyplot as plt
 
 from compendium import thesis
+from compendium.experiments.section_5_6 import compare_shape
 from compendium.figures import (
     automation,
     calibration,
     dimple,
     mechanics,
     overview,
+    panels,
     servoing,
     shape_from_focus,
+    sketches,
     surfaces,
     workstation,
 )
@@ -101,12 +104,6 @@ def injection() -> Figure:
     return automation.draw_injection({"log": log, "contact": 1.0, "pictures": pictures})
 
 
-def valley() -> Figure:
-    tilts = (0.0, 1.0, 2.0, 5.0, 20.0)
-    residuals = pd.DataFrame({t: [0.3 + t, 0.02 + t, 0.2 + t] for t in tilts}, [0.5, 1.0, 2.0])
-    return calibration.draw_residual_valley(residuals, 0.03)
-
-
 def focal_lengths() -> pd.DataFrame:
     return pd.DataFrame(
         {
@@ -149,11 +146,6 @@ def rendered_outline() -> Figure:
     )
 
 
-def profile_comparison() -> Figure:
-    shape: Any = SimpleNamespace(x=np.array([100.0, 110.0]), expected=np.array([20.0, 33.0]))
-    return dimple.draw_profile_comparison(thesis.outline_curve(), shape)
-
-
 def image_study() -> Figure:
     study = pd.DataFrame(
         {"depth": [20.0, 40.0], "thesis": [2.0, 1.5], "fitted": [1.3, 1.4]}
@@ -169,17 +161,18 @@ def felt() -> pd.DataFrame:
     )
 
 
-def modulus_posterior() -> Figure:
-    readings = pd.DataFrame(
-        {
-            "input": ["middle", "crest of the rim", "thickness"],
-            "one": [1.0, 0.8, np.nan],
-            "other": [1.0, 1.3, 1.5],
-        }
-    )
-    capsule = pd.DataFrame({"E": np.geomspace(0.5, 0.9, 200)})
-    disc = pd.DataFrame({"E": np.geomspace(1.5, 2.5, 50)})
-    return mechanics.draw_modulus_posterior(capsule, disc, readings)
+def posterior() -> Figure:
+    moduli = {"capsule": np.geomspace(0.5, 0.9, 200), "disc": np.geomspace(1.5, 2.5, 50)}
+    return mechanics.draw_posterior({name: pd.DataFrame({"E": e}) for name, e in moduli.items()})
+
+
+def eight_types() -> Figure:
+    return sketches.draw_types({f"type {k}": (picture(9, 9), k) for k in range(1, 9)})
+
+
+def label_maps() -> Figure:
+    labels = (picture(30, 40) % 9 + 1).astype(np.uint8)
+    return sketches.draw_label_maps({"one": labels, "other": labels})
 
 
 def stability() -> Figure:
@@ -283,7 +276,6 @@ CASES: dict[str, Callable[[], Figure]] = {
     "calibration.draw_microscope": on_axes(
         lambda axes: calibration.draw_microscope(axes, SCOPE, np.array([[300, 500], [0, -100.0]]))
     ),
-    "calibration.draw_residual_valley": valley,
     "calibration.draw_focal_length_study": focal_length_study,
     "dimple.draw_dimple_section": lambda: dimple.draw_dimple_section(246.95, 121.22, 25.0),
     "dimple.draw_printed_outline": lambda: dimple.draw_printed_outline(CURVE()),
@@ -293,13 +285,19 @@ CASES: dict[str, Callable[[], Figure]] = {
         scene(), picture(768, 1024, 1.0), boundary()
     ),
     "dimple.draw_rendered_outline": rendered_outline,
-    "dimple.draw_profile_comparison": profile_comparison,
     "dimple.draw_image_study": image_study,
     "dimple.draw_estimated_force": lambda: dimple.draw_estimated_force(felt()),
     "dimple.draw_relaxing_force": lambda: dimple.draw_relaxing_force(felt()),
-    "mechanics.draw_modulus_posterior": modulus_posterior,
-    "overview.draw_parts": overview.draw_parts,
+    "mechanics.draw_posterior": posterior,
+    "mechanics.draw_shape": lambda: mechanics.draw_shape(CURVE(), compare_shape(CURVE())),
+    "overview.draw_system": overview.draw_system,
     "overview.draw_scale": overview.draw_scale,
+    "panels.images": lambda: panels.images({"one": picture(9, 9), "other": picture(9, 9)})[0],
+    "sketches.draw_cells": lambda: sketches.draw_cells(np.random.default_rng(0)),
+    "sketches.draw_egg": lambda: sketches.draw_egg(np.random.default_rng(0)),
+    "sketches.draw_label_maps": label_maps,
+    "sketches.draw_solids": sketches.draw_solids,
+    "sketches.draw_types": eight_types,
     "servoing.draw_esm_step": esm_step,
     "servoing.draw_kalman_step": kalman_step,
     "servoing.draw_loop": servoing.draw_loop,

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from compendium import thesis
-from compendium.experiments import chapter_2
-from microlib.calibration import calibrate
+from compendium.experiments import chapter_2, identifiability
 from microlib.microscope import Microscope
 from microlib.servoing import loop_poles
 
@@ -36,69 +35,64 @@ def test_the_grid_fills_the_view_and_no_more(scope) -> None:
     assert len(points) == pytest.approx(view / 280**2, rel=0.1)
 
 
+def test_points_without_noise_lead_back_to_the_truth(scope) -> None:
+    steps = chapter_2.calibration_steps(scope, 0.0, np.random.default_rng(0))
+    np.testing.assert_allclose(steps["refined"], steps["truth"], rtol=1e-5)
+    printed = {"α (°)": 90.7144, "γ (°)": 175.9179, "κ (10⁻¹⁰ µm⁻²)": -8.4, "T_x (µm)": -781.4}
+    assert steps["truth"][list(printed)].to_dict() == pytest.approx(printed)
+    assert steps.loc["M", "start"] == pytest.approx(steps.loc["M", "truth"], rel=0.01)
+
+
+def test_the_stated_deviation_is_that_of_many_draws(scope) -> None:
+    draws = [chapter_2.calibration_steps(scope, NOISE, np.random.default_rng(k)) for k in range(12)]
+    found = np.array([steps.loc["M", "refined"] for steps in draws])
+    # The standard deviation of twelve numbers is right to a fifth.
+    assert draws[0].loc["M", "σ"] == pytest.approx(found.std(), rel=0.7)
+
+
+def test_forces_grow_with_their_powers_of_the_size() -> None:
+    table = chapter_2.forces_on_sphere([0.1, 1.0])
+    powers = np.log10(table.iloc[1] / table.iloc[0])
+    np.testing.assert_allclose(powers, [3, 1, 1, 1, 2], atol=1e-9)
+    # A millimeter of silicon weighs 2330 kg/m³ · 0.5236 mm³ · 9.81 m/s².
+    assert table.loc[1.0, "weight"] == pytest.approx(2330 * 0.5236e-9 * 9.81, rel=1e-4)
+    water = chapter_2.forces_on_sphere([chapter_2.balance("surface tension")]).iloc[0]
+    assert water["surface tension"] == pytest.approx(water["weight"])
+
+
+@pytest.mark.parametrize("angle", [0, 60, 95])
+def test_a_turned_camera_slows_the_decay_by_its_cosine(angle) -> None:
+    times = np.array([0.0, 1.0])
+    path = chapter_2.turned_camera([angle], 2.0, times)[angle]
+    decay = np.exp(-2.0 * np.cos(np.deg2rad(angle)))
+    np.testing.assert_allclose(np.hypot(*path.T), [50, 50 * decay], rtol=1e-9)
+
+
+def test_one_direction_of_the_lengths_is_invisible(scope) -> None:
+    table, weakest = identifiability.directions(scope)
+    values = table["singular value"]
+    assert values.iloc[-1] < 1e-12 * values.iloc[0] < values.iloc[-2]
+    lengths = [weakest[name] for name in ("tube_length", "focal_length", "distance")]
+    np.testing.assert_allclose(lengths, [-1, 1, -1], atol=1e-6)
+
+
 @pytest.mark.parametrize("degrees", [0.0, 2.0, 20.0])
 def test_a_pattern_is_tilted_by_what_was_asked(scope, degrees) -> None:
     # Two turns that are not small do not quite add as a vector.
-    normal = chapter_2.tilted(scope, degrees).rotation[2, 2]
+    normal = identifiability.tilted(scope, degrees).rotation[2, 2]
     assert np.rad2deg(np.arccos(normal)) == pytest.approx(degrees, rel=0.005, abs=1e-6)
 
 
-def test_the_steps_of_a_calibration_are_in_the_units_they_say(scope) -> None:
-    world = chapter_2.grid_in_view(scope)
-    fit = calibrate(
-        world,
-        scope.project(world),
-        focal_length=scope.focal_length,
-        pixel_size=scope.pixel_size,
-        image_size=scope.image_size,
-    )
-    start = [getattr(scope, name) for name in chapter_2.PARAMETERS]
-    steps = chapter_2.calibration_steps(scope, start, fit)
-    np.testing.assert_allclose(steps["start"], steps["truth"])
-    np.testing.assert_allclose(steps["refined"], steps["truth"], rtol=1e-5)
-    assert steps.loc["α (°)", "truth"] == pytest.approx(90.7144)
-    assert steps.loc["γ (°)", "truth"] == pytest.approx(175.9179)
-    assert steps.loc["κ (10⁻¹⁰ µm⁻²)", "truth"] == pytest.approx(-8.4)
-    assert steps.loc["M", "σ"] == fit.sigma["magnification"]
-
-
-def test_an_angle_beyond_the_turn_is_shown_within_it(scope) -> None:
-    turned = replace(scope, gamma=scope.gamma - 2 * np.pi)
-    world = chapter_2.grid_in_view(turned)
-    fit = calibrate(
-        world,
-        turned.project(world),
-        focal_length=turned.focal_length,
-        pixel_size=turned.pixel_size,
-        image_size=turned.image_size,
-    )
-    start = [getattr(turned, name) for name in chapter_2.PARAMETERS]
-    row = chapter_2.calibration_steps(turned, start, fit).loc["γ (°)"]
-    np.testing.assert_allclose(row[["truth", "start", "refined"]], 175.9179, atol=1e-3)
-
-
-def test_the_valley_opens_with_the_tilt(scope, monkeypatch) -> None:
-    monkeypatch.setattr(chapter_2, "VALLEY_TILTS", (0.0, 20.0))
-    monkeypatch.setattr(chapter_2, "RATIOS", (0.5, 1.0, 2.0))
-    residuals = chapter_2.residuals_by_focal_length(scope, NOISE, np.random.default_rng(0))
-    assert list(residuals.columns) == [0.0, 20.0]
-    np.testing.assert_allclose(residuals[0.0], residuals.loc[1.0, 0.0], rtol=0.01)
-    # Some 100 points: their root mean square scatters by 1/√400.
-    np.testing.assert_allclose(residuals.loc[1.0], NOISE, rtol=0.2)
-    assert (residuals.loc[[0.5, 2.0], 20.0] > 5 * NOISE).all()
-
-
 def test_the_study_loses_f_on_a_parallel_plane_and_keeps_m(scope, monkeypatch) -> None:
-    monkeypatch.setattr(chapter_2, "STUDY_TILTS", (0.0, 10.0))
-    monkeypatch.setattr(chapter_2, "PARALLEL_RUNS", 2)
-    study = chapter_2.focal_length_study(scope, NOISE, 12, np.random.default_rng(1))
+    monkeypatch.setattr(identifiability, "TILTS", (0.0, 10.0))
+    monkeypatch.setattr(identifiability, "PARALLEL_RUNS", 2)
+    study = identifiability.focal_length_study(scope, NOISE, 12, np.random.default_rng(1))
     parallel, steep = (row for _, row in study.iterrows())
     assert parallel["lost"] == 1
     assert np.isinf(parallel["bound"])
     assert np.isnan(parallel["scatter"])
     assert steep["lost"] == 0
     assert steep["stated"] == pytest.approx(steep["bound"], rel=0.25)
-    # The standard deviation of twelve numbers is right to a fifth.
     assert steep["scatter"] == pytest.approx(steep["bound"], rel=0.7)
     assert (study["M"] < 1e-4).all()
 

@@ -4,7 +4,6 @@ from types import SimpleNamespace
 
 import matplotlib as mpl
 import numpy as np
-import pandas as pd
 import pytest
 
 mpl.use("agg")
@@ -119,16 +118,3 @@ def test_every_point_of_the_study_of_f_is_drawn():
     assert drawn["f: named unobservable"][:, 0].tolist() == [0.0]
     assert axes.get_yscale() == "log"
     assert axes.get_ylim() == (1e-3, 100)  # from a hundred-thousandth to all of it
-
-
-def test_the_valley_shows_its_residuals_and_the_noise():
-    tilts = (0.0, 1.0, 2.0, 5.0, 20.0)
-    residuals = pd.DataFrame({t: [0.3 + t, 0.02 + t, 0.2 + t] for t in tilts}, [0.5, 1.0, 2.0])
-    axes = calibration.draw_residual_valley(residuals, 0.02).axes[0]
-    drawn = {line.get_label(): line.get_xydata() for line in axes.lines}
-    np.testing.assert_allclose(drawn["tilt 5°"], [[0.5, 5.3], [1, 5.02], [2, 5.2]])
-    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
-    assert axes.lines[-1].get_ydata() == [0.02, 0.02]
-    for axis in (axes.xaxis, axes.yaxis):
-        ticks = [float(label.get_text()) for label in axis.get_ticklabels()]
-        assert ticks == axis.get_ticklocs().tolist() == sorted(ticks)

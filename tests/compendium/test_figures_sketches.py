@@ -1,7 +1,5 @@
 """Sketches drawn from numbers: they show the lengths that they name."""
 
-from itertools import pairwise
-
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -53,22 +51,6 @@ def test_rays_meet_where_the_lens_equation_says():
     assert y[-1] == pytest.approx(14 * 100 * (1 / -x[0] + 1 / 100 - 1 / 40))  # (3.4)
 
 
-def test_sizes_stand_in_order_and_agree_with_the_thesis():
-    assert list(overview.THINGS.values()) == sorted(overview.THINGS.values(), reverse=True)
-    sizes = overview.THINGS
-    assert sizes["step of the stage"] == pytest.approx(1e-6 * thesis.STAGE_STEP)
-    assert sizes["gripper opening"] == pytest.approx(1e-6 * thesis.GRIPPER_GAP)
-    assert sizes["pixel at 1X"] == pytest.approx(1e-6 * thesis.effective_pixel("1X"), rel=0.01)
-    axes = overview.draw_scale().axes[0]
-    assert [text.get_text() for text in axes.texts if text.get_text() in sizes] == [*sizes][::-1]
-
-
-def test_every_part_has_an_input_a_method_and_a_result():
-    texts = [text.get_text() for text in overview.draw_parts().axes[0].texts if text.get_text()]
-    assert len(texts) == 12
-    assert [t for t in texts if "chapter" in t] == [part[1] for part in overview.PARTS]
-
-
 def test_a_lost_focal_length_is_marked_and_the_others_in_percent():
     study = pd.DataFrame(
         {
@@ -84,14 +66,6 @@ def test_a_lost_focal_length_is_marked_and_the_others_in_percent():
     assert drawn["f: named unobservable"].get_xdata().tolist() == [0.0]
     assert drawn["f: stated σ"].get_ydata()[1] == pytest.approx(2.1)
     assert drawn["M: scatter"].get_ydata()[0] == pytest.approx(0.002)
-
-
-def test_a_valley_has_a_line_for_each_tilt():
-    residuals = pd.DataFrame(
-        {tilt: [0.1, 0.02, 0.1] for tilt in (0.0, 1.0, 2.0, 5.0, 20.0)}, index=[0.5, 1.0, 2.0]
-    )
-    drawn = lines(calibration.draw_residual_valley(residuals, 0.02))
-    assert drawn["tilt 20°"].get_xdata().tolist() == [0.5, 1.0, 2.0]
 
 
 def test_loops_that_decay_and_grow_are_told_apart():
@@ -121,41 +95,6 @@ def test_rays_come_in_pairs_and_all_are_in_view():
     assert arrow.xy[0] == arrow.xyann[0] > 100
 
 
-def test_bands_reach_from_power_to_power():
-    axes = overview.draw_scale().axes[0]
-    ends = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in axes.patches]
-    np.testing.assert_allclose(ends, [(1e-3, 1), (1e-6, 1e-3), (1e-9, 1e-6)], rtol=1e-9)
-    texts = {text.get_text(): text.get_position() for text in axes.texts}
-    assert texts["micro"][0] == pytest.approx(10**-4.5)
-    sizes = [(line.get_xdata()[0], line.get_ydata()[0]) for line in axes.lines]
-    # The smallest at the bottom, and each under the bands.
-    assert sizes == sorted(sizes)
-    assert [row for _, row in sizes] == list(range(8))
-    assert texts["micro"][1] == 8
-    assert axes.get_xscale() == "log"
-    assert axes.get_xlim() == (1e-10, 1)
-
-
-def test_parts_are_joined_by_arrows_from_left_to_right():
-    axes = overview.draw_parts().axes[0]
-    boxes = [patch.get_bbox() for patch in axes.patches if hasattr(patch, "get_boxstyle")]
-    arrows = [(text.xyann, text.xy) for text in axes.texts if not text.get_text()]
-    assert (len(boxes), len(arrows)) == (12, 8)
-    for begin, end in arrows:
-        assert begin[0] < end[0]
-        assert begin[1] == end[1]
-        assert not any(box.contains(*begin) or box.contains(*end) for box in boxes)
-    names = [text for text in axes.texts if text.get_text()]
-    for box in boxes:
-        middle = ((box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2)
-        places = [text.get_position() for text in names]
-        assert min(np.hypot(*np.subtract(middle, place)) for place in places) < 0.01
-    for one, other in pairwise(boxes):
-        assert not one.overlaps(other)
-    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
-    assert all(left < b.x0 and b.x1 < right and low < b.y0 and b.y1 < high for b in boxes)
-
-
 def test_figures_lie_open_to_the_right_and_above():
     before = dict(mpl.rcParams)
     try:
@@ -175,3 +114,20 @@ def test_figures_lie_open_to_the_right_and_above():
         assert mpl.rcParams["legend.frameon"] is False
     finally:
         mpl.rcParams.update(before)
+
+
+def test_sizes_stand_in_order_and_agree_with_the_thesis():
+    sizes = [*overview.THINGS]
+    assert sizes == sorted(sizes, reverse=True)
+    named = {name: size for size, name in overview.THINGS.items()}
+    assert named["step of the stage"] == pytest.approx(1e-6 * thesis.STAGE_STEP)
+    assert named["pixel at 1X"] == pytest.approx(1e-6 * thesis.effective_pixel("1X"), rel=0.01)
+    axes = overview.draw_scale().axes[0]
+    ends = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in axes.patches]
+    np.testing.assert_allclose(ends, [(1e-9, 1e-6), (1e-6, 1e-3), (1e-3, 1)], rtol=1e-9)
+
+
+def test_every_task_is_named_with_its_input_and_its_result():
+    texts = [text.get_text() for text in overview.draw_system().axes[1].texts]
+    for given, task, result, _ in overview.TASKS:
+        assert {given, task, f"→ {result}"} <= set(texts)
