@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from microlib._common import Array, Image
 
-# The benchmark of tracking in bad light, table "Constants", says what the following are worth.
+# What parts of the tracker are worth is in its benchmark on photographs, table "Variants".
 
 #: Cells along each side of a template, and the least px of one; a block is 2×2 cells and overlaps
 #: its neighbors by half.
@@ -29,13 +28,6 @@ _AGREEING, _RELATIVE = 3.0, 0.02
 _LARGEST_SAY = 50.0
 
 
-@lru_cache(maxsize=64)
-def edges(length: int, step: int = 1) -> NDArray[np.int64]:
-    """Return where the cells of a side of `length` px begin and end, in px of every `step`."""
-    cells = min(_CELLS, max(2, length * step // _LEAST_CELL))
-    return np.rint(np.linspace(0, length, cells + 1)).astype(np.int64)
-
-
 @dataclass(frozen=True)
 class Agreement:
     """What the blocks of the template say of a pose.
@@ -44,8 +36,6 @@ class Agreement:
     ----------
     score : float
         Information (nats) in which template and image agree, summed over the blocks.
-    share : float
-        Share of the blocks that have any.
     agreeing : float
         Share of the blocks, weighted by their texture over the noise, whose residual is noise.
     texture : float
@@ -56,7 +46,6 @@ class Agreement:
     """
 
     score: float
-    share: float
     agreeing: float
     texture: float
     drift: float
@@ -65,7 +54,9 @@ class Agreement:
 @lru_cache(maxsize=64)
 def _members(length: int) -> Array:
     """Return the matrix, blocks×length, that sums each block of a side."""
-    at, ends = np.arange(length), edges(length)
+    cells = min(_CELLS, max(2, length // _LEAST_CELL))
+    ends = np.rint(np.linspace(0, length, cells + 1))
+    at = np.arange(length)
     return ((at >= ends[:-2, None]) & (at < ends[2:, None])).astype(np.float64)
 
 
@@ -101,7 +92,6 @@ def agreement(grey: Image, template: Image, share: Image, noise: float) -> Agree
     off = np.where(sums[0] > 0, g - sg / n - slope * (t - st / n), 0.0)
     return Agreement(
         score=(says * seen / (1 + residual / expected / _ODD**2)).sum(axis=-1),
-        share=(says > 0).mean(axis=-1),
         agreeing=(say * fine).sum(axis=-1) / least,
         texture=texture,
         drift=np.sqrt((say * off**2).sum(axis=-1) / least),

@@ -14,7 +14,7 @@ from microlib.tracking._blocks import Agreement, agreement
 from microlib.tracking._esm import Level, make_level
 from microlib.tracking._geometry import moved, torn
 
-# The benchmark of tracking in bad light, table "Constants", says what the following are worth.
+# What parts of the tracker are worth is in its benchmark on photographs, table "Variants".
 
 #: Standard deviation (px of the finest level of the search) of the surroundings in which gain and
 #: bias count as constant, and where that Gaussian is cut off.

@@ -23,7 +23,7 @@ from microlib.tracking._local import LocalLevel, make_local
 from microlib.tracking._sampling import View, half_pixel
 from microlib.tracking._starts import Flow, PointFlow, best_matches, distortions
 
-# The benchmark of tracking in bad light, table "Constants", says what the following are worth.
+# What parts of the tracker are worth is in its benchmark on photographs, table "Variants".
 
 #: Side (px) that the template has at most at the finest level of the search.
 _LARGEST = 64

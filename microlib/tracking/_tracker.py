@@ -37,8 +37,8 @@ from microlib.tracking._verdict import confidence
 if TYPE_CHECKING:
     import pandas as pd
 
-# What each of these is worth is in the benchmark of tracking, table "Constants", where they are
-# changed one at a time.
+# What parts of the tracker are worth is in its benchmark on photographs, table "Variants". The
+# numbers here were changed one at a time where the first attempt alone decides.
 
 #: Least width and height (px) of a template.
 _SMALLEST = 6
@@ -54,8 +54,8 @@ _SMOOTHING = 1.25
 #: times the other, only the number of steps changes.
 _TOLERANCE, _LAST_TOLERANCE = 0.5, 0.05
 
-#: Most steps of one level: a converging one takes 1 to 6. The same success from 8 to 30; with 4 3 %
-#: fewer homographies are found. More only take longer where the template is not to be found.
+#: Most steps of one level: a converging one takes 1 to 6. More only take longer where the template
+#: is not to be found.
 _MOST_STEPS = 8
 
 #: Margin (px) around the template that the last level samples; it starts a fraction of a pixel
@@ -65,16 +65,14 @@ _LAST_MARGIN = 6.0
 #: Normalized correlation below which the template counts as lost.
 _LEAST_CORRELATION = 0.7
 
-#: Correlation that an attempt must reach to be convincing, whatever the noise. 0.8 is as good here;
-#: 0.95 rejects 3 % of the homographies.
+#: Correlation that an attempt must reach to be convincing, whatever the noise.
 _CONVINCING = 0.9
 
-#: An attempt must also come as near to 1 as the last accepted one, within this factor. From 1 to 4
-#: the same results; without it only half of the jumps along a gripper's jaws are found.
+#: An attempt must also come as near to 1 as the last accepted one, within this factor:
+#: else a jump along a gripper's jaws, which are alike everywhere, is taken for none.
 _NOISE_FACTOR = 2.0
 
-#: Loss of correlation that interpolation alone may cause, where there is no noise. The same
-#: success from 0 to 0.01.
+#: Loss of correlation that interpolation alone may cause, where there is no noise.
 _INTERPOLATION_LOSS = 0.002
 
 #: Least share of the template's contrast that the smoothing must leave: of white noise it leaves
@@ -230,7 +228,7 @@ class ESMTracker:
         (x, y, width, height) of the template in px: columns x … x + width − 1, rows y … y + height
         − 1.
     motion : {"homography", "affine", "translation"}
-        Group of warps. A template of less than 12 px a side only moves if it is far away.
+        Group of warps.
     mask : array_like of bool, shape (height, width), optional
         Pixels of the box that belong to the template. By default all of them.
     kalman : KalmanFilter, optional
