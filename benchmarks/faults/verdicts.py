@@ -45,14 +45,16 @@ class Fault:
 
 
 def read_faults() -> list[Fault]:
-    """Return the planted faults; each must find its place exactly once."""
+    """Return the planted faults; one whose place is gone, or not alone, is named and left out."""
     entries = tomllib.loads(FAULTS.read_text(encoding="utf-8"))
     faults = []
     for name, entry in entries.items():
         fault = Fault(name, **entry | {"notebooks": tuple(entry["notebooks"])})
-        found = (ROOT / fault.file).read_text(encoding="utf-8").count(fault.old)
+        path = ROOT / fault.file
+        found = path.read_text(encoding="utf-8").count(fault.old) if path.exists() else 0
         if found != 1:
-            raise ValueError(f"{name} must find its place once in {fault.file}, found {found}")
+            print(f"{name}: left out, its place stands {found} times in {fault.file}")
+            continue
         faults.append(fault)
     return faults
 
