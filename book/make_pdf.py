@@ -54,7 +54,14 @@ def parts_in_order() -> list[tuple[str, list[str]]]:
     """Return the parts of the contents with their pages, and last the library's functions."""
     contents = yaml.safe_load((ROOT / "book" / "_toc.yml").read_text(encoding="utf-8"))
     parts = [
-        (part["caption"], [chapter["file"] for chapter in part["chapters"]])
+        (
+            part["caption"],
+            [
+                one["file"]
+                for chapter in part["chapters"]
+                for one in (chapter, *chapter.get("sections", []))
+            ],
+        )
         for part in contents["parts"]
     ]
     library = sorted(f"generated/{path.stem}" for path in (HTML / "generated").glob("*.html"))
@@ -212,3 +219,7 @@ if __name__ == "__main__":
         )
         make_pdf(chromium, HTML.resolve(), pages_in_order(), PDF)
         chromium.close()
+    # Beside the pages, and from now on their footers lead to it.
+    shutil.copy(PDF, HTML / "book.pdf")
+    style = HTML / "_static" / "pdf.css"
+    style.write_text("a.pdf-link { display: inline; }\n", encoding="utf-8")

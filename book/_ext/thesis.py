@@ -15,16 +15,18 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import cache
 from html import escape
+from itertools import product
 from pathlib import Path
+from urllib.parse import urlencode
 
 from docutils import nodes
 from docutils.statemachine import StringList
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective, SphinxRole
-from tables import line, link, long_name, raw_html, section, table
+from tables import line, link, raw_html, section, table
 from test_sources import place_of_proof, place_of_test
 from thesis_map import find_items
 
@@ -46,18 +48,6 @@ PARTS = {
     "5.5 Shape from focus and surface types": ("section-5.5",),
     "5.6 Stiffness of the embryo": ("section-5.6", "table-5.5", "table-5.6", "table-5.7"),
     "6 Abstract and conclusion": ("abstract", "section-6"),
-}
-FILTER = """<div class="claims-filter">
-<label>Find <input type="search" data-claims="text"></label>
-<label>Verdict <select data-claims="verdict"><option value="">all</option></select></label>
-<label>Star <select data-claims="star"><option value="">all</option></select></label>
-<label>Compared by <select data-claims="by"><option value="">all</option></select></label>
-<label>Part <select data-claims="part"><option value="">all</option></select></label>
-<output data-claims-count></output></div>"""
-ORIGINS = {
-    "print": "a fault of the thesis",
-    "open": "print and machine reading cannot be told apart",
-    "wording": "the text can be understood so that nothing is wrong",
 }
 
 
@@ -118,28 +108,24 @@ class VerdictMap(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         page = self.env.app.builder.get_relative_uri(self.env.docname, "claims")
-        shades = [(verdict, star) for verdict in ORDER for star in ("unstarred", "starred")]
+        sorts = [(part_of(c), c.verdict, facets(c)["star"]) for c in ledger.claims().values()]
+        counts = Counter(sorts)
+        most = max(Counter(part for part, *_ in sorts).values())
         rows = []
-        totals = Counter(part_of(claim) for claim in ledger.claims().values())
-        for part in PARTS:
-            pieces = ""
-            for verdict, star in shades:
-                wanted = {"verdict": verdict, "star": star, "part": part.split()[0]}
-                count = sum(
-                    wanted.items() <= facets(claim).items() for claim in ledger.claims().values()
-                )
-                if count:
-                    query = "&amp;".join(f"{key}={value}" for key, value in wanted.items())
+        for part in dict.fromkeys(part for part, *_ in sorts):
+            pieces, rest = "", most
+            for verdict, star in product(ORDER, ("unstarred", "starred")):
+                if count := counts[part, verdict, star]:
+                    query = urlencode({"verdict": verdict, "star": star, "part": part.split()[0]})
                     said = f"{part}: {count} {verdict}, {star}"
                     pieces += (
                         f'<a class="verdict-{verdict.replace(" ", "-")} {star}" '
-                        f'style="flex-grow: {count}" href="{page}?{query.replace(" ", "%20")}" '
+                        f'style="flex-grow: {count}" href="{page}?{escape(query)}" '
                         f'title="{said}" aria-label="{said}">{count}</a>'
                     )
-            if pieces:
-                rest = max(totals.values()) - totals[part]
-                rest = f'<span style="flex-grow: {rest}"></span>'
-                rows.append(f"<dt>{part}</dt><dd>{pieces}{rest}</dd>")
+                    rest -= count
+            pieces += f'<span style="flex-grow: {rest}"></span>'
+            rows.append(f"<dt>{part}</dt><dd>{pieces}</dd>")
         key = "".join(
             f'<span class="verdict-{verdict.replace(" ", "-")}">{verdict}</span>'
             for verdict in ORDER
@@ -160,7 +146,7 @@ class Claims(SphinxDirective):
         result["classes"].append("claims")
         data = {nodes.make_id(f"claim-{claim.id}"): facets(claim) for claim in chosen}
         script = f'<script type="application/json" id="claims-facets">{json.dumps(data)}</script>'
-        return [raw_html(FILTER), result, raw_html(script)]
+        return [raw_html(script), result]
 
     def row(self, claim: ledger.Claim) -> list[list[nodes.Node]]:
         record = records().get(claim.id)
@@ -185,15 +171,14 @@ class Claims(SphinxDirective):
         page, anchor = place_of(claim)
         yield self.leads(claim.where, page, anchor)
         if claim.test:
-            text = claim.test.removeprefix("tests/").replace("::", " ")
-            yield self.leads(text, *place_of_test(claim.test), kind="claim-test")
+            yield self.leads("test", *place_of_test(claim.test))
         for name, entry in ledger.errata().items():
             if claim.id in entry.get("claims", "").split():
                 yield self.leads("erratum", "errata", f"erratum-{name}")
 
-    def leads(self, text: str, page: str, anchor: str, *, kind: str = "") -> nodes.paragraph:
-        paragraph = nodes.paragraph(classes=[kind] if kind else [])
-        paragraph += link(self.env, long_name(text), page, anchor)
+    def leads(self, text: str, page: str, anchor: str) -> nodes.paragraph:
+        paragraph = nodes.paragraph()
+        paragraph += link(self.env, nodes.Text(text), page, anchor)
         return paragraph
 
 
@@ -207,87 +192,81 @@ def place_of(claim: ledger.Claim) -> tuple[str, str]:
     return f"notebooks/{stem}", anchor
 
 
-class Differences(SphinxDirective):
+class Listing(SphinxDirective):
+    """A directive that writes its page in the book's own markup."""
+
+    def written(self, name: str, title: str, lines: list[str]) -> nodes.section:
+        part = section(name, title)
+        self.state.nested_parse(StringList(lines, source=name), 0, part)
+        return part
+
+
+class Differences(Listing):
     """Each claim that disagrees: both numbers and the reason, by part of the thesis."""
 
     def run(self) -> list[nodes.Node]:
-        found = [claim for claim in ledger.claims().values() if claim.verdict == "disagrees"]
-        result: list[nodes.Node] = []
-        for part in PARTS:
-            entries = [self.entry(claim) for claim in found if part_of(claim) == part]
-            if entries:
-                whole = section(f"differences-{part.split()[0]}", part)
-                whole += nodes.bullet_list("", *entries)
-                result.append(whole)
-        return result
-
-    def entry(self, claim: ledger.Claim) -> nodes.list_item:
-        record = records().get(claim.id)
-        text = nodes.paragraph()
-        text += [nodes.strong("", f"{claim.what}. "), lead_to(self.env, claim), nodes.Text(" ")]
-        thesis = f"Printed: {printed(claim)}. " if claim.printed else f"It says: {claim.says}. "
-        text += nodes.Text(f"{thesis}Recomputed: {'–' if record is None else record}. {claim.note}")
-        item = nodes.list_item("", text)
-        if claim.star:
-            item += line(f"{ledger.STAR} {claim.star}.")
-        return item
+        lines: dict[str, list[str]] = {}
+        for claim in ledger.claims().values():
+            if claim.verdict == "disagrees":
+                thesis = (
+                    f"Printed: {printed(claim)}." if claim.printed else f"It says: {claim.says}."
+                )
+                found = f"Recomputed: {{recomputed}}`{claim.id}`."
+                star = f" {ledger.STAR} {claim.star}." if claim.star else ""
+                text = f"- **{claim.what}.** {{verdict}}`{claim.id}` {thesis} {found} "
+                text += f"{claim.note}{star}"
+                lines.setdefault(part_of(claim), []).append(text)
+        return [
+            self.written(f"differences-{part.split()[0]}", part, entries)
+            for part, entries in lines.items()
+        ]
 
 
-class Deviations(SphinxDirective):
+class Deviations(Listing):
     """Every tolerance and limit that is not the general rule, with its reason."""
 
     def run(self) -> list[nodes.Node]:
         groups: dict[str, list[ledger.Claim]] = {}
         for claim in ledger.claims().values():
-            if claim.reason:
-                groups.setdefault(claim.reason, []).append(claim)
-        rows = []
-        for reason, alike in groups.items():
-            names = nodes.paragraph()
-            for k, claim in enumerate(alike):
-                shown = long_name(claim.id)
-                names += [nodes.Text(", " if k else "")]
-                names += link(self.env, shown, "claims", f"claim-{claim.id}")
-            rows.append([[names], alike[0].rule, reason])
-        return [table(["Claims", "Rule", "Reason"], rows)]
+            if claim.reason and not claim.reason.startswith("95 %"):
+                groups.setdefault(f"{claim.rule}: {claim.reason}.", []).append(claim)
+        lines = [
+            f"- {rule} ({', '.join(to(c.id, 'claims', f'claim-{c.id}') for c in alike)})"
+            for rule, alike in groups.items()
+        ]
+        part = nodes.container()
+        self.state.nested_parse(StringList(lines, source="claims.toml"), 0, part)
+        return part.children
 
 
-class Errata(SphinxDirective):
+class Errata(Listing):
     """One section an erratum: where, what was printed, what is right, and the proof."""
 
     def run(self) -> list[nodes.Node]:
+        places = find_items(ROOT / "build" / "notebooks")
         result: list[nodes.Node] = []
         for name, entry in ledger.errata().items():
-            part = section(f"erratum-{name}", entry["title"])
+            ways = f"Proof: {to(entry['test'], *place_of_proof(name))}."
+            if claims := [to(c, "claims", f"claim-{c}") for c in entry.get("claims", "").split()]:
+                ways += f" Printed numbers: {', '.join(claims)}."
+            if name in places:
+                # The map makes a link of it.
+                ways += f" Formula: ({name.removeprefix('equation-')})."
             lines = [
-                f"**{entry['where']}.** *{ORIGINS[entry['origin']].capitalize()}.*",
-                "",
+                f"**{entry['where']}.** *{entry['origin']}.*",
                 f"**Printed:** {entry['printed']}",
-                "",
                 f"**Right:** {entry['corrected']}",
-                "",
                 entry["proof"],
+                f'<span class="erratum-sources">{ways}</span>',
             ]
-            self.state.nested_parse(StringList(lines, source="errata.toml"), 0, part)
-            part += self.sources(name, entry)
-            result.append(part)
+            spaced = [part for text in lines for part in (text, "")]
+            result.append(self.written(f"erratum-{name}", entry["title"], spaced))
         return result
 
-    def sources(self, name: str, entry: Mapping[str, str]) -> nodes.paragraph:
-        """Return the way to the proof, to the printed numbers, and to where the formula stands."""
-        shown = [("Proof: ", entry["test"], *place_of_proof(name))]
-        for k, claim in enumerate(entry.get("claims", "").split()):
-            before = ", " if k else ". Printed numbers: "
-            shown.append((before, claim, "claims", f"claim-{claim}"))
-        if name in (places := find_items(ROOT / "build" / "notebooks")):
-            stem, anchored = places[name]
-            number = name.removeprefix("equation-")
-            shown.append((". Formula: ", f"({number})", f"notebooks/{stem}", anchored))
-        paragraph = nodes.paragraph(classes=["erratum-sources"])
-        for before, text, page, anchored in shown:
-            paragraph += [nodes.Text(before), link(self.env, nodes.Text(text), page, anchored)]
-        paragraph += nodes.Text(".")
-        return paragraph
+
+def to(text: str, page: str, anchor: str) -> str:
+    """Return a link from a page at the top of the book, for its markup."""
+    return f'<a class="internal" href="{page}.html#{nodes.make_id(anchor)}">{escape(text)}</a>'
 
 
 def preview_claims() -> dict[str, str]:

@@ -4,9 +4,8 @@
   its place in the chapter and to the function behind it.
 - Every displayed formula with a ``\\tag`` of the thesis gets an anchor and a link to its function;
   every numbered section and every mention of an item gets an anchor or a link, too.
-- The page of a function that the map names links back to its equations, figures and tables.
 - The page of a function that returns a class without a page of its own lists what it holds.
-- A figure whose data were kept gets a link to them, and opens larger.
+- A figure whose data were kept gets a link to them.
 
 Sphinx numbers equations and figures by itself; none of its extensions keeps another text's numbers.
 """
@@ -48,28 +47,16 @@ MENTION = re.compile(
 )
 # Where a link would nest, or change what is quoted.
 UNLINKED = (
+    nodes.FixedTextElement,
+    nodes.Titular,
     nodes.reference,
-    nodes.title,
     nodes.caption,
     nodes.literal,
-    nodes.literal_block,
     nodes.math,
-    nodes.math_block,
-    nodes.raw,
-    nodes.comment,
     nodes.target,
     addnodes.desc_signature,
     addnodes.pending_xref,
 )
-# What the map says of an item; a table's numbers have verdicts of their own.
-STATES = {
-    "holds": "holds",
-    "corrected": "corrected",
-    "definition": "definition",
-    "redrawn": "redrawn",
-    "own data": "same drawing, data of this book",
-    "stand-in": "stand-in for a photograph",
-}
 
 
 @dataclass(frozen=True)
@@ -173,7 +160,7 @@ class Map(SphinxDirective):
 def state_of(item: Item) -> str:
     """Return an item's status, and for a table how many of its numbers have which verdict."""
     if item.kind != "table":
-        return STATES[item.status]
+        return item.status
     found = Counter(c.label for c in ledger.claims().values() if c.id.startswith(f"{item.id}/"))
     return ", ".join(f"{count} {label}" for label, count in found.most_common())
 
@@ -238,33 +225,15 @@ def link_data(app: Sphinx, doctree: nodes.document) -> None:
     """Put a link to the kept numbers under each figure that has them."""
     up = "../" * app.env.docname.count("/")
     for figure in doctree.findall(nodes.figure):
-        files = [
-            FIGURES / f"{name}{ending}"
-            for name in figure.get("names", []) + figure.get("ids", [])
-            for ending in (".csv", ".npz")
-        ]
-        links = dict.fromkeys(path.name for path in files if path.exists())
-        captions = list(figure.findall(nodes.caption))
-        if not links or not captions:
+        names = figure.get("names", []) + figure.get("ids", [])
+        files = [f"{name}{ending}" for name in names for ending in (".csv", ".npz")]
+        links = dict.fromkeys(file for file in files if (FIGURES / file).exists())
+        caption = figure.next_node(nodes.caption)
+        if not links or caption is None:
             continue
         text = ", ".join(f'<a href="{up}_static/figures/{n}" download>{n}</a>' for n in links)
         html = f' <span class="figure-data">Data: {text}</span>'
-        captions[0] += nodes.raw("", html, format="html")
-
-
-def link_back(
-    app: Sphinx, what: str, name: str, obj: object, options: Any, lines: list[str]
-) -> None:
-    """Append to a docstring where in the book its equations, figures and tables stand."""
-    places = find_items(ROOT / "build" / "notebooks")
-    links = []
-    for item in read_map().values():
-        if name in item.functions and item.id in places:
-            shown = item.shown if item.kind == "equation" else f"{item.kind} {item.number}"
-            stem, anchor = places[item.id]
-            links.append(f"`{shown} <../notebooks/{stem}.html#{nodes.make_id(anchor)}>`__")
-    if links:
-        lines += ["", ".. rubric:: In the thesis", "", ", ".join(links) + ".", ""]
+        caption += nodes.raw("", html, format="html")
 
 
 def keep_initials(
@@ -308,6 +277,5 @@ def setup(app: Sphinx) -> dict[str, bool]:
     # After numpydoc, which rewrites the lines it is given.
     app.connect("autodoc-process-docstring", keep_initials, priority=900)
     app.connect("autodoc-process-docstring", show_result, priority=900)
-    app.connect("autodoc-process-docstring", link_back, priority=900)
     app.connect("build-finished", copy_figures)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,7 +1,7 @@
 """The scripts of the page "Try it", and the focal stack that one of them reads.
 
 They stand outside ``_static``, all scripts of which jupyter-book loads on every page. The stack is
-rendered when the book is built.
+rendered when the book is built. No extension knows these scripts.
 """
 
 from __future__ import annotations
@@ -34,8 +34,12 @@ def render_stack() -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.f
     return frames, positions, height
 
 
-def stack_script() -> str:
-    """Return the stack as a script, all that a page opened from a file can read."""
+def write_scripts(app: Sphinx, error: Exception | None) -> None:
+    """Copy the scripts, and write the stack as one, all that a page opened from a file can read."""
+    if error or app.builder.format != "html":
+        return
+    folder = Path(app.outdir) / "_static" / "try"
+    shutil.copytree(Path(app.srcdir) / "_try", folder, dirs_exist_ok=True)
     frames, positions, height = render_stack()
     stack = {
         "rows": SIDE,
@@ -44,14 +48,8 @@ def stack_script() -> str:
         "truth": height.round().astype(int).ravel().tolist(),
         "data": [b64encode(frame.tobytes()).decode() for frame in frames],
     }
-    return f"(globalThis.tryIt ??= {{}}).stack = {json.dumps(stack, separators=(',', ':'))};\n"
-
-
-def write_scripts(app: Sphinx, error: Exception | None) -> None:
-    if error is None and app.builder.format == "html":
-        folder = Path(app.outdir) / "_static" / "try"
-        shutil.copytree(Path(app.srcdir) / "_try", folder, dirs_exist_ok=True)
-        (folder / "stack.js").write_text(stack_script(), encoding="utf-8")
+    text = json.dumps(stack, separators=(",", ":"))
+    (folder / "stack.js").write_text(f"(globalThis.tryIt ??= {{}}).stack = {text};\n", "utf-8")
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

@@ -4,12 +4,23 @@
   if (facets) {
     const known = JSON.parse(facets.textContent);
     const rows = [...document.querySelectorAll("table.claims tbody tr")];
-    const fields = [...document.querySelectorAll("[data-claims]")];
-    const count = document.querySelector("[data-claims-count]");
-    for (const field of fields.filter((one) => one.tagName === "SELECT"))
-      for (const name of new Set(rows.map((row) => known[row.id][field.dataset.claims]))) field.add(new Option(name, name));
+    const form = Object.assign(document.createElement("div"), { className: "claims-filter" });
+    const count = document.createElement("output");
+    const titles = { text: "Find", verdict: "Verdict", star: "Star", by: "Compared by", part: "Part" };
+    const fields = Object.entries(titles).map(([name, title]) => {
+      const field = document.createElement(name === "text" ? "input" : "select");
+      field.name = name;
+      if (name === "text") field.type = "search";
+      else for (const value of ["", ...new Set(rows.map((row) => known[row.id][name]))]) field.add(new Option(value || "all", value));
+      const label = document.createElement("label");
+      label.append(`${title} `, field);
+      form.append(label);
+      return field;
+    });
+    form.append(count);
+    facets.after(form);
     const narrow = () => {
-      const chosen = fields.filter((field) => field.value).map((field) => [field.dataset.claims, field.value]);
+      const chosen = fields.filter((field) => field.value).map((field) => [field.name, field.value]);
       for (const row of rows)
         row.hidden = !chosen.every(([name, value]) =>
           name === "text" ? row.textContent.toLowerCase().includes(value.toLowerCase()) : known[row.id][name] === value);
@@ -18,7 +29,7 @@
       history.replaceState(null, "", `${location.pathname}${query && `?${query}`}${location.hash}`);
     };
     for (const [name, value] of new URLSearchParams(location.search)) {
-      const field = fields.find((one) => one.dataset.claims === name);
+      const field = fields.find((one) => one.name === name);
       if (field) field.value = value;
     }
     for (const field of fields) field.addEventListener("input", narrow);

@@ -18,6 +18,9 @@
     await window.MathJax?.startup?.promise;
     fit();
     globalThis.formulasFit = true;
+    // What is drawn late moves the page: go to the anchor again, unless the reader has moved.
+    const aim = location.hash && document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    if (aim && !moved) aim.scrollIntoView({ behavior: "instant" });
     let width = innerWidth;
     addEventListener("resize", () => {
       if (innerWidth !== width) fit(); // not when a phone's address bar comes and goes
@@ -26,5 +29,8 @@
     // What was folded away had no width.
     for (const fold of document.querySelectorAll("details")) fold.addEventListener("toggle", fit);
   };
+  let moved = false;
+  for (const kind of ["wheel", "touchmove", "keydown", "mousedown"])
+    addEventListener(kind, () => (moved = true), { once: true, passive: true });
   addEventListener("load", start);
 }

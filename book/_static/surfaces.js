@@ -1,54 +1,47 @@
-// 3-D figures: a page is scrolled over them, by wheel and finger, and they follow its colors.
-addEventListener("load", () => {
-  const figures = [...document.querySelectorAll(".plotly-graph-div")];
-  if (!figures.length) return;
+// 3-D figures: a picture first. A click loads plotly's library and puts the surface in its place.
+addEventListener("DOMContentLoaded", () => {
+  const root = new URL(document.documentElement.dataset.content_root ?? "./", location.href);
+  let library;
+  const load = () =>
+    (library ??= new Promise((done) => {
+      const src = new URL("_static/plotly.min.js", root);
+      document.head.append(Object.assign(document.createElement("script"), { src, onload: done }));
+    }));
 
-  const paint = () => {
+  // The surface has the colors of the page, and on a phone texts as large as the page's.
+  const paint = (figure) => {
     const style = getComputedStyle(document.documentElement);
-    const text = style.getPropertyValue("--pst-color-text-base"), ground = style.getPropertyValue("--pst-color-background");
-    const lines = style.getPropertyValue("--pst-color-border");
-    for (const figure of figures) {
-      const change = { paper_bgcolor: ground, "font.color": text };
-      for (const scene of Object.keys(figure._fullLayout ?? {}).filter((key) => /^scene\d*$/.test(key)))
-        for (const axis of ["xaxis", "yaxis", "zaxis"])
-          Object.assign(change, { [`${scene}.${axis}.gridcolor`]: lines, [`${scene}.${axis}.backgroundcolor`]: ground,
-            [`${scene}.${axis}.zerolinecolor`]: lines });
-      Plotly.relayout(figure, change);
-    }
+    const color = (name) => style.getPropertyValue(`--pst-color-${name}`);
+    const change = { paper_bgcolor: color("background"), "font.color": color("text-base") };
+    for (const axis of ["xaxis", "yaxis", "zaxis"])
+      Object.assign(change, { [`scene.${axis}.gridcolor`]: color("border"), [`scene.${axis}.zerolinecolor`]: color("border"),
+        [`scene.${axis}.backgroundcolor`]: color("background"),
+        ...(innerWidth < 600 ? { [`scene.${axis}.tickfont.size`]: 16, [`scene.${axis}.nticks`]: 3 } : {}) });
+    Plotly.relayout(figure, change);
+    if (innerWidth < 600) Plotly.restyle(figure, { showscale: Boolean(figure.data[0].colorbar?.ticktext) });
   };
-  paint();
-  new MutationObserver(paint).observe(document.documentElement, { attributes: true, attributeFilter: ["data-theme"] });
 
-  // On a phone texts are as large as the page's, and the eye further back, so that no axis is cut. Colors that repeat the
-  // heights, which an axis has, need no scale.
-  if (innerWidth < 600)
-    for (const figure of figures) {
-      const eye = figure._fullLayout?.scene?.camera?.eye;
-      if (!eye) continue;
-      Plotly.restyle(figure, { "colorbar.thickness": 10, showscale: Boolean(figure.data[0].colorbar?.ticktext) });
-      const title = figure._fullLayout.title.text.replace(/(.{1,30})(\s|$)/g, "$1<br>").replace(/<br>$/, "");
-      const change = { "font.size": 16, "title.font.size": 18, "title.text": title, "margin.t": 60,
-        "scene.camera.eye": { x: 1.75 * eye.x, y: 1.75 * eye.y, z: 1.75 * eye.z } };
-      for (const axis of ["xaxis", "yaxis", "zaxis"])
-        Object.assign(change, { [`scene.${axis}.tickfont.size`]: 16, [`scene.${axis}.nticks`]: 3 });
-      Plotly.relayout(figure, change);
-    }
-
-  // The wheel belongs to the page; plotly would take it whether it zooms or not.
-  for (const figure of figures)
-    figure.addEventListener("wheel", (event) => event.stopPropagation(), { capture: true, passive: true });
-
-  // A finger scrolls the page until it is told to turn the figure.
-  for (const figure of figures) {
-    const button = document.createElement("button");
-    const write = (turning) => {
-      button.textContent = turning ? "Done turning" : "Turn the surface by finger";
-      button.setAttribute("aria-pressed", turning);
-    };
-    button.type = "button";
-    button.className = "turn-surface";
-    button.addEventListener("click", () => write(figure.classList.toggle("turning")));
-    write(false);
-    figure.parentElement.before(button); // the parent has the height of the figure alone
+  for (const box of document.querySelectorAll(".surface")) {
+    const [picture, button, template] = ["img", "button", "template"].map((name) => box.querySelector(name));
+    const said = button.textContent;
+    let figure;
+    button.addEventListener("click", async () => {
+      await load();
+      if (figure) {
+        figure.remove();
+        figure = undefined;
+      } else {
+        Plotly.setPlotConfig({ displayModeBar: false });
+        box.append(template.content.cloneNode(true)); // its script draws
+        figure = box.lastElementChild;
+        const drawn = figure.querySelector(".plotly-graph-div");
+        // The wheel belongs to the page; plotly would take it whether it zooms or not.
+        drawn.addEventListener("wheel", (event) => event.stopPropagation(), { capture: true, passive: true });
+        paint(drawn);
+        new MutationObserver(() => drawn.isConnected && paint(drawn)).observe(document.documentElement, { attributeFilter: ["data-theme"] });
+      }
+      picture.hidden = Boolean(figure);
+      button.textContent = figure ? "Back to the picture" : said;
+    });
   }
 });

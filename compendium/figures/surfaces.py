@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+import io
+from html import escape
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -229,7 +232,9 @@ def turnable_surface(
     unit: str = "µm",
 ) -> HTML:
     """
-    Return a height map that readers of the book can turn, as HTML without plotly's library.
+    Return a picture of a height map, and for readers of the book what makes it a surface to turn.
+
+    A click on the picture puts the surface in its place; plotly's library is loaded only then.
 
     Parameters
     ----------
@@ -249,7 +254,8 @@ def turnable_surface(
     Returns
     -------
     IPython.display.HTML
-        The element and its data, at most 100 points a side, rounded to a thousandth of the range.
+        The picture, and the surface in a template that is not shown: at most 100 points a side,
+        rounded to a thousandth of the range.
     """
     stride = max(1, -(-max(height.shape) // _MOST_POINTS))
     part = height[::stride, ::stride]
@@ -291,14 +297,23 @@ def turnable_surface(
         },
         template="plotly_white",
     )
+    turned = plotly.io.to_html(
+        figure,
+        include_plotlyjs=False,
+        full_html=False,
+        div_id=name,
+        config={"responsive": True, "displaylogo": False},
+    )
+    picture, axes = plt.subplots(figsize=(6, 4), subplot_kw={"projection": "3d"})
+    draw_surface(axes, np.nan_to_num(height, nan=np.nanmin(height)), pixel_size, labels=labels)
+    file = io.BytesIO()
+    picture.savefig(file, format="webp", dpi=110)
+    plt.close(picture)
+    source = f"data:image/webp;base64,{base64.b64encode(file.getvalue()).decode()}"
     return HTML(
-        plotly.io.to_html(
-            figure,
-            include_plotlyjs=False,
-            full_html=False,
-            div_id=name,
-            config={"responsive": True, "displaylogo": False},
-        )
+        f'<div class="surface"><img src="{source}" alt="{escape(title)}">'
+        f'<button type="button">Turn this surface (loads 4.6 MB)</button>'
+        f"<template>{turned}</template></div>"
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from axe_playwright_python.sync_playwright import Axe
@@ -15,11 +14,6 @@ def open_page(page: Page, path: Path) -> None:
     page.evaluate("window.MathJax?.startup?.promise")
     assert page.faults == [], f"{path.name}: {page.faults}"  # type: ignore[attr-defined]
     assert refused_formulas(page) == [], path.name
-
-
-def without_solids(text: str) -> str:
-    """Return a page's text without the data of its 3-D figures, which have a limit of their own."""
-    return re.sub(r"<script[^>]*>[^<]*Plotly.*?</script>", "", text, flags=re.DOTALL)
 
 
 def refused_formulas(page: Page) -> list[str]:

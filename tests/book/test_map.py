@@ -23,7 +23,7 @@ FIGURES = {2: 4, 3: 4, 4: 3, 5: 19}
 TABLES = {3: 1, 5: 7}
 STATES = {
     "equation": ("holds", "corrected", "definition"),
-    "figure": ("redrawn", "own data", "stand-in"),
+    "figure": ("redrawn", "same drawing, data of this book", "stand-in for a photograph"),
     "table": ("",),
 }
 

@@ -79,15 +79,3 @@ def test_the_contents_say_on_which_page_a_chapter_begins(page: Page) -> None:
     assert print_numbered(page).count(b"/Type /Page\n") == 19
     shown = page.locator("i").all_inner_texts()
     assert dict(zip(sheets, map(int, shown), strict=True)) == sheets
-    # Numbers that take room move what they name.
-    page.set_content('<a href="#x">go</a><i data-page="x"></i><p id="x">1</p>' + "<p>2</p>" * 50)
-    page.add_style_tag(content="i:not(:empty) { display: block; height: 2000px }")
-    printed = print_numbered(page)
-    assert page.locator("i").inner_text() == str(page_numbers(printed)["x"]) != "1"
-    page.evaluate("""() => new MutationObserver(
-        () => document.querySelector("i").classList.toggle("restless")
-    ).observe(document.querySelector("i"), { childList: true })""")
-    page.add_style_tag(content="i.restless { height: 4000px !important }")
-    page.locator("i").evaluate("one => one.replaceChildren()")
-    with pytest.raises(ValueError, match="page must keep its breaks"):
-        print_numbered(page)

@@ -162,14 +162,6 @@ def test_answers_are_those_of_the_simulated_workstation(try_page: Page) -> None:
     np.testing.assert_allclose(found / largest, wanted / largest, rtol=0, atol=1e-9)
 
 
-def test_noise_gain_is_the_known_one(try_page: Page) -> None:
-    """Without delay, white noise makes an autoregression of the first order: √(g / (2 − g))."""
-    for gain in (0.05, 0.5, 1.0, 1.9):
-        found = try_page.evaluate("g => tryIt.loop.noiseGain(g, 0)", gain)
-        assert found == pytest.approx(np.sqrt(gain / (2 - gain)), rel=1e-9)
-    assert np.isinf(try_page.evaluate("tryIt.loop.noiseGain(1.05, 1)"))
-
-
 def test_curvatures_and_labels_are_those_of_the_library(try_page: Page) -> None:
     rng = np.random.default_rng(23)
     shape = (17, 19)
@@ -282,8 +274,3 @@ def test_sliders_answer_to_the_keyboard_and_to_a_finger(try_page: Page) -> None:
     try_page.mouse.move(box["x"] + box["width"] * 0.75, box["y"] + box["height"] / 2)
     try_page.mouse.up()
     assert json.loads(try_page.get_by_label("Column (px), exact").input_value()) == 84
-
-
-def test_the_tools_weigh_little(html: Path) -> None:
-    size = sum(file.stat().st_size for file in (html / "_static" / "try").iterdir())
-    assert size < 4e5, f"{size / 1e3:.0f} kB"
