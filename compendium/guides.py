@@ -31,6 +31,7 @@ __all__ = [
     "manifest",
     "modulus_of",
     "read_outline",
+    "settle",
 ]
 
 #: Where the inputs lie that the guides run on without the reader's own.
@@ -40,15 +41,16 @@ FOLDER = Path(__file__).resolve().parent.parent / "data" / "synthetic"
 SHARE = 0.95
 
 
-def find_input(name: str) -> str:
+def find_input(demo: str, given: str = "") -> str:
     """
-    Return the path of a guide's input: as it is given, or in this project if it is one of its own.
+    Return the path of a guide's input: the one that is given, or the demo's.
 
     Parameters
     ----------
-    name : str
-        Path of a file or pattern of several, relative to the working directory; the inputs of
-        ``data/synthetic`` are found from any.
+    demo : str
+        Name of a file in ``data/synthetic``.
+    given : str
+        Path of a file, or a pattern of several; empty for the demo.
 
     Returns
     -------
@@ -57,20 +59,78 @@ def find_input(name: str) -> str:
 
     Examples
     --------
-    >>> find_input("mine.tif")
-    'mine.tif'
-    >>> Path(find_input("data/synthetic/circles.png")).is_file()
+    >>> find_input("circles.png", "mine.png")
+    'mine.png'
+    >>> Path(find_input("circles.png")).is_file()
     True
     """
-    own = FOLDER.parent.parent / name
-    if not Path(name).exists() and own.parent == FOLDER and own.is_file():
-        return str(own)
-    return name
+    return given or str(FOLDER / demo)
 
 
 def manifest() -> dict[str, dict]:
     """Return what ``MANIFEST.toml`` says of each file, by the file's name."""
     return tomllib.loads((FOLDER / "MANIFEST.toml").read_text(encoding="utf-8"))
+
+
+def settle(
+    path: str | PathLike[str],
+    given: Mapping[str, Any],
+    told: Mapping[str, Any] | None = None,
+) -> tuple[dict[str, Any], pd.DataFrame]:
+    """
+    Settle each scale of an input: as given, as its file tells, or asked for by name.
+
+    The scales of the demo are those of the demo's own file and of no other.
+
+    Parameters
+    ----------
+    path : path-like
+        The input, from `find_input`.
+    given : mapping
+        The guide's parameters, None for what was not given.
+    told : mapping, optional
+        What the file tells of them, None for what it does not.
+
+    Returns
+    -------
+    values : dict
+        Every scale by its name.
+    table : pandas.DataFrame
+        Its value, and where it is from.
+
+    Raises
+    ------
+    ValueError
+        If a scale is neither given nor told.
+
+    Examples
+    --------
+    >>> values, table = settle("mine.tif", {"spacing": 25.0, "pixel_size": None},
+    ...                        {"pixel_size": 3.9})
+    >>> values
+    {'spacing': 25.0, 'pixel_size': 3.9}
+    >>> table["from"].tolist()
+    ['given', 'the file']
+    >>> settle("mine.tif", {"spacing": None})
+    Traceback (most recent call last):
+    ValueError: spacing must be given for mine.tif, which does not tell it: -p spacing VALUE
+    """
+    entry, told = _entry(Path(path)) or {}, told or {}
+    values, sources = {}, {}
+    for name, value in given.items():
+        if value is not None:
+            values[name], sources[name] = value, "given"
+        elif name in entry.get("settings", {}):
+            values[name], sources[name] = entry["settings"][name], "the demo"
+        elif told.get(name) is not None:
+            values[name], sources[name] = told[name], "the file"
+    if missing := [name for name in given if name not in values]:
+        raise ValueError(
+            f"{', '.join(missing)} must be given for {path}, which does not tell "
+            f"{'it' if len(missing) == 1 else 'them'}: -p {missing[0]} VALUE"
+        )
+    table = pd.DataFrame({"value": values, "from": sources}).rename_axis("scale")
+    return values, table
 
 
 def describe(path: str | PathLike[str]) -> str:
@@ -149,7 +209,7 @@ def compare(
         print(f"No truth is known of {file.name}, so nothing is compared.")
         return table
     for name, value in entry["settings"].items():
-        if not np.allclose(settings[name], value, rtol=1e-9):
+        if name in settings and not np.allclose(settings[name], value, rtol=1e-9):
             print(f"The truth of {file.name} is for {name} = {value}, so nothing is compared.")
             return table
     truth = _truth(entry)
@@ -200,7 +260,7 @@ def read_outline(path: str | PathLike[str]) -> tuple[NDArray[np.float64], NDArra
 
     Examples
     --------
-    >>> x, y = read_outline(find_input("data/synthetic/outline.csv"))
+    >>> x, y = read_outline(find_input("outline.csv"))
     >>> x.shape == y.shape
     True
     """

@@ -149,7 +149,11 @@ def write_frames(folder: Path) -> list[Entry]:
             "frames.tif",
             "40 rendered frames at 33 a second: a textured square of 40 px on a wavy path over "
             "another texture",
-            {"box": [*corner[0].astype(int).tolist(), size, size], "rate": rate},
+            {
+                "box": [*corner[0].astype(int).tolist(), size, size],
+                "rate": rate,
+                "pixel_size": 6.23,
+            },
             {"lost_frames": 0},
             "frames_path.csv",
         ),

@@ -20,24 +20,34 @@ from compendium.guides import (
     keep,
     manifest,
     read_outline,
+    settle,
 )
 
-EMBRYO = find_input("data/synthetic/embryo.png")
+EMBRYO = find_input("embryo.png")
 SETTINGS = manifest()["embryo.png"]["settings"]
 TRUTH = manifest()["embryo.png"]["truth"]
 ALLOWED = {"modulus_MPa": 0.05, "dimple_radius_um": 1.0, "dimple_depth_um": 1.0}
 
 
-def test_an_input_is_found_from_any_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert Path(find_input("data/synthetic/circles.png")) == FOLDER / "circles.png"
-    # What the reader has under this name comes first, and nothing else of the project is found.
-    (tmp_path / "data" / "synthetic").mkdir(parents=True)
-    (tmp_path / "data" / "synthetic" / "circles.png").touch()
-    assert find_input("data/synthetic/circles.png") == "data/synthetic/circles.png"
-    assert describe(find_input("data/synthetic/circles.png")) == "circles.png, your own"
-    for name in ("README.md", "missing.tif", "frames/*.png"):
-        assert find_input(name) == name
+def test_an_input_is_the_demos_only_if_none_is_given() -> None:
+    assert find_input("circles.png") == str(FOLDER / "circles.png")
+    assert find_input("circles.png", "mine.png") == "mine.png"
+    assert describe("circles.png") == "circles.png, your own"
+
+
+def test_the_scales_of_the_demo_are_of_no_other_file(tmp_path: Path) -> None:
+    unknown = dict.fromkeys(SETTINGS)
+    values, table = settle(EMBRYO, unknown)
+    assert values == SETTINGS
+    assert set(table["from"]) == {"the demo"}
+    mine = tmp_path / "embryo.png"
+    mine.write_bytes(Path(EMBRYO).read_bytes())
+    with pytest.raises(ValueError, match=r"force, pixel_size, .* must be given for .*embryo\.png"):
+        settle(mine, unknown)
+    given = SETTINGS | {"pixel_size": None, "force": 3.0}
+    values, table = settle(mine, given, {"pixel_size": 2.0, "force": 9.0})
+    assert (values["force"], values["pixel_size"]) == (3.0, 2.0)
+    assert table["from"][["force", "pixel_size"]].tolist() == ["given", "the file"]
 
 
 def test_the_truth_passes() -> None:

@@ -93,8 +93,10 @@ def test_a_guide_is_written_as_one(guide: str) -> None:
 @pytest.mark.parametrize(("guide", "parameter", "name"), [(g, *v) for g, v in GUIDES.items()])
 def test_the_defaults_are_those_of_the_input(guide: str, parameter: str, name: str) -> None:
     values = defaults(guide)
-    assert values[parameter] == f"data/synthetic/{name}"
-    assert values.items() >= manifest()[name]["settings"].items()
+    assert values[parameter] == ""
+    for scale in manifest()[name]["settings"]:
+        # Of the material's ratio, what keeps its volume is assumed, and said.
+        assert not np.any(values[scale]) or scale == "poisson_ratio", scale
 
 
 @pytest.mark.parametrize("guide", EVERY)
@@ -217,6 +219,7 @@ def test_a_wrong_file_gives_one_clear_line(tmp_path: Path, guide: str, message: 
 @pytest.mark.parametrize(
     ("guide", "files"),
     [
+        ("tracking", {"track.csv", "track.png"}),
         ("calibration", {"camera.csv", "camera.json", "points.csv"}),
         ("embryo", {"modulus.csv", "outline.csv", "outline.png"}),
         ("focus_stack", FOCUS_FILES),
@@ -229,8 +232,17 @@ def test_a_guide_runs_on_the_readers_own_file(tmp_path: Path, guide: str, files:
     mine = f"mine{Path(name).suffix}"
     shutil.copy(FOLDER / name, tmp_path / mine)
     arguments = ["-p", parameter, mine, "-p", "out", "kept"]
-    if guide == "focus_stack":
-        arguments += ["-p", "pixel_size", "2.0"]
+    result = run_own(tmp_path, f"07_guide_{guide}", *arguments)
+    assert result.returncode == 1
+    # Nothing of the demo is used for a file that is not the demo's.
+    scales = dict(manifest()[name]["settings"]) | ({"pixel_size": 2.0} if "stack" in guide else {})
+    scales.pop("poisson_ratio", None)
+    needed = set(scales) - {"start"}
+    asked = re.search(r"ValueError: (.*) must be given for mine", result.stderr)
+    assert asked, result.stderr
+    assert set(asked[1].split(", ")) == needed
+    for scale, value in scales.items():
+        arguments += ["-p", scale, str(value)]
     result = run_own(tmp_path, f"07_guide_{guide}", *arguments)
     assert result.returncode == 0, result.stderr
     assert {path.name for path in (tmp_path / "kept").iterdir()} == files
@@ -249,7 +261,7 @@ def test_a_folder_of_embryos_is_a_table_of_moduli(tmp_path: Path) -> None:
     for name in ("a.png", "b.png"):
         shutil.copy(FOLDER / "embryo.png", plate / name)
     shutil.copy(FOLDER / "circles.png", plate / "c.png")
-    arguments = ["-p", "more", "plate/*.png", "-p", "out", "kept"]
+    arguments = ["-p", "more", "plate/*.png", "-p", "out", "kept"]  # as the demo's image
     result = run_own(tmp_path, "07_guide_embryo", *arguments)
     assert result.returncode == 0, result.stderr
     table = pd.read_csv(tmp_path / "kept" / "moduli.csv")
@@ -273,7 +285,9 @@ def test_frames_may_be_a_folder_a_pattern_or_a_video(tmp_path: Path, source: str
         cv2.imwrite(str(tmp_path / "frames" / f"{k:03d}.png"), frame)
         film.write(frame)
     film.release()
-    result = run_own(tmp_path, "07_guide_tracking", "-p", "frames", source, "-p", "out", "kept")
+    scales = {"box": "[30, 40, 40, 40]", "rate": "33", "pixel_size": "6.23", "out": "kept"}
+    arguments = [text for pair in scales.items() for text in ("-p", *pair)]
+    result = run_own(tmp_path, "07_guide_tracking", "-p", "frames", source, *arguments)
     assert result.returncode == 0, result.stderr
     assert {path.name for path in (tmp_path / "kept").iterdir()} == {"track.csv", "track.png"}
     track = pd.read_csv(tmp_path / "kept" / "track.csv")
@@ -291,6 +305,7 @@ def test_an_own_input_is_found_from_another_folder(tmp_path: Path) -> None:
 def test_numbers_give_a_modulus_and_a_steep_dimple_is_named(tmp_path: Path) -> None:
     """Table 5.6, whose modulus is 1.3237 MPa from unrounded lengths."""
     numbers = {"dimple_radius": 246.95, "dimple_depth": 121.22, "force": 197.24, "out": "kept"}
+    numbers |= {"thickness": 3.0, "probe_half_width": 25.0}
     arguments = [text for name, value in numbers.items() for text in ("-p", name, str(value))]
     result = run_own(tmp_path, "07_guide_modulus", *arguments)
     assert result.returncode == 0, result.stderr
