@@ -28,7 +28,7 @@ from benchmarks.report import must_hold, publish
 from microlib import synthetic
 from microlib.batch import process_files
 from microlib.calibration import calibrate
-from microlib.embryo import extract_boundary, measure_dimple
+from microlib.embryo import extract_boundary, fit_dimple
 from microlib.focus import depth_from_focus
 from microlib.io import read_grey
 
@@ -76,7 +76,7 @@ def measured(path: Path) -> object:
     if path.suffix == ".tiff":
         return depth_from_focus(path, np.arange(7.0))
     boundary = extract_boundary(read_grey(path))
-    return measure_dimple(boundary, pixel_size=7.75, probe_half_width=25.0)
+    return fit_dimple(boundary, pixel_size=7.75, probe_half_width=25.0)
 
 
 def write_files(folder: Path) -> None:

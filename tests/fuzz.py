@@ -365,8 +365,8 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "embryo._boundary.Boundary.without_probe": lambda: {
         "self": outline(), "image": egg().image
     },
-    "embryo._boundary.Probe.axis": lambda: {"self": outline().probe, "y": np.arange(5.0)},
-    "embryo._boundary.Probe.half_width_at": lambda: {
+    "embryo._probe.Probe.axis": lambda: {"self": outline().probe, "y": np.arange(5.0)},
+    "embryo._probe.Probe.half_width_at": lambda: {
         "self": outline().probe, "y": np.arange(5.0)
     },
     "embryo._dimple.DimpleFit.__call__": lambda: {"self": dimple(), "x": np.linspace(200, 300, 9)},
@@ -378,10 +378,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         f"embryo.GaussianSum.{name}": lambda: {"self": gaussians(), "x": np.linspace(1.0, 9.0, 5)}
         for name in ("__call__", "slope", "second_derivative")
     },
-    **{
-        f"embryo.GaussianSum.{name}": lambda: {"self": gaussians(), "x": 4.0}
-        for name in ("gradient", "slope_gradient")
-    },
+    "embryo.GaussianSum.gradient": lambda: {"self": gaussians(), "x": 4.0},
     "embryo.GaussianSum.extrema": lambda: {"self": gaussians()},
     "embryo.dimple_geometry": lambda: {"curve": dented(), "pixel_size": 3.9},
     "embryo.extract_boundary": lambda: {
@@ -405,10 +402,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "embryo.loess": lambda: {
         "x": np.linspace(0.0, 20.0, 30), "y": gaussians()(np.linspace(0.0, 20.0, 30)),
-        "span": 0.4, "degree": 2, "robust_iterations": 1, "weights": np.ones(30),
-    },
-    "embryo.measure_dimple": lambda: {
-        "boundary": outline(), "pixel_size": 7.75, "probe_half_width": 25.0, "method": "membrane"
+        "span": 0.4, "degree": 2,
     },
     "embryo.modulus_from_image": lambda: {
         "image": egg().image, "force": 150.0, "pixel_size": 7.75, **EGG, "method": "membrane",
@@ -685,7 +679,6 @@ MAY_BE_UNKNOWN = {
     "curvature.region_table": "a region without a known curvature",
     "curvature.surface_curvature": "the border is NaN",
     "embryo.fit_dimple": "a direction that the outline leaves open",
-    "embryo.measure_dimple": "as fit_dimple",
     "embryo.modulus_from_image": "as fit_dimple",
     "embryo.force_from_image": "as fit_dimple",
     "embryo.fit_gaussians": "terms that coincide have infinite variances",

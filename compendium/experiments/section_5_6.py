@@ -25,7 +25,6 @@ from microlib.embryo import (
     fit_gaussians,
     force_from_image,
     loess,
-    measure_dimple,
     modulus_from_image,
 )
 from microlib.membrane import dimple_profile
@@ -295,14 +294,25 @@ def image_study(rng: np.random.Generator, embryos: int = 5, forces: int = 5) -> 
 def _both_moduli(depth: float, load: float, image: NDArray) -> tuple[float, ...]:
     """Return depth, force, modulus by the profile with its interval, and that of the thesis."""
     fitted = modulus_from_image(image, load, pixel_size=thesis.EMBRYO_PIXEL, **thesis.MEMBRANE)
-    dimple = measure_dimple(
-        fitted.boundary,
-        pixel_size=thesis.EMBRYO_PIXEL,
-        probe_half_width=thesis.MEMBRANE["probe_half_width"],
-        method="gaussians",
-    )
+    dimple = thesis_dimple(fitted.boundary)
     by_thesis = thesis.modulus(dimple.dimple_radius, dimple.dimple_depth, force=load)
     return depth, load, fitted.modulus, *fitted.interval, by_thesis
+
+
+def thesis_dimple(boundary: Outline) -> Any:
+    """Return the dimple of an outline as the thesis measures it: LOESS, (5.1) and (5.3).
+
+    The columns are those within two radii of the dimple, read off the rim on the left.
+    """
+    middle = boundary.probe.tip[0]
+    rim = boundary.x[np.where(boundary.x < middle, boundary.y, -np.inf).argmax()]
+    first = np.ceil(max(boundary.x[0], middle - 2 * (middle - rim)))
+    last = np.floor(min(boundary.x[-1], middle + 2 * (middle - rim)))
+    columns = np.arange(first, last + 1)
+    height = np.interp(columns, boundary.x, boundary.y)
+    # Gaussians die away to zero, so the outline is measured from its own lowest point.
+    smooth = loess(columns, height - height.min(), span=thesis.LOESS_SPAN)
+    return dimple_geometry(fit_gaussians(columns, smooth), pixel_size=thesis.EMBRYO_PIXEL)
 
 
 def table_5_7(rng: np.random.Generator, study: pd.DataFrame, draws: int = 4000) -> pd.DataFrame:

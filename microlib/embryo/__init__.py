@@ -5,7 +5,7 @@ from microlib.embryo._dimple import dimple_geometry, fit_dimple
 from microlib.embryo._force_history import force_over_time
 from microlib.embryo._gaussian_sum import GaussianSum, fit_gaussians
 from microlib.embryo._loess import loess
-from microlib.embryo._modulus import force_from_image, measure_dimple, modulus_from_image
+from microlib.embryo._modulus import force_from_image, modulus_from_image
 
 __all__ = [
     "GaussianSum",
@@ -16,6 +16,5 @@ __all__ = [
     "force_from_image",
     "force_over_time",
     "loess",
-    "measure_dimple",
     "modulus_from_image",
 ]

@@ -16,8 +16,9 @@ from scipy.ndimage import median_filter
 from scipy.optimize import OptimizeResult, least_squares
 
 from microlib._common import Array, Tidy, as_array, inverse_normal, of_kind, scalar
-from microlib.embryo._boundary import MAD_TO_STD, Boundary
+from microlib.embryo._boundary import Boundary
 from microlib.embryo._gaussian_sum import GaussianSum
+from microlib.embryo._probe import MAD_TO_STD
 from microlib.membrane import dimple_profile
 
 # What other values do to the modulus stands in the benchmark "Other values of the constants"
@@ -47,6 +48,9 @@ _WIDTH_OFF_PIXELS, _WIDTH_OFF = 2.0, 1.5
 #: Standard deviations beyond which a point is left out, which one in 16 000 is by chance; 3 to 6
 #: change E by up to 1.2 of its deviation.
 _OUTLIER = 4.0
+#: Step of the differences that tell how a slope changes with a coefficient, in widths of a term:
+#: their error is its square.
+_SLOPE_STEP = 1e-4
 #: Steps of the fixed point that finds a turned dimple's height at x. They are exact to 2e-5 px for
 #: a tilt of 0.1 and to 0.2 px for 0.3, at the edge of the probe (measured).
 _FIXED_POINT_STEPS = 8
@@ -65,7 +69,7 @@ _LEAST_RADIUS = 1.01
 _LEAST_ROOT = 0.05
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DimpleGeometry(Tidy):
     """Size of a dimple and the two points of the outline that define it.
 
@@ -123,6 +127,7 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float) -> DimpleGeometry:
 
     Examples
     --------
+    >>> from microlib.embryo import GaussianSum, dimple_geometry
     >>> curve = GaussianSum([10.0, 10.0], [0.0, 30.0], [12.0, 12.0], domain=(-5.0, 35.0))
     >>> dimple = dimple_geometry(curve, pixel_size=2.0)
     >>> print(f"a = {dimple.dimple_radius:.3f} µm, w_d = {dimple.dimple_depth:.3f} µm")
@@ -143,7 +148,12 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float) -> DimpleGeometry:
     rim = left[curve(left) > half_way].max()
     covariance = np.full((2, 2), np.nan)
     if curve.covariance is not None:
-        moved = [-curve.slope_gradient(x) / curve.second_derivative(x) for x in (bottom, rim)]
+        step = _SLOPE_STEP * curve.widths.min()
+        moved = [
+            (curve.gradient(x - step) - curve.gradient(x + step))
+            / (2 * step * curve.second_derivative(x))
+            for x in (bottom, rim)
+        ]
         change = size * np.stack(
             [moved[0] - moved[1], curve.gradient(rim) - curve.gradient(bottom)]
         )
@@ -157,7 +167,7 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float) -> DimpleGeometry:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DimpleFit(Tidy):
     """A dimple of the form (4.2) fitted to an outline; calling it with x in px gives y in px.
 
@@ -207,12 +217,10 @@ class DimpleFit(Tidy):
         return np.where(near, self.center[1] + sin * u + cos * self._upright(u), np.nan)
 
     def _upright(self, u: Array) -> Array:
-        scale = 1 / self.pixel_size
-        curvatures = [k / scale for k in self.rim_curvatures]
-        a, depth, c = (
-            scale * v for v in (self.dimple_radius, self.dimple_depth, self.probe_half_width)
-        )
-        return _profile(u, a, depth, c, *curvatures)[0]
+        left, right = (k * self.pixel_size for k in self.rim_curvatures)
+        sizes = (self.dimple_radius, self.dimple_depth, self.probe_half_width)
+        a, depth, c = (size / self.pixel_size for size in sizes)
+        return _profile(u, a, depth, c, left, right)[0]
 
 
 def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float) -> DimpleFit:
@@ -257,7 +265,8 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
 
     Examples
     --------
-    >>> from microlib.embryo import extract_boundary
+    >>> import numpy as np
+    >>> from microlib.embryo import extract_boundary, fit_dimple
     >>> from microlib.synthetic import Embryo, embryo_image
     >>> scene = embryo_image(Embryo.pressed(150.0, modulus=1.0), rng=np.random.default_rng(3))
     >>> outline = extract_boundary(scene.image)
@@ -342,17 +351,8 @@ def _start(x: NDArray, y: NDArray, boundary: Boundary) -> Array:
     height = (y1 + y2) / 2
     # Inside the bounds of the fit, where a start must be.
     tilt = np.clip((y2 - y1) / (x2 - x1), -0.9 * _STEEPEST_TILT, 0.9 * _STEEPEST_TILT)
-    return np.array(
-        [
-            (x1 + x2) / 2,
-            height,
-            tilt,
-            a,
-            height - bottom,
-            _START_CURVATURE / a,
-            _START_CURVATURE / a,
-        ]
-    )
+    bend = _START_CURVATURE / a
+    return np.array([(x1 + x2) / 2, height, tilt, a, height - bottom, bend, bend])
 
 
 def _near(outline: Array, p: Array) -> Array:
@@ -363,13 +363,13 @@ def _near(outline: Array, p: Array) -> Array:
 def _least_squares(outline: Array, start: Array, c: float) -> OptimizeResult:
     """Fit the seven numbers to the rows x, y, std of `outline`."""
     x, y, std = outline
-    turn, sharpest = _STEEPEST_TILT, 1 / start[3]
-    lower = np.array([-np.inf, -np.inf, -turn, _LEAST_RADIUS * c, 0.0, 0.0, 0.0])
-    upper = np.array([np.inf, np.inf, turn, np.inf, np.inf, sharpest, sharpest])
+    far, turn, sharpest = np.inf, _STEEPEST_TILT, 1 / start[3]
+    lower = [-far, -far, -turn, _LEAST_RADIUS * c, 0.0, 0.0, 0.0]
+    bounds = lower, [far, far, turn, far, far, sharpest, sharpest]
     return least_squares(
         lambda p: _normal_distance(p, x, y, c) / std,
-        np.clip(start, lower, upper),
-        bounds=(lower, upper),
+        np.clip(start, *bounds),
+        bounds=bounds,
         x_scale="jac",
     )
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from microlib._common import Array, Tidy, as_array, one_of, scalar
-from microlib.embryo._modulus import NORMAL_95, force_from_image
+from microlib.embryo._modulus import NORMAL_95, force_from_image, given_lengths
 from microlib.embryo._view import DIRECTIONS
 from microlib.membrane import viscoelastic_force
 
@@ -108,6 +107,8 @@ def force_over_time(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.embryo import force_over_time
     >>> from microlib.synthetic import Embryo, embryo_image
     >>> free, pressed = Embryo(1.2, 0.0, 240.0), Embryo(1.2, 1.2, 240.0)
     >>> scenes = [embryo_image(embryo, rng=k) for k, embryo in enumerate((free, pressed, pressed))]
@@ -131,22 +132,18 @@ def force_over_time(
         raise ValueError(f"images must be as many as the times, got {len(frames)} and {when.size}")
     stiffness = scalar("modulus", modulus, above=0)
     common = scalar("modulus_std", modulus_std, least=0) / stiffness
-    settings: dict[str, Any] = {
-        "pixel_size": scalar("pixel_size", pixel_size, above=0),
-        "thickness": scalar("thickness", thickness, above=0),
-        "probe_half_width": scalar("probe_half_width", probe_half_width, above=0),
-        "poisson_ratio": scalar("poisson_ratio", poisson_ratio, within=(-1.0, 1.0)),
-        "direction": one_of("direction", direction, ("auto", *DIRECTIONS)),
-        "region": region,
-    }
+    # Wrong arguments are refused here: what one image refuses below is that image's.
+    size = scalar("pixel_size", pixel_size, above=0)
+    lengths = given_lengths(thickness, probe_half_width, poisson_ratio, None)
+    settings = lengths | {"direction": one_of("direction", direction, ("auto", *DIRECTIONS))}
     law = {"shares": shares, "relaxation_times": relaxation_times}
-    # Column j is the force over time of a unit at time j; wrong arguments are refused before work.
+    # Column j is the force over time of a unit at time j.
     response = viscoelastic_force(when, np.eye(when.size), **law).T
     elastic, spread = np.full(when.size, np.nan), np.full(when.size, np.nan)
     reasons = [""] * when.size
     for k, image in enumerate(frames):
         try:
-            found = force_from_image(image, stiffness, **settings)
+            found = force_from_image(image, stiffness, pixel_size=size, region=region, **settings)
         except ValueError as reason:
             reasons[k] = str(reason)
             continue

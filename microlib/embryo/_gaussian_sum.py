@@ -43,7 +43,7 @@ _ROUNDING = 1e-12
 _FARTHEST = 1e9
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GaussianSum(Tidy):
     r"""A sum of Gaussians as in equation (5.1).
 
@@ -70,6 +70,7 @@ class GaussianSum(Tidy):
 
     Examples
     --------
+    >>> from microlib.embryo import GaussianSum
     >>> curve = GaussianSum([10.0, 10.0], [0.0, 30.0], [12.0, 12.0], domain=(-5.0, 35.0))
     >>> print(f"{curve(15.0):.3f}")
     4.192
@@ -88,21 +89,18 @@ class GaussianSum(Tidy):
     covariance: Array | None = None
 
     def __post_init__(self) -> None:
-        amplitudes = as_array("amplitudes", self.amplitudes, shape=(None,))
-        centers = as_array("centers", self.centers, shape=(None,))
-        widths = positive("widths", as_array("widths", self.widths, shape=(None,)))
-        same_length(("amplitudes", "centers"), amplitudes, centers)
-        same_length(("amplitudes", "widths"), amplitudes, widths)
+        for name in ("amplitudes", "centers", "widths"):
+            values = as_array(name, getattr(self, name), shape=(None,))
+            object.__setattr__(self, name, values)
+            same_length(("amplitudes", name), self.amplitudes, values)
+        positive("widths", self.widths)
         if self.covariance is not None:
-            size = 3 * len(widths)
-            covariance = as_array("covariance", self.covariance, shape=(size, size), finite=False)
+            shape = (3 * len(self.widths),) * 2
+            covariance = as_array("covariance", self.covariance, shape=shape, finite=False)
             object.__setattr__(self, "covariance", covariance)
         low, high = as_array("domain", self.domain, shape=(2,))
         if low >= high:
             raise ValueError(f"domain must run from a smaller to a larger x, got {self.domain}")
-        object.__setattr__(self, "amplitudes", amplitudes)
-        object.__setattr__(self, "centers", centers)
-        object.__setattr__(self, "widths", widths)
         object.__setattr__(self, "domain", (float(low), float(high)))
 
     def __call__(self, x: ArrayLike) -> Array:
@@ -117,15 +115,8 @@ class GaussianSum(Tidy):
 
     def gradient(self, x: float) -> Array:
         """Return how y at `x` changes with amplitudes, centers and widths; shape (3n,)."""
-        return _jacobian(np.atleast_1d(as_array("x", x)), self._parameters())[0]
-
-    def slope_gradient(self, x: float) -> Array:
-        """Return how dy/dx at `x` changes with amplitudes, centers and widths; shape (3n,)."""
-        scaled, terms = self._terms(x)
-        by_amplitude = -2 * scaled / self.widths * np.exp(-(scaled**2))
-        by_center = (2 - 4 * scaled**2) / self.widths**2 * terms
-        by_width = scaled * (4 - 4 * scaled**2) / self.widths**2 * terms
-        return np.concatenate([by_amplitude, by_center, by_width])
+        parameters = np.concatenate([self.amplitudes, self.centers, self.widths])
+        return _jacobian(np.atleast_1d(as_array("x", x)), parameters)[0]
 
     def second_derivative(self, x: ArrayLike) -> Array:
         """Return d²y/dx² at `x`, in 1/px; any shape."""
@@ -149,15 +140,11 @@ class GaussianSum(Tidy):
         samples = int(np.ceil((high - low) / self.widths.min() * _FINENESS)) + 2
         grid = np.linspace(low, high, samples)
         slope = self.slope(grid)
-        maxima: list[float] = []
-        minima: list[float] = []
-        for k in np.flatnonzero(slope[:-1] * slope[1:] < 0):
-            root = brentq(self.slope, grid[k], grid[k + 1], xtol=_ROOT_TOLERANCE)
-            (maxima if slope[k] > 0 else minima).append(root)
-        return np.array(maxima), np.array(minima)
-
-    def _parameters(self) -> Array:
-        return np.concatenate([self.amplitudes, self.centers, self.widths])
+        turns = np.flatnonzero(slope[:-1] * slope[1:] < 0)
+        roots = np.array(
+            [brentq(self.slope, grid[k], grid[k + 1], xtol=_ROOT_TOLERANCE) for k in turns]
+        )
+        return roots[slope[turns] > 0], roots[slope[turns] < 0]
 
     def _terms(self, x: ArrayLike) -> tuple[Array, Array]:
         scaled = (as_array("x", x)[..., np.newaxis] - self.centers) / self.widths
@@ -204,6 +191,8 @@ def fit_gaussians(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.embryo import GaussianSum, fit_gaussians
     >>> x = np.linspace(0, 100, 60)
     >>> truth = GaussianSum([40.0, 45.0], [25.0, 75.0], [22.0, 25.0], domain=(0, 100))
     >>> fit = fit_gaussians(x, truth(x), terms=2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_array, between, positive, same_length, scalar, whole
+from microlib._common import Array, as_array, between, same_length, scalar, whole
 
 __all__ = ["loess"]
 
@@ -14,8 +14,6 @@ __all__ = ["loess"]
 _BLOCK = 32768
 #: Keeps a product such as 0.29 × 100 from losing its last neighbor to rounding.
 _ROUNDING = 1e-10
-#: Robust weights settle within some ten rounds; more only cost time.
-_MOST_ROUNDS = 100
 #: Determinant of a row's normal equations, for a weight of 1 in all, at or below which they leave
 #: the polynomial open: a hundred roundings. Evenly spaced points give 1e-4 or more.
 _LEAST_DETERMINANT = 1e-14
@@ -27,8 +25,6 @@ def loess(
     *,
     span: float = 0.25,
     degree: int = 2,
-    robust_iterations: int = 0,
-    weights: ArrayLike | None = None,
 ) -> Array:
     r"""Smooth y(x) by polynomials fitted locally (Cleveland 1979).
 
@@ -40,10 +36,6 @@ def loess(
         Share of the data used around each point, in (0, 1]. The thesis uses 0.25.
     degree : int
         Degree of the local polynomials, 1 or 2. The thesis uses 2.
-    robust_iterations : int
-        Repetitions with bisquare weights that leave outliers out; 0 is plain local regression.
-    weights : array_like, shape (n,), optional
-        Positive weight of each point, for data of unequal precision; equal by default.
 
     Returns
     -------
@@ -60,8 +52,7 @@ def loess(
     -----
     A neighborhood is the :math:`k = \lfloor \text{span} \cdot n \rfloor` nearest points, weighted
     by the tricube :math:`(1 - |u|^3)^3` of the distance over that of the furthest. All local
-    normal equations are solved together. Robustness weights are :math:`(1-(r/6s)^2)^2` with s the
-    median absolute residual.
+    normal equations are solved together.
 
     The smoothing is not free: where y(x) bends within a neighborhood, as at the bottom of a
     dimple, the result is flatter than the data.
@@ -73,6 +64,8 @@ def loess(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.embryo import loess
     >>> x = np.linspace(0, 1, 9)
     >>> loess(x, x**2, span=0.6).round(6).tolist()  # a parabola passes unchanged
     [0.0, 0.015625, 0.0625, 0.140625, 0.25, 0.390625, 0.5625, 0.765625, 1.0]
@@ -80,14 +73,8 @@ def loess(
     x = as_array("x", x, shape=(None,))
     y = as_array("y", y, shape=(None,))
     same_length(("x", "y"), x, y)
-    share = scalar("span", span)
-    if not 0 < share <= 1:
-        raise ValueError(f"span must lie in (0, 1], got {share:g}")
+    share = scalar("span", span, above=0, most=1)
     between("degree", whole("degree", degree, least=1), 1, 2, closed=True)
-    rounds = whole("robust_iterations", robust_iterations, least=0, most=_MOST_ROUNDS)
-    given = as_array("weights", np.ones_like(x) if weights is None else weights, shape=(None,))
-    positive("weights", given)
-    same_length(("x", "weights"), x, given)
     k = int(share * len(x) + _ROUNDING)
     if k < degree + 1:
         raise ValueError(
@@ -95,38 +82,22 @@ def loess(
         )
 
     order = np.argsort(x, kind="stable")
-    x, y, given = x[order], y[order], given[order]
+    x, y = x[order], y[order]
     # Moving a neighborhood on by one point swaps its first for the next; it pays as long as the
     # two lie symmetrically left of x. The sums rise, so that the place is a binary search.
     first = np.searchsorted(x[: len(x) - k] + x[k:], 2 * x) if k < len(x) else np.zeros(len(x), int)
-    smooth = _smooth(x, y, given, first, k, degree)
+    smooth = _smooth(x, y, first, k, degree)
     if np.isnan(smooth).any():
         raise ValueError(
             f"x must hold {degree + 1} different values in each neighborhood of {k} points, got "
             "fewer"
         )
-    for _ in range(rounds):
-        residual = y - smooth
-        scale = 6 * np.median(np.abs(residual))
-        if scale == 0:
-            break
-        bisquare = np.clip(1 - (residual / scale) ** 2, 0, None) ** 2
-        again = _smooth(x, y, given * bisquare, first, k, degree)
-        # Where a whole neighborhood is left out there is nothing better than what was.
-        smooth = np.where(np.isnan(again), smooth, again)
     result = np.empty_like(smooth)
     result[order] = smooth
     return result
 
 
-def _smooth(
-    x: Array,
-    y: Array,
-    weights: Array,
-    first: NDArray[np.intp],
-    k: int,
-    degree: int,
-) -> Array:
+def _smooth(x: Array, y: Array, first: NDArray[np.intp], k: int, degree: int) -> Array:
     """Value of each point's own polynomial, over the `k` points from `first`; NaN where open."""
     smooth = np.empty_like(x)
     block = max(1, _BLOCK // k)
@@ -138,8 +109,7 @@ def _smooth(
         u /= np.where(reach > 0, reach, 1.0)
         cube = np.abs(u)
         cube = 1 - cube * cube * cube
-        tricube = cube * cube * cube * weights[members]
-        smooth[rows] = _local_fits(u, y[members], tricube, degree)
+        smooth[rows] = _local_fits(u, y[members], cube * cube * cube, degree)
     return smooth
 
 

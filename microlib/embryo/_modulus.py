@@ -6,7 +6,8 @@ Lengths are in µm, forces in µN, moduli in MPa.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import warnings
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,19 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, Tidy, of_kind, one_of, scalar
+from microlib._common import Array, Tidy, one_of, scalar
 from microlib.embryo._boundary import Boundary, extract_boundary
-from microlib.embryo._dimple import (
-    DimpleFit,
-    DimpleGeometry,
-    dimple_geometry,
-    fit_dimple,
-    refuse_another_width,
-)
-from microlib.embryo._gaussian_sum import fit_gaussians
-from microlib.embryo._loess import loess
-from microlib.embryo._models import moduli_by_model
+from microlib.embryo._dimple import DimpleFit, fit_dimple, refuse_another_width
 from microlib.membrane import (
+    SmallSlopeWarning,
+    capsule_modulus,
+    disc_modulus,
     elastic_modulus,
     fit_capsule,
     indentation_force,
@@ -34,12 +29,8 @@ from microlib.membrane import (
 )
 
 _LAWS = ("hooke", "neo-hooke", "mooney-rivlin")
-_METHODS = ("membrane", "gaussians")
 #: Standard deviations to either side that hold 95 % of a normal distribution.
 NORMAL_95 = 1.959964
-#: Dimple radii to either side that the Gaussians describe, a choice that the thesis leaves open:
-#: 1.6 and 2.5 change E by up to 12 and 27 % (benchmarks/embryo.py).
-_CROP = 2.0
 #: Part of a capsule's relative deviation that the points do not scatter by: the middle of a wall's
 #: blurred profile is not quite that of the wall, alike at all points. Of the errors of 30 rendered
 #: capsules, whose wall is darker outside than inside, 0.0045 is the most likely, and 0.003 to 0.006
@@ -48,53 +39,60 @@ _OUTLINE_STD = 0.005
 #: Points of an outline's end that give its direction, and the sine of its fall from which the egg's
 #: radius is read off: at 60° a degree is 1 % of it.
 _END_POINTS, _STEEP_END = 15, 0.87
-#: Of section 5.6.
-_SPAN, _TERMS = 0.25, 8
 #: Of any force, modulus or length, in µN, MPa and µm: beyond, products leave the range of numbers.
 _MOST = 1e12
 
 
-@dataclass(frozen=True)
-class ModulusEstimate(Tidy):
-    """A modulus read off an image.
+@dataclass(frozen=True, eq=False)
+class ImageEstimate(Tidy):
+    """A modulus or a force read off an image, by `modulus_from_image` or `force_from_image`.
 
     Attributes
     ----------
-    modulus : float
-        Elastic modulus E, in MPa.
+    force, modulus : float
+        Indentation force F, in µN, and elastic modulus E, in MPa: one as given, the other as found.
+    found : {"modulus", "force"}
+        Which of the two was found.
     relative_std : float
-        Standard deviation of ln E that the image leaves open. Errors of the force, the thickness
-        and the probe's width come on top.
+        Standard deviation of its logarithm that the image leaves open. Errors of the other, of the
+        thickness and of the probe's width come on top.
     interval : tuple of float
-        95 % interval of E from `relative_std`, in MPa.
-    dimple : DimpleFit, DimpleGeometry or CapsuleFit
+        95 % interval of what was found, from `relative_std`.
+    dimple : DimpleFit or CapsuleFit
         Radius and depth with their covariance, or the capsule of `microlib.membrane.fit_capsule`.
     boundary : Boundary
         The outline that was found.
     given : dict
-        Force, thickness, probe_half_width, poisson_ratio and radius as given, in µN and µm.
+        thickness, probe_half_width, poisson_ratio and radius as given, in µm.
 
     Notes
     -----
     `interval` says how well the outline is known, as if the model were right; `misfit` whether the
-    outline looks like the model at all, which widens `interval` where it does not. `model_moduli`
-    and `model_interval` say what other models make of the same dimple. They are computed when they
-    are asked for, which takes about a second.
+    outline looks like the model at all, which widens `interval` where it does not. `model_moduli`,
+    `model_forces` and `model_interval` say what other models make of the same dimple. They are
+    computed when they are asked for, which takes about a second.
     """
 
+    force: float
     modulus: float
+    found: str
     relative_std: float
     interval: tuple[float, float]
     dimple: Any
     boundary: Boundary
     given: dict[str, Any]
 
+    def __repr__(self) -> str:
+        (low, high), unit = self.interval, {"force": "µN", "modulus": "MPa"}[self.found]
+        return (
+            f"ImageEstimate({self.found} {getattr(self, self.found):.4g} {unit}, 95 % within "
+            f"{low:.4g} … {high:.4g}, misfit {self.misfit:.1%} of the dimple's depth)"
+        )
+
     @property
     def misfit(self) -> float:
         """Root mean square departure of the outline from the model, as a share of the dimple's
-        depth; NaN for Gaussians, which follow any outline. Noise leaves less than 0.01."""
-        if isinstance(self.dimple, DimpleGeometry):
-            return float("nan")
+        depth. Noise leaves less than 0.01."""
         if isinstance(self.dimple, DimpleFit):
             return self.dimple.misfit * self.dimple.pixel_size / self.dimple.dimple_depth
         return float(self.dimple.misfit / self.dimple.state.depth)
@@ -109,62 +107,47 @@ class ModulusEstimate(Tidy):
         one no capsule is among them, and an egg that is one may have a quarter of the modulus by
         (4.7), or less (benchmarks/capsule_embryo.py).
         """
-        return _moduli_of(self.dimple, self.boundary, self.given)
+        sizes = dict(self.given)
+        radius, nu = sizes.pop("radius"), sizes.pop("poisson_ratio")
+        state = getattr(self.dimple, "state", None)  # of a capsule
+        if state is not None:
+            radius, dimple = self.dimple.radius, (state.rim_radius, state.depth)
+        else:
+            dimple = (self.dimple.dimple_radius, self.dimple.dimple_depth)
+            radius = radius or _egg_radius(self.boundary, self.dimple.pixel_size)
+        with warnings.catch_warnings():
+            # Whoever compares the models sees that this one takes its slopes for small.
+            warnings.simplefilter("ignore", SmallSlopeWarning)
+            formula = elastic_modulus(self.force, *dimple, **sizes, poisson_ratio=nu)
+        found = {"point load": float(formula)}
+        for law, ratio in (("neo-hooke", 0.5), ("hooke", nu)):
+            settings: dict[str, Any] = {"law": law, "poisson_ratio": ratio, **sizes}
+            for end, pressure in (("", "balance"), (", no pressure", 0.0)):
+                with suppress(ValueError):  # no such disc has this dimple
+                    modulus = disc_modulus(self.force, *dimple, pressure=pressure, **settings)
+                    found[f"disc, {law}{end}"] = modulus
+            if radius is not None:
+                with suppress(ValueError):  # nor has a capsule
+                    capsule = capsule_modulus(self.force, *dimple, radius=radius, **settings)
+                    found[f"capsule, {law}"] = capsule.modulus
+        return found
 
     @property
-    def model_interval(self) -> tuple[float, float]:
-        """From the least of `model_moduli` to the largest, widened as `interval` is, in MPa."""
-        return _around([self.modulus, *self.model_moduli.values()], self.relative_std)
-
-
-@dataclass(frozen=True)
-class ForceEstimate(Tidy):
-    """A force read off an image.
-
-    Attributes
-    ----------
-    force : float
-        Indentation force F, in µN.
-    relative_std : float
-        Standard deviation of ln F that the image leaves open. An error of the modulus comes on top.
-    interval : tuple of float
-        95 % interval of F from `relative_std`, in µN.
-    dimple : DimpleFit
-        Radius and depth with their covariance.
-    boundary : Boundary
-        The outline that was found.
-    given : dict
-        Modulus, thickness, probe_half_width, poisson_ratio and radius as given, in MPa and µm.
-
-    Notes
-    -----
-    `interval` says how well the outline is known, as if (4.7) were right; `model_forces` and
-    `model_interval` what other models make of the same dimple, as those of a `ModulusEstimate`.
-    """
-
-    force: float
-    relative_std: float
-    interval: tuple[float, float]
-    dimple: DimpleFit
-    boundary: Boundary
-    given: dict[str, Any]
-
-    @cached_property
     def model_forces(self) -> dict[str, float]:
         """Force on this dimple by each model that can have it, in µN, by the model's name.
 
         The modulus is the only stress that is given, so that in every model the force of a dimple
         grows with it: a model by which the egg would be half as stiff has twice the force.
         """
-        settings = {name: value for name, value in self.given.items() if name != "modulus"}
-        moduli = _moduli_of(self.dimple, self.boundary, {"force": self.force, **settings})
-        modulus = self.given["modulus"]
-        return {name: self.force * modulus / found for name, found in moduli.items()}
+        moduli = self.model_moduli.items()
+        return {name: self.force * self.modulus / modulus for name, modulus in moduli}
 
     @property
     def model_interval(self) -> tuple[float, float]:
-        """From the least of `model_forces` to the largest, widened as `interval` is, in µN."""
-        return _around([self.force, *self.model_forces.values()], self.relative_std)
+        """From the least to the largest by any model, widened as `interval` is, in MPa or µN."""
+        by_model = self.model_moduli if self.found == "modulus" else self.model_forces
+        values = [getattr(self, self.found), *by_model.values()]
+        return _around(min(values), max(values), self.relative_std)
 
 
 def modulus_from_image(
@@ -180,7 +163,7 @@ def modulus_from_image(
     law: str = "neo-hooke",
     direction: str = "auto",
     region: tuple[int, int, int, int] | None = None,
-) -> ModulusEstimate:
+) -> ImageEstimate:
     """Measure the elastic modulus of a chorion in one image of its indentation.
 
     Parameters
@@ -193,9 +176,10 @@ def modulus_from_image(
         Pixel in the object plane, in µm.
     thickness, probe_half_width, poisson_ratio : float
         As for `microlib.membrane.elastic_modulus`.
-    method : {"membrane", "gaussians", "capsule"}
-        How the dimple is measured, see `measure_dimple`; ``"capsule"`` fits a closed capsule to the
-        whole outline, and its direction, see `microlib.membrane.fit_capsule`; it takes seconds.
+    method : {"membrane", "capsule"}
+        ``"membrane"`` fits the profile (4.2) to the dimple, see `microlib.embryo.fit_dimple`, and
+        takes the modulus of (4.7). ``"capsule"`` fits a closed capsule to the whole outline, and
+        its direction, see `microlib.membrane.fit_capsule`; it takes seconds.
     radius : float, optional
         Radius of the egg before the test, in µm. A capsule needs none where the outline reaches the
         egg's widest part: it is then fitted, which also takes up an outline that is off by a
@@ -208,7 +192,7 @@ def modulus_from_image(
 
     Returns
     -------
-    ModulusEstimate
+    ImageEstimate
         The `modulus`, its `relative_std` and `interval`, and the `dimple` and `boundary` that it
         was computed from; with the `misfit` of outline and model, and what other models make of the
         same dimple in `model_moduli` and `model_interval`.
@@ -223,9 +207,13 @@ def modulus_from_image(
     -----
     SmallSlopeWarning
         If the dimple is too steep for the point-load model, whose formula is used all the same.
+    UserWarning
+        If the modulus is that of no membrane, as `microlib.membrane.elastic_modulus` does.
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.embryo import modulus_from_image
     >>> from microlib.synthetic import Embryo, embryo_image
     >>> embryo = Embryo(modulus=1.2, force=1.2, dimple_radius=240.0)
     >>> scene = embryo_image(embryo, rng=np.random.default_rng(1))
@@ -237,33 +225,19 @@ def modulus_from_image(
     (True, True)
     """
     load = scalar("force", force, above=0, most=_MOST)
-    one_of("method", method, (*_METHODS, "capsule"))
+    one_of("method", method, ("membrane", "capsule"))
     one_of("law", law, _LAWS)
     size = scalar("pixel_size", pixel_size, above=0, most=_MOST)
-    membrane = _membrane(thickness, probe_half_width, poisson_ratio)
-    egg = None if radius is None else scalar("radius", radius, above=0, most=_MOST)
-    given = {"force": load, **membrane, "radius": egg}
+    given = given_lengths(thickness, probe_half_width, poisson_ratio, radius)
     boundary = extract_boundary(image, direction=direction, region=region)
-    if method == "capsule":
-        refuse_another_width(boundary, membrane["probe_half_width"] / size, size)
-        capsule = fit_capsule(
-            load,
-            size * _seen_from_the_probe(boundary),
-            thickness=thickness,
-            probe_half_width=probe_half_width,
-            radius=egg,
-            poisson_ratio=poisson_ratio,
-            law=law,
-            fit_tilt=True,
-        )
-        std = float(np.hypot(capsule.modulus_std / capsule.modulus, _OUTLINE_STD))
-        return ModulusEstimate(
-            capsule.modulus, std, _interval(capsule.modulus, std), capsule, boundary, given
-        )
-    dimple = _dimple_of(boundary, size, membrane["probe_half_width"], method)
-    return ModulusEstimate(
-        *_apply(elastic_modulus, load, dimple, membrane), dimple, boundary, given
-    )
+    if method != "capsule":
+        return _estimate("modulus", load, boundary, size, given)
+    refuse_another_width(boundary, given["probe_half_width"] / size, size)
+    points = size * _seen_from_the_probe(boundary)
+    capsule = fit_capsule(load, points, law=law, fit_tilt=True, **given)
+    std = float(np.hypot(capsule.modulus_std / capsule.modulus, _OUTLINE_STD))
+    around = _around(capsule.modulus, capsule.modulus, std)
+    return ImageEstimate(load, capsule.modulus, "modulus", std, around, capsule, boundary, given)
 
 
 def force_from_image(
@@ -277,7 +251,7 @@ def force_from_image(
     radius: float | None = None,
     direction: str = "auto",
     region: tuple[int, int, int, int] | None = None,
-) -> ForceEstimate:
+) -> ImageEstimate:
     """Measure the force on an embryo of known modulus in one image, without a force sensor.
 
     Parameters
@@ -294,7 +268,7 @@ def force_from_image(
 
     Returns
     -------
-    ForceEstimate
+    ImageEstimate
         The `force`, its `relative_std` and `interval`, and the `dimple` and `boundary` that it was
         computed from; with what other models make of the same dimple in `model_forces` and
         `model_interval`.
@@ -311,6 +285,8 @@ def force_from_image(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.embryo import force_from_image
     >>> from microlib.synthetic import Embryo, embryo_image
     >>> embryo = Embryo(modulus=1.2, force=1.2, dimple_radius=240.0)
     >>> scene = embryo_image(embryo, rng=np.random.default_rng(1))
@@ -323,98 +299,48 @@ def force_from_image(
     """
     stiffness = scalar("modulus", modulus, above=0, most=_MOST)
     size = scalar("pixel_size", pixel_size, above=0, most=_MOST)
-    membrane = _membrane(thickness, probe_half_width, poisson_ratio)
-    egg = None if radius is None else scalar("radius", radius, above=0, most=_MOST)
+    given = given_lengths(thickness, probe_half_width, poisson_ratio, radius)
     boundary = extract_boundary(image, direction=direction, region=region)
-    dimple = _dimple_of(boundary, size, membrane["probe_half_width"], "membrane")
-    assert isinstance(dimple, DimpleFit)
-    given = {"modulus": stiffness, **membrane, "radius": egg}
-    found = _apply(indentation_force, stiffness, dimple, membrane)
-    return ForceEstimate(*found, dimple, boundary, given)
+    return _estimate("force", stiffness, boundary, size, given)
 
 
-def measure_dimple(
-    boundary: Boundary, *, pixel_size: float, probe_half_width: float, method: str = "membrane"
-) -> DimpleFit | DimpleGeometry:
-    """Measure the dimple of an outline by the membrane's profile or as the thesis does.
-
-    Parameters
-    ----------
-    boundary : Boundary
-        Outline from `microlib.embryo.extract_boundary`.
-    pixel_size, probe_half_width : float
-        In µm.
-    method : {"membrane", "gaussians"}
-        ``"membrane"`` fits (4.2), see `microlib.embryo.fit_dimple`. ``"gaussians"`` is the chain of
-        section 5.6: LOESS of the second degree with a span of 0.25, eight Gaussians (5.1), and
-        their extrema (5.3).
-
-    Returns
-    -------
-    DimpleFit or DimpleGeometry
-        Radius and depth with their covariance.
-
-    Raises
-    ------
-    ValueError
-        If `method` is unknown, or as for `microlib.embryo.fit_dimple` and
-        `microlib.embryo.dimple_geometry`.
-
-    Notes
-    -----
-    The thesis' chain is biased, by an amount that depends on the shape of the dimple: smoothing
-    fills the corner at its bottom and moves the flat rim. Its covariance covers random errors only.
-    """
-    one_of("method", method, _METHODS)
-    if method == "membrane":
-        return fit_dimple(boundary, pixel_size=pixel_size, probe_half_width=probe_half_width)
-    of_kind("boundary", boundary, Boundary)
-    scalar("probe_half_width", probe_half_width, above=0, most=_MOST)
-    x, y = _crop(boundary)
-    # Gaussians die away to zero, so the outline is measured from its own lowest point.
-    curve = fit_gaussians(x, loess(x, y - y.min(), span=_SPAN), terms=_TERMS)
-    return dimple_geometry(curve, pixel_size=pixel_size)
-
-
-def _membrane(thickness: float, probe_half_width: float, poisson_ratio: float) -> dict[str, float]:
+def given_lengths(
+    thickness: float, probe_half_width: float, poisson_ratio: float, radius: float | None
+) -> dict[str, Any]:
     return {
         "thickness": scalar("thickness", thickness, above=0, most=_MOST),
         "probe_half_width": scalar("probe_half_width", probe_half_width, above=0, most=_MOST),
         "poisson_ratio": scalar("poisson_ratio", poisson_ratio, within=(-1.0, 1.0)),
+        "radius": None if radius is None else scalar("radius", radius, above=0, most=_MOST),
     }
 
 
-def _dimple_of(
-    boundary: Boundary, pixel_size: float, probe_half_width: float, method: str
-) -> DimpleFit | DimpleGeometry:
-    """Measure the dimple of an image, and name the image if it does not fit the lengths."""
+def _estimate(
+    found: str, known: float, boundary: Boundary, size: float, given: dict[str, Any]
+) -> ImageEstimate:
+    """Return the modulus of a known force, or the force of a known modulus, by (4.7)."""
+    half_width = given["probe_half_width"]
     try:
-        return measure_dimple(
-            boundary, pixel_size=pixel_size, probe_half_width=probe_half_width, method=method
-        )
+        dimple = fit_dimple(boundary, pixel_size=size, probe_half_width=half_width)
     except ValueError as error:
         raise ValueError(
             "image must show a dimple of the model for this pixel_size and probe_half_width: "
             f"{error}"
         ) from None
+    inputs = {name: value for name, value in given.items() if name != "radius"}
+    inputs |= {"dimple_radius": dimple.dimple_radius, "dimple_depth": dimple.dimple_depth}
+    value = float((elastic_modulus if found == "modulus" else indentation_force)(known, **inputs))
+    # E is F times a function of the dimple, whose error moves ln E and ln F by as much.
+    force, modulus = (known, value) if found == "modulus" else (value, known)
+    std = modulus_std({"force": force, **inputs}, {}, dimple_covariance=dimple.covariance) / modulus
+    around = _around(value, value, std)
+    return ImageEstimate(force, modulus, found, std, around, dimple, boundary, given)
 
 
-def _moduli_of(dimple: Any, boundary: Boundary, given: dict[str, Any]) -> dict[str, float]:
-    """Modulus of a dimple by each model that can have it; `given` is the force and the lengths."""
-    state = getattr(dimple, "state", None)  # of a capsule
-    if state is not None:
-        fitted = given | {"radius": dimple.radius}
-        return moduli_by_model(rim_radius=state.rim_radius, depth=state.depth, **fitted)
-    settings = dict(given)
-    if settings["radius"] is None and isinstance(dimple, DimpleFit):
-        settings["radius"] = _egg_radius(boundary, dimple.pixel_size)
-    return moduli_by_model(rim_radius=dimple.dimple_radius, depth=dimple.dimple_depth, **settings)
-
-
-def _around(values: list[float], relative_std: float) -> tuple[float, float]:
-    """Interval from the least to the largest value, widened by 95 % of their deviation."""
-    wider = float(np.exp(NORMAL_95 * relative_std))
-    return min(values) / wider, max(values) * wider
+def _around(least: float, largest: float, std: float) -> tuple[float, float]:
+    """Return an interval of a positive quantity, widened by 95 % of its logarithm's deviation."""
+    factor = float(np.exp(NORMAL_95 * std))
+    return least / factor, largest * factor
 
 
 def _seen_from_the_probe(boundary: Boundary) -> Array:
@@ -441,39 +367,3 @@ def _egg_radius(boundary: Boundary, pixel_size: float) -> float | None:
     if min(fall_left, fall_right) < _STEEP_END:
         return None
     return pixel_size * (right - left) / (fall_left + fall_right)
-
-
-def _crop(boundary: Boundary) -> tuple[Array, Array]:
-    """The dimple's side of the outline as one height a column of pixels."""
-    middle = boundary.probe.tip[0]
-    highest = boundary.x[np.where(boundary.x < middle, boundary.y, -np.inf).argmax()]
-    reach = _CROP * (middle - highest)
-    first = np.ceil(max(boundary.x[0], middle - reach))
-    last = np.floor(min(boundary.x[-1], middle + reach))
-    x = np.arange(first, last + 1)
-    return x, np.interp(x, boundary.x, boundary.y)
-
-
-def _apply(
-    formula: Callable[..., Array],
-    known: float,
-    dimple: DimpleFit | DimpleGeometry,
-    membrane: dict[str, float],
-) -> tuple[float, float, tuple[float, float]]:
-    """Modulus of a known force, or force of a known modulus: value, deviation of ln, interval."""
-    inputs = {
-        "dimple_radius": dimple.dimple_radius,
-        "dimple_depth": dimple.dimple_depth,
-        **membrane,
-    }
-    value = float(formula(known, **inputs))
-    # E is F times a function of the dimple, whose error moves ln E and ln F by as much.
-    force, modulus = (known, value) if formula is elastic_modulus else (value, known)
-    std = modulus_std({"force": force, **inputs}, {}, dimple_covariance=dimple.covariance) / modulus
-    return value, std, _interval(value, std)
-
-
-def _interval(value: float, std: float) -> tuple[float, float]:
-    """Return the 95 % interval of a positive quantity whose logarithm is normal."""
-    factor = float(np.exp(NORMAL_95 * std))
-    return value / factor, value * factor

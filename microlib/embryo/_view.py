@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, whole
+from microlib._common import Array, items, whole
 
 __all__ = ["DIRECTIONS", "View", "part_of"]
 
@@ -49,78 +49,62 @@ class View:
             Points (x, y) of this view below which the whole width of the probe is inside the image.
             The new view begins there.
         """
-        width, height = self._size
-        tilted = replace(self, tilt=float(np.arctan(slope)), frame=(0, 0, width, height))
-        corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) - 0.5
-        x, y = tilted._turned(corners).T
-        first = int(np.ceil(tilted._turned(entry)[:, 1].max())) + 1
+        tilted = replace(self, tilt=float(np.arctan(slope)))
+        x0, y0, width, height = self.region
+        corners = np.array([[x, y] for x in (x0, x0 + width) for y in (y0, y0 + height)]) - 0.5
+        x, y = tilted.from_image(corners).T
+        first = int(np.ceil(tilted.from_image(self.to_image(entry))[:, 1].max())) + 1
         left, right, last = int(np.floor(x.min())), int(np.ceil(x.max())), int(np.ceil(y.max()))
         return replace(tilted, frame=(left, first, right - left, last - first))
 
     def of(self, image: NDArray) -> NDArray:
         """Return the part of an image, turned; a tilt continues the image beyond its edges."""
         x, y, width, height = self.region
-        part = np.rot90(image[y : y + height, x : x + width], DIRECTIONS[self.direction])
+        part = image[y : y + height, x : x + width]
         if self.tilt == 0:
-            return part
-        return np.asarray(
-            cv2.warpAffine(
-                np.ascontiguousarray(part),
-                self._matrix,
-                self.frame[2:],
-                flags=cv2.INTER_CUBIC,
-                borderMode=cv2.BORDER_REPLICATE,
-            )
-        )
+            return np.rot90(part, DIRECTIONS[self.direction])
+        part, border = np.ascontiguousarray(part), cv2.BORDER_REPLICATE
+        size, flags = self.frame[2:], cv2.INTER_CUBIC
+        return np.asarray(cv2.warpAffine(part, self._matrix, size, flags=flags, borderMode=border))
 
     def put_back(self, part: NDArray, image: NDArray) -> NDArray:
         """Return a copy of `image` with what `part` changes in its turned part."""
         x, y, width, height = self.region
         whole_image = image.copy()
-        if self.tilt != 0:
-            before = replace(self, tilt=0.0).of(image)
-            size, flags = before.shape[::-1], cv2.INTER_LINEAR + cv2.WARP_INVERSE_MAP
+        inside = whole_image[y : y + height, x : x + width]
+        if self.tilt == 0:
+            inside[:] = np.rot90(part, -DIRECTIONS[self.direction])
+        else:
             changed = (part != self.of(image)).astype(np.float32)
-            inside = np.asarray(cv2.warpAffine(changed, self._matrix, size, flags=flags)) > 0
-            filled = cv2.warpAffine(part, self._matrix, size, flags=flags)
-            part = np.where(inside, filled, before)
-        whole_image[y : y + height, x : x + width] = np.rot90(part, -DIRECTIONS[self.direction])
+            size, flags = (width, height), cv2.INTER_LINEAR + cv2.WARP_INVERSE_MAP
+            where, filled = (
+                np.asarray(cv2.warpAffine(each, self._matrix, size, flags=flags))
+                for each in (changed, part)
+            )
+            inside[where > 0] = filled[where > 0]
         return whole_image
 
     def to_image(self, points: Array) -> Array:
         """Return points (x, y) of the turned part, y down, as points of the image, in px."""
-        x0, y0, width, height = self.region
-        upright = np.asarray(points, dtype=np.float64)
-        if self.tilt != 0:
-            matrix = self._matrix
-            upright = (upright - matrix[:, 2]) @ matrix[:, :2]  # the inverse of a turn
-        x, y = upright.T
-        turned = {
-            "top": (x, y),
-            "right": (width - 1 - y, x),
-            "bottom": (width - 1 - x, height - 1 - y),
-            "left": (y, height - 1 - x),
-        }[self.direction]
-        return np.stack([x0 + turned[0], y0 + turned[1]], axis=1)
+        matrix = self._matrix
+        # The inverse of a turn.
+        return np.asarray((points - matrix[:, 2]) @ matrix[:, :2] + self.region[:2])
 
-    @property
-    def _size(self) -> tuple[int, int]:
-        """Width and height of the part after the quarter turns."""
-        width, height = self.region[2:]
-        return (width, height) if DIRECTIONS[self.direction] % 2 == 0 else (height, width)
+    def from_image(self, points: Array) -> Array:
+        """Return points (x, y) of the image as points of the turned part, in px."""
+        matrix = self._matrix
+        return np.asarray((points - np.array(self.region[:2])) @ matrix[:, :2].T + matrix[:, 2])
 
     @property
     def _matrix(self) -> Array:
-        """Affine map from the part after the quarter turns to what is kept, (2, 3)."""
-        cos, sin = np.cos(self.tilt), np.sin(self.tilt)
-        turn = np.array([[cos, -sin], [sin, cos]])
-        middle = (np.array(self._size) - 1) / 2
-        shift = middle - turn @ middle - self.frame[:2]
-        return np.concatenate([turn, shift[:, np.newaxis]], axis=1)
-
-    def _turned(self, points: Array) -> Array:
-        matrix = self._matrix
-        return np.asarray(points @ matrix[:, :2].T + matrix[:, 2])
+        """Affine map from the part to what is kept of it, turned, (2, 3)."""
+        size = np.array(self.region[2:], float)
+        turns = DIRECTIONS[self.direction]
+        angle = 90.0 * turns - np.rad2deg(self.tilt)
+        matrix = cv2.getRotationMatrix2D(((size - 1) / 2).tolist(), angle, 1.0)
+        # The middle of the part becomes that of the part after the quarter turns.
+        matrix[:, 2] += (size[::-1] - size) / 2 * (turns % 2) - self.frame[:2]
+        return np.asarray(matrix)
 
 
 def part_of(
@@ -130,10 +114,10 @@ def part_of(
     rows, columns = shape[:2]
     if region is None:
         return 0, 0, columns, rows
-    if not isinstance(region, (tuple, list)) or len(region) != 4:
-        raise ValueError(f"region must be (x, y, width, height), got {region!r}")
-    x, y = (whole("region", value, least=0) for value in region[:2])
-    width, height = (whole("region", value, least=smallest) for value in region[2:])
+    x, y, width, height = (
+        whole("region", value, least=least)
+        for value, least in zip(items("region", region, 4), (0, 0, smallest, smallest), strict=True)
+    )
     if x + width > columns or y + height > rows:
         raise ValueError(
             f"region must lie inside the image of {columns}×{rows} px, got {width}×{height} px at "

@@ -8,14 +8,14 @@ lies on the wall's outer flank.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.special import ndtr
 
-from microlib._common import Array, Tidy, as_array
+from microlib._common import Array
 
 # Lengths are in px. What other values do to the modulus stands in the benchmark "Other values of
 # the constants" (benchmarks/embryo.py).
@@ -42,28 +42,15 @@ _LEAST_SAMPLES = 6
 _DAMPING = 1e-9
 
 
-@dataclass(frozen=True)
-class WallPosition(Tidy):
-    """Walls found in a set of profiles.
+class WallPosition(NamedTuple):
+    """Walls found in a set of profiles, in the unit of the offsets."""
 
-    Attributes
-    ----------
-    position : ndarray, shape (n,)
-        Middle of the wall, in the unit of the offsets; NaN where no wall was found.
-    std : ndarray, shape (n,)
-        Standard deviation of `position` from the residuals of all profiles, in the same unit.
-    width : float
-        Standard deviation of the blur common to all profiles, in the same unit.
-    """
-
-    _samples = ("position", "std")
-
-    position: Array
-    std: Array
-    width: float
+    position: Array  # middle of the wall; NaN where none was found
+    std: Array  # standard deviation of `position` from the residuals of all profiles
+    width: float  # standard deviation of the blur common to all profiles
 
 
-def locate_wall(profiles: ArrayLike, offsets: ArrayLike, *, weights: ArrayLike) -> WallPosition:
+def locate_wall(profiles: Array, offsets: Array, *, weights: NDArray) -> WallPosition:
     r"""Fit a blurred wall to each of a set of profiles.
 
     .. math:: I(d) = b_0 + b_1 \Phi\left(\frac{d-\delta}{s}\right)
@@ -71,11 +58,11 @@ def locate_wall(profiles: ArrayLike, offsets: ArrayLike, *, weights: ArrayLike) 
 
     Parameters
     ----------
-    profiles : array_like, shape (n, m)
+    profiles : ndarray, shape (n, m)
         Grey levels.
-    offsets : array_like, shape (m,)
+    offsets : ndarray, shape (m,)
         Place of each sample along the profile, ascending, in px.
-    weights : array_like, shape (n, m)
+    weights : ndarray, shape (n, m)
         1 for samples to use, 0 for samples to leave out.
 
     Returns
@@ -86,7 +73,7 @@ def locate_wall(profiles: ArrayLike, offsets: ArrayLike, *, weights: ArrayLike) 
     Raises
     ------
     ValueError
-        If the shapes do not agree or no profile has enough samples.
+        If no profile has enough samples.
 
     Notes
     -----
@@ -97,32 +84,30 @@ def locate_wall(profiles: ArrayLike, offsets: ArrayLike, *, weights: ArrayLike) 
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from scipy.special import ndtr
     >>> d = np.arange(-5, 5.5, 0.5)
     >>> wall = 200 - 30 * ndtr((d - 0.3) / 1.1) - 40 * np.exp(-(((d - 0.3) / 1.1) ** 2) / 2)
     >>> found = locate_wall(wall[np.newaxis], d, weights=np.ones((1, d.size)))
     >>> round(float(found.position[0]), 3), round(found.width, 2)
     (0.3, 1.1)
     """
-    offsets = as_array("offsets", offsets, shape=(None,))
-    profiles = as_array("profiles", profiles, shape=(None, len(offsets)))
-    weights = as_array("weights", weights, shape=profiles.shape)
     enough = weights.sum(axis=1) >= _LEAST_SAMPLES
     if not enough.any():
         raise ValueError(
             f"weights must leave at least {_LEAST_SAMPLES} samples of a profile, got fewer in each"
         )
     used = np.flatnonzero(enough)
-    data, keep = profiles[used], weights[used]
-
-    def residual(width: float) -> float:
-        return _gauss_newton(data, offsets, keep, width, start)[2]
+    data, keep = profiles[used], weights[used].astype(float)
 
     start = _grid_search(data, offsets, keep, _USUAL_WIDTH)
-    width = float(
-        minimize_scalar(
-            residual, bounds=_WIDTHS, method="bounded", options={"xatol": _WIDTH_TOLERANCE}
-        ).x
+    search = minimize_scalar(
+        lambda width: _gauss_newton(data, offsets, keep, width, start)[2],
+        bounds=_WIDTHS,
+        method="bounded",
+        options={"xatol": _WIDTH_TOLERANCE},
     )
+    width = float(search.x)
     found, std, _ = _gauss_newton(data, offsets, keep, width, start)
     reached = keep > 0
     first = np.where(reached, offsets, np.inf).min(axis=1)
@@ -130,8 +115,7 @@ def locate_wall(profiles: ArrayLike, offsets: ArrayLike, *, weights: ArrayLike) 
     bad = (np.abs(found) > _REACH) | (first > found - width) | (last < found + width)
     found[bad] = np.nan
 
-    position = np.full(len(profiles), np.nan)
-    spread = np.full(len(profiles), np.nan)
+    position, spread = np.full((2, len(profiles)), np.nan)
     position[used], spread[used] = found, np.where(bad, np.nan, std)
     return WallPosition(position, spread, width)
 
@@ -162,11 +146,7 @@ def _grid_search(data: Array, offsets: Array, keep: Array, width: float) -> Arra
 
 
 def _gauss_newton(
-    data: Array,
-    offsets: Array,
-    keep: Array,
-    width: float,
-    position: Array,
+    data: Array, offsets: Array, keep: Array, width: float, position: Array
 ) -> tuple[Array, Array, float]:
     """Gauss–Newton on position and linear coefficients: positions, their spread, the residual."""
     position = position.copy()

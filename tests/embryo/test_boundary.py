@@ -11,7 +11,8 @@ from scipy.spatial import cKDTree
 from benchmarks.capsule_embryo import draw_scene
 from benchmarks.photographs import without_embryo
 from microlib.embryo import extract_boundary
-from microlib.embryo._boundary import _find_probe, _refine, _remove_probe, _resample, _trace
+from microlib.embryo._probe import find_probe
+from microlib.embryo._view import View
 from microlib.synthetic import Embryo, embryo_image
 from microlib.synthetic._embryo import EmbryoImage
 
@@ -45,7 +46,8 @@ def test_the_probes_width_is_taken_across_it():
     bar = np.clip(half_width + 0.5 - np.abs(across), 0, 1) * (y < tip)
     image = np.where(y > 300, 120.0, 200.0)
     image += bar * (40.0 - image)
-    probe = _find_probe(np.rint(image).astype(np.uint8))
+    grey = np.rint(image).astype(np.float32)
+    probe = find_probe(grey, View((0, 0, 1400, 480), "top"))[1]
     assert probe.slope == pytest.approx(slope, abs=1e-3)
     # Edges are found to some hundredths of a px, and 0.23 % are 0.14 px.
     assert probe.half_width == pytest.approx(half_width, abs=0.07)
@@ -71,17 +73,6 @@ def test_outline_lies_on_the_drawn_one(scene):
     # A sensor's square cell adds 1/12 px² to the blur, the wall's own thickness as much of its own.
     wall = (scene.embryo.thickness / scene.pixel_size) ** 2 / 12
     assert boundary.blur == pytest.approx(np.sqrt(1 + 1 / 12 + wall), abs=0.06)
-
-
-def test_probe_is_where_it_was_drawn(scene):
-    probe = _find_probe(scene.image)
-    embryo = scene.embryo
-    tip = scene.to_pixels([[0.0, embryo.thickness / 2 - embryo.dimple_depth]])[0]
-    assert probe.tip[0] == pytest.approx(tip[0], abs=0.1)
-    # Its end stands on a dark wall and not on the ground: half-way is up to half a px lower.
-    assert probe.tip[1] == pytest.approx(tip[1], abs=0.7)
-    assert probe.half_width * scene.pixel_size == pytest.approx(25.0, abs=0.3)
-    assert probe.slope == pytest.approx(-np.tan(0.01), abs=1e-3)
 
 
 def test_filled_probe_leaves_the_ground(scene):
@@ -110,19 +101,6 @@ def test_scale_of_the_grey_levels_does_not_matter(scene, change):
     # float32 keeps seven digits of a grey level, which are 1e-6 px of an edge; a wall's place is
     # polished to about 1e-3 px.
     np.testing.assert_allclose(other.points, plain.points, atol=5e-3)
-
-
-def test_mirror_image_gives_the_mirrored_outline(scene):
-    plain, other = extract_boundary(scene.image), extract_boundary(scene.image[:, ::-1])
-    columns = scene.image.shape[1]
-    x = np.arange(200.0, 500.0)
-    x = x[np.abs(x - scene.center[0]) > 16]
-    mirrored = np.interp(columns - 1 - x, other.x, other.y)
-    # The curve is cut into points at other places: each carries its own noise of 0.065 px, more
-    # across the steep wall near the probe.
-    off = mirrored - np.interp(x, plain.x, plain.y)
-    assert np.abs(off).max() < 0.4
-    assert abs(off.mean()) < 0.02
 
 
 def with_probe(taper: float, glass: bool) -> tuple[EmbryoImage, np.ndarray]:
@@ -218,12 +196,6 @@ def test_probes_of_the_other_renderer(probe):
     assert found.probe.half_width == pytest.approx(half, abs=1.0)
 
 
-def test_what_holds_an_embryo_is_no_probe(scene):
-    """From below the sensor enters, as dark as a probe, and the outline does not fall to it."""
-    with pytest.raises(ValueError, match=r"image must"):
-        extract_boundary(scene.image, direction="bottom")
-
-
 def test_a_broad_edge_is_found_at_half_the_size():
     coarse = render(center=(350.0, 127.0))
     broad = cv2.resize(coarse.image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
@@ -253,11 +225,6 @@ def test_a_region_is_looked_at_alone(scene):
             extract_boundary(beside, region=region)
 
 
-def test_an_unknown_direction_is_refused(scene):
-    with pytest.raises(ValueError, match="direction must be one of auto, top"):
-        extract_boundary(scene.image, direction="north")
-
-
 def test_pictures_of_other_things_are_refused():
     """No modulus, and no other error: 60 pictures, pieces and textures; the benchmark has 400."""
     for _, image in without_embryo(np.random.default_rng(2), 60):
@@ -271,19 +238,7 @@ def test_a_bar_that_is_bright_inside_is_refused():
     image[:120, 141:161] = 40.0
     image[8:118, 148:154] = 200.0
     with pytest.raises(ValueError, match=r"probe's edges against a brighter ground, got [0-7] of"):
-        _find_probe(image)
-
-
-def test_a_curve_that_follows_no_wall_is_refused(scene):
-    grey = scene.image.astype(np.float32)
-    probe = _find_probe(grey)
-    sides = [_resample(side) for side in _trace(_remove_probe(grey, probe), probe)]
-    _refine(grey, sides, probe, 3.0)
-    for k, name in enumerate(("left", "right")):
-        # 12 px above the outline is nothing but ground.
-        beside = [side - [[0.0], [12.0 * (j == k)]] for j, side in enumerate(sides)]
-        with pytest.raises(ValueError, match=f"wall along the outline, got .* the {name} of"):
-            _refine(grey, beside, probe, 3.0)
+        extract_boundary(image, direction="top")
 
 
 def spoiled(name: str) -> np.ndarray:
@@ -344,3 +299,33 @@ def spoiled(name: str) -> np.ndarray:
 def test_images_that_show_no_dimple_are_refused(name, message):
     with pytest.raises(ValueError, match=message):
         extract_boundary(spoiled(name))
+
+
+def corner_bar(slope: float, height: float, length: float, half: float) -> np.ndarray:
+    """A bar whose axis, of a slope in x/y, passes the image's left side at `height`."""
+    y, x = np.mgrid[:240, :320].astype(float)
+    wide = np.hypot(1.0, slope)
+    across = (x - slope * (y - height)) / wide
+    along = (slope * x + y - height) / wide
+    return 190.0 - 150.0 * ((np.abs(across) <= half) & (along < length))
+
+
+@pytest.mark.parametrize(("height", "half"), [(-8.0, 6.0), (0.0, 6.0), (8.0, 6.0), (2.0, 10.0)])
+def test_a_bar_that_enters_through_a_corner_is_turned_upright(height, half):
+    image = corner_bar(0.7, height, 150.0, half).astype(np.float32)
+    whole = (0, 0, image.shape[1], image.shape[0])
+    _, probe, view = find_probe(image, View(whole, "top"))
+    assert view.tilt == pytest.approx(np.arctan(0.7), abs=0.02)
+    assert abs(probe.slope) < 0.01
+    # Its end as drawn, in the image; pixels are 1 px wide along it.
+    tip = view.to_image(np.array([probe.tip]))[0]
+    end = np.array([0.0, height]) + 150.0 * np.array([0.7, 1.0]) / np.hypot(1.0, 0.7)
+    np.testing.assert_allclose(tip, end, atol=1.0)
+    assert probe.half_width == pytest.approx(half, abs=0.3)
+    # Nothing above that the image's side has cut: all rows are as wide.
+    row = view.of(image)[0]
+    assert (row < 115).sum() == pytest.approx(2 * half, abs=1.5)
+    # Mirrored, it enters through the other corner.
+    mirrored = np.ascontiguousarray(image[:, ::-1])
+    _, other, _ = find_probe(mirrored, View(whole, "top"))
+    assert other.half_width == pytest.approx(probe.half_width, abs=0.02)

@@ -10,8 +10,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from microlib.embryo import _dimple, fit_dimple
-from microlib.embryo._boundary import Boundary, Probe
-from microlib.embryo._dimple import _profile, _start
+from microlib.embryo._boundary import Boundary
+from microlib.embryo._probe import Probe
 from microlib.synthetic import Embryo
 
 PIXEL = 4.0  # µm
@@ -151,15 +151,6 @@ def test_a_bottom_beside_the_probes_end_is_less_certain():
         fit_dimple(with_end_off(9.0), pixel_size=PIXEL, probe_half_width=25.0)
 
 
-def test_points_off_in_their_thousands_are_the_outline():
-    """Of a third of the points 3 px too high none is a stray: the fit is less certain."""
-    plain = outline(Embryo.dented(100.0, modulus=1.0), noise=0.06)
-    high = np.where(np.abs(plain.x - CENTER[0]) < 35, 3.0, 0.0)
-    found = fit_dimple(replace(plain, y=plain.y + high), pixel_size=PIXEL, probe_half_width=25.0)
-    assert 0.3 < found.misfit < 2
-    assert abs(found.dimple_depth - 100.0) < 3 * found.covariance[1, 1] ** 0.5
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -189,29 +180,3 @@ def test_a_probe_beside_the_dimple_is_refused():
     shifted = replace(boundary, probe=moved)
     with pytest.raises(ValueError, match="got it 12"):
         fit_dimple(shifted, pixel_size=PIXEL, probe_half_width=25.0)
-
-
-@pytest.mark.parametrize("depth", [20.0, 90.0])
-def test_the_slope_is_the_derivative_of_the_profile(depth):
-    a, c, left, right = 120.0, 9.0, 2e-3, 4e-3
-    step = 1e-5
-    # Beyond the probe, inside the dimple and on both flanks, off the kinks at c and a.
-    u = np.array([-180.0, -130.0, -119.0, -60.0, -10.0, -5.0, 3.0, 11.0, 70.0, 119.0, 125.0, 200.0])
-    _, slope = _profile(u, a, depth, c, left, right)
-    up, down = (_profile(u + s, a, depth, c, left, right)[0] for s in (step, -step))
-    np.testing.assert_allclose(slope, (up - down) / (2 * step), rtol=1e-6, atol=1e-8)
-    height, _ = _profile(np.array([-a, a, 0.0, a + 50]), a, depth, c, left, right)
-    # Zero at the rim, the depth under the probe, and an arc of the right radius beyond.
-    arc = np.sqrt(1 / right**2 - 50**2) - 1 / right
-    np.testing.assert_allclose(height, [0.0, 0.0, -depth, arc], atol=1e-9)
-
-
-@pytest.mark.parametrize("rise", [-100.0, -10.0, 10.0, 100.0])
-def test_the_search_starts_within_the_bounds_of_its_tilt(rise):
-    found = outline(Embryo.pressed(100.0, modulus=1.0))
-    y = found.y + rise * np.clip((found.x - found.probe.tip[0]) / 110.0, -1, 1)
-    start = _start(found.x, y, found)
-    assert abs(start[2]) <= 0.9 * 0.3 + 1e-12
-    assert np.sign(start[2]) == np.sign(rise)
-    if abs(rise) < 50:
-        assert start[2] == pytest.approx(rise / 110.0, rel=0.3)

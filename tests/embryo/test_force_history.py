@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from microlib.embryo import force_over_time
-from microlib.embryo._force_history import ForceHistory, _bridge
+from microlib.embryo._force_history import ForceHistory
 from microlib.synthetic import Embryo, embryo_image
 
 pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
@@ -84,17 +84,6 @@ def test_the_modulus_is_in_error_everywhere_alike(sequence: list[np.ndarray]) ->
     plain = force_over_time(sequence[4:6], TIME[4:6], 1.2, **few)
     less = force_over_time(sequence[4:6], TIME[4:6], 1.2, modulus_std=0.12, **few)
     np.testing.assert_allclose(less.std**2 - plain.std**2, (0.1 * plain.force) ** 2)
-
-
-def test_gaps_are_bridged_by_straight_lines() -> None:
-    nan = np.nan
-    force, std = _bridge(
-        np.array([0.0, 1.0, 2.0, 4.0, 5.0]),
-        np.array([nan, nan, 12.0, nan, 6.0]),
-        np.array([nan, nan, 1.0, nan, 2.0]),
-    )
-    np.testing.assert_allclose(force, [0, 6, 12, 8, 6])
-    np.testing.assert_allclose(std, [0, 12 / 12**0.5, 1, 6 / 12**0.5, 2])
 
 
 def test_refusals(sequence: list[np.ndarray]) -> None:

@@ -6,42 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import curve_fit, minimize_scalar
+from scipy.optimize import curve_fit
 
 from compendium import thesis
 from microlib.embryo import GaussianSum, dimple_geometry, fit_gaussians
-from microlib.synthetic import Embryo
 
 
 @pytest.fixture(scope="module")
 def printed() -> GaussianSum:
     return thesis.outline_curve()
-
-
-def test_printed_curve_has_the_extrema_that_a_minimiser_finds(printed: GaussianSum) -> None:
-    maxima, minima = printed.extrema()
-    for found, sign, brackets in (
-        (maxima, -1, [(120, 140), (216, 226), (235, 250)]),
-        (minima, 1, [(185, 205), (225, 235)]),
-    ):
-        want = [
-            minimize_scalar(
-                lambda x, s=sign: s * printed(x),
-                bounds=b,
-                method="bounded",
-                options={"xatol": 1e-9},
-            ).x
-            for b in brackets
-        ]
-        # A minimiser finds a flat point only to the square root of rounding.
-        np.testing.assert_allclose(found, want, atol=1e-5)
-
-
-def test_two_of_the_three_printed_maxima_survive_every_rounding() -> None:
-    """Backs the erratum: no draw of Table 5.5 within its rounding has only two maxima."""
-    rng = np.random.default_rng(1)
-    for _ in range(200):
-        assert len(thesis.outline_curve(rng).extrema()[0]) == 3
 
 
 def test_printed_dimple(printed: GaussianSum) -> None:
@@ -54,22 +27,6 @@ def test_printed_dimple(printed: GaussianSum) -> None:
     )
     assert dimple.dimple_depth == pytest.approx(
         thesis.EMBRYO_PIXEL * (dimple.rim[1] - dimple.bottom[1])
-    )
-
-
-def test_slope_equals_differences(printed: GaussianSum) -> None:
-    x = np.linspace(60, 250, 77)
-    numeric = (printed(x + 1e-5) - printed(x - 1e-5)) / 2e-5
-    np.testing.assert_allclose(printed.slope(x), numeric, atol=1e-8)
-
-
-def test_fit_recovers_the_printed_curve(printed: GaussianSum) -> None:
-    x = np.arange(50.0, 265.0)
-    fit = fit_gaussians(x, printed(x))
-    # The terms trade off, the curve does not: noise-free data must be met far below a pixel.
-    np.testing.assert_allclose(fit(x), printed(x), atol=1e-4)
-    assert dimple_geometry(fit, pixel_size=1.0).dimple_depth == pytest.approx(
-        dimple_geometry(printed, pixel_size=1.0).dimple_depth, abs=1e-4
     )
 
 
@@ -105,19 +62,6 @@ def test_geometry_moves_and_scales_with_the_outline(shift: float, lift: float) -
     assert b.dimple_depth == pytest.approx(lift * a.dimple_depth, rel=1e-8)
 
 
-@pytest.mark.parametrize("crop", [(-150.0, 100.0), (-100.0, 130.0)])
-def test_fit_needs_both_of_its_starts(crop: tuple[float, float]) -> None:
-    """A deep dimple bends sharply: one start alone leaves 0.60 or 0.34 px rms on one of these."""
-    x, y = Embryo.dented(145.0, modulus=1.0).outline().T / 4.0
-    upper = (y > -60) & (np.abs(x) < 160)
-    order = np.argsort(x[upper])
-    columns = np.arange(*crop)
-    height = np.interp(columns, x[upper][order], y[upper][order])
-    height -= height.min()
-    fit = fit_gaussians(columns, height)
-    assert np.sqrt(np.mean((fit(columns) - height) ** 2)) < 0.32
-
-
 def dimpled(x: np.ndarray) -> np.ndarray:
     """An outline with a dimple: two broad hills."""
     return 60 * np.exp(-(((x - 60) / 40) ** 2)) + 62 * np.exp(-(((x - 150) / 42) ** 2))
@@ -148,9 +92,7 @@ def test_derivatives_equal_differences(x: float) -> None:
             p[k] += sign * step
             moved.append(GaussianSum(*p.reshape(3, 4), domain=curve.domain))
         by_value = (moved[0](x) - moved[1](x)) / (2 * step)
-        by_slope = (moved[0].slope(x) - moved[1].slope(x)) / (2 * step)
         assert curve.gradient(x)[k] == pytest.approx(by_value, abs=1e-6)
-        assert curve.slope_gradient(x)[k] == pytest.approx(by_slope, abs=1e-6)
 
 
 def test_covariance_of_the_dimple_is_what_noise_does() -> None:
@@ -171,26 +113,6 @@ def test_covariance_of_the_dimple_is_what_noise_does() -> None:
     )
     off = np.mean(found, axis=0) - [truth.dimple_radius, truth.dimple_depth]
     assert (np.abs(off) < 4 * np.mean(stated, axis=0) / np.sqrt(80)).all()
-
-
-def test_ripples_at_the_bottom_are_not_the_rim() -> None:
-    curve = GaussianSum(
-        [60.0, 60.0, 1.5], [60.0, 160.0, 108.0], [38.0, 38.0, 3.0], domain=(20.0, 200.0)
-    )
-    maxima, _ = curve.extrema()
-    assert len(maxima) == 3
-    assert dimple_geometry(curve, pixel_size=1.0).rim[0] == pytest.approx(60.0, abs=1.0)
-
-
-def test_the_rim_is_the_nearest_maximum_to_the_left() -> None:
-    """A hill further out is none, even a higher one."""
-    curve = GaussianSum(
-        [70.0, 50.0, 52.0], [0.0, 80.0, 160.0], [30.0, 30.0, 30.0], domain=(-20.0, 200.0)
-    )
-    assert len(curve.extrema()[0]) == 3
-    dimple = dimple_geometry(curve, pixel_size=1.0)
-    assert dimple.bottom[0] == pytest.approx(120.0, abs=2.0)
-    assert dimple.rim[0] == pytest.approx(80.0, abs=2.0)
 
 
 def test_an_outline_without_a_dimple_is_refused() -> None:

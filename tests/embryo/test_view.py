@@ -28,7 +28,7 @@ def test_points_of_the_part_are_pixels_of_the_image(direction: str) -> None:
     part = view.of(IMAGE)
     rows, columns = np.indices(part.shape)
     points = view.to_image(np.column_stack([columns.ravel(), rows.ravel()]))
-    x, y = points.astype(int).T
+    x, y = np.rint(points).astype(int).T
     np.testing.assert_array_equal(IMAGE[y, x], part.ravel())
 
 
@@ -39,3 +39,35 @@ def test_the_edge_that_is_named_is_the_upper_one_of_the_part() -> None:
     assert set(edges) == set(DIRECTIONS)
     for direction, edge in edges.items():
         np.testing.assert_array_equal(View((0, 0, 9, 7), direction).of(IMAGE)[0], edge)
+
+
+@pytest.mark.parametrize("direction", ["top", "right", "bottom", "left"])
+def test_points_of_a_turned_part_are_found_in_the_image_again(direction):
+    """A blob in the image, and the place where the turned part has it."""
+    y, x = np.mgrid[:150, :210].astype(float)
+    view = View((30, 20, 140, 100), direction).upright(0.3, np.array([[60.0, 4.0], [75.0, 4.0]]))
+    place = np.array([92.0, 71.0])
+    image = np.exp(-((x - place[0]) ** 2 + (y - place[1]) ** 2) / (2 * 4.0**2)).astype(np.float32)
+    part = view.of(image)
+    assert part.shape == view.frame[:1:-1]
+    rows, columns = np.indices(part.shape)
+    found = np.array([(columns * part).sum(), (rows * part).sum()]) / part.sum()
+    np.testing.assert_allclose(view.to_image(found[np.newaxis])[0], place, atol=0.02)
+    # The turn is that of the slope: the bar's direction (0.3, 1) is upright in the part.
+    before = View((30, 20, 140, 100), direction)
+    ends = view.from_image(before.to_image(np.array([[60.0, 10.0], [63.0, 20.0]])))
+    assert ends[0, 0] == pytest.approx(ends[1, 0])
+    assert ends[1, 1] - ends[0, 1] == pytest.approx(np.hypot(3, 10))
+    # It begins below both ends of the entry, and its columns hold all corners of the part.
+    entry = view.from_image(before.to_image(np.array([[60.0, 4.0], [75.0, 4.0]])))
+    assert -2 <= entry[:, 1].max() <= -1
+    corners = np.array([[x, y] for x in (29.5, 169.5) for y in (19.5, 119.5)])
+    turned = view.from_image(corners)
+    assert turned[:, 0].min() > -1
+    assert turned[:, 0].max() < view.frame[2] + 1
+    assert turned[:, 1].max() == pytest.approx(view.frame[3], abs=1.0)
+    changed = view.put_back(np.where(part > 0.5, np.float32(5.0), part), image)
+    off = changed != image
+    assert off.any()
+    assert np.hypot(x - place[0], y - place[1])[off].max() < 4.0 * np.sqrt(2 * np.log(2)) + 2
+    assert changed[round(place[1]), round(place[0])] == pytest.approx(5.0, abs=1e-3)

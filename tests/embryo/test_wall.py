@@ -71,5 +71,16 @@ def test_no_wall_is_no_number():
     assert np.isfinite(found.position).tolist() == [True, False, False]
     with pytest.raises(ValueError, match="at least 6 samples"):
         locate_wall(profiles, D, weights=np.zeros_like(profiles))
-    with pytest.raises(ValueError, match="profiles must have shape"):
-        locate_wall(profiles[:, 1:], D, weights=weights)
+
+
+def test_a_wall_is_sought_within_its_reach_and_its_range_of_blur():
+    d = np.arange(-6.0, 6.01, 0.5)
+    for width in (0.7, 1.8):
+        exact = np.array([wall(d, s, 190.0, -27.0, -35.0, width) for s in (-2.4, 0.0, 2.4)])
+        found = locate_wall(exact, d, weights=np.ones_like(exact))
+        np.testing.assert_allclose(found.position, [-2.4, 0.0, 2.4], atol=0.02)
+        assert found.width == pytest.approx(width, abs=0.02)
+    far = np.array([wall(d, s, 190.0, -27.0, -35.0, 1.1) for s in (-2.6, 0.0, 2.6)])
+    found = locate_wall(far, d, weights=np.ones_like(far))
+    assert np.isfinite(found.position).tolist() == [False, True, False]
+    np.testing.assert_array_equal(np.isnan(found.std), np.isnan(found.position))

@@ -1,0 +1,368 @@
+"""The probe in an image: where it ends, how it leans and how wide it is.
+
+A dark bar, or a glass tube that is bright between two dark walls, enters the image through its
+upper edge. Its sides are followed from row to row down to where its width jumps, which no taper
+does. One that leans is looked for in the image turned so that it is upright.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import cv2
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import map_coordinates, median_filter
+
+from microlib._common import Array, Tidy, as_array
+from microlib.embryo._view import View
+
+__all__ = ["CLEARANCE", "MAD_TO_STD", "MARGIN", "SMALLEST", "Probe", "find_probe", "remove_probe"]
+
+# Lengths are in px. What other values of these do to the modulus stands in the benchmark "Other
+# values of the constants" (benchmarks/embryo.py): none moves it by its own standard deviation.
+# Where a comment says "nothing changes", that is the range measured there.
+
+#: Least side of an image: four times the rows in which a probe is looked for.
+SMALLEST = 64
+#: Rows at the upper edge in which the probe is looked for; 8 to 32 change E by up to 0.05 of its
+#: deviation.
+_TOP_ROWS = 16
+#: A probe is darker than this share of the ground beside it; nothing changes from 0.5 to 0.85.
+_DARK = 0.7
+#: Least width of a probe, and largest as a share of the image's: what else enters from above is a
+#: scratch or no probe. Nothing changes from 2 to 8 and from 0.05 to 0.2.
+_NARROWEST, _WIDEST = 4.0, 0.1
+#: A wall of a glass tube has at least this width, two differ by at most this factor: what a blur of
+#: 1 px leaves of a thin wall, and light from one side.
+_THINNEST_WALL, _UNLIKE_WALLS = 2, 2.0
+#: Blur under which the probe is looked for, so that noise does not break its outline: 0.5 to 2
+#: change E by up to 0.5 of its deviation.
+_PROBE_BLUR = 1.0
+#: Where no probe is found so, it is looked for once more with less blur and on a fainter mark: the
+#: walls of a glass tube are one px wide in a coarse image.
+_FINE_BLUR, _FAINT = 0.5, 0.85
+#: The probe is what is darker than this, from its own grey at 0 to that of the ground at 1; below
+#: one half, which the embryo's fluid does not reach. 0.25 to 0.55 change E by up to 0.1 of its
+#: deviation.
+_BODY_LEVEL = 0.4
+#: Share by which a row's width must differ from those above it to end the probe; nothing changes
+#: from 0.2 to 0.6.
+_ODD_WIDTH = 0.35
+#: Rows wanted below the probe's end, where its grey turns to the embryo's.
+_BELOW_TIP = 5
+#: Direction and width of the probe, and the ground beside it, are read from this part of its
+#: length, from this row on: near its end the embryo stands beside it. The share may be 0.5 to 0.85
+#: and the row 0 to 6 for changes of E up to 0.35 of its deviation.
+_UPPER_PART, _FIRST_ROW = 0.7, 2
+#: What is left free beside a blurred edge to be sure of it; 0 to 5 change E by up to 0.2 of its
+#: deviation.
+MARGIN = 2
+#: A crossing of the probe's outline is sought so far beside it, in steps of `_STEP`, half-way to
+#: the mean of the last samples. Widths of 4 to 10 and 3 to 12 samples change E by up to 0.5 of its
+#: deviation.
+_GROUND_WIDTH, _GROUND_SAMPLES = 6.0, 6
+_STEP = 0.25
+#: Standard deviations beyond which a line leaves a point out; 2 to 5 change E by up to 0.15 of its
+#: deviation.
+_OUTLIER = 3.0
+#: Rows in which the edges of a probe are seen, at least: more than a line's two numbers, fewer than
+#: the 20 of the shortest probe.
+_FEWEST_EDGES = 8
+#: Median absolute deviation to standard deviation, of the normal distribution.
+MAD_TO_STD = 1.4826
+#: More than rounding of grey levels, less than any of their steps.
+_ROUNDING = 1e-6
+#: The probe's end is sought so far to either side, in the mean of these columns, half-way to the
+#: mean of the last samples, 3 px of embryo. It is only checked against the fit, with room for 2 px
+#: (`microlib.embryo._dimple`), so that nothing changes from 5 to 14, 3 to 15 and 6 to 20.
+_TIP_REACH, _TIP_COLUMNS, _EMBRYO_SAMPLES = 8.0, 7, 12
+#: The model has its load along the axis. The outline is found up to four times this tilt
+#: (measured); beyond it the image is turned, up to the largest lean.
+_LARGEST_TILT, _LARGEST_LEAN = np.deg2rad(4.0), np.deg2rad(62.0)
+#: A leaning bar is looked for in so many rows at the edge and followed from row to row, in which it
+#: moves by up to 1.9 px, for at least as many rows as a probe must have.
+_LEAN_ROWS, _LEAN_REACH, _SHORTEST_LEAN = 3, 3, 16
+#: Half-width in px below which a run may be one wall of a tube.
+_THIN_RUN = 8.0
+#: Left free beside the probe, for its blur.
+CLEARANCE = 3.0
+
+
+@dataclass(frozen=True)
+class Probe(Tidy):
+    """The probe in an image that is turned so that it comes from above.
+
+    Attributes
+    ----------
+    tip : tuple of float
+        Middle of its lower end, (x, y) in px, y down.
+    slope : float
+        Change of x for each px down: the tangent of its tilt.
+    half_width : float
+        Half of its width at the tip, in px.
+    taper : float
+        Change of that for each px down; 0 for a probe whose sides are parallel.
+    """
+
+    tip: tuple[float, float]
+    slope: float
+    half_width: float
+    taper: float = 0.0
+
+    def axis(self, y: ArrayLike) -> Array:
+        """Return x of the probe's axis at the image height `y`, both in px."""
+        return self.tip[0] + self.slope * (as_array("y", y) - self.tip[1])
+
+    def half_width_at(self, y: ArrayLike) -> Array:
+        """Return half of the width in px at the image height `y`; the tip's below the tip."""
+        above = np.minimum(as_array("y", y) - self.tip[1], 0.0)
+        return self.half_width + self.taper * above
+
+
+def find_probe(whole: NDArray[np.float32], view: View) -> tuple[NDArray[np.float32], Probe, View]:
+    """Return the turned part of an image, the probe in it, and the view in which it is upright."""
+    reasons: list[str] = []
+    for blur, dark in ((_PROBE_BLUR, _DARK), (_FINE_BLUR, _FAINT)):
+        views = [view]
+        for each in views:
+            if each.tilt and min(each.frame[2:]) < SMALLEST:
+                reasons.append("image must show the probe's end, got its shaft alone")
+                continue
+            grey = np.ascontiguousarray(each.of(whole))
+            smooth = np.asarray(cv2.GaussianBlur(grey, (0, 0), blur), dtype=np.float32)
+            try:
+                probe = _measure(smooth, dark)
+                if abs(probe.slope) <= np.tan(_LARGEST_TILT):
+                    return grey, probe, each
+                lean = np.rad2deg(np.arctan(probe.slope))
+                reasons.append(
+                    f"image must show a straight probe, got one that bends by {lean:.1f}°"
+                )
+            except ValueError as reason:
+                reasons.append(str(reason))
+            if each is view:
+                views += _turned_views(smooth, view, dark)
+    raise ValueError(reasons[0])
+
+
+def _runs(
+    smooth: NDArray[np.float32], rows: int, dark: float, widest: int, mode: str
+) -> tuple[Array, Array, NDArray]:
+    """Return the mean of the first rows, its ground, and both ends of each run darker than that."""
+    top = smooth[:rows].mean(axis=0)
+    ground = median_filter(top, 4 * widest + 1, mode=mode)  # a bar is a quarter of it
+    below = np.concatenate([[0], (top < dark * ground).view(np.int8), [0]])
+    return top, ground, np.flatnonzero(np.diff(below)).reshape(-1, 2)
+
+
+def _follow(smooth: NDArray[np.float32], left: int, right: int, limit: float) -> NDArray:
+    """Return both ends of a dark run, or of a tube's walls, in each row down to where it is gone.
+
+    From row to row an end moves by `_LEAN_REACH` at most. Below its end a probe's run grows into
+    what it stands on.
+    """
+    ends = []
+    for row in smooth:
+        first, last = max(left - _LEAN_REACH, 0), min(right + _LEAN_REACH, row.size)
+        below = np.flatnonzero(row[first:last] < limit)
+        if below.size == 0:
+            break
+        left, right = first + int(below[0]), first + int(below[-1]) + 1
+        ends.append((left, right))
+    return np.array(ends, dtype=int).reshape(-1, 2)
+
+
+def _end_row(width: NDArray) -> int:
+    """Return the row in which a bar of these widths ends: they jump, as no taper does, or are 0."""
+    if len(width) < _TOP_ROWS:
+        return len(width)
+    before = np.concatenate([width[:_TOP_ROWS], width[:-1]])
+    windows = sliding_window_view(before, _TOP_ROWS)[: len(width)]
+    half = _TOP_ROWS // 2
+    upper, lower = np.median(windows[:, :half], axis=1), np.median(windows[:, half:], axis=1)
+    # A taper goes on as between the middles of the last rows' halves.
+    usual = lower + (lower - upper) * (half + 1) / (2 * half)
+    usual[:_TOP_ROWS] = np.median(windows[:_TOP_ROWS], axis=1)
+    odd = np.abs(width - usual) > _ODD_WIDTH * usual + 1
+    odd |= width == 0
+    return int(odd.argmax()) if odd.any() else len(width)
+
+
+def _turned_views(smooth: NDArray[np.float32], view: View, dark: float) -> list[View]:
+    """Return the views in which the longest bar that enters at the upper edge is upright.
+
+    They begin where it has come in with all of its width, which through a corner of the image is
+    below the upper edge; for a thin one first as if it were a tube's wall.
+    """
+    columns = smooth.shape[1]
+    widest = int(_WIDEST * columns / np.cos(_LARGEST_LEAN))
+    # Reflected, for a bar in the corner would be continued as dark ground.
+    top, ground, runs = _runs(smooth, _LEAN_ROWS, dark, widest, "reflect")
+    longest, found = _SHORTEST_LEAN, (0.0, 0.0, 0.0)
+    for left, right in runs:
+        limit = float((top[left:right].min() + ground[left:right].mean()) / 2)
+        ends = _follow(smooth, int(left), int(right), limit)
+        # A side cuts a bar that comes in through a corner: its width grows on the first rows.
+        cut = (ends[:, 0] == 0) | (ends[:, 1] == columns)
+        row = int(cut.argmin()) if not cut.all() else len(ends)
+        ends = ends[row:]
+        ends = ends[: _end_row(np.ptp(ends, axis=1))]
+        if len(ends) <= longest or not _THINNEST_WALL <= np.ptp(ends[0]) <= widest:
+            continue
+        slope, start = _robust_line(row + np.arange(len(ends)), (ends.sum(axis=1) - 1) / 2)
+        if abs(slope) < np.tan(_LARGEST_LEAN):
+            longest, found = len(ends), (slope, start, float(np.ptp(ends[0])) / 2)
+    if longest == _SHORTEST_LEAN:
+        return []
+    slope, start, half = found
+    sides = start + np.array([-half, half])
+    # What comes in through a side of the image does so below its upper edge.
+    inside = np.clip(sides, 0.0, columns - 1.0)
+    below = np.maximum((inside - sides) / slope, 0.0) if slope else np.zeros(2)
+    bar = np.stack([inside, below], axis=1)
+    entries = [bar]
+    if half < _THIN_RUN:
+        # A tube's other wall may stand on either side of the one that was followed. What that costs
+        # of a short bar's length may be too much.
+        tube = np.stack([sides + np.array([-widest, widest]), np.zeros(2)], axis=1)
+        entries = [np.concatenate([tube, bar]), bar]
+    return [view.upright(slope, entry) for entry in entries]
+
+
+def _measure(grey: NDArray[np.float32], dark: float) -> Probe:
+    """Return the one bar or tube that enters a blurred image through its upper edge.
+
+    Its ends are found to a fraction of a pixel. Near its end the embryo stands beside it, so that
+    the upper part gives direction and width.
+    """
+    widest = int(_WIDEST * grey.shape[1])
+    top, ground, runs = _runs(grey, _TOP_ROWS, dark, widest, "nearest")
+    bars = [run for run in runs if _NARROWEST <= run[1] - run[0] <= widest]
+    tubes = _tubes(runs, widest)
+    glass = len(tubes) == 1 and all(tubes[0][0] <= b[0] and b[1] <= tubes[0][1] for b in bars)
+    if not glass and len(bars) != 1:
+        raise ValueError(
+            "image must show one dark probe that enters through its upper edge, "
+            f"got {len(bars)} bars of {_NARROWEST:.0f} to {widest} px there"
+        )
+    left, right = (int(end) for end in (tubes if glass else bars)[0])
+    bar = float(top[left:right].min() if glass else top[(left + right) // 2])
+    ends = _follow(grey, left, right, bar + _BODY_LEVEL * (ground[left:right].mean() - bar))
+    width = np.ptp(ends, axis=1)
+    end = _end_row(width)
+    if end < 2 * _TOP_ROWS or end >= len(grey) - _BELOW_TIP:
+        raise ValueError(
+            f"image must show the probe's end inside it, got a bar that ends at row {end} of "
+            f"{len(grey)}"
+        )
+    if glass:
+        # Down to where both walls are gone: the end of glass is as dark as the chorion below it.
+        columns, first, last = np.arange(grey.shape[1]), *ends.T[:, :, np.newaxis]
+        filled = np.where((columns >= first) & (columns < last), bar, np.inf)
+        grey = np.concatenate([np.minimum(grey[: len(ends)], filled), grey[len(ends) :]])
+    rows = np.arange(_FIRST_ROW, int(_UPPER_PART * end))
+    usual = np.median(width[:_TOP_ROWS])
+    across = np.where(np.abs(width - usual) > MARGIN, width, usual)
+    sides = np.array([_crossings(grey[r], (ends[r].sum() - 1) / 2, across[r], bar) for r in rows])
+    slopes, starts = zip(*(_robust_line(rows, side) for side in sides.T), strict=True)
+    slope = float(np.mean(slopes))
+    narrowing = slopes[1] - slopes[0]
+    tapered = abs(narrowing) * rows.size > MARGIN
+    half_width = float(starts[1] - starts[0] + narrowing * (end if tapered else rows.mean())) / 2
+    upper = Probe((float(np.mean(starts)), 0.0), slope, half_width)
+    tip = _tip_row(grey, upper, end, bar)
+    return Probe(
+        (float(upper.axis(tip)), tip),
+        slope,
+        half_width / np.hypot(1.0, slope),
+        narrowing / 2 if tapered else 0.0,
+    )
+
+
+def _tubes(runs: NDArray, widest: int) -> list[tuple[int, int]]:
+    """Return pairs of dark runs that are a tube's walls: its two ends."""
+    found = []
+    for first, second in pairwise(runs):
+        across = int(second[1] - first[0])
+        walls = sorted((int(first[1] - first[0]), int(second[1] - second[0])))
+        alike = walls[0] >= _THINNEST_WALL and walls[1] <= _UNLIKE_WALLS * walls[0]
+        if alike and walls[1] <= across / 3 and across <= widest:
+            found.append((int(first[0]), int(second[1])))
+    return found
+
+
+def _half_way(profile: Array, bar: float, ground: int) -> float:
+    """Return the sample at which a profile passes half-way from the bar to its last samples' mean.
+
+    NaN where it begins beyond.
+    """
+    half = (bar + profile[-ground:].mean()) / 2
+    k = int((profile > half).argmax())
+    return k - 1 + (half - profile[k - 1]) / (profile[k] - profile[k - 1]) if k > 0 else np.nan
+
+
+def _crossings(
+    row: NDArray[np.float32], middle: float, width: float, bar: float
+) -> tuple[float, ...]:
+    """Where a row passes half-way between the bar and the ground, left and right of `middle`."""
+    distance = np.arange(0.0, width / 2 + _GROUND_WIDTH, _STEP)
+    columns = np.arange(row.size)
+    sides = (np.interp(middle + side * distance, columns, row) for side in (-1, 1))
+    left, right = (_STEP * _half_way(profile, bar, _GROUND_SAMPLES) for profile in sides)
+    return middle - left, middle + right
+
+
+def _robust_line(x: NDArray, y: NDArray) -> tuple[float, float]:
+    """Slope and value at 0 of a straight line, outliers beyond three deviations left out once."""
+    use = np.isfinite(y)
+    if use.sum() < _FEWEST_EDGES:
+        raise ValueError(
+            f"image must show the probe's edges against a brighter ground, got {use.sum()} of "
+            f"{use.size} rows in which it does"
+        )
+    for _ in range(2):
+        slope, start = np.polyfit(x[use], y[use], 1)
+        off = np.abs(y - start - slope * x)
+        use = off <= _OUTLIER * MAD_TO_STD * np.median(off[use]) + _ROUNDING
+    return float(slope), float(start)
+
+
+def _tip_row(grey: NDArray[np.float32], upper: Probe, end: int, bar: float) -> float:
+    """Image height where the probe's middle turns from its own grey to that of the embryo."""
+    y = np.arange(end - _TIP_REACH, min(end + _TIP_REACH + 1, len(grey) - 1.0), _STEP)
+    across = np.linspace(-0.5, 0.5, _TIP_COLUMNS) * upper.half_width
+    x = upper.axis(y)[:, np.newaxis] + across
+    where = np.stack([np.broadcast_to(y[:, np.newaxis], x.shape), x])
+    profile = map_coordinates(grey, where, order=1, mode="nearest").mean(axis=1)
+    sample = _half_way(profile, bar, _EMBRYO_SAMPLES)
+    if np.isnan(sample):
+        raise ValueError("image must show the probe's end against something brighter, got none")
+    return float(y[0] + _STEP * sample)
+
+
+def remove_probe(grey: NDArray[np.float32], probe: Probe) -> NDArray[np.float32]:
+    """Return an image with its probe filled by the grey of the ground beside it.
+
+    The ground on either side is measured above the embryo and continued downwards, as a straight
+    line in the row, to the probe's end.
+    """
+    filled = grey.copy()
+    rows = np.arange(int(np.ceil(probe.tip[1] + 1)))
+    axis = probe.axis(rows)
+    reach = probe.half_width_at(rows) + CLEARANCE
+    measured = rows[: int(_UPPER_PART * rows.size)]
+    levels = []
+    for side in (-1, 1):
+        beside = np.rint(axis[measured] + side * (reach[measured] + MARGIN)).astype(int)
+        beside = np.clip(beside, 0, filled.shape[1] - 1)
+        slope, start = _robust_line(measured, filled[measured, beside])
+        levels.append(start + slope * rows)
+    axis, reach = axis[:, np.newaxis], reach[:, np.newaxis]
+    across = (np.arange(filled.shape[1]) - axis + reach) / (2 * reach)
+    ground = levels[0][:, np.newaxis] * (1 - across) + levels[1][:, np.newaxis] * across
+    inside = (across >= 0) & (across <= 1)
+    filled[: rows.size][inside] = ground[inside]
+    return filled
