@@ -496,7 +496,7 @@ def indent_near(
     """Return the state of `indent_capsule`, and what the search for one nearby can start from."""
     load = scalar("force", force, least=0)
     stiffness = scalar("modulus", modulus, above=0)
-    r0, h, c, material, bonded = _checked(*wall)
+    r0, h, c, material, bonded = _checked(wall)
     stretch = scalar("inflation", inflation, least=1)
     if load == 0:
         return _sphere(material, stretch, stiffness, r0, h), None
@@ -562,9 +562,8 @@ def capsule_modulus(
     1.12 MPa, inflated by 1.042
     """
     load = scalar("force", force, above=0)
-    r0, h, c, material, bonded = _checked(
-        radius, thickness, probe_half_width, poisson_ratio, law, punch
-    )
+    wall = (radius, thickness, probe_half_width, poisson_ratio, law, punch)
+    r0, h, c, material, bonded = _checked(wall)
     a, deep = scalar("rim_radius", rim_radius, above=0), scalar("depth", depth, above=0)
     if not c < a < r0:
         raise ValueError(
@@ -591,15 +590,9 @@ def capsule_modulus(
     return CapsuleModulus(found, float(u.inflation), _state(problem, solution, found, r0, h))
 
 
-def _checked(
-    radius: float,
-    thickness: float,
-    probe_half_width: float,
-    poisson_ratio: float,
-    law: str,
-    punch: str,
-) -> tuple[float, float, float, Law, bool]:
+def _checked(wall: Wall) -> tuple[float, float, float, Law, bool]:
     """Return radius, thickness, probe_half_width, the law and whether the probe is bonded."""
+    radius, thickness, probe_half_width, poisson_ratio, law, punch = wall
     r0 = scalar("radius", radius, above=0, most=_LARGEST)
     h = scalar("thickness", thickness, above=0, most=_LARGEST)
     c = scalar("probe_half_width", probe_half_width, within=(_LEAST_WIDTH * r0, r0))

@@ -339,22 +339,13 @@ def disc_modulus(
     >>> print(f"{modulus:.2f} MPa")
     1.30 MPa
     """
+    settings: Any = locals()
+    settings = {k: v for k, v in settings.items() if k not in ("force", "rim_radius", "depth")}
     load, a = scalar("force", force, above=0), scalar("rim_radius", rim_radius, above=0)
     target = scalar("depth", depth, above=0)
 
     def excess(log_modulus: float) -> float:
-        state = indent_disc(
-            load,
-            modulus=float(np.exp(log_modulus)),
-            radius=a,
-            thickness=thickness,
-            probe_half_width=probe_half_width,
-            poisson_ratio=poisson_ratio,
-            law=law,
-            pressure=pressure,
-            pretension=pretension,
-            rim_inset=rim_inset,
-        )
+        state = indent_disc(load, modulus=float(np.exp(log_modulus)), radius=a, **settings)
         return (state.depth - target) / a
 
     # F = E h w³/a² up to a factor: within a few e-foldings of any law and load.

@@ -116,14 +116,7 @@ def elastic_modulus(
     >>> print(f"{modulus:.3f} MPa")
     1.551 MPa
     """
-    values = checked(
-        force=force,
-        dimple_radius=dimple_radius,
-        dimple_depth=dimple_depth,
-        thickness=thickness,
-        probe_half_width=probe_half_width,
-        poisson_ratio=poisson_ratio,
-    )
+    values = checked(**locals())
     _warn_if_steep(values["dimple_radius"], values["dimple_depth"])
     modulus = values["force"] / force_per_modulus(values)
     warn_of_units(modulus)
@@ -174,14 +167,7 @@ def indentation_force(
     >>> print(f"{force:.3f} µN")
     0.838 µN
     """
-    values = checked(
-        modulus=modulus,
-        dimple_radius=dimple_radius,
-        dimple_depth=dimple_depth,
-        thickness=thickness,
-        probe_half_width=probe_half_width,
-        poisson_ratio=poisson_ratio,
-    )
+    values = checked(**locals())
     _warn_if_steep(values["dimple_radius"], values["dimple_depth"])
     return values["modulus"] * force_per_modulus(values)
 
@@ -234,14 +220,7 @@ def dimple_depth(
     >>> print(f"{depth:.2f} µm")
     20.00 µm
     """
-    values = checked(
-        force=force,
-        dimple_radius=dimple_radius,
-        modulus=modulus,
-        thickness=thickness,
-        probe_half_width=probe_half_width,
-        poisson_ratio=poisson_ratio,
-    )
+    values = checked(**locals())
     # The force grows with the cube of the depth, so the force at 1 µm gives the depth.
     at_one_micrometer = values["modulus"] * force_per_modulus(
         values | {"dimple_depth": np.ones(())}
@@ -290,12 +269,7 @@ def dimple_profile(
     >>> dimple_profile([25.0, 100.0, 250.0], 250.0, 40.0, probe_half_width=25.0).round(3).tolist()
     [40.0, 10.982, 0.0]
     """
-    values = checked(
-        radius=radius,
-        dimple_radius=dimple_radius,
-        dimple_depth=dimple_depth,
-        probe_half_width=probe_half_width,
-    )
+    values = checked(**locals())
     r, a, c = values["radius"], values["dimple_radius"], values["probe_half_width"]
     if (outside := (r < c) | (r > a)).any():
         worst = np.broadcast_to(r, outside.shape)[outside].flat[0]
@@ -342,13 +316,7 @@ def membrane_stress(
     >>> print(f"{stress:.4f} MPa")
     0.1199 MPa
     """
-    values = checked(
-        force=force,
-        dimple_radius=dimple_radius,
-        dimple_depth=dimple_depth,
-        thickness=thickness,
-        probe_half_width=probe_half_width,
-    )
+    values = checked(**locals())
     zeta = values["probe_half_width"] / values["dimple_radius"]
     scale = values["force"] / (4 * np.pi * values["thickness"] * values["dimple_depth"])
     return -scale * log_remainder(zeta, 2)
@@ -404,9 +372,8 @@ def mean_strain(
     >>> ratio.round(4).tolist()
     [1.0002, 1.2695]
     """
-    values = checked(
-        dimple_radius=dimple_radius, dimple_depth=dimple_depth, probe_half_width=probe_half_width
-    )
+    values = {name: value for name, value in locals().items() if name != "small_slopes"}
+    values = checked(**values)
     zeta = values["probe_half_width"] / values["dimple_radius"]
     steepness = values["dimple_depth"] / values["dimple_radius"]
     if not flag("small_slopes", small_slopes):
@@ -454,7 +421,7 @@ def force_per_modulus(values: Mapping[str, Array]) -> Array:
 
 
 def checked(**arguments: ArrayLike) -> dict[str, Array]:
-    """Return the arguments as arrays, refusing what the model cannot mean."""
+    """Return a function's arguments as arrays, refusing what the model cannot mean."""
     values = {
         name: between(name, value, -1.0, 1.0) if name == "poisson_ratio" else positive(name, value)
         for name, value in arguments.items()
