@@ -238,12 +238,6 @@ class Workstation:
         """Return the jitter at a zoom, px."""
         return self.jitter * (self.assumed.shakier if zoom == "4X" else 1.0)
 
-    def apparatus(self, zoom: str) -> dict[str, Any]:
-        """Return stage and camera at a zoom, as `microlib.servoing.simulate` takes them."""
-        stage = servoing.Stage(saturation=self.saturation[zoom], step=thesis.STAGE_STEP)
-        camera = servoing.Camera(thesis.FRAME_INTERVAL, self.assumed.latency, self.shake(zoom))
-        return {"stage": stage, "camera": camera}
-
     def runs(
         self, zoom: str, path: NDArray, draws: int, start: ArrayLike | None = None
     ) -> tuple[NDArray, NDArray]:
@@ -301,8 +295,8 @@ def nearest(values: NDArray, times: ArrayLike, printed: float) -> float:
     return float(np.mean(values[np.isclose(distance, np.nanmin(distance))]))
 
 
-def within(inputs: NDArray, values: NDArray, printed: float) -> float:
-    """Return the input between those given at which increasing values reach the printed one.
+def within(inputs: NDArray, values: NDArray, id: str) -> float:
+    """Return the input between those given at which increasing values reach the printed number.
 
     Raises
     ------
@@ -311,11 +305,15 @@ def within(inputs: NDArray, values: NDArray, printed: float) -> float:
 
     Examples
     --------
-    >>> within(np.array([1.0, 2.0]), np.array([10.0, 20.0]), 15.0)
-    1.5
+    >>> within(np.array([1.0, 2.0]), np.array([4.0, 12.0]), "table-5.4/1X/circle/accuracy")
+    1.465
     """
+    printed = claim(id).value
     if not values[0] <= printed <= values[-1]:
-        raise ValueError(f"values must reach {printed}, got {values[0]:.3g} to {values[-1]:.3g}")
+        raise ValueError(
+            f"values tried must give {id}, printed {printed:g}, got {values[0]:.3g} to "
+            f"{values[-1]:.3g}"
+        )
     return float(np.interp(printed, values, inputs))
 
 
@@ -379,12 +377,11 @@ def identify(seed: int, assumed: Assumed = ASSUMED) -> Workstation:
         path_speed = {}
         for name in PATHS:
             tried = [mean_error(replace(found, path_speed={name: v}), name)[0] for v in speeds]
-            printed = printed_path("1X", name, "accuracy")
-            path_speed[name] = within(speeds, np.array(tried), printed)
+            path_speed[name] = within(speeds, np.array(tried), f"table-5.4/1X/{name}/accuracy")
         found = replace(found, path_speed=path_speed)
         spreads = [mean_error(replace(found, jitter=j), "circle")[1] for j in jitters]
-        printed = printed_path("1X", "circle", "precision")
-        found = replace(found, jitter=within(jitters, np.array(spreads), printed))
+        jitter = within(jitters, np.array(spreads), "table-5.4/1X/circle/precision")
+        found = replace(found, jitter=jitter)
     return found
 
 
@@ -489,8 +486,8 @@ class OverImages(NamedTuple):
 
     Attributes
     ----------
-    run, fast : Simulation
-        The run, and one over coordinates with the same draws, as `microlib.servoing.simulate`.
+    run : Simulation
+        As `microlib.servoing.simulate` returns it.
     frames : list of ndarray of uint8
         What the tracker saw.
     origin : ndarray, shape (2,)
@@ -498,7 +495,6 @@ class OverImages(NamedTuple):
     """
 
     run: Any
-    fast: Any
     frames: list[NDArray[np.uint8]]
     origin: NDArray
 
@@ -538,19 +534,20 @@ def over_images(
         track = tracker.track(frames[-1])
         return np.full(2, np.nan) if track.lost else track.center - origin
 
-    def run(observer: Callable[[NDArray], NDArray] | None) -> Any:
-        draw = np.random.default_rng([station.seed, 0])
-        return servoing.simulate(
-            servoing.OptimalController(nominal_jacobian(zoom), **LAW),
-            path,
-            jacobian=drawn_jacobian(zoom, draw, station.assumed),
-            **station.apparatus(zoom),
-            rng=draw,
-            start=begin,
-            observer=observer,
-        )
-
-    return OverImages(run(observer), run(None), frames, origin)
+    draw = np.random.default_rng([station.seed, 0])
+    run = servoing.simulate(
+        servoing.OptimalController(nominal_jacobian(zoom), **LAW),
+        path,
+        jacobian=drawn_jacobian(zoom, draw, station.assumed),
+        stage=servoing.Stage(saturation=station.saturation[zoom], step=thesis.STAGE_STEP),
+        camera=servoing.Camera(
+            thesis.FRAME_INTERVAL, latency=station.assumed.latency, jitter=station.shake(zoom)
+        ),
+        rng=draw,
+        start=begin,
+        observer=observer,
+    )
+    return OverImages(run, frames, origin)
 
 
 def error_left(zoom: str, unit: float) -> float:
