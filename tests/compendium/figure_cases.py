@@ -270,9 +270,6 @@ CASES: dict[str, Callable[[], Figure]] = {
     "calibration.draw_detection": on_axes(
         lambda axes: calibration.draw_detection(axes, picture(60, 100), DETECTION, label_every=4)
     ),
-    "calibration.draw_detection-without_labels": on_axes(
-        lambda axes: calibration.draw_detection(axes, picture(60, 100), DETECTION)
-    ),
     "calibration.draw_microscope": on_axes(
         lambda axes: calibration.draw_microscope(axes, SCOPE, np.array([[300, 500], [0, -100.0]]))
     ),
@@ -313,9 +310,6 @@ CASES: dict[str, Callable[[], Figure]] = {
         stack(), picture(4, 5, 30)
     ),
     "shape_from_focus.draw_depth": lambda: shape_from_focus.draw_depth(heights(20, 30)),
-    "shape_from_focus.draw_depth-turned": lambda: shape_from_focus.draw_depth(
-        heights(20, 30), 4.0, turned=True
-    ),
     "shape_from_focus.draw_ridge_frames": lambda: shape_from_focus.draw_ridge_frames(
         stack(), picture(4, 5, 30)
     ),
@@ -336,7 +330,6 @@ CASES: dict[str, Callable[[], Figure]] = {
     "surfaces.draw_sinking_stage": surfaces.draw_sinking_stage,
     "surfaces.draw_surface": surface(),
     "surfaces.draw_surface-types": surface(labels=types(20, 30, 1, 5, 8), unit="px"),
-    "surfaces.draw_surface-turned": surface(labels=types(20, 30, 1, 5, 8), turned=True),
     "workstation.draw_blur_study": lambda: workstation.draw_blur_study(
         pd.DataFrame({"circles": [0.01, 0.02], "squares": [0.1, 0.2], "other": [1, 2]}, [0.5, 3.0])
     ),

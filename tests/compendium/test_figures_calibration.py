@@ -11,7 +11,6 @@ import matplotlib.pyplot as plt
 
 from compendium.figures import calibration
 from microlib.microscope import Microscope
-from tests.compendium.figure_cases import focal_lengths
 
 FOUND = SimpleNamespace(
     points=np.array([[10.0, 20.0], [50.0, 22.0], [98.0, 40.0], [30.0, 55.0]]),
@@ -37,12 +36,6 @@ def test_detected_points_lie_on_their_image():
     assert axes.get_xlim() == (-0.5, 99.5)
     assert axes.get_ylim() == (59.5, -0.5)
     assert axes.images[0].get_clim() == (0, 255)
-
-
-def test_points_have_no_labels_unless_wanted():
-    _, axes = plt.subplots()
-    calibration.draw_detection(axes, np.zeros((60, 100)), FOUND)
-    assert not axes.texts
 
 
 def test_the_microscope_is_drawn_to_its_lengths():
@@ -100,21 +93,3 @@ def test_the_microscope_is_drawn_to_its_lengths():
     assert names["f"] == pytest.approx(50)
     assert names["d"] == pytest.approx(125)
     assert names["$T_{op} + f$"] == pytest.approx(150)
-
-
-def test_every_point_of_the_study_of_f_is_drawn():
-    study = focal_lengths()
-    axes = calibration.draw_focal_length_study(study).axes[0]
-    drawn = {line.get_label(): line.get_xydata() for line in axes.lines}
-    columns = {
-        "f: Cramér–Rao bound": "bound",
-        "f: stated σ": "stated",
-        "f: scatter": "scatter",
-        "M: scatter": "M",
-    }
-    for label, column in columns.items():
-        expected = np.column_stack([[0, 1, 5], 100 * study[column]])  # %
-        np.testing.assert_allclose(drawn[label], expected)
-    assert drawn["f: named unobservable"][:, 0].tolist() == [0.0]
-    assert axes.get_yscale() == "log"
-    assert axes.get_ylim() == (1e-3, 100)  # from a hundred-thousandth to all of it

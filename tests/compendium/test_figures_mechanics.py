@@ -11,8 +11,8 @@ mpl.use("agg")
 import matplotlib.pyplot as plt
 
 from compendium import thesis
-from compendium.experiments.section_5_6 import MODULUS, compare_shape
-from compendium.figures.mechanics import draw_posterior, draw_shape
+from compendium.experiments.section_5_6 import compare_shape
+from compendium.figures.mechanics import draw_shape
 
 CAPSULE = pd.DataFrame({"E": np.geomspace(0.5, 0.9, 200)})
 DISC = pd.DataFrame({"E": np.geomspace(1.5, 2.5, 50)})
@@ -22,18 +22,6 @@ DISC = pd.DataFrame({"E": np.geomspace(1.5, 2.5, 50)})
 def closed():
     yield
     plt.close("all")
-
-
-def test_shares_add_up_and_bars_hold_the_middle():
-    axes = draw_posterior({"capsule": CAPSULE, "disc": DISC}).axes[0]
-    bars = [line for line in axes.lines if line.get_transform() == axes.transData]
-    for steps, line, draws in zip(axes.patches, bars, (CAPSULE, DISC), strict=True):
-        values, edges, _ = steps.get_data()
-        expected, _ = np.histogram(draws["E"], edges)
-        np.testing.assert_allclose(values, 100 * expected / len(draws))
-        np.testing.assert_allclose(line.get_xdata(), np.quantile(draws["E"], [0.025, 0.975]))
-    (printed,) = [line for line in axes.lines if line.get_label() == "thesis"]
-    assert list(printed.get_xdata()) == [MODULUS, MODULUS]
 
 
 def test_the_arrow_is_the_largest_departure():

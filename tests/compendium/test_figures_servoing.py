@@ -31,30 +31,6 @@ def drawn(axes):
     return {line.get_label(): line.get_xydata() for line in axes.lines}
 
 
-def test_a_step_is_drawn_from_its_first_measurement():
-    position, control, error = (drawn(a) for a in servoing.draw_step_runs({"4X": RUN}, 0.05).axes)
-    np.testing.assert_allclose(position["x"], [[0, 0], [0.1, 5.1], [0.2, 10.2]])
-    np.testing.assert_allclose(position["y"], [[0, 0], [0.1, 0.2], [0.2, 0.4]])
-    np.testing.assert_allclose(control["x"], [[0, 100], [0.1, 50], [0.2, 20]])
-    np.testing.assert_allclose(control["y"], [[0, -3], [0.1, -2], [0.2, -1]])
-    # The way that is left to the last reference, at 9.9 µm over 6.3859.
-    left = np.hypot([20.9, 15.8, 10.7], [2.8, 2.6, 2.4]) * 9.9 / 6.3859
-    np.testing.assert_allclose(error["simulated"], np.column_stack([RUN.time, left]))
-    np.testing.assert_allclose(error["printed"], [[0.45, 1.35]])  # Table 5.3
-
-
-def test_a_path_is_drawn_from_where_its_reference_begins():
-    left, right = servoing.draw_path_runs({"square": RUN}).axes
-    np.testing.assert_allclose(drawn(left)["reference"], [[0, 0], [10, 0.5], [20, 2]])
-    expected = [[-0.9, -0.8], [4.2, -0.6], [9.3, -0.4]]
-    np.testing.assert_allclose(drawn(left)["measured"], expected)
-    error = np.hypot([10.9, 15.8], [1.3, 2.6]) * 9.9 / 1.5893
-    np.testing.assert_allclose(drawn(right)["simulated"], [[0, error[0]], [0.1, error[1]]])
-    assert list(right.lines[-1].get_ydata()) == [5.93, 5.93]  # Table 5.4
-    assert left.get_aspect() == 1
-    assert right.get_ylim()[0] == 0
-
-
 def test_a_track_lies_on_its_frame():
     _, axes = plt.subplots()
     corners = np.array([[40.0, 20.0], [60.0, 22.0], [58.0, 42.0], [38.0, 40.0]])
@@ -68,43 +44,6 @@ def test_a_track_lies_on_its_frame():
     _, axes = plt.subplots()
     servoing.draw_track(axes, np.zeros((80, 120), np.uint8), track, "")
     assert np.ptp(axes.get_xlim()) == 90  # px, two windows of 40 and a rim
-
-
-def test_the_loop_is_closed():
-    """The line from the tracker ends at the sum, where the reference comes in."""
-    axes = servoing.draw_loop().axes[0]
-    paths = [line.get_xydata() for line in axes.lines if line.get_marker() == "None"]
-    assert np.allclose([path[0] for path in paths][1:4], [[1.05, 2.5], [4.25, 2.5], [7.25, 2.5]])
-    assert (np.diff([path[-1, 0] for path in paths[:4]]) > 0).all()
-    for path in paths:
-        # Each piece runs along x or along y, and something is beside its way.
-        assert (np.isclose(np.diff(path, axis=0), 0).sum(axis=1) == 1).all()
-    boxes = [patch.get_bbox() for patch in axes.patches if hasattr(patch, "get_boxstyle")]
-    for (x, y), step in ((path[0], 0.06) for path in paths[2:]):
-        back = -step if y > 1 else step  # against the way of the signal
-        assert any(b.contains(x + 2 * back, y) for b in boxes) or x + back < 1.2
-    assert all(-0.75 <= x <= 11.6 and -0.15 <= y <= 3.3 for path in paths for x, y in path)
-    texts = {text.get_text(): text.get_position() for text in axes.texts if text.get_text()}
-    for box in boxes:
-        middle = ((box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2)
-        assert min(np.hypot(*np.subtract(middle, place)) for place in texts.values()) < 1e-9
-    np.testing.assert_allclose(paths[-1][-1], texts["Σ"] - np.array([0, 0.3]))
-    law, tracker = (next(v for k, v in texts.items() if part in k) for part in ("law", "tracker"))
-    assert law[1] == texts["Σ"][1] > tracker[1]
-
-
-def test_the_map_of_stability_has_delays_along_x():
-    delays, gains = np.linspace(0, 1, 5), np.linspace(0.1, 2, 7)
-    # Grows with the gain alone: equal along each row.
-    moduli = pd.DataFrame(np.repeat(gains[:, None], 5, axis=1), gains, delays)
-    loops = pd.DataFrame({"delay": [0.2], "gain": [1.9], "decays": [False]})
-    axes = servoing.draw_stability(moduli, loops, 0.99).axes[0]
-    limit = axes.collections[1].get_paths()[0].vertices
-    np.testing.assert_allclose(limit[:, 1], 1.0)
-    assert np.ptp(limit[:, 0]) == pytest.approx(1.0)
-    assert axes.get_ylim() == (0.1, 2)
-    assert drawn(axes)["thesis' gain at 1X"][:, 1].tolist() == [0.99, 0.99]
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("delay (frames)", "loop gain g")
 
 
 def test_one_step_ends_where_its_tangent_meets_the_template():
