@@ -20,6 +20,8 @@ def circle_path(radius: float, speed: float, interval: float) -> NDArray[np.floa
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from compendium.experiments.paths import circle_path
     >>> path = circle_path(50.0, 100.0, 0.01)
     >>> bool(np.allclose(np.hypot(path[:, 0] + 50, path[:, 1]), 50))
     True
@@ -33,6 +35,7 @@ def square_path(side: float, speed: float, interval: float) -> NDArray[np.float6
 
     Examples
     --------
+    >>> from compendium.experiments.paths import square_path
     >>> square_path(1.0, 1.0, 0.5)[:4]
     array([[0. , 0. ],
            [0.5, 0. ],
@@ -60,6 +63,7 @@ def sinusoid_path(
 
     Examples
     --------
+    >>> from compendium.experiments.paths import sinusoid_path
     >>> sinusoid_path(8.0, 2.0, 1.0, 1.0)[:4].round(9) + 0.0
     array([[ 0.,  0.],
            [ 1.,  2.],

@@ -171,6 +171,7 @@ def dependent_entries(column: str) -> dict[str, float]:
 
     Examples
     --------
+    >>> from compendium.experiments.section_5_2 import dependent_entries
     >>> round(dependent_entries("circle-1X")["T_z"])
     204900
     """
@@ -190,6 +191,7 @@ def over_draws(values: ArrayLike, images: int) -> tuple[float, float, float]:
 
     Examples
     --------
+    >>> from compendium.experiments.section_5_2 import over_draws
     >>> mean, low, high = over_draws([1.0, 2.0, 3.0], images=3)
     >>> mean, round(high, 3)
     (2.0, 6.968)
@@ -271,6 +273,7 @@ def squares_over_circles(means: Mapping[str, float]) -> float:
 
     Examples
     --------
+    >>> from compendium.experiments.section_5_2 import squares_over_circles
     >>> squares_over_circles(
     ...     {"circle-1X": 1.0, "square-1X": 3.0, "circle-4X": 1.0, "square-4X": 0.5}
     ... )

@@ -100,6 +100,8 @@ def fastest_followed(shares: pd.Series) -> float:
 
     Examples
     --------
+    >>> import pandas as pd
+    >>> from compendium.experiments.section_5_3 import fastest_followed
     >>> fastest_followed(pd.Series([1.0, 1.0, 0.9, 1.0], index=[100.0, 200.0, 300.0, 400.0]))
     200.0
     """

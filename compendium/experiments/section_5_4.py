@@ -288,6 +288,8 @@ def nearest(values: NDArray, times: ArrayLike, printed: float) -> float:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from compendium.experiments.section_5_4 import nearest
     >>> nearest(np.array([1.0, 2.0, 3.0, 4.0]), [np.nan, 0.8, 0.8, 0.6], 0.75)
     2.5
     """
@@ -305,7 +307,10 @@ def within(inputs: NDArray, values: NDArray, id: str) -> float:
 
     Examples
     --------
-    >>> within(np.array([1.0, 2.0]), np.array([4.0, 12.0]), "table-5.4/1X/circle/accuracy")
+    >>> import numpy as np
+    >>> from compendium.experiments.section_5_4 import within
+    >>> found = within(np.array([1.0, 2.0]), np.array([4.0, 12.0]), "table-5.4/1X/circle/accuracy")
+    >>> round(found, 3)
     1.465
     """
     printed = claim(id).value
@@ -406,6 +411,7 @@ def median_and_ends(values: ArrayLike) -> tuple[float, float, float]:
 
     Examples
     --------
+    >>> from compendium.experiments.section_5_4 import median_and_ends
     >>> median_and_ends(range(101))
     (50.0, 2.5, 97.5)
     """

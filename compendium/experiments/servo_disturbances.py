@@ -127,7 +127,7 @@ def fit(station: Workstation, label: str) -> tuple[str, float, pd.DataFrame]:
     misfit : float
         Root mean square of the twelve logarithms of fitted over printed numbers.
     numbers : pandas.DataFrame
-        The twelve numbers: id of the claim, printed and fitted, µm.
+        The twelve numbers: in words, printed and fitted, µm.
     """
     text, values = DISTURBANCES[label]
     tried = np.array([(*value, j) for value in values for j in _JITTERS])
@@ -150,14 +150,14 @@ def fit(station: Workstation, label: str) -> tuple[str, float, pd.DataFrame]:
         found[name] = (printed, np.array(each)[best, np.arange(len(tried))])
     at = int(misfits.argmin())
     table = [
-        (f"table-5.4/{zoom}/{name}/{what}", printed[i, j], numbers[at, i, j])
+        (f"{what} on the {name} at {zoom} (µm)", printed[i, j], numbers[at, i, j])
         for name, (printed, numbers) in found.items()
         for i, zoom in enumerate(thesis.ZOOMS)
         for j, what in enumerate(PATH_RESULTS)
     ]
     rate, size, jitter = tried[at]
     strength = f"{text.format(rate, size)}, {jitter * station.jitter:.2f} px of jitter".lstrip(", ")
-    numbers = pd.DataFrame(table, columns=["claim", "printed", "fitted"])
+    numbers = pd.DataFrame(table, columns=["number", "printed", "fitted"])
     return strength, float(np.sqrt(misfits[at] / len(table))), numbers
 
 
