@@ -145,8 +145,9 @@ class MembraneState(Tidy):
 def in_units(
     meridian: Array, modulus: float, thickness: float, length: float, **sizes: float
 ) -> MembraneState:
-    """Return a state from r, z, stretches and stresses, and the other fields, without units."""
+    """Return a state from r, z, stretches and stresses, and what is not zero, without units."""
     by = {
+        **dict.fromkeys(("depth", "approach", "rim_radius"), length),
         "pressure": modulus * thickness / length,
         "energy": modulus * thickness * length**2,
         "volume": length**3,
@@ -156,7 +157,8 @@ def in_units(
         z=meridian[1] * length,
         stretches=meridian[2:4],
         stresses=meridian[4:] * modulus,
-        **{name: float(size * by.get(name, length)) for name, size in sizes.items()},
+        contact_radius=float(sizes.get("rim_radius", 0.0) * length),
+        **{name: float(sizes.get(name, 0.0) * unit) for name, unit in by.items()},
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -22,14 +23,7 @@ from microlib.membrane._point_load import (
 _ROUNDING = 1e-6
 #: The arguments of `elastic_modulus` in its order, so that the same seed draws the same samples for
 #: any mapping.
-_INPUTS = (
-    "force",
-    "dimple_radius",
-    "dimple_depth",
-    "thickness",
-    "probe_half_width",
-    "poisson_ratio",
-)
+_INPUTS = tuple(signature(elastic_modulus).parameters)
 _DIMPLE = ("dimple_radius", "dimple_depth")
 
 
