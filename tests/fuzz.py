@@ -726,8 +726,8 @@ def public() -> Iterator[str]:
             for method, found in methods(value):
                 yield f"{name}.{method}"
                 waiting += returned(found)
-            for property_ in vars(value).values():
-                waiting += returned(getattr(property_, "fget", None))
+            for part, property_ in vars(value).items():
+                waiting += returned(None if part[0] == "_" else getattr(property_, "fget", None))
             waiting += [
                 one for f in vars(value).get("__annotations__", {}) for one in hinted(value, f)
             ]
