@@ -115,13 +115,6 @@ def test_a_frame_is_exposed_half_the_exposure_after_the_call(monkeypatch) -> Non
     assert core.done == [("snap",), ("image",)]
 
 
-def test_the_clock_is_the_computers() -> None:
-    clock = MicroManager(Core()).clock
-    before = clock.now()
-    clock.sleep(0.01)
-    assert 0.01 <= clock.now() - before < 5.0
-
-
 @pytest.mark.parametrize(("shutter", "done"), [("", [("shutter", False)]), ("Lamp", [])])
 def test_only_a_shutter_that_is_missing_is_switched_off(shutter: str, done: list) -> None:
     core = Core(shutter=shutter)
@@ -129,24 +122,10 @@ def test_only_a_shutter_that_is_missing_is_switched_off(shutter: str, done: list
     assert core.done == done
 
 
-@pytest.mark.parametrize("missing", [{"camera": ""}, {"stage": ""}])
-def test_a_core_without_a_camera_or_a_stage_is_refused(missing: dict) -> None:
-    labels = {"camera": "Camera", "stage": "XY"} | missing
-    said = f"camera {labels['camera']!r} and XY stage {labels['stage']!r}"
-    with pytest.raises(ValueError, match=f"core must have a camera and an XY stage, got {said}"):
-        MicroManager(Core(**missing))
-
-
 @pytest.mark.parametrize("wrong", [None, 3, object()])
 def test_what_is_no_core_is_refused(wrong: object) -> None:
     with pytest.raises(ValueError, match=f"core or a path, got {type(wrong).__name__}"):
         MicroManager(wrong)
-
-
-@pytest.mark.parametrize("name", ["a" * 5000, "a\0b", "no such.cfg"])
-def test_a_name_that_no_file_can_have_is_no_such_file(name: str) -> None:
-    with pytest.raises(ValueError, match=r"a core or a configuration file, got .*: no such"):
-        MicroManager(name)
 
 
 def test_a_configuration_is_loaded_into_a_new_core(monkeypatch, tmp_path: Path) -> None:
