@@ -20,7 +20,7 @@ from skimage.color import rgb2gray
 from benchmarks.report import must_hold, publish
 from microlib import synthetic
 from microlib.curvature import hk_labels, surface_curvature
-from microlib.focus import _multiscale, depth_from_focus
+from microlib.focus import _multiscale, _reliability, depth_from_focus
 
 #: Frames of every stack, one step apart; blur grows by 1 px a step.
 POSITIONS = np.arange(21.0)
@@ -306,7 +306,7 @@ def _no_wide(depth: NDArray, *_: object) -> tuple[NDArray, NDArray]:
     return _nothing(depth), _nothing(depth)
 
 
-#: Each rule, with what takes the place of which functions of `microlib.focus._multiscale`.
+#: Each rule, with what takes the place of which functions.
 RULES: dict[str, dict[str, Callable]] = {
     "incoherent": {"incoherent_mask": _nothing},
     "isolated": {"isolated_mask": _nothing},
@@ -314,7 +314,7 @@ RULES: dict[str, dict[str, Callable]] = {
     "blurred edges": {"blurred_edge_mask": _nothing},
     "small pieces": {"small_piece_mask": lambda depth: np.isnan(depth)},
     "the wide window": {"check_wide": _no_wide},
-    "detail of its own": {"sharp_mask": lambda seen, levels: _nothing(seen.depth)},
+    "detail of its own": {"sharp_mask": lambda seen, *_: _nothing(seen.depth)},
     "choice of a side": {"choose_side": lambda broad, fine, sure: broad},
     "spikes": {"without_spikes": lambda depth, side=3: depth},
     "relief": {"find_relief": lambda along, down, mass: (0 * along, (along - down) / 2)},
@@ -328,7 +328,8 @@ def _measured(changes: dict[str, Callable], stacks: list) -> NDArray:
     rows = []
     with ExitStack() as changed:
         for name, value in changes.items():
-            changed.enter_context(patch.object(_multiscale, name, value))
+            module = _multiscale if hasattr(_multiscale, name) else _reliability
+            changed.enter_context(patch.object(module, name, value))
         for truth, stack in stacks:
             error = (depth_from_focus(stack, POSITIONS).depth - truth)[
                 BORDER:-BORDER, BORDER:-BORDER

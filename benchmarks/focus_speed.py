@@ -6,15 +6,14 @@ a machine that has other work, too, their ratio changes by a tenth.
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from time import perf_counter, process_time
+from time import process_time
 
 import cv2
+import dask
+import dask.array as da
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -26,10 +25,11 @@ from microlib.focus import depth_from_focus
 #: Frames and their side, px.
 COUNT, SIDE = 21, 1024
 POSITIONS = np.arange(float(COUNT))
-ROUNDS = 5
+ROUNDS = 3
 
 TIME = "CPU time of one thread, 21 frames of 1024×1024, passes of cv2.boxFilter 5×5"
-FIRST = "CPU time of the import and of a first call, s"
+FIRST = "CPU time of the import, and of a first call"
+BLOCKS = "Blocks of a dask array against the whole image, steps"
 MEMORY = "Peak memory beyond the frames, bytes a pixel"
 
 
@@ -76,40 +76,10 @@ def passes(stack: NDArray, call: Callable[[], object]) -> tuple[float, float]:
     return min(ratios), float(np.median(ratios))
 
 
-def gain_of_two(stack: NDArray) -> tuple[float, float]:
-    """Return how much sooner two threads are done with the depth, and with the box filters."""
-    buffers = np.empty((2, *stack.shape[1:]), np.float32)
-    gains = []
-    with ThreadPoolExecutor(2) as pool:
-        for _ in range(ROUNDS):
-            times = []
-            for workers in (1, 2):
-                start = perf_counter()
-                depth_from_focus(stack, POSITIONS, workers=workers)
-                times.append(perf_counter() - start)
-            start = perf_counter()
-            for _ in range(20):
-                boxes(stack, buffers[0])
-            times.append(perf_counter() - start)
-            start = perf_counter()
-            halves = [stack[k::2] for k in range(2)]
-            for _ in range(20):
-                list(pool.map(boxes, halves, buffers))
-            times.append(perf_counter() - start)
-            gains.append((times[0] / times[1], times[2] / times[3]))
-    depth, box = np.median(gains, axis=0)
-    return float(depth), float(box)
-
-
-def in_new_process(code: str, *, cold: bool) -> float:
-    """Return the number that a script prints, with compiled loops kept from before or not."""
-    with tempfile.TemporaryDirectory() as folder:
-        changed = {"NUMBA_CACHE_DIR": folder} if cold else {}
-        command = [sys.executable, "-c", code]
-        found = subprocess.run(
-            command, check=True, capture_output=True, text=True, env={**os.environ, **changed}
-        )
-    return float(found.stdout)
+def in_new_process(code: str) -> float:
+    """Return the number that a script prints."""
+    command = [sys.executable, "-c", code]
+    return float(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
 IMPORT = """
@@ -122,12 +92,15 @@ CALL = """
 from time import process_time
 import numpy as np
 from microlib.focus import depth_from_focus
-stack = np.random.default_rng(0).integers(0, 256, (9, 64, 64)).astype(np.uint8)
-start = process_time()
-depth_from_focus(stack, np.arange(9.0))
-print(process_time() - start)
+stack = np.random.default_rng(0).integers(0, 256, (9, 512, 512)).astype(np.uint8)
+times = []
+for _ in range(3):
+    start = process_time()
+    depth_from_focus(stack, np.arange(9.0))
+    times.append(process_time() - start)
+print(times[0] / min(times[1:]))
 """
-#: The same small stack first: loading the compiled loops takes memory of its own.
+#: The same small stack first: what is imported takes memory of its own.
 WEIGH = f"""
 from pathlib import Path
 import numpy as np
@@ -147,10 +120,26 @@ print((peak() - before) / {SIDE}**2)
 """
 
 
+def blocks(stacks: dict[str, NDArray]) -> pd.DataFrame:
+    """Return how far the depth of blocks is from that of the whole image."""
+    rows = []
+    for name, stack in stacks.items():
+        whole = depth_from_focus(stack, POSITIONS).depth
+        for side in (256, 512):
+            chunks = da.from_array(stack, chunks=(COUNT, side, side))
+            with dask.config.set(scheduler="synchronous"):
+                depth = depth_from_focus(chunks, POSITIONS).depth.compute()
+            off = np.abs(depth - whole)
+            lost = float(np.mean(np.isnan(depth) != np.isnan(whole)))
+            rms = float(np.sqrt(np.nanmean(off**2)))
+            rows.append((name, side, rms, float(np.nanmax(off)), lost))
+    return pd.DataFrame(rows, columns=["scene", "block, px", "RMS", "largest", "NaN in one"])
+
+
 NOTE = """\
 Time is processor time of one thread, in units of one pass of OpenCV's 5×5 box filter over the same
 frames. Both are measured in turn. On a machine that does other work as well, their ratio changes
-by a tenth. The first call compiles the code, which later processes load from disk.
+by a tenth.
 """
 
 
@@ -164,34 +153,30 @@ def main() -> None:
     slope = stacks["slope"]
     calls["slope, SML"] = slope, lambda: depth_from_focus(slope, POSITIONS, measure="sml")
     times = {name: passes(*call) for name, call in calls.items()}
-    depth, box = gain_of_two(slope)
     first = {
-        "import microlib.focus": in_new_process(IMPORT, cold=False),
-        "first call, compiling": in_new_process(CALL, cold=True),
-        "first call, loading": in_new_process(CALL, cold=False),
+        "import microlib.focus, s": in_new_process(IMPORT),
+        "first call of a process over the next": in_new_process(CALL),
     }
-    memory = in_new_process(WEIGH, cold=False)
+    memory = in_new_process(WEIGH)
     rows = [(name, round(low, 1), round(middle, 1)) for name, (low, middle) in times.items()]
     tables = {
         TIME: pd.DataFrame(rows, columns=["scene", "least", "median"]),
-        FIRST: pd.DataFrame([(k, round(v, 2)) for k, v in first.items()], columns=["what", "s"]),
+        FIRST: pd.DataFrame([(k, round(v, 2)) for k, v in first.items()], columns=["what", "CPU"]),
+        BLOCKS: blocks(stacks),
         MEMORY: pd.DataFrame([("default", round(memory))], columns=["what", "bytes"]),
     }
+    found = tables[BLOCKS]
     limits = must_hold(
         [
             ("default depth of a slope, passes", times["slope"][0], "≤", 70),
-            ("default depth of a step, passes", times["step"][0], "≤", 90),
-            ("default depth of a step with holes, passes", times["step, holes"][0], "≤", 90),
-            ("SML and three points, passes", times["slope, SML"][0], "≤", 3.5),
-            (
-                f"gain of two threads; the box filter's is {box:.2f}",
-                depth,
-                "≥",
-                min(1.5, 0.85 * box),
-            ),
-            ("import, s", first["import microlib.focus"], "≤", 0.3),
-            ("first call that compiles, s", first["first call, compiling"], "≤", 15),
-            ("memory, bytes a pixel", memory, "≤", 40),
+            ("default depth of a step, passes", times["step"][0], "≤", 75),
+            ("default depth of a step with holes, passes", times["step, holes"][0], "≤", 75),
+            ("first call over the next", first["first call of a process over the next"], "≤", 1.5),
+            ("import, s", first["import microlib.focus, s"], "≤", 0.6),
+            ("memory, bytes a pixel", memory, "≤", 180),
+            ("blocks: RMS difference, worst", found["RMS"].max(), "≤", 0.004),
+            ("blocks: largest difference, worst", found["largest"].max(), "≤", 0.02),
+            ("blocks: share where one is NaN, worst", found["NaN in one"].max(), "≤", 1e-4),
         ]
     )
     publish("focus_speed", tables, limits=limits, note=NOTE)

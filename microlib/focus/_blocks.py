@@ -12,8 +12,6 @@ from microlib.focus._axis import Axis, find_axis, sampled
 from microlib.focus._multiscale import multiscale_result
 from microlib.focus._result import FocusResult
 
-__all__ = ["depth_in_blocks", "is_in_blocks"]
-
 #: What is seen around a block and the side of a block, px, and what its place must be a multiple
 #: of: every fourth pixel is looked at, and blocks of 64 rows are fitted again where it is steep.
 _AROUND, _SIDE, _GRID = 128, 1024, 64

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any
 
 import cv2
@@ -32,8 +33,6 @@ from microlib.focus._registration import register as find_registration
 from microlib.focus._reliability import incoherent_mask
 from microlib.focus._result import FocusResult, as_type, picked
 from microlib.io import read_frames
-
-__all__ = ["depth_from_focus"]
 
 #: What is told how many parts of the work are done, and of how many; an exception from it ends all.
 Progress = Callable[[int, int], object]
@@ -279,20 +278,16 @@ def open_stack(
     if z is not None and reader.count not in (None, count):
         raise ValueError(f"frames and positions must be as many, got {reader.count} and {count}")
     raw: list[Image] = []
-    for frame in reader:
-        if count is not None and len(raw) == count:
-            raise ValueError(
-                f"frames and positions must be as many, got more than {count} and {count}"
-            )
+    for frame in islice(reader, None if count is None else count + 1):
         raw.append(frame)
         if count is not None:
-            told(len(raw), count)
+            told(min(len(raw), count), count)
     if not raw:
         raise ValueError("frames must hold at least three frames, got none")
-    if count not in (None, len(raw)):
-        raise ValueError(f"frames and positions must be as many, got {len(raw)} and {count}")
-    if z is None:
-        z = check_positions(positions, spacing, len(raw))
+    z = check_positions(positions, spacing, len(raw)) if z is None else z
+    if len(raw) != len(z):
+        got = len(raw) if len(raw) < len(z) else f"more than {len(z)}"
+        raise ValueError(f"frames and positions must be as many, got {got} and {len(z)}")
     if not reader.color:
         return Stack(raw, None, z)
     return Stack([cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in raw], raw, z)

@@ -16,8 +16,6 @@ from microlib.focus._axis import Axis
 from microlib.focus._measures import absolute_seconds, blur, halved, noise_gain
 from microlib.focus._peaks import PeakFollower, fit_peaks
 
-__all__ = ["Followed", "Levels", "follow"]
-
 #: Rows that are looked at on either side of a strip: what the measures' windows reach. Rows of a
 #: strip, of which fewer are taken of more frames, so that its measures stay below this memory.
 _MARGIN, _MOST_ROWS, _LEAST_ROWS, _MEASURES = 32, 256, 64, 2**24

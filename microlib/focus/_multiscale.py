@@ -15,27 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Image
+from microlib.focus import _reliability as rules
 from microlib.focus._axis import Axis
 from microlib.focus._correction import smooth_planes
 from microlib.focus._follow import COARSE, COARSE_WINDOW, FINE, Followed, Levels, follow
 from microlib.focus._measures import absolute_seconds, blur, doubled, halved
 from microlib.focus._peaks import PeakFollower, fit_peaks
-from microlib.focus._reliability import (
-    below_noise_mask,
-    blurred_edge_mask,
-    check_wide,
-    choose_side,
-    fill_nearest,
-    incoherent_mask,
-    isolated_mask,
-    small_piece_mask,
-    to_border,
-    without_spikes,
-)
+from microlib.focus._reliability import choose_side, fill_nearest, to_border, without_spikes
 from microlib.focus._relief import depth_range, error_variance, find_relief
 from microlib.focus._result import FocusResult, picked
-
-__all__ = ["multiscale_depth", "multiscale_result"]
 
 #: Side of the median that steadies the fine depth, px, and its spread below which it is trusted.
 _FINE_WINDOW, _FINE_SPREAD = 3, 1.0
@@ -45,9 +33,10 @@ _JUMP, _RADIUS = 1.5, 3.5
 _WEIGHTS = 1e4
 #: Weight of a depth by the wide window, whose error is some seven times the others'.
 _WIDE_WEIGHT = 0.02
-#: Share of fine detail in coarse that blurred light stays below: 95 % of the halos of five
-#: photographs and of lettering below 0.4, of faint texture with a depth of its own 5 % below 0.6.
-_SHARP = 0.8
+#: Share of fine detail in coarse that blurred light stays below, and how often the noise the fine
+#: detail is: for sure, as JPEG leaves sharp traces, too, and probably. 95 % of the halos of five
+#: photographs and of lettering have shares below 0.4, 95 % of faint texture one above 0.6.
+_SHARP, _FINER = (0.8, 8.0), (0.4, 4.0)
 #: Least wide peak over its level on noise.
 _CLEAR = 2.0
 #: Reach of the windows at the image's border that matters, px of the full grid; the least share of
@@ -173,10 +162,10 @@ def believed(seen: Followed, axis: Axis) -> tuple[NDArray, NDArray]:
     """Return each pixel's depth on its own side of an edge, NaN where lost, and its weight."""
     levels = Levels.of(axis.noise)
     depth = seen.depth.copy()
-    depth[incoherent_mask(seen.best)] = np.nan
+    depth[rules.incoherent_mask(seen.best)] = np.nan
     # On noise alone each factor is its level, and as much again, its floor.
     ratio = seen.top / np.float32(4 * levels.fine * levels.coarse)
-    depth[below_noise_mask(ratio, len(axis.steps))] = np.nan
+    depth[rules.below_noise_mask(ratio, len(axis.steps))] = np.nan
     edge = fill_nearest(seen.edge)
     fine = np.asarray(cv2.medianBlur(edge, _FINE_WINDOW))
     spread = cv2.medianBlur(np.abs(edge - fine), 5)
@@ -187,23 +176,23 @@ def believed(seen: Followed, axis: Axis) -> tuple[NDArray, NDArray]:
     depth = np.where(np.isfinite(depth), without_spikes(sided), np.float32(np.nan))
     weight = relative(seen.strength)
     wide = wide_depth(seen, levels, depth.shape)
-    own = sharp_mask(seen, levels)
-    instead, neither = check_wide(depth, wide, np.abs(broad - fine), seen.top, own)
+    sharp, finer = sharp_mask(seen, levels, *_SHARP), sharp_mask(seen, levels, *_FINER)
+    instead, neither = rules.check_wide(depth, wide, np.abs(broad - fine), seen.top, sharp, finer)
     depth[neither] = np.nan
     depth[instead], weight[instead] = wide[instead], _WIDE_WEIGHT
-    depth[blurred_edge_mask(depth, weight) & ~own] = np.nan
-    depth[small_piece_mask(depth)] = np.nan
-    depth[isolated_mask(depth)] = np.nan
+    depth[rules.blurred_edge_mask(depth, weight) & ~sharp] = np.nan
+    depth[rules.small_piece_mask(depth)] = np.nan
+    depth[rules.isolated_mask(depth)] = np.nan
     return depth, weight
 
 
-def sharp_mask(seen: Followed, levels: Levels) -> NDArray[np.bool_]:
+def sharp_mask(seen: Followed, levels: Levels, share: float, noise: float) -> NDArray[np.bool_]:
     """Tell where the sharpest frame has fine detail of its own, which no blurred light has."""
-    fine = seen.along[seen.along.shape[0] // 2] + seen.down[seen.down.shape[0] // 2]
+    middle = len(seen.along) // 2
+    fine = seen.along[middle] + seen.down[middle]
     coarse = seen.top / (fine + np.float32(levels.fine)) - np.float32(levels.coarse)
-    # Noise alone is at its highest twice its mean.
-    above = blur(fine - np.float32(2 * levels.fine), 1.0)
-    return np.asarray(above > _SHARP * blur(coarse, 1.0))
+    above = blur(fine - np.float32(noise * levels.fine), 1.0)
+    return np.asarray(above > share * blur(coarse, 1.0))
 
 
 def relative(strength: NDArray) -> NDArray:
@@ -218,7 +207,7 @@ def wide_depth(seen: Followed, levels: Levels, shape: tuple[int, ...]) -> NDArra
     """Return the depth by the wide window, NaN where its peak is of noise or of a blurred edge."""
     wide = seen.wide.copy()
     wide[seen.wide_top < _CLEAR * levels.wide] = np.nan
-    edges = blurred_edge_mask(wide[::2, ::2], seen.wide_top[::2, ::2])
+    edges = rules.blurred_edge_mask(wide[::2, ::2], seen.wide_top[::2, ::2])
     wide[doubled(edges, wide.shape)] = np.nan
     return doubled(wide, shape)
 

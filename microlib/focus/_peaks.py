@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, are_small
+from microlib._common import Array, as_array
 
 #: Largest magnitude of a position and one over the least distance of two, µm; largest measure.
 FARTHEST, _LARGEST = 1e12, 1e36
@@ -45,8 +45,8 @@ def three_point_peak(window: NDArray, index: NDArray, positions: Array) -> NDArr
     Raises
     ------
     ValueError
-        If the arrays are not of these kinds and shapes, a measure is negative or not finite, two
-        positions are equal, or the index is none of theirs.
+        If the arrays are not of these shapes, a measure is negative or not finite, two positions
+        are equal, or the index is none of theirs.
 
     Notes
     -----
@@ -63,13 +63,22 @@ def three_point_peak(window: NDArray, index: NDArray, positions: Array) -> NDArr
     >>> round(float(depth[0, 0]), 4)
     22.5
     """
-    _check_window(window, index, positions)
-    z = positions.astype(np.float64)
+    z = as_array("positions", positions, shape=(None,), largest=FARTHEST)
+    if len(z) < 3 or np.abs(np.diff(z)).min() < 1 / FARTHEST:
+        raise ValueError(f"positions must be at least three, {1 / FARTHEST:g} µm apart, got {z}")
+    index = np.asarray(index)
+    if index.dtype.kind not in "ui" or index.size == 0:
+        raise ValueError(f"index must hold whole numbers, got {index.dtype} of {index.shape}")
+    if index.max() >= len(z) or index.min() < 0:
+        raise ValueError(f"index must hold numbers of the {len(z)} positions, got {index.max()}")
+    values = as_array("window", window, shape=(3, *index.shape), largest=_LARGEST)
+    if values.min() < 0:
+        raise ValueError(f"window must hold measures of zero or more, got {values.min():g}")
     gaps = np.diff(z)
     before = -np.append(np.inf, gaps)[index]
     after = np.append(gaps, np.inf)[index]
     # The logarithm is of a share: a difference of logarithms would lose digits.
-    first, best, third = window.astype(np.result_type(window.dtype, np.float32))
+    first, best, third = values
     with np.errstate(divide="ignore", invalid="ignore"):
         left = np.log(np.maximum(first / best, _LEAST)) / before
         right = np.log(np.maximum(third / best, _LEAST)) / after
@@ -78,37 +87,6 @@ def three_point_peak(window: NDArray, index: NDArray, positions: Array) -> NDArr
     ends = (index == 0) | (index == len(z) - 1)
     depth = z[index] + np.where(ends, 0, np.where(np.isfinite(shift), shift, np.nan))
     return np.where(best > 0, depth, np.nan).astype(np.float32)
-
-
-def _check_window(window: NDArray, index: NDArray, positions: Array) -> None:
-    """Refuse what is not of the kinds that a stack's own windows have."""
-    for name, value, kinds in (
-        ("window", window, "uif"),
-        ("index", index, "ui"),
-        ("positions", positions, "f"),
-    ):
-        plain = isinstance(value, np.ndarray) and not isinstance(value, np.ma.MaskedArray)
-        if not plain or value.ndim == 0 or value.dtype.kind not in kinds:
-            kind = "whole numbers" if kinds == "ui" else "real numbers"
-            raise ValueError(f"{name} must be an array of {kind}, got {type(value).__name__}")
-    if len(window) != 3 or window.shape[1:] != index.shape:
-        raise ValueError(
-            f"window must hold three measures for each pixel of index, got {window.shape} and "
-            f"{index.shape}"
-        )
-    if not window.min() >= 0 or not are_small(window.astype(np.float64), _LARGEST):
-        raise ValueError(
-            f"window must hold measures from 0 to {_LARGEST:g}, got {window.min():g} to "
-            f"{window.max():g}"
-        )
-    if positions.ndim != 1 or len(positions) < 3 or not np.isfinite(positions).all():
-        raise ValueError("positions must be at least three finite numbers")
-    if np.abs(positions).max() > FARTHEST or np.abs(np.diff(positions)).min() < 1 / FARTHEST:
-        raise ValueError(
-            f"positions must be at least {1 / FARTHEST:g} µm apart and within ±{FARTHEST:g} µm"
-        )
-    if index.size == 0 or index.max() >= len(positions) or index.min() < 0:
-        raise ValueError(f"index must hold numbers of the {len(positions)} positions")
 
 
 def fit_peaks(

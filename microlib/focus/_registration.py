@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from microlib._common import Array, Image
 from microlib.focus._result import warped
 
-__all__ = ["Registered", "register"]
-
 #: Least side of a frame that can be registered, px, and shorter side of the frames that are
 #: compared: those are reduced by whole blocks as long as it stays above.
 _SMALLEST, _WORKING_SIDE = 32, 240

@@ -14,19 +14,6 @@ from numpy.typing import NDArray
 
 from microlib.focus._measures import blur
 
-__all__ = [
-    "below_noise_mask",
-    "blurred_edge_mask",
-    "check_wide",
-    "choose_side",
-    "fill_nearest",
-    "incoherent_mask",
-    "isolated_mask",
-    "small_piece_mask",
-    "to_border",
-    "without_spikes",
-]
-
 #: Side of the medians that find incoherent frames, wider than a measure's window, inside which even
 #: noise is alike; frames by which half the neighbors must differ from them.
 _COHERENCE_WINDOW, _INCOHERENT = 5, 2
@@ -159,7 +146,8 @@ def check_wide(
     wide: NDArray,
     disagreement: NDArray,
     top: NDArray,
-    own: NDArray[np.bool_],
+    sharp: NDArray[np.bool_],
+    finer: NDArray[np.bool_],
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Tell where the depth by a wide window is the better one, and where neither is to be believed.
 
@@ -175,8 +163,9 @@ def check_wide(
         Distance of the depths by the default's two measures.
     top : ndarray, shape (rows, cols)
         Height of the measure's peak.
-    own : ndarray of bool, shape (rows, cols)
-        Where there is fine detail, which is no blurred light.
+    sharp, finer : ndarray of bool, shape (rows, cols)
+        Where there is fine detail that no blurred light has, for sure, and probably: the latter is
+        enough where the peak is not faint beside others.
 
     Returns
     -------
@@ -200,10 +189,10 @@ def check_wide(
     erratic = cv2.blur(apart, (_NEARBY, _NEARBY)) > _ERRATIC
     mean = blur(top, 1.0)
     around = cv2.dilate(mean, np.ones((_FAINT_AROUND, _FAINT_AROUND), np.uint8))
-    faint = (mean < np.float32(_FAINT) * around) & ~own
+    blurred = ~np.where(mean < np.float32(_FAINT) * around, sharp, finer)
     doubtful = beyond(_GAP) | (erratic & beyond(_ERRATIC_GAP))
-    instead = plain & known & (np.isnan(depth) | (doubtful & faint))
-    neither = erratic & (beyond(_LONE_GAP) | ~known) & ~instead & ~own
+    instead = plain & known & (np.isnan(depth) | (doubtful & blurred))
+    neither = erratic & (beyond(_LONE_GAP) | ~known) & ~instead & ~sharp
     return instead, neither
 
 

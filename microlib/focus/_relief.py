@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from microlib.focus._measures import blur
 from microlib.focus._reliability import fill_nearest
 
-__all__ = ["error_variance", "find_relief"]
-
 #: For each octave of relief: radius of the next coarser mean and side of the window of comparison,
 #: px; correlation of the directions, and its scatter in a window of 1 px, that noise alone has.
 _OCTAVES = (
@@ -32,7 +30,7 @@ _DOUBT, _SURE = 2.5, 4.5
 _TAKEN, _MOST_GIVEN, _SLOPE_WINDOW = 0.24, 2.2, 8.0
 #: Variance of the smoothed depth over that of half the difference of both directions, and the
 #: radius over which that is averaged, px.
-_NOISE_SHARE, _NOISE_WINDOW = 0.6, 6.0
+_NOISE_SHARE, _NOISE_WINDOW = 0.75, 6.0
 #: Variance that neither direction shows, everywhere and where the depth is level, steps²: the fit
 #: pulls depths towards frames, and the smoothing takes the mean over a slope (px of the full grid).
 _UNSEEN, _PULL, _PULL_RADIUS = 0.0065**2, 0.016**2, 5.2

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from microlib._common import Array, Frames, Image, Tidy
 from microlib.io import read_frames
 
-__all__ = ["FocusResult", "as_type", "picked", "warped"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FocusResult(Tidy):
