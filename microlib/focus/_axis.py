@@ -49,12 +49,15 @@ class Axis:
         Noise of an averaged frame, grey levels.
     pull : ndarray, shape (groups,)
         How far changes of the light pull a depth near each group, averaged frames.
+    typical : float, optional
+        Strength of a typical peak, where not all of the image is at hand.
     """
 
     ends: NDArray[np.intp]
     positions: Array
     noise: float
     pull: Array
+    typical: float | None = None
 
     @property
     def means(self) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from microlib._common import Array, whole
 from microlib.focus._axis import Axis, find_axis, sampled
+from microlib.focus._follow import follow
 from microlib.focus._multiscale import multiscale_result
 from microlib.focus._result import FocusResult
 
@@ -70,7 +72,11 @@ def depth_in_blocks(
         stack = stack.astype(np.float32)
     rows, cols = (sampled(n) for n in stack.shape[1:])
     # What needs the whole image is found once, from the squares that are looked at first.
-    axis = find_axis(list(stack[:, rows][:, :, cols].compute()), positions)
+    squares = list(stack[:, rows][:, :, cols].compute())
+    axis = find_axis(squares, positions)
+    strength = follow(squares, axis, points // 2).strength
+    if (strength > 0).any():
+        axis = replace(axis, typical=float(np.median(strength[strength > 0])))
     inner = [n for chunks in stack.chunks[1:] for n in chunks[:-1]]
     if any(n % _GRID or n > 2 * _SIDE or n < _AROUND for n in inner):
         stack = stack.rechunk((len(stack), _SIDE, _SIDE))

@@ -174,7 +174,7 @@ def believed(seen: Followed, axis: Axis) -> tuple[NDArray, NDArray]:
         broad, np.asarray(cv2.medianBlur(fine, _FINE_WINDOW)), spread < _FINE_SPREAD
     )
     depth = np.where(np.isfinite(depth), without_spikes(sided), np.float32(np.nan))
-    weight = relative(seen.strength)
+    weight = relative(seen.strength, axis.typical)
     wide = wide_depth(seen, levels, depth.shape)
     sharp, finer = sharp_mask(seen, levels, *_SHARP), sharp_mask(seen, levels, *_FINER)
     instead, neither = rules.check_wide(depth, wide, np.abs(broad - fine), seen.top, sharp, finer)
@@ -195,10 +195,11 @@ def sharp_mask(seen: Followed, levels: Levels, share: float, noise: float) -> ND
     return np.asarray(above > share * blur(coarse, 1.0))
 
 
-def relative(strength: NDArray) -> NDArray:
+def relative(strength: NDArray, typical: float | None = None) -> NDArray:
     """Return strengths over their median, 1 where a depth came without a fit."""
     fitted = strength > 0
-    typical = np.median(strength[fitted]) if fitted.any() else 1.0
+    if typical is None:
+        typical = float(np.median(strength[fitted])) if fitted.any() else 1.0
     ratio = np.clip(strength / np.float32(typical), 1 / _WEIGHTS, _WEIGHTS)
     return np.where(fitted, ratio, np.float32(1))
 
