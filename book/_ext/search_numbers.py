@@ -7,7 +7,7 @@ written here; ``_static/search_numbers.js`` puts what a number leads to before t
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+import re
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from thesis_map import HEADING, find_items, read_map
 from compendium import ledger
 
 ROOT = Path(__file__).resolve().parents[2]
+NUMBER = re.compile(r"-?\d[\d.]*(?:e[+-]?\d+)?")
 
 
 def list_numbers(app: Sphinx) -> dict[str, list[list[str]]]:
@@ -47,10 +48,7 @@ def list_numbers(app: Sphinx) -> dict[str, list[list[str]]]:
         found = records().get(claim.id)
         text = f"{claim.what} ({claim.where}): printed {printed(claim)}"
         text += f", recomputed {found}" if found else ""
-        shown = {claim.printed.split()[-1]} if claim.printed else set()
-        shown |= {claim.corrected} if claim.corrected else set()
-        shown |= {str(replace(found, unit="")).split()[0].strip("()")} if found else set()
-        for number in sorted(shown):
+        for number in dict.fromkeys(NUMBER.findall(f"{claim.printed} {claim.corrected} {found}")):
             add(number, "value", f"{text}: {claim.label}", "claims", f"claim-{claim.id}")
     return numbers
 

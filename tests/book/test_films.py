@@ -43,11 +43,3 @@ def test_a_button_stops_a_film_and_starts_it(page: Page, html: Path) -> None:
     assert (shown(page, name), button.inner_text()) == (["film-still"], "Play the film")
     page.emulate_media(media="print")
     assert (shown(page, name), button.is_visible()) == (["film-still"], False)
-
-
-def test_less_motion_begins_with_the_still(page: Page, html: Path) -> None:
-    page.emulate_media(reduced_motion="reduce")
-    page.goto((html / "notebooks" / "04_mechanical_characterization.html").as_uri())
-    assert shown(page, "film-dimple") == ["film-still"]
-    page.locator("#film-dimple button").click()
-    assert shown(page, "film-dimple") == ["film-moving"]

@@ -262,8 +262,3 @@ def test_a_newcomer_comes_from_the_front_page_to_what_was_asked(
         page.locator("article").locator(way).first.click()
     for text in seen:
         page.get_by_text(text).locator("visible=true").first.wait_for(timeout=5_000)
-
-
-def test_an_initial_begins_no_list(html: Path) -> None:
-    pages = {p.stem: p.read_text(encoding="utf-8") for p in (html / "generated").glob("*.html")}
-    assert [name for name, text in pages.items() if '<ol class="upperalpha' in text] == []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import warnings
 from pathlib import Path
@@ -38,7 +37,6 @@ MEMBRANE = {
     "probe_half_width": "probeHalfWidth",
     "poisson_ratio": "poissonRatio",
 }
-LOOKS = [(1280, "light"), (1280, "dark"), (390, "light"), (390, "dark")]
 
 
 @pytest.fixture
@@ -220,7 +218,7 @@ def test_heights_are_those_of_the_library(try_page: Page) -> None:
     assert np.median(np.abs(depth - height)) < np.diff(positions)[0] / 2  # it is that dome
 
 
-@pytest.mark.parametrize(("width", "theme"), LOOKS)
+@pytest.mark.parametrize(("width", "theme"), [(1280, "dark"), (390, "light")])
 def test_every_state_is_open_to_everyone(page: Page, html: Path, width: int, theme: str) -> None:
     page.add_init_script(f"localStorage.mode = '{theme}'; localStorage.theme = '{theme}'")
     page.set_viewport_size({"width": width, "height": 844})
@@ -255,7 +253,7 @@ def test_every_control_has_a_name_and_is_large_enough_for_a_finger(try_page: Pag
     assert [one["html"] for one in controls if one["height"] < 44 or not one["name"].strip()] == []
 
 
-def test_sliders_answer_to_the_keyboard_and_to_a_finger(try_page: Page) -> None:
+def test_sliders_answer_to_the_keyboard(try_page: Page) -> None:
     answer = try_page.locator("[data-try=loop] .try-answer")
     before = answer.inner_text()
     try_page.get_by_label("Gain g (share of the error per frame)", exact=True).focus()
@@ -265,12 +263,3 @@ def test_sliders_answer_to_the_keyboard_and_to_a_finger(try_page: Page) -> None:
         try_page.get_by_label("Gain g (share of the error per frame), exact").input_value()
         == "0.51"
     )
-    view = try_page.locator("canvas.try-drag")
-    view.scroll_into_view_if_needed()
-    box = view.bounding_box()
-    assert box is not None
-    try_page.mouse.move(box["x"] + box["width"] / 4, box["y"] + box["height"] / 2)
-    try_page.mouse.down()
-    try_page.mouse.move(box["x"] + box["width"] * 0.75, box["y"] + box["height"] / 2)
-    try_page.mouse.up()
-    assert json.loads(try_page.get_by_label("Column (px), exact").input_value()) == 84
