@@ -311,31 +311,29 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "calibration.Calibration": lambda: {
         f.name: getattr(calibrated(), f.name) for f in fields(calibration.Calibration)
     },
-    "calibration._calibrate.ErrorSummary.of": lambda: {"differences": grid() / 100},
+    "calibration._calibration.ErrorSummary.of": lambda: {"differences": grid() / 100},
     "calibration.Calibration.interval": lambda: {
         "self": calibrated(), "parameter": "magnification", "level": 0.9
     },
     "calibration.Calibration.um_per_pixel": lambda: {"self": calibrated(), "level": 0.9},
     "calibration.Calibration.to_json": lambda: {"self": calibrated()},
-    "calibration.Calibration.undistort": lambda: {"self": calibrated(), "points": grid() + 700.0},
-    "calibration.Calibration.undistort_image": lambda: {
-        "self": calibrated(), "image": np.zeros(calibrated().microscope.image_size[::-1], np.uint8),
-    },
+    "calibration.Calibration.from_json": lambda: {"text": calibrated().to_json()},
     "calibration.Detection": lambda: {
         "points": grid(), "grid": grid().astype(int), "sigma": np.ones(42),
         "group": np.zeros(42, int), "positions": grid(), "side": 0.5, "misfit": 1.0,
+        "image_size": (200, 160),
     },
     "calibration.calibrate": lambda: {
         "world": grid(), "image": scope().project(grid()), "focal_length": 126000.0,
-        "pixel_size": 9.9, "image_size": (300, 260), "loss": "linear", "groups": np.arange(42),
-        "axis_sigma": 1.0,
+        "pixel_size": 9.9, "image_size": (300, 260), "groups": np.arange(42),
+        "pitch": None,
     },
     "calibration.cramer_rao": lambda: {
         "microscope": scope(), "world": grid(), "noise": 0.1, "parameters": ("tx", "ty", "alpha")
     },
     "calibration.detect_circles": lambda: {
         "image": circles(), "direction": 0.0, "mirrored": False, "lattice": "square",
-        "region": (0, 0, 160, 120), "origin": "first",
+        "region": (0, 0, 160, 120),
     },
     "calibration.detect_squares": lambda: {
         "image": squares(), "direction": 0.0, "mirrored": False, "pattern": "squares",

@@ -1,4 +1,4 @@
-"""Calibrate a microscope from one image of a plane pattern (2.13–2.20).
+"""Calibrate a microscope from images of a plane pattern (2.13–2.20).
 
 Radial alignment gives the pose up to the sign of the tilt, a linear fit the magnification and
 distortion, and nonlinear least squares refines all of them together. What the points cannot
@@ -8,34 +8,24 @@ determine is held or named, never made up.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, cast
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import t as student
+from scipy.sparse import csr_array
 
-from microlib._common import Array, Tidy, as_array, between, flat_row, one_of, same_length, scalar
-from microlib.calibration._discrepancy import BY_CHANCE
-from microlib.calibration._export import to_json
-from microlib.calibration._microscope_fit import (
-    NAMES,
-    Minimum,
-    Problem,
+from microlib._common import Array, as_array, between, inverse_normal, same_length, scalar
+from microlib.calibration._calibration import Calibration
+from microlib.calibration._detection import Detection
+from microlib.calibration._uncertainty import (
+    BY_CHANCE,
     axis_errors,
-    start_values,
+    discrepancy,
+    fields_of_views,
+    jackknife,
 )
-from microlib.calibration._several_views import (
-    LENS,
-    VIEW,
-    Joint,
-    Views,
-    fit_views,
-    views_covariance,
-    views_discrepancy,
-    without_terms,
-)
-from microlib.calibration._straighten import straighten_image, straighten_points
+from microlib.calibration._views import LENS, VIEW, Fit, Views, fit_views, without_terms
 from microlib.microscope import Microscope
 
 #: Standard errors by which 1/f must exceed zero to be told from it. As the sign of the tilt is
@@ -55,286 +45,44 @@ _TOLD = 3.84
 #: The optical axis meets the sensor so far from its middle, standard deviation in widths of the
 #: image: 1 to 2 % in the camera modules and published calibrations that one finds.
 _AXIS_ASIDE = 0.02
-#: Below this chance a model is said not to fit.
-_IMPROBABLE = 1e-3
-
 #: A kilometer, µm, and a thousand times the longest row of a sensor, px: nothing is calibrated
 #: beyond, and the fits lose their way there.
 _FARTHEST, _FARTHEST_PIXEL = 1e9, 1e8
 
 
-@dataclass(frozen=True)
-class ErrorSummary(Tidy):
-    """Statistics of the distances between two sets of points, as in Table 5.2.
-
-    Parameters
-    ----------
-    mean, std, max, rms : float
-        In the unit of the points.
-    """
-
-    mean: float
-    std: float
-    max: float
-    rms: float
-
-    @classmethod
-    def of(cls, differences: Array) -> ErrorSummary:
-        """Summarize differences of points, shape (N, 2)."""
-        distance = np.hypot(*as_array("differences", differences, shape=(None, 2)).T)
-        return cls(
-            float(distance.mean()),
-            float(distance.std()),
-            float(distance.max()),
-            float(np.sqrt((distance**2).mean())),
-        )
-
-
-@dataclass(frozen=True)
-class Calibration(Tidy):
-    """A calibrated microscope and how well it is known.
-
-    Parameters
-    ----------
-    microscope : Microscope
-        With the estimated parameters, in focus: d = f²/T_op (2.20).
-    parameters : tuple of str
-        What was estimated, in the order of `estimate` and `covariance`; lengths in µm, angles in
-        rad, κ in 1/µm².
-    estimate : ndarray, shape (p,)
-        The estimates.
-    covariance : ndarray, shape (p, p)
-        Their covariance. Variances of parameters in `unobservable` are infinite, covariances beside
-        them NaN.
-    unobservable : tuple of str
-        Parameters that these points do not determine, whatever `estimate` says.
-    freedom : int
-        Degrees of freedom behind the residual's variance.
-    condition : float
-        Largest over smallest singular value of the Jacobian with its columns scaled to one length.
-    weakest : ndarray, shape (p,)
-        Direction of the smallest one, in parameters so scaled: what the points determine worst.
-    residuals : ndarray, shape (N, 2)
-        Image points minus their projection, px.
-    plane_residuals : ndarray, shape (N, 2)
-        Image points projected back to the pattern minus the world points, µm.
-    misfit : float
-        Smooth part of the residuals over what noise makes of it: about one for a model that fits.
-        NaN for fewer than 24 points, which cannot tell.
-    misfit_chance : float
-        Probability of so much by noise alone. Below a tenth the covariance allows for it: what the
-        model lacks, a distortion or a bend of the pattern, is taken to be as large in the
-        directions that the parameters absorb as in those that show.
-    views : tuple of Microscope
-        One for each view; `microscope` is the first.
-    """
-
-    _samples = ("residuals", "plane_residuals")
-    _large = ("microscope", "parameters", "estimate", "covariance", "weakest")
-
-    microscope: Microscope
-    parameters: tuple[str, ...]
-    estimate: Array
-    covariance: Array
-    unobservable: tuple[str, ...]
-    freedom: int
-    condition: float
-    weakest: Array
-    residuals: Array
-    plane_residuals: Array
-    misfit: float
-    misfit_chance: float
-    views: tuple[Microscope, ...]
-
-    @property
-    def fits(self) -> bool:
-        """False if the residuals contradict the model: noise alone would make so much of them
-        smooth in less than a thousandth of all images."""
-        return self.misfit_chance >= _IMPROBABLE
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the calibration as a flat dictionary that JSON can hold.
-
-        Returns
-        -------
-        dict
-            Every parameter of the microscope by its name, its standard deviation as ``…_sigma``
-            where it was estimated, the fields with one value, and both summaries of the errors.
-        """
-        sigma = {f"{name}_sigma": value for name, value in self.sigma.items()}
-        errors = {"reprojection": self.reprojection, "plane_error": self.plane_error}
-        scope = {**vars(self.microscope), "magnification": self.microscope.magnification}
-        return flat_row({**scope, **sigma, **errors}) | super().to_dict()
-
-    @property
-    def reprojection(self) -> ErrorSummary:
-        """Distances in the image, px."""
-        return ErrorSummary.of(self.residuals)
-
-    @property
-    def plane_error(self) -> ErrorSummary:
-        """Distances on the pattern plane, µm (Table 5.2)."""
-        return ErrorSummary.of(self.plane_residuals)
-
-    @property
-    def sigma(self) -> dict[str, float]:
-        """Standard deviation of each parameter."""
-        return dict(zip(self.parameters, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
-
-    @property
-    def principal_point(self) -> Array:
-        """Where the optical axis meets the sensor, (x, y) px: the middle, unless it was found."""
-        aside = np.array([self._value("principal_x"), self._value("principal_y")])
-        return self.microscope.principal_point + aside
-
-    def um_per_pixel(self, level: float = 0.95) -> tuple[float, float, float]:
-        """Width on the pattern of a pixel at the optical axis, µm, and its confidence interval.
-
-        The cell's width over the magnification, of the first view; the pattern stands for the
-        sample in focus.
-
-        Parameters
-        ----------
-        level : float
-            Probability that the interval holds it.
-
-        Returns
-        -------
-        value, low, high : float
-        """
-        low, high = self.interval("magnification", level)
-        cell = float(self.microscope.cell[0])
-        return cell / self.microscope.magnification, cell / high, cell / low
-
-    def to_json(self) -> str:
-        """Text in JSON from which OpenCV, Micro-Manager and ImageJ can be set up.
-
-        OpenCV's camera matrix and distortion coefficients (with the most that they are off the
-        model in the image), rotation and translation of each view; Micro-Manager's and ImageJ's
-        size of a pixel with its 95 % interval; standard deviations, null where a parameter is not
-        determined.
-
-        Returns
-        -------
-        str
-        """
-        second = self._value("distortion_2")
-        return to_json(self.views, self.principal_point, second, self.um_per_pixel(), self.sigma)
-
-    def undistort(self, points: ArrayLike) -> Array:
-        """Where image points would be seen through a lens without distortion.
-
-        Parameters
-        ----------
-        points : array_like, shape (N, 2)
-            px.
-
-        Returns
-        -------
-        ndarray, shape (N, 2)
-            px, at the scale on the optical axis; NaN beyond the fold of (2.10).
-
-        Raises
-        ------
-        ValueError
-            If the points are no finite pairs.
-        """
-        return straighten_points(
-            self.microscope,
-            self.principal_point,
-            self._value("distortion_2"),
-            as_array("points", points, shape=(None, 2), largest=_FARTHEST_PIXEL),
-        )
-
-    def undistort_image(self, image: ArrayLike) -> NDArray:
-        """Resample an image of the calibrated microscope to one without distortion.
-
-        Parameters
-        ----------
-        image : array_like, shape (height, width) or (height, width, channels)
-            Of the size that the calibration has.
-
-        Returns
-        -------
-        ndarray, shape and type of `image`
-            At the scale on the optical axis, by bicubic interpolation; zero where the image does
-            not reach. Floating-point images become single precision.
-
-        Raises
-        ------
-        ValueError
-            If the image has another size.
-        """
-        second = self._value("distortion_2")
-        return straighten_image(self.microscope, self.principal_point, second, image)
-
-    def _value(self, parameter: str) -> float:
-        """The estimate of a parameter, zero if it was not estimated."""
-        found = parameter in self.parameters
-        return float(self.estimate[self.parameters.index(parameter)]) if found else 0.0
-
-    def interval(self, parameter: str, level: float = 0.95) -> tuple[float, float]:
-        """Confidence interval of a parameter, from Student's distribution.
-
-        That of the focal length is the interval of 1/f, turned over: 1/f is what the points see,
-        with a nearly normal error.
-
-        Raises
-        ------
-        ValueError
-            If `parameter` was not estimated or `level` is not in (0, 1).
-        """
-        k = self.parameters.index(one_of("parameter", parameter, self.parameters))
-        level = scalar("level", level, within=(0, 1))
-        std = float(np.sqrt(self.covariance[k, k]))
-        # Half of an infinite interval is infinite at any level.
-        half = std if np.isinf(std) else float(student.ppf(0.5 + level / 2, self.freedom)) * std
-        value = float(self.estimate[k])
-        if parameter == "focal_length" and np.isfinite(half):
-            relative = half / value
-            return value / (1 + relative), value / (1 - relative)
-        return value - half, value + half
-
-
 def calibrate(
-    world: ArrayLike | Sequence[ArrayLike],
-    image: ArrayLike | Sequence[ArrayLike],
+    world: ArrayLike | Sequence[ArrayLike] | Detection | Sequence[Detection],
+    image: ArrayLike | Sequence[ArrayLike] | None = None,
     *,
-    focal_length: float | None = None,
     pixel_size: float | tuple[float, float],
-    image_size: tuple[int, int],
-    loss: str = "linear",
+    pitch: float | None = None,
+    focal_length: float | None = None,
+    image_size: tuple[int, int] | None = None,
     groups: ArrayLike | Sequence[ArrayLike] | None = None,
-    axis_sigma: float | None = None,
 ) -> Calibration:
     """Pose, magnification and distortion of a microscope from images of a plane pattern.
 
     Parameters
     ----------
-    world : array_like, shape (N, 2), or a list of them
-        Points of the pattern, µm; of several views, one array for each.
+    world : Detection or array_like, shape (N, 2), or a list of either
+        What a detector found, which needs `pitch` and holds the other points, the size of the image
+        and the groups; or points of the pattern, µm. Of several views, a list.
     image : array_like, shape (N, 2), or a list of them
-        Where they are seen, (x, y) px.
+        Where points of the pattern are seen, (x, y) px.
+    pixel_size : float or (float, float)
+        Pitch of the sensor cells, µm.
+    pitch : float
+        Of a detection: distance of neighboring marks, µm.
     focal_length : float, optional
         Focal length f of the objective as its manufacturer gives it, µm. Without it f is estimated
         too, which needs a tilted pattern: see Notes.
-    pixel_size : float or (float, float)
-        Pitch of the sensor cells, µm.
     image_size : (int, int)
         Width and height of the image, px; the optical axis meets its center.
-    loss : {"linear", "huber"}
-        Least squares, or Huber's loss at 1.345 robust standard deviations against outliers.
-    groups : array_like of int, shape (N,), optional
-        Points of one number have correlated errors, as the corners of one square have
-        (``group`` of :class:`microlib.calibration.Detection`). The covariance then allows for it.
-        Without `groups` all errors are taken as independent and alike. Of several views, one array
-        for each, and a number means the same mark in all; without them that is a world point: a
-        mark that was made beside its place is so in every view.
-    axis_sigma : float, optional
-        Standard deviation with which the optical axis meets the image's middle, px: the intervals
-        then allow for it, but for those of T_x and T_y, which count from the middle. By default the
-        axis is trusted, as in the thesis, as long as the residuals look like noise; else 2 % of the
-        image's width are allowed for.
+    groups : array_like of int, shape (N,), or a list of them, optional
+        Points of one number have correlated errors, as the corners of one square have. The
+        covariance then allows for it. Without `groups` the errors of one view are taken as
+        independent and alike. Of several views a number means the same mark in all; without them
+        that is a world point: a mark that was made beside its place is so in every view.
 
     Returns
     -------
@@ -344,7 +92,7 @@ def calibrate(
     ------
     ValueError
         If shapes disagree, there are fewer than 5 points or no more groups than parameters, points
-        lie on one line, or they fit no microscope.
+        lie on one line or beyond the image, or they fit no microscope.
 
     Notes
     -----
@@ -364,49 +112,97 @@ def calibrate(
     Tilts (β, γ) and (−β, −γ) give the same image but for perspective. Both are tried. If the better
     one is not better by more than noise, "beta" and "gamma" are named in `unobservable`.
 
+    The axis is trusted to meet the middle of the image, as in the thesis, as long as the residuals
+    look like noise; else the intervals, but for those of T_x and T_y, which count from the middle,
+    allow for 2 % of the image's width.
+
     Examples
     --------
-    >>> truth = Microscope(200000, 126000, 79380, 2e-10, 1.5, 0.03, 3.1, -300, 200)
-    >>> x, y = np.meshgrid(np.arange(-4, 5) * 280.0, np.arange(-3, 4) * 280.0)
-    >>> world = np.column_stack([x.ravel(), y.ravel()])
-    >>> found = calibrate(world, truth.project(world), focal_length=126000,
-    ...                   pixel_size=9.9, image_size=(656, 491))
-    >>> round(found.microscope.tube_length, 3), round(found.microscope.gamma, 6)
-    (200000.0, 3.1)
+    >>> from microlib.calibration import calibrate, detect_circles
+    >>> from microlib.microscope import Microscope
+    >>> from microlib.synthetic import render_circles
+    >>> truth = Microscope(2e5, 126000, 79380, alpha=0.1, beta=0.03, tx=-900, ty=-700)
+    >>> photograph = render_circles(truth, pitch=280.0)
+    >>> found = calibrate(
+    ...     detect_circles(photograph), pitch=280, pixel_size=9.9, focal_length=126000)
+    >>> round(found.microscope.magnification, 3), round(found.microscope.beta, 3)
+    (1.587, 0.03)
     """
-    one_of("loss", loss, ("linear", "huber"))
-    frame = Microscope(1.0, 1.0, 1.0, pixel_size=pixel_size, image_size=image_size)
     between("pixel_size", pixel_size, 1 / _FARTHEST, _FARTHEST)
-    free = [0, 2, 3, 4, 5, 6, 7] if focal_length is not None else list(range(8))
     if focal_length is not None:
-        focal_length = scalar(
-            "focal_length", focal_length, above=0, least=1 / _FARTHEST, most=_FARTHEST
-        )
-    if axis_sigma is not None:
-        axis_sigma = scalar("axis_sigma", axis_sigma, least=0, most=_FARTHEST_PIXEL)
-    if _are_several(world):
-        if loss != "linear":
-            raise ValueError(f'loss must be "linear" for several views, got {loss!r}')
-        return _of_views(world, image, frame, focal_length, groups, axis_sigma)
-    world, image = _points(world, image, image_size)
-    if groups is None:
-        label = None
+        focal_length = scalar("focal_length", focal_length, above=0)
+        between("focal_length", focal_length, 1 / _FARTHEST, _FARTHEST, closed=True)
+    detections = [world] if isinstance(world, Detection) else world
+    worlds: Any
+    images: Any
+    labels: Any
+    if isinstance(detections, (list, tuple)) and any(isinstance(d, Detection) for d in detections):
+        if any(given is not None for given in (image, image_size, groups)):
+            raise ValueError("image, image_size and groups must not be given beside a detection")
+        worlds, images, labels, image_size = _of_detections(list(detections), pitch)
     else:
-        label = as_array("groups", cast(ArrayLike, groups), shape=(len(world),))
-        if len(np.unique(label)) <= len(free):
+        if pitch is not None:
+            raise ValueError("pitch must be left out with points in µm, got one")
+        each = (world, image, groups)
+        worlds, images, labels = each if _are_several(world) else ([x] for x in each)
+        labels = None if groups is None else labels
+        for name, given in (("image", images), ("groups", worlds if labels is None else labels)):
+            listed = isinstance(given, (list, tuple)) or np.ndim(given) > 0
+            if not listed or len(given) != len(worlds):
+                raise ValueError(f"{name} must hold one array for each of the {len(worlds)} views")
+    if image_size is None:
+        raise ValueError("image_size must be given, (width, height) in px, got none")
+    frame = Microscope(1.0, 1.0, 1.0, pixel_size=pixel_size, image_size=image_size)
+    pairs = [_points(w, i, image_size) for w, i in zip(worlds, images, strict=True)]
+    seen: list[Array] = [i - frame.principal_point for _, i in pairs]
+    views = Views([w for w, _ in pairs], seen, frame.cell, focal_length)
+    marks = None
+    if labels is not None:
+        zipped = zip(labels, seen, strict=True)
+        checked = [as_array("groups", label, shape=(len(points),)) for label, points in zipped]
+        marks = np.unique(np.concatenate(checked), return_inverse=True)[1]
+    elif len(pairs) > 1:
+        every = np.round(np.concatenate(views.world), 6)
+        marks = np.unique(every, axis=0, return_inverse=True)[1].ravel()
+    fit, alone = fit_views(views)
+    if marks is not None and marks.max() < len(fit.free):
+        if groups is not None:
             raise ValueError(
-                f"groups must be more than the {len(free)} parameters, got {len(np.unique(label))}"
+                f"groups must be more than the {len(fit.free)} parameters, got {marks.max() + 1}"
             )
-
-    problem = Problem(world, image - frame.principal_point, frame.cell, np.array(free))
-    fits = [problem.fit(start, loss) for start in start_values(problem, focal_length)]
-    best, other = sorted(fits, key=lambda fit: fit.cost)
-    magnification = best.theta[0]
-    if not magnification > 0:
+        marks = None
+    if not (fit.poses[:, 0] > 0).all():
         raise ValueError(
-            f"world and image must fit a microscope, got magnification {magnification}"
+            f"world and image must fit a microscope, got magnifications {fit.poses[:, 0]}"
         )
-    return _report(problem, best, other, frame, label, axis_sigma)
+    return _report(views, fit, alone, marks, frame)
+
+
+def _of_detections(found: list[Any], pitch: float | None) -> tuple[Any, Any, Any, tuple[int, int]]:
+    """World and image points of each view, the numbers of their squares, and the image's size."""
+    if not all(isinstance(each, Detection) for each in found):
+        raise ValueError("world must hold either detections or points, got both")
+    if pitch is None:
+        raise ValueError("pitch must be given with a detection, µm from mark to mark, got none")
+    pitch = scalar("pitch", pitch, above=0)
+    if any(each.image_size != found[0].image_size for each in found):
+        raise ValueError("world must hold detections in images of one size, got several")
+    numbers = None
+    if any(len(np.unique(each.group)) < len(each.group) for each in found):
+        # A square's corners; the same in all views, whatever mark is the first in each.
+        cells = np.concatenate([each.grid // 2 for each in found])
+        ends = np.cumsum([len(each.grid) for each in found])[:-1]
+        numbers = np.split(np.unique(cells, axis=0, return_inverse=True)[1].ravel(), ends)
+    points = [each.points for each in found]
+    return [pitch * each.positions for each in found], points, numbers, found[0].image_size
+
+
+def _are_several(world: Any) -> bool:
+    """True for a sequence of arrays of points, False for the points of one view."""
+    try:
+        return np.ndim(world[0]) == 2
+    except (TypeError, ValueError, IndexError, KeyError):  # told by the checks of one view
+        return False
 
 
 def _points(world: Any, image: Any, image_size: tuple[int, int]) -> tuple[Array, Array]:
@@ -435,221 +231,117 @@ def _points(world: Any, image: Any, image_size: tuple[int, int]) -> tuple[Array,
     return world, image
 
 
-def _are_several(world: ArrayLike | Sequence[ArrayLike]) -> bool:
-    """True for a sequence of arrays of points, False for the points of one view."""
-    if isinstance(world, np.ndarray):
-        return world.ndim == 3
-    if not isinstance(world, (list, tuple)) or len(world) == 0:
-        return False
-    try:
-        return np.ndim(world[0]) == 2
-    except ValueError:  # ragged: told by the checks of one view
-        return False
-
-
-def _of_views(
-    world: Any,
-    image: Any,
-    frame: Microscope,
-    focal_length: float | None,
-    groups: Any,
-    axis_sigma: float | None,
-) -> Calibration:
-    """Calibration from several views."""
-    for name, each in (("image", image), ("groups", world if groups is None else groups)):
-        listed = isinstance(each, (list, tuple)) or (isinstance(each, np.ndarray) and each.ndim)
-        if not listed or len(each) != len(world):
-            raise ValueError(f"{name} must hold one array for each of the {len(world)} views")
-    pairs = [_points(w, i, frame.image_size) for w, i in zip(world, image, strict=True)]
-    middle = frame.principal_point
-    views = Views([w for w, _ in pairs], [i - middle for _, i in pairs], frame.cell, focal_length)
-    if groups is None:
-        _, marks = np.unique(np.round(np.concatenate(views.world), 6), axis=0, return_inverse=True)
-    else:
-        marks = np.concatenate(
-            [
-                as_array("groups", g, shape=(len(w),))
-                for g, w in zip(groups, views.world, strict=True)
-            ]
-        )
-    fit = fit_views(views)
-    if not (fit.poses[:, 0] > 0).all():
-        raise ValueError(
-            f"world and image must fit a microscope, got magnifications {fit.poses[:, 0]}"
-        )
-    return _report_views(views, fit, marks.ravel(), frame, axis_sigma)
-
-
-def _report_views(
-    views: Views, fit: Joint, marks: NDArray, frame: Microscope, axis_sigma: float | None
-) -> Calibration:
-    """Covariance in f instead of the power, what is lost, and a microscope for each view."""
-    count = len(fit.poses)
-    every = [*LENS, *(n if v == 0 else f"{n}_{v + 1}" for v in range(count) for n in VIEW)]
-    every[0] = "focal_length"
-    names = tuple(every[k] for k in fit.free)
-    covariance, freedom = views_covariance(fit, marks, views.rounding(fit.poses))
-    smooth = views_discrepancy(fit, views)
-    covariance = covariance + smooth.covariance
-    if axis_sigma is None:
-        axis_sigma = _AXIS_ASIDE * frame.image_size[0] if smooth.chance < BY_CHANCE else 0.0
-    if axis_sigma > 0 and "principal_x" not in names:
-        shifted = [k for k, name in enumerate(names) if name[:2] in ("tx", "ty")]
-        covariance = covariance + axis_errors(
-            fit.jacobian, fit.residuals, shifted, axis_sigma, views.rounding(fit.poses)
-        )
-    estimate = np.concatenate([fit.lens, fit.poses.ravel()])[fit.free]
-    lost = {name for name, v in zip(names, np.diag(covariance), strict=True) if np.isinf(v)}
-    if "focal_length" in names:
-        magnification, power = fit.poses[0, 0], fit.lens[0]
-        turn = np.eye(len(names))
-        turn[0, 0], turn[0, names.index("magnification")] = 1 + magnification, power
-        power *= 1 + magnification
-        covariance = turn @ covariance @ turn.T
-        if not power > _CERTAIN * np.sqrt(covariance[0, 0]):
-            lost |= {n for n in names if n.startswith(("focal", "beta", "gamma"))}
-        else:
-            _refuse_least_power(power)
-        power = max(power, _SMALLEST_POWER)
-        estimate[0] = 1 / power
-        to_length = np.ones(len(names))
-        to_length[0] = -1 / power**2
-        covariance = covariance * np.outer(to_length, to_length)
-    for k in (names.index(name) for name in lost):
-        covariance[k] = covariance[:, k] = np.nan
-        covariance[k, k] = np.inf
-    scopes = tuple(_scope(frame, views, fit, v) for v in range(count))
-    condition, weakest = _weakest(fit.jacobian)
-    return Calibration(
-        scopes[0],
-        names,
-        estimate,
-        covariance,
-        tuple(name for name in names if name in lost),
-        freedom,
-        condition,
-        weakest,
-        -fit.residuals.reshape(-1, 2),
-        np.concatenate(
-            [
-                scope.back_project(
-                    without_terms(fit.lens, seen, frame.cell) + frame.principal_point
-                )
-                - world
-                for scope, seen, world in zip(scopes, views.seen, views.world, strict=True)
-            ]
-        ),
-        smooth.misfit,
-        smooth.chance,
-        scopes,
-    )
-
-
-def _scope(frame: Microscope, views: Views, fit: Joint, view: int) -> Microscope:
-    """The microscope of a view, in focus."""
-    magnification, *pose = fit.poses[view].tolist()
-    if views.focal_length is None:
-        focal_length = 1 / (max(fit.lens[0], _SMALLEST_POWER) * (1 + magnification))
-    else:
-        focal_length = views.focal_length
-    return replace(
-        frame,
-        tube_length=magnification * focal_length,
-        focal_length=focal_length,
-        distance=focal_length / magnification,
-        distortion=float(fit.lens[1]),
-        **dict(zip(VIEW[1:], pose, strict=True)),
-    )
-
-
-def _weakest(jacobian: Array) -> tuple[float, Array]:
-    """Condition of a Jacobian with columns of one length, and its weakest direction."""
-    length = np.linalg.norm(jacobian, axis=0)
-    triangle = np.linalg.qr(jacobian / np.where(length > 0, length, 1.0), mode="r")
-    _, singular, directions = np.linalg.svd(triangle, full_matrices=False)
-    with np.errstate(divide="ignore"):
-        return float(singular[0] / singular[-1]), directions[-1]
-
-
 def _report(
-    problem: Problem,
-    best: Minimum,
-    other: Minimum,
+    views: Views,
+    fit: Fit,
+    alone: list[list[Fit]],
+    marks: NDArray[np.intp] | None,
     frame: Microscope,
-    groups: Array | None,
-    axis_sigma: float | None,
 ) -> Calibration:
-    """Covariance in f instead of 1/f, what is lost, and the microscope."""
-    free = problem.free
-    names = tuple(NAMES[k] for k in free)
-    covariance, freedom = problem.covariance(best, groups)
-    smooth = problem.discrepancy(best, groups)
-    covariance = covariance + smooth.covariance
-    if axis_sigma is None:
-        axis_sigma = _AXIS_ASIDE * frame.image_size[0] if smooth.chance < BY_CHANCE else 0.0
-    residuals, every = problem.at(best.theta)
-    jacobian = every[:, free]
-    if axis_sigma > 0:
-        shifted = [names.index("tx"), names.index("ty")]
-        covariance = covariance + axis_errors(
-            jacobian, residuals, shifted, axis_sigma, problem.rounding(best.theta)
-        )
+    """Covariance in f instead of 1/(T_op + f), what is lost, and a microscope for each view."""
+    count = len(fit.poses)
+    every = ["focal_length", *LENS[1:]]
+    every += [n if v == 0 else f"{n}_{v + 1}" for v in range(count) for n in VIEW]
+    # The magnification first, as in a view's own numbers.
+    order = np.argsort([every[k] != "magnification" for k in fit.free], kind="stable")
+    names = [every[fit.free[k]] for k in order]
+    jacobian: Array = fit.jacobian
+    magnification, power = fit.poses[0, 0], fit.lens[0] * (1 + fit.poses[0, 0])
+    if "focal_length" in names:  # 1/f = (1 + M)/(T_op + f) of the first view
+        turn = np.eye(len(names))
+        turn[0, 0], turn[0, fit.free.index(len(LENS))] = 1 + magnification, fit.lens[0]
+        jacobian = np.linalg.solve(turn.T, jacobian.T).T
+    jacobian = jacobian[:, order]
+
+    residuals, rounding = fit.residuals, views.rounding(fit.poses)
+    freedom = len(residuals) - len(names)
+    inverse = inverse_normal(jacobian)
+    variance = fit.cost / freedom + rounding
+    if marks is None:
+        covariance = inverse * variance
+    else:
+        covariance = jackknife(jacobian, residuals, marks) + inverse * rounding
+        freedom = int(marks.max())
+    misfit, chance, added = _smooth_part(views, residuals, jacobian, marks, rounding)
+    covariance = covariance + added
+    if chance < BY_CHANCE and "principal_x" not in names:
+        shifted = [k for k, name in enumerate(names) if name[:2] in ("tx", "ty")]
+        aside = _AXIS_ASIDE * frame.image_size[0]
+        covariance = covariance + axis_errors(jacobian, variance, shifted, aside)
+
     lost = {name for name, v in zip(names, np.diag(covariance), strict=True) if np.isinf(v)}
-    theta = best.theta.copy()
-    if "focal_length" in names:
-        if not theta[1] > _CERTAIN * np.sqrt(covariance[1, 1]):
-            lost |= {"focal_length", "beta", "gamma"}
-        else:
-            _refuse_least_power(theta[1])
-        theta[1] = max(theta[1], _SMALLEST_POWER)
-        to_length = np.ones(len(free))
-        to_length[1] = -1 / theta[1] ** 2
-        covariance = covariance * np.outer(to_length, to_length)
-    elif _two_tilts(best, other, covariance, best.cost / freedom + problem.rounding(best.theta)):
-        lost |= {"beta", "gamma"}
-    for k in (names.index(name) for name in lost):
-        covariance[k] = covariance[:, k] = np.nan
-        covariance[k, k] = np.inf
-
-    theta[3:6] = np.angle(np.exp(1j * theta[3:6]))
-    magnification, power, *others = theta.tolist()
-    microscope = replace(
-        frame,
-        tube_length=magnification / power,
-        focal_length=1 / power,
-        distance=1 / (power * magnification),
-        **dict(zip(NAMES[2:], others, strict=True)),
-    )
-    condition, weakest = _weakest(jacobian)
-    return Calibration(
-        microscope,
-        names,
-        np.array([magnification, 1 / power, *others])[free],
-        covariance,
-        tuple(name for name in names if name in lost),
-        freedom,
-        condition,
-        weakest,
-        -residuals.reshape(-1, 2),
-        microscope.back_project(problem.seen + frame.principal_point) - problem.world,
-        smooth.misfit,
-        smooth.chance,
-        (microscope,),
-    )
-
-
-def _refuse_least_power(power: float) -> None:
-    """Refuse a power, which the points tell for certain, that is less than any objective's."""
-    if power < _SMALLEST_POWER:
+    sigma = dict(zip(names, np.sqrt(np.diag(covariance)), strict=True))
+    if "focal_length" not in names:
+        for v, (best, other) in enumerate(alone):
+            tilt = every[len(LENS) + len(VIEW) * v :][2:4]
+            apart = np.abs(np.angle(np.exp(1j * (best.poses - other.poses)[0, 2:4])))
+            distinct = (apart > _APART * np.array([sigma[name] for name in tilt])).any()
+            if distinct and other.cost - best.cost < _TOLD * variance:
+                lost |= set(tilt)
+    elif not power > _CERTAIN * sigma["focal_length"]:
+        lost |= {name for name in names if name.startswith(("focal", "beta", "gamma"))}
+    elif power < _SMALLEST_POWER:
         raise ValueError(
             "world and pixel_size must be in µm, got points that tell a focal length of "
             f"{1 / power:.3g} µm, more than {1 / _SMALLEST_POWER:g} µm"
         )
+    poses = fit.poses.copy()
+    poses[:, 1:4] = np.angle(np.exp(1j * poses[:, 1:4]))
+    estimate = np.concatenate([fit.lens, poses.ravel()])[fit.free][order]
+    if "focal_length" in names:
+        power = max(power, _SMALLEST_POWER)
+        k = names.index("focal_length")
+        estimate[k] = 1 / power
+        covariance[k] *= -1 / power**2
+        covariance[:, k] *= -1 / power**2
+    for k in (names.index(name) for name in lost):
+        covariance[k] = covariance[:, k] = np.nan
+        covariance[k, k] = np.inf
+    scopes = []
+    for pose in poses.tolist():
+        f = views.focal_length or (1 + magnification) / (power * (1 + pose[0]))
+        lengths = {"tube_length": pose[0] * f, "focal_length": f, "distance": f / pose[0]}
+        angles = dict(zip(VIEW[1:], pose[1:], strict=True))
+        scopes.append(replace(frame, distortion=float(fit.lens[1]), **lengths, **angles))
+    middle = frame.principal_point
+    plane_residuals = [
+        scope.back_project(without_terms(fit.lens, seen, frame.cell) + middle) - world
+        for scope, seen, world in zip(scopes, views.seen, views.world, strict=True)
+    ]
+    return Calibration(
+        scopes[0],
+        tuple(names),
+        estimate,
+        covariance,
+        tuple(name for name in names if name in lost),
+        freedom,
+        -residuals.reshape(-1, 2),
+        np.concatenate(plane_residuals),
+        misfit,
+        chance,
+        tuple(scopes),
+    )
 
 
-def _two_tilts(best: Minimum, other: Minimum, covariance: Array, variance: float) -> bool:
-    """True if the opposite tilt is another minimum, and not worse by more than noise."""
-    angles = slice(3, 5)  # β and γ among the parameters without f
-    apart = np.abs(np.angle(np.exp(1j * (best.theta[4:6] - other.theta[4:6]))))
-    distinct = (apart > _APART * np.sqrt(np.diag(covariance)[angles])).any()
-    return bool(distinct and other.cost - best.cost < _TOLD * variance)
+def _smooth_part(
+    views: Views,
+    residuals: Array,
+    jacobian: Array,
+    marks: NDArray[np.intp] | None,
+    rounding: float,
+) -> tuple[float, float, Array]:
+    """The discrepancy, of the means over the points of one mark where their errors are
+    correlated."""
+    # Where the model has the points: fields of the noisy ones would hold their noise.
+    points = np.concatenate(views.seen) + residuals.reshape(-1, 2)
+    view = np.repeat(np.arange(len(views.seen)), [len(seen) for seen in views.seen])
+    if marks is not None:
+        pairs, label, size = np.unique(
+            np.column_stack([view, marks]), axis=0, return_inverse=True, return_counts=True
+        )
+        label, view = label.ravel(), pairs[:, 0]
+        mean = csr_array((1 / size[label], (label, np.arange(len(label)))))
+        points, residuals = mean @ points, (mean @ residuals.reshape(-1, 2)).ravel()
+        jacobian = (mean @ jacobian.reshape(len(label), -1)).reshape(-1, jacobian.shape[1])
+    fields = fields_of_views([points[view == v] for v in range(len(views.seen))])
+    return discrepancy(residuals, jacobian, fields, rounding)

@@ -7,7 +7,6 @@ crossing of straight lines) lies from the image of the point that it stands for.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -64,107 +63,63 @@ class GridMap:
         return np.abs(np.linalg.det(self.steps(grid)))
 
 
-def fit_grid_map(points: Array, grid: Array, image_shape: tuple[int, ...]) -> GridMap:
-    """Least-squares map through at least four points; the distortion is zero below six.
-
-    Parameters
-    ----------
-    points, grid : ndarray, shape (N, 2)
-        Image points, px, and their grid coordinates.
-    image_shape : tuple of int
-        Height and width of the image, px.
-
-    Returns
-    -------
-    GridMap
-
-    Raises
-    ------
-    ValueError
-        If no map of finite numbers leads from the coordinates to the points.
-    """
-    return _fit(points, lambda _: grid, np.empty(0), image_shape)[0]
+def homography_map(points: Array, grid: Array, image_shape: tuple[int, ...]) -> GridMap:
+    """Map without distortion through at least four points (N, 2), linear least squares; quick."""
+    middle = (np.array(image_shape[1::-1], dtype=np.float64) - 1) / 2
+    unit = float(middle.max())
+    homography, _ = cv2.findHomography(grid.astype(np.float64), (points - middle) / unit)
+    if homography is None or not np.isfinite(homography).all():
+        raise ValueError(f"image must show a plane grid, got {len(points)} points that fit none")
+    return GridMap(np.asarray(homography, dtype=np.float64), 0.0, middle, unit, 8)
 
 
-def fit_square_map(
-    corners: Array, cells: Array, halves: Array, image_shape: tuple[int, ...]
+def fit_grid_map(
+    points: Array, cells: Array, offsets: Array, image_shape: tuple[int, ...]
 ) -> tuple[GridMap, Array]:
-    """Least-squares map through the corners of squares, whose width and height are fitted too.
+    """Least-squares map from the grid to the points of its marks.
 
     Parameters
     ----------
-    corners : ndarray, shape (N, 2)
-        Image points, px.
-    cells : ndarray, shape (N, 2)
-        Grid coordinates of the middle of the square that each corner belongs to, in pitches.
-    halves : ndarray, shape (N, 2)
-        Where the corner lies from there: ±½ of a side along each axis.
+    points : ndarray, shape (n, k, 2)
+        Image points of each mark, px: a center, or the four corners of a square.
+    cells : ndarray, shape (n, 2)
+        Coordinates of the marks, pitches.
+    offsets : ndarray, shape (k, 2)
+        Where the points lie from there, in sides of the square, which are fitted, too.
     image_shape : tuple of int
         Height and width of the image, px.
 
     Returns
     -------
     to_image : GridMap
-        From coordinates in pitches to the image.
-    sides : ndarray, shape (2,)
-        Width and height of the squares, pitches.
+        From coordinates in pitches to the image; without distortion below six points.
+    positions : ndarray, shape (n, k, 2)
+        Coordinates of the points.
 
     Raises
     ------
     ValueError
         If no map of finite numbers leads from the coordinates to the points.
     """
-    to_image = homography_map(*_middles(corners, cells), image_shape)
-    quads = corners.reshape(-1, 4, 2)
-    diagonals = quads[:, 2:] - quads[:, :2]
-    area = np.abs(np.linalg.det(diagonals)) / 2
-    cell = np.median(to_image.scale(cells[::4]))
-    if not cell > 0:
-        raise ValueError("image must show squares on a plane grid, got them in one row")
-    side = np.sqrt(np.median(area) / cell)
-    to_image, sides = _fit(
-        corners, lambda sides: cells + halves * sides, np.full(2, side), image_shape
-    )
-    return to_image, sides
-
-
-def _middles(corners: Array, cells: Array) -> tuple[Array, Array]:
-    """Mean corner of each square, and its coordinates."""
-    return corners.reshape(-1, 4, 2).mean(axis=1), cells[::4]
-
-
-def homography_map(points: Array, grid: Array, image_shape: tuple[int, ...]) -> GridMap:
-    """Map without distortion through at least four points, linear least squares; quick.
-
-    Parameters and errors are those of :func:`fit_grid_map`.
-    """
-    middle = (np.array(image_shape[1::-1], dtype=np.float64) - 1) / 2
-    unit = float(middle.max())
-    homography, _ = cv2.findHomography(grid, (points - middle) / unit)
-    if homography is None or not np.isfinite(homography).all():
-        raise ValueError(f"image must show a plane grid, got {len(points)} points that fit none")
-    return GridMap(np.asarray(homography, dtype=np.float64), 0.0, middle, unit, 8)
-
-
-def _fit(
-    points: Array,
-    place: Callable[[Array], Array],
-    extra: Array,
-    image_shape: tuple[int, ...],
-) -> tuple[GridMap, Array]:
-    """Map from `place(extra)` to the points, and the best `extra`."""
-    flat = homography_map(points, place(extra), image_shape)
-    count = 9 if len(points) >= _FEWEST_FOR_DISTORTION else 8
+    flat = homography_map(points.mean(axis=1), cells, image_shape)
+    count = 9 if points[..., 0].size >= _FEWEST_FOR_DISTORTION else 8
     start = np.append(flat.homography.ravel()[:8], np.zeros(count - 8))
+    squares = points.shape[1] == 4
+    if squares:
+        area = np.abs(np.linalg.det(points[:, 2:] - points[:, :2])) / 2
+        cell = np.median(flat.scale(cells))
+        if not cell > 0:
+            raise ValueError("image must show squares on a plane grid, got them in one row")
+        start = np.append(start, np.full(2, np.sqrt(np.median(area) / cell)))
 
-    def build(p: Array) -> GridMap:
+    def build(p: Array) -> tuple[GridMap, Array]:
         distortion = float(p[8]) if count > 8 else 0.0
         homography = np.append(p[:8], 1.0).reshape(3, 3)
-        return GridMap(homography, distortion, flat.middle, flat.unit, count + len(extra))
+        to_image = GridMap(homography, distortion, flat.middle, flat.unit, len(p))
+        return to_image, cells[:, None] + (offsets * p[count:] if squares else offsets)
 
-    best = least_squares(
-        lambda p: (build(p)(place(p[count:])) - points).ravel(),
-        np.append(start, extra),
-        x_scale="jac",
-    )
-    return build(best.x), best.x[count:]
+    def residuals(p: Array) -> Array:
+        to_image, positions = build(p)
+        return (to_image(positions) - points).ravel()
+
+    return build(least_squares(residuals, start, x_scale="jac").x)

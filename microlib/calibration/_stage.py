@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from microlib._common import Array, Tidy, as_array, between, same_length
 
@@ -18,7 +18,7 @@ _FLATTEST = 1e-6
 _FEWEST = 3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StageAffine(Tidy):
     """Affine map from stage positions to the image.
 
@@ -34,8 +34,6 @@ class StageAffine(Tidy):
         From the image's x axis to the stage's, rad, from x to y.
     mirrored : bool
         True if the image shows the stage's axes turning the other way.
-    shear : float
-        How far the images of the stage's axes are from a right angle, rad.
     residuals : ndarray, shape (N, 2)
         Image points minus the map, px.
     """
@@ -47,7 +45,6 @@ class StageAffine(Tidy):
     um_per_pixel: tuple[float, float, float]
     angle: float
     mirrored: bool
-    shear: float
     residuals: Array
 
     @property
@@ -84,6 +81,8 @@ def stage_affine(stage: ArrayLike, image: ArrayLike) -> StageAffine:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.calibration import stage_affine
     >>> moves = np.array([[0.0, 0], [50, 0], [0, 50], [50, 50], [-50, 0], [0, -50]])
     >>> found = stage_affine(moves, moves @ np.array([[0.0, 2.0], [-2.0, 0.0]]) + [320, 240])
     >>> round(found.um_per_pixel[0], 6), round(found.angle / np.pi, 6), found.mirrored
@@ -101,38 +100,26 @@ def stage_affine(stage: ArrayLike, image: ArrayLike) -> StageAffine:
             raise ValueError(
                 f"{name} must not lie on one line, got {len(points)} positions that do"
             )
-    middle = stage.mean(axis=0)
-    design = np.column_stack([stage - middle, np.ones(len(stage))])
+    middle = np.eye(3)
+    middle[2, :2] = -stage.mean(axis=0)  # from positions to those about their middle
+    design = np.column_stack([stage, np.ones(len(stage))]) @ middle
     best = np.linalg.lstsq(design, image, rcond=None)[0]
     residuals = image - design @ best
     freedom = 2 * (len(stage) - _FEWEST)
     variance = float((residuals**2).sum()) / freedom if freedom else np.nan
-    # From positions about their middle to positions as they are.
-    shift = np.eye(3)
-    shift[2, :2] = -middle
-    matrix = (shift @ best).T
-    one = shift @ np.linalg.inv(design.T @ design) @ shift.T
+    matrix = (middle @ best).T
+    one = middle @ np.linalg.inv(design.T @ design) @ middle.T
     covariance = variance * np.kron(np.eye(2), one)
     linear = matrix[:, :2]
-    first, second = (np.arctan2(*column[::-1]) for column in linear.T)
-    mirrored = bool(np.linalg.det(linear) < 0)
-    apart = np.angle(np.exp(1j * (second - first + (np.pi / 2 if mirrored else -np.pi / 2))))
+    pixel = 1 / np.sqrt(np.abs(np.linalg.det(linear)))
+    by = 0.5 * np.linalg.inv(linear).T.ravel()  # d log √|det A| = ½ tr(A⁻¹ dA)
+    relative = np.sqrt(by @ covariance[np.ix_([0, 1, 3, 4], [0, 1, 3, 4])] @ by)
+    reach = pixel * relative * stdtrit(freedom, 0.975) if freedom else np.nan
     return StageAffine(
         matrix,
         covariance,
-        _pixel(linear, covariance[np.ix_([0, 1, 3, 4], [0, 1, 3, 4])], freedom),
-        float(first),
-        mirrored,
-        float(apart),
+        (float(pixel), float(pixel - reach), float(pixel + reach)),
+        float(np.arctan2(linear[1, 0], linear[0, 0])),
+        bool(np.linalg.det(linear) < 0),
         residuals,
     )
-
-
-def _pixel(linear: Array, covariance: Array, freedom: int) -> tuple[float, float, float]:
-    """µm per px, 1/√|det|, and its interval."""
-    value = 1 / np.sqrt(np.abs(np.linalg.det(linear)))
-    # d log √|det A| = ½ tr(A⁻¹ dA)
-    by = 0.5 * np.linalg.inv(linear).T.ravel()
-    relative = float(np.sqrt(by @ covariance @ by))
-    half = float(student.ppf(0.975, freedom)) * relative if freedom else np.nan
-    return float(value), float(value * (1 - half)), float(value * (1 + half))

@@ -15,7 +15,6 @@ from skimage.draw import polygon
 
 from compendium import thesis
 from microlib.calibration import detect_circles, detect_squares
-from microlib.calibration._grid_order import order_grid
 from microlib.microscope import Microscope
 from microlib.synthetic import ImagingConditions, render_circles, render_squares
 
@@ -141,69 +140,6 @@ def test_bad_rendering_parameters_are_named(call, word):
         call()
 
 
-# Grid order
-
-
-@given(
-    direction=st.floats(-np.pi, np.pi),
-    mirrored=st.booleans(),
-    slant=st.floats(-20, 20),
-    seed=st.integers(0, 10**6),
-)
-@settings(deadline=None, max_examples=40)
-def test_grid_order_survives_rotation_tilt_holes_and_clutter(direction, mirrored, slant, seed):
-    rng = np.random.default_rng(seed)
-    truth = np.stack(np.meshgrid(np.arange(9), np.arange(7)), axis=-1).reshape(-1, 2)
-    scope = Microscope(
-        2e5,
-        1e5,
-        5e4,
-        -1e-9,
-        direction,
-        slant * DEGREE,
-        np.pi * mirrored + 0.1,
-        image_size=(500, 500),
-    )
-    scope = replace(
-        scope, tx=-(scope.rotation[0, :2] @ [600, 450]), ty=-(scope.rotation[1, :2] @ [600, 450])
-    )
-    keep = rng.random(63) > 0.1
-    clutter = scope.project(150 * (np.array([[1, 2], [4, 3], [6, 0]]) + 0.5))
-    points = np.concatenate([scope.project(150.0 * truth[keep]), clutter])
-    shuffle = rng.permutation(len(points))
-    index, grid = order_grid(points[shuffle], direction=direction, mirrored=mirrored)
-    found = shuffle[index]
-    assert (found < keep.sum()).all()
-    expected = truth[keep][found]
-    assert (grid - expected == (grid - expected)[0]).all()
-    assert len(found) == keep.sum()
-
-
-def test_direction_picks_the_axis():
-    points = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1).reshape(-1, 2) * 10
-    for k in range(4):
-        _, grid = order_grid(points, direction=k * np.pi / 2 + 0.5)
-        step = points[(grid == [1, 0]).all(axis=1)] - points[(grid == [0, 0]).all(axis=1)]
-        np.testing.assert_allclose(
-            step[0], 10 * np.round([np.cos(k * np.pi / 2), np.sin(k * np.pi / 2)])
-        )
-
-
-@pytest.mark.parametrize(
-    "points",
-    [
-        np.zeros((3, 2)),
-        np.zeros((6, 2)),
-        np.column_stack([np.arange(8.0), np.zeros(8)]),
-        np.array([[0.0, 0], [1, 17], [23, 5], [11, 40], [np.nan, 2]]),
-        np.zeros((4, 3)),
-    ],
-)
-def test_points_without_a_lattice_are_refused(points):
-    with pytest.raises(ValueError, match="points"):
-        order_grid(points)
-
-
 # Detection
 
 
@@ -276,26 +212,6 @@ def test_localization_beats_the_limits_and_states_its_error(
         assert rms / np.sqrt((found.sigma**2).mean()) == pytest.approx(1.0, abs=0.25)
 
 
-def test_circles_beat_opencv_on_the_same_image():
-    rng = np.random.default_rng(5)
-    scope = Microscope(2e5, 1e5, 5e4, alpha=0.1, tx=-700, ty=-600, image_size=(420, 360))
-    image = render_circles(
-        scope,
-        radius=PITCH / 4,
-        pitch=PITCH,
-        counts=(9, 7),
-        imaging=ImagingConditions(blur=1.5, noise=2.0),
-        rng=rng,
-    )
-    ours = errors(scope, detect_circles(image), PITCH)
-    found, centers = cv2.findCirclesGrid(np.round(image).astype(np.uint8), (9, 7))
-    assert found
-    points = np.asarray(centers, dtype=float).reshape(-1, 2)
-    theirs = points - scope.project(np.round(scope.back_project(points) / PITCH) * PITCH)
-    # The same circles to within both errors, and ours the smaller one.
-    assert np.sqrt((ours**2).mean()) < 0.7 * np.sqrt((theirs**2).mean())
-
-
 def test_the_bias_of_circles_under_perspective_is_removed():
     scope = Microscope(4000, 2000, 1000, 0.0, 0.1, 0.35, 0.0, -700, -500, image_size=(656, 491))
     image = render_circles(scope, radius=60, pitch=200, counts=(8, 6))
@@ -355,19 +271,6 @@ def test_dirt_is_not_taken_for_a_circle():
     assert np.abs(errors(CIRCLE_1X, found, 280.0)).max() < 0.05
     assert len(found.points) >= len(clean.points) - 3
     assert np.hypot(*(found.points - first).T).min() > 10
-
-
-def test_a_circle_with_a_smudge_is_dropped():
-    image = render_circles(
-        CIRCLE_1X, imaging=ImagingConditions(noise=2.0), rng=np.random.default_rng(8)
-    )
-    clean = detect_circles(image, direction=CIRCLE_1X.alpha, mirrored=True)
-    victim = clean.points[70]
-    cv2.circle(image, np.int_(np.round(np.add(victim, [11, 0]))), 4, 50.0, -1)
-    found = detect_circles(image, direction=CIRCLE_1X.alpha, mirrored=True)
-    assert np.hypot(*(found.points - victim).T).min() > 10
-    assert len(found.points) == len(clean.points) - 1
-    assert np.abs(errors(CIRCLE_1X, found, 280.0)).max() < 0.05
 
 
 @pytest.mark.parametrize(

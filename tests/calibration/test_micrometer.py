@@ -70,7 +70,8 @@ def test_the_distance_of_the_lines_is_found(change):
     assert found.spacing == pytest.approx(true, rel=3e-4)
     assert abs(found.spacing - true) < 4 * found.spacing_sigma
     turn = found.angle - change.get("angle", 0.2)
-    assert abs(np.sin(turn)) < 0.01  # across the lines, to either side
+    # Across the lines, to either side: a lean of 0.02 makes 2e-4 of the spacing.
+    assert abs(np.sin(turn)) < 0.02
     assert np.diff(found.divisions).min() >= 1
 
 

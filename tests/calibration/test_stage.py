@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import fields, replace
 
 import cv2
 import numpy as np
 import pytest
 
-from microlib.calibration import calibrate, stage_affine
+from microlib.calibration import Calibration, calibrate, stage_affine
 from microlib.microscope import Microscope
 
 MOVES = np.array([[0.0, 0], [40, 0], [0, 40], [-40, 0], [0, -40], [40, 40], [-40, 30]])
@@ -31,15 +32,9 @@ def test_exact_moves_give_the_exact_map(angle, mirrored):
     assert found.um_per_pixel[0] == pytest.approx(1 / 1.6)
     assert found.angle == pytest.approx(angle)
     assert found.mirrored is mirrored
-    assert found.shear == pytest.approx(0, abs=1e-12)
     a, b, tx, c, d, ty = map(float, found.micro_manager.split(";"))
     np.testing.assert_allclose(np.array([[a, b], [c, d]]) @ matrix, np.eye(2), atol=1e-7)
     assert tx == ty == 0
-
-
-def test_axes_that_are_not_square_are_told():
-    skew = turned(2.0, 0.3) @ np.array([[1, -np.sin(0.05)], [0, np.cos(0.05)]])
-    assert stage_affine(MOVES, MOVES @ skew.T).shear == pytest.approx(0.05)
 
 
 def test_the_intervals_of_the_stage_cover():
@@ -114,11 +109,49 @@ def test_opencv_projects_from_the_json_as_the_microscope_does():
     assert camera["distortion_model_error_px"] < 1e-3
     assert content["imagej"]["pixel_width"] == pytest.approx(9.9 / SCOPE.magnification)
     assert content["micro_manager"]["PixelSizeUm"] == content["imagej"]["pixel_width"]
-    assert set(content["standard_deviations"]) == set(found.parameters)
 
 
-def test_what_is_not_determined_is_null_in_json():
-    flat = Microscope(2e5, 126000, 79380, -8e-10, 0.3, 0, 0, -900, -700)
+@pytest.mark.parametrize("tilt", [0.0, 0.2])
+def test_a_calibration_returns_from_its_json(tilt):
+    """Also what is not finite: variances of what one view without tilt does not determine."""
+    scope = Microscope(2e5, 126000, 79380, -8e-10, 0.3, tilt, 0, -900, -700)
+    world = WORLD[((scope.project(WORLD) > 5) & (scope.project(WORLD) < [650, 485])).all(axis=1)]
+    noise = np.random.default_rng(0).normal(0, 0.02, world.shape)
+    found = calibrate(
+        world, scope.project(world) + noise, pixel_size=(9.9, 9.8), image_size=(656, 491)
+    )
+    assert ("focal_length" in found.unobservable) is (tilt == 0)
+    again = Calibration.from_json(found.to_json())
+    for field in fields(found):
+        here, there = getattr(found, field.name), getattr(again, field.name)
+        if isinstance(here, np.ndarray):
+            np.testing.assert_array_equal(there, here)  # JSON holds all digits
+        else:
+            assert there == here, field.name
+    assert repr(again) == repr(found)
+    for wrong in ("", "{}", '{"calibration": {"views": []}}', "3"):
+        with pytest.raises(ValueError, match="text must be what to_json wrote"):
+            Calibration.from_json(wrong)
+
+
+def test_opencv_straightens_points_by_the_json():
+    """Straight rows of a lattice seen through a distortion are straight again."""
+    scope = replace(SCOPE, distortion=-3e-9)
+    world = WORLD[((scope.project(WORLD) > 5) & (scope.project(WORLD) < [650, 485])).all(axis=1)]
+    found = calibrate(world, scope.project(world), pixel_size=9.9, image_size=(656, 491))
+    camera = json.loads(found.to_json())["opencv"]
+    matrix = np.array(camera["camera_matrix"])
+    lens = np.array(camera["distortion_coefficients"])
+    straight = cv2.undistortPoints(scope.project(world)[:, None], matrix, lens, P=matrix)[:, 0]
+    np.testing.assert_allclose(straight, replace(scope, distortion=0.0).project(world), atol=0.01)
+
+
+def test_the_table_holds_every_parameter_with_its_error():
     noise = np.random.default_rng(0).normal(0, 0.02, WORLD.shape)
-    found = calibrate(WORLD, flat.project(WORLD) + noise, pixel_size=9.9, image_size=(656, 491))
-    assert json.loads(found.to_json())["standard_deviations"]["focal_length"] is None
+    found = calibrate(WORLD, SCOPE.project(WORLD) + noise, pixel_size=9.9, image_size=(656, 491))
+    table = found.to_frame()
+    assert tuple(table.index) == found.parameters
+    np.testing.assert_allclose(table["sigma"] ** 2, np.diag(found.covariance))
+    assert (table["low"] < table["estimate"]).all()
+    assert table["determined"].all()
+    assert len(repr(found).splitlines()) <= 10

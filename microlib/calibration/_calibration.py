@@ -1,0 +1,315 @@
+"""What a calibration tells: the microscope, its parameters with their errors, and files of it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from scipy.special import stdtrit
+
+from microlib._common import Array, Tidy, as_array, flat_row, one_of, scalar
+from microlib.microscope import Microscope, distort
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: Below this chance a model is said not to fit.
+_IMPROBABLE = 1e-3
+#: Radii at which the distortion is expressed as OpenCV does.
+_RADII = 64
+
+
+@dataclass(frozen=True)
+class ErrorSummary(Tidy):
+    """Statistics of the distances between two sets of points, as in Table 5.2.
+
+    Parameters
+    ----------
+    mean, std, max, rms : float
+        In the unit of the points.
+    """
+
+    mean: float
+    std: float
+    max: float
+    rms: float
+
+    @classmethod
+    def of(cls, differences: Array) -> ErrorSummary:
+        """Summarize differences of points, shape (N, 2)."""
+        distance = np.hypot(*as_array("differences", differences, shape=(None, 2)).T)
+        rms = np.sqrt((distance**2).mean())
+        return cls(float(distance.mean()), float(distance.std()), float(distance.max()), float(rms))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration(Tidy):
+    """A calibrated microscope and how well it is known.
+
+    Parameters
+    ----------
+    microscope : Microscope
+        With the estimated parameters, in focus: d = f²/T_op (2.20).
+    parameters : tuple of str
+        What was estimated, in the order of `estimate` and `covariance`; lengths in µm, angles in
+        rad, κ in 1/µm².
+    estimate : ndarray, shape (p,)
+        The estimates.
+    covariance : ndarray, shape (p, p)
+        Their covariance. Variances of parameters in `unobservable` are infinite, covariances beside
+        them NaN.
+    unobservable : tuple of str
+        Parameters that these points do not determine, whatever `estimate` says.
+    freedom : int
+        Degrees of freedom behind the residual's variance.
+    residuals : ndarray, shape (N, 2)
+        Image points minus their projection, px.
+    plane_residuals : ndarray, shape (N, 2)
+        Image points projected back to the pattern minus the world points, µm.
+    misfit : float
+        Smooth part of the residuals over what noise makes of it: about one for a model that fits.
+        NaN for fewer than 24 points, which cannot tell.
+    misfit_chance : float
+        Probability of so much by noise alone. Below a tenth the covariance allows for it: what the
+        model lacks, a distortion or a bend of the pattern, is taken to be as large in the
+        directions that the parameters absorb as in those that show.
+    views : tuple of Microscope
+        One for each view; `microscope` is the first.
+    """
+
+    _samples = ("residuals", "plane_residuals")
+    _large = ("microscope", "parameters", "estimate", "covariance", "views")
+
+    microscope: Microscope
+    parameters: tuple[str, ...]
+    estimate: Array
+    covariance: Array
+    unobservable: tuple[str, ...]
+    freedom: int
+    residuals: Array
+    plane_residuals: Array
+    misfit: float
+    misfit_chance: float
+    views: tuple[Microscope, ...]
+
+    def __repr__(self) -> str:
+        value, low, high = self.um_per_pixel()
+        lines = [
+            f"Calibration of {len(self.residuals)} points in {len(self.views)} view(s), "
+            f"{self.reprojection.rms:.3g} px rms beside the model",
+            f"  {value:.6g} µm per pixel, 95 % in {low:.6g} … {high:.6g}",
+            f"  magnification {self.microscope.magnification:.6g}, "
+            f"focal length {self.microscope.focal_length:.6g} µm, "
+            f"tilt {np.rad2deg(self.microscope.tilt):.3g}°",
+        ]
+        if self.unobservable:
+            lines.append(f"  not determined: {', '.join(self.unobservable)}")
+        if not self.fits:
+            lines.append(f"  the model does not fit: misfit {self.misfit:.3g}")
+        return "\n".join(lines)
+
+    @property
+    def fits(self) -> bool:
+        """False if the residuals contradict the model: noise alone would make so much of them
+        smooth in less than a thousandth of all images."""
+        return self.misfit_chance >= _IMPROBABLE
+
+    @property
+    def reprojection(self) -> ErrorSummary:
+        """Distances in the image, px."""
+        return ErrorSummary.of(self.residuals)
+
+    @property
+    def plane_error(self) -> ErrorSummary:
+        """Distances on the pattern plane, µm (Table 5.2)."""
+        return ErrorSummary.of(self.plane_residuals)
+
+    @property
+    def sigma(self) -> dict[str, float]:
+        """Standard deviation of each parameter."""
+        return dict(zip(self.parameters, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
+    def principal_point(self) -> Array:
+        """Where the optical axis meets the sensor, (x, y) px: the middle, unless it was found."""
+        aside = np.array([self._value("principal_x"), self._value("principal_y")])
+        return self.microscope.principal_point + aside
+
+    def interval(self, parameter: str, level: float = 0.95) -> tuple[float, float]:
+        """Confidence interval of a parameter, from Student's distribution.
+
+        That of the focal length is the interval of 1/f, turned over: 1/f is what the points see,
+        with a nearly normal error.
+
+        Raises
+        ------
+        ValueError
+            If `parameter` was not estimated or `level` is not in (0, 1).
+        """
+        k = self.parameters.index(one_of("parameter", parameter, self.parameters))
+        level = scalar("level", level, within=(0, 1))
+        std = float(np.sqrt(self.covariance[k, k]))
+        # Half of an infinite interval is infinite at any level.
+        half = std if np.isinf(std) else float(stdtrit(self.freedom, 0.5 + level / 2)) * std
+        value = float(self.estimate[k])
+        if parameter == "focal_length" and np.isfinite(half):
+            relative = half / value
+            return value / (1 + relative), value / (1 - relative)
+        return value - half, value + half
+
+    def um_per_pixel(self, level: float = 0.95) -> tuple[float, float, float]:
+        """Width on the pattern of a pixel at the optical axis, µm, and its confidence interval.
+
+        The cell's width over the magnification, of the first view; the pattern stands for the
+        sample in focus.
+
+        Parameters
+        ----------
+        level : float
+            Probability that the interval holds it.
+
+        Returns
+        -------
+        value, low, high : float
+        """
+        low, high = self.interval("magnification", level)
+        cell = float(self.microscope.cell[0])
+        return cell / self.microscope.magnification, cell / high, cell / low
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the calibration as a flat dictionary that JSON can hold.
+
+        Returns
+        -------
+        dict
+            Every parameter of the microscope by its name, its standard deviation as ``…_sigma``
+            where it was estimated, the fields with one value, and both summaries of the errors.
+        """
+        sigma = {f"{name}_sigma": value for name, value in self.sigma.items()}
+        errors = {"reprojection": self.reprojection, "plane_error": self.plane_error}
+        scope = {**vars(self.microscope), "magnification": self.microscope.magnification}
+        return flat_row({**scope, **sigma, **errors}) | super().to_dict()
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the parameters as a table.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each parameter, by its name: the estimate, its standard deviation, the ends of
+            its 95 % interval, and whether the points determine it. Lengths are in µm, angles in
+            rad, κ in 1/µm².
+        """
+        import pandas as pd  # here, for it takes a third of the time that importing a subject takes
+
+        spans = np.array([self.interval(name) for name in self.parameters])
+        return pd.DataFrame(
+            {
+                "estimate": self.estimate,
+                "sigma": list(self.sigma.values()),
+                "low": spans[:, 0],
+                "high": spans[:, 1],
+                "determined": [name not in self.unobservable for name in self.parameters],
+            },
+            index=pd.Index(self.parameters, name="parameter"),
+        )
+
+    def to_json(self) -> str:
+        """Text in JSON that :meth:`from_json` reads, and from which other programs can be set up.
+
+        OpenCV's camera matrix and distortion coefficients (with the most that they are off the
+        model in the image), rotation and translation of each view, as ``cv2.undistort`` takes them;
+        Micro-Manager's and ImageJ's size of a pixel with its 95 % interval; and all that is known
+        here, in which what is not finite is a text.
+
+        Returns
+        -------
+        str
+        """
+        scope, axis = self.microscope, self.principal_point
+        distance = (scope.tube_length + scope.focal_length) / scope.cell
+        terms, worst = self._brown()
+        pixel, *ends = self.um_per_pixel()
+        own = {name: _plain(value) for name, value in vars(self).items() if name != "microscope"}
+        content = {
+            "opencv": {
+                "image_width": int(scope.image_size[0]),
+                "image_height": int(scope.image_size[1]),
+                "camera_matrix": [[distance[0], 0, axis[0]], [0, distance[1], axis[1]], [0, 0, 1]],
+                "distortion_coefficients": terms,
+                "distortion_model_error_px": worst,
+                "rotation_vectors": [cv2.Rodrigues(v.rotation)[0].ravel() for v in self.views],
+                "translation_vectors_um": [v.translation for v in self.views],
+            },
+            "micro_manager": {"PixelSizeUm": pixel},
+            "imagej": {"unit": "µm", "pixel_width": pixel, "pixel_height": pixel},
+            "pixel_size_interval_um": _plain(ends),
+            "calibration": own | {"views": [_plain(vars(view)) for view in self.views]},
+        }
+        return json.dumps(content, indent=2, ensure_ascii=False, default=_plain)
+
+    @classmethod
+    def from_json(cls, text: str) -> Calibration:
+        """Read what :meth:`to_json` wrote.
+
+        Raises
+        ------
+        ValueError
+            If `text` holds no calibration.
+        """
+        try:
+            own: dict[str, Any] = json.loads(text)["calibration"]
+            views = []
+            for view in own.pop("views"):
+                pairs: dict[str, Any] = {
+                    n: tuple(view[n]) for n in view if isinstance(view[n], list)
+                }
+                views.append(Microscope(**(view | pairs)))
+            arrays = ("estimate", "covariance", "residuals", "plane_residuals")
+            own |= {name: np.array(own[name], dtype=object).astype(float) for name in arrays}
+            own |= {name: tuple(own[name]) for name in ("parameters", "unobservable")}
+            own |= {name: float(own[name]) for name in ("misfit", "misfit_chance")}
+            return cls(microscope=views[0], views=tuple(views), **own)
+        except (TypeError, LookupError, AttributeError, ValueError) as fault:
+            raise ValueError(f"text must be what to_json wrote, got {str(text)[:40]!r}") from fault
+
+    def _value(self, parameter: str) -> float:
+        """The estimate of a parameter, zero if it was not estimated."""
+        found = parameter in self.parameters
+        return float(self.estimate[self.parameters.index(parameter)]) if found else 0.0
+
+    def _brown(self) -> tuple[list[float], float]:
+        """OpenCV's k₁, k₂, p₁, p₂, k₃ for the model's distortion, and how far they are off, px.
+
+        OpenCV's radius is in principal distances, from undistorted to distorted points, where the
+        model's polynomial leads back.
+        """
+        scope = self.microscope
+        distance = scope.tube_length + scope.focal_length
+        corner = float(np.linalg.norm(scope.cell * scope.image_size)) / 2
+        radius = np.linspace(0, corner, _RADII + 1)[1:]
+        seen = distort(np.column_stack([radius, 0 * radius]), scope.distortion)[:, 0]
+        stretch = seen / radius * (1 + self._value("distortion_2") * seen**4) - 1
+        reached = np.isfinite(stretch)
+        powers = (radius[:, None] / corner) ** [2, 4, 6]
+        design, wanted = powers[reached] * radius[reached, None], (stretch * radius)[reached]
+        best = np.linalg.lstsq(design, wanted, rcond=None)[0]
+        worst = np.abs((powers @ best - stretch) * radius)[reached].max() / scope.cell.min()
+        k1, k2, k3 = (
+            float(b) * (distance / corner) ** p for b, p in zip(best, (2, 4, 6), strict=True)
+        )
+        return [k1, k2, 0.0, 0.0, k3], float(worst)
+
+
+def _plain(value: Any) -> Any:
+    """What JSON can hold; numbers that are not finite as texts."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {name: _plain(each) for name, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(each) for each in value]
+    return str(value) if isinstance(value, float) and not np.isfinite(value) else value

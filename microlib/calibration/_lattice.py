@@ -1,0 +1,319 @@
+"""Marks to a lattice: grown from mark to mark, completed, named by the marks' shapes, and counted.
+
+Round marks are seen as ellipses. Sent back through the derivatives of the map from the lattice's
+coordinates to the image they all are one ellipse, and that ellipse is the metric of the
+coordinates: it tells a square lattice from a tilted hexagonal one, which points alone cannot.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, cKDTree
+
+from microlib._common import Array
+from microlib.calibration._detection import FEWEST
+from microlib.calibration._grid_map import fit_grid_map
+from microlib.calibration._marks import Marks
+
+#: Lattices by name, and the coordinates of their steps in the pattern's plane, in pitches.
+STEPS = {
+    "square": np.eye(2),
+    "hexagonal": np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]]),
+    "asymmetric": np.eye(2),
+}
+#: Integer coordinates of marks, or the indices of some.
+Index = NDArray[np.intp]
+
+# Growth
+
+#: Neighbors that may be the next in the lattice: a hexagonal one has six, and clutter lies between.
+_NEAR = 12
+#: Most ratio of the areas of neighbors, and most difference of their shapes.
+_LIKE_AREA, _LIKE_SHAPE = 2.0, 0.5
+#: The second step may lie so far from where the first, turned in the marks' metric, has it, in
+#: steps; and later marks so far from where the step before predicts them.
+_SEED_REACH, _REACH = 0.3, 0.25
+#: Most first steps that are tried from one mark.
+_TRIES = 4
+
+# Completion
+
+#: Least contrast of a place that is taken for a mark, as a part of the median of those found.
+_LEAST_CONTRAST = 0.5
+#: Half the width of a mark in standard deviations of its area: 2 for a circle, √3 for the side of a
+#: square, √6 for its diagonal.
+_HALF_WIDTH = 2.0
+_MIDDLE = np.zeros((1, 2))
+#: Rings around the lattice that are looked at, one after the other.
+_RINGS = 4
+#: Places half a step from a mark, across and along the axes.
+_ACROSS = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, 0.5], [-0.5, -0.5]])
+_ALONG = np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
+#: Least ratio of the ground's contrast along and across: 1 but for blur and light, a half between
+#: the fields of a chessboard.
+_LEAST_ALIKE = 0.75
+
+# Form
+
+#: Most scatter of the shapes: photographed boards have up to 0.033 (development images), marks of
+#: chance mostly more than 0.2.
+_MOST_SCATTER = 0.08
+#: Longer over shorter step of a lattice of equal steps, at most, and how far the cosine between
+#: them may lie from 0 or ½. Every second place of every second row of a square lattice is nearest
+#: to a hexagonal one, with a ratio of 1.118 and a cosine of 0.447.
+_MOST_RATIO, _MOST_COSINE = 1.1, 0.1
+#: Least part of the lattice's places inside the marks' convex hull that hold one. False lattices
+#: of the development images hold a fifth to a half.
+LEAST_FULL = 0.6
+
+
+def grow_lattices(marks: Marks, lattice: str) -> list[tuple[Index, Index]]:
+    """Pieces of lattice among the marks: which of them, and their integer coordinates.
+
+    From a mark with like neighbors two steps are taken that are equal and at the lattice's angle in
+    the metric that the mark's own shape tells, and each step predicts the next.
+    """
+    if len(marks.centers) < FEWEST:
+        return []
+    tree = cKDTree(marks.centers)
+    values, vectors = np.linalg.eigh(marks.moments)
+    white = (vectors / np.sqrt(values)[:, None, :]) @ vectors.transpose(0, 2, 1)
+    near = tree.query(marks.centers, k=min(_NEAR + 1, len(marks.centers)))[1][:, 1:]
+    ratio = marks.areas[near] / marks.areas[:, None]
+    seen = white[:, None] @ marks.moments[near] @ white[:, None]
+    shape = np.linalg.norm(seen / ratio[..., None, None] - np.eye(2), axis=(2, 3))
+    like = (ratio > 1 / _LIKE_AREA) & (ratio < _LIKE_AREA) & (shape < _LIKE_SHAPE)
+    angle = np.pi / 3 if lattice == "hexagonal" else np.pi / 2
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    free = np.ones(len(marks.centers), dtype=bool)
+    pieces = []
+    for seed in np.argsort(-like.sum(axis=1), kind="stable").tolist():
+        steps = (marks.centers[near[seed]] - marks.centers[seed])[like[seed]]
+        if not free[seed] or len(steps) < 2:
+            continue
+        flat = steps @ white[seed]
+        length = np.hypot(*flat.T)
+        best: dict[tuple[int, int], int] = {}
+        for k in np.argsort(length)[:_TRIES]:
+            off = np.hypot(*(flat - flat[k] @ turn).T)
+            second = int(np.argmin(off))
+            if second != k and off[second] < _SEED_REACH * length[k]:
+                piece = _grow(marks, tree, seed, np.stack([steps[k], steps[second]]))
+                best = max(best, piece, key=len)
+            if len(best) > _NEAR:  # no chance piece
+                break
+        if len(best) >= FEWEST:
+            free[list(best.values())] = False
+            grid = np.array(list(best), dtype=np.intp)
+            if fill(grid) > LEAST_FULL:
+                pieces.append((np.array(list(best.values()), dtype=np.intp), grid))
+    return sorted(pieces, key=lambda piece: -len(piece[0]))
+
+
+def _grow(marks: Marks, tree: cKDTree, seed: int, steps: Array) -> dict[tuple[int, int], int]:
+    """Marks by their coordinates, breadth first from the seed."""
+    found = {(0, 0): seed}
+    taken = {seed}
+    queue = deque([((0, 0), steps)])
+    while queue:
+        cell, local = queue.popleft()
+        here = found[cell]
+        for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1)):
+            target = (cell[0] + sign * (axis == 0), cell[1] + sign * (axis == 1))
+            if target in found:
+                continue
+            distance, index = tree.query(marks.centers[here] + sign * local[axis])
+            ratio = marks.areas[index] / marks.areas[here]
+            near = distance < _REACH * np.hypot(*local[axis])
+            if not near or index in taken or not 1 / _LIKE_AREA < ratio < _LIKE_AREA:
+                continue
+            following = local.copy()
+            step = sign * (marks.centers[index] - marks.centers[here])
+            following[axis] = (local[axis] + step) / 2
+            found[target] = int(index)
+            taken.add(int(index))
+            queue.append((target, following))
+    return found
+
+
+def complete(marks: Marks, index: Index, grid: Index) -> tuple[Marks, Index]:
+    """The marks of a lattice, with those that the image shows where it would have them."""
+    marks = marks[index]
+    for _ in range(_RINGS):
+        held = set(map(tuple, grid.tolist()))
+        beside = (grid[:, None] + (2 * _ALONG).astype(int)).reshape(-1, 2)
+        absent = np.array(sorted(set(map(tuple, beside.tolist())) - held), dtype=np.intp)
+        if len(absent) == 0:
+            break
+        flat = grid.astype(np.float64)
+        to_image, _ = fit_grid_map(marks.centers[:, None], flat, _MIDDLE, marks.image.shape)
+        places = to_image(absent.astype(np.float64))
+        near = np.linalg.norm(absent[:, None] - grid, axis=2).argmin(axis=1)
+        reach = _HALF_WIDTH * np.sqrt(np.einsum("nii->ni", marks.moments[near])) + 1
+        limit = np.array(marks.image.shape[::-1]) - 1 - reach
+        new = np.flatnonzero(((places > reach) & (places < limit)).all(axis=1))
+        steps = mean_steps(marks.centers, grid)
+        least = _LEAST_CONTRAST * np.median(_contrast(marks.smooth, marks.centers, steps))
+        new = new[_contrast(marks.smooth, places[new], steps) > least]
+        if len(new) == 0:
+            break
+        marks = replace(
+            marks,
+            centers=np.concatenate([marks.centers, places[new]]),
+            moments=np.concatenate([marks.moments, marks.moments[near[new]]]),
+            areas=np.concatenate([marks.areas, marks.areas[near[new]]]),
+        )
+        grid = np.concatenate([grid, absent[new]])
+    return marks, grid
+
+
+def refuse_fields(kind: str, marks: Marks, grid: Index) -> None:
+    """Refuse marks between which there is more than ground: fields of a chessboard, or a part of a
+    finer lattice. The grey levels half a step away along the axes and across differ there."""
+    steps = mean_steps(marks.centers, grid)
+    middle = _levels(marks.smooth, marks.centers)[:, None]
+    beside = [_levels(marks.smooth, marks.centers[:, None] + h @ steps) for h in (_ACROSS, _ALONG)]
+    across, along = (float(np.median(levels - middle)) for levels in beside)
+    if min(across, along) < _LEAST_ALIKE * max(across, along):
+        raise ValueError(
+            f"image must show {kind} apart from each other, got fields of a chessboard or marks "
+            "between them"
+        )
+
+
+def _contrast(smooth: NDArray, centers: Array, steps: Array) -> Array:
+    """Grey levels half a step away on all four sides across, less that in the middle."""
+    around = centers[:, None] + _ACROSS @ steps
+    return _levels(smooth, around).min(axis=1) - _levels(smooth, centers)
+
+
+def _levels(smooth: NDArray, points: Array) -> Array:
+    height, width = smooth.shape
+    column, row = np.moveaxis(np.round(points).astype(int), -1, 0)
+    levels: Array = smooth[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+    return levels
+
+
+def lattice_gram(shapes: Array, steps: Array, lattice: str) -> Array:
+    """Inner products of the two steps of a lattice's coordinates, up to a factor.
+
+    Parameters
+    ----------
+    shapes : ndarray, shape (N, 2, 2)
+        Second moments of each mark in the image, up to one factor, px².
+    steps : ndarray, shape (N, 2, 2)
+        Derivatives of the image by the grid's coordinates there, px.
+    lattice : str
+        What it must be: one of `STEPS`.
+
+    Returns
+    -------
+    ndarray, shape (2, 2)
+
+    Raises
+    ------
+    ValueError
+        If the marks are not of one shape, or the lattice is another.
+    """
+    inverse = np.linalg.inv(steps)
+    metrics = inverse @ shapes @ inverse.transpose(0, 2, 1)
+    metric = np.median(metrics, axis=0)
+    values, vectors = np.linalg.eigh(metric)
+    white = (vectors / np.sqrt(np.maximum(values, np.finfo(float).tiny))) @ vectors.T
+    beside = np.linalg.norm(white @ metrics @ white - np.eye(2), axis=(1, 2)) / np.sqrt(2)
+    scatter = float(np.median(beside))
+    if not values[0] > 0 or scatter > _MOST_SCATTER:
+        raise ValueError(
+            f"image must show marks of one shape and size, got some that scatter by "
+            f"{100 * scatter:.0f} %"
+        )
+    gram: Array = np.linalg.inv(metric)
+    (a, b), (_, c) = gram
+    while turns := np.round(b / min(a, c)):  # to the two shortest steps
+        if c < a:
+            a, c = c, a
+        b, c = b - turns * a, c - 2 * turns * b + turns**2 * a
+    ratio, cosine = np.sqrt(max(a, c) / min(a, c)), abs(b) / np.sqrt(a * c)
+    wanted = 0.5 if lattice == "hexagonal" else 0.0
+    if ratio > _MOST_RATIO or abs(cosine - wanted) > _MOST_COSINE:
+        name = "hexagonal" if wanted else "square"
+        raise ValueError(
+            f"image must show circles on a {name} lattice, got steps of 1 : {ratio:.2f} at "
+            f"{np.rad2deg(np.arccos(min(cosine, 1.0))):.0f}°"
+        )
+    return gram
+
+
+def fill(grid: Index) -> float:
+    """Part of a lattice's places inside the convex hull of the marks that hold one; zero for marks
+    in one row."""
+    if np.linalg.matrix_rank(grid - grid[0]) < 2:
+        return 0.0
+    hull = ConvexHull(grid)
+    corners = grid[hull.vertices]
+    border = np.gcd(*np.abs(corners - np.roll(corners, 1, axis=0)).T).sum()
+    # Pick's theorem; a hull's volume in the plane is its area.
+    return float(len(grid) / (hull.volume + border / 2 + 1))
+
+
+def refuse_gaps(kind: str, grid: Index) -> None:
+    """Refuse a lattice of which many marks are missing, as chance puts it together."""
+    share = fill(grid)
+    if share < LEAST_FULL:
+        raise ValueError(
+            f"image must show a grid of {kind}, got {len(grid)} that fill {100 * share:.0f} % of "
+            "the places of one"
+        )
+
+
+def counting(
+    points: Array, grid: Index, gram: Array, lattice: str, direction: float, mirrored: bool
+) -> NDArray[np.float64]:
+    """Matrix (2, 2) by which integer coordinates become those along the lattice's shortest steps,
+    the first of them in the wanted direction.
+
+    Parameters
+    ----------
+    points : ndarray, shape (N, 2)
+        Image points, px.
+    grid : ndarray of int, shape (N, 2)
+        Any integer coordinates of the lattice.
+    gram : ndarray, shape (2, 2)
+        Inner products of their steps.
+    lattice : str
+        One of `STEPS`.
+    direction : float
+        Direction of the pattern's x axis in the image, rad.
+    mirrored : bool
+        True if the pattern is seen from behind.
+    """
+    if lattice == "asymmetric":  # its square lattice stands on a corner
+        direction += -np.pi / 4 if mirrored else np.pi / 4
+    along = mean_steps(points, grid)
+    index = np.arange(-2, 3)
+    every = np.stack(np.meshgrid(index, index), axis=-1).reshape(-1, 2)
+    length = np.sqrt(np.einsum("ni,ij,nj->n", every, gram, every))
+    shortest = length[length > 0].min()
+    axes = every[(length > 0) & (length < _MOST_RATIO * shortest)]
+    seen = axes @ along
+    size = np.hypot(*seen.T)
+    if not (size > 0).all():
+        raise ValueError(f"image must show a plane grid, got {len(points)} points in one row")
+    heading = seen / size[:, None] @ [np.cos(direction), np.sin(direction)]
+    first = int(np.argmax(heading))
+    turn = seen[first, 0] * seen[:, 1] - seen[first, 1] * seen[:, 0]
+    cosine = axes[first] @ gram @ axes.T / shortest**2
+    wanted = 0.5 if lattice == "hexagonal" else 0.0
+    wrong = np.abs(cosine - wanted) + 10.0 * ((turn > 0) == mirrored)
+    basis = np.linalg.inv(np.stack([axes[first], axes[int(np.argmin(wrong))]]))
+    return basis @ [[1, 1], [-1, 1]] if lattice == "asymmetric" else basis
+
+
+def mean_steps(points: Array, grid: Index) -> Array:
+    """Mean step in the image for each of the two coordinates, (2, 2), px."""
+    design = np.column_stack([grid, np.ones(len(grid))])
+    return np.linalg.lstsq(design, points, rcond=None)[0][:2]

@@ -1,0 +1,234 @@
+"""How well parameters are known: their covariance, what a model's lack adds, and the bound.
+
+Noise differs from point to point. A distortion that the model lacks, a bent target or a shifted
+optical axis displaces neighbors alike. Such a displacement is seen where the model cannot follow
+it, and is as large, presumably, where the model can: there it is an error of the parameters that no
+residual shows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import fdtrc
+
+from microlib._common import OPEN, Array, inverse_normal, of_kind, scalar
+from microlib.microscope import Microscope
+
+#: Degree of the smooth displacements, and the points that they are used from: four residuals for
+#: each.
+_DEGREES = ((4, 60), (3, 40), (2, 24))
+#: Smooth residuals that noise makes in more than this part of all images are taken for noise.
+BY_CHANCE = 0.1
+#: A direction that the parameters follow up to this part of it shows nothing.
+_FOLLOWED = 1e-4
+#: A smooth displacement's terms fall with their degree: those of a lens and of a bent plate, as far
+#: as they are known, by a third and more a degree. Without it (1), a bend hidden in the focal
+#: length is stated half as large as with 2 to 4.
+_FALL = 3.0
+#: Largest noise, px: beyond any sensor's rows.
+_MOST_NOISE = 1e9
+
+
+def cramer_rao(
+    microscope: Microscope, world: ArrayLike, noise: float, parameters: tuple[str, ...]
+) -> Array:
+    """Smallest covariance any unbiased estimate of `parameters` can have.
+
+    Parameters
+    ----------
+    microscope : Microscope
+        The truth.
+    world : array_like, shape (N, 2)
+        Points of the pattern plane, µm.
+    noise : float
+        Standard deviation of each coordinate of the image points, px.
+    parameters : tuple of str
+        What is estimated together, see :meth:`microlib.microscope.Microscope.jacobian`; the others
+        are known.
+
+    Returns
+    -------
+    ndarray, shape (p, p)
+        (JᵀJ)⁻¹ σ²; infinite variances, and NaN beside them, for the parameters that take part in a
+        direction the points do not determine.
+
+    Raises
+    ------
+    ValueError
+        If `world` or `noise` is not what it should be, or a name is unknown.
+
+    Examples
+    --------
+    No set of points on a plane determines the three lengths:
+
+    >>> import numpy as np
+    >>> from microlib.calibration import cramer_rao
+    >>> from microlib.microscope import Microscope
+    >>> scope = Microscope(200490, 126150, 78750, beta=0.05)
+    >>> x, y = np.meshgrid(np.linspace(-1500, 1500, 7), np.linspace(-1000, 1000, 5))
+    >>> world = np.column_stack([x.ravel(), y.ravel()])
+    >>> np.diag(cramer_rao(scope, world, 0.02, ("tube_length", "focal_length", "distance")))
+    array([inf, inf, inf])
+    """
+    of_kind("microscope", microscope, Microscope)
+    noise = scalar("noise", noise, least=0, most=_MOST_NOISE)
+    jacobian = microscope.jacobian(world, parameters).reshape(-1, len(parameters))
+    inverse = inverse_normal(jacobian)
+    with np.errstate(invalid="ignore"):  # what is open stays so without noise, too
+        return np.where(np.isinf(inverse), np.inf, noise**2 * inverse)
+
+
+def jackknife(jacobian: Array, residuals: Array, groups: NDArray) -> Array:
+    """Covariance of least-squares parameters by leaving out one group of points after the other.
+
+    In its closed form for a linear problem; it assumes nothing of the errors inside a group.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (2 N, p)
+        Derivatives of the residuals.
+    residuals : ndarray, shape (2 N,)
+        px.
+    groups : ndarray, shape (N,)
+        Group of each point.
+
+    Returns
+    -------
+    ndarray, shape (p, p)
+        Infinite and NaN where the points leave a parameter open.
+    """
+    inverse = inverse_normal(jacobian)
+    finite = np.where(np.isfinite(inverse), inverse, 0.0)
+    order = np.argsort(np.repeat(groups, 2), kind="stable")
+    ends = np.cumsum(2 * np.unique(groups, return_counts=True)[1])[:-1]
+    totals = []
+    for m in np.split(order, ends):
+        leverage = jacobian[m] @ finite @ jacobian[m].T
+        totals.append(jacobian[m].T @ np.linalg.solve(np.eye(len(m)) - leverage, residuals[m]))
+    spread = finite @ np.transpose(totals)
+    shrink = len(ends) / (len(ends) + 1)
+    return np.where(np.isfinite(inverse), shrink * spread @ spread.T, inverse)
+
+
+def smooth_fields(points: Array) -> Array:
+    """Displacements that vary smoothly over the points, (2N, k), each as long as it is likely.
+
+    Orthogonal polynomials of both coordinates, of length 1, 1/3, 1/9 … by their degree; none for
+    fewer than 24 points.
+    """
+    degree = next((d for d, least in _DEGREES if len(points) >= least), None)
+    if degree is None:
+        return np.empty((2 * len(points), 0))
+    middle = points.mean(axis=0)
+    x, y = ((points - middle) / np.abs(points - middle).max()).T
+    powers = [(i, total - i) for total in range(degree + 1) for i in range(total + 1)]
+    each, _ = np.linalg.qr(np.column_stack([x**i * y**j for i, j in powers]))
+    return np.kron(each * [_FALL ** -(i + j) for i, j in powers], np.eye(2))
+
+
+def fields_of_views(points: list[Array]) -> Array:
+    """Displacements that all views have in common, and those of each view alone."""
+    own = [smooth_fields(each) for each in points]
+    if len(points) == 1:
+        return own[0]
+    # In a common field each view has the length that it has in one of its own.
+    common = np.sqrt(len(points)) * smooth_fields(np.concatenate(points))
+    fields = np.zeros((len(common), sum(each.shape[1] for each in own)))
+    row = column = 0
+    for each in own:
+        fields[row : row + len(each), column : column + each.shape[1]] = each
+        row, column = row + len(each), column + each.shape[1]
+    return np.hstack([common, fields])
+
+
+def discrepancy(
+    residuals: Array, jacobian: Array, fields: Array, rounding: float
+) -> tuple[float, float, Array]:
+    """Test residuals for a smooth part, and carry it to the parameters.
+
+    Parameters
+    ----------
+    residuals : ndarray, shape (m,)
+        At the best fit, px.
+    jacobian : ndarray, shape (m, p)
+        Their derivatives by the parameters.
+    fields : ndarray, shape (m, k)
+        Smooth displacements.
+    rounding : float
+        Variance of residuals that is no more than rounding, px².
+
+    Returns
+    -------
+    misfit : float
+        Size of the smooth part over what noise makes of it: about one for a model that fits; NaN
+        where there are too few points to tell.
+    chance : float
+        Probability of so much by noise alone; one where there are too few points.
+    covariance : ndarray, shape (p, p)
+        What it adds to that of the parameters.
+    """
+    count = jacobian.shape[1]
+    nothing = np.zeros((count, count))
+    followed = response(jacobian, fields)
+    seen = fields - jacobian @ followed
+    # Of squares, which are quicker than the fields themselves: what is followed lies far above the
+    # root of rounding.
+    size, axes = np.linalg.eigh(seen.T @ seen)
+    shown = size > _FOLLOWED**2
+    free = int(shown.sum())
+    freedom = len(residuals) - count - free
+    if free == 0 or freedom <= 0:
+        return np.nan, 1.0, nothing
+    smooth = float(((axes.T @ (seen.T @ residuals))[shown] ** 2 / size[shown]).sum())
+    noise = max(float((residuals**2).sum()) - smooth, 0.0) / freedom
+    if noise <= rounding:
+        return 1.0, 1.0, nothing
+    ratio = smooth / free / noise
+    chance = float(fdtrc(free, freedom, ratio))
+    if chance > BY_CHANCE:
+        return float(np.sqrt(ratio)), chance, nothing
+    amplitude = (smooth - noise * free) / float((seen**2).sum())
+    return float(np.sqrt(ratio)), chance, amplitude * followed @ followed.T
+
+
+def response(jacobian: Array, fields: Array) -> Array:
+    """Errors of least-squares parameters that displacements (m, k) of the points make, (p, k).
+
+    Zero in directions that the points leave open.
+    """
+    scale = np.linalg.norm(jacobian, axis=0)
+    scale = np.where(scale == 0, 1.0, scale)
+    basis, singular, directions = np.linalg.svd(jacobian / scale, full_matrices=False)
+    held = singular > OPEN * singular[0]
+    inverse = np.divide(1.0, singular, out=np.zeros_like(singular), where=held)
+    moved: Array = (directions.T * inverse) @ (basis.T @ fields) / scale[:, None]
+    return moved
+
+
+def axis_errors(jacobian: Array, variance: float, shifted: list[int], aside: float) -> Array:
+    """Covariance that an optical axis beside the sensor's middle makes.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (2 N, p)
+        Derivatives of the residuals by the parameters.
+    variance : float
+        Of a residual, px².
+    shifted : list of int
+        Parameters that count from the middle as ever, and have no error by it.
+    aside : float
+        Standard deviation of the axis, px. What of it the points would show against their residuals
+        is no more in question.
+
+    Returns
+    -------
+    ndarray, shape (p, p)
+    """
+    shift = np.tile(np.eye(2), (len(jacobian) // 2, 1))
+    followed = response(jacobian, shift)
+    shown = shift - jacobian @ followed
+    left = aside**2 * np.linalg.inv(np.eye(2) + aside**2 * (shown.T @ shown) / variance)
+    followed[shifted] = 0
+    errors: Array = followed @ left @ followed.T
+    return errors
