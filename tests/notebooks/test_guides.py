@@ -116,11 +116,11 @@ def kept(guide: str, name: str, claims_folder: Path) -> Path:
 def test_the_camera_that_is_kept_is_the_true_one(claims_folder: Path) -> None:
     camera = pd.read_csv(kept("calibration", "camera.csv", claims_folder), index_col=0)
     for name, true in manifest()["circles.png"]["truth"].items():
-        value, std = camera.loc[name, ["value", "standard deviation"]]
+        value, std = camera.loc[name, ["estimate", "sigma"]]
         assert abs(value - true) < 4 * std, name
     # The uncertainty is no excuse: 0.04 px over 600 px, and a tilt as weak as perspective is.
-    assert camera.loc["magnification", "standard deviation"] < 5e-5
-    assert camera.loc["beta", "standard deviation"] < 1e-3
+    assert camera.loc["magnification", "sigma"] < 5e-5
+    assert camera.loc["beta", "sigma"] < 1e-3
     points = pd.read_csv(kept("calibration", "points.csv", claims_folder))
     assert len(points) > 140
     assert np.hypot(points["error_x_um"], points["error_y_um"]).mean() < 0.5
