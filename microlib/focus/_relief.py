@@ -30,7 +30,7 @@ _DOUBT, _SURE = 2.5, 4.5
 _TAKEN, _MOST_GIVEN, _SLOPE_WINDOW = 0.24, 2.2, 8.0
 #: Variance of the smoothed depth over that of half the difference of both directions, and the
 #: radius over which that is averaged, px.
-_NOISE_SHARE, _NOISE_WINDOW = 0.75, 6.0
+_NOISE_SHARE, _NOISE_WINDOW = 0.75, 20.0
 #: Variance that neither direction shows, everywhere and where the depth is level, steps²: the fit
 #: pulls depths towards frames, and the smoothing takes the mean over a slope (px of the full grid).
 _UNSEEN, _PULL, _PULL_RADIUS = 0.0065**2, 0.016**2, 5.2
