@@ -6,7 +6,6 @@ own, which a test holds against this one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,29 +46,6 @@ class Target:
     template: NDArray[np.float64]
     image: NDArray[np.float64]
     warp: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class KalmanStep:
-    """One coordinate before and after a measurement, px and px/s.
-
-    Attributes
-    ----------
-    predicted, measured, estimated : float
-        Position, px.
-    predicted_std, measured_std, estimated_std : float
-        Their standard deviations, px.
-    track : pandas.DataFrame
-        All steps until then: ``frame``, ``true``, ``measured``, ``predicted``, ``predicted_std``.
-    """
-
-    predicted: float
-    measured: float
-    estimated: float
-    predicted_std: float
-    measured_std: float
-    estimated_std: float
-    track: pd.DataFrame
 
 
 def render_target(seed: int, noise: float = 2.0) -> Target:
@@ -165,58 +141,48 @@ def library_error(seed: int) -> float:
     return float(np.abs(found.corners - corners(target.warp @ inner)).max())
 
 
-def kalman_both_ways(
-    places: Sequence[float], *, interval: float, acceleration: float, noise: float
-) -> tuple[NDArray, NDArray]:
-    """Return (x, v, P₁₁, P₁₂, P₂₂) after measurements, by the formulas and by `KalmanFilter`."""
-    kalman = KalmanFilter((0, 0), interval=interval, acceleration=acceleration, noise=noise)
-    a, b = np.array([[1, interval], [0, 1]]), np.array([interval**2 / 2, interval])
-    state, p = np.zeros(2), kalman.covariance
-    for place in places:
-        state, p = a @ state, a @ p @ a.T + acceleration**2 * np.outer(b, b)
-        gain = p[:, 0] / (p[0, 0] + noise**2)
-        state, p = state + gain * (place - state[0]), p - np.outer(gain, p[0])
-        kalman.predict()
-        kalman.update((place, 0))
-    found = [kalman.position[0], kalman.velocity[0], *kalman.covariance.ravel()[[0, 1, 3]]]
-    return np.array([*state, *p.ravel()[[0, 1, 3]]]), np.array(found)
-
-
-def kalman_step(seed: int, *, interval: float, acceleration: float, noise: float) -> KalmanStep:
-    """Follow a coordinate that speeds up for eight frames, and take the last step apart.
+def kalman_track(
+    seed: int, *, interval: float, acceleration: float, noise: float
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Follow a coordinate that speeds up for eight frames by `KalmanFilter` and by the formulas.
 
     Parameters
     ----------
     seed : int
         Of the noise.
     interval, acceleration, noise : float
-        As for `KalmanFilter`: s, px/s², px.
+        As for `KalmanFilter`: s, px/s², px. The motion's acceleration is as large as stated.
 
     Returns
     -------
-    KalmanStep
-        Of the x coordinate; the motion is steady, apart from an acceleration as large as stated.
+    track : DataFrame
+        A row each frame: ``frame``, ``true``, ``measured``, ``predicted``, ``estimated`` (px), and
+        the standard deviations of the last two, ``predicted_std`` and ``estimated_std``.
+    states : DataFrame
+        After each frame x, v and P by the library, and minus those by the formulas.
     """
     rng = np.random.default_rng(seed)
     times = interval * np.arange(9)
     true = 40 * times + acceleration * times**2 / 2
     measured = true + rng.normal(0, noise, len(times))
-    kalman = KalmanFilter(
-        (measured[0], 0.0), interval=interval, acceleration=acceleration, noise=noise
-    )
-    rows = []
+    settings = {"interval": interval, "acceleration": acceleration, "noise": noise}
+    kalman = KalmanFilter((measured[0], 0.0), **settings)
+    a, b = np.array([[1, interval], [0, 1]]), np.array([interval**2 / 2, interval])
+    state, p = np.array([measured[0], 0.0]), kalman.covariance
+    rows, states = [], []
     for frame in range(1, len(times)):
-        predicted = float(kalman.predict()[0])
-        std = float(np.sqrt(kalman.covariance[0, 0]))
-        rows.append([frame, true[frame], measured[frame], predicted, std])
+        predicted, std = kalman.predict()[0], np.sqrt(kalman.covariance[0, 0])
         kalman.update((measured[frame], 0.0))
-    track = pd.DataFrame(rows, columns=["frame", "true", "measured", "predicted", "predicted_std"])
-    return KalmanStep(
-        predicted=predicted,
-        measured=float(measured[-1]),
-        estimated=float(kalman.position[0]),
-        predicted_std=std,
-        measured_std=noise,
-        estimated_std=float(np.sqrt(kalman.covariance[0, 0])),
-        track=track,
+        found, error = kalman.position[0], np.sqrt(kalman.covariance[0, 0])
+        rows.append([frame, true[frame], measured[frame], predicted, found, std, error])
+        state, p = a @ state, a @ p @ a.T + acceleration**2 * np.outer(b, b)
+        gain = p[:, 0] / (p[0, 0] + noise**2)
+        state, p = state + gain * (measured[frame] - state[0]), p - np.outer(gain, p[0])
+        library = [found, kalman.velocity[0], *kalman.covariance.ravel()]
+        states.append([*library, *np.array(library) - [*state, *p.ravel()]])
+    names = ["frame", "true", "measured", "predicted", "estimated", "predicted_std"]
+    parts = ["x", "v", "P11", "P12", "P21", "P22"]
+    columns = parts + [f"{part}, library − formula" for part in parts]
+    return pd.DataFrame(rows, columns=[*names, "estimated_std"]), pd.DataFrame(
+        states, columns=columns
     )

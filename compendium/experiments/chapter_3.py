@@ -82,26 +82,6 @@ def window_divisors() -> dict[str, float]:
     }
 
 
-def exact_surfaces() -> pd.DataFrame:
-    """Return H and K (1/px, 1/px²) of surfaces of known curvature, exact and by the windows."""
-    y, x = np.mgrid[-20:21, -20:21].astype(float)
-    r, tube, ring = 150.0, 120.0, 150.0
-    torus = np.sqrt((ring + np.sqrt(tube**2 - x**2)) ** 2 - y**2)
-    around = 1 / (ring + tube)
-    surfaces = {
-        "sphere": (np.sqrt(r**2 - x**2 - y**2), -1 / r, 1 / r**2),
-        "cylinder": (np.sqrt(r**2 - x**2), -1 / (2 * r), 0.0),
-        "saddle": ((x**2 - y**2) / (2 * r), 0.0, -1 / r**2),
-        "torus, outside": (torus, -(1 / tube + around) / 2, around / tube),
-        "plane": (0.3 * x - 0.2 * y, 0.0, 0.0),
-    }
-    rows = []
-    for name, (height, mean, gaussian) in surfaces.items():
-        bend = surface_curvature(height, 1.0)
-        rows.append([name, mean, bend.mean[20, 20], gaussian, bend.gaussian[20, 20]])
-    return pd.DataFrame(rows, columns=["surface", "H", "H found", "K", "K found"])
-
-
 def noisy_labels(noise: float, rng: np.random.Generator) -> tuple[dict[str, NDArray], pd.Series]:
     """Label a ball, a saddle and a plane with noise (µm) at 3.5 standard errors.
 

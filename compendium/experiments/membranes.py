@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
-from scipy.optimize import least_squares, minimize_scalar
+from scipy.optimize import least_squares
 from scipy.stats import qmc
 
 from compendium import thesis
@@ -110,29 +110,17 @@ def shapes(radius: float, depth: float) -> dict[str, tuple[float, NDArray, NDArr
 
 
 def shape_misfits(curve: GaussianSum) -> pd.DataFrame:
-    """Hold the left half of an outline against membranes with its radius and depth.
+    """Return E (MPa) of membranes with an outline's radius and depth, and how far off they are.
 
-    Returns
-    -------
-    pandas.DataFrame
-        A row each shape: E (MPa), and as shares of the depth the ``largest`` and ``rms`` departure,
-        and the rms that is left (``stretched``) if the shape may be widened, deepened and raised at
-        will, with a level shoulder outside.
+    The ``largest`` and the ``rms`` departure from its left half are shares of the depth.
     """
     r, z = left_half(curve)
     dimple = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL)
-    depth, rows = dimple.dimple_depth, {}
-    for name, (modulus, shape_r, shape_z) in shapes(dimple.dimple_radius, depth).items():
-
-        def left(widening: float, shape_r: NDArray = shape_r, shape_z: NDArray = shape_z) -> float:
-            basis = np.stack([np.ones_like(r), np.interp(r, widening * shape_r, shape_z)], axis=1)
-            rest = z - basis @ np.linalg.lstsq(basis, z, rcond=None)[0]
-            return float(np.sqrt(np.mean(rest**2)))
-
-        off = (z - np.interp(r, shape_r, shape_z)) / depth
-        stretched = minimize_scalar(left, bounds=(0.2, 3.0), method="bounded").fun / depth
-        rows[name] = (modulus, np.abs(off).max(), np.sqrt(np.mean(off**2)), stretched)
-    return pd.DataFrame(rows, index=["E", "largest", "rms", "stretched"]).T
+    rows = {}
+    for name, (modulus, r_of, z_of) in shapes(dimple.dimple_radius, dimple.dimple_depth).items():
+        off = (z - np.interp(r, r_of, z_of)) / dimple.dimple_depth
+        rows[name] = modulus, np.abs(off).max(), np.sqrt(np.mean(off**2))
+    return pd.DataFrame(rows, index=["E", "largest", "rms"]).T
 
 
 def fit_shoulder(r: NDArray, z: NDArray) -> tuple[float, float, float]:

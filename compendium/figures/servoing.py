@@ -13,7 +13,6 @@ from matplotlib.patches import FancyBboxPatch, Polygon
 from numpy.typing import NDArray
 
 from compendium import thesis
-from compendium.experiments.chapter_2_tracking import KalmanStep
 from compendium.figures.style import COLORS
 from compendium.ledger import claim
 from microlib.tracking import Track
@@ -238,10 +237,10 @@ def draw_esm_step(errors: pd.DataFrame) -> Figure:
     return figure
 
 
-def draw_kalman_step(step: KalmanStep) -> Figure:
+def draw_kalman_step(track: pd.DataFrame, noise: float) -> Figure:
     """Draw a track with its predictions, and how the last one meets the measurement."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.9))
-    track = step.track.iloc[1:]  # of the first frame the filter expects anything
+    last, track = track.iloc[-1], track.iloc[1:]  # of the first frame anything is expected
     left.errorbar(
         track["frame"],
         track["predicted"],
@@ -257,12 +256,12 @@ def draw_kalman_step(step: KalmanStep) -> Figure:
     left.set(xlabel="frame", ylabel="x (px)", title="a track")
     left.legend(loc="upper left", fontsize=11)
     bells = {
-        "predicted": (step.predicted, step.predicted_std, "orange", "--"),
-        "measured": (step.measured, step.measured_std, "blue", "-."),
-        "estimated": (step.estimated, step.estimated_std, "black", "-"),
+        "predicted": (last["predicted"], last["predicted_std"], "orange", "--"),
+        "measured": (last["measured"], noise, "blue", "-."),
+        "estimated": (last["estimated"], last["estimated_std"], "black", "-"),
     }
-    reach = 3 * max(step.predicted_std, step.measured_std)
-    x = np.linspace(step.estimated - 1.2 * reach, step.estimated + 1.2 * reach, 300)
+    reach, middle = 3 * max(last["predicted_std"], noise), last["estimated"]
+    x = np.linspace(middle - 1.2 * reach, middle + 1.2 * reach, 300)
     for name, (mean, std, color, line) in bells.items():
         density = np.exp(-(((x - mean) / std) ** 2) / 2) / (std * np.sqrt(2 * np.pi))
         right.plot(x, density, line, color=COLORS[color], label=name)

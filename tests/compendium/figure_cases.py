@@ -190,18 +190,11 @@ def kalman_step() -> Figure:
             "measured": [0.5, 2.5, 4.6],
             "predicted": [0.0, 1.0, 3.1],
             "predicted_std": [30.0, 2.0, 1.5],
+            "estimated": [0.5, 2.0, 4.0],
+            "estimated_std": [1.0, 0.9, 0.8],
         }
     )
-    step: Any = SimpleNamespace(
-        predicted=3.1,
-        predicted_std=1.5,
-        measured=4.6,
-        measured_std=1.0,
-        estimated=4.0,
-        estimated_std=0.8,
-        track=track,
-    )
-    return servoing.draw_kalman_step(step)
+    return servoing.draw_kalman_step(track, 1.0)
 
 
 def track(shift: float = 0.0) -> Any:

@@ -40,13 +40,6 @@ def test_the_windows_are_whole_numbers_over_one_divisor(monkeypatch) -> None:
     assert chapter_3.window_divisors()["d1"] == pytest.approx(14)
 
 
-def test_curvature_is_that_of_the_exact_surfaces() -> None:
-    table = chapter_3.exact_surfaces().set_index("surface")
-    assert table.loc["sphere", ["H", "K"]].tolist() == [-1 / 150, 1 / 150**2]
-    np.testing.assert_allclose(table["H found"], table["H"], atol=1e-4)
-    np.testing.assert_allclose(table["K found"], table["K"], atol=1e-6)
-
-
 def test_depth_is_held_against_the_truth() -> None:
     rng = np.random.default_rng(0)
     truth = np.full((64, 64), 61.0)

@@ -77,18 +77,11 @@ def test_the_bells_have_their_means_and_widths():
             "measured": [0.5, 2.5, 4.5],
             "predicted": [0.0, 1.0, 3.0],
             "predicted_std": [30.0, 2.0, 1.5],
+            "estimated": [0.5, 2.0, 4.0],
+            "estimated_std": [1.0, 0.9, 0.8],
         }
     )
-    step = SimpleNamespace(
-        predicted=3.0,
-        predicted_std=1.5,
-        measured=4.5,
-        measured_std=1.0,
-        estimated=4.0,
-        estimated_std=0.8,
-        track=track,
-    )
-    left, right = servoing.draw_kalman_step(step).axes
+    left, right = servoing.draw_kalman_step(track, 1.0).axes
     np.testing.assert_allclose(drawn(left)["measured"], [[2, 2.5], [3, 4.5]])
     bells = drawn(right)
     for name, mean, std in (("predicted", 3, 1.5), ("measured", 4.5, 1), ("estimated", 4, 0.8)):
