@@ -76,7 +76,7 @@ benchmarks: $(STAMP) ## measure microlib beside its peers (minutes)
 	  name=$$(basename $$file .py); [ $$name = report ] || $(BIN)/python -m benchmarks.$$name || exit 1; done
 
 # The library's tests; the others need what runs and renders the book.
-LIBRARY := tests microlib $(foreach name,book notebooks compendium,--ignore tests/$(name))
+LIBRARY := tests $(foreach name,book notebooks compendium,--ignore tests/$(name))
 
 oldest: ## run the library's tests with the oldest dependencies that pyproject.toml allows
 	@$(PYTHON) -m venv --clear .venv-oldest

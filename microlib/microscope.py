@@ -41,6 +41,8 @@ def euler_rotation(alpha: float, beta: float, gamma: float) -> Array:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.microscope import euler_rotation
     >>> euler_rotation(0.0, 0.0, np.pi).round(12) + 0.0  # a pattern seen from behind
     array([[ 1.,  0.,  0.],
            [ 0., -1.,  0.],
@@ -124,6 +126,8 @@ def distort(points: ArrayLike, distortion: float) -> Array:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.microscope import distort, undistort
     >>> corner = np.array([3247.2, 2430.5])
     >>> float(abs(undistort(distort(corner, -8.4e-10), -8.4e-10) - corner).max()) < 1e-11
     True
@@ -186,6 +190,8 @@ class Microscope(Tidy):
     --------
     The 1X circle column of Table 5.1, and the sensor of the Basler camera:
 
+    >>> import numpy as np
+    >>> from microlib.microscope import Microscope
     >>> alpha, beta, gamma = np.deg2rad([90.7144, -2.7912, 175.9179])
     >>> scope = Microscope(
     ...     200490, 126150, 78750, distortion=-8.4e-10, alpha=alpha, beta=beta, gamma=gamma,
@@ -375,6 +381,7 @@ class Microscope(Tidy):
         --------
         A longer tube moves the points outwards, on the sensor by their share of the field:
 
+        >>> from microlib.microscope import Microscope
         >>> scope = Microscope(200000, 126000, 79380)
         >>> scope.jacobian([[0.0, 0.0], [280.0, 0.0]], ("tube_length",))[..., 0].round(7)
         array([[0.      , 0.      ],

@@ -60,6 +60,7 @@ def image_distance(object_distance: ArrayLike, focal_length: float) -> Array:
 
     Examples
     --------
+    >>> from microlib.optics import image_distance
     >>> float(image_distance(300.0, 100.0)), float(image_distance(150.0, 100.0))
     (150.0, 300.0)
     """
@@ -114,6 +115,7 @@ def blur_radius(
 
     Examples
     --------
+    >>> from microlib.optics import blur_radius
     >>> lens = {"focal_length": 100.0, "sensor_distance": 150.0, "aperture_radius": 20.0}
     >>> blur_radius([200.0, 300.0, 600.0], **lens)
     array([ 5.,  0., -5.])
@@ -152,6 +154,7 @@ def gaussian_kernel(sigma: float, size: int) -> Array:
 
     Examples
     --------
+    >>> from microlib.optics import gaussian_kernel
     >>> gaussian_kernel(1.0, 3).round(4)
     array([[0.0751, 0.1238, 0.0751],
            [0.1238, 0.2042, 0.1238],
@@ -187,6 +190,7 @@ def gaussian_transfer(u: ArrayLike, v: ArrayLike, sigma: float) -> Array:
 
     Examples
     --------
+    >>> from microlib.optics import gaussian_transfer
     >>> gaussian_transfer([0.0, 1.0], 0.0, 1.0).round(4)
     array([1.    , 0.6065])
     """
@@ -243,6 +247,8 @@ class BlurLadder:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.optics import BlurLadder
     >>> ladder = BlurLadder(np.eye(8), largest=3.0)
     >>> ladder.at(np.full((8, 8), 1.0)).shape
     (8, 8)
@@ -310,6 +316,8 @@ def defocus(image: ArrayLike, sigma: ArrayLike) -> NDArray[np.float32]:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.optics import defocus
     >>> image = np.zeros((9, 9)); image[4, 4] = 1.0
     >>> sigma = np.full((9, 9), 1.0); sigma[:, 5:] = 2.0
     >>> blurred = defocus(image, sigma)

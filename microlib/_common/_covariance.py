@@ -40,6 +40,8 @@ def inverse_normal(jacobian: Array) -> Array:
     --------
     A line through one place: neither slope nor height is known there, but the third number is.
 
+    >>> import numpy as np
+    >>> from microlib._common._covariance import inverse_normal
     >>> inverse_normal(np.array([[2.0, 1.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 2.0]]))
     array([[ inf,  nan,  nan],
            [ nan,  inf,  nan],

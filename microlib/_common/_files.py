@@ -28,6 +28,9 @@ def replace_file(path: str | PathLike[str], write: Callable[[Path], object]) -> 
 
     Examples
     --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from microlib._common._files import replace_file
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     replace_file(Path(folder) / "a.txt", lambda file: file.write_text("whole"))
     ...     print([path.name for path in Path(folder).iterdir()])

@@ -40,6 +40,8 @@ def is_in_memory(frames: Frames) -> bool:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib._common._frames import is_in_memory
     >>> is_in_memory(np.zeros((3, 4, 5), np.uint8)), is_in_memory(np.zeros((3, 4, 5)))
     (True, False)
     """

@@ -84,6 +84,7 @@ def locate_wall(profiles: Array, offsets: Array, *, weights: NDArray) -> WallPos
 
     Examples
     --------
+    >>> from microlib.embryo._wall import locate_wall
     >>> import numpy as np
     >>> from scipy.special import ndtr
     >>> d = np.arange(-5, 5.5, 0.5)

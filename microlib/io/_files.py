@@ -47,6 +47,7 @@ def read_grey(path: str | PathLike[str]) -> NDArray:
 
     Examples
     --------
+    >>> from microlib.io import read_grey
     >>> read_grey("missing.png")
     Traceback (most recent call last):
     ValueError: path must name an image, got missing.png: no such file
@@ -120,6 +121,10 @@ def write_height_tiff(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> import tifffile
+    >>> from pathlib import Path
+    >>> from microlib.io import write_height_tiff
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_height_tiff(Path(folder) / "height.tif", np.ones((4, 5)), pixel_size=2.0)
@@ -209,6 +214,9 @@ def write_ply(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from pathlib import Path
+    >>> from microlib.io import write_ply
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_ply(Path(folder) / "surface.ply", np.ones((2, 2)), pixel_size=2.0)

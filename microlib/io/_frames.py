@@ -60,6 +60,8 @@ def read_frames(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.io import read_frames
     >>> reader = read_frames(np.zeros((2, 4, 5), np.uint8))
     >>> reader.count, reader.shape, [frame.dtype.name for frame in reader]
     (2, (4, 5), ['uint8', 'uint8'])

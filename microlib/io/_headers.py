@@ -16,6 +16,8 @@ def picture_size(path: Path) -> tuple[int, int] | None:
 
     Examples
     --------
+    >>> from pathlib import Path
+    >>> from microlib.io._headers import picture_size
     >>> import tempfile, cv2, numpy as np
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder) / "a.png"

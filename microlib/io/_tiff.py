@@ -31,6 +31,8 @@ def is_tiff(path: Path) -> bool:
 
     Examples
     --------
+    >>> from pathlib import Path
+    >>> from microlib.io._tiff import is_tiff
     >>> is_tiff(Path("a.TIF")), is_tiff(Path("a.png"))
     (True, False)
     """

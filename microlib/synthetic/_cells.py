@@ -94,6 +94,7 @@ def cell_image(
 
     Examples
     --------
+    >>> from microlib.synthetic import cell_image
     >>> sample = cell_image("Jurkat", rng=0, count=5)
     >>> sample.image.shape, len(sample.outlines)
     ((360, 480), 5)

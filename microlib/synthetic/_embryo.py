@@ -113,6 +113,7 @@ class Embryo:
 
     Examples
     --------
+    >>> from microlib.synthetic import Embryo
     >>> embryo = Embryo(modulus=1.3237, force=197.24, dimple_radius=246.95)
     >>> print(f"{embryo.dimple_depth:.2f} µm")  # Table 5.6 prints 121.22
     121.22 µm
@@ -171,6 +172,7 @@ class Embryo:
 
         Examples
         --------
+        >>> from microlib.synthetic import Embryo
         >>> embryo = Embryo.pressed(197.24, modulus=1.3237)
         >>> print(f"radius {embryo.dimple_radius:.0f} µm, depth {embryo.dimple_depth:.0f} µm")
         radius 246 µm, depth 121 µm
@@ -218,6 +220,7 @@ class Embryo:
 
         Examples
         --------
+        >>> from microlib.synthetic import Embryo
         >>> embryo = Embryo.dented(121.22, modulus=1.3237)
         >>> print(f"radius {embryo.dimple_radius:.0f} µm, force {embryo.force:.0f} µN")
         radius 247 µm, force 198 µN
@@ -274,6 +277,7 @@ class Embryo:
 
         Examples
         --------
+        >>> from microlib.synthetic import Embryo
         >>> embryo = Embryo(1.3237, 197.24, 246.95)
         >>> outline = embryo.outline(1.0)
         >>> print(f"from {outline[:, 1].min():.0f} µm to {abs(outline[:, 1].max()):.2f} µm")
@@ -456,6 +460,7 @@ def embryo_image(
 
     Examples
     --------
+    >>> from microlib.synthetic import Embryo, embryo_image
     >>> scene = embryo_image(Embryo.pressed(100.0, modulus=1.0), rng=1)
     >>> scene.image.shape, scene.image.dtype.name
     ((768, 1024), 'uint8')
@@ -522,6 +527,7 @@ def embryo_sequence(
 
     Examples
     --------
+    >>> from microlib.synthetic import embryo_sequence
     >>> scenes = embryo_sequence([50.0, 100.0], modulus=1.0, rng=1)
     >>> [round(scene.embryo.dimple_depth) for scene in scenes]
     [66, 97]

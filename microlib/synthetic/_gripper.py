@@ -93,6 +93,8 @@ def camera_frame(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.synthetic import camera_frame
     >>> camera_frame([[10.4, 300.0]], np.random.default_rng(0), noise=0.0)
     array([[ 10, 255]], dtype=uint8)
     """
@@ -162,6 +164,8 @@ def warped_pair(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.synthetic import warped_pair
     >>> pair = warped_pair(np.random.default_rng(0), 5.0)
     >>> x, y, width, height = pair.box
     >>> moved = pair.corners - [[x, y], [x + 49, y], [x + 49, y + 49], [x, y + 49]]
@@ -244,6 +248,8 @@ def texture_sequence(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.synthetic import texture_sequence
     >>> frames = texture_sequence([[5.0, 5.0], [7.5, 5.0]], np.random.default_rng(0), size=20)
     >>> [frame.shape for frame in frames]
     [(45, 48), (45, 48)]
@@ -366,6 +372,8 @@ def gripper_scene(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.synthetic import gripper_scene
     >>> rng = np.random.default_rng(0)
     >>> scene = gripper_scene(rng, pixel_size=6.23)
     >>> scene.frame((10.5, -3.25), rng).shape, round(scene.opening, 2)

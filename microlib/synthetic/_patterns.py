@@ -121,6 +121,8 @@ def render_circles(
 
     Examples
     --------
+    >>> from microlib.microscope import Microscope
+    >>> from microlib.synthetic import render_circles
     >>> scope = Microscope(200000, 126000, 79380, tx=-140, ty=-140, image_size=(120, 90))
     >>> image = render_circles(scope)
     >>> image.shape, float(image.min().round()), float(image.max().round())
@@ -186,6 +188,8 @@ def render_squares(
 
     Examples
     --------
+    >>> from microlib.microscope import Microscope
+    >>> from microlib.synthetic import render_squares
     >>> scope = Microscope(200000, 126000, 79380, tx=-100, ty=-100, image_size=(120, 90))
     >>> image = render_squares(scope, counts=(1, 1))
     >>> area = ((200 - image) / 150).sum() * (9.9 / scope.magnification) ** 2  # µm²

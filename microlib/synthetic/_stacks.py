@@ -56,6 +56,8 @@ def focal_stack(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.synthetic import focal_stack
     >>> texture = np.random.default_rng(0).uniform(0, 255, (32, 32))
     >>> stack = focal_stack(texture, np.zeros((32, 32)), [0.0, 10.0], blur_rate=0.2)
     >>> stack.shape, bool(stack[0].std() > stack[1].std())

@@ -59,6 +59,7 @@ def parabolic_cylinder(
 
     Examples
     --------
+    >>> from microlib.synthetic import parabolic_cylinder
     >>> parabolic_cylinder((2, 5), 500.0, width=4.0)[0].tolist()
     [0.0, 375.0, 500.0, 375.0, 0.0]
     """
@@ -89,6 +90,7 @@ def paraboloid(shape: tuple[int, int], height: float) -> Array:
 
     Examples
     --------
+    >>> from microlib.synthetic import paraboloid
     >>> paraboloid((3, 3), 10.0).tolist()
     [[0.0, 5.0, 0.0], [5.0, 10.0, 5.0], [0.0, 5.0, 0.0]]
     """
@@ -136,6 +138,7 @@ def sphere_on_plane(
 
     Examples
     --------
+    >>> from microlib.synthetic import sphere_on_plane
     >>> sphere_on_plane((3, 5), radius=10.0, pixel_size=8.0)[1].round(1).tolist()
     [0.0, 16.0, 20.0, 16.0, 0.0]
     """
@@ -179,6 +182,7 @@ def cone(shape: tuple[int, int], height: float, radius: float) -> Array:
 
     Examples
     --------
+    >>> from microlib.synthetic import cone
     >>> cone((3, 5), 10.0, 2.0)[1].tolist()
     [0.0, 5.0, 10.0, 5.0, 0.0]
     """
@@ -209,6 +213,7 @@ def tilted_plane(shape: tuple[int, int], rise_x: float, rise_y: float) -> Array:
 
     Examples
     --------
+    >>> from microlib.synthetic import tilted_plane
     >>> tilted_plane((2, 3), 1.0, 0.0).tolist()
     [[-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]]
     """
@@ -240,6 +245,7 @@ def step(shape: tuple[int, int], height: float, *, at: float = 0.5) -> Array:
 
     Examples
     --------
+    >>> from microlib.synthetic import step
     >>> step((2, 4), 3.0).tolist()
     [[0.0, 0.0, 3.0, 3.0], [0.0, 0.0, 3.0, 3.0]]
     """
@@ -273,6 +279,7 @@ def quadric_patch(label: int, *, half: int = 20, radius: float = 40.0) -> Array:
 
     Examples
     --------
+    >>> from microlib.synthetic import quadric_patch
     >>> quadric_patch(8, half=1, radius=0.5)[0].tolist()
     [1.0, 0.0, 1.0]
     """

@@ -49,6 +49,7 @@ def mixed_texture(
 
     Examples
     --------
+    >>> from microlib.synthetic import mixed_texture
     >>> texture = mixed_texture((64, 64), 0)
     >>> texture.shape, round(float(texture.mean())), round(float(texture.std()))
     ((64, 64), 128, 38)
@@ -103,6 +104,7 @@ def patchy_texture(
 
     Examples
     --------
+    >>> from microlib.synthetic import patchy_texture
     >>> texture = patchy_texture((64, 64), 0)
     >>> bool(texture.std() < 38)
     True
