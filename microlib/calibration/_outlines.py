@@ -374,6 +374,8 @@ def find_inliers(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.calibration._outlines import find_inliers
     >>> low = np.array([[1.0, 1.0], [5.0, -0.2]])
     >>> one = np.ones(2)
     >>> find_inliers((20, 30), low, low + 4, one, one, one)

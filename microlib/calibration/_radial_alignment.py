@@ -50,6 +50,8 @@ def radial_alignment(world: ArrayLike, sensor: ArrayLike) -> Array:
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.calibration import radial_alignment
     >>> world = np.array([[0.0, 0], [300, 0], [0, 300], [300, 300], [150, -200]])
     >>> radial_alignment(world, 2 * (world + [50, -20])).round(6) + 0.0
     array([  0.,   0.,   0.,  50., -20.])
@@ -116,6 +118,8 @@ def linear_intrinsics(flat: ArrayLike, depth: ArrayLike, sensor: ArrayLike) -> A
 
     Examples
     --------
+    >>> import numpy as np
+    >>> from microlib.calibration import linear_intrinsics
     >>> flat = np.array([[100.0, 0], [0, 200], [-300, 50]])
     >>> linear_intrinsics(flat, np.zeros(3), 1.6 * flat).round(6) + 0.0
     array([1.6, 0. , 0. ])
