@@ -25,8 +25,6 @@ SWITCHES = {
         "OPENCV_CPU_DISABLE": "AVX,FP16,AVX2,AVX512-SKX",
         "OPENCV_IPP": "sse42",
         "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F",
-        "NUMBA_CPU_NAME": "generic",
-        "NUMBA_CPU_FEATURES": "",
     },
     "AVX2": {
         "OPENBLAS_CORETYPE": "Haswell",
@@ -84,7 +82,6 @@ def main() -> int:
             ignored = shutil.ignore_patterns(".git", ".venv*", "build", "__pycache__", ".*_cache")
             shutil.copytree(ROOT, copy, ignore=ignored)
             where = os.environ | switches | {"PYTHONPATH": str(copy), "OPENBLAS_NUM_THREADS": "1"}
-            where |= {"NUMBA_CACHE_DIR": f"{folder}/numba"}
             tests = ["-m", "pytest", "-q", "-n", "2", "-p", "no:cacheprovider"]
             commands = {"tests": [*tests, *(QUICK if quick else ALL)]}
             # The slowest chapter takes longer than all the rest.

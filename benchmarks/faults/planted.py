@@ -125,7 +125,7 @@ def tests_of(package: str, module: Path) -> list[str]:
 def passes(folder: Path, tests: list[str], limit: float) -> bool:
     command = [sys.executable, "-m", "pytest", "-xq", "-p", "no:cacheprovider", "-p", "no:xdist"]
     where = {"PYTHONPATH": str(folder), "OPENBLAS_NUM_THREADS": "1"}
-    where |= {"PYTHONDONTWRITEBYTECODE": "1", "NUMBA_CACHE_DIR": str(folder / "numba")}
+    where |= {"PYTHONDONTWRITEBYTECODE": "1"}
     try:
         run = subprocess.run(
             [*command, *tests], cwd=folder, env=os.environ | where, capture_output=True,
