@@ -50,6 +50,14 @@ def test_sml_is_the_printed_sum(dtype, w, step, threshold):
     np.testing.assert_array_equal(ours, printed_sml(image, w, step, threshold))
 
 
+def test_what_is_not_greater_than_the_threshold_is_not_summed():
+    spot = np.zeros((5, 5), np.uint8)
+    spot[2, 2] = 10  # modified Laplacians of 40 there, of 10 at its neighbors
+    assert sum_modified_laplacian(spot, window=3, threshold=9.9)[2, 2] == 80
+    assert sum_modified_laplacian(spot, window=3, threshold=10)[2, 2] == 40
+    assert sum_modified_laplacian(spot, window=3, threshold=40)[2, 2] == 0
+
+
 def test_the_largest_possible_sml_does_not_overflow():
     board = (255 * (np.indices((20, 20)).sum(axis=0) % 2)).astype(np.uint8)
     for window in (5, 7, 9):

@@ -51,6 +51,37 @@ def test_gaussian_profiles_are_found_exactly(center, width, gaps, falling):
     assert found == pytest.approx(abs(center - positions[0]), abs=5e-4)
 
 
+def documented_fit(profile, steps, best, reach):
+    """The fit pixel by pixel: np.polyfit with the documented weights, twice."""
+    count = len(steps)
+    frames = np.arange(max(best - reach, 0), min(best + reach, count - 1) + 1)
+    t, y = steps[frames] - steps[best], profile[frames]
+    far = min(best, count - 1 - best, reach) or 2
+    near = max(abs(steps[k] - steps[best]) for k in (best - 1, best + 1) if 0 <= k < count)
+    half = max(
+        abs(steps[k] - steps[best]) for k in (best - far, best + far) if 0 <= k < count
+    ) + near * (0.5 if far > 1 else 1.0)
+    center = 0.0
+    for _ in range(2):
+        weight = y * np.maximum(1 - ((t - center) / half) ** 2, 0) ** 2
+        a, b, _ = np.polyfit(t, np.log(y), 2, w=np.sqrt(weight))
+        center = -b / (2 * a)
+    return steps[best] + center
+
+
+def test_the_fit_is_that_of_the_documented_weights():
+    """On profiles with long tails, on which other weights give other depths."""
+    rng = np.random.default_rng(0)
+    steps = np.cumsum(rng.uniform(0.8, 1.2, 13))
+    steps -= steps[0]
+    for center in rng.uniform(3.5, 8.5, 20):
+        profile = 1 / (1 + ((steps - center) / 1.7) ** 2) + 0.03 * rng.random(13)
+        best = int(profile.argmax())
+        window = profile[best - 3 : best + 4, None, None].astype(np.float32)
+        found = fit_peaks(window, np.full((1, 1), best, np.uint16), steps)[0][0, 0]
+        assert found == pytest.approx(documented_fit(profile, steps, best, 3), abs=1e-4)
+
+
 def stack_of_profiles(profiles):
     """Frames whose grey level at each pixel is the profile: what a measure may return."""
     return np.broadcast_to(profiles[:, :, None], (*profiles.shape, 8)).astype(np.float32).copy()
