@@ -13,6 +13,6 @@ if find_spec("cv2") is None:
 try:
     __version__ = version("microlib-thesis")
 except PackageNotFoundError:  # a checkout that was never installed
-    __version__ = "0.2.0"
+    __version__ = "0.3.0"
 
 __all__ = ["__version__"]
