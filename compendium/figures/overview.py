@@ -23,7 +23,7 @@ TASKS = (
 THINGS = {
     0.1: "hand",
     1.2e-3: "embryo",
-    1.4e-4: "calibration circle",
+    1.4e-4: "pattern circle",
     6.2e-6: "pixel at 1X",
     5e-8: "step of the stage",
     4e-10: "contact film",
@@ -35,11 +35,11 @@ def draw_system() -> Figure:
     figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 4.6), width_ratios=(1, 1.35))
     _draw_microscope(left)
     for row, (given, task, result, color) in enumerate(TASKS):
-        y = -2.0 * row
+        y = -2.2 * row
         boxes(right, {task: (0.0, y, 4.2, 0.62, color)})
-        right.text(2.1, y + 1.02, given, ha="center", va="center", fontsize=10)
-        right.text(2.1, y - 0.38, f"→ {result}", ha="center", va="center", fontsize=10)
-    right.set(xlim=(-0.2, 4.4), ylim=(-6.7, 1.5))
+        right.text(2.1, y + 0.92, given, ha="center", va="center", fontsize=10)
+        right.text(2.1, y - 0.3, f"→ {result}", ha="center", va="center", fontsize=10)
+    right.set(xlim=(-0.2, 4.4), ylim=(-7.2, 1.3))
     for axes in (left, right):
         axes.axis("off")
     return figure
