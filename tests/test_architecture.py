@@ -25,6 +25,8 @@ ROOMS = sorted(
 )
 # Which subjects a subject may import; `_common` is free to all.
 ARROWS = {
+    "__main__": {"_command"},
+    "_command": {"calibration", "embryo", "focus", "io", "membrane", "tracking"},
     "automation": {"embryo", "focus", "membrane", "servoing"},
     "calibration": {"microscope"},
     "embryo": {"membrane"},
