@@ -8,10 +8,7 @@ those that the method was made with.
 
 from __future__ import annotations
 
-import hashlib
-import warnings
 from collections.abc import Callable
-from pathlib import Path
 from time import process_time
 
 import cv2
@@ -22,9 +19,7 @@ from skimage import data
 from skimage.color import rgb2gray
 
 from benchmarks.report import must_hold, publish
-from microlib.focus import FocusResult, depth_from_focus
-from microlib.focus._registration import register as find_registration
-from microlib.io import read_frames
+from microlib.focus import depth_from_focus
 
 #: Frames of every stack, one step apart; the disc's radius grows by 1.5 px a step.
 COUNT, RATE = 21, 1.5
@@ -33,14 +28,10 @@ MIDDLE = COUNT // 2
 #: Pixels around what the camera sees, and those left out of all errors.
 MARGIN, BORDER = 48, 14
 SIDE = 192
-#: Real stacks, which are not part of the project.
-REAL = Path(__file__).resolve().parent.parent.parent / "shared" / "real"
 
 RATIO_TABLE = "RMS depth error after registration over that of the stack at rest"
 WITHOUT_TABLE = "The same without registration"
 SIZE_TABLE = "Processor time of registration over that of the depth alone"
-TRUST_TABLE = "Stacks that cannot be registered"
-REAL_TABLE = "Real stacks"
 
 
 # --- Scenes --------------------------------------------------------------------------------------
@@ -263,7 +254,7 @@ def ratios(first_seed: int) -> tuple[pd.DataFrame, pd.DataFrame]:
     return tables[0], tables[1]
 
 
-# --- Cost, trust, real stacks --------------------------------------------------------------------
+# --- Cost --------------------------------------------------------------------
 
 
 def cost() -> pd.DataFrame:
@@ -285,116 +276,6 @@ def cost() -> pd.DataFrame:
         rows.append((f"{side}×{side}, {COUNT} frames", f"{alone:.2f}", f"{both:.2f}", ratio))
     columns = ["stack", "depth, s", "registered, s", "registration over depth"]
     return pd.DataFrame(rows, columns=columns)
-
-
-def trust() -> pd.DataFrame:
-    """Return what is said of stacks with foreign frames, noise, or a periodic texture."""
-    side = SIDE + 2 * MARGIN
-    rng = np.random.default_rng(40)
-    frames = gathered(_texture("grain", 40, side), _surface("dome", side))
-    others = gathered(_texture("grain", 41, side), _surface("tilt", side))
-    good, other = disturbed(frames, 40, jitter=2.0), disturbed(others, 41)
-    y, x = np.indices((SIDE, SIDE))
-    lattice = 128 + 60 * np.sin(2 * np.pi * x / 7) * np.sin(2 * np.pi * y / 7)
-    periodic = [
-        cv2.GaussianBlur(np.roll(lattice, rng.integers(-3, 4, 2), (0, 1)), (0, 0), sigma)
-        for sigma in 0.5 + 0.3 * np.abs(POSITIONS - MIDDLE)
-    ]
-    foreign, noisy, halves = good.copy(), good.copy(), good.copy()
-    foreign[7], halves[11:] = other[7], other[11:]
-    noisy[0] = rng.integers(0, 256, noisy[0].shape)
-    stacks = {
-        "sound": good,
-        "frame 7 is foreign": foreign,
-        "frame 0 is noise": noisy,
-        "two scenes": halves,
-        "all noise": rng.integers(0, 256, good.shape).astype(np.uint8),
-        "a periodic texture that jumps": np.clip(
-            np.stack(periodic) + 2 * rng.standard_normal(good.shape), 0, 255
-        ).astype(np.uint8),
-        "black": np.zeros_like(good),
-    }
-    return pd.DataFrame(
-        [(name, _said(stack)) for name, stack in stacks.items()], columns=["stack", "outcome"]
-    )
-
-
-def _said(stack: NDArray) -> str:
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        try:
-            result = depth_from_focus(stack, POSITIONS, register=True)
-        except ValueError as error:
-            return f"refused: {error}"
-    out = np.flatnonzero(np.isnan(_poses(result)[:, 0, 0]))
-    assert bool(len(out)) == bool(caught)
-    return f"left out: {', '.join(map(str, out))}" if len(out) else "registered"
-
-
-def _poses(result: FocusResult) -> NDArray:
-    assert result.poses is not None
-    return result.poses
-
-
-def real() -> pd.DataFrame:
-    """Return what registration does to real stacks, if they are there."""
-    rows = []
-    sources = {
-        "board": "dorinbotan/FocusStack, Apache-2.0",
-        "pcb": "PetteriAimonen/focus-stack, MIT",
-    }
-    for name, source in sources.items():
-        files = sorted((REAL / name).glob("*.jpg"))
-        if not files:
-            continue
-        digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
-        z = np.arange(float(len(files)))
-        for registered in (False, True):
-            result = depth_from_focus(files, z, register=registered)
-            row = {"stack": name, "source": source, "sha256": digest, "registered": registered}
-            row["change of scale, %"] = (
-                round(100 * (_scale(result, -1) / _scale(result, 0) - 1), 1) if registered else ""
-            )
-            row["odd against even frames beyond 2, %"] = _halves(files, z, registered)
-            if name == "board":
-                within, beyond = _flatness(result.depth)
-                row["within 1 frame of the plane, %"] = within
-                row["of those kept beyond 3, %"] = beyond
-            row["NaN, %"] = round(100 * float(np.isnan(result.depth).mean()), 1)
-            rows.append(row)
-    return pd.DataFrame(rows).astype(object).fillna("")
-
-
-def _scale(result: FocusResult, k: int) -> float:
-    return float(np.hypot(*_poses(result)[k, :, 0]))
-
-
-def _halves(files: list[Path], z: NDArray, registered: bool) -> float:
-    """Return the share of pixels where depths of every second frame differ by more than 2, %."""
-    frames: list[NDArray] = list(read_frames(files))
-    if registered:
-        frames = find_registration(frames).images(frames)
-    odd, even = (depth_from_focus(frames[k::2], z[k::2]).depth for k in (1, 0))
-    apart = np.abs(odd - even)
-    return round(100 * float((apart[np.isfinite(apart)] > 2).mean()), 1)
-
-
-def _flatness(depth: NDArray) -> tuple[float, float]:
-    """Return how many pixels of the bare board lie within a frame of a plane, and how far not."""
-    mask = np.ones(depth.shape, bool)
-    parts = ((60, 1040, 440, 1460), (60, 460, 1450, 1620), (150, 400, 150, 300))
-    for top, bottom, left, right in (*parts, (540, 860, 1450, 1600), (535, 545, 0, 1920)):
-        mask[top:bottom, left:right] = False
-    mask[:20] = mask[-20:] = False
-    y, x = np.nonzero(mask)
-    value = depth[mask].astype(float)
-    plane = np.stack([np.ones(value.size), x / 1000, y / 1000], axis=1)
-    use = np.isfinite(value) & (np.abs(value - np.nanmedian(value)) < 3)
-    for _ in range(5):
-        off = np.abs(value - plane @ np.linalg.lstsq(plane[use], value[use], rcond=None)[0])
-        use = np.isfinite(off) & (off < 1)
-    kept = np.isfinite(off)
-    return round(100 * float((off < 1).mean()), 1), round(100 * float((off[kept] > 3).mean()), 1)
 
 
 def limits(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
@@ -421,7 +302,6 @@ not those that the method was made with, and the renderers share nothing with it
 - A pixel that a frame near its focus does not show has no depth. The reference is the middle
   frame.
 - On photographs, where texture is missing in places, a single wrong patch decides the worst ratio.
-- Real stacks are read as luminance. Odd and even frames are halves of one registered stack.
 """
 
 
@@ -432,11 +312,7 @@ def main() -> None:
         RATIO_TABLE: registered,
         WITHOUT_TABLE: plain,
         SIZE_TABLE: cost(),
-        TRUST_TABLE: trust(),
     }
-    stacks = real()
-    if len(stacks):
-        tables[REAL_TABLE] = stacks
     publish("registration", tables, limits=limits(tables), note=NOTE)
 
 

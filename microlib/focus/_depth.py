@@ -136,10 +136,11 @@ def depth_from_focus(
     logarithm of its profile is fitted by a parabola over seven frames, weighted with the measure,
     because Gaussian blur makes the profile nearly a Gaussian, (3.9). A second measure decides on
     which side of a step a pixel lies, and `smooth_depth` averages over what remains on its side.
-    Where the depth is unknown, or faint and far from that by a window of 52 px, the wide depth is
-    taken, but none beside steps. Detail that the smoothing takes away is put back as far as it is
-    relief: depths from second differences along rows and down columns have nearly independent
-    errors, so that their covariance is that of the object, and their difference tells the noise.
+    Where the depth is unknown, or far from that by a window of 52 px and without the fine detail
+    that blurred light lacks, the wide depth is taken, but none beside steps. Detail that the
+    smoothing takes away is put back as far as it is relief: depths from second differences along
+    rows and down columns have nearly independent errors, so that their covariance is that of the
+    object, and their difference tells the noise.
     Where the depth is steep or has a step, the peaks are fitted again at full size.
     Frames that are closer than the depth of field asks for are averaged first, as many as make the
     peaks about four frames wide, so that more frames mean less noise. With any other measure the
@@ -155,7 +156,7 @@ def depth_from_focus(
     fit of more points puts it further in. Equal maxima go to the first.
 
     Blocks of a dask array are chunks of 1024 px, or as they are if their sides are multiples of
-    four, with 96 px around them. They agree with the whole image to 0.004 of the frames' spacing.
+    64 px, with 128 px around them. They agree with the whole image to 0.004 of the frames' spacing.
 
     References
     ----------

@@ -29,16 +29,6 @@ def test_correction_is_the_loop(m, delta):
     assert (ours != depth).any()
 
 
-def test_the_defaults_are_the_thesis_own():
-    """Section 5.5.1 takes a window of 9×9 and δ = 2; 3 or a side of 7 keep other depths."""
-    rng = np.random.default_rng(8)
-    depth = rng.standard_normal((40, 40))
-    ours = correct_spikes(depth)
-    np.testing.assert_allclose(ours, printed_correction(depth, 9, 2.0), rtol=1e-12)
-    for m, delta in ((9, 3.0), (7, 2.0)):
-        assert (ours != printed_correction(depth, m, delta)).any()
-
-
 def test_the_deviation_is_that_of_the_known_depths():
     """With half unknown, dividing by all would put the deviation √2 too low, or far too high."""
     rng = np.random.default_rng(3)
@@ -110,18 +100,6 @@ def test_the_printed_condition_would_keep_only_the_spikes():
     assert np.mean(ours == depth) > 0.8
 
 
-def test_unknown_depths_are_filled_from_the_known_and_stay_out_of_it():
-    depth = np.tile(np.arange(30.0), (20, 1))
-    depth[5:8, 5:8] = np.nan
-    depth[:, 18:] = np.nan
-    filled = correct_spikes(depth, window=5)
-    assert filled[6, 6] == pytest.approx(6, abs=1)
-    assert np.isnan(filled[:, 21:]).all()
-    assert np.isnan(correct_spikes(np.full((9, 9), np.nan))).all()
-    median = np.nanmedian(np.pad(depth, 2, mode="symmetric")[6:11, 6:11])
-    assert filled[6, 6] == median
-
-
 @settings(deadline=None, max_examples=20)
 @given(
     rise_x=st.floats(-2, 2),
@@ -148,16 +126,6 @@ def test_smoothing_cuts_noise_and_keeps_a_step():
     # 0.1 sqrt(2 / 20) = 0.032 on open ground, a third more beside the step.
     assert error.std() < 0.042
     assert np.abs(error[:, 20:28]).max() < 0.2  # five times that, next to the step as well
-
-
-def test_weights_decide_whom_to_trust():
-    rng = np.random.default_rng(2)
-    good = rng.random((40, 40)) < 0.5
-    noisy = np.where(good, 0.01, 0.3) * rng.standard_normal((40, 40))
-    weight = np.where(good, 1.0, 1e-3)
-    blind = smooth_depth(noisy, jump=3.0)
-    told = smooth_depth(noisy, jump=3.0, weight=weight)
-    assert told.std() < 0.3 * blind.std()
 
 
 def test_unknown_depths_stay_unknown_and_do_not_matter():
