@@ -134,7 +134,7 @@ def thesis_curvature(height: NDArray, *, corrected: bool = False) -> tuple[NDArr
         map.
     """
     windows = {}
-    for name, integers in PRINTED_WINDOWS.items():
+    for name, (_, integers) in PRINTED_WINDOWS.items():
         entry = claim(f"section-3.2.1/{name}")
         divisor = entry.corrected if corrected and entry.corrected else entry.printed
         windows[name] = np.array(integers) / float(divisor)
