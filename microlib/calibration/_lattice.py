@@ -144,11 +144,7 @@ def complete(marks: Marks, index: Index, grid: Index) -> tuple[Marks, Index]:
     """The marks of a lattice, with those that the image shows where it would have them."""
     marks = marks[index]
     for _ in range(_RINGS):
-        held = set(map(tuple, grid.tolist()))
-        beside = (grid[:, None] + (2 * _ALONG).astype(int)).reshape(-1, 2)
-        absent = np.array(sorted(set(map(tuple, beside.tolist())) - held), dtype=np.intp)
-        if len(absent) == 0:
-            break
+        absent = absent_places(grid)
         flat = grid.astype(np.float64)
         to_image, _ = fit_grid_map(marks.centers[:, None], flat, _MIDDLE, marks.image.shape)
         places = to_image(absent.astype(np.float64))
@@ -169,6 +165,13 @@ def complete(marks: Marks, index: Index, grid: Index) -> tuple[Marks, Index]:
         )
         grid = np.concatenate([grid, absent[new]])
     return marks, grid
+
+
+def absent_places(grid: Index) -> Index:
+    """Places beside a mark, along one of the axes, that hold none."""
+    held = set(map(tuple, grid.tolist()))
+    beside = (grid[:, None] + (2 * _ALONG).astype(int)).reshape(-1, 2)
+    return np.array(sorted(set(map(tuple, beside.tolist())) - held), dtype=np.intp)
 
 
 def refuse_fields(kind: str, marks: Marks, grid: Index) -> None:
