@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from microlib._common import Array, as_array, of_kind, scalar, whole
+from microlib._common import Array, Kept, as_array, of_kind, scalar, whole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,8 +44,8 @@ HK_NAMES = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class Windows:
+@dataclass(frozen=True, eq=False, repr=False)
+class Windows(Kept):
     """The windows from which all derivative windows are built; see `curvature_windows`.
 
     Attributes
@@ -63,8 +63,8 @@ class Windows:
     second_derivative: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Curvature:
+@dataclass(frozen=True, eq=False, repr=False)
+class Curvature(Kept):
     """Curvature of a height map.
 
     Attributes

@@ -26,6 +26,7 @@ from microlib._common._devices import Mover, Workstation, check_devices
 from microlib._common._files import replace_file
 from microlib._common._frames import Frames, is_in_memory
 from microlib._common._guard import POLL, DeviceError, Ending, EndRun, Guard, RunInterrupt
+from microlib._common._kept import Kept, load
 from microlib._common._pipeline import pipeline
 from microlib._common._processes import end_with_starter
 from microlib._common._tidy import Tidy, flat_row
@@ -44,6 +45,7 @@ __all__ = [
     "Frames",
     "Guard",
     "Image",
+    "Kept",
     "Mover",
     "RunInterrupt",
     "Tidy",
@@ -62,6 +64,7 @@ __all__ = [
     "inverse_normal",
     "is_in_memory",
     "items",
+    "load",
     "of_kind",
     "one_of",
     "pipeline",

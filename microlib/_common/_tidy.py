@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from microlib._common._kept import Kept
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -16,21 +18,27 @@ _PARTS = {
     "interval": ("low", "high"),
     "domain": ("low", "high"),
     "rim_curvatures": ("left", "right"),
+    "grid": ("i", "j"),
     "image_size": ("width", "height"),
+    "region": ("x", "y", "width", "height"),
+    "frame": ("x", "y", "width", "height"),
     "um_per_pixel": ("estimate", "low", "high"),
     **dict.fromkeys(("bottom", "center", "corners", "drift", "rim", "tip"), ("x", "y")),
-    **dict.fromkeys(("feature", "measured", "points", "position", "reference"), ("x", "y")),
+    **dict.fromkeys(("feature", "measured", "points", "position"), ("x", "y")),
+    **dict.fromkeys(("positions", "reference"), ("x", "y")),
     **dict.fromkeys(("command", "residuals", "plane_residuals", "pixel_size"), ("x", "y")),
 }
 
 
-class Tidy:
-    """Give a frozen dataclass a flat row and a table."""
+class Tidy(Kept):
+    """Give a frozen dataclass a flat row and a table, a short `repr`, and a file."""
 
     #: Fields with one entry a sample: the rows of `to_frame`, left out of `to_dict`.
     _samples: ClassVar[tuple[str, ...]] = ()
     #: Fields with a number a pixel, objects and whole tables: in neither.
     _large: ClassVar[tuple[str, ...]] = ()
+    #: Fields of several axes, each with what its numbers are called along each of them.
+    _parts: ClassVar[tuple[tuple[Any, ...], ...]] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as a flat dictionary that JSON can hold.
@@ -39,7 +47,7 @@ class Tidy:
         -------
         dict
             Numbers, texts, truth values and None by name, in the units of the fields. What has
-            several numbers gets a name for each, such as ``center_x`` and ``covariance_0_1``; what
+            several numbers gets a name for each, such as ``center_x`` and ``covariance_x_y``; what
             is not finite is None. Fields with a number a sample or a pixel are left out.
         """
         own = {
@@ -47,7 +55,7 @@ class Tidy:
             for f in fields(self)  # type: ignore[arg-type]
             if f.name not in (*self._samples, *self._large)
         }
-        return flat_row(own)
+        return flat_row(own, {name: tuple(axes) for name, *axes in self._parts})
 
     def to_frame(self) -> pd.DataFrame:
         """Return the result as a table.
@@ -68,43 +76,51 @@ class Tidy:
             if columns and len(values) != len(next(iter(columns.values()))):
                 values = np.moveaxis(values, -1, 0)
             flat = values.reshape(len(values), -1)
-            columns |= dict(zip(_names(name, values.shape[1:]), flat.T, strict=True))
+            names = _names(name, values.shape[1:], _PARTS.get(name, ()))
+            columns |= dict(zip(names, flat.T, strict=True))
         return pd.DataFrame(columns)
 
 
-def flat_row(values: Mapping[str, Any]) -> dict[str, Any]:
+def flat_row(
+    values: Mapping[str, Any], parts: Mapping[str, tuple[tuple[str, ...], ...]] | None = None
+) -> dict[str, Any]:
     """Return values as `Tidy.to_dict` does."""
-    return dict(_flat("", values))
+    return dict(_flat("", values, parts or {}))
 
 
-def _flat(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+def _flat(
+    prefix: str, values: Mapping[str, Any], parts: Mapping[str, tuple[tuple[str, ...], ...]]
+) -> Iterator[tuple[str, Any]]:
     for name, value in values.items():
         # The radius of a dimple is not the dimple's dimple's.
         known = name if prefix and name.startswith(prefix) else prefix + name
         if isinstance(value, Tidy):
-            yield from _flat(f"{known}_", value.to_dict())
+            yield from _flat(f"{known}_", value.to_dict(), {})
         elif isinstance(value, Mapping):
-            yield from _flat(f"{known}_", value)
+            yield from _flat(f"{known}_", value, {})
         elif isinstance(value, (tuple, list)) and all(isinstance(v, str) for v in value):
             yield known, ", ".join(value)
         elif isinstance(value, (tuple, list, np.ndarray)):
             array = np.asarray(value)
             texts = (_plain(number) for number in array.ravel())
-            yield from zip(_names(known, array.shape, name), texts, strict=True)
+            named = _PARTS.get(known) or _PARTS.get(name, ())
+            yield from zip(_names(known, array.shape, named, parts.get(name)), texts, strict=True)
         else:
             yield known, _plain(value)
 
 
-def _names(name: str, shape: tuple[int, ...], known: str | None = None) -> list[str]:
-    parts = _PARTS.get(known or name, ())
-    ends = [
-        [
-            parts[i] if k == len(index) - 1 and i < len(parts) else str(i)
-            for k, i in enumerate(index)
-        ]
-        for index in np.ndindex(shape)
+def _names(
+    name: str,
+    shape: tuple[int, ...],
+    last: tuple[str, ...],
+    axes: tuple[tuple[str, ...], ...] | None = None,
+) -> list[str]:
+    """Return a name for each number of an array: by the parts of each axis, or of the last one."""
+    named = axes or ((),) * (len(shape) - 1) + (last,)
+    return [
+        "_".join([name, *(p[i] if i < len(p) else str(i) for p, i in zip(named, at, strict=False))])
+        for at in np.ndindex(shape)
     ]
-    return ["_".join([name, *end]) for end in ends]
 
 
 def _plain(value: Any) -> bool | int | float | str | None:

@@ -35,7 +35,7 @@ _BACK = 3
 _MOST_TIME = 1e9
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Acquisition(Tidy):
     """What a drive of the focus brought.
 

@@ -42,7 +42,7 @@ class Detection(Tidy):
         Width and height of the photograph, px.
     """
 
-    _samples = ("grid", "points", "sigma", "group")
+    _samples = ("grid", "positions", "points", "sigma", "group")
 
     points: Array
     grid: NDArray[np.intp]

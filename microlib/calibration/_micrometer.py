@@ -33,7 +33,7 @@ _TURN, _TURNS = 0.1, 81
 _REACH, _ROUNDS = 0.4, 4
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Micrometer(Tidy):
     """Lines of a stage micrometer found in an image.
 

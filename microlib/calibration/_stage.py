@@ -18,7 +18,7 @@ _FLATTEST = 1e-6
 _FEWEST = 3
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class StageAffine(Tidy):
     """Affine map from stage positions to the image.
 
@@ -38,7 +38,10 @@ class StageAffine(Tidy):
         Image points minus the map, px.
     """
 
+    _parts = (("matrix", ("x", "y"), ("x", "y", "shift")),)
+
     _samples = ("residuals",)
+    _large = ("covariance",)
 
     matrix: Array
     covariance: Array

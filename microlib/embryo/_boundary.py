@@ -83,7 +83,7 @@ _SMOOTHING = 11
 _LARGEST_STD = 6.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Boundary(Tidy):
     """The outline of an embryo on the probe's side, the middle of its chorion, from left to right.
 

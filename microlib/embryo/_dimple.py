@@ -69,7 +69,7 @@ _LEAST_RADIUS = 1.01
 _LEAST_ROOT = 0.05
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DimpleGeometry(Tidy):
     """Size of a dimple and the two points of the outline that define it.
 
@@ -82,6 +82,8 @@ class DimpleGeometry(Tidy):
     rim, bottom : tuple of float
         The maximum left of the dimple and its lowest point, (x, y) in px with y up.
     """
+
+    _parts = (("covariance", ("radius", "depth"), ("radius", "depth")),)
 
     dimple_radius: float
     dimple_depth: float
@@ -167,7 +169,7 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float) -> DimpleGeometry:
     )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DimpleFit(Tidy):
     """A dimple of the form (4.2) fitted to an outline; calling it with x in px gives y in px.
 
@@ -189,6 +191,8 @@ class DimpleFit(Tidy):
     pixel_size, probe_half_width : float
         As given, in µm.
     """
+
+    _parts = (("covariance", ("radius", "depth"), ("radius", "depth")),)
 
     dimple_radius: float
     dimple_depth: float

@@ -16,7 +16,7 @@ from microlib.membrane import viscoelastic_force
 __all__ = ["ForceHistory", "force_over_time"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ForceHistory(Tidy):
     """Forces read off a sequence of images, from `force_over_time`.
 

@@ -43,7 +43,7 @@ _ROUNDING = 1e-12
 _FARTHEST = 1e9
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class GaussianSum(Tidy):
     r"""A sum of Gaussians as in equation (5.1).
 

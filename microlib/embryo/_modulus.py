@@ -43,7 +43,7 @@ _END_POINTS, _STEEP_END = 15, 0.87
 _MOST = 1e12
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ImageEstimate(Tidy):
     """A modulus or a force read off an image, by `modulus_from_image` or `force_from_image`.
 

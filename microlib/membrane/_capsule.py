@@ -363,7 +363,7 @@ class _Capsule(Problem):
 Solved = tuple[_Capsule, Any]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CapsuleModulus(Tidy):
     """
     What an indented capsule's shape says of its wall, from `capsule_modulus`.

@@ -35,7 +35,7 @@ _ARCS = 0.85
 _MOST_SEARCHES = 3
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CapsuleFit(Tidy):
     """
     The capsule that an outline shows, from `fit_capsule`.

@@ -91,7 +91,7 @@ class Problem:
         return found
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MembraneState(Tidy):
     r"""
     A membrane in equilibrium under a probe, from `indent_disc` or `indent_capsule`.

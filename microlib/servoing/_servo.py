@@ -43,7 +43,7 @@ _SHORTEST, _LONGEST = 1e-3, 1e2
 _MOVES = ("position", "move_to", "moving", "stop")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ServoRun(Tidy):
     """What `servo` did.
 
@@ -75,6 +75,8 @@ class ServoRun(Tidy):
         The exception behind `reason`, if there is one.
     """
 
+    _parts = (("jacobian", ("x", "y"), ("x", "y")),)
+
     log: pd.DataFrame
     reached: NDArray[np.bool_]
     reason: str
@@ -87,7 +89,7 @@ class ServoRun(Tidy):
     error: BaseException | None
 
     _samples = ("reached",)
-    _large = ("log",)
+    _large = ("log", "jacobian_covariance")
 
     def to_frame(self) -> pd.DataFrame:
         """Return `log`.

@@ -114,7 +114,7 @@ class Camera:
             object.__setattr__(self, name, scalar(name, getattr(self, name), least=0))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Simulation(Tidy):
     """What happened, one row a frame.
 

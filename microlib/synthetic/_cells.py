@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, generator, image_shape, one_of, scalar, whole
+from microlib._common import Array, Kept, generator, image_shape, one_of, scalar, whole
 
 # What such cells look like is a choice of the scene; no method depends on it.
 #: Radius (µm), irregularity of the outline, and how many harmonics it has.
@@ -40,8 +40,8 @@ _MOST_CELLS = 1000
 _SHIFT = 4
 
 
-@dataclass(frozen=True)
-class CellImage:
+@dataclass(frozen=True, eq=False, repr=False)
+class CellImage(Kept):
     """A rendered sample of cells.
 
     Attributes

@@ -20,6 +20,7 @@ from scipy.special import beta, ndtr
 
 from microlib._common import (
     Array,
+    Kept,
     as_array,
     between,
     flag,
@@ -78,7 +79,7 @@ _SHIFT = 4
 
 
 @dataclass(frozen=True)
-class Embryo:
+class Embryo(Kept):
     """An embryo pressed by a probe from above and held from below.
 
     Attributes
@@ -368,8 +369,8 @@ def _rim_radius(radius: float, depth: float, probe_half_width: float) -> float:
     return radius**2 * (zeta2 - 1 - np.log(zeta2)) / (4 * depth)
 
 
-@dataclass(frozen=True)
-class EmbryoImage:
+@dataclass(frozen=True, eq=False, repr=False)
+class EmbryoImage(Kept):
     """A rendered embryo and the truth behind it.
 
     Attributes

@@ -11,6 +11,7 @@ from scipy import ndimage
 
 from microlib._common import (
     Array,
+    Kept,
     as_array,
     between,
     generator,
@@ -106,8 +107,8 @@ def camera_frame(
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
 
 
-@dataclass(frozen=True)
-class WarpedPair:
+@dataclass(frozen=True, eq=False, repr=False)
+class WarpedPair(Kept):
     """Two frames of a texture and where the template of the first is in the second.
 
     Attributes
@@ -283,8 +284,8 @@ def _coverage(samples: Array, size: int) -> Array:
     return np.clip(np.minimum(samples + 1.0, size - samples), 0.0, 1.0)
 
 
-@dataclass(frozen=True)
-class GripperScene:
+@dataclass(frozen=True, eq=False, repr=False)
+class GripperScene(Kept):
     """A microgripper over a smooth ground, drawn at any sub-pixel position.
 
     Attributes

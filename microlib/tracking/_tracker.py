@@ -117,7 +117,7 @@ _BELIEVED = 0.5
 _USUAL_CONTRAST = (1 / 64, 16384.0)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Track(Tidy):
     """Where the template is in one frame.
 
@@ -155,6 +155,12 @@ class Track(Tidy):
     hidden : ndarray of bool, shape (height, width)
         Pixels of the box where the frame shows something else, or nothing; all when `lost`.
     """
+
+    _parts = (
+        ("corners", ("top_left", "top_right", "bottom_right", "bottom_left"), ("x", "y")),
+        ("homography", ("x", "y", "scale"), ("x", "y", "shift")),
+        ("covariance", ("x", "y"), ("x", "y")),
+    )
 
     corners: Array
     lost: bool
