@@ -426,8 +426,6 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "image": target(), "window": 5, "step": 1, "threshold": 0.0
     },
     "focus.three_point_peak": peaks,
-    "io._frames.FrameReader.again": lambda: {"self": io.read_frames(stack()), "color": False},
-    "io._frames.FrameReader.kept": lambda: {"self": io.read_frames(stack())},
     "io.read_frames": lambda: {
         "frames": stack(), "color": False, "region": (0, 0, 20, 20), "reduce": 1
     },

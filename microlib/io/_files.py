@@ -15,14 +15,15 @@ import tifffile
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import as_array, of_kind, refuse_masks, replace_file, scalar, whole
-from microlib.io._headers import picture_size
-from microlib.io._tiff import MOST_PIXELS, is_tiff, only_page
+from microlib.io._frames import reduced
+from microlib.io._sources import UNREADABLE, decode, picture
+from microlib.io._tiff import is_tiff
 
 _MICROMETERS_PER_CENTIMETER = 1e4
+#: Largest number of 32 bits.
+_MOST = 2**32 - 1
 #: Pixels, µm, whose number a centimeter fits into the 32 bits of a TIFF.
 _FINEST, _COARSEST = 1e-5, 1e9
-#: Rows or columns that OpenCV reads at most.
-_LONGEST_SIDE = 1 << 20
 
 
 def read_grey(path: str | PathLike[str]) -> NDArray:
@@ -57,38 +58,16 @@ def read_grey(path: str | PathLike[str]) -> NDArray:
     if not file.is_file():
         raise ValueError(f"path must name an image, got {file}: no such file")
     if is_tiff(file):
-        stored = only_page(file)
-        if stored is not None:
-            return stored
-    image = decode("path", file, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+        try:
+            stored = picture(file)
+        except ValueError as error:
+            raise ValueError(f"path must name an image, got {file}: {error}") from error
+        if stored.dtype in (np.uint8, np.uint16):
+            return stored if stored.ndim == 2 else cv2.cvtColor(stored, cv2.COLOR_RGB2GRAY)
+    image = decode(file, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
     if image is None:
-        raise ValueError(f"path must name an image, got {file}: damaged or of an unknown format")
+        raise ValueError(f"path must name an image, got {file}: {UNREADABLE}")
     return image
-
-
-def decode(name: str, file: Path, flags: int) -> NDArray | None:
-    """Return an image as OpenCV reads it; None if it is damaged, cut off or of another format.
-
-    Raises
-    ------
-    ValueError
-        If its header tells of more pixels than OpenCV reads.
-    """
-    # Not imread: it accepts JPEGs that are cut off, and fails on names outside the system's
-    # encoding.
-    raw = np.frombuffer(file.read_bytes(), dtype=np.uint8)
-    if not raw.size:
-        return None
-    try:
-        return cv2.imdecode(raw, flags)
-    except cv2.error:
-        height, width = picture_size(file) or (0, 0)
-        if width * height <= MOST_PIXELS and max(width, height) <= _LONGEST_SIDE:
-            return None
-        raise ValueError(
-            f"{name} must be of at most {MOST_PIXELS} px, {_LONGEST_SIDE} px a side, got {file} "
-            f"with a header of {width}×{height} px"
-        ) from None
 
 
 def write_height_tiff(
@@ -135,21 +114,26 @@ def write_height_tiff(
     of_kind("what", what, str)
     values = _map(height)
     size = scalar("pixel_size", pixel_size, above=0, least=_FINEST, most=_COARSEST)
-    per_centimeter = _ratio(_MICROMETERS_PER_CENTIMETER / size)
+    # As a ratio of 32-bit numbers: older versions of tifffile keep six digits of a float.
+    per_centimeter = Fraction(_MICROMETERS_PER_CENTIMETER / size)
+    per_centimeter = per_centimeter.limit_denominator(min(_MOST, int(_MOST / per_centimeter)))
     ome = Path(path).name.lower().endswith((".ome.tif", ".ome.tiff"))
     about: dict[str, Any] = {"description": f"{what}; pixel size {size:g} um"}
     if ome:
         sizes = {f"PhysicalSize{axis}": size for axis in "XY"}
         units = {f"PhysicalSize{axis}Unit": "µm" for axis in "XY"}
         axes = {"axes": "YX" if values.ndim == 2 else "YXS"}
-        named = {"Name": what, "UUID": _identifier(values, size, what)}
+        # The same for the same map.
+        told = f"{what} {size!r} {values.dtype.str} {values.shape} "
+        told += sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
+        named = {"Name": what, "UUID": f"urn:uuid:{uuid5(NAMESPACE_OID, told)}"}
         about = {"metadata": {**axes, **sizes, **units, **named}}
 
     def write(file: Path) -> None:
         tifffile.imwrite(
             file,
             values,
-            resolution=(per_centimeter, per_centimeter),
+            resolution=(per_centimeter.as_integer_ratio(),) * 2,
             resolutionunit="CENTIMETER",
             photometric="minisblack" if values.ndim == 2 else "rgb",
             ome=ome,
@@ -158,13 +142,6 @@ def write_height_tiff(
         )
 
     replace_file(path, write)
-
-
-def _identifier(values: NDArray, pixel_size: float, what: str) -> str:
-    """Return the identifier of a map that OME asks for: the same for the same map."""
-    told = f"{what} {pixel_size!r} {values.dtype.str} {values.shape}".encode()
-    content = sha256(told + np.ascontiguousarray(values).tobytes()).hexdigest()
-    return f"urn:uuid:{uuid5(NAMESPACE_OID, content)}"
 
 
 def _map(values: ArrayLike) -> NDArray:
@@ -229,18 +206,16 @@ def write_ply(
     by = whole("step", step, least=1)
     colors = None if image is None else _colors(image, heights.shape)
     if by > 1:
-        heights = _block_means(heights, by)
-        if colors is not None:
-            colors = np.rint(
-                np.stack([_block_means(c, by) for c in np.moveaxis(colors, 2, 0)], axis=2)
-            ).astype(np.uint8)
+        known = np.isfinite(heights)
+        share = reduced("height", known.astype(np.float64), by)
+        total = reduced("height", np.where(known, heights, 0.0), by)
+        # A block of which half is known counts, whatever the rounding of its share.
+        enough = share > 0.5 - 0.5 / by**2
+        heights = np.where(enough, total / np.where(enough, share, 1.0), np.nan)
+        colors = None if colors is None else reduced("image", colors, by)
     # The middle of the first block.
     content = _mesh(heights, colors, size * by, size * (by - 1) / 2)
-
-    def write(file: Path) -> None:
-        file.write_bytes(content)
-
-    replace_file(path, write)
+    replace_file(path, lambda file: file.write_bytes(content))
 
 
 def _colors(image: ArrayLike, shape: tuple[int, ...]) -> NDArray:
@@ -254,19 +229,6 @@ def _colors(image: ArrayLike, shape: tuple[int, ...]) -> NDArray:
     return colors if colors.ndim == 3 else np.repeat(colors[..., None], 3, axis=2)
 
 
-def _block_means(values: NDArray, by: int) -> NDArray:
-    """Return the means of what is known in square blocks, NaN where that is less than half."""
-    rows, cols = (n // by for n in values.shape)
-    if min(rows, cols) == 0:
-        raise ValueError(f"step must be at most the sides of height {values.shape}, got {by}")
-    blocks = values[: rows * by, : cols * by].reshape(rows, by, cols, by).swapaxes(1, 2)
-    flat = blocks.reshape(rows, cols, by * by).astype(np.float64)
-    known = np.isfinite(flat)
-    count = known.sum(axis=2)
-    total = np.where(known, flat, 0.0).sum(axis=2)
-    return np.where(2 * count >= by * by, total / np.maximum(count, 1), np.nan)
-
-
 def _mesh(heights: NDArray, colors: NDArray | None, spacing: float, first: float) -> bytes:
     """Return a PLY file of the vertices with known heights and the triangles between them."""
     known = np.isfinite(heights)
@@ -278,45 +240,22 @@ def _mesh(heights: NDArray, colors: NDArray | None, spacing: float, first: float
         )
     number = np.cumsum(known.ravel()).reshape(known.shape) - 1
     row, column = np.nonzero(known)
-    layout = [(axis, "<f4") for axis in "xyz"]
-    layout += [] if colors is None else [(name, "u1") for name in ("red", "green", "blue")]
-    vertices = np.empty(len(row), dtype=layout)
-    vertices["x"], vertices["y"] = first + column * spacing, -(first + row * spacing)
-    vertices["z"] = heights[known]
+    of_color = [] if colors is None else [("rgb", "u1", 3)]
+    vertices = np.empty(len(row), dtype=[("xyz", "<f4", 3), *of_color])
+    x, y = first + column * spacing, -(first + row * spacing)
+    vertices["xyz"] = np.column_stack([x, y, heights[known]])
     if colors is not None:
-        vertices["red"], vertices["green"], vertices["blue"] = colors[known].T
-    corners = [
-        number[:-1, :-1][cells],
-        number[1:, :-1][cells],
-        number[1:, 1:][cells],
-        number[:-1, 1:][cells],
-    ]
-    triangles = np.concatenate(
-        [
-            np.column_stack([corners[k] for k in (0, 1, 2)]),
-            np.column_stack([corners[k] for k in (0, 2, 3)]),
-        ]
-    )
-    faces = np.empty(len(triangles), dtype=[("count", "u1"), ("index", "<i4", 3)])
-    faces["count"], faces["index"] = 3, triangles
-    kinds = {"<f4": "float", "u1": "uchar"}
-    header = "\n".join(
-        [
-            "ply",
-            "format binary_little_endian 1.0",
-            "comment lengths in micrometers",
-            f"element vertex {len(vertices)}",
-            *(f"property {kinds[kind]} {name}" for name, kind in layout),
-            f"element face {len(faces)}",
-            "property list uchar int vertex_indices",
-            "end_header\n",
-        ]
+        vertices["rgb"] = colors[known]
+    around = (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
+    corners = np.column_stack([corner[cells] for corner in around])
+    faces = np.empty(2 * len(corners), dtype=[("count", "u1"), ("index", "<i4", 3)])
+    faces["count"], faces["index"] = 3, corners[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
+    properties = ["float x", "float y", "float z"]
+    properties += [] if colors is None else ["uchar red", "uchar green", "uchar blue"]
+    header = (
+        "ply\nformat binary_little_endian 1.0\ncomment lengths in micrometers\n"
+        f"element vertex {len(vertices)}\n"
+        + "".join(f"property {kind}\n" for kind in properties)
+        + f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
     return header.encode("ascii") + vertices.tobytes() + faces.tobytes()
-
-
-def _ratio(number: float) -> tuple[int, int]:
-    """Return the best ratio of two 32-bit numbers; older versions of tifffile keep six digits."""
-    most = 2**32 - 1
-    ratio = Fraction(number).limit_denominator(max(1, int(min(1, 1 / number) * most)))
-    return ratio.numerator, ratio.denominator

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from microlib._common import LARGEST_GREY, Frames, as_array, flag, whole
 from microlib.io._sources import Named, Source, open_source
 
-__all__ = ["FrameReader", "Region", "read_frames"]
+__all__ = ["FrameReader", "Region", "read_frames", "reduced"]
 
 #: Left column, top row, width and height of a part of the frames, px.
 Region = tuple[int, int, int, int]
@@ -96,8 +96,7 @@ class FrameReader(Iterator[NDArray]):
     """
 
     def __init__(self, source: Source, color: bool, region: Region | None, reduce: int) -> None:
-        self._source, self._in_color = source, color
-        self._region, self._reduce = region, reduce
+        self._in_color, self._region, self._reduce = color, region, reduce
         self.count, self.axis, self.positions = source.count, source.axis, source.positions
         size = source.pixel_size
         self.pixel_size = None if size is None else size * reduce
@@ -105,66 +104,30 @@ class FrameReader(Iterator[NDArray]):
         self.dtype = np.dtype(np.uint8)
         self.color = False
         named = source.read()
-        if source.shape is not None and source.pixel is not None:
-            self.color = _has_color(source.pixel)
-            self.shape = self._prepared_shape(source.shape)
-            self.dtype = _numbers("frames[0]", source.pixel).dtype
-        elif (first := next(named, None)) is not None:
+        if (first := next(named, None)) is not None:
             self.color = _has_color(first[1])
             frame = self._prepared(*first)
             self.shape, self.dtype = (frame.shape[0], frame.shape[1]), frame.dtype
+            self._first = self._kind(frame, first[1])
             named = chain([first], named)
-        self._named = named
         self._frames = self._checked(named)
 
     def __next__(self) -> NDArray:
         return next(self._frames)
 
-    def again(self, *, color: bool = False) -> FrameReader:
-        """Return a reader of the same frames from the first one on.
-
-        Raises
-        ------
-        ValueError
-            If they came from an iterator, which is gone.
-        """
-        if not self.rereadable:
-            raise ValueError("frames must be readable twice, got an iterator; pass a list of them")
-        return FrameReader(self._source, flag("color", color), self._region, self._reduce)
-
-    def kept(self) -> FrameReader:
-        """Return a reader that can be read again: this one, or one of a list of an iterator's."""
-        if self.rereadable:
-            return self
-        held = open_source([raw for _, raw in self._named])
-        return FrameReader(held, self._in_color, self._region, self._reduce)
-
-    @property
-    def rereadable(self) -> bool:
-        """Whether `again` works."""
-        return self._source.again
-
     def _checked(self, named: Named) -> Iterator[NDArray]:
         for name, raw in named:
             frame = self._prepared(name, raw)
-            if frame.shape[:2] != self.shape or frame.dtype != self.dtype:
-                raise ValueError(
-                    f"{name} must be {self.dtype} of shape {self.shape} like the first frame, "
-                    f"got {frame.dtype} of shape {frame.shape[:2]}"
-                )
-            if _has_color(raw) != self.color:
-                kind = "color" if self.color else "grey"
-                raise ValueError(f"{name} must be {kind} like the first frame")
+            came = self._kind(frame, raw)
+            if came != self._first:
+                raise ValueError(f"{name} must be {self._first} like the first frame, got {came}")
             yield frame
             del raw, frame
 
-    def _prepared_shape(self, shape: tuple[int, ...]) -> tuple[int, int]:
-        """Return rows and columns of what is wanted of a frame of that shape."""
-        rows, cols = shape[0], shape[1]
-        if self._region is not None:
-            _slices(self._region, (rows, cols))
-            cols, rows = self._region[2:]
-        return rows // self._reduce, cols // self._reduce
+    @staticmethod
+    def _kind(frame: NDArray, raw: NDArray) -> str:
+        color = "color" if _has_color(raw) else "grey"
+        return f"{color} {frame.dtype} of shape {frame.shape[:2]}"
 
     def _prepared(self, name: str, raw: NDArray) -> NDArray:
         """Return the part that is wanted, in a type and colors that are."""
@@ -181,7 +144,7 @@ class FrameReader(Iterator[NDArray]):
             if not self._in_color:
                 frame = cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)
         if self._reduce > 1:
-            frame = _reduced(name, frame, self._reduce)
+            frame = reduced(name, frame, self._reduce)
         return frame
 
 
@@ -203,12 +166,9 @@ def _numbers(name: str, frame: NDArray) -> NDArray:
 def _region(region: object) -> Region:
     if not isinstance(region, (tuple, list)) or len(region) != 4:
         raise ValueError(f"region must be (x, y, width, height), got {region!r}")
-    return (
-        whole("region x", region[0], least=0),
-        whole("region y", region[1], least=0),
-        whole("region width", region[2], least=1),
-        whole("region height", region[3], least=1),
-    )
+    sides = zip(("x", "y", "width", "height"), region, (0, 0, 1, 1), strict=True)
+    left, top, cols, rows = (whole(f"region {name}", n, least=least) for name, n, least in sides)
+    return left, top, cols, rows
 
 
 def _slices(region: Region, shape: tuple[int, int]) -> tuple[slice, slice]:
@@ -218,9 +178,12 @@ def _slices(region: Region, shape: tuple[int, int]) -> tuple[slice, slice]:
     return slice(top, top + rows), slice(left, left + cols)
 
 
-def _reduced(name: str, frame: NDArray, by: int) -> NDArray:
-    rows, cols = frame.shape[0] // by, frame.shape[1] // by
+def reduced(name: str, image: NDArray, by: int) -> NDArray:
+    """Return the means of square blocks of pixels; what is left beside the last is cut off."""
+    rows, cols = image.shape[0] // by, image.shape[1] // by
     if min(rows, cols) == 0:
-        raise ValueError(f"{name} must have sides of at least reduce={by} px, got {frame.shape}")
-    whole_blocks = frame[: rows * by, : cols * by]
-    return np.asarray(cv2.resize(whole_blocks, (cols, rows), interpolation=cv2.INTER_AREA))
+        raise ValueError(
+            f"{name} must have sides of at least the {by} px of a block, got {image.shape}"
+        )
+    blocks = image[: rows * by, : cols * by]
+    return np.asarray(cv2.resize(blocks, (cols, rows), interpolation=cv2.INTER_AREA))

@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from xml.etree import ElementTree
+from typing import Any
+from xml.etree.ElementTree import ParseError
 
 import numpy as np
 import tifffile
 
 from microlib._common import Array
 
-__all__ = ["Scale", "tiff_scale"]
+__all__ = ["tiff_scale"]
 
 #: µm in the units that OME and ImageJ name; what is not here has no size, such as "pixel".
 _MICROMETERS = {
     "nm": 1e-3,
-    "µm": 1.0,
-    "μm": 1.0,
-    "um": 1.0,
-    "\\u00b5m": 1.0,
-    "micron": 1.0,
-    "microns": 1.0,
-    "micrometer": 1.0,
+    **dict.fromkeys(("µm", "μm", "um", "\\u00b5m", "micron", "microns", "micrometer"), 1.0),
     "mm": 1e3,
     "cm": 1e4,
     "m": 1e6,
@@ -33,93 +26,60 @@ _SQUARE = 1e-3
 _CENTIMETER = 3
 
 
-@dataclass(frozen=True)
-class Scale:
-    """Sizes that a file tells.
+def tiff_scale(tiff: tifffile.TiffFile, count: int) -> tuple[float | None, Array | None]:
+    """Return the side of a square pixel, µm/px, and the position of each of `count` frames, µm.
 
-    Attributes
-    ----------
-    pixel_size : float or None
-        Side of a square pixel, µm/px.
-    positions : ndarray, shape (count,), or None
-        Position of each frame along the optical axis, µm.
+    None where the OME or ImageJ metadata, or a resolution in centimeters, do not tell.
     """
-
-    pixel_size: float | None = None
-    positions: Array | None = None
-
-
-def tiff_scale(tiff: tifffile.TiffFile, count: int) -> Scale:
-    """Return the sizes in the OME or ImageJ metadata of a file with that many frames."""
     if tiff.is_ome and tiff.ome_metadata:
         return _ome(tiff.ome_metadata, count)
+    page = tiff.pages[0].aspage()
+    spacing = np.nan
     if tiff.is_imagej and tiff.imagej_metadata:
-        return _imagej(tiff.imagej_metadata, _per_pixel(tiff), count)
-    page = tiff.pages[0].aspage()
-    unit = page.tags.get("ResolutionUnit")
-    size = None
-    if unit is not None and unit.value == _CENTIMETER:
-        size = _square(*(_MICROMETERS["cm"] * side for side in _per_pixel(tiff)))
-    return Scale(size)
+        unit = _MICROMETERS.get(str(tiff.imagej_metadata.get("unit", "")).lower(), np.nan)
+        spacing = abs(_number(tiff.imagej_metadata.get("spacing"))) * unit
+    else:
+        unit = _MICROMETERS["cm"] if page.resolutionunit == _CENTIMETER else np.nan
+    told = "XResolution" in page.tags and "YResolution" in page.tags
+    x, y = (unit / per if per else np.nan for per in (page.get_resolution() if told else (0, 0)))
+    return _square(x, y), _steps(spacing, count)
 
 
-def _ome(text: str, count: int) -> Scale:
+def _ome(text: str, count: int) -> tuple[float | None, Array | None]:
     try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError:
-        return Scale()
-    pixels = next((node for node in root.iter() if node.tag.endswith("}Pixels")), None)
-    if pixels is None:
-        return Scale()
-    x, y, z = (_length(pixels.attrib, f"PhysicalSize{axis}") for axis in "XYZ")
-    planes = [node for node in pixels if node.tag.endswith("}Plane")]
-    at = [_length(plane.attrib, "PositionZ") for plane in planes]
-    order = [int(plane.attrib.get("TheZ", 0)) for plane in planes]
-    positions = None
-    if len(at) == count and None not in at and sorted(order) == list(range(count)):
-        positions = _monotonic(np.array(at, float)[np.argsort(order)])
-    if positions is None and z:
-        positions = z * np.arange(count, dtype=float)
-    return Scale(_square(x or 0.0, y or 0.0), positions)
+        image = tifffile.xml2dict(text)["OME"]["Image"]
+        pixels = (image[0] if isinstance(image, list) else image)["Pixels"]
+        planes = pixels.get("Plane", [])
+    except (ParseError, KeyError, TypeError, AttributeError):
+        return None, None
+    planes = sorted(
+        planes if isinstance(planes, list) else [planes], key=lambda plane: plane.get("TheZ", 0)
+    )
+    positions = np.array([_length(plane, "PositionZ") for plane in planes])
+    gaps = np.diff(positions)
+    each = [plane.get("TheZ", 0) for plane in planes] == list(range(count))
+    one_way = np.isfinite(positions).all() and ((gaps > 0).all() or (gaps < 0).all())
+    return (
+        _square(_length(pixels, "PhysicalSizeX"), _length(pixels, "PhysicalSizeY")),
+        positions if each and one_way else _steps(_length(pixels, "PhysicalSizeZ"), count),
+    )
 
 
-def _length(attributes: Mapping[str, str], name: str) -> float | None:
-    unit = _MICROMETERS.get(attributes.get(f"{name}Unit", "µm"))
+def _length(attributes: dict[str, Any], name: str) -> float:
+    unit = _MICROMETERS.get(str(attributes.get(f"{name}Unit", "µm")), np.nan)
+    return unit * _number(attributes.get(name))
+
+
+def _number(value: Any) -> float:
     try:
-        value = float(attributes[name])
-    except (KeyError, ValueError):
-        return None
-    return None if unit is None or not np.isfinite(value) else value * unit
-
-
-def _imagej(metadata: Mapping[str, object], sides: tuple[float, float], count: int) -> Scale:
-    unit = _MICROMETERS.get(str(metadata.get("unit", "")).lower())
-    if unit is None:
-        return Scale()
-    try:
-        spacing = abs(float(str(metadata.get("spacing", 0)))) * unit
-    except ValueError:
-        spacing = 0.0
-    positions = spacing * np.arange(count, dtype=float) if spacing > 0 else None
-    return Scale(_square(*(unit * side for side in sides)), positions)
-
-
-def _per_pixel(tiff: tifffile.TiffFile) -> tuple[float, float]:
-    """Return width and height of a pixel in the unit of the resolution, 0 where not known."""
-    page = tiff.pages[0].aspage()
-    sides = []
-    for name in ("XResolution", "YResolution"):
-        tag = page.tags.get(name)
-        number, per = tag.value if tag is not None else (0, 1)
-        sides.append(per / number if number else 0.0)
-    return sides[0], sides[1]
+        return float(value)
+    except (TypeError, ValueError):
+        return np.nan
 
 
 def _square(x: float, y: float) -> float | None:
-    good = x > 0 and np.isfinite(x) and abs(y - x) <= _SQUARE * x
-    return float(x) if good else None
+    return float(x) if 0 < x < np.inf and abs(y - x) <= _SQUARE * x else None
 
 
-def _monotonic(z: Array) -> Array | None:
-    gaps = np.diff(z)
-    return z if (gaps > 0).all() or (gaps < 0).all() else None
+def _steps(spacing: float, count: int) -> Array | None:
+    return spacing * np.arange(count, dtype=float) if spacing and np.isfinite(spacing) else None

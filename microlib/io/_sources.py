@@ -7,8 +7,6 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
-from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -16,18 +14,20 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from microlib._common import Array, Frames, refuse_masks
-from microlib.io._files import decode
-from microlib.io._headers import picture_size
 from microlib.io._tiff import is_tiff, tiff_pages, tiff_stack
 
-__all__ = ["Source", "open_source"]
+__all__ = ["UNREADABLE", "Source", "decode", "open_source", "picture"]
 
 _PICTURES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm"})
 _VIDEOS = frozenset({".avi", ".mp4", ".m4v", ".mov", ".mkv", ".mpg", ".mpeg", ".webm", ".wmv"})
 #: Characters that make a pattern of a path.
 _PATTERN = re.compile(r"[*?\[]")
+
+#: Why OpenCV reads no image from a file.
+UNREADABLE = "damaged, of an unknown format, or larger than the 2³⁰ px that OpenCV reads"
 
 #: Raw frames, each with the name that a message gives it.
 Named = Iterator[tuple[str, NDArray]]
@@ -41,8 +41,6 @@ class Source:
     ----------
     read : callable
         Begins to read: yields each raw frame, grey or RGB, with its name for messages.
-    again : bool
-        Whether it can be read more than once.
     count : int or None
         Number of frames, if known.
     axis : str
@@ -51,20 +49,13 @@ class Source:
         Side of a pixel, µm/px, if the file tells.
     positions : ndarray, shape (count,), or None
         Positions of the frames along the optical axis, µm, if the file tells.
-    shape : tuple of int, or None
-        Shape of a frame, if it is known without reading one.
-    pixel : ndarray of shape (1, 1) or (1, 1, channels), or None
-        A pixel of a frame whose shape is known: it tells the type.
     """
 
     read: Callable[[], Named]
-    again: bool = True
     count: int | None = None
     axis: str = ""
     pixel_size: float | None = None
     positions: Array | None = None
-    shape: tuple[int, ...] | None = None
-    pixel: NDArray | None = None
 
 
 def open_source(frames: Frames) -> Source:
@@ -73,14 +64,12 @@ def open_source(frames: Frames) -> Source:
         return _path(Path(frames).expanduser())
     if hasattr(frames, "shape") and hasattr(frames, "__getitem__"):
         return _array(frames)
-    if type(frames).__name__ == "ZarrTiffStore" and find_spec("zarr"):
-        return _zarr(frames)
     if isinstance(frames, Sequence):
         if frames and all(isinstance(item, (str, PathLike)) for item in frames):
             return _pictures([Path(item).expanduser() for item in frames])
         return Source(partial(_items, frames), count=len(frames))
     if isinstance(frames, Iterable):
-        return Source(partial(_items, frames), again=iter(frames) is not frames)
+        return Source(partial(_items, frames))
     raise ValueError(
         "frames must be an array, a file, a folder or an iterable of images, "
         f"got {type(frames).__name__}"
@@ -89,9 +78,7 @@ def open_source(frames: Frames) -> Source:
 
 def _path(path: Path) -> Source:
     if path.suffix.lower() == ".zarr" and path.exists():
-        if not find_spec("zarr"):
-            raise ValueError(f"frames must be readable, got {path}: pip install zarr to read it")
-        return _zarr(str(path))
+        return _zarr(path)
     if path.is_dir():
         found = [file for file in path.iterdir() if file.suffix.lower() in _PICTURES]
         return _pictures(_sorted(file for file in found if file.name[0] != "."), path)
@@ -101,14 +88,7 @@ def _path(path: Path) -> Source:
         return _video(path)
     if path.suffix.lower() in _PICTURES and not is_tiff(path) and path.is_file():
         return _pictures([path])
-    stack = tiff_stack(path)
-    return Source(
-        partial(tiff_pages, path),
-        count=stack.count,
-        axis=stack.axis,
-        pixel_size=stack.scale.pixel_size,
-        positions=stack.scale.positions,
-    )
+    return Source(partial(tiff_pages, path), *tiff_stack(path))
 
 
 def _array(frames: Any) -> Source:
@@ -124,26 +104,24 @@ def _array(frames: Any) -> Source:
         for k in range(shape[0]):
             yield f"frames[{k}]", np.asarray(frames[k])
 
-    if isinstance(frames, np.ndarray) or min(shape) == 0 or not hasattr(frames, "dtype"):
-        return Source(read, count=shape[0])
-    # A frame may be large, and is to be read when it is wanted.
-    pixel = np.asarray(frames[0, :1, :1])
-    return Source(read, count=shape[0], shape=shape[1:], pixel=pixel)
+    return Source(read, count=shape[0])
 
 
-def _zarr(store: Any) -> Source:
-    zarr = import_module("zarr")  # the reader's own, and slow to import
-    opened = zarr.open(store, mode="r")
-    if not hasattr(opened, "shape"):
-        names = ", ".join(sorted(opened.keys())[:5])
-        raise ValueError(f"frames must be one array, got a zarr group of {names}; pass one of them")
-    return _array(opened)
+def _zarr(path: Path) -> Source:
+    try:
+        import zarr  # optional, and slow to import
+
+        return _array(zarr.open_array(str(path), mode="r"))
+    except Exception as error:  # a group of arrays, or damaged
+        raise ValueError(
+            f"frames must be one zarr array (to read it: pip install zarr), got {path}: {error}"
+        ) from error
 
 
 def _items(items: Iterable[Any]) -> Named:
     for k, item in enumerate(items):
         if isinstance(item, (str, PathLike)):
-            yield f"frames[{k}], {item},", _picture(Path(item).expanduser())
+            yield f"frames[{k}], {item},", picture(Path(item).expanduser())
         else:
             refuse_masks(f"frames[{k}]", item)
             # A camera may hand out the same buffer again and again.
@@ -164,26 +142,33 @@ def _pictures(files: Sequence[Path], place: Path | None = None) -> Source:
     """Read one picture a frame; those that are missing or of another size are refused at once."""
     if not files:
         raise ValueError(f"frames must hold images, got none in {place}")
-    first: tuple[int, int] | None = None
-    for k, file in enumerate(files):
-        if not file.is_file():
-            raise ValueError(f"frames cannot be read from {file}: no such file")
-        size = picture_size(file)
-        first = first or size
-        if size and size != first:
+    sizes = [_size(file) for file in files]
+    for k, size in enumerate(sizes):
+        if size and sizes[0] and size != sizes[0]:
             raise ValueError(
-                f"frames[{k}], {file}, must be of shape {first} like the first frame, "
+                f"frames[{k}], {files[k]}, must be of shape {sizes[0]} like the first frame, "
                 f"got shape {size}"
             )
 
     def read() -> Named:
         for k, file in enumerate(files):
-            yield f"frames[{k}], {file},", _picture(file)
+            yield f"frames[{k}], {file},", picture(file)
 
     return Source(read, count=len(files))
 
 
-def _picture(file: Path) -> NDArray:
+def _size(file: Path) -> tuple[int, int] | None:
+    """Return rows and columns as a picture's header says, None if that tells nothing."""
+    if not file.is_file():
+        raise ValueError(f"frames cannot be read from {file}: no such file")
+    try:
+        with Image.open(file) as picture:
+            return picture.height, picture.width
+    except Exception:  # of another format, damaged or huge: told when it is read
+        return None
+
+
+def picture(file: Path) -> NDArray:
     """Read one picture, grey or RGB."""
     if is_tiff(file):
         pages = list(tiff_pages(file))
@@ -192,13 +177,22 @@ def _picture(file: Path) -> NDArray:
         return pages[0][1]
     if not file.is_file():
         raise ValueError(f"frames cannot be read from {file}: no such file")
-    image = decode("frames", file, cv2.IMREAD_UNCHANGED)
+    image = decode(file, cv2.IMREAD_UNCHANGED)
     if image is None:
-        raise ValueError(
-            f"frames cannot be read from {file}: damaged, or not an image that OpenCV knows"
-        )
+        raise ValueError(f"frames cannot be read from {file}: {UNREADABLE}")
     # OpenCV puts blue first.
     return image if image.ndim == 2 else np.ascontiguousarray(image[..., 2::-1])
+
+
+def decode(file: Path, flags: int) -> NDArray | None:
+    """Return an image as OpenCV reads it; None if it does not."""
+    # Not imread: it accepts JPEGs that are cut off, and fails on names outside the system's
+    # encoding.
+    raw = np.frombuffer(file.read_bytes(), dtype=np.uint8)
+    try:
+        return cv2.imdecode(raw, flags) if raw.size else None
+    except cv2.error:
+        return None
 
 
 def _video(path: Path) -> Source:

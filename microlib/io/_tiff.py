@@ -6,8 +6,7 @@ import logging
 import math
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -16,12 +15,16 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from microlib.io._metadata import Scale, tiff_scale
+from microlib._common import Array
+from microlib.io._metadata import tiff_scale
 
-#: Pixels of an image that are read at most; OpenCV has the same limit.
-MOST_PIXELS = 1 << 30
+#: Values of a page that are read at most; OpenCV has the same limit.
+_MOST_PIXELS = 1 << 30
 
-_MINISWHITE, _MINISBLACK = 0, 1
+#: Kinds of pixels, by their numbers in a TIFF: grey, red green and blue (6: as JPEG stores them),
+#: and numbers of a palette's colors.
+_MINISWHITE, _MINISBLACK, _PALETTE = 0, 1, 3
+_KNOWN = (_MINISWHITE, _MINISBLACK, 2, _PALETTE, 6)
 #: Samples of a color pixel: red, green, blue, and perhaps opacity.
 _COLORS = (3, 4)
 
@@ -39,50 +42,35 @@ def is_tiff(path: Path) -> bool:
     return path.suffix.lower() in (".tif", ".tiff")
 
 
-@dataclass(frozen=True)
-class TiffStack:
-    """What a TIFF says of its frames.
+def tiff_stack(path: Path) -> tuple[int, str, float | None, Array | None]:
+    """Check a TIFF without reading its values, and return what it says of its frames.
 
-    Attributes
-    ----------
+    Returns
+    -------
     count : int
         Number of frames.
     axis : str
         Letter of the axis of frames in the file's metadata, such as Z or T; empty if they are not
         said to have one.
-    scale : Scale
-        Physical sizes.
-    """
-
-    count: int
-    axis: str
-    scale: Scale
-
-
-def tiff_stack(path: Path) -> TiffStack:
-    """Check a TIFF without reading its values, and return what it says of its frames.
+    pixel_size : float or None
+        Side of a pixel, µm/px.
+    positions : ndarray, shape (count,), or None
+        Position of each frame along the optical axis, µm.
 
     Raises
     ------
     ValueError
         As `tiff_pages`, but for values that cannot be read.
     """
-    with _opened(path) as tiff:
-        try:
-            with _complaints_are_errors():
-                count = len(_in_order(tiff))
-                series = tiff.series[0]
-                lengths = zip(series.axes, series.shape, strict=True)
-                axes = [axis for axis, n in lengths if axis not in "YXS" and n > 1]
-                scale = tiff_scale(tiff, count)
-        except Exception as error:  # metadata raise whatever their bytes lead to
-            raise ValueError(f"frames cannot be read from {path}: {error}") from error
-        for number in range(len(tiff.pages)):
-            try:
-                _check_end(tiff.pages[number].aspage())
-            except Exception as error:
-                raise ValueError(f"page {number} of {path} cannot be read: {error}") from error
-        return TiffStack(count, "".join(axes), scale)
+    with _refused(f"frames cannot be read from {path}"), tifffile.TiffFile(path) as tiff:
+        count = len(_in_order(tiff))
+        series = tiff.series[0]
+        lengths = zip(series.axes, series.shape, strict=True)
+        axes = [axis for axis, n in lengths if axis not in "YXS" and n > 1]
+        for number, page in enumerate(tiff.pages):
+            with _refused(f"page {number} of {path} cannot be read"):
+                _check_end(page.aspage())
+        return count, "".join(axes), *tiff_scale(tiff, count)
 
 
 def tiff_pages(path: Path) -> Iterator[tuple[str, NDArray]]:
@@ -107,63 +95,23 @@ def tiff_pages(path: Path) -> Iterator[tuple[str, NDArray]]:
         If the file has channels or more axes than one, is cut off, has fewer pages than it says,
         or makes the reader complain in any other way.
     """
-    tiff = _opened(path)
-    with tiff:
-        try:
-            with _complaints_are_errors():
-                reads = _in_order(tiff)
-        except Exception as error:
-            raise ValueError(f"frames cannot be read from {path}: {error}") from error
+    with ExitStack() as opened:
+        with _refused(f"frames cannot be read from {path}"):
+            tiff = opened.enter_context(tifffile.TiffFile(path))
+            reads = _in_order(tiff)
         for number, read in enumerate(reads):
-            try:
-                with _complaints_are_errors():
-                    image = read()
-            except Exception as error:  # as above, and each codec has errors of its own
-                raise ValueError(f"page {number} of {path} cannot be read: {error}") from error
+            with _refused(f"page {number} of {path} cannot be read"):
+                image = read()
             yield f"page {number} of {path}", image
 
 
-def only_page(path: Path) -> NDArray | None:
-    """Return the page of a TIFF that has one, as stored; None if it has colors or other types.
-
-    Raises
-    ------
-    ValueError
-        If it has several pages, or as `tiff_pages`.
-    """
-    with _opened(path, "path must name an image, got") as tiff:
-        try:
-            with _complaints_are_errors():
-                count = len(tiff.pages)
-                if count != 1:
-                    raise ValueError(f"it must hold one page to be one image, got {count}")
-                page = tiff.pages[0].aspage()
-                _check_end(page)
-                plain = page.photometric in (_MINISWHITE, _MINISBLACK) and page.ndim == 2
-                if not plain or page.dtype not in (np.uint8, np.uint16):
-                    return None
-                return _page(page, 0)
-        except Exception as error:
-            raise ValueError(f"path cannot be read, got {path}: {error}") from error
-
-
-def _opened(path: Path, wanted: str = "frames cannot be read from") -> tifffile.TiffFile:
-    tiff = None
-    try:
-        with _complaints_are_errors():
-            tiff = tifffile.TiffFile(path)
-            if len(tiff.pages) == 0:
-                raise ValueError("it holds no page")
-    except Exception as error:  # damaged headers raise whatever their bytes lead to
-        if tiff is not None:
-            tiff.close()
-        raise ValueError(f"{wanted} {path}: {error}") from error
-    return tiff
-
-
 @contextmanager
-def _complaints_are_errors() -> Iterator[None]:
-    """Raise what tifffile only logs: pages that it leaves out, metadata that it cannot follow."""
+def _refused(words: str) -> Iterator[None]:
+    """Raise a ValueError for what tifffile raises, and for what it only logs.
+
+    Damaged headers and codecs raise whatever their bytes lead to. What is logged are pages that
+    are left out and metadata that cannot be followed.
+    """
     said: list[str] = []
     own = threading.get_ident()
 
@@ -176,14 +124,18 @@ def _complaints_are_errors() -> Iterator[None]:
     log.addHandler(listener)
     try:
         yield
+    except Exception as error:
+        raise ValueError(f"{words}: {error}") from error
     finally:
         log.removeHandler(listener)
     if said:
-        raise ValueError(f"the file is cut off or damaged: {said[0]}")
+        raise ValueError(f"{words}: the file is cut off or damaged: {said[0]}")
 
 
 def _in_order(tiff: tifffile.TiffFile) -> list[Callable[[], NDArray]]:
     """Return one function a frame that reads it, after a check of the axes and of the count."""
+    if len(tiff.pages) == 0:
+        raise ValueError("it holds no page")
     found = tiff.series
     if len(found) > 1 and any(series.axes not in ("YX", "YXS") for series in found):
         shapes = ", ".join(f"{series.axes} {tuple(series.shape)}" for series in found[:5])
@@ -222,28 +174,26 @@ def _reads(tiff: tifffile.TiffFile, series: tifffile.TiffPageSeries) -> list[Cal
     pages = [page for page in series.pages if page is not None]
     if len(pages) == count:
         return [partial(_page, page, k) for k, page in enumerate(pages)]
-    start = series.dataoffset
-    if start is None:
+    if (start := series.dataoffset) is None:
         raise ValueError(f"its metadata tell of {count} pages, it holds {len(pages)}")
     # Beyond 4 GB, ImageJ describes only the first page; the others follow it without a gap.
-    dtype = np.dtype(series.dtype).newbyteorder(tiff.byteorder)
-    size = math.prod(series.shape[-inner:])
-    if start + count * size * dtype.itemsize > tiff.filehandle.size:
-        raise ValueError(f"the file is cut off: its metadata tell of {count} pages")
-
-    def read(k: int) -> NDArray:
-        tiff.filehandle.seek(start + k * size * dtype.itemsize)
-        flat = np.frombuffer(tiff.filehandle.read(size * dtype.itemsize), dtype)
-        return flat.astype(dtype.newbyteorder("=")).reshape(series.shape[-inner:])
-
-    return [partial(read, k) for k in range(count)]
+    dtype = np.dtype(series.dtype)
+    stored = tiff.filehandle.memmap_array(
+        dtype.newbyteorder(tiff.byteorder), (count, *series.shape[-inner:]), start
+    )
+    return [lambda k=k: stored[k].astype(dtype) for k in range(count)]  # type: ignore[misc]
 
 
 def _page(entry: tifffile.TiffPage | tifffile.TiffFrame, number: int) -> NDArray:
     """Return a page's values; one that ends after the file does is refused, not padded."""
     page = entry.aspage()
     _check_end(page)
+    if page.photometric not in _KNOWN:
+        kind = getattr(page.photometric, "name", page.photometric)
+        raise ValueError(f"it must have grey levels or red, green and blue, got {kind}")
     try:
+        if page.photometric == _PALETTE:
+            return (np.asarray(page.colormap).T[page.asarray()] >> 8).astype(np.uint8)
         return page.asarray()
     except (ValueError, ImportError) as error:
         if "imagecodecs" not in str(error) and not isinstance(error, ImportError):
@@ -259,9 +209,9 @@ def _page(entry: tifffile.TiffPage | tifffile.TiffFrame, number: int) -> NDArray
 
 
 def _check_end(page: tifffile.TiffPage) -> None:
-    if math.prod(page.shape) > MOST_PIXELS:
+    if math.prod(page.shape) > _MOST_PIXELS:
         size = "×".join(map(str, page.shape))
-        raise ValueError(f"a page must hold at most {MOST_PIXELS} values, got a header of {size}")
+        raise ValueError(f"a page must hold at most {_MOST_PIXELS} values, got a header of {size}")
     ends = np.add(page.dataoffsets, page.databytecounts)
     if len(ends) == 0 or ends.max() > page.parent.filehandle.size:
         raise ValueError("the file is cut off")

@@ -3,7 +3,6 @@
 import importlib.util
 import math
 import struct
-import weakref
 import zlib
 
 import cv2
@@ -12,51 +11,12 @@ import pytest
 import tifffile
 from PIL import Image as PIL_Image
 
-from microlib.focus import depth_from_focus
 from microlib.io import read_frames, read_grey
 
 
 @pytest.fixture
 def stack():
     return np.random.default_rng(0).integers(0, 256, (5, 24, 31)).astype(np.uint8)
-
-
-def test_every_source_gives_the_same_frames(stack, tmp_path):
-    multi, ome = tmp_path / "stack.tif", tmp_path / "stack.ome.tif"
-    tifffile.imwrite(multi, stack, photometric="minisblack")
-    tifffile.imwrite(ome, stack, metadata={"axes": "ZYX"}, compression="zlib")
-    singles = []
-    for k, frame in enumerate(stack):
-        singles.append(tmp_path / f"{k}.{'png' if k % 2 else 'tif'}")
-        if k % 2:
-            cv2.imwrite(str(singles[-1]), frame)
-        else:
-            tifffile.imwrite(singles[-1], frame)
-    sources = (stack, multi, str(multi), ome, singles, list(stack), (f for f in stack))
-    for source in sources:
-        np.testing.assert_array_equal(np.stack(list(read_frames(source))), stack)
-
-
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
-def test_types_are_kept(dtype, tmp_path):
-    stack = np.arange(3 * 16 * 16).reshape(3, 16, 16).astype(dtype)
-    tifffile.imwrite(tmp_path / "a.tif", stack, photometric="minisblack")
-    for frame in read_frames(tmp_path / "a.tif"):
-        assert frame.dtype == dtype
-
-
-def test_a_frame_of_one_row_is_a_frame(stack):
-    row = stack[:, :1]
-    np.testing.assert_array_equal(np.stack(list(read_frames(row))), row)
-
-
-def test_what_is_not_finite_is_counted(stack):
-    holed = stack.astype(float)
-    holed[1, 2, 1:4] = np.nan, np.inf, -np.inf
-    with pytest.raises(
-        ValueError, match=r"frames\[1\] must be finite, got 3 NaN or infinite of 744"
-    ):
-        list(read_frames(holed))
 
 
 def test_other_numbers_become_float32(stack):
@@ -74,44 +34,8 @@ def test_a_camera_may_reuse_its_buffer(stack):
     np.testing.assert_array_equal(np.stack(list(read_frames(camera()))), stack)
 
 
-def test_frames_are_let_go_as_the_stack_is_read():
-    class Frame(np.ndarray):
-        """An array that a weak reference can follow."""
-
-    alive: list[weakref.ref] = []
-    most = 0
-
-    def camera():
-        nonlocal most
-        rng = np.random.default_rng(0)
-        for _ in range(60):
-            frame = rng.integers(0, 256, (32, 32)).astype(np.uint8).view(Frame)
-            alive.append(weakref.ref(frame))
-            yield frame
-            del frame
-            most = max(most, sum(ref() is not None for ref in alive))
-
-    depth_from_focus(camera(), np.arange(60.0), measure="sml")
-    assert most <= 2
-
-
 def cut(path, size):
     path.write_bytes(path.read_bytes()[:size])
-
-
-def test_a_cut_off_tiff_is_named_with_its_page(stack, tmp_path):
-    path = tmp_path / "cut.tif"
-    for frame in stack:
-        tifffile.imwrite(path, frame, append=True, metadata=None)
-    with tifffile.TiffFile(path) as tiff:
-        ends = [page.dataoffsets[0] + page.databytecounts[0] for page in tiff.pages]
-    cut(path, ends[-1] - 10)
-    with pytest.raises(ValueError, match=r"page 4 of .*cut\.tif cannot be read"):
-        list(read_frames(path))
-    before = sorted(tmp_path.iterdir())
-    with pytest.raises(ValueError, match=r"page 4 of .*cut\.tif"):
-        depth_from_focus(path, np.arange(5.0))
-    assert sorted(tmp_path.iterdir()) == before
 
 
 def test_a_damaged_page_is_named(stack, tmp_path):
@@ -126,7 +50,7 @@ def test_a_damaged_page_is_named(stack, tmp_path):
         list(read_frames(path))
 
 
-@pytest.mark.parametrize("content", [b"", b"not a TIFF at all", b"II*\0"])
+@pytest.mark.parametrize("content", [b"", b"not a TIFF at all", b"II*\0", b"II*\0 cut off"])
 def test_what_is_no_tiff_is_refused(content, tmp_path):
     path = tmp_path / "wrong.tif"
     path.write_bytes(content)
@@ -138,48 +62,32 @@ def test_faults_are_named(stack, tmp_path):
     missing = tmp_path / "missing"
     (tmp_path / "text.png").write_text("no image")
     tifffile.imwrite(tmp_path / "many.tif", stack, photometric="minisblack")
+    ink = np.zeros((5, 6, 4), np.uint8)
+    tifffile.imwrite(tmp_path / "ink.tif", ink, photometric="separated")
     holed = stack.astype(float)
     holed[3, 2, 1] = np.nan
     cases = [
         (holed, r"frames\[3\] must be finite, got 1 NaN"),
-        ([stack[0], stack[1][:-1]], r"frames\[1\] must be uint8 of shape \(24, 31\)"),
-        ([stack[0], stack[1].astype(float)], r"frames\[1\] must be uint8"),
+        (
+            [stack[0], stack[1][:-1]],
+            r"frames\[1\] must be grey uint8 of shape \(24, 31\) like the first",
+        ),
+        ([stack[0], stack[1].astype(float)], r"frames\[1\] must be grey uint8"),
+        ([stack[0], np.stack([stack[1]] * 3, axis=2)], r"frames\[1\] must be grey .* got color"),
         (stack[0], r"frames must have shape \(any, any, any\)"),
         ([stack], r"frames\[0\] must be a grey or color image, got shape \(5, 24, 31\)"),
         ([stack[0] > 3], r"frames\[0\] must hold real numbers, got bool"),
         (7, "frames must be an array, a file, a folder or an iterable of images, got int"),
         (missing.with_suffix(".tif"), r"frames cannot be read from .*missing\.tif"),
         ([missing.with_suffix(".png")], r"missing\.png: no such file"),
-        ([tmp_path / "text.png"], r"text\.png: damaged, or not an image"),
+        ([tmp_path / "text.png"], r"text\.png: damaged, of an unknown format"),
         ([stack[0], stack[:1, :, :, None]], r"frames\[1\] must be a grey or color image"),
+        (tmp_path / "ink.tif", r"page 0 of .*ink\.tif .* red, green and blue, got SEPARATED"),
         ([tmp_path / "many.tif"], r"many\.tif must hold one page to be one frame, got 5"),
     ]
     for source, words in cases:
         with pytest.raises(ValueError, match=words):
             list(read_frames(source))
-
-
-def test_a_tiff_without_a_page_is_refused(tmp_path):
-    (tmp_path / "empty.tif").write_bytes(b"II*\0 cut off")
-    with pytest.raises(ValueError, match=r"cannot be read from .*empty\.tif: it holds no page"):
-        list(read_frames(tmp_path / "empty.tif"))
-
-
-@pytest.mark.parametrize("shape", [(4, 5), (2, 3, 4, 5), (7,)])
-def test_an_array_of_frames_has_three_axes(shape):
-    with pytest.raises(ValueError, match="frames must have shape"):
-        list(read_frames(np.zeros(shape, np.uint8)))
-
-
-@pytest.mark.parametrize("missing", [1, 200])
-def test_a_page_that_ends_beyond_its_file_is_called_cut_off(tmp_path, missing):
-    path = tmp_path / "stack.tif"
-    with tifffile.TiffWriter(path) as writer:  # each page's data after its own header
-        for _ in range(3):
-            writer.write(np.ones((20, 30), np.uint8), photometric="minisblack", contiguous=False)
-    path.write_bytes(path.read_bytes()[:-missing])
-    with pytest.raises(ValueError, match="the file is cut off"):
-        list(read_frames(path))
 
 
 def shaped(stack, *lengths):
@@ -213,25 +121,6 @@ def test_one_axis_is_the_stack(stack, tmp_path, axes, compression, dtype):
         np.testing.assert_array_equal(read, given)
 
 
-def test_a_large_imagej_file_has_one_described_page(stack, tmp_path):
-    """Beyond 4 GB ImageJ writes the values of all frames after the one directory."""
-    path = tmp_path / "large.tif"
-    given = stack.astype(np.uint16) * 200
-    tifffile.imwrite(path, given, imagej=True, metadata={"axes": "ZYX"})
-    with tifffile.TiffFile(path) as tiff:
-        second = tiff.pages[1].offset
-        order, first = tiff.byteorder, tiff.pages[0].offset
-        content = bytearray(path.read_bytes())
-    entries = struct.unpack_from(order + "H", content, first)[0]
-    struct.pack_into(order + "I", content, first + 2 + 12 * entries, 0)  # no second directory
-    del content[second:]
-    path.write_bytes(content)
-    np.testing.assert_array_equal(np.stack(list(read_frames(path))), given)
-    path.write_bytes(content[:-1000])
-    with pytest.raises(ValueError, match=r"large\.tif"):
-        list(read_frames(path))
-
-
 @pytest.mark.parametrize("kind", ["imagej", "ome", "shaped", "bare", "appended"])
 @pytest.mark.parametrize("compression", [None, "zlib"])
 def test_a_tiff_that_ends_after_a_page_is_refused(stack, tmp_path, kind, compression):
@@ -252,16 +141,6 @@ def test_a_tiff_that_ends_after_a_page_is_refused(stack, tmp_path, kind, compres
     for end in ends - {len(whole)}:
         path.write_bytes(whole[:end])
         with pytest.raises(ValueError, match=r"cut(\.ome)?\.tif"):
-            list(read_frames(path))
-
-
-def test_the_count_of_pages_is_that_of_the_metadata(stack, tmp_path):
-    path = tmp_path / "few.tif"
-    for compression in (None, "zlib"):
-        tifffile.imwrite(path, stack[:3], imagej=True, compression=compression)
-        content = path.read_bytes().replace(b"images=3", b"images=9")
-        path.write_bytes(content.replace(b"channels=3", b"slices=9\n\0"))
-        with pytest.raises(ValueError, match=r"few\.tif"):
             list(read_frames(path))
 
 
@@ -293,19 +172,8 @@ def test_a_header_that_claims_too_much_is_refused(stack, tmp_path):
     struct.pack_into(">I", content, 29, zlib.crc32(content[12:29]))
     path.write_bytes(content)
     for read in (lambda: list(read_frames([path])), lambda: read_grey(path)):
-        with pytest.raises(ValueError, match=r"at most 1073741824 px, .*huge\.png .*100000×100000"):
+        with pytest.raises(ValueError, match=r"huge\.png: damaged, .* larger than the 2³⁰ px"):
             read()
-
-
-def test_a_jpeg_header_that_claims_too_much_is_refused(stack, tmp_path):
-    path = tmp_path / "huge.jpg"
-    cv2.imwrite(str(path), stack[0])
-    content = bytearray(path.read_bytes())
-    frame = content.index(b"\xff\xc0")
-    struct.pack_into(">HH", content, frame + 5, 60_000, 50_000)
-    path.write_bytes(content)
-    with pytest.raises(ValueError, match=r"huge\.jpg with a header of 50000×60000 px"):
-        read_grey(path)
 
 
 @pytest.mark.parametrize("compression", [None, "zlib"])
@@ -376,7 +244,7 @@ def test_a_compression_that_nothing_installed_knows_is_named(stack, tmp_path):
 
 def test_a_single_image_has_one_page(stack, tmp_path):
     tifffile.imwrite(tmp_path / "many.tif", stack, photometric="minisblack")
-    with pytest.raises(ValueError, match=r"many\.tif: it must hold one page .* got 5"):
+    with pytest.raises(ValueError, match=r"path must .*many\.tif must hold one page .* got 5"):
         read_grey(tmp_path / "many.tif")
 
 
@@ -403,15 +271,6 @@ def test_colors_and_sixteen_bits_are_read_from_any_compression(stack, tmp_path, 
     large = stack.astype(np.uint16) * 100
     compressed(path, large, compression)
     np.testing.assert_array_equal(np.stack(list(read_frames(path))), large)
-
-
-def test_a_single_page_of_a_compression_that_nothing_knows_is_named(stack, tmp_path):
-    compressed(tmp_path / "a.tif", stack[:1], "zstd")
-    if importlib.util.find_spec("imagecodecs") or importlib.util.find_spec("compression"):
-        np.testing.assert_array_equal(read_grey(tmp_path / "a.tif"), stack[0])
-        return
-    with pytest.raises(ValueError, match=r"path cannot be read, got .*compression ZSTD needs"):
-        read_grey(tmp_path / "a.tif")
 
 
 def one_directory(path, stack, **options):
@@ -456,34 +315,3 @@ def test_a_reader_holds_the_axes_that_a_file_names(stack, tmp_path):
     assert (reader.axis, reader.count, reader.color) == ("Z", 5, True)
     tifffile.imwrite(tmp_path / "a.tif", stack[:1], photometric="minisblack")
     assert read_frames(tmp_path / "a.tif").count == 1
-
-
-def test_colors_with_opacity_are_right_or_refused(stack, tmp_path):
-    """OpenCV puts opacity last and blue first: turned around, the four would be no colors."""
-    given = np.stack([stack, stack // 2, 255 - stack, np.full_like(stack, 200)], axis=-1)
-    compressed(tmp_path / "a.tif", given, "tiff_lzw")
-    if importlib.util.find_spec("imagecodecs"):
-        read = np.stack(list(read_frames(tmp_path / "a.tif", color=True)))
-        np.testing.assert_array_equal(read, given[..., :3])
-        return
-    with pytest.raises(ValueError, match="compression LZW needs another package"):
-        list(read_frames(tmp_path / "a.tif", color=True))
-
-
-@pytest.mark.parametrize(
-    ("shape", "words"), [((24, 31), "damaged"), ((40_000, 30_000), "30000×40000")]
-)
-def test_what_opencv_raises_is_told_by_the_size_in_the_header(tmp_path, monkeypatch, shape, words):
-    path = tmp_path / "a.png"
-    cv2.imwrite(str(path), np.zeros((3, 4), np.uint8))
-    content = bytearray(path.read_bytes())
-    struct.pack_into(">II", content, 16, shape[1], shape[0])
-    path.write_bytes(content)
-
-    def fail(*_):
-        raise cv2.error("assertion failed")
-
-    monkeypatch.setattr(cv2, "imdecode", fail)
-    for read in (lambda: list(read_frames([path])), lambda: read_grey(path)):
-        with pytest.raises(ValueError, match=words):
-            read()
