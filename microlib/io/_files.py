@@ -249,7 +249,8 @@ def _mesh(heights: NDArray, colors: NDArray | None, spacing: float, first: float
     around = (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
     corners = np.column_stack([corner[cells] for corner in around])
     faces = np.empty(2 * len(corners), dtype=[("count", "u1"), ("index", "<i4", 3)])
-    faces["count"], faces["index"] = 3, corners[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
+    faces["count"] = 3
+    faces["index"][::2], faces["index"][1::2] = corners[:, :3], corners[:, [0, 2, 3]]
     properties = ["float x", "float y", "float z"]
     properties += [] if colors is None else ["uchar red", "uchar green", "uchar blue"]
     header = (

@@ -108,7 +108,7 @@ class FrameReader(Iterator[NDArray]):
             self.color = _has_color(first[1])
             frame = self._prepared(*first)
             self.shape, self.dtype = (frame.shape[0], frame.shape[1]), frame.dtype
-            self._first = self._kind(frame, first[1])
+            self._first = _kind(frame, first[1])
             named = chain([first], named)
         self._frames = self._checked(named)
 
@@ -118,16 +118,13 @@ class FrameReader(Iterator[NDArray]):
     def _checked(self, named: Named) -> Iterator[NDArray]:
         for name, raw in named:
             frame = self._prepared(name, raw)
-            came = self._kind(frame, raw)
-            if came != self._first:
-                raise ValueError(f"{name} must be {self._first} like the first frame, got {came}")
+            if (came := _kind(frame, raw)) != self._first:
+                must, got = (
+                    f"{kind} {dtype} of shape {size}" for kind, dtype, size in (self._first, came)
+                )
+                raise ValueError(f"{name} must be {must} like the first frame, got {got}")
             yield frame
             del raw, frame
-
-    @staticmethod
-    def _kind(frame: NDArray, raw: NDArray) -> str:
-        color = "color" if _has_color(raw) else "grey"
-        return f"{color} {frame.dtype} of shape {frame.shape[:2]}"
 
     def _prepared(self, name: str, raw: NDArray) -> NDArray:
         """Return the part that is wanted, in a type and colors that are."""
@@ -146,6 +143,11 @@ class FrameReader(Iterator[NDArray]):
         if self._reduce > 1:
             frame = reduced(name, frame, self._reduce)
         return frame
+
+
+def _kind(frame: NDArray, raw: NDArray) -> tuple[str, np.dtype, tuple[int, ...]]:
+    """Return what all frames of a stack share."""
+    return "color" if _has_color(raw) else "grey", frame.dtype, frame.shape[:2]
 
 
 def _has_color(frame: NDArray) -> bool:

@@ -105,6 +105,19 @@ def tiff_pages(path: Path) -> Iterator[tuple[str, NDArray]]:
             yield f"page {number} of {path}", image
 
 
+class _Listener(logging.Handler):
+    """Keeps what is logged in the thread that made it."""
+
+    def __init__(self, level: int) -> None:
+        super().__init__(level)
+        self.said: list[str] = []
+        self._thread = threading.get_ident()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.thread == self._thread:
+            self.said.append(record.getMessage())
+
+
 @contextmanager
 def _refused(words: str) -> Iterator[None]:
     """Raise a ValueError for what tifffile raises, and for what it only logs.
@@ -112,15 +125,7 @@ def _refused(words: str) -> Iterator[None]:
     Damaged headers and codecs raise whatever their bytes lead to. What is logged are pages that
     are left out and metadata that cannot be followed.
     """
-    said: list[str] = []
-    own = threading.get_ident()
-
-    class Listener(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            if record.thread == own:
-                said.append(record.getMessage())
-
-    log, listener = logging.getLogger("tifffile"), Listener(logging.WARNING)
+    log, listener = logging.getLogger("tifffile"), _Listener(logging.WARNING)
     log.addHandler(listener)
     try:
         yield
@@ -128,8 +133,8 @@ def _refused(words: str) -> Iterator[None]:
         raise ValueError(f"{words}: {error}") from error
     finally:
         log.removeHandler(listener)
-    if said:
-        raise ValueError(f"{words}: the file is cut off or damaged: {said[0]}")
+    if listener.said:
+        raise ValueError(f"{words}: the file is cut off or damaged: {listener.said[0]}")
 
 
 def _in_order(tiff: tifffile.TiffFile) -> list[Callable[[], NDArray]]:
