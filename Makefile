@@ -12,7 +12,7 @@ export OPENBLAS_NUM_THREADS := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup extras book pdf test notebooks html lint format data picture benchmarks oldest newest portable fuzz lock clean
+.PHONY: help setup extras book pdf test notebooks html lint format data benchmarks oldest newest portable fuzz lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -67,9 +67,6 @@ format: $(STAMP) ## format the code and strip the notebooks
 
 data: $(STAMP) ## write data/synthetic anew, the same bytes
 	@$(BIN)/python -m compendium.synthetic_data
-
-picture: $(STAMP) ## draw the readme's picture anew
-	@$(BIN)/python -m compendium.readme_picture
 
 benchmarks: $(STAMP) ## measure microlib beside its peers (minutes)
 	@for file in benchmarks/[a-z]*.py; do \

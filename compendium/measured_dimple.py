@@ -10,16 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from microlib.embryo import dimple_geometry, fit_gaussians, loess
 from microlib.membrane import dimple_profile, disc_modulus
 
-__all__ = [
-    "LEAST",
-    "REACH",
-    "SPANS",
-    "MeasuredDimple",
-    "dimple_of_numbers",
-    "dimple_of_outline",
-    "disc_moduli",
-]
-
 #: Spans of LOESS whose results are compared. The middle one is that of section 5.6; a smaller one
 #: follows the corners at the bottom more closely and the noise as well.
 SPANS = (0.15, 0.25, 0.35)
@@ -105,15 +95,12 @@ def dimple_of_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> Measu
     curves = [fit_gaussians(across, loess(across, height, span=span)) for span in SPANS]
     found = [dimple_geometry(curve, pixel_size=pixel_size) for curve in curves]
     spread = np.std([(g.dimple_radius, g.dimple_depth) for g in found], axis=0, ddof=1)
-    middle = SPANS.index(0.25)
-    curve, geometry = curves[middle], found[middle]
-    radius_std, depth_std = np.sqrt(spread**2 + np.diag(geometry.covariance)).tolist()
+    curve, geometry = curves[1], found[1]
     fine = np.linspace(*curve.domain, 600)
     return MeasuredDimple(
         geometry.dimple_radius,
         geometry.dimple_depth,
-        radius_std,
-        depth_std,
+        *np.sqrt(spread**2 + np.diag(geometry.covariance)).tolist(),
         points=pixel_size * np.stack([across, height], axis=1),
         curve=pixel_size * np.stack([fine, curve(fine)], axis=1),
         rim=(pixel_size * geometry.rim[0], pixel_size * geometry.rim[1]),
@@ -162,17 +149,13 @@ def dimple_of_numbers(
         raise ValueError(
             f"dimple_radius and dimple_depth must be given together, got {radius} and {depth}"
         )
-    # From the axis, where the probe holds the membrane flat, to the rim.
-    r = np.append(0.0, np.linspace(probe_half_width, radius, 200))
-    under = np.maximum(r, probe_half_width)
+    r = np.linspace(-radius, radius, 401)
+    under = np.maximum(np.abs(r), probe_half_width)  # the probe holds the membrane flat
     y = -dimple_profile(under, radius, depth, probe_half_width=probe_half_width)
     return MeasuredDimple(
-        float(radius),
-        float(depth),
-        float(radius_std),
-        float(depth_std),
+        *(float(number) for number in (radius, depth, radius_std, depth_std)),
         points=np.empty((0, 2)),
-        curve=np.stack([np.append(-r[::-1], r), np.append(y[::-1], y)], axis=1),
+        curve=np.stack([r, y], axis=1),
         rim=(-float(radius), 0.0),
         bottom=(0.0, -float(depth)),
     )
@@ -203,9 +186,8 @@ def disc_moduli(
     found = {}
     for law, ratio in (("neo-hooke", 0.5), ("hooke", poisson_ratio)):
         try:
-            found[law] = disc_modulus(
-                force, dimple.radius, dimple.depth, law=law, poisson_ratio=ratio, **sizes
-            )
+            lengths = (force, dimple.radius, dimple.depth)
+            found[law] = disc_modulus(*lengths, law=law, poisson_ratio=ratio, **sizes)
         except ValueError:
             found[law] = float("nan")
     return found

@@ -8,9 +8,8 @@ of it, and its truth.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -36,38 +35,9 @@ SEED = 2008
 MEMBRANE = {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}  # µm, µm, no unit
 
 
-@dataclass(frozen=True)
-class Entry:
-    """
-    What the manifest says of a file.
-
-    Attributes
-    ----------
-    name, what : str
-        The file, and what it is.
-    settings : mapping
-        The parameters of a guide that go with it, by their names there.
-    truth : mapping
-        The numbers that a guide should find, by their names in its results.
-    truth_file : str
-        Another file, with a truth that is an array; empty for none.
-    """
-
-    name: str
-    what: str
-    settings: Mapping[str, float | list[int]] = field(default_factory=dict)
-    truth: Mapping[str, float] = field(default_factory=dict)
-    truth_file: str = ""
-
-    def toml(self) -> str:
-        lines = [f'["{self.name}"]', f'what = "{self.what}"']
-        if self.truth_file:
-            lines.append(f'truth_file = "{self.truth_file}"')
-        for title in ("settings", "truth"):
-            pairs = ", ".join(f"{name} = {value!r}" for name, value in getattr(self, title).items())
-            if pairs:
-                lines.append(f"{title} = {{ {pairs} }}")
-        return "\n".join(lines)
+#: What the manifest says of a file: ``what`` it is, a ``truth_file`` with a truth that is an array,
+#: the ``settings`` of a guide that go with it, and the ``truth``: numbers that it should find.
+Entry = dict[str, Any]
 
 
 def main() -> None:
@@ -76,13 +46,19 @@ def main() -> None:
     folder = parser.parse_args().folder
     folder.mkdir(parents=True, exist_ok=True)
     writers = (write_stack, write_pattern, write_frames, write_embryo, write_outline)
-    entries = [entry for write in writers for entry in write(folder)]
     text = ["# Made by `make data`; on another processor a pixel may differ by one grey level."]
-    text += [entry.toml() for entry in entries]
+    for write in writers:
+        for name, entry in write(folder).items():
+            lines = [f'["{name}"]']
+            for key, value in entry.items():
+                pairs = value.items() if isinstance(value, dict) else ()
+                table = ", ".join(f"{part} = {number!r}" for part, number in pairs)
+                lines.append(f"{key} = {{ {table} }}" if table else f'{key} = "{value}"')
+            text.append("\n".join(lines))
     (folder / "MANIFEST.toml").write_text("\n\n".join(text) + "\n", encoding="utf-8")
 
 
-def write_stack(folder: Path) -> list[Entry]:
+def write_stack(folder: Path) -> dict[str, Entry]:
     rng = np.random.default_rng(SEED)
     start, spacing, pixel_size = -50.0, 25.0, 3.9
     height = sphere_on_plane((200, 240), 300.0, pixel_size)
@@ -97,19 +73,18 @@ def write_stack(folder: Path) -> list[Entry]:
     tifffile.imwrite(folder / "focal_stack.tif", frames, photometric="minisblack", software=False)
     write_height_tiff(folder / "height_um.tif", height, pixel_size=pixel_size)
     ball = "a ball of 300 µm radius on a plane"
-    return [
-        Entry(
-            "focal_stack.tif",
-            f"a rendered focal stack: {ball}, 29 frames 25 µm apart",
-            {"start": start, "spacing": spacing, "pixel_size": pixel_size},
-            {"known_share": 1.0},
-            "height_um.tif",
-        ),
-        Entry("height_um.tif", f"the heights of focal_stack.tif in µm: {ball}"),
-    ]
+    return {
+        "focal_stack.tif": {
+            "what": f"a rendered focal stack: {ball}, 29 frames 25 µm apart",
+            "truth_file": "height_um.tif",
+            "settings": {"start": start, "spacing": spacing, "pixel_size": pixel_size},
+            "truth": {"known_share": 1.0},
+        },
+        "height_um.tif": {"what": f"the heights of focal_stack.tif in µm: {ball}"},
+    }
 
 
-def write_pattern(folder: Path) -> list[Entry]:
+def write_pattern(folder: Path) -> dict[str, Entry]:
     pitch, cell = 280.0, 9.9
     # The lengths of Table 5.1 in focus, and a pose of our own without distortion.
     t_op, f = (thesis.table_5_1("circle-1X", name) for name in ("T_op", "f"))
@@ -120,23 +95,14 @@ def write_pattern(folder: Path) -> list[Entry]:
         scope, pitch=pitch, imaging=ImagingConditions(noise=2.0), rng=np.random.default_rng(SEED)
     )
     cv2.imwrite(str(folder / "circles.png"), image.round().astype(np.uint8))
-    return [
-        Entry(
-            "circles.png",
-            "a rendered photograph: a tilted plane with circles of 70 µm radius, 280 µm apart",
-            {"pitch": pitch, "cell": cell, "focal_length": scope.focal_length},
-            {
-                "magnification": round(scope.magnification, 7),
-                "distortion": scope.distortion,
-                "alpha": scope.alpha,
-                "beta": scope.beta,
-                "gamma": scope.gamma,
-            },
-        )
-    ]
+    pose = {name: getattr(scope, name) for name in ("distortion", "alpha", "beta", "gamma")}
+    what = "a rendered photograph: a tilted plane with circles of 70 µm radius, 280 µm apart"
+    settings = {"pitch": pitch, "cell": cell, "focal_length": scope.focal_length}
+    truth = {"magnification": round(scope.magnification, 7)} | pose
+    return {"circles.png": {"what": what, "settings": settings, "truth": truth}}
 
 
-def write_frames(folder: Path) -> list[Entry]:
+def write_frames(folder: Path) -> dict[str, Entry]:
     rate, size = 33.0, 40  # 1/s, px
     t = np.arange(40) / rate
     corner = np.column_stack([30 + 60 * t, 40 + 20 * np.sin(2 * np.pi * t / 1.2)])
@@ -144,39 +110,29 @@ def write_frames(folder: Path) -> list[Entry]:
     tifffile.imwrite(folder / "frames.tif", frames, photometric="minisblack", software=False)
     middle = pd.DataFrame(corner + (size - 1) / 2, columns=["x_px", "y_px"])
     middle.to_csv(folder / "frames_path.csv", index=False, float_format="%.5f")
-    return [
-        Entry(
-            "frames.tif",
-            "40 rendered frames at 33 a second: a textured square of 40 px on a wavy path over "
-            "another texture",
-            {
-                "box": [*corner[0].astype(int).tolist(), size, size],
-                "rate": rate,
-                "pixel_size": 6.23,
-            },
-            {"lost_frames": 0},
-            "frames_path.csv",
-        ),
-        Entry("frames_path.csv", "the middle of the square in each frame of frames.tif, in px"),
-    ]
+    box = [*corner[0].astype(int).tolist(), size, size]
+    return {
+        "frames.tif": {
+            "what": "40 rendered frames at 33 a second: a textured square of 40 px on a wavy path "
+            "over another texture",
+            "truth_file": "frames_path.csv",
+            "settings": {"box": box, "rate": rate, "pixel_size": 6.23},
+            "truth": {"lost_frames": 0},
+        },
+        "frames_path.csv": {"what": "the middle of the square in each frame of frames.tif, in px"},
+    }
 
 
-def write_embryo(folder: Path) -> list[Entry]:
+def write_embryo(folder: Path) -> dict[str, Entry]:
     embryo = Embryo.dented(90.0, modulus=1.3, **MEMBRANE)
     scene = embryo_image(embryo, rng=np.random.default_rng(SEED))
     grey = np.clip(scene.image, 0, 255).round().astype(np.uint8)
     cv2.imwrite(str(folder / "embryo.png"), grey)
-    return [
-        Entry(
-            "embryo.png",
-            "a rendered image: an embryo of 1.3 MPa under a probe",
-            {"force": round(embryo.force, 2), "pixel_size": round(scene.pixel_size, 6), **MEMBRANE},
-            _dimple_truth(embryo),
-        )
-    ]
+    what = "a rendered image: an embryo of 1.3 MPa under a probe"
+    return {"embryo.png": _dimple_entry(what, round(embryo.force, 2), scene.pixel_size, embryo)}
 
 
-def write_outline(folder: Path) -> list[Entry]:
+def write_outline(folder: Path) -> dict[str, Entry]:
     embryo = Embryo(modulus=1.3, force=10.0, dimple_radius=250.0, **MEMBRANE)
     pixel_size, noise = 3.875, 0.1  # µm, px
     x, y = embryo.outline(spacing=0.5).T / pixel_size
@@ -189,23 +145,21 @@ def write_outline(folder: Path) -> list[Entry]:
     height += np.random.default_rng(SEED).normal(0.0, noise, height.size)
     points = pd.DataFrame({"x": column - column[0], "y": height + 30.0})
     points.to_csv(folder / "outline.csv", index=False, float_format="%.3f")
-    return [
-        Entry(
-            "outline.csv",
-            "the outline of a dimple in a membrane of 1.3 MPa, one point a column of pixels, "
-            "noise of 0.1 px",
-            {"force": embryo.force, "pixel_size": pixel_size, **MEMBRANE},
-            _dimple_truth(embryo),
-        )
-    ]
+    what = (
+        "the outline of a dimple in a membrane of 1.3 MPa, one point a column of pixels, "
+        "noise of 0.1 px"
+    )
+    return {"outline.csv": _dimple_entry(what, embryo.force, pixel_size, embryo)}
 
 
-def _dimple_truth(embryo: Embryo) -> dict[str, float]:
-    return {
+def _dimple_entry(what: str, force: float, pixel_size: float, embryo: Embryo) -> Entry:
+    truth = {
         "modulus_MPa": embryo.modulus,
         "dimple_radius_um": round(embryo.dimple_radius, 3),
         "dimple_depth_um": round(embryo.dimple_depth, 3),
     }
+    settings = {"force": force, "pixel_size": round(pixel_size, 6), **MEMBRANE}
+    return {"what": what, "settings": settings, "truth": truth}
 
 
 if __name__ == "__main__":

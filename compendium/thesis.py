@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from compendium.ledger import claim, half_ulp
+from compendium.ledger import claim
 from microlib.embryo import GaussianSum
 from microlib.membrane import elastic_modulus
 from microlib.microscope import Microscope
@@ -266,14 +266,8 @@ def thesis_stack(texture: ArrayLike, height: ArrayLike, positions: ArrayLike) ->
     return np.clip(np.rint(frames), 0, 255).astype(np.uint8)
 
 
-def outline_curve(rng: np.random.Generator | None = None) -> GaussianSum:
+def outline_curve() -> GaussianSum:
     """Return the outline of the dimple that Table 5.5 prints, (5.1).
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator, optional
-        Draw each of the 24 coefficients evenly within its printed rounding, half a unit in its last
-        place; as printed without.
 
     Returns
     -------
@@ -285,15 +279,9 @@ def outline_curve(rng: np.random.Generator | None = None) -> GaussianSum:
     >>> float(outline_curve()(194.69).round(2))
     62.93
     """
-    columns = []
-    for letter in "abc":
-        entries = [claim(f"table-5.5/{letter}{i}") for i in range(1, 9)]
-        values = np.array([entry.value for entry in entries])
-        if rng is not None:
-            half = np.array([half_ulp(entry.printed) for entry in entries])
-            values = values + rng.uniform(-half, half)
-        columns.append(values)
-    amplitudes, centers, widths = columns
+    amplitudes, centers, widths = (
+        np.array([claim(f"table-5.5/{letter}{i}").value for i in range(1, 9)]) for letter in "abc"
+    )
     return GaussianSum(amplitudes, centers, widths, domain=OUTLINE_DOMAIN)
 
 

@@ -13,7 +13,7 @@ from skimage.measure import label as connected
 from compendium import thesis
 from compendium.experiments.chapter_3 import PRINTED_WINDOWS
 from compendium.ledger import claim
-from microlib.curvature import hk_labels, surface_curvature
+from microlib.curvature import hk_labels
 from microlib.focus import FocusResult, correct_spikes, depth_from_focus
 from microlib.synthetic import focal_stack, mixed_texture, parabolic_cylinder, sphere_on_plane
 
@@ -208,11 +208,6 @@ def ridge_errors(ridge: Scene, seed: int) -> pd.DataFrame:
     return pd.DataFrame(errors).T
 
 
-def steepest_step(ridge: Scene) -> float:
-    """Return the largest rise of the ridge from pixel to pixel, in steps of the focus."""
-    return float(np.abs(np.diff(ridge.height, axis=1)).max() / thesis.RIDGE_STEP)
-
-
 def from_ball_center() -> NDArray:
     """Return the distance of each pixel from the ball's axis, in radii of the ball."""
     y, x = np.indices(BALL_SHAPE)
@@ -339,62 +334,16 @@ def describe_scenes(seed: int, runs: int) -> dict[str, pd.DataFrame]:
     Returns
     -------
     dict of str to pandas.DataFrame
-        For the windows as *printed* and *corrected*: a row each run, a column each claim of
-        section 5.5.
+        For the windows as *printed* and *corrected*, and *narrow*, for a ridge of `NARROW_WIDTH`
+        with the windows as printed: a row each run, a column each claim of section 5.5.
     """
-    rows: dict[str, list[dict[str, float]]] = {"printed": [], "corrected": []}
+    rows: dict[str, list[dict[str, float]]] = {"printed": [], "corrected": [], "narrow": []}
     for run in range(seed, seed + runs):
-        ridge, ball = render_ridge(run), render_ball(run)
-        of_ridge = thesis_depth(ridge.frames, ridge.positions)[0]
-        of_ball = thesis_depth(ball.frames, ball.positions)[0]
-        for windows, found in rows.items():
-            corrected = windows == "corrected"
-            found.append(
-                ridge_sentences(ridge.height, thesis_labels(of_ridge, corrected=corrected))
-                | ball_sentences(thesis_labels(of_ball, corrected=corrected))
-                | ball_shape(of_ball)
-            )
+        ridge, ball, narrow = render_ridge(run), render_ball(run), render_ridge(run, NARROW_WIDTH)
+        depths = [thesis_depth(each.frames, each.positions)[0] for each in (ridge, ball, narrow)]
+        for windows in ("printed", "corrected"):
+            labels = [thesis_labels(each, corrected=windows == "corrected") for each in depths[:2]]
+            found = ridge_sentences(ridge.height, labels[0]) | ball_sentences(labels[1])
+            rows[windows].append(found | ball_shape(depths[1]))
+        rows["narrow"].append(ridge_sentences(narrow.height, thesis_labels(depths[2])))
     return {windows: pd.DataFrame(found) for windows, found in rows.items()}
-
-
-def narrow_ridge(seed: int, runs: int, width: float) -> pd.Series:
-    """Return the means of the sentences about the ridge, were it another number of px wide."""
-    found = []
-    for run in range(seed, seed + runs):
-        ridge = render_ridge(run, width)
-        depth = thesis_depth(ridge.frames, ridge.positions)[0]
-        found.append(ridge_sentences(ridge.height, thesis_labels(depth)))
-    return pd.DataFrame(found).mean()
-
-
-def widest_ridge(*, printed_window: bool = False) -> float:
-    """Return the width in px up to which the crest passes the threshold of H.
-
-    At the crest z'' = −8 height / width² and H is half of it, or half of that with the window
-    (3.19) as printed.
-    """
-    return float(np.sqrt((2 if printed_window else 4) * thesis.RIDGE_HEIGHT / thesis.H_THRESHOLD))
-
-
-def ball_labels_by_window(ball: Scene, windows: tuple[int, ...]) -> dict[int, NDArray[np.uint8]]:
-    """Label the ball with the pixel size in µm and a matching pair of thresholds.
-
-    Parameters
-    ----------
-    ball : Scene
-        From `render_ball`.
-    windows : tuple of int
-        Sides of the window of the derivatives, px.
-
-    Returns
-    -------
-    dict of int to ndarray
-        Labels by window. The thresholds are a third of the ball's curvature, and its square.
-    """
-    depth = depth_from_focus(ball.frames, ball.positions).depth
-    threshold = 0.3 / BALL_RADIUS
-    found = {size: surface_curvature(depth, BALL_PIXEL, size=size) for size in windows}
-    return {
-        size: hk_labels(each.mean, each.gaussian, threshold, threshold**2)
-        for size, each in found.items()
-    }

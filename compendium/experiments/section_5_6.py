@@ -6,7 +6,6 @@ warns of it with `microlib.membrane.SmallSlopeWarning`, as the library does.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,82 +16,25 @@ from scipy.optimize import brentq, linprog
 from scipy.stats import chi2
 
 from compendium import thesis
-from compendium.experiments._processes import in_processes
 from compendium.ledger import claim, half_ulp
-from microlib.embryo import (
-    GaussianSum,
-    dimple_geometry,
-    fit_gaussians,
-    force_from_image,
-    loess,
-    modulus_from_image,
-)
+from microlib.embryo import GaussianSum, dimple_geometry, fit_gaussians, loess, modulus_from_image
 from microlib.membrane import dimple_profile
-from microlib.synthetic import Embryo, embryo_image, embryo_sequence
+from microlib.synthetic import Embryo, embryo_image
 
 #: Modulus of the rendered embryos: that of Table 5.6, MPa.
 MODULUS = claim("table-5.6/E").value
-#: Of the differences that give the effects of the rounding, in half units: 0.01 and 1 give the same
-#: least share to 1e-10. Three linear programmes leave 1e-11 px of the coordinates, two 3e-6 px.
-_STEP, _LINEAR_STEPS = 0.1, 3
+#: What is read off the curve of Table 5.5: rim x_1, y_1 and bottom x_2, y_2 (px), modulus E (MPa).
+READ = ("x_1", "y_1", "x_2", "y_2", "E")
+#: Changes whose differences give the effects of the rounding, in half units: 0.01 and 1 give the
+#: same least share to 1e-10.
+_STEPS = 0.1 * np.eye(24)
 #: What `microlib.synthetic.embryo_image` and `microlib.embryo.extract_boundary` return.
 Scene = Any
 Outline = Any
 
 
-def rounding_draws(seed: int, draws: int) -> pd.DataFrame:
-    """Draw Table 5.5 within its printed rounding and read off each curve.
-
-    Parameters
-    ----------
-    seed : int
-        Of the draws.
-    draws : int
-        How many.
-
-    Returns
-    -------
-    pandas.DataFrame
-        A row each draw: rim x_1, y_1 and bottom x_2, y_2 (px), modulus E (MPa), number of maxima.
-    """
-    rng = np.random.default_rng(seed)
-    rows = []
-    for _ in range(draws):
-        curve = thesis.outline_curve(rng)
-        dimple = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL)
-        modulus = thesis.modulus(dimple.dimple_radius, dimple.dimple_depth)
-        rows.append([*dimple.rim, *dimple.bottom, modulus, len(curve.extrema()[0])])
-    return pd.DataFrame(rows, columns=["x_1", "y_1", "x_2", "y_2", "E", "maxima"])
-
-
-@dataclass(frozen=True)
-class RoundingReach:
-    """What the printed rounding of Table 5.5 can do to what is read off its curve.
-
-    Attributes
-    ----------
-    worst : dict of str to float
-        Largest shift of rim x_1, y_1, bottom x_2, y_2 (px) and modulus E (MPa): the sum of the
-        effects of the 24 coefficients, each half a unit in its last place.
-    share : float
-        Least share of that half unit within which all 24 coefficients have to move for the four
-        coordinates to come out as printed together; no rounding gives more than 1.
-    units : ndarray, shape (24,)
-        How they then move, in half units.
-    chi_squared, p : float
-        Of the four printed coordinates about the computed ones, and how often evenly distributed
-        rounding gives more, as if it were Gaussian.
-    """
-
-    worst: dict[str, float]
-    share: float
-    units: NDArray
-    chi_squared: float
-    p: float
-
-
 def read_off(units: ArrayLike = 0.0) -> NDArray:
-    """Return x_1, y_1, x_2, y_2 (px) and E (MPa) of Table 5.5, moved within its rounding.
+    """Return what `READ` names of Table 5.5, moved within its rounding.
 
     Parameters
     ----------
@@ -110,41 +52,67 @@ def read_off(units: ArrayLike = 0.0) -> NDArray:
     return np.array([*dimple.rim, *dimple.bottom, modulus])
 
 
+def rounding_draws(seed: int, draws: int) -> pd.DataFrame:
+    """Draw Table 5.5 within its printed rounding: a row each draw, a column each of `READ`."""
+    units = np.random.default_rng(seed).uniform(-1, 1, (draws, 24))
+    return pd.DataFrame([read_off(each) for each in units], columns=READ)
+
+
+@dataclass(frozen=True, eq=False)
+class RoundingReach:
+    """What the printed rounding of Table 5.5 can do to what is read off its curve.
+
+    Attributes
+    ----------
+    worst : dict of str to float
+        Largest shift of each of `READ`: the sum of the effects of the 24 coefficients, each half a
+        unit in its last place.
+    share : float
+        Least share of that half unit within which all 24 coefficients have to move for the four
+        coordinates to come out as printed together; no rounding gives more than 1.
+    units : ndarray, shape (24,)
+        How they then move, in half units.
+    chi_squared, p : float
+        Of the four printed coordinates about the computed ones, and how often evenly distributed
+        rounding gives more, as if it were Gaussian.
+    """
+
+    worst: dict[str, float]
+    share: float
+    units: NDArray
+    chi_squared: float
+    p: float
+
+
 def rounding_reach() -> RoundingReach:
     """Judge the four printed coordinates of section 5.6 together, and each by its worst case."""
-    names = ("x_1", "y_1", "x_2", "y_2")
-    printed = np.array([claim(f"section-5.6/{name}").value for name in names])
-    half = np.array([half_ulp(claim(f"section-5.6/{name}").printed) for name in names])
-    found, effects = read_off(), _effects(np.zeros(24))
-    worst = dict(zip((*names, "E"), np.abs(effects).sum(axis=1), strict=True))
+    entries = [claim(f"section-5.6/{name}") for name in READ[:4]]
+    printed = np.array([entry.value for entry in entries])
+    half = np.array([half_ulp(entry.printed) for entry in entries])
+    effects = _effects(np.zeros(24))
+    worst = dict(zip(READ, np.abs(effects).sum(axis=1), strict=True))
     # An even distribution has a third of its half-width's square as its variance.
     covariance = (effects[:4] @ effects[:4].T + np.diag(half**2)) / 3
-    apart = printed - found[:4]
+    apart = printed - read_off()[:4]
     chi_squared = float(apart @ np.linalg.solve(covariance, apart))
-    units = np.zeros(24)
-    for _ in range(_LINEAR_STEPS):
-        effects = _effects(units)[:4]
-        wanted = printed - read_off(units)[:4] + effects @ units
-        share, units = _least_share(effects, wanted, half)
+    # The least largest |unit| that brings each coordinate to within `half` of the printed one.
+    one, none, cost = np.ones((24, 1)), np.zeros((4, 1)), np.append(np.zeros(24), 1.0)
+    units, share = np.zeros(24), 0.0
+    for _ in range(3):  # three linear programs leave 1e-11 px of the coordinates, two 3e-6 px
+        slopes = _effects(units)[:4]
+        wanted = printed - read_off(units)[:4] + slopes @ units
+        bounds = np.block(
+            [[slopes, none], [-slopes, none], [np.eye(24), -one], [-np.eye(24), -one]]
+        )
+        limits = np.concatenate([wanted + half, half - wanted, np.zeros(48)])
+        found = linprog(cost, A_ub=bounds, b_ub=limits, bounds=(None, None)).x
+        units, share = found[:-1], float(found[-1])
     return RoundingReach(worst, share, units, chi_squared, float(chi2.sf(chi_squared, 4)))
 
 
 def _effects(units: NDArray) -> NDArray:
-    """Return the change of what `read_off` gives for one half unit of each coefficient, 5×24."""
-    steps = _STEP * np.eye(24)
-    return np.transpose(
-        [(read_off(units + step) - read_off(units - step)) / (2 * _STEP) for step in steps]
-    )
-
-
-def _least_share(effects: NDArray, wanted: NDArray, half: NDArray) -> tuple[float, NDArray]:
-    """Minimize the largest |unit| for which effects @ units is within `half` of `wanted`."""
-    one, none = np.ones((24, 1)), np.zeros((len(wanted), 1))
-    bounds = np.block([[effects, none], [-effects, none], [np.eye(24), -one], [-np.eye(24), -one]])
-    limits = np.concatenate([wanted + half, half - wanted, np.zeros(48)])
-    cost = np.append(np.zeros(24), 1.0)
-    solution = linprog(cost, A_ub=bounds, b_ub=limits, bounds=(None, None))
-    return float(solution.x[-1]), solution.x[:-1]
+    """Return the change of each of `READ` for one half unit of each coefficient, 5×24."""
+    return np.transpose([(read_off(units + s) - read_off(units - s)) / 0.2 for s in _STEPS])
 
 
 def printed_dimple() -> tuple[float, float]:
@@ -190,30 +158,34 @@ def rendered_embryo(rng: np.random.Generator) -> Scene:
     return embryo_image(embryo, rng=rng, pixel_size=thesis.EMBRYO_PIXEL, unevenness=0.15)
 
 
-def smooth_outline(scene: Scene, boundary: Outline) -> tuple[NDArray, GaussianSum]:
+def smooth_outline(boundary: Outline) -> tuple[NDArray, GaussianSum]:
     """Smooth an outline as the thesis does: LOESS of the second degree, then eight Gaussians.
 
     Parameters
     ----------
-    scene : Scene
-        Says where the dimple is.
     boundary : Outline
-        Its outline.
+        Of a dimple under a probe.
 
     Returns
     -------
     columns : ndarray, shape (N,)
-        Those within two radii of the dimple, px.
+        Those within two radii of the dimple, read off the rim on the left; px.
     curve : GaussianSum
-        Heights above the lowest of them, px.
+        Heights above the lowest of them, px: Gaussians die away to zero.
     """
-    middle, embryo = scene.center[0], scene.embryo
-    columns = np.arange(np.ceil(boundary.x[0]), boundary.x[-1])
-    near = np.abs(columns - middle) < 2 * embryo.dimple_radius / scene.pixel_size
-    columns = columns[near]
+    middle = boundary.probe.tip[0]
+    rim = boundary.x[np.where(boundary.x < middle, boundary.y, -np.inf).argmax()]
+    first = np.ceil(max(boundary.x[0], middle - 2 * (middle - rim)))
+    last = np.floor(min(boundary.x[-1], middle + 2 * (middle - rim)))
+    columns = np.arange(first, last + 1)
     height = np.interp(columns, boundary.x, boundary.y)
     smooth = loess(columns, height - height.min(), span=thesis.LOESS_SPAN)
     return columns, fit_gaussians(columns, smooth)
+
+
+def thesis_dimple(boundary: Outline) -> Any:
+    """Return the dimple of an outline as the thesis measures it: LOESS, (5.1) and (5.3)."""
+    return dimple_geometry(smooth_outline(boundary)[1], pixel_size=thesis.EMBRYO_PIXEL)
 
 
 @dataclass(frozen=True)
@@ -252,7 +224,7 @@ def compare_shape(curve: GaussianSum) -> ShapeComparison:
     return ShapeComparison(x, expected, departure, departure / dimple.dimple_depth)
 
 
-def image_study(rng: np.random.Generator, embryos: int = 5, forces: int = 5) -> pd.DataFrame:
+def image_study(rng: np.random.Generator, embryos: int = 3, forces: int = 5) -> pd.DataFrame:
     """Measure one modulus on images of several embryos under several forces, in both ways.
 
     Parameters
@@ -270,49 +242,24 @@ def image_study(rng: np.random.Generator, embryos: int = 5, forces: int = 5) -> 
         A row each image, embryo by embryo: true depth (µm), force (µN), the modulus fitted by the
         profile with the ends low and high of its 95 % interval, and that of the thesis' way (MPa).
     """
-    loads = np.linspace(60.0, thesis.FORCE, forces)
-
-    def images() -> Iterator[tuple[float, float, NDArray]]:
-        for rim_radius in rng.uniform(400.0, 500.0, embryos):  # µm
-            for load in loads:
-                pressed = Embryo.pressed(
-                    load, modulus=MODULUS, rim_radius=rim_radius, **thesis.MEMBRANE
-                )
-                scene = embryo_image(
-                    pressed,
-                    rng=rng,
-                    pixel_size=thesis.EMBRYO_PIXEL,
-                    shape=(320, 480),
-                    center=(rng.uniform(225, 255), rng.uniform(100, 130)),
-                )
-                yield pressed.dimple_depth, float(load), scene.image
-
-    rows = in_processes(_both_moduli, images())
+    rows = []
+    for rim_radius in rng.uniform(400.0, 500.0, embryos):  # µm
+        for load in np.linspace(60.0, thesis.FORCE, forces):
+            pressed = Embryo.pressed(
+                load, modulus=MODULUS, rim_radius=rim_radius, **thesis.MEMBRANE
+            )
+            place = (rng.uniform(225, 255), rng.uniform(100, 130))
+            image = embryo_image(
+                pressed, rng=rng, pixel_size=thesis.EMBRYO_PIXEL, shape=(320, 480), center=place
+            ).image
+            fitted = modulus_from_image(
+                image, load, pixel_size=thesis.EMBRYO_PIXEL, **thesis.MEMBRANE
+            )
+            dimple = thesis_dimple(fitted.boundary)
+            by_thesis = thesis.modulus(dimple.dimple_radius, dimple.dimple_depth, force=load)
+            ends = fitted.interval
+            rows.append([pressed.dimple_depth, load, fitted.modulus, *ends, by_thesis])
     return pd.DataFrame(rows, columns=["depth", "force", "fitted", "low", "high", "thesis"])
-
-
-def _both_moduli(depth: float, load: float, image: NDArray) -> tuple[float, ...]:
-    """Return depth, force, modulus by the profile with its interval, and that of the thesis."""
-    fitted = modulus_from_image(image, load, pixel_size=thesis.EMBRYO_PIXEL, **thesis.MEMBRANE)
-    dimple = thesis_dimple(fitted.boundary)
-    by_thesis = thesis.modulus(dimple.dimple_radius, dimple.dimple_depth, force=load)
-    return depth, load, fitted.modulus, *fitted.interval, by_thesis
-
-
-def thesis_dimple(boundary: Outline) -> Any:
-    """Return the dimple of an outline as the thesis measures it: LOESS, (5.1) and (5.3).
-
-    The columns are those within two radii of the dimple, read off the rim on the left.
-    """
-    middle = boundary.probe.tip[0]
-    rim = boundary.x[np.where(boundary.x < middle, boundary.y, -np.inf).argmax()]
-    first = np.ceil(max(boundary.x[0], middle - 2 * (middle - rim)))
-    last = np.floor(min(boundary.x[-1], middle + 2 * (middle - rim)))
-    columns = np.arange(first, last + 1)
-    height = np.interp(columns, boundary.x, boundary.y)
-    # Gaussians die away to zero, so the outline is measured from its own lowest point.
-    smooth = loess(columns, height - height.min(), span=thesis.LOESS_SPAN)
-    return dimple_geometry(fit_gaussians(columns, smooth), pixel_size=thesis.EMBRYO_PIXEL)
 
 
 def table_5_7(rng: np.random.Generator, study: pd.DataFrame, draws: int = 4000) -> pd.DataFrame:
@@ -340,52 +287,3 @@ def table_5_7(rng: np.random.Generator, study: pd.DataFrame, draws: int = 4000) 
     picks = by_force[rng.integers(0, len(by_force), (draws, forces)), np.arange(forces)]
     picks *= MODULUS / picks[:, -1:]
     return pd.DataFrame({"mean": picks.mean(axis=1), "std": picks.std(axis=1, ddof=1)})
-
-
-def push(time: ArrayLike) -> NDArray:
-    """Return the force in µN of a probe that is driven in and most of the way out again, time in s.
-
-    Examples
-    --------
-    >>> push([0.0, 2.0, 4.0]).round(9)
-    array([ 40., 206.,  72.])
-    """
-    t = np.asarray(time, dtype=float)
-    return 40.0 + 75.0 * (1 - np.cos(np.pi * t / 2)) + 8.0 * t
-
-
-def force_sequence(rng: np.random.Generator, time: NDArray) -> pd.DataFrame:
-    """Estimate the force of `push` from the outline in each of a sequence of images.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of texture and noise.
-    time : ndarray, shape (N,)
-        Of the images, s.
-
-    Returns
-    -------
-    pandas.DataFrame
-        A row each image: time (s), true force, estimate, and its ends low and high (95 %), µN.
-    """
-    pushed = push(time)
-    scenes = embryo_sequence(pushed, modulus=MODULUS, rng=rng)
-    felt = in_processes(_force, [(scene.image, scene.pixel_size) for scene in scenes])
-    low, high = np.transpose([interval for _, interval in felt])
-    return pd.DataFrame(
-        {"time": time, "true": pushed, "force": [f for f, _ in felt], "low": low, "high": high}
-    )
-
-
-def _force(image: NDArray, pixel_size: float) -> tuple[float, tuple[float, float]]:
-    found = force_from_image(image, MODULUS, pixel_size=pixel_size, **thesis.MEMBRANE)
-    return found.force, found.interval
-
-
-def shallow_dimple_std(rng: np.random.Generator) -> float:
-    """Return the relative standard deviation of the force from one dimple of 50 µm."""
-    embryo = Embryo.dented(50.0, modulus=MODULUS, **thesis.MEMBRANE)
-    scene = embryo_image(embryo, rng=rng)
-    found = force_from_image(scene.image, MODULUS, pixel_size=scene.pixel_size, **thesis.MEMBRANE)
-    return found.relative_std

@@ -5,14 +5,14 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from compendium import thesis
 from compendium.experiments.chapter_6_force import true_force
-from compendium.experiments.section_5_6 import MODULUS, Outline, Scene, push
+from compendium.experiments.section_5_6 import MODULUS, Outline, Scene
 from compendium.figures.embryo import add_scale_bar, show_image, show_outline
+from compendium.figures.panels import intervals, legend_below, length
 from compendium.figures.style import COLORS
 from microlib.embryo import GaussianSum, dimple_geometry
 from microlib.membrane import dimple_profile
@@ -20,12 +20,11 @@ from microlib.membrane import dimple_profile
 __all__ = [
     "draw_dimple_section",
     "draw_embryo",
-    "draw_estimated_force",
     "draw_image_study",
     "draw_outline_steps",
     "draw_printed_outline",
+    "draw_relaxing_force",
     "draw_rendered_outline",
-    "draw_rounding",
 ]
 
 
@@ -56,14 +55,10 @@ def draw_dimple_section(radius: float, depth: float, half_width: float) -> Figur
     axes.fill_between([-c, c], -depth, 75, color=COLORS["grey"], alpha=0.35, lw=0)
     axes.annotate("", (0, -depth), (0, 70), arrowprops={"arrowstyle": "->", "lw": 2})
     axes.text(8, 50, "F", fontsize=14)
-    arrow = {"arrowstyle": "<->", "lw": 1.3, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", (0, 20), (a, 20), arrowprops=arrow)
-    axes.text(a / 2, 26, "a", ha="center", fontsize=14)
-    axes.annotate("", (0, -depth - 18), (c, -depth - 18), arrowprops=arrow)
-    axes.text(c / 2, -depth - 48, "c", ha="center", fontsize=14)
-    axes.annotate("", (-a, 0), (-a, -depth), arrowprops=arrow)
+    length(axes, (0, 20), (a, 20), "a", (0, 14))
+    length(axes, (0, -depth - 18), (c, -depth - 18), "c", (0, -20))
+    length(axes, (-a, 0), (-a, -depth), "$w_d$", (22, 0))
     axes.plot([-a, -c], [-depth, -depth], color="black", lw=0.8, ls=":")
-    axes.text(-a + 8, -depth / 2 - 12, "$w_d$", fontsize=14)
     rim = (a + bend * np.sin(0.7), bend * (np.cos(0.7) - 1))
     axes.annotate("", (a, -bend), rim, arrowprops={"arrowstyle": "->", "lw": 1.3})
     axes.text(a + 6, -bend + 30, "R", fontsize=14)
@@ -74,34 +69,20 @@ def draw_dimple_section(radius: float, depth: float, half_width: float) -> Figur
 
 def draw_printed_outline(curve: GaussianSum) -> Figure:
     """Draw figures 5.18 and 5.19: the curve of Table 5.5, its extrema, and a and w_d between."""
-    maxima, minima = curve.extrema()
+    maxima, _ = curve.extrema()
     (x1, y1), (x2, y2) = _rim_and_bottom(curve)
+    right = maxima[maxima > x2]
     x = np.linspace(*curve.domain, 800)
     figure, axes = plt.subplots(figsize=(7.2, 3.8))
     axes.plot(x, curve(x), color=COLORS["blue"], label="$f_m(x)$, (5.1)")
     axes.plot(x1, y1, "o", color=COLORS["orange"], ms=9, label="rim $(x_1, y_1)$")
     axes.plot(x2, y2, "s", color=COLORS["green"], ms=9, label="bottom $(x_2, y_2)$")
-    for places, marker, color, name in (
-        (maxima[maxima > x2], "^", "orange", "maxima of the right rim"),
-        (minima[minima > x2 + 1], "v", "green", "dip between them"),
-    ):
-        axes.plot(places, curve(places), marker, color=COLORS[color], ms=7, label=name)
-    _draw_lengths(axes, curve, gap=6)
-    axes.text((x1 + x2) / 2, y1 + 8, "a", ha="center", fontsize=14)
-    axes.text(x2 - 2, y1 - 12, "$w_d$", fontsize=14, ha="right")
+    axes.plot(right, curve(right), "^", color=COLORS["pink"], ms=8, label="maxima of the right rim")
+    length(axes, (x1, y1 + 6), (x2, y1 + 6), "a", (0, 6))
+    length(axes, (x2, y1), (x2, y2), "$w_d$", (-6, 10))
     axes.set(xlabel="x (px)", ylabel="y, up (px)", aspect="equal")
-    axes.set(xlim=(x[0] - 3, x[-1] + 3), ylim=(None, max(y1, y2) + 20))
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
-    return figure
-
-
-def draw_rounding(moduli: pd.Series) -> Figure:
-    """Draw the moduli (MPa) of many draws of Table 5.5 within its rounding, and the printed one."""
-    figure, axes = plt.subplots(figsize=(7.2, 3.2))
-    axes.hist(moduli, bins=30, color=COLORS["sky"])
-    axes.axvline(MODULUS, color="black", ls="--", label="printed")
-    axes.set(xlabel="modulus E (MPa)", ylabel="draws")
-    axes.legend()
+    axes.set(xlim=(x[0] - 3, x[-1] + 3), ylim=(None, y1 + 20))
+    legend_below(figure, ncols=2)
     return figure
 
 
@@ -164,18 +145,15 @@ def draw_rendered_outline(
         axes.plot(columns, profile - base, color=COLORS["blue"], lw=3, label="profile (4.2)")
         axes.plot(boundary.x, boundary.y - base, ".k", ms=4, label="outline")
         axes.set(xlabel="x (px)", ylabel="y, up (px)", aspect="equal")
-    _draw_lengths(whole, smooth, gap=4)
-    whole.text((x1 + x2) / 2, y1 + 6, "a", ha="center", fontsize=14)
-    whole.text(x2 + 3, (y1 + y2) / 2 + 6, "$w_d$", fontsize=14)
+    length(whole, (x1, y1 + 4), (x2, y1 + 4), "a", (0, 6))
+    length(whole, (x2, y1), (x2, y2), "$w_d$", (9, 0))
     near = 1.5 * scene.embryo.dimple_radius / scene.pixel_size
     middle = scene.center[0]
     whole.set(xlim=(middle - near, middle + near), ylim=(-6, y1 + 18))
     # Where the two ways part: four widths of the probe.
     reach = 4 * thesis.MEMBRANE["probe_half_width"] / scene.pixel_size
     bottom.set(xlim=(middle - reach, middle + reach), ylim=(-2, reach / 2), title="the bottom")
-    figure.legend(
-        *whole.get_legend_handles_labels(), loc="outside lower center", ncols=3, markerscale=2
-    )
+    legend_below(figure)
     return figure
 
 
@@ -185,27 +163,9 @@ def draw_image_study(study: pd.DataFrame) -> Figure:
     axes.axhline(MODULUS, color="black", lw=1.2, label="truth")
     label = "LOESS and eight Gaussians"
     axes.plot(study["depth"], study["thesis"], "s", color=COLORS["sky"], label=label)
-    axes.errorbar(
-        study["depth"],
-        study["fitted"],
-        yerr=[study["fitted"] - study["low"], study["high"] - study["fitted"]],
-        fmt="o",
-        ms=5,
-        lw=1.2,
-        color=COLORS["blue"],
-        label="profile (4.2), 95 %",
-    )
+    intervals(axes, study, "depth", "fitted", "profile (4.2), 95 %")
     axes.set(xlabel="dimple depth $w_d$ (µm)", ylabel="modulus E (MPa)")
     axes.legend(loc="upper left")
-    return figure
-
-
-def draw_estimated_force(felt: pd.DataFrame) -> Figure:
-    """Draw the forces of a `force_sequence` against time, with the truth."""
-    fine = np.linspace(0.0, 4.0, 200)
-    figure, axes = plt.subplots(figsize=(7.2, 3.6))
-    axes.plot(fine, push(fine), color="black", lw=1.2, label="truth")
-    _draw_forces(axes, felt, "from the outline, 95 %")
     return figure
 
 
@@ -215,33 +175,12 @@ def draw_relaxing_force(felt: pd.DataFrame) -> Figure:
     figure, axes = plt.subplots(figsize=(7.2, 3.6))
     axes.plot(fine, true_force(fine), color="black", lw=1.2, label="truth")
     axes.plot(felt["time"], felt["elastic"], "s", color=COLORS["orange"], label="one outline alone")
-    _draw_forces(axes, felt, "all outlines so far, 95 %")
-    return figure
-
-
-def _draw_forces(axes: Axes, felt: pd.DataFrame, label: str) -> None:
-    """Draw forces with their intervals against time, and name the axes."""
-    axes.errorbar(
-        felt["time"],
-        felt["force"],
-        yerr=[felt["force"] - felt["low"], felt["high"] - felt["force"]],
-        fmt="o",
-        color=COLORS["blue"],
-        lw=1.5,
-        label=label,
-    )
+    intervals(axes, felt, "time", "force", "all outlines so far, 95 %")
     axes.set(xlabel="time (s)", ylabel="force F (µN)", ylim=(0, None))
     axes.legend()
+    return figure
 
 
 def _rim_and_bottom(curve: GaussianSum) -> tuple[tuple[float, float], tuple[float, float]]:
     dimple = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL)
     return dimple.rim, dimple.bottom
-
-
-def _draw_lengths(axes: Axes, curve: GaussianSum, *, gap: float) -> None:
-    """Draw a and w_d as arrows, the first `gap` px above the rim."""
-    (x1, y1), (x2, y2) = _rim_and_bottom(curve)
-    arrow = {"arrowstyle": "<->", "lw": 1.3, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", (x1, y1 + gap), (x2, y1 + gap), arrowprops=arrow)
-    axes.annotate("", (x2, y1), (x2, y2), arrowprops=arrow)

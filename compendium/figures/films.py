@@ -20,7 +20,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 from PIL import Image
-from scipy.linalg import expm, logm
 
 from compendium.experiments.chapter_2_tracking import Target, corners, warped
 from compendium.figures.style import COLORS
@@ -124,11 +123,11 @@ def film_alignment(target: Target, warps: list[NDArray], **texts: str) -> HTML:
     right.set(xlabel="x (px)", title="step 0: corners off by 00.00 px")
     for axes in (left, right):
         axes.grid(False)
-    parts = 4  # pictures from one step to the next, along the motion that the step is
+    parts = 4  # pictures from one step to the next
     between = [
-        warp @ expm(share / parts * logm(np.linalg.solve(warp, following)).real)
+        warp + k / parts * (following - warp)
         for warp, following in pairwise(warps)
-        for share in range(parts)
+        for k in range(parts)
     ]
     between.append(warps[-1])
     true = corners(target.warp)

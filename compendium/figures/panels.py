@@ -1,4 +1,4 @@
-"""Pieces that several drawings are made of: labelled boxes, arrows, and rows of images."""
+"""Pieces that several drawings are made of: boxes, arrows, lengths, intervals, rows of images."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
@@ -31,6 +33,28 @@ def arrows(axes: Axes, ends: Iterable[tuple[Point, Point]]) -> None:
     """Draw an arrow from each first point to its second."""
     for start, end in ends:
         axes.annotate("", end, start, arrowprops={"arrowstyle": "-|>", "lw": 1.4})
+
+
+def length(axes: Axes, start: Point, end: Point, text: str = "", away: Point = (0, 0)) -> None:
+    """Draw a double arrow between two points, with its name `away` from its middle."""
+    arrow = {"arrowstyle": "<->", "lw": 1.3, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", end, start, arrowprops=arrow)
+    middle = np.add(start, end) / 2 + away
+    axes.text(*middle, text, ha="center", va="center", fontsize=14)
+
+
+def intervals(axes: Axes, table: pd.DataFrame, x: str, y: str, label: str) -> None:
+    """Draw the column `y` of a table against its column `x`, with bars from `low` to `high`."""
+    bars = [table[y] - table["low"], table["high"] - table[y]]
+    axes.errorbar(
+        table[x], table[y], bars, fmt="o", ms=5, lw=1.4, color=COLORS["blue"], label=label
+    )
+
+
+def legend_below(figure: Figure, handles: Iterable[Any] = (), ncols: int = 3) -> None:
+    """Put one legend under all panels, of the first panel's entries unless others are given."""
+    entries = list(handles) or figure.axes[0].get_legend_handles_labels()[0]
+    figure.legend(handles=entries, loc="outside lower center", ncols=ncols, fontsize=11)
 
 
 def images(

@@ -2,159 +2,106 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Mapping
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from compendium import thesis
 from compendium.experiments.section_5_5 import BALL_PIXEL, BALL_RADIUS, BALL_SHAPE, Scene
+from compendium.figures.panels import legend_below
 from compendium.figures.style import COLORS
 from compendium.figures.surfaces import draw_labels, draw_surface, label_patches
 
-__all__ = [
-    "draw_ball_frames",
-    "draw_depth",
-    "draw_ridge_frames",
-    "draw_thresholds",
-    "draw_types",
-    "draw_types_by_window",
-]
+__all__ = ["draw_focus", "draw_thresholds", "draw_types"]
 
 
-def draw_ridge_frames(ridge: Scene, fused: NDArray) -> Figure:
-    """Draw figure 5.9: texture, three frames, the fused image and the true height.
-
-    Bars above and below a frame mark the columns that it shows sharp.
-    """
-    figure, grid = plt.subplots(2, 3, figsize=(7.2, 5.4), sharex=True, sharey=True)
-    chosen = dict(zip("bcd", (0, 10, 18), strict=True))
-    images = [(ridge.texture, "(a) texture")]
-    images += [
-        (ridge.frames[k], f"({letter}) d = {ridge.positions[k]:.0f} µm")
-        for letter, k in chosen.items()
-    ]
-    images += [(fused, "(e) fused"), (ridge.height, "true height")]
-    for axes, (image, title) in zip(grid.flat, images, strict=True):
-        axes.imshow(image, cmap="viridis" if title == "true height" else "gray")
-        axes.set_title(title, pad=12)
-        axes.grid(False)
-    for axes, k in zip(grid.flat[1:4], chosen.values(), strict=True):
-        _mark_sharp_columns(axes, ridge, k)
-    for axes in grid[1]:
-        axes.set(xlabel="x (px)")
-    for axes in grid[:, 0]:
-        axes.set(ylabel="y (px)")
-    return figure
-
-
-def _mark_sharp_columns(axes: Axes, ridge: Scene, frame: int) -> None:
-    """Draw bars beside a frame along the columns that are sharp in no other frame."""
-    away = np.abs(ridge.height[0] - ridge.positions[:, None])
-    sharp = np.flatnonzero(away.argmin(axis=0) == frame)
-    for stripe in np.split(sharp, np.flatnonzero(np.diff(sharp) > 1) + 1):
-        if stripe.size:
-            ends = stripe[[0, -1]] + [-0.5, 0.5]
-            for side in (-0.03, 1.03):
-                axes.plot(
-                    ends,
-                    [side, side],
-                    transform=axes.get_xaxis_transform(),
-                    color=COLORS["orange"],
-                    lw=5,
-                    solid_capstyle="butt",
-                    clip_on=False,
-                )
-
-
-def draw_ball_frames(ball: Scene, fused: NDArray) -> Figure:
-    """Draw figure 5.11: three frames and the fused image."""
-    figure, row = plt.subplots(1, 4, figsize=(7.2, 2.6), sharey=True)
-    panels = [
-        (ball.frames[k], f"({letter}) {ball.positions[k]:.0f} µm")
-        for letter, k in zip("abc", (1, 11, 15), strict=True)
-    ]
-    for axes, (image, title) in zip(row, [*panels, (fused, "(d) fused")], strict=True):
-        axes.imshow(image)
-        axes.set(title=title, xlabel="x (px)")
-        axes.grid(False)
-    row[0].set(ylabel="y (px)")
-    return figure
-
-
-def draw_depth(depth: NDArray, pixel_size: float | None = None, *, turned: bool = False) -> Figure:
-    """Draw figures 5.10 and 5.12: a height map (µm) in perspective and from above.
+def draw_focus(
+    scene: Scene,
+    fused: NDArray,
+    depth: NDArray,
+    shown: Mapping[str, int],
+    *,
+    pixel_size: float | None = None,
+    turned: bool = False,
+) -> Figure:
+    """Draw figures 5.9 and 5.10, or 5.11 and 5.12: frames, fused image and height from focus.
 
     Parameters
     ----------
+    scene : Scene
+        The stack.
+    fused : ndarray, shape (rows, cols)
+        What is sharp everywhere.
     depth : ndarray, shape (rows, cols)
         Height, µm.
+    shown : mapping of str to int
+        Two frames by title.
     pixel_size : float, optional
         µm; the axes are in px without.
     turned : bool
         As for `draw_surface`.
     """
-    unit = "px" if pixel_size is None else "µm"
-    size = pixel_size or 1.0
+    unit, size = ("px", 1.0) if pixel_size is None else ("µm", pixel_size)
     rows, cols = depth.shape
-    figure = plt.figure(figsize=(7.2, 3.8))
-    left = figure.add_subplot(1, 2, 1, projection="3d")
-    draw_surface(left, depth, size, unit=unit, turned=turned)
-    left.set(zlabel="", title="(a) height in µm", box_aspect=(1, 1, 0.7))
-    left.tick_params(labelsize=11)
-    right = figure.add_subplot(1, 2, 2)
-    extent = None if pixel_size is None else (0, cols * size, rows * size, 0)
-    shown = right.imshow(depth, cmap="viridis", extent=extent)
-    right.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})", title="(b)")
-    right.grid(False)
-    figure.colorbar(shown, ax=right, label="height (µm)", shrink=0.8)
+    figure = plt.figure(figsize=(7.2, 6.2))
+    upper, lower = figure.subfigures(2, 1, height_ratios=(1, 1.2))
+    pictures = {title: scene.frames[k] for title, k in shown.items()} | {"fused": fused}
+    row = upper.subplots(1, len(pictures))
+    for axes, (title, picture) in zip(row, pictures.items(), strict=True):
+        axes.imshow(picture, vmin=0, vmax=255)
+        axes.set(title=title, xticks=[], yticks=[])
+    solid: Any = lower.add_subplot(1, 2, 1, projection="3d")
+    draw_surface(solid, depth, size, unit=unit, turned=turned)
+    solid.set(zlabel="", title="height (µm)", box_aspect=(1, 1, 0.7))
+    solid.tick_params(labelsize=10)
+    above = lower.add_subplot(1, 2, 2)
+    seen = above.imshow(depth, cmap="viridis", extent=(0, cols * size, rows * size, 0))
+    above.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})", title="from above")
+    above.grid(False)
+    lower.colorbar(seen, ax=above, label="height (µm)", shrink=0.8)
     return figure
 
 
 def draw_types(
-    labels: dict[str, NDArray[np.uint8]],
+    labels: Mapping[str, NDArray[np.uint8]],
     *,
+    columns: int = 2,
+    box: tuple[int, int, int, int] | None = None,
     ball: bool = False,
-    enlarged: tuple[int, int, int, int] | None = None,
 ) -> Figure:
-    """Draw figures 5.13 and 5.14: maps of surface types side by side, under one legend.
+    """Draw figures 5.13 and 5.14: maps of surface types by title, under one legend.
 
     Parameters
     ----------
     labels : dict of str to ndarray
         Surface types by title.
+    columns : int
+        Maps side by side.
+    box : tuple of int, optional
+        Part (x, y, width, height) that is shown, px.
     ball : bool
         Show the ball's edge and half its radius.
-    enlarged : tuple of int, optional
-        Part (x, y, width, height), px, that a second row shows larger.
     """
-    rows = 1 if enlarged is None else 2
-    # Inches: square maps, a legend below, and labels and a title between two rows.
-    size = (7.2, 1.0 + 7.2 / len(labels) * rows + 0.6 * (rows - 1))
-    figure, grid = plt.subplots(rows, len(labels), figsize=size, squeeze=False)
-    row = grid[0]
-    for axes, (title, types) in zip(row, labels.items(), strict=True):
+    rows = -(-len(labels) // columns)
+    x, y, width, height = box or (0, 0, *next(iter(labels.values())).shape[::-1])
+    # Inches: square pixels, a title and a label for each row, a legend below.
+    size = (7.2, 0.8 + rows * (0.75 + 6.4 / columns * height / width))
+    figure, grid = plt.subplots(rows, columns, figsize=size, squeeze=False)
+    for axes, (title, types) in zip(grid.flat, labels.items(), strict=True):
         draw_labels(axes, types, legend=False)
-        axes.set(title=title, ylabel="y (px)" if axes is row[0] else "")
-        if ball:
-            middle = ((BALL_SHAPE[0] - 1) / 2, (BALL_SHAPE[1] - 1) / 2)
-            for share, line in ((1.0, "-"), (0.5, "--")):
-                radius = share * BALL_RADIUS / BALL_PIXEL
-                axes.add_patch(Circle(middle, radius, fill=False, color="black", ls=line))
-    if enlarged is not None:
-        x, y, width, height = enlarged
-        for whole, axes, types in zip(row, grid[1], labels.values(), strict=True):
-            whole.add_patch(Rectangle((x, y), width, height, fill=False, ec="black", lw=1.5))
-            draw_labels(axes, types, legend=False)
-            axes.set(xlim=(x, x + width), ylim=(y + height, y), ylabel=axes.get_ylabel())
-        grid[1, 0].set(title="the frames, enlarged")
-    for axes in grid[:, 1:].flat:
-        axes.set(ylabel="")
-    _legend_below(figure, labels.values())
+        axes.set(title=title, xlim=(x, x + width - 1), ylim=(y + height - 1, y))
+        axes.label_outer()
+        for share, line in ((1.0, "-"), (0.5, "--")) if ball else ():
+            middle = ((BALL_SHAPE[1] - 1) / 2, (BALL_SHAPE[0] - 1) / 2)
+            radius = share * BALL_RADIUS / BALL_PIXEL
+            axes.add_patch(Circle(middle, radius, fill=False, color="black", ls=line))
+    part = [types[y : y + height, x : x + width] for types in labels.values()]
+    legend_below(figure, label_patches(np.stack(part)))
     return figure
 
 
@@ -172,21 +119,5 @@ def draw_thresholds() -> Figure:
     axes.fill_between(between, between**2, color=COLORS["yellow"], alpha=0.4, lw=0)
     axes.text(0.1, 0.0012, "a ball is called\na cylinder", fontsize=11, ha="center")
     axes.set(xlabel="|H| (1/unit)", ylabel="K (1/unit²)", xlim=(0, 0.2), ylim=(0, 0.04))
-    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1))
+    legend_below(figure)
     return figure
-
-
-def draw_types_by_window(labels: dict[int, NDArray[np.uint8]]) -> Figure:
-    """Draw surface types side by side, by the window of the derivatives in px."""
-    figure, row = plt.subplots(1, len(labels), figsize=(7.2, 3.4), sharey=True)
-    for axes, (window, types) in zip(row, labels.items(), strict=True):
-        draw_labels(axes, types, legend=False)
-        axes.set(title=f"windows of {window} px", ylabel="y (px)" if axes is row[0] else "")
-    _legend_below(figure, labels.values())
-    return figure
-
-
-def _legend_below(figure: Figure, maps: Iterable[NDArray[np.uint8]]) -> None:
-    """Put one legend of the surface types that occur in any map under all of them."""
-    present = label_patches(np.stack(list(maps)))
-    figure.legend(handles=present, loc="outside lower center", ncols=3, fontsize=11)

@@ -19,6 +19,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from compendium.figures.panels import length
 from compendium.figures.style import COLORS
 from microlib import optics
 from microlib.curvature import HK_NAMES
@@ -29,7 +30,6 @@ __all__ = [
     "draw_lens",
     "draw_sinking_stage",
     "draw_surface",
-    "label_legend",
     "label_patches",
     "turnable_surface",
 ]
@@ -71,9 +71,7 @@ def draw_lens() -> Figure:
             )
         axes.plot([-distance], [0], "o", color=COLORS[color])
         if radius > 1e-9:
-            ends = (sensor + 3, -radius), (sensor + 3, radius)
-            axes.annotate("", *ends, arrowprops={"arrowstyle": "<->"})
-            axes.text(sensor + 6, 0, "$2 r_b$", va="center")
+            length(axes, (sensor + 3, -radius), (sensor + 3, radius), "$2 r_b$", (9, 0))
     axes.plot([0, 0], [-1.25 * aperture, 1.25 * aperture], color="black", lw=3)
     axes.plot([sensor, sensor], [-aperture, aperture], color=COLORS["grey"], lw=3)
     axes.axhline(0, color=COLORS["grey"], lw=0.8, ls=":")
@@ -107,8 +105,8 @@ def draw_sinking_stage() -> Figure:
         axes.fill([-0.3, 0.3, 0.18, -0.18], [1.28, 1.28, 1.0, 1.0], color="black", alpha=0.65, lw=0)
         if lowered:
             # From the plane in focus, where the ground was, down to where it is.
-            _dimension(axes, -0.92, (0, -lowered), "d")
-    _dimension(row[0], 0.62, (0, top), "$d_s$")
+            length(axes, (-0.92, 0), (-0.92, -lowered), "d", (0.14, 0))
+    length(row[0], (0.62, 0), (0.62, top), "$d_s$", (0.2, 0))
     row[0].text(0.36, 1.06, "objective", fontsize=11)
     below = {"color": COLORS["orange"], "fontsize": 11, "va": "top"}
     row[0].text(-1.25, -0.12, "plane in focus", **below)
@@ -116,13 +114,6 @@ def draw_sinking_stage() -> Figure:
         axes.annotate("", (1.15, -0.95), (1.15, -0.3), arrowprops={"arrowstyle": "-|>", "lw": 4})
     row[1].text(1.05, -0.85, "the stage sinks", ha="right", va="center", fontsize=11)
     return figure
-
-
-def _dimension(axes: Axes, x: float, ends: tuple[float, float], name: str) -> None:
-    """Draw a length along y with its name on the right."""
-    arrow = {"arrowstyle": "<->", "lw": 1.3, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", (x, ends[0]), (x, ends[1]), arrowprops=arrow)
-    axes.text(x + 0.06, sum(ends) / 2, name, va="center", fontsize=13)
 
 
 def draw_labels(axes: Axes, labels: NDArray[np.uint8], *, legend: bool = True) -> None:
@@ -134,13 +125,8 @@ def draw_labels(axes: Axes, labels: NDArray[np.uint8], *, legend: bool = True) -
     axes.set(xlabel="x (px)", ylabel="y (px)")
     axes.grid(False)
     if legend:
-        label_legend(axes, labels)
-
-
-def label_legend(axes: Axes, labels: NDArray[np.uint8]) -> None:
-    """Put a legend of the surface types that occur in `labels` beside the axes."""
-    patches = label_patches(labels)
-    axes.legend(handles=patches, loc="upper left", bbox_to_anchor=(1.01, 1), fontsize=11)
+        patches = label_patches(labels)
+        axes.legend(handles=patches, loc="upper left", bbox_to_anchor=(1.01, 1), fontsize=11)
 
 
 def label_patches(labels: NDArray[np.uint8]) -> list[Patch]:
@@ -177,15 +163,23 @@ def draw_surface(
         a smooth ring and not a flight of stairs. Its surface type is not shown, as it has no pixel
         of its own, and the corners of the map are left out.
     """
-    rows, cols = _round_mesh(height.shape) if turned else _square_mesh(height.shape)
+    if turned:  # 60 circles about the middle
+        middle = (np.array(height.shape) - 1) / 2
+        radius, angle = np.meshgrid(
+            np.linspace(0, middle.min(), 60), np.linspace(0, 2 * np.pi, 121), indexing="ij"
+        )
+        rows, cols = middle[0] + radius * np.sin(angle), middle[1] + radius * np.cos(angle)
+    else:  # at most 80 points a side
+        stride = max(1, -(-max(height.shape) // 80))
+        rows, cols = np.indices(height.shape, dtype=float)[:, ::stride, ::stride]
     points = map_coordinates(height, [rows, cols], order=1)
     if labels is None:
         look: dict[str, Any] = {"cmap": "viridis"}
     else:
         palette = ListedColormap(["#FFFFFF", *HK_COLORS.values()])
         types = map_coordinates(labels, [rows, cols], order=0)
-        if turned:
-            types[:-1][_upright(points)] = 0
+        if turned:  # upright are the steps from ring to ring of a tenth of the height
+            types[:-1][np.abs(np.diff(points, axis=0)) > 0.1 * np.ptp(points)] = 0
         look = {"facecolors": palette(types)}
     axes.plot_surface(
         pixel_size * cols,
@@ -199,27 +193,6 @@ def draw_surface(
     )
     axes.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})", zlabel=f"height ({unit})")
     axes.view_init(elev=35, azim=-60)
-
-
-def _square_mesh(shape: tuple[int, ...]) -> tuple[NDArray, NDArray]:
-    """Return rows and columns of every nth pixel, at most 80 a side."""
-    stride = max(1, -(-max(shape) // 80))
-    rows, cols = np.indices(shape, dtype=float)[:, ::stride, ::stride]
-    return rows, cols
-
-
-def _upright(points: NDArray) -> NDArray[np.bool_]:
-    """Find the steps of a mesh, from ring to ring, that are a tenth of the object's height."""
-    return np.abs(np.diff(points, axis=0)) > 0.1 * np.ptp(points)
-
-
-def _round_mesh(shape: tuple[int, ...]) -> tuple[NDArray, NDArray]:
-    """Return rows and columns of points on 60 circles about the middle of a map."""
-    middle = (np.array(shape[:2]) - 1) / 2
-    radius, angle = np.meshgrid(
-        np.linspace(0, middle.min(), 60), np.linspace(0, 2 * np.pi, 121), indexing="ij"
-    )
-    return middle[0] + radius * np.sin(angle), middle[1] + radius * np.cos(angle)
 
 
 def turnable_surface(
@@ -260,13 +233,12 @@ def turnable_surface(
     stride = max(1, -(-max(height.shape) // _MOST_POINTS))
     part = height[::stride, ::stride]
     rows, cols = part.shape
-    digits = max(
-        0, 3 - int(np.floor(np.log10(max(float(np.nanmax(part) - np.nanmin(part)), 1e-9))))
-    )
+    # To a thousandth of the range: plain numbers, which JSON writes short.
+    span = max(float(np.nanmax(part) - np.nanmin(part)), 1e-9)
     surface: dict[str, Any] = {
-        "x": _rounded(stride * pixel_size * np.arange(cols), 3),
-        "y": _rounded(stride * pixel_size * np.arange(rows), 3),
-        "z": [_rounded(row, digits) for row in part],
+        "x": np.round(stride * pixel_size * np.arange(cols), 3).tolist(),
+        "y": np.round(stride * pixel_size * np.arange(rows), 3).tolist(),
+        "z": np.round(part, max(0, 3 - int(np.floor(np.log10(span))))).tolist(),
     }
     if labels is None:
         surface |= {"colorscale": "Viridis", "colorbar": {"title": f"height ({unit})", "len": 0.7}}
@@ -315,8 +287,3 @@ def turnable_surface(
         f'<button type="button">Turn this surface (loads 4.6 MB)</button>'
         f"<template>{turned}</template></div>"
     )
-
-
-def _rounded(values: NDArray, digits: int) -> list[float | None]:
-    """Return plain numbers, which JSON writes short; None for NaN."""
-    return [round(float(v), digits) if np.isfinite(v) else None for v in values]

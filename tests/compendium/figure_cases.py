@@ -208,13 +208,11 @@ def esm_step() -> Figure:
     return servoing.draw_esm_step(pd.DataFrame(errors))
 
 
-def stack() -> Any:
-    frames = np.stack([picture(4, 5, k) for k in range(20)])
-    positions = 25.0 * np.arange(20) - 50
-    # Frame 10 stands at 200 µm and 25 µm from its neighbours; the 18th is sharp in the last column.
-    height = np.tile([0.0, 189.0, 211.0, 213.0, 400.0], (4, 1))
-    return SimpleNamespace(
-        texture=picture(4, 5, 0.5), height=height, positions=positions, frames=frames
+def focus(**how: Any) -> Callable[[], Figure]:
+    scene: Any = SimpleNamespace(frames=np.stack([picture(20, 30, k) for k in range(4)]))
+    shown = {"one": 0, "other": 3}
+    return lambda: shape_from_focus.draw_focus(
+        scene, picture(20, 30, 9), heights(20, 30), shown, **how
     )
 
 
@@ -269,14 +267,12 @@ CASES: dict[str, Callable[[], Figure]] = {
     "calibration.draw_focal_length_study": focal_length_study,
     "dimple.draw_dimple_section": lambda: dimple.draw_dimple_section(246.95, 121.22, 25.0),
     "dimple.draw_printed_outline": lambda: dimple.draw_printed_outline(CURVE()),
-    "dimple.draw_rounding": lambda: dimple.draw_rounding(pd.Series(np.linspace(1.2, 1.5, 77) ** 2)),
     "dimple.draw_embryo": lambda: dimple.draw_embryo(scene()),
     "dimple.draw_outline_steps": lambda: dimple.draw_outline_steps(
         scene(), picture(768, 1024, 1.0), boundary()
     ),
     "dimple.draw_rendered_outline": rendered_outline,
     "dimple.draw_image_study": image_study,
-    "dimple.draw_estimated_force": lambda: dimple.draw_estimated_force(felt()),
     "dimple.draw_relaxing_force": lambda: dimple.draw_relaxing_force(felt()),
     "mechanics.draw_posterior": posterior,
     "mechanics.draw_shape": lambda: mechanics.draw_shape(CURVE(), compare_shape(CURVE())),
@@ -299,22 +295,14 @@ CASES: dict[str, Callable[[], Figure]] = {
             axes, picture(80, 120).astype(np.uint8), track(), "t = 1 s"
         )
     ),
-    "shape_from_focus.draw_ball_frames": lambda: shape_from_focus.draw_ball_frames(
-        stack(), picture(4, 5, 30)
-    ),
-    "shape_from_focus.draw_depth": lambda: shape_from_focus.draw_depth(heights(20, 30)),
-    "shape_from_focus.draw_ridge_frames": lambda: shape_from_focus.draw_ridge_frames(
-        stack(), picture(4, 5, 30)
-    ),
+    "shape_from_focus.draw_focus": focus(),
+    "shape_from_focus.draw_focus-turned": focus(pixel_size=2.0, turned=True),
     "shape_from_focus.draw_thresholds": shape_from_focus.draw_thresholds,
     "shape_from_focus.draw_types-ball": lambda: shape_from_focus.draw_types(
         {"found": types(180, 180, 1, 5), "clean": types(180, 180, 5, 9)}, ball=True
     ),
-    "shape_from_focus.draw_types-enlarged": lambda: shape_from_focus.draw_types(
-        {"one": types(60, 80, 1, 3), "two": types(60, 80, 7, 0)}, enlarged=(10, 20, 30, 15)
-    ),
-    "shape_from_focus.draw_types_by_window": lambda: shape_from_focus.draw_types_by_window(
-        {3: types(10, 12, 1, 5), 9: types(10, 12, 5, 8)}
+    "shape_from_focus.draw_types-part": lambda: shape_from_focus.draw_types(
+        {"one": types(60, 80, 1, 3), "two": types(60, 80, 7, 0)}, columns=1, box=(10, 20, 30, 15)
     ),
     "surfaces.draw_labels": on_axes(
         lambda axes: surfaces.draw_labels(axes, types(10, 12, 0, 9, 4))

@@ -25,9 +25,11 @@ def test_the_rounding_leaves_two_per_cent_of_the_modulus() -> None:
     assert 1.96 * draws["E"].std() == pytest.approx(tolerance, rel=0.1)
     low, high = np.quantile(draws["E"], [0.025, 0.975])
     assert (high - low) / 2 == pytest.approx(tolerance, rel=0.15)
-    assert (draws["maxima"] == 3).all()
-    for name in ("x_1", "y_1", "x_2", "y_2"):
-        assert draws[name].median() == pytest.approx(claim(f"section-5.6/{name}").value, abs=0.2)
+    for name in section_5_6.READ[:4]:
+        stated = claim(f"section-5.6/{name}")
+        assert draws[name].median() == pytest.approx(stated.value, abs=0.2)
+        low, high = np.quantile(draws[name], [0.025, 0.975])
+        assert (high - low) / 2 == pytest.approx(stated.tolerance, rel=0.15), name
     # Depth and radius of each row give its modulus.
     row = draws.iloc[7]
     radius = thesis.EMBRYO_PIXEL * (row["x_2"] - row["x_1"])
@@ -43,15 +45,12 @@ def reach() -> section_5_6.RoundingReach:
 
 
 def test_the_rounding_bounds_what_is_read_off_table_5_5(reach) -> None:
-    """The tolerances are the worst cases, cut to two digits, and the curve reaches them."""
+    """The worst cases are what the curve reaches with each coefficient at its end."""
     base = section_5_6.read_off()
     curve = thesis.outline_curve()
     dimple = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL)
     np.testing.assert_allclose(base[:4], [*dimple.rim, *dimple.bottom])
-    assert list(reach.worst) == ["x_1", "y_1", "x_2", "y_2", "E"]
     for k, (name, worst) in enumerate(reach.worst.items()):
-        if name != "E":
-            assert 0.97 * worst < claim(f"section-5.6/{name}").tolerance <= worst, name
         signs = [np.sign(read[k] - base[k]) for read in map(section_5_6.read_off, np.eye(24))]
         reached = section_5_6.read_off(np.array(signs))[k] - base[k]
         # The extrema move a little more or less than in a straight line.
@@ -93,7 +92,7 @@ def test_the_printed_coordinates_are_barely_possible_together(reach) -> None:
 
 def test_smoothing_alone_departs_from_the_profile_by_less_than_the_limit() -> None:
     scene = section_5_6.rendered_embryo(np.random.default_rng(0))
-    _, curve = section_5_6.smooth_outline(scene, extract_boundary(scene.image))
+    _, curve = section_5_6.smooth_outline(extract_boundary(scene.image))
     share = section_5_6.compare_shape(curve).share
     # 0.085 to 0.088 over four seeds; the limit leaves that and little more.
     assert 0.08 < share < claim("section-4.1/shape").value

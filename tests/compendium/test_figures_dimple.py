@@ -6,7 +6,6 @@ from types import SimpleNamespace
 
 import matplotlib as mpl
 import numpy as np
-import pandas as pd
 import pytest
 
 mpl.use("agg")
@@ -43,20 +42,6 @@ def test_the_printed_outline_has_the_radius_and_depth_of_the_table() -> None:
     x, y = lines["$f_m(x)$,"].T
     parts = zip(curve.amplitudes, curve.centers, curve.widths, strict=True)
     np.testing.assert_allclose(y, sum(a * np.exp(-(((x - b) / c) ** 2)) for a, b, c in parts))
-
-
-def test_forces_are_the_true_ones_over_time() -> None:
-    felt = pd.DataFrame(
-        {"time": [1.0, 8.0], "force": [90.0, 97.0], "low": [80.0, 95.0], "high": [99.0, 99.0]}
-        | {"elastic": [75.0, 150.0]}
-    )
-    force = drawn(dimple.draw_estimated_force(felt).axes[0])["truth"][:, 1]
-    # 40 µN at rest, 206 at the turn, 72 at the end.
-    assert (force[0], force[-1]) == pytest.approx((40, 72))
-    assert force.max() == pytest.approx(206, abs=2)
-    # 40 % of 150 µN relax with 3 s, most of it in the 6 s that the probe is held.
-    relaxed = drawn(dimple.draw_relaxing_force(felt).axes[0])["truth"]
-    assert relaxed[-1] == pytest.approx((8, 97.2), abs=2.0)
 
 
 def test_a_part_of_an_image_keeps_its_coordinates_and_a_bar_its_length() -> None:

@@ -16,7 +16,7 @@ from microlib.membrane import dimple_profile, indent_disc
 from microlib.synthetic import Embryo
 
 PIXEL = manifest()["outline.csv"]["settings"]["pixel_size"]
-X, Y = read_outline(find_input("data/synthetic/outline.csv"))
+X, Y = read_outline(find_input("outline.csv"))
 
 
 @pytest.fixture(scope="module")
