@@ -96,11 +96,13 @@ def dimple_of_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> Measu
     found = [dimple_geometry(curve, pixel_size=pixel_size) for curve in curves]
     spread = np.std([(g.dimple_radius, g.dimple_depth) for g in found], axis=0, ddof=1)
     curve, geometry = curves[1], found[1]
+    radius_std, depth_std = np.sqrt(spread**2 + np.diag(geometry.covariance)).tolist()
     fine = np.linspace(*curve.domain, 600)
     return MeasuredDimple(
         geometry.dimple_radius,
         geometry.dimple_depth,
-        *np.sqrt(spread**2 + np.diag(geometry.covariance)).tolist(),
+        radius_std,
+        depth_std,
         points=pixel_size * np.stack([across, height], axis=1),
         curve=pixel_size * np.stack([fine, curve(fine)], axis=1),
         rim=(pixel_size * geometry.rim[0], pixel_size * geometry.rim[1]),
@@ -153,7 +155,10 @@ def dimple_of_numbers(
     under = np.maximum(np.abs(r), probe_half_width)  # the probe holds the membrane flat
     y = -dimple_profile(under, radius, depth, probe_half_width=probe_half_width)
     return MeasuredDimple(
-        *(float(number) for number in (radius, depth, radius_std, depth_std)),
+        float(radius),
+        float(depth),
+        float(radius_std),
+        float(depth_std),
         points=np.empty((0, 2)),
         curve=np.stack([r, y], axis=1),
         rim=(-float(radius), 0.0),

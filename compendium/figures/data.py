@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -49,7 +50,8 @@ def keep_data(figure: Figure, stem: Path) -> list[Path]:
     The CSV holds one point a row: panel, series, x, y, and the axes' own labels, which carry the
     units. The NPZ holds each image as drawn, its extent, and a text array of what it is.
     """
-    rows, images = [], {}
+    rows: list[list[object]] = []
+    images: dict[str, Any] = {}
     for number, axes in enumerate(figure.axes, 1):
         for series, points in _series(axes):
             labels = [axes.get_xlabel(), axes.get_ylabel()]

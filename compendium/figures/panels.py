@@ -39,8 +39,8 @@ def length(axes: Axes, start: Point, end: Point, text: str = "", away: Point = (
     """Draw a double arrow between two points, with its name `away` from its middle."""
     arrow = {"arrowstyle": "<->", "lw": 1.3, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", end, start, arrowprops=arrow)
-    middle = np.add(start, end) / 2 + away
-    axes.text(*middle, text, ha="center", va="center", fontsize=14)
+    x, y = np.add(start, end) / 2 + away
+    axes.text(x, y, text, ha="center", va="center", fontsize=14)
 
 
 def intervals(axes: Axes, table: pd.DataFrame, x: str, y: str, label: str) -> None:

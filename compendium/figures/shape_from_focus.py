@@ -49,7 +49,8 @@ def draw_focus(
     unit, size = ("px", 1.0) if pixel_size is None else ("µm", pixel_size)
     rows, cols = depth.shape
     figure = plt.figure(figsize=(7.2, 6.2))
-    upper, lower = figure.subfigures(2, 1, height_ratios=(1, 1.2))
+    halves: Any = figure.subfigures(2, 1, height_ratios=(1, 1.2))
+    upper, lower = halves
     pictures = {title: scene.frames[k] for title, k in shown.items()} | {"fused": fused}
     row = upper.subplots(1, len(pictures))
     for axes, (title, picture) in zip(row, pictures.items(), strict=True):

@@ -41,6 +41,7 @@ def test_the_pixels_are_cells_over_magnifications() -> None:
     assert pytest.approx((0.025e-6, 0.05e-6)) == thesis.CONTROL_WEIGHT_MICROMETER
 
 
+@pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
 def test_the_modulus_is_the_printed_one() -> None:
     dimple = dimple_geometry(thesis.outline_curve(), pixel_size=thesis.EMBRYO_PIXEL)
     found = thesis.modulus(dimple.dimple_radius, dimple.dimple_depth)
