@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
-from skimage.filters import threshold_otsu
 
 from microlib._common import Array, as_array, as_image, items, whole
 
@@ -137,6 +136,8 @@ def dark_regions(grey: NDArray[np.float32]) -> Marks:
     smooth: NDArray = cv2.GaussianBlur(grey, (0, 0), _SMOOTHING)
     if not np.ptp(smooth) > 0:
         return _strongest(np.empty((0, 10)), grey, smooth)
+    from skimage.filters import threshold_otsu  # here, as it takes long to import
+
     mask = (smooth < threshold_otsu(smooth)).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
     areas = stats[:, cv2.CC_STAT_AREA].astype(np.float64)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import find_peaks
 from scipy.special import stdtrit
 
 from microlib._common import Array, Tidy, scalar
@@ -173,6 +172,8 @@ def _scale(grey: NDArray[np.float32], angle: float, corner: Array) -> Micrometer
     high = change > (np.nanmin(change) + np.nanmax(change)) / 2
     profile = _mean(upright[high]) if high.any() else np.full(1, np.nan)
     dark = np.nan_to_num(np.nanmax(profile, initial=-np.inf) - profile)
+    from scipy.signal import find_peaks  # here, as it takes long to import
+
     peaks, shape = find_peaks(dark, prominence=np.finfo(float).tiny)
     depth = shape["prominences"]
     places = peaks[depth > _LEAST_PROMINENCE * depth.max(initial=0)].astype(np.float64)

@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates, spline_filter
-from scipy.signal import savgol_filter
 
 from microlib._common import Array, Tidy, as_image, flag, one_of
 from microlib.embryo._probe import CLEARANCE, MARGIN, SMALLEST, Probe, find_probe, remove_probe
@@ -324,6 +323,8 @@ def _refine(
     grey: NDArray[np.float32], sides: list[Array], probe: Probe, clearance: float
 ) -> tuple[list[Array], float]:
     """Move the curves onto the middle of the wall: x, y, std of each side, and the blur."""
+    from scipy.signal import savgol_filter  # here, as it takes long to import
+
     smooth = [savgol_filter(side[:2], _SMOOTHING, 2, axis=1) for side in sides]
     tangent = [savgol_filter(side[:2], _SMOOTHING, 2, deriv=1, axis=1) for side in sides]
     start, along = np.concatenate(smooth, axis=1), np.concatenate(tangent, axis=1)
