@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,3 +61,24 @@ class Detection(Tidy):
             f"{self.image_size[0]}×{self.image_size[1]} px{side}, "
             f"σ {np.median(self.sigma):.2g} px, misfit {self.misfit:.2g}"
         )
+
+    def to_layers(self, *, pixel_size: float = 1.0) -> list[tuple[Array, dict[str, Any], str]]:
+        """Return the points as a layer of napari: for ``Layer.create(*layer)``.
+
+        Parameters
+        ----------
+        pixel_size : float
+            Side of a pixel, µm, if the image is shown to scale.
+
+        Returns
+        -------
+        list of (data, options, type)
+        """
+        values = {"i": self.grid[:, 0], "j": self.grid[:, 1], "sigma": self.sigma}
+        options: dict[str, Any] = {
+            "name": "marks",
+            "scale": (pixel_size, pixel_size),
+            "features": values,
+        }
+        options |= {"face_color": "transparent", "border_color": "orange", "size": 8}
+        return [(self.points[:, ::-1], options, "points")]

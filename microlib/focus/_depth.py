@@ -78,7 +78,7 @@ def depth_from_focus(
         or zarr array of shape (n, rows, cols), which may be larger, is worked on block by block.
     positions : array_like, shape (n,), optional
         Position of each frame along the optical axis, µm, rising or falling, not necessarily even.
-        By default what a TIFF's OME or ImageJ metadata say.
+        By default what a TIFF's OME or ImageJ metadata or an xarray.DataArray say.
     spacing : float, optional
         Distance of the frames instead, µm; the first one is at 0.
     measure : {"multiscale", "sml", "tenengrad", "variance"} or callable
@@ -185,6 +185,11 @@ def depth_from_focus(
     whole("step", step, least=1)
     whole("window", window, least=1, odd=True)
     limit = scalar("threshold", threshold, least=0)
+    labels = None
+    if is_in_blocks(getattr(frames, "data", None)):  # an xarray.DataArray of such blocks
+        labels = read_frames(frames, region=region)
+        positions = labels.positions if positions is None and spacing is None else positions
+        frames = frames.data  # type: ignore[union-attr, assignment]
     if is_in_blocks(frames):
         if measure != "multiscale" or registered or reduce != 1:
             raise ValueError(
@@ -192,13 +197,16 @@ def depth_from_focus(
                 f"measure {measure!r}, register {registered}, reduce {reduce}"
             )
         z = check_positions(positions, spacing, frames.shape[0])  # type: ignore[union-attr]
-        return depth_in_blocks(frames, z, region, points=fit)
+        blocks = depth_in_blocks(frames, z, region, points=fit)
+        if labels is None:
+            return blocks
+        return replace(blocks, pixel_size=labels.pixel_size, origin=labels.origin)
 
     def told(done: float, count: int) -> None:
         if progress is not None:
             progress(round(done), 2 * count)
 
-    stack = open_stack(frames, positions, spacing, region, reduce, told)
+    stack = read = open_stack(frames, positions, spacing, region, reduce, told)
     count, dtype = len(stack.positions), stack.grey[0].dtype
     found: Registered | None = None
     if registered:
@@ -224,6 +232,7 @@ def depth_from_focus(
             else named_measure(measure, window, step, limit)
         )
         result = _single_measure(stack, chosen, fit // 2, done)
+    result = replace(result, pixel_size=read.pixel_size, origin=read.origin)
     return result if found is None else _cut(result, found, dtype)
 
 
@@ -239,11 +248,15 @@ class Stack:
         Their colors, if they have any.
     positions : ndarray of float64, shape (n,)
         Position of each, µm.
+    pixel_size, origin
+        As the frames' reader has them.
     """
 
     grey: list[Image]
     color: list[Image] | None
     positions: Array
+    pixel_size: float | None = None
+    origin: tuple[float, float] = (0.0, 0.0)
 
 
 def open_stack(
@@ -289,9 +302,8 @@ def open_stack(
     if len(raw) != len(z):
         got = len(raw) if len(raw) < len(z) else f"more than {len(z)}"
         raise ValueError(f"frames and positions must be as many, got {got} and {len(z)}")
-    if not reader.color:
-        return Stack(raw, None, z)
-    return Stack([cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in raw], raw, z)
+    grey = [cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in raw] if reader.color else raw
+    return Stack(grey, raw if reader.color else None, z, reader.pixel_size, reader.origin)
 
 
 def check_positions(positions: ArrayLike | None, spacing: float | None, count: int) -> Array:

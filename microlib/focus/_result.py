@@ -46,6 +46,10 @@ class FocusResult(Tidy):
     gain, offset : ndarray, shape (n,), or None
         If the stack was registered: grey levels of the frame are `gain` times those of the middle
         frame, plus `offset`.
+    pixel_size : float or None
+        Side of a pixel of the maps, µm, if the frames told it.
+    origin : (float, float)
+        x and y of the middle of the first pixel, µm, where the pixel size is known.
     """
 
     depth: NDArray[np.float32]
@@ -57,6 +61,8 @@ class FocusResult(Tidy):
     poses: Array | None = None
     gain: Array | None = None
     offset: Array | None = None
+    pixel_size: float | None = None
+    origin: tuple[float, float] = (0.0, 0.0)
 
     def __repr__(self) -> str:
         rows, cols = self.depth.shape
@@ -97,6 +103,50 @@ class FocusResult(Tidy):
             "uncertainty_largest": None if nothing else float(uncertainty.max()),
             "at_end": float(np.asarray(self.at_end).mean()),
         }
+
+    def to_xarray(self) -> Any:
+        """Return the maps with their coordinates; needs xarray.
+
+        Returns
+        -------
+        xarray.Dataset
+            Depth, uncertainty, confidence, frame number, all-in-focus image and `at_end`, over y
+            and x in µm if the pixel size is known.
+        """
+        import xarray  # optional
+
+        names = ("depth", "uncertainty", "confidence", "index", "all_in_focus", "at_end")
+        units = {"depth": {"units": "µm"}, "uncertainty": {"units": "µm"}}
+        maps = {}
+        for name in names:
+            values = getattr(self, name)
+            maps[name] = (("y", "x", "channel")[: values.ndim], values, units.get(name, {}))
+        coords = {}
+        if self.pixel_size is not None:
+            for axis, first, count in zip("xy", self.origin, self.depth.shape[::-1], strict=True):
+                coords[axis] = (axis, first + self.pixel_size * np.arange(count), {"units": "µm"})
+        return xarray.Dataset(maps, coords)
+
+    def to_layers(self) -> list[tuple[Any, dict[str, Any], str]]:
+        """Return the maps as napari's layers, for ``viewer.add_layer(Layer.create(*layer))``.
+
+        Returns
+        -------
+        list of (data, options, type)
+            The all-in-focus image, the depth over it, and the uncertainty, hidden; to scale if the
+            pixel size is known.
+        """
+        size = self.pixel_size or 1.0
+        place = {"scale": (size, size), "translate": self.origin[::-1]}
+        color = self.all_in_focus.ndim == 3
+        sharp = {"name": "all in focus", **({"rgb": True} if color else {"colormap": "gray"})}
+        depth = {"name": "depth (µm)", "colormap": "viridis", "opacity": 0.7}
+        error = {"name": "uncertainty (µm)", "colormap": "magma", "visible": False}
+        return [
+            (self.all_in_focus, sharp | place, "image"),
+            (self.depth, depth | place, "image"),
+            (self.uncertainty, error | place, "image"),
+        ]
 
     def select(self, frames: Frames) -> Image:
         """Return an image of other frames of the same places, such as another channel.

@@ -27,7 +27,9 @@ def read_frames(
     ----------
     frames : array_like, path, or iterable
         An array of shape (n, rows, cols), or (n, rows, cols, 3) in color, or anything with a
-        `shape` like that whose frames are loaded as it is indexed, such as a zarr array; a folder
+        `shape` like that whose frames are loaded as it is indexed, such as a zarr array; an
+        xarray.DataArray, whose coordinates are positions and pixel size, in µm or in the unit that
+        ``attrs["units"]`` names (0, 1, 2, … without a unit only number the pixels); a folder
         or a pattern (``"scan/*.jpg"``) of images, taken in the order of their names and of the
         numbers in them; a multi-page TIFF or OME-TIFF; a video; or an iterable, such as a list or
         a generator, of images or of paths to image files. A TIFF has one axis of frames: depth Z,
@@ -93,6 +95,8 @@ class FrameReader(Iterator[NDArray]):
         Side of a pixel, µm/px.
     positions : ndarray, shape (count,), or None
         Position of each frame along the optical axis, µm.
+    origin : (float, float)
+        x and y of the middle of the first pixel, µm, where the pixel size is known.
     """
 
     def __init__(self, source: Source, color: bool, region: Region | None, reduce: int) -> None:
@@ -100,6 +104,9 @@ class FrameReader(Iterator[NDArray]):
         self.count, self.axis, self.positions = source.count, source.axis, source.positions
         size = source.pixel_size
         self.pixel_size = None if size is None else size * reduce
+        corner = (0, 0) if region is None else region[:2]
+        x, y = ((size or 0.0) * (at + (reduce - 1) / 2) for at in corner)
+        self.origin = (source.origin[0] + x, source.origin[1] + y)
         self.shape: tuple[int, int] = (0, 0)
         self.dtype = np.dtype(np.uint8)
         self.color = False

@@ -1,4 +1,4 @@
-"""Physical sizes and positions that TIFF files carry, in µm."""
+"""Physical sizes and positions that TIFF files and labeled arrays carry, in µm."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import tifffile
 
 from microlib._common import Array
 
-__all__ = ["tiff_scale"]
+__all__ = ["labels_scale", "tiff_scale"]
 
 #: µm in the units that OME and ImageJ name; what is not here has no size, such as "pixel".
 _MICROMETERS = {
@@ -83,3 +83,25 @@ def _square(x: float, y: float) -> float | None:
 
 def _steps(spacing: float, count: int) -> Array | None:
     return spacing * np.arange(count, dtype=float) if spacing and np.isfinite(spacing) else None
+
+
+def labels_scale(frames: Any) -> tuple[float | None, Array | None, tuple[float, float]]:
+    """Return pixel size, positions and origin, µm, as an xarray.DataArray's coordinates tell."""
+    z, y, x = (_coordinate(frames, dim) for dim in frames.dims[:3])
+    if x is None or y is None or min(len(x), len(y)) < 2:
+        return None, z, (0.0, 0.0)
+    steps = np.append(np.diff(x), np.diff(y))
+    if not np.allclose(steps, steps[0], rtol=_SQUARE, atol=0.0) or steps[0] <= 0:
+        return None, z, (0.0, 0.0)
+    return float(steps.mean()), z, (float(x[0]), float(y[0]))
+
+
+def _coordinate(frames: Any, dim: Any) -> Array | None:
+    """Return a coordinate in µm; None if there is none, or if it is the number of the pixel."""
+    if dim not in frames.coords:
+        return None
+    values, unit = frames.coords[dim].values, frames.coords[dim].attrs.get("units")
+    if values.dtype.kind not in "uif" or (unit is None and (np.diff(values) == 1).all()):
+        return None
+    factor = _MICROMETERS.get("µm" if unit is None else str(unit))
+    return None if factor is None else np.asarray(values, dtype=np.float64) * factor

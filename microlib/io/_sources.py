@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from microlib._common import Array, Frames, refuse_masks
+from microlib.io._metadata import labels_scale
 from microlib.io._tiff import is_tiff, tiff_pages, tiff_stack
 
 __all__ = ["UNREADABLE", "Source", "decode", "open_source", "picture"]
@@ -49,6 +50,8 @@ class Source:
         Side of a pixel, µm/px, if the file tells.
     positions : ndarray, shape (count,), or None
         Positions of the frames along the optical axis, µm, if the file tells.
+    origin : (float, float)
+        x and y of the middle of the first pixel, µm, where the pixel size is known.
     """
 
     read: Callable[[], Named]
@@ -56,6 +59,7 @@ class Source:
     axis: str = ""
     pixel_size: float | None = None
     positions: Array | None = None
+    origin: tuple[float, float] = (0.0, 0.0)
 
 
 def open_source(frames: Frames) -> Source:
@@ -104,6 +108,9 @@ def _array(frames: Any) -> Source:
         for k in range(shape[0]):
             yield f"frames[{k}]", np.asarray(frames[k])
 
+    if hasattr(frames, "dims") and hasattr(frames, "coords"):  # xarray's
+        axis = str(frames.dims[0])[:1].upper()
+        return Source(read, shape[0], axis if axis in ("T", "C") else "", *labels_scale(frames))
     return Source(read, count=shape[0])
 
 

@@ -189,6 +189,22 @@ class Track(Tidy):
         share = {"center": self.center, "hidden": float(np.mean(self.hidden))}
         return super().to_dict() | flat_row(share)
 
+    def to_layers(self, *, pixel_size: float = 1.0) -> list[tuple[Any, dict[str, Any], str]]:
+        """Return the box as a layer of napari: for ``Layer.create(*layer)``.
+
+        Parameters
+        ----------
+        pixel_size : float
+            Side of a pixel, µm, if the frame is shown to scale.
+
+        Returns
+        -------
+        list of (data, options, type)
+        """
+        options = {"name": "lost" if self.lost else "track", "scale": (pixel_size, pixel_size)}
+        options |= {"face_color": "transparent", "edge_color": "red" if self.lost else "yellow"}
+        return [([self.corners[:, ::-1]], options | {"shape_type": "polygon"}, "shapes")]
+
     @property
     def center(self) -> Array:
         """Mean of the corners, (x, y) in px: the feature that §5.4 servos on."""

@@ -1,0 +1,93 @@
+"""What comes from xarray is used and given back, and what napari is given, it can show."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from microlib import synthetic
+from microlib.calibration import detect_circles
+from microlib.focus import FocusResult, depth_from_focus
+from microlib.io import read_frames
+from microlib.microscope import Microscope
+from microlib.tracking import ESMTracker
+
+Z = np.array([0.0, 10.0, 20.0, 31.0, 40.0, 50.0, 60.0, 70.0, 80.0])
+#: What napari's layers take of what is used here.
+OPTIONS = {
+    "image": {"name", "scale", "translate", "rgb", "colormap", "opacity", "visible"},
+    "points": {"name", "scale", "features", "face_color", "border_color", "size"},
+    "shapes": {"name", "scale", "face_color", "edge_color", "shape_type"},
+}
+
+
+def stack() -> np.ndarray:
+    texture = synthetic.mixed_texture((64, 80), np.random.default_rng(0))
+    return synthetic.focal_stack(texture, np.full((64, 80), 42.0), Z, blur_rate=0.1)
+
+
+def labeled(unit: str = "µm", per_um: float = 1.0):
+    xarray = pytest.importorskip("xarray")
+    at = {"z": Z, "y": 100 + 2.0 * np.arange(64), "x": 300 + 2.0 * np.arange(80)}
+    coords = {axis: (axis, values * per_um, {"units": unit}) for axis, values in at.items()}
+    return xarray.DataArray(stack(), coords, ("z", "y", "x"))
+
+
+@pytest.mark.parametrize(("unit", "per_um"), [("µm", 1.0), ("nm", 1e3), ("mm", 1e-3)])
+def test_coordinates_are_used(unit: str, per_um: float) -> None:
+    reader = read_frames(labeled(unit, per_um))
+    assert reader.pixel_size == pytest.approx(2.0)
+    assert reader.positions == pytest.approx(Z)
+    assert reader.origin == pytest.approx((300.0, 100.0))
+
+
+def test_coordinates_are_given_back() -> None:
+    frames = labeled()
+    found = depth_from_focus(frames)
+    np.testing.assert_allclose(found.depth, depth_from_focus(stack(), Z).depth, atol=1e-3)
+    back = found.to_xarray()
+    np.testing.assert_allclose(back["x"], frames["x"])
+    np.testing.assert_allclose(back["y"], frames["y"])
+    assert float(back["depth"].sel(x=380, y=150)) == pytest.approx(42.0, abs=1.0)
+    part = depth_from_focus(frames, region=(10, 20, 40, 30), reduce=2).to_xarray()
+    np.testing.assert_allclose(part["x"], 300 + 2 * (10.5 + 2 * np.arange(20)))
+    np.testing.assert_allclose(part["y"], 100 + 2 * (20.5 + 2 * np.arange(15)))
+
+
+def test_blocks_with_coordinates_stay_blocks() -> None:
+    pytest.importorskip("dask")
+    frames = labeled()
+    back = depth_from_focus(frames.chunk({"y": 64, "x": 80})).to_xarray()
+    assert back["depth"].chunks
+    np.testing.assert_allclose(back["x"], frames["x"])
+    # Single precision: a thousandth of a µm is far above its rounding.
+    np.testing.assert_allclose(back["depth"], depth_from_focus(stack(), Z).depth, atol=1e-3)
+
+
+def test_numbers_of_pixels_are_no_scale() -> None:
+    frames = labeled().drop_vars(["x", "y"]).assign_coords(x=np.arange(80), y=np.arange(64))
+    assert read_frames(frames).pixel_size is None
+    assert read_frames(frames.assign_coords(z=("z", Z, {"units": "V"}))).positions is None
+    with pytest.raises(ValueError, match="must differ in focus"):
+        depth_from_focus(frames.rename(z="time"))
+
+
+def check(layers: list, shape: tuple[int, ...] = ()) -> None:
+    for data, options, kind in layers:
+        assert options.keys() <= OPTIONS[kind]
+        assert len(options["scale"]) == 2
+        assert kind != "image" or data.shape[:2] == shape
+
+
+def test_layers_are_napari_s() -> None:
+    found: FocusResult = depth_from_focus(stack(), Z)
+    check(found.to_layers(), (64, 80))
+    scope = Microscope(2e5, 126000, 79380, tx=-900, ty=-700)
+    marks = detect_circles(synthetic.render_circles(scope, pitch=280.0))
+    check(marks.to_layers(pixel_size=6.2))
+    assert marks.to_layers()[0][0][0] == pytest.approx(marks.points[0][::-1])  # rows first
+    frame = stack()[4]
+    track = ESMTracker(frame, (20, 10, 30, 24)).track(frame)
+    check(track.to_layers())
+    ((polygon,), *_) = track.to_layers()[0]
+    assert polygon[0] == pytest.approx((10, 20), abs=0.01)
