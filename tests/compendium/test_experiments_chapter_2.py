@@ -22,19 +22,6 @@ def scope() -> Microscope:
     return replace(printed, tube_length=1.59 * focal, distance=focal / 1.59)
 
 
-def test_the_grid_fills_the_view_and_no_more(scope) -> None:
-    points = chapter_2.grid_in_view(scope)
-    seen = scope.project(points)
-    width, height = scope.image_size
-    assert (seen > 5).all()
-    assert (seen < (width - 6, height - 6)).all()
-    np.testing.assert_allclose(points / 280, np.round(points / 280))
-    assert len(np.unique(points, axis=0)) == len(points)
-    # A cell of the grid covers 280² µm² of the view; points within half a pitch of its edge differ.
-    view = np.prod(np.array(scope.image_size) - 11) * np.prod(scope.cell / scope.magnification)
-    assert len(points) == pytest.approx(view / 280**2, rel=0.1)
-
-
 def test_points_without_noise_lead_back_to_the_truth(scope) -> None:
     steps = chapter_2.calibration_steps(scope, 0.0, np.random.default_rng(0))
     np.testing.assert_allclose(steps["refined"], steps["truth"], rtol=1e-5)
@@ -60,27 +47,12 @@ def test_forces_grow_with_their_powers_of_the_size() -> None:
     assert water["surface tension"] == pytest.approx(water["weight"])
 
 
-@pytest.mark.parametrize("angle", [0, 60, 95])
-def test_a_turned_camera_slows_the_decay_by_its_cosine(angle) -> None:
-    times = np.array([0.0, 1.0])
-    path = chapter_2.turned_camera([angle], 2.0, times)[angle]
-    decay = np.exp(-2.0 * np.cos(np.deg2rad(angle)))
-    np.testing.assert_allclose(np.hypot(*path.T), [50, 50 * decay], rtol=1e-9)
-
-
 def test_one_direction_of_the_lengths_is_invisible(scope) -> None:
     table, weakest = identifiability.directions(scope)
     values = table["singular value"]
     assert values.iloc[-1] < 1e-12 * values.iloc[0] < values.iloc[-2]
     lengths = [weakest[name] for name in ("tube_length", "focal_length", "distance")]
     np.testing.assert_allclose(lengths, [-1, 1, -1], atol=1e-6)
-
-
-@pytest.mark.parametrize("degrees", [0.0, 2.0, 20.0])
-def test_a_pattern_is_tilted_by_what_was_asked(scope, degrees) -> None:
-    # Two turns that are not small do not quite add as a vector.
-    normal = identifiability.tilted(scope, degrees).rotation[2, 2]
-    assert np.rad2deg(np.arccos(normal)) == pytest.approx(degrees, rel=0.005, abs=1e-6)
 
 
 def test_the_study_loses_f_on_a_parallel_plane_and_keeps_m(scope, monkeypatch) -> None:
@@ -128,9 +100,3 @@ def test_simulated_loops_decay_where_their_poles_say() -> None:
 def test_the_limits_that_chapter_2_states(delay, limit) -> None:
     assert abs(loop_poles(0.998 * limit, delay)[0]) < 1
     assert abs(loop_poles(1.002 * limit, delay)[0]) > 1
-
-
-def test_the_thesis_gain_bears_little_more_than_a_frame() -> None:
-    gain = 0.99883  # 2.2/thesis-gain
-    assert 0.999 < abs(loop_poles(gain, 1.0)[0]) < 1
-    assert abs(loop_poles(gain, 1.05)[0]) > 1

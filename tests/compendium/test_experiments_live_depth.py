@@ -6,24 +6,7 @@ import numpy as np
 import pytest
 
 from compendium.experiments import live_depth
-from compendium.experiments.live_depth import POSITIONS, SCENES, frames_of, microscope, saved
-
-
-def test_the_drive_shows_the_nearest_frame_and_takes_its_time() -> None:
-    stack = np.arange(len(POSITIONS), dtype=np.uint8)[:, None, None] + np.zeros((1, 4, 5), np.uint8)
-    scope = microscope(stack)
-    scope.focus.move_to(np.array([POSITIONS[5] + 5.0]))
-    assert scope.focus.moving()
-    scope.clock.sleep(0.2)
-    assert not scope.focus.moving()
-    assert (scope.camera.snap()[0] == 5).all()
-    scope.focus.move_to(np.array([POSITIONS[5] + 7.0]))
-    scope.clock.sleep(0.01)
-    assert (scope.camera.snap()[0] == 6).all()
-    before = scope.focus.position()[0]
-    scope.focus.move_to(np.array([before + 200.0]))
-    scope.clock.sleep(0.05)
-    assert scope.focus.position()[0] - before == pytest.approx(100.0, abs=0.1)  # 2000 µm/s
+from compendium.experiments.live_depth import POSITIONS, SCENES, frames_of, saved
 
 
 def test_scenes_lie_within_the_positions_and_differ() -> None:
@@ -43,15 +26,6 @@ def test_scenes_lie_within_the_positions_and_differ() -> None:
     # In focus at its height: neighbors differ most there.
     left = np.abs(np.diff(flat[:, :, :50], axis=2)).mean(axis=(1, 2))
     assert POSITIONS[left.argmax()] == 0.0
-
-
-def test_a_part_is_put_on_a_copy() -> None:
-    below = np.zeros((40, 48))
-    above = live_depth.small_part(below)
-    assert (above.max(), below.max()) == (100.0, 0.0)
-    # A square of 12 px, its corner at a quarter of the sides.
-    assert (above > 0).sum() == 144
-    assert above[10:22, 12:24].min() == 100.0
 
 
 def test_what_is_saved_and_seen_is_counted(monkeypatch) -> None:

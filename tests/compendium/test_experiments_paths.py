@@ -29,10 +29,3 @@ def test_the_sinusoid_advances_evenly_and_has_its_crests():
     # Crests a quarter of 50 px in, which falls between samples: 1 − cos(2π/100) = 0.2 % off.
     assert path[:, 1].max() == pytest.approx(20.0, rel=0.002)
     np.testing.assert_allclose(path[:50, 1], path[50:, 1], atol=1e-9)
-
-
-def test_the_circle_is_one_and_the_square_has_corners():
-    circle = circle_path(50.0, 40.0, 0.03)
-    np.testing.assert_allclose(np.hypot(circle[:, 0] + 50, circle[:, 1]), 50)
-    square = square_path(80.0, 80.0, 0.5)
-    np.testing.assert_allclose(square[::2], [[0, 0], [80, 0], [80, 80], [0, 80]])

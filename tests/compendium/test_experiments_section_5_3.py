@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from compendium.experiments import section_5_3
@@ -19,14 +18,6 @@ def test_the_gripper_is_found_where_it_was_put() -> None:
         assert then.center - first.center == pytest.approx([17.5, -13.2], abs=0.1)
         side = np.linalg.norm(first.corners[1] - first.corners[0])
         assert side == pytest.approx(section_5_3.WINDOWS[zoom], abs=1.5)
-
-
-def test_the_figure_shows_two_frames_at_each_zoom() -> None:
-    shown = section_5_3.gripper_tracks(3)
-    labels = [label for label, _, _ in shown]
-    assert labels == [f"{z}, at ({p}) px" for z in ("1X", "4X") for p in ("−15, 10", "8.3, −6.6")]
-    for (_, _, before), (_, _, after) in zip(shown[::2], shown[1::2], strict=True):
-        assert after.center - before.center == pytest.approx([23.3, -16.6], abs=0.2)
 
 
 def test_speed_ends_tracking() -> None:
@@ -48,9 +39,3 @@ def test_the_error_is_a_few_hundredths_of_a_pixel_at_the_printed_speed() -> None
     """The frames have noise: an error of zero would be none that was measured."""
     assert 0.001 < section_5_3.largest_error(250.0, [2, 0], True) < 0.1
     assert section_5_3.largest_error(4000.0, [2, 0], True) == np.inf
-
-
-def test_no_speed_is_followed_if_the_slowest_is_not() -> None:
-    shares = pd.Series([0.9, 1.0], index=[100.0, 200.0])
-    assert section_5_3.fastest_followed(shares) == 0.0
-    assert section_5_3.fastest_followed(shares[::-1]) == 200.0

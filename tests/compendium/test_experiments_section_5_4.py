@@ -35,15 +35,6 @@ def medians(station: section_5_4.Workstation, draws: int) -> dict[str, float]:
     return dict(zip(table["claim"], table["value"], strict=True))
 
 
-def test_what_a_sample_leaves_is_the_formula() -> None:
-    """l / (T² j² q + l), for the x axis."""
-    t, q, ell = thesis.FRAME_INTERVAL, claim("section-5.4/Q").value, claim("section-5.4/L-x").value
-    for unit in (1000.0, 1.0):
-        j = unit * 1.5893 / 9.9
-        expected = ell / (t**2 * j**2 * q + ell)
-        assert section_5_4.error_left("1X", unit) == pytest.approx(expected)
-
-
 @pytest.mark.parametrize("latency", [0.0, 0.01, 0.029])
 def test_many_runs_at_once_measure_what_the_library_does(latency: float) -> None:
     """Two loops over the same draws: they differ by rounding, of features within 200 px."""
@@ -95,29 +86,6 @@ def test_disturbances_act_where_they_should() -> None:
     np.testing.assert_array_equal(command[0, 7], command[0, 6])
     assert np.abs(measured[0, 8]).max() < 0.05  # the step begins a frame late
     assert measured[0, 9] == pytest.approx([1.0, 0.0], abs=0.02)
-
-
-def test_the_calibration_is_drawn_wrong_by_a_per_cent() -> None:
-    rng = np.random.default_rng(1)
-    drawn = np.array(
-        [section_5_4.drawn_jacobian("1X", rng, section_5_4.ASSUMED) for _ in range(2000)]
-    )
-    first = drawn[:, :, 0] * thesis.effective_pixel("1X")
-    # Two thousand draws know a standard deviation to 1.6 %.
-    assert np.linalg.norm(first, axis=1).std() == pytest.approx(0.01, rel=0.07)
-    assert np.arctan2(first[:, 1], first[:, 0]).std() == pytest.approx(np.pi / 180, rel=0.07)
-
-
-@pytest.mark.parametrize("band", [0.03, 0.05])
-def test_the_speeds_found_give_the_printed_times(band: float) -> None:
-    assumed = section_5_4.Assumed(band=band)
-    for zoom, speed in section_5_4.find_saturation(assumed).items():
-        (time,) = section_5_4.settling_times(zoom, speed, assumed.latency, band)
-        printed = claim(f"table-5.3/{zoom}/settling-time").value
-        assert abs(time - printed) < thesis.FRAME_INTERVAL  # times come a frame apart
-        # A saturated stage needs the way to the band over its speed, and at most three frames more.
-        least = (1 - band) * 50 * thesis.effective_pixel(zoom) / speed
-        assert least - thesis.FRAME_INTERVAL < time < least + 4 * thesis.FRAME_INTERVAL
 
 
 def test_the_identified_workstation_gives_the_printed_numbers() -> None:
@@ -263,16 +231,6 @@ def test_a_number_beyond_those_tried_is_refused() -> None:
     id = "table-5.4/1X/circle/accuracy"
     with pytest.raises(ValueError, match=f"must give {id}, printed 7.72, got 1 to 2"):
         section_5_4.within(np.array([1.0, 2.0]), np.array([1.0, 2.0]), id)
-
-
-def test_one_speed_for_both_zooms_is_that_of_1X(station) -> None:
-    other = section_5_4.under(station, section_5_4.OTHER_READINGS["band 3 %, one speed"])
-    assert other.saturation["4X"] == other.saturation["1X"] > 300
-    assert 0.015 < other.assumed.latency < thesis.FRAME_INTERVAL
-    for zoom in thesis.ZOOMS:
-        time = np.median(other.steps(zoom, 9)[:, 0])
-        printed = claim(f"table-5.3/{zoom}/settling-time").value
-        assert time == pytest.approx(printed, abs=thesis.FRAME_INTERVAL)
 
 
 def test_each_reading_gives_each_predicted_number_a_verdict(station, monkeypatch) -> None:

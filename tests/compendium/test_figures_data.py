@@ -12,7 +12,7 @@ import pytest
 mpl.use("agg")
 import matplotlib.pyplot as plt
 
-from compendium.figures.data import FOLDER_VARIABLE, keep_data, show
+from compendium.figures.data import keep_data
 
 
 @pytest.fixture(autouse=True)
@@ -58,18 +58,3 @@ def test_images_are_kept_as_they_are(tmp_path: Path) -> None:
         np.testing.assert_array_equal(kept["panel2_image1"], second)
         assert kept["panel_titles"].tolist() == ["height", ""]
         assert len(kept.files) == 3
-
-
-def test_data_is_kept_where_the_variable_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shown = []
-    monkeypatch.setattr(plt, "show", lambda: shown.append(1))
-    plt.plot([1, 2], [3, 4])
-    monkeypatch.delenv(FOLDER_VARIABLE, raising=False)
-    show("d")
-    assert list(tmp_path.iterdir()) == []
-    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
-    show("d")
-    assert {path.name for path in tmp_path.iterdir()} == {"d.csv"}
-    assert len(shown) == 2

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -53,14 +51,3 @@ def test_a_part_of_an_image_keeps_its_coordinates_and_a_bar_its_length() -> None
     embryo.add_scale_bar(axes, 150.0, 7.5)
     assert np.ptp(axes.lines[0].get_xdata()) == pytest.approx(20.0)
     assert axes.texts[0].get_text() == "150 µm"
-
-
-def test_an_outline_is_apart_where_the_probe_hides_it() -> None:
-    x = np.arange(20.0, 60.0)
-    under = np.abs(x - 41) < 3
-    points, probe = np.column_stack([x, x**2]), SimpleNamespace(tip=(41.0, 9.0))
-    _, axes = plt.subplots()
-    embryo.show_outline(axes, SimpleNamespace(points=points, under_probe=under, probe=probe))
-    left, right, hidden = (line.get_xydata() for line in axes.lines)
-    np.testing.assert_array_equal(np.concatenate([left, right]), points[~under])
-    np.testing.assert_array_equal(hidden, points[under])

@@ -5,7 +5,6 @@ import re
 
 import matplotlib as mpl
 import numpy as np
-import pytest
 
 mpl.use("agg")
 import matplotlib.pyplot as plt
@@ -47,13 +46,3 @@ def test_every_type_has_a_color_and_the_legend_names_those_that_occur():
     colors = axes.images[0].to_rgba(axes.images[0].get_array())
     np.testing.assert_allclose(colors[1, 1], mpl.colors.to_rgba(HK_COLORS[9]), atol=0.01)
     plt.close(figure)
-
-
-@pytest.mark.parametrize(("span", "digits"), [(500.0, 1), (0.004, 6), (2e6, 0)])
-def test_heights_are_written_to_a_thousandth_of_their_range(span, digits):
-    height = span * np.random.default_rng(3).random((12, 15))
-    height[0, :2] = 0, span
-    height += 30 * span  # wherever the heights are counted from
-    html = turnable_surface(height, 1.0, name="s", title="t").data
-    data = json.loads(re.search(r"Plotly\.newPlot\(\s*\"s\",\s*(\[.*?\]),\s*\{", html, re.S)[1])
-    np.testing.assert_array_equal(data[0]["z"], np.round(height, digits))

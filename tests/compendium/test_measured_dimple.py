@@ -12,7 +12,7 @@ from compendium.measured_dimple import (
     dimple_of_outline,
     disc_moduli,
 )
-from microlib.membrane import dimple_profile, indent_disc
+from microlib.membrane import indent_disc
 from microlib.synthetic import Embryo
 
 PIXEL = manifest()["outline.csv"]["settings"]["pixel_size"]
@@ -58,20 +58,6 @@ def test_without_a_dimple_there_is_no_number() -> None:
     for few in (0, 20):
         with pytest.raises(ValueError, match="outline must hold at least 24 points around"):
             dimple_of_outline(X[:few], Y[:few], pixel_size=PIXEL)
-
-
-def test_two_numbers_are_taken_as_they_are() -> None:
-    dimple = dimple_of_numbers(250.0, 40, radius_std=2, depth_std=1, probe_half_width=25.0)
-    assert (dimple.radius, dimple.depth) == (250.0, 40.0)
-    assert (dimple.radius_std, dimple.depth_std) == (2.0, 1.0)
-    assert dimple.points.shape == (0, 2)
-    x, y = dimple.curve.T
-    beside = np.abs(x) >= 25.0
-    profile = dimple_profile(
-        np.minimum(np.abs(x[beside]), 250.0), 250.0, 40.0, probe_half_width=25.0
-    )
-    np.testing.assert_allclose(y[beside], -profile, atol=1e-9)
-    np.testing.assert_allclose(y[~beside], -40.0)
 
 
 @pytest.mark.parametrize(("radius", "depth"), [(250.0, None), (None, 40.0)])

@@ -13,10 +13,6 @@ import pandas as pd
 import pytest
 import tifffile
 
-from microlib.embryo import modulus_from_image
-from microlib.io import read_grey
-from microlib.membrane import SmallSlopeWarning
-
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "data" / "synthetic"
 
@@ -62,17 +58,3 @@ def test_the_inputs_are_made_again(tmp_path: Path) -> None:
         else:
             assert np.abs(made - kept).max() <= 1, path.name
             assert (made != kept).mean() < 1e-3, path.name
-
-
-def test_the_embryo_gives_its_modulus_back() -> None:
-    with pytest.warns(SmallSlopeWarning):
-        found = modulus_from_image(
-            read_grey(FOLDER / "embryo.png"),
-            113.75,
-            pixel_size=3.875,
-            thickness=3.0,
-            probe_half_width=25.0,
-            poisson_ratio=0.5,
-        )
-    # One image leaves about 1.4 % open; four times that.
-    assert np.log(found.modulus / 1.3) == pytest.approx(0.0, abs=0.056)
