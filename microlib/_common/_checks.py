@@ -6,7 +6,6 @@ came and what is needed.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -62,39 +61,25 @@ def as_array(
     if array.dtype.kind == "f":
         if largest is None:
             largest = LARGEST if array.dtype == np.float64 else _LARGEST_SINGLE
-        if not are_small(array, largest):
-            _refuse_absurd(name, array, finite, largest)
+        # One pass without a copy tells that all are finite and small; else a closer look must.
+        if not np.vdot(array, array) <= largest**2:
+            known = array[np.isfinite(array)]
+            if finite and (bad := array.size - known.size):
+                got = f"{bad} NaN or infinite of {array.size}" if array.ndim else f"{array[()]}"
+                raise ValueError(f"{name} must be finite, got {got}")
+            if known.size and abs(worst := max(known.min(), known.max(), key=abs)) > largest:
+                raise ValueError(f"{name} must lie within ±{largest:g}, got {worst:g}")
     return array
 
 
 def refuse_masks(name: str, value: object) -> None:
     """Refuse a masked array, or a sequence of them."""
-    masked = isinstance(value, np.ma.MaskedArray) or (
-        isinstance(value, (list, tuple)) and any(isinstance(v, np.ma.MaskedArray) for v in value)
-    )
-    if masked:
+    parts = value if isinstance(value, (list, tuple)) else [value]
+    if any(isinstance(part, np.ma.MaskedArray) for part in parts):
         raise ValueError(
-            f"{name} must be without a mask, which would be dropped: got a masked array; cut the "
-            "masked values out, or mark unknown ones with NaN where that is allowed"
+            f"{name} must be without a mask, got a masked array; cut the masked values out, or "
+            "mark unknown ones with NaN where that is allowed"
         )
-
-
-def are_small(array: NDArray, largest: float) -> bool:
-    """Return True only if all numbers are finite and the root of their squares' sum is small.
-
-    One pass without a copy; where it says no, a closer look must tell.
-    """
-    return bool(np.vdot(array, array) <= largest**2)
-
-
-def _refuse_absurd(name: str, array: NDArray, finite: bool, largest: float) -> None:
-    known = array[np.isfinite(array)]
-    if finite and known.size < array.size:
-        bad = array.size - known.size
-        raise ValueError(f"{name} must be finite, got {bad} NaN or infinite of {array.size}")
-    if known.size and np.abs(known).max() > largest:
-        worst = known[np.abs(known).argmax()]
-        raise ValueError(f"{name} must lie within ±{largest:g}, got {worst:g}")
 
 
 def as_image(name: str, value: ArrayLike, *, smallest: int = 1) -> NDArray:
@@ -129,11 +114,11 @@ def scalar(
     It must exceed `above`, be at least `least` and at most `most`, and lie `within` the open
     interval, or the closed one if `closed`.
     """
-    number = _number(name, value)
-    if not math.isfinite(number):
-        raise ValueError(f"{name} must be finite, got {number}")
-    if abs(number) > LARGEST:
-        raise ValueError(f"{name} must lie within ±{LARGEST:g}, got {number:g}")
+    number = value
+    if type(number) is not float or not abs(number) <= LARGEST:
+        if isinstance(value, (bool, np.bool_, Sequence)) or getattr(value, "ndim", None):
+            raise ValueError(f"{name} must be a single number, got {_brief(value)}")
+        number = float(as_array(name, value))  # type: ignore[arg-type]
     need = None
     if above is not None and not number > above:
         need = "positive" if above == 0 else f"above {above:g}"
@@ -146,25 +131,8 @@ def scalar(
     if need:
         raise ValueError(f"{name} must be {need}, got {number:g}")
     if within is not None:
-        low, high = within
-        if not (low <= number <= high if closed else low < number < high):
-            brackets = "[]" if closed else "()"
-            raise ValueError(
-                f"{name} must lie in {brackets[0]}{low:g}, {high:g}{brackets[1]}, got {number:g}"
-            )
+        between(name, number, *within, closed=closed)
     return number
-
-
-def _number(name: str, value: object) -> float:
-    if type(value) is float:
-        return value
-    # NumPy's own numbers and arrays of no dimension count as numbers, its truth values do not.
-    plain = isinstance(value, (int, float, np.number, np.ndarray))
-    array = np.asarray(value) if plain and not isinstance(value, np.ma.MaskedArray) else None
-    if array is None or array.ndim > 0 or array.dtype.kind not in "uif":
-        came = f"shape {array.shape}" if array is not None and array.ndim else _brief(value)
-        raise ValueError(f"{name} must be a single number, got {came}")
-    return float(array)
 
 
 def between(name: str, value: ArrayLike, low: float, high: float, *, closed: bool = False) -> Array:

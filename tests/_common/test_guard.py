@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import signal
 import time
-from threading import Event, Thread
+from threading import Event
 
 import numpy as np
 import pytest
 
-from microlib._common import POLL, DeviceError, EndRun, Guard, interrupts
+from microlib._common import POLL, DeviceError, EndRun, Guard
 
 
 class Clock:
@@ -55,12 +55,6 @@ def guard_of(stage: Stage | None = None, timeout: float = 1.0) -> tuple[Guard, C
     return Guard(clock, stage, timeout), clock, stage
 
 
-def test_what_a_device_answers_is_returned() -> None:
-    guard, _, stage = guard_of()
-    assert guard.call(divmod, 7, 2) == (3, 1)
-    assert stage.stops == 0
-
-
 def test_what_a_device_raises_is_told_with_its_name() -> None:
     guard, _, stage = guard_of()
 
@@ -100,22 +94,6 @@ def test_a_device_that_hangs_is_given_up_and_the_stage_stopped_when_it_answers()
     assert stage.stops == 1
 
 
-def test_what_fails_while_a_device_is_waited_for_ends_the_call() -> None:
-    guard, _, stage = guard_of()
-    free = Event()
-
-    def fail() -> None:
-        raise EndRun("too late")
-
-    with pytest.raises(EndRun, match="too late"):
-        guard.call(free.wait, 10.0, waiting=fail)
-    free.set()
-    end = time.monotonic() + 5.0
-    while not stage.stops and time.monotonic() < end:
-        time.sleep(0.001)
-    assert stage.stops == 1
-
-
 def test_a_pause_lasts_and_lets_an_interrupt_between() -> None:
     guard, clock, _ = guard_of()
     guard.pause(5 * POLL + 0.007)
@@ -131,15 +109,6 @@ def test_a_pause_lasts_and_lets_an_interrupt_between() -> None:
     assert len(clock.slept) == 6
 
 
-def test_a_stage_is_waited_for_until_it_stands() -> None:
-    guard, clock, stage = guard_of(Stage(questions=5))
-    seen: list[float] = []
-    guard.settle(lambda: seen.append(clock.now()))
-    assert len(seen) == 5
-    assert stage.questions == -1
-    assert clock.now() == pytest.approx(100 + 5 * POLL / 10)
-
-
 def test_a_stage_that_never_stands_ends_the_run() -> None:
     # Long beside the moment that this takes in real time, which ends a wait, too.
     guard, clock, _ = guard_of(Stage(questions=10**9), timeout=5.0)
@@ -148,50 +117,27 @@ def test_a_stage_that_never_stands_ends_the_run() -> None:
     assert 105.0 < clock.now() < 105.1
 
 
-def test_a_stage_whose_clock_is_slow_is_waited_for_in_real_time() -> None:
-    guard, clock, _ = guard_of(Stage(questions=10**9), timeout=0.05)
-    ticks = clock.sleep
-
-    def slow(seconds: float) -> None:
-        time.sleep(0.005)
-        ticks(0.001)
-
-    clock.sleep = slow  # type: ignore[method-assign]
-    with pytest.raises(DeviceError, match="still moves"):
-        guard.settle()
-    assert clock.now() < 100.04
-
-
 @pytest.mark.parametrize(
     ("refusals", "said"), [(0, ""), (2, ""), (3, "stop failed: OSError: busy")]
 )
 def test_a_stop_is_tried_three_times(refusals: int, said: str) -> None:
     guard, _, stage = guard_of(Stage(refusals=refusals))
-    guard.interrupted.set()  # which must not keep the stage from being stopped
-    assert guard.halt() == said
+    end = guard.run(lambda: "")
+    assert (end.complete, end.still) == (not said, not said)
+    assert said in end.reason
     assert stage.stops == min(refusals + 1, 3)
 
 
-def test_a_stop_that_does_not_stop_is_told() -> None:
-    guard, _, stage = guard_of(Stage(questions=10**9), timeout=0.02)
-    assert guard.halt() == "the stage still moves after 0.02 s"
-    assert stage.stops == 3
+def test_ctrl_c_ends_a_run_once_the_stage_stands() -> None:
+    guard, _, stage = guard_of()
+    before = signal.getsignal(signal.SIGINT)
 
-
-def test_ctrl_c_sets_the_flag_in_the_main_thread_only() -> None:
-    flag, before = Event(), signal.getsignal(signal.SIGINT)
-    with interrupts(flag):
-        assert signal.getsignal(signal.SIGINT) is not before
+    def work() -> str:
         signal.raise_signal(signal.SIGINT)
-    assert flag.is_set()
+        guard.check()
+        return ""
+
+    end = guard.run(work)
+    assert (end.reason, end.complete, end.still) == ("interrupted by the user", False, True)
+    assert stage.stops == 1
     assert signal.getsignal(signal.SIGINT) is before
-    during = []
-
-    def elsewhere() -> None:
-        with interrupts(Event()):
-            during.append(signal.getsignal(signal.SIGINT))
-
-    thread = Thread(target=elsewhere)
-    thread.start()
-    thread.join()
-    assert during == [before]
