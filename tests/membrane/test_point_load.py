@@ -206,7 +206,7 @@ def test_steep_dimples_warn() -> None:
     ("change", "message"),
     [
         ({"force": -1.0}, "force must be positive, got -1"),
-        ({"force": np.nan}, "force must be finite, got 1 NaN"),
+        ({"force": np.nan}, "force must be finite, got nan"),
         ({"force": []}, "force must not be empty"),
         ({"force": "ten"}, "force must hold real numbers"),
         ({"dimple_radius": 20.0}, "probe_half_width must be below dimple_radius"),
