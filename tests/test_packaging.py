@@ -46,6 +46,7 @@ def test_the_version_is_the_same_everywhere() -> None:
     stated = PROJECT["project"]["version"]
     assert microlib.__version__ == stated
     assert f"\nversion: {stated}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"version = {{{stated}}}" in (ROOT / "book" / "intro.md").read_text(encoding="utf-8")
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert re.findall(r"^## \[?([\d.]+)", changes, flags=re.M)[0] == stated
 
