@@ -133,7 +133,7 @@ def process_files(
         else:  # new columns, or a row that changes
             columns = list(dict.fromkeys([*columns, *row]))
             text = pd.DataFrame(list(rows.values()), columns=columns).to_csv(index=False)
-            _replace(target, text)
+            replace_file(target, partial(Path.write_bytes, data=text.encode()))
     found = pd.read_csv(target, dtype=dict.fromkeys(("file", "error", "work"), str))
     found = found.fillna({"error": ""}).set_index("file", drop=False).rename_axis(None)
     return found.loc[[str(path) for path in paths]].reset_index(drop=True)
@@ -143,9 +143,11 @@ def _paths(files: object) -> list[Path]:
     if isinstance(files, str):
         names: list[Any] = sorted(glob(str(Path(files).expanduser()), recursive=True))
     else:
-        if not isinstance(files, Iterable):
-            raise ValueError(f"files must be paths or a pattern, got {type(files).__name__}")
-        names = list(files)
+        try:
+            names = list(files)  # type: ignore[call-overload]
+        except TypeError:
+            kind = type(files).__name__
+            raise ValueError(f"files must be paths or a pattern, got {kind}") from None
         for name in names:
             of_kind("files", name, str, PathLike)
     found = [Path(name).expanduser() for name in names]
@@ -190,12 +192,9 @@ def _read(path: Path, description: str) -> dict[str, dict[str, Any]]:
             f"{description}: name another file"
         )
     if not text.endswith("\n"):  # what follows would be appended to the row that was cut off
-        _replace(path, text[: text.rfind("\n") + 1])
+        whole = text[: text.rfind("\n") + 1]
+        replace_file(path, lambda file: file.write_bytes(whole.encode()))
     return {row["file"]: row for row in rows}
-
-
-def _replace(path: Path, text: str) -> None:
-    replace_file(path, lambda file: file.write_bytes(text.encode()))
 
 
 def _rows(
