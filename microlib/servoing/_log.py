@@ -30,16 +30,9 @@ COLUMNS: dict[str, str] = {
 
 def new_row(time: float, phase: str, target: int) -> dict[str, Any]:
     """Return a row in which nothing is known yet."""
-    row: dict[str, Any] = {
-        name: float("nan") for name, kind in COLUMNS.items() if kind == "float64"
-    }
-    return row | {
-        "time_s": time,
-        "phase": phase,
-        "target": target,
-        "lost": False,
-        "event": "",
-    }
+    numbers: dict[str, Any] = {name: np.nan for name, kind in COLUMNS.items() if kind == "float64"}
+    about = {"time_s": time, "phase": phase, "target": target, "lost": False, "event": ""}
+    return numbers | about
 
 
 def put(row: dict[str, Any], name: str, value: Array, unit: str) -> None:
@@ -55,9 +48,3 @@ def add_event(row: dict[str, Any], event: str) -> None:
 def as_frame(rows: list[dict[str, Any]]) -> pd.DataFrame:
     """Return the rows as a table."""
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype(COLUMNS)
-
-
-def median_latency(rows: list[dict[str, Any]]) -> float:
-    """Return the median time from an exposure until its measurement, s; NaN without a row."""
-    values = [row["latency_s"] for row in rows if np.isfinite(row["latency_s"])]
-    return float(np.median(values)) if values else float("nan")

@@ -10,7 +10,7 @@ import numpy as np
 
 from microlib._common import Array, EndRun, Guard, Workstation
 from microlib.servoing._log import add_event, new_row, put
-from microlib.servoing._motion import LARGEST_SHARE, StageMotion, fit_motion, visits
+from microlib.servoing._motion import LARGEST_SHARE, UNKNOWN, StageMotion, fit_motion, visits
 from microlib.servoing._workstation import Controller, Tracker
 
 #: Moves in a row that the image may fail to follow: one can be a bad track, and a second its
@@ -95,7 +95,7 @@ class Loop:
     ) -> None:
         self.workstation, self.guard = workstation, guard
         self.rows: list[dict[str, Any]] = []
-        self.motion: StageMotion | None = None
+        self.motion = UNKNOWN
         self.reached = np.zeros(len(settings.targets), dtype=bool)
         self._tracker, self._settings = tracker, settings
         self._origin: float | None = None
@@ -127,15 +127,10 @@ class Loop:
                 self._reach(number, reference)
         return ""
 
-    @property
-    def _jacobian(self) -> Array:
-        assert self.motion is not None  # `run` sets it before anything is steered
-        return self.motion.jacobian
-
     def _check_targets(self, feature: Array) -> None:
         """End the run if a target is beyond the travel."""
         travel = USED * self._settings.travel
-        needed = np.linalg.solve(self._jacobian, (self._settings.targets - feature).T).T
+        needed = np.linalg.solve(self.motion.jacobian, (self._settings.targets - feature).T).T
         beyond = (np.abs(needed) > travel).any(axis=1)
         if beyond.any():
             number = int(beyond.argmax())
@@ -240,7 +235,7 @@ class Loop:
         settings = self._settings
         if settings.controller is None:
             goal = goals[min(k + 1, len(goals) - 1)]
-            way = np.linalg.solve(self._jacobian, goal - look.measured)
+            way = np.linalg.solve(self.motion.jacobian, goal - look.measured)
         else:
             velocity = np.asarray(settings.controller(k, look.measured, goals), dtype=float)
             if velocity.shape != (2,) or not np.isfinite(velocity).all():
@@ -255,7 +250,7 @@ class Loop:
         if (target != look.position + way).any():
             add_event(look.row, "travel")
         self._go(look.row, target)
-        self._follower.plan(self._jacobian @ (target - look.position))
+        self._follower.plan(self.motion.jacobian @ (target - look.position))
 
     def _go(self, row: dict[str, Any], target: Array) -> None:
         """Send the stage, in legs if there is a speed to keep, and wait until it stands there."""
@@ -278,7 +273,8 @@ class Loop:
             guard.pause(end - self.workstation.clock.now())
         arrived = self._watch_travel()
         # A move that the image would not show may be less than an increment of the drive.
-        shown = np.inf if self.motion is None else np.linalg.norm(self._jacobian @ (target - here))
+        # Before the calibration J is NaN, and every move counts.
+        shown = np.linalg.norm(self.motion.jacobian @ (target - here))
         if shown < _TELLING * settings.tolerance:
             return
         if float(np.linalg.norm(target - arrived)) > 0.5 * way:

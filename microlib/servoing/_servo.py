@@ -27,9 +27,8 @@ from microlib._common import (
     whole,
 )
 from microlib.servoing._control import LARGEST_CONDITION
-from microlib.servoing._log import add_event, as_frame, median_latency, new_row, put
+from microlib.servoing._log import add_event, as_frame, new_row, put
 from microlib.servoing._loop import USED, Loop, Settings
-from microlib.servoing._motion import UNKNOWN
 from microlib.servoing._workstation import Controller, Tracker
 
 #: What the calibration's test moves are by default, as a share of the travel: far enough from the
@@ -252,9 +251,9 @@ def servo(
     with suppress(EndRun):  # the reason says already what failed
         put(last, "stage", guard.call(workstation.stage.position), "um")
     add_event(last, end.reason or "done")
-    motion = loop.motion or UNKNOWN
+    motion, log = loop.motion, as_frame([*loop.rows, last])
     run = ServoRun(
-        log=as_frame([*loop.rows, last]),
+        log=log,
         reached=loop.reached,
         reason=end.reason,
         still=end.still,
@@ -262,7 +261,7 @@ def servo(
         jacobian_covariance=motion.covariance,
         drift=motion.drift,
         misfit=motion.misfit,
-        latency=median_latency(loop.rows),
+        latency=float(log["latency_s"].median()),
         error=end.error,
     )
     if guard.interrupted.is_set():
