@@ -331,6 +331,10 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "calibration.cramer_rao": lambda: {
         "microscope": scope(), "world": grid(), "noise": 0.1, "parameters": ("tx", "ty", "alpha")
     },
+    "calibration.Detection.to_layers": lambda: {
+        "self": calibration.Detection(**CALLS["calibration.Detection"]()),
+        "pixel_size": 2.0,
+    },
     "calibration.detect_circles": lambda: {
         "image": circles(), "direction": 0.0, "mirrored": False, "lattice": "square",
         "region": (0, 0, 160, 120),
@@ -416,6 +420,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "threshold": 0.0, "points": 3, "workers": 1, "register": False, "region": (0, 0, 20, 20),
         "reduce": 1, "progress": None, "spacing": None,
     },
+    "focus.FocusResult.to_layers": lambda: {"self": depths()},
     "focus.FocusResult.select": lambda: {
         "self": replace(depths(), index=np.full_like(depths().index, 2)), "frames": stack()
     },
@@ -651,6 +656,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "tracking.KalmanFilter.predict": lambda: {"self": filter_()},
     "tracking.KalmanFilter.update": lambda: {"self": filter_(), "position": [11.0, 21.0]},
     "tracking.Track": lambda: dict(TRACK),
+    "tracking.Track.to_layers": lambda: {"self": tracker().track(target()), "pixel_size": 2.0},
     "tracking.track_all": lambda: {
         "frames": [target(), target()], "box": (16, 16, 32, 32), "motion": "translation",
         "rate": 25.0, "mask": np.ones((32, 32), bool), "kalman": filter_(), "progress": None,
@@ -732,10 +738,10 @@ def public() -> Iterator[str]:
 
 
 def methods(kind: type) -> Iterator[tuple[str, Callable]]:
-    """Yield what can be called wrongly; `to_dict` and `to_frame` take nothing."""
+    """Yield what can be called wrongly; `to_dict`, `to_frame` and `to_xarray` take nothing."""
     for name, value in vars(kind).items():
         found = value.__func__ if isinstance(value, (staticmethod, classmethod)) else value
-        if name in ("to_dict", "to_frame"):
+        if name in ("to_dict", "to_frame", "to_xarray"):
             continue
         if inspect.isfunction(found) and (name == "__call__" or name[0] != "_"):
             yield name, found

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, Tidy
+from microlib._common import Array, Tidy, scalar
 
 #: A homography from the grid to the image needs as many shapes.
 FEWEST = 4
@@ -74,6 +74,7 @@ class Detection(Tidy):
         -------
         list of (data, options, type)
         """
+        pixel_size = scalar("pixel_size", pixel_size, above=0)
         values = {"i": self.grid[:, 0], "j": self.grid[:, 1], "sigma": self.sigma}
         options: dict[str, Any] = {
             "name": "marks",

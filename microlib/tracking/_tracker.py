@@ -201,6 +201,7 @@ class Track(Tidy):
         -------
         list of (data, options, type)
         """
+        pixel_size = scalar("pixel_size", pixel_size, above=0)
         options = {"name": "lost" if self.lost else "track", "scale": (pixel_size, pixel_size)}
         options |= {"face_color": "transparent", "edge_color": "red" if self.lost else "yellow"}
         return [([self.corners[:, ::-1]], options | {"shape_type": "polygon"}, "shapes")]
