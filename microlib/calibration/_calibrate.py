@@ -340,6 +340,6 @@ def _smooth_part(
         mean = csr_array((1 / size[label], (label, np.arange(len(label)))))
         points, residuals = mean @ points, (mean @ residuals.reshape(-1, 2)).ravel()
         jacobian = (mean @ jacobian.reshape(len(label), -1)).reshape(-1, jacobian.shape[1])
-        view = np.zeros(len(size))
+        view = np.zeros_like(size)
     fields = fields_of_views([points[view == v] for v in range(len(views.seen))])
     return discrepancy(residuals, jacobian, fields, rounding)
