@@ -90,7 +90,7 @@ def test_an_edited_constant_fails_and_names_the_claim(
     source.write_text(source.read_text().replace(right, wrong))
     message, passed = execute(path, monkeypatch)
     assert not passed
-    assert "claim table-5.6/E: printed 1.3237" in message
+    assert "claim table-5.6/E, Elastic modulus (Table 5.6): printed 1.3237 MPa" in message
 
 
 def test_runner_names_what_it_does_not_know() -> None:
