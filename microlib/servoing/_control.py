@@ -16,7 +16,7 @@ from microlib._common import (
 
 #: Largest ratio of the singular values of a Jacobian that counts as one of full rank: the rounding
 #: of a double (10⁻¹⁶) is then a millionth of what the weakest direction does.
-LARGEST_CONDITION = 1e10
+_LARGEST_CONDITION = 1e10
 
 #: Relative difference of two halves of a matrix that rounding explains.
 _ROUNDING = 1e-9
@@ -196,7 +196,7 @@ def ibvs_control(
     >>> ibvs_control([[0.5, 0.0], [0.0, 0.5]], (1.0, -1.0), gain=2.0)
     array([-4.,  4.])
     """
-    matrix = _full_rank(jacobian)
+    matrix = full_rank(jacobian)
     wanted = -scalar("gain", gain, above=0) * as_array("error", error, shape=(len(matrix),))
     if drift is not None:
         wanted = wanted - as_array("drift", drift, shape=(len(matrix),))
@@ -420,17 +420,18 @@ def _optimal_gain(
     jacobian: ArrayLike, *, interval: float, feature_weight: ArrayLike, control_weight: ArrayLike
 ) -> Array:
     """Return the matrix K of (2.28) that turns a feature error into a velocity, u = −K e."""
-    matrix = _full_rank(jacobian)
+    matrix = full_rank(jacobian)
     step = scalar("interval", interval, above=0) * matrix
     q = _weight("feature_weight", feature_weight, matrix.shape[0])
     weight = _weight("control_weight", control_weight, matrix.shape[1])
     return np.linalg.solve(step.T @ q @ step + weight, step.T @ q)
 
 
-def _full_rank(jacobian: ArrayLike) -> Array:
-    matrix = as_array("jacobian", jacobian, shape=(None, None))
+def full_rank(jacobian: ArrayLike, shape: tuple[int | None, ...] = (None, None)) -> Array:
+    """Return a Jacobian of which each direction shows."""
+    matrix = as_array("jacobian", jacobian, shape=shape)
     values = np.linalg.svd(matrix, compute_uv=False)
-    if values[-1] * LARGEST_CONDITION <= values[0]:
+    if values[-1] * _LARGEST_CONDITION <= values[0]:
         raise ValueError(
             "jacobian must have full rank without the motions that the features do not show, "
             f"got singular values from {values[0]:.3g} to {values[-1]:.3g}"

@@ -26,7 +26,7 @@ from microlib._common import (
     scalar,
     whole,
 )
-from microlib.servoing._control import LARGEST_CONDITION
+from microlib.servoing._control import full_rank
 from microlib.servoing._log import add_event, as_frame, new_row, put
 from microlib.servoing._loop import USED, Loop, Settings
 from microlib.servoing._workstation import Controller, Tracker
@@ -239,11 +239,7 @@ def servo(
         timeout=scalar("timeout", timeout, above=0),
         progress=progress,
     )
-    known = None
-    if jacobian is not None:
-        known = as_array("jacobian", jacobian, shape=(2, 2))
-        if np.linalg.cond(known) > LARGEST_CONDITION:
-            raise ValueError("jacobian must be regular, got a singular one")
+    known = None if jacobian is None else full_rank(jacobian, (2, 2))
     guard = Guard(workstation.clock, workstation.stage, settings.timeout)
     loop = Loop(workstation, tracker, guard, settings)
     end = guard.run(lambda: loop.run(known))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, as_array, check_callable, generator, of_kind
-from microlib.servoing._control import LARGEST_CONDITION
+from microlib.servoing._control import full_rank
 from microlib.servoing._workstation import Camera, Stage
 
 #: Given where the feature is (x, y) in px and the position of the focus drive in µm, the frame.
@@ -90,9 +90,7 @@ class SimulatedWorkstation:
         of_kind("camera", camera, Camera)
         of_kind("focus_drive", focus_drive, Stage, type(None))
         check_callable("render", render)
-        self._jacobian = as_array("jacobian", jacobian, shape=(2, 2))
-        if np.linalg.cond(self._jacobian) > LARGEST_CONDITION:
-            raise ValueError("jacobian must be regular, got a singular one")
+        self._jacobian = full_rank(jacobian, (2, 2))
         self._home = as_array("home", home, shape=(2,))
         self._drift = as_array("drift", drift, shape=(2,))
         self.stage = _Drive(stage, 2)

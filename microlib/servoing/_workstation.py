@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, Tidy, as_array, check_callable, generator, of_kind, scalar
-from microlib.servoing._control import LARGEST_CONDITION
+from microlib.servoing._control import full_rank
 
 #: Given the number of the sample, the measured feature (px, NaN if lost) and all references, a
 #: velocity in µm/s.
@@ -209,9 +209,7 @@ def simulate(
     check_callable("controller", controller)
     check_callable("observer", observer, optional=True)
     wanted = as_array("reference", reference, shape=(None, 2))
-    matrix = as_array("jacobian", jacobian, shape=(2, 2))
-    if np.linalg.cond(matrix) > LARGEST_CONDITION:
-        raise ValueError("jacobian must be regular, got a singular one")
+    matrix = full_rank(jacobian, (2, 2))
     origin = wanted[0] if start is None else as_array("start", start, shape=(2,))
     needed = np.abs(np.linalg.solve(matrix, (wanted - origin).T)).max()
     if needed > stage.travel:

@@ -213,27 +213,22 @@ def test_a_picture_that_is_removed_meanwhile_is_named(stack: NDArray, tmp_path: 
 def test_a_video_with_fewer_frames_than_it_tells_of_is_refused(
     stack: NDArray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Film:
-        """Tells of five frames, in blue, green and red, and holds three."""
+    image = np.full((4, 6, 3), (1, 2, 3), np.uint8)  # blue, green and red
 
-        left = 3
+    class Film:
+        """Tells of five frames and holds three."""
+
+        told = 5.0
 
         def __init__(self, path: str) -> None:
-            self.left = Film.left
-
-        def isOpened(self) -> bool:
-            return True
+            self.frames = [(True, image)] * 3
+            self.isOpened, self.release = (lambda: True), (lambda: None)
 
         def get(self, which: int) -> float:
-            return 5.0 if which == cv2.CAP_PROP_FRAME_COUNT else -1.0
+            return self.told
 
         def read(self) -> tuple[bool, NDArray | None]:
-            self.left -= 1
-            image = np.full((4, 6, 3), (1, 2, 3), np.uint8)
-            return (True, image) if self.left >= 0 else (False, None)
-
-        def release(self) -> None:
-            self.left = 0
+            return self.frames.pop() if self.frames else (False, None)
 
     monkeypatch.setattr(cv2, "VideoCapture", Film)
     (tmp_path / "a.MP4").write_bytes(b"film")
@@ -243,7 +238,7 @@ def test_a_video_with_fewer_frames_than_it_tells_of_is_refused(
         np.testing.assert_array_equal(next(reader), np.full((4, 6, 3), (3, 2, 1)))
     with pytest.raises(ValueError, match=r"a\.MP4: it tells of 5 frames, 3 can be read"):
         next(reader)
-    Film.get = lambda self, which: 0.0  # type: ignore[method-assign]
+    Film.told = 0.0
     with pytest.raises(ValueError, match=r"a\.MP4: not a video"):
         read_frames(tmp_path / "a.MP4")
 

@@ -95,7 +95,7 @@ def test_the_demo_camera_sees_the_demo_stage() -> None:
 
 @pytest.mark.parametrize("singular", [np.ones((2, 2)), np.zeros((2, 2))])
 def test_refuses_a_jacobian_without_an_inverse(singular) -> None:
-    with pytest.raises(ValueError, match="jacobian must be regular"):
+    with pytest.raises(ValueError, match="jacobian must have full rank"):
         SimulatedWorkstation(
             lambda feature, focus: np.zeros(SHAPE),
             jacobian=singular,

@@ -395,7 +395,7 @@ def test_a_method_that_is_missing_is_named(missing):
         ({"travel": (1.0, 2.0, 3.0)}, "travel must have shape"),
         ({"test_move": 500.0}, "test_move must lie within travel and step, 396 µm, got 500"),
         ({"test_move": 50.0, "step": 20.0}, "test_move must lie within travel and step, 20 µm"),
-        ({"jacobian": np.ones((2, 2))}, "jacobian must be regular"),
+        ({"jacobian": np.ones((2, 2))}, "jacobian must have full rank"),
         ({"interval": 1e9}, "interval must be at most"),
         ({"most_frames": 0}, "most_frames must be a whole number"),
     ],

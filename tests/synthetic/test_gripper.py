@@ -79,21 +79,6 @@ def test_the_same_seed_draws_the_same_frames():
         assert np.array_equal(draw(np.random.default_rng(5)), draw(np.random.default_rng(5)))
 
 
-@pytest.mark.parametrize(
-    "draw",
-    [
-        lambda rng: warped_pair(rng, 3.0).second,
-        lambda rng: gripper_scene(rng, pixel_size=6.23).ground,
-        lambda rng: gripper_scene(0, pixel_size=6.23).frame((1.5, 2.5), rng),
-        lambda rng: texture_sequence([[3.5, 4.5]], rng)[0],
-        lambda rng: camera_frame(np.full((9, 9), 100.0), rng, noise=5.0),
-    ],
-)
-def test_a_seed_does_for_a_generator(draw):
-    assert np.array_equal(draw(5), draw(np.random.default_rng(5)))
-    assert not np.array_equal(draw(5), draw(6))
-
-
 def test_the_camera_counts_in_grey_levels():
     frame = camera_frame(np.full((200, 200), 100.0), np.random.default_rng(6), noise=2.0, gain=1.2)
     assert frame.dtype == np.uint8

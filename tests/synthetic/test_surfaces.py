@@ -55,27 +55,6 @@ def test_one_seed_one_scene():
         assert not np.array_equal(once, other)
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda rng: synthetic.mixed_texture(SHAPE, rng),
-        lambda rng: synthetic.patchy_texture(SHAPE, rng),
-        lambda rng: synthetic.sphere_on_plane(SHAPE, 15.0, 1.0, roughness=1.0, rng=rng),
-        lambda rng: synthetic.focal_stack(
-            np.eye(8), np.zeros((8, 8)), [0.0, 1.0], blur_rate=1.0, noise=3.0, rng=rng
-        ),
-        lambda rng: synthetic.cell_image("Jurkat", rng=rng, count=2, shape=(80, 80)).image,
-        lambda rng: (
-            synthetic.embryo_image(
-                synthetic.Embryo(1.0, 0.0, 1.0), rng=rng, pixel_size=20.0, shape=(80, 80)
-            ).image
-        ),
-    ],
-)
-def test_a_seed_is_a_generator(make):
-    np.testing.assert_array_equal(make(4), make(np.random.default_rng(4)))
-
-
 def test_surfaces_have_the_curvature_of_their_names():
     height, width = 500.0, 40.0
     parabola = synthetic.parabolic_cylinder((61, 61), height, width=width)
