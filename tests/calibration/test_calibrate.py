@@ -107,21 +107,6 @@ def test_radial_alignment_is_exact_whatever_the_lens(alpha, beta, gamma, behind,
     np.testing.assert_allclose(found[3:], shift, atol=1e-3)
 
 
-def test_the_scale_is_tsais():
-    """T_y from the block's singular values against the quadratic of Tsai (1987)."""
-    scope = scope_with(beta=8, gamma=-6)
-    world = grid_in_view(scope)
-    u, v = ((scope.project(world) - scope.principal_point) * 9.9).T
-    x, y = world.T
-    rows = np.column_stack([v * x, v * y, v, -u * x, -u * y])
-    a = np.linalg.lstsq(rows, u, rcond=None)[0]  # r11, r12, Tx, r21, r22 over Ty
-    total = a[0] ** 2 + a[1] ** 2 + a[3] ** 2 + a[4] ** 2
-    determinant = a[0] * a[4] - a[1] * a[3]
-    ty2 = (total - np.sqrt(total**2 - 4 * determinant**2)) / (2 * determinant**2)
-    assert np.sqrt(ty2) == pytest.approx(abs(scope.ty), rel=1e-6)
-    assert abs(radial_alignment(world, np.column_stack([u, v]))[4]) == pytest.approx(55, rel=1e-6)
-
-
 @pytest.mark.parametrize(
     ("distortion", "precision"),
     # With both distortion and perspective their product is left out: 1.3 % of h at the corner.
@@ -154,22 +139,6 @@ def test_jacobian_agrees_with_differences(scope):
         np.testing.assert_allclose(
             analytic[..., k], numeric, atol=2e-7 * np.abs(numeric).max() + 1e-11
         )
-
-
-def test_jacobian_of_derived_parameters():
-    scope = scope_with()
-    world = grid_in_view(scope)[::7]
-    by_m, by_f = np.moveaxis(scope.jacobian(world, ("magnification", "focus")), -1, 0)
-    up, down = (replace(scope, tube_length=(1.59 + s) * (F + F / 1.59) - F) for s in (1e-5, -1e-5))
-    np.testing.assert_allclose(
-        by_m, (up.project(world) - down.project(world)) / 2e-5, rtol=1e-6, atol=1e-6
-    )
-    up, down = (
-        replace(scope, focal_length=f, tube_length=1.59 * f, distance=f / 1.59)
-        for f in (F + 50, F - 50)
-    )
-    difference = (up.project(world) - down.project(world)) / 100
-    np.testing.assert_allclose(by_f, difference, atol=1e-5 * np.abs(difference).max())
 
 
 def test_the_three_lengths_are_never_determined():
@@ -257,21 +226,6 @@ def test_stated_errors_meet_the_bound_and_intervals_cover(tilt):
     np.testing.assert_allclose(np.std(errors, axis=0), bound, rtol=0.3)
     assert 0.91 <= np.mean(inside) <= 0.99
     assert np.abs(np.array(errors)[:, 0]).max() / scope.magnification < 1e-4
-
-
-@pytest.mark.parametrize("tilt", [2, 5, 20])
-def test_stated_error_of_an_unknown_focal_length(tilt):
-    scope = scope_with(tilt, 0.6 * tilt)
-    world = grid_in_view(scope)
-    names = ("magnification", "focus", *POSE)
-    bound = np.sqrt(np.diag(cramer_rao(scope, world, NOISE, names)))[1]
-    runs = list(repeat(scope, world, 40))
-    stated = np.median([run.sigma["focal_length"] for run in runs])
-    assert stated == pytest.approx(bound, rel=0.25)
-    inside = [
-        run.interval("focal_length")[0] <= F <= run.interval("focal_length")[1] for run in runs
-    ]
-    assert np.mean(inside) >= 0.85  # 40 runs: 95 % ± 3.4 %, three of them
 
 
 def test_a_parallel_plane_tells_no_focal_length():
@@ -386,19 +340,6 @@ def test_agrees_with_opencv_when_the_focal_length_is_held():
     np.testing.assert_allclose(shift[2, 0], F + F / m.magnification, rtol=3e-4)
 
 
-def test_reprojection_in_pixels_and_on_the_plane():
-    scope = scope_with()
-    world = grid_in_view(scope)
-    found = next(iter(repeat(scope, world, 1, focal_length=F)))
-    pixels = found.microscope.project(world) + found.residuals
-    np.testing.assert_allclose(found.plane_residuals, found.microscope.back_project(pixels) - world)
-    # A pixel is 9.9/M µm on the pattern, foreshortening aside (tilt 2.5°: 0.1 %).
-    assert found.plane_error.mean / found.reprojection.mean == pytest.approx(9.9 / 1.59, rel=0.02)
-    distance = np.hypot(*found.residuals.T)
-    assert found.reprojection.std == pytest.approx(distance.std())
-    assert found.reprojection.max == pytest.approx(distance.max())
-
-
 def test_an_interval_is_that_of_the_inverse_of_the_focal_length():
     """1/f ± t σ(1/f), turned over; the others straight; both widen with the level."""
     scope = scope_with(10, 170)
@@ -454,32 +395,6 @@ def test_group_covariance_is_the_jackknife():
     )
 
 
-def test_groups_of_correlated_errors_still_cover():
-    """Errors shared by four neighbors; taken as independent they are smooth, and it is said."""
-    scope = scope_with()
-    world = grid_in_view(scope)[:148]
-    groups = np.arange(148) // 4
-    names = ("magnification", *POSE)
-    truth = truth_of(scope, names)
-    inside: dict[bool, list] = {True: [], False: []}
-    fits: dict[bool, list] = {True: [], False: []}
-    for seed in range(60):
-        rng = np.random.default_rng(seed)
-        image = scope.project(world) + rng.normal(0, NOISE, (37, 2))[groups]
-        for known in inside:
-            found = calibrate(
-                world, image, focal_length=F, groups=groups if known else None, **SENSOR
-            )
-            spans = [found.interval(name) for name in names]
-            inside[known].append([a <= t <= b for (a, b), t in zip(spans, truth, strict=True)])
-            fits[known].append(found.fits)
-    # 420 intervals, correlated in sevens: 95 ± 2.8 % if as good as independent in 60; two of them.
-    assert np.mean(inside[True]) > 0.9
-    assert np.mean(inside[False]) > 0.85  # from the smooth part alone, without their groups
-    assert np.mean(fits[True]) > 0.9
-    assert np.mean(fits[False]) < 0.5
-
-
 def test_from_image_to_microscope():
     """Rendered, detected, calibrated: two columns of Table 5.1, better than Table 5.2's mean
     errors."""
@@ -502,6 +417,29 @@ def test_from_image_to_microscope():
     )
     assert squares.microscope.magnification == pytest.approx(scope.magnification, rel=1e-4)
     assert squares.plane_error.mean < 0.0920
+
+
+def test_a_detection_brings_all_but_the_scales():
+    scope = Microscope(2e5, 126000, 79380, tx=-450, ty=-330, beta=0.1, image_size=(260, 220))
+    views = [scope, replace(scope, beta=-0.15, gamma=0.1)]
+    found = [detect_squares(render_squares(view)) for view in views]
+    sensor = {"pixel_size": 9.9, "focal_length": 126000.0}
+    one = calibrate(found[0], pitch=400, **sensor)
+    world, size = 400 * found[0].positions, {"image_size": (260, 220)}
+    same = calibrate(world, found[0].points, groups=found[0].group, **sensor, **size)
+    np.testing.assert_allclose(one.covariance, same.covariance)
+    assert one.microscope == same.microscope
+    both = calibrate(found, pitch=400, **sensor)
+    assert [v.beta for v in both.views] == pytest.approx([0.1, -0.15], abs=1e-3)
+    for wrong, word in (
+        ({"world": found[0]}, "pitch must be given"),
+        ({"world": found[0], "pitch": 400, "image_size": (260, 220)}, "must not be given beside"),
+        ({"world": [found[0], world], "pitch": 400}, "either detections or points"),
+        ({"world": world, "image": found[0].points}, "image_size must be given"),
+        ({"world": world, "image": found[0].points, "pitch": 4.0, **size}, "pitch must be left"),
+    ):
+        with pytest.raises(ValueError, match=word):
+            calibrate(**wrong, **sensor)
 
 
 # Bad input
