@@ -177,7 +177,7 @@ def believed(seen: Followed, axis: Axis) -> tuple[NDArray, NDArray]:
     weight = relative(seen.strength, axis.typical)
     wide = wide_depth(seen, levels, depth.shape)
     sharp, finer = sharp_mask(seen, levels, *_SHARP), sharp_mask(seen, levels, *_FINER)
-    instead, neither = rules.check_wide(depth, wide, np.abs(broad - fine), seen.top, sharp, finer)
+    instead, neither = rules.check_wide(depth, wide, np.abs(broad - fine), sharp, finer)
     depth[neither] = np.nan
     depth[instead], weight[instead] = wide[instead], _WIDE_WEIGHT
     depth[rules.blurred_edge_mask(depth, weight) & ~sharp] = np.nan
@@ -309,8 +309,8 @@ def _closer(
     """Return the depths of one block from measures at full size; NaN where they are lost."""
     steps, levels = axis.steps, Levels.of(axis.noise)
     square = np.ones((_SQUARE, _SQUARE), np.uint8)
-    low, high = cv2.erode(rough, square) - _BEYOND, cv2.dilate(rough, square) + _BEYOND
-    near = np.flatnonzero((steps > low.min() - 1) & (steps < high.max() + 1))
+    low, high = cv2.erode(rough, square), cv2.dilate(rough, square)
+    near = np.flatnonzero((steps > low.min() - _BEYOND - 1) & (steps < high.max() + _BEYOND + 1))
     first = min(int(near[0]), len(steps) - 3)
     part = steps[first : max(int(near[-1]) + 1, first + 3)]
     main = PeakFollower(len(part), 1, rough.shape, 3)
@@ -322,7 +322,7 @@ def _closer(
         wider = blur(np.add(*absolute_seconds(halved(frame), COARSE, 7)), COARSE_WINDOW)
         own = blur(np.add(*absolute_seconds(frame, FINE, 5)), 0.8)
         np.multiply(own + fine, doubled(wider, frame.shape) + coarse, out=main.slot(k)[0])
-        allowed = (low <= step) & (step <= high)
+        allowed = (low - _BEYOND <= step) & (step <= high + _BEYOND)
         main.push(k, allowed)
         off = cv2.absdiff(frame, blur(frame, 4.0))
         np.multiply(blur(off, 0.5) + floor, blur(off, 2.0) + floor, out=edge.slot(k)[0])
@@ -338,5 +338,7 @@ def _closer(
     mean = blur(main.top, 2.0)
     clear = mean > _SHARE * cv2.dilate(mean, np.ones((_STRONGEST, _STRONGEST), np.uint8))
     agrees = cv2.medianBlur(np.abs(broad - median), 5) < _AGREES
-    depth = np.where(known | (clear & agrees), own, np.float32(np.nan))
+    # A depth that none has around it needs the evidence that a lost one needs.
+    near = known & (low <= own) & (own <= high)
+    depth = np.where(near | (clear & agrees), own, np.float32(np.nan))
     return smooth_planes(depth, relative(strength), jump=_JUMP, sigma=2 * _RADIUS)
