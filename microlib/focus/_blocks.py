@@ -18,13 +18,7 @@ from microlib.focus._result import FocusResult
 #: of: every fourth pixel is looked at, and blocks of 64 rows are fitted again where it is steep.
 _AROUND, _SIDE, _GRID = 128, 1024, 64
 #: What a result has for each pixel, in the order in which blocks stack it, and its type.
-_MAPS = (
-    ("depth", "f4"),
-    ("uncertainty", "f4"),
-    ("confidence", "f4"),
-    ("index", "i4"),
-    ("at_end", "?"),
-)
+_MAPS = {"depth": "f4", "uncertainty": "f4", "confidence": "f4", "index": "i4", "at_end": "?"}
 
 
 def is_in_blocks(frames: object) -> bool:
@@ -34,11 +28,7 @@ def is_in_blocks(frames: object) -> bool:
 
 
 def depth_in_blocks(
-    frames: Any,
-    positions: Array,
-    region: tuple[int, int, int, int] | None,
-    *,
-    points: int,
+    frames: Any, positions: Array, region: tuple[int, int, int, int] | None, *, points: int
 ) -> FocusResult:
     """Return the default depth of a dask or zarr array, as dask arrays.
 
@@ -83,20 +73,17 @@ def depth_in_blocks(
     # Where one chunk shows all of a side, nothing is around it.
     around = {k: _AROUND if k > 0 and len(stack.chunks[k]) > 1 else 0 for k in range(3)}
     seen = da.overlap.overlap(stack.rechunk({0: len(stack)}), around, boundary="none")
+    chunks = ((len(_MAPS) + 1,), *seen.chunks[1:])
     found = seen.map_blocks(
-        _block,
-        axis=axis,
-        points=points,
-        chunks=((len(_MAPS) + 1,), *seen.chunks[1:]),
-        meta=np.empty((0, 0, 0), np.float32),
+        _block, axis=axis, points=points, chunks=chunks, meta=np.empty((0, 0, 0), np.float32)
     )
     found = da.overlap.trim_internal(found, around, boundary="none")
-    maps = {name: found[k].astype(kind) for k, (name, kind) in enumerate(_MAPS)}
+    maps = {name: found[k].astype(kind) for k, (name, kind) in enumerate(_MAPS.items())}
     return FocusResult(**maps, all_in_focus=found[len(_MAPS)].astype(stack.dtype))
 
 
 def _block(frames: NDArray, *, axis: Axis, points: int) -> NDArray[np.float32]:
     """Return the maps of one block, one above the other."""
     result = multiscale_result(list(frames), None, axis, points=points, workers=1)
-    names = [name for name, _ in _MAPS]
-    return np.stack([*(getattr(result, n) for n in names), result.all_in_focus]).astype(np.float32)
+    maps = (getattr(result, name) for name in _MAPS)
+    return np.stack([*maps, result.all_in_focus]).astype(np.float32)

@@ -68,8 +68,8 @@ class Followed:
         The fine measure of either direction in the frames around the best one.
     edge : ndarray, shape (rows, cols)
         Depth by the edge measure.
-    wide, wide_strength, wide_top : ndarray, shape (rows / 2, cols / 2)
-        By the wide window.
+    wide, wide_top : ndarray, shape (rows / 2, cols / 2)
+        By the wide window: depth and height of the peak.
     """
 
     depth: NDArray[np.float32]
@@ -80,7 +80,6 @@ class Followed:
     down: NDArray[np.float32]
     edge: NDArray[np.float32]
     wide: NDArray[np.float32]
-    wide_strength: NDArray[np.float32]
     wide_top: NDArray[np.float32]
 
 
@@ -173,7 +172,7 @@ def _follow_strip(
     outside = (abs(z[0] - ends[0]) / axis.spacing, abs(ends[1] - z[-1]) / axis.spacing)
     depth, strength = fit_peaks(windows[0], main.best[here], steps, outside=outside)
     edges, _ = fit_peaks(edge.windows(here)[0], edge.best[here], steps, outside=outside)
-    far, far_strength = fit_peaks(wide.windows(coarse)[0], wide.best[coarse], steps)
+    far, _ = fit_peaks(wide.windows(coarse)[0], wide.best[coarse], steps)
     return Followed(
         depth=depth,
         strength=strength,
@@ -183,6 +182,5 @@ def _follow_strip(
         down=windows[2],
         edge=edges,
         wide=far,
-        wide_strength=far_strength,
         wide_top=wide.top[coarse],
     )
