@@ -339,6 +339,6 @@ def _closer(
     clear = mean > _SHARE * cv2.dilate(mean, np.ones((_STRONGEST, _STRONGEST), np.uint8))
     agrees = cv2.medianBlur(np.abs(broad - median), 5) < _AGREES
     # A depth that none has around it needs the evidence that a lost one needs.
-    near = known & (low <= own) & (own <= high)
-    depth = np.where(near | (clear & agrees), own, np.float32(np.nan))
+    within = known & (low <= own) & (own <= high)
+    depth = np.where(within | (clear & agrees), own, np.float32(np.nan))
     return smooth_planes(depth, relative(strength), jump=_JUMP, sigma=2 * _RADIUS)
