@@ -315,7 +315,7 @@ def test_more_than_256_frames_are_counted_right():
         ({"frames": np.full((4, 9, 9), np.nan)}, r"frames\[0\] must be finite"),
         (
             {"frames": [np.zeros((9, 9)), np.zeros((9, 8))] * 2},
-            r"frames\[1\] must be float32 of shape",
+            r"frames\[1\] must be grey float32 of shape",
         ),
         ({"measure": "sharpness"}, "measure must be one of multiscale, sml, tenengrad, variance"),
         ({"measure": 3}, "measure must be one of"),
@@ -333,7 +333,7 @@ def test_more_than_256_frames_are_counted_right():
         ({"workers": 2, "measure": lambda frame: frame[1:]}, r"measure\(frame\) must have shape"),
         (
             {"workers": 2, "frames": iter([np.zeros((9, 9))] * 3 + [np.zeros((9, 8))])},
-            r"frames\[3\] must be float32 of shape",
+            r"frames\[3\] must be grey float32 of shape",
         ),
         ({"positions": np.arange(65536.0)}, "positions must be at most 65535"),
         ({"positions": None}, "positions or spacing must be given, got None"),
@@ -342,7 +342,7 @@ def test_more_than_256_frames_are_counted_right():
         ({"positions": None, "spacing": np.nan}, "spacing must be finite"),
         ({"region": (0, 0, 20, 4)}, "region must lie in frames of shape"),
         ({"region": (0, 0, 4)}, r"region must be \(x, y, width, height\)"),
-        ({"reduce": 10}, "must have sides of at least reduce=10"),
+        ({"reduce": 10}, "must have sides of at least the 10 px of a block"),
         ({"frames": (f for f in np.zeros((3, 9, 9)))}, "must be as many, got 3 and 4"),
         ({"frames": (f for f in np.zeros((6, 9, 9)))}, "must be as many, got more than 4 and 4"),
         ({"frames": (f for f in np.zeros((0, 9, 9)))}, "frames must hold"),
