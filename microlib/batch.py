@@ -69,7 +69,8 @@ def process_files(
     pandas.DataFrame
         One row per file, in the order of `files`: ``file``; ``error``, empty or the reason why it
         failed; ``modified``, the file's time in ns since 1970; ``work``, what was done; then what
-        the result has, missing where it failed. `table` holds the same, in the order of doing.
+        the result has, missing where it failed. `table` holds the same,
+        and after these the files of earlier calls.
 
     Raises
     ------
@@ -132,11 +133,16 @@ def process_files(
                 csv.writer(file).writerow([row.get(name, "") for name in columns])
         else:  # new columns, or a row that changes
             columns = list(dict.fromkeys([*columns, *row]))
-            text = pd.DataFrame(list(rows.values()), columns=columns).to_csv(index=False)
-            replace_file(target, partial(Path.write_bytes, data=text.encode()))
+            _write(target, list(rows.values()), columns)
+    asked = {str(path): rows[str(path)] for path in paths}
+    _write(target, list((asked | rows).values()), columns)
     found = pd.read_csv(target, dtype=dict.fromkeys(("file", "error", "work"), str))
-    found = found.fillna({"error": ""}).set_index("file", drop=False).rename_axis(None)
-    return found.loc[[str(path) for path in paths]].reset_index(drop=True)
+    return found.fillna({"error": ""})[: len(paths)]
+
+
+def _write(path: Path, rows: list[dict[str, Any]], columns: list[str]) -> None:
+    text = pd.DataFrame(rows, columns=columns).to_csv(index=False)
+    replace_file(path, partial(Path.write_bytes, data=text.encode()))
 
 
 def _paths(files: object) -> list[Path]:
