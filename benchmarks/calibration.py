@@ -112,18 +112,18 @@ def detect_all(
     squares = render_squares(scope, side=pitch, counts=(6, 5), imaging=imaging, rng=rng)
     board = chessboard(scope, pitch, imaging, rng)
     found = {
-        "circles, ours": ours(detect_circles, circles, scope),
+        "circles, microlib": ours(detect_circles, circles, scope),
         "findCirclesGrid": peer_circles(circles),
-        "squares, ours": ours(detect_squares, squares, scope),
+        "squares, microlib": ours(detect_squares, squares, scope),
         "findChessboardCornersSB": peer_chessboard(board),
     }
     return {k: errors(scope, p, pitch) if len(p) else p for k, p in found.items()}
 
 
 COMPLETE = {
-    "circles, ours": 99,
+    "circles, microlib": 99,
     "findCirclesGrid": 99,
-    "squares, ours": 120,
+    "squares, microlib": 120,
     "findChessboardCornersSB": 80,
 }
 
@@ -174,10 +174,10 @@ def robustness() -> pd.DataFrame:
             good = len(error) == COMPLETE[name] and np.abs(error).max() < 1
             tally[name].append(float(np.sqrt((error**2).mean())) if good else np.nan)
     both = {
-        "circles, ours": "findCirclesGrid",
-        "findCirclesGrid": "circles, ours",
-        "squares, ours": "findChessboardCornersSB",
-        "findChessboardCornersSB": "squares, ours",
+        "circles, microlib": "findCirclesGrid",
+        "findCirclesGrid": "circles, microlib",
+        "squares, microlib": "findChessboardCornersSB",
+        "findChessboardCornersSB": "squares, microlib",
     }
     rows = []
     for name, other in both.items():
@@ -343,7 +343,7 @@ def times() -> pd.DataFrame:
         rows.append(
             {
                 "pair": name,
-                "ours ms": round(1e3 * mine, 1),
+                "microlib ms": round(1e3 * mine, 1),
                 "peer ms": round(1e3 * peer, 1),
                 "ratio": round(ratio, 2),
             }
@@ -356,7 +356,7 @@ def limits(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
     for _, row in tables["Localisation, RMS px"].iterrows():
         scene = f"blur {row['blur px']:g} px, noise {row['noise']:g}"
         for shape in ("circle", "square"):
-            error, most = row[f"{shape}s, ours"], row[f"{shape} limit"]
+            error, most = row[f"{shape}s, microlib"], row[f"{shape} limit"]
             lines.append((f"{shape}s, {scene}: RMS error, px", error, "≤", most))
     columns = tables["Table 5.1's columns as truth"]
     worst = columns["worst |ΔM|/M"].astype(float).max()
@@ -382,8 +382,8 @@ def limits(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
         ("95 % intervals that hold, rendered images, most column, %", covered.max(), "≤", 97),
     ]
     for ours, peer in (
-        ("circles, ours", "findCirclesGrid"),
-        ("squares, ours", "findChessboardCornersSB"),
+        ("circles, microlib", "findCirclesGrid"),
+        ("squares, microlib", "findChessboardCornersSB"),
     ):
         lines += [
             (f"{ours}: complete views less {peer}'s, %", complete[ours] - complete[peer], "≥", 0),

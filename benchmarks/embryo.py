@@ -155,7 +155,7 @@ def characterize(seed: int) -> list[dict[str, object]]:
 def summarise(runs: pd.DataFrame) -> pd.DataFrame:
     """One row a method: failures, bias and spread of ln E, coverage of the stated interval."""
     names = {
-        "membrane": "profile (4.2) fitted (ours)",
+        "membrane": "profile (4.2) fitted (microlib)",
         "gaussians": "LOESS and eight Gaussians (thesis)",
         "spline": "rim of a smoothing spline (scipy), end of the probe",
     }
@@ -325,9 +325,9 @@ def smoothers() -> pd.DataFrame:
             {
                 "points": points,
                 "largest difference": np.abs(ours() - peer()).max(),
-                "ours (ms)": round(1e3 * mine, 2),
+                "microlib (ms)": round(1e3 * mine, 2),
                 "statsmodels (ms)": round(1e3 * theirs, 2),
-                "ours / statsmodels": round(ratio, 2),
+                "microlib / statsmodels": round(ratio, 2),
             }
         )
     return pd.DataFrame(rows)

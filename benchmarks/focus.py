@@ -258,7 +258,7 @@ def _render(texture: NDArray, depth: NDArray) -> NDArray:
 
 
 def photographs() -> pd.DataFrame:
-    """Return the errors on photographs, of all methods where ours gives a depth."""
+    """Return the errors on photographs, of all methods where microlib gives a depth."""
     inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
     rows = []
     for name, surface, truth, stack in photographed():

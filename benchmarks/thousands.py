@@ -88,7 +88,7 @@ def calibrations() -> pd.DataFrame:
                 times.append(process_time() - start)
             seconds.append(min(times))
         rows.append((count, *(round(s, 3) for s in seconds), round(seconds[0] / seconds[1], 3)))
-    return pd.DataFrame(rows, columns=["marks", "ours, s", "calibrateCamera, s", "ratio"])
+    return pd.DataFrame(rows, columns=["marks", "microlib, s", "calibrateCamera, s", "ratio"])
 
 
 def measured(path: Path) -> object:
@@ -175,7 +175,7 @@ def main() -> None:
     marks = calibrations()
     with tempfile.TemporaryDirectory() as folder:
         found = dict(batch(Path(folder)))
-    ours = marks["ours, s"]
+    ours = marks["microlib, s"]
     limits = must_hold(
         [
             ("calibrate over calibrateCamera, 16384 marks", marks["ratio"].iloc[-1], "≤", 1),

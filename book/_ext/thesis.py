@@ -1,6 +1,6 @@
 """Roles and directives that put the ledger's numbers into the book's text.
 
-- ``{recomputed}`id` `` (or ``ours``), ``{printed}`id` ``, ``{verdict}`id` ``: the recomputed
+- ``{recomputed}`id` ``, ``{printed}`id` ``, ``{verdict}`id` ``: the recomputed
   number, the thesis' number and the verdict; a verdict leads to its row in the list of claims.
 - ``{verdict-map}``: a bar for each part of the thesis, each piece of which leads to its claims.
 - ``{claims}``: the list of all claims, which ``_static/filter.js`` narrows; ``{differences}``:
@@ -288,8 +288,7 @@ def write_scorecard(app: Sphinx, error: Exception | None) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    for name in ("recomputed", "ours"):
-        app.add_role(name, Recomputed())
+    app.add_role("recomputed", Recomputed())
     app.add_role("printed", Printed())
     app.add_role("verdict", Verdict())
     app.add_directive("verdict-map", VerdictMap)

@@ -471,7 +471,7 @@ def by_reading(station: Workstation, draws: int) -> pd.DataFrame:
         As `predicted_tables`, a row each reading and number, with the reading and the verdict.
     """
     tables = []
-    for name, reading in ({"ours": station.assumed} | OTHER_READINGS).items():
+    for name, reading in ({"as assumed": station.assumed} | OTHER_READINGS).items():
         table = predicted_tables(under(station, reading), draws)
         judged = [judge(claim(id), *found) for id, *found, _ in table.itertuples(index=False)]
         tables.append(table.assign(reading=name, verdict=judged))
@@ -481,10 +481,12 @@ def by_reading(station: Workstation, draws: int) -> pd.DataFrame:
 def decided(table: pd.DataFrame) -> pd.DataFrame:
     """Return a row each predicted number: its verdict, and the readings that change it."""
     table = table[~table["input"]]
-    ours = table[table["reading"] == "ours"].set_index("claim")["verdict"]
-    turned = table[table["verdict"] != table["claim"].map(ours)]
-    names = turned.groupby("claim")["reading"].agg(", ".join)
-    return pd.DataFrame({"verdict": ours, "changed by": names.reindex(ours.index, fill_value="")})
+    assumed = table[table["reading"] == "as assumed"].set_index("claim")["verdict"]
+    changed = table[table["verdict"] != table["claim"].map(assumed)]
+    names = changed.groupby("claim")["reading"].agg(", ".join)
+    return pd.DataFrame(
+        {"verdict": assumed, "changed by": names.reindex(assumed.index, fill_value="")}
+    )
 
 
 class OverImages(NamedTuple):

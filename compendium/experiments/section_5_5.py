@@ -39,7 +39,7 @@ REACH = sum(
 #: How far they reach altogether: with the focus measure and the median of (3.14), px.
 FULL_REACH = REACH + SML_WINDOW // 2 + thesis.MEDIAN_WINDOW // 2
 
-# What the sentences of section 5.5.2 mean as numbers; ours.
+# What the sentences of section 5.5.2 mean as numbers; our choice.
 
 #: Connected pixels that make a patch: a block of two by two, the smallest with an inside.
 PATCH = 4

@@ -238,17 +238,17 @@ def test_each_reading_gives_each_predicted_number_a_verdict(station, monkeypatch
     readings = {name: section_5_4.OTHER_READINGS[name] for name in names}
     monkeypatch.setattr(section_5_4, "OTHER_READINGS", readings)
     table = section_5_4.by_reading(station, draws=8)
-    assert set(table["reading"]) == {"ours", *names}
+    assert set(table["reading"]) == {"as assumed", *names}
     assert len(table) == 3 * 18
     value = table.set_index(["reading", "claim"])["value"]
-    ours, slower, shaken = (value[name] for name in ("ours", *names))
+    assumed, slower, shaken = (value[name] for name in ("as assumed", *names))
     # The lag is one sample of motion; what is at 1X stays.
     accuracy, precision = "table-5.4/4X/square/accuracy", "table-5.4/1X/square/precision"
-    assert slower[accuracy] == pytest.approx(0.94 * ours[accuracy], rel=0.01)
-    assert slower[precision] == ours[precision]
+    assert slower[accuracy] == pytest.approx(0.94 * assumed[accuracy], rel=0.01)
+    assert slower[precision] == assumed[precision]
     for path in section_5_4.PATHS:
         id = f"table-5.4/4X/{path}/precision"
-        assert shaken[id] > 2 * ours[id]
+        assert shaken[id] > 2 * assumed[id]
     decided = section_5_4.decided(table)
     assert len(decided) == 11
     turned = table[(table["verdict"] != table["claim"].map(decided["verdict"])) & ~table["input"]]
