@@ -311,8 +311,8 @@ def test_color_is_followed_by_its_luminance():
         track = ESMTracker(first, (20, 15, 40, 40)).track(np.roll(second, (2, -3), axis=(0, 1)))
         assert not track.lost
         np.testing.assert_allclose(track.corners[0], (17, 17), atol=2e-3)
-        # The same image, but for single precision.
-        assert (track.gain, track.correlation) == pytest.approx((1.0, 1.0), abs=1e-4)
+        # The same image, but for single precision, and for places that OpenCV 4 rounds to 1/32 px.
+        assert (track.gain, track.correlation) == pytest.approx((1.0, 1.0), abs=1e-3)
 
 
 def test_a_disturbance_by_rounding_changes_no_result_by_more_than_the_last_step():
