@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import os
 import platform
+import subprocess
 from collections.abc import Callable, Iterable
+from datetime import date
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
@@ -19,16 +21,22 @@ RESULTS = Path(__file__).parent / "results"
 
 
 def machine() -> dict[str, str]:
-    """Return what a reader needs to judge a timing: processor, cores, versions."""
+    """Return what a reader needs to judge a result: processor, cores, day, commit, versions."""
     model = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
         names = [line for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
         model = names[0].split(":", 1)[1].strip() if names else model
+    command = ["git", "describe", "--always", "--dirty= with changes", "--exclude=*", "--abbrev=10"]
+    commit = subprocess.run(
+        command, capture_output=True, text=True, cwd=RESULTS.parent, check=False
+    )
     packages = ("numpy", "scipy", "scikit-image", "opencv-python-headless")
     return {
         "processor": model,
         "cores": str(os.cpu_count()),
+        "date": date.today().isoformat(),
+        "commit": commit.stdout.strip() or "unknown",
         "python": platform.python_version(),
         **{name: version(name) for name in packages},
     }
