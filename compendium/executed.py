@@ -8,8 +8,6 @@ import io
 from nbformat import NotebookNode
 from PIL import Image
 
-__all__ = ["clean", "error_cell"]
-
 #: Size above which a palette does not suit a picture, bytes.
 LARGE_DRAWING = 45_000
 

@@ -21,19 +21,6 @@ from microlib.embryo import modulus_from_image
 from microlib.io import read_grey
 from microlib.membrane import SmallSlopeWarning
 
-__all__ = [
-    "FOLDER",
-    "SHARE",
-    "compare",
-    "describe",
-    "find_input",
-    "keep",
-    "manifest",
-    "modulus_of",
-    "read_outline",
-    "settle",
-]
-
 #: Where the inputs lie that the guides run on without the reader's own.
 FOLDER = Path(__file__).resolve().parent.parent / "data" / "synthetic"
 #: Share of the values that must be as near to the truth as is allowed: the edges of a height map,

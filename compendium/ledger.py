@@ -44,30 +44,6 @@ from numpy.typing import ArrayLike
 
 from microlib._common import replace_file
 
-__all__ = [
-    "COMPARED",
-    "STAR",
-    "TALLY_VARIABLE",
-    "VERDICTS",
-    "Claim",
-    "ClaimError",
-    "Record",
-    "appraise",
-    "check",
-    "check_equation",
-    "claim",
-    "claims",
-    "errata",
-    "half_ulp",
-    "judge",
-    "open_record",
-    "read_records",
-    "report",
-    "scorecard",
-    "summary",
-    "with_error",
-]
-
 VERDICTS = ("agrees", "disagrees", "cannot tell", "input")
 COMPARED = ("arithmetic", "simulation", "sentence")
 STAR = "★"

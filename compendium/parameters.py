@@ -14,8 +14,6 @@ from pathlib import Path
 
 import papermill
 
-__all__ = ["prepare_folder", "read_values"]
-
 ROOT = Path(__file__).resolve().parent.parent
 #: How the comment behind a parameter states its bound: ``# µm, > 0, of the membrane``.
 _BOUND = re.compile(r"([>≥≠]) 0\b")

@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from compendium import thesis
 from compendium.ledger import Record, claim, claims
 
-__all__ = ["of_printed_numbers", "of_records"]
-
 
 def of_printed_numbers() -> dict[str, float]:
     """Return what decides each sentence that printed numbers alone decide, by its claim."""

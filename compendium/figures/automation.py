@@ -9,8 +9,6 @@ from matplotlib.figure import Figure
 
 from compendium.figures.style import COLORS
 
-__all__ = ["draw_injection"]
-
 
 def draw_injection(pressed: dict[str, Any]) -> Figure:
     """Draw pictures of an injection, and force and depth over time beside the truth.
@@ -32,9 +30,8 @@ def draw_injection(pressed: dict[str, Any]) -> Figure:
         axes.set_title(name)
         axes.axis("off")
     log = pressed["log"]
-    for row, (name, column, unit) in enumerate(
-        (("force", "force_uN", "µN"), ("depth", "depth_um", "µm"))
-    ):
+    curves = (("force", "force_uN", "µN"), ("depth", "depth_um", "µm"))
+    for row, (name, column, unit) in enumerate(curves):
         axes = figure.add_subplot(grid[row + 1, :])
         axes.plot(log["time_s"], log[f"true_{name}"], color=COLORS["grey"], label="truth")
         axes.plot(log["time_s"], log[column], "o", ms=4, color=COLORS["blue"], label="outline")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
@@ -10,19 +12,16 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
+from compendium.figures.panels import length, photograph
 from compendium.figures.style import COLORS
 from microlib.calibration import Detection
 from microlib.microscope import Microscope
-
-__all__ = ["draw_detection", "draw_focal_length_study", "draw_microscope"]
 
 #: How much longer X and Y are drawn than Z.
 STRETCH = 20
 
 
-def draw_detection(
-    ax: Axes, image: NDArray, detection: Detection, *, label_every: int | None = None
-) -> None:
+def draw_detection(ax: Axes, image: NDArray, detection: Detection, *, label_every: int) -> None:
     """Show an image with the detected points on it and, for some, their grid coordinates.
 
     Parameters
@@ -33,30 +32,20 @@ def draw_detection(
         Grey levels, shown from 0 to 255.
     detection : Detection
         Its points are drawn, px.
-    label_every : int, optional
+    label_every : int
         Write the grid coordinates of points whose two coordinates are multiples of this.
     """
-    ax.imshow(image, vmin=0, vmax=255)
+    photograph(ax, image)
     ax.plot(*detection.points.T, "+", color=COLORS["yellow"], ms=7, mew=1.4)
-    if label_every is not None:
-        room = detection.points[:, 0] < 0.93 * image.shape[1]
-        chosen = (detection.grid % label_every == 0).all(axis=1) & room
-        for (x, y), (i, j) in zip(detection.points[chosen], detection.grid[chosen], strict=True):
-            ax.annotate(
-                f"{i},{j}",
-                (x, y),
-                xytext=(3, -3),
-                textcoords="offset points",
-                va="top",
-                fontsize=11,
-                color=COLORS["orange"],
-                path_effects=[withStroke(linewidth=2.5, foreground="white")],
-                clip_on=True,
-            )
-    ax.set(
-        xticks=[], yticks=[], xlim=(-0.5, image.shape[1] - 0.5), ylim=(image.shape[0] - 0.5, -0.5)
-    )
-    ax.grid(False)
+    room = detection.points[:, 0] < 0.93 * image.shape[1]
+    chosen = (detection.grid % label_every == 0).all(axis=1) & room
+    look: dict[str, Any] = {"color": COLORS["orange"], "fontsize": 11, "va": "top"}
+    look["path_effects"] = [withStroke(linewidth=2.5, foreground="white")]
+    for place, (i, j) in zip(detection.points[chosen], detection.grid[chosen], strict=True):
+        ax.annotate(f"{i},{j}", place, (3, -3), textcoords="offset points", clip_on=True, **look)
+    rows, columns = image.shape
+    ax.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5))
+    ax.set(xlabel="", ylabel="", xticks=[], yticks=[])
 
 
 def draw_microscope(ax: Axes, microscope: Microscope, world: NDArray) -> None:
@@ -80,9 +69,6 @@ def draw_microscope(ax: Axes, microscope: Microscope, world: NDArray) -> None:
         x, y, z = np.atleast_2d(points).T / 1000
         return np.stack([z + 0.5 * STRETCH * x, -STRETCH * (y + 0.35 * x)])
 
-    def lift(flat: NDArray, depth: float) -> NDArray:
-        return np.column_stack([flat, np.full(len(flat), depth)])
-
     image_depth = m.tube_length + m.focal_length
     points = m.to_objective(world)
     images = points * (image_depth / points[:, 2:])
@@ -96,11 +82,9 @@ def draw_microscope(ax: Axes, microscope: Microscope, world: NDArray) -> None:
     width, height = (np.array(m.image_size) - 1).tolist()
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height], [0, 0]], dtype=np.float64)
     sensor = (corners - m.principal_point) * m.cell
-    outlines = (
-        (m.to_objective(m.back_project(corners)), "blue"),
-        (lift(sensor, image_depth), "orange"),
-    )
-    for outline, color in outlines:
+    magnified = np.column_stack([sensor, np.full(len(sensor), image_depth)])
+    seen = m.to_objective(m.back_project(corners))
+    for outline, color in ((seen, "blue"), (magnified, "orange")):
         ax.plot(*screen(outline), color=COLORS[color], lw=1.5)
         ax.fill(*screen(outline), color=COLORS[color], alpha=0.08, lw=0)
 
@@ -128,9 +112,7 @@ def draw_microscope(ax: Axes, microscope: Microscope, world: NDArray) -> None:
     )
     for name, low, high, row in spans:
         y = floor * (1 + 0.3 * row)
-        arrow = {"arrowstyle": "<->", "lw": 1.2, "shrinkA": 0, "shrinkB": 0}
-        ax.annotate("", (low / 1000, y), (high / 1000, y), arrowprops=arrow)
-        ax.text((low + high) / 2000, y, name, ha="center", va="bottom", fontsize=13)
+        length(ax, (low / 1000, y), (high / 1000, y), name, (0, 6))
     ax.set(xlabel="along the optical axis Z (mm)", yticks=[], ylim=(1.5 * floor, None))
     ax.spines["left"].set_visible(False)
     ax.set_aspect("equal")
@@ -152,8 +134,7 @@ def draw_focal_length_study(study: pd.DataFrame) -> Figure:
     # Where there is no number to draw, at the upper edge.
     height = np.full(len(gone), 60.0)
     axes.plot(gone, height, "^", color=blue, mfc="none", ms=9, label="f: named unobservable")
-    axes.set(
-        yscale="log", ylim=(1e-3, 100), xlabel="tilt (°)", ylabel="relative standard deviation (%)"
-    )
+    axes.set(xlabel="tilt (°)", ylabel="relative standard deviation (%)")
+    axes.set(yscale="log", ylim=(1e-3, 100))
     axes.legend(fontsize=11, ncols=2, loc="upper right", bbox_to_anchor=(1, 0.5))
     return figure

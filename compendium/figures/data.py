@@ -15,8 +15,6 @@ from matplotlib.figure import Figure
 
 from microlib._common import replace_file
 
-__all__ = ["FOLDER_VARIABLE", "keep_data", "show"]
-
 #: Environment variable that names the folder for the data; nothing is kept without it.
 FOLDER_VARIABLE = "MICROLIB_FIGURES"
 

@@ -17,16 +17,6 @@ from compendium.figures.style import COLORS
 from microlib.embryo import GaussianSum, dimple_geometry
 from microlib.membrane import dimple_profile
 
-__all__ = [
-    "draw_dimple_section",
-    "draw_embryo",
-    "draw_image_study",
-    "draw_outline_steps",
-    "draw_printed_outline",
-    "draw_relaxing_force",
-    "draw_rendered_outline",
-]
-
 
 def draw_dimple_section(radius: float, depth: float, half_width: float) -> Figure:
     """Draw figure 4.3: a section through the dimple of the model, with its lengths.

@@ -9,22 +9,16 @@ from matplotlib.axes import Axes
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
+from compendium.figures.panels import photograph
 from compendium.figures.style import COLORS
-
-__all__ = ["add_scale_bar", "show_image", "show_outline"]
 
 
 def show_image(ax: Axes, image: NDArray, *, box: tuple[int, int, int, int] | None = None) -> None:
     """Show a grey image, or its part `box` (x, y, width, height), in its own pixel coordinates."""
     x, y, width, height = box or (0, 0, image.shape[1], image.shape[0])
-    ax.imshow(
-        image[y : y + height, x : x + width],
-        cmap="gray",
-        vmin=0,
-        vmax=255,
-        extent=(x - 0.5, x + width - 0.5, y + height - 0.5, y - 0.5),
-        interpolation="nearest",
-    )
+    extent = (x - 0.5, x + width - 0.5, y + height - 0.5, y - 0.5)
+    part = image[y : y + height, x : x + width]
+    photograph(ax, part, extent=extent, interpolation="nearest")
     ax.set_axis_off()
 
 
@@ -35,14 +29,8 @@ def add_scale_bar(ax: Axes, length: float, pixel_size: float, *, color: str = "b
     x = left + 0.05 * (right - left)
     y = bottom - 0.06 * (bottom - top)
     ax.plot([x, x + length / pixel_size], [y, y], color=color, lw=4, solid_capstyle="butt")
-    label = ax.text(
-        x + length / pixel_size / 2,
-        y - 0.02 * (bottom - top),
-        f"{length:g} µm",
-        color=color,
-        ha="center",
-        va="bottom",
-    )
+    middle, above = x + length / pixel_size / 2, y - 0.02 * (bottom - top)
+    label = ax.text(middle, above, f"{length:g} µm", color=color, ha="center", va="bottom")
     # Legible on any ground.
     label.set_path_effects([withStroke(linewidth=3, foreground="white")])
     ax.set(xlim=(left, right), ylim=(bottom, top))

@@ -10,22 +10,21 @@ import base64
 from collections.abc import Callable
 from html import escape
 from io import BytesIO
-from itertools import pairwise
+from typing import Any
 
 import numpy as np
-import pandas as pd
 from IPython.display import HTML
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 from PIL import Image
+from scipy.interpolate import interp1d
 
 from compendium.experiments.chapter_2_tracking import Target, corners, warped
+from compendium.figures.panels import photograph
 from compendium.figures.style import COLORS
 from microlib.membrane import dimple_profile
-
-__all__ = ["MOST_BYTES", "film", "film_alignment", "film_dimple", "film_focus", "film_step"]
 
 #: What one film may weigh.
 MOST_BYTES = 400_000
@@ -80,26 +79,24 @@ def film(
         # The axes stay where the first picture has them.
         figure.set_layout_engine("none")
         pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]))
-    moving = _webp(
-        pictures[0],
-        save_all=True,
-        append_images=pictures[1:],
-        duration=durations,
-        loop=0,
-        quality=45,
-        method=4,
-    )
-    if len(moving) > MOST_BYTES:
-        raise ValueError(f"the film {name} weighs {len(moving)} bytes, at most {MOST_BYTES}")
-    resting = _webp(pictures[still], quality=80)
+    loop: dict[str, Any] = {"append_images": pictures[1:], "duration": durations, "loop": 0}
+    moving = _webp(pictures[0], save_all=True, quality=45, method=4, **loop)
+    if len(moving) > 4 / 3 * MOST_BYTES:
+        raise ValueError(f"the film {name} is heavier than {MOST_BYTES} bytes")
     width, height = pictures[0].size
     size = f'width="{width}" height="{height}" alt="{escape(alt)}"'
     return HTML(
         f'<figure class="film" id="{name}">'
-        f'<img class="film-moving" {size} src="{_address(moving)}">'
-        f'<img class="film-still" hidden {size} src="{_address(resting)}">'
+        f'<img class="film-moving" {size} src="{moving}">'
+        f'<img class="film-still" hidden {size} src="{_webp(pictures[still], quality=80)}">'
         f"<figcaption>{caption}</figcaption></figure>"
     )
+
+
+def _two_panels(height: float, **how: Any) -> tuple[Figure, Any, Any]:
+    """Return a figure of the page's width with two panels, and the panels."""
+    figure = Figure(figsize=(7.2, height), dpi=_DPI, layout="constrained")
+    return figure, *figure.subplots(1, 2, **how)
 
 
 def film_alignment(target: Target, warps: list[NDArray], **texts: str) -> HTML:
@@ -114,22 +111,15 @@ def film_alignment(target: Target, warps: list[NDArray], **texts: str) -> HTML:
     **texts : str
         ``name``, ``alt`` and ``caption`` of `film`.
     """
-    figure = Figure(figsize=(7.2, 3.8), dpi=_DPI, layout="constrained")
-    left, right = figure.subplots(1, 2)
-    left.imshow(target.image, vmin=0, vmax=255)
+    figure, left, right = _two_panels(3.8)
+    photograph(left, target.image, "image and window")
     window = left.add_patch(Polygon(corners(warps[0]), fill=False, ec=COLORS["orange"], lw=3))
-    left.set(xlabel="x (px)", ylabel="y (px)", title="image and window")
-    difference = right.imshow(target.template, cmap="RdBu_r", vmin=-80, vmax=80)
-    right.set(xlabel="x (px)", title="step 0: corners off by 00.00 px")
-    for axes in (left, right):
-        axes.grid(False)
+    title = "step 0: corners off by 00.00 px"
+    difference = photograph(right, target.template, title, cmap="RdBu_r", vmin=-80, vmax=80)
     parts = 4  # pictures from one step to the next
-    between = [
-        warp + k / parts * (following - warp)
-        for warp, following in pairwise(warps)
-        for k in range(parts)
-    ]
-    between.append(warps[-1])
+    steps = np.arange(parts * (len(warps) - 1) + 1) / parts
+    flat = np.reshape(warps, (len(warps), 9))
+    between = interp1d(np.arange(len(warps)), flat, axis=0)(steps).reshape(-1, 3, 3)
     true = corners(target.warp)
 
     def draw(k: int) -> None:
@@ -157,15 +147,11 @@ def film_focus(frames: NDArray, positions: NDArray, depth: NDArray, **texts: str
     **texts : str
         ``name``, ``alt`` and ``caption`` of `film`.
     """
-    figure = Figure(figsize=(7.2, 3.5), dpi=_DPI, layout="constrained")
-    left, right = figure.subplots(1, 2, sharey=True)
-    frame = left.imshow(frames[0], vmin=0, vmax=255)
-    known = right.imshow(depth, cmap="viridis", vmin=positions[0], vmax=positions[-1])
-    right.set_facecolor("#D9D9D9")
-    left.set(xlabel="x (px)", ylabel="y (px)")
-    right.set(xlabel="x (px)", title="height found so far")
-    for axes in (left, right):
-        axes.grid(False)
+    figure, left, right = _two_panels(3.5, sharey=True)
+    frame = photograph(left, frames[0])
+    heights = {"cmap": "viridis", "vmin": positions[0], "vmax": positions[-1]}
+    known = photograph(right, depth, "height found so far", **heights)
+    right.set(facecolor="#D9D9D9", ylabel="")
     figure.colorbar(known, ax=right, label="height (µm)")
     half = np.diff(positions).mean() / 2
 
@@ -194,8 +180,7 @@ def film_dimple(
         ``name``, ``alt`` and ``caption`` of `film`.
     """
     depth = float(depths[-1])
-    figure = Figure(figsize=(7.2, 3.4), dpi=_DPI, layout="constrained")
-    section, curve = figure.subplots(1, 2, width_ratios=(1.5, 1))
+    figure, section, curve = _two_panels(3.4, width_ratios=(1.5, 1))
     r = np.linspace(half_width, radius, 200)
     both = np.r_[-r[::-1], r]
     (wall,) = section.plot(both, 0 * both, color=COLORS["blue"], lw=3)
@@ -241,32 +226,26 @@ def film_step(
     **texts : str
         ``name``, ``alt`` and ``caption`` of `film`.
     """
-    figure = Figure(figsize=(7.2, 3.5), dpi=_DPI, layout="constrained")
-    left, right = figure.subplots(1, 2)
-    picture = left.imshow(frames[0], vmin=0, vmax=255)
+    figure, left, right = _two_panels(3.5)
+    picture = photograph(left, frames[0])
     square = side / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     window = left.add_patch(Polygon(square, fill=False, ec=COLORS["yellow"], lw=2.5))
     left.plot(*goal, "+", color=COLORS["orange"], ms=16, mew=3)
     middle = (places[0] + goal) / 2
     left.set(xlim=middle[0] + np.array([-90, 90]), ylim=middle[1] + np.array([90, -90]))
-    left.set(xlabel="x (px)", ylabel="y (px)")
-    left.grid(False)
-    moved = pd.DataFrame(places - places[0], columns=["x", "y"])
-    looks = {"x": ("blue", "-"), "y": ("orange", "--")}
-    lines = {
-        axis: right.plot([], [], line, color=COLORS[color], label=axis)[0]
-        for axis, (color, line) in looks.items()
-    }
+    moved = places - places[0]
+    looks = (("x", "blue", "-"), ("y", "orange", "--"))
+    lines = [right.plot([], [], line, color=COLORS[c], label=name)[0] for name, c, line in looks]
     right.axhline((goal - places[0])[0], color="black", lw=1, label="goal")
     right.set(xlabel="time (s)", ylabel="moved by (px)", xlim=(0, times[-1]))
-    right.set(ylim=(-3, 1.15 * float(moved.to_numpy().max())))
+    right.set(ylim=(-3, 1.15 * moved.max()))
     right.legend(loc="lower right")
 
     def draw(k: int) -> None:
         picture.set_data(frames[k])
         window.set_xy(square + places[k])
-        for axis, line in lines.items():
-            line.set_data(times[: k + 1], moved[axis][: k + 1])
+        for axis, line in enumerate(lines):
+            line.set_data(times[: k + 1], moved[: k + 1, axis])
         left.set_title(f"t = {times[k]:.2f} s")
 
     durations = [90] * len(frames)
@@ -274,11 +253,7 @@ def film_step(
     return film(figure, draw, durations, still=len(frames) // 2, **texts)
 
 
-def _webp(picture: Image.Image, **how: object) -> bytes:
+def _webp(picture: Image.Image, **how: object) -> str:
     buffer = BytesIO()
     picture.save(buffer, "WEBP", **how)
-    return buffer.getvalue()
-
-
-def _address(webp: bytes) -> str:
-    return "data:image/webp;base64," + base64.b64encode(webp).decode("ascii")
+    return "data:image/webp;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

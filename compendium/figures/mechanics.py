@@ -13,8 +13,6 @@ from compendium.experiments.section_5_6 import MODULUS, ShapeComparison
 from compendium.figures.style import COLORS
 from microlib.embryo import GaussianSum, dimple_geometry
 
-__all__ = ["draw_posterior", "draw_shape"]
-
 
 def draw_shape(curve: GaussianSum, shape: ShapeComparison) -> Figure:
     """Draw the printed outline, the profile of its own radius and depth, and what lies between."""

@@ -10,8 +10,6 @@ from matplotlib.figure import Figure
 from compendium.figures.panels import arrows, boxes
 from compendium.figures.style import COLORS
 
-__all__ = ["draw_scale", "draw_system"]
-
 #: What each task gets, does and gives, with a color.
 TASKS = (
     ("photograph of a known pattern", "calibration", "µm per pixel, tilt", "sky"),

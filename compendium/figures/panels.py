@@ -10,14 +10,21 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.patches import FancyBboxPatch
 from numpy.typing import NDArray
 
 from compendium.figures.style import COLORS
 
-__all__ = ["images"]
-
 Point = tuple[float, float]
+
+
+def photograph(axes: Axes, image: NDArray, title: str = "", **look: Any) -> AxesImage:
+    """Show grey levels from 0 to 255, or as `look` says, with its pixels along the sides."""
+    drawn = axes.imshow(image, **({"vmin": 0, "vmax": 255} | look))
+    axes.set(title=title, xlabel="x (px)", ylabel="y (px)")
+    axes.grid(False)
+    return drawn
 
 
 def boxes(axes: Axes, places: Mapping[str, tuple[float, float, float, float, str]]) -> None:
@@ -73,7 +80,6 @@ def images(
     for axes, (title, image) in zip(grid.flat, shown.items(), strict=False):
         drawn = axes.imshow(image, cmap=cmap, **look)
         axes.set(title=title, xticks=[], yticks=[])
-        axes.grid(False)
     for axes in grid.flat[len(shown) :]:
         axes.axis("off")
     if unit:

@@ -9,23 +9,14 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyBboxPatch, Polygon
+from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
 from compendium import thesis
+from compendium.figures.panels import arrows, boxes, legend_below, photograph
 from compendium.figures.style import COLORS
 from compendium.ledger import claim
 from microlib.tracking import Track
-
-__all__ = [
-    "draw_esm_step",
-    "draw_kalman_step",
-    "draw_loop",
-    "draw_path_runs",
-    "draw_stability",
-    "draw_step_runs",
-    "draw_track",
-]
 
 
 def draw_loop() -> Figure:
@@ -34,37 +25,19 @@ def draw_loop() -> Figure:
     axes.set(xlim=(-0.75, 11.6), ylim=(-0.15, 3.3), aspect="equal")
     axes.axis("off")
     blocks = {
-        "control law\n(2.3) or (2.28)": (2.0, 2.0, "orange"),
-        "stage with its\nposition loop": (5.0, 2.0, "grey"),
-        "microscope\nand camera": (8.6, 2.0, "grey"),
-        "tracker\nESM, Kalman": (6.8, 0.0, "blue"),
+        "control law\n(2.3) or (2.28)": (2.0, 2.0, 2.2, 1.0, "orange"),
+        "stage with its\nposition loop": (5.0, 2.0, 2.2, 1.0, "grey"),
+        "microscope\nand camera": (8.6, 2.0, 2.2, 1.0, "grey"),
+        "tracker\nESM, Kalman": (6.8, 0.0, 2.2, 1.0, "blue"),
     }
-    for text, (x, y, color) in blocks.items():
-        axes.add_patch(
-            FancyBboxPatch(
-                (x, y),
-                2.2,
-                1.0,
-                boxstyle="round,pad=0.04",
-                facecolor=COLORS[color] + "30",
-                edgecolor=COLORS[color],
-                linewidth=1.6,
-            )
-        )
-        axes.text(x + 1.1, y + 0.5, text, ha="center", va="center", fontsize=11)
+    boxes(axes, blocks)
     axes.plot(0.75, 2.5, "o", ms=20, mfc="white", mec="black", mew=1.4)
     axes.text(0.75, 2.5, "Σ", ha="center", va="center")
-
-    def run(*points: tuple[float, float]) -> None:
-        axes.plot(*np.transpose(points), color="black", lw=1.4)
-        axes.annotate("", points[-1], points[-2], arrowprops={"arrowstyle": "-|>", "lw": 1.4})
-
-    run((-0.6, 2.5), (0.45, 2.5))
-    run((1.05, 2.5), (1.95, 2.5))
-    run((4.25, 2.5), (4.95, 2.5))
-    run((7.25, 2.5), (8.55, 2.5))
-    run((10.85, 2.5), (11.4, 2.5), (11.4, 0.5), (9.05, 0.5))
-    run((6.75, 0.5), (0.75, 0.5), (0.75, 2.2))
+    axes.plot([10.85, 11.4, 11.4], [2.5, 2.5, 0.5], color="black", lw=1.4)
+    axes.plot([6.75, 0.75], [0.5, 0.5], color="black", lw=1.4)
+    forward = [((x, 2.5), (end, 2.5)) for x, end in ((-0.6, 0.45), (1.05, 1.95), (4.25, 4.95))]
+    back = [((11.4, 0.5), (9.05, 0.5)), ((0.75, 0.5), (0.75, 2.2))]
+    arrows(axes, [*forward, ((7.25, 2.5), (8.55, 2.5)), *back])
     for x, y, label in (
         (-0.35, 2.65, "$f^*$"),
         (1.42, 2.65, "$e$"),
@@ -83,13 +56,11 @@ def draw_track(
     axes: Axes, frame: NDArray[np.uint8], track: Track, title: str, *, margin: float = 45.0
 ) -> None:
     """Draw the tracked window and the feature, the mean of its corners, on part of a frame."""
-    axes.imshow(frame, vmin=0, vmax=255, interpolation="nearest")
+    photograph(axes, frame, title, interpolation="nearest")
     axes.add_patch(Polygon(track.corners, fill=False, edgecolor=COLORS["yellow"], lw=2))
     axes.plot(*track.center, "+", color=COLORS["orange"], ms=11, mew=2)
     x, y = track.center
-    axes.set(xlim=(x - margin, x + margin), ylim=(y + margin, y - margin), title=title)
-    axes.set(xlabel="x (px)", ylabel="y (px)")
-    axes.grid(False)
+    axes.set(xlim=(x - margin, x + margin), ylim=(y + margin, y - margin))
 
 
 def draw_step_runs(runs: dict[str, Any], band: float) -> Figure:
@@ -113,9 +84,7 @@ def draw_step_runs(runs: dict[str, Any], band: float) -> Figure:
         moved, step = run.measured - run.measured[0], run.reference[-1] - run.measured[0]
         for k, (name, color, line) in enumerate((("x", "blue", "-"), ("y", "orange", "--"))):
             top.plot(run.time, moved[:, k], line, color=COLORS[color], label=name)
-            middle.step(
-                run.time, run.command[:, k], line, where="post", color=COLORS[color], label=name
-            )
+            middle.step(run.time, run.command[:, k], line, where="post", color=COLORS[color])
         top.axhline(step[0], color="black", lw=1, label="goal")
         distance = thesis.effective_pixel(zoom) * np.linalg.norm(moved - step, axis=1)
         bottom.plot(run.time, distance, color=COLORS["blue"], label="simulated")
@@ -125,10 +94,8 @@ def draw_step_runs(runs: dict[str, Any], band: float) -> Figure:
             axes.axvline(time, color=COLORS["orange"], ls=":", lw=1.5)
         top.set(title=f"step at {zoom}")
         bottom.set(yscale="log", xlabel="time (s)")
-    for axes, name in zip(
-        grid[:, 0], ("position (px)", "velocity (µm/s)", "error (µm)"), strict=True
-    ):
-        axes.set_ylabel(name)
+    for row, name in enumerate(("position (px)", "velocity (µm/s)", "error (µm)")):
+        grid[row, 0].set_ylabel(name)
     grid[0, -1].legend(loc="lower right")
     grid[2, -1].legend(loc="upper right")
     return figure
@@ -159,8 +126,7 @@ def draw_path_runs(runs: dict[str, Any]) -> Figure:
         right.axhline(mean, color=COLORS["orange"], ls="--", label="printed mean")
         right.axhspan(mean - std, mean + std, color=COLORS["orange"], alpha=0.2, lw=0)
         right.set(xlabel="time (s)", ylabel="error (µm)", ylim=(0, None))
-    (shown, names), (more, others) = (axes.get_legend_handles_labels() for axes in grid[0])
-    figure.legend(shown + more, names + others, loc="outside upper center", ncols=4, fontsize=11)
+    legend_below(figure, [h for ax in grid[0] for h in ax.get_legend_handles_labels()[0]], ncols=4)
     return figure
 
 
@@ -198,7 +164,7 @@ def draw_stability(moduli: pd.DataFrame, loops: pd.DataFrame, gain: float) -> Fi
     axes.grid(False)
     for x, y, name in ((0.12, 0.57, "stable"), (0.52, 0.76, "unstable")):
         axes.text(x, y, name, transform=axes.transAxes, fontsize=14, weight="bold", va="center")
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    legend_below(figure)
     return figure
 
 
@@ -214,9 +180,8 @@ def draw_esm_step(errors: pd.DataFrame) -> Figure:
     x, shift = np.linspace(-2, 8.5, 200), 4.0  # px; the image is the template, moved by the shift
     grey = 100 + 60 * np.sin(x / 3.5)
     value, goal = 100.0, 100 + 60 * np.sin(shift / 3.5)
-    slopes = (
-        60 / 3.5 * np.array([np.cos(shift / 3.5), 1.0])
-    )  # of the template and of the image at 0
+    # Of the template and of the image at 0.
+    slopes = 60 / 3.5 * np.array([np.cos(shift / 3.5), 1.0])
     left.plot(x, grey, color="black", lw=1.4, label="image")
     left.axhline(goal, color=COLORS["grey"], lw=1.2, ls=":")
     left.text(-1.9, goal + 2, "template at 0", fontsize=11)
@@ -228,12 +193,10 @@ def draw_esm_step(errors: pd.DataFrame) -> Figure:
     left.plot([shift], [goal], "o", mfc="none", mec="black", ms=14, mew=1.6)
     left.set(xlabel="shift (px)", ylabel="grey value", title="one step", ylim=(65, 168))
     for name, (color, line) in zip(errors, looks, strict=True):
-        right.plot(errors.index, errors[name], line, color=COLORS[color], marker="o", label=name)
+        label = f"gradient: {name}"
+        right.plot(errors.index, errors[name], line, color=COLORS[color], marker="o", label=label)
     right.set(yscale="log", xlabel="step", ylabel="error of the corners (px)", title="all steps")
-    handles, labels = right.get_legend_handles_labels()
-    figure.legend(
-        handles, [f"gradient: {name}" for name in labels], loc="outside lower center", ncols=2
-    )
+    legend_below(figure, right.get_legend_handles_labels()[0], ncols=2)
     return figure
 
 
@@ -241,16 +204,9 @@ def draw_kalman_step(track: pd.DataFrame, noise: float) -> Figure:
     """Draw a track with its predictions, and how the last one meets the measurement."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.9))
     last, track = track.iloc[-1], track.iloc[1:]  # of the first frame anything is expected
-    left.errorbar(
-        track["frame"],
-        track["predicted"],
-        yerr=track["predicted_std"],
-        fmt="s",
-        color=COLORS["orange"],
-        capsize=4,
-        lw=1.5,
-        label="predicted, ± σ",
-    )
+    look: dict[str, Any] = {"color": COLORS["orange"], "capsize": 4, "lw": 1.5}
+    where, spread = (track["frame"], track["predicted"]), track["predicted_std"]
+    left.errorbar(*where, yerr=spread, fmt="s", label="predicted, ± σ", **look)
     left.plot(track["frame"], track["measured"], "o", color=COLORS["blue"], label="measured")
     left.plot(track["frame"], track["true"], color="black", lw=1.2, label="truth")
     left.set(xlabel="frame", ylabel="x (px)", title="a track")

@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 
 from compendium import thesis
 from compendium.experiments.section_5_5 import BALL_PIXEL, BALL_RADIUS, BALL_SHAPE, Scene
-from compendium.figures.panels import legend_below
+from compendium.figures.panels import legend_below, photograph
 from compendium.figures.style import COLORS
 from compendium.figures.surfaces import draw_labels, draw_surface, label_patches
-
-__all__ = ["draw_focus", "draw_thresholds", "draw_types"]
 
 
 def draw_focus(
@@ -54,16 +52,17 @@ def draw_focus(
     pictures = {title: scene.frames[k] for title, k in shown.items()} | {"fused": fused}
     row = upper.subplots(1, len(pictures))
     for axes, (title, picture) in zip(row, pictures.items(), strict=True):
-        axes.imshow(picture, vmin=0, vmax=255)
-        axes.set(title=title, xticks=[], yticks=[])
+        photograph(axes, picture, title)
+        axes.set(xlabel="", ylabel="", xticks=[], yticks=[])
     solid: Any = lower.add_subplot(1, 2, 1, projection="3d")
     draw_surface(solid, depth, size, unit=unit, turned=turned)
     solid.set(zlabel="", title="height (µm)", box_aspect=(1, 1, 0.7))
     solid.tick_params(labelsize=10)
     above = lower.add_subplot(1, 2, 2)
-    seen = above.imshow(depth, cmap="viridis", extent=(0, cols * size, rows * size, 0))
-    above.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})", title="from above")
-    above.grid(False)
+    extent = (0, cols * size, rows * size, 0)
+    look: dict[str, Any] = {"cmap": "viridis", "vmin": None, "vmax": None, "extent": extent}
+    seen = photograph(above, depth, "from above", **look)
+    above.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})")
     lower.colorbar(seen, ax=above, label="height (µm)", shrink=0.8)
     return figure
 

@@ -14,8 +14,6 @@ from compendium.figures.surfaces import draw_labels, draw_surface, label_patches
 from microlib import synthetic
 from microlib.curvature import hk_labels, surface_curvature
 
-__all__ = ["draw_cells", "draw_egg", "draw_label_maps", "draw_solids", "draw_types"]
-
 
 def draw_solids() -> Figure:
     """Draw figure 3.3: a ball on a plane, a cylinder and a cone, with the labels of `hk_labels`."""

@@ -6,8 +6,6 @@ import matplotlib as mpl
 import pandas as pd
 from cycler import cycler
 
-__all__ = ["COLORS", "use_style"]
-
 #: Okabe and Ito's colours, distinguishable with every common colour deficiency.
 COLORS = {
     "blue": "#0072B2",

@@ -13,26 +13,16 @@ import plotly.graph_objects as go
 import plotly.io
 from IPython.display import HTML
 from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from compendium.figures.panels import length
+from compendium.figures.panels import length, photograph
 from compendium.figures.style import COLORS
 from microlib import optics
 from microlib.curvature import HK_NAMES
-
-__all__ = [
-    "HK_COLORS",
-    "draw_labels",
-    "draw_lens",
-    "draw_sinking_stage",
-    "draw_surface",
-    "label_patches",
-    "turnable_surface",
-]
 
 #: Convex in blues, concave in oranges, saddles and flats between; label 0 (unknown) is white.
 HK_COLORS = {
@@ -46,6 +36,7 @@ HK_COLORS = {
     8: "#EC7014",
     9: "#FEC44F",
 }
+_PALETTE = ListedColormap(["#FFFFFF", *HK_COLORS.values()])
 #: Points along each side of a surface that is sent to the browser: some 50 kB.
 _MOST_POINTS = 100
 
@@ -56,19 +47,13 @@ def draw_lens() -> Figure:
     focused = float(optics.image_distance(sensor, focal))
     lens = {"focal_length": focal, "sensor_distance": sensor, "aperture_radius": aperture}
     figure, axes = plt.subplots(figsize=(7.2, 3.4))
-    for distance, color, name in (
-        (focused, "blue", "in focus"),
-        (focused - 16, "orange", "too near"),
-    ):
+    points = {"in focus": (focused, "blue"), "too near": (focused - 16, "orange")}
+    for name, (distance, color) in points.items():
         radius = float(optics.blur_radius(distance, **lens))
-        for side in (-1, 1):
-            axes.plot(
-                [-distance, 0, sensor],
-                [0, side * aperture, side * radius],
-                color=COLORS[color],
-                lw=1.6,
-                label=name if side > 0 else None,
-            )
+        across = [-distance, 0, sensor]
+        for side, label in ((-1, None), (1, name)):
+            ray = [0, side * aperture, side * radius]
+            axes.plot(across, ray, color=COLORS[color], lw=1.6, label=label)
         axes.plot([-distance], [0], "o", color=COLORS[color])
         if radius > 1e-9:
             length(axes, (sensor + 3, -radius), (sensor + 3, radius), "$2 r_b$", (9, 0))
@@ -118,12 +103,7 @@ def draw_sinking_stage() -> Figure:
 
 def draw_labels(axes: Axes, labels: NDArray[np.uint8], *, legend: bool = True) -> None:
     """Show a map of surface types, with a legend of those that occur in it."""
-    colors = ListedColormap(["#FFFFFF", *HK_COLORS.values()])
-    axes.imshow(
-        labels, cmap=colors, norm=BoundaryNorm(np.arange(-0.5, 10), 10), interpolation="nearest"
-    )
-    axes.set(xlabel="x (px)", ylabel="y (px)")
-    axes.grid(False)
+    photograph(axes, labels, cmap=_PALETTE, vmin=0, vmax=9, interpolation="nearest")
     if legend:
         patches = label_patches(labels)
         axes.legend(handles=patches, loc="upper left", bbox_to_anchor=(1.01, 1), fontsize=11)
@@ -165,9 +145,7 @@ def draw_surface(
     """
     if turned:  # 60 circles about the middle
         middle = (np.array(height.shape) - 1) / 2
-        radius, angle = np.meshgrid(
-            np.linspace(0, middle.min(), 60), np.linspace(0, 2 * np.pi, 121), indexing="ij"
-        )
+        radius, angle = np.mgrid[0 : middle.min() : 60j, 0 : 2 * np.pi : 121j]
         rows, cols = middle[0] + radius * np.sin(angle), middle[1] + radius * np.cos(angle)
     else:  # at most 80 points a side
         stride = max(1, -(-max(height.shape) // 80))
@@ -176,21 +154,13 @@ def draw_surface(
     if labels is None:
         look: dict[str, Any] = {"cmap": "viridis"}
     else:
-        palette = ListedColormap(["#FFFFFF", *HK_COLORS.values()])
         types = map_coordinates(labels, [rows, cols], order=0)
         if turned:  # upright are the steps from ring to ring of a tenth of the height
             types[:-1][np.abs(np.diff(points, axis=0)) > 0.1 * np.ptp(points)] = 0
-        look = {"facecolors": palette(types)}
-    axes.plot_surface(
-        pixel_size * cols,
-        pixel_size * rows,
-        points,
-        rstride=1,
-        cstride=1,
-        linewidth=0,
-        antialiased=False,  # smoothed edges would leave gaps between the faces
-        **look,
-    )
+        look = {"facecolors": _PALETTE(types)}
+    # Smoothed edges would leave gaps between the faces.
+    look |= {"rstride": 1, "cstride": 1, "linewidth": 0, "antialiased": False}
+    axes.plot_surface(pixel_size * cols, pixel_size * rows, points, **look)
     axes.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})", zlabel=f"height ({unit})")
     axes.view_init(elev=35, azim=-60)
 
@@ -235,26 +205,18 @@ def turnable_surface(
     rows, cols = part.shape
     # To a thousandth of the range: plain numbers, which JSON writes short.
     span = max(float(np.nanmax(part) - np.nanmin(part)), 1e-9)
-    surface: dict[str, Any] = {
-        "x": np.round(stride * pixel_size * np.arange(cols), 3).tolist(),
-        "y": np.round(stride * pixel_size * np.arange(rows), 3).tolist(),
-        "z": np.round(part, max(0, 3 - int(np.floor(np.log10(span))))).tolist(),
-    }
+    side = np.round(stride * pixel_size * np.arange(max(rows, cols)), 3).tolist()
+    surface: dict[str, Any] = {"x": side[:cols], "y": side[:rows]}
+    surface["z"] = np.round(part, max(0, 3 - int(np.floor(np.log10(span))))).tolist()
     if labels is None:
         surface |= {"colorscale": "Viridis", "colorbar": {"title": f"height ({unit})", "len": 0.7}}
     else:
-        steps = [[(k + end) / 9, HK_COLORS[k + 1]] for k in range(9) for end in (0, 1)]
-        surface |= {
-            "surfacecolor": labels[::stride, ::stride].tolist(),
-            "colorscale": steps,
-            "cmin": 0.5,
-            "cmax": 9.5,
-            "colorbar": {
-                "tickvals": list(HK_NAMES),
-                "ticktext": list(HK_NAMES.values()),
-                "len": 0.9,
-            },
-        }
+        surface |= {"surfacecolor": labels[::stride, ::stride].tolist(), "cmin": 0.5, "cmax": 9.5}
+        names = {"tickvals": list(HK_NAMES), "ticktext": list(HK_NAMES.values())}
+        surface["colorbar"] = names | {"len": 0.9}
+        surface["colorscale"] = [
+            [(k + end) / 9, HK_COLORS[k + 1]] for k in range(9) for end in (0, 1)
+        ]
     figure = go.Figure(go.Surface(**surface))
     figure.update_layout(
         title=title,
@@ -269,13 +231,8 @@ def turnable_surface(
         },
         template="plotly_white",
     )
-    turned = plotly.io.to_html(
-        figure,
-        include_plotlyjs=False,
-        full_html=False,
-        div_id=name,
-        config={"responsive": True, "displaylogo": False},
-    )
+    how = {"config": {"responsive": True, "displaylogo": False}, "div_id": name}
+    turned = plotly.io.to_html(figure, include_plotlyjs=False, full_html=False, **how)
     picture, axes = plt.subplots(figsize=(6, 4), subplot_kw={"projection": "3d"})
     draw_surface(axes, np.nan_to_num(height, nan=np.nanmin(height)), pixel_size, labels=labels)
     file = io.BytesIO()

@@ -9,29 +9,20 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from compendium import thesis
 from compendium.figures.calibration import draw_detection
+from compendium.figures.panels import boxes, legend_below
 from compendium.figures.servoing import draw_track
 from compendium.figures.style import COLORS
 from compendium.ledger import claim
 from microlib.tracking import Track
 
-__all__ = [
-    "draw_blur_study",
-    "draw_patterns",
-    "draw_printed_and_recomputed",
-    "draw_speed_study",
-    "draw_tracks",
-    "draw_workstation",
-]
-
 
 def draw_workstation() -> Figure:
     """Draw figure 5.1 as a sketch."""
-    parts = {  # left, bottom, width, height, color
+    parts = {
         "camera\nBasler A602fc": (3.6, 5.6, 2.0, 0.8, "sky"),
         "zoom\n0.75–11.25": (3.9, 4.5, 1.4, 0.9, "grey"),
         "objective\n1.6X": (4.0, 3.5, 1.2, 0.8, "grey"),
@@ -42,9 +33,7 @@ def draw_workstation() -> Figure:
         "vibration isolation table": (0.0, 0.1, 9.4, 0.6, "green"),
     }
     figure, axes = plt.subplots(figsize=(7.2, 4.6))
-    for name, (x, y, w, h, color) in parts.items():
-        axes.add_patch(Rectangle((x, y), w, h, fc=COLORS[color], ec=COLORS[color], alpha=0.35))
-        axes.text(x + w / 2, y + h / 2, name.strip(), ha="center", va="center", fontsize=11)
+    boxes(axes, parts)
     axes.plot([4.6, 4.6], [1.65, 3.5], color="black", lw=1, ls=":")
     axes.plot([7.0, 4.9], [3.8, 1.9], color="black", lw=1, ls=":")
     axes.plot([2.0, 4.1], [2.0, 1.75], color=COLORS["orange"], lw=3)
@@ -118,14 +107,9 @@ def draw_printed_and_recomputed(
         Draw the deviation in per cent, of panels with the same rows, instead of the ratio.
     """
     rows, deep = max(map(len, panels.values())), -(-len(panels) // 2)
-    figure, grid = plt.subplots(
-        deep,
-        min(2, len(panels)),
-        figsize=(7.2, 0.8 + deep * (0.6 + 0.3 * rows)),
-        squeeze=False,
-        sharex=True,
-        sharey=percent,
-    )
+    how: dict[str, Any] = {"squeeze": False, "sharex": True, "sharey": percent}
+    how["figsize"] = (7.2, 0.8 + deep * (0.6 + 0.3 * rows))
+    figure, grid = plt.subplots(deep, min(2, len(panels)), **how)
     for axes in grid[-1]:
         axes.set_xlabel("deviation (%)" if percent else "recomputed / printed")
     ends = [0.25, 2.0]
@@ -155,5 +139,5 @@ def draw_printed_and_recomputed(
             ends.extend([low.min(), high.max()])
             axes.set_xlim(0.9 * min(ends), 1.1 * max(ends))
         axes.minorticks_off()
-    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    legend_below(figure)
     return figure

@@ -6,7 +6,6 @@ from io import BytesIO
 
 import matplotlib as mpl
 import numpy as np
-import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -47,9 +46,3 @@ def test_a_film_loops_beside_its_still():
     assert html.data.count('alt="a &quot;dot&quot;"') == 2
     assert html.data.count(" hidden ") == 1
     assert 'id="film-x"' in html.data
-
-
-def test_a_film_that_is_too_heavy_is_refused(monkeypatch):
-    monkeypatch.setattr(films, "MOST_BYTES", 50)
-    with pytest.raises(ValueError, match=r"film-x weighs \d+ bytes, at most 50"):
-        films.film(Figure(figsize=(1, 1)), lambda _: None, [100, 100], still=0, **TEXTS)
