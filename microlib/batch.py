@@ -19,12 +19,14 @@ from glob import glob
 from io import StringIO
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
 from tqdm import tqdm
 
 from microlib._common import Tidy, end_with_starter, flag, flat_row, of_kind, replace_file
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = ["process_files"]
 
@@ -100,6 +102,8 @@ def process_files(
     >>> found["words"].tolist()
     [2, 1]
     """
+    import pandas as pd  # here, as it takes long to import
+
     paths = _paths(files)
     if not callable(work):
         raise ValueError(f"work must be a function of a path, got {type(work).__name__}")
@@ -141,8 +145,10 @@ def process_files(
 
 
 def _write(path: Path, rows: list[dict[str, Any]], columns: list[str]) -> None:
-    text = pd.DataFrame(rows, columns=columns).to_csv(index=False)
-    replace_file(path, partial(Path.write_bytes, data=text.encode()))
+    text = StringIO(newline="")
+    csv.DictWriter(text, columns).writeheader()
+    csv.DictWriter(text, columns).writerows(rows)
+    replace_file(path, partial(Path.write_bytes, data=text.getvalue().encode()))
 
 
 def _paths(files: object) -> list[Path]:

@@ -192,7 +192,8 @@ class Absent:
             raise ModuleNotFoundError(f"{{name}} is not among the library's dependencies")
 sys.meta_path.insert(0, Absent())
 import {name}
-for module in ("matplotlib", "plotly", "IPython"):
+# No plots; and what takes long to import waits for the function that needs it.
+for module in ("matplotlib", "plotly", "IPython", "pandas", "scipy.stats", "skimage"):
     assert module not in sys.modules, module
 """
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

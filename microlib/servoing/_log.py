@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from microlib._common import Array
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: Name of each column of a pair of axes, and the type of every column.
 COLUMNS: dict[str, str] = {
@@ -47,4 +49,6 @@ def add_event(row: dict[str, Any], event: str) -> None:
 
 def as_frame(rows: list[dict[str, Any]]) -> pd.DataFrame:
     """Return the rows as a table."""
+    import pandas as pd  # here, as it takes long to import
+
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype(COLUMNS)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import (
@@ -30,6 +29,9 @@ from microlib.servoing._control import full_rank
 from microlib.servoing._log import add_event, as_frame, new_row, put
 from microlib.servoing._loop import USED, Loop, Settings
 from microlib.servoing._workstation import Controller, Tracker
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: What the calibration's test moves are by default, as a share of the travel: far enough from the
 #: noise, and far from the limits.
