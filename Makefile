@@ -46,7 +46,7 @@ book: html ## run the notebooks and build the book
 
 pdf: html ## print the book to build/book.pdf (needs a Chromium)
 	@$(BIN)/python book/make_pdf.py
-	@echo "The book is in build/book.pdf"
+	@echo "The book is in build/book.pdf, its summary in build/summary.pdf"
 
 test: $(STAMP) ## run every test: library, notebooks, book
 	@trap 'exit 130' INT; failed=0; \

@@ -1,4 +1,4 @@
-"""Make one PDF of the built book: its pages in order, printed by a headless Chromium.
+"""Make one PDF of the built book, and one of its summary, printed by a headless Chromium.
 
 ``make pdf`` runs it after ``make html``. All pages become one, so that links between them hold in
 the PDF; its links, its bookmarks and the numbers below its pages are the browser's. On which page
@@ -121,14 +121,15 @@ def list_contents(html: Path, pages: list[str]) -> str:
 
 
 def combine(html: Path, pages: list[str]) -> str:
-    """Return one page of many, with contents behind the first."""
+    """Return one page of many, with contents behind the first; of one, that page alone."""
     home = (html / f"{pages[0]}.html").read_text(encoding="utf-8")
     head = home[home.index("<head>") : home.index("</head>")]
     parts = [
         f'<section class="printed-page" id="{slug(page)}">{gather(html, page, pages)}</section>'
         for page in pages
     ]
-    parts.insert(1, f'<nav class="printed-page">{list_contents(html, pages)}</nav>')
+    if len(pages) > 1:
+        parts.insert(1, f'<nav class="printed-page">{list_contents(html, pages)}</nav>')
     return (
         f'<!DOCTYPE html><html lang="en" data-content_root="./" data-theme="light">{head}'
         f"{STYLE}</head>"
@@ -218,8 +219,10 @@ if __name__ == "__main__":
             args=["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
         )
         make_pdf(chromium, HTML.resolve(), pages_in_order(), PDF)
+        make_pdf(chromium, HTML.resolve(), ["summary"], PDF.with_name("summary.pdf"))
         chromium.close()
     # Beside the pages, and from now on their footers lead to it.
-    shutil.copy(PDF, HTML / "book.pdf")
+    for made in (PDF, PDF.with_name("summary.pdf")):
+        shutil.copy(made, HTML / made.name)
     style = HTML / "_static" / "pdf.css"
     style.write_text("a.pdf-link { display: inline; }\n", encoding="utf-8")

@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import os
 import shutil
+import subprocess
 import sys
 import tempfile
 from contextlib import redirect_stdout
@@ -39,7 +40,7 @@ def main() -> int:
                     raise
             publish(html, BUILD / "html")
         return report_failures()
-    except (OSError, RuntimeError, ClickException) as error:
+    except (OSError, RuntimeError, ClickException, subprocess.CalledProcessError) as error:
         print(f"The book was not built: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
@@ -61,7 +62,11 @@ def prepare() -> None:
 
 
 def render(folder: Path) -> None:
-    """Let jupyter-book make the pages in a folder; its warnings go to the terminal."""
+    """Let jupyter-book make the pages in a folder; its warnings go to the terminal.
+
+    What is known of this build is written first, since a page shows it."""
+    command = [sys.executable, "-m", "book.make_certificate", str(BUILD / "certificate")]
+    subprocess.run(command, check=True, cwd=ROOT)
     # Here, since it warns of its own use of click when it is imported.
     from jupyter_book.cli.main import main as jupyter_book  # type: ignore[import-untyped]
 

@@ -2,7 +2,7 @@
 
 - ``{benchmarks}`` with the names of results: their tables, with the machine that they were
   measured on; without one, what must hold.
-- ``{status}``: how each notebook's run went, with the hashes of what it depended on.
+- ``{certificate}``: what made this build, how each notebook's run went, and the hashes.
 
 Both read files of this project, which no extension that exists knows.
 """
@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from docutils import nodes
 from docutils.statemachine import StringList
@@ -123,21 +123,29 @@ class Benchmarks(SphinxDirective):
         return [result]
 
 
-class Status(SphinxDirective):
-    """A table of the notebooks' runs, and the versions that they ran with."""
-
-    KEYS: ClassVar = {"microlib": "microlib", "data": "data", "lock": "environment.txt"}
+class Certificate(SphinxDirective):
+    """What made this build, as ``book/make_certificate.py`` found it."""
 
     def run(self) -> list[nodes.Node]:
-        files = sorted((ROOT / "build" / "status").glob("*.json"))
-        runs = [json.loads(path.read_text(encoding="utf-8")) for path in files]
-        rows = [[r["notebook"], str(r["seconds"]), r["failed"] or str(r["checks"])] for r in runs]
-        key = runs[0]["key"]
-        shared = [[name, nodes.literal("", key[part][:12])] for part, name in self.KEYS.items()]
-        shared.append(["Python", key["python"]])
+        made = json.loads((ROOT / "build/certificate/certificate.json").read_text("utf-8"))
+        names = ("commit", "committed", "version", "command", "built", "system", "processor")
+        facts = [[name.capitalize(), str(made[name])] for name in names]
+        facts[0][1] += ", with changes" if made["changed"] else ""
+        facts.append(["Verdicts", ", ".join(f"{n} {word}" for word, n in made["verdicts"].items())])
+        facts += [[f"Version of {name}", text] for name, text in made["versions"].items()]
+        hashes = [[name, nodes.literal("", code)] for name, code in made["sha256"].items()]
+        runs = [
+            [
+                run["notebook"],
+                str(run["seconds"]),
+                "failed" if run["failed"] else str(run["checks"]),
+            ]
+            for run in made["notebooks"]
+        ]
         return [
-            table(["Notebook", "Run time (s)", "Checks passed"], rows),
-            table(["What they ran with", "Its hash or version"], shared),
+            table(["This build", "Value"], facts),
+            table(["SHA-256 of", "Value"], hashes),
+            table(["Notebook", "Run time (s)", "Checks passed"], runs),
         ]
 
 
@@ -148,6 +156,6 @@ def keep_own_numbers(app: Sphinx, config: Config) -> None:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     app.add_directive("benchmarks", Benchmarks)
-    app.add_directive("status", Status)
+    app.add_directive("certificate", Certificate)
     app.connect("config-inited", keep_own_numbers, priority=900)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

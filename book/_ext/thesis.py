@@ -278,15 +278,6 @@ def preview_claims() -> dict[str, str]:
     }
 
 
-def write_scorecard(app: Sphinx, error: Exception | None) -> None:
-    """Publish all verdicts as a spreadsheet and as JSON."""
-    if error is None and app.builder.format == "html":
-        scores = ledger.scorecard(CLAIMS)
-        scores.to_csv(Path(app.outdir) / "_static" / "scorecard.csv", index=False)
-        text = scores.to_json(orient="records", force_ascii=False, indent=1)
-        (Path(app.outdir) / "_static" / "verdicts.json").write_text(text, encoding="utf-8")
-
-
 def setup(app: Sphinx) -> dict[str, bool]:
     app.add_role("recomputed", Recomputed())
     app.add_role("printed", Printed())
@@ -298,5 +289,4 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.add_directive("errata", Errata)
     app.add_css_file("thesis.css")
     app.add_js_file("filter.js", loading_method="defer")
-    app.connect("build-finished", write_scorecard)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

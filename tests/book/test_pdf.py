@@ -63,6 +63,11 @@ def test_a_few_pages_are_printed(html: Path, tmp_path: Path, browser: Browser) -
     assert first[-1] <= data.count(b"/Type /Page\n")
 
 
+def test_the_summary_is_two_to_four_pages(html: Path, tmp_path: Path, browser: Browser) -> None:
+    make_pdf(browser, html, ["summary"], tmp_path / "summary.pdf")
+    assert 2 <= (tmp_path / "summary.pdf").read_bytes().count(b"/Type /Page\n") <= 4
+
+
 def test_the_contents_say_on_which_page_a_chapter_begins(page: Page) -> None:
     # More sheets than one node of the browser's tree of pages holds.
     sheets = {"one": 2, "two--x": 3, "three": 14}

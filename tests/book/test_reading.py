@@ -66,7 +66,7 @@ def test_what_disagrees_has_its_reason_on_one_page(html: Path) -> None:
 
 
 def test_what_is_published_has_the_four_words(html: Path) -> None:
-    published = json.loads((html / "_static" / "verdicts.json").read_text(encoding="utf-8"))
+    published = json.loads((html / "verdicts.json").read_text(encoding="utf-8"))
     assert [entry["claim"] for entry in published] == [claim.id for claim in CLAIMS]
     assert {entry["verdict"] for entry in published} == set(ledger.VERDICTS)
 
@@ -170,7 +170,7 @@ def test_pages_follow_the_system_and_figures_open_larger(browser: Browser, html:
     assert page.evaluate("document.documentElement.dataset.theme") == "dark"
     figures = page.locator("figure:has(img):not(.film)")
     assert figures.count() == page.locator("figure a.enlarge img").count() > 0
-    assert page.locator("footer a[href$='status.html']").count() == 1
+    assert page.locator("footer a[href$='certificate.html']").count() == 1
     page.close()
 
 

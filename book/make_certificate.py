@@ -1,0 +1,177 @@
+"""Write what a reader needs to check one build of the book against another.
+
+``compendium.book`` runs it before the pages are rendered; what it leaves in ``build/certificate``
+lies beside the pages afterwards:
+
+- ``verdicts.json`` and ``scorecard.csv``: every printed number with its verdict,
+- ``certificate.json``: commit, machine, versions, times and hashes, which the page shows,
+- ``codecheck.yml``: what a codechecker compares, as https://codecheck.org.uk describes it,
+- ``ro-crate-metadata.json``: the same for programs, as https://w3id.org/ro/crate describes it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import subprocess
+import sys
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import pandas as pd
+import yaml
+from rocrate.model.contextentity import ContextEntity
+from rocrate.model.person import Person
+from rocrate.rocrate import ROCrate
+
+from compendium import ledger
+from microlib import __version__
+
+ROOT = Path(__file__).resolve().parents[1]
+BUILD = ROOT / "build"
+PACKAGES = ("numpy", "scipy", "scikit-image", "opencv-python-headless", "pandas", "matplotlib")
+COMMAND = "make book"
+THESIS = "3D Reconstruction, Classification and Mechanical Characterization of Microstructures"
+AUTHOR = "Muhammet Ali Hocaoğlu"
+SOURCE = "Master's thesis, Sabancı University, 2008"
+MADE = {
+    "verdicts.json": "every number that the thesis prints, recomputed, with its verdict",
+    "scorecard.csv": "the same as a table",
+    "certificate.json": "commit, machine, versions, times and hashes of this build",
+}
+
+
+def git(*arguments: str) -> str:
+    """Return what git says; nothing where the folder is not a repository."""
+    command = ["git", "-C", str(ROOT), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+
+
+def processor() -> str:
+    """Return the processor's name, where the system tells it."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+def hash_of(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def gather(scores: pd.DataFrame) -> dict:
+    """Return the certificate: what was run, where, for how long, and the hashes of what came out.
+
+    Parameters
+    ----------
+    scores : pandas.DataFrame
+        The table of `compendium.ledger.scorecard`.
+
+    Returns
+    -------
+    dict
+        ``sha256`` holds the hash of ``verdicts``, the lines *claim, verdict, star*, which is the
+        same on every processor; of ``figures``, the numbers behind the figures, which is the same
+        on one machine; and of what went in.
+    """
+    runs = [json.loads(path.read_text("utf-8")) for path in sorted(BUILD.glob("status/*.json"))]
+    words = [
+        f"{row.claim}\t{row.verdict}{ledger.STAR * bool(row.star)}\t{bool(row.recomputed)}\n"
+        for row in scores.itertuples()
+    ]
+    figures = [f"{p.name}\n{p.read_text('utf-8')}" for p in sorted(BUILD.glob("figures/*.csv"))]
+    key = runs[0]["key"]
+    return {
+        "commit": git("rev-parse", "HEAD") or "unknown: no repository",
+        "committed": git("log", "-1", "--format=%cI"),
+        "changed": bool(git("status", "--porcelain", "--untracked-files=no")),
+        "version": __version__,
+        "command": COMMAND,
+        "built": datetime.now(UTC).isoformat(timespec="seconds"),
+        "system": platform.platform(),
+        "processor": f"{processor()}, {os.cpu_count()} cores",
+        "versions": {"python": key["python"], **{name: version(name) for name in PACKAGES}},
+        "notebooks": [
+            {part: run[part] for part in ("notebook", "seconds", "checks", "failed")}
+            for run in runs
+        ],
+        "verdicts": {word: int((scores["verdict"] == word).sum()) for word in ledger.VERDICTS},
+        "sha256": {
+            "verdicts": hash_of("".join(words)),
+            "figures": hash_of("".join(figures)),
+            **{part: key[part] for part in ("microlib", "data", "lock")},
+        },
+    }
+
+
+def codecheck(certificate: dict) -> str:
+    """Return the configuration that a codechecker completes."""
+    manifest = [{"file": name, "comment": comment} for name, comment in MADE.items()]
+    content = {
+        "version": "https://codecheck.org.uk/spec/config/1.0/",
+        "manifest": manifest,
+        "paper": {"title": THESIS, "authors": [{"name": AUTHOR}], "reference": SOURCE},
+        "summary": f"{COMMAND} at commit {certificate['commit']} wrote these files.",
+    }
+    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+    missing = (
+        "# A codechecker adds: codechecker, report, check_time, certificate. None has so far.\n"
+    )
+    return f"---\n{missing}{text}"
+
+
+def crate(certificate: dict) -> ROCrate:
+    """Return the description of the built book as a research object."""
+    result = ROCrate()
+    result.name = "3-D Microstructures, an executable thesis"
+    result.description = f"Every number of a thesis computed again: {THESIS} ({SOURCE})."
+    result.datePublished = datetime.fromisoformat(certificate["built"])
+    result.license = "https://spdx.org/licenses/CC-BY-4.0"
+    author = result.add(Person(result, "#author", {"name": AUTHOR}))
+    thesis = {"@type": "Thesis", "name": THESIS, "author": author, "datePublished": "2008"}
+    software = {
+        "@type": "SoftwareSourceCode",
+        "name": "microlib and the notebooks",
+        "version": f"{__version__}, commit {certificate['commit']}",
+        "license": "https://spdx.org/licenses/MIT",
+    }
+    instrument, about = (
+        result.add(ContextEntity(result, name, properties))
+        for name, properties in (("#software", software), ("#thesis", thesis))
+    )
+    files = [
+        result.add_file(dest_path=name, properties={"name": name, "description": comment})
+        for name, comment in MADE.items()
+    ]
+    run = {
+        "@type": "CreateAction",
+        "name": f"{COMMAND} on {certificate['processor']}, {certificate['system']}",
+        "endTime": certificate["built"],
+    }
+    action = result.add(ContextEntity(result, "#run", run))
+    action["instrument"], action["object"], action["result"] = instrument, about, files
+    result.root_dataset["about"], result.root_dataset["mentions"] = about, action
+    return result
+
+
+def main(folder: Path) -> None:
+    """Write all of it into a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    scores = ledger.scorecard(BUILD / "claims")
+    certificate = gather(scores)
+    texts = {
+        "scorecard.csv": scores.to_csv(index=False),
+        "verdicts.json": scores.to_json(orient="records", force_ascii=False, indent=1),
+        "certificate.json": json.dumps(certificate, indent=1, ensure_ascii=False) + "\n",
+        "codecheck.yml": codecheck(certificate),
+    }
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    crate(certificate).metadata.write(folder)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
