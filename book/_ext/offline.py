@@ -3,7 +3,8 @@
 MathJax and plotly come from packages on disk as one file each; the inert thebe loader goes. Font
 preloads go too: a browser refuses them for a page opened from a file, and loads the fonts from the
 style sheet anyway. The toggles of the contents get a name for screen readers, wide tables can be
-scrolled by keyboard, and each figure opens larger. The theme has no setting for any of it.
+scrolled by keyboard, empty heads of tables are no heads, and each figure opens larger. The theme
+has no setting for any of it.
 """
 
 from __future__ import annotations
@@ -22,15 +23,18 @@ from microlib import __version__
 
 MATHJAX = "mathjax/tex-svg-full.js"
 PLOTLY = "plotly.min.js"
-TOGGLE = '<summary><span class="toctree-toggle"'
-WIDE_TABLE = '<div class="pst-scrollable-table-container"'
+# What is replaced in every page, by what it is replaced with.
 MENDS = {
-    TOGGLE: TOGGLE.replace("<summary", '<summary aria-label="subpages"'),
-    '<div role="list" class="citation-list">': '<div class="citation-list">',
-    WIDE_TABLE: f'{WIDE_TABLE} tabindex="0" role="region" aria-label="table"',
+    r'<link rel="preload" as="font"[^>]*>': "",
+    r'<summary>(?=<span class="toctree-toggle")': '<summary aria-label="subpages">',
+    r'<div role="list" class="citation-list">': '<div class="citation-list">',
+    r'(?<=class="pst-scrollable-table-container")': ' tabindex="0" role="group" aria-label="table"',
+    r'<div (?=class="bd-sidebar-primary )': '<div role="complementary" aria-label="book" ',
+    r"<th([^>]*)>(?:&nbsp;|<p></p>|\s)*</th>": r"<td\1></td>",
+    r'(<figure[^>]*>\s*)(<img [^>]*src="(?!data:)([^"]+)"[^>]*>)': (
+        r'\1<a class="enlarge" href="\3">\2</a>'
+    ),
 }
-FIGURE = re.compile(r'(<figure[^>]*>\s*)(<img [^>]*src="(?!data:)([^"]+)"[^>]*>)')
-FONT_PRELOAD = re.compile(r'<link rel="preload" as="font"[^>]*>')
 
 
 def package_folder(name: str) -> Path:
@@ -63,9 +67,8 @@ def copy_libraries(app: Sphinx, error: Exception | None) -> None:
     copy_asset_file(str(source), str(static / MATHJAX))
     for page in Path(app.outdir).rglob("*.html"):
         html = page.read_text(encoding="utf-8")
-        html = FIGURE.sub(r'\1<a class="enlarge" href="\3">\2</a>', FONT_PRELOAD.sub("", html))
         for fault, mend in MENDS.items():
-            html = html.replace(fault, mend)
+            html = re.sub(fault, mend, html)
         page.write_text(html, encoding="utf-8")
     library = package_folder("plotly") / "package_data" / PLOTLY
     copy_asset_file(str(library), str(static / PLOTLY))

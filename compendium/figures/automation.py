@@ -22,7 +22,7 @@ def draw_injection(pressed: dict[str, Any]) -> Figure:
     -------
     Figure
     """
-    figure = plt.figure(figsize=(7.2, 6.0))
+    figure = plt.figure(figsize=(6.4, 6.0))
     grid = figure.add_gridspec(3, 6, height_ratios=(1.1, 1, 1))
     for k, name in enumerate(("start", "contact", "target")):
         axes = figure.add_subplot(grid[0, 2 * k : 2 * k + 2])
@@ -38,6 +38,6 @@ def draw_injection(pressed: dict[str, Any]) -> Figure:
         axes.axvline(pressed["contact"], color=COLORS["orange"], ls="--", label="contact seen")
         axes.set_ylabel(f"{name} ({unit})")
         if row == 0:
-            axes.legend(loc="upper left", fontsize=10)
+            axes.legend(loc="upper left")
     axes.set_xlabel("time (s)")
     return figure

@@ -39,7 +39,7 @@ def draw_detection(ax: Axes, image: NDArray, detection: Detection, *, label_ever
     ax.plot(*detection.points.T, "+", color=COLORS["yellow"], ms=7, mew=1.4)
     room = detection.points[:, 0] < 0.93 * image.shape[1]
     chosen = (detection.grid % label_every == 0).all(axis=1) & room
-    look: dict[str, Any] = {"color": COLORS["orange"], "fontsize": 11, "va": "top"}
+    look: dict[str, Any] = {"color": COLORS["orange"], "va": "top"}
     look["path_effects"] = [withStroke(linewidth=2.5, foreground="white")]
     for place, (i, j) in zip(detection.points[chosen], detection.grid[chosen], strict=True):
         ax.annotate(f"{i},{j}", place, (3, -3), textcoords="offset points", clip_on=True, **look)
@@ -126,7 +126,7 @@ def draw_focal_length_study(study: pd.DataFrame) -> Figure:
     tilt = study["tilt"]
     gone = study.loc[study["lost"] > 0.5, "tilt"]
     blue, orange = COLORS["blue"], COLORS["orange"]
-    figure, axes = plt.subplots(figsize=(7.2, 4.2))
+    figure, axes = plt.subplots(figsize=(6.4, 4.2))
     axes.plot(tilt, percent["bound"], color=COLORS["grey"], label="f: Cramér–Rao bound")
     axes.plot(tilt, percent["stated"], "o", color=blue, label="f: stated σ")
     axes.plot(tilt, percent["scatter"], "x", color=orange, ms=9, mew=2, label="f: scatter")
@@ -136,5 +136,5 @@ def draw_focal_length_study(study: pd.DataFrame) -> Figure:
     axes.plot(gone, height, "^", color=blue, mfc="none", ms=9, label="f: named unobservable")
     axes.set(xlabel="tilt (°)", ylabel="relative standard deviation (%)")
     axes.set(yscale="log", ylim=(1e-3, 100))
-    axes.legend(fontsize=11, ncols=2, loc="upper right", bbox_to_anchor=(1, 0.5))
+    axes.legend(ncols=2, loc="upper right", bbox_to_anchor=(1, 0.5))
     return figure

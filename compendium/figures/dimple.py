@@ -37,7 +37,7 @@ def draw_dimple_section(radius: float, depth: float, half_width: float) -> Figur
     bend = 80.0  # µm, the radius R outside the rim; the model does not use it
     turn = np.linspace(0, np.pi / 2, 60)
     outside, above = a + bend * np.sin(turn), bend * (np.cos(turn) - 1)
-    figure, axes = plt.subplots(figsize=(7.2, 4.0))
+    figure, axes = plt.subplots(figsize=(6.4, 4.0))
     for side in (-1, 1):
         axes.plot(side * r, -w, color=COLORS["blue"], lw=3)
         axes.plot(side * outside, above, color=COLORS["sky"], lw=3)
@@ -63,7 +63,7 @@ def draw_printed_outline(curve: GaussianSum) -> Figure:
     (x1, y1), (x2, y2) = _rim_and_bottom(curve)
     right = maxima[maxima > x2]
     x = np.linspace(*curve.domain, 800)
-    figure, axes = plt.subplots(figsize=(7.2, 3.8))
+    figure, axes = plt.subplots(figsize=(6.4, 3.8))
     axes.plot(x, curve(x), color=COLORS["blue"], label="$f_m(x)$, (5.1)")
     axes.plot(x1, y1, "o", color=COLORS["orange"], ms=9, label="rim $(x_1, y_1)$")
     axes.plot(x2, y2, "s", color=COLORS["green"], ms=9, label="bottom $(x_2, y_2)$")
@@ -78,7 +78,7 @@ def draw_printed_outline(curve: GaussianSum) -> Figure:
 
 def draw_embryo(scene: Scene) -> Figure:
     """Draw figures 5.15 and 5.16: the whole image, and the embryo with its dimple."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.1), width_ratios=(1.34, 1))
+    figure, (left, right) = plt.subplots(1, 2, figsize=(6.4, 3.1), width_ratios=(1.34, 1))
     show_image(left, scene.image)
     add_scale_bar(left, 1000, scene.pixel_size)
     pointer = {"arrowprops": {"arrowstyle": "-", "lw": 1.2}, "va": "center"}
@@ -129,7 +129,7 @@ def draw_rendered_outline(
     """
     base = np.interp(columns, boundary.x, boundary.y).min()
     (x1, y1), (x2, y2) = _rim_and_bottom(smooth)
-    figure, (whole, bottom) = plt.subplots(2, 1, figsize=(7.2, 6.0))
+    figure, (whole, bottom) = plt.subplots(2, 1, figsize=(6.4, 6.0))
     for axes in (whole, bottom):
         axes.plot(columns, smooth(columns), color=COLORS["yellow"], label="eight Gaussians")
         axes.plot(columns, profile - base, color=COLORS["blue"], lw=3, label="profile (4.2)")
@@ -149,7 +149,7 @@ def draw_rendered_outline(
 
 def draw_image_study(study: pd.DataFrame) -> Figure:
     """Draw the moduli of an `image_study` against the depth, with the truth."""
-    figure, axes = plt.subplots(figsize=(7.2, 3.8))
+    figure, axes = plt.subplots(figsize=(6.4, 3.8))
     axes.axhline(MODULUS, color="black", lw=1.2, label="truth")
     label = "LOESS and eight Gaussians"
     axes.plot(study["depth"], study["thesis"], "s", color=COLORS["sky"], label=label)
@@ -162,7 +162,7 @@ def draw_image_study(study: pd.DataFrame) -> Figure:
 def draw_relaxing_force(felt: pd.DataFrame) -> Figure:
     """Draw a `relaxing_sequence`: truth, what each outline alone says, and the force over time."""
     fine = np.linspace(0.0, float(felt["time"].iloc[-1]), 300)
-    figure, axes = plt.subplots(figsize=(7.2, 3.6))
+    figure, axes = plt.subplots(figsize=(6.4, 3.6))
     axes.plot(fine, true_force(fine), color="black", lw=1.2, label="truth")
     axes.plot(felt["time"], felt["elastic"], "s", color=COLORS["orange"], label="one outline alone")
     intervals(axes, felt, "time", "force", "all outlines so far, 95 %")

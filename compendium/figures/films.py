@@ -95,7 +95,7 @@ def film(
 
 def _two_panels(height: float, **how: Any) -> tuple[Figure, Any, Any]:
     """Return a figure of the page's width with two panels, and the panels."""
-    figure = Figure(figsize=(7.2, height), dpi=_DPI, layout="constrained")
+    figure = Figure(figsize=(6.4, height), dpi=_DPI, layout="constrained")
     return figure, *figure.subplots(1, 2, **how)
 
 

@@ -19,7 +19,7 @@ def draw_shape(curve: GaussianSum, shape: ShapeComparison) -> Figure:
     dimple = dimple_geometry(curve, pixel_size=1.0)
     x1, x2 = dimple.rim[0], dimple.bottom[0]
     across = np.linspace(x1 - 20, 2 * x2 - x1, 500)
-    figure, axes = plt.subplots(figsize=(7.2, 5.2))
+    figure, axes = plt.subplots(figsize=(6.4, 5.2))
     axes.plot(across, curve(across), color=COLORS["blue"], lw=3, label="outline of Table 5.5")
     label = "(4.2) with its radius and depth"
     axes.plot(shape.x, shape.expected, "--", color=COLORS["orange"], lw=3, label=label)
@@ -38,7 +38,7 @@ def draw_posterior(supported: Mapping[str, pd.DataFrame]) -> Figure:
     """Draw the moduli (MPa) of draws, a hump each membrane with a bar that holds 95 %."""
     ticks = (0.3, 0.5, 1.0, 2.0, 4.0)
     edges = np.geomspace(ticks[0], ticks[-1], 61)
-    figure, axes = plt.subplots(figsize=(7.2, 3.6))
+    figure, axes = plt.subplots(figsize=(6.4, 3.6))
     for place, (name, found) in enumerate(supported.items(), 1):
         share, _ = np.histogram(found["E"], edges, weights=np.full(len(found), 100 / len(found)))
         axes.stairs(share, edges, color=f"C{place - 1}", lw=2, label=f"{name} (bar: 95 %)")

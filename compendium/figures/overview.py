@@ -30,13 +30,13 @@ THINGS = {
 
 def draw_system() -> Figure:
     """Draw the microscope over its sample, and beside it the four tasks of its camera's frames."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 4.6), width_ratios=(1, 1.35))
+    figure, (left, right) = plt.subplots(1, 2, figsize=(6.4, 4.6), width_ratios=(1, 1.35))
     _draw_microscope(left)
     for row, (given, task, result, color) in enumerate(TASKS):
         y = -2.2 * row
         boxes(right, {task: (0.0, y, 4.2, 0.62, color)})
-        right.text(2.1, y + 0.92, given, ha="center", va="center", fontsize=10)
-        right.text(2.1, y - 0.3, f"→ {result}", ha="center", va="center", fontsize=10)
+        right.text(2.1, y + 0.92, given, ha="center", va="center")
+        right.text(2.1, y - 0.3, f"→ {result}", ha="center", va="center")
     right.set(xlim=(-0.2, 4.4), ylim=(-7.2, 1.3))
     for axes in (left, right):
         axes.axis("off")
@@ -56,26 +56,28 @@ def _draw_microscope(axes: Axes) -> None:
     axes.fill([1.6, 2.8, 2.25, 2.15], [4.0, 4.0, 1.7, 1.7], color=COLORS["yellow"], alpha=0.25)
     turn = np.linspace(0, 2 * np.pi, 80)
     axes.plot(2.2 + 0.34 * np.cos(turn), 1.38 + 0.34 * np.sin(turn), color="black", lw=2)
-    axes.text(3.05, 1.3, "embryo", fontsize=10, va="center")
+    axes.text(3.05, 1.3, "embryo", va="center")
     for side, name in ((-1, "gripper"), (1, "probe")):
         axes.plot([2.2 + 2.1 * side, 2.2 + 0.4 * side], [2.6, 1.6], color=COLORS["orange"], lw=4)
-        axes.text(2.2 + 1.75 * side, 2.85, name, ha="center", fontsize=10)
+        axes.text(2.2 + 1.75 * side, 2.85, name, ha="center")
     arrows(axes, [((3.2, 7.0), (4.6, 7.0))])
-    axes.text(3.9, 7.25, "frames", ha="center", fontsize=10)
+    axes.text(3.9, 7.25, "frames", ha="center")
     axes.set(xlim=(-0.1, 4.7), ylim=(0.1, 7.7))
 
 
 def draw_scale() -> Figure:
     """Draw figure 2.1: the scale of micromanipulation, as one ruler."""
-    figure, axes = plt.subplots(figsize=(7.2, 1.9))
+    figure, axes = plt.subplots(figsize=(6.4, 2.2))
     bands = (("nano", 1e-9, "green"), ("micro", 1e-6, "orange"), ("macro", 1e-3, "blue"))
     for name, low, color in bands:
         axes.barh(0, 999 * low, left=low, height=0.5, color=COLORS[color])
         axes.text(low * 10**1.5, 0, name, ha="center", va="center", color="white")
     for k, (size, name) in enumerate(THINGS.items()):
-        axes.plot([size, size], [0.3, 0.5 + 0.4 * (k % 2)], color="black", lw=1)
-        axes.text(size, 0.55 + 0.4 * (k % 2), name, ha="center", va="bottom", fontsize=11)
-    axes.set(xscale="log", xlim=(3e-11, 1), ylim=(-0.3, 1.3), yticks=[], xlabel="size (m)")
+        height = 0.5 + 0.4 * (k % 3)
+        axes.plot([size, size], [0.3, height], color="black", lw=1)
+        axes.text(size, height + 0.05, name, ha="center", va="bottom")
+    axes.set(xscale="log", xlim=(3e-11, 1), ylim=(-0.3, 1.7), yticks=[])
+    axes.set_xticks([1e-9, 1e-6, 1e-3, 1], ["1 nm", "1 µm", "1 mm", "1 m"])
     axes.spines["left"].set_visible(False)
     axes.grid(False)
     return figure

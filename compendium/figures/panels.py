@@ -33,7 +33,7 @@ def boxes(axes: Axes, places: Mapping[str, tuple[float, float, float, float, str
         box = FancyBboxPatch((x, y), width, height, boxstyle="round,pad=0.04", lw=1.2)
         box.set(facecolor=COLORS[color] + "40", edgecolor=COLORS[color])
         axes.add_patch(box)
-        axes.text(x + width / 2, y + height / 2, text, ha="center", va="center", fontsize=11)
+        axes.text(x + width / 2, y + height / 2, text, ha="center", va="center")
 
 
 def arrows(axes: Axes, ends: Iterable[tuple[Point, Point]]) -> None:
@@ -61,7 +61,7 @@ def intervals(axes: Axes, table: pd.DataFrame, x: str, y: str, label: str) -> No
 def legend_below(figure: Figure, handles: Iterable[Any] = (), ncols: int = 3) -> None:
     """Put one legend under all panels, of the first panel's entries unless others are given."""
     entries = list(handles) or figure.axes[0].get_legend_handles_labels()[0]
-    figure.legend(handles=entries, loc="outside lower center", ncols=ncols, fontsize=11)
+    figure.legend(handles=entries, loc="outside lower center", ncols=ncols)
 
 
 def images(
@@ -75,7 +75,7 @@ def images(
     """Show images side by side under their titles, with one color bar if they have a unit."""
     rows = -(-len(shown) // columns)
     height, width = next(iter(shown.values())).shape[:2]
-    size = (7.2, rows * (7.2 / columns * height / width + 0.5))
+    size = (6.4, rows * ((5.2 if unit else 6.4) / columns * height / width + 0.5))
     figure, grid = plt.subplots(rows, columns, figsize=size, squeeze=False)
     for axes, (title, image) in zip(grid.flat, shown.items(), strict=False):
         drawn = axes.imshow(image, cmap=cmap, **look)

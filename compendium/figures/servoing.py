@@ -21,7 +21,7 @@ from microlib.tracking import Track
 
 def draw_loop() -> Figure:
     """Draw figure 2.3: image-based servoing as dynamic look-and-move."""
-    figure, axes = plt.subplots(figsize=(7.2, 3.1))
+    figure, axes = plt.subplots(figsize=(6.4, 3.1))
     axes.set(xlim=(-0.75, 11.6), ylim=(-0.15, 3.3), aspect="equal")
     axes.axis("off")
     blocks = {
@@ -76,7 +76,7 @@ def draw_step_runs(runs: dict[str, Any], band: float) -> Figure:
         Share of the step within which it counts as settled, which is shaded.
     """
     figure, grid = plt.subplots(
-        3, len(runs), figsize=(7.2, 7.6), squeeze=False, sharex="col", sharey="row"
+        3, len(runs), figsize=(6.4, 7.6), squeeze=False, sharex="col", sharey="row"
     )
     for (zoom, run), (top, middle, bottom) in zip(runs.items(), grid.T, strict=True):
         entry = f"table-5.3/{zoom}/{{}}".format
@@ -112,7 +112,7 @@ def draw_path_runs(runs: dict[str, Any]) -> Figure:
         By path.
     """
     pixel = thesis.effective_pixel("1X")
-    figure, grid = plt.subplots(len(runs), 2, figsize=(7.2, 2.9 * len(runs)), squeeze=False)
+    figure, grid = plt.subplots(len(runs), 2, figsize=(6.4, 2.9 * len(runs)), squeeze=False)
     for (name, run), (left, right) in zip(runs.items(), grid, strict=True):
         start = run.reference[0]
         # The measurement hardly leaves the reference, which therefore lies on top of it.
@@ -148,7 +148,7 @@ def draw_stability(moduli: pd.DataFrame, loops: pd.DataFrame, gain: float) -> Fi
         A map with its stability limit, and the simulated loops on it.
     """
     delays, gains = moduli.columns, moduli.index
-    figure, axes = plt.subplots(figsize=(7.2, 4.6))
+    figure, axes = plt.subplots(figsize=(6.4, 4.6))
     # White at 1, where the loop neither decays nor grows; blue is stable and orange is not.
     shades = axes.contourf(
         delays, gains, moduli, levels=np.arange(0, 2.01, 0.2), cmap="PuOr_r", alpha=0.8
@@ -176,7 +176,7 @@ def draw_esm_step(errors: pd.DataFrame) -> Figure:
     errors : DataFrame
         As `errors_by_gradient` returns it, px.
     """
-    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 4.1))
+    figure, (left, right) = plt.subplots(1, 2, figsize=(6.4, 4.1))
     x, shift = np.linspace(-2, 8.5, 200), 4.0  # px; the image is the template, moved by the shift
     grey = 100 + 60 * np.sin(x / 3.5)
     value, goal = 100.0, 100 + 60 * np.sin(shift / 3.5)
@@ -184,7 +184,7 @@ def draw_esm_step(errors: pd.DataFrame) -> Figure:
     slopes = 60 / 3.5 * np.array([np.cos(shift / 3.5), 1.0])
     left.plot(x, grey, color="black", lw=1.4, label="image")
     left.axhline(goal, color=COLORS["grey"], lw=1.2, ls=":")
-    left.text(-1.9, goal + 2, "template at 0", fontsize=11)
+    left.text(-1.9, goal + 2, "template at 0")
     looks = (("orange", "--"), ("sky", "-."), ("blue", "-"))
     for slope, (color, line) in zip((*slopes, slopes.mean()), looks, strict=True):
         end = (goal - value) / slope
@@ -202,7 +202,7 @@ def draw_esm_step(errors: pd.DataFrame) -> Figure:
 
 def draw_kalman_step(track: pd.DataFrame, noise: float) -> Figure:
     """Draw a track with its predictions, and how the last one meets the measurement."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.9))
+    figure, (left, right) = plt.subplots(1, 2, figsize=(6.4, 3.9))
     last, track = track.iloc[-1], track.iloc[1:]  # of the first frame anything is expected
     look: dict[str, Any] = {"color": COLORS["orange"], "capsize": 4, "lw": 1.5}
     where, spread = (track["frame"], track["predicted"]), track["predicted_std"]
@@ -210,7 +210,7 @@ def draw_kalman_step(track: pd.DataFrame, noise: float) -> Figure:
     left.plot(track["frame"], track["measured"], "o", color=COLORS["blue"], label="measured")
     left.plot(track["frame"], track["true"], color="black", lw=1.2, label="truth")
     left.set(xlabel="frame", ylabel="x (px)", title="a track")
-    left.legend(loc="upper left", fontsize=11)
+    left.legend(loc="upper left")
     bells = {
         "predicted": (last["predicted"], last["predicted_std"], "orange", "--"),
         "measured": (last["measured"], noise, "blue", "-."),
@@ -223,5 +223,5 @@ def draw_kalman_step(track: pd.DataFrame, noise: float) -> Figure:
         right.plot(x, density, line, color=COLORS[color], label=name)
     right.set(xlabel="x (px)", ylabel="probability density (1/px)", title="its last frame")
     right.set(ylim=(0, 1.45 * np.max(density)))
-    right.legend(loc="upper left", fontsize=11)
+    right.legend(loc="upper left")
     return figure

@@ -46,7 +46,7 @@ def draw_focus(
     """
     unit, size = ("px", 1.0) if pixel_size is None else ("µm", pixel_size)
     rows, cols = depth.shape
-    figure = plt.figure(figsize=(7.2, 6.2))
+    figure = plt.figure(figsize=(6.4, 6.2))
     halves: Any = figure.subfigures(2, 1, height_ratios=(1, 1.2))
     upper, lower = halves
     pictures = {title: scene.frames[k] for title, k in shown.items()} | {"fused": fused}
@@ -56,8 +56,7 @@ def draw_focus(
         axes.set(xlabel="", ylabel="", xticks=[], yticks=[])
     solid: Any = lower.add_subplot(1, 2, 1, projection="3d")
     draw_surface(solid, depth, size, unit=unit, turned=turned)
-    solid.set(zlabel="", title="height (µm)", box_aspect=(1, 1, 0.7))
-    solid.tick_params(labelsize=10)
+    solid.set(xlabel="", ylabel="", zlabel="", title="height (µm)", box_aspect=(1, 1, 0.7))
     above = lower.add_subplot(1, 2, 2)
     extent = (0, cols * size, rows * size, 0)
     look: dict[str, Any] = {"cmap": "viridis", "vmin": None, "vmax": None, "extent": extent}
@@ -90,7 +89,7 @@ def draw_types(
     rows = -(-len(labels) // columns)
     x, y, width, height = box or (0, 0, *next(iter(labels.values())).shape[::-1])
     # Inches: square pixels, a title and a label for each row, a legend below.
-    size = (7.2, 0.8 + rows * (0.75 + 6.4 / columns * height / width))
+    size = (6.4, 1.2 + rows * (0.75 + 5.6 / columns * height / width))
     figure, grid = plt.subplots(rows, columns, figsize=size, squeeze=False)
     for axes, (title, types) in zip(grid.flat, labels.items(), strict=True):
         draw_labels(axes, types, legend=False)
@@ -109,7 +108,7 @@ def draw_thresholds() -> Figure:
     """Draw the thesis' thresholds in the plane of H and K, and where a ball lies in it."""
     h, k = thesis.H_THRESHOLD, thesis.K_THRESHOLD
     curvature = np.linspace(0, 0.2, 300)
-    figure, axes = plt.subplots(figsize=(7.2, 3.4))
+    figure, axes = plt.subplots(figsize=(6.4, 3.4))
     axes.plot(curvature, curvature**2, color=COLORS["blue"], label="a ball: K = H²")
     axes.fill_between(curvature, curvature**2, 0.04, color=COLORS["grey"], alpha=0.25, lw=0)
     axes.text(0.045, 0.03, "no surface lies here", color=COLORS["grey"])
@@ -117,7 +116,7 @@ def draw_thresholds() -> Figure:
     axes.axhline(k, color=COLORS["pink"], ls="--", label="threshold of K")
     between = np.linspace(h, np.sqrt(k), 100)
     axes.fill_between(between, between**2, color=COLORS["yellow"], alpha=0.4, lw=0)
-    axes.text(0.1, 0.0012, "a ball is called\na cylinder", fontsize=11, ha="center")
+    axes.text(0.1, 0.0012, "a ball is called\na cylinder", ha="center")
     axes.set(xlabel="|H| (1/unit)", ylabel="K (1/unit²)", xlim=(0, 0.2), ylim=(0, 0.04))
     legend_below(figure)
     return figure

@@ -17,52 +17,52 @@ from microlib.curvature import hk_labels, surface_curvature
 
 def draw_solids() -> Figure:
     """Draw figure 3.3: a ball on a plane, a cylinder and a cone, with the labels of `hk_labels`."""
-    shape, radius, ticks = (121, 121), 45.0, [0, 60, 120]
+    shape, radius, ticks = (121, 121), 45.0, [0, 120]
     across = np.arange(121) - 60.0
     solids = {
         "ball": synthetic.sphere_on_plane(shape, radius, 1.0),
         "cylinder": np.sqrt(np.maximum(radius**2 - across**2, 0)) * np.ones((121, 1)),
         "cone": synthetic.cone(shape, radius, 50.0),
     }
-    figure = plt.figure(figsize=(7.2, 3.4))
+    figure = plt.figure(figsize=(6.4, 3.4))
     for place, (name, height) in enumerate(solids.items(), 1):
         bend = surface_curvature(height, 1.0)
         labels = hk_labels(bend.mean, bend.gaussian, h_zero=4e-3, k_zero=1e-4)
         axes = figure.add_subplot(1, 3, place, projection="3d")
         draw_surface(axes, height, 1.0, labels=labels, turned=name != "cylinder")
-        axes.set(title=name, xticks=ticks, yticks=ticks, zticks=[0, 40, 80])
+        axes.set(title=name, xticks=ticks, yticks=ticks, zticks=[0, 80], zlabel="")
         axes.set_box_aspect((1, 1, 0.6))
     return figure
 
 
 def draw_types(patches: Mapping[str, tuple[NDArray, int]]) -> Figure:
     """Draw figure 3.4: a patch of each surface type with the label that was found in its middle."""
-    figure = plt.figure(figsize=(7.2, 4.4))
+    figure = plt.figure(figsize=(6.4, 4.4))
     for place, (name, (height, label)) in enumerate(patches.items(), 1):
         axes = figure.add_subplot(2, 4, place, projection="3d")
         labels = np.full(height.shape, label, np.uint8)
         draw_surface(axes, height - height.mean(), 1.0, labels=labels)
         axes.set(xlabel="", ylabel="", zlabel="", xticks=[], yticks=[], zticks=[], zlim=(-8, 8))
-        axes.set_title(f"{label} {name}", fontsize=11)
+        axes.set_title(f"{label} {name}")
         axes.set_box_aspect((1, 1, 0.8))
     return figure
 
 
 def draw_label_maps(maps: Mapping[str, NDArray[np.uint8]]) -> Figure:
     """Draw maps of surface types side by side, with one legend."""
-    figure, row = plt.subplots(1, len(maps), figsize=(7.2, 3.4), sharey=True)
+    figure, row = plt.subplots(1, len(maps), figsize=(6.4, 3.4), sharey=True)
     for axes, (title, labels) in zip(row, maps.items(), strict=True):
         draw_labels(axes, labels, legend=False)
         axes.set(title=title)
         axes.label_outer()
     present = label_patches(np.stack([*maps.values()]))
-    figure.legend(handles=present, loc="outside lower center", ncols=3, fontsize=11)
+    figure.legend(handles=present, loc="outside lower center", ncols=2)
     return figure
 
 
 def draw_cells(rng: np.random.Generator) -> Figure:
     """Draw figure 4.1: rendered cells, spread on glass and floating."""
-    figure, row = plt.subplots(1, 2, figsize=(7.2, 3.0))
+    figure, row = plt.subplots(1, 2, figsize=(6.4, 3.0))
     for axes, kind in zip(row, ("293T", "Jurkat"), strict=True):
         sample = synthetic.cell_image(kind, rng=rng)
         show_image(axes, sample.image)

@@ -24,10 +24,12 @@ def use_style() -> None:
     pd.set_option("display.max_colwidth", None, "display.max_rows", 80)
     mpl.rcParams.update(
         {
-            "figure.figsize": (7.2, 4.2),
+            "figure.figsize": (6.4, 4.2),  # on a phone 12 points are then 9 px
             "figure.dpi": 110,
             "figure.constrained_layout.use": True,
             "savefig.bbox": "tight",
+            "savefig.pad_inches": 0.05,
+            "axes.formatter.min_exponent": 4,  # 0.01, not 10 with a small exponent
             "font.size": 12,
             "axes.titlesize": 12,
             "axes.grid": True,

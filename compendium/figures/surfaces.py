@@ -46,7 +46,7 @@ def draw_lens() -> Figure:
     focal, sensor, aperture = 40.0, 100.0, 14.0  # mm
     focused = float(optics.image_distance(sensor, focal))
     lens = {"focal_length": focal, "sensor_distance": sensor, "aperture_radius": aperture}
-    figure, axes = plt.subplots(figsize=(7.2, 3.4))
+    figure, axes = plt.subplots(figsize=(6.4, 3.4))
     points = {"in focus": (focused, "blue"), "too near": (focused - 16, "orange")}
     for name, (distance, color) in points.items():
         radius = float(optics.blur_radius(distance, **lens))
@@ -75,7 +75,7 @@ def draw_sinking_stage() -> Figure:
     surface = top * np.exp(-((across / 0.45) ** 2))
     sinks = {"d = 0:\nthe ground is sharp": 0.0, "d < $d_s$:\nthe flank is sharp": 0.45}
     sinks["d = $d_s$:\nthe top is sharp"] = top
-    figure, row = plt.subplots(1, 3, figsize=(7.2, 3.9), sharey=True)
+    figure, row = plt.subplots(1, 3, figsize=(6.4, 3.9), sharey=True)
     for axes, (title, lowered) in zip(row, sinks.items(), strict=True):
         axes.fill_between(across, -lowered, surface - lowered, color=COLORS["sky"], alpha=0.6, lw=0)
         axes.fill_between(across, -lowered - 0.08, -lowered, color=COLORS["grey"], lw=0)
@@ -84,7 +84,7 @@ def draw_sinking_stage() -> Figure:
         axes.plot(np.where(sharp, across, np.nan), surface - lowered, color="black", lw=4)
         axes.plot([0], [top - lowered], "o", color=COLORS["blue"])
         axes.text(0.08, top + 0.02 - lowered, "S")
-        axes.set_title(title, fontsize=12)
+        axes.set_title(title)
         axes.set(xlim=(-1.25, 1.25), ylim=(-1.05, 1.3))
         axes.axis("off")
         axes.fill([-0.3, 0.3, 0.18, -0.18], [1.28, 1.28, 1.0, 1.0], color="black", alpha=0.65, lw=0)
@@ -92,12 +92,12 @@ def draw_sinking_stage() -> Figure:
             # From the plane in focus, where the ground was, down to where it is.
             length(axes, (-0.92, 0), (-0.92, -lowered), "d", (0.14, 0))
     length(row[0], (0.62, 0), (0.62, top), "$d_s$", (0.2, 0))
-    row[0].text(0.36, 1.06, "objective", fontsize=11)
-    below = {"color": COLORS["orange"], "fontsize": 11, "va": "top"}
+    row[0].text(0.36, 1.06, "objective")
+    below = {"color": COLORS["orange"], "va": "top"}
     row[0].text(-1.25, -0.12, "plane in focus", **below)
     for axes in row[1:]:
         axes.annotate("", (1.15, -0.95), (1.15, -0.3), arrowprops={"arrowstyle": "-|>", "lw": 4})
-    row[1].text(1.05, -0.85, "the stage sinks", ha="right", va="center", fontsize=11)
+    row[1].text(1.05, -0.85, "the stage sinks", ha="right", va="center")
     return figure
 
 
@@ -106,7 +106,7 @@ def draw_labels(axes: Axes, labels: NDArray[np.uint8], *, legend: bool = True) -
     photograph(axes, labels, cmap=_PALETTE, vmin=0, vmax=9, interpolation="nearest")
     if legend:
         patches = label_patches(labels)
-        axes.legend(handles=patches, loc="upper left", bbox_to_anchor=(1.01, 1), fontsize=11)
+        axes.legend(handles=patches, loc="upper left", bbox_to_anchor=(1.01, 1))
 
 
 def label_patches(labels: NDArray[np.uint8]) -> list[Patch]:

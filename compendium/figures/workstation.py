@@ -32,14 +32,14 @@ def draw_workstation() -> Figure:
         "side camera\nSony XCD-X710CR": (7.0, 3.6, 2.3, 0.8, "sky"),
         "vibration isolation table": (0.0, 0.1, 9.4, 0.6, "green"),
     }
-    figure, axes = plt.subplots(figsize=(7.2, 4.6))
+    figure, axes = plt.subplots(figsize=(6.4, 4.6))
     boxes(axes, parts)
     axes.plot([4.6, 4.6], [1.65, 3.5], color="black", lw=1, ls=":")
     axes.plot([7.0, 4.9], [3.8, 1.9], color="black", lw=1, ls=":")
     axes.plot([2.0, 4.1], [2.0, 1.75], color=COLORS["orange"], lw=3)
     axes.plot([7.2, 5.1], [2.0, 1.75], color=COLORS["orange"], lw=3)
-    axes.text(2.2, 2.25, "probe", fontsize=11)
-    axes.text(6.2, 2.25, "gripper", fontsize=11, ha="left")
+    axes.text(2.2, 2.25, "probe")
+    axes.text(6.2, 2.25, "gripper", ha="left")
     axes.plot(4.6, 1.62, "o", color="black", ms=7)
     axes.set(xlim=(-0.1, 9.5), ylim=(0, 6.6), aspect="equal")
     axes.axis("off")
@@ -54,18 +54,18 @@ def draw_patterns(taken: Mapping[str, Any]) -> Figure:
     taken : mapping of str to Photograph
         ``image`` and ``found`` are drawn.
     """
-    figure, grid = plt.subplots(2, 2, figsize=(7.2, 5.8))
+    figure, grid = plt.subplots(2, 2, figsize=(6.4, 5.8))
     for axes, (column, photo) in zip(grid.flat, taken.items(), strict=True):
         every = 4 if column == "circle-1X" else 6 if "square" in column else 1
         draw_detection(axes, photo.image, photo.found, label_every=every)
         count = len(photo.found.points)
-        axes.set_title(f"{thesis.COLUMNS[column]}: {count} points", fontsize=11)
+        axes.set_title(f"{thesis.COLUMNS[column]}: {count} points")
     return figure
 
 
 def draw_blur_study(errors: pd.DataFrame) -> Figure:
     """Draw RMS errors (px, a column each detector) against the blur (px, the index)."""
-    figure, axes = plt.subplots(figsize=(7.2, 4.0))
+    figure, axes = plt.subplots(figsize=(6.4, 4.0))
     for name, color, marker in zip(errors, ("blue", "orange", "grey"), "osv", strict=True):
         axes.plot(errors.index, errors[name], color=COLORS[color], marker=marker, label=name)
     axes.set(yscale="log", xlabel="PSF σ (px)", ylabel="RMS error (px)", xlim=(0, 3.1))
@@ -75,7 +75,7 @@ def draw_blur_study(errors: pd.DataFrame) -> Figure:
 
 def draw_tracks(shown: list[tuple[str, NDArray[np.uint8], Track]]) -> Figure:
     """Draw figure 5.3: frames with their tracked windows."""
-    figure, grid = plt.subplots(len(shown) // 2, 2, figsize=(7.2, 3.6 * (len(shown) // 2)))
+    figure, grid = plt.subplots(len(shown) // 2, 2, figsize=(6.4, 3.6 * (len(shown) // 2)))
     for axes, (label, frame, track) in zip(grid.flat, shown, strict=True):
         draw_track(axes, frame, track, label, margin=60)
         axes.label_outer()
@@ -84,7 +84,7 @@ def draw_tracks(shown: list[tuple[str, NDArray[np.uint8], Track]]) -> Figure:
 
 def draw_speed_study(shares: pd.DataFrame) -> Figure:
     """Draw shares of completed runs (a column each way) against the speed (px/s, the index)."""
-    figure, axes = plt.subplots(figsize=(7.2, 3.2))
+    figure, axes = plt.subplots(figsize=(6.4, 3.2))
     for label, style in zip(shares, ("o-", "s--"), strict=True):
         axes.plot(shares.index, 100 * shares[label], style, label=label)
     axes.axvline(claim("section-5.3/speed").value, color="black", ls=":", label="thesis")
@@ -127,8 +127,8 @@ def draw_printed_and_recomputed(
             axes.hlines(place[at], low[at], high[at], color=COLORS["blue"], lw=1.5)
             axes.plot(value[at], place[at], "o", color=COLORS["blue"], mfc=face, label=label)
         names = [id.split("/")[2 if percent else 1 :] for id in table["claim"]]
-        axes.set_yticks(place, map(" ".join, names), fontsize=10)
-        axes.set_title(title, fontsize=11)
+        axes.set_yticks(place, map(" ".join, names))
+        axes.set_title(title)
         axes.set_ylim(0.6 - rows, 0.4)
         if percent:
             axes.set_xscale("symlog", linthresh=0.01)

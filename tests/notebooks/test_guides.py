@@ -72,7 +72,7 @@ def test_every_guide_is_tested() -> None:
 @pytest.mark.parametrize("guide", EVERY)
 def test_a_guide_is_written_as_one(guide: str) -> None:
     intro = source(guide).cells[0].source
-    for part in ("**The question.**", "**What you need.**", f"07_guide_{guide} \\"):
+    for part in ("This guide ", "**What you need.**", f"07_guide_{guide} \\"):
         assert part in intro
     first, *others = code(guide)
     lines = first.splitlines()
