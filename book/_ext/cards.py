@@ -1,4 +1,4 @@
-"""The directive ``{guides}``: each guide with its question and the first picture that it draws.
+"""The directive ``{guides}``: each guide with its purpose and the first picture that it draws.
 
 The gallery extensions run scripts of their own; these pictures are in notebooks that ran already.
 """
@@ -22,7 +22,7 @@ from tables import line, link, raw_html
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = ROOT / "build" / "notebooks"
 TITLE = re.compile(r"^# (.*)$", re.M)
-QUESTION = re.compile(r"\*\*The question\.\*\* (.*?)\n\n", re.S)
+PURPOSE = re.compile(r"^(This guide .*?\.)\s", re.M | re.S)
 
 
 @cache
@@ -46,18 +46,18 @@ class Guides(SphinxDirective):
         result = nodes.container(classes=["guides"])
         for path in sorted(NOTEBOOKS.glob("07_*.ipynb")):
             head = nbformat.read(path, as_version=4).cells[0].source
-            title, question = TITLE.search(head), QUESTION.search(head)
-            if title is None or question is None:
-                raise ValueError(f"{path.name} must have a title and a question")
-            label = nodes.paragraph(classes=["guide-title"])
-            label += link(self.env, nodes.Text(title[1]), f"notebooks/{path.stem}", "")
+            title, purpose = TITLE.search(head), PURPOSE.search(head)
+            if title is None or purpose is None:
+                raise ValueError(f"{path.name} must have a title and say what it does")
+            name = link(self.env, nodes.Text(title[1]), f"notebooks/{path.stem}", "")
+            label = nodes.paragraph("", "", name, classes=["guide-title"])
             card = nodes.container(classes=["guide"])
             if path.stem in read_pictures():
                 alt = escape(read_pictures()[path.stem][0])
                 up = "../" * self.env.docname.count("/")
                 source = f"{up}_static/pictures/{path.stem}.webp"
                 card += raw_html(f'<img src="{source}" alt="{alt}" loading="lazy">')
-            card += [label, line(" ".join(question[1].split()))]
+            card += [label, line(" ".join(purpose[1].split()))]
             result += card
         return [result]
 

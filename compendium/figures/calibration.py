@@ -102,7 +102,7 @@ def draw_microscope(ax: Axes, microscope: Microscope, world: NDArray) -> None:
             ax.annotate("", tuple(end), tuple(start), arrowprops=arrow)
             x, y = start + 1.18 * (end - start)
             ax.text(x, y, letter, color=color, ha="center", va="center")
-        ax.text(start[0] - 4, start[1] + 6, name, color=color, fontsize=14, ha="right")
+        ax.text(start[0] - 4, start[1] + 14, name, color=color, fontsize=14, ha="right")
 
     floor = -STRETCH * 1.25 * np.abs(sensor).max() / 1000
     spans = (

@@ -28,7 +28,7 @@ from microlib.membrane import dimple_profile
 
 #: What one film may weigh.
 MOST_BYTES = 400_000
-#: Resolution, px per inch: 720 px across at the width of the page.
+#: Resolution, px per inch: 640 px across, nearly the width of the page.
 _DPI = 100
 
 

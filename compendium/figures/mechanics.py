@@ -29,7 +29,7 @@ def draw_shape(curve: GaussianSum, shape: ShapeComparison) -> Figure:
     axes.annotate("", (x, top), (x, low), arrowprops={"arrowstyle": "<->", "lw": 1.5})
     text = f"{shape.departure:.0f} µm,\n{100 * shape.share:.0f} % of the depth"
     axes.text(x - 3, (top + low) / 2 - 6, text, ha="right", va="center")
-    axes.set(xlabel="x (px)", ylabel="y, up (px)")
+    axes.set(xlabel="x (px)", ylabel="y, up (px)", ylim=(57, None))
     axes.legend(loc="lower left")
     return figure
 

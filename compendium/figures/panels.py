@@ -61,7 +61,8 @@ def intervals(axes: Axes, table: pd.DataFrame, x: str, y: str, label: str) -> No
 def legend_below(figure: Figure, handles: Iterable[Any] = (), ncols: int = 3) -> None:
     """Put one legend under all panels, of the first panel's entries unless others are given."""
     entries = list(handles) or figure.axes[0].get_legend_handles_labels()[0]
-    figure.legend(handles=entries, loc="outside lower center", ncols=ncols)
+    spaces = {"columnspacing": 1.0, "handlelength": 1.5}
+    figure.legend(handles=entries, loc="outside lower center", ncols=ncols, **spaces)
 
 
 def images(

@@ -184,7 +184,7 @@ def draw_esm_step(errors: pd.DataFrame) -> Figure:
     slopes = 60 / 3.5 * np.array([np.cos(shift / 3.5), 1.0])
     left.plot(x, grey, color="black", lw=1.4, label="image")
     left.axhline(goal, color=COLORS["grey"], lw=1.2, ls=":")
-    left.text(-1.9, goal + 2, "template at 0")
+    left.text(-1.9, goal + 5, "template at 0")
     looks = (("orange", "--"), ("sky", "-."), ("blue", "-"))
     for slope, (color, line) in zip((*slopes, slopes.mean()), looks, strict=True):
         end = (goal - value) / slope
@@ -209,7 +209,7 @@ def draw_kalman_step(track: pd.DataFrame, noise: float) -> Figure:
     left.errorbar(*where, yerr=spread, fmt="s", label="predicted, ± σ", **look)
     left.plot(track["frame"], track["measured"], "o", color=COLORS["blue"], label="measured")
     left.plot(track["frame"], track["true"], color="black", lw=1.2, label="truth")
-    left.set(xlabel="frame", ylabel="x (px)", title="a track")
+    left.set(xlabel="frame", ylabel="x (px)", title="a track", ylim=(None, 26))
     left.legend(loc="upper left")
     bells = {
         "predicted": (last["predicted"], last["predicted_std"], "orange", "--"),

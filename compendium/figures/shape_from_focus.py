@@ -116,7 +116,7 @@ def draw_thresholds() -> Figure:
     axes.axhline(k, color=COLORS["pink"], ls="--", label="threshold of K")
     between = np.linspace(h, np.sqrt(k), 100)
     axes.fill_between(between, between**2, color=COLORS["yellow"], alpha=0.4, lw=0)
-    axes.text(0.1, 0.0012, "a ball is called\na cylinder", ha="center")
+    axes.annotate("a ball is called\na cylinder", (0.115, 0.006), (0.13, 0.003))
     axes.set(xlabel="|H| (1/unit)", ylabel="K (1/unit²)", xlim=(0, 0.2), ylim=(0, 0.04))
     legend_below(figure)
     return figure

@@ -89,7 +89,7 @@ def draw_speed_study(shares: pd.DataFrame) -> Figure:
         axes.plot(shares.index, 100 * shares[label], style, label=label)
     axes.axvline(claim("section-5.3/speed").value, color="black", ls=":", label="thesis")
     axes.set(xlabel="speed (px/s)", ylabel="runs completed (%)", ylim=(-5, 105))
-    axes.legend(loc="lower left")
+    axes.legend(loc="lower left", bbox_to_anchor=(0.1, 0.1))
     return figure
 
 
@@ -108,7 +108,7 @@ def draw_printed_and_recomputed(
     """
     rows, deep = max(map(len, panels.values())), -(-len(panels) // 2)
     how: dict[str, Any] = {"squeeze": False, "sharex": True, "sharey": percent}
-    how["figsize"] = (7.2, 0.8 + deep * (0.6 + 0.3 * rows))
+    how["figsize"] = (6.4, 0.8 + deep * (0.6 + 0.3 * rows))
     figure, grid = plt.subplots(deep, min(2, len(panels)), **how)
     for axes in grid[-1]:
         axes.set_xlabel("deviation (%)" if percent else "recomputed / printed")
