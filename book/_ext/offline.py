@@ -70,8 +70,7 @@ def copy_libraries(app: Sphinx, error: Exception | None) -> None:
         for fault, mend in MENDS.items():
             html = re.sub(fault, mend, html)
         page.write_text(html, encoding="utf-8")
-    library = package_folder("plotly") / "package_data" / PLOTLY
-    copy_asset_file(str(library), str(static / PLOTLY))
+    copy_asset_file(str(package_folder("plotly") / "package_data" / PLOTLY), str(static / PLOTLY))
     shutil.rmtree(static / "sphinx-thebe", ignore_errors=True)
 
 
