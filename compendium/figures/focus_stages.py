@@ -1,0 +1,67 @@
+"""How depth from focus finds a height, stage after stage, drawn from the library's own stages."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from compendium.figures.style import COLORS
+from microlib import synthetic
+from microlib.focus import depth_from_focus, sum_modified_laplacian
+from microlib.focus._axis import find_axis, sampled
+from microlib.focus._follow import follow
+from microlib.focus._multiscale import believed
+
+__all__ = ["draw_focus_stages"]
+
+
+def draw_focus_stages() -> Figure:
+    """Draw a slope beside a step, with a patch of no texture, from its frames to its error."""
+    rng = np.random.default_rng(3)
+    texture = synthetic.mixed_texture((160, 208), rng)
+    y, x = np.mgrid[:160, :208]
+    texture[np.hypot(x - 156, y - 80) < 44] = texture.mean()
+    z = np.arange(0.0, 260.0, 20.0)
+    height = np.where(x < 104, 40 + 1.4 * x, 60.0)
+    stack = synthetic.focal_stack(texture, height, z, blur_rate=0.05, noise=2.0, rng=rng)
+    frames = [np.asarray(frame) for frame in stack]
+    sample = np.ix_(*(sampled(n) for n in height.shape))
+    axis = find_axis([frame[sample] for frame in frames], z)
+    seen = follow(frames, axis, 3)
+    kept, _ = believed(seen, axis)
+    found = depth_from_focus(frames, z)
+    sharpness = np.array([sum_modified_laplacian(frame, window=9) for frame in frames])
+    row, col = 40, 60  # of the pixel whose profile is shown
+
+    def level(steps: Any) -> Any:
+        return axis.micrometers(np.asarray(steps, np.float32))
+
+    figure, grid = plt.subplots(4, 2, figsize=(6.4, 9.8))
+    known: dict[str, Any] = {"cmap": "viridis", "vmin": z[0], "vmax": 200}
+    pictures = {
+        "1  frames": (frames[6], {"cmap": "gray"}),
+        "2  sharpness of a frame": (sharpness[6], {"cmap": "magma"}),
+        "3  peak of a pixel": None,
+        "4  best frame": (level(axis.steps[seen.best]), known),
+        "5  fit between frames": (level(seen.depth), known),
+        "6  edges and rules": (level(kept), known),
+        "7  planes and relief": (found.depth, known),
+        "8  uncertainty": (found.uncertainty, {"cmap": "magma", "vmin": 0, "vmax": 10}),
+    }
+    for axes, (title, shown) in zip(grid.flat, pictures.items(), strict=True):
+        axes.set_title(title)
+        axes.grid(False)
+        if shown is None:
+            axes.plot(z, sharpness[:, row, col], "o-", color=COLORS["blue"])
+            axes.axvline(found.depth[row, col], color=COLORS["orange"], ls="--")
+            axes.set(xlabel="position (µm)", yticks=[])
+            continue
+        image, look = shown
+        drawn = axes.imshow(image, interpolation="nearest", **look)
+        axes.set(xticks=[], yticks=[])
+        if title[0] > "3":
+            figure.colorbar(drawn, ax=axes, label="(µm)", shrink=0.8)
+    return figure
