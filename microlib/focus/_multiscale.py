@@ -22,13 +22,11 @@ from microlib.focus._follow import COARSE, COARSE_WINDOW, FINE, Followed, Levels
 from microlib.focus._measures import absolute_seconds, blur, doubled, halved
 from microlib.focus._peaks import PeakFollower, fit_peaks
 from microlib.focus._reliability import choose_side, fill_nearest, to_border, without_spikes
-from microlib.focus._relief import depth_range, error_variance, find_relief
+from microlib.focus._relief import JUMP, RADIUS, depth_range, error_variance, find_relief
 from microlib.focus._result import FocusResult, picked
 
 #: Side of the median that steadies the fine depth, px, and its spread below which it is trusted.
 _FINE_WINDOW, _FINE_SPREAD = 3, 1.0
-#: Difference in depth across which nothing is smoothed, steps, and the smoothing's radius, px.
-_JUMP, _RADIUS = 1.5, 3.5
 #: Largest ratio of a pixel's weight to the median, either way: one pixel shall not decide alone.
 _WEIGHTS = 1e4
 #: Weight of a depth by the wide window, whose error is some seven times the others'.
@@ -141,14 +139,14 @@ def multiscale_depth(
     """
     shape = frames[0].shape
     seen = follow(frames, axis, points // 2, workers=workers, done=done)
-    depth, weight = believed(seen, axis)
+    depth, weight, apart = believed(seen, axis)
     smooth = smooth_planes(
-        depth, weight * border_weight(depth.shape), jump=_JUMP, sigma=_RADIUS, workers=workers
+        depth, weight * border_weight(depth.shape), jump=JUMP, sigma=RADIUS, workers=workers
     )
     relief, half_difference = relief_of(seen, smooth, axis)
     place = np.nan_to_num(smooth)
     pull = np.interp(place, axis.steps, axis.pull).astype(np.float32)
-    error = np.sqrt(error_variance(smooth + relief, half_difference, pull))
+    error = np.sqrt(error_variance(smooth + relief, half_difference, pull, apart))
     full = enlarged(smooth, relief, shape)
     known = doubled(np.isfinite(smooth), shape)
     steep = doubled(steep_mask(fill_nearest(smooth)), shape)
@@ -158,8 +156,9 @@ def multiscale_depth(
     return full, error, doubled(seen.best, shape, cv2.INTER_NEAREST)
 
 
-def believed(seen: Followed, axis: Axis) -> tuple[NDArray, NDArray]:
-    """Return each pixel's depth on its own side of an edge, NaN where lost, and its weight."""
+def believed(seen: Followed, axis: Axis) -> tuple[NDArray, NDArray, NDArray]:
+    """Return each pixel's depth on its own side of an edge, NaN where lost, its weight, and how far
+    the depths by both measures are apart."""
     levels = Levels.of(axis.noise)
     depth = seen.depth.copy()
     depth[rules.incoherent_mask(seen.best)] = np.nan
@@ -177,13 +176,14 @@ def believed(seen: Followed, axis: Axis) -> tuple[NDArray, NDArray]:
     weight = relative(seen.strength, axis.typical)
     wide = wide_depth(seen, levels, depth.shape)
     sharp, finer = sharp_mask(seen, levels, *_SHARP), sharp_mask(seen, levels, *_FINER)
-    instead, neither = rules.check_wide(depth, wide, np.abs(broad - fine), sharp, finer)
+    apart = np.abs(broad - fine)
+    instead, neither = rules.check_wide(depth, wide, apart, sharp, finer)
     depth[neither] = np.nan
     depth[instead], weight[instead] = wide[instead], _WIDE_WEIGHT
     depth[rules.blurred_edge_mask(depth, weight) & ~sharp] = np.nan
     depth[rules.small_piece_mask(depth)] = np.nan
     depth[rules.isolated_mask(depth)] = np.nan
-    return depth, weight
+    return depth, weight, apart
 
 
 def sharp_mask(seen: Followed, levels: Levels, share: float, noise: float) -> NDArray[np.bool_]:
@@ -341,4 +341,4 @@ def _closer(
     # A depth that none has around it needs the evidence that a lost one needs.
     within = known & (low <= own) & (own <= high)
     depth = np.where(within | (clear & agrees), own, np.float32(np.nan))
-    return smooth_planes(depth, relative(strength), jump=_JUMP, sigma=2 * _RADIUS)
+    return smooth_planes(depth, relative(strength), jump=JUMP, sigma=2 * RADIUS)

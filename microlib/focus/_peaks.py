@@ -123,11 +123,13 @@ def fit_peaks(
 
     Notes
     -----
-    Frames are weighted with their measure, because the logarithm of a small one is uncertain, and
-    with the square of an inverted parabola centered on the peak. Real profiles have longer tails
-    than a Gaussian: a window that is not centered leans on one of them, and pulls the depth towards
-    the middle between frames. The peak is only known after a first fit, so there are two. Near the
-    ends of the stack the window is narrower for the same reason, to no less than three frames.
+    Frames are weighted with a power of their measure, because the logarithm of a small one is
+    uncertain, and with the square of an inverted parabola centered on the peak. The measure itself
+    pulls the depths of fine texture towards the frames, by up to 0.018 of a frame, its power 3/4 by
+    0.010. Around a given depth it is the measure itself, which is the better weight for relief.
+    Real profiles have longer tails than a Gaussian: a window that is not centered leans on one of
+    them. The peak is only known after a first fit, so there are two. Near the ends of the stack the
+    window is narrower for the same reason, to no less than three frames.
     """
     table = _table(steps, len(window) // 2, outside)
     rows, cols = best.shape
@@ -204,6 +206,8 @@ def _fit(
     top = window[reach]
     share = window / np.maximum(top, _LEAST)
     log = cv2.log(np.maximum(share, np.exp(_LOWEST)))
+    if near is None:
+        share = np.asarray(cv2.sqrt(share * cv2.sqrt(share)))
     with np.errstate(all="ignore"):
         for _ in range(2):
             weight = np.maximum(1 - ((offset - center) * narrow) ** 2, 0)

@@ -63,7 +63,7 @@ def documented_fit(profile, steps, best, reach):
     ) + near * (0.5 if far > 1 else 1.0)
     center = 0.0
     for _ in range(2):
-        weight = y * np.maximum(1 - ((t - center) / half) ** 2, 0) ** 2
+        weight = y**0.75 * np.maximum(1 - ((t - center) / half) ** 2, 0) ** 2
         a, b, _ = np.polyfit(t, np.log(y), 2, w=np.sqrt(weight))
         center = -b / (2 * a)
     return steps[best] + center
