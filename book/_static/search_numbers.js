@@ -1,3 +1,10 @@
+// The book writes "HK"; a search for "H–K" or "H-K" would look for the letters H and K.
+{
+  const address = new URL(location.href), query = address.searchParams.get("q") ?? "";
+  address.searchParams.set("q", query.replace(/H[–-]K/gi, "HK"));
+  if (address.searchParams.get("q") !== query) history.replaceState(null, "", address);
+}
+
 // On the search page, put what "5.6", "equation 4.7", "fig. 3.2" or "1.3237" leads to before the other results.
 // Kind, text and address of all that a query may mean; nothing for "4X", "3-D" or "16 frames".
 globalThis.findNumber = query => {
