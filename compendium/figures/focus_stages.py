@@ -31,7 +31,7 @@ def draw_focus_stages() -> Figure:
     sample = np.ix_(*(sampled(n) for n in height.shape))
     axis = find_axis([frame[sample] for frame in frames], z)
     seen = follow(frames, axis, 3)
-    kept, _ = believed(seen, axis)
+    kept = believed(seen, axis)[0]
     found = depth_from_focus(frames, z)
     sharpness = np.array([sum_modified_laplacian(frame, window=9) for frame in frames])
     row, col = 40, 60  # of the pixel whose profile is shown
