@@ -6,24 +6,30 @@ the rest, and a second call goes on where the first one ended.
 
 from __future__ import annotations
 
-import csv
 import multiprocessing
 import os
 import pickle
+import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
 from functools import partial
 from glob import glob
-from io import StringIO
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from microlib._common import Tidy, end_with_starter, flag, flat_row, of_kind, replace_file
+from microlib._common import (
+    Tidy,
+    check_callable,
+    end_with_starter,
+    flag,
+    flat_row,
+    of_kind,
+    replace_file,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,7 +39,13 @@ __all__ = ["process_files"]
 #: What a row begins with; the rest is the result's. `modified` tells a file that has changed since.
 _OWN = ["file", "error", "modified", "work"]
 
+#: Times as long as writing the table takes is between two writings: a twentieth goes into it.
+_PAUSE = 20
+#: Threads of several processes that wait for one core make a calibration ten times slower.
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
 Work = Callable[[Path], Any]
+Row = dict[str, Any]
 
 
 def process_files(
@@ -82,9 +94,11 @@ def process_files(
 
     Notes
     -----
-    Each row is written as its file is done, so that a process that is killed loses what was being
-    done and nothing else. An exception is a row. If a process dies over a file, all files that were
-    being done are rows with that error; ``retry=True`` does them again.
+    The table is written whole as files are done, a twentieth of the time at most, and at the end,
+    also of a call that is interrupted. A process that is killed loses what was being done, and of
+    a table of ten thousand rows what was done in its last second. An exception is a row. If a
+    process dies over a file, all files that were being done are rows with that error;
+    ``retry=True`` does them again.
 
     Examples
     --------
@@ -105,61 +119,48 @@ def process_files(
     import pandas as pd  # here, as it takes long to import
 
     paths = _paths(files)
-    if not callable(work):
-        raise ValueError(f"work must be a function of a path, got {type(work).__name__}")
+    check_callable("work", work)
     of_kind("table", table, str, PathLike)
     of_kind("executor", executor, Executor, type(None))
     again, bar = flag("retry", retry), flag("progress", progress)
-    if executor is None:
-        try:
-            pickle.dumps(work)
-        except Exception as error:
-            raise ValueError(
-                "work must be a function of a module to be handed to other processes, got "
-                f"{_description(work)}: {error}"
-            ) from error
     target = Path(table).expanduser()
     if not target.parent.is_dir():
         raise ValueError(f"table must lie in an existing folder, got {target.parent}")
     description = _description(work)
     rows = _read(target, description)
+
+    def write() -> None:
+        asked = {str(path): rows[str(path)] for path in paths if str(path) in rows}
+        content = pd.DataFrame(list((asked | rows).values()), dtype=object).to_csv(index=False)
+        replace_file(target, lambda file: file.write_bytes(content.encode()))
+
     due = []
     for path in paths:
         row = rows.get(str(path))
         if row is None or row["modified"] != str(_modified(path)) or (again and row["error"]):
             due.append(path)
-    columns = list(dict.fromkeys([*_OWN, *(name for row in rows.values() for name in row)]))
-    for row in tqdm(_rows(due, work, description, executor), total=len(due), disable=not bar):
-        known = row["file"] in rows
-        rows[row["file"]] = row
-        if not known and set(row) <= set(columns) and target.exists():
-            with target.open("a", encoding="utf-8", newline="") as file:
-                csv.writer(file).writerow([row.get(name, "") for name in columns])
-        else:  # new columns, or a row that changes
-            columns = list(dict.fromkeys([*columns, *row]))
-            _write(target, list(rows.values()), columns)
-    asked = {str(path): rows[str(path)] for path in paths}
-    _write(target, list((asked | rows).values()), columns)
+    done = tqdm(_done(due, work, executor), total=len(due), disable=not bar)
+    next_time = 0.0
+    try:
+        for row in done:
+            rows[row["file"]] = row | {"work": description}
+            if (begin := time.monotonic()) >= next_time:
+                write()
+                next_time = begin + _PAUSE * (time.monotonic() - begin)
+    finally:
+        if due and rows:
+            write()
     found = pd.read_csv(target, dtype=dict.fromkeys(("file", "error", "work"), str))
-    return found.fillna({"error": ""})[: len(paths)]
-
-
-def _write(path: Path, rows: list[dict[str, Any]], columns: list[str]) -> None:
-    text = StringIO(newline="")
-    csv.DictWriter(text, columns).writeheader()
-    csv.DictWriter(text, columns).writerows(rows)
-    replace_file(path, partial(Path.write_bytes, data=text.getvalue().encode()))
+    order = pd.Index(found["file"]).get_indexer([str(path) for path in paths])
+    return found.fillna({"error": ""}).iloc[order].reset_index(drop=True)
 
 
 def _paths(files: object) -> list[Path]:
     if isinstance(files, str):
         names: list[Any] = sorted(glob(str(Path(files).expanduser()), recursive=True))
     else:
-        try:
-            names = list(files)  # type: ignore[call-overload]
-        except TypeError:
-            kind = type(files).__name__
-            raise ValueError(f"files must be paths or a pattern, got {kind}") from None
+        of_kind("files", files, Iterable)
+        names = list(files)  # type: ignore[call-overload]
         for name in names:
             of_kind("files", name, str, PathLike)
     found = [Path(name).expanduser() for name in names]
@@ -184,49 +185,40 @@ def _modified(path: Path) -> int:
     return max(file.stat().st_mtime_ns if file.exists() else 0 for file in files)
 
 
-def _read(path: Path, description: str) -> dict[str, dict[str, Any]]:
-    """Return the rows of a table; one that was cut off is left out."""
+def _read(path: Path, description: str) -> dict[str, Row]:
+    """Return the rows of a table; one that was cut off before `work` is left out."""
+    import pandas as pd
+
     if not path.exists() or not path.stat().st_size:
         return {}
     try:
-        text = path.read_bytes().decode()
-        lines = list(csv.reader(StringIO(text[: text.rfind("\n") + 1], newline="")))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        table = pd.read_csv(path, dtype=str, keep_default_na=False)
+    except (OSError, ValueError) as error:
         raise ValueError(f"table must be a CSV file, got {path}: {error}") from error
-    if not lines or lines[0][: len(_OWN)] != _OWN:
+    if list(table.columns[: len(_OWN)]) != _OWN:
         raise ValueError(f"table must be one that process_files wrote, got {path}")
-    rows = [
-        dict(zip(lines[0], line, strict=True)) for line in lines[1:] if len(line) == len(lines[0])
-    ]
-    if others := {row["work"] for row in rows} - {description}:
+    if others := set(table["work"]) - {description, ""}:
         raise ValueError(
-            f"table must be of the same work, got {path} with {sorted(others)[0]}, now "
-            f"{description}: name another file"
+            f"table must be of the same work, got {path} with {min(others)}, now {description}: "
+            "name another file"
         )
-    if not text.endswith("\n"):  # what follows would be appended to the row that was cut off
-        whole = text[: text.rfind("\n") + 1]
-        replace_file(path, lambda file: file.write_bytes(whole.encode()))
-    return {row["file"]: row for row in rows}
+    return {str(row["file"]): dict(row) for _, row in table.iterrows() if row["work"]}
 
 
-def _rows(
-    due: list[Path], work: Work, description: str, executor: Executor | None
-) -> Iterator[dict[str, Any]]:
-    if not due:
-        return
-    pool = executor
-    if pool is None:
-        # Spawned: a fork of a process with threads may hang.
-        spawn = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(
-            min(len(due), os.cpu_count() or 1), mp_context=spawn, initializer=end_with_starter
-        )
+def _done(due: list[Path], work: Work, executor: Executor | None) -> Iterator[Row]:
+    """Yield the row of each file as it is done."""
+    pool = executor or _processes(work, len(due))
+    unset = [name for name in _THREADS if name not in os.environ]
+    os.environ.update(dict.fromkeys(unset, "1"))  # for processes, which begin as they get work
     try:
-        with _one_thread_each():
-            futures = {pool.submit(_values, work, path): path for path in due}
+        futures = {pool.submit(_values, work, path): path for path in due}
+    finally:
+        for name in unset:
+            del os.environ[name]
+    try:
         for future in as_completed(futures):
             path = futures[future]
-            row = {"file": str(path), "error": "", "modified": _modified(path), "work": description}
+            row = dict.fromkeys(_OWN, "") | {"file": str(path), "modified": _modified(path)}
             try:
                 row |= future.result()
             except Exception as error:  # of the work, or of a process that died
@@ -237,29 +229,24 @@ def _rows(
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _values(work: Work, path: Path) -> dict[str, Any]:
+def _processes(work: Work, count: int) -> Executor:
+    try:
+        pickle.dumps(work)
+    except Exception as error:
+        raise ValueError(
+            "work must be a function of a module to be handed to other processes, got "
+            f"{_description(work)}: {error}"
+        ) from error
+    # Spawned: a fork of a process with threads may hang.
+    spawn = multiprocessing.get_context("spawn")
+    workers = max(1, min(count, os.cpu_count() or 1))
+    return ProcessPoolExecutor(workers, mp_context=spawn, initializer=end_with_starter)
+
+
+def _values(work: Work, path: Path) -> Row:
     result = work(path)
-    if not isinstance(result, (Tidy, Mapping, type(None))):
-        raise TypeError(
-            f"work must return a result, a mapping or None, got {type(result).__name__}"
-        )
+    of_kind("what work returns", result, Tidy, Mapping, type(None))
     row = result.to_dict() if isinstance(result, Tidy) else flat_row(result or {})
     if clash := sorted(set(row) & set(_OWN)):
-        raise TypeError(f"work must not return {', '.join(clash)}: a row has them already")
+        raise ValueError(f"what work returns must not have {', '.join(clash)}: a row has them")
     return row
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Let processes that begin meanwhile have one thread of linear algebra, unless told.
-
-    Threads of several processes that wait for one core make a calibration ten times slower.
-    """
-    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-    unset = [name for name in names if name not in os.environ]
-    os.environ.update(dict.fromkeys(unset, "1"))
-    try:
-        yield
-    finally:
-        for name in unset:
-            del os.environ[name]

@@ -6,6 +6,7 @@ from microlib._common._checks import (
     LEAST,
     as_array,
     as_image,
+    as_region,
     between,
     check_callable,
     flag,
@@ -21,11 +22,8 @@ from microlib._common._checks import (
     whole,
 )
 from microlib._common._covariance import OPEN, inverse_normal
-from microlib._common._devices import Workstation, check_devices
+from microlib._common._devices import POLL, DeviceError, EndRun, Guard, RunInterrupt, check_devices
 from microlib._common._files import replace_file
-from microlib._common._frames import Frames
-from microlib._common._guard import POLL, DeviceError, EndRun, Guard, RunInterrupt
-from microlib._common._kept import Kept, load
 from microlib._common._processes import end_with_starter
-from microlib._common._tidy import Tidy, flat_row
-from microlib._common._types import Array, Image
+from microlib._common._results import Kept, Tidy, flat_row, load
+from microlib._common._types import Array, Frames, Image, Region

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from microlib._common._types import Array
+from microlib._common._types import Array, Region
 
 Bounds = tuple[float, float]
 
@@ -49,13 +49,12 @@ def as_array(
     except (TypeError, ValueError, OverflowError):
         got = getattr(value, "dtype", type(value).__name__)
         raise ValueError(f"{name} must hold real numbers, got {got}") from None
-    if shape is not None:
-        fits = array.ndim == len(shape) and all(
-            want is None or want == have for want, have in zip(shape, array.shape, strict=True)
-        )
-        if not fits:
-            wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
-            raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
+    if shape is not None and (
+        array.ndim != len(shape)
+        or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True))
+    ):
+        wanted = ", ".join("any" if n is None else str(n) for n in shape)
+        raise ValueError(f"{name} must have shape ({wanted}), got {array.shape}")
     if array.size == 0:
         raise ValueError(f"{name} must not be empty, got shape {array.shape}")
     if array.dtype.kind == "f":
@@ -151,12 +150,10 @@ def between(name: str, value: ArrayLike, low: float, high: float, *, closed: boo
 def positive(name: str, value: ArrayLike, *, zero: bool = False) -> Array:
     """Return `value` as float64 with every element above zero, or at least zero if `zero`."""
     array = as_array(name, value)
-    bad = array < 0 if zero else array <= 0
-    if bad.any():
-        need = "zero or positive" if zero else "positive"
-        raise ValueError(f"{name} must be {need}, got {array[bad].flat[0]:g}")
-    if not zero and (array < LEAST).any():
-        raise ValueError(f"{name} must be at least {LEAST:g}, got {array.min():g}")
+    worst = array.min()
+    if worst < (0 if zero else LEAST):
+        need = "zero or positive" if zero else "positive" if worst <= 0 else f"at least {LEAST:g}"
+        raise ValueError(f"{name} must be {need}, got {worst:g}")
     return array
 
 
@@ -196,12 +193,8 @@ def generator(name: str, value: object) -> np.random.Generator:
     """Return a generator as it is, or the one of a seed: a whole number of at least zero."""
     if isinstance(value, np.random.Generator):
         return value
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
-        raise ValueError(
-            f"{name} must be a numpy.random.Generator or a seed of at least zero, "
-            f"got {_brief(value)}"
-        )
-    return np.random.default_rng(value)
+    need = f"{name} (a numpy.random.Generator or a seed)"
+    return np.random.default_rng(whole(need, value, least=0, most=1 << 128))
 
 
 def items(name: str, value: object, count: int) -> tuple[object, ...]:
@@ -212,6 +205,19 @@ def items(name: str, value: object, count: int) -> tuple[object, ...]:
     if len(value) != count:
         raise ValueError(f"{name} must be {count} numbers, got {len(value)}")
     return tuple(value)
+
+
+def as_region(
+    name: str, value: object, shape: tuple[int, ...] | None = None, *, least: int = 1
+) -> Region:
+    """Return (x, y, width, height) of a part, each side at least `least` px, of an image."""
+    four = items(f"{name} (x, y, width, height)", value, 4)
+    sides = zip(("x", "y", "width", "height"), four, (0, 0, least, least), strict=True)
+    x, y, width, height = (whole(f"{name} {side}", n, least=low) for side, n, low in sides)
+    if shape is not None and (y + height > shape[0] or x + width > shape[1]):
+        size = f"{shape[1]}×{shape[0]} px"
+        raise ValueError(f"{name} must lie in the image of {size}, got {four}")
+    return x, y, width, height
 
 
 def image_shape(name: str, value: object, *, least: int = 1) -> tuple[int, int]:

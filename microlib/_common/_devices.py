@@ -1,79 +1,205 @@
-"""What a microscope must offer to be steered: a camera, movers, and a clock.
+"""What a microscope must offer to be steered, and calls to it that leave no stage moving.
 
-The simulated workstation and the adapter for Micro-Manager satisfy them. Another microscope needs
-four small classes with these methods, and no base class.
+The simulated workstation and the adapter for Micro-Manager have what is called here. Another
+microscope needs four small classes with these methods, and no base class:
+
+=================  ===============================================================================
+``camera``         ``snap()`` returns a grey frame and the middle of its exposure, s of the clock
+``stage, focus``   ``position()`` returns where the encoder says that it is, µm, a number an axis;
+                   ``move_to(position)`` starts towards a position and returns at once;
+                   ``moving()`` says whether a move is under way; ``stop()`` ends it here and now
+``clock``          ``now()`` returns the time, s from any origin; ``sleep(seconds)`` lets it pass
+=================  ===============================================================================
 """
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+import signal
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, wait
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from threading import Event, Thread, current_thread, main_thread
+from typing import Any
 
-from numpy.typing import NDArray
+#: Time between two questions (whether a device answered, still moves, or the user wants an end), s:
+#: of the order of what a serial line needs for an answer, and short beside a person's reaction.
+POLL = 0.02
 
-from microlib._common._types import Array
+#: How often a stop is tried that fails: a driver may be busy with the call before.
+_STOPS = 3
 
-
-class Clock(Protocol):
-    """The time that frames and commands are stamped with, real or simulated."""
-
-    def now(self) -> float:
-        """Return the time, s from any origin."""
-        ...
-
-    def sleep(self, seconds: float) -> None:
-        """Let the time pass."""
-        ...
-
-
-class FrameSource(Protocol):
-    """A camera."""
-
-    def snap(self) -> tuple[NDArray[Any], float]:
-        """Return a grey frame and the middle of its exposure, s of the clock."""
-        ...
+#: What a stage or a focus drive must answer to.
+_MOVES = ("position", "move_to", "moving", "stop")
 
 
-class Mover(Protocol):
-    """A stage (two axes) or a focus drive (one) that goes to positions."""
-
-    def position(self) -> Array:
-        """Return the position as the encoder has it, µm, one number an axis."""
-        ...
-
-    def move_to(self, position: Array) -> None:
-        """Start towards a position, µm, and return at once."""
-        ...
-
-    def moving(self) -> bool:
-        """Return whether a move is under way."""
-        ...
-
-    def stop(self) -> None:
-        """End any move here and now."""
-        ...
-
-
-class Workstation(Protocol):
-    """What is steered, with the stage's axes and the clock that stamps the frames."""
-
-    @property
-    def camera(self) -> FrameSource: ...
-
-    @property
-    def stage(self) -> Mover: ...
-
-    @property
-    def focus(self) -> Mover: ...
-
-    @property
-    def clock(self) -> Clock: ...
-
-
-def check_devices(workstation: object, **parts: tuple[str, ...]) -> None:
-    """Refuse a workstation whose parts have not the methods that will be called."""
-    for part, methods in parts.items():
+def check_devices(workstation: object, mover: str) -> None:
+    """Refuse a workstation whose parts have not the methods that a run calls."""
+    for part, methods in {"camera": ("snap",), mover: _MOVES, "clock": ("now", "sleep")}.items():
         for method in methods:
             if not callable(getattr(getattr(workstation, part, None), method, None)):
                 raise ValueError(
                     f"workstation must have {part}.{method}(), got {type(workstation).__name__}"
                 )
+
+
+class EndRun(Exception):
+    """The run ends for the reason that is its message."""
+
+
+class DeviceError(EndRun):
+    """A device raised, or did not answer in time."""
+
+
+class RunInterrupt(KeyboardInterrupt):
+    """Ctrl-C, after the device was stopped; `run` is the result of what was done until then."""
+
+    def __init__(self, run: Any) -> None:
+        super().__init__(run.reason)
+        self.run = run
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a run over a device ended.
+
+    Attributes
+    ----------
+    reason : str
+        What the work returned, or why it ended early.
+    complete : bool
+        Whether the work returned and the device stands still.
+    still : bool
+        Whether the device said, after the stop, that it does not move.
+    error : Exception or None
+        The exception behind `reason`, if there is one.
+    """
+
+    reason: str
+    complete: bool
+    still: bool
+    error: BaseException | None
+
+
+class Guard:
+    """Makes each call in a thread of its own, so that a device that hangs cannot hold the loop.
+
+    A thread cannot be ended from outside. One whose call was given up stops the stage as soon as
+    the call returns, since that may have been the start of a move.
+
+    Parameters
+    ----------
+    clock, stage : object
+        Of the workstation; the stage may be a focus drive.
+    timeout : float
+        Longest time that a call or a move may take, s.
+    name : str, optional
+        What reasons call the stage.
+    """
+
+    def __init__(self, clock: Any, stage: Any, timeout: float, name: str = "stage") -> None:
+        self.interrupted = Event()
+        self._clock, self._stage, self._timeout, self._name = clock, stage, timeout, name
+        self._ending = False
+
+    def run(self, work: Callable[[], str]) -> Ending:
+        """Do the work, stop the device however it ended, and say what happened.
+
+        A fault of the device or of anything that the work calls is a reason and not an exception.
+        Ctrl-C sets `interrupted`, which the next call sees; whoever called raises `RunInterrupt`.
+        """
+        reason, complete, error = "", False, None
+        with interrupts(self.interrupted):
+            try:
+                reason, complete = work(), True
+            except EndRun as end:
+                reason, error = str(end), end.__cause__
+            except Exception as fault:  # of a tracker, a controller or `progress`
+                reason, error = f"{type(fault).__name__}: {fault}", fault
+            finally:
+                trouble = self._halt()
+        if self.interrupted.is_set() and complete:
+            reason, complete = "interrupted by the user", False
+        if trouble:
+            trouble = f"the {self._name} may not stand still: {trouble}"
+            reason, complete = "; ".join(filter(None, (reason, trouble))), False
+        return Ending(reason, complete, not trouble, error)
+
+    def check(self) -> None:
+        """End the run if the user wants that."""
+        if self.interrupted.is_set() and not self._ending:
+            raise EndRun("interrupted by the user")
+
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Return what a device answers."""
+        name = getattr(function, "__name__", type(function).__name__)
+        answer: Future[Any] = Future()
+        given_up = Event()
+
+        def work() -> None:
+            try:
+                answer.set_result(function(*arguments))
+            except BaseException as error:  # whatever a driver raises ends the run
+                answer.set_exception(error)
+            if given_up.is_set():
+                with suppress(Exception):  # nobody is left to be told
+                    self._stage.stop()
+
+        self.check()
+        Thread(target=work, daemon=True).start()
+        end = time.monotonic() + self._timeout
+        try:
+            while not wait([answer], POLL).done:
+                self.check()
+                if time.monotonic() > end:
+                    raise DeviceError(f"{name} did not answer within {self._timeout:g} s")
+        except BaseException:
+            given_up.set()
+            raise
+        if error := answer.exception():
+            raise DeviceError(f"{name} failed: {type(error).__name__}: {error}") from error
+        return answer.result()
+
+    def pause(self, seconds: float) -> None:
+        """Let time pass, in pieces that an interrupt can come between."""
+        end = self._clock.now() + seconds
+        while (left := end - self._clock.now()) > 0:
+            self.check()
+            self._clock.sleep(min(left, POLL))
+
+    def settle(self, watch: Callable[[], object] = lambda: None) -> None:
+        """Wait until the stage stands, and call `watch` again and again until it does."""
+        end, real_end = self._clock.now() + self._timeout, time.monotonic() + self._timeout
+        while self.call(self._stage.moving):
+            if self._clock.now() > end or time.monotonic() > real_end:
+                raise DeviceError(f"the {self._name} still moves after {self._timeout:g} s")
+            watch()
+            # A tenth: moves of some milliseconds are common, and polling is all that this costs.
+            self.pause(POLL / 10)
+
+    def _halt(self) -> str:
+        """Stop the stage whatever happens; return why it may not stand still, or nothing."""
+        self._ending = True
+        trouble = ""
+        for _ in range(_STOPS):
+            try:
+                self.call(self._stage.stop)
+                self.settle()
+                return ""
+            except DeviceError as error:
+                trouble = str(error)
+        return trouble
+
+
+@contextmanager
+def interrupts(flag: Event) -> Iterator[None]:
+    """Let Ctrl-C set the flag and nothing else; only the main thread can be interrupted."""
+    if current_thread() is not main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, lambda *_: flag.set())
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)

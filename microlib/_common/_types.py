@@ -1,14 +1,23 @@
-"""The two array types of the signatures."""
+"""The types of the signatures."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from os import PathLike
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
-
-__all__ = ["Array", "Image"]
 
 #: Numbers that are computed with.
 Array = NDArray[np.floating]
 
 #: Grey levels of any type.
 Image = NDArray
+
+#: Left column, top row, width and height of a part of an image, px.
+Region = tuple[int, int, int, int]
+
+#: What a stack may come as: an array, also one that loads as it is indexed, such as zarr's; a file,
+#: a folder or a pattern of files; or an iterable of images or image files.
+Frames = NDArray | str | PathLike[str] | Iterable[Any]

@@ -14,10 +14,11 @@ from microlib._common import (
     EndRun,
     Guard,
     Image,
+    Region,
     RunInterrupt,
     Tidy,
-    Workstation,
     as_array,
+    as_region,
     check_callable,
     check_devices,
     scalar,
@@ -26,8 +27,8 @@ from microlib._common import (
 from microlib.automation._live import STANDS_OUT, LiveDepth, coarse_range
 from microlib.focus import FocusResult, sum_modified_laplacian
 
-#: What a focus drive must answer to.
-_MOVES = ("position", "move_to", "moving", "stop")
+#: Side of a region whose sharpness is measured, px.
+_LEAST_SIDE = 8
 #: How far a drive may stand from where it was sent, in spacings of the positions.
 _MISSED = 0.5
 #: Frames behind the best that have to be worse before autofocus turns round.
@@ -74,7 +75,7 @@ class Acquisition(Tidy):
 
 
 def acquire_depth(
-    workstation: Workstation,
+    workstation: Any,
     positions: ArrayLike,
     *,
     farthest: float | None = None,
@@ -141,7 +142,7 @@ def acquire_depth(
     >>> run.frames, run.complete, round(float(run.result.depth[24, 24]))
     (8, True, 42)
     """
-    check_devices(workstation, camera=("snap",), focus=_MOVES, clock=("now", "sleep"))
+    check_devices(workstation, "focus")
     z = _scan(positions)
     every = None if coarse is None else whole("coarse", coarse, least=2, most=len(z))
     end = None if farthest is None else scalar("farthest", farthest)
@@ -174,10 +175,10 @@ def acquire_depth(
 
 
 def autofocus(
-    workstation: Workstation,
+    workstation: Any,
     positions: ArrayLike,
     *,
-    region: tuple[int, int, int, int] | None = None,
+    region: Region | None = None,
     timeout: float = 10.0,
 ) -> Acquisition:
     """Bring the focus drive to where the image is sharpest.
@@ -228,9 +229,9 @@ def autofocus(
     >>> run.complete, run.frames < 20, abs(run.focus - 42) < 2
     (True, True, True)
     """
-    check_devices(workstation, camera=("snap",), focus=_MOVES, clock=("now", "sleep"))
+    check_devices(workstation, "focus")
     z = _scan(positions)
-    part = _region(region)
+    part = None if region is None else as_region("region", region, least=_LEAST_SIDE)
     drive = _Drive(workstation, z, scalar("timeout", timeout, above=0, most=_MOST_TIME))
 
     def work() -> str:
@@ -254,7 +255,7 @@ def autofocus(
 class _Drive:
     """The focus drive and the camera, each call watched."""
 
-    def __init__(self, workstation: Workstation, positions: Array, timeout: float) -> None:
+    def __init__(self, workstation: Any, positions: Array, timeout: float) -> None:
         self.guard = Guard(workstation.clock, workstation.focus, timeout, "focus drive")
         self.frames = 0
         self._workstation, self._positions = workstation, positions
@@ -312,19 +313,10 @@ def _scan(positions: ArrayLike) -> Array:
     return z
 
 
-def _region(region: tuple[int, int, int, int] | None) -> tuple[slice, slice]:
-    if region is None:
-        return slice(None), slice(None)
-    if not isinstance(region, (tuple, list)) or len(region) != 4:
-        raise ValueError(f"region must be (x, y, width, height), got {region!r}")
-    x, y = (whole("region", value, least=0) for value in region[:2])
-    width, height = (whole("region", value, least=8) for value in region[2:])
-    return slice(y, y + height), slice(x, x + width)
-
-
-def _sharpness(frame: NDArray[Any], part: tuple[slice, slice]) -> float:
-    seen = frame[part]
-    if min(seen.shape) < 8:
+def _sharpness(frame: NDArray[Any], part: Region | None) -> float:
+    x, y, width, height = part or (0, 0, frame.shape[1], frame.shape[0])
+    seen = frame[y : y + height, x : x + width]
+    if min(seen.shape) < _LEAST_SIDE:
         raise EndRun(f"the region lies outside of the image of {frame.shape[::-1]} px")
     return float(sum_modified_laplacian(seen).mean())
 

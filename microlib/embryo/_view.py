@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, items, whole
+from microlib._common import Array, as_region
 
 __all__ = ["DIRECTIONS", "View", "part_of"]
 
@@ -114,13 +114,4 @@ def part_of(
     rows, columns = shape[:2]
     if region is None:
         return 0, 0, columns, rows
-    x, y, width, height = (
-        whole("region", value, least=least)
-        for value, least in zip(items("region", region, 4), (0, 0, smallest, smallest), strict=True)
-    )
-    if x + width > columns or y + height > rows:
-        raise ValueError(
-            f"region must lie inside the image of {columns}×{rows} px, got {width}×{height} px at "
-            f"({x}, {y})"
-        )
-    return x, y, width, height
+    return as_region("region", region, shape, least=smallest)

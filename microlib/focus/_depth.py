@@ -189,7 +189,7 @@ def depth_from_focus(
     if is_in_blocks(getattr(frames, "data", None)):  # an xarray.DataArray of such blocks
         labels = read_frames(frames, region=region)
         positions = labels.positions if positions is None and spacing is None else positions
-        frames = frames.data  # type: ignore[union-attr, assignment]
+        frames = frames.data  # type: ignore[union-attr]
     if is_in_blocks(frames):
         if measure != "multiscale" or registered or reduce != 1:
             raise ValueError(

@@ -9,13 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import LARGEST_GREY, Frames, as_array, flag, whole
+from microlib._common import LARGEST_GREY, Frames, Region, as_array, as_region, flag, whole
 from microlib.io._sources import Named, Source, open_source
 
-__all__ = ["FrameReader", "Region", "read_frames", "reduced"]
-
-#: Left column, top row, width and height of a part of the frames, px.
-Region = tuple[int, int, int, int]
+__all__ = ["FrameReader", "read_frames", "reduced"]
 
 
 def read_frames(
@@ -70,7 +67,7 @@ def read_frames(
     """
     if isinstance(frames, FrameReader):
         return frames
-    part = None if region is None else _region(region)
+    part = None if region is None else as_region("region", region)
     return FrameReader(
         open_source(frames), flag("color", color), part, whole("reduce", reduce, least=1)
     )
@@ -141,7 +138,8 @@ class FrameReader(Iterator[NDArray]):
         if min(frame.shape) == 0:
             raise ValueError(f"{name} must have pixels, got shape {frame.shape}")
         if self._region is not None:
-            frame = frame[_slices(self._region, (frame.shape[0], frame.shape[1]))]
+            x, y, width, height = as_region("region", self._region, frame.shape)
+            frame = frame[y : y + height, x : x + width]
         frame = _numbers(name, frame)
         if frame.ndim == 3:
             frame = np.ascontiguousarray(frame[..., :3])
@@ -170,21 +168,6 @@ def _numbers(name: str, frame: NDArray) -> NDArray:
         return np.ascontiguousarray(frame, dtype=frame.dtype.newbyteorder("="))
     # The products of sharpness that depths are found by stay in single precision's range.
     return np.ascontiguousarray(as_array(name, frame, dtype=np.float32, largest=LARGEST_GREY))
-
-
-def _region(region: object) -> Region:
-    if not isinstance(region, (tuple, list)) or len(region) != 4:
-        raise ValueError(f"region must be (x, y, width, height), got {region!r}")
-    sides = zip(("x", "y", "width", "height"), region, (0, 0, 1, 1), strict=True)
-    left, top, cols, rows = (whole(f"region {name}", n, least=least) for name, n, least in sides)
-    return left, top, cols, rows
-
-
-def _slices(region: Region, shape: tuple[int, int]) -> tuple[slice, slice]:
-    left, top, cols, rows = region
-    if top + rows > shape[0] or left + cols > shape[1]:
-        raise ValueError(f"region must lie in frames of shape {shape}, got {region}")
-    return slice(top, top + rows), slice(left, left + cols)
 
 
 def reduced(name: str, image: NDArray, by: int) -> NDArray:

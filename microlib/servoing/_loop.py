@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from microlib._common import Array, EndRun, Guard, Workstation
+from microlib._common import Array, EndRun, Guard
 from microlib.servoing._log import add_event, new_row, put
 from microlib.servoing._motion import LARGEST_SHARE, UNKNOWN, StageMotion, fit_motion, visits
 from microlib.servoing._workstation import Controller, Tracker
@@ -91,7 +91,7 @@ class Loop:
     """One run; what it saw and did is in `rows`, `motion` and `reached`."""
 
     def __init__(
-        self, workstation: Workstation, tracker: Tracker, guard: Guard, settings: Settings
+        self, workstation: Any, tracker: Tracker, guard: Guard, settings: Settings
     ) -> None:
         self.workstation, self.guard = workstation, guard
         self.rows: list[dict[str, Any]] = []

@@ -16,7 +16,6 @@ from microlib._common import (
     Guard,
     RunInterrupt,
     Tidy,
-    Workstation,
     as_array,
     check_callable,
     check_devices,
@@ -39,9 +38,6 @@ _TEST_SHARE = 0.1
 
 #: Limits of an interval, s: no drive takes commands faster, and nobody waits longer for a move.
 _SHORTEST, _LONGEST = 1e-3, 1e2
-
-#: What a stage must answer to.
-_MOVES = ("position", "move_to", "moving", "stop")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -104,7 +100,7 @@ class ServoRun(Tidy):
 
 
 def servo(
-    workstation: Workstation,
+    workstation: Any,
     tracker: Tracker,
     targets: ArrayLike,
     *,
@@ -220,7 +216,7 @@ def servo(
     >>> print(run.reached, run.still, (workstation.feature - scene.home).round())
     [ True] True [ 30. -20.]
     """
-    check_devices(workstation, camera=("snap",), stage=_MOVES, clock=("now", "sleep"))
+    check_devices(workstation, "stage")
     if not callable(getattr(tracker, "track", None)):
         raise ValueError(f"tracker must have a method track, got {type(tracker).__name__}")
     check_callable("controller", controller, optional=True)

@@ -15,11 +15,9 @@ def test_a_determined_problem_has_the_plain_inverse():
     jacobian = rng.normal(size=(30, 4)) * [1e6, 1.0, 1e-3, 1e-12]
     # Scaled to unit columns the condition is below 3, so a few roundings are left.
     scale = np.linalg.norm(jacobian, axis=0)
-    unit = jacobian / scale
-    expected = np.linalg.inv(unit.T @ unit)
-    np.testing.assert_allclose(
-        inverse_normal(jacobian) * np.outer(scale, scale), expected, rtol=1e-13, atol=1e-13
-    )
+    found = inverse_normal(jacobian) * np.outer(scale, scale)
+    expected = np.linalg.inv((jacobian / scale).T @ (jacobian / scale))
+    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13)
 
 
 def test_an_open_direction_is_told_and_leaves_the_others_alone():
@@ -28,14 +26,11 @@ def test_an_open_direction_is_told_and_leaves_the_others_alone():
     jacobian[:, 3] = 5 * jacobian[:, 1]
     found = inverse_normal(jacobian)
     assert np.isinf(found[[1, 3], [1, 3]]).all()
-    off = ~np.eye(4, dtype=bool)
-    off[np.ix_([0, 2], [0, 2])] = False
-    assert np.isnan(found[off]).all()
+    known = np.ix_([0, 2], [0, 2])
+    assert np.isnan(found).sum() == 16 - 4 - 2
     # The others have the covariance that they have when the sum is one parameter.
     fewer = np.linalg.inv(jacobian[:, :3].T @ jacobian[:, :3])
-    np.testing.assert_allclose(
-        found[np.ix_([0, 2], [0, 2])], fewer[np.ix_([0, 2], [0, 2])], rtol=1e-9
-    )
+    np.testing.assert_allclose(found[known], fewer[known], rtol=1e-9)
 
 
 @pytest.mark.parametrize(("gap", "known"), [(1e-7, True), (1e-11, False)])
@@ -44,17 +39,6 @@ def test_a_weak_direction_is_not_an_open_one(gap, known):
     inverse of JᵀJ itself, with 1e-14 beside 1, would be rounding."""
     first, second = np.linalg.qr(rng.normal(size=(40, 2)))[0].T
     found = inverse_normal(np.column_stack([first, first + gap * second]))
-    if known:
-        # By hand: both variances are 1/gap², to rounding over gap.
-        np.testing.assert_allclose(np.diag(found), gap**-2, rtol=1e-7)
-        np.testing.assert_allclose(found[0, 1], -(gap**-2), rtol=1e-7)
-    else:
-        assert np.isinf(np.diag(found)).all()
-
-
-def test_it_is_what_noise_does():
-    """Monte Carlo with 4000 runs: a standard deviation is known to 1.1 %; four of them."""
-    jacobian = np.vander(np.linspace(-1, 2, 12), 3)
-    runs = np.linalg.lstsq(jacobian, rng.normal(size=(12, 4000)), rcond=None)[0]
-    stated = np.sqrt(np.diag(inverse_normal(jacobian)))
-    np.testing.assert_allclose(runs.std(axis=1), stated, rtol=0.045)
+    # By hand: both variances are 1/gap², to rounding over gap.
+    expected = gap**-2 if known else np.inf
+    np.testing.assert_allclose(np.diag(found), expected, rtol=1e-7)

@@ -25,11 +25,6 @@ def starter(tell: Connection) -> None:
     time.sleep(60)
 
 
-def test_what_multiprocessing_did_not_begin_goes_on() -> None:
-    if multiprocessing.parent_process() is None:
-        assert not end_with_starter()
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")
 def test_a_worker_ends_with_its_killed_starter() -> None:
     spawn = multiprocessing.get_context("spawn")

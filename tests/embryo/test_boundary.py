@@ -221,7 +221,7 @@ def test_a_region_is_looked_at_alone(scene):
     found = extract_boundary(beside, region=(150, 10, 720, 480))
     np.testing.assert_allclose(found.points, plain.points + np.array([150, 10]), atol=1e-9)
     for region in ((150, 10, 800, 480), (0, 0, 30, 480), (-1, 0, 100, 100), (0, 0, 100)):
-        with pytest.raises(ValueError, match="region must"):
+        with pytest.raises(ValueError, match="region"):
             extract_boundary(beside, region=region)
 
 

@@ -260,7 +260,7 @@ def test_a_part_keeps_to_rows_and_columns(stack: NDArray) -> None:
         ((-1, 0, 4, 4), "region x must be"),
         ((0, 0, 0, 4), "region width must be"),
         ((0, 0, 4, 0), "region height must be"),
-        ("abcd", r"region must be \(x, y, width, height\)"),
+        ("abcd", r"region \(x, y, width, height\) must be 4 numbers"),
     ):
         with pytest.raises(ValueError, match=words):
             read_frames(stack, region=wrong)  # type: ignore[arg-type]

@@ -1,0 +1,235 @@
+"""Results that show themselves in a few lines, fill a row or a table, and are kept in one file."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from importlib import import_module
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from microlib._common._files import replace_file
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: Numbers of an array that are shown, and lines of a result.
+_SHOWN, _LINES = 6, 10
+
+#: Names by which a file tells an array and the kind of a result from plain numbers and texts.
+_ARRAY, _RESULT = "__array__", "__result__"
+
+#: What the numbers of a short field are called, where not by their place.
+_PARTS = {
+    **dict.fromkeys(("interval", "domain"), ("low", "high")),
+    **dict.fromkeys(("region", "frame"), ("x", "y", "width", "height")),
+    **dict.fromkeys(("bottom", "center", "corners", "drift", "rim", "tip"), ("x", "y")),
+    **dict.fromkeys(("feature", "measured", "points", "position"), ("x", "y")),
+    **dict.fromkeys(("positions", "reference"), ("x", "y")),
+    **dict.fromkeys(("command", "residuals", "plane_residuals", "pixel_size"), ("x", "y")),
+    "rim_curvatures": ("left", "right"),
+    "grid": ("i", "j"),
+    "image_size": ("width", "height"),
+    "um_per_pixel": ("estimate", "low", "high"),
+}
+
+
+class Kept:
+    """Give a frozen dataclass a short `repr` and `save`."""
+
+    #: Every class of results by its room and name, such as "focus.FocusResult".
+    _known: ClassVar[dict[str, type]] = {}
+
+    def __init_subclass__(cls) -> None:
+        Kept._known[_address(cls)] = cls
+
+    def __repr__(self) -> str:
+        shown = (f"{f.name}={_short(getattr(self, f.name))}" for f in fields(self))  # type: ignore[arg-type]
+        text = f"{type(self).__name__}({', '.join(shown)})"
+        return textwrap.fill(text, 100, subsequent_indent="    ", max_lines=_LINES)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Keep the result in one file, which `microlib.load` reads.
+
+        Parameters
+        ----------
+        path : path-like
+            File to write, a NumPy archive (``.npz``) of the arrays with all else as JSON; an old
+            one is replaced only once the new one is whole. Of an exception nothing is kept.
+
+        Raises
+        ------
+        ValueError
+            If the folder does not exist, or the result holds an object that is no data.
+        """
+        arrays: dict[str, Any] = {}
+
+        def told(value: Any) -> Any:
+            """Return what JSON can hold for what it does not know."""
+            if isinstance(value, np.generic):
+                return value.item()
+            if isinstance(value, BaseException):
+                return None
+            if isinstance(value, Kept):
+                own = {f.name: getattr(value, f.name) for f in fields(value)}  # type: ignore[arg-type]
+                return {_RESULT: _address(type(value))} | own
+            if type(value).__name__ == "DataFrame":
+                return {_RESULT: "table"} | {name: value[name].to_numpy() for name in value}
+            array = np.asarray(value)  # also of dask, which is computed here
+            if array.dtype == object and all(isinstance(part, str) for part in array.flat):
+                array = array.astype(str)
+            if array.dtype == object:
+                raise ValueError(f"a result with a {type(value).__name__} cannot be kept")
+            arrays[key := f"array_{len(arrays)}"] = array
+            return {_ARRAY: key}
+
+        text = json.dumps(self, default=told)
+
+        def write(file: Path) -> None:
+            with file.open("wb") as stream:
+                np.savez_compressed(stream, header=np.array(text), **arrays)
+
+        replace_file(path, write)
+
+
+def load(path: str | PathLike[str]) -> Any:
+    """Read a result of any kind that its `save` has kept, as `microlib.load` says."""
+
+    def made(told: dict[str, Any]) -> Any:
+        if _ARRAY in told:
+            return archive[told[_ARRAY]]
+        if (kind := told.pop(_RESULT, None)) is None:
+            return told
+        if kind == "table":
+            import pandas as pd  # here, as it takes long to import
+
+            return pd.DataFrame(told)
+        import_module(f"microlib.{kind.split('.')[0]}")  # no other object is made from a file
+        return Kept._known[kind](**{name: _tuples(value) for name, value in told.items()})
+
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return json.loads(str(archive["header"]), object_hook=made)
+    except Exception as error:  # whatever a damaged archive, or one of something else, leads to
+        raise ValueError(f"path must name a saved result, got {path}: {error}") from None
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+def _address(kind: type) -> str:
+    return ".".join([*kind.__module__.split(".")[1:2], kind.__name__])
+
+
+def _short(value: Any) -> str:
+    if getattr(value, "shape", ()):
+        if not isinstance(value, np.ndarray) or value.size > _SHOWN:
+            return f"{getattr(value, 'dtype', 'table')} of shape {value.shape}"
+        return np.array2string(value, precision=4, separator=", ").replace("\n", "")
+    if isinstance(value, (float, np.floating)):
+        return f"{value:.5g}"
+    if isinstance(value, (tuple, list)):
+        return f"({', '.join(map(_short, value[:_SHOWN]))}{', …' if len(value) > _SHOWN else ''})"
+    return type(value).__name__ if is_dataclass(value) else f"{value!r:.60}"
+
+
+class Tidy(Kept):
+    """Give a frozen dataclass a flat row and a table, a short `repr`, and a file."""
+
+    #: Fields with one entry a sample: the rows of `to_frame`, left out of `to_dict`.
+    _samples: ClassVar[tuple[str, ...]] = ()
+    #: Fields with a number a pixel, objects and whole tables: in neither.
+    _large: ClassVar[tuple[str, ...]] = ()
+    #: Fields of several axes, each with what its numbers are called along each of them.
+    _parts: ClassVar[tuple[tuple[Any, ...], ...]] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as a flat dictionary that JSON can hold.
+
+        Returns
+        -------
+        dict
+            Numbers, texts, truth values and None by name, in the units of the fields. What has
+            several numbers gets a name for each, such as ``center_x`` and ``covariance_x_y``; what
+            is not finite is None. Fields with a number a sample or a pixel are left out.
+        """
+        left_out = (*self._samples, *self._large)
+        names = [f.name for f in fields(self) if f.name not in left_out]  # type: ignore[arg-type]
+        own = {name: getattr(self, name) for name in names}
+        return flat_row(own, {name: tuple(axes) for name, *axes in self._parts})
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the result as a table.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row a sample, a point for example, and a column for each number that is known of it;
+            of a result without samples the one row of `to_dict`.
+        """
+        import pandas as pd  # here, for it takes a third of the time that importing a subject takes
+
+        if not self._samples:
+            return pd.DataFrame([self.to_dict()])
+        columns: dict[str, Any] = {}
+        for name in self._samples:
+            values = np.asarray(getattr(self, name))
+            if columns and len(values) != len(next(iter(columns.values()))):
+                values = np.moveaxis(values, -1, 0)
+            flat = values.reshape(len(values), -1)
+            names = _names(name, values.shape[1:], _PARTS.get(name, ()))
+            columns |= dict(zip(names, flat.T, strict=True))
+        return pd.DataFrame(columns)
+
+
+def flat_row(
+    values: Mapping[str, Any],
+    parts: Mapping[str, tuple[tuple[str, ...], ...]] | None = None,
+    prefix: str = "",
+) -> dict[str, Any]:
+    """Return values as `Tidy.to_dict` does."""
+    row: dict[str, Any] = {}
+    for name, value in values.items():
+        # The radius of a dimple is not the dimple's dimple's.
+        known = name if prefix and name.startswith(prefix) else prefix + name
+        if isinstance(value, Tidy):
+            value = value.to_dict()
+        if isinstance(value, Mapping):
+            row |= flat_row(value, prefix=f"{known}_")
+        elif isinstance(value, (tuple, list)) and all(isinstance(v, str) for v in value):
+            row[known] = ", ".join(value)
+        elif isinstance(value, (tuple, list, np.ndarray)):
+            array = np.asarray(value)
+            named = _PARTS.get(known) or _PARTS.get(name, ())
+            names = _names(known, array.shape, named, (parts or {}).get(name))
+            row |= zip(names, map(_plain, array.flat), strict=True)
+        else:
+            row[known] = _plain(value)
+    return row
+
+
+def _names(
+    name: str,
+    shape: tuple[int, ...],
+    last: tuple[str, ...],
+    axes: tuple[tuple[str, ...], ...] | None = None,
+) -> list[str]:
+    """Return a name for each number of an array: by the parts of each axis, or of the last one."""
+    named = axes or ((),) * (len(shape) - 1) + (last,)
+    return [
+        "_".join([name, *(p[i] if i < len(p) else str(i) for p, i in zip(named, at, strict=False))])
+        for at in np.ndindex(shape)
+    ]
+
+
+def _plain(value: Any) -> bool | int | float | str | None:
+    value = value.item() if isinstance(value, np.generic) else value
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    return value if value is None or isinstance(value, (bool, int, str)) else str(value)
