@@ -186,11 +186,9 @@ def compare(
     """
     file = Path(path)
     results = {name: np.asarray(value, dtype=np.float64) for name, value in found.items()}
-    table = pd.DataFrame.from_dict(
-        {name: [np.isfinite(v).sum(), _mean(v)] for name, v in results.items()},
-        orient="index",
-        columns=["values", "found"],
-    ).astype({"values": int})
+    columns = {name: pd.Series(values.ravel()) for name, values in results.items()}
+    known = {name: [each.count(), each.mean()] for name, each in columns.items()}
+    table = pd.DataFrame(known, index=["values", "found"]).T.astype({"values": int})
     entry = _entry(file)
     if entry is None or "truth" not in entry:
         print(f"No truth is known of {file.name}, so nothing is compared.")
@@ -205,8 +203,9 @@ def compare(
             f"found and allowed must have the names {sorted(truth)}, "
             f"got {sorted(results)} and {sorted(allowed)}"
         )
-    table["truth"] = [_mean(truth[name]) for name in results]
-    table["off by"] = [_distance(value, truth[name]) for name, value in results.items()]
+    table["truth"] = [np.nanmean(truth[name]) for name in results]
+    distances = (np.abs(value - truth[name]).ravel() for name, value in results.items())
+    table["off by"] = [pd.Series(distance).quantile(SHARE) for distance in distances]
     table["allowed"] = [float(allowed[name]) for name in results]
     for name, row in table.iterrows():
         if not row["off by"] <= row["allowed"]:  # NaN is no agreement
@@ -329,15 +328,3 @@ def _truth(entry: dict) -> dict[str, NDArray[np.float64]]:
         else:
             truth[file.stem] = tifffile.imread(file)
     return {name: np.asarray(value, dtype=np.float64) for name, value in truth.items()}
-
-
-def _mean(values: NDArray[np.float64]) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if known.size else float("nan")
-
-
-def _distance(values: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
-    """Return the distance from the truth within which `SHARE` of the known values lie."""
-    distance = np.abs(values - truth)
-    known = distance[np.isfinite(distance)]
-    return float(np.quantile(known, SHARE)) if known.size else float("nan")

@@ -37,6 +37,7 @@ from dataclasses import asdict, dataclass, field, replace
 from decimal import Decimal
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -553,9 +554,8 @@ def check_equation(
     finite = np.isfinite(printed) & np.isfinite(found)
     size = np.abs(np.where(finite, printed, 0.0))
     rounding = 64 * np.finfo(float).eps * size.max()
-    difference = np.full(printed.shape, np.inf)
-    np.subtract(printed, found, out=difference, where=finite)
-    difference = np.abs(difference)
+    with np.errstate(invalid="ignore"):
+        difference = np.where(finite, np.abs(printed - found), np.inf)
     excess = difference - (atol + rtol * size + rounding)
     worst = np.unravel_index(excess.argmax(), excess.shape)
     if excess[worst] > 0:
@@ -688,26 +688,17 @@ def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
     >>> table.loc[table["claim"] == "table-5.6/E", "printed"].item()
     '1.3237'
     """
-    records = read_records(folder)
-    rows = []
+    records, rows = read_records(folder), []
+    names = ["unit", "verdict", "star", "compared", "rule", "reason", "corrected", "says", "note"]
     for stated in claims().values():
-        found = records.get(stated.id)
-        rows.append(
-            {
-                "claim": stated.id,
-                "part": stated.id.split("/")[0].replace("-", " ").capitalize(),
-                "where": stated.where,
-                "quantity": stated.what,
-                "printed": stated.printed,
-                "recomputed": "" if found is None else str(replace(found, unit="")),
-                "low": math.nan if found is None else found.low,
-                "high": math.nan if found is None else found.high,
-                "unit": stated.unit,
-                "verdict": stated.verdict,
-            }
-        )
-        names = ("star", "compared", "rule", "reason", "corrected", "says", "note", "test")
-        rows[-1] |= {name: getattr(stated, name) for name in names}
+        part = stated.id.split("/")[0].replace("-", " ").capitalize()
+        row: dict[str, Any] = {"claim": stated.id, "part": part, "where": stated.where}
+        row |= {"quantity": stated.what, "printed": stated.printed}
+        row |= {"recomputed": "", "low": math.nan, "high": math.nan}
+        if found := records.get(stated.id):
+            text = str(replace(found, unit=""))
+            row |= {"recomputed": text, "low": found.low, "high": found.high}
+        rows.append(row | {name: getattr(stated, name) for name in [*names, "test"]})
     return pd.DataFrame(rows)
 
 

@@ -95,19 +95,13 @@ def dimple_of_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> Measu
     curves = [fit_gaussians(across, loess(across, height, span=span)) for span in SPANS]
     found = [dimple_geometry(curve, pixel_size=pixel_size) for curve in curves]
     spread = np.std([(g.dimple_radius, g.dimple_depth) for g in found], axis=0, ddof=1)
-    curve, geometry = curves[1], found[1]
-    radius_std, depth_std = np.sqrt(spread**2 + np.diag(geometry.covariance)).tolist()
+    curve, middle = curves[1], found[1]
+    stds = np.sqrt(spread**2 + np.diag(middle.covariance)).tolist()
     fine = np.linspace(*curve.domain, 600)
-    return MeasuredDimple(
-        geometry.dimple_radius,
-        geometry.dimple_depth,
-        radius_std,
-        depth_std,
-        points=pixel_size * np.stack([across, height], axis=1),
-        curve=pixel_size * np.stack([fine, curve(fine)], axis=1),
-        rim=(pixel_size * geometry.rim[0], pixel_size * geometry.rim[1]),
-        bottom=(pixel_size * geometry.bottom[0], pixel_size * geometry.bottom[1]),
-    )
+    drawn = (np.stack([across, height], axis=1), np.stack([fine, curve(fine)], axis=1))
+    lengths = (middle.dimple_radius, middle.dimple_depth, *stds)
+    ends = ((pixel_size * x, pixel_size * y) for x, y in (middle.rim, middle.bottom))
+    return MeasuredDimple(*lengths, *(pixel_size * p for p in drawn), *ends)
 
 
 def dimple_of_numbers(
@@ -154,16 +148,9 @@ def dimple_of_numbers(
     r = np.linspace(-radius, radius, 401)
     under = np.maximum(np.abs(r), probe_half_width)  # the probe holds the membrane flat
     y = -dimple_profile(under, radius, depth, probe_half_width=probe_half_width)
-    return MeasuredDimple(
-        float(radius),
-        float(depth),
-        float(radius_std),
-        float(depth_std),
-        points=np.empty((0, 2)),
-        curve=np.stack([r, y], axis=1),
-        rim=(-float(radius), 0.0),
-        bottom=(0.0, -float(depth)),
-    )
+    lengths = (float(radius), float(depth), float(radius_std), float(depth_std))
+    curve, ends = np.stack([r, y], axis=1), ((-lengths[0], 0.0), (0.0, -lengths[1]))
+    return MeasuredDimple(*lengths, np.empty((0, 2)), curve, *ends)
 
 
 def disc_moduli(
@@ -191,8 +178,8 @@ def disc_moduli(
     found = {}
     for law, ratio in (("neo-hooke", 0.5), ("hooke", poisson_ratio)):
         try:
-            lengths = (force, dimple.radius, dimple.depth)
-            found[law] = disc_modulus(*lengths, law=law, poisson_ratio=ratio, **sizes)
+            settings = sizes | {"poisson_ratio": ratio}
+            found[law] = disc_modulus(force, dimple.radius, dimple.depth, law=law, **settings)
         except ValueError:
             found[law] = float("nan")
     return found

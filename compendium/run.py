@@ -21,14 +21,14 @@ import os
 import signal
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 from time import perf_counter
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import nbformat
 import papermill
@@ -80,15 +80,19 @@ def main() -> int:
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser = Parser(description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", help="notebooks to run, by name or its beginning")
-    parser.add_argument("--force", action="store_true", help="run them even if nothing changed")
-    parser.add_argument("--jobs", type=int, default=2, help="how many at a time")
-    parser.add_argument("--failures", action="store_true", help="list the failed ones; run nothing")
-    parser.add_argument(
-        "-p", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"), dest="own",
-        help="set a parameter of one notebook",
-    )  # fmt: skip
-    parser.add_argument("--output", help="folder for a run on your own data, mine if not given")
+    add = parser.add_argument
+    add("names", nargs="*", help="notebooks to run, by name or its beginning")
+    add("--force", action="store_true", help="run them even if nothing changed")
+    add("--jobs", type=int, default=2, help="how many at a time")
+    add("--failures", action="store_true", help="list the failed ones; run nothing")
+    own: dict[str, Any] = {
+        "nargs": 2,
+        "action": "append",
+        "default": [],
+        "metavar": ("NAME", "VALUE"),
+    }
+    add("-p", dest="own", help="set a parameter of one notebook", **own)
+    add("--output", help="folder for a run on your own data, mine if not given")
     # A value may begin with a minus, -5e1, which argparse takes for an option unless a space comes
     # first.
     safe = [
@@ -206,11 +210,9 @@ def execute(source: Path, output: Path, values: dict, cwd: Path) -> tuple[str, b
         made = Path(folder) / output.name
         # Each kernel talks over sockets in a folder of its own; the default names collide.
         sockets = Config({"KernelManager": {"transport": "ipc", "ip": f"{folder}/k"}})
+        how: dict[str, Any] = {"kernel_name": "python3", "progress_bar": False, "config": sockets}
         try:
-            papermill.execute_notebook(
-                source, made, parameters=values, cwd=str(cwd), kernel_name="python3",
-                progress_bar=False, config=sockets,
-            )  # fmt: skip
+            papermill.execute_notebook(source, made, values, cwd=str(cwd), **how)
             message = f"{perf_counter() - start:.1f} s"
         except PapermillExecutionError as error:
             message, passed = one_line(f"{error.ename}: {error.evalue}"), False
@@ -229,7 +231,7 @@ def one_line(text: object) -> str:
     return " ".join(str(text).split())
 
 
-def run(name: str, key: dict[str, str]) -> tuple[str, bool]:
+def run(name: str, key: str) -> tuple[str, bool]:
     """Execute a notebook of the book; what it leaves appears when it has ended, its status last."""
     source, status = ROOT / "notebooks" / f"{name}.ipynb", BUILD / "status" / f"{name}.json"
     made, record = (BUILD / ".running" / f"{name}.{kind}" for kind in ("ipynb", "json"))
@@ -267,31 +269,21 @@ def read_status(name: str) -> dict:
         return {}
 
 
-def up_to_date(name: str, key: dict[str, str]) -> bool:
-    """Tell whether a notebook was run well on the inputs of which `key` holds the hashes."""
+def up_to_date(name: str, key: str) -> bool:
+    """Tell whether a notebook was run well on the inputs of which `key` is the hash."""
     made = (BUILD / "notebooks" / f"{name}.ipynb", BUILD / "claims" / f"{name}.json")
     status = read_status(name)
     return status.get("key") == key and not status["failed"] and all(p.exists() for p in made)
 
 
-def key_of(name: str) -> dict[str, str]:
-    """Return the version of Python and the hashes of all else that a notebook depends on."""
-    key = {
-        "python": sys.version.split()[0],
-        "notebook": files_hash([ROOT / "notebooks" / f"{name}.ipynb"]),
-        "microlib": files_hash((ROOT / "microlib").rglob("*.py")),
-        "compendium": files_hash((ROOT / "compendium").rglob("*.py")),
-        "data": files_hash(path for path in (ROOT / "data").rglob("*") if path.is_file()),
-        "lock": files_hash([ROOT / "environment.txt"]),
-    }
+def key_of(name: str) -> str:
+    """Return a hash of all that a notebook depends on, the version of Python among it."""
+    files = [ROOT / "notebooks" / f"{name}.ipynb", ROOT / "environment.txt"]
+    files += [p for folder in ("microlib", "compendium") for p in (ROOT / folder).rglob("*.py")]
+    files += [path for path in (ROOT / "data").rglob("*") if path.is_file()]
     if name.startswith(LAST):
-        claims = (BUILD / "claims").glob("*.json")
-        key["claims"] = files_hash(p for p in claims if not p.name.startswith(LAST))
-    return key
-
-
-def files_hash(files: Iterable[Path]) -> str:
-    digest = hashlib.sha256()
+        files += [p for p in (BUILD / "claims").glob("*.json") if not p.name.startswith(LAST)]
+    digest = hashlib.sha256(sys.version.encode())
     for path in sorted(files):
         digest.update(str(path.relative_to(ROOT)).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()

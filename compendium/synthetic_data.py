@@ -62,14 +62,9 @@ def write_stack(folder: Path) -> dict[str, Entry]:
     rng = np.random.default_rng(SEED)
     start, spacing, pixel_size = -50.0, 25.0, 3.9
     height = sphere_on_plane((200, 240), 300.0, pixel_size)
-    frames = focal_stack(
-        mixed_texture(height.shape, rng),
-        height,
-        start + spacing * np.arange(29),
-        blur_rate=1 / spacing,
-        noise=2.0,
-        rng=rng,
-    )
+    texture, positions = mixed_texture(height.shape, rng), start + spacing * np.arange(29)
+    look: dict[str, Any] = {"blur_rate": 1 / spacing, "noise": 2.0, "rng": rng}
+    frames = focal_stack(texture, height, positions, **look)
     tifffile.imwrite(folder / "focal_stack.tif", frames, photometric="minisblack", software=False)
     write_height_tiff(folder / "height_um.tif", height, pixel_size=pixel_size)
     ball = "a ball of 300 µm radius on a plane"
@@ -91,9 +86,8 @@ def write_pattern(folder: Path) -> dict[str, Entry]:
     scope = Microscope(
         t_op, f, 79374.6, alpha=0.03, beta=-0.02, tx=-1900.0, ty=-1400.0, pixel_size=cell
     )
-    image = render_circles(
-        scope, pitch=pitch, imaging=ImagingConditions(noise=2.0), rng=np.random.default_rng(SEED)
-    )
+    look: dict[str, Any] = {"imaging": ImagingConditions(noise=2.0), "rng": SEED}
+    image = render_circles(scope, pitch=pitch, **look)
     cv2.imwrite(str(folder / "circles.png"), image.round().astype(np.uint8))
     pose = {name: getattr(scope, name) for name in ("distortion", "alpha", "beta", "gamma")}
     what = "a rendered photograph: a tilted plane with circles of 70 µm radius, 280 µm apart"
@@ -145,10 +139,8 @@ def write_outline(folder: Path) -> dict[str, Entry]:
     height += np.random.default_rng(SEED).normal(0.0, noise, height.size)
     points = pd.DataFrame({"x": column - column[0], "y": height + 30.0})
     points.to_csv(folder / "outline.csv", index=False, float_format="%.3f")
-    what = (
-        "the outline of a dimple in a membrane of 1.3 MPa, one point a column of pixels, "
-        "noise of 0.1 px"
-    )
+    what = "the outline of a dimple in a membrane of 1.3 MPa"
+    what += ", one point a column of pixels, noise of 0.1 px"
     return {"outline.csv": _dimple_entry(what, embryo.force, pixel_size, embryo)}
 
 

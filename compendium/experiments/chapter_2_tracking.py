@@ -106,10 +106,8 @@ def align(target: Target, gradients: tuple[float, float], iterations: int) -> li
         # Of the template and of the warped image, along x and y.
         slopes = [np.stack([*np.gradient(g, steps, steps)][::-1]) for g in (template, current)]
         slope = gradients[0] * slopes[0] + gradients[1] * slopes[1]
-        jacobian = np.einsum("irc,nirc->rcn", slope[inside], moves[inside]).reshape(
-            -1, len(MOTIONS)
-        )
-        missing = (template - current)[inside].ravel()
+        change = np.einsum("irc,nirc->rcn", slope[inside], moves[inside])
+        jacobian, missing = change.reshape(-1, len(MOTIONS)), (template - current)[inside].ravel()
         step = np.linalg.lstsq(jacobian, missing, rcond=None)[0]
         warps.append(warps[-1] @ expm(np.einsum("n,nij->ij", step, MOTIONS)))
     return warps
@@ -118,15 +116,11 @@ def align(target: Target, gradients: tuple[float, float], iterations: int) -> li
 def errors_by_gradient(target: Target, iterations: int) -> pd.DataFrame:
     """Return the mean error of the corners, px, after each step and for each of `GRADIENTS`."""
     true = corners(target.warp)
-    return pd.DataFrame(
-        {
-            name: [
-                np.linalg.norm(corners(warp) - true, axis=1).mean()
-                for warp in align(target, shares, iterations)
-            ]
-            for name, shares in GRADIENTS.items()
-        }
-    ).rename_axis("iteration")
+    table = pd.DataFrame(index=pd.RangeIndex(iterations + 1, name="iteration"))
+    for name, shares in GRADIENTS.items():
+        warps = align(target, shares, iterations)
+        table[name] = [np.linalg.norm(corners(warp) - true, axis=1).mean() for warp in warps]
+    return table
 
 
 def library_error(seed: int) -> float:
@@ -180,9 +174,8 @@ def kalman_track(
         state, p = state + gain * (measured[frame] - state[0]), p - np.outer(gain, p[0])
         library = [found, kalman.velocity[0], *kalman.covariance.ravel()]
         states.append([*library, *np.array(library) - [*state, *p.ravel()]])
-    names = ["frame", "true", "measured", "predicted", "estimated", "predicted_std"]
+    names = ["frame", "true", "measured", "predicted", "estimated"]
+    names += ["predicted_std", "estimated_std"]
     parts = ["x", "v", "P11", "P12", "P21", "P22"]
     columns = parts + [f"{part}, library − formula" for part in parts]
-    return pd.DataFrame(rows, columns=[*names, "estimated_std"]), pd.DataFrame(
-        states, columns=columns
-    )
+    return pd.DataFrame(rows, columns=names), pd.DataFrame(states, columns=columns)

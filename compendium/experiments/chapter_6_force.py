@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -83,23 +84,9 @@ def relaxing_sequence(rng: np.random.Generator, time: NDArray) -> pd.DataFrame:
     with warnings.catch_warnings():
         # The images obey the model by construction.
         warnings.simplefilter("ignore", SmallSlopeWarning)
-        found = force_over_time(
-            images,
-            time,
-            MODULUS,
-            shares=[SHARE],
-            relaxation_times=[RELAXATION_TIME],
-            pixel_size=thesis.EMBRYO_PIXEL,
-            direction="top",
-            **thesis.MEMBRANE,
-        )
-    return pd.DataFrame(
-        {
-            "time": time,
-            "true": true_force(time),
-            "force": found.force,
-            "low": found.low,
-            "high": found.high,
-            "elastic": found.elastic_force,
-        }
-    )
+        law = {"shares": [SHARE], "relaxation_times": [RELAXATION_TIME], **thesis.MEMBRANE}
+        seen: dict[str, Any] = {"pixel_size": thesis.EMBRYO_PIXEL, "direction": "top"}
+        found = force_over_time(images, time, MODULUS, **law, **seen)
+    read = {"force": found.force, "low": found.low, "high": found.high}
+    truth = {"time": time, "true": true_force(time)}
+    return pd.DataFrame(truth | read | {"elastic": found.elastic_force})

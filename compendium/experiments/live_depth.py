@@ -15,13 +15,7 @@ from numpy.typing import NDArray
 from microlib.automation import acquire_depth
 from microlib.focus import depth_from_focus
 from microlib.servoing import Camera, SimulatedWorkstation, Stage
-from microlib.synthetic import (
-    cone,
-    focal_stack,
-    mixed_texture,
-    parabolic_cylinder,
-    step,
-)
+from microlib.synthetic import cone, focal_stack, mixed_texture, parabolic_cylinder, step
 
 #: Rows and columns of the frames, and positions of the focus drive, µm: planned for whatever lies
 #: under the objective.
@@ -75,9 +69,8 @@ def frames_of(name: str, seed: int) -> NDArray[np.uint8]:
     """
     rng = np.random.default_rng([seed, 82])
     texture = mixed_texture(SHAPE, rng)
-    return focal_stack(
-        texture, SCENES[name](), POSITIONS, blur_rate=BLUR_RATE, noise=NOISE, rng=rng
-    )
+    look: dict[str, Any] = {"blur_rate": BLUR_RATE, "noise": NOISE}
+    return focal_stack(texture, SCENES[name](), POSITIONS, rng=rng, **look)
 
 
 def microscope(stack: NDArray[np.uint8]) -> SimulatedWorkstation:
@@ -121,24 +114,15 @@ def saved(seed: int) -> pd.DataFrame:
     rows = []
     for name, make in SCENES.items():
         height, stack = make(), frames_of(name, seed)
-        whole = depth_from_focus(stack, POSITIONS)
-        given: dict[str, dict[str, Any]] = {
-            "farthest": {"farthest": float(height.max())},
-            "coarse": {"coarse": COARSE},
-        }
-        for way, options in given.items():
-            run = acquire_depth(microscope(stack), POSITIONS, **options)
+        # Two positions beyond the highest point the peak is seen from both sides.
+        enough = height.max() + 2 * np.diff(POSITIONS)[0]
+        whole = depth_from_focus(stack, POSITIONS).depth
+        given: dict[str, Any] = {"farthest": float(height.max()), "coarse": COARSE}
+        for way, value in given.items():
+            run = acquire_depth(microscope(stack), POSITIONS, **{way: value})
             assert run.result is not None, run.reason
-            error, all_error = run.result.depth - height, whole.depth - height
-            rows.append(
-                {
-                    "scene": name,
-                    "way": way,
-                    "saved": 100 * (1 - run.frames / len(POSITIONS)),
-                    # Two positions beyond the highest point the peak is seen from both sides.
-                    "seen": bool(run.positions[-1] >= height.max() + 2 * np.diff(POSITIONS)[0]),
-                    "rms": float(np.sqrt(np.nanmean(error**2))),
-                    "rms of all": float(np.sqrt(np.nanmean(all_error**2))),
-                }
-            )
-    return pd.DataFrame(rows)
+            share = 100 * (1 - run.frames / len(POSITIONS))
+            rms = [np.sqrt(np.nanmean((z - height) ** 2)) for z in (run.result.depth, whole)]
+            rows.append((name, way, share, run.positions[-1] >= enough, *rms))
+    columns = ["scene", "way", "saved", "seen", "rms", "rms of all"]
+    return pd.DataFrame(rows, columns=columns)

@@ -206,8 +206,8 @@ def modulus_posterior(
 def _solved_states(membrane: str, law: str, crest: tuple[float, float]) -> tuple[NDArray, NDArray]:
     """Return where in the unit cube states were solved, and ln w_d/L and ln a/L there."""
     unit = qmc.Halton(3 if membrane == "capsule" else 5, seed=0).random(_STATES[membrane])
-    rows = pd.DataFrame(_inputs(membrane, unit, crest))
-    lengths = np.array([_lengths(membrane, law, row.to_dict()) for _, row in rows.iterrows()])
+    rows = pd.DataFrame(_inputs(membrane, unit, crest)).to_dict("records")
+    lengths = np.array([_lengths(membrane, law, row) for row in rows])
     solved = np.isfinite(lengths[:, 0])
     return unit[solved], np.log(lengths[solved])
 

@@ -14,13 +14,7 @@ from scipy.special import stdtrit
 
 from compendium import thesis
 from compendium.ledger import claim, with_error
-from microlib.calibration import (
-    Calibration,
-    Detection,
-    calibrate,
-    detect_circles,
-    detect_squares,
-)
+from microlib.calibration import Calibration, Detection, calibrate, detect_circles, detect_squares
 from microlib.microscope import Microscope, undistort
 from microlib.synthetic import ImagingConditions, render_circles, render_squares
 
@@ -83,11 +77,7 @@ def photograph(column: str, seed: int | list[int], draws: int) -> Photograph:
     among labels that fit equally well, see `printed_labels`. The errors of a square's corners are
     drawn together, because they share its sides.
     """
-    rng, scope, f = (
-        np.random.default_rng(seed),
-        thesis.microscope(column),
-        thesis.table_5_1(column, "f"),
-    )
+    rng, scope = np.random.default_rng(seed), thesis.microscope(column)
     corners = 4 if column.startswith("square") else 1
     images, errors = [], np.empty((0, corners, 2))
     while len(errors) < LEAST_MARKS:
@@ -98,14 +88,15 @@ def photograph(column: str, seed: int | list[int], draws: int) -> Photograph:
         errors = np.concatenate([errors, off[order].reshape(-1, corners, 2)])
         images.append((image, found, world, order))
     image, found, world, order = images[0]
-    groups: dict[str, Any] = {"groups": found.group} if corners > 1 else {}
+    known: dict[str, Any] = SENSOR | ({"groups": found.group} if corners > 1 else {})
+    f = thesis.table_5_1(column, "f")
     with_f, without_f = [], []
     for _ in range(draws):
         seen = scope.project(world)
         chosen = rng.integers(len(errors), size=len(world) // corners)
         seen[order] += errors[chosen].reshape(-1, 2)
-        with_f.append(calibrate(world, seen, focal_length=f, **groups, **SENSOR))
-        without_f.append(calibrate(world, seen, **groups, **SENSOR))
+        with_f.append(calibrate(world, seen, focal_length=f, **known))
+        without_f.append(calibrate(world, seen, **known))
     return Photograph(image, found, world, errors.reshape(-1, 2), len(images), with_f, without_f)
 
 
@@ -148,10 +139,8 @@ def printed_labels(column: str, found: Detection, like: Microscope | None = None
         World points, µm.
     """
     like = thesis.microscope(column) if like is None else like
-    pitch = thesis.pattern_pitch(column)
-    blind = calibrate(
-        found.grid * pitch, found.points, focal_length=thesis.table_5_1(column, "f"), **SENSOR
-    ).microscope
+    pitch, f = thesis.pattern_pitch(column), thesis.table_5_1(column, "f")
+    blind = calibrate(found.grid * pitch, found.points, focal_length=f, **SENSOR).microscope
     axes = blind.rotation[:, :2]
     signs = [np.diag(each) for each in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
     turns = [sign @ swap for sign in signs for swap in (np.eye(2), np.eye(2)[::-1])]
@@ -304,11 +293,10 @@ def blur_study(seed: int, blurs: ArrayLike) -> pd.DataFrame:
     names = ["circles", "squares", "squares, cornerSubPix"]
     table = pd.DataFrame(index=pd.Index(np.asarray(blurs, float), name="blur (px)"), columns=names)
     for blur in table.index:
-        look, rng = replace(IMAGING, blur=blur), np.random.default_rng(seed)
-        discs = render_circles(
-            scope, radius=pitch / 4, pitch=pitch, counts=(8, 7), imaging=look, rng=rng
-        )
-        image = render_squares(scope, side=pitch, counts=(4, 4), imaging=look, rng=rng)
+        how: dict[str, Any] = {"imaging": replace(IMAGING, blur=blur)}
+        how["rng"] = np.random.default_rng(seed)
+        discs = render_circles(scope, radius=pitch / 4, pitch=pitch, counts=(8, 7), **how)
+        image = render_squares(scope, side=pitch, counts=(4, 4), **how)
         corners = detect_squares(image).points
         stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
         start = corners.astype(np.float32)[:, None].copy()

@@ -195,10 +195,9 @@ def step_errors(zoom: str, measured: NDArray, ahead: ArrayLike, band: float) -> 
     The step is commanded some time before the first exposure that the loop knows it at: `ahead` is
     that share of a frame.
     """
-    pixel, time = thesis.effective_pixel(zoom), thesis.FRAME_INTERVAL * np.arange(len(STEP_PATH))
-    each = (
-        servoing.step_metrics(time, m * pixel, STEP_PATH[0] * pixel, band=band) for m in measured
-    )
+    time = thesis.FRAME_INTERVAL * np.arange(len(STEP_PATH))
+    seen, goal = (thesis.effective_pixel(zoom) * px for px in (measured, STEP_PATH[0]))
+    each = (servoing.step_metrics(time, run, goal, band=band) for run in seen)
     found = np.array([(m.settling_time, m.accuracy, m.precision) for m in each])
     found[:, 0] += np.asarray(ahead) * thesis.FRAME_INTERVAL
     return found
@@ -245,14 +244,22 @@ class Workstation:
         generators = [np.random.default_rng([self.seed, draw]) for draw in range(draws)]
         jacobians = np.array([drawn_jacobian(zoom, rng, self.assumed) for rng in generators])
         normal = np.array([rng.standard_normal(path.shape) for rng in generators])
-        return close_loop(
-            zoom,
+        limits = {"saturation": self.saturation[zoom], "latency": self.assumed.latency}
+        return close_loop(zoom, path, jacobians, self.shake(zoom) * normal, start=start, **limits)
+
+    def simulate(self, controller: Any, zoom: str, path: NDArray, draw: int, **how: Any) -> Any:
+        """Run the library's simulation with the draws of one of `runs`, and with a latency that
+        may be another, s."""
+        rng = np.random.default_rng([self.seed, draw])
+        latency = how.pop("latency", self.assumed.latency)
+        return servoing.simulate(
+            controller,
             path,
-            jacobians,
-            self.shake(zoom) * normal,
-            saturation=self.saturation[zoom],
-            latency=self.assumed.latency,
-            start=start,
+            jacobian=drawn_jacobian(zoom, rng, self.assumed),
+            stage=servoing.Stage(saturation=self.saturation[zoom], step=thesis.STAGE_STEP),
+            camera=servoing.Camera(thesis.FRAME_INTERVAL, latency, self.shake(zoom)),
+            rng=rng,
+            **how,
         )
 
     def path_errors(self, zoom: str, name: str, draws: int) -> NDArray:
@@ -277,9 +284,8 @@ def settling_times(
     speeds, late = (np.reshape(a, (-1, 1)) for a in np.broadcast_arrays(saturation, latency))
     jacobian = np.broadcast_to(nominal_jacobian(zoom), (len(speeds), 2, 2))
     still = np.zeros((len(speeds), *STEP_PATH.shape))
-    measured, _ = close_loop(
-        zoom, STEP_PATH, jacobian, still, saturation=speeds, latency=late, start=(0.0, 0.0)
-    )
+    how: dict[str, Any] = {"saturation": speeds, "latency": late, "start": (0.0, 0.0)}
+    measured, _ = close_loop(zoom, STEP_PATH, jacobian, still, **how)
     return step_errors(zoom, measured, 0.5, band)[:, 0]
 
 
@@ -327,24 +333,6 @@ SPEEDS = np.arange(120.0, 480.0, 4.0)
 LATENCIES = np.arange(0.0, 0.96, 0.02) * thesis.FRAME_INTERVAL
 
 
-def find_saturation(assumed: Assumed = ASSUMED) -> dict[str, float]:
-    """Find the largest speed at each zoom that gives the settling time of Table 5.3, µm/s."""
-    return {
-        zoom: nearest(
-            SPEEDS,
-            settling_times(zoom, SPEEDS, assumed.latency, assumed.band),
-            claim(f"table-5.3/{zoom}/settling-time").value,
-        )
-        for zoom in thesis.ZOOMS
-    }
-
-
-def find_latency(speed: float, band: float) -> float:
-    """Find the latency that gives the settling time at 4X with the largest speed of 1X, s."""
-    times = settling_times("4X", speed, LATENCIES, band)
-    return nearest(LATENCIES, times, claim("table-5.3/4X/settling-time").value)
-
-
 def identify(seed: int, assumed: Assumed = ASSUMED) -> Workstation:
     """Find the workstation that gives six printed numbers.
 
@@ -368,10 +356,15 @@ def identify(seed: int, assumed: Assumed = ASSUMED) -> Workstation:
     ValueError
         If no speed or jitter gives a printed number.
     """
-    saturation = find_saturation(assumed)
+    printed = {zoom: claim(f"table-5.3/{zoom}/settling-time").value for zoom in thesis.ZOOMS}
+    saturation = {}
+    for zoom in thesis.ZOOMS:
+        times = settling_times(zoom, SPEEDS, assumed.latency, assumed.band)
+        saturation[zoom] = nearest(SPEEDS, times, printed[zoom])
     if assumed.one_speed:
-        saturation = dict.fromkeys(thesis.ZOOMS, saturation["1X"])
-        assumed = replace(assumed, latency=find_latency(saturation["1X"], assumed.band))
+        saturation["4X"] = saturation["1X"]
+        times = settling_times("4X", saturation["4X"], LATENCIES, assumed.band)
+        assumed = replace(assumed, latency=nearest(LATENCIES, times, printed["4X"]))
     jitters, speeds = np.arange(0.0, 0.26, 0.05), np.arange(10.0, 51.0, 5.0)  # px, px/s
     found = Workstation(saturation, 0.1, {}, seed, assumed)
 
@@ -397,12 +390,9 @@ def printed_path(zoom: str, name: str, what: str) -> float:
 
 def printed_table() -> pd.DataFrame:
     """Return Table 5.4 as printed, µm: a row each path, a column each result and zoom."""
+    columns = [(what, zoom) for what in PATH_RESULTS for zoom in thesis.ZOOMS]
     return pd.DataFrame(
-        {
-            (what, zoom): {name: printed_path(zoom, name, what) for name in PATHS}
-            for what in PATH_RESULTS
-            for zoom in thesis.ZOOMS
-        }
+        {c: {name: printed_path(c[1], name, c[0]) for name in PATHS} for c in columns}
     )
 
 
@@ -448,13 +438,6 @@ def predicted_tables(station: Workstation, draws: int) -> pd.DataFrame:
     return table.assign(input=table["claim"].isin(FITTED))
 
 
-def under(station: Workstation, reading: Assumed) -> Workstation:
-    """Find the workstation anew under another assumption."""
-    if replace(reading, faster=1.0, shakier=1.0) == station.assumed:
-        return replace(station, assumed=reading)  # everything is found at 1X
-    return identify(station.seed, reading)
-
-
 def by_reading(station: Workstation, draws: int) -> pd.DataFrame:
     """Judge the predicted numbers anew under each of `OTHER_READINGS`.
 
@@ -472,7 +455,10 @@ def by_reading(station: Workstation, draws: int) -> pd.DataFrame:
     """
     tables = []
     for name, reading in ({"as assumed": station.assumed} | OTHER_READINGS).items():
-        table = predicted_tables(under(station, reading), draws)
+        # All is found at 1X.
+        same = replace(reading, faster=1.0, shakier=1.0) == station.assumed
+        at = replace(station, assumed=reading) if same else identify(station.seed, reading)
+        table = predicted_tables(at, draws)
         judged = [judge(claim(id), *found) for id, *found, _ in table.itertuples(index=False)]
         tables.append(table.assign(reading=name, verdict=judged))
     return pd.concat(tables, ignore_index=True)
@@ -542,19 +528,8 @@ def over_images(
         track = tracker.track(frames[-1])
         return np.full(2, np.nan) if track.lost else track.center - origin
 
-    draw = np.random.default_rng([station.seed, 0])
-    run = servoing.simulate(
-        servoing.OptimalController(nominal_jacobian(zoom), **LAW),
-        path,
-        jacobian=drawn_jacobian(zoom, draw, station.assumed),
-        stage=servoing.Stage(saturation=station.saturation[zoom], step=thesis.STAGE_STEP),
-        camera=servoing.Camera(
-            thesis.FRAME_INTERVAL, latency=station.assumed.latency, jitter=station.shake(zoom)
-        ),
-        rng=draw,
-        start=begin,
-        observer=observer,
-    )
+    controller = servoing.OptimalController(nominal_jacobian(zoom), **LAW)
+    run = station.simulate(controller, zoom, path, 0, start=begin, observer=observer)
     return OverImages(run, frames, origin)
 
 
@@ -578,8 +553,8 @@ def largest_error_in_frame(station: Workstation) -> float:
     errors = []
     for speed in np.linspace(0.2, 1.0, 5) * most:
         path = PATHS["circle"](speed, 1.0, 1.0)
-        for reading in OTHER_READINGS.values():
-            at = replace(station, assumed=replace(ASSUMED, latency=reading.latency))
+        for latency in {reading.latency for reading in OTHER_READINGS.values()}:
+            at = replace(station, assumed=replace(ASSUMED, latency=latency))
             errors.append(path_errors("1X", path, at.runs("1X", path, 1)[0], ahead=0)[0, 0])
     return float(max(errors))
 

@@ -28,13 +28,8 @@ BALL_PIXEL = thesis.effective_pixel("1X")
 SML_WINDOW = int(claim("section-3.1.2/sml-window-large").value)
 #: How far from a pixel the windows reach by which its label follows from the depth, px: half of the
 #: mean, of the smoother (3.15) and of the derivatives (3.16).
-REACH = sum(
-    side // 2
-    for side in (
-        thesis.MEAN_WINDOW,
-        int(claim("section-3.2.1/smoothing-window").value),
-        int(claim("section-3.2.1/derivative-window").value),
-    )
+REACH = thesis.MEAN_WINDOW // 2 + sum(
+    int(claim(f"section-3.2.1/{kind}-window").value) // 2 for kind in ("smoothing", "derivative")
 )
 #: How far they reach altogether: with the focus measure and the median of (3.14), px.
 FULL_REACH = REACH + SML_WINDOW // 2 + thesis.MEDIAN_WINDOW // 2
@@ -184,14 +179,9 @@ def ridge_errors(ridge: Scene, seed: int) -> pd.DataFrame:
     pandas.DataFrame
         RMS errors inside the ridge in µm: a row each kind of frames, a column each chain.
     """
-    lens = focal_stack(
-        ridge.texture,
-        ridge.height,
-        ridge.positions,
-        blur_rate=1 / thesis.RIDGE_STEP,
-        noise=2.0,
-        rng=np.random.default_rng(seed),
-    )
+    rng, rate = np.random.default_rng(seed), 1 / thesis.RIDGE_STEP
+    scene = (ridge.texture, ridge.height, ridge.positions)
+    lens = focal_stack(*scene, blur_rate=rate, noise=2.0, rng=rng)
     inner = inside_ridge()
 
     def rms(depth: NDArray) -> float:

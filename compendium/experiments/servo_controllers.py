@@ -6,13 +6,7 @@ import numpy as np
 import pandas as pd
 
 from compendium import thesis
-from compendium.experiments.section_5_4 import (
-    LAW,
-    PATHS,
-    Workstation,
-    drawn_jacobian,
-    nominal_jacobian,
-)
+from compendium.experiments.section_5_4 import LAW, PATHS, Workstation, nominal_jacobian
 from microlib import servoing
 
 
@@ -23,22 +17,14 @@ def true_error(
 
     Of `OptimalController` (2.28) and of `PredictiveController`, with the same draws.
     """
-    path, pixel, jacobian = station.path(name), thesis.effective_pixel(zoom), nominal_jacobian(zoom)
-    limit = station.saturation[zoom]
+    pixel, jacobian = thesis.effective_pixel(zoom), nominal_jacobian(zoom)
+    known = LAW | {"delay": latency, "saturation": station.saturation[zoom]}
     errors = []
     for controller in (
         servoing.OptimalController(jacobian, **LAW),
-        servoing.PredictiveController(jacobian, **LAW, delay=latency, saturation=limit),
+        servoing.PredictiveController(jacobian, **known),
     ):
-        rng = np.random.default_rng([station.seed, draw])
-        run = servoing.simulate(
-            controller,
-            path,
-            jacobian=drawn_jacobian(zoom, rng, station.assumed),
-            stage=servoing.Stage(saturation=limit, step=thesis.STAGE_STEP),
-            camera=servoing.Camera(thesis.FRAME_INTERVAL, latency, station.shake(zoom)),
-            rng=rng,
-        )
+        run = station.simulate(controller, zoom, station.path(name), draw, latency=latency)
         errors.append(servoing.path_metrics(run.feature * pixel, run.reference * pixel).accuracy)
     return errors
 

@@ -25,17 +25,12 @@ from compendium.experiments.section_5_4 import (
 
 #: Shares of the frames in which something rare happens.
 _RATES = (0.02, 0.05, 0.1, 0.2)
+_SHARES = [(rate, 0.0) for rate in (0.05, 0.1, 0.15, 0.2, 0.3)]
 #: What is tried: what the two numbers of a disturbance mean, and their values.
 DISTURBANCES: dict[str, tuple[str, list[tuple[float, float]]]] = {
     "none": ("", [(0.0, 0.0)]),
-    "frames dropped": (
-        "{0:.0%} of the frames",
-        [(rate, 0.0) for rate in (0.05, 0.1, 0.15, 0.2, 0.3)],
-    ),
-    "frames logged twice": (
-        "{0:.0%} of the frames",
-        [(rate, 0.0) for rate in (0.05, 0.1, 0.15, 0.2, 0.3)],
-    ),
+    "frames dropped": ("{0:.0%} of the frames", _SHARES),
+    "frames logged twice": ("{0:.0%} of the frames", _SHARES),
     "stage noise": ("{1:.1f} µm", [(1.0, size) for size in (0.2, 0.4, 0.6, 0.9, 1.3, 2.0)]),
     "bursts of image noise": (
         "{0:.0%} of the frames, {1:.1f} px",
@@ -95,15 +90,9 @@ def disturbed(
     elif label.startswith("frames"):
         event[:, 0] = False  # the first frame is seen
         added = {"blind": event}
-    measured, _ = close_loop(
-        zoom,
-        path,
-        np.broadcast_to(nominal_jacobian(zoom), (len(values), 2, 2)),
-        shake,
-        saturation=station.saturation[zoom],
-        latency=station.assumed.latency,
-        **added,
-    )
+    added |= {"saturation": station.saturation[zoom], "latency": station.assumed.latency}
+    jacobian = np.broadcast_to(nominal_jacobian(zoom), (len(values), 2, 2))
+    measured, _ = close_loop(zoom, path, jacobian, shake, **added)
     distance = pixel * np.linalg.norm(measured[:, :-1] - path[1:], axis=2)
     if label == "frames dropped":  # they are missing from the log
         distance[event[:, :-1]] = np.nan

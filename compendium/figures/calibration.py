@@ -121,8 +121,7 @@ def draw_microscope(ax: Axes, microscope: Microscope, world: NDArray) -> None:
 
 def draw_focal_length_study(study: pd.DataFrame) -> Figure:
     """Draw the relative standard deviations of f and M of a study against the tilt."""
-    # The scatter of some dozen fits is known to two digits; another machine may change the sixth.
-    percent = (100 * study[["bound", "stated", "scatter", "M"]]).map(lambda x: float(f"{x:.4g}"))
+    percent = 100 * study[["bound", "stated", "scatter", "M"]]
     tilt = study["tilt"]
     gone = study.loc[study["lost"] > 0.5, "tilt"]
     blue, orange = COLORS["blue"], COLORS["orange"]

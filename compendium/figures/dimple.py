@@ -95,12 +95,10 @@ def draw_outline_steps(scene: Scene, filled: NDArray, boundary: Outline) -> Figu
     x, y = scene.center
     box = (round(x) - 150, round(y) - 40, 300, 110)
     figure, column = plt.subplots(3, 1, figsize=(5.6, 6.6))
-    panels = {
-        "(a) dimple side": scene.image,
-        "(b) probe removed": filled,
-        "(c) outline": scene.image,
-    }
-    for axes, (title, picture) in zip(column, panels.items(), strict=True):
+    titles = ("(a) dimple side", "(b) probe removed", "(c) outline")
+    for axes, title, picture in zip(
+        column, titles, (scene.image, filled, scene.image), strict=True
+    ):
         show_image(axes, picture, box=box)
         axes.set_title(title, loc="left")
     add_scale_bar(column[0], 200, scene.pixel_size)

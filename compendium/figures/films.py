@@ -28,8 +28,6 @@ from microlib.membrane import dimple_profile
 
 #: What one film may weigh.
 MOST_BYTES = 400_000
-#: Resolution, px per inch: 640 px across, nearly the width of the page.
-_DPI = 100
 
 
 def film(
@@ -94,8 +92,8 @@ def film(
 
 
 def _two_panels(height: float, **how: Any) -> tuple[Figure, Any, Any]:
-    """Return a figure of the page's width with two panels, and the panels."""
-    figure = Figure(figsize=(6.4, height), dpi=_DPI, layout="constrained")
+    """Return a figure nearly as wide as the page, of 640 px, with two panels, and the panels."""
+    figure = Figure(figsize=(6.4, height), dpi=100, layout="constrained")
     return figure, *figure.subplots(1, 2, **how)
 
 

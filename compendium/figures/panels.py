@@ -66,23 +66,15 @@ def legend_below(figure: Figure, handles: Iterable[Any] = (), ncols: int = 3) ->
 
 
 def images(
-    shown: Mapping[str, NDArray],
-    *,
-    columns: int = 3,
-    cmap: str = "gray",
-    unit: str = "",
-    **look: Any,
+    shown: Mapping[str, NDArray], *, cmap: str = "gray", unit: str = "", **look: Any
 ) -> tuple[Figure, NDArray]:
     """Show images side by side under their titles, with one color bar if they have a unit."""
-    rows = -(-len(shown) // columns)
     height, width = next(iter(shown.values())).shape[:2]
-    size = (6.4, rows * ((5.2 if unit else 6.4) / columns * height / width + 0.5))
-    figure, grid = plt.subplots(rows, columns, figsize=size, squeeze=False)
-    for axes, (title, image) in zip(grid.flat, shown.items(), strict=False):
+    size = (6.4, (5.2 if unit else 6.4) / len(shown) * height / width + 0.5)
+    figure, grid = plt.subplots(1, len(shown), figsize=size, squeeze=False)
+    for axes, (title, image) in zip(grid.flat, shown.items(), strict=True):
         drawn = axes.imshow(image, cmap=cmap, **look)
         axes.set(title=title, xticks=[], yticks=[])
-    for axes in grid.flat[len(shown) :]:
-        axes.axis("off")
     if unit:
         figure.colorbar(drawn, ax=grid, label=unit)
     return figure, grid

@@ -81,7 +81,6 @@ def draw_egg(rng: np.random.Generator) -> Figure:
     places = {"chorion": (424, -176, 150), "fluid": (520, -560, 330), "yolk": (250, -750, 480)}
     for name, (x, y, row) in places.items():
         point = egg.to_pixels(np.array([[x, y]], float))[0]
-        axes.annotate(
-            name, point, (760, row), arrowprops={"arrowstyle": "-", "lw": 1.2}, va="center"
-        )
+        line = {"arrowstyle": "-", "lw": 1.2}
+        axes.annotate(name, point, (760, row), arrowprops=line, va="center")
     return figure

@@ -25,18 +25,13 @@ from microlib import optics
 from microlib.curvature import HK_NAMES
 
 #: Convex in blues, concave in oranges, saddles and flats between; label 0 (unknown) is white.
-HK_COLORS = {
-    1: "#08519C",
-    2: "#4292C6",
-    3: "#9ECAE1",
-    4: "#000000",
-    5: "#D9D9D9",
-    6: "#009E73",
-    7: "#993404",
-    8: "#EC7014",
-    9: "#FEC44F",
-}
-_PALETTE = ListedColormap(["#FFFFFF", *HK_COLORS.values()])
+HK_COLORS = (
+    "#FFFFFF",
+    *("#08519C", "#4292C6", "#9ECAE1"),
+    *("#000000", "#D9D9D9", "#009E73"),
+    *("#993404", "#EC7014", "#FEC44F"),
+)
+_PALETTE = ListedColormap(HK_COLORS)
 #: Points along each side of a surface that is sent to the browser: some 50 kB.
 _MOST_POINTS = 100
 
