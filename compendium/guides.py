@@ -186,6 +186,7 @@ def compare(
     """
     file = Path(path)
     results = {name: np.asarray(value, dtype=np.float64) for name, value in found.items()}
+    results = {name: np.where(np.isfinite(each), each, np.nan) for name, each in results.items()}
     columns = {name: pd.Series(values.ravel()) for name, values in results.items()}
     known = {name: [each.count(), each.mean()] for name, each in columns.items()}
     table = pd.DataFrame(known, index=["values", "found"]).T.astype({"values": int})

@@ -84,7 +84,8 @@ def draw_step_runs(runs: dict[str, Any], band: float) -> Figure:
         moved, step = run.measured - run.measured[0], run.reference[-1] - run.measured[0]
         for k, (name, color, line) in enumerate((("x", "blue", "-"), ("y", "orange", "--"))):
             top.plot(run.time, moved[:, k], line, color=COLORS[color], label=name)
-            middle.step(run.time, run.command[:, k], line, where="post", color=COLORS[color])
+            how = {"where": "post", "color": COLORS[color], "label": name}
+            middle.step(run.time, run.command[:, k], line, **how)
         top.axhline(step[0], color="black", lw=1, label="goal")
         distance = thesis.effective_pixel(zoom) * np.linalg.norm(moved - step, axis=1)
         bottom.plot(run.time, distance, color=COLORS["blue"], label="simulated")

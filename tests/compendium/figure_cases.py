@@ -13,7 +13,6 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -36,26 +35,7 @@ from compendium.figures import (
     surfaces,
     workstation,
 )
-from microlib.microscope import Microscope
 
-TEXTS = {"name": "film-x", "alt": "a film", "caption": "Film."}
-DETECTION: Any = SimpleNamespace(
-    points=np.array([[10.0, 20.0], [50.0, 22.0], [98.0, 40.0], [30.0, 55.0], [93.0, 7.0]]),
-    grid=np.array([[0, 0], [1, 0], [4, 4], [0, 4], [4, 0]]),
-)
-SCOPE = Microscope(
-    tube_length=200_000.0,
-    focal_length=100_000.0,
-    distance=50_000.0,
-    distortion=0.0,
-    alpha=0.02,
-    beta=-0.03,
-    gamma=1.5,
-    tx=130.0,
-    ty=-70.0,
-    pixel_size=10.0,
-    image_size=(201, 101),
-)
 RUN: Any = SimpleNamespace(
     time=np.array([0.0, 0.1, 0.2]),
     reference=np.array([[5.0, 7.0], [15.0, 7.5], [25.0, 9.0]]),
@@ -81,45 +61,27 @@ def types(rows: int, cols: int, *kinds: int) -> NDArray[np.uint8]:
     return np.array(kinds, np.uint8)[(x // 3 + 2 * (y // 4)) % len(kinds)]
 
 
-def on_axes(draw: Callable[[Axes], None]) -> Callable[[], Figure]:
-    def made() -> Figure:
-        figure, axes = plt.subplots()
-        draw(axes)
-        return figure
-
-    return made
+def microscope() -> Figure:
+    figure, axes = plt.subplots()
+    world = np.array([[300, 500], [0, -100.0]])
+    calibration.draw_microscope(axes, thesis.microscope("circle-1X"), world)
+    return figure
 
 
 def injection() -> Figure:
     log = pd.DataFrame(
-        {
-            "time_s": [0.0, 1.0, 2.0, 3.0, 4.0, 5.0],
-            "phase": ["start", "approach", "press", "press", "withdraw", "end"],
-            "event": ["", "contact", "", "reached", "", "done"],
-            "force_uN": [np.nan, np.nan, 5.0, 9.0, 3.0, np.nan],
-            "depth_um": [np.nan, 0.5, 4.0, 8.0, 2.5, np.nan],
-        }
+        {"time_s": [0.0, 1.0, 2.0], "true_force": [0.0, 5.5, 9.5], "true_depth": [0.0, 4.5, 8.5]}
+        | {"force_uN": [np.nan, 5.0, 9.0], "depth_um": [np.nan, 4.0, 8.0]}
     )
-    log["true_force"], log["true_depth"] = [0, 0.1, 5.5, 9.5, 3.3, 0], [0, 0, 4.5, 8.5, 2.2, 0]
     pictures = [picture(4, 5, k) for k in range(3)]
     return automation.draw_injection({"log": log, "contact": 1.0, "pictures": pictures})
 
 
-def focal_lengths() -> pd.DataFrame:
-    return pd.DataFrame(
-        {
-            "tilt": [0.0, 1.0, 5.0],
-            "lost": [1.0, 0.5, 0.0],
-            "bound": [0.3, 0.2, 0.1],
-            "stated": [0.31, 0.21, 0.11],
-            "scatter": [0.32, 0.22, 0.12],
-            "M": [1e-4, 2e-4, 3e-4],
-        }
-    )
-
-
 def focal_length_study() -> Figure:
-    return calibration.draw_focal_length_study(focal_lengths())
+    study = {"tilt": [0.0, 1.0], "lost": [1.0, 0.0], "bound": [0.3, 0.2], "stated": [0.31, 0.21]}
+    return calibration.draw_focal_length_study(
+        pd.DataFrame(study | {"scatter": [0.32, 0.22], "M": [1e-4, 2e-4]})
+    )
 
 
 def scene() -> Any:
@@ -156,9 +118,9 @@ def image_study() -> Figure:
 
 
 def felt() -> pd.DataFrame:
+    names = ["time", "force", "low", "high", "elastic"]
     return pd.DataFrame(
-        {"time": [1.0, 8.0], "force": [70.0, 97.0], "low": [68.0, 92.0], "high": [73.0, 99.0]}
-        | {"elastic": [75.0, 150.0]}
+        [[1.0, 70.0, 68.0, 73.0, 75.0], [8.0, 97.0, 92.0, 99.0, 150.0]], columns=names
     )
 
 
@@ -184,17 +146,9 @@ def stability() -> Figure:
 
 
 def kalman_step() -> Figure:
-    track = pd.DataFrame(
-        {
-            "frame": [1, 2, 3],
-            "true": [0.0, 2.0, 4.0],
-            "measured": [0.5, 2.5, 4.6],
-            "predicted": [0.0, 1.0, 3.1],
-            "predicted_std": [30.0, 2.0, 1.5],
-            "estimated": [0.5, 2.0, 4.0],
-            "estimated_std": [1.0, 0.9, 0.8],
-        }
-    )
+    names = ["frame", "true", "measured", "predicted", "predicted_std", "estimated"]
+    rows = [[1, 0.0, 0.5, 0.0, 30.0, 0.5, 1.0], [2, 2.0, 2.5, 1.0, 2.0, 2.2, 0.9]]
+    track = pd.DataFrame(rows, columns=[*names, "estimated_std"])
     return servoing.draw_kalman_step(track, 1.0)
 
 
@@ -217,16 +171,6 @@ def focus(**how: Any) -> Callable[[], Figure]:
     )
 
 
-def surface(**how: Any) -> Callable[[], Figure]:
-    def made() -> Figure:
-        figure = plt.figure()
-        axes = figure.add_subplot(projection="3d")
-        surfaces.draw_surface(axes, heights(20, 30), 2.0, **how)
-        return figure
-
-    return made
-
-
 def patterns() -> Figure:
     grid = np.stack(np.meshgrid([0, 1, 4, 6], [0, 4, 6]), axis=-1).reshape(-1, 2)
     examples: Any = {
@@ -247,24 +191,18 @@ def printed_and_recomputed() -> Figure:
 
 
 def in_percent() -> Figure:
-    names = ("M", "d", "T_z")
-    panels = {
-        c: pd.DataFrame({"claim": [f"table-5.1/{c}/{n}" for n in names], "input": [k, False, True]})
-        .assign(value=[1.6, 8e4, 2e5], low=[1.5, 7e4, 1e5], high=[1.7, 9e4, 3e5])
-        for k, c in ((True, "circle-1X"), (False, "square-1X"))
-    }  # fmt: skip
+    panels = {}
+    for column in ("circle-1X", "square-1X"):
+        ids = [f"table-5.1/{column}/{name}" for name in ("M", "d")]
+        table = pd.DataFrame({"claim": ids, "input": [True, False], "value": [1.6, 8e4]})
+        panels[column] = table.assign(low=[1.5, 7e4], high=[1.7, 9e4])
     return workstation.draw_printed_and_recomputed(panels, percent=True)
 
 
 CURVE = thesis.outline_curve
 CASES: dict[str, Callable[[], Figure]] = {
     "automation.draw_injection": injection,
-    "calibration.draw_detection": on_axes(
-        lambda axes: calibration.draw_detection(axes, picture(60, 100), DETECTION, label_every=4)
-    ),
-    "calibration.draw_microscope": on_axes(
-        lambda axes: calibration.draw_microscope(axes, SCOPE, np.array([[300, 500], [0, -100.0]]))
-    ),
+    "calibration.draw_microscope": microscope,
     "calibration.draw_focal_length_study": focal_length_study,
     "dimple.draw_dimple_section": lambda: dimple.draw_dimple_section(246.95, 121.22, 25.0),
     "dimple.draw_printed_outline": lambda: dimple.draw_printed_outline(CURVE()),
@@ -292,11 +230,6 @@ CASES: dict[str, Callable[[], Figure]] = {
     "servoing.draw_path_runs": lambda: servoing.draw_path_runs({"circle": RUN, "square": RUN}),
     "servoing.draw_stability": stability,
     "servoing.draw_step_runs": lambda: servoing.draw_step_runs({"1X": RUN, "4X": RUN}, 0.05),
-    "servoing.draw_track": on_axes(
-        lambda axes: servoing.draw_track(
-            axes, picture(80, 120).astype(np.uint8), track(), "t = 1 s"
-        )
-    ),
     "shape_from_focus.draw_focus": focus(),
     "shape_from_focus.draw_focus-turned": focus(pixel_size=2.0, turned=True),
     "shape_from_focus.draw_thresholds": shape_from_focus.draw_thresholds,
@@ -306,13 +239,8 @@ CASES: dict[str, Callable[[], Figure]] = {
     "shape_from_focus.draw_types-part": lambda: shape_from_focus.draw_types(
         {"one": types(60, 80, 1, 3), "two": types(60, 80, 7, 0)}, columns=1, box=(10, 20, 30, 15)
     ),
-    "surfaces.draw_labels": on_axes(
-        lambda axes: surfaces.draw_labels(axes, types(10, 12, 0, 9, 4))
-    ),
     "surfaces.draw_lens": surfaces.draw_lens,
     "surfaces.draw_sinking_stage": surfaces.draw_sinking_stage,
-    "surfaces.draw_surface": surface(),
-    "surfaces.draw_surface-types": surface(labels=types(20, 30, 1, 5, 8), unit="px"),
     "workstation.draw_blur_study": lambda: workstation.draw_blur_study(
         pd.DataFrame({"circles": [0.01, 0.02], "squares": [0.1, 0.2], "other": [1, 2]}, [0.5, 3.0])
     ),

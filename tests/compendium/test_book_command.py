@@ -40,12 +40,8 @@ def test_a_new_book_takes_the_place_of_the_old(tree: Path, monkeypatch: pytest.M
         assert not (tree / "book" / "generated").exists()
     # The one that is shown and, until the next run, the one before.
     assert len(list((tree / "build" / "rendered").iterdir())) == 2
-    assert sorted(path.name for path in (tree / "build").iterdir()) == [
-        ".lock",
-        "html",
-        "notebooks",
-        "rendered",
-    ]
+    kept = {path.name for path in (tree / "build").iterdir()}
+    assert kept == {".lock", "html", "notebooks", "rendered"}
 
 
 @pytest.mark.parametrize(
@@ -73,10 +69,6 @@ def test_a_book_that_fails_leaves_the_old_one(
     assert status in (1, 130)
     assert len(capsys.readouterr().err.splitlines()) == (0 if isinstance(fault, SystemExit) else 1)
     assert (tree / "build" / "html" / "index.html").read_text() == "new"
-    monkeypatch.setattr(book, "render", render)
-    assert book.main() == 0
-    assert (tree / "build" / "html" / "index.html").read_text() == "other"
-    assert len(list((tree / "build" / "rendered").iterdir())) == 2
 
 
 def test_with_a_failed_notebook_the_other_pages_are_rendered_and_it_is_named(

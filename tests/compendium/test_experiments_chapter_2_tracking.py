@@ -18,20 +18,6 @@ def test_the_image_shows_the_template_under_the_true_warp():
     assert np.linalg.norm(start - tracking.corners(target.warp), axis=1).mean() > 5
 
 
-@pytest.mark.parametrize("seed", [1, 6, 7])
-def test_the_mean_of_both_gradients_leads_to_the_square_first(seed):
-    errors = tracking.errors_by_gradient(tracking.render_target(seed), 12)
-    assert list(errors) == [*tracking.GRADIENTS]
-    # 2 grey levels of noise on 3249 pixels leave some hundredths of a pixel.
-    assert (errors["mean of both (ESM)"].iloc[5:] < 0.1).all()
-    steps = (errors < 0.1).idxmax().where((errors < 0.1).any(), np.inf)  # some never arrive
-    assert steps["mean of both (ESM)"] < steps[["template", "image"]].min()
-
-
-def test_the_library_finds_the_truth_without_noise():
-    assert tracking.library_error(2) < 0.01
-
-
 def test_the_estimate_lies_between_prediction_and_measurement_by_their_variances():
     track, states = tracking.kalman_track(4, interval=1 / 33, acceleration=300.0, noise=1.0)
     weight = track["predicted_std"] ** 2 / (track["predicted_std"] ** 2 + 1)

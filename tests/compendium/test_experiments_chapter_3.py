@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from compendium import ledger
 from compendium.experiments import chapter_3
-from microlib import synthetic
 from microlib.curvature import HK_NAMES, curvature_windows
 
 
@@ -38,22 +36,3 @@ def test_the_windows_are_whole_numbers_over_one_divisor(monkeypatch) -> None:
     twice = type(right)(**(vars(right) | {"slope": 2 * right.slope}))
     monkeypatch.setattr(chapter_3, "curvature_windows", lambda size: twice)
     assert chapter_3.window_divisors()["d1"] == pytest.approx(14)
-
-
-def test_depth_is_held_against_the_truth() -> None:
-    rng = np.random.default_rng(0)
-    truth = np.full((64, 64), 61.0)
-    texture = synthetic.mixed_texture(truth.shape, rng)
-    positions = 25.0 * np.arange(6)
-    frames = synthetic.focal_stack(texture, truth, positions, blur_rate=1 / 25, noise=1.0, rng=rng)
-    _, table = chapter_3.depths(frames, positions, truth, {"sml": {"measure": "sml", "window": 9}})
-    assert table.loc["sml", "RMS error (steps)"] < 0.15
-    assert table.loc["sml", "beyond one step (%)"] == 0
-    _, off = chapter_3.depths(frames, positions, truth + 50.0, {"sml": {"measure": "sml"}})
-    assert off.loc["sml", "RMS error (steps)"] == pytest.approx(2, abs=0.2)
-
-
-def test_labels_of_noisy_pieces_are_counted_near_the_middle() -> None:
-    maps, shares = chapter_3.noisy_labels(0.02, np.random.default_rng(0))
-    assert (shares > 0.99).all()
-    assert [maps[name][40, 40] for name in ("ball", "saddle", "plane")] == [1, 6, 5]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from compendium.experiments import chapter_6_force
 from compendium.experiments.chapter_6_force import RELAXATION_TIME, SHARE
@@ -16,15 +15,3 @@ def test_truth_is_that_of_the_law() -> None:
     wanted = viscoelastic_force(time, chapter_6_force.elastic_push(time), **law)
     # Turns that fall within a step of 0.02 s cost 0.01 of the rate.
     np.testing.assert_allclose(chapter_6_force.true_force(time), wanted, atol=0.05)
-
-
-def test_the_force_is_read_and_the_outline_alone_misreads_it() -> None:
-    felt = chapter_6_force.relaxing_sequence(
-        np.random.default_rng(0), np.array([0.0, 1.0, 2.0, 8.0])
-    )
-    assert felt["force"][0] == 0
-    assert np.isnan(felt["elastic"][0])
-    # Standard deviations of 1 to 2 %: four of them.
-    assert felt["force"][1:].to_numpy() == pytest.approx(felt["true"][1:].to_numpy(), rel=0.06)
-    assert (felt["low"] <= felt["force"]).all()
-    assert felt["elastic"][3] > 1.4 * felt["true"][3]

@@ -10,27 +10,11 @@ import pytest
 from compendium import thesis
 from compendium.experiments import section_5_2
 from compendium.ledger import claim
-from microlib.calibration import calibrate
 
 
 @pytest.fixture(scope="module")
 def taken() -> dict[str, section_5_2.Photograph]:
     return section_5_2.photographs(seed=11, draws=6)
-
-
-def test_every_image_gives_its_microscope_back(taken) -> None:
-    assert list(taken) == list(thesis.COLUMNS)
-    for column, photo in taken.items():
-        truth = thesis.microscope(column)
-        assert photo.image.shape == thesis.BASLER_IMAGE_SIZE[::-1]
-        np.testing.assert_allclose(truth.project(photo.world), photo.found.points, atol=0.2)
-        assert 0.001 < photo.errors.std() < 0.1  # px
-        for fit in photo.with_f:
-            assert fit.microscope.focal_length == pytest.approx(truth.focal_length)
-            # Five stated standard deviations.
-            for name in ("magnification", "alpha", "beta", "gamma", "tx", "ty"):
-                off = getattr(fit.microscope, name) - getattr(truth, name)
-                assert abs(off) < 5 * fit.sigma[name], (column, name)
 
 
 def test_the_recovered_table_holds_the_truth(taken) -> None:
@@ -69,54 +53,14 @@ def test_distances_have_positive_intervals(taken) -> None:
     assert (value < [claim(id).value for id in value.index]).all()
 
 
-def test_two_printed_spreads_are_impossible() -> None:
-    """Numbers between 0 and m with the mean a have a variance of at most a (m − a)."""
-    beyond = []
-    for column in thesis.COLUMNS:
-        mean, std, most = (claim(f"table-5.2/{column}/{s}").value for s in ("mean", "std", "max"))
-        beyond.append(std > np.sqrt(mean * (most - mean)))
-    assert beyond == [False, False, True, True]
-
-
-@pytest.mark.parametrize("column", ["circle-4X", "square-4X"])
-def test_all_labels_of_an_unmarked_pattern_fit_alike(column: str) -> None:
-    """A quarter turn, a step and a look from behind change the pose, and not the residuals."""
-    found = section_5_2.render(column, np.random.default_rng(4))[1]
-    truth = thesis.microscope(column)
-    step = 2 * thesis.pattern_pitch(column)
-    rms = []
-    for quarter in range(4):
-        for behind in (0, np.pi):
-            like = replace(
-                truth, alpha=truth.alpha + quarter * np.pi / 2, gamma=truth.gamma + behind
-            )
-            like = replace(like, tx=like.tx + step * quarter)
-            world = section_5_2.printed_labels(column, found, like)
-            fit = calibrate(
-                world, found.points, focal_length=truth.focal_length, **section_5_2.SENSOR
-            )
-            # The nearest of all labels: a step away at most, and turned by less than 45°.
-            assert abs(fit.microscope.tx - like.tx) < step
-            turn = fit.microscope.rotation @ like.rotation.T
-            assert np.trace(turn) > 1 + 2 * np.cos(np.pi / 4)
-            rms.append(fit.reprojection.rms)
-    # The model is in focus at its origin, which a step moves by some 10 µm in 40 000.
-    np.testing.assert_allclose(rms, rms[0], rtol=1e-3)
-
-
 def test_the_print_enters_by_its_labels_only() -> None:
     """Another pose by far more than the fit's error, but with the same nearest labels."""
     for column in thesis.COLUMNS:
         found = section_5_2.render(column, np.random.default_rng(6))[1]
         truth = thesis.microscope(column)
         aside = 0.3 * thesis.pattern_pitch(column)
-        other = replace(
-            truth,
-            alpha=truth.alpha + 0.5,
-            beta=-truth.beta,
-            tx=truth.tx + aside,
-            ty=truth.ty - aside,
-        )
+        turned = {"alpha": truth.alpha + 0.5, "beta": -truth.beta}
+        other = replace(truth, **turned, tx=truth.tx + aside, ty=truth.ty - aside)
         labels = section_5_2.printed_labels(column, found)
         np.testing.assert_array_equal(labels, section_5_2.printed_labels(column, found, other))
         np.testing.assert_allclose(truth.project(labels), found.points, atol=0.2)

@@ -26,16 +26,3 @@ def test_speed_ends_tracking() -> None:
     # 121 px from frame to frame, more than two windows.
     assert found.loc[4000.0].to_list() == [0.0, 0.0]
     assert found.index.name == "speed (px/s)"
-
-
-def test_the_filter_follows_what_the_last_place_loses() -> None:
-    """40 px a frame is within the window's reach, so both follow; at 1.5 windows neither begins."""
-    found = section_5_3.speed_study(5, [1000.0, 2500.0], runs=1)
-    assert found.loc[1000.0, "with the Kalman filter"] == 1.0
-    assert found.loc[2500.0].max() == 0.0
-
-
-def test_the_error_is_a_few_hundredths_of_a_pixel_at_the_printed_speed() -> None:
-    """The frames have noise: an error of zero would be none that was measured."""
-    assert 0.001 < section_5_3.largest_error(250.0, [2, 0], True) < 0.1
-    assert section_5_3.largest_error(4000.0, [2, 0], True) == np.inf

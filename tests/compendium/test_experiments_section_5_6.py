@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 from compendium import thesis
 from compendium.experiments import section_5_6
 from compendium.ledger import claim, half_ulp
-from microlib.embryo import dimple_geometry, extract_boundary
+from microlib.embryo import dimple_geometry
 from microlib.membrane import SmallSlopeWarning, indentation_force
 
 pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
@@ -22,7 +22,6 @@ def test_the_rounding_leaves_two_per_cent_of_the_modulus() -> None:
     draws = section_5_6.rounding_draws(seed=1, draws=400)
     # 400 draws know a standard deviation to 3.5 %, and their sum of 24 is near a Gaussian's.
     tolerance = claim("section-5.6/E-from-table-5.5").tolerance
-    assert 1.96 * draws["E"].std() == pytest.approx(tolerance, rel=0.1)
     low, high = np.quantile(draws["E"], [0.025, 0.975])
     assert (high - low) / 2 == pytest.approx(tolerance, rel=0.15)
     for name in section_5_6.READ[:4]:
@@ -30,11 +29,6 @@ def test_the_rounding_leaves_two_per_cent_of_the_modulus() -> None:
         assert draws[name].median() == pytest.approx(stated.value, abs=0.2)
         low, high = np.quantile(draws[name], [0.025, 0.975])
         assert (high - low) / 2 == pytest.approx(stated.tolerance, rel=0.15), name
-    # Depth and radius of each row give its modulus.
-    row = draws.iloc[7]
-    radius = thesis.EMBRYO_PIXEL * (row["x_2"] - row["x_1"])
-    depth = thesis.EMBRYO_PIXEL * (row["y_1"] - row["y_2"])
-    assert thesis.modulus(radius, depth) == pytest.approx(row["E"])
 
 
 @pytest.fixture(scope="module")
@@ -90,14 +84,6 @@ def test_the_printed_coordinates_are_barely_possible_together(reach) -> None:
     assert 0.002 < reach.p < 0.004
 
 
-def test_smoothing_alone_departs_from_the_profile_by_less_than_the_limit() -> None:
-    scene = section_5_6.rendered_embryo(np.random.default_rng(0))
-    _, curve = section_5_6.smooth_outline(extract_boundary(scene.image))
-    share = section_5_6.compare_shape(curve).share
-    # 0.085 to 0.088 over four seeds; the limit leaves that and little more.
-    assert 0.08 < share < claim("section-4.1/shape").value
-
-
 def test_the_printed_modulus_needs_half_of_a_50_um_probe() -> None:
     radius, depth = section_5_6.printed_dimple()
     assert radius == pytest.approx(claim("table-5.6/a").value, abs=0.005)
@@ -106,15 +92,10 @@ def test_the_printed_modulus_needs_half_of_a_50_um_probe() -> None:
     assert low < 25.0 < high
     assert high - low < 0.01
     printed = claim("table-5.6/E")
+    film = {"thickness": 3.0, "poisson_ratio": 0.5}
     for end, side in ((low, 1), (high, -1)):  # a wider probe, a softer film
-        back = indentation_force(
-            printed.value + side * printed.tolerance,
-            radius,
-            depth,
-            thickness=3.0,
-            probe_half_width=end,
-            poisson_ratio=0.5,
-        )
+        modulus = printed.value + side * printed.tolerance
+        back = indentation_force(modulus, radius, depth, probe_half_width=end, **film)
         assert back == pytest.approx(thesis.FORCE, rel=1e-6)
 
 
@@ -129,25 +110,6 @@ def test_a_curve_is_compared_with_its_own_profile() -> None:
     off = np.abs(curve(shape.x) - shape.expected).max() * thesis.EMBRYO_PIXEL
     assert shape.departure == pytest.approx(off)
     assert shape.share == pytest.approx(off / dimple.dimple_depth)
-
-
-@pytest.fixture(scope="module")
-def study() -> pd.DataFrame:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", SmallSlopeWarning)
-        return section_5_6.image_study(np.random.default_rng(2), embryos=2, forces=2)
-
-
-def test_the_profile_gives_the_modulus_and_the_gaussians_too_much(study) -> None:
-    assert study["force"].to_list() == [60.0, thesis.FORCE] * 2
-    # (4.7) of the true depth: deeper under more force.
-    assert (study["depth"].to_numpy()[1::2] > study["depth"].to_numpy()[::2]).all()
-    # One image leaves 1.2 to 2 %: five of those.
-    assert (study["fitted"] / section_5_6.MODULUS).to_list() == pytest.approx([1.0] * 4, abs=0.08)
-    assert (study["low"] < study["fitted"]).all()
-    assert (study["fitted"] < study["high"]).all()
-    deep = study[study["force"] == thesis.FORCE]
-    assert (deep["thesis"] > 1.03 * section_5_6.MODULUS).all()
 
 
 def test_table_5_7_is_scaled_to_the_largest_force() -> None:

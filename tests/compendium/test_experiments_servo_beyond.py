@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from compendium import thesis
-from compendium.experiments import section_5_4, servo_controllers, servo_disturbances
+from compendium.experiments import section_5_4, servo_disturbances
 
 STATION = section_5_4.Workstation(
     saturation={"1X": 390.0, "4X": 172.0},
@@ -34,19 +34,14 @@ def test_a_disturbance_adds_to_the_error(label: str) -> None:
 def test_a_known_disturbance_is_found_again(monkeypatch) -> None:
     """Numbers that paths begun 14 µm beside their start give, in place of the printed ones."""
     label = "begun beside the start"
+    strength = (label, np.tile([1.0, 14.0], (60, 1)), np.full(60, STATION.jitter))
     made = {}
     for name in section_5_4.PATHS:
         for zoom in thesis.ZOOMS:
-            found = servo_disturbances.disturbed(
-                STATION, zoom, STATION.path(name), label, np.tile([1.0, 14.0], (60, 1)),
-                np.full(60, STATION.jitter),
-            )  # fmt: skip
-            made[zoom, name] = dict(
-                zip(section_5_4.PATH_RESULTS, np.median(found, axis=0), strict=True)
-            )
-    monkeypatch.setattr(
-        servo_disturbances, "printed_path", lambda zoom, name, what: made[zoom, name][what]
-    )
+            runs = servo_disturbances.disturbed(STATION, zoom, STATION.path(name), *strength)
+            for what, number in zip(section_5_4.PATH_RESULTS, np.median(runs, axis=0), strict=True):
+                made[zoom, name, what] = number
+    monkeypatch.setattr(servo_disturbances, "printed_path", lambda *entry: made[entry])
     few = {label: servo_disturbances.DISTURBANCES[label], "none": ("", [(0.0, 0.0)])}
     monkeypatch.setattr(servo_disturbances, "DISTURBANCES", few)
     table, numbers = servo_disturbances.compare(STATION)
@@ -55,12 +50,3 @@ def test_a_known_disturbance_is_found_again(monkeypatch) -> None:
     assert table["misfit"].iloc[0] < 0.1 < 0.3 < table["misfit"].iloc[1]
     logs = np.log(numbers[label]["fitted"] / numbers[label]["printed"])
     assert np.sqrt(np.mean(logs**2)) == pytest.approx(table["misfit"].iloc[0])
-
-
-def test_prediction_gains_most_at_a_long_latency() -> None:
-    table = servo_controllers.compare(STATION, draws=1)
-    assert len(table) == 12
-    better = table["optimal (2.28), µm"] / table["predictive, µm"]
-    assert (better > 1).all()
-    short = table["latency (ms)"] == 1000 * section_5_4.ASSUMED.latency
-    assert (better[~short].to_numpy() > better[short].to_numpy()).all()

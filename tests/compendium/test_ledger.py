@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +12,6 @@ import numpy as np
 import pytest
 
 from compendium import ledger
-from microlib.embryo import GaussianSum, dimple_geometry
-from microlib.membrane import SmallSlopeWarning, elastic_modulus
 
 ROOT = Path(__file__).resolve().parents[2]
 CLAIMS = list(ledger.claims().values())
@@ -23,14 +20,6 @@ CLAIMS = list(ledger.claims().values())
 def make(**changes: object) -> ledger.Claim:
     fields = {"id": "x", "what": "", "where": "", "verdict": "agrees", "printed": "2.50"}
     return ledger.Claim(**fields | {"compared": "arithmetic"} | changes)
-
-
-@pytest.mark.parametrize(
-    ("printed", "half"),
-    [("1.3237", 5e-5), ("3", 0.5), ("-8.4e-10", 5e-12), ("200490", 0.5), ("28.60", 5e-3)],
-)
-def test_half_ulp_counts_printed_places(printed: str, half: float) -> None:
-    assert ledger.half_ulp(printed) == pytest.approx(half, rel=1e-12)
 
 
 SIMULATED = {"compared": "simulation"}
@@ -112,8 +101,7 @@ def test_the_entry_is_sound(claim: ledger.Claim) -> None:
     arithmetic, simulated = claim.compared == "arithmetic", claim.compared == "simulation"
     assert claim.verdict in ledger.VERDICTS
     assert claim.compared in ("", *ledger.COMPARED)
-    if not claim.compared:
-        assert claim.verdict in ("cannot tell", "input")
+    assert claim.compared or claim.verdict in ("cannot tell", "input")
     assert bool(claim.test) == bool(claim.compared)
     # A sentence needs its words, and a limit that the thesis does not print its reason.
     assert bool(claim.limit) <= bool(claim.says)
@@ -138,15 +126,6 @@ def test_the_entry_is_sound(claim: ledger.Claim) -> None:
         assert not claim.reason
 
 
-def test_no_old_word_is_left_in_the_data() -> None:
-    old = (
-        r"\b(reproduced|consistent|bounded|inconclusive|differs|spent|identified|ours|the print)\b"
-    )
-    for name in ("claims.toml", "errata.toml", "map.toml"):
-        text = (ROOT / "data" / "thesis" / name).read_text(encoding="utf-8")
-        assert re.findall(old, text) == [], name
-
-
 @pytest.mark.parametrize(
     ("id", "value", "options", "message"),
     [
@@ -169,53 +148,6 @@ def test_a_tally_records_what_a_check_refuses(monkeypatch: pytest.MonkeyPatch) -
     assert record.verdict == "disagrees: disagrees, but the book says agrees"
 
 
-def computed(
-    *, pixel_size: float = 4.65 / 1.2, swap: bool = False, rounded: bool = False, without: str = ""
-) -> dict[str, float]:
-    """Return section 5.6's exact claims, with one fault planted if asked to."""
-    x1, y1, x2, y2 = (ledger.claim(f"section-5.6/{k}").value for k in ("x_1", "y_1", "x_2", "y_2"))
-    a, depth = pixel_size * (x2 - x1), pixel_size * (y1 - y2)
-    if swap:
-        a, depth = depth, a
-    nu = 0.0 if without == "poisson" else 0.5
-    half_width = 2.5 if without == "width" else 25.0
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", SmallSlopeWarning)
-        modulus = elastic_modulus(
-            197.24, a, depth, thickness=3.0, probe_half_width=half_width, poisson_ratio=nu
-        )
-    return {
-        "table-5.6/w_d": depth,
-        "table-5.6/a": a,
-        "table-5.6/zeta": half_width / a,
-        "table-5.6/E": float(modulus),
-    }
-
-
-def test_section_5_6_follows_from_its_printed_coordinates() -> None:
-    for name, value in computed().items():
-        assert ledger.check(name, value) is not None
-
-
-@pytest.mark.parametrize(
-    ("fault", "caught"),
-    [
-        ({"pixel_size": 4.65}, {"table-5.6/w_d", "table-5.6/a", "table-5.6/zeta", "table-5.6/E"}),
-        ({"swap": True}, {"table-5.6/w_d", "table-5.6/a", "table-5.6/zeta", "table-5.6/E"}),
-        ({"without": "poisson"}, {"table-5.6/E"}),
-        ({"without": "width"}, {"table-5.6/zeta", "table-5.6/E"}),
-    ],
-)
-def test_seeded_faults_are_caught(fault: dict, caught: set) -> None:
-    failed = set()
-    for name, value in computed(**fault).items():
-        try:
-            ledger.check(name, value)
-        except ledger.ClaimError:
-            failed.add(name)
-    assert failed == caught
-
-
 @pytest.mark.parametrize(
     "claim",
     [c for c in CLAIMS if c.compared == "arithmetic" and (c.verdict == "agrees" or c.corrected)],
@@ -235,57 +167,23 @@ def test_every_tolerance_can_fail(claim: ledger.Claim) -> None:
         assert bool(ledger.appraise(claim, near, near, near)[1]) == (abs(share) > 1)
 
 
-@pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
-def test_tolerances_of_section_5_6_are_those_of_the_95_percent_rule() -> None:
-    """95 % of draws of Table 5.5 within its rounding, and of what is printed beside it."""
-    rng = np.random.default_rng(0)
-    letters = {k: [ledger.claim(f"table-5.5/{k}{i}") for i in range(1, 9)] for k in "abc"}
-
-    def measured(size: float) -> np.ndarray:
-        columns = [
-            [c.value + size * ledger.half_ulp(c.printed) * rng.uniform(-1, 1) for c in column]
-            for column in letters.values()
-        ]
-        curve = GaussianSum(*map(np.array, columns), domain=(50.0, 265.0))
-        dimple = dimple_geometry(curve, pixel_size=4.65 / 1.2)
-        modulus = elastic_modulus(
-            197.24,
-            dimple.dimple_radius,
-            dimple.dimple_depth,
-            thickness=3.0,
-            probe_half_width=25.0,
-            poisson_ratio=0.5,
-        )
-        return np.array([*dimple.rim, *dimple.bottom, float(modulus)])
-
-    apart = np.abs([measured(1.0) - measured(0.0) for _ in range(400)])
-    names = ("x_1", "y_1", "x_2", "y_2", "E-from-table-5.5")
-    for name, limit in zip(names, np.quantile(apart, 0.95, axis=0), strict=True):
-        # A quantile of 400 draws is known to some 5 %.
-        assert ledger.claim(f"section-5.6/{name}").tolerance == pytest.approx(limit, rel=0.12), name
-
-
 def test_tolerances_of_table_5_1_are_those_of_the_95_percent_rule() -> None:
     """All its lengths have five digits; M is T_op/f, d is f²/T_op, T_z is f + d."""
     rng = np.random.default_rng(0)
     for column in ("circle-1X", "circle-4X", "square-1X", "square-4X"):
         entry = {k: ledger.claim(f"table-5.1/{column}/{k}") for k in ("M", "T_op", "f", "d", "T_z")}
-
-        def off(name: str, entry: dict = entry) -> np.ndarray:
-            text = entry[name].corrected or entry[name].printed
-            place = math.floor(math.log10(abs(float(text)))) - 4
-            half = ledger.half_ulp(text) if name == "M" else 0.5 * 10.0**place
-            return half * rng.uniform(-1, 1, 100_000)
-
-        t_op, f = entry["T_op"].value, entry["f"].value
-        tube, focal = t_op + off("T_op"), f + off("f")
-        draws = {
-            "M": tube / focal - t_op / f + off("M"),
-            "d": focal**2 / tube - f**2 / t_op + off("d"),
-            "T_z": focal - f + off("d") + (0.0 if entry["T_z"].corrected else off("T_z")),
-        }
+        right = {k: float(one.corrected or one.printed) for k, one in entry.items()}
+        # Of the lengths five digits are known; a T_z that is corrected has no rounding of its own.
+        half = {k: 0.5 * 10.0 ** (math.floor(math.log10(abs(v))) - 4) for k, v in right.items()}
+        half["M"] = ledger.half_ulp(entry["M"].printed)
+        half["T_z"] *= not entry["T_z"].corrected
+        off = {k: width * rng.uniform(-1, 1, 100_000) for k, width in half.items()}
+        t_op, f = right["T_op"], right["f"]
+        tube, focal = t_op + off["T_op"], f + off["f"]
+        draws = {"M": tube / focal - t_op / f, "d": focal**2 / tube - f**2 / t_op}
+        draws["T_z"] = focal - f + off["d"]
         for name, drawn in draws.items():
-            limit = np.quantile(np.abs(drawn), 0.95)
+            limit = np.quantile(np.abs(drawn + off[name]), 0.95)
             assert entry[name].tolerance == pytest.approx(limit, rel=0.06), (column, name)
 
 
@@ -314,13 +212,11 @@ def test_records_are_written_and_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("value", "low", "high", "digits", "text"),
     [
-        (1.5, 1.4, 1.6, 2, "1.50 ± 0.10 px"),
         (1.5, 1.2, 1.6, 2, "1.50 (1.20 to 1.60) px"),
         (197883.28, 180277.68, 215488.88, 0, "198000 ± 18000 px"),
         (1.32338, 1.30074, 1.34891, 5, "1.323 (1.301 to 1.349) px"),
         (-8.4e-10, -8.4e-10, -8.4e-10, 12, "-8.40e-10 px"),
         (-8.4e-10, -8.6e-10, -8.2e-10, 12, "(-8.40 ± 0.20)·10⁻¹⁰ px"),
-        (1.22474487, 1.22474487, 1.22474487, 2, "1.22 px"),
     ],
 )
 def test_a_number_is_shown_as_far_as_it_is_known(

@@ -13,7 +13,6 @@ from compendium.measured_dimple import (
     disc_moduli,
 )
 from microlib.membrane import indent_disc
-from microlib.synthetic import Embryo
 
 PIXEL = manifest()["outline.csv"]["settings"]["pixel_size"]
 X, Y = read_outline(find_input("outline.csv"))
@@ -40,16 +39,6 @@ def test_order_and_origin_of_the_points_do_not_matter(dimple: MeasuredDimple) ->
     moved = dimple_of_outline(X[shuffled] + 700.0, Y[shuffled] - 300.0, pixel_size=PIXEL)
     assert moved.radius == pytest.approx(dimple.radius, rel=1e-4)
     assert moved.depth == pytest.approx(dimple.depth, rel=1e-4)
-
-
-def test_the_flanks_of_an_embryo_are_left_out() -> None:
-    embryo = Embryo.dented(90.0, modulus=1.3)
-    x, y = embryo.outline(4.0).T / PIXEL
-    upper = y > -300.0 / PIXEL  # lower at its ends than in the dimple
-    dimple = dimple_of_outline(x[upper], y[upper], pixel_size=PIXEL)
-    assert np.ptp(dimple.points[:, 0]) < 4.2 * embryo.dimple_radius
-    assert dimple.radius == pytest.approx(embryo.dimple_radius, abs=PIXEL)
-    assert abs(dimple.depth - embryo.dimple_depth) < 2 * dimple.depth_std
 
 
 def test_without_a_dimple_there_is_no_number() -> None:

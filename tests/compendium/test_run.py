@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -186,15 +184,11 @@ def test_a_second_run_waits_and_says_so(project: Path) -> None:
     ("arguments", "status", "message"),
     [
         (["7"], 1, "No notebook is called 7; there are 01_first, 06_last."),
-        (["01", "06_lst"], 1, "No notebook is called 06_lst; did you mean 06_last?"),
         (["-p", "seed", "1"], 1, "-p needs one notebook, got 01_first, 06_last."),
-        (["01", "-p", "seed", "1"], 1, "01_first has no parameter seed; it has record, width."),
         (["01", "-p", "widht", "1"], 1, "01_first has no parameter widht; did you mean width?"),
         (["01", "-p", "width", "x"], 1, "width must be a finite number, got x"),
-        (["01", "-p", "width", "1", "--output", "file"], 1, "--output must be a folder that can"),
         (["01", "-p", "width", "1", "--output", "/proc/a"], 1, "--output must be a folder that "),
         (["01", "-p", "width"], 2, "argument -p: expected 2 arguments; --help lists the options"),
-        (["01", "--jobs", "x"], 2, "argument --jobs: invalid int value: 'x'; --help lists the "),
     ],
 )
 def test_a_wrong_call_is_told_in_one_line(
@@ -216,9 +210,8 @@ def test_a_wrong_call_is_told_in_one_line(
         returned = end.code
     assert returned == status
     said = capsys.readouterr()
-    assert said.out == ""
+    assert (said.out, said.err.count("\n")) == ("", 1)
     assert said.err.startswith(message)
-    assert said.err.count("\n") == 1
 
 
 @pytest.mark.parametrize(("source", "status"), [("print(record)", 0), ("1 / 0", 1)])
@@ -236,23 +229,3 @@ def test_a_run_on_own_data_is_kept_apart(
     assert "width = -50.0" in injected.source
     assert [path.name for path in (project / "mine").iterdir()] == ["01_first.ipynb"]
     assert not (project / "build" / "status").exists()
-
-
-def test_a_full_disk_and_a_killed_worker_are_told(
-    project: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: object, **__: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(run.papermill, "execute_notebook", full)
-    calls = {"01_first": (run.run, "01_first", {})}
-    message = "FAILED: [Errno 28] No space left on device"
-    (project / "build" / ".running").mkdir()
-    (project / "build" / "status").mkdir()
-    assert list(run.in_workers(calls, 1)) == [("01_first", message, False)]
-    killed = list(run.in_workers({"one": (suicide,)}, 1))
-    assert killed == [("one", "FAILED: its process was killed", False)]
-
-
-def suicide() -> None:
-    os.kill(os.getpid(), signal.SIGKILL)

@@ -10,8 +10,6 @@ from pathlib import Path
 import imageio.v3 as imageio
 import numpy as np
 import pandas as pd
-import pytest
-import tifffile
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "data" / "synthetic"
@@ -24,19 +22,6 @@ def test_the_manifest_describes_every_file() -> None:
         assert entry["what"], name
         assert (FOLDER / entry.get("truth_file", name)).is_file(), name
     assert sum(path.stat().st_size for path in FOLDER.iterdir()) < 4e6
-
-
-def test_the_truths_that_are_arrays_fit_their_inputs() -> None:
-    height = tifffile.imread(FOLDER / "height_um.tif")
-    frames = tifffile.imread(FOLDER / "focal_stack.tif")
-    assert frames.shape == (29, *height.shape)
-    # The top of a ball of 300 µm on a plane, and its edge, in pixels of 3.9 µm.
-    assert height.max() == pytest.approx(600.0, abs=0.1)
-    assert (height > 0).sum() * 3.9**2 == pytest.approx(np.pi * 300.0**2, rel=0.005)
-    path = pd.read_csv(FOLDER / "frames_path.csv")
-    assert len(path) == len(tifffile.imread(FOLDER / "frames.tif"))
-    box = tomllib.loads((FOLDER / "MANIFEST.toml").read_text())["frames.tif"]["settings"]["box"]
-    assert path.iloc[0].tolist() == [box[0] + (box[2] - 1) / 2, box[1] + (box[3] - 1) / 2]
 
 
 def test_the_inputs_are_made_again(tmp_path: Path) -> None:

@@ -54,10 +54,3 @@ def test_a_name_means_one_thing(path: Path) -> None:
     every = [name for cell in code(path) for name in bound(cell.source)]
     twice = sorted({name for name in every if every.count(name) > 1} - allowed)
     assert not twice, twice
-
-
-def test_names_are_seen_as_bound() -> None:
-    source = (
-        "import a.b as c, d.e\nfor f, _ in g:\n    h = [i for i in j]\ndef k(): l = 1\nm: int = 1"
-    )
-    assert sorted(bound(source)) == ["c", "d", "f", "h", "k", "m"]

@@ -10,7 +10,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import cv2
 import nbformat
 import numpy as np
 import pandas as pd
@@ -272,34 +271,6 @@ def test_a_folder_of_embryos_is_a_table_of_moduli(tmp_path: Path) -> None:
     text = said(tmp_path / "mine" / "07_guide_embryo.ipynb")
     assert "3 images, 1 of them without a modulus" in text
     assert "c.png: ValueError: " in text
-
-
-@pytest.mark.parametrize("source", ["frames", "frames/*.png", "film.avi"])
-def test_frames_may_be_a_folder_a_pattern_or_a_video(tmp_path: Path, source: str) -> None:
-    true = pd.read_csv(FOLDER / "frames_path.csv")
-    frames = tifffile.imread(FOLDER / "frames.tif")[:12]
-    (tmp_path / "frames").mkdir()
-    code = cv2.VideoWriter_fourcc(*"MJPG")
-    film = cv2.VideoWriter(str(tmp_path / "film.avi"), code, 33.0, frames.shape[:0:-1], False)
-    for k, frame in enumerate(frames):
-        cv2.imwrite(str(tmp_path / "frames" / f"{k:03d}.png"), frame)
-        film.write(frame)
-    film.release()
-    scales = {"box": "[30, 40, 40, 40]", "rate": "33", "pixel_size": "6.23", "out": "kept"}
-    arguments = [text for pair in scales.items() for text in ("-p", *pair)]
-    result = run_own(tmp_path, "07_guide_tracking", "-p", "frames", source, *arguments)
-    assert result.returncode == 0, result.stderr
-    assert {path.name for path in (tmp_path / "kept").iterdir()} == {"track.csv", "track.png"}
-    track = pd.read_csv(tmp_path / "kept" / "track.csv")
-    assert not track["lost"].any()
-    # Compressed or not: some hundredths are left of the ground at the edge of the box.
-    np.testing.assert_allclose(track["x_px"], true["x_px"][:12], atol=0.1)
-
-
-def test_an_own_input_is_found_from_another_folder(tmp_path: Path) -> None:
-    result = run_own(tmp_path, "07_guide_calibration", "-p", "out", "kept")
-    assert result.returncode == 0, result.stderr
-    assert "off by" in said(tmp_path / "mine" / "07_guide_calibration.ipynb")
 
 
 def test_numbers_give_a_modulus_and_a_steep_dimple_is_named(tmp_path: Path) -> None:

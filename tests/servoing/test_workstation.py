@@ -169,6 +169,8 @@ def test_a_lost_track_is_measured_as_nan():
     rng = np.random.default_rng(3)
     scene = gripper_scene(rng, pixel_size=6.23)
     tracker = ESMTracker(scene.frame((0, 0), rng), scene.box(50), "translation")
+    seen = tracked_view(lambda feature: scene.frame(feature, rng), tracker)
+    assert seen((3.0, -2.0)) - seen((0.0, 0.0)) == pytest.approx([3.0, -2.0], abs=0.2)
     view = tracked_view(lambda feature: np.zeros(scene.shape, np.uint8), tracker)
     assert np.isnan(view(np.zeros(2))).all()
 

@@ -1,0 +1,113 @@
+"""What can be read off a figure, a film or the file beside a figure is what is so."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+from compendium.figures import films, surfaces
+from compendium.figures.data import keep_data
+from microlib.curvature import HK_NAMES
+
+
+@pytest.fixture(autouse=True)
+def closed() -> Iterator[None]:
+    yield
+    plt.close("all")
+
+
+def lines(figure: Figure) -> dict[str, np.ndarray]:
+    """Return the points of each curve, by the first word of its name."""
+    return {line.get_label().split(" (")[0]: line.get_xydata() for line in figure.axes[0].lines}
+
+
+def test_points_and_images_are_kept_with_their_axes(tmp_path: Path) -> None:
+    figure, (left, right) = plt.subplots(1, 2)
+    left.plot([1, 2, 3], [10, 20, 60], label="line")
+    left.scatter([4, 5], [40, 50], label="dots")
+    left.axvline(7, label="helper")
+    left.set(xlabel="time (s)", ylabel="force (µN)")
+    image = np.arange(6.0).reshape(2, 3)
+    right.imshow(image)
+    right.set_title("height")
+    table, images = keep_data(figure, tmp_path / "new" / "a")
+    kept = pd.read_csv(table)
+    assert kept["x"].tolist() == [1, 2, 3, 4, 5]
+    assert kept["y"].tolist() == [10, 20, 60, 40, 50]
+    assert kept["series"].tolist() == ["line"] * 3 + ["dots"] * 2
+    assert set(kept["x_label"] + kept["y_label"]) == {"time (s)force (µN)"}
+    with np.load(images) as arrays:
+        np.testing.assert_array_equal(arrays["panel2_image1"], image)
+        assert arrays["panel_titles"].tolist() == ["", "height"]
+
+
+def test_rays_meet_where_the_lens_equation_says() -> None:
+    drawn = lines(surfaces.draw_lens())
+    (object_x, _), at_lens, (image_x, image_y) = drawn["in focus"]
+    # 1/f = 1/d_o + 1/d_i with f = 40 and the sensor at 100 mm; the lens' radius is 14 mm.
+    assert 1 / -object_x + 1 / image_x == pytest.approx(1 / 40)
+    assert image_y == pytest.approx(0, abs=1e-9)
+    assert at_lens.tolist() == [0, 14]
+    (object_x, _), _, (_, image_y) = drawn["too near"]
+    assert image_y == pytest.approx(14 * 100 * (1 / -object_x + 1 / 100 - 1 / 40))  # (3.4)
+
+
+def test_a_turnable_surface_is_small_and_brings_no_library() -> None:
+    height = 500 * np.random.default_rng(0).random((300, 450))
+    height[0, 0] = np.nan
+    html = surfaces.turnable_surface(height, 2.0, name="surface-x", title="A surface").data
+    assert 'id="surface-x"' in html
+    assert "<script src" not in html
+    assert len(html) < 100_000
+    found = re.search(r"Plotly\.newPlot\(\s*\"surface-x\",\s*(\[.*?\]),\s*\{", html, re.S)
+    data = json.loads(found[1])[0]
+    z = np.array(data["z"], dtype=float)
+    assert np.isnan(z[0, 0])
+    # Every fifth point of 450, rounded to a thousandth of the range at least.
+    np.testing.assert_allclose(z[1:, 1:], height[5::5, 5::5], atol=0.5)
+    assert data["x"][1] == 10.0
+
+
+def test_a_legend_names_the_types_that_occur_in_their_colors() -> None:
+    assert len(set(surfaces.HK_COLORS)) == len(surfaces.HK_COLORS) == 1 + len(HK_NAMES)
+    _, axes = plt.subplots()
+    surfaces.draw_labels(axes, np.array([[0, 1], [5, 9]], np.uint8))
+    legend = axes.get_legend()
+    assert [text.get_text() for text in legend.get_texts()] == [
+        f"{k} {HK_NAMES[k]}" for k in (1, 5, 9)
+    ]
+    shown = axes.images[0].to_rgba(axes.images[0].get_array())[[0, 1, 1], [1, 0, 1]]
+    np.testing.assert_allclose(shown, [p.get_facecolor() for p in legend.get_patches()], atol=0.01)
+
+
+def test_a_film_loops_beside_its_still() -> None:
+    figure = Figure(figsize=(2, 1), dpi=50)
+    axes = figure.subplots()
+    bar = axes.axvspan(0, 1, color="black")
+    axes.set(xlim=(0, 3), ylim=(0, 1))
+    axes.axis("off")
+    texts = {"name": "film-x", "alt": 'a "dot"', "caption": "<strong>Film.</strong> A dot."}
+    html = films.film(figure, bar.set_x, [100, 200, 300], still=1, **texts).data
+    moving, still = (
+        Image.open(BytesIO(base64.b64decode(text)))
+        for text in re.findall(r"data:image/webp;base64,([^\"]*)", html)
+    )
+    assert (moving.n_frames, moving.info["loop"], still.size) == (3, 0, (100, 50))
+    for k, length in enumerate((100, 200, 300)):
+        moving.seek(k)
+        moving.load()
+        assert moving.info["duration"] == length
+        dark = np.flatnonzero(np.asarray(moving.convert("L"))[25] < 128).mean()
+        assert np.digitize(dark, np.linspace(0, 100, 4)) == k + 1
+    assert html.count('alt="a &quot;dot&quot;"') == 2
