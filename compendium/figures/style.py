@@ -29,7 +29,7 @@ def use_style() -> None:
             "figure.constrained_layout.use": True,
             "savefig.bbox": "tight",
             "savefig.pad_inches": 0.05,
-            "axes.formatter.min_exponent": 4,  # 0.01, not 10 with a small exponent
+            "axes.formatter.min_exponent": 5,  # 0.01, not 10 with a small exponent
             "font.size": 12,
             "axes.titlesize": 12,
             "axes.grid": True,

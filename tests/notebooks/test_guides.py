@@ -75,7 +75,7 @@ def test_a_guide_is_written_as_one(guide: str) -> None:
         assert part in intro
     first, *others = code(guide)
     lines = first.splitlines()
-    assert lines[0].startswith("record = ")
+    assert lines[-1].startswith("record = ")
     assert all("  # " in line for line in lines), "a parameter without a comment"
     assert all(len(text.splitlines()) <= 25 for text in others)
     for text in others:
