@@ -44,8 +44,8 @@ class Rooms(SphinxDirective):
             if not name.startswith("_"):
                 label = link(self.env, label, "api", f"microlib-{name}")
             imports = ", ".join(sorted(others & paths.keys() - {name, "_common"})) or "–"
-            rows.append([label, said.splitlines()[0] if said else "", imports])
-        return [table(["Package", "What it is for", "Imports, besides `_common`"], rows)]
+            rows.append([label, said.partition("\n")[0].replace("``", ""), imports])
+        return [table(["Package", "What it is for", "Imports, besides _common"], rows)]
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
