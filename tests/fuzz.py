@@ -121,12 +121,6 @@ def outline():
     return embryo.extract_boundary(egg().image)
 
 
-def part() -> tuple[int, int, int, int]:
-    """The whole image."""
-    rows, cols = egg().image.shape
-    return 0, 0, cols, rows
-
-
 @cache
 def capsule_outline() -> np.ndarray:
     settings = {**EGG, "modulus": 1.0, "radius": 600.0, "inflation": 1.05}
@@ -384,7 +378,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "embryo.GaussianSum.extrema": lambda: {"self": gaussians()},
     "embryo.dimple_geometry": lambda: {"curve": dented(), "pixel_size": 3.9},
     "embryo.extract_boundary": lambda: {
-        "image": egg().image, "direction": "top", "region": part(), "dimple": True
+        "image": egg().image, "direction": "top", "dimple": True
     },
     "embryo.fit_dimple": lambda: {
         "boundary": outline(), "pixel_size": 7.75, "probe_half_width": 25.0
@@ -395,12 +389,12 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "embryo.force_from_image": lambda: {
         "image": egg().image, "modulus": 1.0, "pixel_size": 7.75, **EGG,
-        "radius": 600.0, "direction": "top", "region": part(),
+        "radius": 600.0, "direction": "top",
     },
     "embryo.force_over_time": lambda: {
         "images": [egg().image] * 2, "time": np.array([0.0, 1.0]), "modulus": 1.0,
         "shares": np.array([0.3]), "relaxation_times": np.array([2.0]), "modulus_std": 0.1,
-        "pixel_size": 7.75, **EGG, "direction": "top", "region": part(),
+        "pixel_size": 7.75, **EGG, "direction": "top",
     },
     "embryo.loess": lambda: {
         "x": np.linspace(0.0, 20.0, 30), "y": gaussians()(np.linspace(0.0, 20.0, 30)),
@@ -408,7 +402,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "embryo.modulus_from_image": lambda: {
         "image": egg().image, "force": 150.0, "pixel_size": 7.75, **EGG, "method": "membrane",
-        "radius": 600.0, "law": "neo-hooke", "direction": "top", "region": part(),
+        "radius": 600.0, "law": "neo-hooke", "direction": "top",
     },
     "focus.FocusResult": lambda: {
         f.name: getattr(depths(), f.name)

@@ -8,7 +8,7 @@ y *down*; the outline is given with y *up*, as `fit_gaussians` and the thesis' f
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -17,7 +17,7 @@ from scipy.ndimage import map_coordinates, spline_filter
 
 from microlib._common import Array, Tidy, as_image, flag, one_of
 from microlib.embryo._probe import CLEARANCE, MARGIN, SMALLEST, Probe, find_probe, remove_probe
-from microlib.embryo._view import DIRECTIONS, View, part_of
+from microlib.embryo._view import DIRECTIONS, View
 from microlib.embryo._wall import locate_wall
 
 # Lengths are in px. What other values of these do to the modulus stands in the benchmark "Other
@@ -71,8 +71,8 @@ _SURE_ROWS = 2
 #: Canny may err, and ground and fluid beyond. 4 to 7 to either side change E by up to one
 #: deviation.
 _PROFILE = np.arange(-5.0, 5.01, 0.5)
-#: Blur in px from which the outline is found in the image at half its size: the profiles above hold
-#: three of its deviations to either side.
+#: Blur in px from which points and samples are 2 px and 1 px apart, so that the profiles hold three
+#: of its deviations to either side.
 _BROAD_BLUR = 1.7
 #: Points over which the direction of the outline is averaged; 7 to 17 change E by up to 0.63 of its
 #: deviation.
@@ -86,7 +86,7 @@ _LARGEST_STD = 6.0
 class Boundary(Tidy):
     """The outline of an embryo on the probe's side, the middle of its chorion, from left to right.
 
-    All but `points` is as seen with the probe coming from above, in the part that was looked at.
+    All but `points` is as seen with the probe coming from above.
 
     Attributes
     ----------
@@ -101,16 +101,10 @@ class Boundary(Tidy):
     blur : float
         Standard deviation of the image's blur at the outline, in px.
     image_height : int
-        Rows of the part as it is turned: y = image_height − 1 − row.
-    direction : str
-        Edge of the image that the probe comes from.
-    region : tuple of int
-        The part that was looked at: x and y of its first pixel, width and height, in px.
-    tilt : float
-        Angle by which the part was turned clockwise to bring the probe upright, in radians; 0 where
-        it is within 4°.
-    frame : tuple of int
-        What of the turned part was looked at, in px; all zero without a turn.
+        Rows of the image as it is turned: y = image_height − 1 − row.
+    view : View
+        The edge that the probe comes from, `direction`, and how the image was turned to bring the
+        probe upright.
     """
 
     _samples = ("x", "y", "std", "under_probe")
@@ -122,31 +116,23 @@ class Boundary(Tidy):
     probe: Probe
     blur: float
     image_height: int
-    direction: str
-    region: tuple[int, int, int, int]
-    tilt: float = 0.0
-    frame: tuple[int, int, int, int] = (0, 0, 0, 0)
+    view: View
 
     @property
     def points(self) -> Array:
         """The outline as points (x, y) of the whole image, y down, in px; shape (n, 2)."""
-        return self._view.to_image(np.stack([self.x, self.image_height - 1 - self.y], axis=1))
+        return self.view.to_image(np.stack([self.x, self.image_height - 1 - self.y], axis=1))
 
     def without_probe(self, image: ArrayLike) -> NDArray[np.float32]:
         """Return `image`, in which the outline was found, with the probe filled by the ground."""
         grey = as_image("image", image, smallest=SMALLEST)
-        return self._view.put_back(remove_probe(self._view.of(grey), self.probe), grey)
-
-    @property
-    def _view(self) -> View:
-        return View(self.region, self.direction, self.tilt, self.frame)
+        return self.view.put_back(remove_probe(self.view.of(grey), self.probe), grey)
 
 
 def extract_boundary(
     image: ArrayLike,
     *,
     direction: str = "auto",
-    region: tuple[int, int, int, int] | None = None,
     dimple: bool = True,
 ) -> Boundary:
     """Find the outline of an embryo on the side where a probe presses it.
@@ -156,10 +142,8 @@ def extract_boundary(
     image : array_like, shape (rows, columns)
         Grey image, integer or float; bright ground, dark probe.
     direction : {"auto", "top", "bottom", "left", "right"}
-        Edge of the image (or the region) that the probe comes from; ``"auto"`` takes the first of
-        the four, in this order, from which one comes that makes a dimple.
-    region : tuple of int, optional
-        Part of the image to look at, (x, y, width, height) in px; all of it by default.
+        Edge of the image that the probe comes from; ``"auto"`` takes the first of the four, in this
+        order, from which one comes that makes a dimple.
     dimple : bool, optional
         Whether the probe must make a dimple. If not, it may as well be on its way to the embryo,
         and the outline has no points under it.
@@ -169,7 +153,7 @@ def extract_boundary(
     Boundary
         The outline as a function y(x) with the probe above, about one point a px of its length:
         `x`, `y` and `std`, and as points of the image, `points`; with the `probe`, the image
-        `without_probe`, and the `direction` and `region`.
+        `without_probe`, and the `view` with the `direction` that the probe comes from.
 
     Raises
     ------
@@ -203,14 +187,12 @@ def extract_boundary(
     whole = as_image("image", image, smallest=SMALLEST)
     one_of("direction", direction, ("auto", *DIRECTIONS))
     wanted = flag("dimple", dimple)
-    part = part_of(whole.shape, region, SMALLEST)
-    upright = View(part, "top")
-    _refuse_saturated(upright.of(np.asarray(image)), upright.of(whole))
+    _refuse_saturated(np.asarray(image), whole)
+    rows, columns = whole.shape
     refused: dict[str, list[str]] = {}
     for edge in DIRECTIONS if direction == "auto" else (direction,):
-        view = View(part, edge)
         try:
-            return _outline_from_above(whole, view, wanted)
+            return _outline_from_above(whole, View((columns, rows), edge), wanted)
         except ValueError as reason:
             refused.setdefault(str(reason), []).append(edge)
     raise ValueError(
@@ -221,20 +203,13 @@ def extract_boundary(
 def _outline_from_above(whole: NDArray[np.float32], view: View, dimple: bool) -> Boundary:
     """Find the outline on both sides of a probe that comes from above."""
     grey, probe, view = find_probe(whole, view)
-    sides, blur = _find_sides(grey, probe, dimple)
-    if blur > _BROAD_BLUR:
-        # Half of the size holds all of such an image, and what is sought beside an edge is in px.
-        rows, columns = (2 * (side // 2) for side in grey.shape)
-        half = cv2.resize(
-            grey[:rows, :columns], (columns // 2, rows // 2), interpolation=cv2.INTER_AREA
-        )
-        x, y = probe.tip
-        smaller = replace(
-            probe, tip=((x - 0.5) / 2, (y - 0.5) / 2), half_width=probe.half_width / 2
-        )
-        sides, blur = _find_sides(np.asarray(half, dtype=np.float32), smaller, dimple)
-        sides = [2 * side + [[0.5], [0.5], [0.0]] for side in sides]
-        blur *= 2
+    sides = [_resample(side) for side in _trace(remove_probe(grey, probe), probe)]
+    if dimple:
+        _refuse_without_dimple(sides, probe)
+    sides, blur = _refine(grey, sides, probe, CLEARANCE)
+    step = 2 if blur > _BROAD_BLUR else 1
+    clearance = max(CLEARANCE, _BLUR_REACH * blur)
+    sides, blur = _refine(grey, [side[:, ::step] for side in sides], probe, clearance, step)
 
     reach = int(probe.half_width)
     hidden = probe.tip[0] + np.arange(-reach, reach + 1.0 if dimple else -reach)
@@ -250,20 +225,8 @@ def _outline_from_above(whole: NDArray[np.float32], view: View, dimple: bool) ->
         probe=probe,
         blur=blur,
         image_height=len(grey),
-        direction=view.direction,
-        region=view.region,
-        tilt=view.tilt,
-        frame=view.frame,
+        view=view,
     )
-
-
-def _find_sides(grey: NDArray[np.float32], probe: Probe, dimple: bool) -> tuple[list[Array], float]:
-    """Return x, y and std of the outline on each side of a probe, and the blur, in px."""
-    sides = [_resample(side) for side in _trace(remove_probe(grey, probe), probe)]
-    if dimple:
-        _refuse_without_dimple(sides, probe)
-    sides, blur = _refine(grey, sides, probe, CLEARANCE)
-    return _refine(grey, sides, probe, max(CLEARANCE, _BLUR_REACH * blur))
 
 
 def _refuse_saturated(image: NDArray, grey: NDArray[np.float32]) -> None:
@@ -320,9 +283,12 @@ def _resample(curve: Array) -> Array:
 
 
 def _refine(
-    grey: NDArray[np.float32], sides: list[Array], probe: Probe, clearance: float
+    grey: NDArray[np.float32], sides: list[Array], probe: Probe, clearance: float, scale: int = 1
 ) -> tuple[list[Array], float]:
-    """Move the curves onto the middle of the wall: x, y, std of each side, and the blur."""
+    """Move the curves onto the middle of the wall: x, y, std of each side, and the blur.
+
+    The profiles are `scale` times as long as `_PROFILE`.
+    """
     from scipy.signal import savgol_filter  # here, as it takes long to import
 
     smooth = [savgol_filter(side[:2], _SMOOTHING, 2, axis=1) for side in sides]
@@ -330,16 +296,16 @@ def _refine(
     start, along = np.concatenate(smooth, axis=1), np.concatenate(tangent, axis=1)
     # Both sides run from left to right: turned clockwise on the screen, the tangent points inside.
     normal = np.stack([-along[1], along[0]]) / np.hypot(*along)
-    x, y = start[:, :, np.newaxis] + normal[:, :, np.newaxis] * _PROFILE
+    x, y = start[:, :, np.newaxis] + normal[:, :, np.newaxis] * scale * _PROFILE
     profiles = map_coordinates(spline_filter(grey, 3), [y, x], order=3, prefilter=False)
     beside = np.abs(x - probe.axis(y)) > probe.half_width_at(y) + clearance
     clear = beside | (y > probe.tip[1] + clearance + MARGIN)
     wall = locate_wall(profiles, _PROFILE, weights=clear)
-    points = start + normal * wall.position
+    points = start + normal * scale * wall.position
     usual = np.nanmedian(wall.std)
     good = np.isfinite(wall.position) & (wall.std < _LARGEST_STD * usual)
     on_left = np.arange(good.size) < smooth[0].shape[1]
-    measured = np.vstack([points, wall.std])
+    measured = np.vstack([points, scale * wall.std])
     found = [measured[:, good & on_left], measured[:, good & ~on_left]]
     for name, side in zip(("left", "right"), found, strict=True):
         if side.shape[1] < _SHORTEST_SIDE:
@@ -347,7 +313,7 @@ def _refine(
                 f"image must show a wall along the outline, got {side.shape[1]} points of it on "
                 f"the {name} of the probe"
             )
-    return found, wall.width
+    return found, scale * wall.width
 
 
 def _refuse_without_dimple(sides: list[Array], probe: Probe) -> None:

@@ -59,7 +59,6 @@ def force_over_time(
     probe_half_width: float,
     poisson_ratio: float,
     direction: str = "auto",
-    region: tuple[int, int, int, int] | None = None,
 ) -> ForceHistory:
     """Measure the force on an embryo in a sequence of images, with the relaxation of its chorion.
 
@@ -75,7 +74,7 @@ def force_over_time(
         Of the wall, see `microlib.membrane.viscoelastic_force`.
     modulus_std : float
         Standard deviation of `modulus`, in MPa. It is the same in all images.
-    pixel_size, thickness, probe_half_width, poisson_ratio, direction, region
+    pixel_size, thickness, probe_half_width, poisson_ratio, direction
         As for `force_from_image`.
 
     Returns
@@ -143,7 +142,7 @@ def force_over_time(
     reasons = [""] * when.size
     for k, image in enumerate(frames):
         try:
-            found = force_from_image(image, stiffness, pixel_size=size, region=region, **settings)
+            found = force_from_image(image, stiffness, pixel_size=size, **settings)
         except ValueError as reason:
             reasons[k] = str(reason)
             continue
@@ -151,24 +150,17 @@ def force_over_time(
     seen = np.isfinite(elastic)
     if not seen.any():
         raise ValueError(f"images must show a dimple in one of them at least, got {reasons[0]}")
-    known = np.flatnonzero(seen)
-    filled, deviation = _bridge(when, elastic, spread)
+    # Nothing presses at the first time unless it is seen, and a line leads from outline to outline.
+    filled, deviation = elastic.copy(), spread.copy()
+    if not seen[0]:
+        filled[0] = deviation[0] = 0.0
+    known, gaps = np.flatnonzero(np.isfinite(filled)), np.flatnonzero(np.isnan(filled))
+    rise = np.append(np.diff(filled[known]), 0.0)[np.searchsorted(known, gaps) - 1]
+    filled[gaps] = np.interp(when[gaps], when[known], filled[known])
+    deviation[gaps] = np.abs(rise) / np.sqrt(12)
     force = response @ filled
     std = np.hypot(np.sqrt(response**2 @ deviation**2), common * force)
-    force[known[-1] + 1 :] = std[known[-1] + 1 :] = np.nan
+    after = np.flatnonzero(seen)[-1] + 1
+    force[after:] = std[after:] = np.nan
     reach = NORMAL_95 * std
     return ForceHistory(when, force, std, force - reach, force + reach, elastic, tuple(reasons))
-
-
-def _bridge(time: Array, force: Array, std: Array) -> tuple[Array, Array]:
-    """Fill gaps by straight lines from no force at the first time: force and deviation."""
-    force, std = force.copy(), std.copy()
-    if not np.isfinite(force[0]):
-        force[0] = std[0] = 0.0
-    known = np.flatnonzero(np.isfinite(force))
-    gaps = np.flatnonzero(~np.isfinite(force))
-    after = np.minimum(np.searchsorted(known, gaps), known.size - 1)
-    ends = force[known[after]] - force[known[np.maximum(np.searchsorted(known, gaps) - 1, 0)]]
-    force[gaps] = np.interp(time[gaps], time[known], force[known])
-    std[gaps] = np.abs(ends) / np.sqrt(12)
-    return force, std

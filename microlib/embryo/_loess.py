@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from microlib._common import Array, as_array, between, same_length, scalar, whole
 
@@ -86,7 +86,15 @@ def loess(
     # Moving a neighborhood on by one point swaps its first for the next; it pays as long as the
     # two lie symmetrically left of x. The sums rise, so that the place is a binary search.
     first = np.searchsorted(x[: len(x) - k] + x[k:], 2 * x) if k < len(x) else np.zeros(len(x), int)
-    smooth = _smooth(x, y, first, k, degree)
+    smooth = np.empty_like(x)
+    for start in range(0, len(x), max(1, _BLOCK // k)):
+        rows = slice(start, start + max(1, _BLOCK // k))
+        members = first[rows, np.newaxis] + np.arange(k)
+        u = x[members] - x[rows, np.newaxis]
+        reach = np.abs(u).max(axis=1, keepdims=True)
+        u /= np.where(reach > 0, reach, 1.0)
+        cube = 1 - np.abs(u * u * u)
+        smooth[rows] = _local_fits(u, y[members], cube * cube * cube, degree)
     if np.isnan(smooth).any():
         raise ValueError(
             f"x must hold {degree + 1} different values in each neighborhood of {k} points, got "
@@ -95,22 +103,6 @@ def loess(
     result = np.empty_like(smooth)
     result[order] = smooth
     return result
-
-
-def _smooth(x: Array, y: Array, first: NDArray[np.intp], k: int, degree: int) -> Array:
-    """Value of each point's own polynomial, over the `k` points from `first`; NaN where open."""
-    smooth = np.empty_like(x)
-    block = max(1, _BLOCK // k)
-    for start in range(0, len(x), block):
-        rows = slice(start, start + block)
-        members = first[rows, np.newaxis] + np.arange(k)
-        u = x[members] - x[rows, np.newaxis]
-        reach = np.abs(u).max(axis=1, keepdims=True)
-        u /= np.where(reach > 0, reach, 1.0)
-        cube = np.abs(u)
-        cube = 1 - cube * cube * cube
-        smooth[rows] = _local_fits(u, y[members], cube * cube * cube, degree)
-    return smooth
 
 
 def _local_fits(u: Array, y: Array, weights: Array, degree: int) -> Array:

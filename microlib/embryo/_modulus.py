@@ -69,8 +69,8 @@ class ImageEstimate(Tidy):
     -----
     `interval` says how well the outline is known, as if the model were right; `misfit` whether the
     outline looks like the model at all, which widens `interval` where it does not. `model_moduli`,
-    `model_forces` and `model_interval` say what other models make of the same dimple. They are
-    computed when they are asked for, which takes about a second.
+    and `model_interval` say what other models make of the same dimple. They are computed when they
+    are asked for, which takes about a second.
     """
 
     force: float
@@ -133,21 +133,15 @@ class ImageEstimate(Tidy):
         return found
 
     @property
-    def model_forces(self) -> dict[str, float]:
-        """Force on this dimple by each model that can have it, in µN, by the model's name.
+    def model_interval(self) -> tuple[float, float]:
+        """From the least to the largest by any model, widened as `interval` is, in MPa or µN.
 
         The modulus is the only stress that is given, so that in every model the force of a dimple
         grows with it: a model by which the egg would be half as stiff has twice the force.
         """
-        moduli = self.model_moduli.items()
-        return {name: self.force * self.modulus / modulus for name, modulus in moduli}
-
-    @property
-    def model_interval(self) -> tuple[float, float]:
-        """From the least to the largest by any model, widened as `interval` is, in MPa or µN."""
-        by_model = self.model_moduli if self.found == "modulus" else self.model_forces
-        values = [getattr(self, self.found), *by_model.values()]
-        return _around(min(values), max(values), self.relative_std)
+        moduli = np.array([self.modulus, *self.model_moduli.values()])
+        values = moduli if self.found == "modulus" else self.force * self.modulus / moduli
+        return _around(float(values.min()), float(values.max()), self.relative_std)
 
 
 def modulus_from_image(
@@ -162,7 +156,6 @@ def modulus_from_image(
     radius: float | None = None,
     law: str = "neo-hooke",
     direction: str = "auto",
-    region: tuple[int, int, int, int] | None = None,
 ) -> ImageEstimate:
     """Measure the elastic modulus of a chorion in one image of its indentation.
 
@@ -186,9 +179,8 @@ def modulus_from_image(
         fraction of the wall's thickness (half a µm would be 2 % of the modulus).
     law : {"neo-hooke", "hooke", "mooney-rivlin"}
         Of a capsule's wall.
-    direction, region
-        Edge that the probe comes from, and part of the image to look at; see
-        `microlib.embryo.extract_boundary`.
+    direction
+        Edge that the probe comes from; see `microlib.embryo.extract_boundary`.
 
     Returns
     -------
@@ -229,7 +221,7 @@ def modulus_from_image(
     one_of("law", law, _LAWS)
     size = scalar("pixel_size", pixel_size, above=0, most=_MOST)
     given = given_lengths(thickness, probe_half_width, poisson_ratio, radius)
-    boundary = extract_boundary(image, direction=direction, region=region)
+    boundary = extract_boundary(image, direction=direction)
     if method != "capsule":
         return _estimate("modulus", load, boundary, size, given)
     refuse_another_width(boundary, given["probe_half_width"] / size, size)
@@ -250,7 +242,6 @@ def force_from_image(
     poisson_ratio: float,
     radius: float | None = None,
     direction: str = "auto",
-    region: tuple[int, int, int, int] | None = None,
 ) -> ImageEstimate:
     """Measure the force on an embryo of known modulus in one image, without a force sensor.
 
@@ -260,18 +251,17 @@ def force_from_image(
         As for `modulus_from_image`.
     modulus : float
         Elastic modulus E, in MPa.
-    pixel_size, thickness, probe_half_width, poisson_ratio, direction, region
+    pixel_size, thickness, probe_half_width, poisson_ratio, direction
         As for `modulus_from_image`.
     radius : float, optional
-        Radius of the egg before the test, in µm: for the capsule among the `model_forces`. Without
-        it the outline's ends tell it where they fall steeply enough.
+        Radius of the egg before the test, in µm: for the capsule among the models. Without it the
+        outline's ends tell it where they fall steeply enough.
 
     Returns
     -------
     ImageEstimate
         The `force`, its `relative_std` and `interval`, and the `dimple` and `boundary` that it was
-        computed from; with what other models make of the same dimple in `model_forces` and
-        `model_interval`.
+        computed from; with what other models make of the same dimple in `model_interval`.
 
     Raises
     ------
@@ -300,7 +290,7 @@ def force_from_image(
     stiffness = scalar("modulus", modulus, above=0, most=_MOST)
     size = scalar("pixel_size", pixel_size, above=0, most=_MOST)
     given = given_lengths(thickness, probe_half_width, poisson_ratio, radius)
-    boundary = extract_boundary(image, direction=direction, region=region)
+    boundary = extract_boundary(image, direction=direction)
     return _estimate("force", stiffness, boundary, size, given)
 
 

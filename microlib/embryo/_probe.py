@@ -123,7 +123,7 @@ class Probe(Tidy):
 
 
 def find_probe(whole: NDArray[np.float32], view: View) -> tuple[NDArray[np.float32], Probe, View]:
-    """Return the turned part of an image, the probe in it, and the view in which it is upright."""
+    """Return an image turned, the probe in it, and the view in which it is upright."""
     reasons: list[str] = []
     for blur, dark in ((_PROBE_BLUR, _DARK), (_FINE_BLUR, _FAINT)):
         views = [view]

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from microlib.embryo import _dimple, fit_dimple
 from microlib.embryo._boundary import Boundary
 from microlib.embryo._probe import Probe
+from microlib.embryo._view import View
 from microlib.synthetic import Embryo
 
 PIXEL = 4.0  # µm
@@ -43,8 +44,7 @@ def outline(
         probe=probe,
         blur=1.0,
         image_height=ROWS,
-        direction="top",
-        region=(0, 0, 1000, ROWS),
+        view=View((1000, ROWS), "top"),
     )
 
 
