@@ -60,8 +60,8 @@ LIMIT = 5.0
 SLOW = {"membrane.fit_capsule": 60.0}
 #: Memory that all of it may take, bytes.
 MEMORY = 4 << 30
-#: Public, but not called by anyone: a category of warnings.
-NOT_CALLED = {"membrane.SmallSlopeWarning"}
+#: Public, but not called by anyone: a category of warnings, and how an image was turned.
+NOT_CALLED = {"membrane.SmallSlopeWarning", "embryo._view.View"}
 
 EGG = {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
 INPUTS = {"force": 100.0, "dimple_radius": 200.0, "dimple_depth": 40.0, **EGG}
@@ -716,7 +716,7 @@ def public() -> Iterator[str]:
     while waiting:
         name, value = waiting.pop()
         if inspect.isclass(value):
-            if value in seen:
+            if value in seen or name in NOT_CALLED:
                 continue
             seen.add(value)
             for method, found in methods(value):
