@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
-from hashlib import sha256
 from os import PathLike
 from pathlib import Path
 from typing import Any
-from uuid import NAMESPACE_OID, uuid5
 
 import cv2
 import numpy as np
@@ -19,9 +16,6 @@ from microlib.io._frames import reduced
 from microlib.io._sources import UNREADABLE, decode, picture
 from microlib.io._tiff import is_tiff
 
-_MICROMETERS_PER_CENTIMETER = 1e4
-#: Largest number of 32 bits.
-_MOST = 2**32 - 1
 #: Pixels, µm, whose number a centimeter fits into the 32 bits of a TIFF.
 _FINEST, _COARSEST = 1e-5, 1e9
 
@@ -114,26 +108,19 @@ def write_height_tiff(
     of_kind("what", what, str)
     values = _map(height)
     size = scalar("pixel_size", pixel_size, above=0, least=_FINEST, most=_COARSEST)
-    # As a ratio of 32-bit numbers: older versions of tifffile keep six digits of a float.
-    per_centimeter = Fraction(_MICROMETERS_PER_CENTIMETER / size)
-    per_centimeter = per_centimeter.limit_denominator(min(_MOST, int(_MOST / per_centimeter)))
     ome = Path(path).name.lower().endswith((".ome.tif", ".ome.tiff"))
     about: dict[str, Any] = {"description": f"{what}; pixel size {size:g} um"}
     if ome:
         sizes = {f"PhysicalSize{axis}": size for axis in "XY"}
         units = {f"PhysicalSize{axis}Unit": "µm" for axis in "XY"}
         axes = {"axes": "YX" if values.ndim == 2 else "YXS"}
-        # The same for the same map.
-        told = f"{what} {size!r} {values.dtype.str} {values.shape} "
-        told += sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
-        named = {"Name": what, "UUID": f"urn:uuid:{uuid5(NAMESPACE_OID, told)}"}
-        about = {"metadata": {**axes, **sizes, **units, **named}}
+        about = {"metadata": {**axes, **sizes, **units, "Name": what}}
 
     def write(file: Path) -> None:
         tifffile.imwrite(
             file,
             values,
-            resolution=(per_centimeter.as_integer_ratio(),) * 2,
+            resolution=(1e4 / size, 1e4 / size),
             resolutionunit="CENTIMETER",
             photometric="minisblack" if values.ndim == 2 else "rgb",
             ome=ome,

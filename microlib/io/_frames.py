@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from microlib._common import LARGEST_GREY, Frames, Region, as_array, as_region, flag, whole
 from microlib.io._sources import Named, Source, open_source
 
-__all__ = ["FrameReader", "read_frames", "reduced"]
-
 
 def read_frames(
     frames: Frames, *, color: bool = False, region: Region | None = None, reduce: int = 1

@@ -10,8 +10,6 @@ import tifffile
 
 from microlib._common import Array
 
-__all__ = ["labels_scale", "tiff_scale"]
-
 #: µm in the units that OME and ImageJ name; what is not here has no size, such as "pixel".
 _MICROMETERS = {
     "nm": 1e-3,

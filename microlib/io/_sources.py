@@ -20,8 +20,6 @@ from microlib._common import Array, Frames, refuse_masks
 from microlib.io._metadata import labels_scale
 from microlib.io._tiff import is_tiff, tiff_pages, tiff_stack
 
-__all__ = ["UNREADABLE", "Source", "decode", "open_source", "picture"]
-
 _PICTURES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm"})
 _VIDEOS = frozenset({".avi", ".mp4", ".m4v", ".mov", ".mkv", ".mpg", ".mpeg", ".webm", ".wmv"})
 #: Characters that make a pattern of a path.

@@ -5,14 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import (
-    Array,
-    as_array,
-    positive,
-    same_length,
-    scalar,
-    whole,
-)
+from microlib._common import Array, as_array, positive, same_length, scalar, whole
 
 #: Largest ratio of the singular values of a Jacobian that counts as one of full rank: the rounding
 #: of a double (10⁻¹⁶) is then a millionth of what the weakest direction does.
@@ -151,9 +144,9 @@ def optimal_control(
     ...                 feature_weight=(1, 1), control_weight=(1, 3))
     array([ 0.5, -0.5])
     """
-    gain = _optimal_gain(
+    gain = OptimalController(
         jacobian, interval=interval, feature_weight=feature_weight, control_weight=control_weight
-    )
+    ).gain
     now = as_array("feature", feature, shape=(gain.shape[1],))
     wanted = as_array("target", target, shape=(gain.shape[1],))
     return gain @ (wanted - now)
@@ -289,12 +282,12 @@ class OptimalController:
         feature_weight: ArrayLike,
         control_weight: ArrayLike,
     ) -> None:
-        self.gain = _optimal_gain(
-            jacobian,
-            interval=interval,
-            feature_weight=feature_weight,
-            control_weight=control_weight,
-        )
+        matrix = full_rank(jacobian)
+        step = scalar("interval", interval, above=0) * matrix
+        q = _weight("feature_weight", feature_weight, matrix.shape[0])
+        weight = _weight("control_weight", control_weight, matrix.shape[1])
+        self._step = step
+        self.gain = np.linalg.solve(step.T @ q @ step + weight, step.T @ q)
 
     def __call__(self, k: int, measured: Array, reference: Array) -> Array:
         """Return the velocity for sample `k`, µm/s; zero if the feature is lost."""
@@ -304,7 +297,7 @@ class OptimalController:
         return self.gain @ (reference[min(k + 1, len(reference) - 1)] - measured)
 
 
-class PredictiveController:
+class PredictiveController(OptimalController):
     """A controller that knows the loop's delay.
 
     It carries its own estimate of the feature from frame to frame with the commands that it gave,
@@ -359,14 +352,11 @@ class PredictiveController:
         saturation: float,
         innovation_gain: float = 0.3,
     ) -> None:
-        self._gain = _optimal_gain(
+        super().__init__(
             jacobian,
             interval=interval,
             feature_weight=feature_weight,
             control_weight=control_weight,
-        )
-        self._step = scalar("interval", interval, above=0) * as_array(
-            "jacobian", jacobian, shape=(None, None)
         )
         self._delay = scalar("delay", delay, least=0) / scalar("interval", interval, above=0)
         if self._delay > _MOST_DELAY:
@@ -397,7 +387,7 @@ class PredictiveController:
             self._estimate = self._estimate + self._innovation_gain * (measured - self._estimate)
         coming = self._part * self._pending[0] + self._pending[1:].sum(axis=0)
         ahead = self._estimate + self._step @ coming
-        wanted = self._gain @ (target - ahead)
+        wanted = self.gain @ (target - ahead)
         command = np.minimum(np.maximum(wanted, -self._limit), self._limit)
         queue = np.vstack([self._pending, command])
         self._estimate = self._estimate + self._step @ (
@@ -414,17 +404,6 @@ def _checked_sample(k: int, measured: Array, reference: Array, size: int) -> tup
         as_array("measured", measured, shape=(size,), finite=False),
         as_array("reference", reference, shape=(None, size)),
     )
-
-
-def _optimal_gain(
-    jacobian: ArrayLike, *, interval: float, feature_weight: ArrayLike, control_weight: ArrayLike
-) -> Array:
-    """Return the matrix K of (2.28) that turns a feature error into a velocity, u = −K e."""
-    matrix = full_rank(jacobian)
-    step = scalar("interval", interval, above=0) * matrix
-    q = _weight("feature_weight", feature_weight, matrix.shape[0])
-    weight = _weight("control_weight", control_weight, matrix.shape[1])
-    return np.linalg.solve(step.T @ q @ step + weight, step.T @ q)
 
 
 def full_rank(jacobian: ArrayLike, shape: tuple[int | None, ...] = (None, None)) -> Array:

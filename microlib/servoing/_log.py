@@ -11,20 +11,14 @@ from microlib._common import Array
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Name of each column of a pair of axes, and the type of every column.
-COLUMNS: dict[str, str] = {
+#: The columns, with the type of each.
+COLUMNS = {
     "time_s": "float64",
     "phase": "object",
     "target": "int64",
-    "reference_x_px": "float64",
-    "reference_y_px": "float64",
-    "measured_x_px": "float64",
-    "measured_y_px": "float64",
+    **{f"{name}_{axis}_px": "float64" for name in ("reference", "measured") for axis in "xy"},
     "lost": "bool",
-    "stage_x_um": "float64",
-    "stage_y_um": "float64",
-    "command_x_um": "float64",
-    "command_y_um": "float64",
+    **{f"{name}_{axis}_um": "float64" for name in ("stage", "command") for axis in "xy"},
     "latency_s": "float64",
     "event": "object",
 }
@@ -32,9 +26,8 @@ COLUMNS: dict[str, str] = {
 
 def new_row(time: float, phase: str, target: int) -> dict[str, Any]:
     """Return a row in which nothing is known yet."""
-    numbers: dict[str, Any] = {name: np.nan for name, kind in COLUMNS.items() if kind == "float64"}
     about = {"time_s": time, "phase": phase, "target": target, "lost": False, "event": ""}
-    return numbers | about
+    return dict.fromkeys(COLUMNS, np.nan) | about
 
 
 def put(row: dict[str, Any], name: str, value: Array, unit: str) -> None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from microlib._common import Array, EndRun, Guard
 from microlib.servoing._log import add_event, new_row, put
-from microlib.servoing._motion import LARGEST_SHARE, UNKNOWN, StageMotion, fit_motion, visits
+from microlib.servoing._motion import LARGEST_SHARE, UNKNOWN, fit_motion, visits
 from microlib.servoing._workstation import Controller, Tracker
 
 #: Moves in a row that the image may fail to follow: one can be a bad track, and a second its
@@ -117,8 +117,7 @@ class Loop:
             self._calibrate(first)
         else:
             self._report(first)
-            unknown = np.full((4, 4), np.nan)
-            self.motion = StageMotion(jacobian, unknown, np.full(2, np.nan), float("nan"))
+            self.motion = replace(UNKNOWN, jacobian=jacobian)
         self._check_targets(first.measured)
         if self._settings.path:
             self._follow()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from os import PathLike
 from pathlib import Path
@@ -72,11 +73,7 @@ class MicroManager:
 
 
 def _load(path: Path) -> Any:
-    try:
-        known = path.is_file()
-    except (OSError, ValueError):  # a name too long, or with a zero in it
-        known = False
-    if not known:
+    if not os.path.isfile(path):  # unlike Path.is_file, also of a name that is too long
         raise ValueError(
             f"core must be a core or a configuration file, got {str(path)[:80]!r}: no such file"
         )

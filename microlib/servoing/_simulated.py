@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from threading import RLock
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -96,13 +97,24 @@ class SimulatedWorkstation:
         self.stage = _Drive(stage, 2)
         self.focus = _Drive(focus_drive or Stage(saturation=10.0), 1)
         self.clock = _VirtualClock([self.stage, self.focus])
-        self.camera = _VirtualCamera(self, render, camera, generator("rng", rng))
+        self.camera = SimpleNamespace(snap=self._snap)
+        self._render, self._model, self._rng = render, camera, generator("rng", rng)
+        self._next = -np.inf  # time of the earliest next exposure
 
     @property
     def feature(self) -> Array:
         """Where the feature truly is now, (x, y) in px."""
         moved = self._jacobian @ self.stage.position()
         return self._home + moved + self._drift * self.clock.now()
+
+    def _snap(self) -> tuple[NDArray[Any], float]:
+        self.clock.sleep(max(0.0, self._next - self.clock.now()))
+        exposed = self.clock.now()
+        self._next = exposed + self._model.interval
+        shake = self._model.jitter * self._rng.standard_normal(2)
+        frame = np.asarray(self._render(self.feature + shake, float(self.focus.position()[0])))
+        self.clock.sleep(self._model.latency)
+        return frame, exposed
 
 
 class _Drive:
@@ -150,28 +162,3 @@ class _VirtualClock:
             self._now += seconds
             for drive in self._drives:
                 drive.advance(seconds)
-
-
-class _VirtualCamera:
-    """Renders what the workstation shows."""
-
-    def __init__(
-        self,
-        workstation: SimulatedWorkstation,
-        render: Render,
-        model: Camera,
-        rng: np.random.Generator,
-    ) -> None:
-        self._workstation, self._render, self._model, self._rng = workstation, render, model, rng
-        self._next = -np.inf
-
-    def snap(self) -> tuple[NDArray[Any], float]:
-        clock = self._workstation.clock
-        clock.sleep(max(0.0, self._next - clock.now()))
-        exposed = clock.now()
-        self._next = exposed + self._model.interval
-        shake = self._model.jitter * self._rng.standard_normal(2)
-        seen = self._workstation.feature + shake
-        frame = np.asarray(self._render(seen, float(self._workstation.focus.position()[0])))
-        clock.sleep(self._model.latency)
-        return frame, exposed
