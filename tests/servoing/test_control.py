@@ -27,10 +27,6 @@ JACOBIAN = 1.5893 / 9.9 * np.eye(2)
 WEIGHTS = {"feature_weight": (0.9, 0.9), "control_weight": (0.025e-6, 0.05e-6)}
 
 
-def gain_of(jacobian, **options):
-    return OptimalController(jacobian, **options).gain
-
-
 def test_jacobian_is_the_derivative_of_the_projection():
     m, cell = 6.4, np.array([9.9, 7.4])
     world = np.array([[120.0, -80, 300], [-40, 210, 350], [15, 25, 280]])
@@ -44,15 +40,6 @@ def test_jacobian_is_the_derivative_of_the_projection():
         numeric = (project(turned[0]) - project(turned[1])).ravel() / (2 * step)
         # Central differences of values near 200 over 1e-6: rounding 1e-7.
         np.testing.assert_allclose(jacobian[:, axis], numeric, atol=1e-6)
-
-
-def test_one_depth_does_for_many_points():
-    points = [(1.0, 2.0), (3.0, 4.0), (5.0, 7.0)]
-    optics = {"magnification": 2.0, "pixel_size": 8.0}
-    np.testing.assert_array_equal(
-        point_jacobian(points, depth=60.0, **optics),
-        point_jacobian(points, depth=(60.0, 60.0, 60.0), **optics),
-    )
 
 
 @settings(deadline=None, max_examples=25)
@@ -78,21 +65,12 @@ def test_the_control_minimizes_the_cost(seed, points, motions):
     np.testing.assert_allclose(ours, theirs.x, atol=1e-4 * (1 + np.abs(theirs.x).max()))
 
 
-def test_scalar_pole_is_that_of_the_derivation():
-    t, j, q, weight = 0.03, 5.0, 0.9, 0.01
-    gain = gain_of([[j]], interval=t, feature_weight=[q], control_weight=[weight])
-    pole = 1 - t * j * gain[0, 0]
-    assert pole == pytest.approx(weight / (t**2 * j**2 * q + weight), rel=1e-12)
-
-
 def test_the_printed_weights_mean_a_dead_beat_in_mm_and_minutes_in_um():
     def pole(scale):
-        gain = gain_of(
-            scale * JACOBIAN,
-            interval=INTERVAL,
-            feature_weight=(0.9, 0.9),
+        gain = OptimalController(
+            scale * JACOBIAN, interval=INTERVAL, feature_weight=(0.9, 0.9),
             control_weight=(0.025, 0.05),
-        )
+        ).gain  # fmt: skip
         return (1 - INTERVAL * scale * JACOBIAN @ gain)[0, 0]
 
     assert pole(1000.0) == pytest.approx(0.00117, abs=2e-5)  # px/mm: gone in one sample
@@ -121,15 +99,9 @@ def test_the_simulated_loop_obeys_its_poles(gain, delay):
     controller = OptimalController(
         JACOBIAN, interval=INTERVAL, feature_weight=(1.0, 1.0), control_weight=(weight, weight)
     )
-    run = simulate(
-        controller,
-        np.zeros((160, 2)),
-        jacobian=JACOBIAN,
-        stage=Stage(saturation=1e9, step=0.0),
-        camera=Camera(interval=INTERVAL, latency=delay * INTERVAL),
-        rng=np.random.default_rng(0),
-        start=(1.0, 1.0),
-    )
+    camera = Camera(interval=INTERVAL, latency=delay * INTERVAL)
+    stage = Stage(saturation=1e9, step=0.0)
+    run = loop(controller, np.zeros((160, 2)), camera=camera, stage=stage, start=(1.0, 1.0))
     error = run.feature[:, 0]
 
     def remainder(poles):
@@ -142,72 +114,54 @@ def test_the_simulated_loop_obeys_its_poles(gain, delay):
     assert remainder(loop_poles(1.05 * gain, delay)) > 1e-3
 
 
-def step_run(controller, *, latency=0.0, jitter=0.0, seed=0, saturation=400.0, count=80):
-    return simulate(
-        controller,
-        np.full((count, 2), 50.0),
-        jacobian=JACOBIAN,
-        stage=Stage(saturation=saturation),
-        camera=Camera(interval=INTERVAL, latency=latency, jitter=jitter),
-        rng=np.random.default_rng(seed),
-        start=(0, 0),
-    )
+def loop(controller, reference, saturation=400.0, jitter=0.0, seed=0, **options):
+    """Close the loop with commands that take effect 0.8 samples late."""
+    camera = Camera(interval=INTERVAL, latency=0.8 * INTERVAL, jitter=jitter)
+    stage = Stage(saturation=saturation)
+    run = {"jacobian": JACOBIAN, "stage": stage, "camera": camera, "rng": seed} | options
+    return simulate(controller, reference, **run)
+
+
+def plain():
+    return OptimalController(JACOBIAN, interval=INTERVAL, **WEIGHTS)
+
+
+def knowing(saturation=400.0, delay=0.8 * INTERVAL):
+    given = {"interval": INTERVAL, "delay": delay, "saturation": saturation}
+    return PredictiveController(JACOBIAN, **given, **WEIGHTS)
 
 
 def test_prediction_removes_the_ringing_of_a_delay():
-    latency = 0.8 * INTERVAL
-    plain = OptimalController(JACOBIAN, interval=INTERVAL, **WEIGHTS)
-    knowing = PredictiveController(
-        JACOBIAN, interval=INTERVAL, **WEIGHTS, delay=latency, saturation=1e4
+    rings, calm = (
+        loop(one, np.full((80, 2), 50.0), saturation=1e4, start=(0, 0))
+        for one in (plain(), knowing(1e4))
     )
-    rings = step_run(plain, latency=latency, saturation=1e4)
-    calm = step_run(knowing, latency=latency, saturation=1e4)
-    ringing = step_metrics(rings.time, rings.feature, (50, 50))
+    assert step_metrics(rings.time, rings.feature, (50, 50)).overshoot > 0.5
     calmed = step_metrics(calm.time, calm.feature, (50, 50))
-    assert ringing.overshoot > 0.5
     # Increments of 50 nm are 0.008 px of 50; the rest of the gain, 1 ‰ of a step.
     assert calmed.overshoot < 0.005
     assert calmed.settling_time == pytest.approx(2 * INTERVAL)
 
 
 def test_prediction_follows_a_noisy_path_closer():
-    latency = 0.8 * INTERVAL
     arc = np.arange(0, 320, 40 * INTERVAL)  # once around a square of 80 px at 40 px/s
     corners = 60 + np.array([[0, 0], [80, 0], [80, 80], [0, 80], [0, 0]])
     path = np.column_stack([np.interp(arc, 80 * np.arange(5), x) for x in corners.T])
-    errors = {}
-    for name in ("plain", "knowing"):
-        runs = []
-        for seed in range(5):
-            controller = (
-                OptimalController(JACOBIAN, interval=INTERVAL, **WEIGHTS)
-                if name == "plain"
-                else PredictiveController(
-                    JACOBIAN, interval=INTERVAL, **WEIGHTS, delay=latency, saturation=400.0
-                )
-            )
-            run = simulate(
-                controller,
-                path,
-                jacobian=JACOBIAN,
-                stage=Stage(saturation=400.0),
-                camera=Camera(interval=INTERVAL, latency=latency, jitter=0.1),
-                rng=np.random.default_rng(seed),
-            )
-            runs.append(path_metrics(run.feature, run.reference).accuracy)
-        errors[name] = np.mean(runs)
-    assert errors["knowing"] < 0.5 * errors["plain"]
+
+    def error(make):
+        runs = [loop(make(), path, jitter=0.1, seed=seed) for seed in range(5)]
+        return np.mean([path_metrics(run.feature, run.reference).accuracy for run in runs])
+
+    assert error(knowing) < 0.5 * error(plain)
 
 
 def test_a_lost_frame_stops_the_one_and_is_bridged_by_the_other():
-    reference = np.full((4, 2), 30.0)
-    lost = np.full(2, np.nan)
-    plain = OptimalController(JACOBIAN, interval=INTERVAL, **WEIGHTS)
-    assert not plain(1, lost, reference).any()
-    knowing = PredictiveController(JACOBIAN, interval=INTERVAL, **WEIGHTS, delay=0, saturation=400)
-    assert not knowing(0, lost, reference).any()
-    knowing(1, np.zeros(2), reference)
-    assert (knowing(2, lost, reference) > 0).all()
+    reference, lost = np.full((4, 2), 30.0), np.full(2, np.nan)
+    assert not plain()(1, lost, reference).any()
+    bridging = knowing(delay=0)
+    assert not bridging(0, lost, reference).any()
+    bridging(1, np.zeros(2), reference)
+    assert (bridging(2, lost, reference) > 0).all()
 
 
 def test_prediction_of_several_points_needs_as_many_rows_and_two_velocities():
@@ -215,13 +169,10 @@ def test_prediction_of_several_points_needs_as_many_rows_and_two_velocities():
     delay."""
     for delay in (0.0, 0.8, 1.7):
         options = {"interval": INTERVAL, "delay": delay * INTERVAL, "saturation": 300.0}
-        one = PredictiveController(
-            JACOBIAN, feature_weight=(3.0, 3.0), control_weight=(1e-6, 1e-6), **options
-        )
-        three = PredictiveController(
-            np.vstack([JACOBIAN] * 3),
-            feature_weight=np.ones(6), control_weight=(1e-6, 1e-6), **options,
-        )  # fmt: skip
+        options["control_weight"] = (1e-6, 1e-6)
+        one = PredictiveController(JACOBIAN, feature_weight=(3.0, 3.0), **options)
+        stacked = np.vstack([JACOBIAN] * 3)
+        three = PredictiveController(stacked, feature_weight=np.ones(6), **options)
         goals = np.tile([50.0, -20.0], (9, 1))
         for k, seen in enumerate(np.linspace([0.0, 0.0], [40.0, -10.0], 8)):
             command = one(k, seen, goals)
@@ -231,17 +182,14 @@ def test_prediction_of_several_points_needs_as_many_rows_and_two_velocities():
             )
 
 
-@pytest.mark.parametrize("weight", [(0.9, 0.0), (0.9, -1.0), [[1.0, 2.0], [2.0, 1.0]]])
-@pytest.mark.parametrize("name", ["feature_weight", "control_weight"])
-def test_refuses_weights_that_are_not_positive(name, weight):
-    given = {"interval": 0.03, "feature_weight": (1, 1), "control_weight": (1, 1), name: weight}
-    with pytest.raises(ValueError, match=f"{name} must be positive definite"):
-        optimal_control(np.eye(2), (0, 0), (1, 1), **given)
-
-
-@pytest.mark.parametrize("jacobian", [[[1, 2], [2, 4]], np.zeros((2, 2))])
-def test_refuses_a_jacobian_that_does_not_show_a_motion(jacobian):
-    with pytest.raises(ValueError, match="jacobian must have full rank"):
-        ibvs_control(jacobian, (1, 1), gain=1.0)
-    with pytest.raises(ValueError, match="jacobian must have full rank"):
-        gain_of(jacobian, interval=1.0, feature_weight=(1, 1), control_weight=(1, 1))
+def test_weights_and_jacobians_that_make_no_law_are_refused():
+    given = {"interval": 0.03, "feature_weight": (1, 1), "control_weight": (1, 1)}
+    for weight in ((0.9, 0.0), [[1.0, 2.0], [2.0, 1.0]]):
+        for name in ("feature_weight", "control_weight"):
+            with pytest.raises(ValueError, match=f"{name} must be positive definite"):
+                optimal_control(np.eye(2), (0, 0), (1, 1), **given | {name: weight})
+    for jacobian in ([[1, 2], [2, 4]], np.zeros((2, 2))):
+        with pytest.raises(ValueError, match="jacobian must have full rank"):
+            ibvs_control(jacobian, (1, 1), gain=1.0)
+        with pytest.raises(ValueError, match="jacobian must have full rank"):
+            OptimalController(jacobian, **given)

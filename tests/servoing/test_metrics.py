@@ -61,24 +61,14 @@ def test_path_metrics_are_those_of_the_distances():
     assert found.largest == np.hypot(*error.T).max()
 
 
-def test_the_printed_error_at_settling_exceeds_three_percent():
-    # Section 5.4: 9.86 µm of a step of 311 µm along each axis are said to be under 3 %; they are of
-    # the step along both.
-    assert 9.86 / 311 > 0.03 > 9.86 / (311 * np.sqrt(2))
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: step_metrics([0, 0], [[0], [1]], [1]), "time must increase"),
-        (lambda: step_metrics([0, 1], [[1], [1]], [1]), "target must differ"),
-        (lambda: step_metrics([0, 1, 2], [[0], [1]], [1]), "same length"),
-        (lambda: step_metrics([0, 1], [[0], [1]], [1, 2]), "target must have shape"),
-        (lambda: step_metrics([0, 1], [[0], [1]], [1], band=0.0), "band must lie in"),
-        (lambda: path_metrics([[0, 0]], [[0, 0], [1, 1]]), "position must have shape"),
-        (lambda: path_metrics([[np.nan, 0]], [[0, 0]]), "position must be finite"),
-    ],
-)
-def test_refuses_what_has_no_meaning(call, message):
-    with pytest.raises(ValueError, match=message):
-        call()
+def test_refuses_what_has_no_meaning():
+    for arguments, options, message in (
+        (([0, 0], [[0], [1]], [1]), {}, "time must increase"),
+        (([0, 1], [[1], [1]], [1]), {}, "target must differ"),
+        (([0, 1, 2], [[0], [1]], [1]), {}, "same length"),
+        (([0, 1], [[0], [1]], [1]), {"band": 0.0}, "band must lie in"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            step_metrics(*arguments, **options)
+    with pytest.raises(ValueError, match="position must have shape"):
+        path_metrics([[0, 0]], [[0, 0], [1, 1]])

@@ -16,55 +16,27 @@ from microlib.servoing import MicroManager
 class Core:
     """Two axes, a focus drive and a camera under the names of pymmcore's methods."""
 
-    def __init__(self, camera: str = "Camera", stage: str = "XY", shutter: str = "") -> None:
-        self.labels = {"camera": camera, "stage": stage, "shutter": shutter}
+    def __init__(self, shutter: str = "") -> None:
         self.done: list[tuple[Any, ...]] = []
-        self.busy = {"XY": True, "Z": False}
+        self.answers = {
+            "getXYStageDevice": "XY", "getCameraDevice": "Camera", "getFocusDevice": "Z",
+            "getShutterDevice": shutter, "getExposure": 40.0, "snapImage": None,
+            "getImage": np.arange(6, dtype=np.uint16).reshape(2, 3),
+            "getXYPosition": [3.0, -4.5], "getPosition": 7.25, "stop": None,
+            "setXYPosition": None, "setPosition": None, "setAutoShutter": None,
+        }  # fmt: skip
 
-    def getXYStageDevice(self) -> str:
-        return self.labels["stage"]
+    def __getattr__(self, name: str) -> Any:
+        answer = self.answers[name]
 
-    def getCameraDevice(self) -> str:
-        return self.labels["camera"]
+        def call(*arguments: Any) -> Any:
+            self.done.append((name, *arguments))
+            return answer
 
-    def getShutterDevice(self) -> str:
-        return self.labels["shutter"]
-
-    def getFocusDevice(self) -> str:
-        return "Z"
-
-    def setAutoShutter(self, on: bool) -> None:
-        self.done.append(("shutter", on))
-
-    def getExposure(self) -> float:
-        return 40.0
-
-    def snapImage(self) -> None:
-        self.done.append(("snap",))
-
-    def getImage(self) -> np.ndarray:
-        self.done.append(("image",))
-        return np.arange(6, dtype=np.uint16).reshape(2, 3)
+        return call
 
     def deviceBusy(self, label: str) -> int:
-        return int(self.busy[label])
-
-    def stop(self, label: str) -> None:
-        self.done.append(("stop", label))
-
-    def getXYPosition(self, label: str) -> list[float]:
-        assert label == "XY"
-        return [3.0, -4.5]
-
-    def getPosition(self, label: str) -> float:
-        assert label == "Z"
-        return 7.25
-
-    def setXYPosition(self, *arguments: object) -> None:
-        self.done.append(("go", *arguments))
-
-    def setPosition(self, *arguments: object) -> None:
-        self.done.append(("focus", *arguments))
+        return {"XY": 1, "Z": 0}[label]
 
     def loadSystemConfiguration(self, path: str) -> None:
         if "bad" in path:
@@ -78,6 +50,7 @@ def test_the_stage_and_the_focus_drive_are_those_of_the_core() -> None:
     assert scope.core is core
     np.testing.assert_array_equal(scope.stage.position(), [3.0, -4.5])
     np.testing.assert_array_equal(scope.focus.position(), [7.25])
+    assert core.done[-2:] == [("getXYPosition", "XY"), ("getPosition", "Z")]
     assert scope.stage.moving() is True
     assert scope.focus.moving() is False
     core.done.clear()
@@ -85,19 +58,11 @@ def test_the_stage_and_the_focus_drive_are_those_of_the_core() -> None:
     scope.focus.move_to(np.array([5.5], np.float32))
     scope.stage.stop()
     scope.focus.stop()
-    assert core.done == [
-        ("go", "XY", 1.0, -2.0),
-        ("focus", "Z", 5.5),
-        ("stop", "XY"),
-        ("stop", "Z"),
-    ]
+    calls = [("setXYPosition", "XY", 1.0, -2.0), ("setPosition", "Z", 5.5)]
+    assert core.done == [*calls, ("stop", "XY"), ("stop", "Z")]
     assert all(type(each) in (str, float) for call in core.done for each in call)
     core.done.clear()
-    for mover, wrong in (
-        (scope.stage, [1.0]),
-        (scope.stage, [np.nan, 0]),
-        (scope.focus, [1.0, 2.0]),
-    ):
+    for mover, wrong in ((scope.stage, [1.0]), (scope.stage, [np.nan, 0]), (scope.focus, [1, 2])):
         with pytest.raises(ValueError, match="position must"):
             mover.move_to(np.array(wrong))
     assert core.done == []
@@ -112,20 +77,24 @@ def test_a_frame_is_exposed_half_the_exposure_after_the_call(monkeypatch) -> Non
     frame, exposed = scope.camera.snap()
     np.testing.assert_array_equal(frame, [[0, 1, 2], [3, 4, 5]])
     assert exposed == pytest.approx(10.02)  # 40 ms of exposure
-    assert core.done == [("snap",), ("image",)]
+    assert core.done == [("getExposure",), ("snapImage",), ("getImage",)]
 
 
-@pytest.mark.parametrize(("shutter", "done"), [("", [("shutter", False)]), ("Lamp", [])])
-def test_only_a_shutter_that_is_missing_is_switched_off(shutter: str, done: list) -> None:
-    core = Core(shutter=shutter)
-    MicroManager(core)
-    assert core.done == done
-
-
-@pytest.mark.parametrize("wrong", [None, 3, object()])
-def test_what_is_no_core_is_refused(wrong: object) -> None:
-    with pytest.raises(ValueError, match=f"core or a path, got {type(wrong).__name__}"):
-        MicroManager(wrong)
+def test_only_a_shutter_that_is_missing_is_switched_off_and_no_core_refused() -> None:
+    for shutter in ("", "Lamp"):
+        core = Core(shutter=shutter)
+        MicroManager(core)
+        assert (("setAutoShutter", False) in core.done) == (not shutter)
+    for wrong in (None, 3):
+        with pytest.raises(ValueError, match=f"core or a path, got {type(wrong).__name__}"):
+            MicroManager(wrong)
+    for device in ("getXYStageDevice", "getCameraDevice"):
+        core.answers = Core().answers | {device: ""}
+        with pytest.raises(ValueError, match="core must have a camera and an XY stage"):
+            MicroManager(core)
+    for path in ("mine.cfg", "x" * 5000, "a\0b"):
+        with pytest.raises(ValueError, match="no such file"):
+            MicroManager(path)
 
 
 def test_a_configuration_is_loaded_into_a_new_core(monkeypatch, tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from compendium.experiments.microscope import SHAPE, make_scope
-from microlib.servoing import Camera, MicroManager, SimulatedWorkstation, Stage
+from microlib.servoing import Camera, Stage
 from tests.servoing.faults import engine_scope
 
 MISSING = "pymmcore-plus is not installed"
@@ -91,33 +91,3 @@ def test_the_demo_camera_sees_the_demo_stage() -> None:
     second, _ = scope.camera.snap()
     assert first.shape == second.shape
     assert np.abs(first.astype(float) - second).max() > 100  # the beads moved
-
-
-@pytest.mark.parametrize("singular", [np.ones((2, 2)), np.zeros((2, 2))])
-def test_refuses_a_jacobian_without_an_inverse(singular) -> None:
-    with pytest.raises(ValueError, match="jacobian must have full rank"):
-        SimulatedWorkstation(
-            lambda feature, focus: np.zeros(SHAPE),
-            jacobian=singular,
-            stage=Stage(saturation=1.0),
-            camera=Camera(interval=0.1),
-            rng=0,
-        )
-
-
-def test_a_microscope_without_a_stage_and_a_missing_file_are_refused(tmp_path) -> None:
-    class Empty:
-        def getXYStageDevice(self) -> str:
-            return ""
-
-        def getCameraDevice(self) -> str:
-            return "Camera"
-
-    with pytest.raises(ValueError, match="core must have a camera and an XY stage"):
-        MicroManager(Empty())
-    with pytest.raises(ValueError, match="no such file"):
-        MicroManager(tmp_path / "mine.cfg")
-    pytest.importorskip("pymmcore_plus", reason=MISSING)
-    (tmp_path / "mine.cfg").write_text("Device,Camera,Nowhere,Nothing\n")
-    with pytest.raises(ValueError, match="core must be a configuration that loads"):
-        MicroManager(tmp_path / "mine.cfg")

@@ -19,15 +19,12 @@ from microlib.tracking import ESMTracker
 
 INTERVAL = 1 / 33
 JACOBIAN = 1.5893 / 9.9 * np.eye(2)
+LOOP = {"jacobian": JACOBIAN, "stage": Stage(saturation=400.0), "camera": Camera(INTERVAL)}
 
 
 def controller():
-    return OptimalController(
-        JACOBIAN,
-        interval=INTERVAL,
-        feature_weight=(0.9, 0.9),
-        control_weight=(0.025e-6, 0.05e-6),
-    )
+    weights = {"feature_weight": (0.9, 0.9), "control_weight": (0.025e-6, 0.05e-6)}
+    return OptimalController(JACOBIAN, interval=INTERVAL, **weights)
 
 
 @settings(deadline=None, max_examples=25)
@@ -40,16 +37,9 @@ def controller():
 def test_the_stage_moves_as_its_differential_equation(velocity, command, lag, duration):
     stage = Stage(saturation=400.0, lag=lag)
     target = np.clip(command, -400, 400)
-    peer = solve_ivp(
-        lambda t, y: [y[1], (target - y[1]) / lag],
-        (0, duration),
-        [5.0, velocity],
-        rtol=1e-10,
-        atol=1e-10,
-    ).y[:, -1]
-    position, speed = stage.move(
-        np.array([5.0]), np.array([velocity]), np.array([command]), duration
-    )
+    slopes = lambda t, y: [y[1], (target - y[1]) / lag]  # noqa: E731
+    peer = solve_ivp(slopes, (0, duration), [5.0, velocity], rtol=1e-10, atol=1e-10).y[:, -1]
+    position, speed = stage.move([5.0], [velocity], [command], duration)
     # The peer's tolerance, accumulated over its steps.
     np.testing.assert_allclose([position[0], speed[0]], peer, rtol=1e-7, atol=1e-6)
 
@@ -66,14 +56,8 @@ def test_a_command_takes_effect_after_the_latency():
         seen.append(measured.copy())
         return np.array([330.0, 0.0]) if k == 0 else np.zeros(2)
 
-    run = simulate(
-        pulse,
-        np.zeros((5, 2)),
-        jacobian=np.eye(2),
-        stage=Stage(saturation=1e3, step=0.0),
-        camera=Camera(interval=INTERVAL, latency=1.25 * INTERVAL),
-        rng=np.random.default_rng(0),
-    )
+    stage, camera = Stage(saturation=1e3, step=0.0), Camera(INTERVAL, latency=1.25 * INTERVAL)
+    run = simulate(pulse, np.zeros((5, 2)), jacobian=np.eye(2), stage=stage, camera=camera, rng=0)
     # 10 µm in all: three quarters of them in the second interval, the rest in the third.
     np.testing.assert_allclose(run.position[:, 0], [0, 0, 7.5, 10, 10], atol=1e-9)
     np.testing.assert_array_equal(seen, run.measured)
@@ -81,14 +65,9 @@ def test_a_command_takes_effect_after_the_latency():
 
 def test_a_seed_does_for_a_generator_and_shakes_the_image_by_the_jitter():
     def shaken(rng):
-        return simulate(
-            lambda k, measured, reference: np.zeros(2),
-            np.zeros((2000, 2)),
-            jacobian=np.eye(2),
-            stage=Stage(saturation=1.0),
-            camera=Camera(interval=0.5, jitter=0.3),
-            rng=rng,
-        )
+        loop = {"stage": Stage(saturation=1.0), "camera": Camera(interval=0.5, jitter=0.3)}
+        still = lambda *_: np.zeros(2)  # noqa: E731
+        return simulate(still, np.zeros((2000, 2)), jacobian=np.eye(2), rng=rng, **loop)
 
     run = shaken(4)
     np.testing.assert_array_equal(run.measured, shaken(np.random.default_rng(4)).measured)
@@ -99,15 +78,7 @@ def test_a_seed_does_for_a_generator_and_shakes_the_image_by_the_jitter():
 
 
 def test_the_start_is_saturated_and_the_end_is_not():
-    run = simulate(
-        controller(),
-        np.full((60, 2), 50.0),
-        jacobian=JACOBIAN,
-        stage=Stage(saturation=400.0),
-        camera=Camera(interval=INTERVAL),
-        rng=np.random.default_rng(0),
-        start=(0, 0),
-    )
+    run = simulate(controller(), np.full((60, 2), 50.0), start=(0, 0), rng=0, **LOOP)
     metrics = step_metrics(run.time, run.feature, (50, 50))
     # 311 µm at 400 µm/s are 0.78 s; the last sample before is within the band of 5 %.
     assert metrics.settling_time == pytest.approx(0.95 * 311.5 / 400, abs=INTERVAL)
@@ -120,21 +91,13 @@ def test_the_start_is_saturated_and_the_end_is_not():
 
 def test_a_reference_too_fast_is_followed_as_far_as_it_goes():
     reference = np.column_stack([np.arange(40.0) * 5, np.zeros(40)])  # 165 px/s, 1028 µm/s
-    run = simulate(
-        controller(),
-        reference,
-        jacobian=JACOBIAN,
-        stage=Stage(saturation=400.0),
-        camera=Camera(interval=INTERVAL),
-        rng=np.random.default_rng(0),
-    )
+    run = simulate(controller(), reference, rng=0, **LOOP)
     assert run.saturated.all()
     speed = np.diff(run.position[:, 0]) / INTERVAL
     np.testing.assert_allclose(speed, 400.0, atol=2.0)  # increments of 50 nm in 30 ms
 
 
-@pytest.fixture(scope="module")
-def rendered_and_fast():
+def test_the_loop_closes_over_images():
     """The same circle over rendered, tracked frames, and over perfect coordinates."""
     rng = np.random.default_rng(1)
     scene = gripper_scene(rng, pixel_size=9.9 / 1.5893)
@@ -143,21 +106,11 @@ def rendered_and_fast():
     home = np.array([box[0] + 24.5, box[1] + 24.5])
     angle = np.arange(0, 2 * np.pi * 40, 60 * INTERVAL) / 40  # once around 40 px at 60 px/s
     path = home + 40 * np.column_stack([np.cos(angle) - 1, np.sin(angle)])
-    arguments = {
-        "jacobian": JACOBIAN,
-        "stage": Stage(saturation=400.0),
-        "camera": Camera(interval=INTERVAL, latency=0.4 * INTERVAL),
-    }
+    loop = LOOP | {"camera": Camera(interval=INTERVAL, latency=0.4 * INTERVAL)}
     view = tracked_view(lambda feature: scene.frame(feature - home, rng), tracker)
-    runs = [
-        simulate(controller(), path, rng=np.random.default_rng(2), observer=observer, **arguments)
-        for observer in (view, None)
-    ]
-    return runs
-
-
-def test_the_loop_closes_over_images(rendered_and_fast):
-    rendered, fast = rendered_and_fast
+    rendered, fast = (
+        simulate(controller(), path, rng=2, observer=observer, **loop) for observer in (view, None)
+    )
     assert np.isfinite(rendered.measured).all()
     # The tracker is wrong by some hundredths of a pixel on the grained jaws; the loop follows.
     assert np.abs(rendered.feature - fast.feature).max() < 0.15
