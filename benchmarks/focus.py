@@ -31,7 +31,6 @@ SCENE_TABLE = "RMS depth error, steps between frames"
 CONFIDENCE_TABLE = "RMS depth error once the least confident tenth is left out"
 PHOTOGRAPH_TABLE = "Photographs as texture, noise 2: RMS depth error in steps (× the best other's)"
 RULE_TABLE = "Default depth with one rule switched off, over the full default"
-BORDER_TABLE = "RMS depth error in the outermost 8 px, steps"
 CURVATURE_TABLE = "Curvature with 7×7 windows, R = 150 px"
 
 
@@ -319,7 +318,6 @@ RULES: dict[str, dict[str, Callable]] = {
     "spikes": {"without_spikes": lambda depth, side=3: depth},
     "relief": {"find_relief": lambda along, down, mass: (0 * along, (along - down) / 2)},
     "the fit at full size": {"refit": lambda depth, known, *_: (depth, known)},
-    "weights at the border": {"border_weight": lambda shape: np.ones(shape, np.float32)},
 }
 
 
@@ -360,22 +358,6 @@ def rules() -> pd.DataFrame:
             row[f"{kind}: off by > 1 step"] = f"{gross:+.2f}"
         rows.append(row)
     return pd.DataFrame(rows)
-
-
-def border() -> pd.DataFrame:
-    """Return the errors in the outermost 8 px, which the other tables leave out."""
-    rows = []
-    for name, truth, stack in scenes(0):
-        errors = []
-        for changes in ({}, RULES["weights at the border"]):
-            with ExitStack() as changed:
-                for function, value in changes.items():
-                    changed.enter_context(patch.object(_multiscale, function, value))
-                error = depth_from_focus(stack, POSITIONS).depth - truth
-            error[8:-8, 8:-8] = np.nan
-            errors.append(_rms(error))
-        rows.append((name, *(round(e, 3) for e in errors), round(errors[1] / errors[0], 2)))
-    return pd.DataFrame(rows, columns=["scene", "weighted", "not weighted", "ratio"])
 
 
 # --- Curvature -----------------------------------------------------------------------------------
@@ -486,7 +468,6 @@ def main() -> None:
     tables |= {
         PHOTOGRAPH_TABLE: photographs(),
         RULE_TABLE: rules(),
-        BORDER_TABLE: border(),
         CURVATURE_TABLE: curvature(20),
     }
     publish("focus", tables, limits=limits(tables), note=NOTE)

@@ -38,7 +38,7 @@ from microlib.io import read_frames
 Progress = Callable[[int, int], object]
 #: Axes of metadata that are no focus.
 _NO_FOCUS = {"T": "times", "C": "channels"}
-#: Frames whose numbers fit into 16 bits.
+#: Frames whose numbers fit into 16 bits; side of a window, px: no image is larger.
 _MOST = 2**16 - 1
 #: Averaged frames in the default's fit of a peak: table "constant changed" of benchmarks/focus.py.
 _POINTS = 7
@@ -183,7 +183,7 @@ def depth_from_focus(
     fit = whole("points", usual if points is None else points, least=3, odd=True, most=_MOST_POINTS)
     threads = whole("workers", workers, least=1, most=_MOST_WORKERS)
     whole("step", step, least=1)
-    whole("window", window, least=1, odd=True)
+    whole("window", window, least=1, odd=True, most=_MOST)
     limit = scalar("threshold", threshold, least=0)
     labels = None
     if is_in_blocks(getattr(frames, "data", None)):  # an xarray.DataArray of such blocks
@@ -282,14 +282,12 @@ def open_stack(
             f"frames must differ in focus, got a file of {reader.count} {_NO_FOCUS[reader.axis]} "
             f"(axis {reader.axis}); if they do, pass the array, as tifffile.imread gives it"
         )
-    if reader.count == 0:
-        raise ValueError("frames must hold at least three frames, got none")
     if positions is None and spacing is None:
         positions = reader.positions
     # An iterator does not say how many there are; what has positions has as many frames.
     z = None if spacing is not None else check_positions(positions, None, 0)
     count = reader.count if z is None else len(z)
-    if z is not None and reader.count not in (None, count):
+    if z is not None and reader.count not in (None, 0, count):
         raise ValueError(f"frames and positions must be as many, got {reader.count} and {count}")
     raw: list[Image] = []
     for frame in islice(reader, None if count is None else count + 1):

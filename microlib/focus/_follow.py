@@ -108,7 +108,9 @@ def follow(
     """
     shape = frames[0].shape
     counted = count(1)
-    tops = range(0, shape[0], strip_rows(shape, len(axis.steps)))
+    rows = _MEASURES // max(shape[1] * len(axis.steps), 1) - 2 * _MARGIN
+    # A multiple of four, as every fourth row is looked at.
+    tops = range(0, shape[0], int(np.clip(rows // 4 * 4, _LEAST_ROWS, _MOST_ROWS)))
 
     def strip(top: int) -> Followed:
         bottom = min(top + tops.step, shape[0])
@@ -127,12 +129,6 @@ def follow(
         joined = np.concatenate([getattr(part, field.name) for part in parts], axis=-2)
         whole[field.name] = np.ascontiguousarray(joined[..., :rows, :cols])
     return Followed(**whole)
-
-
-def strip_rows(shape: tuple[int, ...], count: int) -> int:
-    """Return how many rows are worked on at a time: a multiple of four."""
-    rows = _MEASURES // max(shape[1] * count, 1) - 2 * _MARGIN
-    return int(np.clip(rows // 4 * 4, _LEAST_ROWS, _MOST_ROWS))
 
 
 def _follow_strip(

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Image, as_array, as_image, one_of, scalar, whole
+from microlib._common import Image, as_array, as_image, scalar, whole
 
 #: A focus measure of the user: grey image to measure of the same shape.
 FocusMeasure = Callable[[Image], NDArray]
@@ -87,8 +87,6 @@ def sum_modified_laplacian(
 
 def named_measure(name: str, window: int, step: int, threshold: float) -> FocusMeasure:
     """Return the classical measure of that name."""
-    one_of("measure", name, MEASURES)
-    n = whole("window", window, least=1, odd=True, most=_WIDEST)
     if name == "sml":
         return lambda image: sum_modified_laplacian(
             image, window=window, step=step, threshold=threshold
@@ -99,12 +97,12 @@ def named_measure(name: str, window: int, step: int, threshold: float) -> FocusM
     def tenengrad(image: Image) -> NDArray:
         """Sum the squared Sobel gradient over the window (Krotkov, 1988)."""
         along, down = cv2.Sobel(image, cv2.CV_32F, 1, 0), cv2.Sobel(image, cv2.CV_32F, 0, 1)
-        return _box_sum(along * along + down * down, n)
+        return _box_sum(along * along + down * down, window)
 
     def variance(image: Image) -> NDArray:
         """Return the variance in the window; float64, as two large numbers are subtracted."""
-        mean = cv2.boxFilter(image, cv2.CV_64F, (n, n))
-        square = cv2.sqrBoxFilter(image, cv2.CV_64F, (n, n))
+        mean = cv2.boxFilter(image, cv2.CV_64F, (window, window))
+        square = cv2.sqrBoxFilter(image, cv2.CV_64F, (window, window))
         return np.maximum(square - mean * mean, 0).astype(np.float32)
 
     return tenengrad if name == "tenengrad" else variance

@@ -21,7 +21,7 @@ from microlib.focus._correction import smooth_planes
 from microlib.focus._follow import COARSE, COARSE_WINDOW, FINE, Followed, Levels, follow
 from microlib.focus._measures import absolute_seconds, blur, doubled, halved
 from microlib.focus._peaks import PeakFollower, fit_peaks
-from microlib.focus._reliability import choose_side, fill_nearest, to_border, without_spikes
+from microlib.focus._reliability import choose_side, fill_nearest, without_spikes
 from microlib.focus._relief import JUMP, RADIUS, depth_range, error_variance, find_relief
 from microlib.focus._result import FocusResult, picked
 
@@ -37,10 +37,6 @@ _WIDE_WEIGHT = 0.02
 _SHARP, _FINER = (0.8, 8.0), (0.4, 4.0)
 #: Least wide peak over its level on noise.
 _CLEAR = 2.0
-#: Reach of the windows at the image's border that matters, px of the full grid; the least share of
-#: it that a pixel is given, and the power of that share that weighs it: the planes are to be laid
-#: through what lies further in. Table "outermost 8 px" of benchmarks/focus.py.
-_BORDER_REACH, _BORDER_LEAST, _BORDER_POWER = 8, 0.1, 4
 #: How far a pixel's own depth may lie from the smoothed one to tell of relief, and how far that may
 #: rise, steps.
 _OWN, _MOST_RELIEF = 1.2, 1.6
@@ -79,81 +75,48 @@ def multiscale_result(
         All frames.
     color : sequence of ndarray, shape (rows, cols, 3), optional
         What the image is made of instead.
-    axis, points, workers, done
-        As for `multiscale_depth`.
-    """
-    rows, cols = frames[0].shape
-    more = [max(_LEAST_SIDE - n, 0) for n in (rows, cols)]
-    if any(more):
-        mirrored = cv2.BORDER_REFLECT
-        frames = [cv2.copyMakeBorder(f, 0, more[0], 0, more[1], mirrored) for f in frames]
-    maps = multiscale_depth(frames, axis, points=points, workers=workers, done=done)
-    whole: list[NDArray] = [np.ascontiguousarray(part[:rows, :cols]) for part in maps]
-    steps, error, best = whole
-    depth = axis.micrometers(steps)
-    known = np.isfinite(depth)
-    order = np.argsort(axis.positions)
-    nearest = np.rint(np.interp(depth, axis.positions[order], order))
-    middles = (axis.ends[:-1] + axis.ends[1:]) // 2
-    number = np.where(known, nearest, middles[best]).astype(np.int32)
-    seen = frames if color is None else color
-    return FocusResult(
-        depth=depth,
-        uncertainty=error * np.float32(axis.spacing),
-        confidence=np.where(known, 1 / (1 + error * error), np.float32(0)),
-        index=np.where(known, number, np.int32(-1)),
-        all_in_focus=picked((frame[:rows, :cols] for frame in seen), number),
-        at_end=(best == 0) | (best == len(axis.steps) - 1),
-    )
-
-
-def multiscale_depth(
-    frames: Sequence[Image],
-    axis: Axis,
-    *,
-    points: int = 7,
-    workers: int = 1,
-    done: Callable[[float], object] = lambda share: None,
-) -> tuple[NDArray, NDArray, NDArray[np.uint16]]:
-    """Find the default depth of a stack.
-
-    Parameters
-    ----------
-    frames : sequence of ndarray, shape (rows, cols)
-        All frames, each side at least 8 px.
     axis : Axis
-        How they are averaged, and their noise.
+        How frames are averaged, and their noise.
     points : int
         Averaged frames in a fit.
     workers : int
         Threads.
     done : callable
         Told what share of the rows has been followed through all frames.
-
-    Returns
-    -------
-    depth, error : ndarray of float32, shape (rows, cols)
-        Depth and its standard deviation, steps; NaN where unknown.
-    best : ndarray of uint16, shape (rows, cols)
-        Number of the averaged frame that is the sharpest.
     """
+    rows, cols = frames[0].shape
+    more = [max(_LEAST_SIDE - n, 0) for n in (rows, cols)]
+    if any(more):
+        mirrored = cv2.BORDER_REFLECT
+        frames = [cv2.copyMakeBorder(f, 0, more[0], 0, more[1], mirrored) for f in frames]
     shape = frames[0].shape
     seen = follow(frames, axis, points // 2, workers=workers, done=done)
     depth, weight, apart = believed(seen, axis)
-    smooth = smooth_planes(
-        depth, weight * border_weight(depth.shape), jump=JUMP, sigma=RADIUS, workers=workers
-    )
+    smooth = smooth_planes(depth, weight, jump=JUMP, sigma=RADIUS, workers=workers)
     relief, half_difference = relief_of(seen, smooth, axis)
-    place = np.nan_to_num(smooth)
-    pull = np.interp(place, axis.steps, axis.pull).astype(np.float32)
-    error = np.sqrt(error_variance(smooth + relief, half_difference, pull, apart))
-    full = enlarged(smooth, relief, shape)
-    known = doubled(np.isfinite(smooth), shape)
+    pull = np.interp(np.nan_to_num(smooth), axis.steps, axis.pull).astype(np.float32)
+    variance = error_variance(smooth + relief, half_difference, pull, apart)
     steep = doubled(steep_mask(fill_nearest(smooth)), shape)
-    full, known = refit(full, known, steep, frames, axis)
-    error = doubled(error, shape)
-    full[~known] = error[~known] = np.nan
-    return full, error, doubled(seen.best, shape, cv2.INTER_NEAREST)
+    known = doubled(np.isfinite(smooth), shape)
+    steps, known = refit(enlarged(smooth, relief, shape), known, steep, frames, axis)
+    error, best = doubled(np.sqrt(variance), shape), doubled(seen.best, shape, cv2.INTER_NEAREST)
+    steps[~known] = error[~known] = np.nan
+    steps, error, best = (part[:rows, :cols] for part in (steps, error, best))
+    depth = axis.micrometers(steps)
+    known = np.isfinite(depth)
+    order = np.argsort(axis.positions)
+    nearest = np.rint(np.interp(depth, axis.positions[order], order))
+    middles = (axis.ends[:-1] + axis.ends[1:]) // 2
+    number = np.where(known, nearest, middles[best]).astype(np.int32)
+    shown = frames if color is None else color
+    return FocusResult(
+        depth=depth,
+        uncertainty=error * np.float32(axis.spacing),
+        confidence=np.where(known, 1 / (1 + error * error), np.float32(0)),
+        index=np.where(known, number, np.int32(-1)),
+        all_in_focus=picked((frame[:rows, :cols] for frame in shown), number),
+        at_end=(best == 0) | (best == len(axis.steps) - 1),
+    )
 
 
 def believed(seen: Followed, axis: Axis) -> tuple[NDArray, NDArray, NDArray]:
@@ -211,12 +174,6 @@ def wide_depth(seen: Followed, levels: Levels, shape: tuple[int, ...]) -> NDArra
     edges = rules.blurred_edge_mask(wide[::2, ::2], seen.wide_top[::2, ::2])
     wide[doubled(edges, wide.shape)] = np.nan
     return doubled(wide, shape)
-
-
-def border_weight(shape: tuple[int, ...]) -> NDArray:
-    """Return 1 where the windows stay inside of the image, less towards its border."""
-    inside = (1 + 2 * to_border(shape)) / _BORDER_REACH
-    return np.clip(inside, _BORDER_LEAST, 1) ** _BORDER_POWER
 
 
 def relief_of(seen: Followed, smooth: NDArray, axis: Axis) -> tuple[NDArray, NDArray]:
@@ -285,8 +242,7 @@ def refit(
     for top in range(0, len(depth), _REFIT_ROWS):
         strip = steep[top : top + _REFIT_ROWS]
         columns = np.atleast_2d(strip.any(axis=0)).astype(np.uint8)
-        dilated: NDArray = np.asarray(cv2.dilate(columns, around))
-        busy = dilated[0]
+        busy = np.asarray(cv2.dilate(columns, around))[0]
         for left, right in np.flatnonzero(np.diff(busy, prepend=0, append=0)).reshape(-1, 2):
             rows = top + np.flatnonzero(strip[:, left:right].any(axis=1))
             first = max(int(rows[0]) - _SEEN, 0)

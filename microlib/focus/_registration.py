@@ -60,24 +60,16 @@ class Registered:
 
     def images(self, frames: Sequence[Image]) -> list[NDArray[np.float32]]:
         """Return the kept frames as the middle one's camera would have taken them."""
-        found = []
-        for k in self.kept:
-            image = warped(frames[k], self.poses[k])
-            image -= np.float32(self.offset[k])
-            image /= np.float32(self.gain[k])
-            found.append(image)
-        return found
+        gain, offset = self.gain.astype(np.float32), self.offset.astype(np.float32)
+        return [(warped(frames[k], self.poses[k]) - offset[k]) / gain[k] for k in self.kept]
 
     def unseen(self, index: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Tell which pixels one of the frames around theirs does not show."""
         reach = max(_REACH, round(_REACH_SHARE * len(self.kept)))
-        rows, cols = index.shape
-        points = np.stack(np.meshgrid(np.arange(cols), np.arange(rows), [1.0]), -1)[:, :, 0]
-        result = np.zeros(index.shape, bool)
+        full, result = np.ones(index.shape, np.uint8), np.zeros(index.shape, bool)
+        how = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP  # up to half a pixel beyond is inside
         for k, pose in enumerate(self.poses[self.kept]):
-            x, y = np.moveaxis(points @ pose.T, -1, 0)
-            # A rounded 0.9999999 is inside.
-            outside = (np.minimum(x, y) < -1e-3) | (x > cols - 1 + 1e-3) | (y > rows - 1 + 1e-3)
+            outside = cv2.warpAffine(full, pose, index.shape[::-1], flags=how) == 0
             result |= outside & (np.abs(index - k) <= reach)
         return result
 
@@ -122,7 +114,15 @@ def register(frames: Sequence[Image]) -> Registered:
         if len(most) >= max(3, count / 2):
             break
     kept = np.array(sorted(most))
-    _tell(kept, count)
+    if len(kept) < count:
+        out = np.setdiff1d(np.arange(count), kept)
+        names = ", ".join(map(str, out[:9])) + (" …" if len(out) > 9 else "")
+        if len(kept) < max(3, count / 2):
+            raise ValueError(
+                f"frames must show one scene to be registered, got {len(kept)} of {count} that do; "
+                f"frames {names} cannot be registered to those before them"
+            )
+        warnings.warn(f"frames {names} cannot be registered: left out", stacklevel=3)
     reference = int(kept[np.abs(kept - count // 2).argmin()])
     inverse = np.linalg.inv(most[reference])
     relative = {k: most[k] @ inverse for k in most}
@@ -188,20 +188,6 @@ def _robust(design: NDArray, target: NDArray) -> Array:
     return found
 
 
-def _tell(kept: NDArray[np.intp], count: int) -> None:
-    """Warn of frames that are left out, or refuse the stack."""
-    if len(kept) == count:
-        return
-    out = np.setdiff1d(np.arange(count), kept)
-    names = ", ".join(map(str, out[:9])) + (" …" if len(out) > 9 else "")
-    if len(kept) < max(3, count / 2):
-        raise ValueError(
-            f"frames must show one scene to be registered, got {len(kept)} of {count} that do; "
-            f"frames {names} cannot be registered to those before them"
-        )
-    warnings.warn(f"frames {names} cannot be registered: left out", stacklevel=4)
-
-
 def _brightness(
     small: Sequence[NDArray],
     kept: NDArray[np.intp],
@@ -233,11 +219,12 @@ def _brightness(
             design, target = np.stack(columns)[:, both], (smooth[b] - smooth[a])[both]
             change, plus = (float(value) for value in _robust(design, target)[:2])
         # Differences about the mean: b − a = c (a + b) / 2 + o.
-        found.append(((2 + change) / (2 - change), 2 * plus / (2 - change), both))
+        lit = both & (smooth[a] > 0) & (smooth[b] > 0)
+        ratio = np.exp(np.median(np.log(smooth[b][lit] / smooth[a][lit]))) if lit.any() else 1.0
+        found.append(((2 + change) / (2 - change), 2 * plus / (2 - change), float(ratio)))
     level = float(np.mean([image.mean() for image in smooth.values()]))
     if np.median([abs(plus) for _, plus, _ in found]) < _OFFSET * abs(level):
-        pairs = zip(pairwise(kept), found, strict=True)
-        found = [(_ratio(smooth[a][m], smooth[b][m]), 0.0, m) for (a, b), (_, _, m) in pairs]
+        found = [(ratio, 0.0, ratio) for _, _, ratio in found]
     gain, offset = np.ones(len(kept)), np.zeros(len(kept))
     for k, (factor, plus, _) in enumerate(found):
         gain[k + 1], offset[k + 1] = factor * gain[k], factor * offset[k] + plus
@@ -246,9 +233,3 @@ def _brightness(
     result = np.full((2, len(small)), np.nan)
     result[:, kept] = gain, offset
     return result[0], result[1]
-
-
-def _ratio(first: NDArray, second: NDArray) -> float:
-    """Return the second image's level over the first's."""
-    good = (first > 0) & (second > 0)
-    return float(np.exp(np.median(np.log(second[good] / first[good])))) if good.any() else 1.0

@@ -175,7 +175,8 @@ def check_wide(
     low = cv2.erode(np.where(known, wide, _FAR), square)
     high = cv2.dilate(np.where(known, wide, -_FAR), square)
     # At the image's border the wide window sees the inner side only, and is late on a slope.
-    outer = np.maximum(_NEAR_CLIFF - to_border(depth.shape), 0)
+    inside = (np.minimum(np.arange(n), np.arange(n)[::-1]) for n in depth.shape)
+    outer = np.maximum(_NEAR_CLIFF - np.minimum.outer(*inside), 0).astype(np.float32)
     late = steep * (outer * outer / (2 * _NEAR_CLIFF))
 
     def beyond(gap: float) -> NDArray[np.bool_]:
@@ -190,9 +191,3 @@ def check_wide(
     instead = plain & known & (np.isnan(depth) | (doubtful & blurred))
     neither = erratic & (beyond(_LONE_GAP) | ~known) & ~instead & ~sharp
     return instead, neither
-
-
-def to_border(shape: tuple[int, ...]) -> NDArray:
-    """Return the distance of each pixel from the outermost, px."""
-    down, along = (np.minimum(np.arange(n), np.arange(n)[::-1]) for n in shape)
-    return np.minimum.outer(down, along).astype(np.float32)

@@ -29,7 +29,7 @@ _OCTAVES = (
 _DOUBT, _SURE = 2.5, 4.5
 #: Logarithm of what a measure's windows take from relief, over its mean squared slope, px²; the
 #: most that is given back, and the radius over which the slope is told.
-_TAKEN, _MOST_GIVEN, _SLOPE_WINDOW = 0.24, 2.2, 8.0
+_TAKEN, _MOST_GIVEN, _SLOPE_WINDOW = 0.27, 2.2, 8.0
 #: Variance of the smoothed depth over that of half the difference of both directions, and the
 #: radius over which that is averaged, px.
 _NOISE_SHARE, _NOISE_WINDOW = 0.78, 20.0

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array, Frames, Image, Tidy
+from microlib.focus._reliability import fill_nearest
 from microlib.io import read_frames
 
 
@@ -182,16 +183,9 @@ class FocusResult(Tidy):
         True
         """
         index = np.asarray(self.index)
-        unknown = index < 0
-        if unknown.all():
+        if (index < 0).all():
             raise ValueError("frames cannot be chosen from, got a depth that is nowhere known")
-        if unknown.any():
-            from scipy import ndimage  # here, as it takes long to import
-
-            rows, cols = ndimage.distance_transform_edt(
-                unknown, return_distances=False, return_indices=True
-            )
-            index = index[rows, cols]
+        index = fill_nearest(np.where(index < 0, np.float32(np.nan), index)).astype(np.int32)
         reader: Iterable[Image] = read_frames(frames, color=True)
         if self.poses is not None:
             known = zip(reader, self.poses, strict=False)
