@@ -66,7 +66,7 @@ format: $(STAMP) ## format the code and strip the notebooks
 	@$(BIN)/nbstripout --keep-id notebooks/*.ipynb
 
 data: $(STAMP) ## write data/synthetic anew, the same bytes
-	@$(BIN)/python -m compendium.synthetic_data
+	@$(BIN)/python -m data.synthetic.make
 
 benchmarks: $(STAMP) ## measure microlib beside its peers (minutes)
 	@for file in benchmarks/[a-z]*.py; do \

@@ -1,4 +1,4 @@
-"""Write the small canonical inputs of ``data/synthetic`` and their manifest: ``make data``.
+"""Write the small canonical inputs of this folder and their manifest: ``make data``.
 
 Each is a rendered scene with known truth, for trying the guides and the library without a
 microscope; the guides run on them. The manifest holds what each file is, what a guide must be told
