@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from compendium.figures.embryo import add_scale_bar, show_image
+from compendium.figures.panels import legend_below
 from compendium.figures.surfaces import draw_labels, draw_surface, label_patches
 from microlib import synthetic
 from microlib.curvature import hk_labels, surface_curvature
@@ -50,13 +51,12 @@ def draw_types(patches: Mapping[str, tuple[NDArray, int]]) -> Figure:
 
 def draw_label_maps(maps: Mapping[str, NDArray[np.uint8]]) -> Figure:
     """Draw maps of surface types side by side, with one legend."""
-    figure, row = plt.subplots(1, len(maps), figsize=(6.4, 3.4), sharey=True)
+    figure, row = plt.subplots(1, len(maps), figsize=(6.4, 3.8), sharey=True)
     for axes, (title, labels) in zip(row, maps.items(), strict=True):
         draw_labels(axes, labels, legend=False)
         axes.set(title=title)
         axes.label_outer()
-    present = label_patches(np.stack([*maps.values()]))
-    figure.legend(handles=present, loc="outside lower center", ncols=2)
+    legend_below(figure, label_patches(np.stack([*maps.values()])))
     return figure
 
 
