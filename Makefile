@@ -29,7 +29,7 @@ $(STAMP): environment.txt pyproject.toml
 
 # Installed over environment.txt, whose versions extras.txt keeps to. It names all that is needed; pip
 # would not find the hash of a package that one of them wants with an extra.
-extras: $(STAMP) ## add the locked microscope engine, dask and zarr to .venv, whose tests skip without
+extras: $(STAMP) ## add the locked microscope engine, dask, xarray and zarr to .venv, whose tests skip without
 	@$(BIN)/pip install --quiet --no-compile --no-deps --require-hashes -r extras.txt
 
 notebooks: $(STAMP) ## run the notebooks that changed
@@ -98,7 +98,7 @@ UNUSED := s3fs boto3 botocore bcdoc jmespath six
 lock: $(STAMP) ## compile environment.txt and extras.txt anew (needs uv)
 	@uv pip compile pyproject.toml --extra book --extra test --generate-hashes --universal \
 	  --python-version 3.11 --no-header --no-annotate --quiet -o environment.txt
-	@uv pip compile pyproject.toml --extra dask --extra microscope --extra zarr --generate-hashes --universal \
+	@uv pip compile pyproject.toml --extra dask --extra microscope --extra xarray --extra zarr --generate-hashes --universal \
 	  --python-version 3.11 --no-header --no-annotate --quiet --constraints environment.txt \
 	  $(addprefix --no-emit-package ,$(UNUSED)) -o extras.txt
 

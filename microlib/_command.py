@@ -219,7 +219,7 @@ def _parser() -> argparse.ArgumentParser:
         "--box", nargs=4, type=int, required=True, metavar=("X", "Y", "W", "H"), help=box
     )
     motions = ["translation", "euclidean", "similarity", "affine", "homography"]
-    sub.add_argument("--motion", choices=motions, default="homography", help="how the part moves")
+    sub.add_argument("--motion", choices=motions, default="translation", help="how the part moves")
     lengths(sub, rate="frames per second, for a column of times", pixel_size=pixel)
 
     example = (

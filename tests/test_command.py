@@ -57,7 +57,7 @@ def test_calibrate_finds_the_microscope(tmp_path: Path) -> None:
 
 
 def test_track_follows_the_square(tmp_path: Path) -> None:
-    options = "--box 30 40 40 40 --motion translation --rate 33 --pixel-size 6.23"
+    options = "--box 30 40 40 40 --rate 33 --pixel-size 6.23"
     told = run("track", "frames.tif", options, tmp_path / "track.csv")
     assert "lost in 0 of 40 frames" in told
     table, truth = pd.read_csv(tmp_path / "track.csv"), pd.read_csv(INPUTS / "frames_path.csv")
