@@ -163,12 +163,10 @@ def esm_step() -> Figure:
     return servoing.draw_esm_step(pd.DataFrame(errors))
 
 
-def focus(**how: Any) -> Callable[[], Figure]:
+def focus() -> Figure:
     scene: Any = SimpleNamespace(frames=np.stack([picture(20, 30, k) for k in range(4)]))
-    shown = {"one": 0, "other": 3}
-    return lambda: shape_from_focus.draw_focus(
-        scene, picture(20, 30, 9), heights(20, 30), shown, **how
-    )
+    pictures = (picture(20, 30, 9), heights(20, 30), {"one": 0, "other": 3})
+    return shape_from_focus.draw_focus(scene, *pictures, pixel_size=2.0, turned=True)
 
 
 def patterns() -> Figure:
@@ -230,14 +228,10 @@ CASES: dict[str, Callable[[], Figure]] = {
     "servoing.draw_path_runs": lambda: servoing.draw_path_runs({"circle": RUN, "square": RUN}),
     "servoing.draw_stability": stability,
     "servoing.draw_step_runs": lambda: servoing.draw_step_runs({"1X": RUN, "4X": RUN}, 0.05),
-    "shape_from_focus.draw_focus": focus(),
-    "shape_from_focus.draw_focus-turned": focus(pixel_size=2.0, turned=True),
+    "shape_from_focus.draw_focus": focus,
     "shape_from_focus.draw_thresholds": shape_from_focus.draw_thresholds,
     "shape_from_focus.draw_types-ball": lambda: shape_from_focus.draw_types(
         {"found": types(180, 180, 1, 5), "clean": types(180, 180, 5, 9)}, ball=True
-    ),
-    "shape_from_focus.draw_types-part": lambda: shape_from_focus.draw_types(
-        {"one": types(60, 80, 1, 3), "two": types(60, 80, 7, 0)}, columns=1, box=(10, 20, 30, 15)
     ),
     "surfaces.draw_lens": surfaces.draw_lens,
     "surfaces.draw_sinking_stage": surfaces.draw_sinking_stage,

@@ -73,15 +73,6 @@ def test_the_printed_coordinates_are_barely_possible_together(reach) -> None:
     start = np.linalg.solve(np.transpose(effects) @ np.array(effects), apart)
     best = minimize(lambda y: -bound(y * start), np.ones(4), method="Nelder-Mead", tol=1e-10)
     assert -best.fun == pytest.approx(reach.share, abs=0.02)
-    # χ² and p by drawing instead of by formula: 40 000 draws know 0.003 to 10 %.
-    assert reach.chi_squared == pytest.approx(16.0, abs=0.1)
-    rng = np.random.default_rng(0)
-    rounded = rng.uniform(-1, 1, (40_000, 24)) @ np.array(effects) / 0.2
-    rounded += rng.uniform(-half, half, (40_000, 4))
-    covariance = np.cov(rounded.T)
-    drawn = apart @ np.linalg.solve(covariance, apart)
-    assert drawn == pytest.approx(reach.chi_squared, rel=0.05)
-    assert 0.002 < reach.p < 0.004
 
 
 def test_the_printed_modulus_needs_half_of_a_50_um_probe() -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import nbformat
@@ -91,10 +89,3 @@ def test_an_edited_constant_fails_and_names_the_claim(
     message, passed = execute(path, monkeypatch)
     assert not passed
     assert "claim table-5.6/E, Elastic modulus (Table 5.6): printed 1.3237 MPa" in message
-
-
-def test_runner_names_what_it_does_not_know() -> None:
-    command = [sys.executable, "-m", "compendium.run", "99"]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert result.returncode == 1
-    assert "No notebook is called 99" in result.stderr
