@@ -144,9 +144,10 @@ def process_files(
     try:
         for row in done:
             rows[row["file"]] = row | {"work": description}
-            if (begin := time.monotonic()) >= next_time:
+            if time.monotonic() >= next_time:
+                begin = time.thread_time()
                 write()
-                next_time = begin + _PAUSE * (time.monotonic() - begin)
+                next_time = time.monotonic() + _PAUSE * (time.thread_time() - begin)
     finally:
         if due and rows:
             write()
@@ -159,8 +160,11 @@ def _paths(files: object) -> list[Path]:
     if isinstance(files, str):
         names: list[Any] = sorted(glob(str(Path(files).expanduser()), recursive=True))
     else:
-        of_kind("files", files, Iterable)
-        names = list(files)  # type: ignore[call-overload]
+        try:
+            names = list(files)  # type: ignore[call-overload]
+        except TypeError:
+            kind = type(files).__name__
+            raise ValueError(f"files must be paths or a pattern, got {kind}") from None
         for name in names:
             of_kind("files", name, str, PathLike)
     found = [Path(name).expanduser() for name in names]

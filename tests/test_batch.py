@@ -185,7 +185,7 @@ def test_other_settings_and_other_tables_are_refused(folder: Path, threads) -> N
         ({"files": "none/*.tif"}, "files must name at least one"),
         ({"files": ["a", "a"]}, "files must name each file once, got a twice"),
         ({"files": [3]}, "files must be"),
-        ({"files": None}, "files must be of the kind Iterable, got NoneType"),
+        ({"files": None}, "files must be paths or a pattern, got NoneType"),
         ({"work": 3}, "work must be callable, got int"),
         ({"work": lambda path: {}}, "work must be a function of a module"),
         ({"executor": 2}, "executor must be"),

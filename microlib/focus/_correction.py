@@ -19,9 +19,9 @@ _CUT_OFF = 2.0
 _SPACING = 1.75
 #: Times that the planes are fitted, the first time to the depths, then to what was left over.
 _TWICING = 2
-#: Largest radius, px; most jumps in the range of a map, of single precision; largest window of the
-#: median, px.
-_MOST_RADIUS, _MOST_JUMPS, _MOST_WINDOW = 250.0, 1e6, 255
+#: Largest radius, px; largest jump in ranges of a map, and range in jumps, of single precision;
+#: largest window of the median, px.
+_MOST_RADIUS, _MOST_JUMPS, _MOST_STEPS, _MOST_WINDOW = 250.0, 1e6, 1e9, 255
 #: Variance of position, over the radius squared, that is added to the neighbors' own and makes the
 #: planes stiff where neighbors lie on one line; beside that of a full circle, 0.7, it is nothing.
 _STIFFNESS = 0.001
@@ -184,8 +184,10 @@ def smooth_planes(
     if len(offsets) == 1:  # a plane through nothing but the pixel itself
         return depth.copy()
     low, high = np.nanmin(depth), np.nanmax(depth)
-    # A jump far beyond all differences is none: every neighbor counts in full.
-    unit = depth.dtype.type(min(jump, _MOST_JUMPS * (high - low)) if high > low else jump)
+    # A jump far beyond all differences is none: every neighbor counts in full. One below what
+    # single precision tells apart lets none count but equal ones.
+    most, least = _MOST_JUMPS * (high - low), (high - low) / _MOST_STEPS
+    unit = depth.dtype.type(max(least, min(jump, most)) if high > low else jump)
     # In units of the jump and from the middle, where float32 has digits to spare.
     rest = np.where(unknown, 0, (depth - (low + high) / 2) / unit).astype(np.float32)
     mass = np.pad(np.where(unknown, 0, weight).astype(np.float32), reach)

@@ -66,6 +66,7 @@ def three_point_peak(window: NDArray, index: NDArray, positions: Array) -> NDArr
     z = as_array("positions", positions, shape=(None,), largest=FARTHEST)
     if len(z) < 3 or np.abs(np.diff(z)).min() < 1 / FARTHEST:
         raise ValueError(f"positions must be at least three, {1 / FARTHEST:g} µm apart, got {z}")
+    as_array("index", index)  # refuses masks, and rows of several lengths
     index = np.asarray(index)
     if index.dtype.kind not in "ui" or index.size == 0:
         raise ValueError(f"index must hold whole numbers, got {index.dtype} of {index.shape}")
