@@ -224,7 +224,7 @@ def compare_shape(curve: GaussianSum) -> ShapeComparison:
     return ShapeComparison(x, expected, departure, departure / dimple.dimple_depth)
 
 
-def image_study(rng: np.random.Generator, embryos: int = 3, forces: int = 5) -> pd.DataFrame:
+def image_study(rng: np.random.Generator, embryos: int = 5, forces: int = 5) -> pd.DataFrame:
     """Measure one modulus on images of several embryos under several forces, in both ways.
 
     Parameters
