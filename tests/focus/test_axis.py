@@ -99,12 +99,3 @@ def test_picture_and_index_come_from_the_frame_nearest_to_the_depth():
         assert away.max() <= 0.125 + 1e-5  # half the spacing
         chosen = np.take_along_axis(stack[::order], found.index[None], axis=0)[0]
         np.testing.assert_array_equal(found.all_in_focus, chosen)
-
-
-def test_frames_that_come_once_are_as_good_as_frames_in_memory():
-    _, positions, stack = tilted(4)
-    whole = depth_from_focus(stack, positions)
-    for frames in (iter(stack), (frame.copy() for frame in stack), list(stack)):
-        found = depth_from_focus(frames, positions)
-        for field in ("depth", "uncertainty", "index", "all_in_focus"):
-            np.testing.assert_array_equal(getattr(found, field), getattr(whole, field))

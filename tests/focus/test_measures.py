@@ -144,8 +144,6 @@ def test_noise_level_finds_the_noise_beside_texture():
         (lambda image: sum_modified_laplacian(image, threshold=-1), "threshold must be zero"),
         (lambda image: sum_modified_laplacian(np.stack([image] * 3)), "image must have shape"),
         (lambda image: sum_modified_laplacian(image * np.nan), "image must be finite"),
-        (lambda image: sum_modified_laplacian([[1, 2], [3]]), "image must"),
-        (lambda image: sum_modified_laplacian(np.stack([image] * 3) / 2), "image must be a grey"),
         (lambda image: sum_modified_laplacian(image[:0]), "image must not be empty"),
     ],
 )
