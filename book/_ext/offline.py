@@ -27,7 +27,7 @@ PLOTLY = "plotly.min.js"
 MENDS = {
     r'<link rel="preload" as="font"[^>]*>': "",
     r'<summary>(?=<span class="toctree-toggle")': '<summary aria-label="subpages">',
-    r'<div role="list" class="citation-list">': '<div class="citation-list">',
+    r' role="doc-biblioentry"| role="list"(?= class="citation-list")': "",
     r'(?<=class="pst-scrollable-table-container")': ' tabindex="0" role="group" aria-label="table"',
     r'<div (?=class="bd-sidebar-primary )': '<div role="complementary" aria-label="book" ',
     r"<th([^>]*)>(?:&nbsp;|<p></p>|\s)*</th>": r"<td\1></td>",
