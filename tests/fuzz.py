@@ -27,7 +27,6 @@ import sys
 import tempfile
 import time
 import types
-import typing
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -36,7 +35,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 import microlib
 from microlib import (
@@ -61,7 +59,9 @@ SLOW = {"membrane.fit_capsule": 60.0}
 #: Memory that all of it may take, bytes.
 MEMORY = 4 << 30
 #: Public, but not called by anyone: a category of warnings, and how an image was turned.
-NOT_CALLED = {"membrane.SmallSlopeWarning", "embryo._view.View"}
+NOT_CALLED = {"membrane.SmallSlopeWarning"}
+#: Methods that take nothing.
+WITHOUT = {"to_dict", "to_frame", "to_xarray"}
 
 EGG = {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
 INPUTS = {"force": 100.0, "dimple_radius": 200.0, "dimple_depth": 40.0, **EGG}
@@ -659,39 +659,48 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
 
 #: Where a result may be NaN or infinite from finite values, as its documentation says.
 MAY_BE_UNKNOWN = {
-    "calibration.Calibration.interval": "an unobservable parameter has an infinite interval",
-    "calibration.calibrate": "unobservable parameters have infinite variances",
-    "calibration.cramer_rao": "unobservable parameters have infinite variances",
-    "calibration.Calibration": "holds what calibrate found",
-    "calibration.detect_circles": "circles have no side",
-    "calibration.stage_affine": "three moves leave no residual to tell an error by",
-    "embryo._dimple.DimpleFit.__call__": "NaN far from the dimple",
-    "embryo.dimple_geometry": "the covariance, where that of the curve is not known",
-    "focus.three_point_peak": "NaN where the three measures are equal or zero",
-    "microscope.distort": "NaN beyond the fold of the distortion model",
-    "microscope.undistort": "NaN beyond the fold of the distortion model",
-    "microscope.Microscope.project": "NaN behind the objective and beyond the fold",
-    "microscope.Microscope.project_plane": "NaN beyond the fold",
-    "curvature.region_table": "a region without a known curvature",
-    "curvature.surface_curvature": "the border is NaN",
-    "embryo.fit_dimple": "a direction that the outline leaves open",
-    "embryo.modulus_from_image": "as fit_dimple",
-    "embryo.force_from_image": "as fit_dimple",
-    "embryo.fit_gaussians": "terms that coincide have infinite variances",
-    "focus.FocusResult": "unknown pixels are NaN",
-    "focus.depth_from_focus": "unknown pixels are NaN",
-    "membrane.capsule_modulus": "stretches are NaN where the wall is slack",
-    "membrane.indent_capsule": "stretches are NaN where the wall is slack",
-    "membrane.finite_slope_modulus": "NaN where no slope is steep enough",
-    "microscope.Microscope.back_project": "NaN where a ray misses the plane",
-    "optics.image_distance": "an object in the focal plane has its image at infinity",
-    "automation.LiveDepth.result": "unknown pixels are NaN",
-    "automation.acquire_depth": "unknown pixels are NaN",
-    "automation.autofocus": "where a drive that does not answer stands",
-    "servoing.servo": "what a run did not come to",
-    "servoing.step_metrics": "a step that never settles",
-    "tracking.ESMTracker.track": "a lost target has no position",
-}
+    # unobservable parameters have infinite variances
+    "calibration.Calibration.interval", "calibration.calibrate", "calibration.cramer_rao",
+    "calibration.Calibration",
+    # circles have no side
+    "calibration.detect_circles",
+    # three moves leave no residual to tell an error by
+    "calibration.stage_affine",
+    # NaN far from the dimple
+    "embryo._dimple.DimpleFit.__call__",
+    # the covariance, where that of the curve is not known
+    "embryo.dimple_geometry",
+    # NaN where the three measures are equal or zero
+    "focus.three_point_peak",
+    # NaN beyond the fold of the distortion model
+    "microscope.distort", "microscope.undistort", "microscope.Microscope.project",
+    "microscope.Microscope.project_plane",
+    # a region without a known curvature
+    "curvature.region_table",
+    # the border is NaN
+    "curvature.surface_curvature",
+    # a direction that the outline leaves open
+    "embryo.fit_dimple", "embryo.modulus_from_image", "embryo.force_from_image",
+    # terms that coincide have infinite variances
+    "embryo.fit_gaussians",
+    # unknown pixels are NaN
+    "focus.FocusResult", "focus.depth_from_focus", "automation.LiveDepth.result",
+    "automation.acquire_depth",
+    # stretches are NaN where the wall is slack
+    "membrane.capsule_modulus", "membrane.indent_capsule",
+    # NaN where no slope is steep enough
+    "membrane.finite_slope_modulus",
+    # NaN where a ray misses the plane
+    "microscope.Microscope.back_project",
+    # an object in the focal plane has its image at infinity
+    "optics.image_distance",
+    # what a run did not come to
+    "automation.autofocus", "servoing.servo",
+    # a step that never settles
+    "servoing.step_metrics",
+    # a lost target has no position
+    "tracking.ESMTracker.track",
+}  # fmt: skip
 
 
 @cache
@@ -701,61 +710,19 @@ def written() -> Path:
 
 
 def public() -> Iterator[str]:
-    """Yield the name of every public callable, and of every public method of a public class.
-
-    Classes whose only use is to be returned are found through what public callables return.
-    """
-    rooms = [m.name for m in pkgutil.iter_modules(microlib.__path__) if m.name[0] != "_"]
-    values: dict[str, object] = {}
-    for room in rooms:
+    """Yield the name of every public callable, and of every public method of a public class."""
+    for room in (m.name for m in pkgutil.iter_modules(microlib.__path__) if m.name[0] != "_"):
         module = importlib.import_module(f"microlib.{room}")
-        values |= {f"{room}.{name}": getattr(module, name) for name in module.__all__}
-    values = {k: v for k, v in values.items() if callable(v) and k not in NOT_CALLED}
-    yield from values
-    waiting, seen = list(values.items()), set()
-    while waiting:
-        name, value = waiting.pop()
-        if inspect.isclass(value):
-            if value in seen or name in NOT_CALLED:
+        for name in module.__all__:
+            value = getattr(module, name)
+            if not callable(value) or f"{room}.{name}" in NOT_CALLED:
                 continue
-            seen.add(value)
-            for method, found in methods(value):
-                yield f"{name}.{method}"
-                waiting += returned(found)
-            for part, property_ in vars(value).items():
-                waiting += returned(None if part[0] == "_" else getattr(property_, "fget", None))
-            waiting += [
-                one for f in vars(value).get("__annotations__", {}) for one in hinted(value, f)
-            ]
-        else:
-            waiting += returned(value)
-
-
-def methods(kind: type) -> Iterator[tuple[str, Callable]]:
-    """Yield what can be called wrongly; `to_dict`, `to_frame` and `to_xarray` take nothing."""
-    for name, value in vars(kind).items():
-        found = value.__func__ if isinstance(value, (staticmethod, classmethod)) else value
-        if name in ("to_dict", "to_frame", "to_xarray"):
-            continue
-        if inspect.isfunction(found) and (name == "__call__" or name[0] != "_"):
-            yield name, found
-
-
-def returned(function: object) -> Iterator[tuple[str, object]]:
-    return hinted(function, "return") if inspect.isfunction(function) else iter(())
-
-
-def hinted(owner: object, key: str) -> Iterator[tuple[str, object]]:
-    """Yield the library's own classes in a type hint, each with its name below `microlib`."""
-    waiting = [typing.get_type_hints(owner, None, {"pd": pd}).get(key)]
-    while waiting:
-        hint = waiting.pop()
-        waiting += typing.get_args(hint)
-        if inspect.isclass(hint) and hint.__module__.startswith("microlib."):
-            room = importlib.import_module(hint.__module__.rpartition("._")[0] or hint.__module__)
-            home = room if hint.__name__ in getattr(room, "__all__", ()) else None
-            module = home.__name__ if home else hint.__module__
-            yield f"{module.removeprefix('microlib.')}.{hint.__name__}", hint
+            yield f"{room}.{name}"
+            for method, found in vars(value).items() if inspect.isclass(value) else ():
+                function = getattr(found, "__func__", found)
+                open_to_all = method == "__call__" or method[0] != "_"
+                if inspect.isfunction(function) and open_to_all and method not in WITHOUT:
+                    yield f"{room}.{name}.{method}"
 
 
 def valid_call(name: str) -> dict[str, object]:

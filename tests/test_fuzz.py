@@ -15,8 +15,8 @@ QUICK = [name for name in fuzz.CALLS if name not in fuzz.SLOW]
 
 def test_the_table_has_every_public_callable():
     """A new one without a valid call in the table is not tried: this fails until it has one."""
-    assert set(fuzz.CALLS) == set(fuzz.public())
-    assert set(fuzz.MAY_BE_UNKNOWN) <= set(fuzz.CALLS)
+    assert set(fuzz.public()) <= set(fuzz.CALLS)
+    assert set(fuzz.CALLS) >= fuzz.MAY_BE_UNKNOWN
 
 
 def test_every_argument_is_tried():
