@@ -39,13 +39,15 @@ def as_array(
 
     Masks are refused, and numbers beyond ±`largest`, by default what the precision bears.
     """
-    refuse_masks(name, value)
+    if type(value) is not np.ndarray:
+        refuse_masks(name, value)
     try:
         array = np.asarray(value)
         if array.dtype.kind not in "buif":
             raise TypeError
-        with np.errstate(over="ignore"):  # what overflows is infinite, and told below
-            array = array.astype(dtype, copy=False)
+        if array.dtype != dtype:
+            with np.errstate(over="ignore"):  # what overflows is infinite, and told below
+                array = array.astype(dtype)
     except (TypeError, ValueError, OverflowError):
         got = getattr(value, "dtype", type(value).__name__)
         raise ValueError(f"{name} must hold real numbers, got {got}") from None

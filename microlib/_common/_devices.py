@@ -17,7 +17,6 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, wait
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from threading import Event, Thread, current_thread, main_thread
@@ -134,14 +133,15 @@ class Guard:
     def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Return what a device answers."""
         name = getattr(function, "__name__", type(function).__name__)
-        answer: Future[Any] = Future()
-        given_up = Event()
+        answer: list[tuple[Any, BaseException | None]] = []
+        done, given_up = Event(), Event()
 
         def work() -> None:
             try:
-                answer.set_result(function(*arguments))
+                answer.append((function(*arguments), None))
             except BaseException as error:  # whatever a driver raises ends the run
-                answer.set_exception(error)
+                answer.append((None, error))
+            done.set()
             if given_up.is_set():
                 with suppress(Exception):  # nobody is left to be told
                     self._stage.stop()
@@ -150,16 +150,17 @@ class Guard:
         Thread(target=work, daemon=True).start()
         end = time.monotonic() + self._timeout
         try:
-            while not wait([answer], POLL).done:
+            while not done.wait(POLL):
                 self.check()
                 if time.monotonic() > end:
                     raise DeviceError(f"{name} did not answer within {self._timeout:g} s")
         except BaseException:
             given_up.set()
             raise
-        if error := answer.exception():
+        value, error = answer[0]
+        if error is not None:
             raise DeviceError(f"{name} failed: {type(error).__name__}: {error}") from error
-        return answer.result()
+        return value
 
     def pause(self, seconds: float) -> None:
         """Let time pass, in pieces that an interrupt can come between."""

@@ -78,6 +78,11 @@ class Stage:
             raise ValueError(
                 f"velocity must have the shape {position.shape} of position, got {velocity.shape}"
             )
+        return self._moved(position, velocity, command, duration)
+
+    def _moved(
+        self, position: Array, velocity: Array, command: Array, duration: float
+    ) -> tuple[Array, Array]:
         target = np.minimum(np.maximum(command, -self.saturation), self.saturation)
         left = np.exp(-duration / self.lag) if self.lag > 0 else 0.0
         moved = target * duration + (velocity - target) * self.lag * (1.0 - left)
@@ -85,7 +90,9 @@ class Stage:
 
     def quantized(self, position: Array) -> Array:
         """Return the position rounded to the increments of the drive, µm."""
-        position = as_array("position", position)
+        return self._rounded(as_array("position", position))
+
+    def _rounded(self, position: Array) -> Array:
         return np.rint(position / self.step) * self.step if self.step > 0 else position
 
 
@@ -231,7 +238,7 @@ def simulate(
     feature, measured, positions = np.empty((3, count, 2))
     saturated = np.zeros(count, bool)
     for k in range(count):
-        positions[k] = stage.quantized(position)
+        positions[k] = stage._rounded(position)
         feature[k] = origin + matrix @ positions[k]
         seen = feature[k] + camera.jitter * rng.standard_normal(2)
         measured[k] = seen if observer is None else observer(seen)
@@ -239,7 +246,7 @@ def simulate(
         saturated[k] = np.abs(command).max() > stage.saturation
         queue[k + first] = np.minimum(np.maximum(command, -stage.saturation), stage.saturation)
         for active, share in ((queue[k], part), (queue[k + 1], 1.0 - part)):
-            position, velocity = stage.move(position, velocity, active, share * camera.interval)
+            position, velocity = stage._moved(position, velocity, active, share * camera.interval)
     return Simulation(
         time=camera.interval * np.arange(count),
         reference=wanted,

@@ -142,6 +142,15 @@ def test_a_tiff_that_ends_after_a_page_is_refused(stack, tmp_path, kind, compres
             list(read_frames(path))
 
 
+def test_a_page_of_several_strips_is_read_to_its_end(stack, tmp_path):
+    path = tmp_path / "strips.tif"
+    tifffile.imwrite(path, stack[0], rowsperstrip=4, metadata=None, photometric="minisblack")
+    np.testing.assert_array_equal(list(read_frames(path)), stack[:1])
+    path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(ValueError, match=r"strips\.tif cannot be read: the file is cut off"):
+        read_frames(path)
+
+
 def test_other_images_in_the_file_are_not_taken_for_frames(stack, tmp_path):
     path = tmp_path / "series.tif"
     tifffile.imwrite(path, stack, photometric="minisblack")

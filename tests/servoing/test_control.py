@@ -158,6 +158,9 @@ def test_prediction_follows_a_noisy_path_closer():
 def test_a_lost_frame_stops_the_one_and_is_bridged_by_the_other():
     reference, lost = np.full((4, 2), 30.0), np.full(2, np.nan)
     assert not plain()(1, lost, reference).any()
+    ahead = np.outer(np.arange(4.0), [1.0, -2.0])  # what is wanted one sample later
+    for k, wanted in enumerate(ahead[[1, 2, 3, 3]]):
+        np.testing.assert_allclose(plain()(k, np.zeros(2), ahead), plain().gain @ wanted)
     bridging = knowing(delay=0)
     assert not bridging(0, lost, reference).any()
     bridging(1, np.zeros(2), reference)
