@@ -70,6 +70,7 @@ CHOICES = [
     (_wall, "_SEARCH_STEP", (0.1, 0.5)),
     (_wall, "_ITERATIONS", (3, 10)),
     (_wall, "_LONGEST_STEP", (0.25, 1.0)),
+    (_wall, "_EVERY", (1, 8)),
     (_wall, "_LEAST_SAMPLES", (5, 10)),
     (_wall, "_DAMPING", (1e-11, 1e-6)),
     (_dimple, "_BEYOND_RIM", (1.15, 1.6)),

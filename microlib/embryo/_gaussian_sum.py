@@ -227,8 +227,8 @@ def fit_gaussians(
             max_nfev=evaluations,
         )
 
-    tried = [search(start, min(_TRIAL, most)) for start in _starts(x, y, n)]
-    solution = search(min(tried, key=lambda each: each.cost).x, most)
+    start = min(_starts(x, y, n), key=lambda start: float(search(start, min(_TRIAL, most)).cost))
+    solution = search(start, most)
     freedom = len(x) - 3 * n
     variance = 2 * solution.cost / freedom if freedom > 0 else np.nan
     with np.errstate(invalid="ignore"):  # an open direction stays so, however good the fit

@@ -17,26 +17,20 @@ from microlib.membrane._laws import Law, law_of
 from microlib.membrane._point_load import warn_of_units
 from microlib.membrane._solver import Guess, MembraneState, Problem, gauss_points, in_units
 
-__all__ = ["CapsuleModulus", "capsule_modulus", "indent_capsule", "indent_near"]
-
 _NODES = 40
-# Enough to see whether the middle of the plate is slack; a guess that needs more nodes is no good.
+# Enough to see whether the middle of the plate is slack.
 _ROUGH = 1e-3
-_ROUGH_NODES = 800
 # The flat zones begin at this fraction of their arc, the rest of which is stretched evenly: the
 # error falls with the fourth power.
 _CORE = 0.01
 # Force from which every capsule was found to be solved without help, and the steps away from it.
 _EASY_FORCE = 0.03
-_LADDER = 2.0
 _RUNGS = 14
 # A guess has at least this strain: far more than rounding, and its pressure has a logarithm.
 _LEAST_STRETCH = 1e-12
 _SPHERE = 4 * np.pi / 3
-# A search starts from another's solution if the inflations differ by less than this, the logarithms
-# of the forces by ten times as much, and the nodes stay below their number: beyond, a start from
-# the sphere is faster (timed on the fits of outlines).
-_NEAR = 0.02
+# A search starts from another's solution if its mesh has not more nodes: beyond, a start from the
+# sphere is faster.
 _NEAR_NODES = 400
 
 
@@ -277,14 +271,16 @@ class _Capsule(Problem):
             by_unknown[:, index] = (self.slopes(x, y, moved) - here) / (moved[index] - k[index])
         return by_state, by_unknown
 
-    def attempt(self, guess: Guess) -> Solved | None:
+    def attempt(self, guess: Guess, tolerance: float = _ROUGH) -> Solved | None:
         """Return a checked solution, with a slack zone if the plate's middle is compressed."""
-        rough = self.collocated(guess, _ROUGH, _ROUGH_NODES)
-        if rough is None:
+        solution = self.collocated(guess, tolerance)
+        if solution is None or self.unpack(solution.p).core <= 0:
             return None
-        if self.compressed(rough):
-            return replace(self, slack=True).attempt(self.loosened(rough))
-        return self.checked(self.collocated((rough.x, rough.y, rough.p)))
+        if self.compressed(solution):
+            return replace(self, slack=True).attempt(self.loosened(solution))
+        if tolerance > self.tolerance:
+            solution = self.collocated((solution.x, solution.y, solution.p))
+        return self.checked(solution)
 
     def compressed(self, solution: Any) -> bool:
         """Tell whether the plate's middle is pressed together, which it cannot bear."""
@@ -307,18 +303,13 @@ class _Capsule(Problem):
             y[row + 1] = np.maximum(np.interp(wanted, own, solution.y[row + 1]), 0.0)
         place = 2 if self.depth is None else 3
         k = np.insert(solution.p, place, core)
-        every = max(1, solution.x.size // 100)
-        keep = np.unique(np.append(np.arange(0, solution.x.size, every), solution.x.size - 1))
-        return solution.x[keep], y[:, keep], k
+        return solution.x, y, k
 
     def stages(self) -> Iterator[_Capsule]:
         """Yield problems from a force that is solved easily to this one."""
-        if self.force is None or self.inflation is None:
+        if self.force is None or self.inflation is None or self.partial:
             return
-        steps = int(np.ceil(abs(np.log(self.force / _EASY_FORCE)) / np.log(_LADDER)))
-        if self.partial or not 0 < steps <= _RUNGS:
-            return
-        for force in np.geomspace(_EASY_FORCE, self.force, steps + 1):
+        for force in np.geomspace(_EASY_FORCE, self.force, _RUNGS):
             stage = _problem(self.law, self.bonded, self.probe, force, self.inflation)
             yield replace(stage, partial=False, unit=self.unit)
 
@@ -424,7 +415,7 @@ def indent_capsule(
     -------
     MembraneState
         `depth` of the probe's end below the dimple's crest, and `approach`, 2R less the height of
-        that end above the plate (µm); `rim_radius` of the crest and `contact_radius` on the plate,
+        that end above the plate (µm); `rim_radius` of the crest and of the contact on the plate,
         which are equal (µm); the meridian `r`, `z` from the probe to the middle of the plate (µm),
         with `stretches` and nominal `stresses` (MPa) along it and around the axis, (2, N) each;
         `pressure` above that outside (MPa); elastic `energy` (pJ); `volume` (µm³).
@@ -499,10 +490,22 @@ def indent_near(
     r0, h, c, material, bonded = _checked(wall)
     stretch = scalar("inflation", inflation, least=1)
     if load == 0:
-        return _sphere(material, stretch, stiffness, r0, h), None
+        # The inflated capsule that nothing presses, from its top to the plate.
+        angle = np.linspace(0.0, np.pi, 4 * _NODES + 1)
+        stress, same = material.even_stress(stretch), np.ones((2, angle.size))
+        sphere = in_units(
+            np.vstack([np.sin(angle), 1 + np.cos(angle), stretch * same, stress * same]),
+            stiffness,
+            h,
+            r0,
+            pressure=2 * stress / stretch,
+            energy=4 * np.pi * material.even_energy(stretch) / stretch**2,
+            volume=_SPHERE,
+        )
+        return sphere, None
     unit = stiffness * h * r0
     problem = replace(_problem(material, bonded, c / r0, load / unit, stretch), unit=unit)
-    problem, solution = (near and _solve_near(problem, *near)) or _solve(problem)
+    problem, solution = _solve(problem, near)
     return _state(problem, solution, stiffness, r0, h), (problem, solution)
 
 
@@ -613,9 +616,16 @@ def _problem(law: Law, bonded: bool, probe: float, force: float, inflation: floa
     )
 
 
-def _solve(problem: _Capsule) -> Solved:
-    """Return a checked solution and the problem that it solves, which may have a slack zone."""
-    solved, solution = problem.find()
+def _solve(problem: _Capsule, near: Solved | None = None) -> Solved:
+    """Return a checked solution and the problem that it solves, which may have a slack zone.
+
+    A shape that passes through the plate, the probe or itself is refused.
+    """
+    found = None
+    if near and near[0].partial == problem.partial and near[1].x.size <= _NEAR_NODES:
+        moved, guess = problem.after(*near)
+        found = moved.attempt(guess, moved.tolerance)
+    solved, solution = found or problem.find()
     u = solved.unpack(solution.p)
     # A dimple's rim lies outside the probe; on a smaller circle the face only flattens the wall.
     if solved.partial != (u.rim <= solved.probe):
@@ -627,53 +637,27 @@ def _solve(problem: _Capsule) -> Solved:
                 "punch='frictionless' has no such limit"
             )
         solved, solution = replace(problem, partial=not solved.partial).find()
-    _check_shape(solved, solution)
-    return solved, solution
-
-
-def _solve_near(problem: _Capsule, other: _Capsule, start: Any) -> Solved | None:
-    """Return a checked solution found from that of another problem, or None if it is too far."""
-    both = np.array([[each.inflation, each.force] for each in (problem, other)], float)
-    stretched, pressed = np.abs(np.diff([both[:, 0], np.log(both[:, 1])], axis=1)).ravel()
-    if (
-        max(stretched, 0.1 * pressed) > _NEAR
-        or problem.partial != other.partial
-        or start.x.size > _NEAR_NODES
-    ):
-        return None
-    problem, guess = problem.after(other, start)
-    solution = problem.collocated(guess, most_nodes=_NEAR_NODES)
-    if solution is None or problem.compressed(solution):
-        return None
-    u = problem.unpack(solution.p)
-    if u.core <= 0 or (u.rim > problem.probe) == problem.partial:
-        return None
-    if problem.checked(solution) is None:
-        return None
-    _check_shape(problem, solution)
-    return problem, solution
-
-
-def _check_shape(problem: _Capsule, solution: Any) -> None:
-    """Refuse a shape that passes through the plate, the probe or itself."""
-    u = problem.unpack(solution.p)
-    r, z, horizontal, _ = solution.y[problem.top - 4 : problem.top]
-    if not problem.partial and z.min() <= 0:
-        raise ValueError(
-            "force must keep the probe above the plate, got one that presses the dimple through it"
-            f"{problem.said}"
-        )
-    if not problem.partial and (horizontal[-1] >= 0 or r.min() < (1 - 1e-9) * problem.probe):
-        raise ValueError(
-            f"force must leave the wall clear of the probe's side, got one that folds it below the "
-            f"probe{problem.said}"
-        )
+    u = solved.unpack(solution.p)
+    r, z, horizontal, _ = solution.y[solved.top - 4 : solved.top]
     ordered = 0 < u.core < u.plate < u.crest <= u.edge < np.pi
-    if not ordered or not u.plate < np.pi / 2 < u.crest:
-        raise ValueError(
-            "force must leave a wall between the plate's contact and the dimple, got one that "
-            f"swallows it{problem.said}"
-        )
+    clear = horizontal[-1] < 0 and r.min() >= (1 - 1e-9) * solved.probe
+    for fine, wanted in (
+        (
+            solved.partial or z.min() > 0,
+            "keep the probe above the plate, got one that presses the dimple through it",
+        ),
+        (
+            solved.partial or clear,
+            "leave the wall clear of the probe's side, got one that folds it below the probe",
+        ),
+        (
+            ordered and u.plate < np.pi / 2 < u.crest,
+            "leave a wall between the plate's contact and the dimple, got one that swallows it",
+        ),
+    ):
+        if not fine:
+            raise ValueError(f"force must {wanted}{solved.said}")
+    return solved, solution
 
 
 def _state(
@@ -721,20 +705,4 @@ def _state(
         pressure=u.pressure,
         energy=2 * np.pi * energy,
         volume=volume,
-    )
-
-
-def _sphere(law: Law, inflation: float, modulus: float, radius: float, h: float) -> MembraneState:
-    """Return the inflated capsule that nothing presses, from its top to the plate."""
-    angle = np.linspace(0.0, np.pi, 4 * _NODES + 1)
-    stress = law.even_stress(inflation)
-    same = np.ones((2, angle.size))
-    return in_units(
-        np.vstack([np.sin(angle), 1 + np.cos(angle), inflation * same, stress * same]),
-        modulus,
-        h,
-        radius,
-        pressure=2 * stress / inflation,
-        energy=4 * np.pi * law.even_energy(inflation) / inflation**2,
-        volume=_SPHERE,
     )

@@ -19,8 +19,6 @@ from microlib.membrane._laws import Law, law_of
 from microlib.membrane._point_load import warn_of_units
 from microlib.membrane._solver import Guess, MembraneState, Problem, gauss_points, in_units
 
-__all__ = ["disc_modulus", "indent_disc"]
-
 _NODES = 60
 # Factor of force from one state to the next where the first guess is too far.
 _LADDER = 3.0
@@ -187,7 +185,7 @@ def indent_disc(
     MembraneState
         `depth` of the probe's edge below the rim, which equals `approach` (µm); the meridian `r`,
         `z` from the probe to the rim (µm), with `stretches` and nominal `stresses` (MPa) along it
-        and around the axis, (2, N) each; `rim_radius` and `contact_radius`, both a (µm); `pressure`
+        and around the axis, (2, N) each; the `rim_radius` a (µm); `pressure`
         (MPa); elastic `energy` (pJ); `volume` below the rim's plane (µm³).
 
     Raises
@@ -270,7 +268,12 @@ def indent_disc(
     )
     if load == 0 and below == 0:
         if inset == 0:
-            return _flat(problem, stiffness, a, h)
+            # The disc that nothing presses, evenly stretched.
+            r, same = np.geomspace(c / a, 1.0, _NODES), np.ones((2, _NODES))
+            stress, energy = problem.law.even_stress(initial), problem.law.even_energy(initial)
+            flat = np.vstack([r, 0 * r, initial * same, stress * same])
+            stored = np.pi * energy / initial**2
+            return in_units(flat, stiffness, h, a, rim_radius=1.0, energy=stored)
         if initial * (1 - inset) <= 1:
             raise ValueError(
                 f"force must be positive where rim_inset {inset:g} leaves a slack disc, got 0"
@@ -409,19 +412,4 @@ def _state(problem: _Disc, solution: Any, modulus: float, a: float, h: float) ->
         pressure=problem.pressure,
         energy=energy,
         volume=volume,
-    )
-
-
-def _flat(problem: _Disc, modulus: float, a: float, h: float) -> MembraneState:
-    """Return the disc that nothing presses, evenly stretched."""
-    r = np.geomspace(problem.inner * problem.initial, 1.0, _NODES)
-    even, same = problem.initial, np.ones((2, _NODES))
-    stress = problem.law.even_stress(even)
-    return in_units(
-        np.vstack([r, 0 * r, even * same, stress * same]),
-        modulus,
-        h,
-        a,
-        rim_radius=1.0,
-        energy=np.pi * problem.law.even_energy(even) / even**2,
     )

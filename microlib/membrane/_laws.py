@@ -18,8 +18,6 @@ import numpy as np
 
 from microlib._common import Array, one_of, scalar
 
-__all__ = ["LAWS", "MOONEY_RATIO", "Law", "law_of"]
-
 #: The laws by name.
 LAWS = ("hooke", "neo-hooke", "mooney-rivlin")
 

@@ -16,8 +16,6 @@ from microlib._common import LARGEST, LEAST, Array, Tidy, as_array, flag, scalar
 from microlib.membrane._capsule import Solved, capsule_modulus, indent_capsule, indent_near
 from microlib.membrane._solver import MembraneState
 
-__all__ = ["CapsuleFit", "fit_capsule"]
-
 # Fewer points than this cannot tell four or five numbers and their scatter.
 _FEWEST_POINTS = 20
 # Relative step of derivatives: far above the solver's error, far below any curvature.
@@ -222,19 +220,18 @@ def fit_capsule(
         )
         return origin + fit.x, fit
 
-    place, found = None, None
+    searches = []
     for guess in islice(_starts(load, points, c, known, settings, near), _MOST_SEARCHES):
-        there, again = search(guess)
-        if found is None or again.cost < found.cost:
-            place, found = there, again
+        searches.append(search(guess))
+        place, found = min(searches, key=lambda each: float(each[1].cost))
         # Whoever says where to begin knows the egg: a search that comes this near was not caught.
         if near is not None and np.sqrt(np.mean(found.fun**2)) < thickness:
             break
         # What is left of a capsule's outline changes sign from point to point; a search that was
         # caught on its way leaves arcs.
-        if _correlation(again.fun) < _ARCS:
+        left = searches[-1][1].fun
+        if left[1:] @ left[:-1] < _ARCS * max(float(left @ left), 1e-300):
             break
-    assert place is not None  # there is a start, or _starts refuses
     # Once more with the points that lie outside the probe as it was found.
     place, found = search(np.append(place, 0.0) if tilted else place)
     left = found.fun
@@ -317,9 +314,6 @@ def _starts(
 
 def _signed_distances(across: Array, up: Array, r: Array, z: Array) -> Array:
     """Return each point's distance from the nearest part of the meridian, positive on one side."""
-    # Where two parts of the meridian meet, the solver may give a point twice.
-    apart = np.append(True, (np.diff(r) != 0) | (np.diff(z) != 0))
-    r, z = r[apart], z[apart]
     dr, dz = np.diff(r), np.diff(z)
     square = dr**2 + dz**2
     x, y = across[:, None] - r[:-1], up[:, None] - z[:-1]
@@ -329,11 +323,6 @@ def _signed_distances(across: Array, up: Array, r: Array, z: Array) -> Array:
     rows = np.arange(across.size)
     side = (x * dz - y * dr)[rows, nearest]
     return np.where(side < 0, -1.0, 1.0) * gap[rows, nearest]
-
-
-def _correlation(left: Array) -> float:
-    """Return the correlation of neighboring distances."""
-    return float(np.sum(left[1:] * left[:-1]) / max(float(np.sum(left**2)), 1e-300))
 
 
 def _covariance(jacobian: Array, left: Array) -> Array:

@@ -376,14 +376,9 @@ def mean_strain(
     values = checked(**values)
     zeta = values["probe_half_width"] / values["dimple_radius"]
     steepness = values["dimple_depth"] / values["dimple_radius"]
-    if not flag("small_slopes", small_slopes):
-        return _exact_strain(zeta, steepness)
-    shape = log_remainder(zeta, 3) / (annulus(zeta) * log_remainder(zeta, 2) ** 2)
-    return -(steepness**2) * shape
-
-
-def _exact_strain(zeta: Array, steepness: Array) -> Array:
-    """Return the mean strain of the profile (4.2) with its slopes kept whole."""
+    if flag("small_slopes", small_slopes):
+        shape = log_remainder(zeta, 3) / (annulus(zeta) * log_remainder(zeta, 2) ** 2)
+        return -(steepness**2) * shape
     # ρ = r/a runs over [ζ, 1] as ζ^t, t in [0, 1]; dρ = ln ζ · ρ dt.
     rho = zeta[..., np.newaxis] ** ((_NODES + 1) / 2)
     slope = 2 * steepness[..., np.newaxis] * (1 / rho - rho)

@@ -11,9 +11,6 @@ from scipy.integrate import solve_bvp
 
 from microlib._common import Array, Tidy
 
-__all__ = ["MembraneState", "Problem", "gauss_points", "in_units", "reintegration_error"]
-
-Slopes = Callable[[Array, Array], Array]
 #: Where a search begins: mesh, state, and unknowns beside the state, None where there are none.
 Guess = tuple[Array, Array, Array | None]
 
@@ -103,7 +100,8 @@ class MembraneState(Tidy):
     approach : float
         How far the probe has moved since it touched, in µm.
     rim_radius : float
-        Radius a of the rim, in µm: the clamped edge of a disc, the crest of a capsule's dimple.
+        Radius a of the rim, in µm: the clamped edge of a disc; the crest of a capsule's dimple,
+        which is also the radius of its flat circle on the plate.
     r, z : (N,) ndarray
         The meridian from the probe's edge to the disc's rim or to the middle of the plate: distance
         from the axis, and height above the rim's plane or the plate, in µm.
@@ -114,9 +112,6 @@ class MembraneState(Tidy):
         the axis where the membrane is wrinkled.
     pressure : float
         Pressure below the disc, or inside the capsule above that outside, in MPa.
-    contact_radius : float
-        Radius on which the membrane touches its support: the disc's rim, or the capsule's flat
-        circle on the plate, in µm.
     energy : float
         Elastic energy stored since the membrane was free of stress, in pJ (µN·µm).
     volume : float
@@ -137,7 +132,6 @@ class MembraneState(Tidy):
     stretches: Array
     stresses: Array
     pressure: float
-    contact_radius: float
     energy: float
     volume: float
 
@@ -157,7 +151,6 @@ def in_units(
         z=meridian[1] * length,
         stretches=meridian[2:4],
         stresses=meridian[4:] * modulus,
-        contact_radius=float(sizes.get("rim_radius", 0.0) * length),
         **{name: float(sizes.get(name, 0.0) * unit) for name, unit in by.items()},
     )
 
@@ -170,7 +163,9 @@ def gauss_points(mesh: Array) -> tuple[Array, Array]:
     return points.ravel(), (half * weights).ravel()
 
 
-def reintegration_error(slopes: Slopes, mesh: Array, values: Array) -> float:
+def reintegration_error(
+    slopes: Callable[[Array, Array], Array], mesh: Array, values: Array
+) -> float:
     """Return how far Runge–Kutta, started at every node, misses the next node; relative."""
     step = np.diff(mesh) / _SUBSTEPS
     x, y = mesh[:-1].copy(), values[:, :-1].copy()

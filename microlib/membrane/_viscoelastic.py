@@ -7,8 +7,6 @@ from numpy.typing import ArrayLike
 
 from microlib._common import Array, as_array
 
-__all__ = ["viscoelastic_force"]
-
 
 def viscoelastic_force(
     time: ArrayLike, elastic_force: ArrayLike, *, shares: ArrayLike, relaxation_times: ArrayLike
