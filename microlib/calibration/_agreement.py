@@ -21,6 +21,8 @@ _EXPLAINED = 3.0
 #: A mark so many standard deviations beside the others' map is none of theirs: by chance one of
 #: 10⁸.
 _STRAY = 6.0
+#: Of a point that the fields follow but for this part nothing is known.
+_LEAST_SHOWN = 1e-3
 #: Least part of the marks that must agree.
 _LEAST_AGREEING = 0.75
 #: Degrees of freedom that the fits' own σ counts for when it is held against the residuals; of
@@ -79,11 +81,16 @@ def agree(
         if freedom <= 0:
             return kept, sigma, np.nan
         design = fields[:, kept].reshape(len(fields), -1).T
-        best = np.linalg.lstsq(design, residuals[kept].ravel(), rcond=None)[0]
+        inverse = np.linalg.pinv(design)
+        best = inverse @ residuals[kept].ravel()
         left = residuals - np.tensordot(best, fields, axes=1)
+        # A mark that the fields follow, alone in its row or column, leaves little of its error.
+        shown = np.ones(left.shape)
+        shown[kept] -= np.einsum("ij,ji->i", design, inverse).reshape(shown[kept].shape)
         inflation = np.sqrt(residuals[kept].size / freedom)
         spread = _TO_SIGMA * np.median(np.abs(left[kept])) * inflation
-        stray = np.abs(left).max(axis=-1) > _STRAY * np.maximum(spread, sigma)
+        apart = np.abs(left) / np.sqrt(np.maximum(shown, _LEAST_SHOWN))
+        stray = apart.max(axis=-1) > _STRAY * np.maximum(spread, sigma)
         before, kept = kept, ~stray.any(axis=1)
         if (kept == before).all() or not kept.any():
             break
@@ -116,8 +123,5 @@ def _smooth_fields(positions: Array, radial: Array, to_image: GridMap) -> tuple[
         for j in range(max(degree, 1) + 1 - i):
             term = (x**i * y**j)[..., None]
             fields += [term * [1.0, 0.0], term * [0.0, 1.0]]
-    if degree == 0:  # what the map itself has: a change of perspective moves points in proportion
-        fields += [radial * x[..., None], radial * y[..., None]]
-        return np.array(fields), to_image.freedom + len(powers)
     # Of the map's numbers the six of an affine map are the polynomial's too.
     return np.array(fields), len(fields) + max(to_image.freedom - 6, 0)

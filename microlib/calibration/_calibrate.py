@@ -18,6 +18,7 @@ from scipy.sparse import csr_array
 from microlib._common import Array, as_array, between, inverse_normal, same_length, scalar
 from microlib.calibration._calibration import Calibration
 from microlib.calibration._detection import Detection
+from microlib.calibration._stage import span_plane
 from microlib.calibration._uncertainty import (
     BY_CHANCE,
     axis_errors,
@@ -34,9 +35,6 @@ from microlib.microscope import Microscope
 _CERTAIN = 4.0
 #: Where 1/f is lost it may come out as zero; then f is held at a kilometer, 1/µm.
 _SMALLEST_POWER = 1e-9
-#: World or image points are on one line if they spread across it by less than this part of its
-#: length, a thousandth of a pixel.
-_THINNEST = 1e-6
 #: The two tilts are two minima if an angle differs by so many standard errors: 0.3 % by chance.
 _APART = 3.0
 #: The better of the two is told from the other if its sum of squares is smaller by more than this
@@ -214,13 +212,7 @@ def _points(world: Any, image: Any, image_size: tuple[int, int]) -> tuple[Array,
     between("image", image, -_FARTHEST_PIXEL, _FARTHEST_PIXEL)
     if len(world) < 5:  # radial alignment has six unknowns up to scale, one equation a point
         raise ValueError(f"world must hold at least 5 points, got {len(world)}")
-    for name, points in (("world", world), ("image", image)):
-        triangle = np.linalg.qr(points - points.mean(axis=0), mode="r")
-        spread = np.linalg.svd(triangle, compute_uv=False)
-        if not spread[0] > 1 / _FARTHEST:
-            raise ValueError(f"{name} must extend over more than {1 / _FARTHEST:g}, got less")
-        if not spread[1] > _THINNEST * spread[0]:
-            raise ValueError(f"{name} must not lie on one line, got {len(points)} points that do")
+    span_plane(world=world, image=image)
     beyond = ((image < -1) | (image > image_size)).any(axis=1)
     if beyond.any():
         width, height = image_size
@@ -280,11 +272,6 @@ def _report(
                 lost |= set(tilt)
     elif not power > _CERTAIN * sigma["focal_length"]:
         lost |= {name for name in names if name.startswith(("focal", "beta", "gamma"))}
-    elif power < _SMALLEST_POWER:
-        raise ValueError(
-            "world and pixel_size must be in µm, got points that tell a focal length of "
-            f"{1 / power:.3g} µm, more than {1 / _SMALLEST_POWER:g} µm"
-        )
     poses = fit.poses.copy()
     poses[:, 1:4] = np.angle(np.exp(1j * poses[:, 1:4]))
     estimate = np.concatenate([fit.lens, poses.ravel()])[fit.free][order]

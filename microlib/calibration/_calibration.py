@@ -233,7 +233,6 @@ class Calibration(Tidy):
         distance = (scope.tube_length + scope.focal_length) / scope.cell
         terms, worst = self._brown()
         pixel, *ends = self.um_per_pixel()
-        own = {name: _plain(value) for name, value in vars(self).items() if name != "microscope"}
         content = {
             "opencv": {
                 "image_width": int(scope.image_size[0]),
@@ -246,10 +245,10 @@ class Calibration(Tidy):
             },
             "micro_manager": {"PixelSizeUm": pixel},
             "imagej": {"unit": "µm", "pixel_width": pixel, "pixel_height": pixel},
-            "pixel_size_interval_um": _plain(ends),
-            "calibration": own | {"views": [_plain(vars(view)) for view in self.views]},
+            "pixel_size_interval_um": ends,
+            "calibration": {n: v for n, v in vars(self).items() if n != "microscope"},
         }
-        return json.dumps(content, indent=2, ensure_ascii=False, default=_plain)
+        return json.dumps(_plain(content), indent=2, ensure_ascii=False)
 
     @classmethod
     def from_json(cls, text: str) -> Calibration:
@@ -262,17 +261,11 @@ class Calibration(Tidy):
         """
         try:
             own: dict[str, Any] = json.loads(text)["calibration"]
-            views = []
-            for view in own.pop("views"):
-                pairs: dict[str, Any] = {
-                    n: tuple(view[n]) for n in view if isinstance(view[n], list)
-                }
-                views.append(Microscope(**(view | pairs)))
+            views = tuple(Microscope(**_tuples(view)) for view in own.pop("views"))
             arrays = ("estimate", "covariance", "residuals", "plane_residuals")
             own |= {name: np.array(own[name], dtype=object).astype(float) for name in arrays}
-            own |= {name: tuple(own[name]) for name in ("parameters", "unobservable")}
             own |= {name: float(own[name]) for name in ("misfit", "misfit_chance")}
-            return cls(microscope=views[0], views=tuple(views), **own)
+            return cls(microscope=views[0], views=views, **_tuples(own))
         except (TypeError, LookupError, AttributeError, ValueError) as fault:
             raise ValueError(f"text must be what to_json wrote, got {str(text)[:40]!r}") from fault
 
@@ -304,8 +297,14 @@ class Calibration(Tidy):
         return [k1, k2, 0.0, 0.0, k3], float(worst)
 
 
+def _tuples(own: dict[str, Any]) -> dict[str, Any]:
+    return {n: tuple(v) if isinstance(v, list) else v for n, v in own.items()}
+
+
 def _plain(value: Any) -> Any:
     """What JSON can hold; numbers that are not finite as texts."""
+    if isinstance(value, Microscope):
+        value = vars(value)
     if isinstance(value, (np.ndarray, np.generic)):
         value = value.tolist()
     if isinstance(value, dict):

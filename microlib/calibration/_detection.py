@@ -75,11 +75,7 @@ class Detection(Tidy):
         list of (data, options, type)
         """
         pixel_size = scalar("pixel_size", pixel_size, above=0)
+        shown = {"face_color": "transparent", "border_color": "orange", "size": 8}
         values = {"i": self.grid[:, 0], "j": self.grid[:, 1], "sigma": self.sigma}
-        options: dict[str, Any] = {
-            "name": "marks",
-            "scale": (pixel_size, pixel_size),
-            "features": values,
-        }
-        options |= {"face_color": "transparent", "border_color": "orange", "size": 8}
-        return [(self.points[:, ::-1], options, "points")]
+        scaled = {"name": "marks", "scale": (pixel_size, pixel_size), "features": values}
+        return [(self.points[:, ::-1], scaled | shown, "points")]

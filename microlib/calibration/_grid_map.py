@@ -63,16 +63,6 @@ class GridMap:
         return np.abs(np.linalg.det(self.steps(grid)))
 
 
-def homography_map(points: Array, grid: Array, image_shape: tuple[int, ...]) -> GridMap:
-    """Map without distortion through at least four points (N, 2), linear least squares; quick."""
-    middle = (np.array(image_shape[1::-1], dtype=np.float64) - 1) / 2
-    unit = float(middle.max())
-    homography, _ = cv2.findHomography(grid.astype(np.float64), (points - middle) / unit)
-    if homography is None or not np.isfinite(homography).all():
-        raise ValueError(f"image must show a plane grid, got {len(points)} points that fit none")
-    return GridMap(np.asarray(homography, dtype=np.float64), 0.0, middle, unit, 8)
-
-
 def fit_grid_map(
     points: Array, cells: Array, offsets: Array, image_shape: tuple[int, ...]
 ) -> tuple[GridMap, Array]:
@@ -101,13 +91,19 @@ def fit_grid_map(
     ValueError
         If no map of finite numbers leads from the coordinates to the points.
     """
-    flat = homography_map(points.mean(axis=1), cells, image_shape)
+    middle = (np.array(image_shape[1::-1], dtype=np.float64) - 1) / 2
+    unit = float(middle.max())
+    flat = (points.mean(axis=1) - middle) / unit
+    homography, _ = cv2.findHomography(cells.astype(np.float64), flat)
+    if homography is None or not np.isfinite(homography).all():
+        raise ValueError(f"image must show a plane grid, got {len(points)} points that fit none")
+    homography = np.asarray(homography, dtype=np.float64)
     count = 9 if points[..., 0].size >= _FEWEST_FOR_DISTORTION else 8
-    start = np.append(flat.homography.ravel()[:8], np.zeros(count - 8))
+    start = np.append(homography.ravel()[:8], np.zeros(count - 8))
     squares = points.shape[1] == 4
     if squares:
         area = np.abs(np.linalg.det(points[:, 2:] - points[:, :2])) / 2
-        cell = np.median(flat.scale(cells))
+        cell = np.median(GridMap(homography, 0.0, middle, unit, 8).scale(cells))
         if not cell > 0:
             raise ValueError("image must show squares on a plane grid, got them in one row")
         start = np.append(start, np.full(2, np.sqrt(np.median(area) / cell)))
@@ -115,7 +111,7 @@ def fit_grid_map(
     def build(p: Array) -> tuple[GridMap, Array]:
         distortion = float(p[8]) if count > 8 else 0.0
         homography = np.append(p[:8], 1.0).reshape(3, 3)
-        to_image = GridMap(homography, distortion, flat.middle, flat.unit, len(p))
+        to_image = GridMap(homography, distortion, middle, unit, len(p))
         return to_image, cells[:, None] + (offsets * p[count:] if squares else offsets)
 
     def residuals(p: Array) -> Array:

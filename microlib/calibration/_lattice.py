@@ -8,8 +8,10 @@ coordinates: it tells a square lattice from a tilted hexagonal one, which points
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, cKDTree
@@ -17,7 +19,7 @@ from scipy.spatial import ConvexHull, cKDTree
 from microlib._common import Array
 from microlib.calibration._detection import FEWEST
 from microlib.calibration._grid_map import fit_grid_map
-from microlib.calibration._marks import Marks
+from microlib.calibration._marks import SMOOTHING, START_BLUR, Marks, slope_of
 
 #: Lattices by name, and the coordinates of their steps in the pattern's plane, in pitches.
 STEPS = {
@@ -40,16 +42,20 @@ _SEED_REACH, _REACH = 0.3, 0.25
 #: Most first steps that are tried from one mark.
 _TRIES = 4
 
+#: With less blur than this, px, a fit finds its way from `START_BLUR`.
+_USUAL_BLUR = 2.0
+
 # Completion
 
-#: Least contrast of a place that is taken for a mark, as a part of the median of those found.
-_LEAST_CONTRAST = 0.5
+#: Least contrast of a place that is taken for a mark, as a part of that of the nearest one: at the
+#: rim of a chessboard, where one of four fields is dark, it is a half.
+_LEAST_CONTRAST = 0.7
 #: Half the width of a mark in standard deviations of its area: 2 for a circle, √3 for the side of a
 #: square, √6 for its diagonal.
 _HALF_WIDTH = 2.0
 _MIDDLE = np.zeros((1, 2))
 #: Rings around the lattice that are looked at, one after the other.
-_RINGS = 4
+_RINGS = 8
 #: Places half a step from a mark, across and along the axes.
 _ACROSS = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, 0.5], [-0.5, -0.5]])
 _ALONG = np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
@@ -140,11 +146,21 @@ def _grow(marks: Marks, tree: cKDTree, seed: int, steps: Array) -> dict[tuple[in
     return found
 
 
-def complete(marks: Marks, index: Index, grid: Index) -> tuple[Marks, Index]:
-    """The marks of a lattice, with those that the image shows where it would have them."""
-    marks = marks[index]
+def complete(
+    marks: Marks,
+    grid: Index,
+    contrast: Callable[[NDArray, Array, Array], Array],
+    refine: Callable[[Array], Array] | None = None,
+) -> tuple[Marks, Index]:
+    """The marks of a lattice, with those that the image shows where it would have them.
+
+    `contrast` tells them, from the smoothed image, places and the lattice's mean steps; `refine`
+    moves places to the corners beside them.
+    """
     for _ in range(_RINGS):
-        absent = absent_places(grid)
+        held = set(map(tuple, grid.tolist()))
+        beside = set(map(tuple, (grid[:, None] + (2 * _ALONG).astype(int)).reshape(-1, 2).tolist()))
+        absent = np.array(sorted(beside - held), dtype=np.intp)
         flat = grid.astype(np.float64)
         to_image, _ = fit_grid_map(marks.centers[:, None], flat, _MIDDLE, marks.image.shape)
         places = to_image(absent.astype(np.float64))
@@ -152,9 +168,13 @@ def complete(marks: Marks, index: Index, grid: Index) -> tuple[Marks, Index]:
         reach = _HALF_WIDTH * np.sqrt(np.einsum("nii->ni", marks.moments[near])) + 1
         limit = np.array(marks.image.shape[::-1]) - 1 - reach
         new = np.flatnonzero(((places > reach) & (places < limit)).all(axis=1))
+        if refine is not None and len(new):
+            refined = refine(places[new])
+            moved = np.abs(refined - places[new]) < reach[new] / 2
+            places[new], new = refined, new[moved.all(axis=1)]
         steps = mean_steps(marks.centers, grid)
-        least = _LEAST_CONTRAST * np.median(_contrast(marks.smooth, marks.centers, steps))
-        new = new[_contrast(marks.smooth, places[new], steps) > least]
+        least = _LEAST_CONTRAST * contrast(marks.smooth, marks.centers, steps)[near[new]]
+        new = new[contrast(marks.smooth, places[new], steps) > least]
         if len(new) == 0:
             break
         marks = replace(
@@ -167,11 +187,16 @@ def complete(marks: Marks, index: Index, grid: Index) -> tuple[Marks, Index]:
     return marks, grid
 
 
-def absent_places(grid: Index) -> Index:
-    """Places beside a mark, along one of the axes, that hold none."""
-    held = set(map(tuple, grid.tolist()))
-    beside = (grid[:, None] + (2 * _ALONG).astype(int)).reshape(-1, 2)
-    return np.array(sorted(set(map(tuple, beside.tolist())) - held), dtype=np.intp)
+def start_blur(marks: Marks, grid: Index) -> float:
+    """Blur with which to fit marks: a Gaussian edge of contrast C has the gradient C/(√(2π) blur),
+    of which a part is the smoothing's."""
+    steps = mean_steps(marks.centers, grid)
+    contrast = float(np.median(darkness(marks.smooth, marks.centers, steps)))
+    width = 2 * int(_HALF_WIDTH * np.sqrt(np.trace(marks.moments.mean(axis=0)) / 2)) + 3
+    steepest = cv2.dilate(slope_of(marks.smooth), np.ones((width, width), np.uint8))
+    steep = max(float(np.median(_levels(steepest, marks.centers))), 1e-9)
+    blur = float(np.sqrt(max((contrast / steep) ** 2 / (2 * np.pi) - SMOOTHING**2, 0)))
+    return blur if blur > _USUAL_BLUR else START_BLUR
 
 
 def refuse_fields(kind: str, marks: Marks, grid: Index) -> None:
@@ -188,10 +213,16 @@ def refuse_fields(kind: str, marks: Marks, grid: Index) -> None:
         )
 
 
-def _contrast(smooth: NDArray, centers: Array, steps: Array) -> Array:
+def darkness(smooth: NDArray, centers: Array, steps: Array) -> Array:
     """Grey levels half a step away on all four sides across, less that in the middle."""
     around = centers[:, None] + _ACROSS @ steps
     return _levels(smooth, around).min(axis=1) - _levels(smooth, centers)
+
+
+def saddle(smooth: NDArray, centers: Array, steps: Array) -> Array:
+    """Grey levels half a step away, of two opposite sides across less those of the other two."""
+    one, two, three, four = _levels(smooth, centers[:, None] + _ACROSS @ steps).T
+    return one + four - two - three
 
 
 def _levels(smooth: NDArray, points: Array) -> Array:
@@ -201,8 +232,8 @@ def _levels(smooth: NDArray, points: Array) -> Array:
     return levels
 
 
-def lattice_gram(shapes: Array, steps: Array, lattice: str) -> Array:
-    """Inner products of the two steps of a lattice's coordinates, up to a factor.
+def refuse_lattice(shapes: Array, steps: Array, lattice: str) -> None:
+    """Refuse marks that are not of one shape, or lie on another lattice than the one named.
 
     Parameters
     ----------
@@ -213,14 +244,6 @@ def lattice_gram(shapes: Array, steps: Array, lattice: str) -> Array:
     lattice : str
         What it must be: one of `STEPS`.
 
-    Returns
-    -------
-    ndarray, shape (2, 2)
-
-    Raises
-    ------
-    ValueError
-        If the marks are not of one shape, or the lattice is another.
     """
     inverse = np.linalg.inv(steps)
     metrics = inverse @ shapes @ inverse.transpose(0, 2, 1)
@@ -234,21 +257,15 @@ def lattice_gram(shapes: Array, steps: Array, lattice: str) -> Array:
             f"image must show marks of one shape and size, got some that scatter by "
             f"{100 * scatter:.0f} %"
         )
-    gram: Array = np.linalg.inv(metric)
-    (a, b), (_, c) = gram
-    while turns := np.round(b / min(a, c)):  # to the two shortest steps
-        if c < a:
-            a, c = c, a
-        b, c = b - turns * a, c - 2 * turns * b + turns**2 * a
-    ratio, cosine = np.sqrt(max(a, c) / min(a, c)), abs(b) / np.sqrt(a * c)
+    (a, b), (_, c) = np.linalg.inv(metric)  # the inner products of the steps, up to a factor
+    ratio, cosine = np.sqrt(max(a, c) / min(a, c)), b / np.sqrt(a * c)
     wanted = 0.5 if lattice == "hexagonal" else 0.0
     if ratio > _MOST_RATIO or abs(cosine - wanted) > _MOST_COSINE:
         name = "hexagonal" if wanted else "square"
         raise ValueError(
             f"image must show circles on a {name} lattice, got steps of 1 : {ratio:.2f} at "
-            f"{np.rad2deg(np.arccos(min(cosine, 1.0))):.0f}°"
+            f"{np.rad2deg(np.arccos(cosine)):.0f}°"
         )
-    return gram
 
 
 def fill(grid: Index) -> float:
@@ -274,19 +291,17 @@ def refuse_gaps(kind: str, grid: Index) -> None:
 
 
 def counting(
-    points: Array, grid: Index, gram: Array, lattice: str, direction: float, mirrored: bool
+    points: Array, grid: Index, lattice: str, direction: float, mirrored: bool
 ) -> NDArray[np.float64]:
-    """Matrix (2, 2) by which integer coordinates become those along the lattice's shortest steps,
-    the first of them in the wanted direction.
+    """Matrix (2, 2) by which coordinates of equal steps become those with the first step in the
+    wanted direction.
 
     Parameters
     ----------
     points : ndarray, shape (N, 2)
         Image points, px.
     grid : ndarray of int, shape (N, 2)
-        Any integer coordinates of the lattice.
-    gram : ndarray, shape (2, 2)
-        Inner products of their steps.
+        Coordinates whose steps are at a right angle, on a hexagonal lattice at 60°.
     lattice : str
         One of `STEPS`.
     direction : float
@@ -297,22 +312,15 @@ def counting(
     if lattice == "asymmetric":  # its square lattice stands on a corner
         direction += -np.pi / 4 if mirrored else np.pi / 4
     along = mean_steps(points, grid)
-    index = np.arange(-2, 3)
-    every = np.stack(np.meshgrid(index, index), axis=-1).reshape(-1, 2)
-    length = np.sqrt(np.einsum("ni,ij,nj->n", every, gram, every))
-    shortest = length[length > 0].min()
-    axes = every[(length > 0) & (length < _MOST_RATIO * shortest)]
+    axes = np.array([[1, 0], [0, 1], [-1, 1]][: 3 if lattice == "hexagonal" else 2])
+    axes = np.concatenate([axes, -axes])  # all the way round
     seen = axes @ along
-    size = np.hypot(*seen.T)
-    if not (size > 0).all():
+    if not np.abs(np.linalg.det(along)) > 0:
         raise ValueError(f"image must show a plane grid, got {len(points)} points in one row")
-    heading = seen / size[:, None] @ [np.cos(direction), np.sin(direction)]
+    heading = seen @ [np.cos(direction), np.sin(direction)] / np.hypot(*seen.T)
     first = int(np.argmax(heading))
-    turn = seen[first, 0] * seen[:, 1] - seen[first, 1] * seen[:, 0]
-    cosine = axes[first] @ gram @ axes.T / shortest**2
-    wanted = 0.5 if lattice == "hexagonal" else 0.0
-    wrong = np.abs(cosine - wanted) + 10.0 * ((turn > 0) == mirrored)
-    basis = np.linalg.inv(np.stack([axes[first], axes[int(np.argmin(wrong))]]))
+    turn = 1 if (np.linalg.det(along) > 0) != mirrored else -1
+    basis = np.linalg.inv(np.stack([axes[first], axes[(first + turn) % len(axes)]]))
     return basis @ [[1, 1], [-1, 1]] if lattice == "asymmetric" else basis
 
 

@@ -121,56 +121,14 @@ def detect_micrometer(
     """
     grey, corner = crop(to_grey(image), region)
     angle = _direction(grey)
-    scales, refusals = [], []
-    for dark in (grey, grey.max() - grey):  # the gaps between lines are a scale, too, a worse one
-        try:
-            scales.append(_scale(dark, angle, corner))
-        except ValueError as refusal:
-            refusals.append(refusal)
-    if not scales:
-        raise refusals[0]
-    return min(scales, key=lambda scale: scale.spacing_sigma)
-
-
-def _direction(grey: NDArray[np.float32]) -> float:
-    """Angle across the lines: the gradients' own, then where the mean profile is sharpest."""
-    gx, gy = (cv2.Sobel(grey, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1)))
-    first = float(np.angle(np.sum((gx + 1j * gy).astype(np.complex128) ** 2))) / 2
-    turns = first + np.linspace(-_TURN, _TURN, _TURNS)
-    sharp = [np.nanmean(np.diff(_mean(_turned(grey, turn)[0])) ** 2) for turn in turns]
-    best = int(np.clip(np.argmax(sharp), 1, _TURNS - 2))
-    below, here, above = sharp[best - 1 : best + 2]
-    bend = below - 2 * here + above
-    step = 0.5 * (below - above) / bend if bend < 0 else 0.0
-    return float(turns[best] + step * 2 * _TURN / (_TURNS - 1))
-
-
-def _turned(grey: NDArray[np.float32], angle: float) -> tuple[NDArray[np.float32], Array]:
-    """Image with the lines upright, NaN outside, and the matrix to its coordinates."""
-    height, width = grey.shape
-    matrix = np.array([[np.cos(angle), np.sin(angle), 0], [-np.sin(angle), np.cos(angle), 0]])
-    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) @ matrix[:, :2].T
-    matrix[:, 2] = -corners.min(axis=0)
-    size = np.ceil(np.ptp(corners, axis=0)).astype(int).tolist()
-    upright = cv2.warpAffine(grey, matrix, size, borderValue=float("nan"))
-    return np.asarray(upright, dtype=np.float32), matrix
-
-
-def _mean(rows: NDArray[np.float32]) -> Array:
-    """Mean of each column, NaN where less than half of it is image."""
-    known = np.isfinite(rows)
-    count = known.sum(axis=0)
-    sums = np.where(known, rows, 0).sum(axis=0, dtype=np.float64)
-    return np.where(count > len(rows) / 2, sums / np.maximum(count, 1), np.nan)
-
-
-def _scale(grey: NDArray[np.float32], angle: float, corner: Array) -> Micrometer:
-    """The scale of dark lines."""
     upright, matrix = _turned(grey, angle)
     # Rows along which much changes cross the lines.
     change = _mean(np.abs(cv2.Sobel(upright, cv2.CV_32F, 1, 0)).T)
     high = change > (np.nanmin(change) + np.nanmax(change)) / 2
     profile = _mean(upright[high]) if high.any() else np.full(1, np.nan)
+    known = profile[np.isfinite(profile)]
+    if known.size and 2 * known.mean() < known.min() + known.max():  # lines are the lesser part
+        profile = -profile
     dark = np.nan_to_num(np.nanmax(profile, initial=-np.inf) - profile)
     from scipy.signal import find_peaks  # here, as it takes long to import
 
@@ -201,6 +159,34 @@ def _scale(grey: NDArray[np.float32], angle: float, corner: Array) -> Micrometer
     upright_points = np.column_stack([places, np.full(len(places), np.flatnonzero(high).mean())])
     points = (upright_points - matrix[:, 2]) @ matrix[:, :2] + corner
     return Micrometer(points, divisions, residuals, float(spacing), float(sigma), angle)
+
+
+def _direction(grey: NDArray[np.float32]) -> float:
+    """Angle across the lines: the gradients' own, then where the mean profile is sharpest."""
+    gx, gy = (cv2.Sobel(grey, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1)))
+    first = float(np.angle(np.sum((gx + 1j * gy).astype(np.complex128) ** 2))) / 2
+    turns = first + np.linspace(-_TURN, _TURN, _TURNS)
+    sharp = [np.nanmean(np.diff(_mean(_turned(grey, turn)[0])) ** 2) for turn in turns]
+    return float(turns[np.argmax(sharp)])
+
+
+def _turned(grey: NDArray[np.float32], angle: float) -> tuple[NDArray[np.float32], Array]:
+    """Image with the lines upright, NaN outside, and the matrix to its coordinates."""
+    height, width = grey.shape
+    matrix = np.array([[np.cos(angle), np.sin(angle), 0], [-np.sin(angle), np.cos(angle), 0]])
+    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) @ matrix[:, :2].T
+    matrix[:, 2] = -corners.min(axis=0)
+    size = np.ceil(np.ptp(corners, axis=0)).astype(int).tolist()
+    upright = cv2.warpAffine(grey, matrix, size, borderValue=float("nan"))
+    return np.asarray(upright, dtype=np.float32), matrix
+
+
+def _mean(rows: NDArray[np.float32]) -> Array:
+    """Mean of each column, NaN where less than half of it is image."""
+    known = np.isfinite(rows)
+    count = known.sum(axis=0)
+    sums = np.where(known, rows, 0).sum(axis=0, dtype=np.float64)
+    return np.where(count > len(rows) / 2, sums / np.maximum(count, 1), np.nan)
 
 
 def _refusal(got: str) -> ValueError:

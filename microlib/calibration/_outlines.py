@@ -52,21 +52,13 @@ _ROUGH = 6.0
 #: more of it for dirt to lie in; the narrowest makes no difference from 1 to 3 inside, but across
 #: the middle of a narrow gap the corners are 0.010 px off instead of 0.005.
 _LEAST_OUTER, _NARROWEST, _WIDEST = 1.0, 2.0, 7.0
-#: Most residual, least contrast and most uncertainty of an outline, in medians of all.
-#: Residuals of up to 5 medians let 2 wrong points of 1961 pass that 3 keeps out, and 2 costs 12
-#: right ones; contrasts from 0.25 to 0.75 and uncertainties from 3 to 20 make no difference
-#: beside it.
-_MOST_RMS, _LEAST_CONTRAST, _MOST_SIGMA = 3.0, 0.5, 5.0
 #: A neighbor lies no further than this times the distance to the nearest: the diagonal of a square
 #: of the lattice has 1.41, two steps of it 2.
 _NEAR = 1.7
 #: Neighbors of a mark on a square lattice; a hexagonal one has six.
 _NEIGHBORS = 8
-#: What the neighbors take of the light is left in where it is below this part of the residual's
-#: standard deviation everywhere: no fit could see it.
-_UNSEEN = 0.3
-#: Marks that are asked first whether their neighbors reach into them: those with the closest one.
-_ASKED = 8
+#: Half a gap of so many blurs: beyond it a neighbor takes less than a hundredth of the light.
+_UNSEEN = 2.33
 #: Most rounds of taking the neighbors off and fitting anew. With a gap of 2.8 times the blur one is
 #: 0.085 px off without any, then 0.0092 after two, 0.0074 after three, and 0.0070 after six.
 _ROUNDS = 3
@@ -149,8 +141,10 @@ def cut_patches(
     )
 
 
-def fit_shapes(outline: Outline, start: Array, patches: Patches) -> OutlineFit:
-    """Fit outlines that may be no further from each other than their blur reaches."""
+def fit_shapes(
+    outline: Outline, start: Array, patches: Patches, gap: float, iterations: int
+) -> OutlineFit:
+    """Fit outlines that lie `gap` apart, px, which may be no further than their blur reaches."""
 
     def model(parameters: Array, patches: Patches) -> tuple[Array, Array]:
         light, inside, by, basis = _parts(outline, parameters, patches)
@@ -161,18 +155,11 @@ def fit_shapes(outline: Outline, start: Array, patches: Patches) -> OutlineFit:
         jacobian[..., GROUND] = basis * (1 - contrast * inside)[..., None]
         return light * (1 - contrast * inside), jacobian
 
-    fit = fit_outlines(model, start, patches)
-    neighbors, closest = _neighbors(patches.centers)
-    every = np.arange(len(neighbors))
-    for _ in range(_ROUNDS):
-        failed = ~np.isfinite(fit.rms)
-        if failed.all():
-            break
-        unseen = _UNSEEN * np.median(fit.rms[~failed])
-        if np.abs(_taken(outline, fit, patches, neighbors, closest)).max() < unseen:
-            break
-        taken = _taken(outline, fit, patches, neighbors, every)
-        fit = fit_outlines(model, fit.parameters, replace(patches, grey=patches.grey + taken))
+    fit = fit_outlines(model, start, patches, iterations)
+    if gap < 2 * _UNSEEN * np.median(np.abs(fit.parameters[:, BLUR])):
+        for _ in range(_ROUNDS):
+            grey = patches.grey + _taken(outline, fit, patches)
+            fit = fit_outlines(model, fit.parameters, replace(patches, grey=grey), iterations)
     return fit
 
 
@@ -186,41 +173,24 @@ def _parts(
     return light, *outline(parameters, patches.x, patches.y), basis
 
 
-def _taken(
-    outline: Outline,
-    fit: OutlineFit,
-    patches: Patches,
-    neighbors: NDArray[np.intp],
-    index: NDArray[np.intp],
-) -> Array:
-    """What their neighbors take from the pixels of the marks in `index`, grey levels."""
-    x, y, origin = patches.x[index], patches.y[index], patches.centers[index]
-    taken = np.zeros_like(x)
-    for other in neighbors[index].T:
-        shift = origin - patches.centers[other]
-        there = replace(patches, x=x + shift[:, :1], y=y + shift[:, 1:])
+def _taken(outline: Outline, fit: OutlineFit, patches: Patches) -> Array:
+    """What their neighbors take from the pixels of each mark, grey levels."""
+    centers = patches.centers
+    distance, index = cKDTree(centers).query(centers, k=_NEIGHBORS + 1)
+    near = distance < _NEAR * np.median(distance[:, 1])  # infinite where there are no more
+    taken = np.zeros_like(patches.x)
+    for other, beside in zip(np.where(near, index, 0).T[1:], near.T[1:], strict=True):
+        x, y = (centers - centers[other]).T[..., None]
         parameters = fit.parameters[other]
+        there = replace(patches, x=patches.x + x, y=patches.y + y)
         light, inside, *_ = _parts(outline, parameters, there)
-        known = (other != index) & np.isfinite(fit.rms[other])
+        known = beside & np.isfinite(fit.rms[other])
         taken += np.where(known[:, None], light * inside * parameters[:, CONTRAST, None], 0.0)
-    return taken * patches.weight[index]
-
-
-def _neighbors(centers: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Numbers of the nearest others, (n, 8), with a mark's own number where it has no more; and the
-    few marks that are closest to another."""
-    count = min(_NEIGHBORS + 1, len(centers))
-    distance, index = cKDTree(centers).query(centers, k=count)
-    distance, index = (found.reshape(len(centers), -1)[:, 1:] for found in (distance, index))
-    if not distance.size:
-        return np.empty((len(centers), 0), dtype=np.intp), np.arange(len(centers))
-    near = distance <= _NEAR * np.median(distance[:, 0])
-    own = np.arange(len(centers))[:, None]
-    return np.where(near, index, own), np.argsort(distance[:, 0], kind="stable")[:_ASKED]
+    return taken * patches.weight
 
 
 def fit_outlines(
-    model: Model, start: Array, patches: Patches, *, iterations: int = 25, tolerance: float = 1e-5
+    model: Model, start: Array, patches: Patches, iterations: int, tolerance: float = 1e-5
 ) -> OutlineFit:
     """Levenberg–Marquardt on every patch at once, each with its own damping.
 
@@ -233,8 +203,7 @@ def fit_outlines(
     patches : Patches
         What the model should look like.
     iterations : int
-        Most steps that are tried. In renders of Table 5.1's views nine outlines of ten are at
-        their minimum after 5 steps; of photographed circles one in ten needs more than 15.
+        Most steps that are tried.
     tolerance : float
         The search ends as soon as a step changes no patch's sum of squares by more than this part
         of it, be it down or up. The last step then moved the outline by about √(tolerance·k) of its
@@ -334,60 +303,9 @@ def _invert(matrices: Array) -> Array:
     return out / scale[:, :, None] / scale[:, None, :]
 
 
-def band(centers: Array, radius: float) -> tuple[float, float]:
+def band(centers: Array, radius: float) -> tuple[float, float, float]:
     """Outer and inner width, px, of the band around outlines of half a width `radius` that belongs
-    to no neighbor: out to the middle of the gap."""
+    to no neighbor: out to the middle of the gap; and the gap."""
     distance, _ = cKDTree(centers).query(centers, k=2)
-    gap = np.median(distance[:, 1]) / 2 - radius
-    return float(np.clip(gap, _LEAST_OUTER, _WIDEST)), float(np.clip(gap, _NARROWEST, _WIDEST))
-
-
-def find_inliers(
-    shape: tuple[int, ...],
-    low: Array,
-    high: Array,
-    rms: Array,
-    contrast: Array,
-    sigma: Array,
-) -> NDArray[np.bool_]:
-    """Tell the outlines that lie inside the image and are fitted as well as the others.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Height and width of the image, px.
-    low, high : ndarray, shape (N, 2)
-        Corners of the box around each outline, (x, y) px.
-    rms : ndarray, shape (N,)
-        Residual of each fit, grey levels; NaN where it failed.
-    contrast : ndarray, shape (N,)
-        Fitted contrast.
-    sigma : ndarray, shape (N,)
-        Standard deviation of the worst point of each outline, px.
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-        False for an outline that leaves the image, and for one whose residual exceeds three times
-        the median (dirt, a reflection, another shape), whose contrast is half of the median or
-        less, or whose uncertainty is over five times the median (a side that the image cuts off).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from microlib.calibration._outlines import find_inliers
-    >>> low = np.array([[1.0, 1.0], [5.0, -0.2]])
-    >>> one = np.ones(2)
-    >>> find_inliers((20, 30), low, low + 4, one, one, one)
-    array([ True, False])
-    """
-    inside = ((low >= 0) & (high <= [shape[1] - 1, shape[0] - 1])).all(axis=1)
-    good = inside & np.isfinite(rms) & np.isfinite(sigma)
-    if not good.any():
-        return good
-    return (
-        good
-        & (rms <= _MOST_RMS * np.median(rms[good]))
-        & (contrast > _LEAST_CONTRAST * np.median(contrast[good]))
-        & (sigma <= _MOST_SIGMA * np.median(sigma[good]))
-    )
+    half = float(np.median(distance[:, 1])) / 2 - radius
+    return max(min(half, _WIDEST), _LEAST_OUTER), max(min(half, _WIDEST), _NARROWEST), 2 * half

@@ -7,40 +7,29 @@ the test that they lie where a lens would put a lattice.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, flag, one_of, scalar
 from microlib.calibration._agreement import agree
-from microlib.calibration._chessboard import find_crossings
+from microlib.calibration._chessboard import find_corners
 from microlib.calibration._detection import FEWEST, Detection
-from microlib.calibration._grid_map import GridMap, fit_grid_map, homography_map
+from microlib.calibration._grid_map import GridMap, fit_grid_map
 from microlib.calibration._lattice import (
     STEPS,
     complete,
     counting,
+    darkness,
     grow_lattices,
-    lattice_gram,
     refuse_fields,
     refuse_gaps,
+    refuse_lattice,
+    start_blur,
 )
 from microlib.calibration._marks import Marks, crop, dark_regions, even_edges, to_grey
-from microlib.calibration._outlines import BLUR, CONTRAST, find_inliers, smooth_parameters
-from microlib.calibration._shapes import (
-    CORNERS,
-    OFFSET,
-    SMOOTH_ELLIPSE,
-    SMOOTH_QUAD,
-    are_round,
-    ellipse_center,
-    ellipse_reach,
-    ellipse_shape,
-    fit_ellipses,
-    fit_quads,
-    quad_corners,
-)
+from microlib.calibration._shapes import CORNERS, are_round, fit_marks
 
 #: If a lattice holds this part of the dark regions of an image, the image shows it and nothing
 #: else.
@@ -49,17 +38,15 @@ _NOTHING_ELSE = 0.7
 _PIECES = 4
 #: With more blur than this part of a mark's half-width its neighbors shade the places between.
 _SHARP = 0.3
-#: A mark alone in its row or column lies so near to where the others' map has it, in pitches.
-_BESIDE = 0.05
 #: Most ratio of width to height of a square, both in steps of the lattice: what is fitted to four
 #: squares with noise comes within 0.02.
 _MOST_RATIO = 1.1
 #: The map is fitted anew to the points freed of their bias if that is more than this part of their
 #: σ: less does not show in the residuals.
 _SMALL_BIAS = 0.3
-#: Corners of the polygon that stands for a circle's rim, errors are the same from 8 to 64; and
-#: places along a side at which its bend by the distortion is taken, 3 to 33 give the same points.
-_RIM, _PLACES = 32, 9
+_MIDDLE = np.zeros((1, 2))
+#: Places of a ring that stands for a circle.
+_RIM = 8
 
 
 def detect_circles(
@@ -194,22 +181,6 @@ def detect_squares(
     return _detect(image, pattern, "square", direction, mirrored, region)
 
 
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """Points of marks (n, k, 2) with their σ (n, k), their grid (n, 2) in any integer coordinates
-    and the inner products (2, 2) of its steps; of circles the areas (n,) in the image."""
-
-    points: Array
-    sigma: Array
-    grid: NDArray[np.intp]
-    gram: Array
-    areas: Array | None
-
-    def __getitem__(self, index: NDArray[np.bool_]) -> _Found:
-        areas = None if self.areas is None else self.areas[index]
-        return _Found(self.points[index], self.sigma[index], self.grid[index], self.gram, areas)
-
-
 def _detect(
     image: ArrayLike,
     kind: str,
@@ -222,16 +193,14 @@ def _detect(
     mirrored = flag("mirrored", mirrored)
     whole = to_grey(image)
     grey, corner = crop(whole, region)
-
-    view = (lattice, direction, mirrored, grey.shape, corner, whole.shape)
-    if kind == "chessboard":
-        points, sigma, grid = find_crossings(grey)
-        refuse_gaps("corners", grid)
-        return _detection(_Found(points[:, None], sigma[:, None], grid, np.eye(2), None), *view)
     refusal = ValueError(f"image must show a grid of {kind}, got none")
-    for count, (marks, grid) in enumerate(_candidates(grey, lattice)):
+    for count, (marks, grid) in enumerate(_candidates(grey, kind, lattice)):
         try:
-            return _detection(_fit(marks, grid, kind, lattice), *view)
+            points, sigma, grid, areas = _fit(marks, grid, kind, lattice)
+            turn = counting(points.mean(axis=1), grid, lattice, direction, mirrored)
+            return _place(
+                points, sigma, grid, areas, lattice, turn, grey.shape, corner, whole.shape
+            )
         except ValueError as fault:
             if count == 0:  # of the largest
                 refusal = fault
@@ -239,102 +208,76 @@ def _detect(
 
 
 def _candidates(
-    grey: NDArray[np.float32], lattice: str
+    grey: NDArray[np.float32], kind: str, lattice: str
 ) -> Iterator[tuple[Marks, NDArray[np.intp]]]:
     """Lattices of marks, the most likely first: that of the image as if it showed nothing else,
     then the largest pieces in clutter."""
+    if kind == "chessboard":
+        yield find_corners(grey)
+        return
     marks = dark_regions(grey)
     pieces = [(marks, *piece) for piece in grow_lattices(marks, lattice)[:1]]
-    alone = bool(pieces) and len(pieces[0][1]) >= _NOTHING_ELSE * len(marks.centers)
-    if alone:
-        yield complete(*pieces.pop())
+    if pieces and len(pieces[0][1]) >= _NOTHING_ELSE * len(marks.centers):
+        marks, index, grid = pieces.pop()
+        yield complete(marks[index], grid, darkness)
     for marks in even_edges(grey):
         pieces += [(marks, *piece) for piece in grow_lattices(marks, lattice)]
-    for piece in sorted(pieces, key=lambda piece: -len(piece[1]))[:_PIECES]:
-        yield complete(*piece)
+    for marks, index, grid in sorted(pieces, key=lambda piece: -len(piece[1]))[:_PIECES]:
+        yield complete(marks[index], grid, darkness)
 
 
-def _fit(marks: Marks, grid: NDArray[np.intp], kind: str, lattice: str) -> _Found:
-    """Fit the marks, and keep those that lie in the image and are fitted as well as the others."""
+def _fit(
+    marks: Marks, grid: NDArray[np.intp], kind: str, lattice: str
+) -> tuple[Array, Array, NDArray[np.intp], Array]:
+    """Fit the marks, and keep those that lie in the image and are fitted as well as the others.
+
+    Their points (n, k, 2) with σ (n, k), their grid (n, 2), and of circles the areas (n,) in the
+    image.
+    """
     flat = grid.astype(np.float64)
-    steps = homography_map(marks.centers, flat, marks.image.shape).steps(flat)
+    steps = fit_grid_map(marks.centers[:, None], flat, _MIDDLE, marks.image.shape)[0].steps(flat)
     if not np.abs(np.linalg.det(steps)).min() > 1:
         raise ValueError(f"image must show a plane grid of {kind}, got marks that are on none")
-    if kind == "circles":
-        fit, origins = fit_ellipses(marks)
-        locate, smooth = ellipse_center, SMOOTH_ELLIPSE
-        reach = ellipse_reach(fit.parameters)[:, None] * np.array([[-1], [1]])
-        half = 1 / np.sqrt(np.abs(np.linalg.det(ellipse_shape(fit.parameters))))
-    else:
-        fit, origins = fit_quads(marks, steps)
-        locate, smooth, reach = quad_corners, SMOOTH_QUAD, np.zeros((1, 1, 2))
-        half = fit.parameters[:, OFFSET].mean(axis=1)
-    points, sigma = locate(fit, origins)
-    good = find_inliers(
-        marks.image.shape,
-        (points + reach).min(axis=1),
-        (points + reach).max(axis=1),
-        fit.rms,
-        fit.parameters[:, CONTRAST],
-        sigma.max(axis=1),
-    )
-    if good.sum() < FEWEST:
-        raise ValueError(f"image must show a grid of {kind}, got {int(good.sum())} whole ones")
-    marks, flat, fit, origins = marks[good], flat[good], fit[good], origins[good]
-    grid = grid[good]
-    if are_round(marks, steps[good]) != (kind == "circles"):
-        raise ValueError(
-            f"image must show {kind}, got {'squares' if kind == 'circles' else 'circles'}"
-        )
-    if np.median(np.abs(fit.parameters[:, BLUR])) < _SHARP * np.median(half[good]):
-        refuse_fields(kind, marks, grid)
+    if kind != "chessboard":
+        marks = replace(marks, blur=start_blur(marks, grid))
+    good, points, sigma, shapes, softness = fit_marks(marks, steps, kind)
+    marks, grid, flat = marks[good], grid[good], flat[good]
     refuse_gaps(kind, grid)
-    fit = smooth_parameters(fit, origins, smooth)
-    points, sigma = locate(fit, origins)
-    if kind == "squares":
-        return _Found(points, sigma, grid, np.eye(2), None)
-    shape = np.linalg.inv(ellipse_shape(fit.parameters))
-    to_image, _ = fit_grid_map(points, flat, np.zeros((1, 2)), marks.image.shape)
-    gram = lattice_gram(shape @ shape, to_image.steps(flat), lattice)
-    return _Found(points, sigma, grid, gram, np.pi * np.abs(np.linalg.det(shape)))
+    if kind != "chessboard":
+        if are_round(marks, steps[good]) != (kind == "circles"):
+            raise ValueError(
+                f"image must show {kind}, got {'squares' if kind == 'circles' else 'circles'}"
+            )
+        if softness < _SHARP:
+            refuse_fields(kind, marks, grid)
+    if kind == "circles":
+        to_image, _ = fit_grid_map(points, flat, _MIDDLE, marks.image.shape)
+        refuse_lattice(shapes @ shapes, to_image.steps(flat), lattice)
+    return points, sigma, grid, np.pi * np.abs(np.linalg.det(shapes))
 
 
-def _detection(
-    found: _Found,
+def _place(
+    points: Array,
+    sigma: Array,
+    grid: NDArray[np.intp],
+    areas: Array,
     lattice: str,
-    direction: float,
-    mirrored: bool,
+    turn: Array,
     image_shape: tuple[int, ...],
     corner: Array,
     whole: tuple[int, ...],
 ) -> Detection:
     """Points freed of bias, on a lattice that is tested; marks that are none of it are left out."""
-    squares = found.points.shape[1] == 4
-    grid_of = counting(
-        found.points.mean(axis=1), found.grid, found.gram, lattice, direction, mirrored
-    )
-    offsets: Array = CORNERS @ grid_of if squares else np.zeros((1, 2))
-
-    def counted(found: _Found) -> NDArray[np.intp]:
-        return np.round(found.grid @ grid_of).astype(np.intp)
-
-    # A mark alone in its row or column bends the map towards itself: the others' map tells.
-    alone = np.zeros(len(found.grid), dtype=bool)
-    for row in counted(found).T:
-        alone |= np.bincount(row - row.min())[row - row.min()] == 1
-    kept = ~alone
-    if alone.any() and kept.sum() >= FEWEST:
-        cells = counted(found) @ STEPS[lattice]
-        to_image, _ = fit_grid_map(found.points[kept], cells[kept], offsets, image_shape)
-        beside = np.linalg.norm(found.points.mean(axis=1) - to_image(cells), axis=1)
-        kept |= beside < _BESIDE * np.sqrt(to_image.scale(cells))
+    squares = points.shape[1] == 4
+    offsets: Array = CORNERS @ turn if squares else _MIDDLE
+    grid = np.round(grid @ turn).astype(np.intp)
+    kept = np.ones(len(grid), dtype=bool)
     while True:
-        found = found[kept]
-        if len(found.grid) < FEWEST:
-            raise ValueError(f"image must show a plane grid, got {len(found.grid)} marks of one")
-        cells = counted(found) @ STEPS[lattice]
-        to_image, positions = fit_grid_map(found.points, cells, offsets, image_shape)
-        bias: Array = np.zeros_like(found.points)
+        points, sigma, grid, areas = points[kept], sigma[kept], grid[kept], areas[kept]
+        if len(grid) < FEWEST:
+            raise ValueError(f"image must show a plane grid, got {len(grid)} marks of one")
+        cells = grid @ STEPS[lattice]
+        to_image, positions = fit_grid_map(points, cells, offsets, image_shape)
         if squares:
             sides = np.ptp(positions[0], axis=0)
             if not 1 / _MOST_RATIO < sides[0] / sides[1] < _MOST_RATIO or sides.max() >= 1:
@@ -342,27 +285,25 @@ def _detection(
                     "image must show squares on a square lattice, got rectangles of "
                     f"{sides[0]:.3g} × {sides[1]:.3g} steps"
                 )
-            bias = _corner_bias(to_image, positions)
-        elif found.areas is not None:
-            bias = _center_bias(to_image, cells, found.areas)[:, None]
-        points = found.points - bias
-        if np.abs(bias).max() > _SMALL_BIAS * np.median(found.sigma):
-            to_image, positions = fit_grid_map(points, cells, offsets, image_shape)
+        bias = _corner_bias(to_image, positions) if squares else 0 * points
+        if areas.any():
+            bias = _center_bias(to_image, cells, areas)[:, None]
+        if np.abs(bias).max() > _SMALL_BIAS * np.median(sigma):
+            to_image, positions = fit_grid_map(points - bias, cells, offsets, image_shape)
         pitch = float(np.sqrt(np.median(to_image.scale(cells))))
-        kept, sigma, misfit = agree(points, positions, to_image, found.sigma, pitch)
+        kept, stated, misfit = agree(points - bias, positions, to_image, sigma, pitch)
         if kept.all():
             break  # else strays bent the map
-    grid = counted(found)
     grid = (grid - grid.min(axis=0))[:, None]
     ends = (offsets > 0).astype(np.intp)
     side = float(np.ptp(positions[0], axis=0).mean()) if squares else 1.0
     return Detection(
-        points.reshape(-1, 2) + corner,
+        (points - bias).reshape(-1, 2) + corner,
         ((1 + squares) * grid + ends).reshape(-1, 2),
-        sigma.ravel(),
+        stated.ravel(),
         np.repeat(np.arange(len(grid)), points.shape[1]),
         (grid @ STEPS[lattice] + side * ends).reshape(-1, 2),
-        side if found.areas is None else np.nan,
+        np.nan if areas.any() else side,
         misfit,
         (whole[1], whole[0]),
     )
@@ -372,30 +313,21 @@ def _center_bias(to_image: GridMap, cells: Array, areas: Array) -> Array:
     """How far the center of each circle's image lies from the image of its center, px."""
     radius = np.sqrt(np.median(areas / (np.pi * to_image.scale(cells))))  # in pitches
     turn = np.linspace(0, 2 * np.pi, _RIM, endpoint=False)
-    rim = to_image(cells[:, None] + radius * np.column_stack([np.cos(turn), np.sin(turn)]))
-    middle = rim.mean(axis=1)
-    here = rim - middle[:, None]
-    following = np.roll(here, -1, axis=1)
-    cross = here[..., 0] * following[..., 1] - here[..., 1] * following[..., 0]
-    third = 3 * cross.sum(axis=1)[:, None]  # the centroid of the polygon's area
-    return middle + ((here + following) * cross[..., None]).sum(axis=1) / third - to_image(cells)
+    # The mean over a disc, of polynomials up to the third degree, is that over this ring.
+    ring = radius / np.sqrt(2) * np.column_stack([np.cos(turn), np.sin(turn)])
+    within = cells[:, None] + ring
+    weight = to_image.scale(within)[..., None]
+    return (weight * to_image(within)).sum(axis=1) / weight.sum(axis=1) - to_image(cells)
 
 
 def _corner_bias(to_image: GridMap, corners: Array) -> Array:
     """How far straight lines through distorted sides cross from the images of the corners, (n, 4,
     2), px."""
-    first, last = corners[:, :, None], np.roll(corners, -1, axis=1)[:, :, None]
-    sides = to_image(first + (last - first) * np.linspace(0, 1, _PLACES)[:, None])  # (n, 4, 9, 2)
-    middle = sides.mean(axis=2)
-    offset = sides - middle[:, :, None]
-    normal = np.linalg.eigh(offset.swapaxes(-1, -2) @ offset)[1][..., 0]  # (n, 4, 2)
-    pair = np.stack([normal, np.roll(normal, 1, axis=1)], axis=2)  # a side and the one before
-    along = np.stack([middle, np.roll(middle, 1, axis=1)], axis=2)
-    distance = (pair * along).sum(axis=-1)
-    try:
-        crossing = np.linalg.solve(pair, distance[..., None])[..., 0]
-    except np.linalg.LinAlgError:
-        raise ValueError(
-            "image must show squares, got one with parallel neighboring sides"
-        ) from None
-    return np.asarray(crossing - to_image(corners))
+    last = np.roll(corners, -1, axis=1)
+    here, there = to_image(corners), to_image(last)
+    along = (there - here) / np.linalg.norm(there - here, axis=-1, keepdims=True)
+    bend = to_image((corners + last) / 2) - (here + there) / 2
+    bend -= (bend * along).sum(axis=-1, keepdims=True) * along
+    # The mean of a parabola is two thirds of its height; near right angles one side's line moves
+    # the corner along the other.
+    return np.asarray(2 / 3 * (bend + np.roll(bend, 1, axis=1)))

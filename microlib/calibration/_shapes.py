@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from microlib._common import Array
+from microlib.calibration._detection import FEWEST
 from microlib.calibration._marks import Marks
 from microlib.calibration._outlines import (
     BLUR,
@@ -14,11 +17,13 @@ from microlib.calibration._outlines import (
     GROUND,
     LEAST_BLUR,
     START_CONTRAST,
+    Outline,
     OutlineFit,
     Patches,
     band,
     cut_patches,
     fit_shapes,
+    smooth_parameters,
 )
 
 # Ellipses: center, shape matrix A (|A·(x − center)| = 1 on the ellipse), then what all have.
@@ -29,9 +34,9 @@ _HALF_PATCH = 1.2
 #: Keeps the center of an ellipse, where ρ has no gradient, from 0/0; no fitted pixel is near it.
 _AT_CENTER = 1e-9
 
-# Quadrilaterals: directions of the four outward normals, distances of the lines from the patch's
-# origin along them, then what all have.
-_ANGLE, OFFSET = slice(0, 4), slice(4, 8)
+# Lines, four of a quadrilateral or the two that cross at a chessboard's corner: directions of the
+# (outward) normals, distances from the patch's origin along them, then what all have.
+_COMMON = 5
 #: Corners of a square about its middle, in sides, along the lattice's two steps; line k leads from
 #: the corner before to corner k.
 CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
@@ -40,31 +45,80 @@ _PARALLEL = 1e-9
 #: Half the side of a patch in sides, without the band: half a diagonal and a tenth for the tilt.
 _HALF_SQUARE = 0.8
 
+#: Half the width of a patch around a chessboard's corner in sides of a field: the next edges are a
+#: whole side away, and their blur and a slant of the board must stay out. At most so many px: more
+#: adds little but distortion.
+_CROSSING, _MOST_CROSSING, _LEAST_CROSSING = 0.45, 12.0, 3.0
+
 # What varies smoothly across the image: blur, contrast and slope of the ground, and of squares the
-# directions of the sides.
+# directions of the sides. A chessboard's corner lies amid what surrounds it, and gains nothing.
 SMOOTH_ELLIPSE = [5, 6, 8, 9]
 SMOOTH_QUAD = [0, 1, 2, 3, 8, 9, 11, 12]
 
-#: Area over that of the ellipse of the same moments: 1 for ellipses, 0.955 for squares, and up to
-#: 0.991 where blur of a fifth of a side rounds them. In between the grey levels decide, not the
-#: outline at one of them.
-_SURELY_SQUARE, _SURELY_ROUND = 0.965, 0.992
+#: Most residual, least contrast and most uncertainty of an outline, in medians of all.
+#: Residuals of up to 5 medians let 2 wrong points of 1961 pass that 3 keeps out, and 2 costs 12
+#: right ones; contrasts from 0.25 to 0.75 and uncertainties from 3 to 20 make no difference
+#: beside it.
+_MOST_RMS, _LEAST_CONTRAST, _MOST_SIGMA = 3.0, 0.5, 5.0
+#: Most steps of a fit. In renders of Table 5.1's views nine outlines of ten are at their minimum
+#: after 5; of photographed circles one in ten needs more than 15, and of corners of photographed
+#: chessboards one in five more than 25.
+_STEPS = 25
 #: Marks that are asked, evenly among all: each has hundreds of pixels to tell by.
 _ASKED = 6
 
 
 def are_round(marks: Marks, steps: Array) -> bool:
     """Say whether ellipses fit the marks' grey levels better than quadrilaterals do."""
-    fullness = float(np.median(marks.fullness))
-    if not _SURELY_SQUARE < fullness < _SURELY_ROUND:
-        return fullness >= _SURELY_ROUND
     every = np.s_[:: -(-len(steps) // _ASKED)]
     ellipses, _ = fit_ellipses(marks[every])
     quads, _ = fit_quads(marks[every], steps[every])
-    both = np.isfinite(ellipses.rms) & np.isfinite(quads.rms)
-    if not both.any():
-        return bool(np.isfinite(ellipses.rms).sum() > np.isfinite(quads.rms).sum())
-    return bool(np.median(ellipses.rms[both] / quads.rms[both]) < 1)
+    of_each = [np.median(np.nan_to_num(fit.rms, nan=np.inf)) for fit in (ellipses, quads)]
+    return bool(of_each[0] < of_each[1])
+
+
+def fit_marks(
+    marks: Marks, steps: Array, kind: str
+) -> tuple[NDArray[np.bool_], Array, Array, Array, float]:
+    """Fit marks, and keep those that lie in the image and are fitted as well as the others.
+
+    Which; their points (n, k, 2) with σ (n, k); of circles the matrices (n, 2, 2) that make the
+    ellipses of a unit circle, else zeros; and their blur over half their width.
+    """
+    reach: Array = np.array([[[-1.0], [1.0]]])
+    locate, smooth = quad_corners, SMOOTH_QUAD
+    if kind == "circles":
+        fit, origins = fit_ellipses(marks)
+        locate, smooth = ellipse_center, SMOOTH_ELLIPSE
+        reach = reach * ellipse_reach(fit.parameters)[:, None]
+        half = 1 / np.sqrt(np.abs(np.linalg.det(ellipse_shape(fit.parameters))))
+    elif kind == "squares":
+        fit, origins = fit_quads(marks, steps)
+        reach = np.zeros(1)
+        half = line_offsets(fit.parameters).mean(axis=1)
+    else:
+        fit, origins = fit_crossings(marks, steps)
+        smooth, half = [], np.ones(len(origins))
+    points, sigma = locate(fit, origins)
+    low, high = (points + reach).min(axis=1), (points + reach).max(axis=1)
+    limit = np.array(marks.image.shape[::-1]) - 1
+    contrast, worst = fit.parameters[:, CONTRAST], sigma.max(axis=1)
+    good = ((low >= 0) & (high <= limit)).all(axis=1) & np.isfinite(fit.rms) & np.isfinite(worst)
+    if good.any():
+        good &= (
+            (fit.rms <= _MOST_RMS * np.median(fit.rms[good]))
+            & (contrast > _LEAST_CONTRAST * np.median(contrast[good]))
+            & (worst <= np.minimum(_MOST_SIGMA * np.median(worst[good]), half))
+        )
+    if good.sum() < FEWEST:
+        raise ValueError(f"image must show a grid of {kind}, got {int(good.sum())} whole ones")
+    fit, origins = fit[good], origins[good]
+    softness = float(np.median(np.abs(fit.parameters[:, BLUR])) / np.median(half[good]))
+    fit = smooth_parameters(fit, origins, smooth)
+    shapes: Array = np.zeros((len(origins), 2, 2))
+    if kind == "circles":
+        shapes = np.linalg.inv(ellipse_shape(fit.parameters))
+    return good, *locate(fit, origins), shapes, softness
 
 
 def fit_ellipses(marks: Marks) -> tuple[OutlineFit, Array]:
@@ -75,14 +129,14 @@ def fit_ellipses(marks: Marks) -> tuple[OutlineFit, Array]:
     start[:, CENTER] = marks.centers - np.round(marks.centers)
     start[:, _SHAPE] = shape[:, [0, 0, 1], [0, 1, 1]]
     radius = float(1 / np.sqrt(np.linalg.det(shape).min()))
-    outer, inner = band(marks.centers, radius)
+    outer, inner, gap = band(marks.centers, radius)
 
     def near(x: Array, y: Array) -> NDArray[np.bool_]:
         distance = _to_ellipse(start, x, y)[0]
         return (distance >= -outer) & (distance <= inner)
 
     half = int(np.ceil(radius * _HALF_PATCH + outer))
-    return _fit(marks, start, cut_patches(marks.image, marks.centers, half, near), _ellipse)
+    return _fit(marks, start, cut_patches(marks.image, marks.centers, half, near), _ellipse, gap)
 
 
 def ellipse_shape(parameters: Array) -> Array:
@@ -113,48 +167,82 @@ def fit_quads(marks: Marks, steps: Array) -> tuple[OutlineFit, Array]:
     middle = (corners + before) / 2
     outward = (normal * (middle - corners.mean(axis=1, keepdims=True))).sum(axis=-1)
     normal *= np.sign(outward)[..., None] / np.linalg.norm(normal, axis=-1, keepdims=True)
-    start = np.zeros((len(corners), 13))
-    angle = np.arctan2(normal[..., 1], normal[..., 0])
-    start[:, _ANGLE] = angle[0] + np.angle(np.exp(1j * (angle - angle[0])))  # of one branch
-    start[:, OFFSET] = (normal * middle).sum(axis=-1)
-    width = float(np.median(start[:, OFFSET].sum(axis=1)) / 2)
-    outer, inner = band(marks.centers, width / 2)
+    start = _start_lines(normal, middle)
+    width = float(np.median(line_offsets(start).sum(axis=1)) / 2)
+    outer, inner, gap = band(marks.centers, width / 2)
 
     def near(x: Array, y: Array) -> NDArray[np.bool_]:
         distance = _to_lines(start, x, y).min(axis=-1)
         return (distance >= -outer) & (distance <= inner)
 
     half = int(np.ceil(width * _HALF_SQUARE + outer))
-    return _fit(marks, start, cut_patches(marks.image, marks.centers, half, near), _quad)
+    return _fit(marks, start, cut_patches(marks.image, marks.centers, half, near), _quad, gap)
+
+
+def fit_crossings(marks: Marks, steps: Array) -> tuple[OutlineFit, Array]:
+    """Fit two lines to each corner of a chessboard, along the lattice's steps; also the origins."""
+    side = float(np.sqrt(np.median(np.abs(np.linalg.det(steps)))))
+    reach = float(np.clip(_CROSSING * side, _LEAST_CROSSING, _MOST_CROSSING))
+    patches = cut_patches(
+        marks.image, marks.centers, int(np.ceil(reach)), lambda x, y: np.hypot(x, y) <= reach
+    )
+    normal = steps.transpose(0, 2, 1)[..., ::-1] * [1, -1]
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    start = _start_lines(normal, (marks.centers - patches.centers)[:, None])
+    start[:, BLUR] = marks.blur
+    dark = _crossing(start, patches.x, patches.y)[0] - 0.5
+    bright = (dark * (patches.grey - patches.grey.mean()) * patches.weight).sum(axis=1) > 0
+    start[bright, 0] += np.pi  # the dark fields are the other two
+    start[bright, 2] *= -1
+    return _fit(marks, start, patches, _crossing, np.inf, 4 * _STEPS)
+
+
+def line_offsets(parameters: Array) -> Array:
+    """Distances of the lines from the patch's origin, (n, lines), px."""
+    return parameters[:, (parameters.shape[1] - _COMMON) // 2 : -_COMMON]
+
+
+def _start_lines(normal: Array, on: Array) -> Array:
+    """Parameters of lines by their normals and points on them, (n, lines, 2)."""
+    angle = np.arctan2(normal[..., 1], normal[..., 0])
+    angle = angle[0] + np.angle(np.exp(1j * (angle - angle[0])))  # of one branch
+    common = np.zeros((len(angle), _COMMON))
+    return np.hstack([angle, (normal * on).sum(axis=-1), common])
 
 
 def quad_corners(fit: OutlineFit, origins: Array) -> tuple[Array, Array]:
-    """Intersections of consecutive lines, (n, 4, 2), and the standard deviation of a coordinate,
-    (n, 4), px."""
-    angle, offset = fit.parameters[:, _ANGLE], fit.parameters[:, OFFSET]
-    corners, sigma = np.empty((len(angle), 4, 2)), np.empty((len(angle), 4))
-    for k in range(4):
-        pair = [k, (k + 1) % 4]
-        cos, sin = np.cos(angle[:, pair]), np.sin(angle[:, pair])
-        det = cos[:, 0] * sin[:, 1] - sin[:, 0] * cos[:, 1]
-        det = np.where(np.abs(det) > _PARALLEL, det, np.nan)[:, None]
-        inverse = (
-            np.stack([sin[:, ::-1] * [1, -1], cos[:, ::-1] * [-1, 1]], axis=1) / det[..., None]
-        )
-        corners[:, k] = np.einsum("nij,nj->ni", inverse, offset[:, pair])
-        # Turning a line by dθ moves it at the corner by (sin θ x − cos θ y) dθ along its normal.
-        slide = sin * corners[:, k, :1] - cos * corners[:, k, 1:]
-        by = np.concatenate([inverse * slide[:, None], inverse], axis=-1)
-        places = [*pair, *(4 + np.array(pair))]
-        part = fit.covariance[:, places][:, :, places]
-        sigma[:, k] = np.sqrt(np.einsum("nij,njk,nik->n", by, part, by) / 2)
+    """Intersections of consecutive lines, (n, 4, 2) or (n, 1, 2) of two lines, and the standard
+    deviation of a coordinate, (n, 4) or (n, 1), px."""
+    offset = line_offsets(fit.parameters)
+    lines = offset.shape[1]
+    first = np.arange(4 if lines == 4 else 1)
+    pair = np.column_stack([first, (first + 1) % lines])  # (corners, 2)
+    angle = fit.parameters[:, pair]
+    cos, sin = np.cos(angle), np.sin(angle)
+    det = cos[..., 0] * sin[..., 1] - sin[..., 0] * cos[..., 1]
+    det = np.where(np.abs(det) > _PARALLEL, det, np.nan)[..., None, None]
+    inverse = np.stack([sin[..., ::-1] * [1, -1], cos[..., ::-1] * [-1, 1]], axis=-2) / det
+    corners = (inverse @ offset[:, pair][..., None])[..., 0]
+    # Turning a line by dθ moves it at the corner by (sin θ x − cos θ y) dθ along its normal.
+    slide = sin * corners[..., :1] - cos * corners[..., 1:]
+    by = np.concatenate([inverse * slide[..., None, :], inverse], axis=-1)
+    places = np.hstack([pair, lines + pair])
+    part = fit.covariance[:, places[:, :, None], places[:, None, :]]
+    sigma = np.sqrt(np.einsum("ncij,ncjk,ncik->nc", by, part, by) / 2)
     return corners + origins[:, None], sigma
 
 
-def _fit(marks: Marks, start: Array, patches: Patches, outline) -> tuple[OutlineFit, Array]:  # type: ignore[no-untyped-def]
+def _fit(
+    marks: Marks,
+    start: Array,
+    patches: Patches,
+    outline: Outline,
+    gap: float,
+    iterations: int = _STEPS,
+) -> tuple[OutlineFit, Array]:
     start[:, BLUR], start[:, CONTRAST] = marks.blur, START_CONTRAST
     start[:, GROUND.start] = patches.grey.max(axis=1)
-    return fit_shapes(outline, start, patches), patches.centers
+    return fit_shapes(outline, start, patches, gap, iterations), patches.centers
 
 
 def _to_ellipse(parameters: Array, x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
@@ -186,26 +274,42 @@ def _ellipse(parameters: Array, x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _to_lines(parameters: Array, x: Array, y: Array) -> Array:
-    """Distances to the four lines, positive inside, (n, k, 4), px."""
-    angle = parameters[:, None, _ANGLE]
-    across = np.cos(angle) * x[..., None] + np.sin(angle) * y[..., None]
-    return parameters[:, None, OFFSET] - across
+    """Distances to the lines, positive inside, (n, k, lines), px."""
+    offset = line_offsets(parameters)[:, None]
+    angle = parameters[:, None, : offset.shape[-1]]
+    return offset - np.cos(angle) * x[..., None] - np.sin(angle) * y[..., None]
 
 
 def _quad(parameters: Array, x: Array, y: Array) -> tuple[Array, Array]:
     """The part of the light that a blurred quadrilateral takes: a product of four half-planes,
     which near a right angle is the exact image of a corner; and its derivatives."""
+    z, of_lines = _lines(parameters, x, y)
+    a, b, c, d = np.moveaxis(ndtr(z), -1, 0)
+    return a * b * c * d, of_lines(np.stack([b * c * d, a * c * d, a * b * d, a * b * c], axis=-1))
+
+
+def _crossing(parameters: Array, x: Array, y: Array) -> tuple[Array, Array]:
+    """The part of the light that two fields take which touch at a corner, on the same side of both
+    of its lines; and its derivatives."""
+    z, of_lines = _lines(parameters, x, y)
+    a, b = np.moveaxis(ndtr(z), -1, 0)
+    return a * b + (1 - a) * (1 - b), of_lines(np.stack([2 * b - 1, 2 * a - 1], axis=-1))
+
+
+def _lines(parameters: Array, x: Array, y: Array) -> tuple[Array, Callable[[Array], Array]]:
+    """Distances to the lines in blurs, and what makes the derivatives by the parameters of those by
+    each half-plane's part of the light."""
     blur, sign = (each[..., None] for each in _blur(parameters))
     z = _to_lines(parameters, x, y) / blur
-    a, b, c, d = np.moveaxis(ndtr(z), -1, 0)
-    others = np.stack([b * c * d, a * c * d, a * b * d, a * b * c], axis=-1)
-    by_distance = others * np.exp(-0.5 * z * z) / (np.sqrt(2 * np.pi) * blur)
-    angle = parameters[:, None, _ANGLE]
-    turning = np.sin(angle) * x[..., None] - np.cos(angle) * y[..., None]
-    by = np.empty((*x.shape, 9))
-    by[..., _ANGLE], by[..., OFFSET] = by_distance * turning, by_distance
-    by[..., -1] = -(by_distance * z * sign).sum(axis=-1)
-    return a * b * c * d, by
+    angle = parameters[:, None, : z.shape[-1]]
+
+    def of_lines(by_part: Array) -> Array:
+        by_distance = by_part * np.exp(-0.5 * z * z) / (np.sqrt(2 * np.pi) * blur)
+        turning = np.sin(angle) * x[..., None] - np.cos(angle) * y[..., None]
+        by_blur = -(by_distance * z * sign).sum(axis=-1, keepdims=True)
+        return np.concatenate([by_distance * turning, by_distance, by_blur], axis=-1)
+
+    return z, of_lines
 
 
 def _blur(parameters: Array) -> tuple[Array, Array]:

@@ -57,6 +57,15 @@ class StageAffine(Tidy):
         return ";".join(f"{float(n):.9g}" for n in (a, b, 0, c, d, 0))
 
 
+def span_plane(**named: Array) -> None:
+    """Refuse points (N, 2) that lie on one line, or in one place."""
+    for name, points in named.items():
+        triangle = np.linalg.qr(points - points.mean(axis=0), mode="r")
+        extent = np.linalg.svd(triangle, compute_uv=False)
+        if not extent[-1] > max(_FLATTEST * extent[0], 1 / _FARTHEST):
+            raise ValueError(f"{name} must not lie on one line, got {len(points)} points that do")
+
+
 def stage_affine(stage: ArrayLike, image: ArrayLike) -> StageAffine:
     """Affine map from stage moves to what they do to the image, by least squares.
 
@@ -98,11 +107,7 @@ def stage_affine(stage: ArrayLike, image: ArrayLike) -> StageAffine:
         between(name, points, -_FARTHEST, _FARTHEST)
         if len(points) < _FEWEST:
             raise ValueError(f"{name} must hold at least {_FEWEST} positions, got {len(points)}")
-        extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-        if not extent[1] > max(_FLATTEST * extent[0], 1 / _FARTHEST):
-            raise ValueError(
-                f"{name} must not lie on one line, got {len(points)} positions that do"
-            )
+    span_plane(stage=stage, image=image)
     middle = np.eye(3)
     middle[2, :2] = -stage.mean(axis=0)  # from positions to those about their middle
     design = np.column_stack([stage, np.ones(len(stage))]) @ middle

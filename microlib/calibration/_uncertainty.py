@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import block_diag
 from scipy.special import fdtrc
 
-from microlib._common import OPEN, Array, inverse_normal, of_kind, scalar
+from microlib._common import Array, inverse_normal, of_kind, scalar
 from microlib.microscope import Microscope
 
 #: Degree of the smooth displacements, and the points that they are used from: four residuals for
@@ -134,12 +135,7 @@ def fields_of_views(points: list[Array]) -> Array:
         return own[0]
     # In a common field each view has the length that it has in one of its own.
     common = np.sqrt(len(points)) * smooth_fields(np.concatenate(points))
-    fields = np.zeros((len(common), sum(each.shape[1] for each in own)))
-    row = column = 0
-    for each in own:
-        fields[row : row + len(each), column : column + each.shape[1]] = each
-        row, column = row + len(each), column + each.shape[1]
-    return np.hstack([common, fields])
+    return np.hstack([common, block_diag(*own)])
 
 
 def discrepancy(
@@ -195,14 +191,10 @@ def discrepancy(
 def response(jacobian: Array, fields: Array) -> Array:
     """Errors of least-squares parameters that displacements (m, k) of the points make, (p, k).
 
-    Zero in directions that the points leave open.
+    Zero for parameters that the points leave open.
     """
-    scale = np.linalg.norm(jacobian, axis=0)
-    scale = np.where(scale == 0, 1.0, scale)
-    basis, singular, directions = np.linalg.svd(jacobian / scale, full_matrices=False)
-    held = singular > OPEN * singular[0]
-    inverse = np.divide(1.0, singular, out=np.zeros_like(singular), where=held)
-    moved: Array = (directions.T * inverse) @ (basis.T @ fields) / scale[:, None]
+    inverse = inverse_normal(jacobian)
+    moved: Array = np.where(np.isfinite(inverse), inverse, 0.0) @ (jacobian.T @ fields)
     return moved
 
 

@@ -23,7 +23,7 @@ from microlib.microscope import Microscope, euler_rotation
 LENS = ("power", "distortion", "distortion_2", "principal_x", "principal_y")
 VIEW = ("magnification", "alpha", "beta", "gamma", "tx", "ty")
 #: Terms that may be added to the lens of several views, by their places in `LENS`.
-_TERMS = ([2], [3, 4])
+_TERMS = ([3, 4], [2])
 #: Of `project_plane`'s numbers (M, h, κ, α, β, γ, T_x, T_y) those of a view.
 _OF_VIEW = [0, 3, 4, 5, 6, 7]
 #: How often the views are fitted anew with the lens that most of them agree on.
@@ -153,22 +153,14 @@ def fit_views(views: Views) -> tuple[Fit, list[list[Fit]]]:
     first = [pair[0] for pair in alone]
     lens, poses = _common_start(every, first) if len(every) > 1 else (first[0].lens, first[0].poses)
     best = _fit(views, lens, poses, base)
-    terms = list(_TERMS) if len(every) > 1 else []
-    while terms:
+    for term in _TERMS if len(every) > 1 else ():
         lens_free = [k for k in best.free if k < len(LENS)]
-        trials: list[tuple[Fit, list[int]]] = []
-        for term in terms:
-            with suppress(ValueError):  # what is not found is not justified
-                trials.append((_fit(views, best.lens, best.poses, lens_free + term), term))
-        if not trials:
-            break
-        trial, term = min(trials, key=lambda each: each[0].cost)
-        count = len(trial.residuals)
-        variance = trial.cost / max(count - len(trial.free), 1) + views.rounding(best.poses)
-        if best.cost - trial.cost <= len(term) * np.log(count) * variance:
-            break
-        best = trial
-        terms.remove(term)
+        with suppress(ValueError):  # what is not found is not justified
+            trial = _fit(views, best.lens, best.poses, lens_free + term)
+            count = len(trial.residuals)
+            variance = trial.cost / max(count - len(trial.free), 1) + views.rounding(best.poses)
+            if best.cost - trial.cost > len(term) * np.log(count) * variance:
+                best = trial
     return best, alone
 
 
@@ -187,11 +179,12 @@ def _fit(views: Views, lens: Array, poses: Array, lens_free: list[int]) -> Fit:
         points, by = views.predict(*split(np.frombuffer(values)))
         return (points - seen).ravel(), by.reshape(-1, len(start))[:, free]
 
-    if not np.isfinite(at(start[free].tobytes())[0]).all():
-        raise ValueError(
-            "world and image must fit one microscope, got points that the nearest one images "
-            "beyond the reach of its distortion"
-        )
+    refusal = ValueError(
+        "world and image must fit one microscope, with the focal_length if it is given: none was "
+        "found"
+    )
+    if not np.isfinite(at(start[free].tobytes())[0]).all():  # beyond the reach of its distortion
+        raise refusal
     found = least_squares(
         lambda values: at(values.tobytes())[0],
         start[free],
@@ -204,10 +197,7 @@ def _fit(views: Views, lens: Array, poses: Array, lens_free: list[int]) -> Fit:
         max_nfev=_MOST_STEPS,
     )
     if found.status == 0 and len(poses) > 1:
-        raise ValueError(
-            "world and image must fit one microscope, with the focal_length if it is given: none "
-            f"was found in {_MOST_STEPS} steps"
-        )
+        raise refusal
     lens, poses = split(found.x)
     residuals, jacobian = at(found.x.tobytes())
     if lens[0] < 0:  # the same images, seen with all tilts turned over
