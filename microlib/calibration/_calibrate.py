@@ -317,16 +317,17 @@ def _smooth_part(
     marks: NDArray[np.intp] | None,
     rounding: float,
 ) -> tuple[float, float, Array]:
-    """The discrepancy; of one view that of the means over the points of a mark, whose errors are
+    """The discrepancy of the means over the points of a mark in a view, whose errors are
     correlated."""
     # Where the model has the points: fields of the noisy ones would hold their noise.
     points = np.concatenate(views.seen) + residuals.reshape(-1, 2)
     view = np.repeat(np.arange(len(views.seen)), [len(seen) for seen in views.seen])
-    if marks is not None and len(views.seen) == 1:
-        label, size = np.unique(marks, return_inverse=True, return_counts=True)[1:]
+    if marks is not None:
+        both = np.column_stack([view, marks])
+        each, label, size = np.unique(both, axis=0, return_inverse=True, return_counts=True)
+        label, view = label.ravel(), each[:, 0]
         mean = csr_array((1 / size[label], (label, np.arange(len(label)))))
         points, residuals = mean @ points, (mean @ residuals.reshape(-1, 2)).ravel()
         jacobian = (mean @ jacobian.reshape(len(label), -1)).reshape(-1, jacobian.shape[1])
-        view = np.zeros_like(size)
     fields = fields_of_views([points[view == v] for v in range(len(views.seen))])
     return discrepancy(residuals, jacobian, fields, rounding)

@@ -94,10 +94,10 @@ def fit_grid_map(
     middle = (np.array(image_shape[1::-1], dtype=np.float64) - 1) / 2
     unit = float(middle.max())
     flat = (points.mean(axis=1) - middle) / unit
-    homography, _ = cv2.findHomography(cells.astype(np.float64), flat)
-    if homography is None or not np.isfinite(homography).all():
+    best = cv2.findHomography(cells.astype(np.float64), flat)[0]
+    if best is None or not np.isfinite(best).all():
         raise ValueError(f"image must show a plane grid, got {len(points)} points that fit none")
-    homography = np.asarray(homography, dtype=np.float64)
+    homography: Array = np.asarray(best, dtype=np.float64)
     count = 9 if points[..., 0].size >= _FEWEST_FOR_DISTORTION else 8
     start = np.append(homography.ravel()[:8], np.zeros(count - 8))
     squares = points.shape[1] == 4
