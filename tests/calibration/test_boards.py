@@ -332,6 +332,22 @@ def test_every_inner_corner_of_a_chessboard_is_found(change):
     np.testing.assert_array_equal(found.positions, found.grid)
 
 
+def test_rows_that_opencv_skips_are_found(monkeypatch):
+    """On some photographs it gives every second row of corners for a board."""
+    find = cv2.findChessboardCornersSBWithMeta
+
+    def skipping(*given):
+        found, corners, rows = find(*given)
+        return found, corners.reshape(*rows.shape, 2)[::2].reshape(-1, 1, 2), rows[::2]
+
+    monkeypatch.setattr(cv2, "findChessboardCornersSBWithMeta", skipping)
+    image, truth = chessboard()
+    found = detect_squares(image, pattern="chessboard", direction=0.15)
+    seen = CORNERS[cKDTree(truth).query(found.points)[1]]
+    assert len(found.points) == len(truth)
+    np.testing.assert_array_equal(found.grid - found.grid[0], seen - seen[0])
+
+
 @pytest.mark.parametrize(("kind", "size"), [("circle", 0.25), ("square", 0.5)])
 def test_marks_with_gaps_are_no_chessboard(kind, size):
     with pytest.raises(ValueError, match="image"):

@@ -1,5 +1,4 @@
-"""Calibration against exact data, the Cramér–Rao bound, Monte Carlo, OpenCV, SymPy and
-statsmodels."""
+"""Calibration against exact data, the Cramér–Rao bound, Monte Carlo and OpenCV."""
 
 from __future__ import annotations
 
@@ -8,7 +7,6 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-import sympy as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import t as student
@@ -59,29 +57,6 @@ def repeat(scope, world, seeds, **options):
 
 
 # The linear start
-
-
-def test_row_of_radial_alignment_follows_from_its_equation():
-    """(2.14) divided by T_y gives [v X, v Y, v, −u X, −u Y]; the printed row of (2.15) does not."""
-    u, v, x, y, tx, ty = sp.symbols("u v X_w Y_w T_x T_y")
-    r11, r12, r21, r22 = sp.symbols("r11 r12 r21 r22")
-    equation = u * (r21 * x + r22 * y + ty) - v * (r11 * x + r12 * y + tx)
-    unknowns = sp.Matrix([r11, r12, tx, r21, r22]) / ty
-    corrected = sp.Matrix([[v * x, v * y, v, -u * x, -u * y]])
-    printed = sp.Matrix([[u * x, v * y, v, -u * x, v * y]])
-    assert sp.simplify((corrected * unknowns)[0] - u + equation / ty) == 0
-    assert sp.simplify((printed * unknowns)[0] - u + equation / ty) != 0
-
-
-def test_row_of_the_intrinsic_system_follows_from_its_equation():
-    """(2.18) as a row: [p + q, −(u + v) r²]; κ is the unknown."""
-    u, v, p, q, m, kappa = sp.symbols("u v p q M kappa")
-    r2 = u**2 + v**2
-    equation = m * (p + q) - kappa * (u + v) * r2 - (u + v)
-    corrected = (sp.Matrix([[p + q, -(u + v) * r2]]) * sp.Matrix([m, kappa]))[0] - (u + v)
-    printed = (sp.Matrix([[p + q, kappa * (u + v) * r2]]) * sp.Matrix([m, kappa]))[0] - (u + v)
-    assert sp.expand(corrected - equation) == 0
-    assert sp.expand(printed - equation) != 0
 
 
 @given(
@@ -229,7 +204,6 @@ def test_stated_errors_meet_the_bound_and_intervals_cover(tilt):
 
 
 def test_a_parallel_plane_tells_no_focal_length():
-    """OpenCV returns a wrong one and claims to know it well; here it is named unobservable."""
     scope = scope_with(0, 180)
     world = grid_in_view(scope)
     for found in repeat(scope, world, 20):
@@ -238,25 +212,6 @@ def test_a_parallel_plane_tells_no_focal_length():
         assert found.microscope.magnification == pytest.approx(1.59, rel=2e-4)
     exact = calibrate(world, scope.project(world), **SENSOR)
     assert "focal_length" in exact.unobservable
-    camera = np.array([[3e4, 0, 327.5], [0, 3e4, 245.0], [0, 0, 1]])
-    flags = (
-        cv2.CALIB_USE_INTRINSIC_GUESS
-        + cv2.CALIB_FIX_PRINCIPAL_POINT
-        + cv2.CALIB_FIX_ASPECT_RATIO
-        + cv2.CALIB_ZERO_TANGENT_DIST
-        + cv2.CALIB_FIX_K2
-        + cv2.CALIB_FIX_K3
-    )
-    flat = np.column_stack([world, np.zeros(len(world))]).astype(np.float32)
-    rng = np.random.default_rng(0)
-    seen = scope.project(world) + rng.normal(0, NOISE, world.shape)
-    peer = cv2.calibrateCameraExtended(
-        [flat], [seen.astype(np.float32)], (656, 491), camera, np.zeros(5), flags=flags
-    )
-    true_focal = F * 2.59 / 9.9
-    assert abs(peer[1][0, 0] / true_focal - 1) > 0.04
-    # f_x is tied to f_y, whose standard deviation is the one that is estimated.
-    assert 0 < peer[5].ravel()[1] / peer[1][1, 1] < 1e-4
 
 
 def disturbed(points, rng):
@@ -313,31 +268,6 @@ def test_a_hidden_sign_of_the_tilt_is_named():
         assert {"beta", "gamma"} <= set(found.unobservable)
         assert np.isinf(found.sigma["beta"])
         assert np.isfinite(found.sigma["magnification"])
-
-
-def test_agrees_with_opencv_when_the_focal_length_is_held():
-    """solvePnP with OpenCV's camera is the same model when κ = 0: the poses must agree."""
-    scope = scope_with(6, 174, distortion=0.0)
-    world = grid_in_view(scope)
-    rng = np.random.default_rng(1)
-    image = scope.project(world) + rng.normal(0, NOISE, world.shape)
-    found = calibrate(world, image, focal_length=F, **SENSOR)
-    m = found.microscope
-    camera = np.array(
-        [
-            [F * (1 + m.magnification) / 9.9, 0, 327.5],
-            [0, F * (1 + m.magnification) / 9.9, 245],
-            [0, 0, 1],
-        ]
-    )
-    flat = np.column_stack([world, np.zeros(len(world))])
-    undistorted = (image - m.principal_point) * (
-        1 + m.distortion * (((image - m.principal_point) * 9.9) ** 2).sum(axis=1, keepdims=True)
-    ) + m.principal_point
-    _, turn, shift = cv2.solvePnP(flat, undistorted, camera, None, flags=cv2.SOLVEPNP_ITERATIVE)
-    # Both minimize pixels; weights of undistorted points differ by 1 %, so by far less than one σ.
-    np.testing.assert_allclose(cv2.Rodrigues(turn)[0], m.rotation, atol=2 * found.sigma["beta"])
-    np.testing.assert_allclose(shift[2, 0], F + F / m.magnification, rtol=3e-4)
 
 
 def test_an_interval_is_that_of_the_inverse_of_the_focal_length():
@@ -533,7 +463,7 @@ def test_points_that_no_microscope_images_are_refused():
 # Several views
 
 
-def lens_views(count, *, aside=(0.0, 0.0), second=0.0, seed=0, noise=NOISE, shift=0.0):
+def lens_views(count, *, aside=(0.0, 0.0), second=0.0, seed=0, noise=NOISE, shift=0.0, bend=0.0):
     """Tilted views through one lens of principal distance 900 px, independent of the library's."""
     rng = np.random.default_rng(seed)
     world = 280.0 * np.stack(np.meshgrid(np.arange(11), np.arange(8)), -1).reshape(-1, 2)
@@ -545,7 +475,7 @@ def lens_views(count, *, aside=(0.0, 0.0), second=0.0, seed=0, noise=NOISE, shif
         lens = np.array([-0.2, second, 0, 0, 0])
         camera = np.array([[900.0, 0, 319.5 + aside[0]], [0, 900, 239.5 + aside[1]], [0, 0, 1]])
         seen, _ = cv2.projectPoints(
-            np.column_stack([made, np.zeros(len(made))]),
+            np.column_stack([made, bend * (made[:, 0] / 1400) ** 2]),
             rotation,
             np.array([30.0, -20, 280 * 900 / 46]),
             camera,
@@ -639,19 +569,17 @@ def test_views_that_tell_no_focal_length_say_so():
     assert np.isinf(found.sigma["focal_length"])
 
 
-@pytest.mark.parametrize("views", [1, 3])
-def test_a_pattern_in_another_unit_is_refused(views):
-    """In units of 10 pm f is 10 km: it was put at one, with an interval around it."""
-    scope, rng = scope_with(beta=15, gamma=10), np.random.default_rng(2)
-    world = grid_in_view(scope)
-    scopes = [replace(scope, gamma=scope.gamma + turn) for turn in (0.0, 0.3, -0.2)[:views]]
-    for one in scopes:
-        world = world[((one.project(world) > 5) & (one.project(world) < [650, 485])).all(axis=1)]
-    seen = [one.project(world) + rng.normal(0, 0.02, world.shape) for one in scopes]
-    camera = SENSOR | {"pixel_size": 9.9e5}
-    given = (1e5 * world, seen[0]) if views == 1 else ([1e5 * world] * views, seen)
-    with pytest.raises(ValueError, match="world and pixel_size must be in µm"):
-        calibrate(*given, **camera)
+def test_an_interval_holds_what_a_bend_hides():
+    """A plate bent by 20 µm, seen in three views whose lens has its axis found: the residuals show
+    the bend, and the interval of f is as wide as the bend may have moved it."""
+    inside, said = [], []
+    for seed in range(10):
+        found = calibrate(*lens_views(3, seed=seed, aside=(14, -9), bend=20.0), **CAMERA)
+        low, high = found.interval("focal_length")
+        inside.append(low <= 900 * 8 / (1 + found.microscope.magnification) <= high)
+        said.append(not found.fits)
+    assert sum(said) >= 9
+    assert sum(inside) >= 5  # with what the noise alone makes of it none
 
 
 @pytest.mark.parametrize(
@@ -661,7 +589,7 @@ def test_a_pattern_in_another_unit_is_refused(views):
         ({"groups": [np.arange(3)]}, "groups"),
         ({"image": np.array(np.nan)}, "image must hold one array for each of the 2 views"),
         # Of 1.5 µm: seconds, and then magnifications of both signs.
-        ({"focal_length": 1.5}, "with the focal_length if it is given: none was found in 200"),
+        ({"focal_length": 1.5}, "with the focal_length if it is given: none was found"),
     ],
 )
 def test_bad_views_are_named(change, word):
