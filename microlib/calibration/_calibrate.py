@@ -276,7 +276,7 @@ def _report(
     poses[:, 1:4] = np.angle(np.exp(1j * poses[:, 1:4]))
     estimate = np.concatenate([fit.lens, poses.ravel()])[fit.free][order]
     if "focal_length" in names:
-        power = max(power, _SMALLEST_POWER)
+        power = max(power, _SMALLEST_POWER) if "focal_length" in lost else power
         k = names.index("focal_length")
         estimate[k] = 1 / power
         covariance[k] *= -1 / power**2

@@ -569,6 +569,16 @@ def test_views_that_tell_no_focal_length_say_so():
     assert np.isinf(found.sigma["focal_length"])
 
 
+def test_a_focal_length_beyond_a_kilometer_is_given_as_the_points_tell_it():
+    """Of a pattern in another unit than µm: it was put at one, with an interval around it."""
+    scope = scope_with(beta=15, gamma=10)
+    world = grid_in_view(scope)
+    seen = scope.project(world) + np.random.default_rng(2).normal(0, NOISE, world.shape)
+    found = calibrate(1e5 * world, seen, **(SENSOR | {"pixel_size": 9.9e5}))
+    low, high = found.interval("focal_length")
+    assert low < 1e5 * F < high
+
+
 def test_an_interval_holds_what_a_bend_hides():
     """A plate bent by 20 µm, seen in three views whose lens has its axis found: the residuals show
     the bend, and the interval of f is as wide as the bend may have moved it."""

@@ -113,14 +113,6 @@ def test_light_and_noise():
     assert (noisy[0] - image).std() == pytest.approx(3.0, rel=0.02)
 
 
-def test_a_seed_is_as_good_as_its_generator():
-    conditions = ImagingConditions(noise=3.0)
-    for render in (render_circles, render_squares):
-        by_seed = render(SMALL, imaging=conditions, rng=5)
-        by_generator = render(SMALL, imaging=conditions, rng=np.random.default_rng(5))
-        np.testing.assert_array_equal(by_seed, by_generator)
-
-
 @pytest.mark.parametrize(
     ("call", "word"),
     [
