@@ -53,6 +53,7 @@ def depth_in_blocks(
         raise ValueError(
             f"frames and positions must be as many, got {len(stack)} and {len(positions)}"
         )
+    x, y = 0, 0
     if region is not None:
         x, y, width, height = (whole("region", value, least=0) for value in region)
         stack = stack[:, y : y + height, x : x + width]
@@ -73,6 +74,11 @@ def depth_in_blocks(
     # Where one chunk shows all of a side, nothing is around it.
     around = {k: _AROUND if k > 0 and len(stack.chunks[k]) > 1 else 0 for k in range(3)}
     seen = da.overlap.overlap(stack.rechunk({0: len(stack)}), around, boundary="none")
+    if not isinstance(frames, da.Array):
+        # Chunks that neighbors share would stay in memory: each block reads what it sees.
+        edges = [np.cumsum([0, *sizes]).tolist() for sizes in stack.chunks[1:]]
+        options = {"source": frames, "edges": edges, "corner": (y, x)}
+        seen = da.map_blocks(_read, chunks=seen.chunks, meta=seen._meta, **options)
     chunks = ((len(_MAPS) + 1,), *seen.chunks[1:])
     found = seen.map_blocks(
         _block, axis=axis, points=points, chunks=chunks, meta=np.empty((0, 0, 0), np.float32)
@@ -80,6 +86,18 @@ def depth_in_blocks(
     found = da.overlap.trim_internal(found, around, boundary="none")
     maps = {name: found[k].astype(kind) for k, (name, kind) in enumerate(_MAPS.items())}
     return FocusResult(**maps, all_in_focus=found[len(_MAPS)].astype(stack.dtype))
+
+
+def _read(
+    *, source: Any, edges: list[list[int]], corner: tuple[int, int], block_id: tuple[int, ...]
+) -> NDArray:
+    """Return what one block of a zarr array sees."""
+    window = (
+        slice(first + max(edge[k] - _AROUND, 0), first + min(edge[k + 1] + _AROUND, edge[-1]))
+        for edge, k, first in zip(edges, block_id[1:], corner, strict=True)
+    )
+    frames = source[(slice(None), *window)]
+    return frames if frames.dtype in (np.uint8, np.uint16) else frames.astype(np.float32)
 
 
 def _block(frames: NDArray, *, axis: Axis, points: int) -> NDArray[np.float32]:

@@ -77,7 +77,9 @@ def correct_spikes(depth: ArrayLike, *, window: int = 9, delta: float = 2.0) -> 
     unknown = np.isnan(z)
     if unknown.all():
         return z.copy()
-    median = _median_of_known(z, n) if unknown.any() else _median(z, n)
+    from scipy import ndimage  # here, as it takes long to import
+
+    median = _median_of_known(z, n) if unknown.any() else np.asarray(ndimage.median_filter(z, n))
     # Deviations from one common value keep the difference of squares exact for small steps on a
     # great height.
     centered = np.where(unknown, 0.0, z - np.nanmean(z))
@@ -92,12 +94,6 @@ def correct_spikes(depth: ArrayLike, *, window: int = 9, delta: float = 2.0) -> 
 def _mean(image: Array, n: int) -> Array:
     mean = cv2.boxFilter(image, cv2.CV_64F, (n, n), borderType=cv2.BORDER_REFLECT)
     return np.asarray(mean, np.float64)
-
-
-def _median(z: Array, n: int) -> Array:
-    from scipy import ndimage  # here, as it takes long to import
-
-    return np.asarray(ndimage.median_filter(z, n))
 
 
 def _median_of_known(z: Array, n: int) -> Array:
