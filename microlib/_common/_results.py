@@ -34,7 +34,7 @@ _PARTS = {
     **dict.fromkeys(("command", "residuals", "plane_residuals", "pixel_size"), ("x", "y")),
     "rim_curvatures": ("left", "right"),
     "grid": ("i", "j"),
-    "image_size": ("width", "height"),
+    **dict.fromkeys(("image_size", "size"), ("width", "height")),
     "um_per_pixel": ("estimate", "low", "high"),
 }
 

@@ -221,7 +221,8 @@ def servo(
         raise ValueError(f"tracker must have a method track, got {type(tracker).__name__}")
     check_callable("controller", controller, optional=True)
     check_callable("progress", progress, optional=True)
-    reach = _pair("travel", travel)
+    either = positive("travel", travel)
+    reach = as_array("travel", either if either.ndim else np.full(2, either), shape=(2,))
     settings = Settings(
         targets=as_array("targets", np.atleast_2d(as_array("targets", targets)), shape=(None, 2)),
         travel=reach,
@@ -261,11 +262,6 @@ def servo(
     if guard.interrupted.is_set():
         raise RunInterrupt(run)
     return run
-
-
-def _pair(name: str, value: ArrayLike) -> Array:
-    numbers = positive(name, value)
-    return as_array(name, np.broadcast_to(numbers, 2) if numbers.ndim == 0 else numbers, shape=(2,))
 
 
 def _test_move(size: float | None, travel: Array, step: float | None) -> float:

@@ -118,11 +118,11 @@ def test_every_result_is_shown_compared_kept_and_written_down(name: str, tmp_pat
 
 
 def plain(value: object) -> object:
-    """Return a result as dictionaries, tuples and arrays, which compare."""
+    """Return a result as dictionaries, lists and arrays, which compare."""
     if is_dataclass(value):
         return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, tuple):
-        return tuple(plain(part) for part in value)
+        return {k: plain(part) for k, part in enumerate(value)}  # unlike a list of the same
     return value.to_dict("list") if isinstance(value, pd.DataFrame) else value
 
 
