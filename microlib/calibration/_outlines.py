@@ -57,8 +57,8 @@ _LEAST_OUTER, _NARROWEST, _WIDEST = 1.0, 2.0, 7.0
 _NEAR = 1.7
 #: Neighbors of a mark on a square lattice; a hexagonal one has six.
 _NEIGHBORS = 8
-#: Half a gap of so many blurs: beyond it a neighbor takes less than a hundredth of the light.
-_UNSEEN = 2.33
+#: Half a gap of so many blurs: beyond it a neighbor takes less than a fortieth of the light.
+_UNSEEN = 2.0
 #: Most rounds of taking the neighbors off and fitting anew. With a gap of 2.8 times the blur one is
 #: 0.085 px off without any, then 0.0092 after two, 0.0074 after three, and 0.0070 after six.
 _ROUNDS = 3

@@ -65,7 +65,7 @@ _MOST_RMS, _LEAST_CONTRAST, _MOST_SIGMA = 3.0, 0.5, 5.0
 #: chessboards one in five more than 25.
 _STEPS = 25
 #: Marks that are asked, evenly among all: each has hundreds of pixels to tell by.
-_ASKED = 6
+_ASKED = 4
 
 
 def are_round(marks: Marks, steps: Array) -> bool:
