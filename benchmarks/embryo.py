@@ -138,12 +138,8 @@ def characterize(seed: int) -> list[dict[str, object]]:
             else:
                 dimple = thesis_dimple(extract_boundary(scene.image))
                 a, depth = dimple.dimple_radius, dimple.dimple_depth
-                values = {
-                    "force": truth.force,
-                    "dimple_radius": a,
-                    "dimple_depth": depth,
-                    **MEMBRANE,
-                }
+                values = {"force": truth.force, "dimple_radius": a, "dimple_depth": depth}
+                values |= MEMBRANE
                 found = float(elastic_modulus(**values))
                 std = modulus_std(values, {}, dimple_covariance=dimple.covariance) / found
             row |= {"error": np.log(found / truth.modulus), "std": std}
@@ -163,6 +159,7 @@ def summarise(runs: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for method, group in runs.groupby("method", sort=False):
         error = group["error"].dropna()
+        known = group["std"].notna().any()
         inside = (error.abs() < 1.96 * group["std"].loc[error.index]).mean()
         rows.append(
             {
@@ -172,9 +169,7 @@ def summarise(runs: pd.DataFrame) -> pd.DataFrame:
                 "± (%)": 100 * error.std() / np.sqrt(len(error)),
                 "spread of E (%)": 100 * error.std(),
                 "worst (%)": 100 * error.abs().max(),
-                "95 % intervals that hold (%)": (
-                    100 * inside if group["std"].notna().any() else np.nan
-                ),
+                "95 % intervals that hold (%)": 100 * inside if known else np.nan,
                 "CPU s an image, median": group["seconds"].median(),
                 "CPU s an image, longest": group["seconds"].max(),
             }
