@@ -96,7 +96,10 @@ def _read(
         slice(first + max(edge[k] - _AROUND, 0), first + min(edge[k + 1] + _AROUND, edge[-1]))
         for edge, k, first in zip(edges, block_id[1:], corner, strict=True)
     )
-    frames = source[(slice(None), *window)]
+    import zarr
+
+    with zarr.config.set({"async.concurrency": 1}):  # or ten chunks are in memory at a time
+        frames = source[(slice(None), *window)]
     return frames if frames.dtype in (np.uint8, np.uint16) else frames.astype(np.float32)
 
 
