@@ -28,14 +28,14 @@ _REACH = 2.5
 #: 0.24 of its deviation.
 _WIDTHS, _WIDTH_TOLERANCE = (0.6, 3.0), 0.01
 #: Blur of the first search, about that of the workstation's images, and its steps, a quarter of it,
-#: from which the least squares converge. 0.8 to 1.6, and 0.1 to 0.5, change E by up to 0.3 of its
+#: from which the least squares converge. 0.8 to 1.6, and 0.1 to 0.5, change E by up to 0.35 of its
 #: deviation.
 _USUAL_WIDTH, _SEARCH_STEP = 1.1, 0.25
 #: Steps of Gauss–Newton, none longer than this: half a px leaves the wall in sight. 3 to 10, and
-#: 0.25 to 1, change E by up to 0.44 of its deviation.
+#: 0.25 to 1, change E by up to 0.69 of its deviation.
 _ITERATIONS = 5
 _LONGEST_STEP = 0.5
-#: One profile in so many tells the blur that all have; 1 to 8 change E by up to 0.24 of its
+#: One profile in so many tells the blur that all have; 1 to 8 change E by up to 0.58 of its
 #: deviation.
 _EVERY = 4
 #: Samples wanted of a profile, more than its four unknowns; nothing changes from 5 to 10.
