@@ -64,6 +64,12 @@ def test_blocks_with_coordinates_stay_blocks() -> None:
     np.testing.assert_allclose(back["depth"], depth_from_focus(stack(), Z).depth, atol=1e-3)
 
 
+def test_pixels_that_are_no_squares_have_no_size() -> None:
+    frames = labeled()
+    wide = frames.assign_coords(x=("x", 2.1 * np.arange(80), {"units": "µm"}))
+    assert read_frames(wide).pixel_size is None
+
+
 def test_numbers_of_pixels_are_no_scale() -> None:
     frames = labeled().drop_vars(["x", "y"]).assign_coords(x=np.arange(80), y=np.arange(64))
     assert read_frames(frames).pixel_size is None

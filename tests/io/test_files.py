@@ -42,9 +42,10 @@ def test_height_tiff_carries_heights_and_scale(tmp_path: Path) -> None:
     with tifffile.TiffFile(tmp_path / "h.tif") as tiff:
         page = tiff.pages[0].aspage()
         np.testing.assert_array_equal(page.asarray(), height.astype(np.float32))
-        numerator, denominator = page.tags["XResolution"].value
-        # px per cm: older versions of tifffile keep six digits.
-        assert numerator / denominator == pytest.approx(1e4 / 0.7, rel=1e-6)
+        for axis in "XY":
+            numerator, denominator = page.tags[f"{axis}Resolution"].value
+            # px per cm: older versions of tifffile keep six digits.
+            assert numerator / denominator == pytest.approx(1e4 / 0.7, rel=1e-6)
         assert page.tags["ResolutionUnit"].value == 3  # centimeter
         assert "0.7 um" in page.description
 
