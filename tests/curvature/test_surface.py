@@ -241,6 +241,19 @@ def test_the_error_of_k_is_that_of_its_derivatives_where_they_are_large():
         assert plane.gaussian_error[HALF, HALF] == pytest.approx(noise * squares**0.5, rel=2e-3)
 
 
+def test_the_error_of_h_on_a_tilted_plane_is_that_of_its_derivatives():
+    """A plane has no curvature, so that an error of its slope leaves H as it is: to first order
+    H is linear in what is pushed, with the weights of the derivatives and of the slope alone."""
+    plane, push = (0.8 * X + 0.5 * Y)[:13, :13], 1e-6
+    squares = 0.0
+    for at in np.ndindex(13, 13):
+        pushed = plane.copy()
+        pushed[at] += push
+        squares += (surface_curvature(pushed, 1.0).mean[6, 6] / push) ** 2
+    found = surface_curvature(plane, 1.0, noise=1e-3)
+    assert found.mean_error[6, 6] == pytest.approx(1e-3 * squares**0.5, rel=1e-4)
+
+
 def test_a_threshold_may_be_a_map_and_is_unknown_where_it_is():
     h, k = np.full((2, 2), -1.0), np.full((2, 2), 0.2)
     limit = np.array([[0.1, 2.0], [np.nan, 0.1]])
