@@ -62,6 +62,11 @@ def hash_of(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+def contents(folder: Path, pattern: str) -> str:
+    """Return the names and texts of files, in the order of their names."""
+    return "".join(f"{p.name}\n{p.read_text('utf-8')}" for p in sorted(folder.glob(pattern)))
+
+
 def gather(scores: pd.DataFrame) -> dict:
     """Return the certificate: what was run, where, for how long, and the hashes of what came out.
 
@@ -82,8 +87,6 @@ def gather(scores: pd.DataFrame) -> dict:
         f"{row.claim}\t{row.verdict}{ledger.STAR * bool(row.star)}\t{bool(row.recomputed)}\n"
         for row in scores.itertuples()
     ]
-    figures = [f"{p.name}\n{p.read_text('utf-8')}" for p in sorted(BUILD.glob("figures/*.csv"))]
-    key = runs[0]["key"]
     return {
         "commit": git("rev-parse", "HEAD") or "unknown: no repository",
         "committed": git("log", "-1", "--format=%cI"),
@@ -93,7 +96,10 @@ def gather(scores: pd.DataFrame) -> dict:
         "built": datetime.now(UTC).isoformat(timespec="seconds"),
         "system": platform.platform(),
         "processor": f"{processor()}, {os.cpu_count()} cores",
-        "versions": {"python": key["python"], **{name: version(name) for name in PACKAGES}},
+        "versions": {
+            "python": platform.python_version(),
+            **{name: version(name) for name in PACKAGES},
+        },
         "notebooks": [
             {part: run[part] for part in ("notebook", "seconds", "checks", "failed")}
             for run in runs
@@ -101,8 +107,10 @@ def gather(scores: pd.DataFrame) -> dict:
         "verdicts": {word: int((scores["verdict"] == word).sum()) for word in ledger.VERDICTS},
         "sha256": {
             "verdicts": hash_of("".join(words)),
-            "figures": hash_of("".join(figures)),
-            **{part: key[part] for part in ("microlib", "data", "lock")},
+            "figures": hash_of(contents(BUILD, "figures/*.csv")),
+            "microlib": hash_of(contents(ROOT / "microlib", "**/*.py")),
+            "data/thesis": hash_of(contents(ROOT / "data/thesis", "*.toml")),
+            "environment.txt": hash_of(contents(ROOT, "environment.txt")),
         },
     }
 

@@ -280,7 +280,7 @@ def key_of(name: str) -> str:
     """Return a hash of all that a notebook depends on, the version of Python among it."""
     files = [ROOT / "notebooks" / f"{name}.ipynb", ROOT / "environment.txt"]
     files += [p for folder in ("microlib", "compendium") for p in (ROOT / folder).rglob("*.py")]
-    files += [path for path in (ROOT / "data").rglob("*") if path.is_file()]
+    files += [p for p in (ROOT / "data").rglob("*") if p.is_file() and p.suffix != ".pyc"]
     if name.startswith(LAST):
         files += [p for p in (BUILD / "claims").glob("*.json") if not p.name.startswith(LAST)]
     digest = hashlib.sha256(sys.version.encode())
