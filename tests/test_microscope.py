@@ -174,6 +174,11 @@ def test_bad_parameters_are_named(change, word):
         replace(SCOPE, **change)
 
 
+def test_a_parameter_that_is_none_is_named():
+    with pytest.raises(ValueError, match=r"parameters must be among .*lens"):
+        SCOPE.jacobian([(0.0, 0.0)], ("alpha", "lens"))
+
+
 @pytest.mark.parametrize("points", [[1.0, 2.0], [[1.0]], np.empty((0, 2)), [[np.nan, 0.0]], "ab"])
 def test_bad_points_are_refused(points):
     with pytest.raises(ValueError, match="points"):

@@ -53,6 +53,7 @@ def test_cells_are_dark_where_their_outlines_are_and_do_not_overlap():
         ({"kind": "HeLa"}, "kind must be one of 293T, Jurkat"),
         ({"count": 0}, "count must be a whole number"),
         ({"pixel_size": 0.0}, "pixel_size must be positive"),
+        ({"pixel_size": 20.0}, "pixel_size must show a cell's radius"),
         ({"shape": (10, 10)}, "shape must be a whole number of at least 64"),
     ],
 )

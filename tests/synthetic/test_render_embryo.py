@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
 from microlib.synthetic import Embryo, embryo_image, embryo_sequence
@@ -49,6 +50,14 @@ def test_volume_and_rim(force, rim):
     bend = np.polyfit(xs[near] - embryo.dimple_radius, ys[near], 3)[1]
     # A cubic over ±15 µm leaves quartic terms of (15/a)², below 2 %.
     assert -1 / (2 * bend) == pytest.approx(rim, rel=0.03)
+
+
+def test_more_blur_is_a_wider_gaussian():
+    """Gaussians widen by the root of the squares; grey levels are rounded once, twice that here."""
+    embryo, alike = Embryo(1.2, 100.0, 240.0), {"rng": 0, "noise": 0.0, "unevenness": 0.0}
+    sharp, soft = (embryo_image(embryo, blur=b, **alike).image.astype(float) for b in (1.0, 2.5))
+    again = gaussian_filter(sharp, np.sqrt(2.5**2 - 1.0), mode="nearest")
+    assert np.abs(again - soft)[15:-15, 15:-15].max() < 2
 
 
 def test_outline_has_no_corner_but_at_the_probe():
