@@ -63,8 +63,7 @@ def part_of(claim: ledger.Claim) -> str:
 
 def facets(claim: ledger.Claim) -> dict[str, str]:
     """Return what the list of claims can be narrowed by, as the address has it."""
-    star = "starred" if claim.star else "unstarred"
-    by = claim.compared or "not compared"
+    star, by = "starred" if claim.star else "unstarred", claim.compared or "not compared"
     return {"verdict": claim.verdict, "star": star, "by": by, "part": part_of(claim).split()[0]}
 
 
@@ -90,7 +89,8 @@ class Verdict(SphinxRole):
 
 def printed(claim: ledger.Claim) -> str:
     """Return the number that the thesis prints, with its unit."""
-    return f"{claim.printed} {claim.unit}".rstrip() if claim.printed else "no number"
+    number = f"{claim.printed} {claim.unit}".replace(">=", "≥").rstrip()
+    return number if claim.printed else "no number"
 
 
 def badge(claim: ledger.Claim) -> nodes.inline:
