@@ -10,9 +10,15 @@ from microlib._common import Array
 from microlib.calibration._lattice import Index, complete, mean_steps, saddle
 from microlib.calibration._marks import Marks
 
-#: Board that OpenCV is asked for, in corners: it may be a part of a larger one.
-_BOARD = (3, 3)
-_FLAGS = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_LARGER
+#: Boards that OpenCV is asked for, in corners: parts of a larger one. Of 26 photographs it gives 46
+#: to 54 of 54 corners in the blurred half image, in the whole one of some only five.
+_BOARD, _LEAST_BOARD = (5, 4), (3, 3)
+_QUICK = cv2.CALIB_CB_LARGER
+_THOROUGH = _QUICK | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+#: Corners so far beside the others' homography, in sides of a field, are none of the board.
+_BESIDE = 0.2
+#: Least contrast of the fields around a corner, as a part of the mean.
+_LEAST_DARK = 0.5
 #: Half the window in which the place of a further corner is looked for, in sides of a field, and
 #: its least, px.
 _WINDOW, _LEAST_WINDOW = 0.25, 2
@@ -32,21 +38,33 @@ def find_corners(grey: NDArray[np.float32]) -> tuple[Marks, Index]:
     low, high = float(grey.min()), float(grey.max())
     eight = np.round((grey - low) * (255 / max(high - low, 1e-9))).astype(np.uint8)
     smooth: NDArray = cv2.GaussianBlur(grey, (0, 0), 1.0)
-    for each in (eight, 255 - eight):
-        found, corners, meta = cv2.findChessboardCornersSBWithMeta(each, _BOARD, _FLAGS)
+    half = cv2.pyrDown(cv2.GaussianBlur(eight, (0, 0), 2.0))
+    tries = [(half, _BOARD, _QUICK)]
+    tries += [(each, _LEAST_BOARD, _THOROUGH) for each in (eight, 255 - eight)]
+    for each, board, flags in tries:
+        found, corners, meta = cv2.findChessboardCornersSBWithMeta(each, board, flags)
         if found:
             break
     else:
         raise ValueError("image must show a chessboard, got none")
     rows, columns = np.asarray(meta).shape
     grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
-    centers: Array = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
+    scale = 2 if each is half else 1
+    centers: Array = scale * np.asarray(corners, dtype=np.float64).reshape(-1, 2)
+    beside = max(_BESIDE * np.sqrt(np.abs(np.linalg.det(mean_steps(centers, grid)))), 1.0)
+    inside = cv2.findHomography(grid.astype(np.float64), centers, cv2.RANSAC, beside)[1]
+    if inside is None:
+        raise ValueError("image must show a chessboard, got corners that lie on no plane one")
+    kept = inside.ravel() > 0
+    centers, grid = centers[kept], grid[kept] - grid[kept].min(axis=0)
     # From corner to corner dark and bright change places, unless a row between them was skipped.
-    dark = np.sign(saddle(smooth, centers, _WITHIN * mean_steps(centers, grid)))
-    changes = max(
-        np.ndindex(2, 2), key=lambda c: abs((dark * (-1.0) ** (grid @ np.array(c))).sum())
-    )
-    grid = grid * (2 - np.array(changes))
+    dark = saddle(smooth, centers, _WITHIN * mean_steps(centers, grid))
+    ways = [dark * (-1.0) ** (grid @ np.array(changes)) for changes in np.ndindex(2, 2)]
+    best = int(np.argmax([np.abs(np.sign(way).sum()) for way in ways]))
+    # What OpenCV gives beyond the board has no such fields, and would bend the map.
+    alternate = np.abs(ways[best].sum()) / len(grid) * _LEAST_DARK
+    kept = ways[best] * np.sign(ways[best].sum()) > alternate
+    centers, grid = centers[kept], grid[kept] * (2 - np.array(np.unravel_index(best, (2, 2))))
     side = np.sqrt(np.abs(np.linalg.det(mean_steps(centers, grid))))
     window = [max(int(_WINDOW * side), _LEAST_WINDOW)] * 2
 

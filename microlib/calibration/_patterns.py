@@ -194,13 +194,17 @@ def _detect(
     whole = to_grey(image)
     grey, corner = crop(whole, region)
     refusal = ValueError(f"image must show a grid of {kind}, got none")
-    for count, (marks, grid) in enumerate(_candidates(grey, kind, lattice)):
+    for count, (marks, grid, alone) in enumerate(_candidates(grey, kind, lattice)):
         try:
             points, sigma, grid, areas = _fit(marks, grid, kind, lattice)
             turn = counting(points.mean(axis=1), grid, lattice, direction, mirrored)
-            return _place(
+            found = _place(
                 points, sigma, grid, areas, lattice, turn, grey.shape, corner, whole.shape
             )
+            # A homography leads to any four centers, and clutter has many.
+            if alone or np.isfinite(found.misfit):
+                return found
+            raise ValueError(f"image must show more {kind} or nothing else, got {len(grid)}")
         except ValueError as fault:
             if count == 0:  # of the largest
                 refusal = fault
@@ -209,21 +213,21 @@ def _detect(
 
 def _candidates(
     grey: NDArray[np.float32], kind: str, lattice: str
-) -> Iterator[tuple[Marks, NDArray[np.intp]]]:
+) -> Iterator[tuple[Marks, NDArray[np.intp], bool]]:
     """Lattices of marks, the most likely first: that of the image as if it showed nothing else,
-    then the largest pieces in clutter."""
+    then the largest pieces in clutter; and whether the image shows nothing else."""
     if kind == "chessboard":
-        yield find_corners(grey)
+        yield *find_corners(grey), True
         return
     marks = dark_regions(grey)
     pieces = [(marks, *piece) for piece in grow_lattices(marks, lattice)[:1]]
     if pieces and len(pieces[0][1]) >= _NOTHING_ELSE * len(marks.centers):
         marks, index, grid = pieces.pop()
-        yield complete(marks[index], grid, darkness)
+        yield *complete(marks[index], grid, darkness), True
     for marks in even_edges(grey):
         pieces += [(marks, *piece) for piece in grow_lattices(marks, lattice)]
     for marks, index, grid in sorted(pieces, key=lambda piece: -len(piece[1]))[:_PIECES]:
-        yield complete(marks[index], grid, darkness)
+        yield *complete(marks[index], grid, darkness), False
 
 
 def _fit(

@@ -60,6 +60,9 @@ SMOOTH_QUAD = [0, 1, 2, 3, 8, 9, 11, 12]
 #: right ones; contrasts from 0.25 to 0.75 and uncertainties from 3 to 20 make no difference
 #: beside it.
 _MOST_RMS, _LEAST_CONTRAST, _MOST_SIGMA = 3.0, 0.5, 5.0
+#: Most residual of crossing edges as a part of their contrast. Photographed chessboards leave up to
+#: 0.05, the places between circles, where dark and bright change as well, 0.34.
+_MOST_REST = 0.2
 #: Most steps of a fit. In renders of Table 5.1's views nine outlines of ten are at their minimum
 #: after 5; of photographed circles one in ten needs more than 15, and of corners of photographed
 #: chessboards one in five more than 25.
@@ -112,7 +115,14 @@ def fit_marks(
         )
     if good.sum() < FEWEST:
         raise ValueError(f"image must show a grid of {kind}, got {int(good.sum())} whole ones")
-    fit, origins = fit[good], origins[good]
+    fit, origins, contrast = fit[good], origins[good], contrast[good]
+    if kind == "chessboard":
+        rest = float(np.median(fit.rms / (contrast * fit.parameters[:, GROUND.start])))
+        if rest > _MOST_REST:
+            raise ValueError(
+                "image must show a chessboard, got marks on a lattice, beside which crossing edges "
+                f"leave {100 * rest:.0f} % of the contrast"
+            )
     softness = float(np.median(np.abs(fit.parameters[:, BLUR])) / np.median(half[good]))
     fit = smooth_parameters(fit, origins, smooth)
     shapes: Array = np.zeros((len(origins), 2, 2))
@@ -194,7 +204,7 @@ def fit_crossings(marks: Marks, steps: Array) -> tuple[OutlineFit, Array]:
     bright = (dark * (patches.grey - patches.grey.mean()) * patches.weight).sum(axis=1) > 0
     start[bright, 0] += np.pi  # the dark fields are the other two
     start[bright, 2] *= -1
-    return _fit(marks, start, patches, _crossing, np.inf, 4 * _STEPS)
+    return _fit(marks, start, patches, _crossing, np.inf, 2 * _STEPS)
 
 
 def line_offsets(parameters: Array) -> Array:

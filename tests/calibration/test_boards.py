@@ -232,6 +232,14 @@ def test_a_chessboard_is_no_grid_of_marks(detect, blur):
         detect(image)
 
 
+def test_four_circles_in_clutter_are_no_grid():
+    """A homography leads to any four: alone in the image they are taken on trust."""
+    four = SQUARE[(SQUARE < 2).all(axis=1)]
+    assert len(detect_circles(board(four)[0]).points) == 4
+    with pytest.raises(ValueError, match="image must show"):
+        detect_circles(board(four, behind=skimage.data.camera())[0])
+
+
 @pytest.mark.parametrize("detect", [detect_circles, detect_squares])
 @pytest.mark.parametrize("seed", range(3))
 def test_marks_of_chance_are_no_lattice(detect, seed):
@@ -332,15 +340,27 @@ def test_every_inner_corner_of_a_chessboard_is_found(change):
     np.testing.assert_array_equal(found.positions, found.grid)
 
 
-def test_rows_that_opencv_skips_are_found(monkeypatch):
-    """On some photographs it gives every second row of corners for a board."""
+def skipping(rows):
+    """Every second row."""
+    return rows[::2]
+
+
+def inventing(rows):
+    """A row beyond the board, that lies on none, for its last."""
+    return np.concatenate([rows[:-1], rows[-2:-1] + 0.4 * (rows[1] - rows[0])[::-1]])
+
+
+@pytest.mark.parametrize("spoil", [skipping, inventing])
+def test_what_opencv_makes_of_some_boards_is_mended(monkeypatch, spoil):
+    """On some photographs it skips rows of corners, or goes on where there are none."""
     find = cv2.findChessboardCornersSBWithMeta
 
-    def skipping(*given):
-        found, corners, rows = find(*given)
-        return found, corners.reshape(*rows.shape, 2)[::2].reshape(-1, 1, 2), rows[::2]
+    def spoiled(*given):
+        found, corners, meta = find(*given)
+        rows = spoil(corners.reshape(*meta.shape, 2))
+        return found, rows.reshape(-1, 1, 2).astype(np.float32), np.zeros(rows.shape[:2])
 
-    monkeypatch.setattr(cv2, "findChessboardCornersSBWithMeta", skipping)
+    monkeypatch.setattr(cv2, "findChessboardCornersSBWithMeta", spoiled)
     image, truth = chessboard()
     found = detect_squares(image, pattern="chessboard", direction=0.15)
     seen = CORNERS[cKDTree(truth).query(found.points)[1]]
