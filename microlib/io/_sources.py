@@ -193,11 +193,13 @@ def picture(file: Path) -> NDArray:
 
 def decode(file: Path, flags: int) -> NDArray | None:
     """Return an image as OpenCV reads it; None if it does not."""
-    # Not imread: it accepts JPEGs that are cut off, and fails on names outside the system's
-    # encoding.
-    raw = np.frombuffer(file.read_bytes(), dtype=np.uint8)
+    # Not imread, which fails on names outside the system's encoding.
+    content = file.read_bytes()
+    # OpenCV 4 fills up a JPEG that is cut off: the mark of its end must follow its last scan.
+    if content.startswith(b"\xff\xd8") and content.rfind(b"\xff\xd9") < content.rfind(b"\xff\xda"):
+        return None
     try:
-        return cv2.imdecode(raw, flags) if raw.size else None
+        return cv2.imdecode(np.frombuffer(content, np.uint8), flags) if content else None
     except cv2.error:
         return None
 

@@ -232,7 +232,10 @@ def test_jpeg_is_read(tmp_path):
 
 def test_a_compression_that_nothing_installed_knows_is_named(stack, tmp_path):
     path = tmp_path / "a.tif"
-    compressed(path, stack, "zstd")
+    try:
+        compressed(path, stack, "zstd")
+    except OSError:
+        pytest.skip("this Pillow cannot write ZSTD")
     if importlib.util.find_spec("imagecodecs") or importlib.util.find_spec("compression"):
         np.testing.assert_array_equal(np.stack(list(read_frames(path))), stack)
         return
