@@ -63,8 +63,9 @@ def hash_of(text: str) -> str:
 
 
 def contents(folder: Path, pattern: str) -> str:
-    """Return the names and texts of files, in the order of their names."""
-    return "".join(f"{p.name}\n{p.read_text('utf-8')}" for p in sorted(folder.glob(pattern)))
+    """Return the paths and texts of files, in the order of their paths."""
+    texts = {p.relative_to(folder).as_posix(): p.read_text("utf-8") for p in folder.glob(pattern)}
+    return "".join(f"{name}\n{texts[name]}" for name in sorted(texts))
 
 
 def gather(scores: pd.DataFrame) -> dict:
