@@ -31,6 +31,8 @@ from microlib.focus import FocusResult, sum_modified_laplacian
 _LEAST_SIDE = 8
 #: How far a drive may stand from where it was sent, in spacings of the positions.
 _MISSED = 0.5
+#: Share of the best measure that a neighbor has at least: one that sees nothing at all has none.
+_LEAST_NEIGHBOR = 1e-6
 #: Frames behind the best that have to be worse before autofocus turns round.
 _BACK = 3
 _MOST_TIME = 1e9
@@ -323,5 +325,6 @@ def _sharpness(frame: NDArray[Any], part: Region | None) -> float:
 
 def _vertex(z: Array, measures: Array) -> float:
     """Return the vertex of the Gaussian through three measures, between the outer positions."""
-    curve = np.polyfit(z - z[1], np.log(measures), 2)
+    seen = np.maximum(measures, _LEAST_NEIGHBOR * measures.max())
+    curve = np.polyfit(z - z[1], np.log(seen), 2)
     return float(np.clip(z[1] - curve[1] / (2 * curve[0]), z.min(), z.max()))

@@ -93,6 +93,12 @@ def test_the_vertex_is_that_of_the_gaussian():
     assert run.focus == pytest.approx(42.0, abs=0.3)
 
 
+def test_neighbors_that_see_nothing_leave_the_middle(measured):
+    run = autofocus(measured(lambda z: float(z == POSITIONS[5])), POSITIONS)
+    assert run.complete
+    assert run.focus == pytest.approx(POSITIONS[5])
+
+
 @pytest.mark.parametrize(("height", "clear"), [(1.6, True), (1.4, False)])
 def test_a_peak_is_two_and_a_half_times_the_least(measured, height, clear):
     scope = measured(bell(50.0, 20.0, height))
