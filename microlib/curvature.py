@@ -189,8 +189,8 @@ def surface_curvature(
     size and its square; H and K follow (3.22)–(3.23). The thesis leaves out the pixel size, which
     fixes the units of H and K and so the meaning of any threshold.
 
-    A pixel depends on what lies `size` - 1 pixels around it alone, to the last bit: tiles that
-    overlap by as much, such as those of `dask.array.map_overlap`, have the curvature of the whole.
+    A pixel depends on what lies `size` - 1 pixels around it alone: tiles that overlap by as much,
+    such as those of `dask.array.map_overlap`, have the curvature of the whole.
 
     The error of a second derivative is `noise` times the root of the sum of the squares of its
     window. It enters H to first order, K to first and second order, because on a plane K is a

@@ -129,8 +129,8 @@ def fit_capsule(
     -----
     Least squares of the distances between points and the meridian of `indent_capsule`, over E, the
     inflation (at least 1), the place of axis and plate, R, and the tilt. The standard deviation
-    counts neighboring points as one by the correlation ρ of neighboring distances: the variance
-    grows by (1 + ρ)/(1 − ρ).
+    allows for distances that are alike along the outline, over up to √N points (Newey and West
+    1987).
 
     Examples
     --------
