@@ -63,10 +63,6 @@ _MOST_RMS, _LEAST_CONTRAST, _MOST_SIGMA = 3.0, 0.5, 5.0
 #: Most residual of crossing edges as a part of their contrast. Photographed chessboards leave up to
 #: 0.05, the places between circles, where dark and bright change as well, 0.34.
 _MOST_REST = 0.2
-#: Most steps of a fit. In renders of Table 5.1's views nine outlines of ten are at their minimum
-#: after 5; of photographed circles one in ten needs more than 15, and of corners of photographed
-#: chessboards one in five more than 25.
-_STEPS = 25
 #: Marks that are asked, evenly among all: each has hundreds of pixels to tell by.
 _ASKED = 4
 
@@ -204,7 +200,7 @@ def fit_crossings(marks: Marks, steps: Array) -> tuple[OutlineFit, Array]:
     bright = (dark * (patches.grey - patches.grey.mean()) * patches.weight).sum(axis=1) > 0
     start[bright, 0] += np.pi  # the dark fields are the other two
     start[bright, 2] *= -1
-    return _fit(marks, start, patches, _crossing, np.inf, 2 * _STEPS)
+    return _fit(marks, start, patches, _crossing, np.inf)
 
 
 def line_offsets(parameters: Array) -> Array:
@@ -243,16 +239,11 @@ def quad_corners(fit: OutlineFit, origins: Array) -> tuple[Array, Array]:
 
 
 def _fit(
-    marks: Marks,
-    start: Array,
-    patches: Patches,
-    outline: Outline,
-    gap: float,
-    iterations: int = _STEPS,
+    marks: Marks, start: Array, patches: Patches, outline: Outline, gap: float
 ) -> tuple[OutlineFit, Array]:
     start[:, BLUR], start[:, CONTRAST] = marks.blur, START_CONTRAST
     start[:, GROUND.start] = patches.grey.max(axis=1)
-    return fit_shapes(outline, start, patches, gap, iterations), patches.centers
+    return fit_shapes(outline, start, patches, gap), patches.centers
 
 
 def _to_ellipse(parameters: Array, x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
