@@ -39,7 +39,7 @@ _FIRST_DAMPING, _FACTOR = 1e-3, 10.0
 #: Most steps of a fit. In renders of Table 5.1's views nine outlines of ten are at their minimum
 #: after 5; of photographed circles one in ten needs more than 15, and of corners of photographed
 #: chessboards one in five more than 25.
-_STEPS = 50
+STEPS = 50
 #: The search for an outline ends as soon as a step changes its sum of squares by no more than this
 #: part of it, be it down or up. The last step then moved the outline by about √(1e-6 k) of its
 #: standard deviation for k pixels, a sixtieth for 250; and the one not made is smaller still.
@@ -108,7 +108,7 @@ class OutlineFit:
     covariance : ndarray, shape (n, p, p)
         From the residual's variance; NaN where the fit failed.
     rms : ndarray, shape (n,)
-        Standard deviation of the residual, grey levels; NaN where the fit failed.
+        Standard deviation of the residual, grey levels.
     """
 
     parameters: Array
@@ -151,13 +151,15 @@ def cut_patches(
     )
 
 
-def fit_shapes(outline: Outline, start: Array, patches: Patches, gap: float) -> OutlineFit:
+def fit_shapes(
+    outline: Outline, start: Array, patches: Patches, gap: float, most: int = STEPS
+) -> OutlineFit:
     """Fit outlines that lie `gap` apart, px, which may be no further than their blur reaches."""
-    fit = _fit_alone(outline, start, patches)
+    fit = _fit_alone(outline, start, patches, most)
     if gap < 2 * _UNSEEN * np.median(np.abs(fit.parameters[:, BLUR])):
         for _ in range(_ROUNDS):
             grey = patches.grey + _taken(outline, fit, patches)
-            fit = _fit_alone(outline, fit.parameters, replace(patches, grey=grey))
+            fit = _fit_alone(outline, fit.parameters, replace(patches, grey=grey), most)
     return fit
 
 
@@ -182,22 +184,22 @@ def _taken(outline: Outline, fit: OutlineFit, patches: Patches) -> Array:
         parameters = fit.parameters[other]
         there = replace(patches, x=patches.x + x, y=patches.y + y)
         light, inside, *_ = _parts(outline, parameters, there)
-        known = beside & np.isfinite(fit.rms[other])
+        known = beside & np.isfinite(fit.covariance[other, 0, 0])
         taken += np.where(known[:, None], light * inside * parameters[:, CONTRAST, None], 0.0)
     return taken * patches.weight
 
 
-def _fit_alone(outline: Outline, start: Array, patches: Patches) -> OutlineFit:
+def _fit_alone(outline: Outline, start: Array, patches: Patches, most: int) -> OutlineFit:
     """Levenberg–Marquardt on every patch at once, each with its own damping.
 
-    A patch that cannot be fitted, or still moves after all steps, leaves the others alone; its
+    A patch that cannot be fitted, or still moves after `most` steps, leaves the others alone; its
     covariance is NaN.
     """
     best = start.copy()
     damping = np.full(len(start), _FIRST_DAMPING)
     normal, gradient, cost = _equations(outline, best, patches)
     moving = np.isfinite(cost)  # a patch at NaN is lost
-    for _ in range(_STEPS):
+    for _ in range(most):
         if not moving.any():
             break
         some = np.flatnonzero(moving)
@@ -218,7 +220,7 @@ def _fit_alone(outline: Outline, start: Array, patches: Patches) -> OutlineFit:
         covariance = _invert(normal) * variance[:, None, None]
     failed = moving | ~np.isfinite(covariance).all(axis=(1, 2))
     covariance[failed] = np.nan
-    return OutlineFit(best, covariance, np.where(failed, np.nan, np.sqrt(variance)))
+    return OutlineFit(best, covariance, np.sqrt(variance))
 
 
 def _equations(outline: Outline, parameters: Array, patches: Patches) -> tuple[Array, Array, Array]:

@@ -17,6 +17,7 @@ from microlib.calibration._outlines import (
     GROUND,
     LEAST_BLUR,
     START_CONTRAST,
+    STEPS,
     Outline,
     OutlineFit,
     Patches,
@@ -65,13 +66,16 @@ _MOST_RMS, _LEAST_CONTRAST, _MOST_SIGMA = 3.0, 0.5, 5.0
 _MOST_REST = 0.2
 #: Marks that are asked, evenly among all: each has hundreds of pixels to tell by.
 _ASKED = 4
+#: Steps after which shapes are told apart: the right one is at its minimum, and the other far above
+#: it, though it may creep on for long.
+_FEW_STEPS = 12
 
 
 def are_round(marks: Marks, steps: Array) -> bool:
     """Say whether ellipses fit the marks' grey levels better than quadrilaterals do."""
     every = np.s_[:: -(-len(steps) // _ASKED)]
-    ellipses, _ = fit_ellipses(marks[every])
-    quads, _ = fit_quads(marks[every], steps[every])
+    ellipses, _ = fit_ellipses(marks[every], _FEW_STEPS)
+    quads, _ = fit_quads(marks[every], steps[every], _FEW_STEPS)
     of_each = [np.median(np.nan_to_num(fit.rms, nan=np.inf)) for fit in (ellipses, quads)]
     return bool(of_each[0] < of_each[1])
 
@@ -102,7 +106,7 @@ def fit_marks(
     low, high = (points + reach).min(axis=1), (points + reach).max(axis=1)
     limit = np.array(marks.image.shape[::-1]) - 1
     contrast, worst = fit.parameters[:, CONTRAST], sigma.max(axis=1)
-    good = ((low >= 0) & (high <= limit)).all(axis=1) & np.isfinite(fit.rms) & np.isfinite(worst)
+    good = ((low >= 0) & (high <= limit)).all(axis=1) & np.isfinite(worst)
     if good.any():
         good &= (
             (fit.rms <= _MOST_RMS * np.median(fit.rms[good]))
@@ -127,7 +131,7 @@ def fit_marks(
     return good, *locate(fit, origins), shapes, softness
 
 
-def fit_ellipses(marks: Marks) -> tuple[OutlineFit, Array]:
+def fit_ellipses(marks: Marks, most: int = STEPS) -> tuple[OutlineFit, Array]:
     """Fit an ellipse to each mark; also the origins that its center counts from."""
     values, vectors = np.linalg.eigh(marks.moments)  # a filled ellipse has A = ½ Σ^(−½)
     shape = (vectors / (2 * np.sqrt(values))[:, None, :]) @ vectors.transpose(0, 2, 1)
@@ -142,7 +146,9 @@ def fit_ellipses(marks: Marks) -> tuple[OutlineFit, Array]:
         return (distance >= -outer) & (distance <= inner)
 
     half = int(np.ceil(radius * _HALF_PATCH + outer))
-    return _fit(marks, start, cut_patches(marks.image, marks.centers, half, near), _ellipse, gap)
+    return _fit(
+        marks, start, cut_patches(marks.image, marks.centers, half, near), _ellipse, gap, most
+    )
 
 
 def ellipse_shape(parameters: Array) -> Array:
@@ -163,7 +169,7 @@ def ellipse_reach(parameters: Array) -> Array:
     return np.sqrt(np.column_stack([b * b + d * d, a * a + b * b])) / np.abs(a * d - b * b)[:, None]
 
 
-def fit_quads(marks: Marks, steps: Array) -> tuple[OutlineFit, Array]:
+def fit_quads(marks: Marks, steps: Array, most: int = STEPS) -> tuple[OutlineFit, Array]:
     """Fit four lines to each mark, from a square along the lattice's steps; also the origins."""
     origin = np.round(marks.centers)
     side = np.sqrt(marks.areas / np.abs(np.linalg.det(steps)))[:, None, None]
@@ -182,7 +188,7 @@ def fit_quads(marks: Marks, steps: Array) -> tuple[OutlineFit, Array]:
         return (distance >= -outer) & (distance <= inner)
 
     half = int(np.ceil(width * _HALF_SQUARE + outer))
-    return _fit(marks, start, cut_patches(marks.image, marks.centers, half, near), _quad, gap)
+    return _fit(marks, start, cut_patches(marks.image, marks.centers, half, near), _quad, gap, most)
 
 
 def fit_crossings(marks: Marks, steps: Array) -> tuple[OutlineFit, Array]:
@@ -239,11 +245,11 @@ def quad_corners(fit: OutlineFit, origins: Array) -> tuple[Array, Array]:
 
 
 def _fit(
-    marks: Marks, start: Array, patches: Patches, outline: Outline, gap: float
+    marks: Marks, start: Array, patches: Patches, outline: Outline, gap: float, most: int = STEPS
 ) -> tuple[OutlineFit, Array]:
     start[:, BLUR], start[:, CONTRAST] = marks.blur, START_CONTRAST
     start[:, GROUND.start] = patches.grey.max(axis=1)
-    return fit_shapes(outline, start, patches, gap), patches.centers
+    return fit_shapes(outline, start, patches, gap, most), patches.centers
 
 
 def _to_ellipse(parameters: Array, x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
