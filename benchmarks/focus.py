@@ -20,7 +20,7 @@ from skimage.color import rgb2gray
 from benchmarks.report import must_hold, publish
 from microlib import synthetic
 from microlib.curvature import hk_labels, surface_curvature
-from microlib.focus import _multiscale, _reliability, depth_from_focus
+from microlib.focus import _multiscale, _reliability, _relief, depth_from_focus
 
 #: Frames of every stack, one step apart; blur grows by 1 px a step.
 POSITIONS = np.arange(21.0)
@@ -314,7 +314,7 @@ RULES: dict[str, dict[str, Callable]] = {
     "small pieces": {"small_piece_mask": lambda depth: np.isnan(depth)},
     "the wide window": {"check_wide": _no_wide},
     "detail of its own": {"sharp_mask": lambda seen, *_: _nothing(seen.depth)},
-    "choice of a side": {"choose_side": lambda broad, fine, sure: broad},
+    "choice of a side": {"choose_side": lambda broad, edge, side: (broad, np.abs(broad - edge))},
     "spikes": {"without_spikes": lambda depth, side=3: depth},
     "relief": {"find_relief": lambda along, down, mass: (0 * along, (along - down) / 2)},
     "the fit at full size": {"refit": lambda depth, known, *_: (depth, known)},
@@ -326,7 +326,8 @@ def _measured(changes: dict[str, Callable], stacks: list) -> NDArray:
     rows = []
     with ExitStack() as changed:
         for name, value in changes.items():
-            module = _multiscale if hasattr(_multiscale, name) else _reliability
+            rooms = (_multiscale, _reliability, _relief)
+            module = next(room for room in rooms if hasattr(room, name))
             changed.enter_context(patch.object(module, name, value))
         for truth, stack in stacks:
             error = (depth_from_focus(stack, POSITIONS).depth - truth)[

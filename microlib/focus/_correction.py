@@ -177,8 +177,6 @@ def smooth_planes(
     reach = stride * int(_CUT_OFF * sigma / stride)
     span = range(-reach, reach + 1, stride)
     offsets = [(y, x) for y, x in product(span, span) if y * y + x * x <= (_CUT_OFF * sigma) ** 2]
-    if len(offsets) == 1:  # a plane through nothing but the pixel itself
-        return depth.copy()
     low, high = np.nanmin(depth), np.nanmax(depth)
     # A jump far beyond all differences is none: every neighbor counts in full. One below what
     # single precision tells apart lets none count but equal ones.

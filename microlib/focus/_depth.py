@@ -25,7 +25,7 @@ from microlib._common import (
 )
 from microlib.focus._axis import find_axis, sampled
 from microlib.focus._blocks import depth_in_blocks, is_in_blocks
-from microlib.focus._measures import MEASURES, FocusMeasure, blur, checked_measure, named_measure
+from microlib.focus._measures import MEASURES, FocusMeasure, blur, focus_measure
 from microlib.focus._multiscale import multiscale_result
 from microlib.focus._peaks import FARTHEST, fit_peaks, three_point_peak
 from microlib.focus._registration import Registered
@@ -134,7 +134,8 @@ def depth_from_focus(
     1 px of the frame at half its size. A wide scale alone blurs edges and a narrow one fails on
     weak texture; a product peaks where both agree. It is followed in every second pixel. The
     logarithm of its profile is fitted by a parabola over seven frames, weighted with the measure,
-    because Gaussian blur makes the profile nearly a Gaussian, (3.9). A second measure decides on
+    because Gaussian blur makes the profile nearly a Gaussian, (3.9). Profiles are more pointed than
+    that, which pulls depths towards the frames, and this is taken back. A second measure decides on
     which side of a step a pixel lies, and `smooth_depth` averages over what remains on its side.
     Where the depth is unknown, or far from that by a window of 52 px and without the fine detail
     that blurred light lacks, the wide depth is taken, but none beside steps. Detail that the
@@ -226,11 +227,7 @@ def depth_from_focus(
         options = {"points": fit, "workers": threads}
         result = multiscale_result(stack.grey, stack.color, axis, **options, done=done)
     else:
-        chosen = (
-            checked_measure(measure)
-            if callable(measure)
-            else named_measure(measure, window, step, limit)
-        )
+        chosen = focus_measure(measure, window, step, limit)
         result = _single_measure(stack, chosen, fit // 2, done)
     result = replace(result, pixel_size=read.pixel_size, origin=read.origin)
     return result if found is None else _cut(result, found, dtype)
@@ -344,7 +341,8 @@ def _single_measure(
         depth = three_point_peak(window, best, z)
     else:
         steps, _ = fit_peaks(window, best, np.abs(z - z[0]) / spacing)
-        depth = (z[0] + np.sign(z[-1] - z[0]) * spacing * steps).astype(np.float32)
+        depth = z[0] + np.sign(z[-1] - z[0]) * spacing * steps
+        depth = np.clip(depth, z.min(), z.max()).astype(np.float32)
     random = incoherent_mask(np.ascontiguousarray(best[::2, ::2]))
     depth[random.repeat(2, axis=0).repeat(2, axis=1)[: len(depth), : depth.shape[1]]] = np.nan
     known = np.isfinite(depth)

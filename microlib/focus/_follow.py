@@ -164,10 +164,8 @@ def _follow_strip(
     here = slice(keep.start // 2, -(-keep.stop // 2))
     coarse = slice(keep.start // 4, -(-keep.stop // 4))
     windows = main.windows(here)
-    z, ends = axis.means, axis.positions[[0, -1]]
-    outside = (abs(z[0] - ends[0]) / axis.spacing, abs(ends[1] - z[-1]) / axis.spacing)
-    depth, strength = fit_peaks(windows[0], main.best[here], steps, outside=outside)
-    edges, _ = fit_peaks(edge.windows(here)[0], edge.best[here], steps, outside=outside)
+    depth, strength = fit_peaks(windows[0], main.best[here], steps)
+    edges, _ = fit_peaks(edge.windows(here)[0], edge.best[here], steps)
     far, _ = fit_peaks(wide.windows(coarse)[0], wide.best[coarse], steps)
     return Followed(
         depth=depth,

@@ -85,14 +85,13 @@ def sum_modified_laplacian(
     return total.astype(np.uint16) if grey.dtype == np.uint8 and n <= 7 else total
 
 
-def named_measure(name: str, window: int, step: int, threshold: float) -> FocusMeasure:
-    """Return the classical measure of that name."""
-    if name == "sml":
-        return lambda image: sum_modified_laplacian(
-            image, window=window, step=step, threshold=threshold
-        )
-    if (step, threshold) != (1, 0.0):
-        raise ValueError(f"step and threshold are for measure 'sml' only, got measure {name!r}")
+def focus_measure(
+    measure: str | FocusMeasure, window: int, step: int, threshold: float
+) -> FocusMeasure:
+    """Return the classical measure of a name, or the user's own, whose answers are checked."""
+
+    def sml(image: Image) -> NDArray:
+        return sum_modified_laplacian(image, window=window, step=step, threshold=threshold)
 
     def tenengrad(image: Image) -> NDArray:
         """Sum the squared Sobel gradient over the window (Krotkov, 1988)."""
@@ -105,11 +104,10 @@ def named_measure(name: str, window: int, step: int, threshold: float) -> FocusM
         square = cv2.sqrBoxFilter(image, cv2.CV_64F, (window, window))
         return np.maximum(square - mean * mean, 0).astype(np.float32)
 
-    return tenengrad if name == "tenengrad" else variance
-
-
-def checked_measure(measure: FocusMeasure) -> FocusMeasure:
-    """Wrap the user's measure: a wrong answer is refused instead of taken for a depth."""
+    if isinstance(measure, str):
+        if measure != "sml" and (step, threshold) != (1, 0.0):
+            raise ValueError(f"step and threshold are for measure 'sml' only, got {measure!r}")
+        return {"sml": sml, "tenengrad": tenengrad, "variance": variance}[measure]
 
     def checked(image: Image) -> NDArray:
         value = as_array("measure(frame)", measure(image), shape=image.shape, dtype=np.float32)

@@ -32,6 +32,8 @@ _SMALL_AREA, _PIECE_JUMP = 12, 1.5
 #: Parts of a step that a whole number counts: 64 leave 1023 steps to 16 bits, and what lies higher
 #: counts as one surface.
 _FIXED_POINT = 64
+#: Spread of the fine depth below which it is trusted, steps.
+_SIDE_SPREAD = 1.0
 #: Difference of fine and broad depth from which a pixel's own side is sought, and up to which a
 #: neighbor agrees, steps; distances of the neighbors, px; how much better one must agree for each
 #: px that it is further away.
@@ -117,12 +119,17 @@ def fill_nearest(depth: NDArray) -> NDArray:
     return table[label]
 
 
-def choose_side(broad: NDArray, fine: NDArray, sure: NDArray[np.bool_]) -> NDArray:
-    """Where fine and broad depth differ, take a neighbor's broad depth that agrees with the fine.
+def choose_side(broad: NDArray, edge: NDArray, side: int) -> tuple[NDArray, NDArray]:
+    """Return each pixel's depth on its own side of a step, and how far the measures are apart.
 
     Next to a step the broad window sees the other side as well, and the better textured side
-    wins. A few pixels away, on the pixel's own side, it does not.
+    wins. A few pixels away, on the pixel's own side, it does not: where the edge measure, steadied
+    by medians of `side` px, differs from it, a neighbor's broad depth is taken that agrees.
     """
+    fine = np.asarray(cv2.medianBlur(edge, side))
+    apart = np.abs(broad - fine)
+    sure = cv2.medianBlur(np.abs(edge - fine), 5) < _SIDE_SPREAD
+    fine = np.asarray(cv2.medianBlur(fine, side))
     far = max(_SIDE_DISTANCES)
     padded = np.pad(broad, far, mode="symmetric")
     rows, cols = np.nonzero(sure & (np.abs(broad - fine) > _SIDE_GAP))
@@ -137,7 +144,7 @@ def choose_side(broad: NDArray, fine: NDArray, sure: NDArray[np.bool_]) -> NDArr
             found, gap = np.where(better, there, found), np.where(better, other, gap)
     result = broad.copy()
     result[rows, cols] = found
-    return result
+    return result, apart
 
 
 def check_wide(

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from microlib.focus._axis import Axis
 from microlib.focus._measures import blur
 from microlib.focus._reliability import fill_nearest
 
@@ -29,19 +30,17 @@ _OCTAVES = (
 _DOUBT, _SURE = 2.5, 4.5
 #: Logarithm of what a measure's windows take from relief, over its mean squared slope, px²; the
 #: most that is given back, and the radius over which the slope is told.
-_TAKEN, _MOST_GIVEN, _SLOPE_WINDOW = 0.27, 2.2, 8.0
-#: Variance of the smoothed depth over that of half the difference of both directions, and the
-#: radius over which that is averaged, px.
-_NOISE_SHARE, _NOISE_WINDOW = 0.78, 20.0
-#: Variance that neither direction shows, everywhere and where the depth is level, steps²: the fit
-#: pulls depths towards frames, and the smoothing takes the mean over a slope (px of the full grid).
-_UNSEEN, _PULL, _PULL_RADIUS = 0.0065**2, 0.010**2, 5.2
+_TAKEN, _MOST_GIVEN, _SLOPE_WINDOW = 0.35, 2.2, 8.0
+#: Radius over which the square of half the difference of both directions is averaged, px.
+_NOISE_WINDOW = 20.0
+#: Radius of the mean over a slope that the measures and the smoothing take, px of the full grid.
+_MEAN_RADIUS = 5.2
 #: How far a texture moves a depth along a slope, px of the full grid, and the steepest slope for
 #: which that holds, steps/px; the radius over which the slope is looked at.
-_SHIFT, _STEEPEST, _SLOPE_RADIUS = 0.15, 0.3, 1.15
-#: Least rise over 3 px, beyond that of a slope, that is an edge, steps, and the errors over its
-#: height: at it, and up to 2 px beside one below two jumps, which the smoothing may mix.
-_EDGE, _AT_EDGE, _BESIDE_EDGE = 0.25, 0.4, 0.09
+_SHIFT, _STEEPEST, _SLOPE_RADIUS = 0.12, 0.3, 1.15
+#: Least height of an edge, steps; the error over the height, up to 4 px beside one below two
+#: jumps, which the smoothing may mix.
+_EDGE, _BESIDE_EDGE = 0.25, 0.17
 #: Beside a higher one the error is the distance of the depths by two measures, or its square if
 #: that is less: on drawn texture 0.03 steps at a distance of 0.2, on photographs 1.0 at 1.2. The
 #: most that one pixel counts, steps, and the radius over which this and the next are averaged, px.
@@ -82,18 +81,35 @@ def find_relief(along: NDArray, down: NDArray, weight: NDArray) -> tuple[NDArray
         kept += share * np.stack([p, q])
         finer = wider
     # The windows of the measure flatten relief as a Gaussian does: by its mean square wavenumber.
-    (py, px), (qy, qx) = (_forward(part) for part in kept)
     power = blur(kept[0] * kept[1], _SLOPE_WINDOW)
-    slope = blur(px * qx + py * qy, _SLOPE_WINDOW)
+    slope = blur(sum(part[0] * part[1] for part in np.gradient(kept, axis=(1, 2))), _SLOPE_WINDOW)
     given = np.clip(_TAKEN * slope / np.maximum(power, 1e-6), 0, np.log(_MOST_GIVEN))
     factor = np.where(power > 1e-6, np.exp(given), 1).astype(np.float32)
     return kept.mean(axis=0) * factor, (finer[0] - finer[1]) / 2
 
 
-def _forward(image: NDArray) -> tuple[NDArray, NDArray]:
-    """Return the differences to the next row and column, 0 at the last."""
-    down, along = (np.diff(image, axis=k, append=image.take([-1], k)) for k in (0, 1))
-    return down, along
+def frame_pull(depth: NDArray, axis: Axis) -> NDArray:
+    """Return how far the frames pull a depth towards themselves, steps.
+
+    A real profile is more pointed than a Gaussian, so that its fit leans to the nearest frame, and
+    the more so the narrower the peaks. On a slope the pulls of many frames are averaged away.
+
+    Parameters
+    ----------
+    depth : ndarray, shape (rows, cols)
+        The depth, steps; NaN where unknown.
+    axis : Axis
+        The averaged frames.
+    """
+    number = np.interp(np.nan_to_num(depth), axis.steps, np.arange(len(axis.steps)))
+    left = np.exp(-((2 * np.pi * _MEAN_RADIUS) ** 2) / 2 * _steepness(depth))
+    return np.asarray(-axis.pull * np.sin(2 * np.pi * number) * left, np.float32)
+
+
+def _steepness(depth: NDArray) -> NDArray:
+    """Return the square of the slope, steps per px of the full grid."""
+    dy, dx = np.gradient(blur(fill_nearest(depth), _SLOPE_RADIUS))
+    return np.asarray((dx * dx + dy * dy) / 4)
 
 
 def error_variance(
@@ -108,7 +124,7 @@ def error_variance(
     half_difference : ndarray, shape (rows, cols)
         Half the difference of two independent depths, smoothed as widely.
     pull : ndarray, shape (rows, cols)
-        How far changes of the light pull the depth.
+        How far changes of the light and frames may pull the depth.
     apart : ndarray, shape (rows, cols)
         Distance of the depths by the default's two measures, steps.
 
@@ -117,23 +133,26 @@ def error_variance(
     ndarray, shape (rows, cols)
         Variance, steps².
     """
-    variance = _NOISE_SHARE * np.maximum(blur(half_difference**2, _NOISE_WINDOW), 0) + pull**2
+    variance = np.maximum(blur(half_difference**2, _NOISE_WINDOW), 0) + pull**2
+    variance += _SHIFT**2 * np.minimum(_steepness(depth), _STEEPEST**2)
     full = fill_nearest(depth)
-    dy, dx = np.gradient(blur(full, _SLOPE_RADIUS))
-    steepness = (dx * dx + dy * dy) / 4  # per px of the full grid
-    variance += _UNSEEN + _PULL * np.exp(-((2 * np.pi * _PULL_RADIUS) ** 2) * steepness)
-    variance += _SHIFT**2 * np.minimum(steepness, _STEEPEST**2)
-    # A plane rises three times as far over 7 px as over 3, a step as far.
-    jump = np.maximum(1.5 * depth_range(full, 3) - 0.5 * depth_range(full, 7), 0)
-    jump[jump < _EDGE] = 0
-    variance += (_AT_EDGE * jump) ** 2
-    beside = cv2.dilate(jump, np.ones((5, 5), np.uint8))
+    height = step_height(full)
+    height[height < _EDGE] = 0
+    beside = cv2.dilate(height, np.ones((5, 5), np.uint8))
     doubt = blur(np.minimum(apart, _MOST_APART), _LOCAL)
-    doubt = np.minimum(np.minimum(doubt, doubt * doubt), _AT_EDGE * beside)
+    doubt = np.minimum(doubt, doubt * doubt)
     variance += np.where(beside < 2 * JUMP, _BESIDE_EDGE * beside, doubt) ** 2
     bent = (full - blur(full, RADIUS)) ** 2
-    bent[cv2.dilate(jump, np.ones((15, 15), np.uint8)) >= 2 * JUMP] = 0
+    bent[cv2.dilate(height, np.ones((15, 15), np.uint8)) >= 2 * JUMP] = 0
     return np.asarray(variance + _BENT**2 * np.maximum(blur(bent, _LOCAL), 0), np.float32)
+
+
+def step_height(depth: NDArray) -> NDArray:
+    """Return how high a step is at each pixel, about 0 on a slope.
+
+    A plane rises three times as far over 7 px as over 3, a step as far.
+    """
+    return np.asarray(1.5 * depth_range(depth, 3) - 0.5 * depth_range(depth, 7))
 
 
 def depth_range(depth: NDArray, side: int) -> NDArray:

@@ -5,7 +5,7 @@ import pytest
 
 from microlib import synthetic
 from microlib.focus import depth_from_focus
-from microlib.focus._axis import Axis, find_axis, peak_width, sampled
+from microlib.focus._axis import find_axis, peak_width, sampled
 
 SHAPE = (96, 96)
 
@@ -58,7 +58,7 @@ def test_groups_are_even_means_of_frames_and_positions(factor):
 
 
 def test_a_falling_stack_has_rising_steps():
-    axis = Axis(np.arange(5), np.array([30.0, 20.0, 10.0, 0.0]), 1.0, np.zeros(4))
+    axis = find_axis([np.full((48, 48), 7, np.uint8)] * 4, np.array([30.0, 20.0, 10.0, 0.0]))
     np.testing.assert_allclose(axis.steps, [0, 1, 2, 3])
     found = axis.micrometers(np.array([-1.0, 0.25, 3.5], np.float32))
     np.testing.assert_allclose(found, [30.0, 27.5, 0.0])  # never outside of the stack

@@ -87,7 +87,8 @@ def test_a_step_stays_within_a_pixel_of_its_place():
     assert not wrong[8:-8, SHAPE[1] // 2 + 2 :].any()
     worst = np.abs(result.depth - height)[8:-8, 8:-8].max(axis=0)
     confidence = np.median(result.confidence, axis=0)
-    assert confidence[8 + worst.argmax()] < 0.3 < 0.9 < confidence[20]
+    # Where it is worst, an error of more than a frame is stated.
+    assert confidence[8 + worst.argmax()] < 0.5 < 0.9 < confidence[20]
 
 
 def test_all_in_focus_is_nearer_to_the_texture_than_any_frame(dome):

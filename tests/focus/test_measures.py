@@ -8,8 +8,8 @@ from scipy import ndimage
 
 from microlib.focus import _axis, _measures, sum_modified_laplacian
 
-TENENGRAD = _measures.named_measure("tenengrad", 5, 1, 0.0)
-VARIANCE = _measures.named_measure("variance", 5, 1, 0.0)
+TENENGRAD = _measures.focus_measure("tenengrad", 5, 1, 0.0)
+VARIANCE = _measures.focus_measure("variance", 5, 1, 0.0)
 
 
 def printed_sml(image: np.ndarray, w: int, step: int, threshold: float) -> np.ndarray:
