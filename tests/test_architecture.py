@@ -81,6 +81,25 @@ def test_imports_follow_the_arrows(path: Path) -> None:
         assert not inner, f"{room} reaches into {other}: {name}"
 
 
+#: What measures the parts of a method, which no user calls.
+OF_PARTS = {"capsule_embryo", "embryo", "focus", "focus_depth", "tracking", "tracking_evidence"}
+
+
+@pytest.mark.parametrize(
+    "path",
+    [*sources(ROOT / "compendium"), *sources(ROOT / "benchmarks")],
+    ids=lambda p: str(p.relative_to(ROOT)),
+)
+def test_the_library_is_used_as_a_user_would(path: Path) -> None:
+    """But for `_common`, which writes files and shows results for the compendium as well."""
+    inside = {
+        name
+        for name in imported(path)
+        if name.startswith("microlib.") and "._" in name and name.split(".")[1] != "_common"
+    }
+    assert not inside or (path.parent.name == "benchmarks" and path.stem in OF_PARTS), inside
+
+
 def test_imports_have_no_circle() -> None:
     graph = {room: set(ARROWS.get(room, set())) for room in ROOMS}
     while leaves := {room for room, needs in graph.items() if not needs & graph.keys()}:

@@ -1,4 +1,4 @@
-"""How depth from focus finds a height, stage after stage, drawn from the library's own stages."""
+"""How depth from focus finds a height, stage after stage, by functions that a reader can call."""
 
 from __future__ import annotations
 
@@ -10,10 +10,13 @@ from matplotlib.figure import Figure
 
 from compendium.figures.style import COLORS
 from microlib import synthetic
-from microlib.focus import depth_from_focus, sum_modified_laplacian
-from microlib.focus._axis import find_axis, sampled
-from microlib.focus._follow import follow
-from microlib.focus._multiscale import believed
+from microlib.focus import (
+    correct_spikes,
+    depth_from_focus,
+    smooth_depth,
+    sum_modified_laplacian,
+    three_point_peak,
+)
 
 __all__ = ["draw_focus_stages"]
 
@@ -27,28 +30,24 @@ def draw_focus_stages() -> Figure:
     z = np.arange(0.0, 260.0, 20.0)
     height = np.where(x < 104, 40 + 1.4 * x, 60.0)
     stack = synthetic.focal_stack(texture, height, z, blur_rate=0.05, noise=2.0, rng=rng)
-    frames = [np.asarray(frame) for frame in stack]
-    sample = np.ix_(*(sampled(n) for n in height.shape))
-    axis = find_axis([frame[sample] for frame in frames], z)
-    seen = follow(frames, axis, 3)
-    kept = believed(seen, axis)[0]
-    found = depth_from_focus(frames, z)
-    sharpness = np.array([sum_modified_laplacian(frame, window=9) for frame in frames])
+    sharpness = np.array([sum_modified_laplacian(frame, window=9) for frame in stack])
+    best = sharpness.argmax(axis=0)
+    around = np.clip(best + np.arange(-1, 2)[:, None, None], 0, len(z) - 1)
+    fitted = three_point_peak(np.take_along_axis(sharpness, around, axis=0), best, z)
+    smooth = smooth_depth(correct_spikes(fitted), jump=30.0)
+    found = depth_from_focus(stack, z)
     row, col = 40, 60  # of the pixel whose profile is shown
-
-    def level(steps: Any) -> Any:
-        return axis.micrometers(np.asarray(steps, np.float32))
 
     figure, grid = plt.subplots(4, 2, figsize=(6.4, 9.8))
     known: dict[str, Any] = {"cmap": "viridis", "vmin": z[0], "vmax": 200}
     pictures = {
-        "1  frames": (frames[6], {"cmap": "gray"}),
+        "1  frames": (stack[6], {"cmap": "gray"}),
         "2  sharpness of a frame": (sharpness[6], {"cmap": "magma"}),
         "3  peak of a pixel": None,
-        "4  best frame": (level(axis.steps[seen.best]), known),
-        "5  fit between frames": (level(seen.depth), known),
-        "6  edges and rules": (level(kept), known),
-        "7  planes and relief": (found.depth, known),
+        "4  best frame": (z[best], known),
+        "5  fit between frames": (fitted, known),
+        "6  spikes and noise": (smooth, known),
+        "7  edges, rules, relief": (found.depth, known),
         "8  uncertainty": (found.uncertainty, {"cmap": "magma", "vmin": 0, "vmax": 10}),
     }
     for axes, (title, shown) in zip(grid.flat, pictures.items(), strict=True):
@@ -56,7 +55,7 @@ def draw_focus_stages() -> Figure:
         axes.grid(False)
         if shown is None:
             axes.plot(z, sharpness[:, row, col], "o-", color=COLORS["blue"])
-            axes.axvline(found.depth[row, col], color=COLORS["orange"], ls="--")
+            axes.axvline(fitted[row, col], color=COLORS["orange"], ls="--")
             axes.set(xlabel="position (µm)", yticks=[])
             continue
         image, look = shown
