@@ -6,30 +6,23 @@ the rest, and a second call goes on where the first one ended.
 
 from __future__ import annotations
 
+import csv
+import io
 import multiprocessing
 import os
 import pickle
-import time
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from functools import partial
 from glob import glob
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from unittest.mock import patch
 
 from tqdm import tqdm
 
-from microlib._common import (
-    Tidy,
-    check_callable,
-    end_with_starter,
-    flag,
-    flat_row,
-    of_kind,
-    replace_file,
-)
+from microlib._common import Tidy, end_with_starter, flag, flat_row, of_kind, replace_file
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,19 +31,17 @@ __all__ = ["process_files"]
 
 #: What a row begins with; the rest is the result's. `modified` tells a file that has changed since.
 _OWN = ["file", "error", "modified", "work"]
-
-#: Times as long as writing the table takes is between two writings: a twentieth goes into it.
-_PAUSE = 20
+#: Of the table; names of files in another encoding are kept as they are.
+_ENCODING = {"encoding": "utf-8", "errors": "surrogateescape"}
 #: Threads of several processes that wait for one core make a calibration ten times slower.
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
-Work = Callable[[Path], Any]
 Row = dict[str, Any]
 
 
 def process_files(
     files: str | Iterable[str | PathLike[str]],
-    work: Work,
+    work: Callable[[Path], Any],
     table: str | PathLike[str],
     *,
     executor: Executor | None = None,
@@ -83,8 +74,8 @@ def process_files(
     pandas.DataFrame
         One row per file, in the order of `files`: ``file``; ``error``, empty or the reason why it
         failed; ``modified``, the file's time in ns since 1970; ``work``, what was done; then what
-        the result has, missing where it failed. `table` holds the same,
-        and after these the files of earlier calls.
+        the result has, missing where it failed. `table` holds the same, and after these the files
+        of earlier calls.
 
     Raises
     ------
@@ -94,11 +85,9 @@ def process_files(
 
     Notes
     -----
-    The table is written whole as files are done, a twentieth of the time at most, and at the end,
-    also of a call that is interrupted. A process that is killed loses what was being done, and of
-    a table of ten thousand rows what was done in its last second. An exception is a row. If a
-    process dies over a file, all files that were being done are rows with that error;
-    ``retry=True`` does them again.
+    A row is appended as soon as a file is done, and stays there if the process is killed: only what
+    was being done is lost. An exception is a row. If a process dies over a file, all files that
+    were being done are rows with that error; ``retry=True`` does them again.
 
     Examples
     --------
@@ -118,8 +107,8 @@ def process_files(
     """
     import pandas as pd  # here, as it takes long to import
 
-    paths = _paths(files)
-    check_callable("work", work)
+    names = _names(files)
+    of_kind("work", work, Callable)
     of_kind("table", table, str, PathLike)
     of_kind("executor", executor, Executor, type(None))
     again, bar = flag("retry", retry), flag("progress", progress)
@@ -127,55 +116,64 @@ def process_files(
     if not target.parent.is_dir():
         raise ValueError(f"table must lie in an existing folder, got {target.parent}")
     description = _description(work)
+    pool = executor or _processes(work, description)
     rows = _read(target, description)
-
-    def write() -> None:
-        asked = {str(path): rows[str(path)] for path in paths if str(path) in rows}
-        content = pd.DataFrame(list((asked | rows).values()), dtype=object).to_csv(index=False)
-        replace_file(target, lambda file: file.write_bytes(content.encode()))
-
-    due = []
-    for path in paths:
-        row = rows.get(str(path))
-        if row is None or row["modified"] != str(_modified(path)) or (again and row["error"]):
-            due.append(path)
-    done = tqdm(_done(due, work, executor), total=len(due), disable=not bar)
-    next_time = 0.0
+    due: dict[str, str] = {}
+    for name in names:
+        row, modified = rows.get(name), str(_modified(Path(name)))
+        if row is None or row["modified"] != modified or (again and row["error"]):
+            due[name] = modified
+            rows.pop(name, None)
+    # Processes begin as they get work, with the environment of that moment.
+    with patch.dict(os.environ, {name: os.environ.get(name, "1") for name in _THREADS}):
+        futures = {pool.submit(_values, work, name): name for name in due}
+    columns: list[str] = []
     try:
-        for row in done:
-            rows[row["file"]] = row | {"work": description}
-            if time.monotonic() >= next_time:
-                begin = time.thread_time()
-                write()
-                next_time = time.monotonic() + _PAUSE * (time.thread_time() - begin)
+        for future in tqdm(as_completed(futures), total=len(due), disable=not bar):
+            name = futures[future]
+            row = {"file": name, "error": "", "modified": due[name], "work": description}
+            try:
+                row |= future.result()
+            except Exception as error:  # of the work, or of a process that died
+                row["error"] = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            rows[name] = row
+            if row.keys() <= set(columns):
+                _write(columns, [row], target, "a")
+            else:  # the first row, or one that brings columns: the table is written anew
+                columns = list(dict.fromkeys(column for row in rows.values() for column in row))
+                header = dict(zip(columns, columns, strict=True))
+                replace_file(target, partial(_write, columns, [header, *rows.values()]))
     finally:
-        if due and rows:
-            write()
-    found = pd.read_csv(target, dtype=dict.fromkeys(("file", "error", "work"), str))
-    order = pd.Index(found["file"]).get_indexer([str(path) for path in paths])
-    return found.fillna({"error": ""}).iloc[order].reset_index(drop=True)
+        for future in futures:
+            future.cancel()
+        if executor is None:
+            pool.shutdown()
+    texts = dict.fromkeys(("file", "error", "work"), str)
+    found = pd.read_csv(
+        target,
+        dtype=texts,
+        keep_default_na=False,
+        na_values=[""],
+        encoding_errors="surrogateescape",
+    )
+    return found.fillna({"error": ""}).set_index("file").loc[names].reset_index()
 
 
-def _paths(files: object) -> list[Path]:
+def _names(files: Any) -> list[str]:
+    """Return the files' paths as texts."""
     if isinstance(files, str):
-        names: list[Any] = sorted(glob(str(Path(files).expanduser()), recursive=True))
-    else:
-        try:
-            names = list(files)  # type: ignore[call-overload]
-        except TypeError:
-            kind = type(files).__name__
-            raise ValueError(f"files must be paths or a pattern, got {kind}") from None
-        for name in names:
-            of_kind("files", name, str, PathLike)
-    found = [Path(name).expanduser() for name in names]
-    if not found:
-        raise ValueError(f"files must name at least one file, got none for {files!r}")
-    if twice := [path for path, count in Counter(found).items() if count > 1]:
-        raise ValueError(f"files must name each file once, got {twice[0]} twice")
-    return found
+        files = sorted(glob(str(Path(files).expanduser()), recursive=True))
+    of_kind("files", files, Iterable)
+    names = []
+    for file in files:
+        of_kind("files", file, str, PathLike)
+        names.append(str(Path(file).expanduser()))
+    if len(set(names)) != len(names) or not names:
+        raise ValueError(f"files must name at least one file and each once, got {names[:3]}")
+    return names
 
 
-def _description(work: Work) -> str:
+def _description(work: Any) -> str:
     """Name a function and its settings, which a table must not mix."""
     if isinstance(work, partial):
         settings = [*map(repr, work.args), *(f"{k}={v!r}" for k, v in work.keywords.items())]
@@ -189,66 +187,43 @@ def _modified(path: Path) -> int:
     return max(file.stat().st_mtime_ns if file.exists() else 0 for file in files)
 
 
-def _read(path: Path, description: str) -> dict[str, Row]:
-    """Return the rows of a table; one that was cut off before `work` is left out."""
-    import pandas as pd
-
-    if not path.exists() or not path.stat().st_size:
-        return {}
+def _processes(work: object, description: str) -> Executor:
     try:
-        table = pd.read_csv(path, dtype=str, keep_default_na=False)
-    except (OSError, ValueError) as error:
-        raise ValueError(f"table must be a CSV file, got {path}: {error}") from error
-    if list(table.columns[: len(_OWN)]) != _OWN:
+        pickle.dumps(work)
+    except Exception as error:
+        need = "work must be a function of a module to be handed to other processes"
+        raise ValueError(f"{need}, got {description}: {error}") from error
+    # Spawned: a fork of a process with threads may hang.
+    spawn = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(mp_context=spawn, initializer=end_with_starter)
+
+
+def _read(path: Path, description: str) -> dict[str, Row]:
+    """Return the rows of a table by file; one that was cut off is left out."""
+    try:
+        text = path.read_text(**_ENCODING) if path.exists() else ""
+        reader = csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1]))
+        rows = {row["file"]: row for row in reader if None not in (*row, *row.values())}
+        own = not text or list(reader.fieldnames or ())[: len(_OWN)] == _OWN
+    except (OSError, KeyError, csv.Error):
+        own = False
+    if not own:
         raise ValueError(f"table must be one that process_files wrote, got {path}")
-    if others := set(table["work"]) - {description, ""}:
+    if others := {row["work"] for row in rows.values()} - {description}:
         raise ValueError(
             f"table must be of the same work, got {path} with {min(others)}, now {description}: "
             "name another file"
         )
-    return {str(row["file"]): dict(row) for _, row in table.iterrows() if row["work"]}
+    return rows
 
 
-def _done(due: list[Path], work: Work, executor: Executor | None) -> Iterator[Row]:
-    """Yield the row of each file as it is done."""
-    pool = executor or _processes(work, len(due))
-    unset = [name for name in _THREADS if name not in os.environ]
-    os.environ.update(dict.fromkeys(unset, "1"))  # for processes, which begin as they get work
-    try:
-        futures = {pool.submit(_values, work, path): path for path in due}
-    finally:
-        for name in unset:
-            del os.environ[name]
-    try:
-        for future in as_completed(futures):
-            path = futures[future]
-            row = dict.fromkeys(_OWN, "") | {"file": str(path), "modified": _modified(path)}
-            try:
-                row |= future.result()
-            except Exception as error:  # of the work, or of a process that died
-                row["error"] = f"{type(error).__name__}: {' '.join(str(error).split())}"
-            yield row
-    finally:
-        if executor is None:
-            pool.shutdown(wait=True, cancel_futures=True)
+def _write(columns: list[str], rows: Iterable[Row], path: Path, mode: str = "w") -> None:
+    with path.open(mode, newline="", **_ENCODING) as stream:  # type: ignore[call-overload]
+        csv.DictWriter(stream, columns, lineterminator="\n").writerows(rows)
 
 
-def _processes(work: Work, count: int) -> Executor:
-    try:
-        pickle.dumps(work)
-    except Exception as error:
-        raise ValueError(
-            "work must be a function of a module to be handed to other processes, got "
-            f"{_description(work)}: {error}"
-        ) from error
-    # Spawned: a fork of a process with threads may hang.
-    spawn = multiprocessing.get_context("spawn")
-    workers = max(1, min(count, os.cpu_count() or 1))
-    return ProcessPoolExecutor(workers, mp_context=spawn, initializer=end_with_starter)
-
-
-def _values(work: Work, path: Path) -> Row:
-    result = work(path)
+def _values(work: Callable[[Path], Any], name: str) -> Row:
+    result = work(Path(name))
     of_kind("what work returns", result, Tidy, Mapping, type(None))
     row = result.to_dict() if isinstance(result, Tidy) else flat_row(result or {})
     if clash := sorted(set(row) & set(_OWN)):

@@ -34,6 +34,10 @@ def measure(path: Path, *, factor: float = 1.0, log: Path | None = None) -> dict
     return {"value": factor * float(text), "name": path.stem, "odd": float(text) % 2 == 1}
 
 
+def thread_counts(path: Path) -> dict[str, str]:
+    return {name: os.environ.get(name, "") for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")}
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     place = tmp_path / "files"
@@ -44,9 +48,10 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def threads():
+def run(tmp_path: Path):
+    """Do the work in a thread, into one table."""
     with ThreadPoolExecutor(1) as executor:
-        yield executor
+        yield partial(process_files, table=tmp_path / "t.csv", executor=executor)
 
 
 def test_a_row_per_file_and_failures_among_them(folder: Path) -> None:
@@ -63,56 +68,51 @@ def test_a_row_per_file_and_failures_among_them(folder: Path) -> None:
     assert sorted(p.name for p in folder.parent.iterdir()) == ["files", "t.csv"]
 
 
-def thread_counts(path: Path) -> dict[str, str]:
-    return {name: os.environ.get(name, "") for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")}
-
-
 def test_processes_do_not_share_a_core_among_threads_unless_told(folder, monkeypatch) -> None:
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
-    row = process_files(sorted(folder.iterdir())[:1], thread_counts, folder.parent / "t.csv").iloc[
-        0
-    ]
-    assert (int(row["OPENBLAS_NUM_THREADS"]), int(row["OMP_NUM_THREADS"])) == (1, 2)
+    found = process_files([folder / "f0.txt"], thread_counts, folder.parent / "t.csv")
+    assert found.iloc[0, -2:].astype(int).tolist() == [1, 2]
     assert "OPENBLAS_NUM_THREADS" not in os.environ
 
 
-def test_only_what_is_missing_or_has_changed_is_done(folder: Path, threads) -> None:
+def test_only_what_is_missing_or_has_changed_is_done(folder: Path, run) -> None:
     log = folder.parent / "log"
     work = partial(measure, log=log)
-    run = partial(process_files, work=work, table=folder.parent / "t.csv", executor=threads)
-    assert len(run(sorted(folder.iterdir())[:3])) == 3
+    assert len(run(sorted(folder.iterdir())[:3], work)) == 3
     (folder / "f1.txt").write_text("22")
-    found = run(sorted(folder.iterdir()))
+    found = run(sorted(folder.iterdir()), work)
     assert found["value"].dropna().tolist() == [3.5, 22.0, 7.0]
     assert log.read_text().split() == ["f0.txt", "f1.txt", "f2.txt", "f1.txt", "f3.txt"]
-    run(sorted(folder.iterdir()), retry=True)
+    run(sorted(folder.iterdir()), work, retry=True)
     assert log.read_text().split()[5:] == ["f2.txt"]
     # Fewer files: the others' rows stay in the table, and are not what was asked for.
-    assert len(run([folder / "f3.txt"])) == 1
+    assert len(run([folder / "f3.txt"], work)) == 1
     assert len(pd.read_csv(folder.parent / "t.csv")) == 4
 
 
-def test_a_folder_changes_with_its_files(tmp_path: Path, threads) -> None:
-    stack = tmp_path / "stack"
-    stack.mkdir()
-    (stack / "1.txt").write_text("1")
-    calls = []
-    run = partial(process_files, [stack], calls.append, tmp_path / "t.csv", executor=threads)
-    run(), run()
+def test_a_folder_changes_with_its_files(folder: Path, run) -> None:
+    calls: list[Path] = []
+    run([folder], calls.append), run([folder], calls.append)
     assert len(calls) == 1
-    os.utime(stack / "1.txt", ns=(1, 2**62))
-    run()
+    os.utime(folder / "f1.txt", ns=(1, 2**62))
+    run([folder], calls.append)
     assert len(calls) == 2
 
 
-def test_a_result_of_the_library_is_a_row(folder: Path, threads) -> None:
-    def scope(path: Path) -> Microscope:
-        return Microscope(2e5, 1e5, 5e4, pixel_size=9.9, image_size=(656, 491))
+def test_a_result_of_the_library_is_a_row(folder: Path, run) -> None:
+    found = run(f"{folder}/f0*", lambda path: Microscope(2e5, 1e5, 5e4, image_size=(656, 491)))
+    assert found[["image_size_width", "focal_length"]].to_numpy().tolist() == [[656, 1e5]]
 
-    found = process_files(f"{folder}/f0*", scope, folder.parent / "t.csv", executor=threads)
-    assert found["image_size_width"].tolist() == [656]
-    assert found["focal_length"].tolist() == [1e5]
+
+def test_columns_may_come_later_and_names_in_any_encoding(folder: Path, run) -> None:
+    """A table that begins with a failure, and a name that no text can be."""
+    (folder / "f0.txt").write_text("no number either")
+    odd = os.fsdecode(bytes(folder) + b"/\xe9.txt")
+    Path(odd).write_text("5")
+    found = run([folder / "f0.txt", odd, folder / "f3.txt"], measure)
+    assert found["value"].tolist()[1:] == [5.0, 7.0]
+    assert found["file"][1] == odd
 
 
 def test_a_process_that_dies_is_an_error_and_the_call_returns(folder: Path) -> None:
@@ -124,97 +124,82 @@ def test_a_process_that_dies_is_an_error_and_the_call_returns(folder: Path) -> N
     assert found["value"].tolist() == [3.5, 1e-3, 5.0, 7.0]
 
 
-SCRIPT = """
-import sys
-from functools import partial
-from pathlib import Path
-from microlib.batch import process_files
-from tests.test_batch import measure
-if __name__ == "__main__":
-    folder = Path(sys.argv[1])
+def measure_all(folder: Path) -> None:
     work = partial(measure, log=folder.parent / "log")
     process_files(f"{folder}/*", work, folder.parent / "t.csv")
-"""
 
 
 def test_a_killed_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
-    folder = tmp_path / "files"
+    folder, table, log = (tmp_path / name for name in ("files", "t.csv", "log"))
     folder.mkdir()
     for k in range(24):
         (folder / f"{k:02d}.txt").write_text(f"wait{k}")
-    script = tmp_path / "run.py"
-    script.write_text(SCRIPT)
-    command = [sys.executable, str(script), str(folder)]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    run = subprocess.Popen(command, env=environment)
-    table = tmp_path / "t.csv"
+    script = f"from tests.test_batch import *; measure_all(Path({str(folder)!r}))"
+    run = subprocess.Popen([sys.executable, "-c", script], cwd=ROOT)
     while not table.exists() or table.read_text().count("\n") < 6:
         assert run.poll() is None
         time.sleep(0.01)
     run.send_signal(signal.SIGKILL)
     run.wait()
-    done = table.read_text().count("\n") - 1
+    done = len(pd.read_csv(table))
     time.sleep(1.0)
-    assert len((tmp_path / "log").read_text().split()) < 24  # nobody goes on
-    subprocess.run(command, env=environment, check=True)
+    assert len(log.read_text().split()) < 24  # nobody goes on
+    measure_all(folder)
     found = pd.read_csv(table).sort_values("file")
     assert found["value"].tolist() == list(range(24))
-    calls = (tmp_path / "log").read_text().split()
+    calls = log.read_text().split()
     assert set(calls) == {f"{k:02d}.txt" for k in range(24)}
     assert len(calls) - 24 <= (os.cpu_count() or 1) + 1  # what the processes had in hand
     assert done >= 5
 
 
-def test_other_settings_and_other_tables_are_refused(folder: Path, threads) -> None:
+def test_other_settings_and_other_tables_are_refused(folder: Path, run) -> None:
     table = folder.parent / "t.csv"
-    process_files(f"{folder}/*", partial(measure, factor=1.0), table, executor=threads)
+    run(f"{folder}/*", partial(measure, factor=1.0))
     before = table.read_bytes()
     with pytest.raises(ValueError, match=r"table must be of the same work, .*factor=1\.0"):
-        process_files(f"{folder}/*", partial(measure, factor=2.0), table)
+        run(f"{folder}/*", partial(measure, factor=2.0))
     assert table.read_bytes() == before
-    other = folder.parent / "mine.csv"
-    other.write_text("a,b\n1,2\n")
-    with pytest.raises(ValueError, match="table must be one that process_files wrote"):
-        process_files(f"{folder}/*", measure, other)
-    assert other.read_text() == "a,b\n1,2\n"
+    for text in ("a,b\n1,2\n", "a note", "file,error\n", "\0"):
+        table.write_text(text)
+        with pytest.raises(ValueError, match="table must be one that process_files wrote"):
+            run(f"{folder}/*", measure)
+        assert table.read_text() == text
 
 
 @pytest.mark.parametrize(
     ("change", "match"),
     [
         ({"files": "none/*.tif"}, "files must name at least one"),
-        ({"files": ["a", "a"]}, "files must name each file once, got a twice"),
+        ({"files": ["a", "a"]}, "files must name at least one file and each once, got"),
         ({"files": [3]}, "files must be"),
-        ({"files": None}, "files must be paths or a pattern, got NoneType"),
-        ({"work": 3}, "work must be callable, got int"),
-        ({"work": lambda path: {}}, "work must be a function of a module"),
+        ({"files": None}, "files must be of the kind Iterable, got NoneType"),
+        ({"work": 3}, "work must be of the kind Callable, got int"),
+        ({"work": lambda path: {}, "executor": None}, "work must be a function of a module"),
         ({"executor": 2}, "executor must be"),
         ({"progress": 3}, "progress must be"),
         ({"table": "nowhere/t.csv"}, "table must lie in an existing folder"),
     ],
 )
-def test_what_cannot_work_is_refused(folder: Path, change: dict, match: str) -> None:
-    given = {"files": f"{folder}/*", "work": measure, "table": folder.parent / "t.csv"}
+def test_what_cannot_work_is_refused(folder: Path, change: dict, match: str, run) -> None:
     with pytest.raises(ValueError, match=match):
-        process_files(**(given | change))
+        run(**({"files": f"{folder}/*", "work": measure} | change))
     assert not (folder.parent / "t.csv").exists()
 
 
 @pytest.mark.parametrize("wrong", [3, {"file": 1}, [1]])
-def test_what_work_returns_wrongly_is_its_row(folder: Path, wrong: object, threads) -> None:
-    table = folder.parent / "t.csv"
-    found = process_files(f"{folder}/f0*", lambda path: wrong, table, executor=threads)
+def test_what_work_returns_wrongly_is_its_row(folder: Path, wrong: object, run) -> None:
+    found = run(f"{folder}/f0*", lambda path: wrong)
     assert found["error"][0].startswith("ValueError: what work returns must")
 
 
-def test_an_empty_table_and_one_with_a_short_row_are_gone_on_with(folder: Path, threads) -> None:
-    table, log = folder.parent / "t.csv", folder.parent / "log"
-    table.touch()
-    work = partial(measure, log=log)
-    whole = process_files(f"{folder}/*", work, table, executor=threads)
-    lines = table.read_text().splitlines()
-    lines[2] = ",".join(lines[2].split(",")[:3])
-    table.write_text("\n".join(lines) + "\n")
-    again = process_files(f"{folder}/*", work, table, executor=threads)
-    assert again["value"].dropna().tolist() == whole["value"].dropna().tolist()
-    assert log.read_text().split()[4:] == ["f1.txt"]
+@pytest.mark.parametrize("kept", range(-36, 0, 7))
+def test_a_table_that_is_cut_off_is_gone_on_with(folder: Path, run, kept: int) -> None:
+    work = partial(measure, log=folder.parent / "log")
+    run(f"{folder}/*", work)
+    table = folder.parent / "t.csv"
+    table.write_text(table.read_text()[:kept])
+    again = run(f"{folder}/*", work)
+    assert again["value"].dropna().tolist() == [3.5, 1e-3, 7.0]
+    assert (folder.parent / "log").read_text().split()[4:] == ["f3.txt"]
+    assert len(pd.read_csv(table)) == 4

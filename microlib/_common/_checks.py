@@ -7,6 +7,7 @@ came and what is needed.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -171,7 +172,7 @@ def whole(name: str, value: object, *, least: int, odd: bool = False, most: int 
     return int(value)
 
 
-def of_kind(name: str, value: object, *kinds: type) -> None:
+def of_kind(name: str, value: object, *kinds: Any) -> None:
     """Refuse what is not an instance of one of `kinds`."""
     if not isinstance(value, kinds):
         known = " or ".join(kind.__name__ for kind in kinds)

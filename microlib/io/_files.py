@@ -6,15 +6,12 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import tifffile
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import as_array, of_kind, refuse_masks, replace_file, scalar, whole
-from microlib.io._frames import reduced
-from microlib.io._sources import UNREADABLE, decode, picture
-from microlib.io._tiff import is_tiff
+from microlib._common import as_array, of_kind, replace_file, scalar, whole
+from microlib.io._frames import read_frames, reduced
 
 #: Pixels, µm, whose number a centimeter fits into the 32 bits of a TIFF.
 _FINEST, _COARSEST = 1e-5, 1e9
@@ -30,9 +27,9 @@ def read_grey(path: str | PathLike[str]) -> NDArray:
 
     Returns
     -------
-    ndarray of uint8 or uint16, shape (rows, cols)
-        The grey values as stored: a grey TIFF of 8 or 16 bits in which zero is white is not
-        inverted.
+    ndarray of uint8, uint16 or float32, shape (rows, cols)
+        The grey values as stored, those of other types as float32: a TIFF in which zero is white is
+        not inverted.
 
     Raises
     ------
@@ -43,25 +40,15 @@ def read_grey(path: str | PathLike[str]) -> NDArray:
     Examples
     --------
     >>> from microlib.io import read_grey
-    >>> read_grey("missing.png")
+    >>> read_grey("a.png")
     Traceback (most recent call last):
-    ValueError: path must name an image, got missing.png: no such file
+    ValueError: path must name an image, got a.png: frames cannot be read from a.png: no such file
     """
     of_kind("path", path, str, PathLike)
-    file = Path(path)
-    if not file.is_file():
-        raise ValueError(f"path must name an image, got {file}: no such file")
-    if is_tiff(file):
-        try:
-            stored = picture(file)
-        except ValueError as error:
-            raise ValueError(f"path must name an image, got {file}: {error}") from error
-        if stored.dtype in (np.uint8, np.uint16):
-            return stored if stored.ndim == 2 else cv2.cvtColor(stored, cv2.COLOR_RGB2GRAY)
-    image = decode(file, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
-    if image is None:
-        raise ValueError(f"path must name an image, got {file}: {UNREADABLE}")
-    return image
+    try:
+        return next(read_frames([path]))
+    except ValueError as error:
+        raise ValueError(f"path must name an image, got {path}: {error}") from error
 
 
 def write_height_tiff(
@@ -106,7 +93,11 @@ def write_height_tiff(
     """
     of_kind("path", path, str, PathLike)
     of_kind("what", what, str)
-    values = _map(height)
+    dtype = getattr(height, "dtype", None)
+    kept = dtype if dtype in (np.uint8, np.uint16, np.int32) else np.float32
+    values = as_array("height", height, dtype=kept, finite=False)
+    if values.shape[2:] != (3,):
+        as_array("height", values, shape=(None, None), dtype=kept, finite=False)
     size = scalar("pixel_size", pixel_size, above=0, least=_FINEST, most=_COARSEST)
     ome = Path(path).name.lower().endswith((".ome.tif", ".ome.tiff"))
     about: dict[str, Any] = {"description": f"{what}; pixel size {size:g} um"}
@@ -129,16 +120,6 @@ def write_height_tiff(
         )
 
     replace_file(path, write)
-
-
-def _map(values: ArrayLike) -> NDArray:
-    """Return a map in a type that files keep."""
-    refuse_masks("height", values)
-    array = values if isinstance(values, np.ndarray) else as_array("height", values, finite=False)
-    kept = array.dtype if array.dtype in (np.uint8, np.uint16, np.int32) else np.float32
-    if array.ndim == 3 and array.shape[2] == 3:
-        return as_array("height", values, shape=(None, None, 3), dtype=kept, finite=False)
-    return as_array("height", values, shape=(None, None), dtype=kept, finite=False)
 
 
 def write_ply(
@@ -206,8 +187,7 @@ def write_ply(
 
 
 def _colors(image: ArrayLike, shape: tuple[int, ...]) -> NDArray:
-    refuse_masks("image", image)
-    colors = image if isinstance(image, np.ndarray) else as_array("image", image)
+    colors = as_array("image", image, dtype=getattr(image, "dtype", np.float64), finite=False)
     if colors.dtype != np.uint8 or colors.shape not in (shape, (*shape, 3)):
         raise ValueError(
             f"image must be uint8 of shape {shape} or {(*shape, 3)}, "
@@ -227,23 +207,21 @@ def _mesh(heights: NDArray, colors: NDArray | None, spacing: float, first: float
         )
     number = np.cumsum(known.ravel()).reshape(known.shape) - 1
     row, column = np.nonzero(known)
-    of_color = [] if colors is None else [("rgb", "u1", 3)]
-    vertices = np.empty(len(row), dtype=[("xyz", "<f4", 3), *of_color])
-    x, y = first + column * spacing, -(first + row * spacing)
-    vertices["xyz"] = np.column_stack([x, y, heights[known]])
+    columns = [first + column * spacing, -(first + row * spacing), heights[known]]
+    layout = [(f"float {axis}", "<f4") for axis in "xyz"]
     if colors is not None:
-        vertices["rgb"] = colors[known]
+        columns += list(colors[known].T)
+        layout += [(f"uchar {name}", "u1") for name in ("red", "green", "blue")]
+    vertices = np.rec.fromarrays(columns, dtype=layout)
     around = (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
     corners = np.column_stack([corner[cells] for corner in around])
     faces = np.empty(2 * len(corners), dtype=[("count", "u1"), ("index", "<i4", 3)])
     faces["count"] = 3
     faces["index"][::2], faces["index"][1::2] = corners[:, :3], corners[:, [0, 2, 3]]
-    properties = ["float x", "float y", "float z"]
-    properties += [] if colors is None else ["uchar red", "uchar green", "uchar blue"]
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment lengths in micrometers\n"
         f"element vertex {len(vertices)}\n"
-        + "".join(f"property {kind}\n" for kind in properties)
+        + "".join(f"property {kind}\n" for kind, _ in layout)
         + f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
     return header.encode("ascii") + vertices.tobytes() + faces.tobytes()

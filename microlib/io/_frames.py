@@ -102,16 +102,13 @@ class FrameReader(Iterator[NDArray]):
         corner = (0, 0) if region is None else region[:2]
         x, y = ((size or 0.0) * (at + (reduce - 1) / 2) for at in corner)
         self.origin = (source.origin[0] + x, source.origin[1] + y)
-        self.shape: tuple[int, int] = (0, 0)
-        self.dtype = np.dtype(np.uint8)
-        self.color = False
+        self._first = ("grey", np.dtype(np.uint8), (0, 0))
         named = source.read()
         if (first := next(named, None)) is not None:
-            self.color = _has_color(first[1])
-            frame = self._prepared(*first)
-            self.shape, self.dtype = (frame.shape[0], frame.shape[1]), frame.dtype
-            self._first = _kind(frame, first[1])
+            self._first = _kind(self._prepared(*first), first[1])
             named = chain([first], named)
+        kind, self.dtype, self.shape = self._first
+        self.color = kind == "color"
         self._frames = self._checked(named)
 
     def __next__(self) -> NDArray:
@@ -150,9 +147,10 @@ class FrameReader(Iterator[NDArray]):
         return frame
 
 
-def _kind(frame: NDArray, raw: NDArray) -> tuple[str, np.dtype, tuple[int, ...]]:
+def _kind(frame: NDArray, raw: NDArray) -> tuple[str, np.dtype, tuple[int, int]]:
     """Return what all frames of a stack share."""
-    return "color" if _has_color(raw) else "grey", frame.dtype, frame.shape[:2]
+    rows, columns = frame.shape[:2]
+    return "color" if _has_color(raw) else "grey", frame.dtype, (rows, columns)
 
 
 def _has_color(frame: NDArray) -> bool:
@@ -162,9 +160,7 @@ def _has_color(frame: NDArray) -> bool:
 def _numbers(name: str, frame: NDArray) -> NDArray:
     if frame.dtype.kind not in "uif":
         raise ValueError(f"{name} must hold real numbers, got {frame.dtype}")
-    if frame.dtype in (np.uint8, np.uint16) and frame.dtype.isnative:
-        return frame if frame.flags.c_contiguous else np.ascontiguousarray(frame)
-    if frame.dtype.kind == "u" and frame.dtype.itemsize <= 2:  # the other order of bytes
+    if frame.dtype.kind == "u" and frame.dtype.itemsize <= 2:
         return np.ascontiguousarray(frame, dtype=frame.dtype.newbyteorder("="))
     # The products of sharpness that depths are found by stay in single precision's range.
     return np.ascontiguousarray(as_array(name, frame, dtype=np.float32, largest=LARGEST_GREY))

@@ -21,7 +21,6 @@ _MICROMETERS = {
 }
 #: Difference of the sides of a pixel from which on it has no one size.
 _SQUARE = 1e-3
-_CENTIMETER = 3
 
 
 def tiff_scale(tiff: tifffile.TiffFile, count: int) -> tuple[float | None, Array | None]:
@@ -32,12 +31,10 @@ def tiff_scale(tiff: tifffile.TiffFile, count: int) -> tuple[float | None, Array
     if tiff.is_ome and tiff.ome_metadata:
         return _ome(tiff.ome_metadata, count)
     page = tiff.pages[0].aspage()
-    spacing = np.nan
-    if tiff.is_imagej and tiff.imagej_metadata:
-        unit = _MICROMETERS.get(str(tiff.imagej_metadata.get("unit", "")).lower(), np.nan)
-        spacing = abs(_number(tiff.imagej_metadata.get("spacing"))) * unit
-    else:
-        unit = _MICROMETERS["cm"] if page.resolutionunit == _CENTIMETER else np.nan
+    unit, spacing = 1e4 if page.resolutionunit == tifffile.RESUNIT.CENTIMETER else np.nan, np.nan
+    if tiff.is_imagej and (about := tiff.imagej_metadata):
+        name = str(about.get("unit")).lower()
+        unit, spacing = _micrometers(1, name), abs(_micrometers(about.get("spacing"), name))
     told = "XResolution" in page.tags and "YResolution" in page.tags
     x, y = (unit / per if per else np.nan for per in (page.get_resolution() if told else (0, 0)))
     return _square(x, y), _steps(spacing, count)
@@ -64,13 +61,12 @@ def _ome(text: str, count: int) -> tuple[float | None, Array | None]:
 
 
 def _length(attributes: dict[str, Any], name: str) -> float:
-    unit = _MICROMETERS.get(str(attributes.get(f"{name}Unit", "µm")), np.nan)
-    return unit * _number(attributes.get(name))
+    return _micrometers(attributes.get(name), attributes.get(f"{name}Unit", "µm"))
 
 
-def _number(value: Any) -> float:
+def _micrometers(value: Any, unit: object) -> float:
     try:
-        return float(value)
+        return float(value) * _MICROMETERS.get(str(unit), np.nan)
     except (TypeError, ValueError):
         return np.nan
 

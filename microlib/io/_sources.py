@@ -22,11 +22,6 @@ from microlib.io._tiff import is_tiff, tiff_pages, tiff_stack
 
 _PICTURES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm"})
 _VIDEOS = frozenset({".avi", ".mp4", ".m4v", ".mov", ".mkv", ".mpg", ".mpeg", ".webm", ".wmv"})
-#: Characters that make a pattern of a path.
-_PATTERN = re.compile(r"[*?\[]")
-
-#: Why OpenCV reads no image from a file.
-UNREADABLE = "damaged, of an unknown format, or larger than the 2³⁰ px that OpenCV reads"
 
 #: Raw frames, each with the name that a message gives it.
 Named = Iterator[tuple[str, NDArray]]
@@ -84,7 +79,7 @@ def _path(path: Path) -> Source:
     if path.is_dir():
         found = [file for file in path.iterdir() if file.suffix.lower() in _PICTURES]
         return _pictures(_sorted(file for file in found if file.name[0] != "."), path)
-    if not path.exists() and _PATTERN.search(str(path)):
+    if not path.exists() and glob.has_magic(str(path)):
         return _pictures(_sorted(Path(name) for name in glob.glob(str(path))), path)
     if path.suffix.lower() in _VIDEOS:
         return _video(path)
@@ -136,9 +131,8 @@ def _items(items: Iterable[Any]) -> Named:
 def _sorted(files: Iterable[Path]) -> list[Path]:
     """Sort files by their names, and numbers in them by their value."""
 
-    def key(file: Path) -> list[tuple[int, int, str]]:
-        parts = re.split(r"(\d+)", file.name)
-        return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts]
+    def key(file: Path) -> list[Any]:  # text and numbers in turn
+        return [int(p) if k % 2 else p for k, p in enumerate(re.split(r"(\d+)", file.name))]
 
     return sorted(files, key=key)
 
@@ -184,24 +178,22 @@ def picture(file: Path) -> NDArray:
         return pages[0][1]
     if not file.is_file():
         raise ValueError(f"frames cannot be read from {file}: no such file")
-    image = decode(file, cv2.IMREAD_UNCHANGED)
+    # Not imread, which fails on names outside the system's encoding.
+    content = np.fromfile(file, np.uint8)
+    # OpenCV 4 fills up a JPEG that is cut off: the mark of its end must follow its last scan.
+    whole = content.tobytes()
+    cut = whole.startswith(b"\xff\xd8") and whole.rfind(b"\xff\xd9") < whole.rfind(b"\xff\xda")
+    try:
+        image = None if cut else cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
+    except cv2.error:  # of nothing at all
+        image = None
     if image is None:
-        raise ValueError(f"frames cannot be read from {file}: {UNREADABLE}")
+        raise ValueError(
+            f"frames cannot be read from {file}: damaged, of an unknown format, or larger than the "
+            "2³⁰ px that OpenCV reads"
+        )
     # OpenCV puts blue first.
     return image if image.ndim == 2 else np.ascontiguousarray(image[..., 2::-1])
-
-
-def decode(file: Path, flags: int) -> NDArray | None:
-    """Return an image as OpenCV reads it; None if it does not."""
-    # Not imread, which fails on names outside the system's encoding.
-    content = file.read_bytes()
-    # OpenCV 4 fills up a JPEG that is cut off: the mark of its end must follow its last scan.
-    if content.startswith(b"\xff\xd8") and content.rfind(b"\xff\xd9") < content.rfind(b"\xff\xda"):
-        return None
-    try:
-        return cv2.imdecode(np.frombuffer(content, np.uint8), flags) if content else None
-    except cv2.error:
-        return None
 
 
 def _video(path: Path) -> Source:
@@ -209,9 +201,9 @@ def _video(path: Path) -> Source:
     if not path.is_file():
         raise ValueError(f"frames cannot be read from {path}: no such file")
     film = cv2.VideoCapture(str(path))
-    opened, count = film.isOpened(), int(film.get(cv2.CAP_PROP_FRAME_COUNT))
+    count = int(film.get(cv2.CAP_PROP_FRAME_COUNT)) if film.isOpened() else 0
     film.release()
-    if not opened or count < 1:
+    if count < 1:
         raise ValueError(f"frames cannot be read from {path}: not a video that OpenCV knows")
 
     def read() -> Named:

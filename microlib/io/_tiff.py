@@ -105,19 +105,6 @@ def tiff_pages(path: Path) -> Iterator[tuple[str, NDArray]]:
             yield f"page {number} of {path}", image
 
 
-class _Listener(logging.Handler):
-    """Keeps what is logged in the thread that made it."""
-
-    def __init__(self, level: int) -> None:
-        super().__init__(level)
-        self.said: list[str] = []
-        self._thread = threading.get_ident()
-
-    def emit(self, record: logging.LogRecord) -> None:
-        if record.thread == self._thread:
-            self.said.append(record.getMessage())
-
-
 @contextmanager
 def _refused(words: str) -> Iterator[None]:
     """Raise a ValueError for what tifffile raises, and for what it only logs.
@@ -125,16 +112,22 @@ def _refused(words: str) -> Iterator[None]:
     Damaged headers and codecs raise whatever their bytes lead to. What is logged are pages that
     are left out and metadata that cannot be followed.
     """
-    log, listener = logging.getLogger("tifffile"), _Listener(logging.WARNING)
-    log.addHandler(listener)
+    log, own, said = logging.getLogger("tifffile"), threading.get_ident(), []
+
+    def listen(record: logging.LogRecord) -> bool:
+        if record.thread == own and record.levelno >= logging.WARNING:
+            said.append(record.getMessage())
+        return record.thread != own
+
+    log.addFilter(listen)
     try:
         yield
     except Exception as error:
         raise ValueError(f"{words}: {error}") from error
     finally:
-        log.removeHandler(listener)
-    if listener.said:
-        raise ValueError(f"{words}: the file is cut off or damaged: {listener.said[0]}")
+        log.removeFilter(listen)
+    if said:
+        raise ValueError(f"{words}: the file is cut off or damaged: {said[0]}")
 
 
 def _in_order(tiff: tifffile.TiffFile) -> list[Callable[[], NDArray]]:
@@ -179,14 +172,11 @@ def _reads(tiff: tifffile.TiffFile, series: tifffile.TiffPageSeries) -> list[Cal
     pages = [page for page in series.pages if page is not None]
     if len(pages) == count:
         return [partial(_page, page, k) for k, page in enumerate(pages)]
-    if (start := series.dataoffset) is None:
+    if series.dataoffset is None:
         raise ValueError(f"its metadata tell of {count} pages, it holds {len(pages)}")
     # Beyond 4 GB, ImageJ describes only the first page; the others follow it without a gap.
-    dtype = np.dtype(series.dtype)
-    stored = tiff.filehandle.memmap_array(
-        dtype.newbyteorder(tiff.byteorder), (count, *series.shape[-inner:]), start
-    )
-    return [lambda k=k: stored[k].astype(dtype) for k in range(count)]  # type: ignore[misc]
+    stored = tifffile.memmap(tiff.filehandle.path, mode="r").reshape(count, *series.shape[-inner:])
+    return [partial(np.array, frame, series.dtype) for frame in stored]
 
 
 def _page(entry: tifffile.TiffPage | tifffile.TiffFrame, number: int) -> NDArray:
@@ -197,20 +187,21 @@ def _page(entry: tifffile.TiffPage | tifffile.TiffFrame, number: int) -> NDArray
         kind = getattr(page.photometric, "name", page.photometric)
         raise ValueError(f"it must have grey levels or red, green and blue, got {kind}")
     try:
+        image = page.asarray()
         if page.photometric == _PALETTE:
-            return (np.asarray(page.colormap).T[page.asarray()] >> 8).astype(np.uint8)
-        return page.asarray()
+            return (np.asarray(page.colormap).T[image] >> 8).astype(np.uint8)
+        return image * np.uint8(255) if image.dtype == bool else image
     except (ValueError, ImportError) as error:
         if "imagecodecs" not in str(error) and not isinstance(error, ImportError):
             raise
-        image = _by_opencv(page, page.parent.filehandle.path, number)
-        if image is None:
+        decoded = _by_opencv(page, page.parent.filehandle.path, number)
+        if decoded is None:
             codec = tifffile.COMPRESSION(page.compression).name
             raise ValueError(
                 f"its compression {codec} needs another package (pip install imagecodecs); or save "
                 "the file without compression or as Deflate (zip)"
             ) from None
-        return image
+        return decoded
 
 
 def _check_end(page: tifffile.TiffPage) -> None:
