@@ -163,11 +163,10 @@ def _names(files: Any) -> list[str]:
     """Return the files' paths as texts."""
     if isinstance(files, str):
         files = sorted(glob(str(Path(files).expanduser()), recursive=True))
-    of_kind("files", files, Iterable)
-    names = []
-    for file in files:
-        of_kind("files", file, str, PathLike)
-        names.append(str(Path(file).expanduser()))
+    try:
+        names = [str(Path(file).expanduser()) for file in files]
+    except TypeError:
+        raise ValueError(f"files must be paths or a pattern, got {files!r:.80}") from None
     if len(set(names)) != len(names) or not names:
         raise ValueError(f"files must name at least one file and each once, got {names[:3]}")
     return names

@@ -599,9 +599,6 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "shape": (200, 256), "center": (128.0, 40.0), "tilt": 0.1, "blur": 1.0, "noise": 2.0,
         "unevenness": 0.1, "probe": True,
     },
-    "synthetic.embryo_sequence": lambda: {
-        "forces": [150.0], "modulus": 1.0, "rng": 0, "rim_radius": 450.0
-    },
     "synthetic.focal_stack": lambda: {
         "texture": target(), "height": np.zeros((64, 72)), "positions": [0.0, 1.0, 2.0],
         "blur_rate": 1.0, "sharpest": 0.5, "noise": 1.0, "rng": 0,
@@ -617,7 +614,6 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "synthetic.patchy_texture": lambda: {
         "shape": (20, 24), "rng": 0, "mean": 128.0, "std": 38.0, "weakest": 0.1, "patch": 5.0
     },
-    "synthetic.quadric_patch": lambda: {"label": 3, "half": 8, "radius": 40.0},
     "synthetic.render_circles": lambda: {
         "microscope": scope(), "radius": 70.0, "pitch": 280.0, "counts": (3, 3),
         "imaging": synthetic.ImagingConditions(noise=1.0), "rng": 0,

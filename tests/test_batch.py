@@ -173,7 +173,7 @@ def test_other_settings_and_other_tables_are_refused(folder: Path, run) -> None:
         ({"files": "none/*.tif"}, "files must name at least one"),
         ({"files": ["a", "a"]}, "files must name at least one file and each once, got"),
         ({"files": [3]}, "files must be"),
-        ({"files": None}, "files must be of the kind Iterable, got NoneType"),
+        ({"files": None}, "files must be paths or a pattern, got None"),
         ({"work": 3}, "work must be of the kind Callable, got int"),
         ({"work": lambda path: {}, "executor": None}, "work must be a function of a module"),
         ({"executor": 2}, "executor must be"),

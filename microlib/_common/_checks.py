@@ -78,10 +78,7 @@ def refuse_masks(name: str, value: object) -> None:
     """Refuse a masked array, or a sequence of them."""
     parts = value if isinstance(value, (list, tuple)) else [value]
     if any(isinstance(part, np.ma.MaskedArray) for part in parts):
-        raise ValueError(
-            f"{name} must be without a mask, got a masked array; cut the masked values out, or "
-            "mark unknown ones with NaN where that is allowed"
-        )
+        raise ValueError(f"{name} must be without a mask: cut the masked values out")
 
 
 def as_image(name: str, value: ArrayLike, *, smallest: int = 1) -> NDArray:
@@ -142,21 +139,15 @@ def between(name: str, value: ArrayLike, low: float, high: float, *, closed: boo
     array = as_array(name, value)
     inside = (array >= low) & (array <= high) if closed else (array > low) & (array < high)
     if not inside.all():
-        brackets = "[]" if closed else "()"
-        worst = array[~inside].flat[0]
-        raise ValueError(
-            f"{name} must lie in {brackets[0]}{low:g}, {high:g}{brackets[1]}, got {worst:g}"
-        )
+        interval = f"[{low:g}, {high:g}]" if closed else f"({low:g}, {high:g})"
+        raise ValueError(f"{name} must lie in {interval}, got {array[~inside].flat[0]:g}")
     return array
 
 
 def positive(name: str, value: ArrayLike, *, zero: bool = False) -> Array:
     """Return `value` as float64 with every element above zero, or at least zero if `zero`."""
     array = as_array(name, value)
-    worst = array.min()
-    if worst < (0 if zero else LEAST):
-        need = "zero or positive" if zero else "positive" if worst <= 0 else f"at least {LEAST:g}"
-        raise ValueError(f"{name} must be {need}, got {worst:g}")
+    scalar(name, float(array.min()), **{"least" if zero else "above": 0.0})
     return array
 
 

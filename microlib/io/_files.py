@@ -187,13 +187,13 @@ def write_ply(
 
 
 def _colors(image: ArrayLike, shape: tuple[int, ...]) -> NDArray:
-    colors = as_array("image", image, dtype=getattr(image, "dtype", np.float64), finite=False)
-    if colors.dtype != np.uint8 or colors.shape not in (shape, (*shape, 3)):
+    kind, colors = getattr(image, "dtype", None), as_array("image", image, finite=False)
+    if kind != np.uint8 or colors.shape not in (shape, (*shape, 3)):
         raise ValueError(
             f"image must be uint8 of shape {shape} or {(*shape, 3)}, "
-            f"got {colors.dtype} of shape {colors.shape}"
+            f"got {kind} of shape {colors.shape}"
         )
-    return colors if colors.ndim == 3 else np.repeat(colors[..., None], 3, axis=2)
+    return np.broadcast_to(colors.T, (3, *shape[::-1])).T.astype(np.uint8, order="C")
 
 
 def _mesh(heights: NDArray, colors: NDArray | None, spacing: float, first: float) -> bytes:

@@ -1,7 +1,7 @@
 """Scenes with known truth: what the algorithms are tested on. Nothing here imports an algorithm."""
 
 from microlib.synthetic._cells import cell_image
-from microlib.synthetic._embryo import Embryo, embryo_image, embryo_sequence
+from microlib.synthetic._embryo import Embryo, embryo_image
 from microlib.synthetic._gripper import (
     camera_frame,
     gripper_scene,
@@ -14,7 +14,6 @@ from microlib.synthetic._surfaces import (
     cone,
     parabolic_cylinder,
     paraboloid,
-    quadric_patch,
     sphere_on_plane,
     step,
     tilted_plane,
@@ -28,14 +27,12 @@ __all__ = [
     "cell_image",
     "cone",
     "embryo_image",
-    "embryo_sequence",
     "focal_stack",
     "gripper_scene",
     "mixed_texture",
     "parabolic_cylinder",
     "paraboloid",
     "patchy_texture",
-    "quadric_patch",
     "render_circles",
     "render_squares",
     "sphere_on_plane",

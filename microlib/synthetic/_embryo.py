@@ -7,13 +7,11 @@ Lengths are in µm, forces in µN, moduli in MPa; image coordinates in px.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import cast
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 from scipy.special import beta, ndtr
@@ -27,7 +25,6 @@ from microlib._common import (
     generator,
     image_shape,
     of_kind,
-    positive,
     scalar,
 )
 from microlib.membrane import SmallSlopeWarning, dimple_depth, dimple_profile
@@ -53,8 +50,6 @@ _LEAST_RADIUS, _FARTHEST = 4.0, 1e6
 _FINEST = 1e-6
 #: Largest relative departure of the light: no part of the scene is dark.
 _MOST_UNEVEN = 0.5
-#: Share of the image's height at which the sensor holds the embryos of a sequence.
-_SEAT = 0.9
 
 #: Of the superellipse below the equator; 2 is an ellipse, more is flatter below.
 _POWER = 2.5
@@ -494,59 +489,6 @@ def embryo_image(
     lit = clean * _light((rows, columns), unevenness, rng)
     image = np.clip(np.rint(lit + rng.normal(0.0, noise, lit.shape)), 0, 255).astype(np.uint8)
     return EmbryoImage(image, embryo, pixel_size, center, tilt)
-
-
-def embryo_sequence(
-    forces: Iterable[float],
-    *,
-    modulus: float,
-    rng: np.random.Generator | int,
-    rim_radius: float = 450.0,
-) -> list[EmbryoImage]:
-    """Render one embryo under each of `forces`, as the probe is driven into it.
-
-    Parameters
-    ----------
-    forces : iterable of float
-        Forces in µN, one an image.
-    modulus : float
-        Elastic modulus, in MPa.
-    rng : numpy.random.Generator or int
-        Source of texture and noise, or its seed.
-    rim_radius : float
-        As in `Embryo.pressed`.
-
-    Returns
-    -------
-    list of EmbryoImage
-        Images of the workstation's camera. The far side of the embryo stays on the sensor.
-
-    Raises
-    ------
-    ValueError
-        As for `Embryo.pressed`.
-
-    Examples
-    --------
-    >>> from microlib.synthetic import embryo_sequence
-    >>> scenes = embryo_sequence([50.0, 100.0], modulus=1.0, rng=1)
-    >>> [round(scene.embryo.dimple_depth) for scene in scenes]
-    [66, 97]
-    """
-    rng = generator("rng", rng)
-    given = list(forces) if isinstance(forces, Iterator) else forces
-    each = as_array("forces", cast(ArrayLike, given), shape=(None,))
-    positive("forces", each)
-    scenes = []
-    for force in each.tolist():
-        try:
-            embryo = Embryo.pressed(force, modulus=modulus, rim_radius=rim_radius)
-        except ValueError as error:
-            raise ValueError(f"forces must suit modulus and rim_radius: {error}") from None
-        bottom = _SEAT * _SONY_SHAPE[0]
-        center = ((_SONY_SHAPE[1] - 1) / 2, bottom - embryo.height / _SONY_PIXEL_SIZE)
-        scenes.append(embryo_image(embryo, rng=rng, center=center))
-    return scenes
 
 
 def _draw(frame: EmbryoImage, rng: np.random.Generator, probe: bool) -> NDArray[np.float32]:

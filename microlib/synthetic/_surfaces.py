@@ -5,24 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from microlib._common import Array, generator, image_shape, scalar, whole
+from microlib._common import Array, generator, image_shape, scalar
 from microlib.synthetic._textures import MOST_SCALE
-
-#: Half of the side of the largest patch, px: an image of 16 megapixels.
-_MOST_HALF = 2048
-
-#: Principal curvatures of the surface types of Table 3.1, in those of the stronger one. Their signs
-#: are the types; the half of the two saddles only has to be neither 0 nor 1.
-_TYPES = {
-    1: (-1.0, -1.0),
-    2: (-1.0, 0.0),
-    3: (-1.0, 0.5),
-    5: (0.0, 0.0),
-    6: (-1.0, 1.0),
-    7: (1.0, 1.0),
-    8: (1.0, 0.0),
-    9: (1.0, -0.5),
-}
 
 
 def _centered(shape: tuple[int, int]) -> tuple[Array, Array]:
@@ -253,39 +237,3 @@ def step(shape: tuple[int, int], height: float, *, at: float = 0.5) -> Array:
     height = scalar("height", height)
     edge = scalar("at", at, within=(0, 1)) * cols
     return np.tile(np.where(np.arange(cols) < edge, 0.0, height), (rows, 1))
-
-
-def quadric_patch(label: int, *, half: int = 20, radius: float = 40.0) -> Array:
-    """Return a patch of one of the eight fundamental surface types of figure 3.4.
-
-    Parameters
-    ----------
-    label : int
-        Label of Table 3.1: 1 to 9 without 4, which no smooth surface has.
-    half : int
-        The patch has 2 `half` + 1 pixels a side.
-    radius : float
-        Radius of the stronger principal curvature, px.
-
-    Returns
-    -------
-    ndarray of float64, shape (2 half + 1, 2 half + 1)
-        :math:`(\\kappa_1 x^2 + \\kappa_2 y^2)/2`, px.
-
-    Raises
-    ------
-    ValueError
-        If there is no such type, or a size is not positive.
-
-    Examples
-    --------
-    >>> from microlib.synthetic import quadric_patch
-    >>> quadric_patch(8, half=1, radius=0.5)[0].tolist()
-    [1.0, 0.0, 1.0]
-    """
-    if whole("label", label, least=1) not in _TYPES:
-        raise ValueError(f"label must be one of {', '.join(map(str, _TYPES))}, got {label!r}")
-    n = 2 * whole("half", half, least=1, most=_MOST_HALF) + 1
-    x, y = _centered((n, n))
-    first, second = _TYPES[label]
-    return (first * x**2 + second * y**2) / (2 * scalar("radius", radius, above=0))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
-from microlib.synthetic import Embryo, embryo_image, embryo_sequence
+from microlib.synthetic import Embryo, embryo_image
 
 forces = st.floats(20.0, 300.0)
 rims = st.floats(350.0, 600.0)
@@ -181,15 +181,6 @@ def test_noise_light_and_seed():
     assert corner.std() == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.04)
     light = first.image[[40, 40, -40, -40], [40, -40, 40, -40]].astype(float)
     assert np.ptp(light) > 10
-
-
-def test_sequence_rises_on_a_fixed_seat():
-    scenes = embryo_sequence([30.0, 120.0], modulus=1.0, rng=np.random.default_rng(0))
-    depths = [s.embryo.dimple_depth for s in scenes]
-    # At a constant rim radius the depth grows roughly as √F.
-    assert depths[1] / depths[0] == pytest.approx(2.0, rel=0.1)
-    seats = [s.to_pixels([[0.0, -s.embryo.height]])[0, 1] for s in scenes]
-    assert seats[0] == pytest.approx(seats[1], abs=1e-9)
 
 
 def test_untouched_embryo_is_round():

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from microlib import curvature, synthetic
-from microlib.curvature import hk_labels, surface_curvature
+from microlib import synthetic
+from microlib.curvature import surface_curvature
 
 SHAPE = (40, 50)
 
@@ -70,13 +70,6 @@ def test_surfaces_have_the_curvature_of_their_names():
     assert ball[0, 0] == 0
 
 
-@pytest.mark.parametrize("label", sorted(set(curvature.HK_NAMES) - {4}))
-def test_each_patch_gets_its_own_label(label):
-    found = surface_curvature(synthetic.quadric_patch(label), pixel_size=1.0)
-    labels = hk_labels(found.mean, found.gaussian, h_zero=1e-3, k_zero=1e-5)
-    assert labels[20, 20] == label
-
-
 def test_simple_surfaces():
     dome = synthetic.paraboloid((41, 41), 14.0)
     assert (dome.max(), dome[0, 0], dome[20, 0]) == (14.0, 0.0, 7.0)
@@ -121,7 +114,6 @@ def test_noise_has_its_standard_deviation():
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: synthetic.quadric_patch(4), "label must be one of"),
         (lambda: synthetic.sphere_on_plane(SHAPE, 3.0, 1.0, roughness=1.0), "rng must be given"),
         (lambda: synthetic.step(SHAPE, 3.0, at=1.5), "at must lie in"),
         (lambda: synthetic.cone(SHAPE, -1.0, 3.0), "height must be positive"),
