@@ -637,7 +637,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "tracking.ESMTracker": lambda: {
         "image": target(), "box": (16, 16, 32, 32), "motion": "translation",
-        "mask": np.ones((32, 32), bool), "kalman": filter_(),
+        "kalman": filter_(),
     },
     "tracking.ESMTracker.track": lambda: {"self": tracker(), "frame": target()},
     "tracking.KalmanFilter": lambda: {
@@ -649,7 +649,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "tracking.Track.to_layers": lambda: {"self": tracker().track(target()), "pixel_size": 2.0},
     "tracking.track_all": lambda: {
         "frames": [target(), target()], "box": (16, 16, 32, 32), "motion": "translation",
-        "rate": 25.0, "mask": np.ones((32, 32), bool), "kalman": filter_(), "progress": None,
+        "rate": 25.0, "kalman": filter_(), "progress": None,
     },
 }  # fmt: skip
 

@@ -147,7 +147,7 @@ def between(name: str, value: ArrayLike, low: float, high: float, *, closed: boo
 def positive(name: str, value: ArrayLike, *, zero: bool = False) -> Array:
     """Return `value` as float64 with every element above zero, or at least zero if `zero`."""
     array = as_array(name, value)
-    scalar(name, float(array.min()), **{"least" if zero else "above": 0.0})
+    scalar(name, float(array.min()), above=None if zero else 0, least=0)
     return array
 
 

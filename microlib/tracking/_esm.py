@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from microlib._common import Array, Image
 from microlib.tracking._geometry import GENERATORS, apply_homography, moved, torn
@@ -97,10 +96,8 @@ class Level:
         Velocity (x and y, px of the patch) of each pixel for each generator.
     grey, slope : ndarray, shapes (H, W) and (2, N)
         Grey values, and their gradient in x and y per px of the patch.
-    mask : ndarray, shape (H, W)
-        How far each pixel counts, 0 to 1.
     mean, contrast : float
-        Mean and standard deviation of the grey values that count.
+        Mean and standard deviation of the grey values.
     noise : float
         Standard deviation that white noise of unit variance has at this level.
     """
@@ -113,7 +110,6 @@ class Level:
     flow: Image
     grey: Image
     slope: Image
-    mask: Image
     mean: float
     contrast: float
     noise: float
@@ -141,19 +137,19 @@ class Level:
         grey, slope, inside = cut_out(image, warps, self.grey.shape, self.smoothing)
         if ceiling < np.inf:
             inside = inside & ((grey < ceiling) | (self.grey >= ceiling))
-        return grey, slope, self.mask * inside
+        return grey, slope, inside.astype(np.float32)
 
     def align(
         self, image: Image, pose: Array, *, tolerance: float, iterations: int, gain: float = 1.0
     ) -> Alignment:
         """Minimize over warp, gain and bias until the corners move by less than `tolerance` px."""
-        n, all_of_it = len(self.basis), float(self.mask.sum())
+        n = len(self.basis)
         first = corners = apply_homography(pose, self.corners)
         template = (self.grey - np.float32(self.mean)).ravel()
         rows = np.empty((n + 3, template.size), np.float32)
         for count in range(1, iterations + 1):
             grey, slope, share = self.patch(image, pose)
-            visible = float(share.sum()) / all_of_it
+            visible = float(share.mean())
             if visible < _LEAST_VISIBLE:
                 return Alignment(pose, failure="out of view", visible=visible, iterations=count)
             # The products of these rows with themselves are the whole of the normal equations.
@@ -211,7 +207,6 @@ def make_level(
     density: int = 1,
     smoothing: float,
     motion: str,
-    mask: NDArray[np.bool_],
 ) -> Level:
     """Cut a template from a frame at one resolution.
 
@@ -230,8 +225,6 @@ def make_level(
         Standard deviation of the Gaussian in px of the template.
     motion : str
         One of `GENERATORS`.
-    mask : ndarray of bool, shape (height, width)
-        Pixels of the box that count.
     """
     x, y, width, height = box
     step = 2**halvings
@@ -244,14 +237,12 @@ def make_level(
     to_image = np.diag([density / step, density / step, 1.0])
     to_template = np.linalg.inv(pose) @ to_frame
     grey, slope, _ = cut_out(image, to_image @ to_frame, (rows, columns), smoothing)
-    counts = mask[step * top - y :: step, step * left - x :: step]
     column, row = np.meshgrid(np.arange(columns) + pad, np.arange(rows) + pad)
     points = to_template @ np.stack([column.ravel(), row.ravel(), np.ones(column.size)])
     basis = GENERATORS[motion]
     velocity = basis @ points
     flow = (velocity[:, :2] - points[:2] * velocity[:, 2:]) / to_template[0, 0]
     edges = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [width - 1, height - 1] + [x, y]
-    counted = grey[counts] if counts.any() else grey
     return Level(
         to_image=to_image,
         to_template=to_template,
@@ -261,8 +252,7 @@ def make_level(
         flow=np.ascontiguousarray(flow.transpose(1, 0, 2), np.float32),
         grey=grey,
         slope=slope,
-        mask=counts.astype(np.float32),
-        mean=float(counted.mean(dtype=np.float64)),
-        contrast=float(counted.std(dtype=np.float64)),
+        mean=float(grey.mean(dtype=np.float64)),
+        contrast=float(grey.std(dtype=np.float64)),
         noise=kept_noise(halvings, density, smoothing),
     )

@@ -122,7 +122,7 @@ class LitLevel(LocalLevel):
             correlation=_explained(grey, residual, weight),
             gain=gain,
             bias=float(amounts[_GAINS:] @ middle) - gain * self.mean,
-            visible=float(share.sum() / self.mask.sum()),
+            visible=float(share.mean()),
             iterations=steps,
             design=design,
             residual=residual,

@@ -13,7 +13,6 @@ from functools import partial
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from microlib._common import Array
 from microlib.tracking._covariance import corner_covariance
@@ -119,13 +118,12 @@ class RobustSearch:
         box: tuple[int, int, int, int],
         pose: Array,
         motion: str,
-        mask: NDArray[np.bool_],
     ) -> None:
         width, height = box[2:]
         self._finest = max(0, int(np.ceil(np.log2(max(width, height) / _LARGEST))))
         self._scale = 2.0**self._finest
         self._motion = _MOTION * max(width, height)
-        cut = partial(make_local, box=box, pose=pose, motion=motion, mask=mask, finest=self._finest)
+        cut = partial(make_local, box=box, pose=pose, motion=motion, finest=self._finest)
         fine = view.layer(self._finest)
         #: From the finest level on, halved while the template may deform.
         halvings = [self._finest]

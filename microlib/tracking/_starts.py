@@ -88,10 +88,10 @@ class PointFlow:
     def __init__(self, level: Level, image: Image, pose: Array, reach: int) -> None:
         self._level, self._reach = level, reach
         rows, columns = (
-            np.arange(2 + (side - 5) % _EVERY // 2, side - 2, _EVERY) for side in level.mask.shape
+            np.arange(2 + (side - 5) % _EVERY // 2, side - 2, _EVERY) for side in level.grey.shape
         )
         place = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
-        self._points = place[level.mask[place[:, 1], place[:, 0]] > 0].astype(np.float32)
+        self._points = place.astype(np.float32)
         self._template = self._contrasts(image, pose)
 
     def follow(self, image: Image, pose: Array) -> Flow:
@@ -150,18 +150,15 @@ def _agreed(
 
 def best_matches(level: Level, image: Image, pose: Array, count: int) -> list[Array]:
     """Return a pose shifted to where the template correlates best in an image of its level."""
-    mask = level.mask.astype(np.uint8)
-    if min(np.subtract(image.shape, mask.shape)) < 0:
+    if min(np.subtract(image.shape, level.grey.shape)) < 0:
         return []
     smooth = cv2.GaussianBlur(image, (0, 0), level.smoothing) if level.smoothing else image
-    scores = cv2.matchTemplate(
-        smooth, level.grey, cv2.TM_CCOEFF_NORMED, mask=None if mask.all() else mask
-    )
-    apart = np.ones([2 * (side // 4) + 1 for side in mask.shape], np.uint8)
+    scores = cv2.matchTemplate(smooth, level.grey, cv2.TM_CCOEFF_NORMED)
+    apart = np.ones([2 * (side // 4) + 1 for side in level.grey.shape], np.uint8)
     peaks = (scores == cv2.dilate(scores, apart)) & np.isfinite(scores) & (scores > 0)
     rows, columns = np.nonzero(peaks)
     best = np.argsort(-scores[rows, columns], kind="stable")[:count]
-    middle = (np.array(mask.shape[::-1]) - 1) / 2
+    middle = (np.array(level.grey.shape[::-1]) - 1) / 2
     places = (np.column_stack([columns[best], rows[best]]) + middle) / level.to_image[0, 0]
     center = apply_homography(pose, level.corners).mean(axis=0)
     return [shifted(pose, place - center) for place in places]

@@ -16,13 +16,12 @@ from microlib._common import (
     Tidy,
     as_array,
     as_image,
+    as_region,
     check_callable,
     flat_row,
-    items,
     of_kind,
     one_of,
     scalar,
-    whole,
 )
 from microlib.tracking._blocks import agreement
 from microlib.tracking._covariance import corner_covariance, largest_sigma
@@ -252,8 +251,6 @@ class ESMTracker:
         − 1.
     motion : {"homography", "affine", "translation"}
         Group of warps.
-    mask : array_like of bool, shape (height, width), optional
-        Pixels of the box that belong to the template. By default all of them.
     kalman : KalmanFilter, optional
         Predicts where each frame's search starts. By default a search starts where the last one
         ended.
@@ -293,15 +290,13 @@ class ESMTracker:
         box: tuple[int, int, int, int],
         motion: str = "homography",
         *,
-        mask: ArrayLike | None = None,
         kalman: KalmanFilter | None = None,
     ) -> None:
         frame = np.ascontiguousarray(as_image("image", _grey("image", image)))
         motion = one_of("motion", motion, tuple(GENERATORS))
-        x, y, width, height = self._box = _checked_box(box, frame.shape)
+        x, y, width, height = self._box = as_region("box", box, frame.shape, least=_SMALLEST)
         if kalman is not None:
             of_kind("kalman", kalman, KalmanFilter)
-        counts = _checked_mask(mask, (height, width))
         self._gauge = _gauge_of(frame[y : y + height, x : x + width])
         frame = frame if self._gauge == 1 else frame * self._gauge
         self._shape, self._kalman, self._seen = frame.shape, kalman, True
@@ -311,9 +306,7 @@ class ESMTracker:
         )
         self._pose, box = self._start, self._box
         self._smooth, self._sharp = (
-            make_level(
-                image, box, self._start, density=k, smoothing=sigma, motion=motion, mask=counts
-            )
+            make_level(image, box, self._start, density=k, smoothing=sigma, motion=motion)
             for k, sigma, image in ((1, _SMOOTHING, frame), (2, 0.0, half_pixel(frame)))
         )
         _check_texture(self._smooth, self._sharp)
@@ -323,7 +316,7 @@ class ESMTracker:
         view = View(frame, self._least_noise)
         self._noise, self._gain = view.noise, 1.0
         self._last_correlation = 1.0 - min(self._noise / self._sharp.contrast, 1.0) ** 2
-        self._robust = RobustSearch(view, self._box, self._start, motion, counts)
+        self._robust = RobustSearch(view, self._box, self._start, motion)
 
     def track(self, frame: ArrayLike) -> Track:
         """Find the template in the next frame.
@@ -452,8 +445,7 @@ class ESMTracker:
         covariance = corner_covariance(self._sharp, fit, fit.weight, None)
         if not largest_sigma(covariance) < _CERTAIN:
             return None
-        hidden = (fit.weight == 0) & (self._sharp.mask > 0)
-        return Found(fit, covariance, 1.0, hidden, plain=True)
+        return Found(fit, covariance, 1.0, fit.weight == 0, plain=True)
 
     def _agreeing(self, fit: Alignment, drift: tuple[float, float]) -> bool:
         """Return whether all parts of the template agree with an alignment."""
@@ -534,32 +526,6 @@ def _grey(name: str, image: ArrayLike) -> NDArray:
     return array
 
 
-def _checked_box(
-    box: tuple[int, int, int, int], shape: tuple[int, ...]
-) -> tuple[int, int, int, int]:
-    left, top, across, down = items("box", box, 4)
-    x, y = whole("box x", left, least=0), whole("box y", top, least=0)
-    width = whole("box width", across, least=_SMALLEST)
-    height = whole("box height", down, least=_SMALLEST)
-    if x + width > shape[1] or y + height > shape[0]:
-        raise ValueError(
-            f"box must lie inside the image of {shape[1]}×{shape[0]} px, got {tuple(box)}"
-        )
-    return x, y, width, height
-
-
-def _checked_mask(mask: ArrayLike | None, shape: tuple[int, int]) -> NDArray[np.bool_]:
-    if mask is None:
-        return np.ones(shape, bool)
-    as_array("mask", mask, shape=shape)
-    counts = np.asarray(mask)
-    if counts.dtype != bool:
-        raise ValueError(f"mask must hold True and False, got {counts.dtype}")
-    if counts.sum() < _SMALLEST**2:
-        raise ValueError(f"mask must keep {_SMALLEST**2} pixels, got {counts.sum()}")
-    return counts
-
-
 def _clear(fit: LitFit, covariance: Array) -> bool:
     """Return whether all parts of the template agree in smooth light."""
     said = fit.agreement
@@ -586,9 +552,9 @@ def _check_texture(smooth: Level, sharp: Level) -> None:
             f"box must hold details of more than a px, got a contrast of {sharp.contrast:.3g} of "
             f"which a blur of {_SMOOTHING:g} px leaves {smooth.contrast:.3g}"
         )
-    gradient = (sharp.slope * sharp.mask.ravel()).astype(np.float64)
+    gradient = sharp.slope.astype(np.float64)
     weak, strong = np.linalg.eigvalsh(gradient @ gradient.T)
-    if strong <= (_ROUNDING * np.abs(sharp.grey).max()) ** 2 * sharp.mask.sum():
+    if strong <= (_ROUNDING * np.abs(sharp.grey).max()) ** 2 * sharp.grey.size:
         raise ValueError("box must hold a textured template, got a flat one")
     if weak < _LEAST_CORNERNESS * strong:
         raise ValueError(
@@ -602,7 +568,6 @@ def track_all(
     motion: str = "homography",
     *,
     rate: float | None = None,
-    mask: ArrayLike | None = None,
     kalman: KalmanFilter | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> pd.DataFrame:
@@ -614,7 +579,7 @@ def track_all(
         Frames one after another, as a list, a stack or `microlib.io.read_frames` gives them; the
         first one shows the template. They are read one at a time, and may be wrapped, by ``tqdm``
         for example.
-    box, motion, mask, kalman
+    box, motion, kalman
         As for `ESMTracker`.
     rate : float, optional
         Frames per second. With it the table has the column ``time_s``.
@@ -653,8 +618,8 @@ def track_all(
     for number, frame in enumerate(frames):
         if number == 0:
             as_image("frames", _grey("frames", frame))
-            tracker = ESMTracker(frame, box, motion, mask=mask, kalman=kalman)
-            track = ESMTracker(frame, box, motion, mask=mask).track(frame)  # nothing to predict
+            tracker = ESMTracker(frame, box, motion, kalman=kalman)
+            track = ESMTracker(frame, box, motion).track(frame)  # nothing to predict
         else:
             try:
                 track = tracker.track(frame)

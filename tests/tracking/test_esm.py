@@ -19,8 +19,7 @@ POSE = np.array([[20.0, 0, 49.5], [0, 20.0, 41.5], [0, 0, 1]])
 
 
 def level_of(motion, image, smoothing=1.0):
-    mask = np.ones((BOX[3], BOX[2]), bool)
-    return make_level(image, BOX, POSE, smoothing=smoothing, motion=motion, mask=mask)
+    return make_level(image, BOX, POSE, smoothing=smoothing, motion=motion)
 
 
 def texture(seed=0):

@@ -170,34 +170,6 @@ def test_depth_of_the_grey_values_and_their_order_in_memory_change_nothing(condi
         np.testing.assert_allclose(track.covariance, expected.covariance, atol=limit)
 
 
-def test_pixels_outside_the_mask_do_not_count():
-    # A disk that moves over a ground of its own.
-    by, rng = np.array([6.0, -4.0]), default_rng(5)
-    ground, disk = scene(11), scene(12)
-    rows, columns = np.mgrid[:180, :190]
-    mask = (columns - 94.5) ** 2 + (rows - 89.5) ** 2 < 18**2
-    shifted = (columns - 94.5 - by[0]) ** 2 + (rows - 89.5 - by[1]) ** 2 < 18**2
-    first = np.where(mask, disk, ground)
-    second = np.where(shifted, np.roll(disk, (-4, 6), (0, 1)), ground)
-    track = track_of(first, second, rng, mask=mask[65:115, 70:120])
-    assert not track.lost
-    assert np.abs(track.corners - CORNERS - by).max() < 0.05
-    assert track.confidence == 1.0  # nothing that counts has changed
-
-
-@pytest.mark.parametrize(
-    ("mask", "message"),
-    [
-        (np.ones((50, 49), bool), "mask must have shape"),
-        (np.ones((50, 50)), "mask must hold True and False"),
-        (np.zeros((50, 50), bool), "mask must keep"),
-    ],
-)
-def test_refuses_a_mask_of_another_kind(mask, message):
-    with pytest.raises(ValueError, match=message):
-        ESMTracker(scene(0), BOX, mask=mask)
-
-
 def test_a_lost_template_is_found_anywhere_in_the_frame():
     rng = default_rng(3)
     texture = mixed_texture((50, 50), rng, scales=(1.5, 4.0), std=40.0)
