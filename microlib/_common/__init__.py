@@ -22,7 +22,15 @@ from microlib._common._checks import (
     whole,
 )
 from microlib._common._covariance import OPEN, inverse_normal
-from microlib._common._devices import POLL, DeviceError, EndRun, Guard, RunInterrupt, check_devices
+from microlib._common._devices import (
+    POLL,
+    DeviceError,
+    Ending,
+    EndRun,
+    Guard,
+    RunInterrupt,
+    check_devices,
+)
 from microlib._common._files import replace_file
 from microlib._common._processes import end_with_starter
 from microlib._common._results import Kept, Tidy, flat_row, load

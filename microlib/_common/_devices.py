@@ -59,7 +59,7 @@ class RunInterrupt(KeyboardInterrupt):
         self.run = run
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Ending:
     """How a run over a device ended.
 

@@ -5,21 +5,15 @@ from __future__ import annotations
 import multiprocessing
 import os
 import threading
-from multiprocessing.connection import wait
+from typing import Any
 
 
-def end_with_starter() -> bool:
-    """End this process as soon as the one of `multiprocessing` that began it has ended.
+def end_with_starter() -> None:
+    """End this process of `multiprocessing` once the one that began it ended, or was killed."""
 
-    Even if that was killed. False if `multiprocessing` did not begin this process.
-    """
-    starter = multiprocessing.parent_process()
-    if starter is None:
-        return False
-
-    def watch() -> None:
-        wait([starter.sentinel])
+    def watch(starter: Any) -> None:
+        starter.join()
         os._exit(1)
 
-    threading.Thread(target=watch, daemon=True).start()
-    return True
+    starter = multiprocessing.parent_process()
+    threading.Thread(target=watch, args=(starter,), daemon=True).start()

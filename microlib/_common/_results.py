@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from importlib import import_module
 from os import PathLike
@@ -24,17 +24,16 @@ _SHOWN, _LINES = 6, 10
 #: Names by which a file tells an array and the kind of a result from plain numbers and texts.
 _ARRAY, _RESULT = "__array__", "__result__"
 
-#: What the numbers of a short field are called, where not by their place.
+#: What the numbers of a short field are called along its last axis, where not by their place.
 _PARTS = {
+    **dict.fromkeys(("bottom", "center", "drift", "rim", "tip", "feature", "measured"), ("x", "y")),
+    **dict.fromkeys(("points", "position", "positions", "reference", "command"), ("x", "y")),
+    **dict.fromkeys(("residuals", "plane_residuals", "pixel_size"), ("x", "y")),
     **dict.fromkeys(("interval", "domain"), ("low", "high")),
     **dict.fromkeys(("region", "frame"), ("x", "y", "width", "height")),
-    **dict.fromkeys(("bottom", "center", "corners", "drift", "rim", "tip"), ("x", "y")),
-    **dict.fromkeys(("feature", "measured", "points", "position"), ("x", "y")),
-    **dict.fromkeys(("positions", "reference"), ("x", "y")),
-    **dict.fromkeys(("command", "residuals", "plane_residuals", "pixel_size"), ("x", "y")),
+    **dict.fromkeys(("image_size", "size"), ("width", "height")),
     "rim_curvatures": ("left", "right"),
     "grid": ("i", "j"),
-    **dict.fromkeys(("image_size", "size"), ("width", "height")),
     "um_per_pixel": ("estimate", "low", "high"),
 }
 
@@ -71,8 +70,6 @@ class Kept:
 
         def told(value: Any) -> Any:
             """Return what JSON can hold for what it does not know."""
-            if isinstance(value, np.generic):
-                return value.item()
             if isinstance(value, BaseException):
                 return None
             if isinstance(value, Kept):
@@ -102,7 +99,7 @@ def load(path: str | PathLike[str]) -> Any:
 
     def made(told: dict[str, Any]) -> Any:
         if _ARRAY in told:
-            return archive[told[_ARRAY]]
+            return archive[told[_ARRAY]][()]  # a single number as such
         if (kind := told.pop(_RESULT, None)) is None:
             return told
         if kind == "table":
@@ -183,7 +180,7 @@ class Tidy(Kept):
             if columns and len(values) != len(next(iter(columns.values()))):
                 values = np.moveaxis(values, -1, 0)
             flat = values.reshape(len(values), -1)
-            names = _names(name, values.shape[1:], _PARTS.get(name, ()))
+            names = _names(name, values.shape[1:], (_PARTS.get(name, ()),))
             columns |= dict(zip(names, flat.T, strict=True))
         return pd.DataFrame(columns)
 
@@ -206,24 +203,19 @@ def flat_row(
             row[known] = ", ".join(value)
         elif isinstance(value, (tuple, list, np.ndarray)):
             array = np.asarray(value)
-            named = _PARTS.get(known) or _PARTS.get(name, ())
-            names = _names(known, array.shape, named, (parts or {}).get(name))
+            axes = (parts or {}).get(name) or (_PARTS.get(name, ()),)
+            names = _names(known, array.shape, axes)
             row |= zip(names, map(_plain, array.flat), strict=True)
         else:
             row[known] = _plain(value)
     return row
 
 
-def _names(
-    name: str,
-    shape: tuple[int, ...],
-    last: tuple[str, ...],
-    axes: tuple[tuple[str, ...], ...] | None = None,
-) -> list[str]:
-    """Return a name for each number of an array: by the parts of each axis, or of the last one."""
-    named = axes or ((),) * (len(shape) - 1) + (last,)
+def _names(name: str, shape: tuple[int, ...], axes: Sequence[Sequence[str]]) -> list[str]:
+    """Return a name for each number of an array, by what is told of its last axes."""
+    axes = [*[()] * (len(shape) - len(axes)), *axes]
     return [
-        "_".join([name, *(p[i] if i < len(p) else str(i) for p, i in zip(named, at, strict=False))])
+        "_".join([name, *(p[i] if i < len(p) else str(i) for p, i in zip(axes, at, strict=False))])
         for at in np.ndindex(shape)
     ]
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import (
     Array,
+    Ending,
     EndRun,
     Guard,
     Image,
@@ -39,7 +40,7 @@ _MOST_TIME = 1e9
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Acquisition(Tidy):
+class Acquisition(Tidy, Ending):
     """What a drive of the focus brought.
 
     Attributes
@@ -68,11 +69,6 @@ class Acquisition(Tidy):
     frames: int
     result: FocusResult | None
     focus: float
-    reason: str
-    complete: bool
-    still: bool
-    error: BaseException | None
-
     _large = ("positions", "result")
 
 
@@ -291,14 +287,11 @@ def _finish(drive: _Drive, work: Callable[[], str], live: LiveDepth | None) -> A
     except EndRun:
         focus = float("nan")  # the reason says already what failed
     run = Acquisition(
+        **vars(end),
         positions=np.zeros(0) if live is None else live.positions,
         frames=drive.frames,
         result=live.result() if live is not None and live.frames >= 3 else None,
         focus=focus,
-        reason=end.reason,
-        complete=end.complete,
-        still=end.still,
-        error=end.error,
     )
     if drive.guard.interrupted.is_set():
         raise RunInterrupt(run)

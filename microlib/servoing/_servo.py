@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import (
     Array,
+    Ending,
     EndRun,
     Guard,
     RunInterrupt,
@@ -41,7 +42,7 @@ _SHORTEST, _LONGEST = 1e-3, 1e2
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ServoRun(Tidy):
+class ServoRun(Tidy, Ending):
     """What `servo` did.
 
     Attributes
@@ -53,6 +54,8 @@ class ServoRun(Tidy):
         Which targets were reached, or at which points of a path the feature was seen.
     reason : str
         Why the run ended early; empty if it did not.
+    complete : bool
+        Whether it came to its end and the stage stands still.
     still : bool
         Whether the stage said, after the stop, that it does not move. Where a call did not return,
         the stage is stopped again once it does.
@@ -76,14 +79,11 @@ class ServoRun(Tidy):
 
     log: pd.DataFrame
     reached: NDArray[np.bool_]
-    reason: str
-    still: bool
     jacobian: Array
     jacobian_covariance: Array
     drift: Array
     misfit: float
     latency: float
-    error: BaseException | None
 
     _samples = ("reached",)
     _large = ("log", "jacobian_covariance")
@@ -248,16 +248,14 @@ def servo(
     add_event(last, end.reason or "done")
     motion, log = loop.motion, as_frame([*loop.rows, last])
     run = ServoRun(
+        **vars(end),
         log=log,
         reached=loop.reached,
-        reason=end.reason,
-        still=end.still,
         jacobian=motion.jacobian,
         jacobian_covariance=motion.covariance,
         drift=motion.drift,
         misfit=motion.misfit,
         latency=float(log["latency_s"].median()),
-        error=end.error,
     )
     if guard.interrupted.is_set():
         raise RunInterrupt(run)
