@@ -28,11 +28,14 @@ def refused_formulas(page: Page) -> list[str]:
     }""")
 
 
-def hindrances(page: Page) -> list[str]:
-    """Return what axe-core calls a serious or critical hindrance to some readers."""
+def hindrances(page: Page, *, colors: bool = False, leave_out: str = "") -> list[str]:
+    """Return what axe-core calls a serious or critical hindrance to some readers; of colors alone,
+    if told, which take longest."""
     # It would ask for the style sheets once more, which no page from a file may.
-    options = {"resultTypes": ["violations"], "preload": False}
-    found = Axe().run(page, options=options).response["violations"]
+    options: dict = {"resultTypes": ["violations"], "preload": False}
+    options |= {"runOnly": ["color-contrast"]} if colors else {}
+    context = {"exclude": [[leave_out]]} if leave_out else None
+    found = Axe().run(page, context, options).response["violations"]
     return [
         f"{v['id']}: {v['nodes'][0]['html'][:120]}"
         for v in found

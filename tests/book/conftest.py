@@ -23,7 +23,7 @@ def browser() -> Iterator[Browser]:
         instance = playwright.chromium.launch(
             executable_path=executable,
             chromium_sandbox=False,
-            args=["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
+            args=["--enable-unsafe-swiftshader"],  # turnable surfaces draw with WebGL
         )
         yield instance
         instance.close()

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from playwright.sync_api import Page
+from playwright.sync_api import Browser, Page
 
 from microlib.curvature import hk_labels, surface_curvature
 from microlib.focus import depth_from_focus, sum_modified_laplacian
@@ -26,7 +27,7 @@ sys.path[:0] = [str(ROOT / "book" / "_ext"), str(Path(__file__).parent)]
 from browsing import hindrances, open_page  # noqa: E402
 from try_page import render_stack  # noqa: E402
 
-COUNT = 1000
+COUNT = 200
 # What was asked of the tools; both sides compute in doubles and differ by some roundings only.
 SAME = {"rtol": 1e-9, "atol": 0.0}
 MEMBRANE = {
@@ -44,6 +45,15 @@ def try_page(page: Page, html: Path) -> Page:
     open_page(page, html / "try.html")
     page.wait_for_selector("[data-try=focus] .try-answer")
     return page
+
+
+@pytest.fixture(scope="module")
+def tools(browser: Browser, html: Path) -> Iterator[Page]:
+    """The page, for tests that call its functions and change nothing on it."""
+    page = browser.new_page()
+    page.goto((html / "try.html").as_uri())
+    yield page
+    page.close()
 
 
 def draw_membranes() -> list[dict[str, float]]:
@@ -65,7 +75,7 @@ def in_page(values: dict[str, float]) -> dict[str, float]:
     return {MEMBRANE[name]: value for name, value in values.items()}
 
 
-def test_moduli_are_those_of_the_library(try_page: Page) -> None:
+def test_moduli_are_those_of_the_library(tools: Page) -> None:
     drawn = draw_membranes()
     relative = np.random.default_rng(20).uniform(0, 0.1, (COUNT, len(MEMBRANE)))
     stds = [
@@ -75,7 +85,7 @@ def test_moduli_are_those_of_the_library(try_page: Page) -> None:
     for one in stds:
         one["poisson_ratio"] = abs(one["poisson_ratio"])
     radii = [(3 * v["probe_half_width"] + v["dimple_radius"]) / 4 for v in drawn]
-    found = try_page.evaluate(
+    found = tools.evaluate(
         """([inputs, stds, radii]) => inputs.map((p, k) => [tryIt.membrane.elasticModulus(p),
             tryIt.membrane.modulusStd(p, stds[k]), tryIt.membrane.dimpleProfile(radii[k], p)])""",
         [list(map(in_page, drawn)), list(map(in_page, stds)), radii],
@@ -120,10 +130,10 @@ def draw_loops() -> list[tuple[float, float]]:
     return [(g, float(round(d)) if k % 10 == 0 else d) for k, (g, d) in enumerate(loops)]
 
 
-def test_poles_are_those_of_the_library(try_page: Page) -> None:
+def test_poles_are_those_of_the_library(tools: Page) -> None:
     """Each pole has its own beside it; conjugate pairs are of one size, so order is not enough."""
     loops = draw_loops()
-    found = try_page.evaluate("loops => loops.map(([g, d]) => tryIt.loop.poles(g, d))", loops)
+    found = tools.evaluate("loops => loops.map(([g, d]) => tryIt.loop.poles(g, d))", loops)
     for (gain, delay), pairs in zip(loops, found, strict=True):
         wanted = loop_poles(gain, delay)
         poles = np.array(pairs) @ [1, 1j]
@@ -149,10 +159,10 @@ def simulated(gain: float, delay: float, noise: np.ndarray) -> np.ndarray:
     return run.feature[:, 0]
 
 
-def test_answers_are_those_of_the_simulated_workstation(try_page: Page) -> None:
+def test_answers_are_those_of_the_simulated_workstation(tools: Page) -> None:
     loops = draw_loops()
     noise = np.random.default_rng(22).normal(0, 1, (COUNT, 40))
-    found = try_page.evaluate(
+    found = tools.evaluate(
         "([loops, noise]) => loops.map(([g, d], k) => tryIt.loop.respond(g, d, 50, noise[k]))",
         [loops, noise.tolist()],
     )
@@ -162,17 +172,17 @@ def test_answers_are_those_of_the_simulated_workstation(try_page: Page) -> None:
     np.testing.assert_allclose(found / largest, wanted / largest, rtol=0, atol=1e-9)
 
 
-def test_curvatures_and_labels_are_those_of_the_library(try_page: Page) -> None:
+def test_curvatures_and_labels_are_those_of_the_library(tools: Page) -> None:
     rng = np.random.default_rng(23)
     shape = (17, 19)
     y, x = np.mgrid[: shape[0], : shape[1]] - 8.0
     inputs = []
-    for _ in range(COUNT // 5):  # every pixel of a map is an input, and its windows are random
+    for _ in range(COUNT // 4):  # every pixel of a map is an input, and its windows are random
         a, b, c, d, e = rng.uniform(-0.5, 0.5, 5)
         height = a * x**2 + b * x * y + c * y**2 + d * x + e * y + rng.normal(0, 0.3, shape)
         size = int(rng.choice([3, 5, 7]))
         inputs.append([height.ravel().tolist(), *shape, rng.uniform(0.5, 20), size, 0.3])
-    found = try_page.evaluate(
+    found = tools.evaluate(
         """inputs => inputs.map(one => {
             const { surfaceCurvature, hkLabels } = tryIt.curvature;
             const found = surfaceCurvature(Float64Array.from(one[0]), ...one.slice(1));
@@ -196,11 +206,11 @@ def test_curvatures_and_labels_are_those_of_the_library(try_page: Page) -> None:
         assert labels == hk_labels(wanted.mean, wanted.gaussian, 0.02, 0.001).ravel().tolist()
 
 
-def test_heights_are_those_of_the_library(try_page: Page) -> None:
+def test_heights_are_those_of_the_library(tools: Page) -> None:
     frames, positions, height = render_stack()
-    shown = try_page.evaluate("tryIt.stack")
+    shown = tools.evaluate("tryIt.stack")
     assert shown["positions"] == positions.tolist()
-    found = try_page.evaluate(
+    found = tools.evaluate(
         """() => {
             const { rows, cols, positions, data } = tryIt.stack;
             const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
@@ -240,7 +250,9 @@ def test_every_state_is_open_to_everyone(page: Page, html: Path, width: int, the
     assert page.faults == []  # type: ignore[attr-defined]
 
 
-def test_every_control_has_a_name_and_is_large_enough_for_a_finger(try_page: Page) -> None:
+def test_every_control_has_a_name_is_large_enough_for_a_finger_and_heeds_the_keyboard(
+    try_page: Page,
+) -> None:
     try_page.set_viewport_size({"width": 390, "height": 844})
     try_page.locator("[data-try=modulus] summary").click()
     controls: list[dict[str, Any]] = try_page.evaluate(
@@ -253,9 +265,6 @@ def test_every_control_has_a_name_and_is_large_enough_for_a_finger(try_page: Pag
     assert len(controls) > 40
     # 24 px is what WCAG 2.2 asks for at the least, 44 px what it recommends.
     assert [one["html"] for one in controls if one["height"] < 44 or not one["name"].strip()] == []
-
-
-def test_sliders_answer_to_the_keyboard(try_page: Page) -> None:
     answer = try_page.locator("[data-try=loop] .try-answer")
     before = answer.inner_text()
     try_page.get_by_label("Gain g (share of the error per frame)", exact=True).focus()
