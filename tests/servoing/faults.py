@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 import time
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -16,9 +17,8 @@ from compendium.experiments.microscope import Scope, make_scope
 from microlib.servoing import MicroManager, Stage, servo
 from tests.servoing.engine import rendered_core
 
-#: How long a device may take in these runs, s, and how long one that hangs does: on a busy machine
-#: a sound one takes half a second.
-TIMEOUT, HANGS = 1.0, 2.0
+#: How long a device may take in these runs, s: on a busy machine a sound one takes half a second.
+TIMEOUT = 1.0
 #: From home to the target, px.
 WAY = (-35.0, 30.0)
 #: In the middle of the calibration, and on the way to the target: frames 1 to 8 are calibrated on.
@@ -57,6 +57,7 @@ class Faulty:
         self.workstation, self.fault, self.first = scope.workstation, fault, frame
         self.frames = -1  # the tracker's first frame is not of the run
         self.stops = 0
+        self.given_up = threading.Event()
         self._last: NDArray | None = None
         self._tracker = scope.tracker()
         self._rng = np.random.default_rng(0)
@@ -73,6 +74,10 @@ class Faulty:
         if self.now(name):
             raise Injected(name)
 
+    def hang(self, name: str) -> None:
+        if self.now(name):
+            self.given_up.wait()
+
     def interrupt(self, call: str) -> None:
         if self.fault == f"Ctrl-C during {call}" and self.frames == self.first:
             os.kill(os.getpid(), signal.SIGINT)
@@ -82,8 +87,7 @@ class Faulty:
         self.frames += 1
         self.interrupt("snap")
         self.fail("camera error")
-        if self.now("camera hangs"):
-            time.sleep(HANGS)
+        self.hang("camera hangs")
         frame, exposed = self.workstation.camera.snap()
         if self.now("black"):
             frame = np.zeros_like(frame)
@@ -107,8 +111,7 @@ class Faulty:
 
     def move_to(self, position: NDArray) -> None:
         self.fail("move error")
-        if self.now("move hangs"):
-            time.sleep(HANGS)
+        self.hang("move hangs")
         if self.now("stuck"):
             return
         if self.now("reversed"):
@@ -158,6 +161,7 @@ def run_with(fault: str, frame: int, *, engine: bool = False) -> Outcome:
     travel = 60.0 / scope.scale
     farthest = _watch(scope)
     beyond = fault == "target beyond the travel"
+    threads = threading.active_count()
     try:
         run = servo(
             faulty,
@@ -174,8 +178,9 @@ def run_with(fault: str, frame: int, *, engine: bool = False) -> Outcome:
     except KeyboardInterrupt as interrupt:
         run = interrupt.run  # type: ignore[attr-defined]
     ended = scope.truth.stage.position()
-    if fault.endswith("hangs"):
-        time.sleep(HANGS)  # until the call that was given up has returned
+    faulty.given_up.set()
+    while threading.active_count() > threads:  # until the call that was given up has returned
+        time.sleep(0.01)
     scope.workstation.clock.sleep(0.05)
     before = scope.truth.stage.position()
     scope.workstation.clock.sleep(0.1)
