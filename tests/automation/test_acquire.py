@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from microlib.automation import LiveDepth, _acquire, acquire_depth, autofocus
-from microlib.automation._acquire import _vertex
-from microlib.automation._live import UNKNOWN, Peaks, coarse_range
+from microlib.automation._live import UNKNOWN, Peaks
 from microlib.focus import sum_modified_laplacian, three_point_peak
 
 POSITIONS = np.arange(0.0, 200.0, 10.0)
@@ -83,14 +82,14 @@ def test_it_turns_round_three_frames_behind_the_best_at_half(measured, width, fr
     assert run.reason == "the sharpest position was passed and gone back to"
 
 
-def test_the_vertex_is_that_of_the_gaussian():
-    for z in (np.array([30.0, 40.0, 55.0]), np.array([55.0, 40.0, 30.0])):
-        found = _vertex(z, bell(42.0, 9.0, ground=0.0)(z))
-        assert found == pytest.approx(42.0)
-    assert _vertex(np.array([30.0, 40.0, 55.0]), bell(70.0, 9.0, ground=0.0)(z[::-1])) == 55.0
+def test_the_vertex_is_that_of_the_gaussian(measured):
     run = autofocus(Scope(lambda z: float(bell(42.0, 15.0, 1.0, 0.0)(z))), POSITIONS)
     # The measure is of the second order in the contrast, but noise of the rounding is in it.
     assert run.focus == pytest.approx(42.0, abs=0.3)
+    uneven = np.array([0.0, 30.0, 40.0, 55.0, 70.0, 100.0, 150.0])
+    for positions in (uneven, uneven[::-1]):
+        run = autofocus(measured(bell(42.0, 9.0, ground=1e-9)), positions)
+        assert run.focus == pytest.approx(42.0)
 
 
 def test_neighbors_that_see_nothing_leave_the_middle(measured):
@@ -153,6 +152,9 @@ def test_a_coarse_look_takes_the_others_only_around_what_it_saw():
     assert sorted(set(scope.visited)) == sorted(scope.visited)
     assert run.frames == len(scope.visited) == 7 + 13 - 5
     assert run.result is not None
+    for sharp, near in ((lambda z: z < 5, slice(7)), (lambda z: z > 175, slice(12, None))):
+        run = acquire_depth(Scope(lambda z, sharp=sharp: max(0.02, sharp(z))), POSITIONS, coarse=3)
+        np.testing.assert_array_equal(run.positions, POSITIONS[near])
     grey = acquire_depth(Scope(lambda z: 0.0), POSITIONS, coarse=3)
     assert grey.reason == "nothing comes into focus in the coarse frames"
     assert not grey.complete
@@ -161,17 +163,6 @@ def test_a_coarse_look_takes_the_others_only_around_what_it_saw():
     for wrong in (1, 21):
         with pytest.raises(ValueError, match="coarse must"):
             acquire_depth(scope, POSITIONS, coarse=wrong)
-
-
-def test_the_range_ends_where_the_positions_end():
-    def frames(*sharp):
-        return [np.clip(128 + (k in sharp) * TEXTURE, 0, 255).astype(np.uint8) for k in range(9)]
-
-    z = np.arange(9.0)
-    assert coarse_range(frames(4), z, 4, 33) == (9, 23)
-    assert coarse_range(frames(0), z, 4, 33) == (0, 7)
-    assert coarse_range(frames(8), z, 4, 33) == (25, 32)
-    assert coarse_range(frames(), z, 4, 33) is None
 
 
 def test_a_fault_of_progress_is_the_reason_and_ends_the_scan():

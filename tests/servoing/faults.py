@@ -57,6 +57,7 @@ class Faulty:
         self.workstation, self.fault, self.first = scope.workstation, fault, frame
         self.frames = -1  # the tracker's first frame is not of the run
         self.stops = 0
+        self.farthest = 0.0  # from the start along either axis, µm
         self.given_up = threading.Event()
         self._last: NDArray | None = None
         self._tracker = scope.tracker()
@@ -120,6 +121,7 @@ class Faulty:
 
     def moving(self) -> bool:
         self.interrupt("moving")
+        self.farthest = max(self.farthest, *np.abs(self.workstation.stage.position()))
         return self.now("never arrives") or self.workstation.stage.moving()
 
     def stop(self) -> None:
@@ -159,7 +161,6 @@ def run_with(fault: str, frame: int, *, engine: bool = False) -> Outcome:
     }
     faulty = Faulty(scope, fault, frame)
     travel = 60.0 / scope.scale
-    farthest = _watch(scope)
     beyond = fault == "target beyond the travel"
     threads = threading.active_count()
     try:
@@ -187,22 +188,8 @@ def run_with(fault: str, frame: int, *, engine: bool = False) -> Outcome:
     after = scope.truth.stage.position()
     coasted = float(np.linalg.norm(after - ended)) * scope.scale
     still = bool((after == before).all())
-    return Outcome(run, faulty.stops, still, float(farthest.max() / travel), coasted)
+    return Outcome(run, faulty.stops, still, float(faulty.farthest / travel), coasted)
 
 
 def _raise(*_: object) -> NDArray:
     raise Injected("on purpose")
-
-
-def _watch(scope: Scope) -> NDArray:
-    """Return how far either axis has been from the start, µm, kept up to date."""
-    assert scope.truth is not None
-    stage = scope.truth.stage
-    start, farthest, advance = stage.position(), np.zeros(2), stage.advance
-
-    def watched(duration: float) -> None:
-        advance(duration)
-        np.maximum(farthest, np.abs(stage.position() - start), out=farthest)
-
-    stage.advance = watched  # type: ignore[method-assign]
-    return farthest

@@ -89,35 +89,6 @@ def test_the_start_is_saturated_and_the_end_is_not():
     np.testing.assert_allclose(run.feature[-1], (50, 50), atol=0.01)  # an increment is 0.008 px
 
 
-def test_a_reference_too_fast_is_followed_as_far_as_it_goes():
-    reference = np.column_stack([np.arange(40.0) * 5, np.zeros(40)])  # 165 px/s, 1028 µm/s
-    run = simulate(controller(), reference, rng=0, **LOOP)
-    assert run.saturated.all()
-    speed = np.diff(run.position[:, 0]) / INTERVAL
-    np.testing.assert_allclose(speed, 400.0, atol=2.0)  # increments of 50 nm in 30 ms
-
-
-def test_the_loop_closes_over_images():
-    """The same circle over rendered, tracked frames, and over perfect coordinates."""
-    rng = np.random.default_rng(1)
-    scene = gripper_scene(rng, pixel_size=9.9 / 1.5893)
-    box = scene.box(50)
-    tracker = ESMTracker(scene.frame((0, 0), rng), box, "translation")
-    home = np.array([box[0] + 24.5, box[1] + 24.5])
-    angle = np.arange(0, 2 * np.pi * 40, 60 * INTERVAL) / 40  # once around 40 px at 60 px/s
-    path = home + 40 * np.column_stack([np.cos(angle) - 1, np.sin(angle)])
-    loop = LOOP | {"camera": Camera(interval=INTERVAL, latency=0.4 * INTERVAL)}
-    view = tracked_view(lambda feature: scene.frame(feature - home, rng), tracker)
-    rendered, fast = (
-        simulate(controller(), path, rng=2, observer=observer, **loop) for observer in (view, None)
-    )
-    assert np.isfinite(rendered.measured).all()
-    # The tracker is wrong by some hundredths of a pixel on the grained jaws; the loop follows.
-    assert np.abs(rendered.feature - fast.feature).max() < 0.15
-    noise = np.linalg.norm(rendered.measured - rendered.feature, axis=1)
-    assert 0 < np.median(noise) < 0.05
-
-
 def test_a_lost_track_is_measured_as_nan():
     rng = np.random.default_rng(3)
     scene = gripper_scene(rng, pixel_size=6.23)
