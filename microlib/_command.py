@@ -6,8 +6,7 @@ import argparse
 import json
 import sys
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from math import ceil, sqrt
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,8 @@ from tqdm import tqdm
 import microlib
 from microlib._common import Array, replace_file
 
+#: How a progress bar is shown: in a terminal only, and not kept.
+_BAR: dict[str, Any] = {"disable": None, "leave": False}
 #: Most corners of the mesh that `depth` writes.
 _VERTICES = 250_000
 #: Spans of LOESS whose dimples are compared; the middle one is that of the thesis.
@@ -33,12 +34,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warnings.showwarning = lambda message, *_: tqdm.write(f"note: {message}", sys.stderr)
         try:
             a.run(a)
-        except OSError as error:
-            text = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+        except (OSError, ValueError, ImportError) as error:
+            file = getattr(error, "filename", None)
+            text = f"{file}: {error.args[1]}" if file else str(error)
             print(f"microlib {a.task}: {text}", file=sys.stderr)
-            return 2
-        except (ValueError, ImportError) as error:
-            print(f"microlib {a.task}: {error}", file=sys.stderr)
             return 2
         except KeyboardInterrupt:
             print(f"microlib {a.task}: stopped", file=sys.stderr)
@@ -60,7 +59,12 @@ def depth(a: argparse.Namespace) -> None:
     }
     scales = _settle(a.stack, {"spacing": a.spacing, "pixel_size": a.pixel_size}, told)
     given = {"positions": z} if a.spacing is None else {"spacing": a.spacing}
-    with _bar("frames") as progress:
+    with tqdm(unit=" frames", **_BAR) as bar:
+
+        def progress(done: int, total: int | None) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
         found = depth_from_focus(
             a.stack, **given, register=a.register, workers=a.workers, progress=progress, **part
         )
@@ -114,14 +118,8 @@ def track(a: argparse.Namespace) -> None:
     size = frames.pixel_size if a.pixel_size is None else a.pixel_size
     if size is not None:
         _settle(a.video, {"pixel_size": a.pixel_size}, {"pixel_size": frames.pixel_size})
-    with _bar("frames") as progress:
-        table = track_all(
-            frames,
-            tuple(a.box),
-            a.motion,
-            rate=a.rate,
-            progress=lambda done: progress(done, frames.count),
-        )
+    film = tqdm(frames, total=frames.count, unit=" frames", **_BAR)
+    table = track_all(film, tuple(a.box), a.motion, rate=a.rate)
     if size is not None:
         for axis in "xy":
             table[f"{axis}_um"] = size * (table[f"center_{axis}"] - table[f"center_{axis}"].iloc[0])
@@ -269,18 +267,6 @@ def _outline(path: str) -> tuple[Array, Array]:
         near = np.abs(x - x[bottom]) <= (reach or np.inf)
         x, y = x[near], y[near]
     return x, y - y.min(initial=np.inf)
-
-
-@contextmanager
-def _bar(unit: str) -> Iterator[Any]:
-    """Show a progress bar in a terminal; yields what takes how much is done, and of how much."""
-    with tqdm(unit=f" {unit}", disable=None, leave=False) as bar:
-
-        def show(done: int, total: int | None) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-
-        yield show
 
 
 def _folder(path: Path) -> Path:

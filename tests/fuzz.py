@@ -515,12 +515,8 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "stage": servoing.Stage(500.0), "camera": servoing.Camera(0.04), "rng": 0,
         "home": [10.0, 10.0], "drift": [0.1, 0.2], "focus_drive": servoing.Stage(10.0),
     },
-    "servoing.Stage": lambda: {"saturation": 500.0, "lag": 0.02, "step": 0.05, "travel": 7500.0},
-    "servoing.Stage.move": lambda: {
-        "self": servoing.Stage(200.0, lag=0.02), "position": np.zeros(2), "velocity": np.zeros(2),
-        "command": np.array([-100.0, 50.0]), "duration": 1.0,
-    },
-    "servoing.Stage.quantized": lambda: {
+    "servoing.Stage": lambda: {"saturation": 500.0, "step": 0.05, "travel": 7500.0},
+    "servoing.Stage.rounded": lambda: {
         "self": servoing.Stage(200.0), "position": np.array([1.23, 4.56])
     },
     "servoing.ibvs_control": lambda: {

@@ -89,14 +89,6 @@ def test_a_wrong_value_is_refused_by_name_and_at_once(name, argument, value) -> 
     assert time.process_time() - begin < 5  # not a measure of speed: hours would fail
 
 
-def test_a_stage_of_unsigned_speed_moves_backwards() -> None:
-    """As uint8, −200 wraps around to 56 and −100 µm/s became +56."""
-    position, _ = servoing.Stage(np.uint8(200)).move(
-        np.zeros(2), np.zeros(2), np.array([-100.0, 50.0]), 1.0
-    )
-    np.testing.assert_allclose(position, [-100.0, 50.0], rtol=1e-12)
-
-
 def test_a_controller_takes_the_same_numbers_in_any_form() -> None:
     measured, reference = np.array([98.0, 79.0]), np.tile([100.0, 80.0], (6, 1))
     weights = {"interval": 0.04, "feature_weight": (1.0, 1.0), "control_weight": (0.01, 0.01)}

@@ -310,7 +310,7 @@ class PredictiveController(OptimalController):
     jacobian, interval, feature_weight, control_weight
         As in `OptimalController`.
     delay : float
-        From an exposure until its command takes effect, s; the drive's lag adds to it.
+        From an exposure until its command takes effect, s.
     saturation : float
         Largest speed of the stage, µm/s: the estimate must know what was really executed.
     innovation_gain : float, optional

@@ -32,8 +32,7 @@ class SimulatedWorkstation:
     jacobian : array_like, shape (2, 2)
         The true px/µm of the stage's axes, turned and mirrored as the camera is mounted.
     stage : Stage
-        The model of the stage. Each axis runs at its saturation and none leaves the travel; the
-        lag is that of `simulate` alone.
+        The model of the stage. Each axis runs at its saturation and none leaves the travel.
     camera : Camera
         ``snap`` returns one latency after the exposure; each frame is shaken by the jitter. The
         interval is the shortest time between two exposures.
@@ -126,7 +125,7 @@ class _Drive:
         self._target: Array = np.zeros(axes)
 
     def position(self) -> Array:
-        return self._model.quantized(self._position)
+        return self._model.rounded(self._position)
 
     def moving(self) -> bool:
         return bool((self._position != self._target).any())

@@ -1,7 +1,7 @@
 """A simulated microassembly workstation: stage, camera and the visual loop closed over them.
 
-The stage answers a velocity command exactly, as a saturated first-order lag, so that the loop's
-time step is the camera's and no integration error enters.
+The stage runs at the velocity that it is told, up to its saturation, so that the loop's time step
+is the camera's and no integration error enters.
 """
 
 from __future__ import annotations
@@ -48,8 +48,6 @@ class Stage:
     ----------
     saturation : float
         Largest speed of an axis, µm/s.
-    lag : float
-        Time constant in s with which the velocity follows its command.
     step : float
         Position increment, µm (0.05 for the stages of §5.1).
     travel : float
@@ -57,42 +55,17 @@ class Stage:
     """
 
     saturation: float
-    lag: float = 0.0
     step: float = 0.05
     travel: float = 7500.0
 
     def __post_init__(self) -> None:
         for name in ("saturation", "travel"):
             object.__setattr__(self, name, scalar(name, getattr(self, name), above=0))
-        for name in ("lag", "step"):
-            object.__setattr__(self, name, scalar(name, getattr(self, name), least=0))
+        object.__setattr__(self, "step", scalar("step", self.step, least=0))
 
-    def move(
-        self, position: Array, velocity: Array, command: Array, duration: float
-    ) -> tuple[Array, Array]:
-        """Return position (µm) and velocity (µm/s) after a constant command for `duration` s."""
-        position, velocity = as_array("position", position), as_array("velocity", velocity)
-        command = as_array("command", command, shape=position.shape)
-        duration = scalar("duration", duration, least=0)
-        if velocity.shape != position.shape:
-            raise ValueError(
-                f"velocity must have the shape {position.shape} of position, got {velocity.shape}"
-            )
-        return self._moved(position, velocity, command, duration)
-
-    def _moved(
-        self, position: Array, velocity: Array, command: Array, duration: float
-    ) -> tuple[Array, Array]:
-        target = np.minimum(np.maximum(command, -self.saturation), self.saturation)
-        left = np.exp(-duration / self.lag) if self.lag > 0 else 0.0
-        moved = target * duration + (velocity - target) * self.lag * (1.0 - left)
-        return position + moved, target + (velocity - target) * left
-
-    def quantized(self, position: Array) -> Array:
+    def rounded(self, position: Array) -> Array:
         """Return the position rounded to the increments of the drive, µm."""
-        return self._rounded(as_array("position", position))
-
-    def _rounded(self, position: Array) -> Array:
+        position = as_array("position", position)
         return np.rint(position / self.step) * self.step if self.step > 0 else position
 
 
@@ -234,19 +207,17 @@ def simulate(
     first = int(whole) + 1
     queue = np.zeros((count + first, 2))  # queue[k + first] is the command computed at exposure k
     position: Array = np.zeros(2)
-    velocity: Array = np.zeros(2)
     feature, measured, positions = np.empty((3, count, 2))
     saturated = np.zeros(count, bool)
     for k in range(count):
-        positions[k] = stage._rounded(position)
+        positions[k] = stage.rounded(position)
         feature[k] = origin + matrix @ positions[k]
         seen = feature[k] + camera.jitter * rng.standard_normal(2)
         measured[k] = seen if observer is None else observer(seen)
         command = as_array("command", controller(k, measured[k], wanted), shape=(2,))
         saturated[k] = np.abs(command).max() > stage.saturation
         queue[k + first] = np.minimum(np.maximum(command, -stage.saturation), stage.saturation)
-        for active, share in ((queue[k], part), (queue[k + 1], 1.0 - part)):
-            position, velocity = stage._moved(position, velocity, active, share * camera.interval)
+        position = position + camera.interval * (part * queue[k] + (1.0 - part) * queue[k + 1])
     return Simulation(
         time=camera.interval * np.arange(count),
         reference=wanted,
