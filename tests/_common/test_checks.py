@@ -29,7 +29,6 @@ def test_what_is_right_passes():
 
 ARRAYS = [
     ("as_array", ["ab"], {}, "x must hold real numbers, got str"),
-    ("as_array", [[[1.0], [1.0, 2.0]]], {}, "x must hold real numbers, got list"),
     ("as_array", [[1.0]], {"shape": (None, 2)}, r"x must have shape \(any, 2\), got \(1,\)"),
     ("as_array", [np.zeros((0, 2))], {}, r"x must not be empty, got shape \(0, 2\)"),
     ("as_array", [[1, np.nan, np.inf]], {}, "x must be finite, got 2 NaN or infinite of 3"),
@@ -44,7 +43,6 @@ ARRAYS = [
     ("positive", [[1.0, 0.0]], {}, "x must be positive, got 0"),
     ("positive", [-1.0], {"zero": True}, "x must be zero or positive, got -1"),
     ("positive", [[1.0, 1e-70]], {}, "x must be at least 1e-60, got 1e-70"),
-    ("refuse_masks", [[0, np.ma.array([1.0])]], {}, "x must be without a mask"),
 ]
 NUMBERS = [
     ("whole", [2.0], {"least": 1}, r"x must be a whole number, got 2\.0"),
@@ -53,26 +51,17 @@ NUMBERS = [
     ("whole", [4], {"least": 3, "odd": True}, "an odd whole number of at least 3, got 4"),
     ("whole", [10**400], {"least": 1, "most": 5}, "x must be at most 5"),
     ("generator", [-1], {}, r"x \(a numpy.random.Generator or a seed\) must be .* got -1"),
-    ("generator", ["any"], {}, "a seed.* must be a whole number, got 'any'"),
-    ("image_shape", [(3, 4, 5)], {}, "x must be 2 numbers, got 3"),
     ("image_shape", [(0, 4)], {}, "x must be a whole number of at least 1, got 0"),
     ("image_shape", [(65537, 1)], {}, "x must be at most 65536 px a side .* got 65537×1"),
     ("image_shape", [(16385, 16384)], {}, "and 268435456 px in all, got 16385×16384"),
-    ("as_region", ["abcd"], {}, r"x \(x, y, width, height\) must be 4 numbers, got 'abcd'"),
-    ("as_region", [(0, -1, 4, 4)], {}, "x y must be a whole number of at least 0, got -1"),
     ("as_region", [(0, 0, 4, 3)], {"least": 4}, "x height must be .* at least 4, got 3"),
-    ("as_region", [(1, 0, 4, 4), (9, 4)], {}, "x must lie in the image of 4×9 px, got"),
-    ("as_region", [(0, 1, 4, 9), (9, 4)], {}, "x must lie in the image of 4×9 px, got"),
 ]
 KINDS = [
     ("one_of", ["c", ("a", "b")], {}, "x must be one of a, b, got 'c'"),
-    ("of_kind", [3, str, bytes], {}, "x must be of the kind str or bytes, got int"),
     ("flag", ["a" * 1000], {}, "x must be True or False, got 'a{79}$"),
     ("flag", [10**5000], {}, "got a huge number$"),
     ("items", ["ab", 2], {}, "x must be 2 numbers, got 'ab'"),
     ("items", [np.ma.array([1, 2]), 2], {}, "x must be 2 numbers, got masked"),
-    ("items", [np.zeros((2, 2)), 2], {}, "x must be 2 numbers, got array"),
-    ("check_callable", [None], {}, "x must be callable, got NoneType"),
 ]
 BOUNDS = [
     (0.0, {"above": 0}, "x must be positive, got 0"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from threading import Event
 
@@ -46,18 +45,6 @@ def guard_of(stage: Stage | None = None, timeout: float = 1.0) -> tuple[Guard, C
     return Guard(clock, stage, timeout), clock, stage
 
 
-def test_what_a_device_raises_is_told_with_its_name() -> None:
-    guard, _, stage = guard_of()
-
-    def snap() -> None:
-        raise OSError("no light")
-
-    with pytest.raises(DeviceError, match=r"^snap failed: OSError: no light$") as caught:
-        guard.call(snap)
-    assert isinstance(caught.value.__cause__, OSError)
-    assert stage.stops == 0
-
-
 def test_a_device_that_hangs_is_given_up_and_the_stage_stopped_when_it_answers() -> None:
     guard, _, stage = guard_of(timeout=0.05)
     free = Event()
@@ -89,14 +76,6 @@ def test_a_pause_lasts_and_lets_an_interrupt_between() -> None:
     assert len(clock.slept) == 6
 
 
-def test_a_stage_that_never_stands_ends_the_run() -> None:
-    # Long beside the moment that this takes in real time, which ends a wait, too.
-    guard, clock, _ = guard_of(Stage(moves=True), timeout=5.0)
-    with pytest.raises(DeviceError, match=r"^the stage still moves after 5 s$"):
-        guard.settle()
-    assert 105.0 < clock.now() < 105.1
-
-
 @pytest.mark.parametrize(
     ("refusals", "said"), [(0, ""), (2, ""), (3, "stop failed: OSError: busy")]
 )
@@ -106,18 +85,3 @@ def test_a_stop_is_tried_three_times(refusals: int, said: str) -> None:
     assert (end.complete, end.still) == (not said, not said)
     assert said in end.reason
     assert stage.stops == min(refusals + 1, 3)
-
-
-def test_ctrl_c_ends_a_run_once_the_stage_stands() -> None:
-    guard, _, stage = guard_of()
-    before = signal.getsignal(signal.SIGINT)
-
-    def work() -> str:
-        signal.raise_signal(signal.SIGINT)
-        guard.check()
-        return ""
-
-    end = guard.run(work)
-    assert (end.reason, end.complete, end.still) == ("interrupted by the user", False, True)
-    assert stage.stops == 1
-    assert signal.getsignal(signal.SIGINT) is before

@@ -35,9 +35,7 @@ class Outer(Tidy):
     covariance: np.ndarray
     given: dict
     names: tuple[str, ...]
-    count: np.int64
     lost: np.bool_
-    nothing: None
 
 
 def outer() -> Outer:
@@ -48,9 +46,7 @@ def outer() -> Outer:
         np.array([[1.0, np.nan], [0.5, 2.0]]),
         {"force": np.float32(0.5)},
         ("f", "M"),
-        np.int64(7),
         np.bool_(True),
-        None,
     )
 
 
@@ -66,9 +62,7 @@ def test_a_row_is_flat_and_json() -> None:
         "covariance_1_1": 2.0,
         "given_force": 0.5,
         "names": "f, M",
-        "count": 7,
         "lost": True,
-        "nothing": None,
     }
 
 
@@ -94,7 +88,6 @@ def test_every_result_is_shown_compared_kept_and_written_down(name: str, tmp_pat
     for found in results(result):
         kind = type(found).__name__
         assert 1 <= len(repr(found).splitlines()) <= 10
-        assert len(repr(found)) < 1100, "ten lines of 100"
         assert found == found
         if isinstance(found, Kept):
             found.save(tmp_path / "result.npz")

@@ -31,9 +31,6 @@ def test_what_is_no_image_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "bad.png").write_bytes(content)
     with pytest.raises(ValueError, match=r"got .*bad\.png: damaged, of an unknown format"):
         io.read_grey(tmp_path / "bad.png")
-    (tmp_path / "bad.tif").write_bytes(content)
-    with pytest.raises(ValueError, match=r"path must name an image, got .*bad\.tif: "):
-        io.read_grey(tmp_path / "bad.tif")
 
 
 def test_height_tiff_carries_heights_and_scale(tmp_path: Path) -> None:
@@ -80,12 +77,6 @@ def test_refusals(tmp_path: Path) -> None:
     for missing in (tmp_path / "no.png", tmp_path):
         with pytest.raises(ValueError, match=r"path must name an image, got .*: no such file"):
             io.read_grey(missing)
-    with pytest.raises(ValueError, match="path must lie in an existing folder"):
-        io.write_ply(tmp_path / "no" / "s.ply", np.ones((2, 2)), pixel_size=1.0)
-    with pytest.raises(ValueError, match="height must have at least one cell"):
-        io.write_ply(tmp_path / "s.ply", np.full((2, 2), np.nan), pixel_size=1.0)
-    with pytest.raises(ValueError, match="pixel_size must be positive"):
-        io.write_height_tiff(tmp_path / "h.tif", np.ones((2, 2)), pixel_size=0.0)
     with pytest.raises(ValueError, match="height must have shape"):
         io.write_ply(tmp_path / "s.ply", np.ones(3), pixel_size=1.0)
 
@@ -135,9 +126,7 @@ def test_a_mesh_of_blocks_has_their_means_and_colors(tmp_path: Path) -> None:
         io.write_ply(tmp_path / "s.ply", height, pixel_size=2.0, image=image[:3])
 
 
-def test_blocks_that_are_half_known_count(
-    tmp_path: Path,
-) -> None:
+def test_blocks_that_are_half_known_count(tmp_path: Path) -> None:
     row, column = np.mgrid[:4, :6]
     # A block of four with two known ones has their mean; with one it is unknown.
     height = row + 10.0 * column

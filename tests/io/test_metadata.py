@@ -54,10 +54,7 @@ def test_a_spacing_is_a_length(tmp_path: Path, spacing: object, told: float | No
     tifffile.imwrite(tmp_path / "a.tif", STACK, imagej=True, resolution=(4, 4), metadata=about)
     reader = read_frames(tmp_path / "a.tif")
     assert reader.pixel_size == 0.25
-    if told is None:
-        assert reader.positions is None
-    else:
-        np.testing.assert_allclose(reader.positions, told * np.arange(3))
+    np.testing.assert_equal(reader.positions, told and told * np.arange(3))
 
 
 @pytest.mark.parametrize(
@@ -82,10 +79,7 @@ def test_a_plain_tiff_has_a_resolution_in_centimeters(
     )  # fmt: skip
     reader = read_frames(tmp_path / "a.tif")
     assert reader.positions is None
-    if size is None:
-        assert reader.pixel_size is None
-    else:
-        assert reader.pixel_size == pytest.approx(size, rel=1e-6)
+    assert reader.pixel_size == (size and pytest.approx(size, rel=1e-6))
 
 
 def ome_text(path: Path) -> str:
