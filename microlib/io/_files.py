@@ -187,13 +187,15 @@ def write_ply(
 
 
 def _colors(image: ArrayLike, shape: tuple[int, ...]) -> NDArray:
-    kind, colors = getattr(image, "dtype", None), as_array("image", image, finite=False)
+    kind = getattr(image, "dtype", None)
+    dtype = np.uint8 if kind == np.uint8 else np.float64
+    colors = as_array("image", image, dtype=dtype, finite=False)
     if kind != np.uint8 or colors.shape not in (shape, (*shape, 3)):
         raise ValueError(
             f"image must be uint8 of shape {shape} or {(*shape, 3)}, "
             f"got {kind} of shape {colors.shape}"
         )
-    return np.broadcast_to(colors.T, (3, *shape[::-1])).T.astype(np.uint8, order="C")
+    return colors if colors.ndim == 3 else np.repeat(colors[..., None], 3, axis=2)
 
 
 def _mesh(heights: NDArray, colors: NDArray | None, spacing: float, first: float) -> bytes:
@@ -207,12 +209,13 @@ def _mesh(heights: NDArray, colors: NDArray | None, spacing: float, first: float
         )
     number = np.cumsum(known.ravel()).reshape(known.shape) - 1
     row, column = np.nonzero(known)
-    columns = [first + column * spacing, -(first + row * spacing), heights[known]]
-    layout = [(f"float {axis}", "<f4") for axis in "xyz"]
+    names, layout = ["float x", "float y", "float z"], [("xyz", "<f4", 3), ("rgb", "u1", 3)]
+    names += [] if colors is None else ["uchar red", "uchar green", "uchar blue"]
+    vertices = np.empty(len(row), dtype=layout[: len(names) // 3])
+    x, y = first + column * spacing, -(first + row * spacing)
+    vertices["xyz"] = np.column_stack([x, y, heights[known]])
     if colors is not None:
-        columns += list(colors[known].T)
-        layout += [(f"uchar {name}", "u1") for name in ("red", "green", "blue")]
-    vertices = np.rec.fromarrays(columns, dtype=layout)
+        vertices["rgb"] = colors[known]
     around = (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
     corners = np.column_stack([corner[cells] for corner in around])
     faces = np.empty(2 * len(corners), dtype=[("count", "u1"), ("index", "<i4", 3)])
@@ -221,7 +224,7 @@ def _mesh(heights: NDArray, colors: NDArray | None, spacing: float, first: float
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment lengths in micrometers\n"
         f"element vertex {len(vertices)}\n"
-        + "".join(f"property {kind}\n" for kind, _ in layout)
+        + "".join(f"property {kind}\n" for kind in names)
         + f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
     return header.encode("ascii") + vertices.tobytes() + faces.tobytes()

@@ -103,13 +103,14 @@ class FrameReader(Iterator[NDArray]):
         x, y = ((size or 0.0) * (at + (reduce - 1) / 2) for at in corner)
         self.origin = (source.origin[0] + x, source.origin[1] + y)
         self._first = ("grey", np.dtype(np.uint8), (0, 0))
+        self._frames: Iterator[NDArray] = iter(())
         named = source.read()
         if (first := next(named, None)) is not None:
-            self._first = _kind(self._prepared(*first), first[1])
-            named = chain([first], named)
+            frame = self._prepared(*first)
+            self._first = _kind(frame, first[1])
+            self._frames = chain([frame], self._checked(named))
         kind, self.dtype, self.shape = self._first
         self.color = kind == "color"
-        self._frames = self._checked(named)
 
     def __next__(self) -> NDArray:
         return next(self._frames)

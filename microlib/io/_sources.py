@@ -179,12 +179,12 @@ def picture(file: Path) -> NDArray:
     if not file.is_file():
         raise ValueError(f"frames cannot be read from {file}: no such file")
     # Not imread, which fails on names outside the system's encoding.
-    content = np.fromfile(file, np.uint8)
+    content = file.read_bytes()
     # OpenCV 4 fills up a JPEG that is cut off: the mark of its end must follow its last scan.
-    whole = content.tobytes()
-    cut = whole.startswith(b"\xff\xd8") and whole.rfind(b"\xff\xd9") < whole.rfind(b"\xff\xda")
+    cut = content[:2] == b"\xff\xd8" and content.rfind(b"\xff\xd9") < content.rfind(b"\xff\xda")
+    values = np.frombuffer(content, np.uint8)
     try:
-        image = None if cut else cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
+        image = None if cut else cv2.imdecode(values, cv2.IMREAD_UNCHANGED)
     except cv2.error:  # of nothing at all
         image = None
     if image is None:
@@ -192,8 +192,10 @@ def picture(file: Path) -> NDArray:
             f"frames cannot be read from {file}: damaged, of an unknown format, or larger than the "
             "2³⁰ px that OpenCV reads"
         )
+    if image.ndim == 2:
+        return image
     # OpenCV puts blue first.
-    return image if image.ndim == 2 else np.ascontiguousarray(image[..., 2::-1])
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGB)
 
 
 def _video(path: Path) -> Source:
