@@ -25,7 +25,6 @@ from microlib.servoing import (
     path_metrics,
     simulate,
     step_metrics,
-    tracked_view,
 )
 from microlib.synthetic import gripper_scene
 from microlib.tracking import ESMTracker
@@ -157,13 +156,11 @@ def modes() -> pd.DataFrame:
             box = scene.box(size, away)
             origin = np.array(box[:2]) + (size - 1) / 2
             tracker = ESMTracker(scene.frame(away, rng), box, "translation")
-            view = tracked_view(
-                lambda feature, scene=scene, away=away, rng=rng: scene.frame(feature + away, rng),
-                tracker,
-            )
 
-            def observer(feature: NDArray, view=view, origin=origin) -> NDArray:
-                return view(feature) - origin
+            def observer(feature: NDArray, seen=(scene, away, rng, tracker, origin)) -> NDArray:
+                scene, away, rng, tracker, origin = seen
+                track = tracker.track(scene.frame(feature + away, rng))
+                return np.full(2, np.nan) if track.lost else track.center - origin
 
             make = controllers(scale)["optimal (2.28)"]
             rendered = run(make(), scale, task, 1, observer=observer)

@@ -537,7 +537,6 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "time": np.arange(40.0), "position": 10 - 10 * np.exp(-np.arange(40.0) / 5)[:, None],
         "target": [10.0], "band": 0.05,
     },
-    "servoing.tracked_view": lambda: {"render": lambda feature: target(), "tracker": tracker()},
     "synthetic.Embryo": lambda: stored(synthetic.Embryo.pressed(150.0, modulus=1.0)),
     "synthetic.Embryo.pressed": lambda: {
         "force": 150.0, "modulus": 1.0, "rim_radius": 450.0, "thickness": 3.0

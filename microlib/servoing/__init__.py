@@ -12,7 +12,7 @@ from microlib.servoing._metrics import path_metrics, step_metrics
 from microlib.servoing._micromanager import MicroManager
 from microlib.servoing._servo import servo
 from microlib.servoing._simulated import SimulatedWorkstation
-from microlib.servoing._workstation import Camera, Stage, simulate, tracked_view
+from microlib.servoing._workstation import Camera, Stage, simulate
 
 __all__ = [
     "Camera",
@@ -29,5 +29,4 @@ __all__ = [
     "servo",
     "simulate",
     "step_metrics",
-    "tracked_view",
 ]

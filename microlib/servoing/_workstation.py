@@ -155,8 +155,8 @@ def simulate(
     start : array_like, shape (2,), optional
         First feature, px; the first reference by default.
     observer : callable, optional
-        Measures the feature, for example by rendering a frame and tracking it (`tracked_view`). By
-        default it is known up to the jitter: the fast mode.
+        Measures the feature, for example by rendering a frame and tracking it; NaN where it is
+        lost. By default it is known up to the jitter: the fast mode.
 
     Returns
     -------
@@ -227,31 +227,3 @@ def simulate(
         command=queue[first:],
         saturated=saturated,
     )
-
-
-def tracked_view(render: Callable[[Array], ArrayLike], tracker: Tracker) -> Observer:
-    """Return an observer that renders a frame and measures the mean of the tracked corners (§5.4).
-
-    Parameters
-    ----------
-    render : callable
-        Returns the frame that shows the feature at (x, y) px.
-    tracker : object with a method ``track(frame)``
-        Started at the first frame, such as `microlib.tracking.ESMTracker`. What ``track`` returns
-        has ``center``, (x, y) px, and ``lost``; a lost track is measured as NaN.
-
-    Returns
-    -------
-    callable
-        Observer for `simulate`.
-    """
-
-    check_callable("render", render)
-    if not callable(getattr(tracker, "track", None)):
-        raise ValueError(f"tracker must have a method track, got {type(tracker).__name__}")
-
-    def observe(feature: Array) -> Array:
-        track = tracker.track(render(feature))
-        return np.full(2, np.nan) if track.lost else track.center
-
-    return observe

@@ -9,10 +9,7 @@ from microlib.servoing import (
     Stage,
     simulate,
     step_metrics,
-    tracked_view,
 )
-from microlib.synthetic import gripper_scene
-from microlib.tracking import ESMTracker
 
 INTERVAL = 1 / 33
 JACOBIAN = 1.5893 / 9.9 * np.eye(2)
@@ -67,16 +64,6 @@ def test_the_start_is_saturated_and_the_end_is_not():
     assert not run.saturated[slow:].any()
     assert np.abs(run.command).max() == 400.0
     np.testing.assert_allclose(run.feature[-1], (50, 50), atol=0.01)  # an increment is 0.008 px
-
-
-def test_a_lost_track_is_measured_as_nan():
-    rng = np.random.default_rng(3)
-    scene = gripper_scene(rng, pixel_size=6.23)
-    tracker = ESMTracker(scene.frame((0, 0), rng), scene.box(50), "translation")
-    seen = tracked_view(lambda feature: scene.frame(feature, rng), tracker)
-    assert seen((3.0, -2.0)) - seen((0.0, 0.0)) == pytest.approx([3.0, -2.0], abs=0.2)
-    view = tracked_view(lambda feature: np.zeros(scene.shape, np.uint8), tracker)
-    assert np.isnan(view(np.zeros(2))).all()
 
 
 def test_refuses_a_reference_beyond_the_travel_and_a_command_that_is_none():
