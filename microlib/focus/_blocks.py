@@ -107,4 +107,4 @@ def _block(frames: NDArray, *, axis: Axis, points: int) -> NDArray[np.float32]:
     """Return the maps of one block, one above the other."""
     result = multiscale_result(list(frames), None, axis, points=points, workers=1)
     maps = (getattr(result, name) for name in _MAPS)
-    return np.stack([*maps, result.all_in_focus]).astype(np.float32)
+    return np.stack([*maps, result.all_in_focus], dtype=np.float32)
