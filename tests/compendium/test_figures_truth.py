@@ -15,8 +15,9 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 from PIL import Image
+from scipy.stats import norm
 
-from compendium.figures import films, surfaces
+from compendium.figures import films, servoing, surfaces
 from compendium.figures.data import keep_data
 from microlib.curvature import HK_NAMES
 
@@ -27,9 +28,10 @@ def closed() -> Iterator[None]:
     plt.close("all")
 
 
-def lines(figure: Figure) -> dict[str, np.ndarray]:
+def lines(figure: Figure, panel: int = 0) -> dict[str, np.ndarray]:
     """Return the points of each curve, by the first word of its name."""
-    return {line.get_label().split(" (")[0]: line.get_xydata() for line in figure.axes[0].lines}
+    drawn = figure.axes[panel].lines
+    return {line.get_label().split(" (")[0]: line.get_xydata() for line in drawn}
 
 
 def test_points_and_images_are_kept_with_their_axes(tmp_path: Path) -> None:
@@ -61,6 +63,18 @@ def test_rays_meet_where_the_lens_equation_says() -> None:
     assert at_lens.tolist() == [0, 14]
     (object_x, _), _, (_, image_y) = drawn["too near"]
     assert image_y == pytest.approx(14 * 100 * (1 / -object_x + 1 / 100 - 1 / 40))  # (3.4)
+
+
+def test_what_is_known_of_a_place_is_drawn_as_its_density() -> None:
+    """The last frame's prediction, measurement and estimate: mean, spread, and all of it."""
+    names = ["frame", "true", "measured", "predicted", "predicted_std", "estimated"]
+    rows = [[1, 0.0, 0.5, 0.0, 30.0, 0.5, 1.0], [2, 2.0, 2.5, 1.0, 2.0, 2.2, 0.9]]
+    track = pd.DataFrame(rows, columns=[*names, "estimated_std"])
+    figure = servoing.draw_kalman_step(track, 1.0)
+    known = {"predicted": (1.0, 2.0), "measured": (2.5, 1.0), "estimated": (2.2, 0.9)}
+    for name, points in lines(figure, 1).items():
+        x, density = points.T
+        np.testing.assert_allclose(density, norm.pdf(x, *known[name]), rtol=1e-9)
 
 
 def test_a_turnable_surface_is_small_and_brings_no_library() -> None:

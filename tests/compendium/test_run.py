@@ -83,20 +83,19 @@ def test_only_what_changed_or_is_missing_runs_again(
     injected = [c for c in done.cells if "injected-parameters" in c.metadata.get("tags", [])]
     assert [c.metadata.tags for c in injected] == [["injected-parameters", "remove-cell"]]
     assert "papermill" not in {*done.metadata, *(k for c in done.cells for k in c.metadata)}
+    assert run.main() == 0
+    assert "01_first: up to date" in capsys.readouterr().out
     for file, damage in (
-        (None, None),
-        ("build/notebooks/01_first.ipynb", None),
-        ("build/status/01_first.json", None),
         ("build/status/01_first.json", "{"),
+        ("build/status/01_first.json", None),
+        ("build/notebooks/01_first.ipynb", None),
         ("notebooks/01_first.ipynb", (project / "notebooks/01_first.ipynb").read_text() + " "),
     ):
-        if file and damage is None:
-            (project / file).unlink()
-        elif file:
-            (project / file).write_text(damage)
-        capsys.readouterr()
-        assert run.main() == 0
-        assert ("01_first: up to date" in capsys.readouterr().out) == (file is None), file
+        before = (project / file).read_text()
+        assert run.up_to_date("01_first", run.key_of("01_first"))
+        (project / file).write_text(damage) if damage else (project / file).unlink()
+        assert not run.up_to_date("01_first", run.key_of("01_first")), file
+        (project / file).write_text(before)
 
 
 def test_a_failure_stops_nothing_and_is_listed_at_the_end(
@@ -119,10 +118,7 @@ def test_a_failure_stops_nothing_and_is_listed_at_the_end(
     monkeypatch.setattr(sys, "argv", ["run", "--failures"])
     assert run.main() == 1
     assert failure in capsys.readouterr().err
-    write_notebook(project, "01_first", CHECKS)
-    monkeypatch.setattr(sys, "argv", ["run"])
-    assert run.main() == 0
-    assert not capsys.readouterr().err
+    assert not run.up_to_date("01_first", run.key_of("01_first"))
 
 
 @pytest.mark.parametrize(

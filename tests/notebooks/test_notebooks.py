@@ -7,12 +7,18 @@ import shutil
 from pathlib import Path
 
 import nbformat
+import pandas as pd
 import pytest
 
 from compendium import ledger, run
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("[0-9]*.ipynb"))
+#: What has no unit, as an axis names it.
+PURE = {
+    "grey value", "step", "frame", "loop gain g", "recomputed / printed", "focus measure F",
+    "focus measure, of its largest", "relative depth $w_d/a$",
+}  # fmt: skip
 CHAPTER_5 = ROOT / "notebooks" / "05_experimental_results.ipynb"
 
 
@@ -59,6 +65,18 @@ def test_every_judged_claim_has_its_record(claims_folder: Path) -> None:
         else:
             assert claim.id in records, f"{claim.id} is {claim.verdict} but no notebook records it"
             assert records[claim.id].verdict == claim.verdict
+
+
+def test_no_figure_warns_and_every_axis_has_a_unit(claims_folder: Path) -> None:
+    """All functions of `compendium.figures` draw for a notebook; sketches name no axis."""
+    for path in (claims_folder.parent / "notebooks").glob("*.ipynb"):
+        outputs = [o for c in nbformat.read(path, as_version=4).cells for o in c.get("outputs", [])]
+        assert not [one.text for one in outputs if one.get("name") == "stderr"], path.name
+    tables = [pd.read_csv(path) for path in (claims_folder.parent / "figures").glob("*.csv")]
+    names = {name for one in tables for axis in "xy" for name in one[f"{axis}_label"].dropna()}
+    wrong = {name for name in names if not re.search(r"\(.+\)", name) and name not in PURE}
+    assert len(names) > 40
+    assert not wrong, f"without a unit: {wrong}"
 
 
 def excerpt(folder: Path) -> Path:
