@@ -69,7 +69,7 @@ def depth(a: argparse.Namespace) -> None:
             a.stack, **given, register=a.register, workers=a.workers, progress=progress, **part
         )
     size = scales["pixel_size"] * a.reduce
-    out = _folder(a.out)
+    a.out.mkdir(parents=True, exist_ok=True)
     maps = {
         "height": (found.depth, "heights in µm"),
         "uncertainty": (found.uncertainty, "error to be expected of each height, µm"),
@@ -77,14 +77,14 @@ def depth(a: argparse.Namespace) -> None:
         "all_in_focus": (found.all_in_focus, "every pixel from that frame"),
     }
     for name, (values, what) in maps.items():
-        write_height_tiff(out / f"{name}.ome.tif", values, pixel_size=size, what=what)
+        write_height_tiff(a.out / f"{name}.ome.tif", values, pixel_size=size, what=what)
     if found.to_dict()["known"]:
         seen = found.all_in_focus.astype(np.float64)
         grey = np.uint8(255 * seen / max(seen.max(), 1))
         step = max(1, ceil(sqrt(found.depth.size / _VERTICES)))
-        write_ply(out / "surface.ply", found.depth, pixel_size=size, image=grey, step=step)
-    _write(out / "summary.json", json.dumps(found.to_dict() | scales, indent=2))
-    print(f"{found}\n{out}: {', '.join(maps)} (OME-TIFF), surface.ply, summary.json")
+        write_ply(a.out / "surface.ply", found.depth, pixel_size=size, image=grey, step=step)
+    _write(a.out / "summary.json", json.dumps(found.to_dict() | scales, indent=2))
+    print(f"{found}\n{a.out}: {', '.join(maps)} (OME-TIFF), surface.ply, summary.json")
 
 
 def calibrate(a: argparse.Namespace) -> None:
@@ -102,11 +102,11 @@ def calibrate(a: argparse.Namespace) -> None:
     result = calibration.calibrate(
         found, pitch=scales["pitch"], pixel_size=scales["cell"], focal_length=a.focal_length
     )
-    out = _folder(a.out)
-    _write(out / "points.csv", found.to_frame())
-    _write(out / "camera.csv", result.to_frame())
-    _write(out / "camera.json", result.to_json())
-    print(f"{result}\n{out}: camera.csv, camera.json (OpenCV, Micro-Manager, ImageJ), points.csv")
+    a.out.mkdir(parents=True, exist_ok=True)
+    _write(a.out / "points.csv", found.to_frame())
+    _write(a.out / "camera.csv", result.to_frame())
+    _write(a.out / "camera.json", result.to_json())
+    print(f"{result}\n{a.out}: camera.csv, camera.json (OpenCV, Micro-Manager, ImageJ), points.csv")
 
 
 def track(a: argparse.Namespace) -> None:
@@ -124,13 +124,9 @@ def track(a: argparse.Namespace) -> None:
         for axis in "xy":
             table[f"{axis}_um"] = size * (table[f"center_{axis}"] - table[f"center_{axis}"].iloc[0])
     _write(a.out, table)
-    left_out = [
-        text
-        for text, value in (("µm (--pixel-size)", size), ("s (--rate)", a.rate))
-        if value is None
-    ]
     print(f"lost in {int(table['lost'].sum())} of {len(table)} frames")
-    print(f"{a.out}: one row a frame{', without ' * bool(left_out)}{' and '.join(left_out)}")
+    units = ["px", *["µm"] * (size is not None), *["s"] * (a.rate is not None)]
+    print(f"{a.out}: one row a frame, in {', '.join(units)}")
 
 
 def modulus(a: argparse.Namespace) -> None:
@@ -267,11 +263,6 @@ def _outline(path: str) -> tuple[Array, Array]:
         near = np.abs(x - x[bottom]) <= (reach or np.inf)
         x, y = x[near], y[near]
     return x, y - y.min(initial=np.inf)
-
-
-def _folder(path: Path) -> Path:
-    path.mkdir(parents=True, exist_ok=True)
-    return path
 
 
 def _write(path: Path, content: Any) -> None:

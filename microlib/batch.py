@@ -73,9 +73,9 @@ def process_files(
     -------
     pandas.DataFrame
         One row per file, in the order of `files`: ``file``; ``error``, empty or the reason why it
-        failed; ``modified``, the file's time in ns since 1970; ``work``, what was done; then what
-        the result has, missing where it failed. `table` holds the same, and after these the files
-        of earlier calls.
+        failed; ``modified``, the time of the file or folder, ns since 1970; ``work``, what was
+        done; then what the result has, missing where it failed. `table` holds the same, as the
+        files were done, and the files of earlier calls.
 
     Raises
     ------
@@ -120,7 +120,8 @@ def process_files(
     rows = _read(target, description)
     due: dict[str, str] = {}
     for name in names:
-        row, modified = rows.get(name), str(_modified(Path(name)))
+        modified = str(os.stat(name).st_mtime_ns) if os.path.exists(name) else "0"
+        row = rows.get(name)
         if row is None or row["modified"] != modified or (again and row["error"]):
             due[name] = modified
             rows.pop(name, None)
@@ -148,10 +149,9 @@ def process_files(
             future.cancel()
         if executor is None:
             pool.shutdown()
-    texts = dict.fromkeys(("file", "error", "work"), str)
     found = pd.read_csv(
         target,
-        dtype=texts,
+        dtype=dict.fromkeys(("file", "error", "work"), str),
         keep_default_na=False,
         na_values=[""],
         encoding_errors="surrogateescape",
@@ -178,12 +178,6 @@ def _description(work: Any) -> str:
         settings = [*map(repr, work.args), *(f"{k}={v!r}" for k, v in work.keywords.items())]
         return f"{_description(work.func)}({', '.join(settings)})"
     return getattr(work, "__qualname__", type(work).__qualname__)
-
-
-def _modified(path: Path) -> int:
-    """Return the time of a file, of a folder the latest of its files; 0 where there is none."""
-    files = [path, *path.iterdir()] if path.is_dir() else [path]
-    return max(file.stat().st_mtime_ns if file.exists() else 0 for file in files)
 
 
 def _processes(work: object, description: str) -> Executor:

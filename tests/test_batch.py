@@ -92,15 +92,6 @@ def test_only_what_is_missing_or_has_changed_is_done(folder: Path, run) -> None:
     assert len(pd.read_csv(folder.parent / "t.csv")) == 4
 
 
-def test_a_folder_changes_with_its_files(folder: Path, run) -> None:
-    calls: list[Path] = []
-    run([folder], calls.append), run([folder], calls.append)
-    assert len(calls) == 1
-    os.utime(folder / "f1.txt", ns=(1, 2**62))
-    run([folder], calls.append)
-    assert len(calls) == 2
-
-
 def test_a_result_of_the_library_is_a_row(folder: Path, run) -> None:
     found = run(f"{folder}/f0*", lambda path: Microscope(2e5, 1e5, 5e4, image_size=(656, 491)))
     assert found[["image_size_width", "focal_length"]].to_numpy().tolist() == [[656, 1e5]]

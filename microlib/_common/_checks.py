@@ -40,8 +40,7 @@ def as_array(
 
     Masks are refused, and numbers beyond ±`largest`, by default what the precision bears.
     """
-    if type(value) is not np.ndarray:
-        refuse_masks(name, value)
+    refuse_masks(name, value)
     try:
         array = np.asarray(value)
         if array.dtype.kind not in "buif":
@@ -64,7 +63,7 @@ def as_array(
         if largest is None:
             largest = LARGEST if array.dtype == np.float64 else _LARGEST_SINGLE
         # One pass without a copy tells that all are finite and small; else a closer look must.
-        if not np.vdot(array, array) <= largest**2:
+        if not float(np.vdot(array, array)) <= largest**2:
             known = array[np.isfinite(array)]
             if finite and (bad := array.size - known.size):
                 got = f"{bad} NaN or infinite of {array.size}" if array.ndim else f"{array[()]}"

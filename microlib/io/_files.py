@@ -187,13 +187,11 @@ def write_ply(
 
 
 def _colors(image: ArrayLike, shape: tuple[int, ...]) -> NDArray:
-    kind = getattr(image, "dtype", None)
-    dtype = np.uint8 if kind == np.uint8 else np.float64
-    colors = as_array("image", image, dtype=dtype, finite=False)
-    if kind != np.uint8 or colors.shape not in (shape, (*shape, 3)):
+    colors = as_array("image", image, dtype=getattr(image, "dtype", np.float64), finite=False)
+    if colors.dtype != np.uint8 or colors.shape not in (shape, (*shape, 3)):
         raise ValueError(
             f"image must be uint8 of shape {shape} or {(*shape, 3)}, "
-            f"got {kind} of shape {colors.shape}"
+            f"got {colors.dtype} of shape {colors.shape}"
         )
     return colors if colors.ndim == 3 else np.repeat(colors[..., None], 3, axis=2)
 

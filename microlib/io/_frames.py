@@ -134,10 +134,8 @@ class FrameReader(Iterator[NDArray]):
         if min(frame.shape) == 0:
             raise ValueError(f"{name} must have pixels, got shape {frame.shape}")
         if self._region is not None:
-            x, y, width, height = self._region
+            x, y, width, height = as_region("region", self._region, frame.shape)
             frame = frame[y : y + height, x : x + width]
-            if frame.shape[:2] != (height, width):
-                as_region("region", self._region, raw.shape)  # refuses it
         frame = _numbers(name, frame)
         if frame.ndim == 3:
             frame = np.ascontiguousarray(frame[..., :3])

@@ -160,8 +160,6 @@ def _size(file: Path) -> tuple[int, int] | None:
     """Return rows and columns as a picture's header says, None if that tells nothing."""
     if not file.is_file():
         raise ValueError(f"frames cannot be read from {file}: no such file")
-    if is_tiff(file):  # as long to open as to read
-        return None
     try:
         with Image.open(file) as picture:
             return picture.height, picture.width
