@@ -118,7 +118,9 @@ def scenes(seed: int) -> Iterator[tuple[str, NDArray, NDArray]]:
     ) -> NDArray:
         rng = np.random.default_rng(seed)
         if patchy:
-            texture = synthetic.patchy_texture(shape, rng)
+            texture = synthetic.mixed_texture(shape, rng, mean=0.0)
+            blobs = gaussian_filter(rng.standard_normal(shape), 24.0, mode="wrap")
+            texture = 128 + texture * (0.05 + 0.95 * (blobs - blobs.min()) / np.ptp(blobs))
         else:
             scales = (2.4, 4.8, 9.6) if coarse else (0.6, 1.2, 2.4, 4.8, 9.6)
             texture = synthetic.mixed_texture(shape, rng, std=38 * contrast, scales=scales)

@@ -578,9 +578,6 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "synthetic.parabolic_cylinder": lambda: {"shape": (20, 24), "height": 5.0, "width": 9.0},
     "synthetic.paraboloid": lambda: {"shape": (20, 24), "height": 5.0},
-    "synthetic.patchy_texture": lambda: {
-        "shape": (20, 24), "rng": 0, "mean": 128.0, "std": 38.0, "weakest": 0.1, "patch": 5.0
-    },
     "synthetic.render_circles": lambda: {
         "microscope": scope(), "radius": 70.0, "pitch": 280.0, "counts": (3, 3),
         "imaging": synthetic.ImagingConditions(noise=1.0), "rng": 0,

@@ -55,7 +55,6 @@ REFUSED: dict[str, dict[str, tuple[object, ...]]] = {
     "servoing.loop_poles": {"gain": NO_NUMBERS, "delay": (1e9,)},
     "synthetic.focal_stack": {"blur_rate": (1e30,)},
     "synthetic.gripper_scene": {"gap": NO_NUMBERS[:5]},
-    "synthetic.patchy_texture": {"patch": (1e6,)},
     "synthetic.render_circles": {"pitch": (np.inf, np.nan, 0.0)},
     "synthetic.render_squares": {"side": (1e30,)},
     "synthetic.sphere_on_plane": {"grain": (1e30,), "rng": ("any",)},

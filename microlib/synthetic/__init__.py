@@ -18,7 +18,7 @@ from microlib.synthetic._surfaces import (
     step,
     tilted_plane,
 )
-from microlib.synthetic._textures import mixed_texture, patchy_texture
+from microlib.synthetic._textures import mixed_texture
 
 __all__ = [
     "Embryo",
@@ -32,7 +32,6 @@ __all__ = [
     "mixed_texture",
     "parabolic_cylinder",
     "paraboloid",
-    "patchy_texture",
     "render_circles",
     "render_squares",
     "sphere_on_plane",

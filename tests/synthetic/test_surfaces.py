@@ -22,37 +22,11 @@ def test_textures_have_the_contrast_asked_for_and_detail_at_every_scale():
     assert min(octaves) > 20 / 6
 
 
-def test_patchy_texture_is_weak_somewhere_and_strong_elsewhere():
-    texture = synthetic.patchy_texture((256, 256), np.random.default_rng(0), weakest=0.05)
-    tiles = texture.reshape(16, 16, 16, 16).std(axis=(1, 3))
-    assert tiles.max() > 4 * tiles.min()
-
-
-@pytest.mark.parametrize("options", [{}, {"mean": 90.0, "std": 12.0}])
-def test_a_patchy_texture_without_weak_parts_is_a_mixed_one(options):
-    whole = synthetic.patchy_texture(SHAPE, 3, weakest=1.0, **options)
-    np.testing.assert_allclose(whole, synthetic.mixed_texture(SHAPE, 3, **options), atol=1e-4)
-    assert whole.mean() == pytest.approx(options.get("mean", 128.0), abs=1e-3)
-    assert whole.std() == pytest.approx(options.get("std", 38.0), rel=1e-4)
-
-
-def test_patches_keep_a_share_of_the_contrast():
-    none, some, full = (
-        synthetic.patchy_texture(SHAPE, 3, mean=0.0, weakest=w, patch=4.0) for w in (0.0, 0.3, 1.0)
-    )
-    np.testing.assert_allclose(some, 0.3 * full + 0.7 * none, atol=1e-3)  # float32 of 100
-    strong = np.abs(full) > 1
-    share = (none / full)[strong]
-    # The weakest and the strongest pixel may be among those of little texture, left out.
-    assert 0 <= share.min() < 0.1
-    assert 0.9 < share.max() < 1 + 1e-5
-
-
 def test_one_seed_one_scene():
-    for make in (synthetic.mixed_texture, synthetic.patchy_texture):
-        once, again, other = (make(SHAPE, np.random.default_rng(seed)) for seed in (1, 1, 2))
-        np.testing.assert_array_equal(once, again)
-        assert not np.array_equal(once, other)
+    seeds = (1, 1, 2)
+    once, again, other = (synthetic.mixed_texture(SHAPE, np.random.default_rng(s)) for s in seeds)
+    np.testing.assert_array_equal(once, again)
+    assert not np.array_equal(once, other)
 
 
 def test_surfaces_have_the_curvature_of_their_names():
