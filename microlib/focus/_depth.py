@@ -341,8 +341,7 @@ def _single_measure(
         depth = three_point_peak(window, best, z)
     else:
         steps, _ = fit_peaks(window, best, np.abs(z - z[0]) / spacing)
-        depth = z[0] + np.sign(z[-1] - z[0]) * spacing * steps
-        depth = np.clip(depth, z.min(), z.max()).astype(np.float32)
+        depth = (z[0] + np.sign(z[-1] - z[0]) * spacing * steps).astype(np.float32)
     random = incoherent_mask(np.ascontiguousarray(best[::2, ::2]))
     depth[random.repeat(2, axis=0).repeat(2, axis=1)[: len(depth), : depth.shape[1]]] = np.nan
     known = np.isfinite(depth)

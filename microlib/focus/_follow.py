@@ -164,8 +164,9 @@ def _follow_strip(
     here = slice(keep.start // 2, -(-keep.stop // 2))
     coarse = slice(keep.start // 4, -(-keep.stop // 4))
     windows = main.windows(here)
-    depth, strength = fit_peaks(windows[0], main.best[here], steps)
-    edges, _ = fit_peaks(edge.windows(here)[0], edge.best[here], steps)
+    beyond = (1 - groups / len(axis.positions)) / 2  # the first mean lies half a group inside
+    depth, strength = fit_peaks(windows[0], main.best[here], steps, beyond=beyond)
+    edges, _ = fit_peaks(edge.windows(here)[0], edge.best[here], steps, beyond=beyond)
     far, _ = fit_peaks(wide.windows(coarse)[0], wide.best[coarse], steps)
     return Followed(
         depth=depth,

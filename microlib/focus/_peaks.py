@@ -96,6 +96,7 @@ def fit_peaks(
     steps: Array,
     *,
     near: NDArray[np.float32] | None = None,
+    beyond: float = 0.0,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Fit a Gaussian to all frames of each pixel's window; return its depth, and how sure it is.
 
@@ -109,13 +110,15 @@ def fit_peaks(
         Position of each frame, rising.
     near : ndarray of float32, shape (rows, cols), optional
         A depth around which the peak is sought, instead of around the best frame.
+    beyond : float
+        How far the stack goes on before the first position and behind the last.
 
     Returns
     -------
     depth : ndarray of float32, shape (rows, cols)
         In the unit of the steps. NaN where the measure is flat, or its logarithm opens upwards and
         the best frame is not the first or the last, whose position is taken then. A vertex beyond
-        the neighboring frames, or half a frame beyond the first or the last, is put there.
+        the neighboring frames or outside of the stack is put there.
     strength : ndarray of float32, shape (rows, cols)
         Inverse variance of the depth, up to a common factor: height times sharpness of the peak.
 
@@ -129,7 +132,7 @@ def fit_peaks(
     them. The peak is only known after a first fit, so there are two. Near the ends of the stack the
     window is narrower for the same reason, to no less than three frames.
     """
-    table = _table(steps, len(window) // 2)
+    table = _table(steps, len(window) // 2, beyond)
     rows, cols = best.shape
     depth, strength = np.empty((2, rows, cols), np.float32)
     band = max(1, _BAND // cols)
@@ -165,14 +168,14 @@ class _Table(NamedTuple):
     narrow: NDArray[np.float32]
 
 
-def _table(steps: Array, reach: int) -> _Table:
+def _table(steps: Array, reach: int, beyond: float) -> _Table:
     count = len(steps)
     number = np.arange(count)
     around = np.clip(number + np.arange(-reach, reach + 1)[:, None], 0, count - 1)
     offset = steps[around] - steps
     least, most = offset[reach - 1].copy(), offset[reach + 1].copy()
     near = np.maximum(-least, most)
-    least[0], most[-1] = -0.5 * most[0], -0.5 * least[-1]
+    least[0], most[-1] = -beyond, beyond
     # The fit looks equally far to both sides, as far as there are frames on the shorter one. At an
     # end there is but one side, and two frames on it make up the least three.
     far = np.minimum(np.minimum(number, count - 1 - number), reach)
@@ -197,7 +200,7 @@ def _fit(
     center = np.float32(0) if near is None else near - place
     least, most = table.least[best], table.most[best]
     if near is not None:
-        # From the place of the best frame; no further than the ends of the stack allow.
+        # From the place of the best frame; never outside of the stack.
         first, final = table.least[0] - place, table.steps[last] + table.most[last] - place
         least = np.maximum(center - np.float32(_NEAR), first)
         most = np.maximum(np.minimum(center + np.float32(_NEAR), final), least)
