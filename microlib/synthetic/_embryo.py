@@ -173,24 +173,7 @@ class Embryo(Kept):
         >>> print(f"radius {embryo.dimple_radius:.0f} µm, depth {embryo.dimple_depth:.0f} µm")
         radius 246 µm, depth 121 µm
         """
-        force = scalar("force", force, above=0)
-        rim_radius = scalar("rim_radius", rim_radius, above=0)
-        untouched = cls(modulus, 0.0, 1.0, **properties)
-        c = untouched.probe_half_width
-
-        def excess(radius: float) -> float:
-            depth = _depth(untouched, force, radius)
-            return _rim_radius(radius, depth, c) - rim_radius
-
-        narrowest, widest = _NARROWEST * c, _WIDEST * untouched.radius
-        if not excess(narrowest) < 0 < excess(widest):
-            raise ValueError(
-                f"force must give a dimple between the probe and the equator when the rim's radius "
-                f"is {rim_radius:g} µm, got {force:g} µN"
-            )
-        return _fitting(
-            cls, modulus, force, brentq(excess, narrowest, widest), rim_radius, properties
-        )
+        return cls._dimpled("force", force, modulus, rim_radius, **properties)
 
     @classmethod
     def dented(
@@ -221,24 +204,35 @@ class Embryo(Kept):
         >>> print(f"radius {embryo.dimple_radius:.0f} µm, force {embryo.force:.0f} µN")
         radius 247 µm, force 198 µN
         """
-        depth = scalar("depth", depth, above=0)
+        return cls._dimpled("depth", depth, modulus, rim_radius, **properties)
+
+    @classmethod
+    def _dimpled(
+        cls, name: str, value: float, modulus: float, rim_radius: float, **properties: float
+    ) -> Embryo:
+        """Return the embryo with a given force or depth, whose radius follows from the rim."""
+        value = scalar(name, value, above=0)
         rim_radius = scalar("rim_radius", rim_radius, above=0)
         untouched = cls(modulus, 0.0, 1.0, **properties)
-        c = untouched.probe_half_width
 
         def excess(radius: float) -> float:
-            return _rim_radius(radius, depth, c) - rim_radius
+            depth = _depth(untouched, value, radius) if name == "force" else value
+            return _rim_radius(radius, depth, untouched.probe_half_width) - rim_radius
 
-        narrowest, widest = _NARROWEST * c, _WIDEST * untouched.radius
+        narrowest, widest = _NARROWEST * untouched.probe_half_width, _WIDEST * untouched.radius
         if not excess(narrowest) < 0 < excess(widest):
             raise ValueError(
-                "depth must suit a dimple between the probe and the equator when the rim's radius "
-                f"is {rim_radius:g} µm, got {depth:g} µm"
+                f"{name} must suit a dimple between the probe and the equator when the rim's "
+                f"radius is {rim_radius:g} µm, got {value:g}"
             )
         radius = brentq(excess, narrowest, widest)
         # The depth grows with the cube root of the force.
-        force = (depth / _depth(untouched, 1.0, radius)) ** 3
-        return _fitting(cls, modulus, force, radius, rim_radius, properties)
+        force = value if name == "force" else (value / _depth(untouched, 1.0, radius)) ** 3
+        try:
+            return cls(modulus, force, radius, **properties)
+        except ValueError as error:
+            need = "rim_radius must be that of a dimple which an embryo can have"
+            raise ValueError(f"{need}, got {rim_radius:g} µm: {error}") from None
 
     @property
     def dimple_depth(self) -> float:
@@ -322,24 +316,6 @@ class Embryo(Kept):
         fullness = beta(1 / _POWER, 1 + 2 / _POWER) / _POWER
         lower = (4 / 3 * self.radius**3 - above) / (fullness * self.radius**2)
         return across, upper, lower
-
-
-def _fitting(
-    kind: type[Embryo],
-    modulus: float,
-    force: float,
-    radius: float,
-    rim_radius: float,
-    properties: dict[str, float],
-) -> Embryo:
-    """Make an embryo whose dimple follows from its rim, and name the rim if none can have it."""
-    try:
-        return kind(modulus, force, radius, **properties)
-    except ValueError as error:
-        raise ValueError(
-            f"rim_radius must be that of a dimple which an embryo can have, got {rim_radius:g} µm: "
-            f"{error}"
-        ) from None
 
 
 def _depth(embryo: Embryo, force: float, radius: float) -> float:

@@ -197,7 +197,7 @@ def test_untouched_embryo_is_round():
         (lambda: Embryo(1.0, 10.0, 200.0, poisson_ratio=1.0), "poisson_ratio must lie"),
         (lambda: Embryo(0.01, 500.0, 100.0), "dimple_radius must suit an embryo"),
         (lambda: Embryo.pressed(0.0, modulus=1.0), "force must be positive"),
-        (lambda: Embryo.pressed(1e-9, modulus=1.0), "force must give a dimple"),
+        (lambda: Embryo.pressed(1e-9, modulus=1.0), "force must suit a dimple"),
         (lambda: Embryo.dented(3000.0, modulus=1.0), "depth must suit a dimple"),
         (lambda: Embryo(1.0, 0.0, 1.0).outline(0.0), "spacing must be positive"),
     ],
