@@ -183,12 +183,30 @@ def test_what_work_returns_wrongly_is_its_row(folder: Path, wrong: object, run) 
     assert found["error"][0].startswith("ValueError: what work returns must")
 
 
-@pytest.mark.parametrize("kept", range(-36, 0, 7))
-def test_a_table_that_is_cut_off_is_gone_on_with(folder: Path, run, kept: int) -> None:
+def test_what_has_not_begun_is_taken_back_from_an_interrupted_run(folder: Path, run) -> None:
+    calls = []
+
+    def work(path: Path) -> None:
+        calls.append(path.name)
+        if path.name == "f0.txt":
+            raise KeyboardInterrupt
+        time.sleep(0.2)
+
+    with pytest.raises(KeyboardInterrupt):
+        run(f"{folder}/*", work)
+    run.keywords["executor"].shutdown()
+    assert calls in (["f0.txt"], ["f0.txt", "f1.txt"])
+
+
+CUTS = [lambda text, n=n: text[:-n] for n in (1, 8, 36)]
+
+
+@pytest.mark.parametrize("cut", [*CUTS, lambda text: text.rpartition(",")[0] + "\n"])
+def test_a_table_that_is_cut_off_is_gone_on_with(folder: Path, run, cut) -> None:
     work = partial(measure, log=folder.parent / "log")
     run(f"{folder}/*", work)
     table = folder.parent / "t.csv"
-    table.write_text(table.read_text()[:kept])
+    table.write_text(cut(table.read_text()))
     again = run(f"{folder}/*", work)
     assert again["value"].dropna().tolist() == [3.5, 1e-3, 7.0]
     assert (folder.parent / "log").read_text().split()[4:] == ["f3.txt"]
