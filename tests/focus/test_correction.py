@@ -68,9 +68,8 @@ def planes(depth, jump, radius):
             weight *= np.exp(-(i**2 + j**2) / (2 * radius**2))
             design = np.column_stack([np.ones_like(i), i, j])
             normal = design.T @ (weight[:, None] * design)
-            normal += (
-                np.diag([0, 1, 1]) * 0.001 * radius**2 * weight.sum()
-            )  # where there is hardly a neighbor
+            # Where there is hardly a neighbor.
+            normal += np.diag([0, 1, 1]) * 0.001 * radius**2 * weight.sum()
             once[row, col] = here + np.linalg.solve(normal, design.T @ (weight * (value - here)))[0]
         smooth, rest = smooth + once, rest - once
     return smooth

@@ -97,9 +97,8 @@ def test_all_in_focus_is_nearer_to_the_texture_than_any_frame(dome):
     fused = depth_from_focus(stack, POSITIONS).all_in_focus
     assert fused.dtype == stack.dtype
     errors = [np.abs(frame - texture).mean() for frame in stack]
-    assert np.abs(fused - texture).mean() < 0.7 * min(
-        errors
-    )  # the noise of 2 grey levels is in both
+    # The noise of 2 grey levels is in both.
+    assert np.abs(fused - texture).mean() < 0.7 * min(errors)
 
 
 def same(first: FocusResult, second: FocusResult) -> None:
