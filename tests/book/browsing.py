@@ -7,6 +7,8 @@ from pathlib import Path
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page
 
+CONTRAST = "color-contrast"
+
 
 def open_page(page: Page, path: Path) -> None:
     """Open a page and wait until its formulas are drawn; fail on whatever is missing in it."""
@@ -28,14 +30,15 @@ def refused_formulas(page: Page) -> list[str]:
     }""")
 
 
-def hindrances(page: Page, *, colors: bool = False, leave_out: str = "") -> list[str]:
-    """Return what axe-core calls a serious or critical hindrance to some readers; of colors alone,
-    if told, which take longest."""
+def hindrances(page: Page, *, colors: bool = True, others: bool = True) -> list[str]:
+    """Return what axe-core calls a serious or critical hindrance to some readers.
+
+    Of contrasts of colors, which take longest, and of all others.
+    """
     # It would ask for the style sheets once more, which no page from a file may.
     options: dict = {"resultTypes": ["violations"], "preload": False}
-    options |= {"runOnly": ["color-contrast"]} if colors else {}
-    context = {"exclude": [[leave_out]]} if leave_out else None
-    found = Axe().run(page, context, options).response["violations"]
+    options |= {"rules": {CONTRAST: {"enabled": colors}}} if others else {"runOnly": [CONTRAST]}
+    found = Axe().run(page, options=options).response["violations"]
     return [
         f"{v['id']}: {v['nodes'][0]['html'][:120]}"
         for v in found
