@@ -9,6 +9,7 @@ import pytest
 
 from compendium import thesis
 from compendium.experiments import section_5_4
+from compendium.ledger import claim
 from microlib import servoing
 
 SEED = 5
@@ -94,6 +95,15 @@ def test_the_spread_after_a_step_grows_with_the_band(station) -> None:
         assert spread[0] > 0.5 * station.jitter * thesis.effective_pixel(zoom)
 
 
+def test_more_jitter_spreads_the_error(station) -> None:
+    for path in section_5_4.PATHS:
+        still, shaken = (
+            np.median(replace(station, jitter=jitter).path_errors("1X", path, 4)[:, 1])
+            for jitter in (0.12, 0.3)
+        )
+        assert shaken > 1.2 * still
+
+
 def test_a_taller_sinusoid_runs_less_evenly(station) -> None:
     """At the same mean error: the speed along the curve varies more."""
     flat = station.path_errors("1X", "sinusoid", 8).mean(axis=0)
@@ -104,12 +114,36 @@ def test_a_taller_sinusoid_runs_less_evenly(station) -> None:
     assert error[1] > 1.05 * flat[1]
 
 
+def test_fifty_pixels_are_the_printed_distances() -> None:
+    for zoom, magnification in (("1X", 1.5893), ("4X", 6.3859)):
+        pixel = claim(f"section-5.4/pixel-{zoom}").value
+        assert thesis.effective_pixel(zoom) == pytest.approx(9.9 / magnification)
+        assert thesis.effective_pixel(zoom) == pytest.approx(pixel, abs=0.005)
+        assert int(50 * pixel) == claim(f"section-5.4/distance-{zoom}").value
+
+
+def test_the_error_at_settling_is_a_share_of_the_printed_distance() -> None:
+    """3.2 % of one axis' way; of both axes' it is below the 3 % of the text."""
+    share = claim("table-5.3/1X/accuracy").value / claim("section-5.4/distance-1X").value
+    assert share == pytest.approx(claim("section-5.4/error-share").recomputed, abs=5e-5)
+    assert share / np.sqrt(2) < claim("section-5.4/error-share").value < share
+
+
 def test_images_give_the_run_over_coordinates(station) -> None:
     found = section_5_4.over_images(station, "4X", section_5_4.STEP_PATH[:30], (0.0, 0.0))
     assert len(found.run.time) == len(found.frames) == 30
     fast, _ = station.runs("4X", section_5_4.STEP_PATH[:30], 1, (0.0, 0.0))
     # Tracking errs by hundredths of a pixel, which a dead-beat loop turns into motion.
     assert np.abs(found.run.measured - fast[0]).max() < 0.3
+
+
+def test_the_accuracies_in_pixels_are_the_printed_ones_over_the_pixel() -> None:
+    table = section_5_4.printed_table()["accuracy"]
+    assert table.loc["circle"].tolist() == [7.72, 1.57]
+    assert table.loc["square"].tolist() == [5.93, 1.47]
+    ratio = table["1X"] / table["4X"] * 1.5893 / 6.3859
+    largest = claim("section-5.4/same-in-pixels").recomputed
+    assert max(ratio.max(), 1 / ratio.min()) == pytest.approx(largest, abs=5e-4)
 
 
 def test_the_velocity_is_at_its_limit_for_most_of_the_settling_time(station) -> None:
