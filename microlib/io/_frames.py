@@ -126,9 +126,8 @@ class FrameReader(Iterator[NDArray]):
             yield frame
             del raw, frame
 
-    def _prepared(self, name: str, raw: NDArray) -> NDArray:
+    def _prepared(self, name: str, frame: NDArray) -> NDArray:
         """Return the part that is wanted, in a type and colors that are."""
-        frame = raw
         if frame.ndim not in (2, 3) or (frame.ndim == 3 and not _has_color(frame)):
             raise ValueError(f"{name} must be a grey or color image, got shape {frame.shape}")
         if min(frame.shape) == 0:
