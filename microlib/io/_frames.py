@@ -28,7 +28,8 @@ def read_frames(
         or a pattern (``"scan/*.jpg"``) of images, taken in the order of their names and of the
         numbers in them; a multi-page TIFF or OME-TIFF; a video; or an iterable, such as a list or
         a generator, of images or of paths to image files. A TIFF has one axis of frames: depth Z,
-        time T, or one without a name. ``~`` is the home folder.
+        time T, or one without a name. A photograph is turned as its camera says. ``~`` is the home
+        folder.
     color : bool
         Whether color is wanted. If not, it becomes luminance, 0.299 R + 0.587 G + 0.114 B.
     region : tuple of four ints, optional

@@ -182,7 +182,7 @@ def picture(file: Path) -> NDArray:
     cut = content[:2] == b"\xff\xd8" and content.rfind(b"\xff\xd9") < content.rfind(b"\xff\xda")
     values = np.frombuffer(content, np.uint8)
     try:
-        image = None if cut else cv2.imdecode(values, cv2.IMREAD_UNCHANGED)
+        image = None if cut else cv2.imdecode(values, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
     except cv2.error:  # of nothing at all
         image = None
     if image is None:
@@ -190,10 +190,8 @@ def picture(file: Path) -> NDArray:
             f"frames cannot be read from {file}: damaged, of an unknown format, or larger than the "
             "2³⁰ px that OpenCV reads"
         )
-    if image.ndim == 2:
-        return image
     # OpenCV puts blue first.
-    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGB)
+    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
 def _video(path: Path) -> Source:

@@ -231,6 +231,10 @@ def test_jpeg_is_read(tmp_path):
     PIL_Image.fromarray(smooth).save(tmp_path / "a.tif", compression="jpeg", quality=95)
     (frame,) = read_frames(tmp_path / "a.tif")
     assert np.abs(frame.astype(int) - smooth).max() <= 3
+    turned = PIL_Image.Exif()
+    turned[0x0112] = 6  # the camera was held sideways
+    PIL_Image.fromarray(smooth).save(tmp_path / "a.jpg", quality=95, exif=turned)
+    assert np.abs(read_grey(tmp_path / "a.jpg").astype(int) - np.rot90(smooth, -1)).max() <= 3
 
 
 def test_a_compression_that_nothing_installed_knows_is_named(stack, tmp_path):
