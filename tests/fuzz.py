@@ -289,7 +289,6 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "calibration.Calibration.um_per_pixel": lambda: {"self": calibrated(), "level": 0.9},
     "calibration.Calibration.to_json": lambda: {"self": calibrated()},
-    "calibration.Calibration.from_json": lambda: {"text": calibrated().to_json()},
     "calibration.Detection": lambda: {
         "points": grid(), "grid": grid().astype(int), "sigma": np.ones(42),
         "group": np.zeros(42, int), "positions": grid(), "side": 0.5, "misfit": 1.0,

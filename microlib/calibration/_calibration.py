@@ -218,12 +218,11 @@ class Calibration(Tidy):
         )
 
     def to_json(self) -> str:
-        """Text in JSON that :meth:`from_json` reads, and from which other programs can be set up.
+        """Text in JSON from which other programs can be set up; `save` keeps the calibration.
 
         OpenCV's camera matrix and distortion coefficients (with the most that they are off the
         model in the image), rotation and translation of each view, as ``cv2.undistort`` takes them;
-        Micro-Manager's and ImageJ's size of a pixel with its 95 % interval; and all that is known
-        here, in which what is not finite is a text.
+        Micro-Manager's and ImageJ's size of a pixel with its 95 % interval; and what `to_dict` has.
 
         Returns
         -------
@@ -246,28 +245,9 @@ class Calibration(Tidy):
             "micro_manager": {"PixelSizeUm": pixel},
             "imagej": {"unit": "µm", "pixel_width": pixel, "pixel_height": pixel},
             "pixel_size_interval_um": ends,
-            "calibration": {n: v for n, v in vars(self).items() if n != "microscope"},
+            "calibration": self.to_dict(),
         }
-        return json.dumps(_plain(content), indent=2, ensure_ascii=False)
-
-    @classmethod
-    def from_json(cls, text: str) -> Calibration:
-        """Read what :meth:`to_json` wrote.
-
-        Raises
-        ------
-        ValueError
-            If `text` holds no calibration.
-        """
-        try:
-            own: dict[str, Any] = json.loads(text)["calibration"]
-            views = tuple(Microscope(**_tuples(view)) for view in own.pop("views"))
-            arrays = ("estimate", "covariance", "residuals", "plane_residuals")
-            own |= {name: np.array(own[name], dtype=object).astype(float) for name in arrays}
-            own |= {name: float(own[name]) for name in ("misfit", "misfit_chance")}
-            return cls(microscope=views[0], views=views, **_tuples(own))
-        except (TypeError, LookupError, AttributeError, ValueError) as fault:
-            raise ValueError(f"text must be what to_json wrote, got {str(text)[:40]!r}") from fault
+        return json.dumps(content, indent=2, ensure_ascii=False, default=np.ndarray.tolist)
 
     def _value(self, parameter: str) -> float:
         """The estimate of a parameter, zero if it was not estimated."""
@@ -295,20 +275,3 @@ class Calibration(Tidy):
             float(b) * (distance / corner) ** p for b, p in zip(best, (2, 4, 6), strict=True)
         )
         return [k1, k2, 0.0, 0.0, k3], float(worst)
-
-
-def _tuples(own: dict[str, Any]) -> dict[str, Any]:
-    return {n: tuple(v) if isinstance(v, list) else v for n, v in own.items()}
-
-
-def _plain(value: Any) -> Any:
-    """What JSON can hold; numbers that are not finite as texts."""
-    if isinstance(value, Microscope):
-        value = vars(value)
-    if isinstance(value, (np.ndarray, np.generic)):
-        value = value.tolist()
-    if isinstance(value, dict):
-        return {name: _plain(each) for name, each in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(each) for each in value]
-    return str(value) if isinstance(value, float) and not np.isfinite(value) else value
