@@ -19,9 +19,6 @@ _THOROUGH = _QUICK | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 _BESIDE = 0.2
 #: Least contrast of the fields around a corner, as a part of the mean.
 _LEAST_DARK = 0.5
-#: Half the window in which the place of a further corner is looked for, in sides of a field, and
-#: its least, px.
-_WINDOW, _LEAST_WINDOW = 0.25, 2
 #: How far from a corner the grey levels are looked at that tell which fields are dark, in the steps
 #: that OpenCV gives: within a field also where it has skipped every second row.
 _WITHIN = 0.4
@@ -39,9 +36,7 @@ def find_corners(grey: NDArray[np.float32]) -> tuple[Marks, Index]:
     eight = np.round((grey - low) * (255 / max(high - low, 1e-9))).astype(np.uint8)
     smooth: NDArray = cv2.GaussianBlur(grey, (0, 0), 1.0)
     half = cv2.pyrDown(cv2.GaussianBlur(eight, (0, 0), 2.0))
-    tries = [(half, _BOARD, _QUICK)]
-    tries += [(each, _LEAST_BOARD, _THOROUGH) for each in (eight, 255 - eight)]
-    for each, board, flags in tries:
+    for each, board, flags in ((half, _BOARD, _QUICK), (eight, _LEAST_BOARD, _THOROUGH)):
         found, corners, meta = cv2.findChessboardCornersSBWithMeta(each, board, flags)
         if found:
             break
@@ -53,10 +48,8 @@ def find_corners(grey: NDArray[np.float32]) -> tuple[Marks, Index]:
     centers: Array = scale * np.asarray(corners, dtype=np.float64).reshape(-1, 2)
     beside = max(_BESIDE * np.sqrt(np.abs(np.linalg.det(mean_steps(centers, grid)))), 1.0)
     inside = cv2.findHomography(grid.astype(np.float64), centers, cv2.RANSAC, beside)[1]
-    if inside is None:
-        raise ValueError("image must show a chessboard, got corners that lie on no plane one")
-    kept = inside.ravel() > 0
-    centers, grid = centers[kept], grid[kept] - grid[kept].min(axis=0)
+    kept = np.ones(len(grid), dtype=bool) if inside is None else inside.ravel() > 0
+    centers, grid = centers[kept], grid[kept]
     # From corner to corner dark and bright change places, unless a row between them was skipped.
     dark = saddle(smooth, centers, _WITHIN * mean_steps(centers, grid))
     ways = [dark * (-1.0) ** (grid @ np.array(changes)) for changes in np.ndindex(2, 2)]
@@ -65,14 +58,9 @@ def find_corners(grey: NDArray[np.float32]) -> tuple[Marks, Index]:
     alternate = np.abs(ways[best].sum()) / len(grid) * _LEAST_DARK
     kept = ways[best] * np.sign(ways[best].sum()) > alternate
     centers, grid = centers[kept], grid[kept] * (2 - np.array(np.unravel_index(best, (2, 2))))
+    if len(grid) < np.prod(_LEAST_BOARD):
+        raise ValueError(f"image must show a chessboard, got {len(grid)} corners on a plane one")
     side = np.sqrt(np.abs(np.linalg.det(mean_steps(centers, grid))))
-    window = [max(int(_WINDOW * side), _LEAST_WINDOW)] * 2
-
-    def refine(places: Array) -> Array:
-        near = places.astype(np.float32).reshape(-1, 1, 2)
-        stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 1e-2)
-        return cv2.cornerSubPix(smooth, near, window, (-1, -1), stop)[:, 0].astype(np.float64)
-
     moments = np.tile((side / 6) ** 2 * np.eye(2), (len(grid), 1, 1))
     marks = Marks(grey, smooth, centers, moments, np.full(len(grid), side**2))
-    return complete(marks, grid, lambda *at: np.abs(saddle(*at)), refine)
+    return complete(marks, grid, lambda *at: np.abs(saddle(*at)))

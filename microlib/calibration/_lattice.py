@@ -11,7 +11,6 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, cKDTree
@@ -19,7 +18,7 @@ from scipy.spatial import ConvexHull, cKDTree
 from microlib._common import Array
 from microlib.calibration._detection import FEWEST
 from microlib.calibration._grid_map import fit_grid_map
-from microlib.calibration._marks import SMOOTHING, START_BLUR, Marks, slope_of
+from microlib.calibration._marks import Marks
 
 #: Lattices by name, and the coordinates of their steps in the pattern's plane, in pitches.
 STEPS = {
@@ -41,9 +40,6 @@ _LIKE_AREA, _LIKE_SHAPE = 2.0, 0.5
 _SEED_REACH, _REACH = 0.3, 0.25
 #: Most first steps that are tried from one mark.
 _TRIES = 4
-
-#: With less blur than this, px, a fit finds its way from `START_BLUR`.
-_USUAL_BLUR = 2.0
 
 # Completion
 
@@ -150,12 +146,10 @@ def complete(
     marks: Marks,
     grid: Index,
     contrast: Callable[[NDArray, Array, Array], Array],
-    refine: Callable[[Array], Array] | None = None,
 ) -> tuple[Marks, Index]:
     """The marks of a lattice, with those that the image shows where it would have them.
 
-    `contrast` tells them, from the smoothed image, places and the lattice's mean steps; `refine`
-    moves places to the corners beside them.
+    `contrast` tells them, from the smoothed image, places and the lattice's mean steps.
     """
     for _ in range(_RINGS):
         held = set(map(tuple, grid.tolist()))
@@ -168,10 +162,6 @@ def complete(
         reach = _HALF_WIDTH * np.sqrt(np.einsum("nii->ni", marks.moments[near])) + 1
         limit = np.array(marks.image.shape[::-1]) - 1 - reach
         new = np.flatnonzero(((places > reach) & (places < limit)).all(axis=1))
-        if refine is not None and len(new):
-            refined = refine(places[new])
-            moved = np.abs(refined - places[new]) < reach[new] / 2
-            places[new], new = refined, new[moved.all(axis=1)]
         steps = mean_steps(marks.centers, grid)
         least = _LEAST_CONTRAST * contrast(marks.smooth, marks.centers, steps)[near[new]]
         new = new[contrast(marks.smooth, places[new], steps) > least]
@@ -185,18 +175,6 @@ def complete(
         )
         grid = np.concatenate([grid, absent[new]])
     return marks, grid
-
-
-def start_blur(marks: Marks, grid: Index) -> float:
-    """Blur with which to fit marks: a Gaussian edge of contrast C has the gradient C/(√(2π) blur),
-    of which a part is the smoothing's."""
-    steps = mean_steps(marks.centers, grid)
-    contrast = float(np.median(darkness(marks.smooth, marks.centers, steps)))
-    width = 2 * int(_HALF_WIDTH * np.sqrt(np.trace(marks.moments.mean(axis=0)) / 2)) + 3
-    steepest = cv2.dilate(slope_of(marks.smooth), np.ones((width, width), np.uint8))
-    steep = max(float(np.median(_levels(steepest, marks.centers))), 1e-9)
-    blur = float(np.sqrt(max((contrast / steep) ** 2 / (2 * np.pi) - SMOOTHING**2, 0)))
-    return blur if blur > _USUAL_BLUR else START_BLUR
 
 
 def refuse_fields(kind: str, marks: Marks, grid: Index) -> None:
@@ -278,16 +256,6 @@ def fill(grid: Index) -> float:
     border = np.gcd(*np.abs(corners - np.roll(corners, 1, axis=0)).T).sum()
     # Pick's theorem; a hull's volume in the plane is its area.
     return float(len(grid) / (hull.volume + border / 2 + 1))
-
-
-def refuse_gaps(kind: str, grid: Index) -> None:
-    """Refuse a lattice of which many marks are missing, as chance puts it together."""
-    share = fill(grid)
-    if share < LEAST_FULL:
-        raise ValueError(
-            f"image must show a grid of {kind}, got {len(grid)} that fill {100 * share:.0f} % of "
-            "the places of one"
-        )
 
 
 def counting(

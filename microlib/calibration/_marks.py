@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from microlib._common import Array, as_array, as_image, items, whole
+from microlib._common import Array, as_array, as_image, as_region
 
 #: Smallest image in which four marks can be seen, px.
 _SMALLEST_IMAGE = 16
@@ -17,10 +17,7 @@ _SMALLEST_IMAGE = 16
 _LUMINANCE = (0.299, 0.587, 0.114)
 #: Standard deviation of the Gaussian that takes the noise off, px. From 0.5 to 2 the points' error
 #: varies by 1 %, but 2 loses the smallest shapes.
-SMOOTHING = 1.0
-#: Blur with which the fits of marks start unless their edges are much softer, px: less does no
-#: harm, a start with 2.5 px may end in a wrong minimum.
-START_BLUR = 1.2
+_SMOOTHING = 1.0
 #: Least number that is divided by.
 _FLAT = 1e-9
 
@@ -73,8 +70,6 @@ class Marks:
         Second central moments, px².
     areas : ndarray, shape (N,)
         Number of pixels.
-    blur : float
-        Blur of their edges with which a fit may start, px.
     """
 
     image: NDArray[np.float32]
@@ -82,7 +77,6 @@ class Marks:
     centers: Array
     moments: Array
     areas: Array
-    blur: float = START_BLUR
 
     def __getitem__(self, index: NDArray | slice) -> Marks:
         """Some of the marks."""
@@ -105,14 +99,8 @@ def crop(
     """The part of the image to look at, and its first pixel (x, y)."""
     if region is None:
         return grey, np.zeros(2)
-    x, y, width, height = (whole("region", n, least=0) for n in items("region", region, 4))
-    part = np.ascontiguousarray(grey[y : y + height, x : x + width])
-    if part.shape != (height, width) or min(part.shape) < _SMALLEST_IMAGE:
-        raise ValueError(
-            f"region must lie in the image of {grey.shape[1]}×{grey.shape[0]} px and have at least "
-            f"{_SMALLEST_IMAGE} px a side, got {region}"
-        )
-    return part, np.array([x, y], dtype=np.float64)
+    x, y, width, height = as_region("region", region, grey.shape, least=_SMALLEST_IMAGE)
+    return np.ascontiguousarray(grey[y : y + height, x : x + width]), np.array([x, y], dtype=float)
 
 
 def dark_regions(grey: NDArray[np.float32]) -> Marks:
@@ -121,19 +109,19 @@ def dark_regions(grey: NDArray[np.float32]) -> Marks:
     Regions of less than a quarter or more than four times the median area are left out. Uneven
     light is left to `even_edges`.
     """
-    smooth: NDArray = cv2.GaussianBlur(grey, (0, 0), SMOOTHING)
+    smooth: NDArray = cv2.GaussianBlur(grey, (0, 0), _SMOOTHING)
     rows: Array = np.empty((0, 8))
     if np.ptp(smooth) > 0:
         from skimage.filters import threshold_otsu  # here, as it takes long to import
 
-        rows = _at_level(smooth, slope_of(smooth), threshold_otsu(smooth))
+        rows = _at_level(smooth, _slope(smooth), threshold_otsu(smooth))
         rows = rows[(rows[:, 7] > 0) & (rows[:, 5] > _SMALLEST)]
         typical = np.median(rows[:, 5]) if len(rows) else 0.0
         rows = rows[(rows[:, 5] > typical / _ALIKE) & (rows[:, 5] < typical * _ALIKE)]
     return _strongest(rows, grey, smooth)
 
 
-def slope_of(smooth: NDArray) -> NDArray:
+def _slope(smooth: NDArray) -> NDArray:
     """Gradient of the image, grey levels a pixel."""
     dx, dy = (cv2.Scharr(smooth, cv2.CV_32F, *order) for order in ((1, 0), (0, 1)))
     return np.hypot(dx, dy) / _SCHARR
@@ -141,13 +129,13 @@ def slope_of(smooth: NDArray) -> NDArray:
 
 def even_edges(grey: NDArray[np.float32]) -> list[Marks]:
     """Marks that one even edge surrounds: the dark ones, and the bright ones of the negative."""
-    smooth: NDArray = cv2.GaussianBlur(grey, (0, 0), SMOOTHING)
-    slope = slope_of(smooth)
+    smooth: NDArray = cv2.GaussianBlur(grey, (0, 0), _SMOOTHING)
+    slope = _slope(smooth)
     # The noise, by a mask that no plane or ridge answers, the squares of whose weights sum to 36,
     # and what it makes of the smoothed image's derivative.
     mask = np.array([[1.0, -2, 1], [-2, 4, -2], [1, -2, 1]])
     noise = float(np.median(np.abs(cv2.filter2D(grey, cv2.CV_32F, mask)))) * _TO_SIGMA / 6
-    least = _TOLD * noise / (np.sqrt(8 * np.pi) * SMOOTHING**2)
+    least = _TOLD * noise / (np.sqrt(8 * np.pi) * _SMOOTHING**2)
     low, high = np.percentile(smooth, [0.5, 99.5])
     ranks = np.percentile(smooth[::2, ::2], np.linspace(2, 98, _LEVELS))
     levels = np.unique(np.concatenate([np.linspace(low, high, _LEVELS + 2)[1:-1], ranks]))

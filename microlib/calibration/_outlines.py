@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from microlib._common import Array
+from microlib.calibration._marks import Marks
 
 #: From parameters (n, p) and pixels x, y (n, k) to the part F of the light that the shape takes and
 #: its derivatives by all parameters but contrast and ground, (n, k, p − 4).
@@ -29,8 +30,9 @@ Outline = Callable[[Array, Array, Array], tuple[Array, Array]]
 #: Places of the parameters that every outline has at the end: blur, px; contrast as a part of the
 #: ground; ground b₀ + b₁x + b₂y.
 BLUR, CONTRAST, GROUND = -5, -4, slice(-3, None)
-#: Contrast with which a fit starts; more does no harm (0.9), 0.3 may end in a wrong minimum.
-START_CONTRAST = 0.6
+#: Blur, px, and contrast with which a fit starts. Less blur does no harm, 2.5 px may end in a wrong
+#: minimum; more contrast does no harm (0.9), 0.3 may end in one.
+START_BLUR, _START_CONTRAST = 1.2, 0.6
 #: Least blur of a model, px: a sharper edge is a step between two pixels and has no derivative.
 LEAST_BLUR = 0.05
 #: First damping, of the normal matrix' diagonal; tenfold after a refused step, a tenth after a good
@@ -109,43 +111,47 @@ class OutlineFit:
         From the residual's variance; NaN where the fit failed.
     rms : ndarray, shape (n,)
         Standard deviation of the residual, grey levels.
+    centers : ndarray, shape (n, 2)
+        Where the outlines' own coordinates begin in the image, px.
     """
 
     parameters: Array
     covariance: Array
     rms: Array
+    centers: Array
 
     def __getitem__(self, index: NDArray[np.bool_]) -> OutlineFit:
         """The fits that `index` picks."""
-        return OutlineFit(self.parameters[index], self.covariance[index], self.rms[index])
+        return OutlineFit(*(each[index] for each in vars(self).values()))
 
 
 def cut_patches(
-    image: NDArray[np.float32],
-    centers: Array,
-    half: int,
-    choose: Callable[[Array, Array], NDArray[np.bool_]],
+    marks: Marks,
+    half: float,
+    distance: Callable[[Array, Array], Array],
+    band: tuple[float, float],
 ) -> Patches:
-    """Cut a square of half-width `half` around each center and keep the pixels that `choose` wants.
+    """Cut a square of half a width `half` around each mark; keep the pixels in a band.
 
-    `choose` gets the (n, m) coordinates relative to the *rounded* centers. Pixels outside of the
-    image are dropped.
+    `distance` gets the (n, m) coordinates relative to the *rounded* centers; of what it returns,
+    `band` has the least and the most, px. Pixels outside of the image are dropped.
     """
-    origin = np.round(centers)
-    step = np.arange(-half, half + 1, dtype=np.float64)
+    origin = np.round(marks.centers)
+    step = np.arange(-np.ceil(half), np.ceil(half) + 1)
     dx, dy = (axis.ravel()[None] for axis in np.meshgrid(step, step))
     column, row = origin[:, :1] + dx, origin[:, 1:] + dy
-    height, width = image.shape
-    keep = choose(np.broadcast_to(dx, column.shape), np.broadcast_to(dy, row.shape))
-    keep = keep & (column >= 0) & (row >= 0) & (column < width) & (row < height)
+    height, width = marks.image.shape
+    inside = distance(np.broadcast_to(dx, column.shape), np.broadcast_to(dy, row.shape))
+    keep = (inside >= band[0]) & (inside <= band[1])
+    keep &= (column >= 0) & (row >= 0) & (column < width) & (row < height)
     most = max(int(keep.sum(axis=1).max()), 1)
     order = np.argsort(~keep, axis=1, kind="stable")[:, :most]
     weight = np.take_along_axis(keep, order, axis=1)
-    inside = np.where(weight, np.take_along_axis(row * width + column, order, axis=1), 0)
+    place = np.where(weight, np.take_along_axis(row * width + column, order, axis=1), 0)
     return Patches(
         x=dx[0, order],
         y=dy[0, order],
-        grey=image.ravel()[inside.astype(int)].astype(np.float64),
+        grey=marks.image.ravel()[place.astype(int)].astype(np.float64),
         weight=weight.astype(np.float64),
         centers=origin,
     )
@@ -155,6 +161,8 @@ def fit_shapes(
     outline: Outline, start: Array, patches: Patches, gap: float, most: int = STEPS
 ) -> OutlineFit:
     """Fit outlines that lie `gap` apart, px, which may be no further than their blur reaches."""
+    start[:, BLUR], start[:, CONTRAST] = START_BLUR, _START_CONTRAST
+    start[:, GROUND.start] = patches.grey.max(axis=1)
     fit = _fit_alone(outline, start, patches, most)
     if gap < 2 * _UNSEEN * np.median(np.abs(fit.parameters[:, BLUR])):
         for _ in range(_ROUNDS):
@@ -220,7 +228,7 @@ def _fit_alone(outline: Outline, start: Array, patches: Patches, most: int) -> O
         covariance = _invert(normal) * variance[:, None, None]
     failed = moving | ~np.isfinite(covariance).all(axis=(1, 2))
     covariance[failed] = np.nan
-    return OutlineFit(best, covariance, np.sqrt(variance))
+    return OutlineFit(best, covariance, np.sqrt(variance), patches.centers)
 
 
 def _equations(outline: Outline, parameters: Array, patches: Patches) -> tuple[Array, Array, Array]:
@@ -237,7 +245,7 @@ def _equations(outline: Outline, parameters: Array, patches: Patches) -> tuple[A
     return turned @ jacobian, (turned @ residual[..., None])[..., 0], (residual**2).sum(axis=1)
 
 
-def smooth_parameters(fit: OutlineFit, centers: Array, columns: list[int]) -> OutlineFit:
+def smooth_parameters(fit: OutlineFit, columns: list[int]) -> OutlineFit:
     """Let the outlines of one image share what varies smoothly across it.
 
     The parameters in `columns` are replaced by a polynomial of the place in the image, fitted to
@@ -247,6 +255,7 @@ def smooth_parameters(fit: OutlineFit, centers: Array, columns: list[int]) -> Ou
     not shared.
     """
     # At least twice as many outlines as the polynomial has coefficients.
+    centers = fit.centers
     degree = 2 if len(centers) >= 12 else 1 if len(centers) >= 6 else 0
     if degree == 0:
         return fit
@@ -266,10 +275,10 @@ def smooth_parameters(fit: OutlineFit, centers: Array, columns: list[int]) -> Ou
     # stays.
     leverage = np.einsum("ij,ji->i", basis, inverse)[:, None, None]
     change = (smooth - fit.parameters)[:, columns]
-    return OutlineFit(
-        fit.parameters + (gain @ change[..., None])[..., 0],
-        fit.covariance - (1 - leverage) * (gain @ across.transpose(0, 2, 1)),
-        fit.rms,
+    return replace(
+        fit,
+        parameters=fit.parameters + (gain @ change[..., None])[..., 0],
+        covariance=fit.covariance - (1 - leverage) * (gain @ across.transpose(0, 2, 1)),
     )
 
 
@@ -285,9 +294,10 @@ def _invert(matrices: Array) -> Array:
     return out / scale[:, :, None] / scale[:, None, :]
 
 
-def band(centers: Array, radius: float) -> tuple[float, float, float]:
-    """Outer and inner width, px, of the band around outlines of half a width `radius` that belongs
-    to no neighbor: out to the middle of the gap; and the gap."""
+def band(centers: Array, radius: float) -> tuple[tuple[float, float], float]:
+    """The band around outlines of half a width `radius` that belongs to no neighbor, out to the
+    middle of the gap: least and most distance, positive inside, px; and the gap."""
     distance, _ = cKDTree(centers).query(centers, k=2)
     half = float(np.median(distance[:, 1])) / 2 - radius
-    return max(min(half, _WIDEST), _LEAST_OUTER), max(min(half, _WIDEST), _NARROWEST), 2 * half
+    outer, inner = max(min(half, _WIDEST), _LEAST_OUTER), max(min(half, _WIDEST), _NARROWEST)
+    return (-outer, inner), 2 * half

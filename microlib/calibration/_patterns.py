@@ -18,15 +18,15 @@ from microlib.calibration._chessboard import find_corners
 from microlib.calibration._detection import FEWEST, Detection
 from microlib.calibration._grid_map import GridMap, fit_grid_map
 from microlib.calibration._lattice import (
+    LEAST_FULL,
     STEPS,
     complete,
     counting,
     darkness,
+    fill,
     grow_lattices,
     refuse_fields,
-    refuse_gaps,
     refuse_lattice,
-    start_blur,
 )
 from microlib.calibration._marks import Marks, crop, dark_regions, even_edges, to_grey
 from microlib.calibration._shapes import CORNERS, are_round, fit_marks
@@ -36,14 +36,9 @@ from microlib.calibration._shapes import CORNERS, are_round, fit_marks
 _NOTHING_ELSE = 0.7
 #: Pieces of lattice in clutter that are looked at, the largest first.
 _PIECES = 4
-#: With more blur than this part of a mark's half-width its neighbors shade the places between.
-_SHARP = 0.3
 #: Most ratio of width to height of a square, both in steps of the lattice: what is fitted to four
 #: squares with noise comes within 0.02.
 _MOST_RATIO = 1.1
-#: The map is fitted anew to the points freed of their bias if that is more than this part of their
-#: σ: less does not show in the residuals.
-_SMALL_BIAS = 0.3
 _MIDDLE = np.zeros((1, 2))
 #: Places of a ring that stands for a circle.
 _RIM = 8
@@ -198,12 +193,10 @@ def _detect(
         try:
             points, sigma, grid, areas = _fit(marks, grid, kind, lattice)
             turn = counting(points.mean(axis=1), grid, lattice, direction, mirrored)
-            found = _place(
-                points, sigma, grid, areas, lattice, turn, grey.shape, corner, whole.shape
-            )
+            found = _place(points, sigma, grid, areas, lattice, turn, grey.shape)
             # A homography leads to any four centers, and clutter has many.
             if alone or np.isfinite(found.misfit):
-                return found
+                return replace(found, points=found.points + corner, image_size=whole.shape[::-1])
             raise ValueError(f"image must show more {kind} or nothing else, got {len(grid)}")
         except ValueError as fault:
             if count == 0:  # of the largest
@@ -242,18 +235,20 @@ def _fit(
     steps = fit_grid_map(marks.centers[:, None], flat, _MIDDLE, marks.image.shape)[0].steps(flat)
     if not np.abs(np.linalg.det(steps)).min() > 1:
         raise ValueError(f"image must show a plane grid of {kind}, got marks that are on none")
-    if kind != "chessboard":
-        marks = replace(marks, blur=start_blur(marks, grid))
-    good, points, sigma, shapes, softness = fit_marks(marks, steps, kind)
+    good, points, sigma, shapes = fit_marks(marks, steps, kind)
     marks, grid, flat = marks[good], grid[good], flat[good]
-    refuse_gaps(kind, grid)
+    share = fill(grid)
+    if share < LEAST_FULL:  # as chance puts it together
+        raise ValueError(
+            f"image must show a grid of {kind}, got {len(grid)} that fill {100 * share:.0f} % of "
+            "the places of one"
+        )
     if kind != "chessboard":
         if are_round(marks, steps[good]) != (kind == "circles"):
             raise ValueError(
                 f"image must show {kind}, got {'squares' if kind == 'circles' else 'circles'}"
             )
-        if softness < _SHARP:
-            refuse_fields(kind, marks, grid)
+        refuse_fields(kind, marks, grid)
     if kind == "circles":
         to_image, _ = fit_grid_map(points, flat, _MIDDLE, marks.image.shape)
         refuse_lattice(shapes @ shapes, to_image.steps(flat), lattice)
@@ -268,8 +263,6 @@ def _place(
     lattice: str,
     turn: Array,
     image_shape: tuple[int, ...],
-    corner: Array,
-    whole: tuple[int, ...],
 ) -> Detection:
     """Points freed of bias, on a lattice that is tested; marks that are none of it are left out."""
     squares = points.shape[1] == 4
@@ -292,8 +285,7 @@ def _place(
         bias = _corner_bias(to_image, positions) if squares else 0 * points
         if areas.any():
             bias = _center_bias(to_image, cells, areas)[:, None]
-        if np.abs(bias).max() > _SMALL_BIAS * np.median(sigma):
-            to_image, positions = fit_grid_map(points - bias, cells, offsets, image_shape)
+        to_image, positions = fit_grid_map(points - bias, cells, offsets, image_shape)
         pitch = float(np.sqrt(np.median(to_image.scale(cells))))
         kept, stated, misfit = agree(points - bias, positions, to_image, sigma, pitch)
         if kept.all():
@@ -302,14 +294,14 @@ def _place(
     ends = (offsets > 0).astype(np.intp)
     side = float(np.ptp(positions[0], axis=0).mean()) if squares else 1.0
     return Detection(
-        (points - bias).reshape(-1, 2) + corner,
+        (points - bias).reshape(-1, 2),
         ((1 + squares) * grid + ends).reshape(-1, 2),
         stated.ravel(),
         np.repeat(np.arange(len(grid)), points.shape[1]),
         (grid @ STEPS[lattice] + side * ends).reshape(-1, 2),
         np.nan if areas.any() else side,
         misfit,
-        (whole[1], whole[0]),
+        (image_shape[1], image_shape[0]),
     )
 
 

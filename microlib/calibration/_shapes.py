@@ -16,11 +16,9 @@ from microlib.calibration._outlines import (
     CONTRAST,
     GROUND,
     LEAST_BLUR,
-    START_CONTRAST,
+    START_BLUR,
     STEPS,
-    Outline,
     OutlineFit,
-    Patches,
     band,
     cut_patches,
     fit_shapes,
@@ -56,16 +54,16 @@ _CROSSING, _MOST_CROSSING, _LEAST_CROSSING = 0.45, 12.0, 3.0
 SMOOTH_ELLIPSE = [5, 6, 8, 9]
 SMOOTH_QUAD = [0, 1, 2, 3, 8, 9, 11, 12]
 
-#: Most residual, least contrast and most uncertainty of an outline, in medians of all.
+#: Most residual and most uncertainty of an outline, in medians of all.
 #: Residuals of up to 5 medians let 2 wrong points of 1961 pass that 3 keeps out, and 2 costs 12
-#: right ones; contrasts from 0.25 to 0.75 and uncertainties from 3 to 20 make no difference
-#: beside it.
-_MOST_RMS, _LEAST_CONTRAST, _MOST_SIGMA = 3.0, 0.5, 5.0
+#: right ones; uncertainties from 3 to 20 make no difference beside it.
+_MOST_RMS, _MOST_SIGMA = 3.0, 5.0
 #: Most residual of crossing edges as a part of their contrast. Photographed chessboards leave up to
 #: 0.05, the places between circles, where dark and bright change as well, 0.34.
 _MOST_REST = 0.2
-#: Marks that are asked, evenly among all: each has hundreds of pixels to tell by.
-_ASKED = 4
+#: Marks that are asked: each has hundreds of pixels to tell by. They are the first of the lattice,
+#: beside one another, so that the band around each ends where its neighbor's begins.
+_ASKED = 6
 #: Steps after which shapes are told apart: the right one is at its minimum, and the other far above
 #: it, though it may creep on for long.
 _FEW_STEPS = 12
@@ -73,82 +71,73 @@ _FEW_STEPS = 12
 
 def are_round(marks: Marks, steps: Array) -> bool:
     """Say whether ellipses fit the marks' grey levels better than quadrilaterals do."""
-    every = np.s_[:: -(-len(steps) // _ASKED)]
-    ellipses, _ = fit_ellipses(marks[every], _FEW_STEPS)
-    quads, _ = fit_quads(marks[every], steps[every], _FEW_STEPS)
-    of_each = [np.median(np.nan_to_num(fit.rms, nan=np.inf)) for fit in (ellipses, quads)]
-    return bool(of_each[0] < of_each[1])
+    some = marks[:_ASKED]
+    ellipses, quads = fit_ellipses(some, _FEW_STEPS), fit_quads(some, steps[:_ASKED], _FEW_STEPS)
+    return bool(np.nanmedian(ellipses.rms) < np.nanmedian(quads.rms))
 
 
 def fit_marks(
     marks: Marks, steps: Array, kind: str
-) -> tuple[NDArray[np.bool_], Array, Array, Array, float]:
+) -> tuple[NDArray[np.bool_], Array, Array, Array]:
     """Fit marks, and keep those that lie in the image and are fitted as well as the others.
 
-    Which; their points (n, k, 2) with σ (n, k); of circles the matrices (n, 2, 2) that make the
-    ellipses of a unit circle, else zeros; and their blur over half their width.
+    Which; their points (n, k, 2) with σ (n, k); and of circles the matrices (n, 2, 2) that make the
+    ellipses of a unit circle, else zeros.
     """
     reach: Array = np.array([[[-1.0], [1.0]]])
     locate, smooth = quad_corners, SMOOTH_QUAD
     if kind == "circles":
-        fit, origins = fit_ellipses(marks)
+        fit = fit_ellipses(marks)
         locate, smooth = ellipse_center, SMOOTH_ELLIPSE
         reach = reach * ellipse_reach(fit.parameters)[:, None]
         half = 1 / np.sqrt(np.abs(np.linalg.det(ellipse_shape(fit.parameters))))
     elif kind == "squares":
-        fit, origins = fit_quads(marks, steps)
+        fit = fit_quads(marks, steps)
         reach = np.zeros(1)
         half = line_offsets(fit.parameters).mean(axis=1)
     else:
-        fit, origins = fit_crossings(marks, steps)
-        smooth, half = [], np.ones(len(origins))
-    points, sigma = locate(fit, origins)
+        fit = fit_crossings(marks, steps)
+        smooth, half = [], np.ones(len(marks.centers))
+    points, sigma = locate(fit)
     low, high = (points + reach).min(axis=1), (points + reach).max(axis=1)
     limit = np.array(marks.image.shape[::-1]) - 1
-    contrast, worst = fit.parameters[:, CONTRAST], sigma.max(axis=1)
+    worst = sigma.max(axis=1)
     good = ((low >= 0) & (high <= limit)).all(axis=1) & np.isfinite(worst)
     if good.any():
-        good &= (
-            (fit.rms <= _MOST_RMS * np.median(fit.rms[good]))
-            & (contrast > _LEAST_CONTRAST * np.median(contrast[good]))
-            & (worst <= np.minimum(_MOST_SIGMA * np.median(worst[good]), half))
+        good &= (fit.rms <= _MOST_RMS * np.median(fit.rms[good])) & (
+            worst <= np.minimum(_MOST_SIGMA * np.median(worst[good]), half)
         )
     if good.sum() < FEWEST:
         raise ValueError(f"image must show a grid of {kind}, got {int(good.sum())} whole ones")
-    fit, origins, contrast = fit[good], origins[good], contrast[good]
+    fit = fit[good]
     if kind == "chessboard":
-        rest = float(np.median(fit.rms / (contrast * fit.parameters[:, GROUND.start])))
+        rest = float(
+            np.median(fit.rms / np.abs(fit.parameters[:, [CONTRAST, GROUND.start]].prod(axis=1)))
+        )
         if rest > _MOST_REST:
             raise ValueError(
                 "image must show a chessboard, got marks on a lattice, beside which crossing edges "
                 f"leave {100 * rest:.0f} % of the contrast"
             )
-    softness = float(np.median(np.abs(fit.parameters[:, BLUR])) / np.median(half[good]))
-    fit = smooth_parameters(fit, origins, smooth)
-    shapes: Array = np.zeros((len(origins), 2, 2))
+    fit = smooth_parameters(fit, smooth)
+    shapes: Array = np.zeros((len(fit.rms), 2, 2))
     if kind == "circles":
         shapes = np.linalg.inv(ellipse_shape(fit.parameters))
-    return good, *locate(fit, origins), shapes, softness
+    return good, *locate(fit), shapes
 
 
-def fit_ellipses(marks: Marks, most: int = STEPS) -> tuple[OutlineFit, Array]:
-    """Fit an ellipse to each mark; also the origins that its center counts from."""
+def fit_ellipses(marks: Marks, most: int = STEPS) -> OutlineFit:
+    """Fit an ellipse to each mark."""
     values, vectors = np.linalg.eigh(marks.moments)  # a filled ellipse has A = ½ Σ^(−½)
     shape = (vectors / (2 * np.sqrt(values))[:, None, :]) @ vectors.transpose(0, 2, 1)
     start = np.zeros((len(shape), 10))
     start[:, CENTER] = marks.centers - np.round(marks.centers)
     start[:, _SHAPE] = shape[:, [0, 0, 1], [0, 1, 1]]
     radius = float(1 / np.sqrt(np.linalg.det(shape).min()))
-    outer, inner, gap = band(marks.centers, radius)
-
-    def near(x: Array, y: Array) -> NDArray[np.bool_]:
-        distance = _to_ellipse(start, x, y)[0]
-        return (distance >= -outer) & (distance <= inner)
-
-    half = int(np.ceil(radius * _HALF_PATCH + outer))
-    return _fit(
-        marks, start, cut_patches(marks.image, marks.centers, half, near), _ellipse, gap, most
-    )
+    near, gap = band(marks.centers, radius)
+    half = radius * _HALF_PATCH - near[0]
+    patches = cut_patches(marks, half, lambda x, y: _to_ellipse(start, x, y)[0], near)
+    return fit_shapes(_ellipse, start, patches, gap, most)
 
 
 def ellipse_shape(parameters: Array) -> Array:
@@ -157,10 +146,10 @@ def ellipse_shape(parameters: Array) -> Array:
     return np.stack([a, b, b, d], axis=-1).reshape(-1, 2, 2)
 
 
-def ellipse_center(fit: OutlineFit, origins: Array) -> tuple[Array, Array]:
+def ellipse_center(fit: OutlineFit) -> tuple[Array, Array]:
     """Center of each ellipse, (n, 1, 2), and the standard deviation of a coordinate, (n, 1), px."""
     sigma = np.sqrt(np.einsum("nii->ni", fit.covariance[:, CENTER, CENTER]).mean(axis=1))
-    return (fit.parameters[:, CENTER] + origins)[:, None], sigma[:, None]
+    return (fit.parameters[:, CENTER] + fit.centers)[:, None], sigma[:, None]
 
 
 def ellipse_reach(parameters: Array) -> Array:
@@ -169,8 +158,8 @@ def ellipse_reach(parameters: Array) -> Array:
     return np.sqrt(np.column_stack([b * b + d * d, a * a + b * b])) / np.abs(a * d - b * b)[:, None]
 
 
-def fit_quads(marks: Marks, steps: Array, most: int = STEPS) -> tuple[OutlineFit, Array]:
-    """Fit four lines to each mark, from a square along the lattice's steps; also the origins."""
+def fit_quads(marks: Marks, steps: Array, most: int = STEPS) -> OutlineFit:
+    """Fit four lines to each mark, from a square along the lattice's steps."""
     origin = np.round(marks.centers)
     side = np.sqrt(marks.areas / np.abs(np.linalg.det(steps)))[:, None, None]
     corners = side * (CORNERS @ steps.transpose(0, 2, 1)) + (marks.centers - origin)[:, None]
@@ -181,32 +170,26 @@ def fit_quads(marks: Marks, steps: Array, most: int = STEPS) -> tuple[OutlineFit
     normal *= np.sign(outward)[..., None] / np.linalg.norm(normal, axis=-1, keepdims=True)
     start = _start_lines(normal, middle)
     width = float(np.median(line_offsets(start).sum(axis=1)) / 2)
-    outer, inner, gap = band(marks.centers, width / 2)
-
-    def near(x: Array, y: Array) -> NDArray[np.bool_]:
-        distance = _to_lines(start, x, y).min(axis=-1)
-        return (distance >= -outer) & (distance <= inner)
-
-    half = int(np.ceil(width * _HALF_SQUARE + outer))
-    return _fit(marks, start, cut_patches(marks.image, marks.centers, half, near), _quad, gap, most)
+    near, gap = band(marks.centers, width / 2)
+    half = width * _HALF_SQUARE - near[0]
+    patches = cut_patches(marks, half, lambda x, y: _to_lines(start, x, y).min(axis=-1), near)
+    return fit_shapes(_quad, start, patches, gap, most)
 
 
-def fit_crossings(marks: Marks, steps: Array) -> tuple[OutlineFit, Array]:
-    """Fit two lines to each corner of a chessboard, along the lattice's steps; also the origins."""
+def fit_crossings(marks: Marks, steps: Array) -> OutlineFit:
+    """Fit two lines to each corner of a chessboard, along the lattice's steps."""
     side = float(np.sqrt(np.median(np.abs(np.linalg.det(steps)))))
     reach = float(np.clip(_CROSSING * side, _LEAST_CROSSING, _MOST_CROSSING))
-    patches = cut_patches(
-        marks.image, marks.centers, int(np.ceil(reach)), lambda x, y: np.hypot(x, y) <= reach
-    )
+    patches = cut_patches(marks, reach, np.hypot, (0.0, reach))
     normal = steps.transpose(0, 2, 1)[..., ::-1] * [1, -1]
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     start = _start_lines(normal, (marks.centers - patches.centers)[:, None])
-    start[:, BLUR] = marks.blur
+    start[:, BLUR] = START_BLUR
     dark = _crossing(start, patches.x, patches.y)[0] - 0.5
     bright = (dark * (patches.grey - patches.grey.mean()) * patches.weight).sum(axis=1) > 0
     start[bright, 0] += np.pi  # the dark fields are the other two
     start[bright, 2] *= -1
-    return _fit(marks, start, patches, _crossing, np.inf)
+    return fit_shapes(_crossing, start, patches, np.inf)
 
 
 def line_offsets(parameters: Array) -> Array:
@@ -222,7 +205,7 @@ def _start_lines(normal: Array, on: Array) -> Array:
     return np.hstack([angle, (normal * on).sum(axis=-1), common])
 
 
-def quad_corners(fit: OutlineFit, origins: Array) -> tuple[Array, Array]:
+def quad_corners(fit: OutlineFit) -> tuple[Array, Array]:
     """Intersections of consecutive lines, (n, 4, 2) or (n, 1, 2) of two lines, and the standard
     deviation of a coordinate, (n, 4) or (n, 1), px."""
     offset = line_offsets(fit.parameters)
@@ -241,15 +224,7 @@ def quad_corners(fit: OutlineFit, origins: Array) -> tuple[Array, Array]:
     places = np.hstack([pair, lines + pair])
     part = fit.covariance[:, places[:, :, None], places[:, None, :]]
     sigma = np.sqrt(np.einsum("ncij,ncjk,ncik->nc", by, part, by) / 2)
-    return corners + origins[:, None], sigma
-
-
-def _fit(
-    marks: Marks, start: Array, patches: Patches, outline: Outline, gap: float, most: int = STEPS
-) -> tuple[OutlineFit, Array]:
-    start[:, BLUR], start[:, CONTRAST] = marks.blur, START_CONTRAST
-    start[:, GROUND.start] = patches.grey.max(axis=1)
-    return fit_shapes(outline, start, patches, gap, most), patches.centers
+    return corners + fit.centers[:, None], sigma
 
 
 def _to_ellipse(parameters: Array, x: Array, y: Array) -> tuple[Array, Array, Array, Array]:

@@ -26,8 +26,6 @@ VIEW = ("magnification", "alpha", "beta", "gamma", "tx", "ty")
 _TERMS = ([3, 4], [2])
 #: Of `project_plane`'s numbers (M, h, κ, α, β, γ, T_x, T_y) those of a view.
 _OF_VIEW = [0, 3, 4, 5, 6, 7]
-#: How often the views are fitted anew with the lens that most of them agree on.
-_STARTS = 2
 #: Of more points than twice so many a view's start is fitted to these alone: it comes as near as a
 #: fifteenth of the noise, and most of the steps take a part of the time.
 _FEW = 1000
@@ -151,7 +149,8 @@ def fit_views(views: Views) -> tuple[Fit, list[list[Fit]]]:
     fits = [[_fit(one, *start, base) for start in _starts(one)] for one in every]
     alone = [sorted(pair, key=lambda fit: fit.cost) for pair in fits]
     first = [pair[0] for pair in alone]
-    lens, poses = _common_start(every, first) if len(every) > 1 else (first[0].lens, first[0].poses)
+    lens = np.median([fit.lens for fit in first], axis=0)  # that most views agree on
+    poses = np.concatenate([fit.poses for fit in first])
     best = _fit(views, lens, poses, base)
     for term in _TERMS if len(every) > 1 else ():
         lens_free = [k for k in best.free if k < len(LENS)]
@@ -221,17 +220,6 @@ def _starts(one: Views) -> list[tuple[Array, Array]]:
         lens = np.array([abs(convergence) / magnification, distortion, 0.0, 0.0, 0.0])
         starts.append((lens, np.array([[magnification, alpha, sign * beta, sign * gamma, tx, ty]])))
     return starts
-
-
-def _common_start(every: list[Views], alone: list[Fit]) -> tuple[Array, Array]:
-    """The lens that most views agree on, and the pose of each with it."""
-    lens = np.zeros(len(LENS))
-    lens[:2] = np.median([fit.lens[:2] for fit in alone], axis=0)
-    for _ in range(_STARTS if every[0].focal_length is None else 0):
-        tilts = [[fit.poses * [1, 1, sign, sign, 1, 1] for sign in (1, -1)] for fit in alone]
-        fits = [[_fit(v, lens, p, []) for p in pair] for v, pair in zip(every, tilts, strict=True)]
-        alone = [min(pair, key=lambda fit: fit.cost) for pair in fits]
-    return lens, np.concatenate([fit.poses for fit in alone])
 
 
 def without_terms(lens: Array, seen: Array, cell: Array) -> Array:

@@ -197,11 +197,6 @@ def test_a_hexagonal_lattice_is_found_by_name_only(turn):
     np.testing.assert_allclose(world, expected - expected.mean(axis=0), atol=1e-9)
 
 
-def test_a_square_lattice_is_no_hexagonal_one():
-    with pytest.raises(ValueError, match="hexagonal lattice, got steps of"):
-        detect_circles(board(SQUARE)[0], lattice="hexagonal")
-
-
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_an_asymmetric_grid_counts_half_steps_and_rows(mirrored):
     image, truth = board(ASYMMETRIC, size=0.35, pitch=26.0)
@@ -213,7 +208,9 @@ def test_an_asymmetric_grid_counts_half_steps_and_rows(mirrored):
     np.testing.assert_array_equal(found.positions, found.grid)
 
 
-def test_a_rectangular_lattice_is_refused():
+def test_a_square_lattice_is_no_hexagonal_one_and_a_rectangular_one_neither():
+    with pytest.raises(ValueError, match="hexagonal lattice, got steps of"):
+        detect_circles(board(SQUARE)[0], lattice="hexagonal")
     with pytest.raises(ValueError, match=r"square lattice, got steps of 1 : 1.3"):
         detect_circles(board(SQUARE * [1.0, 1.3], pitch=26.0)[0])
 
@@ -230,6 +227,13 @@ def test_a_chessboard_is_no_grid_of_marks(detect, blur):
     image, _ = board(fields, "square", 1.0, pitch=30.0, blur=blur)
     with pytest.raises(ValueError, match="image"):
         detect(image)
+
+
+@pytest.mark.parametrize(("size", "blur"), [(0.4, 5.0), (0.42, 3.0)])
+def test_the_places_between_blurred_circles_are_no_circles(size, blur):
+    """Where blur fills the gaps, the bright places between four circles are round, too."""
+    with pytest.raises(ValueError, match="apart from each other"):
+        detect_circles(board(SQUARE, size=size, blur=blur)[0])
 
 
 def test_four_circles_in_clutter_are_no_grid():

@@ -101,12 +101,8 @@ def test_light_and_noise():
     image = render_squares(scope, counts=(1, 1), imaging=bare)
     assert image[50, 100] == pytest.approx(150.0)
     assert image[0, 0] == pytest.approx(150 * (1 - 0.1 + 0.05) * (1 - 0.3), rel=1e-6)
-    noisy = [
-        render_squares(
-            scope, counts=(1, 1), imaging=replace(bare, noise=3.0), rng=np.random.default_rng(seed)
-        )
-        for seed in (1, 1, 2)
-    ]
+    noise = {"counts": (1, 1), "imaging": replace(bare, noise=3.0)}
+    noisy = [render_squares(scope, **noise, rng=seed) for seed in (1, 1, 2)]
     np.testing.assert_array_equal(noisy[0], noisy[1])
     assert (noisy[0] != noisy[2]).any()
     # Standard error of a standard deviation from 20301 pixels: 0.5 %; four of them.
