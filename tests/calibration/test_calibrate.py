@@ -392,14 +392,6 @@ def test_bad_input_is_named(world, image, change, word):
         calibrate(world, image, **{"focal_length": F, **SENSOR, **change})
 
 
-def test_bad_interval_is_named():
-    found = calibrate(WORLD, IMAGE, focal_length=F, **SENSOR)
-    with pytest.raises(ValueError, match="parameter"):
-        found.interval("focal_length")
-    with pytest.raises(ValueError, match="level"):
-        found.interval("alpha", 1.0)
-
-
 # A model that does not fit
 
 
