@@ -41,6 +41,9 @@ def test_a_target_is_reached_and_every_frame_logged(kind):
     assert log["event"].iloc[-2:].tolist() == ["reached", "done"]
     seen = log[log["phase"] != "end"]
     assert np.isfinite(seen[["measured_x_px", "stage_x_um", "latency_s"]]).all(axis=None)
+    # Both ways along both axes, so that a drift is told apart.
+    tried = log.loc[log["phase"] == "calibration", ["stage_x_um", "stage_y_um"]]
+    np.testing.assert_allclose([tried.min(), tried.max()], [[-10.0] * 2, [10.0] * 2], atol=0.05)
     # What was commanded is where the stage is seen next, to an increment of its drive.
     sent = seen[["command_x_um", "command_y_um"]].to_numpy()[:-1]
     stood = seen[["stage_x_um", "stage_y_um"]].to_numpy()[1:]
