@@ -238,10 +238,13 @@ class Microscope(Tidy):
             object.__setattr__(self, name, scalar(name, getattr(self, name), within=_ANGLES))
         cell = positive("pixel_size", self.pixel_size)
         if cell.ndim:
-            as_array("pixel_size", cell, shape=(2,))
+            cell = as_array("pixel_size", cell, shape=(2,))
+        pitch = cell.tolist()
+        object.__setattr__(self, "pixel_size", tuple(pitch) if cell.ndim else pitch)
         size = positive("image_size", as_array("image_size", self.image_size, shape=(2,)))
         if (size != np.round(size)).any():
             raise ValueError(f"image_size must be whole numbers of pixels, got {self.image_size}")
+        object.__setattr__(self, "image_size", tuple(map(int, size)))
 
     @property
     def rotation(self) -> Array:

@@ -13,6 +13,7 @@ from microlib._common._checks import (
     generator,
     image_shape,
     items,
+    luminance,
     of_kind,
     one_of,
     positive,

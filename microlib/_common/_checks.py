@@ -23,6 +23,8 @@ LARGEST, LEAST = 1e60, 1e-60
 _LARGEST_SINGLE = 1e18
 #: Grey levels are squared, summed and multiplied in single precision; 32-bit levels lie below.
 LARGEST_GREY = 1e10
+#: Of red, green and blue, as frames that are read as grey have it.
+_LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
 #: Rows or columns, and pixels, of an image to make: beyond any sensor's.
 _LONGEST_SIDE, _MOST_PIXELS = 1 << 16, 1 << 28
 
@@ -87,6 +89,14 @@ def as_image(name: str, value: ArrayLike, *, smallest: int = 1) -> NDArray:
         raise ValueError(f"{name} must be a grey image of two dimensions, got {image.ndim}")
     if min(image.shape) < smallest:
         raise ValueError(f"{name} must be at least {smallest} px on each side, got {image.shape}")
+    return image
+
+
+def luminance(name: str, value: ArrayLike) -> NDArray:
+    """Return an image as it is, or the luminance of one in color as float32."""
+    image = value if type(value) is np.ndarray else as_array(name, value)
+    if image.ndim == 3 and image.shape[2] in (3, 4):
+        image = as_array(name, image, dtype=np.float32)[..., :3] @ _LUMINANCE
     return image
 
 

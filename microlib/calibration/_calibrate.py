@@ -43,9 +43,8 @@ _TOLD = 3.84
 #: The optical axis meets the sensor so far from its middle, standard deviation in widths of the
 #: image: 1 to 2 % in the camera modules and published calibrations that one finds.
 _AXIS_ASIDE = 0.02
-#: A kilometer, µm, and a thousand times the longest row of a sensor, px: nothing is calibrated
-#: beyond, and the fits lose their way there.
-_FARTHEST, _FARTHEST_PIXEL = 1e9, 1e8
+#: A kilometer, µm: nothing is calibrated beyond, and the fits lose their way there.
+_FARTHEST = 1e9
 
 
 def calibrate(
@@ -128,12 +127,8 @@ def calibrate(
     """
     between("pixel_size", pixel_size, 1 / _FARTHEST, _FARTHEST)
     if focal_length is not None:
-        focal_length = scalar("focal_length", focal_length, above=0)
-        between("focal_length", focal_length, 1 / _FARTHEST, _FARTHEST, closed=True)
+        focal_length = scalar("focal_length", focal_length, least=1 / _FARTHEST, most=_FARTHEST)
     detections = [world] if isinstance(world, Detection) else world
-    worlds: Any
-    images: Any
-    labels: Any
     if isinstance(detections, (list, tuple)) and any(isinstance(d, Detection) for d in detections):
         if any(given is not None for given in (image, image_size, groups)):
             raise ValueError("image, image_size and groups must not be given beside a detection")
@@ -141,7 +136,7 @@ def calibrate(
     else:
         if pitch is not None:
             raise ValueError("pitch must be left out with points in µm, got one")
-        each = (world, image, groups)
+        each: Any = (world, image, groups)
         worlds, images, labels = each if _are_several(world) else ([x] for x in each)
         labels = None if groups is None else labels
         for name, given in (("image", images), ("groups", worlds if labels is None else labels)):
@@ -209,15 +204,13 @@ def _points(world: Any, image: Any, image_size: tuple[int, int]) -> tuple[Array,
     image = as_array("image", image, shape=(None, 2))
     same_length(("world", "image"), world, image)
     between("world", world, -_FARTHEST, _FARTHEST)
-    between("image", image, -_FARTHEST_PIXEL, _FARTHEST_PIXEL)
     if len(world) < 5:  # radial alignment has six unknowns up to scale, one equation a point
         raise ValueError(f"world must hold at least 5 points, got {len(world)}")
     span_plane(world=world, image=image)
     beyond = ((image < -1) | (image > image_size)).any(axis=1)
     if beyond.any():
-        width, height = image_size
         raise ValueError(
-            f"image must lie in the image_size of (width, height) = ({width}, {height}) px, got "
+            f"image must lie in the image_size of (width, height) = {tuple(image_size)} px, got "
             f"{int(beyond.sum())} of {len(image)} points beyond it, one at {image[beyond][0]}"
         )
     return world, image

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 _IMPROBABLE = 1e-3
 #: Radii at which the distortion is expressed as OpenCV does.
 _RADII = 64
+#: What holds numbers that need not be finite, which JSON knows as texts alone.
+_NUMBERS = ("estimate", "covariance", "residuals", "plane_residuals", "misfit", "misfit_chance")
 
 
 @dataclass(frozen=True)
@@ -218,11 +220,12 @@ class Calibration(Tidy):
         )
 
     def to_json(self) -> str:
-        """Text in JSON from which other programs can be set up; `save` keeps the calibration.
+        """Text in JSON that `from_json` reads, and from which other programs can be set up.
 
         OpenCV's camera matrix and distortion coefficients (with the most that they are off the
         model in the image), rotation and translation of each view, as ``cv2.undistort`` takes them;
-        Micro-Manager's and ImageJ's size of a pixel with its 95 % interval; and what `to_dict` has.
+        Micro-Manager's and ImageJ's size of a pixel with its 95 % interval; and all that is known
+        here, its numbers as texts where they need not be finite.
 
         Returns
         -------
@@ -232,10 +235,12 @@ class Calibration(Tidy):
         distance = (scope.tube_length + scope.focal_length) / scope.cell
         terms, worst = self._brown()
         pixel, *ends = self.um_per_pixel()
+        own = {n: v for n, v in vars(self).items() if n != "microscope"}
+        own |= {n: np.array(own[n]).astype(str) for n in _NUMBERS}
         content = {
             "opencv": {
-                "image_width": int(scope.image_size[0]),
-                "image_height": int(scope.image_size[1]),
+                "image_width": scope.image_size[0],
+                "image_height": scope.image_size[1],
                 "camera_matrix": [[distance[0], 0, axis[0]], [0, distance[1], axis[1]], [0, 0, 1]],
                 "distortion_coefficients": terms,
                 "distortion_model_error_px": worst,
@@ -245,9 +250,36 @@ class Calibration(Tidy):
             "micro_manager": {"PixelSizeUm": pixel},
             "imagej": {"unit": "µm", "pixel_width": pixel, "pixel_height": pixel},
             "pixel_size_interval_um": ends,
-            "calibration": self.to_dict(),
+            "calibration": own | {"views": [vars(view) for view in self.views]},
         }
         return json.dumps(content, indent=2, ensure_ascii=False, default=np.ndarray.tolist)
+
+    @classmethod
+    def from_json(cls, text: str) -> Calibration:
+        """Read what `to_json` wrote.
+
+        Parameters
+        ----------
+        text : str
+            The text of the file, with all digits.
+
+        Returns
+        -------
+        Calibration
+
+        Raises
+        ------
+        ValueError
+            If `text` holds no calibration.
+        """
+        try:
+            own = json.loads(text)["calibration"]
+            own |= {n: np.array(own[n]).astype(float)[()] for n in _NUMBERS}
+            own["views"] = [Microscope(**view) for view in own["views"]]
+            own |= {n: tuple(v) for n, v in own.items() if isinstance(v, list)}
+            return cls(microscope=own["views"][0], **own)
+        except (TypeError, LookupError, ValueError) as fault:
+            raise ValueError(f"text must be what to_json wrote, got {str(text)[:40]!r}") from fault
 
     def _value(self, parameter: str) -> float:
         """The estimate of a parameter, zero if it was not estimated."""

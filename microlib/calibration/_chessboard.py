@@ -32,8 +32,7 @@ def find_corners(grey: NDArray[np.float32]) -> tuple[Marks, Index]:
     ValueError
         If the image shows no chessboard of at least three by three corners.
     """
-    low, high = float(grey.min()), float(grey.max())
-    eight = np.round((grey - low) * (255 / max(high - low, 1e-9))).astype(np.uint8)
+    eight: NDArray = cv2.normalize(grey, np.empty(0), 0, 255, cv2.NORM_MINMAX, cv2.CV_8U)
     smooth: NDArray = cv2.GaussianBlur(grey, (0, 0), 1.0)
     half = cv2.pyrDown(cv2.GaussianBlur(eight, (0, 0), 2.0))
     for each, board, flags in ((half, _BOARD, _QUICK), (eight, _LEAST_BOARD, _THOROUGH)):
@@ -42,8 +41,7 @@ def find_corners(grey: NDArray[np.float32]) -> tuple[Marks, Index]:
             break
     else:
         raise ValueError("image must show a chessboard, got none")
-    rows, columns = np.asarray(meta).shape
-    grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
+    grid = np.argwhere(np.ones(np.shape(meta)))[:, ::-1]  # (column, row) of each corner, by rows
     scale = 2 if each is half else 1
     centers: Array = scale * np.asarray(corners, dtype=np.float64).reshape(-1, 2)
     beside = max(_BESIDE * np.sqrt(np.abs(np.linalg.det(mean_steps(centers, grid)))), 1.0)

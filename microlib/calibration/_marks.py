@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from microlib._common import Array, as_array, as_image, as_region
+from microlib._common import Array, as_image, as_region, luminance
 
 #: Smallest image in which four marks can be seen, px.
 _SMALLEST_IMAGE = 16
-#: Luminance of red, green and blue, as frames that are read as grey have it.
-_LUMINANCE = (0.299, 0.587, 0.114)
 #: Standard deviation of the Gaussian that takes the noise off, px. From 0.5 to 2 the points' error
 #: varies by 1 %, but 2 loses the smallest shapes.
 _SMOOTHING = 1.0
@@ -87,10 +85,8 @@ class Marks:
 
 def to_grey(image: ArrayLike) -> NDArray[np.float32]:
     """Checked grey levels of an image, or the luminance of one in color."""
-    array = as_array("image", image, dtype=np.float32)
-    if array.ndim == 3 and array.shape[2] in (3, 4):
-        array = array[..., :3] @ np.array(_LUMINANCE, dtype=np.float32)
-    return np.ascontiguousarray(as_image("image", array, smallest=_SMALLEST_IMAGE))
+    grey = as_image("image", luminance("image", image), smallest=_SMALLEST_IMAGE)
+    return np.ascontiguousarray(grey)
 
 
 def crop(

@@ -178,10 +178,7 @@ def _fit(views: Views, lens: Array, poses: Array, lens_free: list[int]) -> Fit:
         points, by = views.predict(*split(np.frombuffer(values)))
         return (points - seen).ravel(), by.reshape(-1, len(start))[:, free]
 
-    refusal = ValueError(
-        "world and image must fit one microscope, with the focal_length if it is given: none was "
-        "found"
-    )
+    refusal = ValueError("world, image and focal_length must fit one microscope, none was found")
     if not np.isfinite(at(start[free].tobytes())[0]).all():  # beyond the reach of its distortion
         raise refusal
     found = least_squares(

@@ -14,11 +14,11 @@ from microlib._common import (
     Array,
     Image,
     Tidy,
-    as_array,
     as_image,
     as_region,
     check_callable,
     flat_row,
+    luminance,
     of_kind,
     one_of,
     scalar,
@@ -41,9 +41,6 @@ if TYPE_CHECKING:
 
 #: Least width and height (px) of a template.
 _SMALLEST = 6
-
-#: Luminance of red, green and blue, as frames that are read as grey have it.
-_LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
 
 #: Standard deviation (px) of the Gaussian at the first level.
 _SMOOTHING = 1.25
@@ -292,7 +289,7 @@ class ESMTracker:
         *,
         kalman: KalmanFilter | None = None,
     ) -> None:
-        frame = np.ascontiguousarray(as_image("image", _grey("image", image)))
+        frame = np.ascontiguousarray(as_image("image", luminance("image", image)))
         motion = one_of("motion", motion, tuple(GENERATORS))
         x, y, width, height = self._box = as_region("box", box, frame.shape, least=_SMALLEST)
         if kalman is not None:
@@ -337,7 +334,7 @@ class ESMTracker:
         ValueError
             If the frame is no image of that size, or not finite where the template is sought.
         """
-        frame = _grey("frame", frame)
+        frame = luminance("frame", frame)
         if frame.shape != self._shape:
             raise ValueError(f"frame must have shape {self._shape}, got {frame.shape}")
         if self._kalman is not None:
@@ -518,14 +515,6 @@ class ESMTracker:
         return apply_homography(self._pose, self._sharp.corners)
 
 
-def _grey(name: str, image: ArrayLike) -> NDArray:
-    """Return an image as it is, or the luminance of one in color."""
-    array = image if type(image) is np.ndarray else as_array(name, image)
-    if array.ndim == 3 and array.shape[2] in (3, 4):
-        array = as_array(name, array, dtype=np.float32)[..., :3] @ _LUMINANCE
-    return array
-
-
 def _clear(fit: LitFit, covariance: Array) -> bool:
     """Return whether all parts of the template agree in smooth light."""
     said = fit.agreement
@@ -617,7 +606,7 @@ def track_all(
     rows: list[dict[str, Any]] = []
     for number, frame in enumerate(frames):
         if number == 0:
-            as_image("frames", _grey("frames", frame))
+            as_image("frames", luminance("frames", frame))
             tracker = ESMTracker(frame, box, motion, kalman=kalman)
             track = ESMTracker(frame, box, motion).track(frame)  # nothing to predict
         else:

@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from microlib import load
-from microlib.calibration import calibrate, stage_affine
+from microlib.calibration import Calibration, calibrate, stage_affine
 from microlib.microscope import Microscope
 
 MOVES = np.array([[0.0, 0], [40, 0], [0, 40], [-40, 0], [0, -40], [40, 40], [-40, 30]])
@@ -113,7 +112,7 @@ def test_opencv_projects_from_the_json_as_the_microscope_does():
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.2])
-def test_a_calibration_returns_from_its_file(tilt, tmp_path):
+def test_a_calibration_returns_from_its_json(tilt):
     """Also what is not finite: variances of what one view without tilt does not determine."""
     scope = Microscope(2e5, 126000, 79380, -8e-10, 0.3, tilt, 0, -900, -700)
     world = WORLD[((scope.project(WORLD) > 5) & (scope.project(WORLD) < [650, 485])).all(axis=1)]
@@ -122,8 +121,7 @@ def test_a_calibration_returns_from_its_file(tilt, tmp_path):
         world, scope.project(world) + noise, pixel_size=(9.9, 9.8), image_size=(656, 491)
     )
     assert ("focal_length" in found.unobservable) is (tilt == 0)
-    found.save(tmp_path / "camera.npz")
-    again = load(tmp_path / "camera.npz")
+    again = Calibration.from_json(found.to_json())
     json.loads(found.to_json(), parse_constant=pytest.fail)  # no NaN, which JSON does not know
     for field in fields(found):
         here, there = getattr(found, field.name), getattr(again, field.name)
@@ -132,6 +130,9 @@ def test_a_calibration_returns_from_its_file(tilt, tmp_path):
         else:
             assert there == here, field.name
     assert repr(again) == repr(found)
+    for wrong in ("", "{}", '{"calibration": {"views": []}}', "3"):
+        with pytest.raises(ValueError, match="text must be what to_json wrote"):
+            Calibration.from_json(wrong)
 
 
 def test_opencv_straightens_points_by_the_json():

@@ -220,7 +220,7 @@ def test_a_wrong_file_gives_one_clear_line(
     ("guide", "files"),
     [
         ("tracking", {"track.csv", "track.png"}),
-        ("calibration", {"camera.csv", "camera.json", "camera.npz", "points.csv"}),
+        ("calibration", {"camera.csv", "camera.json", "points.csv"}),
         ("embryo", {"modulus.csv", "outline.csv", "outline.png"}),
         ("focus_stack", FOCUS_FILES),
         ("modulus", {"modulus.csv", "inputs.csv", "dimple.png"}),
