@@ -288,6 +288,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "self": calibrated(), "parameter": "magnification", "level": 0.9
     },
     "calibration.Calibration.um_per_pixel": lambda: {"self": calibrated(), "level": 0.9},
+    "calibration.Calibration.from_json": lambda: {"text": calibrated().to_json()},
     "calibration.Calibration.to_json": lambda: {"self": calibrated()},
     "calibration.Detection": lambda: {
         "points": grid(), "grid": grid().astype(int), "sigma": np.ones(42),

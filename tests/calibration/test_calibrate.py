@@ -520,11 +520,11 @@ def test_terms_that_nothing_speaks_for_are_left_out():
 def test_intervals_of_several_views_cover_also_for_an_imprecise_pattern(shift):
     """Marks made beside their places are so in every view: 0.13 px, for 0.02 px of noise."""
     inside = []
-    for seed in range(24):
+    for seed in range(16):
         found = calibrate(*lens_views(4, seed=seed, shift=shift, aside=(6, 4)), **CAMERA)
         low, high = found.interval("focal_length")
         inside.append(low <= 900 * 8 / (1 + found.microscope.magnification) <= high)
-    assert sum(inside) >= 21  # of 24 at 95 %: 22.8 ± 1.1; the series of κ costs a little
+    assert sum(inside) >= 14  # of 16 at 95 %: 15.2 ± 0.9; the series of κ costs a little
 
 
 def test_several_views_with_a_given_focal_length():

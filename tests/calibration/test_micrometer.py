@@ -75,9 +75,9 @@ def test_the_distance_of_the_lines_is_found(change):
 
 
 def test_the_interval_holds():
-    """Of 40 at 95 %, 38 ± 1.4."""
+    """Of 24 at 95 %, 22.8 ± 1.1."""
     inside = 0
-    for seed in range(40):
+    for seed in range(24):
         rng = np.random.default_rng([seed, 1])
         spacing = rng.uniform(9, 14)
         image = scale(
@@ -89,7 +89,7 @@ def test_the_interval_holds():
         )
         low, high = detect_micrometer(image).um_per_pixel(10.0)[1:]
         inside += low <= 10.0 / spacing <= high
-    assert inside >= 34
+    assert inside >= 20
 
 
 def test_a_region_is_looked_at_alone():

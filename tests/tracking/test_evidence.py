@@ -195,7 +195,7 @@ def test_a_lost_template_is_found_anywhere_in_the_frame():
 def test_errors_are_of_the_size_that_is_stated(condition):
     scores = []
     columns = np.mgrid[:180, :190][1]
-    for seed in range(40):
+    for seed in range(28):
         rng = default_rng(seed)
         by = rng.uniform(-3, 3, 2)
         first = scene(seed % 8)
@@ -208,7 +208,7 @@ def test_errors_are_of_the_size_that_is_stated(condition):
         assert not track.lost
         off = track.center - CORNERS.mean(axis=0) - by
         scores.extend(off / np.sqrt(np.diag(track.covariance)))
-    # Eighty scores know their root mean square to 8 %; 0.8 to 1.3 is wanted of many.
+    # So many scores know their root mean square to 10 %; 0.8 to 1.3 is wanted of many.
     assert 0.7 < np.sqrt(np.mean(np.square(scores))) < 1.5
 
 

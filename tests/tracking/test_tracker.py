@@ -165,7 +165,7 @@ def scene_and_tracker(motion="translation"):
 
 def test_a_gripper_is_tracked_over_its_ground_without_drift():
     scene, tracker, rng = scene_and_tracker("affine")
-    for k in range(150):
+    for k in range(100):
         truth = 40 * np.array([np.sin(k / 25), np.cos(k / 25) - 1])
         track = tracker.track(scene.frame(truth, rng))
         assert not track.lost
