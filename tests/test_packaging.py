@@ -14,8 +14,8 @@ from setuptools import find_packages
 import microlib
 
 ROOT = Path(__file__).resolve().parent.parent
-#: What is code, and what Python and Numba keep of it.
-CODE = {".py", ".pyc", ".nbi", ".nbc"}
+#: What is code, and what Python keeps of it.
+CODE = {".py", ".pyc"}
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 
