@@ -212,7 +212,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "--box", nargs=4, type=int, required=True, metavar=("X", "Y", "W", "H"), help=box
     )
-    motions = ["translation", "euclidean", "similarity", "affine", "homography"]
+    motions = ["translation", "affine", "homography"]
     sub.add_argument("--motion", choices=motions, default="translation", help="how the part moves")
     lengths(sub, rate="frames per second, for a column of times", pixel_size=pixel)
 

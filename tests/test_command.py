@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -65,6 +66,19 @@ def test_track_follows_the_square(tmp_path: Path) -> None:
     assert np.abs(way - truth[["x_px", "y_px"]].to_numpy()).max() < 0.1
     assert table["x_um"].to_numpy() == pytest.approx(6.23 * (way[:, 0] - way[0, 0]), abs=1e-6)
     assert table["time_s"].iloc[-1] == pytest.approx(39 / 33)
+
+
+def test_every_motion_of_the_help_is_followed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        main(["track", "--help"])
+    motions = re.search(r"--motion \{(.*?)\}", capsys.readouterr().out)[1].split(",")
+    assert len(motions) == 3
+    line = ["track", str(INPUTS / "frames.tif"), "--box", "30", "40", "40", "40"]
+    for motion in motions:
+        assert main([*line, "--motion", motion, "-o", str(tmp_path / "track.csv")]) == 0
+        assert "lost in 0 of 40 frames" in capsys.readouterr().out
 
 
 def test_modulus_holds_the_truth(tmp_path: Path) -> None:
