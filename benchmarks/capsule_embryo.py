@@ -281,8 +281,9 @@ debris, a holder, uneven light, color and JPEG.
 - One seed gives the same egg in the same light to all six probes, unless a probe's width changes
   what can be pressed. The shares of intervals are therefore those of some 50 eggs, which know them
   to about 3 %, not those of 300.
-- The six failures are refused by name. Of one egg, under five probes, the flat on its holder is taken
-  for a dimple, unless `direction` is given. One probe is not seen at a quarter of the resolution.
+- The six failures are refused by name. Of one egg, under five probes, the flat on its holder is
+  taken for a dimple, unless `direction` is given. One probe is not seen at a quarter of the
+  resolution.
 - At a quarter of the resolution the intervals are somewhat too narrow, which the share over all
   does not show.
 """
