@@ -44,8 +44,8 @@ STYLE = """<style>
 OBJECT = re.compile(rb"^(\d+) 0 obj\n(.*?)^endobj", re.S | re.M)
 KIDS = re.compile(rb"/Kids \[(.*?)\]", re.S)
 DESTINATION = re.compile(rb"/([^\s/<>\[\]]+) \[(\d+) 0 R /XYZ")
-# One to see the numbers, one with them, and one more if they or what is loaded late moved a page.
-MOST_PRINTS = 4
+# One to see the numbers, one with them, and more if they or what is loaded late moved a page.
+MOST_PRINTS = 6
 # Formulas in every script of a big page take their time, s.
 PATIENCE = 600
 
@@ -176,12 +176,14 @@ def print_numbered(page: Page) -> bytes:
     """Print until the contents have the numbers of the pages on which the anchors stand."""
     listed = page.locator("[data-page]").evaluate_all("all => all.map(one => one.dataset.page)")
     numbers: dict[str, int] = {}
-    for _ in range(MOST_PRINTS):
+    for turn in range(MOST_PRINTS):
         printed = print_page(page)
         every = page_numbers(printed)
         found = {name: every[name] for name in listed}
         if found == numbers:
             return printed
+        if turn % 2:  # Chromium may break a page in two ways, in turn: the next print is as before
+            continue
         numbers = found
         page.evaluate(
             """numbers => document.querySelectorAll("[data-page]").forEach(
