@@ -18,7 +18,6 @@ from glob import glob
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from unittest.mock import patch
 
 from tqdm import tqdm
 
@@ -126,8 +125,13 @@ def process_files(
             due[name] = modified
             rows.pop(name, None)
     # Processes begin as they get work, with the environment of that moment.
-    with patch.dict(os.environ, {name: os.environ.get(name, "1") for name in _THREADS}):
+    unset = [name for name in _THREADS if name not in os.environ]
+    os.environ |= dict.fromkeys(unset, "1")
+    try:
         futures = {pool.submit(_values, work, name): name for name in due}
+    finally:
+        for name in unset:
+            del os.environ[name]
     columns: list[str] = []
     try:
         for future in tqdm(as_completed(futures), total=len(due), disable=not bar):
