@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from microlib._common import Array, Image, as_image, scalar, whole
 from microlib.focus import (
     FocusResult,
+    check_options,
     depth_from_focus,
     sum_modified_laplacian,
     three_point_peak,
@@ -99,10 +100,6 @@ class Peaks:
         return found
 
 
-#: A stack on which options are tried: noise, with as many frames as any fit of a peak asks for.
-_TRIAL = np.random.default_rng(0).integers(0, 255, (15, 32, 32)).astype(np.uint8)
-
-
 class LiveDepth:
     """The depth of a focal stack as its frames come, and an end as soon as all has been seen.
 
@@ -116,7 +113,8 @@ class LiveDepth:
         positions rise, the least if they fall. Without it nothing says that a small part does not
         come into focus in the next frame, and `done` stays False.
     **options
-        Of `microlib.focus.depth_from_focus`, for `result`.
+        Of `microlib.focus.depth_from_focus`, for `result`, without `spacing`. What depends on the
+        size of the frames is checked at the first of them.
 
     Attributes
     ----------
@@ -166,10 +164,8 @@ class LiveDepth:
 
     def __init__(self, *, farthest: float | None = None, **options: Any) -> None:
         self._farthest = None if farthest is None else scalar("farthest", farthest)
-        self._options = options
-        if tried := {k: v for k, v in options.items() if k != "region"}:
-            # A wrong option is refused now and not after the scan.
-            depth_from_focus(_TRIAL, np.arange(float(len(_TRIAL))), **tried)
+        # A wrong option is refused now, one that does not suit the frames at the first of them.
+        self._options, self._checked = options, check_options(**options)
         self._frames: list[Image] = []
         self._positions: list[float] = []
         self._peaks: Peaks | None = None
@@ -212,8 +208,8 @@ class LiveDepth:
         Raises
         ------
         ValueError
-            If the frame is of another size or type, has a single row or column, or `z` does not go
-            on.
+            If the frame is of another size or type, has a single row or column, is too small for an
+            option, or `z` does not go on.
 
         Examples
         --------
@@ -238,6 +234,7 @@ class LiveDepth:
             )
         self._check_way(place)
         if self._peaks is None:
+            self._checked.check_frame(image)
             self._peaks = Peaks(image.shape)
         self._peaks.push(image)
         self._frames.append(image)

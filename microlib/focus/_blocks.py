@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, whole
+from microlib._common import Array, Region, as_region
 from microlib.focus._axis import Axis, find_axis, sampled
 from microlib.focus._follow import follow
 from microlib.focus._multiscale import multiscale_result
@@ -28,7 +28,7 @@ def is_in_blocks(frames: object) -> bool:
 
 
 def depth_in_blocks(
-    frames: Any, positions: Array, region: tuple[int, int, int, int] | None, *, points: int
+    frames: Any, positions: Array, region: Region | None, *, points: int
 ) -> FocusResult:
     """Return the default depth of a dask or zarr array, as dask arrays.
 
@@ -55,10 +55,8 @@ def depth_in_blocks(
         )
     x, y = 0, 0
     if region is not None:
-        x, y, width, height = (whole("region", value, least=0) for value in region)
+        x, y, width, height = as_region("region", region, stack.shape[1:])
         stack = stack[:, y : y + height, x : x + width]
-        if stack.shape[1:] != (height, width) or stack.size == 0:
-            raise ValueError(f"region must lie in frames of shape {frames.shape[1:]}, got {region}")
     if stack.dtype not in (np.uint8, np.uint16):
         stack = stack.astype(np.float32)
     rows, cols = (sampled(n) for n in stack.shape[1:])

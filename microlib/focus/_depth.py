@@ -17,16 +17,13 @@ from microlib._common import (
     Frames,
     Image,
     as_array,
-    check_callable,
-    flag,
-    one_of,
     scalar,
-    whole,
 )
 from microlib.focus._axis import find_axis, sampled
 from microlib.focus._blocks import depth_in_blocks, is_in_blocks
-from microlib.focus._measures import MEASURES, FocusMeasure, blur, focus_measure
+from microlib.focus._measures import FocusMeasure, blur
 from microlib.focus._multiscale import multiscale_result
+from microlib.focus._options import MOST, Options, Progress, check_options
 from microlib.focus._peaks import FARTHEST, fit_peaks, three_point_peak
 from microlib.focus._registration import Registered
 from microlib.focus._registration import register as find_registration
@@ -34,17 +31,8 @@ from microlib.focus._reliability import incoherent_mask
 from microlib.focus._result import FocusResult, as_type, picked
 from microlib.io import read_frames
 
-#: What is told how many parts of the work are done, and of how many; an exception from it ends all.
-Progress = Callable[[int, int], object]
 #: Axes of metadata that are no focus.
 _NO_FOCUS = {"T": "times", "C": "channels"}
-#: Frames whose numbers fit into 16 bits; side of a window, px: no image is larger.
-_MOST = 2**16 - 1
-#: Averaged frames in the default's fit of a peak: table "constant changed" of benchmarks/focus.py.
-_POINTS = 7
-#: Frames in a fit: beyond, its window takes a gigabyte a megapixel. Threads: more than any machine
-#: has processors.
-_MOST_POINTS, _MOST_WORKERS = 255, 256
 #: Differences from a Gaussian mean that leave the roughness of a depth, the radius of that mean and
 #: the window over which the square is averaged, every second px.
 _ROUGH_TIMES, _ROUGH_RADIUS, _ROUGH_WINDOW = 4, 4.0, 3
@@ -56,9 +44,9 @@ def depth_from_focus(
     *,
     spacing: float | None = None,
     measure: str | FocusMeasure = "multiscale",
-    window: int = 5,
-    step: int = 1,
-    threshold: float = 0.0,
+    window: int | None = None,
+    step: int | None = None,
+    threshold: float | None = None,
     points: int | None = None,
     workers: int = 1,
     register: bool = False,
@@ -85,16 +73,18 @@ def depth_from_focus(
         Focus measure. The default is the most accurate; "sml" is the thesis'
         sum-modified-Laplacian. A callable takes a frame and returns its measure, zero or positive
         and of the same shape.
-    window : int
-        Side of the square over which the measure is summed, px, odd. "multiscale" has windows of
-        its own.
-    step, threshold : int and float
-        Spacing (px) and threshold (grey levels) of (3.11) and (3.12); for "sml" only.
+    window : int, optional
+        Side of the square over which the measure is summed, px, odd; by default 5. Neither for
+        "multiscale", which has windows of its own, nor for a callable.
+    step, threshold : int and float, optional
+        Spacing (px) and threshold (grey levels) of (3.11) and (3.12), by default 1 and 0; for "sml"
+        only.
     points : int, optional
         Frames in the fit of the peak, odd, at least 3. By default 7 for "multiscale", and 3, the
         thesis' interpolation (3.13), for all others.
     workers : int
-        Number of threads. The result is the same for any number.
+        Number of threads. The result is the same for any number. Blocks of a dask or zarr array are
+        shared out by dask instead.
     register : bool
         Whether to undo shift, rotation, scale and brightness that change from frame to frame. The
         result is that of the middle frame's camera; what lies outside some frame that matters for a
@@ -105,7 +95,8 @@ def depth_from_focus(
         Side of the square blocks of pixels that become one, for a quick preview.
     progress : callable, optional
         Told how many parts of the work are done and how many there are: one for each frame that is
-        read, and as many again for the depth. An exception from it ends the work.
+        read, and as many again for the depth. An exception from it ends the work. Neither this nor
+        `measure`, `register` or `reduce` are for dask and zarr arrays.
 
     Returns
     -------
@@ -120,8 +111,8 @@ def depth_from_focus(
         If there are fewer than three frames or not as many as positions; frames differ in size or
         type, are no images, not finite or beyond ±10¹⁰, or differ in time or channel and not in
         focus; positions are not finite, not strictly monotonic, or not known; a file cannot be
-        read, or an option is out of range. With `register`, if less than half of the frames show
-        one scene.
+        read, or an option is out of range or none that this measure or array can use. With
+        `register`, if less than half of the frames show one scene.
 
     Warns
     -----
@@ -176,29 +167,27 @@ def depth_from_focus(
     >>> round(float(np.median(result.depth)))
     42
     """
-    if not callable(measure):
-        one_of("measure", measure, MEASURES)
-    check_callable("progress", progress, optional=True)
-    registered = flag("register", register)
-    usual = _POINTS if measure == "multiscale" else 3
-    fit = whole("points", usual if points is None else points, least=3, odd=True, most=_MOST_POINTS)
-    threads = whole("workers", workers, least=1, most=_MOST_WORKERS)
-    whole("step", step, least=1)
-    whole("window", window, least=1, odd=True, most=_MOST)
-    limit = scalar("threshold", threshold, least=0)
     labels = None
     if is_in_blocks(getattr(frames, "data", None)):  # an xarray.DataArray of such blocks
         labels = read_frames(frames, region=region)
         positions = labels.positions if positions is None and spacing is None else positions
         frames = frames.data  # type: ignore[union-attr]
+    options = check_options(
+        blocks=is_in_blocks(frames),
+        measure=measure,
+        window=window,
+        step=step,
+        threshold=threshold,
+        points=points,
+        workers=workers,
+        register=register,
+        region=region,
+        reduce=reduce,
+        progress=progress,
+    )
     if is_in_blocks(frames):
-        if measure != "multiscale" or registered or reduce != 1:
-            raise ValueError(
-                "dask arrays must be for measure 'multiscale', without register and reduce, got "
-                f"measure {measure!r}, register {registered}, reduce {reduce}"
-            )
         z = check_positions(positions, spacing, frames.shape[0])  # type: ignore[union-attr]
-        blocks = depth_in_blocks(frames, z, region, points=fit)
+        blocks = depth_in_blocks(frames, z, options.region, points=options.points)
         if labels is None:
             return blocks
         return replace(blocks, pixel_size=labels.pixel_size, origin=labels.origin)
@@ -207,10 +196,10 @@ def depth_from_focus(
         if progress is not None:
             progress(round(done), 2 * count)
 
-    stack = read = open_stack(frames, positions, spacing, region, reduce, told)
+    stack = read = open_stack(frames, positions, spacing, options, told)
     count, dtype = len(stack.positions), stack.grey[0].dtype
     found: Registered | None = None
-    if registered:
+    if options.register:
         found = find_registration(stack.grey)
         stack = Stack(
             found.images(stack.grey),
@@ -224,11 +213,16 @@ def depth_from_focus(
     if measure == "multiscale":
         rows, cols = (sampled(n) for n in stack.grey[0].shape)
         axis = find_axis([frame[np.ix_(rows, cols)] for frame in stack.grey], stack.positions)
-        options = {"points": fit, "workers": threads}
-        result = multiscale_result(stack.grey, stack.color, axis, **options, done=done)
+        result = multiscale_result(
+            stack.grey,
+            stack.color,
+            axis,
+            points=options.points,
+            workers=options.workers,
+            done=done,
+        )
     else:
-        chosen = focus_measure(measure, window, step, limit)
-        result = _single_measure(stack, chosen, fit // 2, done)
+        result = _single_measure(stack, options.chosen(), options.points // 2, done)
     result = replace(result, pixel_size=read.pixel_size, origin=read.origin)
     return result if found is None else _cut(result, found, dtype)
 
@@ -260,20 +254,19 @@ def open_stack(
     frames: Frames,
     positions: ArrayLike | None,
     spacing: float | None,
-    region: tuple[int, int, int, int] | None,
-    reduce: int,
+    options: Options,
     told: Progress,
 ) -> Stack:
     """Read a stack, once all that can be refused before was looked at.
 
     Parameters
     ----------
-    frames, positions, spacing, region, reduce
+    frames, positions, spacing, options
         As for `depth_from_focus`.
     told : callable
         Told after each frame how many have been read and how many there are, if that is known.
     """
-    reader: Any = read_frames(frames, region=region, reduce=reduce, color=True)
+    reader: Any = read_frames(frames, region=options.region, reduce=options.reduce, color=True)
     if reader.axis in _NO_FOCUS:
         raise ValueError(
             f"frames must differ in focus, got a file of {reader.count} {_NO_FOCUS[reader.axis]} "
@@ -315,8 +308,8 @@ def check_positions(positions: ArrayLike | None, spacing: float | None, count: i
     z = as_array("positions", positions, shape=(None,), largest=FARTHEST)
     if len(z) < 3:
         raise ValueError(f"positions must be at least three, one for each frame, got {len(z)}")
-    if len(z) > _MOST:
-        raise ValueError(f"positions must be at most {_MOST}, got {len(z)}")
+    if len(z) > MOST:
+        raise ValueError(f"positions must be at most {MOST}, got {len(z)}")
     gaps = np.diff(z)
     if not ((gaps > 0).all() or (gaps < 0).all()):
         at = int(np.flatnonzero((np.sign(gaps) != np.sign(z[-1] - z[0])) | (gaps == 0))[0])

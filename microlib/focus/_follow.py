@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
-from itertools import count
 
 import cv2
 import numpy as np
@@ -107,7 +106,6 @@ def follow(
         Told after each strip what share of the rows is done.
     """
     shape = frames[0].shape
-    counted = count(1)
     rows = _MEASURES // max(shape[1] * len(axis.steps), 1) - 2 * _MARGIN
     # A multiple of four, as every fourth row is looked at.
     tops = range(0, shape[0], int(np.clip(rows // 4 * 4, _LEAST_ROWS, _MOST_ROWS)))
@@ -116,12 +114,13 @@ def follow(
         bottom = min(top + tops.step, shape[0])
         start = max(top - _MARGIN, 0)
         seen = slice(start, min(bottom + _MARGIN, shape[0]))
-        found = _follow_strip(frames, axis, reach, seen, slice(top - start, bottom - start))
-        done(next(counted) / len(tops))
-        return found
+        return _follow_strip(frames, axis, reach, seen, slice(top - start, bottom - start))
 
+    parts = []
     with ThreadPoolExecutor(workers) as pool:
-        parts = list(pool.map(strip, tops))
+        for part in pool.map(strip, tops):  # told here, one after the other, from this thread
+            parts.append(part)
+            done(len(parts) / len(tops))
     whole = {}
     for field in fields(Followed):
         block = 4 if field.name.startswith("wide") else 2

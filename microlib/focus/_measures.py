@@ -12,8 +12,13 @@ from microlib._common import Image, as_array, as_image, scalar, whole
 
 #: A focus measure of the user: grey image to measure of the same shape.
 FocusMeasure = Callable[[Image], NDArray]
-#: Names that `depth_from_focus` knows.
-MEASURES = ("multiscale", "sml", "tenengrad", "variance")
+#: Names that `depth_from_focus` knows, and which of window, step and threshold each can use.
+MEASURES: dict[str, tuple[str, ...]] = {
+    "multiscale": (),
+    "sml": ("window", "step", "threshold"),
+    "tenengrad": ("window",),
+    "variance": ("window",),
+}
 
 #: Side of a window, px: no image is larger.
 _WIDEST = (1 << 16) - 1
@@ -105,8 +110,6 @@ def focus_measure(
         return np.maximum(square - mean * mean, 0).astype(np.float32)
 
     if isinstance(measure, str):
-        if measure != "sml" and (step, threshold) != (1, 0.0):
-            raise ValueError(f"step and threshold are for measure 'sml' only, got {measure!r}")
         return {"sml": sml, "tenengrad": tenengrad, "variance": variance}[measure]
 
     def checked(image: Image) -> NDArray:

@@ -89,10 +89,7 @@ def register(frames: Sequence[Image]) -> Registered:
         If some frames are left out for that reason.
     """
     shape, count = frames[0].shape, len(frames)
-    if min(shape) < _SMALLEST:
-        raise ValueError(
-            f"frames must be at least {_SMALLEST} px on each side to be registered, got {shape}"
-        )
+    check_size(shape)
     factor = max(min(shape) // _WORKING_SIDE, 1)
     size = shape[1] // factor, shape[0] // factor
     small = [
@@ -133,6 +130,14 @@ def register(frames: Sequence[Image]) -> Registered:
     for k in kept:
         poses[k] = (scale @ relative[int(k)] @ np.linalg.inv(scale))[:2]
     return Registered(kept, poses, gain, offset)
+
+
+def check_size(shape: tuple[int, ...]) -> None:
+    """Refuse frames that are too small to be registered."""
+    if min(shape) < _SMALLEST:
+        raise ValueError(
+            f"frames must be at least {_SMALLEST} px on each side to be registered, got {shape}"
+        )
 
 
 def _chain(bands: Sequence[NDArray], start: int) -> dict[int, Array]:

@@ -180,3 +180,24 @@ def test_wrong_frames_and_places_are_refused():
     assert live.frames == 2
     with pytest.raises(ValueError, match="positions must be at least three"):
         acquire_depth(microscope(np.zeros((44, 16, 16), np.uint8)), [0.0, 2.0, 1.0])
+
+
+def test_options_are_checked_without_frames_and_sizes_at_the_first_one():
+    told = []
+    LiveDepth(progress=lambda *done: told.append(done))
+    assert not told
+    for options, words in (
+        ({"register": True}, "frames must be at least 32 px on each side"),
+        ({"reduce": 64}, "must have sides of at least the 64 px of a block"),
+        ({"measure": "sml", "step": 40}, "step must be below the image's sides"),
+        ({"region": (3, 5, 9, 90)}, "region must lie in the image of 30×24 px"),
+    ):
+        live = LiveDepth(**options)
+        with pytest.raises(ValueError, match=words):
+            live.push(np.zeros((24, 30), np.uint8), 0.0)
+        live = LiveDepth(**options)
+        live.push(np.zeros((192, 194), np.uint8), 0.0)
+        assert live.frames == 1
+    for wrong in ({"window": 5}, {"measure": "variance", "step": 2}, {"region": (0, 0, 4)}):
+        with pytest.raises(ValueError, match=f"{'|'.join(wrong)}"):
+            LiveDepth(**wrong)

@@ -69,12 +69,17 @@ def test_zarr_comes_in_and_goes_out(stack, tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"measure": "sml"}, "dask arrays must be for measure 'multiscale'"),
-        ({"register": True}, "dask arrays must be for measure 'multiscale'"),
-        ({"reduce": 2}, "without register and reduce"),
+        ({"measure": "sml"}, "measure must not be given for a dask or zarr array, got 'sml'"),
+        ({"register": True}, "register must not be given for a dask"),
+        ({"reduce": 2}, "reduce must not be given for a dask"),
+        ({"workers": 2}, "workers must not be given for a dask"),
+        ({"progress": print}, "progress must not be given for a dask"),
+        ({"window": 5}, "window must not be given with measure 'multiscale'"),
         ({"positions": [0, 1, 2]}, "frames and positions must be as many, got 11 and 3"),
         ({"positions": None}, "positions or spacing must be given"),
-        ({"region": (0, 0, 900, 20)}, "region must lie in frames of shape"),
+        ({"region": (0, 0, 900, 20)}, "region must lie in the image of 96×96 px"),
+        ({"region": (0, 0, 10)}, r"region \(x, y, width, height\) must be 4 numbers"),
+        ({"region": "ab"}, r"region \(x, y, width, height\) must be"),
     ],
 )
 def test_what_blocks_cannot_do_is_refused(stack, change, words):

@@ -1,5 +1,6 @@
 """Shape from focus against loops over (3.11) to (3.13), known surfaces, and its own promises."""
 
+import threading
 import tracemalloc
 
 import numpy as np
@@ -319,7 +320,12 @@ def test_more_than_256_frames_are_counted_right():
         ({"measure": lambda frame: frame[1:]}, r"measure\(frame\) must have shape"),
         ({"measure": lambda frame: frame - 1.0}, r"measure\(frame\) must be zero or positive"),
         ({"measure": lambda frame: frame * np.nan}, r"measure\(frame\) must be finite"),
-        ({"measure": "variance", "step": 2}, "step and threshold are for measure 'sml' only"),
+        ({"measure": "variance", "step": 1}, "step must not be given with measure 'variance'"),
+        ({"measure": "tenengrad", "threshold": 0}, "threshold must not be given with measure 'ten"),
+        ({"window": 5}, "window must not be given with measure 'multiscale', got 5"),
+        ({"step": 1}, "step must not be given with measure 'multiscale'"),
+        ({"threshold": 0.0}, "threshold must not be given with measure 'multiscale'"),
+        ({"measure": np.abs, "window": 5}, "window must not be given with measure a function"),
         ({"measure": "sml", "window": 4}, "window must be an odd"),
         ({"frames": np.full((4, 9, 9), 2e10)}, r"frames\[0\] must lie within ±1e\+10"),
         ({"measure": "sml", "threshold": -1}, "threshold must be zero or positive"),
@@ -358,6 +364,20 @@ def test_an_exception_of_progress_ends_the_work(dome):
         with pytest.raises(InterruptedError):
             depth_from_focus(dome[1], POSITIONS, progress=stop, workers=2)
         assert (np.array(told[:-1]) < last).all()
+
+
+def test_progress_is_told_by_the_thread_that_asked_for_the_depth():
+    """And never less than before, with strips that end in another order than they begin."""
+    stack = np.random.default_rng(0).integers(0, 256, (9, 1100, 40)).astype(np.uint8)
+    told = []
+
+    def progress(done, count):
+        told.append((done, threading.get_ident()))
+
+    depth_from_focus(stack, np.arange(9.0), workers=4, progress=progress)
+    assert {thread for _, thread in told} == {threading.get_ident()}
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+    assert len(told) > 9 + 3  # more than one strip
 
 
 def test_memory_does_not_grow_with_the_frames():
