@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import chain
 
 import cv2
 import numpy as np
@@ -27,13 +26,13 @@ def read_frames(
         ``attrs["units"]`` names (0, 1, 2, … without a unit only number the pixels); a folder
         or a pattern (``"scan/*.jpg"``) of images, taken in the order of their names and of the
         numbers in them; a multi-page TIFF or OME-TIFF; a video; or an iterable, such as a list or
-        a generator, of images or of paths to image files. A TIFF has one axis of frames: depth Z,
-        time T, or one without a name. A photograph is turned as its camera says. ``~`` is the home
-        folder.
+        a generator, of images or of paths to image files; or what this function returned. A TIFF
+        has one axis of frames: depth Z, time T, or one without a name. A photograph is turned as
+        its camera says. ``~`` is the home folder.
     color : bool
         Whether color is wanted. If not, it becomes luminance, 0.299 R + 0.587 G + 0.114 B.
     region : tuple of four ints, optional
-        Part of the frames, (x, y, width, height) in px.
+        Part of the frames, (x, y, width, height) in px; of what a reader gives, if it is one.
     reduce : int
         Side of the square blocks of pixels that become one, their mean.
 
@@ -45,7 +44,8 @@ def read_frames(
         an array are views of it, all others are the reader's own. Values are as stored: a TIFF in
         which zero is white is not inverted. The reader's attributes `count`, `shape`, `dtype`,
         `color`, `axis`, `pixel_size` (µm/px) and `positions` (µm) say what the files tell of
-        them, None where they do not.
+        them, None where they do not. A reader of a reader goes on where that one is, and both
+        share the frames that are left.
 
     Raises
     ------
@@ -53,8 +53,16 @@ def read_frames(
         If the frames are none of these, a file is missing, is of another size than the first or no
         image, or a TIFF is cut off, has channels, depth and time, or more pages or fewer than it
         says: at once. While the frames are read, if one is neither grey nor color, not finite,
-        beyond ±10¹⁰, damaged, or differs from the first in size or type. The message names the
-        frame, and the page or axes of a TIFF.
+        beyond ±10¹⁰, damaged, or differs from the first in size or type, or if a film ends before
+        the number of frames that it tells of. The message names the frame, and the page or axes of
+        a TIFF. The frames before are good; the reader gives none after it and fails again.
+
+    Warns
+    -----
+    UserWarning
+        If a video has another number of frames than it tells of. AVI, MP4 and MOV list theirs,
+        which is believed until the last one was read; in others they are counted, which takes as
+        long as to read them.
 
     Examples
     --------
@@ -64,12 +72,12 @@ def read_frames(
     >>> reader.count, reader.shape, [frame.dtype.name for frame in reader]
     (2, (4, 5), ['uint8', 'uint8'])
     """
-    if isinstance(frames, FrameReader):
-        return frames
+    in_color, by = flag("color", color), whole("reduce", reduce, least=1)
     part = None if region is None else as_region("region", region)
-    return FrameReader(
-        open_source(frames), flag("color", color), part, whole("reduce", reduce, least=1)
-    )
+    if isinstance(frames, FrameReader):
+        return frames.part(in_color, part, by)
+    source = open_source(frames)
+    return FrameReader(source, Ahead(source.read()), in_color, part, by)
 
 
 class FrameReader(Iterator[NDArray]):
@@ -95,37 +103,45 @@ class FrameReader(Iterator[NDArray]):
         x and y of the middle of the first pixel, µm, where the pixel size is known.
     """
 
-    def __init__(self, source: Source, color: bool, region: Region | None, reduce: int) -> None:
+    def __init__(
+        self, source: Source, raw: Ahead, color: bool, region: Region | None, reduce: int
+    ) -> None:
+        self._source, self._raw = source, raw
         self._in_color, self._region, self._reduce = color, region, reduce
-        self.count, self.axis, self.positions = source.count, source.axis, source.positions
-        size = source.pixel_size
+        self._first = ("grey", np.dtype(np.uint8), (0, 0))
+        if (first := raw.peek()) is not None:
+            self._first = _kind(self._prepared(*first), first[1])
+        kind, self.dtype, self.shape = self._first
+        self.color = kind == "color"
+        z, size = source.positions, source.pixel_size
+        self.count = None if source.count is None else source.count - raw.taken
+        self.axis, self.positions = source.axis, None if z is None else z[raw.taken :]
         self.pixel_size = None if size is None else size * reduce
         corner = (0, 0) if region is None else region[:2]
         x, y = ((size or 0.0) * (at + (reduce - 1) / 2) for at in corner)
         self.origin = (source.origin[0] + x, source.origin[1] + y)
-        self._first = ("grey", np.dtype(np.uint8), (0, 0))
-        self._frames: Iterator[NDArray] = iter(())
-        named = source.read()
-        if (first := next(named, None)) is not None:
-            frame = self._prepared(*first)
-            self._first = _kind(frame, first[1])
-            self._frames = chain([frame], self._checked(named))
-        kind, self.dtype, self.shape = self._first
-        self.color = kind == "color"
 
     def __next__(self) -> NDArray:
-        return next(self._frames)
+        if (named := self._raw.peek()) is None:
+            raise StopIteration
+        name, raw = named
+        frame = self._prepared(name, raw)
+        if (came := _kind(frame, raw)) != self._first:
+            must, got = (
+                f"{kind} {dtype} of shape {size}" for kind, dtype, size in (self._first, came)
+            )
+            raise ValueError(f"{name} must be {must} like the first frame, got {got}")
+        self._raw.take()
+        return frame
 
-    def _checked(self, named: Named) -> Iterator[NDArray]:
-        for name, raw in named:
-            frame = self._prepared(name, raw)
-            if (came := _kind(frame, raw)) != self._first:
-                must, got = (
-                    f"{kind} {dtype} of shape {size}" for kind, dtype, size in (self._first, came)
-                )
-                raise ValueError(f"{name} must be {must} like the first frame, got {got}")
-            yield frame
-            del raw, frame
+    def part(self, color: bool, region: Region | None, reduce: int) -> FrameReader:
+        """Return a reader of the frames that are left, with options as of `read_frames`."""
+        part, by = self._region, self._reduce
+        if region is not None:
+            x, y, width, height = as_region("region", region, self.shape)
+            left, top = (part or (0, 0))[:2]
+            part = (left + by * x, top + by * y, by * width, by * height)
+        return FrameReader(self._source, self._raw, color, part, by * reduce)
 
     def _prepared(self, name: str, frame: NDArray) -> NDArray:
         """Return the part that is wanted, in a type and colors that are."""
@@ -144,6 +160,30 @@ class FrameReader(Iterator[NDArray]):
         if self._reduce > 1:
             frame = reduced(name, frame, self._reduce)
         return frame
+
+
+class Ahead:
+    """Raw frames, of which the next one can be looked at; a failure stays one."""
+
+    def __init__(self, named: Named) -> None:
+        self._named, self.taken = named, 0
+        self._next: tuple[str, NDArray] | None = None
+        self._failure: Exception | None = None
+
+    def peek(self) -> tuple[str, NDArray] | None:
+        """Return the next frame and its name, or None after the last."""
+        if self._failure is not None:
+            raise self._failure
+        try:
+            self._next = self._next or next(self._named, None)
+        except Exception as error:
+            self._failure = error
+            raise
+        return self._next
+
+    def take(self) -> None:
+        """Go on to the frame after that."""
+        self._next, self.taken = None, self.taken + 1
 
 
 def _kind(frame: NDArray, raw: NDArray) -> tuple[str, np.dtype, tuple[int, int]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import re
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -21,7 +22,9 @@ from microlib.io._metadata import labels_scale
 from microlib.io._tiff import is_tiff, tiff_pages, tiff_stack
 
 _PICTURES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm"})
-_VIDEOS = frozenset({".avi", ".mp4", ".m4v", ".mov", ".mkv", ".mpg", ".mpeg", ".webm", ".wmv"})
+#: Videos with a list of their frames, and others, whose number OpenCV computes from times.
+_LISTED = frozenset({".avi", ".mp4", ".m4v", ".mov"})
+_VIDEOS = _LISTED | {".mkv", ".mpg", ".mpeg", ".webm", ".wmv"}
 
 #: Raw frames, each with the name that a message gives it.
 Named = Iterator[tuple[str, NDArray]]
@@ -195,27 +198,34 @@ def picture(file: Path) -> NDArray:
 
 
 def _video(path: Path) -> Source:
-    """Read the frames of a video, as many as it says."""
+    """Read the frames of a video, whose list of them is believed until reading tells otherwise."""
     if not path.is_file():
         raise ValueError(f"frames cannot be read from {path}: no such file")
     film = cv2.VideoCapture(str(path))
-    count = int(film.get(cv2.CAP_PROP_FRAME_COUNT)) if film.isOpened() else 0
+    told = count = int(film.get(cv2.CAP_PROP_FRAME_COUNT)) if film.isOpened() else 0
+    if told < 2 or path.suffix.lower() not in _LISTED:
+        count = sum(1 for _ in iter(film.grab, False))
     film.release()
     if count < 1:
         raise ValueError(f"frames cannot be read from {path}: not a video that OpenCV knows")
 
+    def said(number: int) -> str:
+        return f"it tells of {max(told, 0)} frames, {number} can be read"
+
+    if count != told:
+        warnings.warn(f"{path}: {said(count)}", stacklevel=2)
+
     def read() -> Named:
-        film = cv2.VideoCapture(str(path))
+        film, k = cv2.VideoCapture(str(path)), 0
         try:
-            for k in range(count):
-                good, image = film.read()
-                if not good:
-                    raise ValueError(
-                        f"frames cannot be read from {path}: it tells of {count} frames, "
-                        f"{k} can be read"
-                    )
-                yield f"frame {k} of {path}", np.ascontiguousarray(image[..., ::-1])
+            while (answer := film.read())[0]:
+                yield f"frame {k} of {path}", np.ascontiguousarray(answer[1][..., ::-1])
+                k += 1
         finally:
             film.release()
+        if k < count:
+            raise ValueError(f"frames cannot be read from {path}: {said(k)}")
+        if k > count:
+            warnings.warn(f"{path}: {said(k)}", stacklevel=2)
 
     return Source(read, count=count)

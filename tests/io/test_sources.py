@@ -209,6 +209,7 @@ def test_a_video_with_fewer_frames_than_it_tells_of_is_refused(
             isOpened=lambda: True,
             release=lambda: None,
             get=lambda which: told[-1],
+            grab=lambda: False,
             read=lambda: left.pop() if left else (False, None),
         )
 
@@ -218,11 +219,92 @@ def test_a_video_with_fewer_frames_than_it_tells_of_is_refused(
     assert (reader.count, reader.shape) == (5, (4, 6))
     for _ in range(3):
         np.testing.assert_array_equal(next(reader), np.full((4, 6, 3), (3, 2, 1)))
-    with pytest.raises(ValueError, match=r"a\.MP4: it tells of 5 frames, 3 can be read"):
-        next(reader)
+    for _ in range(2):  # it does not end as if all had been read when it is asked again
+        with pytest.raises(ValueError, match=r"a\.MP4: it tells of 5 frames, 3 can be read"):
+            next(reader)
     told.append(0.0)
     with pytest.raises(ValueError, match=r"a\.MP4: not a video"):
         read_frames(tmp_path / "a.MP4")
+
+
+@pytest.mark.parametrize(("name", "code"), [("a.mpeg", "PIM1"), ("a.mkv", "MJPG")])
+def test_frames_are_counted_where_a_film_has_no_list_of_them(
+    stack: NDArray, tmp_path: Path, name: str, code: str
+) -> None:
+    path = tmp_path / name
+    film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*code), 25, (56, 48))
+    if not film.isOpened():
+        pytest.skip(f"OpenCV writes no {code} here")
+    for frame in stack:
+        film.write(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR))
+    film.release()
+    if name.endswith("mkv"):  # its times are right, but the file goes on
+        path.write_bytes(2 * path.read_bytes())
+    count = COUNT if name.endswith("mpeg") else 2 * COUNT
+    with pytest.warns(UserWarning, match=rf"{name}: it tells of \d+ frames, {count} can be read"):
+        reader = read_frames(path)
+    assert reader.count == count
+    grey = np.stack(list(reader)).astype(float)
+    assert np.abs(grey - stack[np.arange(count) % COUNT]).mean() < 10  # compressed
+
+
+def test_a_film_with_more_frames_than_its_list_says_so(stack: NDArray, tmp_path: Path) -> None:
+    path = tmp_path / "a.avi"
+    film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25, (56, 48))
+    if not film.isOpened():
+        pytest.skip("OpenCV writes no videos here")
+    for frame in stack:
+        film.write(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR))
+    film.release()
+    path.write_bytes(2 * path.read_bytes())
+    reader = read_frames(path)
+    with pytest.warns(UserWarning, match=r"a\.avi: it tells of 12 frames, 24 can be read"):
+        assert len(list(reader)) == 2 * COUNT
+
+
+def test_a_reader_is_a_source_like_any_other(stack: NDArray, tmp_path: Path) -> None:
+    """In any number of steps, after some frames were read, and after a refusal."""
+    color = np.stack([stack, stack // 2, 255 - stack], axis=-1)
+    tifffile.imwrite(
+        tmp_path / "a.tif", color, imagej=True, resolution=(0.8, 0.8),
+        metadata={"axes": "ZYXS", "spacing": 2.5, "unit": "um"},
+    )  # fmt: skip
+    for source in (color, tmp_path / "a.tif"):
+        first = read_frames(source, region=(3, 2, 50, 41), reduce=3)
+        second = read_frames(first, color=True, region=(2, 1, 13, 11), reduce=2)
+        direct = read_frames(source, color=True, region=(9, 5, 39, 33), reduce=6)
+        assert (second.shape, second.color) == (direct.shape, True) == ((5, 6), True)
+        assert second.pixel_size == direct.pixel_size
+        assert second.origin == direct.origin
+        with pytest.raises(ValueError, match="region must lie in the image of 16×13 px"):
+            read_frames(first, region=(7, 0, 10, 11))
+        np.testing.assert_array_equal(next(second), next(direct))
+        rest = read_frames(second, color=True)
+        assert rest.count == COUNT - 1
+        if direct.positions is not None:
+            assert rest.positions == pytest.approx(direct.positions[1:])
+        np.testing.assert_array_equal(np.stack(list(rest)), np.stack(list(direct)))
+        assert list(second) == []
+    found = depth_from_focus(read_frames(color), spacing=1.0, region=(8, 4, 40, 36))
+    direct = depth_from_focus(color, spacing=1.0, region=(8, 4, 40, 36))
+    np.testing.assert_array_equal(found.all_in_focus, direct.all_in_focus)
+    np.testing.assert_allclose(found.depth, direct.depth, atol=1e-6)
+
+
+def test_a_reader_goes_on_after_a_refusal_and_fails_again_after_a_fault(stack: NDArray) -> None:
+    reader = read_frames(frame for frame in stack)
+    with pytest.raises(ValueError, match="positions or spacing must be given"):
+        depth_from_focus(reader)
+    found = depth_from_focus(reader, spacing=1.0)
+    np.testing.assert_allclose(found.depth, depth_from_focus(stack, spacing=1.0).depth, atol=1e-6)
+    frames = stack.astype(float)
+    frames[2, 1, 3] = np.nan
+    reader = read_frames(frames)
+    for expected in (stack[:2], []):
+        seen = []
+        with pytest.raises(ValueError, match=r"frames\[2\] must be finite"):
+            seen.extend(reader)
+        np.testing.assert_array_equal(seen, expected)
 
 
 def test_a_part_keeps_to_rows_and_columns(stack: NDArray) -> None:
@@ -233,7 +315,6 @@ def test_a_part_keeps_to_rows_and_columns(stack: NDArray) -> None:
     small = read_frames(stack[:, 4:44, 8:48].astype(np.float32), reduce=4)
     means = stack[:, 4:44, 8:48].reshape(COUNT, 10, 4, 10, 4).mean(axis=(2, 4))
     np.testing.assert_allclose(np.stack(list(small)), means, rtol=1e-6)
-    assert read_frames(small) is small
     last = read_frames(stack, region=(columns - 2, rows - 1, 2, 1))
     np.testing.assert_array_equal(next(last), stack[0, -1:, -2:])
     for wrong, words in (
