@@ -66,7 +66,6 @@ WITHOUT = {"to_dict", "to_frame", "to_xarray"}
 
 EGG = {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
 INPUTS = {"force": 100.0, "dimple_radius": 200.0, "dimple_depth": 40.0, **EGG}
-STDS = {"force": 5.0, "dimple_radius": 2.0, "dimple_depth": 1.0}
 #: Files are written here and nowhere else: calls are made with it as the current folder.
 _KEPT = tempfile.TemporaryDirectory(prefix="fuzz")
 atexit.register(_KEPT.cleanup)
@@ -354,7 +353,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "embryo.GaussianSum.gradient": lambda: {"self": gaussians(), "x": 4.0},
     "embryo.GaussianSum.extrema": lambda: {"self": gaussians()},
-    "embryo.dimple_geometry": lambda: {"curve": dented(), "pixel_size": 3.9},
+    "embryo.dimple_geometry": lambda: {"curve": dented(), "pixel_size": 3.9, "rim": "left"},
     "embryo.extract_boundary": lambda: {
         "image": egg().image, "direction": "top", "dimple": True
     },
@@ -456,7 +455,8 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         k: v for k, v in INPUTS.items() if k != "poisson_ratio"
     },
     "membrane.modulus_samples": lambda: {
-        "values": dict(INPUTS), "stds": dict(STDS), "size": 10, "rng": 0
+        "values": dict(INPUTS), "stds": {"force": 5.0}, "size": 10, "rng": 0,
+        "dimple_covariance": np.eye(2),
     },
     "membrane.modulus_std": lambda: {
         "values": dict(INPUTS), "stds": {"force": 5.0}, "dimple_covariance": np.eye(2)

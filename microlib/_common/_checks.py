@@ -25,6 +25,8 @@ _LARGEST_SINGLE = 1e18
 LARGEST_GREY = 1e10
 #: Of red, green and blue, as frames that are read as grey have it.
 _LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
+#: What is measured under a light microscope lies between these; in another unit it does not.
+_MEASURED = {"µN": (1e-3, 1e6), "µm": (5e-3, 1e5)}
 #: Rows or columns, and pixels, of an image to make: beyond any sensor's.
 _LONGEST_SIDE, _MOST_PIXELS = 1 << 16, 1 << 28
 
@@ -140,6 +142,29 @@ def scalar(
         raise ValueError(f"{name} must be {need}, got {number:g}")
     if within is not None:
         between(name, number, *within, closed=closed)
+    return number
+
+
+def measured(name: str, value: object, unit: str) -> float:
+    """Return a force (µN) or a length (µm) of an experiment; refuse what no experiment can have.
+
+    So 150e-6, a force in N, is no force in µN. For what a user types; formulas take any number.
+    """
+    number = scalar(name, value, above=0)
+    low, high = _MEASURED[unit]
+    if not low <= number <= high:
+        raise ValueError(
+            f"{name} must be in {unit}, between {low:g} and {high:g} in any experiment, "
+            f"got {number:g}"
+        )
+    return number
+
+
+def poisson(ratio: object) -> float:
+    """Return the Poisson ratio of an isotropic material."""
+    number = scalar("poisson_ratio", ratio)
+    if not -1 < number <= 0.5:
+        raise ValueError(f"poisson_ratio must lie in (-1, 0.5], got {number:g}")
     return number
 
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import median_filter
 from scipy.optimize import OptimizeResult, least_squares
 
-from microlib._common import Array, Tidy, as_array, inverse_normal, of_kind, scalar
+from microlib._common import Array, Tidy, as_array, inverse_normal, of_kind, one_of, scalar
 from microlib.embryo._boundary import Boundary
 from microlib.embryo._gaussian_sum import GaussianSum
 from microlib.embryo._probe import MAD_TO_STD
@@ -80,7 +80,7 @@ class DimpleGeometry(Tidy):
     covariance : ndarray, shape (2, 2)
         Of (a, w_d), in µm²; NaN where that of the curve is not known.
     rim, bottom : tuple of float
-        The maximum left of the dimple and its lowest point, (x, y) in px with y up.
+        The maximum on the side that was measured and the lowest point, (x, y) in px with y up.
     """
 
     _parts = (("covariance", ("radius", "depth"), ("radius", "depth")),)
@@ -92,8 +92,8 @@ class DimpleGeometry(Tidy):
     bottom: tuple[float, float]
 
 
-def dimple_geometry(curve: GaussianSum, *, pixel_size: float) -> DimpleGeometry:
-    """Measure the dimple of an outline from its left rim and its bottom, equation (5.3).
+def dimple_geometry(curve: GaussianSum, *, pixel_size: float, rim: str = "left") -> DimpleGeometry:
+    """Measure the dimple of an outline from one rim and its bottom, equation (5.3).
 
     Parameters
     ----------
@@ -101,6 +101,9 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float) -> DimpleGeometry:
         Outline, in px, with y up.
     pixel_size : float
         Size of a pixel in the object plane, cell size over magnification CS/M, in µm/px.
+    rim : {"left", "right"}
+        The side of the dimple that is measured. The thesis has the left one. An outline whose rims
+        differ has another radius, depth and modulus on its right: measure both.
 
     Returns
     -------
@@ -110,8 +113,8 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float) -> DimpleGeometry:
     Raises
     ------
     ValueError
-        If the outline has no minimum with a maximum to its left, so that there is no dimple, or
-        `pixel_size` is not positive.
+        If the outline has no minimum between two maxima, so that there is no dimple, `pixel_size`
+        is not positive, or `rim` is neither side.
 
     See Also
     --------
@@ -120,8 +123,8 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float) -> DimpleGeometry:
     Notes
     -----
     The bottom is the lowest minimum that has a maximum on either side, and the rim the nearest
-    maximum to its left in the upper half of the dimple: a sum of Gaussians may ripple at the
-    bottom. The text of the thesis speaks of two local maxima; the printed coefficients of Table 5.5
+    maximum on the measured side in the upper half of the dimple: a sum of Gaussians may ripple at
+    the bottom. The text of the thesis speaks of two local maxima; the coefficients of Table 5.5
     have three, and this rule picks the pair that the thesis used.
 
     The covariance is that of the curve's coefficients, to first order: an extremum moves by
@@ -137,6 +140,7 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float) -> DimpleGeometry:
     """
     of_kind("curve", curve, GaussianSum)
     size = scalar("pixel_size", pixel_size, above=0)
+    way = {"left": -1, "right": 1}[one_of("rim", rim, ("left", "right"))]
     maxima, minima = curve.extrema()
     between_maxima = [x for x in minima if (maxima < x).any() and (maxima > x).any()]
     if not between_maxima:
@@ -145,26 +149,26 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float) -> DimpleGeometry:
             f"got {len(maxima)} maxima and {len(minima)} minima"
         )
     bottom = min(between_maxima, key=curve)
-    left = maxima[maxima < bottom]
-    half_way = (curve(left).max() + curve(bottom)) / 2
-    rim = left[curve(left) > half_way].max()
+    beside = maxima[way * maxima > way * bottom]
+    half_way = (curve(beside).max() + curve(bottom)) / 2
+    crest = min(beside[curve(beside) > half_way], key=lambda x: abs(x - bottom))
     covariance = np.full((2, 2), np.nan)
     if curve.covariance is not None:
         step = _SLOPE_STEP * curve.widths.min()
         moved = [
             (curve.gradient(x - step) - curve.gradient(x + step))
             / (2 * step * curve.second_derivative(x))
-            for x in (bottom, rim)
+            for x in (bottom, crest)
         ]
         change = size * np.stack(
-            [moved[0] - moved[1], curve.gradient(rim) - curve.gradient(bottom)]
+            [way * (moved[1] - moved[0]), curve.gradient(crest) - curve.gradient(bottom)]
         )
         covariance = change @ curve.covariance @ change.T
     return DimpleGeometry(
-        dimple_radius=size * float(bottom - rim),
-        dimple_depth=size * float(curve(rim) - curve(bottom)),
+        dimple_radius=size * float(abs(crest - bottom)),
+        dimple_depth=size * float(curve(crest) - curve(bottom)),
         covariance=covariance,
-        rim=(float(rim), float(curve(rim))),
+        rim=(float(crest), float(curve(crest))),
         bottom=(float(bottom), float(curve(bottom))),
     )
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, Tidy, one_of, scalar
+from microlib._common import Array, Tidy, measured, one_of, poisson, scalar
 from microlib.embryo._boundary import Boundary, extract_boundary
 from microlib.embryo._dimple import DimpleFit, fit_dimple, refuse_another_width
 from microlib.membrane import (
@@ -39,8 +39,6 @@ _OUTLINE_STD = 0.005
 #: Points of an outline's end that give its direction, and the sine of its fall from which the egg's
 #: radius is read off: at 60° a degree is 1 % of it.
 _END_POINTS, _STEEP_END = 15, 0.87
-#: Of any force, modulus or length, in µN, MPa and µm: beyond, products leave the range of numbers.
-_MOST = 1e12
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -216,10 +214,10 @@ def modulus_from_image(
     >>> estimate.interval[0] < 1.2 < estimate.interval[1], estimate.relative_std < 0.05
     (True, True)
     """
-    load = scalar("force", force, above=0, most=_MOST)
+    load = measured("force", force, "µN")
     one_of("method", method, ("membrane", "capsule"))
     one_of("law", law, _LAWS)
-    size = scalar("pixel_size", pixel_size, above=0, most=_MOST)
+    size = measured("pixel_size", pixel_size, "µm")
     given = given_lengths(thickness, probe_half_width, poisson_ratio, radius)
     boundary = extract_boundary(image, direction=direction)
     if method != "capsule":
@@ -287,8 +285,8 @@ def force_from_image(
     >>> estimate.interval[0] < 1.2 < estimate.interval[1]
     True
     """
-    stiffness = scalar("modulus", modulus, above=0, most=_MOST)
-    size = scalar("pixel_size", pixel_size, above=0, most=_MOST)
+    stiffness = scalar("modulus", modulus, above=0, most=1e12)  # beyond, products overflow
+    size = measured("pixel_size", pixel_size, "µm")
     given = given_lengths(thickness, probe_half_width, poisson_ratio, radius)
     boundary = extract_boundary(image, direction=direction)
     return _estimate("force", stiffness, boundary, size, given)
@@ -298,10 +296,10 @@ def given_lengths(
     thickness: float, probe_half_width: float, poisson_ratio: float, radius: float | None
 ) -> dict[str, Any]:
     return {
-        "thickness": scalar("thickness", thickness, above=0, most=_MOST),
-        "probe_half_width": scalar("probe_half_width", probe_half_width, above=0, most=_MOST),
-        "poisson_ratio": scalar("poisson_ratio", poisson_ratio, within=(-1.0, 1.0)),
-        "radius": None if radius is None else scalar("radius", radius, above=0, most=_MOST),
+        "thickness": measured("thickness", thickness, "µm"),
+        "probe_half_width": measured("probe_half_width", probe_half_width, "µm"),
+        "poisson_ratio": poisson(poisson_ratio),
+        "radius": None if radius is None else measured("radius", radius, "µm"),
     }
 
 

@@ -402,7 +402,7 @@ def indent_capsule(
     probe_half_width : float
         Radius c of the probe's flat end, in µm, below `radius`.
     poisson_ratio : float, optional
-        ν, in (−1, 1) for ``"hooke"``, and 0.5 for the incompressible laws.
+        ν, in (−1, 0.5] for ``"hooke"``, and 0.5 for the incompressible laws.
     law : {"neo-hooke", "hooke", "mooney-rivlin"}, optional
         Law of the material, as for `indent_disc`.
     inflation : float, optional

@@ -167,7 +167,7 @@ def indent_disc(
     probe_half_width : float
         Radius c of the probe's flat end, in µm, below `radius`. The membrane sticks to it.
     poisson_ratio : float, optional
-        ν, in (−1, 1) for ``"hooke"``, and 0.5 for the incompressible laws.
+        ν, in (−1, 0.5] for ``"hooke"``, and 0.5 for the incompressible laws.
     law : {"neo-hooke", "hooke", "mooney-rivlin"}, optional
         Law of the material, see Notes.
     pressure : "balance" or float, optional

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from microlib._common import scalar
+from microlib._common import poisson, scalar
 
 #: Nodes of the quadrature over the profile. 200 and 400 give the same modulus to 1e-13, and to
 #: 2e-11 where the membrane stands nearly upright; 100 to 5e-10 there.
@@ -105,7 +105,7 @@ def finite_slope_modulus(
     a, c = _geometry(dimple_radius, probe_half_width)
     load, depth = scalar("force", force, above=0), scalar("dimple_depth", dimple_depth, above=0)
     h = scalar("thickness", thickness, above=0)
-    nu = scalar("poisson_ratio", poisson_ratio, within=(-1, 1))
+    nu = poisson(poisson_ratio)
     if depth > _depth(1.0, a, c):
         return float("nan")
     if depth < _depth(_SINES[0], a, c):

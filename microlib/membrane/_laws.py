@@ -16,7 +16,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from microlib._common import Array, one_of, scalar
+from microlib._common import Array, one_of, poisson
 
 #: The laws by name.
 LAWS = ("hooke", "neo-hooke", "mooney-rivlin")
@@ -179,7 +179,7 @@ def _solve_biaxial(ratio: Array, hoop: Array) -> Array:
 def law_of(name: str, poisson_ratio: float) -> Law:
     """Return the law called `name`, or refuse a Poisson ratio that it cannot have."""
     law = one_of("law", name, LAWS)
-    nu = scalar("poisson_ratio", poisson_ratio, within=(-1, 1))
+    nu = poisson(poisson_ratio)
     if law == "hooke":
         return Hooke(nu)
     if nu != 0.5:

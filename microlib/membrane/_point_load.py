@@ -16,7 +16,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, between, flag, positive
+from microlib._common import Array, as_array, flag, poisson, positive
 
 #: Below this value x of 1 − ζ² the closed forms lose digits to cancellation, about x⁻³ roundings,
 #: and their series takes over. S is right to 2e-12 for any limit from 0.01 to 0.2 and any number of
@@ -71,7 +71,7 @@ def elastic_modulus(
     probe_half_width : array_like
         Half-width c of the probe, in µm; smaller than `dimple_radius`.
     poisson_ratio : array_like
-        Poisson ratio ν, in (−1, 1).
+        Poisson ratio ν, in (−1, 0.5].
 
     Returns
     -------
@@ -82,7 +82,7 @@ def elastic_modulus(
     ------
     ValueError
         If a length or the force is not positive, `probe_half_width` is not below `dimple_radius`,
-        `poisson_ratio` is outside (−1, 1), a value is not finite, or the shapes do not broadcast.
+        `poisson_ratio` is outside (−1, 0.5], a value is not finite, or the shapes do not broadcast.
 
     Warns
     -----
@@ -116,7 +116,14 @@ def elastic_modulus(
     >>> print(f"{modulus:.3f} MPa")
     1.551 MPa
     """
-    values = checked(**locals())
+    values = checked(
+        force=force,
+        dimple_radius=dimple_radius,
+        dimple_depth=dimple_depth,
+        thickness=thickness,
+        probe_half_width=probe_half_width,
+        poisson_ratio=poisson_ratio,
+    )
     _warn_if_steep(values["dimple_radius"], values["dimple_depth"])
     modulus = values["force"] / force_per_modulus(values)
     warn_of_units(modulus)
@@ -167,7 +174,14 @@ def indentation_force(
     >>> print(f"{force:.3f} µN")
     0.838 µN
     """
-    values = checked(**locals())
+    values = checked(
+        modulus=modulus,
+        dimple_radius=dimple_radius,
+        dimple_depth=dimple_depth,
+        thickness=thickness,
+        probe_half_width=probe_half_width,
+        poisson_ratio=poisson_ratio,
+    )
     _warn_if_steep(values["dimple_radius"], values["dimple_depth"])
     return values["modulus"] * force_per_modulus(values)
 
@@ -220,7 +234,14 @@ def dimple_depth(
     >>> print(f"{depth:.2f} µm")
     20.00 µm
     """
-    values = checked(**locals())
+    values = checked(
+        force=force,
+        dimple_radius=dimple_radius,
+        modulus=modulus,
+        thickness=thickness,
+        probe_half_width=probe_half_width,
+        poisson_ratio=poisson_ratio,
+    )
     # The force grows with the cube of the depth, so the force at 1 µm gives the depth.
     at_one_micrometer = values["modulus"] * force_per_modulus(
         values | {"dimple_depth": np.ones(())}
@@ -269,7 +290,12 @@ def dimple_profile(
     >>> dimple_profile([25.0, 100.0, 250.0], 250.0, 40.0, probe_half_width=25.0).round(3).tolist()
     [40.0, 10.982, 0.0]
     """
-    values = checked(**locals())
+    values = checked(
+        radius=radius,
+        dimple_radius=dimple_radius,
+        dimple_depth=dimple_depth,
+        probe_half_width=probe_half_width,
+    )
     r, a, c = values["radius"], values["dimple_radius"], values["probe_half_width"]
     if (outside := (r < c) | (r > a)).any():
         worst = np.broadcast_to(r, outside.shape)[outside].flat[0]
@@ -316,7 +342,13 @@ def membrane_stress(
     >>> print(f"{stress:.4f} MPa")
     0.1199 MPa
     """
-    values = checked(**locals())
+    values = checked(
+        force=force,
+        dimple_radius=dimple_radius,
+        dimple_depth=dimple_depth,
+        thickness=thickness,
+        probe_half_width=probe_half_width,
+    )
     zeta = values["probe_half_width"] / values["dimple_radius"]
     scale = values["force"] / (4 * np.pi * values["thickness"] * values["dimple_depth"])
     return -scale * log_remainder(zeta, 2)
@@ -372,8 +404,11 @@ def mean_strain(
     >>> ratio.round(4).tolist()
     [1.0002, 1.2695]
     """
-    values = {name: value for name, value in locals().items() if name != "small_slopes"}
-    values = checked(**values)
+    values = checked(
+        dimple_radius=dimple_radius,
+        dimple_depth=dimple_depth,
+        probe_half_width=probe_half_width,
+    )
     zeta = values["probe_half_width"] / values["dimple_radius"]
     steepness = values["dimple_depth"] / values["dimple_radius"]
     if flag("small_slopes", small_slopes):
@@ -418,9 +453,11 @@ def force_per_modulus(values: Mapping[str, Array]) -> Array:
 def checked(**arguments: ArrayLike) -> dict[str, Array]:
     """Return a function's arguments as arrays, refusing what the model cannot mean."""
     values = {
-        name: between(name, value, -1.0, 1.0) if name == "poisson_ratio" else positive(name, value)
-        for name, value in arguments.items()
+        name: positive(name, value) for name, value in arguments.items() if name != "poisson_ratio"
     }
+    if "poisson_ratio" in arguments:
+        values["poisson_ratio"] = ratio = as_array("poisson_ratio", arguments["poisson_ratio"])
+        poisson(ratio.min()), poisson(ratio.max())
     try:
         np.broadcast_shapes(*(array.shape for array in values.values()))
     except ValueError:

@@ -80,8 +80,7 @@ def modulus_std(
     >>> print(f"{modulus_std(values, {}, dimple_covariance=together):.3f} MPa")
     0.031 MPa
     """
-    _check_names(values, stds)
-    inputs = checked(**values)
+    inputs, covariance = _checked(values, stds, dimple_covariance)
     zeta = inputs["probe_half_width"] / inputs["dimple_radius"]
     x = annulus(zeta)
     by_zeta = 2 * x**2 / log_remainder(zeta, 3) + 2 * zeta**2 / x - 6 * x / log_remainder(zeta, 2)
@@ -95,22 +94,9 @@ def modulus_std(
     gradient = {name: float(by) / values[name] for name, by in exponents.items()}
     # ν may be zero, where ∂ ln E / ∂ ln ν vanishes but ∂ ln E / ∂ν = −1/(1−ν) does not.
     gradient["poisson_ratio"] = -1 / (1 - values["poisson_ratio"])
-    relative = np.linalg.norm([stds.get(name, 0.0) * gradient[name] for name in _INPUTS])
-    if dimple_covariance is not None:
-        if twice := [name for name in _DIMPLE if name in stds]:
-            raise ValueError(f"stds must leave out what dimple_covariance holds, got {twice}")
-        covariance = as_array("dimple_covariance", dimple_covariance, shape=(2, 2), finite=False)
-        by_dimple = np.array([gradient[name] for name in _DIMPLE])
-        if np.isfinite(covariance).all():
-            scale = _ROUNDING * np.abs(covariance).max()
-            lowest = np.linalg.eigvalsh(covariance)[0]
-            if lowest < -scale or abs(covariance[0, 1] - covariance[1, 0]) > scale:
-                raise ValueError(
-                    "dimple_covariance must be a covariance, symmetric and without a negative "
-                    f"variance in any direction, got {covariance.tolist()}"
-                )
-        variance = by_dimple @ covariance @ by_dimple
-        relative = np.hypot(relative, np.sqrt(variance if np.isnan(variance) else max(variance, 0)))
+    by_input = np.array([gradient[name] for name in _INPUTS])
+    # Rounding may leave less than nothing.
+    relative = np.sqrt(np.maximum(by_input @ covariance @ by_input, 0.0))
     return float(inputs["force"] / force_per_modulus(inputs) * relative)
 
 
@@ -120,8 +106,9 @@ def modulus_samples(
     *,
     size: int,
     rng: np.random.Generator | int,
+    dimple_covariance: ArrayLike | None = None,
 ) -> Array:
-    """Draw moduli for normally distributed, independent input errors.
+    r"""Draw moduli for errors of the inputs, each drawn from what it can be.
 
     Parameters
     ----------
@@ -131,6 +118,8 @@ def modulus_samples(
         How many samples.
     rng : numpy.random.Generator or int
         Source of randomness, or its seed.
+    dimple_covariance : array_like, shape (2, 2), optional
+        As for `modulus_std`; it must be known here.
 
     Returns
     -------
@@ -140,8 +129,17 @@ def modulus_samples(
     Raises
     ------
     ValueError
-        As for `modulus_std`, or if an error is so large that a sampled input is impossible (a
-        negative depth, say).
+        As for `modulus_std`, if no positive radius and depth have such a covariance, or if the
+        errors leave hardly a draw with the probe narrower than the dimple.
+
+    Notes
+    -----
+    Force and lengths are positive, so they are log-normal, with the given means and covariance: the
+    logarithms have the covariances :math:`\ln(1 + C_{ij}/(m_i m_j))`. For small errors that is the
+    normal distribution, and the moduli's mean and standard deviation are the same to second order
+    in the relative errors. All powers of a log-normal quantity have a mean, :math:`w_d^{-3}` too.
+    ν is normal. What no dimple has, :math:`c \ge a` or ν outside (−1, 0.5], is drawn again, so that
+    ν = 0.5 ± 0.02 lies below 0.5 throughout.
 
     Examples
     --------
@@ -152,14 +150,46 @@ def modulus_samples(
     >>> print(f"{samples.std():.3f} MPa")
     0.047 MPa
     """
-    _check_names(values, stds)
-    count = whole("size", size, least=1)
+    _, covariance = _checked(values, stds, dimple_covariance, known=True)
+    left = whole("size", size, least=1)
     rng = generator("rng", rng)
-    drawn = {name: rng.normal(values[name], stds.get(name, 0.0), count) for name in _INPUTS}
-    return elastic_modulus(**drawn)
+    means = np.array([values[name] for name in _INPUTS])
+    # ν is last, and is not drawn by its logarithm.
+    relative = covariance[:-1, :-1] / np.outer(means[:-1], means[:-1])
+    if (relative <= -1).any():
+        raise ValueError(
+            "dimple_covariance must be above minus radius × depth, as positive lengths have it, "
+            f"got {covariance[1, 2]:g}"
+        )
+    logarithms = np.log1p(relative)
+    found = []
+    for _ in range(200):
+        # Rounding may leave less than no variance in a direction.
+        spread = rng.multivariate_normal(
+            -np.diag(logarithms) / 2, logarithms, left, check_valid="ignore"
+        )
+        ratio = rng.normal(means[-1], np.sqrt(covariance[-1, -1]), left)
+        drawn = dict(zip(_INPUTS, [*(means[:-1] * np.exp(spread)).T, ratio], strict=True))
+        possible = (drawn["probe_half_width"] < drawn["dimple_radius"]) & (ratio > -1)
+        possible &= ratio <= 0.5
+        drawn = {name: each[possible] for name, each in drawn.items()}
+        found.append(drawn["force"] / force_per_modulus(drawn))
+        left -= found[-1].size
+        if left == 0:
+            return np.concatenate(found)
+    raise ValueError(
+        "stds must leave draws in which the probe is narrower than the dimple and poisson_ratio in "
+        f"(-1, 0.5], got {dict(stds)}"
+    )
 
 
-def _check_names(values: Mapping[str, float], stds: Mapping[str, float]) -> None:
+def _checked(
+    values: Mapping[str, float],
+    stds: Mapping[str, float],
+    dimple_covariance: ArrayLike | None,
+    known: bool = False,
+) -> tuple[dict[str, Array], Array]:
+    """Return the inputs of (5.2) and their covariance, in the order of `_INPUTS`."""
     of_kind("values", values, Mapping)
     of_kind("stds", stds, Mapping)
     if set(values) != set(_INPUTS):
@@ -170,3 +200,18 @@ def _check_names(values: Mapping[str, float], stds: Mapping[str, float]) -> None
         scalar(f"values[{name!r}]", values[name])
     for name, std in stds.items():
         scalar(f"stds[{name!r}]", std, least=0)
+    inputs = checked(**values)
+    covariance = np.diag([float(stds.get(name, 0.0)) ** 2 for name in _INPUTS])
+    if dimple_covariance is not None:
+        if twice := [name for name in _DIMPLE if name in stds]:
+            raise ValueError(f"stds must leave out what dimple_covariance holds, got {twice}")
+        both = as_array("dimple_covariance", dimple_covariance, shape=(2, 2), finite=known)
+        if np.isfinite(both).all():
+            scale = _ROUNDING * np.abs(both).max()
+            if np.linalg.eigvalsh(both)[0] < -scale or abs(both[0, 1] - both[1, 0]) > scale:
+                raise ValueError(
+                    "dimple_covariance must be a covariance, symmetric and without a negative "
+                    f"variance in any direction, got {both.tolist()}"
+                )
+        covariance[1:3, 1:3] = both
+    return inputs, covariance

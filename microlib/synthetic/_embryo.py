@@ -25,6 +25,7 @@ from microlib._common import (
     generator,
     image_shape,
     of_kind,
+    poisson,
     scalar,
 )
 from microlib.membrane import SmallSlopeWarning, dimple_depth, dimple_profile
@@ -127,8 +128,7 @@ class Embryo(Kept):
         for name in ("modulus", "dimple_radius", "thickness", "probe_half_width", "radius"):
             object.__setattr__(self, name, scalar(name, getattr(self, name), above=0))
         object.__setattr__(self, "force", scalar("force", self.force, least=0))
-        ratio = scalar("poisson_ratio", self.poisson_ratio, within=(-1.0, 1.0))
-        object.__setattr__(self, "poisson_ratio", ratio)
+        object.__setattr__(self, "poisson_ratio", poisson(self.poisson_ratio))
         if self.force > 0:
             between("dimple_radius", self.dimple_radius, self.probe_half_width, self.radius)
             if self._half_axes()[2] <= self.dimple_depth:

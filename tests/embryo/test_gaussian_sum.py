@@ -62,6 +62,29 @@ def test_geometry_moves_and_scales_with_the_outline(shift: float, lift: float) -
     assert b.dimple_depth == pytest.approx(lift * a.dimple_depth, rel=1e-8)
 
 
+def test_the_right_rim_is_the_left_one_of_the_mirror_image(printed: GaussianSum) -> None:
+    n = len(printed.widths)
+    covariance = np.random.default_rng(0).normal(size=(3 * n, 3 * n))
+    covariance = covariance @ covariance.T * 1e-4
+    turn = np.repeat([1.0, -1.0, 1.0], n)  # the centers change their sign
+    low, high = printed.domain
+    sizes = printed.amplitudes, printed.centers, printed.widths
+    plain = GaussianSum(*sizes, domain=(low, high), covariance=covariance)
+    mirrored = GaussianSum(
+        sizes[0], -sizes[1], sizes[2], domain=(-high, -low),
+        covariance=covariance * np.outer(turn, turn),
+    )  # fmt: skip
+    left, right = (dimple_geometry(plain, pixel_size=3.9, rim=rim) for rim in ("left", "right"))
+    other = dimple_geometry(mirrored, pixel_size=3.9)
+    assert abs(right.dimple_depth / left.dimple_depth - 1) > 0.01  # no symmetric outline
+    assert right.dimple_radius == pytest.approx(other.dimple_radius, rel=1e-9)
+    assert right.dimple_depth == pytest.approx(other.dimple_depth, rel=1e-9)
+    assert right.rim == pytest.approx((-other.rim[0], other.rim[1]))
+    np.testing.assert_allclose(right.covariance, other.covariance, rtol=1e-6)
+    with pytest.raises(ValueError, match="rim must be one of left, right, got 'upper'"):
+        dimple_geometry(plain, pixel_size=3.9, rim="upper")
+
+
 def dimpled(x: np.ndarray) -> np.ndarray:
     """An outline with a dimple: two broad hills."""
     return 60 * np.exp(-(((x - 60) / 40) ** 2)) + 62 * np.exp(-(((x - 150) / 42) ** 2))

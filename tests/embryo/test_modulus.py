@@ -87,7 +87,10 @@ def test_force_and_modulus_are_two_views_of_one_dimple():
             {"probe_half_width": 45.0, "method": "capsule"},
             "probe_half_width must be that of the probe in the image",
         ),
-        ({"poisson_ratio": 1.0}, "poisson_ratio"),
+        ({"poisson_ratio": 0.6}, r"poisson_ratio must lie in \(-1, 0.5\], got 0.6"),
+        ({"force": 150e-6}, "force must be in µN, between .* got 0.00015"),
+        ({"pixel_size": 3.9e-6}, "pixel_size must be in µm"),
+        ({"thickness": 3e-6}, "thickness must be in µm"),
     ],
 )
 def test_refusals(steady_image, change, message):

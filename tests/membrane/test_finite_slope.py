@@ -52,7 +52,7 @@ def test_ends_where_the_membrane_stands_upright() -> None:
     ("change", "message"),
     [
         ({"probe_half_width": 300.0}, r"probe_half_width must lie in \(0, 250\)"),
-        ({"poisson_ratio": 1.5}, "poisson_ratio must lie in"),
+        ({"poisson_ratio": 0.6}, "poisson_ratio must lie in"),
         ({"thickness": 0.0}, "thickness must be positive"),
         ({"force": [1.0, 2.0]}, "force must be a single number"),
     ],

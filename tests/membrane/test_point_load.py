@@ -184,8 +184,39 @@ def test_radius_and_depth_may_vary_together() -> None:
     # As above: 40 000 draws know it to 0.35 %, and the second order needs room.
     assert drawn.std() == pytest.approx(together, rel=0.02)
     assert together < modulus_std(VALUES, {"force": 0.5, **independent})
+    samples = modulus_samples(
+        VALUES, {"force": 0.5}, size=40_000, rng=2, dimple_covariance=covariance
+    )
+    assert samples.std() == pytest.approx(drawn.std(), rel=0.02)
     unknown = modulus_std(VALUES, {}, dimple_covariance=np.full((2, 2), np.nan))
     assert np.isnan(unknown)
+
+
+def test_large_errors_draw_only_what_can_be() -> None:
+    """A force of 150 ± 40 µN is never negative, and keeps its mean and standard deviation."""
+    values = VALUES | {"force": 150.0}
+    modulus = float(elastic_modulus(**values))
+    forces = modulus_samples(values, {"force": 40.0}, size=100_000, rng=0) / modulus * 150
+    assert forces.min() > 0
+    # 100 000 draws know the mean to 0.13 µN and the deviation of a log-normal to 0.3 %.
+    assert forces.mean() == pytest.approx(150.0, abs=0.5)
+    assert forces.std() == pytest.approx(40.0, rel=0.015)
+    # All but ν half as uncertain as they are large, radius and depth together.
+    wide = {name: values[name] / 2 for name in ("force", "thickness", "probe_half_width")}
+    together = np.outer([125.0, 20.0], [125.0, 20.0]) * [[1.0, 0.9], [0.9, 1.0]]
+    samples = modulus_samples(values, wide, size=20_000, rng=0, dimple_covariance=together)
+    assert samples.shape == (20_000,)
+    assert (samples > 0).all()
+    # A probe hardly narrower than the dimple, and ν at the end of its range: E goes with 1 − ν.
+    narrow = values | {"dimple_radius": 27.0}
+    assert np.isfinite(modulus_samples(narrow, {"probe_half_width": 2.0}, size=5000, rng=0)).all()
+    rubber = values | {"poisson_ratio": 0.5}
+    ratio = 1 - modulus_samples(rubber, {"poisson_ratio": 0.02}, size=20_000, rng=0) / (
+        2 * float(elastic_modulus(**rubber))
+    )
+    assert ratio.max() <= 0.5 + 1e-12
+    # Half of a normal distribution: its mean lies √(2/π) deviations below 0.5.
+    assert ratio.mean() == pytest.approx(0.5 - 0.02 * np.sqrt(2 / np.pi), abs=5e-4)
 
 
 def test_steep_dimples_warn() -> None:
@@ -213,7 +244,7 @@ def test_steep_dimples_warn() -> None:
         ({"probe_half_width": 250.0}, "probe_half_width must be below dimple_radius"),
         ({"dimple_depth": 0.0}, "dimple_depth must be positive"),
         ({"thickness": -3.0}, "thickness must be positive, got -3"),
-        ({"poisson_ratio": 1.0}, r"poisson_ratio must lie in \(-1, 1\), got 1"),
+        ({"poisson_ratio": [0.4, 0.6]}, r"poisson_ratio must lie in \(-1, 0.5\], got 0.6"),
         ({"poisson_ratio": -1.0}, "poisson_ratio must lie in"),
         ({"force": [1.0, 2.0], "thickness": [1.0, 2.0, 3.0]}, "shapes must broadcast"),
     ],
@@ -256,6 +287,11 @@ def test_other_refusals() -> None:
     assert modulus_std(VALUES, {}, dimple_covariance=rounded) > 0
     with pytest.raises(ValueError, match="size must be a whole number"):
         modulus_samples(VALUES, {}, size=0, rng=np.random.default_rng(0))
+    negative = [[62500.0, -15000.0], [-15000.0, 3600.0]]
+    with pytest.raises(ValueError, match="dimple_covariance must be above minus radius × depth"):
+        modulus_samples(VALUES, {}, size=5, rng=0, dimple_covariance=negative)
+    with pytest.raises(ValueError, match="stds must leave draws in which the probe is narrower"):
+        modulus_samples(VALUES, {"poisson_ratio": 1e5}, size=5, rng=0)
 
 
 @pytest.mark.parametrize("zeta", [1e-6, 0.1012, 0.5, 0.974, 0.975, 0.99, 0.9999, 1 - 1e-9])
