@@ -30,7 +30,8 @@ Outputs must follow what the row says: an expression of units such as ``"px**2/u
 equal (text, truth, index). A dictionary names every field and property of a result and every key
 of a dictionary or column of a table; of other objects the attributes that are to be looked at.
 Columns of `to_dict` and `to_frame` have the units of the fields that their names begin with. A unit
-that the arguments do not use stays as it is: leave ``px`` away for what works on an image.
+that the arguments do not use stays as it is: leave ``px`` away for what works on an image, or name
+it in ``fixed=``.
 A tolerance other than rounding is ``within=`` and has a reason beside it.
 
 Further laws are tests beside the table, made of `VIEWS` (a picture mirrored or turned, with its
@@ -43,7 +44,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -71,7 +72,7 @@ LEVEL = 1e-3
 class Units:
     """What a number is multiplied by to have a unit; it notes which units and origins are used."""
 
-    def __init__(self, changed: bool = False, moved: bool = False) -> None:
+    def __init__(self, changed: Collection[str] = (), moved: bool = False) -> None:
         self._changed, self._moved, self.used = changed, moved, set[str]()
 
     def __getattr__(self, name: str) -> float:
@@ -82,7 +83,7 @@ class Units:
             self.used.add(name)
             return (place + way * self._moved) * getattr(self, unit)
         self.used.add(name)
-        return FACTORS[name] if self._changed else 1.0
+        return FACTORS[name] if name in self._changed else 1.0
 
 
 @dataclass(frozen=True)
@@ -95,13 +96,17 @@ class Law:
     within: float = 1e-9
     #: Whether a second call with the same arguments gives the same; not where an object goes on.
     again: bool = True
+    #: Units that stay as they are though they are used: those of a picture or of a clock's ticks.
+    fixed: tuple[str, ...] = ()
+    #: What is called in place of the name, for what shows only when an object is used.
+    call: Callable[..., Any] | None = None
 
 
-def invoke(name: str, given: dict[str, Any]) -> Any:
+def invoke(name: str, law: Law, given: dict[str, Any]) -> Any:
     """Call a public function, or a method of the argument `self`."""
     rest = {key: value for key, value in given.items() if key != "self"}
-    call = fuzz.resolve(name)
-    if "self" in given:
+    call = law.call or fuzz.resolve(name)
+    if "self" in given and law.call is None:
         call = getattr(given["self"], name.rsplit(".", 1)[1])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SmallSlopeWarning)
@@ -114,18 +119,18 @@ def hold(name: str, law: Law | str) -> None:
         return
     plain = Units()
     given = law.arguments(plain)
-    first = invoke(name, given)
+    first = invoke(name, law, given)
     found = [*_differences("", first, first, law, law.gives, {})]
     assert not found, f"{name}: {'; '.join(found[:8])}"
     calls = {"called again": (given, {})} if law.again else {}
-    if plain.used & FACTORS.keys():
-        factors = {unit: f for unit, f in FACTORS.items() if unit in plain.used}
-        calls["in other units"] = (law.arguments(Units(changed=True)), factors)
+    factors = {unit: FACTORS[unit] for unit in plain.used & FACTORS.keys() - set(law.fixed)}
+    if factors:
+        calls["in other units"] = (law.arguments(Units(changed=factors)), factors)
     if origins := plain.used & ORIGINS.keys():
         moves = {origin: ORIGINS[origin][2] for origin in origins}
         calls["from another origin"] = (law.arguments(Units(moved=True)), moves)
     for how, (arguments, changes) in calls.items():
-        found = [*_differences("", first, invoke(name, arguments), law, law.gives, changes)]
+        found = [*_differences("", first, invoke(name, law, arguments), law, law.gives, changes)]
         assert not found, f"{name} {how}: {'; '.join(found[:8])}"
     unused = {unit for unit in ("um", "s", "uN") if unit in _words(law.gives)} - plain.used
     assert not unused, f"{name}: the arguments do not use {unused}, which the results have"

@@ -165,7 +165,7 @@ def test_every_public_result_is_held_against_something() -> None:
 #: Rooms whose public names have no table of laws yet.
 OWED = {
     "automation", "batch", "calibration", "curvature", "embryo", "focus", "io", "membrane",
-    "microscope", "optics", "servoing", "synthetic", "tracking",
+    "microscope", "optics", "synthetic", "tracking",
 }  # fmt: skip
 
 

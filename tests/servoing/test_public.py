@@ -1,0 +1,288 @@
+"""The laws of every public name of servoing."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from microlib.servoing import (
+    Camera,
+    OptimalController,
+    PredictiveController,
+    SimulatedWorkstation,
+    Stage,
+    optimal_control,
+    servo,
+    simulate,
+)
+from tests.laws import VIEWS, Law, hold
+
+#: px/µm of a camera that is turned, mirrored, and has cells that are not square.
+J = np.array([[0.08, -0.31], [-0.24, -0.11]])
+Q, L = np.array([[0.9, 0.2], [0.2, 1.4]]), np.array([[3e-6, -1e-6], [-1e-6, 8e-6]])
+#: Of a way to 30 px right and 20 px up, and of the answer to it, which goes beyond.
+STEP = np.array([30.0, -20.0])
+ANSWER = 1 - np.exp(-np.arange(25.0) / 4) * np.cos(np.arange(25.0) / 2)
+PATH = np.cumsum(np.random.default_rng(3).normal([1.0, -0.6], 0.8, (30, 2)), axis=0)
+
+
+def weighted(u) -> dict:
+    """Return the arguments of a controller; L has the unit that its docstring says."""
+    return {
+        "jacobian": J * u.px / u.um,
+        "interval": 0.03 * u.s,
+        "feature_weight": Q,
+        "control_weight": L * (u.px * u.s / u.um) ** 2,
+    }
+
+
+def predicting(u) -> dict:
+    late = {"delay": 0.04 * u.s, "saturation": 300.0 * u.um / u.s, "innovation_gain": 0.4}
+    return weighted(u) | late
+
+
+def sample(u) -> dict:
+    origin = np.array([u.x0, u.y0])
+    return {"k": 2, "measured": origin + STEP * u.px, "reference": origin + PATH * u.px}
+
+
+def used(u) -> PredictiveController:
+    """Return a controller that has seen two frames, and one without the feature."""
+    control, reference = PredictiveController(**predicting(u)), sample(u)["reference"]
+    for k, seen in enumerate((reference[0], reference[1] + 2 * u.px, np.full(2, np.nan))):
+        control(k, seen, reference)
+    return control
+
+
+def stage(u) -> Stage:
+    return Stage(400.0 * u.um / u.s, step=0.07 * u.um, travel=900.0 * u.um)
+
+
+def camera(u) -> Camera:
+    return Camera(0.03 * u.s, latency=0.04 * u.s, jitter=0.2 * u.px)
+
+
+def station(u, image=None, **options) -> dict:
+    """Return a workstation seen through `image`, with the clock and the stage not at zero."""
+    turn = np.eye(2) if image is None else image
+    home, drift = turn @ [u.x0, u.y0], turn @ [0.7, -0.4] * u.px / u.s
+    return {
+        "render": lambda feature, focus: np.zeros((9, 9)),
+        "jacobian": turn @ J * u.px / u.um,
+        "stage": Stage(400.0 * u.um / u.s, step=0.0, travel=9000.0 * u.um),
+        "camera": Camera(0.03 * u.s, latency=0.01 * u.s),
+        "rng": 0,
+        "home": home - turn @ J @ [u.x0_um, u.y0_um] * u.px / u.um - drift * u.t0,
+        "drift": drift,
+        "focus_drive": Stage(20.0 * u.um / u.s, step=0.0, travel=90.0 * u.um),
+    } | options
+
+
+def begun(u, image=None) -> SimulatedWorkstation:
+    found = SimulatedWorkstation(**station(u, image))
+    found.clock.sleep(u.t0)
+    found.stage.move_to(np.array([u.x0_um, u.y0_um]))
+    found.clock.sleep(100.0 * u.s)  # until it is there
+    found.clock._now = u.t0
+    return found
+
+
+def driven(u, workstation) -> tuple:
+    """Return what a workstation answers on its way."""
+    stage, focus, clock = workstation.stage, workstation.focus, workstation.clock
+    stage.move_to(stage.position() + np.array([50.0, -20.0]) * u.um)
+    focus.move_to(np.array([5.0]) * u.um)
+    clock.sleep(0.1 * u.s)
+    exposed = [workstation.camera.snap()[1] for _ in range(3)]
+    return stage.position(), focus.position(), clock.now(), exposed, workstation.feature
+
+
+def seeing(workstation, lost=(), image=None) -> SimpleNamespace:
+    """Return a tracker that knows the truth to 0.02 px, but in the frames with some numbers."""
+    rng, frames = np.random.default_rng(1), iter(range(999))
+    noise = rng.normal(0.0, 0.02, (999, 2)) @ (np.eye(2) if image is None else image.T)
+
+    def track(frame):
+        number = next(frames)
+        center = workstation.feature + noise[number]
+        return SimpleNamespace(center=center, lost=number in lost, covariance=4e-4 * np.eye(2))
+
+    return SimpleNamespace(track=track)
+
+
+def steered(u) -> dict:
+    workstation = begun(u)
+    return {
+        "workstation": workstation,
+        "tracker": seeing(workstation),
+        "targets": np.array([u.x0, u.y0]) + np.array([STEP, -STEP]),
+        "travel": np.array([400.0, 500.0]) * u.um,
+        "test_move": 40.0 * u.um,
+        "step": 70.0 * u.um,
+        "speed": 300.0 * u.um / u.s,
+        "tolerance": 0.1,
+    }
+
+
+XY = "px @ [x0, y0]"
+LOG = {
+    **dict.fromkeys(("phase", "target", "lost", "event"), "="),
+    **{f"{n}_{a}_px": f"px @ {a}0" for n in ("reference", "measured") for a in "xy"},
+    **{f"{n}_{a}_um": f"um @ {a}0_um" for n in ("stage", "command") for a in "xy"},
+    **dict.fromkeys(("time_s", "latency_s"), "s"),
+}
+METRICS = {"accuracy": "px", "precision": "px"}
+
+LAWS = {
+    "servoing.Camera": Law(
+        lambda u: {"interval": 0.03 * u.s, "latency": 0.05 * u.s, "jitter": 0.1 * u.px},
+        {"interval": "s", "latency": "s", "jitter": "px"},
+    ),
+    "servoing.Stage": Law(
+        lambda u: vars(stage(u)), {"saturation": "um/s", "step": "um", "travel": "um"}
+    ),
+    "servoing.Stage.rounded": Law(
+        lambda u: {"self": stage(u), "position": np.array([1.23, -45.6]) * u.um}, "um"
+    ),
+    "servoing.MicroManager": "hands on calls to devices: test_micromanager.py, test_protocols.py",
+    "servoing.OptimalController": Law(weighted, {"gain": "um/s/px"}),
+    "servoing.OptimalController.__call__": Law(
+        lambda u: {"self": OptimalController(**weighted(u)), **sample(u)}, "um/s"
+    ),
+    "servoing.PredictiveController": Law(predicting, {"gain": "um/s/px"}),
+    "servoing.PredictiveController.__call__": Law(
+        lambda u: {"self": used(u), **sample(u)}, "um/s", again=False
+    ),
+    "servoing.SimulatedWorkstation": Law(
+        lambda u: {"u": u, "workstation": begun(u)},
+        ("um @ [x0_um, y0_um]", "um", "s @ t0", "s @ t0", XY),
+        again=False,
+        call=driven,
+    ),
+    "servoing.ibvs_control": Law(
+        lambda u: {
+            "jacobian": J * u.px / u.um,
+            "error": STEP * u.px,
+            "gain": 0.5 / u.s,
+            "drift": np.array([0.7, -0.4]) * u.px / u.s,
+        },
+        "um/s",
+    ),
+    "servoing.loop_poles": Law(lambda u: {"gain": 0.4, "delay": 1.3 * u.s / u.s}, "1"),
+    "servoing.optimal_control": Law(
+        lambda u: {
+            **weighted(u),
+            "feature": np.array([u.x0, u.y0]),
+            "target": np.array([u.x0, u.y0]) + STEP * u.px,
+        },
+        "um/s",
+    ),
+    "servoing.path_metrics": Law(
+        lambda u: {
+            "position": np.array([u.x0, u.y0]) + (PATH + 0.1 * PATH[::-1]) * u.px,
+            "reference": np.array([u.x0, u.y0]) + PATH * u.px,
+        },
+        METRICS | {"largest": "px"},
+    ),
+    "servoing.point_jacobian": Law(
+        lambda u: {
+            "points": PATH[:3] * u.px,
+            "depth": np.array([300.0, 350.0, 280.0]) * u.um,
+            "magnification": 6.4,
+            "pixel_size": np.array([9.9, 8.3]) * u.um / u.px,
+        },
+        "[px/um, px/um, px/um, px, px, px]",
+    ),
+    "servoing.servo": Law(
+        steered,
+        {
+            **dict.fromkeys(("reached", "reason", "complete", "still", "error"), "="),
+            "log": LOG,
+            **LOG,
+            "jacobian": "px/um",
+            "jacobian_covariance": "px**2/um**2",
+            "drift": "px/s",
+            "misfit": "1",
+            "latency": "s",
+        },
+        again=False,
+        fixed=("px", "s"),  # pictures, and the ticks at which a device is asked
+    ),
+    "servoing.simulate": Law(
+        lambda u: {
+            "controller": OptimalController(**weighted(u)),
+            "reference": np.array([u.x0, u.y0]) + PATH * u.px,
+            "jacobian": 1.1 * J * u.px / u.um,
+            "stage": stage(u),
+            "camera": camera(u),
+            "rng": 0,
+            "start": np.array([u.x0, u.y0]) - STEP * u.px,
+        },
+        {
+            **dict.fromkeys(("reference", "feature", "measured"), XY),
+            "time": "s",
+            "position": "um",
+            "command": "um/s",
+            "saturated": "=",
+        },
+    ),
+    "servoing.step_metrics": Law(
+        lambda u: {
+            "time": u.t0 + np.arange(25.0) ** 1.1 * u.s,
+            "position": np.array([u.x0, u.y0]) + ANSWER[:, None] * STEP * u.px,
+            "target": np.array([u.x0, u.y0]) + STEP * u.px,
+            "band": 0.04,
+        },
+        METRICS | {"settling_time": "s", "overshoot": "1"},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_outputs_follow_units_and_origins(name):
+    hold(name, LAWS[name])
+
+
+@pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
+def test_a_camera_mounted_otherwise_moves_the_stage_alike(view):
+    turn = view.matrix
+    plain = {"interval": 0.03, "control_weight": L}
+    control = OptimalController(J, feature_weight=Q, **plain)
+    other = OptimalController(turn @ J, feature_weight=view.covariance(Q), **plain)
+    np.testing.assert_allclose(other.gain @ turn, control.gain, rtol=1e-9)
+    loop = {"stage": Stage(400.0), "camera": Camera(0.03, latency=0.04), "rng": 0}
+    runs = [
+        simulate(c, m @ STEP + PATH @ m.T, jacobian=m @ J, start=m @ [12.0, -5.0], **loop)
+        for c, m in ((control, np.eye(2)), (other, turn))
+    ]
+    np.testing.assert_allclose(runs[1].feature, view.vectors(runs[0].feature), atol=1e-9)
+    np.testing.assert_allclose(runs[1].position, runs[0].position, atol=1e-9)
+
+
+def test_the_stage_axes_may_be_swapped():
+    """And with them its weights: the same motion, told in another order."""
+    given = {"feature": PATH[0], "target": STEP, "interval": 0.03, "feature_weight": Q}
+    one = optimal_control(J, control_weight=L, **given)
+    swapped = optimal_control(J[:, ::-1], control_weight=L[::-1, ::-1], **given)
+    np.testing.assert_allclose(swapped[::-1], one, rtol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_frames_without_the_feature_end_a_run_only_in_a_row(seed):
+    """Wherever they are: a path goes on after each, until there are as many as allowed in a row."""
+    most = 2 + seed % 2
+    lost = np.random.default_rng(seed).random(len(PATH) + 1) < 0.45
+    lost[0] = False  # the first look is not of the path
+    rows = np.convolve(lost[1:], np.ones(most))[: len(PATH)] == most
+    end = int(rows.argmax()) + 1 if rows.any() else len(PATH)
+    u = SimpleNamespace(um=1.0, px=1.0, s=1.0, t0=3.7, x0=12.0, y0=-5.0, x0_um=310.0, y0_um=-140.0)
+    workstation = begun(u)
+    tracker = seeing(workstation, np.flatnonzero(lost))
+    given = {"jacobian": J, "path": True, "travel": 400.0, "most_lost": most}
+    run = servo(workstation, tracker, PATH + workstation.feature, **given)
+    assert run.complete == (not rows.any())
+    np.testing.assert_array_equal(run.reached[:end], ~lost[1 : end + 1])
+    assert not run.reached[end:].any()
+    assert run.log["lost"].sum() == lost[1 : end + 1].sum()
