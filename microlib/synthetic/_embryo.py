@@ -37,8 +37,9 @@ _SONY_SHAPE = (768, 1024)
 
 # What an embryo looks like is a choice of the scene; grey levels of 255 under even light.
 _BACKGROUND, _FLUID, _YOLK, _CHORION, _PROBE, _SENSOR = 195.0, 168.0, 112.0, 60.0, 42.0, 58.0
-#: Half of the force sensor's width, and the least gap between yolk and chorion, in µm.
-_SENSOR_HALF_WIDTH, _YOLK_GAP = 60.0, 55.0
+#: Half of the force sensor's width, and the least gap between yolk and chorion, in radii of the
+#: embryo.
+_SENSOR_HALF_WIDTH, _YOLK_GAP = 1 / 10, 11 / 120
 #: Half of the yolk's width in radii of the embryo, over how many px its edge fades, and the
 #: standard deviation (grey levels) and the blur (px of the finer grid) of its grain.
 _YOLK_WIDTH, _YOLK_FADE, _GRAIN, _GRAIN_BLUR = 0.78, 3.0, 8.0, 6.0
@@ -470,7 +471,7 @@ def embryo_image(
 def _draw(frame: EmbryoImage, rng: np.random.Generator, probe: bool) -> NDArray[np.float32]:
     """Grey levels of the scene under even light, on the finer grid."""
     embryo, pixel = frame.embryo, frame.pixel_size
-    inside = _signed_distance(frame, embryo.outline())
+    inside = _signed_distance(frame, embryo.outline(embryo.radius / 2400))
     body = ndtr(inside / _DRAWN_BLUR)
     scene = _BACKGROUND + (_FLUID - _BACKGROUND) * body
 
@@ -487,7 +488,7 @@ def _draw(frame: EmbryoImage, rng: np.random.Generator, probe: bool) -> NDArray[
         seat = -embryo.height - embryo.thickness / 2
         for grey, half_width, depth in (
             (_PROBE, embryo.probe_half_width, y - tip),
-            (_SENSOR, _SENSOR_HALF_WIDTH, seat - y),
+            (_SENSOR, _SENSOR_HALF_WIDTH * embryo.radius, seat - y),
         ):
             bar = ndtr((half_width - np.abs(x)) / pixel / _DRAWN_BLUR)
             bar *= ndtr(depth / pixel / _DRAWN_BLUR)
@@ -536,8 +537,8 @@ def _signed_distance(frame: EmbryoImage, outline: Array) -> Array:
 
 def _yolk_depth(embryo: Embryo, x: Array, y: Array) -> Array:
     """How deep a point lies in the yolk, an ellipse that keeps clear of the chorion, in µm."""
-    top = -embryo.dimple_depth - _YOLK_GAP
-    bottom = -embryo.height + _YOLK_GAP
+    top = -embryo.dimple_depth - _YOLK_GAP * embryo.radius
+    bottom = -embryo.height + _YOLK_GAP * embryo.radius
     half_width = _YOLK_WIDTH * embryo.radius
     half_height = min((top - bottom) / 2, half_width)
     level = np.hypot(x / half_width, (y - (top + bottom) / 2) / half_height)

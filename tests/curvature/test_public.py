@@ -1,0 +1,93 @@
+"""The laws of every public name of curvature."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from microlib.curvature import Curvature, region_table, surface_curvature
+from tests.laws import VIEWS, Law, hold, hold_sigma
+
+Y, X = np.mgrid[0:31, 0:38] / 10.0
+#: A map without a symmetry, µm on pixels of 2.3 µm.
+HEIGHT = 3.0 * np.sin(X) * np.cos(0.7 * Y) + 0.4 * X * Y + 0.2 * Y**2
+LABELS = np.random.default_rng(2).integers(0, 10, (5, 6)).repeat(5, axis=0).repeat(4, axis=1)
+FIELDS = {
+    **dict.fromkeys(("mean", "mean_error"), "1/um"),
+    **dict.fromkeys(("gaussian", "gaussian_error"), "1/um**2"),
+}
+
+
+def bent(u) -> Curvature:
+    return surface_curvature(u.z0 + HEIGHT * u.um, 2.3 * u.um, noise=0.04 * u.um)
+
+
+LAWS = {
+    "curvature.clean_labels": Law(lambda u: {"labels": LABELS, "smallest": 25}, "1"),
+    "curvature.curvature_windows": Law(
+        lambda u: {"size": 7},
+        dict.fromkeys(("smooth", "mean", "slope", "second_derivative"), "1"),
+    ),
+    "curvature.hk_labels": Law(
+        lambda u: {
+            "mean": bent(u).mean,
+            "gaussian": bent(u).gaussian,
+            "h_zero": 0.01 / u.um,
+            "k_zero": 2e-4 / u.um**2,
+        },
+        "1",
+    ),
+    "curvature.region_table": Law(
+        lambda u: {"labels": np.pad(LABELS, ((0, 6), (9, 5))), "curvature": bent(u)},
+        {
+            **dict.fromkeys(("label", "name"), "="),
+            **dict.fromkeys(("area", "x", "y"), "1"),
+            **FIELDS,
+        },
+        within=1e-8,  # 42 µm of height lose four digits of a second derivative
+    ),
+    "curvature.surface_curvature": Law(
+        lambda u: {
+            "height": u.z0 + HEIGHT * u.um,
+            "pixel_size": 2.3 * u.um,
+            "size": 5,
+            "noise": 0.04 * u.um,
+        },
+        FIELDS,
+        within=1e-8,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_outputs_follow_units_and_origins(name):
+    hold(name, LAWS[name])
+
+
+@pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
+def test_a_map_seen_otherwise_has_the_same_curvature_and_regions(view):
+    holed = np.where((X > 3.2) & (Y < 0.4), np.nan, HEIGHT)
+    plain, other = (surface_curvature(h, 2.3, noise=0.04) for h in (holed, view.image(holed)))
+    for name in FIELDS:
+        wanted = view.image(getattr(plain, name))
+        np.testing.assert_allclose(getattr(other, name), wanted, rtol=1e-9, atol=1e-12)
+    labels = np.pad(LABELS, ((0, 6), (9, 5)))
+    table, turned = region_table(labels, plain), region_table(view.image(labels), other)
+    table[["x", "y"]] = view.points(table[["x", "y"]], labels.shape)
+    places = ["label", "area", "x", "y"]
+    rows, wanted = (t.round({"x": 3, "y": 3}).sort_values(places) for t in (turned, table))
+    columns = [*places, "mean", "gaussian"]
+    np.testing.assert_allclose(rows[columns], wanted[columns], rtol=1e-9)
+
+
+@pytest.mark.parametrize("size", [3, 5, 9])
+def test_the_errors_scatter_as_they_say(size):
+    """Of maps on pixels of 2.3 µm; pixels further apart than both windows are independent."""
+    noise, rng = 0.01, np.random.default_rng(size)
+    y, x = np.mgrid[0 : 24 * size, 0 : 20 * size] * 2.3
+    smooth = 0.002 * (x - 50) ** 2 - 0.0012 * (y - 60) ** 2 + 0.0011 * x * y
+    true = surface_curvature(smooth, 2.3, size=size)
+    found = surface_curvature(smooth + rng.normal(0, noise, x.shape), 2.3, size=size, noise=noise)
+    apart = (slice(size, -size, 2 * size),) * 2
+    errors = (found.mean - true.mean)[apart].ravel()
+    hold_sigma(errors, found.mean_error[apart].ravel())

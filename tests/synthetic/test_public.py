@@ -1,0 +1,242 @@
+"""The laws of every public name of synthetic: scenes obey the units and turns that they draw."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from microlib import synthetic
+from microlib.microscope import Microscope
+from tests.laws import VIEWS, Law, hold
+
+SHAPE = (21, 34)
+TEXTURE = synthetic.mixed_texture((26, 33), 5)
+RELIEF = np.linspace(-4.0, 9.0, 26)[:, None] + 2.0 * np.sin(np.arange(33) / 5.0)
+FOCI = np.array([7.0, 1.5, -2.0, 11.0])
+
+
+def embryo(u, **changes) -> synthetic.Embryo:
+    given = {
+        "modulus": 1.3 * u.MPa,
+        "force": 160.0 * u.uN,
+        "dimple_radius": 230.0 * u.um,
+        "thickness": 4.0 * u.um,
+        "probe_half_width": 30.0 * u.um,
+        "poisson_ratio": 0.4,
+        "radius": 560.0 * u.um,
+    }
+    return synthetic.Embryo(**given | changes)
+
+
+def pressed(u) -> dict:
+    own = {
+        "thickness": 4.0 * u.um,
+        "probe_half_width": 30.0 * u.um,
+        "poisson_ratio": 0.4,
+        "radius": 560.0 * u.um,
+    }
+    return {"modulus": 1.3 * u.MPa, "rim_radius": 420.0 * u.um, **own}
+
+
+def scope(u, **changes) -> Microscope:
+    given = {
+        "tube_length": 200000.0 * u.um,
+        "focal_length": 126000.0 * u.um,
+        "distance": 79380.0 * u.um,
+        "distortion": -8e-10 / u.um**2,
+        "tx": -310.0 * u.um,
+        "ty": -190.0 * u.um,
+        "pixel_size": (9.9 * u.um, 8.3 * u.um),
+        "image_size": (110, 80),
+    }
+    return Microscope(**given | changes)
+
+
+def imaging(u) -> synthetic.ImagingConditions:
+    return synthetic.ImagingConditions(
+        blur=0.8,
+        dark=40.0 * u.grey,
+        bright=150.0 * u.grey,
+        vignetting=0.2,
+        gradient=(0.15, -0.1),
+        noise=1.5 * u.grey,
+    )
+
+
+def pattern(u) -> dict:
+    return {"microscope": scope(u), "counts": (3, 2), "imaging": imaging(u), "rng": 3}
+
+
+EMBRYO = {
+    "modulus": "MPa",
+    "force": "uN",
+    "poisson_ratio": "1",
+    **dict.fromkeys(("dimple_radius", "thickness", "probe_half_width", "radius"), "um"),
+    **dict.fromkeys(("dimple_depth", "height"), "um"),
+}
+WARPED = {"first": "1", "second": "1", "box": "1", "corners": "1"}
+#: Grey levels in single precision, or with the scene's distances in pixels of 1e-12 behind them.
+SINGLE = {"within": 1e-5}
+#: One grey level of 255, where the last digit of a scene decides what it is rounded to.
+ROUNDED = {"within": 1 / 250}
+
+LAWS = {
+    "synthetic.Embryo": Law(lambda u: vars(embryo(u)), EMBRYO),
+    "synthetic.Embryo.pressed": Law(lambda u: {"force": 160.0 * u.uN, **pressed(u)}, EMBRYO),
+    "synthetic.Embryo.dented": Law(lambda u: {"depth": 90.0 * u.um, **pressed(u)}, EMBRYO),
+    "synthetic.Embryo.outline": Law(
+        lambda u: {"self": embryo(u), "spacing": 7.0 * u.um}, "um", within=1e-7
+    ),
+    "synthetic.ImagingConditions": Law(
+        lambda u: vars(imaging(u)),
+        {
+            **dict.fromkeys(("blur", "vignetting", "gradient"), "1"),
+            **dict.fromkeys(("dark", "bright", "noise"), "grey"),
+        },
+    ),
+    "synthetic.camera_frame": Law(
+        lambda u: {"image": TEXTURE * u.grey, "gain": 1.1 / u.grey, "noise": 2.0, "rng": 0},
+        "1",
+        **ROUNDED,
+    ),
+    "synthetic.cell_image": Law(
+        lambda u: {"kind": "293T", "rng": 1, "count": 2, "pixel_size": 0.5, "shape": (64, 80)},
+        {"image": "1", "outlines": "1", "pixel_size": "1"},
+    ),
+    "synthetic.cone": Law(lambda u: {"shape": SHAPE, "height": 9.0 * u.um, "radius": 8.0}, "um"),
+    "synthetic.embryo_image": Law(
+        lambda u: {
+            "embryo": embryo(u),
+            "rng": 2,
+            "pixel_size": 9.0 * u.um,
+            "shape": (150, 170),
+            "center": (85.3, 12.2),
+            "tilt": 0.1,
+        },
+        {
+            **dict.fromkeys(("image", "center", "tilt"), "1"),
+            "embryo": EMBRYO,
+            "pixel_size": "um",
+        },
+        **ROUNDED,
+    ),
+    "synthetic.focal_stack": Law(
+        lambda u: {
+            "texture": TEXTURE,
+            "height": u.z0 + RELIEF * u.um,
+            "positions": u.z0 + FOCI * u.um,
+            "blur_rate": 0.2 / u.um,
+            "noise": 1.0,
+            "rng": 1,
+        },
+        "1",
+        **ROUNDED,
+    ),
+    "synthetic.gripper_scene": Law(
+        lambda u: {
+            "rng": 0,
+            "pixel_size": 6.1 * u.um,
+            "gap": 90.0 * u.um,
+            "shape": (60, 80),
+            "reach": 5,
+        },
+        dict.fromkeys(("shape", "home", "opening", "drawing", "cover", "ground"), "1"),
+        **SINGLE,
+    ),
+    "synthetic.mixed_texture": Law(
+        lambda u: {
+            "shape": SHAPE,
+            "rng": 0,
+            "mean": u.grey0,
+            "std": 30.0 * u.grey,
+            "scales": (0.8, 3.0),
+        },
+        "grey @ grey0",
+        **SINGLE,
+    ),
+    "synthetic.parabolic_cylinder": Law(
+        lambda u: {"shape": SHAPE, "height": 9.0 * u.um, "width": 25.0}, "um"
+    ),
+    "synthetic.paraboloid": Law(lambda u: {"shape": SHAPE, "height": 9.0 * u.um}, "um"),
+    "synthetic.render_circles": Law(
+        lambda u: {**pattern(u), "radius": 60.0 * u.um, "pitch": 200.0 * u.um}, "grey", **SINGLE
+    ),
+    "synthetic.render_squares": Law(
+        lambda u: {**pattern(u), "side": 110.0 * u.um}, "grey", **SINGLE
+    ),
+    "synthetic.sphere_on_plane": Law(
+        lambda u: {
+            "shape": SHAPE,
+            "radius": 30.0 * u.um,
+            "pixel_size": 4.0 * u.um,
+            "roughness": 1.5 * u.um,
+            "rng": 0,
+        },
+        "um",
+        within=1e-6,  # a root near zero at the edge of the ball
+    ),
+    "synthetic.step": Law(lambda u: {"shape": SHAPE, "height": -4.0 * u.um, "at": 0.3}, "um"),
+    "synthetic.texture_sequence": Law(
+        lambda u: {"positions": [[3.2, 8.9], [6.0, 1.4]], "rng": 0, "size": 9}, "1"
+    ),
+    "synthetic.tilted_plane": Law(
+        lambda u: {"shape": SHAPE, "rise_x": 0.3 * u.um, "rise_y": -0.8 * u.um}, "um"
+    ),
+    "synthetic.warped_pair": Law(
+        lambda u: {"rng": 0, "distance": 2.0, "warp": "homography", "size": 12}, WARPED
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_outputs_follow_units_and_origins(name):
+    hold(name, LAWS[name])
+
+
+def test_surfaces_lie_in_the_map_as_their_names_say():
+    """Transposed, the shape is; and what runs along x runs along y."""
+    for draw in (synthetic.paraboloid, lambda shape, h: synthetic.cone(shape, h, 9.0)):
+        np.testing.assert_allclose(draw(SHAPE[::-1], 9.0), draw(SHAPE, 9.0).T)
+    ball, other = (synthetic.sphere_on_plane(s, 30.0, 4.0) for s in (SHAPE, SHAPE[::-1]))
+    np.testing.assert_allclose(other, ball.T)
+    one, other = (
+        synthetic.tilted_plane(s, x, y) for s, x, y in ((SHAPE, 3, 7), (SHAPE[::-1], 7, 3))
+    )
+    np.testing.assert_allclose(other, one.T)
+
+
+@pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
+def test_a_stack_seen_otherwise_is_blurred_alike(view):
+    given = {"positions": FOCI, "blur_rate": 0.2}
+    one = synthetic.focal_stack(TEXTURE, RELIEF, **given)
+    other = synthetic.focal_stack(view.image(TEXTURE), view.image(RELIEF), **given)
+    wanted = np.array([view.image(frame) for frame in one], float)
+    np.testing.assert_allclose(other, wanted, atol=1)  # one level, where a half is rounded
+
+
+@pytest.mark.parametrize("draw", [synthetic.render_circles, synthetic.render_squares])
+def test_a_pattern_seen_otherwise_is_drawn_alike(draw):
+    """Light, counts, cells and place swapped between the axes make the picture transposed."""
+
+    class Plain:
+        um = grey = 1.0
+
+    light = replace(imaging(Plain), noise=0.0)
+    one = draw(scope(Plain), counts=(3, 2), imaging=light)
+    turned = scope(Plain, tx=-190.0, ty=-310.0, pixel_size=(8.3, 9.9), image_size=(80, 110))
+    other = draw(turned, counts=(2, 3), imaging=replace(light, gradient=light.gradient[::-1]))
+    np.testing.assert_allclose(other, one.T, atol=2e-3)  # rows and columns in single precision
+
+
+def test_the_gripper_and_the_texture_move_by_what_they_are_told():
+    """By whole pixels and without noise it is the same picture elsewhere."""
+    scene = synthetic.gripper_scene(0, pixel_size=6.1, shape=(60, 80), reach=12)
+    scene = replace(scene, ground=np.full_like(scene.ground, 70.0))
+    still, moved = (scene.frame(s, 0, noise=0.0).astype(float) for s in ((0, 0), (7, -3)))
+    np.testing.assert_allclose(moved[:-3, 7:], still[3:, :-7], atol=1)
+    x, y, _, _ = scene.box(20, (7, -3))
+    assert (x, y) == tuple(np.add(scene.box(20)[:2], (7, -3)))
+    near = synthetic.texture_sequence([[3, 8], [10, 5]], 0, size=15, noise=0.0)
+    np.testing.assert_allclose(near[1][5:20, 10:25].astype(int), near[0][8:23, 3:18], atol=1)
