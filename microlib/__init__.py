@@ -1,21 +1,35 @@
 """Computer vision and mechanics for microstructures seen through an optical microscope.
 
-Import the subject you need, for example ``from microlib.membrane import elastic_modulus``. One unit
-system throughout: µm, µN, s, so that moduli are in MPa; pixel quantities say so.
+``import microlib`` and use ``microlib.membrane.elastic_modulus``, or import the subject you need; a
+subject is loaded when it is first used. One unit system throughout: µm, µN, s, so that moduli are
+in MPa; pixel quantities say so.
 """
 
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
-from importlib.util import find_spec
 from os import PathLike
 from typing import Any
-
-if find_spec("cv2") is None:
-    raise ImportError("microlib needs OpenCV 4.10 or newer: pip install opencv-python-headless")
 
 try:
     __version__ = version("microlib-thesis")
 except PackageNotFoundError:  # a checkout that was never installed
     __version__ = "0.3.0"
+
+_SUBJECTS = (
+    "automation",
+    "batch",
+    "calibration",
+    "curvature",
+    "embryo",
+    "focus",
+    "io",
+    "membrane",
+    "microscope",
+    "optics",
+    "servoing",
+    "synthetic",
+    "tracking",
+)
 
 
 def load(path: str | PathLike[str]) -> Any:
@@ -41,4 +55,14 @@ def load(path: str | PathLike[str]) -> Any:
     return load_result(path)
 
 
-__all__ = ["__version__", "load"]
+def __getattr__(name: str) -> Any:
+    if name in _SUBJECTS:
+        return import_module(f"microlib.{name}")
+    raise AttributeError(f"module 'microlib' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return list(__all__)
+
+
+__all__ = ["__version__", "load", *_SUBJECTS]

@@ -219,6 +219,28 @@ class Calibration(Tidy):
             index=pd.Index(self.parameters, name="parameter"),
         )
 
+    def plot(self, ax: Any = None, *, found: Any, images: Any = None) -> Any:
+        """Draw the points with their places in the grid and the residuals, by Matplotlib.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Where to draw the first view; by default every view is a panel of a new figure.
+        found : Detection or list of Detection
+            What the calibration was made from.
+        images : ndarray or list of ndarray, optional
+            The photographs.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from microlib._plots import marks
+
+        several = isinstance(found, (list, tuple))
+        pictures = images if several or images is None else [images]
+        return marks(found if several else [found], pictures, self.residuals, ax)
+
     def to_json(self) -> str:
         """Text in JSON that `from_json` reads, and from which other programs can be set up.
 

@@ -149,6 +149,22 @@ class FocusResult(Tidy):
             (self.uncertainty, error | place, "image"),
         ]
 
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the maps by Matplotlib: all in focus, height, uncertainty, and a shaded view.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Where to draw the height alone; by default all four are panels of a new figure.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from microlib._plots import maps
+
+        return maps(self, ax)
+
     def select(self, frames: Frames) -> Image:
         """Return an image of other frames of the same places, such as another channel.
 

@@ -1,0 +1,162 @@
+"""The command ``microlib modulus``."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import re
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from microlib._command._files import add_output, beside, refuse_targets, write
+from microlib._command._scales import add_scales, settle
+from microlib._common import Array
+
+#: Spans of LOESS whose dimples are compared; the middle one is that of the thesis.
+_SPANS = (0.15, 0.25, 0.35)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = (
+        "Example: microlib modulus outline.csv --force 150 --pixel-size 3.9 --thickness 3 "
+        "--probe-half-width 25 --poisson 0.5 -o modulus.csv"
+    )
+    words = {"poisson_ratio": "--poisson", "x": "outline", "y": "outline", "curve": "outline"}
+    parser.set_defaults(words=words)
+    outline = "CSV file with columns x, y in px, or with two columns"
+    parser.add_argument("outline", metavar="OUTLINE", help=outline)
+    add_output(parser, table=True)
+    add_scales(parser, "force", "force_std", "pixel_size", "thickness", "thickness_std")
+    add_scales(parser, "probe_half_width")
+    ratio = "Poisson's ratio; 0.5 of a membrane that keeps its volume"
+    parser.add_argument("--poisson", type=float, metavar="RATIO", help=ratio)
+    parser.add_argument("--y-down", action="store_true", help="y runs down, as an image's rows do")
+
+
+def run(a: argparse.Namespace) -> None:
+    """Young's modulus of a membrane from the outline of its dimple, as section 5.6 finds it."""
+    from microlib._plots import outline
+    from microlib.embryo import dimple_geometry, fit_gaussians, loess
+
+    x, y = _outline(a.outline, a.y_down)
+    asked = ("force", "pixel_size", "thickness", "probe_half_width", "poisson")
+    values = settle(a.outline, {name: getattr(a, name) for name in asked}, {}, a.say)
+    size = values.pop("pixel_size")
+    values["poisson_ratio"] = values.pop("poisson")
+    look = beside(a.out, "_look.png")
+    refuse_targets(a, [a.out, *([] if a.no_look else [look])])
+    stds = {"force": a.force_std or 0.0, "thickness": a.thickness_std or 0.0}
+    curves = [fit_gaussians(x, loess(x, y, span=span)) for span in _SPANS]
+    result: dict[str, float] = {}
+    points: dict[str, tuple[float, float]] = {}
+    titles = []
+    for rim, prefix in (("left", ""), ("right", "right_rim_")):
+        each = [dimple_geometry(curve, pixel_size=size, rim=rim) for curve in curves]
+        sizes = np.array([(dimple.dimple_radius, dimple.dimple_depth) for dimple in each])
+        # What the smoothing decides, and the noise of the points.
+        spread = np.sqrt(sizes.var(axis=0, ddof=1) + np.diag(each[1].covariance))
+        found = _estimate(values, stds, sizes[1].tolist(), spread.tolist())
+        result |= {prefix + name: value for name, value in found.items()}
+        low, high = found["modulus_low95_MPa"], found["modulus_high95_MPa"]
+        told = (
+            f"{rim} rim{', as in the thesis' * (rim == 'left')}: "
+            f"E = {found['modulus_MPa']:.4g} MPa, 95 % between {low:.4g} and {high:.4g} MPa\n"
+            f"a = {sizes[1, 0]:.1f} ± {spread[0]:.1f} µm, w_d = {sizes[1, 1]:.1f} ± "
+            f"{spread[1]:.1f} µm"
+        )
+        a.say(told)
+        titles.append(told)
+        points |= {f"{rim} rim": each[1].rim, "bottom": each[1].bottom}
+    result |= values | {f"{name}_std": value for name, value in stds.items()}
+    write(a.out, "quantity,value\n" + "".join(f"{k},{v:.10g}\n" for k, v in result.items()))
+    if not a.no_look:
+        write(look, outline(x, y, curves[1], points, "\n".join(titles)))
+    a.say(f"{a.out}: the modulus, its interval, and what it was computed from")
+
+
+def _estimate(
+    values: dict[str, float], stds: dict[str, float], sizes: list[float], spread: list[float]
+) -> dict[str, float]:
+    """Return the modulus of a dimple of such radius and depth, with its interval."""
+    from microlib import membrane
+
+    dimple = dict(zip(("dimple_radius", "dimple_depth"), sizes, strict=True))
+    uncertain = dict(zip(dimple, spread, strict=True))
+    modulus = float(membrane.elastic_modulus(**values, **dimple))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", membrane.SmallSlopeWarning)  # told once, above
+        samples = membrane.modulus_samples(values | dimple, stds | uncertain, size=100_000, rng=1)
+        finite = float(membrane.finite_slope_modulus(**values, **dimple))
+    low, high = np.quantile(samples, [0.025, 0.975]).tolist()
+    return {
+        "modulus_MPa": modulus,
+        "finite_slope_modulus_MPa": finite,
+        "modulus_low95_MPa": low,
+        "modulus_high95_MPa": high,
+        **dimple,
+        **{f"{name}_std": std for name, std in uncertain.items()},
+    }
+
+
+def _outline(path: str, y_down: bool) -> tuple[Array, Array]:
+    """Read an outline, and keep what is around its dimple: x ascending, the lowest point at 0."""
+    x, y = _points(path)
+    y = -y if y_down else y
+    bottom, rims, _ = _dip(y)
+    other, edges, depth = _dip(-y)
+    # An egg's outline upside down is deepest beside its dimple, up to where the outline ends.
+    if _inside(edges, y) and not _inside(rims, y) and depth > 0.1 * np.ptp(y):
+        if y_down:
+            raise ValueError(f"{path} has its dimple where y runs up: leave out --y-down")
+        warnings.warn(f"{path}: y is taken to run down, where its dimple is", stacklevel=2)
+        y, bottom, rims = -y, other, edges
+    # Eight Gaussians describe well what is within two radii of the bottom.
+    reach = 2 * (x[bottom] - x[rims[0]])
+    near = np.abs(x - x[bottom]) <= (reach or np.inf)
+    return x[near], y[near] - y[near].min()
+
+
+def _dip(y: Array) -> tuple[int, tuple[int, int], float]:
+    """Return where a curve lies deepest between higher parts, where these are, and how deep."""
+    left, right = np.maximum.accumulate(y), np.maximum.accumulate(y[::-1])[::-1]
+    depths = np.minimum(left, right) - y
+    bottom = int(np.argmax(depths))
+    rims = int(np.argmax(y[: bottom + 1])), bottom + int(np.argmax(y[bottom:]))
+    return bottom, rims, float(depths[bottom])
+
+
+def _inside(rims: tuple[int, int], y: Array) -> bool:
+    """Return whether rims are not just where the outline begins and ends."""
+    return min(rims[0], len(y) - 1 - rims[1]) > len(y) // 20
+
+
+def _points(path: str) -> tuple[Array, Array]:
+    """Read two columns of numbers: comma, semicolon, tab or spaces between; decimal point or comma;
+    a line of names, among them x and y in any case, or none."""
+    import pandas as pd
+
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+        head = text.strip().partition("\n")[0]
+        between = next((mark for mark in ";\t," if mark in head), r"\s+")
+        named = re.search("[a-df-z]", head, re.IGNORECASE)  # an e is in numbers, too
+        table = pd.read_csv(
+            io.StringIO(text),
+            sep=between,
+            decimal="," if between != "," and "," in text and "." not in text else ".",
+            header=0 if named else None,
+            skipinitialspace=True,
+        )
+        table.columns = [str(name).strip().lower() for name in table.columns]
+        table = (table[["x", "y"]] if named else table.iloc[:, :2]).astype(np.float64)
+        x, y = table.sort_values(table.columns[0], kind="stable").to_numpy().T
+        if not len(x):
+            raise ValueError("no point")
+    except (KeyError, ValueError) as error:
+        raise ValueError(
+            f"{path} must be a table of numbers in columns x and y, with comma, semicolon or tab "
+            "between"
+        ) from error
+    return x, y

@@ -1,0 +1,33 @@
+"""What the pictures share: axes to draw in, photographs, round numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: What was found, what it is compared with, and what is off: told apart on grey and by all eyes.
+FOUND, BESIDE, OFF = "#ffb000", "#56b4e9", "#e0245e"
+
+
+def new_axes(rows: int, columns: int, width: float, height: float) -> Any:
+    """Return the axes (rows, columns) of a new figure, each `width` by `height` inches."""
+    from matplotlib import pyplot
+
+    size = (width * columns, height * rows)
+    return pyplot.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)[1]
+
+
+def show_image(ax: Any, image: NDArray) -> None:
+    """Show a photograph in the range of its own grey levels, without axes of its own."""
+    levels = np.asarray(image, dtype=np.float32)
+    low, high = levels.min(), levels.max()
+    ax.imshow((levels - low) / (high - low or 1), cmap="gray")
+    ax.set_axis_off()
+
+
+def rounded_down(value: float) -> float:
+    """Return the next smaller of 1, 2, 5, 10, 20, …"""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * max(step for step in (1, 2, 5) if step * power <= value))

@@ -1,0 +1,73 @@
+"""The picture of a calibration: marks on their photographs, and what they are off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import ceil, sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from microlib._plots._axes import BESIDE, FOUND, OFF, new_axes, rounded_down, show_image
+
+
+def marks(
+    found: Sequence[Any],
+    images: Sequence[NDArray] | None = None,
+    residuals: NDArray | None = None,
+    ax: Any = None,
+) -> Any:
+    """Draw the points of detections with their places in the grid, and residuals, magnified.
+
+    A panel a view; with `ax` the first view alone is drawn there. Return the figure.
+    """
+    width, height = found[0].image_size
+    columns = ceil(sqrt(len(found)))
+    rows = ceil(len(found) / columns)
+    panel = max(2.5, 8 / columns)
+    axes = [ax] if ax is not None else new_axes(rows, columns, panel, 0.4 + panel * height / width)
+    ends = np.cumsum([len(each.points) for each in found])[:-1]
+    parts = [None] * len(found) if residuals is None else np.split(residuals, ends)
+    factor = 1.0 if residuals is None else _factor(found[0].points, residuals)
+    for number, panel_ax in enumerate(np.ravel(axes)):
+        if number >= len(found):
+            panel_ax.set_axis_off()
+            continue
+        if images is not None:
+            show_image(panel_ax, images[number])
+        else:
+            panel_ax.set(xlim=(0, width), ylim=(height, 0), aspect="equal")
+        _view(panel_ax, found[number], parts[number], factor)
+    figure = np.ravel(axes)[0].figure
+    if residuals is not None and ax is None:
+        figure.suptitle(f"blue: places in the grid; red: residuals × {factor:g}")
+    return figure
+
+
+def _view(ax: Any, each: Any, residuals: NDArray | None, factor: float) -> None:
+    ax.plot(*each.points.T, "o", ms=3, mfc="none", mew=0.7, color=FOUND)
+    every = ceil((np.ptp(each.grid, axis=0).max() + 1) / 5)
+    few = (each.grid % every == 0).all(axis=1)
+    for (x, y), (i, j) in zip(each.points[few], each.grid[few], strict=True):
+        ax.annotate(f"{i},{j}", (x, y), (4, 4), textcoords="offset points", color=BESIDE, size=8)
+    title = f"{len(each.points)} points"
+    if residuals is not None:
+        ax.quiver(
+            *each.points.T,
+            *(factor * residuals).T,
+            angles="xy",
+            scale_units="xy",
+            scale=1,
+            width=0.004,
+            color=OFF,
+        )
+        title += f", {np.sqrt((residuals**2).sum(axis=1).mean()):.2g} px rms"
+    ax.set_title(title)
+
+
+def _factor(points: NDArray, residuals: NDArray) -> float:
+    """Return a round factor that makes large residuals as long as marks lie apart."""
+    apart = np.sqrt(np.ptp(points, axis=0).prod() / len(points))
+    large = np.quantile(np.hypot(*residuals.T), 0.95)
+    return rounded_down(apart / large) if large > 0 else 1.0

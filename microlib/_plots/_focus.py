@@ -1,0 +1,76 @@
+"""The picture of a height map."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from microlib._plots._axes import new_axes, rounded_down, show_image
+
+
+def maps(found: Any, ax: Any = None) -> Any:
+    """Draw a FocusResult: all in focus, height, uncertainty and a shaded view.
+
+    With `ax` the height alone is drawn. Lengths along the image are in px where the pixel size is
+    not known. Return the figure.
+    """
+    depth = np.asarray(found.depth)
+    rows, columns = depth.shape
+    if ax is None:
+        height = 0.4 + 5 * rows / columns
+        axes = new_axes(2, 2, 5.5, height).ravel()
+        show_image(axes[0], found.all_in_focus)
+        axes[0].set_title("all in focus")
+        _map(axes[2], np.asarray(found.uncertainty), "magma", "uncertainty (µm)", logarithmic=True)
+        _shaded(axes[3], depth, found.pixel_size)
+        ax = axes[1]
+    _map(ax, depth, "viridis", "height (µm)")
+    if found.pixel_size:
+        _scale_bar(ax, found.pixel_size, columns)
+    return ax.figure
+
+
+def _map(ax: Any, values: NDArray, colors: str, label: str, logarithmic: bool = False) -> None:
+    from matplotlib import colormaps
+    from matplotlib.colors import LogNorm
+    from matplotlib.ticker import LogLocator
+
+    known = values[np.isfinite(values)]
+    # A few strays would take all colors.
+    low, high = np.quantile(known, [0.005, 0.995]) if len(known) else (0, 1)
+    cmap = colormaps[colors].with_extremes(bad="0.8")
+    scale: Any = {"vmin": low, "vmax": high}
+    if logarithmic and low > 0:
+        scale = {"norm": LogNorm(low, high)}
+    picture = ax.imshow(values, cmap=cmap, interpolation="nearest", **scale)
+    ticks = {"ticks": LogLocator(subs=(1, 2, 5)), "format": "%g"} if "norm" in scale else {}
+    ax.figure.colorbar(picture, ax=ax, label=label, extend="both", shrink=0.8, **ticks)
+    unknown = 1 - len(known) / values.size
+    ax.set_title(f"{label.split()[0]}{f', grey: {100 * unknown:.2g} % unknown' if unknown else ''}")
+    ax.set_axis_off()
+
+
+def _shaded(ax: Any, depth: NDArray, pixel_size: float | None) -> None:
+    """Show the surface in light from the upper left, so steep that slopes show."""
+    from matplotlib.colors import LightSource
+
+    known, size = np.isfinite(depth), pixel_size or 1.0
+    slopes = np.hypot(*np.gradient(depth, size)) if min(depth.shape) > 1 else depth
+    steep = np.quantile(slopes[np.isfinite(slopes)], 0.95) if np.isfinite(slopes).any() else 0.0
+    factor = rounded_down(1 / steep) if steep > 0 else 1.0
+    filled = np.where(known, depth, np.median(depth[known]) if known.any() else 0.0)
+    light = LightSource().hillshade(filled, vert_exag=factor, dx=size, dy=size)
+    show_image(ax, np.where(known, light, 0.8))
+    ax.set_title(f"shaded, heights × {factor:g}{'' if pixel_size else ' px/µm'}")
+
+
+def _scale_bar(ax: Any, pixel_size: float, columns: int) -> None:
+    from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
+
+    length = rounded_down(pixel_size * columns / 4)
+    text = f"{length / 1000:g} mm" if length >= 1000 else f"{length:g} µm"
+    bar = AnchoredSizeBar(ax.transData, length / pixel_size, text, "lower left", size_vertical=1)
+    bar.patch.set_alpha(0.7)
+    ax.add_artist(bar)
