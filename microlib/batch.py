@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import csv
 import io
-import multiprocessing
 import os
 import pickle
-from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Mapping
+from concurrent import futures
+from contextlib import closing
 from functools import partial
 from glob import glob
-from os import PathLike
+from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,20 +31,18 @@ __all__ = ["process_files"]
 
 #: What a row begins with; the rest is the result's. `modified` tells a file that has changed since.
 _OWN = ["file", "error", "modified", "work"]
-#: Of the table; names of files in another encoding are kept as they are.
-_ENCODING = {"encoding": "utf-8", "errors": "surrogateescape"}
-#: Threads of several processes that wait for one core make a calibration ten times slower.
-_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+#: Errors of a file over which a process died: its own fault, or that of one that ran beside it.
+_DEATHS = ("BrokenProcessPool", "KilledWorker")
 
 Row = dict[str, Any]
 
 
 def process_files(
-    files: str | Iterable[str | PathLike[str]],
+    files: str | Iterable[str | os.PathLike[str]],
     work: Callable[[Path], Any],
-    table: str | PathLike[str],
+    table: str | os.PathLike[str],
     *,
-    executor: Executor | None = None,
+    executor: futures.Executor | None = None,
     retry: bool = False,
     progress: bool = False,
 ) -> pd.DataFrame:
@@ -61,8 +60,9 @@ def process_files(
         The table, a CSV file. If it is there, only files without a row in it are done, and those
         that have changed since.
     executor : concurrent.futures.Executor, optional
-        Where the work is done, for example ``dask.distributed.Client(…).get_executor()`` on a
-        cluster. By default a pool with a process for each core.
+        Where the work is done, for example ``dask.distributed.Client(…).get_executor()`` or
+        ``mpi4py.futures.MPIPoolExecutor()`` on a cluster. By default a pool with a process for each
+        core.
     retry : bool, optional
         Whether files that failed are done again.
     progress : bool, optional
@@ -80,13 +80,18 @@ def process_files(
     ------
     ValueError
         If there is no file, one stands twice, `table` was made by other `work` or is no such table,
-        or `work` cannot be handed to another process.
+        or `work` cannot be handed to another process. Also if a pool that was given as `executor`
+        breaks: what was done is in the table, and a call with a new pool goes on.
 
     Notes
     -----
     A row is appended as soon as a file is done, and stays there if the process is killed: only what
-    was being done is lost. An exception is a row. If a process dies over a file, all files that
-    were being done are rows with that error; ``retry=True`` does them again.
+    was being done is lost. An exception is a row. At most two files for each worker of a pool are
+    handed out ahead, and a thousand to a cluster that does not say how many workers it has.
+
+    If a process dies, a new pool goes on; the files that were handed out are done again one by one
+    at the end, and the one over which a process dies then is a row with that error. With an
+    `executor` all of them are such rows, and ``retry=True`` does them one by one.
 
     Examples
     --------
@@ -108,34 +113,25 @@ def process_files(
 
     names = _names(files)
     of_kind("work", work, Callable)
-    of_kind("table", table, str, PathLike)
-    of_kind("executor", executor, Executor, type(None))
+    of_kind("table", table, str, os.PathLike)
+    of_kind("executor", executor, futures.Executor, type(None))
     again, bar = flag("retry", retry), flag("progress", progress)
     target = Path(table).expanduser()
     if not target.parent.is_dir():
         raise ValueError(f"table must lie in an existing folder, got {target.parent}")
     description = _description(work)
-    pool = executor or _processes(work, description)
     rows = _read(target, description)
-    due: dict[str, str] = {}
+    due, todo, suspects = dict[str, str](), deque[str](), deque[str]()
     for name in names:
         modified = str(os.stat(name).st_mtime_ns) if os.path.exists(name) else "0"
         row = rows.get(name)
         if row is None or row["modified"] != modified or (again and row["error"]):
             due[name] = modified
+            (suspects if row and row["error"].startswith(_DEATHS) else todo).append(name)
             rows.pop(name, None)
-    # Processes begin as they get work, with the environment of that moment.
-    unset = [name for name in _THREADS if name not in os.environ]
-    os.environ |= dict.fromkeys(unset, "1")
-    try:
-        futures = {pool.submit(_values, work, name): name for name in due}
-    finally:
-        for name in unset:
-            del os.environ[name]
     columns: list[str] = []
-    try:
-        for future in tqdm(as_completed(futures), total=len(due), disable=not bar):
-            name = futures[future]
+    with closing(_done(executor, work, todo, suspects)) as done:
+        for name, future in tqdm(done, total=len(due), disable=not bar):
             row = {"file": name, "error": "", "modified": due[name], "work": description}
             try:
                 row |= future.result()
@@ -148,18 +144,10 @@ def process_files(
                 columns = list(dict.fromkeys(column for row in rows.values() for column in row))
                 header = dict(zip(columns, columns, strict=True))
                 replace_file(target, partial(_write, columns, [header, *rows.values()]))
-    finally:
-        for future in futures:
-            future.cancel()
-        if executor is None:
-            pool.shutdown()
-    found = pd.read_csv(
-        target,
-        dtype=dict.fromkeys(("file", "error", "work"), str),
-        keep_default_na=False,
-        na_values=[""],
-        encoding_errors="surrogateescape",
-    )
+    # A text such as NA stays one.
+    texts: dict[str, Any] = {"dtype": dict.fromkeys(("file", "error", "work"), str)}
+    texts |= {"keep_default_na": False, "na_values": [""], "encoding_errors": "surrogateescape"}
+    found = pd.read_csv(target, **texts)
     return found.fillna({"error": ""}).set_index("file").loc[names].reset_index()
 
 
@@ -184,38 +172,76 @@ def _description(work: Any) -> str:
     return getattr(work, "__qualname__", type(work).__qualname__)
 
 
-def _processes(work: object, description: str) -> Executor:
+def _processes(work: object) -> futures.Executor:
     try:
         pickle.dumps(work)
     except Exception as error:
-        need = "work must be a function of a module to be handed to other processes"
-        raise ValueError(f"{need}, got {description}: {error}") from error
+        need = f"work must be a function of a module for other processes, got {_description(work)}"
+        raise ValueError(f"{need}: {error}") from error
     # Spawned: a fork of a process with threads may hang.
-    spawn = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(mp_context=spawn, initializer=end_with_starter)
+    spawn = get_context("spawn")
+    return futures.ProcessPoolExecutor(mp_context=spawn, initializer=end_with_starter)
+
+
+def _done(
+    executor: futures.Executor | None, work: Callable, todo: deque[str], suspects: deque[str]
+) -> Generator[tuple[str, futures.Future[Row]], None, None]:
+    """Yield each file as it is done: first those `todo`, then the `suspects` one by one."""
+    pool = executor or _processes(work)
+    running: dict[futures.Future[Row], str] = {}
+    # Threads of several processes that wait for one core make a calibration ten times slower;
+    # processes begin as they get work, with the environment of that moment.
+    unset = {f"{library}_NUM_THREADS" for library in ("OPENBLAS", "OMP", "MKL")} - os.environ.keys()
+    os.environ |= dict.fromkeys(unset, "1")
+    try:
+        # The scheduler of a cluster does not say how many workers it has.
+        for names, most in ((todo, 2 * getattr(pool, "_max_workers", 500)), (suspects, 1)):
+            while names or running:
+                while names and len(running) < most:
+                    try:
+                        future = pool.submit(_values, work, names[0])
+                        running[future] = names.popleft()
+                    except futures.BrokenExecutor as error:
+                        if running:  # lost with it, as they tell below
+                            break
+                        if executor:
+                            raise ValueError("executor must work, got a broken one") from error
+                        pool = _processes(work)
+                futures.wait(running, return_when=futures.FIRST_COMPLETED)
+                future = next(future for future in running if future.done())
+                name = running.pop(future)
+                lost = executor is None and isinstance(future.exception(), futures.BrokenExecutor)
+                if lost and names is todo:
+                    suspects.append(name)
+                else:
+                    yield name, future
+    finally:
+        for name in unset:
+            os.environ.pop(name, None)
+        for future in running:
+            future.cancel()
+        if executor is None:
+            pool.shutdown()
 
 
 def _read(path: Path, description: str) -> dict[str, Row]:
     """Return the rows of a table by file; one that was cut off is left out."""
     try:
-        text = path.read_text(**_ENCODING) if path.exists() else ""
+        text = path.read_text("utf-8", "surrogateescape") if path.exists() else ""
         reader = csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1]))
         rows = {row["file"]: row for row in reader if None not in (*row, *row.values())}
-        own = not text or list(reader.fieldnames or ())[: len(_OWN)] == _OWN
+        if text and list(reader.fieldnames or ())[: len(_OWN)] != _OWN:
+            raise KeyError
     except (OSError, KeyError, csv.Error):
-        own = False
-    if not own:
-        raise ValueError(f"table must be one that process_files wrote, got {path}")
+        raise ValueError(f"table must be one that process_files wrote, got {path}") from None
     if others := {row["work"] for row in rows.values()} - {description}:
-        raise ValueError(
-            f"table must be of the same work, got {path} with {min(others)}, now {description}: "
-            "name another file"
-        )
+        need = f"table must be of the same work, now {description}"
+        raise ValueError(f"{need}, got {path} with {min(others)}: name another file")
     return rows
 
 
 def _write(columns: list[str], rows: Iterable[Row], path: Path, mode: str = "w") -> None:
-    with path.open(mode, newline="", **_ENCODING) as stream:  # type: ignore[call-overload]
+    with path.open(mode, encoding="utf-8", errors="surrogateescape", newline="") as stream:
         csv.DictWriter(stream, columns, lineterminator="\n").writerows(rows)
 
 

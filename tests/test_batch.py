@@ -7,8 +7,9 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 
 import pandas as pd
@@ -107,13 +108,96 @@ def test_columns_may_come_later_and_names_in_any_encoding(folder: Path, run) -> 
     assert found["file"][1] == odd
 
 
-def test_a_process_that_dies_is_an_error_and_the_call_returns(folder: Path) -> None:
+def test_only_the_file_over_which_a_process_dies_is_an_error(folder: Path) -> None:
+    """Those that ran beside it are done, in this call and in one that tries again."""
+    log, table = folder.parent / "log", folder.parent / "t.csv"
+    for k in range(4, 20):
+        (folder / f"f{k}.txt").write_text(f"wait{k}")
     (folder / "f2.txt").write_text("die")
-    found = process_files(f"{folder}/*", measure, folder.parent / "t.csv")
-    assert found["error"][2].startswith("BrokenProcessPool")
-    (folder / "f2.txt").write_text("5")
-    found = process_files(f"{folder}/*", measure, folder.parent / "t.csv", retry=True)
-    assert found["value"].tolist() == [3.5, 1e-3, 5.0, 7.0]
+    for retry in (False, True):
+        found = process_files(f"{folder}/*", partial(measure, log=log), table, retry=retry)
+        died = found["error"].str.startswith("BrokenProcessPool")
+        assert found["file"][died].tolist() == [str(folder / "f2.txt")]
+        assert (found["error"] == "").sum() == 19
+    # Beside the guilty one, tried twice and once more, only what was handed out is done again.
+    calls = log.read_text().split()
+    assert calls.count("f2.txt") == 3
+    assert len(calls) - 22 <= 2 * (os.cpu_count() or 1) - 1
+
+
+def test_a_broken_executor_is_refused_and_a_new_one_goes_on(folder: Path) -> None:
+    table = folder.parent / "t.csv"
+    for k in range(20):
+        (folder / f"f{k:02d}.txt").write_text("die" if k == 1 else f"wait{k}")
+    spawn = get_context("spawn")
+    with (
+        ProcessPoolExecutor(2, mp_context=spawn) as pool,
+        pytest.raises(ValueError, match="executor must work, got a broken one"),
+    ):
+        process_files(f"{folder}/f??.txt", measure, table, executor=pool)
+    kept = pd.read_csv(table).fillna({"error": ""})
+    assert len(kept) <= 6  # what two processes had in hand twice over, and what was done before
+    assert kept["error"].str.startswith("BrokenProcessPool").sum() <= 4
+    with ThreadPoolExecutor(1) as threads:  # one by one, and no process to die
+        (folder / "f01.txt").write_text("1")
+        found = process_files(f"{folder}/f??.txt", measure, table, executor=threads, retry=True)
+    assert found["value"].tolist() == list(range(20))
+
+
+def test_few_files_are_handed_out_ahead_and_suspects_one_by_one(folder: Path) -> None:
+    most = []
+
+    class Counting(ThreadPoolExecutor):
+        handed = 0
+
+        def submit(self, function, *arguments):
+            future = super().submit(function, *arguments)
+            self.handed += 1
+            most.append(self.handed)
+            future.add_done_callback(lambda _: setattr(self, "handed", self.handed - 1))
+            return future
+
+    table = folder.parent / "t.csv"
+    for k in range(12):
+        (folder / f"g{k:02d}.txt").write_text(f"wait{k}")
+    with Counting(3) as pool:
+        found = process_files(f"{folder}/g*", measure, table, executor=pool)
+    assert 3 < max(most) <= 6
+    found.loc[[2, 5, 9], "error"] = "KilledWorker: of a cluster"
+    found.to_csv(table, index=False)
+    most.clear()
+    with Counting(3) as pool:
+        found = process_files(f"{folder}/g*", measure, table, executor=pool, retry=True)
+    assert most == [1, 1, 1]
+    assert found["value"].tolist() == list(range(12))
+
+
+def test_a_cluster_of_which_a_process_is_killed(folder: Path) -> None:
+    """Dask does what the killed worker had in hand on the other."""
+    distributed = pytest.importorskip("distributed", reason="dask is not installed")
+    for k in range(12):
+        (folder / f"g{k:02d}.txt").write_text(f"wait{k}")
+    table, log = folder.parent / "t.csv", folder.parent / "log"
+    killed = []
+
+    def kill() -> None:
+        while not table.exists() or table.read_text().count("\n") < 3:
+            time.sleep(0.01)
+        killed.append(int(pd.read_csv(table)["pid"][0]))
+        os.kill(killed[0], signal.SIGKILL)
+
+    with (
+        distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+        ThreadPoolExecutor(1) as killer,
+    ):
+        future = killer.submit(kill)
+        work = partial(measure, log=log)
+        found = process_files(f"{folder}/g*", work, table, executor=client.get_executor())
+        future.result()
+    assert found["value"].tolist() == list(range(12))
+    assert (found["error"] == "").all()
+    assert killed[0] in set(found["pid"])
 
 
 def measure_all(folder: Path) -> None:
