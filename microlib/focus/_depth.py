@@ -19,15 +19,15 @@ from microlib._common import (
     as_array,
     scalar,
 )
-from microlib.focus._axis import find_axis, sampled
+from microlib.focus._axis import find_axis, noise_level, sampled
 from microlib.focus._blocks import depth_in_blocks, is_in_blocks
-from microlib.focus._measures import FocusMeasure, blur
+from microlib.focus._measures import FocusMeasure, blur, doubled
 from microlib.focus._multiscale import multiscale_result
 from microlib.focus._options import MOST, Options, Progress, check_options
 from microlib.focus._peaks import FARTHEST, fit_peaks, three_point_peak
 from microlib.focus._registration import Registered
 from microlib.focus._registration import register as find_registration
-from microlib.focus._reliability import incoherent_mask
+from microlib.focus._reliability import incoherent_mask, unchanged_mask
 from microlib.focus._result import FocusResult, as_type, picked
 from microlib.io import read_frames
 
@@ -138,9 +138,10 @@ def depth_from_focus(
     peaks about four frames wide, so that more frames mean less noise. With any other measure the
     peak is fitted and nothing is corrected; `correct_spikes` and `smooth_depth` may follow.
 
-    A depth is NaN where the measure is zero or flat, and where the best frame is random: half of
-    its neighbors are more than two frames away from their median. "multiscale" also gives NaN
-    where its peak is no higher than noise alone would have it, where peaks are five times fainter
+    A depth is NaN where the measure is zero or flat, where its peak, averaged over some pixels, is
+    no higher than noise alone makes it around one and the same picture, and where the best frame is
+    random: half of its neighbors are more than two frames away from their median. "multiscale" also
+    gives NaN where peaks are five times fainter
     than those around and more than two frames away from them, which is the blur of a strong edge
     near by, in specks of a few pixels, where half of the surroundings are unknown, and where depths
     by two measures differ but no wide window tells. A pixel
@@ -329,14 +330,18 @@ def _single_measure(
     """Return the peaks of one measure, and no more."""
     z = stack.positions
     spacing = float(np.median(np.abs(np.diff(z))))
-    window, best = track_peaks(stack.grey, measure, reach, done)
+    window, mean, best = track_peaks(stack.grey, measure, reach, done)
     if reach == 1:
         depth = three_point_peak(window, best, z)
     else:
         steps, _ = fit_peaks(window, best, np.abs(z - z[0]) / spacing)
         depth = (z[0] + np.sign(z[-1] - z[0]) * spacing * steps).astype(np.float32)
-    random = incoherent_mask(np.ascontiguousarray(best[::2, ::2]))
-    depth[random.repeat(2, axis=0).repeat(2, axis=1)[: len(depth), : depth.shape[1]]] = np.nan
+    rise, chance, coarse = (
+        np.ascontiguousarray(part[::2, ::2])
+        for part in (window[reach] - mean, _chance(stack.grey, measure, best), best)
+    )
+    lost = unchanged_mask(rise, chance, len(z)) | incoherent_mask(coarse)
+    depth[doubled(lost, depth.shape)] = np.nan
     known = np.isfinite(depth)
     error = np.where(known, _roughness(depth, z, best), np.float32(np.nan))
     share = error / np.float32(spacing)
@@ -352,18 +357,21 @@ def _single_measure(
 
 def track_peaks(
     frames: Sequence[Image], measure: FocusMeasure, reach: int, done: Callable[[float], object]
-) -> tuple[NDArray, NDArray[np.uint16]]:
+) -> tuple[NDArray, NDArray, NDArray[np.uint16]]:
     """Return each pixel's measures around its best frame, and the number of that frame.
 
     Returns
     -------
     window : ndarray of float32, shape (2 reach + 1, rows, cols)
         0 beyond the stack.
+    mean : ndarray of float32, shape (rows, cols)
+        Of all frames.
     best : ndarray of uint16, shape (rows, cols)
         The first of equals.
     """
     shape = frames[0].shape
     window, best = np.zeros((2 * reach + 1, *shape), np.float32), np.zeros(shape, np.uint16)
+    mean = np.zeros(shape, np.float32)
     recent = deque([np.zeros(shape, np.float32)] * reach, maxlen=reach)
     for k, frame in enumerate(frames):
         value = np.asarray(measure(frame), np.float32)
@@ -376,8 +384,27 @@ def track_peaks(
         np.copyto(window[reach], value, where=better)
         np.copyto(best, np.uint16(k), where=better)
         recent.append(value)
+        mean += value / np.float32(len(frames))
         done((k + 1) / len(frames))
-    return window, best
+    return window, mean, best
+
+
+def _chance(frames: Sequence[Image], measure: FocusMeasure, best: NDArray) -> NDArray:
+    """Return by how much noise alone changes a measure, in the image that is all in focus.
+
+    The noise is that of the frame that has least: what is in focus looks like noise.
+    """
+    rows, cols = (sampled(n) for n in best.shape)
+    noise = min(noise_level(frame[np.ix_(rows, cols)]) for frame in frames)
+    sharp = picked(frames, best)
+    # Drawn so that an image and its transpose have the same.
+    drawn = np.triu(np.random.default_rng(0).standard_normal((max(best.shape),) * 2))
+    error = noise * (drawn + np.triu(drawn, 1).T)[: best.shape[0], : best.shape[1]]
+    above, below = (
+        np.asarray(measure(as_type(image, sharp.dtype)), np.float32)
+        for image in (sharp + error, sharp - error)
+    )
+    return np.sqrt(blur((above - below) ** 2, 6.0) / 4)
 
 
 def _roughness(depth: NDArray, positions: Array, index: NDArray[np.uint16]) -> NDArray[np.float32]:

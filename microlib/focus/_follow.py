@@ -25,7 +25,7 @@ FINE, COARSE, FINE_WINDOW, COARSE_WINDOW = 0.8, 1.0, 0.6, 1.15
 #: Radius of the mean that the edge measure takes a pixel's deviation from, and its window, px.
 _EDGE_MEAN, _EDGE_WINDOW = 2.0, 1.0
 #: Side of the wide window, every fourth pixel, and the share of noise that halving leaves.
-_WIDE = 13
+WIDE = 13
 
 
 @dataclass(frozen=True)
@@ -60,26 +60,28 @@ class Followed:
 
     Attributes
     ----------
-    depth, strength, top, best : ndarray, shape (rows, cols)
+    depth, strength, top, mean, best : ndarray, shape (rows, cols)
         By the product of the fine and the coarse measure: depth and its certainty, height of the
-        peak, and number of the best frame.
+        peak, mean over the frames, and number of the best frame.
     along, down : ndarray, shape (2 reach + 1, rows, cols)
         The fine measure of either direction in the frames around the best one.
     edge : ndarray, shape (rows, cols)
         Depth by the edge measure.
-    wide, wide_top : ndarray, shape (rows / 2, cols / 2)
-        By the wide window: depth and height of the peak.
+    wide, wide_top, wide_mean : ndarray, shape (rows / 2, cols / 2)
+        By the wide window: depth, height of the peak, and mean over the frames.
     """
 
     depth: NDArray[np.float32]
     strength: NDArray[np.float32]
     top: NDArray[np.float32]
+    mean: NDArray[np.float32]
     best: NDArray[np.uint16]
     along: NDArray[np.float32]
     down: NDArray[np.float32]
     edge: NDArray[np.float32]
     wide: NDArray[np.float32]
     wide_top: NDArray[np.float32]
+    wide_mean: NDArray[np.float32]
 
 
 def follow(
@@ -158,7 +160,7 @@ def _follow_strip(
         off, floor = cv2.absdiff(half, blur(half, _EDGE_MEAN)), np.float32(levels.edge)
         np.multiply(off + floor, blur(off, _EDGE_WINDOW) + floor, out=edge.slot(k)[0])
         edge.push(k)
-        wide.slot(k)[0] = cv2.blur(halved(p * p + q * q), (_WIDE, _WIDE))
+        wide.slot(k)[0] = cv2.blur(halved(p * p + q * q), (WIDE, WIDE))
         wide.push(k)
     here = slice(keep.start // 2, -(-keep.stop // 2))
     coarse = slice(keep.start // 4, -(-keep.stop // 4))
@@ -171,10 +173,12 @@ def _follow_strip(
         depth=depth,
         strength=strength,
         top=main.top[here],
+        mean=main.mean(here),
         best=main.best[here],
         along=windows[1],
         down=windows[2],
         edge=edges,
         wide=far,
         wide_top=wide.top[coarse],
+        wide_mean=wide.mean(coarse),
     )

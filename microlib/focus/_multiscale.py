@@ -19,7 +19,7 @@ from microlib.focus import _reliability as rules
 from microlib.focus import _relief
 from microlib.focus._axis import Axis
 from microlib.focus._correction import smooth_planes
-from microlib.focus._follow import COARSE, COARSE_WINDOW, FINE, Followed, Levels, follow
+from microlib.focus._follow import COARSE, COARSE_WINDOW, FINE, WIDE, Followed, Levels, follow
 from microlib.focus._measures import absolute_seconds, blur, doubled, halved
 from microlib.focus._peaks import PeakFollower, fit_peaks
 from microlib.focus._reliability import choose_side, fill_nearest, without_spikes
@@ -134,14 +134,15 @@ def believed(seen: Followed, axis: Axis) -> tuple[NDArray, NDArray, NDArray]:
     levels = Levels.of(axis.noise)
     depth = seen.depth.copy()
     depth[rules.incoherent_mask(seen.best)] = np.nan
-    # On noise alone each factor is its level, and as much again, its floor.
-    ratio = seen.top / np.float32(4 * levels.fine * levels.coarse)
-    depth[rules.below_noise_mask(ratio, len(axis.steps))] = np.nan
+    fine, coarse = factors(seen, levels)
+    # By noise either factor changes by a quarter of its level, simulated on textures and on noise.
+    chance = np.float32(levels.fine / 4) * coarse + np.float32(levels.coarse / 4) * fine
+    depth[rules.unchanged_mask(seen.top - seen.mean, chance, len(axis.steps))] = np.nan
     broad = without_spikes(fill_nearest(depth))
     sided, apart = choose_side(broad, fill_nearest(seen.edge), 3)
     depth = np.where(np.isfinite(depth), without_spikes(sided), np.float32(np.nan))
     weight = relative(seen.strength, axis.typical)
-    wide = wide_depth(seen, levels, depth.shape)
+    wide = wide_depth(seen, levels, len(axis.steps), depth.shape)
     sharp, finer = sharp_mask(seen, levels, *_SHARP), sharp_mask(seen, levels, *_FINER)
     instead, neither = rules.check_wide(depth, wide, apart, sharp, finer)
     depth[neither] = np.nan
@@ -150,6 +151,13 @@ def believed(seen: Followed, axis: Axis) -> tuple[NDArray, NDArray, NDArray]:
     depth[rules.small_piece_mask(depth)] = np.nan
     depth[rules.isolated_mask(depth)] = np.nan
     return depth, weight, apart
+
+
+def factors(seen: Followed, levels: Levels) -> tuple[NDArray, NDArray]:
+    """Return the fine and the coarse factor of each peak, with their floors."""
+    middle = len(seen.along) // 2
+    fine = seen.along[middle] + seen.down[middle] + np.float32(levels.fine)
+    return fine, seen.top / fine
 
 
 def sharp_mask(seen: Followed, levels: Levels, share: float, noise: float) -> NDArray[np.bool_]:
@@ -170,10 +178,13 @@ def relative(strength: NDArray, typical: float | None = None) -> NDArray:
     return np.where(fitted, ratio, np.float32(1))
 
 
-def wide_depth(seen: Followed, levels: Levels, shape: tuple[int, ...]) -> NDArray:
+def wide_depth(seen: Followed, levels: Levels, count: int, shape: tuple[int, ...]) -> NDArray:
     """Return the depth by the wide window, NaN where its peak is of noise or of a blurred edge."""
     wide = seen.wide.copy()
     wide[seen.wide_top < _CLEAR * levels.wide] = np.nan
+    # Of a mean of N squares (s + e)² noise changes 2 √(s² e² / N).
+    chance = np.sqrt(np.float32(4 * levels.wide / WIDE**2) * seen.wide_top)
+    wide[rules.unchanged_mask(seen.wide_top - seen.wide_mean, chance, count)] = np.nan
     edges = rules.blurred_edge_mask(wide[::2, ::2], seen.wide_top[::2, ::2])
     wide[doubled(edges, wide.shape)] = np.nan
     return doubled(wide, shape)

@@ -40,7 +40,7 @@ def three_point_peak(window: NDArray, index: NDArray, positions: Array) -> NDArr
     -------
     ndarray of float32, shape (rows, cols)
         Depth, µm. NaN where the three measures are equal or zero; the position of the frame itself
-        where the best is the first or the last.
+        where the best is the first or the last, and NaN if its one neighbor is not below it.
 
     Raises
     ------
@@ -86,8 +86,10 @@ def three_point_peak(window: NDArray, index: NDArray, positions: Array) -> NDArr
         curvature = (right - left) / (after - before)
         shift = (before - left / curvature) / 2
     ends = (index == 0) | (index == len(z) - 1)
+    beside = np.where(index == 0, third, first)
     depth = z[index] + np.where(ends, 0, np.where(np.isfinite(shift), shift, np.nan))
-    return np.where(best > 0, depth, np.nan).astype(np.float32)
+    known = (best > 0) & (~ends | (best > beside))
+    return np.where(known, depth, np.nan).astype(np.float32)
 
 
 def fit_peaks(
@@ -267,6 +269,11 @@ class PeakFollower:
         number = np.multiply(value > self.top, np.uint16(k), dtype=np.uint16)
         cv2.max(value, self.top, self.top)
         cv2.max(self.best, number, self.best)
+
+    def mean(self, rows: slice) -> NDArray[np.float32]:
+        """Return the mean of the deciding measure over all frames."""
+        inner = slice(self._reach, self._measures.shape[1] - self._reach)
+        return np.asarray(self._measures[0, inner, rows].mean(axis=0))
 
     def windows(self, rows: slice = slice(None)) -> NDArray[np.float32]:
         """Return the measures around the best frames, shape (kinds, 2 reach + 1, rows, cols)."""

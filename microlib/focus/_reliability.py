@@ -19,10 +19,6 @@ from microlib.focus._measures import blur
 _COHERENCE_WINDOW, _INCOHERENT = 5, 2
 #: Radius over which a depth needs others around it, and the share of them that it needs.
 _SURROUNDINGS, _LEAST_KNOWN = 3.0, 0.5
-#: Peak over the mean of the measure on noise, averaged over `_SURROUNDINGS`: this and the other
-#: times ln n is 5 % above what 99.9 % of the pixels of n frames of noise stay below, simulated with
-#: n from 12 to 300.
-_NOISE_PEAK, _NOISE_PEAK_GROWTH = 1.46, 0.113
 #: Radius over which the blur of a strong edge outshines weak texture; distance of its depth from
 #: that of the brighter peaks around; half the range of what counts as one depth; the share of the
 #: peaks around that its own stay below.
@@ -60,9 +56,23 @@ def incoherent_mask(best: NDArray[np.uint16]) -> NDArray[np.bool_]:
     return np.asarray(cv2.medianBlur(off, _COHERENCE_WINDOW)) > _INCOHERENT
 
 
-def below_noise_mask(ratio: NDArray, count: int) -> NDArray[np.bool_]:
-    """Tell where the peak, over the measure's mean on noise, is no higher than by noise alone."""
-    return blur(ratio, _SURROUNDINGS) < _NOISE_PEAK + _NOISE_PEAK_GROWTH * np.log(count)
+def unchanged_mask(rise: NDArray, chance: NDArray, count: int) -> NDArray[np.bool_]:
+    """Tell where a peak is no higher than noise alone makes it around one and the same picture.
+
+    The highest of n normal deviates lies no more than √(2 ln n) deviations above their mean, on
+    average. One deviation more is not reached where both are averaged over a few pixels.
+
+    Parameters
+    ----------
+    rise : ndarray, shape (rows, cols)
+        Peak of the measure, less its mean over all frames.
+    chance : ndarray, shape (rows, cols)
+        Standard deviation that noise alone gives the measure.
+    count : int
+        Number of frames.
+    """
+    limit = np.sqrt(2 * np.log(count))
+    return np.asarray(blur(rise, _SURROUNDINGS) <= limit * blur(chance, _SURROUNDINGS))
 
 
 def isolated_mask(depth: NDArray) -> NDArray[np.bool_]:

@@ -270,6 +270,37 @@ def test_noise_without_texture_gives_no_depth(count):
     assert np.quantile(plain.confidence, 0.9) < 0.3  # it keeps some depths, and does not trust them
 
 
+MEASURES = ("multiscale", "sml", "tenengrad", "variance")
+
+
+@pytest.mark.parametrize("measure", MEASURES)
+@pytest.mark.parametrize("count", [3, 7, 12])
+def test_one_picture_many_times_has_no_depth(measure, count):
+    """Nor has the noise around it, whatever the picture shows and wherever its best frame is."""
+    half = synthetic.mixed_texture((96, 120), np.random.default_rng(0))
+    half[:, :60] = 128
+    rng = np.random.default_rng(count)
+    for noise in (0.0, 1.0, 4.0):
+        frames = half + noise * rng.standard_normal((count, *half.shape))
+        frames = np.clip(np.rint(frames), 0, 255).astype(np.uint8)
+        found = depth_from_focus(frames, np.arange(float(count)), measure=measure)
+        # By chance a plain measure keeps up to 1 % of such pixels.
+        assert np.isfinite(found.depth).mean() <= (
+            0 if noise == 0 or measure == "multiscale" else 0.01
+        )
+
+
+def test_half_a_scene_without_texture_gets_no_depth_from_noise():
+    texture = synthetic.mixed_texture((96, 160), np.random.default_rng(2))
+    texture[:, 60:] = 128
+    stack = render(np.full(texture.shape, 125.0), texture=texture, noise=3.0)
+    for measure in MEASURES:
+        depth = depth_from_focus(stack, POSITIONS, measure=measure).depth
+        assert np.isfinite(depth[10:-10, 10:50]).mean() > 0.99
+        # Blur carries light of the textured half 10 px and more beyond its edge.
+        assert np.isfinite(depth[:, 100:]).mean() < 0.01
+
+
 def test_light_that_spreads_from_an_edge_is_no_depth():
     """Out of focus, a bright bar reaches into the dark beside it, which has no texture at all."""
     texture = np.full(SHAPE, 40.0)
@@ -279,7 +310,7 @@ def test_light_that_spreads_from_an_edge_is_no_depth():
     plain = depth_from_focus(stack, POSITIONS, measure="sml", window=9)
     result = depth_from_focus(stack, POSITIONS)
     wrong = np.abs(plain.depth - height) > STEP
-    assert wrong.mean() > 0.2  # or the test shows nothing
+    assert wrong.mean() > 0.1  # or the test shows nothing
     known = np.isfinite(result.depth)
     assert known[:, [43, 44, 51, 52]].all()
     # The wide window sees the bar from 26 px away.

@@ -29,7 +29,7 @@ def test_the_ground_between_strokes_has_their_depth_or_none():
     plain = depth_from_focus(stack, POSITIONS, measure="sml", window=9).depth
     found = depth_from_focus(stack, POSITIONS).depth
     inner = np.s_[20:140, 10:-10]
-    assert np.nanmean(np.abs(plain - 7)[inner] > 1) > 0.3  # or the test shows nothing
+    assert np.nanmean(np.abs(plain - 7)[inner] > 1) > 0.2  # or the test shows nothing
     known = np.isfinite(found[inner])
     assert known.mean() > 0.7
     assert np.mean(np.abs(found - 7)[inner][known] > 1) < 0.01

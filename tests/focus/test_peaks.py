@@ -51,6 +51,13 @@ def test_gaussian_profiles_are_found_exactly(center, width, gaps, falling):
     assert found == pytest.approx(abs(center - positions[0]), abs=5e-4)
 
 
+def test_a_best_frame_at_an_end_has_to_be_better_than_its_neighbor():
+    window = np.array([[0, 5.0, 5], [5, 5, 0], [0, 5, 4], [4, 5, 0], [5, 5, 5]]).T[..., None]
+    index = np.array([0, 4, 0, 4, 2])[:, None]
+    found = three_point_peak(window, index, np.array([7.0, 8, 10, 13, 17]))
+    np.testing.assert_array_equal(found[:, 0], [np.nan, np.nan, 7, 17, np.nan])
+
+
 def documented_fit(profile, steps, best, reach):
     """The fit pixel by pixel: np.polyfit with the documented weights, twice."""
     count = len(steps)
