@@ -412,7 +412,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "membrane.capsule_modulus": lambda: {
         "force": 100.0, "rim_radius": 185.0, "depth": 65.0, "radius": 600.0, **EGG,
-        "law": "neo-hooke", "punch": "bonded",
+        "law": "neo-hooke",
     },
     "membrane.disc_modulus": lambda: {
         "force": 100.0, "rim_radius": 200.0, "depth": 40.0, **EGG, "law": "neo-hooke",
@@ -424,12 +424,12 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "membrane.fit_capsule": lambda: {
         "force": 100.0, "outline": capsule_outline(), "radius": 600.0, **EGG,
-        "law": "neo-hooke", "punch": "bonded", "start": (1.0, 1.05),
+        "law": "neo-hooke", "start": (1.0, 1.05),
         "fit_tilt": True,
     },
     "membrane.indent_capsule": lambda: {
         "force": 100.0, "modulus": 1.0, "radius": 600.0, **EGG, "law": "neo-hooke",
-        "inflation": 1.05, "punch": "bonded",
+        "inflation": 1.05,
     },
     "membrane.indent_disc": lambda: {
         "force": 100.0, "modulus": 1.0, "radius": 200.0, **EGG, "law": "neo-hooke",

@@ -12,26 +12,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from microlib._common import Array, Tidy, one_of, scalar
+from microlib._common import Array, Tidy, scalar
 from microlib.membrane._laws import Law, law_of
 from microlib.membrane._point_load import warn_of_units
 from microlib.membrane._solver import Guess, MembraneState, Problem, gauss_points, in_units
 
-_NODES = 40
-# Enough to see whether the middle of the plate is slack.
-_ROUGH = 1e-3
-# The flat zones begin at this fraction of their arc, the rest of which is stretched evenly: the
-# error falls with the fourth power.
-_CORE = 0.01
-# Force from which every capsule was found to be solved without help, and the steps away from it.
-_EASY_FORCE = 0.03
-_RUNGS = 14
-# A guess has at least this strain: far more than rounding, and its pressure has a logarithm.
-_LEAST_STRETCH = 1e-12
 _SPHERE = 4 * np.pi / 3
-# A search starts from another's solution if its mesh has not more nodes: beyond, a start from the
-# sphere is faster.
-_NEAR_NODES = 400
+#: Of a probe or a flattened spot, in radii: π less the arc of its edge is rounded to 4e-16, a
+#: hundred-thousandth of the least one, which is what the checks of a solution accept.
+_LEAST_WIDTH = 4e-11
 
 
 class _Unknowns(NamedTuple):
@@ -41,53 +30,69 @@ class _Unknowns(NamedTuple):
     inflation: float
     force: float
     rim: float
-    core: float  # where the plate zone begins
+    core: float  # where the plate's zone begins
     plate: float  # where the shell leaves the plate
     crest: float  # where it is highest
-    edge: float  # where it meets the probe's edge
-    face_core: float  # where the zone below the probe begins, from the top pole
 
 
-#: Of a radius or a thickness, µm: beyond, products of sizes leave the range of numbers.
-_LARGEST = 1e12
-#: Of a probe or a flattened spot, in radii: π less the arc of its edge is rounded to 4e-16, a
-#: hundred-thousandth of the least one, which is what the checks of a solution accept.
-_LEAST_WIDTH = 4e-11
+class _Flat(NamedTuple):
+    """The state on the plate: the radius and the tension."""
+
+    r: Array
+    tension: Array
+
+
+class _Free(NamedTuple):
+    """The state of the free wall, with the horizontal part of its tension and the volume so far."""
+
+    r: Array
+    z: Array
+    horizontal: Array
+    volume: Array
+
+
+def _parts(y: Any) -> tuple[_Flat, _Free, _Free]:
+    """Return the solver's rows by zone: the plate, the side up to the crest, the dimple."""
+    return _Flat(*y[:2]), _Free(*y[2:-4]), _Free(*y[-4:])
 
 
 class _Zone(NamedTuple):
-    """A part of the wall: flat on the plate or the face, or free."""
+    """A part of the wall, over x from 0 to 1."""
 
-    flat: bool
-    rows: slice  # of the state: r and tension if flat, else r, z, H and the volume
+    state: Any  # _Flat or _Free
     arc: Array
     rate: Array  # of the arc over x
 
 
+def _graded(first: float, last: float, x: Array) -> tuple[Array, Array]:
+    """Return what grows from `first` to `last` by equal factors, and its slope."""
+    logarithm = np.log(last / first)
+    grown = first * np.exp(logarithm * x)
+    return grown, logarithm * grown
+
+
 @dataclass(frozen=True)
 class _Capsule(Problem):
-    """The problem without units: lengths in inflated radii R, forces in E h R."""
+    """The problem without units: lengths in inflated radii R, forces in E h R.
+
+    Given are either `force` and `inflation`, or `rim` and `depth`.
+    """
 
     law: Law
     probe: float
     tension: float  # size of the tension
-    bonded: bool
     inflation: float | None = None
     force: float | None = None
-    rim: float | None = None
+    rim: float = np.nan
     depth: float | None = None
-    slack: bool = False  # the middle of the plate zone carries nothing
-    partial: bool = False  # the probe's face touches on part of its width, so there is no dimple
+    slack: bool = False  # the middle of the plate's zone carries nothing
     unit: float = np.nan  # E h R in µN, for messages
 
     # Relative residual of the collocation: the depth is then good to about 1e-8.
     tolerance = 1e-6
     most_nodes = 1500
-
-    @property
-    def top(self) -> int:
-        """Rows of the state up to the probe's edge."""
-        return 6 if self.partial else 10
+    # The first: enough to see whether the middle of the plate is slack.
+    rough = 1e-3
 
     @property
     def said(self) -> str:
@@ -95,155 +100,126 @@ class _Capsule(Problem):
             return f" for a rim of {self.rim:.3g} R and a depth of {self.depth:.3g} R"
         return f" at {self.force * self.unit:.4g} µN and inflation {self.inflation:.4g}"
 
+    @property
+    def edge(self) -> float:
+        """Arc of the wall that is on the probe's edge."""
+        return np.pi - float(np.arcsin(self.probe))
+
+    @property
+    def sought(self) -> list[str]:
+        """Names of the solver's parameters, in its order."""
+        names = ["logarithm of the pressure", "plate", "crest"]
+        return names + ["inflation"] * (self.inflation is None) + ["core"] * self.slack
+
     def unpack(self, k: Any) -> _Unknowns:
-        """Return the unknowns of the parameter vector."""
-        values = list(k)
+        """Return the unknowns of the solver's parameters."""
+        found: dict[str, Any] = dict(zip(self.sought, k, strict=True))
         # Of NumPy, whose quotients by zero are infinite: a step may go anywhere.
-        pressure, plate = np.exp(values.pop(0)), values.pop(0)
-        if self.force is None or self.inflation is None:
-            assert self.rim is not None
-            rim, inflation = self.rim, values.pop(0)
+        pressure = np.exp(found["logarithm of the pressure"])
+        inflation: Any = found.get("inflation", self.inflation)
+        rim = self.rim
+        if self.force is None:
             force = np.pi * pressure * rim**2
         else:
-            force, inflation = self.force, self.inflation
-            rim = np.sqrt(force / (np.pi * pressure))
-        core = values.pop(0) if self.slack else _CORE * plate
-        face = np.arcsin(self.probe) if self.bonded else values.pop(0)
-        crest = np.pi - face if self.partial else values.pop(0)
-        # Two plates are alike.
-        face_core = core if self.partial and self.slack else _CORE * face
-        return _Unknowns(
-            pressure, inflation, force, rim, core, plate, crest, np.pi - face, face_core
-        )
+            force, rim = self.force, np.sqrt(self.force / (np.pi * pressure))
+        # Within a hundredth of its arc the plate's zone is stretched evenly: the error falls with
+        # the fourth power.
+        core = found.get("core", 0.01 * found["plate"])
+        return _Unknowns(pressure, inflation, force, rim, core, found["plate"], found["crest"])
 
-    def zones(self, x: Array, u: _Unknowns) -> list[_Zone]:
-        """Return the zones, from the plate's middle to the probe's."""
-        graded = np.log(u.plate / u.core)
-        arc = u.core * np.exp(graded * x)
-        found = [_Zone(True, slice(0, 2), arc, graded * arc)]
-        side = u.crest - u.plate
-        found.append(_Zone(False, slice(2, 6), u.plate + side * x, np.full_like(x, side)))
-        if not self.partial:
-            # Graded towards the probe as the logarithm of the dimple is.
-            graded = np.log((np.pi - u.crest) / (np.pi - u.edge))
-            rest = (np.pi - u.crest) * np.exp(-graded * x)
-            found.append(_Zone(False, slice(6, 10), np.pi - rest, graded * rest))
-        if not self.bonded:
-            graded = np.log((np.pi - u.edge) / u.face_core)
-            arc = u.face_core * np.exp(graded * x)
-            found.append(_Zone(True, slice(self.top, self.top + 2), arc, graded * arc))
-        return found
+    def zones(self, x: Array, y: Array, u: _Unknowns) -> list[_Zone]:
+        """Return the zones, from the plate's middle to the probe."""
+        plate, side, dimple = _parts(y)
+        wide = u.crest - u.plate
+        # Graded towards the probe as the logarithm of the dimple is.
+        rest, slope = _graded(np.pi - u.crest, np.pi - self.edge, x)
+        return [
+            _Zone(plate, *_graded(u.core, u.plate, x)),
+            _Zone(side, u.plate + wide * x, np.full_like(x, wide)),
+            _Zone(dimple, np.pi - rest, -slope),
+        ]
 
-    def local(self, zone: _Zone, y: Array, u: _Unknowns) -> tuple[Array, ...]:
-        """Return ρ, r, H, V, the tension's size, stretch and hoop stress in a zone."""
-        rho, r = np.sin(zone.arc) / u.inflation, y[zone.rows][0]
-        horizontal = y[zone.rows][1 if zone.flat else 2] * self.tension
-        vertical = np.zeros_like(r)
-        size = horizontal
-        if not zone.flat:
+    def local(self, zone: _Zone, u: _Unknowns) -> tuple[Array, ...]:
+        """Return ρ, H, V, the tension's size, stretch and hoop stress in a zone."""
+        rho, r = np.sin(zone.arc) / u.inflation, zone.state.r
+        if isinstance(zone.state, _Flat):
+            size = horizontal = zone.state.tension * self.tension
+            vertical = np.zeros_like(r)
+        else:
+            horizontal = zone.state.horizontal * self.tension
             vertical = u.pressure * r**2 / 2 - u.force / (2 * np.pi)
             size = np.hypot(horizontal, vertical)
         first, hoop = self.law.meridian(size / rho, r / rho)
-        return rho, r, horizontal, vertical, size, first, hoop
+        return rho, horizontal, vertical, size, first, hoop
 
     def slopes(self, x: Array, y: Array, k: Any = None) -> Array:
         """Right-hand side of the equilibrium over x, which runs from 0 to 1 in every zone."""
         u = self.unpack(k)
         parts: list[Array] = []
-        for zone in self.zones(x, u):
-            _, r, horizontal, vertical, size, first, hoop = self.local(zone, y, u)
-            scale = zone.rate / u.inflation
-            if zone.flat:
-                parts += [first * scale, hoop * scale / self.tension]
+        for zone in self.zones(x, y, u):
+            _, horizontal, vertical, size, first, hoop = self.local(zone, u)
+            r, scale = zone.state.r, zone.rate / u.inflation
+            if isinstance(zone.state, _Flat):
+                parts += _Flat(r=first * scale, tension=hoop * scale / self.tension)
                 continue
             rise = first * vertical / size
-            parts += [
-                first * horizontal / size * scale,
-                rise * scale,
-                (hoop - u.pressure * r * rise) * scale / self.tension,
-                np.pi * r**2 * rise * scale,
-            ]
+            parts += _Free(
+                r=first * horizontal / size * scale,
+                z=rise * scale,
+                horizontal=(hoop - u.pressure * r * rise) * scale / self.tension,
+                volume=np.pi * r**2 * rise * scale,
+            )
         return np.array(parts)
 
     def edges(self, left: Array, right: Array, k: Any = None) -> Array:
         """Residual: the zones' ends meet, the probe's edge is held, the volume is kept."""
         u = self.unpack(k)
-        found = self._start(left[:2], u.core, u)
-        found += [right[0] - u.rim, left[2] - u.rim, right[1] - left[4], left[3], left[5]]
-        top = self.top
-        if not self.partial:
-            found += [right[2] - u.rim, left[6] - u.rim, *(left[7:10] - right[3:6])]
-        end = right[top - 4 : top]
-        width = u.rim if self.partial else self.probe
-        found += [end[0] - width, end[3] - _SPHERE]
+        plate, side, dimple = _parts(left)
+        plate_end, side_end, probe = _parts(right)
+        rho = np.sin(u.core) / u.inflation
+        if self.slack:
+            found = [(plate.r - rho) / u.core, plate.tension]
+        else:
+            found = [plate.tension / rho - self.law.even_stress(plate.r / rho) / self.tension]
+        found += [plate_end.r - u.rim, plate_end.tension - side.horizontal]
+        found += [side.r - u.rim, side.z, side.volume, side_end.r - u.rim]
+        found += [dimple.r - u.rim, *np.subtract(dimple, side_end)[1:]]
+        found += [probe.r - self.probe, probe.volume - _SPHERE]
         if self.depth is not None:
-            found.append(left[7] - right[7] - self.depth)
-        if not self.bonded:
-            vertical = u.pressure * width**2 / 2 - u.force / (2 * np.pi)
-            found += self._start(left[top : top + 2], u.face_core, u, shared=True)
-            # Without friction the edge turns the tension and leaves its size.
-            found += [
-                right[top] - width,
-                right[top + 1] - np.hypot(end[2], vertical / self.tension),
-            ]
+            found.append(dimple.z - probe.z - self.depth)
         return np.array(found)
-
-    def _start(self, y: Array, arc: float, u: _Unknowns, shared: bool = False) -> list[float]:
-        """Return the residual where a flat zone begins: evenly stretched, or free and slack."""
-        rho = np.sin(arc) / u.inflation
-        if self.slack and not (shared and not self.partial):
-            # The slack arc of the second of two plates is the first's.
-            return [y[1]] if shared else [(y[0] - rho) / arc, y[1]]
-        return [y[1] / rho - self.law.even_stress(y[0] / rho) / self.tension]
 
     def guess(self) -> Guess:
         """Return mesh, state and unknowns of a sphere with a flat bottom and a hollow top."""
         inflation = self.inflation or 1.05
         if self.force is not None:
             # An unstretched shell gets its tension from the force; the power was fitted to states.
-            inflation = max(inflation, 1 + max(0.3 * self.force**0.7, _LEAST_STRETCH))
+            # The least is more than rounding, and its pressure has a logarithm.
+            inflation = max(inflation, 1 + max(0.3 * self.force**0.7, 1e-12))
         tension = self.law.even_stress(inflation) / inflation
         pressure = 2 * tension
-        if self.force is None:
-            assert self.rim is not None
-            rim = self.rim
-        else:
-            rim = min(np.sqrt(self.force / (np.pi * pressure)), 0.7)
+        rim = self.rim if self.force is None else np.sqrt(self.force / (np.pi * pressure))
         if not rim > _LEAST_WIDTH:
             raise ValueError(
                 "force must be zero or flatten a spot that rounding does not hide, got one that "
                 f"flattens {rim:.2g} R{self.said}"
             )
-        if not self.partial:
-            rim = max(rim, 1.2 * self.probe)
-        rim = min(rim, 0.95)
+        if self.force is not None:
+            rim = min(rim, 0.7)
+        rim = min(max(rim, 1.2 * self.probe), 0.95)
         plate = float(np.arcsin(rim))
-        unknowns = [
-            (True, np.log(pressure)),
-            (True, plate),
-            (self.depth is not None, inflation),
-            (self.slack, 0.1 * plate),
-            (not self.bonded, plate if self.partial else 0.7 * self.probe),
-            (not self.partial, np.pi - plate),
-        ]
-        k = np.array([value for wanted, value in unknowns if wanted])
-        x = np.linspace(0.0, 1.0, _NODES)
-        u = self.unpack(k)
-        rows: list[Array] = []
-        for index, (flat, _, arc, _) in enumerate(self.zones(x, u)):
-            pull = tension / self.tension
-            if flat:
-                width = self.probe if index and not self.partial else rim
-                r = width * arc / arc[-1]
-                rows += [r, pull * r]
-                continue
-            r = np.sin(arc)
-            z = np.cos(plate) - np.cos(arc)
-            if index == 2:
-                z = 2 * np.cos(plate) * np.ones_like(x)
-                z -= 0.3 * rim * np.log(rim / r) / np.log(rim / self.probe)
-            volume = _SPHERE * (x if index == 1 else np.ones_like(x))
-            rows += [r, z, pull * r * np.cos(arc), volume]
+        values = {"plate": plate, "crest": np.pi - plate, "inflation": inflation}
+        values |= {"logarithm of the pressure": np.log(pressure), "core": 0.1 * plate}
+        k = np.array([values[name] for name in self.sought])
+        x = np.linspace(0.0, 1.0, 40)
+        flat, side, dimple = self.zones(x, np.zeros((10, 40)), self.unpack(k))
+        r, pull = rim * flat.arc / plate, tension / self.tension
+        rows = [*_Flat(r=r, tension=pull * r)]
+        for zone, volume in ((side, _SPHERE * x), (dimple, np.full_like(x, _SPHERE))):
+            r, z = np.sin(zone.arc), np.cos(plate) - np.cos(zone.arc)
+            if zone is dimple:
+                z = 2 * np.cos(plate) - 0.3 * rim * np.log(rim / r) / np.log(rim / self.probe)
+            rows += _Free(r=r, z=z, horizontal=pull * r * np.cos(zone.arc), volume=volume)
         return x, np.array(rows), k
 
     def jacobian(self, x: Array, y: Array, k: Array) -> tuple[Array, Array]:
@@ -253,100 +229,91 @@ class _Capsule(Problem):
         """
         here = self.slopes(x, y, k)
         by_state = np.zeros((y.shape[0], *y.shape))
-        widths = [2, 4] + [4] * (not self.partial) + [2] * (not self.bonded)
-        starts = np.cumsum([0, *widths[:-1]])
-        for of_free, of_flat in ((0, 0), (2, 1)):
-            rows = starts + np.where(np.array(widths) == 4, of_free, of_flat)
-            step = 1.5e-8 * (1 + np.abs(y[rows]))
+        zones: Any = _parts(np.arange(len(y)))
+        tensions = [zone.tension if isinstance(zone, _Flat) else zone.horizontal for zone in zones]
+        small = np.sqrt(np.finfo(float).eps)
+        for each in ([zone.r for zone in zones], tensions):
+            rows = np.array(each)
+            step = small * (1 + np.abs(y[rows]))
             moved = y.copy()
             moved[rows] += step
             change = self.slopes(x, moved, k) - here
-            for row, start, width, size in zip(rows, starts, widths, step, strict=True):
-                zone = slice(start, start + width)
-                by_state[zone, row] = change[zone] / size
+            for zone, row, size in zip(zones, rows, step, strict=True):
+                by_state[[*zone], row] = change[[*zone]] / size
         by_unknown = np.empty((y.shape[0], k.size, y.shape[1]))
         for index in range(k.size):
             moved = k.copy()
-            moved[index] += 1.5e-8 * (1 + abs(k[index]))
+            moved[index] += small * (1 + abs(k[index]))
             by_unknown[:, index] = (self.slopes(x, y, moved) - here) / (moved[index] - k[index])
         return by_state, by_unknown
 
-    def attempt(self, guess: Guess, tolerance: float = _ROUGH) -> Solved | None:
+    def attempt(self, guess: Guess, tolerance: float = rough) -> Solved | None:
         """Return a checked solution, with a slack zone if the plate's middle is compressed."""
         solution = self.collocated(guess, tolerance)
-        if solution is None or self.unpack(solution.p).core <= 0:
+        if solution is None or (u := self.unpack(solution.p)).core <= 0:
             return None
-        if self.compressed(solution):
+        # Pressed together, which the middle cannot bear.
+        if not self.slack and solution.y[0, 0] < np.sin(u.core) / u.inflation:
             return replace(self, slack=True).attempt(self.loosened(solution))
         if tolerance > self.tolerance:
             solution = self.collocated((solution.x, solution.y, solution.p))
         return self.checked(solution)
 
-    def compressed(self, solution: Any) -> bool:
-        """Tell whether the plate's middle is pressed together, which it cannot bear."""
-        u = self.unpack(solution.p)
-        return bool(not self.slack and solution.y[0, 0] < np.sin(u.core) / u.inflation)
-
     def loosened(self, solution: Any) -> Guess:
         """Return a guess with a slack zone from a solution with a compressed one."""
         u = self.unpack(solution.p)
-        arc = self.zones(solution.x, u)[0][2]
-        tight = np.flatnonzero(solution.y[0] >= np.sin(arc) / u.inflation)
-        core = arc[tight[0]] if tight.size else 0.9 * u.plate
-        core = min(core, 0.9 * u.plate)
+        plate = self.zones(solution.x, solution.y, u)[0]
+        r, tension = plate.state
+        tight = np.flatnonzero(r >= np.sin(plate.arc) / u.inflation)
+        core = min(plate.arc[tight[0]] if tight.size else np.inf, 0.9 * u.plate)
+        wanted, _ = _graded(core, u.plate, solution.x)
         y = solution.y.copy()
-        targets = [(0, u.plate), (len(y) - 2, np.pi - u.edge)]
-        for row, high in targets[: 1 + self.partial]:
-            wanted = core * (high / core) ** solution.x
-            own = self.zones(solution.x, u)[0 if row == 0 else -1][2]
-            y[row] = np.interp(wanted, own, solution.y[row])
-            y[row + 1] = np.maximum(np.interp(wanted, own, solution.y[row + 1]), 0.0)
-        place = 2 if self.depth is None else 3
-        k = np.insert(solution.p, place, core)
-        return solution.x, y, k
+        y[0] = np.interp(wanted, plate.arc, r)
+        y[1] = np.maximum(np.interp(wanted, plate.arc, tension), 0.0)
+        return solution.x, y, np.append(solution.p, core)  # the last that is sought
 
     def stages(self) -> Iterator[_Capsule]:
-        """Yield problems from a force that is solved easily to this one."""
-        if self.force is None or self.inflation is None or self.partial:
+        """Yield problems from a force that every capsule was found to be solved for to this one."""
+        if self.force is None or self.inflation is None:
             return
-        for force in np.geomspace(_EASY_FORCE, self.force, _RUNGS):
-            stage = _problem(self.law, self.bonded, self.probe, force, self.inflation)
-            yield replace(stage, partial=False, unit=self.unit)
+        for force in np.geomspace(0.03, self.force, 14):
+            yield replace(_problem(self.law, self.probe, force, self.inflation), unit=self.unit)
 
     def after(self, solved: _Capsule, solution: Any) -> tuple[_Capsule, Guess]:
         """Return this problem and its guess from another's solution, whose tension differs."""
-        y = solution.y.copy()
-        y[[row for row in (1, 4, 8, 11) if row < len(y)]] *= solved.tension / self.tension
+        plate, side, dimple = _parts(solution.y.copy())
+        scale = solved.tension / self.tension
+        y = np.array(
+            [
+                *plate._replace(tension=scale * plate.tension),
+                *side._replace(horizontal=scale * side.horizontal),
+                *dimple._replace(horizontal=scale * dimple.horizontal),
+            ]
+        )
         return replace(self, slack=solved.slack), (solution.x, y, solution.p)
 
-    def even_parts(self, solution: Any, u: _Unknowns) -> list[tuple[float, float]]:
-        """Return arc and stretch of the poles, which lie in no zone and are evenly stretched."""
-        found = [] if self.slack else [(u.core, solution.y[0, 0])]
-        if not self.bonded and not (self.partial and self.slack):
-            found.append((u.face_core, solution.y[-2, 0]))
-        return [(arc, float(r * u.inflation / np.sin(arc))) for arc, r in found]
+    def even_stretch(self, solution: Any, u: _Unknowns) -> float:
+        """Return the stretch in the middle of the plate, which lies in no zone; 0 if slack."""
+        return 0.0 if self.slack else float(solution.y[0, 0] * u.inflation / np.sin(u.core))
 
     def virtual_work(self, solution: Any) -> float:
         """Return the imbalance of virtual work when the shape swells about the plate's middle."""
         u = self.unpack(solution.p)
         x, weight = gauss_points(solution.x)
-        y, rate = solution.sol(x), solution.sol(x, 1)
+        rates: Any = _parts(solution.sol(x, 1))
         inside = 0.0
-        for flat, rows, arc, speed in self.zones(x, u):
-            rho = np.sin(arc) / u.inflation
-            own = rate[rows] / speed * u.inflation
-            first = np.abs(own[0]) if flat else np.hypot(own[0], own[1])
-            second = y[rows][0] / rho
+        for zone, rate in zip(self.zones(x, solution.sol(x), u), rates, strict=True):
+            rho, scale = np.sin(zone.arc) / u.inflation, zone.rate / u.inflation
+            rise = 0.0 if isinstance(rate, _Flat) else rate.z
+            first, second = np.hypot(rate.r / scale, rise / scale), zone.state.r / rho
             along, across = self.law.relaxed_stress(first, second)
-            area = rho * speed / u.inflation * weight
-            inside += float(np.sum((along * first + across * second) * area))
-        for end, stretch in self.even_parts(solution, u):
-            even = self.law.even_stress(stretch) * stretch
-            inside += 2 * even * (1 - np.cos(end)) / u.inflation**2
-        r, z, horizontal, _ = solution.y[self.top - 4 : self.top, -1]
-        # A wall that slides over the probe's edge pulls there, too.
-        pull = self.tension * (horizontal + (0.0 if self.bonded else solution.y[-1, -1]))
-        work = (3 * u.pressure * _SPHERE - u.force * z) / (2 * np.pi) + pull * r
+            inside += float(np.sum((along * first + across * second) * rho * scale * weight))
+        stretch = self.even_stretch(solution, u)
+        even = 2 * (1 - np.cos(u.core)) / u.inflation**2
+        inside += even * self.law.even_stress(stretch) * stretch if stretch else 0.0
+        probe = _parts(solution.y[:, -1])[2]
+        work = (3 * u.pressure * _SPHERE - u.force * probe.z) / (2 * np.pi)
+        work += self.tension * probe.horizontal * probe.r
         return float(abs(inside - work) / (abs(inside) + u.pressure + u.force))
 
 
@@ -384,7 +351,6 @@ def indent_capsule(
     poisson_ratio: float = 0.5,
     law: str = "neo-hooke",
     inflation: float = 1.0,
-    punch: str = "bonded",
 ) -> MembraneState:
     r"""
     Shape and stress of a fluid-filled capsule under a flat-ended probe, on a smooth plate.
@@ -400,16 +366,13 @@ def indent_capsule(
     thickness : float
         Thickness h of the wall free of stress, before inflation, in µm.
     probe_half_width : float
-        Radius c of the probe's flat end, in µm, below `radius`.
+        Radius c of the probe's flat end, in µm, below `radius`. The wall sticks to it.
     poisson_ratio : float, optional
         ν, in (−1, 0.5] for ``"hooke"``, and 0.5 for the incompressible laws.
     law : {"neo-hooke", "hooke", "mooney-rivlin"}, optional
         Law of the material, as for `indent_disc`.
     inflation : float, optional
         Stretch of the wall before the test, at least 1: R over the radius free of stress.
-    punch : {"bonded", "frictionless"}, optional
-        Whether the wall sticks to the probe's face from the beginning or slides on it, and over its
-        edge, freely.
 
     Returns
     -------
@@ -423,8 +386,8 @@ def indent_capsule(
     Raises
     ------
     ValueError
-        If an argument is out of its range; if the force is too small to lay a bonded wall on the
-        whole face; or if it has no equilibrium with a dimple above the plate.
+        If an argument is out of its range; if the force is too small to lay the wall on the whole
+        face; or if it has no equilibrium with a dimple above the plate.
 
     See Also
     --------
@@ -450,9 +413,8 @@ def indent_capsule(
     stresses would be, in the middle of the plate, it is slack: a state of no stress inside a
     circle that the solver finds.
 
-    A bonded probe's face is flat, and so is the wall on it: to flatten it takes the approach
-    :math:`c^2/2R` and, in this model, no force. A frictionless probe lets the wall slide, and its
-    edge can bear at most the tension that the wall has: :math:`F < 2\pi c h E/3` for neo-Hooke.
+    The probe's face is flat, and so is the wall on it: to flatten it takes the approach
+    :math:`c^2/2R` and, in this model, no force.
 
     Bending is left out: on a taut wall of 3 µm it adds about 1 % to the force. A solution is
     returned only if a second integration and the balance of virtual work for a uniform swelling
@@ -473,12 +435,12 @@ def indent_capsule(
     >>> print(f"{state.depth:.2f} µm deep, rim at {state.rim_radius:.2f} µm")
     65.35 µm deep, rim at 184.90 µm
     """
-    wall = (radius, thickness, probe_half_width, poisson_ratio, law, punch)
+    wall = (radius, thickness, probe_half_width, poisson_ratio, law)
     return indent_near(None, force, modulus, inflation, wall)[0]
 
 
-#: radius, thickness, probe_half_width, poisson_ratio, law and punch of a capsule.
-Wall = tuple[float, float, float, float, str, str]
+#: radius, thickness, probe_half_width, poisson_ratio and law of a capsule.
+Wall = tuple[float, float, float, float, str]
 
 
 def indent_near(
@@ -487,11 +449,11 @@ def indent_near(
     """Return the state of `indent_capsule`, and what the search for one nearby can start from."""
     load = scalar("force", force, least=0)
     stiffness = scalar("modulus", modulus, above=0)
-    r0, h, c, material, bonded = _checked(wall)
+    r0, h, c, material = _checked(wall)
     stretch = scalar("inflation", inflation, least=1)
     if load == 0:
         # The inflated capsule that nothing presses, from its top to the plate.
-        angle = np.linspace(0.0, np.pi, 4 * _NODES + 1)
+        angle = np.linspace(0.0, np.pi, 161)
         stress, same = material.even_stress(stretch), np.ones((2, angle.size))
         sphere = in_units(
             np.vstack([np.sin(angle), 1 + np.cos(angle), stretch * same, stress * same]),
@@ -504,7 +466,7 @@ def indent_near(
         )
         return sphere, None
     unit = stiffness * h * r0
-    problem = replace(_problem(material, bonded, c / r0, load / unit, stretch), unit=unit)
+    problem = replace(_problem(material, c / r0, load / unit, stretch), unit=unit)
     problem, solution = _solve(problem, near)
     return _state(problem, solution, stiffness, r0, h), (problem, solution)
 
@@ -519,7 +481,6 @@ def capsule_modulus(
     probe_half_width: float,
     poisson_ratio: float = 0.5,
     law: str = "neo-hooke",
-    punch: str = "bonded",
 ) -> CapsuleModulus:
     r"""
     Elastic modulus and inflation of a capsule from its dimple and its radius.
@@ -532,7 +493,7 @@ def capsule_modulus(
         Radius a of the dimple's crest, in µm.
     depth : float
         Depth w_d of the probe's end below the crest, in µm.
-    radius, thickness, probe_half_width, poisson_ratio, law, punch
+    radius, thickness, probe_half_width, poisson_ratio, law
         As for `indent_capsule`.
 
     Returns
@@ -565,8 +526,8 @@ def capsule_modulus(
     1.12 MPa, inflated by 1.042
     """
     load = scalar("force", force, above=0)
-    wall = (radius, thickness, probe_half_width, poisson_ratio, law, punch)
-    r0, h, c, material, bonded = _checked(wall)
+    wall = (radius, thickness, probe_half_width, poisson_ratio, law)
+    r0, h, c, material = _checked(wall)
     a, deep = scalar("rim_radius", rim_radius, above=0), scalar("depth", depth, above=0)
     if not c < a < r0:
         raise ValueError(
@@ -574,7 +535,7 @@ def capsule_modulus(
         )
     if deep >= 2 * r0:
         raise ValueError(f"depth must be below the capsule's height {2 * r0:g}, got {deep:g}")
-    problem = _Capsule(material, c / r0, tension=0.05, bonded=bonded, rim=a / r0, depth=deep / r0)
+    problem = _Capsule(material, c / r0, tension=0.05, rim=a / r0, depth=deep / r0)
     try:
         problem, solution = _solve(problem)
     except ValueError as reason:
@@ -593,27 +554,20 @@ def capsule_modulus(
     return CapsuleModulus(found, float(u.inflation), _state(problem, solution, found, r0, h))
 
 
-def _checked(wall: Wall) -> tuple[float, float, float, Law, bool]:
-    """Return radius, thickness, probe_half_width, the law and whether the probe is bonded."""
-    radius, thickness, probe_half_width, poisson_ratio, law, punch = wall
-    r0 = scalar("radius", radius, above=0, most=_LARGEST)
-    h = scalar("thickness", thickness, above=0, most=_LARGEST)
+def _checked(wall: Wall) -> tuple[float, float, float, Law]:
+    """Return radius, thickness, probe_half_width and the law."""
+    radius, thickness, probe_half_width, poisson_ratio, law = wall
+    # Beyond, products of sizes leave the range of numbers.
+    r0 = scalar("radius", radius, above=0, most=1e12)
+    h = scalar("thickness", thickness, above=0, most=1e12)
     c = scalar("probe_half_width", probe_half_width, within=(_LEAST_WIDTH * r0, r0))
-    bonded = one_of("punch", punch, ("bonded", "frictionless")) == "bonded"
-    return r0, h, c, law_of(law, poisson_ratio), bonded
+    return r0, h, c, law_of(law, poisson_ratio)
 
 
-def _problem(law: Law, bonded: bool, probe: float, force: float, inflation: float) -> _Capsule:
+def _problem(law: Law, probe: float, force: float, inflation: float) -> _Capsule:
     start = law.even_stress(inflation) / inflation
-    return _Capsule(
-        law=law,
-        probe=probe,
-        tension=max(start, 0.1 * force**0.8),
-        bonded=bonded,
-        inflation=inflation,
-        force=force,
-        partial=not bonded and force < 2 * np.pi * start * probe**2,
-    )
+    tension = max(start, 0.1 * force**0.8)
+    return _Capsule(law, probe, tension, inflation=inflation, force=force)
 
 
 def _solve(problem: _Capsule, near: Solved | None = None) -> Solved:
@@ -622,36 +576,30 @@ def _solve(problem: _Capsule, near: Solved | None = None) -> Solved:
     A shape that passes through the plate, the probe or itself is refused.
     """
     found = None
-    if near and near[0].partial == problem.partial and near[1].x.size <= _NEAR_NODES:
+    # Of a finer mesh a start from the sphere is faster.
+    if near and near[1].x.size <= 400:
         moved, guess = problem.after(*near)
         found = moved.attempt(guess, moved.tolerance)
     solved, solution = found or problem.find()
     u = solved.unpack(solution.p)
     # A dimple's rim lies outside the probe; on a smaller circle the face only flattens the wall.
-    if solved.partial != (u.rim <= solved.probe):
-        if problem.bonded:
-            least = np.pi * solved.probe**2 * u.pressure
-            raise ValueError(
-                "force must lay the wall on the whole face of a bonded probe, which takes about "
-                f"{least * problem.unit:.3g} µN, got {u.force * problem.unit:.3g} µN; "
-                "punch='frictionless' has no such limit"
-            )
-        solved, solution = replace(problem, partial=not solved.partial).find()
-    u = solved.unpack(solution.p)
-    r, z, horizontal, _ = solution.y[solved.top - 4 : solved.top]
-    ordered = 0 < u.core < u.plate < u.crest <= u.edge < np.pi
-    clear = horizontal[-1] < 0 and r.min() >= (1 - 1e-9) * solved.probe
+    if u.rim <= solved.probe:
+        least = np.pi * solved.probe**2 * u.pressure
+        raise ValueError(
+            "force must lay the wall on the whole face of the probe, which takes about "
+            f"{least * problem.unit:.3g} µN, got {u.force * problem.unit:.3g} µN"
+        )
+    dimple = _parts(solution.y)[2]
+    clear = dimple.horizontal[-1] < 0 and dimple.r.min() >= (1 - 1e-9) * solved.probe
+    ordered = 0 < u.core < u.plate < np.pi / 2 < u.crest <= solved.edge
     for fine, wanted in (
         (
-            solved.partial or z.min() > 0,
+            dimple.z.min() > 0,
             "keep the probe above the plate, got one that presses the dimple through it",
         ),
+        (clear, "leave the wall clear of the probe's side, got one that folds it below the probe"),
         (
-            solved.partial or clear,
-            "leave the wall clear of the probe's side, got one that folds it below the probe",
-        ),
-        (
-            ordered and u.plate < np.pi / 2 < u.crest,
+            ordered,
             "leave a wall between the plate's contact and the dimple, got one that swallows it",
         ),
     ):
@@ -663,44 +611,43 @@ def _solve(problem: _Capsule, near: Solved | None = None) -> Solved:
 def _state(
     problem: _Capsule, solution: Any, modulus: float, radius: float, h: float
 ) -> MembraneState:
-    u, top = problem.unpack(solution.p), problem.top
+    u = problem.unpack(solution.p)
     x, weight = gauss_points(solution.x)
-    dense, rate = solution.sol(x), solution.sol(x, 1)
-    end = solution.y[top - 3, -1]
+    dense = solution.sol(x)
     shape: list[Array] = []
     energy = volume = 0.0
-    for zone, fine in zip(problem.zones(solution.x, u), problem.zones(x, u), strict=True):
-        rho, r, _, _, size, first, across = problem.local(zone, solution.y, u)
-        on_face = zone.flat and zone.rows.start > 0
-        z = np.full_like(r, end if on_face else 0.0) if zone.flat else solution.y[zone.rows][1]
-        part = np.array([r, z, first, r / rho, size / rho, across])
-        shape.append(part if on_face else part[:, ::-1])
-        rho, r, *_, first, _ = problem.local(fine, dense, u)
-        area = rho * fine.rate / u.inflation * weight
-        energy += float(np.sum(problem.law.energy(first, r / rho) * area))
-        if not zone.flat:
+    for zone in problem.zones(solution.x, solution.y, u):
+        rho, _, _, size, first, across = problem.local(zone, u)
+        z = getattr(zone.state, "z", np.zeros_like(rho))
+        part = [zone.state.r, z, first, zone.state.r / rho, size / rho, across]
+        shape.append(np.array(part)[:, ::-1])
+    rates: Any = _parts(solution.sol(x, 1))
+    for zone, rate in zip(problem.zones(x, dense, u), rates, strict=True):
+        rho, *_, first, _ = problem.local(zone, u)
+        area = rho * zone.rate / u.inflation * weight
+        energy += float(np.sum(problem.law.energy(first, zone.state.r / rho) * area))
+        if isinstance(rate, _Free):
             # By quadrature of the shape, not from the state that was held to it.
-            volume += float(np.pi * np.sum(r**2 * rate[zone.rows][1] * weight))
-    poles = problem.even_parts(solution, u)
+            volume += float(np.pi * np.sum(zone.state.r**2 * rate.z * weight))
+    # What lies in no zone: the middle of the plate, and below the probe.
     middle = np.array([0.0, 0.0, np.nan, np.nan, 0.0, 0.0])
-    if not problem.slack:
-        middle[2:4], middle[4:] = poles[0][1], problem.law.even_stress(poles[0][1])
-    if problem.bonded:
-        poles.append((np.pi - u.edge, u.inflation))
-    for end_arc, stretch in poles:
-        energy += problem.law.even_energy(stretch) * (1 - np.cos(end_arc)) / u.inflation**2
-    # From the probe's edge to the plate's middle; what lies on the probe's face comes first.
-    face = [] if problem.bonded else [shape.pop()]
-    meridian = np.column_stack([*face, *reversed(shape), middle])
-    # Zones share their ends.
+    even = [(np.pi - problem.edge, u.inflation)]
+    if stretch := problem.even_stretch(solution, u):
+        middle[2:4], middle[4:] = stretch, problem.law.even_stress(stretch)
+        even.append((u.core, stretch))
+    for arc, stretch in even:
+        energy += problem.law.even_energy(stretch) * (1 - np.cos(arc)) / u.inflation**2
+    # From the probe's edge to the plate's middle; zones share their ends.
+    meridian = np.column_stack([*reversed(shape), middle])
     again = np.flatnonzero(np.hypot(*np.diff(meridian[:2])) == 0) + 1
+    dimple = _parts(solution.y)[2]
     return in_units(
         np.delete(meridian, again, axis=1),
         modulus,
         h,
         radius,
-        depth=(solution.y[3, -1] if problem.partial else solution.y[7, 0]) - end,
-        approach=2 - end,
+        depth=dimple.z[0] - dimple.z[-1],
+        approach=2 - dimple.z[-1],
         rim_radius=u.rim,
         pressure=u.pressure,
         energy=2 * np.pi * energy,

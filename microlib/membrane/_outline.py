@@ -81,7 +81,6 @@ def fit_capsule(
     radius: float | None = None,
     poisson_ratio: float = 0.5,
     law: str = "neo-hooke",
-    punch: str = "bonded",
     start: tuple[float, float] | None = None,
     fit_tilt: bool = False,
 ) -> CapsuleFit:
@@ -100,7 +99,7 @@ def fit_capsule(
         h before inflation and c, in µm.
     radius : float, optional
         R before the test, in µm. By default it is fitted, which needs the outline's widest part.
-    poisson_ratio, law, punch
+    poisson_ratio, law
         As for `indent_capsule`.
     start : tuple of float, optional
         Modulus (MPa) and inflation to search from first, such as those of the same egg in the image
@@ -157,7 +156,6 @@ def fit_capsule(
         "probe_half_width": c,
         "poisson_ratio": poisson_ratio,
         "law": law,
-        "punch": punch,
     }
     near = None
     if start is not None:
