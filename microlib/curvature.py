@@ -96,9 +96,6 @@ class Curvature(Kept):
 _FARTHEST = 1e12
 #: Largest window, px: the binomial weights are divided by 2 to its power, at most 2¹⁰²³.
 _LARGEST_WINDOW = 1001
-#: Standard errors within which H and K are zero: noise leaves each of them beyond in one of 2000
-#: pixels.
-_ZERO = 3.5
 
 
 def curvature_windows(size: int = 7) -> Windows:
@@ -325,8 +322,9 @@ def hk_labels(
                 "mean must have errors where h_zero or k_zero is left out, got a Curvature "
                 "without: give surface_curvature the noise of the heights"
             )
-        h_zero = _ZERO * curved.mean_error if h_zero is None else h_zero
-        k_zero = _ZERO * curved.gaussian_error if k_zero is None else k_zero
+        errors = 3.5  # beyond, noise leaves one of 2000 pixels that are zero
+        h_zero = errors * curved.mean_error if h_zero is None else h_zero
+        k_zero = errors * curved.gaussian_error if k_zero is None else k_zero
     if gaussian is None or h_zero is None or k_zero is None:
         raise ValueError("gaussian, h_zero and k_zero must be given beside an array, got None")
     h, k = as_array("mean", mean, finite=False), as_array("gaussian", gaussian, finite=False)

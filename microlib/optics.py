@@ -161,7 +161,7 @@ def gaussian_kernel(sigma: float, size: int) -> Array:
            [0.0751, 0.1238, 0.0751]])
     """
     s = scalar("sigma", sigma, above=0)
-    n = whole("size", size, least=1, odd=True, most=_MOST_SIZE)
+    n = whole("size", size, least=1, odd=True, most=4095)
     t = np.arange(n) - n // 2
     profile = np.exp(-(t**2) / (2 * s**2))
     kernel = np.outer(profile, profile)
@@ -200,7 +200,7 @@ def gaussian_transfer(u: ArrayLike, v: ArrayLike, sigma: float) -> Array:
 
 def _blurred(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     """Convolve with a Gaussian, cut off far out, mirrored at the border."""
-    if sigma < _LEAST_BLUR:
+    if sigma < 0.025:  # exp(−1/(2σ²)), beside the middle, is zero in double precision
         return image
     half = int(np.ceil(_CUT_OFF * sigma))
     t = np.arange(-half, half + 1)
@@ -212,11 +212,6 @@ def _blurred(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     )
 
 
-#: Largest side of a kernel, px.
-_MOST_SIZE = 4095
-#: Least blur, px, that is not none: of a kernel below, exp(−1/(2σ²)) beside its middle is zero in
-#: double precision.
-_LEAST_BLUR = 0.025
 #: Largest blur, px: more than any image is wide, and beyond it kernels only cost time.
 _MOST_BLUR = 1e4
 

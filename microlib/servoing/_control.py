@@ -7,15 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, as_array, positive, same_length, scalar, whole
 
-#: Largest ratio of the singular values of a Jacobian that counts as one of full rank: the rounding
-#: of a double (10⁻¹⁶) is then a millionth of what the weakest direction does.
-_LARGEST_CONDITION = 1e10
-
-#: Relative difference of two halves of a matrix that rounding explains.
-_ROUNDING = 1e-9
-
 #: Samples: a loop this late is not one, and its poles take minutes.
-_MOST_DELAY = 200
+MOST_DELAY = 200
 
 
 def point_jacobian(
@@ -230,7 +223,7 @@ def loop_poles(gain: float, delay: float = 0.0) -> NDArray[np.complex128]:
     array([0.9, 0.9, 0. ])
     """
     g = scalar("gain", gain, above=0)
-    samples, part = divmod(scalar("delay", delay, least=0, most=_MOST_DELAY), 1.0)
+    samples, part = divmod(scalar("delay", delay, least=0, most=MOST_DELAY), 1.0)
     polynomial = np.zeros(int(samples) + 3)
     polynomial[:2] = 1.0, -1.0
     polynomial[-2:] += g * (1.0 - part), g * part
@@ -359,8 +352,8 @@ class PredictiveController(OptimalController):
             control_weight=control_weight,
         )
         self._delay = scalar("delay", delay, least=0) / scalar("interval", interval, above=0)
-        if self._delay > _MOST_DELAY:
-            raise ValueError(f"delay must be at most {_MOST_DELAY} intervals, got {self._delay:g}")
+        if self._delay > MOST_DELAY:
+            raise ValueError(f"delay must be at most {MOST_DELAY} intervals, got {self._delay:g}")
         self._limit = scalar("saturation", saturation, above=0)
         share = scalar("innovation_gain", innovation_gain, within=(0.0, 1.0), closed=True)
         self._innovation_gain = share
@@ -410,7 +403,8 @@ def full_rank(jacobian: ArrayLike, shape: tuple[int | None, ...] = (None, None))
     """Return a Jacobian of which each direction shows."""
     matrix = as_array("jacobian", jacobian, shape=shape)
     values = np.linalg.svd(matrix, compute_uv=False)
-    if values[-1] * _LARGEST_CONDITION <= values[0]:
+    # The rounding of a double is a millionth of what the weakest direction then does.
+    if values[-1] * 1e10 <= values[0]:
         raise ValueError(
             "jacobian must have full rank without the motions that the features do not show, "
             f"got singular values from {values[0]:.3g} to {values[-1]:.3g}"
@@ -422,7 +416,7 @@ def _weight(name: str, value: ArrayLike, size: int) -> Array:
     weight = as_array(name, value)
     matrix = np.diag(weight) if weight.ndim == 1 else weight
     matrix = as_array(name, matrix, shape=(size, size))
-    if not np.allclose(matrix, matrix.T, rtol=_ROUNDING, atol=0.0):
+    if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
         raise ValueError(f"{name} must be symmetric")
     least = float(np.linalg.eigvalsh(matrix)[0])
     if least <= 0:

@@ -88,19 +88,19 @@ def fit_motion(time: Array, position: Array, feature: Array, covariance: Array) 
     size = np.array([np.abs(moved).max() or 1.0] * 2 + [np.abs(later).max() or 1.0])
     columns = np.column_stack([moved, later]) / size
     basis = np.column_stack([np.ones(count), columns])  # 1, x, y, t in units of their range
-    design = np.einsum("ij,nk->nijk", np.eye(2), basis).reshape(count, 2, 8)
+    design = np.einsum("ij,nk->nijk", np.eye(2), basis).reshape(count, 2, -1)
     floor = _LEAST_STD**2 * np.eye(2)
     whitening = np.linalg.inv(np.linalg.cholesky(covariance + floor))
-    matrix = (whitening @ design).reshape(-1, 8)
+    matrix = (whitening @ design).reshape(2 * count, -1)
     values = np.einsum("nij,nj->ni", whitening, feature).ravel()
     found, _, rank, _ = np.linalg.lstsq(matrix, values, rcond=None)
-    if rank < 8:  # the stage never moved along an axis
+    if rank < matrix.shape[1]:  # the stage never moved along an axis
         unknown = np.full(2, np.nan)
         return StageMotion(np.zeros((2, 2)), np.diag(np.full(4, np.inf)), unknown, float("nan"))
-    misfit = float(np.sum((values - matrix @ found) ** 2)) / (len(values) - 8)
+    misfit = float(np.sum((values - matrix @ found) ** 2)) / (len(values) - rank)
     spread = np.linalg.inv(matrix.T @ matrix) * max(1.0, misfit)
     slopes = found.reshape(2, 4)[:, 1:] / size
-    elements = [1, 2, 5, 6]
+    elements = np.add.outer([0, 4], [1, 2]).ravel()  # those of J
     scale = np.tile(size[:2], 2)
     return StageMotion(
         jacobian=slopes[:, :2],

@@ -33,13 +33,6 @@ from microlib.servoing._workstation import Controller, Tracker
 if TYPE_CHECKING:
     import pandas as pd
 
-#: What the calibration's test moves are by default, as a share of the travel: far enough from the
-#: noise, and far from the limits.
-_TEST_SHARE = 0.1
-
-#: Limits of an interval, s: no drive takes commands faster, and nobody waits longer for a move.
-_SHORTEST, _LONGEST = 1e-3, 1e2
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ServoRun(Tidy, Ending):
@@ -232,7 +225,8 @@ def servo(
         tolerance=scalar("tolerance", tolerance, above=0),
         step=None if step is None else scalar("step", step, above=0),
         speed=None if speed is None else scalar("speed", speed, above=0),
-        interval=scalar("interval", interval, least=_SHORTEST, most=_LONGEST),
+        # No drive takes commands faster, and nobody waits longer for a move.
+        interval=scalar("interval", interval, least=1e-3, most=1e2),
         most_frames=whole("most_frames", most_frames, least=1),
         most_lost=whole("most_lost", most_lost, least=1),
         timeout=scalar("timeout", timeout, above=0),
@@ -268,7 +262,7 @@ def _test_move(size: float | None, travel: Array, step: float | None) -> float:
         USED * float(travel.min()), np.inf if step is None else scalar("step", step, above=0)
     )
     if size is None:
-        return min(_TEST_SHARE * float(travel.min()), room)
+        return min(float(travel.min()) / 10, room)
     if (length := scalar("test_move", size, above=0)) > room:
         raise ValueError(f"test_move must lie within travel and step, {room:g} µm, got {length:g}")
     return length

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, Tidy, as_array, check_callable, generator, of_kind, scalar
-from microlib.servoing._control import full_rank
+from microlib.servoing._control import MOST_DELAY, full_rank
 
 #: Given the number of the sample, the measured feature (px, NaN if lost) and all references, a
 #: velocity in µm/s.
@@ -123,10 +123,6 @@ class Simulation(Tidy):
     saturated: NDArray[np.bool_]
 
 
-#: Intervals: a loop this late is not one.
-_MOST_LATENCY = 1000
-
-
 def simulate(
     controller: Controller,
     reference: ArrayLike,
@@ -198,9 +194,9 @@ def simulate(
         )
     rng = generator("rng", rng)
     count = len(wanted)
-    if camera.latency > _MOST_LATENCY * camera.interval:
+    if camera.latency > MOST_DELAY * camera.interval:
         raise ValueError(
-            f"camera must have a latency of at most {_MOST_LATENCY} intervals, got "
+            f"camera must have a latency of at most {MOST_DELAY} intervals, got "
             f"{camera.latency:g} s and intervals of {camera.interval:g} s"
         )
     whole, part = divmod(camera.latency / camera.interval, 1.0)

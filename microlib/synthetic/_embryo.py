@@ -7,7 +7,7 @@ Lengths are in µm, forces in µN, moduli in MPa; image coordinates in px.
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -29,38 +29,47 @@ from microlib._common import (
     scalar,
 )
 from microlib.membrane import SmallSlopeWarning, dimple_depth, dimple_profile
-from microlib.synthetic._textures import MOST_LEVEL
+from microlib.synthetic._textures import MOST_LEVEL, eight_bits
 
-#: Pixel of the Sony XCD-X710CR (4.65 µm cells) behind the magnification 1.2, in µm, and its image.
-_SONY_PIXEL_SIZE = 4.65 / 1.2
-_SONY_SHAPE = (768, 1024)
 
-# What an embryo looks like is a choice of the scene; grey levels of 255 under even light.
-_BACKGROUND, _FLUID, _YOLK, _CHORION, _PROBE, _SENSOR = 195.0, 168.0, 112.0, 60.0, 42.0, 58.0
-#: Half of the force sensor's width, and the least gap between yolk and chorion, in radii of the
-#: embryo.
-_SENSOR_HALF_WIDTH, _YOLK_GAP = 1 / 10, 11 / 120
-#: Half of the yolk's width in radii of the embryo, over how many px its edge fades, and the
-#: standard deviation (grey levels) and the blur (px of the finer grid) of its grain.
-_YOLK_WIDTH, _YOLK_FADE, _GRAIN, _GRAIN_BLUR = 0.78, 3.0, 8.0, 6.0
-#: Least side of an image, px, and range of its blur: from just above the drawn edges' own on.
-_SMALLEST, _BLURS = 64, (0.5, 10.0)
-#: An embryo of fewer px is a speck, and places beyond so many px leave the range of the integers
-#: that outlines are drawn in.
-_LEAST_RADIUS, _FARTHEST = 4.0, 1e6
-#: Least distance of outline points, in radii: six million points.
-_FINEST = 1e-6
-#: Largest relative departure of the light: no part of the scene is dark.
-_MOST_UNEVEN = 0.5
+@dataclass(frozen=True)
+class _Look:
+    """What an embryo looks like, a choice of the scene.
+
+    Attributes
+    ----------
+    ground, fluid, yolk, chorion, probe, sensor : float
+        Grey levels of 255 under even light.
+    sensor_half_width, yolk_half_width, yolk_gap : float
+        Half of the widths of the force sensor and the yolk, and the least gap between yolk and
+        chorion, in radii of the embryo.
+    yolk_fade : float
+        Over how many px the yolk's edge fades.
+    grain, grain_blur : float
+        Of the yolk: its standard deviation (grey levels) and its blur (px of the finer grid).
+    """
+
+    ground: float = 195.0
+    fluid: float = 168.0
+    yolk: float = 112.0
+    chorion: float = 60.0
+    probe: float = 42.0
+    sensor: float = 58.0
+    sensor_half_width: float = 1 / 10
+    yolk_half_width: float = 0.78
+    yolk_gap: float = 11 / 120
+    yolk_fade: float = 3.0
+    grain: float = 8.0
+    grain_blur: float = 6.0
+
+
+_LOOK = _Look()
+
+#: Places beyond so many px leave the range of the integers that outlines are drawn in.
+_FARTHEST = 1e6
 
 #: Of the superellipse below the equator; 2 is an ellipse, more is flatter below.
 _POWER = 2.5
-#: Dimple radii between which the rim's radius of curvature is sought, in widths of the probe and in
-#: radii of the embryo: no dimple reaches the probe or the equator.
-_NARROWEST, _WIDEST = 1.01, 0.95
-#: Points of a quarter ellipse and of the dimple before the outline is cut evenly: 0.5 µm apart or
-#: less where it is round, which leaves a chord within 0.0001 µm of it.
-_ARC_POINTS, _DIMPLE_POINTS = 4001, 8001
 
 #: The scene is drawn on a grid finer than the sensor's, with edges of a Gaussian width (px of the
 #: sensor) that is blurred to the wanted one afterwards: narrow enough for every outline to be
@@ -71,8 +80,6 @@ _DRAWN_BLUR = 0.45
 #: Distance from the outline, in px, beyond which nothing is drawn by it: 17 drawn widths, or 16
 #: beside a wall one px thick.
 _REACH = 8.0
-#: Bits of a fraction of a cell to which the inside is filled.
-_SHIFT = 4
 
 
 @dataclass(frozen=True)
@@ -220,7 +227,8 @@ class Embryo(Kept):
             depth = _depth(untouched, value, radius) if name == "force" else value
             return _rim_radius(radius, depth, untouched.probe_half_width) - rim_radius
 
-        narrowest, widest = _NARROWEST * untouched.probe_half_width, _WIDEST * untouched.radius
+        # No dimple reaches the probe or the equator.
+        narrowest, widest = 1.01 * untouched.probe_half_width, 0.95 * untouched.radius
         if not excess(narrowest) < 0 < excess(widest):
             raise ValueError(
                 f"{name} must suit a dimple between the probe and the equator when the rim's "
@@ -274,30 +282,29 @@ class Embryo(Kept):
         >>> print(f"from {outline[:, 1].min():.0f} µm to {abs(outline[:, 1].max()):.2f} µm")
         from -1059 µm to 0.00 µm
         """
-        spacing = scalar("spacing", spacing, above=0, least=_FINEST * self.radius, most=self.radius)
-        quarter = np.linspace(0.0, np.pi / 2, _ARC_POINTS)
+        spacing = scalar(
+            "spacing", spacing, above=0, least=self.radius / _FARTHEST, most=self.radius
+        )
+        # 0.5 µm apart or less where it is round, which leaves a chord within 0.0001 µm of it.
+        count = 4001
+        quarter = np.linspace(0.0, np.pi / 2, count)
         if self.force == 0:
             half = self.radius * np.stack([np.sin(2 * quarter), np.cos(2 * quarter) - 1], axis=1)
         else:
             a, c = self.dimple_radius, self.probe_half_width
             across, upper, lower = self._half_axes()
-            r = np.geomspace(c, a, _DIMPLE_POINTS)
+            r = np.geomspace(c, a, 2 * count - 1)
             r[0], r[-1] = c, a
             dimple = -dimple_profile(r, a, self.dimple_depth, probe_half_width=c)
-            half = np.concatenate(
-                [
-                    [[0.0, -self.dimple_depth]],
-                    np.stack([r, dimple], axis=1),
-                    np.stack([a + across * np.sin(quarter), upper * (np.cos(quarter) - 1)], 1)[1:],
-                    np.stack(
-                        [
-                            self.radius * np.cos(quarter) ** (2 / _POWER),
-                            -upper - lower * np.sin(quarter) ** (2 / _POWER),
-                        ],
-                        1,
-                    )[1:],
-                ]
-            )
+            power = 2 / _POWER
+            above = [a + across * np.sin(quarter), upper * (np.cos(quarter) - 1)]
+            below = [
+                self.radius * np.cos(quarter) ** power,
+                -upper - lower * np.sin(quarter) ** power,
+            ]
+            parts = [np.stack(part, 1)[1:] for part in (above, below)]
+            tip = [[0.0, -self.dimple_depth]]
+            half = np.concatenate([tip, np.stack([r, dimple], axis=1), *parts])
         closed = np.concatenate([half, half[-2::-1] * [-1, 1]])
         length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))])
         even = np.arange(0.0, length[-1] - spacing / 2, spacing)
@@ -378,8 +385,8 @@ def embryo_image(
     embryo: Embryo,
     *,
     rng: np.random.Generator | int,
-    pixel_size: float = _SONY_PIXEL_SIZE,
-    shape: tuple[int, int] = _SONY_SHAPE,
+    pixel_size: float = 4.65 / 1.2,
+    shape: tuple[int, int] = (768, 1024),
     center: tuple[float, float] | None = None,
     tilt: float = 0.0,
     blur: float = 1.0,
@@ -396,9 +403,10 @@ def embryo_image(
     rng : numpy.random.Generator or int
         Source of the light's shape, the yolk's texture and the noise, or its seed.
     pixel_size : float
-        Pixel in the object, in µm.
+        Pixel in the object, in µm; by default that of the Sony XCD-X710CR (4.65 µm cells) behind
+        the magnification 1.2.
     shape : tuple of int
-        Rows and columns of the image.
+        Rows and columns of the image; by default that camera's.
     center : tuple of float, optional
         Where the probe's axis crosses the height of the rim, (x, y) in px; by default the embryo is
         in the middle of the image.
@@ -442,30 +450,28 @@ def embryo_image(
     of_kind("embryo", embryo, Embryo)
     probe = flag("probe", probe)
     pixel_size = scalar("pixel_size", pixel_size, above=0)
-    rows, columns = image_shape("shape", shape, least=_SMALLEST)
+    rows, columns = image_shape("shape", shape, least=64)
     tilt = scalar("tilt", tilt, within=(-np.pi, np.pi), closed=True)
-    blur = scalar("blur", blur, within=_BLURS, closed=True)
+    blur = scalar("blur", blur, within=(0.5, 10.0), closed=True)  # just above the drawn
     noise = scalar("noise", noise, least=0, most=MOST_LEVEL)
-    unevenness = scalar("unevenness", unevenness, within=(0.0, _MOST_UNEVEN), closed=True)
+    unevenness = scalar("unevenness", unevenness, within=(0.0, 0.5), closed=True)
     if center is None:
         center = ((columns - 1) / 2, (rows - 1 - embryo.height / pixel_size) / 2)
     x, y = as_array("center", center, shape=(2,), largest=_FARTHEST).tolist()
-    if not _FARTHEST > embryo.radius / pixel_size > _LEAST_RADIUS:
+    if not _FARTHEST > embryo.radius / pixel_size > 4:  # a lesser one is a speck
         raise ValueError(
-            f"pixel_size must show the embryo's radius of {embryo.radius:g} µm by "
-            f"{_LEAST_RADIUS:g} to {_FARTHEST:g} px, got {pixel_size:g} µm"
+            f"pixel_size must show the embryo's radius of {embryo.radius:g} µm by 4 to "
+            f"{_FARTHEST:g} px, got {pixel_size:g} µm"
         )
-    center = (x, y)
     blank = np.zeros((rows, columns), dtype=np.uint8)
-    frame = EmbryoImage(blank, embryo, pixel_size, center, tilt)
+    frame = EmbryoImage(blank, embryo, pixel_size, (x, y), tilt)
 
     rest = np.sqrt(blur**2 - _DRAWN_BLUR**2) * _SUPERSAMPLING
     drawn = _draw(frame, rng, probe)
     blurred = cv2.GaussianBlur(drawn, (0, 0), rest, borderType=cv2.BORDER_REPLICATE)
     clean = cv2.resize(blurred, (columns, rows), interpolation=cv2.INTER_AREA)
     lit = clean * _light((rows, columns), unevenness, rng)
-    image = np.clip(np.rint(lit + rng.normal(0.0, noise, lit.shape)), 0, 255).astype(np.uint8)
-    return EmbryoImage(image, embryo, pixel_size, center, tilt)
+    return replace(frame, image=eight_bits(lit + rng.normal(0.0, noise, lit.shape)))
 
 
 def _draw(frame: EmbryoImage, rng: np.random.Generator, probe: bool) -> NDArray[np.float32]:
@@ -473,22 +479,23 @@ def _draw(frame: EmbryoImage, rng: np.random.Generator, probe: bool) -> NDArray[
     embryo, pixel = frame.embryo, frame.pixel_size
     inside = _signed_distance(frame, embryo.outline(embryo.radius / 2400))
     body = ndtr(inside / _DRAWN_BLUR)
-    scene = _BACKGROUND + (_FLUID - _BACKGROUND) * body
+    scene = _LOOK.ground + (_LOOK.fluid - _LOOK.ground) * body
 
     x, y = _embryo_coordinates(frame)
-    yolk = body * ndtr(_yolk_depth(embryo, x, y) / (_YOLK_FADE * pixel))
-    texture = cv2.GaussianBlur(rng.standard_normal(x.shape, dtype=np.float32), (0, 0), _GRAIN_BLUR)
-    scene += yolk * (_YOLK - _FLUID + _GRAIN * texture / np.std(texture))
+    yolk = body * ndtr(_yolk_depth(embryo, x, y) / (_LOOK.yolk_fade * pixel))
+    white = rng.standard_normal(x.shape, dtype=np.float32)
+    texture = cv2.GaussianBlur(white, (0, 0), _LOOK.grain_blur)
+    scene += yolk * (_LOOK.yolk - _LOOK.fluid + _LOOK.grain * texture / np.std(texture))
 
     half = embryo.thickness / pixel / 2
     line = ndtr((inside + half) / _DRAWN_BLUR) - ndtr((inside - half) / _DRAWN_BLUR)
-    scene += line * (_CHORION - scene)
+    scene += line * (_LOOK.chorion - scene)
     if probe:
         tip = -embryo.dimple_depth + embryo.thickness / 2
         seat = -embryo.height - embryo.thickness / 2
         for grey, half_width, depth in (
-            (_PROBE, embryo.probe_half_width, y - tip),
-            (_SENSOR, _SENSOR_HALF_WIDTH * embryo.radius, seat - y),
+            (_LOOK.probe, embryo.probe_half_width, y - tip),
+            (_LOOK.sensor, _LOOK.sensor_half_width * embryo.radius, seat - y),
         ):
             bar = ndtr((half_width - np.abs(x)) / pixel / _DRAWN_BLUR)
             bar *= ndtr(depth / pixel / _DRAWN_BLUR)
@@ -516,7 +523,7 @@ def _signed_distance(frame: EmbryoImage, outline: Array) -> Array:
     fine = (frame.to_pixels(outline) + 0.5) * _SUPERSAMPLING - 0.5
     rows, columns = (n * _SUPERSAMPLING for n in frame.image.shape)
     mask = np.zeros((rows, columns), dtype=np.uint8)
-    cv2.fillPoly(mask, [np.rint(fine * 2**_SHIFT).astype(np.int32)], 1, shift=_SHIFT)
+    cv2.fillPoly(mask, [np.rint(fine * 2**4).astype(np.int32)], 1, shift=4)
     distance = np.where(mask > 0, _REACH, -_REACH)
 
     band = np.zeros((rows, columns), dtype=np.uint8)
@@ -537,9 +544,9 @@ def _signed_distance(frame: EmbryoImage, outline: Array) -> Array:
 
 def _yolk_depth(embryo: Embryo, x: Array, y: Array) -> Array:
     """How deep a point lies in the yolk, an ellipse that keeps clear of the chorion, in µm."""
-    top = -embryo.dimple_depth - _YOLK_GAP * embryo.radius
-    bottom = -embryo.height + _YOLK_GAP * embryo.radius
-    half_width = _YOLK_WIDTH * embryo.radius
+    top = -embryo.dimple_depth - _LOOK.yolk_gap * embryo.radius
+    bottom = -embryo.height + _LOOK.yolk_gap * embryo.radius
+    half_width = _LOOK.yolk_half_width * embryo.radius
     half_height = min((top - bottom) / 2, half_width)
     level = np.hypot(x / half_width, (y - (top + bottom) / 2) / half_height)
     return (1.0 - level) * min(half_width, half_height)

@@ -21,7 +21,7 @@ from microlib._common import (
     scalar,
     whole,
 )
-from microlib.synthetic._textures import MOST_LEVEL, mixed_texture
+from microlib.synthetic._textures import MOST_LEVEL, MOST_SCALE, eight_bits, mixed_texture
 
 #: Samples of the gripper's drawing per pixel, which are interpolated linearly: half or twice as
 #: many move the drawn gripper by less than 0.001 px.
@@ -31,28 +31,17 @@ _DENSITY = 4
 #: 2.8 of it.
 _CONTRAST = 45.0
 
-#: Standard deviation (px) of the camera's point spread function in the picture of the gripper, so
-#: that no edge is sharper than a pixel.
-_BLUR = 0.8
-
 #: Order of the splines that move a texture: they are wrong by 0.4 grey levels (root mean square) on
 #: one blurred by 1 px, cubic ones by 0.8 and linear ones by 4.5; the camera's noise is 2.
 _ORDER = 5
 
-#: Samples by which a texture is continued around itself: what its spline assumes beyond decays by
-#: 0.43 a sample, to a thousandth.
-_MARGIN = 8
-
-#: Binary digits of the fraction in which OpenCV takes the coordinates of outlines.
-_FRACTION = 4
-
 #: Outline of one jaw in units of the gap, from the arm at the left, beyond the frame, to the tip.
 _JAW = np.array([[-60, 0.9], [-2.4, 0.9], [-1.2, 0.5], [0.9, 0.5], [0.9, 1.3], [-60, 2.6]])
 
-#: Where the etched holes are along the arm, in units of the gap, their radius, and how much of the
-#: ground they hide. Like the outline they are invented: a scene needs edges along which it looks
-#: alike, and marks across them.
-_HOLES, _HOLE_RADIUS, _HOLE_COVER = np.arange(-12.0, -2.7, 0.8), 0.1, 0.35
+#: Where the etched holes are, in units of the gap: along the middle line of the arm, which runs
+#: from the tip to the far end of the outline. Like the outline they are invented: a scene needs
+#: edges along which it looks alike, and marks across them.
+_HOLES = [(x, 1.1 + 0.65 * (0.9 - x) / 60.9) for x in np.arange(-12.0, -2.7, 0.8)]
 
 #: Mean and standard deviation (grey levels) and scale (px) of the grain of the jaws, and of the
 #: ground behind them; invented, too: the ground is darker and smooth as what is out of focus.
@@ -61,9 +50,6 @@ _GROUND = {"mean": 70, "std": 4, "scales": 12}
 
 #: Farthest that the gripper may move, px: a drawing of a gigabyte.
 _MOST_REACH = 2048
-#: The smallest side of a frame (px), and the largest opening as a share of its height, that leave
-#: room for both jaws.
-_SMALLEST, _LARGEST_OPENING = 50, 1 / 3
 
 
 def camera_frame(
@@ -103,8 +89,7 @@ def camera_frame(
     sigma = scalar("noise", noise, least=0, most=MOST_LEVEL)
     rng = generator("rng", rng)
     gain = scalar("gain", gain, within=(-MOST_LEVEL, MOST_LEVEL))
-    grey = gain * grey + sigma * rng.standard_normal(grey.shape, np.float32)
-    return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+    return eight_bits(gain * grey + sigma * rng.standard_normal(grey.shape, np.float32))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -175,7 +160,7 @@ def warped_pair(
     """
     one_of("warp", warp, ("shift", "affine", "homography"))
     size = whole("size", size, least=2, most=4096)
-    sigma = scalar("sigma", sigma, above=0, most=1e3)
+    sigma = scalar("sigma", sigma, above=0, most=MOST_SCALE)
     distance = scalar("distance", distance, least=0, most=1e4)
     rng = generator("rng", rng)
     side = 3 * size  # the template in the middle, with its own size around it
@@ -259,18 +244,19 @@ def texture_sequence(
     positive("positions", positions, zero=True)
     between("positions", positions, 0.0, 1e4, closed=True)
     size = whole("size", size, least=2, most=4096)
-    sigma = scalar("sigma", sigma, above=0, most=1e3)
+    sigma = scalar("sigma", sigma, above=0, most=MOST_SCALE)
     rng = generator("rng", rng)
     width, height = (np.ceil(positions.max(axis=0)) + 2 * size).astype(int)
     ground = mixed_texture((height, width), rng, std=_CONTRAST, scales=sigma)
     square = mixed_texture((size, size), rng, std=_CONTRAST, scales=sigma)
-    spline = ndimage.spline_filter(np.pad(square, _MARGIN, mode="wrap"), order=_ORDER)
+    margin = 8  # what the spline assumes beyond decays by 0.43 a sample
+    spline = ndimage.spline_filter(np.pad(square, margin, mode="wrap"), order=_ORDER)
     frames = []
     for x, y in positions:
         image = ground.copy()
         column, row = int(np.floor(x)), int(np.floor(y))
         columns, rows = np.arange(size + 1) + column - x, np.arange(size + 1) + row - y
-        grid = np.meshgrid(rows + _MARGIN, columns + _MARGIN, indexing="ij")
+        grid = np.meshgrid(rows + margin, columns + margin, indexing="ij")
         moved = ndimage.map_coordinates(spline, grid, order=_ORDER, prefilter=False)
         cover = np.outer(_coverage(rows, size), _coverage(columns, size))
         part = image[row : row + size + 1, column : column + size + 1]
@@ -382,8 +368,8 @@ def gripper_scene(
     """
     opening = scalar("gap", gap, above=0) / scalar("pixel_size", pixel_size, above=0)
     reach = whole("reach", reach, least=1, most=_MOST_REACH)
-    rows, columns = image_shape("shape", shape, least=_SMALLEST)
-    if opening > _LARGEST_OPENING * rows:
+    rows, columns = image_shape("shape", shape, least=50)  # room for both jaws
+    if opening > rows / 3:
         raise ValueError(
             f"gap must be under a third of the frame's {rows} px, got {opening:.0f} px"
         )
@@ -396,18 +382,17 @@ def gripper_scene(
     x0, y0 = _DENSITY * (middle + margin)
     for side in (-1, 1):
         outline = np.column_stack([x0 + scale * _JAW[:, 0], y0 + side * scale * _JAW[:, 1]])
-        fixed = np.rint(outline * 2**_FRACTION).astype(np.int32)
-        cv2.fillPoly(cover, [fixed], 1.0, cv2.LINE_8, _FRACTION)
-        radius = int(np.rint(2**_FRACTION * _HOLE_RADIUS * scale))
-        for hole in _HOLES:
-            # On the middle line of the arm, which runs from the tip to the far end of the outline.
-            middle_line = 1.1 + 0.65 * (0.9 - hole) / 60.9
-            spot = np.array([x0 + scale * hole, y0 + side * scale * middle_line])
-            fixed = np.rint(spot * 2**_FRACTION).astype(int)
-            cv2.circle(cover, fixed, radius, _HOLE_COVER, -1, cv2.LINE_8, _FRACTION)
+        fixed = np.rint(outline * 2**4).astype(np.int32)
+        cv2.fillPoly(cover, [fixed], 1.0, cv2.LINE_8, 4)
+        radius = int(np.rint(2**4 * scale / 10))
+        for x, y in _HOLES:
+            spot = np.array([x0 + scale * x, y0 + side * scale * y])
+            fixed = np.rint(spot * 2**4).astype(int)
+            cv2.circle(cover, fixed, radius, 0.35, -1, cv2.LINE_8, 4)
     grain = mixed_texture((height // _DENSITY, width // _DENSITY), rng, **_GRAIN)
     fine = cv2.resize(grain, (width, height), interpolation=cv2.INTER_CUBIC)
-    soft = cv2.GaussianBlur(cover, (0, 0), _BLUR * _DENSITY).astype(np.float32)
+    # The camera's point spread: no edge is sharper than a pixel.
+    soft = cv2.GaussianBlur(cover, (0, 0), 0.8 * _DENSITY).astype(np.float32)
     return GripperScene(
         shape=(rows, columns),
         home=middle,

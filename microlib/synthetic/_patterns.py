@@ -30,13 +30,6 @@ from microlib.microscope import Microscope
 #: Cells along a side of a pixel; the edges inside a cell are straight to within its curvature, an
 #: error of 1/(24·9 r²) of a circle's area, 2e-5 for a radius of 16 px.
 _CELLS = 3
-#: A cell with a corner of a square in it is cut into so many parts along a side: to 1/24 px.
-_CORNER_CELLS = 8
-#: The point-spread function reaches so many of its standard deviations; 6e-5 of it lie beyond.
-_REACH = 4.0
-#: Least side of a cell's projection on an edge's normal, in its length: along the cells the
-#: trapezoid becomes a box, and its sloping sides must not vanish.
-_LEAST_SLOPE = 1e-4
 #: Keeps directions and lengths of zero, µm, from 0/0.
 _TINY = 1e-12
 
@@ -128,10 +121,8 @@ def render_circles(
     >>> image.shape, float(image.min().round()), float(image.max().round())
     ((90, 120), 50.0, 200.0)
     """
-    radius, pitch = (
-        scalar("radius", radius, above=0, most=_LONGEST),
-        scalar("pitch", pitch, above=0, most=_LONGEST),
-    )
+    radius = scalar("radius", radius, above=0, most=_LONGEST)
+    pitch = scalar("pitch", pitch, above=0, most=_LONGEST)
     if not 2 * radius < pitch:
         raise ValueError(f"pitch must exceed the diameter {2 * radius:g} µm, got {pitch:g}")
 
@@ -212,13 +203,14 @@ def render_squares(
         # The product of two half-planes is exact but for a cell that holds a corner and is turned
         # against it: such a cell is cut again.
         o = offset(plane)
-        parts = sides(o, jacobian)
-        area = parts.prod(axis=0)
-        corner = ((parts > 0) & (parts < 1)).all(axis=0)
-        steps = (np.arange(_CORNER_CELLS) + 0.5) / _CORNER_CELLS - 0.5
+        both = sides(o, jacobian)
+        area = both.prod(axis=0)
+        corner = ((both > 0) & (both < 1)).all(axis=0)
+        parts = 8  # along a side: to 1/24 px
+        steps = (np.arange(parts) + 0.5) / parts - 0.5
         shifts = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
         fine = o[corner, None] + shifts @ jacobian[corner].transpose(0, 2, 1)
-        small = jacobian[corner].repeat(len(shifts), axis=0) / _CORNER_CELLS
+        small = jacobian[corner].repeat(len(shifts), axis=0) / parts
         pieces = sides(fine.reshape(-1, 2), small).prod(axis=0)
         area[corner] = pieces.reshape(-1, len(shifts)).mean(axis=1)
         return area
@@ -249,7 +241,8 @@ def _half_plane(inside: Array, normal: Array, jacobian: Array) -> Array:
     step = np.abs(np.einsum("nij,ni->nj", jacobian, normal))
     length = np.maximum(np.hypot(*step.T), _TINY)
     a, b = np.sort(step / length[:, None], axis=1).T
-    a = np.maximum(a, _LEAST_SLOPE)
+    # Along the cells the trapezoid becomes a box, and its sloping sides must not vanish.
+    a = np.maximum(a, 1e-4)
     wide, narrow = (b + a) / 2, (b - a) / 2
     d = np.clip(inside / length, -wide, wide)
     ramps = [np.maximum(d + s, 0) ** 2 for s in (wide, narrow, -narrow, -wide)]
@@ -277,7 +270,7 @@ def _render(
             "rng must be a numpy.random.Generator or a seed when imaging.noise > 0, got None"
         )
     width, height = microscope.image_size
-    margin = int(np.ceil(_REACH * imaging.blur)) + 1
+    margin = int(np.ceil(4 * imaging.blur)) + 1  # 6e-5 of the point spread lie beyond
     rows, columns = np.arange(height + 2 * margin) - margin, np.arange(width + 2 * margin) - margin
     shape = (len(rows), len(columns))
     pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2).astype(np.float64)

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import as_array, as_image, generator, scalar
 from microlib.optics import BlurLadder
-from microlib.synthetic._textures import MOST_LEVEL
+from microlib.synthetic._textures import MOST_LEVEL, eight_bits
 
 #: Largest blur, px, of a frame: as much as `BlurLadder` takes.
 _MOST_BLUR = 1e4
@@ -86,9 +86,5 @@ def focal_stack(
         frame: NDArray = ladder.at(np.hypot(least, rate * (z - position)))
         if sigma > 0:
             frame = frame + sigma * rng.standard_normal(frame.shape)
-        frames[k] = _eight_bits(frame)
+        frames[k] = eight_bits(frame)
     return frames
-
-
-def _eight_bits(image: NDArray) -> NDArray[np.uint8]:
-    return np.clip(np.rint(image), 0, 255).astype(np.uint8)

@@ -15,6 +15,11 @@ MOST_LEVEL = 1e6
 MOST_SCALE = 1e3
 
 
+def eight_bits(image: NDArray) -> NDArray[np.uint8]:
+    """Return grey levels as a camera of eight bits counts them."""
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
 def mixed_texture(
     shape: tuple[int, int],
     rng: np.random.Generator | int,

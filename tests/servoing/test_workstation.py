@@ -70,7 +70,7 @@ def test_refuses_a_reference_beyond_the_travel_and_a_command_that_is_none():
     loop = {"jacobian": np.eye(2), "stage": Stage(1.0), "camera": Camera(0.1), "rng": 0}
     with pytest.raises(ValueError, match="reference must lie within"):
         simulate(controller(), np.full((3, 2), 9e4), start=(0, 0), **loop)
-    with pytest.raises(ValueError, match="camera must have a latency of at most 1000 intervals"):
-        simulate(controller(), np.zeros((3, 2)), **loop | {"camera": Camera(0.1, latency=101.0)})
+    with pytest.raises(ValueError, match="camera must have a latency of at most 200 intervals"):
+        simulate(controller(), np.zeros((3, 2)), **loop | {"camera": Camera(0.1, latency=21.0)})
     with pytest.raises(ValueError, match="command must be finite"):
         simulate(lambda *_: np.full(2, np.nan), np.zeros((3, 2)), **loop)
