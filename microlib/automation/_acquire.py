@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from microlib._common import (
     Array,
@@ -25,18 +25,11 @@ from microlib._common import (
     scalar,
     whole,
 )
-from microlib.automation._live import STANDS_OUT, LiveDepth, coarse_range
-from microlib.focus import FocusResult, sum_modified_laplacian
+from microlib.automation._live import BACK, STANDS_OUT, LiveDepth, coarse_range
+from microlib.focus import FocusResult, check_options, sum_modified_laplacian
 
 #: Side of a region whose sharpness is measured, px.
 _LEAST_SIDE = 8
-#: How far a drive may stand from where it was sent, in spacings of the positions.
-_MISSED = 0.5
-#: Share of the best measure that a neighbor has at least: one that sees nothing at all has none.
-_LEAST_NEIGHBOR = 1e-6
-#: Frames behind the best that have to be worse before autofocus turns round.
-_BACK = 3
-_MOST_TIME = 1e9
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,12 +39,15 @@ class Acquisition(Tidy, Ending):
     Attributes
     ----------
     positions : ndarray, shape (n,)
-        Where frames were taken for the depth, µm, in order.
+        Where frames were taken for the depth, µm, in order; of a scan that ended before its time
+        also those of the coarse look.
+    images : tuple of ndarray, shape (rows, cols)
+        The frames at `positions`.
     frames : int
         Pictures that were taken in all, the coarse ones included.
     result : FocusResult or None
-        The depth, as `microlib.focus.depth_from_focus` makes it of the frames at `positions`; None
-        if it never came to three frames, or from `autofocus`.
+        The depth, as `microlib.focus.depth_from_focus` makes it of the frames that were taken for
+        it; None if they are fewer than three, if it failed, or from `autofocus`.
     focus : float
         Where the drive stands at the end, µm; from `autofocus` the sharpest position. NaN if the
         drive does not say.
@@ -66,10 +62,11 @@ class Acquisition(Tidy, Ending):
     """
 
     positions: Array
+    images: tuple[Image, ...]
     frames: int
     result: FocusResult | None
     focus: float
-    _large = ("positions", "result")
+    _large = ("positions", "images", "result")
 
 
 def acquire_depth(
@@ -107,8 +104,9 @@ def acquire_depth(
     Returns
     -------
     Acquisition
-        ``positions``, ``frames``, ``result``, ``focus``, ``reason``, ``complete``, ``still`` and
-        ``error``. A fault of a device raises nothing: look at ``complete``.
+        ``positions``, ``images``, ``frames``, ``result``, ``focus``, ``reason``, ``complete``,
+        ``still`` and ``error``. A fault of a device, of `progress` or of the depth raises nothing
+        and loses no picture: look at ``complete``.
 
     Raises
     ------
@@ -143,33 +141,40 @@ def acquire_depth(
     check_devices(workstation, "focus")
     z = _scan(positions)
     every = None if coarse is None else whole("coarse", coarse, least=2, most=len(z))
-    end = None if farthest is None else scalar("farthest", farthest)
     check_callable("progress", progress, optional=True)
-    drive = _Drive(workstation, z, scalar("timeout", timeout, above=0, most=_MOST_TIME))
-    live = LiveDepth(farthest=end, **options)
+    drive, needs = _Drive(workstation, z, timeout), check_options(**options)
+    live = LiveDepth(farthest=farthest, **options)
+    waiting: dict[float, Image] = {}
 
     def work() -> str:
-        nonlocal live
-        known: dict[int, Image] = {}
-        first, last = 0, len(z) - 1
-        said = ""
+        def taken(k: int) -> Image:
+            if z[k] not in waiting:
+                waiting[z[k]] = drive.frame(k)
+                if drive.frames == 1:
+                    needs.check_frame(waiting[z[k]])
+            return waiting[z[k]]
+
+        first, last, said = 0, len(z) - 1, "all positions were visited"
         if every is not None:
-            known = {k: drive.frame(k) for k in range(0, len(z), every)}
-            found = coarse_range(list(known.values()), z[::every], every, len(z))
+            looks = [taken(k) for k in range(0, len(z), every)]
+            found = coarse_range(looks, every, len(z))
             if found is None:
                 raise EndRun("nothing comes into focus in the coarse frames")
             first, last = found
             said = f"a look at every {every} positions found nothing beyond those taken"
             # Backwards from where the coarse look ended is as good, and nothing is visited twice.
         for k in range(first, last + 1):
-            live.push(known[k] if k in known else drive.frame(k), z[k])
+            live.push(taken(k), z[k])
+            del waiting[z[k]]
             if progress is not None:
                 progress(live)
             if live.done:
-                return live.reason
-        return said or "all positions were visited"
+                said = live.reason
+                break
+        waiting.clear()
+        return said
 
-    return _finish(drive, work, live)
+    return _finish(drive, work, live, waiting)
 
 
 def autofocus(
@@ -230,7 +235,7 @@ def autofocus(
     check_devices(workstation, "focus")
     z = _scan(positions)
     part = None if region is None else as_region("region", region, least=_LEAST_SIDE)
-    drive = _Drive(workstation, z, scalar("timeout", timeout, above=0, most=_MOST_TIME))
+    drive = _Drive(workstation, z, timeout)
 
     def work() -> str:
         measures: list[float] = []
@@ -238,7 +243,7 @@ def autofocus(
             measures.append(_sharpness(drive.frame(k), part))
             best = int(np.argmax(measures))
             clear = measures[best] > STANDS_OUT * min(measures)
-            if clear and k - best >= _BACK and measures[-1] < measures[best] / 2:
+            if clear and k - best >= BACK and measures[-1] < measures[best] / 2:
                 break
         if not clear or best in (0, len(z) - 1):
             drive.go(z[best])
@@ -247,17 +252,19 @@ def autofocus(
         drive.go(_vertex(z[best - 1 : best + 2], np.array(measures[best - 1 : best + 2])))
         return "the sharpest position was passed and gone back to"
 
-    return _finish(drive, work, None)
+    return _finish(drive, work, None, {})
 
 
 class _Drive:
     """The focus drive and the camera, each call watched."""
 
     def __init__(self, workstation: Any, positions: Array, timeout: float) -> None:
-        self.guard = Guard(workstation.clock, workstation.focus, timeout, "focus drive")
+        limit = scalar("timeout", timeout, above=0, most=1e9)
+        self.guard = Guard(workstation.clock, workstation.focus, limit, "focus drive")
         self.frames = 0
-        self._workstation, self._positions = workstation, positions
-        self._room = _MISSED * float(np.abs(np.diff(positions)).min())
+        self.positions, self._workstation = positions, workstation
+        # From half of the least spacing on, it stands at another position.
+        self._room = float(np.abs(np.diff(positions)).min()) / 2
 
     def go(self, z: float) -> None:
         """Bring the drive to a position, µm, and wait."""
@@ -271,26 +278,43 @@ class _Drive:
         place = self.guard.call(self._workstation.focus.position)
         return float(np.asarray(place, dtype=float)[0])
 
-    def frame(self, k: int) -> NDArray[Any]:
+    def frame(self, k: int) -> Image:
         """Take the picture at position number `k`."""
-        self.go(float(self._positions[k]))
+        self.go(float(self.positions[k]))
         frame, _ = self.guard.call(self._workstation.camera.snap)
         self.frames += 1
         return np.array(frame)
 
 
-def _finish(drive: _Drive, work: Callable[[], str], live: LiveDepth | None) -> Acquisition:
-    """Do the work, stop the drive however it ended, and say what happened."""
+def _finish(
+    drive: _Drive, work: Callable[[], str], live: LiveDepth | None, waiting: dict[float, Image]
+) -> Acquisition:
+    """Do the work, stop the drive however it ended, and say what happened.
+
+    `waiting` has the pictures, by their positions, that `live` was not given.
+    """
     end = drive.guard.run(work)
+    pictures, result = waiting, None
+    if live is not None:
+        pictures |= zip(live.positions, live.images, strict=True)
+        try:
+            result = live.result() if live.frames >= 3 else None
+        except (Exception, KeyboardInterrupt) as fault:  # of the user's measure, for one
+            if isinstance(fault, KeyboardInterrupt):
+                drive.guard.interrupted.set()
+            reason = f"{end.reason}; {type(fault).__name__}: {fault}"
+            end = Ending(reason, False, end.still, end.error or fault)
     try:
         focus = drive.where()
     except EndRun:
         focus = float("nan")  # the reason says already what failed
+    places = [z for z in drive.positions.tolist() if z in pictures]
     run = Acquisition(
         **vars(end),
-        positions=np.zeros(0) if live is None else live.positions,
+        positions=np.array(places),
+        images=tuple(pictures[z] for z in places),
         frames=drive.frames,
-        result=live.result() if live is not None and live.frames >= 3 else None,
+        result=result,
         focus=focus,
     )
     if drive.guard.interrupted.is_set():
@@ -308,16 +332,15 @@ def _scan(positions: ArrayLike) -> Array:
     return z
 
 
-def _sharpness(frame: NDArray[Any], part: Region | None) -> float:
-    x, y, width, height = part or (0, 0, frame.shape[1], frame.shape[0])
-    seen = frame[y : y + height, x : x + width]
-    if min(seen.shape) < _LEAST_SIDE:
-        raise EndRun(f"the region lies outside of the image of {frame.shape[::-1]} px")
-    return float(sum_modified_laplacian(seen).mean())
+def _sharpness(frame: Image, part: Region | None) -> float:
+    whole_frame = (0, 0, *frame.shape[::-1])
+    x, y, width, height = as_region("region", part or whole_frame, frame.shape, least=_LEAST_SIDE)
+    return float(sum_modified_laplacian(frame[y : y + height, x : x + width]).mean())
 
 
 def _vertex(z: Array, measures: Array) -> float:
     """Return the vertex of the Gaussian through three measures, between the outer positions."""
-    seen = np.maximum(measures, _LEAST_NEIGHBOR * measures.max())
+    # One that sees nothing at all has a logarithm, too.
+    seen = np.maximum(measures, 1e-6 * measures.max())
     curve = np.polyfit(z - z[1], np.log(seen), 2)
     return float(np.clip(z[1] - curve[1] / (2 * curve[0]), z.min(), z.max()))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, Image, as_image, scalar, whole
+from microlib._common import Array, Image, as_image, scalar
 from microlib.focus import (
     FocusResult,
     check_options,
@@ -23,15 +23,9 @@ _WINDOW = 7
 #: From 2.5 to 3.5 every part is found and a quarter of the frames saved; at 4 one part of eight is
 #: missed.
 STANDS_OUT = 2.5
-#: A peak has passed if its best frame lies so many frames back and the measure has fallen under
-#: this share of the way to the ground since.
-_BACK, _FADED = 3, 0.5
-#: Side of a frame, px: the measure looks at both neighbors of a pixel.
-_LEAST_SIDE = 2
-#: Frames of a stack, at least.
-_LEAST_FRAMES = 3
-#: Of a position, µm: beyond, single precision has no digits left.
-_MOST = 1e12
+#: A peak has passed if its best frame lies so many frames back, and the measure has fallen half-way
+#: to the ground since.
+BACK = 3
 #: Why nothing can be said of parts that have not come into focus yet.
 UNKNOWN = (
     "whether a part comes into focus further on cannot be known: give farthest, or let "
@@ -89,8 +83,8 @@ class Peaks:
 
     def passed(self) -> NDArray[np.bool_]:
         """Return which pixels have had their peak."""
-        faded = self._lowest_since < _FADED * (self.best + self.floor)
-        return faded & (self.count - 1 - self.index.astype(np.int64) >= _BACK)
+        faded = self._lowest_since < (self.best + self.floor) / 2
+        return faded & (self.count - 1 - self.index.astype(np.int64) >= BACK)
 
     def depth(self, positions: Array) -> NDArray[np.float32]:
         """Return the vertex through the best frame and its neighbors where one stands out."""
@@ -120,6 +114,8 @@ class LiveDepth:
     ----------
     frames : int
         Frames so far.
+    images : tuple of ndarray, shape (rows, cols)
+        These frames.
     done : bool
         Whether the scan is beyond `farthest` and every pixel with texture has had its peak.
     reason : str
@@ -178,6 +174,11 @@ class LiveDepth:
         return len(self._frames)
 
     @property
+    def images(self) -> tuple[Image, ...]:
+        """These frames."""
+        return tuple(self._frames)
+
+    @property
     def positions(self) -> Array:
         """Their positions, µm."""
         return np.array(self._positions)
@@ -191,7 +192,7 @@ class LiveDepth:
         ValueError
             Before the third frame.
         """
-        if self._peaks is None or self.frames < _LEAST_FRAMES:
+        if self._peaks is None or self.frames < 3:
             raise ValueError(f"frames must be at least three for a depth, got {self.frames}")
         return self._peaks.depth(self.positions)
 
@@ -220,19 +221,20 @@ class LiveDepth:
         >>> live.frames, live.done
         (1, False)
         """
-        as_image("frame", frame, smallest=_LEAST_SIDE)
+        as_image("frame", frame, smallest=2)
         image = np.array(frame)  # a camera may write the next one into the same place
-        place = scalar("z", z, within=(-_MOST, _MOST))
-        if self._frames and (image.shape, image.dtype) != (
-            self._frames[0].shape,
-            self._frames[0].dtype,
-        ):
-            first = self._frames[0]
+        # Beyond, single precision has no digits left.
+        place = scalar("z", z, within=(-1e12, 1e12))
+        first = self._frames[0] if self._frames else image
+        if (image.shape, image.dtype) != (first.shape, first.dtype):
             raise ValueError(
                 f"frame must be {first.shape} {first.dtype} as those before, got {image.shape} "
                 f"{image.dtype}"
             )
-        self._check_way(place)
+        if self._positions:
+            start, last = self._positions[0], self._positions[-1]
+            if place == last or (place - last) * (last - start) < 0:
+                raise ValueError(f"z must go on from {last:g} µm in one direction, got {z:g} µm")
         if self._peaks is None:
             self._checked.check_frame(image)
             self._peaks = Peaks(image.shape)
@@ -267,24 +269,16 @@ class LiveDepth:
         >>> round(float(live.result().depth[24, 24]))
         14
         """
-        if self.frames < _LEAST_FRAMES:
+        if self.frames < 3:
             raise ValueError(f"frames must be at least three for a depth, got {self.frames}")
         return depth_from_focus(self._frames, self._positions, **self._options)
-
-    def _check_way(self, z: float) -> None:
-        if not self._positions:
-            return
-        last, first = self._positions[-1], self._positions[0]
-        onward = z - last
-        if onward == 0 or (len(self._positions) > 1 and onward * (last - first) < 0):
-            raise ValueError(f"z must go on from {last:g} µm in one direction, got {z:g} µm")
 
     def _judge(self, peaks: Peaks) -> None:
         """Say whether more frames are needed."""
         if self._farthest is None:
             self.reason = UNKNOWN
             return
-        if self.frames < _LEAST_FRAMES:
+        if self.frames < 3:
             self.reason = "too few frames"
             return
         way = np.sign(self._positions[-1] - self._positions[0])
@@ -301,17 +295,13 @@ class LiveDepth:
         )
 
 
-def coarse_range(
-    frames: list[Image], positions: Array, every: int, count: int
-) -> tuple[int, int] | None:
+def coarse_range(frames: list[Image], every: int, count: int) -> tuple[int, int] | None:
     """Return the first and the last of `count` fine frames that can hold a peak.
 
     Parameters
     ----------
     frames : list of ndarray, shape (rows, cols)
         Every `every`-th frame.
-    positions : ndarray, shape (n,)
-        Of these.
     every, count : int
         Distance of the coarse frames in fine ones, and number of the fine ones.
 
@@ -327,6 +317,6 @@ def coarse_range(
     index = peaks.index[peaks.textured()]
     if index.size == 0:
         return None
-    margin = whole("every", every, least=2) + _BACK
+    margin = every + BACK
     first, last = int(index.min()) * every - margin, int(index.max()) * every + margin
     return max(first, 0), min(last, count - 1)

@@ -9,7 +9,7 @@ import pytest
 
 from microlib.automation import LiveDepth, _acquire, acquire_depth, autofocus
 from microlib.automation._live import UNKNOWN, Peaks
-from microlib.focus import sum_modified_laplacian, three_point_peak
+from microlib.focus import depth_from_focus, sum_modified_laplacian, three_point_peak
 
 POSITIONS = np.arange(0.0, 200.0, 10.0)
 TEXTURE = np.random.default_rng(5).integers(-90, 90, (24, 24))
@@ -20,6 +20,7 @@ class Scope:
 
     def __init__(self, sharp) -> None:
         self.z, self.visited, self.stops, self.off = 0.0, [], 0, 0.0
+        self.pictures: dict[float, np.ndarray] = {}
         self.sharp, self.time = sharp, 0.0
         self.camera = self.clock = self
         self.focus = SimpleNamespace(
@@ -43,7 +44,9 @@ class Scope:
 
     def snap(self):
         self.visited.append(self.z)
-        return np.clip(128 + self.sharp(self.z) * TEXTURE, 0, 255).astype(np.uint8), 0.0
+        picture = np.clip(128 + self.sharp(self.z) * TEXTURE, 0, 255).astype(np.uint8)
+        self.pictures[self.z] = picture
+        return picture, 0.0
 
 
 @pytest.fixture
@@ -129,8 +132,9 @@ def test_a_region_is_columns_and_rows():
             autofocus(scope, POSITIONS, region=wrong)
     for outside in ((17, 0, 8, 8), (0, 17, 8, 8)):
         run = autofocus(Scope(lambda z: 1.0), POSITIONS, region=outside)
-        assert run.reason == "the region lies outside of the image of (24, 24) px"
+        assert run.reason.startswith("ValueError: region must lie in the image of 24×24 px, got")
         assert not run.complete
+        assert run.frames == 1
 
 
 @pytest.mark.parametrize(("off", "fine"), [(0.9, True), (-0.9, True), (1.1, False), (-1.1, False)])
@@ -163,6 +167,77 @@ def test_a_coarse_look_takes_the_others_only_around_what_it_saw():
     for wrong in (1, 21):
         with pytest.raises(ValueError, match="coarse must"):
             acquire_depth(scope, POSITIONS, coarse=wrong)
+
+
+def same_pictures(run, scope):
+    """Return whether the run holds what the camera took, where it took it, in order."""
+    assert len(run.images) == len(run.positions)
+    for image, z in zip(run.images, run.positions, strict=True):
+        np.testing.assert_array_equal(image, scope.pictures[z])
+    return True
+
+
+def test_what_was_taken_comes_back_whatever_fails_later():
+    """A region that is too large, the user's measure, a broken drive, and a stop by the user."""
+    calls = []
+
+    def fails(image):
+        calls.append(1)
+        if len(calls) > 9:
+            raise RuntimeError("no more")
+        return np.abs(image).astype(np.float32)
+
+    scope = Scope(lambda z: max(0.02, 1 - abs(z - 92) / 40))
+    run = acquire_depth(scope, POSITIONS[::-1], measure=fails)
+    assert run.reason == "all positions were visited; RuntimeError: no more"
+    assert isinstance(run.error, RuntimeError)
+    assert (run.complete, run.still, run.result) == (False, True, None)
+    np.testing.assert_array_equal(run.positions, POSITIONS[::-1])
+    assert same_pictures(run, scope)
+    # They make the depth that a whole run would have made.
+    whole = acquire_depth(scope, POSITIONS[::-1])
+    again = depth_from_focus(run.images, run.positions)
+    np.testing.assert_array_equal(again.depth, whole.result.depth)
+    assert same_pictures(whole, scope)
+    for options in ({}, {"coarse": 3}):
+        run = acquire_depth(scope, POSITIONS, region=(1, 2, 23, 23), **options)
+        assert run.reason.startswith("ValueError: region must lie in the image of 24×24 px, got")
+        assert (run.frames, run.positions.tolist(), run.complete) == (1, [0.0], False)
+        assert same_pictures(run, scope)
+
+
+@pytest.mark.parametrize("after", [4, 9])
+def test_a_coarse_look_that_fails_gives_what_it_took(after):
+    """Before it has an end, and while the positions between are taken."""
+    scope = Scope(lambda z: 1.0 if 85 < z < 95 else 0.02)
+    move = scope.focus.move_to
+
+    def stuck(place):
+        if len(scope.visited) == after:
+            raise OSError("no power")
+        move(place)
+
+    scope.focus.move_to = stuck
+    run = acquire_depth(scope, POSITIONS, coarse=3)
+    assert "no power" in run.reason
+    assert run.frames == after
+    assert run.positions.tolist() == sorted(scope.visited)
+    assert same_pictures(run, scope)
+
+
+def test_ctrl_c_while_the_depth_is_found_keeps_the_pictures():
+    def stopped(image):
+        stopped.calls += 1
+        if stopped.calls > 4:
+            raise KeyboardInterrupt
+        return np.abs(image).astype(np.float32)
+
+    stopped.calls = 0
+    scope = Scope(lambda z: 1.0)
+    with pytest.raises(KeyboardInterrupt) as error:
+        acquire_depth(scope, POSITIONS[:4], measure=stopped)
+    np.testing.assert_array_equal(error.value.run.positions, POSITIONS[:4])
+    assert same_pictures(error.value.run, scope)
 
 
 def test_a_fault_of_progress_is_the_reason_and_ends_the_scan():
