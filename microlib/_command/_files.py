@@ -15,22 +15,11 @@ class Unfinished(Exception):
     """What is written is a part, or worth little: the exit status, and what is said of it."""
 
 
-def add_output(parser: argparse.ArgumentParser, *, table: bool = False) -> None:
-    """Add the option that names the folder of the results, or their one table."""
-
-    def csv(text: str) -> Path:
-        if Path(text).suffix.lower() != ".csv":
-            raise argparse.ArgumentTypeError(f"must be a table that ends in .csv, got {text}")
-        return Path(text)
-
-    parser.add_argument(
-        "-o",
-        "--out",
-        required=True,
-        type=csv if table else Path,
-        metavar="OUT",
-        help="CSV file to write" if table else "folder for the results",
-    )
+def csv_file(text: str) -> Path:
+    """Return a path, if it is that of a table, as argparse asks for it."""
+    if not text.lower().endswith(".csv"):
+        raise argparse.ArgumentTypeError(f"must be a table that ends in .csv, got {text}")
+    return Path(text)
 
 
 def beside(table: Path, ending: str) -> Path:
@@ -43,8 +32,6 @@ def refuse_targets(a: argparse.Namespace, files: Sequence[Path]) -> None:
     there = [file for file in files if file.exists()]
     if there and not a.overwrite:
         raise ValueError(f"{there[0]} is there already: give another --out, or --overwrite")
-    if there and there[0].is_dir():
-        raise ValueError(f"--out must be a file, got the folder {there[0]}")
     nearest = next(place for place in files[0].absolute().parents if place.exists())
     try:
         tempfile.TemporaryFile(dir=nearest).close()
@@ -57,7 +44,7 @@ def write(path: Path, content: Any) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     if hasattr(content, "savefig"):
         replace_file(path, lambda file: content.savefig(file, dpi=150))
-        return
-    if not isinstance(content, str):
-        content = content.to_csv(lineterminator="\n", index=content.index.name is not None)
-    replace_file(path, lambda file: file.write_text(content, encoding="utf-8"))
+    else:
+        if not isinstance(content, str):
+            content = content.to_csv(lineterminator="\n", index=content.index.name is not None)
+        replace_file(path, lambda file: file.write_text(content, encoding="utf-8"))

@@ -7,11 +7,13 @@ import re
 import sys
 import warnings
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NoReturn
 
 import microlib
 from microlib._command import _calibrate, _depth, _modulus, _track
-from microlib._command._files import Unfinished
+from microlib._command._files import Unfinished, csv_file
+from microlib._command._scales import option
 
 
 class _Parser(argparse.ArgumentParser):
@@ -25,39 +27,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit status, as its help lists them."""
     a = _parser().parse_args(arguments)
     a.say = (lambda *_: None) if a.quiet else print
-    # A bar is shown in a terminal only.
-    a.bar = {"disable": True if a.quiet else None, "leave": False}
+    # Shown in a terminal only.
+    a.bar = {"desc": a.task, "leave": False, "disable": a.quiet or None}
     notes: dict[str, None] = {}  # each once, in their order
-
-    def fail(text: object) -> None:
-        print(f"microlib {a.task}: {_in_options(a, str(text))}", file=sys.stderr)
-
     with warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)
-        warnings.showwarning = lambda message, *_: notes.setdefault(_in_options(a, str(message)))
+        warnings.showwarning = lambda message, *_: notes.setdefault(f"note: {message}")
         try:
-            status: int = a.run(a) or 0
+            a.run(a)
+            status, text = 0, ""
         except (OSError, ValueError, ImportError) as error:
-            status, file = 2, getattr(error, "filename", None)
-            if getattr(error, "name", None) == "cv2":
-                fail("OpenCV 4.10 or newer is needed: pip install opencv-python-headless")
-            else:
-                fail(f"{file}: {error.args[1]}" if file else error)
+            status, text, notes = 2, str(error), {}
+            if isinstance(error, OSError) and error.filename:
+                text = f"{error.filename}: {error.args[1]}"
+            elif getattr(error, "name", None) == "cv2":
+                text = "OpenCV 4.10 or newer is needed: pip install opencv-python-headless"
         except Unfinished as end:
             status, text = end.args
-            fail(text)
         except KeyboardInterrupt:
-            status = 130
-            fail("stopped")
-    for note in notes if status != 2 else ():  # last, where they are read
-        print(f"note: {note}", file=sys.stderr)
+            status, text = 130, "stopped"
+    if status:
+        notes[f"microlib {a.task}: {text}"] = None
+    for note in notes:  # last, where they are read
+        print(_in_options(a, note), file=sys.stderr)
     return status
 
 
 def _in_options(a: argparse.Namespace, text: str) -> str:
     """Return a message of the library with the command's options for the library's arguments."""
-    options = {name: f"--{name.replace('_', '-')}" for name in vars(a)}
-    words = options | {name: str(getattr(a, of, of)) for name, of in a.words.items()}
+    words = {name: option(name) for name in vars(a)}
+    words |= {name: str(getattr(a, of, of)) for name, of in a.words.items()}
     text = re.sub(r"\w+(?= (?:must|cannot|could) )", lambda m: words.get(m[0], m[0]), text)
     return " ".join(text.split())
 
@@ -74,13 +73,15 @@ def _parser() -> argparse.ArgumentParser:
     for task in (_depth, _calibrate, _track, _modulus):
         name, about = task.__name__.rpartition("_")[2], task.run.__doc__
         sub = tasks.add_parser(name, help=about, description=about)
-        sub.set_defaults(run=task.run)
         task.add_options(sub)
-        # What presses an embryo has its name from before.
-        force = [] if task is _modulus else ["--force"]
-        sub.add_argument(
-            "--overwrite", *force, action="store_true", help="write over files that are there"
-        )
+        sub.set_defaults(run=task.run)
+        table = sub.get_default("table")
+        out = "CSV file to write" if table else "folder for the results"
+        kind = csv_file if table else Path
+        sub.add_argument("-o", "--out", required=True, type=kind, metavar="OUT", help=out)
+        # What presses an embryo has had the name of the second for longer.
+        overwrite = ["--overwrite", *([] if task is _modulus else ["--force"])]
+        sub.add_argument(*overwrite, action="store_true", help="write over files that are there")
         sub.add_argument("--no-look", action="store_true", help="no picture of the result")
         sub.add_argument("--quiet", action="store_true", help="print errors and notes only")
     return parser

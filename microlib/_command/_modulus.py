@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import io
 import re
 import warnings
 from pathlib import Path
 
 import numpy as np
 
-from microlib._command._files import add_output, beside, refuse_targets, write
+from microlib._command._files import beside, refuse_targets, write
 from microlib._command._scales import add_scales, settle
 from microlib._common import Array
 
@@ -19,19 +18,14 @@ _SPANS = (0.15, 0.25, 0.35)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = (
-        "Example: microlib modulus outline.csv --force 150 --pixel-size 3.9 --thickness 3 "
-        "--probe-half-width 25 --poisson 0.5 -o modulus.csv"
-    )
-    words = {"poisson_ratio": "--poisson", "x": "outline", "y": "outline", "curve": "outline"}
-    parser.set_defaults(words=words)
+    scales = "--force 150 --pixel-size 3.9 --thickness 3 --probe-half-width 25 --poisson 0.5"
+    parser.epilog = f"Example: microlib modulus outline.csv {scales} -o modulus.csv"
+    words = {"poisson_ratio": "--poisson", "x": "source", "y": "source", "curve": "source"}
+    parser.set_defaults(table=True, words=words)
     outline = "CSV file with columns x, y in px, or with two columns"
-    parser.add_argument("outline", metavar="OUTLINE", help=outline)
-    add_output(parser, table=True)
+    parser.add_argument("source", metavar="OUTLINE", help=outline)
     add_scales(parser, "force", "force_std", "pixel_size", "thickness", "thickness_std")
-    add_scales(parser, "probe_half_width")
-    ratio = "Poisson's ratio; 0.5 of a membrane that keeps its volume"
-    parser.add_argument("--poisson", type=float, metavar="RATIO", help=ratio)
+    add_scales(parser, "probe_half_width", "poisson")
     parser.add_argument("--y-down", action="store_true", help="y runs down, as an image's rows do")
 
 
@@ -40,11 +34,9 @@ def run(a: argparse.Namespace) -> None:
     from microlib._plots import outline
     from microlib.embryo import dimple_geometry, fit_gaussians, loess
 
-    x, y = _outline(a.outline, a.y_down)
-    asked = ("force", "pixel_size", "thickness", "probe_half_width", "poisson")
-    values = settle(a.outline, {name: getattr(a, name) for name in asked}, {}, a.say)
-    size = values.pop("pixel_size")
-    values["poisson_ratio"] = values.pop("poisson")
+    x, y = _outline(a.source, a.y_down)
+    values = settle(a, "force", "pixel_size", "thickness", "probe_half_width", "poisson")
+    size, values["poisson_ratio"] = values.pop("pixel_size"), values.pop("poisson")
     look = beside(a.out, "_look.png")
     refuse_targets(a, [a.out, *([] if a.no_look else [look])])
     stds = {"force": a.force_std or 0.0, "thickness": a.thickness_std or 0.0}
@@ -57,19 +49,11 @@ def run(a: argparse.Namespace) -> None:
         sizes = np.array([(dimple.dimple_radius, dimple.dimple_depth) for dimple in each])
         # What the smoothing decides, and the noise of the points.
         spread = np.sqrt(sizes.var(axis=0, ddof=1) + np.diag(each[1].covariance))
-        found = _estimate(values, stds, sizes[1].tolist(), spread.tolist())
+        told, found = _estimate(values, stds, sizes[1].tolist(), spread.tolist())
         result |= {prefix + name: value for name, value in found.items()}
-        low, high = found["modulus_low95_MPa"], found["modulus_high95_MPa"]
-        told = (
-            f"{rim} rim{', as in the thesis' * (rim == 'left')}: "
-            f"E = {found['modulus_MPa']:.4g} MPa, 95 % between {low:.4g} and {high:.4g} MPa\n"
-            f"a = {sizes[1, 0]:.1f} ± {spread[0]:.1f} µm, w_d = {sizes[1, 1]:.1f} ± "
-            f"{spread[1]:.1f} µm"
-        )
-        a.say(told)
-        titles.append(told)
         points |= {f"{rim} rim": each[1].rim, "bottom": each[1].bottom}
-    result |= values | {f"{name}_std": value for name, value in stds.items()}
+        titles.append(f"{rim} rim{', as in the thesis' * (rim == 'left')}: {told}")
+        a.say(titles[-1])
     write(a.out, "quantity,value\n" + "".join(f"{k},{v:.10g}\n" for k, v in result.items()))
     if not a.no_look:
         write(look, outline(x, y, curves[1], points, "\n".join(titles)))
@@ -78,26 +62,25 @@ def run(a: argparse.Namespace) -> None:
 
 def _estimate(
     values: dict[str, float], stds: dict[str, float], sizes: list[float], spread: list[float]
-) -> dict[str, float]:
-    """Return the modulus of a dimple of such radius and depth, with its interval."""
+) -> tuple[str, dict[str, float]]:
+    """Return the modulus of a dimple of such radius and depth, in words and in numbers."""
     from microlib import membrane
 
-    dimple = dict(zip(("dimple_radius", "dimple_depth"), sizes, strict=True))
-    uncertain = dict(zip(dimple, spread, strict=True))
-    modulus = float(membrane.elastic_modulus(**values, **dimple))
+    values = values | dict(zip(("dimple_radius", "dimple_depth"), sizes, strict=True))
+    stds = stds | dict(zip(("dimple_radius", "dimple_depth"), spread, strict=True))
+    modulus = float(membrane.elastic_modulus(**values))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", membrane.SmallSlopeWarning)  # told once, above
-        samples = membrane.modulus_samples(values | dimple, stds | uncertain, size=100_000, rng=1)
-        finite = float(membrane.finite_slope_modulus(**values, **dimple))
+        samples = membrane.modulus_samples(values, stds, size=100_000, rng=1)
+        finite = float(membrane.finite_slope_modulus(**values))
     low, high = np.quantile(samples, [0.025, 0.975]).tolist()
-    return {
-        "modulus_MPa": modulus,
-        "finite_slope_modulus_MPa": finite,
-        "modulus_low95_MPa": low,
-        "modulus_high95_MPa": high,
-        **dimple,
-        **{f"{name}_std": std for name, std in uncertain.items()},
-    }
+    told = (
+        f"E = {modulus:.4g} MPa, 95 % between {low:.4g} and {high:.4g} MPa\n"
+        f"a = {sizes[0]:.1f} ± {spread[0]:.1f} µm, w_d = {sizes[1]:.1f} ± {spread[1]:.1f} µm"
+    )
+    found = {"modulus_MPa": modulus, "finite_slope_modulus_MPa": finite}
+    found |= {"modulus_low95_MPa": low, "modulus_high95_MPa": high} | values
+    return told, found | {f"{name}_std": std for name, std in stds.items()}
 
 
 def _outline(path: str, y_down: bool) -> tuple[Array, Array]:
@@ -135,26 +118,17 @@ def _inside(rims: tuple[int, int], y: Array) -> bool:
 def _points(path: str) -> tuple[Array, Array]:
     """Read two columns of numbers: comma, semicolon, tab or spaces between; decimal point or comma;
     a line of names, among them x and y in any case, or none."""
-    import pandas as pd
-
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-        head = text.strip().partition("\n")[0]
-        between = next((mark for mark in ";\t," if mark in head), r"\s+")
-        named = re.search("[a-df-z]", head, re.IGNORECASE)  # an e is in numbers, too
-        table = pd.read_csv(
-            io.StringIO(text),
-            sep=between,
-            decimal="," if between != "," and "," in text and "." not in text else ".",
-            header=0 if named else None,
-            skipinitialspace=True,
-        )
-        table.columns = [str(name).strip().lower() for name in table.columns]
-        table = (table[["x", "y"]] if named else table.iloc[:, :2]).astype(np.float64)
-        x, y = table.sort_values(table.columns[0], kind="stable").to_numpy().T
-        if not len(x):
-            raise ValueError("no point")
-    except (KeyError, ValueError) as error:
+        lines = Path(path).read_text(encoding="utf-8-sig").strip().splitlines()
+        if re.search("[;\t]", lines[0]):
+            lines = [line.replace(",", ".") for line in lines]
+        rows = [re.split(r"[;,\s]\s*", line) for line in lines]
+        names = [name.strip('"').lower() for name in rows[0]]
+        named = "x" in names and "y" in names
+        at = (names.index("x"), names.index("y")) if named else (0, 1)
+        points = [(float(row[at[0]]), float(row[at[1]])) for row in rows[named:]]
+        x, y = np.array(sorted(points, key=lambda point: point[0])).T
+    except (LookupError, ValueError) as error:
         raise ValueError(
             f"{path} must be a table of numbers in columns x and y, with comma, semicolon or tab "
             "between"

@@ -5,14 +5,16 @@ from __future__ import annotations
 import argparse
 import re
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+
+from microlib._common import scalar
 
 #: What stands before the unit that the library computes in, and what it comes to there.
 _PREFIXES = {"n": 1e-3, "u": 1.0, "µ": 1.0, "μ": 1.0, "m": 1e3, "c": 1e4, "": 1e6}
 
 #: Unit of each scale, what it is, and from where to where microscopy meets it.
 _SCALES = {
-    "spacing": ("µm", "between frames, if the file does not say", 0.01, 1e4),
+    "spacing": ("µm", "between frames, if the file does not say", -1e4, 1e4),
     "pixel_size": ("µm", "per pixel in the object plane, if the file does not say", 0.02, 100),
     "pitch": ("µm", "between the middles of neighboring marks, or side of a field", 0.5, 1e5),
     "cell": ("µm", "size of a cell of the camera's sensor", 0.5, 100),
@@ -22,62 +24,46 @@ _SCALES = {
     "thickness": ("µm", "of the membrane", 0.005, 1e3),
     "thickness_std": ("µm", "standard deviation of the thickness, 0", 0, 1e3),
     "probe_half_width": ("µm", "of its end", 0.05, 1e4),
-    "poisson": ("ratio", "of the membrane", -1, 0.5),
+    "poisson": ("ratio", "of the membrane; 0.5 if it keeps its volume", -1, 0.5),
 }
+
+
+def option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def add_scales(parser: argparse.ArgumentParser, *names: str) -> None:
     """Add an option for each of these scales."""
     for name in names:
         unit, about = _SCALES[name][:2]
-        option = f"--{name.replace('_', '-')}"
-        parser.add_argument(option, type=_quantity(unit), metavar=unit, help=about)
+        parser.add_argument(option(name), type=_quantity(unit), metavar=unit, help=about)
 
 
 def _quantity(unit: str) -> Callable[[str], float]:
     """Return what reads a number, with or without a unit of its own, in `unit`."""
 
     def read(text: str) -> float:
-        found = re.fullmatch(rf"(.*?)\s*(?:([nuµμmc]?){unit[1:]}(?:/px)?)?", text.strip())
-        try:
-            number = float(found[1].replace(",", ".")) if found else float("nan")
-        except ValueError:
-            number = float("nan")
-        if found is None or not abs(number) < float("inf"):
-            raise argparse.ArgumentTypeError(
-                f"must be a number in {unit}, or with its unit, as 0.2m{unit[1:]}, got {text!r}"
-            )
-        return number if found[2] is None else number * _PREFIXES[found[2]]
+        own = re.search(rf"\s*([nuµμmc]?){unit[1:]}(/px)?$", text)
+        number = float(text[: own.start() if own else None].replace(",", "."))
+        return number * _PREFIXES[own[1]] if own else number
 
+    read.__name__ = f"number in {unit}"  # as argparse calls it
     return read
 
 
-def settle(
-    path: object,
-    given: Mapping[str, float | None],
-    told: Mapping[str, float | None],
-    say: Callable[[str], object],
-) -> dict[str, float]:
-    """Return each scale, as given or told by the file, and say which; ask for the missing.
-
-    One that is not positive is refused, one that microscopy does not meet is noted.
-    """
-    values = {name: told.get(name) if value is None else value for name, value in given.items()}
-    options = {name: f"--{name.replace('_', '-')}" for name in values}
-    missing = [f"{options[name]} {_SCALES[name][0]}" for name in values if values[name] is None]
+def settle(a: argparse.Namespace, *names: str, **told: float | None) -> dict[str, float]:
+    """Return each scale, as given or told by the file, and say which; ask for the missing."""
+    values = {name: getattr(a, name) for name in names}
+    values = {name: told.get(name) if value is None else value for name, value in values.items()}
+    missing = [f"{option(name)} {_SCALES[name][0]}" for name in names if values[name] is None]
     if missing:
-        raise ValueError(f"{path} does not tell its scale: give {', '.join(missing)}")
-    settled = {name: float(value) for name, value in values.items() if value is not None}
-    for name, value in settled.items():
+        raise ValueError(f"{a.source} does not tell its scale: give {', '.join(missing)}")
+    for name, value in values.items():
         unit, _, low, high = _SCALES[name]
-        if value <= 0 and name != "poisson" and not (name == "spacing" and value < 0):
-            raise ValueError(f"{options[name]} must be positive, in {unit}, got {value:g}")
-        say(f"{name} {value:g} {unit} ({'the file' if given[name] is None else 'given'})")
-        if not low <= abs(value) <= high:
-            warnings.warn(
-                f"{options[name]} {value:g} {unit} is unusual under a microscope, which meets "
-                f"{low:g} to {high:g} {unit}: is it in another unit? 0.2m{unit[1:]} may be given "
-                "with it",
-                stacklevel=2,
-            )
-    return settled
+        scalar(name, value, above=0 if low > 0 else None)
+        a.say(f"{name} {value:g} {unit} ({'the file' if getattr(a, name) is None else 'given'})")
+        if not low <= value <= high:
+            usual = f"{low:g} to {high:g} {unit}"
+            text = f"{option(name)} {value:g} is unusual under a microscope, which meets {usual}"
+            warnings.warn(f"{text}; a number may have its unit, as 0.2mm", stacklevel=2)
+    return values
