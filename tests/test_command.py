@@ -221,7 +221,10 @@ def test_a_stopped_track_keeps_its_rows(tmp_path: Path, end: signal.Signals) -> 
         tmp_path / "long.tif", np.tile(tifffile.imread(INPUTS / "frames.tif"), (40, 1, 1))
     )
     line = f"track {tmp_path / 'long.tif'} {BOX} --quiet --no-look -o {out}"
-    command = [sys.executable, "-m", "microlib", *line.split()]
+    # Whoever runs the tests in the background has Ctrl-C ignored.
+    code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    code += "from microlib._command import main; sys.exit(main())"
+    command = [sys.executable, "-c", code, *line.split()]
     with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, encoding="utf-8") as process:
         while not out.exists() or out.read_text().count("\n") < 6:
             assert process.poll() is None

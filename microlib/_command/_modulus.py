@@ -122,7 +122,7 @@ def _points(path: str) -> tuple[Array, Array]:
         lines = Path(path).read_text(encoding="utf-8-sig").strip().splitlines()
         if re.search("[;\t]", lines[0]):
             lines = [line.replace(",", ".") for line in lines]
-        rows = [re.split(r"[;,\s]\s*", line) for line in lines]
+        rows = [re.split(r"[;,\s]\s*", line.strip(" ")) for line in lines]
         names = [name.strip('"').lower() for name in rows[0]]
         named = "x" in names and "y" in names
         at = (names.index("x"), names.index("y")) if named else (0, 1)
