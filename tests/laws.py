@@ -122,6 +122,8 @@ def hold(name: str, law: Law | str) -> None:
     first = invoke(name, law, given)
     found = [*_differences("", first, first, law, law.gives, {})]
     assert not found, f"{name}: {'; '.join(found[:8])}"
+    unused = {unit for unit in ("um", "s", "uN") if unit in _words(law.gives)} - plain.used
+    assert not unused, f"{name}: the arguments do not use {unused}, which the results have"
     calls = {"called again": (given, {})} if law.again else {}
     factors = {unit: FACTORS[unit] for unit in plain.used & FACTORS.keys() - set(law.fixed)}
     if factors:
@@ -132,8 +134,6 @@ def hold(name: str, law: Law | str) -> None:
     for how, (arguments, changes) in calls.items():
         found = [*_differences("", first, invoke(name, law, arguments), law, law.gives, changes)]
         assert not found, f"{name} {how}: {'; '.join(found[:8])}"
-    unused = {unit for unit in ("um", "s", "uN") if unit in _words(law.gives)} - plain.used
-    assert not unused, f"{name}: the arguments do not use {unused}, which the results have"
 
 
 def _words(gives: Any) -> set[str]:
@@ -184,20 +184,31 @@ def _differences(
         for k, (one, other, own) in enumerate(zip(value, got, unit, strict=True)):
             yield from _differences(f"{path}[{k}]", one, other, law, own, changes)
     elif unit == "=" or unit is None or value is None:
-        if not _alike(value, got):
+        if not alike(value, got):
             yield f"{path} is {got!r:.60} instead of {value!r:.60}"
     else:
         yield from _number(path, value, got, law, *_value(unit, changes))
 
 
-def _alike(value: Any, got: Any) -> bool:
-    """Return whether objects hold the same, NaN being NaN."""
-    if np.array_equal(value, got):
-        return True
-    try:
-        return bool(np.array_equal(value, got, equal_nan=True))
-    except TypeError:  # texts, and objects, of which the numbers are compared
-        return not isinstance(value, str) and fuzz.same(value, got)
+def alike(value: Any, got: Any) -> bool:
+    """Return whether two values are of one kind and hold the same, NaN being NaN, to rounding."""
+    if isinstance(value, (list, tuple, dict, pd.DataFrame)) or dataclasses.is_dataclass(value):
+        parts = [_parts(v) for v in (value, got)]
+        return parts[0].keys() == parts[1].keys() and all(
+            alike(part, parts[1][name]) for name, part in parts[0].items()
+        )
+    one, other = np.asarray(value), np.asarray(got)
+    if one.dtype.kind in "fc":
+        return one.shape == other.shape and np.allclose(one, other, 1e-9, 1e-12, equal_nan=True)
+    if one.dtype.kind == "O" and type(value).__eq__ is object.__eq__:
+        return type(value) is type(got)
+    return np.array_equal(one, other)
+
+
+def _parts(value: Any) -> dict[Any, Any]:
+    if isinstance(value, (list, tuple)):
+        return dict(enumerate(value))
+    return {n: value[n] if hasattr(value, "keys") else getattr(value, n) for n in held(value)}
 
 
 def _number(path: str, value: Any, got: Any, law: Law, factor: Any, shift: Any) -> Iterator[str]:
@@ -335,7 +346,7 @@ def hold_same_as_new(
         with contextlib.suppress(ValueError):
             step(used)
     for got in (use(make()), use(used)):
-        assert fuzz.alike(wanted, got), f"{got!r:.300} instead of {wanted!r:.300}"
+        assert alike(wanted, got), f"{got!r:.300} instead of {wanted!r:.300}"
 
 
 def in_world(layer: tuple[Any, dict[str, Any], str], points: ArrayLike) -> NDArray:
