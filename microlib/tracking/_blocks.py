@@ -1,4 +1,7 @@
-"""The template's parts: do they agree about a pose, and what do they say together?"""
+"""The template's parts: do they agree about a pose, and what do they say together?
+
+A block is a rectangle of 2×2 cells and overlaps its neighbors by half.
+"""
 
 from __future__ import annotations
 
@@ -8,34 +11,27 @@ from functools import lru_cache
 import numpy as np
 
 from microlib._common import Array, Image
-
-# What parts of the tracker are worth is in its benchmark on photographs, table "Variants".
-
-#: Cells along each side of a template, and the least px of one; a block is 2×2 cells and overlaps
-#: its neighbors by half.
-_CELLS, _LEAST_CELL = 9, 4
+from microlib.tracking._geometry import TINY
 
 #: Information (nats) that chance gives a block that shows something else.
 _CHANCE = 0.25
 
-#: Residual, in standard deviations of the noise, that halves a block's say.
-_ODD = 3.0
-
-#: Residual variance, in that of the noise and in that of the block, up to which a block agrees.
-_AGREEING, _RELATIVE = 3.0, 0.02
+#: Largest correlation of a block, squared: what interpolation leaves of 1.
+_LARGEST_SQUARE = 0.9999
 
 #: Largest say of one block in the share of blocks that agree: its variance over that of the noise.
 _LARGEST_SAY = 50.0
 
+#: Share of a block's variance that its residual may have though the block agrees.
+_INTERPOLATED = 0.02
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Agreement:
-    """What the blocks of the template say of a pose.
+    """How far the blocks of the template agree about a pose.
 
     Attributes
     ----------
-    score : float
-        Information (nats) in which template and image agree, summed over the blocks.
     agreeing : float
         Share of the blocks, weighted by their texture over the noise, whose residual is noise.
     texture : float
@@ -45,54 +41,98 @@ class Agreement:
         of all, grey levels.
     """
 
-    score: float
     agreeing: float
     texture: float
     drift: float
 
 
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Means and (co)variances of template t and image g in K blocks of one or more patches, …×K.
+
+    `count` is the number of pixels that count, `seen` that number over the largest of them, `rest`
+    the variance of the image that is not linear in the template, and `noise` the variance of the
+    difference of two images of the same.
+    """
+
+    count: Array
+    seen: Array
+    t: Array
+    g: Array
+    tt: Array
+    gg: Array
+    tg: Array
+    square: Array
+    noise: float
+
+    @property
+    def rest(self) -> Array:
+        return self.gg * (1 - self.square)
+
+    def score(self) -> Array:
+        """Return the information (nats) in which template and image agree, summed over the blocks.
+
+        A block with the correlation ρ and the gain a says −½ ln(1 − ρ²) − ¼ − (Δ ln a)², if that is
+        positive, and less if its residual exceeds the noise; Δ is to the middle of all blocks.
+        """
+        information = -0.5 * np.log1p(-self.square)
+        gain = np.log(np.clip(self.tg / self.tt, 1 / 100, 100))
+        weight = np.where(information > _CHANCE, information * self.seen, 0.0)
+        off = gain - _weighted_median(gain, weight)
+        says = np.maximum(information - _CHANCE - off**2, 0)
+        return (says * self.seen / (1 + self.rest / self.noise / 3**2)).sum(axis=-1)
+
+    def agreement(self) -> Agreement:
+        """Return how far the blocks of one patch agree."""
+        say = np.clip(self.gg / self.noise - 1, 0, _LARGEST_SAY) * self.seen
+        texture = say.sum()
+        weight = say / max(texture, TINY)
+        fine = self.rest <= 3 * self.noise + _INTERPOLATED * self.gg
+        # About the one gain and bias of all blocks together.
+        share = self.count / max(self.count.sum(), TINY)
+        t, g = self.t - share @ self.t, self.g - share @ self.g
+        slope = share @ (self.tg + t * g) / max(share @ (self.tt + t * t), TINY)
+        off = np.where(self.count > 0, g - slope * t, 0.0)
+        return Agreement(float(weight @ fine), float(texture), float(np.sqrt(weight @ off**2)))
+
+
+def compare(grey: Image, template: Image, share: Image, noise: float) -> Blocks:
+    """Compare template and image block by block; of several images, …×H×W, each by itself.
+
+    `share` says how far each pixel counts, and `noise` is its standard deviation.
+    """
+    template = np.broadcast_to(template, grey.shape)
+    wt, wg = share * template, share * grey
+    products = np.stack([share, wt, wg, wt * template, wg * grey, wt * grey]).astype(np.float64)
+    sums = _members(grey.shape[-2]) @ products @ _members(grey.shape[-1]).T
+    sums = sums.reshape(*sums.shape[:-2], -1)
+    count = sums[0]
+    t, g, tt, gg, tg = sums[1:] / np.maximum(count, TINY)
+    tt, gg, tg = np.maximum(tt - t * t, TINY), np.maximum(gg - g * g, TINY), tg - t * g
+    return Blocks(
+        count=count,
+        seen=count / np.maximum(count.max(axis=-1, keepdims=True), TINY),
+        t=t,
+        g=g,
+        tt=tt,
+        gg=gg,
+        tg=tg,
+        square=np.where(tg > 0, np.minimum(tg * tg / (tt * gg), _LARGEST_SQUARE), 0.0),
+        noise=2.0 * noise**2,
+    )
+
+
 @lru_cache(maxsize=64)
 def _members(length: int) -> Array:
-    """Return the matrix, blocks×length, that sums each block of a side."""
-    cells = min(_CELLS, max(2, length // _LEAST_CELL))
-    ends = np.rint(np.linspace(0, length, cells + 1))
+    """Return the matrix, blocks×length, that sums each block of a side: 8, or of 8 px at least."""
+    ends = np.rint(np.linspace(0, length, min(8, max(1, length // 4 - 1)) + 2))
     at = np.arange(length)
     return ((at >= ends[:-2, None]) & (at < ends[2:, None])).astype(np.float64)
 
 
-def agreement(grey: Image, template: Image, share: Image, noise: float) -> Agreement:
-    """Compare template and image block by block; of several images, …×H×W, each by itself."""
-    template = np.broadcast_to(template, grey.shape)
-    wt, wg = share * template, share * grey
-    each = np.stack([share, wt, wg, wt * template, wg * grey, wt * grey]).astype(np.float64)
-    sums = _members(grey.shape[-2]) @ each @ _members(grey.shape[-1]).T
-    sums = sums.reshape(*sums.shape[:-2], -1)
-    expected = 2.0 * noise**2
-    count = np.maximum(sums[0], 1e-9)
-    seen = sums[0] / np.maximum(sums[0].max(axis=-1, keepdims=True), 1e-9)
-    t, g, tt, gg, tg = sums[1:] / count
-    tt, gg, tg = np.maximum(tt - t * t, 1e-9), np.maximum(gg - g * g, 1e-9), tg - t * g
-    square = np.where(tg > 0, np.minimum(tg * tg / (tt * gg), 0.9999), 0.0)
-    residual, information = gg * (1 - square), -0.5 * np.log1p(-square)
-    gain = np.log(np.clip(tg / tt, 1e-2, 1e2))
-    weight = np.where(information > _CHANCE, information * seen, 0.0)
-    order = np.argsort(gain, axis=-1)
-    total = np.cumsum(np.take_along_axis(weight, order, -1), axis=-1)
+def _weighted_median(values: Array, weights: Array) -> Array:
+    """Return the weighted median along the last axis, which stays with a length of 1."""
+    order = np.argsort(values, axis=-1)
+    total = np.cumsum(np.take_along_axis(weights, order, -1), axis=-1)
     half = (total < total[..., -1:] / 2).sum(axis=-1, keepdims=True)
-    middle = np.take_along_axis(np.take_along_axis(gain, order, -1), half, -1)
-    says = np.maximum(information - _CHANCE - (gain - middle) ** 2, 0)
-    say = np.clip(gg / expected - 1, 0, _LARGEST_SAY) * seen
-    texture = say.sum(axis=-1)
-    least = np.maximum(texture, 1e-9)
-    fine = residual <= _AGREEING * expected + _RELATIVE * gg
-    # About the one gain and bias of all blocks together.
-    n, st, sg, stt, _, stg = sums.sum(axis=-1, keepdims=True)
-    n = np.maximum(n, 1e-9)
-    slope = (stg - st * sg / n) / np.maximum(stt - st * st / n, 1e-9)
-    off = np.where(sums[0] > 0, g - sg / n - slope * (t - st / n), 0.0)
-    return Agreement(
-        score=(says * seen / (1 + residual / expected / _ODD**2)).sum(axis=-1),
-        agreeing=(say * fine).sum(axis=-1) / least,
-        texture=texture,
-        drift=np.sqrt((say * off**2).sum(axis=-1) / least),
-    )
+    return np.take_along_axis(np.take_along_axis(values, order, -1), half, -1)

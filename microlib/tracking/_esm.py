@@ -7,30 +7,20 @@ convergence at the price of a first-order one (Malis 2004, Benhimane and Malis 2
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from microlib._common import Array, Image
-from microlib.tracking._geometry import GENERATORS, apply_homography, moved, torn
+from microlib.tracking._geometry import GENERATORS, TINY, apply_homography, moved, torn
 from microlib.tracking._sampling import cut_out, kept_noise, padding
-
-#: Relative damping of the normal equations: far below any information in an image, it keeps a
-#: direction that the image does not determine (an aperture problem) at rest instead of dividing by
-#: rounding errors. The same success from 0 to 10⁻⁶.
-_DAMPING = 1e-9
-
-#: Ratio of the norms of two columns of the design at which the smaller one counts as absent. The
-#: same results at 10⁻⁹; at 10⁻³ the bias, whose column is the smallest, is taken for absent.
-_VANISHING = 1e-6
-
-#: A motion parameter that steps further, in half template sizes, has left the template. A guard
-#: that keeps the exponential finite: the same results at 1, at 16, and without it.
-_LARGEST_STEP = 4.0
 
 #: Least share of the template's pixels that must lie inside the image for it to be in view. Where
 #: the template stays inside, nothing depends on it.
 _LEAST_VISIBLE = 0.25
+
+#: Most steps of a level: a converging one takes 1 to 6.
+_MOST_STEPS = 8
 
 
 def _nothing() -> Image:
@@ -115,6 +105,11 @@ class Level:
     noise: float
 
     @cached_property
+    def centered(self) -> Image:
+        """The grey values about their mean."""
+        return (self.grey - np.float32(self.mean)).ravel()
+
+    @cached_property
     def fineness(self) -> Array:
         """Mean square frequency of the template along x and y, (rad/px)²."""
         across, down = self.slope.reshape(2, *self.grey.shape).astype(np.float64)
@@ -140,62 +135,85 @@ class Level:
         return grey, slope, inside.astype(np.float32)
 
     def align(
-        self, image: Image, pose: Array, *, tolerance: float, iterations: int, gain: float = 1.0
+        self,
+        image: Image,
+        pose: Array,
+        *,
+        tolerance: float,
+        iterations: int = _MOST_STEPS,
+        gain: float = 1.0,
     ) -> Alignment:
         """Minimize over warp, gain and bias until the corners move by less than `tolerance` px."""
         n = len(self.basis)
         first = corners = apply_homography(pose, self.corners)
-        template = (self.grey - np.float32(self.mean)).ravel()
-        rows = np.empty((n + 3, template.size), np.float32)
         for count in range(1, iterations + 1):
             grey, slope, share = self.patch(image, pose)
-            visible = float(share.mean())
-            if visible < _LEAST_VISIBLE:
-                return Alignment(pose, failure="out of view", visible=visible, iterations=count)
-            # The products of these rows with themselves are the whole of the normal equations.
-            slope = np.float32(0.5) * (slope + np.float32(gain) * self.slope)
-            np.multiply(self.flow[0], slope[0], out=rows[:n])
-            rows[:n] += self.flow[1] * slope[1]
-            rows[n], rows[n + 1], rows[n + 2] = template, 1.0, grey.ravel() - np.float32(self.mean)
-            rows *= share.ravel()
-            design = rows.astype(np.float64)
-            normal = design @ design.T
-            scale = np.sqrt(np.diag(normal))
-            if scale[:-1].min() <= _VANISHING * scale[:-1].max():
-                return Alignment(pose, failure="singular", visible=visible, iterations=count)
-            scale[-1] = scale[-1] or 1.0  # a frame that is flat at the mean of the template
-            scaled = normal / np.outer(scale, scale)
-            system = scaled[:-1, :-1].copy()
-            system.flat[:: n + 3] += _DAMPING
-            solution = np.linalg.solve(system, scaled[:-1, -1]) * scale[-1] / scale[:-1]
-            step = -solution[:n]
-            after = moved(pose, step, self.basis)
+            failed = partial(Alignment, pose, visible=float(share.mean()), iterations=count)
+            if failed.keywords["visible"] < _LEAST_VISIBLE:
+                return failed(failure="out of view")
+            rows = self._rows(grey, slope, share, gain)
+            normal = rows @ rows.T
+            solution = _solved(normal)
+            if not solution.size:
+                return failed(failure="singular")
+            after = moved(pose, -solution[:n], self.basis)
             before, corners = corners, apply_homography(after, self.corners)
-            if not np.abs(step).max() < _LARGEST_STEP or torn(corners, first):  # also for NaN
-                return Alignment(pose, failure="diverged", visible=visible, iterations=count)
-            pose, gain, bias = after, float(solution[n]), float(solution[n + 1])
+            if torn(corners, first):
+                return failed(failure="diverged")
+            pose, gain = after, float(solution[n])
             if np.abs(corners - before).max() < tolerance:
                 break
         return Alignment(
             pose=pose,
             correlation=_correlation(normal[n:, n:]),
             gain=gain,
-            bias=bias + self.mean * (1.0 - gain),
-            visible=visible,
+            bias=float(solution[n + 1]) + self.mean * (1.0 - gain),
+            visible=failed.keywords["visible"],
             iterations=count,
-            design=design[: n + 2],
+            design=rows[: n + 2],
             grey=grey,
-            residual=(design[n + 2] - gain * design[n] - bias * design[n + 1]).reshape(grey.shape),
+            residual=(rows[n + 2] - solution[n:] @ rows[n : n + 2]).reshape(grey.shape),
             weight=share,
         )
+
+    def _rows(self, grey: Image, slope: Image, share: Image, gain: float) -> Array:
+        """Return the rows of the least squares: for each motion, template, one, and the image.
+
+        Their products with each other are the whole of the normal equations. The slope is the mean
+        of the image's and of the template's, which makes the step one of second order.
+        """
+        n = len(self.basis)
+        rows = np.empty((n + 3, grey.size))
+        slope = slope + np.float32(gain) * self.slope
+        slope *= share.ravel() * np.float32(0.5)
+        np.multiply(self.flow[0], slope[0], out=rows[:n])
+        rows[:n] += self.flow[1] * slope[1]
+        rows[n], rows[n + 1], rows[n + 2] = self.centered, 1.0, grey.ravel()
+        rows[n + 2] -= self.mean
+        rows[n:] *= share.ravel()
+        return rows
+
+
+def _solved(normal: Array) -> Array:
+    """Return the solution of normal equations, whose last row is the right side.
+
+    They are scaled and damped by far less than any information in an image, so that a direction
+    that it does not determine (an aperture problem) stays at rest. Nothing if a column vanishes.
+    """
+    scale = np.sqrt(normal.diagonal())
+    if scale[:-1].min() <= 1e-6 * scale[:-1].max():
+        return np.empty(0)
+    scale[-1] = scale[-1] or 1.0  # a frame that is flat at the mean of the template
+    scaled = normal / (scale[:, None] * scale)
+    system = scaled[:-1, :-1] + TINY * np.eye(len(scale) - 1)
+    return np.linalg.solve(system, scaled[:-1, -1]) * scale[-1] / scale[:-1]
 
 
 def _correlation(normal: Array) -> float:
     """Return the correlation from the products of template, one and image with each other."""
-    template, one, image = range(3)
-    covariance = normal - np.outer(normal[one], normal[one]) / normal[one, one]
-    variances = covariance[template, template] * covariance[image, image]
-    return float(covariance[template, image] / np.sqrt(variances)) if variances > 0 else 0.0
+    (tt, t, tg), (_, one, g), (_, _, gg) = normal
+    variances = (tt - t * t / one) * (gg - g * g / one)
+    return float((tg - t * g / one) / np.sqrt(variances)) if variances > 0 else 0.0
 
 
 def make_level(

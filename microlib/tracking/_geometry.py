@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from microlib._common import Array
 
+_ONE = np.eye(3)
 _E = np.eye(9).reshape(3, 3, 3, 3)
 #: Group of warps to its generators, n×3×3; those of the homographies have no trace.
 GENERATORS: dict[str, Array] = {
@@ -24,12 +25,8 @@ GENERATORS: dict[str, Array] = {
     ),
 }
 
-#: A template whose area changes by more than this factor within one frame is not tracked any more,
-#: nor one that is turned over. A guard: with 16 the results are the same.
-_AREA_FACTOR = 4.0
-
-#: Sum of the sizes of a matrix of motion above which it is none.
-_HUGE = 1e3
+#: Keeps what is empty from dividing by zero.
+TINY = 1e-9
 
 
 def apply_homography(matrix: Array, points: Array) -> Array:
@@ -39,23 +36,23 @@ def apply_homography(matrix: Array, points: Array) -> Array:
 
 
 def moved(warp: Array, step: Array, basis: Array) -> Array:
-    """Return ``warp exp(Σ stepₖ basisₖ)``; a step that is not finite or huge gives zeros.
+    """Return ``warp exp(Σ stepₖ basisₖ)``; a step that is not finite or huge gives NaN.
 
     Several warps, …×3×3, and steps, …×n, are moved at once.
     """
     matrix = np.tensordot(step, basis, 1)
-    size = np.abs(matrix).sum(axis=(-2, -1))
-    good = (size < _HUGE)[..., None, None]  # not for NaN
+    size = np.abs(matrix).max(axis=(-2, -1), keepdims=True)
+    good = size < 100  # not for NaN
     matrix = np.where(good, matrix, 0.0)
-    largest = float(np.max(size, initial=0.0, where=good[..., 0, 0]))
-    halvings = max(0, int(np.ceil(np.log2(max(16 * largest, 1.0)))))
-    matrix, one = matrix / 2.0**halvings, np.eye(3)
-    total = one + matrix / 7
+    largest = float(np.max(size, initial=0.0, where=good))
+    halvings = max(0, int(np.ceil(np.log2(max(4**2 * 3 * largest, 1.0)))))
+    matrix = matrix / 2.0**halvings
+    total = _ONE + matrix / 7
     for order in range(6, 0, -1):  # 16⁻⁸/8! is 10⁻¹⁴
-        total = one + matrix @ total / order
+        total = _ONE + matrix @ total / order
     for _ in range(halvings):
         total = total @ total
-    return np.where(good, warp @ total, 0.0)
+    return np.where(good, warp @ total, np.nan)
 
 
 def shifted(pose: Array, by: Array) -> Array:
@@ -67,14 +64,14 @@ def shifted(pose: Array, by: Array) -> Array:
 
 def area(corners: Array) -> Array:
     """Return the signed area of a quadrilateral, or of several, …×4×2."""
-    a, b = corners[..., 2, :] - corners[..., 0, :], corners[..., 3, :] - corners[..., 1, :]
-    return 0.5 * (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+    (a, b), (c, d) = np.moveaxis(corners[..., 2:, :] - corners[..., :2, :], (-2, -1), (0, 1))
+    return (a * d - b * c) / 2
 
 
 def torn(corners: Array, first: Array) -> NDArray[np.bool_]:
-    """Return whether a warp turned the template over or changed its area too much."""
+    """Return whether a warp turned the template over, or changed its area more than 4-fold."""
     ratio = area(corners) / area(first)
-    return ~((ratio > 1 / _AREA_FACTOR) & (ratio < _AREA_FACTOR))  # also for NaN
+    return ~((ratio > 1 / 4) & (ratio < 4))  # also for NaN
 
 
 def cut_around(image: NDArray, corners: Array, margin: float) -> tuple[NDArray, Array]:

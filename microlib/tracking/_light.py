@@ -12,28 +12,14 @@ import cv2
 import numpy as np
 
 from microlib._common import Array, Image
-from microlib.tracking._blocks import Agreement, agreement
+from microlib.tracking._blocks import Blocks, compare
 from microlib.tracking._esm import Alignment
-from microlib.tracking._geometry import moved, torn
-from microlib.tracking._local import NORMAL, TRUSTED, TUKEY, LocalLevel, tukey
-
-#: Px between the knots of the bias at least, and the most of them along a side. With 3 knots 67 %,
-#: with 5 78 % of the templates behind a glare are found (development pairs).
-_KNOT_DISTANCE, _MOST_KNOTS = 10, 5
+from microlib.tracking._geometry import TINY, moved, torn
+from microlib.tracking._local import SURROUNDINGS, TUKEY, LocalLevel, trusted_scale, tukey
 
 #: Columns whose derivative by the template's grey value is not zero come first; the first is the
 #: template itself.
 _GAINS = 6
-
-#: Relative and absolute ridge of the light: knots that no pixel shows stay as they are.
-_RIDGE, _LEAST_RIDGE = 1e-6, 1e-3
-
-#: Rounds of reweighting before the first step in smooth light.
-_ROUNDS = 5
-
-#: A pixel is hidden where the mean square residual about it, over 1.5 px, exceeds nine times the
-#: noise's and a quarter of the template's variance about it, over 3.5 px.
-_HIDDEN, _HIDDEN_SHARE, _ABOUT, _ABOUT_TEMPLATE = 9.0, 0.25, 1.5, 3.5
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -42,8 +28,8 @@ class LitFit(Alignment):
 
     Attributes
     ----------
-    agreement : Agreement
-        What the blocks say of it, of the template in its light, blur and tone.
+    blocks : Blocks
+        Parts of the image beside those of the template in its light, blur and tone.
     noise : float
         Robust standard deviation of the residual over the noise.
     slope : ndarray, shape (H, W)
@@ -54,11 +40,21 @@ class LitFit(Alignment):
         Pixels whose residual is neither noise nor small beside the template.
     """
 
-    agreement: Agreement
+    blocks: Blocks
     noise: float
     slope: Image
     bend: float
     hidden: Image
+
+
+@dataclass(frozen=True, eq=False)
+class _LitStep:
+    """Derivatives, residuals and weights of a step, and the scale of the residuals."""
+
+    design: Image
+    residual: Image
+    weight: Image
+    scale: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,33 +83,68 @@ class LitLevel(LocalLevel):
         tolerance: float,
     ) -> LitFit | None:
         """Align from a pose, or return None where too little of the template is seen."""
-        n, m, unit = len(self.basis), len(self.light), noise * self.noise
-        start = before = self.corners_of(pose)
+        n, unit = len(self.basis), noise * self.noise
+        first = corners = self.corners_of(pose)
         grey, slope, share = self.patch(image, pose, ceiling)
         trust = self.trust(grey, share, noise).ravel()
         amounts = self._first_light(grey.ravel(), trust, unit)
         if amounts is None:
             return None
-        steps, way = 0, np.inf
-        while steps < iterations and way >= tolerance:
-            residual = grey.ravel() - amounts.astype(np.float32) @ self.light
-            gain = amounts[:_GAINS].astype(np.float32) @ self.tone
-            slope = np.float32(0.5) * (slope + gain * self.slope)
-            design = np.concatenate([self.flow[0] * slope[0] + self.flow[1] * slope[1], self.light])
-            weight = share.ravel() * trust
-            scale = _scale(residual, weight, unit, n + m)
+        count, way, step = 0, np.inf, None
+        while count < iterations and way >= tolerance:
+            step = self._lit_step(grey, slope, share.ravel() * trust, amounts, unit)
+            if step is None:
+                return None
+            change = _solved(step.design, step.residual, step.weight, motions=n)
+            amounts, pose = amounts + change[n:], moved(pose, -change[:n], self.basis)
+            before, corners = corners, self.corners_of(pose)
+            if torn(corners, first):
+                return None
+            count, way = count + 1, float(np.abs(corners - before).max())
+            grey, slope, share = self.patch(image, pose, ceiling)
+        assert step is not None
+        return self._lit_fit(pose, count, step, amounts, grey, share, unit)
+
+    def _first_light(self, grey: Image, share: Image, least: float) -> Array | None:
+        """Fit the light alone, robustly, at the pose as it is; None if there is too little."""
+        weight = share
+        for _ in range(4):
+            amounts = _solved(self.light, grey, weight)
+            residual = grey - amounts.astype(np.float32) @ self.light
+            scale = trusted_scale(residual, share, 3 * len(self.light))
             if not scale:
                 return None
-            weight = (weight * tukey(residual, scale)).astype(np.float32)
-            step = _solved(design, residual, weight, motions=n)
-            amounts, pose = amounts + step[n:], moved(pose, -step[:n], self.basis)
-            after = self.corners_of(pose)
-            if torn(after, start):
-                return None
-            steps, way, before = steps + 1, float(np.abs(after - before).max()), after
-            grey, slope, share = self.patch(image, pose, ceiling)
+            weight = (share * tukey(residual, max(scale, least))).astype(np.float32)
+        return amounts
+
+    def _lit_step(
+        self, grey: Image, slope: Image, share: Image, amounts: Array, least: float
+    ) -> _LitStep | None:
+        """Return the least squares of one step, or None where too little is seen."""
+        gain = amounts[:_GAINS].astype(np.float32) @ self.tone
+        slope = np.float32(0.5) * (slope + gain * self.slope)
+        design = np.concatenate([self.flow[0] * slope[0] + self.flow[1] * slope[1], self.light])
+        residual = grey.ravel() - amounts.astype(np.float32) @ self.light
+        scale = trusted_scale(residual, share, 3 * len(design))
+        if not scale:
+            return None
+        scale = max(scale, least)
+        weight = (share * tukey(residual, scale)).astype(np.float32)
+        return _LitStep(design, residual, weight, scale)
+
+    def _lit_fit(
+        self,
+        pose: Array,
+        count: int,
+        step: _LitStep,
+        amounts: Array,
+        grey: Image,
+        share: Image,
+        noise: float,
+    ) -> LitFit:
+        """Return where an alignment ended, with what its last step left."""
         shape = self.grey.shape
-        residual, weight = residual.reshape(shape), weight.reshape(shape)
+        residual, weight = step.residual.reshape(shape), step.weight.reshape(shape)
         model = (amounts[:_GAINS] @ self.light[:_GAINS]).astype(np.float32).reshape(shape)
         gain = float(amounts[0]) / self.contrast
         middle = self.light[_GAINS:, self.grey.size // 2 + shape[1] // 2]
@@ -123,44 +154,29 @@ class LitLevel(LocalLevel):
             gain=gain,
             bias=float(amounts[_GAINS:] @ middle) - gain * self.mean,
             visible=float(share.mean()),
-            iterations=steps,
-            design=design,
+            iterations=count,
+            design=step.design,
             residual=residual,
             weight=weight,
-            agreement=agreement(grey, model, share, unit),
-            noise=scale / unit,
-            slope=_tukey_slope(weight, residual, scale),
-            bend=float(np.abs(amounts[3:_GAINS]).max() / max(abs(amounts[0]), 1e-9)),
-            hidden=_hidden(residual, model, unit),
+            blocks=compare(grey, model, share, noise),
+            noise=step.scale / noise,
+            slope=_tukey_slope(weight, residual, step.scale),
+            bend=float(np.abs(amounts[3:_GAINS]).max() / max(abs(amounts[0]), TINY)),
+            hidden=_hidden(residual, model, noise),
         )
-
-    def _first_light(self, grey: Image, share: Image, noise: float) -> Array | None:
-        """Fit the light alone, robustly, at the pose as it is; None if there is too little."""
-        weight = share
-        for _ in range(_ROUNDS):
-            amounts = _solved(self.light, grey, weight)
-            residual = grey - amounts.astype(np.float32) @ self.light
-            scale = _scale(residual, share, noise, len(self.light))
-            if not scale:
-                return None
-            weight = (share * tukey(residual, scale)).astype(np.float32)
-        return amounts
-
-
-def _scale(residual: Image, share: Image, least: float, count: int) -> float:
-    """Return the standard deviation of the trusted residuals, 0 if they are too few."""
-    kept = np.abs(residual[share > TRUSTED])
-    if kept.size < 3 * count:
-        return 0.0
-    return max(NORMAL * float(np.median(kept)), least)
 
 
 def _solved(design: Image, value: Image, weight: Image, motions: int = 0) -> Array:
-    """Return the weighted least squares, of which all but the first unknowns have a ridge."""
+    """Return the weighted least squares.
+
+    All but the first unknowns, the motion, have a ridge: knots that no pixel shows stay as they
+    are.
+    """
     weighted = design * weight
     normal = (weighted @ design.T).astype(np.float64)
-    normal.flat[:: len(normal) + 1] = normal.diagonal() * (1 + _RIDGE) + 1e-12
-    normal.flat[motions * (len(normal) + 1) :: len(normal) + 1] += _LEAST_RIDGE
+    diagonal = normal.ravel()[:: len(normal) + 1]
+    diagonal += 1e-6 * diagonal + TINY
+    diagonal[motions:] += 0.001
     return np.linalg.solve(normal, (weighted @ value).astype(np.float64))
 
 
@@ -173,24 +189,31 @@ def _tukey_slope(weight: Image, residual: Image, scale: float) -> Image:
 
 def _explained(grey: Image, residual: Image, weight: Image) -> float:
     """Return the weighted correlation of grey values with what is left without the residual."""
-    share = weight / max(float(weight.sum()), 1e-9)
+    share = weight / max(float(weight.sum()), TINY)
     spread = float((share * (grey - (share * grey).sum()) ** 2).sum())
     left = float((share * residual**2).sum())
-    return float(np.sqrt(max(1.0 - left / max(spread, 1e-9), 0.0)))
+    return float(np.sqrt(max(1.0 - left / max(spread, TINY), 0.0)))
 
 
 def _hidden(residual: Image, model: Image, noise: float) -> Image:
-    """Return the pixels whose residual is neither noise nor small beside the template."""
-    square = cv2.GaussianBlur(residual**2, (0, 0), _ABOUT)
-    mean = cv2.GaussianBlur(model, (0, 0), _ABOUT_TEMPLATE)
-    variance = cv2.GaussianBlur(model**2, (0, 0), _ABOUT_TEMPLATE) - mean**2
-    return np.asarray(square > _HIDDEN * noise**2 + _HIDDEN_SHARE * variance)
+    """Return the pixels whose residual is neither noise nor small beside the template.
+
+    The mean square residual about them, over 1.5 px, exceeds nine times the noise's and a quarter
+    of the template's variance about them.
+    """
+    square = cv2.GaussianBlur(residual**2, (0, 0), 1.5)
+    mean = cv2.GaussianBlur(model, (0, 0), SURROUNDINGS)
+    variance = cv2.GaussianBlur(model**2, (0, 0), SURROUNDINGS) - mean**2
+    return np.asarray(square > (3 * noise) ** 2 + variance / 4)
 
 
-def make_lit(level: LocalLevel, blurred: LocalLevel) -> LitLevel:
-    """Return the columns of the light of a template, which is given a little `blurred`, too."""
+def make_lit(level: LocalLevel, blurred: LocalLevel, most_knots: int) -> LitLevel:
+    """Return the columns of the light of a template, which is given a little `blurred`, too.
+
+    The bias has knots every 10 px, at most `most_knots` along a side.
+    """
     rows, columns = level.grey.shape
-    contrast = max(level.contrast, 1e-9)
+    contrast = max(level.contrast, TINY)
     t = (level.grey - level.mean) / contrast
     v, u = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, columns), indexing="ij")
     blur = blurred.grey - level.grey
@@ -200,19 +223,19 @@ def make_lit(level: LocalLevel, blurred: LocalLevel) -> LitLevel:
         (t, one),
         (u * t, u),
         (v * t, v),
-        (blur / max(float(blur.std()), 1e-9), zero),
+        (blur / max(float(blur.std()), TINY), zero),
         (t * t, 2 * t),
         (t**3, 3 * t * t),
     ]
-    biases = [a * b for a in _knots(u, columns) for b in _knots(v, rows)]
+    knots = [min(max(side // 10, 2), most_knots) for side in (columns, rows)]
+    biases = [a * b for a in _hats(u, knots[0]) for b in _hats(v, knots[1])]
     light = np.array([column for column, _ in gains] + biases, np.float32)
     tone = np.array([slope for _, slope in gains], np.float32) / np.float32(contrast)
     own = {**vars(level), "contrast": contrast}
     return LitLevel(**own, light=light.reshape(len(light), -1), tone=tone.reshape(len(tone), -1))
 
 
-def _knots(place: Array, length: int) -> list[Array]:
+def _hats(place: Array, count: int) -> list[Array]:
     """Return hats between evenly spaced knots over −1 … 1."""
-    count = min(max(length // _KNOT_DISTANCE, 2), _MOST_KNOTS)
     knots = np.linspace(-1, 1, count)
     return [np.maximum(0.0, 1 - np.abs(place - knot) * (count - 1) / 2) for knot in knots]

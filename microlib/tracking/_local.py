@@ -7,34 +7,19 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, Image
-from microlib.tracking._blocks import Agreement, agreement
+from microlib.tracking._blocks import Blocks, compare
 from microlib.tracking._esm import Level, make_level
-from microlib.tracking._geometry import moved, torn
-
-# What parts of the tracker are worth is in its benchmark on photographs, table "Variants".
+from microlib.tracking._geometry import TINY, moved, torn
 
 #: Standard deviation (px of the finest level of the search) of the surroundings in which gain and
-#: bias count as constant, and where that Gaussian is cut off.
-_SURROUNDINGS, _TRUNCATION = 3.5, 2.0
-
-#: Standard deviation (px of that level) of a corner about the undeformed template, a priori.
-_DEFORMATION = 5.0
-
-#: Correlation of surroundings whose gain is believed, and the logarithm of the ratio to it from
-#: which on another gain is that of something else.
-_ALIKE, _OTHER_GAIN = 0.7, 0.7
-
-#: Variance of the difference, in that of the noise, up to which surroundings are the template's.
-_NOISY = 3.0
+#: bias count as constant. With twice as much no more is found; the glare asks for little.
+SURROUNDINGS = 3.5
 
 #: Least share of the template that an alignment must see.
 _LEAST_SHOWN = 0.15
-
-#: Correlation of the surroundings, and trust, of the pixels whose residuals tell their size.
-_SURE, TRUSTED = 0.5, 0.3
 
 #: Where Tukey's biweight ends, in standard deviations: 95 % efficient for normal noise.
 TUKEY = 4.685
@@ -63,12 +48,9 @@ class LocalLevel(Level):
     ----------
     wide : tuple of ndarray
         Matrices that sum the surroundings in which the light is constant, down and across.
-    prior : ndarray, shape (n, n)
-        Inverse covariance of the motion a priori, which holds the deformation only.
     """
 
     wide: tuple[Image, Image]
-    prior: Array
 
     def fit_light(self, grey: Image, share: Image, floor: float) -> LocalLight:
         """Fit ``grey = gain·template + bias`` around each pixel of images, …×H×W.
@@ -78,7 +60,7 @@ class LocalLevel(Level):
         down, across = self.wide
         wt, wg = share * self.grey, share * grey
         sums = down @ np.stack([share, wt, wg, wt * self.grey, wg * grey, wt * grey]) @ across
-        t, g, tt, gg, tg = sums[1:] / np.maximum(sums[0], np.float32(1e-6))
+        t, g, tt, gg, tg = sums[1:] / np.maximum(sums[0], np.float32(TINY))
         tt = np.maximum(tt - t * t, 0) + np.float32(floor)
         gg = np.maximum(gg - g * g, 0) + np.float32(floor)
         tg = tg - t * g
@@ -101,60 +83,66 @@ class LocalLevel(Level):
         All are aligned at once; those that diverge are left out.
         """
         poses = np.array(poses, np.float64).reshape(-1, 3, 3)
-        n, least = len(self.basis), noise * self.noise
-        start = self.corners_of(poses)
-        before, total = start.copy(), np.zeros((len(poses), n))
-        scale, held = np.full((len(poses), 1, 1), least), np.ones(len(poses), bool)
-        going = np.arange(len(poses))
+        first = corners = self.corners_of(poses)
+        scale = np.full((len(poses), 1, 1), 2 * noise * self.noise)
+        held, going = np.ones(len(poses), bool), np.arange(len(poses))
         for _ in range(iterations):
             if not going.size:
                 break
-            grey, slope, share = self.patch(image, poses[going], ceiling)
-            light = self.fit_light(grey, share, least**2)
-            scale[going] = _scales(light, share, scale[going], least)
-            weight = share * np.maximum(light.correlation, 0)
-            weight = weight * tukey(light.residual, scale[going]) / scale[going] ** 2
-            weight, gain, residual = (
-                v.astype(np.float32).reshape(len(going), 1, -1)
-                for v in (weight, light.gain, light.residual)
-            )
-            slope = np.float32(0.5) * (slope + gain * self.slope)
-            rows = self.flow[0] * slope[:, :1] + self.flow[1] * slope[:, 1:]
-            weighted = rows * weight
-            normal = weighted @ rows.transpose(0, 2, 1) + self.prior
-            right = (weighted @ residual.transpose(0, 2, 1))[..., 0] + total[going] @ self.prior
-            diagonal = np.diagonal(normal, axis1=1, axis2=2)
-            good = (share.mean(axis=(1, 2)) >= _LEAST_SHOWN) & (diagonal > 0).all(axis=1)
-            normal += (1e-9 * diagonal + ~good[:, None])[:, :, None] * np.eye(n)
-            step = -np.linalg.solve(normal, right[..., None])[..., 0]
-            total[going] += step
+            patches = self.patch(image, poses[going], ceiling)
+            step, scale[going], seen = self._step(*patches, scale[going], noise * self.noise)
             poses[going] = moved(poses[going], step, self.basis)
-            after = self.corners_of(poses[going])
-            good &= ~torn(after, start[going])
-            way = np.abs(after - before[going]).max(axis=(1, 2))
-            before[going], held[going] = after, good
-            going = going[good & (way >= tolerance)]
+            after = self.corners_of(poses)
+            held[going] = seen & ~torn(after[going], first[going])
+            way, corners = np.abs(after - corners).max(axis=(1, 2)), after
+            going = going[held[going] & (way[going] >= tolerance)]
         return list(poses[held])
 
-    def agreement(self, image: Image, pose: Array, noise: float, ceiling: float) -> Agreement:
-        """Return what the blocks say of poses, …×3×3."""
+    def _step(
+        self, grey: Image, slope: Image, share: Image, scale: Array, least: float
+    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return a second-order step of each of B patches, its scale, and whether it is seen.
+
+        Pixels count as far as their surroundings correlate, with Tukey's weights about a robust
+        `scale` of the residuals, which was the one given and is at least `least`.
+        """
+        light = self.fit_light(grey, share, least**2)
+        scale = _scales(light, share, scale, least)
+        weight = share * np.maximum(light.correlation, 0) * tukey(light.residual, scale)
+        weight = (weight / scale**2).astype(np.float32).reshape(len(grey), 1, -1)
+        gain = light.gain.astype(np.float32).reshape(weight.shape)
+        slope = np.float32(0.5) * (slope + gain * self.slope)
+        rows = self.flow[0] * slope[:, :1] + self.flow[1] * slope[:, 1:]
+        residual = light.residual.astype(np.float32).reshape(weight.shape)
+        normal = (rows * weight) @ rows.transpose(0, 2, 1)
+        right = (rows * weight) @ residual.transpose(0, 2, 1)
+        diagonal = np.diagonal(normal, axis1=1, axis2=2)
+        seen = (share.mean(axis=(1, 2)) >= _LEAST_SHOWN) & (diagonal > 0).all(axis=1)
+        ridge = TINY * diagonal.astype(np.float64) + ~seen[:, None]
+        normal = normal + ridge[:, :, None] * np.eye(len(self.basis))
+        return -np.linalg.solve(normal, right.astype(np.float64))[..., 0], scale, seen
+
+    def blocks(self, image: Image, pose: Array, noise: float, ceiling: float) -> Blocks:
+        """Compare the template with the image under poses, …×3×3, block by block."""
         grey, _, share = self.patch(image, pose, ceiling)
-        return agreement(grey, self.grey, share, noise * self.noise)
+        return compare(grey, self.grey, share, noise * self.noise)
 
     def trust(self, grey: Image, share: Image, noise: float) -> Image:
         """Return how far each pixel of a patch looks like the template's, 0 to 1.
 
         That is its surroundings' correlation with the template, or, where there is little texture,
-        how far their difference is noise; the gain must be that of the rest.
+        how far their difference is noise, which may have 3 times its variance; the gain must be
+        that of the rest, within a factor of 2.
         """
         expected = 2 * (noise * self.noise) ** 2
         light = self.fit_light(grey, share, expected / 2)
-        sure = light.correlation > _ALIKE
+        sure = light.correlation > 0.7
         usual = float(np.median(light.gain[sure])) if sure.any() else 1.0
-        alike = np.where(np.abs(np.log(light.gain / usual)) < _OTHER_GAIN, light.correlation, 0)
+        same_gain = (light.gain > usual / 2) & (light.gain < 2 * usual)
+        alike = np.where(same_gain, light.correlation, 0)
         rest = light.gg - 2 * usual * light.tg + usual**2 * light.tt
         rest -= (1 + usual**2) * expected / 2
-        noisy = _NOISY * expected / np.maximum(rest, _NOISY * expected)
+        noisy = 3 * expected / np.maximum(rest, 3 * expected)
         return np.maximum(np.maximum(alike, noisy), 0).astype(np.float32) * share
 
 
@@ -166,26 +154,17 @@ def make_local(
     `finest` are the halvings of the finest level of the search, in whose px lengths are given.
     """
     level = make_level(image, box, pose, **options)
-    scale = 2.0 ** (finest - options["halvings"])
-    velocity = level.basis @ np.column_stack([level.corners, np.ones(4)]).T
-    moves = (velocity[:, :2] - level.corners.T * velocity[:, 2:]) / level.to_template[0, 0]
-    moves = (moves - moves.mean(axis=2, keepdims=True)).reshape(len(level.basis), -1)
-    return LocalLevel(
-        **vars(level),
-        wide=(
-            _surroundings(level.grey.shape[0], scale),
-            _surroundings(level.grey.shape[1], scale).T,
-        ),
-        prior=moves @ moves.T / (4 * (_DEFORMATION * scale) ** 2),
-    )
+    sigma = SURROUNDINGS * 2.0 ** (finest - options["halvings"])
+    down, across = (_surroundings(side, sigma) for side in level.grey.shape)
+    return LocalLevel(**vars(level), wide=(down, across.T))
 
 
 @lru_cache(maxsize=64)
-def _surroundings(length: int, scale: float) -> Image:
-    """Return the matrix that sums the surroundings of each pixel of a side."""
-    sigma, place = _SURROUNDINGS * scale, np.arange(length)
+def _surroundings(length: int, sigma: float) -> Image:
+    """Return the matrix that sums the surroundings of each pixel of a side, a Gaussian to 2 σ."""
+    place = np.arange(length)
     off = np.abs(place[:, None] - place)
-    near = off <= np.ceil(_TRUNCATION * sigma)
+    near = off <= np.ceil(2 * sigma)
     return np.where(near, np.exp(-np.square(off) / (2 * sigma**2)), 0.0).astype(np.float32)
 
 
@@ -194,12 +173,17 @@ def tukey(residual: Array, scale: float | Array) -> Array:
     return np.square(np.maximum(1 - np.square(residual / (TUKEY * scale)), 0))
 
 
+def trusted_scale(residual: Array, trust: Array, fewest: float) -> float:
+    """Return the standard deviation of the trusted residuals, 0 if they are too few."""
+    kept = np.abs(residual[trust > 0.3])
+    return NORMAL * float(np.median(kept)) if kept.size >= fewest else 0.0
+
+
 def _scales(light: LocalLight, share: Image, before: Array, least: float) -> Array:
-    """Return the robust standard deviation of each image's trusted residuals."""
-    sure = (light.correlation > _SURE) & (share > TRUSTED)
+    """Return the robust standard deviation of each image's sure residuals, if they are enough."""
+    sure = (light.correlation > 0.5) & (share > 0.3)
     size = np.where(sure, np.abs(light.residual), np.float32(np.inf)).reshape(len(share), -1)
-    count = sure.sum(axis=(1, 2))
-    middle = np.take_along_axis(np.sort(size, axis=1), (count // 2)[:, None] % size.shape[1], 1)
-    known = (count > size.shape[1] // 20)[:, None]
-    found = np.where(known, NORMAL * middle, 2 * least)[..., None]
-    return np.maximum(np.where(known[..., None], found, np.maximum(before, found)), least)
+    count = sure.sum(axis=(1, 2))[:, None]
+    middle = np.take_along_axis(np.sort(size, axis=1), (count // 2) % size.shape[1], 1)
+    found = np.where(count > size.shape[1] // 20, NORMAL * middle, before[..., 0])
+    return np.maximum(found, least)[..., None]

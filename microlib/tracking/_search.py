@@ -16,63 +16,24 @@ import numpy as np
 
 from microlib._common import Array
 from microlib.tracking._covariance import corner_covariance
-from microlib.tracking._geometry import apply_homography, area, cut_around, shifted
+from microlib.tracking._geometry import TINY, apply_homography, area, cut_around, shifted
 from microlib.tracking._light import LitFit, LitLevel, make_lit
 from microlib.tracking._local import LocalLevel, make_local
 from microlib.tracking._sampling import View, half_pixel
+from microlib.tracking._settings import Settings
 from microlib.tracking._starts import Flow, PointFlow, best_matches, distortions
 
-# What parts of the tracker are worth is in its benchmark on photographs, table "Variants".
+#: Standard deviation (px) of the smoothing of the last levels.
+_SHARP = 0.6
 
-#: Side (px) that the template has at most at the finest level of the search.
-_LARGEST = 64
-
-#: Least side (px) of a template that may deform, and of the coarser levels of the search.
-_DEFORMABLE = 12
-
-#: Standard deviations (px of the finest level) of the blurs that are tried.
-_BLURS = (0.0, 1.0, 1.6, 2.5)
-
-#: Standard deviation (px) of the blur whose effect on the template is a column of its light.
-_LITTLE = 0.8
-
-#: How much more, as a factor and in nats, a blurred template must say to be taken.
-_BLURRED = (1.1, 1.0)
-
-#: Reach (sides of the template) of the flow of its points.
-_REACH = 1.0
-
-#: Most steps at half the resolution, and how many places are looked at where the template
-#: correlates best.
-_STEPS, _PLACES = 15, 6
-
-#: Corner step (px of the level) that ends a coarse level.
-_TOLERANCE = 0.15
-
-#: Most steps of the distant starts at a quarter of the resolution, and how many of them go on.
-_FAR_STEPS, _FAR = 10, 3
-
-#: Starts that are compared in every blur.
-_HOPEFUL = 3
-
-#: Nats below which no start is finished: no template that was there had less.
-_HOPELESS = 1.0
+#: Steps at half and at a quarter of the resolution.
+_STEPS, _FAR_STEPS = 15, 10
 
 #: Distance (px) of the corners beyond which a pose is another one, and no error of the same.
 _OTHER = 3.0
 
-#: Standard deviation (sides of the template) of the motion between frames, a priori.
-_MOTION = 0.3
-
-#: Share of the nats of the local alignment that the smooth light must keep to be preferred.
-_KEPT = 0.95
-
 #: Margin (px) around the template in which it is aligned at half pixels.
 _MARGIN = 8.0
-
-#: What the covariance of a fit in smooth light is short of: hidden parts whose border counts a
-#: little, and a blur between those tried. Measured on development images.
-_UNMODELED = 1.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,12 +55,14 @@ class Finding:
     fit : LitFit
         Pose, light, weights and residuals.
     score, rival : float
-        Nats in which the blocks agree, less those of the motion; and those of the best pose
-        elsewhere.
+        Nats in which the blocks agree; and those of the best pose elsewhere that was followed to
+        the end, too.
     support : float
         Share of the template's points that stay when they are followed from the pose.
     area : float
         Logarithm of the area's ratio, without sign.
+    far : bool
+        Whether the starts were far from the last pose.
     """
 
     fit: LitFit
@@ -107,6 +70,7 @@ class Finding:
     rival: float
     support: float
     area: float
+    far: bool
 
 
 class RobustSearch:
@@ -118,45 +82,50 @@ class RobustSearch:
         box: tuple[int, int, int, int],
         pose: Array,
         motion: str,
+        settings: Settings,
     ) -> None:
         width, height = box[2:]
-        self._finest = max(0, int(np.ceil(np.log2(max(width, height) / _LARGEST))))
+        self._settings = settings
+        self._finest = max(0, int(np.ceil(np.log2(max(width, height) / settings.largest))))
         self._scale = 2.0**self._finest
-        self._motion = _MOTION * max(width, height)
         cut = partial(make_local, box=box, pose=pose, motion=motion, finest=self._finest)
         fine = view.layer(self._finest)
-        #: From the finest level on, halved while the template may deform.
+        #: From the finest level on, halved while the template keeps 12 px and may deform.
         halvings = [self._finest]
-        while len(halvings) < 3 and min(width, height) >= _DEFORMABLE << (halvings[-1] + 1):
+        while len(halvings) < 3 and min(width, height) >= 12 << (halvings[-1] + 1):
             halvings.append(halvings[-1] + 1)
         self._half, self._quarter = halvings[min(1, len(halvings) - 1)], halvings[-1]
         coarse = {k: cut(view.layer(k), halvings=k, smoothing=1.0) for k in halvings}
-        self._coarse = coarse[self._half]
-        self._coarsest = coarse[self._quarter]
+        self._coarse, self._coarsest = coarse[self._half], coarse[self._quarter]
         self._wide: list[LocalLevel] = []
         self._sharp: list[LocalLevel] = []
         self._lit: list[LitLevel] = []
-        for blur in _BLURS:
+        for blur in settings.blurs:
             image = cv2.GaussianBlur(fine, (0, 0), blur) if blur else fine
             self._wide.append(cut(image, halvings=self._finest, smoothing=1.0))
-            self._sharp.append(cut(image, halvings=self._finest, smoothing=0.6))
+            self._sharp.append(cut(image, halvings=self._finest, smoothing=_SHARP))
             lit, blurrier = (
-                cut(half_pixel(one), halvings=self._finest, smoothing=0.6, density=2)
-                for one in (image, cv2.GaussianBlur(image, (0, 0), _LITTLE))
+                cut(half_pixel(one), halvings=self._finest, smoothing=_SHARP, density=2)
+                for one in (image, cv2.GaussianBlur(image, (0, 0), 0.8))
             )
-            self._lit.append(make_lit(lit, blurrier))
+            self._lit.append(make_lit(lit, blurrier, settings.knots))
         self._corners = self._coarse.corners
-        reach = int(_REACH * max(width, height)) >> self._finest
+        reach = max(width, height) >> self._finest
         self._points = PointFlow(self._wide[0], fine, pose, reach)
-        self._distortions = distortions(self._corners, motion)
+        self._distortions = distortions(self._corners, motion, settings.distortion)
 
     def follow(self, view: View, pose: Array) -> Flow:
         """Return where the points of the template flow to from a pose."""
         return self._points.follow(view.layer(self._finest), pose)
 
+    def flowing(self, view: View, pose: Array) -> list[Array]:
+        """Return the poses to which most points of the template flow."""
+        return self.follow(view, pose).poses if self._settings.points else []
+
     def places(self, view: View, pose: Array) -> list[Array]:
         """Return the pose shifted to where the template correlates best in the view."""
-        return best_matches(self._coarsest, view.layer(self._quarter), pose, _PLACES)
+        layer = view.layer(self._quarter)
+        return best_matches(self._coarsest, layer, pose, self._settings.places)
 
     def far_starts(self, view: View, pose: Array) -> list[Array]:
         """Return the best of a pose that is distorted, or shifted to the best matches.
@@ -166,11 +135,11 @@ class RobustSearch:
         """
         starts = [pose @ warp for warp in self._distortions] + self.places(view, pose)
         begun = self._aligned(view, self._coarsest, self._quarter, starts, _FAR_STEPS)
-        best = [one.pose for one in self._different(sorted(begun, key=_score, reverse=True))[:_FAR]]
-        return best + [pose for start in best[:1] for pose in self.follow(view, start).poses[:1]]
+        best = [one.pose for one in self._different(begun)[: self._settings.far]]
+        return best + [pose for start in best[:1] for pose in self.flowing(view, start)[:1]]
 
     def search(
-        self, view: View, pose: Array, starts: Sequence[Array], *, near: bool = True
+        self, view: View, pose: Array, starts: Sequence[Array], *, far: bool
     ) -> Finding | None:
         """Return the best pose that the starts lead to, or None if none is any good.
 
@@ -179,49 +148,47 @@ class RobustSearch:
         view : View
             The frame.
         pose : ndarray, shape (3, 3)
-            Where the template should be.
+            Where the template was.
         starts : sequence of ndarray, shape (3, 3)
             Poses to begin with.
-        near : bool
-            Whether far from `pose` is unlikely.
+        far : bool
+            Whether they are far from it.
         """
-        start = self._at(pose)
-
-        def score(one: Candidate) -> float:
-            off = self._at(one.pose).mean(axis=0) - start.mean(axis=0)
-            return one.score - (float(off @ off) / (2 * self._motion**2) if near else 0.0)
-
+        settings = self._settings
         begun = self._aligned(view, self._coarse, self._half, starts, _STEPS)
         begun += self._judged(view, self._wide[0], starts)
-        found = self._different(sorted(begun, key=score, reverse=True))
-        hopeful = [self._blurred(view, one) for one in found[:_HOPEFUL]]
-        if max(map(score, hopeful), default=0.0) < _HOPELESS:
+        hopeful = self._different(begun)[: settings.hopeful]
+        if not hopeful or hopeful[0].score < settings.hopeless:
             return None
-        best = self._finished(view, max(hopeful, key=score))
-        if best.fit is None:
-            return None
-        corners = self._at(best.pose)
-        elsewhere = [
-            score(one)
-            for one in [*hopeful, *found]
-            if np.abs(self._at(one.pose) - corners).max() > _OTHER * self._scale
+        least = settings.rivaling * hopeful[0].score
+        hopeful = [self._blurred(view, one) for one in hopeful if one.score >= least]
+        ended = [
+            end
+            for blur in {one.blur for one in hopeful}
+            for end in self._finished(view, blur, [one.pose for one in hopeful if one.blur == blur])
         ]
+        if not ended:
+            return None
+        best, *others = self._different(ended)
+        assert best.fit is not None
+        corners = [apply_homography(one, self._corners) for one in (best.pose, pose)]
         return Finding(
             fit=best.fit,
-            score=score(best),
-            rival=max(elsewhere, default=0.0),
+            score=best.score,
+            rival=others[0].score if others else 0.0,
             support=self.follow(view, best.pose).support(best.pose),
-            area=abs(float(np.log(max(float(area(corners) / area(start)), 1e-9)))),
+            area=abs(float(np.log(max(float(area(corners[0]) / area(corners[1])), TINY)))),
+            far=far,
         )
 
     def polish(self, view: View, pose: Array, blur: int = 0) -> LitFit | None:
         """Align in smooth light at half pixels of the finest level."""
-        level, image = self._lit[blur], view.layer(self._finest)
-        near, first = cut_around(image, self._at(pose) / self._scale, _MARGIN)
+        corners = apply_homography(pose, self._corners) / self._scale
+        near, first = cut_around(view.layer(self._finest), corners, _MARGIN)
         if min(near.shape) < _MARGIN:
             return None
         offset = first * self._scale
-        fit = level.align_lit(
+        fit = self._lit[blur].align_lit(
             half_pixel(near),
             shifted(pose, -offset),
             noise=view.noise,
@@ -234,10 +201,7 @@ class RobustSearch:
     def covariance(self, fit: LitFit) -> Array:
         """Return the covariance of the corners (8: x, y of each), px² of the frame."""
         level = self._lit[0]
-        return corner_covariance(level, fit, fit.slope, level.noise**2, _UNMODELED)
-
-    def _at(self, pose: Array) -> Array:
-        return apply_homography(pose, self._corners)
+        return corner_covariance(level, fit, fit.slope, level.noise**2, self._settings.unmodeled)
 
     def _aligned(
         self,
@@ -246,6 +210,7 @@ class RobustSearch:
         halvings: int,
         starts: Sequence[Array],
         steps: int,
+        tolerance: float = 0.15,
     ) -> list[Candidate]:
         """Return starts aligned in local illumination, judged at the finest level."""
         poses = level.align_locally(
@@ -254,7 +219,7 @@ class RobustSearch:
             noise=view.noise,
             ceiling=view.ceiling,
             iterations=steps,
-            tolerance=_TOLERANCE,
+            tolerance=tolerance,
         )
         return self._judged(view, self._wide[0], poses)
 
@@ -264,21 +229,20 @@ class RobustSearch:
         if not len(poses):
             return []
         image = view.layer(self._finest)
-        said = level.agreement(image, np.array(poses), view.noise, view.ceiling)
-        scores = np.atleast_1d(said.score)
+        scores = level.blocks(image, np.array(poses), view.noise, view.ceiling).score()
         return [
             Candidate(pose, float(score), blur) for pose, score in zip(poses, scores, strict=True)
         ]
 
-    def _different(self, ranked: list[Candidate]) -> list[Candidate]:
-        """Return those that are not the same as a better one."""
+    def _different(self, candidates: list[Candidate]) -> list[Candidate]:
+        """Return the candidates, best first, that are not the same as a better one."""
         found: list[Candidate] = []
-        for one in ranked:
-            off = [
-                float(np.abs(self._at(other.pose) - self._at(one.pose)).max()) for other in found
-            ]
-            if min(off, default=np.inf) > _OTHER * self._scale:
+        corners = np.empty((0, 4, 2))
+        for one in sorted(candidates, key=lambda one: -one.score):
+            own = apply_homography(one.pose, self._corners)
+            if (np.abs(corners - own).max(axis=(1, 2)) > _OTHER * self._scale).all():
                 found.append(one)
+                corners = np.concatenate([corners, own[None]])
         return found
 
     def _blurred(self, view: View, one: Candidate) -> Candidate:
@@ -288,32 +252,29 @@ class RobustSearch:
             for blur, level in enumerate(self._wide)
             if blur
         ]
-        best = max(tried, key=_score)
-        return best if best.score > _BLURRED[0] * one.score + _BLURRED[1] else one
+        best = max(tried, key=_score, default=one)
+        factor, nats = self._settings.blurred
+        return best if best.score > factor * one.score + nats else one
 
-    def _finished(self, view: View, one: Candidate) -> Candidate:
-        """Return a start aligned to the end: locally, and in smooth light."""
-        blur, image, poses = one.blur, view.layer(self._finest), [one.pose]
-        tried = self._judged(view, self._sharp[blur], poses, blur)
+    def _finished(self, view: View, blur: int, starts: Sequence[Array]) -> list[Candidate]:
+        """Return starts of one blur aligned to the end: locally, and in smooth light."""
+        poses = starts
         for level, tolerance in ((self._wide[blur], 0.1), (self._sharp[blur], 0.03)):
             poses = level.align_locally(
-                image,
+                view.layer(self._finest),
                 poses,
                 noise=view.noise,
                 ceiling=view.ceiling,
                 iterations=10,
                 tolerance=tolerance,
             )
-        tried += self._judged(view, self._sharp[blur], poses, blur)
-        best = max(tried, key=_score)
-        starts = [best, tried[0]] if blur and best is not tried[0] else [best]
-        polished = [self._polished(view, start.pose, blur) for start in starts]
-        kept = [p for p in polished if p is not None and p.score > _KEPT * best.score]
-        return max(kept, key=_score, default=best)
-
-    def _polished(self, view: View, pose: Array, blur: int) -> Candidate | None:
-        fit = self.polish(view, pose, blur)
-        return None if fit is None else Candidate(fit.pose, float(fit.agreement.score), blur, fit)
+        ended = []
+        # A blur may leave less to align than the start had: then that is the better one.
+        for pose in [*poses, *(starts if blur else [])]:
+            fit = self.polish(view, pose, blur)
+            if fit is not None:
+                ended.append(Candidate(fit.pose, float(fit.blocks.score()), blur, fit))
+        return ended
 
 
 def _score(one: Candidate) -> float:

@@ -12,7 +12,7 @@ from scipy.linalg import hadamard
 
 from microlib._common import Array, Image
 from microlib.tracking._esm import Level
-from microlib.tracking._geometry import apply_homography, shifted
+from microlib.tracking._geometry import TINY, apply_homography, shifted
 from microlib.tracking._sampling import padding, sample
 
 #: Standard deviation (px) of the surroundings whose contrast is made one before points are
@@ -24,12 +24,6 @@ _WINDOW, _EVERY, _ERROR = 15, 5, 1.5
 
 #: Fewest points that make a motion, how many motions are looked for, and most samples for each.
 _FEWEST, _MOTIONS, _TRIALS = 8, 2, 200
-
-#: How far a distorted start moves each corner coordinate, in sides of the template.
-_DISTORTION = 0.17
-
-#: A move of a corner, in half template sizes, that is none but for rounding.
-_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,21 +158,21 @@ def best_matches(level: Level, image: Image, pose: Array, count: int) -> list[Ar
     return [shifted(pose, place - center) for place in places]
 
 
-def distortions(corners: Array, motion: str) -> list[Array]:
+def distortions(corners: Array, motion: str, by: float) -> list[Array]:
     """Return warps of the template that move every coordinate of its corners, up or down.
 
-    Their signs are the rows of a Hadamard matrix and these rows with two signs changed, which is
-    as far apart as 32 patterns of eight signs can be.
+    They move `by` that share of its side. Their signs are the rows of a Hadamard matrix and these
+    rows with two signs changed, which is as far apart as 32 patterns of eight signs can be.
     """
     if motion == "translation":
         return []
     rows = hadamard(8)
     changed = rows * [-1, 1, 1, 1, 1, 1, 1, -1]
     signs = np.concatenate([rows, -rows, changed, -changed]).reshape(-1, 4, 2)
-    moves = _DISTORTION * np.ptp(corners, axis=0) * signs
+    moves = by * np.ptp(corners, axis=0) * signs
     if motion == "affine":  # the nearest ones to these, but for those that are none at all
         design = np.column_stack([corners, np.ones(4)])
         moves = design @ np.linalg.pinv(design) @ moves
-        moves = moves[np.abs(moves).max(axis=(1, 2)) > _ROUNDING]
+        moves = moves[np.abs(moves).max(axis=(1, 2)) > TINY]
     first, moved = corners.astype(np.float32), (corners + moves).astype(np.float32)
     return [np.asarray(cv2.getPerspectiveTransform(first, target)) for target in moved]

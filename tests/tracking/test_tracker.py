@@ -354,8 +354,23 @@ def test_a_film_becomes_a_table_and_a_lost_frame_an_empty_row():
     np.testing.assert_allclose(table["time_s"], np.arange(8) / 20.0)
     truth = path - path[0] + (84, 84)
     found = table[["center_x", "center_y"]].to_numpy(float)
-    assert np.isnan(found[4]).all()
+    numbers = table.drop(columns=["lost", "reason", "time_s"])
+    assert numbers.loc[4].isna().all()
+    assert numbers.drop(index=4).notna().all(axis=None)
+    assert table["reason"][4]
     np.testing.assert_allclose(np.delete(found, 4, 0), np.delete(truth, 4, 0), atol=0.05)
+
+
+def test_a_film_that_fails_late_keeps_its_rows():
+    def broken():
+        yield from film()[0][:3]
+        raise OSError("the film ends at frame 3 of 8")
+
+    for frames in (broken(), [*film()[0][:3], np.zeros((5, 6))]):
+        with pytest.warns(UserWarning, match="tracked 3 frames, then"):
+            table = track_all(frames, (60, 60, 49, 49), "translation")
+        np.testing.assert_allclose(table["center_x"], 84 + 2.5 * np.arange(3), atol=0.05)
+        assert table.attrs["error"].startswith("tracked 3 frames")
 
 
 def test_a_film_is_predicted_by_the_filter_that_is_given():
@@ -373,7 +388,7 @@ def test_a_film_is_predicted_by_the_filter_that_is_given():
         ([], {}, "frames must hold at least one"),
         ([IMAGE], {"rate": 0.0}, "rate must be positive"),
         ([IMAGE], {"progress": 3}, "progress must be"),
-        ([IMAGE, IMAGE[:-1]], {}, "frame must have shape"),
+        ([IMAGE[:9]], {}, "box must lie in the image"),
     ],
 )
 def test_refuses_a_film_that_cannot_be_tracked(frames, options, message):
