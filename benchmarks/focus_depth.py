@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from unittest.mock import patch
 
 import cv2
 import numpy as np
@@ -22,7 +21,9 @@ from skimage.color import rgb2gray
 from benchmarks.focus import scenes
 from benchmarks.report import must_hold, publish
 from microlib import synthetic
-from microlib.focus import _axis, depth_from_focus
+from microlib.focus import depth_from_focus
+from microlib.focus._settings import Settings
+from microlib.focus._stages import default_depth
 
 #: Side of a frame and border that is left out, px; frames at one a step; seeds, none of which was
 #: used while constants were chosen.
@@ -317,10 +318,11 @@ def averaged() -> pd.DataFrame:
     rows = []
     for width in (2.0, 2.8, 3.7, 4.5, 6.0):
         row: dict[str, object] = {"width of a peak, averaged frames": width}
-        with patch.object(_axis, "_WIDTH", width):
-            for factor in (4, 20):
-                scene = render(drawn(100), tilted(), 100, noise=3.0, factor=factor)
-                row[f"{factor}×"] = round(rms(error_of(scene)), 4)
+        for factor in (4, 20):
+            scene = render(drawn(100), tilted(), 100, noise=3.0, factor=factor)
+            frames, settings = list(scene.stack), Settings(width=width)
+            found = default_depth(frames, None, scene.positions, settings=settings).depth
+            row[f"{factor}×"] = round(rms(inner(found - scene.depth)), 4)
         rows.append(row)
     return pd.DataFrame(rows)
 

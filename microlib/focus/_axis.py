@@ -13,29 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array, Image
-from microlib.focus._measures import absolute_seconds, blur, noise_gain
+from microlib.focus._measures import TINY, absolute_seconds, blur, noise_gain
 
 #: Squares along each side of the image that a stack is looked at in first, their side and the
 #: border of each that its neighbor in the mosaic reaches into, px.
 _SQUARES, _SQUARE, _SEAM = 6, 48, 12
-#: Distance of the pixels whose profiles are looked at, px, and the percentile of a profile that is
-#: taken for its ground.
-_SAMPLE, _GROUND = 6, 20
-#: Share of a frame that is taken for its quietest, %.
-_QUIET = 5
-#: Least noise over the largest grey level, where float32 has seven digits, and the least of all,
-#: which keeps the logarithm of a black frame's measure finite.
-_LEAST_NOISE_SHARE, _LEAST_NOISE = 1e-6, 1e-30
-#: Equivalent width of a peak in averaged frames: the error is flat from 2.8 to 4.5, table "frames
-#: averaged into one" of benchmarks/focus_depth.py.
-_WIDTH = 3.7
-#: Least width, and how far frames pull a depth times its fourth power, averaged frames: 0.4 to 0.7
-#: on nine textures, drawn and photographed, at widths of 1.7 to 3.5.
-_NARROWEST, _PULL = 1.7, 0.5
-#: Standard deviation of the default measure's peak over its equivalent width and the most of it,
-#: and the power of the light in that measure, which is a product of two: for what a change of light
-#: pulls.
-_DEVIATION, _MOST_DEVIATION, _LIGHT_POWER = 0.4, 3.0, 2
 
 
 @dataclass(frozen=True)
@@ -95,7 +77,7 @@ def sampled(length: int) -> NDArray[np.intp]:
     return (starts[:, None] + np.arange(min(_SQUARE, length))).ravel()
 
 
-def find_axis(mosaics: Sequence[Image], positions: Array) -> Axis:
+def find_axis(mosaics: Sequence[Image], positions: Array, target: float) -> Axis:
     """Return how a stack is to be averaged, and its noise.
 
     Parameters
@@ -104,17 +86,21 @@ def find_axis(mosaics: Sequence[Image], positions: Array) -> Axis:
         The `sampled` rows and columns of each frame.
     positions : ndarray, shape (n,)
         Position of each frame, µm.
+    target : float
+        Equivalent width that a peak shall have in averaged frames.
     """
     count, width = len(mosaics), peak_width(mosaics)
-    groups = max(count // max(round(width / _WIDTH), 1), 3)
+    groups = max(count // max(round(width / target), 1), 3)
     ends = np.arange(groups + 1) * count // groups
     levels = np.array([float(np.mean(mosaic)) for mosaic in mosaics])
     means, light = (np.add.reduceat(v, ends[:-1]) / np.diff(ends) for v in (positions, levels))
     spacing = float(np.median(np.abs(np.diff(means))))
     steps, noise = np.abs(means - means[0]) / spacing, noise_level(averaged(mosaics[: ends[1]]))
-    width = max(width * groups / count, _NARROWEST)
-    pulled = light_pull(light, min(_DEVIATION * width, _MOST_DEVIATION))
-    return Axis(ends, positions, means, spacing, steps, noise, pulled, _PULL / width**4)
+    width = max(width * groups / count, 1.7)
+    # The default's peak has a standard deviation of 0.4 of its equivalent width. Frames pull half a
+    # frame over the fourth power of the width: 0.4 to 0.7 on nine textures, drawn and photographed.
+    pulled = light_pull(light, min(0.4 * width, 3.0))
+    return Axis(ends, positions, means, spacing, steps, noise, pulled, 0.5 / width**4)
 
 
 def peak_width(mosaics: Sequence[Image]) -> float:
@@ -127,9 +113,9 @@ def peak_width(mosaics: Sequence[Image]) -> float:
     for mosaic in mosaics:
         # Fine detail, as coarse texture has wide peaks of its own; averaged over 2 px, so that
         # noise does not choose the highest frame.
-        seconds = np.add(*absolute_seconds(mosaic.astype(np.float32), 0.8, 5))
-        profiles.append(_inner(blur(seconds, 2.0))[..., ::_SAMPLE, ::_SAMPLE].ravel())
-    above = np.array(profiles) - np.percentile(profiles, _GROUND, axis=0)
+        seconds = np.add(*absolute_seconds(mosaic.astype(np.float32), 0.8))
+        profiles.append(_inner(blur(seconds, 2.0))[..., ::4, ::4].ravel())
+    above = np.array(profiles) - np.percentile(profiles, 20, axis=0)
     height = above.max(axis=0)
     clear = (height >= np.median(height)) & (height > 0)
     return float(np.median(above.sum(axis=0)[clear] / height[clear])) if clear.any() else 1.0
@@ -140,11 +126,11 @@ def noise_level(mosaic: Image) -> float:
 
     No less than what rounding to whole grey levels makes, or the digits of float32.
     """
-    seconds = np.add(*absolute_seconds(mosaic.astype(np.float32), 0.5, 5))
-    quiet = float(np.percentile(_inner(blur(seconds, 3.0)), _QUIET)) / noise_gain(0.5)
+    seconds = np.add(*absolute_seconds(mosaic.astype(np.float32), 0.5))
+    quiet = float(np.percentile(_inner(blur(seconds, 3.0)), 5)) / noise_gain(0.5)
     rounding = np.sqrt(1 / 12) if mosaic.dtype.kind == "u" else 0.0
-    digits = _LEAST_NOISE_SHARE * float(np.abs(mosaic).max())
-    return max(quiet, rounding, digits, _LEAST_NOISE)
+    digits = 1e-6 * float(np.abs(mosaic).max())
+    return max(quiet, rounding, digits, float(TINY))
 
 
 def _inner(mosaic: NDArray) -> NDArray:
@@ -158,9 +144,9 @@ def _inner(mosaic: NDArray) -> NDArray:
 def light_pull(light: Array, deviation: float) -> Array:
     """Return how far changes of the light pull the depth of something in focus at each frame.
 
-    A measure that grows with a power of the light leans towards the brighter frames. To a peak of
-    `deviation` frames the logarithm of the light adds a slope, found here over five frames, and its
-    vertex moves by the slope times the deviation's square.
+    A measure that grows with the light's square, as a product of two, leans towards the brighter
+    frames. To a peak of `deviation` frames the logarithm of the light adds a slope, found here over
+    five frames, and its vertex moves by the slope times the deviation's square.
 
     Parameters
     ----------
@@ -176,7 +162,7 @@ def light_pull(light: Array, deviation: float) -> Array:
     """
     if not (light > 0).all():
         return np.zeros(len(light))
-    level = _LIGHT_POWER * np.pad(np.log(light), 3, mode="edge")
+    level = 2 * np.pad(np.log(light), 3, mode="edge")
     slope = np.correlate(level, np.array([-1, -2, 0, 2, 1]) / 8, mode="valid")
     square = np.correlate((deviation**2 * slope) ** 2, np.array([0.25, 0.5, 0.25]), mode="valid")
     return np.sqrt(square)

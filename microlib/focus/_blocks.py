@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from microlib._common import Array, Region, as_region
 from microlib.focus._axis import Axis, find_axis, sampled
 from microlib.focus._follow import follow
-from microlib.focus._multiscale import multiscale_result
 from microlib.focus._result import FocusResult
+from microlib.focus._settings import Settings
+from microlib.focus._stages import GRID, default_depth
 
 #: What is seen around a block and the side of a block, px, and what its place must be a multiple
-#: of: every fourth pixel is looked at, and blocks of 64 rows are fitted again where it is steep.
-_AROUND, _SIDE, _GRID = 128, 1024, 64
+#: of (`GRID`): every fourth pixel is looked at, and so many rows are fitted at a time.
+_AROUND, _SIDE = 128, 1024
 #: What a result has for each pixel, in the order in which blocks stack it, and its type.
 _MAPS = {"depth": "f4", "uncertainty": "f4", "confidence": "f4", "index": "i4", "at_end": "?"}
 
@@ -62,12 +63,13 @@ def depth_in_blocks(
     rows, cols = (sampled(n) for n in stack.shape[1:])
     # What needs the whole image is found once, from the squares that are looked at first.
     squares = list(stack[:, rows][:, :, cols].compute())
-    axis = find_axis(squares, positions)
-    strength = follow(squares, axis, points // 2).strength
+    settings = Settings()
+    axis = find_axis(squares, positions, settings.width)
+    strength = follow(squares, axis, points // 2, settings).strength
     if (strength > 0).any():
         axis = replace(axis, typical=float(np.median(strength[strength > 0])))
     inner = [n for chunks in stack.chunks[1:] for n in chunks[:-1]]
-    if any(n % _GRID or n > 2 * _SIDE or n < _AROUND for n in inner):
+    if any(n % GRID or n > 2 * _SIDE or n < _AROUND for n in inner):
         stack = stack.rechunk((len(stack), _SIDE, _SIDE))
     # Where one chunk shows all of a side, nothing is around it.
     around = {k: _AROUND if k > 0 and len(stack.chunks[k]) > 1 else 0 for k in range(3)}
@@ -103,6 +105,6 @@ def _read(
 
 def _block(frames: NDArray, *, axis: Axis, points: int) -> NDArray[np.float32]:
     """Return the maps of one block, one above the other."""
-    result = multiscale_result(list(frames), None, axis, points=points, workers=1)
+    result = default_depth(list(frames), None, axis.positions, points=points, axis=axis)
     maps = (getattr(result, name) for name in _MAPS)
     return np.stack([*maps, result.all_in_focus], dtype=np.float32)

@@ -12,19 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, as_array, positive, scalar, whole
 
-#: Where the Gaussian of the smoothing is cut off, in standard deviations: a neighbor there counts
-#: e⁻², and twice as far the sums would take four times as long.
-_CUT_OFF = 2.0
-#: Standard deviation over the spacing of the neighbors: 37 are left in the circle.
-_SPACING = 1.75
-#: Times that the planes are fitted, the first time to the depths, then to what was left over.
-_TWICING = 2
-#: Largest radius, px; largest jump in ranges of a map, and range in jumps, of single precision;
-#: largest window of the median, px.
-_MOST_RADIUS, _MOST_JUMPS, _MOST_STEPS, _MOST_WINDOW = 250.0, 1e6, 1e9, 255
-#: Variance of position, over the radius squared, that is added to the neighbors' own and makes the
-#: planes stiff where neighbors lie on one line; beside that of a full circle, 0.7, it is nothing.
-_STIFFNESS = 0.001
 #: Pixels that are smoothed at a time: all their neighbors stay in the processor's cache, and the
 #: product of so few is not shared among threads, which took three times the time to wait.
 _BAND = 3072
@@ -73,7 +60,7 @@ def correct_spikes(depth: ArrayLike, *, window: int = 9, delta: float = 2.0) -> 
     z = as_array("depth", depth, shape=(None, None), finite=False)
     if np.isinf(z).any():
         raise ValueError(f"depth must be finite or NaN, got {int(np.isinf(z).sum())} infinite")
-    n = whole("window", window, least=3, odd=True, most=_MOST_WINDOW)
+    n = whole("window", window, least=3, odd=True, most=255)
     limit = scalar("delta", delta, least=0)
     unknown = np.isnan(z)
     if unknown.all():
@@ -160,7 +147,7 @@ def smooth_depth(
     if np.isinf(z).any():
         raise ValueError(f"depth must be finite or NaN, got {int(np.isinf(z).sum())} infinite")
     limit = scalar("jump", jump, above=0)
-    sigma = scalar("radius", radius, above=0, most=_MOST_RADIUS)
+    sigma = scalar("radius", radius, above=0, most=250)
     weights = np.ones_like(z) if weight is None else positive("weight", weight, zero=True)
     if weights.shape != z.shape:
         raise ValueError(f"weight must have the shape {z.shape} of depth, got {weights.shape}")
@@ -174,20 +161,21 @@ def smooth_planes(
     unknown = np.isnan(depth)
     if unknown.all():
         return depth.copy()
-    stride = max(1, round(sigma / _SPACING))
-    reach = stride * int(_CUT_OFF * sigma / stride)
+    # The Gaussian is cut off at two standard deviations, where a neighbor counts e⁻²: twice as far
+    # the sums would take four times as long. The spacing leaves 37 neighbors in the circle.
+    stride = max(1, round(sigma / 1.75))
+    reach = stride * int(2 * sigma / stride)
     span = range(-reach, reach + 1, stride)
-    offsets = [(y, x) for y, x in product(span, span) if y * y + x * x <= (_CUT_OFF * sigma) ** 2]
+    offsets = [(y, x) for y, x in product(span, span) if y * y + x * x <= 4 * sigma**2]
     low, high = np.nanmin(depth), np.nanmax(depth)
     # A jump far beyond all differences is none: every neighbor counts in full. One below what
     # single precision tells apart lets none count but equal ones.
-    most, least = _MOST_JUMPS * (high - low), (high - low) / _MOST_STEPS
-    unit = depth.dtype.type(max(least, min(jump, most)) if high > low else jump)
+    unit = depth.dtype.type(np.clip(jump, 1e-9 * (high - low), 1e6 * (high - low)) or jump)
     # In units of the jump and from the middle, where float32 has digits to spare.
     rest = np.where(unknown, 0, (depth - (low + high) / 2) / unit).astype(np.float32)
     mass = np.pad(np.where(unknown, 0, weight).astype(np.float32), reach)
     # What planes leave over is their shift with its sign turned; the smooth parts are the rest.
-    for _ in range(_TWICING):
+    for _ in range(2):
         rest = -_plane_shift(np.pad(rest, reach), mass, np.array(offsets), sigma, workers)
     return depth - unit * rest
 
@@ -215,23 +203,45 @@ def _plane_shift(
         for (dy, dx), gap, weight in zip(offsets + reach, gaps, weights, strict=True):
             there = np.s_[top + dy : top + dy + len(band), dx : dx + cols]
             np.subtract(value[there], here, out=gap)
-            np.multiply(gap, gap, out=weight)
-            np.subtract(1, weight, out=weight)
-            np.maximum(weight, 0, out=weight)
-            np.multiply(weight, weight, out=weight)
-            np.multiply(weight, mass[there], out=weight)
+            _biweight(gap, mass[there], out=weight)
         gaps, weights = gaps.reshape(len(offsets), -1), weights.reshape(len(offsets), -1)
-        # Sums of the weights with 1, x, y, x², y², xy, and of the weighted gaps with 1, x, y.
-        s, sx, sy, sxx, syy, sxy = (basis @ weights).astype(np.float64)
-        t, tx, ty = basis[:3] @ np.multiply(weights, gaps, out=weights)
-        sxx, syy = sxx + _STIFFNESS * sigma**2 * s, syy + _STIFFNESS * sigma**2 * s
-        # Cramer's rule for the height of the plane above the pixel.
-        c0, c1, c2 = sxx * syy - sxy * sxy, sx * syy - sxy * sy, sx * sxy - sxx * sy
-        determinant = s * c0 - sx * c1 + sy * c2
-        with np.errstate(divide="ignore", invalid="ignore"):
-            shift = (t * c0 - tx * c1 + ty * c2) / determinant
-        band[:] = np.where(determinant > 0, shift, 0).reshape(band.shape)
+        moments = basis @ weights
+        raised = basis[:3] @ np.multiply(weights, gaps, out=weights)
+        band[:] = _plane_height(moments, raised, sigma).reshape(band.shape)
 
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(fit, range(0, rows, height)))
     return out
+
+
+def _biweight(gap: NDArray, mass: NDArray, *, out: NDArray) -> None:
+    """Write Tukey's biweight (1 − v²)² of the differences v in jumps, times the mass."""
+    np.multiply(gap, gap, out=out)
+    np.subtract(1, out, out=out)
+    np.maximum(out, 0, out=out)
+    np.multiply(out, out, out=out)
+    np.multiply(out, mass, out=out)
+
+
+def _plane_height(moments: NDArray, raised: NDArray, sigma: float) -> NDArray:
+    """Return how far planes lie above their pixels, by Cramer's rule; 0 where there is none.
+
+    Parameters
+    ----------
+    moments : ndarray, shape (6, pixels)
+        Sums of the weights with 1, x, y, x², y², xy.
+    raised : ndarray, shape (3, pixels)
+        Sums of the weighted gaps with 1, x, y.
+    sigma : float
+        Radius of the Gaussian, px.
+    """
+    s, sx, sy, sxx, syy, sxy = moments.astype(np.float64)
+    t, tx, ty = raised
+    # Added to the variance of the neighbors' places, this makes the planes stiff where neighbors
+    # lie on one line; beside that of a full circle, 0.7 of the radius squared, it is nothing.
+    stiffness = 0.001 * sigma**2 * s
+    sxx, syy = sxx + stiffness, syy + stiffness
+    c0, c1, c2 = sxx * syy - sxy * sxy, sx * syy - sxy * sy, sx * sxy - sxx * sy
+    determinant = s * c0 - sx * c1 + sy * c2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(determinant > 0, (t * c0 - tx * c1 + ty * c2) / determinant, 0)

@@ -19,23 +19,20 @@ from microlib._common import (
     as_array,
     scalar,
 )
-from microlib.focus._axis import find_axis, noise_level, sampled
+from microlib.focus._axis import noise_level, sampled
 from microlib.focus._blocks import depth_in_blocks, is_in_blocks
-from microlib.focus._measures import FocusMeasure, blur, doubled
-from microlib.focus._multiscale import multiscale_result
-from microlib.focus._options import MOST, Options, Progress, check_options
+from microlib.focus._measures import MOST, FocusMeasure, blur, doubled
+from microlib.focus._options import Options, Progress, check_options
 from microlib.focus._peaks import FARTHEST, fit_peaks, three_point_peak
 from microlib.focus._registration import Registered
 from microlib.focus._registration import register as find_registration
 from microlib.focus._reliability import incoherent_mask, unchanged_mask
 from microlib.focus._result import FocusResult, as_type, picked
+from microlib.focus._stages import default_depth
 from microlib.io import read_frames
 
 #: Axes of metadata that are no focus.
 _NO_FOCUS = {"T": "times", "C": "channels"}
-#: Differences from a Gaussian mean that leave the roughness of a depth, the radius of that mean and
-#: the window over which the square is averaged, every second px.
-_ROUGH_TIMES, _ROUGH_RADIUS, _ROUGH_WINDOW = 4, 4.0, 3
 
 
 def depth_from_focus(
@@ -212,15 +209,9 @@ def depth_from_focus(
         told(count * (1 + share), count)
 
     if measure == "multiscale":
-        rows, cols = (sampled(n) for n in stack.grey[0].shape)
-        axis = find_axis([frame[np.ix_(rows, cols)] for frame in stack.grey], stack.positions)
-        result = multiscale_result(
-            stack.grey,
-            stack.color,
-            axis,
-            points=options.points,
-            workers=options.workers,
-            done=done,
+        workers, points = options.workers, options.points
+        result = default_depth(
+            stack.grey, stack.color, stack.positions, points=points, workers=workers, done=done
         )
     else:
         result = _single_measure(stack, options.chosen(), options.points // 2, done)
@@ -340,7 +331,7 @@ def _single_measure(
         np.ascontiguousarray(part[::2, ::2])
         for part in (window[reach] - mean, _chance(stack.grey, measure, best), best)
     )
-    lost = unchanged_mask(rise, chance, len(z)) | incoherent_mask(coarse)
+    lost = unchanged_mask(rise, chance, len(z), 3.0) | incoherent_mask(coarse)
     depth[doubled(lost, depth.shape)] = np.nan
     known = np.isfinite(depth)
     error = np.where(known, _roughness(depth, z, best), np.float32(np.nan))
@@ -418,9 +409,9 @@ def _roughness(depth: NDArray, positions: Array, index: NDArray[np.uint16]) -> N
     rough = (depth[::2, ::2] - np.float32(positions.mean())).astype(np.float32)
     unknown = np.isnan(rough)
     rough[unknown] = (positions - positions.mean())[index[::2, ::2][unknown]]
-    for _ in range(_ROUGH_TIMES):
-        rough = rough - blur(rough, _ROUGH_RADIUS)
-    rough = np.sqrt(np.maximum(cv2.boxFilter(rough * rough, -1, (_ROUGH_WINDOW,) * 2), 0))
+    for _ in range(4):
+        rough = rough - blur(rough, 4.0)
+    rough = np.sqrt(np.maximum(cv2.boxFilter(rough * rough, -1, (3, 3)), 0))
     return np.asarray(cv2.resize(rough, depth.shape[::-1]))
 
 

@@ -14,18 +14,11 @@ from microlib._common import Image
 from microlib.focus._axis import Axis
 from microlib.focus._measures import absolute_seconds, blur, halved, noise_gain
 from microlib.focus._peaks import PeakFollower, fit_peaks
+from microlib.focus._settings import Settings
 
 #: Rows that are looked at on either side of a strip: what the measures' windows reach. Rows of a
-#: strip, of which fewer are taken of more frames, so that its measures stay below this memory.
-_MARGIN, _MOST_ROWS, _LEAST_ROWS, _MEASURES = 32, 256, 64, 2**24
-#: Smoothings of the second differences at full size and at half, and their windows, px of the grid
-#: they are taken on: the fine scale places the peak on a slope, the coarse one keeps it where
-#: texture is weak. A product peaks where both agree.
-FINE, COARSE, FINE_WINDOW, COARSE_WINDOW = 0.8, 1.0, 0.6, 1.15
-#: Radius of the mean that the edge measure takes a pixel's deviation from, and its window, px.
-_EDGE_MEAN, _EDGE_WINDOW = 2.0, 1.0
-#: Side of the wide window, every fourth pixel, and the share of noise that halving leaves.
-WIDE = 13
+#: strip, of which fewer are taken of more frames, so that its measures stay below 64 MB.
+_MARGIN, _MOST_ROWS = 32, 256
 
 
 @dataclass(frozen=True)
@@ -46,12 +39,12 @@ class Levels:
     wide: float
 
     @classmethod
-    def of(cls, noise: float) -> Levels:
+    def of(cls, noise: float, settings: Settings) -> Levels:
         """Return them for a noise, grey levels. Halving halves it."""
-        coarse = 0.5 * noise * noise_gain(COARSE)
+        coarse = 0.5 * noise * noise_gain(settings.coarse)
         # The mean square of one of two directions is π/2 times the square of its mean modulus,
         # (coarse / 2)²: over both directions about 0.8 coarse².
-        return cls(noise * noise_gain(FINE), coarse, 0.4 * noise, 0.8 * coarse**2)
+        return cls(noise * noise_gain(settings.fine), coarse, 0.4 * noise, 0.8 * coarse**2)
 
 
 @dataclass(frozen=True)
@@ -88,6 +81,7 @@ def follow(
     frames: Sequence[Image],
     axis: Axis,
     reach: int,
+    settings: Settings,
     *,
     workers: int = 1,
     done: Callable[[float], object] = lambda share: None,
@@ -102,21 +96,24 @@ def follow(
         How they are averaged.
     reach : int
         How many averaged frames to either side of the best one are fitted.
+    settings : Settings
+        Those of the measures.
     workers : int
         Threads that share the strips.
     done : callable
         Told after each strip what share of the rows is done.
     """
     shape = frames[0].shape
-    rows = _MEASURES // max(shape[1] * len(axis.steps), 1) - 2 * _MARGIN
+    rows = 2**24 // max(shape[1] * len(axis.steps), 1) - 2 * _MARGIN
     # A multiple of four, as every fourth row is looked at.
-    tops = range(0, shape[0], int(np.clip(rows // 4 * 4, _LEAST_ROWS, _MOST_ROWS)))
+    tops = range(0, shape[0], int(np.clip(rows // 4 * 4, 64, _MOST_ROWS)))
 
     def strip(top: int) -> Followed:
         bottom = min(top + tops.step, shape[0])
         start = max(top - _MARGIN, 0)
         seen = slice(start, min(bottom + _MARGIN, shape[0]))
-        return _follow_strip(frames, axis, reach, seen, slice(top - start, bottom - start))
+        keep = slice(top - start, bottom - start)
+        return _follow_strip(frames, axis, reach, settings, seen, keep)
 
     parts = []
     with ThreadPoolExecutor(workers) as pool:
@@ -133,10 +130,10 @@ def follow(
 
 
 def _follow_strip(
-    frames: Sequence[Image], axis: Axis, reach: int, rows: slice, keep: slice
+    frames: Sequence[Image], axis: Axis, reach: int, settings: Settings, rows: slice, keep: slice
 ) -> Followed:
     """Do the work of `follow` on some rows of the frames, of which those to keep are fitted."""
-    steps, levels = axis.steps, Levels.of(axis.noise)
+    steps, levels = axis.steps, Levels.of(axis.noise, settings)
     groups = len(steps)
     for k in range(groups):
         frame = axis.frame(frames, k, (rows, slice(None)))
@@ -150,17 +147,17 @@ def _follow_strip(
             edge = PeakFollower(groups, 1, half.shape, 1)
             wide = PeakFollower(groups, 1, (half.shape[0] // 2, half.shape[1] // 2), 2)
         product, *directions = main.slot(k)
-        for second, out in zip(absolute_seconds(frame, FINE, 5), directions, strict=True):
-            out[:] = blur(halved(second), FINE_WINDOW)
-        p, q = absolute_seconds(half, COARSE, 7)
+        for second, out in zip(absolute_seconds(frame, settings.fine), directions, strict=True):
+            out[:] = blur(halved(second), settings.fine_window)
+        p, q = absolute_seconds(half, settings.coarse)
         np.add(directions[0], directions[1], out=product)
         product += np.float32(levels.fine)
-        product *= blur(p + q, COARSE_WINDOW) + np.float32(levels.coarse)
+        product *= blur(p + q, settings.coarse_window) + np.float32(levels.coarse)
         main.push(k)
-        off, floor = cv2.absdiff(half, blur(half, _EDGE_MEAN)), np.float32(levels.edge)
-        np.multiply(off + floor, blur(off, _EDGE_WINDOW) + floor, out=edge.slot(k)[0])
+        off, floor = cv2.absdiff(half, blur(half, settings.edge_mean)), np.float32(levels.edge)
+        np.multiply(off + floor, blur(off, 1.0) + floor, out=edge.slot(k)[0])
         edge.push(k)
-        wide.slot(k)[0] = cv2.blur(halved(p * p + q * q), (WIDE, WIDE))
+        wide.slot(k)[0] = cv2.blur(halved(p * p + q * q), (settings.wide, settings.wide))
         wide.push(k)
     here = slice(keep.start // 2, -(-keep.stop // 2))
     coarse = slice(keep.start // 4, -(-keep.stop // 4))

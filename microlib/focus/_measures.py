@@ -20,8 +20,10 @@ MEASURES: dict[str, tuple[str, ...]] = {
     "variance": ("window",),
 }
 
-#: Side of a window, px: no image is larger.
-_WIDEST = (1 << 16) - 1
+#: Side of a window, px, and number of frames: their numbers fit into 16 bits.
+MOST = 2**16 - 1
+#: What is divided by is no less: the measure of a black frame is 0.
+TINY = np.float32(1e-30)
 
 
 def sum_modified_laplacian(
@@ -72,7 +74,7 @@ def sum_modified_laplacian(
     array([20, 70, 80, 70, 20], dtype=uint16)
     """
     grey = _grey(image)
-    n = whole("window", window, least=1, odd=True, most=_WIDEST)
+    n = whole("window", window, least=1, odd=True, most=MOST)
     s = whole("step", step, least=1)
     limit = scalar("threshold", threshold, least=0)
     if s >= min(grey.shape):
@@ -135,12 +137,12 @@ def _box_sum(image: NDArray, n: int) -> NDArray:
 # --- What the default measure is made of -------------------------------------------------------
 
 
-def absolute_seconds(image: NDArray, sigma: float, side: int) -> tuple[NDArray, NDArray]:
+def absolute_seconds(image: NDArray, sigma: float) -> tuple[NDArray, NDArray]:
     """Return |second derivative| along rows and down columns of an image smoothed by `sigma` px.
 
-    Smoothing and difference are one separable filter; the Gaussian has `side` taps.
+    Smoothing and difference are one separable filter; the Gaussian is cut off at 3 sigma.
     """
-    smooth = cv2.getGaussianKernel(side, sigma, cv2.CV_32F).ravel()
+    smooth = cv2.getGaussianKernel(2 * round(3 * sigma) + 1, sigma, cv2.CV_32F).ravel()
     second = np.convolve(smooth, np.array([1, -2, 1], np.float32))
     along = cv2.sepFilter2D(image, cv2.CV_32F, second, smooth)
     down = cv2.sepFilter2D(image, cv2.CV_32F, smooth, second)
@@ -159,9 +161,9 @@ def noise_gain(sigma: float) -> float:
 
 
 def blur(image: NDArray, sigma: float) -> NDArray:
-    """Smooth by a Gaussian; from 1.1 px on by two boxes of nearly its variance, which is faster."""
-    if sigma < 1.1:
-        side = 3 if sigma <= 0.6 else 5 if sigma < 0.9 else 7
+    """Smooth by a Gaussian; beyond 1 px by two boxes of nearly its variance, which is faster."""
+    if sigma <= 1:
+        side = 2 * round(4 * sigma) - 1  # 3 to 7 px
         return np.asarray(cv2.GaussianBlur(image, (side, side), sigma))
     # A box of n px has the variance (n² − 1) / 12.
     side = 2 * round((np.sqrt(6 * sigma**2 + 1) - 1) / 2) + 1

@@ -6,17 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 from microlib._common import Image, Region, as_region, check_callable, flag, one_of, scalar, whole
-from microlib.focus._measures import MEASURES, FocusMeasure, focus_measure
+from microlib.focus._measures import MEASURES, MOST, FocusMeasure, focus_measure
 from microlib.focus._registration import check_size
 from microlib.io import read_frames
 
 #: What is told how many parts of the work are done, and of how many; an exception from it ends all.
 Progress = Callable[[int, int], object]
-#: Side of a window, px, and number of frames: their numbers fit into 16 bits.
-MOST = 2**16 - 1
-#: Frames in a fit: beyond, its window takes a gigabyte a megapixel. Threads: more than any machine
-#: has processors.
-_MOST_POINTS, _MOST_WORKERS = 255, 256
 
 
 @dataclass(frozen=True)
@@ -83,8 +78,9 @@ def check_options(
         5 if window is None else whole("window", window, least=1, odd=True, most=MOST),
         1 if step is None else whole("step", step, least=1),
         0.0 if threshold is None else scalar("threshold", threshold, least=0),
-        whole("points", usual if points is None else points, least=3, odd=True, most=_MOST_POINTS),
-        whole("workers", workers, least=1, most=_MOST_WORKERS),
+        # More points take a gigabyte a megapixel; no machine has more processors.
+        whole("points", usual if points is None else points, least=3, odd=True, most=255),
+        whole("workers", workers, least=1, most=256),
         flag("register", register),
         None if region is None else as_region("region", region),
         whole("reduce", reduce, least=1),

@@ -13,15 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array, as_array
+from microlib.focus._measures import TINY
 
 #: Largest magnitude of a position and one over the least distance of two, µm; largest measure.
 FARTHEST, _LARGEST = 1e12, 1e36
-#: Least measure over the best one whose logarithm is looked at, 1e-6, and that logarithm.
-_LEAST, _LOWEST = np.float32(1e-30), np.float32(np.log(1e-6))
 #: Pixels that are fitted at a time: their windows stay in the processor's cache.
 _BAND = 16384
-#: How far a direction's peak is sought from the base depth, steps.
-_NEAR = 1.6
 
 
 def three_point_peak(window: NDArray, index: NDArray, positions: Array) -> NDArray[np.float32]:
@@ -81,8 +78,8 @@ def three_point_peak(window: NDArray, index: NDArray, positions: Array) -> NDArr
     # The logarithm is of a share: a difference of logarithms would lose digits.
     first, best, third = values
     with np.errstate(divide="ignore", invalid="ignore"):
-        left = np.log(np.maximum(first / best, _LEAST)) / before
-        right = np.log(np.maximum(third / best, _LEAST)) / after
+        left = np.log(np.maximum(first / best, TINY)) / before
+        right = np.log(np.maximum(third / best, TINY)) / after
         curvature = (right - left) / (after - before)
         shift = (before - left / curvature) / 2
     ends = (index == 0) | (index == len(z) - 1)
@@ -98,6 +95,7 @@ def fit_peaks(
     steps: Array,
     *,
     near: NDArray[np.float32] | None = None,
+    within: float = 0.0,
     beyond: float = 0.0,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Fit a Gaussian to all frames of each pixel's window; return its depth, and how sure it is.
@@ -112,6 +110,8 @@ def fit_peaks(
         Position of each frame, rising.
     near : ndarray of float32, shape (rows, cols), optional
         A depth around which the peak is sought, instead of around the best frame.
+    within : float
+        How far from there.
     beyond : float
         How far the stack goes on before the first position and behind the last.
 
@@ -142,7 +142,7 @@ def fit_peaks(
         here = slice(top, top + band)
         samples = window[:, here].reshape(len(window), -1)
         place = None if near is None else near[here].ravel()
-        found = _fit(samples, best[here].ravel(), table, place)
+        found = _fit(samples, best[here].ravel(), table, place, within)
         depth[here], strength[here] = (part.reshape(-1, cols) for part in found)
     return depth, strength
 
@@ -194,49 +194,58 @@ def _fit(
     best: NDArray[np.unsignedinteger],
     table: _Table,
     near: NDArray[np.float32] | None,
+    within: float,
 ) -> tuple[NDArray, NDArray]:
     """Do the work of `fit_peaks` on a band of pixels, window of shape (2 reach + 1, pixels)."""
-    last, reach = len(table.steps) - 1, len(window) // 2
-    offset = np.take(table.offset, best, axis=1)
-    narrow, place = table.narrow[best], table.steps[best]
-    center = np.float32(0) if near is None else near - place
+    last, top = len(table.steps) - 1, window[len(window) // 2]
+    offset, place = np.take(table.offset, best, axis=1), table.steps[best]
+    share = window / np.maximum(top, TINY)
+    log = cv2.log(np.maximum(share, 1e-6))
+    center = np.zeros_like(place)
     least, most = table.least[best], table.most[best]
-    if near is not None:
-        # From the place of the best frame; never outside of the stack.
-        first, final = table.least[0] - place, table.steps[last] + table.most[last] - place
-        least = np.maximum(center - np.float32(_NEAR), first)
-        most = np.maximum(np.minimum(center + np.float32(_NEAR), final), least)
-    top = window[reach]
-    share = window / np.maximum(top, _LEAST)
-    log = cv2.log(np.maximum(share, np.exp(_LOWEST)))
     if near is None:
         share = np.asarray(cv2.sqrt(share * cv2.sqrt(share)))
+    else:
+        # From the place of the best frame; never outside of the stack.
+        center = near - place
+        first, final = table.least[0] - place, table.steps[last] + table.most[last] - place
+        least = np.maximum(center - np.float32(within), first)
+        most = np.maximum(np.minimum(center + np.float32(within), final), least)
     with np.errstate(all="ignore"):
         for _ in range(2):
-            weight = np.maximum(1 - ((offset - center) * narrow) ** 2, 0)
+            weight = np.maximum(1 - ((offset - center) * table.narrow[best]) ** 2, 0)
             weight *= weight
             weight *= share
-            # Moments of the positions about their mean, and of the logarithms with them.
-            total = weight.sum(axis=0)
-            mean = np.einsum("ij,ij->j", weight, offset) / total
-            away = offset - mean
-            w1 = weight * away
-            w2 = w1 * away
-            s2 = w2.sum(axis=0)
-            s3 = np.einsum("ij,ij->j", w2, away)
-            s4 = np.einsum("ij,ij,ij->j", w2, away, away)
-            b0, b1, b2 = (np.einsum("ij,ij->j", w, log) for w in (weight, w1, w2))
-            # A parabola through the logarithms, its terms made orthogonal one after the other.
-            skew, spread = s3 / s2, s2 / total
-            norm = s4 - s3 * skew - s2 * spread
-            square = (b2 - skew * b1 - spread * b0) / norm
-            square[~(norm * total > 1e-6 * s2 * s2)] = 0
-            center = np.clip(mean + (skew - b1 / (s2 * square)) / 2, least, most)
+            vertex, curvature = _parabola(weight, offset, log)
+            center = np.clip(vertex, least, most)
         there = (top > 0) & (log.min(axis=0) < -1e-3)
-        good = there & (square < 0) & np.isfinite(center)
+        good = there & (curvature < 0) & np.isfinite(center)
         end = there & ((best == 0) | (best == last))
         depth = np.where(good, place + center, np.where(end, place, np.float32(np.nan)))
-        return depth, np.where(good, -square * top, np.float32(0))
+        return depth, np.where(good, -curvature * top, np.float32(0))
+
+
+def _parabola(weight: NDArray, x: NDArray, y: NDArray) -> tuple[NDArray, NDArray]:
+    """Return the vertex and the leading coefficient of the weighted parabola through each column.
+
+    Its terms are made orthogonal one after the other: 1, then x less its mean, then the square of
+    that less its own mean and slope.
+    """
+    total = weight.sum(axis=0)
+    mean = np.einsum("ij,ij->j", weight, x) / total
+    away = x - mean
+    first = weight * away
+    second = first * away
+    variance = second.sum(axis=0)
+    # Slope and mean of the square, (x − mean)².
+    slope = np.einsum("ij,ij->j", second, away) / variance
+    level = variance / total
+    fourth = np.einsum("ij,ij,ij->j", second, away, away)
+    norm = fourth - variance * (slope * slope + level)
+    y0, y1, y2 = (np.einsum("ij,ij->j", part, y) for part in (weight, first, second))
+    curvature = (y2 - slope * y1 - level * y0) / norm
+    curvature[~(norm * total > 1e-6 * variance * variance)] = 0
+    return mean + (slope - y1 / (variance * curvature)) / 2, curvature
 
 
 class PeakFollower:

@@ -22,21 +22,9 @@ from microlib.focus._result import warped
 #: Least side of a frame that can be registered, px, and shorter side of the frames that are
 #: compared: those are reduced by whole blocks as long as it stays above.
 _SMALLEST, _WORKING_SIDE = 32, 240
-#: Radii of what is finer than noise and coarser than light, px of the frames that are compared.
-_FINE, _COARSE = 1.0, 15.0
-#: Steps of the alignment, and the gain in correlation at which it ends.
-_STEPS, _GAIN = 40, 1e-6
 #: Correlation of the aligned frames below which they do not show one scene: noise and foreign
 #: frames stay below 0.2.
 _CORRELATION = 0.5
-#: Smoothing before brightness is compared, px of the compared frames: finer detail differs by blur.
-_SMOOTH = 4.0
-#: Share of the grey level where the camera saturates from which on a pixel does not count.
-_SATURATED = 0.99
-#: Typical offset between neighbors, over the mean grey level, from which on there is one.
-_OFFSET = 0.01
-#: Least number of frames, and share of all, on either side of a pixel's best one that must show it.
-_REACH, _REACH_SHARE = 3, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +53,7 @@ class Registered:
 
     def unseen(self, index: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Tell which pixels one of the frames around theirs does not show."""
-        reach = max(_REACH, round(_REACH_SHARE * len(self.kept)))
+        reach = max(3, round(0.1 * len(self.kept)))
         full, result = np.ones(index.shape, np.uint8), np.zeros(index.shape, bool)
         how = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP  # up to half a pixel beyond is inside
         for k, pose in enumerate(self.poses[self.kept]):
@@ -100,9 +88,8 @@ def register(frames: Sequence[Image]) -> Registered:
         )
         for frame in frames
     ]
-    bands = [
-        cv2.GaussianBlur(s, (0, 0), _FINE) - cv2.GaussianBlur(s, (0, 0), _COARSE) for s in small
-    ]
+    # What is coarser than noise and finer than light.
+    bands = [cv2.GaussianBlur(s, (0, 0), 1.0) - cv2.GaussianBlur(s, (0, 0), 15) for s in small]
     # If the middle frame is foreign, one beside it is not.
     chains = (_chain(bands, start) for start in (count // 2, count // 2 - 1, count // 2 + 1))
     most: dict[int, Array] = {}
@@ -156,7 +143,7 @@ def _chain(bands: Sequence[NDArray], start: int) -> dict[int, Array]:
 def _link(first: NDArray, second: NDArray) -> Array | None:
     """Return the similarity from the first image's pixels to the second's, if they correlate."""
     start = np.eye(2, 3, dtype=np.float32)
-    end = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, _STEPS, _GAIN)
+    end = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-6)
     try:
         correlation, found = cv2.findTransformECC(
             first, second, start, cv2.MOTION_AFFINE, end, np.ones(first.shape, np.uint8), 1
@@ -202,17 +189,17 @@ def _brightness(
 ) -> tuple[Array, Array]:
     """Return gain and offset of every frame relative to the reference, NaN for those left out."""
     most = max(float(image.max()) for image in small)
-    limit = _SATURATED * most if dtype.kind == "u" and most >= np.iinfo(dtype).max else np.inf
+    limit = 0.99 * most if dtype.kind == "u" and most >= np.iinfo(dtype).max else np.inf
+    # Smooth, as finer detail differs by blur.
     smooth, usable = {}, {}
     for k in kept:
         size = small[k].shape[::-1]
         matrix, flags = poses[int(k)][:2], cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         dark = (small[k] < limit).astype(np.float32)
         image = cv2.warpAffine(small[k], matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-        smooth[k] = cv2.GaussianBlur(image, (0, 0), _SMOOTH)
+        smooth[k] = cv2.GaussianBlur(image, (0, 0), 4.0)
         usable[k] = (
-            cv2.GaussianBlur(cv2.warpAffine(dark, matrix, size, flags=flags), (0, 0), _SMOOTH)
-            > 0.99
+            cv2.GaussianBlur(cv2.warpAffine(dark, matrix, size, flags=flags), (0, 0), 4.0) > 0.99
         )
     found = []
     for a, b in pairwise(kept):
@@ -228,7 +215,8 @@ def _brightness(
         ratio = np.exp(np.median(np.log(smooth[b][lit] / smooth[a][lit]))) if lit.any() else 1.0
         found.append(((2 + change) / (2 - change), 2 * plus / (2 - change), float(ratio)))
     level = float(np.mean([image.mean() for image in smooth.values()]))
-    if np.median([abs(plus) for _, plus, _ in found]) < _OFFSET * abs(level):
+    # An offset of less than 1 % of the grey level is none.
+    if np.median([abs(plus) for _, plus, _ in found]) < 0.01 * abs(level):
         found = [(ratio, 0.0, ratio) for _, _, ratio in found]
     gain, offset = np.ones(len(kept)), np.zeros(len(kept))
     for k, (factor, plus, _) in enumerate(found):

@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib.focus._axis import Axis
-from microlib.focus._measures import blur
+from microlib.focus._measures import TINY, blur
 from microlib.focus._reliability import fill_nearest
+from microlib.focus._settings import Settings
 
-#: Difference in depth across which nothing is smoothed, steps, and the smoothing's radius, px.
-JUMP, RADIUS = 1.5, 3.5
 #: For each octave of relief: radius of the next coarser mean and side of the window of comparison,
 #: px; correlation of the directions, and its scatter in a window of 1 px, that noise alone has.
 _OCTAVES = (
@@ -25,31 +24,11 @@ _OCTAVES = (
     (2.0, 20, 0.09, 0.92),
     (2.8, 28, 0.1, 1.68),
 )
-#: Standard deviations by which a covariance must exceed that of noise to begin to count, and to
-#: count in full.
-_DOUBT, _SURE = 2.5, 4.5
-#: Logarithm of what a measure's windows take from relief, over its mean squared slope, px²; the
-#: most that is given back, and the radius over which the slope is told.
-_TAKEN, _MOST_GIVEN, _SLOPE_WINDOW = 0.35, 2.2, 8.0
-#: Radius over which the square of half the difference of both directions is averaged, px.
-_NOISE_WINDOW = 20.0
-#: Radius of the mean over a slope that the measures and the smoothing take, px of the full grid.
-_MEAN_RADIUS = 5.2
-#: How far a texture moves a depth along a slope, px of the full grid, and the steepest slope for
-#: which that holds, steps/px; the radius over which the slope is looked at.
-_SHIFT, _STEEPEST, _SLOPE_RADIUS = 0.12, 0.3, 1.15
-#: Least height of an edge, steps; the error over the height, up to 4 px beside one below two
-#: jumps, which the smoothing may mix.
-_EDGE, _BESIDE_EDGE = 0.25, 0.17
-#: Beside a higher one the error is the distance of the depths by two measures, or its square if
-#: that is less: on drawn texture 0.03 steps at a distance of 0.2, on photographs 1.0 at 1.2. The
-#: most that one pixel counts, steps, and the radius over which this and the next are averaged, px.
-_MOST_APART, _LOCAL = 6.0, 2.0
-#: Error at a sharp bend, such as the tip of a cone, over its distance from a Gaussian mean.
-_BENT = 0.2
 
 
-def find_relief(along: NDArray, down: NDArray, weight: NDArray) -> tuple[NDArray, NDArray]:
+def find_relief(
+    along: NDArray, down: NDArray, weight: NDArray, settings: Settings
+) -> tuple[NDArray, NDArray]:
     """Return the relief that both directions agree on, and half of what they differ by.
 
     Parameters
@@ -67,25 +46,31 @@ def find_relief(along: NDArray, down: NDArray, weight: NDArray) -> tuple[NDArray
     finer = (along, down)
     kept = np.zeros((2, *along.shape), np.float32)
     for sigma, window, common, chance in _OCTAVES:
-        total = np.maximum(blur(weight, sigma), 1e-12)
+        total = np.maximum(blur(weight, sigma), TINY)
         wider = tuple(blur(image * weight, sigma) / total for image in (along, down))
         p, q = (fine - wide for fine, wide in zip(finer, wider, strict=True))
         pp, qq, pq, ppqq = (blur(f, window / 2) for f in (p * p, q * q, p * q, (p * q) ** 2))
         pp, qq = np.maximum(pp, 0), np.maximum(qq, 0)
         alone = np.sqrt(pp * qq)
         scatter = chance / window * np.maximum(alone, np.sqrt(np.maximum(ppqq, 0)))
-        excess = (pq - common * alone) / np.maximum(scatter, 1e-30)
-        sure = np.clip((excess - _DOUBT) / (_SURE - _DOUBT), 0, 1)
+        excess = (pq - common * alone) / np.maximum(scatter, TINY)
+        sure = np.clip((excess - settings.doubt) / (settings.sure - settings.doubt), 0, 1)
         # The share of the mean's variance that is the object's.
-        share = np.clip(pq / np.maximum((pp + qq + 2 * pq) / 4, 1e-30), 0, 1) * sure
+        share = np.clip(pq / np.maximum((pp + qq + 2 * pq) / 4, TINY), 0, 1) * sure
         kept += share * np.stack([p, q])
         finer = wider
-    # The windows of the measure flatten relief as a Gaussian does: by its mean square wavenumber.
-    power = blur(kept[0] * kept[1], _SLOPE_WINDOW)
-    slope = blur(sum(part[0] * part[1] for part in np.gradient(kept, axis=(1, 2))), _SLOPE_WINDOW)
-    given = np.clip(_TAKEN * slope / np.maximum(power, 1e-6), 0, np.log(_MOST_GIVEN))
-    factor = np.where(power > 1e-6, np.exp(given), 1).astype(np.float32)
-    return kept.mean(axis=0) * factor, (finer[0] - finer[1]) / 2
+    return kept.mean(axis=0) * _given_back(kept, settings.taken), (finer[0] - finer[1]) / 2
+
+
+def _given_back(kept: NDArray, taken: float) -> NDArray:
+    """Return what relief is to be multiplied by, at most 3, for what the measures' windows took.
+
+    They flatten relief as a Gaussian does: by its mean square wavenumber.
+    """
+    power = blur(kept[0] * kept[1], 4.0)
+    slope = blur(sum(part[0] * part[1] for part in np.gradient(kept, axis=(1, 2))), 4.0)
+    given = np.clip(taken * slope / np.maximum(power, 1e-6), 0, np.log(3))
+    return np.where(power > 1e-6, np.exp(given), 1).astype(np.float32)
 
 
 def frame_pull(depth: NDArray, axis: Axis) -> NDArray:
@@ -102,20 +87,24 @@ def frame_pull(depth: NDArray, axis: Axis) -> NDArray:
         The averaged frames.
     """
     number = np.interp(np.nan_to_num(depth), axis.steps, np.arange(len(axis.steps)))
-    left = np.exp(-((2 * np.pi * _MEAN_RADIUS) ** 2) / 2 * _steepness(depth))
+    # The measures and the smoothing take a mean over a slope, of some 5 px.
+    left = np.exp(-((2 * np.pi * 5) ** 2) / 2 * _steepness(depth))
     return np.asarray(-axis.pull * np.sin(2 * np.pi * number) * left, np.float32)
 
 
 def _steepness(depth: NDArray) -> NDArray:
     """Return the square of the slope, steps per px of the full grid."""
-    dy, dx = np.gradient(blur(fill_nearest(depth), _SLOPE_RADIUS))
+    dy, dx = np.gradient(blur(fill_nearest(depth), 1.0))
     return np.asarray((dx * dx + dy * dy) / 4)
 
 
 def error_variance(
-    depth: NDArray, half_difference: NDArray, pull: NDArray, apart: NDArray
+    depth: NDArray, half_difference: NDArray, pull: NDArray, apart: NDArray, settings: Settings
 ) -> NDArray:
     """Return the mean square error of a depth: noise, light, slopes, edges and sharp bends.
+
+    Its numbers were found on drawn texture and photographs; the table of stated errors in
+    benchmarks/focus_depth.py shows what they are worth.
 
     Parameters
     ----------
@@ -127,24 +116,32 @@ def error_variance(
         How far changes of the light and frames may pull the depth.
     apart : ndarray, shape (rows, cols)
         Distance of the depths by the default's two measures, steps.
+    settings : Settings
+        Those of the smoothing.
 
     Returns
     -------
     ndarray, shape (rows, cols)
         Variance, steps².
     """
-    variance = np.maximum(blur(half_difference**2, _NOISE_WINDOW), 0) + pull**2
-    variance += _SHIFT**2 * np.minimum(_steepness(depth), _STEEPEST**2)
+    high = 2 * settings.jump
+    variance = np.maximum(blur(half_difference**2, 20.0), 0) + pull**2
+    # Texture moves a depth along a slope, by 0.12 px of the full grid.
+    variance += 0.12**2 * np.minimum(_steepness(depth), 0.1)
     full = fill_nearest(depth)
     height = step_height(full)
-    height[height < _EDGE] = 0
+    height[height < 0.25] = 0
     beside = cv2.dilate(height, np.ones((5, 5), np.uint8))
-    doubt = blur(np.minimum(apart, _MOST_APART), _LOCAL)
+    # The smoothing may mix both sides of a low edge. Beside a high one the error is the distance of
+    # the depths by two measures, or its square if that is less: on drawn texture 0.03 steps at a
+    # distance of 0.2, on photographs 1.0 at 1.2.
+    doubt = blur(np.minimum(apart, 6), 2.0)
     doubt = np.minimum(doubt, doubt * doubt)
-    variance += np.where(beside < 2 * JUMP, _BESIDE_EDGE * beside, doubt) ** 2
-    bent = (full - blur(full, RADIUS)) ** 2
-    bent[cv2.dilate(height, np.ones((15, 15), np.uint8)) >= 2 * JUMP] = 0
-    return np.asarray(variance + _BENT**2 * np.maximum(blur(bent, _LOCAL), 0), np.float32)
+    variance += np.where(beside < high, 0.17 * beside, doubt) ** 2
+    # At a sharp bend, such as the tip of a cone.
+    bent = (full - blur(full, settings.radius)) ** 2
+    bent[cv2.dilate(height, np.ones((15, 15), np.uint8)) >= high] = 0
+    return np.asarray(variance + 0.2**2 * np.maximum(blur(bent, 2.0), 0), np.float32)
 
 
 def step_height(depth: NDArray) -> NDArray:

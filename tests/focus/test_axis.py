@@ -46,7 +46,7 @@ def test_width_of_a_known_peak():
 @pytest.mark.parametrize("factor", [1, 4, 8])
 def test_groups_are_even_means_of_frames_and_positions(factor):
     _, positions, stack = tilted(factor)
-    axis = find_axis(mosaics(stack), positions)
+    axis = find_axis(mosaics(stack), positions, 3.7)
     sizes = np.diff(axis.ends)
     assert (axis.ends[0], axis.ends[-1]) == (0, len(stack))
     assert np.ptp(sizes) <= 1
@@ -58,7 +58,7 @@ def test_groups_are_even_means_of_frames_and_positions(factor):
 
 
 def test_a_falling_stack_has_rising_steps():
-    axis = find_axis([np.full((48, 48), 7, np.uint8)] * 4, np.array([30.0, 20.0, 10.0, 0.0]))
+    axis = find_axis([np.full((48, 48), 7, np.uint8)] * 4, np.array([30.0, 20, 10, 0]), 3.7)
     np.testing.assert_allclose(axis.steps, [0, 1, 2, 3])
     found = axis.micrometers(np.array([-1.0, 0.25, 3.5], np.float32))
     np.testing.assert_allclose(found, [30.0, 27.5, 0.0])  # never outside of the stack

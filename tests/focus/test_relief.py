@@ -9,6 +9,7 @@ from microlib import synthetic
 from microlib.focus import depth_from_focus
 from microlib.focus._axis import light_pull
 from microlib.focus._relief import find_relief
+from microlib.focus._settings import Settings
 
 SHAPE = (144, 144)
 POSITIONS = np.arange(15.0)
@@ -64,14 +65,14 @@ ONES = np.ones((144, 144), np.float32)
 @pytest.mark.parametrize("period", [6.0, 10.0])
 def test_relief_on_which_both_directions_agree_is_found(period):
     relief = waves(period, 0.3)
-    found, _ = find_relief(*directions(relief, noise=0.04), ONES)
+    found, _ = find_relief(*directions(relief, noise=0.04), ONES, Settings())
     assert 0.8 < gain(found, relief) < 2.2  # more is given back than was taken from these
     assert np.corrcoef(inner(found).ravel(), inner(relief).ravel())[0, 1] > 0.97
 
 
 def test_noise_of_each_direction_alone_is_no_relief():
     for seed in range(3):
-        found, _ = find_relief(*directions(np.zeros(SHAPE), seed=seed), ONES)
+        found, _ = find_relief(*directions(np.zeros(SHAPE), seed=seed), ONES, Settings())
         # 0.07 is the noise of their mean.
         assert rms(found) < 0.007
 
@@ -79,10 +80,10 @@ def test_noise_of_each_direction_alone_is_no_relief():
 def test_what_the_directions_do_not_share_is_stated_as_noise():
     """Noise of a grain of 4 px passes all windows, and shows as half their difference."""
     made = directions(np.zeros(SHAPE), noise=0.1, grain=4.0, seed=1)
-    _, half = find_relief(*made, ONES)
+    _, half = find_relief(*made, ONES, Settings())
     # 0.1 / √2; some of it is smoothed away.
     assert 0.03 < rms(half) < 0.08
-    _, none = find_relief(made[0], made[0], ONES)
+    _, none = find_relief(made[0], made[0], ONES, Settings())
     assert not none.any()
 
 
