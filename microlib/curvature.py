@@ -231,9 +231,7 @@ def surface_curvature(
             (2, slope, slope),
         )
     )
-    blind = (
-        ndimage.binary_dilation(unknown, np.ones((2 * n - 1,) * 2)) if unknown.any() else unknown
-    )
+    blind = cv2.dilate(unknown.astype(np.uint8), np.ones((2 * n - 1,) * 2, np.uint8)) > 0
     margin = n - 1
     blind[:margin], blind[-margin:], blind[:, :margin], blind[:, -margin:] = True, True, True, True
 

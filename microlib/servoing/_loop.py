@@ -11,7 +11,7 @@ import numpy as np
 from microlib._common import Array, EndRun, Guard
 from microlib.servoing._log import add_event, new_row, put
 from microlib.servoing._motion import LARGEST_SHARE, UNKNOWN, fit_motion, visits
-from microlib.servoing._workstation import Controller, Tracker
+from microlib.servoing._workstation import Controller
 
 #: Moves in a row that the image may fail to follow: one can be a bad track, and a second its
 #: correction; a wrong Jacobian, a stuck axis or a frozen frame fails every one.
@@ -90,9 +90,7 @@ class Follower:
 class Loop:
     """One run; what it saw and did is in `rows`, `motion` and `reached`."""
 
-    def __init__(
-        self, workstation: Any, tracker: Tracker, guard: Guard, settings: Settings
-    ) -> None:
+    def __init__(self, workstation: Any, tracker: Any, guard: Guard, settings: Settings) -> None:
         self.workstation, self.guard = workstation, guard
         self.rows: list[dict[str, Any]] = []
         self.motion = UNKNOWN

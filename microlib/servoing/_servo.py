@@ -28,7 +28,7 @@ from microlib._common import (
 from microlib.servoing._control import full_rank
 from microlib.servoing._log import add_event, as_frame, new_row, put
 from microlib.servoing._loop import USED, Loop, Settings
-from microlib.servoing._workstation import Controller, Tracker
+from microlib.servoing._workstation import Controller
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -94,7 +94,7 @@ class ServoRun(Tidy, Ending):
 
 def servo(
     workstation: Any,
-    tracker: Tracker,
+    tracker: Any,
     targets: ArrayLike,
     *,
     travel: ArrayLike,

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,22 +21,6 @@ Controller = Callable[[int, Array, Array], Array]
 
 #: Given where the feature is in the image (px), where it is measured to be; NaN if it is lost.
 Observer = Callable[[Array], Array]
-
-
-class Tracked(Protocol):
-    """What a tracker says of a frame."""
-
-    @property
-    def center(self) -> Array: ...
-
-    @property
-    def lost(self) -> bool: ...
-
-
-class Tracker(Protocol):
-    """Follows a feature through frames."""
-
-    def track(self, frame: Any, /) -> Tracked: ...
 
 
 @dataclass(frozen=True)
