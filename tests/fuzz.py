@@ -35,6 +35,7 @@ from functools import cache
 from itertools import zip_longest
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 import microlib
@@ -98,6 +99,12 @@ def lines() -> np.ndarray:
 @cache
 def circles() -> np.ndarray:
     return synthetic.render_circles(replace(scope(), alpha=0.0, beta=0.0))
+
+
+@cache
+def charuco() -> np.ndarray:
+    markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    return cv2.aruco.CharucoBoard((4, 3), 3.0, 2.0, markers).generateImage((180, 140))
 
 
 @cache
@@ -318,6 +325,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "flat": grid()[:, :2] * 1.0, "depth": np.linspace(0.0, 50.0, 42) + 500.0,
         "sensor": grid() * 1.5,
     },
+    "calibration.detect_charuco": lambda: {"image": charuco()},
     "calibration.detect_micrometer": lambda: {"image": lines(), "region": (0, 0, 120, 40)},
     "calibration._micrometer.Micrometer.um_per_pixel": lambda: {
         "self": calibration.detect_micrometer(lines()), "division": 10.0,

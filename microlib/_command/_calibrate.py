@@ -27,7 +27,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     photos = "images of a grid, of one microscope and in one size"
     parser.add_argument("source", metavar="PHOTO", nargs="+", help=photos)
     add_scales(parser, "pitch", "cell", "focal_length")
-    marks = ["auto", "chessboard", "squares", "circles"]
+    marks = ["auto", "chessboard", "charuco", "squares", "circles"]
     parser.add_argument("--marks", choices=marks, default=marks[0], help="of the grid")
     parser.add_argument("--lattice", choices=_LATTICES, help="of circles; else each is tried")
 
@@ -39,7 +39,7 @@ def run(a: argparse.Namespace) -> None:
     from microlib.calibration import calibrate
     from microlib.io import read_grey
 
-    if a.lattice and a.marks in ("chessboard", "squares"):
+    if a.lattice and a.marks in ("chessboard", "charuco", "squares"):
         raise ValueError(f"--lattice must be left out with --marks {a.marks}")
     given = settle(a, "pitch", "cell", *(["focal_length"] if a.focal_length is not None else []))
     names = ["camera.csv", "camera.json", "points.csv", *([] if a.no_look else ["look.png"])]
@@ -74,10 +74,11 @@ def run(a: argparse.Namespace) -> None:
 
 def _detect(image: NDArray, marks: str, lattice: str | None) -> tuple[str, Any]:
     """Return what the photograph shows, and its points."""
-    from microlib.calibration import detect_circles, detect_squares
+    from microlib.calibration import detect_charuco, detect_circles, detect_squares
 
     ways: dict[str, Callable[[NDArray], Any]] = {
         "chessboard": partial(detect_squares, pattern="chessboard"),
+        "charuco": detect_charuco,
         "squares": detect_squares,
     }
     for each in [lattice] if lattice else _LATTICES:

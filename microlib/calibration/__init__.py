@@ -2,6 +2,7 @@
 
 from microlib.calibration._calibrate import calibrate
 from microlib.calibration._calibration import Calibration
+from microlib.calibration._charuco import detect_charuco
 from microlib.calibration._detection import Detection
 from microlib.calibration._micrometer import detect_micrometer
 from microlib.calibration._patterns import detect_circles, detect_squares
@@ -14,6 +15,7 @@ __all__ = [
     "Detection",
     "calibrate",
     "cramer_rao",
+    "detect_charuco",
     "detect_circles",
     "detect_micrometer",
     "detect_squares",

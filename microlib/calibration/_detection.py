@@ -62,6 +62,24 @@ class Detection(Tidy):
             f"σ {np.median(self.sigma):.2g} px, misfit {self.misfit:.2g}"
         )
 
+    def plot(self, ax: Any = None, *, image: NDArray | None = None) -> Any:
+        """Draw the points, some with their place in the grid, by Matplotlib.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; by default in a new figure.
+        image : ndarray, optional
+            The photograph, to draw on.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from microlib._plots import marks
+
+        return marks([self], None if image is None else [image], None, ax)
+
     def to_layers(self, *, pixel_size: float = 1.0) -> list[tuple[Array, dict[str, Any], str]]:
         """Return the points as a layer of napari: for ``Layer.create(*layer)``.
 

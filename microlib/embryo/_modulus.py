@@ -87,6 +87,26 @@ class ImageEstimate(Tidy):
             f"{low:.4g} … {high:.4g}, misfit {self.misfit:.1%} of the dimple's depth)"
         )
 
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the outline, and the dimple that was fitted to it, by Matplotlib.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; by default in a new figure.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from microlib._plots import outline
+
+        low, high = self.interval
+        unit = {"force": "µN", "modulus": "MPa"}[self.found]
+        title = f"{self.found} {getattr(self, self.found):.4g} {unit}, 95 % {low:.4g} to {high:.4g}"
+        curve = self.dimple if isinstance(self.dimple, DimpleFit) else None
+        return outline(self.boundary.x, self.boundary.y, curve, {}, title, ax)
+
     @property
     def misfit(self) -> float:
         """Root mean square departure of the outline from the model, as a share of the dimple's

@@ -1,0 +1,64 @@
+"""ChArUco boards against what was drawn."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from microlib.calibration import calibrate, detect_charuco
+
+FIELD = 60  # px of a field of the drawn board
+
+
+def drawn(
+    columns: int, rows: int, name: str, *, ratio: float, old: bool, left: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Draw a board seen from aside; return it and where corner (i, j) of the board is, px."""
+    markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
+    board = cv2.aruco.CharucoBoard((columns, rows), 1.0, ratio, markers)
+    board.setLegacyPattern(old)
+    flat = board.generateImage((FIELD * columns, FIELD * rows))
+    size = (FIELD * columns + 80, FIELD * rows + 60)
+    view = np.array([[0.93, 0.08, 30.0], [-0.05, 0.97, 40.0], [2e-4, 1e-4, 1.0]])
+    view = np.array([[1, 0, -left], [0, 1, 0], [0, 0, 1.0]]) @ view
+    image = cv2.warpPerspective(flat, view, size, borderValue=255, flags=cv2.INTER_AREA)
+    image = cv2.GaussianBlur(image, (0, 0), 1.0)
+    image = image * 0.7 + 20 + np.random.default_rng(0).normal(0, 2, image.shape)
+    # A pixel's middle is a whole number, and the board begins at its edge.
+    corners = FIELD * np.argwhere(np.ones((columns - 1, rows - 1))) + FIELD - 0.5
+    return image, cv2.perspectiveTransform(corners[None].astype(float), view)[0]
+
+
+@pytest.mark.parametrize(
+    ("columns", "rows", "name", "ratio", "old", "left"),
+    [
+        (7, 5, "4X4_50", 0.7, False, 0),
+        (6, 8, "6X6_250", 0.8, True, 0),
+        (9, 6, "5X5_100", 0.6, False, 170),
+    ],
+)
+def test_the_corners_are_where_they_were_drawn(columns, rows, name, ratio, old, left) -> None:
+    image, truth = drawn(columns, rows, name, ratio=ratio, old=old, left=left)
+    found = detect_charuco(image)
+    grid = np.argwhere(np.ones((columns - 1, rows - 1)))
+    grid -= [grid[:, 0].max() - found.grid[:, 0].max(), 0]  # what is cut off lies to the left
+    at = [int(np.flatnonzero((grid == place).all(axis=1))[0]) for place in found.grid]
+    assert len(at) >= 0.6 * len(grid)
+    off = found.points - truth[at]
+    assert np.sqrt((off**2).mean()) < 0.1  # OpenCV's corners, of fields of 60 px with noise
+    assert found.sigma[0] == pytest.approx(np.sqrt((off**2).mean()), abs=0.05)
+
+
+def test_a_board_calibrates() -> None:
+    image, _ = drawn(7, 5, "4X4_50", ratio=0.7, old=False)
+    result = calibrate(detect_charuco(image), pitch=100.0, pixel_size=5.0, focal_length=50000.0)
+    value, low, high = result.um_per_pixel()
+    assert low < value < high
+    assert value == pytest.approx(100 / FIELD, rel=0.2)  # but for the perspective
+
+
+def test_what_shows_no_board_is_refused() -> None:
+    for image in (np.full((200, 300), 7.0), np.eye(200)):
+        with pytest.raises(ValueError, match="image must show a ChArUco board"):
+            detect_charuco(image)
