@@ -85,7 +85,7 @@ newest: ## run the library's tests with the newest dependencies, of this PYTHON,
 	@.venv-newest/bin/pip install --quiet --upgrade .[codecs,opencv] $$(sed -n '/^hypothesis/,$$s/==.*//p' tests/oldest.txt)
 	@.venv-newest/bin/python -m pytest --numprocesses 2 --quiet $(LIBRARY)
 
-portable: $(STAMP) ## run what is sensitive as other processors would round (half an hour)
+portable: $(STAMP) ## run everything as other processors would round (an hour)
 	@$(BIN)/python .ci/portable.py $(PORTABLE)
 
 fuzz: $(STAMP) ## call everything public with hostile values (minutes)

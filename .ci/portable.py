@@ -1,20 +1,24 @@
-"""Run what is sensitive to rounding as other processors would round: ``make portable``.
+"""Run the notebooks and every test as other processors would round: ``make portable``.
 
 Two sets of switches take instructions away from the libraries: all beyond SSE4.2, and AVX-512. Each
 set first has to prove that it acts: a product of matrices, exponentials, a blur and the C library's
-functions, hashed to the last bit, come out otherwise. Then the sensitive tests run under it, and
-the notebooks with their checks, both with fresh caches. ``--quick`` runs what takes few minutes.
+functions, hashed to the last bit, come out otherwise. Then everything runs under it, in a copy
+without caches. ``--quick`` runs a part of the tests of every room under the first set, another part
+for each commit.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import os
+import random
 import shutil
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 NUMPY_V4 = "X86_V4 AVX512_ICL AVX512_SPR"
@@ -47,11 +51,23 @@ found = {
 for name, arrays in found.items():
     print(hashlib.sha256(b"".join(x.tobytes() for x in arrays)).hexdigest()[:8], name)
 """
-QUICK = ["tests/test_disturbed.py", "tests/compendium/test_synthetic_data.py"]
-ALL = [
-    *QUICK,
-    *(f"tests/{room}" for room in ("calibration", "tracking", "servoing", "focus", "synthetic")),
-]
+#: One test in so many is a part of a room, and at least so many are.
+ONE_IN, LEAST = 16, 3
+
+
+def pytest_collection_modifyitems(config: Any, items: list[Any]) -> None:
+    """Keep a part of each room's tests; ``--quick`` names this file to pytest as a plugin."""
+    rooms: dict[str, list[Any]] = {}
+    for item in items:
+        # What looks at the built book is not sensitive, and the copy has no book.
+        if not {"html", "claims_folder"} & set(item.fixturenames):
+            rooms.setdefault(item.nodeid.removeprefix("tests/").split("/")[0], []).append(item)
+    kept = []
+    for room, tests in rooms.items():
+        count = min(len(tests), max(LEAST, len(tests) // ONE_IN))
+        kept += random.Random(f"{os.environ['PART']} {room}").sample(tests, count)
+    config.hook.pytest_deselected(items=[item for item in items if item not in kept])
+    items[:] = [item for item in items if item in kept]
 
 
 def probe(switches: dict[str, str]) -> dict[str, str]:
@@ -62,17 +78,38 @@ def probe(switches: dict[str, str]) -> dict[str, str]:
     return {name: digest for digest, name in pairs}
 
 
+def part() -> str:
+    """Return what the part depends on: the commit, or where there is none the tests themselves."""
+    command = ["git", "rev-parse", "HEAD"]
+    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    if said.returncode == 0:
+        return said.stdout.strip()
+    tests = b"".join(file.read_bytes() for file in sorted(ROOT.glob("tests/**/*.py")))
+    return hashlib.sha256(tests).hexdigest()
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="what takes at most four minutes")
     quick = parser.parse_args().quick
+    tests = ["-m", "pytest", "-q", "-n", "2", "-p", "no:cacheprovider"]
+    commands = {
+        "notebooks": ["-m", "compendium.run"],
+        "book": ["-m", "compendium.book"],
+        "tests": tests,
+    }
+    if quick:
+        print(f"The part of the tests is that of {part()}.")
+        commands = {
+            "tests": [*tests, "-p", Path(__file__).stem, "-m", "not book and not notebooks"]
+        }
     plain, failed = probe({}), []
-    for name, switches in SWITCHES.items():
+    for name, switches in list(SWITCHES.items())[: 1 if quick else None]:
         print(f"As a processor with {name}:")
         hashes = probe(switches)
         for library, digest in hashes.items():
             acts = "acts" if digest != plain[library] else "does not act on this processor"
-            print(f"  {library}: {plain[library]} → {digest}, {acts}")
+            print(f"  {library}: {plain[library]} → {digest}, {acts}", flush=True)
         if hashes == plain:
             print(f"  none of the switches to {name} acts here: nothing to be seen")
             continue
@@ -81,14 +118,12 @@ def main() -> int:
             copy = Path(folder) / "copy"
             ignored = shutil.ignore_patterns(".git", ".venv*", "build", "__pycache__", ".*_cache")
             shutil.copytree(ROOT, copy, ignore=ignored)
-            where = os.environ | switches | {"PYTHONPATH": str(copy), "OPENBLAS_NUM_THREADS": "1"}
-            tests = ["-m", "pytest", "-q", "-n", "2", "-p", "no:cacheprovider"]
-            commands = {"tests": [*tests, *(QUICK if quick else ALL)]}
-            # The slowest chapter takes longer than all the rest.
-            commands["notebooks"] = ["-m", "compendium.run", *(["04", "07"] if quick else [])]
+            paths = os.pathsep.join([str(copy), str(copy / ".ci")])
+            where = os.environ | switches | {"PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"}
             for what, command in commands.items():
-                run = subprocess.run([sys.executable, *command], cwd=copy, env=where, check=False)
-                failed += [f"{what} as with {name}"] * bool(run.returncode)
+                run = [sys.executable, *command]
+                code = subprocess.run(run, cwd=copy, env=where | {"PART": part()}, check=False)
+                failed += [f"{what} as with {name}"] * bool(code.returncode)
     print(f"Failed: {', '.join(failed)}" if failed else "The conclusions are the same.")
     return 1 if failed else 0
 

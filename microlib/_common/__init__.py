@@ -24,7 +24,7 @@ from microlib._common._checks import (
     scalar,
     whole,
 )
-from microlib._common._covariance import OPEN, inverse_normal
+from microlib._common._covariance import inverse_normal
 from microlib._common._devices import (
     POLL,
     DeviceError,

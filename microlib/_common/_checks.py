@@ -19,16 +19,10 @@ Bounds = tuple[float, float]
 #: No length, force, time or coordinate of any unit comes near these: beyond, squares and quotients
 #: leave the range of floating point and answers become infinite or NaN.
 LARGEST, LEAST = 1e60, 1e-60
-#: Likewise in single precision, whose range ends at 3e38.
-_LARGEST_SINGLE = 1e18
 #: Grey levels are squared, summed and multiplied in single precision; 32-bit levels lie below.
 LARGEST_GREY = 1e10
-#: Of red, green and blue, as frames that are read as grey have it.
-_LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
 #: What is measured under a light microscope lies between these; in another unit it does not.
 _MEASURED = {"µN": (1e-3, 1e6), "µm": (5e-3, 1e5)}
-#: Rows or columns, and pixels, of an image to make: beyond any sensor's.
-_LONGEST_SIDE, _MOST_PIXELS = 1 << 16, 1 << 28
 
 
 def as_array(
@@ -65,7 +59,8 @@ def as_array(
         raise ValueError(f"{name} must not be empty, got shape {array.shape}")
     if array.dtype.kind == "f":
         if largest is None:
-            largest = LARGEST if array.dtype == np.float64 else _LARGEST_SINGLE
+            # Single precision ends at 3e38.
+            largest = LARGEST if array.dtype == np.float64 else 1e18
         # One pass without a copy tells that all are finite and small; else a closer look must.
         if not float(np.vdot(array, array)) <= largest**2:
             known = array[np.isfinite(array)]
@@ -98,7 +93,9 @@ def luminance(name: str, value: ArrayLike) -> NDArray:
     """Return an image as it is, or the luminance of one in color as float32."""
     image = value if type(value) is np.ndarray else as_array(name, value)
     if image.ndim == 3 and image.shape[2] in (3, 4):
-        image = as_array(name, image, dtype=np.float32)[..., :3] @ _LUMINANCE
+        # As frames that are read as grey have it.
+        weights = np.array([0.299, 0.587, 0.114], np.float32)
+        image = as_array(name, image, dtype=np.float32)[..., :3] @ weights
     return image
 
 
@@ -249,13 +246,12 @@ def as_region(
 
 
 def image_shape(name: str, value: object, *, least: int = 1) -> tuple[int, int]:
-    """Return (rows, columns) of an image to make, each at least `least`."""
+    """Return (rows, columns) of an image to make, each at least `least`, as of a sensor."""
+    side, area = 1 << 16, 1 << 28
     rows, columns = (whole(name, n, least=least) for n in items(name, value, 2))
-    if max(rows, columns) > _LONGEST_SIDE or rows * columns > _MOST_PIXELS:
-        raise ValueError(
-            f"{name} must be at most {_LONGEST_SIDE} px a side and {_MOST_PIXELS} px in all, "
-            f"got {rows}×{columns}"
-        )
+    if max(rows, columns) > side or rows * columns > area:
+        need = f"{name} must be at most {side} px a side and {area} px in all"
+        raise ValueError(f"{need}, got {rows}×{columns}")
     return rows, columns
 
 

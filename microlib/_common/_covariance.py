@@ -9,10 +9,7 @@ from microlib._common._types import Array
 #: A direction of the scaled parameters is open if its singular value is below this part of the
 #: largest. Rounding leaves an open one at 1e-16 to 1e-15; the weakest determined ones met in the
 #: tests, two nearly equal terms of a Gaussian sum, reach down to 1e-7.
-OPEN = 1e-9
-#: A parameter takes part in an open direction, a unit vector, if its component exceeds this.
-#: Rounding leaves components of 1e-16/`OPEN` at most where there are none.
-TAKES_PART = 1e-6
+_OPEN = 1e-9
 
 
 def inverse_normal(jacobian: Array) -> Array:
@@ -52,10 +49,11 @@ def inverse_normal(jacobian: Array) -> Array:
     # The triangle has the singular values and the directions of all rows. With fewer residuals than
     # parameters the full decomposition has the open directions too.
     _, singular, directions = np.linalg.svd(np.linalg.qr(jacobian / scale, mode="r"))
-    determined = np.count_nonzero(singular > OPEN * singular[0])
+    determined = np.count_nonzero(singular > _OPEN * singular[0])
     kept = directions[:determined].T / singular[:determined]
     inverse = kept @ kept.T / np.outer(scale, scale)
-    hidden = (np.abs(directions[determined:]) > TAKES_PART).any(axis=0)
+    # Where a parameter takes no part, rounding leaves components of 1e-16/_OPEN at most.
+    hidden = (np.abs(directions[determined:]) > 1e-6).any(axis=0)
     inverse[hidden] = inverse[:, hidden] = np.nan
     inverse[hidden, hidden] = np.inf
     return inverse

@@ -26,16 +26,11 @@ from typing import Any
 #: of the order of what a serial line needs for an answer, and short beside a person's reaction.
 POLL = 0.02
 
-#: How often a stop is tried that fails: a driver may be busy with the call before.
-_STOPS = 3
-
-#: What a stage or a focus drive must answer to.
-_MOVES = ("position", "move_to", "moving", "stop")
-
 
 def check_devices(workstation: object, mover: str) -> None:
     """Refuse a workstation whose parts have not the methods that a run calls."""
-    for part, methods in {"camera": ("snap",), mover: _MOVES, "clock": ("now", "sleep")}.items():
+    moves = ("position", "move_to", "moving", "stop")
+    for part, methods in {"camera": ("snap",), mover: moves, "clock": ("now", "sleep")}.items():
         for method in methods:
             if not callable(getattr(getattr(workstation, part, None), method, None)):
                 raise ValueError(
@@ -183,7 +178,7 @@ class Guard:
         """Stop the stage whatever happens; return why it may not stand still, or nothing."""
         self._ending = True
         trouble = ""
-        for _ in range(_STOPS):
+        for _ in range(3):  # a driver may be busy with the call before
             try:
                 self.call(self._stage.stop)
                 self.settle()

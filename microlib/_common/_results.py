@@ -18,9 +18,6 @@ from microlib._common._files import replace_file
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Numbers of an array that are shown, and lines of a result.
-_SHOWN, _LINES = 6, 10
-
 #: Names by which a file tells an array and the kind of a result from plain numbers and texts.
 _ARRAY, _RESULT = "__array__", "__result__"
 
@@ -50,7 +47,7 @@ class Kept:
     def __repr__(self) -> str:
         shown = (f"{f.name}={_short(getattr(self, f.name))}" for f in fields(self))  # type: ignore[arg-type]
         text = f"{type(self).__name__}({', '.join(shown)})"
-        return textwrap.fill(text, 100, subsequent_indent="    ", max_lines=_LINES)
+        return textwrap.fill(text, 100, subsequent_indent="    ", max_lines=10)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Keep the result in one file, which `microlib.load` reads.
@@ -125,14 +122,15 @@ def _address(kind: type) -> str:
 
 
 def _short(value: Any) -> str:
+    """Show a value, of an array or a sequence at most six numbers."""
     if getattr(value, "shape", ()):
-        if not isinstance(value, np.ndarray) or value.size > _SHOWN:
+        if not isinstance(value, np.ndarray) or value.size > 6:
             return f"{getattr(value, 'dtype', 'table')} of shape {value.shape}"
         return np.array2string(value, precision=4, separator=", ").replace("\n", "")
     if isinstance(value, (float, np.floating)):
         return f"{value:.5g}"
     if isinstance(value, (tuple, list)):
-        return f"({', '.join(map(_short, value[:_SHOWN]))}{', …' if len(value) > _SHOWN else ''})"
+        return f"({', '.join(map(_short, value[:6]))}{', …' if len(value) > 6 else ''})"
     return type(value).__name__ if is_dataclass(value) else f"{value!r:.60}"
 
 

@@ -13,9 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from microlib._common import as_array, of_kind, replace_file, scalar, whole
 from microlib.io._frames import read_frames, reduced
 
-#: Pixels, µm, whose number a centimeter fits into the 32 bits of a TIFF.
-_FINEST, _COARSEST = 1e-5, 1e9
-
 
 def read_grey(path: str | PathLike[str]) -> NDArray:
     """Read an image file as grey values.
@@ -98,7 +95,8 @@ def write_height_tiff(
     values = as_array("height", height, dtype=kept, finite=False)
     if values.shape[2:] != (3,):
         as_array("height", values, shape=(None, None), dtype=kept, finite=False)
-    size = scalar("pixel_size", pixel_size, above=0, least=_FINEST, most=_COARSEST)
+    # The number of pixels in a centimeter fits into the 32 bits of a TIFF.
+    size = scalar("pixel_size", pixel_size, above=0, least=1e-5, most=1e9)
     ome = Path(path).name.lower().endswith((".ome.tif", ".ome.tiff"))
     about: dict[str, Any] = {"description": f"{what}; pixel size {size:g} um"}
     if ome:
@@ -170,7 +168,7 @@ def write_ply(
     """
     of_kind("path", path, str, PathLike)
     heights = as_array("height", height, shape=(None, None), finite=False)
-    size = scalar("pixel_size", pixel_size, above=0, least=_FINEST, most=_COARSEST)
+    size = scalar("pixel_size", pixel_size, above=0, most=1e9)
     by = whole("step", step, least=1)
     colors = None if image is None else _colors(image, heights.shape)
     if by > 1:

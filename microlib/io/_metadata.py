@@ -19,8 +19,6 @@ _MICROMETERS = {
     "m": 1e6,
     "inch": 25400.0,
 }
-#: Difference of the sides of a pixel from which on it has no one size.
-_SQUARE = 1e-3
 
 
 def tiff_scale(tiff: tifffile.TiffFile, count: int) -> tuple[float | None, Array | None]:
@@ -72,7 +70,8 @@ def _micrometers(value: Any, unit: object) -> float:
 
 
 def _square(x: float, y: float) -> float | None:
-    return float(x) if 0 < x < np.inf and abs(y - x) <= _SQUARE * x else None
+    """Return the side of a pixel, None if its sides differ by more than one in a thousand."""
+    return float(x) if 0 < x < np.inf and abs(y - x) <= 1e-3 * x else None
 
 
 def _steps(spacing: float, count: int) -> Array | None:
@@ -85,7 +84,7 @@ def labels_scale(frames: Any) -> tuple[float | None, Array | None, tuple[float, 
     if x is None or y is None or min(len(x), len(y)) < 2:
         return None, z, (0.0, 0.0)
     steps = np.append(np.diff(x), np.diff(y))
-    if not np.allclose(steps, steps[0], rtol=_SQUARE, atol=0.0) or steps[0] <= 0:
+    if not np.allclose(steps, steps[0], rtol=1e-3, atol=0.0) or steps[0] <= 0:
         return None, z, (0.0, 0.0)
     return float(steps.mean()), z, (float(x[0]), float(y[0]))
 

@@ -18,15 +18,8 @@ from numpy.typing import NDArray
 from microlib._common import Array
 from microlib.io._metadata import tiff_scale
 
-#: Values of a page that are read at most; OpenCV has the same limit.
-_MOST_PIXELS = 1 << 30
-
-#: Kinds of pixels, by their numbers in a TIFF: grey, red green and blue (6: as JPEG stores them),
-#: and numbers of a palette's colors.
-_MINISWHITE, _MINISBLACK, _PALETTE = 0, 1, 3
-_KNOWN = (_MINISWHITE, _MINISBLACK, 2, _PALETTE, 6)
-#: Samples of a color pixel: red, green, blue, and perhaps opacity.
-_COLORS = (3, 4)
+#: Kinds of pixels: grey, red, green and blue (as JPEG stores them, too), colors of a palette.
+_KNOWN = ("MINISWHITE", "MINISBLACK", "RGB", "YCBCR", "PALETTE")
 
 
 def is_tiff(path: Path) -> bool:
@@ -154,7 +147,7 @@ def _in_order(tiff: tifffile.TiffFile) -> list[Callable[[], NDArray]]:
 
 def _check_axes(series: tifffile.TiffPageSeries) -> None:
     lengths = dict(zip(series.axes, series.shape, strict=True))
-    inner = "YXS" if lengths.get("S") in _COLORS else "YX"
+    inner = "YXS" if lengths.get("S") in (3, 4) else "YX"
     frames = [n for axis, n in zip(series.axes, series.shape, strict=True) if axis not in inner]
     several = sum(n > 1 for n in frames) > 1
     if several or lengths.get("C", 1) > 1 or not series.axes.endswith(inner):
@@ -183,12 +176,12 @@ def _page(entry: tifffile.TiffPage | tifffile.TiffFrame, number: int) -> NDArray
     """Return a page's values; one that ends after the file does is refused, not padded."""
     page = entry.aspage()
     _check_end(page)
-    if page.photometric not in _KNOWN:
-        kind = getattr(page.photometric, "name", page.photometric)
+    kind = getattr(page.photometric, "name", page.photometric)
+    if kind not in _KNOWN:
         raise ValueError(f"it must have grey levels or red, green and blue, got {kind}")
     try:
         image = page.asarray()
-        if page.photometric == _PALETTE:
+        if kind == "PALETTE":
             return (np.asarray(page.colormap).T[image] >> 8).astype(np.uint8)
         return image * np.uint8(255) if image.dtype == bool else image
     except (ValueError, ImportError) as error:
@@ -205,9 +198,10 @@ def _page(entry: tifffile.TiffPage | tifffile.TiffFrame, number: int) -> NDArray
 
 
 def _check_end(page: tifffile.TiffPage) -> None:
-    if math.prod(page.shape) > _MOST_PIXELS:
+    most = 1 << 30  # as OpenCV
+    if math.prod(page.shape) > most:
         size = "×".join(map(str, page.shape))
-        raise ValueError(f"a page must hold at most {_MOST_PIXELS} values, got a header of {size}")
+        raise ValueError(f"a page must hold at most {most} values, got a header of {size}")
     ends = np.add(page.dataoffsets, page.databytecounts)
     if len(ends) == 0 or ends.max() > page.parent.filehandle.size:
         raise ValueError("the file is cut off")
@@ -215,7 +209,8 @@ def _check_end(page: tifffile.TiffPage) -> None:
 
 def _by_opencv(page: tifffile.TiffPage, path: str, number: int) -> NDArray | None:
     """Return a page that OpenCV can decompress (LZW, JPEG) where tifffile cannot."""
-    grey = page.photometric in (_MINISWHITE, _MINISBLACK) and page.ndim == 2
+    kind = getattr(page.photometric, "name", "")
+    grey = kind in ("MINISWHITE", "MINISBLACK") and page.ndim == 2
     if not grey and page.shape[2:] != (3,):
         return None
     try:
@@ -226,6 +221,6 @@ def _by_opencv(page: tifffile.TiffPage, path: str, number: int) -> NDArray | Non
         return None
     if not grey:
         return np.ascontiguousarray(images[0][..., ::-1])  # OpenCV puts blue first
-    if page.photometric == _MINISWHITE and page.dtype == np.uint8:
+    if kind == "MINISWHITE" and page.dtype == np.uint8:
         return 255 - images[0]  # OpenCV inverts 8-bit pages, and only those
     return images[0]
