@@ -20,6 +20,7 @@ from microlib.microscope import Microscope
 from tests.running import alive
 
 ROOT = Path(__file__).parents[1]
+LAWS = {"batch.process_files": "it computes nothing; its laws of a second use are below"}
 
 
 def measure(path: Path, *, factor: float = 1.0, log: Path | None = None) -> dict[str, object]:

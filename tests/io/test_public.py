@@ -1,0 +1,137 @@
+"""The laws of every public name of reading and writing, and that pixels keep their place."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+from microlib.focus import depth_from_focus
+from microlib.io import read_frames, read_grey, write_height_tiff, write_ply
+from microlib.synthetic import focal_stack, mixed_texture
+from tests.io.test_files import read_ply
+from tests.laws import Law, hold
+
+SHAPE = (29, 41)
+Z = np.array([0.0, 10.0, 21.0, 30.0, 42.0])
+
+
+class Labeled:
+    """What an xarray.DataArray has, for places where that is not installed."""
+
+    dims = ("z", "y", "x")
+
+    def __init__(self, values: np.ndarray, *axes: np.ndarray) -> None:
+        self.values, self.shape = values, values.shape
+        coords = (SimpleNamespace(values=axis, attrs={"units": "µm"}) for axis in axes)
+        self.coords = dict(zip(self.dims, coords, strict=True))
+
+    def __getitem__(self, key: int) -> np.ndarray:
+        return self.values[key]
+
+
+def labeled(u) -> Labeled:
+    """Return frames whose grey levels are their place: 3 a column and 1 a row."""
+    row, column = np.indices(SHAPE)
+    frames = np.stack([(3 * column + row) * u.grey + u.grey0] * len(Z))
+    y, x = (start + 2.6 * np.arange(n) * u.um for start, n in ((u.y0_um, 29), (u.x0_um, 41)))
+    return Labeled(frames, u.z0 + Z * u.um, y, x)
+
+
+def reading(**options) -> dict:
+    reader = read_frames(**options)
+    about = {name: getattr(reader, name) for name in ("count", "positions", "pixel_size", "origin")}
+    return {**about, "frames": np.stack(list(reader))}
+
+
+def written(height: np.ndarray, pixel_size: float) -> dict:
+    """Return what others read in the files: px per cm, values, vertices."""
+    with tempfile.TemporaryDirectory() as folder:
+        write_height_tiff(file := Path(folder) / "h.tif", height, pixel_size=pixel_size)
+        with tifffile.TiffFile(file) as tiff:
+            size = [1e4 / per for per in tiff.pages[0].aspage().get_resolution()]
+            values = tiff.asarray()
+        grey = np.asarray(read_grey(file))
+        write_ply(Path(folder) / "m.ply", height, pixel_size=pixel_size)
+        vertices, faces = read_ply(Path(folder) / "m.ply")
+    return {"size": size, "values": values, "grey": grey, "vertices": vertices, "faces": faces}
+
+
+HEIGHT = np.random.default_rng(0).normal(40.0, 9.0, (6, 8))
+FILES = Law(
+    lambda u: {"height": HEIGHT * u.um, "pixel_size": 2.6 * u.um},
+    {**dict.fromkeys(("size", "values", "grey", "vertices"), "um"), "faces": "="},
+    within=1e-6,  # single precision, and six digits of older versions of tifffile
+    call=written,
+)
+LAWS = {
+    "io.read_frames": Law(
+        lambda u: {"frames": labeled(u), "region": (5, 3, 31, 24), "reduce": 4},
+        {
+            "count": "=", "pixel_size": "um", "positions": "um @ z0", "frames": "grey @ grey0",
+            "origin": ["um @ x0_um", "um @ y0_um"],
+        },
+        within=1e-6,  # single precision
+        call=reading,
+    ),
+    "io.read_grey": FILES,
+    "io.write_height_tiff": FILES,
+    "io.write_ply": FILES,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_outputs_follow_units_and_origins(name: str) -> None:
+    hold(name, LAWS[name])
+
+
+UNITS = SimpleNamespace(um=1.0, grey=1.0, grey0=20.0, x0_um=12.0, y0_um=-5.0, z0=7.0)
+
+
+@pytest.mark.parametrize("region", [None, (5, 3, 31, 24), (0, 2, 40, 27)])
+@pytest.mark.parametrize("reduce", [1, 2, 3, 5])
+def test_a_pixel_stays_where_it_was(region: tuple[int, ...] | None, reduce: int) -> None:
+    """The grey level is the place, also of the means of blocks, of a reader and of a depth."""
+    for source in (labeled(UNITS), read_frames(labeled(UNITS))):
+        reader = read_frames(source, region=region, reduce=reduce)
+        row, column = np.indices(reader.shape)
+        x, y = (
+            o + reader.pixel_size * n for o, n in zip(reader.origin, (column, row), strict=True)
+        )
+        told = UNITS.grey0 + (3 * (x - UNITS.x0_um) + y - UNITS.y0_um) / 2.6
+        np.testing.assert_allclose(next(reader), told, rtol=1e-6)
+
+
+def test_a_depth_stays_where_its_frames_were() -> None:
+    """In a shift of the part by whole blocks, the depth is the same one, at another place."""
+    texture = mixed_texture((80, 96), np.random.default_rng(0))
+    stack = focal_stack(texture, np.full((80, 96), 21.0), Z, blur_rate=0.1)
+    y, x = (start + 2.6 * np.arange(n) for n, start in ((80, -5.0), (96, 12.0)))
+    frames = Labeled(stack, 7.0 + Z, y, x)
+    found = depth_from_focus(frames, region=(6, 4, 80, 70), reduce=2)
+    assert found.pixel_size == pytest.approx(5.2)
+    # The middle of the first block of two.
+    assert found.origin == pytest.approx((12.0 + 6.5 * 2.6, -5.0 + 4.5 * 2.6))
+    assert np.nanmedian(found.depth) == pytest.approx(28.0, abs=1.0)
+    _, about, _ = found.to_layers()[1]
+    assert about["translate"] == pytest.approx(found.origin[::-1])
+
+
+@pytest.mark.parametrize("scale", [256, 257])
+def test_a_palette_of_either_scale_is_its_colors(tmp_path: Path, scale: int) -> None:
+    """Programs write v · 256 or v · 257 for the 8-bit v; Pillow reads both as v."""
+    levels = np.random.default_rng(1).integers(0, 256, (3, 256))
+    numbers = np.arange(240, dtype=np.uint8).reshape(12, 20)
+    tifffile.imwrite(
+        tmp_path / "p.tif", numbers, photometric="palette",
+        colormap=(levels * scale).astype(np.uint16),
+    )  # fmt: skip
+    read = next(read_frames(tmp_path / "p.tif", color=True))
+    np.testing.assert_array_equal(read, levels.T[numbers])
+    with Image.open(tmp_path / "p.tif") as picture:
+        np.testing.assert_array_equal(read, np.asarray(picture.convert("RGB")))
