@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from compendium import thesis
 from microlib.microscope import Microscope, distort, euler_rotation, undistort
+from tests.laws import Law, hold
 
 SCOPE = thesis.microscope("circle-1X")
 # Rounding only: a few operations on numbers of about 1e5 µm, each good to 1e-16.
@@ -21,6 +22,91 @@ ROUNDING = 1e-11
 
 angles = st.floats(-np.pi, np.pi)
 small_tilts = st.floats(-0.35, 0.35)
+
+
+def pose(u, **changes):
+    """Return a microscope without a symmetry: turned, tilted, and with oblong cells."""
+    given = {
+        **dict(zip(("alpha", "beta", "gamma"), (0.6, 0.3, -0.2), strict=True)),
+        "tube_length": 200e3 * u.um,
+        "focal_length": 126e3 * u.um,
+        "distance": 79e3 * u.um,
+        "distortion": -8.4e-10 / u.um**2,
+        "tx": -780.0 * u.um,
+        "ty": -55.0 * u.um,
+        "pixel_size": (9.9 * u.um, 8.3 * u.um),
+        "image_size": (640, 470),
+    }
+    return Microscope(**given | changes)
+
+
+PLANE = np.random.default_rng(6).uniform(-900, 900, (7, 2))
+SCOPE_UNITS = {
+    **dict.fromkeys(("tube_length", "focal_length", "distance", "tx", "ty"), "um"),
+    **dict.fromkeys(("pixel_size", "translation", "cell"), "um"),
+    **dict.fromkeys(("alpha", "beta", "gamma", "tilt", "rotation", "magnification"), "1"),
+    **dict.fromkeys(("image_size", "principal_point"), "1"),
+    "distortion": "1/um**2",
+}
+SENSOR = {"points": np.array([[2900.0, -1800.0], [-700.0, 2100.0]]), "distortion": -8.4e-10}
+
+
+def on_sensor(u):
+    return {"points": SENSOR["points"] * u.um, "distortion": SENSOR["distortion"] / u.um**2}
+
+
+LAWS = {
+    "microscope.Microscope": Law(lambda u: vars(pose(u)), SCOPE_UNITS),
+    "microscope.Microscope.to_objective": Law(
+        lambda u: {"self": pose(u), "points": PLANE * u.um}, "um"
+    ),
+    "microscope.Microscope.project": Law(lambda u: {"self": pose(u), "points": PLANE * u.um}, "1"),
+    "microscope.Microscope.back_project": Law(
+        lambda u: {"self": pose(u), "pixels": PLANE / 9 + 200}, "um"
+    ),
+    "microscope.Microscope.jacobian": Law(
+        lambda u: {
+            "self": pose(u),
+            "world": PLANE * u.um,
+            "parameters": (*Microscope.PARAMETERS, "magnification"),
+        },
+        "[1/um, 1/um, 1/um, um**2, 1, 1, 1, 1/um, 1/um, 1]",
+    ),
+    "microscope.Microscope.project_plane": Law(
+        lambda u: {
+            "visible": [1.6, 5e-6 / u.um, -8e-10 / u.um**2, 0.6, 0.3, -0.2, 90 * u.um, -55 * u.um],
+            "world": PLANE * u.um,
+            "cell": np.array([9.9, 8.3]) * u.um,
+        },
+        ("1", "[1, um, um**2, 1, 1, 1, 1/um, 1/um]"),
+    ),
+    "microscope.distort": Law(on_sensor, "um"),
+    "microscope.undistort": Law(on_sensor, "um"),
+    "microscope.euler_rotation": Law(lambda u: {"alpha": 0.6, "beta": 0.3, "gamma": -0.2}, "1"),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_outputs_follow_units_and_origins(name):
+    hold(name, LAWS[name])
+
+
+def test_a_camera_turned_by_a_quarter_turns_its_picture():
+    """With it go the sides of cells and image, the place of the pattern, and the angle."""
+
+    class Plain:
+        um = 1.0
+
+    view = pose(Plain)
+    other = pose(
+        Plain, alpha=0.6 + np.pi / 2, tx=-view.ty, ty=view.tx, pixel_size=(8.3, 9.9),
+        image_size=(470, 640),
+    )  # fmt: skip
+    x, y = (view.project(PLANE) - view.principal_point).T
+    turned = np.column_stack([-y, x]) + other.principal_point
+    np.testing.assert_allclose(other.project(PLANE), turned, atol=1e-9)
+    np.testing.assert_allclose(other.back_project(turned), PLANE, atol=1e-7)
+    assert other.tilt == pytest.approx(view.tilt)
 
 
 @given(angles, angles, angles)
