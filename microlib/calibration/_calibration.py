@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from microlib._common import Array, Tidy, as_array, flat_row, one_of, scalar
+from microlib.calibration._uncertainty import inverse_interval
 from microlib.microscope import Microscope, distort
 
 if TYPE_CHECKING:
@@ -99,10 +100,11 @@ class Calibration(Tidy):
 
     def __repr__(self) -> str:
         value, low, high = self.um_per_pixel()
+        span = f"in {low:.6g} … {high:.6g}" if high < np.inf else f"above {low:.6g}"
         lines = [
             f"Calibration of {len(self.residuals)} points in {len(self.views)} view(s), "
             f"{self.reprojection.rms:.3g} px rms beside the model",
-            f"  {value:.6g} µm per pixel, 95 % in {low:.6g} … {high:.6g}",
+            f"  {value:.6g} µm per pixel, {'95 % ' + span if low else 'not determined'}",
             f"  magnification {self.microscope.magnification:.6g}, "
             f"focal length {self.microscope.focal_length:.6g} µm, "
             f"tilt {np.rad2deg(self.microscope.tilt):.3g}°",
@@ -144,7 +146,8 @@ class Calibration(Tidy):
         """Confidence interval of a parameter, from Student's distribution.
 
         That of the focal length is the interval of 1/f, turned over: 1/f is what the points see,
-        with a nearly normal error.
+        with a nearly normal error. What is positive has no end below zero: an interval from 0 to
+        infinity tells nothing.
 
         Raises
         ------
@@ -157,10 +160,10 @@ class Calibration(Tidy):
         # Half of an infinite interval is infinite at any level.
         half = std if np.isinf(std) else float(stdtrit(self.freedom, 0.5 + level / 2)) * std
         value = float(self.estimate[k])
-        if parameter == "focal_length" and np.isfinite(half):
-            relative = half / value
-            return value / (1 + relative), value / (1 - relative)
-        return value - half, value + half
+        if parameter == "focal_length":
+            return inverse_interval(value, half / value)
+        least = 0.0 if parameter.startswith("magnification") else -np.inf
+        return max(value - half, least), value + half
 
     def um_per_pixel(self, level: float = 0.95) -> tuple[float, float, float]:
         """Width on the pattern of a pixel at the optical axis, µm, and its confidence interval.
@@ -179,7 +182,7 @@ class Calibration(Tidy):
         """
         low, high = self.interval("magnification", level)
         cell = float(self.microscope.cell[0])
-        return cell / self.microscope.magnification, cell / high, cell / low
+        return cell / self.microscope.magnification, cell / high, cell / low if low else np.inf
 
     def to_dict(self) -> dict[str, Any]:
         """Return the calibration as a flat dictionary that JSON can hold.
@@ -246,8 +249,9 @@ class Calibration(Tidy):
 
         OpenCV's camera matrix and distortion coefficients (with the most that they are off the
         model in the image), rotation and translation of each view, as ``cv2.undistort`` takes them;
-        Micro-Manager's and ImageJ's size of a pixel with its 95 % interval; and all that is known
-        here, its numbers as texts where they need not be finite.
+        ImageJ's width and height of a pixel; Micro-Manager's size of one, the root of their
+        product, with its 95 % interval, whose upper end is null where there is none; and all that
+        is known here, its numbers as texts where they need not be finite.
 
         Returns
         -------
@@ -256,7 +260,9 @@ class Calibration(Tidy):
         scope, axis = self.microscope, self.principal_point
         distance = (scope.tube_length + scope.focal_length) / scope.cell
         terms, worst = self._brown()
-        pixel, *ends = self.um_per_pixel()
+        width, *ends = self.um_per_pixel()
+        height = width * scope.cell[1] / scope.cell[0]
+        pixel = np.sqrt(width * height)
         own = {n: v for n, v in vars(self).items() if n != "microscope"}
         own |= {n: np.array(own[n]).astype(str) for n in _NUMBERS}
         content = {
@@ -270,8 +276,10 @@ class Calibration(Tidy):
                 "translation_vectors_um": [v.translation for v in self.views],
             },
             "micro_manager": {"PixelSizeUm": pixel},
-            "imagej": {"unit": "µm", "pixel_width": pixel, "pixel_height": pixel},
-            "pixel_size_interval_um": ends,
+            "imagej": {"unit": "µm", "pixel_width": width, "pixel_height": height},
+            "pixel_size_interval_um": [
+                pixel / width * end if end < np.inf else None for end in ends
+            ],
             "calibration": own | {"views": [vars(view) for view in self.views]},
         }
         return json.dumps(content, indent=2, ensure_ascii=False, default=np.ndarray.tolist)

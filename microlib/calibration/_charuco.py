@@ -68,7 +68,10 @@ def detect_charuco(image: ArrayLike) -> Detection:
     grid = np.stack([which % columns, which // columns], axis=1).astype(np.intp)
     grid -= grid.min(axis=0)
     places = grid.astype(np.float64)
-    off = points - _seen(cv2.findHomography(places, points)[0], places)
+    to_image = cv2.findHomography(places, points)[0]
+    if to_image is None or not np.isfinite(to_image).all():
+        raise ValueError("image must show a ChArUco board, got its corners in one row")
+    off = points - _seen(to_image, places)
     sigma = np.sqrt((off**2).sum() / max(2 * len(points) - 8, 1))
     count = len(points)
     size = (grey.shape[1], grey.shape[0])

@@ -48,9 +48,11 @@ class GridMap:
     freedom: int
 
     def __call__(self, grid: Array) -> Array:
-        """Image points (..., 2) of grid coordinates (..., 2), px."""
-        flat = grid @ self.homography[:, :2].T + self.homography[:, 2]
-        seen = distort(flat[..., :2] / flat[..., 2:], self.distortion)
+        """Image points (..., 2) of grid coordinates (..., 2), px; NaN beyond the horizon."""
+        with np.errstate(over="ignore", invalid="ignore"):  # a search may pass such maps
+            flat = grid @ self.homography[:, :2].T + self.homography[:, 2]
+            ahead = flat[..., :2] / np.where(flat[..., 2:] > 0, flat[..., 2:], np.nan)
+            seen = distort(np.where(np.isfinite(ahead), ahead, np.nan), self.distortion)
         return self.middle + self.unit * seen
 
     def steps(self, grid: Array) -> Array:
@@ -60,7 +62,8 @@ class GridMap:
 
     def scale(self, grid: Array) -> Array:
         """Area in the image of one cell of the grid around each of the coordinates, px²."""
-        return np.abs(np.linalg.det(self.steps(grid)))
+        (a, b), (c, d) = np.moveaxis(self.steps(grid), (-2, -1), (0, 1))
+        return np.abs(a * d - b * c)
 
 
 def fit_grid_map(
@@ -95,8 +98,9 @@ def fit_grid_map(
     unit = float(middle.max())
     flat = (points.mean(axis=1) - middle) / unit
     best = cv2.findHomography(cells.astype(np.float64), flat)[0]
+    refusal = ValueError(f"image must show a plane grid, got {len(points)} points that fit none")
     if best is None or not np.isfinite(best).all():
-        raise ValueError(f"image must show a plane grid, got {len(points)} points that fit none")
+        raise refusal
     homography: Array = np.asarray(best, dtype=np.float64)
     count = 9 if points[..., 0].size >= _FEWEST_FOR_DISTORTION else 8
     start = np.append(homography.ravel()[:8], np.zeros(count - 8))
@@ -118,4 +122,9 @@ def fit_grid_map(
         to_image, positions = build(p)
         return (to_image(positions) - points).ravel()
 
-    return build(least_squares(residuals, start, x_scale="jac").x)
+    if not np.isfinite(residuals(start)).all():  # marks on both sides of a horizon
+        raise refusal
+    to_image, positions = build(least_squares(residuals, start, x_scale="jac").x)
+    if not np.isfinite(to_image.steps(cells)).all():
+        raise refusal
+    return to_image, positions

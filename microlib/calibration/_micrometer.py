@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from microlib._common import Array, Tidy, scalar
-from microlib.calibration._marks import crop, to_grey
+from microlib.calibration._uncertainty import inverse_interval
 
 #: Fewest lines that are a scale: five leave three residuals beside a straight line. Closer lines
 #: than so many pixels have no ground between them.
@@ -76,55 +76,16 @@ class Micrometer(Tidy):
         """
         size = scalar("division", division, above=0) / self.spacing
         quantile = float(stdtrit(len(self.points) - 2, 0.975))
-        reach = quantile * self.spacing_sigma / self.spacing * size
-        return size, size - reach, size + reach
+        return size, *inverse_interval(size, quantile * self.spacing_sigma / self.spacing)
 
 
-def detect_micrometer(
-    image: ArrayLike, *, region: tuple[int, int, int, int] | None = None
-) -> Micrometer:
-    """Lines of a stage micrometer or a ruler, and their distance in pixels.
-
-    Parameters
-    ----------
-    image : array_like, shape (height, width) or (height, width, 3 or 4)
-        Grey levels of any range, or red, green and blue. The lines may be darker or brighter than
-        their ground and run in any direction; they need not be equally long.
-    region : (int, int, int, int), optional
-        Where to look, (x, y, width, height) in px.
-
-    Returns
-    -------
-    Micrometer
-
-    Raises
-    ------
-    ValueError
-        If `image` is no image, or shows no scale of at least five equidistant lines.
-
-    Notes
-    -----
-    The direction is that in which the image's mean profile is sharpest. The lines are the peaks of
-    the profile over the rows that show most of them, each at the center of what is dark there, and
-    a straight line through their places over whole numbers gives the spacing.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from microlib.calibration import detect_micrometer
-    >>> x = np.arange(200.0)
-    >>> lines = sum(np.exp(-((x - 13.3 - 17.2 * k) ** 2) / 4) for k in range(11))
-    >>> noise = np.random.default_rng(0).normal(0, 2, (60, 200))
-    >>> scale = detect_micrometer(200 - 120 * lines + noise)
-    >>> len(scale.points), round(scale.spacing, 2), round(scale.um_per_pixel(10.0)[0], 3)
-    (11, 17.2, 0.581)
-    """
-    grey, corner = crop(to_grey(image), region)
+def find_scale(grey: NDArray[np.float32]) -> Micrometer:
+    """Lines of a scale in an image, as :func:`detect_micrometer` finds them."""
     angle = _direction(grey)
     upright, matrix = _turned(grey, angle)
     # Rows along which much changes cross the lines.
     change = _mean(np.abs(cv2.Sobel(upright, cv2.CV_32F, 1, 0)).T)
-    high = change > (np.nanmin(change) + np.nanmax(change)) / 2
+    high = change >= (np.nanmin(change) + np.nanmax(change)) / 2
     profile = _mean(upright[high]) if high.any() else np.full(1, np.nan)
     known = profile[np.isfinite(profile)]
     if known.size and 2 * known.mean() < known.min() + known.max():  # lines are the lesser part
@@ -157,7 +118,7 @@ def detect_micrometer(
         raise _refusal(f"lines {spacing:.3g} px apart, {rms / spacing:.2g} of it beside equal ones")
     sigma = rms / np.sqrt(((divisions - divisions.mean()) ** 2).sum())
     upright_points = np.column_stack([places, np.full(len(places), np.flatnonzero(high).mean())])
-    points = (upright_points - matrix[:, 2]) @ matrix[:, :2] + corner
+    points = (upright_points - matrix[:, 2]) @ matrix[:, :2]
     return Micrometer(points, divisions, residuals, float(spacing), float(sigma), angle)
 
 

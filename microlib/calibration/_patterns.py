@@ -1,4 +1,4 @@
-"""Detect a grid of circles, of squares or of the corners of a chessboard.
+"""Find a grid of circles, of squares or of the corners of a chessboard.
 
 One way for all: grey image → marks → lattice → one fit of each mark → points freed of their bias →
 the test that they lie where a lens would put a lattice.
@@ -7,12 +7,14 @@ the test that they lie where a lens would put a lattice.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import islice
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from microlib._common import Array, flag, one_of, scalar
+from microlib._common import Array
 from microlib.calibration._agreement import agree
 from microlib.calibration._chessboard import find_corners
 from microlib.calibration._detection import FEWEST, Detection
@@ -27,13 +29,16 @@ from microlib.calibration._lattice import (
     grow_lattices,
     refuse_fields,
     refuse_lattice,
+    rough_map,
 )
-from microlib.calibration._marks import Marks, crop, dark_regions, even_edges, to_grey
+from microlib.calibration._marks import Marks, dark_regions, even_edges
 from microlib.calibration._shapes import CORNERS, are_round, fit_marks
 
 #: If a lattice holds this part of the dark regions of an image, the image shows it and nothing
 #: else.
 _NOTHING_ELSE = 0.7
+#: Marks of a lattice in clutter that are fitted first.
+_FIRST = 30
 #: Pieces of lattice in clutter that are looked at, the largest first.
 _PIECES = 4
 #: Most ratio of width to height of a square, both in steps of the lattice: what is fitted to four
@@ -43,184 +48,107 @@ _MIDDLE = np.zeros((1, 2))
 #: Places of a ring that stands for a circle.
 _RIM = 8
 
+#: Marks, which of them are of a piece of lattice, and their integer coordinates in it.
+Piece = tuple[Marks, NDArray[np.intp], NDArray[np.intp]]
 
-def detect_circles(
-    image: ArrayLike,
-    *,
-    direction: float = 0.0,
-    mirrored: bool = False,
-    lattice: str = "square",
-    region: tuple[int, int, int, int] | None = None,
-) -> Detection:
-    """Centers of the circles of a regular grid, with their places in the grid.
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """An image and its marks, which are looked for when they are first asked for.
 
     Parameters
     ----------
-    image : array_like, shape (height, width) or (height, width, 3 or 4)
-        Grey levels of any range, or red, green and blue, which become luminance. The circles are
-        darker than their ground or, if no such grid is found, brighter.
-    direction : float
-        Direction in the image in which the pattern's x axis points (about α), rad, right to within
-        45°, on a hexagonal lattice 30°.
-    mirrored : bool
-        True if the pattern is seen from behind (γ near 180°).
-    lattice : {"square", "hexagonal", "asymmetric"}
-        What the circles lie on. The second step of a hexagonal lattice is at 60° to the first.
-        An asymmetric grid has every second row shifted by half a step; its x and y count the half
-        steps and the rows, as OpenCV's does. Another lattice than the named one is refused.
-    region : (int, int, int, int), optional
-        Where to look, (x, y, width, height) in px.
-
-    Returns
-    -------
-    Detection
-        `points` are the images of the circles' centers. Circles that leave the image are not among
-        them. `grid` begins at the first column and row that were found.
-
-    Raises
-    ------
-    ValueError
-        If `image` is no image, no grid of at least four whole circles is found in it, or what is
-        found is none: the circles are not of one size, lie on another lattice, or beside any smooth
-        image of it.
-
-    Notes
-    -----
-    The thesis takes the center "by least squares" (§5.2); here the least squares are those of the
-    grey levels around the whole outline. Under perspective and distortion the center of the ellipse
-    is not the image of the circle's center: the map from the grid to the image is fitted to the
-    points, the circle is sent through it, and the difference between the two centers is taken off.
-
-    An image that shows nothing but the grid is thresholded. In any other, the
-    circles are looked for among closed contours of many grey levels, of both polarities.
-
-    Examples
-    --------
-    >>> from microlib.calibration import detect_circles
-    >>> from microlib.microscope import Microscope
-    >>> from microlib.synthetic import render_circles
-    >>> scope = Microscope(200000, 126000, 79380, tx=-300, ty=-300, image_size=(160, 120))
-    >>> found = detect_circles(render_circles(scope))
-    >>> error = found.points - scope.project(280.0 * found.positions)
-    >>> len(found.points), bool(abs(error).max() < 0.01)
-    (9, True)
+    grey : ndarray of float32, shape (height, width)
+        Grey levels.
     """
-    lattice = one_of("lattice", lattice, tuple(STEPS))
-    return _detect(image, "circles", lattice, direction, mirrored, region)
+
+    grey: NDArray[np.float32]
+    _pieces: dict[str, list[Piece]] = field(default_factory=dict)
+
+    @cached_property
+    def dark(self) -> Marks:
+        """The dark regions of an even ground."""
+        return dark_regions(self.grey)
+
+    @cached_property
+    def edges(self) -> list[Marks]:
+        """What even edges surround in clutter, dark and bright."""
+        return even_edges(self.grey)
+
+    def pieces(self, lattice: str) -> list[Piece]:
+        """Pieces of a lattice among what even edges surround."""
+        lattice = "hexagonal" if lattice == "hexagonal" else "square"
+        if lattice not in self._pieces:
+            self._pieces[lattice] = [
+                (marks, *piece) for marks in self.edges for piece in grow_lattices(marks, lattice)
+            ]
+        return self._pieces[lattice]
 
 
-def detect_squares(
-    image: ArrayLike,
-    *,
-    direction: float = 0.0,
-    mirrored: bool = False,
-    pattern: str = "squares",
-    region: tuple[int, int, int, int] | None = None,
-) -> Detection:
-    """Corners of the squares of a regular grid, with their places in the grid.
+class WrongPattern(ValueError):
+    """The image shows another pattern than the one looked for."""
 
-    Parameters
-    ----------
-    image : array_like, shape (height, width) or (height, width, 3 or 4)
-        Grey levels of any range, or red, green and blue, which become luminance. The squares are
-        darker than their ground or, if no such grid is found, brighter.
-    direction : float
-        Direction in the image in which the pattern's x axis points (about α), rad, right to within
-        45°.
-    mirrored : bool
-        True if the pattern is seen from behind (γ near 180°).
-    pattern : {"squares", "chessboard"}
-        Squares with gaps between them, or the fields of a chessboard, which touch at their corners:
-        of it the inner corners are found, one `points` each, and a pitch is the side of a field.
-    region : (int, int, int, int), optional
-        Where to look, (x, y, width, height) in px.
-
-    Returns
-    -------
-    Detection
-        Four `points` for each square that lies whole in the image. `grid` counts sides and gaps:
-        square (m, n) has its corners from (2m, 2n) to (2m + 1, 2n + 1). Where they are of one
-        length, the side times `grid` gives world points. `side` says what was measured, and
-        `positions` allow for it.
-
-    Raises
-    ------
-    ValueError
-        If `image` is no image, no grid of at least four whole squares is found in it, or what is
-        found is none: the marks are rectangles, or lie beside any smooth image of a grid.
-
-    Notes
-    -----
-    The thesis finds edges with a Sobel operator, links them, and intersects the lines fitted to
-    them (§5.2). Here all four lines of a square are fitted together to the grey levels: a product
-    of four blurred half-planes, which near a right angle is the exact image of a corner under a
-    Gaussian point-spread function. They start along the steps of the lattice.
-
-    An image that shows nothing but the grid is thresholded. In any other, the
-    squares are looked for among closed contours of many grey levels, of both polarities. The
-    corners of a chessboard are found by OpenCV (``findChessboardCornersSB``), and then two crossing
-    edges are fitted to the grey levels around each.
-
-    Examples
-    --------
-    >>> from microlib.calibration import detect_squares
-    >>> from microlib.microscope import Microscope
-    >>> from microlib.synthetic import render_squares
-    >>> scope = Microscope(200000, 126000, 79380, tx=-450, ty=-330, image_size=(160, 120))
-    >>> found = detect_squares(render_squares(scope))
-    >>> error = found.points - scope.project(200.0 * found.grid)
-    >>> len(found.points), bool(abs(error).max() < 0.01), round(found.side, 3)
-    (16, True, 0.5)
-    """
-    pattern = one_of("pattern", pattern, ("squares", "chessboard"))
-    return _detect(image, pattern, "square", direction, mirrored, region)
+    def __init__(self, kind: str, seen: str) -> None:
+        super().__init__(f"image must show {kind}, got {seen}")
+        self.seen = seen
 
 
-def _detect(
-    image: ArrayLike,
+def find_pattern(
+    scene: Scene,
     kind: str,
     lattice: str,
-    direction: float,
-    mirrored: bool,
-    region: tuple[int, int, int, int] | None,
-) -> Detection:
-    direction = scalar("direction", direction, within=(-1e9, 1e9))
-    mirrored = flag("mirrored", mirrored)
-    whole = to_grey(image)
-    grey, corner = crop(whole, region)
+    direction: float = 0.0,
+    mirrored: bool = False,
+    *,
+    most: int | None = None,
+) -> tuple[Detection, bool]:
+    """The pattern of a kind that an image shows, and whether it shows nothing else.
+
+    With `most`, no more than so many marks of the likeliest lattice: enough to name it by.
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
     refusal = ValueError(f"image must show a grid of {kind}, got none")
-    for count, (marks, grid, alone) in enumerate(_candidates(grey, kind, lattice)):
+    candidates = islice(_candidates(scene, kind, lattice, most), 1 if most else None)
+    for count, (marks, grid, alone) in enumerate(candidates):
         try:
+            if not alone and len(grid) > 2 * _FIRST:  # chance is refused by a part, and sooner
+                _fit(marks[:_FIRST], grid[:_FIRST], kind, lattice)
             points, sigma, grid, areas = _fit(marks, grid, kind, lattice)
             turn = counting(points.mean(axis=1), grid, lattice, direction, mirrored)
-            found = _place(points, sigma, grid, areas, lattice, turn, grey.shape)
+            found = _place(points, sigma, grid, areas, lattice, turn, scene.grey.shape)
             # A homography leads to any four centers, and clutter has many.
             if alone or np.isfinite(found.misfit):
-                return replace(found, points=found.points + corner, image_size=whole.shape[::-1])
+                return found, alone
             raise ValueError(f"image must show more {kind} or nothing else, got {len(grid)}")
         except ValueError as fault:
+            if alone and isinstance(fault, WrongPattern):
+                raise
             if count == 0:  # of the largest
-                refusal = fault
+                refusal = ValueError(str(fault))
     raise refusal
 
 
 def _candidates(
-    grey: NDArray[np.float32], kind: str, lattice: str
+    scene: Scene, kind: str, lattice: str, most: int | None
 ) -> Iterator[tuple[Marks, NDArray[np.intp], bool]]:
     """Lattices of marks, the most likely first: that of the image as if it showed nothing else,
-    then the largest pieces in clutter; and whether the image shows nothing else."""
+    then the largest pieces in clutter; and whether the image shows nothing else. With `most` they
+    are completed from so many marks."""
     if kind == "chessboard":
-        yield *find_corners(grey), True
+        yield *find_corners(scene.grey), True
         return
-    marks = dark_regions(grey)
+    marks = scene.dark
     pieces = [(marks, *piece) for piece in grow_lattices(marks, lattice)[:1]]
     if pieces and len(pieces[0][1]) >= _NOTHING_ELSE * len(marks.centers):
         marks, index, grid = pieces.pop()
-        yield *complete(marks[index], grid, darkness), True
-    for marks in even_edges(grey):
-        pieces += [(marks, *piece) for piece in grow_lattices(marks, lattice)]
+        yield *complete(marks[index[:most]], grid[:most], darkness), True
+    pieces += scene.pieces(lattice)
     for marks, index, grid in sorted(pieces, key=lambda piece: -len(piece[1]))[:_PIECES]:
-        yield *complete(marks[index], grid, darkness), False
+        yield *complete(marks[index[:most]], grid[:most], darkness), False
 
 
 def _fit(
@@ -232,9 +160,13 @@ def _fit(
     image.
     """
     flat = grid.astype(np.float64)
-    steps = fit_grid_map(marks.centers[:, None], flat, _MIDDLE, marks.image.shape)[0].steps(flat)
+    steps = rough_map(marks, grid).steps(flat)
     if not np.abs(np.linalg.det(steps)).min() > 1:
         raise ValueError(f"image must show a plane grid of {kind}, got marks that are on none")
+    if kind != "chessboard":
+        refuse_fields(kind, marks, grid)
+        if are_round(marks, steps) != (kind == "circles"):
+            raise WrongPattern(kind, "squares" if kind == "circles" else "circles")
     good, points, sigma, shapes = fit_marks(marks, steps, kind)
     marks, grid, flat = marks[good], grid[good], flat[good]
     share = fill(grid)
@@ -243,12 +175,6 @@ def _fit(
             f"image must show a grid of {kind}, got {len(grid)} that fill {100 * share:.0f} % of "
             "the places of one"
         )
-    if kind != "chessboard":
-        if are_round(marks, steps[good]) != (kind == "circles"):
-            raise ValueError(
-                f"image must show {kind}, got {'squares' if kind == 'circles' else 'circles'}"
-            )
-        refuse_fields(kind, marks, grid)
     if kind == "circles":
         to_image, _ = fit_grid_map(points, flat, _MIDDLE, marks.image.shape)
         refuse_lattice(shapes @ shapes, to_image.steps(flat), lattice)

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
 from microlib._common import Array, Tidy, as_array, between, same_length
+from microlib.calibration._uncertainty import inverse_interval
 
 #: Farthest stage and image positions, µm and px: a kilometer, and far beyond any sensor.
 _FARTHEST = 1e9
@@ -29,7 +30,8 @@ class StageAffine(Tidy):
     covariance : ndarray, shape (6, 6)
         Of the numbers of `matrix`, row by row; NaN for three moves, which leave no residual.
     um_per_pixel : tuple of float
-        Square root of the area of a pixel on the stage, µm, and the ends of its 95 % interval.
+        Square root of the area of a pixel on the stage, µm, and the ends of its 95 % interval; the
+        upper one is infinite where the moves do not determine it.
     angle : float
         From the image's x axis to the stage's, rad, from x to y.
     mirrored : bool
@@ -122,11 +124,11 @@ def stage_affine(stage: ArrayLike, image: ArrayLike) -> StageAffine:
     pixel = 1 / np.sqrt(np.abs(np.linalg.det(linear)))
     by = 0.5 * np.linalg.inv(linear).T.ravel()  # d log √|det A| = ½ tr(A⁻¹ dA)
     relative = np.sqrt(by @ covariance[np.ix_([0, 1, 3, 4], [0, 1, 3, 4])] @ by)
-    reach = pixel * relative * stdtrit(freedom, 0.975) if freedom else np.nan
+    reach = float(relative * stdtrit(freedom, 0.975)) if freedom else np.nan
     return StageAffine(
         matrix,
         covariance,
-        (float(pixel), float(pixel - reach), float(pixel + reach)),
+        (float(pixel), *inverse_interval(float(pixel), reach)),
         float(np.arctan2(linear[1, 0], linear[0, 0])),
         bool(np.linalg.det(linear) < 0),
         residuals,

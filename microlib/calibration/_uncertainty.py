@@ -80,6 +80,15 @@ def cramer_rao(
         return np.where(np.isinf(inverse), np.inf, noise**2 * inverse)
 
 
+def inverse_interval(value: float, reach: float) -> tuple[float, float]:
+    """Ends of the interval of a positive quantity whose inverse has the normal error.
+
+    `reach` is how far the inverse may be off, as a part of it; where that may be zero, the quantity
+    has no upper end.
+    """
+    return value / (1 + reach), np.inf if reach >= 1 else value / (1 - reach)
+
+
 def jackknife(jacobian: Array, residuals: Array, groups: NDArray) -> Array:
     """Covariance of least-squares parameters by leaving out one group of points after the other.
 

@@ -156,3 +156,40 @@ def test_the_table_holds_every_parameter_with_its_error():
     assert (table["low"] < table["estimate"]).all()
     assert table["determined"].all()
     assert len(repr(found).splitlines()) <= 10
+
+
+def test_a_pixel_has_the_height_of_its_cell():
+    """ImageJ and Micro-Manager are told sizes by which a step of the pattern has its length."""
+    sensor = {"pixel_size": (8.6, 8.3), "image_size": (656, 491)}
+    scope = Microscope(2e5, 126e3, 79380, tx=-900, ty=-700, **sensor)
+    world = WORLD[((scope.project(WORLD) > 5) & (scope.project(WORLD) < [650, 485])).all(axis=1)]
+    found = calibrate(world, scope.project(world), focal_length=126e3, **sensor)
+    content = json.loads(found.to_json())
+    across, along = scope.project([[500.0, 0.0], [0.0, 700.0]]) - scope.project([[0.0, 0.0]])
+    assert across[0] * content["imagej"]["pixel_width"] == pytest.approx(500)
+    assert along[1] * content["imagej"]["pixel_height"] == pytest.approx(700)
+    area = content["micro_manager"]["PixelSizeUm"] ** 2  # as Micro-Manager has it of an affine map
+    assert across[0] * along[1] * area == pytest.approx(500 * 700)
+
+
+def test_an_interval_keeps_to_the_side_that_a_length_can_have():
+    """Points with an error of a tenth of the field: what has no upper end is not given one."""
+    rng = np.random.default_rng(1)
+    world = 1000.0 * np.array([[0, 0], [1, 0], [0, 1], [1, 1], [0.4, 0.7], [0.8, 0.2]])
+    scope = replace(SCOPE, beta=0.0, gamma=0.0)
+    seen = scope.project(world) + rng.normal(0, 15, world.shape)
+    seen = np.clip(seen, 0, [655, 490])
+    found = calibrate(world, seen, pixel_size=9.9, image_size=(656, 491), focal_length=126e3)
+    wide = 1 - 1e-9
+    low, high = found.interval("magnification", wide)
+    assert 0 == low < high
+    value, low, high = found.um_per_pixel(wide)
+    assert 0 < low < value < high == np.inf
+    free = calibrate(world, seen, pixel_size=9.9, image_size=(656, 491))
+    low, high = free.interval("focal_length", wide)
+    assert 0 <= low < high == np.inf
+    lost = replace(found, covariance=1e6 * found.covariance)
+    assert "95 % above" in repr(lost)
+    assert json.loads(lost.to_json())["pixel_size_interval_um"][1] is None
+    moves = stage_affine(MOVES[:4], MOVES[:4] + rng.normal(0, 60, (4, 2)))
+    assert 0 < moves.um_per_pixel[1] < moves.um_per_pixel[0] < moves.um_per_pixel[2] == np.inf
