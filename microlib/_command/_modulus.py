@@ -68,7 +68,7 @@ def _estimate(
 
     values = values | dict(zip(("dimple_radius", "dimple_depth"), sizes, strict=True))
     stds = stds | dict(zip(("dimple_radius", "dimple_depth"), spread, strict=True))
-    modulus = float(membrane.elastic_modulus(**values))
+    modulus = membrane.elastic_modulus(**values)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", membrane.SmallSlopeWarning)  # told once, above
         samples = membrane.modulus_samples(values, stds, size=100_000, rng=1)

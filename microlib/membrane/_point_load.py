@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,6 +46,17 @@ class SmallSlopeWarning(UserWarning):
     limit = 0.1  # there finite_slope_modulus is 1.05 times elastic_modulus at c/a = 0.1 (tests)
 
 
+@overload
+def elastic_modulus(
+    force: float,
+    dimple_radius: float,
+    dimple_depth: float,
+    *,
+    thickness: float,
+    probe_half_width: float,
+    poisson_ratio: float,
+) -> float: ...
+@overload
 def elastic_modulus(
     force: ArrayLike,
     dimple_radius: ArrayLike,
@@ -53,7 +65,16 @@ def elastic_modulus(
     thickness: ArrayLike,
     probe_half_width: ArrayLike,
     poisson_ratio: ArrayLike,
-) -> Array:
+) -> Array: ...
+def elastic_modulus(
+    force: ArrayLike,
+    dimple_radius: ArrayLike,
+    dimple_depth: ArrayLike,
+    *,
+    thickness: ArrayLike,
+    probe_half_width: ArrayLike,
+    poisson_ratio: ArrayLike,
+) -> float | Array:
     r"""Elastic modulus of a membrane from one indentation, equation (5.2).
 
     .. math:: E = \frac{F a^2 (1-\nu)}{2\pi h w_d^3} \frac{1}{S(c/a)}
@@ -130,6 +151,17 @@ def elastic_modulus(
     return modulus
 
 
+@overload
+def indentation_force(
+    modulus: float,
+    dimple_radius: float,
+    dimple_depth: float,
+    *,
+    thickness: float,
+    probe_half_width: float,
+    poisson_ratio: float,
+) -> float: ...
+@overload
 def indentation_force(
     modulus: ArrayLike,
     dimple_radius: ArrayLike,
@@ -138,7 +170,16 @@ def indentation_force(
     thickness: ArrayLike,
     probe_half_width: ArrayLike,
     poisson_ratio: ArrayLike,
-) -> Array:
+) -> Array: ...
+def indentation_force(
+    modulus: ArrayLike,
+    dimple_radius: ArrayLike,
+    dimple_depth: ArrayLike,
+    *,
+    thickness: ArrayLike,
+    probe_half_width: ArrayLike,
+    poisson_ratio: ArrayLike,
+) -> float | Array:
     r"""Force that makes a given dimple, equation (4.7).
 
     .. math:: F = \frac{2\pi E h w_d^3}{a^2(1-\nu)} S(c/a)
@@ -186,6 +227,17 @@ def indentation_force(
     return values["modulus"] * force_per_modulus(values)
 
 
+@overload
+def dimple_depth(
+    force: float,
+    dimple_radius: float,
+    modulus: float,
+    *,
+    thickness: float,
+    probe_half_width: float,
+    poisson_ratio: float,
+) -> float: ...
+@overload
 def dimple_depth(
     force: ArrayLike,
     dimple_radius: ArrayLike,
@@ -194,7 +246,16 @@ def dimple_depth(
     thickness: ArrayLike,
     probe_half_width: ArrayLike,
     poisson_ratio: ArrayLike,
-) -> Array:
+) -> Array: ...
+def dimple_depth(
+    force: ArrayLike,
+    dimple_radius: ArrayLike,
+    modulus: ArrayLike,
+    *,
+    thickness: ArrayLike,
+    probe_half_width: ArrayLike,
+    poisson_ratio: ArrayLike,
+) -> float | Array:
     r"""Depth to which a force presses a membrane, equation (4.7) solved for w_d.
 
     .. math:: w_d = \left(\frac{F a^2 (1-\nu)}{2\pi E h\, S(c/a)}\right)^{1/3}
@@ -251,13 +312,29 @@ def dimple_depth(
     return depth
 
 
+@overload
+def dimple_profile(
+    radius: float,
+    dimple_radius: float,
+    dimple_depth: float,
+    *,
+    probe_half_width: float,
+) -> float: ...
+@overload
 def dimple_profile(
     radius: ArrayLike,
     dimple_radius: ArrayLike,
     dimple_depth: ArrayLike,
     *,
     probe_half_width: ArrayLike,
-) -> Array:
+) -> Array: ...
+def dimple_profile(
+    radius: ArrayLike,
+    dimple_radius: ArrayLike,
+    dimple_depth: ArrayLike,
+    *,
+    probe_half_width: ArrayLike,
+) -> float | Array:
     r"""Depth of the deformed membrane below the rim, equations (4.2) and (4.3).
 
     .. math:: w(r) = w_d \frac{1-(r/a)^2+\ln(r/a)^2}{1-\zeta^2+\ln\zeta^2}, \qquad c \le r \le a
@@ -305,6 +382,16 @@ def dimple_profile(
     return values["dimple_depth"] * log_remainder(r / a, 2) / log_remainder(c / a, 2)
 
 
+@overload
+def membrane_stress(
+    force: float,
+    dimple_radius: float,
+    dimple_depth: float,
+    *,
+    thickness: float,
+    probe_half_width: float,
+) -> float: ...
+@overload
 def membrane_stress(
     force: ArrayLike,
     dimple_radius: ArrayLike,
@@ -312,7 +399,15 @@ def membrane_stress(
     *,
     thickness: ArrayLike,
     probe_half_width: ArrayLike,
-) -> Array:
+) -> Array: ...
+def membrane_stress(
+    force: ArrayLike,
+    dimple_radius: ArrayLike,
+    dimple_depth: ArrayLike,
+    *,
+    thickness: ArrayLike,
+    probe_half_width: ArrayLike,
+) -> float | Array:
     r"""Stress in the membrane that carries the load: (4.3), from the balance (4.1), solved for
     :math:`\sigma_d`.
 
@@ -354,13 +449,29 @@ def membrane_stress(
     return -scale * log_remainder(zeta, 2)
 
 
+@overload
+def mean_strain(
+    dimple_radius: float,
+    dimple_depth: float,
+    *,
+    probe_half_width: float,
+    small_slopes: bool = True,
+) -> float: ...
+@overload
 def mean_strain(
     dimple_radius: ArrayLike,
     dimple_depth: ArrayLike,
     *,
     probe_half_width: ArrayLike,
     small_slopes: bool = True,
-) -> Array:
+) -> Array: ...
+def mean_strain(
+    dimple_radius: ArrayLike,
+    dimple_depth: ArrayLike,
+    *,
+    probe_half_width: ArrayLike,
+    small_slopes: bool = True,
+) -> float | Array:
     r"""Mean strain of the dimple, equations (4.4) and (4.5).
 
     .. math:: \bar\varepsilon_d = \frac12
