@@ -217,8 +217,6 @@ if __name__ == "__main__":
         chromium = playwright.chromium.launch(
             executable_path=found,
             chromium_sandbox=False,
-            # 3-D figures are drawn without a graphics card.
-            args=["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
         )
         make_pdf(chromium, HTML.resolve(), pages_in_order(), PDF)
         make_pdf(chromium, HTML.resolve(), ["summary"], PDF.with_name("summary.pdf"))

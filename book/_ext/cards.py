@@ -5,16 +5,13 @@ The gallery extensions run scripts of their own; these pictures are in notebooks
 
 from __future__ import annotations
 
-import io
 import re
-from base64 import b64decode
 from functools import cache
 from html import escape
 from pathlib import Path
 
 import nbformat
 from docutils import nodes
-from PIL import Image
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 from tables import line, link, raw_html
@@ -26,18 +23,15 @@ PURPOSE = re.compile(r"^(This guide .*?\.)\s", re.M | re.S)
 
 
 @cache
-def read_pictures() -> dict[str, tuple[str, Image.Image]]:
+def read_pictures() -> dict[str, tuple[str, str]]:
     """Return the first picture that each guide drew and what it shows, by the guide's stem."""
-    found: dict[str, tuple[str, Image.Image]] = {}
+    found: dict[str, tuple[str, str]] = {}
     for path in sorted(NOTEBOOKS.glob("07_*.ipynb")):
         for cell in nbformat.read(path, as_version=4).cells:
             for output in cell.get("outputs", []):
-                for kind in ("image/png", "image/jpeg"):
-                    if content := output.get("data", {}).get(kind):
-                        image = Image.open(io.BytesIO(b64decode(content))).convert("RGB")
-                        image.thumbnail((480, 400))  # px; shown at two thirds of it
-                        alt = cell.metadata.get("mystnb", {}).get("image", {}).get("alt", "")
-                        found.setdefault(path.stem, (alt, image))
+                if picture := output.get("data", {}).get("image/svg+xml"):
+                    alt = cell.metadata.get("mystnb", {}).get("image", {}).get("alt", "")
+                    found.setdefault(path.stem, (alt, picture))
     return found
 
 
@@ -55,7 +49,7 @@ class Guides(SphinxDirective):
             if path.stem in read_pictures():
                 alt = escape(read_pictures()[path.stem][0])
                 up = "../" * self.env.docname.count("/")
-                source = f"{up}_static/pictures/{path.stem}.webp"
+                source = f"{up}_static/pictures/{path.stem}.svg"
                 card += raw_html(f'<img src="{source}" alt="{alt}" loading="lazy">')
             card += [label, line(" ".join(purpose[1].split()))]
             result += card
@@ -67,8 +61,8 @@ def write_pictures(app: Sphinx, error: Exception | None) -> None:
         return
     folder = Path(app.outdir) / "_static" / "pictures"
     folder.mkdir(parents=True, exist_ok=True)
-    for name, (_, image) in read_pictures().items():
-        image.save(folder / f"{name}.webp", quality=60)
+    for name, (_, picture) in read_pictures().items():
+        (folder / f"{name}.svg").write_text(picture, encoding="utf-8")
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

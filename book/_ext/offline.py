@@ -1,10 +1,10 @@
 """Mend what the theme leaves: pages that ask other servers, and parts that not everyone can use.
 
-MathJax and plotly come from packages on disk as one file each; the inert thebe loader goes. Font
-preloads go too: a browser refuses them for a page opened from a file, and loads the fonts from the
-style sheet anyway. The toggles of the contents get a name for screen readers, wide tables can be
-scrolled by keyboard, empty heads of tables are no heads, and each figure opens larger. The theme
-has no setting for any of it.
+MathJax comes from a package on disk as one file; the inert thebe loader goes. Font preloads go too:
+a browser refuses them for a page opened from a file, and loads the fonts from the style sheet
+anyway. The toggles of the contents get a name for screen readers, wide tables can be scrolled by
+keyboard, empty heads of tables are no heads, and each figure has two looks and opens larger. The
+theme has no setting for any of it.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from sphinx.util.fileutil import copy_asset_file
 
 from microlib import __version__
 
+ROOT = Path(__file__).resolve().parents[2]
 MATHJAX = "mathjax/tex-svg-full.js"
-PLOTLY = "plotly.min.js"
 # What is replaced in every page, by what it is replaced with.
 MENDS = {
     r'<link rel="preload" as="font"[^>]*>': "",
@@ -31,7 +31,11 @@ MENDS = {
     r'(?<=class="pst-scrollable-table-container")': ' tabindex="0" role="group" aria-label="table"',
     r'<div (?=class="bd-sidebar-primary )': '<div role="complementary" aria-label="book" ',
     r"<th([^>]*)>(?:&nbsp;|<p></p>|\s)*</th>": r"<td\1></td>",
-    r'(<figure[^>]*>\s*)(<img [^>]*src="(?!data:)([^"]+)"[^>]*>)': (
+    # A figure's file has two looks, the second for a dark page (`compendium.figures.style`).
+    r'<img ([^>]*src="[^"]*(?:_images|pictures)/[^"]+\.svg)("[^>]*>)': (
+        r'<img class="only-light" \1\2<img class="only-dark" \1#dark\2'
+    ),
+    r'(<figure[^>]*>\s*)((?:<img [^>]*src="(?!data:)([^"#]+)[^>]*>)+)': (
         r'\1<a class="enlarge" href="\3">\2</a>'
     ),
 }
@@ -70,8 +74,14 @@ def copy_libraries(app: Sphinx, error: Exception | None) -> None:
         for fault, mend in MENDS.items():
             html = re.sub(fault, mend, html)
         page.write_text(html, encoding="utf-8")
-    copy_asset_file(str(package_folder("plotly") / "package_data" / PLOTLY), str(static / PLOTLY))
-    shutil.rmtree(static / "sphinx-thebe", ignore_errors=True)
+    # What no page needs: maps for who changes the theme, fonts for old browsers, other languages.
+    for unused in [*static.rglob("*.map"), *static.rglob("*.ttf")]:
+        unused.unlink()
+    for folder in ("sphinx-thebe", "locales"):
+        shutil.rmtree(static / folder, ignore_errors=True)
+    # A reader downloads a notebook to run it: without what it drew, which the page shows.
+    for copy in (Path(app.outdir) / "_sources" / "notebooks").glob("*.ipynb"):
+        shutil.copy(ROOT / "notebooks" / copy.name, copy)
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

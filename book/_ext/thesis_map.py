@@ -30,6 +30,7 @@ from numpydoc.docscrape import NumpyDocString
 from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
+from surface_data import script_of
 from tables import link, table
 
 from compendium import ledger
@@ -233,6 +234,7 @@ def link_data(app: Sphinx, doctree: nodes.document) -> None:
             continue
         text = ", ".join(f'<a href="{up}_static/figures/{n}" download>{n}</a>' for n in links)
         html = f' <span class="figure-data">Data: {text}</span>'
+        html += "".join(script_of(FIGURES / file) for file in links if file.endswith(".npz"))
         caption += nodes.raw("", html, format="html")
 
 

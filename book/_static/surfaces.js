@@ -1,47 +1,98 @@
-// 3-D figures: a picture first. A click loads plotly's library and puts the surface in its place.
+// A surface takes the place of its picture: a finger, the mouse and the arrow keys turn it.
 addEventListener("DOMContentLoaded", () => {
-  const root = new URL(document.documentElement.dataset.content_root ?? "./", location.href);
-  let library;
-  const load = () =>
-    (library ??= new Promise((done) => {
-      const src = new URL("_static/plotly.min.js", root);
-      document.head.append(Object.assign(document.createElement("script"), { src, onload: done }));
-    }));
+  const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const LIGHT = [-0.57, 0.42, 0.71]; // from the upper left, towards the viewer
+  const TALL = 0.45; // the heights' span, of the longer side
+  const WAYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
-  // The surface has the colors of the page, and on a phone texts as large as the page's.
-  const paint = (figure) => {
-    const style = getComputedStyle(document.documentElement);
-    const color = (name) => style.getPropertyValue(`--pst-color-${name}`);
-    const change = { paper_bgcolor: color("background"), "font.color": color("text-base") };
-    for (const axis of ["xaxis", "yaxis", "zaxis"])
-      Object.assign(change, { [`scene.${axis}.gridcolor`]: color("border"), [`scene.${axis}.zerolinecolor`]: color("border"),
-        [`scene.${axis}.backgroundcolor`]: color("background"),
-        ...(innerWidth < 600 ? { [`scene.${axis}.tickfont.size`]: 16, [`scene.${axis}.nticks`]: 3 } : {}) });
-    Plotly.relayout(figure, change);
-    if (innerWidth < 600) Plotly.restyle(figure, { showscale: Boolean(figure.data[0].colorbar?.ticktext) });
-  };
+  for (const script of document.querySelectorAll("script.surface")) {
+    const { rows, cols, pitch, low, high, unit, colors, ...texts } = JSON.parse(script.textContent);
+    const heights = new Uint16Array(bytes(texts.heights).buffer); // 0 is a hole
+    const kinds = bytes(texts.kinds);
+    const paints = colors.map((hex) => [1, 3, 5].map((k) => parseInt(hex.slice(k, k + 2), 16)));
+    const figure = script.closest("figure"), picture = figure.querySelector("img");
+    const canvas = Object.assign(document.createElement("canvas"), { tabIndex: 0 });
+    canvas.setAttribute("role", "img");
+    canvas.setAttribute("aria-label", `${picture.alt} The arrow keys turn it.`);
+    figure.classList.add("surface");
+    figure.prepend(canvas);
+    for (const [name, color] of Object.entries(texts.key)) {
+      const entry = Object.assign(document.createElement("span"), { className: "surface-key", textContent: name });
+      entry.style.setProperty("--color", color);
+      canvas.after(entry);
+    }
+    const longest = Math.max(rows, cols) - 1;
+    let turn = -0.6, tilt = 0.6;
 
-  for (const box of document.querySelectorAll(".surface")) {
-    const [picture, button, template] = ["img", "button", "template"].map((name) => box.querySelector(name));
-    const said = button.textContent;
-    let figure;
-    button.addEventListener("click", async () => {
-      await load();
-      if (figure) {
-        figure.remove();
-        figure = undefined;
-      } else {
-        Plotly.setPlotConfig({ displayModeBar: false });
-        box.append(template.content.cloneNode(true)); // its script draws
-        figure = box.lastElementChild;
-        const drawn = figure.querySelector(".plotly-graph-div");
-        // The wheel belongs to the page; plotly would take it whether it zooms or not.
-        drawn.addEventListener("wheel", (event) => event.stopPropagation(), { capture: true, passive: true });
-        paint(drawn);
-        new MutationObserver(() => drawn.isConnected && paint(drawn)).observe(document.documentElement, { attributeFilter: ["data-theme"] });
-      }
-      picture.hidden = Boolean(figure);
-      button.textContent = figure ? "Back to the picture" : said;
+    const draw = () => {
+      const pen = canvas.getContext("2d"), width = canvas.clientWidth;
+      [canvas.width, canvas.height] = [1, 0.85].map((share) => share * width * devicePixelRatio);
+      pen.scale(devicePixelRatio, devicePixelRatio);
+      const [c, s, up, flat] = [Math.cos(turn), Math.sin(turn), Math.cos(tilt), Math.sin(tilt)];
+      const size = width / 1.7;
+      // Where a point is seen whose place is in pixels of the map and whose height is of its span.
+      const place = (col, row, z) => {
+        const x = (col - (cols - 1) / 2) / longest, y = ((rows - 1) / 2 - row) / longest;
+        return [width / 2 + size * (x * c - y * s), 0.4 * width - size * (flat * (x * s + y * c) + up * TALL * (z - 0.5))];
+      };
+      const points = Array.from(heights, (z, i) => place(i % cols, Math.floor(i / cols), (z - 1) / 65534));
+      pen.strokeStyle = pen.fillStyle = getComputedStyle(canvas).color;
+      pen.font = "14px sans-serif";
+      const corners = [[0, 0], [cols - 1, 0], [cols - 1, rows - 1], [0, rows - 1]];
+      const ground = corners.map(([col, row]) => place(col, row, 0));
+      pen.beginPath();
+      [...ground, ground[0]].forEach((point) => pen.lineTo(...point));
+      const left = ground.indexOf(ground.toSorted((one, other) => one[0] - other[0])[0]);
+      const top = place(...corners[left], 1);
+      pen.moveTo(...ground[left]);
+      pen.lineTo(...top);
+      pen.stroke();
+      // From what is far to what is near.
+      const inOrder = (count, forth) => Array.from({ length: count - 1 }, (_, k) => (forth ? k : count - 2 - k));
+      for (const row of inOrder(rows, c > 0))
+        for (const col of inOrder(cols, s < 0)) {
+          const i = row * cols + col, face = [i, i + 1, i + cols + 1, i + cols];
+          if (!face.every((k) => heights[k])) continue;
+          const steep = (TALL * longest) / 65534;
+          const east = steep * (heights[i + 1] - heights[i]), north = steep * (heights[i] - heights[i + cols]);
+          const normal = [-(east * c - north * s), -(east * s + north * c), 1];
+          // The light stands with the viewer.
+          const lit = normal[0] * LIGHT[0] - normal[1] * LIGHT[1] + LIGHT[2];
+          const share = 0.45 + 0.6 * Math.max(0, lit / Math.hypot(...normal));
+          pen.fillStyle = pen.strokeStyle = `rgb(${paints[kinds[i]].map((level) => Math.min(255, share * level)).join()})`;
+          pen.beginPath();
+          face.forEach((k) => pen.lineTo(...points[k]));
+          pen.closePath();
+          pen.fill();
+          pen.stroke(); // or gaps would show between the faces
+        }
+      pen.fillStyle = getComputedStyle(canvas).color;
+      const write = (text, [x, y], side) => {
+        pen.textAlign = side;
+        pen.fillText(text, Math.max(2, Math.min(width - 2, x)), y);
+      };
+      const near = c > 0 ? rows - 1 : 0, beside = s > 0 ? 0 : cols - 1;
+      const [alongX, alongY] = [place((cols - 1) / 2, near, 0), place(beside, (rows - 1) / 2, 0)];
+      const side = alongX[0] < alongY[0] ? ["right", "left"] : ["left", "right"];
+      const long = (count) => `${Number((pitch * (count - 1)).toPrecision(4))} ${unit}`;
+      write(`x: ${long(cols)}`, [alongX[0], alongX[1] + 22], side[0]);
+      write(`y: ${long(rows)}`, [alongY[0], alongY[1] + 22], side[1]);
+      write(`height ${high} µm`, [top[0], top[1] - 6], "left");
+      write(`${low} µm`, [ground[left][0], ground[left][1] + 18], "left");
+    };
+    const move = (across, down) => {
+      turn += across;
+      tilt = Math.max(0.05, Math.min(1.5, tilt + down));
+      requestAnimationFrame(draw);
+    };
+    canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId));
+    canvas.addEventListener("pointermove", (event) => event.buttons && move(event.movementX / 100, event.movementY / 100));
+    canvas.addEventListener("keydown", (event) => {
+      if (!WAYS[event.key]) return;
+      event.preventDefault();
+      move(...WAYS[event.key].map((step) => step / 10));
     });
+    new ResizeObserver(draw).observe(canvas);
+    new MutationObserver(draw).observe(document.documentElement, { attributeFilter: ["data-theme"] });
   }
 });

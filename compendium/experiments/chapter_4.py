@@ -49,7 +49,7 @@ def spread_of_modulus(errors: NDArray, rng: np.random.Generator) -> pd.DataFrame
         first = modulus_std(INPUTS, stds)
         rows.append(100 * np.array([first, drawn.std(), drawn.mean() - modulus]) / modulus)
     columns = ["spread, first order", "spread, drawn", "shift of the mean, drawn"]
-    return pd.DataFrame(rows, pd.Index(errors, name="standard deviation of $w_d$ (%)"), columns)
+    return pd.DataFrame(rows, pd.Index(errors, name="standard deviation of the depth (%)"), columns)
 
 
 def slope_corrections(depths: Sequence[float] | NDArray) -> pd.DataFrame:
@@ -65,4 +65,6 @@ def slope_corrections(depths: Sequence[float] | NDArray) -> pd.DataFrame:
         "strain (4.4) exact": strains[0] / strains[1],
         "and balance (4.1) exact": whole / small,
     }
-    return pd.DataFrame(table, pd.Index(np.asarray(depths), name="relative depth $w_d/a$"))
+    return pd.DataFrame(
+        table, pd.Index(np.asarray(depths), name="depth of the dimple / its radius")
+    )

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from compendium.figures.panels import length, photograph
+from compendium.figures.panels import SYMBOL, length, photograph
 from compendium.figures.style import COLORS
 from microlib.calibration import Detection
 from microlib.microscope import Microscope
@@ -35,11 +35,11 @@ def draw_detection(ax: Axes, image: NDArray, detection: Detection, *, label_ever
     label_every : int
         Write the grid coordinates of points whose two coordinates are multiples of this.
     """
-    photograph(ax, image)
+    photograph(ax, np.rint(image).astype(np.uint8))
     ax.plot(*detection.points.T, "+", color=COLORS["yellow"], ms=7, mew=1.4)
     room = detection.points[:, 0] < 0.93 * image.shape[1]
     chosen = (detection.grid % label_every == 0).all(axis=1) & room
-    look: dict[str, Any] = {"color": COLORS["orange"], "va": "top"}
+    look: dict[str, Any] = {"color": "black", "va": "top"}
     look["path_effects"] = [withStroke(linewidth=2.5, foreground="white")]
     for place, (i, j) in zip(detection.points[chosen], detection.grid[chosen], strict=True):
         ax.annotate(f"{i},{j}", place, (3, -3), textcoords="offset points", clip_on=True, **look)
@@ -74,7 +74,7 @@ def draw_microscope(ax: Axes, microscope: Microscope, world: NDArray) -> None:
     images = points * (image_depth / points[:, 2:])
     for image in images:
         ax.plot(*screen(np.stack([np.zeros(3), image])), color=COLORS["grey"], lw=0.8)
-    ax.plot(*screen(np.array([[0, 0, 0], [0, 0, 1.08 * image_depth]])), color="black", lw=1)
+    ax.plot(*screen(np.array([[0, 0, 0], [0, 0, 1.08 * image_depth]])), color=COLORS["ink"], lw=1)
     ax.plot(*screen(points), "o", color=COLORS["blue"], ms=5, zorder=3)
     ax.plot(*screen(images), "o", color=COLORS["orange"], ms=5, zorder=3)
 
@@ -90,7 +90,7 @@ def draw_microscope(ax: Axes, microscope: Microscope, world: NDArray) -> None:
 
     size = 0.5 * np.abs(sensor).max()
     frames = (
-        ("$C_o$", np.zeros(3), np.eye(3), "black"),
+        ("$C_o$", np.zeros(3), np.eye(3), COLORS["ink"]),
         ("$C_w$", m.translation, m.rotation, COLORS["blue"]),
         ("$C_i$", np.array([0, 0, image_depth]), np.eye(3), COLORS["orange"]),
     )
@@ -101,8 +101,8 @@ def draw_microscope(ax: Axes, microscope: Microscope, world: NDArray) -> None:
             arrow = {"arrowstyle": "-|>", "color": color, "lw": 2}
             ax.annotate("", tuple(end), tuple(start), arrowprops=arrow)
             x, y = start + 1.18 * (end - start)
-            ax.text(x, y, letter, color=color, ha="center", va="center")
-        ax.text(start[0] - 4, start[1] + 14, name, color=color, fontsize=14, ha="right")
+            ax.text(x, y, letter, ha="center", va="center")
+        ax.text(start[0] - 4, start[1] + 14, name, fontsize=SYMBOL, ha="right")
 
     floor = -STRETCH * 1.25 * np.abs(sensor).max() / 1000
     spans = (
@@ -112,7 +112,7 @@ def draw_microscope(ax: Axes, microscope: Microscope, world: NDArray) -> None:
     )
     for name, low, high, row in spans:
         y = floor * (1 + 0.3 * row)
-        length(ax, (low / 1000, y), (high / 1000, y), name, (0, 6))
+        length(ax, (low / 1000, y), (high / 1000, y), name, (0, 8))
     ax.set(xlabel="along the optical axis Z (mm)", yticks=[], ylim=(1.5 * floor, None))
     ax.spines["left"].set_visible(False)
     ax.set_aspect("equal")

@@ -10,9 +10,11 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from IPython.display import display
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from compendium.figures.style import to_svg
 from microlib._common import replace_file
 
 #: Environment variable that names the folder for the data; nothing is kept without it.
@@ -21,10 +23,11 @@ FOLDER_VARIABLE = "MICROLIB_FIGURES"
 
 def show(name: str) -> None:
     """Show the current figure; keep its data (`name`.csv, `name`.npz) where a folder is named."""
-    folder = os.environ.get(FOLDER_VARIABLE)
+    figure, folder = plt.gcf(), os.environ.get(FOLDER_VARIABLE)
     if folder:
-        keep_data(plt.gcf(), Path(folder) / name)
-    plt.show()
+        keep_data(figure, Path(folder) / name)
+    display({"image/svg+xml": to_svg(figure)}, raw=True)
+    plt.close(figure)
 
 
 def keep_data(figure: Figure, stem: Path) -> list[Path]:

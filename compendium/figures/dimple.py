@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
@@ -48,7 +50,7 @@ def draw_dimple_section(radius: float, depth: float, half_width: float) -> Figur
     length(axes, (0, 20), (a, 20), "a", (0, 14))
     length(axes, (0, -depth - 18), (c, -depth - 18), "c", (0, -20))
     length(axes, (-a, 0), (-a, -depth), "$w_d$", (22, 0))
-    axes.plot([-a, -c], [-depth, -depth], color="black", lw=0.8, ls=":")
+    axes.plot([-a, -c], [-depth, -depth], color=COLORS["ink"], lw=0.8, ls=":")
     rim = (a + bend * np.sin(0.7), bend * (np.cos(0.7) - 1))
     axes.annotate("", (a, -bend), rim, arrowprops={"arrowstyle": "->", "lw": 1.3})
     axes.text(a + 6, -bend + 30, "R", fontsize=14)
@@ -59,19 +61,21 @@ def draw_dimple_section(radius: float, depth: float, half_width: float) -> Figur
 
 def draw_printed_outline(curve: GaussianSum) -> Figure:
     """Draw figures 5.18 and 5.19: the curve of Table 5.5, its extrema, and a and w_d between."""
+    pixel = thesis.EMBRYO_PIXEL
     maxima, _ = curve.extrema()
-    (x1, y1), (x2, y2) = _rim_and_bottom(curve)
-    right = maxima[maxima > x2]
+    (x1, y1), (x2, y2) = pixel * np.array(_rim_and_bottom(curve))
+    right = maxima[pixel * maxima > x2]
     x = np.linspace(*curve.domain, 800)
     figure, axes = plt.subplots(figsize=(6.4, 3.8))
-    axes.plot(x, curve(x), color=COLORS["blue"], label="$f_m(x)$, (5.1)")
-    axes.plot(x1, y1, "o", color=COLORS["orange"], ms=9, label="rim $(x_1, y_1)$")
-    axes.plot(x2, y2, "s", color=COLORS["green"], ms=9, label="bottom $(x_2, y_2)$")
-    axes.plot(right, curve(right), "^", color=COLORS["pink"], ms=8, label="maxima of the right rim")
-    length(axes, (x1, y1 + 6), (x2, y1 + 6), "a", (0, 6))
-    length(axes, (x2, y1), (x2, y2), "$w_d$", (-6, 10))
-    axes.set(xlabel="x (px)", ylabel="y, up (px)", aspect="equal")
-    axes.set(xlim=(x[0] - 3, x[-1] + 3), ylim=(None, y1 + 20))
+    axes.plot(pixel * x, pixel * curve(x), color=COLORS["blue"], label="curve (5.1)")
+    axes.plot(x1, y1, "o", color=COLORS["orange"], ms=9, label="rim")
+    axes.plot(x2, y2, "s", color=COLORS["green"], ms=9, label="bottom")
+    look: dict[str, Any] = {"color": COLORS["pink"], "ms": 8, "label": "maxima of the right rim"}
+    axes.plot(pixel * right, pixel * curve(right), "^", **look)
+    length(axes, (x1, y1 + 25), (x2, y1 + 25), "a", (0, 30))
+    length(axes, (x2, y1), (x2, y2), "$w_d$", (35, 0))
+    axes.set(xlabel="x (µm)", ylabel="y, up (µm)", aspect="equal")
+    axes.set(xlim=pixel * (x[[0, -1]] + [-3, 3]), ylim=(None, y1 + 90))
     legend_below(figure, ncols=2)
     return figure
 
@@ -81,7 +85,7 @@ def draw_embryo(scene: Scene) -> Figure:
     figure, (left, right) = plt.subplots(1, 2, figsize=(6.4, 3.1), width_ratios=(1.34, 1))
     show_image(left, scene.image)
     add_scale_bar(left, 1000, scene.pixel_size)
-    pointer = {"arrowprops": {"arrowstyle": "-", "lw": 1.2}, "va": "center"}
+    pointer = {"arrowprops": {"arrowstyle": "-", "lw": 1.2}, "va": "center", "color": "black"}
     x, y = scene.center
     left.annotate("AFM probe", (x, 110), (650, 110), **pointer)
     left.annotate("force sensor", (x, 680), (650, 680), **pointer)
@@ -148,11 +152,11 @@ def draw_rendered_outline(
 def draw_image_study(study: pd.DataFrame) -> Figure:
     """Draw the moduli of an `image_study` against the depth, with the truth."""
     figure, axes = plt.subplots(figsize=(6.4, 3.8))
-    axes.axhline(MODULUS, color="black", lw=1.2, label="truth")
+    axes.axhline(MODULUS, color=COLORS["ink"], lw=1.2, label="truth")
     label = "LOESS and eight Gaussians"
     axes.plot(study["depth"], study["thesis"], "s", color=COLORS["sky"], label=label)
     intervals(axes, study, "depth", "fitted", "profile (4.2), 95 %")
-    axes.set(xlabel="dimple depth $w_d$ (µm)", ylabel="modulus E (MPa)")
+    axes.set(xlabel="dimple depth (µm)", ylabel="modulus E (MPa)")
     axes.legend(loc="upper left")
     return figure
 
@@ -161,7 +165,7 @@ def draw_relaxing_force(felt: pd.DataFrame) -> Figure:
     """Draw a `relaxing_sequence`: truth, what each outline alone says, and the force over time."""
     fine = np.linspace(0.0, float(felt["time"].iloc[-1]), 300)
     figure, axes = plt.subplots(figsize=(6.4, 3.6))
-    axes.plot(fine, true_force(fine), color="black", lw=1.2, label="truth")
+    axes.plot(fine, true_force(fine), color=COLORS["ink"], lw=1.2, label="truth")
     axes.plot(felt["time"], felt["elastic"], "s", color=COLORS["orange"], label="one outline alone")
     intervals(axes, felt, "time", "force", "all outlines so far, 95 %")
     axes.set(xlabel="time (s)", ylabel="force F (µN)", ylim=(0, None))

@@ -18,7 +18,7 @@ def show_image(ax: Axes, image: NDArray, *, box: tuple[int, int, int, int] | Non
     x, y, width, height = box or (0, 0, image.shape[1], image.shape[0])
     extent = (x - 0.5, x + width - 0.5, y + height - 0.5, y - 0.5)
     part = image[y : y + height, x : x + width]
-    photograph(ax, part, extent=extent, interpolation="nearest")
+    photograph(ax, part, extent=extent)
     ax.set_axis_off()
 
 

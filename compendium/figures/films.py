@@ -93,7 +93,7 @@ def film(
 
 def _two_panels(height: float, **how: Any) -> tuple[Figure, Any, Any]:
     """Return a figure nearly as wide as the page, of 640 px, with two panels, and the panels."""
-    figure = Figure(figsize=(6.4, height), dpi=100, layout="constrained")
+    figure = Figure((6.4, height), dpi=100, facecolor="white", layout="constrained")
     return figure, *figure.subplots(1, 2, **how)
 
 
@@ -187,7 +187,7 @@ def film_dimple(
     section.set(ylim=(-1.2 * depth, 0.9 * depth))
     curve.plot(depths, forces, color=COLORS["grey"], lw=1.2)
     (now,) = curve.plot([0], [0], "o", color=COLORS["orange"], ms=10)
-    curve.set(xlabel="depth $w_d$ (µm)", ylabel="force F (µN)")
+    curve.set(xlabel="dimple depth (µm)", ylabel="force F (µN)")
     turns = 32
     push = (1 - np.cos(2 * np.pi * np.arange(turns) / turns)) / 2  # there and back
 
@@ -234,7 +234,7 @@ def film_step(
     moved = places - places[0]
     looks = (("x", "blue", "-"), ("y", "orange", "--"))
     lines = [right.plot([], [], line, color=COLORS[c], label=name)[0] for name, c, line in looks]
-    right.axhline((goal - places[0])[0], color="black", lw=1, label="goal")
+    right.axhline((goal - places[0])[0], color=COLORS["ink"], lw=1, label="goal")
     right.set(xlabel="time (s)", ylabel="moved by (px)", xlim=(0, times[-1]))
     right.set(ylim=(-3, 1.15 * moved.max()))
     right.legend(loc="lower right")

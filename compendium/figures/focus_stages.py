@@ -38,17 +38,17 @@ def draw_focus_stages() -> Figure:
     found = depth_from_focus(stack, z)
     row, col = 40, 60  # of the pixel whose profile is shown
 
-    figure, grid = plt.subplots(4, 2, figsize=(6.4, 9.8))
-    known: dict[str, Any] = {"cmap": "viridis", "vmin": z[0], "vmax": 200}
+    figure, grid = plt.subplots(4, 2, figsize=(6.4, 12.4))
+    heights: dict[str, Any] = {"cmap": "viridis", "vmin": z[0], "vmax": 200}
     pictures = {
-        "1  frames": (stack[6], {"cmap": "gray"}),
-        "2  sharpness of a frame": (sharpness[6], {"cmap": "magma"}),
-        "3  peak of a pixel": None,
-        "4  best frame": (z[best], known),
-        "5  fit between frames": (fitted, known),
-        "6  spikes and noise": (smooth, known),
-        "7  edges, rules, relief": (found.depth, known),
-        "8  uncertainty": (found.uncertainty, {"cmap": "magma", "vmin": 0, "vmax": 10}),
+        "1  a frame": (stack[6], "grey level", {}),
+        "2  its sharpness": (sharpness[6], "focus measure (grey levels)", {"cmap": "magma"}),
+        "3  a pixel: its peak": None,
+        "4  best frame": (z[best], "height (µm)", heights),
+        "5  between the frames": (fitted, "height (µm)", heights),
+        "6  without spikes": (smooth, "height (µm)", heights),
+        "7  edges, rules, relief": (found.depth, "height (µm)", heights),
+        "8  its uncertainty": (found.uncertainty, "error (µm)", {"cmap": "magma", "vmax": 10}),
     }
     for axes, (title, shown) in zip(grid.flat, pictures.items(), strict=True):
         axes.set_title(title)
@@ -56,11 +56,10 @@ def draw_focus_stages() -> Figure:
         if shown is None:
             axes.plot(z, sharpness[:, row, col], "o-", color=COLORS["blue"])
             axes.axvline(fitted[row, col], color=COLORS["orange"], ls="--")
-            axes.set(xlabel="position (µm)", yticks=[])
+            axes.set(xlabel="position (µm)", ylabel="focus measure (grey levels)")
             continue
-        image, look = shown
-        drawn = axes.imshow(image, interpolation="nearest", **look)
+        image, unit, look = shown
+        drawn = axes.imshow(image, **look)
         axes.set(xticks=[], yticks=[])
-        if title[0] > "3":
-            figure.colorbar(drawn, ax=axes, label="(µm)", shrink=0.8)
+        figure.colorbar(drawn, ax=axes, label=unit, location="bottom")
     return figure

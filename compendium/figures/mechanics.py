@@ -44,7 +44,7 @@ def draw_posterior(supported: Mapping[str, pd.DataFrame]) -> Figure:
         axes.stairs(share, edges, color=f"C{place - 1}", lw=2, label=f"{name} (bar: 95 %)")
         ends = np.quantile(found["E"], [0.025, 0.975])
         axes.plot(ends, [-0.3 * place] * 2, color=f"C{place - 1}", lw=3)
-    axes.axvline(MODULUS, color="black", ls="--", lw=1.5, label="thesis")
+    axes.axvline(MODULUS, color=COLORS["ink"], ls="--", lw=1.5, label="thesis")
     axes.set(xscale="log", xlim=(ticks[0], ticks[-1]), xlabel="modulus E (MPa)")
     axes.set(ylabel="share of the draws (%)")
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])

@@ -55,7 +55,7 @@ def _draw_microscope(axes: Axes) -> None:
     )
     axes.fill([1.6, 2.8, 2.25, 2.15], [4.0, 4.0, 1.7, 1.7], color=COLORS["yellow"], alpha=0.25)
     turn = np.linspace(0, 2 * np.pi, 80)
-    axes.plot(2.2 + 0.34 * np.cos(turn), 1.38 + 0.34 * np.sin(turn), color="black", lw=2)
+    axes.plot(2.2 + 0.34 * np.cos(turn), 1.38 + 0.34 * np.sin(turn), color=COLORS["ink"], lw=2)
     axes.text(3.05, 1.3, "embryo", va="center")
     for side, name in ((-1, "gripper"), (1, "probe")):
         axes.plot([2.2 + 2.1 * side, 2.2 + 0.4 * side], [2.6, 1.6], color=COLORS["orange"], lw=4)
@@ -68,13 +68,13 @@ def _draw_microscope(axes: Axes) -> None:
 def draw_scale() -> Figure:
     """Draw figure 2.1: the scale of micromanipulation, as one ruler."""
     figure, axes = plt.subplots(figsize=(6.4, 2.2))
-    bands = (("nano", 1e-9, "green"), ("micro", 1e-6, "orange"), ("macro", 1e-3, "blue"))
+    bands = (("nano", 1e-9, "sky"), ("micro", 1e-6, "yellow"), ("macro", 1e-3, "pink"))
     for name, low, color in bands:
         axes.barh(0, 999 * low, left=low, height=0.5, color=COLORS[color])
-        axes.text(low * 10**1.5, 0, name, ha="center", va="center", color="white")
+        axes.text(low * 10**1.5, 0, name, ha="center", va="center", color="black")
     for k, (size, name) in enumerate(THINGS.items()):
         height = 0.5 + 0.4 * (k % 3)
-        axes.plot([size, size], [0.3, height], color="black", lw=1)
+        axes.plot([size, size], [0.3, height], color=COLORS["ink"], lw=1)
         axes.text(size, height + 0.05, name, ha="center", va="bottom")
     axes.set(xscale="log", xlim=(3e-11, 1), ylim=(-0.3, 1.7), yticks=[])
     axes.set_xticks([1e-9, 1e-6, 1e-3, 1], ["1 nm", "1 µm", "1 mm", "1 m"])

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from compendium.figures.style import COLORS
 
 Point = tuple[float, float]
+#: Font size of a symbol in a drawing, points: its index then has 12, as all text, 9 px on a phone.
+SYMBOL = 17
 
 
 def photograph(axes: Axes, image: NDArray, title: str = "", **look: Any) -> AxesImage:
@@ -47,7 +49,7 @@ def length(axes: Axes, start: Point, end: Point, text: str = "", away: Point = (
     arrow = {"arrowstyle": "<->", "lw": 1.3, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", end, start, arrowprops=arrow)
     x, y = np.add(start, end) / 2 + away
-    axes.text(x, y, text, ha="center", va="center", fontsize=14)
+    axes.text(x, y, text, ha="center", va="center", fontsize=SYMBOL)
 
 
 def intervals(axes: Axes, table: pd.DataFrame, x: str, y: str, label: str) -> None:

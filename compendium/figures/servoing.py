@@ -13,7 +13,7 @@ from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
 from compendium import thesis
-from compendium.figures.panels import arrows, boxes, legend_below, photograph
+from compendium.figures.panels import SYMBOL, arrows, boxes, legend_below, photograph
 from compendium.figures.style import COLORS
 from compendium.ledger import claim
 from microlib.tracking import Track
@@ -31,10 +31,10 @@ def draw_loop() -> Figure:
         "tracker\nESM, Kalman": (6.8, 0.0, 2.2, 1.0, "blue"),
     }
     boxes(axes, blocks)
-    axes.plot(0.75, 2.5, "o", ms=20, mfc="white", mec="black", mew=1.4)
+    axes.plot(0.75, 2.5, "o", ms=20, mfc="none", mec=COLORS["ink"], mew=1.4)
     axes.text(0.75, 2.5, "Σ", ha="center", va="center")
-    axes.plot([10.85, 11.4, 11.4], [2.5, 2.5, 0.5], color="black", lw=1.4)
-    axes.plot([6.75, 0.75], [0.5, 0.5], color="black", lw=1.4)
+    axes.plot([10.85, 11.4, 11.4], [2.5, 2.5, 0.5], color=COLORS["ink"], lw=1.4)
+    axes.plot([6.75, 0.75], [0.5, 0.5], color=COLORS["ink"], lw=1.4)
     forward = [((x, 2.5), (end, 2.5)) for x, end in ((-0.6, 0.45), (1.05, 1.95), (4.25, 4.95))]
     back = [((11.4, 0.5), (9.05, 0.5)), ((0.75, 0.5), (0.75, 2.2))]
     arrows(axes, [*forward, ((7.25, 2.5), (8.55, 2.5)), *back])
@@ -48,7 +48,8 @@ def draw_loop() -> Figure:
         (0.3, 2.1, "−"),
         (1.0, 1.75, "+"),
     ):
-        axes.text(x, y, label, ha="center", va="bottom")
+        size = SYMBOL if "^" in label else None
+        axes.text(x, y, label, ha="center", va="bottom", fontsize=size)
     return figure
 
 
@@ -56,7 +57,7 @@ def draw_track(
     axes: Axes, frame: NDArray[np.uint8], track: Track, title: str, *, margin: float = 45.0
 ) -> None:
     """Draw the tracked window and the feature, the mean of its corners, on part of a frame."""
-    photograph(axes, frame, title, interpolation="nearest")
+    photograph(axes, frame, title)
     axes.add_patch(Polygon(track.corners, fill=False, edgecolor=COLORS["yellow"], lw=2))
     axes.plot(*track.center, "+", color=COLORS["orange"], ms=11, mew=2)
     x, y = track.center
@@ -86,7 +87,7 @@ def draw_step_runs(runs: dict[str, Any], band: float) -> Figure:
             top.plot(run.time, moved[:, k], line, color=COLORS[color], label=name)
             how = {"where": "post", "color": COLORS[color], "label": name}
             middle.step(run.time, run.command[:, k], line, **how)
-        top.axhline(step[0], color="black", lw=1, label="goal")
+        top.axhline(step[0], color=COLORS["ink"], lw=1, label="goal")
         distance = thesis.effective_pixel(zoom) * np.linalg.norm(moved - step, axis=1)
         bottom.plot(run.time, distance, color=COLORS["blue"], label="simulated")
         bottom.axhspan(0, band * distance[0], color=COLORS["grey"], alpha=0.2, lw=0)
@@ -118,7 +119,7 @@ def draw_path_runs(runs: dict[str, Any]) -> Figure:
         start = run.reference[0]
         # The measurement hardly leaves the reference, which therefore lies on top of it.
         left.plot(*(run.measured - start).T, "o", color=COLORS["sky"], ms=6, label="measured")
-        left.plot(*(run.reference - start).T, color="black", lw=1.4, label="reference")
+        left.plot(*(run.reference - start).T, color=COLORS["ink"], lw=1.4, label="reference")
         left.set(xlabel="x (px)", ylabel="y (px)", title=name)
         left.set_aspect("equal", adjustable="datalim")  # all paths get panels of one size
         error = pixel * np.linalg.norm(run.measured[:-1] - run.reference[1:], axis=1)
@@ -151,20 +152,28 @@ def draw_stability(moduli: pd.DataFrame, loops: pd.DataFrame, gain: float) -> Fi
     delays, gains = moduli.columns, moduli.index
     figure, axes = plt.subplots(figsize=(6.4, 4.6))
     # White at 1, where the loop neither decays nor grows; blue is stable and orange is not.
-    shades = axes.contourf(
-        delays, gains, moduli, levels=np.arange(0, 2.01, 0.2), cmap="PuOr_r", alpha=0.8
-    )
+    shades = axes.contourf(delays, gains, moduli, levels=np.arange(0, 2.01, 0.2), cmap="PuOr_r")
     axes.contour(delays, gains, moduli, levels=[1.0], colors="black", linewidths=2.5)
     for decays, marker in ((True, "o"), (False, "X")):
         chosen = loops.loc[loops["decays"] == decays, ["delay", "gain"]].to_numpy()
         label = "simulated: decays" if decays else "simulated: grows"
         axes.plot(*chosen.T, marker, color="white", mec="black", mew=1.2, ms=8, label=label)
-    axes.axhline(gain, color="black", ls="--", lw=1.4, label="thesis' gain at 1X")
+    axes.axhline(gain, color="black", ls="--", lw=1.4)
+    axes.text(1.97, gain + 0.03, "thesis' gain at 1X", ha="right", color="black")
     figure.colorbar(shades, label="modulus of the slowest pole", ticks=np.arange(0, 2.01, 0.4))
     axes.set(xlabel="delay (frames)", ylabel="loop gain g", ylim=(gains[0], gains[-1]))
     axes.grid(False)
     for x, y, name in ((0.12, 0.57, "stable"), (0.52, 0.76, "unstable")):
-        axes.text(x, y, name, transform=axes.transAxes, fontsize=14, weight="bold", va="center")
+        axes.text(
+            x,
+            y,
+            name,
+            transform=axes.transAxes,
+            fontsize=14,
+            weight="bold",
+            va="center",
+            color="black",
+        )
     legend_below(figure)
     return figure
 
@@ -183,7 +192,7 @@ def draw_esm_step(errors: pd.DataFrame) -> Figure:
     value, goal = 100.0, 100 + 60 * np.sin(shift / 3.5)
     # Of the template and of the image at 0.
     slopes = 60 / 3.5 * np.array([np.cos(shift / 3.5), 1.0])
-    left.plot(x, grey, color="black", lw=1.4, label="image")
+    left.plot(x, grey, color=COLORS["ink"], lw=1.4, label="image")
     left.axhline(goal, color=COLORS["grey"], lw=1.2, ls=":")
     left.text(-1.9, goal + 5, "template at 0")
     looks = (("orange", "--"), ("sky", "-."), ("blue", "-"))
@@ -191,7 +200,7 @@ def draw_esm_step(errors: pd.DataFrame) -> Figure:
         end = (goal - value) / slope
         left.plot([0, end], [value, goal], line, color=COLORS[color])
         left.plot([end], [goal], "o", color=COLORS[color], ms=7)
-    left.plot([shift], [goal], "o", mfc="none", mec="black", ms=14, mew=1.6)
+    left.plot([shift], [goal], "o", mfc="none", mec=COLORS["ink"], ms=14, mew=1.6)
     left.set(xlabel="shift (px)", ylabel="grey value", title="one step", ylim=(65, 168))
     for name, (color, line) in zip(errors, looks, strict=True):
         label = f"gradient: {name}"
@@ -209,13 +218,13 @@ def draw_kalman_step(track: pd.DataFrame, noise: float) -> Figure:
     where, spread = (track["frame"], track["predicted"]), track["predicted_std"]
     left.errorbar(*where, yerr=spread, fmt="s", label="predicted, ± σ", **look)
     left.plot(track["frame"], track["measured"], "o", color=COLORS["blue"], label="measured")
-    left.plot(track["frame"], track["true"], color="black", lw=1.2, label="truth")
+    left.plot(track["frame"], track["true"], color=COLORS["ink"], lw=1.2, label="truth")
     left.set(xlabel="frame", ylabel="x (px)", title="a track", ylim=(None, 26))
     left.legend(loc="upper left")
     bells = {
         "predicted": (last["predicted"], last["predicted_std"], "orange", "--"),
         "measured": (last["measured"], noise, "blue", "-."),
-        "estimated": (last["estimated"], last["estimated_std"], "black", "-"),
+        "estimated": (last["estimated"], last["estimated_std"], "ink", "-"),
     }
     reach, middle = 3 * max(last["predicted_std"], noise), last["estimated"]
     x = np.linspace(middle - 1.2 * reach, middle + 1.2 * reach, 300)

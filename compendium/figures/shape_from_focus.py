@@ -15,7 +15,7 @@ from compendium import thesis
 from compendium.experiments.section_5_5 import BALL_PIXEL, BALL_RADIUS, BALL_SHAPE, Scene
 from compendium.figures.panels import legend_below, photograph
 from compendium.figures.style import COLORS
-from compendium.figures.surfaces import draw_labels, draw_surface, label_patches
+from compendium.figures.surfaces import draw_labels, label_patches
 
 
 def draw_focus(
@@ -25,9 +25,8 @@ def draw_focus(
     shown: Mapping[str, int],
     *,
     pixel_size: float | None = None,
-    turned: bool = False,
 ) -> Figure:
-    """Draw figures 5.9 and 5.10, or 5.11 and 5.12: frames, fused image and height from focus.
+    """Draw figure 5.9 or 5.11: parts of frames with what is sharp in them, and the heights.
 
     Parameters
     ----------
@@ -41,28 +40,37 @@ def draw_focus(
         Two frames by title.
     pixel_size : float, optional
         µm; the axes are in px without.
-    turned : bool
-        As for `draw_surface`.
     """
     unit, size = ("px", 1.0) if pixel_size is None else ("µm", pixel_size)
     rows, cols = depth.shape
-    figure = plt.figure(figsize=(6.4, 6.2))
-    halves: Any = figure.subfigures(2, 1, height_ratios=(1, 1.2))
+    x, y, side = cols // 2 - 85, rows // 2 - 15, 75  # a part, in which a blur can be seen
+    part = slice(y, y + side), slice(x, x + side)
+    figure = plt.figure(figsize=(6.4, 5.4))
+    halves: Any = figure.subfigures(2, 1, height_ratios=(1, 1.1))
     upper, lower = halves
-    pictures = {title: scene.frames[k] for title, k in shown.items()} | {"fused": fused}
-    row = upper.subplots(1, len(pictures))
-    for axes, (title, picture) in zip(row, pictures.items(), strict=True):
-        photograph(axes, picture, title)
+    row = upper.subplots(1, len(shown) + 1)
+    for axes, (title, k) in zip(row, shown.items(), strict=False):
+        photograph(axes, scene.frames[k][part], title)
+        # Between the heights that are nearer to this frame than to another.
+        away = np.abs(scene.height[part] - scene.positions[k])
+        near = np.diff(scene.positions).mean() / 2
+        axes.contourf(away, [-1, near], colors=COLORS["orange"], alpha=0.25)
+        axes.contour(away, [near], colors=COLORS["orange"])
+    photograph(row[-1], fused[part], "fused")
+    for axes in row:
         axes.set(xlabel="", ylabel="", xticks=[], yticks=[])
-    solid: Any = lower.add_subplot(1, 2, 1, projection="3d")
-    draw_surface(solid, depth, size, unit=unit, turned=turned)
-    solid.set(xlabel="", ylabel="", zlabel="", title="height (µm)", box_aspect=(1, 1, 0.7))
-    above = lower.add_subplot(1, 2, 2)
+    above, profile = lower.subplots(1, 2, width_ratios=(1, 1.1))
     extent = (0, cols * size, rows * size, 0)
     look: dict[str, Any] = {"cmap": "viridis", "vmin": None, "vmax": None, "extent": extent}
     seen = photograph(above, depth, "from above", **look)
     above.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})")
     lower.colorbar(seen, ax=above, label="height (µm)", shrink=0.8)
+    across, middle = size * np.arange(cols), rows // 2
+    profile.plot(across, scene.height[middle], color=COLORS["ink"], lw=1.2, label="truth")
+    profile.plot(across, depth[middle], color=COLORS["blue"], label="found")
+    profile.set(xlabel=f"x ({unit})", ylabel="height (µm)", title="across the middle")
+    profile.set_ylim(None, 1.6 * depth.max())
+    profile.legend(loc="upper left")
     return figure
 
 

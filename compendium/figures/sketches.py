@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -25,14 +26,19 @@ def draw_solids() -> Figure:
         "cylinder": np.sqrt(np.maximum(radius**2 - across**2, 0)) * np.ones((121, 1)),
         "cone": synthetic.cone(shape, radius, 50.0),
     }
-    figure = plt.figure(figsize=(6.4, 3.4))
+    figure = plt.figure(figsize=(6.4, 6.0))
+    found = []
     for place, (name, height) in enumerate(solids.items(), 1):
         bend = surface_curvature(height, 1.0)
         labels = hk_labels(bend.mean, bend.gaussian, h_zero=4e-3, k_zero=1e-4)
-        axes = figure.add_subplot(1, 3, place, projection="3d")
+        found.append(labels)
+        axes: Any = figure.add_subplot(2, 2, place, projection="3d")
         draw_surface(axes, height, 1.0, labels=labels, turned=name != "cylinder")
-        axes.set(title=name, xticks=ticks, yticks=ticks, zticks=[0, 80], zlabel="")
-        axes.set_box_aspect((1, 1, 0.6))
+        axes.set(title=name, xticks=ticks, yticks=ticks, zticks=[0, 80])
+        axes.set_box_aspect((1, 1, 0.7))
+    key = figure.add_subplot(2, 2, 4)
+    key.legend(handles=label_patches(np.stack(found)), loc="center")
+    key.axis("off")
     return figure
 
 
@@ -81,6 +87,6 @@ def draw_egg(rng: np.random.Generator) -> Figure:
     places = {"chorion": (424, -176, 150), "fluid": (520, -560, 330), "yolk": (250, -750, 480)}
     for name, (x, y, row) in places.items():
         point = egg.to_pixels(np.array([[x, y]], float))[0]
-        line = {"arrowstyle": "-", "lw": 1.2}
-        axes.annotate(name, point, (760, row), arrowprops=line, va="center")
+        line = {"arrowstyle": "-", "lw": 1.2, "color": "black"}
+        axes.annotate(name, point, (760, row), arrowprops=line, va="center", color="black")
     return figure

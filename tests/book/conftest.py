@@ -23,7 +23,6 @@ def browser() -> Iterator[Browser]:
         instance = playwright.chromium.launch(
             executable_path=executable,
             chromium_sandbox=False,
-            args=["--enable-unsafe-swiftshader"],  # turnable surfaces draw with WebGL
         )
         yield instance
         instance.close()

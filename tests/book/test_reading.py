@@ -17,7 +17,6 @@ sys.path[:0] = [str(ROOT / "book" / "_ext"), str(Path(__file__).parent)]
 from browsing import open_page  # noqa: E402
 from test_sources import line_of, place_of_test  # noqa: E402
 
-SURFACES = "notebooks/03_visual_reconstruction_and_classification.html"
 CHAPTER = "notebooks/04_mechanical_characterization.html"
 CLAIMS = ledger.claims().values()
 
@@ -132,23 +131,6 @@ def test_every_number_of_the_thesis_is_found_and_leads_somewhere(page: Page, htm
     assert dict(zip(queries, found, strict=True)) == queries
 
 
-def test_a_surface_is_a_picture_until_it_is_asked_for(page: Page, html: Path) -> None:
-    page.goto((html / SURFACES).as_uri())
-    surface = page.locator(".surface").first
-    surface.scroll_into_view_if_needed()
-    assert surface.locator("img").is_visible()
-    assert page.evaluate("typeof Plotly") == "undefined"
-    surface.locator("button").click()
-    page.wait_for_selector(".surface .main-svg", state="attached", timeout=30_000)
-    ground = page.evaluate("""() => [
-        document.querySelector(".plotly-graph-div").layout.paper_bgcolor,
-        getComputedStyle(document.documentElement).getPropertyValue("--pst-color-background")]""")
-    assert ground[0] == ground[1]
-    surface.locator("button").click()
-    assert surface.locator("img").is_visible()
-    assert page.faults == []  # type: ignore[attr-defined]
-
-
 def test_an_anchor_is_seen_on_a_phone_that_is_dark(browser: Browser, html: Path) -> None:
     page = browser.new_page(viewport={"width": 390, "height": 844}, color_scheme="dark")
     page.goto(f"{(html / CHAPTER).as_uri()}#equation-4-7")
@@ -158,7 +140,7 @@ def test_an_anchor_is_seen_on_a_phone_that_is_dark(browser: Browser, html: Path)
     assert 0 <= top < 300
     assert page.evaluate("document.documentElement.dataset.theme") == "dark"
     figures = page.locator("figure:has(img):not(.film)")
-    assert figures.count() == page.locator("figure a.enlarge img").count() > 0
+    assert figures.count() == page.locator("figure a.enlarge").count() > 0
     assert page.locator("footer a[href$='certificate.html']").count() == 1
     page.close()
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 import re
 from collections.abc import Iterator
 from io import BytesIO
@@ -17,7 +16,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 from scipy.stats import norm
 
-from compendium.figures import films, servoing, surfaces
+from compendium.figures import films, servoing, style, surfaces
 from compendium.figures.data import keep_data
 from microlib.curvature import HK_NAMES
 
@@ -77,20 +76,27 @@ def test_what_is_known_of_a_place_is_drawn_as_its_density() -> None:
         np.testing.assert_allclose(density, norm.pdf(x, *known[name]), rtol=1e-9)
 
 
-def test_a_turnable_surface_is_small_and_brings_no_library() -> None:
-    height = 500 * np.random.default_rng(0).random((300, 450))
-    height[0, 0] = np.nan
-    html = surfaces.turnable_surface(height, 2.0, name="surface-x", title="A surface").data
-    assert 'id="surface-x"' in html
-    assert "<script src" not in html
-    assert len(html) < 100_000
-    found = re.search(r"Plotly\.newPlot\(\s*\"surface-x\",\s*(\[.*?\]),\s*\{", html, re.S)
-    data = json.loads(found[1])[0]
-    z = np.array(data["z"], dtype=float)
-    assert np.isnan(z[0, 0])
-    # Every fifth point of 450, rounded to a thousandth of the range at least.
-    np.testing.assert_allclose(z[1:, 1:], height[5::5, 5::5], atol=0.5)
-    assert data["x"][1] == 10.0
+def test_a_figure_has_two_looks_and_is_the_same_each_time() -> None:
+    """What follows the page changes with it; a map in the same grey, and black, do not."""
+    style.use_style()
+    pictures = []
+    for _ in range(2):
+        figure, axes = plt.subplots()
+        axes.plot([0, 1], [0, 1], color=style.COLORS["ink"])
+        axes.axhline(0.5, color="black")
+        axes.imshow(np.arange(12.0).reshape(3, 4), extent=(0, 1, 0, 1))
+        pictures.append(style.to_svg(figure))
+        plt.close(figure)
+    assert pictures[0] == pictures[1]
+    rules = pictures[0].partition("</style>")[0]
+    assert f"#dark:target {{--ink: {style.ON_DARK['ink']}" in rules
+    assert "stroke: var(--ink, #1a1a1c)" in rules
+    assert "#000000" not in rules
+    data = re.search(r'base64,([^"]*)"', pictures[0])
+    image = Image.open(BytesIO(base64.b64decode(data[1])))  # type: ignore[index]
+    assert (image.mode, image.size) == ("L", (4, 3))
+    grey = np.asarray(image).astype(float)
+    np.testing.assert_allclose(grey, 255 * np.arange(12).reshape(3, 4) / 11, atol=1)
 
 
 def test_a_legend_names_the_types_that_occur_in_their_colors() -> None:

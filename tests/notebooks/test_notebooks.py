@@ -17,7 +17,7 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("[0-9]*.ipynb"))
 #: What has no unit, as an axis names it.
 PURE = {
     "grey value", "step", "frame", "loop gain g", "recomputed / printed", "focus measure F",
-    "focus measure, of its largest", "relative depth $w_d/a$",
+    "focus measure, of its largest", "depth of the dimple / its radius",
 }  # fmt: skip
 CHAPTER_5 = ROOT / "notebooks" / "05_experimental_results.ipynb"
 

@@ -1,0 +1,246 @@
+"""Figures of the book: their colors, their text on a phone and in the dark, opened, turned."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from base64 import b64decode
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from matplotlib import colormaps
+from PIL import Image
+from playwright.sync_api import Browser, Page
+
+from compendium.figures import surfaces
+from compendium.figures.data import FOLDER_VARIABLE
+from compendium.figures.style import COLORS, ON_DARK
+from microlib.curvature import HK_NAMES
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "book" / "_ext"))
+from surface_data import script_of
+
+CHAPTER = "notebooks/03_visual_reconstruction_and_classification.html"
+PAGES = {"light": "#ffffff", "dark": "#121212"}  # the theme's grounds
+PHONE = 360
+SVG = "{http://www.w3.org/2000/svg}"
+LINK = "{http://www.w3.org/1999/xlink}href"
+
+
+@pytest.fixture(scope="module")
+def figures(html: Path) -> dict[str, ET.Element]:
+    return {path.name: ET.parse(path).getroot() for path in (html / "_images").glob("*.svg")}
+
+
+def file_of(html: Path, page: str, name: str) -> Path:
+    """Return the file of a figure."""
+    text = (html / page).read_text(encoding="utf-8")
+    source = re.search(rf'id="{name}".*?<img [^>]*src="([^"]+)"', text, re.S)
+    assert source
+    return (html / page).parent / source[1]
+
+
+def embedded(root: ET.Element) -> Iterator[Image.Image]:
+    for image in root.iter(f"{SVG}image"):
+        kind, _, data = image.get(LINK, "").partition(",")
+        assert kind == "data:image/png;base64"
+        yield Image.open(BytesIO(b64decode(data)))
+
+
+def glyphs(root: ET.Element, size: float = 1.0, fill: str = "") -> Iterator[tuple[float, str]]:
+    """Yield the font size in points and the color of each glyph."""
+    for child in root:
+        if child.tag == f"{SVG}defs":
+            continue
+        scale = re.search(r"scale\(([\d.]+)", child.get("transform", ""))
+        color = re.search(r"fill: (#\w+)", child.get("style", ""))
+        here = size * (float(scale[1]) if scale else 1.0), color[1] if color else fill
+        if child.tag == f"{SVG}use" and "DejaVu" in child.get(LINK, ""):
+            yield 100 * here[0], here[1]  # Matplotlib's glyphs are drawn at 100 points
+        yield from glyphs(child, *here)
+
+
+def contrast(one: str, other: str) -> float:
+    """WCAG 2: the contrast of two colors."""
+    light = []
+    for color in (one, other):
+        level = np.array([int(color[k : k + 2], 16) / 255 for k in (1, 3, 5)])
+        linear = np.where(level <= 0.04045, level / 12.92, ((level + 0.055) / 1.055) ** 2.4)
+        light.append(float(linear @ [0.2126, 0.7152, 0.0722]))
+    return (max(light) + 0.05) / (min(light) + 0.05)
+
+
+def test_every_figure_is_drawn_in_vectors_and_its_pictures_have_all_colors(
+    html: Path, figures: dict[str, ET.Element]
+) -> None:
+    assert len(figures) > 50
+    assert {path.suffix for path in (html / "_images").iterdir()} == {".svg"}
+    for name, root in figures.items():
+        assert {one.mode for one in embedded(root)} <= {"L", "RGB", "RGBA"}, name
+
+
+@pytest.mark.parametrize("scheme", PAGES)
+def test_a_color_bar_has_its_colors_on_the_screen(
+    browser: Browser, html: Path, scheme: str
+) -> None:
+    """From Matplotlib through notebook, page and browser: the pixels are viridis."""
+    file = file_of(html, CHAPTER, "fig-ch3-spikes")
+    root = ET.parse(file).getroot()
+    bar = next(
+        one for one in root.iter(f"{SVG}image") if "height" in one.attrib and "x" in one.attrib
+    )
+    x, y, width, height = (float(bar.get(key, "")) for key in ("x", "y", "width", "height"))
+    flip = re.search(r"scale\(1 -1\) translate\(0 (-[\d.]+)\)", bar.get("transform", ""))
+    top = -y - height - float(flip[1]) if flip else y
+    _, _, across, down = map(float, root.get("viewBox", "").split())
+    page = browser.new_page(viewport={"width": 1280, "height": 900}, device_scale_factor=2)
+    page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+    page.goto((html / CHAPTER).as_uri())
+    picture = page.locator(f"#fig-ch3-spikes img.only-{scheme}")
+    screen = Image.open(BytesIO(picture.screenshot())).convert("RGB")
+    page.close()
+    pixels = np.asarray(screen).astype(float)
+    scale = np.array(pixels.shape[:2]) / (down, across)
+    column = int((x + width / 2) * scale[1])
+    rows = np.arange(int(top * scale[0]) + 6, int((top + height) * scale[0]) - 6)
+    share = 1 - ((rows + 0.5) / scale[0] - top) / height
+    expected = 255 * colormaps["viridis"](share)[:, :3]
+    # A pixel is half a step of the map off at most, and a step changes a level by at most 4.
+    np.testing.assert_allclose(pixels[rows, column], expected, atol=6)
+
+
+def test_text_is_legible_on_a_phone_and_on_both_pages(figures: dict[str, ET.Element]) -> None:
+    """As wide as the phone, each glyph has at least 9 px; text has a contrast of 4.5 or more."""
+    dark = {COLORS[name].lower(): shown for name, shown in ON_DARK.items()}
+    over_pictures = {"#000000", "", "#ffffff"}  # plain black and white stand on what is drawn
+    small, faint = set(), set()
+    for name, root in figures.items():
+        width = float(root.get("viewBox", "").split()[2])
+        for size, color in glyphs(root):
+            if size * PHONE / width < 9:
+                small.add((name, round(size * PHONE / width, 1)))
+            for scheme, ground in PAGES.items():
+                seen = dark.get(color, color) if scheme == "dark" else color
+                if color not in over_pictures and contrast(seen, ground) < 4.5:
+                    faint.add((name, scheme, color))
+    assert small == set()
+    assert faint == set()
+
+
+def test_a_figure_opens_with_its_caption_and_closes_by_every_way(page: Page, html: Path) -> None:
+    page.set_viewport_size({"width": 1000, "height": 700})
+    page.goto((html / CHAPTER).as_uri())
+    link, dialog = page.locator("#fig-ch3-profile a.enlarge"), page.locator("#figure-dialog")
+    width = "document.querySelector('.figure-view img').getBoundingClientRect().width"
+    closings = {
+        "Escape": lambda: page.keyboard.press("Escape"),
+        "back": page.go_back,
+        "click": lambda: page.locator(".figure-view").click(position={"x": 3, "y": 3}),
+        "button": lambda: page.get_by_role("button", name="Close").press("Enter"),
+    }
+    for way, shut in closings.items():
+        link.press("Enter")
+        assert dialog.is_visible(), way
+        assert "Focus profile of one pixel" in dialog.inner_text()
+        assert dialog.locator("a[download]").count() == 1
+        fitting = page.evaluate(width)
+        page.locator(".figure-view").hover()
+        page.mouse.wheel(0, -400)
+        page.wait_for_function(f"{width} > 1.5 * {fitting}")
+        page.keyboard.press("-")
+        page.keyboard.press("+")
+        shut()
+        page.wait_for_function("!document.querySelector('#figure-dialog').open")
+        page.wait_for_function("!history.state?.figure")
+    assert page.url == (html / CHAPTER).as_uri()
+    assert page.faults == []  # type: ignore[attr-defined]
+
+
+def test_two_fingers_enlarge_a_figure_and_a_tap_closes_it(browser: Browser, html: Path) -> None:
+    context = browser.new_context(viewport={"width": PHONE, "height": 740}, has_touch=True)
+    page = context.new_page()
+    page.goto((html / CHAPTER).as_uri())
+    page.locator("#fig-ch3-profile a.enlarge").tap()
+    width = "document.querySelector('.figure-view img').getBoundingClientRect().width"
+    fitting = page.evaluate(width)
+    session = context.new_cdp_session(page)
+    for kind, apart in (("touchStart", 40), ("touchMove", 60), ("touchMove", 120), ("touchEnd", 0)):
+        points = [{"x": 180 + side * apart / 2, "y": 300} for side in (-1, 1)] if apart else []
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+    assert page.evaluate(width) > 1.8 * fitting
+    page.touchscreen.tap(180, 300)
+    page.wait_for_function("!document.querySelector('#figure-dialog').open")
+    context.close()
+
+
+def test_a_surface_turns_and_is_a_picture_on_paper(page: Page, html: Path) -> None:
+    page.goto((html / CHAPTER).as_uri())
+    surface = page.locator("#fig-ch3-dome canvas")
+    surface.scroll_into_view_if_needed()
+    seen = [surface.screenshot()]
+    surface.press("ArrowLeft")
+    page.wait_for_timeout(100)
+    seen.append(surface.screenshot())
+    surface.hover()
+    page.mouse.down()
+    page.mouse.move(700, 400, steps=3)
+    page.mouse.up()
+    page.wait_for_timeout(100)
+    seen.append(surface.screenshot())
+    assert len(set(seen)) == 3
+    assert (
+        len(
+            np.unique(
+                np.asarray(Image.open(BytesIO(seen[0])).convert("RGB")).reshape(-1, 3), axis=0
+            )
+        )
+        > 100
+    )
+    page.emulate_media(media="print", color_scheme="dark")
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert not surface.is_visible()
+    assert page.locator("#fig-ch3-dome img.only-light").is_visible()
+    page.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert page.locator("#fig-ch3-dome img.only-dark").is_visible()
+    assert page.faults == []  # type: ignore[attr-defined]
+
+
+def test_a_surface_to_turn_has_the_heights_and_their_colors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
+    height = 20 + 500 * np.random.default_rng(0).random((150, 230))
+    height[6, 9] = np.nan
+    labels = np.random.default_rng(1).integers(1, 10, height.shape).astype(np.uint8)
+    surfaces.show_surface("plain", height, 2.0)
+    surfaces.show_surface("types", height, 2.0, labels=labels)
+    part, types = height[::3, ::3], labels[::3, ::3]  # at most 100 points a side
+    for name in ("plain", "types"):
+        script = script_of(tmp_path / f"{name}.npz")
+        kept = json.loads(re.sub("<[^>]*>", "", script))
+        assert (kept["rows"], kept["cols"], kept["pitch"]) == (*part.shape, 6.0)
+        codes = np.frombuffer(b64decode(kept["heights"]), "<u2").reshape(part.shape)
+        np.testing.assert_array_equal(codes == 0, np.isnan(part))  # a hole
+        low, high = float(kept["low"]), float(kept["high"])
+        found = low + (high - low) * (codes[codes > 0] - 1.0) / 65534
+        np.testing.assert_allclose(found, part[codes > 0], atol=0.1)  # four digits of the ends
+        kinds = np.frombuffer(b64decode(kept["kinds"]), np.uint8).reshape(part.shape)
+        if name == "types":
+            np.testing.assert_array_equal(kinds, types)
+            assert kept["key"] == {
+                f"{k} {HK_NAMES[k]}": surfaces.HK_COLORS[k] for k in HK_NAMES if k in types
+            }
+        else:
+            np.testing.assert_allclose(
+                kinds[codes > 0], 255 * (found - low) / (high - low), atol=0.6
+            )
+
+
+def test_the_book_is_light(html: Path) -> None:
+    weight = sum(path.stat().st_size for path in html.resolve().rglob("*") if path.is_file())
+    assert weight < 35e6, f"{weight / 1e6:.1f} MB"
