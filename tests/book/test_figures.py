@@ -202,6 +202,7 @@ def test_a_surface_turns_and_is_a_picture_on_paper(page: Page, html: Path) -> No
         > 100
     )
     page.emulate_media(media="print", color_scheme="dark")
+    page.wait_for_function("document.documentElement.dataset.theme === 'dark'")
     page.evaluate("dispatchEvent(new Event('beforeprint'))")
     assert not surface.is_visible()
     assert page.locator("#fig-ch3-dome img.only-light").is_visible()
