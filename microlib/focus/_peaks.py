@@ -201,7 +201,7 @@ def _fit(
     offset, place = np.take(table.offset, best, axis=1), table.steps[best]
     share = window / np.maximum(top, TINY)
     log = cv2.log(np.maximum(share, 1e-6))
-    center = np.zeros_like(place)
+    center, narrow = np.zeros_like(place), table.narrow[best]
     least, most = table.least[best], table.most[best]
     if near is None:
         share = np.asarray(cv2.sqrt(share * cv2.sqrt(share)))
@@ -213,7 +213,7 @@ def _fit(
         most = np.maximum(np.minimum(center + np.float32(within), final), least)
     with np.errstate(all="ignore"):
         for _ in range(2):
-            weight = np.maximum(1 - ((offset - center) * table.narrow[best]) ** 2, 0)
+            weight = np.maximum(1 - ((offset - center) * narrow) ** 2, 0)
             weight *= weight
             weight *= share
             vertex, curvature = _parabola(weight, offset, log)
@@ -281,8 +281,10 @@ class PeakFollower:
 
     def mean(self, rows: slice) -> NDArray[np.float32]:
         """Return the mean of the deciding measure over all frames."""
-        inner = slice(self._reach, self._measures.shape[1] - self._reach)
-        return np.asarray(self._measures[0, inner, rows].mean(axis=0))
+        total = np.zeros_like(self.top[rows])
+        for measure in self._measures[0, :, rows]:  # those beyond the stack are 0
+            cv2.add(total, measure, total)
+        return total / np.float32(self._measures.shape[1] - 2 * self._reach)
 
     def windows(self, rows: slice = slice(None)) -> NDArray[np.float32]:
         """Return the measures around the best frames, shape (kinds, 2 reach + 1, rows, cols)."""

@@ -164,7 +164,7 @@ def follow_measures(known: Known) -> Known:
         levels=levels,
         depth=seen.depth.copy(),
         weight=relative(seen.strength, axis.typical),
-        apart=np.abs(fill_nearest(seen.depth) - fill_nearest(seen.edge)),
+        apart=np.nan_to_num(np.abs(seen.depth - seen.edge)),
         sharp=sharp_mask(seen, levels, *known.settings.sharp),
         finer=sharp_mask(seen, levels, *known.settings.finer),
         relief=nothing,
@@ -313,8 +313,8 @@ def finished(known: Known, shown: Sequence[Image], shape: tuple[int, ...]) -> Fo
     # 0.2 to 0.3 of the height on drawn texture, 0.5 where the near side hides the far one, 0.5 to
     # 0.8 on photographs.
     error = np.hypot(doubled(known.error, full), np.float32(0.28) * height)
-    steps = np.where(known.there, known.full, np.float32(np.nan))[:rows, :cols]
-    error = np.where(known.there, error, np.float32(np.nan))[:rows, :cols]
+    known.full[~known.there] = error[~known.there] = np.nan
+    steps, error = known.full[:rows, :cols], error[:rows, :cols]
     best = doubled(known.seen.best, full, cv2.INTER_NEAREST)[:rows, :cols]
     depth = axis.micrometers(steps)
     there = np.isfinite(depth)

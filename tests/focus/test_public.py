@@ -1,0 +1,151 @@
+"""The laws of every public name of focus."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from microlib import synthetic
+from microlib.focus import FocusResult, correct_spikes, depth_from_focus, smooth_depth
+from tests.laws import VIEWS, Law, hold, in_world
+
+SHAPE = (44, 60)
+#: Uneven positions that fall, and a slope beside a step, µm.
+Z = 100 - np.array([0.0, 9, 20, 31, 39, 50, 62, 70, 81, 90])
+TRUTH = 40 + synthetic.tilted_plane(SHAPE, 0.3, 0.2)
+TRUTH[:, 35:] += 22
+TEXTURE = synthetic.mixed_texture(SHAPE, np.random.default_rng(4))
+STACK = synthetic.focal_stack(TEXTURE, TRUTH, Z, blur_rate=0.1, noise=1.0, rng=5).astype(float)
+HOLED = np.where(np.indices(SHAPE).sum(axis=0) % 11 == 3, np.nan, TRUTH)
+WINDOW = np.random.default_rng(6).uniform(1, 2, (3, *SHAPE))
+WINDOW[1] += 2
+INDEX = np.random.default_rng(7).integers(0, len(Z), SHAPE)
+MAPS = {
+    "depth": "um @ z0",
+    "uncertainty": "um",
+    "confidence": "1",
+    **dict.fromkeys(("index", "at_end", "pixel_size", "origin"), "="),
+    "all_in_focus": "grey",
+    **dict.fromkeys(("poses", "gain", "offset", "rows", "columns", "known"), "="),
+}
+#: float32 grey levels and depths of up to 150 µm, at a curvature of the peak of 0.1.
+SINGLE = 1e-4
+
+
+def result(u) -> FocusResult:
+    return depth_from_focus(STACK * u.grey, u.z0 + Z * u.um)
+
+
+LAWS = {
+    "focus.FocusResult": Law(
+        lambda u: {k: getattr(result(u), k) for k in result(u).__dataclass_fields__},
+        MAPS,
+        within=SINGLE,
+    ),
+    "focus.FocusResult.plot": "pictures have laws of their own",
+    "focus.FocusResult.to_layers": "test_a_result_is_in_its_place_for_every_program",
+    "focus.FocusResult.select": Law(
+        lambda u: {"self": result(u), "frames": 255.0 - STACK}, "1", within=SINGLE
+    ),
+    "focus.correct_spikes": Law(
+        lambda u: {"depth": u.z0 + HOLED * u.um, "window": 5, "delta": 1.5}, "um @ z0"
+    ),
+    "focus.depth_from_focus": Law(
+        lambda u: {"frames": STACK * u.grey, "positions": u.z0 + Z * u.um, "measure": "tenengrad"},
+        MAPS,
+        within=SINGLE,
+    ),
+    "focus.smooth_depth": Law(
+        lambda u: {
+            "depth": u.z0 + HOLED * u.um,
+            "jump": 12.0 * u.um,
+            "radius": 4.0,
+            "weight": 1.0 + INDEX,
+        },
+        "um @ z0",
+        within=SINGLE,
+    ),
+    "focus.sum_modified_laplacian": Law(
+        lambda u: {
+            "image": u.grey0 + STACK[3] * u.grey,
+            "window": 5,
+            "step": 2,
+            "threshold": 9.5 * u.grey,
+        },
+        "grey",
+        within=SINGLE,
+    ),
+    "focus.three_point_peak": Law(
+        lambda u: {"window": WINDOW * u.grey, "index": INDEX, "positions": u.z0 + Z * u.um},
+        "um @ z0",
+        within=SINGLE,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_outputs_follow_units_and_origins(name):
+    hold(name, LAWS[name])
+
+
+@pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
+def test_a_stack_seen_otherwise_has_the_same_depth(view):
+    """Of sides that are multiples of four, which the coarser grids leave whole."""
+    for measure in ("multiscale", "sml"):
+        plain = depth_from_focus(STACK, Z, measure=measure).depth
+        seen = [np.ascontiguousarray(view.image(frame)) for frame in STACK]
+        off = np.abs(depth_from_focus(seen, Z, measure=measure).depth - view.image(plain))
+        # Equal peaks of float32 and limits of rules decide otherwise on a few pixels.
+        assert np.mean(off < 0.01) > 0.98
+    for call in (correct_spikes, lambda depth: smooth_depth(depth, jump=12.0)):
+        wanted = view.image(call(HOLED))
+        np.testing.assert_allclose(call(view.image(HOLED)), wanted, atol=1e-3)
+
+
+def test_a_result_is_in_its_place_for_every_program():
+    """napari shows a pixel where xarray has it, with rows that are not columns."""
+    found = replace(depth_from_focus(STACK, Z), pixel_size=2.3, origin=(12.0, -5.0))
+    x, y = np.array([[0, 0], [59, 0], [7, 43]]).T
+    wanted = np.column_stack([12 + 2.3 * x, -5 + 2.3 * y])
+    for layer in found.to_layers():
+        np.testing.assert_allclose(in_world(layer, np.column_stack([x, y])), wanted)
+    pytest.importorskip("xarray")
+    maps = found.to_xarray()
+    np.testing.assert_allclose(np.column_stack([maps.x[x], maps.y[y]]), wanted)
+    np.testing.assert_array_equal(maps.depth.values[y, x], found.depth[y, x])
+
+
+@pytest.mark.parametrize("levels", [1, 200, 1 / 255])
+def test_bare_ground_has_no_depth_in_any_unit(levels):
+    """Not from noise, and not from the rounding to whole grey levels where that is all there is."""
+    texture = synthetic.mixed_texture((96, 160), np.random.default_rng(2))
+    texture[:, 60:] = np.linspace(90, 110, 100)  # a gradient, which rounds to terraces
+    kind = {1: np.uint8, 200: np.uint16}.get(levels, np.float32)
+    for noise in (0.0, 0.15, 2.0):
+        rng = np.random.default_rng(3)
+        height = np.full(texture.shape, 41.0)
+        frames = synthetic.focal_stack(texture, height, Z, blur_rate=0.04, noise=0, rng=rng)
+        frames = levels * np.asarray(frames, float)
+        frames += noise * levels * rng.standard_normal(frames.shape)
+        frames = np.rint(frames) if kind != np.float32 else frames
+        depth = depth_from_focus(frames.clip(0).astype(kind), Z).depth
+        assert np.isfinite(depth[8:-8, 8:45]).mean() > 0.98
+        assert np.isfinite(depth[:, 110:]).mean() < 0.01
+
+
+def test_poses_are_those_of_the_frames_at_any_size():
+    """Frames of 1024 px are compared at a fourth; their pixels' centers must not move by that."""
+    rows, cols = 976, 1064
+    rng = np.random.default_rng(8)
+    texture = sum(cv2.GaussianBlur(rng.normal(0, 30 * s, (rows, cols)), (0, 0), s) for s in (4, 12))
+    true = [
+        np.array([[1 + 0.04 * k, 0, 1.7 * k], [0, 1 + 0.04 * k, -2.4 * k]]) for k in range(-2, 3)
+    ]
+    frames = [cv2.warpAffine(120 + texture, pose, (cols, rows), borderMode=4) for pose in true]
+    found = depth_from_focus(np.float32(frames), spacing=1.0, register=True).poses
+    corners = np.array([[0, 0, 1], [cols - 1, 0, 1], [0, rows - 1, 1], [cols - 1, rows - 1, 1]]).T
+    # 1.5 px of a small pixel's center, times a change of scale of 0.08, would be 0.12 px.
+    assert np.abs((found - true) @ corners).max() < 0.1
