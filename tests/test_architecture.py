@@ -164,7 +164,7 @@ def test_every_public_result_is_held_against_something() -> None:
 
 
 #: Rooms whose public names have no table of laws yet.
-OWED = {"calibration", "embryo", "focus", "membrane", "tracking"}
+OWED = {"calibration", "embryo", "membrane", "tracking"}
 
 
 def test_every_public_name_states_its_laws() -> None:
@@ -235,3 +235,36 @@ def test_results_are_frozen(path: Path) -> None:
         for decorator in getattr(node, "decorator_list", []):
             if "dataclass" in ast.unparse(decorator):
                 assert "frozen=True" in ast.unparse(decorator), f"{path.name}: {node.name}"
+
+
+def _names_of(tree: ast.AST) -> set[str]:
+    """Return what a file defines, uses and takes as arguments."""
+    found: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name):
+            found.add(node.id)
+        elif isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            found.add(node.name)
+        elif isinstance(node, (ast.arg, ast.keyword)) and node.arg:
+            found.add(node.arg)
+        elif isinstance(node, ast.Attribute):
+            found.add(node.attr)
+    return found
+
+
+def test_a_page_names_only_functions_that_exist() -> None:
+    """Whoever follows a page must find what it names in code marks, in the code or in a package."""
+    code = {"microlib", "compendium", "benchmarks", "tests", "book", "data"}
+    known = {
+        n for f in code for p in sources(ROOT / f) for n in _names_of(ast.parse(p.read_text()))
+    }
+    known |= {"detect_name"}  # which stands for a new one
+    known |= {p.name.removesuffix(".py") for f in code for p in (ROOT / f).rglob("*")}
+    for page in sorted((ROOT / "book").glob("*.md")):
+        text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+        # A name with an underscore or with arguments, alone or behind dots; no word and no file.
+        marked = re.findall(r"(?<!\})`([A-Za-z_][\w.]*)(\([^`]*\))?`", text)
+        named = {n.split(".")[-1]: n for n, call in marked if "_" in n or (call and len(n) > 1)}
+        files = {"py", "md", "toml", "json", "ipynb", "npz", "txt", "csv"}
+        wrong = sorted(n for last, n in named.items() if last not in known | files)
+        assert not wrong, f"{page.name} names what is not there: {wrong}"
