@@ -90,6 +90,7 @@ portable: $(STAMP) ## run everything as other processors would round (an hour)
 
 fuzz: $(STAMP) ## call everything public with hostile values (minutes)
 	@$(BIN)/python -m tests.fuzz
+	@$(BIN)/python -m pytest --quiet --hypothesis-profile=fuzz tests/test_sequences.py
 
 # Nothing is read from S3, whose client that agrees with the other versions is ten years old and
 # hinders imports.

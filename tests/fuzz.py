@@ -6,7 +6,9 @@ non-finite from finite values unless it is documented, and no call over its time
 
     python -m tests.fuzz [name …]    # all of it, or the callables whose name contains a word
 
-Values are put in the place of one argument of a valid call.
+Values are put in the place of one argument of a valid call, or of two at once, which are drawn,
+also from what other calls give to such an argument. Sequences of calls are in
+`tests/test_sequences.py`.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ import importlib
 import importlib.util
 import inspect
 import pkgutil
+import random
 import re
 import resource
 import shutil
@@ -58,12 +61,14 @@ from microlib import (
 LIMIT = 5.0
 #: The same for what fits a boundary value problem to an outline, tried by `make fuzz` only.
 SLOW = {"membrane.fit_capsule": 60.0}
+#: Calls of each callable with two arguments replaced.
+PAIRS = 60
 #: Memory that all of it may take, bytes.
 MEMORY = 4 << 30
 #: Public, but not called by anyone: a category of warnings, and how an image was turned.
 NOT_CALLED = {"membrane.SmallSlopeWarning"}
-#: Methods that take nothing.
-WITHOUT = {"to_dict", "to_frame", "to_xarray"}
+#: Methods that take nothing, and pictures, whose tests are tests/test_plots.py.
+WITHOUT = {"to_dict", "to_frame", "to_xarray", "plot"}
 
 EGG = {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
 INPUTS = {"force": 100.0, "dimple_radius": 200.0, "dimple_depth": 40.0, **EGG}
@@ -630,8 +635,8 @@ MAY_BE_UNKNOWN = {
     # unobservable parameters have infinite variances
     "calibration.Calibration.interval", "calibration.calibrate", "calibration.cramer_rao",
     "calibration.Calibration",
-    # circles have no side
-    "calibration.detect_circles",
+    # circles have no side, nor have corners
+    "calibration.detect_circles", "calibration.detect_charuco",
     # three moves leave no residual to tell an error by
     "calibration.stage_affine",
     # NaN far from the dimple
@@ -730,6 +735,11 @@ SINGLES: dict[str, object] = {
 def hostile(value: object) -> Iterator[tuple[str, object]]:
     """Yield labelled values to put in a valid one's place."""
     yield from SINGLES.items()
+    # What the library itself gave: frames that are read, frames that were, results.
+    yield "reader", io.read_frames(stack())
+    spent = io.read_frames(stack())
+    yield f"reader of {len(list(spent))} that were read", spent
+    yield from {"depths": depths(), "camera": calibrated(), "curvature": bent()}.items()
     if isinstance(value, dict):
         for key in list(value)[:2]:
             for label in ("nan", "None", "text", "[1.0]", "-1", "1e300", "True"):
@@ -775,23 +785,42 @@ def hostile(value: object) -> Iterator[tuple[str, object]]:
 
 @dataclass(frozen=True)
 class Case:
-    """One call of `name` with one argument replaced."""
+    """One call of `name` with one argument replaced, or several."""
 
     name: str
-    argument: str
     label: str
-    value: object
+    values: dict[str, object]
 
     @property
     def key(self) -> str:
-        return f"{self.name}({self.argument}={self.label})"
+        return f"{self.name}({self.label})"
 
 
 def cases(name: str) -> Iterator[Case]:
     for argument, value in valid_call(name).items():
         if argument != "self":
             for label, wrong in hostile(value):
-                yield Case(name, argument, label, wrong)
+                yield Case(name, f"{argument}={label}", {argument: wrong})
+
+
+@cache
+def elsewhere(argument: str) -> list[str]:
+    """Return the callables that have an argument of that name."""
+    return [name for name in CALLS if name not in SLOW and argument in valid_call(name)]
+
+
+def pairs(name: str, count: int) -> Iterator[Case]:
+    """Yield calls with two arguments replaced, the same ones each time."""
+    rng, valid = random.Random(name), valid_call(name)
+    arguments = [argument for argument in valid if argument != "self"]
+    for _ in range(count if len(arguments) > 1 else 0):
+        values, labels = {}, []
+        for argument in rng.sample(arguments, 2):
+            other = rng.choice(elsewhere(argument) or [name])
+            near = (f"as for {other}", valid_call(other).get(argument))
+            label, values[argument] = rng.choice([*hostile(valid[argument]), *[near] * 40])
+            labels.append(f"{argument}={label}")
+        yield Case(name, ", ".join(labels), values)
 
 
 def harmless(value: object) -> Iterator[tuple[str, np.ndarray]]:
@@ -907,14 +936,14 @@ def answer(name: str, changed: dict[str, object]) -> tuple[object, str | None]:
 
 def fault(case: Case) -> str | None:
     """Return what is wrong with the answer to a case, or None."""
-    result, wrong = answer(case.name, {case.argument: case.value})
+    result, wrong = answer(case.name, case.values)
     kind = resolve(case.name)
     if wrong or result is REFUSED or (is_dataclass(kind) and not hasattr(kind, "__post_init__")):
         return wrong  # what only stores does not look at what it is given
     if "masked" in case.label:
         return "dropped a mask"
     # NaN may come from NaN, in what was replaced or beside it.
-    given = (case.value, valid_call(case.name))
+    given = (*case.values.values(), valid_call(case.name))
     known = case.name in MAY_BE_UNKNOWN or finite(result) or not all(map(finite, given))
     return None if known else "not finite"
 
@@ -937,6 +966,7 @@ def main(words: list[str]) -> int:
         if words and not any(word in name for word in words):
             continue
         begin, found, every = time.process_time(), [*differences(name)], list(cases(name))
+        every += pairs(name, 0 if name in SLOW else PAIRS)
         found += [f"{case.key}: {said}" for case in every if (said := fault(case))]
         seconds = time.process_time() - begin
         print(*found, f"# {name}: {len(every)} in {seconds:.1f} s", sep="\n", flush=True)

@@ -29,7 +29,7 @@ def test_every_argument_is_tried():
 
 @pytest.mark.parametrize("name", QUICK)
 def test_hostile_values_are_refused_by_name(name):
-    every = list(fuzz.cases(name))
+    every = [*fuzz.cases(name), *fuzz.pairs(name, fuzz.PAIRS)]
     drawn = random.Random(name).sample(every, min(len(every), max(LEAST, len(every) // ONE_IN)))
     found = [f"{case.key}: {said}" for case in drawn if (said := fuzz.fault(case))]
     assert not found, "\n".join(found)

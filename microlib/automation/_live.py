@@ -223,6 +223,8 @@ class LiveDepth:
         """
         as_image("frame", frame, smallest=2)
         image = np.array(frame)  # a camera may write the next one into the same place
+        if image.dtype == bool:
+            raise ValueError("frame must hold grey levels, got truth values")
         # Beyond, single precision has no digits left.
         place = scalar("z", z, within=(-1e12, 1e12))
         first = self._frames[0] if self._frames else image

@@ -1,0 +1,181 @@
+"""Sequences of calls: readers, trackers, batches and a device loop that are used on after faults.
+
+What may come is what a model says, or a `ValueError`; ``make fuzz`` draws many more.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
+
+from microlib.automation import acquire_depth
+from microlib.batch import process_files
+from microlib.focus import depth_from_focus
+from microlib.io import read_frames
+from microlib.tracking import ESMTracker
+from tests.automation.test_acquire import POSITIONS, Scope, same_pictures
+from tests.fuzz import alike, target
+
+FRAMES = np.random.default_rng(3).integers(0, 255, (7, 12, 18)).astype(np.uint8)
+
+
+class Readers(RuleBasedStateMachine):
+    """A folder whose pictures come and go, read by readers of readers."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.place = tempfile.TemporaryDirectory()
+        self.files = [Path(self.place.name) / f"{k}.png" for k in range(len(FRAMES))]
+        for file, frame in zip(self.files, FRAMES, strict=True):
+            cv2.imwrite(str(file), frame)
+        self.reader, self.next, self.failed = read_frames(self.place.name), 0, False
+        self.cut = (slice(None), slice(None))
+
+    @rule(color=st.booleans(), x=st.integers(0, 2), width=st.integers(1, 20))
+    def narrow(self, color: bool, x: int, width: int) -> None:
+        rows, columns = self.reader.shape
+        try:
+            self.reader = read_frames(self.reader, color=color, region=(x, 1, width, rows - 1))
+        except ValueError:
+            assert x + width > columns or rows < 2 or self.failed or self.gone()
+            return
+        self.cut = tuple(
+            slice((old.start or 0) + a, (old.start or 0) + a + n)
+            for old, a, n in zip(self.cut, (1, x), (rows - 1, width), strict=True)
+        )
+
+    def gone(self) -> bool:
+        return self.next < len(FRAMES) and not self.files[self.next].exists()
+
+    @rule()
+    def read(self) -> None:
+        try:
+            frame = next(self.reader)
+        except StopIteration:
+            assert self.next == len(FRAMES)
+        except ValueError:
+            assert self.failed or self.gone()
+            self.failed = True  # for good
+        else:
+            assert not self.failed
+            np.testing.assert_array_equal(frame, FRAMES[self.next][self.cut])
+            self.next += 1
+
+    @rule()
+    def depth(self) -> None:
+        """What is refused before it is read is not lost."""
+        with pytest.raises(ValueError, match=r"positions|frames"):
+            depth_from_focus(self.reader, positions=[0.0, 1.0])
+
+    @precondition(lambda self: self.next + 1 < len(FRAMES))
+    @rule(ahead=st.integers(1, 3))
+    def remove(self, ahead: int) -> None:
+        self.files[min(self.next + ahead, len(FRAMES) - 1)].unlink(missing_ok=True)
+
+    def teardown(self) -> None:
+        self.place.cleanup()
+
+
+class Trackers(RuleBasedStateMachine):
+    """What was refused leaves no trace: another tracker sees the good frames only."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.pair = [ESMTracker(target(), (16, 16, 32, 32), "translation") for _ in range(2)]
+
+    @rule(x=st.integers(-4, 4), y=st.integers(-4, 4), light=st.sampled_from([0.0, 0.5, 1.0]))
+    def track(self, x: int, y: int, light: float) -> None:
+        frame = light * np.roll(target(), (y, x), (0, 1)) + 9.0
+        first, second = (tracker.track(frame) for tracker in self.pair)
+        assert alike(first, second)
+        assert first.lost or np.isfinite(first.corners).all()
+
+    @rule(
+        wrong=st.sampled_from([None, "a", np.full((64, 72), np.nan), np.zeros(3), np.ones((2, 2))])
+    )
+    def refuse(self, wrong: object) -> None:
+        with pytest.raises(ValueError, match="frame"):
+            self.pair[0].track(wrong)
+
+
+class Batches(RuleBasedStateMachine):
+    """Files that come, change and fail; a table that is cut off; a run that tries again."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.place = tempfile.TemporaryDirectory()
+        self.table, self.texts = Path(self.place.name) / "t.csv", dict[str, str]()
+        self.pool = ThreadPoolExecutor(2)
+
+    @rule(name=st.sampled_from("abcd"), text=st.sampled_from(["1.5", "-3", "none", "2\n"]))
+    def write(self, name: str, text: str) -> None:
+        self.texts[name] = text
+        (Path(self.place.name) / f"{name}.txt").write_text(text)
+
+    @precondition(lambda self: self.texts)
+    @rule(retry=st.booleans(), cut=st.integers(0, 60))
+    def run(self, retry: bool, cut: int) -> None:
+        if self.table.exists():
+            kept = self.table.read_bytes()
+            self.table.write_bytes(kept[: max(kept.find(b"\n") + 1, len(kept) - cut)])
+        files = [Path(self.place.name) / f"{name}.txt" for name in self.texts]
+        found = process_files(files, number, self.table, executor=self.pool, retry=retry)
+        for (name, text), (_, row) in zip(self.texts.items(), found.iterrows(), strict=True):
+            assert Path(row["file"]).stem == name
+            assert bool(row["error"]) == (text == "none")
+            assert text == "none" or row["value"] == float(text)
+
+    def teardown(self) -> None:
+        self.pool.shutdown()
+        self.place.cleanup()
+
+
+def number(path: Path) -> dict[str, float]:
+    return {"value": float(path.read_text())}
+
+
+class Devices(RuleBasedStateMachine):
+    """One microscope, scanned again and again; any call of it may fail at any time."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.scope = Scope(lambda z: max(0.02, 1 - abs(z - 92) / 40))
+        self.left = 10**9
+        for device, name in ((self.scope, "snap"), *((self.scope.focus, n) for n in MOVES)):
+            setattr(device, name, self.failing(getattr(device, name)))
+
+    def failing(self, call):
+        def tried(*arguments):
+            self.left -= 1
+            if self.left == 0:
+                raise OSError("no power")
+            return call(*arguments)
+
+        return tried
+
+    @rule(
+        calls=st.integers(1, 120), coarse=st.sampled_from([None, 3]), way=st.sampled_from([1, -1])
+    )
+    def scan(self, calls: int, coarse: int | None, way: int) -> None:
+        self.left, self.scope.pictures = calls, {}
+        run = acquire_depth(self.scope, POSITIONS[::way], coarse=coarse)
+        assert run.complete or (self.left <= 0 and "no power" in run.reason)
+        assert same_pictures(run, self.scope)
+        assert run.complete or set(run.positions) == set(self.scope.pictures)
+        assert run.complete or isinstance(run.error, OSError) or not run.still
+
+
+MOVES = ("position", "move_to", "moving")
+FEW = {"stateful_step_count": 12, "deadline": None}
+for machine in (Readers, Trackers, Batches, Devices):
+    machine.TestCase.settings = settings(max_examples=settings.default.max_examples // 16, **FEW)
+TestReaders, TestTrackers = Readers.TestCase, Trackers.TestCase
+TestBatches, TestDevices = Batches.TestCase, Devices.TestCase
