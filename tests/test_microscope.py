@@ -57,33 +57,22 @@ def on_sensor(u):
 
 LAWS = {
     "microscope.Microscope": Law(lambda u: vars(pose(u)), SCOPE_UNITS),
-    "microscope.Microscope.to_objective": Law(
-        lambda u: {"self": pose(u), "points": PLANE * u.um}, "um"
-    ),
+    "microscope.Microscope.to_objective": Law(lambda u: {"self": pose(u), "points": PLANE * u.um},
+        "um"),
     "microscope.Microscope.project": Law(lambda u: {"self": pose(u), "points": PLANE * u.um}, "1"),
-    "microscope.Microscope.back_project": Law(
-        lambda u: {"self": pose(u), "pixels": PLANE / 9 + 200}, "um"
-    ),
-    "microscope.Microscope.jacobian": Law(
-        lambda u: {
-            "self": pose(u),
-            "world": PLANE * u.um,
-            "parameters": (*Microscope.PARAMETERS, "magnification"),
-        },
-        "[1/um, 1/um, 1/um, um**2, 1, 1, 1, 1/um, 1/um, 1]",
-    ),
-    "microscope.Microscope.project_plane": Law(
-        lambda u: {
-            "visible": [1.6, 5e-6 / u.um, -8e-10 / u.um**2, 0.6, 0.3, -0.2, 90 * u.um, -55 * u.um],
-            "world": PLANE * u.um,
-            "cell": np.array([9.9, 8.3]) * u.um,
-        },
-        ("1", "[1, um, um**2, 1, 1, 1, 1/um, 1/um]"),
-    ),
+    "microscope.Microscope.back_project": Law(lambda u: {"self": pose(u),
+        "pixels": PLANE / 9 + 200}, "um"),
+    "microscope.Microscope.jacobian": Law(lambda u: {"self": pose(u), "world": PLANE * u.um,
+        "parameters": (*Microscope.PARAMETERS, "magnification")},
+        "[1/um, 1/um, 1/um, um**2, 1, 1, 1, 1/um, 1/um, 1]"),
+    "microscope.Microscope.project_plane": Law(lambda u: {
+        "visible": [1.6, 5e-6 / u.um, -8e-10 / u.um**2, 0.6, 0.3, -0.2, 90 * u.um, -55 * u.um],
+        "world": PLANE * u.um, "cell": np.array([9.9, 8.3]) * u.um}, ("1",
+        "[1, um, um**2, 1, 1, 1, 1/um, 1/um]")),
     "microscope.distort": Law(on_sensor, "um"),
     "microscope.undistort": Law(on_sensor, "um"),
     "microscope.euler_rotation": Law(lambda u: {"alpha": 0.6, "beta": 0.3, "gamma": -0.2}, "1"),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", LAWS)

@@ -26,35 +26,22 @@ def lens(u) -> dict:
 DISTANCES = np.array([33000.0, 36000.0, 41000.0])
 FLOAT32 = {"within": 1e-6}  # images are filtered in single precision
 LAWS = {
-    "optics.BlurLadder": Law(
-        lambda u: {"image": IMAGE, "largest": 3.0}, {"largest": "1"}, **FLOAT32
-    ),
-    "optics.BlurLadder.at": Law(
-        lambda u: {
-            "self": optics.BlurLadder(u.grey0 + IMAGE * u.grey, largest=4.0),
-            "sigma": BLUR,
-        },
-        "grey @ grey0",
-        within=1e-5,  # and read off between levels
-    ),
-    "optics.blur_radius": Law(
-        lambda u: {"object_distance": DISTANCES * u.um, **lens(u)}, "um", within=1e-8
-    ),
-    "optics.defocus": Law(
-        lambda u: {"image": u.grey0 + IMAGE * u.grey, "sigma": 1.7}, "grey @ grey0", **FLOAT32
-    ),
+    "optics.BlurLadder": Law(lambda u: {"image": IMAGE, "largest": 3.0}, {"largest": "1"},
+        **FLOAT32),
+    "optics.BlurLadder.at":
+        Law(lambda u: {"self": optics.BlurLadder(u.grey0 + IMAGE * u.grey, largest=4.0),
+        "sigma": BLUR}, "grey @ grey0", within=1e-5,  # and read off between levels
+        ),
+    "optics.blur_radius": Law(lambda u: {"object_distance": DISTANCES * u.um, **lens(u)}, "um",
+        within=1e-8),
+    "optics.defocus": Law(lambda u: {"image": u.grey0 + IMAGE * u.grey, "sigma": 1.7},
+        "grey @ grey0", **FLOAT32),
     "optics.gaussian_kernel": Law(lambda u: {"sigma": 1.3, "size": 7}, "1"),
-    "optics.gaussian_transfer": Law(
-        lambda u: {"u": 0.4 / u.px, "v": np.array([-0.3, 0.7]) / u.px, "sigma": 1.3 * u.px}, "1"
-    ),
-    "optics.image_distance": Law(
-        lambda u: {
-            "object_distance": DISTANCES * u.um,
-            "focal_length": LENS["focal_length"] * u.um,
-        },
-        "um",
-    ),
-}
+    "optics.gaussian_transfer": Law(lambda u: {"u": 0.4 / u.px, "v": np.array([-0.3, 0.7]) / u.px,
+        "sigma": 1.3 * u.px}, "1"),
+    "optics.image_distance": Law(lambda u: {"object_distance": DISTANCES * u.um,
+        "focal_length": LENS["focal_length"] * u.um}, "um"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -168,6 +155,11 @@ def test_varying_defocus_is_the_sum_over_each_pixels_own_kernel():
 def test_bad_input_is_refused_by_name(call, words):
     with pytest.raises(ValueError, match=words):
         call()
+
+
+def test_what_is_in_focus_is_a_copy():
+    image = IMAGE.astype(np.float32)
+    assert not np.shares_memory(optics.defocus(image, 0.0), image)
 
 
 def test_a_ladder_reaches_its_largest_blur_from_any_start():

@@ -24,39 +24,17 @@ def bent(u) -> Curvature:
 
 LAWS = {
     "curvature.clean_labels": Law(lambda u: {"labels": LABELS, "smallest": 25}, "1"),
-    "curvature.curvature_windows": Law(
-        lambda u: {"size": 7},
-        dict.fromkeys(("smooth", "mean", "slope", "second_derivative"), "1"),
-    ),
-    "curvature.hk_labels": Law(
-        lambda u: {
-            "mean": bent(u).mean,
-            "gaussian": bent(u).gaussian,
-            "h_zero": 0.01 / u.um,
-            "k_zero": 2e-4 / u.um**2,
-        },
-        "1",
-    ),
-    "curvature.region_table": Law(
-        lambda u: {"labels": np.pad(LABELS, ((0, 6), (9, 5))), "curvature": bent(u)},
-        {
-            **dict.fromkeys(("label", "name"), "="),
-            **dict.fromkeys(("area", "x", "y"), "1"),
-            **FIELDS,
-        },
-        within=1e-8,  # 42 µm of height lose four digits of a second derivative
-    ),
-    "curvature.surface_curvature": Law(
-        lambda u: {
-            "height": u.z0 + HEIGHT * u.um,
-            "pixel_size": 2.3 * u.um,
-            "size": 5,
-            "noise": 0.04 * u.um,
-        },
-        FIELDS,
-        within=1e-8,
-    ),
-}
+    "curvature.curvature_windows": Law(lambda u: {"size": 7},
+        dict.fromkeys(("smooth", "mean", "slope", "second_derivative"), "1")),
+    "curvature.hk_labels": Law(lambda u: {"mean": bent(u).mean, "gaussian": bent(u).gaussian,
+        "h_zero": 0.01 / u.um, "k_zero": 2e-4 / u.um**2}, "1"),
+    "curvature.region_table": Law(lambda u: {"labels": np.pad(LABELS, ((0, 6), (9, 5))),
+        "curvature": bent(u)}, {**dict.fromkeys(("label", "name"), "="),
+        # 42 µm of height lose four digits of a second derivative
+        **dict.fromkeys(("area", "x", "y"), "1"), **FIELDS}, within=1e-8),
+    "curvature.surface_curvature": Law(lambda u: {"height": u.z0 + HEIGHT * u.um,
+        "pixel_size": 2.3 * u.um, "size": 5, "noise": 0.04 * u.um}, FIELDS, within=1e-8),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", LAWS)

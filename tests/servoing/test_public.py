@@ -106,6 +106,7 @@ def seeing(workstation, lost=(), image=None) -> SimpleNamespace:
 
     def track(frame):
         number = next(frames)
+        workstation.clock.sleep(0.004 * (number % 5 == 0))  # now and then it takes longer
         center = workstation.feature + noise[number]
         return SimpleNamespace(center=center, lost=number in lost, covariance=4e-4 * np.eye(2))
 
@@ -136,108 +137,48 @@ LOG = {
 METRICS = {"accuracy": "px", "precision": "px"}
 
 LAWS = {
-    "servoing.Camera": Law(
-        lambda u: {"interval": 0.03 * u.s, "latency": 0.05 * u.s, "jitter": 0.1 * u.px},
-        {"interval": "s", "latency": "s", "jitter": "px"},
-    ),
-    "servoing.Stage": Law(
-        lambda u: vars(stage(u)), {"saturation": "um/s", "step": "um", "travel": "um"}
-    ),
-    "servoing.Stage.rounded": Law(
-        lambda u: {"self": stage(u), "position": np.array([1.23, -45.6]) * u.um}, "um"
-    ),
+    "servoing.Camera": Law(lambda u: {"interval": 0.03 * u.s, "latency": 0.05 * u.s,
+        "jitter": 0.1 * u.px}, {"interval": "s", "latency": "s", "jitter": "px"}),
+    "servoing.Stage": Law(lambda u: vars(stage(u)), {"saturation": "um/s", "step": "um",
+        "travel": "um"}),
+    "servoing.Stage.rounded": Law(lambda u: {"self": stage(u),
+        "position": np.array([1.23, -45.6]) * u.um}, "um"),
     "servoing.MicroManager": "hands on calls to devices: test_micromanager.py, test_protocols.py",
     "servoing.OptimalController": Law(weighted, {"gain": "um/s/px"}),
-    "servoing.OptimalController.__call__": Law(
-        lambda u: {"self": OptimalController(**weighted(u)), **sample(u)}, "um/s"
-    ),
+    "servoing.OptimalController.__call__": Law(lambda u: {"self": OptimalController(**weighted(u)),
+        **sample(u)}, "um/s"),
     "servoing.PredictiveController": Law(predicting, {"gain": "um/s/px"}),
-    "servoing.PredictiveController.__call__": Law(
-        lambda u: {"self": used(u), **sample(u)}, "um/s", again=False
-    ),
-    "servoing.SimulatedWorkstation": Law(
-        lambda u: {"u": u, "workstation": begun(u)},
-        ("um @ [x0_um, y0_um]", "um", "s @ t0", "s @ t0", XY),
-        again=False,
-        call=driven,
-    ),
-    "servoing.ibvs_control": Law(
-        lambda u: {
-            "jacobian": J * u.px / u.um,
-            "error": STEP * u.px,
-            "gain": 0.5 / u.s,
-            "drift": np.array([0.7, -0.4]) * u.px / u.s,
-        },
-        "um/s",
-    ),
+    "servoing.PredictiveController.__call__": Law(lambda u: {"self": used(u), **sample(u)}, "um/s",
+        again=False),
+    "servoing.SimulatedWorkstation": Law(lambda u: {"u": u, "workstation": begun(u)},
+        ("um @ [x0_um, y0_um]", "um", "s @ t0", "s @ t0", XY), again=False, call=driven),
+    "servoing.ibvs_control": Law(lambda u: {"jacobian": J * u.px / u.um, "error": STEP * u.px,
+        "gain": 0.5 / u.s, "drift": np.array([0.7, -0.4]) * u.px / u.s}, "um/s"),
     "servoing.loop_poles": Law(lambda u: {"gain": 0.4, "delay": 1.3 * u.s / u.s}, "1"),
-    "servoing.optimal_control": Law(
-        lambda u: {
-            **weighted(u),
-            "feature": np.array([u.x0, u.y0]),
-            "target": np.array([u.x0, u.y0]) + STEP * u.px,
-        },
-        "um/s",
-    ),
-    "servoing.path_metrics": Law(
-        lambda u: {
-            "position": np.array([u.x0, u.y0]) + (PATH + 0.1 * PATH[::-1]) * u.px,
-            "reference": np.array([u.x0, u.y0]) + PATH * u.px,
-        },
-        METRICS | {"largest": "px"},
-    ),
-    "servoing.point_jacobian": Law(
-        lambda u: {
-            "points": PATH[:3] * u.px,
-            "depth": np.array([300.0, 350.0, 280.0]) * u.um,
-            "magnification": 6.4,
-            "pixel_size": np.array([9.9, 8.3]) * u.um / u.px,
-        },
-        "[px/um, px/um, px/um, px, px, px]",
-    ),
-    "servoing.servo": Law(
-        steered,
-        {
-            **dict.fromkeys(("reached", "reason", "complete", "still", "error"), "="),
-            "log": LOG,
-            **LOG,
-            "jacobian": "px/um",
-            "jacobian_covariance": "px**2/um**2",
-            "drift": "px/s",
-            "misfit": "1",
-            "latency": "s",
-        },
-        again=False,
-        fixed=("px", "s"),  # pictures, and the ticks at which a device is asked
-    ),
-    "servoing.simulate": Law(
-        lambda u: {
-            "controller": OptimalController(**weighted(u)),
-            "reference": np.array([u.x0, u.y0]) + PATH * u.px,
-            "jacobian": 1.1 * J * u.px / u.um,
-            "stage": stage(u),
-            "camera": camera(u),
-            "rng": 0,
-            "start": np.array([u.x0, u.y0]) - STEP * u.px,
-        },
-        {
-            **dict.fromkeys(("reference", "feature", "measured"), XY),
-            "time": "s",
-            "position": "um",
-            "command": "um/s",
-            "saturated": "=",
-        },
-    ),
-    "servoing.step_metrics": Law(
-        lambda u: {
-            "time": u.t0 + np.arange(25.0) ** 1.1 * u.s,
-            "position": np.array([u.x0, u.y0]) + ANSWER[:, None] * STEP * u.px,
-            "target": np.array([u.x0, u.y0]) + STEP * u.px,
-            "band": 0.04,
-        },
-        METRICS | {"settling_time": "s", "overshoot": "1"},
-    ),
-}
+    "servoing.optimal_control": Law(lambda u: {**weighted(u), "feature": np.array([u.x0, u.y0]),
+        "target": np.array([u.x0, u.y0]) + STEP * u.px}, "um/s"),
+    "servoing.path_metrics":
+        Law(lambda u: {"position": np.array([u.x0, u.y0]) + (PATH + 0.1 * PATH[::-1]) * u.px,
+        "reference": np.array([u.x0, u.y0]) + PATH * u.px}, METRICS | {"largest": "px"}),
+    "servoing.point_jacobian": Law(lambda u: {"points": PATH[:3] * u.px,
+        "depth": np.array([300.0, 350.0, 280.0]) * u.um, "magnification": 6.4,
+        "pixel_size": np.array([9.9, 8.3]) * u.um / u.px}, "[px/um, px/um, px/um, px, px, px]"),
+    "servoing.servo": Law(steered,
+        {**dict.fromkeys(("reached", "reason", "complete", "still", "error"), "="), "log": LOG,
+        **LOG, "jacobian": "px/um", "jacobian_covariance": "px**2/um**2", "drift": "px/s",
+        # pictures, and the ticks at which a device is asked
+        "misfit": "1", "latency": "s"}, again=False, fixed=("px", "s")),
+    "servoing.simulate": Law(lambda u: {"controller": OptimalController(**weighted(u)),
+        "reference": np.array([u.x0, u.y0]) + PATH * u.px, "jacobian": 1.1 * J * u.px / u.um,
+        "stage": stage(u), "camera": camera(u), "rng": 0,
+        "start": np.array([u.x0, u.y0]) - STEP * u.px},
+        {**dict.fromkeys(("reference", "feature", "measured"), XY), "time": "s", "position": "um",
+        "command": "um/s", "saturated": "="}),
+    "servoing.step_metrics": Law(lambda u: {"time": u.t0 + np.arange(25.0) ** 1.1 * u.s,
+        "position": np.array([u.x0, u.y0]) + ANSWER[:, None] * STEP * u.px,
+        "target": np.array([u.x0, u.y0]) + STEP * u.px, "band": 0.04},
+        METRICS | {"settling_time": "s", "overshoot": "1"}),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -286,3 +227,5 @@ def test_frames_without_the_feature_end_a_run_only_in_a_row(seed):
     np.testing.assert_array_equal(run.reached[:end], ~lost[1 : end + 1])
     assert not run.reached[end:].any()
     assert run.log["lost"].sum() == lost[1 : end + 1].sum()
+    assert run.latency == pytest.approx(run.log["latency_s"].median())
+    assert np.ptp(run.log["latency_s"].dropna()) > 0.003

@@ -70,15 +70,6 @@ def test_a_square_sits_where_it_is_put():
     assert np.array_equal(still[:19], moved[:19])
 
 
-def test_the_same_seed_draws_the_same_frames():
-    for draw in (
-        lambda rng: warped_pair(rng, 3.0).second,
-        lambda rng: gripper_scene(rng, pixel_size=6.23).frame((1.5, 2.5), rng),
-        lambda rng: texture_sequence([[3.5, 4.5]], rng)[0],
-    ):
-        assert np.array_equal(draw(np.random.default_rng(5)), draw(np.random.default_rng(5)))
-
-
 def test_the_camera_counts_in_grey_levels():
     frame = camera_frame(np.full((200, 200), 100.0), np.random.default_rng(6), noise=2.0, gain=1.2)
     assert frame.dtype == np.uint8

@@ -86,108 +86,46 @@ LAWS = {
     "synthetic.Embryo": Law(lambda u: vars(embryo(u)), EMBRYO),
     "synthetic.Embryo.pressed": Law(lambda u: {"force": 160.0 * u.uN, **pressed(u)}, EMBRYO),
     "synthetic.Embryo.dented": Law(lambda u: {"depth": 90.0 * u.um, **pressed(u)}, EMBRYO),
-    "synthetic.Embryo.outline": Law(
-        lambda u: {"self": embryo(u), "spacing": 7.0 * u.um}, "um", within=1e-7
-    ),
-    "synthetic.ImagingConditions": Law(
-        lambda u: vars(imaging(u)),
-        {
-            **dict.fromkeys(("blur", "vignetting", "gradient"), "1"),
-            **dict.fromkeys(("dark", "bright", "noise"), "grey"),
-        },
-    ),
-    "synthetic.camera_frame": Law(
-        lambda u: {"image": TEXTURE * u.grey, "gain": 1.1 / u.grey, "noise": 2.0, "rng": 0},
-        "1",
-        **ROUNDED,
-    ),
-    "synthetic.cell_image": Law(
-        lambda u: {"kind": "293T", "rng": 1, "count": 2, "pixel_size": 0.5, "shape": (64, 80)},
-        {"image": "1", "outlines": "1", "pixel_size": "1"},
-    ),
+    "synthetic.Embryo.outline": Law(lambda u: {"self": embryo(u), "spacing": 7.0 * u.um}, "um",
+        within=1e-7),
+    "synthetic.ImagingConditions": Law(lambda u: vars(imaging(u)),
+        {**dict.fromkeys(("blur", "vignetting", "gradient"), "1"),
+        **dict.fromkeys(("dark", "bright", "noise"), "grey")}),
+    "synthetic.camera_frame": Law(lambda u: {"image": TEXTURE * u.grey, "gain": 1.1 / u.grey,
+        "noise": 2.0, "rng": 0}, "1", **ROUNDED),
+    "synthetic.cell_image": Law(lambda u: {"kind": "293T", "rng": 1, "count": 2, "pixel_size": 0.5,
+        "shape": (64, 80)}, {"image": "1", "outlines": "1", "pixel_size": "1"}),
     "synthetic.cone": Law(lambda u: {"shape": SHAPE, "height": 9.0 * u.um, "radius": 8.0}, "um"),
-    "synthetic.embryo_image": Law(
-        lambda u: {
-            "embryo": embryo(u),
-            "rng": 2,
-            "pixel_size": 9.0 * u.um,
-            "shape": (150, 170),
-            "center": (85.3, 12.2),
-            "tilt": 0.1,
-        },
-        {
-            **dict.fromkeys(("image", "center", "tilt"), "1"),
-            "embryo": EMBRYO,
-            "pixel_size": "um",
-        },
-        **ROUNDED,
-    ),
-    "synthetic.focal_stack": Law(
-        lambda u: {
-            "texture": TEXTURE,
-            "height": u.z0 + RELIEF * u.um,
-            "positions": u.z0 + FOCI * u.um,
-            "blur_rate": 0.2 / u.um,
-            "noise": 1.0,
-            "rng": 1,
-        },
-        "1",
-        **ROUNDED,
-    ),
-    "synthetic.gripper_scene": Law(
-        lambda u: {
-            "rng": 0,
-            "pixel_size": 6.1 * u.um,
-            "gap": 90.0 * u.um,
-            "shape": (60, 80),
-            "reach": 5,
-        },
-        dict.fromkeys(("shape", "home", "opening", "drawing", "cover", "ground"), "1"),
-        **SINGLE,
-    ),
-    "synthetic.mixed_texture": Law(
-        lambda u: {
-            "shape": SHAPE,
-            "rng": 0,
-            "mean": u.grey0,
-            "std": 30.0 * u.grey,
-            "scales": (0.8, 3.0),
-        },
-        "grey @ grey0",
-        **SINGLE,
-    ),
-    "synthetic.parabolic_cylinder": Law(
-        lambda u: {"shape": SHAPE, "height": 9.0 * u.um, "width": 25.0}, "um"
-    ),
+    "synthetic.embryo_image": Law(lambda u: {"embryo": embryo(u), "rng": 2,
+        "pixel_size": 9.0 * u.um, "shape": (150, 170), "center": (85.3, 12.2), "tilt": 0.1},
+        {**dict.fromkeys(("image", "center", "tilt"), "1"), "embryo": EMBRYO, "pixel_size": "um"},
+        **ROUNDED),
+    "synthetic.focal_stack": Law(lambda u: {"texture": TEXTURE, "height": u.z0 + RELIEF * u.um,
+        "positions": u.z0 + FOCI * u.um, "blur_rate": 0.2 / u.um, "noise": 1.0, "rng": 1}, "1",
+        **ROUNDED),
+    "synthetic.gripper_scene": Law(lambda u: {"rng": 0, "pixel_size": 6.1 * u.um,
+        "gap": 90.0 * u.um, "shape": (60, 80), "reach": 5},
+        dict.fromkeys(("shape", "home", "opening", "drawing", "cover", "ground"), "1"), **SINGLE),
+    "synthetic.mixed_texture": Law(lambda u: {"shape": SHAPE, "rng": 0, "mean": u.grey0,
+        "std": 30.0 * u.grey, "scales": (0.8, 3.0)}, "grey @ grey0", **SINGLE),
+    "synthetic.parabolic_cylinder": Law(lambda u: {"shape": SHAPE, "height": 9.0 * u.um,
+        "width": 25.0}, "um"),
     "synthetic.paraboloid": Law(lambda u: {"shape": SHAPE, "height": 9.0 * u.um}, "um"),
-    "synthetic.render_circles": Law(
-        lambda u: {**pattern(u), "radius": 60.0 * u.um, "pitch": 200.0 * u.um}, "grey", **SINGLE
-    ),
-    "synthetic.render_squares": Law(
-        lambda u: {**pattern(u), "side": 110.0 * u.um}, "grey", **SINGLE
-    ),
-    "synthetic.sphere_on_plane": Law(
-        lambda u: {
-            "shape": SHAPE,
-            "radius": 30.0 * u.um,
-            "pixel_size": 4.0 * u.um,
-            "roughness": 1.5 * u.um,
-            "rng": 0,
-        },
-        "um",
-        within=1e-6,  # a root near zero at the edge of the ball
-    ),
+    "synthetic.render_circles": Law(lambda u: {**pattern(u), "radius": 60.0 * u.um,
+        "pitch": 200.0 * u.um}, "grey", **SINGLE),
+    "synthetic.render_squares": Law(lambda u: {**pattern(u), "side": 110.0 * u.um}, "grey",
+        **SINGLE),
+    "synthetic.sphere_on_plane": Law(lambda u: {"shape": SHAPE, "radius": 30.0 * u.um,
+        # a root near zero at the edge of the ball
+        "pixel_size": 4.0 * u.um, "roughness": 1.5 * u.um, "rng": 0}, "um", within=1e-6),
     "synthetic.step": Law(lambda u: {"shape": SHAPE, "height": -4.0 * u.um, "at": 0.3}, "um"),
-    "synthetic.texture_sequence": Law(
-        lambda u: {"positions": [[3.2, 8.9], [6.0, 1.4]], "rng": 0, "size": 9}, "1"
-    ),
-    "synthetic.tilted_plane": Law(
-        lambda u: {"shape": SHAPE, "rise_x": 0.3 * u.um, "rise_y": -0.8 * u.um}, "um"
-    ),
-    "synthetic.warped_pair": Law(
-        lambda u: {"rng": 0, "distance": 2.0, "warp": "homography", "size": 12}, WARPED
-    ),
-}
+    "synthetic.texture_sequence": Law(lambda u: {"positions": [[3.2, 8.9], [6.0, 1.4]], "rng": 0,
+        "size": 9}, "1"),
+    "synthetic.tilted_plane": Law(lambda u: {"shape": SHAPE, "rise_x": 0.3 * u.um,
+        "rise_y": -0.8 * u.um}, "um"),
+    "synthetic.warped_pair": Law(lambda u: {"rng": 0, "distance": 2.0, "warp": "homography",
+        "size": 12}, WARPED),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", LAWS)
