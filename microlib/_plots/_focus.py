@@ -19,8 +19,7 @@ def maps(found: Any, ax: Any = None) -> Any:
     depth = np.asarray(found.depth)
     rows, columns = depth.shape
     if ax is None:
-        height = 0.4 + 5 * rows / columns
-        axes = new_axes(2, 2, 5.5, height).ravel()
+        axes = new_axes(2, 2, 5.5, 0.4 + 5 * rows / columns).ravel()
         show_image(axes[0], found.all_in_focus)
         axes[0].set_title("all in focus")
         _map(axes[2], np.asarray(found.uncertainty), "magma", "uncertainty (µm)", logarithmic=True)

@@ -29,20 +29,13 @@ def path(table: pd.DataFrame, image: NDArray, ax: Any = None) -> Any:
     ]
     box = [[table[f"{name}_{axis}"].iloc[0] for name in (*names, names[0])] for axis in "xy"]
     ax.plot(*box, color=BESIDE)
-    last = table[["center_x", "center_y"]].astype(float).dropna().iloc[-1]
-    ax.plot(*last, "o", color=FOUND)
+    way = table[["center_x", "center_y"]].to_numpy(np.float64)
+    way = way[np.isfinite(way).all(axis=1)]
+    ax.plot(*way[-1], "o", color=FOUND)
     # What moves little is looked at from near.
-    way = table[["center_x", "center_y"]].astype(float)
-    size = np.ptp(box, axis=1)
-    for limits, low, high, end in zip(
-        ("set_xlim", "set_ylim"),
-        way.min() - 2 * size,
-        way.max() + 2 * size,
-        image.shape[1::-1],
-        strict=True,
-    ):
-        near = max(low, -0.5), min(high, end - 0.5)
-        getattr(ax, limits)(near if limits == "set_xlim" else near[::-1])
+    near, ends = 2 * np.ptp(box, axis=1), np.array(image.shape[1::-1]) - 0.5
+    low, high = np.maximum(way.min(axis=0) - near, -0.5), np.minimum(way.max(axis=0) + near, ends)
+    ax.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))
     lost = table["lost"].mean()
     ax.set_title(f"first frame, and the way; lost in {lost:.0%} of the frames")
     return ax.figure
