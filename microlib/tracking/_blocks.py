@@ -16,14 +16,8 @@ from microlib.tracking._geometry import TINY
 #: Information (nats) that chance gives a block that shows something else.
 _CHANCE = 0.25
 
-#: Largest correlation of a block, squared: what interpolation leaves of 1.
-_LARGEST_SQUARE = 0.9999
-
 #: Largest say of one block in the share of blocks that agree: its variance over that of the noise.
 _LARGEST_SAY = 50.0
-
-#: Share of a block's variance that its residual may have though the block agrees.
-_INTERPOLATED = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +81,8 @@ class Blocks:
         say = np.clip(self.gg / self.noise - 1, 0, _LARGEST_SAY) * self.seen
         texture = say.sum()
         weight = say / max(texture, TINY)
-        fine = self.rest <= 3 * self.noise + _INTERPOLATED * self.gg
+        # Interpolation leaves 2 % of a block's variance.
+        fine = self.rest <= 3 * self.noise + 0.02 * self.gg
         # About the one gain and bias of all blocks together.
         share = self.count / max(self.count.sum(), TINY)
         t, g = self.t - share @ self.t, self.g - share @ self.g
@@ -117,7 +112,7 @@ def compare(grey: Image, template: Image, share: Image, noise: float) -> Blocks:
         tt=tt,
         gg=gg,
         tg=tg,
-        square=np.where(tg > 0, np.minimum(tg * tg / (tt * gg), _LARGEST_SQUARE), 0.0),
+        square=np.where(tg > 0, np.minimum(tg * tg / (tt * gg), 0.9999), 0.0),
         noise=2.0 * noise**2,
     )
 

@@ -19,9 +19,6 @@ from microlib.tracking._sampling import cut_out, kept_noise, padding
 #: the template stays inside, nothing depends on it.
 _LEAST_VISIBLE = 0.25
 
-#: Most steps of a level: a converging one takes 1 to 6.
-_MOST_STEPS = 8
-
 
 def _nothing() -> Image:
     return np.empty((0, 0))
@@ -140,7 +137,7 @@ class Level:
         pose: Array,
         *,
         tolerance: float,
-        iterations: int = _MOST_STEPS,
+        iterations: int = 8,
         gain: float = 1.0,
     ) -> Alignment:
         """Minimize over warp, gain and bias until the corners move by less than `tolerance` px."""

@@ -76,11 +76,11 @@ class LitLevel(LocalLevel):
         self,
         image: Image,
         pose: Array,
-        *,
         noise: float,
         ceiling: float,
-        iterations: int,
-        tolerance: float,
+        *,
+        iterations: int = 9,
+        tolerance: float = 0.02,
     ) -> LitFit | None:
         """Align from a pose, or return None where too little of the template is seen."""
         n, unit = len(self.basis), noise * self.noise

@@ -13,13 +13,11 @@ from microlib._common import Array, Image
 from microlib.tracking._blocks import Blocks, compare
 from microlib.tracking._esm import Level, make_level
 from microlib.tracking._geometry import TINY, moved, torn
+from microlib.tracking._sampling import View
 
 #: Standard deviation (px of the finest level of the search) of the surroundings in which gain and
 #: bias count as constant. With twice as much no more is found; the glare asks for little.
 SURROUNDINGS = 3.5
-
-#: Least share of the template that an alignment must see.
-_LEAST_SHOWN = 0.15
 
 #: Where Tukey's biweight ends, in standard deviations: 95 % efficient for normal noise.
 TUKEY = 4.685
@@ -46,10 +44,13 @@ class LocalLevel(Level):
 
     Attributes
     ----------
+    halvings : int
+        How often the frame was halved.
     wide : tuple of ndarray
         Matrices that sum the surroundings in which the light is constant, down and across.
     """
 
+    halvings: int
     wide: tuple[Image, Image]
 
     def fit_light(self, grey: Image, share: Image, floor: float) -> LocalLight:
@@ -70,27 +71,25 @@ class LocalLevel(Level):
 
     def align_locally(
         self,
-        image: Image,
+        view: View,
         poses: ArrayLike,
         *,
-        noise: float,
-        ceiling: float,
-        iterations: int,
         tolerance: float,
+        iterations: int = 10,
     ) -> list[Array]:
-        """Return the poses, B×3×3, at which template and image agree best in local illumination.
+        """Return the poses, B×3×3, at which template and frame agree best in local illumination.
 
         All are aligned at once; those that diverge are left out.
         """
         poses = np.array(poses, np.float64).reshape(-1, 3, 3)
         first = corners = self.corners_of(poses)
-        scale = np.full((len(poses), 1, 1), 2 * noise * self.noise)
+        scale = np.full((len(poses), 1, 1), 2 * view.noise * self.noise)
         held, going = np.ones(len(poses), bool), np.arange(len(poses))
         for _ in range(iterations):
             if not going.size:
                 break
-            patches = self.patch(image, poses[going], ceiling)
-            step, scale[going], seen = self._step(*patches, scale[going], noise * self.noise)
+            patches = self.patch(view.layer(self.halvings), poses[going], view.ceiling)
+            step, scale[going], seen = self._step(*patches, scale[going], view.noise * self.noise)
             poses[going] = moved(poses[going], step, self.basis)
             after = self.corners_of(poses)
             held[going] = seen & ~torn(after[going], first[going])
@@ -117,15 +116,15 @@ class LocalLevel(Level):
         normal = (rows * weight) @ rows.transpose(0, 2, 1)
         right = (rows * weight) @ residual.transpose(0, 2, 1)
         diagonal = np.diagonal(normal, axis1=1, axis2=2)
-        seen = (share.mean(axis=(1, 2)) >= _LEAST_SHOWN) & (diagonal > 0).all(axis=1)
+        seen = (share.mean(axis=(1, 2)) >= 0.15) & (diagonal > 0).all(axis=1)
         ridge = TINY * diagonal.astype(np.float64) + ~seen[:, None]
         normal = normal + ridge[:, :, None] * np.eye(len(self.basis))
         return -np.linalg.solve(normal, right.astype(np.float64))[..., 0], scale, seen
 
-    def blocks(self, image: Image, pose: Array, noise: float, ceiling: float) -> Blocks:
-        """Compare the template with the image under poses, …×3×3, block by block."""
-        grey, _, share = self.patch(image, pose, ceiling)
-        return compare(grey, self.grey, share, noise * self.noise)
+    def blocks(self, view: View, pose: Array) -> Blocks:
+        """Compare the template with the frame under poses, …×3×3, block by block."""
+        grey, _, share = self.patch(view.layer(self.halvings), pose, view.ceiling)
+        return compare(grey, self.grey, share, view.noise * self.noise)
 
     def trust(self, grey: Image, share: Image, noise: float) -> Image:
         """Return how far each pixel of a patch looks like the template's, 0 to 1.
@@ -147,16 +146,22 @@ class LocalLevel(Level):
 
 
 def make_local(
-    image: Image, box: tuple[int, int, int, int], pose: Array, *, finest: int, **options: Any
+    image: Image,
+    box: tuple[int, int, int, int],
+    pose: Array,
+    *,
+    halvings: int,
+    finest: int,
+    **options: Any,
 ) -> LocalLevel:
     """Cut a template from a frame at one resolution, as `make_level` does with the same options.
 
     `finest` are the halvings of the finest level of the search, in whose px lengths are given.
     """
-    level = make_level(image, box, pose, **options)
-    sigma = SURROUNDINGS * 2.0 ** (finest - options["halvings"])
+    level = make_level(image, box, pose, halvings=halvings, **options)
+    sigma = SURROUNDINGS * 2.0 ** (finest - halvings)
     down, across = (_surroundings(side, sigma) for side in level.grey.shape)
-    return LocalLevel(**vars(level), wide=(down, across.T))
+    return LocalLevel(**vars(level), halvings=halvings, wide=(down, across.T))
 
 
 @lru_cache(maxsize=64)

@@ -9,36 +9,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array, Image
+from microlib.tracking._geometry import TINY
 
 #: Lagrange's interpolation half-way between six equidistant samples, exact for quintic polynomials.
-_HALF_SAMPLE = np.array([[3, -25, 150, 150, -25, 3]], np.float32) / 256
+HALF_SAMPLE = np.array([[3, -25, 150, 150, -25, 3]], np.float32) / 256
 
 #: Fourth-order central difference, and the pixels that it needs on either side.
 _DIFFERENCE, _MARGIN = np.array([[1, -8, 0, 8, -1]], np.float32) / 12, 2
-
-#: Radius of the Gaussian in standard deviations; 0.3 % of its weight lies beyond along either axis.
-#: The same results from 1 to 4.
-_TRUNCATION = 3
 
 #: OpenCV before version 5 rounds the places between pixels to 1/32 px. That costs nothing but at
 #: the last level, which is not smoothed: there it leaves 0.008 instead of 0.004 px.
 _ROUNDS = int(cv2.__version__.split(".")[0]) < 5
 
-#: Least depth of a point before a warp, of the depth of the template's middle.
-_LEAST_DEPTH = np.float32(1e-6)
-
 #: Second differences along both axes; white noise keeps its variance, and a plane, or an edge along
 #: an axis, vanishes (Immerkær 1996).
 _SECOND_DIFFERENCE = np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32) / 6
 
-#: Side (px) of the tiles, the share of them that is taken to show next to no texture, and what that
-#: quantile of their root mean squares is of white noise: simulated on 100 images of 180×180 px,
-#: 0.792 ± 0.001.
-_TILE, _FLATTEST, _QUANTILE_OF_WHITE = 8, 0.1, 0.792
-
-#: Pixels at the largest grey value from which on it counts as the sensor's limit, and how far below
-#: it (standard deviations of the noise) a pixel may have been cut off.
-_PLATEAU, _CUT = 25, 2.5
+#: Root mean square of the flattest tenth of tiles of 8 px, of white noise: simulated on 100 images
+#: of 180×180 px, 0.792 ± 0.001.
+_QUANTILE_OF_WHITE = 0.792
 
 
 class View:
@@ -78,15 +67,17 @@ def noise_of(image: Image) -> float:
     True
     """
     square = cv2.filter2D(image, -1, _SECOND_DIFFERENCE)[2:-2, 2:-2] ** 2
-    half = _TILE // 2
-    tiles = cv2.blur(square, (_TILE, _TILE))[half::_TILE, half::_TILE] if square.size else square
+    side = 8
+    tiles = cv2.blur(square, (side, side))[4::side, 4::side] if square.size else square
     if not tiles.size:
         return 0.0
-    return float(np.sqrt(max(np.quantile(tiles, _FLATTEST), 0.0))) / _QUANTILE_OF_WHITE
+    return float(np.sqrt(max(np.quantile(tiles, 1 / 10), 0.0))) / _QUANTILE_OF_WHITE
 
 
 def ceiling_of(image: Image, noise: float) -> float:
     """Return the grey value from which on pixels count as saturated; infinite if none is.
+
+    The sensor's limit is a largest value of 25 px or more; less noise may have been cut off there.
 
     Examples
     --------
@@ -98,8 +89,8 @@ def ceiling_of(image: Image, noise: float) -> float:
     inf
     """
     largest = float(image.max())
-    plateau = np.count_nonzero(image == largest) >= _PLATEAU
-    return largest - _CUT * noise if plateau else np.inf
+    plateau = np.count_nonzero(image == largest) >= 25
+    return largest - 2.5 * noise if plateau else np.inf
 
 
 def half_pixel(image: Image) -> Image:
@@ -112,15 +103,15 @@ def half_pixel(image: Image) -> Image:
     fine = np.empty((2 * image.shape[0], 2 * image.shape[1]), np.float32)
     rows = np.empty((image.shape[0], fine.shape[1]), np.float32)
     rows[:, ::2] = image
-    rows[:, 1::2] = cv2.filter2D(image, -1, _HALF_SAMPLE, anchor=(2, 0))
+    rows[:, 1::2] = cv2.filter2D(image, -1, HALF_SAMPLE, anchor=(2, 0))
     fine[::2] = rows
-    fine[1::2] = cv2.filter2D(rows, -1, _HALF_SAMPLE.T, anchor=(0, 2))
+    fine[1::2] = cv2.filter2D(rows, -1, HALF_SAMPLE.T, anchor=(0, 2))
     return fine
 
 
 def padding(smoothing: float) -> int:
-    """Return the margin of a patch: the Gaussian's radius and two pixels for the gradient."""
-    return int(np.ceil(_TRUNCATION * smoothing)) + _MARGIN
+    """Return the margin of a patch: three standard deviations, and two pixels for the gradient."""
+    return int(np.ceil(3 * smoothing)) + _MARGIN
 
 
 @lru_cache(maxsize=64)
@@ -153,7 +144,7 @@ def sample(
         Whether the image shows a pixel.
     """
     place = warps.astype(np.float32) @ _grid(*size)
-    place = place[..., :2, :] / np.maximum(place[..., 2:, :], _LEAST_DEPTH)
+    place = place[..., :2, :] / np.maximum(place[..., 2:, :], np.float32(TINY))
     last = np.array([[image.shape[1] - 1], [image.shape[0] - 1]], np.float32)
     inside = ((place >= 0) & (place <= last)).all(axis=-2)
     place = np.clip(place, 0, last)
@@ -201,8 +192,8 @@ def cut_out(
 @lru_cache(maxsize=64)
 def kept_noise(halvings: int, density: int, smoothing: float) -> float:
     """Return the standard deviation of unit white noise after halving, sampling and smoothing."""
-    noise = np.random.default_rng(0).standard_normal((64 << halvings, 64 << halvings))
-    layer: Image = noise.astype(np.float32)
+    side = 64 << halvings
+    layer: Image = np.random.default_rng(0).standard_normal((side, side)).astype(np.float32)
     for _ in range(halvings):
         layer = cv2.pyrDown(layer)
     # Half-way between the best and the worst phase of the interpolation.
@@ -211,4 +202,4 @@ def kept_noise(halvings: int, density: int, smoothing: float) -> float:
     layer = cv2.sepFilter2D(layer, -1, between, between)[::density, ::density]
     if smoothing:
         layer = cv2.GaussianBlur(layer, (0, 0), smoothing)
-    return float(layer[8:-8, 8:-8].std())
+    return float(layer[4:-4, 4:-4].std())

@@ -21,16 +21,10 @@ from microlib.tracking._light import LitFit, LitLevel, make_lit
 from microlib.tracking._local import LocalLevel, make_local
 from microlib.tracking._sampling import View, half_pixel
 from microlib.tracking._settings import Settings
-from microlib.tracking._starts import Flow, PointFlow, best_matches, distortions
+from microlib.tracking._starts import PointFlow, best_matches, distortions
 
 #: Standard deviation (px) of the smoothing of the last levels.
 _SHARP = 0.6
-
-#: Steps at half and at a quarter of the resolution.
-_STEPS, _FAR_STEPS = 15, 10
-
-#: Distance (px) of the corners beyond which a pose is another one, and no error of the same.
-_OTHER = 3.0
 
 #: Margin (px) around the template in which it is aligned at half pixels.
 _MARGIN = 8.0
@@ -94,9 +88,8 @@ class RobustSearch:
         halvings = [self._finest]
         while len(halvings) < 3 and min(width, height) >= 12 << (halvings[-1] + 1):
             halvings.append(halvings[-1] + 1)
-        self._half, self._quarter = halvings[min(1, len(halvings) - 1)], halvings[-1]
-        coarse = {k: cut(view.layer(k), halvings=k, smoothing=1.0) for k in halvings}
-        self._coarse, self._coarsest = coarse[self._half], coarse[self._quarter]
+        coarse = [cut(view.layer(k), halvings=k, smoothing=1.0) for k in halvings]
+        self._coarse, self._coarsest = coarse[min(1, len(coarse) - 1)], coarse[-1]
         self._wide: list[LocalLevel] = []
         self._sharp: list[LocalLevel] = []
         self._lit: list[LitLevel] = []
@@ -104,27 +97,24 @@ class RobustSearch:
             image = cv2.GaussianBlur(fine, (0, 0), blur) if blur else fine
             self._wide.append(cut(image, halvings=self._finest, smoothing=1.0))
             self._sharp.append(cut(image, halvings=self._finest, smoothing=_SHARP))
-            lit, blurrier = (
+            sharp, blurred = (
                 cut(half_pixel(one), halvings=self._finest, smoothing=_SHARP, density=2)
                 for one in (image, cv2.GaussianBlur(image, (0, 0), 0.8))
             )
-            self._lit.append(make_lit(lit, blurrier, settings.knots))
+            self._lit.append(make_lit(sharp, blurred, settings.knots))
         self._corners = self._coarse.corners
         reach = max(width, height) >> self._finest
         self._points = PointFlow(self._wide[0], fine, pose, reach)
         self._distortions = distortions(self._corners, motion, settings.distortion)
 
-    def follow(self, view: View, pose: Array) -> Flow:
-        """Return where the points of the template flow to from a pose."""
-        return self._points.follow(view.layer(self._finest), pose)
-
     def flowing(self, view: View, pose: Array) -> list[Array]:
-        """Return the poses to which most points of the template flow."""
-        return self.follow(view, pose).poses if self._settings.points else []
+        """Return the poses to which most points of the template flow, at most two."""
+        image = view.layer(self._finest)
+        return self._points.poses(image, pose) if self._settings.points else []
 
     def places(self, view: View, pose: Array) -> list[Array]:
         """Return the pose shifted to where the template correlates best in the view."""
-        layer = view.layer(self._quarter)
+        layer = view.layer(self._coarsest.halvings)
         return best_matches(self._coarsest, layer, pose, self._settings.places)
 
     def far_starts(self, view: View, pose: Array) -> list[Array]:
@@ -134,7 +124,7 @@ class RobustSearch:
         followed from the best one.
         """
         starts = [pose @ warp for warp in self._distortions] + self.places(view, pose)
-        begun = self._aligned(view, self._coarsest, self._quarter, starts, _FAR_STEPS)
+        begun = self._aligned(view, self._coarsest, starts, 10)
         best = [one.pose for one in self._different(begun)[: self._settings.far]]
         return best + [pose for start in best[:1] for pose in self.flowing(view, start)[:1]]
 
@@ -155,13 +145,13 @@ class RobustSearch:
             Whether they are far from it.
         """
         settings = self._settings
-        begun = self._aligned(view, self._coarse, self._half, starts, _STEPS)
+        begun = self._aligned(view, self._coarse, starts, 15)
         begun += self._judged(view, self._wide[0], starts)
         hopeful = self._different(begun)[: settings.hopeful]
         if not hopeful or hopeful[0].score < settings.hopeless:
             return None
         least = settings.rivaling * hopeful[0].score
-        hopeful = [self._blurred(view, one) for one in hopeful if one.score >= least]
+        hopeful = self._blurred(view, [one for one in hopeful if one.score >= least])
         ended = [
             end
             for blur in {one.blur for one in hopeful}
@@ -176,7 +166,7 @@ class RobustSearch:
             fit=best.fit,
             score=best.score,
             rival=others[0].score if others else 0.0,
-            support=self.follow(view, best.pose).support(best.pose),
+            support=self._points.support(view.layer(self._finest), best.pose),
             area=abs(float(np.log(max(float(area(corners[0]) / area(corners[1])), TINY)))),
             far=far,
         )
@@ -188,39 +178,20 @@ class RobustSearch:
         if min(near.shape) < _MARGIN:
             return None
         offset = first * self._scale
-        fit = self._lit[blur].align_lit(
-            half_pixel(near),
-            shifted(pose, -offset),
-            noise=view.noise,
-            ceiling=view.ceiling,
-            iterations=6,
-            tolerance=0.02,
-        )
+        start = shifted(pose, -offset)
+        fit = self._lit[blur].align_lit(half_pixel(near), start, view.noise, view.ceiling)
         return None if fit is None else replace(fit, pose=shifted(fit.pose, offset))
 
     def covariance(self, fit: LitFit) -> Array:
         """Return the covariance of the corners (8: x, y of each), px² of the frame."""
-        level = self._lit[0]
-        return corner_covariance(level, fit, fit.slope, level.noise**2, self._settings.unmodeled)
+        level, unmodeled = self._lit[0], self._settings.unmodeled * (1 + fit.hidden.mean())
+        return corner_covariance(level, fit, fit.slope, level.noise**2, unmodeled)
 
     def _aligned(
-        self,
-        view: View,
-        level: LocalLevel,
-        halvings: int,
-        starts: Sequence[Array],
-        steps: int,
-        tolerance: float = 0.15,
+        self, view: View, level: LocalLevel, starts: Sequence[Array], steps: int
     ) -> list[Candidate]:
         """Return starts aligned in local illumination, judged at the finest level."""
-        poses = level.align_locally(
-            view.layer(halvings),
-            starts,
-            noise=view.noise,
-            ceiling=view.ceiling,
-            iterations=steps,
-            tolerance=tolerance,
-        )
+        poses = level.align_locally(view, starts, iterations=steps, tolerance=0.15)
         return self._judged(view, self._wide[0], poses)
 
     def _judged(
@@ -228,46 +199,37 @@ class RobustSearch:
     ) -> list[Candidate]:
         if not len(poses):
             return []
-        image = view.layer(self._finest)
-        scores = level.blocks(image, np.array(poses), view.noise, view.ceiling).score()
+        scores = level.blocks(view, np.array(poses)).score()
         return [
             Candidate(pose, float(score), blur) for pose, score in zip(poses, scores, strict=True)
         ]
 
     def _different(self, candidates: list[Candidate]) -> list[Candidate]:
-        """Return the candidates, best first, that are not the same as a better one."""
+        """Return the candidates, best first, that are more than 3 px from each better one."""
         found: list[Candidate] = []
         corners = np.empty((0, 4, 2))
         for one in sorted(candidates, key=lambda one: -one.score):
             own = apply_homography(one.pose, self._corners)
-            if (np.abs(corners - own).max(axis=(1, 2)) > _OTHER * self._scale).all():
+            if (np.abs(corners - own).max(axis=(1, 2)) > 3 * self._scale).all():
                 found.append(one)
                 corners = np.concatenate([corners, own[None]])
         return found
 
-    def _blurred(self, view: View, one: Candidate) -> Candidate:
-        """Return the pose with the blur of which the blocks say most."""
-        tried = [
-            self._judged(view, level, [one.pose], blur)[0]
-            for blur, level in enumerate(self._wide)
-            if blur
-        ]
-        best = max(tried, key=_score, default=one)
+    def _blurred(self, view: View, starts: list[Candidate]) -> list[Candidate]:
+        """Return each start with the blur of which the blocks say most."""
         factor, nats = self._settings.blurred
-        return best if best.score > factor * one.score + nats else one
+        poses, found = [one.pose for one in starts], list(starts)
+        for blur, level in enumerate(self._wide[1:], 1):
+            for k, one in enumerate(self._judged(view, level, poses, blur)):
+                if one.score > max(factor * starts[k].score + nats, found[k].score):
+                    found[k] = one
+        return found
 
     def _finished(self, view: View, blur: int, starts: Sequence[Array]) -> list[Candidate]:
         """Return starts of one blur aligned to the end: locally, and in smooth light."""
         poses = starts
         for level, tolerance in ((self._wide[blur], 0.1), (self._sharp[blur], 0.03)):
-            poses = level.align_locally(
-                view.layer(self._finest),
-                poses,
-                noise=view.noise,
-                ceiling=view.ceiling,
-                iterations=10,
-                tolerance=tolerance,
-            )
+            poses = level.align_locally(view, poses, tolerance=tolerance)
         ended = []
         # A blur may leave less to align than the start had: then that is the better one.
         for pose in [*poses, *(starts if blur else [])]:
@@ -275,7 +237,3 @@ class RobustSearch:
             if fit is not None:
                 ended.append(Candidate(fit.pose, float(fit.blocks.score()), blur, fit))
         return ended
-
-
-def _score(one: Candidate) -> float:
-    return one.score

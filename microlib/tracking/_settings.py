@@ -59,8 +59,9 @@ class Settings:
     points : bool
         Whether the points of the template are followed: "Variants".
     unmodeled : float
-        What the covariance of a fit in smooth light is short of, as a factor: hidden parts whose
-        border counts a little, and a blur between those tried.
+        What the covariance of a fit in smooth light is short of, as a factor, where nothing is
+        hidden: a blur between those tried. Where all is hidden it is twice as much, since the
+        border of hidden parts counts a little.
     """
 
     smoothing: float = 1.25

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -15,62 +12,11 @@ from microlib.tracking._esm import Level
 from microlib.tracking._geometry import TINY, apply_homography, shifted
 from microlib.tracking._sampling import padding, sample
 
-#: Standard deviation (px) of the surroundings whose contrast is made one before points are
-#: followed, their contrast in the template's that is noise, and grey levels of one such contrast.
-_SURROUNDINGS, _FAINT, _LEVELS = 4.0, 0.1, 40.0
+#: Px between the points, and their error (px).
+_EVERY, _ERROR = 5, 1.5
 
-#: Side (px) of the window about a point, px between points, and their error (px).
-_WINDOW, _EVERY, _ERROR = 15, 5, 1.5
-
-#: Fewest points that make a motion, how many motions are looked for, and most samples for each.
-_FEWEST, _MOTIONS, _TRIALS = 8, 2, 200
-
-
-@dataclass(frozen=True, eq=False)
-class Flow:
-    """Where the template's points went that were followed from a pose.
-
-    Attributes
-    ----------
-    points : ndarray, shape (N, 2)
-        In normalized coordinates of the template.
-    targets : ndarray, shape (N, 2)
-        Px of the frame; infinite for a point that was lost.
-    pose : ndarray, shape (3, 3)
-        From which they were followed.
-    error : float
-        Of a target, px.
-    unknowns : int
-        Of the motion.
-    """
-
-    points: Array
-    targets: Array
-    pose: Array
-    error: float
-    unknowns: int
-
-    def support(self, pose: Array) -> float:
-        """Return the share of the points that went where a pose takes them."""
-        if not len(self.points):
-            return 0.0
-        off = np.abs(apply_homography(pose, self.points) - self.targets).max(axis=1)
-        return float((off < 2 * self.error).mean())
-
-    @cached_property
-    def poses(self) -> list[Array]:
-        """Poses that most points agree in, the first one above all."""
-        known = np.isfinite(self.targets).all(axis=1)
-        here = apply_homography(self.pose, self.points)[known].astype(np.float32)
-        there = self.targets[known].astype(np.float32)
-        found: list[Array] = []
-        while len(found) < _MOTIONS and len(here) >= _FEWEST:
-            motion, agree = _agreed(here, there, self.unknowns, self.error)
-            if motion is None or agree.sum() < _FEWEST:
-                break
-            found.append(motion @ self.pose)
-            here, there = here[~agree], there[~agree]
-        return found
+#: Fewest points that make a motion.
+_FEWEST = 8
 
 
 class PointFlow:
@@ -86,28 +32,43 @@ class PointFlow:
         )
         place = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
         self._points = place.astype(np.float32)
+        self._error = _ERROR / level.to_image[0, 0]
         self._template = self._contrasts(image, pose)
 
-    def follow(self, image: Image, pose: Array) -> Flow:
-        """Follow the points from a pose."""
+    def support(self, image: Image, pose: Array) -> float:
+        """Return the share of the points that stay when they are followed from a pose."""
+        here, there = self._followed(image, pose)
+        return float((np.abs(there - here).max(axis=1) < 2 * self._error).sum() / max(len(here), 1))
+
+    def poses(self, image: Image, pose: Array) -> list[Array]:
+        """Return the two poses that most points agree in when they are followed from a pose."""
+        here, there = self._followed(image, pose)
+        known = np.isfinite(there).all(axis=1)
+        here, there = here[known].astype(np.float32), there[known].astype(np.float32)
+        found: list[Array] = []
+        while len(found) < 2 and len(here) >= _FEWEST:
+            motion, agree = _agreed(here, there, len(self._level.basis), self._error)
+            if motion is None or agree.sum() < _FEWEST:
+                break
+            found.append(motion @ pose)
+            here, there = here[~agree], there[~agree]
+        return found
+
+    def _followed(self, image: Image, pose: Array) -> tuple[Array, Array]:
+        """Return the points under a pose, and where they go, infinite where they are lost."""
         after, ok, _ = cv2.calcOpticalFlowPyrLK(  # type: ignore[call-overload]
             self._template,
             self._contrasts(image, pose),
             self._points + np.float32(self._reach),
             None,
-            winSize=(_WINDOW, _WINDOW),
+            winSize=(15, 15),
             maxLevel=int(np.ceil(np.log2(max(2, self._reach / 8)))),
         )
-        to_template = self._level.to_template.copy()
-        to_template[:2, 2] += to_template[0, 0] * padding(self._level.smoothing)
-        seen = apply_homography(pose @ to_template, after - np.float32(self._reach))
-        return Flow(
-            points=apply_homography(to_template, self._points),
-            targets=np.where(ok > 0, seen, np.inf),
-            pose=pose,
-            error=_ERROR / self._level.to_image[0, 0],
-            unknowns=len(self._level.basis),
-        )
+        to_frame = self._level.to_template.copy()
+        to_frame[:2, 2] += to_frame[0, 0] * padding(self._level.smoothing)
+        to_frame = pose @ to_frame
+        there = apply_homography(to_frame, after - np.float32(self._reach))
+        return apply_homography(to_frame, self._points), np.where(ok > 0, there, np.inf)
 
     def _contrasts(self, image: Image, pose: Array) -> Image:
         """Return the image under a pose and the reach about it, in local contrast, 8 bits."""
@@ -117,10 +78,11 @@ class PointFlow:
         rows, columns = level.grey.shape
         warp = level.to_image @ pose @ level.to_template @ begin
         seen, _ = sample(image, warp, (columns + 2 * reach, rows + 2 * reach))
-        off = seen - cv2.GaussianBlur(seen, (0, 0), _SURROUNDINGS)
-        faint = (_FAINT * max(level.contrast, 1e-6)) ** 2
-        size = np.sqrt(cv2.GaussianBlur(off * off, (0, 0), _SURROUNDINGS) + faint)
-        return np.clip(128 + _LEVELS * off / size, 0, 255).astype(np.uint8)
+        off = seen - cv2.GaussianBlur(seen, (0, 0), 4)
+        # A tenth of the template's contrast is noise; the usual contrast is 40 of 255 levels.
+        faint = max(level.contrast / 10, TINY) ** 2
+        size = np.sqrt(cv2.GaussianBlur(off * off, (0, 0), 4) + faint)
+        return np.clip(128 + 40 * off / size, 0, 255).astype(np.uint8)
 
 
 def _agreed(
@@ -133,12 +95,10 @@ def _agreed(
         agree = near[near.sum(axis=1).argmax()]
         return shifted(np.eye(3), moves[agree].mean(axis=0)), agree
     if n == 6:
-        part, inliers = cv2.estimateAffine2D(
-            here, there, ransacReprojThreshold=error, maxIters=_TRIALS
-        )
+        part, inliers = cv2.estimateAffine2D(here, there, ransacReprojThreshold=error, maxIters=200)
         motion = None if part is None else np.vstack([part, [0.0, 0, 1]])
     else:
-        motion, inliers = cv2.findHomography(here, there, cv2.RANSAC, error, maxIters=_TRIALS)
+        motion, inliers = cv2.findHomography(here, there, cv2.RANSAC, error, maxIters=200)
     return motion, np.asarray(inliers).ravel() > 0
 
 
