@@ -86,4 +86,4 @@ class Settings:
     blurred: tuple[float, float] = (1.1, 1.0)
     knots: int = 5
     points: bool = True
-    unmodeled: float = 1.3
+    unmodeled: float = 1.5

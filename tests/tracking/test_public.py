@@ -1,0 +1,186 @@
+"""The laws of every public name of tracking."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from microlib.synthetic import camera_frame, mixed_texture
+from microlib.tracking import ESMTracker, KalmanFilter, Track
+from microlib.tracking._covariance import sandwich
+from microlib.tracking._light import _tukey_slope
+from microlib.tracking._local import tukey
+from tests import fuzz
+from tests.laws import VIEWS, Law, hold, hold_sigma
+
+BOX = (38, 26, 52, 41)
+CORNERS = np.array([[38.0, 26], [89, 26], [89, 66], [38, 66]])
+#: Of 28 grey levels, so that the scale in which the tracker computes changes with the unit.
+SCENE = mixed_texture((110, 140), np.random.default_rng(4), scales=(2.0, 5.0), mean=0.0, std=28.0)
+BY, GAIN = np.array([2.6, -1.8]), 0.8
+MOVED = GAIN * ndimage.shift(SCENE, BY[::-1], order=5, mode="mirror") + 30
+NOISE = np.random.default_rng(5).normal(0, 0.3, (2, 110, 140))
+
+
+def frames(u) -> list:
+    """Return a picture and the same moved, in other light, in grey levels from another black."""
+    return [u.grey * (SCENE + NOISE[0]), u.grey * (MOVED + NOISE[1])]
+
+
+def filters(u) -> dict:
+    return {
+        "position": np.array([u.x0, u.y0]),
+        "interval": 0.04 * u.s,
+        "acceleration": 300.0 * u.px / u.s**2,
+        "noise": 0.2 * u.px,
+    }
+
+
+def used(u) -> KalmanFilter:
+    """Return a filter that has seen two frames."""
+    kalman = KalmanFilter(**filters(u))
+    for k in (1, 2):
+        kalman.predict()
+        kalman.update(np.array([u.x0, u.y0]) + k * np.array([3.0, -2.0]) * u.px)
+    return kalman
+
+
+def steps(kalman, position=None) -> tuple:
+    expected = kalman.predict()
+    if position is not None:
+        kalman.update(position)
+    return expected, kalman.position, kalman.velocity, kalman.covariance
+
+
+LIGHT = dict.fromkeys(("confidence", "correlation", "gain", "visible", "center", "corners"), "1")
+TRACK = LIGHT | {
+    **dict.fromkeys(("lost", "reason", "iterations"), "="),
+    **dict.fromkeys(("covariance", "corner_covariance", "homography", "hidden"), "1"),
+    "bias": "grey",
+}
+COLUMNS = {
+    column: next(unit for field, unit in TRACK.items() if column.startswith(field))
+    for column in Track(**fuzz.TRACK).to_dict()
+}
+STATE = (("px @ [x0, y0]",) * 2) + ("px/s", "outer([px, px/s], [px, px/s])")
+#: The power of two by which grey levels are multiplied is another one: single precision, and the
+#: last step of an iteration that ends at 0.05 px.
+SINGLE = 2e-3
+
+LAWS = {
+    "tracking.ESMTracker": Law(
+        lambda u: {"image": frames(u)[0], "box": BOX, "motion": "affine"},
+        {},
+        call=lambda **given: ESMTracker(**given).track(given["image"]).corners,
+    ),
+    "tracking.ESMTracker.track": Law(
+        lambda u: {"self": ESMTracker(frames(u)[0], BOX, "affine"), "frame": frames(u)[1]},
+        TRACK,
+        within=SINGLE,
+        again=False,
+    ),
+    "tracking.KalmanFilter": Law(
+        filters,
+        {"position": "px @ [x0, y0]", "velocity": "px/s", "covariance": STATE[3]},
+    ),
+    "tracking.KalmanFilter.predict": Law(
+        lambda u: {"kalman": used(u)}, STATE, again=False, call=steps
+    ),
+    "tracking.KalmanFilter.update": Law(
+        lambda u: {"kalman": used(u), "position": np.array([u.x0 + 8.7 * u.px, u.y0 - 6.2 * u.px])},
+        STATE,
+        again=False,
+        call=steps,
+    ),
+    "tracking.Track": "a record: its fields' units are those of ESMTracker.track",
+    "tracking.Track.to_layers": "napari's layers: tests/test_others.py",
+    "tracking.track_all": Law(
+        lambda u: {"frames": frames(u), "box": BOX, "motion": "affine", "rate": 25.0 / u.s},
+        COLUMNS | {"time_s": "s"},
+        within=SINGLE,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_outputs_follow_units_and_origins(name):
+    hold(name, LAWS[name])
+
+
+@pytest.mark.parametrize("grey", [1e-3 / 255, 1.0, 257.0])
+def test_gain_and_bias_take_the_template_to_the_frame(grey):
+    track = ESMTracker(SCENE * grey, BOX, "translation").track((GAIN * SCENE + 30) * grey)
+    # Single precision, and what the end of the iteration at 0.05 px leaves.
+    assert track.gain == pytest.approx(GAIN, abs=2e-3)
+    assert track.bias == pytest.approx(30 * grey, abs=0.1 * grey)
+
+
+@pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
+def test_a_view_of_the_frames_is_tracked_alike(view):
+    one, other = SCENE + NOISE[0], MOVED + NOISE[1]
+    first = ESMTracker(one, BOX, "affine").track(other)
+    box = view.box(BOX, SCENE.shape)
+    seen = ESMTracker(view.image(one), box, "affine").track(view.image(other))
+    # In another order of summation the iteration may end a step earlier: 0.05² px.
+    np.testing.assert_allclose(
+        seen.center, view.points(first.center[None], SCENE.shape)[0], atol=2.5e-3
+    )
+    np.testing.assert_allclose(seen.covariance, view.covariance(first.covariance), rtol=0.05)
+    moved = view.points(first.corners, SCENE.shape)
+    at = np.linalg.norm(seen.corners[:, None] - moved, axis=2)
+    assert at.min(axis=0).max() < 5e-3
+    assert (seen.gain, seen.bias) == pytest.approx((first.gain, first.bias), rel=1e-3)
+
+
+def test_frames_that_are_cropped_alike_give_the_same_elsewhere():
+    one, other = SCENE + NOISE[0], MOVED + NOISE[1]
+    whole = ESMTracker(one, BOX).track(other)
+    part = ESMTracker(one[5:, 12:], (BOX[0] - 12, BOX[1] - 5, *BOX[2:])).track(other[5:, 12:])
+    np.testing.assert_allclose(part.corners, whole.corners - [12, 5], atol=5e-3)
+
+
+def test_a_tracker_that_lost_its_template_follows_it_like_a_new_one():
+    one, other = SCENE + NOISE[0], MOVED + NOISE[1]
+    tracker = ESMTracker(one, BOX, "affine")
+    assert tracker.track(np.random.default_rng(0).normal(0, 28, one.shape)).lost
+    new = ESMTracker(one, BOX, "affine").track(other)
+    for _ in range(2):  # anywhere in the frame, and then from where it was
+        again = tracker.track(other)
+        np.testing.assert_allclose(again.corners, new.corners, atol=0.05)
+    np.testing.assert_allclose(again.covariance, new.covariance, rtol=0.2)
+
+
+@pytest.mark.parametrize("side", [14, 30])
+def test_the_covariance_of_a_robust_fit_is_that_of_its_errors(side):
+    """With a Tukey weight that ends at 2 σ, which leaves 40 % of the slope."""
+    rng, scale = np.random.default_rng(side), 2 / 4.685
+    v, u = np.mgrid[:side, :side] / 5.0
+    design = np.stack([np.sin(3 * u + v), np.cos(2 * v), np.ones((side, side))]).reshape(3, -1)
+    fits, stated = [], []
+    for _ in range(250):
+        noise, fit = rng.standard_normal(side * side), np.zeros(3)
+        for _ in range(12):
+            weight = tukey(noise - fit @ design, scale)
+            fit = np.linalg.solve((design * weight) @ design.T, (design * weight) @ noise)
+        residual = noise - fit @ design
+        weight = tukey(residual, scale)
+        slope = _tukey_slope(weight, residual, scale)
+        fits.append(fit[:2])
+        stated.append(sandwich(design, residual, weight, slope, (1, 1), (side, side), 2))
+    hold_sigma(fits, np.array(stated))
+
+
+@pytest.mark.parametrize("fineness", [1.0, 2.0])
+def test_a_translation_is_as_uncertain_as_it_says(fineness):
+    off, covariance = [], []
+    for seed in range(52):
+        rng = np.random.default_rng(seed)
+        scene = mixed_texture((110, 140), rng, scales=fineness, std=40.0)
+        by = rng.uniform(-3, 3, 2)
+        second = ndimage.shift(scene, by[::-1], order=5, mode="mirror")
+        tracker = ESMTracker(camera_frame(scene, rng, noise=2.0), BOX, "translation")
+        track = tracker.track(camera_frame(second, rng, noise=2.0))
+        off.append(track.center - CORNERS.mean(axis=0) - by)
+        covariance.append(track.covariance)
+    hold_sigma(off, np.array(covariance))
