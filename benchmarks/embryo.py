@@ -6,8 +6,8 @@ Run as ``python -m benchmarks.embryo``.
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from time import process_time
-from unittest.mock import patch
 
 import cv2
 import numpy as np
@@ -19,72 +19,26 @@ from statsmodels.nonparametric.smoothers_lowess import lowess
 from benchmarks.photographs import without_embryo
 from benchmarks.report import must_hold, paired_times, publish
 from compendium.experiments.section_5_6 import thesis_dimple
-from microlib.embryo import (
-    _boundary,
-    _dimple,
-    _probe,
-    _wall,
-    extract_boundary,
-    loess,
-    modulus_from_image,
-)
+from microlib.embryo import extract_boundary, fit_dimple, loess, modulus_from_image
+from microlib.embryo._boundary import Settings, find_boundary
 from microlib.membrane import SmallSlopeWarning, elastic_modulus, modulus_std
 from microlib.synthetic import Embryo, embryo_image
 
 EMBRYOS = 100
-CHOICES_TITLE = "Other values of the constants (9 embryos, three of them with other noise or blur)"
-#: Constants of the chain, each with other values than the library's.
-CHOICES = [
-    (_probe, "_TOP_ROWS", (8, 32)),
-    (_probe, "_DARK", (0.5, 0.85)),
-    (_probe, "_NARROWEST", (2.0, 8.0)),
-    (_probe, "_WIDEST", (0.05, 0.2)),
-    (_probe, "_PROBE_BLUR", (0.5, 2.0)),
-    (_probe, "_BODY_LEVEL", (0.25, 0.55)),
-    (_probe, "_ODD_WIDTH", (0.2, 0.6)),
-    (_probe, "_UPPER_PART", (0.5, 0.85)),
-    (_probe, "_FIRST_ROW", (0, 6)),
-    (_probe, "_GROUND_WIDTH", (4.0, 10.0)),
-    (_probe, "_GROUND_SAMPLES", (3, 12)),
-    (_probe, "_STEP", (0.125, 0.5)),
-    (_probe, "_OUTLIER", (2.0, 5.0)),
-    (_probe, "_TIP_REACH", (5.0, 14.0)),
-    (_probe, "_TIP_COLUMNS", (3, 15)),
-    (_probe, "_EMBRYO_SAMPLES", (6, 20)),
-    (_boundary, "_BLUR_REACH", (2.0, 4.5)),
-    (_boundary, "_EDGE_BLUR", (1.0, 2.0)),
-    (_boundary, "_DARK_AND_BRIGHT", ((0.2, 99.8), (5, 95))),
-    (_boundary, "_ABOVE_NOISE", (2.5, 6.0)),
-    (_boundary, "_ABOVE_LIGHT", (0.08, 0.3)),
-    (_boundary, "_HYSTERESIS", (1.3, 3.0)),
-    (_boundary, "_SHORTEST_EDGE", (10, 80)),
-    (_boundary, "_STEEPEST", (3, 12)),
-    (_boundary, "_SHORTEST_SIDE", (10, 40)),
-    (_boundary, "_PROFILE", (np.arange(-4.0, 4.01, 0.5), np.arange(-7.0, 7.01, 0.5))),
-    (_boundary, "_SMOOTHING", (7, 17)),
-    (_boundary, "_LARGEST_STD", (4.0, 10.0)),
-    (_wall, "_REACH", (1.8, 3.5)),
-    (_wall, "_WIDTHS", ((0.4, 5.0), (0.8, 2.2))),
-    (_wall, "_WIDTH_TOLERANCE", (0.001, 0.1)),
-    (_wall, "_USUAL_WIDTH", (0.8, 1.6)),
-    (_wall, "_SEARCH_STEP", (0.1, 0.5)),
-    (_wall, "_ITERATIONS", (3, 10)),
-    (_wall, "_LONGEST_STEP", (0.25, 1.0)),
-    (_wall, "_EVERY", (1, 8)),
-    (_wall, "_LEAST_SAMPLES", (5, 10)),
-    (_wall, "_DAMPING", (1e-11, 1e-6)),
-    (_dimple, "_BEYOND_RIM", (1.15, 1.6)),
-    (_dimple, "_OUTLIER", (3.0, 6.0)),
-    (_dimple, "_RIM_WINDOW", (5, 17)),
-    (_dimple, "_START_CURVATURE", (0.1, 0.9)),
-    (_dimple, "_LEAST_RADIUS", (1.001, 1.1)),
-    (_dimple, "_LEAST_ROOT", (0.01, 0.2)),
-    (_dimple, "_STEEPEST_TILT", (0.1, 0.6)),
-    (_dimple, "_LARGEST_MISFIT", (0.03, 0.3)),
-    (_dimple, "_MOST_LEFT_OUT", (0.05, 0.4)),
-    (_dimple, "_TIP_OFF", (0.1, 0.6)),
-    (_dimple, "_TIP_OFF_PIXELS", (0.7, 4.0)),
-]
+CHOICES_TITLE = "Other settings (9 embryos, three of them with other noise or blur)"
+#: Settings of the stages from image to outline, each with other values than the library's.
+CHOICES = {
+    "blur_reach": (2.0, 4.5),
+    "edge_blur": (1.0, 2.0),
+    "profile_reach": (4.0, 7.0),
+    "smoothing": (7, 17),
+    "largest_std": (4.0, 10.0),
+    "reach": (1.8, 3.5),
+    "usual_width": (0.8, 1.6),
+    "search_step": (0.1, 0.5),
+    "iterations": (3, 10),
+    "every": (1, 8),
+}
 MEMBRANE = {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
 
 
@@ -261,45 +215,40 @@ def small_scenes() -> list:
 
 
 def choices(scenes: list) -> pd.DataFrame:
-    """What other values of the chain's constants do to E, beside what E is sure of."""
+    """What other settings of the chain do to E, beside what E is sure of."""
 
-    def measure() -> np.ndarray:
+    def measure(settings: Settings) -> np.ndarray:
         found = []
         for scene in scenes:
             try:
-                estimate = modulus_from_image(
-                    scene.image, scene.embryo.force, pixel_size=scene.pixel_size, **MEMBRANE
-                )
-                found.append((np.log(estimate.modulus), estimate.relative_std))
+                boundary = find_boundary(scene.image, "auto", True, settings)
+                dimple = fit_dimple(boundary, pixel_size=scene.pixel_size, probe_half_width=25.0)
+                sizes = (dimple.dimple_radius, dimple.dimple_depth)
+                values = dict(zip(("dimple_radius", "dimple_depth"), sizes, strict=True))
+                values |= {"force": scene.embryo.force, **MEMBRANE}
+                modulus = float(elastic_modulus(**values))
+                std = modulus_std(values, {}, dimple_covariance=dimple.covariance)
+                found.append((np.log(modulus), std / modulus))
             except ValueError:
                 found.append((np.nan, np.nan))
         return np.array(found).T
 
-    usual, stds = measure()
+    usual, stds = measure(Settings())
     rows = []
-    for module, name, others in CHOICES:
-        changes = []
-        for value in others:
-            with patch.object(module, name, value):
-                changes.append(np.abs(measure()[0] - usual))
+    for name, others in CHOICES.items():
+        found = [measure(replace(Settings(), **{name: value}))[0] for value in others]
+        changes = np.abs(found - usual)
         rows.append(
             {
-                "constant": f"{module.__name__.rsplit('.', 1)[1]}.{name}",
-                "value": shown(getattr(module, name)),
-                "instead": " or ".join(map(shown, others)),
-                "refused, at most": max(int(np.isnan(change).sum()) for change in changes),
+                "setting": name,
+                "value": f"{getattr(Settings(), name):g}",
+                "instead": " or ".join(f"{value:g}" for value in others),
+                "refused, at most": int(np.isnan(changes).sum(axis=1).max()),
                 "largest change of E (%)": 100 * np.nanmax(changes),
                 "in its own deviations": np.nanmax(changes / stds),
             }
         )
     return pd.DataFrame(rows).round(2)
-
-
-def shown(value: object) -> str:
-    """A number, a pair, or the ends and the step of a range."""
-    if isinstance(value, np.ndarray):
-        return f"{value[0]:g} to {value[-1]:g} by {value[1] - value[0]:g}"
-    return " and ".join(f"{v:g}" for v in np.atleast_1d(value))
 
 
 def smoothers() -> pd.DataFrame:

@@ -22,7 +22,7 @@ LARGEST, LEAST = 1e60, 1e-60
 #: Grey levels are squared, summed and multiplied in single precision; 32-bit levels lie below.
 LARGEST_GREY = 1e10
 #: What is measured under a light microscope lies between these; in another unit it does not.
-_MEASURED = {"µN": (1e-3, 1e6), "µm": (5e-3, 1e5)}
+_MEASURED = {"µN": (1e-3, 1e6), "µm": (5e-3, 1e5), "MPa": (1e-5, 2e5)}
 
 
 def as_array(
@@ -143,7 +143,7 @@ def scalar(
 
 
 def measured(name: str, value: object, unit: str) -> float:
-    """Return a force (µN) or a length (µm) of an experiment; refuse what no experiment can have.
+    """Return a force, a length or a modulus, in `unit`; refuse what no experiment can have.
 
     So 150e-6, a force in N, is no force in µN. For what a user types; formulas take any number.
     """

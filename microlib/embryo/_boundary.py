@@ -18,68 +18,33 @@ from scipy.ndimage import map_coordinates, spline_filter
 from microlib._common import Array, Tidy, as_image, flag, one_of
 from microlib.embryo._probe import CLEARANCE, MARGIN, SMALLEST, Probe, find_probe, remove_probe
 from microlib.embryo._view import DIRECTIONS, View
-from microlib.embryo._wall import locate_wall
+from microlib.embryo._wall import WallSettings, locate_wall
 
-# Lengths are in px. What other values of these do to the modulus stands in the benchmark "Other
-# values of the constants" (benchmarks/embryo.py): none moves it by its own standard deviation.
-# Where a comment says "nothing changes", that is the range measured there.
-
-#: Share of an image at the top of its scale. A rendered embryo keeps its modulus with 15 % of the
-#: pixels saturated, 22 % cost 0.6 % and 53 % cost 2.4 % of it (measured); but saturated ground is a
-#: fault of the exposure that only the operator can mend.
-_SATURATED_SHARE = 0.005
-#: What the probe's blur reaches is left out: `CLEARANCE` px, and so many standard deviations of the
-#: blur once it is known. At 3 the normal distribution leaves 0.1 %. Less biases the flank, more
-#: takes its steepest part away: 2 to 4.5 change E by up to 0.9 of its deviation.
-_BLUR_REACH = 3.0
-#: Standard deviation given to the probe's end, which the fit of a dimple leaves out.
-_TIP_STD = 0.5
-#: Blur of Canny's edge, which only starts the fits of the wall; 1 to 2 change E by up to 0.7 of its
-#: deviation, in the noisiest image.
-_EDGE_BLUR = 1.4
-#: Percentiles that stand for dark and bright; nothing changes from 0.2 to 5.
-_DARK_AND_BRIGHT = (1, 99)
-#: Least gradient of an edge: in medians of it over the image, which is ground and so noise, and as
-#: a share of the range of grey, for an image without noise. Nothing changes from 2.5 to 6 and from
-#: 0.08 to 0.3.
-_ABOVE_NOISE, _ABOVE_LIGHT = 4.0, 0.15
-#: Canny takes gradients of 16 bits and adds two: the largest, and below a quarter of what they
-#: hold.
-_CANNY_RANGE = 8000.0
-#: Keeps an image without any edge from a division by zero.
-_ROUNDING = 1e-6
-#: Canny's upper threshold in its lower ones; nothing changes from 1.3 to 3.
-_HYSTERESIS = 2.0
-#: Edges of fewer px are dust; nothing changes from 10 to 80.
-_SHORTEST_EDGE = 40
-#: Rows a column that an outline may rise or fall; it ends where it breaks, near the probe. 3 to 12
-#: change E by up to 0.1 of its deviation.
-_STEEPEST = 6
 #: Columns of outline wanted on each side of the probe; nothing changes from 10 to 40.
 _SHORTEST_SIDE = 20
-#: Depth that a dimple must have, and points of the outline beyond its rim. At 3 px the modulus is
-#: uncertain by 20 %, at 6 by 5 % (measured); the estimate says so itself.
-_LEAST_DEPTH, _LEAST_ENDS = 3.0, 3
-#: Share of a dimple's depth by which the outline has fallen beside the probe, at least: (4.2) and
-#: capsules have fallen by half of it 3 px beside the thinnest needle. What only holds an embryo
-#: stands on an outline that has not fallen at all.
-_LEAST_FALL = 0.3
-#: The outline is followed in whole rows, so that a fall is seen up to one row too small; but a fall
-#: of two rows is one.
-_SURE_ROWS = 2
-#: Samples along the normal, from outside to inside: a wall's blur of 1 px to either side of where
-#: Canny may err, and ground and fluid beyond. 4 to 7 to either side change E by up to one
-#: deviation.
-_PROFILE = np.arange(-5.0, 5.01, 0.5)
-#: Blur in px from which points and samples are 2 px and 1 px apart, so that the profiles hold three
-#: of its deviations to either side.
-_BROAD_BLUR = 1.7
-#: Points over which the direction of the outline is averaged; 7 to 17 change E by up to 0.63 of its
-#: deviation.
-_SMOOTHING = 11
-#: Points less certain than so many times the usual are left out; 4 to 10 change E by up to 0.13
-#: of its deviation.
-_LARGEST_STD = 6.0
+
+
+@dataclass(frozen=True)
+class Settings(WallSettings):
+    """What the stages from an image to its outline are set to; lengths are in px.
+
+    The changes of the modulus E are the largest of nine embryos (benchmarks/embryo.py), in standard
+    deviations of E, for the other values that are given. Other numbers change nothing there when
+    they are halved or doubled, and stand in their place.
+    """
+
+    #: What the probe's blur reaches is left out: so many of its standard deviations, once they are
+    #: known. Less biases the flank, more takes its steepest part away: 0.6 for 2 or 4.5.
+    blur_reach: float = 3.0
+    #: Blur of Canny's edge, which only starts the fits of the wall: 0.5 for 1 or 2.
+    edge_blur: float = 1.4
+    #: How far the samples along the normal reach to either side: the blur of a wall, what Canny may
+    #: err, and ground and fluid beyond. 1.2 for 4 or 7.
+    profile_reach: float = 5.0
+    #: Points over which the direction of the outline is averaged: 0.5 for 7 or 17.
+    smoothing: int = 11
+    #: Points less certain than so many times the usual are left out: 0.3 for 4 or 10.
+    largest_std: float = 6.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -184,15 +149,19 @@ def extract_boundary(
     >>> bool(abs(np.interp(rim[0], x, y) - rim[1]) < 0.2)
     True
     """
+    return find_boundary(image, direction, flag("dimple", dimple), Settings())
+
+
+def find_boundary(image: ArrayLike, direction: str, dimple: bool, settings: Settings) -> Boundary:
+    """Return what `extract_boundary` does, by stages that are set otherwise."""
     whole = as_image("image", image, smallest=SMALLEST)
     one_of("direction", direction, ("auto", *DIRECTIONS))
-    wanted = flag("dimple", dimple)
     _refuse_saturated(np.asarray(image), whole)
     rows, columns = whole.shape
     refused: dict[str, list[str]] = {}
     for edge in DIRECTIONS if direction == "auto" else (direction,):
         try:
-            return _outline_from_above(whole, View((columns, rows), edge), wanted)
+            return _outline_from_above(whole, View((columns, rows), edge), dimple, settings)
         except ValueError as reason:
             refused.setdefault(str(reason), []).append(edge)
     raise ValueError(
@@ -200,20 +169,26 @@ def extract_boundary(
     )
 
 
-def _outline_from_above(whole: NDArray[np.float32], view: View, dimple: bool) -> Boundary:
-    """Find the outline on both sides of a probe that comes from above."""
+def _outline_from_above(
+    whole: NDArray[np.float32], view: View, dimple: bool, settings: Settings
+) -> Boundary:
+    """Find the outline on both sides of a probe that comes from above, stage by stage."""
     grey, probe, view = find_probe(whole, view)
-    sides = [_resample(side) for side in _trace(remove_probe(grey, probe), probe)]
+    sides = _trace(remove_probe(grey, probe), probe, settings)
+    sides = [_resample(side, settings.smoothing) for side in sides]
     if dimple:
         _refuse_without_dimple(sides, probe)
-    sides, blur = _refine(grey, sides, probe, CLEARANCE)
-    step = 2 if blur > _BROAD_BLUR else 1
-    clearance = max(CLEARANCE, _BLUR_REACH * blur)
-    sides, blur = _refine(grey, [side[:, ::step] for side in sides], probe, clearance, step)
+    sides, blur = _refine(grey, sides, probe, CLEARANCE, settings)
+    # Of a broad blur profiles of twice the length hold three of its deviations to either side.
+    step = 2 if blur > 1.7 else 1
+    clearance = max(CLEARANCE, settings.blur_reach * blur)
+    sides = [side[:, ::step] for side in sides]
+    sides, blur = _refine(grey, sides, probe, clearance, settings, step)
 
     reach = int(probe.half_width)
     hidden = probe.tip[0] + np.arange(-reach, reach + 1.0 if dimple else -reach)
-    tip = np.stack([hidden, np.full(hidden.size, probe.tip[1]), np.full(hidden.size, _TIP_STD)])
+    # Half a px: what is under the probe is not fitted.
+    tip = np.stack([hidden, np.full(hidden.size, probe.tip[1]), np.full(hidden.size, 0.5)])
     x, y, std = np.concatenate([*sides, tip], axis=1)
     under = np.arange(x.size) >= x.size - hidden.size
     order = np.argsort(x, kind="stable")
@@ -233,30 +208,35 @@ def _refuse_saturated(image: NDArray, grey: NDArray[np.float32]) -> None:
     """Refuse an image in which the ground has reached the top of its scale."""
     # Resampling may overshoot 8 bits; levels of more bits end at an unknown top, which they reach.
     peak = float(grey.max())
-    top = 1.0 if peak <= 1.0 else 255.0 if peak < 2 * 255.0 else peak
+    byte = float(np.iinfo(np.uint8).max)
+    top = 1.0 if peak <= 1.0 else byte if peak < 2 * byte else peak
     if image.dtype.kind in "ui":
         top = float(np.iinfo(image.dtype).max)
     share = float(np.mean(grey >= top))
-    if share > _SATURATED_SHARE:
+    # 15 % cost a rendered embryo's modulus nothing, 53 % cost 2.4 % of it (measured); but saturated
+    # ground is a fault of the exposure that only the operator can mend.
+    if share > 0.005:
         raise ValueError(
             f"image must not be saturated, got {share:.1%} of its pixels at {top:g} or above"
         )
 
 
-def _trace(filled: NDArray[np.float32], probe: Probe) -> list[Array]:
+def _trace(filled: NDArray[np.float32], probe: Probe, settings: Settings) -> list[Array]:
     """Follow the uppermost Canny edge from the probe outwards; (2, n) image points of each side."""
-    smooth = cv2.GaussianBlur(filled, (0, 0), _EDGE_BLUR)
+    smooth = cv2.GaussianBlur(filled, (0, 0), settings.edge_blur)
     dx, dy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
     # The threshold stands above the noise, whose gradient the flat ground shows, and above what
     # uneven light does to a picture without noise.
-    dark, bright = np.percentile(filled, _DARK_AND_BRIGHT)
+    dark, bright = np.percentile(filled, (1, 99))
     noise = float(np.median(np.abs(dx) + np.abs(dy)))
-    least = max(_ABOVE_NOISE * noise, _ABOVE_LIGHT * float(bright - dark))
-    scale = _CANNY_RANGE / max(float(np.abs(dx).max()), float(np.abs(dy).max()), _ROUNDING)
+    least = max(4 * noise, float(bright - dark) / 4)
+    # Canny takes gradients of 16 bits and adds two: the largest is a quarter of what they hold.
+    largest = float(max(np.abs(dx).max(), np.abs(dy).max())) or 1.0
+    scale = np.iinfo(np.int16).max / 4 / largest
     dx, dy = (np.rint(slope * scale).astype(np.int16) for slope in (dx, dy))
-    edges = cv2.Canny(dx, dy, least * scale, _HYSTERESIS * least * scale)
+    edges = cv2.Canny(dx, dy, least * scale, 2 * least * scale)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(edges, connectivity=8)
-    edge = (labels > 0) & (stats[:, cv2.CC_STAT_AREA] >= _SHORTEST_EDGE)[labels]
+    edge = (labels > 0) & (stats[:, cv2.CC_STAT_AREA] >= 2 * _SHORTEST_SIDE)[labels]
     first = np.where(edge.any(axis=0), edge.argmax(axis=0), -1)
     sides: list[Array] = []
     for step, name in ((-1, "left"), (1, "right")):
@@ -264,7 +244,7 @@ def _trace(filled: NDArray[np.float32], probe: Probe) -> list[Array]:
         stop = -1 if step < 0 else len(first)
         columns = np.arange(start, stop, step)
         rows = first[columns] if columns.size and 0 <= start < len(first) else np.empty(0, int)
-        broken = np.flatnonzero((rows[1:] < 0) | (np.abs(np.diff(rows)) > _STEEPEST))
+        broken = np.flatnonzero((rows[1:] < 0) | (np.abs(np.diff(rows)) > 6))
         length = int(broken[0]) + 1 if broken.size else rows.size
         if length < _SHORTEST_SIDE or rows[0] < 0:
             raise ValueError(
@@ -275,35 +255,42 @@ def _trace(filled: NDArray[np.float32], probe: Probe) -> list[Array]:
     return sides
 
 
-def _resample(curve: Array) -> Array:
+def _resample(curve: Array, least: int) -> Array:
     """Points at equal distances of about one px along a curve."""
     length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(curve[:2])))])
-    even = np.linspace(0.0, length[-1], max(int(length[-1]) + 1, _SMOOTHING))
+    even = np.linspace(0.0, length[-1], max(int(length[-1]) + 1, least))
     return np.stack([np.interp(even, length, row) for row in curve[:2]])
 
 
 def _refine(
-    grey: NDArray[np.float32], sides: list[Array], probe: Probe, clearance: float, scale: int = 1
+    grey: NDArray[np.float32],
+    sides: list[Array],
+    probe: Probe,
+    clearance: float,
+    settings: Settings,
+    scale: int = 1,
 ) -> tuple[list[Array], float]:
     """Move the curves onto the middle of the wall: x, y, std of each side, and the blur.
 
-    The profiles are `scale` times as long as `_PROFILE`.
+    The profiles are sampled every `scale` / 2 px, from outside to inside.
     """
     from scipy.signal import savgol_filter  # here, as it takes long to import
 
-    smooth = [savgol_filter(side[:2], _SMOOTHING, 2, axis=1) for side in sides]
-    tangent = [savgol_filter(side[:2], _SMOOTHING, 2, deriv=1, axis=1) for side in sides]
+    reach = settings.profile_reach
+    offsets = np.linspace(-reach, reach, int(4 * reach) + 1)
+    smooth = [savgol_filter(side[:2], settings.smoothing, 2, axis=1) for side in sides]
+    tangent = [savgol_filter(side[:2], settings.smoothing, 2, deriv=1, axis=1) for side in sides]
     start, along = np.concatenate(smooth, axis=1), np.concatenate(tangent, axis=1)
     # Both sides run from left to right: turned clockwise on the screen, the tangent points inside.
     normal = np.stack([-along[1], along[0]]) / np.hypot(*along)
-    x, y = start[:, :, np.newaxis] + normal[:, :, np.newaxis] * scale * _PROFILE
+    x, y = start[:, :, np.newaxis] + normal[:, :, np.newaxis] * scale * offsets
     profiles = map_coordinates(spline_filter(grey, 3), [y, x], order=3, prefilter=False)
     beside = np.abs(x - probe.axis(y)) > probe.half_width_at(y) + clearance
     clear = beside | (y > probe.tip[1] + clearance + MARGIN)
-    wall = locate_wall(profiles, _PROFILE, weights=clear)
+    wall = locate_wall(profiles, offsets, weights=clear, settings=settings)
     points = start + normal * scale * wall.position
     usual = np.nanmedian(wall.std)
-    good = np.isfinite(wall.position) & (wall.std < _LARGEST_STD * usual)
+    good = np.isfinite(wall.position) & (wall.std < settings.largest_std * usual)
     on_left = np.arange(good.size) < smooth[0].shape[1]
     measured = np.vstack([points, scale * wall.std])
     found = [measured[:, good & on_left], measured[:, good & ~on_left]]
@@ -323,13 +310,17 @@ def _refuse_without_dimple(sides: list[Array], probe: Probe) -> None:
         depth = probe.tip[1] - y[rim]
         apart = abs(x[rim] - probe.tip[0]) - probe.half_width - CLEARANCE
         ends = min(rim, y.size - 1 - rim)
-        if depth < _LEAST_DEPTH or apart < _LEAST_DEPTH or ends < _LEAST_ENDS:
+        # At 3 px the modulus is uncertain by 20 %, at 6 by 5 % (measured); the estimate says so.
+        if min(depth, apart, ends) < 3:
             raise ValueError(
-                f"image must show a dimple at least {_LEAST_DEPTH:.0f} px deep around the probe's "
+                f"image must show a dimple at least 3 px deep around the probe's "
                 f"end, got {depth:.1f} px on the {name}"
             )
         fall = (y[-1] if name == "left" else y[0]) - y[rim]
-        if fall < _LEAST_FALL * depth - (fall >= _SURE_ROWS):
+        # (4.2) and capsules have fallen by half of their depth 3 px beside the thinnest needle; an
+        # outline on which something only stands has not fallen at all. It is followed in whole
+        # rows, so that a fall is seen up to one row too small; but a fall of two rows is one.
+        if fall < 0.3 * depth - (fall >= 2):
             raise ValueError(
                 "image must show an outline that falls to the probe's end, got a fall of "
                 f"{fall:.1f} px of {depth:.1f} px beside it on the {name}"

@@ -21,52 +21,19 @@ from microlib.embryo._gaussian_sum import GaussianSum
 from microlib.embryo._probe import MAD_TO_STD
 from microlib.membrane import dimple_profile
 
-# What other values do to the modulus stands in the benchmark "Other values of the constants"
-# (benchmarks/embryo.py).
-
 #: Radii up to which the outline enters the fit. What lies beyond the rim fixes it, as an arc of a
 #: circle, which it is only nearby: 1.15 changes E by up to 0.8 of its deviation, 1.6 by up to 3.7.
 _BEYOND_RIM = 1.3
 #: An outline that departs from the profile by more than this share of the depth (root mean square)
 #: has no dimple of that depth: E goes with its third power, so that one error of a sixth makes a
-#: factor of √e. Of the benchmark's nine embryos one is refused at 0.03, and up to 0.3 none
-#: changes.
+#: factor of √e. Of nine embryos one is refused at 0.03, and up to 0.3 none changes.
 _LARGEST_MISFIT = 1 / 6
-#: Points further off than the others are strays up to this share of them; more are the outline, and
-#: all are fitted. Nothing changes from 0.05 to 0.4.
-_MOST_LEFT_OUT = 0.15
+#: Standard deviations beyond which a point is left out, which one in 16 000 is by chance; 3 to 6
+#: change E by up to 0.4 of its deviation.
+_OUTLIER = 4.0
 #: Largest tilt that a fit may find, rad: four times that of the probe. Nothing changes from 0.1 to
 #: 0.6.
 _STEEPEST_TILT = 0.3
-#: The probe's end is seen to so many px, as the middle of the wall below it. What it lies further
-#: from the fitted bottom makes the depth uncertain by as much, up to this share of the depth: a
-#: third leaves a factor of e of the modulus open.
-_TIP_OFF, _TIP_OFF_PIXELS = 1 / 3, 1.0
-#: The half-width of the probe may be so many px and this factor off what is seen: the walls of
-#: glass, and the taper of a needle's end.
-_WIDTH_OFF_PIXELS, _WIDTH_OFF = 2.0, 1.5
-#: Standard deviations beyond which a point is left out, which one in 16 000 is by chance; 3 to 6
-#: change E by up to 1.2 of its deviation.
-_OUTLIER = 4.0
-#: Step of the differences that tell how a slope changes with a coefficient, in widths of a term:
-#: their error is its square.
-_SLOPE_STEP = 1e-4
-#: Steps of the fixed point that finds a turned dimple's height at x. They are exact to 2e-5 px for
-#: a tilt of 0.1 and to 0.2 px for 0.3, at the edge of the probe (measured).
-_FIXED_POINT_STEPS = 8
-#: Points of the running median that finds the rim to start from; 5 to 17 change E by up to 0.1 of
-#: its deviation.
-_RIM_WINDOW = 9
-#: Curvature of the arcs to start from, in those of a circle of the dimple's radius; nothing changes
-#: from 0.1 to 0.9.
-_START_CURVATURE = 0.3
-#: Radii of the dimple beyond which the outline has no height: an embryo is 2 to 5 of them wide.
-_END = 10.0
-#: Least radius of a fitted dimple, in half-widths of the probe; nothing changes from 1.001 to 1.1.
-_LEAST_RADIUS = 1.01
-#: Least value of the arc's root, which stays real where a search tries too strong a curvature;
-#: nothing changes from 0.01 to 0.2.
-_LEAST_ROOT = 0.05
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -154,7 +121,7 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float, rim: str = "left")
     crest = min(beside[curve(beside) > half_way], key=lambda x: abs(x - bottom))
     covariance = np.full((2, 2), np.nan)
     if curve.covariance is not None:
-        step = _SLOPE_STEP * curve.widths.min()
+        step = np.cbrt(np.finfo(float).eps) * curve.widths.min()
         moved = [
             (curve.gradient(x - step) - curve.gradient(x + step))
             / (2 * step * curve.second_derivative(x))
@@ -214,13 +181,13 @@ class DimpleFit(Tidy):
         NaN further from the axis than ten of the dimple's radii, where there is no embryo.
         """
         along = as_array("x", x) - self.center[0]
-        near = np.abs(along) < _END * self.dimple_radius / self.pixel_size
+        near = np.abs(along) < 10 * self.dimple_radius / self.pixel_size
         along = np.where(near, along, 0.0)
         # A point of the upright dimple moves sideways when it is turned: a few steps of a fixed
-        # point find the one that comes to lie at x.
+        # point find the one that comes to lie at x, to 0.2 px for a tilt of 0.3 (measured).
         cos, sin = np.cos(self.tilt), np.sin(self.tilt)
         u = along / cos
-        for _ in range(_FIXED_POINT_STEPS):
+        for _ in range(8):
             u = (along + sin * self._upright(u)) / cos
         return np.where(near, self.center[1] + sin * u + cos * self._upright(u), np.nan)
 
@@ -299,7 +266,8 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     off = np.abs(_normal_distance(first.x, near[0], near[1], c) / near[2])
     # What lies within its own standard deviation is no outlier, however exact the others are.
     usual = off < max(_OUTLIER * MAD_TO_STD * np.median(off), 1.0)
-    kept = near[:, usual] if usual.mean() >= 1 - _MOST_LEFT_OUT else near
+    # Strays are few; more are the outline.
+    kept = near[:, usual] if usual.mean() >= 3 / 4 else near
     fit = _least_squares(kept, first.x, c)
 
     x0, y0, tilt, a, depth, *curvatures = fit.x.tolist()
@@ -311,8 +279,10 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
         )
     off_axis = abs(float(boundary.probe.axis(boundary.image_height - 1 - y0)) - x0)
     tip_off = abs(y0 - depth - (boundary.image_height - 1 - boundary.probe.tip[1]))
-    beyond = float(np.sqrt(max(tip_off**2 - _TIP_OFF_PIXELS**2, 0.0)))
-    if off_axis > c or beyond > _TIP_OFF * depth:
+    # The end is seen to 1 px, as the middle of the wall below it. A third of the depth would leave
+    # a factor of e of the modulus open.
+    beyond = float(np.sqrt(max(tip_off**2 - 1, 0.0)))
+    if off_axis > c or beyond > depth / 3:
         raise ValueError(
             "boundary must have the probe's end at the bottom of the dimple, for this "
             f"probe_half_width, got it {off_axis:.1f} px beside the axis and {tip_off:.1f} px off "
@@ -323,7 +293,7 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     return DimpleFit(
         dimple_radius=a * size,
         dimple_depth=depth * size,
-        covariance=covariance[3:5, 3:5] * size**2,
+        covariance=covariance[3:-2, 3:-2] * size**2,
         center=(x0, y0),
         tilt=tilt,
         rim_curvatures=(curvatures[0] / size, curvatures[1] / size),
@@ -337,7 +307,8 @@ def refuse_another_width(boundary: Boundary, half_width: float, pixel_size: floa
     """Refuse a half-width (px) that is not that of the probe in the image."""
     seen = boundary.probe.half_width
     factor = max(half_width / seen, seen / half_width)
-    if abs(half_width - seen) > _WIDTH_OFF_PIXELS and factor > _WIDTH_OFF:
+    # The walls of glass, and the taper of a needle's end.
+    if abs(half_width - seen) > 2 and factor > 3 / 2:
         raise ValueError(
             "probe_half_width must be that of the probe in the image, got "
             f"{half_width * pixel_size:g} µm where {seen * pixel_size:.3g} µm are seen with this "
@@ -350,17 +321,15 @@ def _start(x: NDArray, y: NDArray, boundary: Boundary) -> Array:
     axis = boundary.probe.tip[0]
     left = x < axis
     # A running median keeps a stray point from passing for the rim.
-    smooth = median_filter(y, _RIM_WINDOW, mode="nearest")
+    smooth = median_filter(y, 9, mode="nearest")
     (x1, y1), (x2, y2) = (
         (x[side][smooth[side].argmax()], smooth[side].max()) for side in (left, ~left)
     )
     a = (x2 - x1) / 2
     bottom = boundary.image_height - 1 - boundary.probe.tip[1]
     height = (y1 + y2) / 2
-    # Inside the bounds of the fit, where a start must be.
-    tilt = np.clip((y2 - y1) / (x2 - x1), -0.9 * _STEEPEST_TILT, 0.9 * _STEEPEST_TILT)
-    bend = _START_CURVATURE / a
-    return np.array([(x1 + x2) / 2, height, tilt, a, height - bottom, bend, bend])
+    bend = 1 / (4 * a)
+    return np.array([(x1 + x2) / 2, height, (y2 - y1) / (x2 - x1), a, height - bottom, bend, bend])
 
 
 def _near(outline: Array, p: Array) -> Array:
@@ -372,7 +341,7 @@ def _least_squares(outline: Array, start: Array, c: float) -> OptimizeResult:
     """Fit the seven numbers to the rows x, y, std of `outline`."""
     x, y, std = outline
     far, turn, sharpest = np.inf, _STEEPEST_TILT, 1 / start[3]
-    lower = [-far, -far, -turn, _LEAST_RADIUS * c, 0.0, 0.0, 0.0]
+    lower = [-far, -far, -turn, 1.01 * c, 0.0, 0.0, 0.0]
     bounds = lower, [far, far, turn, far, far, sharpest, sharpest]
     return least_squares(
         lambda p: _normal_distance(p, x, y, c) / std,
@@ -393,7 +362,7 @@ def _profile(
     beyond = np.maximum(distance - a, 0.0)
     curvature = np.where(u < 0, left, right)
     # An arc of a circle; its root stays real where a search tries too strong a curvature.
-    root = np.sqrt(np.maximum(1 - (curvature * beyond) ** 2, _LEAST_ROOT))
+    root = np.sqrt(np.maximum(1 - (curvature * beyond) ** 2, 0.05))
     height = -dimple_profile(r, a, depth, probe_half_width=c) - curvature * beyond**2 / (1 + root)
     slope = 2 * scale * (1 / r - r / a**2) * (distance > c) - curvature * beyond / root
     return height, np.sign(u) * slope

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, Tidy, as_array, one_of, scalar
+from microlib._common import Array, Tidy, as_array, measured, one_of, scalar
 from microlib.embryo._modulus import NORMAL_95, force_from_image, given_lengths
 from microlib.embryo._view import DIRECTIONS
 from microlib.membrane import viscoelastic_force
@@ -129,10 +129,10 @@ def force_over_time(
         ) from None
     if len(frames) != when.size:
         raise ValueError(f"images must be as many as the times, got {len(frames)} and {when.size}")
-    stiffness = scalar("modulus", modulus, above=0)
+    stiffness = measured("modulus", modulus, "MPa")
     common = scalar("modulus_std", modulus_std, least=0) / stiffness
     # Wrong arguments are refused here: what one image refuses below is that image's.
-    size = scalar("pixel_size", pixel_size, above=0)
+    size = measured("pixel_size", pixel_size, "µm")
     lengths = given_lengths(thickness, probe_half_width, poisson_ratio, None)
     settings = lengths | {"direction": one_of("direction", direction, ("auto", *DIRECTIONS))}
     law = {"shares": shares, "relaxation_times": relaxation_times}
@@ -157,7 +157,7 @@ def force_over_time(
     known, gaps = np.flatnonzero(np.isfinite(filled)), np.flatnonzero(np.isnan(filled))
     rise = np.append(np.diff(filled[known]), 0.0)[np.searchsorted(known, gaps) - 1]
     filled[gaps] = np.interp(when[gaps], when[known], filled[known])
-    deviation[gaps] = np.abs(rise) / np.sqrt(12)
+    deviation[gaps] = np.abs(rise) / (2 * np.sqrt(3))
     force = response @ filled
     std = np.hypot(np.sqrt(response**2 @ deviation**2), common * force)
     after = np.flatnonzero(seen)[-1] + 1

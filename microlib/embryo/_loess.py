@@ -9,15 +9,6 @@ from microlib._common import Array, as_array, between, same_length, scalar, whol
 
 __all__ = ["loess"]
 
-#: Points times neighbors that are solved together, 256 kB an array: what fits into a processor's
-#: cache. The result is the same for any.
-_BLOCK = 32768
-#: Keeps a product such as 0.29 × 100 from losing its last neighbor to rounding.
-_ROUNDING = 1e-10
-#: Determinant of a row's normal equations, for a weight of 1 in all, at or below which they leave
-#: the polynomial open: a hundred roundings. Evenly spaced points give 1e-4 or more.
-_LEAST_DETERMINANT = 1e-14
-
 
 def loess(
     x: ArrayLike,
@@ -75,7 +66,8 @@ def loess(
     same_length(("x", "y"), x, y)
     share = scalar("span", span, above=0, most=1)
     between("degree", whole("degree", degree, least=1), 1, 2, closed=True)
-    k = int(share * len(x) + _ROUNDING)
+    # So that a product such as 0.29 × 100 loses no neighbor to rounding.
+    k = int(share * len(x) + 1e-10)
     if k < degree + 1:
         raise ValueError(
             f"span must hold at least {degree + 1} points for degree {degree}, got {k} of {len(x)}"
@@ -87,8 +79,10 @@ def loess(
     # two lie symmetrically left of x. The sums rise, so that the place is a binary search.
     first = np.searchsorted(x[: len(x) - k] + x[k:], 2 * x) if k < len(x) else np.zeros(len(x), int)
     smooth = np.empty_like(x)
-    for start in range(0, len(x), max(1, _BLOCK // k)):
-        rows = slice(start, start + max(1, _BLOCK // k))
+    # What fits into a processor's cache, 256 kB an array; the result is the same for any.
+    block = max(1, 2**15 // k)
+    for start in range(0, len(x), block):
+        rows = slice(start, start + block)
         members = first[rows, np.newaxis] + np.arange(k)
         u = x[members] - x[rows, np.newaxis]
         reach = np.abs(u).max(axis=1, keepdims=True)
@@ -119,7 +113,8 @@ def _local_fits(u: Array, y: Array, weights: Array, degree: int) -> Array:
         term = term * u
     rows = np.arange(degree + 1)
     normal = moments[:, rows[:, np.newaxis] + rows]
-    poor = np.linalg.det(normal) <= _LEAST_DETERMINANT * moments[:, 0] ** (degree + 1)
+    # A hundred roundings; evenly spaced points give 1e-4 or more.
+    poor = np.linalg.det(normal) <= 1e-14 * moments[:, 0] ** (degree + 1)
     normal[poor] = np.eye(degree + 1)
     fitted = np.linalg.solve(normal, right[..., np.newaxis])[:, 0, 0]
     return np.where(poor, np.nan, fitted)

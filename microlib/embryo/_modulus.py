@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, Tidy, measured, one_of, poisson, scalar
+from microlib._common import Array, Tidy, measured, one_of, poisson
 from microlib.embryo._boundary import Boundary, extract_boundary
 from microlib.embryo._dimple import DimpleFit, fit_dimple, refuse_another_width
 from microlib.membrane import (
@@ -28,7 +28,6 @@ from microlib.membrane import (
     modulus_std,
 )
 
-_LAWS = ("hooke", "neo-hooke", "mooney-rivlin")
 #: Standard deviations to either side that hold 95 % of a normal distribution.
 NORMAL_95 = 1.959964
 #: Part of a capsule's relative deviation that the points do not scatter by: the middle of a wall's
@@ -36,9 +35,6 @@ NORMAL_95 = 1.959964
 #: capsules, whose wall is darker outside than inside, 0.0045 is the most likely, and 0.003 to 0.006
 #: are nearly as much (seeds 700 to 729 of benchmarks/capsule_embryo.py).
 _OUTLINE_STD = 0.005
-#: Points of an outline's end that give its direction, and the sine of its fall from which the egg's
-#: radius is read off: at 60° a degree is 1 % of it.
-_END_POINTS, _STEEP_END = 15, 0.87
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -236,7 +232,7 @@ def modulus_from_image(
     """
     load = measured("force", force, "µN")
     one_of("method", method, ("membrane", "capsule"))
-    one_of("law", law, _LAWS)
+    one_of("law", law, ("hooke", "neo-hooke", "mooney-rivlin"))
     size = measured("pixel_size", pixel_size, "µm")
     given = given_lengths(thickness, probe_half_width, poisson_ratio, radius)
     boundary = extract_boundary(image, direction=direction)
@@ -305,7 +301,7 @@ def force_from_image(
     >>> estimate.interval[0] < 1.2 < estimate.interval[1]
     True
     """
-    stiffness = scalar("modulus", modulus, above=0, most=1e12)  # beyond, products overflow
+    stiffness = measured("modulus", modulus, "MPa")
     size = measured("pixel_size", pixel_size, "µm")
     given = given_lengths(thickness, probe_half_width, poisson_ratio, radius)
     boundary = extract_boundary(image, direction=direction)
@@ -367,11 +363,13 @@ def _egg_radius(boundary: Boundary, pixel_size: float) -> float | None:
     loads, and less than its wall's turn to the vertical is uncertain.
     """
     ends = []
-    for part in (slice(None, _END_POINTS), slice(-_END_POINTS, None)):
+    some = 15
+    for part in (slice(None, some), slice(-some, None)):
         x, y = boundary.x[part], boundary.y[part]
         along = np.linalg.svd(np.stack([x - x.mean(), y - y.mean()]))[0][:, 0]
         ends.append((float(x.mean()), abs(float(along[1]))))
     (left, fall_left), (right, fall_right) = ends
-    if min(fall_left, fall_right) < _STEEP_END:
+    # Of 60°, at which a degree is 1 % of the radius.
+    if min(fall_left, fall_right) < np.sqrt(3 / 4):
         return None
     return pixel_size * (right - left) / (fall_left + fall_right)

@@ -21,72 +21,27 @@ from microlib.embryo._view import View
 
 __all__ = ["CLEARANCE", "MAD_TO_STD", "MARGIN", "SMALLEST", "Probe", "find_probe", "remove_probe"]
 
-# Lengths are in px. What other values of these do to the modulus stands in the benchmark "Other
-# values of the constants" (benchmarks/embryo.py): none moves it by its own standard deviation.
-# Where a comment says "nothing changes", that is the range measured there.
+# Lengths are in px. Where a number stands in its place, half of it and twice of it change E of nine
+# embryos by less than 2 %.
 
-#: Least side of an image: four times the rows in which a probe is looked for.
-SMALLEST = 64
-#: Rows at the upper edge in which the probe is looked for; 8 to 32 change E by up to 0.05 of its
-#: deviation.
+#: Rows at the upper edge in which the probe is looked for, and the least length of one that leans.
 _TOP_ROWS = 16
-#: A probe is darker than this share of the ground beside it; nothing changes from 0.5 to 0.85.
-_DARK = 0.7
-#: Least width of a probe, and largest as a share of the image's: what else enters from above is a
-#: scratch or no probe. Nothing changes from 2 to 8 and from 0.05 to 0.2.
-_NARROWEST, _WIDEST = 4.0, 0.1
-#: A wall of a glass tube has at least this width, two differ by at most this factor: what a blur of
-#: 1 px leaves of a thin wall, and light from one side.
-_THINNEST_WALL, _UNLIKE_WALLS = 2, 2.0
-#: Blur under which the probe is looked for, so that noise does not break its outline: 0.5 to 2
-#: change E by up to 0.5 of its deviation.
-_PROBE_BLUR = 1.0
-#: Where no probe is found so, it is looked for once more with less blur and on a fainter mark: the
-#: walls of a glass tube are one px wide in a coarse image.
-_FINE_BLUR, _FAINT = 0.5, 0.85
-#: The probe is what is darker than this, from its own grey at 0 to that of the ground at 1; below
-#: one half, which the embryo's fluid does not reach. 0.25 to 0.55 change E by up to 0.1 of its
-#: deviation.
-_BODY_LEVEL = 0.4
-#: Share by which a row's width must differ from those above it to end the probe; nothing changes
-#: from 0.2 to 0.6.
-_ODD_WIDTH = 0.35
-#: Rows wanted below the probe's end, where its grey turns to the embryo's.
-_BELOW_TIP = 5
+#: Least side of an image.
+SMALLEST = 4 * _TOP_ROWS
+#: Largest width of a probe, as a share of the image's: what else enters from above is no probe.
+_WIDEST = 0.1
 #: Direction and width of the probe, and the ground beside it, are read from this part of its
-#: length, from this row on: near its end the embryo stands beside it. The share may be 0.5 to 0.85
-#: and the row 0 to 6 for changes of E up to 0.35 of its deviation.
-_UPPER_PART, _FIRST_ROW = 0.7, 2
+#: length: near its end the embryo stands beside it. 0.5 to 0.85 change E by 0.2 of its deviation.
+_UPPER_PART = 0.7
 #: What is left free beside a blurred edge to be sure of it; 0 to 5 change E by up to 0.2 of its
 #: deviation.
 MARGIN = 2
-#: A crossing of the probe's outline is sought so far beside it, in steps of `_STEP`, half-way to
-#: the mean of the last samples. Widths of 4 to 10 and 3 to 12 samples change E by up to 0.5 of its
-#: deviation.
-_GROUND_WIDTH, _GROUND_SAMPLES = 6.0, 6
+#: A crossing of the probe's outline is sought in steps of this.
 _STEP = 0.25
-#: Standard deviations beyond which a line leaves a point out; 2 to 5 change E by up to 0.15 of its
-#: deviation.
-_OUTLIER = 3.0
-#: Rows in which the edges of a probe are seen, at least: more than a line's two numbers, fewer than
-#: the 20 of the shortest probe.
-_FEWEST_EDGES = 8
 #: Median absolute deviation to standard deviation, of the normal distribution.
 MAD_TO_STD = 1.4826
-#: More than rounding of grey levels, less than any of their steps.
-_ROUNDING = 1e-6
-#: The probe's end is sought so far to either side, in the mean of these columns, half-way to the
-#: mean of the last samples, 3 px of embryo. It is only checked against the fit, with room for 2 px
-#: (`microlib.embryo._dimple`), so that nothing changes from 5 to 14, 3 to 15 and 6 to 20.
-_TIP_REACH, _TIP_COLUMNS, _EMBRYO_SAMPLES = 8.0, 7, 12
-#: The model has its load along the axis. The outline is found up to four times this tilt
-#: (measured); beyond it the image is turned, up to the largest lean.
-_LARGEST_TILT, _LARGEST_LEAN = np.deg2rad(4.0), np.deg2rad(62.0)
-#: A leaning bar is looked for in so many rows at the edge and followed from row to row, in which it
-#: moves by up to 1.9 px, for at least as many rows as a probe must have.
-_LEAN_ROWS, _LEAN_REACH, _SHORTEST_LEAN = 3, 3, 16
-#: Half-width in px below which a run may be one wall of a tube.
-_THIN_RUN = 8.0
+#: The largest lean to which an image is turned.
+_LARGEST_LEAN = np.deg2rad(62.0)
 #: Left free beside the probe, for its blur.
 CLEARANCE = 3.0
 
@@ -125,7 +80,9 @@ class Probe(Tidy):
 def find_probe(whole: NDArray[np.float32], view: View) -> tuple[NDArray[np.float32], Probe, View]:
     """Return an image turned, the probe in it, and the view in which it is upright."""
     reasons: list[str] = []
-    for blur, dark in ((_PROBE_BLUR, _DARK), (_FINE_BLUR, _FAINT)):
+    # Blurred, so that noise does not break its outline, and then once more with less blur and on a
+    # fainter mark: the walls of a glass tube are one px wide in a coarse image.
+    for blur, dark in ((1, 3 / 4), (0.5, 0.85)):
         views = [view]
         for each in views:
             if each.tilt and min(each.frame[2:]) < SMALLEST:
@@ -135,7 +92,9 @@ def find_probe(whole: NDArray[np.float32], view: View) -> tuple[NDArray[np.float
             smooth = np.asarray(cv2.GaussianBlur(grey, (0, 0), blur), dtype=np.float32)
             try:
                 probe = _measure(smooth, dark)
-                if abs(probe.slope) <= np.tan(_LARGEST_TILT):
+                # The model has its load along the axis. The outline is found up to four times this
+                # tilt (measured).
+                if abs(probe.slope) <= np.tan(np.deg2rad(4)):
                     return grey, probe, each
                 lean = np.rad2deg(np.arctan(probe.slope))
                 reasons.append(
@@ -161,12 +120,12 @@ def _runs(
 def _follow(smooth: NDArray[np.float32], left: int, right: int, limit: float) -> NDArray:
     """Return both ends of a dark run, or of a tube's walls, in each row down to where it is gone.
 
-    From row to row an end moves by `_LEAN_REACH` at most. Below its end a probe's run grows into
-    what it stands on.
+    From row to row the end of one that leans moves by up to 1.9 px. Below its end a probe's run
+    grows into what it stands on.
     """
     ends = []
     for row in smooth:
-        first, last = max(left - _LEAN_REACH, 0), min(right + _LEAN_REACH, row.size)
+        first, last = max(left - 3, 0), min(right + 3, row.size)
         below = np.flatnonzero(row[first:last] < limit)
         if below.size == 0:
             break
@@ -186,7 +145,7 @@ def _end_row(width: NDArray) -> int:
     # A taper goes on as between the middles of the last rows' halves.
     usual = lower + (lower - upper) * (half + 1) / (2 * half)
     usual[:_TOP_ROWS] = np.median(windows[:_TOP_ROWS], axis=1)
-    odd = np.abs(width - usual) > _ODD_WIDTH * usual + 1
+    odd = np.abs(width - usual) > usual / 3 + 1
     odd |= width == 0
     return int(odd.argmax()) if odd.any() else len(width)
 
@@ -200,8 +159,8 @@ def _turned_views(smooth: NDArray[np.float32], view: View, dark: float) -> list[
     columns = smooth.shape[1]
     widest = int(_WIDEST * columns / np.cos(_LARGEST_LEAN))
     # Reflected, for a bar in the corner would be continued as dark ground.
-    top, ground, runs = _runs(smooth, _LEAN_ROWS, dark, widest, "reflect")
-    longest, found = _SHORTEST_LEAN, (0.0, 0.0, 0.0)
+    top, ground, runs = _runs(smooth, 3, dark, widest, "reflect")
+    longest, found = _TOP_ROWS, (0.0, 0.0, 0.0)
     for left, right in runs:
         limit = float((top[left:right].min() + ground[left:right].mean()) / 2)
         ends = _follow(smooth, int(left), int(right), limit)
@@ -210,12 +169,12 @@ def _turned_views(smooth: NDArray[np.float32], view: View, dark: float) -> list[
         row = int(cut.argmin()) if not cut.all() else len(ends)
         ends = ends[row:]
         ends = ends[: _end_row(np.ptp(ends, axis=1))]
-        if len(ends) <= longest or not _THINNEST_WALL <= np.ptp(ends[0]) <= widest:
+        if len(ends) <= longest or not 2 <= np.ptp(ends[0]) <= widest:
             continue
         slope, start = _robust_line(row + np.arange(len(ends)), (ends.sum(axis=1) - 1) / 2)
         if abs(slope) < np.tan(_LARGEST_LEAN):
             longest, found = len(ends), (slope, start, float(np.ptp(ends[0])) / 2)
-    if longest == _SHORTEST_LEAN:
+    if longest == _TOP_ROWS:
         return []
     slope, start, half = found
     sides = start + np.array([-half, half])
@@ -224,7 +183,7 @@ def _turned_views(smooth: NDArray[np.float32], view: View, dark: float) -> list[
     below = np.maximum((inside - sides) / slope, 0.0) if slope else np.zeros(2)
     bar = np.stack([inside, below], axis=1)
     entries = [bar]
-    if half < _THIN_RUN:
+    if half < 8:
         # A tube's other wall may stand on either side of the one that was followed. What that costs
         # of a short bar's length may be too much.
         tube = np.stack([sides + np.array([-widest, widest]), np.zeros(2)], axis=1)
@@ -240,20 +199,21 @@ def _measure(grey: NDArray[np.float32], dark: float) -> Probe:
     """
     widest = int(_WIDEST * grey.shape[1])
     top, ground, runs = _runs(grey, _TOP_ROWS, dark, widest, "nearest")
-    bars = [run for run in runs if _NARROWEST <= run[1] - run[0] <= widest]
+    bars = [run for run in runs if 4 <= run[1] - run[0] <= widest]
     tubes = _tubes(runs, widest)
     glass = len(tubes) == 1 and all(tubes[0][0] <= b[0] and b[1] <= tubes[0][1] for b in bars)
     if not glass and len(bars) != 1:
         raise ValueError(
             "image must show one dark probe that enters through its upper edge, "
-            f"got {len(bars)} bars of {_NARROWEST:.0f} to {widest} px there"
+            f"got {len(bars)} bars of 4 to {widest} px there"
         )
     left, right = (int(end) for end in (tubes if glass else bars)[0])
     bar = float(top[left:right].min() if glass else top[(left + right) // 2])
-    ends = _follow(grey, left, right, bar + _BODY_LEVEL * (ground[left:right].mean() - bar))
+    # Below one half of the way to the ground's grey, which the embryo's fluid does not reach.
+    ends = _follow(grey, left, right, bar + (ground[left:right].mean() - bar) / 3)
     width = np.ptp(ends, axis=1)
     end = _end_row(width)
-    if end < 2 * _TOP_ROWS or end >= len(grey) - _BELOW_TIP:
+    if end < 2 * _TOP_ROWS or end >= len(grey) - 4:
         raise ValueError(
             f"image must show the probe's end inside it, got a bar that ends at row {end} of "
             f"{len(grey)}"
@@ -263,7 +223,7 @@ def _measure(grey: NDArray[np.float32], dark: float) -> Probe:
         columns, first, last = np.arange(grey.shape[1]), *ends.T[:, :, np.newaxis]
         filled = np.where((columns >= first) & (columns < last), bar, np.inf)
         grey = np.concatenate([np.minimum(grey[: len(ends)], filled), grey[len(ends) :]])
-    rows = np.arange(_FIRST_ROW, int(_UPPER_PART * end))
+    rows = np.arange(2, int(_UPPER_PART * end))
     usual = np.median(width[:_TOP_ROWS])
     across = np.where(np.abs(width - usual) > MARGIN, width, usual)
     sides = np.array([_crossings(grey[r], (ends[r].sum() - 1) / 2, across[r], bar) for r in rows])
@@ -288,7 +248,8 @@ def _tubes(runs: NDArray, widest: int) -> list[tuple[int, int]]:
     for first, second in pairwise(runs):
         across = int(second[1] - first[0])
         walls = sorted((int(first[1] - first[0]), int(second[1] - second[0])))
-        alike = walls[0] >= _THINNEST_WALL and walls[1] <= _UNLIKE_WALLS * walls[0]
+        # Of 2 px at least, what a blur of 1 px leaves of a thin wall; light comes from one side.
+        alike = walls[0] >= 2 and walls[1] <= 2 * walls[0]
         if alike and walls[1] <= across / 3 and across <= widest:
             found.append((int(first[0]), int(second[1])))
     return found
@@ -308,17 +269,18 @@ def _crossings(
     row: NDArray[np.float32], middle: float, width: float, bar: float
 ) -> tuple[float, ...]:
     """Where a row passes half-way between the bar and the ground, left and right of `middle`."""
-    distance = np.arange(0.0, width / 2 + _GROUND_WIDTH, _STEP)
+    distance = np.arange(0.0, width / 2 + 6, _STEP)
     columns = np.arange(row.size)
     sides = (np.interp(middle + side * distance, columns, row) for side in (-1, 1))
-    left, right = (_STEP * _half_way(profile, bar, _GROUND_SAMPLES) for profile in sides)
+    left, right = (_STEP * _half_way(profile, bar, 6) for profile in sides)
     return middle - left, middle + right
 
 
 def _robust_line(x: NDArray, y: NDArray) -> tuple[float, float]:
     """Slope and value at 0 of a straight line, outliers beyond three deviations left out once."""
     use = np.isfinite(y)
-    if use.sum() < _FEWEST_EDGES:
+    # More than a line's two numbers, fewer than the rows of the shortest probe.
+    if use.sum() < _TOP_ROWS // 2:
         raise ValueError(
             f"image must show the probe's edges against a brighter ground, got {use.sum()} of "
             f"{use.size} rows in which it does"
@@ -326,18 +288,20 @@ def _robust_line(x: NDArray, y: NDArray) -> tuple[float, float]:
     for _ in range(2):
         slope, start = np.polyfit(x[use], y[use], 1)
         off = np.abs(y - start - slope * x)
-        use = off <= _OUTLIER * MAD_TO_STD * np.median(off[use]) + _ROUNDING
+        use = off <= 3 * MAD_TO_STD * np.median(off[use]) + 1e-6
     return float(slope), float(start)
 
 
 def _tip_row(grey: NDArray[np.float32], upper: Probe, end: int, bar: float) -> float:
     """Image height where the probe's middle turns from its own grey to that of the embryo."""
-    y = np.arange(end - _TIP_REACH, min(end + _TIP_REACH + 1, len(grey) - 1.0), _STEP)
-    across = np.linspace(-0.5, 0.5, _TIP_COLUMNS) * upper.half_width
+    # It is only checked against the fit, with room for 2 px.
+    reach = _TOP_ROWS // 2
+    y = np.arange(end - reach, min(end + reach + 1, len(grey) - 1.0), _STEP)
+    across = np.linspace(-0.5, 0.5, 4) * upper.half_width
     x = upper.axis(y)[:, np.newaxis] + across
     where = np.stack([np.broadcast_to(y[:, np.newaxis], x.shape), x])
     profile = map_coordinates(grey, where, order=1, mode="nearest").mean(axis=1)
-    sample = _half_way(profile, bar, _EMBRYO_SAMPLES)
+    sample = _half_way(profile, bar, round(3 / _STEP))
     if np.isnan(sample):
         raise ValueError("image must show the probe's end against something brighter, got none")
     return float(y[0] + _STEP * sample)

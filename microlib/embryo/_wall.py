@@ -8,6 +8,7 @@ lies on the wall's outer flank.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -17,32 +18,25 @@ from scipy.special import ndtr
 
 from microlib._common import Array
 
-# Lengths are in px. What other values do to the modulus stands in the benchmark "Other values of
-# the constants" (benchmarks/embryo.py).
-
-#: The wall is sought within this distance of the middle of a profile: Canny's edge lies on the
-#: wall's outer flank and in whole px. 1.8 loses steep walls and changes E by more than its
-#: deviation; 3.5 by 0.2 of it.
-_REACH = 2.5
-#: Range of the blur, and how well it is found; 0.4 to 5, and 0.001 to 0.1, change E by up to
-#: 0.24 of its deviation.
-_WIDTHS, _WIDTH_TOLERANCE = (0.6, 3.0), 0.01
-#: Blur of the first search, about that of the workstation's images, and its steps, a quarter of it,
-#: from which the least squares converge. 0.8 to 1.6, and 0.1 to 0.5, change E by up to 0.35 of its
-#: deviation.
-_USUAL_WIDTH, _SEARCH_STEP = 1.1, 0.25
-#: Steps of Gauss–Newton, none longer than this: half a px leaves the wall in sight. 3 to 10, and
-#: 0.25 to 1, change E by up to 0.69 of its deviation.
-_ITERATIONS = 5
-_LONGEST_STEP = 0.5
-#: One profile in so many tells the blur that all have; 1 to 8 change E by up to 0.58 of its
-#: deviation.
-_EVERY = 4
 #: Samples wanted of a profile, more than its four unknowns; nothing changes from 5 to 10.
 _LEAST_SAMPLES = 6
-#: Damping that keeps profiles solvable whose samples lie on one side only. The normal equations are
-#: of the order of 1; nothing changes from 1e-11 to 1e-6.
-_DAMPING = 1e-9
+
+
+@dataclass(frozen=True)
+class WallSettings:
+    """What the search for a wall is set to; lengths in px, changes as in `_boundary.Settings`."""
+
+    #: The wall is sought within this distance of the middle of a profile: Canny's edge lies on the
+    #: wall's outer flank and in whole px. 1.2 for 1.8, which loses steep walls, 0.2 for 3.5.
+    reach: float = 2.5
+    #: Blur of the first search, about that of the workstation's images: 0.4 for 0.8 or 1.6.
+    usual_width: float = 1.1
+    #: Its steps, a quarter of that, from which the least squares converge: 0.3 for 0.1 or 0.5.
+    search_step: float = 0.25
+    #: Steps of Gauss–Newton: 0.7 for 3 or 10.
+    iterations: int = 5
+    #: One profile in so many tells the blur that all have: 0.6 for 1 or 8.
+    every: int = 4
 
 
 class WallPosition(NamedTuple):
@@ -53,7 +47,13 @@ class WallPosition(NamedTuple):
     width: float  # standard deviation of the blur common to all profiles
 
 
-def locate_wall(profiles: Array, offsets: Array, *, weights: NDArray) -> WallPosition:
+def locate_wall(
+    profiles: Array,
+    offsets: Array,
+    *,
+    weights: NDArray,
+    settings: WallSettings = WallSettings(),
+) -> WallPosition:
     r"""Fit a blurred wall to each of a set of profiles.
 
     .. math:: I(d) = b_0 + b_1 \Phi\left(\frac{d-\delta}{s}\right)
@@ -67,6 +67,8 @@ def locate_wall(profiles: Array, offsets: Array, *, weights: NDArray) -> WallPos
         Place of each sample along the profile, ascending, in px.
     weights : ndarray, shape (n, m)
         1 for samples to use, 0 for samples to leave out.
+    settings : WallSettings
+        Of the search.
 
     Returns
     -------
@@ -104,22 +106,24 @@ def locate_wall(profiles: Array, offsets: Array, *, weights: NDArray) -> WallPos
         )
 
     # One of the places alike for all, of which each profile takes the one that leaves it the least.
-    grid = np.arange(-_REACH, _REACH + _SEARCH_STEP / 2, _SEARCH_STEP)
-    left = [_linear_fit(profiles, offsets, keep, _USUAL_WIDTH, place)[2] for place in grid[:, None]]
+    reach, usual = settings.reach, settings.usual_width
+    grid = np.arange(-reach, reach + settings.search_step / 2, settings.search_step)
+    left = [_linear_fit(profiles, offsets, keep, usual, place)[2] for place in grid[:, None]]
     start = grid[np.argmin(np.sum(np.square(left), axis=2), axis=0)]
-    some = slice(None, None, _EVERY)
-    search = minimize_scalar(
-        lambda width: _gauss_newton(profiles[some], offsets, keep[some], width, start[some])[2],
-        bounds=_WIDTHS,
-        method="bounded",
-        options={"xatol": _WIDTH_TOLERANCE},
-    )
+    some = slice(None, None, settings.every)
+
+    def misfit(width: float) -> float:
+        part = profiles[some], offsets, keep[some]
+        return _gauss_newton(*part, width, start[some], settings)[2]
+
+    # In px; other ranges and tolerances change E by up to 0.16 of its deviation.
+    search = minimize_scalar(misfit, bounds=(0.6, 3), method="bounded", options={"xatol": 0.01})
     width = float(search.x)
-    found, std, _ = _gauss_newton(profiles, offsets, keep, width, start)
+    found, std, _ = _gauss_newton(profiles, offsets, keep, width, start, settings)
     reached = keep > 0
     first = np.where(reached, offsets, np.inf).min(axis=1)
     last = np.where(reached, offsets, -np.inf).max(axis=1)
-    bad = few | (np.abs(found) > _REACH) | (first > found - width) | (last < found + width)
+    bad = few | (np.abs(found) > reach) | (first > found - width) | (last < found + width)
     found[bad] = std[bad] = np.nan
     return WallPosition(found, std, width)
 
@@ -128,7 +132,7 @@ def _normal(keep: Array, columns: Array) -> Array:
     """Return the weighted normal matrix of each profile, slightly damped."""
     # As products of matrices: a sum over three factors takes four times as long.
     normal = (keep[..., np.newaxis] * columns).swapaxes(1, 2) @ columns
-    return np.asarray(normal + _DAMPING * np.eye(columns.shape[-1]))
+    return np.asarray(normal + 1e-9 * np.eye(columns.shape[-1]))
 
 
 def _linear_fit(
@@ -143,11 +147,16 @@ def _linear_fit(
 
 
 def _gauss_newton(
-    data: Array, offsets: Array, keep: Array, width: float, position: Array
+    data: Array,
+    offsets: Array,
+    keep: Array,
+    width: float,
+    position: Array,
+    settings: WallSettings,
 ) -> tuple[Array, Array, float]:
     """Gauss–Newton on position and linear coefficients: positions, their spread, the residual."""
     position = position.copy()
-    for _ in range(_ITERATIONS):
+    for _ in range(settings.iterations):
         basis, linear, residual = _linear_fit(data, offsets, keep, width, position)
         scaled, bell = (offsets - position[:, np.newaxis]) / width, basis[..., 2]
         slope = bell * (scaled * linear[:, 2:] - linear[:, 1:2] / np.sqrt(2 * np.pi)) / width
@@ -155,8 +164,9 @@ def _gauss_newton(
         hessian = _normal(keep, jacobian)
         gradient = np.einsum("nmi,nm->ni", jacobian, residual)
         step = np.linalg.solve(hessian, gradient[..., np.newaxis])[:, 3, 0]
-        position += np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)
-        position = np.clip(position, -2 * _REACH, 2 * _REACH)  # beyond _REACH it is no wall
+        position += np.clip(step, -0.5, 0.5)  # no longer, so that the wall stays in sight
+        # Beyond the reach it is no wall.
+        position = np.clip(position, -2 * settings.reach, 2 * settings.reach)
     squares = float(np.sum(residual**2))
     noise = squares / max(float(np.maximum(keep.sum(axis=1) - 4, 0).sum()), 1.0)
     # Samples closer together than a pixel are not independent.

@@ -209,10 +209,10 @@ class _Capsule(Problem):
         rim = min(max(rim, 1.2 * self.probe), 0.95)
         plate = float(np.arcsin(rim))
         values = {"plate": plate, "crest": np.pi - plate, "inflation": inflation}
-        values |= {"logarithm of the pressure": np.log(pressure), "core": 0.1 * plate}
+        values["logarithm of the pressure"] = np.log(pressure)
         k = np.array([values[name] for name in self.sought])
         x = np.linspace(0.0, 1.0, 40)
-        flat, side, dimple = self.zones(x, np.zeros((10, 40)), self.unpack(k))
+        flat, side, dimple = self.zones(x, np.zeros((2 + 4 + 4, x.size)), self.unpack(k))
         r, pull = rim * flat.arc / plate, tension / self.tension
         rows = [*_Flat(r=r, tension=pull * r)]
         for zone, volume in ((side, _SPHERE * x), (dimple, np.full_like(x, _SPHERE))):
@@ -558,8 +558,9 @@ def _checked(wall: Wall) -> tuple[float, float, float, Law]:
     """Return radius, thickness, probe_half_width and the law."""
     radius, thickness, probe_half_width, poisson_ratio, law = wall
     # Beyond, products of sizes leave the range of numbers.
-    r0 = scalar("radius", radius, above=0, most=1e12)
-    h = scalar("thickness", thickness, above=0, most=1e12)
+    most = 1e12
+    r0 = scalar("radius", radius, above=0, most=most)
+    h = scalar("thickness", thickness, above=0, most=most)
     c = scalar("probe_half_width", probe_half_width, within=(_LEAST_WIDTH * r0, r0))
     return r0, h, c, law_of(law, poisson_ratio)
 

@@ -20,12 +20,6 @@ from microlib.membrane._point_load import warn_of_units
 from microlib.membrane._solver import Guess, MembraneState, Problem, gauss_points, in_units
 
 _NODES = 60
-# Factor of force from one state to the next where the first guess is too far.
-_LADDER = 3.0
-_RUNGS = 8
-# Of the logarithm of the modulus, where the softest membrane that has an equilibrium is sought: a
-# dimple within 1 % of the deepest is refused.
-_LEAST_STEP = 0.02
 
 
 @dataclass(frozen=True)
@@ -82,7 +76,7 @@ class _Disc(Problem):
         size = np.hypot(horizontal, vertical)
         first, hoop = self.law.meridian(size / x, r / x)
         # The direction of a slack meridian is undetermined, and its size is then zero.
-        size = np.maximum(size, 1e-300)
+        size = np.maximum(size, np.finfo(float).tiny)
         rise = first * vertical / size
         per_x = np.array(
             [
@@ -113,8 +107,7 @@ class _Disc(Problem):
 
     def stages(self) -> Iterator[_Disc]:
         """Yield problems of a load that grows to this one's."""
-        for rung in range(_RUNGS, -1, -1):
-            share = _LADDER**-rung
+        for share in 3.0 ** -np.arange(8, -1, -1):
             yield replace(self, force=share * self.force, pressure=share * self.pressure)
 
     def virtual_work(self, solution: Any) -> float:
@@ -135,7 +128,8 @@ class _Disc(Problem):
         outward = ends[2][1] * ends[1][1] - ends[2][0] * ends[1][0]
         down = -ends[3][0] * height * solution.y[2, 0]
         work = outward + down + push
-        return float(abs(inside - work) / (abs(inside) + abs(outward) + abs(down) + 1e-300))
+        parts = abs(inside) + abs(outward) + abs(down)
+        return float(abs(inside - work) / parts) if parts else 0.0
 
 
 def indent_disc(
@@ -342,19 +336,28 @@ def disc_modulus(
     >>> print(f"{modulus:.2f} MPa")
     1.30 MPa
     """
-    settings: Any = locals()
-    settings = {k: v for k, v in settings.items() if k not in ("force", "rim_radius", "depth")}
     load, a = scalar("force", force, above=0), scalar("rim_radius", rim_radius, above=0)
     target = scalar("depth", depth, above=0)
 
     def excess(log_modulus: float) -> float:
-        state = indent_disc(load, modulus=float(np.exp(log_modulus)), radius=a, **settings)
+        state = indent_disc(
+            load,
+            modulus=float(np.exp(log_modulus)),
+            radius=a,
+            thickness=thickness,
+            probe_half_width=probe_half_width,
+            poisson_ratio=poisson_ratio,
+            law=law,
+            pressure=pressure,
+            pretension=pretension,
+            rim_inset=rim_inset,
+        )
         return (state.depth - target) / a
 
     # F = E h w³/a² up to a factor: within a few e-foldings of any law and load.
     start = np.log(load * a**2 / (scalar("thickness", thickness, above=0) * target**3))
     low, high = _bracket(excess, start, target)
-    found = float(np.exp(brentq(excess, low, high, xtol=1e-11)))
+    found = float(np.exp(brentq(excess, low, high)))
     warn_of_units(found)
     return found
 
@@ -372,7 +375,8 @@ def _bracket(excess: Any, start: float, depth: float) -> tuple[float, float]:
             f"depth must be one that some modulus gives, got {depth:g} µm: {reason}"
         ) from None
     below, step = above, 1.0
-    while above - below < 25 and step > _LEAST_STEP:
+    # A dimple within 1 % of the deepest is refused.
+    while above - below < 25 and step > 0.02:
         try:
             if excess(below - step) >= 0:
                 return below - step, below

@@ -16,12 +16,9 @@ from scipy.optimize import brentq
 
 from microlib._common import poisson, scalar
 
-#: Nodes of the quadrature over the profile. 200 and 400 give the same modulus to 1e-13, and to
-#: 2e-11 where the membrane stands nearly upright; 100 to 5e-10 there.
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(200)
-#: Between which sines at the probe the balance is sought, and to what. The least belongs to a
-#: dimple a billion times shallower than the steepest.
-_SINES, _SINE_TOLERANCE = (1e-9, 1.0), 1e-14
+#: Nodes and weights over the profile. 200 and 400 give the same modulus to 1e-13, to 2e-11 where
+#: the membrane stands nearly upright, and 100 to 5e-10 there.
+_GAUSS = np.polynomial.legendre.leggauss(200)
 
 
 def steepest_depth(dimple_radius: float, *, probe_half_width: float) -> float:
@@ -108,12 +105,13 @@ def finite_slope_modulus(
     nu = poisson(poisson_ratio)
     if depth > _depth(1.0, a, c):
         return float("nan")
-    if depth < _depth(_SINES[0], a, c):
+    least = 1e-9  # sine at the probe, of a dimple a billion times shallower than the steepest
+    if depth < _depth(least, a, c):
         raise ValueError(
             f"dimple_depth must be at least a billionth of the steepest, got {depth:g} µm"
         )
     # The sine at the probe stands for k: it runs over (0, 1].
-    steepest = brentq(lambda sine: _depth(sine, a, c) - depth, *_SINES, xtol=_SINE_TOLERANCE)
+    steepest = brentq(lambda sine: _depth(sine, a, c) - depth, least, 1.0, xtol=1e-14)
     stress = load * (1 / c - c / a**2) / (2 * np.pi * steepest * h)
     r, dr, sine = _profile(steepest, a, c)
     cosine = np.sqrt((1 - sine) * (1 + sine))
@@ -131,10 +129,11 @@ def _geometry(dimple_radius: float, probe_half_width: float) -> tuple[float, flo
 def _profile(steepest: float, a: float, c: float) -> tuple[NDArray, NDArray, NDArray]:
     """Return radii, quadrature weights and sin θ; `steepest` is the sine at the probe."""
     # r = c + (a − c) t² takes the root singularity of an upright membrane out of the integrand.
-    t = (_NODES + 1) / 2
+    nodes, weights = _GAUSS
+    t = (nodes + 1) / 2
     r = c + (a - c) * t**2
     sine = steepest * (1 / r - r / a**2) / (1 / c - c / a**2)
-    return r, _WEIGHTS * (a - c) * t, sine
+    return r, weights * (a - c) * t, sine
 
 
 def _depth(steepest: float, a: float, c: float) -> float:

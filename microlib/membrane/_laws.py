@@ -24,9 +24,6 @@ LAWS = ("hooke", "neo-hooke", "mooney-rivlin")
 #: C₂/C₁ of the Mooney–Rivlin law: an assumption, one value between rubber-like and stiffening.
 MOONEY_RATIO = 0.2
 
-# Newton on a concave function squares the error with each step.
-_STEPS = 20
-
 
 class Law:
     """A membrane's energy for a modulus of 1, wrinkles included.
@@ -150,7 +147,8 @@ class MooneyRivlin(Law):
         """Return λ of 2(C₁ + C₂/λ)(λ − λ⁻²) = N, concave and rising, 0 at λ = 1."""
         c1, c2 = self.first_constant, self.second_constant
         stretch = 1 + stress
-        for _ in range(_STEPS):
+        # Newton on a concave function squares the error with each step.
+        for _ in range(20):
             inverse = 1 / stretch
             value = c1 * (stretch - inverse**2) + c2 * (1 - inverse**3)
             step = (stress / 2 - value) / (c1 + inverse**3 * (2 * c1 + 3 * c2 * inverse))

@@ -16,19 +16,9 @@ from microlib._common import LARGEST, LEAST, Array, Tidy, as_array, flag, scalar
 from microlib.membrane._capsule import Solved, capsule_modulus, indent_capsule, indent_near
 from microlib.membrane._solver import MembraneState
 
-# Fewer points than this cannot tell four or five numbers and their scatter.
-_FEWEST_POINTS = 20
-# Relative step of derivatives: far above the solver's error, far below any curvature.
-_STEP = 1e-4
-# Relative change of the squares that ends a search: of N points it is N × 1e-6 of their variance,
-# which moves no parameter by more than 0.03 of its deviation for a thousand of them.
-_COST = 1e-6
 # Way of the first step in widths of the outline: 1 µm of an egg. What is tried further off is
 # another capsule, which takes the solver ten times as long.
 _FIRST_STEP = 1e-3
-# Correlation of neighboring distances from which other starts are tried: of points found in an
-# image it is 0.3 to 0.5 where the capsule is the right one, and 0.97 where a search was caught.
-_ARCS = 0.85
 # Searches from other starts. Of outlines of capsules the third finds what the twelfth would.
 _MOST_SEARCHES = 3
 
@@ -146,8 +136,9 @@ def fit_capsule(
     """
     load, c = scalar("force", force, above=0), scalar("probe_half_width", probe_half_width, above=0)
     points = as_array("outline", outline, shape=(None, 2))
-    if len(points) < _FEWEST_POINTS:
-        raise ValueError(f"outline must have at least {_FEWEST_POINTS} points, got {len(points)}")
+    # Fewer cannot tell four or five numbers and their scatter.
+    if len(points) < 20:
+        raise ValueError(f"outline must have at least 20 points, got {len(points)}")
     if (wide := np.ptp(points[:, 0])) <= c:
         raise ValueError(f"outline must be wider than half the probe, {c:g} µm, got {wide:g} µm")
     known = None if radius is None else scalar("radius", radius, above=0)
@@ -197,7 +188,8 @@ def fit_capsule(
         origin[3] -= _FIRST_STEP * np.ptp(points[:, 0])
         lowest = np.full(start.size, -np.inf)
         lowest[1] = 1.0 - origin[1]
-        step = _STEP * np.array([1.0, 1.0, wide, wide, *start[4:upright], 1.0])
+        # Far above the solver's error, far below any curvature.
+        step = 1e-4 * np.array([1.0, 1.0, wide, wide, *start[4:upright], 1.0])
 
         def slopes(moved: Array) -> Array:
             here = distances(origin + moved, used)
@@ -212,8 +204,9 @@ def fit_capsule(
             jac=slopes,
             bounds=(lowest, np.inf),
             x_scale="jac",
-            xtol=1e-8,
-            ftol=_COST,
+            # Of N points it is N × 1e-6 of their variance, which moves no parameter by more than
+            # 0.03 of its deviation for a thousand of them.
+            ftol=1e-6,
             max_nfev=40,
         )
         return origin + fit.x, fit
@@ -225,10 +218,10 @@ def fit_capsule(
         # Whoever says where to begin knows the egg: a search that comes this near was not caught.
         if near is not None and np.sqrt(np.mean(found.fun**2)) < thickness:
             break
-        # What is left of a capsule's outline changes sign from point to point; a search that was
-        # caught on its way leaves arcs.
+        # What is left of a capsule's outline changes sign from point to point: the correlation of
+        # neighbors is 0.3 to 0.5 in an image, and 0.97 where a search was caught on its way.
         left = searches[-1][1].fun
-        if left[1:] @ left[:-1] < _ARCS * max(float(left @ left), 1e-300):
+        if left[1:] @ left[:-1] <= 0.85 * (left @ left):
             break
     # Once more with the points that lie outside the probe as it was found.
     place, found = search(np.append(place, 0.0) if tilted else place)
@@ -268,7 +261,7 @@ def _starts(
     crest, wide = float(z.max()), float(np.ptp(x)) / 2
     top = x[z > crest - 0.01 * wide]
     # Two crests have the dimple between them; one is that of a single side, seen from its axis.
-    between = (x > top.min()) & (x < top.max()) & (z > crest - 0.8 * wide)
+    between = (x > top.min()) & (x < top.max()) & (z > crest - wide)
     two = between.any() and crest - z[between].min() > 0.015 * wide
     axis = float(top.min() + top.max()) / 2 if two else 0.0
     across = np.abs(x - axis)
@@ -280,7 +273,7 @@ def _starts(
                 force, modulus=start[0], inflation=start[1], radius=size, **settings
             )
             yield np.array([np.log(start[0]), start[1], axis, crest - egg.z.max(), *own])
-    rim = float(np.clip(np.median(np.abs(top - axis)), 1.5 * c, 0.8 * size))
+    rim = float(np.clip(np.median(np.abs(top - axis)), 3 / 2 * c, 0.8 * size))
     inside = (across < rim) & (across > c) & (z > crest - size)
     depth = 0.02 * size
     if inside.any():

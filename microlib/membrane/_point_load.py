@@ -19,14 +19,8 @@ from numpy.typing import ArrayLike
 
 from microlib._common import Array, as_array, flag, poisson, positive
 
-#: Below this value x of 1 − ζ² the closed forms lose digits to cancellation, about x⁻³ roundings,
-#: and their series takes over. S is right to 2e-12 for any limit from 0.01 to 0.2 and any number of
-#: terms from 12 on, measured against 60 digits.
-_SERIES_LIMIT = 0.05
-_SERIES_TERMS = 16
-#: Nodes of the exact strain's quadrature. 32 or 128 give the same to 1e-14 for w_d/a up to 1 and ζ
-#: from 0.01 on.
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
+#: Of the exact strain. 32 or 128 nodes give the same to 1e-14 for w_d/a up to 1 and ζ from 0.01 on.
+_GAUSS = np.polynomial.legendre.leggauss(64)
 #: MPa: 10 Pa is the softest of gels, and steel has 2e5.
 _SOFTEST, _STIFFEST = 1e-5, 2e5
 
@@ -138,12 +132,7 @@ def elastic_modulus(
     1.551 MPa
     """
     values = checked(
-        force=force,
-        dimple_radius=dimple_radius,
-        dimple_depth=dimple_depth,
-        thickness=thickness,
-        probe_half_width=probe_half_width,
-        poisson_ratio=poisson_ratio,
+        dimple_radius, dimple_depth, probe_half_width, thickness, poisson_ratio, force=force
     )
     _warn_if_steep(values["dimple_radius"], values["dimple_depth"])
     modulus = values["force"] / force_per_modulus(values)
@@ -216,12 +205,7 @@ def indentation_force(
     0.838 µN
     """
     values = checked(
-        modulus=modulus,
-        dimple_radius=dimple_radius,
-        dimple_depth=dimple_depth,
-        thickness=thickness,
-        probe_half_width=probe_half_width,
-        poisson_ratio=poisson_ratio,
+        dimple_radius, dimple_depth, probe_half_width, thickness, poisson_ratio, modulus=modulus
     )
     _warn_if_steep(values["dimple_radius"], values["dimple_depth"])
     return values["modulus"] * force_per_modulus(values)
@@ -296,17 +280,10 @@ def dimple_depth(
     20.00 µm
     """
     values = checked(
-        force=force,
-        dimple_radius=dimple_radius,
-        modulus=modulus,
-        thickness=thickness,
-        probe_half_width=probe_half_width,
-        poisson_ratio=poisson_ratio,
+        dimple_radius, 1.0, probe_half_width, thickness, poisson_ratio, force=force, modulus=modulus
     )
     # The force grows with the cube of the depth, so the force at 1 µm gives the depth.
-    at_one_micrometer = values["modulus"] * force_per_modulus(
-        values | {"dimple_depth": np.ones(())}
-    )
+    at_one_micrometer = values["modulus"] * force_per_modulus(values)
     depth = np.cbrt(values["force"] / at_one_micrometer)
     _warn_if_steep(values["dimple_radius"], depth)
     return depth
@@ -367,12 +344,7 @@ def dimple_profile(
     >>> dimple_profile([25.0, 100.0, 250.0], 250.0, 40.0, probe_half_width=25.0).round(3).tolist()
     [40.0, 10.982, 0.0]
     """
-    values = checked(
-        radius=radius,
-        dimple_radius=dimple_radius,
-        dimple_depth=dimple_depth,
-        probe_half_width=probe_half_width,
-    )
+    values = checked(dimple_radius, dimple_depth, probe_half_width, radius=radius)
     r, a, c = values["radius"], values["dimple_radius"], values["probe_half_width"]
     if (outside := (r < c) | (r > a)).any():
         worst = np.broadcast_to(r, outside.shape)[outside].flat[0]
@@ -437,13 +409,7 @@ def membrane_stress(
     >>> print(f"{stress:.4f} MPa")
     0.1199 MPa
     """
-    values = checked(
-        force=force,
-        dimple_radius=dimple_radius,
-        dimple_depth=dimple_depth,
-        thickness=thickness,
-        probe_half_width=probe_half_width,
-    )
+    values = checked(dimple_radius, dimple_depth, probe_half_width, thickness, force=force)
     zeta = values["probe_half_width"] / values["dimple_radius"]
     scale = values["force"] / (4 * np.pi * values["thickness"] * values["dimple_depth"])
     return -scale * log_remainder(zeta, 2)
@@ -515,23 +481,20 @@ def mean_strain(
     >>> ratio.round(4).tolist()
     [1.0002, 1.2695]
     """
-    values = checked(
-        dimple_radius=dimple_radius,
-        dimple_depth=dimple_depth,
-        probe_half_width=probe_half_width,
-    )
+    values = checked(dimple_radius, dimple_depth, probe_half_width)
     zeta = values["probe_half_width"] / values["dimple_radius"]
     steepness = values["dimple_depth"] / values["dimple_radius"]
     if flag("small_slopes", small_slopes):
         shape = log_remainder(zeta, 3) / (annulus(zeta) * log_remainder(zeta, 2) ** 2)
         return -(steepness**2) * shape
     # ρ = r/a runs over [ζ, 1] as ζ^t, t in [0, 1]; dρ = ln ζ · ρ dt.
-    rho = zeta[..., np.newaxis] ** ((_NODES + 1) / 2)
+    nodes, weights = _GAUSS
+    rho = zeta[..., np.newaxis] ** ((nodes + 1) / 2)
     slope = 2 * steepness[..., np.newaxis] * (1 / rho - rho)
     slope = slope / log_remainder(zeta, 2)[..., np.newaxis]
     # √(1+s²) − 1, written without cancellation.
     stretch = slope**2 / (np.sqrt(1 + slope**2) + 1)
-    integral = np.sum(_WEIGHTS / 2 * stretch * rho**2, axis=-1) * -np.log(zeta)
+    integral = np.sum(weights / 2 * stretch * rho**2, axis=-1) * -np.log(zeta)
     return integral / annulus(zeta)
 
 
@@ -543,12 +506,14 @@ def annulus(zeta: Array) -> Array:
 def log_remainder(zeta: Array, first: int) -> Array:
     """Return −Σ_{k ≥ first} x**k / k with x = 1 − ζ²: ln ζ² less its series' first terms."""
     x = annulus(zeta)
-    order = np.arange(first, first + _SERIES_TERMS)
-    # Elsewhere than at small x the series is not used, and a zero keeps its powers harmless.
-    small = np.where(x < _SERIES_LIMIT, x, 0.0)
-    series = -np.sum(small[..., np.newaxis] ** order / order, axis=-1)
+    # The closed form loses about x⁻³ roundings to cancellation. S is right to 2e-12 for any limit
+    # from 0.01 to 0.2 and any number of terms from 12 on, measured against 60 digits.
+    small = x < 0.05
+    order = np.arange(first, first + 16)
+    # Elsewhere the series is not used, and a zero keeps its powers harmless.
+    series = -np.sum(np.where(small, x, 0.0)[..., np.newaxis] ** order / order, axis=-1)
     closed = 2 * np.log(zeta) + sum(x**k / k for k in range(1, first))
-    return np.where(x < _SERIES_LIMIT, series, closed)
+    return np.where(small, series, closed)
 
 
 def force_per_modulus(values: Mapping[str, Array]) -> Array:
@@ -561,27 +526,36 @@ def force_per_modulus(values: Mapping[str, Array]) -> Array:
     return numerator / (a**2 * (1 - values["poisson_ratio"])) * shape
 
 
-def checked(**arguments: ArrayLike) -> dict[str, Array]:
-    """Return a function's arguments as arrays, refusing what the model cannot mean."""
-    values = {
-        name: positive(name, value) for name, value in arguments.items() if name != "poisson_ratio"
-    }
-    if "poisson_ratio" in arguments:
-        values["poisson_ratio"] = ratio = as_array("poisson_ratio", arguments["poisson_ratio"])
-        poisson(ratio.min()), poisson(ratio.max())
+def checked(
+    dimple_radius: ArrayLike,
+    dimple_depth: ArrayLike,
+    probe_half_width: ArrayLike,
+    thickness: ArrayLike = 1.0,
+    poisson_ratio: ArrayLike = 0.0,
+    **others: ArrayLike,
+) -> dict[str, Array]:
+    """Return the sizes of a dimple, and other positive quantities, as arrays by name.
+
+    What the model cannot mean is refused.
+    """
+    others |= {"dimple_radius": dimple_radius, "dimple_depth": dimple_depth}
+    others |= {"probe_half_width": probe_half_width, "thickness": thickness}
+    values = {name: positive(name, value) for name, value in others.items()}
+    values["poisson_ratio"] = ratio = as_array("poisson_ratio", poisson_ratio)
+    poisson(ratio.min())
+    poisson(ratio.max())
     try:
         np.broadcast_shapes(*(array.shape for array in values.values()))
     except ValueError:
         shapes = ", ".join(f"{name} {array.shape}" for name, array in values.items())
         raise ValueError(f"the arguments' shapes must broadcast together, got {shapes}") from None
-    if "probe_half_width" in values:
-        c, a = np.broadcast_arrays(values["probe_half_width"], values["dimple_radius"])
-        if (c >= a).any():
-            worst = np.argmax(c / a)
-            raise ValueError(
-                "probe_half_width must be below dimple_radius (0 < c/a < 1), "
-                f"got {c.flat[worst]:g} and {a.flat[worst]:g} µm"
-            )
+    c, a = np.broadcast_arrays(values["probe_half_width"], values["dimple_radius"])
+    if (c >= a).any():
+        worst = np.argmax(c / a)
+        raise ValueError(
+            "probe_half_width must be below dimple_radius (0 < c/a < 1), "
+            f"got {c.flat[worst]:g} and {a.flat[worst]:g} µm"
+        )
     return values
 
 

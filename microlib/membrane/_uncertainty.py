@@ -18,13 +18,9 @@ from microlib.membrane._point_load import (
     log_remainder,
 )
 
-#: Asymmetry and negative variance, in the largest element, that rounding leaves: eight Gaussians,
-#: of a condition of 1e14, give 1e-8.
-_ROUNDING = 1e-6
 #: The arguments of `elastic_modulus` in its order, so that the same seed draws the same samples for
 #: any mapping.
 _INPUTS = tuple(signature(elastic_modulus).parameters)
-_DIMPLE = ("dimple_radius", "dimple_depth")
 
 
 def modulus_std(
@@ -203,11 +199,12 @@ def _checked(
     inputs = checked(**values)
     covariance = np.diag([float(stds.get(name, 0.0)) ** 2 for name in _INPUTS])
     if dimple_covariance is not None:
-        if twice := [name for name in _DIMPLE if name in stds]:
+        if twice := [name for name in _INPUTS[1:3] if name in stds]:
             raise ValueError(f"stds must leave out what dimple_covariance holds, got {twice}")
         both = as_array("dimple_covariance", dimple_covariance, shape=(2, 2), finite=known)
         if np.isfinite(both).all():
-            scale = _ROUNDING * np.abs(both).max()
+            # What rounding leaves: eight Gaussians, of a condition of 1e14, give 1e-8.
+            scale = 1e-6 * np.abs(both).max()
             if np.linalg.eigvalsh(both)[0] < -scale or abs(both[0, 1] - both[1, 0]) > scale:
                 raise ValueError(
                     "dimple_covariance must be a covariance, symmetric and without a negative "

@@ -138,20 +138,6 @@ def test_force_modulus_and_depth_invert_each_other(force, a, zeta, depth) -> Non
         assert float(dimple_depth(force, a, modulus, **data)) == pytest.approx(depth, rel=1e-12)
 
 
-@settings(deadline=None, max_examples=40)
-@given(factor=st.floats(0.01, 100.0), scale=st.floats(0.1, 10.0))
-def test_scaling_laws(factor, scale) -> None:
-    """E scales with F; and with 1/length² if every length scales, for it is force over area."""
-    base = float(elastic_modulus(**VALUES))
-    louder = elastic_modulus(**VALUES | {"force": factor * 50.0})
-    assert float(louder) == pytest.approx(factor * base, rel=1e-12)
-    grown = {
-        k: scale * VALUES[k]
-        for k in ("dimple_radius", "dimple_depth", "thickness", "probe_half_width")
-    }
-    assert float(elastic_modulus(**VALUES | grown)) == pytest.approx(base / scale**2, rel=1e-11)
-
-
 def test_arguments_broadcast() -> None:
     depths = np.array([[20.0], [40.0]])
     got = elastic_modulus(np.array([10.0, 50.0, 90.0]), 250.0, depths, **FILM)

@@ -1,0 +1,233 @@
+"""The laws of every public name of the embryos."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from microlib.embryo import (
+    GaussianSum,
+    dimple_geometry,
+    extract_boundary,
+    fit_dimple,
+    fit_gaussians,
+    force_from_image,
+    force_over_time,
+    modulus_from_image,
+)
+from tests import fuzz
+from tests.laws import VIEWS, Law, hold, hold_sigma
+
+pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
+#: Amplitudes, centers and widths of an outline whose rims differ, px, and its range.
+HILLS = np.array([[61.0, 55.0, 5.0], [52.0, 147.0, 190.0], [38.0, 43.0, 12.0]])
+DOMAIN = np.array([5.0, 203.0])
+SUM = {"amplitudes": "px", "centers": "px @ x0", "widths": "px", "domain": "px @ x0"}
+GEOMETRY = {
+    "dimple_radius": "um", "dimple_depth": "um", "covariance": "um**2",
+    "rim": "px @ [x0, 0]", "bottom": "px @ [x0, 0]",
+}  # fmt: skip
+FIT = {
+    "dimple_radius": "um", "dimple_depth": "um", "covariance": "um**2", "rim_curvatures": "1/um",
+    "pixel_size": "um", "probe_half_width": "um", "center": "1", "tilt": "1", "misfit": "1",
+}  # fmt: skip
+#: In an image nothing has a unit but what its pixel and the force give it.
+SIZES = {"thickness": 2.6, "probe_half_width": 25.0}
+EGG = fuzz.egg().image
+
+
+def film(u) -> dict:
+    sizes = {name: value * u.um for name, value in SIZES.items()}
+    return sizes | {"poisson_ratio": 0.31, "pixel_size": 7.75 * u.um, "direction": "top"}
+
+
+def hills(u) -> GaussianSum:
+    a, b, c = HILLS * u.px + [[0.0], [u.x0], [0.0]]
+    known = np.diag(np.arange(1.0, 10.0)) * 1e-3 * u.px**2
+    return GaussianSum(a, b, c, domain=tuple(DOMAIN * u.px + u.x0), covariance=known)
+
+
+def estimate(found: str, other: str) -> dict:
+    moduli = ("point load", "disc, neo-hooke", "disc, neo-hooke, no pressure", "disc, hooke",
+              "disc, hooke, no pressure", "capsule, neo-hooke", "capsule, hooke")  # fmt: skip
+    return {
+        **dict.fromkeys((found, "interval", "model_interval"), UNITS[found]), other: UNITS[other],
+        **dict.fromkeys(("relative_std", "misfit"), "1"), "found": "=", "boundary": "=",
+        "dimple": FIT, "model_moduli": dict.fromkeys(moduli, "MPa"),
+        "given": dict.fromkeys(("thickness", "probe_half_width", "radius"), "um")
+        | {"poisson_ratio": "1"},
+    }  # fmt: skip
+
+
+UNITS = {"force": "uN", "modulus": "MPa"}
+LAWS = {
+    "embryo.GaussianSum": Law(
+        lambda u: {
+            "amplitudes": HILLS[0] * u.px, "centers": u.x0 + HILLS[1] * u.px,
+            "widths": HILLS[2] * u.px, "domain": tuple(DOMAIN * u.px + u.x0),
+            "covariance": np.eye(9) * u.px**2,
+        },
+        SUM | {"covariance": "px**2"},
+    ),
+    **{
+        f"embryo.GaussianSum.{name}": Law(
+            lambda u: {"self": hills(u), "x": u.x0 + np.array([30.0, 77.0]) * u.px}, unit
+        )
+        for name, unit in (("__call__", "px"), ("slope", "1"), ("second_derivative", "1/px"))
+    },
+    "embryo.GaussianSum.gradient": Law(lambda u: {"self": hills(u), "x": u.x0 + 30.0 * u.px}, "1"),
+    # Roots are found to 1e-12 of a place that an origin moves.
+    "embryo.GaussianSum.extrema": Law(
+        lambda u: {"self": hills(u)}, ["px @ x0", "px @ x0"], within=1e-8
+    ),
+    "embryo.dimple_geometry": Law(
+        lambda u: {"curve": hills(u), "pixel_size": 3.9 * u.um / u.px, "rim": "right"},
+        GEOMETRY,
+        within=1e-6,
+    ),
+    # A search ends at a relative change of 1e-8, its sum of squares at the noise.
+    "embryo.fit_gaussians": Law(
+        lambda u: {
+            "x": u.x0 + np.arange(60.0) * 3.3 * u.px,
+            "y": hills(u)(u.x0 + np.arange(60.0) * 3.3 * u.px)
+            + np.random.default_rng(0).normal(0, 0.1, 60) * u.px,
+            "terms": 2,
+        },
+        SUM | {"covariance": "px**2"},
+        within=1e-3,
+    ),
+    "embryo.loess": Law(
+        lambda u: {
+            "x": u.t0 + np.arange(40.0) ** 1.1 * u.s,
+            "y": u.x0 + np.random.default_rng(1).normal(0, 3, 40) * u.px,
+            "span": 0.4, "degree": 1,
+        },
+        "px @ x0",
+    ),
+    "embryo.extract_boundary": Law(
+        lambda u: {"image": EGG * (0.6 * u.grey), "direction": "top"},
+        {
+            **dict.fromkeys(("x", "y", "std", "blur", "points"), "1"),
+            **dict.fromkeys(("under_probe", "image_height", "view"), "="),
+            "probe": dict.fromkeys(("tip", "slope", "half_width", "taper"), "1"),
+        },
+        within=1e-4,  # grey levels in single precision
+    ),
+    "embryo.fit_dimple": Law(
+        lambda u: {
+            "boundary": fuzz.outline(), "pixel_size": 7.75 * u.um, "probe_half_width": 25.0 * u.um
+        },
+        FIT,
+        within=1e-6,
+    ),
+    # Models are solved to 1e-6.
+    "embryo.modulus_from_image": Law(
+        lambda u: {"image": EGG, "force": 143.0 * u.uN, "radius": 600.0 * u.um, **film(u)},
+        estimate("modulus", "force"),
+        within=1e-5,
+    ),
+    "embryo.force_from_image": Law(
+        lambda u: {"image": EGG, "modulus": 0.8 * u.MPa, "radius": 600.0 * u.um, **film(u)},
+        estimate("force", "modulus"),
+        within=1e-5,
+    ),
+    "embryo.force_over_time": Law(
+        lambda u: {
+            "images": [np.full_like(EGG, 190), EGG, np.full_like(EGG, 190), EGG],
+            "time": u.t0 + np.array([0.0, 0.7, 1.1, 3.0]) * u.s,
+            "modulus": 0.8 * u.MPa, "modulus_std": 0.05 * u.MPa,
+            "shares": [0.3], "relaxation_times": np.array([1.9]) * u.s, **film(u),
+        },
+        {
+            **dict.fromkeys(("force", "std", "low", "high", "elastic_force"), "uN"),
+            "time": "s @ t0", "reasons": "=",
+        },
+        within=1e-6,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_outputs_follow_units_and_origins(name):
+    hold(name, LAWS[name])
+
+
+@pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
+def test_an_embryo_seen_otherwise_has_the_same_outline_and_dimple(view):
+    """Rows and columns differ, and the dimple lies beside the middle."""
+    image = EGG[3:, :-31]
+    plain, other = (extract_boundary(each) for each in (image, view.image(image)))
+    wanted = view.points(plain.points, image.shape)
+    found = other.points
+    if np.hypot(*(found[0] - wanted[0])) > np.hypot(*(found[-1] - wanted[0])):
+        found = found[::-1]
+    seen = ~plain.under_probe
+    # Mirrored, the probe's middle is found from the other side: its edges to some hundredths.
+    np.testing.assert_allclose(np.median(np.hypot(*(found - wanted)[seen].T)), 0.0, atol=0.05)
+    sizes = {"pixel_size": 7.75, "probe_half_width": 25.0}
+    one, two = (fit_dimple(each, **sizes) for each in (plain, other))
+    error = np.sqrt(np.diag(one.covariance))
+    for name, std in zip(("dimple_radius", "dimple_depth"), error, strict=True):
+        assert getattr(two, name) == pytest.approx(getattr(one, name), abs=std)
+
+
+@pytest.mark.parametrize("found", ["force", "modulus"])
+def test_each_end_of_an_interval_is_that_of_a_model(found):
+    """What is found goes with what is given, so that an end, given back, meets what was given."""
+    settings = {"pixel_size": 7.75, **SIZES, "poisson_ratio": 0.5, "radius": 600.0}
+    first, back = (force_from_image, modulus_from_image)[:: 1 if found == "force" else -1]
+    estimate = first(EGG, 0.8, **settings)
+    low, high = estimate.model_interval
+    assert low < estimate.interval[0] < getattr(estimate, found) < estimate.interval[1] < high
+    # Without what the outline leaves open, which is the same for all models.
+    widen = np.sqrt(np.divide(*estimate.interval[::-1]))
+    for end in (low * widen, high / widen):
+        again = back(EGG, end, **settings)
+        by_model = np.array([again.modulus, *again.model_moduli.values()])
+        if found == "modulus":
+            by_model = again.force * again.modulus / by_model
+        assert np.abs(np.log(by_model / 0.8)).min() < 1e-5
+
+
+@pytest.mark.parametrize("points", [6, 15, 120])
+def test_the_error_of_a_gaussian_is_as_stated(points):
+    """Few, some and many points for its three numbers."""
+    rng, x = np.random.default_rng(points), np.linspace(3.0, 81.0, points)
+    curve = GaussianSum([60.0], [37.0], [22.0], domain=(0, 90))
+    fits = [fit_gaussians(x, curve(x) + rng.normal(0.0, 0.2, points), terms=1) for _ in range(150)]
+    found = [[fit.amplitudes[0], fit.centers[0], fit.widths[0]] for fit in fits]
+    hold_sigma(
+        np.subtract(found, [60.0, 37.0, 22.0]),
+        [fit.covariance for fit in fits],
+        freedom=points - 3,
+    )
+
+
+@pytest.mark.parametrize("rim", ["left", "right"])
+def test_the_error_of_a_dimple_is_that_of_its_curve(rim):
+    """Of coefficients that are drawn."""
+    rng = np.random.default_rng(3)
+    root = rng.normal(0.0, 0.01, (9, 9))
+    truth = dimple_geometry(
+        GaussianSum(*HILLS, domain=tuple(DOMAIN), covariance=root @ root.T), pixel_size=2.0, rim=rim
+    )
+    errors = []
+    for _ in range(200):
+        moved = HILLS + (root @ rng.normal(size=9)).reshape(3, 3)
+        one = dimple_geometry(GaussianSum(*moved, domain=tuple(DOMAIN)), pixel_size=2.0, rim=rim)
+        errors.append(
+            [one.dimple_radius - truth.dimple_radius, one.dimple_depth - truth.dimple_depth]
+        )
+    hold_sigma(errors, np.broadcast_to(truth.covariance, (200, 2, 2)))
+
+
+def test_an_image_between_two_forces_has_any_force_between_them():
+    blind = np.full_like(EGG, 190)
+    settings = {"pixel_size": 7.75, **SIZES, "poisson_ratio": 0.5, "direction": "top"}
+    law = {"shares": [0.0], "relaxation_times": [1.0]}
+    # The first image is one of no force.
+    found = force_over_time(
+        [blind, blind, EGG], 3.7 + np.array([0.0, 0.5, 1.0]), 0.8, **law, **settings
+    )
+    between = np.random.default_rng(0).uniform(found.force[0], found.force[2], 400)
+    hold_sigma(between - found.force[1], np.full(400, found.std[1]))
