@@ -229,3 +229,16 @@ def test_frames_without_the_feature_end_a_run_only_in_a_row(seed):
     assert run.log["lost"].sum() == lost[1 : end + 1].sum()
     assert run.latency == pytest.approx(run.log["latency_s"].median())
     assert np.ptp(run.log["latency_s"].dropna()) > 0.003
+
+
+@pytest.mark.parametrize("interval", [0.05, 0.2])
+def test_a_controller_moves_the_stage_by_velocity_times_interval(interval):
+    u = SimpleNamespace(um=1.0, px=1.0, s=1.0, t0=3.7, x0=12.0, y0=-5.0, x0_um=310.0, y0_um=-140.0)
+    workstation = begun(u)
+    law = lambda k, seen, goals: np.linalg.solve(J, 0.5 * (goals[1] - seen)) / interval  # noqa: E731
+    given = {"jacobian": J, "travel": 400.0, "controller": law, "interval": interval}
+    targets = workstation.feature + STEP
+    log = servo(workstation, seeing(workstation), targets, **given, tolerance=0.5).log
+    seen = log.loc[log["phase"] == "servo", ["measured_x_px", "measured_y_px"]].to_numpy()
+    left = np.linalg.norm(targets - seen, axis=1)
+    np.testing.assert_allclose(left[1:4] / left[:3], 0.5, atol=0.06)  # drift and noise

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
+from scipy.special import ndtr
 
 from microlib import synthetic
 from microlib.microscope import Microscope
@@ -15,6 +17,10 @@ SHAPE = (21, 34)
 TEXTURE = synthetic.mixed_texture((26, 33), 5)
 RELIEF = np.linspace(-4.0, 9.0, 26)[:, None] + 2.0 * np.sin(np.arange(33) / 5.0)
 FOCI = np.array([7.0, 1.5, -2.0, 11.0])
+
+
+class Plain:
+    um = grey = uN = MPa = 1.0
 
 
 def embryo(u, **changes) -> synthetic.Embryo:
@@ -157,10 +163,6 @@ def test_a_stack_seen_otherwise_is_blurred_alike(view):
 @pytest.mark.parametrize("draw", [synthetic.render_circles, synthetic.render_squares])
 def test_a_pattern_seen_otherwise_is_drawn_alike(draw):
     """Light, counts, cells and place swapped between the axes make the picture transposed."""
-
-    class Plain:
-        um = grey = 1.0
-
     light = replace(imaging(Plain), noise=0.0)
     one = draw(scope(Plain), counts=(3, 2), imaging=light)
     turned = scope(Plain, tx=-190.0, ty=-310.0, pixel_size=(8.3, 9.9), image_size=(80, 110))
@@ -178,3 +180,53 @@ def test_the_gripper_and_the_texture_move_by_what_they_are_told():
     assert (x, y) == tuple(np.add(scene.box(20)[:2], (7, -3)))
     near = synthetic.texture_sequence([[3, 8], [10, 5]], 0, size=15, noise=0.0)
     np.testing.assert_allclose(near[1][5:20, 10:25].astype(int), near[0][8:23, 3:18], atol=1)
+
+
+def test_light_and_counts_are_those_of_their_axes():
+    """Beside the pattern the ground is the light; the pattern has its rows and columns."""
+    light = {"bright": 150.0, "dark": 40.0, "blur": 0.0}
+    uneven = synthetic.ImagingConditions(vignetting=0.2, gradient=(0.15, -0.1), **light)
+    far = synthetic.render_squares(scope(Plain, tx=9e4), counts=(1, 1), imaging=uneven)
+    top_left, top_right, bottom_left = far[0, 0], far[0, -1], far[-1, 0]
+    assert top_left == pytest.approx(150.0 * 0.8 * (1 - 0.075 + 0.05), rel=1e-5)
+    assert top_right == pytest.approx(150.0 * 0.8 * (1 + 0.075 + 0.05), rel=1e-5)
+    assert bottom_left == pytest.approx(150.0 * 0.8 * (1 - 0.075 - 0.05), rel=1e-5)
+    even = synthetic.ImagingConditions(**light)
+    dark = synthetic.render_squares(scope(Plain), side=110.0, counts=(3, 2), imaging=even) < 95
+    size = np.ptp(np.argwhere(dark), axis=0)[::-1] + 1  # of 5 and 3 sides, to a pixel
+    np.testing.assert_allclose(size, [5 * 110 * 1.588 / 9.9, 3 * 110 * 1.588 / 8.3], atol=1.1)
+
+
+@pytest.mark.parametrize("draw", [synthetic.render_circles, synthetic.render_squares])
+def test_blur_is_a_gaussian_of_its_width(draw):
+    sharp, soft = (
+        draw(scope(Plain), imaging=synthetic.ImagingConditions(blur=b)) for b in (0.7, 2.0)
+    )
+    again = gaussian_filter(sharp, np.sqrt(2.0**2 - 0.7**2))
+    assert np.abs(again - soft)[12:-12, 12:-12].max() < 1.0
+    assert np.ptp(sharp) > 100
+
+
+def test_what_moves_moves_by_parts_of_a_pixel_and_brightens_by_the_gain():
+    """Between two frames a small shift is −(change)/(slope)."""
+    one, other = synthetic.texture_sequence([[9.2, 8.7], [9.5, 8.5]], 0, size=40, sigma=2, noise=0)
+    change = (other.astype(float) - one)[14:42, 14:42]
+    slopes = np.gradient((one.astype(float) + other)[13:43, 13:43] / 2)
+    design = np.column_stack([-slope[1:-1, 1:-1].ravel() for slope in slopes[::-1]])
+    moved = np.linalg.lstsq(design, change.ravel(), rcond=None)[0]
+    np.testing.assert_allclose(moved, [0.3, -0.2], atol=0.03)
+    pair = synthetic.warped_pair(1, 0.0, gain=1.2, noise=0.0, size=30)
+    dim = (pair.first > 20) & (pair.first < 200)  # not clipped
+    assert (pair.second[dim] / pair.first[dim]).mean() == pytest.approx(1.2, abs=0.01)
+
+
+def test_the_edge_of_the_probe_is_as_wide_as_the_blur():
+    scene = synthetic.embryo_image(
+        embryo(Plain), rng=0, pixel_size=2.0, shape=(64, 200), center=(99.3, 400.0), blur=0.6,
+        noise=0.0, unevenness=0.0,
+    )  # fmt: skip
+    left, right = (
+        ndtr((np.arange(200) - 99.3 + s * 15.0) / np.hypot(0.6, 12**-0.5)) for s in (1, -1)
+    )
+    wanted = 195.0 + (42.0 - 195.0) * (left - right)
+    np.testing.assert_allclose(scene.image[20], wanted, atol=4)
