@@ -27,7 +27,7 @@ class Settings:
     edge_mean: float = 2.0
     #: Side of the wide window, of every fourth pixel: wider than the halo of a strong edge.
     wide: int = 13
-    #: Difference in depth that is a step: beyond it nothing is smoothed or taken for relief.
+    #: Difference in depth that is a step: nothing is smoothed beyond it.
     jump: float = 1.5
     #: Radius over which a depth needs others around it, and over which peaks must exceed noise.
     surroundings: float = 3.0
