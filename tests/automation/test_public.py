@@ -51,27 +51,13 @@ LAWS = {
     "automation.LiveDepth": LOOK,
     "automation.LiveDepth.push": LOOK,
     "automation.LiveDepth.result": LOOK,
-    "automation.acquire_depth": Law(
-        lambda u: {
-            "call": acquire_depth, "workstation": scope(u, 72.0),
-            "positions": u.z0 + POSITIONS[::-1] * u.um, "farthest": u.z0 + 40.0 * u.um,
-            "timeout": 4.0 * u.s,
-        },
-        RUN,
-        within=1e-4,
-        again=False,
-        call=acquired,
-    ),
-    "automation.autofocus": Law(
-        lambda u: {
-            "call": autofocus, "workstation": scope(u, 72.0),
-            "positions": u.z0 + POSITIONS * u.um, "timeout": 4.0 * u.s,
-        },
-        {k: v for k, v in RUN.items() if k != "depth"},
-        within=1e-4,
-        again=False,
-        call=acquired,
-    ),
+    "automation.acquire_depth": Law(lambda u: {"call": acquire_depth,
+        "workstation": scope(u, 72.0), "positions": u.z0 + POSITIONS[::-1] * u.um,
+        "farthest": u.z0 + 40.0 * u.um, "timeout": 4.0 * u.s}, RUN, within=1e-4, again=False,
+        call=acquired),
+    "automation.autofocus": Law(lambda u: {"call": autofocus, "workstation": scope(u, 72.0),
+        "positions": u.z0 + POSITIONS * u.um, "timeout": 4.0 * u.s}, {k: v for k,
+        v in RUN.items() if k != "depth"}, within=1e-4, again=False, call=acquired),
 }  # fmt: skip
 
 

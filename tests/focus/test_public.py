@@ -40,50 +40,24 @@ def result(u) -> FocusResult:
 
 
 LAWS = {
-    "focus.FocusResult": Law(
-        lambda u: {k: getattr(result(u), k) for k in result(u).__dataclass_fields__},
-        MAPS,
-        within=SINGLE,
-    ),
+    "focus.FocusResult":
+        Law(lambda u: {k: getattr(result(u), k) for k in result(u).__dataclass_fields__}, MAPS,
+        within=SINGLE),
     "focus.FocusResult.plot": "pictures have laws of their own",
     "focus.FocusResult.to_layers": "test_a_result_is_in_its_place_for_every_program",
-    "focus.FocusResult.select": Law(
-        lambda u: {"self": result(u), "frames": 255.0 - STACK}, "1", within=SINGLE
-    ),
-    "focus.correct_spikes": Law(
-        lambda u: {"depth": u.z0 + HOLED * u.um, "window": 5, "delta": 1.5}, "um @ z0"
-    ),
-    "focus.depth_from_focus": Law(
-        lambda u: {"frames": STACK * u.grey, "positions": u.z0 + Z * u.um, "measure": "tenengrad"},
-        MAPS,
-        within=SINGLE,
-    ),
-    "focus.smooth_depth": Law(
-        lambda u: {
-            "depth": u.z0 + HOLED * u.um,
-            "jump": 12.0 * u.um,
-            "radius": 4.0,
-            "weight": 1.0 + INDEX,
-        },
-        "um @ z0",
-        within=SINGLE,
-    ),
-    "focus.sum_modified_laplacian": Law(
-        lambda u: {
-            "image": u.grey0 + STACK[3] * u.grey,
-            "window": 5,
-            "step": 2,
-            "threshold": 9.5 * u.grey,
-        },
-        "grey",
-        within=SINGLE,
-    ),
-    "focus.three_point_peak": Law(
-        lambda u: {"window": WINDOW * u.grey, "index": INDEX, "positions": u.z0 + Z * u.um},
-        "um @ z0",
-        within=SINGLE,
-    ),
-}
+    "focus.FocusResult.select": Law(lambda u: {"self": result(u), "frames": 255.0 - STACK}, "1",
+        within=SINGLE),
+    "focus.correct_spikes": Law(lambda u: {"depth": u.z0 + HOLED * u.um, "window": 5,
+        "delta": 1.5}, "um @ z0"),
+    "focus.depth_from_focus": Law(lambda u: {"frames": STACK * u.grey,
+        "positions": u.z0 + Z * u.um, "measure": "tenengrad"}, MAPS, within=SINGLE),
+    "focus.smooth_depth": Law(lambda u: {"depth": u.z0 + HOLED * u.um, "jump": 12.0 * u.um,
+        "radius": 4.0, "weight": 1.0 + INDEX}, "um @ z0", within=SINGLE),
+    "focus.sum_modified_laplacian": Law(lambda u: {"image": u.grey0 + STACK[3] * u.grey,
+        "window": 5, "step": 2, "threshold": 9.5 * u.grey}, "grey", within=SINGLE),
+    "focus.three_point_peak": Law(lambda u: {"window": WINDOW * u.grey, "index": INDEX,
+        "positions": u.z0 + Z * u.um}, "um @ z0", within=SINGLE),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", LAWS)

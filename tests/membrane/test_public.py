@@ -45,90 +45,43 @@ def geometry(u) -> dict:
 
 
 LAWS = {
-    "membrane.elastic_modulus": Law(
-        lambda u: {"force": 43.0 * u.uN, **dimple(u), **film(u)}, "MPa"
-    ),
-    "membrane.finite_slope_modulus": Law(
-        lambda u: {"force": 43.0 * u.uN, **dimple(u), **film(u)}, "MPa"
-    ),
-    "membrane.indentation_force": Law(
-        lambda u: {"modulus": 0.7 * u.MPa, **dimple(u), **film(u)}, "uN"
-    ),
-    "membrane.dimple_depth": Law(
-        lambda u: {
-            "force": 43.0 * u.uN, "dimple_radius": A * u.um, "modulus": 0.7 * u.MPa, **film(u)
-        },
-        "um",
-    ),
-    "membrane.dimple_profile": Law(
-        lambda u: {"radius": np.array([20.0, 90.0, 200.0]) * u.um, **geometry(u)}, "um"
-    ),
-    "membrane.membrane_stress": Law(
-        lambda u: {"force": 43.0 * u.uN, **dimple(u), **wall(u)}, "MPa"
-    ),
+    "membrane.elastic_modulus": Law(lambda u: {"force": 43.0 * u.uN, **dimple(u), **film(u)},
+        "MPa"),
+    "membrane.finite_slope_modulus": Law(lambda u: {"force": 43.0 * u.uN, **dimple(u), **film(u)},
+        "MPa"),
+    "membrane.indentation_force": Law(lambda u: {"modulus": 0.7 * u.MPa, **dimple(u), **film(u)},
+        "uN"),
+    "membrane.dimple_depth": Law(lambda u: {"force": 43.0 * u.uN, "dimple_radius": A * u.um,
+        "modulus": 0.7 * u.MPa, **film(u)}, "um"),
+    "membrane.dimple_profile": Law(lambda u: {"radius": np.array([20.0, 90.0, 200.0]) * u.um,
+        **geometry(u)}, "um"),
+    "membrane.membrane_stress": Law(lambda u: {"force": 43.0 * u.uN, **dimple(u), **wall(u)},
+        "MPa"),
     "membrane.mean_strain": Law(lambda u: {**geometry(u), "small_slopes": False}, "1"),
-    "membrane.steepest_depth": Law(
-        lambda u: {"dimple_radius": A * u.um, "probe_half_width": C * u.um}, "um"
-    ),
+    "membrane.steepest_depth": Law(lambda u: {"dimple_radius": A * u.um,
+        "probe_half_width": C * u.um}, "um"),
     "membrane.modulus_std": Law(errors, "MPa"),
     "membrane.modulus_samples": Law(lambda u: {**errors(u), "size": 7, "rng": 3}, "MPa"),
-    "membrane.viscoelastic_force": Law(
-        lambda u: {
-            "time": u.t0 + np.array([0.0, 0.3, 1.1, 4.0]) * u.s,
-            "elastic_force": np.array([[1.0, 5.0, 4.0, 4.0], [0.0, 2.0, 2.5, 1.0]]) * u.uN,
-            "shares": [0.3, 0.2],
-            "relaxation_times": np.array([0.7, 5.0]) * u.s,
-        },
-        "uN",
-    ),
-    # What is solved is so to 1e-6.
-    "membrane.indent_disc": Law(
-        lambda u: {
-            "force": 91.0 * u.uN, "modulus": 0.7 * u.MPa, "radius": A * u.um, **wall(u), **RUBBER,
-            "pressure": 3e-4 * u.MPa, "pretension": 0.03, "rim_inset": 0.02,
-        },
-        STATE,
-        within=1e-6,
-    ),
-    "membrane.disc_modulus": Law(
-        lambda u: {
-            "force": 91.0 * u.uN, "rim_radius": A * u.um, "depth": 50.0 * u.um, **wall(u), **STEEL,
-            "pressure": 3e-4 * u.MPa,
-        },
-        "MPa",
-        within=1e-6,
-    ),
-    "membrane.indent_capsule": Law(
-        lambda u: {
-            "force": 91.0 * u.uN, "modulus": 0.7 * u.MPa, "radius": R * u.um, **wall(u), **RUBBER,
-            "inflation": 1.04,
-        },
-        STATE,
-        within=1e-6,
-    ),
-    "membrane.capsule_modulus": Law(
-        lambda u: {
-            "force": 91.0 * u.uN, "rim_radius": 190.0 * u.um, "depth": 70.0 * u.um,
-            "radius": R * u.um, **wall(u), **STEEL,
-        },
-        {"modulus": "MPa", "inflation": "1", "state": STATE},
-        within=1e-6,
-    ),
-    # A search ends within 3 % of a deviation, and an exact outline leaves hardly any.
-    "membrane.fit_capsule": Law(
-        lambda u: {
-            "force": 100.0 * u.uN,
-            "outline": fuzz.capsule_outline() * u.um + [0.0, u.y0_um],
-            "thickness": 3.0 * u.um, "probe_half_width": 25.0 * u.um, "radius": 600.0 * u.um,
-            "start": (1.1 * u.MPa, 1.06),
-        },
-        {
-            **dict.fromkeys(("modulus", "modulus_std"), "MPa"),
-            "center": "um @ [0, y0_um]", "radius": "um", "misfit": "um", "tilt": "1",
-            "inflation": "1", "state": STATE,
-        },
-        within=2e-3,
-    ),
+    "membrane.viscoelastic_force":
+        Law(lambda u: {"time": u.t0 + np.array([0.0, 0.3, 1.1, 4.0]) * u.s,
+        "elastic_force": np.array([[1.0, 5.0, 4.0, 4.0], [0.0, 2.0, 2.5, 1.0]]) * u.uN,
+        "shares": [0.3, 0.2], "relaxation_times": np.array([0.7, 5.0]) * u.s}, "uN"),
+    "membrane.indent_disc": Law(lambda u: {"force": 91.0 * u.uN, "modulus": 0.7 * u.MPa,
+        "radius": A * u.um, **wall(u), **RUBBER, "pressure": 3e-4 * u.MPa, "pretension": 0.03,
+        "rim_inset": 0.02}, STATE, within=1e-6),
+    "membrane.disc_modulus": Law(lambda u: {"force": 91.0 * u.uN, "rim_radius": A * u.um,
+        "depth": 50.0 * u.um, **wall(u), **STEEL, "pressure": 3e-4 * u.MPa}, "MPa", within=1e-6),
+    "membrane.indent_capsule": Law(lambda u: {"force": 91.0 * u.uN, "modulus": 0.7 * u.MPa,
+        "radius": R * u.um, **wall(u), **RUBBER, "inflation": 1.04}, STATE, within=1e-6),
+    "membrane.capsule_modulus": Law(lambda u: {"force": 91.0 * u.uN, "rim_radius": 190.0 * u.um,
+        "depth": 70.0 * u.um, "radius": R * u.um, **wall(u), **STEEL}, {"modulus": "MPa",
+        "inflation": "1", "state": STATE}, within=1e-6),
+    "membrane.fit_capsule": Law(lambda u: {"force": 100.0 * u.uN,
+        "outline": fuzz.capsule_outline() * u.um + [0.0, u.y0_um], "thickness": 3.0 * u.um,
+        "probe_half_width": 25.0 * u.um, "radius": 600.0 * u.um, "start": (1.1 * u.MPa, 1.06)},
+        {**dict.fromkeys(("modulus", "modulus_std"), "MPa"), "center": "um @ [0, y0_um]",
+        "radius": "um", "misfit": "um", "tilt": "1", "inflation": "1", "state": STATE},
+        within=2e-3),
 }  # fmt: skip
 
 

@@ -69,38 +69,22 @@ STATE = (("px @ [x0, y0]",) * 2) + ("px/s", "outer([px, px/s], [px, px/s])")
 SINGLE = 2e-3
 
 LAWS = {
-    "tracking.ESMTracker": Law(
-        lambda u: {"image": frames(u)[0], "box": BOX, "motion": "affine"},
-        {},
-        call=lambda **given: ESMTracker(**given).track(given["image"]).corners,
-    ),
-    "tracking.ESMTracker.track": Law(
-        lambda u: {"self": ESMTracker(frames(u)[0], BOX, "affine"), "frame": frames(u)[1]},
-        TRACK,
-        within=SINGLE,
-        again=False,
-    ),
-    "tracking.KalmanFilter": Law(
-        filters,
-        {"position": "px @ [x0, y0]", "velocity": "px/s", "covariance": STATE[3]},
-    ),
-    "tracking.KalmanFilter.predict": Law(
-        lambda u: {"kalman": used(u)}, STATE, again=False, call=steps
-    ),
-    "tracking.KalmanFilter.update": Law(
-        lambda u: {"kalman": used(u), "position": np.array([u.x0 + 8.7 * u.px, u.y0 - 6.2 * u.px])},
-        STATE,
-        again=False,
-        call=steps,
-    ),
+    "tracking.ESMTracker": Law(lambda u: {"image": frames(u)[0], "box": BOX, "motion": "affine"},
+        {}, call=lambda **given: ESMTracker(**given).track(given["image"]).corners),
+    "tracking.ESMTracker.track": Law(lambda u: {"self": ESMTracker(frames(u)[0], BOX, "affine"),
+        "frame": frames(u)[1]}, TRACK, within=SINGLE, again=False),
+    "tracking.KalmanFilter": Law(filters, {"position": "px @ [x0, y0]", "velocity": "px/s",
+        "covariance": STATE[3]}),
+    "tracking.KalmanFilter.predict": Law(lambda u: {"kalman": used(u)}, STATE, again=False,
+        call=steps),
+    "tracking.KalmanFilter.update": Law(lambda u: {"kalman": used(u),
+        "position": np.array([u.x0 + 8.7 * u.px, u.y0 - 6.2 * u.px])}, STATE, again=False,
+        call=steps),
     "tracking.Track": "a record: its fields' units are those of ESMTracker.track",
     "tracking.Track.to_layers": "napari's layers: tests/test_others.py",
-    "tracking.track_all": Law(
-        lambda u: {"frames": frames(u), "box": BOX, "motion": "affine", "rate": 25.0 / u.s},
-        COLUMNS | {"time_s": "s"},
-        within=SINGLE,
-    ),
-}
+    "tracking.track_all": Law(lambda u: {"frames": frames(u), "box": BOX, "motion": "affine",
+        "rate": 25.0 / u.s}, COLUMNS | {"time_s": "s"}, within=SINGLE),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", LAWS)
