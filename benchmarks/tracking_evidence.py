@@ -34,48 +34,22 @@ Array = NDArray[np.float64]
 
 #: Photographs on which the tracker was made and its verdict fitted, and others.
 DEVELOPMENT = (
-    "camera",
-    "astronaut",
-    "chelsea",
-    "brick",
-    "coins",
-    "immunohistochemistry",
-    "moon",
+    "camera", "astronaut", "chelsea", "brick", "coins", "immunohistochemistry", "moon",
     "stereo_motorcycle",
-)
+)  # fmt: skip
 OPENCV = Path("/usr/share/doc/opencv-doc/examples/data")
 ALSO_FITTED = (
-    "aloeL.jpg",
-    "baboon.jpg",
-    "building.jpg",
-    "fruits.jpg",
-    "home.jpg",
-    "leuvenA.jpg",
-    "starry_night.jpg",
-    "stuff.jpg",
-)
+    "aloeL.jpg", "baboon.jpg", "building.jpg", "fruits.jpg", "home.jpg", "leuvenA.jpg",
+    "starry_night.jpg", "stuff.jpg",
+)  # fmt: skip
 HELD_OUT = (
-    "coffee",
-    "rocket",
-    "grass",
-    "gravel",
-    "retina",
-    "page",
-    "clock",
-    "cell",
+    "coffee", "rocket", "grass", "gravel", "retina", "page", "clock", "cell",
     "hubble_deep_field",
-)
+)  # fmt: skip
 CONDITIONS = (
-    "clean",
-    "20 % hidden",
-    "40 % hidden",
-    "glare",
-    "ramp",
-    "gamma",
-    "blur",
-    "gone",
+    "clean", "20 % hidden", "40 % hidden", "glare", "ramp", "gamma", "blur", "gone",
     "other image",
-)
+)  # fmt: skip
 ABSENT = ("gone", "other image")
 #: Side of the template, of the frame, and least distance of the template from its border, px.
 SIDE, FRAME, MARGIN = 50, 190, 60
