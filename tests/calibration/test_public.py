@@ -1,0 +1,159 @@
+"""The laws of every public name of calibration."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from microlib.calibration import calibrate, detect_micrometer, radial_alignment, stage_affine
+from microlib.calibration._uncertainty import jackknife
+from microlib.microscope import Microscope
+from tests.laws import Law, hold, hold_sigma
+
+#: Cells that are not square, an image that is not, a tilt and a turn, axes aside.
+SENSOR = {"pixel_size": (9.9, 8.3), "image_size": (656, 491)}
+SCOPE = Microscope(2e5, 126e3, 79380, -8e-10, 0.3, 0.2, -0.15, -900, -700, **SENSOR)
+GRID = 280.0 * np.stack(np.meshgrid(np.arange(-4, 14), np.arange(-4, 12)), -1).reshape(-1, 2)
+SEEN = SCOPE.project(GRID)
+SHOWN = ((SEEN > 5) & (SEEN < [650, 485])).all(axis=1)
+WORLD, IMAGE = GRID[SHOWN][::3], SEEN[SHOWN][::3]
+IMAGE = IMAGE + np.random.default_rng(5).normal(0, 0.02, IMAGE.shape)
+SENSOR_POINTS = (IMAGE - SCOPE.principal_point) * SCOPE.cell
+FLAT = SCOPE.to_objective(WORLD)
+MOVES = np.array([[0.0, 0], [40, 0], [0, 55], [-40, 0], [0, -40], [35, 40], [-40, 30]])
+POSE = ["rad"] * 3 + ["um"] * 2
+
+
+def spans(world, pixel_size, focal_length):
+    """The numbers of a calibration; the fields of `Calibration` have the units of parameters."""
+    found = calibrate(
+        world, IMAGE, pixel_size=pixel_size, image_size=(656, 491), focal_length=focal_length
+    )
+    return {
+        "um_per_pixel": np.array(found.um_per_pixel()),
+        "magnification": np.array(found.interval("magnification")),
+        "alpha": np.array(found.interval("alpha")),
+        "tx": np.array(found.interval("tx")),
+        "distortion": np.array(found.interval("distortion")),
+        "residuals": found.residuals,
+        "plane_residuals": found.plane_residuals,
+    }
+
+
+VALUES = "their numbers are those of calibration.calibrate"
+PICTURES = "an image has no µm: tests/calibration/test_boards.py, test_detection.py"
+LAWS = {
+    "calibration.calibrate": Law(
+        lambda u: {
+            "world": WORLD * u.um,
+            "pixel_size": (9.9 * u.um, 8.3 * u.um),
+            "focal_length": 126e3 * u.um,
+        },
+        {
+            "um_per_pixel": "um",
+            "magnification": "1",
+            "alpha": "1",
+            "tx": "um",
+            "distortion": "1/um**2",
+            "residuals": "1",
+            "plane_residuals": "um",
+        },
+        within=1e-5,  # where a search ends, of the largest residual
+        call=spans,
+    ),
+    "calibration.Calibration": VALUES,
+    "calibration.Calibration.interval": VALUES,
+    "calibration.Calibration.um_per_pixel": VALUES,
+    "calibration.Calibration.to_json": "read back by others: tests/calibration/test_stage.py",
+    "calibration.Calibration.from_json": "a round trip: tests/calibration/test_stage.py",
+    "calibration.Detection": PICTURES,
+    "calibration.Detection.to_layers": PICTURES,
+    "calibration.cramer_rao": Law(
+        lambda u: {
+            "microscope": Microscope(
+                2e5 * u.um, 126e3 * u.um, 79380 * u.um, -8e-10 / u.um**2, 0.3, 0.2, -0.15,
+                -900 * u.um, -700 * u.um, (9.9 * u.um, 8.3 * u.um),
+            ),
+            "world": WORLD * u.um,
+            "noise": 0.02,
+            "parameters": ("distortion", "alpha", "tx"),
+        },
+        "outer([um**-2, 1, um], [um**-2, 1, um])",
+        within=1e-6,
+    ),
+    "calibration.detect_charuco": "an image has no µm: tests/calibration/test_charuco.py",
+    "calibration.detect_circles": PICTURES,
+    "calibration.detect_micrometer": PICTURES,
+    "calibration.detect_squares": PICTURES,
+    "calibration.linear_intrinsics": Law(
+        lambda u: {
+            "flat": FLAT[:, :2] * u.um,
+            "depth": (FLAT[:, 2] - SCOPE.translation[2]) * u.um,
+            "sensor": SENSOR_POINTS * u.um,
+        },
+        "[1, um**-2, um**-1]",
+    ),
+    "calibration.radial_alignment": Law(
+        lambda u: {"world": WORLD * u.um, "sensor": SENSOR_POINTS * u.um}, "[1, 1, 1, um, um]"
+    ),
+    "calibration.stage_affine": Law(
+        lambda u: {
+            "stage": MOVES * u.um,
+            "image": (MOVES @ [[1.3, 0.4], [-0.5, 1.6]] + np.sin(MOVES[::-1]) + [12, -5]) * u.px,
+        },
+        {
+            "matrix": "[px/um, px/um, px]",
+            "covariance": "outer([px/um, px/um, px] * 2, [px/um, px/um, px] * 2)",
+            "um_per_pixel": "um/px",
+            "angle": "1",
+            "mirrored": "=",
+            "residuals": "px",
+        },
+        call=lambda stage, image: vars(stage_affine(stage, image)),
+        within=1e-8,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_outputs_follow_units_and_origins(name):
+    hold(name, LAWS[name])
+
+
+@pytest.mark.parametrize("count", [5, 9, 30])
+def test_a_scale_states_its_error_by_the_lines_that_are_left(count):
+    """The spacing's σ in drawn images of few, some and many lines: ν is their number less two."""
+    rng = np.random.default_rng(count)
+    errors, sigmas = [], []
+    x = np.arange(12 * count + 30.0)
+    for _ in range(150):
+        places = 21.3 + 12.0 * np.arange(count) + rng.normal(0, 0.05, count)
+        dark = np.exp(-((x - places[:, None]) ** 2) / 4).sum(axis=0)
+        found = detect_micrometer(np.tile(200 - 120 * dark, (20, 1)))
+        errors.append(found.spacing - 12.0)
+        sigmas.append(found.spacing_sigma)
+        value, low, high = found.um_per_pixel(10.0)
+        assert low < value == 10.0 / found.spacing < high
+    hold_sigma(errors, sigmas, freedom=count - 2)
+
+
+@pytest.mark.parametrize("groups", [4, 9, 40])
+def test_the_jackknife_of_few_groups_has_their_factor(groups):
+    """Of a mean it is in closed form the squared scatter of the groups' means over their number."""
+    rng = np.random.default_rng(groups)
+    values = rng.normal(0, 1, (groups, 6))  # three points of two coordinates each
+    residuals = (values - values.mean()).ravel()
+    found = jackknife(np.ones((6 * groups, 1)), residuals, np.repeat(np.arange(groups), 3))
+    assert found[0, 0] == pytest.approx(values.mean(axis=1).var(ddof=1) / groups)
+
+
+def test_a_pose_follows_a_mirror_a_turn_and_the_order_of_points():
+    """Of both solutions the one with the pattern's own tilt."""
+    alpha, beta, gamma, tx, ty = radial_alignment(WORLD, SENSOR_POINTS)
+    sign = np.sign(beta) * np.sign(SCOPE.beta)
+    np.testing.assert_allclose([beta * sign, gamma * sign], [0.2, -0.15], atol=0.01)
+    order = np.random.default_rng(0).permutation(len(WORLD))
+    turned = radial_alignment(WORLD[order], SENSOR_POINTS[order] @ [[0.0, 1.0], [-1.0, 0.0]])
+    np.testing.assert_allclose(
+        turned, [alpha + np.pi / 2, beta, gamma, -ty, tx], rtol=1e-9, atol=1e-9
+    )
