@@ -12,35 +12,17 @@ from numpy.typing import NDArray
 
 from microlib._common import Array
 from microlib.calibration._grid_map import GridMap
-
-#: Most residual of a lattice, in pitches. Printed boards, photographed, lie within 0.01; false
-#: lattices, which are grown within a quarter of a step, mostly beyond 0.03.
-_MOST_RESIDUAL = 0.012
-#: A residual that the marks' own noise explains is no reason to refuse, whatever the pitch.
-_EXPLAINED = 3.0
-#: A mark so many standard deviations beside the others' map is none of theirs: by chance one of
-#: 10⁸.
-_STRAY = 6.0
-#: Of a point that the fields follow but for this part nothing is known.
-_LEAST_SHOWN = 1e-3
-#: Least part of the marks that must agree.
-_LEAST_AGREEING = 0.75
-#: Degrees of freedom that the fits' own σ counts for when it is held against the residuals; of
-#: fewer residuals than that little can be known.
-_OWN_FREEDOM = 8.0
-#: Median of the absolute values to standard deviation, for normal errors.
-_TO_SIGMA = 1.4826
-#: Coefficients of a polynomial of degree 4, 3, 2 in two coordinates; it is used with three times
-#: as many marks. The map has absorbed a constant and a slope already.
-_COEFFICIENTS = {4: 15, 3: 10, 2: 6}
-_MARKS_PER_COEFFICIENT = 3
-#: Powers of the squared radius that a lens' distortion has beside the map's own; each is used with
-#: so many marks a power.
-_RADIAL_POWERS, _MARKS_PER_POWER = (2, 3), 6
+from microlib.calibration._marks import TO_SIGMA
+from microlib.calibration._settings import Settings
 
 
 def agree(
-    points: Array, positions: Array, to_image: GridMap, sigma: Array, pitch: float
+    points: Array,
+    positions: Array,
+    to_image: GridMap,
+    sigma: Array,
+    pitch: float,
+    settings: Settings,
 ) -> tuple[NDArray[np.bool_], Array, float]:
     """Hold the points of marks against the map of their grid.
 
@@ -55,6 +37,8 @@ def agree(
         Standard deviation of a coordinate as the outlines' own fits tell it, px.
     pitch : float
         Step of the lattice in the image, px.
+    settings : Settings
+        Those of the detection.
 
     Returns
     -------
@@ -88,9 +72,9 @@ def agree(
         shown = np.ones(left.shape)
         shown[kept] -= np.einsum("ij,ji->i", design, inverse).reshape(shown[kept].shape)
         inflation = np.sqrt(residuals[kept].size / freedom)
-        spread = _TO_SIGMA * np.median(np.abs(left[kept])) * inflation
-        apart = np.abs(left) / np.sqrt(np.maximum(shown, _LEAST_SHOWN))
-        stray = apart.max(axis=-1) > _STRAY * np.maximum(spread, sigma)
+        spread = TO_SIGMA * np.median(np.abs(left[kept])) * inflation
+        apart = np.abs(left) / np.sqrt(np.maximum(shown, 1e-3))
+        stray = apart.max(axis=-1) > settings.stray * np.maximum(spread, sigma)
         before, kept = kept, ~stray.any(axis=1)
         if (kept == before).all() or not kept.any():
             break
@@ -98,12 +82,14 @@ def agree(
     share = kept.mean()
     rms = float(np.sqrt((left[kept] ** 2).mean()) * inflation) if kept.any() else np.inf
     own = float(np.sqrt((sigma[kept] ** 2).mean())) if kept.any() else 0.0
-    if rms > max(_MOST_RESIDUAL * pitch, _EXPLAINED * own) or share < _LEAST_AGREEING:
+    # What the marks' own noise explains is no reason to refuse, whatever the pitch.
+    if rms > max(settings.most_residual * pitch, 3 * own) or share < 3 / 4:
         raise ValueError(
             f"image must show a regular lattice, got marks {rms:.2g} px "
             f"({100 * rms / pitch:.2g} % of a pitch) beside one, and {100 * share:.0f} % of them"
         )
-    added = max(rms**2 - own**2, 0.0) * freedom / (freedom + _OWN_FREEDOM)
+    # The fits' own σ counts as much as eight residuals: of fewer little can be known.
+    added = max(rms**2 - own**2, 0.0) * freedom / (freedom + 8)
     return kept, np.sqrt(sigma**2 + added), rms / own
 
 
@@ -112,12 +98,12 @@ def _smooth_fields(positions: Array, radial: Array, to_image: GridMap) -> tuple[
     they and the map have together."""
     marks = len(positions)
     squared = (radial**2).sum(axis=-1, keepdims=True)
-    powers = [p for p in _RADIAL_POWERS if marks >= _MARKS_PER_POWER * p]
+    # Those of a lens beside the map's own.
+    powers = [p for p in (2, 3) if marks >= 6 * p]
     fields = [radial * squared**p for p in powers]
-    degree = max(
-        (d for d, count in _COEFFICIENTS.items() if marks >= _MARKS_PER_COEFFICIENT * count),
-        default=0,
-    )
+    # Polynomials of (d + 1)(d + 2)/2 coefficients, with three times as many marks; the map has
+    # absorbed a constant and a slope already.
+    degree = max((d for d in (2, 3, 4) if 2 * marks >= 3 * (d + 1) * (d + 2)), default=0)
     x, y = np.moveaxis((positions - positions.mean(axis=(0, 1))) / np.ptp(positions), -1, 0)
     for i in range(max(degree, 1) + 1):
         for j in range(max(degree, 1) + 1 - i):

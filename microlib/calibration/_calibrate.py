@@ -8,7 +8,7 @@ determine is held or named, never made up.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from microlib.calibration._detection import Detection
 from microlib.calibration._stage import span_plane
 from microlib.calibration._uncertainty import (
     BY_CHANCE,
+    FARTHEST,
     axis_errors,
     discrepancy,
     fields_of_views,
@@ -29,22 +30,9 @@ from microlib.calibration._uncertainty import (
 from microlib.calibration._views import LENS, VIEW, Fit, Views, fit_views, without_terms
 from microlib.microscope import Microscope
 
-#: Standard errors by which 1/f must exceed zero to be told from it. As the sign of the tilt is
-#: free, 1/f is never negative; 150 noisy views without tilt came to 2.2 at most, and the rest is
-#: kept for errors that are less even than noise.
-_CERTAIN = 4.0
-#: Where 1/f is lost it may come out as zero; then f is held at a kilometer, 1/µm.
-_SMALLEST_POWER = 1e-9
-#: The two tilts are two minima if an angle differs by so many standard errors: 0.3 % by chance.
-_APART = 3.0
-#: The better of the two is told from the other if its sum of squares is smaller by more than this
-#: many variances, the 95 % quantile of χ² with one degree of freedom.
-_TOLD = 3.84
 #: The optical axis meets the sensor so far from its middle, standard deviation in widths of the
 #: image: 1 to 2 % in the camera modules and published calibrations that one finds.
 _AXIS_ASIDE = 0.02
-#: A kilometer, µm: nothing is calibrated beyond, and the fits lose their way there.
-_FARTHEST = 1e9
 
 
 def calibrate(
@@ -125,9 +113,9 @@ def calibrate(
     >>> round(found.microscope.magnification, 3), round(found.microscope.beta, 3)
     (1.587, 0.03)
     """
-    between("pixel_size", pixel_size, 1 / _FARTHEST, _FARTHEST)
+    between("pixel_size", pixel_size, 1 / FARTHEST, FARTHEST)
     if focal_length is not None:
-        focal_length = scalar("focal_length", focal_length, least=1 / _FARTHEST, most=_FARTHEST)
+        focal_length = scalar("focal_length", focal_length, least=1 / FARTHEST, most=FARTHEST)
     detections = [world] if isinstance(world, Detection) else world
     if isinstance(detections, (list, tuple)) and any(isinstance(d, Detection) for d in detections):
         if any(given is not None for given in (image, image_size, groups)):
@@ -203,7 +191,7 @@ def _points(world: Any, image: Any, image_size: tuple[int, int]) -> tuple[Array,
     world = as_array("world", world, shape=(None, 2))
     image = as_array("image", image, shape=(None, 2))
     same_length(("world", "image"), world, image)
-    between("world", world, -_FARTHEST, _FARTHEST)
+    between("world", world, -FARTHEST, FARTHEST)
     if len(world) < 5:  # radial alignment has six unknowns up to scale, one equation a point
         raise ValueError(f"world must hold at least 5 points, got {len(world)}")
     span_plane(world=world, image=image)
@@ -223,21 +211,92 @@ def _report(
     marks: NDArray[np.intp] | None,
     frame: Microscope,
 ) -> Calibration:
-    """Covariance in f instead of 1/(T_op + f), what is lost, and a microscope for each view."""
-    count = len(fit.poses)
-    every = ["focal_length", *LENS[1:]]
-    every += [n if v == 0 else f"{n}_{v + 1}" for v in range(count) for n in VIEW]
-    # The magnification first, as in a view's own numbers.
-    order = np.argsort([every[k] != "magnification" for k in fit.free], kind="stable")
-    names = [every[fit.free[k]] for k in order]
-    jacobian: Array = fit.jacobian
-    magnification, power = fit.poses[0, 0], fit.lens[0] * (1 + fit.poses[0, 0])
+    """Parameters with their covariance, which are lost, and a microscope for each view."""
+    names, jacobian = _in_focal_length(fit)
+    known = _covariance(views, fit, names=names, jacobian=jacobian, marks=marks, frame=frame)
+    lost = _undetermined(fit, alone, names=names, known=known)
+    poses = fit.poses.copy()
+    poses[:, 1:4] = np.angle(np.exp(1j * poses[:, 1:4]))
+    values = dict(zip(_numbers(fit), [*fit.lens, *poses.ravel()], strict=True))
+    power = values["focal_length"] * (1 + values["magnification"])
+    if "focal_length" in lost:  # it may come out as zero: then f is held at a kilometer
+        power = max(power, 1 / FARTHEST)
+    covariance = known.covariance
+    if "focal_length" in names:
+        values["focal_length"] = 1 / power
+        k = names.index("focal_length")
+        covariance[k] *= -1 / power**2
+        covariance[:, k] *= -1 / power**2
+    for k in (names.index(name) for name in lost):
+        covariance[k] = covariance[:, k] = np.nan
+        covariance[k, k] = np.inf
+    scopes = []
+    for pose in poses.tolist():
+        f = views.focal_length or (1 + poses[0, 0]) / (power * (1 + pose[0]))
+        lengths = {"tube_length": pose[0] * f, "focal_length": f, "distance": f / pose[0]}
+        angles = dict(zip(VIEW[1:], pose[1:], strict=True))
+        scopes.append(replace(frame, distortion=float(fit.lens[1]), **lengths, **angles))
+    plane_residuals = [
+        scope.back_project(without_terms(fit.lens, seen, frame.cell) + frame.principal_point)
+        - world
+        for scope, seen, world in zip(scopes, views.seen, views.world, strict=True)
+    ]
+    return Calibration(
+        scopes[0],
+        tuple(names),
+        np.array([values[name] for name in names]),
+        covariance,
+        tuple(name for name in names if name in lost),
+        known.freedom,
+        -fit.residuals.reshape(-1, 2),
+        np.concatenate(plane_residuals),
+        known.misfit,
+        known.chance,
+        tuple(scopes),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """Covariance of the parameters, variance of a residual in px² with its degrees of freedom, and
+    how far the model fits, as `Calibration` has it."""
+
+    covariance: Array
+    variance: float
+    freedom: int
+    misfit: float
+    chance: float
+
+
+def _numbers(fit: Fit) -> list[str]:
+    """Names of all numbers of the lens and of the views, in the order of a fit."""
+    each = [n if v == 0 else f"{n}_{v + 1}" for v in range(len(fit.poses)) for n in VIEW]
+    return ["focal_length", *LENS[1:], *each]
+
+
+def _in_focal_length(fit: Fit) -> tuple[list[str], Array]:
+    """Names of the free parameters, the magnification first, and the residuals' derivatives by
+    them, of which 1/f stands for 1/(T_op + f)."""
+    every = _numbers(fit)
+    names, jacobian = [every[k] for k in fit.free], fit.jacobian
     if "focal_length" in names:  # 1/f = (1 + M)/(T_op + f) of the first view
         turn = np.eye(len(names))
-        turn[0, 0], turn[0, fit.free.index(len(LENS))] = 1 + magnification, fit.lens[0]
+        turn[0, 0], turn[0, names.index("magnification")] = 1 + fit.poses[0, 0], fit.lens[0]
         jacobian = np.linalg.solve(turn.T, jacobian.T).T
-    jacobian = jacobian[:, order]
+    order = sorted(range(len(names)), key=lambda k: names[k] != "magnification")
+    return [names[k] for k in order], jacobian[:, order]
 
+
+def _covariance(
+    views: Views,
+    fit: Fit,
+    *,
+    names: list[str],
+    jacobian: Array,
+    marks: NDArray[np.intp] | None,
+    frame: Microscope,
+) -> _Known:
+    """How well the points tell the parameters: noise, what the model lacks, and the axis."""
     residuals, rounding = fit.residuals, views.rounding(fit.poses)
     freedom = len(residuals) - len(names)
     inverse = inverse_normal(jacobian)
@@ -253,54 +312,28 @@ def _report(
         shifted = [k for k, name in enumerate(names) if name[:2] in ("tx", "ty")]
         aside = _AXIS_ASIDE * frame.image_size[0]
         covariance = covariance + axis_errors(jacobian, variance, shifted, aside)
+    return _Known(covariance, variance, freedom, misfit, chance)
 
-    lost = {name for name, v in zip(names, np.diag(covariance), strict=True) if np.isinf(v)}
-    sigma = dict(zip(names, np.sqrt(np.diag(covariance)), strict=True))
-    if "focal_length" not in names:
-        for v, (best, other) in enumerate(alone):
-            tilt = every[len(LENS) + len(VIEW) * v :][2:4]
-            apart = np.abs(np.angle(np.exp(1j * (best.poses - other.poses)[0, 2:4])))
-            distinct = (apart > _APART * np.array([sigma[name] for name in tilt])).any()
-            if distinct and other.cost - best.cost < _TOLD * variance:
-                lost |= set(tilt)
-    elif not power > _CERTAIN * sigma["focal_length"]:
-        lost |= {name for name in names if name.startswith(("focal", "beta", "gamma"))}
-    poses = fit.poses.copy()
-    poses[:, 1:4] = np.angle(np.exp(1j * poses[:, 1:4]))
-    estimate = np.concatenate([fit.lens, poses.ravel()])[fit.free][order]
+
+def _undetermined(fit: Fit, alone: list[list[Fit]], *, names: list[str], known: _Known) -> set[str]:
+    """Names of the parameters that the points do not determine."""
+    sigma = dict(zip(names, np.sqrt(np.diag(known.covariance)), strict=True))
+    lost = {name for name, value in sigma.items() if np.isinf(value)}
     if "focal_length" in names:
-        power = max(power, _SMALLEST_POWER) if "focal_length" in lost else power
-        k = names.index("focal_length")
-        estimate[k] = 1 / power
-        covariance[k] *= -1 / power**2
-        covariance[:, k] *= -1 / power**2
-    for k in (names.index(name) for name in lost):
-        covariance[k] = covariance[:, k] = np.nan
-        covariance[k, k] = np.inf
-    scopes = []
-    for pose in poses.tolist():
-        f = views.focal_length or (1 + magnification) / (power * (1 + pose[0]))
-        lengths = {"tube_length": pose[0] * f, "focal_length": f, "distance": f / pose[0]}
-        angles = dict(zip(VIEW[1:], pose[1:], strict=True))
-        scopes.append(replace(frame, distortion=float(fit.lens[1]), **lengths, **angles))
-    middle = frame.principal_point
-    plane_residuals = [
-        scope.back_project(without_terms(fit.lens, seen, frame.cell) + middle) - world
-        for scope, seen, world in zip(scopes, views.seen, views.world, strict=True)
-    ]
-    return Calibration(
-        scopes[0],
-        tuple(names),
-        estimate,
-        covariance,
-        tuple(name for name in names if name in lost),
-        freedom,
-        -residuals.reshape(-1, 2),
-        np.concatenate(plane_residuals),
-        misfit,
-        chance,
-        tuple(scopes),
-    )
+        # As the sign of the tilt is free, 1/f is never negative: 150 noisy views without tilt came
+        # to 2.2 standard errors at most; the rest is for errors that are less even than noise.
+        if not fit.lens[0] * (1 + fit.poses[0, 0]) > 4 * sigma["focal_length"]:
+            lost |= {name for name in names if name.startswith(("focal", "beta", "gamma"))}
+        return lost
+    for v, (best, other) in enumerate(alone):
+        tilt = _numbers(fit)[len(LENS) + len(VIEW) * v :][2:4]
+        apart = np.abs(np.angle(np.exp(1j * (best.poses - other.poses)[0, 2:4])))
+        # Two minima three standard errors apart, of which the sums of squares differ by less than
+        # two standard deviations of noise, squared, cannot be told from each other.
+        distinct = (apart > 3 * np.array([sigma[name] for name in tilt])).any()
+        if distinct and other.cost - best.cost < 4 * known.variance:
+            lost |= set(tilt)
+    return lost
 
 
 def _smooth_part(

@@ -17,10 +17,6 @@ from microlib.microscope import Microscope, distort
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Below this chance a model is said not to fit.
-_IMPROBABLE = 1e-3
-#: Radii at which the distortion is expressed as OpenCV does.
-_RADII = 64
 #: What holds numbers that need not be finite, which JSON knows as texts alone.
 _NUMBERS = ("estimate", "covariance", "residuals", "plane_residuals", "misfit", "misfit_chance")
 
@@ -119,7 +115,7 @@ class Calibration(Tidy):
     def fits(self) -> bool:
         """False if the residuals contradict the model: noise alone would make so much of them
         smooth in less than a thousandth of all images."""
-        return self.misfit_chance >= _IMPROBABLE
+        return self.misfit_chance >= 1e-3
 
     @property
     def reprojection(self) -> ErrorSummary:
@@ -325,7 +321,7 @@ class Calibration(Tidy):
         scope = self.microscope
         distance = scope.tube_length + scope.focal_length
         corner = float(np.linalg.norm(scope.cell * scope.image_size)) / 2
-        radius = np.linspace(0, corner, _RADII + 1)[1:]
+        radius = np.linspace(0, corner, 64)[1:]
         seen = distort(np.column_stack([radius, 0 * radius]), scope.distortion)[:, 0]
         stretch = seen / radius * (1 + self._value("distortion_2") * seen**4) - 1
         reached = np.isfinite(stretch)

@@ -14,10 +14,8 @@ from microlib.calibration._detection import Detection
 from microlib.calibration._lattice import STEPS
 from microlib.calibration._marks import crop, to_grey
 from microlib.calibration._micrometer import Micrometer, find_scale
-from microlib.calibration._patterns import Scene, WrongPattern, find_pattern
+from microlib.calibration._patterns import FIRST, Scene, WrongPattern, find_pattern
 
-#: Marks by which a pattern is named, the first of its lattice, beside one another.
-_TO_NAME = 30
 #: Patterns that are told from each other, and how they are called.
 _NAMES = {
     ("chessboard", "square"): "a chessboard",
@@ -201,7 +199,7 @@ def detect_micrometer(
     grey, corner = crop(to_grey(image), region)
     scene = Scene(grey)
     try:
-        scale = find_scale(grey)
+        scale = find_scale(grey, scene.settings)
     except ValueError as refusal:
         seen = _pattern_seen(scene, ("scale", ""))
         if seen is None:
@@ -249,7 +247,7 @@ def _pattern_seen(scene: Scene, asked: tuple[str, str]) -> str | None:
     for (kind, lattice), name in _NAMES.items():
         if (kind, lattice) != asked:
             try:
-                find_pattern(scene, kind, lattice, most=_TO_NAME)
+                find_pattern(scene, kind, lattice, most=FIRST)
                 return name
             except WrongPattern as other:
                 if other.seen != asked[0]:
@@ -258,7 +256,7 @@ def _pattern_seen(scene: Scene, asked: tuple[str, str]) -> str | None:
                 pass
     if asked[0] != "scale":
         with suppress(ValueError):
-            find_scale(scene.grey)
+            find_scale(scene.grey, scene.settings)
             return "the lines of a scale"
     return None
 

@@ -19,8 +19,6 @@ from microlib.microscope import distort
 #: Step of the central differences, in cells: their error is its square, 1e-6 of what the scale
 #: changes by from cell to cell, and rounding makes 1e-12 of it.
 _STEP = 1e-3
-#: The nine numbers of a homography with distortion have freedom left from six points on.
-_FEWEST_FOR_DISTORTION = 6
 
 
 @dataclass(frozen=True)
@@ -102,7 +100,8 @@ def fit_grid_map(
     if best is None or not np.isfinite(best).all():
         raise refusal
     homography: Array = np.asarray(best, dtype=np.float64)
-    count = 9 if points[..., 0].size >= _FEWEST_FOR_DISTORTION else 8
+    # Nine numbers have freedom left from six points on.
+    count = 9 if points[..., 0].size > 5 else 8
     start = np.append(homography.ravel()[:8], np.zeros(count - 8))
     squares = points.shape[1] == 4
     if squares:
@@ -124,7 +123,10 @@ def fit_grid_map(
 
     if not np.isfinite(residuals(start)).all():  # marks on both sides of a horizon
         raise refusal
-    to_image, positions = build(least_squares(residuals, start, x_scale="jac").x)
+    try:
+        to_image, positions = build(least_squares(residuals, start, x_scale="jac").x)
+    except ValueError:  # SciPy's, of a derivative beyond the horizon
+        raise refusal from None
     if not np.isfinite(to_image.steps(cells)).all():
         raise refusal
     return to_image, positions

@@ -8,7 +8,7 @@ coordinates: it tells a square lattice from a tilted hexagonal one, which points
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from microlib._common import Array
 from microlib.calibration._detection import FEWEST
 from microlib.calibration._grid_map import GridMap, fit_grid_map
 from microlib.calibration._marks import Marks
+from microlib.calibration._settings import Settings
 
 #: Lattices by name, and the coordinates of their steps in the pattern's plane, in pitches.
 STEPS = {
@@ -29,50 +30,12 @@ STEPS = {
 #: Integer coordinates of marks, or the indices of some.
 Index = NDArray[np.intp]
 
-# Growth
 
-#: Neighbors that may be the next in the lattice: a hexagonal one has six, and clutter lies between.
-_NEAR = 12
-#: Most ratio of the areas of neighbors, and most difference of their shapes.
-_LIKE_AREA, _LIKE_SHAPE = 2.0, 0.5
-#: The second step may lie so far from where the first, turned in the marks' metric, has it, in
-#: steps; and later marks so far from where the step before predicts them.
-_SEED_REACH, _REACH = 0.3, 0.25
-#: Most first steps that are tried from one mark.
-_TRIES = 4
-
-# Completion
-
-#: Least contrast of a place that is taken for a mark, as a part of that of the nearest one: at the
-#: rim of a chessboard, where one of four fields is dark, it is a half.
-_LEAST_CONTRAST = 0.7
-#: Half the width of a mark in standard deviations of its area: 2 for a circle, √3 for the side of a
-#: square, √6 for its diagonal.
-_HALF_WIDTH = 2.0
-_MIDDLE = np.zeros((1, 2))
-#: Marks that tell where others are.
-_ENOUGH = 200
-#: Rings around the lattice that are looked at, one after the other.
-_RINGS = 8
+#: Where the one point of a round mark lies in it.
+MIDDLE = np.zeros((1, 2))
 #: Places half a step from a mark, across and along the axes.
 _ACROSS = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, 0.5], [-0.5, -0.5]])
 _ALONG = np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
-#: Least ratio of the ground's contrast along and across: 1 but for blur and light, a half between
-#: the fields of a chessboard.
-_LEAST_ALIKE = 0.75
-
-# Form
-
-#: Most scatter of the shapes: photographed boards have up to 0.033 (development images), marks of
-#: chance mostly more than 0.2.
-_MOST_SCATTER = 0.08
-#: Longer over shorter step of a lattice of equal steps, at most, and how far the cosine between
-#: them may lie from 0 or ½. Every second place of every second row of a square lattice is nearest
-#: to a hexagonal one, with a ratio of 1.118 and a cosine of 0.447.
-_MOST_RATIO, _MOST_COSINE = 1.1, 0.1
-#: Least part of the lattice's places inside the marks' convex hull that hold one. False lattices
-#: of the development images hold a fifth to a half.
-LEAST_FULL = 0.6
 
 
 def grow_lattices(marks: Marks, lattice: str) -> list[tuple[Index, Index]]:
@@ -84,13 +47,7 @@ def grow_lattices(marks: Marks, lattice: str) -> list[tuple[Index, Index]]:
     if len(marks.centers) < FEWEST:
         return []
     tree = cKDTree(marks.centers)
-    values, vectors = np.linalg.eigh(marks.moments)
-    white = (vectors / np.sqrt(values)[:, None, :]) @ vectors.transpose(0, 2, 1)
-    near = tree.query(marks.centers, k=min(_NEAR + 1, len(marks.centers)))[1][:, 1:]
-    ratio = marks.areas[near] / marks.areas[:, None]
-    seen = white[:, None] @ marks.moments[near] @ white[:, None]
-    shape = np.linalg.norm(seen / ratio[..., None, None] - np.eye(2), axis=(2, 3))
-    like = (ratio > 1 / _LIKE_AREA) & (ratio < _LIKE_AREA) & (shape < _LIKE_SHAPE)
+    white, near, like = _alike_neighbors(marks, tree)
     angle = np.pi / 3 if lattice == "hexagonal" else np.pi / 2
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     free = np.ones(len(marks.centers), dtype=bool)
@@ -99,23 +56,40 @@ def grow_lattices(marks: Marks, lattice: str) -> list[tuple[Index, Index]]:
         steps = (marks.centers[near[seed]] - marks.centers[seed])[like[seed]]
         if not free[seed] or len(steps) < 2:
             continue
-        flat = steps @ white[seed]
-        length = np.hypot(*flat.T)
         best: dict[tuple[int, int], int] = {}
-        for k in np.argsort(length)[:_TRIES]:
-            off = np.hypot(*(flat - flat[k] @ turn).T)
-            second = int(np.argmin(off))
-            if second != k and off[second] < _SEED_REACH * length[k]:
-                piece = _grow(marks, tree, seed, np.stack([steps[k], steps[second]]))
-                best = max(best, piece, key=len)
-            if len(best) > _NEAR:  # no chance piece
+        for first, second in _first_steps(steps @ white[seed], turn):
+            best = max(best, _grow(marks, tree, seed, steps[[first, second]]), key=len)
+            if len(best) > marks.settings.near:  # no chance piece
                 break
         if len(best) >= FEWEST:
-            free[list(best.values())] = False
-            grid = np.array(list(best), dtype=np.intp)
-            if fill(grid) > LEAST_FULL:
-                pieces.append((np.array(list(best.values()), dtype=np.intp), grid))
+            index, grid = (np.array(list(each), dtype=np.intp) for each in (best.values(), best))
+            free[index] = False
+            if fill(grid) > marks.settings.least_full:
+                pieces.append((index, grid))
     return sorted(pieces, key=lambda piece: -len(piece[0]))
+
+
+def _alike_neighbors(marks: Marks, tree: cKDTree) -> tuple[Array, Index, NDArray[np.bool_]]:
+    """What makes a circle of each mark (n, 2, 2), its neighbors (n, k), and which are like it."""
+    values, vectors = np.linalg.eigh(marks.moments)
+    white = (vectors / np.sqrt(values)[:, None, :]) @ vectors.transpose(0, 2, 1)
+    count = min(marks.settings.near + 1, len(marks.centers))
+    near = tree.query(marks.centers, k=count)[1][:, 1:]
+    ratio = marks.areas[near] / marks.areas[:, None]
+    seen = white[:, None] @ marks.moments[near] @ white[:, None]
+    shape = np.linalg.norm(seen / ratio[..., None, None] - np.eye(2), axis=(2, 3))
+    return white, near, (ratio > 1 / 2) & (ratio < 2) & (shape < 1 / 2)
+
+
+def _first_steps(flat: Array, turn: Array) -> Iterator[tuple[int, int]]:
+    """Pairs of steps, in the mark's metric, of which the second is the first, turned, or nearly;
+    of the four shortest."""
+    length = np.hypot(*flat.T)
+    for first in np.argsort(length)[:4]:
+        off = np.hypot(*(flat - flat[first] @ turn).T)
+        second = int(np.argmin(off))
+        if second != first and off[second] < length[first] / 4:
+            yield int(first), second
 
 
 def _grow(marks: Marks, tree: cKDTree, seed: int, steps: Array) -> dict[tuple[int, int], int]:
@@ -132,8 +106,8 @@ def _grow(marks: Marks, tree: cKDTree, seed: int, steps: Array) -> dict[tuple[in
                 continue
             distance, index = tree.query(marks.centers[here] + sign * local[axis])
             ratio = marks.areas[index] / marks.areas[here]
-            near = distance < _REACH * np.hypot(*local[axis])
-            if not near or index in taken or not 1 / _LIKE_AREA < ratio < _LIKE_AREA:
+            near = distance < np.hypot(*local[axis]) / 4
+            if not near or index in taken or not 1 / 2 < ratio < 2:
                 continue
             following = local.copy()
             step = sign * (marks.centers[index] - marks.centers[here])
@@ -153,17 +127,20 @@ def complete(
 
     `contrast` tells them, from the smoothed image, places and the lattice's mean steps.
     """
-    for _ in range(_RINGS):
+    for _ in range(8):  # rings around the lattice
         held = set(map(tuple, grid.tolist()))
         beside = set(map(tuple, (grid[:, None] + (2 * _ALONG).astype(int)).reshape(-1, 2).tolist()))
         absent = np.array(sorted(beside - held), dtype=np.intp)
         places = rough_map(marks, grid)(absent.astype(np.float64))
         near = np.linalg.norm(absent[:, None] - grid, axis=2).argmin(axis=1)
-        reach = _HALF_WIDTH * np.sqrt(np.einsum("nii->ni", marks.moments[near])) + 1
+        # Half a mark's width: two standard deviations of a circle's area, √3 of a square's.
+        reach = 2 * np.sqrt(np.einsum("nii->ni", marks.moments[near])) + 1
         limit = np.array(marks.image.shape[::-1]) - 1 - reach
         new = np.flatnonzero(((places > reach) & (places < limit)).all(axis=1))
         steps = mean_steps(marks.centers, grid)
-        least = _LEAST_CONTRAST * contrast(marks.smooth, marks.centers, steps)[near[new]]
+        least = (
+            marks.settings.least_contrast * contrast(marks.smooth, marks.centers, steps)[near[new]]
+        )
         new = new[contrast(marks.smooth, places[new], steps) > least]
         if len(new) == 0:
             break
@@ -179,9 +156,9 @@ def complete(
 
 def rough_map(marks: Marks, grid: Index) -> GridMap:
     """Map from the grid to the marks' centers; of many marks some, evenly, tell it well enough."""
-    some = slice(None, None, 1 + len(grid) // _ENOUGH)
+    some = slice(None, None, 1 + len(grid) // 200)
     flat = grid[some].astype(np.float64)
-    return fit_grid_map(marks.centers[some, None], flat, _MIDDLE, marks.image.shape)[0]
+    return fit_grid_map(marks.centers[some, None], flat, MIDDLE, marks.image.shape)[0]
 
 
 def refuse_fields(kind: str, marks: Marks, grid: Index) -> None:
@@ -191,7 +168,7 @@ def refuse_fields(kind: str, marks: Marks, grid: Index) -> None:
     middle = _levels(marks.smooth, marks.centers)[:, None]
     beside = [_levels(marks.smooth, marks.centers[:, None] + h @ steps) for h in (_ACROSS, _ALONG)]
     across, along = (float(np.median(levels - middle)) for levels in beside)
-    if min(across, along) < _LEAST_ALIKE * max(across, along):
+    if min(across, along) < 3 / 4 * max(across, along):
         raise ValueError(
             f"image must show {kind} apart from each other, got fields of a chessboard or marks "
             "between them"
@@ -217,7 +194,7 @@ def _levels(smooth: NDArray, points: Array) -> Array:
     return levels
 
 
-def refuse_lattice(shapes: Array, steps: Array, lattice: str) -> None:
+def refuse_lattice(shapes: Array, steps: Array, lattice: str, settings: Settings) -> None:
     """Refuse marks that are not of one shape, or lie on another lattice than the one named.
 
     Parameters
@@ -228,7 +205,8 @@ def refuse_lattice(shapes: Array, steps: Array, lattice: str) -> None:
         Derivatives of the image by the grid's coordinates there, px.
     lattice : str
         What it must be: one of `STEPS`.
-
+    settings : Settings
+        Those of the detection.
     """
     inverse = np.linalg.inv(steps)
     metrics = inverse @ shapes @ inverse.transpose(0, 2, 1)
@@ -237,7 +215,7 @@ def refuse_lattice(shapes: Array, steps: Array, lattice: str) -> None:
     white = (vectors / np.sqrt(np.maximum(values, np.finfo(float).tiny))) @ vectors.T
     beside = np.linalg.norm(white @ metrics @ white - np.eye(2), axis=(1, 2)) / np.sqrt(2)
     scatter = float(np.median(beside))
-    if not values[0] > 0 or scatter > _MOST_SCATTER:
+    if not values[0] > 0 or scatter > settings.most_scatter:
         raise ValueError(
             f"image must show marks of one shape and size, got some that scatter by "
             f"{100 * scatter:.0f} %"
@@ -245,7 +223,7 @@ def refuse_lattice(shapes: Array, steps: Array, lattice: str) -> None:
     (a, b), (_, c) = np.linalg.inv(metric)  # the inner products of the steps, up to a factor
     ratio, cosine = np.sqrt(max(a, c) / min(a, c)), b / np.sqrt(a * c)
     wanted = 0.5 if lattice == "hexagonal" else 0.0
-    if ratio > _MOST_RATIO or abs(cosine - wanted) > _MOST_COSINE:
+    if max(ratio - 1, abs(cosine - wanted)) > settings.most_skew:
         name = "hexagonal" if wanted else "square"
         raise ValueError(
             f"image must show circles on a {name} lattice, got steps of 1 : {ratio:.2f} at "

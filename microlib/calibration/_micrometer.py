@@ -10,26 +10,8 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from microlib._common import Array, Tidy, scalar
+from microlib.calibration._settings import Settings
 from microlib.calibration._uncertainty import inverse_interval
-
-#: Fewest lines that are a scale: five leave three residuals beside a straight line. Closer lines
-#: than so many pixels have no ground between them.
-_FEWEST, _CLOSEST = 5, 4.0
-#: Most residual of a line in divisions: scales are ruled to a hundredth of a division, and stripes
-#: that only look like one rarely lie within a twentieth.
-_MOST_RESIDUAL = 0.02
-#: Least part of the places between the first line and the last that have a line, and most
-#: difference of a gap from the others, in gaps.
-_LEAST_PRESENT, _ALIKE = 0.8, 0.25
-#: Least prominence of a line in the profile, in that of the strongest: numerals and dirt lie lower
-#: once the profile is averaged along the lines.
-_LEAST_PROMINENCE = 0.3
-#: Half of the turn about the gradients' own direction in which the sharpest profile is sought, rad,
-#: and the steps.
-_TURN, _TURNS = 0.1, 81
-#: A line's place is the center of what is dark within so many divisions to both sides, and is taken
-#: so often, each time about the last.
-_REACH, _ROUNDS = 0.4, 4
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -79,55 +61,72 @@ class Micrometer(Tidy):
         return size, *inverse_interval(size, quantile * self.spacing_sigma / self.spacing)
 
 
-def find_scale(grey: NDArray[np.float32]) -> Micrometer:
+def find_scale(grey: NDArray[np.float32], settings: Settings) -> Micrometer:
     """Lines of a scale in an image, as :func:`detect_micrometer` finds them."""
-    angle = _direction(grey)
+    angle = _direction(grey, settings)
     upright, matrix = _turned(grey, angle)
-    # Rows along which much changes cross the lines.
-    change = _mean(np.abs(cv2.Sobel(upright, cv2.CV_32F, 1, 0)).T)
-    high = change >= (np.nanmin(change) + np.nanmax(change)) / 2
-    profile = _mean(upright[high]) if high.any() else np.full(1, np.nan)
-    known = profile[np.isfinite(profile)]
-    if known.size and 2 * known.mean() < known.min() + known.max():  # lines are the lesser part
-        profile = -profile
-    dark = np.nan_to_num(np.nanmax(profile, initial=-np.inf) - profile)
-    from scipy.signal import find_peaks  # here, as it takes long to import
-
-    peaks, shape = find_peaks(dark, prominence=np.finfo(float).tiny)
-    depth = shape["prominences"]
-    places = peaks[depth > _LEAST_PROMINENCE * depth.max(initial=0)].astype(np.float64)
-    gaps = np.diff(places)
-    alike = np.abs(gaps - np.median(gaps)) < _ALIKE * np.median(gaps) if len(gaps) else gaps > 0
-    if alike.sum() < _FEWEST - 1 or alike.mean() < _LEAST_PRESENT:
-        raise _refusal(f"{int(alike.sum())} equal gaps of {len(gaps)}")
-    spacing = gaps[alike].mean()
-    reach = _REACH * spacing * np.linspace(-1, 1, 2 * int(2 * spacing) + 1)
-    for _ in range(_ROUNDS):
-        line = np.interp(places[:, None] + reach, np.arange(len(dark)), dark)
-        line = np.maximum(line - np.maximum(line[:, :1], line[:, -1:]), 0)
-        places = places + line @ reach / np.maximum(line.sum(axis=1), np.finfo(float).tiny)
-    divisions = np.concatenate([[0], np.cumsum(np.round(np.diff(places) / spacing))]).astype(
-        np.intp
-    )
-    if len(np.unique(divisions)) < len(places) or len(places) < _LEAST_PRESENT * divisions[-1]:
+    rows, dark = _profile(upright)
+    places, spacing = _lines(dark)
+    places = _centers(dark, places, spacing)
+    steps = np.round(np.diff(places) / spacing).astype(np.intp)
+    divisions = np.concatenate([[0], np.cumsum(steps)])
+    if (steps == 0).any() or len(places) < 3 / 4 * divisions[-1]:
         raise _refusal(f"{len(places)} lines on {divisions[-1] + 1} places")
     spacing, first = np.polyfit(divisions, places, 1)
     residuals = places - first - spacing * divisions
     rms = np.sqrt((residuals**2).sum() / (len(places) - 2))
-    if spacing < _CLOSEST or rms > _MOST_RESIDUAL * spacing:
+    if spacing < 4 or rms > settings.line_residual * spacing:  # closer ones have no ground between
         raise _refusal(f"lines {spacing:.3g} px apart, {rms / spacing:.2g} of it beside equal ones")
     sigma = rms / np.sqrt(((divisions - divisions.mean()) ** 2).sum())
-    upright_points = np.column_stack([places, np.full(len(places), np.flatnonzero(high).mean())])
+    upright_points = np.column_stack([places, np.full(len(places), np.flatnonzero(rows).mean())])
     points = (upright_points - matrix[:, 2]) @ matrix[:, :2]
     return Micrometer(points, divisions, residuals, float(spacing), float(sigma), angle)
 
 
-def _direction(grey: NDArray[np.float32]) -> float:
+def _profile(upright: NDArray[np.float32]) -> tuple[NDArray[np.bool_], Array]:
+    """The rows that cross the lines, along which much changes, and how dark their mean is."""
+    change = _mean(np.abs(cv2.Sobel(upright, cv2.CV_32F, 1, 0)).T)
+    rows = change >= (np.nanmin(change) + np.nanmax(change)) / 2
+    profile = _mean(upright[rows]) if rows.any() else np.full(1, np.nan)
+    known = profile[np.isfinite(profile)]
+    if known.size and 2 * known.mean() < known.min() + known.max():  # lines are the lesser part
+        profile = -profile
+    return rows, np.nan_to_num(np.nanmax(profile, initial=-np.inf) - profile)
+
+
+def _lines(dark: Array) -> tuple[Array, float]:
+    """Peaks of a profile that are equidistant, but for a few, and their distance, px."""
+    from scipy.signal import find_peaks  # here, as it takes long to import
+
+    peaks, shape = find_peaks(dark, prominence=np.finfo(float).tiny)
+    depth = shape["prominences"]
+    # Numerals and dirt lie lower once the profile is averaged along the lines.
+    places = peaks[depth > depth.max(initial=0) / 3].astype(np.float64)
+    gaps = np.diff(places)
+    alike = np.abs(gaps - np.median(gaps)) < np.median(gaps) / 4 if len(gaps) else gaps > 0
+    if alike.sum() < 4 or alike.mean() < 3 / 4:  # five lines leave three residuals
+        raise _refusal(f"{int(alike.sum())} equal gaps of {len(gaps)}")
+    return places, float(gaps[alike].mean())
+
+
+def _centers(dark: Array, places: Array, spacing: float) -> Array:
+    """Center of what is dark within two fifths of a division about each line, four times anew."""
+    reach = 2 / 5 * spacing * np.linspace(-1, 1, 2 * int(2 * spacing) + 1)
+    for _ in range(4):
+        line = np.interp(places[:, None] + reach, np.arange(len(dark)), dark)
+        line = np.maximum(line - np.maximum(line[:, :1], line[:, -1:]), 0)
+        places = places + line @ reach / np.maximum(line.sum(axis=1), np.finfo(float).tiny)
+    return places
+
+
+def _direction(grey: NDArray[np.float32], settings: Settings) -> float:
     """Angle across the lines: the gradients' own, then where the mean profile is sharpest."""
     gx, gy = (cv2.Sobel(grey, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1)))
     first = float(np.angle(np.sum((gx + 1j * gy).astype(np.complex128) ** 2))) / 2
-    turns = first + np.linspace(-_TURN, _TURN, _TURNS)
-    sharp = [np.nanmean(np.diff(_mean(_turned(grey, turn)[0])) ** 2) for turn in turns]
+    turns = first + np.linspace(-settings.turn, settings.turn, settings.turns)
+    changes = [np.diff(_mean(_turned(grey, turn)[0])) ** 2 for turn in turns]
+    # A strip that is turned too far has no column left.
+    sharp = [np.nansum(each) / max(np.isfinite(each).sum(), 1) for each in changes]
     return float(turns[np.argmax(sharp)])
 
 

@@ -22,6 +22,7 @@ from scipy.spatial import cKDTree
 
 from microlib._common import Array
 from microlib.calibration._marks import Marks
+from microlib.calibration._settings import Settings
 
 #: From parameters (n, p) and pixels x, y (n, k) to the part F of the light that the shape takes and
 #: its derivatives by all parameters but contrast and ground, (n, k, p − 4).
@@ -30,46 +31,9 @@ Outline = Callable[[Array, Array, Array], tuple[Array, Array]]
 #: Places of the parameters that every outline has at the end: blur, px; contrast as a part of the
 #: ground; ground b₀ + b₁x + b₂y.
 BLUR, CONTRAST, GROUND = -5, -4, slice(-3, None)
-#: Blur, px, and contrast with which a fit starts. Less blur does no harm, 2.5 px may end in a wrong
-#: minimum; more contrast does no harm (0.9), 0.3 may end in one.
-START_BLUR, _START_CONTRAST = 1.2, 0.6
-#: Least blur of a model, px: a sharper edge is a step between two pixels and has no derivative.
-LEAST_BLUR = 0.05
-#: First damping, of the normal matrix' diagonal; tenfold after a refused step, a tenth after a good
-#: one. 1e-5 to 0.1, and factors from 3 to 30, find the same minima.
-_FIRST_DAMPING, _FACTOR = 1e-3, 10.0
-#: Most steps of a fit. In renders of Table 5.1's views nine outlines of ten are at their minimum
-#: after 5; of photographed circles one in ten needs more than 15, and of corners of photographed
-#: chessboards one in five more than 25.
-STEPS = 50
-#: The search for an outline ends as soon as a step changes its sum of squares by no more than this
-#: part of it, be it down or up. The last step then moved the outline by about √(1e-6 k) of its
-#: standard deviation for k pixels, a sixtieth for 250; and the one not made is smaller still.
-_SETTLED = 1e-6
-#: A parameter without any effect has at least this on the diagonal, so that it stays where it is.
-_NO_EFFECT = 1e-12
-#: An eigenvalue of a matrix of unit diagonal below this is none; rounding makes 1e-15 of it.
+#: An eigenvalue of a matrix of unit diagonal below this is none; rounding makes 1e-15 of it. A
+#: parameter without any effect has as much on the diagonal, so that it stays where it is.
 _SINGULAR = 1e-12
-#: A parameter is not shared if its misfit, 1 ± √(2/freedom) by chance, is so many of these
-#: deviations above 1. Without any sharing the error of rendered patterns is 1.6 times as large;
-#: from 3 on there is no difference in renders, whose parameters are smooth: the limit is for lenses
-#: whose blur is not.
-_ROUGH = 6.0
-#: Narrowest and widest band around an outline, px. Pixels far from it tell the ground that the
-#: outline stands on: a widest of 4, 5, 7 and 10 leaves errors of 1.06, 1.02, 1 and 0.99, more and
-#: more of it for dirt to lie in; the narrowest makes no difference from 1 to 3 inside, but across
-#: the middle of a narrow gap the corners are 0.010 px off instead of 0.005.
-_LEAST_OUTER, _NARROWEST, _WIDEST = 1.0, 2.0, 7.0
-#: A neighbor lies no further than this times the distance to the nearest: the diagonal of a square
-#: of the lattice has 1.41, two steps of it 2.
-_NEAR = 1.7
-#: Neighbors of a mark on a square lattice; a hexagonal one has six.
-_NEIGHBORS = 8
-#: Half a gap of so many blurs: beyond it a neighbor takes less than a fortieth of the light.
-_UNSEEN = 2.0
-#: Most rounds of taking the neighbors off and fitting anew. With a gap of 2.8 times the blur one is
-#: 0.085 px off without any, then 0.0092 after two, 0.0074 after three, and 0.0070 after six.
-_ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -158,16 +122,24 @@ def cut_patches(
 
 
 def fit_shapes(
-    outline: Outline, start: Array, patches: Patches, gap: float, most: int = STEPS
+    outline: Outline,
+    start: Array,
+    patches: Patches,
+    gap: float,
+    settings: Settings,
+    most: int | None = None,
 ) -> OutlineFit:
     """Fit outlines that lie `gap` apart, px, which may be no further than their blur reaches."""
-    start[:, BLUR], start[:, CONTRAST] = START_BLUR, _START_CONTRAST
+    start[:, BLUR], start[:, CONTRAST] = settings.start_blur, 2 / 3
     start[:, GROUND.start] = patches.grey.max(axis=1)
-    fit = _fit_alone(outline, start, patches, most)
-    if gap < 2 * _UNSEEN * np.median(np.abs(fit.parameters[:, BLUR])):
-        for _ in range(_ROUNDS):
+    fit = _fit_alone(outline, start, patches, settings, most)
+    # Beyond two blurs a neighbor takes less than a fortieth of the light.
+    if gap < 4 * np.median(np.abs(fit.parameters[:, BLUR])):
+        # With a gap of 2.8 times the blur one is 0.085 px off without any round, then 0.0092 after
+        # two, 0.0074 after three, and 0.0070 after six.
+        for _ in range(3):
             grey = patches.grey + _taken(outline, fit, patches)
-            fit = _fit_alone(outline, fit.parameters, replace(patches, grey=grey), most)
+            fit = _fit_alone(outline, fit.parameters, replace(patches, grey=grey), settings, most)
     return fit
 
 
@@ -184,8 +156,9 @@ def _parts(
 def _taken(outline: Outline, fit: OutlineFit, patches: Patches) -> Array:
     """What their neighbors take from the pixels of each mark, grey levels."""
     centers = patches.centers
-    distance, index = cKDTree(centers).query(centers, k=_NEIGHBORS + 1)
-    near = distance < _NEAR * np.median(distance[:, 1])  # infinite where there are no more
+    distance, index = cKDTree(centers).query(centers, k=9)  # eight on a square lattice
+    # The diagonal of a square of the lattice has √2, two steps of it 2.
+    near = distance < np.sqrt(3) * np.median(distance[:, 1])  # infinite where there are no more
     taken = np.zeros_like(patches.x)
     for other, beside in zip(np.where(near, index, 0).T[1:], near.T[1:], strict=True):
         x, y = (centers - centers[other]).T[..., None]
@@ -197,28 +170,30 @@ def _taken(outline: Outline, fit: OutlineFit, patches: Patches) -> Array:
     return taken * patches.weight
 
 
-def _fit_alone(outline: Outline, start: Array, patches: Patches, most: int) -> OutlineFit:
+def _fit_alone(
+    outline: Outline, start: Array, patches: Patches, settings: Settings, most: int | None
+) -> OutlineFit:
     """Levenberg–Marquardt on every patch at once, each with its own damping.
 
     A patch that cannot be fitted, or still moves after `most` steps, leaves the others alone; its
     covariance is NaN.
     """
     best = start.copy()
-    damping = np.full(len(start), _FIRST_DAMPING)
+    damping = np.full(len(start), 1e-3)
     normal, gradient, cost = _equations(outline, best, patches)
     moving = np.isfinite(cost)  # a patch at NaN is lost
-    for _ in range(most):
+    for _ in range(most or settings.steps):
         if not moving.any():
             break
         some = np.flatnonzero(moving)
         damped = normal[some]
-        diagonal = np.maximum(np.einsum("npp->np", damped), _NO_EFFECT)
+        diagonal = np.maximum(np.einsum("npp->np", damped), _SINGULAR)
         np.einsum("npp->np", damped)[...] += damping[some, None] * diagonal
         trial = best[some] + (_invert(damped) @ gradient[some, :, None])[..., 0]
         found = _equations(outline, trial, patches[some])
         better = found[2] < cost[some]  # False for NaN, from which more damping may lead away
-        moving[some] = ~(np.abs(found[2] - cost[some]) < _SETTLED * cost[some])
-        damping[some] *= np.where(better, 1 / _FACTOR, _FACTOR)
+        moving[some] = ~(np.abs(found[2] - cost[some]) < settings.settled * cost[some])
+        damping[some] *= np.where(better, 1 / 10, 10)
         some = some[better]
         best[some] = trial[better]
         normal[some], gradient[some], cost[some] = (each[better] for each in found)
@@ -245,7 +220,7 @@ def _equations(outline: Outline, parameters: Array, patches: Patches) -> tuple[A
     return turned @ jacobian, (turned @ residual[..., None])[..., 0], (residual**2).sum(axis=1)
 
 
-def smooth_parameters(fit: OutlineFit, columns: list[int]) -> OutlineFit:
+def smooth_parameters(fit: OutlineFit, columns: list[int], settings: Settings) -> OutlineFit:
     """Let the outlines of one image share what varies smoothly across it.
 
     The parameters in `columns` are replaced by a polynomial of the place in the image, fitted to
@@ -266,7 +241,7 @@ def smooth_parameters(fit: OutlineFit, columns: list[int]) -> OutlineFit:
     smooth = basis @ (inverse @ fit.parameters)
     variance = np.einsum("npp->np", fit.covariance)
     misfit = ((fit.parameters - smooth) ** 2 / variance).sum(axis=0) / freedom
-    columns = [k for k in columns if misfit[k] < 1 + _ROUGH * np.sqrt(2 / freedom)]
+    columns = [k for k in columns if misfit[k] < 1 + settings.rough * np.sqrt(2 / freedom)]
     if not columns:
         return fit
     across = fit.covariance[:, :, columns]
@@ -294,10 +269,11 @@ def _invert(matrices: Array) -> Array:
     return out / scale[:, :, None] / scale[:, None, :]
 
 
-def band(centers: Array, radius: float) -> tuple[tuple[float, float], float]:
+def band(marks: Marks, radius: float) -> tuple[tuple[float, float], float]:
     """The band around outlines of half a width `radius` that belongs to no neighbor, out to the
     middle of the gap: least and most distance, positive inside, px; and the gap."""
-    distance, _ = cKDTree(centers).query(centers, k=2)
+    distance, _ = cKDTree(marks.centers).query(marks.centers, k=2)
     half = float(np.median(distance[:, 1])) / 2 - radius
-    outer, inner = max(min(half, _WIDEST), _LEAST_OUTER), max(min(half, _WIDEST), _NARROWEST)
+    # Across the middle of a narrow gap the corners would be 0.010 px off instead of 0.005.
+    outer, inner = (max(min(half, marks.settings.widest), least) for least in (1.0, 2.0))
     return (-outer, inner), 2 * half

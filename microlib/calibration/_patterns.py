@@ -20,7 +20,7 @@ from microlib.calibration._chessboard import find_corners
 from microlib.calibration._detection import FEWEST, Detection
 from microlib.calibration._grid_map import GridMap, fit_grid_map
 from microlib.calibration._lattice import (
-    LEAST_FULL,
+    MIDDLE,
     STEPS,
     complete,
     counting,
@@ -32,21 +32,11 @@ from microlib.calibration._lattice import (
     rough_map,
 )
 from microlib.calibration._marks import Marks, dark_regions, even_edges
+from microlib.calibration._settings import Settings
 from microlib.calibration._shapes import CORNERS, are_round, fit_marks
 
-#: If a lattice holds this part of the dark regions of an image, the image shows it and nothing
-#: else.
-_NOTHING_ELSE = 0.7
-#: Marks of a lattice in clutter that are fitted first.
-_FIRST = 30
-#: Pieces of lattice in clutter that are looked at, the largest first.
-_PIECES = 4
-#: Most ratio of width to height of a square, both in steps of the lattice: what is fitted to four
-#: squares with noise comes within 0.02.
-_MOST_RATIO = 1.1
-_MIDDLE = np.zeros((1, 2))
-#: Places of a ring that stands for a circle.
-_RIM = 8
+#: Marks of a lattice that are fitted first, and by which a pattern is named.
+FIRST = 30
 
 #: Marks, which of them are of a piece of lattice, and their integer coordinates in it.
 Piece = tuple[Marks, NDArray[np.intp], NDArray[np.intp]]
@@ -60,20 +50,23 @@ class Scene:
     ----------
     grey : ndarray of float32, shape (height, width)
         Grey levels.
+    settings : Settings
+        Those of the detection.
     """
 
     grey: NDArray[np.float32]
+    settings: Settings = field(default_factory=Settings)
     _pieces: dict[str, list[Piece]] = field(default_factory=dict)
 
     @cached_property
     def dark(self) -> Marks:
         """The dark regions of an even ground."""
-        return dark_regions(self.grey)
+        return dark_regions(self.grey, self.settings)
 
     @cached_property
     def edges(self) -> list[Marks]:
         """What even edges surround in clutter, dark and bright."""
-        return even_edges(self.grey)
+        return even_edges(self.grey, self.settings)
 
     def pieces(self, lattice: str) -> list[Piece]:
         """Pieces of a lattice among what even edges surround."""
@@ -115,11 +108,13 @@ def find_pattern(
     candidates = islice(_candidates(scene, kind, lattice, most), 1 if most else None)
     for count, (marks, grid, alone) in enumerate(candidates):
         try:
-            if not alone and len(grid) > 2 * _FIRST:  # chance is refused by a part, and sooner
-                _fit(marks[:_FIRST], grid[:_FIRST], kind, lattice)
+            if not alone and len(grid) > 2 * FIRST:  # chance is refused by a part, and sooner
+                _fit(marks[:FIRST], grid[:FIRST], kind, lattice)
             points, sigma, grid, areas = _fit(marks, grid, kind, lattice)
             turn = counting(points.mean(axis=1), grid, lattice, direction, mirrored)
-            found = _place(points, sigma, grid, areas, lattice, turn, scene.grey.shape)
+            found = _place(
+                points, sigma, grid, areas, lattice, turn, scene.grey.shape, scene.settings
+            )
             # A homography leads to any four centers, and clutter has many.
             if alone or np.isfinite(found.misfit):
                 return found, alone
@@ -139,15 +134,15 @@ def _candidates(
     then the largest pieces in clutter; and whether the image shows nothing else. With `most` they
     are completed from so many marks."""
     if kind == "chessboard":
-        yield *find_corners(scene.grey), True
+        yield *find_corners(scene.grey, scene.settings), True
         return
     marks = scene.dark
     pieces = [(marks, *piece) for piece in grow_lattices(marks, lattice)[:1]]
-    if pieces and len(pieces[0][1]) >= _NOTHING_ELSE * len(marks.centers):
+    if pieces and len(pieces[0][1]) >= scene.settings.nothing_else * len(marks.centers):
         marks, index, grid = pieces.pop()
         yield *complete(marks[index[:most]], grid[:most], darkness), True
     pieces += scene.pieces(lattice)
-    for marks, index, grid in sorted(pieces, key=lambda piece: -len(piece[1]))[:_PIECES]:
+    for marks, index, grid in sorted(pieces, key=lambda piece: -len(piece[1]))[:4]:
         yield *complete(marks[index[:most]], grid[:most], darkness), False
 
 
@@ -170,14 +165,14 @@ def _fit(
     good, points, sigma, shapes = fit_marks(marks, steps, kind)
     marks, grid, flat = marks[good], grid[good], flat[good]
     share = fill(grid)
-    if share < LEAST_FULL:  # as chance puts it together
+    if share < marks.settings.least_full:  # as chance puts it together
         raise ValueError(
             f"image must show a grid of {kind}, got {len(grid)} that fill {100 * share:.0f} % of "
             "the places of one"
         )
     if kind == "circles":
-        to_image, _ = fit_grid_map(points, flat, _MIDDLE, marks.image.shape)
-        refuse_lattice(shapes @ shapes, to_image.steps(flat), lattice)
+        to_image, _ = fit_grid_map(points, flat, MIDDLE, marks.image.shape)
+        refuse_lattice(shapes @ shapes, to_image.steps(flat), lattice, marks.settings)
     return points, sigma, grid, np.pi * np.abs(np.linalg.det(shapes))
 
 
@@ -189,10 +184,11 @@ def _place(
     lattice: str,
     turn: Array,
     image_shape: tuple[int, ...],
+    settings: Settings,
 ) -> Detection:
     """Points freed of bias, on a lattice that is tested; marks that are none of it are left out."""
     squares = points.shape[1] == 4
-    offsets: Array = CORNERS @ turn if squares else _MIDDLE
+    offsets: Array = CORNERS @ turn if squares else MIDDLE
     grid = np.round(grid @ turn).astype(np.intp)
     kept = np.ones(len(grid), dtype=bool)
     while True:
@@ -203,7 +199,7 @@ def _place(
         to_image, positions = fit_grid_map(points, cells, offsets, image_shape)
         if squares:
             sides = np.ptp(positions[0], axis=0)
-            if not 1 / _MOST_RATIO < sides[0] / sides[1] < _MOST_RATIO or sides.max() >= 1:
+            if np.ptp(sides) > settings.most_skew * sides.min() or sides.max() >= 1:
                 raise ValueError(
                     "image must show squares on a square lattice, got rectangles of "
                     f"{sides[0]:.3g} × {sides[1]:.3g} steps"
@@ -213,7 +209,7 @@ def _place(
             bias = _center_bias(to_image, cells, areas)[:, None]
         to_image, positions = fit_grid_map(points - bias, cells, offsets, image_shape)
         pitch = float(np.sqrt(np.median(to_image.scale(cells))))
-        kept, stated, misfit = agree(points - bias, positions, to_image, sigma, pitch)
+        kept, stated, misfit = agree(points - bias, positions, to_image, sigma, pitch, settings)
         if kept.all():
             break  # else strays bent the map
     grid = (grid - grid.min(axis=0))[:, None]
@@ -234,7 +230,7 @@ def _place(
 def _center_bias(to_image: GridMap, cells: Array, areas: Array) -> Array:
     """How far the center of each circle's image lies from the image of its center, px."""
     radius = np.sqrt(np.median(areas / (np.pi * to_image.scale(cells))))  # in pitches
-    turn = np.linspace(0, 2 * np.pi, _RIM, endpoint=False)
+    turn = np.linspace(0, 2 * np.pi, 4, endpoint=False)
     # The mean over a disc, of polynomials up to the third degree, is that over this ring.
     ring = radius / np.sqrt(2) * np.column_stack([np.cos(turn), np.sin(turn)])
     within = cells[:, None] + ring

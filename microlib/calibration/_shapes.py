@@ -15,9 +15,6 @@ from microlib.calibration._outlines import (
     BLUR,
     CONTRAST,
     GROUND,
-    LEAST_BLUR,
-    START_BLUR,
-    STEPS,
     OutlineFit,
     band,
     cut_patches,
@@ -27,52 +24,28 @@ from microlib.calibration._outlines import (
 
 # Ellipses: center, shape matrix A (|A·(x − center)| = 1 on the ellipse), then what all have.
 CENTER, _SHAPE = slice(0, 2), slice(2, 5)
-#: Half the side of a patch in radii, without the band: the longer axis of an ellipse is 1.2 times
-#: its mean radius at an axis ratio of 1.44, a tilt of 46°.
-_HALF_PATCH = 1.2
-#: Keeps the center of an ellipse, where ρ has no gradient, from 0/0; no fitted pixel is near it.
-_AT_CENTER = 1e-9
+#: Least divisor: of parallel lines, and at the center of an ellipse, where no fitted pixel is.
+_LEAST = 1e-9
 
 # Lines, four of a quadrilateral or the two that cross at a chessboard's corner: directions of the
 # (outward) normals, distances from the patch's origin along them, then what all have.
-_COMMON = 5
 #: Corners of a square about its middle, in sides, along the lattice's two steps; line k leads from
 #: the corner before to corner k.
 CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
-#: Sine of the angle below which two lines are parallel.
-_PARALLEL = 1e-9
-#: Half the side of a patch in sides, without the band: half a diagonal and a tenth for the tilt.
-_HALF_SQUARE = 0.8
 
-#: Half the width of a patch around a chessboard's corner in sides of a field: the next edges are a
-#: whole side away, and their blur and a slant of the board must stay out. At most so many px: more
-#: adds little but distortion.
-_CROSSING, _MOST_CROSSING, _LEAST_CROSSING = 0.45, 12.0, 3.0
 
 # What varies smoothly across the image: blur, contrast and slope of the ground, and of squares the
 # directions of the sides. A chessboard's corner lies amid what surrounds it, and gains nothing.
 SMOOTH_ELLIPSE = [5, 6, 8, 9]
 SMOOTH_QUAD = [0, 1, 2, 3, 8, 9, 11, 12]
 
-#: Most residual and most uncertainty of an outline, in medians of all.
-#: Residuals of up to 5 medians let 2 wrong points of 1961 pass that 3 keeps out, and 2 costs 12
-#: right ones; uncertainties from 3 to 20 make no difference beside it.
-_MOST_RMS, _MOST_SIGMA = 3.0, 5.0
-#: Most residual of crossing edges as a part of their contrast. Photographed chessboards leave up to
-#: 0.05, the places between circles, where dark and bright change as well, 0.34.
-_MOST_REST = 0.2
-#: Marks that are asked: each has hundreds of pixels to tell by. They are the first of the lattice,
-#: beside one another, so that the band around each ends where its neighbor's begins.
-_ASKED = 6
-#: Steps after which shapes are told apart: the right one is at its minimum, and the other far above
-#: it, though it may creep on for long.
-_FEW_STEPS = 12
-
 
 def are_round(marks: Marks, steps: Array) -> bool:
     """Say whether ellipses fit the marks' grey levels better than quadrilaterals do."""
-    some = marks[:_ASKED]
-    ellipses, quads = fit_ellipses(some, _FEW_STEPS), fit_quads(some, steps[:_ASKED], _FEW_STEPS)
+    # Each has hundreds of pixels to tell by. The first of the lattice lie beside one another, so
+    # that the band around each ends where its neighbor's begins.
+    some, few = marks[:6], marks.settings.few_steps
+    ellipses, quads = fit_ellipses(some, few), fit_quads(some, steps[:6], few)
     return bool(np.nanmedian(ellipses.rms) < np.nanmedian(quads.rms))
 
 
@@ -103,9 +76,10 @@ def fit_marks(
     limit = np.array(marks.image.shape[::-1]) - 1
     worst = sigma.max(axis=1)
     good = ((low >= 0) & (high <= limit)).all(axis=1) & np.isfinite(worst)
+    # Residuals of up to 5 medians let 2 wrong points of 1961 pass that 3 keeps out, and 2 costs 12.
     if good.any():
-        good &= (fit.rms <= _MOST_RMS * np.median(fit.rms[good])) & (
-            worst <= np.minimum(_MOST_SIGMA * np.median(worst[good]), half)
+        good &= (fit.rms <= 3 * np.median(fit.rms[good])) & (
+            worst <= np.minimum(4 * np.median(worst[good]), half)
         )
     if good.sum() < FEWEST:
         raise ValueError(f"image must show a grid of {kind}, got {int(good.sum())} whole ones")
@@ -114,19 +88,20 @@ def fit_marks(
         rest = float(
             np.median(fit.rms / np.abs(fit.parameters[:, [CONTRAST, GROUND.start]].prod(axis=1)))
         )
-        if rest > _MOST_REST:
+        # Photographed boards leave up to 0.05, the places between circles 0.34.
+        if rest > 1 / 4:
             raise ValueError(
                 "image must show a chessboard, got marks on a lattice, beside which crossing edges "
                 f"leave {100 * rest:.0f} % of the contrast"
             )
-    fit = smooth_parameters(fit, smooth)
+    fit = smooth_parameters(fit, smooth, marks.settings)
     shapes: Array = np.zeros((len(fit.rms), 2, 2))
     if kind == "circles":
         shapes = np.linalg.inv(ellipse_shape(fit.parameters))
     return good, *locate(fit), shapes
 
 
-def fit_ellipses(marks: Marks, most: int = STEPS) -> OutlineFit:
+def fit_ellipses(marks: Marks, most: int | None = None) -> OutlineFit:
     """Fit an ellipse to each mark."""
     values, vectors = np.linalg.eigh(marks.moments)  # a filled ellipse has A = ½ Σ^(−½)
     shape = (vectors / (2 * np.sqrt(values))[:, None, :]) @ vectors.transpose(0, 2, 1)
@@ -134,10 +109,10 @@ def fit_ellipses(marks: Marks, most: int = STEPS) -> OutlineFit:
     start[:, CENTER] = marks.centers - np.round(marks.centers)
     start[:, _SHAPE] = shape[:, [0, 0, 1], [0, 1, 1]]
     radius = float(1 / np.sqrt(np.linalg.det(shape).min()))
-    near, gap = band(marks.centers, radius)
-    half = radius * _HALF_PATCH - near[0]
+    near, gap = band(marks, radius)
+    half = 3 / 2 * radius - near[0]  # the longer axis is 1.5 mean radii at a tilt of 64°
     patches = cut_patches(marks, half, lambda x, y: _to_ellipse(start, x, y)[0], near)
-    return fit_shapes(_ellipse, start, patches, gap, most)
+    return fit_shapes(_ellipse, start, patches, gap, marks.settings, most)
 
 
 def ellipse_shape(parameters: Array) -> Array:
@@ -158,7 +133,7 @@ def ellipse_reach(parameters: Array) -> Array:
     return np.sqrt(np.column_stack([b * b + d * d, a * a + b * b])) / np.abs(a * d - b * b)[:, None]
 
 
-def fit_quads(marks: Marks, steps: Array, most: int = STEPS) -> OutlineFit:
+def fit_quads(marks: Marks, steps: Array, most: int | None = None) -> OutlineFit:
     """Fit four lines to each mark, from a square along the lattice's steps."""
     origin = np.round(marks.centers)
     side = np.sqrt(marks.areas / np.abs(np.linalg.det(steps)))[:, None, None]
@@ -170,38 +145,39 @@ def fit_quads(marks: Marks, steps: Array, most: int = STEPS) -> OutlineFit:
     normal *= np.sign(outward)[..., None] / np.linalg.norm(normal, axis=-1, keepdims=True)
     start = _start_lines(normal, middle)
     width = float(np.median(line_offsets(start).sum(axis=1)) / 2)
-    near, gap = band(marks.centers, width / 2)
-    half = width * _HALF_SQUARE - near[0]
+    near, gap = band(marks, width / 2)
+    half = width - near[0]  # half a diagonal and some for the tilt
     patches = cut_patches(marks, half, lambda x, y: _to_lines(start, x, y).min(axis=-1), near)
-    return fit_shapes(_quad, start, patches, gap, most)
+    return fit_shapes(_quad, start, patches, gap, marks.settings, most)
 
 
 def fit_crossings(marks: Marks, steps: Array) -> OutlineFit:
     """Fit two lines to each corner of a chessboard, along the lattice's steps."""
     side = float(np.sqrt(np.median(np.abs(np.linalg.det(steps)))))
-    reach = float(np.clip(_CROSSING * side, _LEAST_CROSSING, _MOST_CROSSING))
+    settings = marks.settings
+    reach = float(np.clip(settings.crossing * side, 3, settings.most_crossing))
     patches = cut_patches(marks, reach, np.hypot, (0.0, reach))
     normal = steps.transpose(0, 2, 1)[..., ::-1] * [1, -1]
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     start = _start_lines(normal, (marks.centers - patches.centers)[:, None])
-    start[:, BLUR] = START_BLUR
+    start[:, BLUR] = settings.start_blur
     dark = _crossing(start, patches.x, patches.y)[0] - 0.5
     bright = (dark * (patches.grey - patches.grey.mean()) * patches.weight).sum(axis=1) > 0
     start[bright, 0] += np.pi  # the dark fields are the other two
     start[bright, 2] *= -1
-    return fit_shapes(_crossing, start, patches, np.inf)
+    return fit_shapes(_crossing, start, patches, np.inf, settings)
 
 
 def line_offsets(parameters: Array) -> Array:
     """Distances of the lines from the patch's origin, (n, lines), px."""
-    return parameters[:, (parameters.shape[1] - _COMMON) // 2 : -_COMMON]
+    return parameters[:, (parameters.shape[1] + BLUR) // 2 : BLUR]
 
 
 def _start_lines(normal: Array, on: Array) -> Array:
     """Parameters of lines by their normals and points on them, (n, lines, 2)."""
     angle = np.arctan2(normal[..., 1], normal[..., 0])
     angle = angle[0] + np.angle(np.exp(1j * (angle - angle[0])))  # of one branch
-    common = np.zeros((len(angle), _COMMON))
+    common = np.zeros((len(angle), -BLUR))
     return np.hstack([angle, (normal * on).sum(axis=-1), common])
 
 
@@ -215,7 +191,7 @@ def quad_corners(fit: OutlineFit) -> tuple[Array, Array]:
     angle = fit.parameters[:, pair]
     cos, sin = np.cos(angle), np.sin(angle)
     det = cos[..., 0] * sin[..., 1] - sin[..., 0] * cos[..., 1]
-    det = np.where(np.abs(det) > _PARALLEL, det, np.nan)[..., None, None]
+    det = np.where(np.abs(det) > _LEAST, det, np.nan)[..., None, None]
     inverse = np.stack([sin[..., ::-1] * [1, -1], cos[..., ::-1] * [-1, 1]], axis=-2) / det
     corners = (inverse @ offset[:, pair][..., None])[..., 0]
     # Turning a line by dθ moves it at the corner by (sin θ x − cos θ y) dθ along its normal.
@@ -235,9 +211,9 @@ def _to_ellipse(parameters: Array, x: Array, y: Array) -> tuple[Array, Array, Ar
     a, b, d = (p[:, None] for p in parameters[:, _SHAPE].T)
     dx, dy = x - parameters[:, :1], y - parameters[:, 1:2]
     qx, qy = a * dx + b * dy, b * dx + d * dy
-    rho = np.maximum(np.hypot(qx, qy), _AT_CENTER)
+    rho = np.maximum(np.hypot(qx, qy), _LEAST)
     gx, gy = (a * qx + b * qy) / rho, (b * qx + d * qy) / rho
-    steep = np.maximum(np.hypot(gx, gy), _AT_CENTER)
+    steep = np.maximum(np.hypot(gx, gy), _LEAST)
     by_shape = np.stack([qx * dx, qx * dy + qy * dx, qy * dy], axis=-1) / (rho * steep)[..., None]
     return (1 - rho) / steep, gx / steep, gy / steep, by_shape
 
@@ -295,6 +271,7 @@ def _lines(parameters: Array, x: Array, y: Array) -> tuple[Array, Callable[[Arra
 
 
 def _blur(parameters: Array) -> tuple[Array, Array]:
-    """|blur| of each outline, of which the model is, and its derivative."""
+    """|blur| of each outline, of which the model is, and its derivative. A sharper edge is a step
+    between two pixels and has no derivative."""
     blur = parameters[:, BLUR, None]
-    return np.maximum(np.abs(blur), LEAST_BLUR), np.where(blur < 0, -1.0, 1.0)
+    return np.maximum(np.abs(blur), 0.05), np.where(blur < 0, -1.0, 1.0)

@@ -9,14 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
 from microlib._common import Array, Tidy, as_array, between, same_length
-from microlib.calibration._uncertainty import inverse_interval
-
-#: Farthest stage and image positions, µm and px: a kilometer, and far beyond any sensor.
-_FARTHEST = 1e9
-#: The positions span a plane if their second extent is more than this part of the first.
-_FLATTEST = 1e-6
-#: An affine map has three numbers a coordinate.
-_FEWEST = 3
+from microlib.calibration._uncertainty import FARTHEST, inverse_interval
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -64,7 +57,7 @@ def span_plane(**named: Array) -> None:
     for name, points in named.items():
         triangle = np.linalg.qr(points - points.mean(axis=0), mode="r")
         extent = np.linalg.svd(triangle, compute_uv=False)
-        if not extent[-1] > max(_FLATTEST * extent[0], 1 / _FARTHEST):
+        if not extent[-1] > max(1e-6 * extent[0], 1 / FARTHEST):
             raise ValueError(f"{name} must not lie on one line, got {len(points)} points that do")
 
 
@@ -106,16 +99,16 @@ def stage_affine(stage: ArrayLike, image: ArrayLike) -> StageAffine:
     image = as_array("image", image, shape=(None, 2))
     same_length(("stage", "image"), stage, image)
     for name, points in (("stage", stage), ("image", image)):
-        between(name, points, -_FARTHEST, _FARTHEST)
-        if len(points) < _FEWEST:
-            raise ValueError(f"{name} must hold at least {_FEWEST} positions, got {len(points)}")
+        between(name, points, -FARTHEST, FARTHEST)
+        if len(points) < 3:  # the numbers of an affine map, a coordinate
+            raise ValueError(f"{name} must hold at least 3 positions, got {len(points)}")
     span_plane(stage=stage, image=image)
     middle = np.eye(3)
     middle[2, :2] = -stage.mean(axis=0)  # from positions to those about their middle
     design = np.column_stack([stage, np.ones(len(stage))]) @ middle
     best = np.linalg.lstsq(design, image, rcond=None)[0]
     residuals = image - design @ best
-    freedom = 2 * (len(stage) - _FEWEST)
+    freedom = 2 * (len(stage) - 3)
     variance = float((residuals**2).sum()) / freedom if freedom else np.nan
     matrix = (middle @ best).T
     one = middle @ np.linalg.inv(design.T @ design) @ middle.T

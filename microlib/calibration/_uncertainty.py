@@ -21,14 +21,9 @@ from microlib.microscope import Microscope
 _DEGREES = ((4, 60), (3, 40), (2, 24))
 #: Smooth residuals that noise makes in more than this part of all images are taken for noise.
 BY_CHANCE = 0.1
-#: A direction that the parameters follow up to this part of it shows nothing.
-_FOLLOWED = 1e-4
-#: A smooth displacement's terms fall with their degree: those of a lens and of a bent plate, as far
-#: as they are known, by a third and more a degree. Without it (1), a bend hidden in the focal
-#: length is stated half as large as with 2 to 4.
-_FALL = 3.0
-#: Largest noise, px: beyond any sensor's rows.
-_MOST_NOISE = 1e9
+#: A kilometer, µm: nothing is calibrated beyond, and the fits lose their way there. No noise in px
+#: is larger.
+FARTHEST = 1e9
 
 
 def cramer_rao(
@@ -73,7 +68,7 @@ def cramer_rao(
     array([inf, inf, inf])
     """
     of_kind("microscope", microscope, Microscope)
-    noise = scalar("noise", noise, least=0, most=_MOST_NOISE)
+    noise = scalar("noise", noise, least=0, most=FARTHEST)
     jacobian = microscope.jacobian(world, parameters).reshape(-1, len(parameters))
     inverse = inverse_normal(jacobian)
     with np.errstate(invalid="ignore"):  # what is open stays so without noise, too
@@ -125,7 +120,8 @@ def smooth_fields(points: Array) -> Array:
     """Displacements that vary smoothly over the points, (2N, k), each as long as it is likely.
 
     Orthogonal polynomials of both coordinates, of length 1, 1/3, 1/9 … by their degree; none for
-    fewer than 24 points.
+    fewer than 24 points. The terms of a lens and of a bent plate fall so, as far as they are known;
+    with terms that do not fall, a bend hidden in the focal length is stated half as large.
     """
     degree = next((d for d, least in _DEGREES if len(points) >= least), None)
     if degree is None:
@@ -134,7 +130,7 @@ def smooth_fields(points: Array) -> Array:
     x, y = ((points - middle) / np.abs(points - middle).max()).T
     powers = [(i, total - i) for total in range(degree + 1) for i in range(total + 1)]
     each, _ = np.linalg.qr(np.column_stack([x**i * y**j for i, j in powers]))
-    return np.kron(each * [_FALL ** -(i + j) for i, j in powers], np.eye(2))
+    return np.kron(each * [3.0 ** -(i + j) for i, j in powers], np.eye(2))
 
 
 def fields_of_views(points: list[Array]) -> Array:
@@ -178,9 +174,9 @@ def discrepancy(
     followed = response(jacobian, fields)
     seen = fields - jacobian @ followed
     # Of squares, which are quicker than the fields themselves: what is followed lies far above the
-    # root of rounding.
+    # root of rounding. One that is followed but for 1e-4 shows nothing.
     size, axes = np.linalg.eigh(seen.T @ seen)
-    shown = size > _FOLLOWED**2
+    shown = size > 1e-8
     free = int(shown.sum())
     freedom = len(residuals) - count - free
     if free == 0 or freedom <= 0:

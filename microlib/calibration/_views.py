@@ -26,18 +26,9 @@ VIEW = ("magnification", "alpha", "beta", "gamma", "tx", "ty")
 _TERMS = ([3, 4], [2])
 #: Of `project_plane`'s numbers (M, h, κ, α, β, γ, T_x, T_y) those of a view.
 _OF_VIEW = [0, 3, 4, 5, 6, 7]
-#: Of more points than twice so many a view's start is fitted to these alone: it comes as near as a
-#: fifteenth of the noise, and most of the steps take a part of the time.
-_FEW = 1000
-#: Relative changes at which a search ends, and the most steps: fits of the tests' views end within
-#: 33, but of one view without tilt the search may wander on along what no point tells.
-_TOLERANCE, _MOST_STEPS = 1e-13, 200
 #: Error of a point that is given exactly, as a part of the largest coordinate: rounding makes
 #: 1e-16 of it, another order of the same sums up to 1e-15. Nothing smaller decides anything.
 _ROUNDING = 1e-13
-#: Rounds in which the second term is taken off: each leaves four times its part of the first, a
-#: few hundredths.
-_INVERTED = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,11 +58,12 @@ class Views:
         return float((_ROUNDING * max(np.abs(at).max() for at in (*scaled, *self.seen))) ** 2)
 
     def alone(self, view: int) -> Views:
-        """One of the views, and of many points some: random ones, for every n-th could be in a
-        row."""
+        """One of the views, and of many points some: random ones, for every n-th could be in a row.
+
+        The start comes as near as a fifteenth of the noise, in a part of the time."""
         world, seen = self.world[view], self.seen[view]
-        if len(world) > 2 * _FEW:
-            some = np.random.default_rng(0).choice(len(world), _FEW, replace=False)
+        if len(world) > 2000:
+            some = np.random.default_rng(0).choice(len(world), 1000, replace=False)
             world, seen = world[some], seen[some]
         return Views([world], [seen], self.cell, self.focal_length)
 
@@ -187,10 +179,10 @@ def _fit(views: Views, lens: Array, poses: Array, lens_free: list[int]) -> Fit:
         lambda values: at(values.tobytes())[1],
         method="lm",
         x_scale="jac",
-        ftol=_TOLERANCE,
-        xtol=_TOLERANCE,
-        gtol=_TOLERANCE,
-        max_nfev=_MOST_STEPS,
+        ftol=_ROUNDING,
+        xtol=_ROUNDING,
+        gtol=_ROUNDING,
+        max_nfev=200,
     )
     if found.status == 0 and len(poses) > 1:
         raise refusal
@@ -223,6 +215,6 @@ def without_terms(lens: Array, seen: Array, cell: Array) -> Array:
     """Image points as if the axis met the sensor's middle and the distortion had one term, px."""
     at = seen - lens[3:]
     free = at
-    for _ in range(_INVERTED):
+    for _ in range(8):  # each leaves four times the term's part of the first, some hundredths
         free = at / (1 + lens[2] * ((free * cell) ** 2).sum(axis=1, keepdims=True) ** 2)
     return free
