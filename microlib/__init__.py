@@ -13,7 +13,7 @@ from typing import Any
 try:
     __version__ = version("microlib-thesis")
 except PackageNotFoundError:  # a checkout that was never installed
-    __version__ = "0.3.0"
+    __version__ = "0.4.0"
 
 _SUBJECTS = (
     "automation",
