@@ -235,10 +235,11 @@ def _detect(
         name = _NAMES.get((kind, lattice), "an asymmetric grid of circles")
         raise ValueError(f"image must show {name}, got {seen}") from refusal
     if not alone:  # a few marks may lie beside a chessboard, which even edges do not surround
+        board = None
         with suppress(ValueError):
             board, _ = find_pattern(scene, "chessboard", "square")
-            if _extent(board) > _extent(found):
-                raise WrongPattern(kind, "a chessboard")
+        if board is not None and _extent(board) > _extent(found):
+            raise WrongPattern(kind, "a chessboard")
     return replace(found, points=found.points + corner, image_size=whole.shape[::-1])
 
 
