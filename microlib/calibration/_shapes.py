@@ -46,7 +46,12 @@ def are_round(marks: Marks, steps: Array) -> bool:
     # that the band around each ends where its neighbor's begins.
     some, few = marks[:6], marks.settings.few_steps
     ellipses, quads = fit_ellipses(some, few), fit_quads(some, steps[:6], few)
-    return bool(np.nanmedian(ellipses.rms) < np.nanmedian(quads.rms))
+    rms = [float(np.nanmedian(fit.rms)) for fit in (quads, ellipses)]
+    # Noise of three fifths of the contrast would leave as much. The fit of all of such large marks,
+    # as the fields with markers of a ChArUco board, would creep on for long.
+    if min(rms) > np.ptp(marks.smooth) / 4:
+        raise ValueError("image must show marks on a ground, got ones that no outline fits")
+    return rms[1] < rms[0]
 
 
 def fit_marks(

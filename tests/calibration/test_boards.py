@@ -15,6 +15,9 @@ from skimage.draw import polygon
 
 from microlib.calibration import detect_circles, detect_micrometer, detect_squares
 from microlib.calibration._grid_map import fit_grid_map
+from microlib.calibration._marks import Marks
+from microlib.calibration._settings import Settings
+from microlib.calibration._shapes import are_round
 
 WIDTH, HEIGHT, FINE = 320, 240, 8
 HEX = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
@@ -275,6 +278,19 @@ def test_another_pattern_of_a_megapixel_is_named_in_five_seconds():
         with pytest.raises(ValueError, match="got a chessboard"):
             DETECTORS[asked](image)
         assert process_time() - began < 5.0
+
+
+@pytest.mark.parametrize("block", [17, 29])
+def test_no_outline_is_fitted_to_what_has_none(block):
+    """Of fields with markers in them the fit took 16 s."""
+    blocks = np.random.default_rng(0).integers(0, 2, (30, 40)) * 255.0
+    image = np.kron(blocks, np.ones((block, block))).astype(np.float32)
+    pitch = 6.3 * block
+    centers = pitch * (np.argwhere(np.ones((3, 2))) + 1.4)
+    moments = np.tile((4 * block) ** 2 / 12 * np.eye(2), (6, 1, 1))
+    marks = Marks(image, image, centers, moments, np.full(6, 16.0 * block**2), Settings())
+    with pytest.raises(ValueError, match="no outline fits"):
+        are_round(marks, np.tile(pitch * np.eye(2), (6, 1, 1)))
 
 
 @pytest.mark.parametrize(("size", "blur"), [(0.4, 5.0), (0.42, 3.0)])
