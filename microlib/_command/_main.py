@@ -57,7 +57,8 @@ def _in_options(a: argparse.Namespace, text: str) -> str:
     """Return a message of the library with the command's options for the library's arguments."""
     words = {name: option(name) for name in vars(a)}
     words |= {name: str(getattr(a, of, of)) for name, of in a.words.items()}
-    text = re.sub(r"\w+(?= (?:must|cannot|could) )", lambda m: words.get(m[0], m[0]), text)
+    argument = r"\w+(?= (?:must|cannot(?! be read)|could) )"
+    text = re.sub(argument, lambda m: words.get(m[0], m[0]), text)
     return " ".join(text.split())
 
 
