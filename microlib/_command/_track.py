@@ -49,6 +49,7 @@ def run(a: argparse.Namespace) -> None:
     look, video = beside(a.out, "_look.png"), beside(a.out, "_look.mp4")
     refuse_targets(a, [a.out, *([] if a.no_look else [look]), *([video] if a.video else [])])
     rows: list[dict[str, Any]] = []
+    lost = 0
     stop: BaseException | None = None
     with ExitStack() as opened:
         bar = opened.enter_context(tqdm(total=frames.count, unit=" frames", **a.bar))
@@ -79,9 +80,10 @@ def run(a: argparse.Namespace) -> None:
                         opened.callback(film.release)
                 table.writerow(row)
                 rows.append(row)
+                lost += track.lost
                 if a.video:
                     film.write(_marked(frame, track, first))
-                bar.set_postfix_str(f"lost in {np.mean([r['lost'] for r in rows]):.0%}", False)
+                bar.set_postfix_str(f"lost in {lost / len(rows):.0%}", False)
                 bar.update()
         except (OSError, ValueError, KeyboardInterrupt) as error:
             if not rows:
@@ -91,8 +93,8 @@ def run(a: argparse.Namespace) -> None:
         raise ValueError(f"{a.source} holds no frame")
     if not a.no_look:
         write(look, path(pd.DataFrame(rows), first))
-    lost = f"lost in {sum(row['lost'] for row in rows)} of {len(rows)} frames"
-    a.say(f"{lost}\n{a.out}: one row a frame; lengths in px, of columns …_um in µm")
+    summary = f"lost in {lost} of {len(rows)} frames"
+    a.say(f"{summary}\n{a.out}: one row a frame; lengths in px, of columns …_um in µm")
     kept = f"{a.out} keeps the {len(rows)} rows so far"
     if isinstance(stop, KeyboardInterrupt):
         raise Unfinished(130, f"stopped; {kept}")
@@ -100,9 +102,9 @@ def run(a: argparse.Namespace) -> None:
         raise Unfinished(3, f"{stop}; {kept}")
     if stop is not None:
         warnings.warn(f"{stop}; {kept}", stacklevel=2)
-    if sum(row["lost"] for row in rows) > len(rows) / 2:
+    if lost > len(rows) / 2:
         remedy = "another --motion, a larger --box, or more frames per second"
-        raise Unfinished(4, f"{lost}: try {remedy}")
+        raise Unfinished(4, f"{summary}: try {remedy}")
 
 
 def _marked(frame: NDArray, track: Any, first: NDArray) -> NDArray[np.uint8]:
