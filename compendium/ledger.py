@@ -41,6 +41,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from IPython import get_ipython
 from numpy.typing import ArrayLike
 
 from microlib._common import replace_file
@@ -178,6 +179,10 @@ class Record:
         The verdict; ``result`` for a number without a printed one.
     digits : int
         Decimal places to show at most.
+    notebook : str
+        The notebook that recorded it, as its record's file is called; empty without a record.
+    cell : int
+        The cell that recorded it, as IPython counts what it runs; 0 outside of a notebook.
     """
 
     id: str
@@ -187,6 +192,8 @@ class Record:
     unit: str
     verdict: str
     digits: int
+    notebook: str = ""
+    cell: int = 0
 
     def __str__(self) -> str:
         half = (self.high - self.low) / 2
@@ -409,8 +416,11 @@ class _Session:
     records: dict[str, Record] = field(default_factory=dict)
 
     def add(self, record: Record) -> Record:
-        """Keep a record; a cell that is run again replaces what it recorded."""
-        self.records[record.id] = record
+        """Keep a record with its cell; a cell that is run again replaces what it recorded."""
+        shell = get_ipython()
+        cell = len(shell.user_ns["In"]) - 1 if shell else 0  # its count may be the next cell's
+        notebook = self.path.stem if self.path else ""
+        self.records[record.id] = replace(record, notebook=notebook, cell=cell)
         self.write()
         return record
 

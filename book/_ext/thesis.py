@@ -1,7 +1,9 @@
 """Roles and directives that put the ledger's numbers into the book's text.
 
 - ``{recomputed}`id` ``, ``{printed}`id` ``, ``{verdict}`id` ``: the recomputed
-  number, the thesis' number and the verdict; a verdict leads to its row in the list of claims.
+  number, the thesis' number and the verdict; a recomputed number leads to the cell that recorded
+  it, a verdict to its row in the list of claims.
+- ``{count}`agrees` ``, or another verdict, ``claims`` or ``errata``: how many there are, split.
 - ``{verdict-map}``: a bar for each part of the thesis, each piece of which leads to its claims.
 - ``{claims}``: the list of all claims, which ``_static/filter.js`` narrows; ``{differences}``:
   those that disagree, with the reason; ``{deviations}``: where another rule than 95 % judges.
@@ -49,6 +51,17 @@ PARTS = {
     "5.6 Stiffness of the embryo": ("section-5.6", "table-5.5", "table-5.6", "table-5.7"),
     "6 Abstract and conclusion": ("abstract", "section-6"),
 }
+#: How a count names each class: what an erratum's origin says, and how a claim was compared.
+CLASSES = {
+    "A fault of the thesis": "proved faults",
+    "Print and machine reading cannot be told apart": "that may be faults of machine reading",
+    "The text can be understood so that nothing is wrong": "where another reading has no fault",
+    "arithmetic": "by arithmetic",
+    "sentence": "as sentences",
+    "simulation": "by simulation",
+    "cannot tell": "cannot be told",
+    "input": "are inputs",
+}
 
 
 @cache
@@ -67,13 +80,43 @@ def facets(claim: ledger.Claim) -> dict[str, str]:
     return {"verdict": claim.verdict, "star": star, "by": by, "part": part_of(claim).split()[0]}
 
 
+def class_of(claim: ledger.Claim) -> str:
+    """Return the class in which a claim is counted among those of its verdict."""
+    if claim.verdict == "input":
+        return "of the drawn microscopes" if claim.compared else "settings"
+    if claim.verdict != "cannot tell":
+        return f"with a star {ledger.STAR}" if claim.star else CLASSES[claim.compared]
+    if claim.compared:
+        return "with a lower bound only" if claim.bound else "with too wide an interval"
+    of_outline = claim.id.startswith("table-5.5/")
+    return "for want of one outline" if of_outline else "for want of other data"
+
+
+def split(of: str) -> Counter[str]:
+    """Return how many claims have a verdict, all ``claims`` or all ``errata``, by class."""
+    if of == "errata":
+        return Counter(CLASSES[entry["origin"]] for entry in ledger.errata().values())
+    if of == "claims":
+        words = {"agrees": "agree", "disagrees": "disagree"} | CLASSES
+        return Counter(words[claim.verdict] for claim in ledger.claims().values())
+    return Counter(class_of(claim) for claim in ledger.claims().values() if claim.verdict == of)
+
+
+class Count(SphinxRole):
+    def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
+        counts = split(self.text)
+        parts = ", ".join(f"{count} {name}" for name, count in counts.most_common())
+        text = f"{counts.total()} ({parts})"
+        return [nodes.inline(self.rawtext, text, classes=["count"])], []
+
+
 class Recomputed(SphinxRole):
     def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
         record = records().get(self.text)
         if record is None:
             message = self.inliner.reporter.error(f"no notebook recorded {self.text!r}")
             return [nodes.problematic(self.rawtext, self.rawtext)], [message]
-        return [nodes.inline(self.rawtext, str(record), classes=["recomputed"])], []
+        return [lead_to_cell(self.env, record)], []
 
 
 class Printed(SphinxRole):
@@ -96,6 +139,22 @@ def printed(claim: ledger.Claim) -> str:
 def badge(claim: ledger.Claim) -> nodes.inline:
     kind = claim.verdict.replace(" ", "-")
     return nodes.inline(claim.label, claim.label, classes=["verdict", f"verdict-{kind}"])
+
+
+def lead_to_cell(env: object, record: ledger.Record) -> nodes.reference:
+    """Return a recomputed number, which leads to the cell that recorded it."""
+    shown = nodes.inline("", str(record), classes=["recomputed"])
+    return link(env, shown, f"notebooks/{record.notebook}", f"number-{record.id}")
+
+
+def name_cells(app: Sphinx, doctree: nodes.document) -> None:
+    """Give each cell of a notebook the anchors of the numbers that it recorded."""
+    notebook = app.env.docname.rpartition("/")[2]
+    for cell in doctree.findall(nodes.container):
+        if "exec_count" in cell:
+            place = notebook, cell["exec_count"]
+            found = (r.id for r in records().values() if (r.notebook, r.cell) == place)
+            cell["ids"] += [nodes.make_id(f"number-{name}") for name in found]
 
 
 def lead_to(env: object, claim: ledger.Claim) -> nodes.reference:
@@ -150,6 +209,9 @@ class Claims(SphinxDirective):
 
     def row(self, claim: ledger.Claim) -> list[list[nodes.Node]]:
         record = records().get(claim.id)
+        recomputed = nodes.paragraph("", "–")
+        if record:
+            recomputed = nodes.paragraph("", "", lead_to_cell(self.env, record))
         verdict = nodes.paragraph()
         verdict += badge(claim)
         if claim.compared:
@@ -161,7 +223,7 @@ class Claims(SphinxDirective):
         return [
             [line(claim.what), line(claim.id, "claim-id")],
             [*thesis, line(f"{claim.says}.")] if claim.says else thesis,
-            [line("–" if record is None else str(record), "recomputed")],
+            [recomputed],
             [verdict, *(line(f"{label}{text.rstrip('.')}.") for label, text in said if text)],
             list(self.sources(claim)),
         ]
@@ -170,6 +232,8 @@ class Claims(SphinxDirective):
         """Yield where a claim stands in the chapters, what holds its computation, its erratum."""
         page, anchor = place_of(claim)
         yield self.leads(claim.where, page, anchor)
+        if record := records().get(claim.id):
+            yield self.leads("code", f"notebooks/{record.notebook}", f"number-{record.id}")
         if claim.test:
             yield self.leads("test", *place_of_test(claim.test))
         for name, entry in ledger.errata().items():
@@ -282,11 +346,13 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.add_role("recomputed", Recomputed())
     app.add_role("printed", Printed())
     app.add_role("verdict", Verdict())
+    app.add_role("count", Count())
     app.add_directive("verdict-map", VerdictMap)
     app.add_directive("claims", Claims)
     app.add_directive("differences", Differences)
     app.add_directive("deviations", Deviations)
     app.add_directive("errata", Errata)
+    app.connect("doctree-read", name_cells)
     app.add_css_file("thesis.css")
     app.add_js_file("filter.js", loading_method="defer")
     return {"parallel_read_safe": True, "parallel_write_safe": True}
