@@ -65,8 +65,8 @@ SLOW = {"membrane.fit_capsule": 60.0}
 PAIRS = 60
 #: Memory that all of it may take, bytes.
 MEMORY = 4 << 30
-#: Public, but not called by anyone: a category of warnings, and how an image was turned.
-NOT_CALLED = {"membrane.SmallSlopeWarning"}
+#: Public, but not called here: a category of warnings, and a picture, as below.
+NOT_CALLED = {"membrane.SmallSlopeWarning", "tracking.plot_track"}
 #: Methods that take nothing, and pictures, whose tests are tests/test_plots.py.
 WITHOUT = {"to_dict", "to_frame", "to_xarray", "plot"}
 
@@ -626,7 +626,11 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "tracking.Track.to_layers": lambda: {"self": tracker().track(target()), "pixel_size": 2.0},
     "tracking.track_all": lambda: {
         "frames": [target(), target()], "box": (16, 16, 32, 32), "motion": "translation",
-        "rate": 25.0, "kalman": filter_(), "progress": None,
+        "rate": 25.0, "pixel_size": 2.0, "kalman": filter_(),
+    },
+    "tracking.track_each": lambda: {
+        "frames": [target(), target()], "box": (16, 16, 32, 32), "motion": "translation",
+        "rate": 25.0, "pixel_size": 2.0, "kalman": filter_(),
     },
 }  # fmt: skip
 

@@ -32,6 +32,7 @@ ARROWS = {
     "calibration": {"_plots", "microscope"},
     "embryo": {"_plots", "membrane"},
     "focus": {"_plots", "io"},
+    "tracking": {"_plots"},
     "synthetic": {"microscope", "optics", "membrane"},
 }
 #: A face that fits on one page of the book. Whoever needs another name takes one away.

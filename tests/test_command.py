@@ -69,7 +69,7 @@ def test_depth_writes_the_heights_to_scale(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "own.ome.tif", stack, metadata=metadata)
     told = run("depth", str(tmp_path / "own.ome.tif"), "--reduce 2", tmp_path / "own")
     assert "spacing 7 µm (the file)" in told
-    assert "pixel_size 2 µm (the file)" in told
+    assert "pixel_size 2 µm/px (the file)" in told
 
 
 def test_depth_names_the_mesh_only_if_there_is_one(
@@ -199,6 +199,20 @@ def write_film(path: Path, count: int, share: float = 1.0) -> None:
     path.write_bytes(content[: int(share * len(content))])
 
 
+def test_the_depth_of_a_film_that_ends_early_is_that_of_what_was_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_film(tmp_path / "cut.avi", 30, share=0.8)
+    line = f"depth {tmp_path / 'cut.avi'} --spacing 5 --pixel-size 2"
+    assert status(line, tmp_path / "none") == 2
+    assert not (tmp_path / "none").exists()
+    assert status(f"{line} --allow-truncated", tmp_path / "out") == 0
+    count = int(re.search(r"the (\d+) frames before are used", capsys.readouterr().err)[1])
+    assert 10 < count < 30
+    best = tifffile.imread(tmp_path / "out" / "frame.ome.tif")
+    assert best.max() < count
+
+
 @pytest.mark.parametrize(("option", "expected"), [("", 3), (" --allow-truncated", 0)])
 def test_a_film_that_ends_early_keeps_its_rows(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str, expected: int
@@ -269,19 +283,23 @@ TABLES = {
 }
 
 
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> pd.Series:
+    out = tmp_path_factory.mktemp("modulus") / "plain.csv"
+    assert status(f"modulus outline.csv {MODULUS}", out) == 0
+    return quantities(out)
+
+
 @pytest.mark.parametrize("name", TABLES)
 def test_an_outline_is_read_in_any_form(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, plain: pd.Series, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text, option = TABLES[name]
     (tmp_path / "points.csv").write_text(text, encoding="utf-8")
-    assert status(f"modulus outline.csv {MODULUS}", tmp_path / "plain.csv") == 0
-    capsys.readouterr()
     line = f"modulus {tmp_path / 'points.csv'} {MODULUS} {option}"
     assert status(line, tmp_path / "out.csv") == 0
-    plain, found = (quantities(tmp_path / f"{file}.csv") for file in ("plain", "out"))
     # The last digits of y change with its origin.
-    np.testing.assert_allclose(found, plain, rtol=1e-3)
+    np.testing.assert_allclose(quantities(tmp_path / "out.csv"), plain, rtol=1e-3)
     assert ("y is taken to run down" in capsys.readouterr().err) == (name == "y down unsaid")
 
 
@@ -306,9 +324,8 @@ STACK = "depth focal_stack.tif --spacing 25 --pixel-size 1"
         (f"{STACK} --region 0 0 999 5", "--region must"),
         (f"{STACK} --reduce 0", "--reduce must"),
         ("calibrate circles.png --cell 9.9", "give --pitch µm"),
-        ("calibrate embryo.png --cell 9.9 --pitch 280", "microlib calibrate: "),
+        ("calibrate embryo.png --marks charuco --cell 9.9 --pitch 280", "microlib calibrate: "),
         ("calibrate circles.png --cell -9 --pitch 280", "--cell must be positive"),
-        ("calibrate circles.png --marks squares --lattice square", "--lattice must be left out"),
         ("track frames.tif --box 0 0 400 40", "microlib track: --box must"),
         (f"track frames.tif {BOX} --rate 0", "--rate must"),
         (f"track frames.tif {BOX} -o t.xlsx", "must be a table that ends in .csv, got t.xlsx"),

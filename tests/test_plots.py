@@ -8,12 +8,11 @@ import pytest
 from matplotlib import pyplot
 
 from microlib import synthetic
-from microlib._plots import path as draw_path
 from microlib.calibration import calibrate, detect_circles
 from microlib.embryo import modulus_from_image
 from microlib.focus import depth_from_focus
 from microlib.microscope import Microscope
-from microlib.tracking import track_all
+from microlib.tracking import plot_track, track_all
 
 mpl.use("Agg")
 
@@ -97,7 +96,7 @@ def test_the_way_is_drawn_over_the_first_frame_and_against_time() -> None:
     path = [(60.0 + 2.5 * k, 60.0 - k) for k in range(5)]
     frames = synthetic.texture_sequence(path, np.random.default_rng(0))
     table = track_all(frames, (60, 60, 49, 49), "translation", rate=20.0)
-    figure = draw_path(table.reset_index(), frames[0])
+    figure = plot_track(table, frames[0])
     seen = np.column_stack(figure.axes[0].lines[0].get_data()).astype(float)
     np.testing.assert_allclose(seen - seen[0], np.array(path) - path[0], atol=0.1)
     x, y = (np.column_stack(line.get_data()) for line in figure.axes[1].lines[:2])

@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import re
 import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
-from microlib._command._files import beside, refuse_targets, write
 from microlib._command._scales import add_scales, settle
 from microlib._common import Array
 
@@ -21,7 +21,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     scales = "--force 150 --pixel-size 3.9 --thickness 3 --probe-half-width 25 --poisson 0.5"
     parser.epilog = f"Example: microlib modulus outline.csv {scales} -o modulus.csv"
     words = {"poisson_ratio": "--poisson", "x": "source", "y": "source", "curve": "source"}
-    parser.set_defaults(table=True, words=words)
+    parser.set_defaults(files=["table", "look.png"], words=words)
     outline = "CSV file with columns x, y in px, or with two columns"
     parser.add_argument("source", metavar="OUTLINE", help=outline)
     add_scales(parser, "force", "force_std", "pixel_size", "thickness", "thickness_std")
@@ -29,7 +29,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--y-down", action="store_true", help="y runs down, as an image's rows do")
 
 
-def run(a: argparse.Namespace) -> None:
+def run(a: argparse.Namespace) -> Iterator[tuple[str, Callable]]:
     """Young's modulus of a membrane from the outline of its dimple, as section 5.6 finds it."""
     from microlib._plots import outline
     from microlib.embryo import dimple_geometry, fit_gaussians, loess
@@ -37,8 +37,6 @@ def run(a: argparse.Namespace) -> None:
     x, y = _outline(a.source, a.y_down)
     values = settle(a, "force", "pixel_size", "thickness", "probe_half_width", "poisson")
     size, values["poisson_ratio"] = values.pop("pixel_size"), values.pop("poisson")
-    look = beside(a.out, "_look.png")
-    refuse_targets(a, [a.out, *([] if a.no_look else [look])])
     stds = {"force": a.force_std or 0.0, "thickness": a.thickness_std or 0.0}
     curves = [fit_gaussians(x, loess(x, y, span=span)) for span in _SPANS]
     result: dict[str, float] = {}
@@ -54,10 +52,11 @@ def run(a: argparse.Namespace) -> None:
         points |= {f"{rim} rim": each[1].rim, "bottom": each[1].bottom}
         titles.append(f"{rim} rim{', as in the thesis' * (rim == 'left')}: {told}")
         a.say(titles[-1])
-    write(a.out, "quantity,value\n" + "".join(f"{k},{v:.10g}\n" for k, v in result.items()))
-    if not a.no_look:
-        write(look, outline(x, y, curves[1], points, "\n".join(titles)))
-    a.say(f"{a.out}: the modulus, its interval, and what it was computed from")
+    text = "quantity,value\n" + "".join(f"{k},{v:.10g}\n" for k, v in result.items())
+    yield "table", lambda file: file.write_text(text, encoding="utf-8")
+    title = "\n".join(titles)
+    yield "look.png", lambda file: outline(x, y, curves[1], points, title).savefig(file, dpi=150)
+    a.say("the modulus, its interval, and what it was computed from:")
 
 
 def _estimate(
@@ -87,32 +86,27 @@ def _outline(path: str, y_down: bool) -> tuple[Array, Array]:
     """Read an outline, and keep what is around its dimple: x ascending, the lowest point at 0."""
     x, y = _points(path)
     y = -y if y_down else y
-    bottom, rims, _ = _dip(y)
-    other, edges, depth = _dip(-y)
+    (bottom, rim, _, inside), upside_down = _dip(y), _dip(-y)
     # An egg's outline upside down is deepest beside its dimple, up to where the outline ends.
-    if _inside(edges, y) and not _inside(rims, y) and depth > 0.1 * np.ptp(y):
+    if upside_down[3] and not inside and upside_down[2] > 0.1 * np.ptp(y):
         if y_down:
             raise ValueError(f"{path} has its dimple where y runs up: leave out --y-down")
         warnings.warn(f"{path}: y is taken to run down, where its dimple is", stacklevel=2)
-        y, bottom, rims = -y, other, edges
+        y, (bottom, rim, *_) = -y, upside_down
     # Eight Gaussians describe well what is within two radii of the bottom.
-    reach = 2 * (x[bottom] - x[rims[0]])
-    near = np.abs(x - x[bottom]) <= (reach or np.inf)
+    near = np.abs(x - x[bottom]) <= (2 * (x[bottom] - x[rim]) or np.inf)
     return x[near], y[near] - y[near].min()
 
 
-def _dip(y: Array) -> tuple[int, tuple[int, int], float]:
-    """Return where a curve lies deepest between higher parts, where these are, and how deep."""
+def _dip(y: Array) -> tuple[int, int, float, bool]:
+    """Return where a curve lies deepest between higher parts, and where the left one is, how deep,
+    and whether both are more than where the outline begins and ends."""
     left, right = np.maximum.accumulate(y), np.maximum.accumulate(y[::-1])[::-1]
     depths = np.minimum(left, right) - y
     bottom = int(np.argmax(depths))
     rims = int(np.argmax(y[: bottom + 1])), bottom + int(np.argmax(y[bottom:]))
-    return bottom, rims, float(depths[bottom])
-
-
-def _inside(rims: tuple[int, int], y: Array) -> bool:
-    """Return whether rims are not just where the outline begins and ends."""
-    return min(rims[0], len(y) - 1 - rims[1]) > len(y) // 20
+    inside = min(rims[0], len(y) - 1 - rims[1]) > len(y) // 20
+    return bottom, rims[0], float(depths[bottom]), inside
 
 
 def _points(path: str) -> tuple[Array, Array]:
@@ -122,15 +116,15 @@ def _points(path: str) -> tuple[Array, Array]:
         lines = Path(path).read_text(encoding="utf-8-sig").strip().splitlines()
         if re.search("[;\t]", lines[0]):
             lines = [line.replace(",", ".") for line in lines]
-        rows = [re.split(r"[;,\s]\s*", line.strip(" ")) for line in lines]
-        names = [name.strip('"').lower() for name in rows[0]]
-        named = "x" in names and "y" in names
-        at = (names.index("x"), names.index("y")) if named else (0, 1)
-        points = [(float(row[at[0]]), float(row[at[1]])) for row in rows[named:]]
-        x, y = np.array(sorted(points, key=lambda point: point[0])).T
+        lines = [re.sub(r"[;,\s]\s*", ";", line.strip(" ")) for line in lines]
+        names = lines[0].replace('"', "").lower().split(";")
+        named = {"x", "y"} <= set(names)
+        columns = (names.index("x"), names.index("y")) if named else (0, 1)
+        points = np.loadtxt(lines[named:], delimiter=";", usecols=columns, ndmin=2)
     except (LookupError, ValueError) as error:
+        between = "comma, semicolon or tab between"
         raise ValueError(
-            f"{path} must be a table of numbers in columns x and y, with comma, semicolon or tab "
-            "between"
+            f"{path} must be a table of numbers in columns x and y, with {between}"
         ) from error
+    x, y = points[np.argsort(points[:, 0], kind="stable")].T
     return x, y

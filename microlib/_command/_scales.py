@@ -7,25 +7,27 @@ import re
 import warnings
 from collections.abc import Callable
 
-from microlib._common import scalar
+from microlib._common import MEASURED, scalar
 
 #: What stands before the unit that the library computes in, and what it comes to there.
 _PREFIXES = {"n": 1e-3, "u": 1.0, "µ": 1.0, "μ": 1.0, "m": 1e3, "c": 1e4, "": 1e6}
 
-#: Unit of each scale, what it is, and from where to where microscopy meets it.
+#: Unit of each scale, and what it is.
 _SCALES = {
-    "spacing": ("µm", "between frames, if the file does not say", -1e4, 1e4),
-    "pixel_size": ("µm", "per pixel in the object plane, if the file does not say", 0.02, 100),
-    "pitch": ("µm", "between the middles of neighboring marks, or side of a field", 0.5, 1e5),
-    "cell": ("µm", "size of a cell of the camera's sensor", 0.5, 100),
-    "focal_length": ("µm", "of the objective, from its maker; else it is estimated", 500, 1e6),
-    "force": ("µN", "of the probe", 1e-3, 1e6),
-    "force_std": ("µN", "standard deviation of the force, 0", 0, 1e6),
-    "thickness": ("µm", "of the membrane", 0.005, 1e3),
-    "thickness_std": ("µm", "standard deviation of the thickness, 0", 0, 1e3),
-    "probe_half_width": ("µm", "of its end", 0.05, 1e4),
-    "poisson": ("ratio", "of the membrane; 0.5 if it keeps its volume", -1, 0.5),
+    "spacing": ("µm", "between frames, if the file does not say"),
+    "pixel_size": ("µm/px", "in the object plane, if the file does not say"),
+    "pitch": ("µm", "between the middles of neighboring marks, or side of a field"),
+    "cell": ("µm", "size of a cell of the camera's sensor"),
+    "focal_length": ("µm", "of the objective, from its maker; else it is estimated"),
+    "force": ("µN", "of the probe"),
+    "force_std": ("µN", "standard deviation of the force, 0"),
+    "thickness": ("µm", "of the membrane"),
+    "thickness_std": ("µm", "standard deviation of the thickness, 0"),
+    "probe_half_width": ("µm", "of its end"),
+    "poisson": ("ratio", "of the membrane; 0.5 if it keeps its volume"),
 }
+#: Those that may be zero or negative.
+_SIGNED = ("spacing", "poisson")
 
 
 def option(name: str) -> str:
@@ -35,7 +37,7 @@ def option(name: str) -> str:
 def add_scales(parser: argparse.ArgumentParser, *names: str) -> None:
     """Add an option for each of these scales."""
     for name in names:
-        unit, about = _SCALES[name][:2]
+        unit, about = _SCALES[name]
         parser.add_argument(option(name), type=_quantity(unit), metavar=unit, help=about)
 
 
@@ -43,7 +45,7 @@ def _quantity(unit: str) -> Callable[[str], float]:
     """Return what reads a number, with or without a unit of its own, in `unit`."""
 
     def read(text: str) -> float:
-        own = re.search(rf"\s*([nuµμmc]?){unit[1:]}(/px)?$", text)
+        own = re.search(rf"\s*([nuµμmc]?){unit[1:].removesuffix('/px')}(/px)?$", text)
         number = float(text[: own.start() if own else None].replace(",", "."))
         return number * _PREFIXES[own[1]] if own else number
 
@@ -59,10 +61,11 @@ def settle(a: argparse.Namespace, *names: str, **told: float | None) -> dict[str
     if missing:
         raise ValueError(f"{a.source} does not tell its scale: give {', '.join(missing)}")
     for name, value in values.items():
-        unit, _, low, high = _SCALES[name]
-        scalar(name, value, above=0 if low > 0 else None)
+        unit = _SCALES[name][0]
+        scalar(name, value, above=None if name in _SIGNED else 0)
         a.say(f"{name} {value:g} {unit} ({'the file' if getattr(a, name) is None else 'given'})")
-        if not low <= value <= high:
+        low, high = MEASURED.get(unit, (0, 1))
+        if not low <= abs(value) <= high:
             usual = f"{low:g} to {high:g} {unit}"
             text = f"{option(name)} {value:g} is unusual under a microscope, which meets {usual}"
             warnings.warn(f"{text}; a number may have its unit, as 0.2mm", stacklevel=2)

@@ -5,21 +5,21 @@ from __future__ import annotations
 import argparse
 import csv
 import warnings
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
-from microlib._command._files import Unfinished, beside, refuse_targets, write
 from microlib._command._scales import add_scales, settle
-from microlib._common import scalar
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "Example: microlib track film.avi --box 30 40 64 64 --rate 33 -o track.csv"
-    parser.set_defaults(table=True, words={"frames": "source", "image": "source"})
+    words = {"frames": "source", "frame": "source", "image": "source"}
+    parser.set_defaults(files=["table", "look.png"], words=words)
     parser.add_argument("source", metavar="FILM", help="video, TIFF, folder or quoted pattern")
     corner, box = ("X", "Y", "W", "H"), "the part in the first frame, px"
     parser.add_argument("--box", nargs=4, type=int, required=True, metavar=corner, help=box)
@@ -27,94 +27,76 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--motion", choices=motions, default=motions[0], help="how the part moves")
     parser.add_argument("--rate", type=float, help="frames per second, for a column of times")
     add_scales(parser, "pixel_size")
-    parser.add_argument("--video", action="store_true", help="also a film with the part marked")
+    film: dict[str, Any] = {"dest": "files", "action": "append_const", "const": "look.mp4"}
+    parser.add_argument("--video", **film, help="also a film with the part marked")
     early = "a film that ends before its header says is no fault"
     parser.add_argument("--allow-truncated", action="store_true", help=early)
 
 
-def run(a: argparse.Namespace) -> None:
+def run(a: argparse.Namespace) -> Iterator[tuple[str, Callable]]:
     """Position of a part in every frame of a film."""
-    import cv2
     import pandas as pd
 
-    from microlib._plots import path
     from microlib.io import read_frames
-    from microlib.tracking import ESMTracker
+    from microlib.tracking import plot_track, track_each
 
-    rate = None if a.rate is None else scalar("rate", a.rate, above=0)
     frames = read_frames(a.source, color=True)
     size = frames.pixel_size if a.pixel_size is None else a.pixel_size
     if size is not None:
         settle(a, "pixel_size", pixel_size=frames.pixel_size)
-    look, video = beside(a.out, "_look.png"), beside(a.out, "_look.mp4")
-    refuse_targets(a, [a.out, *([] if a.no_look else [look]), *([video] if a.video else [])])
-    rows: list[dict[str, Any]] = []
-    lost = 0
+    each = track_each(frames, tuple(a.box), a.motion, rate=a.rate, pixel_size=size)
+    rows, lost = [next(each)], 0
     stop: BaseException | None = None
-    with ExitStack() as opened:
-        bar = opened.enter_context(tqdm(total=frames.count, unit=" frames", **a.bar))
+    a.out.parent.mkdir(parents=True, exist_ok=True)
+    with (
+        a.out.open("w", 1, encoding="utf-8", newline="") as file,
+        tqdm(each, initial=1, total=frames.count, unit=" frames", **a.bar) as bar,
+    ):
+        # As it goes: what is killed leaves the rows so far.
+        lines = csv.DictWriter(file, rows[0], lineterminator="\n")
+        lines.writeheader()
+        lines.writerow(rows[0])
         try:
-            for number, frame in enumerate(frames):
-                if number == 0:
-                    first, tracker = frame, ESMTracker(frame, tuple(a.box), a.motion)
-                track = tracker.track(frame)
-                row: dict[str, Any] = {"frame": number}
-                row |= {} if rate is None else {"time_s": number / rate}
-                row |= track.to_dict()
-                if number == 0:
-                    start = track.center
-                if size is not None:
-                    row |= dict(zip(("x_um", "y_um"), size * (track.center - start), strict=True))
-                if track.lost:
-                    places = ("corners", "center", "x_um", "y_um")
-                    row |= {name: None for name in row if name.startswith(places)}
-                if number == 0:
-                    # As it goes: what is killed leaves the rows so far.
-                    a.out.parent.mkdir(parents=True, exist_ok=True)
-                    file = opened.enter_context(a.out.open("w", 1, encoding="utf-8", newline=""))
-                    table = csv.DictWriter(file, row, lineterminator="\n")
-                    table.writeheader()
-                    if a.video:
-                        kind, shape = cv2.VideoWriter.fourcc(*"mp4v"), frame.shape[1::-1]
-                        film = cv2.VideoWriter(str(video), kind, rate or 25, shape)
-                        opened.callback(film.release)
-                table.writerow(row)
+            for row in bar:
+                lines.writerow(row)
                 rows.append(row)
-                lost += track.lost
-                if a.video:
-                    film.write(_marked(frame, track, first))
+                lost += row["lost"]
                 bar.set_postfix_str(f"lost in {lost / len(rows):.0%}", False)
-                bar.update()
         except (OSError, ValueError, KeyboardInterrupt) as error:
-            if not rows:
-                raise
             stop = error
-    if not rows:
-        raise ValueError(f"{a.source} holds no frame")
-    if not a.no_look:
-        write(look, path(pd.DataFrame(rows), first))
+    table, first = pd.DataFrame(rows), next(read_frames(a.source, color=True))
+    yield "look.png", lambda file: plot_track(table, first).savefig(file, dpi=150)
+    yield "look.mp4", partial(_film, a.source, table, a.rate)
     summary = f"lost in {lost} of {len(rows)} frames"
-    a.say(f"{summary}\n{a.out}: one row a frame; lengths in px, of columns …_um in µm")
-    kept = f"{a.out} keeps the {len(rows)} rows so far"
+    a.say(f"{summary}; one row a frame, lengths in px, of columns …_um in µm")
+    told = f"{str(stop) or 'stopped'}; {a.out} keeps the {len(rows)} rows so far"
     if isinstance(stop, KeyboardInterrupt):
-        raise Unfinished(130, f"stopped; {kept}")
-    if stop is not None and not a.allow_truncated:
-        raise Unfinished(3, f"{stop}; {kept}")
-    if stop is not None:
-        warnings.warn(f"{stop}; {kept}", stacklevel=2)
-    if lost > len(rows) / 2:
+        a.end = 130, told
+    elif stop is not None and not a.allow_truncated:
+        a.end = 3, told
+    elif stop is not None:
+        warnings.warn(told, stacklevel=2)
+    if not a.end[0] and lost > len(rows) / 2:
         remedy = "another --motion, a larger --box, or more frames per second"
-        raise Unfinished(4, f"{summary}: try {remedy}")
+        a.end = 4, f"{summary}: try {remedy}"
 
 
-def _marked(frame: NDArray, track: Any, first: NDArray) -> NDArray[np.uint8]:
-    """Return a frame as a film shows it, with the part in yellow, or red where it is lost."""
+def _film(source: str, table: Any, rate: float | None, path: Path) -> None:
+    """Write the frames with the part in yellow, or in red where it was last seen."""
     import cv2
 
-    low, high = float(first.min()), float(first.max())
-    grey = np.clip((frame.astype(np.float32) - low) / (high - low or 1), 0, 1)
-    image = (255 * np.atleast_3d(grey)).astype(np.uint8)
-    image = np.ascontiguousarray(np.broadcast_to(image[..., ::-1], (*frame.shape[:2], 3)))
-    color = (0, 0, 255) if track.lost else (0, 255, 255)  # OpenCV puts blue first
-    cv2.polylines(image, [np.rint(track.corners).astype(np.int32)], True, color, 2)
-    return image
+    from microlib.io import read_frames
+
+    frames = read_frames(source, color=True)
+    kind, size = cv2.VideoWriter.fourcc(*"mp4v"), frames.shape[::-1]
+    film = cv2.VideoWriter(str(path), kind, rate or 25, size)
+    corners = table.filter(like="corners_").ffill().to_numpy(float).reshape(-1, 4, 2)
+    levels = None
+    for corner, lost, frame in zip(corners, table["lost"], frames, strict=False):
+        levels = levels or (frame.min(), frame.max())  # those of the first frame
+        seen = np.interp(frame, levels, (0, 255)).astype(np.uint8)
+        image = cv2.cvtColor(seen, cv2.COLOR_GRAY2BGR if seen.ndim == 2 else cv2.COLOR_RGB2BGR)
+        color = (0, 0, 255) if lost else (0, 255, 255)  # OpenCV puts blue first
+        cv2.polylines(image, [np.rint(corner).astype(np.int32)], True, color, 2)
+        film.write(image)
+    film.release()

@@ -4,6 +4,7 @@ from microlib._common._checks import (
     LARGEST,
     LARGEST_GREY,
     LEAST,
+    MEASURED,
     as_array,
     as_image,
     as_region,

@@ -22,7 +22,12 @@ LARGEST, LEAST = 1e60, 1e-60
 #: Grey levels are squared, summed and multiplied in single precision; 32-bit levels lie below.
 LARGEST_GREY = 1e10
 #: What is measured under a light microscope lies between these; in another unit it does not.
-_MEASURED = {"µN": (1e-3, 1e6), "µm": (5e-3, 1e5), "MPa": (1e-5, 2e5)}
+MEASURED = {
+    "µN": (1e-3, 1e6),
+    "µm": (5e-3, 1e6),
+    "µm/px": (0.02, 100.0),
+    "MPa": (1e-5, 2e5),
+}
 
 
 def as_array(
@@ -148,7 +153,7 @@ def measured(name: str, value: object, unit: str) -> float:
     So 150e-6, a force in N, is no force in µN. For what a user types; formulas take any number.
     """
     number = scalar(name, value, above=0)
-    low, high = _MEASURED[unit]
+    low, high = MEASURED[unit]
     if not low <= number <= high:
         raise ValueError(
             f"{name} must be in {unit}, between {low:g} and {high:g} in any experiment, "

@@ -17,7 +17,7 @@ def replace_file(path: str | PathLike[str], write: Callable[[Path], object]) -> 
     path : path-like
         File to write; an old one is replaced only once the new one is whole.
     write : callable
-        Writes the content to the path that it is given, which has the ending of `path`.
+        Writes the content to the path that it is given, which ends like `path`.
 
     Raises
     ------
@@ -40,9 +40,7 @@ def replace_file(path: str | PathLike[str], write: Callable[[Path], object]) -> 
     if not target.parent.is_dir():
         raise ValueError(f"path must lie in an existing folder, got {target.parent}")
     # Hidden: what a killed process leaves is not taken for a result.
-    handle, name = tempfile.mkstemp(
-        dir=target.parent, prefix=f".{target.stem}.", suffix=target.suffix
-    )
+    handle, name = tempfile.mkstemp(dir=target.parent, prefix=".", suffix=f".{target.name}")
     os.close(handle)
     try:
         write(Path(name))

@@ -132,7 +132,7 @@ def force_over_time(
     stiffness = measured("modulus", modulus, "MPa")
     common = scalar("modulus_std", modulus_std, least=0) / stiffness
     # Wrong arguments are refused here: what one image refuses below is that image's.
-    size = measured("pixel_size", pixel_size, "µm")
+    size = measured("pixel_size", pixel_size, "µm/px")
     lengths = given_lengths(thickness, probe_half_width, poisson_ratio, None)
     settings = lengths | {"direction": one_of("direction", direction, ("auto", *DIRECTIONS))}
     law = {"shares": shares, "relaxation_times": relaxation_times}

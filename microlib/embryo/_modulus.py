@@ -233,7 +233,7 @@ def modulus_from_image(
     load = measured("force", force, "µN")
     one_of("method", method, ("membrane", "capsule"))
     one_of("law", law, ("hooke", "neo-hooke", "mooney-rivlin"))
-    size = measured("pixel_size", pixel_size, "µm")
+    size = measured("pixel_size", pixel_size, "µm/px")
     given = given_lengths(thickness, probe_half_width, poisson_ratio, radius)
     boundary = extract_boundary(image, direction=direction)
     if method != "capsule":
@@ -302,7 +302,7 @@ def force_from_image(
     True
     """
     stiffness = measured("modulus", modulus, "MPa")
-    size = measured("pixel_size", pixel_size, "µm")
+    size = measured("pixel_size", pixel_size, "µm/px")
     given = given_lengths(thickness, probe_half_width, poisson_ratio, radius)
     boundary = extract_boundary(image, direction=direction)
     return _estimate("force", stiffness, boundary, size, given)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -17,7 +15,6 @@ from microlib._common import (
     Tidy,
     as_image,
     as_region,
-    check_callable,
     flat_row,
     luminance,
     of_kind,
@@ -34,9 +31,6 @@ from microlib.tracking._sampling import View, half_pixel
 from microlib.tracking._search import Finding, RobustSearch
 from microlib.tracking._settings import Settings
 from microlib.tracking._verdict import confidence
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -522,87 +516,3 @@ def _check_texture(smooth: Level, sharp: Level) -> None:
         raise ValueError(
             "box must hold gradients in two directions, got a template that slides along its edges"
         )
-
-
-def track_all(
-    frames: Iterable[ArrayLike],
-    box: tuple[int, int, int, int],
-    motion: str = "homography",
-    *,
-    rate: float | None = None,
-    kalman: KalmanFilter | None = None,
-    progress: Callable[[int], object] | None = None,
-) -> pd.DataFrame:
-    """Track a template through all frames of a film.
-
-    Parameters
-    ----------
-    frames : iterable of array_like, shape (H, W) or (H, W, 3)
-        Frames one after another, as a list, a stack or `microlib.io.read_frames` gives them; the
-        first one shows the template. They are read one at a time, and may be wrapped, by ``tqdm``
-        for example.
-    box, motion, kalman
-        As for `ESMTracker`.
-    rate : float, optional
-        Frames per second. With it the table has the column ``time_s``.
-    progress : callable, optional
-        Called with the number of frames done, after each.
-
-    Returns
-    -------
-    pandas.DataFrame
-        A row a frame with the columns of `Track.to_dict`; a frame in which the template is lost has
-        nothing but the `reason`. ``attrs["error"]`` says why the film ended early, or nothing.
-
-    Raises
-    ------
-    ValueError
-        If there is no frame, or the first one cannot be tracked: as `ESMTracker`.
-
-    Warns
-    -----
-    UserWarning
-        If a later frame cannot be read or tracked. The table has the rows before it. For a row at a
-        time, call `ESMTracker.track` on each frame.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from microlib.synthetic import texture_sequence
-    >>> from microlib.tracking import track_all
-    >>> path = [(60.0, 60.0), (62.5, 60.5), (65.0, 61.0)]
-    >>> table = track_all(texture_sequence(path, np.random.default_rng(0)), (60, 60, 49, 49))
-    >>> table["center_x"].diff().round(1).tolist()[1:]
-    [2.5, 2.5]
-    """
-    import pandas as pd  # here, for it takes a third of the time that importing a subject takes
-
-    if rate is not None:
-        rate = scalar("rate", rate, above=0)
-    check_callable("progress", progress, optional=True)
-    if not np.iterable(frames):
-        raise ValueError(f"frames must be images one after another, got {frames!r:.80}")
-    rows: list[dict[str, Any]] = []
-    problem = ""
-    try:
-        for number, frame in enumerate(frames):
-            if number == 0:
-                as_image("frames", luminance("frames", frame))
-                tracker = ESMTracker(frame, box, motion, kalman=kalman)
-                track = ESMTracker(frame, box, motion).track(frame)  # nothing to predict
-            else:
-                track = tracker.track(frame)
-            row = track.to_dict()
-            rows.append(row if rate is None else {"time_s": number / rate} | row)
-            if progress is not None:
-                progress(number + 1)
-    except (OSError, ValueError) as error:
-        if not rows:
-            raise
-        problem = f"tracked {len(rows)} frames, then: {error}"
-        warnings.warn(problem, stacklevel=2)
-    if not rows:
-        raise ValueError("frames must hold at least one, got none")
-    table = pd.DataFrame(rows).rename_axis("frame")
-    table.attrs["error"] = problem
-    return table

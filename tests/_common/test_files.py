@@ -18,7 +18,7 @@ def test_a_file_is_replaced_once_the_new_one_is_whole(tmp_path: Path, fault) -> 
     def write(file: Path) -> None:
         assert file.parent == tmp_path  # on the same disk, or the move would be a copy
         assert file.suffix == ".csv"  # which tells writers the format
-        assert file.name.startswith(".a.")  # which a reader's *.csv does not find
+        assert file.name.startswith(".")  # which a reader's *.csv does not find
         file.write_text("new")
         assert path.read_text() == "old"
         if fault:

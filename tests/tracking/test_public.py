@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from microlib.synthetic import camera_frame, mixed_texture
-from microlib.tracking import ESMTracker, KalmanFilter, Track
+from microlib.tracking import ESMTracker, KalmanFilter, Track, track_each
 from microlib.tracking._covariance import sandwich
 from microlib.tracking._light import _tukey_slope
 from microlib.tracking._local import tukey
@@ -63,6 +63,7 @@ COLUMNS = {
     column: next(unit for field, unit in TRACK.items() if column.startswith(field))
     for column in Track(**fuzz.TRACK).to_dict()
 }
+WAY = {"time_s": "s", "x_um": "um", "y_um": "um"}
 STATE = (("px @ [x0, y0]",) * 2) + ("px/s", "outer([px, px/s], [px, px/s])")
 #: The power of two by which grey levels are multiplied is another one: single precision, and the
 #: last step of an iteration that ends at 0.05 px.
@@ -83,7 +84,10 @@ LAWS = {
     "tracking.Track": "a record: its fields' units are those of ESMTracker.track",
     "tracking.Track.to_layers": "napari's layers: tests/test_others.py",
     "tracking.track_all": Law(lambda u: {"frames": frames(u), "box": BOX, "motion": "affine",
-        "rate": 25.0 / u.s}, COLUMNS | {"time_s": "s"}, within=SINGLE),
+        "rate": 25.0 / u.s, "pixel_size": 1.5 * u.um}, COLUMNS | WAY, within=SINGLE),
+    "tracking.track_each": Law(lambda u: {"frames": frames(u), "box": BOX, "motion": "affine",
+        "rate": 25.0 / u.s, "pixel_size": 1.5 * u.um}, {"frame": "="} | COLUMNS | WAY,
+        within=SINGLE, call=lambda **given: list(track_each(**given))[1]),
 }  # fmt: skip
 
 

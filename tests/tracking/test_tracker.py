@@ -345,16 +345,15 @@ def film(lost=()):
 
 def test_a_film_becomes_a_table_and_a_lost_frame_an_empty_row():
     frames, path = film(lost=[4])
-    done = []
-    table = track_all(
-        iter(frames), (60, 60, 49, 49), "translation", rate=20.0, progress=done.append
-    )
-    assert done == list(range(1, 9))
+    options = {"motion": "translation", "rate": 20.0, "pixel_size": 1.5}
+    table = track_all(iter(frames), (60, 60, 49, 49), **options)
     assert table["lost"].tolist() == [k == 4 for k in range(8)]
     np.testing.assert_allclose(table["time_s"], np.arange(8) / 20.0)
     truth = path - path[0] + (84, 84)
     found = table[["center_x", "center_y"]].to_numpy(float)
     numbers = table.drop(columns=["lost", "reason", "time_s"])
+    way = 1.5 * (found - found[0])
+    np.testing.assert_allclose(table[["x_um", "y_um"]].to_numpy(float), way, atol=1e-9)
     assert numbers.loc[4].isna().all()
     assert numbers.drop(index=4).notna().all(axis=None)
     assert table["reason"][4]
@@ -387,7 +386,7 @@ def test_a_film_is_predicted_by_the_filter_that_is_given():
     [
         ([], {}, "frames must hold at least one"),
         ([IMAGE], {"rate": 0.0}, "rate must be positive"),
-        ([IMAGE], {"progress": 3}, "progress must be"),
+        ([IMAGE], {"pixel_size": -3.0}, "pixel_size must be"),
         ([IMAGE[:9]], {}, "box must lie in the image"),
     ],
 )

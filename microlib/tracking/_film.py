@@ -1,0 +1,187 @@
+"""A template through a whole film: a row a frame, the table of them, and its picture."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from microlib._common import as_array, as_image, luminance, scalar
+from microlib._plots import path
+from microlib.tracking._kalman import KalmanFilter
+from microlib.tracking._tracker import ESMTracker
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def track_each(
+    frames: Iterable[ArrayLike],
+    box: tuple[int, int, int, int],
+    motion: str = "homography",
+    *,
+    rate: float | None = None,
+    pixel_size: float | None = None,
+    kalman: KalmanFilter | None = None,
+) -> Iterator[dict[str, Any]]:
+    """Track a template through a film, and give a row for each frame as it is done.
+
+    Parameters
+    ----------
+    frames : iterable of array_like, shape (H, W) or (H, W, 3)
+        Frames one after another, as a list, a stack or `microlib.io.read_frames` gives them; the
+        first one shows the template. They are read one at a time, and may be wrapped, by ``tqdm``
+        for example.
+    box, motion, kalman
+        As for `ESMTracker`.
+    rate : float, optional
+        Frames per second, for the column ``time_s``.
+    pixel_size : float, optional
+        Side of a pixel, µm, for the columns ``x_um`` and ``y_um``: the way of the center from where
+        it is in the first frame.
+
+    Yields
+    ------
+    dict
+        The number of the frame and what `Track.to_dict` gives; where the template is lost nothing
+        but the `reason`.
+
+    Raises
+    ------
+    ValueError
+        If there is no frame, or one cannot be read or tracked: as `ESMTracker`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from microlib.synthetic import texture_sequence
+    >>> from microlib.tracking import track_each
+    >>> path = [(60.0, 60.0), (62.5, 60.5), (65.0, 61.0)]
+    >>> film = texture_sequence(path, np.random.default_rng(0))
+    >>> for row in track_each(film, (60, 60, 49, 49), rate=20.0, pixel_size=2.0):
+    ...     print(f"{row['time_s']} s: {row['x_um'] + 0:.1f} µm")
+    0.0 s: 0.0 µm
+    0.05 s: 5.0 µm
+    0.1 s: 10.0 µm
+    """
+    every = None if rate is None else 1 / scalar("rate", rate, above=0)
+    size = None if pixel_size is None else scalar("pixel_size", pixel_size, above=0)
+    if not np.iterable(frames):
+        raise ValueError(f"frames must be images one after another, got {frames!r:.80}")
+    tracker = None
+    for number, frame in enumerate(frames):
+        if tracker is None:
+            as_image("frames", luminance("frames", frame))
+            tracker = ESMTracker(frame, box, motion, kalman=kalman)
+            track = ESMTracker(frame, box, motion).track(frame)  # nothing to predict
+            start = track.center
+        else:
+            track = tracker.track(frame)
+        row = {"frame": number} | ({} if every is None else {"time_s": number * every})
+        row |= track.to_dict()
+        if size is not None:
+            way: Any = (None, None) if track.lost else (size * (track.center - start)).tolist()
+            row |= dict(zip(("x_um", "y_um"), way, strict=True))
+        yield row
+    if tracker is None:
+        raise ValueError("frames must hold at least one, got none")
+
+
+def track_all(
+    frames: Iterable[ArrayLike],
+    box: tuple[int, int, int, int],
+    motion: str = "homography",
+    *,
+    rate: float | None = None,
+    pixel_size: float | None = None,
+    kalman: KalmanFilter | None = None,
+) -> pd.DataFrame:
+    """Track a template through all frames of a film.
+
+    Parameters
+    ----------
+    frames, box, motion, rate, pixel_size, kalman
+        As for `track_each`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        The rows of `track_each`, by the number of the frame. ``attrs["error"]`` says why the film
+        ended early, or nothing.
+
+    Raises
+    ------
+    ValueError
+        If there is no frame, or the first one cannot be tracked: as `ESMTracker`.
+
+    Warns
+    -----
+    UserWarning
+        If a later frame cannot be read or tracked. The table has the rows before it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from microlib.synthetic import texture_sequence
+    >>> from microlib.tracking import track_all
+    >>> path = [(60.0, 60.0), (62.5, 60.5), (65.0, 61.0)]
+    >>> table = track_all(texture_sequence(path, np.random.default_rng(0)), (60, 60, 49, 49))
+    >>> table["center_x"].diff().round(1).tolist()[1:]
+    [2.5, 2.5]
+    """
+    import pandas as pd  # here, for it takes a third of the time that importing a subject takes
+
+    rows: list[dict[str, Any]] = []
+    problem = ""
+    try:
+        for row in track_each(frames, box, motion, rate=rate, pixel_size=pixel_size, kalman=kalman):
+            rows.append(row)
+    except (OSError, ValueError) as error:
+        if not rows:
+            raise
+        problem = f"tracked {len(rows)} frames, then: {error}"
+        warnings.warn(problem, stacklevel=2)
+    table = pd.DataFrame(rows).set_index("frame")
+    table.attrs["error"] = problem
+    return table
+
+
+def plot_track(table: pd.DataFrame, image: ArrayLike, ax: Any = None) -> Any:
+    """Draw a track by Matplotlib: its way over a frame, and its position against time.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        What `track_all` returns, or a table of rows of `track_each`.
+    image : array_like, shape (H, W) or (H, W, 3)
+        A frame of the film, for example the first one.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw the way alone; by default both are panels of a new figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    ValueError
+        If the table is none of a track, or the template is lost in all of its frames.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from microlib.synthetic import texture_sequence
+    >>> from microlib.tracking import plot_track, track_all
+    >>> film = texture_sequence([(60.0, 60.0), (62.5, 60.5)], np.random.default_rng(0))
+    >>> figure = plot_track(track_all(film, (60, 60, 49, 49)), film[0])
+    >>> [ax.get_title() for ax in figure.axes][0]
+    'the way, lost in 0% of the frames'
+    """
+    if not {"center_x", "center_y", "lost"} <= set(getattr(table, "columns", ())):
+        raise ValueError(f"table must be that of a track, got {type(table).__name__}")
+    if table["lost"].all():
+        raise ValueError(f"table must show the template, which is lost in all {len(table)} frames")
+    return path(table, as_array("image", image, dtype=np.float32), ax)
