@@ -8,14 +8,13 @@ import inspect
 import re
 import subprocess
 import sys
-import tomllib
 from importlib.metadata import distribution, packages_distributions
 from pathlib import Path
 
 import pytest
 
 import microlib
-from tests import fuzz
+from tests.laws import public, tables
 
 PACKAGE = Path(microlib.__file__).parent
 ROOT = PACKAGE.parent
@@ -153,34 +152,9 @@ def test_public_names_are_documented(name: str, value: object) -> None:
     )
 
 
-def test_every_public_result_is_held_against_something() -> None:
-    """By a truth, a second implementation or a law, as tests/held.toml says."""
-    table = tomllib.loads((ROOT / "tests" / "held.toml").read_text(encoding="utf-8"))
-    held = {f"{room}.{name}": by for room, names in table.items() for name, by in names.items()}
-    assert held.keys() == {name for name, _ in public_objects()}
-    for name, by in held.items():
-        assert all(part.split(":")[0] in ("truth", "second", "law") for part in by.split("; ")), (
-            name
-        )
-
-
-#: Rooms whose public names have no table of laws yet.
-OWED = set[str]()
-
-
 def test_every_public_name_states_its_laws() -> None:
     """In the table of its room, as the docstring of tests/laws.py says."""
-    missing, tables = set(), set()
-    for name in fuzz.public():
-        room = name.split(".")[0]
-        package = (ROOT / "tests" / room).is_dir()
-        found = ROOT / "tests" / (f"{room}/test_public.py" if package else f"test_{room}.py")
-        module = ".".join(found.relative_to(ROOT).with_suffix("").parts)
-        laws = getattr(importlib.import_module(module), "LAWS", {}) if found.exists() else {}
-        tables |= {room} if laws else set()
-        missing |= set() if name in laws or room in OWED else {name}
-    assert not missing, f"without a row in their room's LAWS: {sorted(missing)}"
-    assert not tables & OWED, f"their table is there, take them out of OWED: {tables & OWED}"
+    assert tables().keys() == set(public())
 
 
 def needed(name: str) -> set[str]:

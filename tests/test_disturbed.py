@@ -6,22 +6,22 @@ valid call of `tests/fuzz.py`, and again with each number moved to a neighboring
 
 from __future__ import annotations
 
-from dataclasses import fields, is_dataclass
 from numbers import Real
 
 import numpy as np
 import pytest
 
 from tests import fuzz
+from tests.laws import unlike
 
 #: What draws or stores, and so concludes nothing; and what takes minutes.
 LEFT_OUT = ("synthetic.", "io.")
-NAMES = [name for name in fuzz.CALLS if name not in fuzz.SLOW and not name.startswith(LEFT_OUT)]
+NAMES = [name for name in fuzz.names() if name not in fuzz.SLOW and not name.startswith(LEFT_OUT)]
 #: What is exact: names, counts of pixels, ν = 0.5 of what keeps its volume; a device's own state.
 WHOLE = {"self", "labels", "radius", "poisson_ratio"}
-#: Two results are the same within these, of the largest number beside it, and absolute: far above
-#: 10¹⁵ times a condition number of 10⁸, far below what any result here can tell.
-RELATIVE, ABSOLUTE = 1e-6, 1e-9
+#: Two results are the same within this, of the largest number beside it: far above 10¹⁵ times a
+#: condition number of 10⁸, far below what any result here can tell.
+RELATIVE = 1e-6
 #: Of the pixels of a map so many may lie at a threshold, where either side is right.
 UNDECIDED = 0.002
 
@@ -48,38 +48,6 @@ def floats(value: object) -> object:
     return np.asarray(value, np.float64) if image else value
 
 
-def unlike(one: object, other: object, place: str = "") -> list[str]:
-    """Return the places where two results conclude otherwise."""
-    if is_dataclass(one) and not isinstance(one, type):
-        pairs = ((f.name, getattr(one, f.name), getattr(other, f.name)) for f in fields(one))
-        return [said for name, a, b in pairs for said in unlike(a, b, f"{place}.{name}")]
-    if isinstance(one, dict):
-        if one.keys() != getattr(other, "keys", set)():
-            return [f"{place}: {one} {other}"]
-        return [said for key in one for said in unlike(one[key], other[key], f"{place}.{key}")]
-    if isinstance(one, list | tuple):
-        if len(one) != len(other):
-            return [f"{place}: {len(one)} and {len(other)}"]
-        pairs = enumerate(zip(one, other, strict=True))
-        return [said for k, (a, b) in pairs for said in unlike(a, b, f"{place}[{k}]")]
-    if not isinstance(one, np.ndarray | Real | complex):
-        same = one == other if isinstance(one, str | bool | type(None)) else True
-        return [] if same else [f"{place}: {one} {other}"]
-    first, second = np.asarray(one), np.asarray(other)
-    if first.shape != second.shape or first.dtype.kind != second.dtype.kind:
-        return [f"{place}: {first.dtype}{first.shape} {second.dtype}{second.shape}"]
-    if first.dtype.kind not in "fc":
-        wrong = first != second
-    else:
-        known = np.abs(first[np.isfinite(first)])
-        tolerance = ABSOLUTE + RELATIVE * (known.max() if known.size else 0)
-        wrong = ~np.isclose(first, second, rtol=0, atol=tolerance, equal_nan=True)
-    if wrong.sum() > UNDECIDED * wrong.size:
-        worst = np.flatnonzero(wrong)[0]
-        return [f"{place}: {wrong.sum()} of {wrong.size}, {first.flat[worst]} {second.flat[worst]}"]
-    return []
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_the_last_bit_of_an_input_decides_nothing(name: str) -> None:
     rng = np.random.default_rng(0)
@@ -92,4 +60,4 @@ def test_the_last_bit_of_an_input_decides_nothing(name: str) -> None:
     found, wrong = fuzz.answer(name, near)
     assert wrong is None
     assert (found is fuzz.REFUSED) == (expected is fuzz.REFUSED)
-    assert not unlike(expected, found)
+    assert not [*unlike(expected, found, within=RELATIVE, undecided=UNDECIDED)]

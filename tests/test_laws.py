@@ -52,7 +52,7 @@ def test_what_is_right_passes():
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        (law(power=2), "in other units: .speed is"),
+        (law(power=2), "in other units from another origin: .speed is"),
         (law(shift=0.1), "from another origin: .speed is"),
         (law(calls=[]), "called again: .speed is"),
         (law({"speed": "um/s"}), ".covariance has no unit"),

@@ -229,7 +229,7 @@ class Embryo(Kept):
 
         # No dimple reaches the probe or the equator.
         narrowest, widest = 1.01 * untouched.probe_half_width, 0.95 * untouched.radius
-        if not excess(narrowest) < 0 < excess(widest):
+        if not (narrowest < widest and excess(narrowest) < 0 < excess(widest)):
             raise ValueError(
                 f"{name} must suit a dimple between the probe and the equator when the rim's "
                 f"radius is {rim_radius:g} µm, got {value:g}"

@@ -40,10 +40,7 @@ def result(u) -> FocusResult:
 
 
 LAWS = {
-    "focus.FocusResult":
-        Law(lambda u: {k: getattr(result(u), k) for k in result(u).__dataclass_fields__}, MAPS,
-        within=SINGLE),
-    "focus.FocusResult.plot": "pictures have laws of their own",
+    "focus.FocusResult": Law(lambda u: vars(result(u)), MAPS, within=SINGLE),
     "focus.FocusResult.to_layers": "test_a_result_is_in_its_place_for_every_program",
     "focus.FocusResult.select": Law(lambda u: {"self": result(u), "frames": 255.0 - STACK}, "1",
         within=SINGLE),
