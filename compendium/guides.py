@@ -1,4 +1,4 @@
-"""What the guides share: the inputs of ``data/synthetic``, their truth, and the reader's files."""
+"""What the guides share: the inputs of ``data``, their truth, and the reader's files."""
 
 from __future__ import annotations
 
@@ -21,8 +21,11 @@ from microlib.embryo import modulus_from_image
 from microlib.io import read_grey
 from microlib.membrane import SmallSlopeWarning
 
-#: Where the inputs lie that the guides run on without the reader's own.
-FOLDER = Path(__file__).resolve().parent.parent / "data" / "synthetic"
+#: Where the inputs lie that the guides run on without the reader's own: photographs that others
+#: took, and rendered scenes whose truth is known.
+REAL, FOLDER = (
+    Path(__file__).resolve().parent.parent / "data" / name for name in ("real", "synthetic")
+)
 #: Share of the values that must be as near to the truth as is allowed: the edges of a height map,
 #: where a pixel sees two heights, are left to the other twentieth.
 SHARE = 0.95
@@ -35,7 +38,7 @@ def find_input(demo: str, given: str = "") -> str:
     Parameters
     ----------
     demo : str
-        Name of a file in ``data/synthetic``.
+        Name of a file in ``data/synthetic``, or of a folder in ``data/real``.
     given : str
         Path of a file, or a pattern of several; empty for the demo.
 
@@ -51,12 +54,13 @@ def find_input(demo: str, given: str = "") -> str:
     >>> Path(find_input("circles.png")).is_file()
     True
     """
-    return given or str(FOLDER / demo)
+    return given or str(next(each / demo for each in (REAL, FOLDER) if (each / demo).exists()))
 
 
 def manifest() -> dict[str, dict]:
-    """Return what ``MANIFEST.toml`` says of each file, by the file's name."""
-    return tomllib.loads((FOLDER / "MANIFEST.toml").read_text(encoding="utf-8"))
+    """Return what the two ``MANIFEST.toml`` say of each file or folder, by its name."""
+    texts = ((each / "MANIFEST.toml").read_text(encoding="utf-8") for each in (REAL, FOLDER))
+    return tomllib.loads("\n".join(texts))
 
 
 def settle(
@@ -132,7 +136,7 @@ def describe(path: str | PathLike[str]) -> str:
     Returns
     -------
     str
-        Its name with what the manifest says of it, if it is one of ``data/synthetic``.
+        Its name with what the manifest says of it, if it is one of ``data``.
 
     Examples
     --------
@@ -314,8 +318,8 @@ def keep(
 
 
 def _entry(file: Path) -> dict | None:
-    """Return what the manifest says of a file, if it is one of ``data/synthetic``."""
-    return manifest().get(file.name) if file.resolve().parent == FOLDER else None
+    """Return what the manifest says of a file, if it is one of ``data``."""
+    return manifest().get(file.name) if file.resolve().parent in (REAL, FOLDER) else None
 
 
 def _truth(entry: dict) -> dict[str, NDArray[np.float64]]:

@@ -31,8 +31,8 @@ ARROWS = {
     "calibration": {"_plots", "microscope"},
     "embryo": {"_plots", "membrane"},
     "focus": {"_plots", "io"},
-    "tracking": {"_plots"},
     "synthetic": {"microscope", "optics", "membrane"},
+    "tracking": {"_plots"},
 }
 #: A face that fits on one page of the book. Whoever needs another name takes one away.
 MOST_PUBLIC_NAMES = 105

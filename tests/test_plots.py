@@ -38,6 +38,8 @@ def test_the_maps_show_the_heights_with_their_unit_and_scale() -> None:
     own, ax = pyplot.subplots()
     assert found.plot(ax) is own
     assert len(own.axes) == 2  # with its color bar
+    units = {ax.get_ylabel() for ax in found.plot(unit="frames").axes[4:]}
+    assert units == {"height (frames)", "uncertainty (frames)"}
 
 
 def test_a_scale_bar_is_as_long_as_it_says() -> None:
@@ -69,7 +71,7 @@ def test_marks_and_residuals_are_drawn_on_the_photograph() -> None:
     seen = np.column_stack([arrows.U, arrows.V])
     factor = np.linalg.norm(seen) / np.linalg.norm(result.residuals)
     np.testing.assert_allclose(seen, factor * result.residuals)
-    assert f"× {factor:g}" in arrows.figure.get_suptitle()
+    assert f"× {factor:g}" in arrows.axes.get_title()
 
 
 def test_the_outline_is_drawn_with_its_modulus() -> None:

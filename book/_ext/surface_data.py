@@ -28,6 +28,7 @@ def script_of(data: Path) -> str:
             return ""
         height, labels = kept["height"].astype(float), kept.get("labels")
         pixel_size, unit = float(kept["pixel_size"]), str(kept["unit"])
+        height_unit = str(kept["height_unit"])
     low, high = np.nanmin(height), np.nanmax(height)
     digits = 3 - int(np.ceil(np.log10(max(high - low, 1e-9))))
     stride = -(-max(height.shape) // MOST_POINTS)
@@ -45,6 +46,7 @@ def script_of(data: Path) -> str:
         "low": f"{low.round(digits) + 0:g}",  # no -0
         "high": f"{high.round(digits) + 0:g}",
         "unit": unit,
+        "heightUnit": height_unit,
         "key": key,
         "colors": colors,
         "heights": _base64(np.nan_to_num(1 + 65534 * part).round().astype("<u2")),

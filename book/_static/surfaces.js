@@ -6,7 +6,7 @@ addEventListener("DOMContentLoaded", () => {
   const WAYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
   for (const script of document.querySelectorAll("script.surface")) {
-    const { rows, cols, pitch, low, high, unit, colors, ...texts } = JSON.parse(script.textContent);
+    const { rows, cols, pitch, low, high, unit, heightUnit, colors, ...texts } = JSON.parse(script.textContent);
     const heights = new Uint16Array(bytes(texts.heights).buffer); // 0 is a hole
     const kinds = bytes(texts.kinds);
     const paints = colors.map((hex) => [1, 3, 5].map((k) => parseInt(hex.slice(k, k + 2), 16)));
@@ -77,8 +77,8 @@ addEventListener("DOMContentLoaded", () => {
       const long = (count) => `${Number((pitch * (count - 1)).toPrecision(4))} ${unit}`;
       write(`x: ${long(cols)}`, [alongX[0], alongX[1] + 22], side[0]);
       write(`y: ${long(rows)}`, [alongY[0], alongY[1] + 22], side[1]);
-      write(`height ${high} µm`, [top[0], top[1] - 6], "left");
-      write(`${low} µm`, [ground[left][0], ground[left][1] + 18], "left");
+      write(`height ${high} ${heightUnit}`, [top[0], top[1] - 6], "left");
+      write(`${low} ${heightUnit}`, [ground[left][0], ground[left][1] + 18], "left");
     };
     const move = (across, down) => {
       turn += across;

@@ -49,7 +49,8 @@ def keep_data(figure: Figure, stem: Path) -> list[Path]:
     Notes
     -----
     The CSV holds one point a row: panel, series, x, y, and the axes' own labels, which carry the
-    units. The NPZ holds each image as drawn, its extent, and a text array of what it is.
+    units. The NPZ holds each image as drawn, maps to
+    1/10000 of their range, its extent, and a text array of what it is.
     """
     rows: list[list[object]] = []
     images: dict[str, Any] = {}
@@ -59,8 +60,10 @@ def keep_data(figure: Figure, stem: Path) -> list[Path]:
             rows += [[number, series, f"{x:.6g}", f"{y:.6g}", *labels] for x, y in points]
         for k, image in enumerate(axes.images, 1):
             values = np.asarray(image.get_array())
-            whole = values.dtype.kind != "f"
-            images[f"panel{number}_image{k}"] = values if whole else values.astype(np.float32)
+            if values.dtype.kind == "f":  # to 1/10000 of the range, which packs well
+                digits = 4 - int(np.ceil(np.log10(np.nanmax(values) - np.nanmin(values) or 1)))
+                values = values.astype(np.float32).round(digits)
+            images[f"panel{number}_image{k}"] = values
     written = []
     stem.parent.mkdir(parents=True, exist_ok=True)
     if rows:

@@ -140,8 +140,8 @@ def draw_surface(
         middle = (np.array(height.shape) - 1) / 2
         radius, angle = np.mgrid[0 : middle.min() : 60j, 0 : 2 * np.pi : 121j]
         rows, cols = middle[0] + radius * np.sin(angle), middle[1] + radius * np.cos(angle)
-    else:  # at most 80 points a side
-        stride = max(1, -(-max(height.shape) // 80))
+    else:  # at most 130 points a side
+        stride = max(1, -(-max(height.shape) // 130))
         rows, cols = np.indices(height.shape, dtype=float)[:, ::stride, ::stride]
     points = map_coordinates(height, [rows, cols], order=1)
     if labels is None:
@@ -169,6 +169,7 @@ def show_surface(
     *,
     labels: NDArray[np.uint8] | None = None,
     unit: str = "µm",
+    height_unit: str = "µm",
     turned: bool = False,
 ) -> None:
     """
@@ -182,15 +183,22 @@ def show_surface(
         Heights, µm; NaN leaves a hole.
     pixel_size, labels, unit, turned
         As for `draw_surface`.
+    height_unit : str
+        Unit of the heights.
     """
+    axes: Any  # Axes3D, which has no types
     figure, axes = plt.subplots(figsize=(6.4, 4.4), subplot_kw={"projection": "3d"})
     look: dict[str, Any] = {"labels": labels, "unit": unit, "turned": turned}
     draw_surface(axes, np.nan_to_num(height, nan=np.nanmin(height)), pixel_size, **look)
+    axes.set(zlabel=f"height ({height_unit})")
+    axes.set_box_aspect((height.shape[1], height.shape[0], 0.45 * max(height.shape)), zoom=0.9)
     axes.locator_params(nbins=5)
     if labels is not None:
         legend_below(figure, label_patches(labels))
     show(name)
     if folder := os.environ.get(FOLDER_VARIABLE):
         kept: dict[str, Any] = {"height": height.astype(np.float32), "pixel_size": pixel_size}
-        kept |= {"unit": unit} | ({} if labels is None else {"labels": labels})
+        kept |= {"unit": unit, "height_unit": height_unit} | (
+            {} if labels is None else {"labels": labels}
+        )
         np.savez_compressed(Path(folder, name), **kept)

@@ -1,8 +1,8 @@
 """Write the small canonical inputs of this folder and their manifest: ``make data``.
 
 Each is a rendered scene with known truth, for trying the guides and the library without a
-microscope; the guides run on them. The manifest holds what each file is, what a guide must be told
-of it, and its truth.
+microscope; the guides hold themselves against them. The manifest holds what each file is, what a
+guide must be told of it, and its truth.
 """
 
 from __future__ import annotations

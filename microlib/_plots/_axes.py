@@ -23,7 +23,7 @@ def show_image(ax: Any, image: NDArray) -> None:
     """Show a photograph in the range of its own grey levels, without axes of its own."""
     levels = np.asarray(image, dtype=np.float32)
     low, high = levels.min(), levels.max()
-    ax.imshow((levels - low) / (high - low or 1), cmap="gray")
+    ax.imshow(np.uint8(255 * (levels - low) / (high - low or 1)), cmap="gray", vmin=0, vmax=255)
     ax.set_axis_off()
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._plots._axes import BESIDE, FOUND, OFF, new_axes, rounded_down, show_image
+from microlib._plots._axes import FOUND, OFF, new_axes, rounded_down, show_image
 
 
 def marks(
@@ -18,7 +18,7 @@ def marks(
     residuals: NDArray | None = None,
     ax: Any = None,
 ) -> Any:
-    """Draw the points of detections with their places in the grid, and residuals, magnified.
+    """Draw the points of detections with their places in the grid, and residuals, magnified in red.
 
     A panel a view; with `ax` the first view alone is drawn there. Return the figure.
     """
@@ -26,7 +26,7 @@ def marks(
     columns = ceil(sqrt(len(found)))
     rows = ceil(len(found) / columns)
     panel = max(2.5, 8 / columns)
-    axes = [ax] if ax is not None else new_axes(rows, columns, panel, 0.4 + panel * height / width)
+    axes = [ax] if ax is not None else new_axes(rows, columns, panel, 0.6 + panel * height / width)
     ends = np.cumsum([len(each.points) for each in found])[:-1]
     parts = [None] * len(found) if residuals is None else np.split(residuals, ends)
     factor = 1.0 if residuals is None else _factor(found[0].points, residuals)
@@ -38,19 +38,17 @@ def marks(
             show_image(panel_ax, images[number])
         else:
             panel_ax.set(xlim=(0, width), ylim=(height, 0), aspect="equal")
-        _view(panel_ax, found[number], parts[number], factor)
-    figure = np.ravel(axes)[0].figure
-    if residuals is not None and ax is None:
-        figure.suptitle(f"blue: places in the grid; red: residuals × {factor:g}")
-    return figure
+        _view(panel_ax, found[number], parts[number], factor, 5 if np.size(axes) == 1 else 2)
+    return np.ravel(axes)[0].figure
 
 
-def _view(ax: Any, each: Any, residuals: NDArray | None, factor: float) -> None:
+def _view(ax: Any, each: Any, residuals: NDArray | None, factor: float, labels: int) -> None:
     ax.plot(*each.points.T, "o", ms=3, mfc="none", mew=0.7, color=FOUND)
-    every = ceil((np.ptp(each.grid, axis=0).max() + 1) / 5)
+    every = ceil((np.ptp(each.grid, axis=0).max() + 1) / labels)
     few = (each.grid % every == 0).all(axis=1)
+    box = {"color": "white", "alpha": 0.6, "pad": 0.5}
     for (x, y), (i, j) in zip(each.points[few], each.grid[few], strict=True):
-        ax.annotate(f"{i},{j}", (x, y), (4, 4), textcoords="offset points", color=BESIDE, size=8)
+        ax.annotate(f"{i},{j}", (x, y), (4, 4), textcoords="offset points", color="black", bbox=box)
     title = f"{len(each.points)} points"
     if residuals is not None:
         ax.quiver(
@@ -62,7 +60,8 @@ def _view(ax: Any, each: Any, residuals: NDArray | None, factor: float) -> None:
             width=0.004,
             color=OFF,
         )
-        title += f", {np.sqrt((residuals**2).sum(axis=1).mean()):.2g} px rms"
+        rms = np.sqrt((residuals**2).sum(axis=1).mean())
+        title += f"\n{rms:.2g} px rms (red, × {factor:g})"
     ax.set_title(title)
 
 

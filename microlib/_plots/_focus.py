@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from microlib._plots._axes import new_axes, rounded_down, show_image
 
 
-def maps(found: Any, ax: Any = None) -> Any:
+def maps(found: Any, ax: Any = None, unit: str = "µm") -> Any:
     """Draw a FocusResult: all in focus, height, uncertainty and a shaded view.
 
     With `ax` the height alone is drawn. Lengths along the image are in px where the pixel size is
@@ -22,10 +22,16 @@ def maps(found: Any, ax: Any = None) -> Any:
         axes = new_axes(2, 2, 5.5, 0.4 + 5 * rows / columns).ravel()
         show_image(axes[0], found.all_in_focus)
         axes[0].set_title("all in focus")
-        _map(axes[2], np.asarray(found.uncertainty), "magma", "uncertainty (µm)", logarithmic=True)
-        _shaded(axes[3], depth, found.pixel_size)
+        _map(
+            axes[2],
+            np.asarray(found.uncertainty),
+            "magma",
+            f"uncertainty ({unit})",
+            logarithmic=True,
+        )
+        _shaded(axes[3], depth, found.pixel_size, unit)
         ax = axes[1]
-    _map(ax, depth, "viridis", "height (µm)")
+    _map(ax, depth, "viridis", f"height ({unit})")
     if found.pixel_size:
         _scale_bar(ax, found.pixel_size, columns)
     return ax.figure
@@ -51,7 +57,7 @@ def _map(ax: Any, values: NDArray, colors: str, label: str, logarithmic: bool = 
     ax.set_axis_off()
 
 
-def _shaded(ax: Any, depth: NDArray, pixel_size: float | None) -> None:
+def _shaded(ax: Any, depth: NDArray, pixel_size: float | None, unit: str) -> None:
     """Show the surface in light from the upper left, so steep that slopes show."""
     from matplotlib.colors import LightSource
 
@@ -62,7 +68,7 @@ def _shaded(ax: Any, depth: NDArray, pixel_size: float | None) -> None:
     filled = np.where(known, depth, np.median(depth[known]) if known.any() else 0.0)
     light = LightSource().hillshade(filled, vert_exag=factor, dx=size, dy=size)
     show_image(ax, np.where(known, light, 0.8))
-    ax.set_title(f"shaded, heights × {factor:g}{'' if pixel_size else ' px/µm'}")
+    ax.set_title(f"shaded, heights × {factor:g}{'' if pixel_size else f' px/{unit}'}")
 
 
 def _scale_bar(ax: Any, pixel_size: float, columns: int) -> None:

@@ -149,13 +149,15 @@ class FocusResult(Tidy):
             (self.uncertainty, error | place, "image"),
         ]
 
-    def plot(self, ax: Any = None) -> Any:
+    def plot(self, ax: Any = None, *, unit: str = "µm") -> Any:
         """Draw the maps by Matplotlib: all in focus, height, uncertainty, and a shaded view.
 
         Parameters
         ----------
         ax : matplotlib.axes.Axes, optional
             Where to draw the height alone; by default all four are panels of a new figure.
+        unit : str
+            What the positions of the frames were counted in, if not in µm.
 
         Returns
         -------
@@ -163,7 +165,7 @@ class FocusResult(Tidy):
         """
         from microlib._plots import maps
 
-        return maps(self, ax)
+        return maps(self, ax, unit)
 
     def select(self, frames: Frames) -> Image:
         """Return an image of other frames of the same places, such as another channel.
