@@ -1,14 +1,17 @@
-"""The directive ``{guides}``: each guide with its purpose and the first picture that it draws.
+"""Pictures that notebooks drew, on other pages: ``{picture}`` with a figure's name shows one, and
+``{guides}`` each guide with its purpose and its first.
 
 The gallery extensions run scripts of their own; these pictures are in notebooks that ran already.
 """
 
 from __future__ import annotations
 
+import hashlib
 import re
 from functools import cache
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import nbformat
 from docutils import nodes
@@ -24,15 +27,32 @@ PURPOSE = re.compile(r"^(This guide .*?\.)\s", re.M | re.S)
 
 @cache
 def read_pictures() -> dict[str, tuple[str, str]]:
-    """Return the first picture that each guide drew and what it shows, by the guide's stem."""
+    """Return what each figure shows and its SVG, by its name; the first of a guide by its stem."""
     found: dict[str, tuple[str, str]] = {}
-    for path in sorted(NOTEBOOKS.glob("07_*.ipynb")):
+    for path in sorted(NOTEBOOKS.glob("*.ipynb")):
         for cell in nbformat.read(path, as_version=4).cells:
+            shown = cell.metadata.get("mystnb", {})
             for output in cell.get("outputs", []):
                 if picture := output.get("data", {}).get("image/svg+xml"):
-                    alt = cell.metadata.get("mystnb", {}).get("image", {}).get("alt", "")
-                    found.setdefault(path.stem, (alt, picture))
+                    entry = shown.get("image", {}).get("alt", ""), picture
+                    found.setdefault(path.stem, entry)
+                    found.setdefault(shown.get("figure", {}).get("name", path.stem), entry)
     return found
+
+
+def show_picture(env: Any, name: str) -> nodes.raw:
+    """Return a picture's element; its file is that of its own page, which its hash names."""
+    alt, picture = read_pictures()[name]
+    file = hashlib.sha256("\n".join(picture.splitlines()).encode()).hexdigest()
+    source = "../" * env.docname.count("/") + f"_images/{file}.svg"
+    return raw_html(f'<img src="{source}" alt="{escape(alt)}" loading="lazy">')
+
+
+class Picture(SphinxDirective):
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        return [show_picture(self.env, self.arguments[0])]
 
 
 class Guides(SphinxDirective):
@@ -47,25 +67,13 @@ class Guides(SphinxDirective):
             label = nodes.paragraph("", "", name, classes=["guide-title"])
             card = nodes.container(classes=["guide"])
             if path.stem in read_pictures():
-                alt = escape(read_pictures()[path.stem][0])
-                up = "../" * self.env.docname.count("/")
-                source = f"{up}_static/pictures/{path.stem}.svg"
-                card += raw_html(f'<img src="{source}" alt="{alt}" loading="lazy">')
+                card += show_picture(self.env, path.stem)
             card += [label, line(" ".join(purpose[1].split()))]
             result += card
         return [result]
 
 
-def write_pictures(app: Sphinx, error: Exception | None) -> None:
-    if error or app.builder.format != "html":
-        return
-    folder = Path(app.outdir) / "_static" / "pictures"
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, (_, picture) in read_pictures().items():
-        (folder / f"{name}.svg").write_text(picture, encoding="utf-8")
-
-
 def setup(app: Sphinx) -> dict[str, bool]:
+    app.add_directive("picture", Picture)
     app.add_directive("guides", Guides)
-    app.connect("build-finished", write_pictures)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -31,8 +31,10 @@ MENDS = {
     r'(?<=class="pst-scrollable-table-container")': ' tabindex="0" role="group" aria-label="table"',
     r'<div (?=class="bd-sidebar-primary )': '<div role="complementary" aria-label="book" ',
     r"<th([^>]*)>(?:&nbsp;|<p></p>|\s)*</th>": r"<td\1></td>",
+    # A phone has no room for the ids of claims beside their verdicts.
+    r'class="dataframe"(?=>\s*<thead>\s*<tr[^>]*>\s*<th>claim</th>)': 'class="dataframe of-claims"',
     # A figure's file has two looks, the second for a dark page (`compendium.figures.style`).
-    r'<img ([^>]*src="[^"]*(?:_images|pictures)/[^"]+\.svg)("[^>]*>)': (
+    r'<img ([^>]*src="[^"]*_images/[^"]+\.svg)("[^>]*>)': (
         r'<img class="only-light" \1\2<img class="only-dark" \1#dark\2'
     ),
     r'(<figure[^>]*>\s*)((?:<img [^>]*src="(?!data:)([^"#]+)[^>]*>)+)': (

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from docutils import nodes
 from sphinx.application import Sphinx
-from thesis import preview_claims
+from thesis import preview_claims, preview_numbers
 from thesis_map import TAG, read_map
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -65,7 +65,8 @@ def preview_page(name: str, text: str) -> dict[str, str]:
         return {anchor: f"<p>{plain(entry)}</p>" for anchor, entry in CITATION.findall(text)}
     if name == "symbols.html":
         return {a: f"<p><b>{plain(t)}</b> {plain(says)}</p>" for a, t, says in TERM.findall(text)}
-    return preview_formulas(text) | preview_figures(text)
+    numbers = preview_numbers(Path(name).stem)
+    return preview_formulas(text) | preview_figures(text) | numbers
 
 
 def write_previews(app: Sphinx, error: Exception | None) -> None:

@@ -1,7 +1,7 @@
 // Shrink a display formula that is wider than its column, so that none has to be scrolled.
 {
-  const fit = () => {
-    for (const formula of document.querySelectorAll("div.math mjx-container[display]")) {
+  const fit = (part) => {
+    for (const formula of part.querySelectorAll("div.math mjx-container[display]")) {
       const column = formula.closest("div.math");
       const needed = () => Math.max(column.scrollWidth, formula.scrollWidth);
       formula.style.fontSize = formula.style.overflowX = column.style.overflowX = "";
@@ -14,20 +14,29 @@
       formula.style.overflowX = column.style.overflowX = "clip";
     }
   };
+  // The cell that a recomputed number leads to opens.
+  const open = () => {
+    const aim = location.hash && document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    if (!aim?.id?.startsWith("number-")) return aim;
+    const cell = aim.closest(".cell");
+    for (const fold of cell.querySelectorAll("details")) fold.open = true;
+    return cell;
+  };
+  addEventListener("hashchange", () => open()?.scrollIntoView({ behavior: "instant" }));
   const start = async () => {
     await window.MathJax?.startup?.promise;
-    fit();
+    fit(document);
     globalThis.formulasFit = true;
     // What is drawn late moves the page: go to the anchor again, unless the reader has moved.
-    const aim = location.hash && document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    const aim = open();
     if (aim && !moved) aim.scrollIntoView({ behavior: "instant" });
     let width = innerWidth;
     addEventListener("resize", () => {
-      if (innerWidth !== width) fit(); // not when a phone's address bar comes and goes
+      if (innerWidth !== width) fit(document); // not when a phone's address bar comes and goes
       width = innerWidth;
     });
-    // What was folded away had no width.
-    for (const fold of document.querySelectorAll("details")) fold.addEventListener("toggle", fit);
+    // What was folded away had no width; what stands above it must not move.
+    for (const fold of document.querySelectorAll("details")) fold.addEventListener("toggle", () => fit(fold));
   };
   let moved = false;
   for (const kind of ["wheel", "touchmove", "keydown", "mousedown"])

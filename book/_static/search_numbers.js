@@ -11,7 +11,13 @@ globalThis.findNumber = query => {
   const kinds = { sec: "section", ch: "section", eq: "equation", fig: "figure", tab: "table" };
   const asked = /(?:\b(sec|ch|eq|fig|tab)[a-z]*\.?\s*|(?<![\w.]))\(?([−-]?\d+(?:\.\d+)*(?:e[+-]?\d+)?)(?!\.?[\w-])/i.exec(query);
   const kind = kinds[asked?.[1]?.toLowerCase()];
-  const found = thesisNumbers[asked?.[2].replace("−", "-")] ?? [];
+  const number = asked?.[2].replace("−", "-") ?? "";
+  const places = /^-?\d*\.(\d+)$/.exec(number)?.[1].length;
+  // "1.32" and "1.324" stand for 1.3237, too: what begins with them, and what is rounded to them.
+  const near = ([other]) => other !== number && (other.startsWith(number) || Math.abs(other - number) <= 0.5001 / 10 ** places);
+  const values = places ? Object.entries(thesisNumbers).filter(near).flatMap(([, entries]) => entries.filter(([one]) => one === "value")) : [];
+  const all = [...(thesisNumbers[number] ?? []), ...values];
+  const found = [...new Map(all.map((entry) => [entry[2], entry])).values()];
   // A whole number alone, as in "16 frames", is no question for a value.
   const whole = /^\d+$/.test(asked?.[2] ?? "") && asked[2] !== query.trim();
   return found.filter(([one]) => (kind ? one === kind : !(whole && one === "value")));

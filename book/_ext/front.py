@@ -1,0 +1,163 @@
+"""The figure of the front page: the printed outline over the model, and the modulus of both.
+
+``{front-figure}`` solves what each choice of rim, model and half-width of the probe gives, and
+writes it beside a drawing of the first choice; ``_static/front.js`` shows the others. No extension
+knows of a membrane.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import warnings
+from functools import cache
+from itertools import product
+
+import numpy as np
+from docutils import nodes
+from numpy.typing import NDArray
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+from tables import raw_html
+from thesis import records
+
+from compendium import ledger, thesis
+from compendium.experiments.membranes import EGG
+from compendium.experiments.section_5_6 import printed_dimple
+from microlib.embryo import dimple_geometry
+from microlib.membrane import capsule_modulus, dimple_profile
+
+HALF_WIDTHS = np.arange(10.0, 51.0, 2.5)  # µm, about the 25 µm that chapter 5 finds
+MODELS = {"small": "small slopes", "capsule": "closed capsule"}
+# The drawing, in its own units: as wide as 680 µm, the bottom of the dimple at (280, 130).
+WIDTH, HEIGHT, SCALE, BOTTOM = 480, 305, 480 / 680, (282.0, 130.0)
+REACH = (-400.0, 280.0)  # µm, what is drawn on both sides of the bottom
+# The logarithmic axis: its height, and where 0.01 MPa and ten times as much stand.
+AXIS, FIRST, DECADE = 235, 30, 140
+
+
+def on_axis(modulus: float) -> float:
+    """Return where a modulus in MPa stands on the axis."""
+    return round(FIRST + DECADE * (math.log10(modulus) + 2), 1)
+
+
+def path(x: NDArray, z: NDArray) -> str:
+    """Return the drawing's path through points, µm from the bottom."""
+    points = zip(BOTTOM[0] + SCALE * x, BOTTOM[1] - SCALE * z, strict=True)
+    return "M" + " ".join(f"{across:.1f},{down:.1f}" for across, down in points)
+
+
+def outline() -> tuple[NDArray, NDArray]:
+    """Return the outline that Table 5.5 prints, µm from its bottom."""
+    curve, pixel = thesis.outline_curve(), thesis.EMBRYO_PIXEL
+    x0, y0 = dimple_geometry(curve, pixel_size=pixel).bottom
+    x = np.linspace(*REACH, 171)
+    return x, pixel * (curve(x0 + x / pixel) - y0)
+
+
+def dimples() -> dict[str, tuple[float, float]]:
+    """Return radius and depth, µm, by the rim that they are read from."""
+    right = dimple_geometry(thesis.outline_curve(), pixel_size=thesis.EMBRYO_PIXEL, rim="right")
+    return {"left": printed_dimple(), "right": (right.dimple_radius, right.dimple_depth)}
+
+
+def solve(model: str, radius: float, depth: float, c: float) -> tuple[float, NDArray, NDArray]:
+    """Return the modulus (MPa) and half the section of a model with that dimple, µm.
+
+    Raises
+    ------
+    ValueError
+        If no capsule has such a dimple.
+    """
+    if model == "small":
+        with warnings.catch_warnings(action="ignore"):
+            modulus = thesis.modulus(radius, depth, probe_half_width=c)
+        r = np.linspace(c, radius, 40)
+        return modulus, r, depth - dimple_profile(r, radius, depth, probe_half_width=c)
+    walls = {"thickness": thesis.MEMBRANE["thickness"], "probe_half_width": c}
+    egg = capsule_modulus(thesis.FORCE, radius, depth, radius=EGG, **walls)
+    seen = (egg.state.r < -REACH[0]) & (egg.state.z > egg.state.z[0] - 1)
+    r, z = egg.state.r[seen], egg.state.z[seen] - egg.state.z[0]
+    return egg.modulus, r[::5], z[::5]
+
+
+@cache
+def states() -> dict[str, dict[str, object]]:
+    """Return what the figure shows for each choice, by ``rim model half-width``."""
+    found: dict[str, dict[str, object]] = {}
+    across, height = outline()
+    for (rim, size), model, c in product(dimples().items(), MODELS, HALF_WIDTHS):
+        probe = {"x": BOTTOM[0] - SCALE * c, "width": 2 * SCALE * c}
+        name = f"{rim} {model} {c:g}"
+        try:
+            modulus, r, z = solve(model, *size, c)
+        except ValueError:
+            text = "No closed capsule has a dimple so narrow and so deep."
+            found[name] = {"path": "", "at": None, "text": text, **probe}
+            continue
+        side = -1 if rim == "left" else 1
+        measured = np.interp(side * r, across, height)
+        off = np.abs(z - measured)[r <= size[0]].max()
+        text = f"E = {modulus:.4g} MPa; the model departs from the outline by up to {off:.0f} µm."
+        line = path(np.r_[-r[::-1], r], np.r_[z[::-1], z])
+        found[name] = {"path": line, "at": on_axis(modulus), "text": text, **probe}
+    return found
+
+
+def draw(state: dict) -> str:
+    """Return the drawing of one choice; the script changes what has a ``data-part``."""
+    low, high = (records()[f"5.6/E-capsule-{level}"].value for level in ("2.5", "97.5"))
+    printed = ledger.claim("table-5.6/E")
+    at, left, right = on_axis(printed.value), on_axis(low), on_axis(high)
+    ticks = "".join(
+        f'<path d="M{at},{AXIS - 5}v10"/><text x="{at}" y="{AXIS + 22}">{modulus:g}</text>'
+        for modulus in (0.01, 0.1, 1.0, 10.0)
+        for at in (on_axis(modulus),)
+    )
+    low_end = f'y="{AXIS + 58}"'
+    return f"""<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-labelledby="front-title">
+<title id="front-title">The printed outline of the dimple over the model. Below, the modulus on a
+logarithmic axis with the printed number and the band of the closed capsule.</title>
+<rect class="probe" data-part="probe" x="{state["x"]}" y="8" width="{state["width"]}"
+ height="{BOTTOM[1] - 8}"/><path class="outline" d="{path(*outline())}"/>
+<path class="model" data-part="model" d="{state["path"]}"/>
+<g class="key"><path class="outline" d="M5,150h30"/><text x="40" y="155">printed outline</text>
+<path class="model" d="M170,150h30"/><text x="206" y="155">model</text>
+<rect class="probe" x="275" y="142" width="30" height="14"/>
+<text x="311" y="155">probe, 2c wide</text></g>
+<rect class="band" x="{left}" y="{AXIS - 22}" width="{right - left:.1f}" height="44"/>
+<text x="{(left + right) / 2:.1f}" y="{AXIS - 30}">closed capsule, {low:.1f} to {high:.1f}
+ MPa</text>
+<g class="axis"><path d="M{FIRST},{AXIS}H{FIRST + 3 * DECADE}"/>{ticks}</g>
+<path class="printed" d="M{at},{AXIS - 22}v65"/>
+<text x="{at}" {low_end}>printed {printed.printed} MPa</text>
+<text class="key" x="5" {low_end}>modulus E (MPa)</text>
+<circle class="found" data-part="found" cx="{state["at"]}" cy="{AXIS}" r="8"/></svg>"""
+
+
+class FrontFigure(SphinxDirective):
+    def run(self) -> list[nodes.Node]:
+        def choices(legend: str, name: str, words: dict[str, str]) -> str:
+            buttons = "".join(
+                f'<label><input type="radio" name="{name}" value="{value}"'
+                f"{' checked' if value == next(iter(words)) else ''}> {word}</label>"
+                for value, word in words.items()
+            )
+            return f"<fieldset><legend>{legend}</legend>{buttons}</fieldset>"
+
+        first = f"left small {thesis.MEMBRANE['probe_half_width']:g}"
+        ends = f'min="{HALF_WIDTHS[0]}" max="{HALF_WIDTHS[-1]}" step="{np.diff(HALF_WIDTHS)[0]}"'
+        rims = {rim: f"{rim}, a = {size[0]:.0f} µm" for rim, size in dimples().items()}
+        state, text = states()[first], json.dumps(states(), ensure_ascii=False)
+        html = f"""<figure class="front-figure">{draw(state)}
+<p class="told" role="status">{state["text"]}</p>
+<form hidden>{choices("Rim", "rim", rims)}{choices("Model", "model", MODELS)}
+<label class="width">Half-width of the probe, c = <output>25</output> µm
+<input type="range" name="width" {ends} value="{first.split()[-1]}"></label></form>
+<script type="application/json">{text}</script></figure>"""
+        return [raw_html(html)]
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    app.add_directive("front-figure", FrontFigure)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

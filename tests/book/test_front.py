@@ -1,0 +1,114 @@
+"""The figure of the front page: its numbers, its use by keyboard on a phone, without scripts."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from playwright.sync_api import Browser, Page
+
+from compendium import ledger
+from compendium.experiments.section_5_6 import printed_dimple
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(Path(__file__).parent)]
+from browsing import hindrances, open_page  # noqa: E402
+
+
+def modulus(text: str) -> float:
+    return float(text.removeprefix("E = ").split()[0])
+
+
+def test_its_numbers_are_those_of_the_chapters(html: Path, claims_folder: Path) -> None:
+    text = (html / "intro.html").read_text("utf-8")
+    found = re.search(r'front-figure.*?<script type="application/json">(.*?)</script>', text, re.S)
+    assert found
+    states, recorded = json.loads(found[1]), ledger.read_records(claims_folder)
+    for rim, name in (("left", "table-5.6/E"), ("right", "5.6/E-right")):
+        shown = modulus(states[f"{rim} small 25"]["text"])
+        assert shown == pytest.approx(recorded[name].value, rel=1e-3)  # four digits are shown
+    # (5.2): a wider probe needs a softer membrane; and the capsule's are in the band about it.
+    for model in ("small", "capsule"):
+        widths = [name.split()[2] for name in states if name.startswith(f"left {model}")]
+        moduli = [modulus(states[f"left {model} {c}"]["text"]) for c in widths]
+        assert (np.diff(moduli) < 0).all()
+    low, high = (recorded[f"5.6/E-capsule-{end}"].value for end in ("2.5", "97.5"))
+    assert low < modulus(states["left capsule 25"]["text"]) < high
+    # The model is drawn to the scale of its probe, from the rim at its radius and depth.
+    state = states["left small 25"]
+    points = np.array([pair.split(",") for pair in state["path"][1:].split()], float)
+    bottom = points[:, 1].max()
+    scale = state["width"] / 50  # the probe is 2c wide
+    radius, depth = printed_dimple()
+    assert np.ptp(points[:, 0]) / scale == pytest.approx(2 * radius, abs=0.3)
+    assert (bottom - points[0, 1]) / scale == pytest.approx(depth, abs=0.3)
+
+
+def test_it_is_used_by_keyboard_on_a_phone(page: Page, html: Path) -> None:
+    page.set_viewport_size({"width": 360, "height": 780})
+    open_page(page, html / "intro.html")
+    figure = page.locator(".front-figure")
+    axis = figure.locator(".axis text")
+    middle = "one => { const b = one.getBoundingClientRect(); return b.x + b.width / 2 }"
+    places = [one.evaluate(middle) for one in axis.all()]
+    powers = np.log10([float(text) for text in axis.all_text_contents()])
+
+    def agrees() -> float:
+        """Hold the mark on the axis against the number in the text, and return that."""
+        value = modulus(figure.locator(".told").inner_text())
+        box = figure.locator(".found").bounding_box()
+        assert box
+        at = np.interp(np.log10(value), powers, places)
+        assert box["x"] + box["width"] / 2 == pytest.approx(at, abs=1)
+        return value
+
+    assert agrees() == pytest.approx(ledger.claim("table-5.6/E").value, abs=1e-3)
+    page.get_by_label("left", exact=False).focus()
+    page.keyboard.press("Tab")  # to the model
+    page.keyboard.press("ArrowRight")
+    assert agrees() < 1.2
+    page.keyboard.press("Tab")  # to the half-width
+    first = figure.locator(".probe").first.get_attribute("width")
+    page.keyboard.press("ArrowRight")
+    assert figure.locator("output").inner_text() == "27.5"
+    assert float(figure.locator(".probe").first.get_attribute("width")) == pytest.approx(
+        1.1 * float(first), rel=1e-6
+    )
+    agrees()
+    page.get_by_label("right", exact=False).check()
+    assert "No closed capsule" in figure.locator(".told").inner_text()
+    assert not figure.locator(".found").is_visible()
+    assert hindrances(page) == []
+    assert page.evaluate("document.documentElement.scrollWidth - innerWidth") <= 0
+    sizes = figure.locator("svg text").evaluate_all(
+        "all => all.map(one => one.getBoundingClientRect().height)"
+    )
+    assert min(sizes) > 9 * 1.1  # a line is a tenth higher than its letters
+    assert page.faults == []  # type: ignore[attr-defined]
+
+
+def test_it_is_a_picture_without_scripts(browser: Browser, html: Path) -> None:
+    page = browser.new_page(java_script_enabled=False)
+    page.goto((html / "intro.html").as_uri())
+    figure = page.locator(".front-figure")
+    assert figure.locator(".model").first.is_visible()
+    assert figure.locator("form").is_hidden()
+    assert "E = 1.324 MPa" in figure.locator(".told").inner_text()
+    photographs = page.locator("img[src$='real_board.webp']")
+    assert photographs.count() == 1
+    page.close()
+
+
+def test_the_author_is_the_same_everywhere(html: Path) -> None:
+    config = yaml.safe_load((ROOT / "book" / "_config.yml").read_text("utf-8"))
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
+    assert cited["authors"] == [{"name": config["author"]}]
+    text = (html / "intro.html").read_text("utf-8")
+    footer = text.partition('class="colophon"')[2]
+    assert config["author"] in footer
+    assert text.count(config["author"].partition(" ")[2]) >= 3  # its head and how to cite it
