@@ -268,8 +268,8 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "embryo._dimple.DimpleFit.__call__": lambda: {"self": dimple(), "x": np.linspace(200, 300, 9)},
     "focus.depth_from_focus": lambda: {
-        "measure": "sml", "window": 5, "step": 1, "threshold": 0.0, "points": 3,
-        "region": (0, 0, 20, 20),
+        "frames": stack(), "positions": np.arange(5.0), "measure": "sml", "window": 5, "step": 1,
+        "threshold": 0.0, "points": 3, "region": (0, 0, 20, 20),
     },
     "focus.FocusResult.to_layers": lambda: {"self": depths()},
     "io.read_frames": lambda: {"frames": stack(), "region": (0, 0, 20, 20)},
@@ -526,8 +526,8 @@ def harmless(value: object) -> Iterator[tuple[str, np.ndarray]]:
     yield "other byte order", value.astype(value.dtype.newbyteorder(">"))
 
 
-#: In place of the result of a call that was refused.
-REFUSED = object()
+class Refused(str):
+    """What a call says that was refused, in place of its result."""
 
 
 class OutOfTime(BaseException):
@@ -595,7 +595,7 @@ def answer(name: str, changed: dict[str, object]) -> tuple[object, str | None]:
         ]
         if not re.search(rf"\b({'|'.join(words)})\b", str(error)):
             wrong = f"names no argument: {error}"
-        result = REFUSED
+        result = Refused(error)
     except OutOfTime:
         wrong = "out of time"
     except (Exception, RecursionError) as error:
@@ -617,7 +617,11 @@ def fault(case: Case) -> str | None:
     """Return what is wrong with the answer to a case, or None."""
     result, wrong = answer(case.name, case.values)
     kind = resolve(case.name)
-    if wrong or result is REFUSED or (is_dataclass(kind) and not hasattr(kind, "__post_init__")):
+    if (
+        wrong
+        or isinstance(result, Refused)
+        or (is_dataclass(kind) and not hasattr(kind, "__post_init__"))
+    ):
         return wrong  # what only stores does not look at what it is given
     if "masked" in case.label:
         return "dropped a mask"
@@ -633,7 +637,7 @@ def differences(name: str) -> Iterator[str]:
         for label, other in harmless(value):
             expected, _ = answer(name, {})
             result, wrong = answer(name, {argument: other})
-            if result is REFUSED or wrong or [*unlike(expected, result, within=1e-4)]:
+            if isinstance(result, Refused) or wrong or [*unlike(expected, result, within=1e-4)]:
                 yield f"{name}({argument} {label}): {wrong or 'refused or another answer'}"
 
 

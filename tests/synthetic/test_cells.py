@@ -45,18 +45,3 @@ def test_cells_are_dark_where_their_outlines_are_and_do_not_overlap():
     # The body's edge fades inwards from the halo's grey: a px inside it is as bright.
     inside = together - cv2.erode(together.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     assert sample.image[inside].mean() > ground + 20
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"kind": "HeLa"}, "kind must be one of 293T, Jurkat"),
-        ({"count": 0}, "count must be a whole number"),
-        ({"pixel_size": 0.0}, "pixel_size must be positive"),
-        ({"pixel_size": 20.0}, "pixel_size must show a cell's radius"),
-        ({"shape": (10, 10)}, "shape must be a whole number of at least 64"),
-    ],
-)
-def test_refusals(change, message):
-    with pytest.raises(ValueError, match=message):
-        cell_image(**({"kind": "293T", "rng": np.random.default_rng(0)} | change))

@@ -76,19 +76,3 @@ def test_the_camera_counts_in_grey_levels():
     # 40,000 pixels: the mean to 0.01, the spread to 0.4 %, and 1/12 of rounding variance.
     assert frame.mean() == pytest.approx(120.0, abs=0.05)
     assert frame.std() == pytest.approx(np.hypot(2.0, 12**-0.5), rel=0.02)
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda rng: warped_pair(rng, -1.0), "distance must be zero or positive"),
-        (lambda rng: warped_pair(rng, 1.0, warp="bend"), "warp must be one of"),
-        (lambda rng: gripper_scene(rng, pixel_size=0.5), "gap must be under a third"),
-        (lambda rng: gripper_scene(rng, pixel_size=6.2).frame((90, 0), rng), "shift must lie"),
-        (lambda rng: texture_sequence([[-1.0, 0.0]], rng), "positions must be zero or positive"),
-        (lambda rng: camera_frame(np.zeros(4), rng, noise=1.0), "image must have shape"),
-    ],
-)
-def test_refuses_what_cannot_be_drawn(call, message):
-    with pytest.raises(ValueError, match=message):
-        call(np.random.default_rng(0))

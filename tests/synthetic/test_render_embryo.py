@@ -191,33 +191,10 @@ def test_untouched_embryo_is_round():
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: Embryo(-1.0, 10.0, 200.0), "modulus must be positive"),
-        (lambda: Embryo(1.0, 10.0, 20.0), r"dimple_radius must lie in \(25, 600\)"),
         (lambda: Embryo(1.0, 0.5, 20.0), r"dimple_radius must lie in \(25, 600\)"),
-        (lambda: Embryo(1.0, 10.0, 200.0, poisson_ratio=1.0), "poisson_ratio must lie"),
         (lambda: Embryo(0.01, 500.0, 100.0), "dimple_radius must suit an embryo"),
-        (lambda: Embryo.pressed(0.0, modulus=1.0), "force must be positive"),
-        (lambda: Embryo.pressed(1e-9, modulus=1.0), "force must suit a dimple"),
-        (lambda: Embryo.dented(3000.0, modulus=1.0), "depth must suit a dimple"),
-        (lambda: Embryo(1.0, 0.0, 1.0).outline(0.0), "spacing must be positive"),
     ],
 )
 def test_impossible_embryos(build, message):
     with pytest.raises(ValueError, match=message):
         build()
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"blur": 0.2}, "blur must lie"),
-        ({"noise": -1.0}, "noise must be zero or positive"),
-        ({"unevenness": 0.6}, "unevenness must lie"),
-        ({"shape": (10, 10)}, "shape must be a whole number of at least 64"),
-        ({"pixel_size": 0.0}, "pixel_size must be positive"),
-        ({"tilt": 4.0}, "tilt must lie"),
-    ],
-)
-def test_impossible_cameras(change, message):
-    with pytest.raises(ValueError, match=message):
-        embryo_image(Embryo(1.0, 0.0, 1.0), rng=np.random.default_rng(0), **change)

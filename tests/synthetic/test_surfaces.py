@@ -83,29 +83,3 @@ def test_noise_has_its_standard_deviation():
     for frame in frames:
         # Rounding adds 1/12 of a square grey level; 40000 pixels give 0.4 %.
         assert frame.std() == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.02)
-
-
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda: synthetic.sphere_on_plane(SHAPE, 3.0, 1.0, roughness=1.0), "rng must be given"),
-        (lambda: synthetic.step(SHAPE, 3.0, at=1.5), "at must lie in"),
-        (lambda: synthetic.cone(SHAPE, -1.0, 3.0), "height must be positive"),
-        (lambda: synthetic.parabolic_cylinder((1, 9), 1.0), "shape must be a whole number"),
-        (
-            lambda: synthetic.focal_stack(np.eye(4), np.eye(4), [0.0], blur_rate=1.0, noise=1.0),
-            "rng must be given",
-        ),
-        (
-            lambda: synthetic.focal_stack(np.eye(4), np.eye(5), [0.0], blur_rate=1.0),
-            "height must have",
-        ),
-        (
-            lambda: synthetic.mixed_texture(SHAPE, np.random.default_rng(0), scales=0),
-            "scales must be",
-        ),
-    ],
-)
-def test_bad_input_is_refused_by_name(call, words):
-    with pytest.raises(ValueError, match=words):
-        call()
