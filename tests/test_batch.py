@@ -23,6 +23,10 @@ ROOT = Path(__file__).parents[1]
 LAWS = {"batch.process_files": "it computes nothing; its laws of a second use are below"}
 
 
+#: Each process may use one thread, unless the user says how many.
+THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
+
+
 def measure(path: Path, *, factor: float = 1.0, log: Path | None = None) -> dict[str, object]:
     """Read a number; fail, die or wait where the file says so."""
     with open(log or os.devnull, "a", errors="surrogateescape") as file:
@@ -34,11 +38,9 @@ def measure(path: Path, *, factor: float = 1.0, log: Path | None = None) -> dict
         time.sleep(0.15)
         text = text[4:]
     value = float(text)
-    return {"value": factor * value, "name": path.stem, "odd": value % 2 == 1, "pid": os.getpid()}
-
-
-def thread_counts(path: Path) -> dict[str, str]:
-    return {name: os.environ.get(name, "") for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")}
+    threads = "-".join(os.environ.get(name, "") for name in THREADS)
+    about = {"pid": os.getpid(), "threads": threads}
+    return {"value": factor * value, "odd": value % 2 == 1, **about}
 
 
 @pytest.fixture
@@ -57,26 +59,22 @@ def run(tmp_path: Path):
         yield partial(process_files, table=tmp_path / "t.csv", executor=executor)
 
 
-def test_a_row_per_file_and_failures_among_them(folder: Path) -> None:
+def test_a_row_per_file_and_failures_among_them(folder: Path, monkeypatch) -> None:
     table = folder.parent / "t.csv"
+    monkeypatch.delenv(THREADS[0], raising=False)
+    monkeypatch.setenv(THREADS[1], "2")
     found = process_files(f"{folder}/*.txt", partial(measure, factor=2.0), table)
     assert found["file"].tolist() == [str(folder / f"f{k}.txt") for k in range(4)]
     assert found["value"].dropna().tolist() == [7.0, 2e-3, 14.0]
     assert found["odd"].dropna().tolist() == [False, False, True]
-    assert found["error"].tolist()[:2] + found["error"].tolist()[3:] == ["", "", ""]
+    assert found["error"].drop(2).tolist() == ["", "", ""]
+    assert set(found["threads"].dropna()) == {"1-2"}
+    assert THREADS[0] not in os.environ
     assert found["error"][2].startswith("ValueError: could not convert string to float")
     assert found["modified"].tolist() == [f.stat().st_mtime_ns for f in sorted(folder.iterdir())]
     kept = pd.read_csv(table).fillna({"error": ""}).sort_values("file", ignore_index=True)
     pd.testing.assert_frame_equal(kept, found[kept.columns])
     assert sorted(p.name for p in folder.parent.iterdir()) == ["files", "t.csv"]
-
-
-def test_processes_do_not_share_a_core_among_threads_unless_told(folder, monkeypatch) -> None:
-    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
-    monkeypatch.setenv("OMP_NUM_THREADS", "2")
-    found = process_files([folder / "f0.txt"], thread_counts, folder.parent / "t.csv")
-    assert found.iloc[0, -2:].astype(int).tolist() == [1, 2]
-    assert "OPENBLAS_NUM_THREADS" not in os.environ
 
 
 def test_only_what_is_missing_or_has_changed_is_done(folder: Path, run) -> None:
@@ -97,6 +95,9 @@ def test_only_what_is_missing_or_has_changed_is_done(folder: Path, run) -> None:
 def test_a_result_of_the_library_is_a_row(folder: Path, run) -> None:
     found = run(f"{folder}/f0*", lambda path: Microscope(2e5, 1e5, 5e4, image_size=(656, 491)))
     assert found[["image_size_width", "focal_length"]].to_numpy().tolist() == [[656, 1e5]]
+    results = {"f1.txt": 3, "f2.txt": {"file": 1}, "f3.txt": [1]}
+    found = run(f"{folder}/f[123]*", lambda path: results[path.name])
+    assert found["error"].str.startswith("ValueError: what work returns must").all()
 
 
 def test_columns_may_come_later_and_names_in_any_encoding(folder: Path, run) -> None:
@@ -260,12 +261,6 @@ def test_what_cannot_work_is_refused(folder: Path, change: dict, match: str, run
     with pytest.raises(ValueError, match=match):
         run(**({"files": f"{folder}/*", "work": measure} | change))
     assert not (folder.parent / "t.csv").exists()
-
-
-@pytest.mark.parametrize("wrong", [3, {"file": 1}, [1]])
-def test_what_work_returns_wrongly_is_its_row(folder: Path, wrong: object, run) -> None:
-    found = run(f"{folder}/f0*", lambda path: wrong)
-    assert found["error"][0].startswith("ValueError: what work returns must")
 
 
 def test_what_has_not_begun_is_taken_back_from_an_interrupted_run(folder: Path, run) -> None:

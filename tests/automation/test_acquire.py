@@ -240,21 +240,6 @@ def test_ctrl_c_while_the_depth_is_found_keeps_the_pictures():
     assert same_pictures(error.value.run, scope)
 
 
-def test_a_fault_of_progress_is_the_reason_and_ends_the_scan():
-    def wrong(live):
-        if live.frames == 2:
-            raise RuntimeError("no window")
-
-    scope = Scope(lambda z: 1.0)
-    run = acquire_depth(scope, POSITIONS, progress=wrong)
-    assert run.reason == "RuntimeError: no window"
-    assert isinstance(run.error, RuntimeError)
-    assert not run.complete
-    assert run.result is None  # two frames are no depth
-    np.testing.assert_array_equal(run.positions, [0.0, 10.0])
-    assert scope.stops == 1
-
-
 def test_a_drive_that_does_not_stop_or_say_where_it_is():
     scope = Scope(lambda z: 1.0)
 
@@ -323,15 +308,6 @@ def test_the_quick_look_is_the_vertex_through_the_best_and_its_neighbors():
     assert 0.1 < known.mean() < 0.9
     expected = three_point_peak(window.astype(np.float32), index.astype(np.uint16), positions)
     np.testing.assert_allclose(peaks.depth(positions), np.where(known, expected, np.nan), rtol=1e-5)
-
-
-def test_a_wrong_option_is_refused_before_the_first_frame():
-    for wrong in ({"measure": "none"}, {"window": 4}, {"farthest": [1.0]}):
-        with pytest.raises(ValueError, match=f"{next(iter(wrong))} must"):
-            LiveDepth(**wrong)
-    assert LiveDepth(region=(0, 0, 900, 900)).frames == 0  # which the frames decide on
-    with pytest.raises(ValueError, match="z must"):
-        LiveDepth().push(np.zeros((16, 16)), 1.1e12)
 
 
 def test_frames_that_the_camera_overwrites_are_kept_between_the_two_looks() -> None:

@@ -24,16 +24,6 @@ def test_other_numbers_become_float32(stack):
         assert next(read_frames(stack.astype(dtype))).dtype == np.float32
 
 
-def test_a_camera_may_reuse_its_buffer(stack):
-    def camera():
-        buffer = np.empty_like(stack[0])
-        for frame in stack:
-            buffer[:] = frame
-            yield buffer
-
-    np.testing.assert_array_equal(np.stack(list(read_frames(camera()))), stack)
-
-
 def test_a_damaged_page_is_named(stack, tmp_path):
     path = tmp_path / "damaged.tif"
     tifffile.imwrite(path, stack, compression="zlib", metadata=None, photometric="minisblack")

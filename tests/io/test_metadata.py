@@ -28,33 +28,25 @@ def test_units_of_ome(tmp_path: Path, unit: str, micrometers: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("unit", "micrometers"),
-    [("nm", 1e-3), ("um", 1), ("\\u00b5m", 1), ("micron", 1), ("microns", 1), ("Micrometer", 1),
-     ("mm", 1e3), ("cm", 1e4), ("inch", 25400)],
+    ("unit", "spacing", "size", "step"),
+    [
+        *((unit, 2.5, 0.25 * um, 2.5 * um) for unit, um in (
+            ("nm", 1e-3), ("um", 1), ("\\u00b5m", 1), ("micron", 1), ("microns", 1),
+            ("Micrometer", 1), ("mm", 1e3), ("cm", 1e4), ("inch", 25400),
+        )),
+        *((unit, 2.5, None, None) for unit in ("pixel", "PIXELS", "furlong", "")),
+        # A spacing is a length.
+        ("um", -2.5, 0.25, 2.5), ("um", 0, 0.25, None), ("um", "two", 0.25, None),
+    ],
 )  # fmt: skip
-def test_units_of_imagej(tmp_path: Path, unit: str, micrometers: float) -> None:
-    about = {"axes": "ZYX", "spacing": 2.5, "unit": unit}
-    tifffile.imwrite(tmp_path / "a.tif", STACK, imagej=True, resolution=(4.0, 4.0), metadata=about)
-    reader = read_frames(tmp_path / "a.tif")
-    assert reader.pixel_size == pytest.approx(0.25 * micrometers)
-    np.testing.assert_allclose(reader.positions, 2.5 * micrometers * np.arange(3))
-
-
-@pytest.mark.parametrize("unit", ["pixel", "PIXELS", "furlong", ""])
-def test_a_unit_that_is_none_gives_no_size(tmp_path: Path, unit: str) -> None:
-    about = {"axes": "ZYX", "spacing": 2.5, "unit": unit}
+def test_units_and_spacings_of_imagej(
+    tmp_path: Path, unit: str, spacing: object, size: float | None, step: float | None
+) -> None:
+    about = {"axes": "ZYX", "spacing": spacing, "unit": unit}
     tifffile.imwrite(tmp_path / "a.tif", STACK, imagej=True, resolution=(4, 4), metadata=about)
     reader = read_frames(tmp_path / "a.tif")
-    assert (reader.pixel_size, reader.positions) == (None, None)
-
-
-@pytest.mark.parametrize(("spacing", "told"), [(-2.5, 2.5), (0, None), ("two", None)])
-def test_a_spacing_is_a_length(tmp_path: Path, spacing: object, told: float | None) -> None:
-    about = {"axes": "ZYX", "spacing": spacing, "unit": "um"}
-    tifffile.imwrite(tmp_path / "a.tif", STACK, imagej=True, resolution=(4, 4), metadata=about)
-    reader = read_frames(tmp_path / "a.tif")
-    assert reader.pixel_size == 0.25
-    np.testing.assert_equal(reader.positions, told and told * np.arange(3))
+    assert reader.pixel_size == (size and pytest.approx(size))
+    assert reader.positions == (step and pytest.approx(step * np.arange(3)))
 
 
 @pytest.mark.parametrize(
