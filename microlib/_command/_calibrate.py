@@ -93,7 +93,7 @@ def _advice(result: Any, found: Sequence[Any]) -> Iterator[str]:
     if not result.fits:
         yield (
             "the model does not fit the points: is the pattern flat and sharp, and --pitch the "
-            "same everywhere? Several photographs of it show more of the lens"
+            f"same everywhere?{' Several photographs show more of the lens' * (len(found) == 1)}"
         )
     if result.interval("magnification")[0] <= 0:
         yield "the magnification's interval reaches zero: photograph more marks, over more of it"

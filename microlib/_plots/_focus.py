@@ -51,7 +51,8 @@ def _map(ax: Any, values: NDArray, colors: str, label: str, logarithmic: bool = 
         scale = {"norm": LogNorm(low, high)}
     picture = ax.imshow(values, cmap=cmap, interpolation="nearest", **scale)
     ticks = {"ticks": LogLocator(subs=(1, 2, 5)), "format": "%g"} if "norm" in scale else {}
-    ax.figure.colorbar(picture, ax=ax, label=label, extend="both", shrink=0.8, **ticks)
+    bar = ax.figure.colorbar(picture, ax=ax, label=label, extend="both", shrink=0.8, **ticks)
+    bar.minorticks_off()  # on a logarithmic scale they would have numbers of their own
     unknown = 1 - len(known) / values.size
     ax.set_title(f"{label.split()[0]}{f', grey: {100 * unknown:.2g} % unknown' if unknown else ''}")
     ax.set_axis_off()
@@ -67,7 +68,9 @@ def _shaded(ax: Any, depth: NDArray, pixel_size: float | None, unit: str) -> Non
     factor = rounded_down(1 / steep) if steep > 0 else 1.0
     filled = np.where(known, depth, np.median(depth[known]) if known.any() else 0.0)
     light = LightSource().hillshade(filled, vert_exag=factor, dx=size, dy=size)
-    show_image(ax, np.where(known, light, 0.8))
+    # A few steps would take all greys.
+    low, high = np.quantile(light, [0.02, 0.98])
+    show_image(ax, np.where(known, np.clip(light, low, high), high))
     ax.set_title(f"shaded, heights × {factor:g}{'' if pixel_size else f' px/{unit}'}")
 
 

@@ -70,7 +70,7 @@ class Blocks:
         positive, and less if its residual exceeds the noise; Δ is to the middle of all blocks.
         """
         information = -0.5 * np.log1p(-self.square)
-        gain = np.log(np.clip(self.tg / self.tt, 1 / 100, 100))
+        gain = np.log(np.maximum(self.tg, TINY) / self.tt)
         weight = np.where(information > _CHANCE, information * self.seen, 0.0)
         off = gain - _weighted_median(gain, weight)
         says = np.maximum(information - _CHANCE - off**2, 0)

@@ -12,12 +12,12 @@ from functools import cached_property, partial
 import numpy as np
 
 from microlib._common import Array, Image
-from microlib.tracking._geometry import GENERATORS, TINY, apply_homography, moved, torn
+from microlib.tracking._geometry import GENERATORS, ROUNDING, TINY, apply_homography, moved, torn
 from microlib.tracking._sampling import cut_out, kept_noise, padding
 
 #: Least share of the template's pixels that must lie inside the image for it to be in view. Where
 #: the template stays inside, nothing depends on it.
-_LEAST_VISIBLE = 0.25
+LEAST_VISIBLE = 0.25
 
 
 def _nothing() -> Image:
@@ -146,7 +146,7 @@ class Level:
         for count in range(1, iterations + 1):
             grey, slope, share = self.patch(image, pose)
             failed = partial(Alignment, pose, visible=float(share.mean()), iterations=count)
-            if failed.keywords["visible"] < _LEAST_VISIBLE:
+            if failed.keywords["visible"] < LEAST_VISIBLE:
                 return failed(failure="out of view")
             rows = self._rows(grey, slope, share, gain)
             normal = rows @ rows.T
@@ -198,7 +198,7 @@ def _solved(normal: Array) -> Array:
     that it does not determine (an aperture problem) stays at rest. Nothing if a column vanishes.
     """
     scale = np.sqrt(normal.diagonal())
-    if scale[:-1].min() <= 1e-6 * scale[:-1].max():
+    if scale[:-1].min() <= ROUNDING * scale[:-1].max():
         return np.empty(0)
     scale[-1] = scale[-1] or 1.0  # a frame that is flat at the mean of the template
     scaled = normal / (scale[:, None] * scale)

@@ -28,6 +28,9 @@ GENERATORS: dict[str, Array] = {
 #: Keeps what is empty from dividing by zero.
 TINY = 1e-9
 
+#: Below this share of the largest term, a sum in single precision holds nothing but rounding.
+ROUNDING = 1e-6
+
 
 def apply_homography(matrix: Array, points: Array) -> Array:
     """Map N×2 points by a homography, 3×3, or by several, …×3×3."""
@@ -47,8 +50,8 @@ def moved(warp: Array, step: Array, basis: Array) -> Array:
     largest = float(np.max(size, initial=0.0, where=good))
     halvings = max(0, int(np.ceil(np.log2(max(4**2 * 3 * largest, 1.0)))))
     matrix = matrix / 2.0**halvings
-    total = _ONE + matrix / 7
-    for order in range(6, 0, -1):  # 16⁻⁸/8! is 10⁻¹⁴
+    total = _ONE
+    for order in range(7, 0, -1):  # 16⁻⁸/8! is 10⁻¹⁴
         total = _ONE + matrix @ total / order
     for _ in range(halvings):
         total = total @ total
@@ -90,3 +93,13 @@ def corner_jacobian(pose: Array, basis: Array, corners: Array) -> Array:
     depth = mapped[:, 2:]
     slope = (velocity[..., :2] - mapped[:, :2] / depth * velocity[..., 2:]) / depth
     return slope.reshape(len(basis), -1)
+
+
+def ridged(normal: Array, first: int = 0) -> Array:
+    """Return normal equations with a ridge, so that what no pixel shows stays as it is.
+
+    The unknowns before the `first` one have none but for rounding.
+    """
+    diagonal = (ROUNDING * normal.diagonal() + TINY).astype(np.float64)
+    diagonal[first:] += 1e-3
+    return normal + np.diag(diagonal)

@@ -14,7 +14,7 @@ import numpy as np
 from microlib._common import Array, Image
 from microlib.tracking._blocks import Blocks, compare
 from microlib.tracking._esm import Alignment
-from microlib.tracking._geometry import TINY, moved, torn
+from microlib.tracking._geometry import TINY, moved, ridged, torn
 from microlib.tracking._local import SURROUNDINGS, TUKEY, LocalLevel, trusted_scale, tukey
 
 #: Columns whose derivative by the template's grey value is not zero come first; the first is the
@@ -173,10 +173,7 @@ def _solved(design: Image, value: Image, weight: Image, motions: int = 0) -> Arr
     are.
     """
     weighted = design * weight
-    normal = (weighted @ design.T).astype(np.float64)
-    diagonal = normal.ravel()[:: len(normal) + 1]
-    diagonal += 1e-6 * diagonal + TINY
-    diagonal[motions:] += 0.001
+    normal = ridged((weighted @ design.T).astype(np.float64), motions)
     return np.linalg.solve(normal, (weighted @ value).astype(np.float64))
 
 
@@ -184,7 +181,7 @@ def _tukey_slope(weight: Image, residual: Image, scale: float) -> Image:
     """Return the derivative of the weighted residuals by the residuals, for Tukey's biweight."""
     square = (residual / (TUKEY * scale)) ** 2
     # The weight is trust·(1 − u²)², the slope trust·(1 − u²)(1 − 5u²).
-    return np.where(square < 1, weight * (1 - 5 * square) / np.maximum(1 - square, 1e-6), 0)
+    return np.where(square < 1, weight * (1 - 5 * square) / np.maximum(1 - square, TINY), 0)
 
 
 def _explained(grey: Image, residual: Image, weight: Image) -> float:

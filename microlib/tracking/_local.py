@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, Image
 from microlib.tracking._blocks import Blocks, compare
-from microlib.tracking._esm import Level, make_level
+from microlib.tracking._esm import LEAST_VISIBLE, Level, make_level
 from microlib.tracking._geometry import TINY, moved, torn
 from microlib.tracking._sampling import View
 
@@ -74,7 +74,7 @@ class LocalLevel(Level):
         view: View,
         poses: ArrayLike,
         *,
-        tolerance: float,
+        tolerance: float = 0.1,
         iterations: int = 10,
     ) -> list[Array]:
         """Return the poses, B×3×3, at which template and frame agree best in local illumination.
@@ -116,7 +116,7 @@ class LocalLevel(Level):
         normal = (rows * weight) @ rows.transpose(0, 2, 1)
         right = (rows * weight) @ residual.transpose(0, 2, 1)
         diagonal = np.diagonal(normal, axis1=1, axis2=2)
-        seen = (share.mean(axis=(1, 2)) >= 0.15) & (diagonal > 0).all(axis=1)
+        seen = (share.mean(axis=(1, 2)) >= LEAST_VISIBLE) & (diagonal > 0).all(axis=1)
         ridge = TINY * diagonal.astype(np.float64) + ~seen[:, None]
         normal = normal + ridge[:, :, None] * np.eye(len(self.basis))
         return -np.linalg.solve(normal, right.astype(np.float64))[..., 0], scale, seen
@@ -186,7 +186,7 @@ def trusted_scale(residual: Array, trust: Array, fewest: float) -> float:
 
 def _scales(light: LocalLight, share: Image, before: Array, least: float) -> Array:
     """Return the robust standard deviation of each image's sure residuals, if they are enough."""
-    sure = (light.correlation > 0.5) & (share > 0.3)
+    sure = (light.correlation > 0.5) & (share > 0)
     size = np.where(sure, np.abs(light.residual), np.float32(np.inf)).reshape(len(share), -1)
     count = sure.sum(axis=(1, 2))[:, None]
     middle = np.take_along_axis(np.sort(size, axis=1), (count // 2) % size.shape[1], 1)

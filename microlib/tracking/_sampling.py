@@ -197,7 +197,7 @@ def kept_noise(halvings: int, density: int, smoothing: float) -> float:
     for _ in range(halvings):
         layer = cv2.pyrDown(layer)
     # Half-way between the best and the worst phase of the interpolation.
-    between = np.array([0.25, 0.75] if density == 1 else [0.5, 0.5], np.float32)
+    between = np.array([1, 3] if density == 1 else [2, 2], np.float32) / 4
     layer = half_pixel(layer) if density == 2 else layer
     layer = cv2.sepFilter2D(layer, -1, between, between)[::density, ::density]
     if smoothing:

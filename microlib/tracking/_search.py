@@ -228,8 +228,8 @@ class RobustSearch:
     def _finished(self, view: View, blur: int, starts: Sequence[Array]) -> list[Candidate]:
         """Return starts of one blur aligned to the end: locally, and in smooth light."""
         poses = starts
-        for level, tolerance in ((self._wide[blur], 0.1), (self._sharp[blur], 0.03)):
-            poses = level.align_locally(view, poses, tolerance=tolerance)
+        poses = self._wide[blur].align_locally(view, poses)
+        poses = self._sharp[blur].align_locally(view, poses, tolerance=0.03)
         ended = []
         # A blur may leave less to align than the start had: then that is the better one.
         for pose in [*poses, *(starts if blur else [])]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +11,7 @@ from scipy.linalg import hadamard
 
 from microlib._common import Array, Image
 from microlib.tracking._esm import Level
-from microlib.tracking._geometry import TINY, apply_homography, shifted
+from microlib.tracking._geometry import GENERATORS, TINY, apply_homography, shifted
 from microlib.tracking._sampling import padding, sample
 
 #: Px between the points, and their error (px).
@@ -61,7 +63,7 @@ class PointFlow:
             self._contrasts(image, pose),
             self._points + np.float32(self._reach),
             None,
-            winSize=(15, 15),
+            winSize=(15,) * 2,
             maxLevel=int(np.ceil(np.log2(max(2, self._reach / 8)))),
         )
         to_frame = self._level.to_template.copy()
@@ -89,16 +91,15 @@ def _agreed(
     here: Image, there: Image, n: int, error: float
 ) -> tuple[Array | None, NDArray[np.bool_]]:
     """Return the motion of `n` parameters that most points agree in, and which these are."""
-    if n == 2:
+    if n == len(GENERATORS["translation"]):
         moves = there - here
         near = np.square(moves[:, None] - moves).sum(axis=2) < error**2
         agree = near[near.sum(axis=1).argmax()]
         return shifted(np.eye(3), moves[agree].mean(axis=0)), agree
-    if n == 6:
-        part, inliers = cv2.estimateAffine2D(here, there, ransacReprojThreshold=error, maxIters=200)
-        motion = None if part is None else np.vstack([part, [0.0, 0, 1]])
-    else:
-        motion, inliers = cv2.findHomography(here, there, cv2.RANSAC, error, maxIters=200)
+    estimate: Any = cv2.estimateAffine2D if n == len(GENERATORS["affine"]) else cv2.findHomography
+    options = {"method": cv2.RANSAC, "ransacReprojThreshold": error, "maxIters": 200}
+    found, inliers = estimate(here, there, **options)
+    motion = None if found is None else np.vstack([found, [0, 0, 1]])[:3]
     return motion, np.asarray(inliers).ravel() > 0
 
 

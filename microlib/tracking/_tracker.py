@@ -24,7 +24,7 @@ from microlib._common import (
 from microlib.tracking._blocks import Agreement, compare
 from microlib.tracking._covariance import corner_covariance, largest_sigma
 from microlib.tracking._esm import Alignment, Level, make_level
-from microlib.tracking._geometry import GENERATORS, apply_homography, cut_around, shifted
+from microlib.tracking._geometry import GENERATORS, ROUNDING, apply_homography, cut_around, shifted
 from microlib.tracking._kalman import KalmanFilter
 from microlib.tracking._light import LitFit
 from microlib.tracking._sampling import View, half_pixel
@@ -357,7 +357,7 @@ class ESMTracker:
             visible=np.nan,
             iterations=0,
             covariance=np.full((2, 2), np.nan),
-            corner_covariance=np.full((8, 8), np.nan),
+            corner_covariance=np.full((8,) * 2, np.nan),
             confidence=confidence,
             hidden=np.ones(self._box[:1:-1], bool),
         )
@@ -510,7 +510,7 @@ def _check_texture(smooth: Level, sharp: Level) -> None:
     gradient = sharp.slope.astype(np.float64)
     weak, strong = np.linalg.eigvalsh(gradient @ gradient.T)
     # A gradient that single precision may make of none; an edge with a noise of 0.5 % has 0.002.
-    if strong <= (1e-6 * np.abs(sharp.grey).max()) ** 2 * sharp.grey.size:
+    if strong <= (ROUNDING * np.abs(sharp.grey).max()) ** 2 * sharp.grey.size:
         raise ValueError("box must hold a textured template, got a flat one")
     if weak < 1e-4 * strong:
         raise ValueError(

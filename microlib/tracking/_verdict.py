@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from microlib._common import Array
+from microlib.tracking._geometry import TINY
 from microlib.tracking._search import Finding
 
 #: Coefficients of a logistic function of `features`. Fitted by maximum likelihood with a ridge of ½
@@ -31,7 +32,7 @@ def features(finding: Finding) -> Array:
             said - elsewhere,
             min(fit.bend, 2.0),
             min(finding.area, 2.0),
-            min(abs(np.log(max(fit.gain, 1 / 100))), 2.0),
+            min(abs(np.log(max(fit.gain, TINY))), 2.0),
             finding.support,
             finding.far,
         ]

@@ -26,8 +26,8 @@ MOMENTS = (2, 10)
 FAULTS = [
     (name, frame)
     for name in (
-        "camera error", "camera hangs", "black", "noise", "frozen", "other size", "move error",
-        "move hangs", "position error", "stuck", "never arrives", "reversed", "tracker error",
+        "snap error", "snap hangs", "black", "noise", "frozen", "other size", "move error",
+        "move hangs", "position error", "stuck", "never arrives", "reversed", "track error",
     )
     for frame in MOMENTS
 ] + [
@@ -71,24 +71,19 @@ class Faulty:
     def now(self, name: str) -> bool:
         return self.fault == name and self.frames >= self.first
 
-    def fail(self, name: str) -> None:
-        if self.now(name):
-            raise Injected(name)
-
-    def hang(self, name: str) -> None:
-        if self.now(name):
-            self.given_up.wait()
-
-    def interrupt(self, call: str) -> None:
-        if self.fault == f"Ctrl-C during {call}" and self.frames == self.first:
+    def begin(self, call: str) -> None:
+        """Fail, hang or be interrupted in a call."""
+        if self.now(f"Ctrl-C during {call}") and self.frames == self.first:
             os.kill(os.getpid(), signal.SIGINT)
             time.sleep(0.001)  # lets the signal arrive while the call is under way
+        if self.now(f"{call} error"):
+            raise Injected(call)
+        if self.now(f"{call} hangs"):
+            self.given_up.wait()
 
     def snap(self) -> tuple[NDArray, float]:
         self.frames += 1
-        self.interrupt("snap")
-        self.fail("camera error")
-        self.hang("camera hangs")
+        self.begin("snap")
         frame, exposed = self.workstation.camera.snap()
         if self.now("black"):
             frame = np.zeros_like(frame)
@@ -102,17 +97,15 @@ class Faulty:
         return frame, exposed
 
     def track(self, frame: NDArray) -> Any:
-        self.interrupt("track")
-        self.fail("tracker error")
+        self.begin("track")
         return self._tracker.track(frame)
 
     def position(self) -> NDArray:
-        self.fail("position error")
+        self.begin("position")
         return self.workstation.stage.position()
 
     def move_to(self, position: NDArray) -> None:
-        self.fail("move error")
-        self.hang("move hangs")
+        self.begin("move")
         if self.now("stuck"):
             return
         if self.now("reversed"):
@@ -120,18 +113,18 @@ class Faulty:
         self.workstation.stage.move_to(position)
 
     def moving(self) -> bool:
-        self.interrupt("moving")
+        self.begin("moving")
         self.farthest = max(self.farthest, *np.abs(self.workstation.stage.position()))
         return self.now("never arrives") or self.workstation.stage.moving()
 
     def stop(self) -> None:
         self.stops += 1
-        if self.stops <= 2:
-            self.fail("stop fails twice")
+        if self.now("stop fails twice") and self.stops <= 2:
+            raise Injected("stop")
         self.workstation.stage.stop()
 
     def progress(self, row: dict[str, Any]) -> None:
-        self.fail("progress error")
+        self.begin("progress")
 
 
 @dataclass(frozen=True)

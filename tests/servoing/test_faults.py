@@ -8,7 +8,7 @@ import pytest
 from compendium.experiments.microscope import reach
 from tests.servoing.faults import FAULTS, run_with
 
-FEW = ("camera hangs", "frozen", "move hangs", "never arrives", "reversed", "stop fails twice")
+FEW = ("snap hangs", "frozen", "move hangs", "never arrives", "reversed", "stop fails twice")
 
 
 def check(outcome) -> None:

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.signal import lti, step
 
 from microlib.servoing import path_metrics, step_metrics
@@ -26,23 +24,6 @@ def test_a_second_order_answer_overshoots_by_the_textbook():
     assert found.overshoot == pytest.approx(peak, rel=1e-4)
     outside = time[np.abs(answer - 1) > 0.05]
     assert found.settling_time == pytest.approx(outside[-1], abs=2e-3)  # two samples
-
-
-@settings(deadline=None, max_examples=30)
-@given(scale=st.floats(1e-3, 1e3), angle=st.floats(0, 6.28))
-def test_metrics_scale_with_the_unit_and_turn_with_the_axes(scale, angle):
-    rng = np.random.default_rng(0)
-    time = np.arange(40) / 33
-    x = np.column_stack([1 - np.exp(-4 * time), 1 - np.exp(-5 * time)]) + rng.normal(
-        0, 0.005, (40, 2)
-    )
-    x[0] = 0
-    turn = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    one, other = step_metrics(time, x, (1, 1)), step_metrics(time, x @ turn.T, turn @ (1, 1))
-    assert other.settling_time == one.settling_time
-    assert other.overshoot == pytest.approx(one.overshoot, abs=1e-9)
-    assert other.accuracy == pytest.approx(scale * one.accuracy)
-    assert other.precision == pytest.approx(scale * one.precision)
 
 
 def test_what_never_settles_says_so():

@@ -95,11 +95,3 @@ def test_refuses_what_cannot_be(argument, value):
     arguments = {"interval": 0.03, "acceleration": 100.0, "noise": 0.1} | {argument: value}
     with pytest.raises(ValueError, match=argument):
         KalmanFilter((0, 0), **arguments)
-
-
-def test_refuses_a_measurement_that_is_none():
-    kalman = KalmanFilter((0, 0), interval=0.03, acceleration=100.0, noise=0.1)
-    with pytest.raises(ValueError, match="position must be finite"):
-        kalman.update((np.nan, 0))
-    with pytest.raises(ValueError, match="position must have shape"):
-        kalman.update((1.0, 2.0, 3.0))

@@ -12,7 +12,7 @@ from microlib.tracking._covariance import sandwich
 from microlib.tracking._light import _tukey_slope
 from microlib.tracking._local import tukey
 from tests import fuzz
-from tests.laws import VIEWS, Law, hold, hold_sigma
+from tests.laws import VIEWS, Law, Units, hold, hold_same_as_new, hold_sigma, in_world
 
 BOX = (38, 26, 52, 41)
 CORNERS = np.array([[38.0, 26], [89, 26], [89, 66], [38, 66]])
@@ -137,6 +137,25 @@ def test_a_tracker_that_lost_its_template_follows_it_like_a_new_one():
         again = tracker.track(other)
         np.testing.assert_allclose(again.corners, new.corners, atol=0.05)
     np.testing.assert_allclose(again.covariance, new.covariance, rtol=0.2)
+
+
+def test_what_is_refused_changes_nothing():
+    for wrong in ((np.nan, 0.0), (1.0, 2.0, 3.0)):
+        with pytest.raises(ValueError, match="position must"):
+            used(Units()).update(wrong)
+        update = lambda kalman, wrong=wrong: kalman.update(wrong)  # noqa: E731
+        hold_same_as_new(lambda: used(Units()), lambda k: steps(k, (15.0, 3.0)), update)
+    new = lambda: ESMTracker(SCENE + NOISE[0], BOX, "affine")  # noqa: E731
+    wrong = (MOVED[:-1], MOVED * np.nan)
+    before = [lambda tracker, frame=frame: tracker.track(frame) for frame in wrong]
+    hold_same_as_new(new, lambda tracker: tracker.track(MOVED + NOISE[1]), *before)
+
+
+def test_a_layer_shows_the_box_in_um():
+    track = ESMTracker(SCENE, BOX).track(MOVED)
+    (layer,) = track.to_layers(pixel_size=2.5)
+    (polygon,) = layer[0]
+    np.testing.assert_allclose(in_world(layer, polygon[:, ::-1]), 2.5 * track.corners)
 
 
 @pytest.mark.parametrize("side", [14, 30])
