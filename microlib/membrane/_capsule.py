@@ -15,7 +15,7 @@ import numpy as np
 from microlib._common import Array, Tidy, scalar
 from microlib.membrane._laws import Law, law_of
 from microlib.membrane._point_load import warn_of_units
-from microlib.membrane._solver import Guess, MembraneState, Problem, gauss_points, in_units
+from microlib.membrane._solver import Guess, MembraneState, Problem, Strip, in_units, strip_of
 
 _SPHERE = 4 * np.pi / 3
 #: Of a probe or a flattened spot, in radii: π less the arc of its edge is rounded to 4e-16, a
@@ -36,32 +36,24 @@ class _Unknowns(NamedTuple):
 
 
 class _Flat(NamedTuple):
-    """The state on the plate: the radius and the tension."""
+    """The state on the plate: the radius and the tension's pull outward."""
 
     r: Array
-    tension: Array
+    pull: Array
 
 
 class _Free(NamedTuple):
-    """The state of the free wall, with the horizontal part of its tension and the volume so far."""
+    """The state of the free wall, with its height and the volume so far."""
 
     r: Array
     z: Array
-    horizontal: Array
+    pull: Array
     volume: Array
 
 
-def _parts(y: Any) -> tuple[_Flat, _Free, _Free]:
-    """Return the solver's rows by zone: the plate, the side up to the crest, the dimple."""
+def _parts(y: Any) -> tuple[Any, Any, Any]:
+    """Return the solver's rows by zone, _Flat on the plate, _Free up to the crest and beyond."""
     return _Flat(*y[:2]), _Free(*y[2:-4]), _Free(*y[-4:])
-
-
-class _Zone(NamedTuple):
-    """A part of the wall, over x from 0 to 1."""
-
-    state: Any  # _Flat or _Free
-    arc: Array
-    rate: Array  # of the arc over x
 
 
 def _graded(first: float, last: float, x: Array) -> tuple[Array, Array]:
@@ -127,48 +119,37 @@ class _Capsule(Problem):
         core = found.get("core", 0.01 * found["plate"])
         return _Unknowns(pressure, inflation, force, rim, core, found["plate"], found["crest"])
 
-    def zones(self, x: Array, y: Array, u: _Unknowns) -> list[_Zone]:
-        """Return the zones, from the plate's middle to the probe."""
-        plate, side, dimple = _parts(y)
+    def arcs(self, x: Array, u: _Unknowns) -> list[tuple[Array, Array]]:
+        """Return each zone's arc and its slope, from the plate's middle to the probe."""
         wide = u.crest - u.plate
         # Graded towards the probe as the logarithm of the dimple is.
         rest, slope = _graded(np.pi - u.crest, np.pi - self.edge, x)
-        return [
-            _Zone(plate, *_graded(u.core, u.plate, x)),
-            _Zone(side, u.plate + wide * x, np.full_like(x, wide)),
-            _Zone(dimple, np.pi - rest, -slope),
-        ]
+        side = u.plate + wide * x, np.full_like(x, wide)
+        return [_graded(u.core, u.plate, x), side, (np.pi - rest, -slope)]
 
-    def local(self, zone: _Zone, u: _Unknowns) -> tuple[Array, ...]:
-        """Return ρ, H, V, the tension's size, stretch and hoop stress in a zone."""
-        rho, r = np.sin(zone.arc) / u.inflation, zone.state.r
-        if isinstance(zone.state, _Flat):
-            size = horizontal = zone.state.tension * self.tension
-            vertical = np.zeros_like(r)
-        else:
-            horizontal = zone.state.horizontal * self.tension
-            vertical = u.pressure * r**2 / 2 - u.force / (2 * np.pi)
-            size = np.hypot(horizontal, vertical)
-        first, hoop = self.law.meridian(size / rho, r / rho)
-        return rho, horizontal, vertical, size, first, hoop
+    def strips(self, x: Array, y: Array, k: Any) -> list[Strip]:
+        u = self.unpack(k)
+        found = []
+        for (arc, slope), part in zip(self.arcs(x, u), _parts(y), strict=True):
+            rho, rate = np.sin(arc) / u.inflation, slope / u.inflation
+            # The plate carries all that presses on its zone.
+            z, load = np.zeros_like(x), (0.0, 0.0)
+            if isinstance(part, _Free):
+                z, load = part.z, (u.force, u.pressure)
+            found.append(strip_of(rho, rate, part.r, z, self.tension * part.pull, *load))
+        return found
+
+    def rates(self, x: Array, slope: Array) -> list[tuple[Any, Any]]:
+        return [(part.r, getattr(part, "z", np.zeros_like(x))) for part in _parts(slope)]
 
     def slopes(self, x: Array, y: Array, k: Any = None) -> Array:
         """Right-hand side of the equilibrium over x, which runs from 0 to 1 in every zone."""
-        u = self.unpack(k)
-        parts: list[Array] = []
-        for zone in self.zones(x, y, u):
-            _, horizontal, vertical, size, first, hoop = self.local(zone, u)
-            r, scale = zone.state.r, zone.rate / u.inflation
-            if isinstance(zone.state, _Flat):
-                parts += _Flat(r=first * scale, tension=hoop * scale / self.tension)
-                continue
-            rise = first * vertical / size
-            parts += _Free(
-                r=first * horizontal / size * scale,
-                z=rise * scale,
-                horizontal=(hoop - u.pressure * r * rise) * scale / self.tension,
-                volume=np.pi * r**2 * rise * scale,
-            )
+        plate, *free = self.strips(x, y, k)
+        r, _, pull = self.balance(plate)
+        parts: list[Array] = [*_Flat(r, pull / self.tension)]
+        for strip in free:
+            r, z, pull = self.balance(strip)
+            parts += _Free(r, z, pull / self.tension, volume=np.pi * strip.r**2 * z)
         return np.array(parts)
 
     def edges(self, left: Array, right: Array, k: Any = None) -> Array:
@@ -178,10 +159,10 @@ class _Capsule(Problem):
         plate_end, side_end, probe = _parts(right)
         rho = np.sin(u.core) / u.inflation
         if self.slack:
-            found = [(plate.r - rho) / u.core, plate.tension]
+            found = [(plate.r - rho) / u.core, plate.pull]
         else:
-            found = [plate.tension / rho - self.law.even_stress(plate.r / rho) / self.tension]
-        found += [plate_end.r - u.rim, plate_end.tension - side.horizontal]
+            found = [plate.pull / rho - self.law.even_stress(plate.r / rho) / self.tension]
+        found += [plate_end.r - u.rim, plate_end.pull - side.pull]
         found += [side.r - u.rim, side.z, side.volume, side_end.r - u.rim]
         found += [dimple.r - u.rim, *np.subtract(dimple, side_end)[1:]]
         found += [probe.r - self.probe, probe.volume - _SPHERE]
@@ -212,14 +193,17 @@ class _Capsule(Problem):
         values["logarithm of the pressure"] = np.log(pressure)
         k = np.array([values[name] for name in self.sought])
         x = np.linspace(0.0, 1.0, 40)
-        flat, side, dimple = self.zones(x, np.zeros((2 + 4 + 4, x.size)), self.unpack(k))
-        r, pull = rim * flat.arc / plate, tension / self.tension
-        rows = [*_Flat(r=r, tension=pull * r)]
-        for zone, volume in ((side, _SPHERE * x), (dimple, np.full_like(x, _SPHERE))):
-            r, z = np.sin(zone.arc), np.cos(plate) - np.cos(zone.arc)
-            if zone is dimple:
-                z = 2 * np.cos(plate) - 0.3 * rim * np.log(rim / r) / np.log(rim / self.probe)
-            rows += _Free(r=r, z=z, horizontal=pull * r * np.cos(zone.arc), volume=volume)
+        flat, side, dimple = (arc for arc, _ in self.arcs(x, self.unpack(k)))
+        r, pull = rim * flat / plate, tension / self.tension
+        rows = [*_Flat(r, pull * r)]
+        hollow = 0.3 * rim * np.log(rim / np.sin(dimple)) / np.log(rim / self.probe)
+        height = np.cos(plate) - np.cos(side)
+        for arc, z, volume in (
+            (side, height, _SPHERE * x),
+            (dimple, 2 * np.cos(plate) - hollow, np.full_like(x, _SPHERE)),
+        ):
+            r = np.sin(arc)
+            rows += _Free(r, z, pull * r * np.cos(arc), volume)
         return x, np.array(rows), k
 
     def jacobian(self, x: Array, y: Array, k: Array) -> tuple[Array, Array]:
@@ -230,9 +214,8 @@ class _Capsule(Problem):
         here = self.slopes(x, y, k)
         by_state = np.zeros((y.shape[0], *y.shape))
         zones: Any = _parts(np.arange(len(y)))
-        tensions = [zone.tension if isinstance(zone, _Flat) else zone.horizontal for zone in zones]
         small = np.sqrt(np.finfo(float).eps)
-        for each in ([zone.r for zone in zones], tensions):
+        for each in ([zone.r for zone in zones], [zone.pull for zone in zones]):
             rows = np.array(each)
             step = small * (1 + np.abs(y[rows]))
             moved = y.copy()
@@ -262,14 +245,14 @@ class _Capsule(Problem):
     def loosened(self, solution: Any) -> Guess:
         """Return a guess with a slack zone from a solution with a compressed one."""
         u = self.unpack(solution.p)
-        plate = self.zones(solution.x, solution.y, u)[0]
-        r, tension = plate.state
-        tight = np.flatnonzero(r >= np.sin(plate.arc) / u.inflation)
-        core = min(plate.arc[tight[0]] if tight.size else np.inf, 0.9 * u.plate)
+        arc, _ = self.arcs(solution.x, u)[0]
+        plate = _parts(solution.y)[0]
+        tight = np.flatnonzero(plate.r >= np.sin(arc) / u.inflation)
+        core = min(arc[tight[0]] if tight.size else np.inf, 0.9 * u.plate)
         wanted, _ = _graded(core, u.plate, solution.x)
         y = solution.y.copy()
-        y[0] = np.interp(wanted, plate.arc, r)
-        y[1] = np.maximum(np.interp(wanted, plate.arc, tension), 0.0)
+        y[0] = np.interp(wanted, arc, plate.r)
+        y[1] = np.maximum(np.interp(wanted, arc, plate.pull), 0.0)
         return solution.x, y, np.append(solution.p, core)  # the last that is sought
 
     def stages(self) -> Iterator[_Capsule]:
@@ -281,40 +264,18 @@ class _Capsule(Problem):
 
     def after(self, solved: _Capsule, solution: Any) -> tuple[_Capsule, Guess]:
         """Return this problem and its guess from another's solution, whose tension differs."""
-        plate, side, dimple = _parts(solution.y.copy())
         scale = solved.tension / self.tension
-        y = np.array(
-            [
-                *plate._replace(tension=scale * plate.tension),
-                *side._replace(horizontal=scale * side.horizontal),
-                *dimple._replace(horizontal=scale * dimple.horizontal),
-            ]
-        )
+        parts = [part._replace(pull=scale * part.pull) for part in _parts(solution.y)]
+        y = np.array([row for part in parts for row in part])
         return replace(self, slack=solved.slack), (solution.x, y, solution.p)
 
-    def even_stretch(self, solution: Any, u: _Unknowns) -> float:
-        """Return the stretch in the middle of the plate, which lies in no zone; 0 if slack."""
-        return 0.0 if self.slack else float(solution.y[0, 0] * u.inflation / np.sin(u.core))
-
-    def virtual_work(self, solution: Any) -> float:
-        """Return the imbalance of virtual work when the shape swells about the plate's middle."""
+    def even(self, solution: Any) -> list[tuple[float, float]]:
+        """Below the probe, and in the middle of the plate where that is not slack."""
         u = self.unpack(solution.p)
-        x, weight = gauss_points(solution.x)
-        rates: Any = _parts(solution.sol(x, 1))
-        inside = 0.0
-        for zone, rate in zip(self.zones(x, solution.sol(x), u), rates, strict=True):
-            rho, scale = np.sin(zone.arc) / u.inflation, zone.rate / u.inflation
-            rise = 0.0 if isinstance(rate, _Flat) else rate.z
-            first, second = np.hypot(rate.r / scale, rise / scale), zone.state.r / rho
-            along, across = self.law.relaxed_stress(first, second)
-            inside += float(np.sum((along * first + across * second) * rho * scale * weight))
-        stretch = self.even_stretch(solution, u)
-        even = 2 * (1 - np.cos(u.core)) / u.inflation**2
-        inside += even * self.law.even_stress(stretch) * stretch if stretch else 0.0
-        probe = _parts(solution.y[:, -1])[2]
-        work = (3 * u.pressure * _SPHERE - u.force * probe.z) / (2 * np.pi)
-        work += self.tension * probe.horizontal * probe.r
-        return float(abs(inside - work) / (abs(inside) + u.pressure + u.force))
+        found = [(np.pi - self.edge, u.inflation)]
+        if not self.slack:
+            found.append((u.core, float(solution.y[0, 0] * u.inflation / np.sin(u.core))))
+        return [(2 * np.pi * (1 - np.cos(arc)) / u.inflation**2, by) for arc, by in found]
 
 
 #: A problem and SciPy's solution of it.
@@ -417,8 +378,7 @@ def indent_capsule(
     :math:`c^2/2R` and, in this model, no force.
 
     Bending is left out: on a taut wall of 3 µm it adds about 1 % to the force. A solution is
-    returned only if a second integration and the balance of virtual work for a uniform swelling
-    agree with it to 1e-5.
+    returned only if the balance of virtual work for a uniform swelling agrees with it to 1e-5.
 
     References
     ----------
@@ -455,16 +415,10 @@ def indent_near(
         # The inflated capsule that nothing presses, from its top to the plate.
         angle = np.linspace(0.0, np.pi, 161)
         stress, same = material.even_stress(stretch), np.ones((2, angle.size))
-        sphere = in_units(
-            np.vstack([np.sin(angle), 1 + np.cos(angle), stretch * same, stress * same]),
-            stiffness,
-            h,
-            r0,
-            pressure=2 * stress / stretch,
-            energy=4 * np.pi * material.even_energy(stretch) / stretch**2,
-            volume=_SPHERE,
-        )
-        return sphere, None
+        sphere = np.vstack([np.sin(angle), 1 + np.cos(angle), stretch * same, stress * same])
+        sizes = {"pressure": 2 * stress / stretch, "volume": _SPHERE}
+        sizes["energy"] = 4 * np.pi * material.even_energy(stretch) / stretch**2
+        return in_units(sphere, stiffness, h, r0, sizes), None
     unit = stiffness * h * r0
     problem = replace(_problem(material, c / r0, load / unit, stretch), unit=unit)
     problem, solution = _solve(problem, near)
@@ -591,19 +545,14 @@ def _solve(problem: _Capsule, near: Solved | None = None) -> Solved:
             f"{least * problem.unit:.3g} µN, got {u.force * problem.unit:.3g} µN"
         )
     dimple = _parts(solution.y)[2]
-    clear = dimple.horizontal[-1] < 0 and dimple.r.min() >= (1 - 1e-9) * solved.probe
-    ordered = 0 < u.core < u.plate < np.pi / 2 < u.crest <= solved.edge
-    for fine, wanted in (
-        (
-            dimple.z.min() > 0,
-            "keep the probe above the plate, got one that presses the dimple through it",
-        ),
-        (clear, "leave the wall clear of the probe's side, got one that folds it below the probe"),
-        (
-            ordered,
-            "leave a wall between the plate's contact and the dimple, got one that swallows it",
-        ),
-    ):
+    above = dimple.z.min() > 0
+    clear = dimple.pull[-1] < 0 and dimple.r.min() >= (1 - 1e-9) * solved.probe
+    apart = 0 < u.core < u.plate < np.pi / 2 < u.crest <= solved.edge
+    for wanted, fine in {
+        "keep the probe above the plate, got one that presses the dimple through it": above,
+        "leave the wall clear of the probe's side, got one that folds it below the probe": clear,
+        "leave a wall between the plate's contact and the dimple, got one that swallows it": apart,
+    }.items():
         if not fine:
             raise ValueError(f"force must {wanted}{solved.said}")
     return solved, solution
@@ -613,44 +562,16 @@ def _state(
     problem: _Capsule, solution: Any, modulus: float, radius: float, h: float
 ) -> MembraneState:
     u = problem.unpack(solution.p)
-    x, weight = gauss_points(solution.x)
-    dense = solution.sol(x)
-    shape: list[Array] = []
-    energy = volume = 0.0
-    for zone in problem.zones(solution.x, solution.y, u):
-        rho, _, _, size, first, across = problem.local(zone, u)
-        z = getattr(zone.state, "z", np.zeros_like(rho))
-        part = [zone.state.r, z, first, zone.state.r / rho, size / rho, across]
-        shape.append(np.array(part)[:, ::-1])
-    rates: Any = _parts(solution.sol(x, 1))
-    for zone, rate in zip(problem.zones(x, dense, u), rates, strict=True):
-        rho, *_, first, _ = problem.local(zone, u)
-        area = rho * zone.rate / u.inflation * weight
-        energy += float(np.sum(problem.law.energy(first, zone.state.r / rho) * area))
-        if isinstance(rate, _Free):
-            # By quadrature of the shape, not from the state that was held to it.
-            volume += float(np.pi * np.sum(zone.state.r**2 * rate.z * weight))
-    # What lies in no zone: the middle of the plate, and below the probe.
+    # The middle of the plate lies in no zone.
     middle = np.array([0.0, 0.0, np.nan, np.nan, 0.0, 0.0])
-    even = [(np.pi - problem.edge, u.inflation)]
-    if stretch := problem.even_stretch(solution, u):
-        middle[2:4], middle[4:] = stretch, problem.law.even_stress(stretch)
-        even.append((u.core, stretch))
-    for arc, stretch in even:
-        energy += problem.law.even_energy(stretch) * (1 - np.cos(arc)) / u.inflation**2
+    if not problem.slack:
+        middle[2:4] = stretch = problem.even(solution)[-1][1]
+        middle[4:] = problem.law.even_stress(stretch)
     # From the probe's edge to the plate's middle; zones share their ends.
-    meridian = np.column_stack([*reversed(shape), middle])
+    zones = [zone[:, ::-1] for zone in reversed(problem.meridian(solution))]
+    meridian = np.column_stack([*zones, middle])
     again = np.flatnonzero(np.hypot(*np.diff(meridian[:2])) == 0) + 1
     dimple = _parts(solution.y)[2]
-    return in_units(
-        np.delete(meridian, again, axis=1),
-        modulus,
-        h,
-        radius,
-        depth=dimple.z[0] - dimple.z[-1],
-        approach=2 - dimple.z[-1],
-        rim_radius=u.rim,
-        pressure=u.pressure,
-        energy=2 * np.pi * energy,
-        volume=volume,
-    )
+    sizes = {"depth": dimple.z[0] - dimple.z[-1], "approach": 2 - dimple.z[-1]}
+    sizes |= {"rim_radius": u.rim, "pressure": u.pressure, **problem.stored(solution)}
+    return in_units(np.delete(meridian, again, axis=1), modulus, h, radius, sizes)

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
+from scipy.integrate import cumulative_trapezoid
 
 from microlib._common import Array, scalar
 from microlib.membrane._laws import Law, law_of
 from microlib.membrane._point_load import warn_of_units
-from microlib.membrane._solver import Guess, MembraneState, Problem, gauss_points, in_units
+from microlib.membrane._solver import Guess, MembraneState, Problem, Strip, in_units, strip_of
 
 _NODES = 60
 
@@ -33,6 +33,8 @@ class _Disc(Problem):
     inner: float  # undeformed radius of the probe's edge
     outer: float  # undeformed radius of the rim
     unit: float  # E h a in µN, for messages
+    #: Where it is given, force and pressure are a guess, and by what factor they are off is found.
+    depth: float | None = None
 
     # Relative residual of the collocation; the depth is then good to about 1e-9.
     tolerance = 1e-8
@@ -58,78 +60,89 @@ class _Disc(Problem):
         # Below 1e-8 rounding would be resolved.
         return max(height**2, abs(self.initial - rim), 1e-8), tension, load / tension + 1e-12
 
-    def material(self, t: Array) -> Array:
-        """Undeformed radius, graded towards the probe as the logarithm of the dimple is."""
-        return self.inner * (self.outer / self.inner) ** t
+    def material(self, t: Array) -> tuple[Array, Array]:
+        """Return the undeformed radius, graded as the logarithm of the dimple is, and its slope."""
+        grade = np.log(self.outer / self.inner)
+        x = self.inner * np.exp(grade * t)
+        return x, grade * x
 
-    def unpack(self, t: Array, y: Array) -> tuple[Array, Array, Array, Array]:
-        """Return undeformed and deformed radius, horizontal and vertical force a radian."""
-        move, tension, _ = self.scales
-        x = self.material(t)
-        r = x * self.initial + move * y[0]
-        return x, r, tension * y[1], self.force / (2 * np.pi) - self.pressure * r**2 / 2
+    def strips(self, t: Array, y: Array, k: Any) -> list[Strip]:
+        """Return the whole disc, with its load turned over: pressed from below, it hangs."""
+        move, tension, height = self.scales
+        x, rate = self.material(t)
+        r, z = x * self.initial + move * y[0], height * y[2]
+        load = 1.0 if k is None else np.exp(k[0])
+        force, pressure = -load * self.force, -load * self.pressure
+        return [strip_of(x, rate, r, z, tension * y[1], force, pressure)]
+
+    def rates(self, t: Array, slope: Array) -> list[tuple[Array, Array]]:
+        move, _, height = self.scales
+        return [(self.material(t)[1] * self.initial + move * slope[0], height * slope[2])]
 
     def slopes(self, t: Array, y: Array, k: Any = None) -> Array:
         """Right-hand side of the equilibrium over t."""
         move, tension, height = self.scales
-        x, r, horizontal, vertical = self.unpack(t, y)
-        size = np.hypot(horizontal, vertical)
-        first, hoop = self.law.meridian(size / x, r / x)
-        # The direction of a slack meridian is undetermined, and its size is then zero.
-        size = np.maximum(size, np.finfo(float).tiny)
-        rise = first * vertical / size
-        per_x = np.array(
-            [
-                (first * horizontal / size - self.initial) / move,
-                (hoop + self.pressure * r * rise) / tension,
-                rise / height,
-            ]
+        [strip] = self.strips(t, y, k)
+        outward, rise, pull = self.balance(strip)
+        return np.array(
+            [(outward - self.initial * strip.rate) / move, pull / tension, rise / height]
         )
-        return per_x * x * np.log(self.outer / self.inner)
 
     def edges(self, left: Array, right: Array, k: Any = None) -> Array:
         """Residual: the edges where they are held, the rim at height zero."""
-        move, _, _ = self.scales
+        move, _, height = self.scales
         rim = (1 - self.outer * self.initial) / move
-        return np.array([left[0], right[0] - rim, right[2]])
+        depth = [] if self.depth is None else [left[2] + self.depth / height]
+        return np.array([left[0], right[0] - rim, right[2], *depth])
 
     def guess(self) -> Guess:
         """Return a state near enough for a moderate force: evenly stretched, in balance."""
         move, tension, height = self.scales
         t = np.linspace(0.0, 1.0, _NODES)
-        x = self.material(t)
+        x, _ = self.material(t)
         vertical = self.force / (2 * np.pi) - self.pressure * x**2 / (2 * self.outer**2)
         rise = np.clip(vertical / (0.5 * tension * x), -2, 2)
-        steps = (rise[1:] + rise[:-1]) / 2 * np.diff(x)
-        z = np.concatenate([[0.0], np.cumsum(steps)])
+        z = cumulative_trapezoid(rise, x, initial=0.0)
         rim = (1 - self.outer * self.initial) / move
-        return t, np.array([rim * t, 0.5 * x, (z - z[-1]) / height]), None
+        known = None if self.depth is None else np.zeros(1)
+        return t, np.array([rim * t, 0.5 * x, (z - z[-1]) / height]), known
 
     def stages(self) -> Iterator[_Disc]:
         """Yield problems of a load that grows to this one's."""
         for share in 3.0 ** -np.arange(8, -1, -1):
-            yield replace(self, force=share * self.force, pressure=share * self.pressure)
+            yield replace(
+                self, force=share * self.force, pressure=share * self.pressure, depth=None
+            )
+        if self.depth is not None:
+            yield self
 
-    def virtual_work(self, solution: Any) -> float:
-        """Return the imbalance of virtual work for a swelling of the whole shape, relative."""
-        move, _, height = self.scales
-        t, weight = gauss_points(solution.x)
-        y, rate = solution.sol(t), solution.sol(t, 1)
-        x, r, _, _ = self.unpack(t, y)
-        per_t = x * np.log(self.outer / self.inner)
-        r_rate = self.initial + move * rate[0] / per_t
-        z, z_rate = height * y[2], height * rate[2] / per_t
-        first, second = np.hypot(r_rate, z_rate), r / x
-        along, across = self.law.relaxed_stress(first, second)
-        area = x * per_t * weight
-        inside = np.sum((along * first + across * second) * area)
-        push = self.pressure * np.sum((r_rate * z - z_rate * r) * r * per_t * weight)
-        ends = self.unpack(solution.x[[0, -1]], solution.y[:, [0, -1]])
-        outward = ends[2][1] * ends[1][1] - ends[2][0] * ends[1][0]
-        down = -ends[3][0] * height * solution.y[2, 0]
-        work = outward + down + push
-        parts = abs(inside) + abs(outward) + abs(down)
-        return float(abs(inside - work) / parts) if parts else 0.0
+    def after(self, solved: _Disc, solution: Any) -> tuple[_Disc, Guess]:
+        known = None if self.depth is None else np.zeros(1)
+        return self, (solution.x, solution.y, known)
+
+    def of_modulus(self, modulus: float) -> _Disc:
+        """Return a stiffer disc's problem under the same load."""
+        return replace(
+            self,
+            force=self.force / modulus,
+            pressure=self.pressure / modulus,
+            unit=self.unit * modulus,
+        )
+
+    def even(self, solution: Any) -> list[tuple[float, float]]:
+        """The part below the probe keeps its pretension."""
+        return [(np.pi * self.inner**2, self.initial)]
+
+    def upright(self) -> Any:
+        """Return the solution, unless the membrane folds."""
+        _, solution = self.find()
+        tension = solution.y[1]
+        if (tension <= 0).any():
+            where = "below the probe" if tension[0] <= 0 else "over its rim"
+            raise ValueError(
+                f"force must leave the membrane upright, got one that folds it {where}{self.said}"
+            )
+        return solution
 
 
 def indent_disc(
@@ -220,8 +233,8 @@ def indent_disc(
     - ``"mooney-rivlin"``: :math:`W = C_1(I_1 - 3) + C_2(I_2 - 3)`, :math:`C_2 = 0.2\,C_1`,
       :math:`E = 6(C_1 + C_2)`
 
-    A solution is returned only if a second integration of the equations and the balance of virtual
-    work for a uniform swelling agree with it to 1e-5.
+    A solution is returned only if the balance of virtual work for a uniform swelling agrees with it
+    to 1e-5.
 
     For p = 0, ν = 1/3, Hooke and small slopes there is a closed form (derived here),
     :math:`F = \frac{\pi}{3} E h w^3 / (a^2 (1 - (c/a)^{2/3})^3)`.
@@ -235,51 +248,28 @@ def indent_disc(
     >>> print(f"{state.depth:.2f} µm")
     60.58 µm
     """
-    load = scalar("force", force, least=0)
+    load, a = scalar("force", force, least=0), scalar("radius", radius, above=0)
     stiffness, h = scalar("modulus", modulus, above=0), scalar("thickness", thickness, above=0)
-    a = scalar("radius", radius, above=0)
-    c = scalar("probe_half_width", probe_half_width, within=(0.0, a))
-    initial = 1 + scalar("pretension", pretension, least=0)
-    inset = scalar("rim_inset", rim_inset, least=0)
-    if inset >= 0.5:
-        raise ValueError(f"rim_inset must lie in [0, 0.5), got {inset:g}")
-    below = load / (np.pi * a**2)
-    if not isinstance(pressure, str):
-        below = scalar("pressure", pressure, least=0)
-    elif pressure != "balance":
-        raise ValueError(f"pressure must be 'balance' or a number, got {pressure!r}")
-    outer = 1 / (initial * (1 - inset))
-    if outer <= 1.01 * c / a / initial:
-        raise ValueError(f"probe_half_width must leave a membrane to its rim, got {c:g} of {a:g}")
-    problem = _Disc(
-        law=law_of(law, poisson_ratio),
-        force=load / (stiffness * h * a),
-        pressure=below * a / (stiffness * h),
-        initial=initial,
-        inner=c / a / initial,
-        outer=outer,
-        unit=stiffness * h * a,
+    free = _unit_disc(
+        load, a, h, probe_half_width, poisson_ratio, law, pressure, pretension, rim_inset
     )
-    if load == 0 and below == 0:
-        if inset == 0:
-            # The disc that nothing presses, evenly stretched.
-            r, same = np.geomspace(c / a, 1.0, _NODES), np.ones((2, _NODES))
-            stress, energy = problem.law.even_stress(initial), problem.law.even_energy(initial)
-            flat = np.vstack([r, 0 * r, initial * same, stress * same])
-            stored = np.pi * energy / initial**2
-            return in_units(flat, stiffness, h, a, rim_radius=1.0, energy=stored)
-        if initial * (1 - inset) <= 1:
-            raise ValueError(
-                f"force must be positive where rim_inset {inset:g} leaves a slack disc, got 0"
-            )
-    _, solution = problem.find()
-    _, _, horizontal, _ = problem.unpack(solution.x, solution.y)
-    if (horizontal <= 0).any():
-        where = "below the probe" if horizontal[0] <= 0 else "over its rim"
+    problem = free.of_modulus(stiffness)
+    if load == problem.pressure == rim_inset == 0:
+        # The disc that nothing presses, evenly stretched.
+        stretch, stress = problem.initial, problem.law.even_stress(problem.initial)
+        r = np.geomspace(probe_half_width / a, 1.0, _NODES)
+        flat = np.array([r, 0 * r, *np.outer([stretch, stretch, stress, stress], np.ones(_NODES))])
+        energy = np.pi / stretch**2 * problem.law.even_energy(stretch)
+        return in_units(flat, stiffness, h, a, {"rim_radius": 1.0, "energy": energy})
+    if load == problem.pressure == 0 and problem.outer >= 1:
         raise ValueError(
-            f"force must leave the membrane upright, got one that folds it {where}{problem.said}"
+            f"force must be positive where rim_inset {rim_inset:g} leaves a slack disc, got 0"
         )
-    return _state(problem, solution, stiffness, a, h)
+    solution = problem.upright()
+    [meridian] = problem.meridian(solution)
+    depth = -meridian[1, 0]
+    sizes = {"depth": depth, "approach": depth, "rim_radius": 1.0, "pressure": problem.pressure}
+    return in_units(meridian, stiffness, h, a, sizes | problem.stored(solution))
 
 
 def disc_modulus(
@@ -326,8 +316,8 @@ def disc_modulus(
 
     Notes
     -----
-    `indent_disc` is solved for the modulus whose depth is `depth`; the depth falls as the modulus
-    grows.
+    The equations of `indent_disc` are solved with the depth given and F/(E h a) unknown. The depth
+    falls as the modulus grows.
 
     Examples
     --------
@@ -337,83 +327,56 @@ def disc_modulus(
     1.30 MPa
     """
     load, a = scalar("force", force, above=0), scalar("rim_radius", rim_radius, above=0)
-    target = scalar("depth", depth, above=0)
-
-    def excess(log_modulus: float) -> float:
-        state = indent_disc(
-            load,
-            modulus=float(np.exp(log_modulus)),
-            radius=a,
-            thickness=thickness,
-            probe_half_width=probe_half_width,
-            poisson_ratio=poisson_ratio,
-            law=law,
-            pressure=pressure,
-            pretension=pretension,
-            rim_inset=rim_inset,
-        )
-        return (state.depth - target) / a
-
-    # F = E h w³/a² up to a factor: within a few e-foldings of any law and load.
-    start = np.log(load * a**2 / (scalar("thickness", thickness, above=0) * target**3))
-    low, high = _bracket(excess, start, target)
-    found = float(np.exp(brentq(excess, low, high)))
+    target, h = scalar("depth", depth, above=0), scalar("thickness", thickness, above=0)
+    free = _unit_disc(
+        load, a, h, probe_half_width, poisson_ratio, law, pressure, pretension, rim_inset
+    )
+    # The closed form of small slopes, and what a drum bears beside it.
+    steep, zeta = target / a, free.inner * free.initial
+    drum = 2 * np.pi * free.law.even_stress(free.initial) * steep / -np.log(zeta)
+    start = free.force / (np.pi / 3 * (steep / (1 - zeta ** (2 / 3))) ** 3 + drum)
+    try:
+        solution = replace(free.of_modulus(start), depth=steep).upright()
+    except ValueError as reason:
+        raise ValueError(
+            f"depth must be one that some modulus gives, got {target:g} µm: {reason}"
+        ) from None
+    found = float(start / np.exp(solution.p[0]))
     warn_of_units(found)
     return found
 
 
-def _bracket(excess: Any, start: float, depth: float) -> tuple[float, float]:
-    """Return log moduli of a deeper and of a shallower dimple than the one measured."""
-    above = start
-    try:
-        while excess(above) > 0:
-            above += 1.0
-            if above > start + 12:
-                raise ValueError("the stiffest membrane tried hangs deeper")
-    except ValueError as reason:
-        raise ValueError(
-            f"depth must be one that some modulus gives, got {depth:g} µm: {reason}"
-        ) from None
-    below, step = above, 1.0
-    # A dimple within 1 % of the deepest is refused.
-    while above - below < 25 and step > 0.02:
-        try:
-            if excess(below - step) >= 0:
-                return below - step, below
-            below -= step
-        except ValueError:
-            # Softer ones fold; the one that is deep enough may lie before them.
-            step /= 2
-    raise ValueError(
-        f"depth must be one that some modulus gives, got {depth:g} µm: softer membranes are not "
-        "deep enough or fold"
-    )
-
-
-def _state(problem: _Disc, solution: Any, modulus: float, a: float, h: float) -> MembraneState:
-    _, _, height = problem.scales
-    t, weight = gauss_points(solution.x)
-    y = solution.sol(t)
-    x, r, horizontal, vertical = problem.unpack(t, y)
-    stretch, _ = problem.law.meridian(np.hypot(horizontal, vertical) / x, r / x)
-    area = x**2 * np.log(problem.outer / problem.inner) * weight
-    energy = 2 * np.pi * np.sum(problem.law.energy(stretch, r / x) * area)
-    energy += np.pi * problem.inner**2 * problem.law.even_energy(problem.initial)
-    # Shells between the axis and the membrane, one above the other, from the probe to the rim.
-    volume = np.pi * np.sum(r**2 * height * solution.sol(t, 1)[2] * weight)
-    x, r, horizontal, vertical = problem.unpack(solution.x, solution.y)
-    along = np.hypot(horizontal, vertical) / x
-    first, across = problem.law.meridian(along, r / x)
-    z = height * solution.y[2]
-    return in_units(
-        np.array([r, z, first, r / x, along, across]),
-        modulus,
-        h,
-        a,
-        depth=-z[0],
-        approach=-z[0],
-        rim_radius=1.0,
-        pressure=problem.pressure,
-        energy=energy,
-        volume=volume,
+def _unit_disc(
+    load: float,
+    a: float,
+    h: float,
+    probe_half_width: float,
+    poisson_ratio: float,
+    law: str,
+    pressure: float | str,
+    pretension: float,
+    rim_inset: float,
+) -> _Disc:
+    """Return the problem of a disc whose modulus is 1 MPa."""
+    c = scalar("probe_half_width", probe_half_width, within=(0.0, a))
+    initial = 1 + scalar("pretension", pretension, least=0)
+    inset = scalar("rim_inset", rim_inset, least=0)
+    if inset >= 0.5:
+        raise ValueError(f"rim_inset must lie in [0, 0.5), got {inset:g}")
+    below = load / (np.pi * a**2)
+    if not isinstance(pressure, str):
+        below = scalar("pressure", pressure, least=0)
+    elif pressure != "balance":
+        raise ValueError(f"pressure must be 'balance' or a number, got {pressure!r}")
+    outer = 1 / (initial * (1 - inset))
+    if outer <= 1.01 * c / a / initial:
+        raise ValueError(f"probe_half_width must leave a membrane to its rim, got {c:g} of {a:g}")
+    return _Disc(
+        law=law_of(law, poisson_ratio),
+        force=load / (h * a),
+        pressure=below * a / h,
+        initial=initial,
+        inner=c / a / initial,
+        outer=outer,
+        unit=h * a,
     )

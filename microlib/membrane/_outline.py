@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice, product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -142,78 +142,16 @@ def fit_capsule(
     if (wide := np.ptp(points[:, 0])) <= c:
         raise ValueError(f"outline must be wider than half the probe, {c:g} µm, got {wide:g} µm")
     known = None if radius is None else scalar("radius", radius, above=0)
-    settings: dict[str, Any] = {
-        "thickness": thickness,
-        "probe_half_width": c,
-        "poisson_ratio": poisson_ratio,
-        "law": law,
-    }
+    tilted = flag("fit_tilt", fit_tilt)
     near = None
     if start is not None:
         first = as_array("start", start, shape=(2,))
         near = (scalar("start", first[0], above=0), scalar("start", first[1], least=1))
-    upright = 4 + (known is None)
-    tilted = flag("fit_tilt", fit_tilt)
-    middle = points.mean(axis=0)
-    shells: dict[tuple[float, ...], MembraneState] = {}
-    last: Solved | None = None
-
-    def shell(values: Array) -> MembraneState:
-        nonlocal last
-        size = float(values[4]) if known is None else known
-        key = (float(values[0]), float(values[1]), size)
-        if key not in shells:
-            # The search goes on from where it was: a third of the time.
-            wall = (size, *settings.values())
-            shells[key], last = indent_near(last, load, float(np.exp(key[0])), key[1], wall)
-        return shells[key]
-
-    def distances(values: Array, used: Array) -> Array:
-        try:
-            state = shell(values)
-        except ValueError:
-            # No such capsule: further than any point can be.
-            return np.full(len(used), np.ptp(used))
-        if values.size > upright:
-            used = middle + (used - middle) @ _turn(values[-1])
-        # A point that the axis comes too near to stays beside the probe: no distance jumps.
-        across = np.maximum(np.abs(used[:, 0] - values[2]), c)
-        return _signed_distances(across, used[:, 1] - values[3], state.r, state.z)
-
-    def search(start: Array) -> tuple[Array, OptimizeResult]:
-        used = points[np.abs(points[:, 0] - start[2]) > c]
-        # Counted from the start, but for the plate's height, whose distance from its origin is how
-        # far the first step may go.
-        origin = start.copy()
-        origin[3] -= _FIRST_STEP * np.ptp(points[:, 0])
-        lowest = np.full(start.size, -np.inf)
-        lowest[1] = 1.0 - origin[1]
-        # Far above the solver's error, far below any curvature.
-        step = 1e-4 * np.array([1.0, 1.0, wide, wide, *start[4:upright], 1.0])
-
-        def slopes(moved: Array) -> Array:
-            here = distances(origin + moved, used)
-            moves = np.diag(step[: start.size])
-            return np.transpose(
-                [(distances(origin + moved + move, used) - here) / move.sum() for move in moves]
-            )
-
-        fit = least_squares(
-            lambda moved: distances(origin + moved, used),
-            start - origin,
-            jac=slopes,
-            bounds=(lowest, np.inf),
-            x_scale="jac",
-            # Of N points it is N × 1e-6 of their variance, which moves no parameter by more than
-            # 0.03 of its deviation for a thousand of them.
-            ftol=1e-6,
-            max_nfev=40,
-        )
-        return origin + fit.x, fit
-
+    shell = {"thickness": thickness, "probe_half_width": c, "poisson_ratio": poisson_ratio}
+    fit = _Fit(load, points, shell | {"law": law}, known)
     searches = []
-    for guess in islice(_starts(load, points, c, known, settings, near), _MOST_SEARCHES):
-        searches.append(search(guess))
+    for guess in islice(fit.starts(near), _MOST_SEARCHES):
+        searches.append(fit.search(guess))
         place, found = min(searches, key=lambda each: float(each[1].cost))
         # Whoever says where to begin knows the egg: a search that comes this near was not caught.
         if near is not None and np.sqrt(np.mean(found.fun**2)) < thickness:
@@ -224,22 +162,144 @@ def fit_capsule(
         if left[1:] @ left[:-1] <= 0.85 * (left @ left):
             break
     # Once more with the points that lie outside the probe as it was found.
-    place, found = search(np.append(place, 0.0) if tilted else place)
-    left = found.fun
-    spread = _covariance(found.jac, left)
-    modulus = float(np.exp(place[0]))
-    tilt = float(place[-1]) if tilted else 0.0
-    center = middle + _turn(tilt) @ (place[2:4] - middle)
+    place, found = fit.search(place, tilted)
+    modulus = float(np.exp(place.log_modulus))
+    spread = _covariance(found.jac, found.fun)[0, 0]  # of the logarithm
+    center = fit.middle + _turn(place.tilt) @ ((place.axis, place.plate) - fit.middle)
     return CapsuleFit(
         modulus=modulus,
-        modulus_std=float(modulus * np.sqrt(spread[0, 0])),
-        inflation=float(place[1]),
-        radius=float(place[4]) if known is None else known,
+        modulus_std=float(modulus * np.sqrt(spread)),
+        inflation=float(place.inflation),
+        radius=float(place.radius),
         center=(float(center[0]), float(center[1])),
-        tilt=tilt,
-        misfit=float(np.sqrt(np.mean(left**2))),
-        state=shell(place),
+        tilt=float(place.tilt),
+        misfit=float(np.sqrt(np.mean(found.fun**2))),
+        state=fit.state(place),
     )
+
+
+class _Place(NamedTuple):
+    """A capsule, and where it lies in the outline's coordinates; the tilt is about the middle."""
+
+    log_modulus: float
+    inflation: float
+    axis: float
+    plate: float
+    radius: float
+    tilt: float = 0.0
+
+
+class _Fit:
+    """The search for the capsule that passes closest to the points of an outline."""
+
+    def __init__(
+        self, force: float, points: Array, shell: dict[str, Any], radius: float | None
+    ) -> None:
+        self.force, self.points, self.shell, self.radius = force, points, shell, radius
+        self.middle, self.wide = points.mean(axis=0), float(np.ptp(points[:, 0]))
+        self._states: dict[tuple[float, ...], MembraneState] = {}
+        self._last: Solved | None = None
+
+    def state(self, place: _Place) -> MembraneState:
+        """Return the capsule; the search for it goes on from the last: a third of the time."""
+        key = (float(place.log_modulus), float(place.inflation), float(place.radius))
+        if key not in self._states:
+            modulus, wall = float(np.exp(key[0])), (key[2], *self.shell.values())
+            found = indent_near(self._last, self.force, modulus, key[1], wall)
+            self._states[key], self._last = found
+        return self._states[key]
+
+    def distances(self, place: _Place, used: Array) -> Array:
+        """Return how far points lie from the meridian, positive on one side of it."""
+        try:
+            state = self.state(place)
+        except ValueError:
+            # No such capsule: further than any point can be.
+            return np.full(len(used), np.ptp(used))
+        if place.tilt:
+            used = self.middle + (used - self.middle) @ _turn(place.tilt)
+        # A point that the axis comes too near to stays beside the probe: no distance jumps.
+        across = np.maximum(np.abs(used[:, 0] - place.axis), self.shell["probe_half_width"])
+        return _signed_distances(across, used[:, 1] - place.plate, state.r, state.z)
+
+    def search(self, start: _Place, tilted: bool = False) -> tuple[_Place, OptimizeResult]:
+        """Return the place nearest to the points beside the probe, and SciPy's result."""
+        off_axis = np.abs(self.points[:, 0] - start.axis)
+        used = self.points[off_axis > self.shell["probe_half_width"]]
+        sought = [True, True, True, True, self.radius is None, tilted]
+        # Counted from the start, but for the plate's height, whose distance from its origin is how
+        # far the first step may go.
+        origin = np.array(start)
+        origin[3] -= _FIRST_STEP * self.wide
+        # Far above the solver's error, far below any curvature.
+        step = 1e-4 * np.array([1.0, 1.0, self.wide, self.wide, start.radius, 1.0])[sought]
+        least = np.array([-np.inf, 1.0 - origin[1], *[-np.inf] * 4])[sought]
+
+        def place(moved: Array) -> _Place:
+            there = origin.copy()
+            there[sought] += moved
+            return _Place(*there)
+
+        def left(moved: Array) -> Array:
+            return self.distances(place(moved), used)
+
+        def slopes(moved: Array) -> Array:
+            here = left(moved)
+            return np.transpose([(left(moved + by) - here) / by.sum() for by in np.diag(step)])
+
+        fit = least_squares(
+            left,
+            (np.array(start) - origin)[sought],
+            jac=slopes,
+            bounds=(least, np.inf),
+            x_scale="jac",
+            # Of N points it is N × 1e-6 of their variance, which moves no parameter by more than
+            # 0.03 of its deviation for a thousand of them.
+            ftol=1e-6,
+            max_nfev=40,
+        )
+        return place(fit.x), fit
+
+    def starts(self, given: tuple[float, float] | None) -> Iterator[_Place]:
+        """Yield the capsule that was given, and those that turn where the points do."""
+        (x, z), c = self.points.T, self.shell["probe_half_width"]
+        crest, half = float(z.max()), self.wide / 2
+        top = x[z > crest - 0.01 * half]
+        # Two crests have the dimple between them; one is that of a single side, from its axis.
+        between = (x > top.min()) & (x < top.max()) & (z > crest - half)
+        two = between.any() and crest - z[between].min() > 0.015 * half
+        axis = float(top.min() + top.max()) / 2 if two else 0.0
+        across = np.abs(x - axis)
+        size = float(across.max()) if self.radius is None else self.radius
+        if given is not None:
+            with suppress(ValueError):  # no such capsule: the outline itself says where to begin
+                modulus, inflation = given
+                egg = indent_capsule(
+                    self.force, modulus=modulus, inflation=inflation, radius=size, **self.shell
+                )
+                yield _Place(np.log(modulus), inflation, axis, crest - egg.z.max(), size)
+        rim = float(np.clip(np.median(np.abs(top - axis)), 3 / 2 * c, 0.8 * size))
+        depth = max(_depth(across, crest - z, rim, c, size), 0.02 * size)
+        # The crest is flat, so its radius is the least certain.
+        refused, found = None, False
+        for wider, deeper in product((1.0, 0.9, 1.1, 0.8), (1.0, 1.4, 2.0)):
+            try:
+                near = capsule_modulus(
+                    self.force, wider * rim, deeper * depth, radius=size, **self.shell
+                )
+            except ValueError as reason:
+                refused = reason
+                continue
+            if not LEAST <= near.modulus <= LARGEST:
+                raise ValueError(
+                    f"force must be that of a wall of {LEAST:g} to {LARGEST:g} MPa, got "
+                    f"{self.force:g} µN, which takes {near.modulus:g} MPa"
+                )
+            found = True
+            plate = crest - near.state.z.max()
+            yield _Place(np.log(near.modulus), near.inflation, axis, plate, size)
+        if not found:
+            raise ValueError(f"outline must be near to that of a capsule: {refused}")
 
 
 def _turn(angle: float) -> Array:
@@ -248,59 +308,16 @@ def _turn(angle: float) -> Array:
     return np.array([[cos, sin], [-sin, cos]])
 
 
-def _starts(
-    force: float,
-    points: Array,
-    c: float,
-    radius: float | None,
-    settings: dict[str, Any],
-    start: tuple[float, float] | None,
-) -> Iterator[Array]:
-    """Yield log modulus, inflation, axis, plate and radius from where the points turn."""
-    x, z = points.T
-    crest, wide = float(z.max()), float(np.ptp(x)) / 2
-    top = x[z > crest - 0.01 * wide]
-    # Two crests have the dimple between them; one is that of a single side, seen from its axis.
-    between = (x > top.min()) & (x < top.max()) & (z > crest - wide)
-    two = between.any() and crest - z[between].min() > 0.015 * wide
-    axis = float(top.min() + top.max()) / 2 if two else 0.0
-    across = np.abs(x - axis)
-    size = radius if radius is not None else float(across.max())
-    own = [] if radius is not None else [size]
-    if start is not None:
-        with suppress(ValueError):  # no such capsule: the outline itself says where to begin
-            egg = indent_capsule(
-                force, modulus=start[0], inflation=start[1], radius=size, **settings
-            )
-            yield np.array([np.log(start[0]), start[1], axis, crest - egg.z.max(), *own])
-    rim = float(np.clip(np.median(np.abs(top - axis)), 3 / 2 * c, 0.8 * size))
-    inside = (across < rim) & (across > c) & (z > crest - size)
-    depth = 0.02 * size
-    if inside.any():
-        # The outline ends beside the probe, where it is steepest: it goes on as a logarithm.
-        first = float(across[inside].min())
-        beside = inside & (across < 2 * first)
-        fall = np.polyfit(np.log(across[beside]), z[beside], 1)[0] if beside.sum() > 2 else 0.0
-        below = crest - float(z[beside].min()) + max(float(fall), 0.0) * np.log(first / c)
-        depth = max(below, depth)
-    # The crest is flat, so its radius is the least certain.
-    refused, found = None, False
-    for wider, deeper in product((1.0, 0.9, 1.1, 0.8), (1.0, 1.4, 2.0)):
-        try:
-            near = capsule_modulus(force, wider * rim, deeper * depth, radius=size, **settings)
-        except ValueError as reason:
-            refused = reason
-            continue
-        if not LEAST <= near.modulus <= LARGEST:
-            raise ValueError(
-                f"force must be that of a wall of {LEAST:g} to {LARGEST:g} MPa, got {force:g} µN, "
-                f"which takes {near.modulus:g} MPa"
-            )
-        found = True
-        plate = crest - near.state.z.max()
-        yield np.array([np.log(near.modulus), near.inflation, axis, plate, *own])
-    if not found:
-        raise ValueError(f"outline must be near to that of a capsule: {refused}")
+def _depth(across: Array, below: Array, rim: float, c: float, size: float) -> float:
+    """Return how deep the outline lies at the probe's edge, which it ends beside."""
+    inside = (across < rim) & (across > c) & (below < size)
+    if not inside.any():
+        return 0.0
+    # It is steepest there, and goes on as a logarithm.
+    first = float(across[inside].min())
+    beside = inside & (across < 2 * first)
+    slope = np.polyfit(np.log(across[beside]), below[beside], 1)[0] if beside.sum() > 2 else 0.0
+    return float(below[beside].max() - min(slope, 0.0) * np.log(first / c))
 
 
 def _signed_distances(across: Array, up: Array, r: Array, z: Array) -> Array:

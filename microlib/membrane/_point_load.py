@@ -11,8 +11,8 @@ Lengths are in µm and forces in µN, so moduli and stresses are in µN/µm² = 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
-from typing import overload
+from collections.abc import Callable, Mapping
+from typing import Any, ParamSpec, Protocol, cast, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +23,25 @@ from microlib._common import Array, as_array, flag, poisson, positive
 _GAUSS = np.polynomial.legendre.leggauss(64)
 #: MPa: 10 Pa is the softest of gels, and steel has 2e5.
 _SOFTEST, _STIFFEST = 1e-5, 2e5
+
+
+Given = ParamSpec("Given")
+
+
+class Formula(Protocol[Given]):
+    """A function that returns a number for numbers, and else an array; see `elementwise`."""
+
+    @overload
+    def __call__(  # type: ignore[overload-overlap]
+        self, *args: float, **kwargs: float
+    ) -> float: ...
+    @overload
+    def __call__(self, *args: Given.args, **kwargs: Given.kwargs) -> Array: ...
+
+
+def elementwise(formula: Callable[Given, Array]) -> Formula[Given]:
+    """Return a formula as it is; to a type checker it returns a float where all arguments are."""
+    return cast(Any, formula)
 
 
 class SmallSlopeWarning(UserWarning):
@@ -40,17 +59,7 @@ class SmallSlopeWarning(UserWarning):
     limit = 0.1  # there finite_slope_modulus is 1.05 times elastic_modulus at c/a = 0.1 (tests)
 
 
-@overload
-def elastic_modulus(
-    force: float,
-    dimple_radius: float,
-    dimple_depth: float,
-    *,
-    thickness: float,
-    probe_half_width: float,
-    poisson_ratio: float,
-) -> float: ...
-@overload
+@elementwise
 def elastic_modulus(
     force: ArrayLike,
     dimple_radius: ArrayLike,
@@ -59,16 +68,7 @@ def elastic_modulus(
     thickness: ArrayLike,
     probe_half_width: ArrayLike,
     poisson_ratio: ArrayLike,
-) -> Array: ...
-def elastic_modulus(
-    force: ArrayLike,
-    dimple_radius: ArrayLike,
-    dimple_depth: ArrayLike,
-    *,
-    thickness: ArrayLike,
-    probe_half_width: ArrayLike,
-    poisson_ratio: ArrayLike,
-) -> float | Array:
+) -> Array:
     r"""Elastic modulus of a membrane from one indentation, equation (5.2).
 
     .. math:: E = \frac{F a^2 (1-\nu)}{2\pi h w_d^3} \frac{1}{S(c/a)}
@@ -140,17 +140,7 @@ def elastic_modulus(
     return modulus
 
 
-@overload
-def indentation_force(
-    modulus: float,
-    dimple_radius: float,
-    dimple_depth: float,
-    *,
-    thickness: float,
-    probe_half_width: float,
-    poisson_ratio: float,
-) -> float: ...
-@overload
+@elementwise
 def indentation_force(
     modulus: ArrayLike,
     dimple_radius: ArrayLike,
@@ -159,16 +149,7 @@ def indentation_force(
     thickness: ArrayLike,
     probe_half_width: ArrayLike,
     poisson_ratio: ArrayLike,
-) -> Array: ...
-def indentation_force(
-    modulus: ArrayLike,
-    dimple_radius: ArrayLike,
-    dimple_depth: ArrayLike,
-    *,
-    thickness: ArrayLike,
-    probe_half_width: ArrayLike,
-    poisson_ratio: ArrayLike,
-) -> float | Array:
+) -> Array:
     r"""Force that makes a given dimple, equation (4.7).
 
     .. math:: F = \frac{2\pi E h w_d^3}{a^2(1-\nu)} S(c/a)
@@ -211,17 +192,7 @@ def indentation_force(
     return values["modulus"] * force_per_modulus(values)
 
 
-@overload
-def dimple_depth(
-    force: float,
-    dimple_radius: float,
-    modulus: float,
-    *,
-    thickness: float,
-    probe_half_width: float,
-    poisson_ratio: float,
-) -> float: ...
-@overload
+@elementwise
 def dimple_depth(
     force: ArrayLike,
     dimple_radius: ArrayLike,
@@ -230,16 +201,7 @@ def dimple_depth(
     thickness: ArrayLike,
     probe_half_width: ArrayLike,
     poisson_ratio: ArrayLike,
-) -> Array: ...
-def dimple_depth(
-    force: ArrayLike,
-    dimple_radius: ArrayLike,
-    modulus: ArrayLike,
-    *,
-    thickness: ArrayLike,
-    probe_half_width: ArrayLike,
-    poisson_ratio: ArrayLike,
-) -> float | Array:
+) -> Array:
     r"""Depth to which a force presses a membrane, equation (4.7) solved for w_d.
 
     .. math:: w_d = \left(\frac{F a^2 (1-\nu)}{2\pi E h\, S(c/a)}\right)^{1/3}
@@ -289,29 +251,14 @@ def dimple_depth(
     return depth
 
 
-@overload
-def dimple_profile(
-    radius: float,
-    dimple_radius: float,
-    dimple_depth: float,
-    *,
-    probe_half_width: float,
-) -> float: ...
-@overload
+@elementwise
 def dimple_profile(
     radius: ArrayLike,
     dimple_radius: ArrayLike,
     dimple_depth: ArrayLike,
     *,
     probe_half_width: ArrayLike,
-) -> Array: ...
-def dimple_profile(
-    radius: ArrayLike,
-    dimple_radius: ArrayLike,
-    dimple_depth: ArrayLike,
-    *,
-    probe_half_width: ArrayLike,
-) -> float | Array:
+) -> Array:
     r"""Depth of the deformed membrane below the rim, equations (4.2) and (4.3).
 
     .. math:: w(r) = w_d \frac{1-(r/a)^2+\ln(r/a)^2}{1-\zeta^2+\ln\zeta^2}, \qquad c \le r \le a
@@ -354,16 +301,7 @@ def dimple_profile(
     return values["dimple_depth"] * log_remainder(r / a, 2) / log_remainder(c / a, 2)
 
 
-@overload
-def membrane_stress(
-    force: float,
-    dimple_radius: float,
-    dimple_depth: float,
-    *,
-    thickness: float,
-    probe_half_width: float,
-) -> float: ...
-@overload
+@elementwise
 def membrane_stress(
     force: ArrayLike,
     dimple_radius: ArrayLike,
@@ -371,15 +309,7 @@ def membrane_stress(
     *,
     thickness: ArrayLike,
     probe_half_width: ArrayLike,
-) -> Array: ...
-def membrane_stress(
-    force: ArrayLike,
-    dimple_radius: ArrayLike,
-    dimple_depth: ArrayLike,
-    *,
-    thickness: ArrayLike,
-    probe_half_width: ArrayLike,
-) -> float | Array:
+) -> Array:
     r"""Stress in the membrane that carries the load: (4.3), from the balance (4.1), solved for
     :math:`\sigma_d`.
 
@@ -415,29 +345,14 @@ def membrane_stress(
     return -scale * log_remainder(zeta, 2)
 
 
-@overload
-def mean_strain(
-    dimple_radius: float,
-    dimple_depth: float,
-    *,
-    probe_half_width: float,
-    small_slopes: bool = True,
-) -> float: ...
-@overload
+@elementwise
 def mean_strain(
     dimple_radius: ArrayLike,
     dimple_depth: ArrayLike,
     *,
     probe_half_width: ArrayLike,
     small_slopes: bool = True,
-) -> Array: ...
-def mean_strain(
-    dimple_radius: ArrayLike,
-    dimple_depth: ArrayLike,
-    *,
-    probe_half_width: ArrayLike,
-    small_slopes: bool = True,
-) -> float | Array:
+) -> Array:
     r"""Mean strain of the dimple, equations (4.4) and (4.5).
 
     .. math:: \bar\varepsilon_d = \frac12

@@ -4,38 +4,65 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.integrate import solve_bvp
 
 from microlib._common import Array, Tidy
+from microlib.membrane._laws import Law
 
 #: Where a search begins: mesh, state, and unknowns beside the state, None where there are none.
 Guess = tuple[Array, Array, Array | None]
 
-_SUBSTEPS = 4
-_GAUSS = np.polynomial.legendre.leggauss(5)
-# What two independent checks of a solution may leave.
+#: Relative imbalance of virtual work that a solution may leave.
 _ACCEPTED = 1e-5
+
+
+class Strip(NamedTuple):
+    """A part of the meridian over x in [0, 1], without units; tensions are those a radian."""
+
+    rho: Array  # undeformed radius
+    rate: Array  # of the undeformed arc over x
+    r: Array
+    z: Array
+    tension: Array  # and its direction, outward and up
+    cosine: Array
+    sine: Array
+    pressure: float
+
+
+def strip_of(
+    rho: Array, rate: Array, r: Array, z: Array, pull: Array, force: float, pressure: float
+) -> Strip:
+    """Return the strip whose tension pulls outward and carries the probe and what presses on it."""
+    lift = pressure * r**2 / 2 - force / (2 * np.pi)
+    if not lift.any():  # level throughout, where a tension below zero is a compression
+        return Strip(rho, rate, r, z, pull, np.ones_like(r), lift, pressure)
+    tension = np.hypot(pull, lift)
+    # The direction of a slack meridian is undetermined, and its tension is then zero.
+    size = np.maximum(tension, np.finfo(float).tiny)
+    return Strip(rho, rate, r, z, tension, pull / size, lift / size, pressure)
 
 
 class Problem:
     """A membrane's equilibrium over x in [0, 1], without units, as SciPy's `solve_bvp` has it.
 
-    A subclass gives the equations, a guess, the imbalance of virtual work, which is none in
-    equilibrium, and the stages of a load that grows, for where the guess is too far.
+    A subclass gives the equations, a guess, and the stages of a load that grows, for where the
+    guess is too far.
     """
 
+    law: Law
     tolerance: float
     most_nodes: int
     said: Any  # the load, for messages
+    strips: Callable[..., list[Strip]]  # the parts of the meridian that a state is
+    rates: Callable[[Array, Array], list[tuple[Any, Any]]]  # of r and z over x, by the state's
     slopes: Callable[..., Array]  # right-hand side of the equilibrium
     edges: Callable[..., Array]  # residual at the ends
     jacobian: Any = None  # of the slopes, where differences are too slow
     guess: Callable[[], Guess]
     stages: Callable[[], Iterator[Any]]
-    virtual_work: Callable[[Any], float]  # its imbalance when the whole shape swells, relative
 
     def after(self, solved: Any, solution: Any) -> tuple[Any, Guess]:
         """Return this problem and its guess from the solution of the stage before."""
@@ -45,9 +72,11 @@ class Problem:
         """Return the problem and its checked solution, or None."""
         return self.checked(self.collocated(guess))
 
-    def collocated(
-        self, guess: Guess, tolerance: float | None = None, most_nodes: int | None = None
-    ) -> Any:
+    def even(self, solution: Any) -> list[tuple[float, float]]:
+        """Return undeformed area and stretch of what lies in no strip, stretched evenly."""
+        raise NotImplementedError
+
+    def collocated(self, guess: Guess, tolerance: float | None = None) -> Any:
         """Return SciPy's solution from a guess, or None."""
         x, y, k = guess
         with np.errstate(all="ignore"):
@@ -59,20 +88,16 @@ class Problem:
                 p=k,
                 fun_jac=self.jacobian,
                 tol=tolerance or self.tolerance,
-                max_nodes=most_nodes or self.most_nodes,
+                max_nodes=self.most_nodes,
             )
         return solution if solution.status == 0 and np.isfinite(solution.y).all() else None
 
     def checked(self, solution: Any) -> tuple[Any, Any] | None:
-        """Return a solution that passes two checks which the collocation knows nothing of."""
+        """Return a solution whose virtual work, of which the collocation knows nothing, is even."""
         if solution is None:
             return None
         with np.errstate(all="ignore"):
-            missed = reintegration_error(
-                lambda x, y: self.slopes(x, y, solution.p), solution.x, solution.y
-            )
-            sound = missed < _ACCEPTED and self.virtual_work(solution) < _ACCEPTED
-        return (self, solution) if sound else None
+            return (self, solution) if self.integrals(solution)[2] < _ACCEPTED else None
 
     def find(self) -> tuple[Any, Any]:
         """Return a solved problem and its solution, by growing loads where the guess is too far."""
@@ -85,6 +110,61 @@ class Problem:
                     break
         if found is None:
             raise ValueError(f"force must have an equilibrium, none was found{self.said}")
+        return found
+
+    def stressed(self, strip: Strip) -> tuple[Array, Array]:
+        """Return the meridian's stretch and the hoop stress."""
+        return self.law.meridian(strip.tension / strip.rho, strip.r / strip.rho)
+
+    def balance(self, strip: Strip) -> tuple[Array, Array, Array]:
+        """Return the slopes of r, z and the horizontal tension over x in equilibrium."""
+        first, hoop = self.stressed(strip)
+        outward, rise = first * strip.cosine, first * strip.sine
+        swept = strip.pressure * strip.r * rise
+        return outward * strip.rate, rise * strip.rate, (hoop - swept) * strip.rate
+
+    def integrals(self, solution: Any) -> tuple[float, float, float]:
+        """Return energy, volume below the meridian, and the imbalance of virtual work, relative.
+
+        When the whole shape swells, stresses do the work ∫(N₁λ₁ + N₂λ₂) ρ ds, the tensions at the
+        ends H r + V z, and the pressure p ∫ r (r dz − z dr); all a radian.
+        """
+        # Five abscissae of Gauss in every interval of the mesh.
+        nodes, weights = np.polynomial.legendre.leggauss(5)
+        half = np.diff(solution.x)[:, np.newaxis] / 2
+        x, weight = (solution.x[:-1, np.newaxis] + half + half * nodes).ravel(), half * weights
+        weight = weight.ravel()
+        energy = volume = inside = outside = 0.0
+        strips = self.strips(x, solution.sol(x), solution.p)
+        for strip, (r_rate, z_rate) in zip(strips, self.rates(x, solution.sol(x, 1)), strict=True):
+            first = np.hypot(r_rate / strip.rate, z_rate / strip.rate)
+            second = strip.r / strip.rho
+            along, across = self.law.relaxed_stress(first, second)
+            area = strip.rho * strip.rate * weight
+            inside += float((along * first + across * second) @ area)
+            energy += float(self.law.energy(first, second) @ area)
+            volume += float(strip.r**2 * z_rate @ weight)
+            pushed = strip.r * (strip.r * z_rate - strip.z * r_rate)
+            outside += strip.pressure * float(pushed @ weight)
+        for strip in self.strips(solution.x[[0, -1]], solution.y[:, [0, -1]], solution.p):
+            lever = strip.cosine * strip.r + strip.sine * strip.z
+            outside += float(np.diff(strip.tension * lever)[0])
+        imbalance = abs(inside - outside) / inside if inside else abs(outside)
+        return 2 * np.pi * energy, np.pi * volume, imbalance
+
+    def stored(self, solution: Any) -> dict[str, float]:
+        """Return energy and volume."""
+        energy, volume, _ = self.integrals(solution)
+        energy += sum(area * self.law.even_energy(by) for area, by in self.even(solution))
+        return {"energy": energy, "volume": volume}
+
+    def meridian(self, solution: Any) -> list[Array]:
+        """Return r, z, stretches and stresses at the nodes of each strip, (6, n) each."""
+        found = []
+        for strip in self.strips(solution.x, solution.y, solution.p):
+            first, hoop = self.stressed(strip)
+            stretches, along = (first, strip.r / strip.rho), strip.tension / strip.rho
+            found.append(np.array([strip.r, strip.z, *stretches, along, hoop]))
         return found
 
 
@@ -137,7 +217,7 @@ class MembraneState(Tidy):
 
 
 def in_units(
-    meridian: Array, modulus: float, thickness: float, length: float, **sizes: float
+    meridian: Array, modulus: float, thickness: float, length: float, sizes: dict[str, float]
 ) -> MembraneState:
     """Return a state from r, z, stretches and stresses, and what is not zero, without units."""
     by = {
@@ -153,29 +233,3 @@ def in_units(
         stresses=meridian[4:] * modulus,
         **{name: float(sizes.get(name, 0.0) * unit) for name, unit in by.items()},
     )
-
-
-def gauss_points(mesh: Array) -> tuple[Array, Array]:
-    """Return five abscissae in every interval of `mesh`, and their weights."""
-    nodes, weights = _GAUSS
-    half = np.diff(mesh)[:, None] / 2
-    points = (mesh[:-1, None] + half) + half * nodes
-    return points.ravel(), (half * weights).ravel()
-
-
-def reintegration_error(
-    slopes: Callable[[Array, Array], Array], mesh: Array, values: Array
-) -> float:
-    """Return how far Runge–Kutta, started at every node, misses the next node; relative."""
-    step = np.diff(mesh) / _SUBSTEPS
-    x, y = mesh[:-1].copy(), values[:, :-1].copy()
-    for _ in range(_SUBSTEPS):
-        k1 = slopes(x, y)
-        k2 = slopes(x + step / 2, y + step / 2 * k1)
-        k3 = slopes(x + step / 2, y + step / 2 * k2)
-        k4 = slopes(x + step, y + step * k3)
-        x, y = x + step, y + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    # The states are scaled to about 1; one that is zero throughout has no size of its own.
-    size = np.maximum(np.abs(values).max(axis=1, keepdims=True), 0.1)
-    # Summed over the intervals: errors of one sign would pile up so far.
-    return float((np.abs(y - values[:, 1:]) / size).sum(axis=1).max())

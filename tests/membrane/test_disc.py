@@ -165,10 +165,9 @@ def test_a_false_solution_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     honest = _disc._Disc.slopes
 
     def wrong(self: _disc._Disc, t: Any, y: Any, k: Any = None) -> Any:
-        _, r, _, _ = self.unpack(t, y)
         slopes = honest(self, t, y)
         _, tension, height = self.scales
-        slopes[1] -= 2 * self.pressure * r * slopes[2] * height / tension
+        slopes[1] -= 2 * self.pressure * self.strips(t, y, k)[0].r * slopes[2] * height / tension
         return slopes
 
     monkeypatch.setattr(_disc._Disc, "slopes", wrong)
