@@ -267,7 +267,7 @@ def one_of(name: str, value: object, known: tuple[str, ...]) -> str:
     return value
 
 
-def same_length(names: tuple[str, str], first: NDArray, second: NDArray) -> None:
+def same_length(names: tuple[str, ...], first: NDArray, second: NDArray) -> None:
     """Refuse two arrays whose first axes differ in length."""
     if len(first) != len(second):
         raise ValueError(

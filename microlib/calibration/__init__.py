@@ -2,12 +2,16 @@
 
 from microlib.calibration._calibrate import calibrate
 from microlib.calibration._calibration import Calibration
-from microlib.calibration._charuco import detect_charuco
-from microlib.calibration._detect import detect_circles, detect_micrometer, detect_squares
+from microlib.calibration._detect import (
+    detect_charuco,
+    detect_circles,
+    detect_micrometer,
+    detect_squares,
+)
 from microlib.calibration._detection import Detection
-from microlib.calibration._radial_alignment import linear_intrinsics, radial_alignment
 from microlib.calibration._stage import stage_affine
 from microlib.calibration._uncertainty import cramer_rao
+from microlib.calibration._views import linear_intrinsics, radial_alignment
 
 __all__ = [
     "Calibration",

@@ -8,17 +8,18 @@ determine is held or named, never made up.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
-from microlib._common import Array, as_array, between, inverse_normal, same_length, scalar
+from microlib._common import Array, as_array, between, inverse_normal, scalar
 from microlib.calibration._calibration import Calibration
 from microlib.calibration._detection import Detection
-from microlib.calibration._stage import span_plane
+from microlib.calibration._stage import plane_points
 from microlib.calibration._uncertainty import (
     BY_CHANCE,
     FARTHEST,
@@ -116,35 +117,21 @@ def calibrate(
     between("pixel_size", pixel_size, 1 / FARTHEST, FARTHEST)
     if focal_length is not None:
         focal_length = scalar("focal_length", focal_length, least=1 / FARTHEST, most=FARTHEST)
-    detections = [world] if isinstance(world, Detection) else world
-    if isinstance(detections, (list, tuple)) and any(isinstance(d, Detection) for d in detections):
+    found = [world] if isinstance(world, Detection) else world
+    if isinstance(found, (list, tuple)) and any(isinstance(each, Detection) for each in found):
         if any(given is not None for given in (image, image_size, groups)):
             raise ValueError("image, image_size and groups must not be given beside a detection")
-        worlds, images, labels, image_size = _of_detections(list(detections), pitch)
+        worlds, images, labels, image_size = _of_detections([*found], pitch)
     else:
         if pitch is not None:
             raise ValueError("pitch must be left out with points in µm, got one")
-        each: Any = (world, image, groups)
-        worlds, images, labels = each if _are_several(world) else ([x] for x in each)
-        labels = None if groups is None else labels
-        for name, given in (("image", images), ("groups", worlds if labels is None else labels)):
-            listed = isinstance(given, (list, tuple)) or np.ndim(given) > 0
-            if not listed or len(given) != len(worlds):
-                raise ValueError(f"{name} must hold one array for each of the {len(worlds)} views")
+        worlds, images, labels = _lists(world, image, groups)
     if image_size is None:
         raise ValueError("image_size must be given, (width, height) in px, got none")
     frame = Microscope(1.0, 1.0, 1.0, pixel_size=pixel_size, image_size=image_size)
-    pairs = [_points(w, i, image_size) for w, i in zip(worlds, images, strict=True)]
-    seen: list[Array] = [i - frame.principal_point for _, i in pairs]
-    views = Views([w for w, _ in pairs], seen, frame.cell, focal_length)
-    marks = None
-    if labels is not None:
-        zipped = zip(labels, seen, strict=True)
-        checked = [as_array("groups", label, shape=(len(points),)) for label, points in zipped]
-        marks = np.unique(np.concatenate(checked), return_inverse=True)[1]
-    elif len(pairs) > 1:
-        every = np.round(np.concatenate(views.world), 6)
-        marks = np.unique(every, axis=0, return_inverse=True)[1].ravel()
+    pairs = [_points(w, i, frame) for w, i in zip(worlds, images, strict=True)]
+    views = Views([w for w, _ in pairs], [s for _, s in pairs], frame, focal_length)
+    marks = _numbered(views, labels)
     fit, alone = fit_views(views)
     if marks is not None and marks.max() < len(fit.free):
         if groups is not None:
@@ -156,7 +143,7 @@ def calibrate(
         raise ValueError(
             f"world and image must fit a microscope, got magnifications {fit.poses[:, 0]}"
         )
-    return _report(views, fit, alone, marks, frame)
+    return _report(views, fit, alone, marks)
 
 
 def _of_detections(found: list[Any], pitch: float | None) -> tuple[Any, Any, Any, tuple[int, int]]:
@@ -170,75 +157,76 @@ def _of_detections(found: list[Any], pitch: float | None) -> tuple[Any, Any, Any
         raise ValueError("world must hold detections in images of one size, got several")
     numbers = None
     if any(len(np.unique(each.group)) < len(each.group) for each in found):
-        # A square's corners; the same in all views, whatever mark is the first in each.
-        cells = np.concatenate([each.grid // 2 for each in found])
-        ends = np.cumsum([len(each.grid) for each in found])[:-1]
-        numbers = np.split(np.unique(cells, axis=0, return_inverse=True)[1].ravel(), ends)
+        # Of the corners of a square one; the same in all views, whatever mark is the first in each.
+        numbers = [(each.grid // 2) @ [1, 1e6] for each in found]
     points = [each.points for each in found]
     return [pitch * each.positions for each in found], points, numbers, found[0].image_size
 
 
-def _are_several(world: Any) -> bool:
-    """True for a sequence of arrays of points, False for the points of one view."""
-    try:
-        return np.ndim(world[0]) == 2
-    except (TypeError, ValueError, IndexError, KeyError):  # told by the checks of one view
-        return False
+def _lists(world: Any, image: Any, groups: Any) -> tuple[Any, Any, Any]:
+    """World and image points of each view, and the groups where they are given."""
+    several = False
+    with suppress(TypeError, ValueError, IndexError, KeyError):  # told by the checks of one view
+        several = np.ndim(world[0]) == 2
+    if not several:
+        world, image, groups = [world], [image], None if groups is None else [groups]
+    for name, given in (("image", image), ("groups", world if groups is None else groups)):
+        listed = isinstance(given, (list, tuple)) or np.ndim(given) > 0
+        if not listed or len(given) != len(world):
+            raise ValueError(f"{name} must hold one array for each of the {len(world)} views")
+    return world, image, groups
 
 
-def _points(world: Any, image: Any, image_size: tuple[int, int]) -> tuple[Array, Array]:
-    """Checked points of one view."""
-    world = as_array("world", world, shape=(None, 2))
-    image = as_array("image", image, shape=(None, 2))
-    same_length(("world", "image"), world, image)
-    between("world", world, -FARTHEST, FARTHEST)
-    if len(world) < 5:  # radial alignment has six unknowns up to scale, one equation a point
-        raise ValueError(f"world must hold at least 5 points, got {len(world)}")
-    span_plane(world=world, image=image)
-    beyond = ((image < -1) | (image > image_size)).any(axis=1)
+def _numbered(views: Views, labels: Any) -> NDArray[np.intp] | None:
+    """Number of the mark that each point of the views is of; by default, of several views, one for
+    each place in the world."""
+    if labels is None and len(views.world) == 1:
+        return None
+    every: Array = np.round(np.concatenate(views.world), 6)
+    if labels is not None:
+        zipped = zip(labels, views.seen, strict=True)
+        every = np.concatenate([as_array("groups", one, shape=(len(at),)) for one, at in zipped])
+    return np.unique(every, axis=0, return_inverse=True)[1].ravel()
+
+
+def _points(world: Any, image: Any, frame: Microscope) -> tuple[Array, Array]:
+    """Checked points of one view, in the image from its middle."""
+    # Radial alignment has six unknowns up to scale, one equation a point.
+    world, image = plane_points(5, world=world, image=image)
+    beyond = ((image < -1) | (image > frame.image_size)).any(axis=1)
     if beyond.any():
         raise ValueError(
-            f"image must lie in the image_size of (width, height) = {tuple(image_size)} px, got "
+            f"image must lie in the image_size of (width, height) = {frame.image_size} px, got "
             f"{int(beyond.sum())} of {len(image)} points beyond it, one at {image[beyond][0]}"
         )
-    return world, image
+    return world, image - frame.principal_point
 
 
 def _report(
-    views: Views,
-    fit: Fit,
-    alone: list[list[Fit]],
-    marks: NDArray[np.intp] | None,
-    frame: Microscope,
+    views: Views, fit: Fit, alone: list[list[Fit]], marks: NDArray[np.intp] | None
 ) -> Calibration:
     """Parameters with their covariance, which are lost, and a microscope for each view."""
-    names, jacobian = _in_focal_length(fit)
-    known = _covariance(views, fit, names=names, jacobian=jacobian, marks=marks, frame=frame)
-    lost = _undetermined(fit, alone, names=names, known=known)
-    poses = fit.poses.copy()
+    every = _numbers(fit)
+    order = sorted(range(len(fit.free)), key=lambda k: every[fit.free[k]] != "magnification")
+    names = [every[fit.free[k]] for k in order]
+    fit = replace(fit, jacobian=fit.jacobian[:, order])
+    variance = fit.cost / (len(fit.residuals) - len(names)) + views.rounding(fit.poses)
+    covariance, misfit, chance = _covariance(views, fit, names, variance, marks)
+    sigma = dict(zip(names, np.sqrt(np.diag(covariance)), strict=True))
+    lost = _undetermined(fit, alone, sigma, variance)
+    lens, poses = fit.lens.copy(), fit.poses.copy()
     poses[:, 1:4] = np.angle(np.exp(1j * poses[:, 1:4]))
-    values = dict(zip(_numbers(fit), [*fit.lens, *poses.ravel()], strict=True))
-    power = values["focal_length"] * (1 + values["magnification"])
     if "focal_length" in lost:  # it may come out as zero: then f is held at a kilometer
-        power = max(power, 1 / FARTHEST)
-    covariance = known.covariance
-    if "focal_length" in names:
-        values["focal_length"] = 1 / power
-        k = names.index("focal_length")
-        covariance[k] *= -1 / power**2
-        covariance[:, k] *= -1 / power**2
+        lens[0] = max(lens[0], 1 / FARTHEST)
+    values = dict(zip(every, [1 / lens[0], *lens[1:], *poses.ravel()], strict=True))
+    by = np.array([-(values[name] ** 2) if name == "focal_length" else 1.0 for name in names])
+    covariance *= np.outer(by, by)
     for k in (names.index(name) for name in lost):
         covariance[k] = covariance[:, k] = np.nan
         covariance[k, k] = np.inf
-    scopes = []
-    for pose in poses.tolist():
-        f = views.focal_length or (1 + poses[0, 0]) / (power * (1 + pose[0]))
-        lengths = {"tube_length": pose[0] * f, "focal_length": f, "distance": f / pose[0]}
-        angles = dict(zip(VIEW[1:], pose[1:], strict=True))
-        scopes.append(replace(frame, distortion=float(fit.lens[1]), **lengths, **angles))
+    scopes = [_microscope(views, lens, poses, v) for v in range(len(poses))]
     plane_residuals = [
-        scope.back_project(without_terms(fit.lens, seen, frame.cell) + frame.principal_point)
-        - world
+        scope.back_project(without_terms(lens, seen, scope.cell) + scope.principal_point) - world
         for scope, seen, world in zip(scopes, views.seen, views.world, strict=True)
     ]
     return Calibration(
@@ -247,83 +235,60 @@ def _report(
         np.array([values[name] for name in names]),
         covariance,
         tuple(name for name in names if name in lost),
-        known.freedom,
+        len(fit.residuals) - len(names) if marks is None else int(marks.max()),
         -fit.residuals.reshape(-1, 2),
         np.concatenate(plane_residuals),
-        known.misfit,
-        known.chance,
+        misfit,
+        chance,
         tuple(scopes),
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """Covariance of the parameters, variance of a residual in px² with its degrees of freedom, and
-    how far the model fits, as `Calibration` has it."""
-
-    covariance: Array
-    variance: float
-    freedom: int
-    misfit: float
-    chance: float
+def _microscope(views: Views, lens: Array, poses: Array, view: int) -> Microscope:
+    """The microscope of a view, in focus."""
+    magnification, *rest = poses[view].tolist()
+    f = views.focal_length or (1 + poses[0, 0]) / (lens[0] * (1 + magnification))
+    lengths = {"tube_length": magnification * f, "focal_length": f, "distance": f / magnification}
+    pose = dict(zip(VIEW[1:], rest, strict=True))
+    return replace(views.frame, distortion=lens[1], **lengths, **pose)
 
 
 def _numbers(fit: Fit) -> list[str]:
     """Names of all numbers of the lens and of the views, in the order of a fit."""
     each = [n if v == 0 else f"{n}_{v + 1}" for v in range(len(fit.poses)) for n in VIEW]
-    return ["focal_length", *LENS[1:], *each]
-
-
-def _in_focal_length(fit: Fit) -> tuple[list[str], Array]:
-    """Names of the free parameters, the magnification first, and the residuals' derivatives by
-    them, of which 1/f stands for 1/(T_op + f)."""
-    every = _numbers(fit)
-    names, jacobian = [every[k] for k in fit.free], fit.jacobian
-    if "focal_length" in names:  # 1/f = (1 + M)/(T_op + f) of the first view
-        turn = np.eye(len(names))
-        turn[0, 0], turn[0, names.index("magnification")] = 1 + fit.poses[0, 0], fit.lens[0]
-        jacobian = np.linalg.solve(turn.T, jacobian.T).T
-    order = sorted(range(len(names)), key=lambda k: names[k] != "magnification")
-    return [names[k] for k in order], jacobian[:, order]
+    return [*LENS, *each]
 
 
 def _covariance(
-    views: Views,
-    fit: Fit,
-    *,
-    names: list[str],
-    jacobian: Array,
-    marks: NDArray[np.intp] | None,
-    frame: Microscope,
-) -> _Known:
-    """How well the points tell the parameters: noise, what the model lacks, and the axis."""
-    residuals, rounding = fit.residuals, views.rounding(fit.poses)
-    freedom = len(residuals) - len(names)
-    inverse = inverse_normal(jacobian)
-    variance = fit.cost / freedom + rounding
+    views: Views, fit: Fit, names: list[str], variance: float, marks: NDArray[np.intp] | None
+) -> tuple[Array, float, float]:
+    """How well the points tell the parameters, of the focal length its inverse: by noise, what the
+    model lacks, and the axis; the misfit, and the chance of so much by noise alone."""
+    rounding = views.rounding(fit.poses)
+    inverse = inverse_normal(fit.jacobian)
     if marks is None:
         covariance = inverse * variance
     else:
-        covariance = jackknife(jacobian, residuals, marks) + inverse * rounding
-        freedom = int(marks.max())
-    misfit, chance, added = _smooth_part(views, residuals, jacobian, marks, rounding)
-    covariance = covariance + added
+        covariance = jackknife(fit.jacobian, fit.residuals, marks) + inverse * rounding
+    misfit, chance, added = _smooth_part(views, fit, marks, rounding)
     if chance < BY_CHANCE and "principal_x" not in names:
         shifted = [k for k, name in enumerate(names) if name[:2] in ("tx", "ty")]
-        aside = _AXIS_ASIDE * frame.image_size[0]
-        covariance = covariance + axis_errors(jacobian, variance, shifted, aside)
-    return _Known(covariance, variance, freedom, misfit, chance)
+        added = added + axis_errors(
+            fit.jacobian, variance, shifted, _AXIS_ASIDE * views.frame.image_size[0]
+        )
+    return covariance + added, misfit, chance
 
 
-def _undetermined(fit: Fit, alone: list[list[Fit]], *, names: list[str], known: _Known) -> set[str]:
+def _undetermined(
+    fit: Fit, alone: list[list[Fit]], sigma: dict[str, float], variance: float
+) -> set[str]:
     """Names of the parameters that the points do not determine."""
-    sigma = dict(zip(names, np.sqrt(np.diag(known.covariance)), strict=True))
     lost = {name for name, value in sigma.items() if np.isinf(value)}
-    if "focal_length" in names:
+    if "focal_length" in sigma:
         # As the sign of the tilt is free, 1/f is never negative: 150 noisy views without tilt came
         # to 2.2 standard errors at most; the rest is for errors that are less even than noise.
-        if not fit.lens[0] * (1 + fit.poses[0, 0]) > 4 * sigma["focal_length"]:
-            lost |= {name for name in names if name.startswith(("focal", "beta", "gamma"))}
+        if not fit.lens[0] > 4 * sigma["focal_length"]:
+            lost |= {name for name in sigma if name.startswith(("focal", "beta", "gamma"))}
         return lost
     for v, (best, other) in enumerate(alone):
         tilt = _numbers(fit)[len(LENS) + len(VIEW) * v :][2:4]
@@ -331,20 +296,17 @@ def _undetermined(fit: Fit, alone: list[list[Fit]], *, names: list[str], known: 
         # Two minima three standard errors apart, of which the sums of squares differ by less than
         # two standard deviations of noise, squared, cannot be told from each other.
         distinct = (apart > 3 * np.array([sigma[name] for name in tilt])).any()
-        if distinct and other.cost - best.cost < 4 * known.variance:
+        if distinct and other.cost - best.cost < 4 * variance:
             lost |= set(tilt)
     return lost
 
 
 def _smooth_part(
-    views: Views,
-    residuals: Array,
-    jacobian: Array,
-    marks: NDArray[np.intp] | None,
-    rounding: float,
+    views: Views, fit: Fit, marks: NDArray[np.intp] | None, rounding: float
 ) -> tuple[float, float, Array]:
     """The discrepancy of the means over the points of a mark in a view, whose errors are
     correlated."""
+    residuals, jacobian = fit.residuals, fit.jacobian
     # Where the model has the points: fields of the noisy ones would hold their noise.
     points = np.concatenate(views.seen) + residuals.reshape(-1, 2)
     view = np.repeat(np.arange(len(views.seen)), [len(seen) for seen in views.seen])

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-from scipy.special import stdtrit
 
 from microlib._common import Array, Tidy, as_array, flat_row, one_of, scalar
-from microlib.calibration._uncertainty import inverse_interval
+from microlib.calibration._uncertainty import inverse_interval, student
 from microlib.microscope import Microscope, distort
 
 if TYPE_CHECKING:
@@ -154,7 +153,7 @@ class Calibration(Tidy):
         level = scalar("level", level, within=(0, 1))
         std = float(np.sqrt(self.covariance[k, k]))
         # Half of an infinite interval is infinite at any level.
-        half = std if np.isinf(std) else float(stdtrit(self.freedom, 0.5 + level / 2)) * std
+        half = std if np.isinf(std) else student(self.freedom, level) * std
         value = float(self.estimate[k])
         if parameter == "focal_length":
             return inverse_interval(value, half / value)
@@ -309,8 +308,7 @@ class Calibration(Tidy):
 
     def _value(self, parameter: str) -> float:
         """The estimate of a parameter, zero if it was not estimated."""
-        found = parameter in self.parameters
-        return float(self.estimate[self.parameters.index(parameter)]) if found else 0.0
+        return dict(zip(self.parameters, self.estimate.tolist(), strict=True)).get(parameter, 0.0)
 
     def _brown(self) -> tuple[list[float], float]:
         """OpenCV's k₁, k₂, p₁, p₂, k₃ for the model's distortion, and how far they are off, px.
@@ -321,15 +319,14 @@ class Calibration(Tidy):
         scope = self.microscope
         distance = scope.tube_length + scope.focal_length
         corner = float(np.linalg.norm(scope.cell * scope.image_size)) / 2
-        radius = np.linspace(0, corner, 64)[1:]
+        radius = np.linspace(0, corner)[1:]
         seen = distort(np.column_stack([radius, 0 * radius]), scope.distortion)[:, 0]
         stretch = seen / radius * (1 + self._value("distortion_2") * seen**4) - 1
         reached = np.isfinite(stretch)
-        powers = (radius[:, None] / corner) ** [2, 4, 6]
-        design, wanted = powers[reached] * radius[reached, None], (stretch * radius)[reached]
+        radius, wanted = radius[reached, None], (stretch * radius)[reached]
+        powers = 2 * np.arange(1, 4)
+        design = radius * (radius / corner) ** powers
         best = np.linalg.lstsq(design, wanted, rcond=None)[0]
-        worst = np.abs((powers @ best - stretch) * radius)[reached].max() / scope.cell.min()
-        k1, k2, k3 = (
-            float(b) * (distance / corner) ** p for b, p in zip(best, (2, 4, 6), strict=True)
-        )
+        worst = np.abs(design @ best - wanted).max() / scope.cell.min()
+        k1, k2, k3 = (best * (distance / corner) ** powers).tolist()
         return [k1, k2, 0.0, 0.0, k3], float(worst)

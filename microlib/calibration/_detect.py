@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import flag, one_of, scalar
-from microlib.calibration._detection import Detection
-from microlib.calibration._lattice import STEPS
-from microlib.calibration._marks import crop, to_grey
+from microlib._common import Array, Region, flag, one_of, scalar
+from microlib.calibration._detection import FEWEST, Detection
+from microlib.calibration._grid_map import fit_grid_map
+from microlib.calibration._lattice import MIDDLE, STEPS, Index, fill
+from microlib.calibration._marks import look_at, to_bytes
 from microlib.calibration._micrometer import Micrometer, find_scale
-from microlib.calibration._patterns import FIRST, Scene, WrongPattern, find_pattern
+from microlib.calibration._patterns import FIRST, Scene, Wanted, WrongPattern, find_pattern
 
 #: Patterns that are told from each other, and how they are called.
 _NAMES = {
@@ -22,6 +24,8 @@ _NAMES = {
     ("circles", "square"): "circles on a square lattice",
     ("circles", "hexagonal"): "circles on a hexagonal lattice",
     ("squares", "square"): "squares",
+    ("scale", "square"): "the lines of a scale",
+    ("circles", "asymmetric"): "an asymmetric grid of circles",
 }
 
 
@@ -31,7 +35,7 @@ def detect_circles(
     direction: float = 0.0,
     mirrored: bool = False,
     lattice: str = "square",
-    region: tuple[int, int, int, int] | None = None,
+    region: Region | None = None,
 ) -> Detection:
     """Centers of the circles of a regular grid, with their places in the grid.
 
@@ -87,7 +91,7 @@ def detect_circles(
     (9, True)
     """
     lattice = one_of("lattice", lattice, tuple(STEPS))
-    return _detect(image, "circles", lattice, direction, mirrored, region)
+    return _detect(image, Wanted("circles", lattice, direction, mirrored), region)
 
 
 def detect_squares(
@@ -96,7 +100,7 @@ def detect_squares(
     direction: float = 0.0,
     mirrored: bool = False,
     pattern: str = "squares",
-    region: tuple[int, int, int, int] | None = None,
+    region: Region | None = None,
 ) -> Detection:
     """Corners of the squares of a regular grid, with their places in the grid.
 
@@ -154,12 +158,73 @@ def detect_squares(
     (16, True, 0.5)
     """
     pattern = one_of("pattern", pattern, ("squares", "chessboard"))
-    return _detect(image, pattern, "square", direction, mirrored, region)
+    return _detect(image, Wanted(pattern, "square", direction, mirrored), region)
 
 
-def detect_micrometer(
-    image: ArrayLike, *, region: tuple[int, int, int, int] | None = None
-) -> Micrometer:
+def detect_charuco(image: ArrayLike) -> Detection:
+    """Inner corners of a ChArUco board, a chessboard with markers in its bright fields.
+
+    Parameters
+    ----------
+    image : array_like, shape (height, width) or (height, width, 3 or 4)
+        Grey levels of any range, or red, green and blue. A part of the board is enough; its size,
+        its markers' dictionary and their size are read from it.
+
+    Returns
+    -------
+    Detection
+        A point for each corner that was found; a pitch is the side of a field. `sigma` is the
+        points' distance from a plane view through a lens with one term of distortion.
+
+    Raises
+    ------
+    ValueError
+        If `image` is no image, or shows fewer than four markers of OpenCV's dictionaries or four
+        corners beside them.
+
+    Notes
+    -----
+    Markers, and the corners between them, are found by ``cv2.aruco``. The number of columns is the
+    one with which the markers' numbers are a plane grid.
+
+    Examples
+    --------
+    >>> import cv2
+    >>> from microlib.calibration import detect_charuco
+    >>> markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_50)
+    >>> board = cv2.aruco.CharucoBoard((5, 4), 3.0, 2.0, markers)
+    >>> found = detect_charuco(board.generateImage((500, 400), marginSize=20))
+    >>> len(found.points), found.grid.max(axis=0).tolist()
+    (12, [3, 2])
+    """
+    grey, _, size = look_at(image, None)
+    eight = to_bytes(grey)
+    kinds = [
+        cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
+        for name in ("4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "ARUCO_ORIGINAL")
+    ]
+    seen = [(*cv2.aruco.ArucoDetector(kind).detectMarkers(eight)[:2], kind) for kind in kinds]
+    sides, numbers, kind = max(seen, key=lambda each: len(each[0]))
+    if len(sides) < FEWEST:
+        raise ValueError("image must show a ChArUco board, got fewer than four of its markers")
+    known = eight, np.vstack(sides), numbers, kind
+    found = [_marked_corners(*known, old) for old in (False, True)]
+    points, grid = max(found, key=lambda each: len(each[0]))
+    if len(points) < FEWEST:
+        raise ValueError(f"image must show a ChArUco board, got {len(points)} of its corners")
+    grid -= grid.min(axis=0)
+    if fill(grid) == 0:
+        raise ValueError("image must show a ChArUco board, got its corners in one row")
+    to_image, positions = fit_grid_map(points[:, None], grid.astype(float), MIDDLE, grey.shape)
+    off = points - to_image(positions[:, 0])
+    sigma = np.sqrt((off**2).sum() / max(off.size - to_image.freedom, 1))
+    count = len(points)
+    return Detection(
+        points, grid, np.full(count, sigma), np.arange(count), positions[:, 0], 1.0, np.nan, size
+    )
+
+
+def detect_micrometer(image: ArrayLike, *, region: Region | None = None) -> Micrometer:
     """Lines of a stage micrometer or a ruler, and their distance in pixels.
 
     Parameters
@@ -196,72 +261,93 @@ def detect_micrometer(
     >>> len(scale.points), round(scale.spacing, 2), round(scale.um_per_pixel(10.0)[0], 3)
     (11, 17.2, 0.581)
     """
-    grey, corner = crop(to_grey(image), region)
-    scene = Scene(grey)
+    grey, corner, _ = look_at(image, region)
+    scene, asked = Scene(grey), Wanted("scale")
     try:
         scale = find_scale(grey, scene.settings)
     except ValueError as refusal:
-        seen = _pattern_seen(scene, ("scale", ""))
-        if seen is None:
-            raise
-        raise ValueError(f"image must show a scale of equidistant lines, got {seen}") from refusal
-    seen = _pattern_seen(scene, ("scale", ""))
-    if seen is not None:
-        raise ValueError(f"image must show a scale of equidistant lines, got {seen}")
+        _refuse_other(scene, asked, refusal)
+        raise
+    _refuse_other(scene, asked)
     return replace(scale, points=scale.points + corner)
 
 
-def _detect(
-    image: ArrayLike,
-    kind: str,
-    lattice: str,
-    direction: float,
-    mirrored: bool,
-    region: tuple[int, int, int, int] | None,
-) -> Detection:
-    direction = scalar("direction", direction, within=(-1e9, 1e9))
-    mirrored = flag("mirrored", mirrored)
-    whole = to_grey(image)
-    grey, corner = crop(whole, region)
+def _detect(image: ArrayLike, wanted: Wanted, region: Region | None) -> Detection:
+    scalar("direction", wanted.direction)
+    flag("mirrored", wanted.mirrored)
+    grey, corner, size = look_at(image, region)
     scene = Scene(grey)
     try:
-        found, alone = find_pattern(scene, kind, lattice, direction, mirrored)
+        found, alone = find_pattern(scene, wanted)
     except WrongPattern:
         raise
     except ValueError as refusal:
-        seen = _pattern_seen(scene, (kind, lattice))
-        if seen is None:
-            raise
-        name = _NAMES.get((kind, lattice), "an asymmetric grid of circles")
-        raise ValueError(f"image must show {name}, got {seen}") from refusal
+        _refuse_other(scene, wanted, refusal)
+        raise
     if not alone:  # a few marks may lie beside a chessboard, which even edges do not surround
         board = None
         with suppress(ValueError):
-            board, _ = find_pattern(scene, "chessboard", "square")
+            board, _ = find_pattern(scene, Wanted("chessboard"))
         if board is not None and _extent(board) > _extent(found):
-            raise WrongPattern(kind, "a chessboard")
-    return replace(found, points=found.points + corner, image_size=whole.shape[::-1])
+            raise WrongPattern(wanted.kind, "a chessboard")
+    return replace(found, points=found.points + corner, image_size=size)
 
 
-def _pattern_seen(scene: Scene, asked: tuple[str, str]) -> str | None:
-    """What another pattern than the one asked for is called, if the image shows one."""
+def _refuse_other(scene: Scene, asked: Wanted, refusal: ValueError | None = None) -> None:
+    """Name another pattern than the one asked for, if the image shows one."""
     for (kind, lattice), name in _NAMES.items():
-        if (kind, lattice) != asked:
-            try:
-                find_pattern(scene, kind, lattice, most=FIRST)
-                return name
-            except WrongPattern as other:
-                if other.seen != asked[0]:
-                    return other.seen
-            except ValueError:
-                pass
-    if asked[0] != "scale":
-        with suppress(ValueError):
-            find_scale(scene.grey, scene.settings)
-            return "the lines of a scale"
-    return None
+        if (kind, lattice) == (asked.kind, asked.lattice) or lattice == "asymmetric":
+            continue
+        try:
+            if kind == "scale":
+                find_scale(scene.grey, scene.settings)
+            else:
+                find_pattern(scene, Wanted(kind, lattice), most=FIRST)
+            seen = name
+        except WrongPattern as other:
+            seen = other.seen
+        except ValueError:
+            continue
+        if seen != asked.kind:
+            wanted = _NAMES[asked.kind, asked.lattice]
+            raise ValueError(f"image must show {wanted}, got {seen}") from refusal
 
 
 def _extent(found: Detection) -> float:
     """Area of the image that a pattern covers, px²."""
     return cv2.contourArea(cv2.convexHull(found.points.astype(np.float32)))
+
+
+def _marked_corners(
+    eight: NDArray, sides: NDArray, numbers: NDArray, markers: Any, old: bool
+) -> tuple[Array, Index]:
+    """Corners that a kind of board finds, and their places in it.
+
+    The number of columns is the one with which most markers lie on a plane, and the markers are as
+    large as they are seen there.
+    """
+
+    def board(columns: int, size: float) -> Any:
+        rows = 2 * int(numbers.max()) // columns + 3
+        made = cv2.aruco.CharucoBoard((columns, rows), 1.0, size, markers)
+        made.setLegacyPattern(old)
+        return made
+
+    def flatten(columns: int) -> tuple[Any, NDArray]:
+        every = np.array(board(columns, 0.5).getObjPoints())
+        placed = every[numbers.ravel(), :, :2].mean(axis=1)
+        to_board, flat = cv2.findHomography(sides.mean(axis=1), placed, cv2.RANSAC, 1 / 10)
+        return to_board, np.zeros(1) if to_board is None else flat
+
+    columns = max(range(3, 30), key=lambda count: flatten(count)[1].sum())
+    to_board, flat = flatten(columns)
+    if flat.sum() < FEWEST:
+        raise ValueError("image must show a ChArUco board, got markers on none")
+    seen = cv2.perspectiveTransform(sides.reshape(1, -1, 2).astype(float), to_board)
+    side = np.median(np.linalg.norm(np.diff(seen.reshape(-1, 4, 2), axis=1), axis=2))
+    detector = cv2.aruco.CharucoDetector(board(columns, min(float(side), 0.99)))
+    points, which, _, _ = detector.detectBoard(eight)
+    if which is None:
+        points, which = np.empty(0), np.empty(0)
+    row, column = np.divmod(which.ravel().astype(np.intp), columns - 1)
+    return points.reshape(-1, 2).astype(np.float64), np.column_stack([column, row])

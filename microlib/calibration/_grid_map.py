@@ -1,8 +1,11 @@
 """The map from a pattern's grid to its image: a homography and a radial distortion, fitted to
-detected points.
+detected points; and the final test of a detection by it.
 
 It needs no calibration and serves to find out how far a detected feature (center of an ellipse,
-crossing of straight lines) lies from the image of the point that it stands for.
+crossing of straight lines) lies from the image of the point that it stands for. A lens images a
+plane lattice by a homography and a smooth distortion. What marks lie beside that is their error,
+whatever their own fits say of it; and where it is no small part of a pitch, the marks are no
+lattice.
 """
 
 from __future__ import annotations
@@ -11,9 +14,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from microlib._common import Array
+from microlib.calibration._marks import TO_SIGMA
+from microlib.calibration._settings import Settings
+from microlib.calibration._uncertainty import monomials
 from microlib.microscope import distort
 
 #: Step of the central differences, in cells: their error is its square, 1e-6 of what the scale
@@ -60,8 +67,7 @@ class GridMap:
 
     def scale(self, grid: Array) -> Array:
         """Area in the image of one cell of the grid around each of the coordinates, px²."""
-        (a, b), (c, d) = np.moveaxis(self.steps(grid), (-2, -1), (0, 1))
-        return np.abs(a * d - b * c)
+        return np.abs(np.linalg.det(self.steps(grid)))
 
 
 def fit_grid_map(
@@ -99,34 +105,123 @@ def fit_grid_map(
     refusal = ValueError(f"image must show a plane grid, got {len(points)} points that fit none")
     if best is None or not np.isfinite(best).all():
         raise refusal
-    homography: Array = np.asarray(best, dtype=np.float64)
-    # Nine numbers have freedom left from six points on.
-    count = 9 if points[..., 0].size > 5 else 8
-    start = np.append(homography.ravel()[:8], np.zeros(count - 8))
+    # The homography's numbers but the last, which is one, the distortion, and a square's sides.
+    start = np.concatenate([best.ravel()[:-1], np.zeros(3)])
     squares = points.shape[1] == 4
-    if squares:
-        area = np.abs(np.linalg.det(points[:, 2:] - points[:, :2])) / 2
-        cell = np.median(GridMap(homography, 0.0, middle, unit, 8).scale(cells))
-        if not cell > 0:
-            raise ValueError("image must show squares on a plane grid, got them in one row")
-        start = np.append(start, np.full(2, np.sqrt(np.median(area) / cell)))
+    # The distortion has freedom left from six points on.
+    free = np.repeat([True, points.size > len(start), squares], [len(start) - 3, 1, 2])
 
     def build(p: Array) -> tuple[GridMap, Array]:
-        distortion = float(p[8]) if count > 8 else 0.0
-        homography = np.append(p[:8], 1.0).reshape(3, 3)
-        to_image = GridMap(homography, distortion, middle, unit, len(p))
-        return to_image, cells[:, None] + (offsets * p[count:] if squares else offsets)
+        every = start.copy()
+        every[free] = p
+        *homography, distortion, width, height = every
+        matrix = np.append(homography, 1.0).reshape(3, 3)
+        to_image = GridMap(matrix, distortion, middle, unit, len(p))
+        return to_image, cells[:, None] + offsets * [width, height]
 
     def residuals(p: Array) -> Array:
         to_image, positions = build(p)
         return (to_image(positions) - points).ravel()
 
-    if not np.isfinite(residuals(start)).all():  # marks on both sides of a horizon
+    if squares:
+        area = np.abs(np.linalg.det(points[:, 2:] - points[:, :2])) / 2
+        cell = np.median(build(start[free])[0].scale(cells))
+        if not cell > 0:
+            raise ValueError("image must show squares on a plane grid, got them in one row")
+        start[-2:] = np.sqrt(np.median(area) / cell)
+    if not np.isfinite(residuals(start[free])).all():  # marks on both sides of a horizon
         raise refusal
     try:
-        to_image, positions = build(least_squares(residuals, start, x_scale="jac").x)
+        to_image, positions = build(least_squares(residuals, start[free], x_scale="jac").x)
     except ValueError:  # SciPy's, of a derivative beyond the horizon
         raise refusal from None
     if not np.isfinite(to_image.steps(cells)).all():
         raise refusal
     return to_image, positions
+
+
+def agree(
+    points: Array, positions: Array, to_image: GridMap, sigma: Array, settings: Settings
+) -> tuple[NDArray[np.bool_], Array, float]:
+    """Hold the points of marks against the map of their grid.
+
+    Parameters
+    ----------
+    points, positions : ndarray, shape (n, k, 2)
+        Image points of each mark, px, and their coordinates in the lattice, in which what is left
+        of a distortion is smooth.
+    to_image : GridMap
+        Fitted to them.
+    sigma : ndarray, shape (n, k)
+        Standard deviation of a coordinate as the outlines' own fits tell it, px.
+    settings : Settings
+        Those of the detection.
+
+    Returns
+    -------
+    kept : ndarray of bool, shape (n,)
+        False for marks that are none of the lattice's.
+    sigma : ndarray, shape (n, k)
+        Standard deviation of a coordinate, px: of the fits, or of the residuals where larger.
+    misfit : float
+        Residuals over what the fits alone state, root of the ratio of variances; NaN where too few
+        marks leave no residuals.
+
+    Raises
+    ------
+    ValueError
+        If the points lie off every smooth image of a lattice.
+    """
+    residuals = points - to_image(positions)
+    fields, numbers = _smooth_fields(points, positions, to_image)
+    kept = np.ones(len(points), dtype=bool)
+    for _ in range(3):  # strays bend the fields that they are found by
+        freedom = residuals[kept].size - numbers
+        if freedom <= 0:
+            return kept, sigma, np.nan
+        design = fields[:, kept].reshape(len(fields), -1).T
+        inverse = np.linalg.pinv(design)
+        best = inverse @ residuals[kept].ravel()
+        left = residuals - np.tensordot(best, fields, axes=1)
+        # A mark that the fields follow, alone in its row or column, leaves little of its error.
+        shown = np.ones(left.shape)
+        shown[kept] -= np.einsum("ij,ji->i", design, inverse).reshape(shown[kept].shape)
+        inflation = np.sqrt(residuals[kept].size / freedom)
+        spread = TO_SIGMA * np.median(np.abs(left[kept])) * inflation
+        apart = np.abs(left) / np.sqrt(np.maximum(shown, 1e-3))
+        stray = apart.max(axis=-1) > settings.stray * np.maximum(spread, sigma)
+        before, kept = kept, ~stray.any(axis=1)
+        if (kept == before).all() or not kept.any():
+            break
+    kept = before & kept
+    share = kept.mean()
+    rms = float(np.sqrt((left[kept] ** 2).mean()) * inflation) if kept.any() else np.inf
+    own = float(np.sqrt((sigma[kept] ** 2).mean())) if kept.any() else 0.0
+    pitch = float(np.sqrt(np.median(to_image.scale(positions.mean(axis=1)))))
+    # What the marks' own noise explains is no reason to refuse, whatever the pitch.
+    if rms > max(settings.most_residual * pitch, 3 * own) or share < 3 / 4:
+        raise ValueError(
+            f"image must show a regular lattice, got {share:.0%} of the marks on one, and them "
+            f"{rms:.2g} px ({rms / pitch:.1%} of a pitch) beside it"
+        )
+    # The fits' own σ counts as much as eight residuals: of fewer little can be known.
+    added = max(rms**2 - own**2, 0.0) * freedom / (freedom + 8)
+    return kept, np.sqrt(sigma**2 + added), rms / own
+
+
+def _smooth_fields(points: Array, positions: Array, to_image: GridMap) -> tuple[Array, int]:
+    """Smooth displacements that so many marks can tell, (fields, n, k, 2), and the numbers that
+    they and the map have together."""
+    marks = len(points)
+    radial = (points - to_image.middle) / to_image.unit
+    squared = (radial**2).sum(axis=-1, keepdims=True)
+    # Those of a lens beside the map's own, each with six marks.
+    lens = [radial * squared**p for p in (2, 3) if marks >= 2 * 3 * p]
+    # Polynomials of (d + 1)(d + 2)/2 coefficients, with three times as many marks; the map has
+    # absorbed a constant and a slope already.
+    degree = max(d for d in (1, 2, 3, 4) if d == 1 or 2 * marks >= 3 * (d + 1) * (d + 2))
+    terms = monomials(positions, degree)
+    bent = np.einsum("nkt,ab->tankb", terms, np.eye(2)).reshape(-1, *points.shape)
+    # Of the map's numbers those of an affine map are the polynomial's too.
+    affine = 2 * 3
+    return np.array([*lens, *bent]), len(lens) + len(bent) + max(to_image.freedom - affine, 0)

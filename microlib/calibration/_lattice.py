@@ -1,4 +1,5 @@
-"""Marks to a lattice: grown from mark to mark, completed, named by the marks' shapes, and counted.
+"""Marks to a lattice: grown from mark to mark, of a chessboard as OpenCV finds it; completed, named
+by the marks' shapes, and counted.
 
 Round marks are seen as ellipses. Sent back through the derivatives of the map from the lattice's
 coordinates to the image they all are one ellipse, and that ellipse is the metric of the
@@ -9,8 +10,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, cKDTree
@@ -18,7 +19,7 @@ from scipy.spatial import ConvexHull, cKDTree
 from microlib._common import Array
 from microlib.calibration._detection import FEWEST
 from microlib.calibration._grid_map import GridMap, fit_grid_map
-from microlib.calibration._marks import Marks
+from microlib.calibration._marks import Marks, to_bytes
 from microlib.calibration._settings import Settings
 
 #: Lattices by name, and the coordinates of their steps in the pattern's plane, in pitches.
@@ -105,16 +106,14 @@ def _grow(marks: Marks, tree: cKDTree, seed: int, steps: Array) -> dict[tuple[in
             if target in found:
                 continue
             distance, index = tree.query(marks.centers[here] + sign * local[axis])
-            ratio = marks.areas[index] / marks.areas[here]
-            near = distance < np.hypot(*local[axis]) / 4
-            if not near or index in taken or not 1 / 2 < ratio < 2:
-                continue
-            following = local.copy()
-            step = sign * (marks.centers[index] - marks.centers[here])
-            following[axis] = (local[axis] + step) / 2
-            found[target] = int(index)
-            taken.add(int(index))
-            queue.append((target, following))
+            alike = 1 / 2 < marks.areas[index] / marks.areas[here] < 2
+            if alike and index not in taken and distance < np.hypot(*local[axis]) / 4:
+                following = local.copy()
+                following[axis] += sign * (marks.centers[index] - marks.centers[here])
+                following[axis] /= 2
+                found[target] = int(index)
+                taken.add(int(index))
+                queue.append((target, following))
     return found
 
 
@@ -128,9 +127,9 @@ def complete(
     `contrast` tells them, from the smoothed image, places and the lattice's mean steps.
     """
     for _ in range(8):  # rings around the lattice
-        held = set(map(tuple, grid.tolist()))
-        beside = set(map(tuple, (grid[:, None] + (2 * _ALONG).astype(int)).reshape(-1, 2).tolist()))
-        absent = np.array(sorted(beside - held), dtype=np.intp)
+        beside = (grid[:, None] + (2 * _ALONG).astype(int)).reshape(-1, 2)
+        taken = set(map(tuple, grid.tolist()))
+        absent = np.array(sorted({*map(tuple, beside.tolist())} - taken), dtype=np.intp)
         places = rough_map(marks, grid)(absent.astype(np.float64))
         near = np.linalg.norm(absent[:, None] - grid, axis=2).argmin(axis=1)
         # Half a mark's width: two standard deviations of a circle's area, √3 of a square's.
@@ -138,20 +137,55 @@ def complete(
         limit = np.array(marks.image.shape[::-1]) - 1 - reach
         new = np.flatnonzero(((places > reach) & (places < limit)).all(axis=1))
         steps = mean_steps(marks.centers, grid)
-        least = (
-            marks.settings.least_contrast * contrast(marks.smooth, marks.centers, steps)[near[new]]
-        )
-        new = new[contrast(marks.smooth, places[new], steps) > least]
+        held = contrast(marks.smooth, marks.centers, steps)[near[new]]
+        new = new[contrast(marks.smooth, places[new], steps) > marks.settings.least_contrast * held]
         if len(new) == 0:
             break
-        marks = replace(
-            marks,
-            centers=np.concatenate([marks.centers, places[new]]),
-            moments=np.concatenate([marks.moments, marks.moments[near[new]]]),
-            areas=np.concatenate([marks.areas, marks.areas[near[new]]]),
-        )
+        marks = marks[np.concatenate([np.arange(len(grid)), near[new]])]
+        marks.centers[len(grid) :] = places[new]
         grid = np.concatenate([grid, absent[new]])
     return marks, grid
+
+
+def find_corners(grey: NDArray[np.float32], settings: Settings) -> tuple[Marks, Index]:
+    """Corners of a board, each with the moments of a circle within its fields, and their grid.
+
+    Raises
+    ------
+    ValueError
+        If the image shows no chessboard of at least three by three corners.
+    """
+    eight = to_bytes(grey)
+    smooth: NDArray = cv2.GaussianBlur(grey, (0, 0), 1.0)
+    half = cv2.pyrDown(cv2.GaussianBlur(eight, (0, 0), 2.0))
+    # It is asked for parts of a larger board. Of 26 photographs it gives 46 to 54 of 54 corners in
+    # the blurred half image, in the whole one of some only five.
+    quick, least = cv2.CALIB_CB_LARGER, (3, 3)
+    thorough = quick | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+    for each, board, flags in ((half, (5, 4), quick), (eight, least, thorough)):
+        found, corners, meta = cv2.findChessboardCornersSBWithMeta(each, board, flags)
+        if found:
+            break
+    else:
+        raise ValueError("image must show a chessboard, got none")
+    grid = np.argwhere(np.ones(np.shape(meta)))[:, ::-1]  # (column, row) of each corner, by rows
+    scale = 2 if each is half else 1
+    centers: Array = scale * np.asarray(corners, dtype=np.float64).reshape(-1, 2)
+    # From corner to corner dark and bright change places, unless a row between them was skipped.
+    # A third of a step is within a field also where every second row was skipped.
+    dark = saddle(smooth, centers, mean_steps(centers, grid) / 3)
+    ways = [dark * (-1.0) ** (grid @ np.array(changes)) for changes in np.ndindex(2, 2)]
+    best = int(np.argmax([np.abs(np.sign(way).sum()) for way in ways]))
+    # What OpenCV gives beyond the board has no such fields, and would bend the map.
+    alternate = np.abs(ways[best].sum()) / len(grid) / 2
+    kept = ways[best] * np.sign(ways[best].sum()) > alternate
+    centers, grid = centers[kept], grid[kept] * (2 - np.array(np.unravel_index(best, (2, 2))))
+    if len(grid) < np.prod(least):
+        raise ValueError(f"image must show a chessboard, got {len(grid)} corners on a plane one")
+    side = np.sqrt(np.abs(np.linalg.det(mean_steps(centers, grid))))
+    moments = np.tile((side / 6) ** 2 * np.eye(2), (len(grid), 1, 1))
+    marks = Marks(grey, smooth, centers, moments, np.full(len(grid), side**2), settings)
+    return complete(marks, grid, lambda *at: np.abs(saddle(*at)))
 
 
 def rough_map(marks: Marks, grid: Index) -> GridMap:
@@ -169,10 +203,7 @@ def refuse_fields(kind: str, marks: Marks, grid: Index) -> None:
     beside = [_levels(marks.smooth, marks.centers[:, None] + h @ steps) for h in (_ACROSS, _ALONG)]
     across, along = (float(np.median(levels - middle)) for levels in beside)
     if min(across, along) < 3 / 4 * max(across, along):
-        raise ValueError(
-            f"image must show {kind} apart from each other, got fields of a chessboard or marks "
-            "between them"
-        )
+        raise ValueError(f"image must show {kind} apart from each other, got marks between them")
 
 
 def darkness(smooth: NDArray, centers: Array, steps: Array) -> Array:
@@ -188,10 +219,8 @@ def saddle(smooth: NDArray, centers: Array, steps: Array) -> Array:
 
 
 def _levels(smooth: NDArray, points: Array) -> Array:
-    height, width = smooth.shape
-    column, row = np.moveaxis(np.round(points).astype(int), -1, 0)
-    levels: Array = smooth[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
-    return levels
+    pixels = np.clip(np.round(points), 0, np.array(smooth.shape[::-1]) - 1).astype(int)
+    return np.asarray(smooth[pixels[..., 1], pixels[..., 0]])
 
 
 def refuse_lattice(shapes: Array, steps: Array, lattice: str, settings: Settings) -> None:
@@ -216,10 +245,7 @@ def refuse_lattice(shapes: Array, steps: Array, lattice: str, settings: Settings
     beside = np.linalg.norm(white @ metrics @ white - np.eye(2), axis=(1, 2)) / np.sqrt(2)
     scatter = float(np.median(beside))
     if not values[0] > 0 or scatter > settings.most_scatter:
-        raise ValueError(
-            f"image must show marks of one shape and size, got some that scatter by "
-            f"{100 * scatter:.0f} %"
-        )
+        raise ValueError(f"image must show marks of one shape, got a scatter of {scatter:.0%}")
     (a, b), (_, c) = np.linalg.inv(metric)  # the inner products of the steps, up to a factor
     ratio, cosine = np.sqrt(max(a, c) / min(a, c)), b / np.sqrt(a * c)
     wanted = 0.5 if lattice == "hexagonal" else 0.0
@@ -243,9 +269,7 @@ def fill(grid: Index) -> float:
     return float(len(grid) / (hull.volume + border / 2 + 1))
 
 
-def counting(
-    points: Array, grid: Index, lattice: str, direction: float, mirrored: bool
-) -> NDArray[np.float64]:
+def counting(points: Array, grid: Index, lattice: str, direction: float, mirrored: bool) -> Array:
     """Matrix (2, 2) by which coordinates of equal steps become those with the first step in the
     wanted direction.
 

@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from microlib._common import Array, as_image, as_region, luminance
+from microlib._common import Array, Region, as_image, as_region, luminance
 from microlib.calibration._settings import Settings
 
 #: Median of the absolute values to standard deviation, for normal errors.
 TO_SIGMA = 1.4826
+#: A contour that may be a mark: its centroid, second central moments and area, the mean gradient
+#: along it, and whether it surrounds what is dark.
+_CONTOUR = [
+    ("center", "2f8"),
+    ("moments", "(2,2)f8"),
+    ("area", "f8"),
+    ("slope", "f8"),
+    ("dark", "?"),
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,20 +60,22 @@ class Marks:
         )
 
 
-def to_grey(image: ArrayLike) -> NDArray[np.float32]:
-    """Checked grey levels of an image, or the luminance of one in color."""
-    grey = as_image("image", luminance("image", image), smallest=16)
-    return np.ascontiguousarray(grey)
+def look_at(image: ArrayLike, region: Region | None) -> tuple[NDArray[np.float32], Array, Any]:
+    """Checked grey levels of the part of an image to look at, or the luminance of one in color; its
+    first pixel (x, y); and the width and height of the whole."""
+    least = 16
+    whole = as_image("image", luminance("image", image), smallest=least)
+    size = whole.shape[::-1]
+    box = (0, 0, *size) if region is None else region
+    x, y, width, height = as_region("region", box, whole.shape, least=least)
+    grey = np.ascontiguousarray(whole[y : y + height, x : x + width])
+    return grey, np.array([x, y], dtype=float), size
 
 
-def crop(
-    grey: NDArray[np.float32], region: tuple[int, int, int, int] | None
-) -> tuple[NDArray[np.float32], NDArray]:
-    """The part of the image to look at, and its first pixel (x, y)."""
-    if region is None:
-        return grey, np.zeros(2)
-    x, y, width, height = as_region("region", region, grey.shape, least=16)
-    return np.ascontiguousarray(grey[y : y + height, x : x + width]), np.array([x, y], dtype=float)
+def to_bytes(grey: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Grey levels from 0 to 255, for what OpenCV does with bytes alone."""
+    most = np.iinfo(np.uint8).max
+    return np.asarray(cv2.normalize(grey, np.empty(0), 0, most, cv2.NORM_MINMAX, cv2.CV_8U))
 
 
 def dark_regions(grey: NDArray[np.float32], settings: Settings) -> Marks:
@@ -73,14 +85,12 @@ def dark_regions(grey: NDArray[np.float32], settings: Settings) -> Marks:
     light is left to `even_edges`.
     """
     smooth: NDArray = cv2.GaussianBlur(grey, (0, 0), 1.0)
-    rows: Array = np.empty((0, 8))
-    if np.ptp(smooth) > 0:
-        from skimage.filters import threshold_otsu  # here, as it takes long to import
-
-        rows = _at_level(smooth, _slope(smooth), threshold_otsu(smooth), settings)
-        rows = rows[rows[:, 7] > 0]
-        typical = np.median(rows[:, 5]) if len(rows) else 0.0
-        rows = rows[(rows[:, 5] > typical / 4) & (rows[:, 5] < typical * 4)]
+    levels = to_bytes(smooth)
+    darkest, _ = cv2.threshold(levels, 0, 1, cv2.THRESH_OTSU)
+    rows = _at_level(levels, _slope(smooth), darkest, settings)
+    rows = rows[rows["dark"]]
+    typical = np.median(rows["area"]) if len(rows) else 0.0
+    rows = rows[(rows["area"] > typical / 4) & (rows["area"] < typical * 4)]
     return _strongest(rows, grey, smooth, settings)
 
 
@@ -94,28 +104,27 @@ def even_edges(grey: NDArray[np.float32], settings: Settings) -> list[Marks]:
     """Marks that one even edge surrounds: the dark ones, and the bright ones of the negative."""
     smooth: NDArray = cv2.GaussianBlur(grey, (0, 0), 1.0)
     slope = _slope(smooth)
-    # The noise, by a mask that no plane or ridge answers, the squares of whose weights sum to 36,
-    # and what it makes of the smoothed image's derivative.
-    mask = np.array([[1.0, -2, 1], [-2, 4, -2], [1, -2, 1]])
-    noise = float(np.median(np.abs(cv2.filter2D(grey, cv2.CV_32F, mask)))) * TO_SIGMA / 6
-    least = 4 * noise / (np.sqrt(8 * np.pi))
+    # The noise, by a mask that no plane or ridge answers, the squares of whose weights sum to one,
+    # and what it makes of the smoothed image's derivative: σ/√(8 π).
+    mask = np.outer([1.0, -2, 1], [1, -2, 1]) / np.sum([1, 4, 1])
+    noise = TO_SIGMA * float(np.median(np.abs(cv2.filter2D(grey, cv2.CV_32F, mask))))
+    least = noise * np.sqrt(2 / np.pi)  # four times it
     low, high = np.percentile(smooth, [0.5, 99.5])
     ranks = np.percentile(smooth[::2, ::2], np.linspace(2, 98, settings.levels))
     levels = np.unique(np.concatenate([np.linspace(low, high, settings.levels + 2)[1:-1], ranks]))
     rows = np.concatenate([_at_level(smooth, slope, level, settings, least) for level in levels])
     negative = (grey.max() + grey.min()) - grey
-    dark = rows[:, 7] > 0
     return [
-        _strongest(rows[dark], grey, smooth, settings),
-        _strongest(rows[~dark], negative, negative.max() - smooth, settings),
+        _strongest(rows[rows["dark"]], grey, smooth, settings),
+        _strongest(rows[~rows["dark"]], negative, negative.max() - smooth, settings),
     ]
 
 
 def _at_level(
     smooth: NDArray, slope: NDArray, level: float, settings: Settings, least: float | None = None
-) -> Array:
-    """Contours of a level that may be marks: center, moments (3), area, mean gradient, and whether
-    dark (1) or bright (0). With `least`, full ones with an even gradient of more than that."""
+) -> NDArray:
+    """Contours of a level that may be marks; with `least`, full ones with an even gradient of more
+    than that."""
     # Around the image there is ground: a mark beside its border is a hole in that, too.
     mask = np.pad((smooth > level).astype(np.uint8), 1, constant_values=1)
     way = (cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
@@ -146,23 +155,21 @@ def _at_level(
         # beside its edge; that of a bright mark through its own outermost ones.
         hole = hierarchy[0, k, 3] >= 0
         wider = (1 + (-0.5 if hole else 0.5) / np.sqrt(area / np.pi)) ** 2
-        moments = wider * np.array([xx, xy, yy, area])
-        rows.append([m["m10"] / area, m["m01"] / area, *moments, mean, hole])
-    return np.array(rows).reshape(-1, 8)
+        moments = wider * np.array([[xx, xy], [xy, yy]])
+        rows.append(((m["m10"] / area, m["m01"] / area), moments, wider * area, mean, hole))
+    return np.array(rows, dtype=_CONTOUR)
 
 
 def _strongest(
-    rows: Array, image: NDArray[np.float32], smooth: NDArray, settings: Settings
+    rows: NDArray, image: NDArray[np.float32], smooth: NDArray, settings: Settings
 ) -> Marks:
     """Of the contours of one mark, within half a radius, the one with the steepest edge."""
-    rows = rows[np.argsort(-rows[:, 6], kind="stable")]
+    rows = rows[np.argsort(-rows["slope"], kind="stable")]
+    centers, areas = rows["center"], rows["area"]
     chosen = np.ones(len(rows), dtype=bool)
-    if len(rows):
-        near = cKDTree(rows[:, :2]).query_ball_point(rows[:, :2], np.sqrt(rows[:, 5] / np.pi) / 2)
-        for k in range(len(rows)):
-            if chosen[k]:
-                later = [j for j in near[k] if j > k and 0.5 < rows[j, 5] / rows[k, 5] < 2]
-                chosen[later] = False
-    rows = rows[chosen]
-    moments = rows[:, [2, 3, 3, 4]].reshape(-1, 2, 2)
-    return Marks(image, smooth, rows[:, :2], moments, rows[:, 5], settings)
+    near = cKDTree(centers).query_ball_point(centers, np.sqrt(areas / np.pi) / 2)
+    for k, beside in enumerate(near):
+        if chosen[k]:
+            later = [j for j in beside if j > k and 1 / 2 < areas[j] / areas[k] < 2]
+            chosen[later] = False
+    return Marks(image, smooth, centers[chosen], rows["moments"][chosen], areas[chosen], settings)

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from microlib._common import Array, Tidy, scalar
 from microlib.calibration._settings import Settings
-from microlib.calibration._uncertainty import inverse_interval
+from microlib.calibration._uncertainty import inverse_interval, student
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -57,8 +56,8 @@ class Micrometer(Tidy):
             Estimate, low and high.
         """
         size = scalar("division", division, above=0) / self.spacing
-        quantile = float(stdtrit(len(self.points) - 2, 0.975))
-        return size, *inverse_interval(size, quantile * self.spacing_sigma / self.spacing)
+        reach = student(len(self.points) - 2) * self.spacing_sigma / self.spacing
+        return size, *inverse_interval(size, reach)
 
 
 def find_scale(grey: NDArray[np.float32], settings: Settings) -> Micrometer:
@@ -132,12 +131,11 @@ def _direction(grey: NDArray[np.float32], settings: Settings) -> float:
 
 def _turned(grey: NDArray[np.float32], angle: float) -> tuple[NDArray[np.float32], Array]:
     """Image with the lines upright, NaN outside, and the matrix to its coordinates."""
-    height, width = grey.shape
-    matrix = np.array([[np.cos(angle), np.sin(angle), 0], [-np.sin(angle), np.cos(angle), 0]])
-    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) @ matrix[:, :2].T
-    matrix[:, 2] = -corners.min(axis=0)
-    size = np.ceil(np.ptp(corners, axis=0)).astype(int).tolist()
-    upright = cv2.warpAffine(grey, matrix, size, borderValue=float("nan"))
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    ends = np.array(grey.shape[::-1]) / 2
+    size = 2 * np.ceil(np.abs(turn) @ ends)
+    matrix = np.column_stack([turn, size / 2 - turn @ ends])
+    upright = cv2.warpAffine(grey, matrix, size.astype(int).tolist(), borderValue=float("nan"))
     return np.asarray(upright, dtype=np.float32), matrix
 
 

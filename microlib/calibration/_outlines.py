@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from scipy.spatial import cKDTree
 from microlib._common import Array
 from microlib.calibration._marks import Marks
 from microlib.calibration._settings import Settings
+from microlib.calibration._uncertainty import monomials
 
 #: From parameters (n, p) and pixels x, y (n, k) to the part F of the light that the shape takes and
 #: its derivatives by all parameters but contrast and ground, (n, k, p − 4).
@@ -36,8 +38,16 @@ BLUR, CONTRAST, GROUND = -5, -4, slice(-3, None)
 _SINGULAR = 1e-12
 
 
+class Rows:
+    """Arrays of n rows each."""
+
+    def __getitem__(self, index: NDArray) -> Self:
+        """The rows that `index` picks."""
+        return type(self)(*(each[index] for each in vars(self).values()))
+
+
 @dataclass(frozen=True)
-class Patches:
+class Patches(Rows):
     """The pixels around each of n outlines, padded to the same number k.
 
     Parameters
@@ -58,13 +68,9 @@ class Patches:
     weight: Array
     centers: Array
 
-    def __getitem__(self, index: NDArray) -> Patches:
-        """The patches that `index` picks."""
-        return Patches(*(each[index] for each in vars(self).values()))
-
 
 @dataclass(frozen=True)
-class OutlineFit:
+class OutlineFit(Rows):
     """Fitted parameters with what their accuracy is.
 
     Parameters
@@ -83,10 +89,6 @@ class OutlineFit:
     covariance: Array
     rms: Array
     centers: Array
-
-    def __getitem__(self, index: NDArray[np.bool_]) -> OutlineFit:
-        """The fits that `index` picks."""
-        return OutlineFit(*(each[index] for each in vars(self).values()))
 
 
 def cut_patches(
@@ -122,24 +124,19 @@ def cut_patches(
 
 
 def fit_shapes(
-    outline: Outline,
-    start: Array,
-    patches: Patches,
-    gap: float,
-    settings: Settings,
-    most: int | None = None,
+    outline: Outline, start: Array, patches: Patches, gap: float, settings: Settings
 ) -> OutlineFit:
     """Fit outlines that lie `gap` apart, px, which may be no further than their blur reaches."""
     start[:, BLUR], start[:, CONTRAST] = settings.start_blur, 2 / 3
     start[:, GROUND.start] = patches.grey.max(axis=1)
-    fit = _fit_alone(outline, start, patches, settings, most)
+    fit = _fit_alone(outline, start, patches, settings)
     # Beyond two blurs a neighbor takes less than a fortieth of the light.
     if gap < 4 * np.median(np.abs(fit.parameters[:, BLUR])):
         # With a gap of 2.8 times the blur one is 0.085 px off without any round, then 0.0092 after
         # two, 0.0074 after three, and 0.0070 after six.
         for _ in range(3):
             grey = patches.grey + _taken(outline, fit, patches)
-            fit = _fit_alone(outline, fit.parameters, replace(patches, grey=grey), settings, most)
+            fit = _fit_alone(outline, fit.parameters, replace(patches, grey=grey), settings)
     return fit
 
 
@@ -170,19 +167,17 @@ def _taken(outline: Outline, fit: OutlineFit, patches: Patches) -> Array:
     return taken * patches.weight
 
 
-def _fit_alone(
-    outline: Outline, start: Array, patches: Patches, settings: Settings, most: int | None
-) -> OutlineFit:
+def _fit_alone(outline: Outline, start: Array, patches: Patches, settings: Settings) -> OutlineFit:
     """Levenberg–Marquardt on every patch at once, each with its own damping.
 
-    A patch that cannot be fitted, or still moves after `most` steps, leaves the others alone; its
+    A patch that cannot be fitted, or still moves after the last step, leaves the others alone; its
     covariance is NaN.
     """
     best = start.copy()
     damping = np.full(len(start), 1e-3)
     normal, gradient, cost = _equations(outline, best, patches)
     moving = np.isfinite(cost)  # a patch at NaN is lost
-    for _ in range(most or settings.steps):
+    for _ in range(settings.steps):
         if not moving.any():
             break
         some = np.flatnonzero(moving)
@@ -229,18 +224,17 @@ def smooth_parameters(fit: OutlineFit, columns: list[int], settings: Settings) -
     been known. A column whose values lie further from the polynomial than their errors explain is
     not shared.
     """
-    # At least twice as many outlines as the polynomial has coefficients.
+    # At least twice as many outlines as the polynomial has coefficients, (d + 1)(d + 2)/2.
     centers = fit.centers
-    degree = 2 if len(centers) >= 12 else 1 if len(centers) >= 6 else 0
+    degree = sum(len(centers) >= (d + 1) * (d + 2) for d in (1, 2))
     if degree == 0:
         return fit
-    x, y = ((centers - centers.mean(axis=0)) / np.ptp(centers)).T
-    basis = np.column_stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)])
+    basis = monomials(centers, degree)
     inverse = np.linalg.pinv(basis)
     freedom = len(basis) - basis.shape[1]
     smooth = basis @ (inverse @ fit.parameters)
-    variance = np.einsum("npp->np", fit.covariance)
-    misfit = ((fit.parameters - smooth) ** 2 / variance).sum(axis=0) / freedom
+    change = smooth - fit.parameters
+    misfit = (change**2 / np.einsum("npp->np", fit.covariance)).sum(axis=0) / freedom
     columns = [k for k in columns if misfit[k] < 1 + settings.rough * np.sqrt(2 / freedom)]
     if not columns:
         return fit
@@ -249,10 +243,9 @@ def smooth_parameters(fit: OutlineFit, columns: list[int], settings: Settings) -
     # What an outline adds to the shared values itself is its leverage; that much of its own error
     # stays.
     leverage = np.einsum("ij,ji->i", basis, inverse)[:, None, None]
-    change = (smooth - fit.parameters)[:, columns]
     return replace(
         fit,
-        parameters=fit.parameters + (gain @ change[..., None])[..., 0],
+        parameters=fit.parameters + (gain @ change[:, columns, None])[..., 0],
         covariance=fit.covariance - (1 - leverage) * (gain @ across.transpose(0, 2, 1)),
     )
 
@@ -260,7 +253,7 @@ def smooth_parameters(fit: OutlineFit, columns: list[int], settings: Settings) -
 def _invert(matrices: Array) -> Array:
     """Inverse of each symmetric positive matrix after scaling to unit diagonal; NaN where
     singular."""
-    scale = np.sqrt(np.maximum(np.einsum("npp->np", matrices), 1e-300))
+    scale = np.sqrt(np.maximum(np.einsum("npp->np", matrices), np.finfo(float).tiny))
     unit = matrices / scale[:, :, None] / scale[:, None, :]
     values, vectors = np.linalg.eigh(np.where(np.isfinite(unit), unit, 0.0))
     with np.errstate(divide="ignore"):

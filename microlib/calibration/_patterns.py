@@ -15,23 +15,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array
-from microlib.calibration._agreement import agree
-from microlib.calibration._chessboard import find_corners
 from microlib.calibration._detection import FEWEST, Detection
-from microlib.calibration._grid_map import GridMap, fit_grid_map
+from microlib.calibration._grid_map import GridMap, agree, fit_grid_map
 from microlib.calibration._lattice import (
     MIDDLE,
     STEPS,
+    Index,
     complete,
     counting,
     darkness,
     fill,
+    find_corners,
     grow_lattices,
     refuse_fields,
     refuse_lattice,
     rough_map,
 )
 from microlib.calibration._marks import Marks, dark_regions, even_edges
+from microlib.calibration._outlines import Rows
 from microlib.calibration._settings import Settings
 from microlib.calibration._shapes import CORNERS, are_round, fit_marks
 
@@ -39,7 +40,7 @@ from microlib.calibration._shapes import CORNERS, are_round, fit_marks
 FIRST = 30
 
 #: Marks, which of them are of a piece of lattice, and their integer coordinates in it.
-Piece = tuple[Marks, NDArray[np.intp], NDArray[np.intp]]
+Piece = tuple[Marks, Index, Index]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +79,17 @@ class Scene:
         return self._pieces[lattice]
 
 
+@dataclass(frozen=True)
+class Wanted:
+    """A pattern to look for: circles, squares or the corners of a chessboard, the lattice that they
+    lie on, the direction of its x axis in the image, rad, and whether it is seen from behind."""
+
+    kind: str
+    lattice: str = "square"
+    direction: float = 0.0
+    mirrored: bool = False
+
+
 class WrongPattern(ValueError):
     """The image shows another pattern than the one looked for."""
 
@@ -86,16 +98,30 @@ class WrongPattern(ValueError):
         self.seen = seen
 
 
+@dataclass(frozen=True)
+class Fitted(Rows):
+    """Marks of a lattice as they were fitted.
+
+    Parameters
+    ----------
+    points, sigma : ndarray, shapes (n, k, 2) and (n, k)
+        Of each mark, px, and the standard deviation of a coordinate.
+    grid : ndarray of int, shape (n, 2)
+        Places in the lattice.
+    areas : ndarray, shape (n,)
+        Of circles in the image, px²; zero of others.
+    """
+
+    points: Array
+    sigma: Array
+    grid: Index
+    areas: Array
+
+
 def find_pattern(
-    scene: Scene,
-    kind: str,
-    lattice: str,
-    direction: float = 0.0,
-    mirrored: bool = False,
-    *,
-    most: int | None = None,
+    scene: Scene, wanted: Wanted, *, most: int | None = None
 ) -> tuple[Detection, bool]:
-    """The pattern of a kind that an image shows, and whether it shows nothing else.
+    """The pattern that an image shows, and whether it shows nothing else.
 
     With `most`, no more than so many marks of the likeliest lattice: enough to name it by.
 
@@ -104,17 +130,12 @@ def find_pattern(
     ValueError
         If there is none.
     """
-    refusal = ValueError(f"image must show a grid of {kind}, got none")
-    candidates = islice(_candidates(scene, kind, lattice, most), 1 if most else None)
-    for count, (marks, grid, alone) in enumerate(candidates):
+    kind, refusal = wanted.kind, ""
+    for marks, grid, alone in islice(_candidates(scene, wanted, most), 1 if most else None):
         try:
             if not alone and len(grid) > 2 * FIRST:  # chance is refused by a part, and sooner
-                _fit(marks[:FIRST], grid[:FIRST], kind, lattice)
-            points, sigma, grid, areas = _fit(marks, grid, kind, lattice)
-            turn = counting(points.mean(axis=1), grid, lattice, direction, mirrored)
-            found = _place(
-                points, sigma, grid, areas, lattice, turn, scene.grey.shape, scene.settings
-            )
+                _fit(marks[:FIRST], grid[:FIRST], wanted)
+            found = _place(_fit(marks, grid, wanted), wanted, scene)
             # A homography leads to any four centers, and clutter has many.
             if alone or np.isfinite(found.misfit):
                 return found, alone
@@ -122,39 +143,32 @@ def find_pattern(
         except ValueError as fault:
             if alone and isinstance(fault, WrongPattern):
                 raise
-            if count == 0:  # of the largest
-                refusal = ValueError(str(fault))
-    raise refusal
+            refusal = refusal or str(fault)  # of the largest
+    raise ValueError(refusal or f"image must show a grid of {kind}, got none")
 
 
 def _candidates(
-    scene: Scene, kind: str, lattice: str, most: int | None
-) -> Iterator[tuple[Marks, NDArray[np.intp], bool]]:
+    scene: Scene, wanted: Wanted, most: int | None
+) -> Iterator[tuple[Marks, Index, bool]]:
     """Lattices of marks, the most likely first: that of the image as if it showed nothing else,
     then the largest pieces in clutter; and whether the image shows nothing else. With `most` they
     are completed from so many marks."""
-    if kind == "chessboard":
+    if wanted.kind == "chessboard":
         yield *find_corners(scene.grey, scene.settings), True
         return
     marks = scene.dark
-    pieces = [(marks, *piece) for piece in grow_lattices(marks, lattice)[:1]]
+    pieces = [(marks, *piece) for piece in grow_lattices(marks, wanted.lattice)[:1]]
     if pieces and len(pieces[0][1]) >= scene.settings.nothing_else * len(marks.centers):
         marks, index, grid = pieces.pop()
         yield *complete(marks[index[:most]], grid[:most], darkness), True
-    pieces += scene.pieces(lattice)
+    pieces += scene.pieces(wanted.lattice)
     for marks, index, grid in sorted(pieces, key=lambda piece: -len(piece[1]))[:4]:
         yield *complete(marks[index[:most]], grid[:most], darkness), False
 
 
-def _fit(
-    marks: Marks, grid: NDArray[np.intp], kind: str, lattice: str
-) -> tuple[Array, Array, NDArray[np.intp], Array]:
-    """Fit the marks, and keep those that lie in the image and are fitted as well as the others.
-
-    Their points (n, k, 2) with σ (n, k), their grid (n, 2), and of circles the areas (n,) in the
-    image.
-    """
-    flat = grid.astype(np.float64)
+def _fit(marks: Marks, grid: Index, wanted: Wanted) -> Fitted:
+    """Fit the marks, and keep those that lie in the image and are fitted as well as the others."""
+    kind, flat = wanted.kind, grid.astype(np.float64)
     steps = rough_map(marks, grid).steps(flat)
     if not np.abs(np.linalg.det(steps)).min() > 1:
         raise ValueError(f"image must show a plane grid of {kind}, got marks that are on none")
@@ -162,69 +176,60 @@ def _fit(
         refuse_fields(kind, marks, grid)
         if are_round(marks, steps) != (kind == "circles"):
             raise WrongPattern(kind, "squares" if kind == "circles" else "circles")
-    good, points, sigma, shapes = fit_marks(marks, steps, kind)
-    marks, grid, flat = marks[good], grid[good], flat[good]
+    good, points, sigma, matrices = fit_marks(marks, steps, kind)
+    grid, flat = grid[good], flat[good]
     share = fill(grid)
     if share < marks.settings.least_full:  # as chance puts it together
-        raise ValueError(
-            f"image must show a grid of {kind}, got {len(grid)} that fill {100 * share:.0f} % of "
-            "the places of one"
-        )
+        raise ValueError(f"image must show a grid of {kind}, got {share:.0%} of its places")
     if kind == "circles":
         to_image, _ = fit_grid_map(points, flat, MIDDLE, marks.image.shape)
-        refuse_lattice(shapes @ shapes, to_image.steps(flat), lattice, marks.settings)
-    return points, sigma, grid, np.pi * np.abs(np.linalg.det(shapes))
+        refuse_lattice(matrices @ matrices, to_image.steps(flat), wanted.lattice, marks.settings)
+    return Fitted(points, sigma, grid, np.pi * np.abs(np.linalg.det(matrices)))
 
 
-def _place(
-    points: Array,
-    sigma: Array,
-    grid: NDArray[np.intp],
-    areas: Array,
-    lattice: str,
-    turn: Array,
-    image_shape: tuple[int, ...],
-    settings: Settings,
-) -> Detection:
+def _place(fitted: Fitted, wanted: Wanted, scene: Scene) -> Detection:
     """Points freed of bias, on a lattice that is tested; marks that are none of it are left out."""
-    squares = points.shape[1] == 4
+    middles = fitted.points.mean(axis=1)
+    turn = counting(middles, fitted.grid, wanted.lattice, wanted.direction, wanted.mirrored)
+    squares = wanted.kind == "squares"
     offsets: Array = CORNERS @ turn if squares else MIDDLE
-    grid = np.round(grid @ turn).astype(np.intp)
-    kept = np.ones(len(grid), dtype=bool)
+    shape, kept = scene.grey.shape, np.ones(len(middles), dtype=bool)
     while True:
-        points, sigma, grid, areas = points[kept], sigma[kept], grid[kept], areas[kept]
-        if len(grid) < FEWEST:
-            raise ValueError(f"image must show a plane grid, got {len(grid)} marks of one")
-        cells = grid @ STEPS[lattice]
-        to_image, positions = fit_grid_map(points, cells, offsets, image_shape)
+        fitted = fitted[kept]
+        if len(fitted.grid) < FEWEST:
+            raise ValueError(f"image must show a plane grid, got {len(fitted.grid)} marks of one")
+        points, grid = fitted.points.copy(), np.round(fitted.grid @ turn).astype(np.intp)
+        cells = grid @ STEPS[wanted.lattice]
+        to_image, positions = fit_grid_map(points, cells, offsets, shape)
         if squares:
-            sides = np.ptp(positions[0], axis=0)
-            if np.ptp(sides) > settings.most_skew * sides.min() or sides.max() >= 1:
-                raise ValueError(
-                    "image must show squares on a square lattice, got rectangles of "
-                    f"{sides[0]:.3g} × {sides[1]:.3g} steps"
-                )
-        bias = _corner_bias(to_image, positions) if squares else 0 * points
-        if areas.any():
-            bias = _center_bias(to_image, cells, areas)[:, None]
-        to_image, positions = fit_grid_map(points - bias, cells, offsets, image_shape)
-        pitch = float(np.sqrt(np.median(to_image.scale(cells))))
-        kept, stated, misfit = agree(points - bias, positions, to_image, sigma, pitch, settings)
+            _refuse_rectangles(np.ptp(positions[0], axis=0), scene.settings)
+            points -= _corner_bias(to_image, positions)
+        elif wanted.kind == "circles":
+            points -= _center_bias(to_image, cells, fitted.areas)[:, None]
+        to_image, positions = fit_grid_map(points, cells, offsets, shape)
+        kept, sigma, misfit = agree(points, positions, to_image, fitted.sigma, scene.settings)
         if kept.all():
             break  # else strays bent the map
-    grid = (grid - grid.min(axis=0))[:, None]
     ends = (offsets > 0).astype(np.intp)
     side = float(np.ptp(positions[0], axis=0).mean()) if squares else 1.0
+    grid = (grid - grid.min(axis=0))[:, None]
     return Detection(
-        (points - bias).reshape(-1, 2),
+        points.reshape(-1, 2),
         ((1 + squares) * grid + ends).reshape(-1, 2),
-        stated.ravel(),
+        sigma.ravel(),
         np.repeat(np.arange(len(grid)), points.shape[1]),
-        (grid @ STEPS[lattice] + side * ends).reshape(-1, 2),
-        np.nan if areas.any() else side,
+        (grid @ STEPS[wanted.lattice] + side * ends).reshape(-1, 2),
+        np.nan if wanted.kind == "circles" else side,
         misfit,
-        (image_shape[1], image_shape[0]),
+        (shape[1], shape[0]),
     )
+
+
+def _refuse_rectangles(sides: Array, settings: Settings) -> None:
+    """Refuse marks whose sides, in steps, are not those of squares, or leave no gap."""
+    if np.ptp(sides) > settings.most_skew * sides.min() or sides.max() >= 1:
+        width, height = sides
+        raise ValueError(f"image must show squares, got rectangles of {width:.3g} × {height:.3g}")
 
 
 def _center_bias(to_image: GridMap, cells: Array, areas: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from microlib.calibration._outlines import (
 
 # Ellipses: center, shape matrix A (|A·(x − center)| = 1 on the ellipse), then what all have.
 CENTER, _SHAPE = slice(0, 2), slice(2, 5)
-#: Least divisor: of parallel lines, and at the center of an ellipse, where no fitted pixel is.
+#: Least divisor, at the center of an ellipse, where no fitted pixel is.
 _LEAST = 1e-9
 
 # Lines, four of a quadrilateral or the two that cross at a chessboard's corner: directions of the
@@ -44,9 +45,10 @@ def are_round(marks: Marks, steps: Array) -> bool:
     """Say whether ellipses fit the marks' grey levels better than quadrilaterals do."""
     # Each has hundreds of pixels to tell by. The first of the lattice lie beside one another, so
     # that the band around each ends where its neighbor's begins.
-    some, few = marks[:6], marks.settings.few_steps
-    ellipses, quads = fit_ellipses(some, few), fit_quads(some, steps[:6], few)
-    rms = [float(np.nanmedian(fit.rms)) for fit in (quads, ellipses)]
+    first = slice(2 * FEWEST)
+    some = replace(marks[first], settings=replace(marks.settings, steps=marks.settings.few_steps))
+    fits = fit_quads(some, steps[first]), fit_ellipses(some)
+    rms = [float(np.nanmedian(fit.rms)) for fit in fits]
     # Noise of three fifths of the contrast would leave as much. The fit of all of such large marks,
     # as the fields with markers of a ChArUco board, would creep on for long.
     if min(rms) > np.ptp(marks.smooth) / 4:
@@ -62,25 +64,25 @@ def fit_marks(
     Which; their points (n, k, 2) with σ (n, k); and of circles the matrices (n, 2, 2) that make the
     ellipses of a unit circle, else zeros.
     """
-    reach: Array = np.array([[[-1.0], [1.0]]])
     locate, smooth = quad_corners, SMOOTH_QUAD
+    matrices: Array = np.zeros((len(marks.centers), 2, 2))
     if kind == "circles":
         fit = fit_ellipses(marks)
         locate, smooth = ellipse_center, SMOOTH_ELLIPSE
-        reach = reach * ellipse_reach(fit.parameters)[:, None]
-        half = 1 / np.sqrt(np.abs(np.linalg.det(ellipse_shape(fit.parameters))))
+        matrices = ellipse_matrix(fit.parameters)
+        half = np.sqrt(np.abs(np.linalg.det(matrices)))
     elif kind == "squares":
         fit = fit_quads(marks, steps)
-        reach = np.zeros(1)
         half = line_offsets(fit.parameters).mean(axis=1)
     else:
         fit = fit_crossings(marks, steps)
         smooth, half = [], np.ones(len(marks.centers))
     points, sigma = locate(fit)
-    low, high = (points + reach).min(axis=1), (points + reach).max(axis=1)
+    reach = np.linalg.norm(matrices, axis=2)[:, None]  # half the width and height of an ellipse
     limit = np.array(marks.image.shape[::-1]) - 1
     worst = sigma.max(axis=1)
-    good = ((low >= 0) & (high <= limit)).all(axis=1) & np.isfinite(worst)
+    inside = (points >= reach) & (points <= limit - reach)
+    good = inside.all(axis=(1, 2)) & np.isfinite(worst)
     # Residuals of up to 5 medians let 2 wrong points of 1961 pass that 3 keeps out, and 2 costs 12.
     if good.any():
         good &= (fit.rms <= 3 * np.median(fit.rms[good])) & (
@@ -90,40 +92,34 @@ def fit_marks(
         raise ValueError(f"image must show a grid of {kind}, got {int(good.sum())} whole ones")
     fit = fit[good]
     if kind == "chessboard":
-        rest = float(
-            np.median(fit.rms / np.abs(fit.parameters[:, [CONTRAST, GROUND.start]].prod(axis=1)))
-        )
+        dark = fit.parameters[:, CONTRAST] * fit.parameters[:, GROUND.start]
+        rest = float(np.median(fit.rms / np.abs(dark)))
         # Photographed boards leave up to 0.05, the places between circles 0.34.
         if rest > 1 / 4:
-            raise ValueError(
-                "image must show a chessboard, got marks on a lattice, beside which crossing edges "
-                f"leave {100 * rest:.0f} % of the contrast"
-            )
+            raise ValueError(f"image must show a chessboard, got marks that differ by {rest:.0%}")
     fit = smooth_parameters(fit, smooth, marks.settings)
-    shapes: Array = np.zeros((len(fit.rms), 2, 2))
-    if kind == "circles":
-        shapes = np.linalg.inv(ellipse_shape(fit.parameters))
-    return good, *locate(fit), shapes
+    matrices = ellipse_matrix(fit.parameters) if kind == "circles" else matrices[good]
+    return good, *locate(fit), matrices
 
 
-def fit_ellipses(marks: Marks, most: int | None = None) -> OutlineFit:
+def fit_ellipses(marks: Marks) -> OutlineFit:
     """Fit an ellipse to each mark."""
     values, vectors = np.linalg.eigh(marks.moments)  # a filled ellipse has A = ½ Σ^(−½)
     shape = (vectors / (2 * np.sqrt(values))[:, None, :]) @ vectors.transpose(0, 2, 1)
-    start = np.zeros((len(shape), 10))
-    start[:, CENTER] = marks.centers - np.round(marks.centers)
-    start[:, _SHAPE] = shape[:, [0, 0, 1], [0, 1, 1]]
+    own = np.hstack([marks.centers - np.round(marks.centers), shape[:, [0, 0, 1], [0, 1, 1]]])
+    start = np.pad(own, [(0, 0), (0, -BLUR)])
     radius = float(1 / np.sqrt(np.linalg.det(shape).min()))
     near, gap = band(marks, radius)
     half = 3 / 2 * radius - near[0]  # the longer axis is 1.5 mean radii at a tilt of 64°
     patches = cut_patches(marks, half, lambda x, y: _to_ellipse(start, x, y)[0], near)
-    return fit_shapes(_ellipse, start, patches, gap, marks.settings, most)
+    return fit_shapes(_ellipse, start, patches, gap, marks.settings)
 
 
-def ellipse_shape(parameters: Array) -> Array:
-    """Symmetric matrix A of each ellipse, (n, 2, 2)."""
-    a, b, d = np.moveaxis(parameters[:, _SHAPE], 1, 0)
-    return np.stack([a, b, b, d], axis=-1).reshape(-1, 2, 2)
+def ellipse_matrix(parameters: Array) -> Array:
+    """Symmetric matrix A⁻¹ that makes each ellipse of a unit circle, (n, 2, 2); the lengths of its
+    rows are half of the ellipse's width and height."""
+    a, b, d = parameters[:, _SHAPE].T
+    return np.linalg.inv(np.stack([a, b, b, d], axis=-1).reshape(-1, 2, 2))
 
 
 def ellipse_center(fit: OutlineFit) -> tuple[Array, Array]:
@@ -132,28 +128,19 @@ def ellipse_center(fit: OutlineFit) -> tuple[Array, Array]:
     return (fit.parameters[:, CENTER] + fit.centers)[:, None], sigma[:, None]
 
 
-def ellipse_reach(parameters: Array) -> Array:
-    """Half the width and height of each ellipse, px; (AᵀA)⁻¹ has their squares on its diagonal."""
-    a, b, d = parameters[:, _SHAPE].T
-    return np.sqrt(np.column_stack([b * b + d * d, a * a + b * b])) / np.abs(a * d - b * b)[:, None]
-
-
-def fit_quads(marks: Marks, steps: Array, most: int | None = None) -> OutlineFit:
+def fit_quads(marks: Marks, steps: Array) -> OutlineFit:
     """Fit four lines to each mark, from a square along the lattice's steps."""
     origin = np.round(marks.centers)
     side = np.sqrt(marks.areas / np.abs(np.linalg.det(steps)))[:, None, None]
     corners = side * (CORNERS @ steps.transpose(0, 2, 1)) + (marks.centers - origin)[:, None]
     before = np.roll(corners, 1, axis=1)
-    normal = (corners - before)[..., ::-1] * [1, -1]
-    middle = (corners + before) / 2
-    outward = (normal * (middle - corners.mean(axis=1, keepdims=True))).sum(axis=-1)
-    normal *= np.sign(outward)[..., None] / np.linalg.norm(normal, axis=-1, keepdims=True)
-    start = _start_lines(normal, middle)
+    outward = np.sign(np.linalg.det(steps))[:, None, None]
+    start = _start_lines(outward * (corners - before), (corners + before) / 2)
     width = float(np.median(line_offsets(start).sum(axis=1)) / 2)
     near, gap = band(marks, width / 2)
     half = width - near[0]  # half a diagonal and some for the tilt
     patches = cut_patches(marks, half, lambda x, y: _to_lines(start, x, y).min(axis=-1), near)
-    return fit_shapes(_quad, start, patches, gap, marks.settings, most)
+    return fit_shapes(_quad, start, patches, gap, marks.settings)
 
 
 def fit_crossings(marks: Marks, steps: Array) -> OutlineFit:
@@ -162,9 +149,7 @@ def fit_crossings(marks: Marks, steps: Array) -> OutlineFit:
     settings = marks.settings
     reach = float(np.clip(settings.crossing * side, 3, settings.most_crossing))
     patches = cut_patches(marks, reach, np.hypot, (0.0, reach))
-    normal = steps.transpose(0, 2, 1)[..., ::-1] * [1, -1]
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    start = _start_lines(normal, (marks.centers - patches.centers)[:, None])
+    start = _start_lines(steps.transpose(0, 2, 1), (marks.centers - patches.centers)[:, None])
     start[:, BLUR] = settings.start_blur
     dark = _crossing(start, patches.x, patches.y)[0] - 0.5
     bright = (dark * (patches.grey - patches.grey.mean()) * patches.weight).sum(axis=1) > 0
@@ -178,12 +163,11 @@ def line_offsets(parameters: Array) -> Array:
     return parameters[:, (parameters.shape[1] + BLUR) // 2 : BLUR]
 
 
-def _start_lines(normal: Array, on: Array) -> Array:
-    """Parameters of lines by their normals and points on them, (n, lines, 2)."""
-    angle = np.arctan2(normal[..., 1], normal[..., 0])
-    angle = angle[0] + np.angle(np.exp(1j * (angle - angle[0])))  # of one branch
-    common = np.zeros((len(angle), -BLUR))
-    return np.hstack([angle, (normal * on).sum(axis=-1), common])
+def _start_lines(along: Array, on: Array) -> Array:
+    """Parameters of lines by their directions and points on them, (n, lines, 2)."""
+    angle = np.unwrap(np.arctan2(-along[..., 0], along[..., 1]), axis=0)
+    offset = np.cos(angle) * on[..., 0] + np.sin(angle) * on[..., 1]
+    return np.pad(np.hstack([angle, offset]), [(0, 0), (0, -BLUR)])
 
 
 def quad_corners(fit: OutlineFit) -> tuple[Array, Array]:
@@ -195,9 +179,7 @@ def quad_corners(fit: OutlineFit) -> tuple[Array, Array]:
     pair = np.column_stack([first, (first + 1) % lines])  # (corners, 2)
     angle = fit.parameters[:, pair]
     cos, sin = np.cos(angle), np.sin(angle)
-    det = cos[..., 0] * sin[..., 1] - sin[..., 0] * cos[..., 1]
-    det = np.where(np.abs(det) > _LEAST, det, np.nan)[..., None, None]
-    inverse = np.stack([sin[..., ::-1] * [1, -1], cos[..., ::-1] * [-1, 1]], axis=-2) / det
+    inverse = np.linalg.inv(np.stack([cos, sin], axis=-1))
     corners = (inverse @ offset[:, pair][..., None])[..., 0]
     # Turning a line by dθ moves it at the corner by (sin θ x − cos θ y) dθ along its normal.
     slide = sin * corners[..., :1] - cos * corners[..., 1:]
@@ -229,11 +211,8 @@ def _ellipse(parameters: Array, x: Array, y: Array) -> tuple[Array, Array]:
     blur, sign = _blur(parameters)
     z = distance / blur
     slope = np.exp(-0.5 * z * z) / (np.sqrt(2 * np.pi) * blur)
-    by = np.empty((*z.shape, 6))
-    by[..., 0], by[..., 1] = slope * nx, slope * ny
-    by[..., _SHAPE] = -slope[..., None] * by_shape
-    by[..., -1] = -slope * z * sign
-    return ndtr(z), by
+    by = np.stack([nx, ny, *np.moveaxis(-by_shape, -1, 0), -z * sign], axis=-1)
+    return ndtr(z), slope[..., None] * by
 
 
 def _to_lines(parameters: Array, x: Array, y: Array) -> Array:

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import stdtrit
 
 from microlib._common import Array, Tidy, as_array, between, same_length
-from microlib.calibration._uncertainty import FARTHEST, inverse_interval
+from microlib.calibration._uncertainty import FARTHEST, inverse_interval, student
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -52,13 +51,19 @@ class StageAffine(Tidy):
         return ";".join(f"{float(n):.9g}" for n in (a, b, 0, c, d, 0))
 
 
-def span_plane(**named: Array) -> None:
-    """Refuse points (N, 2) that lie on one line, or in one place."""
-    for name, points in named.items():
+def plane_points(least: int, **named: ArrayLike) -> list[Array]:
+    """Check points (N, 2) and their images: `least` at least, on no line nor in one place."""
+    pairs = [as_array(name, points, shape=(None, 2)) for name, points in named.items()]
+    same_length(tuple(named), *pairs)
+    for name, points in zip(named, pairs, strict=True):
+        between(name, points, -FARTHEST, FARTHEST)
+        if len(points) < least:
+            raise ValueError(f"{name} must hold at least {least} points, got {len(points)}")
         triangle = np.linalg.qr(points - points.mean(axis=0), mode="r")
         extent = np.linalg.svd(triangle, compute_uv=False)
         if not extent[-1] > max(1e-6 * extent[0], 1 / FARTHEST):
             raise ValueError(f"{name} must not lie on one line, got {len(points)} points that do")
+    return pairs
 
 
 def stage_affine(stage: ArrayLike, image: ArrayLike) -> StageAffine:
@@ -95,14 +100,7 @@ def stage_affine(stage: ArrayLike, image: ArrayLike) -> StageAffine:
     >>> round(found.um_per_pixel[0], 6), round(found.angle / np.pi, 6), found.mirrored
     (0.5, 0.5, False)
     """
-    stage = as_array("stage", stage, shape=(None, 2))
-    image = as_array("image", image, shape=(None, 2))
-    same_length(("stage", "image"), stage, image)
-    for name, points in (("stage", stage), ("image", image)):
-        between(name, points, -FARTHEST, FARTHEST)
-        if len(points) < 3:  # the numbers of an affine map, a coordinate
-            raise ValueError(f"{name} must hold at least 3 positions, got {len(points)}")
-    span_plane(stage=stage, image=image)
+    stage, image = plane_points(3, stage=stage, image=image)  # the numbers a coordinate
     middle = np.eye(3)
     middle[2, :2] = -stage.mean(axis=0)  # from positions to those about their middle
     design = np.column_stack([stage, np.ones(len(stage))]) @ middle
@@ -117,7 +115,7 @@ def stage_affine(stage: ArrayLike, image: ArrayLike) -> StageAffine:
     pixel = 1 / np.sqrt(np.abs(np.linalg.det(linear)))
     by = 0.5 * np.linalg.inv(linear).T.ravel()  # d log √|det A| = ½ tr(A⁻¹ dA)
     relative = np.sqrt(by @ covariance[np.ix_([0, 1, 3, 4], [0, 1, 3, 4])] @ by)
-    reach = float(relative * stdtrit(freedom, 0.975)) if freedom else np.nan
+    reach = float(relative * student(freedom)) if freedom else np.nan
     return StageAffine(
         matrix,
         covariance,

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
-from scipy.special import fdtrc
+from scipy.special import fdtrc, stdtrit
 
 from microlib._common import Array, inverse_normal, of_kind, scalar
 from microlib.microscope import Microscope
@@ -75,6 +75,11 @@ def cramer_rao(
         return np.where(np.isinf(inverse), np.inf, noise**2 * inverse)
 
 
+def student(freedom: float, level: float = 0.95) -> float:
+    """Half the width of an interval, in standard deviations that so many residuals tell."""
+    return float(stdtrit(freedom, (1 + level) / 2))
+
+
 def inverse_interval(value: float, reach: float) -> tuple[float, float]:
     """Ends of the interval of a positive quantity whose inverse has the normal error.
 
@@ -116,6 +121,15 @@ def jackknife(jacobian: Array, residuals: Array, groups: NDArray) -> Array:
     return np.where(np.isfinite(inverse), shrink * spread @ spread.T, inverse)
 
 
+def monomials(places: Array, degree: int) -> Array:
+    """Products xⁱ yʲ with i + j ≤ `degree`, (..., terms), the lower ones first, of places (..., 2)
+    about their middle in units of their extent."""
+    about = (places - places.reshape(-1, 2).mean(axis=0)) / np.ptp(places)
+    x, y = np.moveaxis(about, -1, 0)
+    powers = [(i, total - i) for total in range(degree + 1) for i in range(total + 1)]
+    return np.stack([x**i * y**j for i, j in powers], axis=-1)
+
+
 def smooth_fields(points: Array) -> Array:
     """Displacements that vary smoothly over the points, (2N, k), each as long as it is likely.
 
@@ -126,11 +140,9 @@ def smooth_fields(points: Array) -> Array:
     degree = next((d for d, least in _DEGREES if len(points) >= least), None)
     if degree is None:
         return np.empty((2 * len(points), 0))
-    middle = points.mean(axis=0)
-    x, y = ((points - middle) / np.abs(points - middle).max()).T
-    powers = [(i, total - i) for total in range(degree + 1) for i in range(total + 1)]
-    each, _ = np.linalg.qr(np.column_stack([x**i * y**j for i, j in powers]))
-    return np.kron(each * [3.0 ** -(i + j) for i, j in powers], np.eye(2))
+    each, _ = np.linalg.qr(monomials(points, degree))
+    falling = [3.0**-total for total in range(degree + 1) for _ in range(total + 1)]
+    return np.kron(each * falling, np.eye(2))
 
 
 def fields_of_views(points: list[Array]) -> Array:
