@@ -96,11 +96,12 @@ def as_image(name: str, value: ArrayLike, *, smallest: int = 1) -> NDArray:
 
 def luminance(name: str, value: ArrayLike) -> NDArray:
     """Return an image as it is, or the luminance of one in color as float32."""
+    import cv2  # here, as formulas do without it
+
     image = value if type(value) is np.ndarray else as_array(name, value)
     if image.ndim == 3 and image.shape[2] in (3, 4):
-        # As frames that are read as grey have it.
-        weights = np.array([0.299, 0.587, 0.114], np.float32)
-        image = as_array(name, image, dtype=np.float32)[..., :3] @ weights
+        color = np.ascontiguousarray(as_array(name, image, dtype=np.float32)[..., :3])
+        image = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
     return image
 
 

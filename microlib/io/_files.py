@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import as_array, of_kind, replace_file, scalar, whole
 from microlib.io._frames import read_frames, reduced
+from microlib.io._metadata import MICROMETERS
 
 
 def read_grey(path: str | PathLike[str]) -> NDArray:
@@ -109,7 +110,7 @@ def write_height_tiff(
         tifffile.imwrite(
             file,
             values,
-            resolution=(1e4 / size, 1e4 / size),
+            resolution=2 * (MICROMETERS["cm"] / size,),
             resolutionunit="CENTIMETER",
             photometric="minisblack" if values.ndim == 2 else "rgb",
             ome=ome,

@@ -11,7 +11,7 @@ import tifffile
 from microlib._common import Array
 
 #: µm in the units that OME and ImageJ name; what is not here has no size, such as "pixel".
-_MICROMETERS = {
+MICROMETERS = {
     "nm": 1e-3,
     **dict.fromkeys(("µm", "μm", "um", "\\u00b5m", "micron", "microns", "micrometer"), 1.0),
     "mm": 1e3,
@@ -29,7 +29,8 @@ def tiff_scale(tiff: tifffile.TiffFile, count: int) -> tuple[float | None, Array
     if tiff.is_ome and tiff.ome_metadata:
         return _ome(tiff.ome_metadata, count)
     page = tiff.pages[0].aspage()
-    unit, spacing = 1e4 if page.resolutionunit == tifffile.RESUNIT.CENTIMETER else np.nan, np.nan
+    in_cm = page.resolutionunit == tifffile.RESUNIT.CENTIMETER
+    unit, spacing = MICROMETERS["cm"] if in_cm else np.nan, np.nan
     if tiff.is_imagej and (about := tiff.imagej_metadata):
         name = str(about.get("unit")).lower()
         unit, spacing = _micrometers(1, name), abs(_micrometers(about.get("spacing"), name))
@@ -64,7 +65,7 @@ def _length(attributes: dict[str, Any], name: str) -> float:
 
 def _micrometers(value: Any, unit: object) -> float:
     try:
-        return float(value) * _MICROMETERS.get(str(unit), np.nan)
+        return float(value) * MICROMETERS.get(str(unit), np.nan)
     except (TypeError, ValueError):
         return np.nan
 
@@ -96,5 +97,5 @@ def _coordinate(frames: Any, dim: Any) -> Array | None:
     values, unit = frames.coords[dim].values, frames.coords[dim].attrs.get("units")
     if values.dtype.kind not in "uif" or (unit is None and (np.diff(values) == 1).all()):
         return None
-    factor = _MICROMETERS.get("µm" if unit is None else str(unit))
+    factor = MICROMETERS.get("µm" if unit is None else str(unit))
     return None if factor is None else np.asarray(values, dtype=np.float64) * factor

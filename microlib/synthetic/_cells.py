@@ -26,8 +26,10 @@ class _Look:
         fall below, the grain of the body, and the noise.
     fade : float
         µm over which the bright halo and the body's edge fade.
-    core : float
-        Radius of the nucleus in radii of the cell; its edge fades over 0.15 of that.
+    reach, gap : float
+        Largest radius of an outline, and half of the least gap between two, in radii of the cell.
+    core, core_fade : float
+        Radius of the nucleus in radii of the cell; over which part of that its edge fades.
     grain_blur, blur : float
         Standard deviations of the grain's and the optics' blur, px.
     """
@@ -39,7 +41,10 @@ class _Look:
     grain: float = 14.0
     noise: float = 2.0
     fade: float = 2.2
+    reach: float = 1.1
+    gap: float = 0.05
     core: float = 0.4
+    core_fade: float = 0.15
     grain_blur: float = 1.5
     blur: float = 0.9
 
@@ -122,8 +127,9 @@ def cell_image(
     centers: list[Array] = []
     for _ in range(60 * wanted):  # then the image counts as full
         center = rng.uniform([radius, radius], [columns - radius, rows - radius])
-        # Two outlines of the largest reach, and a gap of 0.1 radii.
-        if any(np.hypot(*(center - other)) < 2.3 * radius for other in centers):
+        # Two outlines of the largest reach do not touch.
+        apart = 2 * (_LOOK.reach + _LOOK.gap) * radius
+        if any(np.hypot(*(center - other)) < apart for other in centers):
             continue
         centers.append(center)
         outlines.append(center + _shape(radius, irregularity, harmonics, rng))
@@ -148,7 +154,7 @@ def _shape(radius: float, irregularity: float, harmonics: int, rng: np.random.Ge
     for k in range(2, harmonics + 1):
         swing = radius * irregularity * rng.normal() / np.sqrt(k)
         length += swing * np.cos(k * angle + rng.uniform(0, 2 * np.pi))
-    length = np.clip(length, 0.5 * radius, 1.1 * radius)
+    length = np.clip(length, 0.5 * radius, _LOOK.reach * radius)
     return length[:, np.newaxis] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
@@ -171,4 +177,4 @@ def _draw(
     y, x = np.indices(scene.shape)
     disc = np.hypot(x - center[0], y - center[1])
     with np.errstate(over="ignore"):  # far outside, where there is nothing of the nucleus
-        scene -= _LOOK.nucleus * mask / (1 + np.exp((disc - nucleus) / (0.15 * nucleus)))
+        scene -= _LOOK.nucleus * mask / (1 + np.exp((disc - nucleus) / (_LOOK.core_fade * nucleus)))

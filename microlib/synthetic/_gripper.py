@@ -48,6 +48,9 @@ _HOLES = [(x, 1.1 + 0.65 * (0.9 - x) / 60.9) for x in np.arange(-12.0, -2.7, 0.8
 _GRAIN = {"mean": 165.0, "std": 18.0, "scales": 1.5}
 _GROUND = {"mean": 70, "std": 4, "scales": 12}
 
+#: Largest side of a template, and farthest that it may move, px.
+_MOST_SIDE = 4096
+
 #: Farthest that the gripper may move, px: a drawing of a gigabyte.
 _MOST_REACH = 2048
 
@@ -159,9 +162,9 @@ def warped_pair(
     array([5., 5., 5., 5.])
     """
     one_of("warp", warp, ("shift", "affine", "homography"))
-    size = whole("size", size, least=2, most=4096)
+    size = whole("size", size, least=2, most=_MOST_SIDE)
     sigma = scalar("sigma", sigma, above=0, most=MOST_SCALE)
-    distance = scalar("distance", distance, least=0, most=1e4)
+    distance = scalar("distance", distance, least=0, most=_MOST_SIDE)
     rng = generator("rng", rng)
     side = 3 * size  # the template in the middle, with its own size around it
     texture = mixed_texture((side, side), rng, std=_CONTRAST, scales=sigma)
@@ -242,8 +245,8 @@ def texture_sequence(
     """
     positions = as_array("positions", positions, shape=(None, 2))
     positive("positions", positions, zero=True)
-    between("positions", positions, 0.0, 1e4, closed=True)
-    size = whole("size", size, least=2, most=4096)
+    between("positions", positions, 0.0, _MOST_SIDE, closed=True)
+    size = whole("size", size, least=2, most=_MOST_SIDE)
     sigma = scalar("sigma", sigma, above=0, most=MOST_SCALE)
     rng = generator("rng", rng)
     width, height = (np.ceil(positions.max(axis=0)) + 2 * size).astype(int)

@@ -15,17 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import (
-    Array,
-    as_array,
-    between,
-    generator,
-    image_shape,
-    of_kind,
-    scalar,
-    whole,
-)
+from microlib._common import Array, as_array, between, image_shape, of_kind, scalar, whole
 from microlib.microscope import Microscope
+from microlib.synthetic._textures import noise_source
 
 #: Cells along a side of a pixel; the edges inside a cell are straight to within its curvature, an
 #: error of 1/(24·9 r²) of a circle's area, 2e-5 for a radius of 16 px.
@@ -265,10 +257,7 @@ def _render(
     of_kind("imaging", imaging, ImagingConditions)
     if counts is not None:
         image_shape("counts", counts)
-    if imaging.noise > 0 and rng is None:
-        raise ValueError(
-            "rng must be a numpy.random.Generator or a seed when imaging.noise > 0, got None"
-        )
+    source = noise_source(rng, imaging.noise)
     width, height = microscope.image_size
     margin = int(np.ceil(4 * imaging.blur)) + 1  # 6e-5 of the point spread lie beyond
     rows, columns = np.arange(height + 2 * margin) - margin, np.arange(width + 2 * margin) - margin
@@ -301,5 +290,5 @@ def _render(
     )
     image = light * (imaging.bright - (imaging.bright - imaging.dark) * area)
     if rng is not None:
-        image = image + generator("rng", rng).normal(0, imaging.noise, image.shape)
+        image = image + source.normal(0, imaging.noise, image.shape)
     return np.clip(image, 0, 255).astype(np.float32)

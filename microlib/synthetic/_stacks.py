@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import as_array, as_image, generator, scalar
+from microlib._common import as_array, as_image, scalar
 from microlib.optics import BlurLadder
-from microlib.synthetic._textures import MOST_LEVEL, eight_bits
+from microlib.synthetic._textures import MOST_LEVEL, eight_bits, noise_source
 
 #: Largest blur, px, of a frame: as much as `BlurLadder` takes.
 _MOST_BLUR = 1e4
@@ -69,9 +69,7 @@ def focal_stack(
     rate = scalar("blur_rate", blur_rate, above=0)
     least = scalar("sharpest", sharpest, least=0)
     sigma = scalar("noise", noise, least=0, most=MOST_LEVEL)
-    if sigma > 0 and rng is None:
-        raise ValueError("rng must be given for noisy frames, got None")
-    rng = generator("rng", 0 if rng is None else rng)
+    rng = noise_source(rng, sigma)
     furthest = max(focus.max() - z.min(), z.max() - focus.min())
     # The ladder must reach past the largest blur whatever its last digit.
     largest = float(np.hypot(least, rate * furthest)) * (1 + 1e-9)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from microlib._common import Array, generator, image_shape, scalar
-from microlib.synthetic._textures import MOST_SCALE
+from microlib._common import Array, image_shape, scalar
+from microlib.synthetic._textures import MOST_SCALE, noise_source
 
 
 def _centered(shape: tuple[int, int]) -> tuple[Array, Array]:
@@ -133,10 +133,8 @@ def sphere_on_plane(
     height = np.where(ball, r + np.sqrt(np.maximum(r**2 - square, 0)), 0.0)
     rough = scalar("roughness", roughness, least=0)
     smooth = scalar("grain", grain, above=0, most=MOST_SCALE)
-    source = None if rng is None else generator("rng", rng)
+    source = noise_source(rng, rough)
     if rough > 0:
-        if source is None:
-            raise ValueError("rng must be given for a rough ball, got None")
         relief = gaussian_filter(source.standard_normal(shape), smooth)
         height += np.where(ball, rough * relief / relief.std(), 0.0)
     return height

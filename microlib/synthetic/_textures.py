@@ -20,6 +20,13 @@ def eight_bits(image: NDArray) -> NDArray[np.uint8]:
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
+def noise_source(rng: np.random.Generator | int | None, noise: float) -> np.random.Generator:
+    """Return the generator of a scene, which has to be given if there is any noise."""
+    if rng is None and noise > 0:
+        raise ValueError("rng must be given where there is noise, got None")
+    return generator("rng", 0 if rng is None else rng)
+
+
 def mixed_texture(
     shape: tuple[int, int],
     rng: np.random.Generator | int,
