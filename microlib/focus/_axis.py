@@ -40,8 +40,6 @@ class Axis:
         How far changes of the light pull a depth near each group, averaged frames.
     pull : float
         How far the groups themselves pull the depths between them, at most.
-    typical : float, optional
-        Strength of a typical peak, where not all of the image is at hand.
     """
 
     ends: NDArray[np.intp]
@@ -52,7 +50,6 @@ class Axis:
     noise: float
     light: Array
     pull: float
-    typical: float | None = None
 
     def micrometers(self, steps: NDArray) -> NDArray:
         """Return positions from steps, within the stack."""
@@ -77,13 +74,18 @@ def sampled(length: int) -> NDArray[np.intp]:
     return (starts[:, None] + np.arange(min(_SQUARE, length))).ravel()
 
 
+def mosaic(frame: Image) -> Image:
+    """Return the squares of a frame side by side."""
+    return frame[np.ix_(*(sampled(n) for n in frame.shape))]
+
+
 def find_axis(mosaics: Sequence[Image], positions: Array, target: float) -> Axis:
     """Return how a stack is to be averaged, and its noise.
 
     Parameters
     ----------
     mosaics : sequence of ndarray
-        The `sampled` rows and columns of each frame.
+        The `mosaic` of each frame.
     positions : ndarray, shape (n,)
         Position of each frame, µm.
     target : float
@@ -162,7 +164,7 @@ def light_pull(light: Array, deviation: float) -> Array:
     """
     if not (light > 0).all():
         return np.zeros(len(light))
-    level = 2 * np.pad(np.log(light), 3, mode="edge")
-    slope = np.correlate(level, np.array([-1, -2, 0, 2, 1]) / 8, mode="valid")
-    square = np.correlate((deviation**2 * slope) ** 2, np.array([0.25, 0.5, 0.25]), mode="valid")
-    return np.sqrt(square)
+    mean = np.array([1, 2, 1]) / 4
+    level = np.convolve(2 * np.log(np.pad(light, 3, mode="edge")), mean, mode="valid")
+    pull = deviation**2 * np.gradient(level)[1:-1]
+    return np.sqrt(np.convolve(pull**2, mean, mode="valid"))

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, Region, as_region
+from microlib._common import Array, as_region
 from microlib.focus._axis import Axis, find_axis, sampled
-from microlib.focus._follow import follow
+from microlib.focus._options import Options, check_count
 from microlib.focus._result import FocusResult
 from microlib.focus._settings import Settings
 from microlib.focus._stages import GRID, default_depth
@@ -28,9 +27,7 @@ def is_in_blocks(frames: object) -> bool:
     return module in ("dask", "zarr") and name == "Array"
 
 
-def depth_in_blocks(
-    frames: Any, positions: Array, region: Region | None, *, points: int
-) -> FocusResult:
+def depth_in_blocks(frames: Any, positions: Array, options: Options) -> FocusResult:
     """Return the default depth of a dask or zarr array, as dask arrays.
 
     Parameters
@@ -39,35 +36,32 @@ def depth_in_blocks(
         Grey frames.
     positions : ndarray, shape (n,)
         Position of each frame, µm.
-    region, points
-        As for `depth_from_focus`.
+    options : Options
+        Those of `depth_from_focus`, of which blocks know points and region only.
     """
     import dask.array as da
 
+    usual = Options(points=options.points, region=options.region)
+    for key, value in vars(options).items():
+        if value != getattr(usual, key):
+            raise ValueError(f"{key} must not be given for a dask or zarr array, got {value!r}")
     stack = frames if isinstance(frames, da.Array) else da.from_zarr(frames)
     if stack.ndim != 3 or stack.dtype.kind not in "uif":
         raise ValueError(
             "frames must be a dask array of shape (n, rows, cols) and of real numbers, got "
             f"{stack.shape} of {stack.dtype}"
         )
-    if len(positions) != len(stack):
-        raise ValueError(
-            f"frames and positions must be as many, got {len(stack)} and {len(positions)}"
-        )
+    check_count(len(stack), len(positions))
     x, y = 0, 0
-    if region is not None:
-        x, y, width, height = as_region("region", region, stack.shape[1:])
+    if options.region is not None:
+        x, y, width, height = as_region("region", options.region, stack.shape[1:])
         stack = stack[:, y : y + height, x : x + width]
     if stack.dtype not in (np.uint8, np.uint16):
         stack = stack.astype(np.float32)
     rows, cols = (sampled(n) for n in stack.shape[1:])
     # What needs the whole image is found once, from the squares that are looked at first.
     squares = list(stack[:, rows][:, :, cols].compute())
-    settings = Settings()
-    axis = find_axis(squares, positions, settings.width)
-    strength = follow(squares, axis, points // 2, settings).strength
-    if (strength > 0).any():
-        axis = replace(axis, typical=float(np.median(strength[strength > 0])))
+    axis = find_axis(squares, positions, Settings().width)
     inner = [n for chunks in stack.chunks[1:] for n in chunks[:-1]]
     if any(n % GRID or n > 2 * _SIDE or n < _AROUND for n in inner):
         stack = stack.rechunk((len(stack), _SIDE, _SIDE))
@@ -77,11 +71,15 @@ def depth_in_blocks(
     if not isinstance(frames, da.Array):
         # Chunks that neighbors share would stay in memory: each block reads what it sees.
         edges = [np.cumsum([0, *sizes]).tolist() for sizes in stack.chunks[1:]]
-        options = {"source": frames, "edges": edges, "corner": (y, x)}
-        seen = da.map_blocks(_read, chunks=seen.chunks, meta=seen._meta, **options)
+        whole = {"source": frames, "edges": edges, "corner": (y, x)}
+        seen = da.map_blocks(_read, chunks=seen.chunks, meta=seen._meta, **whole)
     chunks = ((len(_MAPS) + 1,), *seen.chunks[1:])
     found = seen.map_blocks(
-        _block, axis=axis, points=points, chunks=chunks, meta=np.empty((0, 0, 0), np.float32)
+        _block,
+        axis=axis,
+        points=options.points,
+        chunks=chunks,
+        meta=np.empty((0, 0, 0), np.float32),
     )
     found = da.overlap.trim_internal(found, around, boundary="none")
     maps = {name: found[k].astype(kind) for k, (name, kind) in enumerate(_MAPS.items())}

@@ -57,9 +57,7 @@ def correct_spikes(depth: ArrayLike, *, window: int = 9, delta: float = 2.0) -> 
     >>> float(np.abs(correct_spikes(depth)).max())
     0.0
     """
-    z = as_array("depth", depth, shape=(None, None), finite=False)
-    if np.isinf(z).any():
-        raise ValueError(f"depth must be finite or NaN, got {int(np.isinf(z).sum())} infinite")
+    z = _checked(depth)
     n = whole("window", window, least=3, odd=True, most=255)
     limit = scalar("delta", delta, least=0)
     unknown = np.isnan(z)
@@ -77,6 +75,14 @@ def correct_spikes(depth: ArrayLike, *, window: int = 9, delta: float = 2.0) -> 
         variance = np.maximum(_mean(centered**2, n) / share - mean**2, 0)
         spike = unknown | (np.abs(z - median) > limit * np.sqrt(variance))
     return np.where(spike, median, z)
+
+
+def _checked(depth: ArrayLike) -> Array:
+    """Return a depth map that is finite or NaN."""
+    z = as_array("depth", depth, shape=(None, None), finite=False)
+    if np.isinf(z).any():
+        raise ValueError(f"depth must be finite or NaN, got {int(np.isinf(z).sum())} infinite")
+    return z
 
 
 def _mean(image: Array, n: int) -> Array:
@@ -143,9 +149,7 @@ def smooth_depth(
     >>> bool(np.allclose(smooth_depth(step, jump=20.0), step, atol=0.02))
     True
     """
-    z = as_array("depth", depth, shape=(None, None), finite=False)
-    if np.isinf(z).any():
-        raise ValueError(f"depth must be finite or NaN, got {int(np.isinf(z).sum())} infinite")
+    z = _checked(depth)
     limit = scalar("jump", jump, above=0)
     sigma = scalar("radius", radius, above=0, most=250)
     weights = np.ones_like(z) if weight is None else positive("weight", weight, zero=True)
@@ -203,7 +207,12 @@ def _plane_shift(
         for (dy, dx), gap, weight in zip(offsets + reach, gaps, weights, strict=True):
             there = np.s_[top + dy : top + dy + len(band), dx : dx + cols]
             np.subtract(value[there], here, out=gap)
-            _biweight(gap, mass[there], out=weight)
+            # Tukey's biweight of the differences in jumps, times the mass.
+            np.multiply(gap, gap, out=weight)
+            np.subtract(1, weight, out=weight)
+            np.maximum(weight, 0, out=weight)
+            np.multiply(weight, weight, out=weight)
+            np.multiply(weight, mass[there], out=weight)
         gaps, weights = gaps.reshape(len(offsets), -1), weights.reshape(len(offsets), -1)
         moments = basis @ weights
         raised = basis[:3] @ np.multiply(weights, gaps, out=weights)
@@ -212,15 +221,6 @@ def _plane_shift(
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(fit, range(0, rows, height)))
     return out
-
-
-def _biweight(gap: NDArray, mass: NDArray, *, out: NDArray) -> None:
-    """Write Tukey's biweight (1 − v²)² of the differences v in jumps, times the mass."""
-    np.multiply(gap, gap, out=out)
-    np.subtract(1, out, out=out)
-    np.maximum(out, 0, out=out)
-    np.multiply(out, out, out=out)
-    np.multiply(out, mass, out=out)
 
 
 def _plane_height(moments: NDArray, raised: NDArray, sigma: float) -> NDArray:

@@ -5,29 +5,23 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import chain, islice, repeat
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import (
-    Array,
-    Frames,
-    Image,
-    as_array,
-    scalar,
-)
-from microlib.focus._axis import noise_level, sampled
+from microlib._common import Array, Frames, Image, as_array, scalar
+from microlib.focus._axis import mosaic, noise_level
 from microlib.focus._blocks import depth_in_blocks, is_in_blocks
 from microlib.focus._measures import MOST, FocusMeasure, blur, doubled
-from microlib.focus._options import Options, Progress, check_options
+from microlib.focus._options import Options, Progress, check_count, check_options
 from microlib.focus._peaks import FARTHEST, fit_peaks, three_point_peak
 from microlib.focus._registration import Registered
 from microlib.focus._registration import register as find_registration
 from microlib.focus._reliability import incoherent_mask, unchanged_mask
-from microlib.focus._result import FocusResult, as_type, picked
+from microlib.focus._result import FocusResult, as_type, finished, picked
 from microlib.focus._stages import default_depth
 from microlib.io import read_frames
 
@@ -42,8 +36,6 @@ def depth_from_focus(
     spacing: float | None = None,
     measure: str | FocusMeasure = "multiscale",
     window: int | None = None,
-    step: int | None = None,
-    threshold: float | None = None,
     points: int | None = None,
     workers: int = 1,
     register: bool = False,
@@ -69,13 +61,10 @@ def depth_from_focus(
     measure : {"multiscale", "sml", "tenengrad", "variance"} or callable
         Focus measure. The default is the most accurate; "sml" is the thesis'
         sum-modified-Laplacian. A callable takes a frame and returns its measure, zero or positive
-        and of the same shape.
+        and of the same shape, such as ``functools.partial(sum_modified_laplacian, threshold=7)``.
     window : int, optional
         Side of the square over which the measure is summed, px, odd; by default 5. Neither for
         "multiscale", which has windows of its own, nor for a callable.
-    step, threshold : int and float, optional
-        Spacing (px) and threshold (grey levels) of (3.11) and (3.12), by default 1 and 0; for "sml"
-        only.
     points : int, optional
         Frames in the fit of the peak, odd, at least 3. By default 7 for "multiscale", and 3, the
         thesis' interpolation (3.13), for all others.
@@ -165,17 +154,9 @@ def depth_from_focus(
     >>> round(float(np.median(result.depth)))
     42
     """
-    labels = None
-    if is_in_blocks(getattr(frames, "data", None)):  # an xarray.DataArray of such blocks
-        labels = read_frames(frames, region=region)
-        positions = labels.positions if positions is None and spacing is None else positions
-        frames = frames.data  # type: ignore[union-attr]
     options = check_options(
-        blocks=is_in_blocks(frames),
         measure=measure,
         window=window,
-        step=step,
-        threshold=threshold,
         points=points,
         workers=workers,
         register=register,
@@ -183,40 +164,39 @@ def depth_from_focus(
         reduce=reduce,
         progress=progress,
     )
-    if is_in_blocks(frames):
-        z = check_positions(positions, spacing, frames.shape[0])  # type: ignore[union-attr]
-        blocks = depth_in_blocks(frames, z, options.region, points=options.points)
+    blocks: Any = frames if is_in_blocks(frames) else getattr(frames, "data", None)
+    if is_in_blocks(blocks):
+        # An xarray.DataArray of blocks has labels.
+        labels = None if blocks is frames else read_frames(frames, region=region)
+        if labels is not None and spacing is None:
+            positions = labels.positions if positions is None else positions
+        z = check_positions(positions, spacing, blocks.shape[0])
+        found_in_blocks = depth_in_blocks(blocks, z, options)
         if labels is None:
-            return blocks
-        return replace(blocks, pixel_size=labels.pixel_size, origin=labels.origin)
-
-    def told(done: float, count: int) -> None:
-        if progress is not None:
-            progress(round(done), 2 * count)
-
-    stack = read = open_stack(frames, positions, spacing, options, told)
-    count, dtype = len(stack.positions), stack.grey[0].dtype
-    found: Registered | None = None
-    if options.register:
-        found = find_registration(stack.grey)
-        stack = Stack(
-            found.images(stack.grey),
-            None if stack.color is None else found.images(stack.color),
-            stack.positions[found.kept],
-        )
+            return found_in_blocks
+        return replace(found_in_blocks, pixel_size=labels.pixel_size, origin=labels.origin)
+    stack = open_stack(frames, positions, spacing, options)
+    count = len(stack.positions)
 
     def done(share: float) -> None:
-        told(count * (1 + share), count)
+        options.progress(round(count * (1 + share)), 2 * count)
 
-    if measure == "multiscale":
-        workers, points = options.workers, options.points
+    found = find_registration(stack.grey) if options.register else None
+    seen = stack if found is None else stack.registered(found)
+    if options.measure == "multiscale":
         result = default_depth(
-            stack.grey, stack.color, stack.positions, points=points, workers=workers, done=done
+            seen.grey,
+            seen.color,
+            seen.positions,
+            points=options.points,
+            workers=options.workers,
+            done=done,
         )
     else:
-        result = _single_measure(stack, options.chosen(), options.points // 2, done)
-    result = replace(result, pixel_size=read.pixel_size, origin=read.origin)
-    return result if found is None else _cut(result, found, dtype)
+        result = _single_measure(seen, options, done)
+    if found is not None:
+        result = _cut(result, found, stack.grey[0].dtype)
+    return replace(result, pixel_size=stack.pixel_size, origin=stack.origin)
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,47 +221,37 @@ class Stack:
     pixel_size: float | None = None
     origin: tuple[float, float] = (0.0, 0.0)
 
+    def registered(self, found: Registered) -> Stack:
+        """Return the frames that were not left out, where the middle one has them."""
+        color = None if self.color is None else found.images(self.color)
+        return Stack(found.images(self.grey), color, self.positions[found.kept])
+
 
 def open_stack(
-    frames: Frames,
-    positions: ArrayLike | None,
-    spacing: float | None,
-    options: Options,
-    told: Progress,
+    frames: Frames, positions: ArrayLike | None, spacing: float | None, options: Options
 ) -> Stack:
-    """Read a stack, once all that can be refused before was looked at.
-
-    Parameters
-    ----------
-    frames, positions, spacing, options
-        As for `depth_from_focus`.
-    told : callable
-        Told after each frame how many have been read and how many there are, if that is known.
-    """
+    """Read a stack, once all that can be refused before was looked at."""
     reader: Any = read_frames(frames, region=options.region, reduce=options.reduce, color=True)
     if reader.axis in _NO_FOCUS:
         raise ValueError(
             f"frames must differ in focus, got a file of {reader.count} {_NO_FOCUS[reader.axis]} "
             f"(axis {reader.axis}); if they do, pass the array, as tifffile.imread gives it"
         )
-    if positions is None and spacing is None:
-        positions = reader.positions
-    # An iterator does not say how many there are; what has positions has as many frames.
-    z = None if spacing is not None else check_positions(positions, None, 0)
-    count = reader.count if z is None else len(z)
-    if z is not None and reader.count not in (None, 0, count):
-        raise ValueError(f"frames and positions must be as many, got {reader.count} and {count}")
+    z, count = None, reader.count
+    if spacing is None:
+        z = check_positions(reader.positions if positions is None else positions, None, 0)
+        # An iterator does not say how many there are; what has positions has as many frames.
+        count = len(z)
+        check_count(reader.count or count, count)
     raw: list[Image] = []
     for frame in islice(reader, None if count is None else count + 1):
         raw.append(frame)
         if count is not None:
-            told(min(len(raw), count), count)
+            options.progress(min(len(raw), count), 2 * count)
     if not raw:
         raise ValueError("frames must hold at least three frames, got none")
     z = check_positions(positions, spacing, len(raw)) if z is None else z
-    if len(raw) != len(z):
-        got = len(raw) if len(raw) < len(z) else f"more than {len(z)}"
-        raise ValueError(f"frames and positions must be as many, got {got} and {len(z)}")
+    check_count(len(raw) if len(raw) <= len(z) else f"more than {len(z)}", len(z))
     grey = [cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in raw] if reader.color else raw
     return Stack(grey, raw if reader.color else None, z, reader.pixel_size, reader.origin)
 
@@ -303,8 +273,7 @@ def check_positions(positions: ArrayLike | None, spacing: float | None, count: i
     if len(z) > MOST:
         raise ValueError(f"positions must be at most {MOST}, got {len(z)}")
     gaps = np.diff(z)
-    if not ((gaps > 0).all() or (gaps < 0).all()):
-        at = int(np.flatnonzero((np.sign(gaps) != np.sign(z[-1] - z[0])) | (gaps == 0))[0])
+    for at in np.flatnonzero(gaps * np.sign(z[-1] - z[0]) <= 0):
         raise ValueError(
             f"positions must rise or fall strictly, got {z[at]:g} followed by {z[at + 1]:g}"
         )
@@ -315,11 +284,9 @@ def check_positions(positions: ArrayLike | None, spacing: float | None, count: i
     return z
 
 
-def _single_measure(
-    stack: Stack, measure: FocusMeasure, reach: int, done: Callable[[float], object]
-) -> FocusResult:
+def _single_measure(stack: Stack, options: Options, done: Callable[[float], object]) -> FocusResult:
     """Return the peaks of one measure, and no more."""
-    z = stack.positions
+    measure, reach, z = options.focus_measure(), options.points // 2, stack.positions
     spacing = float(np.median(np.abs(np.diff(z))))
     window, mean, best = track_peaks(stack.grey, measure, reach, done)
     if reach == 1:
@@ -327,22 +294,19 @@ def _single_measure(
     else:
         steps, _ = fit_peaks(window, best, np.abs(z - z[0]) / spacing)
         depth = (z[0] + np.sign(z[-1] - z[0]) * spacing * steps).astype(np.float32)
-    rise, chance, coarse = (
-        np.ascontiguousarray(part[::2, ::2])
-        for part in (window[reach] - mean, _chance(stack.grey, measure, best), best)
-    )
-    lost = unchanged_mask(rise, chance, len(z), 3.0) | incoherent_mask(coarse)
+    every = np.s_[::2, ::2]
+    rise = np.ascontiguousarray((window[reach] - mean)[every])
+    chance = np.ascontiguousarray(_chance(stack.grey, measure, best)[every])
+    lost = unchanged_mask(rise, chance, len(z), 3.0)
+    lost |= incoherent_mask(np.ascontiguousarray(best[every]))
     depth[doubled(lost, depth.shape)] = np.nan
-    known = np.isfinite(depth)
-    error = np.where(known, _roughness(depth, z, best), np.float32(np.nan))
-    share = error / np.float32(spacing)
-    return FocusResult(
-        depth=depth,
-        uncertainty=error,
-        confidence=np.where(known, 1 / (1 + share * share), np.float32(0)),
-        index=np.where(known, best.astype(np.int32), np.int32(-1)),
-        all_in_focus=picked(stack.grey if stack.color is None else stack.color, best),
+    return finished(
+        depth,
+        _roughness(depth, z, best),
+        best,
+        spacing=spacing,
         at_end=(best == 0) | (best == len(z) - 1),
+        shown=stack.grey if stack.color is None else stack.color,
     )
 
 
@@ -360,23 +324,19 @@ def track_peaks(
     best : ndarray of uint16, shape (rows, cols)
         The first of equals.
     """
-    shape = frames[0].shape
-    window, best = np.zeros((2 * reach + 1, *shape), np.float32), np.zeros(shape, np.uint16)
-    mean = np.zeros(shape, np.float32)
-    recent = deque([np.zeros(shape, np.float32)] * reach, maxlen=reach)
-    for k, frame in enumerate(frames):
-        value = np.asarray(measure(frame), np.float32)
-        better = value > window[reach]
-        for behind in range(1, reach + 1):
-            np.copyto(window[reach + behind], value, where=best + behind == k)
-            np.copyto(window[reach + behind], 0, where=better)
-        for place, earlier in zip(window[:reach], recent, strict=True):
-            np.copyto(place, earlier, where=better)
-        np.copyto(window[reach], value, where=better)
-        np.copyto(best, np.uint16(k), where=better)
+    nothing = np.zeros(frames[0].shape, np.float32)
+    window, mean = np.stack([nothing] * (2 * reach + 1)), nothing.copy()
+    best = nothing.astype(np.uint16)
+    recent = deque([nothing] * len(window), maxlen=len(window))
+    values = (np.asarray(measure(frame), np.float32) for frame in frames)
+    for k, value in enumerate(chain(values, repeat(nothing, reach)), -reach):
         recent.append(value)
         mean += value / np.float32(len(frames))
-        done((k + 1) / len(frames))
+        better = recent[reach] > window[reach]  # that of frame k
+        for place, near in zip(window, recent, strict=True):
+            np.copyto(place, near, where=better)
+        np.copyto(best, np.uint16(max(k, 0)), where=better)
+        done(max(k + 1, 0) / len(frames))
     return window, mean, best
 
 
@@ -385,8 +345,7 @@ def _chance(frames: Sequence[Image], measure: FocusMeasure, best: NDArray) -> ND
 
     The noise is that of the frame that has least: what is in focus looks like noise.
     """
-    rows, cols = (sampled(n) for n in best.shape)
-    noise = min(noise_level(frame[np.ix_(rows, cols)]) for frame in frames)
+    noise = min(noise_level(mosaic(frame)) for frame in frames)
     sharp = picked(frames, best)
     # Drawn so that an image and its transpose have the same.
     drawn = np.triu(np.random.default_rng(0).standard_normal((max(best.shape),) * 2))

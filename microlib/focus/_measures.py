@@ -12,14 +12,6 @@ from microlib._common import Image, as_array, as_image, scalar, whole
 
 #: A focus measure of the user: grey image to measure of the same shape.
 FocusMeasure = Callable[[Image], NDArray]
-#: Names that `depth_from_focus` knows, and which of window, step and threshold each can use.
-MEASURES: dict[str, tuple[str, ...]] = {
-    "multiscale": (),
-    "sml": ("window", "step", "threshold"),
-    "tenengrad": ("window",),
-    "variance": ("window",),
-}
-
 #: Side of a window, px, and number of frames: their numbers fit into 16 bits.
 MOST = 2**16 - 1
 #: What is divided by is no less: the measure of a black frame is 0.
@@ -92,35 +84,33 @@ def sum_modified_laplacian(
     return total.astype(np.uint16) if grey.dtype == np.uint8 and n <= 7 else total
 
 
-def focus_measure(
-    measure: str | FocusMeasure, window: int, step: int, threshold: float
-) -> FocusMeasure:
-    """Return the classical measure of a name, or the user's own, whose answers are checked."""
+def tenengrad(image: Image, *, window: int) -> NDArray:
+    """Return the squared Sobel gradient, summed over a square (Krotkov, 1988)."""
+    along, down = cv2.Sobel(image, cv2.CV_32F, 1, 0), cv2.Sobel(image, cv2.CV_32F, 0, 1)
+    return _box_sum(along * along + down * down, window)
 
-    def sml(image: Image) -> NDArray:
-        return sum_modified_laplacian(image, window=window, step=step, threshold=threshold)
 
-    def tenengrad(image: Image) -> NDArray:
-        """Sum the squared Sobel gradient over the window (Krotkov, 1988)."""
-        along, down = cv2.Sobel(image, cv2.CV_32F, 1, 0), cv2.Sobel(image, cv2.CV_32F, 0, 1)
-        return _box_sum(along * along + down * down, window)
+def variance(image: Image, *, window: int) -> NDArray:
+    """Return the variance in a square; float64, as two large numbers are subtracted."""
+    mean = cv2.boxFilter(image, cv2.CV_64F, (window, window))
+    square = cv2.sqrBoxFilter(image, cv2.CV_64F, (window, window))
+    return np.maximum(square - mean * mean, 0).astype(np.float32)
 
-    def variance(image: Image) -> NDArray:
-        """Return the variance in the window; float64, as two large numbers are subtracted."""
-        mean = cv2.boxFilter(image, cv2.CV_64F, (window, window))
-        square = cv2.sqrBoxFilter(image, cv2.CV_64F, (window, window))
-        return np.maximum(square - mean * mean, 0).astype(np.float32)
 
-    if isinstance(measure, str):
-        return {"sml": sml, "tenengrad": tenengrad, "variance": variance}[measure]
+#: The measures of one frame by their names, each a function of the image and its window.
+MEASURES: dict[str, Callable[..., NDArray]] = {
+    "sml": sum_modified_laplacian,
+    "tenengrad": tenengrad,
+    "variance": variance,
+}
 
-    def checked(image: Image) -> NDArray:
-        value = as_array("measure(frame)", measure(image), shape=image.shape, dtype=np.float32)
-        if (value < 0).any():
-            raise ValueError(f"measure(frame) must be zero or positive, got {value.min():g}")
-        return value
 
-    return checked
+def own_measure(measure: FocusMeasure, image: Image) -> NDArray:
+    """Return what the user's own measure says of an image, checked."""
+    value = as_array("measure(frame)", measure(image), shape=image.shape, dtype=np.float32)
+    if (value < 0).any():
+        raise ValueError(f"measure(frame) must be zero or positive, got {value.min():g}")
+    return value
 
 
 def _grey(image: ArrayLike) -> Image:

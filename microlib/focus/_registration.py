@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from microlib._common import Array, Image
 from microlib.focus._result import warped
+from microlib.io import read_frames
 
 #: Least side of a frame that can be registered, px, and shorter side of the frames that are
 #: compared: those are reduced by whole blocks as long as it stays above.
@@ -79,15 +80,7 @@ def register(frames: Sequence[Image]) -> Registered:
     shape, count = frames[0].shape, len(frames)
     check_size(shape)
     factor = max(min(shape) // _WORKING_SIDE, 1)
-    size = shape[1] // factor, shape[0] // factor
-    small = [
-        cv2.resize(
-            frame[: size[1] * factor, : size[0] * factor].astype(np.float32),
-            size,
-            interpolation=cv2.INTER_AREA,
-        )
-        for frame in frames
-    ]
+    small = list(read_frames((frame.astype(np.float32) for frame in frames), reduce=factor))
     # What is coarser than noise and finer than light.
     bands = [cv2.GaussianBlur(s, (0, 0), 1.0) - cv2.GaussianBlur(s, (0, 0), 15) for s in small]
     # If the middle frame is foreign, one beside it is not.
@@ -190,39 +183,41 @@ def _brightness(
     """Return gain and offset of every frame relative to the reference, NaN for those left out."""
     most = max(float(image.max()) for image in small)
     limit = 0.99 * most if dtype.kind == "u" and most >= np.iinfo(dtype).max else np.inf
-    # Smooth, as finer detail differs by blur.
-    smooth, usable = {}, {}
-    for k in kept:
-        size = small[k].shape[::-1]
-        matrix, flags = poses[int(k)][:2], cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        dark = (small[k] < limit).astype(np.float32)
-        image = cv2.warpAffine(small[k], matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-        smooth[k] = cv2.GaussianBlur(image, (0, 0), 4.0)
-        usable[k] = (
-            cv2.GaussianBlur(cv2.warpAffine(dark, matrix, size, flags=flags), (0, 0), 4.0) > 0.99
-        )
-    found = []
-    for a, b in pairwise(kept):
-        both = usable[a] & usable[b]
-        mean = (smooth[a] + smooth[b]) / 2
-        columns = [mean, np.ones_like(mean), *_blur_columns(mean)]
-        change, plus = 0.0, 0.0
-        if both.any():
-            design, target = np.stack(columns)[:, both], (smooth[b] - smooth[a])[both]
-            change, plus = (float(value) for value in _robust(design, target)[:2])
-        # Differences about the mean: b − a = c (a + b) / 2 + o.
-        lit = both & (smooth[a] > 0) & (smooth[b] > 0)
-        ratio = np.exp(np.median(np.log(smooth[b][lit] / smooth[a][lit]))) if lit.any() else 1.0
-        found.append(((2 + change) / (2 - change), 2 * plus / (2 - change), float(ratio)))
-    level = float(np.mean([image.mean() for image in smooth.values()]))
+    smooth = [_smooth(small[k], poses[int(k)][:2], limit) for k in kept]
+    links = [_change_of_light(a, b, here & there) for (a, here), (b, there) in pairwise(smooth)]
     # An offset of less than 1 % of the grey level is none.
-    if np.median([abs(plus) for _, plus, _ in found]) < 0.01 * abs(level):
-        found = [(ratio, 0.0, ratio) for _, _, ratio in found]
-    gain, offset = np.ones(len(kept)), np.zeros(len(kept))
-    for k, (factor, plus, _) in enumerate(found):
-        gain[k + 1], offset[k + 1] = factor * gain[k], factor * offset[k] + plus
-    middle = int(np.flatnonzero(kept == reference)[0])
-    gain, offset = gain / gain[middle], offset - gain / gain[middle] * offset[middle]
-    result = np.full((2, len(small)), np.nan)
-    result[:, kept] = gain, offset
-    return result[0], result[1]
+    level = abs(float(np.mean([image.mean() for image, _ in smooth])))
+    if np.median([abs(plus) for _, plus, _ in links]) < 0.01 * level:
+        links = [(ratio, 0.0, ratio) for _, _, ratio in links]
+    gain, offset = np.full((2, len(small)), np.nan)
+    gain[kept[0]], offset[kept[0]] = 1, 0
+    for (a, b), (factor, plus, _) in zip(pairwise(kept), links, strict=True):
+        gain[b], offset[b] = factor * gain[a], factor * offset[a] + plus
+    gain /= gain[reference]
+    return gain, offset - gain * offset[reference]
+
+
+def _smooth(image: NDArray, pose: Array, limit: float) -> tuple[NDArray, NDArray[np.bool_]]:
+    """Return a frame where the reference has it, without what differs by blur, and what is known.
+
+    Unknown is what lies outside of the frame, or close to pixels that are saturated, from `limit`.
+    """
+    size, flags = image.shape[::-1], cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    dark = cv2.warpAffine((image < limit).astype(np.float32), pose, size, flags=flags)
+    seen = cv2.warpAffine(image, pose, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    return cv2.GaussianBlur(seen, (0, 0), 4.0), cv2.GaussianBlur(dark, (0, 0), 4.0) > 0.99
+
+
+def _change_of_light(
+    first: NDArray, second: NDArray, known: NDArray[np.bool_]
+) -> tuple[float, float, float]:
+    """Return gain and offset from one smooth frame to the next, and their ratio if it is a gain."""
+    mean = (first + second) / 2
+    columns = np.stack([mean, np.ones_like(mean), *_blur_columns(mean)])
+    # Differences about the mean: b − a = c (a + b) / 2 + o.
+    change, plus = 0.0, 0.0
+    if known.any():
+        change, plus = _robust(columns[:, known], (second - first)[known])[:2]
+    lit = known & (first > 0) & (second > 0)
+    ratio = np.exp(np.median(np.log(second[lit] / first[lit]))) if lit.any() else 1.0
+    return (2 + change) / (2 - change), 2 * plus / (2 - change), float(ratio)

@@ -88,10 +88,6 @@ def without_spikes(depth: NDArray, side: int = 3) -> NDArray:
 def fill_nearest(depth: NDArray) -> NDArray:
     """Give unknown pixels the depth of the nearest known one; 0 if there is none."""
     unknown = np.isnan(depth)
-    if not unknown.any():
-        return depth
-    if unknown.all():
-        return np.zeros_like(depth)
     _, label = cv2.distanceTransformWithLabels(
         unknown.astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )

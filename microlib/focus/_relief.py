@@ -16,14 +16,11 @@ from microlib.focus._measures import TINY, blur
 from microlib.focus._reliability import fill_nearest
 from microlib.focus._settings import Settings
 
-#: For each octave of relief: radius of the next coarser mean and side of the window of comparison,
-#: px; correlation of the directions, and its scatter in a window of 1 px, that noise alone has.
-_OCTAVES = (
-    (0.4, 20, 0.05, 0.4),
-    (0.8, 20, 0.07, 0.6),
-    (2.0, 20, 0.09, 0.92),
-    (2.8, 28, 0.1, 1.68),
-)
+#: For each octave of relief: radius of the next coarser mean, px; correlation of the directions,
+#: and its scatter in `_WINDOW`, that noise alone has.
+_OCTAVES = ((0.4, 0.05, 0.02), (0.8, 0.07, 0.03), (2.0, 0.09, 0.046), (2.8, 0.1, 0.084))
+#: Radius over which the directions are compared, and half of that of what they differ by, px.
+_WINDOW = 10.0
 
 
 def find_relief(
@@ -45,14 +42,14 @@ def find_relief(
     """
     finer = (along, down)
     kept = np.zeros((2, *along.shape), np.float32)
-    for sigma, window, common, chance in _OCTAVES:
+    for sigma, common, chance in _OCTAVES:
         total = np.maximum(blur(weight, sigma), TINY)
         wider = tuple(blur(image * weight, sigma) / total for image in (along, down))
         p, q = (fine - wide for fine, wide in zip(finer, wider, strict=True))
-        pp, qq, pq, ppqq = (blur(f, window / 2) for f in (p * p, q * q, p * q, (p * q) ** 2))
+        pp, qq, pq, ppqq = (blur(f, _WINDOW) for f in (p * p, q * q, p * q, (p * q) ** 2))
         pp, qq = np.maximum(pp, 0), np.maximum(qq, 0)
         alone = np.sqrt(pp * qq)
-        scatter = chance / window * np.maximum(alone, np.sqrt(np.maximum(ppqq, 0)))
+        scatter = chance * np.maximum(alone, np.sqrt(np.maximum(ppqq, 0)))
         excess = (pq - common * alone) / np.maximum(scatter, TINY)
         sure = np.clip((excess - settings.doubt) / (settings.sure - settings.doubt), 0, 1)
         # The share of the mean's variance that is the object's.
@@ -125,12 +122,11 @@ def error_variance(
         Variance, steps².
     """
     high = 2 * settings.jump
-    variance = np.maximum(blur(half_difference**2, 20.0), 0) + pull**2
+    variance = np.maximum(blur(half_difference**2, 2 * _WINDOW), 0) + pull**2
     # Texture moves a depth along a slope, by 0.12 px of the full grid.
-    variance += 0.12**2 * np.minimum(_steepness(depth), 0.1)
+    variance += 0.12**2 * _steepness(depth)
     full = fill_nearest(depth)
     height = step_height(full)
-    height[height < 0.25] = 0
     beside = cv2.dilate(height, np.ones((5, 5), np.uint8))
     # The smoothing may mix both sides of a low edge. Beside a high one the error is the distance of
     # the depths by two measures, or its square if that is less: on drawn texture 0.03 steps at a

@@ -70,14 +70,11 @@ class FocusResult(Tidy):
         if not isinstance(self.depth, np.ndarray):
             return f"FocusResult({rows}×{cols} px, dask arrays that are not computed yet)"
         numbers = self.to_dict()
-        known = f"{rows}×{cols} px, {100 * numbers['known']:.1f} % known"
-        if not numbers["known"]:
-            return f"FocusResult({known})"
-        return (
-            f"FocusResult({known}, depth {numbers['depth_least']:.4g} to "
-            f"{numbers['depth_largest']:.4g} µm, uncertainty {numbers['uncertainty_median']:.2g} "
-            f"µm{'' if self.poses is None else ', registered'})"
-        )
+        text = f"FocusResult({rows}×{cols} px, {100 * numbers['known']:.1f} % known"
+        if numbers["known"]:
+            text += ", depth {depth_least:.4g} to {depth_largest:.4g} µm".format(**numbers)
+            text += ", uncertainty {uncertainty_median:.2g} µm".format(**numbers)
+        return f"{text}{'' if self.poses is None else ', registered'})"
 
     def to_dict(self) -> dict[str, Any]:
         """Return what the maps come to as a flat dictionary that JSON can hold.
@@ -213,6 +210,41 @@ class FocusResult(Tidy):
                 for f, pose in known
             )
         return picked(reader, index)
+
+
+def finished(
+    depth: NDArray[np.float32],
+    error: NDArray[np.float32],
+    number: NDArray[np.integer],
+    *,
+    spacing: float,
+    at_end: NDArray[np.bool_],
+    shown: Iterable[Image],
+) -> FocusResult:
+    """Return a result; where there is no depth are no error, no confidence and no number.
+
+    Parameters
+    ----------
+    depth, error : ndarray, shape (rows, cols)
+        Depth, NaN where unknown, and its error, µm.
+    number : ndarray of int, shape (rows, cols)
+        Number of the frame that shows each pixel.
+    spacing : float
+        Distance of the frames, µm.
+    at_end
+        As the result has it.
+    shown : iterable of ndarray
+        The frames that the image is made of.
+    """
+    known, share = np.isfinite(depth), error / np.float32(spacing)
+    return FocusResult(
+        depth=depth,
+        uncertainty=np.where(known, error, np.float32(np.nan)),
+        confidence=np.where(known, 1 / (1 + share * share), np.float32(0)),
+        index=np.where(known, number, np.int32(-1)).astype(np.int32),
+        all_in_focus=picked(shown, number),
+        at_end=at_end,
+    )
 
 
 def picked(frames: Iterable[Image], index: NDArray[np.integer]) -> Image:

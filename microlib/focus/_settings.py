@@ -57,6 +57,10 @@ class Settings:
     wide_weight: float = 0.02
     #: Radius of the smoothing by planes.
     radius: float = 3.5
+    #: How far a pixel's own depth may lie from the smoothed one to tell of relief, and how far that
+    #: may rise: with a whole jump for both, a real board is 8 % worse.
+    own: float = 1.2
+    most_relief: float = 1.6
     #: Standard deviations by which a covariance must exceed that of noise to begin to count as
     #: relief, and to count in full.
     doubt: float = 2.5

@@ -17,22 +17,18 @@ from numpy.typing import NDArray
 from microlib._common import Array, Image
 from microlib.focus import _reliability as rules
 from microlib.focus import _relief
-from microlib.focus._axis import Axis, find_axis, sampled
+from microlib.focus._axis import Axis, find_axis, mosaic
 from microlib.focus._correction import smooth_planes
 from microlib.focus._follow import Followed, Levels, follow
 from microlib.focus._measures import TINY, absolute_seconds, blur, doubled, halved
 from microlib.focus._peaks import PeakFollower, fit_peaks
 from microlib.focus._reliability import choose_side, fill_nearest, without_spikes
 from microlib.focus._relief import depth_range, step_height
-from microlib.focus._result import FocusResult, picked
+from microlib.focus._result import FocusResult, finished
 from microlib.focus._settings import Settings
 
 #: Rows of a block that is fitted at full size, and what is seen around it, px.
 GRID, _SEEN = 64, 10
-#: How far a pixel's own depth may lie from the smoothed one to tell of relief, and how far that may
-#: rise, steps: with a whole jump for both, 0.8 % fewer of a real board are within a frame of it.
-_OWN, _MOST_RELIEF = 1.2, 1.6
-
 _NOTHING: Any = None
 
 
@@ -57,8 +53,8 @@ class Known:
         The depth, and its weight in a mean.
     apart : ndarray
         How far the depths by two measures are apart.
-    sharp, finer : ndarray of bool
-        Where there is fine detail that no blurred light has, for sure, and probably.
+    sharp : ndarray of bool
+        Where there is fine detail that no blurred light has, for sure.
     relief, half_difference : ndarray
         Fine relief that the smoothing took away, and half of what both directions differ by.
     pull : ndarray
@@ -75,14 +71,13 @@ class Known:
     workers: int
     done: Callable[[float], object]
     settings: Settings
-    axis: Axis = _NOTHING
+    axis: Axis | Any = None
     seen: Followed = _NOTHING
     levels: Levels = _NOTHING
     depth: NDArray = _NOTHING
     weight: NDArray = _NOTHING
     apart: NDArray = _NOTHING
     sharp: NDArray = _NOTHING
-    finer: NDArray = _NOTHING
     relief: NDArray = _NOTHING
     half_difference: NDArray = _NOTHING
     pull: NDArray = _NOTHING
@@ -131,45 +126,35 @@ def default_depth(
     if any(more):  # smaller ones are mirrored at their border
         mirrored = cv2.BORDER_REFLECT
         frames = [cv2.copyMakeBorder(f, 0, more[0], 0, more[1], mirrored) for f in frames]
-    known = Known(frames, positions, points, workers, done, settings or Settings())
-    known = known if axis is None else replace(known, axis=axis)
+    known = Known(frames, positions, points, workers, done, settings or Settings(), axis)
     for name, stage in STAGES.items():
         if stages is None or name in stages:
             known = stage(known)
-    if known.full is None:
-        known = enlarge(known)
-    return finished(known, frames if color is None else color, shape)
+    return result_of(known, frames if color is None else color, shape)
 
 
 def average_frames(known: Known) -> Known:
     """Average as many frames as make a peak as wide as the settings want it."""
-    return known if known.axis else replace(known, axis=_axis_of(known, known.settings.width))
-
-
-def _axis_of(known: Known, width: float) -> Axis:
-    """Return how frames are averaged, from squares all over the image."""
-    rows, cols = (sampled(n) for n in known.frames[0].shape)
-    mosaics = [frame[np.ix_(rows, cols)] for frame in known.frames]
-    return find_axis(mosaics, known.positions, width)
+    if known.axis is not None:
+        return known
+    squares = [mosaic(frame) for frame in known.frames]
+    return replace(known, axis=find_axis(squares, known.positions, known.settings.width))
 
 
 def follow_measures(known: Known) -> Known:
     """Follow the measures through the frames, and fit the peak of each pixel."""
-    axis = known.axis or _axis_of(known, np.inf)
     reach, workers = known.points // 2, known.workers
-    seen = follow(known.frames, axis, reach, known.settings, workers=workers, done=known.done)
-    levels = Levels.of(axis.noise, known.settings)
+    seen = follow(known.frames, known.axis, reach, known.settings, workers=workers, done=known.done)
+    levels = Levels.of(known.axis.noise, known.settings)
     nothing = np.zeros_like(seen.depth)
     return replace(
         known,
-        axis=axis,
         seen=seen,
         levels=levels,
         depth=seen.depth.copy(),
-        weight=relative(seen.strength, axis.typical),
+        weight=relative(seen.strength),
         apart=np.nan_to_num(np.abs(seen.depth - seen.edge)),
         sharp=sharp_mask(seen, levels, *known.settings.sharp),
-        finer=sharp_mask(seen, levels, *known.settings.finer),
         relief=nothing,
         half_difference=nothing,
         pull=nothing,
@@ -204,8 +189,9 @@ def ask_wide_windows(known: Known) -> Known:
     """Take the depth by a wide window where the others are of blurred light."""
     wide = wide_depth(known)
     depth, weight = known.depth.copy(), known.weight.copy()
+    finer = sharp_mask(known.seen, known.levels, *known.settings.finer)
     instead, neither = rules.check_wide(
-        depth, wide, known.apart, known.sharp, known.finer, known.settings
+        depth, wide, known.apart, known.sharp, finer, known.settings
     )
     depth[neither] = np.nan
     depth[instead], weight[instead] = wide[instead], known.settings.wide_weight
@@ -235,9 +221,9 @@ def smooth(known: Known) -> Known:
 
 def add_relief(known: Known) -> Known:
     """Find the relief that the smoothing took away, on which two directions agree."""
-    seen, most = known.seen, _MOST_RELIEF
+    seen, most = known.seen, known.settings.most_relief
     level = np.nan_to_num(known.depth)
-    there = np.isfinite(known.depth) & (np.abs(seen.depth - known.depth) < _OWN)
+    there = np.isfinite(known.depth) & (np.abs(seen.depth - known.depth) < known.settings.own)
     offsets, strengths = [], []
     for window in (seen.along, seen.down):
         depth, strength = fit_peaks(window, seen.best, known.axis.steps, near=level, within=most)
@@ -284,13 +270,13 @@ def enlarge(known: Known) -> Known:
 
 def fit_at_full_size(known: Known) -> Known:
     """Fit the peaks again at full size where the depth is steep or has a step."""
-    known = enlarge(known)
     steep = doubled(steep_mask(fill_nearest(known.depth), known.settings.jump), known.full.shape)
     full, there = refit(known, steep)
     return replace(known, full=full, there=there)
 
 
-#: Stages of the default depth, in their order. All but the second may be left out.
+#: Stages of the default depth, in their order. Frames are not averaged if the settings' `width` is
+#: infinite.
 STAGES: dict[str, Callable[[Known], Known]] = {
     "averaged frames": average_frames,
     "measures and peaks": follow_measures,
@@ -303,35 +289,35 @@ STAGES: dict[str, Callable[[Known], Known]] = {
     "relief": add_relief,
     "pull of frames": undo_pull,
     "stated errors": state_errors,
+    "enlarged": enlarge,
     "full size": fit_at_full_size,
 }
 
 
-def finished(known: Known, shown: Sequence[Image], shape: tuple[int, ...]) -> FocusResult:
+#: Stages that cannot be left out.
+NEEDED = ("averaged frames", "measures and peaks", "enlarged")
+
+
+def result_of(known: Known, shown: Sequence[Image], shape: tuple[int, ...]) -> FocusResult:
     """Return what is known at last, in µm."""
-    rows, cols = shape
-    axis, full = known.axis, known.full.shape
-    height = step_height(known.full)
+    axis, full, here = known.axis, known.full, tuple(slice(n) for n in shape)
+    height = step_height(full)
     height[height < 2 * known.settings.jump] = 0
     # 0.2 to 0.3 of the height on drawn texture, 0.5 where the near side hides the far one, 0.5 to
     # 0.8 on photographs.
-    error = np.hypot(doubled(known.error, full), np.float32(0.28) * height)
-    known.full[~known.there] = error[~known.there] = np.nan
-    steps, error = known.full[:rows, :cols], error[:rows, :cols]
-    best = doubled(known.seen.best, full, cv2.INTER_NEAREST)[:rows, :cols]
-    depth = axis.micrometers(steps)
-    there = np.isfinite(depth)
+    error = np.hypot(doubled(known.error, full.shape), np.float32(0.28) * height)
+    depth = axis.micrometers(np.where(known.there, full, np.float32(np.nan)))[here]
+    best = doubled(known.seen.best, full.shape, cv2.INTER_NEAREST)[here]
     order = np.argsort(axis.positions)
     nearest = np.rint(np.interp(depth, axis.positions[order], order))
     middles = (axis.ends[:-1] + axis.ends[1:]) // 2
-    number = np.where(there, nearest, middles[best]).astype(np.int32)
-    return FocusResult(
-        depth=depth,
-        uncertainty=error * np.float32(axis.spacing),
-        confidence=np.where(there, 1 / (1 + error * error), np.float32(0)),
-        index=np.where(there, number, np.int32(-1)),
-        all_in_focus=picked((frame[:rows, :cols] for frame in shown), number),
+    return finished(
+        depth,
+        error[here] * np.float32(axis.spacing),
+        np.where(np.isfinite(depth), nearest, middles[best]).astype(np.int32),
+        spacing=axis.spacing,
         at_end=(best == 0) | (best == len(axis.steps) - 1),
+        shown=(frame[here] for frame in shown),
     )
 
 
@@ -352,14 +338,11 @@ def sharp_mask(seen: Followed, levels: Levels, share: float, noise: float) -> ND
     return np.asarray(above > share * blur(coarse - np.float32(levels.coarse), 1.0))
 
 
-def relative(strength: NDArray, typical: float | None = None) -> NDArray:
+def relative(strength: NDArray) -> NDArray:
     """Return strengths over their median, 1 where a depth came without a fit."""
     fitted = strength > 0
-    if typical is None:
-        typical = float(np.median(strength[fitted])) if fitted.any() else 1.0
-    # One pixel shall not decide alone.
-    ratio = np.clip(strength / np.float32(typical), 1e-4, 1e4)
-    return np.where(fitted, ratio, np.float32(1))
+    typical = np.median(strength[fitted]) if fitted.any() else np.float32(1)
+    return np.where(fitted, strength / typical, np.float32(1))
 
 
 def wide_depth(known: Known) -> NDArray:

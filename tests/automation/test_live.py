@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ from compendium.experiments.live_depth import (
     microscope,
 )
 from microlib.automation import LiveDepth, acquire_depth, autofocus
-from microlib.focus import depth_from_focus
+from microlib.focus import depth_from_focus, sum_modified_laplacian
 from microlib.servoing import MicroManager
 from tests.servoing.engine import rendered_core
 
@@ -167,7 +169,7 @@ def test_options_are_checked_without_frames_and_sizes_at_the_first_one():
     for options, words in (
         ({"register": True}, "frames must be at least 32 px on each side"),
         ({"reduce": 64}, "must have sides of at least the 64 px of a block"),
-        ({"measure": "sml", "step": 40}, "step must be below the image's sides"),
+        ({"measure": partial(sum_modified_laplacian, step=40)}, "step must be below the image's"),
         ({"region": (3, 5, 9, 90)}, "region must lie in the image of 30×24 px"),
     ):
         live = LiveDepth(**options)
@@ -177,7 +179,7 @@ def test_options_are_checked_without_frames_and_sizes_at_the_first_one():
         live.push(np.zeros((192, 194), np.uint8), 0.0)
         assert live.frames == 1
     for wrong in (
-        {"window": 5}, {"window": 4}, {"measure": "variance", "step": 2}, {"region": (0, 0, 4)},
+        {"window": 5}, {"window": 4}, {"measure": "variance", "window": 2}, {"region": (0, 0, 4)},
         {"measure": "none"}, {"farthest": [1.0]},
     ):  # fmt: skip
         with pytest.raises(ValueError, match="|".join(wrong)):

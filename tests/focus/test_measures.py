@@ -1,5 +1,7 @@
 """Focus measures against loops over (3.11) and (3.12), and against scipy."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,8 +10,8 @@ from scipy import ndimage
 
 from microlib.focus import _axis, _measures, sum_modified_laplacian
 
-TENENGRAD = _measures.focus_measure("tenengrad", 5, 1, 0.0)
-VARIANCE = _measures.focus_measure("variance", 5, 1, 0.0)
+TENENGRAD = partial(_measures.tenengrad, window=5)
+VARIANCE = partial(_measures.variance, window=5)
 
 
 def printed_sml(image: np.ndarray, w: int, step: int, threshold: float) -> np.ndarray:
