@@ -13,8 +13,6 @@ from microlib.embryo._modulus import NORMAL_95, force_from_image, given_lengths
 from microlib.embryo._view import DIRECTIONS
 from microlib.membrane import viscoelastic_force
 
-__all__ = ["ForceHistory", "force_over_time"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ForceHistory(Tidy):

@@ -7,8 +7,6 @@ from numpy.typing import ArrayLike
 
 from microlib._common import Array, as_array, between, same_length, scalar, whole
 
-__all__ = ["loess"]
-
 
 def loess(
     x: ArrayLike,
@@ -103,18 +101,10 @@ def _local_fits(u: Array, y: Array, weights: Array, degree: int) -> Array:
     """Value at u = 0 of the weighted polynomial of each row; NaN where it is not determined."""
     # The normal equations: on |u| ≤ 1 their condition stays below about 1e5, which leaves ten
     # digits.
-    moments = np.empty((len(u), 2 * degree + 1))
-    right = np.empty((len(u), degree + 1))
-    term = weights
-    for power in range(2 * degree + 1):
-        moments[:, power] = term.sum(axis=1)
-        if power <= degree:
-            right[:, power] = np.einsum("nk,nk->n", term, y)
-        term = term * u
-    rows = np.arange(degree + 1)
-    normal = moments[:, rows[:, np.newaxis] + rows]
+    powers = u[..., np.newaxis] ** np.arange(degree + 1)
+    weighted = (weights[..., np.newaxis] * powers).swapaxes(1, 2)
+    normal, right = weighted @ powers, weighted @ y[..., np.newaxis]
     # A hundred roundings; evenly spaced points give 1e-4 or more.
-    poor = np.linalg.det(normal) <= 1e-14 * moments[:, 0] ** (degree + 1)
+    poor = np.linalg.det(normal) <= 1e-14 * normal[:, 0, 0] ** (degree + 1)
     normal[poor] = np.eye(degree + 1)
-    fitted = np.linalg.solve(normal, right[..., np.newaxis])[:, 0, 0]
-    return np.where(poor, np.nan, fitted)
+    return np.where(poor, np.nan, np.linalg.solve(normal, right)[:, 0, 0])

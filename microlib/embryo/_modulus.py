@@ -77,11 +77,13 @@ class ImageEstimate(Tidy):
     given: dict[str, Any]
 
     def __repr__(self) -> str:
+        return f"ImageEstimate({self._said}, misfit {self.misfit:.1%} of the dimple's depth)"
+
+    @property
+    def _said(self) -> str:
         (low, high), unit = self.interval, {"force": "µN", "modulus": "MPa"}[self.found]
-        return (
-            f"ImageEstimate({self.found} {getattr(self, self.found):.4g} {unit}, 95 % within "
-            f"{low:.4g} … {high:.4g}, misfit {self.misfit:.1%} of the dimple's depth)"
-        )
+        value = getattr(self, self.found)
+        return f"{self.found} {value:.4g} {unit}, 95 % within {low:.4g} … {high:.4g}"
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the outline, and the dimple that was fitted to it, by Matplotlib.
@@ -97,11 +99,8 @@ class ImageEstimate(Tidy):
         """
         from microlib._plots import outline
 
-        low, high = self.interval
-        unit = {"force": "µN", "modulus": "MPa"}[self.found]
-        title = f"{self.found} {getattr(self, self.found):.4g} {unit}, 95 % {low:.4g} to {high:.4g}"
         curve = self.dimple if isinstance(self.dimple, DimpleFit) else None
-        return outline(self.boundary.x, self.boundary.y, curve, {}, title, ax)
+        return outline(self.boundary.x, self.boundary.y, curve, {}, self._said, ax)
 
     @property
     def misfit(self) -> float:
@@ -241,9 +240,9 @@ def modulus_from_image(
     refuse_another_width(boundary, given["probe_half_width"] / size, size)
     points = size * _seen_from_the_probe(boundary)
     capsule = fit_capsule(load, points, law=law, fit_tilt=True, **given)
-    std = float(np.hypot(capsule.modulus_std / capsule.modulus, _OUTLINE_STD))
-    around = _around(capsule.modulus, capsule.modulus, std)
-    return ImageEstimate(load, capsule.modulus, "modulus", std, around, capsule, boundary, given)
+    std, found = np.hypot(capsule.modulus_std / capsule.modulus, _OUTLINE_STD), capsule.modulus
+    around = _around(found, found, float(std))
+    return ImageEstimate(load, found, "modulus", float(std), around, capsule, boundary, given)
 
 
 def force_from_image(

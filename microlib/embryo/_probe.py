@@ -19,8 +19,6 @@ from scipy.ndimage import map_coordinates, median_filter
 from microlib._common import Array, Tidy, as_array
 from microlib.embryo._view import View
 
-__all__ = ["CLEARANCE", "MAD_TO_STD", "MARGIN", "SMALLEST", "Probe", "find_probe", "remove_probe"]
-
 # Lengths are in px. Where a number stands in its place, half of it and twice of it change E of nine
 # embryos by less than 2 %.
 

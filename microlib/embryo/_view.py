@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from microlib._common import Array, Tidy
 
-__all__ = ["DIRECTIONS", "View"]
-
 #: Edges that a probe may come from, and quarter turns counterclockwise that bring each to the top.
 DIRECTIONS = {"top": 0, "bottom": 2, "left": 3, "right": 1}
 

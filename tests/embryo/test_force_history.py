@@ -79,15 +79,6 @@ def test_an_unread_image_costs_certainty(found: ForceHistory, sequence: list[np.
     assert np.isfinite(other.force).tolist() == [True] * 5 + [False]
 
 
-def test_the_modulus_is_in_error_everywhere_alike(sequence: list[np.ndarray]) -> None:
-    few = {"pixel_size": 4.65 / 1.2, **SETTINGS, **LAW}
-    plain = force_over_time(sequence[4:6], TIME[4:6], 1.2, **few)
-    less = force_over_time(sequence[4:6], TIME[4:6], 1.2, modulus_std=0.12, **few)
-    np.testing.assert_allclose(less.std**2 - plain.std**2, (0.1 * plain.force) ** 2)
-    twice = force_over_time(sequence[4:6], TIME[4:6], 2.4, **few)
-    np.testing.assert_allclose([twice.force, twice.std], [2 * plain.force, 2 * plain.std])
-
-
 def test_refusals(sequence: list[np.ndarray]) -> None:
     call = {"pixel_size": 4.65 / 1.2, **SETTINGS, **LAW}
     with pytest.raises(ValueError, match="images must be as many as the times, got 8 and 7"):

@@ -13,10 +13,11 @@ from microlib.embryo import (
     fit_gaussians,
     force_from_image,
     force_over_time,
+    loess,
     modulus_from_image,
 )
 from tests import fuzz
-from tests.laws import VIEWS, Law, hold, hold_sigma
+from tests.laws import VIEWS, Law, Units, hold, hold_same_as_new, hold_sigma
 
 pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
 #: Amplitudes, centers and widths of an outline whose rims differ, px, and its range.
@@ -231,3 +232,55 @@ def test_an_image_between_two_forces_has_any_force_between_them():
     )
     between = np.random.default_rng(0).uniform(found.force[0], found.force[2], 400)
     hold_sigma(between - found.force[1], np.full(400, found.std[1]))
+
+
+@pytest.mark.parametrize("among", [1.0, -1.0])
+def test_an_error_of_the_modulus_is_that_of_all_forces(among):
+    """Beside what each outline leaves open, in the same direction everywhere."""
+    settings = {"pixel_size": 7.75, **SIZES, "poisson_ratio": 0.5, "direction": "top"}
+    law = {"shares": [0.3], "relaxation_times": [1.9]}
+    images, time = [EGG, np.full_like(EGG, 190), EGG[:, 2:]], 3.7 + np.array([0.0, 0.7, 2.5])
+    plain, unsure, off = (
+        force_over_time(images, time, modulus, modulus_std=std, **law, **settings)
+        for modulus, std in ((0.8, 0.0), (0.8, 0.1), (0.8 + among * 0.1, 0.0))
+    )
+    moved = off.force - plain.force
+    np.testing.assert_allclose(unsure.std**2, plain.std**2 + moved**2, rtol=1e-9)
+    assert (among * moved > 0).all()
+
+
+@pytest.mark.parametrize("order", [[2, 0, 1], [1, 2, 0]])
+def test_points_in_another_order_have_their_values_in_that_order(order):
+    x = np.arange(41.0) ** 1.2 + 3.7
+    y = np.random.default_rng(1).normal(50.0, 3.0, x.size)
+    mixed = np.argsort(np.arange(x.size) % 3 * 100 + np.arange(x.size))
+    mixed = np.concatenate([np.array_split(mixed, 3)[k] for k in order])
+    curve, dimple = fit_gaussians(x, y, terms=1), fuzz.dimple()
+    for values in (
+        lambda x, y: loess(x, y, span=0.4),
+        lambda x, y: curve(x),
+        lambda x, y: dimple(x),
+    ):
+        np.testing.assert_allclose(values(x[mixed], y[mixed]), values(x, y)[mixed], rtol=1e-9)
+    other = fit_gaussians(x[mixed], y[mixed], terms=1)
+    np.testing.assert_allclose(other(x), curve(x), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("make", "uses"),
+    [
+        (lambda: hills(Units()), [lambda s: s.extrema(), lambda s: s(4.0), lambda s: s("four"),
+                       lambda s: dimple_geometry(s, pixel_size=3.9)]),
+        (fuzz.dimple, [lambda s: s(230.0), lambda s: s([[np.nan]]), lambda s: s([210.0, 260.0])]),
+        (lambda: extract_boundary(EGG), [lambda s: s.without_probe(EGG), lambda s: s.points,
+            lambda s: s.without_probe("image"), lambda s: s.probe.axis(12.0),
+            lambda s: fit_dimple(s, pixel_size=7.75, probe_half_width=25.0)]),
+        (lambda: modulus_from_image(EGG, 143.0, pixel_size=7.75, **SIZES, poisson_ratio=0.5),
+            [lambda s: s.model_interval, lambda s: s.misfit, repr, lambda s: s.model_moduli]),
+    ],
+    ids=["sum", "dimple", "outline", "estimate"],
+)  # fmt: skip
+def test_what_was_used_before_is_as_new(make, uses):
+    """In either order, and after what was refused."""
+    for before in (uses, uses[::-1]):
+        hold_same_as_new(make, before[0], *before[1:], *before[:1])

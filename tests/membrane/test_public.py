@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from microlib.membrane import elastic_modulus, indent_disc, modulus_samples, modulus_std
+from microlib.membrane import (
+    elastic_modulus,
+    indent_disc,
+    modulus_samples,
+    modulus_std,
+    viscoelastic_force,
+)
 from tests import fuzz
 from tests.laws import Law, hold, hold_coverage, hold_sigma
 
@@ -149,3 +155,43 @@ def test_the_error_of_a_modulus_is_as_stated(size):
     for level in (0.5, 0.95):
         low, high = np.quantile(samples, [(1 - level) / 2, (1 + level) / 2])
         hold_coverage((low < moduli) & (moduli < high), level)
+
+
+ERRORS = [{name: 0.2} for name in ("force", "thickness", "probe_half_width", "poisson_ratio")]
+
+
+@pytest.mark.parametrize("error", [*ERRORS, *[{"dimple_radius": a, "dimple_depth": w} for a, w in
+    ((0.7, 0.0), (0.0, 0.2), (0.7, 0.2), (0.7, -0.2))]])  # fmt: skip
+@pytest.mark.parametrize("half_width", [C, 190.0])
+def test_the_error_of_a_modulus_is_its_slope_along_the_error(error, half_width):
+    """Of inputs that err together in a known direction, on either side of a wide probe, too."""
+    values = {"force": 43.0, "dimple_radius": A, "dimple_depth": 19.0, "thickness": H}
+    values |= {"probe_half_width": half_width, "poisson_ratio": 0.31}
+    step = 1e-5
+    up, down = (
+        elastic_modulus(**values | {name: values[name] + by * std for name, std in error.items()})
+        for by in (step, -step)
+    )
+    together = {}
+    if "dimple_radius" in error:
+        way = np.array([error["dimple_radius"], error["dimple_depth"]])
+        error, together = {}, {"dimple_covariance": np.outer(way, way)}
+    # Central differences: truncation of order step² and cancellation of order 1e-16/step.
+    slope = abs(up - down) / (2 * step)
+    assert modulus_std(values, error, **together) == pytest.approx(slope, rel=1e-6)
+
+
+def test_a_force_that_is_there_at_first_was_applied_within_no_time():
+    """And what relaxes is counted from there, whatever the clock said before."""
+    time = 3.7 + np.array([0.0, 0.3, 1.1, 4.0])
+    force = np.array([[1.0, 5.0, 4.0, 4.0], [2.0, 2.0, 2.5, 1.0]])
+    law = {"shares": [0.3, 0.2], "relaxation_times": [0.7, 5.0]}
+    found = viscoelastic_force(time, force, **law)
+    sooner = viscoelastic_force(
+        np.append([1.0, time[0] - 1e-9], time), np.pad(force, ((0, 0), (2, 0))), **law
+    )
+    np.testing.assert_allclose(sooner[:, 2:], found, rtol=1e-8)
+    # Forces add: each that is held falls by the same function of time.
+    steps = viscoelastic_force(time, np.eye(4)[0] + np.zeros((2, 4)), **law)
+    parts = viscoelastic_force(time, force - force[:, :1] * np.eye(4)[0], **law)
+    np.testing.assert_allclose(parts + force[:, :1] * steps, found, rtol=1e-12)
