@@ -108,17 +108,10 @@ class _Disc(Problem):
         return t, np.array([rim * t, 0.5 * x, (z - z[-1]) / height]), known
 
     def stages(self) -> Iterator[_Disc]:
-        """Yield problems of a load that grows to this one's."""
-        for share in 3.0 ** -np.arange(8, -1, -1):
-            yield replace(
-                self, force=share * self.force, pressure=share * self.pressure, depth=None
-            )
-        if self.depth is not None:
-            yield self
-
-    def after(self, solved: _Disc, solution: Any) -> tuple[_Disc, Guess]:
-        known = None if self.depth is None else np.zeros(1)
-        return self, (solution.x, solution.y, known)
+        """Yield problems of a load that grows to this one's, where that is given."""
+        if self.depth is None:
+            for share in 3.0 ** -np.arange(8, -1, -1):
+                yield self.of_modulus(1 / share)
 
     def of_modulus(self, modulus: float) -> _Disc:
         """Return a stiffer disc's problem under the same load."""

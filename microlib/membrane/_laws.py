@@ -70,11 +70,10 @@ class Hooke(Law):
         self._plane = 1 - poisson_ratio**2
 
     def energy(self, first: Array, second: Array) -> Array:
-        e1, e2 = first - 1, second - 1
-        nu = self.poisson_ratio
-        both = (e1**2 + e2**2 + 2 * nu * e1 * e2) / (2 * self._plane)
-        strip = np.maximum(np.maximum(e1, e2), 0.0) ** 2 / 2
-        return np.where((e1 + nu * e2 >= 0) & (e2 + nu * e1 >= 0), both, strip)
+        along, across = self.stress(first, second)
+        both = (along * (first - 1) + across * (second - 1)) / 2
+        strip = np.maximum(np.maximum(first, second) - 1, 0.0) ** 2 / 2
+        return np.where((along >= 0) & (across >= 0), both, strip)
 
     def stress(self, first: Array, second: Array) -> tuple[Array, Array]:
         e1, e2 = first - 1, second - 1

@@ -247,17 +247,11 @@ class _Fit:
             here = left(moved)
             return np.transpose([(left(moved + by) - here) / by.sum() for by in np.diag(step)])
 
-        fit = least_squares(
-            left,
-            (np.array(start) - origin)[sought],
-            jac=slopes,
-            bounds=(least, np.inf),
-            x_scale="jac",
-            # Of N points it is N × 1e-6 of their variance, which moves no parameter by more than
-            # 0.03 of its deviation for a thousand of them.
-            ftol=1e-6,
-            max_nfev=40,
-        )
+        # Of N points it is N × 1e-6 of their variance, which moves no parameter by more than 0.03
+        # of its deviation for a thousand of them.
+        stop = {"ftol": 1e-6, "max_nfev": 40}
+        first, bounds = (np.array(start) - origin)[sought], (least, np.inf)
+        fit = least_squares(left, first, slopes, bounds, x_scale="jac", **stop)
         return place(fit.x), fit
 
     def starts(self, given: tuple[float, float] | None) -> Iterator[_Place]:

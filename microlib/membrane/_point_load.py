@@ -32,9 +32,7 @@ class Formula(Protocol[Given]):
     """A function that returns a number for numbers, and else an array; see `elementwise`."""
 
     @overload
-    def __call__(  # type: ignore[overload-overlap]
-        self, *args: float, **kwargs: float
-    ) -> float: ...
+    def __call__(self, *args: float, **kwargs: float) -> float: ...  # type: ignore[overload-overlap]
     @overload
     def __call__(self, *args: Given.args, **kwargs: Given.kwargs) -> Array: ...
 

@@ -61,6 +61,7 @@ class Problem:
     slopes: Callable[..., Array]  # right-hand side of the equilibrium
     edges: Callable[..., Array]  # residual at the ends
     jacobian: Any = None  # of the slopes, where differences are too slow
+    even: Callable[[Any], list[tuple[float, float]]]  # area, stretch of what lies in no strip
     guess: Callable[[], Guess]
     stages: Callable[[], Iterator[Any]]
 
@@ -72,24 +73,12 @@ class Problem:
         """Return the problem and its checked solution, or None."""
         return self.checked(self.collocated(guess))
 
-    def even(self, solution: Any) -> list[tuple[float, float]]:
-        """Return undeformed area and stretch of what lies in no strip, stretched evenly."""
-        raise NotImplementedError
-
     def collocated(self, guess: Guess, tolerance: float | None = None) -> Any:
         """Return SciPy's solution from a guess, or None."""
         x, y, k = guess
+        limits = {"tol": tolerance or self.tolerance, "max_nodes": self.most_nodes}
         with np.errstate(all="ignore"):
-            solution = solve_bvp(
-                self.slopes,
-                self.edges,
-                x,
-                y,
-                p=k,
-                fun_jac=self.jacobian,
-                tol=tolerance or self.tolerance,
-                max_nodes=self.most_nodes,
-            )
+            solution = solve_bvp(self.slopes, self.edges, x, y, k, fun_jac=self.jacobian, **limits)
         return solution if solution.status == 0 and np.isfinite(solution.y).all() else None
 
     def checked(self, solution: Any) -> tuple[Any, Any] | None:

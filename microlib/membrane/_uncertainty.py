@@ -192,12 +192,9 @@ def _checked(
         raise ValueError(f"values must have the keys {sorted(_INPUTS)}, got {sorted(values)}")
     if not set(stds) <= set(_INPUTS):
         raise ValueError(f"stds must have keys among {sorted(_INPUTS)}, got {sorted(stds)}")
-    for name in values:
-        scalar(f"values[{name!r}]", values[name])
-    for name, std in stds.items():
-        scalar(f"stds[{name!r}]", std, least=0)
-    inputs = checked(**values)
-    covariance = np.diag([float(stds.get(name, 0.0)) ** 2 for name in _INPUTS])
+    inputs = checked(**{name: scalar(f"values[{name!r}]", values[name]) for name in values})
+    known_stds = {name: scalar(f"stds[{name!r}]", stds[name], least=0) for name in stds}
+    covariance = np.diag([known_stds.get(name, 0.0) ** 2 for name in _INPUTS])
     if dimple_covariance is not None:
         if twice := [name for name in _INPUTS[1:3] if name in stds]:
             raise ValueError(f"stds must leave out what dimple_covariance holds, got {twice}")
