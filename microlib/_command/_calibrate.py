@@ -35,7 +35,7 @@ def run(a: argparse.Namespace) -> Iterator[tuple[str, Callable]]:
     from microlib.calibration import calibrate
     from microlib.io import read_grey
 
-    given = settle(a, "pitch", "cell", *(["focal_length"] if a.focal_length is not None else []))
+    settle(a, "pitch", "cell", *(["focal_length"] if a.focal_length is not None else []))
     seen: dict[str, tuple[NDArray, Any]] = {}
     faults = []
     for photo in tqdm(a.source, unit=" photos", **a.bar):
@@ -51,8 +51,7 @@ def run(a: argparse.Namespace) -> Iterator[tuple[str, Callable]]:
     for text in faults:
         warnings.warn(f"left out {text}", stacklevel=2)
     images, views = zip(*seen.values(), strict=True)
-    focal = given.get("focal_length")
-    result = calibrate(views, pitch=given["pitch"], pixel_size=given["cell"], focal_length=focal)
+    result = calibrate(views, pitch=a.pitch, pixel_size=a.cell, focal_length=a.focal_length)
     for advice in _advice(result, views):
         warnings.warn(advice, stacklevel=2)
     tables = [found.to_frame().assign(photo=photo) for photo, (_, found) in seen.items()]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import cv2
@@ -33,7 +33,7 @@ from microlib.tracking._settings import Settings
 from microlib.tracking._verdict import confidence
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Track(Tidy):
     """Where the template is in one frame.
 
@@ -85,14 +85,14 @@ class Track(Tidy):
     corners: Array
     lost: bool
     reason: str
-    correlation: float
-    homography: Array
-    gain: float
-    bias: float
-    visible: float
-    iterations: int
-    covariance: Array
-    corner_covariance: Array
+    correlation: float = np.nan
+    homography: Array = field(default_factory=lambda: np.full((3, 3), np.nan))
+    gain: float = np.nan
+    bias: float = np.nan
+    visible: float = np.nan
+    iterations: int = 0
+    covariance: Array = field(default_factory=lambda: np.full((2, 2), np.nan))
+    corner_covariance: Array = field(default_factory=lambda: np.full((8,) * 2, np.nan))
     confidence: float
     hidden: NDArray[np.bool_]
 
@@ -350,14 +350,6 @@ class ESMTracker:
             corners=self._corners(),
             lost=True,
             reason=reason,
-            correlation=np.nan,
-            homography=np.full((3, 3), np.nan),
-            gain=np.nan,
-            bias=np.nan,
-            visible=np.nan,
-            iterations=0,
-            covariance=np.full((2, 2), np.nan),
-            corner_covariance=np.full((8,) * 2, np.nan),
             confidence=confidence,
             hidden=np.ones(self._box[:1:-1], bool),
         )
