@@ -625,10 +625,11 @@ def fault(case: Case) -> str | None:
         return wrong  # what only stores does not look at what it is given
     if "masked" in case.label:
         return "dropped a mask"
+    if case.name in MAY_BE_UNKNOWN or finite(result):
+        return None
     # NaN may come from NaN, in what was replaced or beside it.
     given = (*case.values.values(), valid_call(case.name))
-    known = case.name in MAY_BE_UNKNOWN or finite(result) or not all(map(finite, given))
-    return None if known else "not finite"
+    return "not finite" if all(map(finite, given)) else None
 
 
 def differences(name: str) -> Iterator[str]:

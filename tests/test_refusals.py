@@ -61,6 +61,10 @@ REFUSED: dict[str, dict[str, tuple[object, ...]]] = {
         "frames": (masked, [masked(frame) for frame in fuzz.stack()]),
         "positions": (masked, [3.0] * 5, [0, 0, 1, 2, 3], [2, 1, 1, 0, -1]),
     },
+    "io.read_frames": {
+        "region": ((-1, 0, 4, 4), (0, 0, 0, 4), (0, 0, 4, 0), "abcd"),
+        "reduce": (0, 1.5),
+    },
     "membrane.mean_strain": {"dimple_depth": (masked,)},
     "membrane.modulus_std": {
         "dimple_covariance": (-np.eye(2), [[1.0, 2.0], [2.0, 1.0]], [[1.0, 0.5], [0.0, 1.0]]),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -35,8 +36,13 @@ MAPS = {
 SINGLE = 1e-4
 
 
+@cache
+def measured(grey: float, z0: float, um: float) -> FocusResult:
+    return depth_from_focus(STACK * grey, z0 + Z * um)
+
+
 def result(u) -> FocusResult:
-    return depth_from_focus(STACK * u.grey, u.z0 + Z * u.um)
+    return measured(u.grey, u.z0, u.um)
 
 
 LAWS = {
