@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import stdtrit
 
 from compendium import thesis
-from compendium.ledger import claim, with_error
+from compendium.ledger import claim
 from microlib.calibration import Calibration, Detection, calibrate, detect_circles, detect_squares
 from microlib.microscope import Microscope, undistort
 from microlib.synthetic import ImagingConditions, render_circles, render_squares
@@ -211,22 +211,6 @@ def table_5_1(taken: Mapping[str, Photograph]) -> pd.DataFrame:
                 found = over_draws(values % 360 if name == "gamma" else values, photo.images)
             rows.append((f"table-5.1/{column}/{name}", *found, name in RECOVERED))
     return pd.DataFrame(rows, columns=["claim", "value", "low", "high", "input"])
-
-
-def printed_above(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the entries of `table_5_1` as texts, a row each parameter and a column each pattern.
-
-    Printed above recomputed; the latter with its 95 % interval where it has one.
-    """
-    half = (table["high"] - table["low"]) / 2
-    found = [
-        with_error(v, r) if r else f"{v:.6g}" for v, r in zip(table["value"], half, strict=True)
-    ]
-    texts = [f"{claim(i).printed}<br>{text}" for i, text in zip(table["claim"], found, strict=True)]
-    place = table["claim"].str.split("/", expand=True)
-    rows = pd.DataFrame({"parameter": place[2], "column": place[1].map(thesis.COLUMNS), "t": texts})
-    wide = rows.pivot(index="parameter", columns="column", values="t")
-    return wide.loc[place[2].unique(), list(thesis.COLUMNS.values())]
 
 
 def pattern_errors(taken: Mapping[str, Photograph]) -> pd.DataFrame:

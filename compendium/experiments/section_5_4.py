@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -475,27 +475,9 @@ def decided(table: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-class OverImages(NamedTuple):
-    """A run that is closed over rendered frames.
-
-    Attributes
-    ----------
-    run : Simulation
-        As `microlib.servoing.simulate` returns it.
-    frames : list of ndarray of uint8
-        What the tracker saw.
-    origin : ndarray, shape (2,)
-        Where (0, 0) of the path lies in the frames, px.
-    """
-
-    run: Any
-    frames: list[NDArray[np.uint8]]
-    origin: NDArray
-
-
 def over_images(
     station: Workstation, zoom: str, path: NDArray, start: ArrayLike | None = None
-) -> OverImages:
+) -> Any:
     """Close the loop over rendered frames of the gripper, measured by the tracker of §5.3.
 
     Parameters
@@ -511,8 +493,8 @@ def over_images(
 
     Returns
     -------
-    OverImages
-        With its frames.
+    Simulation
+        As `microlib.servoing.simulate` returns it.
     """
     rng = np.random.default_rng(station.seed)
     begin = path[0] if start is None else np.asarray(start)
@@ -521,16 +503,13 @@ def over_images(
     away = begin - np.rint((span.min(axis=0) + span.max(axis=0)) / 2)
     frame, tracker = gripper(zoom, away, rng)
     origin = tracker.track(frame(away, rng)).center - begin
-    frames: list[NDArray[np.uint8]] = []
 
     def observer(feature: NDArray) -> NDArray:
-        frames.append(frame(feature + away - begin, rng))
-        track = tracker.track(frames[-1])
+        track = tracker.track(frame(feature + away - begin, rng))
         return np.full(2, np.nan) if track.lost else track.center - origin
 
     controller = servoing.OptimalController(nominal_jacobian(zoom), **LAW)
-    run = station.simulate(controller, zoom, path, 0, start=begin, observer=observer)
-    return OverImages(run, frames, origin)
+    return station.simulate(controller, zoom, path, 0, start=begin, observer=observer)
 
 
 def error_left(zoom: str, unit: float) -> float:

@@ -204,53 +204,6 @@ def film_dimple(
     return film(figure, draw, [100] * turns, still=turns // 2, **texts)
 
 
-def film_step(
-    frames: list[NDArray], times: NDArray, places: NDArray, goal: NDArray, side: float, **texts: str
-) -> HTML:
-    """Show the gripper driven to its goal in the image, and its step response.
-
-    Parameters
-    ----------
-    frames : list of ndarray
-        What the camera saw.
-    times : ndarray, shape (K,)
-        Of the frames, s.
-    places : ndarray, shape (K, 2)
-        The tracked feature in the frames, (x, y) in px.
-    goal : ndarray, shape (2,)
-        Where it shall go, px.
-    side : float
-        Of the tracked window, px.
-    **texts : str
-        ``name``, ``alt`` and ``caption`` of `film`.
-    """
-    figure, left, right = _two_panels(3.5)
-    picture = photograph(left, frames[0])
-    square = side / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    window = left.add_patch(Polygon(square, fill=False, ec=COLORS["yellow"], lw=2.5))
-    left.plot(*goal, "+", color=COLORS["orange"], ms=16, mew=3)
-    middle = (places[0] + goal) / 2
-    left.set(xlim=middle[0] + np.array([-90, 90]), ylim=middle[1] + np.array([90, -90]))
-    moved = places - places[0]
-    looks = (("x", "blue", "-"), ("y", "orange", "--"))
-    lines = [right.plot([], [], line, color=COLORS[c], label=name)[0] for name, c, line in looks]
-    right.axhline((goal - places[0])[0], color=COLORS["ink"], lw=1, label="goal")
-    right.set(xlabel="time (s)", ylabel="moved by (px)", xlim=(0, times[-1]))
-    right.set(ylim=(-3, 1.15 * moved.max()))
-    right.legend(loc="lower right")
-
-    def draw(k: int) -> None:
-        picture.set_data(frames[k])
-        window.set_xy(square + places[k])
-        for axis, line in enumerate(lines):
-            line.set_data(times[: k + 1], moved[: k + 1, axis])
-        left.set_title(f"t = {times[k]:.2f} s")
-
-    durations = [90] * len(frames)
-    durations[-1] = 2000
-    return film(figure, draw, durations, still=len(frames) // 2, **texts)
-
-
 def _webp(picture: Image.Image, **how: object) -> str:
     buffer = BytesIO()
     picture.save(buffer, "WEBP", **how)

@@ -15,17 +15,11 @@ from scipy.stats import binomtest
 from compendium import thesis
 from compendium.experiments.section_5_3 import fastest_followed
 from compendium.figures.calibration import draw_detection
-from compendium.figures.panels import SYMBOL, boxes, legend_below
+from compendium.figures.panels import boxes, legend_below
 from compendium.figures.servoing import draw_track
 from compendium.figures.style import COLORS
 from compendium.ledger import claim
 from microlib.tracking import Track
-
-#: Parameters of Table 5.1 as the text writes them.
-SYMBOLS = {"kappa": "κ", "alpha": "α", "beta": "β", "gamma": "γ", "T_op": "$T_{op}$"}
-SYMBOLS |= {f"T_{axis}": f"$T_{axis}$" for axis in "xyz"}
-#: How far the axes of its drawing reach, in units of the error and in per cent.
-REACH = 1.5
 
 
 def draw_workstation() -> Figure:
@@ -106,81 +100,4 @@ def draw_speed_study(shares: pd.DataFrame, runs: int) -> Figure:
     axes.axvline(thesis_speed, color=COLORS["ink"], ls=":", label=f"thesis: {thesis_speed:g} px/s")
     axes.set(xlabel="speed (px/s)", ylabel="runs completed (%)", ylim=(-5, 105), xticks=speeds)
     legend_below(figure, axes.get_legend_handles_labels()[0], ncols=1)
-    return figure
-
-
-def draw_table_5_1(entries: pd.DataFrame) -> Figure:
-    """Draw how far Table 5.1 is from what images and printed lengths give.
-
-    Parameters
-    ----------
-    entries : pandas.DataFrame
-        Of `compendium.experiments.section_5_2.table_5_1`. What the images give is drawn in units of
-        its error, the half of a 95 % interval; what follows from the lengths in per cent.
-    """
-    place = entries["claim"].str.split("/", expand=True)
-    printed = np.array([claim(id).value for id in entries["claim"]])
-    off, error = entries["value"] - printed, (entries["high"] - entries["low"]) / 2
-    figure, panels = plt.subplots(1, 2, figsize=(6.4, 5.4), width_ratios=(1.2, 1))
-    scales = {True: off / error, False: 100 * off / abs(printed)}
-    for axes, (given, scaled) in zip(panels, scales.items(), strict=True):
-        chosen = entries["input"] == given
-        names = list(place.loc[chosen, 2].unique())
-        for k, (column, title) in enumerate(thesis.COLUMNS.items()):
-            part = chosen & (place[1] == column)
-            height = [0.2 * (1.5 - k) - names.index(name) for name in place.loc[part, 2]]
-            shown = scaled[part].clip(-REACH, REACH)
-            axes.plot(shown, height, "osD^"[k], color=f"C{k}", ms=7, label=title)
-            for value, x, y in zip(scaled[part], shown, height, strict=True):
-                if value != x:  # further off than the axis reaches
-                    axes.annotate(
-                        f"← {value:.0f} %".replace("-", "−"),
-                        (x, y),
-                        (8, 0),
-                        textcoords="offset points",
-                    )
-        ticks = [SYMBOLS.get(name, name) for name in names]
-        axes.set_yticks(-np.arange(len(names)), ticks, fontsize=SYMBOL)
-        axes.axvline(0, color=COLORS["ink"], lw=1)
-        axes.set(xlim=(-REACH, REACH))
-    panels[0].axvspan(-1, 1, color=COLORS["green"], alpha=0.15, lw=0)
-    panels[0].set(title="found in the images", xlabel="difference (errors of 95 %)")
-    panels[1].set(title="follow from the lengths", xlabel="difference (%)")
-    legend_below(figure, panels[0].get_legend_handles_labels()[0], ncols=2)
-    return figure
-
-
-def draw_printed_and_recomputed(panels: Mapping[str, pd.DataFrame]) -> Figure:
-    """Draw recomputed beside printed numbers as dots with their 95 % intervals.
-
-    Parameters
-    ----------
-    panels : mapping of str to pandas.DataFrame
-        By title: ``claim`` (id), ``value``, ``low`` and ``high`` in the printed unit, and
-        ``input``, whether the simulation was given the printed number; such dots are hollow.
-    """
-    rows = max(map(len, panels.values()))
-    size = (6.4, 1.4 + 0.3 * rows)
-    figure, grid = plt.subplots(1, len(panels), figsize=size, squeeze=False, sharex=True)
-    ticks, ends = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2], [0.25, 2.0]
-    for axes, (title, table) in zip(grid.flat, panels.items(), strict=True):
-        printed = np.array([claim(id).value for id in table["claim"]])
-        value, low, high = (table[name].to_numpy() / printed for name in ("value", "low", "high"))
-        place = -np.arange(len(table))
-        axes.axvline(1, color=COLORS["ink"], lw=1)
-        for given, look in (
-            (True, {"mfc": "none", "label": "input"}),
-            (False, {"label": "computed"}),
-        ):
-            at = (table["input"] == given).to_numpy()
-            if at.any():
-                axes.hlines(place[at], low[at], high[at], color=COLORS["blue"], lw=1.5)
-                axes.plot(value[at], place[at], "o", color=COLORS["blue"], **look)
-        axes.set_yticks(place, [" ".join(id.split("/")[1:]) for id in table["claim"]])
-        ends.extend([low.min(), high.max()])
-        axes.set(title=title, xlabel="recomputed / printed", xscale="log", ylim=(0.6 - rows, 0.4))
-        axes.set_xticks(ticks, list(map(str, ticks)))
-        axes.set_xlim(0.9 * min(ends), 1.1 * max(ends))
-        axes.minorticks_off()
-    legend_below(figure)
     return figure

@@ -6,11 +6,14 @@ otherwise; none is read from a run.
 
 from __future__ import annotations
 
+from math import sqrt
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+
+from compendium import ledger
 
 # Table 5.6 and its section: µm, µN, MPa.
 RADIUS, DEPTH, FORCE, HALF_WIDTH = 246.95, 121.22, 197.24, 25.0
@@ -26,6 +29,23 @@ def series(figures: Path, name: str) -> dict[tuple[int, str], np.ndarray]:
     table = pd.read_csv(figures / f"{name}.csv")
     groups = table.groupby(["panel", "series"], sort=False)
     return {key: group[["x", "y"]].to_numpy(np.float64) for key, group in groups}
+
+
+@pytest.mark.parametrize(
+    ("id", "value"),
+    [
+        # 4πRγ = 4/3 πR³ρg: water on silicon, at its diameter in mm; five digits are stored.
+        ("section-2.1/part-size", round(2e3 * sqrt(3 * 0.073 / (2330 * 9.81)), 4)),
+        ("section-5.1/zoom-ratio", 11.25 / 0.75),
+        # Of 1.5893 and 1.6236 for 1.6, and of 6.3859 and 6.444 for 6.4, the further.
+        ("section-5.2/magnification-1X", 1.6236),
+        ("section-5.2/magnification-4X", 6.444),
+    ],
+)
+def test_a_number_of_a_few_lines_is_that_of_its_formula(
+    claims_folder: Path, id: str, value: float
+) -> None:
+    assert ledger.read_records(claims_folder)[id].value == pytest.approx(value, abs=1e-4)
 
 
 def test_forces_of_adhesion_fall_in_order(figures: Path) -> None:

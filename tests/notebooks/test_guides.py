@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import ast
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import nbformat
@@ -58,12 +55,6 @@ def defaults(guide: str) -> dict[str, object]:
     return {n: ast.literal_eval(node.value) for n, node in zip(names, assigned, strict=True)}
 
 
-def said(path: Path) -> str:
-    """Return what an executed guide printed and the tables that it showed."""
-    outputs = [o for c in nbformat.read(path, as_version=4).cells for o in c.get("outputs", [])]
-    return "\n".join(o.get("text", o.get("data", {}).get("text/plain", "")) for o in outputs)
-
-
 def test_every_guide_is_tested() -> None:
     names = {path.stem.removeprefix("07_guide_") for path in ROOT.glob("notebooks/07_*.ipynb")}
     assert names == set(EVERY)
@@ -98,7 +89,9 @@ def test_the_defaults_are_those_of_the_input(guide: str, parameter: str, name: s
 
 @pytest.mark.parametrize("guide", EVERY)
 def test_a_guide_compares_its_own_input_with_the_truth(guide: str, claims_folder: Path) -> None:
-    text = said(claims_folder.parent / "notebooks" / f"07_guide_{guide}.ipynb")
+    path = claims_folder.parent / "notebooks" / f"07_guide_{guide}.ipynb"
+    cells = nbformat.read(path, as_version=4).cells
+    text = str([one for cell in cells for one in cell.get("outputs", [])])
     assert "off by" in text
     assert "nothing is compared" not in text
 
@@ -168,14 +161,6 @@ def test_the_log_that_is_kept_is_of_the_simulated_run(claims_folder: Path) -> No
     np.testing.assert_allclose(jacobian.iloc[:4], true, atol=0.002)
 
 
-def test_a_missing_configuration_gives_one_clear_line(tmp_path: Path) -> None:
-    arguments = ["-p", "configuration", "mine.cfg", "-p", "out", "kept"]
-    result = run_own(tmp_path, "07_guide_servoing", *arguments)
-    assert result.returncode == 1
-    assert "ValueError: core must be a core or a configuration file" in result.stderr
-    assert len(result.stderr.strip().splitlines()) == 1
-
-
 def test_the_moduli_that_are_kept_are_the_true_ones(claims_folder: Path) -> None:
     for guide, name, least, most in (
         ("embryo", "embryo.png", "modulus_low_MPa", "modulus_high_MPa"),
@@ -191,15 +176,6 @@ def test_the_moduli_that_are_kept_are_the_true_ones(claims_folder: Path) -> None
     inputs = pd.read_csv(kept("modulus", "inputs.csv", claims_folder), index_col=0)
     assert inputs["share of the variance"].sum() == pytest.approx(1.0)
     assert inputs["share of the variance"].idxmax() == "dimple_depth"
-
-
-def run_own(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "compendium.run", *arguments, "--output", "mine"]
-    # This tree, whatever is installed.
-    here = os.environ | {"PYTHONPATH": str(ROOT)}
-    return subprocess.run(
-        command, cwd=folder, capture_output=True, text=True, check=False, env=here
-    )
 
 
 def run_here(guide: str, **values: object) -> None:
@@ -220,6 +196,7 @@ def run_here(guide: str, **values: object) -> None:
         ("embryo", "path must name an image, got .*mine.tif"),
         ("tracking", "mine.tif"),
         ("modulus", "outline must .*mine.tif"),
+        ("servoing", "core must have a camera and an XY stage"),
     ],
 )
 def test_a_wrong_file_gives_one_clear_line(
@@ -228,7 +205,7 @@ def test_a_wrong_file_gives_one_clear_line(
     monkeypatch.chdir(tmp_path)
     Path("mine.tif").write_bytes(b"II*\0 cut off")
     with pytest.raises(ValueError, match=message):
-        run_here(guide, **{GUIDES[guide][0]: "mine.tif"})
+        run_here(guide, **{GUIDES.get(guide, ("configuration",))[0]: "mine.tif"})
 
 
 @pytest.mark.parametrize(
@@ -242,7 +219,11 @@ def test_a_wrong_file_gives_one_clear_line(
     ],
 )
 def test_a_guide_runs_on_the_readers_own_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, guide: str, files: set[str]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    guide: str,
+    files: set[str],
 ) -> None:
     """A rendered input, taken as if it were the reader's, from the reader's own folder."""
     parameter, name = GUIDES[guide]
@@ -257,13 +238,9 @@ def test_a_guide_runs_on_the_readers_own_file(
     with pytest.raises(ValueError, match="must be given for mine") as asked:
         run_here(guide, **{parameter: mine})
     assert set(str(asked.value).partition(" must be given")[0].split(", ")) == needed
-    arguments = ["-p", parameter, mine, "-p", "out", "kept"]
-    for scale, value in scales.items():
-        arguments += ["-p", scale, str(value)]
-    result = run_own(tmp_path, f"07_guide_{guide}", *arguments)
-    assert result.returncode == 0, result.stderr
+    run_here(guide, **{parameter: mine} | scales)
     assert {path.name for path in (tmp_path / "kept").iterdir()} == files
-    text = said(tmp_path / "mine" / f"07_guide_{guide}.ipynb")
+    text = capsys.readouterr().out
     assert f"{mine}, your own" in text
     if guide in CHECKS:
         CHECKS[guide](tmp_path / "kept")
@@ -271,23 +248,24 @@ def test_a_guide_runs_on_the_readers_own_file(
         assert f"No truth is known of {mine}" in text
 
 
-def test_a_folder_of_embryos_is_a_table_of_moduli(tmp_path: Path) -> None:
+def test_a_folder_of_embryos_is_a_table_of_moduli(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """One image of two is none of an embryo: it costs its row, and its reason is said."""
     plate = tmp_path / "plate"
     plate.mkdir()
     shutil.copy(FOLDER / "embryo.png", plate / "a.png")
-    shutil.copy(FOLDER / "circles.png", plate / "c.png")
-    arguments = ["-p", "more", "plate/*.png", "-p", "out", "kept"]  # as the demo's image
-    result = run_own(tmp_path, "07_guide_embryo", *arguments)
-    assert result.returncode == 0, result.stderr
+    tifffile.imwrite(plate / "c.tif", np.full((90, 120), 70, np.uint8))
+    monkeypatch.chdir(tmp_path)
+    run_here("embryo", more="plate/*")  # as the demo's image
     table = pd.read_csv(tmp_path / "kept" / "moduli.csv").sort_values("file", ignore_index=True)
-    assert table["file"].tolist() == ["plate/a.png", "plate/c.png"]
+    assert table["file"].tolist() == ["plate/a.png", "plate/c.tif"]
     alone = pd.read_csv(tmp_path / "kept" / "modulus.csv", index_col=0)["value"]
     assert table["modulus"][0] == pytest.approx(alone["modulus_MPa"], rel=1e-12)
     assert table["error"][1].startswith("ValueError: ")
-    text = said(tmp_path / "mine" / "07_guide_embryo.ipynb")
+    text = capsys.readouterr().out
     assert "2 images, 1 of them without a modulus" in text
-    assert "c.png: ValueError: " in text
+    assert "c.tif: ValueError: " in text
 
 
 def test_numbers_give_a_modulus_and_a_steep_dimple_is_named(

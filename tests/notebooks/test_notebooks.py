@@ -1,7 +1,8 @@
-"""The notebooks: how they are written, what they recorded, and that they fail when they should."""
+"""The notebooks read as articles, recorded what the book says, and fail when they should."""
 
 from __future__ import annotations
 
+import ast
 import re
 import shutil
 from pathlib import Path
@@ -20,10 +21,45 @@ PURE = {
     "focus measure, of its largest", "depth of the dimple / its radius",
 }  # fmt: skip
 CHAPTER_5 = ROOT / "notebooks" / "05_experimental_results.ipynb"
+#: Words of every drawing, which mean the figure or the panels at hand; chapter 5 needs none.
+DRAWING = {"fig", "ax", "axes", "color", "title"}
 
 
-def parameters(notebook: nbformat.NotebookNode) -> list[nbformat.NotebookNode]:
-    return [c for c in notebook.cells if "parameters" in c.metadata.get("tags", [])]
+def code(path: Path) -> list[nbformat.NotebookNode]:
+    return [c for c in nbformat.read(path, as_version=4).cells if c.cell_type == "code"]
+
+
+def bound(source: str) -> list[str]:
+    """Return the names that a cell's own lines bind, as often as they do."""
+    found = []
+    todo: list[ast.AST] = [*ast.parse(source).body]
+    while todo:
+        node = todo.pop()
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            found.append(node.name)
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            found += [(a.asname or a.name).split(".")[0] for a in node.names]
+        elif not isinstance(node, ast.ListComp | ast.SetComp | ast.DictComp | ast.GeneratorExp):
+            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store) and node.id != "_":
+                found.append(node.id)
+            todo += ast.iter_child_nodes(node)
+    return found
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_cells_are_short(path: Path) -> None:
+    lines = {cell.id: len(cell.source.splitlines()) for cell in code(path)}
+    assert max(lines.values()) <= 25, lines
+    assert path != CHAPTER_5 or sum(lines.values()) <= 540
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS[:6], ids=lambda path: path.stem)
+def test_a_name_means_one_thing(path: Path) -> None:
+    """No name is bound twice, in one cell or in two, but those of a drawing."""
+    allowed = set() if path.stem.startswith("05") else DRAWING
+    every = [name for cell in code(path) for name in bound(cell.source)]
+    twice = sorted({name for name in every if every.count(name) > 1} - allowed)
+    assert not twice, twice
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -32,11 +68,10 @@ def test_notebook_is_written_as_the_book_says(path: Path) -> None:
     number = int(path.stem[:2])
     title = next(line for line in notebook.cells[0].source.splitlines() if line.startswith("# "))
     assert number > 6 or title.startswith(f"# {number} "), title
-    (cell,) = parameters(notebook)
-    assert "record" in cell.source
-    for cell in notebook.cells:
-        if cell.cell_type != "code":
-            continue
+    cells = code(path)
+    (first,) = (c for c in cells if "parameters" in c.metadata.get("tags", []))
+    assert "record" in first.source
+    for cell in cells:
         assert not cell.outputs, f"{cell.id} has outputs; run `make format`"
         figure = cell.metadata.get("mystnb", {})
         if "figure" in figure:

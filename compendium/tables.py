@@ -1,0 +1,76 @@
+"""The tables of the thesis as they are printed, with what this book finds for each number."""
+
+from __future__ import annotations
+
+import tomllib
+from html import escape
+from pathlib import Path
+
+from docutils.nodes import make_id  # type: ignore[import-untyped]
+from IPython.display import HTML
+
+from compendium import ledger
+
+#: What tells a verdict where its color is not seen.
+SIGNS = {"agrees": "✓", "disagrees": "✗", "cannot tell": "?", "input": "•"}
+_LAYOUTS = Path(__file__).resolve().parent.parent / "data" / "thesis" / "tables.toml"
+
+
+def as_printed(name: str) -> HTML:
+    """Show a table of the thesis: its rows, columns and units, and a verdict on each number.
+
+    Below a printed number stands the recomputed one that this notebook has checked; both lead to
+    their row in the list of claims.
+
+    Parameters
+    ----------
+    name : str
+        ``table-5.6``, as in ``data/thesis/tables.toml``.
+
+    Returns
+    -------
+    IPython.display.HTML
+        The table, whose caption explains the signs that occur in it.
+
+    Raises
+    ------
+    ValueError
+        If the thesis has no such table, or a number that can be compared was not checked.
+    """
+    layouts = tomllib.loads(_LAYOUTS.read_text(encoding="utf-8"))
+    if name not in layouts:
+        raise ValueError(f"name must be one of {', '.join(layouts)}, got {name!r}")
+    layout, found = layouts[name], ledger.summary(f"{name}/")["recomputed"]
+    rows, claims = "", []
+    for row in layout["rows"]:
+        claims += (entries := [ledger.claim(f"{name}/{one}") for one in row["claims"]])
+        missing = [one.id for one in entries if one.compared and one.id not in found]
+        if missing:
+            raise ValueError(f"name must be of a table that was checked; missing: {missing}")
+        cells = "".join(
+            _cell(one, found.get(one.id, ""), layout.get("named", False)) for one in entries
+        )
+        label = row.get("label", entries[0].says)
+        rows += f'<tr><th scope="row">{label}</th>{cells}</tr>'
+    head = "".join(f'<th scope="col">{text}</th>' for text in layout["columns"])
+    verdicts = {one.verdict for one in claims}
+    key = [f"{sign} {verdict}" for verdict, sign in SIGNS.items() if verdict in verdicts]
+    key += [f"{ledger.STAR} hangs on something not printed"] * any(one.star for one in claims)
+    title = f"{name.replace('-', ' ').capitalize()}. {layout['title']}"
+    told = f"Above as printed, below what we find: {', '.join(key)}."
+    return HTML(
+        f'<table class="as-printed"><caption><div><strong>{title}.</strong> {told}</div></caption>'
+        f"<thead><tr><td></td>{head}</tr></thead><tbody>{rows}</tbody></table>"
+    )
+
+
+def _cell(claim: ledger.Claim, recomputed: str, named: bool) -> str:
+    name = f"{claim.id.rpartition('/')[2].replace('-', ' ')}<br>" if named else ""
+    number = recomputed.replace("± ", "±&nbsp;")
+    mark = f"{SIGNS[claim.verdict]}&nbsp;{number}" + f"&nbsp;{ledger.STAR}" * bool(claim.star)
+    return (
+        f"<td>{name}{escape(claim.printed or claim.limit)}{'<br>' if number else '&nbsp;'}"
+        f'<a class="verdict verdict-{make_id(claim.verdict)}" '
+        f'href="../claims.html#{make_id(f"claim-{claim.id}")}" '
+        f'title="{escape(claim.what)}: {claim.label}">{mark}</a></td>'
+    )

@@ -1,0 +1,61 @@
+"""The tables as printed, against their shape and cells typed from the thesis."""
+
+from __future__ import annotations
+
+import re
+from html import unescape
+
+import pytest
+
+from compendium import ledger
+from compendium.tables import SIGNS, as_printed
+
+#: Rows and columns of each table; row, column and number of a cell, with what leads to it.
+PRINTED = {
+    "table-3.1": (3, 3, 2, 0, "concave elliptic 7"),
+    "table-5.1": (11, 4, 4, 2, "2.1e-10"),
+    "table-5.2": (3, 4, 2, 1, "0.5843"),
+    "table-5.3": (2, 4, 1, 2, "1.35"),
+    "table-5.4": (2, 6, 0, 4, "4.79"),
+    "table-5.5": (8, 3, 6, 1, "169.9"),
+    "table-5.6": (7, 1, 5, 0, "197.24"),
+    "table-5.7": (1, 2, 0, 1, "0.05"),
+    "section-5.5": (10, 1, 2, 0, ">= 1"),  # sentences, with the number that decides each
+}
+
+
+@pytest.mark.parametrize("name", PRINTED)
+def test_a_table_stands_as_it_is_printed(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(ledger.TALLY_VARIABLE, "1")
+    entries = [one for id, one in ledger.claims().items() if id.startswith(f"{name}/")]
+    entries = [one for one in entries if one.printed == "" or "table" in name]
+    for k, one in enumerate(entries):
+        if one.compared:
+            ledger.check(one.id, one.value + k, 0.25)
+    rows, columns, at, across, printed = PRINTED[name]
+    html = as_printed(name).data
+    assert html.count('scope="col"') == columns
+    table = [re.findall("<td>(.*?)</td>", row) for row in re.findall("<tr><th .*?</tr>", html)]
+    assert [len(row) for row in table] == [columns] * rows
+    texts = [[unescape(re.sub("<.*?>", " ", cell)) for cell in row] for row in table]
+    assert re.split("[✓✗?•]", texts[at][across])[0].split() == printed.split()
+    # Each number stands once, with what was found for it and its own verdict.
+    found = ledger.summary(f"{name}/")["recomputed"]
+    expected = []
+    for one in entries:
+        parts = [
+            *(one.printed or one.limit).split(),
+            SIGNS[one.verdict],
+            *found.get(one.id, "").split(),
+        ]
+        expected.append([*parts, ledger.STAR] if one.star else parts)
+    cells = [re.sub("^[a-z ]+", "", text).split() for row in texts for text in row]
+    assert sorted(cells) == sorted(expected)
+
+
+def test_a_table_that_was_not_checked_is_refused() -> None:
+    ledger.open_record("")
+    with pytest.raises(ValueError, match=r"missing: \['table-5.7/mean', 'table-5.7/std'\]"):
+        as_printed("table-5.7")
+    with pytest.raises(ValueError, match=r"name must be one of table-3.1, .*got 'table-9.9'"):
+        as_printed("table-9.9")
