@@ -272,9 +272,10 @@ class Differences(Listing):
         lines: dict[str, list[str]] = {}
         for claim in ledger.claims().values():
             if claim.verdict == "disagrees":
-                thesis = (
-                    f"Printed: {printed(claim)}." if claim.printed else f"It says: {claim.says}."
-                )
+                thesis = f"Printed: {printed(claim)}."
+                if not claim.printed:
+                    needed = f"{claim.limit} {claim.unit}".rstrip()
+                    thesis = f"It says: {claim.says}, which needs a number {needed}."
                 found = f"Recomputed: {{recomputed}}`{claim.id}`."
                 star = f" {ledger.STAR} {claim.star}." if claim.star else ""
                 text = f"- **{claim.what}.** {{verdict}}`{claim.id}` {thesis} {found} "
