@@ -145,37 +145,13 @@ def test_arguments_broadcast() -> None:
     assert got[1, 1] == pytest.approx(float(elastic_modulus(**VALUES)), rel=1e-14)
 
 
-def test_first_order_and_sampled_spread_agree_for_small_errors() -> None:
-    stds = {"force": 0.5, "dimple_radius": 1.0, "dimple_depth": 0.4, "poisson_ratio": 0.01}
-    first = modulus_std(VALUES, stds)
-    samples = modulus_samples(VALUES, stds, size=40_000, rng=np.random.default_rng(0))
-    # A sampled standard deviation is known to 1/√(2n) = 0.35 %; 2 % leaves the second order room.
-    assert samples.std() == pytest.approx(first, rel=0.02)
-    assert modulus_std(VALUES | {"poisson_ratio": 0.0}, {"poisson_ratio": 0.01}) > 0
-
-
-def test_radius_and_depth_may_vary_together() -> None:
+def test_a_covariance_stands_for_two_deviations() -> None:
     independent = {"dimple_radius": 1.0, "dimple_depth": 0.4}
     apart = modulus_std(VALUES, {}, dimple_covariance=[[1.0, 0.0], [0.0, 0.16]])
     assert apart == pytest.approx(modulus_std(VALUES, independent), rel=1e-12)
-    covariance = np.array([[1.0, 0.36], [0.36, 0.16]])
-    radius, depth = (
-        np.random.default_rng(0).multivariate_normal([250.0, 40.0], covariance, 40_000).T
-    )
-    force = np.random.default_rng(1).normal(50.0, 0.5, radius.size)
-    drawn = elastic_modulus(
-        **VALUES | {"force": force, "dimple_radius": radius, "dimple_depth": depth}
-    )
-    together = modulus_std(VALUES, {"force": 0.5}, dimple_covariance=covariance)
-    # As above: 40 000 draws know it to 0.35 %, and the second order needs room.
-    assert drawn.std() == pytest.approx(together, rel=0.02)
-    assert together < modulus_std(VALUES, {"force": 0.5, **independent})
-    samples = modulus_samples(
-        VALUES, {"force": 0.5}, size=40_000, rng=2, dimple_covariance=covariance
-    )
-    assert samples.std() == pytest.approx(drawn.std(), rel=0.02)
     unknown = modulus_std(VALUES, {}, dimple_covariance=np.full((2, 2), np.nan))
     assert np.isnan(unknown)
+    assert modulus_std(VALUES | {"poisson_ratio": 0.0}, {"poisson_ratio": 0.01}) > 0
 
 
 def test_large_errors_draw_only_what_can_be() -> None:
