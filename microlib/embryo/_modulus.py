@@ -64,7 +64,7 @@ class ImageEstimate(Tidy):
     `interval` says how well the outline is known, as if the model were right; `misfit` whether the
     outline looks like the model at all, which widens `interval` where it does not. `model_moduli`,
     and `model_interval` say what other models make of the same dimple. They are computed when they
-    are asked for, which takes about a second.
+    are asked for, which takes half a second.
     """
 
     force: float

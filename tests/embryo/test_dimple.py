@@ -79,8 +79,13 @@ def test_covariance_is_what_noise_does():
         for _ in range(60)
     ]
     found = np.array([[fit.dimple_radius, fit.dimple_depth] for fit in fits])
+    covariances = np.array([fit.covariance for fit in fits])
     # The drawn flank is no circle: about the mean, which takes one of 60 from the scatter.
-    hold_sigma((found - found.mean(axis=0)) * np.sqrt(60 / 59), [fit.covariance for fit in fits])
+    hold_sigma((found - found.mean(axis=0)) * np.sqrt(60 / 59), covariances)
+    # Radius and depth vary together as it says; Fisher's z has the deviation 1/√57.
+    a, both, w = covariances.mean(axis=0)[[0, 0, 1], [0, 1, 1]]
+    stated, seen = both / np.sqrt(a * w), np.corrcoef(found.T)[0, 1]
+    assert abs(np.arctanh(seen) - np.arctanh(stated)) < 3.3 / np.sqrt(57)
 
 
 def test_stray_points_are_left_out():
