@@ -212,17 +212,6 @@ def test_uneven_positions_cost_little(dome):
         assert rms(result.depth - height) < limit
 
 
-@pytest.mark.parametrize("dtype", [np.uint16, np.float32])
-@pytest.mark.parametrize("measure", ["multiscale", "sml"])
-def test_deeper_grey_levels_give_the_same_depth(dome, dtype, measure):
-    _, stack = dome
-    scale = 200 if dtype == np.uint16 else 1 / 255
-    eight = depth_from_focus(stack, POSITIONS, measure=measure)
-    more = depth_from_focus((stack.astype(float) * scale).astype(dtype), POSITIONS, measure=measure)
-    # The rounding of 8 bits is no longer counted as noise; the rest is a change of unit.
-    assert np.nanmedian(np.abs(more.depth - eight.depth)) < 0.01 * STEP
-
-
 def test_a_callable_measure_is_the_named_one(dome):
     _, stack = dome
     named = depth_from_focus(stack, POSITIONS, measure="sml")
@@ -244,20 +233,19 @@ def test_peaks_at_the_ends_are_flagged():
         assert result.depth[known].max() <= POSITIONS[-1] + STEP / 2 + 1e-3
 
 
-@pytest.mark.parametrize("measure", ["multiscale", "sml", "tenengrad", "variance"])
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
-def test_nothing_to_focus_on_gives_no_depth(measure, dtype):
-    result = depth_from_focus(np.full((12, 40, 40), 77, dtype), np.arange(12.0), measure=measure)
+MEASURES = ("multiscale", "sml", "tenengrad", "variance")
+
+
+@pytest.mark.parametrize("measure", MEASURES)
+@pytest.mark.parametrize(("dtype", "drift"), [("u1", 0), ("u1", 5), ("u2", 5), ("f4", 5)])
+def test_nothing_to_focus_on_gives_no_depth(measure, dtype, drift):
+    """Nor does a change of light alone."""
+    frames = [np.full((40, 44), 77 + drift * k, dtype) for k in range(12)]
+    result = depth_from_focus(frames, np.arange(12.0), measure=measure)
     assert np.isnan(result.depth).all()
     assert np.isnan(result.uncertainty).all()
     assert (result.confidence == 0).all()
     assert (result.index == -1).all()
-
-
-def test_a_change_of_light_alone_gives_no_depth():
-    frames = [np.full((40, 40), 100 + 5 * k, np.uint8) for k in range(12)]
-    for measure in ("multiscale", "sml", "tenengrad", "variance"):
-        assert np.isnan(depth_from_focus(frames, np.arange(12.0), measure=measure).depth).all()
 
 
 @pytest.mark.parametrize("count", [12, 31, 100])
@@ -268,9 +256,6 @@ def test_noise_without_texture_gives_no_depth(count):
     assert np.isnan(result.depth).mean() > 0.99
     plain = depth_from_focus(noise, np.arange(float(count)), measure="sml")
     assert np.quantile(plain.confidence, 0.9) < 0.3  # it keeps some depths, and does not trust them
-
-
-MEASURES = ("multiscale", "sml", "tenengrad", "variance")
 
 
 @pytest.mark.parametrize("measure", MEASURES)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import cv2
 import numpy as np
 import pytest
+import tifffile
 
 from microlib import synthetic
 from microlib.focus import FocusResult, correct_spikes, depth_from_focus, smooth_depth
-from tests.laws import VIEWS, Law, hold, in_world
+from tests.laws import VIEWS, Law, hold, hold_same_as_new, in_world
 
 SHAPE = (44, 60)
 #: Uneven positions that fall, and a slope beside a step, µm.
@@ -82,26 +82,68 @@ def test_a_stack_seen_otherwise_has_the_same_depth(view):
         np.testing.assert_allclose(call(view.image(HOLED)), wanted, atol=1e-3)
 
 
-def test_a_result_is_in_its_place_for_every_program():
-    """napari shows a pixel where xarray has it, with rows that are not columns."""
-    found = replace(depth_from_focus(STACK, Z), pixel_size=2.3, origin=(12.0, -5.0))
-    x, y = np.array([[0, 0], [59, 0], [7, 43]]).T
-    wanted = np.column_stack([12 + 2.3 * x, -5 + 2.3 * y])
+def test_a_result_is_in_its_place_for_every_program(tmp_path):
+    """napari shows a pixel where xarray has it: where it was in the microscope's file, in µm."""
+    tifffile.imwrite(
+        tmp_path / "stack.ome.tif",
+        STACK.astype(np.float32),
+        metadata={"axes": "ZYX", "PhysicalSizeX": 2.3, "PhysicalSizeY": 2.3},
+    )
+    found = depth_from_focus(tmp_path / "stack.ome.tif", Z, region=(8, 4, 40, 32))
+    x, y = np.array([[0, 0], [39, 0], [7, 31]]).T
+    wanted = 2.3 * np.column_stack([8 + x, 4 + y])
     for layer in found.to_layers():
         np.testing.assert_allclose(in_world(layer, np.column_stack([x, y])), wanted)
+    assert found.all_in_focus[31, 7] in STACK[:, 35, 15]
     pytest.importorskip("xarray")
     maps = found.to_xarray()
     np.testing.assert_allclose(np.column_stack([maps.x[x], maps.y[y]]), wanted)
     np.testing.assert_array_equal(maps.depth.values[y, x], found.depth[y, x])
 
 
+@pytest.mark.parametrize("count", [8, 11, 41])
+def test_errors_are_as_stated_with_few_some_and_many_frames(count):
+    """Within the limits of benchmarks/focus_depth.py, a half more for few draws."""
+    z = 100 - np.linspace(0, 40, count) ** 1.02
+    height = 80 + synthetic.tilted_plane((88, 108), 0.08, 0.05)
+    ratios = []
+    for seed in range(3):
+        texture = synthetic.mixed_texture(height.shape, np.random.default_rng(seed))
+        stack = synthetic.focal_stack(texture, height, z, blur_rate=0.25, noise=4.0, rng=seed)
+        found = depth_from_focus(stack, z)
+        parts = [part[10:-10, 10:-10] for part in (found.depth - height, found.uncertainty)]
+        ratios.append(np.divide(*(np.sqrt(np.mean(part**2)) for part in parts)))
+    assert 0.7 < np.mean(ratios) < 1.5
+
+
+def test_a_stack_can_be_used_again_after_a_failure():
+    def fail(done, count):
+        raise InterruptedError
+
+    def use(frames):
+        return [depth_from_focus(frames, Z, **how).depth for how in ({}, {"register": True})]
+
+    def interrupted(frames):
+        with pytest.raises(InterruptedError):
+            depth_from_focus(frames, Z, progress=fail)
+
+    hold_same_as_new(
+        lambda: list(STACK.astype(np.uint8)),
+        use,
+        interrupted,
+        lambda frames: depth_from_focus(frames, Z[:4]),
+        use,
+    )
+
+
 @pytest.mark.parametrize("levels", [1, 200, 1 / 255])
 def test_bare_ground_has_no_depth_in_any_unit(levels):
     """Not from noise, and not from the rounding to whole grey levels where that is all there is."""
     texture = synthetic.mixed_texture((96, 160), np.random.default_rng(2))
-    texture[:, 60:] = np.linspace(90, 110, 100)  # a gradient, which rounds to terraces
+    gradient = np.linspace(90, 110, 100)  # which rounds to terraces
     kind = {1: np.uint8, 200: np.uint16}.get(levels, np.float32)
-    for noise in (0.0, 0.15, 2.0):
+    for ground, noise in ((gradient, 0.0), (100.3, 0.2), (gradient, 0.15), (gradient, 2.0)):
+        texture[:, 60:] = ground
         rng = np.random.default_rng(3)
         height = np.full(texture.shape, 41.0)
         frames = synthetic.focal_stack(texture, height, Z, blur_rate=0.04, noise=0, rng=rng)
