@@ -10,7 +10,7 @@ from tests import fuzz
 from tests.laws import public
 
 #: One case in so many runs here, and at least so many of every callable.
-ONE_IN, LEAST = 10, 6
+ONE_IN, LEAST = 20, 6
 QUICK = [name for name in fuzz.names() if name not in fuzz.SLOW]
 
 
