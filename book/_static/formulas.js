@@ -22,6 +22,7 @@
     for (const fold of cell.querySelectorAll("details")) fold.open = true;
     return cell;
   };
+  addEventListener("DOMContentLoaded", open);
   addEventListener("hashchange", () => open()?.scrollIntoView({ behavior: "instant" }));
   const start = async () => {
     await window.MathJax?.startup?.promise;

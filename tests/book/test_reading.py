@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import re
 import sys
+from html import unescape
 from pathlib import Path
 
+import pytest
 from docutils import nodes
 from playwright.sync_api import Browser, Page
 
@@ -16,9 +18,29 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT / "book" / "_ext"), str(Path(__file__).parent)]
 from browsing import open_page  # noqa: E402
 from test_sources import line_of, place_of_test  # noqa: E402
+from thesis import split  # noqa: E402
 
 CHAPTER = "notebooks/04_mechanical_characterization.html"
 CLAIMS = ledger.claims().values()
+# What a new reader wants from the front page on: what is clicked or searched for, and then seen.
+TASKS = {
+    "what was found": ("supports a modulus from",),
+    "is 1.3237 right": ("a[href$='#claim-table-5-6-e']", "tuned:"),
+    "which erratum": ("?q=203610", "ul.search li a",
+                      "#claim-table-5-1-square-4x-t-z a:text('erratum')", "Right:"),
+    "which function": ("a[href$='#claim-table-5-6-e']", "#claim-table-5-6-e a:text('code')",
+                       "thesis.modulus"),
+    "which cell": ("a[href*='#number-5-6-e-capsule-2']", "modulus_posterior"),
+    "use my TIFF": ("microlib depth scan.tif",),
+    "use my film": ("article a:has-text('Use it')", "article a:has-text('Follow a part')",
+                    "-p frames my_film.mp4"),
+    "what is not known and why": (".verdict-map a[title^='5.6'][title*='cannot']",
+                                  "The outline that was fitted is not printed."),
+    "how to cite": ("@software{microlib",),
+    "a figure in large": ("a:has-text('Stiffness')", "figure a.enlarge", "Close"),
+    "search 1.32": ("?q=1.32", "ul.search li a:has-text('Table 5.6')", "1.32372"),
+    "a proof": ("article a:has-text('errata')", ".erratum-sources a", "def test_"),
+}  # fmt: skip
 
 
 def script(html: Path, name: str) -> dict:
@@ -63,10 +85,63 @@ def test_what_disagrees_has_its_reason_on_one_page(html: Path) -> None:
     assert sorted(found) == sorted(nodes.make_id(f"claim-{id}") for id in wanted)
 
 
-def test_what_is_published_has_the_four_words(html: Path) -> None:
-    published = json.loads((html / "verdicts.json").read_text(encoding="utf-8"))
-    assert [entry["claim"] for entry in published] == [claim.id for claim in CLAIMS]
-    assert {entry["verdict"] for entry in published} == set(ledger.VERDICTS)
+def cells(row: str) -> list[str]:
+    """Return the texts of a table's row."""
+    texts = re.findall(r"<t[dh][^>]*>(.*?)</t[dh]>", row, re.S)
+    return [unescape(re.sub("<[^>]+>", "", text)).strip() for text in texts]
+
+
+def test_a_count_has_its_classes_and_a_verdict_its_star(html: Path) -> None:
+    """Whatever a page counts is counted by the ledger; a table of claims has their labels."""
+    counts = {of: str(split(of).total()) for of in (*ledger.VERDICTS, "claims", "errata")}
+    assert counts["claims"] == str(len(CLAIMS))
+    assert counts["errata"] == str(len(ledger.errata()))
+    words = {claim.label for claim in CLAIMS}
+    named = {name: claim for claim in CLAIMS for name in (claim.id, claim.says) if name}
+    seen = 0
+    for path in [*html.glob("*.html"), *html.glob("notebooks/*.html")]:
+        text = path.read_text("utf-8").partition("<article")[2].partition("</article>")[0]
+        for number, classes in re.findall(r'class="count">(\d+) \(([^)]*)', text):
+            parts = [int(part.split()[0]) for part in classes.split(", ")]
+            assert sum(parts) == int(number), path.name
+            assert number in counts.values(), path.name
+        for row in re.findall(r"<tr>(.*?)</tr>", text, re.S):
+            found = cells(row)
+            for name in named.keys() & set(found):
+                given = words & set(found)
+                assert given <= {named[name].label}, f"{path.name}: {found}"
+                seen += len(given)
+        plain = re.sub(r'<span class="count">.*?</span>|<[^>]+>', "", text)
+        pattern = r"\b\d+ (?:claims|errata|faults|agree|disagree|cannot be told|are inputs)\b"
+        assert re.findall(pattern, plain) == [], path.name
+    assert seen > 30
+
+
+def test_a_number_leads_to_the_cell_that_recorded_it_and_back(
+    page: Page, html: Path, claims_folder: Path
+) -> None:
+    made: dict[tuple[str, int], str] = {}
+    for path in (claims_folder.parent / "notebooks").glob("*.ipynb"):
+        for cell in json.loads(path.read_text("utf-8"))["cells"]:
+            made[path.stem, cell.get("execution_count")] = "".join(cell["source"])
+    for record in ledger.read_records(claims_folder).values():
+        source = made[record.notebook, record.cell]
+        begins = re.split(r"[-/]", record.id)[0]  # the rest may be put together
+        assert "ledger." in source, record.id
+        assert begins in source or "check(claim" in source or "{" in source, record.id
+    page.set_viewport_size({"width": 360, "height": 780})
+    open_page(page, html / "intro.html")
+    page.locator("article a[href$='#number-5-6-e-capsule-97-5']").first.click()
+    page.wait_for_function("window.formulasFit")
+    code = page.locator(".cell:has(#number-5-6-e-capsule-97-5) details[open] pre")
+    code.wait_for()
+    assert "modulus_posterior" in code.inner_text()
+    page.wait_for_timeout(300)
+    cell = page.locator(".cell:has(#number-5-6-e-capsule-97-5)").bounding_box()
+    assert cell
+    assert 0 <= cell["y"] < 300
+    page.go_back()
+    assert page.url.endswith("intro.html")
 
 
 def test_the_bars_of_the_front_page_count_every_claim_and_lead_to_it(
@@ -94,6 +169,8 @@ def test_search_leads_to_a_number_first(page: Page, html: Path) -> None:
     for query, first in (
         ("equation (4.7)", "Equation (4.7): "),
         ("0.1012", "Relative probe width"),
+        ("1.32", "Elastic modulus"),  # of 1.3237 the first digits, and
+        ("1.324", "Elastic modulus"),  # rounded
     ):
         page.goto((html / "search.html").as_uri() + f"?q={query}")
         page.wait_for_selector("ul.search li a")
@@ -190,6 +267,7 @@ def test_a_link_shows_what_it_leads_to(page: Page, html: Path) -> None:
         (CHAPTER, "a.mention", "mjx-container"),
         ("", "a[href*='bibliography.html#']", "p"),
         ("errata.html", "a[href*='claims.html#']", ":text('in the thesis')"),
+        ("summary.html", "a[href*='#number-table-5-1-square-4x-t-z']", ":text('Erratum')"),
     ):
         if name:
             open_page(page, html / name)
@@ -205,24 +283,15 @@ def test_a_link_shows_what_it_leads_to(page: Page, html: Path) -> None:
     assert page.faults == []  # type: ignore[attr-defined]
 
 
-def test_a_mention_leads_to_its_formula(page: Page, html: Path) -> None:
-    open_page(page, html / "symbols.html")
-    assert page.locator("article a.mention").count() > 60
-    page.get_by_role("link", name="(4.3)").first.click()
-    assert page.url.endswith("04_mechanical_characterization.html#equation-4-3")
-
-
-def test_a_newcomer_comes_from_the_front_page_to_what_was_asked(page: Page, html: Path) -> None:
-    for *ways, seen in (
-        ("Use it", ["pip install .", "make book", "-p force 150 -p force_std 3"]),
-        ("Use it", "Follow a part", ["-p frames my_film.mp4"]),
-        ("Try it", ["From a dent to a modulus", "Force F (µN)"]),
-        ("errata", ["Printed:", "Right:"]),
-    ):
-        page.goto((html / "intro.html").as_uri())
-        for way in ways:
-            page.locator(f"article a:has-text('{way}')").first.click()
-        for text in seen:
-            page.get_by_text(text).locator("visible=true").first.wait_for(timeout=5_000)
-    page.locator("article .erratum-sources a").first.click()
-    page.get_by_text("def test_").locator("visible=true").first.wait_for(timeout=5_000)
+@pytest.mark.parametrize("task", TASKS)
+def test_a_new_reader_finds_it_in_three_steps(page: Page, html: Path, task: str) -> None:
+    *steps, seen = TASKS[task]
+    assert len(steps) <= 3
+    page.set_viewport_size({"width": 360, "height": 780})
+    page.goto((html / "intro.html").as_uri())
+    for step in steps:
+        if step.startswith("?q="):  # typed into the box that every page has
+            page.goto((html / "search.html").as_uri() + step)
+        else:
+            page.locator(step).locator("visible=true").first.click()
+    page.locator(f"text={seen}").locator("visible=true").first.wait_for()
