@@ -15,7 +15,7 @@ from compendium import ledger
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "book" / "_ext"))
 from rooms import imported  # noqa: E402
-from thesis_map import Item, captioned, find_items, read_map  # noqa: E402
+from thesis_map import Item, find_items, read_map  # noqa: E402
 
 THESIS = read_map()
 # How many numbered items each chapter of the thesis has.
@@ -69,13 +69,6 @@ def test_an_item_leads_to_its_functions_its_claims_and_its_erratum(item: Item) -
     assert item.status in STATES[item.kind]
     assert (item.status == "corrected") == bool(item.erratum)
     assert not item.erratum or item.number in named(ledger.errata()[item.erratum]["where"])
-
-
-def test_captions_name_ranges() -> None:
-    assert captioned("**Figures 5.6 to 5.8** show") == ["5.6", "5.7", "5.8"]
-    assert captioned("**Figures 5.18 and 5.19** from") == ["5.18", "5.19"]
-    assert captioned("**Figure 4.3**, to scale") == ["4.3"]
-    assert captioned("Two **bold** words") == []
 
 
 def test_imports_are_read_from_the_code(tmp_path: Path) -> None:
