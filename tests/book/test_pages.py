@@ -24,6 +24,7 @@ WRITTEN = [
     CONTENTS["root"],
     *(one["file"] for part in CONTENTS["parts"] for one in part["chapters"]),
     "search",
+    "genindex",
     MODULUS,
 ]
 
