@@ -174,19 +174,6 @@ def test_color_becomes_luminance():
     np.testing.assert_allclose(by_color.points, detect_circles(with_alpha).points, atol=1e-5)
 
 
-def test_a_region_is_looked_at_alone():
-    image, truth = board(SQUARE, pitch=28.0)
-    both = np.concatenate([image, board(SQUARE, pitch=28.0, turn=0.4)[0]], axis=1)
-    found = detect_circles(both, region=(WIDTH, 0, WIDTH, HEIGHT))
-    assert found.points[:, 0].min() > WIDTH
-    left = detect_circles(both, region=(0, 0, WIDTH, HEIGHT))
-    np.testing.assert_allclose(left.points, detect_circles(image).points, atol=1e-12)
-    assert len(left.points) == len(truth)
-    for wrong in ((0, 0, 2 * WIDTH + 1, 30), (0, 0, 8, 8), (-1, 0, 30, 30), (0, 0, 30), "all"):
-        with pytest.raises(ValueError, match="region"):
-            detect_circles(both, region=wrong)
-
-
 # What it lies on
 
 
@@ -459,8 +446,3 @@ def test_what_opencv_makes_of_some_boards_is_mended_or_refused(monkeypatch, spoi
     seen = CORNERS[cKDTree(truth).query(found.points)[1]]
     assert len(found.points) == len(truth)
     np.testing.assert_array_equal(found.grid - found.grid[0], seen - seen[0])
-
-
-def test_a_pattern_has_a_known_name():
-    with pytest.raises(ValueError, match="pattern"):
-        detect_squares(board(SQUARE)[0], pattern="chess")

@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
+from scipy.spatial import cKDTree
 
-from microlib.calibration import calibrate, detect_micrometer, radial_alignment, stage_affine
+from microlib.calibration import (
+    calibrate,
+    detect_circles,
+    detect_micrometer,
+    detect_squares,
+    radial_alignment,
+    stage_affine,
+)
 from microlib.calibration._uncertainty import jackknife
 from microlib.microscope import Microscope
-from tests.laws import Law, hold, hold_sigma
+from microlib.synthetic import render_circles, render_squares
+from tests.laws import VIEWS, Law, hold, hold_sigma
 
 #: Cells that are not square, an image that is not, a tilt and a turn, axes aside.
 SENSOR = {"pixel_size": (9.9, 8.3), "image_size": (656, 491)}
@@ -157,3 +169,79 @@ def test_a_pose_follows_a_mirror_a_turn_and_the_order_of_points():
     np.testing.assert_allclose(
         turned, [alpha + np.pi / 2, beta, gamma, -ty, tx], rtol=1e-9, atol=1e-9
     )
+
+
+NEAR = Microscope(2e5, 126e3, 79380, -8e-10, 0.2, 0.1, -0.05, -300, -350, (9.9, 8.3), (170, 140))
+CIRCLES = render_circles(NEAR, pitch=180.0, radius=50.0, counts=(4, 5))
+SQUARES = render_squares(NEAR, side=110.0, counts=(3, 3))
+FIELDS = np.pad(np.kron(np.indices((6, 8)).sum(axis=0) % 2, np.ones((18, 18))), 25)
+NOISE = np.random.default_rng(2).normal(0, 1, (200, 250))
+
+
+def photographed(dark):
+    return gaussian_filter(200 - 120.0 * dark, 1.0) + NOISE[: len(dark), : dark.shape[1]]
+
+
+PATTERNS = {
+    "circles": (detect_circles, CIRCLES, {}),
+    "squares": (detect_squares, SQUARES, {}),
+    "chessboard": (detect_squares, photographed(FIELDS), {"pattern": "chessboard"}),
+}
+
+
+@pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
+@pytest.mark.parametrize("shown", PATTERNS)
+def test_points_follow_a_picture_seen_otherwise(shown, view):
+    """A mirrored picture of a pattern is counted as the pattern if the detector is told."""
+    detect, image, more = PATTERNS[shown]
+    one = detect(image, **more)
+    behind = np.linalg.det(view.matrix) < 0
+    other = detect(np.ascontiguousarray(view.image(image)), **more, mirrored=bool(behind))
+    wanted = view.points(one.points, image.shape)
+    order = cKDTree(wanted).query(other.points)[1]
+    assert sorted(order) == list(range(len(wanted)))
+    apart = other.points - wanted[order]
+    assert np.abs(apart).max() < 0.02  # a middle rounded the other way has other pixels around it
+    np.testing.assert_allclose(other.sigma, one.sigma[order], rtol=0.2)  # of a hundred pixels
+    turned = [
+        np.linalg.lstsq(p.positions - p.positions.mean(axis=0), p.points)[0] for p in (one, other)
+    ]
+    assert np.linalg.det(turned[0]) > 0
+    assert (np.linalg.det(turned[1]) < 0) == behind
+
+
+@pytest.mark.parametrize("shown", PATTERNS)
+def test_a_region_is_looked_at_alone(shown):
+    detect, image, more = PATTERNS[shown]
+    rows, columns = image.shape
+    wide = np.hstack([np.pad(image, [(7, 0), (12, 0)], mode="edge"), np.zeros((rows + 7, 40))])
+    found = detect(wide, region=(12, 7, columns, rows), **more)
+    alone = detect(image, **more).points
+    np.testing.assert_allclose(found.points - alone, np.tile([12, 7], (len(alone), 1)), atol=1e-9)
+    assert found.image_size == wide.shape[::-1]
+
+
+def test_a_calibration_follows_the_order_of_points_and_views_and_an_origin():
+    """Numbers of a view stay with it; where the world begins moves T_x and T_y alone."""
+    scopes = [SCOPE, replace(SCOPE, alpha=-0.4, beta=-0.25, gamma=0.1)]
+    rng = np.random.default_rng(3)
+    image = [s.project(WORLD) + rng.normal(0, 0.02, WORLD.shape) for s in scopes]
+    keep = [((i > 0) & (i < [655, 490])).all(axis=1) for i in image]
+    world, image = [WORLD[k] for k in keep], [i[k] for i, k in zip(image, keep, strict=True)]
+    one = calibrate(world, image, **SENSOR)
+    order = [rng.permutation(len(w)) for w in world]
+    mixed = [
+        [part[k] for part, k in zip(each, order, strict=True)][::-1] for each in (world, image)
+    ]
+    other = calibrate(*mixed, **SENSOR)
+    origin = np.array([[310.0, -140.0]])
+    moved = calibrate([w + origin for w in world], image, **SENSOR)
+    for view, mate, away in zip(one.views, other.views[::-1], moved.views, strict=True):
+        assert mate.focal_length == pytest.approx(view.focal_length, rel=1e-5)
+        for name in ("magnification", "alpha", "beta", "gamma", "tx"):
+            assert getattr(mate, name) == pytest.approx(getattr(view, name), rel=1e-5), name
+        beside = away.to_objective(origin) - view.to_objective([[0.0, 0.0]])
+        np.testing.assert_allclose(beside[0, :2], 0, atol=0.01)
+    assert other.um_per_pixel()[0] == pytest.approx(9.9 / one.views[1].magnification, rel=1e-6)
+    sigmas = [c.sigma["focal_length"] / c.microscope.focal_length for c in (one, other, moved)]
+    np.testing.assert_allclose(sigmas, sigmas[0], rtol=0.01)  # f is that of the first view

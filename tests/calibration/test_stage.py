@@ -7,8 +7,10 @@ from dataclasses import fields, replace
 
 import cv2
 import numpy as np
+import pandas as pd
 import pytest
 
+from microlib import load
 from microlib.calibration import Calibration, calibrate, stage_affine
 from microlib.microscope import Microscope
 
@@ -61,10 +63,8 @@ def test_three_moves_leave_no_error_to_tell():
     ("stage", "image", "word"),
     [
         (MOVES[:2], MOVES[:2], "stage"),
-        (MOVES, MOVES[:5], "stage"),
         (MOVES * [1, 0], MOVES, "stage"),
         (MOVES, MOVES * [0, 1], "image"),
-        (MOVES * np.nan, MOVES, "stage"),
     ],
 )
 def test_moves_that_tell_nothing_are_refused(stage, image, word):
@@ -75,22 +75,6 @@ def test_moves_that_tell_nothing_are_refused(stage, image, word):
 SCOPE = Microscope(2e5, 126000, 79380, -8e-10, 0.3, 0.2, -0.15, -900, -700)
 WORLD = 280.0 * np.stack(np.meshgrid(np.arange(-4, 14), np.arange(-4, 12)), -1).reshape(-1, 2)
 WORLD = WORLD[((SCOPE.project(WORLD) > 5) & (SCOPE.project(WORLD) < [650, 485])).all(axis=1)]
-
-
-def test_micrometers_per_pixel_are_those_of_the_magnification():
-    noise = np.random.default_rng(0).normal(0, 0.02, WORLD.shape)
-    found = calibrate(
-        WORLD,
-        SCOPE.project(WORLD) + noise,
-        focal_length=126000,
-        pixel_size=9.9,
-        image_size=(656, 491),
-    )
-    value, low, high = found.um_per_pixel()
-    assert low < value < high
-    assert value == pytest.approx(9.9 / SCOPE.magnification, rel=1e-4)
-    bounds = found.interval("magnification")
-    assert (9.9 / high, 9.9 / low) == pytest.approx(bounds)
 
 
 def test_opencv_projects_from_the_json_as_the_microscope_does():
@@ -112,7 +96,7 @@ def test_opencv_projects_from_the_json_as_the_microscope_does():
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.2])
-def test_a_calibration_returns_from_its_json(tilt):
+def test_a_calibration_returns_from_its_files(tilt, tmp_path):
     """Also what is not finite: variances of what one view without tilt does not determine."""
     scope = Microscope(2e5, 126000, 79380, -8e-10, 0.3, tilt, 0, -900, -700)
     world = WORLD[((scope.project(WORLD) > 5) & (scope.project(WORLD) < [650, 485])).all(axis=1)]
@@ -121,15 +105,20 @@ def test_a_calibration_returns_from_its_json(tilt):
         world, scope.project(world) + noise, pixel_size=(9.9, 9.8), image_size=(656, 491)
     )
     assert ("focal_length" in found.unobservable) is (tilt == 0)
-    again = Calibration.from_json(found.to_json())
     json.loads(found.to_json(), parse_constant=pytest.fail)  # no NaN, which JSON does not know
-    for field in fields(found):
-        here, there = getattr(found, field.name), getattr(again, field.name)
-        if isinstance(here, np.ndarray):
-            np.testing.assert_array_equal(there, here)  # all digits are kept
-        else:
-            assert there == here, field.name
-    assert repr(again) == repr(found)
+    found.save(tmp_path / "found.npz")
+    for again in (Calibration.from_json(found.to_json()), load(tmp_path / "found.npz")):
+        for field in fields(found):
+            here, there = getattr(found, field.name), getattr(again, field.name)
+            if isinstance(here, np.ndarray):
+                np.testing.assert_array_equal(there, here)  # all digits are kept
+            else:
+                assert there == here, field.name
+        assert again.to_json() == found.to_json()
+        assert repr(again) == repr(found)
+    found.to_frame().to_csv(tmp_path / "found.csv")
+    table = pd.read_csv(tmp_path / "found.csv", index_col="parameter")
+    pd.testing.assert_frame_equal(table, found.to_frame())
     for wrong in ("", "{}", '{"calibration": {"views": []}}', "3"):
         with pytest.raises(ValueError, match="text must be what to_json wrote"):
             Calibration.from_json(wrong)
@@ -167,6 +156,7 @@ def test_a_pixel_has_the_height_of_its_cell():
     content = json.loads(found.to_json())
     across, along = scope.project([[500.0, 0.0], [0.0, 700.0]]) - scope.project([[0.0, 0.0]])
     assert across[0] * content["imagej"]["pixel_width"] == pytest.approx(500)
+    assert found.um_per_pixel()[0] == content["imagej"]["pixel_width"]
     assert along[1] * content["imagej"]["pixel_height"] == pytest.approx(700)
     area = content["micro_manager"]["PixelSizeUm"] ** 2  # as Micro-Manager has it of an affine map
     assert across[0] * along[1] * area == pytest.approx(500 * 700)
