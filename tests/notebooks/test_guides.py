@@ -213,7 +213,7 @@ def test_a_wrong_file_gives_one_clear_line(
     [
         ("tracking", {"track.csv", "look.png"}),
         ("calibration", {"camera.csv", "camera.json", "points.csv", "look.png"}),
-        ("embryo", {"modulus.csv", "outline.csv", "outline.png"}),
+        ("embryo", {"modulus.csv", "outline.csv", "look.png"}),
         ("focus_stack", FOCUS_FILES),
         ("modulus", {"modulus.csv", "inputs.csv", "dimple.png"}),
     ],
