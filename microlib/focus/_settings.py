@@ -11,8 +11,8 @@ class Settings:
 
     Lengths along the axis are in steps, which are averaged frames; lengths across it are in px of
     every second pixel. Where nothing else is said, the reason is the table "twice and half of a
-    setting" of benchmarks/focus.py: it gets worse by more than 2 % on some row. `speck`, `doubtful`,
-    `finer` and `most_relief` move none of its few stacks, but narrow bars or two real stacks.
+    setting" of benchmarks/focus.py: it gets worse by more than 2 % on some row. `speck`, `finer`,
+    `doubtful` and `most_relief` move none of its few stacks, but narrow bars or two real stacks.
     """
 
     #: Equivalent width of a peak, in averaged frames, to which frames are averaged: the error is
