@@ -171,6 +171,11 @@ def find_corners(grey: NDArray[np.float32], settings: Settings) -> tuple[Marks, 
     grid = np.argwhere(np.ones(np.shape(meta)))[:, ::-1]  # (column, row) of each corner, by rows
     scale = 2 if each is half else 1
     centers: Array = scale * np.asarray(corners, dtype=np.float64).reshape(-1, 2)
+    # Corners of chance, as between blurred circles, lie on no plane.
+    beside = max(1 / 4 * np.sqrt(np.abs(np.linalg.det(mean_steps(centers, grid)))), 1.0)
+    inside = cv2.findHomography(grid.astype(np.float64), centers, cv2.RANSAC, beside)[1]
+    kept = np.ones(len(grid), dtype=bool) if inside is None else inside.ravel() > 0
+    centers, grid = centers[kept], grid[kept]
     # From corner to corner dark and bright change places, unless a row between them was skipped.
     # A third of a step is within a field also where every second row was skipped.
     dark = saddle(smooth, centers, mean_steps(centers, grid) / 3)
