@@ -88,12 +88,6 @@ def test_a_point_at_the_working_distance_is_sharp_and_the_sign_tells_the_side():
     )
 
 
-def test_kernel_is_opencvs():
-    ours = optics.gaussian_kernel(1.0, 7)
-    column = cv2.getGaussianKernel(7, 1.0)
-    np.testing.assert_allclose(ours, column @ column.T, atol=1e-15)
-
-
 @pytest.mark.parametrize("sigma", [1.0, 2.5])
 def test_transfer_is_the_transform_of_the_kernel(sigma):
     kernel = optics.gaussian_kernel(sigma, 65)

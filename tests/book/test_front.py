@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +13,9 @@ from playwright.sync_api import Browser, Page
 
 from compendium import ledger
 from compendium.experiments.section_5_6 import printed_dimple
+from tests.book.browsing import hindrances, open_page
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(Path(__file__).parent)]
-from browsing import hindrances, open_page  # noqa: E402
 
 
 def modulus(text: str) -> float:

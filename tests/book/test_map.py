@@ -5,18 +5,15 @@ from __future__ import annotations
 import importlib
 import inspect
 import re
-import sys
 from pathlib import Path
 
 import pytest
+from rooms import imported
+from thesis_map import Item, find_items, read_map
 
 from compendium import ledger
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "book" / "_ext"))
-from rooms import imported  # noqa: E402
-from thesis_map import Item, find_items, read_map  # noqa: E402
-
 THESIS = read_map()
 # How many numbered items each chapter of the thesis has.
 EQUATIONS = {2: 28, 3: 25, 4: 7, 5: 3}

@@ -6,17 +6,15 @@ Each is opened once and asked everything: drawing formulas takes longer than all
 from __future__ import annotations
 
 import re
-import sys
 from pathlib import Path
 
 import pytest
 import yaml
 from playwright.sync_api import Page
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(Path(__file__).parent))
-from browsing import hindrances, open_page, refused_formulas  # noqa: E402
+from tests.book.browsing import hindrances, open_page, refused_formulas
 
+ROOT = Path(__file__).resolve().parents[2]
 # The pages that were written for readers, the search, and one of the library's.
 CONTENTS = yaml.safe_load((ROOT / "book" / "_toc.yml").read_text(encoding="utf-8"))
 MODULUS = "generated/microlib.membrane.elastic_modulus"

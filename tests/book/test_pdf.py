@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import re
-import sys
 from pathlib import Path
 
+from make_pdf import combine, make_pdf, page_numbers, pages_in_order, print_numbered, slug
 from playwright.sync_api import Browser, Page
-
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "book"))
-from make_pdf import combine, make_pdf, page_numbers, pages_in_order, print_numbered, slug  # noqa: E402
 
 FEW = ["intro", "conventions", "errata", "claims"]
 

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from html import unescape
 from pathlib import Path
 
 import pytest
 from docutils import nodes
 from playwright.sync_api import Browser, Page
+from test_sources import line_of, place_of_test
+from thesis import split
 
 from compendium import ledger
+from tests.book.browsing import open_page
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT / "book" / "_ext"), str(Path(__file__).parent)]
-from browsing import open_page  # noqa: E402
-from test_sources import line_of, place_of_test  # noqa: E402
-from thesis import split  # noqa: E402
-
 CHAPTER = "notebooks/04_mechanical_characterization.html"
 CLAIMS = ledger.claims().values()
 # What a new reader wants from the front page on: what is clicked or searched for, and then seen.

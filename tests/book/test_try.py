@@ -2,29 +2,19 @@
 
 from __future__ import annotations
 
-import sys
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page
+from try_page import render_stack
 
 from microlib.curvature import hk_labels, surface_curvature
 from microlib.focus import depth_from_focus, sum_modified_laplacian
-from microlib.membrane import (
-    SmallSlopeWarning,
-    dimple_profile,
-    elastic_modulus,
-    modulus_std,
-)
+from microlib.membrane import SmallSlopeWarning, dimple_profile, elastic_modulus, modulus_std
 from microlib.servoing import Camera, Stage, loop_poles, simulate
-
-ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT / "book" / "_ext"), str(Path(__file__).parent)]
-from browsing import hindrances, open_page  # noqa: E402
-from try_page import render_stack  # noqa: E402
+from tests.book.browsing import hindrances, open_page
 
 COUNT = 200
 # What was asked of the tools; both sides compute in doubles and differ by some roundings only.
@@ -37,6 +27,7 @@ MEMBRANE = {
     "probe_half_width": "probeHalfWidth",
     "poisson_ratio": "poissonRatio",
 }
+DIMPLE = ("dimple_radius", "dimple_depth", "probe_half_width")
 
 
 @pytest.fixture
@@ -74,40 +65,25 @@ def in_page(values: dict[str, float]) -> dict[str, float]:
     return {MEMBRANE[name]: value for name, value in values.items()}
 
 
+# The draws reach as far as the sliders: to steep dimples, and to moduli that no membrane has.
+@pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning", "ignore:a modulus of")
 def test_moduli_are_those_of_the_library(tools: Page) -> None:
     drawn = draw_membranes()
     relative = np.random.default_rng(20).uniform(0, 0.1, (COUNT, len(MEMBRANE)))
     stds = [
-        dict(zip(MEMBRANE, (row * list(one.values())).tolist(), strict=True))
-        for row, one in zip(np.abs(relative), drawn, strict=True)
+        {name: share * abs(one[name]) for name, share in zip(MEMBRANE, shares, strict=True)}
+        for shares, one in zip(relative.tolist(), drawn, strict=True)
     ]
-    for one in stds:
-        one["poisson_ratio"] = abs(one["poisson_ratio"])
     radii = [(3 * v["probe_half_width"] + v["dimple_radius"]) / 4 for v in drawn]
     found = tools.evaluate(
         """([inputs, stds, radii]) => inputs.map((p, k) => [tryIt.membrane.elasticModulus(p),
             tryIt.membrane.modulusStd(p, stds[k]), tryIt.membrane.dimpleProfile(radii[k], p)])""",
         [list(map(in_page, drawn)), list(map(in_page, stds)), radii],
     )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", SmallSlopeWarning)
-        # The draws reach as far as the sliders, to moduli that no membrane has.
-        warnings.filterwarnings("ignore", message="a modulus of")
-        wanted = [
-            [
-                float(elastic_modulus(**one)),
-                modulus_std(one, std),
-                float(
-                    dimple_profile(
-                        r,
-                        one["dimple_radius"],
-                        one["dimple_depth"],
-                        probe_half_width=one["probe_half_width"],
-                    )
-                ),
-            ]
-            for one, std, r in zip(drawn, stds, radii, strict=True)
-        ]
+    wanted = []
+    for one, std, r in zip(drawn, stds, radii, strict=True):
+        profile = dimple_profile(r, **{name: one[name] for name in DIMPLE})
+        wanted.append([elastic_modulus(**one), modulus_std(one, std), profile])
     np.testing.assert_allclose(found, wanted, **SAME)
 
 

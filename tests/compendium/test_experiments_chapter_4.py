@@ -2,20 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
-
 import pytest
 
 from compendium.experiments import chapter_4
-from microlib.membrane import SmallSlopeWarning
 
 
-@pytest.fixture(autouse=True)
-def quiet():
-    with warnings.catch_warnings(action="ignore", category=SmallSlopeWarning):
-        yield
-
-
+@pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
 def test_exponents_are_those_of_the_formula() -> None:
     found = chapter_4.exponents()
     known = {"force": 1, "dimple depth": -3, "thickness": -1, "poisson ratio": -1}

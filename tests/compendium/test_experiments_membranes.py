@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,15 +9,9 @@ import pytest
 from compendium import thesis
 from compendium.experiments import membranes, section_5_6
 from compendium.experiments.membranes import PRIORS
-from microlib.membrane import SmallSlopeWarning, capsule_modulus, dimple_profile, disc_modulus
+from microlib.membrane import capsule_modulus, dimple_profile, disc_modulus
 
-
-@pytest.fixture(autouse=True)
-def quiet() -> Iterator[None]:
-    with warnings.catch_warnings(action="ignore", category=SmallSlopeWarning):
-        yield
-
-
+pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
 DEPTH = section_5_6.printed_dimple()[1]
 
 

@@ -12,19 +12,6 @@ from compendium.experiments import section_5_4
 from compendium.ledger import claim
 from microlib import servoing
 
-SEED = 5
-
-
-@pytest.fixture(scope="module")
-def station() -> section_5_4.Workstation:
-    """A workstation near the one that is found, at round values."""
-    return section_5_4.Workstation(
-        saturation={"1X": 390.0, "4X": 172.0},
-        jitter=0.12,
-        path_speed={"circle": 40.0, "square": 32.0, "sinusoid": 27.0},
-        seed=SEED,
-    )
-
 
 def medians(station: section_5_4.Workstation, draws: int) -> dict[str, float]:
     table = section_5_4.predicted_tables(station, draws)
@@ -58,7 +45,7 @@ def test_many_runs_at_once_measure_what_the_library_does(latency: float) -> None
 
 
 def test_the_identified_workstation_gives_the_printed_numbers() -> None:
-    found = section_5_4.identify(SEED)
+    found = section_5_4.identify(seed=5)
     for name in section_5_4.PATHS:
         accuracy, precision = found.path_errors("1X", name, 8).mean(axis=0)
         assert accuracy == pytest.approx(section_5_4.printed_path("1X", name, "accuracy"), rel=0.02)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -13,7 +11,7 @@ from compendium import thesis
 from compendium.experiments import section_5_6
 from compendium.ledger import claim, half_ulp
 from microlib.embryo import dimple_geometry
-from microlib.membrane import SmallSlopeWarning, indentation_force
+from microlib.membrane import indentation_force
 
 pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
 
@@ -33,9 +31,7 @@ def test_the_rounding_leaves_two_per_cent_of_the_modulus() -> None:
 
 @pytest.fixture(scope="module")
 def reach() -> section_5_6.RoundingReach:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", SmallSlopeWarning)
-        return section_5_6.rounding_reach()
+    return section_5_6.rounding_reach()
 
 
 def test_the_rounding_bounds_what_is_read_off_table_5_5(reach) -> None:

@@ -8,22 +8,15 @@ import pytest
 from compendium import thesis
 from compendium.experiments import section_5_4, servo_disturbances
 
-STATION = section_5_4.Workstation(
-    saturation={"1X": 390.0, "4X": 172.0},
-    jitter=0.15,
-    path_speed={"circle": 40.0, "square": 32.0, "sinusoid": 27.0},
-    seed=5,
-)
-
 
 @pytest.mark.parametrize("label", servo_disturbances.DISTURBANCES)
-def test_a_disturbance_adds_to_the_error(label: str) -> None:
-    path = STATION.path("circle")
+def test_a_disturbance_adds_to_the_error(station, label: str) -> None:
+    path = station.path("circle")
     strength = {"frames dropped": (0.3, 0.0), "frames logged twice": (0.3, 0.0)}
     strong = strength.get(label, (1.0 if "begun" in label or "noise" in label else 0.1, 8.0))
     values = np.repeat([(0.0, 0.0), strong], 12, axis=0)
-    jitter = np.full(24, STATION.jitter)
-    found = servo_disturbances.disturbed(STATION, "4X", path, label, values, jitter)
+    jitter = np.full(24, station.jitter)
+    found = servo_disturbances.disturbed(station, "4X", path, label, values, jitter)
     still, disturbed = np.median(found.reshape(2, 12, 2), axis=1)
     # A lag of one frame of motion, without the disturbance.
     lag = 40.0 * thesis.FRAME_INTERVAL * thesis.effective_pixel("4X")
@@ -31,20 +24,20 @@ def test_a_disturbance_adds_to_the_error(label: str) -> None:
     assert (disturbed[1] > 1.2 * still[1]) == (label != "none")
 
 
-def test_a_known_disturbance_is_found_again(monkeypatch) -> None:
+def test_a_known_disturbance_is_found_again(station, monkeypatch) -> None:
     """Numbers that paths begun 14 µm beside their start give, in place of the printed ones."""
     label = "begun beside the start"
-    strength = (label, np.tile([1.0, 14.0], (60, 1)), np.full(60, STATION.jitter))
+    strength = (label, np.tile([1.0, 14.0], (60, 1)), np.full(60, station.jitter))
     made = {}
     for name in section_5_4.PATHS:
         for zoom in thesis.ZOOMS:
-            runs = servo_disturbances.disturbed(STATION, zoom, STATION.path(name), *strength)
+            runs = servo_disturbances.disturbed(station, zoom, station.path(name), *strength)
             for what, number in zip(section_5_4.PATH_RESULTS, np.median(runs, axis=0), strict=True):
                 made[zoom, name, what] = number
     monkeypatch.setattr(servo_disturbances, "printed_path", lambda *entry: made[entry])
     few = {label: servo_disturbances.DISTURBANCES[label], "none": ("", [(0.0, 0.0)])}
     monkeypatch.setattr(servo_disturbances, "DISTURBANCES", few)
-    table, numbers = servo_disturbances.compare(STATION)
+    table, numbers = servo_disturbances.compare(station)
     assert table["disturbance"].tolist() == [label, "none"]
     assert table["fitted"].iloc[0].split()[0] in {"10", "14", "20"}
     assert table["misfit"].iloc[0] < 0.1 < 0.3 < table["misfit"].iloc[1]

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import nbformat
 import pytest
-from nbformat.v4 import new_code_cell, new_notebook
 
 from compendium import parameters
 from compendium.parameters import read_values
+from tests.compendium.test_run import write_notebook
 
 CELL = """record = ""  # not used here
 stack = "data/in.tif"  # the frames
@@ -23,22 +22,18 @@ radius = None  # µm, > 0; or an outline
 out = "build/guides/focus"  # folder"""
 
 
-KERNEL = {"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}
-
-
 @pytest.fixture
 def notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A notebook of a project with one input, seen from another folder."""
     monkeypatch.setattr(parameters, "ROOT", tmp_path / "project")
     (tmp_path / "project" / "data").mkdir(parents=True)
     (tmp_path / "project" / "data" / "in.tif").touch()
-    path = tmp_path / "project" / "07_guide.ipynb"
-    cell = new_code_cell(CELL, metadata={"tags": ["parameters"]})
-    nbformat.write(new_notebook(cells=[new_code_cell("other = 1"), cell], metadata=KERNEL), path)
+    (tmp_path / "project" / "notebooks").mkdir()
+    write_notebook(tmp_path / "project", "07_guide", "other = 1", CELL)
     (tmp_path / "reader").mkdir()
     (tmp_path / "reader" / "a.png").touch()
     monkeypatch.chdir(tmp_path / "reader")
-    return path
+    return tmp_path / "project" / "notebooks" / "07_guide.ipynb"
 
 
 @pytest.mark.parametrize(

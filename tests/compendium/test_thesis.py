@@ -26,15 +26,6 @@ def test_a_microscope_is_its_column(column: str) -> None:
     assert np.all(scope.cell == 9.9)
 
 
-def test_the_pixels_are_cells_over_magnifications() -> None:
-    assert thesis.effective_pixel("4X") == pytest.approx(9.9 / 6.3859)
-    assert pytest.approx(4.65 / 1.2) == thesis.EMBRYO_PIXEL
-    assert pytest.approx(1 / 33) == thesis.FRAME_INTERVAL
-    assert pytest.approx(0.05) == thesis.STAGE_STEP  # 50 nm in µm
-    # A weight of the squared control goes with the square of its unit: mm² to µm².
-    assert pytest.approx((0.025e-6, 0.05e-6)) == thesis.CONTROL_WEIGHT_MICROMETER
-
-
 def test_thesis_stack_knows_two_levels_of_blur() -> None:
     texture = synthetic.mixed_texture(SHAPE, np.random.default_rng(0))
     positions = 25.0 * np.arange(21)
