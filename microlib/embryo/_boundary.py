@@ -94,12 +94,7 @@ class Boundary(Tidy):
         return self.view.put_back(remove_probe(self.view.of(grey), self.probe), grey)
 
 
-def extract_boundary(
-    image: ArrayLike,
-    *,
-    direction: str = "auto",
-    dimple: bool = True,
-) -> Boundary:
+def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool = True) -> Boundary:
     """Find the outline of an embryo on the side where a probe presses it.
 
     Parameters
@@ -178,12 +173,8 @@ def _outline_from_above(
     sides = [_resample(side, settings.smoothing) for side in sides]
     if dimple:
         _refuse_without_dimple(sides, probe)
-    sides, blur = _refine(grey, sides, probe, CLEARANCE, settings)
-    # Of a broad blur profiles of twice the length hold three of its deviations to either side.
-    step = 2 if blur > 1.7 else 1
-    clearance = max(CLEARANCE, settings.blur_reach * blur)
-    sides = [side[:, ::step] for side in sides]
-    sides, blur = _refine(grey, sides, probe, clearance, settings, step)
+    sides, blur = _refine(grey, sides, probe, 0.0, settings)
+    sides, blur = _refine(grey, sides, probe, blur, settings)
 
     reach = int(probe.half_width)
     hidden = probe.tip[0] + np.arange(-reach, reach + 1.0 if dimple else -reach)
@@ -241,12 +232,12 @@ def _trace(filled: NDArray[np.float32], probe: Probe, settings: Settings) -> lis
     sides: list[Array] = []
     for step, name in ((-1, "left"), (1, "right")):
         start = round(probe.tip[0] + step * (probe.half_width + CLEARANCE + 1))
-        stop = -1 if step < 0 else len(first)
-        columns = np.arange(start, stop, step)
-        rows = first[columns] if columns.size and 0 <= start < len(first) else np.empty(0, int)
-        broken = np.flatnonzero((rows[1:] < 0) | (np.abs(np.diff(rows)) > 6))
-        length = int(broken[0]) + 1 if broken.size else rows.size
-        if length < _SHORTEST_SIDE or rows[0] < 0:
+        columns = np.arange(first.size)[::step]
+        columns = columns[step * (columns - start) >= 0]
+        rows = first[columns]
+        broken = (rows < 0) | (np.abs(np.diff(rows, prepend=rows[:1])) > 6)
+        length = int(np.append(broken, True).argmax())
+        if length < _SHORTEST_SIDE:
             raise ValueError(
                 f"image must show an embryo's outline on both sides of the probe, got {length} "
                 f"columns of it on the {name}"
@@ -263,21 +254,20 @@ def _resample(curve: Array, least: int) -> Array:
 
 
 def _refine(
-    grey: NDArray[np.float32],
-    sides: list[Array],
-    probe: Probe,
-    clearance: float,
-    settings: Settings,
-    scale: int = 1,
+    grey: NDArray[np.float32], sides: list[Array], probe: Probe, blur: float, settings: Settings
 ) -> tuple[list[Array], float]:
     """Move the curves onto the middle of the wall: x, y, std of each side, and the blur.
 
-    The profiles are sampled every `scale` / 2 px, from outside to inside.
+    The profiles are sampled twice a px, from outside to inside; `blur` is what is known of it.
     """
     from scipy.signal import savgol_filter  # here, as it takes long to import
 
     reach = settings.profile_reach
     offsets = np.linspace(-reach, reach, int(4 * reach) + 1)
+    clearance = max(CLEARANCE, settings.blur_reach * blur)
+    # A broad blur takes profiles of twice the length, of half as many points.
+    scale = 2 if settings.blur_reach * blur > reach else 1
+    sides = [side[:, ::scale] for side in sides]
     smooth = [savgol_filter(side[:2], settings.smoothing, 2, axis=1) for side in sides]
     tangent = [savgol_filter(side[:2], settings.smoothing, 2, deriv=1, axis=1) for side in sides]
     start, along = np.concatenate(smooth, axis=1), np.concatenate(tangent, axis=1)

@@ -183,19 +183,16 @@ class DimpleFit(Tidy):
         along = as_array("x", x) - self.center[0]
         near = np.abs(along) < 10 * self.dimple_radius / self.pixel_size
         along = np.where(near, along, 0.0)
+        lengths = np.array([self.dimple_radius, self.dimple_depth, self.probe_half_width])
+        curvatures = np.array(self.rim_curvatures) * self.pixel_size
+        upright = (*(lengths / self.pixel_size).tolist(), *curvatures.tolist())
         # A point of the upright dimple moves sideways when it is turned: a few steps of a fixed
         # point find the one that comes to lie at x, to 0.2 px for a tilt of 0.3 (measured).
         cos, sin = np.cos(self.tilt), np.sin(self.tilt)
         u = along / cos
         for _ in range(8):
-            u = (along + sin * self._upright(u)) / cos
-        return np.where(near, self.center[1] + sin * u + cos * self._upright(u), np.nan)
-
-    def _upright(self, u: Array) -> Array:
-        left, right = (k * self.pixel_size for k in self.rim_curvatures)
-        sizes = (self.dimple_radius, self.dimple_depth, self.probe_half_width)
-        a, depth, c = (size / self.pixel_size for size in sizes)
-        return _profile(u, a, depth, c, left, right)[0]
+            u = (along + sin * _profile(u, *upright)[0]) / cos
+        return np.where(near, self.center[1] + sin * u + cos * _profile(u, *upright)[0], np.nan)
 
 
 def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float) -> DimpleFit:
@@ -322,14 +319,11 @@ def _start(x: NDArray, y: NDArray, boundary: Boundary) -> Array:
     left = x < axis
     # A running median keeps a stray point from passing for the rim.
     smooth = median_filter(y, 9, mode="nearest")
-    (x1, y1), (x2, y2) = (
-        (x[side][smooth[side].argmax()], smooth[side].max()) for side in (left, ~left)
-    )
-    a = (x2 - x1) / 2
+    rims = [(x[side][smooth[side].argmax()], smooth[side].max()) for side in (left, ~left)]
+    (x0, height), (wide, rise) = np.mean(rims, axis=0), np.diff(rims, axis=0)[0]
     bottom = boundary.image_height - 1 - boundary.probe.tip[1]
-    height = (y1 + y2) / 2
-    bend = 1 / (4 * a)
-    return np.array([(x1 + x2) / 2, height, (y2 - y1) / (x2 - x1), a, height - bottom, bend, bend])
+    bend = 1 / (2 * wide)
+    return np.array([x0, height, rise / wide, wide / 2, height - bottom, bend, bend])
 
 
 def _near(outline: Array, p: Array) -> Array:
@@ -380,15 +374,11 @@ def _normal_distance(p: NDArray, x: NDArray, y: NDArray, c: float) -> Array:
 
 def _variance_inflation(residuals: Array, parameters: int) -> float:
     """Factor from a covariance of unit, independent errors to that of these residuals."""
-    squares = np.sum(residuals**2)
-    correlated = 0.0
-    for lag in range(1, residuals.size // 4):
-        # The fit itself makes residuals look less correlated, by about its number of parameters
-        # over that of points.
-        correlation = np.sum(residuals[lag:] * residuals[:-lag]) / squares
-        correlation += parameters / residuals.size
-        # Less than chance leaves of points that share nothing: further ones share nothing, either.
-        if correlation < 2 / np.sqrt(residuals.size):
-            break
-        correlated += correlation
-    return float(squares / (residuals.size - parameters) * (1.0 + 2.0 * correlated))
+    count = residuals.size
+    products = np.correlate(residuals, residuals, "full")[count - 1 :]
+    # The fit itself makes residuals look less correlated, by about its number of parameters over
+    # that of points.
+    correlation = products[1 : count // 4] / products[0] + parameters / count
+    # Less than chance leaves of points that share nothing: further ones share nothing, either.
+    last = np.append(correlation < 2 / np.sqrt(count), True).argmax()
+    return float(products[0] / (count - parameters) * (1 + 2 * correlation[:last].sum()))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, Tidy, as_array, measured, one_of, scalar
+from microlib._common import Array, Tidy, as_array, measured, of_kind, one_of, scalar
 from microlib.embryo._modulus import NORMAL_95, force_from_image, given_lengths
 from microlib.embryo._view import DIRECTIONS
 from microlib.membrane import viscoelastic_force
@@ -119,12 +119,8 @@ def force_over_time(
     True
     """
     when = as_array("time", time, shape=(None,))
-    try:
-        frames = list(images)
-    except TypeError:
-        raise ValueError(
-            f"images must be a sequence of images, got {type(images).__name__}"
-        ) from None
+    of_kind("images", images, Iterable)
+    frames = list(images)
     if len(frames) != when.size:
         raise ValueError(f"images must be as many as the times, got {len(frames)} and {when.size}")
     stiffness = measured("modulus", modulus, "MPa")
@@ -141,10 +137,9 @@ def force_over_time(
     for k, image in enumerate(frames):
         try:
             found = force_from_image(image, stiffness, pixel_size=size, **settings)
+            elastic[k], spread[k] = found.force, found.force * found.relative_std
         except ValueError as reason:
             reasons[k] = str(reason)
-            continue
-        elastic[k], spread[k] = found.force, found.force * found.relative_std
     seen = np.isfinite(elastic)
     if not seen.any():
         raise ValueError(f"images must show a dimple in one of them at least, got {reasons[0]}")

@@ -211,16 +211,11 @@ def fit_gaussians(
     with np.errstate(invalid="ignore"):  # an open direction stays so, however good the fit
         inverse = inverse_normal(solution.jac)
         covariance = np.where(np.isinf(inverse), np.inf, variance * inverse)
-    order = np.argsort(solution.x[n : 2 * n])
-    rows = np.concatenate([order, order + n, order + 2 * n])
-    a, b, c = solution.x[rows].reshape(3, n)
-    return GaussianSum(
-        a,
-        b,
-        c,
-        domain=(float(low), float(low + span)),
-        covariance=covariance[np.ix_(rows, rows)] if freedom > 0 else None,
-    )
+    places = np.arange(3 * n).reshape(3, n)
+    rows = places[:, np.argsort(solution.x[places[1]])]
+    a, b, c = solution.x[rows]
+    known = covariance[np.ix_(rows.ravel(), rows.ravel())] if freedom > 0 else None
+    return GaussianSum(a, b, c, domain=(float(low), float(low + span)), covariance=known)
 
 
 def _starts(x: Array, y: Array, n: int) -> Iterator[Array]:

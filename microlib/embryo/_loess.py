@@ -8,13 +8,7 @@ from numpy.typing import ArrayLike
 from microlib._common import Array, as_array, between, same_length, scalar, whole
 
 
-def loess(
-    x: ArrayLike,
-    y: ArrayLike,
-    *,
-    span: float = 0.25,
-    degree: int = 2,
-) -> Array:
+def loess(x: ArrayLike, y: ArrayLike, *, span: float = 0.25, degree: int = 2) -> Array:
     r"""Smooth y(x) by polynomials fitted locally (Cleveland 1979).
 
     Parameters
@@ -75,7 +69,7 @@ def loess(
     x, y = x[order], y[order]
     # Moving a neighborhood on by one point swaps its first for the next; it pays as long as the
     # two lie symmetrically left of x. The sums rise, so that the place is a binary search.
-    first = np.searchsorted(x[: len(x) - k] + x[k:], 2 * x) if k < len(x) else np.zeros(len(x), int)
+    first = np.searchsorted(x[: len(x) - k] + x[k:], 2 * x)
     smooth = np.empty_like(x)
     # What fits into a processor's cache, 256 kB an array; the result is the same for any.
     block = max(1, 2**15 // k)
@@ -92,9 +86,7 @@ def loess(
             f"x must hold {degree + 1} different values in each neighborhood of {k} points, got "
             "fewer"
         )
-    result = np.empty_like(smooth)
-    result[order] = smooth
-    return result
+    return smooth[np.argsort(order)]
 
 
 def _local_fits(u: Array, y: Array, weights: Array, degree: int) -> Array:

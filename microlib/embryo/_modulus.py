@@ -361,14 +361,12 @@ def _egg_radius(boundary: Boundary, pixel_size: float) -> float | None:
     A pressed capsule is about as wide as the sphere was: its equator grows by 2 % under the largest
     loads, and less than its wall's turn to the vertical is uncertain.
     """
-    ends = []
-    some = 15
-    for part in (slice(None, some), slice(-some, None)):
-        x, y = boundary.x[part], boundary.y[part]
-        along = np.linalg.svd(np.stack([x - x.mean(), y - y.mean()]))[0][:, 0]
-        ends.append((float(x.mean()), abs(float(along[1]))))
-    (left, fall_left), (right, fall_right) = ends
+    points = np.stack([boundary.x, boundary.y])
+    ends = np.stack([points[:, :15], points[:, -15:]])
+    middle = ends.mean(axis=-1, keepdims=True)
+    # The sine of their direction, which is that of most of their extent.
+    fall = np.abs(np.linalg.svd(ends - middle, full_matrices=False)[0][:, 1, 0])
     # Of 60°, at which a degree is 1 % of the radius.
-    if min(fall_left, fall_right) < np.sqrt(3 / 4):
+    if fall.min() < np.sqrt(3 / 4):
         return None
-    return pixel_size * (right - left) / (fall_left + fall_right)
+    return pixel_size * float(np.ptp(middle[:, 0]) / fall.sum())

@@ -8,7 +8,6 @@ does. One that leans is looked for in the image turned so that it is upright.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -89,15 +88,7 @@ def find_probe(whole: NDArray[np.float32], view: View) -> tuple[NDArray[np.float
             grey = np.ascontiguousarray(each.of(whole))
             smooth = np.asarray(cv2.GaussianBlur(grey, (0, 0), blur), dtype=np.float32)
             try:
-                probe = _measure(smooth, dark)
-                # The model has its load along the axis. The outline is found up to four times this
-                # tilt (measured).
-                if abs(probe.slope) <= np.tan(np.deg2rad(4)):
-                    return grey, probe, each
-                lean = np.rad2deg(np.arctan(probe.slope))
-                reasons.append(
-                    f"image must show a straight probe, got one that bends by {lean:.1f}°"
-                )
+                return grey, _measure(smooth, dark), each
             except ValueError as reason:
                 reasons.append(str(reason))
             if each is view:
@@ -137,15 +128,14 @@ def _end_row(width: NDArray) -> int:
     if len(width) < _TOP_ROWS:
         return len(width)
     before = np.concatenate([width[:_TOP_ROWS], width[:-1]])
-    windows = sliding_window_view(before, _TOP_ROWS)[: len(width)]
+    windows = sliding_window_view(before, _TOP_ROWS)
     half = _TOP_ROWS // 2
     upper, lower = np.median(windows[:, :half], axis=1), np.median(windows[:, half:], axis=1)
     # A taper goes on as between the middles of the last rows' halves.
     usual = lower + (lower - upper) * (half + 1) / (2 * half)
     usual[:_TOP_ROWS] = np.median(windows[:_TOP_ROWS], axis=1)
-    odd = np.abs(width - usual) > usual / 3 + 1
-    odd |= width == 0
-    return int(odd.argmax()) if odd.any() else len(width)
+    odd = (np.abs(width - usual) > usual / 3 + 1) | (width == 0)
+    return int(np.append(odd, True).argmax())
 
 
 def _turned_views(smooth: NDArray[np.float32], view: View, dark: float) -> list[View]:
@@ -158,23 +148,22 @@ def _turned_views(smooth: NDArray[np.float32], view: View, dark: float) -> list[
     widest = int(_WIDEST * columns / np.cos(_LARGEST_LEAN))
     # Reflected, for a bar in the corner would be continued as dark ground.
     top, ground, runs = _runs(smooth, 3, dark, widest, "reflect")
-    longest, found = _TOP_ROWS, (0.0, 0.0, 0.0)
+    found = []
     for left, right in runs:
         limit = float((top[left:right].min() + ground[left:right].mean()) / 2)
         ends = _follow(smooth, int(left), int(right), limit)
         # A side cuts a bar that comes in through a corner: its width grows on the first rows.
         cut = (ends[:, 0] == 0) | (ends[:, 1] == columns)
-        row = int(cut.argmin()) if not cut.all() else len(ends)
-        ends = ends[row:]
-        ends = ends[: _end_row(np.ptp(ends, axis=1))]
-        if len(ends) <= longest or not 2 <= np.ptp(ends[0]) <= widest:
-            continue
-        slope, start = _robust_line(row + np.arange(len(ends)), (ends.sum(axis=1) - 1) / 2)
-        if abs(slope) < np.tan(_LARGEST_LEAN):
-            longest, found = len(ends), (slope, start, float(np.ptp(ends[0])) / 2)
-    if longest == _TOP_ROWS:
+        row = int(np.append(cut, False).argmin())
+        width = np.ptp(ends[row:], axis=1)
+        rows = row + np.arange(_end_row(width))
+        if rows.size > _TOP_ROWS and 2 <= width[0] <= widest:
+            slope, start = _robust_line(rows, (ends[rows].sum(axis=1) - 1) / 2)
+            if abs(slope) < np.tan(_LARGEST_LEAN):
+                found.append((rows.size, slope, start, float(width[0]) / 2))
+    if not found:
         return []
-    slope, start, half = found
+    _, slope, start, half = max(found)
     sides = start + np.array([-half, half])
     # What comes in through a side of the image does so below its upper edge.
     inside = np.clip(sides, 0.0, columns - 1.0)
@@ -195,20 +184,7 @@ def _measure(grey: NDArray[np.float32], dark: float) -> Probe:
     Its ends are found to a fraction of a pixel. Near its end the embryo stands beside it, so that
     the upper part gives direction and width.
     """
-    widest = int(_WIDEST * grey.shape[1])
-    top, ground, runs = _runs(grey, _TOP_ROWS, dark, widest, "nearest")
-    bars = [run for run in runs if 4 <= run[1] - run[0] <= widest]
-    tubes = _tubes(runs, widest)
-    glass = len(tubes) == 1 and all(tubes[0][0] <= b[0] and b[1] <= tubes[0][1] for b in bars)
-    if not glass and len(bars) != 1:
-        raise ValueError(
-            "image must show one dark probe that enters through its upper edge, "
-            f"got {len(bars)} bars of 4 to {widest} px there"
-        )
-    left, right = (int(end) for end in (tubes if glass else bars)[0])
-    bar = float(top[left:right].min() if glass else top[(left + right) // 2])
-    # Below one half of the way to the ground's grey, which the embryo's fluid does not reach.
-    ends = _follow(grey, left, right, bar + (ground[left:right].mean() - bar) / 3)
+    ends, bar, glass = _entering(grey, dark)
     width = np.ptp(ends, axis=1)
     end = _end_row(width)
     if end < 2 * _TOP_ROWS or end >= len(grey) - 4:
@@ -216,62 +192,71 @@ def _measure(grey: NDArray[np.float32], dark: float) -> Probe:
             f"image must show the probe's end inside it, got a bar that ends at row {end} of "
             f"{len(grey)}"
         )
+    columns = np.arange(grey.shape[1])
     if glass:
         # Down to where both walls are gone: the end of glass is as dark as the chorion below it.
-        columns, first, last = np.arange(grey.shape[1]), *ends.T[:, :, np.newaxis]
-        filled = np.where((columns >= first) & (columns < last), bar, np.inf)
-        grey = np.concatenate([np.minimum(grey[: len(ends)], filled), grey[len(ends) :]])
+        within = (columns >= ends[:, :1]) & (columns < ends[:, 1:])
+        grey = grey.copy()
+        np.minimum(grey[: len(ends)], bar, out=grey[: len(ends)], where=within)
     rows = np.arange(2, int(_UPPER_PART * end))
     usual = np.median(width[:_TOP_ROWS])
-    across = np.where(np.abs(width - usual) > MARGIN, width, usual)
-    sides = np.array([_crossings(grey[r], (ends[r].sum() - 1) / 2, across[r], bar) for r in rows])
-    slopes, starts = zip(*(_robust_line(rows, side) for side in sides.T), strict=True)
-    slope = float(np.mean(slopes))
-    narrowing = slopes[1] - slopes[0]
+    sides = []
+    for row in rows:
+        across = width[row] if abs(width[row] - usual) > MARGIN else usual
+        distance, middle = np.arange(0.0, across / 2 + 6, _STEP), (ends[row].sum() - 1) / 2
+        left, right = (np.interp(middle + way * distance, columns, grey[row]) for way in (-1, 1))
+        sides.append((middle - _half_way(left, bar, 6), middle + _half_way(right, bar, 6)))
+    slopes, starts = np.transpose([_robust_line(rows, side) for side in np.transpose(sides)])
+    slope, start = float(slopes.mean()), float(starts.mean())
+    # The model has its load along the axis. The outline is found up to four times this tilt
+    # (measured).
+    if abs(slope) > np.tan(np.deg2rad(4)):
+        raise ValueError(
+            "image must show a straight probe, got one that bends by "
+            f"{np.rad2deg(np.arctan(slope)):.1f}°"
+        )
+    narrowing = float(slopes[1] - slopes[0])
     tapered = abs(narrowing) * rows.size > MARGIN
     half_width = float(starts[1] - starts[0] + narrowing * (end if tapered else rows.mean())) / 2
-    upper = Probe((float(np.mean(starts)), 0.0), slope, half_width)
+    upper = Probe((start, 0.0), slope, half_width)
     tip = _tip_row(grey, upper, end, bar)
-    return Probe(
-        (float(upper.axis(tip)), tip),
-        slope,
-        half_width / np.hypot(1.0, slope),
-        narrowing / 2 if tapered else 0.0,
-    )
+    taper = narrowing / 2 if tapered else 0.0
+    return Probe((float(upper.axis(tip)), tip), slope, half_width / np.hypot(1.0, slope), taper)
 
 
-def _tubes(runs: NDArray, widest: int) -> list[tuple[int, int]]:
-    """Return pairs of dark runs that are a tube's walls: its two ends."""
-    found = []
-    for first, second in pairwise(runs):
-        across = int(second[1] - first[0])
-        walls = sorted((int(first[1] - first[0]), int(second[1] - second[0])))
-        # Of 2 px at least, what a blur of 1 px leaves of a thin wall; light comes from one side.
-        alike = walls[0] >= 2 and walls[1] <= 2 * walls[0]
-        if alike and walls[1] <= across / 3 and across <= widest:
-            found.append((int(first[0]), int(second[1])))
-    return found
+def _entering(grey: NDArray[np.float32], dark: float) -> tuple[NDArray, float, bool]:
+    """Return both ends in each row of the bar or tube that enters, its grey, and if it is glass."""
+    widest = int(_WIDEST * grey.shape[1])
+    top, ground, runs = _runs(grey, _TOP_ROWS, dark, widest, "nearest")
+    width = np.ptp(runs, axis=1)
+    bars = runs[(width >= 4) & (width <= widest)]
+    # Two runs are the walls of a tube if they are thin and alike: of 2 px at least, what a blur of
+    # 1 px leaves of a thin wall; light comes from one side.
+    tubes = np.stack([runs[:-1, 0], runs[1:, 1]], axis=1)
+    across = np.ptp(tubes, axis=1)
+    thin, thick = np.minimum(width[:-1], width[1:]), np.maximum(width[:-1], width[1:])
+    tubes = tubes[(thin >= 2) & (thick <= 2 * thin) & (thick <= across / 3) & (across <= widest)]
+    glass = len(tubes) == 1 and bool(np.all((bars >= tubes[0, 0]) & (bars <= tubes[0, 1])))
+    if not glass and len(bars) != 1:
+        raise ValueError(
+            "image must show one dark probe that enters through its upper edge, "
+            f"got {len(bars)} bars of 4 to {widest} px there"
+        )
+    left, right = (tubes if glass else bars)[0].tolist()
+    bar = float(top[left:right].min() if glass else top[(left + right) // 2])
+    # Below one half of the way to the ground's grey, which the embryo's fluid does not reach.
+    return _follow(grey, left, right, bar + (ground[left:right].mean() - bar) / 3), bar, glass
 
 
 def _half_way(profile: Array, bar: float, ground: int) -> float:
-    """Return the sample at which a profile passes half-way from the bar to its last samples' mean.
+    """Return how far along a profile it is half-way from the bar to its last samples' mean, in px.
 
     NaN where it begins beyond.
     """
     half = (bar + profile[-ground:].mean()) / 2
     k = int((profile > half).argmax())
-    return k - 1 + (half - profile[k - 1]) / (profile[k] - profile[k - 1]) if k > 0 else np.nan
-
-
-def _crossings(
-    row: NDArray[np.float32], middle: float, width: float, bar: float
-) -> tuple[float, ...]:
-    """Where a row passes half-way between the bar and the ground, left and right of `middle`."""
-    distance = np.arange(0.0, width / 2 + 6, _STEP)
-    columns = np.arange(row.size)
-    sides = (np.interp(middle + side * distance, columns, row) for side in (-1, 1))
-    left, right = (_STEP * _half_way(profile, bar, 6) for profile in sides)
-    return middle - left, middle + right
+    beyond = (half - profile[k - 1]) / (profile[k] - profile[k - 1]) if k > 0 else np.nan
+    return _STEP * float(k - 1 + beyond)
 
 
 def _robust_line(x: NDArray, y: NDArray) -> tuple[float, float]:
@@ -299,10 +284,10 @@ def _tip_row(grey: NDArray[np.float32], upper: Probe, end: int, bar: float) -> f
     x = upper.axis(y)[:, np.newaxis] + across
     where = np.stack([np.broadcast_to(y[:, np.newaxis], x.shape), x])
     profile = map_coordinates(grey, where, order=1, mode="nearest").mean(axis=1)
-    sample = _half_way(profile, bar, round(3 / _STEP))
-    if np.isnan(sample):
+    tip = float(y[0] + _half_way(profile, bar, round(3 / _STEP)))
+    if np.isnan(tip):
         raise ValueError("image must show the probe's end against something brighter, got none")
-    return float(y[0] + _STEP * sample)
+    return tip
 
 
 def remove_probe(grey: NDArray[np.float32], probe: Probe) -> NDArray[np.float32]:

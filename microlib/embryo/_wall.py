@@ -48,11 +48,7 @@ class WallPosition(NamedTuple):
 
 
 def locate_wall(
-    profiles: Array,
-    offsets: Array,
-    *,
-    weights: NDArray,
-    settings: WallSettings = WallSettings(),
+    profiles: Array, offsets: Array, *, weights: NDArray, settings: WallSettings = WallSettings()
 ) -> WallPosition:
     r"""Fit a blurred wall to each of a set of profiles.
 
@@ -111,18 +107,17 @@ def locate_wall(
     left = [_linear_fit(profiles, offsets, keep, usual, place)[2] for place in grid[:, None]]
     start = grid[np.argmin(np.sum(np.square(left), axis=2), axis=0)]
     some = slice(None, None, settings.every)
+    part = profiles[some], offsets, keep[some]
 
     def misfit(width: float) -> float:
-        part = profiles[some], offsets, keep[some]
         return _gauss_newton(*part, width, start[some], settings)[2]
 
     # In px; other ranges and tolerances change E by up to 0.16 of its deviation.
     search = minimize_scalar(misfit, bounds=(0.6, 3), method="bounded", options={"xatol": 0.01})
     width = float(search.x)
     found, std, _ = _gauss_newton(profiles, offsets, keep, width, start, settings)
-    reached = keep > 0
-    first = np.where(reached, offsets, np.inf).min(axis=1)
-    last = np.where(reached, offsets, -np.inf).max(axis=1)
+    first = np.where(keep, offsets, np.inf).min(axis=1)
+    last = np.where(keep, offsets, -np.inf).max(axis=1)
     bad = few | (np.abs(found) > reach) | (first > found - width) | (last < found + width)
     found[bad] = std[bad] = np.nan
     return WallPosition(found, std, width)
@@ -147,12 +142,7 @@ def _linear_fit(
 
 
 def _gauss_newton(
-    data: Array,
-    offsets: Array,
-    keep: Array,
-    width: float,
-    position: Array,
-    settings: WallSettings,
+    data: Array, offsets: Array, keep: Array, width: float, position: Array, settings: WallSettings
 ) -> tuple[Array, Array, float]:
     """Gauss–Newton on position and linear coefficients: positions, their spread, the residual."""
     position = position.copy()

@@ -85,7 +85,7 @@ def test_refusals(sequence: list[np.ndarray]) -> None:
         force_over_time(sequence, TIME[:-1], 1.2, **call)
     with pytest.raises(ValueError, match="images must show a dimple in one of them at least"):
         force_over_time(sequence[:2], TIME[:2], 1.2, **call)
-    with pytest.raises(ValueError, match="images must be a sequence of images, got int"):
+    with pytest.raises(ValueError, match="images must be of the kind Iterable, got int"):
         force_over_time(3, TIME, 1.2, **call)
     with pytest.raises(ValueError, match="shares must be at least 0"):
         force_over_time(sequence, TIME, 1.2, **call | {"shares": [1.5]})
