@@ -25,11 +25,6 @@ def built(path: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def root() -> Path:
-    return ROOT
-
-
-@pytest.fixture(scope="session")
 def claims_folder() -> Path:
     return built(ROOT / "build" / "claims")
 

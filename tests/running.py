@@ -1,9 +1,11 @@
-"""Whether a process of this machine is there, for tests of what ends."""
+"""Whether a process of this machine is there, and waiting, for tests of what ends."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
+from time import monotonic, sleep
 
 
 def alive(pid: int) -> bool:
@@ -16,3 +18,11 @@ def alive(pid: int) -> bool:
     return (
         not state.exists() or state.read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
     )
+
+
+def until(happened: Callable[[], object]) -> None:
+    """Wait for what happens soon; the limit is for a busy machine."""
+    end = monotonic() + 30
+    while not happened():
+        assert monotonic() < end
+        sleep(0.02)

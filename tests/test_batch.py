@@ -17,7 +17,7 @@ import pytest
 
 from microlib.batch import process_files
 from microlib.microscope import Microscope
-from tests.running import alive
+from tests.running import alive, until
 
 ROOT = Path(__file__).parents[1]
 LAWS = {"batch.process_files": "it computes nothing; its laws of a second use are below"}
@@ -184,8 +184,7 @@ def test_a_cluster_of_which_a_process_is_killed(folder: Path) -> None:
     killed = []
 
     def kill() -> None:
-        while not table.exists() or table.read_text().count("\n") < 3:
-            time.sleep(0.01)
+        until(lambda: table.exists() and table.read_text().count("\n") >= 3)
         killed.append(int(pd.read_csv(table)["pid"][0]))
         os.kill(killed[0], signal.SIGKILL)
 
@@ -215,18 +214,12 @@ def test_a_killed_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
         (folder / f"{k:02d}.txt").write_text(f"wait{k}")
     script = f"from tests.test_batch import *; measure_all(Path({str(folder)!r}))"
     run = subprocess.Popen([sys.executable, "-c", script], cwd=ROOT)
-    while not table.exists() or table.read_text().count("\n") < 6:
-        assert run.poll() is None
-        time.sleep(0.01)
+    until(lambda: table.exists() and table.read_text().count("\n") >= 6)
     run.send_signal(signal.SIGKILL)
     run.wait()
     done = pd.read_csv(table)
     assert len(done) >= 5
-    # The workers end, too; the limit is for a busy machine.
-    end = time.monotonic() + 20
-    while any(map(alive, done["pid"])) and time.monotonic() < end:
-        time.sleep(0.02)
-    assert not any(map(alive, done["pid"]))
+    until(lambda: not any(map(alive, done["pid"])))  # the workers end, too
     measure_all(folder)
     assert pd.read_csv(table).sort_values("file")["value"].tolist() == list(range(24))
     calls = log.read_text().split()

@@ -34,9 +34,8 @@ def moved(value: object, rng: np.random.Generator) -> object:
         return value
     if isinstance(value, Real):
         return float(np.nextafter(value, 0.0))  # ν = 0.5 has no neighbor above
-    image = isinstance(value, np.ndarray) and value.dtype == np.uint8 and value.ndim > 1
-    if image or (isinstance(value, np.ndarray) and value.dtype == np.float64):
-        plain = np.asarray(value, np.float64)
+    plain = floats(value)
+    if isinstance(plain, np.ndarray) and plain.dtype == np.float64:
         there = np.nextafter(plain, np.where(rng.random(plain.shape) < 0.5, -np.inf, np.inf))
         return np.where(plain == 0, plain, there)
     return value

@@ -41,27 +41,22 @@ def test_coordinates_are_used(unit: str, per_um: float) -> None:
     assert reader.origin == pytest.approx((300.0, 100.0))
 
 
-def test_coordinates_are_given_back() -> None:
+@pytest.mark.parametrize("blocks", [False, True])
+def test_coordinates_are_given_back_and_blocks_stay_blocks(blocks: bool) -> None:
     frames = labeled()
-    found = depth_from_focus(frames)
-    np.testing.assert_allclose(found.depth, depth_from_focus(stack(), Z).depth, atol=1e-3)
-    back = found.to_xarray()
+    if blocks:
+        pytest.importorskip("dask")
+        frames = frames.chunk({"y": 64, "x": 80})
+    back = depth_from_focus(frames).to_xarray()
+    assert bool(back["depth"].chunks) == blocks
     np.testing.assert_allclose(back["x"], frames["x"])
     np.testing.assert_allclose(back["y"], frames["y"])
-    assert float(back["depth"].sel(x=380, y=150)) == pytest.approx(42.0, abs=1.0)
-    part = depth_from_focus(frames, region=(10, 20, 40, 30), reduce=2).to_xarray()
-    np.testing.assert_allclose(part["x"], 300 + 2 * (10.5 + 2 * np.arange(20)))
-    np.testing.assert_allclose(part["y"], 100 + 2 * (20.5 + 2 * np.arange(15)))
-
-
-def test_blocks_with_coordinates_stay_blocks() -> None:
-    pytest.importorskip("dask")
-    frames = labeled()
-    back = depth_from_focus(frames.chunk({"y": 64, "x": 80})).to_xarray()
-    assert back["depth"].chunks
-    np.testing.assert_allclose(back["x"], frames["x"])
     # Single precision: a thousandth of a µm is far above its rounding.
     np.testing.assert_allclose(back["depth"], depth_from_focus(stack(), Z).depth, atol=1e-3)
+    assert float(back["depth"].sel(x=380, y=150)) == pytest.approx(42.0, abs=1.0)
+    part = depth_from_focus(labeled(), region=(10, 20, 40, 30), reduce=2).to_xarray()
+    np.testing.assert_allclose(part["x"], 300 + 2 * (10.5 + 2 * np.arange(20)))
+    np.testing.assert_allclose(part["y"], 100 + 2 * (20.5 + 2 * np.arange(15)))
 
 
 def test_pixels_that_are_no_squares_have_no_size() -> None:

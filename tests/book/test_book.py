@@ -12,6 +12,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 # Pages that Sphinx makes for itself and no reader is sent to.
 INTERNAL = {"genindex.html", "py-modindex.html"}
+# Relations of a page to others, which load nothing.
+LEADS_ON = {"canonical", "search", "next", "prev", "index"}
 
 
 class Links(HTMLParser):
@@ -31,13 +33,7 @@ class Links(HTMLParser):
             self.links.append(values["href"])
         if "src" in values:
             self.loads.append(values["src"])
-        if tag == "link" and values.get("rel") not in (
-            "canonical",
-            "search",
-            "next",
-            "prev",
-            "index",
-        ):
+        if tag == "link" and values.get("rel") not in LEADS_ON:
             self.loads.append(values.get("href", ""))
 
 

@@ -35,7 +35,6 @@ TASKS = {
                                   "The outline that was fitted is not printed."),
     "how to cite": ("@software{microlib",),
     "a figure in large": ("a:has-text('Stiffness')", "figure a.enlarge", "Close"),
-    "search 1.32": ("?q=1.32", "ul.search li a:has-text('Table 5.6')", "1.32372"),
     "a proof": ("article a:has-text('errata')", ".erratum-sources a", "def test_"),
 }  # fmt: skip
 

@@ -6,16 +6,14 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from time import monotonic, sleep
 
 import nbformat
 import pytest
 from nbformat.v4 import new_code_cell, new_notebook
 
 from compendium import run
-from tests.running import alive
+from tests.running import alive, until
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -159,13 +157,6 @@ def test_a_killed_run_leaves_nothing_that_counts(project: Path) -> None:
     write_notebook(project, "01_first", CHECKS)
     run.build(["01_first"], 1, force=False)
     assert run.failures() == {}
-
-
-def until(happened: Callable[[], object]) -> None:
-    end = monotonic() + 30
-    while not happened():
-        assert monotonic() < end
-        sleep(0.05)
 
 
 def test_a_second_run_waits_and_says_so(project: Path) -> None:
