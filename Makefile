@@ -69,8 +69,7 @@ data: $(STAMP) ## write data/synthetic anew, the same bytes
 	@$(BIN)/python -m data.synthetic.make
 
 benchmarks: $(STAMP) ## measure microlib beside its peers (minutes)
-	@for file in benchmarks/[a-z]*.py; do \
-	  name=$$(basename $$file .py); [ $$name = report ] || $(BIN)/python -m benchmarks.$$name || exit 1; done
+	@$(BIN)/python -m benchmarks
 
 # The library's tests; the others need what runs and renders the book.
 LIBRARY := tests $(foreach name,book notebooks compendium,--ignore tests/$(name))

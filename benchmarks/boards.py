@@ -1,6 +1,6 @@
 """Detection on photographed boards, refusal of other images, and calibrations that do not fit.
 
-Run ``python -m benchmarks.boards``. The boards are sampled through a homography and Brown's
+Run ``python -m benchmarks boards``. The boards are sampled through a homography and Brown's
 distortion; renderer and lens share no formula with the library.
 """
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from benchmarks.photographs import pictures, texture
-from benchmarks.report import must_hold, publish
+from benchmarks.report import Limits, Tables
 from microlib.calibration import calibrate, detect_circles, detect_squares
 from microlib.microscope import euler_rotation
 
@@ -243,33 +243,21 @@ row of the last adds one to a calibration.
 """
 
 
-def main() -> None:
-    """Measure and publish."""
-    cv2.setNumThreads(1)
+def main() -> tuple[Tables, Limits]:
     photographs, refused, fits = boards(), others(), faults()
     plain = ~photographs["photograph"].isin(["glare"])
     sides = photographs["photograph"].str.startswith("side")
-    limits = must_hold(
-        [
-            ("wrong points, all photographs", photographs["wrong points"].sum(), "≤", 0),
-            ("error over σ, most but glare", photographs["error over σ"][plain].max(), "≤", 1.3),
-            ("error over σ, glare", photographs["error over σ"][~plain].max(), "≤", 1.6),
-            ("error of any side, px", photographs["error px"][sides].max(), "≤", 0.015),
-            ("images without a pattern accepted", refused["accepted"].sum(), "≤", 0),
-            ("neither holds nor says so, most faults, %", fits["neither %"].max(), "≤", 10),
-        ]
-    )
-    publish(
-        "boards",
-        {
-            "Photographed boards": photographs,
-            "Images without a pattern": refused,
-            "Calibrations with a fault": fits,
-        },
-        limits=limits,
-        note=NOTE,
-    )
-
-
-if __name__ == "__main__":
-    main()
+    limits: Limits = [
+        ("wrong points, all photographs", photographs["wrong points"].sum(), "≤", 0),
+        ("error over σ, most but glare", photographs["error over σ"][plain].max(), "≤", 1.3),
+        ("error over σ, glare", photographs["error over σ"][~plain].max(), "≤", 1.6),
+        ("error of any side, px", photographs["error px"][sides].max(), "≤", 0.015),
+        ("images without a pattern accepted", refused["accepted"].sum(), "≤", 0),
+        ("neither holds nor says so, most faults, %", fits["neither %"].max(), "≤", 10),
+    ]
+    tables = {
+        "Photographed boards": photographs,
+        "Images without a pattern": refused,
+        "Calibrations with a fault": fits,
+    }
+    return tables, limits

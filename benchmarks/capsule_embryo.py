@@ -5,7 +5,7 @@ draws the capsule, with what real images have: a wall of two dark lines, granule
 of focus before the dimple, debris, a neighbor, a holder, uneven light, color, a scale bar and
 writing, JPEG, and a probe of any kind from any side.
 
-Run as ``python -m benchmarks.capsule_embryo``; about a quarter of an hour.
+Run as ``python -m benchmarks capsule_embryo``; about a quarter of an hour.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from benchmarks.report import must_hold, publish
+from benchmarks.report import Limits, Tables
 from microlib.embryo import modulus_from_image
 from microlib.io import read_grey
 from microlib.membrane import indent_capsule
@@ -289,34 +289,20 @@ debris, a holder, uneven light, color and JPEG.
 """
 
 
-def report(runs: pd.DataFrame) -> None:
-    """Publish what the images gave."""
+def main() -> tuple[Tables, Limits]:
+    runs = pd.concat([measure(SEEDS, probe) for probe in PROBES])
     by_probe = summarize(runs, "probe")
     failed = 100 * (by_probe["failures"] / by_probe["images"])
     held = 100 * runs["holds"].dropna().mean()
     bias = by_probe["bias of E (%)"].abs().max()
     reduced = {1: "as it is", 2: "half", 4: "a quarter"}
     by_size = summarize(runs.assign(resolution=runs["shrink"].map(reduced)), "resolution")
-    publish(
-        "capsule_embryo",
-        {"Modulus of rendered capsules, by probe": by_probe, "By the image's resolution": by_size},
-        limits=must_hold(
-            [
-                ("failures, worst kind of probe, %", failed.max(), "≤", 4),
-                ("bias of E, worst kind of probe, %", bias, "≤", 3),
-                ("errors beyond 20 % that no interval tells of", _silent(runs), "≤", 0),
-                ("95 % intervals that hold, %", held, "≥", 90),
-                ("95 % intervals that hold, %", held, "≤", 98),
-            ]
-        ),
-        note=NOTE,
-    )
-
-
-def main() -> None:
-    cv2.setNumThreads(1)
-    report(pd.concat([measure(SEEDS, probe) for probe in PROBES]))
-
-
-if __name__ == "__main__":
-    main()
+    limits: Limits = [
+        ("failures, worst kind of probe, %", failed.max(), "≤", 4),
+        ("bias of E, worst kind of probe, %", bias, "≤", 3),
+        ("errors beyond 20 % that no interval tells of", _silent(runs), "≤", 0),
+        ("95 % intervals that hold, %", held, "≥", 90),
+        ("95 % intervals that hold, %", held, "≤", 98),
+    ]
+    title = "Modulus of rendered capsules, by probe"
+    return {title: by_probe, "By the image's resolution": by_size}, limits

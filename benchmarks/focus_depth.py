@@ -1,6 +1,6 @@
 """The default depth on stacks that it did not make: scale, relief, stated errors, halos, real ones.
 
-Run as ``python -m benchmarks.focus_depth``; takes three minutes. The renderer shares nothing with
+Run as ``python -m benchmarks focus_depth``; takes three minutes. The renderer shares nothing with
 the method: discs and not Gaussians where named, a near layer that hides the far one at steps,
 photographs as texture. Real stacks are measured if they lie in ``../shared/real``.
 """
@@ -19,7 +19,7 @@ from skimage import data
 from skimage.color import rgb2gray
 
 from benchmarks.focus import scenes
-from benchmarks.report import must_hold, publish
+from benchmarks.report import Limits, Tables
 from microlib import synthetic
 from microlib.focus import depth_from_focus
 from microlib.focus._settings import Settings
@@ -390,7 +390,7 @@ def real() -> pd.DataFrame:
 # --- Limits --------------------------------------------------------------------------------------
 
 
-def limits(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
+def limits(tables: Tables) -> Limits:
     more = tables[SCALE_TABLE]
     rises = np.maximum(more["4×"] / more["1×"], more["20×"] / more["4×"]).max()
     fine = tables[RELIEF_TABLE].set_index(["period, px", "A, steps"])
@@ -438,7 +438,7 @@ def limits(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
             ("board, registered: beyond three frames, of those known", board[1], "≤", 0.003),
             ("board, registered: unknown", board[2], "≤", 0.03),
         ]
-    return must_hold(lines)
+    return lines
 
 
 NOTE = """\
@@ -458,8 +458,7 @@ outermost 12 px are left out. Seeds and photographs were not in view while const
 """
 
 
-def main() -> None:
-    cv2.setNumThreads(1)
+def main() -> tuple[Tables, Limits]:
     tables = {
         SCALE_TABLE: scale(),
         RELIEF_TABLE: relief(),
@@ -471,8 +470,4 @@ def main() -> None:
     }
     if REAL.is_dir():
         tables[REAL_TABLE] = real()
-    publish("focus_depth", tables, limits=limits(tables), note=NOTE)
-
-
-if __name__ == "__main__":
-    main()
+    return tables, limits(tables)

@@ -1,6 +1,6 @@
 """The default depth's time, memory and first call, beside box filters over the same frames.
 
-Run as ``python -m benchmarks.focus_speed``; takes two minutes. CPU time, both measured in turn: on
+Run as ``python -m benchmarks focus_speed``; takes two minutes. CPU time, both measured in turn: on
 a machine that has other work, too, their ratio changes by a tenth.
 """
 
@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from benchmarks.report import must_hold, publish
+from benchmarks.report import Limits, Tables
 from microlib import synthetic
 from microlib.focus import depth_from_focus
 
@@ -143,8 +143,7 @@ by a tenth.
 """
 
 
-def main() -> None:
-    cv2.setNumThreads(1)
+def main() -> tuple[Tables, Limits]:
     stacks = scenes()
     calls = {
         name: (stack, lambda stack=stack: depth_from_focus(stack, POSITIONS))
@@ -166,21 +165,15 @@ def main() -> None:
         MEMORY: pd.DataFrame([("default", round(memory))], columns=["what", "bytes"]),
     }
     found = tables[BLOCKS]
-    limits = must_hold(
-        [
-            ("default depth of a slope, passes", times["slope"][0], "≤", 70),
-            ("default depth of a step, passes", times["step"][0], "≤", 75),
-            ("default depth of a step with holes, passes", times["step, holes"][0], "≤", 75),
-            ("first call over the next", first["first call of a process over the next"], "≤", 1.5),
-            ("import, s", first["import microlib.focus, s"], "≤", 0.6),
-            ("memory, bytes a pixel", memory, "≤", 180),
-            ("blocks: RMS difference, worst", found["RMS"].max(), "≤", 0.004),
-            ("blocks: largest difference, worst", found["largest"].max(), "≤", 0.02),
-            ("blocks: share where one is NaN, worst", found["NaN in one"].max(), "≤", 1e-4),
-        ]
-    )
-    publish("focus_speed", tables, limits=limits, note=NOTE)
-
-
-if __name__ == "__main__":
-    main()
+    limits: Limits = [
+        ("default depth of a slope, passes", times["slope"][0], "≤", 70),
+        ("default depth of a step, passes", times["step"][0], "≤", 75),
+        ("default depth of a step with holes, passes", times["step, holes"][0], "≤", 75),
+        ("first call over the next", first["first call of a process over the next"], "≤", 1.5),
+        ("import, s", first["import microlib.focus, s"], "≤", 0.6),
+        ("memory, bytes a pixel", memory, "≤", 180),
+        ("blocks: RMS difference, worst", found["RMS"].max(), "≤", 0.004),
+        ("blocks: largest difference, worst", found["largest"].max(), "≤", 0.02),
+        ("blocks: share where one is NaN, worst", found["NaN in one"].max(), "≤", 1e-4),
+    ]
+    return tables, limits

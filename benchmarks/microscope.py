@@ -1,6 +1,6 @@
 """The loop over a microscope without hardware: what it reaches, and how it ends when things fail.
 
-Run with ``python -m benchmarks.microscope``; it takes some two minutes of one core. Without
+Run with ``python -m benchmarks microscope``; it takes some two minutes of one core. Without
 ``pymmcore-plus`` only the simulation is measured.
 """
 
@@ -11,7 +11,7 @@ import importlib.util
 import numpy as np
 import pandas as pd
 
-from benchmarks.report import must_hold, publish
+from benchmarks.report import Limits, Tables
 from compendium.experiments.microscope import reach, reach_on
 from tests.servoing.faults import FAULTS, engine_scope, run_with
 
@@ -25,7 +25,7 @@ for the demo camera that is its stage at 1 µm/px. Each fault comes at a moment 
 """
 
 
-def main() -> None:
+def main() -> tuple[Tables, Limits]:
     engine = importlib.util.find_spec("pymmcore_plus") is not None
     runs = {"simulated workstation": [reach(seed) for seed in SEEDS]}
     failed = {"simulated workstation": [run_with(*fault) for fault in FAULTS]}
@@ -58,25 +58,10 @@ def main() -> None:
     bad = sum(
         not (r.still and r.stops and (r.run.reason or r.run.reached.all())) for r in everything
     )
-    publish(
-        "microscope",
-        {"Targets": reached, "Faults": ended},
-        limits=must_hold(
-            [
-                ("worst error (px)", reached["worst error (px)"].max(), "≤", 0.12),
-                ("mean error (px)", reached["mean error (px)"].max(), "≤", 0.05),
-                ("faults that did not end with a reason and the stage still", bad, "≤", 0),
-                (
-                    "farthest from the start, of the travel",
-                    ended["farthest, of the travel"].max(),
-                    "≤",
-                    1,
-                ),
-            ]
-        ),
-        note=NOTE,
-    )
-
-
-if __name__ == "__main__":
-    main()
+    farthest = ended["farthest, of the travel"].max()
+    return {"Targets": reached, "Faults": ended}, [
+        ("worst error (px)", reached["worst error (px)"].max(), "≤", 0.12),
+        ("mean error (px)", reached["mean error (px)"].max(), "≤", 0.05),
+        ("faults that did not end with a reason and the stage still", bad, "≤", 0),
+        ("farthest from the start, of the travel", farthest, "≤", 1),
+    ]

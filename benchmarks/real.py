@@ -1,6 +1,6 @@
 """microlib beside its peers on photographs and films that others took (``data/real``).
 
-Run as ``python -m benchmarks.real``; takes some minutes. No truth is known. trackpy is
+Run as ``python -m benchmarks real``; takes some minutes. No truth is known. trackpy is
 measured if it is installed, which it need not be.
 """
 
@@ -19,7 +19,7 @@ from skimage.filters import sobel
 from skimage.measure import centroid
 from skimage.registration import phase_cross_correlation
 
-from benchmarks.report import publish
+from benchmarks.report import Limits, Tables
 from microlib.calibration import detect_squares
 from microlib.focus import depth_from_focus
 from microlib.io import read_frames, read_grey
@@ -206,14 +206,9 @@ photographs of the board two by two pixels are one. microlib takes colors as wel
 """
 
 
-def main() -> None:
-    cv2.setNumThreads(1)
+def main() -> tuple[Tables, Limits]:
     lines = board() | chessboard() | beads()
     columns = ["microlib", "OpenCV", "scikit-image", "other"]
     table = pd.DataFrame(lines).T.reindex(columns=columns).astype(float).round(3)
     table.insert(0, "data and question", table.index)
-    publish("real", {"Real images": table.reset_index(drop=True)}, note=NOTE)
-
-
-if __name__ == "__main__":
-    main()
+    return {"Real images": table.reset_index(drop=True)}, []

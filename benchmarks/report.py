@@ -6,7 +6,7 @@ import json
 import os
 import platform
 import subprocess
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from datetime import date
 from importlib.metadata import version
 from pathlib import Path
@@ -14,10 +14,13 @@ from time import perf_counter
 
 import numpy as np
 import pandas as pd
-
-__all__ = ["machine", "must_hold", "paired_times", "publish"]
+from numpy.typing import NDArray
 
 RESULTS = Path(__file__).parent / "results"
+#: Title to table.
+Tables = dict[str, pd.DataFrame]
+#: What was measured, the number, ``"≤"`` or ``"≥"``, and the limit.
+Limits = list[tuple[str, float, str, float]]
 
 
 def machine() -> dict[str, str]:
@@ -42,6 +45,11 @@ def machine() -> dict[str, str]:
     }
 
 
+def rms(error: NDArray) -> float:
+    """Return the root mean square of what is known."""
+    return float(np.sqrt(np.nanmean(np.square(error))))
+
+
 def paired_times(
     ours: Callable[[], object],
     peer: Callable[[], object],
@@ -61,8 +69,8 @@ def paired_times(
     return float(medians[0]), float(medians[1]), float(np.median(times[:, 0] / times[:, 1]))
 
 
-def must_hold(lines: Iterable[tuple[str, float, str, float]]) -> pd.DataFrame:
-    """Judge lines of what was measured, the number, ``"≤"`` or ``"≥"``, and the limit."""
+def must_hold(lines: Limits) -> pd.DataFrame:
+    """Judge what was measured beside its limit."""
     rows = []
     for what, number, sense, limit in lines:
         held = number <= limit if sense == "≤" else number >= limit
@@ -72,25 +80,18 @@ def must_hold(lines: Iterable[tuple[str, float, str, float]]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["what", "measured", "limit", "holds"])
 
 
-def publish(
-    name: str,
-    tables: dict[str, pd.DataFrame],
-    *,
-    limits: pd.DataFrame | None = None,
-    note: str = "",
-) -> None:
-    """Print `tables` (title to frame) and write ``results/NAME.json``, which the book shows."""
-    shown = tables if limits is None else {"Must hold": limits, **tables}
-    for title, frame in shown.items():
+def publish(name: str, tables: Tables, limits: Limits, note: str) -> None:
+    """Print `tables` and write ``results/NAME.json``, which the book shows."""
+    judged = must_hold(limits)
+    for title, frame in {"Must hold": judged, **tables}.items():
         print(f"\n{title}\n{frame.to_string(index=False)}")
     record = {
         "machine": machine(),
         "note": note,
-        "limits": [] if limits is None else limits.to_numpy().tolist(),
+        "limits": judged.to_numpy().tolist(),
         "tables": {
             title: frame.to_dict(orient="split", index=False) for title, frame in tables.items()
         },
     }
-    RESULTS.mkdir(exist_ok=True)
     path = RESULTS / f"{name}.json"
     path.write_text(json.dumps(record, indent=1, ensure_ascii=False, default=float) + "\n")

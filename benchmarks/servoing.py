@@ -1,6 +1,6 @@
 """Controllers side by side on one workstation, and the loop over images beside the fast one.
 
-Run with ``python -m benchmarks.servoing``; it takes about a minute of one core.
+Run with ``python -m benchmarks servoing``; it takes about a minute of one core.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from benchmarks.report import publish
+from benchmarks.report import Limits, Tables
 from compendium import thesis
 from compendium.experiments.paths import circle_path, sinusoid_path, square_path
 from compendium.experiments.section_5_3 import WINDOWS
@@ -190,25 +190,18 @@ def _error(result: Any) -> float:
     return path_metrics(result.feature[late], result.reference[late]).accuracy
 
 
-NOTE = """\
+NOTE = f"""\
 The simulated camera takes 33 frames per second, and a command takes effect 0.8 frames after its
-exposure. The stage moves at up to 400 µm/s in increments of 50 nm, the image shakes by {jitter}
-px, and the calibration is known to 1 % and 1°. Every number is over {seeds} seeds. Errors are
-those of the true feature; after a step they are counted from 1.5 s on.
+exposure. The stage moves at up to 400 µm/s in increments of 50 nm, the image shakes by
+{CAMERA.jitter} px, and the calibration is known to 1 % and 1°. Every number is over {SEEDS} seeds.
+Errors are those of the true feature; after a step they are counted from 1.5 s on.
 """
 
 
-def main() -> None:
-    publish(
-        "servoing",
-        {
-            "Controllers": comparison(),
-            "Innovation gain": innovation_gains(),
-            "Rendered and fast loop": modes(),
-        },
-        note=NOTE.format(jitter=CAMERA.jitter, seeds=SEEDS),
-    )
-
-
-if __name__ == "__main__":
-    main()
+def main() -> tuple[Tables, Limits]:
+    tables = {
+        "Controllers": comparison(),
+        "Innovation gain": innovation_gains(),
+        "Rendered and fast loop": modes(),
+    }
+    return tables, []

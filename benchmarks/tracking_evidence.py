@@ -1,6 +1,6 @@
 """The tracker on photographs: hidden, in another light, blurred, gone, and back again.
 
-Run with ``python -m benchmarks.tracking_evidence``; it takes about six minutes of one core. It also
+Run with ``python -m benchmarks tracking_evidence``; it takes about six minutes of one core. It also
 fits the coefficients by which the tracker judges what it found, on other photographs, which needs
 those of Debian's package opencv-doc.
 """
@@ -21,7 +21,7 @@ from scipy import ndimage, optimize
 from skimage import data
 from skimage.color import rgb2gray
 
-from benchmarks.report import must_hold, publish
+from benchmarks.report import Limits, Tables
 from microlib.synthetic import camera_frame
 from microlib.tracking import ESMTracker, Track
 from microlib.tracking._geometry import apply_homography
@@ -479,38 +479,36 @@ LEAST_SUCCESS = {
 }
 
 
-def limits(held: pd.DataFrame, found: dict[str, float], back: pd.DataFrame) -> pd.DataFrame:
+def limits(held: pd.DataFrame, found: dict[str, float], back: pd.DataFrame) -> Limits:
     cell = held.set_index(["motion", "condition"])
     present = held[~held["condition"].isin(ABSENT)]
     absent = held[held["condition"].isin(ABSENT)]
     spread = present["z-rms of the middle"]
-    return must_hold(
-        [
-            *(
-                (
-                    f"{motion}, {condition}: success, %",
-                    cell["success (%)"][motion, condition],
-                    "≥",
-                    least,
-                )
-                for condition, each in LEAST_SUCCESS.items()
-                for motion, least in zip(("homography", "translation"), each, strict=True)
-                if least is not None
-            ),
-            ("silent errors over all, %", held["silent (%)"].mean(), "≤", 1),
-            ("templates that are gone, believed, %", 100 - absent["lost (%)"].min(), "≤", 0),
-            ("silent errors in any cell, %", held["silent (%)"].max(), "≤", 2),
-            ("error over stated σ, least of the cells", spread.min(), "≥", 0.8),
-            ("error over stated σ, largest of the cells", spread.max(), "≤", 1.3),
-            ("right findings refused, %", found["of them refused (%)"], "≤", 3),
-            ("wrong findings believed, %", found["of them believed (%)"], "≤", 3),
-            ("back after being hidden: found, %", back["found in frame 3 (%)"].min(), "≥", 95),
-        ]
-    )
+    return [
+        *(
+            (
+                f"{motion}, {condition}: success, %",
+                cell["success (%)"][motion, condition],
+                "≥",
+                least,
+            )
+            for condition, each in LEAST_SUCCESS.items()
+            for motion, least in zip(("homography", "translation"), each, strict=True)
+            if least is not None
+        ),
+        ("silent errors over all, %", held["silent (%)"].mean(), "≤", 1),
+        ("templates that are gone, believed, %", 100 - absent["lost (%)"].min(), "≤", 0),
+        ("silent errors in any cell, %", held["silent (%)"].max(), "≤", 2),
+        ("error over stated σ, least of the cells", spread.min(), "≥", 0.8),
+        ("error over stated σ, largest of the cells", spread.max(), "≤", 1.3),
+        ("right findings refused, %", found["of them refused (%)"], "≤", 3),
+        ("wrong findings believed, %", found["of them believed (%)"], "≤", 3),
+        ("back after being hidden: found, %", back["found in frame 3 (%)"].min(), "≥", 95),
+    ]
 
 
-NOTE = """\
-Each row has {pairs} pairs of images, those of the development photographs a third as many.
+NOTE = f"""\
+Each row has {PAIRS} pairs of images, those of the development photographs a third as many.
 Templates are 50×50 px of scikit-image's photographs, with a gradient of at least 1.5 grey levels
 per px in every direction and a noise of 2. Quintic splines warp them: for a homography each corner
 moves by a normal deviate of 2 px, and a translation is 12 px long.
@@ -522,7 +520,8 @@ moves by a normal deviate of 2 px, and a translation is 12 px long.
 - *Success*: all corners are found to within 1 px. *Silent*: more than 3 px off and not called
   lost.
 - *z-rms*: root mean square of the middle's errors over their stated standard deviation.
-- *Verdict*: findings of the robust search on {fitted} photographs with seeds of their own, right
+- *Verdict*: findings of the robust search on {len(DEVELOPMENT + ALSO_FITTED)} photographs with
+  seeds of their own, right
   within 1 px against wrong by more than 3 px or not there. The loss and the wrong ones believed
   (where 1 % of the right ones are refused) are those of findings that were left out of the fit, a
   sixth at a time; the first row is of all features.
@@ -533,8 +532,7 @@ Times are processor time; each frame is the first after the template's.
 """
 
 
-def main() -> None:
-    cv2.setNumThreads(1)
+def main() -> tuple[Tables, Limits]:
     held, found = cells(HELD_OUT, PAIRS, SEED)
     worth, fitted = verdict()
     back = returns()
@@ -548,9 +546,4 @@ def main() -> None:
         "Returns": back,
         "Variants": variants(VARIANT_PAIRS),
     }
-    note = NOTE.format(pairs=PAIRS, fitted=len(DEVELOPMENT + ALSO_FITTED))
-    publish("tracking_evidence", tables, limits=limits(held, found, back), note=note)
-
-
-if __name__ == "__main__":
-    main()
+    return tables, limits(held, found, back)
