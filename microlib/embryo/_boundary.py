@@ -21,7 +21,7 @@ from microlib.embryo._view import DIRECTIONS, View
 from microlib.embryo._wall import WallSettings, locate_wall
 
 #: Columns of outline wanted on each side of the probe; nothing changes from 10 to 40.
-_SHORTEST_SIDE = 20
+SHORTEST_SIDE = 20
 
 
 @dataclass(frozen=True)
@@ -226,8 +226,8 @@ def _trace(filled: NDArray[np.float32], probe: Probe, settings: Settings) -> lis
     scale = np.iinfo(np.int16).max / 4 / largest
     dx, dy = (np.rint(slope * scale).astype(np.int16) for slope in (dx, dy))
     edges = cv2.Canny(dx, dy, least * scale, 2 * least * scale)
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(edges, connectivity=8)
-    edge = (labels > 0) & (stats[:, cv2.CC_STAT_AREA] >= 2 * _SHORTEST_SIDE)[labels]
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(edges)
+    edge = (labels > 0) & (stats[:, cv2.CC_STAT_AREA] >= 2 * SHORTEST_SIDE)[labels]
     first = np.where(edge.any(axis=0), edge.argmax(axis=0), -1)
     sides: list[Array] = []
     for step, name in ((-1, "left"), (1, "right")):
@@ -237,7 +237,7 @@ def _trace(filled: NDArray[np.float32], probe: Probe, settings: Settings) -> lis
         rows = first[columns]
         broken = (rows < 0) | (np.abs(np.diff(rows, prepend=rows[:1])) > 6)
         length = int(np.append(broken, True).argmax())
-        if length < _SHORTEST_SIDE:
+        if length < SHORTEST_SIDE:
             raise ValueError(
                 f"image must show an embryo's outline on both sides of the probe, got {length} "
                 f"columns of it on the {name}"
@@ -285,7 +285,7 @@ def _refine(
     measured = np.vstack([points, scale * wall.std])
     found = [measured[:, good & on_left], measured[:, good & ~on_left]]
     for name, side in zip(("left", "right"), found, strict=True):
-        if side.shape[1] < _SHORTEST_SIDE:
+        if side.shape[1] < SHORTEST_SIDE:
             raise ValueError(
                 f"image must show a wall along the outline, got {side.shape[1]} points of it on "
                 f"the {name} of the probe"
@@ -310,7 +310,7 @@ def _refuse_without_dimple(sides: list[Array], probe: Probe) -> None:
         # (4.2) and capsules have fallen by half of their depth 3 px beside the thinnest needle; an
         # outline on which something only stands has not fallen at all. It is followed in whole
         # rows, so that a fall is seen up to one row too small; but a fall of two rows is one.
-        if fall < 0.3 * depth - (fall >= 2):
+        if fall < depth / 3 - (fall >= 2):
             raise ValueError(
                 "image must show an outline that falls to the probe's end, got a fall of "
                 f"{fall:.1f} px of {depth:.1f} px beside it on the {name}"

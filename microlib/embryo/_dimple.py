@@ -335,7 +335,7 @@ def _least_squares(outline: Array, start: Array, c: float) -> OptimizeResult:
     """Fit the seven numbers to the rows x, y, std of `outline`."""
     x, y, std = outline
     far, turn, sharpest = np.inf, _STEEPEST_TILT, 1 / start[3]
-    lower = [-far, -far, -turn, 1.01 * c, 0.0, 0.0, 0.0]
+    lower = [-far, -far, -turn, c + 1, 0.0, 0.0, 0.0]
     bounds = lower, [far, far, turn, far, far, sharpest, sharpest]
     return least_squares(
         lambda p: _normal_distance(p, x, y, c) / std,
@@ -356,7 +356,7 @@ def _profile(
     beyond = np.maximum(distance - a, 0.0)
     curvature = np.where(u < 0, left, right)
     # An arc of a circle; its root stays real where a search tries too strong a curvature.
-    root = np.sqrt(np.maximum(1 - (curvature * beyond) ** 2, 0.05))
+    root = np.sqrt(np.maximum(1 - (curvature * beyond) ** 2, 1 / 4**2))
     height = -dimple_profile(r, a, depth, probe_half_width=c) - curvature * beyond**2 / (1 + root)
     slope = 2 * scale * (1 / r - r / a**2) * (distance > c) - curvature * beyond / root
     return height, np.sign(u) * slope

@@ -231,7 +231,7 @@ def _starts(x: Array, y: Array, n: int) -> Iterator[Array]:
     end = 2 * blur
     density[:end], density[-end:] = density[end], density[-end - 1]
     # Straight parts get terms, too; and a straight line has no share of nothing.
-    share = np.cumsum(density + 0.1 * density.mean() + 1e-12)
+    share = np.cumsum(density + 0.1 * density.mean() + np.finfo(float).eps)
     share /= share[-1]
     even = np.linspace(0.0, 1.0, grid.size)
     for progress in (even, share):

@@ -59,7 +59,7 @@ def loess(x: ArrayLike, y: ArrayLike, *, span: float = 0.25, degree: int = 2) ->
     share = scalar("span", span, above=0, most=1)
     between("degree", whole("degree", degree, least=1), 1, 2, closed=True)
     # So that a product such as 0.29 × 100 loses no neighbor to rounding.
-    k = int(share * len(x) + 1e-10)
+    k = int(share * len(x) * (1 + 4 * np.finfo(float).eps))
     if k < degree + 1:
         raise ValueError(
             f"span must hold at least {degree + 1} points for degree {degree}, got {k} of {len(x)}"
@@ -96,7 +96,8 @@ def _local_fits(u: Array, y: Array, weights: Array, degree: int) -> Array:
     powers = u[..., np.newaxis] ** np.arange(degree + 1)
     weighted = (weights[..., np.newaxis] * powers).swapaxes(1, 2)
     normal, right = weighted @ powers, weighted @ y[..., np.newaxis]
-    # A hundred roundings; evenly spaced points give 1e-4 or more.
-    poor = np.linalg.det(normal) <= 1e-14 * normal[:, 0, 0] ** (degree + 1)
+    # What the sums' roundings leave; evenly spaced points give 1e-4 or more.
+    least = 4 * u.shape[1] * np.finfo(float).eps
+    poor = np.linalg.det(normal) <= least * normal[:, 0, 0] ** (degree + 1)
     normal[poor] = np.eye(degree + 1)
     return np.where(poor, np.nan, np.linalg.solve(normal, right)[:, 0, 0])

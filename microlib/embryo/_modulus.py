@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from microlib._common import Array, Tidy, measured, one_of, poisson
-from microlib.embryo._boundary import Boundary, extract_boundary
+from microlib.embryo._boundary import SHORTEST_SIDE, Boundary, extract_boundary
 from microlib.embryo._dimple import DimpleFit, fit_dimple, refuse_another_width
 from microlib.membrane import (
     SmallSlopeWarning,
@@ -362,7 +362,7 @@ def _egg_radius(boundary: Boundary, pixel_size: float) -> float | None:
     loads, and less than its wall's turn to the vertical is uncertain.
     """
     points = np.stack([boundary.x, boundary.y])
-    ends = np.stack([points[:, :15], points[:, -15:]])
+    ends = np.stack([points[:, :SHORTEST_SIDE], points[:, -SHORTEST_SIDE:]])
     middle = ends.mean(axis=-1, keepdims=True)
     # The sine of their direction, which is that of most of their extent.
     fall = np.abs(np.linalg.svd(ends - middle, full_matrices=False)[0][:, 1, 0])

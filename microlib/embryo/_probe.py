@@ -203,9 +203,9 @@ def _measure(grey: NDArray[np.float32], dark: float) -> Probe:
     sides = []
     for row in rows:
         across = width[row] if abs(width[row] - usual) > MARGIN else usual
-        distance, middle = np.arange(0.0, across / 2 + 6, _STEP), (ends[row].sum() - 1) / 2
+        distance, middle = np.arange(0.0, across / 2 + 4, _STEP), (ends[row].sum() - 1) / 2
         left, right = (np.interp(middle + way * distance, columns, grey[row]) for way in (-1, 1))
-        sides.append((middle - _half_way(left, bar, 6), middle + _half_way(right, bar, 6)))
+        sides.append((middle - _half_way(left, bar, 4), middle + _half_way(right, bar, 4)))
     slopes, starts = np.transpose([_robust_line(rows, side) for side in np.transpose(sides)])
     slope, start = float(slopes.mean()), float(starts.mean())
     # The model has its load along the axis. The outline is found up to four times this tilt
@@ -271,7 +271,7 @@ def _robust_line(x: NDArray, y: NDArray) -> tuple[float, float]:
     for _ in range(2):
         slope, start = np.polyfit(x[use], y[use], 1)
         off = np.abs(y - start - slope * x)
-        use = off <= 3 * MAD_TO_STD * np.median(off[use]) + 1e-6
+        use = off <= 3 * MAD_TO_STD * np.median(off[use]) + np.finfo(np.float32).eps
     return float(slope), float(start)
 
 

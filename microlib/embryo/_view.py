@@ -89,7 +89,7 @@ class View(Tidy):
         """Affine map from the image to what is kept of it, turned, (2, 3)."""
         size = np.array(self.size, float)
         turns = DIRECTIONS[self.direction]
-        angle = 90.0 * turns - np.rad2deg(self.tilt)
+        angle = np.rad2deg(np.pi / 2 * turns - self.tilt)
         matrix = cv2.getRotationMatrix2D(((size - 1) / 2).tolist(), angle, 1.0)
         # The middle of the image becomes that of the image after the quarter turns.
         matrix[:, 2] += (size[::-1] - size) / 2 * (turns % 2) - self.frame[:2]

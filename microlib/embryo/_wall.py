@@ -113,7 +113,7 @@ def locate_wall(
         return _gauss_newton(*part, width, start[some], settings)[2]
 
     # In px; other ranges and tolerances change E by up to 0.16 of its deviation.
-    search = minimize_scalar(misfit, bounds=(0.6, 3), method="bounded", options={"xatol": 0.01})
+    search = minimize_scalar(misfit, bounds=(0.5, 3), method="bounded")
     width = float(search.x)
     found, std, _ = _gauss_newton(profiles, offsets, keep, width, start, settings)
     first = np.where(keep, offsets, np.inf).min(axis=1)
@@ -127,7 +127,7 @@ def _normal(keep: Array, columns: Array) -> Array:
     """Return the weighted normal matrix of each profile, slightly damped."""
     # As products of matrices: a sum over three factors takes four times as long.
     normal = (keep[..., np.newaxis] * columns).swapaxes(1, 2) @ columns
-    return np.asarray(normal + 1e-9 * np.eye(columns.shape[-1]))
+    return np.asarray(normal + np.sqrt(np.finfo(float).eps) * np.eye(columns.shape[-1]))
 
 
 def _linear_fit(

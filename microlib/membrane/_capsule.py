@@ -174,9 +174,9 @@ class _Capsule(Problem):
         """Return mesh, state and unknowns of a sphere with a flat bottom and a hollow top."""
         inflation = self.inflation or 1.05
         if self.force is not None:
-            # An unstretched shell gets its tension from the force; the power was fitted to states.
+            # An unstretched shell gets its tension from the force, by about the power of states.
             # The least is more than rounding, and its pressure has a logarithm.
-            inflation = max(inflation, 1 + max(0.3 * self.force**0.7, 1e-12))
+            inflation = max(inflation, 1 + max(self.force ** (2 / 3) / 3, 1e-12))
         tension = self.law.even_stress(inflation) / inflation
         pressure = 2 * tension
         rim = self.rim if self.force is None else np.sqrt(self.force / (np.pi * pressure))
@@ -186,7 +186,7 @@ class _Capsule(Problem):
                 f"flattens {rim:.2g} R{self.said}"
             )
         if self.force is not None:
-            rim = min(rim, 0.7)
+            rim = min(rim, 3 / 4)
         rim = min(max(rim, 1.2 * self.probe), 0.95)
         plate = float(np.arcsin(rim))
         values = {"plate": plate, "crest": np.pi - plate, "inflation": inflation}
@@ -196,7 +196,7 @@ class _Capsule(Problem):
         flat, side, dimple = (arc for arc, _ in self.arcs(x, self.unpack(k)))
         r, pull = rim * flat / plate, tension / self.tension
         rows = [*_Flat(r, pull * r)]
-        hollow = 0.3 * rim * np.log(rim / np.sin(dimple)) / np.log(rim / self.probe)
+        hollow = rim / 3 * np.log(rim / np.sin(dimple)) / np.log(rim / self.probe)
         height = np.cos(plate) - np.cos(side)
         for arc, z, volume in (
             (side, height, _SPHERE * x),

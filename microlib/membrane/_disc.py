@@ -52,7 +52,7 @@ class _Disc(Problem):
         """Sizes of the displacement, of the horizontal force and of the height."""
         load = self.force + np.pi * self.pressure
         rim = 1 / self.outer  # the stretch that the edges alone would give
-        height = max(load ** (1 / 3), 1e-12)
+        height = max(load ** (1 / 3), np.finfo(float).eps)
         if rim < 1:
             # A slack disc hangs as deep as its meridians are long, however small the force.
             height += np.sqrt(self.outer**2 - 1)

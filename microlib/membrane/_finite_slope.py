@@ -111,7 +111,7 @@ def finite_slope_modulus(
             f"dimple_depth must be at least a billionth of the steepest, got {depth:g} µm"
         )
     # The sine at the probe stands for k: it runs over (0, 1].
-    steepest = brentq(lambda sine: _depth(sine, a, c) - depth, least, 1.0, xtol=1e-14)
+    steepest = brentq(lambda sine: _depth(sine, a, c) - depth, least, 1.0, xtol=np.finfo(float).eps)
     stress = load * (1 / c - c / a**2) / (2 * np.pi * steepest * h)
     r, dr, sine = _profile(steepest, a, c)
     cosine = np.sqrt((1 - sine) * (1 + sine))

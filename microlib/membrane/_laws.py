@@ -146,13 +146,14 @@ class MooneyRivlin(Law):
         """Return λ of 2(C₁ + C₂/λ)(λ − λ⁻²) = N, concave and rising, 0 at λ = 1."""
         c1, c2 = self.first_constant, self.second_constant
         stretch = 1 + stress
-        # Newton on a concave function squares the error with each step.
+        # Newton on a concave function squares the error with each step: the one after a step of the
+        # root of a rounding is a rounding.
         for _ in range(20):
             inverse = 1 / stretch
             value = c1 * (stretch - inverse**2) + c2 * (1 - inverse**3)
             step = (stress / 2 - value) / (c1 + inverse**3 * (2 * c1 + 3 * c2 * inverse))
             stretch = stretch + step
-            if np.all(np.abs(step) < 1e-13 * stretch):
+            if np.all(np.abs(step) < np.sqrt(np.finfo(float).eps) * stretch):
                 break
         return stretch
 
@@ -163,7 +164,7 @@ def _solve_biaxial(ratio: Array, hoop: Array) -> Array:
     # ξ − ξ⁻³ = s with ξ = λ/λ₂^(−1/2): one curve for all. The start is right at both of its ends;
     # Halley's third steps are below rounding for s > −1.
     s = ratio / natural
-    root = s / 4 + np.sqrt(1 + 9 / 16 * s**2)
+    root = s / 4 + np.sqrt(1 + (3 / 4 * s) ** 2)
     for _ in range(3):
         inverse = 1 / root
         fourth = (inverse * inverse) ** 2

@@ -272,7 +272,7 @@ class _Fit:
                     self.force, modulus=modulus, inflation=inflation, radius=size, **self.shell
                 )
                 yield _Place(np.log(modulus), inflation, axis, crest - egg.z.max(), size)
-        rim = float(np.clip(np.median(np.abs(top - axis)), 3 / 2 * c, 0.8 * size))
+        rim = float(np.clip(np.median(np.abs(top - axis)), 3 / 2 * c, 3 / 4 * size))
         depth = max(_depth(across, crest - z, rim, c, size), 0.02 * size)
         # The crest is flat, so its radius is the least certain.
         refused, found = None, False

@@ -65,7 +65,7 @@ def viscoelastic_force(
     """
     t = as_array("time", time, shape=(None,))
     if not (np.diff(t) > 0).all():
-        raise ValueError(f"time must ascend, got {t.tolist()[:5]}")
+        raise ValueError(f"time must ascend, got {t.tolist()[:4]}")
     elastic = as_array("elastic_force", elastic_force)
     if elastic.ndim == 0 or elastic.shape[-1] != t.size:
         raise ValueError(

@@ -161,7 +161,8 @@ def test_probe_may_come_from_any_edge(scene, edge, turns):
 @pytest.mark.parametrize("degrees", [-50.0, -10.0, 25.0])
 def test_a_leaning_probe_is_turned_upright(degrees):
     """Of an image of the same size, turned about the middle of the dimple's side."""
-    leaning = render(tilt=np.deg2rad(degrees), shape=(520, 720), center=(360.0, 230.0))
+    turned = {"tilt": np.deg2rad(degrees), "shape": (520, 720), "center": (360.0, 230.0)}
+    leaning = render(**turned)
     found = extract_boundary(leaning.image, direction="top")
     assert np.rad2deg(found.view.tilt) == pytest.approx(-degrees, abs=2.0)
     assert abs(found.probe.slope) < np.tan(np.deg2rad(2.0))
@@ -175,9 +176,7 @@ def test_a_leaning_probe_is_turned_upright(degrees):
     filled = found.without_probe(leaning.image)
     changed = np.abs(filled - leaning.image) > 30
     assert changed.sum() > 100 * 11
-    plain = render(
-        tilt=np.deg2rad(degrees), shape=(520, 720), center=(360.0, 230.0), probe=False, noise=0.0
-    )
+    plain = render(**turned, probe=False, noise=0.0)
     assert np.abs(filled - plain.image)[changed][:500].mean() < 6
 
 
@@ -226,64 +225,52 @@ def test_a_bar_that_is_bright_inside_is_refused():
         extract_boundary(image, direction="top")
 
 
-def spoiled(name: str) -> np.ndarray:
-    """Images that do not show what is needed."""
-    image = render().image
-    ground = np.random.default_rng(1).normal(190.0, 2.0, image.shape).clip(0, 255).astype(np.uint8)
-    if name == "no embryo":
-        ground[:180, 353:366] = 42
-        return ground
-    if name == "nothing":
-        return ground
-    if name == "probe beside":
-        bare = render(probe=False).image
-        bare[:300, 85:98] = 42
-        return bare
-    if name == "probe above":
-        bare = render(probe=False).image
-        bare[:60, 353:366] = 42
-        return bare
-    if name == "two probes":
-        image[:60, 150:163] = 42
-        return image
-    if name == "untouched":
-        return embryo_image(Embryo(1.0, 0.0, 1.0), rng=np.random.default_rng(0)).image
-    return {
-        "no probe": lambda: render(probe=False).image,
-        "saturated": lambda: (image * 1.4).clip(0, 255).astype(np.uint8),
-        "saturated 0 to 1": lambda: (image / 255 * 1.4).clip(0, 1),
-        "half of it": lambda: image[:, 340:],
-        "noise": lambda: np.random.default_rng(0).integers(0, 250, image.shape).astype(np.uint8),
-        "flat": lambda: np.full(image.shape, 120, np.uint8),
-        "tiny": lambda: image[:40, :40],
-        "color": lambda: np.stack([image] * 3, axis=2),
-        "NaN": lambda: np.where(image < 50, np.nan, image.astype(float)),
-    }[name]()
+def barred(image: np.ndarray, end: int, left: int) -> np.ndarray:
+    """An image with one more dark bar, from its upper edge to a row."""
+    image = image.copy()
+    image[:end, left : left + 13] = 42
+    return image
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("no embryo", "image must show an embryo's outline on both sides of the probe"),
-        ("nothing", "one dark probe that enters through its upper edge, got 0 bars"),
-        ("probe beside", "image must show an embryo's outline on both sides"),
-        ("probe above", "image must show a dimple at least 3 px deep"),
-        ("two probes", "one dark probe .* got 2 bars"),
-        ("untouched", "image must show a dimple at least 3 px deep"),
-        ("no probe", "one dark probe .* got 0 bars"),
-        ("saturated", "image must not be saturated"),
-        ("saturated 0 to 1", "image must not be saturated"),
-        ("half of it", "image must show an embryo's outline on both sides"),
-        ("noise", "one dark probe .* got 0 bars"),
-        ("flat", "one dark probe .* got 0 bars"),
-        ("tiny", "image must be at least 64 px on each side"),
-        ("color", "image must be a grey image"),
-        ("NaN", "image must be finite"),
-    ],
-)
-def test_images_that_show_no_dimple_are_refused(name, message):
+def ground() -> np.ndarray:
+    return np.random.default_rng(1).normal(190.0, 2.0, (480, 720)).clip(0, 255).astype(np.uint8)
+
+
+def image() -> np.ndarray:
+    return render().image
+
+
+def bare() -> np.ndarray:
+    return render(probe=False).image
+
+
+NO_PROBE = "one dark probe that enters through its upper edge, got 0 bars"
+ONE_SIDE = "image must show an embryo's outline on both sides of the probe"
+FLAT = "image must show a dimple at least 3 px deep"
+#: Images that do not show what is needed, and what is said of them.
+SPOILED = {
+    "no embryo": (lambda: barred(ground(), 180, 353), ONE_SIDE),
+    "probe beside": (lambda: barred(bare(), 300, 85), ONE_SIDE),
+    "half of it": (lambda: image()[:, 340:], ONE_SIDE),
+    "probe above": (lambda: barred(bare(), 60, 353), FLAT),
+    "untouched": (lambda: embryo_image(Embryo(1.0, 0.0, 1.0), rng=0).image, FLAT),
+    "nothing": (ground, NO_PROBE),
+    "no probe": (bare, NO_PROBE),
+    "noise": (lambda: np.random.default_rng(0).integers(0, 250, (480, 720), np.uint8), NO_PROBE),
+    "flat": (lambda: np.full((480, 720), 120, np.uint8), NO_PROBE),
+    "two probes": (lambda: barred(image(), 60, 150), "one dark probe .* got 2 bars"),
+    "saturated": (lambda: (image() * 1.4).clip(0, 255).astype(np.uint8), "not be saturated"),
+    "saturated 0 to 1": (lambda: (image() / 255 * 1.4).clip(0, 1), "not be saturated"),
+    "tiny": (lambda: image()[:40, :40], "image must be at least 64 px on each side"),
+    "color": (lambda: np.stack([image()] * 3, axis=2), "image must be a grey image"),
+    "NaN": (lambda: np.where(image() < 50, np.nan, image() * 1.0), "image must be finite"),
+}
+
+
+@pytest.mark.parametrize(("spoiled", "message"), SPOILED.values(), ids=SPOILED)
+def test_images_that_show_no_dimple_are_refused(spoiled, message):
     with pytest.raises(ValueError, match=message):
-        extract_boundary(spoiled(name))
+        extract_boundary(spoiled())
 
 
 def corner_bar(slope: float, height: float, length: float, half: float) -> np.ndarray:

@@ -11,17 +11,13 @@ IMAGE = np.arange(7.0 * 9).reshape(7, 9)
 
 
 @pytest.mark.parametrize("direction", DIRECTIONS)
-def test_what_was_turned_goes_back(direction: str) -> None:
+def test_what_was_turned_goes_back_and_its_points_are_the_images(direction: str) -> None:
     view = View((9, 7), direction)
     before = IMAGE.copy()
     changed = view.put_back(view.of(IMAGE) + 100, IMAGE)
     np.testing.assert_array_equal(IMAGE, before)
     np.testing.assert_array_equal(changed, IMAGE + 100)
-
-
-@pytest.mark.parametrize("direction", DIRECTIONS)
-def test_points_of_the_turned_are_pixels_of_the_image(direction: str) -> None:
-    view = View((9, 7), direction)
+    # Its points are pixels of the image.
     part = view.of(IMAGE)
     rows, columns = np.indices(part.shape)
     points = view.to_image(np.column_stack([columns.ravel(), rows.ravel()]))
