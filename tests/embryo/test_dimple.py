@@ -166,17 +166,16 @@ def test_refusals(change, message):
         fit_dimple(outline(Embryo.dented(100.0, modulus=1.0)), **call)
 
 
-def test_a_dimple_narrower_than_the_probe_is_refused():
-    plain = outline(Embryo.dented(100.0, modulus=1.0))
-    wide = replace(plain, probe=replace(plain.probe, half_width=65.0))
-    with pytest.raises(ValueError, match="probe_half_width must be below the dimple's radius"):
-        fit_dimple(wide, pixel_size=PIXEL, probe_half_width=260.0)
-
-
-def test_a_probe_beside_the_dimple_is_refused():
+@pytest.mark.parametrize(
+    ("half_width", "beside", "message"),
+    [
+        (65.0, 0, "probe_half_width must be below the dimple's radius"),
+        (6.25, 12, "boundary must have the probe's end .* got it 12"),
+    ],
+)
+def test_a_probe_that_is_not_in_the_dimple_is_refused(half_width, beside, message):
     boundary = outline(Embryo.dented(100.0, modulus=1.0))
-    tip = boundary.probe.tip
-    moved = Probe((tip[0] + 12, tip[1]), 0.0, boundary.probe.half_width)
-    shifted = replace(boundary, probe=moved)
-    with pytest.raises(ValueError, match="got it 12"):
-        fit_dimple(shifted, pixel_size=PIXEL, probe_half_width=25.0)
+    (x, y), slope = boundary.probe.tip, boundary.probe.slope
+    other = replace(boundary, probe=Probe((x + beside, y), slope, half_width))
+    with pytest.raises(ValueError, match=message):
+        fit_dimple(other, pixel_size=PIXEL, probe_half_width=half_width * PIXEL)

@@ -19,7 +19,8 @@ LAW = {"shares": [SHARE], "relaxation_times": [TAU]}
 SETTINGS = {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5, "direction": "top"}
 
 
-def images() -> list[np.ndarray]:
+@pytest.fixture(scope="module")
+def sequence() -> list[np.ndarray]:
     rng = np.random.default_rng(4)
     found = []
     for force in ELASTIC:
@@ -39,11 +40,6 @@ def true_force() -> np.ndarray:
 
     held = solve_ivp(slope, (0, 6), [0.0], t_eval=TIME, rtol=1e-9, atol=1e-9, max_step=0.01).y[0]
     return (1 - SHARE) * ELASTIC + held
-
-
-@pytest.fixture(scope="module")
-def sequence() -> list[np.ndarray]:
-    return images()
 
 
 @pytest.fixture(scope="module")
