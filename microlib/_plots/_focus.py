@@ -22,13 +22,8 @@ def maps(found: Any, ax: Any = None, unit: str = "µm") -> Any:
         axes = new_axes(2, 2, 5.5, 0.4 + 5 * rows / columns).ravel()
         show_image(axes[0], found.all_in_focus)
         axes[0].set_title("all in focus")
-        _map(
-            axes[2],
-            np.asarray(found.uncertainty),
-            "magma",
-            f"uncertainty ({unit})",
-            logarithmic=True,
-        )
+        uncertainty = np.asarray(found.uncertainty)
+        _map(axes[2], uncertainty, "magma", f"uncertainty ({unit})", logarithmic=True)
         _shaded(axes[3], depth, found.pixel_size, unit)
         ax = axes[1]
     _map(ax, depth, "viridis", f"height ({unit})")
