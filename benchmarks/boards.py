@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from benchmarks.photographs import pictures, texture
-from benchmarks.report import Limits, Tables
+from benchmarks.report import Limits, Tables, rms
 from microlib.calibration import calibrate, detect_circles, detect_squares
 from microlib.microscope import euler_rotation
 
@@ -126,13 +126,13 @@ def judged(kind: str, seeds: int, size: float, **change: Any) -> dict[str, float
         found, wrong = found + int(good.sum()), wrong + int((~good).sum())
         errors.append((result.points - truth[index])[good].ravel())
         stated.append(result.sigma[good])
-    rms = float(np.sqrt((np.concatenate(errors) ** 2).mean())) if errors else np.nan
-    sigma = float(np.sqrt((np.concatenate(stated) ** 2).mean())) if errors else np.nan
+    error = rms(np.concatenate(errors)) if errors else np.nan
+    sigma = rms(np.concatenate(stated)) if errors else np.nan
     return {
         "found %": round(100 * found / every, 1),
         "wrong points": wrong,
-        "error px": round(rms, 4),
-        "error over σ": round(rms / sigma, 2),
+        "error px": round(error, 4),
+        "error over σ": round(error / sigma, 2),
     }
 
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from benchmarks.report import Limits, Tables, paired_times
+from benchmarks.report import Limits, Tables, paired_times, rms
 from compendium import thesis
 from compendium.ledger import claim
 from microlib.calibration import calibrate, cramer_rao, detect_circles, detect_squares
@@ -102,15 +102,21 @@ def ours(detect: Callable, image: np.ndarray, scope: Microscope) -> np.ndarray:
         return np.empty((0, 2))
 
 
+def patterns(
+    scope: Microscope, pitch: float, imaging: ImagingConditions, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Draw 11×9 circles, 6×5 squares and a board of 11×9 fields of one pitch."""
+    options = {"imaging": imaging, "rng": rng}
+    circles = render_circles(scope, radius=pitch / 4, pitch=pitch, counts=(11, 9), **options)
+    squares = render_squares(scope, side=pitch, counts=(6, 5), **options)
+    return circles, squares, chessboard(scope, pitch, imaging, rng)
+
+
 def detect_all(
     scope: Microscope, pitch: float, imaging: ImagingConditions, rng: np.random.Generator
 ) -> dict[str, np.ndarray]:
     """Errors of every detector on the three patterns seen by one microscope."""
-    circles = render_circles(
-        scope, radius=pitch / 4, pitch=pitch, counts=(11, 9), imaging=imaging, rng=rng
-    )
-    squares = render_squares(scope, side=pitch, counts=(6, 5), imaging=imaging, rng=rng)
-    board = chessboard(scope, pitch, imaging, rng)
+    circles, squares, board = patterns(scope, pitch, imaging, rng)
     found = {
         "circles, microlib": ours(detect_circles, circles, scope),
         "findCirclesGrid": peer_circles(circles),
@@ -120,17 +126,17 @@ def detect_all(
     return {k: errors(scope, p, pitch) if len(p) else p for k, p in found.items()}
 
 
+#: Our detectors and the peers of the same marks.
+PEERS = {
+    "circles, microlib": "findCirclesGrid",
+    "squares, microlib": "findChessboardCornersSB",
+}
 COMPLETE = {
     "circles, microlib": 99,
     "findCirclesGrid": 99,
     "squares, microlib": 120,
     "findChessboardCornersSB": 80,
 }
-
-
-def rms(parts: list[np.ndarray]) -> float:
-    values = np.concatenate(parts)
-    return float(np.sqrt((values**2).mean())) if len(values) else np.nan
 
 
 def localisation(seeds: int = 4) -> pd.DataFrame:
@@ -150,9 +156,9 @@ def localisation(seeds: int = 4) -> pd.DataFrame:
         }
         for name, count in COMPLETE.items():
             whole = [run[name] for run in runs if len(run[name]) == count]
-            row[name] = (
-                round(rms(whole), 4) if len(whole) == seeds else f"found {len(whole)} of {seeds}"
-            )
+            row[name] = f"found {len(whole)} of {seeds}"
+            if len(whole) == seeds:
+                row[name] = round(rms(np.concatenate(whole)), 4)
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -172,25 +178,15 @@ def robustness() -> pd.DataFrame:
             *small_scene(rng, (tilt * DEGREE, -tilt * DEGREE)), imaging, rng
         ).items():
             good = len(error) == COMPLETE[name] and np.abs(error).max() < 1
-            tally[name].append(float(np.sqrt((error**2).mean())) if good else np.nan)
-    both = {
-        "circles, microlib": "findCirclesGrid",
-        "findCirclesGrid": "circles, microlib",
-        "squares, microlib": "findChessboardCornersSB",
-        "findChessboardCornersSB": "squares, microlib",
-    }
+            tally[name].append(rms(error) if good else np.nan)
     rows = []
-    for name, other in both.items():
-        mine, theirs = np.array(tally[name]), np.array(tally[other])
-        shared = np.isfinite(mine) & np.isfinite(theirs)
-        rows.append(
-            {
-                "detector": name,
-                "complete %": round(100 * float(np.isfinite(mine).mean()), 1),
-                "median RMS px where both found": round(float(np.median(mine[shared])), 4),
-            }
-        )
-    return pd.DataFrame(rows)
+    for pair in PEERS.items():
+        errors = np.array([tally[name] for name in pair])
+        found = np.isfinite(errors)
+        medians = np.median(errors[:, found.all(axis=0)], axis=1)
+        rows += zip(pair, (100 * found.mean(axis=1)).round(1), medians.round(4), strict=True)
+    columns = ["detector", "complete %", "median RMS px where both found"]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def thesis_columns(seeds: int = 20) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -201,7 +197,7 @@ def thesis_columns(seeds: int = 20) -> tuple[pd.DataFrame, pd.DataFrame]:
     for label, (nominal, pitch, printed) in COLUMNS.items():
         circle = label.startswith("circle")
         wrong = 0
-        offsets, plane, inside, scores = [], [], [], []
+        offsets, plane, inside = [], [], []
         for seed in range(seeds):
             rng = np.random.default_rng([seed, 3])
             scope = replace(
@@ -233,7 +229,6 @@ def thesis_columns(seeds: int = 20) -> tuple[pd.DataFrame, pd.DataFrame]:
             plane.append(fit.plane_error.mean)
             spans = [fit.interval(name) for name in names]
             inside.append([low <= t <= high for (low, high), t in zip(spans, truth, strict=True)])
-            scores.append((fit.estimate - truth) / np.array(list(fit.sigma.values())))
         rows.append(
             {
                 "column": label,
@@ -322,11 +317,7 @@ def times() -> pd.DataFrame:
     rng = np.random.default_rng(5)
     scope, pitch = small_scene(rng)
     imaging = ImagingConditions(blur=1.0, noise=2.0, dark=DARK, bright=BRIGHT)
-    circles = render_circles(
-        scope, radius=pitch / 4, pitch=pitch, counts=(11, 9), imaging=imaging, rng=rng
-    )
-    squares = render_squares(scope, side=pitch, counts=(6, 5), imaging=imaging, rng=rng)
-    board = chessboard(scope, pitch, imaging, rng)
+    circles, squares, board = patterns(scope, pitch, imaging, rng)
     pairs = {
         "99 circles / findCirclesGrid": (
             lambda: detect_circles(circles),
@@ -381,10 +372,7 @@ def limits(tables: Tables) -> Limits:
         ("95 % intervals that hold, rendered images, least column, %", covered.min(), "≥", 93),
         ("95 % intervals that hold, rendered images, most column, %", covered.max(), "≤", 97),
     ]
-    for ours, peer in (
-        ("circles, microlib", "findCirclesGrid"),
-        ("squares, microlib", "findChessboardCornersSB"),
-    ):
+    for ours, peer in PEERS.items():
         lines += [
             (f"{ours}: complete views less {peer}'s, %", complete[ours] - complete[peer], "≥", 0),
             (f"{ours}: error over {peer}'s", median[ours] / median[peer], "≤", 1),

@@ -241,25 +241,29 @@ def measure(seeds: range, probe: str) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=_COLUMNS)
 
 
+def errors_of(runs: pd.DataFrame) -> dict[str, float]:
+    """Return failures, bias, spread, worst error, coverage and time of measured moduli."""
+    error, std = runs["error"], runs["std"]
+    known = error.notna() & std.notna()
+    return {
+        "failures": int(error.isna().sum()),
+        "bias of E (%)": 100 * error.mean(),
+        "± (%)": 100 * error.sem(),
+        "spread of E (%)": 100 * error.std(),
+        "worst (%)": 100 * error.abs().max(),
+        "95 % intervals that hold (%)": 100 * (error.abs() < 1.96 * std)[known].mean(),
+        "CPU s an image, median": runs["seconds"].median(),
+    }
+
+
 def summarize(runs: pd.DataFrame, by: str) -> pd.DataFrame:
     """One row a kind of image: failures, bias, spread, worst error, coverage and time."""
     rows = []
     for kind, group in runs.groupby(by, sort=False):
-        error = group["error"].dropna()
-        rows.append(
-            {
-                by: kind,
-                "images": len(group),
-                "failures": int(group["error"].isna().sum()),
-                "silent errors": int(_silent(group)),
-                "bias of E (%)": 100 * error.mean(),
-                "spread of E (%)": 100 * error.std(),
-                "worst (%)": 100 * error.abs().max(),
-                "95 % intervals that hold (%)": 100 * group["holds"].mean(),
-                "intervals over the models that hold (%)": 100 * group["models hold"].mean(),
-                "CPU s an image, median": group["seconds"].median(),
-            }
-        )
+        row = {by: kind, "images": len(group)} | errors_of(group)
+        row["silent errors"] = _silent(group)
+        row["intervals over the models that hold (%)"] = 100 * group["models hold"].mean()
+        rows.append(row)
     return pd.DataFrame(rows).round(2)
 
 

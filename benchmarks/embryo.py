@@ -8,6 +8,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 from time import process_time
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_smoothing_spline
 from statsmodels.nonparametric.smoothers_lowess import lowess
 
+from benchmarks.capsule_embryo import errors_of
 from benchmarks.photographs import without_embryo
 from benchmarks.report import Limits, Tables, paired_times
 from compendium.experiments.section_5_6 import thesis_dimple
@@ -22,6 +24,7 @@ from microlib.embryo import extract_boundary, fit_dimple, loess, modulus_from_im
 from microlib.embryo._boundary import Settings, find_boundary
 from microlib.membrane import SmallSlopeWarning, elastic_modulus, modulus_std
 from microlib.synthetic import Embryo, embryo_image
+from microlib.synthetic._embryo import EmbryoImage
 
 EMBRYOS = 100
 CHOICES_TITLE = "Other settings (9 embryos, three of them with other noise or blur)"
@@ -41,7 +44,12 @@ CHOICES = {
 MEMBRANE = {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
 
 
-def draw_scene(seed: int):
+def draw_scene(
+    seed: int,
+    columns: tuple[float, float] = (360.0, 660.0),
+    rows: tuple[float, float] = (190.0, 310.0),
+    **options: Any,
+) -> EmbryoImage:
     """Render an embryo of random stiffness, dimple, place, turn and light; noise of 2/255."""
     rng = np.random.default_rng(seed)
     embryo = Embryo.dented(
@@ -50,10 +58,26 @@ def draw_scene(seed: int):
     return embryo_image(
         embryo,
         rng=rng,
-        center=(rng.uniform(360.0, 660.0), rng.uniform(190.0, 310.0)),
+        center=(rng.uniform(*columns), rng.uniform(*rows)),
         tilt=np.deg2rad(rng.uniform(-1.5, 1.5)),
         unevenness=rng.uniform(0.0, 0.2),
+        **options,
     )
+
+
+def usual_scene(seed: int, **options: Any) -> EmbryoImage:
+    """Render an embryo of 1 MPa and a random dimple, with other light or noise."""
+    rng = np.random.default_rng(seed)
+    embryo = Embryo.dented(rng.uniform(40.0, 150.0), modulus=1.0)
+    return embryo_image(embryo, rng=rng, **options)
+
+
+def modulus_of(dimple: Any, force: float) -> tuple[float, float]:
+    """Return the modulus by (4.3) and its relative standard deviation."""
+    sizes = {"dimple_radius": dimple.dimple_radius, "dimple_depth": dimple.dimple_depth}
+    values = sizes | MEMBRANE | {"force": force}
+    found = float(elastic_modulus(**values))
+    return found, modulus_std(values, {}, dimple_covariance=dimple.covariance) / found
 
 
 def spline_modulus(image: NDArray, force: float, pixel_size: float) -> float:
@@ -90,11 +114,7 @@ def characterize(seed: int) -> list[dict[str, object]]:
                 std = np.nan
             else:
                 dimple = thesis_dimple(extract_boundary(scene.image))
-                a, depth = dimple.dimple_radius, dimple.dimple_depth
-                values = {"force": truth.force, "dimple_radius": a, "dimple_depth": depth}
-                values |= MEMBRANE
-                found = float(elastic_modulus(**values))
-                std = modulus_std(values, {}, dimple_covariance=dimple.covariance) / found
+                found, std = modulus_of(dimple, truth.force)
             row |= {"error": np.log(found / truth.modulus), "std": std}
         except ValueError as reason:
             row |= {"error": np.nan, "std": np.nan, "reason": str(reason)}
@@ -111,22 +131,8 @@ def summarise(runs: pd.DataFrame) -> pd.DataFrame:
     }
     rows = []
     for method, group in runs.groupby("method", sort=False):
-        error = group["error"].dropna()
-        known = group["std"].notna().any()
-        inside = (error.abs() < 1.96 * group["std"].loc[error.index]).mean()
-        rows.append(
-            {
-                "method": names[str(method)],
-                "failures": int(group["error"].isna().sum()),
-                "bias of E (%)": 100 * error.mean(),
-                "± (%)": 100 * error.std() / np.sqrt(len(error)),
-                "spread of E (%)": 100 * error.std(),
-                "worst (%)": 100 * error.abs().max(),
-                "95 % intervals that hold (%)": 100 * inside if known else np.nan,
-                "CPU s an image, median": group["seconds"].median(),
-                "CPU s an image, longest": group["seconds"].max(),
-            }
-        )
+        row = {"method": names[str(method)]} | errors_of(group)
+        rows.append(row | {"CPU s an image, longest": group["seconds"].max()})
     return pd.DataFrame(rows).round(3)
 
 
@@ -166,12 +172,10 @@ def conditions(count: int = 12) -> pd.DataFrame:
     for noise, blur in ((0.0, 1.0), (2.0, 1.0), (4.0, 1.0), (8.0, 1.0), (2.0, 0.7), (2.0, 1.5)):
         errors = []
         for seed in range(count):
-            rng = np.random.default_rng(1000 + seed)
-            embryo = Embryo.dented(rng.uniform(40.0, 150.0), modulus=1.0)
-            scene = embryo_image(embryo, rng=rng, noise=noise, blur=blur)
+            scene = usual_scene(1000 + seed, noise=noise, blur=blur)
             try:
                 estimate = modulus_from_image(
-                    scene.image, embryo.force, pixel_size=scene.pixel_size, **MEMBRANE
+                    scene.image, scene.embryo.force, pixel_size=scene.pixel_size, **MEMBRANE
                 )
                 errors.append(np.log(estimate.modulus))
             except ValueError:
@@ -190,24 +194,12 @@ def conditions(count: int = 12) -> pd.DataFrame:
 
 def small_scenes() -> list:
     """The dimple's side of six embryos like those of `draw_scene`, and of three in other light."""
-    scenes = []
-    for seed in range(6):
-        rng = np.random.default_rng(700 + seed)
-        embryo = Embryo.dented(
-            rng.uniform(40.0, 150.0),
-            modulus=rng.uniform(0.5, 2.0),
-            rim_radius=rng.uniform(350, 600),
-        )
-        place = (rng.uniform(230.0, 370.0), rng.uniform(90.0, 130.0))
-        tilt, unevenness = np.deg2rad(rng.uniform(-1.5, 1.5)), rng.uniform(0.0, 0.2)
-        options = {"center": place, "tilt": tilt, "unevenness": unevenness}
-        scenes.append(embryo_image(embryo, rng=rng, shape=(360, 600), **options))
-    worse = ((8.0, 1.0), (4.0, 1.5), (0.0, 1.0))
-    for seed, (noise, blur) in enumerate(worse):
-        rng = np.random.default_rng(800 + seed)
-        embryo = Embryo.dented(rng.uniform(40.0, 150.0), modulus=1.0)
+    small = (360, 600)
+    columns, rows = (230.0, 370.0), (90.0, 130.0)
+    scenes = [draw_scene(700 + seed, columns, rows, shape=small) for seed in range(6)]
+    for seed, (noise, blur) in enumerate(((8.0, 1.0), (4.0, 1.5), (0.0, 1.0))):
         options = {"center": (300.0, 100.0), "noise": noise, "blur": blur}
-        scenes.append(embryo_image(embryo, rng=rng, shape=(360, 600), **options))
+        scenes.append(usual_scene(800 + seed, shape=small, **options))
     return scenes
 
 
@@ -220,12 +212,8 @@ def choices(scenes: list) -> pd.DataFrame:
             try:
                 boundary = find_boundary(scene.image, "auto", True, settings)
                 dimple = fit_dimple(boundary, pixel_size=scene.pixel_size, probe_half_width=25.0)
-                sizes = (dimple.dimple_radius, dimple.dimple_depth)
-                values = dict(zip(("dimple_radius", "dimple_depth"), sizes, strict=True))
-                values |= {"force": scene.embryo.force, **MEMBRANE}
-                modulus = float(elastic_modulus(**values))
-                std = modulus_std(values, {}, dimple_covariance=dimple.covariance)
-                found.append((np.log(modulus), std / modulus))
+                modulus, std = modulus_of(dimple, scene.embryo.force)
+                found.append((np.log(modulus), std))
             except ValueError:
                 found.append((np.nan, np.nan))
         return np.array(found).T

@@ -17,9 +17,9 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 from skimage import data
-from skimage.color import rgb2gray
 
-from benchmarks.report import Limits, Tables
+from benchmarks.photographs import grey_levels, middle, photograph
+from benchmarks.report import Limits, Tables, rms
 from microlib import synthetic
 from microlib.curvature import hk_labels, surface_curvature
 from microlib.focus import depth_from_focus
@@ -28,7 +28,7 @@ from microlib.focus._stages import NEEDED, STAGES, default_depth
 
 #: Frames of every stack, one step apart; blur grows by 1 px a step.
 POSITIONS = np.arange(21.0)
-BORDER = 16
+INNER = np.s_[16:-16, 16:-16]
 REAL = Path(__file__).resolve().parents[2] / "shared" / "real"
 
 #: Stages that may be left out.
@@ -168,28 +168,29 @@ def scenes(seed: int) -> Iterator[tuple[str, NDArray, NDArray]]:
     yield "texture 9.5, JPEG 85, noise 1", dome, stack(small, dome, 1.0, 0.25, jpeg=85)
 
 
-def _rms(error: NDArray) -> float:
-    return float(np.sqrt(np.nanmean(error**2)))
+def judged(truth: NDArray, stack: NDArray) -> list[float]:
+    """Return RMS errors of a stack: ours, that without the least confident tenth, and the others'.
+
+    The third number is our share of NaN; the others are judged where there is a depth of ours.
+    """
+    result = depth_from_focus(stack, POSITIONS)
+    error, confidence = (result.depth - truth)[INNER], result.confidence[INNER]
+    known = np.isfinite(error)
+    kept = confidence > np.quantile(confidence[known], 0.1)
+    others = [rms((depth(stack) - truth)[INNER][known]) for depth in METHODS.values()]
+    return [rms(error), rms(error[kept]), 1 - known.mean(), *others]
 
 
-def accuracy(seeds: int) -> dict[str, pd.DataFrame]:
+def accuracy(seeds: int) -> Tables:
     """Return the depth errors of all methods, and what confidence is worth."""
-    ours, others, sure = {}, {}, {}
-    inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
+    found: dict[str, list[list[float]]] = {}
     for seed in range(seeds):
         for name, truth, stack in scenes(seed):
-            result = depth_from_focus(stack, POSITIONS)
-            error, confidence = (result.depth - truth)[inner], result.confidence[inner]
-            kept = confidence > np.quantile(confidence, 0.1)
-            ours.setdefault(name, []).append(_rms(error))
-            sure.setdefault(name, []).append((_rms(error[kept]), np.isnan(error).mean()))
-            for method, depth in METHODS.items():
-                peer = _rms((depth(stack) - truth)[inner])
-                others.setdefault(name, {}).setdefault(method, []).append(peer)
+            found.setdefault(name, []).append(judged(truth, stack))
     rows, ranks = [], []
-    for name, values in ours.items():
-        mine = float(np.mean(values))
-        peers = {method: float(np.mean(v)) for method, v in others[name].items()}
+    for name, values in found.items():
+        mine, sure, unknown, *others = np.mean(values, axis=0)
+        peers = dict(zip(METHODS, others, strict=True))
         best = min(peers, key=peers.__getitem__)
         rows.append(
             {
@@ -201,20 +202,16 @@ def accuracy(seeds: int) -> dict[str, pd.DataFrame]:
                 "ratio": round(mine / peers[best], 2),
             }
         )
-        cut, unknown = np.mean(sure[name], axis=0)
         ranks.append(
             {
                 "scene": name,
                 "all": round(mine, 4),
-                "without the worst tenth": round(float(cut), 4),
-                "ratio": round(float(cut) / mine, 2),
-                "share of NaN": round(float(unknown), 4),
+                "without the worst tenth": round(sure, 4),
+                "ratio": round(sure / mine, 2),
+                "share of NaN": round(unknown, 4),
             }
         )
-    return {
-        SCENE_TABLE: pd.DataFrame(rows),
-        CONFIDENCE_TABLE: pd.DataFrame(ranks),
-    }
+    return {SCENE_TABLE: pd.DataFrame(rows), CONFIDENCE_TABLE: pd.DataFrame(ranks)}
 
 
 # --- Photographs as texture ----------------------------------------------------------------------
@@ -231,10 +228,6 @@ PHOTOGRAPHS = (
 STAGE_PHOTOGRAPHS = ("brick", "camera", "clock", "coins", "moon", "retina")
 
 
-def _grey(picture: NDArray) -> NDArray:
-    return 255 * rgb2gray(picture) if picture.ndim == 3 else picture.astype(float)
-
-
 def photographed() -> Iterator[tuple[str, str, NDArray, NDArray]]:
     """Yield photograph, surface, true depth in steps, and stack."""
     side = 256
@@ -245,10 +238,9 @@ def photographed() -> Iterator[tuple[str, str, NDArray, NDArray]]:
         "ball": 3 + synthetic.sphere_on_plane(shape, 6.0, 6.0 / 90),
     }
     for name in PHOTOGRAPHS:
-        grey = _grey(getattr(data, name)())
+        grey = photograph(name)
         grey = np.pad(grey, [(0, max(side - n, 0)) for n in grey.shape], mode="symmetric")
-        top, left = ((n - side) // 2 for n in grey.shape)
-        texture = grey[top : top + side, left : left + side]
+        texture = middle(grey, side)
         for surface, depth in surfaces.items():
             yield name, surface, depth, _render(texture, depth)
     # A stereo pair, whose disparity is the depth of what the photograph shows.
@@ -259,7 +251,7 @@ def photographed() -> Iterator[tuple[str, str, NDArray, NDArray]]:
     nearest = distance_transform_edt(unknown, return_distances=False, return_indices=True)
     disparity = disparity[tuple(nearest)]
     depth = 3 + 14 * (disparity - disparity.min()) / np.ptp(disparity)
-    yield "stereo_motorcycle", "its own", depth, _render(_grey(left_view)[window], depth)
+    yield "stereo_motorcycle", "its own", depth, _render(grey_levels(left_view)[window], depth)
 
 
 def _render(texture: NDArray, depth: NDArray) -> NDArray:
@@ -268,41 +260,20 @@ def _render(texture: NDArray, depth: NDArray) -> NDArray:
 
 
 def photographs() -> pd.DataFrame:
-    """Return the errors on photographs, of all methods where microlib gives a depth."""
-    inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
-    rows = []
+    """Return each photograph's errors on all surfaces, and the ratios to the best other's."""
+    errors: dict[str, dict[str, str]] = {}
+    shares: dict[str, list[tuple[float, float]]] = {}
     for name, surface, truth, stack in photographed():
-        result = depth_from_focus(stack, POSITIONS)
-        error, confidence = (result.depth - truth)[inner], result.confidence[inner]
-        known = np.isfinite(error)
-        kept = confidence > np.quantile(confidence[known], 0.1)
-        peers = {m: _rms((depth(stack) - truth)[inner][known]) for m, depth in METHODS.items()}
-        rows.append(
-            {
-                "photograph": name.replace("_", " "),
-                "surface": surface,
-                "microlib": round(_rms(error), 3),
-                "ratio": round(_rms(error) / min(peers.values()), 2),
-                "share of NaN": round(1 - known.mean(), 3),
-                "without the worst tenth": round(_rms(error[kept]) / _rms(error), 2),
-            }
-        )
-    return by_photograph(pd.DataFrame(rows))
-
-
-def by_photograph(table: pd.DataFrame) -> pd.DataFrame:
-    """Put the surfaces of a photograph side by side: error, and ratio to the best other's."""
-    rows = []
-    for name, group in table.groupby("photograph", sort=False):
-        row = {"photograph": name}
-        for _, one in group.iterrows():
-            row[f"{one['surface']}: error"] = f"{one['microlib']:.3f} (×{one['ratio']:.2f})"
-        row["share of NaN"] = round(float(group["share of NaN"].mean()), 3)
-        row["without the worst tenth"] = round(float(group["without the worst tenth"].mean()), 2)
-        rows.append(row)
-    table = pd.DataFrame(rows).fillna("")
-    errors = [column for column in table if column.endswith("error")]
-    return table[["photograph", *errors, *table.columns.difference(["photograph", *errors])]]
+        mine, sure, unknown, *others = judged(truth, stack)
+        shown = f"{mine:.3f} (×{mine / min(others):.2f})"
+        errors.setdefault(name, {})[f"{surface}: error"] = shown
+        shares.setdefault(name, []).append((unknown, sure / mine))
+    table = pd.DataFrame(errors).T.fillna("")
+    table.insert(0, "photograph", [name.replace("_", " ") for name in errors])
+    unknown, worst = np.transpose([np.mean(pairs, axis=0) for pairs in shares.values()])
+    table["share of NaN"] = unknown.round(3)
+    table["without the worst tenth"] = worst.round(2)
+    return table
 
 
 # --- What the stages and settings of the default depth are worth ---------------------------------
@@ -315,8 +286,8 @@ def _measured(stacks: list, **options: Any) -> NDArray:
         start = process_time()
         depth = default_depth(list(stack), None, np.arange(float(len(stack))), **options).depth
         time = process_time() - start
-        error = (depth - truth)[BORDER:-BORDER, BORDER:-BORDER]
-        rows.append((_rms(error), np.isnan(error).mean(), np.mean(np.abs(error) > 1), time))
+        error = (depth - truth)[INNER]
+        rows.append((rms(error), np.isnan(error).mean(), np.mean(np.abs(error) > 1), time))
     return np.array(rows)
 
 
@@ -365,14 +336,18 @@ def dense() -> tuple[NDArray, NDArray]:
     return depth, synthetic.focal_stack(texture, depth, z, blur_rate=0.25, noise=3.0, rng=0)
 
 
+def real_frames(folder: str) -> NDArray:
+    files = sorted((REAL / folder).glob("*.jpg"))
+    return np.stack([cv2.imread(str(file), cv2.IMREAD_GRAYSCALE) for file in files])
+
+
 def real_stacks() -> Iterator[NDArray]:
     """Yield a part of two real stacks, grey."""
     for folder, step, part in (
         ("board", 3, np.s_[480:1080, 600:1400]),
         ("pcb", 1, np.s_[500:1100, 700:1500]),
     ):
-        files = sorted((REAL / folder).glob("*.jpg"))[::step]
-        yield np.stack([cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)[part] for file in files])
+        yield real_frames(folder)[::step][:, *part]
 
 
 def reference(stack: NDArray) -> NDArray:
@@ -422,24 +397,18 @@ def curvature(seeds: int) -> pd.DataFrame:
     tube, ring = 120.0, 150.0
     across = np.sqrt(tube**2 - x**2)
     crown = np.sqrt((ring + across) ** 2 - y**2)
+    # Heights, H and K at the center, and labels.
+    around = -(1 / tube + 1 / (ring + tube)) / 2, 1 / (tube * (ring + tube))
     surfaces = {
-        "sphere": (np.sqrt(radius**2 - x**2 - y**2), 1),
-        "cylinder": (np.sqrt(radius**2 - x**2) + 0 * y, 2),
-        "saddle": ((x**2 - y**2) / (2 * radius), 6),
-        "torus, outside": (crown, 1),
-        "plane": (0.3 * x - 0.2 * y, 5),
-    }
-    exact = {
-        "sphere": (-1 / radius, 1 / radius**2),
-        "cylinder": (-1 / (2 * radius), 0.0),
-        "saddle": (0.0, -1 / radius**2),
-        "torus, outside": (-(1 / tube + 1 / (ring + tube)) / 2, 1 / (tube * (ring + tube))),
-        "plane": (0.0, 0.0),
+        "sphere": (np.sqrt(radius**2 - x**2 - y**2), -1 / radius, 1 / radius**2, 1),
+        "cylinder": (np.sqrt(radius**2 - x**2) + 0 * y, -1 / (2 * radius), 0.0, 2),
+        "saddle": ((x**2 - y**2) / (2 * radius), 0.0, -1 / radius**2, 6),
+        "torus, outside": (crown, *around, 1),
+        "plane": (0.3 * x - 0.2 * y, 0.0, 0.0, 5),
     }
     rows = []
-    for name, (height, label) in surfaces.items():
+    for name, (height, h, k, label) in surfaces.items():
         clean = surface_curvature(height, 1.0)
-        h, k = exact[name]
         shares = []
         for seed in range(seeds):
             rough = height + noise * np.random.default_rng(seed).standard_normal(height.shape)

@@ -9,17 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from skimage import data
-from skimage.color import rgb2gray
 
-from benchmarks.focus import scenes
-from benchmarks.report import Limits, Tables
+from benchmarks.focus import INNER, REAL, real_frames, scenes
+from benchmarks.photographs import middle, photograph
+from benchmarks.report import Limits, Tables, rms
 from microlib import synthetic
 from microlib.focus import depth_from_focus
 from microlib.focus._settings import Settings
@@ -43,7 +41,6 @@ BEFORE = {
     "JPEG of quality 75, noise 2": 0.0175,
     "texture 9.5, JPEG 85, noise 1": 0.0318,
 }
-REAL = Path(__file__).resolve().parents[2] / "shared" / "real"
 
 SCALE_TABLE = (
     "One scene and travel, more frames at equal noise (3) a frame: RMS error, first spacing"
@@ -88,6 +85,14 @@ def spread(image: NDArray, sigma: float, *, discs: bool) -> NDArray:
     return cv2.filter2D(sharp, -1, disc(2 * sigma)) if sigma > 0.17 else sharp
 
 
+def blended(ladder: NDArray, blurs: NDArray, blur: NDArray) -> NDArray:
+    """Return an image whose pixels have a blur each, from images that have one of `blurs` each."""
+    k = np.clip(np.searchsorted(blurs, blur) - 1, 0, len(blurs) - 2)
+    part = ((blur - blurs[k]) / (blurs[k + 1] - blurs[k])).astype(ladder.dtype)
+    below, above = (np.take_along_axis(ladder, k[None] + n, axis=0)[0] for n in (0, 1))
+    return np.asarray(below * (1 - part) + above * part)
+
+
 def render(
     texture: NDArray, depth: NDArray, seed: int, *, noise: float = 2.0, factor: int = 1
 ) -> Scene:
@@ -100,10 +105,7 @@ def render(
     frames = np.empty((len(positions), *texture.shape), np.uint8)
     for frame, position in zip(frames, positions, strict=True):
         blur = np.abs(depth - position)
-        k = np.clip(np.searchsorted(blurs, blur) - 1, 0, len(blurs) - 2)
-        part = ((blur - blurs[k]) / (blurs[k + 1] - blurs[k])).astype(np.float32)
-        below, above = (np.take_along_axis(ladder, k[None] + n, axis=0)[0] for n in (0, 1))
-        frame[:] = _exposed(below * (1 - part) + above * part, noise, rng)
+        frame[:] = _exposed(blended(ladder, blurs, blur), noise, rng)
     return Scene(positions, depth, frames)
 
 
@@ -137,11 +139,8 @@ def drawn(seed: int, **options: object) -> NDArray:
     return np.asarray(texture, np.float32)
 
 
-def photograph(name: str) -> NDArray:
-    picture = getattr(data, name)()
-    grey = 255 * rgb2gray(picture) if picture.ndim == 3 else picture.astype(float)
-    top, left = ((n - SIDE) // 2 for n in grey.shape)
-    return np.asarray(grey[top : top + SIDE, left : left + SIDE], np.float32)
+def photographed(name: str) -> NDArray:
+    return np.asarray(middle(photograph(name), SIDE), np.float32)
 
 
 def tilted(rise: float = 8.0) -> NDArray:
@@ -164,10 +163,6 @@ def dome() -> NDArray:
 
 def inner(image: NDArray) -> NDArray:
     return image[BORDER:-BORDER, BORDER:-BORDER]
-
-
-def rms(error: NDArray) -> float:
-    return float(np.sqrt(np.nanmean(error**2)))
 
 
 def error_of(scene: Scene) -> NDArray:
@@ -225,7 +220,7 @@ def smooth() -> pd.DataFrame:
         for name, depth, stack in scenes(seed):
             if name in BEFORE:
                 found = depth_from_focus(stack, np.arange(21.0)).depth - depth
-                errors.setdefault(name, []).append(rms(found[16:-16, 16:-16]))
+                errors.setdefault(name, []).append(rms(found[INNER]))
     rows = [(n, BEFORE[n], np.mean(e), np.mean(e) / BEFORE[n]) for n, e in errors.items()]
     return pd.DataFrame(rows, columns=["scene", "before", "now", "ratio"]).round(4)
 
@@ -238,13 +233,13 @@ def stated_scenes(seed: int) -> Iterator[tuple[str, str, Scene]]:
     yield "smooth", "dome, noise 2", render(drawn(seed), dome(), seed)
     yield "smooth", "dome, weak texture", render(drawn(seed, std=5.0), dome(), seed)
     yield "smooth", "dome, coarse texture", render(coarse, dome(), seed)
-    yield "smooth", "dome, chelsea", render(photograph("chelsea"), dome(), seed)
+    yield "smooth", "dome, chelsea", render(photographed("chelsea"), dome(), seed)
     for period, amplitude in RELIEFS:
         depth = tilted(1.5) + amplitude * waves(period)
         yield "other", f"relief {period} px, {amplitude}", render(drawn(seed), depth, seed)
     yield "other", "step that hides", render_step(drawn(seed), 5.7, 13.4, seed)
-    yield "other", "dome, coffee", render(photograph("coffee"), dome(), seed)
-    yield "other", "step, coffee", render_step(photograph("coffee"), 5.7, 13.4, seed)
+    yield "other", "dome, coffee", render(photographed("coffee"), dome(), seed)
+    yield "other", "step, coffee", render_step(photographed("coffee"), 5.7, 13.4, seed)
     flicker = 1 + np.random.default_rng(seed).uniform(-0.15, 0.15, COUNT)
     yield "other", "tilt, flicker ±15 %", relit(render(drawn(seed), tilted(), seed), 0.8 * flicker)
     drift = 2 ** ((np.arange(COUNT) - COUNT // 2) / (COUNT - 1))
@@ -282,8 +277,8 @@ def photographs() -> pd.DataFrame:
     for name in PHOTOGRAPHS:
         row: dict[str, object] = {"photograph": name.replace("_", " ")}
         for kind, scene in (
-            ("plane", render(photograph(name), tilted(), 100)),
-            ("step", render_step(photograph(name), 5.7, 13.4, 100)),
+            ("plane", render(photographed(name), tilted(), 100)),
+            ("step", render_step(photographed(name), 5.7, 13.4, 100)),
         ):
             error = error_of(scene)
             row[f"{kind}: RMS"] = round(rms(error), 3)
@@ -362,11 +357,7 @@ def flatness(depth: NDArray) -> tuple[float, float, float]:
 def real() -> pd.DataFrame:
     """Return what two real stacks show: how flat a plane is, and odd against even frames."""
 
-    def frames(folder: str) -> NDArray:
-        files = sorted((REAL / folder).glob("*.jpg"))
-        return np.stack([cv2.imread(str(file), cv2.IMREAD_GRAYSCALE) for file in files])
-
-    board, rows = frames("board"), []
+    board, rows = real_frames("board"), []
     for step in (1, 3):
         parts = []
         for start in range(step):
@@ -376,7 +367,7 @@ def real() -> pd.DataFrame:
         rows.append((f"board, every {step}. frame, worst", *(round(value, 4) for value in low)))
     found = depth_from_focus(board, np.arange(float(len(board))), register=True)
     rows.append(("board, registered", *flatness(found.depth)))
-    pcb = frames("pcb")
+    pcb = real_frames("pcb")
     z = np.arange(float(len(pcb)))
     even, odd = (depth_from_focus(pcb[k::2], z[k::2]).depth for k in (0, 1))
     apart = np.abs(odd - even)

@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from benchmarks.report import Limits, Tables
+from benchmarks.report import Limits, Tables, rms
 from microlib import synthetic
 from microlib.focus import depth_from_focus
 
@@ -131,8 +131,7 @@ def blocks(stacks: dict[str, NDArray]) -> pd.DataFrame:
                 depth = depth_from_focus(chunks, POSITIONS).depth.compute()
             off = np.abs(depth - whole)
             lost = float(np.mean(np.isnan(depth) != np.isnan(whole)))
-            rms = float(np.sqrt(np.nanmean(off**2)))
-            rows.append((name, side, rms, float(np.nanmax(off)), lost))
+            rows.append((name, side, rms(off), float(np.nanmax(off)), lost))
     return pd.DataFrame(rows, columns=["scene", "block, px", "RMS", "largest", "NaN in one"])
 
 

@@ -1,4 +1,4 @@
-"""Images without an indented embryo, of which no modulus may be read."""
+"""Photographs of other things: as textures, and as images of which no modulus may be read."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import skimage.data
 from numpy.typing import NDArray
+from skimage import data
+from skimage.color import rgb2gray
 
 #: Photographs and drawings that come with scikit-image; the others would need the network.
 PICTURES = (
@@ -39,9 +40,25 @@ PICTURES = (
 )
 
 
+def grey_levels(picture: NDArray) -> NDArray:
+    """Return grey levels, 0 to 255, of a picture that may have colors."""
+    return 255 * rgb2gray(picture[..., :3]) if picture.ndim == 3 else picture.astype(float)
+
+
+def photograph(name: str) -> NDArray:
+    """Return one of scikit-image's photographs in grey levels."""
+    return grey_levels(getattr(data, name)())
+
+
+def middle(image: NDArray, side: int) -> NDArray:
+    """Return the square in the middle of an image."""
+    top, left = ((n - side) // 2 for n in image.shape)
+    return image[top : top + side, left : left + side]
+
+
 def pictures() -> Iterator[tuple[str, NDArray[np.uint8]]]:
     """Yield scikit-image's pictures by name, in grey, at most 800 px on the longer side."""
-    folder = Path(skimage.data.__file__).parent
+    folder = Path(data.__file__).parent
     for name in PICTURES:
         grey = cv2.imread(str(folder / name), cv2.IMREAD_GRAYSCALE)
         scale = min(1.0, 800 / max(grey.shape))

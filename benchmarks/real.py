@@ -26,6 +26,7 @@ from microlib.io import read_frames, read_grey
 from microlib.tracking import track_all
 
 REAL = Path(__file__).resolve().parents[1] / "data" / "real"
+TOOLS = ["microlib", "OpenCV", "scikit-image", "other"]
 #: Middles of the five beads in the first frame, px.
 MIDDLES = ((200, 24), (242, 128), (345, 114), (25, 290), (226, 364))
 
@@ -155,12 +156,8 @@ def beads() -> dict[str, dict[str, float]]:
         track = track_all(film, (x - 16, y - 16, 33, 33), "translation")
         ours = track[["center_x", "center_y"]].to_numpy()
         template = cut(film[0], np.array([x, y]), 16)[0]
-        ways: dict[str, list[NDArray]] = {
-            "microlib": list(ours),
-            "OpenCV": [],
-            "scikit-image": [],
-            "other": [],
-        }
+        ways: dict[str, list[NDArray]] = {name: [] for name in TOOLS}
+        ways["microlib"] += list(ours)
         for frame, place in zip(film, ours, strict=True):
             part, corner = cut(frame, place, (len(template) - 1) // 2)
             same = part.shape == template.shape
@@ -208,7 +205,6 @@ photographs of the board two by two pixels are one. microlib takes colors as wel
 
 def main() -> tuple[Tables, Limits]:
     lines = board() | chessboard() | beads()
-    columns = ["microlib", "OpenCV", "scikit-image", "other"]
-    table = pd.DataFrame(lines).T.reindex(columns=columns).astype(float).round(3)
+    table = pd.DataFrame(lines).T.reindex(columns=TOOLS).astype(float).round(3)
     table.insert(0, "data and question", table.index)
     return {"Real images": table.reset_index(drop=True)}, []

@@ -9,16 +9,17 @@ those that the method was made with.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from time import process_time
 
 import cv2
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from skimage import data
-from skimage.color import rgb2gray
 
-from benchmarks.report import Limits, Tables
+from benchmarks.focus_depth import blended, disc
+from benchmarks.photographs import middle, photograph
+from benchmarks.report import Limits, Tables, paired_times, rms
 from microlib.focus import depth_from_focus
 
 #: Frames of every stack, one step apart; the disc's radius grows by 1.5 px a step.
@@ -47,10 +48,7 @@ def _texture(name: str, seed: int, side: int) -> NDArray:
         )
         grey: NDArray = np.sum([grain / grain.std() for grain in grains], axis=0)
     else:
-        picture = getattr(data, name)()
-        grey = 255 * rgb2gray(picture) if picture.ndim == 3 else picture.astype(float)
-        top, left = ((n - side) // 2 for n in grey.shape)
-        grey = grey[top : top + side, left : left + side]
+        grey = middle(photograph(name), side)
     grey = grey - grey.mean()
     return 128 + grey * 38 / grey.std()
 
@@ -66,28 +64,16 @@ def _surface(kind: str, side: int) -> NDArray:
     return surfaces[kind]
 
 
-def _disc(radius: float) -> NDArray:
-    half, fine = int(np.ceil(radius)) + 1, 8
-    grid = (np.arange((2 * half + 1) * fine) + 0.5) / fine - half - 0.5
-    inside = (grid[:, None] ** 2 + grid**2 <= max(radius, 0.35) ** 2).astype(float)
-    kernel = inside.reshape(2 * half + 1, fine, 2 * half + 1, fine).mean(axis=(1, 3))
-    return kernel / kernel.sum()
-
-
 def gathered(texture: NDArray, depth: NDArray) -> NDArray:
     """Blur each pixel by the disc of its own depth."""
     sharp = cv2.GaussianBlur(texture, (0, 0), 0.55)
     radii = np.concatenate([np.arange(0, 6, 0.25), np.arange(6, RATE * 18 + 1.5, 0.75)])
     blurred = np.stack(
-        [cv2.filter2D(sharp, -1, _disc(r), borderType=cv2.BORDER_REFLECT) for r in radii]
+        [cv2.filter2D(sharp, -1, disc(max(r, 0.35)), borderType=cv2.BORDER_REFLECT) for r in radii]
     )
     frames = np.empty((COUNT, *texture.shape))
     for frame, position in zip(frames, POSITIONS, strict=True):
-        radius = RATE * np.abs(depth - position)
-        low = np.clip(np.searchsorted(radii, radius, side="right") - 1, 0, len(radii) - 2)
-        share = (radius - radii[low]) / (radii[low + 1] - radii[low])
-        near, far = (np.take_along_axis(blurred, low[None] + k, 0)[0] for k in (0, 1))
-        frame[:] = (1 - share) * near + share * far
+        frame[:] = blended(blurred, radii, RATE * np.abs(depth - position))
     return frames
 
 
@@ -190,68 +176,61 @@ SCENES: tuple[tuple[Callable[[NDArray, NDArray], NDArray], str, str], ...] = (
 )
 
 
-def _error(found: NDArray, rest: NDArray, truth: NDArray) -> tuple[float, float]:
-    """Return RMS errors of both depths where both are known."""
-    inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
-    one, two = (found - truth)[inner], (rest - truth)[inner]
-    known = np.isfinite(one) & np.isfinite(two)
-    return float(np.sqrt(np.mean(one[known] ** 2))), float(np.sqrt(np.mean(two[known] ** 2)))
+def over_rest(found: NDArray, rest: NDArray, truth: NDArray) -> float:
+    """Return the RMS error over that of the stack at rest, where both depths are known."""
+    both = np.stack([found - truth, rest - truth])[:, BORDER:-BORDER, BORDER:-BORDER]
+    moved, still = both[:, np.isfinite(both).all(axis=0)]
+    return rms(moved) / rms(still)
 
 
 def ratios(first_seed: int) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the ratios of all cases on all scenes, with registration and without."""
-    cases = dict(CASES)
+    cases = {name: how for name, (how, _) in CASES.items()}
     cases |= {
-        f"{name}, offset ±{OFFSET:g}": ({**how, "offset": OFFSET}, OFFSET_LIMIT)
-        for name, (how, _) in CASES.items()
+        f"{name}, offset ±{OFFSET:g}": how | {"offset": OFFSET} for name, how in cases.items()
     }
-    rows: dict[str, list[tuple[float, float]]] = {name: [] for name in (*cases, ORACLE)}
-    rest_errors = []
+    registered: dict[str, list[float]] = {name: [] for name in (*cases, ORACLE)}
+    plain: dict[str, list[float]] = {name: [] for name in cases}
     for k, (render, texture, kind) in enumerate(SCENES):
         seed, side = first_seed + k, SIDE + 2 * MARGIN
         depth = _surface(kind, side)
         frames = render(_texture(texture, seed, side), depth)
         truth = depth[MARGIN:-MARGIN, MARGIN:-MARGIN]
         rests: dict[float, NDArray] = {}
-        for name, (how, _) in cases.items():
+        for name, how in cases.items():
             level = how.get("level", 1.0)
             if level not in rests:
                 still = disturbed(frames, seed, level=level)
                 rests[level] = depth_from_focus(still, POSITIONS).depth
             stack = disturbed(frames, seed, **how)
             found = depth_from_focus(stack, POSITIONS, register=True).depth
-            plain = depth_from_focus(stack, POSITIONS).depth
-            pair = _error(found, rests[level], truth)
-            bare = _error(plain, rests[level], truth)
-            rows[name].append((pair[0] / pair[1], bare[0] / bare[1]))
+            registered[name].append(over_rest(found, rests[level], truth))
+            found = depth_from_focus(stack, POSITIONS).depth
+            plain[name].append(over_rest(found, rests[level], truth))
             if name == DRIFT:
                 gains = how["drift"] ** ((np.arange(COUNT) - MIDDLE) / (COUNT - 1))
                 undone = (stack / gains[:, None, None]).astype(np.float32)
-                true = _error(depth_from_focus(undone, POSITIONS).depth, rests[level], truth)
-                rows[ORACLE].append((true[0] / true[1], np.nan))
-        rest_errors.append(_error(rests[1.0], rests[1.0], truth)[0])
-        print(f"{render.__name__} {texture} {kind}: {rest_errors[-1]:.4f} at rest", flush=True)
-    tables = []
-    for column in (0, 1):
-        values = {name: np.array(pairs)[:, column] for name, pairs in rows.items()}
-        tables.append(
-            pd.DataFrame(
-                [
-                    {
-                        "disturbance": name,
-                        "mean": round(float(np.exp(np.log(v).mean())), 3),
-                        "median": round(float(np.median(v)), 3),
-                        "worst": round(float(v.max()), 2),
-                        "worst scene": " ".join(
-                            (SCENES[v.argmax()][0].__name__, *SCENES[v.argmax()][1:])
-                        ),
-                    }
-                    for name, v in values.items()
-                    if np.isfinite(v).all()
-                ]
-            )
+                found = depth_from_focus(undone, POSITIONS).depth
+                registered[ORACLE].append(over_rest(found, rests[level], truth))
+        print(f"{render.__name__} {texture} {kind}: measured", flush=True)
+    return over_scenes(registered), over_scenes(plain)
+
+
+def over_scenes(ratios: dict[str, list[float]]) -> pd.DataFrame:
+    """Return the geometric mean, the median and the worst of all scenes."""
+    rows = []
+    for name, values in ratios.items():
+        render, *scene = SCENES[np.argmax(values)]
+        rows.append(
+            {
+                "disturbance": name,
+                "mean": round(float(np.exp(np.log(values).mean())), 3),
+                "median": round(float(np.median(values)), 3),
+                "worst": round(max(values), 2),
+                "worst scene": " ".join((render.__name__, *scene)),
+            }
         )
-    return tables[0], tables[1]
+    return pd.DataFrame(rows)
 
 
 # --- Cost --------------------------------------------------------------------
@@ -264,16 +243,14 @@ def cost() -> pd.DataFrame:
         depth = _surface("dome", side + 2 * MARGIN)
         frames = gathered(_texture("grain", 1, side + 2 * MARGIN), depth)
         stack = disturbed(frames, 1, shift=0.5, flicker=0.05)
-        times = []
-        for _ in range(3):
-            begin = process_time()
-            depth_from_focus(stack, POSITIONS)
-            plain = process_time()
-            depth_from_focus(stack, POSITIONS, register=True)
-            times.append((plain - begin, process_time() - plain))
-        alone, both = np.median(times, axis=0)
-        ratio = round(float((both - alone) / alone), 2)
-        rows.append((f"{side}×{side}, {COUNT} frames", f"{alone:.2f}", f"{both:.2f}", ratio))
+        both, alone, ratio = paired_times(
+            partial(depth_from_focus, stack, POSITIONS, register=True),
+            partial(depth_from_focus, stack, POSITIONS),
+            rounds=3,
+            clock=process_time,
+        )
+        name = f"{side}×{side}, {COUNT} frames"
+        rows.append((name, f"{alone:.2f}", f"{both:.2f}", round(ratio - 1, 2)))
     columns = ["stack", "depth, s", "registered, s", "registration over depth"]
     return pd.DataFrame(rows, columns=columns)
 

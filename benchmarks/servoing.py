@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from benchmarks.report import Limits, Tables
+from benchmarks.report import Limits, Tables, rms
 from compendium import thesis
 from compendium.experiments.paths import circle_path, sinusoid_path, square_path
 from compendium.experiments.section_5_3 import WINDOWS
@@ -34,10 +34,12 @@ CAMERA = Camera(interval=INTERVAL, latency=0.8 * INTERVAL, jitter=0.15)
 STAGE = Stage(saturation=400.0)
 #: px/µm at both zooms, and window of the tracker in px.
 ZOOMS = {zoom: (1 / thesis.effective_pixel(zoom), WINDOWS[zoom]) for zoom in thesis.ZOOMS}
-WEIGHTS = {
+OPTIMAL = {
+    "interval": INTERVAL,
     "feature_weight": thesis.FEATURE_WEIGHT,
     "control_weight": thesis.CONTROL_WEIGHT_MICROMETER,
 }
+PREDICTIVE = OPTIMAL | {"delay": CAMERA.latency, "saturation": STAGE.saturation}
 SEEDS = 50
 TASKS = {
     "step of 50 px": np.full((66, 2), 50.0),
@@ -57,15 +59,9 @@ def controllers(scale: float) -> dict[str, Callable[[], Any]]:
         return ibvs_control(jacobian, measured - reference[k], gain=10.0, drift=drift)
 
     return {
-        "optimal (2.28)": lambda: OptimalController(jacobian, interval=INTERVAL, **WEIGHTS),
+        "optimal (2.28)": lambda: OptimalController(jacobian, **OPTIMAL),
         "proportional (2.3), λ = 10/s": lambda: proportional,
-        "predictive": lambda: PredictiveController(
-            jacobian,
-            interval=INTERVAL,
-            **WEIGHTS,
-            delay=CAMERA.latency,
-            saturation=STAGE.saturation,
-        ),
+        "predictive": lambda: PredictiveController(jacobian, **PREDICTIVE),
     }
 
 
@@ -130,12 +126,7 @@ def innovation_gains() -> pd.DataFrame:
                 errors = []
                 for seed in range(SEEDS):
                     controller = PredictiveController(
-                        scale * np.eye(2),
-                        interval=INTERVAL,
-                        **WEIGHTS,
-                        delay=CAMERA.latency,
-                        saturation=STAGE.saturation,
-                        innovation_gain=share,
+                        scale * np.eye(2), **PREDICTIVE, innovation_gain=share
                     )
                     result = run(controller, scale, task, seed)
                     errors.append(path_metrics(result.feature, result.reference).accuracy / scale)
@@ -172,17 +163,13 @@ def modes() -> pd.DataFrame:
                     "zoom": zoom,
                     "task": task,
                     "lost frames": int(np.isnan(rendered.measured).any(axis=1).sum()),
-                    "RMS distance of both (px)": round(_rms(apart), 3),
+                    "RMS distance of both (px)": round(rms(apart), 3),
                     "mean error, rendered (px)": round(_error(rendered), 3),
                     "mean error, fast (px)": round(_error(fast), 3),
                     "bias of the tracker (px)": round(float(np.linalg.norm(noise.mean(0))), 3),
                 }
             )
     return pd.DataFrame(rows)
-
-
-def _rms(values: NDArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _error(result: Any) -> float:

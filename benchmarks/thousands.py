@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from time import monotonic, perf_counter, process_time, sleep, time_ns
 
@@ -23,7 +24,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from benchmarks.calibration import tilted
-from benchmarks.report import Limits, Tables
+from benchmarks.report import Limits, Tables, paired_times
 from microlib import synthetic
 from microlib.batch import process_files
 from microlib.calibration import calibrate
@@ -75,18 +76,13 @@ def calibrations() -> pd.DataFrame:
     for count in MARKS:
         path, world, seen = view(count)
         options = {"focal_length": focal, "pixel_size": 9.9, "image_size": (656, 491)}
-        seconds = []
-        for work in (
-            lambda: calibrate(world, seen, **options),  # noqa: B023
-            lambda: peer_calibrate(world, seen, path),  # noqa: B023
-        ):
-            times = []
-            for _ in range(3):
-                start = process_time()
-                work()
-                times.append(process_time() - start)
-            seconds.append(min(times))
-        rows.append((count, *(round(s, 3) for s in seconds), round(seconds[0] / seconds[1], 3)))
+        found = paired_times(
+            partial(calibrate, world, seen, **options),
+            partial(peer_calibrate, world, seen, path),
+            rounds=3,
+            clock=process_time,
+        )
+        rows.append((count, *np.round(found, 3)))
     return pd.DataFrame(rows, columns=["marks", "microlib, s", "calibrateCamera, s", "ratio"])
 
 

@@ -28,9 +28,8 @@ import numpy as np
 from benchmarks.faults.planted import NOT_COPIED, ROOT
 
 CHAPTER = "04"
-GRACE = (
-    5.0  # s for workers and kernels to see that their parent is gone; kernels look once a second
-)
+#: s for workers and kernels to see that their parent is gone; kernels look once a second.
+GRACE = 5.0
 LONGEST = 1800.0  # s
 MARK = "COMPENDIUM_FAULTS"
 

@@ -26,9 +26,9 @@ from queue import Queue
 
 import nbformat
 
+from benchmarks.faults.planted import NOT_COPIED, ROOT
 from compendium import ledger
 
-ROOT = Path(__file__).resolve().parents[2]
 FAULTS = Path(__file__).with_name("verdicts.toml")
 
 
@@ -84,13 +84,9 @@ def replaced(records: dict[str, ledger.Record]) -> dict[str, list[str]]:
 
 
 def copy_project(folder: Path) -> Path:
-    ignore = shutil.ignore_patterns("__pycache__", ".hypothesis")
-    for name in ("microlib", "compendium", "data", "notebooks"):
-        shutil.copytree(ROOT / name, folder / name, ignore=ignore)
+    shutil.copytree(ROOT, folder, ignore=shutil.ignore_patterns(*NOT_COPIED))
     # Chapter 6 reads the records of the others.
     shutil.copytree(ROOT / "build" / "claims", folder / "build" / "claims")
-    for name in ("pyproject.toml", "environment.txt"):
-        shutil.copy(ROOT / name, folder)
     return folder
 
 
