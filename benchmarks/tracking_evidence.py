@@ -19,8 +19,8 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import ndimage, optimize
 from skimage import data
-from skimage.color import rgb2gray
 
+from benchmarks.photographs import grey_levels
 from benchmarks.report import Limits, Tables
 from microlib.synthetic import camera_frame
 from microlib.tracking import ESMTracker, Track
@@ -110,7 +110,7 @@ def photograph(name: str) -> Array:
     else:
         image = getattr(data, name)()
     image = image[0] if isinstance(image, tuple) else image
-    grey = 255.0 * rgb2gray(image[..., :3]) if image.ndim == 3 else image.astype(np.float64)
+    grey = grey_levels(image)
     scale = 1000 / max(grey.shape)
     if scale < 1:
         grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
