@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from microlib.servoing._motion import fit_motion, visits
+from microlib.servoing._motion import StageMotion, fit_motion, visits
 
 JACOBIAN = np.array([[0.1, -0.35], [-0.4, -0.05]])
 DRIFT = np.array([0.3, -0.2])
@@ -53,3 +53,19 @@ def test_an_axis_that_never_moved_leaves_the_jacobian_open():
     time, position, feature, covariance = looks(np.random.default_rng(4), 1e-4 * np.eye(2))
     position[:, 1] = 0.0
     assert fit_motion(time, position, feature, covariance).share == float("inf")
+
+
+def test_looks_that_agree_too_well_are_no_more_certain_than_they_say():
+    exact, noisy = (
+        fit_motion(*looks(np.random.default_rng(3), 1e-3 * np.eye(2), excess=excess))
+        for excess in (1e-6, 1.0)
+    )
+    assert exact.misfit < 0.01
+    # The covariance is that of the tracks, which are the same; χ² above 1 may enlarge the other.
+    enlarged = max(1.0, noisy.misfit)
+    np.testing.assert_allclose(exact.covariance * enlarged, noisy.covariance, rtol=1e-9, atol=1e-18)
+
+
+def test_the_share_is_three_deviations_over_what_is_least_done():
+    motion = StageMotion(np.diag([2.0, -0.5]), np.diag([1.0, 2.0, 3.0, 4.0]) * 1e-4, np.zeros(2), 1)
+    assert motion.share == pytest.approx(3 * 0.02 / 0.5)
