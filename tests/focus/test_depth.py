@@ -90,6 +90,8 @@ def test_a_step_stays_within_a_pixel_of_its_place():
     confidence = np.median(result.confidence, axis=0)
     # Where it is worst, an error of more than a frame is stated.
     assert confidence[8 + worst.argmax()] < 0.5 < 0.9 < confidence[20]
+    share = result.uncertainty / STEP
+    np.testing.assert_allclose(result.confidence, 1 / (1 + share**2), rtol=1e-4)
 
 
 def test_all_in_focus_is_nearer_to_the_texture_than_any_frame(dome):

@@ -164,10 +164,11 @@ def test_light_falls_from_any_side():
 
 def test_tilt_turns_the_scene_clockwise_about_its_center():
     scene = embryo_image(Embryo(1.0, 0.0, 1.0), rng=np.random.default_rng(0), tilt=0.1)
-    turned = scene.to_pixels([[100.0, 0.0], [0.0, 0.0]]) - scene.center
+    turned = scene.to_pixels([[100.0, 0.0], [0.0, 100.0], [0.0, 0.0]]) - scene.center
     length = 100.0 / scene.pixel_size
     np.testing.assert_allclose(turned[0], [length * np.cos(0.1), length * np.sin(0.1)])
-    np.testing.assert_allclose(turned[1], 0.0, atol=1e-12)
+    np.testing.assert_allclose(turned[1], [length * np.sin(0.1), -length * np.cos(0.1)])
+    np.testing.assert_allclose(turned[2], 0.0, atol=1e-12)
 
 
 def test_noise_light_and_seed():
