@@ -189,7 +189,7 @@ def test_a_cluster_of_which_a_process_is_killed(folder: Path) -> None:
         os.kill(killed[0], signal.SIGKILL)
 
     with (
-        distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=":0") as cluster,
         distributed.Client(cluster) as client,
         ThreadPoolExecutor(1) as killer,
     ):

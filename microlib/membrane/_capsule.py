@@ -570,7 +570,7 @@ def _state(
     # From the probe's edge to the plate's middle; zones share their ends.
     zones = [zone[:, ::-1] for zone in reversed(problem.meridian(solution))]
     meridian = np.column_stack([*zones, middle])
-    again = np.flatnonzero(np.hypot(*np.diff(meridian[:2])) == 0) + 1
+    again = np.flatnonzero(np.hypot(*np.diff(meridian[:2])) < 1e-12) + 1  # but for rounding
     dimple = _parts(solution.y)[2]
     sizes = {"depth": dimple.z[0] - dimple.z[-1], "approach": 2 - dimple.z[-1]}
     sizes |= {"rim_radius": u.rim, "pressure": u.pressure, **problem.stored(solution)}

@@ -85,3 +85,15 @@ def test_a_stop_is_tried_three_times(refusals: int, said: str) -> None:
     assert (end.complete, end.still) == (not said, not said)
     assert said in end.reason
     assert stage.stops == min(refusals + 1, 3)
+
+
+def test_an_interrupt_at_the_very_end_is_told() -> None:
+    guard, _, stage = guard_of()
+
+    def work() -> str:
+        guard.interrupted.set()  # after the last call to a device
+        return "all positions were visited"
+
+    end = guard.run(work)
+    assert (end.reason, end.complete, end.still) == ("interrupted by the user", False, True)
+    assert stage.stops == 1
