@@ -160,6 +160,15 @@ def test_the_poses_and_gains_are_the_true_ones() -> None:
     np.testing.assert_array_equal(result.offset, 0)  # there are none
 
 
+def test_a_turn_is_the_true_one() -> None:
+    poses = registered("tilt", 1, turn=3.0, scale=0.02).poses
+    assert poses is not None
+    true = np.deg2rad(3.0) * (np.arange(COUNT) - MIDDLE) / (COUNT - 1)
+    # A fifth of a px at the corners, 110 px from the middle; the scale, which a blur that
+    # changes over the image resembles, is known to half of what it is here.
+    np.testing.assert_allclose(np.arctan2(poses[:, 0, 1], poses[:, 0, 0]), true, atol=2e-3)
+
+
 def test_colors_flicker_no_more() -> None:
     frames, _ = scene("tilt", 1)
     grey = disturbed(frames, 1, flicker=0.15)
