@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
 
-from microlib.tracking import KalmanFilter
+from microlib.synthetic import texture_sequence
+from microlib.tracking import ESMTracker, KalmanFilter
 
 INTERVAL, ACCELERATION, NOISE = 0.03, 300.0, 0.2
 
@@ -95,3 +96,19 @@ def test_refuses_what_cannot_be(argument, value):
     arguments = {"interval": 0.03, "acceleration": 100.0, "noise": 0.1} | {argument: value}
     with pytest.raises(ValueError, match=argument):
         KalmanFilter((0, 0), **arguments)
+
+
+def test_a_tracker_seeks_a_hidden_part_where_the_filter_expects_it():
+    way = np.array([20.3, 30.6]) + np.outer(np.arange(12), [7.0, 4.0])
+    frames = texture_sequence(way, 0, size=40, sigma=2.0)
+    middle = way[0] + 19.5
+    filtered = KalmanFilter(middle, interval=INTERVAL, acceleration=ACCELERATION, noise=NOISE)
+    tracker = ESMTracker(frames[0], (20, 31, 40, 40), "translation", kalman=filtered)
+    assert not any(tracker.track(frame).lost for frame in frames[1:9])
+    blank = np.full_like(frames[0], 128)
+    for k in (9, 10):
+        track = tracker.track(blank)
+        assert track.lost
+        # Eight looks to some hundredths of a px know the speed to a tenth of a px a frame.
+        assert np.abs(track.center - (way[k] - way[0] + (39.5, 50.5))).max() < 0.5
+    assert not tracker.track(frames[11]).lost
