@@ -68,7 +68,7 @@ format: $(STAMP) ## format the code and strip the notebooks
 data: $(STAMP) ## write data/synthetic anew, the same bytes
 	@$(BIN)/python -m data.synthetic.make
 
-benchmarks: $(STAMP) ## measure microlib beside its peers (minutes)
+benchmarks: $(STAMP) ## measure microlib beside its peers (an hour; says how long, keeps what is done)
 	@$(BIN)/python -m benchmarks
 
 # The library's tests; the others need what runs and renders the book.

@@ -80,13 +80,14 @@ def must_hold(lines: Limits) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["what", "measured", "limit", "holds"])
 
 
-def publish(name: str, tables: Tables, limits: Limits, note: str) -> None:
+def publish(name: str, tables: Tables, limits: Limits, note: str, minutes: float) -> None:
     """Print `tables` and write ``results/NAME.json``, which the book shows."""
     judged = must_hold(limits)
     for title, frame in {"Must hold": judged, **tables}.items():
         print(f"\n{title}\n{frame.to_string(index=False)}")
     record = {
         "machine": machine(),
+        "minutes": round(minutes, 1),
         "note": note,
         "limits": judged.to_numpy().tolist(),
         "tables": {
