@@ -8,13 +8,19 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import NoReturn
 
+from tqdm import tqdm
+
 import microlib
 from microlib._command import _calibrate, _depth, _modulus, _track
-from microlib._command._scales import option
+from microlib._command._shared import option
 from microlib._common import replace_file
+
+#: Endings of files that people ask for where a folder is meant.
+_OF_FILES = (".csv", ".json", ".png", ".tif", ".tiff", ".ply", ".txt", ".xlsx")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -27,14 +33,16 @@ class _Parser(argparse.ArgumentParser):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit status, as its help lists them."""
     a = _parser().parse_args(arguments)
+    a.out = a.out.expanduser()
+    notes: dict[str, None] = {}  # each once, in their order
+    a.note = lambda text: notes.setdefault(f"note: {text}")
     a.say = (lambda *_: None) if a.quiet else print
     # Shown in a terminal only.
-    a.bar = {"desc": a.task, "leave": False, "disable": a.quiet or None}
+    a.bar = partial(tqdm, desc=a.task, leave=False, disable=a.quiet or None)
     a.end = 0, ""  # a task may end with another status, and say why
-    notes: dict[str, None] = {}  # each once, in their order
     with warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)
-        warnings.showwarning = lambda message, *_: notes.setdefault(f"note: {message}")
+        warnings.showwarning = lambda message, *_: a.note(message)
         try:
             _write_files(a)
             status, text = a.end
@@ -55,49 +63,52 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _write_files(a: argparse.Namespace) -> None:
     """Write what a task gives, each file whole or not at all."""
-    files = {name: _place(a, name) for name in a.files if name != "look.png" or not a.no_look}
-    _refuse_targets(a, list(files.values()))
+    files = _targets(a)
     for name, write in a.run(a):
-        if name in files:
-            files[name].parent.mkdir(parents=True, exist_ok=True)
-            replace_file(files[name], write)
+        if file := files.get(name):
+            file.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                replace_file(file, write)
+            except ValueError as error:  # the others are written all the same
+                file.unlink(missing_ok=True)  # of another run
+                a.note(f"{file.name} is not written: {error}")
     written = [file for file in files.values() if file.exists()]
     a.say(f"{written[0].parent}: {', '.join(file.name for file in written)}")
 
 
-def _place(a: argparse.Namespace, name: str) -> Path:
-    """Return where a file goes: into the folder, or beside the table, as track_look.png."""
-    if "table" not in a.files:
-        return a.out / name
-    return a.out if name == "table" else a.out.with_name(f"{a.out.stem}_{name}")
-
-
-def _refuse_targets(a: argparse.Namespace, files: Sequence[Path]) -> None:
-    """Refuse to begin if a file to be written is there already, or its folder takes none."""
-    there = [file for file in files if file.exists()]
-    if there and not a.overwrite:
+def _targets(a: argparse.Namespace) -> dict[str, Path]:
+    """Return where each file goes; refuse what is there already or cannot be written."""
+    names = [name for name in a.files if name != "look.png" or not a.no_look]
+    ending = a.out.suffix.lower()
+    if "table" in names:
+        files = {name: a.out.with_name(f"{a.out.stem}_{name}") for name in names} | {"table": a.out}
+        wrong, need = ending != ".csv", "a table that ends in .csv"
+    else:
+        files = {name: a.out / name for name in names}
+        wrong, need = ending in _OF_FILES and not a.out.is_dir(), "a folder"
+    if wrong:
+        raise ValueError(f"--out must be {need}, got {a.out}")
+    if not a.overwrite and (there := [file for file in files.values() if file.exists()]):
         raise ValueError(f"{there[0]} is there already: give another --out, or --overwrite")
-    nearest = next(place for place in files[0].absolute().parents if place.exists())
+    nearest = next(p for p in files[names[0]].absolute().parents if p.exists())
     try:
         tempfile.TemporaryFile(dir=nearest).close()
     except OSError as error:
         raise ValueError(f"{a.out} cannot be written: {error.strerror}") from error
+    return files
 
 
 def _in_options(a: argparse.Namespace, text: str) -> str:
     """Return a message of the library with the command's options for the library's arguments."""
+    source = a.source if isinstance(a.source, str) else "photographs"
     words = {name: option(name) for name in vars(a)}
-    words |= {name: str(getattr(a, of, of)) for name, of in a.words.items()}
-    argument = r"\w+(?= (?:must|cannot(?! be read)|could) )"
+    words |= dict.fromkeys(("frames", "frame", "image", "world", "x", "y", "curve"), source)
+    words |= {"positions": "--spacing", "poisson_ratio": "--poisson"}
+    words |= {"pixel_size": "--cell"} if "cell" in a else {}
+    side = "(?:x |y |width |height )?"  # of a box
+    argument = rf"\w+(?= {side}(?:must|cannot(?! be read)|could) )"
     text = re.sub(argument, lambda m: words.get(m[0], m[0]), text)
     return " ".join(text.split())
-
-
-def _table(text: str) -> Path:
-    """Return the path of a table, as argparse asks for it."""
-    if not text.lower().endswith(".csv"):
-        raise argparse.ArgumentTypeError(f"must be a table that ends in .csv, got {text}")
-    return Path(text)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -110,14 +121,14 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=microlib.__version__)
     tasks = parser.add_subparsers(dest="task", required=True, metavar="TASK")
     for task in (_depth, _calibrate, _track, _modulus):
-        name, about = task.__name__.rpartition("_")[2], task.run.__doc__
-        sub = tasks.add_parser(name, help=about, description=about)
+        name = task.__name__.rpartition("_")[2]
+        about, _, example = task.run.__doc__.partition("\n")
+        sub = tasks.add_parser(name, help=about, description=about, epilog=example)
         task.add_options(sub)
         sub.set_defaults(run=task.run)
         table = "table" in sub.get_default("files")
         out = "CSV file to write" if table else "folder for the results"
-        kind = _table if table else Path
-        sub.add_argument("-o", "--out", required=True, type=kind, metavar="OUT", help=out)
+        sub.add_argument("-o", "--out", required=True, type=Path, metavar="OUT", help=out)
         # What presses an embryo has had the name of the second for longer.
         overwrite = ["--overwrite", *([] if task is _modulus else ["--force"])]
         sub.add_argument(*overwrite, action="store_true", help="write over files that are there")

@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import argparse
 import re
-import warnings
-from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from microlib._command._scales import add_scales, settle
+from microlib._command._shared import Files, add_scales, picture, settle, text
 from microlib._common import Array
 
 #: Spans of LOESS whose dimples are compared; the middle one is that of the thesis.
 _SPANS = (0.15, 0.25, 0.35)
+_SIZES = ("dimple_radius", "dimple_depth")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    scales = "--force 150 --pixel-size 3.9 --thickness 3 --probe-half-width 25 --poisson 0.5"
-    parser.epilog = f"Example: microlib modulus outline.csv {scales} -o modulus.csv"
-    words = {"poisson_ratio": "--poisson", "x": "source", "y": "source", "curve": "source"}
-    parser.set_defaults(files=["table", "look.png"], words=words)
+    parser.set_defaults(files=["table", "look.png"])
     outline = "CSV file with columns x, y in px, or with two columns"
     parser.add_argument("source", metavar="OUTLINE", help=outline)
     add_scales(parser, "force", "force_std", "pixel_size", "thickness", "thickness_std")
@@ -29,12 +26,16 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--y-down", action="store_true", help="y runs down, as an image's rows do")
 
 
-def run(a: argparse.Namespace) -> Iterator[tuple[str, Callable]]:
-    """Young's modulus of a membrane from the outline of its dimple, as section 5.6 finds it."""
+def run(a: argparse.Namespace) -> Files:
+    """Young's modulus of a membrane from the outline of its dimple, as section 5.6 finds it.
+
+    Example: microlib modulus outline.csv --force 150 --pixel-size 3.9 --thickness 3
+    --probe-half-width 25 --poisson 0.5 -o modulus.csv
+    """
     from microlib._plots import outline
     from microlib.embryo import dimple_geometry, fit_gaussians, loess
 
-    x, y = _outline(a.source, a.y_down)
+    x, y = _outline(a)
     values = settle(a, "force", "pixel_size", "thickness", "probe_half_width", "poisson")
     size, values["poisson_ratio"] = values.pop("pixel_size"), values.pop("poisson")
     stds = {"force": a.force_std or 0.0, "thickness": a.thickness_std or 0.0}
@@ -44,52 +45,49 @@ def run(a: argparse.Namespace) -> Iterator[tuple[str, Callable]]:
     titles = []
     for rim, prefix in (("left", ""), ("right", "right_rim_")):
         each = [dimple_geometry(curve, pixel_size=size, rim=rim) for curve in curves]
-        sizes = np.array([(dimple.dimple_radius, dimple.dimple_depth) for dimple in each])
+        sizes = np.array([[getattr(dimple, name) for name in _SIZES] for dimple in each])
         # What the smoothing decides, and the noise of the points.
         spread = np.sqrt(sizes.var(axis=0, ddof=1) + np.diag(each[1].covariance))
-        told, found = _estimate(values, stds, sizes[1].tolist(), spread.tolist())
+        values |= zip(_SIZES, sizes[1].tolist(), strict=True)
+        stds |= zip(_SIZES, spread.tolist(), strict=True)
+        told, found = _estimate(values, stds)
         result |= {prefix + name: value for name, value in found.items()}
         points |= {f"{rim} rim": each[1].rim, "bottom": each[1].bottom}
         titles.append(f"{rim} rim{', as in the thesis' * (rim == 'left')}: {told}")
         a.say(titles[-1])
-    text = "quantity,value\n" + "".join(f"{k},{v:.10g}\n" for k, v in result.items())
-    yield "table", lambda file: file.write_text(text, encoding="utf-8")
-    title = "\n".join(titles)
-    yield "look.png", lambda file: outline(x, y, curves[1], points, title).savefig(file, dpi=150)
+    lines = ["quantity,value", *(f"{name},{value:.10g}" for name, value in result.items()), ""]
+    yield "table", text("\n".join(lines))
+    yield "look.png", picture(partial(outline, x, y, curves[1], points, "\n".join(titles)))
     a.say("the modulus, its interval, and what it was computed from:")
 
 
-def _estimate(
-    values: dict[str, float], stds: dict[str, float], sizes: list[float], spread: list[float]
-) -> tuple[str, dict[str, float]]:
-    """Return the modulus of a dimple of such radius and depth, in words and in numbers."""
+def _estimate(values: dict[str, float], stds: dict[str, float]) -> tuple[str, dict[str, float]]:
+    """Return the modulus of a dimple, in words and in numbers."""
     from microlib import membrane
 
-    values = values | dict(zip(("dimple_radius", "dimple_depth"), sizes, strict=True))
-    stds = stds | dict(zip(("dimple_radius", "dimple_depth"), spread, strict=True))
     modulus = membrane.elastic_modulus(**values)
-    samples = membrane.modulus_samples(values, stds, size=100_000, rng=1)
     finite = float(membrane.finite_slope_modulus(**values))
+    samples = membrane.modulus_samples(values, stds, size=100_000, rng=1)
     low, high = np.quantile(samples, [0.025, 0.975]).tolist()
+    a, depth = (f"{values[name]:.1f} ± {stds[name]:.1f} µm" for name in _SIZES)
     told = (
-        f"E = {modulus:.4g} MPa, 95 % between {low:.4g} and {high:.4g} MPa\n"
-        f"a = {sizes[0]:.1f} ± {spread[0]:.1f} µm, w_d = {sizes[1]:.1f} ± {spread[1]:.1f} µm"
+        f"E = {modulus:.4g} MPa, 95 % between {low:.4g} and {high:.4g} MPa\na = {a}, w_d = {depth}"
     )
     found = {"modulus_MPa": modulus, "finite_slope_modulus_MPa": finite}
     found |= {"modulus_low95_MPa": low, "modulus_high95_MPa": high} | values
     return told, found | {f"{name}_std": std for name, std in stds.items()}
 
 
-def _outline(path: str, y_down: bool) -> tuple[Array, Array]:
+def _outline(a: argparse.Namespace) -> tuple[Array, Array]:
     """Read an outline, and keep what is around its dimple: x ascending, the lowest point at 0."""
-    x, y = _points(path)
-    y = -y if y_down else y
+    x, y = _points(a.source)
+    y = -y if a.y_down else y
     (bottom, rim, _, inside), upside_down = _dip(y), _dip(-y)
     # An egg's outline upside down is deepest beside its dimple, up to where the outline ends.
     if upside_down[3] and not inside and upside_down[2] > 0.1 * np.ptp(y):
-        if y_down:
-            raise ValueError(f"{path} has its dimple where y runs up: leave out --y-down")
-        warnings.warn(f"{path}: y is taken to run down, where its dimple is", stacklevel=2)
+        if a.y_down:
+            raise ValueError(f"{a.source} has its dimple where y runs up: leave out --y-down")
+        a.note(f"{a.source}: y is taken to run down, where its dimple is")
         y, (bottom, rim, *_) = -y, upside_down
     # Eight Gaussians describe well what is within two radii of the bottom.
     near = np.abs(x - x[bottom]) <= (2 * (x[bottom] - x[rim]) or np.inf)
@@ -111,18 +109,16 @@ def _points(path: str) -> tuple[Array, Array]:
     """Read two columns of numbers: comma, semicolon, tab or spaces between; decimal point or comma;
     a line of names, among them x and y in any case, or none."""
     try:
-        lines = Path(path).read_text(encoding="utf-8-sig").strip().splitlines()
-        if re.search("[;\t]", lines[0]):
-            lines = [line.replace(",", ".") for line in lines]
-        lines = [re.sub(r"[;,\s]\s*", ";", line.strip(" ")) for line in lines]
-        names = lines[0].replace('"', "").lower().split(";")
+        text = Path(path).read_text(encoding="utf-8-sig").strip()
+        if re.search("[;\t]", text.partition("\n")[0]):  # then a comma is a decimal one
+            text = text.replace(",", ".")
+        rows = [re.split(r"[;,\s]\s*", line.strip(" ")) for line in text.splitlines()]
+        names = [name.strip('"').lower() for name in rows[0]]
         named = {"x", "y"} <= set(names)
         columns = (names.index("x"), names.index("y")) if named else (0, 1)
-        points = np.loadtxt(lines[named:], delimiter=";", usecols=columns, ndmin=2)
+        points = np.array([[float(row[k]) for k in columns] for row in rows[named:]])
     except (LookupError, ValueError) as error:
-        between = "comma, semicolon or tab between"
-        raise ValueError(
-            f"{path} must be a table of numbers in columns x and y, with {between}"
-        ) from error
+        need = "a table of numbers in columns x and y, with comma, semicolon or tab between"
+        raise ValueError(f"{path} must be {need}") from error
     x, y = points[np.argsort(points[:, 0], kind="stable")].T
     return x, y

@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import argparse
 import csv
-import warnings
-from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
-from microlib._command._scales import add_scales, settle
+from microlib._command._shared import Files, add_scales, picture, settle, to_the_end
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = "Example: microlib track film.avi --box 30 40 64 64 --rate 33 -o track.csv"
-    words = {"frames": "source", "frame": "source", "image": "source"}
-    parser.set_defaults(files=["table", "look.png"], words=words)
+    parser.set_defaults(files=["table", "look.png"])
     parser.add_argument("source", metavar="FILM", help="video, TIFF, folder or quoted pattern")
     corner, box = ("X", "Y", "W", "H"), "the part in the first frame, px"
     parser.add_argument("--box", nargs=4, type=int, required=True, metavar=corner, help=box)
@@ -27,30 +22,34 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--motion", choices=motions, default=motions[0], help="how the part moves")
     parser.add_argument("--rate", type=float, help="frames per second, for a column of times")
     add_scales(parser, "pixel_size")
-    film: dict[str, Any] = {"dest": "files", "action": "append_const", "const": "look.mp4"}
-    parser.add_argument("--video", **film, help="also a film with the part marked")
+    film = "also a film with the part marked"
+    parser.add_argument("--video", dest="files", action="append_const", const="look.mp4", help=film)
     early = "a film that ends before its header says is no fault"
     parser.add_argument("--allow-truncated", action="store_true", help=early)
 
 
-def run(a: argparse.Namespace) -> Iterator[tuple[str, Callable]]:
-    """Position of a part in every frame of a film."""
+def run(a: argparse.Namespace) -> Files:
+    """Position of a part in every frame of a film.
+
+    Example: microlib track film.avi --box 30 40 64 64 --rate 33 -o track.csv
+    """
     import pandas as pd
 
     from microlib.io import read_frames
     from microlib.tracking import plot_track, track_each
 
     frames = read_frames(a.source, color=True)
+    film = to_the_end(a, frames) if a.allow_truncated else frames
     size = frames.pixel_size if a.pixel_size is None else a.pixel_size
     if size is not None:
         settle(a, "pixel_size", pixel_size=frames.pixel_size)
-    each = track_each(frames, tuple(a.box), a.motion, rate=a.rate, pixel_size=size)
+    each = track_each(film, a.box, a.motion, rate=a.rate, pixel_size=size)
     rows, lost = [next(each)], 0
     stop: BaseException | None = None
     a.out.parent.mkdir(parents=True, exist_ok=True)
     with (
         a.out.open("w", 1, encoding="utf-8", newline="") as file,
-        tqdm(each, initial=1, total=frames.count, unit=" frames", **a.bar) as bar,
+        a.bar(each, initial=1, total=frames.count, unit=" frames") as bar,
     ):
         # As it goes: what is killed leaves the rows so far.
         lines = csv.DictWriter(file, rows[0], lineterminator="\n")
@@ -65,18 +64,14 @@ def run(a: argparse.Namespace) -> Iterator[tuple[str, Callable]]:
         except (OSError, ValueError, KeyboardInterrupt) as error:
             stop = error
     table, first = pd.DataFrame(rows), next(read_frames(a.source, color=True))
-    yield "look.png", lambda file: plot_track(table, first).savefig(file, dpi=150)
+    yield "look.png", picture(partial(plot_track, table, first))
     yield "look.mp4", partial(_film, a.source, table, a.rate)
     summary = f"lost in {lost} of {len(rows)} frames"
     a.say(f"{summary}; one row a frame, lengths in px, of columns …_um in µm")
-    told = f"{str(stop) or 'stopped'}; {a.out} keeps the {len(rows)} rows so far"
-    if isinstance(stop, KeyboardInterrupt):
-        a.end = 130, told
-    elif stop is not None and not a.allow_truncated:
-        a.end = 3, told
-    elif stop is not None:
-        warnings.warn(told, stacklevel=2)
-    if not a.end[0] and lost > len(rows) / 2:
+    if stop is not None:
+        status = 130 if isinstance(stop, KeyboardInterrupt) else 3
+        a.end = status, f"{str(stop) or 'stopped'}; {a.out} keeps the {len(rows)} rows so far"
+    elif lost > len(rows) / 2:
         remedy = "another --motion, a larger --box, or more frames per second"
         a.end = 4, f"{summary}: try {remedy}"
 

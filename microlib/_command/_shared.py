@@ -1,13 +1,20 @@
-"""Numbers with units: how they are read from a line, asked for, and told to be unusual."""
+"""What the commands share: numbers with units, films that may end early, texts and pictures."""
 
 from __future__ import annotations
 
 import argparse
 import re
-import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
 
 from microlib._common import MEASURED, scalar
+
+#: Writes a file; what a task gives, by the names of its files.
+Writer = Callable[[Path], object]
+Files = Iterator[tuple[str, Writer]]
 
 #: What stands before the unit that the library computes in, and what it comes to there.
 _PREFIXES = {"n": 1e-3, "u": 1.0, "µ": 1.0, "μ": 1.0, "m": 1e3, "c": 1e4, "": 1e6}
@@ -59,7 +66,7 @@ def settle(a: argparse.Namespace, *names: str, **told: float | None) -> dict[str
     values = {name: told.get(name) if value is None else value for name, value in values.items()}
     missing = [f"{option(name)} {_SCALES[name][0]}" for name in names if values[name] is None]
     if missing:
-        raise ValueError(f"{a.source} does not tell its scale: give {', '.join(missing)}")
+        raise ValueError(f"no scale is told by the file: give {', '.join(missing)}")
     for name, value in values.items():
         unit = _SCALES[name][0]
         scalar(name, value, above=None if name in _SIGNED else 0)
@@ -68,5 +75,25 @@ def settle(a: argparse.Namespace, *names: str, **told: float | None) -> dict[str
         if not low <= abs(value) <= high:
             usual = f"{low:g} to {high:g} {unit}"
             text = f"{option(name)} {value:g} is unusual under a microscope, which meets {usual}"
-            warnings.warn(f"{text}; a number may have its unit, as 0.2mm", stacklevel=2)
+            a.note(f"{text}; a number may have its unit, as 0.2mm")
     return values
+
+
+def to_the_end(a: argparse.Namespace, frames: Iterator[NDArray]) -> Iterator[NDArray]:
+    """Yield the frames that can be read, and note how many these are where a film ends early."""
+    count = 0
+    try:
+        for frame in frames:
+            yield frame
+            count += 1
+    except (OSError, ValueError) as error:
+        a.note(f"{error}; the {count} frames before are used")
+
+
+def text(content: str) -> Writer:
+    return lambda file: file.write_text(content, encoding="utf-8", newline="\n")
+
+
+def picture(draw: Callable[[], Any]) -> Writer:
+    """Return what draws a figure once its file is to be written."""
+    return lambda file: draw().savefig(file, dpi=150)
