@@ -366,20 +366,27 @@ def hold_sigma(errors: ArrayLike, sigma: ArrayLike, freedom: float = np.inf) -> 
     less parameters, behind it, q/k is F-distributed and q has no variance for few of them: then it
     is the mean of (ν + k) q/(ν + q), a Beta variable, and tells σ best. A sigma that is wrong by
     more than 3.5 √((k + ν + 2)/(2kνn)) is noticed, by 2.5/√n where ν is large: n = 200 for 18 %.
+    Errors divided by the root of their covariance are not correlated, each pair to within 1/√n.
     """
     e = np.asarray(errors, float)
     c = np.asarray(sigma, float)
     if e.ndim == 1:
         e, c = e[:, None], c[:, None, None] ** 2
     count, k = e.shape
-    q = np.einsum("ni,ni->n", e, np.linalg.solve(c, e[..., None])[..., 0])
+    z = np.linalg.solve(np.linalg.cholesky(c), e[..., None])[..., 0]
     variance = 2.0 * k
     if np.isfinite(freedom):
-        q = (freedom + k) * q / (freedom + q)
+        z *= np.sqrt((freedom + k) / (freedom + (z**2).sum(axis=1, keepdims=True)))
         variance *= freedom / (k + freedom + 2)
+    q = (z**2).sum(axis=1)
     mean = q.mean() / k
     limit = stats.norm.isf(LEVEL / 2) * np.sqrt(variance / count) / k
     assert abs(mean - 1) < limit, f"(error/σ)² is {mean:.3f} on average, not 1 ± {limit:.3f}"
+    together = np.abs((z.T @ z / count)[np.triu_indices(k, 1)])
+    limit = stats.norm.isf(LEVEL / max(2 * together.size, 1)) / np.sqrt(count)
+    assert (together < limit).all(), (
+        f"errors vary together by {together.max():.2f}, not {limit:.2f}"
+    )
 
 
 def hold_coverage(inside: ArrayLike, level: float) -> None:

@@ -71,7 +71,7 @@ def test_marks_and_residuals_are_drawn_on_the_photograph() -> None:
     seen = np.column_stack([arrows.U, arrows.V])
     factor = np.linalg.norm(seen) / np.linalg.norm(result.residuals)
     np.testing.assert_allclose(seen, factor * result.residuals)
-    assert f"× {factor:g}" in arrows.axes.get_title()
+    assert f"{result.reprojection.rms:.2g} px rms (red, × {factor:g})" in arrows.axes.get_title()
 
 
 def test_the_outline_is_drawn_with_its_modulus() -> None:

@@ -216,8 +216,11 @@ def test_what_moves_moves_by_parts_of_a_pixel_and_brightens_by_the_gain():
     moved = np.linalg.lstsq(design, change.ravel(), rcond=None)[0]
     np.testing.assert_allclose(moved, [0.3, -0.2], atol=0.03)
     pair = synthetic.warped_pair(1, 0.0, gain=1.2, noise=0.0, size=30)
-    dim = (pair.first > 20) & (pair.first < 200)  # not clipped
-    assert (pair.second[dim] / pair.first[dim]).mean() == pytest.approx(1.2, abs=0.01)
+    scene = synthetic.gripper_scene(1, pixel_size=6.23)
+    gripper = [scene.frame((1.3, -2.1), 2, noise=0.0, gain=gain) for gain in (1.0, 1.2)]
+    for first, second in ((pair.first, pair.second), gripper):
+        dim = (first > 20) & (first < 200)  # not clipped
+        assert (second[dim] / first[dim]).mean() == pytest.approx(1.2, abs=0.01)
 
 
 def test_the_edge_of_the_probe_is_as_wide_as_the_blur():
