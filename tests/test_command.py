@@ -19,6 +19,7 @@ import pytest
 import tifffile
 from PIL import Image
 
+from microlib import tracking
 from microlib._command import main
 from microlib._command._modulus import _outline
 from microlib._command._shared import _quantity, settle
@@ -183,6 +184,7 @@ def test_track_follows_the_square(tmp_path: Path, capsys: Told) -> None:
     assert table["time_s"].iloc[-1] == pytest.approx(39 / 33)
     assert is_look(tmp_path / "track_look.png")
     film = cv2.VideoCapture(str(tmp_path / "track_look.mp4"))
+    assert film.get(cv2.CAP_PROP_FPS) == pytest.approx(33)
     shown = [film.read()[1] for _ in range(40)]
     assert not film.read()[0]
     # The box is drawn in yellow, red and green without blue, where the part is.
@@ -260,6 +262,19 @@ def test_a_stopped_track_keeps_its_rows(tmp_path: Path, end: signal.Signals) -> 
     if end == signal.SIGINT:
         assert process.returncode == 130
         assert told == f"microlib track: stopped; {out} keeps the {len(rows)} rows so far\n"
+
+
+def test_each_row_is_written_before_the_next_frame(tmp_path: Path, monkeypatch) -> None:
+    out, lines, each = tmp_path / "track.csv", [], tracking.track_each
+
+    def watched(*args, **options):
+        for row in each(*args, **options):
+            yield row
+            lines.append(out.read_text().count("\n"))
+
+    monkeypatch.setattr(tracking, "track_each", watched)
+    assert status(f"track frames.tif {BOX}", out) == 0
+    assert lines == [*range(2, len(lines) + 2)]
 
 
 def test_a_part_that_is_lost_is_told(tmp_path: Path, capsys: Told) -> None:

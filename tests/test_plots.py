@@ -68,6 +68,7 @@ def test_marks_and_residuals_are_drawn_on_the_photograph() -> None:
             np.testing.assert_array_equal(at, [text.xy])
         assert 4 < len(ax.texts) < 40
     arrows = result.plot(found=found).axes[0].collections[0]
+    assert arrows.axes.yaxis_inverted()  # rows go down without the photograph, too
     seen = np.column_stack([arrows.U, arrows.V])
     factor = np.linalg.norm(seen) / np.linalg.norm(result.residuals)
     np.testing.assert_allclose(seen, factor * result.residuals)

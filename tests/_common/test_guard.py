@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from threading import Event
 
@@ -97,3 +98,16 @@ def test_an_interrupt_at_the_very_end_is_told() -> None:
     end = guard.run(work)
     assert (end.reason, end.complete, end.still) == ("interrupted by the user", False, True)
     assert stage.stops == 1
+
+
+def test_ctrl_c_means_what_it_did_when_a_run_has_ended() -> None:
+    def mine(*_: object) -> None:
+        """Stand for the handler of the program that calls."""
+
+    before = signal.signal(signal.SIGINT, mine)
+    try:
+        end = guard_of()[0].run(lambda: str(signal.getsignal(signal.SIGINT) is mine))
+        assert end.reason == "False"
+        assert signal.getsignal(signal.SIGINT) is mine
+    finally:
+        signal.signal(signal.SIGINT, before)
