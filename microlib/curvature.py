@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from microlib._common import Array, Kept, as_array, of_kind, scalar, whole
+from microlib._common import Array, Kept, as_array, as_map, of_kind, scalar, whole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -208,9 +208,7 @@ def surface_curvature(
     n = whole("size", size, least=3, odd=True, most=_LARGEST_WINDOW)
     pitch = scalar("pixel_size", pixel_size, above=0, least=1 / _FARTHEST, most=_FARTHEST)
     sigma = np.nan if noise is None else scalar("noise", noise, least=0)
-    z = as_array("height", height, shape=(None, None), finite=False, largest=_FARTHEST)
-    if np.isinf(z).any():
-        raise ValueError(f"height must be finite or NaN, got {int(np.isinf(z).sum())} infinite")
+    z = as_map("height", height, largest=_FARTHEST)
     if min(z.shape) < 2 * n - 1:
         raise ValueError(f"height must be at least {2 * n - 1} px on each side, got {z.shape}")
 

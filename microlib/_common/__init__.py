@@ -7,6 +7,7 @@ from microlib._common._checks import (
     MEASURED,
     as_array,
     as_image,
+    as_map,
     as_region,
     between,
     check_callable,

@@ -77,6 +77,14 @@ def as_array(
     return array
 
 
+def as_map(name: str, value: ArrayLike, *, largest: float | None = None) -> Array:
+    """Return a map, shape (rows, cols), whose values are finite, or NaN where they are unknown."""
+    array = as_array(name, value, shape=(None, None), finite=False, largest=largest)
+    if count := int(np.isinf(array).sum()):
+        raise ValueError(f"{name} must be finite or NaN, got {count} infinite")
+    return array
+
+
 def refuse_masks(name: str, value: object) -> None:
     """Refuse a masked array, or a sequence of them."""
     parts = value if isinstance(value, (list, tuple)) else [value]

@@ -5,14 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_region
+from microlib._common import as_region
 from microlib.focus._axis import Axis, find_axis, sampled
 from microlib.focus._options import Options, check_count
+from microlib.focus._peaks import check_positions
 from microlib.focus._result import FocusResult
 from microlib.focus._settings import Settings
 from microlib.focus._stages import GRID, default_depth
+from microlib.io import read_frames
 
 #: What is seen around a block and the side of a block, px, and what its place must be a multiple
 #: of (`GRID`): every fourth pixel is looked at, and so many rows are fitted at a time.
@@ -27,63 +29,63 @@ def is_in_blocks(frames: object) -> bool:
     return module in ("dask", "zarr") and name == "Array"
 
 
-def depth_in_blocks(frames: Any, positions: Array, options: Options) -> FocusResult:
+def depth_in_blocks(
+    frames: Any, positions: ArrayLike | None, spacing: float | None, options: Options
+) -> FocusResult:
     """Return the default depth of a dask or zarr array, as dask arrays.
 
     Parameters
     ----------
-    frames : dask.array.Array or zarr.Array, shape (n, rows, cols)
+    frames : dask.array.Array, zarr.Array, or xarray.DataArray of one, shape (n, rows, cols)
         Grey frames.
-    positions : ndarray, shape (n,)
-        Position of each frame, µm.
+    positions, spacing
+        As `depth_from_focus` has them.
     options : Options
-        Those of `depth_from_focus`, of which blocks know points and region only.
+        Those of `depth_from_focus`, of which blocks know the region only.
     """
     import dask.array as da
 
-    usual = Options(points=options.points, region=options.region)
+    usual = Options(region=options.region)
     for key, value in vars(options).items():
         if value != getattr(usual, key):
             raise ValueError(f"{key} must not be given for a dask or zarr array, got {value!r}")
-    stack = frames if isinstance(frames, da.Array) else da.from_zarr(frames)
+    source = getattr(frames, "data", frames)
+    stack = source if isinstance(source, da.Array) else da.from_zarr(source)
     if stack.ndim != 3 or stack.dtype.kind not in "uif":
         raise ValueError(
             "frames must be a dask array of shape (n, rows, cols) and of real numbers, got "
             f"{stack.shape} of {stack.dtype}"
         )
-    check_count(len(stack), len(positions))
     x, y = 0, 0
     if options.region is not None:
         x, y, width, height = as_region("region", options.region, stack.shape[1:])
         stack = stack[:, y : y + height, x : x + width]
+    labels: Any = read_frames(frames, region=options.region)
+    z = check_positions(positions, spacing, len(stack), labels.positions)
+    check_count(len(stack), len(z))
     if stack.dtype not in (np.uint8, np.uint16):
         stack = stack.astype(np.float32)
     rows, cols = (sampled(n) for n in stack.shape[1:])
     # What needs the whole image is found once, from the squares that are looked at first.
-    squares = list(stack[:, rows][:, :, cols].compute())
-    axis = find_axis(squares, positions, Settings().width)
+    axis = find_axis(list(stack[:, rows][:, :, cols].compute()), z, Settings().width)
     inner = [n for chunks in stack.chunks[1:] for n in chunks[:-1]]
     if any(n % GRID or n > 2 * _SIDE or n < _AROUND for n in inner):
         stack = stack.rechunk((len(stack), _SIDE, _SIDE))
     # Where one chunk shows all of a side, nothing is around it.
-    around = {k: _AROUND if k > 0 and len(stack.chunks[k]) > 1 else 0 for k in range(3)}
+    around = {k: _AROUND if k > 0 and stack.numblocks[k] > 1 else 0 for k in range(3)}
     seen = da.overlap.overlap(stack.rechunk({0: len(stack)}), around, boundary="none")
-    if not isinstance(frames, da.Array):
+    if not isinstance(source, da.Array):
         # Chunks that neighbors share would stay in memory: each block reads what it sees.
         edges = [np.cumsum([0, *sizes]).tolist() for sizes in stack.chunks[1:]]
-        whole = {"source": frames, "edges": edges, "corner": (y, x)}
+        whole = {"source": source, "edges": edges, "corner": (y, x)}
         seen = da.map_blocks(_read, chunks=seen.chunks, meta=seen._meta, **whole)
-    chunks = ((len(_MAPS) + 1,), *seen.chunks[1:])
-    found = seen.map_blocks(
-        _block,
-        axis=axis,
-        points=options.points,
-        chunks=chunks,
-        meta=np.empty((0, 0, 0), np.float32),
-    )
+    chunks, meta = ((len(_MAPS) + 1,), *seen.chunks[1:]), np.empty((0, 0, 0), np.float32)
+    found = seen.map_blocks(_block, axis=axis, chunks=chunks, meta=meta)
     found = da.overlap.trim_internal(found, around, boundary="none")
     maps = {name: found[k].astype(kind) for k, (name, kind) in enumerate(_MAPS.items())}
-    return FocusResult(**maps, all_in_focus=found[len(_MAPS)].astype(stack.dtype))
+    picture = found[len(_MAPS)].astype(stack.dtype)
+    place = {"pixel_size": labels.pixel_size, "origin": labels.origin}
+    return FocusResult(**maps, all_in_focus=picture, **place)
 
 
 def _read(
@@ -101,8 +103,8 @@ def _read(
     return frames if frames.dtype in (np.uint8, np.uint16) else frames.astype(np.float32)
 
 
-def _block(frames: NDArray, *, axis: Axis, points: int) -> NDArray[np.float32]:
+def _block(frames: NDArray, *, axis: Axis) -> NDArray[np.float32]:
     """Return the maps of one block, one above the other."""
-    result = default_depth(list(frames), None, axis.positions, points=points, axis=axis)
+    result = default_depth(list(frames), None, axis.positions, axis=axis)
     maps = (getattr(result, name) for name in _MAPS)
     return np.stack([*maps, result.all_in_focus], dtype=np.float32)

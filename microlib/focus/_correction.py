@@ -10,7 +10,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_array, positive, scalar, whole
+from microlib._common import Array, as_map, positive, scalar, whole
 
 #: Pixels that are smoothed at a time: all their neighbors stay in the processor's cache, and the
 #: product of so few is not shared among threads, which took three times the time to wait.
@@ -57,15 +57,13 @@ def correct_spikes(depth: ArrayLike, *, window: int = 9, delta: float = 2.0) -> 
     >>> float(np.abs(correct_spikes(depth)).max())
     0.0
     """
-    z = _checked(depth)
+    z = as_map("depth", depth)
     n = whole("window", window, least=3, odd=True, most=255)
     limit = scalar("delta", delta, least=0)
     unknown = np.isnan(z)
     if unknown.all():
         return z.copy()
-    from scipy import ndimage  # here, as it takes long to import
-
-    median = _median_of_known(z, n) if unknown.any() else np.asarray(ndimage.median_filter(z, n))
+    median = _median_of_known(z, n)
     # Deviations from one common value keep the difference of squares exact for small steps on a
     # great height.
     centered = np.where(unknown, 0.0, z - np.nanmean(z))
@@ -75,14 +73,6 @@ def correct_spikes(depth: ArrayLike, *, window: int = 9, delta: float = 2.0) -> 
         variance = np.maximum(_mean(centered**2, n) / share - mean**2, 0)
         spike = unknown | (np.abs(z - median) > limit * np.sqrt(variance))
     return np.where(spike, median, z)
-
-
-def _checked(depth: ArrayLike) -> Array:
-    """Return a depth map that is finite or NaN."""
-    z = as_array("depth", depth, shape=(None, None), finite=False)
-    if np.isinf(z).any():
-        raise ValueError(f"depth must be finite or NaN, got {int(np.isinf(z).sum())} infinite")
-    return z
 
 
 def _mean(image: Array, n: int) -> Array:
@@ -149,7 +139,7 @@ def smooth_depth(
     >>> bool(np.allclose(smooth_depth(step, jump=20.0), step, atol=0.02))
     True
     """
-    z = _checked(depth)
+    z = as_map("depth", depth)
     limit = scalar("jump", jump, above=0)
     sigma = scalar("radius", radius, above=0, most=250)
     weights = np.ones_like(z) if weight is None else positive("weight", weight, zero=True)

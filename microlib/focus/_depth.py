@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, islice, repeat
+from itertools import islice
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, Frames, Image, as_array, scalar
+from microlib._common import Array, Frames, Image
 from microlib.focus._axis import mosaic, noise_level
 from microlib.focus._blocks import depth_in_blocks, is_in_blocks
-from microlib.focus._measures import MOST, FocusMeasure, blur, doubled
+from microlib.focus._measures import FocusMeasure, blur, doubled
 from microlib.focus._options import Options, Progress, check_count, check_options
-from microlib.focus._peaks import FARTHEST, fit_peaks, three_point_peak
+from microlib.focus._peaks import check_positions, three_point_peak
 from microlib.focus._registration import Registered
 from microlib.focus._registration import register as find_registration
 from microlib.focus._reliability import incoherent_mask, unchanged_mask
@@ -36,7 +35,6 @@ def depth_from_focus(
     spacing: float | None = None,
     measure: str | FocusMeasure = "multiscale",
     window: int | None = None,
-    points: int | None = None,
     workers: int = 1,
     register: bool = False,
     region: tuple[int, int, int, int] | None = None,
@@ -65,9 +63,6 @@ def depth_from_focus(
     window : int, optional
         Side of the square over which the measure is summed, px, odd; by default 5. Neither for
         "multiscale", which has windows of its own, nor for a callable.
-    points : int, optional
-        Frames in the fit of the peak, odd, at least 3. By default 7 for "multiscale", and 3, the
-        thesis' interpolation (3.13), for all others.
     workers : int
         Number of threads. The result is the same for any number. Blocks of a dask or zarr array are
         shared out by dask instead.
@@ -121,8 +116,9 @@ def depth_from_focus(
     object, and their difference tells the noise.
     Where the depth is steep or has a step, the peaks are fitted again at full size.
     Frames that are closer than the depth of field asks for are averaged first, as many as make the
-    peaks about four frames wide, so that more frames mean less noise. With any other measure the
-    peak is fitted and nothing is corrected; `correct_spikes` and `smooth_depth` may follow.
+    peaks about four frames wide, so that more frames mean less noise. With any other measure three
+    frames tell the peak, (3.13), and nothing is corrected; `correct_spikes` and `smooth_depth` may
+    follow.
 
     A depth is NaN where the measure is zero or flat, where its peak, averaged over some pixels, is
     no higher than noise alone makes it around one and the same picture, and where the best frame is
@@ -131,8 +127,8 @@ def depth_from_focus(
     than those around and more than two frames away from them, which is the blur of a strong edge
     near by, in specks of a few pixels, where half of the surroundings are unknown, and where depths
     by two measures differ but no wide window tells. A pixel
-    whose best frame is the first or the last is flagged and gets that frame's position, unless a
-    fit of more points puts it further in. Equal maxima go to the first.
+    whose best frame is the first or the last is flagged and gets that frame's position, unless the
+    fit of seven frames puts it further in. Equal maxima go to the first.
 
     Blocks of a dask array are chunks of 1024 px, or as they are if their sides are multiples of
     64 px, with 128 px around them. They agree with the whole image to 0.004 of the frames' spacing.
@@ -157,24 +153,14 @@ def depth_from_focus(
     options = check_options(
         measure=measure,
         window=window,
-        points=points,
         workers=workers,
         register=register,
         region=region,
         reduce=reduce,
         progress=progress,
     )
-    blocks: Any = frames if is_in_blocks(frames) else getattr(frames, "data", None)
-    if is_in_blocks(blocks):
-        # An xarray.DataArray of blocks has labels.
-        labels = None if blocks is frames else read_frames(frames, region=region)
-        if labels is not None and spacing is None:
-            positions = labels.positions if positions is None else positions
-        z = check_positions(positions, spacing, blocks.shape[0])
-        found_in_blocks = depth_in_blocks(blocks, z, options)
-        if labels is None:
-            return found_in_blocks
-        return replace(found_in_blocks, pixel_size=labels.pixel_size, origin=labels.origin)
+    if is_in_blocks(getattr(frames, "data", frames)):  # that of an xarray.DataArray
+        return depth_in_blocks(frames, positions, spacing, options)
     stack = open_stack(frames, positions, spacing, options)
     count = len(stack.positions)
 
@@ -188,7 +174,6 @@ def depth_from_focus(
             seen.grey,
             seen.color,
             seen.positions,
-            points=options.points,
             workers=options.workers,
             done=done,
         )
@@ -239,7 +224,7 @@ def open_stack(
         )
     z, count = None, reader.count
     if spacing is None:
-        z = check_positions(reader.positions if positions is None else positions, None, 0)
+        z = check_positions(positions, told=reader.positions)
         # An iterator does not say how many there are; what has positions has as many frames.
         count = len(z)
         check_count(reader.count or count, count)
@@ -256,46 +241,13 @@ def open_stack(
     return Stack(grey, raw if reader.color else None, z, reader.pixel_size, reader.origin)
 
 
-def check_positions(positions: ArrayLike | None, spacing: float | None, count: int) -> Array:
-    """Return the positions of all frames, µm, refused if they do not rise or fall."""
-    if spacing is not None:
-        if positions is not None:
-            raise ValueError("positions and spacing must not both be given")
-        step = scalar("spacing", spacing, most=FARTHEST)
-        positions = step * np.arange(count)
-    if positions is None:
-        raise ValueError(
-            "positions or spacing must be given, got None and frames that do not tell theirs"
-        )
-    z = as_array("positions", positions, shape=(None,), largest=FARTHEST)
-    if len(z) < 3:
-        raise ValueError(f"positions must be at least three, one for each frame, got {len(z)}")
-    if len(z) > MOST:
-        raise ValueError(f"positions must be at most {MOST}, got {len(z)}")
-    gaps = np.diff(z)
-    for at in np.flatnonzero(gaps * np.sign(z[-1] - z[0]) <= 0):
-        raise ValueError(
-            f"positions must rise or fall strictly, got {z[at]:g} followed by {z[at + 1]:g}"
-        )
-    if np.abs(gaps).min() < 1 / FARTHEST:
-        raise ValueError(
-            f"positions must be at least {1 / FARTHEST:g} µm apart, got {np.abs(gaps).min():g} µm"
-        )
-    return z
-
-
 def _single_measure(stack: Stack, options: Options, done: Callable[[float], object]) -> FocusResult:
     """Return the peaks of one measure, and no more."""
-    measure, reach, z = options.focus_measure(), options.points // 2, stack.positions
-    spacing = float(np.median(np.abs(np.diff(z))))
-    window, mean, best = track_peaks(stack.grey, measure, reach, done)
-    if reach == 1:
-        depth = three_point_peak(window, best, z)
-    else:
-        steps, _ = fit_peaks(window, best, np.abs(z - z[0]) / spacing)
-        depth = (z[0] + np.sign(z[-1] - z[0]) * spacing * steps).astype(np.float32)
+    measure, z = options.focus_measure(), stack.positions
+    window, mean, best = track_peaks(stack.grey, measure, done)
+    depth = three_point_peak(window, best, z)
     every = np.s_[::2, ::2]
-    rise = np.ascontiguousarray((window[reach] - mean)[every])
+    rise = np.ascontiguousarray((window[1] - mean)[every])
     chance = np.ascontiguousarray(_chance(stack.grey, measure, best)[every])
     lost = unchanged_mask(rise, chance, len(z), 3.0)
     lost |= incoherent_mask(np.ascontiguousarray(best[every]))
@@ -304,39 +256,39 @@ def _single_measure(stack: Stack, options: Options, done: Callable[[float], obje
         depth,
         _roughness(depth, z, best),
         best,
-        spacing=spacing,
+        spacing=float(np.median(np.abs(np.diff(z)))),
         at_end=(best == 0) | (best == len(z) - 1),
         shown=stack.grey if stack.color is None else stack.color,
     )
 
 
 def track_peaks(
-    frames: Sequence[Image], measure: FocusMeasure, reach: int, done: Callable[[float], object]
+    frames: Sequence[Image], measure: FocusMeasure, done: Callable[[float], object]
 ) -> tuple[NDArray, NDArray, NDArray[np.uint16]]:
     """Return each pixel's measures around its best frame, and the number of that frame.
 
     Returns
     -------
-    window : ndarray of float32, shape (2 reach + 1, rows, cols)
+    window : ndarray of float32, shape (3, rows, cols)
         0 beyond the stack.
     mean : ndarray of float32, shape (rows, cols)
         Of all frames.
     best : ndarray of uint16, shape (rows, cols)
         The first of equals.
     """
-    nothing = np.zeros(frames[0].shape, np.float32)
-    window, mean = np.stack([nothing] * (2 * reach + 1)), nothing.copy()
-    best = nothing.astype(np.uint16)
-    recent = deque([nothing] * len(window), maxlen=len(window))
-    values = (np.asarray(measure(frame), np.float32) for frame in frames)
-    for k, value in enumerate(chain(values, repeat(nothing, reach)), -reach):
-        recent.append(value)
+    shape = frames[0].shape
+    before, top, after = window = np.zeros((3, *shape), np.float32)
+    last, mean = np.zeros((2, *shape), np.float32)
+    best = np.zeros(shape, np.uint16)
+    for k, frame in enumerate(frames):
+        value = np.asarray(measure(frame), np.float32)
         mean += value / np.float32(len(frames))
-        better = recent[reach] > window[reach]  # that of frame k
-        for place, near in zip(window, recent, strict=True):
-            np.copyto(place, near, where=better)
-        np.copyto(best, np.uint16(max(k, 0)), where=better)
-        done(max(k + 1, 0) / len(frames))
+        np.copyto(after, value, where=best == k - 1)
+        better = value > top
+        for place, new in ((before, last), (top, value), (after, 0), (best, k)):
+            np.copyto(place, new, where=better)
+        last = value
+        done((k + 1) / len(frames))
     return window, mean, best
 
 
@@ -365,9 +317,8 @@ def _roughness(depth: NDArray, positions: Array, index: NDArray[np.uint16]) -> N
     with the best frame's position where there is no depth.
     """
     # From the middle of the stack, where float32 has digits to spare.
-    rough = (depth[::2, ::2] - np.float32(positions.mean())).astype(np.float32)
-    unknown = np.isnan(rough)
-    rough[unknown] = (positions - positions.mean())[index[::2, ::2][unknown]]
+    rough, frame = depth[::2, ::2], positions[index[::2, ::2]]
+    rough = (np.where(np.isnan(rough), frame, rough) - positions.mean()).astype(np.float32)
     for _ in range(4):
         rough = rough - blur(rough, 4.0)
     rough = np.sqrt(np.maximum(cv2.boxFilter(rough * rough, -1, (3, 3)), 0))

@@ -56,7 +56,7 @@ class Followed:
     depth, strength, top, mean, best : ndarray, shape (rows, cols)
         By the product of the fine and the coarse measure: depth and its certainty, height of the
         peak, mean over the frames, and number of the best frame.
-    along, down : ndarray, shape (2 reach + 1, rows, cols)
+    along, down : ndarray, shape (7, rows, cols)
         The fine measure of either direction in the frames around the best one.
     edge : ndarray, shape (rows, cols)
         Depth by the edge measure.
@@ -80,7 +80,6 @@ class Followed:
 def follow(
     frames: Sequence[Image],
     axis: Axis,
-    reach: int,
     settings: Settings,
     *,
     workers: int = 1,
@@ -94,8 +93,6 @@ def follow(
         All frames.
     axis : Axis
         How they are averaged.
-    reach : int
-        How many averaged frames to either side of the best one are fitted.
     settings : Settings
         Those of the measures.
     workers : int
@@ -113,7 +110,7 @@ def follow(
         start = max(top - _MARGIN, 0)
         seen = slice(start, min(bottom + _MARGIN, shape[0]))
         keep = slice(top - start, bottom - start)
-        return _follow_strip(frames, axis, reach, settings, seen, keep)
+        return _follow_strip(frames, axis, settings, seen, keep)
 
     parts = []
     with ThreadPoolExecutor(workers) as pool:
@@ -130,7 +127,7 @@ def follow(
 
 
 def _follow_strip(
-    frames: Sequence[Image], axis: Axis, reach: int, settings: Settings, rows: slice, keep: slice
+    frames: Sequence[Image], axis: Axis, settings: Settings, rows: slice, keep: slice
 ) -> Followed:
     """Do the work of `follow` on some rows of the frames, of which those to keep are fitted."""
     steps, levels = axis.steps, Levels.of(axis.noise, settings)
@@ -143,7 +140,7 @@ def _follow_strip(
             frame = cv2.copyMakeBorder(frame, 0, down, 0, right, cv2.BORDER_REPLICATE)
         half = halved(frame.astype(np.float32, copy=False))
         if k == 0:
-            main = PeakFollower(groups, 3, half.shape, reach)
+            main = PeakFollower(groups, 3, half.shape, 3)
             edge = PeakFollower(groups, 1, half.shape, 1)
             wide = PeakFollower(groups, 1, (half.shape[0] // 2, half.shape[1] // 2), 2)
         product, *directions = main.slot(k)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Image, as_array, as_image, scalar, whole
+from microlib._common import LARGEST_GREY, Image, as_array, scalar, whole
 
 #: A focus measure of the user: grey image to measure of the same shape.
 FocusMeasure = Callable[[Image], NDArray]
@@ -65,7 +65,9 @@ def sum_modified_laplacian(
     >>> sum_modified_laplacian(spot, window=3)[2]
     array([20, 70, 80, 70, 20], dtype=uint16)
     """
-    grey = _grey(image)
+    kind = getattr(image, "dtype", None)
+    kind = kind if kind in (np.uint8, np.uint16) else np.float32
+    grey = as_array("image", image, shape=(None, None), dtype=kind, largest=LARGEST_GREY)
     n = whole("window", window, least=1, odd=True, most=MOST)
     s = whole("step", step, least=1)
     limit = scalar("threshold", threshold, least=0)
@@ -111,13 +113,6 @@ def own_measure(measure: FocusMeasure, image: Image) -> NDArray:
     if (value < 0).any():
         raise ValueError(f"measure(frame) must be zero or positive, got {value.min():g}")
     return value
-
-
-def _grey(image: ArrayLike) -> Image:
-    """Return an image of 8 or 16 bits as it is, any other as float32, checked."""
-    if not isinstance(image, np.ndarray) or image.dtype not in (np.uint8, np.uint16):
-        return as_image("image", image)
-    return as_array("image", image, shape=(None, None), dtype=image.dtype)
 
 
 def _box_sum(image: NDArray, n: int) -> NDArray:

@@ -26,7 +26,6 @@ class Options:
 
     measure: str | FocusMeasure = "multiscale"
     window: int = 5
-    points: int = 7
     workers: int = 1
     register: bool = False
     region: Region | None = None
@@ -56,15 +55,13 @@ def check_options(**options: Any) -> Options:
     if options.get("window") is not None and (own or measure == "multiscale"):
         raise ValueError(f"window must not be given with measure {name}, got {options['window']!r}")
     check_callable("progress", options.get("progress"), optional=True)
-    usual = {"window": 5, "points": 7 if measure == "multiscale" else 3, "progress": silent}
+    usual = {"window": 5, "progress": silent}
     absent = {key: value for key, value in usual.items() if options.get(key) is None}
     given = Options(**options | absent)
     return replace(
         given,
         window=whole("window", given.window, least=1, odd=True, most=MOST),
-        # More points take a gigabyte a megapixel; no machine has more processors.
-        points=whole("points", given.points, least=3, odd=True, most=255),
-        workers=whole("workers", given.workers, least=1, most=256),
+        workers=whole("workers", given.workers, least=1, most=256),  # no machine has more
         register=flag("register", given.register),
         region=None if given.region is None else as_region("region", given.region),
         reduce=whole("reduce", given.reduce, least=1),

@@ -10,15 +10,41 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_array
-from microlib.focus._measures import TINY
+from microlib._common import Array, as_array, scalar
+from microlib.focus._measures import MOST, TINY
 
 #: Largest magnitude of a position and one over the least distance of two, µm; largest measure.
 FARTHEST, _LARGEST = 1e12, 1e36
 #: Pixels that are fitted at a time: their windows stay in the processor's cache.
 _BAND = 16384
+
+
+def check_positions(
+    positions: ArrayLike | None,
+    spacing: float | None = None,
+    count: int = 0,
+    told: ArrayLike | None = None,
+) -> Array:
+    """Return the positions of all frames, µm: those given, evenly spaced, or as the frames told."""
+    if spacing is not None:
+        if positions is not None:
+            raise ValueError("positions and spacing must not both be given")
+        positions = scalar("spacing", spacing, most=FARTHEST) * np.arange(count)
+    positions = told if positions is None else positions
+    if positions is None:
+        raise ValueError(
+            "positions or spacing must be given, got None and frames that do not tell theirs"
+        )
+    z = as_array("positions", positions, shape=(None,), largest=FARTHEST)
+    if not 3 <= len(z) <= MOST:
+        raise ValueError(f"positions must be at least three, at most {MOST}, got {len(z)}")
+    for at in np.flatnonzero(np.diff(z) * np.sign(z[-1] - z[0]) < 1 / FARTHEST):
+        raise ValueError(
+            f"positions must rise or fall strictly, got {z[at]:g} followed by {z[at + 1]:g}"
+        )
+    return z
 
 
 def three_point_peak(window: NDArray, index: NDArray, positions: Array) -> NDArray[np.float32]:
@@ -31,7 +57,7 @@ def three_point_peak(window: NDArray, index: NDArray, positions: Array) -> NDArr
     index : ndarray of int, shape (rows, cols)
         Number of the best frame.
     positions : ndarray of float64, shape (n,)
-        Position of each frame, µm.
+        Position of each frame, µm, rising or falling.
 
     Returns
     -------
@@ -42,8 +68,8 @@ def three_point_peak(window: NDArray, index: NDArray, positions: Array) -> NDArr
     Raises
     ------
     ValueError
-        If the arrays are not of these shapes, a measure is negative or not finite, two positions
-        are equal, or the index is none of theirs.
+        If the arrays are not of these shapes, a measure is negative or not finite, positions do
+        not rise or fall strictly, or the index is none of theirs.
 
     Notes
     -----
@@ -60,9 +86,7 @@ def three_point_peak(window: NDArray, index: NDArray, positions: Array) -> NDArr
     >>> round(float(depth[0, 0]), 4)
     22.5
     """
-    z = as_array("positions", positions, shape=(None,), largest=FARTHEST)
-    if len(z) < 3 or np.abs(np.diff(z)).min() < 1 / FARTHEST:
-        raise ValueError(f"positions must be at least three, {1 / FARTHEST:g} µm apart, got {z}")
+    z = check_positions(positions)
     as_array("index", index)  # refuses masks, and rows of several lengths
     index = np.asarray(index)
     if index.dtype.kind not in "ui" or index.size == 0:

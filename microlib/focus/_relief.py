@@ -18,7 +18,7 @@ from microlib.focus._settings import Settings
 
 #: For each octave of relief: radius of the next coarser mean, px; correlation of the directions,
 #: and its scatter in `_WINDOW`, that noise alone has.
-_OCTAVES = ((0.4, 0.05, 0.02), (0.8, 0.07, 0.03), (2.0, 0.09, 0.046), (2.8, 0.1, 0.084))
+_OCTAVES = ((0.8, 0.07, 0.03), (2.0, 0.09, 0.046), (2.8, 0.1, 0.084))
 #: Radius over which the directions are compared, and half of that of what they differ by, px.
 _WINDOW = 10.0
 

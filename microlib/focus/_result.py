@@ -10,9 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, Frames, Image, Tidy
-from microlib.focus._reliability import fill_nearest
-from microlib.io import read_frames
+from microlib._common import Array, Image, Tidy, flat_row
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -86,21 +84,22 @@ class FocusResult(Tidy):
             median and largest depth, median and largest uncertainty, µm, None where nothing is
             known; ``at_end``, the share of pixels that are sharpest in an end frame.
         """
-        maps = np.asarray(self.depth), np.asarray(self.uncertainty)
-        known = np.isfinite(maps[0])
-        depth, uncertainty = (value[known] for value in maps)
-        nothing = not known.any()
-        return {
-            "rows": self.depth.shape[0],
-            "columns": self.depth.shape[1],
-            "known": float(known.mean()),
-            "depth_least": None if nothing else float(depth.min()),
-            "depth_median": None if nothing else float(np.median(depth)),
-            "depth_largest": None if nothing else float(depth.max()),
-            "uncertainty_median": None if nothing else float(np.median(uncertainty)),
-            "uncertainty_largest": None if nothing else float(uncertainty.max()),
-            "at_end": float(np.asarray(self.at_end).mean()),
-        }
+        known = np.isfinite(np.asarray(self.depth))
+        maps = (np.asarray(values)[known] for values in (self.depth, self.uncertainty))
+        depth, error = (values if known.any() else np.full(1, np.nan) for values in maps)
+        return flat_row(
+            {
+                "rows": self.depth.shape[0],
+                "columns": self.depth.shape[1],
+                "known": known.mean(),
+                "depth_least": depth.min(),
+                "depth_median": np.median(depth),
+                "depth_largest": depth.max(),
+                "uncertainty_median": np.median(error),
+                "uncertainty_largest": error.max(),
+                "at_end": np.asarray(self.at_end).mean(),
+            }
+        )
 
     def to_xarray(self) -> Any:
         """Return the maps with their coordinates; needs xarray.
@@ -113,17 +112,19 @@ class FocusResult(Tidy):
         """
         import xarray  # optional
 
-        names = ("depth", "uncertainty", "confidence", "index", "all_in_focus", "at_end")
-        units = {"depth": {"units": "µm"}, "uncertainty": {"units": "µm"}}
-        maps = {}
-        for name in names:
-            values = getattr(self, name)
-            maps[name] = (("y", "x", "channel")[: values.ndim], values, units.get(name, {}))
-        coords = {}
+        found = xarray.Dataset(
+            {
+                name: (("y", "x", "channel")[: values.ndim], values)
+                for name, values in vars(self).items()
+                if name in ("depth", "uncertainty", "confidence", "index", "all_in_focus", "at_end")
+            }
+        )
+        for name in ("depth", "uncertainty"):
+            found[name].attrs["units"] = "µm"
         if self.pixel_size is not None:
             for axis, first, count in zip("xy", self.origin, self.depth.shape[::-1], strict=True):
-                coords[axis] = (axis, first + self.pixel_size * np.arange(count), {"units": "µm"})
-        return xarray.Dataset(maps, coords)
+                found[axis] = (axis, first + self.pixel_size * np.arange(count), {"units": "µm"})
+        return found
 
     def to_layers(self) -> list[tuple[Any, dict[str, Any], str]]:
         """Return the maps as napari's layers, for ``viewer.add_layer(Layer.create(*layer))``.
@@ -136,15 +137,12 @@ class FocusResult(Tidy):
         """
         size = self.pixel_size or 1.0
         place = {"scale": (size, size), "translate": self.origin[::-1]}
-        color = self.all_in_focus.ndim == 3
-        sharp = {"name": "all in focus", **({"rgb": True} if color else {"colormap": "gray"})}
-        depth = {"name": "depth (µm)", "colormap": "viridis", "opacity": 0.7}
-        error = {"name": "uncertainty (µm)", "colormap": "magma", "visible": False}
-        return [
-            (self.all_in_focus, sharp | place, "image"),
-            (self.depth, depth | place, "image"),
-            (self.uncertainty, error | place, "image"),
-        ]
+        layers = (
+            (self.all_in_focus, {"name": "all in focus", "rgb": self.all_in_focus.ndim == 3}),
+            (self.depth, {"name": "depth (µm)", "colormap": "viridis", "opacity": 0.7}),
+            (self.uncertainty, {"name": "uncertainty (µm)", "visible": False}),
+        )
+        return [(values, look | place, "image") for values, look in layers]
 
     def plot(self, ax: Any = None, *, unit: str = "µm") -> Any:
         """Draw the maps by Matplotlib: all in focus, height, uncertainty, and a shaded view.
@@ -163,53 +161,6 @@ class FocusResult(Tidy):
         from microlib._plots import maps
 
         return maps(self, ax, unit)
-
-    def select(self, frames: Frames) -> Image:
-        """Return an image of other frames of the same places, such as another channel.
-
-        Parameters
-        ----------
-        frames : array_like, path, or iterable
-            As many frames as the stack has, of the same size, grey or in color, as for
-            `microlib.io.read_frames`.
-
-        Returns
-        -------
-        ndarray of the frames' type, shape (rows, cols) or (rows, cols, 3)
-            Every pixel from the frame `index`, or that of the nearest pixel that has one. If the
-            stack was registered, its `poses` are applied, its `gain` and `offset` are not.
-
-        Raises
-        ------
-        ValueError
-            If no pixel has a depth, or the frames are too few or of another size.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from microlib import synthetic
-        >>> from microlib.focus import depth_from_focus
-        >>> texture = synthetic.mixed_texture((48, 48), np.random.default_rng(0))
-        >>> positions = np.arange(0.0, 100.0, 10.0)
-        >>> flat = np.full((48, 48), 42.0)
-        >>> stack = synthetic.focal_stack(texture, flat, positions, blur_rate=0.1)
-        >>> result = depth_from_focus(stack, positions)
-        >>> bool((result.select(255 - stack) == 255 - result.all_in_focus).all())
-        True
-        """
-        index = np.asarray(self.index)
-        if (index < 0).all():
-            raise ValueError("frames cannot be chosen from, got a depth that is nowhere known")
-        index = fill_nearest(np.where(index < 0, np.float32(np.nan), index)).astype(np.int32)
-        reader: Iterable[Image] = read_frames(frames, color=True)
-        if self.poses is not None:
-            known = zip(reader, self.poses, strict=False)
-            # A frame that was left out is nobody's best one.
-            reader = (
-                as_type(warped(f, pose), f.dtype) if np.isfinite(pose).all() else f
-                for f, pose in known
-            )
-        return picked(reader, index)
 
 
 def finished(
@@ -248,24 +199,11 @@ def finished(
 
 
 def picked(frames: Iterable[Image], index: NDArray[np.integer]) -> Image:
-    """Return every pixel from the frame of that number.
-
-    Raises
-    ------
-    ValueError
-        If the frames are too few or of another size.
-    """
-    result, count, number = np.zeros(0), 0, index.astype(np.uint16)
-    for k, frame in enumerate(frames):
-        if frame.shape[:2] != index.shape:
-            raise ValueError(f"frames must have the shape {index.shape}, got {frame.shape[:2]}")
-        if k == 0:
-            result = frame.copy()
-        else:
-            cv2.copyTo(frame, cv2.inRange(number, k, k), result)
-        count = k + 1
-    if count <= index.max():
-        raise ValueError(f"frames must be at least {index.max() + 1}, got {count}")
+    """Return every pixel from the frame of that number."""
+    first, *others = frames
+    result, number = first.copy(), index.astype(np.uint16)
+    for k, frame in enumerate(others, 1):
+        cv2.copyTo(frame, cv2.inRange(number, k, k), result)
     return result
 
 

@@ -6,7 +6,7 @@ A stage is a function from what is known to what is known next. `STAGES` has the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -41,7 +41,7 @@ class Known:
 
     Attributes
     ----------
-    frames, positions, points, workers, done, settings
+    frames, positions, workers, done, settings
         As for `default_depth`.
     axis : Axis
         How frames are averaged, and their noise.
@@ -67,7 +67,6 @@ class Known:
 
     frames: Sequence[Image]
     positions: Array
-    points: int
     workers: int
     done: Callable[[float], object]
     settings: Settings
@@ -91,7 +90,6 @@ def default_depth(
     color: Sequence[Image] | None,
     positions: Array,
     *,
-    points: int = 7,
     workers: int = 1,
     done: Callable[[float], object] = lambda share: None,
     axis: Axis | None = None,
@@ -108,8 +106,6 @@ def default_depth(
         What the image is made of instead.
     positions : ndarray, shape (n,)
         Position of each frame, µm.
-    points : int
-        Averaged frames in a fit.
     workers : int
         Threads.
     done : callable
@@ -126,7 +122,7 @@ def default_depth(
     if any(more):  # smaller ones are mirrored at their border
         mirrored = cv2.BORDER_REFLECT
         frames = [cv2.copyMakeBorder(f, 0, more[0], 0, more[1], mirrored) for f in frames]
-    known = Known(frames, positions, points, workers, done, settings or Settings(), axis)
+    known = Known(frames, positions, workers, done, settings or Settings(), axis)
     for name, stage in STAGES.items():
         if stages is None or name in stages:
             known = stage(known)
@@ -143,8 +139,7 @@ def average_frames(known: Known) -> Known:
 
 def follow_measures(known: Known) -> Known:
     """Follow the measures through the frames, and fit the peak of each pixel."""
-    reach, workers = known.points // 2, known.workers
-    seen = follow(known.frames, known.axis, reach, known.settings, workers=workers, done=known.done)
+    seen = follow(known.frames, known.axis, known.settings, workers=known.workers, done=known.done)
     levels = Levels.of(known.axis.noise, known.settings)
     nothing = np.zeros_like(seen.depth)
     return replace(
@@ -269,9 +264,18 @@ def enlarge(known: Known) -> Known:
 
 
 def fit_at_full_size(known: Known) -> Known:
-    """Fit the peaks again at full size where the depth is steep or has a step."""
-    steep = doubled(steep_mask(fill_nearest(known.depth), known.settings.jump), known.full.shape)
-    full, there = refit(known, steep)
+    """Fit the peaks again at full size where the depth is steep or has a step, and just beside."""
+    rises = depth_range(fill_nearest(known.depth), 3) > known.settings.jump
+    steep = cv2.dilate(rises.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    steep = doubled(steep, known.full.shape)
+    full, there = known.full.copy(), known.there.copy()
+    for rows, cols in steep_blocks(steep):
+        start = max(rows.start - _SEEN, 0)
+        new = _closer(known, (slice(start, rows.stop + _SEEN), cols))
+        new = new[rows.start - start :][: rows.stop - rows.start]
+        good = np.isfinite(new) & steep[rows, cols]
+        full[rows, cols][good] = new[good]
+        there[rows, cols] |= good
     return replace(known, full=full, there=there)
 
 
@@ -362,30 +366,16 @@ def wide_depth(known: Known) -> NDArray:
 # --- At full size, where it is steep ------------------------------------------------------------
 
 
-def steep_mask(depth: NDArray, rise: float) -> NDArray[np.bool_]:
-    """Tell where a depth on the coarser grid is steep or has a step, and just beside it."""
-    steep = (depth_range(depth, 3) > rise).astype(np.uint8)
-    return np.asarray(cv2.dilate(steep, np.ones((5, 5), np.uint8))) > 0
-
-
-def refit(known: Known, steep: NDArray[np.bool_]) -> tuple[NDArray, NDArray[np.bool_]]:
-    """Fit again where it is steep, in blocks of rows; return the depth and where it is known."""
-    result, there = known.full.copy(), known.there.copy()
+def steep_blocks(steep: NDArray[np.bool_]) -> Iterator[tuple[slice, slice]]:
+    """Yield the parts of strips of rows in which it is steep, with some columns beside them."""
     around = np.ones((1, 2 * _SEEN + 1), np.uint8)
-    for top in range(0, len(result), GRID):
+    for top in range(0, len(steep), GRID):
         strip = steep[top : top + GRID]
         columns = np.atleast_2d(strip.any(axis=0)).astype(np.uint8)
         busy = np.asarray(cv2.dilate(columns, around))[0]
         for left, right in np.flatnonzero(np.diff(busy, prepend=0, append=0)).reshape(-1, 2):
-            rows = top + np.flatnonzero(strip[:, left:right].any(axis=1))
-            first = max(int(rows[0]) - _SEEN, 0)
-            view = np.s_[first : int(rows[-1]) + 1 + _SEEN, int(left) : int(right)]
-            new = _closer(known, view)
-            good = np.isfinite(new) & steep[view]
-            good[: int(rows[0]) - first] = good[int(rows[-1]) + 1 - first :] = False
-            result[view][good] = new[good]
-            there[view] |= good
-    return result, there
+            first, last = top + np.flatnonzero(strip[:, left:right].any(axis=1))[[0, -1]]
+            yield slice(int(first), int(last) + 1), slice(int(left), int(right))
 
 
 def _closer(known: Known, view: tuple[slice, slice]) -> NDArray:

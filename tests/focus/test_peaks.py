@@ -6,7 +6,7 @@ import sympy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from microlib.focus import depth_from_focus, three_point_peak
+from microlib.focus import three_point_peak
 from microlib.focus._peaks import fit_peaks
 
 
@@ -89,35 +89,6 @@ def test_the_fit_is_that_of_the_documented_weights():
         assert found == pytest.approx(documented_fit(profile, steps, best, 3), abs=1e-4)
 
 
-def stack_of_profiles(profiles):
-    """Frames whose grey level at each pixel is the profile: what a measure may return."""
-    return np.broadcast_to(profiles[:, :, None], (*profiles.shape, 8)).astype(np.float32).copy()
-
-
-def levels(frame):
-    return frame
-
-
-@pytest.mark.parametrize("count", [4, 5, 6])
-def test_points_beyond_the_positions_count_nothing(count):
-    """A fit of all frames is the same, however many more it is allowed to take."""
-    position = np.arange(float(count))
-    centers = np.linspace(0.6, count - 1.6, 12)
-    profiles = 100 * np.exp(-((position[:, None] - centers) ** 2) / 3) + 20
-    stack = stack_of_profiles(profiles)
-    most = 2 * count - 1  # from the first frame to the last, seen from either end
-
-    def found(points):
-        return depth_from_focus(stack, position, measure=levels, points=points).depth
-
-    whole = found(most)
-    assert np.isfinite(whole).all()
-    for points in (most + 2, 25, 255):
-        np.testing.assert_allclose(found(points), whole, atol=1e-5)
-    # What is on a ground is no Gaussian: fewer frames give another depth.
-    assert np.abs(found(3) - whole).max() > 1e-3
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -131,7 +102,7 @@ def test_points_beyond_the_positions_count_nothing(count):
         ({"positions": np.arange(2.0)}, "positions must be at least three"),
         ({"positions": np.array([0, 1, np.inf])}, "positions must be finite"),
         ({"positions": np.zeros((3, 3))}, "positions must have shape"),
-        ({"positions": np.array([0.0, 1.0, 1.0])}, "positions must be at least"),
+        ({"positions": np.array([0.0, 1.0, 1.0])}, "positions must rise or fall strictly"),
         ({"positions": np.array([0.0, 1.0, 1e50])}, "positions must lie within"),
         ({"index": np.full((4, 5), 5)}, "index must hold numbers of the 5 positions"),
         ({"index": np.full((4, 5), -1)}, "index must hold numbers of the 5 positions"),

@@ -48,8 +48,6 @@ def result(u) -> FocusResult:
 LAWS = {
     "focus.FocusResult": Law(lambda u: vars(result(u)), MAPS, within=SINGLE),
     "focus.FocusResult.to_layers": "test_a_result_is_in_its_place_for_every_program",
-    "focus.FocusResult.select": Law(lambda u: {"self": result(u), "frames": 255.0 - STACK}, "1",
-        within=SINGLE),
     "focus.correct_spikes": Law(lambda u: {"depth": u.z0 + HOLED * u.um, "window": 5,
         "delta": 1.5}, "um @ z0"),
     "focus.depth_from_focus": Law(lambda u: {"frames": STACK * u.grey,

@@ -243,17 +243,3 @@ def test_colors_and_iterators_are_registered_too() -> None:
     assert ratio("tilt", 1, result.depth) < 1.6
     red, _, blue = np.moveaxis(result.all_in_focus.astype(int), 2, 0)
     assert np.abs(red + blue - 255).max() <= 8  # each channel has the gain of luminance, near 1
-
-
-def test_other_channels_are_chosen_where_the_frames_lie() -> None:
-    frames, _ = scene("tilt", 1)
-    stack = disturbed(frames, 1, shift=0.5)
-    result = depth_from_focus(stack, POSITIONS, register=True)
-    off = result.select(stack).astype(float) - result.all_in_focus
-    assert np.abs(off).mean() < 1.0  # gains within 1 % of 118 grey levels
-    plain = depth_from_focus(stack, POSITIONS)
-    known = plain.index >= 0
-    chosen = np.take_along_axis(stack, np.maximum(plain.index, 0)[None], 0)[0]
-    np.testing.assert_array_equal(plain.select(stack)[known], chosen[known])
-    with pytest.raises(ValueError, match="frames must be at least"):
-        plain.select(stack[:4])
