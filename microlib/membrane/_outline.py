@@ -119,7 +119,7 @@ def fit_capsule(
     Least squares of the distances between points and the meridian of `indent_capsule`, over E, the
     inflation (at least 1), the place of axis and plate, R, and the tilt. The standard deviation
     allows for distances that are alike along the outline, over up to √N points (Newey and West
-    1987).
+    1987), and for what the fit follows of the errors.
 
     Examples
     --------
@@ -164,7 +164,7 @@ def fit_capsule(
     # Once more with the points that lie outside the probe as it was found.
     place, found = fit.search(place, tilted)
     modulus = float(np.exp(place.log_modulus))
-    spread = _covariance(found.jac, found.fun)[0, 0]  # of the logarithm
+    spread = _variance(found.jac, found.fun)  # of the logarithm
     center = fit.middle + _turn(place.tilt) @ ((place.axis, place.plate) - fit.middle)
     return CapsuleFit(
         modulus=modulus,
@@ -327,19 +327,22 @@ def _signed_distances(across: Array, up: Array, r: Array, z: Array) -> Array:
     return np.where(side < 0, -1.0, 1.0) * gap[rows, nearest]
 
 
-def _covariance(jacobian: Array, left: Array) -> Array:
-    """Return the parameters' covariance, whatever correlation neighbors along the outline have.
+def _variance(jacobian: Array, left: Array) -> float:
+    """Return the first parameter's variance, whatever correlation neighbors have on an outline.
 
     Products of scores up to the root of the number of points apart, with weights that fall to none
     there (Newey and West 1987): distances along an outline are alike over some points, and then of
-    the other sign, which no single correlation describes.
+    the other sign, which no single correlation describes. The fit follows a part of the errors, so
+    that what is left scatters less: by how much is known for independent errors, and made up for.
     """
-    count, size = jacobian.shape
-    score = jacobian * left[:, np.newaxis]
-    middle = score.T @ score
-    reach = round(np.sqrt(count))
-    for apart in range(1, reach):
-        product = score[apart:].T @ score[:-apart]
-        middle += (1 - apart / reach) * (product + product.T)
-    inverse = np.linalg.pinv(jacobian.T @ jacobian)
-    return inverse @ middle @ inverse * (count / max(count - size, 1))
+    count = len(jacobian)
+    weights = np.maximum(1 - np.abs(np.arange(1 - count, count)) / round(np.sqrt(count)), 0)
+
+    def alike(score: Array) -> float:
+        return float(weights @ np.correlate(score, score, "full"))
+
+    by_point = np.linalg.pinv(jacobian)[0]
+    followed = sum(alike(by_point * each) for each in np.linalg.qr(jacobian)[0].T)
+    share = 1 - followed / (by_point @ by_point)
+    # Of no more points than parameters nothing is left.
+    return alike(by_point * left) / max(share, float(np.finfo(float).eps))
