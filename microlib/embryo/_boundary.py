@@ -137,7 +137,8 @@ def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool 
     >>> import numpy as np
     >>> from microlib.embryo import extract_boundary
     >>> from microlib.synthetic import Embryo, embryo_image
-    >>> scene = embryo_image(Embryo.pressed(150.0, modulus=1.0), rng=np.random.default_rng(3))
+    >>> embryo = Embryo.pressed(150.0, modulus=1.0)
+    >>> scene = embryo_image(embryo, rng=3, shape=(480, 640))
     >>> outline = extract_boundary(scene.image)
     >>> x, y = outline.points[~outline.under_probe].T
     >>> rim = scene.to_pixels([[scene.embryo.dimple_radius, 0.0]])[0]

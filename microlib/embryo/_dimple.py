@@ -237,10 +237,10 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
 
     Examples
     --------
-    >>> import numpy as np
     >>> from microlib.embryo import extract_boundary, fit_dimple
     >>> from microlib.synthetic import Embryo, embryo_image
-    >>> scene = embryo_image(Embryo.pressed(150.0, modulus=1.0), rng=np.random.default_rng(3))
+    >>> embryo = Embryo.pressed(150.0, modulus=1.0)
+    >>> scene = embryo_image(embryo, rng=3, shape=(480, 640))
     >>> outline = extract_boundary(scene.image)
     >>> dimple = fit_dimple(outline, pixel_size=scene.pixel_size, probe_half_width=25.0)
     >>> print(f"{dimple.dimple_depth:.0f} µm, truth {scene.embryo.dimple_depth:.0f} µm")

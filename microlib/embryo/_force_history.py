@@ -108,7 +108,7 @@ def force_over_time(
     >>> from microlib.embryo import force_over_time
     >>> from microlib.synthetic import Embryo, embryo_image
     >>> free, pressed = Embryo(1.2, 0.0, 240.0), Embryo(1.2, 1.2, 240.0)
-    >>> scenes = [embryo_image(embryo, rng=k) for k, embryo in enumerate((free, pressed, pressed))]
+    >>> scenes = [embryo_image(each, rng=1, shape=(480, 640)) for each in (free, pressed, pressed)]
     >>> found = force_over_time(
     ...     [scene.image for scene in scenes], [0.0, 1.0, 5.0], 1.2,
     ...     shares=[0.4], relaxation_times=[2.0], pixel_size=scenes[0].pixel_size,

@@ -217,11 +217,10 @@ def modulus_from_image(
 
     Examples
     --------
-    >>> import numpy as np
     >>> from microlib.embryo import modulus_from_image
     >>> from microlib.synthetic import Embryo, embryo_image
     >>> embryo = Embryo(modulus=1.2, force=1.2, dimple_radius=240.0)
-    >>> scene = embryo_image(embryo, rng=np.random.default_rng(1))
+    >>> scene = embryo_image(embryo, rng=1, shape=(480, 640))
     >>> estimate = modulus_from_image(
     ...     scene.image, 1.2, pixel_size=scene.pixel_size, thickness=3.0, probe_half_width=25.0,
     ...     poisson_ratio=0.5,
@@ -288,11 +287,10 @@ def force_from_image(
 
     Examples
     --------
-    >>> import numpy as np
     >>> from microlib.embryo import force_from_image
     >>> from microlib.synthetic import Embryo, embryo_image
     >>> embryo = Embryo(modulus=1.2, force=1.2, dimple_radius=240.0)
-    >>> scene = embryo_image(embryo, rng=np.random.default_rng(1))
+    >>> scene = embryo_image(embryo, rng=1, shape=(480, 640))
     >>> estimate = force_from_image(
     ...     scene.image, 1.2, pixel_size=scene.pixel_size, thickness=3.0, probe_half_width=25.0,
     ...     poisson_ratio=0.5,

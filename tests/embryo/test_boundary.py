@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import cv2
 import numpy as np
 import pytest
@@ -11,21 +13,29 @@ from scipy.spatial import cKDTree
 from benchmarks.capsule_embryo import draw_scene
 from benchmarks.photographs import without_embryo
 from microlib.embryo import extract_boundary
+from microlib.embryo._boundary import Boundary
 from microlib.embryo._probe import find_probe
 from microlib.embryo._view import View
 from microlib.synthetic import Embryo, embryo_image
 from microlib.synthetic._embryo import EmbryoImage
 
+PRESSED = Embryo.pressed(150.0, modulus=1.2)
 
-def render(seed: int = 0, **camera: object) -> EmbryoImage:
-    embryo = Embryo.pressed(150.0, modulus=1.2)
-    camera = {"shape": (480, 720)} | camera
-    return embryo_image(embryo, rng=np.random.default_rng(seed), **camera)
+
+@cache
+def render(embryo: Embryo = PRESSED, **camera: object) -> EmbryoImage:
+    place = {"shape": (320, 480), "center": (240.37, 101.81), "tilt": 0.01, "unevenness": 0.2}
+    return embryo_image(embryo, rng=0, **place | camera)
 
 
 @pytest.fixture(scope="module")
 def scene() -> EmbryoImage:
-    return render(center=(350.37, 126.81), tilt=0.01, unevenness=0.2)
+    return render()
+
+
+@pytest.fixture(scope="module")
+def boundary(scene: EmbryoImage) -> Boundary:
+    return extract_boundary(scene.image)
 
 
 def distances(scene: EmbryoImage, points: np.ndarray) -> np.ndarray:
@@ -53,8 +63,7 @@ def test_the_probes_width_is_taken_across_it():
     assert probe.half_width == pytest.approx(half_width, abs=0.07)
 
 
-def test_outline_lies_on_the_drawn_one(scene):
-    boundary = extract_boundary(scene.image)
+def test_outline_lies_on_the_drawn_one(scene, boundary):
     seen = boundary.points[~boundary.under_probe]
     off = distances(scene, seen)
     # The dark wall darkens the brighter ground more than the fluid, which moves its apparent middle
@@ -75,13 +84,13 @@ def test_outline_lies_on_the_drawn_one(scene):
     assert boundary.blur == pytest.approx(np.sqrt(1 + 1 / 12 + wall), abs=0.06)
 
 
-def test_filled_probe_leaves_the_ground(scene):
-    clean = render(center=(350.37, 126.81), tilt=0.01, unevenness=0.2, probe=False, noise=0.0)
-    noisy = scene.image[:100].astype(float)
-    filled = extract_boundary(scene.image).without_probe(scene.image)[:100]
-    off = filled - clean.image[:100]
+def test_filled_probe_leaves_the_ground(scene, boundary):
+    clean = render(probe=False, noise=0.0)
+    noisy = scene.image[:75].astype(float)
+    filled = boundary.without_probe(scene.image)[:75]
+    off = filled - clean.image[:75]
     bar = np.abs(noisy - filled) > 20
-    assert bar.sum() > 100 * 11
+    assert bar.sum() > 75 * 11
     # The ground is a straight line between noisy neighbors; light bends by less than a grey level.
     assert np.abs(off[bar]).max() < 3
 
@@ -95,17 +104,17 @@ def test_filled_probe_leaves_the_ground(scene):
     ],
     ids=["16 bit", "0 to 1", "dimmer"],
 )
-def test_scale_of_the_grey_levels_does_not_matter(scene, change):
-    plain, other = extract_boundary(scene.image), extract_boundary(change(scene.image))
-    np.testing.assert_array_equal(other.under_probe, plain.under_probe)
+def test_scale_of_the_grey_levels_does_not_matter(scene, boundary, change):
+    other = extract_boundary(change(scene.image))
+    np.testing.assert_array_equal(other.under_probe, boundary.under_probe)
     # float32 keeps seven digits of a grey level, which are 1e-6 px of an edge; a wall's place is
     # polished to about 1e-3 px.
-    np.testing.assert_allclose(other.points, plain.points, atol=5e-3)
+    np.testing.assert_allclose(other.points, boundary.points, atol=5e-3)
 
 
 def with_probe(taper: float, glass: bool) -> tuple[EmbryoImage, np.ndarray]:
     """A probe drawn by hand, of four samples a px and side: tapering, or two walls of glass."""
-    bare = render(probe=False, noise=0.0)
+    bare = render(probe=False, noise=0.0, tilt=0.0, unevenness=0.0)
     image = cv2.resize(bare.image.astype(np.float32), None, fx=4, fy=4)
     y, x = np.mgrid[: image.shape[0], : image.shape[1]] / 4 - 0.375
     embryo = bare.embryo
@@ -116,7 +125,8 @@ def with_probe(taper: float, glass: bool) -> tuple[EmbryoImage, np.ndarray]:
     wall = bar & ((beside > half - 2.2) | (above < 1.5)) if glass else bar
     image[bar] = 205
     image[wall] = 60
-    small = cv2.resize(cv2.GaussianBlur(image, (0, 0), 2.5), (720, 480), interpolation=3)
+    size = bare.image.shape[::-1]
+    small = cv2.resize(cv2.GaussianBlur(image, (0, 0), 2.5), size, interpolation=3)
     noise = np.random.default_rng(0).normal(0, 2, small.shape)
     return bare, (small + noise).clip(0, 255).astype(np.uint8)
 
@@ -137,31 +147,33 @@ def test_probes_of_other_kinds(taper, glass):
     off = distances(truth, found.points[~found.under_probe])
     # As with the renderer's own probe, but for 0.6 px more of blur, which flattens the wall.
     assert abs(off.mean()) < 0.04
-    assert np.abs(off).max() < 0.5
+    # Of 300 points one is off by four deviations where each is biased by a half.
+    assert np.abs(off / found.std[~found.under_probe]).max() < 6
 
 
 @pytest.mark.parametrize(("edge", "turns"), [("left", 1), ("bottom", 2), ("right", 3)])
-def test_probe_may_come_from_any_edge(scene, edge, turns):
-    plain, turned = extract_boundary(scene.image), np.rot90(scene.image, turns)
+def test_probe_may_come_from_any_edge(scene, boundary, edge, turns):
+    turned = np.rot90(scene.image, turns)
     for direction in (edge, "auto"):
         found = extract_boundary(turned, direction=direction)
         assert found.view.direction == edge
         # Where each pixel of the turned image was before, read at the points found in it.
-        before = [np.rot90(axis, turns).astype(float) for axis in np.mgrid[:480, :720][::-1]]
+        places = np.indices(scene.image.shape)[::-1].astype(float)
+        before = [np.rot90(axis, turns) for axis in places]
         points = np.stack(
             [map_coordinates(axis, found.points.T[::-1], order=1) for axis in before], axis=1
         )
-        np.testing.assert_allclose(points, plain.points, atol=1e-6)
+        np.testing.assert_allclose(points, boundary.points, atol=1e-6)
     filled = found.without_probe(turned)
-    np.testing.assert_array_equal(np.rot90(filled, -turns), plain.without_probe(scene.image))
+    np.testing.assert_array_equal(np.rot90(filled, -turns), boundary.without_probe(scene.image))
     with pytest.raises(ValueError, match="from the top"):
         extract_boundary(turned, direction="top")
 
 
-@pytest.mark.parametrize("degrees", [-50.0, -10.0, 25.0])
+@pytest.mark.parametrize("degrees", [-50.0, 25.0])
 def test_a_leaning_probe_is_turned_upright(degrees):
     """Of an image of the same size, turned about the middle of the dimple's side."""
-    turned = {"tilt": np.deg2rad(degrees), "shape": (520, 720), "center": (360.0, 230.0)}
+    turned = {"tilt": np.deg2rad(degrees), "shape": (400, 520), "center": (260.0, 175.0)}
     leaning = render(**turned)
     found = extract_boundary(leaning.image, direction="top")
     assert np.rad2deg(found.view.tilt) == pytest.approx(-degrees, abs=2.0)
@@ -195,23 +207,22 @@ def test_probes_of_the_other_renderer(probe):
     assert found.probe.half_width == pytest.approx(half, abs=1.0)
 
 
-def test_a_broad_edge_is_found_at_half_the_size():
-    coarse = render(center=(350.0, 127.0))
-    broad = cv2.resize(coarse.image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-    found, before = extract_boundary(broad), extract_boundary(coarse.image)
-    assert found.blur == pytest.approx(2 * before.blur, rel=0.1)
-    x = np.arange(200.0, 500.0)
-    x = x[np.abs(x - 350.0) > 16]
+def test_a_broad_edge_is_found_at_half_the_size(scene, boundary):
+    broad = cv2.resize(scene.image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+    found = extract_boundary(broad)
+    assert found.blur == pytest.approx(2 * boundary.blur, rel=0.1)
+    x = np.arange(140.0, 340.0)
+    x = x[np.abs(x - 240.0) > 16]
     # Pixel k of the image is the middle of 2k and 2k + 1; each outline has its own noise.
     y = (found.points[:, 1] - 0.5) / 2
-    off = np.interp(x, (found.points[:, 0] - 0.5) / 2, y) - np.interp(x, *before.points.T)
+    off = np.interp(x, (found.points[:, 0] - 0.5) / 2, y) - np.interp(x, *boundary.points.T)
     assert abs(off.mean()) < 0.03
     assert np.abs(off).max() < 0.4
 
 
 def test_pictures_of_other_things_are_refused():
-    """No modulus, and no other error: 60 pictures, pieces and textures; the benchmark has 400."""
-    for _, image in without_embryo(np.random.default_rng(2), 60):
+    """No modulus, and no other error: 25 pictures, pieces and textures; the benchmark has 400."""
+    for _, image in without_embryo(np.random.default_rng(2), 25):
         with pytest.raises(ValueError, match="image must"):
             extract_boundary(image)
 
@@ -233,7 +244,7 @@ def barred(image: np.ndarray, end: int, left: int) -> np.ndarray:
 
 
 def ground() -> np.ndarray:
-    return np.random.default_rng(1).normal(190.0, 2.0, (480, 720)).clip(0, 255).astype(np.uint8)
+    return np.random.default_rng(1).normal(190.0, 2.0, (320, 480)).clip(0, 255).astype(np.uint8)
 
 
 def image() -> np.ndarray:
@@ -244,21 +255,29 @@ def bare() -> np.ndarray:
     return render(probe=False).image
 
 
+def shallow() -> np.ndarray:
+    return render(Embryo.dented(30.0, modulus=1.0), probe=False).image
+
+
 NO_PROBE = "one dark probe that enters through its upper edge, got 0 bars"
 ONE_SIDE = "image must show an embryo's outline on both sides of the probe"
 FLAT = "image must show a dimple at least 3 px deep"
 #: Images that do not show what is needed, and what is said of them.
 SPOILED = {
-    "no embryo": (lambda: barred(ground(), 180, 353), ONE_SIDE),
-    "probe beside": (lambda: barred(bare(), 300, 85), ONE_SIDE),
-    "half of it": (lambda: image()[:, 340:], ONE_SIDE),
-    "probe above": (lambda: barred(bare(), 60, 353), FLAT),
-    "untouched": (lambda: embryo_image(Embryo(1.0, 0.0, 1.0), rng=0).image, FLAT),
+    "no embryo": (lambda: barred(ground(), 130, 234), ONE_SIDE),
+    "probe beside": (lambda: barred(bare(), 200, 30), ONE_SIDE),
+    "half of it": (lambda: image()[:, 222:], ONE_SIDE),
+    "probe above": (lambda: barred(bare(), 60, 234), FLAT),
+    "untouched": (lambda: render(embryo=Embryo(1.0, 0.0, 1.0)).image, FLAT),
+    "probe inside": (
+        lambda: barred(shallow(), 170, 234),
+        "an outline that falls to the probe's end",
+    ),
     "nothing": (ground, NO_PROBE),
     "no probe": (bare, NO_PROBE),
-    "noise": (lambda: np.random.default_rng(0).integers(0, 250, (480, 720), np.uint8), NO_PROBE),
-    "flat": (lambda: np.full((480, 720), 120, np.uint8), NO_PROBE),
-    "two probes": (lambda: barred(image(), 60, 150), "one dark probe .* got 2 bars"),
+    "noise": (lambda: np.random.default_rng(0).integers(0, 250, (320, 480), np.uint8), NO_PROBE),
+    "flat": (lambda: np.full((320, 480), 120, np.uint8), NO_PROBE),
+    "two probes": (lambda: barred(image(), 60, 80), "one dark probe .* got 2 bars"),
     "saturated": (lambda: (image() * 1.4).clip(0, 255).astype(np.uint8), "not be saturated"),
     "saturated 0 to 1": (lambda: (image() / 255 * 1.4).clip(0, 1), "not be saturated"),
     "tiny": (lambda: image()[:40, :40], "image must be at least 64 px on each side"),

@@ -195,7 +195,7 @@ def test_the_error_of_a_gaussian_is_as_stated(points):
     """Few, some and many points for its three numbers."""
     rng, x = np.random.default_rng(points), np.linspace(3.0, 81.0, points)
     curve = GaussianSum([60.0], [37.0], [22.0], domain=(0, 90))
-    fits = [fit_gaussians(x, curve(x) + rng.normal(0.0, 0.2, points), terms=1) for _ in range(150)]
+    fits = [fit_gaussians(x, curve(x) + rng.normal(0.0, 0.2, points), terms=1) for _ in range(60)]
     found = [[fit.amplitudes[0], fit.centers[0], fit.widths[0]] for fit in fits]
     hold_sigma(
         np.subtract(found, [60.0, 37.0, 22.0]),

@@ -239,7 +239,6 @@ def test_inverse_with_a_slack_plate() -> None:
         ({"force": 2000.0}, "force must keep the probe above the plate"),
         ({"force": 2000.0, "law": "hooke", "inflation": 1.1}, "clear of the probe's side"),
         ({"force": 1.0, "inflation": 1.05}, "force must lay the wall on the whole face .* 1 µN"),
-        ({"force": 0.02, "inflation": 1.0}, "force must have an equilibrium"),
         ({"modulus": np.inf}, "modulus must be finite"),
         ({"radius": 0.0}, "radius must be positive"),
         ({"probe_half_width": R}, "probe_half_width must lie in"),
