@@ -132,7 +132,6 @@ def test_a_number_leads_to_the_cell_that_recorded_it_and_back(
     code = page.locator(".cell:has(#number-5-6-e-capsule-97-5) details[open] pre")
     code.wait_for()
     assert "modulus_posterior" in code.inner_text()
-    page.wait_for_timeout(300)
     cell = page.locator(".cell:has(#number-5-6-e-capsule-97-5)").bounding_box()
     assert cell
     assert 0 <= cell["y"] < 300
@@ -207,8 +206,7 @@ def test_every_number_of_the_thesis_is_found_and_leads_somewhere(page: Page, htm
 def test_an_anchor_is_seen_on_a_phone_that_is_dark(browser: Browser, html: Path) -> None:
     page = browser.new_page(viewport={"width": 390, "height": 844}, color_scheme="dark")
     page.goto(f"{(html / CHAPTER).as_uri()}#equation-4-7")
-    page.wait_for_function("window.formulasFit")
-    page.wait_for_timeout(300)
+    page.wait_for_function("window.formulasFit")  # the way to the anchor is gone at once
     top = page.evaluate("document.getElementById('equation-4-7').getBoundingClientRect().top")
     assert 0 <= top < 300
     assert page.evaluate("document.documentElement.dataset.theme") == "dark"

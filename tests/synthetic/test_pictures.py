@@ -50,3 +50,22 @@ def test_edges_are_those_of_dense_sampling():
     difference = image - (200 - 150 * covered)
     assert np.abs(difference).max() < 150 / 15
     assert abs(difference.mean()) < 0.02
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda flat: synthetic.camera_frame(flat / 1.2, 6, noise=3.0, gain=1.2),
+        lambda flat: synthetic.focal_stack(flat, 0 * flat, [0, 1], blur_rate=1, noise=3, rng=0)[1],
+        lambda flat: synthetic.embryo_image(
+            synthetic.Embryo(1.0, 0.0, 1.0), rng=3, shape=flat.shape, center=(0.0, 999.0),
+            probe=False, noise=3.0, unevenness=0.0,
+        ).image,
+    ],
+)  # fmt: skip
+def test_noise_has_its_standard_deviation(draw):
+    frame = draw(np.full((200, 210), 195.0))
+    assert frame.dtype == np.uint8
+    # 42,000 pixels: the mean to 0.015, the spread to 0.4 %; rounding adds 1/12 to the variance.
+    assert frame.mean() == pytest.approx(195.0, abs=0.06)
+    assert frame.std() == pytest.approx(np.hypot(3.0, 12**-0.5), rel=0.02)

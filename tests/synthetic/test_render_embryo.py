@@ -55,6 +55,7 @@ def test_volume_and_rim(force, rim):
 def test_more_blur_is_a_wider_gaussian():
     """Gaussians widen by the root of the squares; grey levels are rounded once, twice that here."""
     embryo, alike = Embryo(1.2, 100.0, 240.0), {"rng": 0, "noise": 0.0, "unevenness": 0.0}
+    alike |= {"pixel_size": 9.0, "shape": (150, 170)}
     sharp, soft = (embryo_image(embryo, blur=b, **alike).image.astype(float) for b in (1.0, 2.5))
     again = gaussian_filter(sharp, np.sqrt(2.5**2 - 1.0), mode="nearest")
     assert np.abs(again - soft)[15:-15, 15:-15].max() < 2
@@ -160,6 +161,7 @@ def test_light_falls_from_any_side():
         )
     # One side in eight of eight draws has a chance of 1 in 128, for either axis.
     assert (np.ptp(np.sign(slopes), axis=0) == 2).all()
+    assert np.abs(slopes).max() > 10
 
 
 def test_tilt_turns_the_scene_clockwise_about_its_center():
@@ -169,19 +171,6 @@ def test_tilt_turns_the_scene_clockwise_about_its_center():
     np.testing.assert_allclose(turned[0], [length * np.cos(0.1), length * np.sin(0.1)])
     np.testing.assert_allclose(turned[1], [length * np.sin(0.1), -length * np.cos(0.1)])
     np.testing.assert_allclose(turned[2], 0.0, atol=1e-12)
-
-
-def test_noise_light_and_seed():
-    embryo = Embryo.pressed(100.0, modulus=1.0)
-    first = embryo_image(embryo, rng=np.random.default_rng(3), unevenness=0.2)
-    again = embryo_image(embryo, rng=np.random.default_rng(3), unevenness=0.2)
-    np.testing.assert_array_equal(first.image, again.image)
-    even = embryo_image(embryo, rng=np.random.default_rng(3), unevenness=0.0, noise=3.0).image
-    corner = even[:80, :80].astype(float)
-    # 6400 samples know their deviation to 1 %; rounding to 8 bits adds 1/12 to the variance.
-    assert corner.std() == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.04)
-    light = first.image[[40, 40, -40, -40], [40, -40, 40, -40]].astype(float)
-    assert np.ptp(light) > 10
 
 
 def test_untouched_embryo_is_round():
