@@ -17,30 +17,10 @@ import pytest
 
 from microlib.batch import process_files
 from microlib.microscope import Microscope
-from tests.running import alive, until
+from tests.running import THREADS, alive, measure, until
 
 ROOT = Path(__file__).parents[1]
 LAWS = {"batch.process_files": "it computes nothing; its laws of a second use are below"}
-
-
-#: Each process may use one thread, unless the user says how many.
-THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
-
-
-def measure(path: Path, *, factor: float = 1.0, log: Path | None = None) -> dict[str, object]:
-    """Read a number; fail, die or wait where the file says so."""
-    with open(log or os.devnull, "a", errors="surrogateescape") as file:
-        file.write(f"{path.name}\n")
-    text = path.read_text()
-    if text == "die":
-        os._exit(3)
-    if text.startswith("wait"):
-        time.sleep(0.15)
-        text = text[4:]
-    value = float(text)
-    threads = "-".join(os.environ.get(name, "") for name in THREADS)
-    about = {"pid": os.getpid(), "threads": threads}
-    return {"value": factor * value, "odd": value % 2 == 1, **about}
 
 
 @pytest.fixture

@@ -76,8 +76,9 @@ def track_each(
         if tracker is None:
             as_image("frames", luminance("frames", frame))
             tracker = ESMTracker(frame, box, motion, kalman=kalman)
-            track = ESMTracker(frame, box, motion).track(frame)  # nothing to predict
-            start = track.center
+            tracker._kalman = None  # there is nothing to predict in the first frame
+            track = tracker.track(frame)
+            tracker._kalman, start = kalman, track.center
         else:
             track = tracker.track(frame)
         row = {"frame": number} | ({} if every is None else {"time_s": number * every})

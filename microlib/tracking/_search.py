@@ -227,8 +227,7 @@ class RobustSearch:
 
     def _finished(self, view: View, blur: int, starts: Sequence[Array]) -> list[Candidate]:
         """Return starts of one blur aligned to the end: locally, and in smooth light."""
-        poses = starts
-        poses = self._wide[blur].align_locally(view, poses)
+        poses = self._wide[blur].align_locally(view, starts)
         poses = self._sharp[blur].align_locally(view, poses, tolerance=0.03)
         ended = []
         # A blur may leave less to align than the start had: then that is the better one.

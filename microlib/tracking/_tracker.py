@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, ClassVar
 
 import cv2
@@ -263,14 +264,10 @@ class ESMTracker:
         self._start = np.array(
             [[size, 0, x + (width - 1) / 2], [0, size, y + (height - 1) / 2], [0, 0, 1.0]]
         )
-        self._pose, box = self._start, self._box
-        self._smooth, self._sharp = (
-            make_level(image, box, self._start, density=k, smoothing=sigma, motion=motion)
-            for k, sigma, image in (
-                (1, self._settings.smoothing, frame),
-                (2, 0.0, half_pixel(frame)),
-            )
-        )
+        self._pose = self._start
+        cut = partial(make_level, box=self._box, pose=self._start, motion=motion)
+        self._smooth = cut(frame, smoothing=self._settings.smoothing)
+        self._sharp = cut(half_pixel(frame), density=2, smoothing=0.0)
         _check_texture(self._smooth, self._sharp)
         # At least what rounding to whole numbers and interpolation leave.
         rounded = float(self._gauge) / np.sqrt(12) * (np.asarray(image).dtype.kind in "bui")

@@ -65,29 +65,24 @@ def test_a_template_hidden_for_a_third_is_found_and_its_hidden_part_named(motion
         assert both / either > 0.6  # measured 0.75 to 0.9
 
 
+def blobs(seed):
+    return mixed_texture((180, 190), default_rng(seed), scales=8.0, std=40.0)
+
+
 @pytest.mark.parametrize("motion", ["translation", "homography"])
-def test_a_template_that_is_gone_or_replaced_is_lost(motion):
-    for seed in range(6):
+def test_what_is_not_the_template_is_lost(motion):
+    # Without the verdict half of the blobs are believed: any can be warped onto another.
+    for seed in range(3):
         first = scene(seed)
         gone = hide(first, (60, 55), (72, 72), seed + 50)
-        for second in (gone, scene(seed + 200)):
-            track = track_of(first, second, default_rng(seed), motion)
+        pairs = [(first, gone), (first, scene(seed + 200)), (blobs(seed), blobs(seed + 200))]
+        for one, other in pairs:
+            track = track_of(one, other, default_rng(seed), motion)
             assert track.lost
-            assert track.reason in ("no agreement", "low correlation", "diverged")
+            assert track.reason in ("no agreement", "low correlation", "diverged", "out of view")
             assert track.hidden.all()
             assert np.isnan(track.corner_covariance).all()
-            assert track.confidence < 0.5
-
-
-@pytest.mark.parametrize("motion", ["translation", "homography"])
-def test_blobs_that_resemble_the_template_are_not_believed(motion):
-    # Without the verdict half of them are: any blob can be warped onto another.
-    for seed in range(8):
-        first, other = (
-            mixed_texture((180, 190), default_rng(s), scales=8.0, std=40.0)
-            for s in (seed, seed + 200)
-        )
-        assert track_of(first, other, default_rng(seed), motion).lost
+            assert track.confidence < 0.65  # from which on a pose is believed
 
 
 def spoil(image, condition, box, rng):
@@ -113,7 +108,7 @@ def spoil(image, condition, box, rng):
 @pytest.mark.parametrize("light", ["ramp", "gamma", "blur", "glare"])
 def test_another_light_moves_nothing(light):
     by = np.array([3.4, 2.7])
-    for seed in range(3):
+    for seed in range(2):
         first = scene(seed)
         second = spoil(moved(first, by), light, (73, 68, 50, 50), default_rng(seed))
         track = track_of(first, second, default_rng(seed))
@@ -123,9 +118,10 @@ def test_another_light_moves_nothing(light):
             assert track.hidden[25, 17]  # its middle
 
 
-@pytest.mark.parametrize("motion", ["translation", "homography"])
-@pytest.mark.parametrize("size", [24, 90, 150])
-@pytest.mark.parametrize("condition", ["clean", "hidden", "ramp", "glare", "blur", "gone"])
+@pytest.mark.parametrize(
+    ("size", "motion"), [(24, "homography"), (90, "translation"), (150, "homography")]
+)
+@pytest.mark.parametrize("condition", ["clean", "hidden", "glare", "gone"])
 def test_a_template_of_any_size_is_found_or_lost_and_never_somewhere_else(size, condition, motion):
     rng, by = default_rng(size), np.array([3.3, -2.6])
     first = mixed_texture((290, 290), rng, scales=(1.5, 3.0, 8.0), std=40.0)
@@ -141,7 +137,7 @@ def test_a_template_of_any_size_is_found_or_lost_and_never_somewhere_else(size, 
     assert track.lost or np.abs(track.corners - corners - by).max() < 1.0
 
 
-@pytest.mark.parametrize("condition", ["clean", "hidden", "glare"])
+@pytest.mark.parametrize("condition", ["clean", "glare"])
 def test_depth_of_the_grey_values_and_their_order_in_memory_change_nothing(condition):
     rng = default_rng(7)
     first = scene(7)
@@ -208,15 +204,15 @@ def test_the_sandwich_is_the_spread_of_fits_to_spread_noise():
     design = np.stack([np.sin(5 * u + v), np.cos(4 * v), np.ones(shape), u]).reshape(4, -1)
     sigma = 0.7
     solver = np.linalg.inv(design @ design.T) @ design
-    ones = np.ones(1600)
+    ones = np.ones(shape)
     # What a Gaussian leaves of the variance of white noise.
     kept = 1 / (4 * np.pi * sigma**2)
     fits, stated = [], []
     for _ in range(300):
         noise = ndimage.gaussian_filter(rng.standard_normal(shape), sigma, mode="wrap").ravel()
         fits.append(solver @ noise)
-        residual = noise - design.T @ fits[-1]
-        stated.append(sandwich(design, residual, ones, ones, (kept, kept), shape, 2))
+        residual = (noise - design.T @ fits[-1]).reshape(shape)
+        stated.append(sandwich(design, residual, ones, ones, (kept, kept), 2))
     # 300 fits know a variance to 8 %; the surroundings' average adds a little.
     truth = np.cov(np.transpose(fits)[:2])
     np.testing.assert_allclose(np.diag(np.mean(stated, axis=0)), np.diag(truth), rtol=0.25)

@@ -170,11 +170,11 @@ def test_the_covariance_of_a_robust_fit_is_that_of_its_errors(side):
         for _ in range(12):
             weight = tukey(noise - fit @ design, scale)
             fit = np.linalg.solve((design * weight) @ design.T, (design * weight) @ noise)
-        residual = noise - fit @ design
+        residual = (noise - fit @ design).reshape(side, side)
         weight = tukey(residual, scale)
         slope = _tukey_slope(weight, residual, scale)
         fits.append(fit[:2])
-        stated.append(sandwich(design, residual, weight, slope, (1, 1), (side, side), 2))
+        stated.append(sandwich(design, residual, weight, slope, (1, 1), 2))
     hold_sigma(fits, np.array(stated))
 
 

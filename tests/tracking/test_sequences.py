@@ -35,10 +35,3 @@ def test_a_stored_tracker_goes_on_where_it_stopped(motion: str) -> None:
     table = pd.DataFrame(rows)
     assert table["lost"].sum() == 1
     assert table["lost"][5]
-    assert {
-        "corners_top_left_x",
-        "corners_bottom_left_y",
-        "center_x",
-        "confidence",
-        "hidden",
-    } <= set(table)

@@ -32,31 +32,27 @@ def corner_errors(motion, distance, warp, trials):
     return np.array(errors)
 
 
-# More trials are in benchmarks/tracking.py; 25 fail, with a probability of 90 % or more, for a
+# More trials are in benchmarks/tracking.py; 16 fail, with a probability of 93 % or more, for a
 # tracker whose success rate has dropped to 75 %.
 @pytest.mark.parametrize(
     ("motion", "warp", "distance", "least"),
     [
-        ("translation", "shift", 3.0, 1.0),
-        ("translation", "shift", 7.6, 1.0),
-        ("translation", "shift", 20.0, 1.0),
         ("translation", "shift", 32.0, 1.0),
-        ("affine", "affine", 7.6, 0.96),
-        ("affine", "affine", 15.0, 0.96),
-        ("homography", "homography", 7.6, 0.96),
+        ("affine", "affine", 15.0, 0.93),
+        ("homography", "homography", 7.6, 0.93),
         ("homography", "homography", 15.0, 0.80),
-        ("homography", "shift", 15.0, 0.96),
+        ("homography", "shift", 15.0, 0.93),
     ],
 )
 def test_reaches_as_far_as_promised(motion, warp, distance, least):
-    errors = corner_errors(motion, distance, warp, 25)
+    errors = corner_errors(motion, distance, warp, 16)
     assert np.mean(errors < 1.0) >= least
     assert (errors[errors >= 1.0] == np.inf).all()  # what is not found is called lost
 
 
-@pytest.mark.parametrize("distance", [0.5, 1.0, 3.0])
+@pytest.mark.parametrize("distance", [0.5, 3.0])
 def test_translation_is_found_to_a_hundredth_of_a_pixel(distance):
-    errors = corner_errors("translation", distance, "shift", 20)
+    errors = corner_errors("translation", distance, "shift", 12)
     # The limit asked for; measured 0.004, where bilinear interpolation alone would leave 0.017.
     assert np.sqrt(np.mean(errors**2)) <= 0.015
 
@@ -71,7 +67,7 @@ def test_translation_is_found_to_a_hundredth_of_a_pixel(distance):
 )
 def test_agrees_with_opencv_and_is_closer_to_the_truth(motion, mode, warp):
     ours, theirs = [], []
-    for seed in range(12):
+    for seed in range(8):
         pair = warped_pair(np.random.default_rng(100 + seed), 1.0, warp=warp)
         x, y, width, height = pair.box
         track = ESMTracker(pair.first, pair.box, motion).track(pair.second)
@@ -125,7 +121,7 @@ def scene_and_tracker(motion="translation"):
 
 def test_a_gripper_is_tracked_over_its_ground_without_drift():
     scene, tracker, rng = scene_and_tracker("affine")
-    for k in range(100):
+    for k in range(0, 100, 2):
         truth = 40 * np.array([np.sin(k / 25), np.cos(k / 25) - 1])
         track = tracker.track(scene.frame(truth, rng))
         assert not track.lost
@@ -181,7 +177,7 @@ def test_a_target_that_left_is_out_of_view():
     assert reasons[-1] == "out of view"
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=18)
 @given(
     seed=st.integers(0, 10**6),
     kind=st.sampled_from(["noise", "flat", "ramp", "checks", "bright", "edge"]),
@@ -204,11 +200,10 @@ def test_no_frame_whatever_breaks_the_tracker(seed, kind, motion):
     assert not tracker.track(IMAGE).lost
 
 
-@pytest.mark.parametrize(("speed", "runs"), [(250.0, 4), (500.0, 4)])
-def test_follows_a_fast_square_over_another_texture(speed, runs):
-    for seed in range(runs):
+def test_follows_a_fast_square_over_another_texture():
+    for seed in range(4):
         rng = np.random.default_rng(seed)
-        angle = speed * INTERVAL / 80 * np.arange(40) + rng.uniform(0, 2 * np.pi)
+        angle = 500.0 * INTERVAL / 80 * np.arange(30) + rng.uniform(0, 2 * np.pi)
         path = 115 + 80 * np.column_stack([np.cos(angle), np.sin(angle)])
         frames = texture_sequence(path, rng)
         x, y = np.ceil(path[0]).astype(int)
@@ -332,13 +327,16 @@ def test_a_film_that_fails_late_keeps_its_rows():
         assert table.attrs["error"].startswith("tracked 3 frames")
 
 
-def test_a_film_is_predicted_by_the_filter_that_is_given():
+def test_a_film_is_predicted_by_the_filter_from_its_second_frame():
     frames, _ = film()
-    kalman = KalmanFilter((84, 84), interval=0.05, acceleration=1000.0, noise=0.1)
-    table = track_all(np.stack(frames), (60, 60, 49, 49), kalman=kalman)
-    assert not table["lost"].any()
+    box, drive = (60, 60, 49, 49), {"interval": 0.05, "acceleration": 1000.0, "noise": 0.1}
+    kalman, other = KalmanFilter((84, 84), **drive), KalmanFilter((84, 84), **drive)
+    assert not track_all(np.stack(frames), box, kalman=kalman)["lost"].any()
     off = np.abs(kalman.velocity - (50.0, 25.0))  # px a frame over s a frame
     assert (off < 4 * np.sqrt(kalman.covariance[1, 1])).all()
+    tracker = ESMTracker(frames[0], box, kalman=other)
+    assert not any(tracker.track(frame).lost for frame in frames[1:])
+    np.testing.assert_allclose(kalman.covariance, other.covariance)  # the count of frames decides
 
 
 @pytest.mark.parametrize(
