@@ -47,7 +47,7 @@ def test_the_deviation_is_that_of_the_known_depths():
     assert (ours != depth)[np.isfinite(depth)].any()
 
 
-def planes(depth, jump, radius):
+def planes(depth, mass, jump, radius):
     """The documented smoothing pixel by pixel, its planes by least squares with a weak prior."""
     stride = max(1, round(radius / 1.75))
     reach = stride * int(2 * radius / stride)
@@ -58,13 +58,13 @@ def planes(depth, jump, radius):
         once = np.empty_like(depth)
         for (row, col), here in np.ndenumerate(rest):
             near = [
-                (i, j, rest[row + i, col + j])
+                (i, j, rest[row + i, col + j], mass[row + i, col + j])
                 for i, j in offsets
                 if 0 <= row + i < depth.shape[0] and 0 <= col + j < depth.shape[1]
             ]
-            i, j, value = np.array(near).T
+            i, j, value, share = np.array(near).T
             difference = (value - here) / jump
-            weight = np.clip(1 - difference**2, 0, None) ** 2
+            weight = share * np.clip(1 - difference**2, 0, None) ** 2
             weight *= np.exp(-(i**2 + j**2) / (2 * radius**2))
             design = np.column_stack([np.ones_like(i), i, j])
             normal = design.T @ (weight[:, None] * design)
@@ -80,9 +80,11 @@ def test_smoothing_is_the_loop(options):
     rng = np.random.default_rng(6)
     y, x = np.mgrid[:22, :25]
     depth = 0.02 * (x - 11) ** 2 + 0.3 * y + rng.standard_normal(x.shape)
-    ours = smooth_depth(depth, jump=4.0, **options)
+    weight = rng.uniform(0.1, 2.0, x.shape)
+    ours = smooth_depth(depth, jump=4.0, weight=weight, **options)
+    wanted = planes(depth, weight, 4.0, options.get("radius", 7.0))
     # Sums in single precision, of depths of some jumps.
-    np.testing.assert_allclose(ours, planes(depth, 4.0, options.get("radius", 7.0)), atol=1e-4)
+    np.testing.assert_allclose(ours, wanted, atol=1e-4)
 
 
 def test_a_radius_below_half_a_pixel_smooths_nothing():
