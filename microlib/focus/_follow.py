@@ -130,8 +130,34 @@ def _follow_strip(
     frames: Sequence[Image], axis: Axis, settings: Settings, rows: slice, keep: slice
 ) -> Followed:
     """Do the work of `follow` on some rows of the frames, of which those to keep are fitted."""
-    steps, levels = axis.steps, Levels.of(axis.noise, settings)
-    groups = len(steps)
+    main, edge, wide = _measure_strip(frames, axis, settings, rows)
+    here = slice(keep.start // 2, -(-keep.stop // 2))
+    coarse = slice(keep.start // 4, -(-keep.stop // 4))
+    windows, steps = main.windows(here), axis.steps
+    beyond = (1 - len(steps) / len(axis.positions)) / 2  # the first mean lies half a group inside
+    depth, strength = fit_peaks(windows[0], main.best[here], steps, beyond=beyond)
+    edges, _ = fit_peaks(edge.windows(here)[0], edge.best[here], steps, beyond=beyond)
+    far, _ = fit_peaks(wide.windows(coarse)[0], wide.best[coarse], steps)
+    return Followed(
+        depth=depth,
+        strength=strength,
+        top=main.top[here],
+        mean=main.mean(here),
+        best=main.best[here],
+        along=windows[1],
+        down=windows[2],
+        edge=edges,
+        wide=far,
+        wide_top=wide.top[coarse],
+        wide_mean=wide.mean(coarse),
+    )
+
+
+def _measure_strip(
+    frames: Sequence[Image], axis: Axis, settings: Settings, rows: slice
+) -> tuple[PeakFollower, PeakFollower, PeakFollower]:
+    """Return the measures of some rows: the product with its factors, the edge, the wide window."""
+    groups, levels = len(axis.steps), Levels.of(axis.noise, settings)
     for k in range(groups):
         frame = axis.frame(frames, k, (rows, slice(None)))
         # Blocks of four by four pixels for every fourth.
@@ -156,23 +182,4 @@ def _follow_strip(
         edge.push(k)
         wide.slot(k)[0] = cv2.blur(halved(p * p + q * q), (settings.wide, settings.wide))
         wide.push(k)
-    here = slice(keep.start // 2, -(-keep.stop // 2))
-    coarse = slice(keep.start // 4, -(-keep.stop // 4))
-    windows = main.windows(here)
-    beyond = (1 - groups / len(axis.positions)) / 2  # the first mean lies half a group inside
-    depth, strength = fit_peaks(windows[0], main.best[here], steps, beyond=beyond)
-    edges, _ = fit_peaks(edge.windows(here)[0], edge.best[here], steps, beyond=beyond)
-    far, _ = fit_peaks(wide.windows(coarse)[0], wide.best[coarse], steps)
-    return Followed(
-        depth=depth,
-        strength=strength,
-        top=main.top[here],
-        mean=main.mean(here),
-        best=main.best[here],
-        along=windows[1],
-        down=windows[2],
-        edge=edges,
-        wide=far,
-        wide_top=wide.top[coarse],
-        wide_mean=wide.mean(coarse),
-    )
+    return main, edge, wide

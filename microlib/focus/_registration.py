@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array, Image
-from microlib.focus._result import warped
 from microlib.io import read_frames
 
 #: Least side of a frame that can be registered, px, and shorter side of the frames that are
@@ -103,7 +102,7 @@ def register(frames: Sequence[Image]) -> Registered:
     reference = int(kept[np.abs(kept - count // 2).argmin()])
     inverse = np.linalg.inv(most[reference])
     relative = {k: most[k] @ inverse for k in most}
-    gain, offset = _brightness(small, kept, relative, reference, frames[0].dtype)
+    gain, offset = _brightness(small, kept, relative, reference)
     poses = np.full((count, 2, 3), np.nan)
     # From pixels of the small frames, whose centers lie between those of a block.
     scale = np.array([[factor, 0, (factor - 1) / 2], [0, factor, (factor - 1) / 2], [0, 0, 1]])
@@ -118,6 +117,15 @@ def check_size(shape: tuple[int, ...]) -> None:
         raise ValueError(
             f"frames must be at least {_SMALLEST} px on each side to be registered, got {shape}"
         )
+
+
+def warped(image: Image, pose: Array) -> NDArray[np.float32]:
+    """Return an image where the reference has it; the pose takes the reference's px to its."""
+    size, flags = image.shape[1::-1], cv2.INTER_LANCZOS4 | cv2.WARP_INVERSE_MAP
+    moved = cv2.warpAffine(
+        image.astype(np.float32), pose, size, flags=flags, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(moved)
 
 
 def _chain(bands: Sequence[NDArray], start: int) -> dict[int, Array]:
@@ -178,12 +186,9 @@ def _brightness(
     kept: NDArray[np.intp],
     poses: dict[int, Array],
     reference: int,
-    dtype: np.dtype,
 ) -> tuple[Array, Array]:
     """Return gain and offset of every frame relative to the reference, NaN for those left out."""
-    most = max(float(image.max()) for image in small)
-    limit = 0.99 * most if dtype.kind == "u" and most >= np.iinfo(dtype).max else np.inf
-    smooth = [_smooth(small[k], poses[int(k)][:2], limit) for k in kept]
+    smooth = [_smooth(small[k], poses[int(k)][:2]) for k in kept]
     links = [_change_of_light(a, b, here & there) for (a, here), (b, there) in pairwise(smooth)]
     # An offset of less than 1 % of the grey level is none.
     level = abs(float(np.mean([image.mean() for image, _ in smooth])))
@@ -197,15 +202,12 @@ def _brightness(
     return gain, offset - gain * offset[reference]
 
 
-def _smooth(image: NDArray, pose: Array, limit: float) -> tuple[NDArray, NDArray[np.bool_]]:
-    """Return a frame where the reference has it, without what differs by blur, and what is known.
-
-    Unknown is what lies outside of the frame, or close to pixels that are saturated, from `limit`.
-    """
+def _smooth(image: NDArray, pose: Array) -> tuple[NDArray, NDArray[np.bool_]]:
+    """Return a frame where the reference has it, without what differs by blur, and where it is."""
     size, flags = image.shape[::-1], cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    dark = cv2.warpAffine((image < limit).astype(np.float32), pose, size, flags=flags)
+    inside = cv2.warpAffine(np.ones_like(image), pose, size, flags=flags)
     seen = cv2.warpAffine(image, pose, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-    return cv2.GaussianBlur(seen, (0, 0), 4.0), cv2.GaussianBlur(dark, (0, 0), 4.0) > 0.99
+    return cv2.GaussianBlur(seen, (0, 0), 4.0), cv2.GaussianBlur(inside, (0, 0), 4.0) > 0.99
 
 
 def _change_of_light(

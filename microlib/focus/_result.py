@@ -207,18 +207,6 @@ def picked(frames: Iterable[Image], index: NDArray[np.integer]) -> Image:
     return result
 
 
-def warped(image: Image, pose: Array) -> NDArray[np.float32]:
-    """Return an image where the reference has it; the pose takes the reference's px to its."""
-    moved = cv2.warpAffine(
-        image.astype(np.float32),
-        pose,
-        (image.shape[1], image.shape[0]),
-        flags=cv2.INTER_LANCZOS4 | cv2.WARP_INVERSE_MAP,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
-    return np.asarray(moved)
-
-
 def as_type(image: Image, dtype: np.dtype) -> Image:
     """Return an image in a type: rounded, and no further than its ends if that is of integers."""
     if dtype.kind not in "ui":

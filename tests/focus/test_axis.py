@@ -5,7 +5,7 @@ import pytest
 
 from microlib import synthetic
 from microlib.focus import depth_from_focus
-from microlib.focus._axis import find_axis, peak_width, sampled
+from microlib.focus._axis import find_axis, mosaic, peak_width
 
 SHAPE = (96, 96)
 
@@ -21,11 +21,6 @@ def tilted(factor: int, *, noise: float = 3.0, seed: int = 0):
     texture = synthetic.mixed_texture(SHAPE, rng)
     stack = synthetic.focal_stack(texture, height, positions, blur_rate=1.0, noise=noise, rng=rng)
     return height, positions, stack
-
-
-def mosaics(stack):
-    rows, cols = (sampled(n) for n in stack.shape[1:])
-    return [frame[np.ix_(rows, cols)] for frame in stack]
 
 
 def rms(error: np.ndarray) -> float:
@@ -46,7 +41,7 @@ def test_width_of_a_known_peak():
 @pytest.mark.parametrize("factor", [1, 4, 8])
 def test_groups_are_even_means_of_frames_and_positions(factor):
     _, positions, stack = tilted(factor)
-    axis = find_axis(mosaics(stack), positions, 3.7)
+    axis = find_axis([mosaic(frame) for frame in stack], positions, 3.7)
     sizes = np.diff(axis.ends)
     assert (axis.ends[0], axis.ends[-1]) == (0, len(stack))
     assert np.ptp(sizes) <= 1

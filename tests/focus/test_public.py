@@ -162,7 +162,7 @@ def test_poses_are_those_of_the_frames_at_any_size():
         np.array([[1 + 0.04 * k, 0, 1.7 * k], [0, 1 + 0.04 * k, -2.4 * k]]) for k in range(-2, 3)
     ]
     frames = [cv2.warpAffine(120 + texture, pose, (cols, rows), borderMode=4) for pose in true]
-    found = depth_from_focus(np.float32(frames), spacing=1.0, register=True).poses
+    found = depth_from_focus(np.float32(frames), spacing=1.0, register=True, measure="sml").poses
     corners = np.array([[0, 0, 1], [cols - 1, 0, 1], [0, rows - 1, 1], [cols - 1, rows - 1, 1]]).T
     # 1.5 px of a small pixel's center, times a change of scale of 0.08, would be 0.12 px.
     assert np.abs((found - true) @ corners).max() < 0.1

@@ -119,29 +119,24 @@ def ratio(kind: str, seed: int, found: NDArray, level: float = 1.0) -> float:
 
 # The limits are those of benchmarks/registration.py, a tenth wider: one small scene is no mean.
 CASES = [
-    ({}, 1.15),
-    ({"flicker": 0.15}, 1.25),
-    ({"drift": 2.0, "level": 0.65}, 1.35),  # 0.019 of a frame, where 0.015 is at rest
-    ({"shift": 0.5}, 1.25),
-    ({"turn": 1.0}, 1.25),
-    ({"scale": 0.03}, 1.35),
-    ({"scale": 0.15}, 1.35),
-    ({"vignetting": 0.4}, 1.8),  # one gain for all of a frame leaves it in
-    ({"flicker": 0.15, "offset": 5.0}, 1.6),
-    ({"shift": 0.5, "offset": 5.0}, 1.6),
+    ("dome", {}, 1.15),
+    ("tilt", {"flicker": 0.15}, 1.25),
+    ("dome", {"drift": 2.0, "level": 0.65}, 1.35),  # 0.019 of a frame, where 0.015 is at rest
+    ("tilt", {"shift": 0.5}, 1.25),
+    ("dome", {"turn": 1.0}, 1.25),
+    ("tilt", {"scale": 0.03}, 1.35),
+    ("dome", {"scale": 0.15}, 1.35),
+    ("tilt", {"vignetting": 0.4}, 1.8),  # one gain for all of a frame leaves it in
+    ("dome", {"flicker": 0.15, "offset": 5.0}, 1.6),
+    ("tilt", {"shift": 0.5, "offset": 5.0}, 1.6),
+    ("flat", {"flicker": 0.15, "offset": 5.0}, 1.6),
 ]
 
 
-@pytest.mark.parametrize("kind", ["dome", "tilt"])
-@pytest.mark.parametrize(("how", "limit"), CASES)
+@pytest.mark.parametrize(("kind", "how", "limit"), CASES)
 def test_what_moves_and_flickers_is_undone(kind: str, how: dict[str, float], limit: float) -> None:
     found = registered(kind, 1, **how).depth
     assert ratio(kind, 1, found, how.get("level", 1.0)) < limit
-
-
-@pytest.mark.parametrize("how", [{"offset": 5.0}, {"offset": 5.0, "flicker": 0.15}])
-def test_a_flat_scene_with_offsets(how: dict[str, float]) -> None:
-    assert ratio("flat", 2, registered("flat", 2, **how).depth) < 1.6
 
 
 def test_the_poses_and_gains_are_the_true_ones() -> None:
