@@ -245,10 +245,6 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "world": grid(), "image": scope().project(grid()), "focal_length": 126000.0,
         "pixel_size": 9.9, "image_size": (300, 260), "groups": np.arange(42),
     },
-    "calibration.Detection.to_layers": lambda: {
-        "self": calibration.Detection(**CALLS["calibration.Detection"]()),
-        "pixel_size": 2.0,
-    },
     "calibration.detect_circles": lambda: {"image": circles(), "region": (0, 0, 160, 120)},
     "calibration.detect_squares": lambda: {"image": squares(), "region": (0, 0, 160, 120)},
     "calibration.detect_charuco": lambda: {"image": charuco()},

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from microlib import synthetic
-from microlib.calibration import detect_circles
 from microlib.focus import FocusResult, depth_from_focus
 from microlib.io import read_frames
-from microlib.microscope import Microscope
 from microlib.tracking import ESMTracker
 
 Z = np.array([0.0, 10.0, 20.0, 31.0, 40.0, 50.0, 60.0, 70.0, 80.0])
@@ -83,10 +81,6 @@ def check(layers: list, shape: tuple[int, ...] = ()) -> None:
 def test_layers_are_napari_s() -> None:
     found: FocusResult = depth_from_focus(stack(), Z)
     check(found.to_layers(), (64, 80))
-    scope = Microscope(2e5, 126000, 79380, tx=-900, ty=-700)
-    marks = detect_circles(synthetic.render_circles(scope, pitch=280.0))
-    check(marks.to_layers(pixel_size=6.2))
-    assert marks.to_layers()[0][0][0] == pytest.approx(marks.points[0][::-1])  # rows first
     frame = stack()[4]
     track = ESMTracker(frame, (20, 10, 30, 24)).track(frame)
     check(track.to_layers())

@@ -10,30 +10,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import csr_array
 
-from microlib._common import Array, as_array, between, inverse_normal, scalar
+from microlib._common import Array, as_array, between, scalar
 from microlib.calibration._calibration import Calibration
 from microlib.calibration._detection import Detection
 from microlib.calibration._stage import plane_points
-from microlib.calibration._uncertainty import (
-    BY_CHANCE,
-    FARTHEST,
-    axis_errors,
-    discrepancy,
-    fields_of_views,
-    jackknife,
-)
-from microlib.calibration._views import LENS, VIEW, Fit, Views, fit_views, without_terms
+from microlib.calibration._uncertainty import FARTHEST, covariance
+from microlib.calibration._views import VIEW, Fit, Views, fit_views, without_terms
 from microlib.microscope import Microscope
-
-#: The optical axis meets the sensor so far from its middle, standard deviation in widths of the
-#: image: 1 to 2 % in the camera modules and published calibrations that one finds.
-_AXIS_ASIDE = 0.02
 
 
 def calibrate(
@@ -98,9 +87,7 @@ def calibrate(
     Tilts (β, γ) and (−β, −γ) give the same image but for perspective. Both are tried. If the better
     one is not better by more than noise, "beta" and "gamma" are named in `unobservable`.
 
-    The axis is trusted to meet the middle of the image, as in the thesis, as long as the residuals
-    look like noise; else the intervals, but for those of T_x and T_y, which count from the middle,
-    allow for 2 % of the image's width.
+    The axis of one view is trusted to meet the middle of the image, as in the thesis.
 
     Examples
     --------
@@ -117,18 +104,8 @@ def calibrate(
     between("pixel_size", pixel_size, 1 / FARTHEST, FARTHEST)
     if focal_length is not None:
         focal_length = scalar("focal_length", focal_length, least=1 / FARTHEST, most=FARTHEST)
-    found = [world] if isinstance(world, Detection) else world
-    if isinstance(found, (list, tuple)) and any(isinstance(each, Detection) for each in found):
-        if any(given is not None for given in (image, image_size, groups)):
-            raise ValueError("image, image_size and groups must not be given beside a detection")
-        worlds, images, labels, image_size = _of_detections([*found], pitch)
-    else:
-        if pitch is not None:
-            raise ValueError("pitch must be left out with points in µm, got one")
-        worlds, images, labels = _lists(world, image, groups)
-    if image_size is None:
-        raise ValueError("image_size must be given, (width, height) in px, got none")
-    frame = Microscope(1.0, 1.0, 1.0, pixel_size=pixel_size, image_size=image_size)
+    worlds, images, labels, size = _inputs(world, image, pitch, image_size, groups)
+    frame = Microscope(1.0, 1.0, 1.0, pixel_size=pixel_size, image_size=size)
     pairs = [_points(w, i, frame) for w, i in zip(worlds, images, strict=True)]
     views = Views([w for w, _ in pairs], [s for _, s in pairs], frame, focal_length)
     marks = _numbered(views, labels)
@@ -144,6 +121,22 @@ def calibrate(
             f"world and image must fit a microscope, got magnifications {fit.poses[:, 0]}"
         )
     return _report(views, fit, alone, marks)
+
+
+def _inputs(
+    world: Any, image: Any, pitch: float | None, image_size: Any, groups: Any
+) -> tuple[Any, Any, Any, tuple[int, int]]:
+    """World and image points of each view, the numbers of their marks, and the image's size."""
+    found = [world] if isinstance(world, Detection) else world
+    if isinstance(found, (list, tuple)) and any(isinstance(each, Detection) for each in found):
+        if any(given is not None for given in (image, image_size, groups)):
+            raise ValueError("image, image_size and groups must not be given beside a detection")
+        return _of_detections([*found], pitch)
+    if pitch is not None:
+        raise ValueError("pitch must be left out with points in µm, got one")
+    if image_size is None:
+        raise ValueError("image_size must be given, (width, height) in px, got none")
+    return *_lists(world, image, groups), image_size
 
 
 def _of_detections(found: list[Any], pitch: float | None) -> tuple[Any, Any, Any, tuple[int, int]]:
@@ -206,38 +199,28 @@ def _report(
     views: Views, fit: Fit, alone: list[list[Fit]], marks: NDArray[np.intp] | None
 ) -> Calibration:
     """Parameters with their covariance, which are lost, and a microscope for each view."""
-    every = _numbers(fit)
-    order = sorted(range(len(fit.free)), key=lambda k: every[fit.free[k]] != "magnification")
-    names = [every[fit.free[k]] for k in order]
-    fit = replace(fit, jacobian=fit.jacobian[:, order])
-    variance = fit.cost / (len(fit.residuals) - len(names)) + views.rounding(fit.poses)
-    covariance, misfit, chance = _covariance(views, fit, names, variance, marks)
-    sigma = dict(zip(names, np.sqrt(np.diag(covariance)), strict=True))
-    lost = _undetermined(fit, alone, sigma, variance)
+    inner, misfit, chance = covariance(views, fit, marks)
+    lost = _undetermined(fit, alone, np.sqrt(np.diag(inner)), views.variance(fit))
     lens, poses = fit.lens.copy(), fit.poses.copy()
     poses[:, 1:4] = np.angle(np.exp(1j * poses[:, 1:4]))
-    if "focal_length" in lost:  # it may come out as zero: then f is held at a kilometer
+    names = np.array(fit.names)
+    if "focal_length" in names[lost]:  # it may come out as zero: then f is held at a kilometer
         lens[0] = max(lens[0], 1 / FARTHEST)
-    values = dict(zip(every, [1 / lens[0], *lens[1:], *poses.ravel()], strict=True))
-    by = np.array([-(values[name] ** 2) if name == "focal_length" else 1.0 for name in names])
-    covariance *= np.outer(by, by)
-    for k in (names.index(name) for name in lost):
-        covariance[k] = covariance[:, k] = np.nan
-        covariance[k, k] = np.inf
+    values = np.concatenate([[1 / lens[0]], lens[1:], poses.ravel()])[fit.free]
+    by = np.where(names == "focal_length", -(values**2), 1.0)
+    outer = inner * np.outer(by, by)
+    outer[lost] = outer[:, lost] = np.nan
+    outer[lost, lost] = np.inf
     scopes = [_microscope(views, lens, poses, v) for v in range(len(poses))]
-    plane_residuals = [
-        scope.back_project(without_terms(lens, seen, scope.cell) + scope.principal_point) - world
-        for scope, seen, world in zip(scopes, views.seen, views.world, strict=True)
-    ]
     return Calibration(
         scopes[0],
-        tuple(names),
-        np.array([values[name] for name in names]),
-        covariance,
-        tuple(name for name in names if name in lost),
-        len(fit.residuals) - len(names) if marks is None else int(marks.max()),
+        tuple(fit.names),
+        values,
+        outer,
+        tuple(names[lost].tolist()),
+        fit.freedom if marks is None else int(marks.max()),
         -fit.residuals.reshape(-1, 2),
-        np.concatenate(plane_residuals),
+        np.concatenate([*map(partial(_on_plane, lens), scopes, views.seen, views.world)]),
         misfit,
         chance,
         tuple(scopes),
@@ -253,69 +236,28 @@ def _microscope(views: Views, lens: Array, poses: Array, view: int) -> Microscop
     return replace(views.frame, distortion=lens[1], **lengths, **pose)
 
 
-def _numbers(fit: Fit) -> list[str]:
-    """Names of all numbers of the lens and of the views, in the order of a fit."""
-    each = [n if v == 0 else f"{n}_{v + 1}" for v in range(len(fit.poses)) for n in VIEW]
-    return [*LENS, *each]
-
-
-def _covariance(
-    views: Views, fit: Fit, names: list[str], variance: float, marks: NDArray[np.intp] | None
-) -> tuple[Array, float, float]:
-    """How well the points tell the parameters, of the focal length its inverse: by noise, what the
-    model lacks, and the axis; the misfit, and the chance of so much by noise alone."""
-    rounding = views.rounding(fit.poses)
-    inverse = inverse_normal(fit.jacobian)
-    if marks is None:
-        covariance = inverse * variance
-    else:
-        covariance = jackknife(fit.jacobian, fit.residuals, marks) + inverse * rounding
-    misfit, chance, added = _smooth_part(views, fit, marks, rounding)
-    if chance < BY_CHANCE and "principal_x" not in names:
-        shifted = [k for k, name in enumerate(names) if name[:2] in ("tx", "ty")]
-        added = added + axis_errors(
-            fit.jacobian, variance, shifted, _AXIS_ASIDE * views.frame.image_size[0]
-        )
-    return covariance + added, misfit, chance
+def _on_plane(lens: Array, scope: Microscope, seen: Array, world: Array) -> Array:
+    """Image points projected back to the pattern, less the world points, µm."""
+    return scope.back_project(without_terms(lens, seen, scope.cell) + scope.principal_point) - world
 
 
 def _undetermined(
-    fit: Fit, alone: list[list[Fit]], sigma: dict[str, float], variance: float
-) -> set[str]:
-    """Names of the parameters that the points do not determine."""
-    lost = {name for name, value in sigma.items() if np.isinf(value)}
-    if "focal_length" in sigma:
+    fit: Fit, alone: list[list[Fit]], sigma: Array, variance: float
+) -> NDArray[np.bool_]:
+    """Which of the parameters the points do not determine."""
+    kinds = np.array([name.split("_")[0] for name in fit.names])
+    lost = np.isinf(sigma)
+    if "focal" in kinds:
         # As the sign of the tilt is free, 1/f is never negative: 150 noisy views without tilt came
         # to 2.2 standard errors at most; the rest is for errors that are less even than noise.
-        if not fit.lens[0] > 4 * sigma["focal_length"]:
-            lost |= {name for name in sigma if name.startswith(("focal", "beta", "gamma"))}
+        if not fit.lens[0] > 4 * sigma[kinds == "focal"][0]:
+            lost |= np.isin(kinds, ["focal", "beta", "gamma"])
         return lost
-    for v, (best, other) in enumerate(alone):
-        tilt = _numbers(fit)[len(LENS) + len(VIEW) * v :][2:4]
+    tilts = np.flatnonzero(np.isin(kinds, ["beta", "gamma"])).reshape(-1, 2)
+    for tilt, (best, other) in zip(tilts, alone, strict=True):
         apart = np.abs(np.angle(np.exp(1j * (best.poses - other.poses)[0, 2:4])))
         # Two minima three standard errors apart, of which the sums of squares differ by less than
         # two standard deviations of noise, squared, cannot be told from each other.
-        distinct = (apart > 3 * np.array([sigma[name] for name in tilt])).any()
-        if distinct and other.cost - best.cost < 4 * variance:
-            lost |= set(tilt)
+        if (apart > 3 * sigma[tilt]).any() and other.cost - best.cost < 4 * variance:
+            lost[tilt] = True
     return lost
-
-
-def _smooth_part(
-    views: Views, fit: Fit, marks: NDArray[np.intp] | None, rounding: float
-) -> tuple[float, float, Array]:
-    """The discrepancy of the means over the points of a mark in a view, whose errors are
-    correlated."""
-    residuals, jacobian = fit.residuals, fit.jacobian
-    # Where the model has the points: fields of the noisy ones would hold their noise.
-    points = np.concatenate(views.seen) + residuals.reshape(-1, 2)
-    view = np.repeat(np.arange(len(views.seen)), [len(seen) for seen in views.seen])
-    if marks is not None:
-        both = np.column_stack([view, marks])
-        each, label, size = np.unique(both, axis=0, return_inverse=True, return_counts=True)
-        label, view = label.ravel(), each[:, 0]
-        mean = csr_array((1 / size[label], (label, np.arange(len(label)))))
-        points, residuals = mean @ points, (mean @ residuals.reshape(-1, 2)).ravel()
-        jacobian = (mean @ jacobian.reshape(len(label), -1)).reshape(-1, jacobian.shape[1])
-    fields = fields_of_views([points[view == v] for v in range(len(views.seen))])
-    return discrepancy(residuals, jacobian, fields, rounding)

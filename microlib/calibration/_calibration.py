@@ -131,12 +131,6 @@ class Calibration(Tidy):
         """Standard deviation of each parameter."""
         return dict(zip(self.parameters, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
-    @property
-    def principal_point(self) -> Array:
-        """Where the optical axis meets the sensor, (x, y) px: the middle, unless it was found."""
-        aside = np.array([self._value("principal_x"), self._value("principal_y")])
-        return self.microscope.principal_point + aside
-
     def interval(self, parameter: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of a parameter, from Student's distribution.
 
@@ -252,7 +246,9 @@ class Calibration(Tidy):
         -------
         str
         """
-        scope, axis = self.microscope, self.principal_point
+        scope = self.microscope
+        aside = [self._value("principal_x"), self._value("principal_y")]
+        axis = scope.principal_point + np.array(aside)
         distance = (scope.tube_length + scope.focal_length) / scope.cell
         terms, worst = self._brown()
         width, *ends = self.um_per_pixel()

@@ -16,7 +16,7 @@ from microlib.calibration._grid_map import fit_grid_map
 from microlib.calibration._lattice import MIDDLE, STEPS, Index, fill
 from microlib.calibration._marks import look_at, to_bytes
 from microlib.calibration._micrometer import Micrometer, find_scale
-from microlib.calibration._patterns import FIRST, Scene, Wanted, WrongPattern, find_pattern
+from microlib.calibration._patterns import FIRST, Scene, Wanted, find_pattern
 
 #: Patterns that are told from each other, and how they are called.
 _NAMES = {
@@ -279,8 +279,6 @@ def _detect(image: ArrayLike, wanted: Wanted, region: Region | None) -> Detectio
     scene = Scene(grey)
     try:
         found, alone = find_pattern(scene, wanted)
-    except WrongPattern:
-        raise
     except ValueError as refusal:
         _refuse_other(scene, wanted, refusal)
         raise
@@ -289,7 +287,7 @@ def _detect(image: ArrayLike, wanted: Wanted, region: Region | None) -> Detectio
         with suppress(ValueError):
             board, _ = find_pattern(scene, Wanted("chessboard"))
         if board is not None and _extent(board) > _extent(found):
-            raise WrongPattern(wanted.kind, "a chessboard")
+            raise ValueError(f"image must show {wanted.kind}, got a chessboard")
     return replace(found, points=found.points + corner, image_size=size)
 
 
@@ -303,14 +301,10 @@ def _refuse_other(scene: Scene, asked: Wanted, refusal: ValueError | None = None
                 find_scale(scene.grey, scene.settings)
             else:
                 find_pattern(scene, Wanted(kind, lattice), most=FIRST)
-            seen = name
-        except WrongPattern as other:
-            seen = other.seen
         except ValueError:
             continue
-        if seen != asked.kind:
-            wanted = _NAMES[asked.kind, asked.lattice]
-            raise ValueError(f"image must show {wanted}, got {seen}") from refusal
+        wanted = _NAMES[asked.kind, asked.lattice]
+        raise ValueError(f"image must show {wanted}, got {name}") from refusal
 
 
 def _extent(found: Detection) -> float:

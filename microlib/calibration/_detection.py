@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, Tidy, scalar
+from microlib._common import Array, Tidy
 
 #: A homography from the grid to the image needs as many shapes.
 FEWEST = 4
@@ -79,21 +79,3 @@ class Detection(Tidy):
         from microlib._plots import marks
 
         return marks([self], None if image is None else [image], None, ax)
-
-    def to_layers(self, *, pixel_size: float = 1.0) -> list[tuple[Array, dict[str, Any], str]]:
-        """Return the points as a layer of napari: for ``Layer.create(*layer)``.
-
-        Parameters
-        ----------
-        pixel_size : float
-            Side of a pixel, µm, if the image is shown to scale.
-
-        Returns
-        -------
-        list of (data, options, type)
-        """
-        pixel_size = scalar("pixel_size", pixel_size, above=0)
-        shown = {"face_color": "transparent", "border_color": "orange", "size": 8}
-        values = {"i": self.grid[:, 0], "j": self.grid[:, 1], "sigma": self.sigma}
-        scaled = {"name": "marks", "scale": (pixel_size, pixel_size), "features": values}
-        return [(self.points[:, ::-1], scaled | shown, "points")]

@@ -10,12 +10,13 @@ lattice.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import leastsq
 
 from microlib._common import Array
 from microlib.calibration._marks import TO_SIGMA
@@ -67,7 +68,8 @@ class GridMap:
 
     def scale(self, grid: Array) -> Array:
         """Area in the image of one cell of the grid around each of the coordinates, px²."""
-        return np.abs(np.linalg.det(self.steps(grid)))
+        (xi, xj), (yi, yj) = np.moveaxis(self.steps(grid), (-2, -1), (0, 1))
+        return np.asarray(np.abs(xi * yj - xj * yi))
 
 
 def fit_grid_map(
@@ -127,17 +129,13 @@ def fit_grid_map(
         area = np.abs(np.linalg.det(points[:, 2:] - points[:, :2])) / 2
         cell = np.median(build(start[free])[0].scale(cells))
         if not cell > 0:
-            raise ValueError("image must show squares on a plane grid, got them in one row")
+            raise refusal
         start[-2:] = np.sqrt(np.median(area) / cell)
-    if not np.isfinite(residuals(start[free])).all():  # marks on both sides of a horizon
-        raise refusal
-    try:
-        to_image, positions = build(least_squares(residuals, start[free], x_scale="jac").x)
-    except ValueError:  # SciPy's, of a derivative beyond the horizon
-        raise refusal from None
-    if not np.isfinite(to_image.steps(cells)).all():
-        raise refusal
-    return to_image, positions
+    with suppress(ValueError):  # a search beyond the horizon ends in numbers that are none
+        to_image, positions = build(leastsq(residuals, start[free], full_output=True)[0])
+        if np.isfinite(to_image.steps(positions)).all():
+            return to_image, positions
+    raise refusal
 
 
 def agree(
@@ -173,22 +171,17 @@ def agree(
         If the points lie off every smooth image of a lattice.
     """
     residuals = points - to_image(positions)
-    fields, numbers = _smooth_fields(points, positions, to_image)
+    fields = _smooth_fields(points, positions, to_image)
+    # An affine map's numbers are the first of the polynomial's, too.
+    numbers = to_image.freedom + max(len(fields) - 2 * 3, 0)
     kept = np.ones(len(points), dtype=bool)
     for _ in range(3):  # strays bend the fields that they are found by
         freedom = residuals[kept].size - numbers
         if freedom <= 0:
             return kept, sigma, np.nan
-        design = fields[:, kept].reshape(len(fields), -1).T
-        inverse = np.linalg.pinv(design)
-        best = inverse @ residuals[kept].ravel()
-        left = residuals - np.tensordot(best, fields, axes=1)
-        # A mark that the fields follow, alone in its row or column, leaves little of its error.
-        shown = np.ones(left.shape)
-        shown[kept] -= np.einsum("ij,ji->i", design, inverse).reshape(shown[kept].shape)
+        left, apart = _beside(residuals, fields, kept)
         inflation = np.sqrt(residuals[kept].size / freedom)
         spread = TO_SIGMA * np.median(np.abs(left[kept])) * inflation
-        apart = np.abs(left) / np.sqrt(np.maximum(shown, 1e-3))
         stray = apart.max(axis=-1) > settings.stray * np.maximum(spread, sigma)
         before, kept = kept, ~stray.any(axis=1)
         if (kept == before).all() or not kept.any():
@@ -209,19 +202,23 @@ def agree(
     return kept, np.sqrt(sigma**2 + added), rms / own
 
 
-def _smooth_fields(points: Array, positions: Array, to_image: GridMap) -> tuple[Array, int]:
-    """Smooth displacements that so many marks can tell, (fields, n, k, 2), and the numbers that
-    they and the map have together."""
-    marks = len(points)
+def _smooth_fields(points: Array, positions: Array, to_image: GridMap) -> Array:
+    """Smooth displacements that so many marks can tell, (fields, n, k, 2)."""
+    terms, _ = monomials(positions, 3)
+    bent = np.einsum("nkt,ab->tankb", terms, np.eye(2)).reshape(-1, *points.shape)
+    # Those of a lens beside the map's own, each with six marks.
     radial = (points - to_image.middle) / to_image.unit
     squared = (radial**2).sum(axis=-1, keepdims=True)
-    # Those of a lens beside the map's own, each with six marks.
-    lens = [radial * squared**p for p in (2, 3) if marks >= 2 * 3 * p]
-    # Polynomials of (d + 1)(d + 2)/2 coefficients, with three times as many marks; the map has
-    # absorbed a constant and a slope already.
-    degree = max(d for d in (1, 2, 3, 4) if d == 1 or 2 * marks >= 3 * (d + 1) * (d + 2))
-    terms = monomials(positions, degree)
-    bent = np.einsum("nkt,ab->tankb", terms, np.eye(2)).reshape(-1, *points.shape)
-    # Of the map's numbers those of an affine map are the polynomial's too.
-    affine = 2 * 3
-    return np.array([*lens, *bent]), len(lens) + len(bent) + max(to_image.freedom - affine, 0)
+    lens = [radial * squared**p for p in (2, 3) if len(points) >= 2 * 3 * p]
+    return np.array([*bent, *lens])
+
+
+def _beside(residuals: Array, fields: Array, kept: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """What fields fitted to the marks kept leave of the residuals, and its size over the part of a
+    mark's error that is left: little of one that they follow, alone in its row or column."""
+    design = fields[:, kept].reshape(len(fields), -1).T
+    inverse = np.linalg.pinv(design)
+    left = residuals - np.tensordot(inverse @ residuals[kept].ravel(), fields, axes=1)
+    shown = np.ones(left.shape)
+    shown[kept] -= np.einsum("ij,ji->i", design, inverse).reshape(shown[kept].shape)
+    return left, np.abs(left) / np.sqrt(np.maximum(shown, 1e-3))

@@ -39,8 +39,8 @@ _ACROSS = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, 0.5], [-0.5, -0.5]])
 _ALONG = np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
 
 
-def grow_lattices(marks: Marks, lattice: str) -> list[tuple[Index, Index]]:
-    """Pieces of lattice among the marks: which of them, and their integer coordinates.
+def grow_lattices(marks: Marks, lattice: str) -> list[tuple[Marks, Index]]:
+    """Pieces of lattice among the marks, the largest first, with their integer coordinates.
 
     From a mark with like neighbors two steps are taken that are equal and at the lattice's angle in
     the metric that the mark's own shape tells, and each step predicts the next.
@@ -66,8 +66,8 @@ def grow_lattices(marks: Marks, lattice: str) -> list[tuple[Index, Index]]:
             index, grid = (np.array(list(each), dtype=np.intp) for each in (best.values(), best))
             free[index] = False
             if fill(grid) > marks.settings.least_full:
-                pieces.append((index, grid))
-    return sorted(pieces, key=lambda piece: -len(piece[0]))
+                pieces.append((marks[index], grid))
+    return sorted(pieces, key=lambda piece: -len(piece[1]))
 
 
 def _alike_neighbors(marks: Marks, tree: cKDTree) -> tuple[Array, Index, NDArray[np.bool_]]:
@@ -118,11 +118,10 @@ def _grow(marks: Marks, tree: cKDTree, seed: int, steps: Array) -> dict[tuple[in
 
 
 def complete(
-    marks: Marks,
-    grid: Index,
-    contrast: Callable[[NDArray, Array, Array], Array],
-) -> tuple[Marks, Index]:
-    """The marks of a lattice, with those that the image shows where it would have them.
+    marks: Marks, grid: Index, contrast: Callable[..., Array]
+) -> tuple[Marks, Index, GridMap]:
+    """The marks of a lattice, with those that the image shows where it would have them, and the map
+    from its coordinates to the image.
 
     `contrast` tells them, from the smoothed image, places and the lattice's mean steps.
     """
@@ -130,7 +129,10 @@ def complete(
         beside = (grid[:, None] + (2 * _ALONG).astype(int)).reshape(-1, 2)
         taken = set(map(tuple, grid.tolist()))
         absent = np.array(sorted({*map(tuple, beside.tolist())} - taken), dtype=np.intp)
-        places = rough_map(marks, grid)(absent.astype(np.float64))
+        some = slice(None, None, 1 + len(grid) // 200)  # of many, evenly, that tell it well enough
+        cells = grid[some].astype(np.float64)
+        to_image, _ = fit_grid_map(marks.centers[some, None], cells, MIDDLE, marks.image.shape)
+        places = to_image(absent.astype(np.float64))
         near = np.linalg.norm(absent[:, None] - grid, axis=2).argmin(axis=1)
         # Half a mark's width: two standard deviations of a circle's area, √3 of a square's.
         reach = 2 * np.sqrt(np.einsum("nii->ni", marks.moments[near])) + 1
@@ -144,48 +146,26 @@ def complete(
         marks = marks[np.concatenate([np.arange(len(grid)), near[new]])]
         marks.centers[len(grid) :] = places[new]
         grid = np.concatenate([grid, absent[new]])
-    return marks, grid
+    return marks, grid, to_image
 
 
-def find_corners(grey: NDArray[np.float32], settings: Settings) -> tuple[Marks, Index]:
-    """Corners of a board, each with the moments of a circle within its fields, and their grid.
+def find_corners(grey: NDArray[np.float32], settings: Settings) -> tuple[Marks, Index, GridMap]:
+    """Corners of a board, each with the moments of a circle within its fields, their grid, and the
+    map from that to the image.
 
     Raises
     ------
     ValueError
         If the image shows no chessboard of at least three by three corners.
     """
-    eight = to_bytes(grey)
     smooth: NDArray = cv2.GaussianBlur(grey, (0, 0), 1.0)
-    half = cv2.pyrDown(cv2.GaussianBlur(eight, (0, 0), 2.0))
-    # It is asked for parts of a larger board. Of 26 photographs it gives 46 to 54 of 54 corners in
-    # the blurred half image, in the whole one of some only five.
-    quick, least = cv2.CALIB_CB_LARGER, (3, 3)
-    thorough = quick | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-    for each, board, flags in ((half, (5, 4), quick), (eight, least, thorough)):
-        found, corners, meta = cv2.findChessboardCornersSBWithMeta(each, board, flags)
-        if found:
-            break
-    else:
-        raise ValueError("image must show a chessboard, got none")
-    grid = np.argwhere(np.ones(np.shape(meta)))[:, ::-1]  # (column, row) of each corner, by rows
-    scale = 2 if each is half else 1
-    centers: Array = scale * np.asarray(corners, dtype=np.float64).reshape(-1, 2)
+    centers, grid = _opencv_corners(grey)
     # Corners of chance, as between blurred circles, lie on no plane.
     beside = max(1 / 4 * np.sqrt(np.abs(np.linalg.det(mean_steps(centers, grid)))), 1.0)
     inside = cv2.findHomography(grid.astype(np.float64), centers, cv2.RANSAC, beside)[1]
     kept = np.ones(len(grid), dtype=bool) if inside is None else inside.ravel() > 0
-    centers, grid = centers[kept], grid[kept]
-    # From corner to corner dark and bright change places, unless a row between them was skipped.
-    # A third of a step is within a field also where every second row was skipped.
-    dark = saddle(smooth, centers, mean_steps(centers, grid) / 3)
-    ways = [dark * (-1.0) ** (grid @ np.array(changes)) for changes in np.ndindex(2, 2)]
-    best = int(np.argmax([np.abs(np.sign(way).sum()) for way in ways]))
-    # What OpenCV gives beyond the board has no such fields, and would bend the map.
-    alternate = np.abs(ways[best].sum()) / len(grid) / 2
-    kept = ways[best] * np.sign(ways[best].sum()) > alternate
-    centers, grid = centers[kept], grid[kept] * (2 - np.array(np.unravel_index(best, (2, 2))))
-    if len(grid) < np.prod(least):
+    centers, grid = _alternating(smooth, centers[kept], grid[kept])
+    if len(grid) < 3 * 3:
         raise ValueError(f"image must show a chessboard, got {len(grid)} corners on a plane one")
     side = np.sqrt(np.abs(np.linalg.det(mean_steps(centers, grid))))
     moments = np.tile((side / 6) ** 2 * np.eye(2), (len(grid), 1, 1))
@@ -193,11 +173,33 @@ def find_corners(grey: NDArray[np.float32], settings: Settings) -> tuple[Marks, 
     return complete(marks, grid, lambda *at: np.abs(saddle(*at)))
 
 
-def rough_map(marks: Marks, grid: Index) -> GridMap:
-    """Map from the grid to the marks' centers; of many marks some, evenly, tell it well enough."""
-    some = slice(None, None, 1 + len(grid) // 200)
-    flat = grid[some].astype(np.float64)
-    return fit_grid_map(marks.centers[some, None], flat, MIDDLE, marks.image.shape)[0]
+def _opencv_corners(grey: NDArray[np.float32]) -> tuple[Array, Index]:
+    """What OpenCV takes for the corners of a board, and the column and row of each."""
+    eight = to_bytes(grey)
+    half = cv2.pyrDown(cv2.GaussianBlur(eight, (0, 0), 2.0))
+    # It is asked for parts of a larger board. Of 26 photographs it gives 46 to 54 of 54 corners in
+    # the blurred half image, in the whole one of some only five.
+    quick = cv2.CALIB_CB_LARGER
+    thorough = quick | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+    for scale, image, board, flags in ((2, half, (5, 4), quick), (1, eight, (3, 3), thorough)):
+        found, corners, meta = cv2.findChessboardCornersSBWithMeta(image, board, flags)
+        if found:
+            grid = np.argwhere(np.ones(np.shape(meta)))[:, ::-1]  # by rows
+            return scale * np.asarray(corners, dtype=np.float64).reshape(-1, 2), grid
+    raise ValueError("image must show a chessboard, got none")
+
+
+def _alternating(smooth: NDArray, centers: Array, grid: Index) -> tuple[Array, Index]:
+    """The corners between fields of a board, where from corner to corner dark and bright change
+    places, and their grid with the rows that were skipped."""
+    # A third of a step is within a field also where every second row was skipped.
+    dark = saddle(smooth, centers, mean_steps(centers, grid) / 3)
+    ways = [dark * (-1.0) ** (grid @ np.array(changes)) for changes in np.ndindex(2, 2)]
+    best = int(np.argmax([np.abs(np.sign(way).sum()) for way in ways]))
+    # What OpenCV gives beyond the board has no such fields, and would bend the map.
+    alternate = np.abs(ways[best].sum()) / len(grid) / 2
+    kept = ways[best] * np.sign(ways[best].sum()) > alternate
+    return centers[kept], grid[kept] * (2 - np.array(np.unravel_index(best, (2, 2))))
 
 
 def refuse_fields(kind: str, marks: Marks, grid: Index) -> None:
@@ -245,11 +247,9 @@ def refuse_lattice(shapes: Array, steps: Array, lattice: str, settings: Settings
     inverse = np.linalg.inv(steps)
     metrics = inverse @ shapes @ inverse.transpose(0, 2, 1)
     metric = np.median(metrics, axis=0)
-    values, vectors = np.linalg.eigh(metric)
-    white = (vectors / np.sqrt(np.maximum(values, np.finfo(float).tiny))) @ vectors.T
-    beside = np.linalg.norm(white @ metrics @ white - np.eye(2), axis=(1, 2)) / np.sqrt(2)
+    beside = np.linalg.norm(metrics - metric, axis=(1, 2)) / np.linalg.norm(metric)
     scatter = float(np.median(beside))
-    if not values[0] > 0 or scatter > settings.most_scatter:
+    if scatter > settings.most_scatter:
         raise ValueError(f"image must show marks of one shape, got a scatter of {scatter:.0%}")
     (a, b), (_, c) = np.linalg.inv(metric)  # the inner products of the steps, up to a factor
     ratio, cosine = np.sqrt(max(a, c) / min(a, c)), b / np.sqrt(a * c)
@@ -297,8 +297,6 @@ def counting(points: Array, grid: Index, lattice: str, direction: float, mirrore
     axes = np.array([[1, 0], [0, 1], [-1, 1]][: 3 if lattice == "hexagonal" else 2])
     axes = np.concatenate([axes, -axes])  # all the way round
     seen = axes @ along
-    if not np.abs(np.linalg.det(along)) > 0:
-        raise ValueError(f"image must show a plane grid, got {len(points)} points in one row")
     heading = seen @ [np.cos(direction), np.sin(direction)] / np.hypot(*seen.T)
     first = int(np.argmax(heading))
     turn = 1 if (np.linalg.det(along) > 0) != mirrored else -1

@@ -224,20 +224,15 @@ def smooth_parameters(fit: OutlineFit, columns: list[int], settings: Settings) -
     been known. A column whose values lie further from the polynomial than their errors explain is
     not shared.
     """
-    # At least twice as many outlines as the polynomial has coefficients, (d + 1)(d + 2)/2.
-    centers = fit.centers
-    degree = sum(len(centers) >= (d + 1) * (d + 2) for d in (1, 2))
-    if degree == 0:
+    basis, degrees = monomials(fit.centers, 2, most=2)
+    if degrees.max() == 0:
         return fit
-    basis = monomials(centers, degree)
     inverse = np.linalg.pinv(basis)
     freedom = len(basis) - basis.shape[1]
     smooth = basis @ (inverse @ fit.parameters)
     change = smooth - fit.parameters
     misfit = (change**2 / np.einsum("npp->np", fit.covariance)).sum(axis=0) / freedom
     columns = [k for k in columns if misfit[k] < 1 + settings.rough * np.sqrt(2 / freedom)]
-    if not columns:
-        return fit
     across = fit.covariance[:, :, columns]
     gain = across @ _invert(across[:, columns])
     # What an outline adds to the shared values itself is its leverage; that much of its own error

@@ -29,7 +29,6 @@ from microlib.calibration._lattice import (
     grow_lattices,
     refuse_fields,
     refuse_lattice,
-    rough_map,
 )
 from microlib.calibration._marks import Marks, dark_regions, even_edges
 from microlib.calibration._outlines import Rows
@@ -38,9 +37,6 @@ from microlib.calibration._shapes import CORNERS, are_round, fit_marks
 
 #: Marks of a lattice that are fitted first, and by which a pattern is named.
 FIRST = 30
-
-#: Marks, which of them are of a piece of lattice, and their integer coordinates in it.
-Piece = tuple[Marks, Index, Index]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +53,6 @@ class Scene:
 
     grey: NDArray[np.float32]
     settings: Settings = field(default_factory=Settings)
-    _pieces: dict[str, list[Piece]] = field(default_factory=dict)
 
     @cached_property
     def dark(self) -> Marks:
@@ -69,15 +64,6 @@ class Scene:
         """What even edges surround in clutter, dark and bright."""
         return even_edges(self.grey, self.settings)
 
-    def pieces(self, lattice: str) -> list[Piece]:
-        """Pieces of a lattice among what even edges surround."""
-        lattice = "hexagonal" if lattice == "hexagonal" else "square"
-        if lattice not in self._pieces:
-            self._pieces[lattice] = [
-                (marks, *piece) for marks in self.edges for piece in grow_lattices(marks, lattice)
-            ]
-        return self._pieces[lattice]
-
 
 @dataclass(frozen=True)
 class Wanted:
@@ -88,14 +74,6 @@ class Wanted:
     lattice: str = "square"
     direction: float = 0.0
     mirrored: bool = False
-
-
-class WrongPattern(ValueError):
-    """The image shows another pattern than the one looked for."""
-
-    def __init__(self, kind: str, seen: str) -> None:
-        super().__init__(f"image must show {kind}, got {seen}")
-        self.seen = seen
 
 
 @dataclass(frozen=True)
@@ -131,59 +109,58 @@ def find_pattern(
         If there is none.
     """
     kind, refusal = wanted.kind, ""
-    for marks, grid, alone in islice(_candidates(scene, wanted, most), 1 if most else None):
+    for marks, grid, to_image, alone in islice(
+        _candidates(scene, wanted, most), 1 if most else None
+    ):
         try:
             if not alone and len(grid) > 2 * FIRST:  # chance is refused by a part, and sooner
-                _fit(marks[:FIRST], grid[:FIRST], wanted)
-            found = _place(_fit(marks, grid, wanted), wanted, scene)
+                _fit(marks[:FIRST], grid[:FIRST], to_image, wanted)
+            found = _place(_fit(marks, grid, to_image, wanted), wanted, scene)
             # A homography leads to any four centers, and clutter has many.
             if alone or np.isfinite(found.misfit):
                 return found, alone
             raise ValueError(f"image must show more {kind} or nothing else, got {len(grid)}")
         except ValueError as fault:
-            if alone and isinstance(fault, WrongPattern):
-                raise
             refusal = refusal or str(fault)  # of the largest
     raise ValueError(refusal or f"image must show a grid of {kind}, got none")
 
 
 def _candidates(
     scene: Scene, wanted: Wanted, most: int | None
-) -> Iterator[tuple[Marks, Index, bool]]:
-    """Lattices of marks, the most likely first: that of the image as if it showed nothing else,
-    then the largest pieces in clutter; and whether the image shows nothing else. With `most` they
-    are completed from so many marks."""
+) -> Iterator[tuple[Marks, Index, GridMap, bool]]:
+    """Lattices of marks with a map to them, the most likely first: that of the image as if it
+    showed nothing else, then the largest pieces in clutter; and whether the image shows nothing
+    else. With `most` they are completed from so many marks."""
     if wanted.kind == "chessboard":
         yield *find_corners(scene.grey, scene.settings), True
         return
-    marks = scene.dark
-    pieces = [(marks, *piece) for piece in grow_lattices(marks, wanted.lattice)[:1]]
-    if pieces and len(pieces[0][1]) >= scene.settings.nothing_else * len(marks.centers):
-        marks, index, grid = pieces.pop()
-        yield *complete(marks[index[:most]], grid[:most], darkness), True
-    pieces += scene.pieces(wanted.lattice)
-    for marks, index, grid in sorted(pieces, key=lambda piece: -len(piece[1]))[:4]:
-        yield *complete(marks[index[:most]], grid[:most], darkness), False
+    pieces = grow_lattices(scene.dark, wanted.lattice)[:1]
+    if pieces and len(pieces[0][1]) >= scene.settings.nothing_else * len(scene.dark.centers):
+        marks, grid = pieces.pop()
+        yield *complete(marks[:most], grid[:most], darkness), True
+    for edges in scene.edges:
+        pieces += grow_lattices(edges, wanted.lattice)
+    for marks, grid in sorted(pieces, key=lambda piece: -len(piece[1]))[:4]:
+        yield *complete(marks[:most], grid[:most], darkness), False
 
 
-def _fit(marks: Marks, grid: Index, wanted: Wanted) -> Fitted:
+def _fit(marks: Marks, grid: Index, to_image: GridMap, wanted: Wanted) -> Fitted:
     """Fit the marks, and keep those that lie in the image and are fitted as well as the others."""
     kind, flat = wanted.kind, grid.astype(np.float64)
-    steps = rough_map(marks, grid).steps(flat)
-    if not np.abs(np.linalg.det(steps)).min() > 1:
+    steps = to_image.steps(flat)
+    if not to_image.scale(flat).min() > 1:
         raise ValueError(f"image must show a plane grid of {kind}, got marks that are on none")
     if kind != "chessboard":
         refuse_fields(kind, marks, grid)
         if are_round(marks, steps) != (kind == "circles"):
-            raise WrongPattern(kind, "squares" if kind == "circles" else "circles")
+            raise ValueError(f"image must show {kind}, got marks of another shape")
     good, points, sigma, matrices = fit_marks(marks, steps, kind)
-    grid, flat = grid[good], flat[good]
+    grid = grid[good]
     share = fill(grid)
     if share < marks.settings.least_full:  # as chance puts it together
         raise ValueError(f"image must show a grid of {kind}, got {share:.0%} of its places")
     if kind == "circles":
-        to_image, _ = fit_grid_map(points, flat, MIDDLE, marks.image.shape)
-        refuse_lattice(matrices @ matrices, to_image.steps(flat), wanted.lattice, marks.settings)
+        refuse_lattice(matrices @ matrices, steps[good], wanted.lattice, marks.settings)
     return Fitted(points, sigma, grid, np.pi * np.abs(np.linalg.det(matrices)))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,19 +36,13 @@ _LEAST = 1e-9
 CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
 
-# What varies smoothly across the image: blur, contrast and slope of the ground, and of squares the
-# directions of the sides. A chessboard's corner lies amid what surrounds it, and gains nothing.
-SMOOTH_ELLIPSE = [5, 6, 8, 9]
-SMOOTH_QUAD = [0, 1, 2, 3, 8, 9, 11, 12]
-
-
 def are_round(marks: Marks, steps: Array) -> bool:
     """Say whether ellipses fit the marks' grey levels better than quadrilaterals do."""
     # Each has hundreds of pixels to tell by. The first of the lattice lie beside one another, so
     # that the band around each ends where its neighbor's begins.
     first = slice(2 * FEWEST)
     some = replace(marks[first], settings=replace(marks.settings, steps=marks.settings.few_steps))
-    fits = fit_quads(some, steps[first]), fit_ellipses(some)
+    fits = fit_quads(some, steps[first]), fit_ellipses(some, steps[first])
     rms = [float(np.nanmedian(fit.rms)) for fit in fits]
     # Noise of three fifths of the contrast would leave as much. The fit of all of such large marks,
     # as the fields with markers of a ChArUco board, would creep on for long.
@@ -64,20 +59,9 @@ def fit_marks(
     Which; their points (n, k, 2) with σ (n, k); and of circles the matrices (n, 2, 2) that make the
     ellipses of a unit circle, else zeros.
     """
-    locate, smooth = quad_corners, SMOOTH_QUAD
-    matrices: Array = np.zeros((len(marks.centers), 2, 2))
-    if kind == "circles":
-        fit = fit_ellipses(marks)
-        locate, smooth = ellipse_center, SMOOTH_ELLIPSE
-        matrices = ellipse_matrix(fit.parameters)
-        half = np.sqrt(np.abs(np.linalg.det(matrices)))
-    elif kind == "squares":
-        fit = fit_quads(marks, steps)
-        half = line_offsets(fit.parameters).mean(axis=1)
-    else:
-        fit = fit_crossings(marks, steps)
-        smooth, half = [], np.ones(len(marks.centers))
-    points, sigma = locate(fit)
+    fit_outlines, locate, shared = _KINDS[kind]
+    fit = fit_outlines(marks, steps)
+    points, sigma, matrices = locate(fit)
     reach = np.linalg.norm(matrices, axis=2)[:, None]  # half the width and height of an ellipse
     limit = np.array(marks.image.shape[::-1]) - 1
     worst = sigma.max(axis=1)
@@ -85,9 +69,8 @@ def fit_marks(
     good = inside.all(axis=(1, 2)) & np.isfinite(worst)
     # Residuals of up to 5 medians let 2 wrong points of 1961 pass that 3 keeps out, and 2 costs 12.
     if good.any():
-        good &= (fit.rms <= 3 * np.median(fit.rms[good])) & (
-            worst <= np.minimum(4 * np.median(worst[good]), half)
-        )
+        good &= fit.rms <= 3 * np.median(fit.rms[good])
+        good &= worst <= np.minimum(4 * np.median(worst[good]), np.sqrt(marks.areas) / 2)
     if good.sum() < FEWEST:
         raise ValueError(f"image must show a grid of {kind}, got {int(good.sum())} whole ones")
     fit = fit[good]
@@ -97,13 +80,11 @@ def fit_marks(
         # Photographed boards leave up to 0.05, the places between circles 0.34.
         if rest > 1 / 4:
             raise ValueError(f"image must show a chessboard, got marks that differ by {rest:.0%}")
-    fit = smooth_parameters(fit, smooth, marks.settings)
-    matrices = ellipse_matrix(fit.parameters) if kind == "circles" else matrices[good]
-    return good, *locate(fit), matrices
+    return good, *locate(smooth_parameters(fit, shared, marks.settings))
 
 
-def fit_ellipses(marks: Marks) -> OutlineFit:
-    """Fit an ellipse to each mark."""
+def fit_ellipses(marks: Marks, steps: Array) -> OutlineFit:
+    """Fit an ellipse to each mark, from its own moments whatever the lattice's steps."""
     values, vectors = np.linalg.eigh(marks.moments)  # a filled ellipse has A = ½ Σ^(−½)
     shape = (vectors / (2 * np.sqrt(values))[:, None, :]) @ vectors.transpose(0, 2, 1)
     own = np.hstack([marks.centers - np.round(marks.centers), shape[:, [0, 0, 1], [0, 1, 1]]])
@@ -115,17 +96,13 @@ def fit_ellipses(marks: Marks) -> OutlineFit:
     return fit_shapes(_ellipse, start, patches, gap, marks.settings)
 
 
-def ellipse_matrix(parameters: Array) -> Array:
-    """Symmetric matrix A⁻¹ that makes each ellipse of a unit circle, (n, 2, 2); the lengths of its
-    rows are half of the ellipse's width and height."""
-    a, b, d = parameters[:, _SHAPE].T
-    return np.linalg.inv(np.stack([a, b, b, d], axis=-1).reshape(-1, 2, 2))
-
-
-def ellipse_center(fit: OutlineFit) -> tuple[Array, Array]:
-    """Center of each ellipse, (n, 1, 2), and the standard deviation of a coordinate, (n, 1), px."""
+def ellipse_center(fit: OutlineFit) -> tuple[Array, Array, Array]:
+    """Center of each ellipse, (n, 1, 2), and the standard deviation of a coordinate, (n, 1), px;
+    and the symmetric matrix A⁻¹, (n, 2, 2), that makes it of a unit circle: the lengths of its rows
+    are half of the ellipse's width and height."""
     sigma = np.sqrt(np.einsum("nii->ni", fit.covariance[:, CENTER, CENTER]).mean(axis=1))
-    return (fit.parameters[:, CENTER] + fit.centers)[:, None], sigma[:, None]
+    shape = fit.parameters[:, _SHAPE][:, [[0, 1], [1, 2]]]
+    return (fit.parameters[:, CENTER] + fit.centers)[:, None], sigma[:, None], np.linalg.inv(shape)
 
 
 def fit_quads(marks: Marks, steps: Array) -> OutlineFit:
@@ -170,9 +147,10 @@ def _start_lines(along: Array, on: Array) -> Array:
     return np.pad(np.hstack([angle, offset]), [(0, 0), (0, -BLUR)])
 
 
-def quad_corners(fit: OutlineFit) -> tuple[Array, Array]:
-    """Intersections of consecutive lines, (n, 4, 2) or (n, 1, 2) of two lines, and the standard
-    deviation of a coordinate, (n, 4) or (n, 1), px."""
+def quad_corners(fit: OutlineFit) -> tuple[Array, Array, Array]:
+    """Intersections of consecutive lines, (n, 4, 2) or (n, 1, 2) of two lines, the standard
+    deviation of a coordinate, (n, 4) or (n, 1), px; and zeros, for no part of a mark lies beyond
+    its corners."""
     offset = line_offsets(fit.parameters)
     lines = offset.shape[1]
     first = np.arange(4 if lines == 4 else 1)
@@ -187,7 +165,17 @@ def quad_corners(fit: OutlineFit) -> tuple[Array, Array]:
     places = np.hstack([pair, lines + pair])
     part = fit.covariance[:, places[:, :, None], places[:, None, :]]
     sigma = np.sqrt(np.einsum("ncij,ncjk,ncik->nc", by, part, by) / 2)
-    return corners + fit.centers[:, None], sigma
+    return corners + fit.centers[:, None], sigma, np.zeros((len(sigma), 2, 2))
+
+
+#: Of each kind of mark the fit, the points, and the parameters that vary smoothly across the image:
+#: blur, contrast and slope of the ground, and of squares the directions of the sides. A
+#: chessboard's corner lies amid what surrounds it, and gains nothing.
+_KINDS: dict[str, tuple[Callable[..., OutlineFit], Callable[..., Any], list[int]]] = {
+    "circles": (fit_ellipses, ellipse_center, [5, 6, 8, 9]),
+    "squares": (fit_quads, quad_corners, [0, 1, 2, 3, 8, 9, 11, 12]),
+    "chessboard": (fit_crossings, quad_corners, []),
+}
 
 
 def _to_ellipse(parameters: Array, x: Array, y: Array) -> tuple[Array, Array, Array, Array]:

@@ -11,16 +11,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
+from scipy.sparse import csr_array
 from scipy.special import fdtrc, stdtrit
 
 from microlib._common import Array, inverse_normal, of_kind, scalar
+from microlib.calibration._views import Fit, Views
 from microlib.microscope import Microscope
 
-#: Degree of the smooth displacements, and the points that they are used from: four residuals for
-#: each.
-_DEGREES = ((4, 60), (3, 40), (2, 24))
-#: Smooth residuals that noise makes in more than this part of all images are taken for noise.
-BY_CHANCE = 0.1
 #: A kilometer, µm: nothing is calibrated beyond, and the fits lose their way there. No noise in px
 #: is larger.
 FARTHEST = 1e9
@@ -121,13 +118,18 @@ def jackknife(jacobian: Array, residuals: Array, groups: NDArray) -> Array:
     return np.where(np.isfinite(inverse), shrink * spread @ spread.T, inverse)
 
 
-def monomials(places: Array, degree: int) -> Array:
-    """Products xⁱ yʲ with i + j ≤ `degree`, (..., terms), the lower ones first, of places (..., 2)
-    about their middle in units of their extent."""
+def monomials(places: Array, share: int, most: int = 4) -> tuple[Array, Array]:
+    """Products xⁱ yʲ, (..., terms), the lower ones first, of places (..., 2) about their middle in
+    units of their extent; and the degrees i + j.
+
+    These go up to the highest, `most` at most, of which the places are `share` times as many as the
+    (d + 1)(d + 2)/2 terms.
+    """
     about = (places - places.reshape(-1, 2).mean(axis=0)) / np.ptp(places)
     x, y = np.moveaxis(about, -1, 0)
-    powers = [(i, total - i) for total in range(degree + 1) for i in range(total + 1)]
-    return np.stack([x**i * y**j for i, j in powers], axis=-1)
+    last = sum(2 * len(places) >= share * (d + 1) * (d + 2) for d in range(1, most + 1))
+    powers = np.array([(i, total - i) for total in range(last + 1) for i in range(total + 1)])
+    return np.stack([x**i * y**j for i, j in powers], axis=-1), powers.sum(axis=1)
 
 
 def smooth_fields(points: Array) -> Array:
@@ -137,22 +139,40 @@ def smooth_fields(points: Array) -> Array:
     fewer than 24 points. The terms of a lens and of a bent plate fall so, as far as they are known;
     with terms that do not fall, a bend hidden in the focal length is stated half as large.
     """
-    degree = next((d for d, least in _DEGREES if len(points) >= least), None)
-    if degree is None:
+    terms, degrees = monomials(points, 4)  # as many residuals for each
+    if degrees.max() < 2:
         return np.empty((2 * len(points), 0))
-    each, _ = np.linalg.qr(monomials(points, degree))
-    falling = [3.0**-total for total in range(degree + 1) for _ in range(total + 1)]
-    return np.kron(each * falling, np.eye(2))
+    return np.kron(np.linalg.qr(terms)[0] * 3.0**-degrees, np.eye(2))
 
 
-def fields_of_views(points: list[Array]) -> Array:
-    """Displacements that all views have in common, and those of each view alone."""
-    own = [smooth_fields(each) for each in points]
-    if len(points) == 1:
-        return own[0]
-    # In a common field each view has the length that it has in one of its own.
-    common = np.sqrt(len(points)) * smooth_fields(np.concatenate(points))
-    return np.hstack([common, block_diag(*own)])
+def covariance(
+    views: Views, fit: Fit, marks: NDArray[np.intp] | None
+) -> tuple[Array, float, float]:
+    """How well the points tell what was fitted, of the focal length its inverse: by noise, and by
+    what the model lacks; the misfit, and the chance of so much by noise alone.
+
+    Of a mark the errors are correlated. The misfit is that of the means over its points in a view.
+    """
+    residuals, jacobian = fit.residuals, fit.jacobian
+    rounding, inverse = views.rounding(fit.poses), inverse_normal(jacobian)
+    # Where the model has the points: fields of the noisy ones would hold their noise.
+    points = np.concatenate(views.seen) + residuals.reshape(-1, 2)
+    view = np.repeat(np.arange(len(views.seen)), [len(seen) for seen in views.seen])
+    by_noise = inverse * views.variance(fit)
+    if marks is not None:
+        by_noise = jackknife(jacobian, residuals, marks) + inverse * rounding
+        both = np.column_stack([view, marks])
+        each, label, size = np.unique(both, axis=0, return_inverse=True, return_counts=True)
+        label, view = label.ravel(), each[:, 0]
+        mean = csr_array((1 / size[label], (label, np.arange(len(label)))))
+        points, residuals = mean @ points, (mean @ residuals.reshape(-1, 2)).ravel()
+        jacobian = (mean @ jacobian.reshape(len(label), -1)).reshape(-1, jacobian.shape[1])
+    fields = [smooth_fields(points[view == v]) for v in range(len(views.seen))]
+    if len(fields) > 1:  # those in common: each view has the length that it has in one of its own
+        common = np.sqrt(len(fields)) * smooth_fields(points)
+        fields = [np.hstack([common, block_diag(*fields)])]
+    misfit, chance, by_lack = discrepancy(residuals, jacobian, fields[0], rounding)
+    return by_noise + by_lack, misfit, chance
 
 
 def discrepancy(
@@ -181,63 +201,23 @@ def discrepancy(
     covariance : ndarray, shape (p, p)
         What it adds to that of the parameters.
     """
-    count = jacobian.shape[1]
-    nothing = np.zeros((count, count))
-    followed = response(jacobian, fields)
+    inverse = inverse_normal(jacobian)
+    # Parameters that the points leave open follow nothing.
+    followed: Array = np.where(np.isfinite(inverse), inverse, 0.0) @ (jacobian.T @ fields)
     seen = fields - jacobian @ followed
     # Of squares, which are quicker than the fields themselves: what is followed lies far above the
     # root of rounding. One that is followed but for 1e-4 shows nothing.
     size, axes = np.linalg.eigh(seen.T @ seen)
     shown = size > 1e-8
     free = int(shown.sum())
-    freedom = len(residuals) - count - free
+    freedom = len(residuals) - len(followed) - free
     if free == 0 or freedom <= 0:
-        return np.nan, 1.0, nothing
+        return np.nan, 1.0, np.zeros((len(followed), len(followed)))
     smooth = float(((axes.T @ (seen.T @ residuals))[shown] ** 2 / size[shown]).sum())
-    noise = max(float((residuals**2).sum()) - smooth, 0.0) / freedom
-    if noise <= rounding:
-        return 1.0, 1.0, nothing
+    noise = max((float((residuals**2).sum()) - smooth) / freedom, rounding)
     ratio = smooth / free / noise
     chance = float(fdtrc(free, freedom, ratio))
-    if chance > BY_CHANCE:
-        return float(np.sqrt(ratio)), chance, nothing
-    amplitude = (smooth - noise * free) / float((seen**2).sum())
+    # What noise makes often enough is taken for noise.
+    excess = smooth - noise * free if chance < 1 / 10 else 0.0
+    amplitude = excess / float((seen**2).sum())
     return float(np.sqrt(ratio)), chance, amplitude * followed @ followed.T
-
-
-def response(jacobian: Array, fields: Array) -> Array:
-    """Errors of least-squares parameters that displacements (m, k) of the points make, (p, k).
-
-    Zero for parameters that the points leave open.
-    """
-    inverse = inverse_normal(jacobian)
-    moved: Array = np.where(np.isfinite(inverse), inverse, 0.0) @ (jacobian.T @ fields)
-    return moved
-
-
-def axis_errors(jacobian: Array, variance: float, shifted: list[int], aside: float) -> Array:
-    """Covariance that an optical axis beside the sensor's middle makes.
-
-    Parameters
-    ----------
-    jacobian : ndarray, shape (2 N, p)
-        Derivatives of the residuals by the parameters.
-    variance : float
-        Of a residual, px².
-    shifted : list of int
-        Parameters that count from the middle as ever, and have no error by it.
-    aside : float
-        Standard deviation of the axis, px. What of it the points would show against their residuals
-        is no more in question.
-
-    Returns
-    -------
-    ndarray, shape (p, p)
-    """
-    shift = np.tile(np.eye(2), (len(jacobian) // 2, 1))
-    followed = response(jacobian, shift)
-    shown = shift - jacobian @ followed
-    left = aside**2 * np.linalg.inv(np.eye(2) + aside**2 * (shown.T @ shown) / variance)
-    followed[shifted] = 0
-    errors: Array = followed @ left @ followed.T
-    return errors

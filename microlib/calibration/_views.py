@@ -61,6 +61,10 @@ class Views:
         ]
         return float((_ROUNDING * max(np.abs(at).max() for at in (*scaled, *self.seen))) ** 2)
 
+    def variance(self, fit: Fit) -> float:
+        """Of a coordinate, px²."""
+        return fit.cost / max(fit.freedom, 1) + self.rounding(fit.poses)
+
     def tie(self, view: int) -> int:
         """The view of which φ = (1 + M)/(T_op + f) is: each one's own, in focus, if f is given;
         else the first, and all have its T_op + f."""
@@ -105,7 +109,7 @@ class Fit:
     poses : ndarray, shape (V, 6)
         As in `VIEW`.
     free : list of int
-        What was fitted of both, counted through.
+        What was fitted of both, counted through, the first view's magnification first.
     residuals : ndarray, shape (2 N,)
         Projection minus image points, px.
     jacobian : ndarray, shape (2 N, p)
@@ -122,6 +126,17 @@ class Fit:
     def cost(self) -> float:
         """Sum of squares, px²."""
         return float(self.residuals @ self.residuals)
+
+    @property
+    def freedom(self) -> int:
+        """Coordinates less what was fitted to them."""
+        return len(self.residuals) - len(self.free)
+
+    @property
+    def names(self) -> list[str]:
+        """What was fitted; from the second view on names end in the view's number."""
+        each = [n if v == 0 else f"{n}_{v + 1}" for v in range(len(self.poses)) for n in VIEW]
+        return [[*LENS, *each][k] for k in self.free]
 
 
 def fit_views(views: Views) -> tuple[Fit, list[list[Fit]]]:
@@ -143,16 +158,16 @@ def fit_views(views: Views) -> tuple[Fit, list[list[Fit]]]:
         lens_free = [k for k in best.free if k < len(LENS)]
         with suppress(ValueError):  # what is not found is not justified
             trial = _fit(views, best.lens, best.poses, lens_free + term)
-            count = len(trial.residuals)
-            variance = trial.cost / max(count - len(trial.free), 1) + views.rounding(best.poses)
-            if best.cost - trial.cost > len(term) * np.log(count) * variance:
+            price = len(term) * np.log(len(trial.residuals))
+            if best.cost - trial.cost > price * views.variance(trial):
                 best = trial
     return best, alone
 
 
 def _fit(views: Views, lens: Array, poses: Array, lens_free: list[int]) -> Fit:
     start = np.concatenate([lens, poses.ravel()])
-    free = [*sorted(lens_free), *range(len(LENS), len(start))]
+    first = len(LENS)
+    free = [first, *sorted(lens_free), *range(first + 1, len(start))]
     seen = np.concatenate(views.seen)
 
     def split(values: Array) -> tuple[Array, Array]:
@@ -281,14 +296,18 @@ def radial_alignment(world: ArrayLike, sensor: ArrayLike) -> Array:
     outward = ((block @ np.stack([x, y]) + [[tx], [ty]]) * np.stack([u, v])).sum()
     block, shift = block / np.copysign(size, outward), shift / np.copysign(size, outward)
 
+    return np.concatenate([_angles(block), shift - block @ center])
+
+
+def _angles(block: Array) -> Array:
+    """(α, β, γ) of the rotation that is nearest to one with this upper left block, (2, 2)."""
     below = np.sqrt(np.maximum(1 - (block**2).sum(axis=0), 0))  # |r31|, |r32|
     below[1] = np.copysign(below[1], -(block[:, 0] @ block[:, 1]))
     columns = np.vstack([block, below])
     left, _, right = np.linalg.svd(np.column_stack([columns, np.cross(*columns.T)]))
     r = left @ right
-    tx, ty = shift - block @ center
     beta = np.arctan2(-r[2, 0], np.hypot(r[2, 1], r[2, 2]))
-    return np.array([np.arctan2(r[1, 0], r[0, 0]), beta, np.arctan2(r[2, 1], r[2, 2]), tx, ty])
+    return np.array([np.arctan2(r[1, 0], r[0, 0]), beta, np.arctan2(r[2, 1], r[2, 2])])
 
 
 def linear_intrinsics(flat: ArrayLike, depth: ArrayLike, sensor: ArrayLike) -> Array:

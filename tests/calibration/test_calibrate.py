@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import cv2
@@ -147,7 +148,7 @@ def test_the_focal_length_is_found_from_a_tilted_plane():
     assert found.unobservable == ()
 
 
-@pytest.mark.parametrize("tilt", [0, 2, 20])
+@pytest.mark.parametrize("tilt", [2, 20])
 def test_stated_errors_meet_the_bound_and_intervals_cover(tilt):
     """f given. 60 runs of 7 parameters: 95 % ± 1.1 % if independent; correlated, allow 91 to 99
     %."""
@@ -173,7 +174,7 @@ def test_stated_errors_meet_the_bound_and_intervals_cover(tilt):
 def test_a_parallel_plane_tells_no_focal_length():
     scope = scope_with(0, 180)
     world = grid_in_view(scope)
-    for found in repeat(scope, world, 20):
+    for found in repeat(scope, world, 5):
         assert {"focal_length", "beta", "gamma"} <= set(found.unobservable)
         assert np.isinf(found.sigma["focal_length"])
         assert found.microscope.magnification == pytest.approx(1.59, rel=2e-4)
@@ -195,7 +196,7 @@ def disturbed(points, rng):
 
 def test_rounding_decides_nothing():
     """Exact points of many parallel planes: f and the tilt are lost, and the tilt with f is not."""
-    for plane in range(20):
+    for plane in range(6):
         rng = np.random.default_rng(plane)
         f = 2e5 / rng.uniform(0.8, 5)
         scope = Microscope(
@@ -372,7 +373,7 @@ def test_a_model_that_does_not_fit_says_so(lack, fits):
 def test_points_that_no_microscope_images_are_refused():
     """The linear start lies beyond the reach of its distortion: nothing of SciPy comes out."""
     refusals = []
-    for seed in range(12):
+    for seed in range(4):
         rng = np.random.default_rng(seed)
         world, image = rng.uniform(-500, 500, (30, 2)), rng.uniform(0, 400, (30, 2))
         try:
@@ -458,6 +459,12 @@ def test_several_views_find_what_opencv_finds():
     assert found.plane_error.rms < 280 / 46 * 1.3 * NOISE * np.sqrt(2)
     assert found.fits
     assert len(found.residuals) == sum(map(len, image))
+    # With both terms OpenCV projects the pattern to where it was drawn.
+    told = json.loads(found.to_json())["opencv"]
+    vectors = [np.array(told[n][1]) for n in ("rotation_vectors", "translation_vectors_um")]
+    lens = np.array(told["camera_matrix"]), np.array(told["distortion_coefficients"])
+    seen = cv2.projectPoints(flat[1], *vectors, *lens)[0][:, 0]
+    assert np.sqrt(((seen - image[1]) ** 2).mean()) < 1.1 * NOISE
 
 
 def test_terms_that_nothing_speaks_for_are_left_out():
@@ -480,11 +487,11 @@ def test_terms_that_nothing_speaks_for_are_left_out():
 def test_intervals_of_several_views_cover_also_for_an_imprecise_pattern(shift):
     """Marks made beside their places are so in every view: 0.13 px, for 0.02 px of noise."""
     inside = []
-    for seed in range(16):
+    for seed in range(10):
         found = calibrate(*lens_views(4, seed=seed, shift=shift, aside=(6, 4)), **CAMERA)
         low, high = found.interval("focal_length")
         inside.append(low <= 900 * 8 / (1 + found.microscope.magnification) <= high)
-    assert sum(inside) >= 14  # of 16 at 95 %: 15.2 ± 0.9; the series of κ costs a little
+    assert sum(inside) >= 7  # of 10 at 95 %, in 999 of a thousand cases
 
 
 def test_several_views_with_a_given_focal_length():

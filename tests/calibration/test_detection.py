@@ -95,13 +95,13 @@ def test_noise_is_that_of_its_seed():
 # Detection
 
 
-def whole_circles(scope):
-    """Centers of the circles whose outline lies at least 0.3 px inside the image."""
+def whole_circles(scope, margin=0.3):
+    """Centers of the circles whose outline lies so far inside the image, px."""
     cells = np.stack(np.meshgrid(np.arange(-20, 21), np.arange(-20, 21)), axis=-1).reshape(-1, 2)
     turn = np.linspace(0, 2 * np.pi, 40)
     rim = cells[:, None] * 280.0 + 70 * np.column_stack([np.cos(turn), np.sin(turn)])
     seen = scope.project(rim.reshape(-1, 2)).reshape(rim.shape)
-    return cells[((seen > 0.3) & (seen < [654.7, 489.7])).all(axis=(1, 2))]
+    return cells[((seen > margin) & (seen < np.array([655, 490]) - margin)).all(axis=(1, 2))]
 
 
 def whole_squares(scope, side):
@@ -121,7 +121,8 @@ def test_every_whole_circle_of_the_thesis_views_is_found(scope, seed):
     found = detect_circles(image, direction=scope.alpha, mirrored=abs(scope.gamma) > 2)
     assert np.abs(errors(scope, found, 280.0)).max() < 0.05  # wrong points are off by pixels
     grid = np.round(scope.back_project(found.points) / 280.0)
-    assert set(map(tuple, whole_circles(scope))) <= set(map(tuple, grid))
+    inner, outer = (set(map(tuple, whole_circles(scope, margin))) for margin in (0.3, -0.3))
+    assert inner <= set(map(tuple, grid)) <= outer < set(map(tuple, whole_circles(scope, -30)))
 
 
 @pytest.mark.parametrize(("scope", "side"), [(SQUARE_1X, 200.0), (SQUARE_4X, 50.0)])
