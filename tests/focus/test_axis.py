@@ -38,7 +38,7 @@ def test_width_of_a_known_peak():
     assert peak_width([np.full((288, 288), 7, np.uint8)] * 5) == 1.0
 
 
-@pytest.mark.parametrize("factor", [1, 4, 8])
+@pytest.mark.parametrize("factor", [1, 5])
 def test_groups_are_even_means_of_frames_and_positions(factor):
     _, positions, stack = tilted(factor)
     axis = find_axis([mosaic(frame) for frame in stack], positions, 3.7)
@@ -61,7 +61,7 @@ def test_a_falling_stack_has_rising_steps():
 
 def test_more_frames_never_hurt():
     errors = []
-    for factor in (1, 4, 20):
+    for factor in (1, 4, 12):
         height, positions, stack = tilted(factor)
         found = depth_from_focus(stack, positions)
         assert np.isnan(found.depth[8:-8, 8:-8]).mean() <= 0.01

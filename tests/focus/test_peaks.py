@@ -2,24 +2,11 @@
 
 import numpy as np
 import pytest
-import sympy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from microlib.focus import three_point_peak
 from microlib.focus._peaks import fit_peaks
-
-
-def test_equation_3_13_is_the_vertex_of_a_parabola_through_the_logarithms():
-    d, step, a, b, c = sympy.symbols("d Delta a b c")
-    below, best, above = a, b, c
-    printed = (
-        (best - above) * (d**2 - (d - step) ** 2) - (best - below) * (d**2 - (d + step) ** 2)
-    ) / (2 * step * ((best - below) + (best - above)))
-    x = sympy.symbols("x")
-    parabola = sympy.interpolate([(d - step, a), (d, b), (d + step, c)], x)
-    vertex = sympy.solve(sympy.diff(parabola, x), x)[0]
-    assert sympy.simplify(printed - vertex) == 0
 
 
 @settings(deadline=None, max_examples=100)
