@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import re
@@ -306,6 +307,7 @@ TABLES = {
     "capitals": (POINTS.rename(columns=str.upper).to_csv(), ""),
     "no names": (POINTS.to_csv(index=False, header=False, sep="\t"), ""),
     "spaces": (POINTS.to_string(index=False, header=False), ""),
+    "quotes": (POINTS.to_csv(index=False, quoting=csv.QUOTE_ALL), ""),
     "y down": (POINTS.assign(y=300 - POINTS["y"]).to_csv(index=False), "--y-down"),
     "y down unsaid": (POINTS.assign(y=300 - POINTS["y"]).to_csv(index=False), ""),
 }
@@ -321,6 +323,13 @@ def test_an_outline_is_read_in_any_form(name: str, tmp_path: Path) -> None:
     plain = _outline(Namespace(**read | {"source": INPUTS / "outline.csv", "y_down": False}))
     np.testing.assert_allclose(found, plain, atol=1e-9)  # the last digits of y change with 300 − y
     assert any("y is taken to run down" in note for note in notes) == (name == "y down unsaid")
+
+
+@pytest.mark.parametrize("text", ["", "x,y\n", "y\n1\n", "x,y\n1,2\n3,\n"])
+def test_an_outline_without_points_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "points.csv").write_text(text)
+    with pytest.raises(ValueError, match=r"points\.csv must be a table of numbers"):
+        _outline(Namespace(source=tmp_path / "points.csv", y_down=False))
 
 
 @pytest.mark.parametrize(
@@ -347,10 +356,11 @@ def test_an_outline_is_read_in_any_form(name: str, tmp_path: Path) -> None:
             "calibrate circles.png",
             "microlib calibrate: no scale is told by the file: give --pitch µm",
         ),
-        (f"{GRID} -o c.json", "--out must be a folder, got c.json"),
-        (f"{STACK} -o c.CSV", "--out must be a folder, got c.CSV"),
+        (f"{GRID} -o c.json", "microlib calibrate: --out must be a folder, got c.json"),
+        (f"{STACK} -o c.CSV", "microlib depth: --out must be a folder, got c.CSV"),
         ("track frames.tif --box 0 0 400 40", "microlib track: --box must"),
         ("track frames.tif --box 0 0 5 40", "microlib track: --box width must be a whole number"),
+        ("track frames.tif --box -3 0 40 40", "track: --box x must be a whole number"),
         (f"track frames.tif {BOX} --rate 0", "--rate must"),
         (f"track frames.tif {BOX} -o t.xlsx", "must be a table that ends in .csv, got t.xlsx"),
         (f"track frames.tif {BOX} --color", "unrecognized arguments: --color"),
@@ -359,6 +369,8 @@ def test_an_outline_is_read_in_any_form(name: str, tmp_path: Path) -> None:
         (f"modulus missing.csv --force 10 {MODULUS}", "missing.csv: No such file"),
         (f"{OUTLINE} --thickness -3", "--thickness must be positive"),
         (f"{OUTLINE} --poisson 0.7", "--poisson must"),
+        (f"{OUTLINE} --force-std -3", "--force-std must be zero or positive"),
+        (f"{GRID} -o /dev/null/x", "/dev/null/x cannot be written"),
         (f"{OUTLINE} --y-down", "leave out --y-down"),
     ],
 )

@@ -17,7 +17,7 @@ from microlib._command._shared import Files, add_scales, picture, settle, text
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(files=["camera.csv", "camera.json", "points.csv", "look.png"])
-    photos = "image of a grid, or quoted pattern; of one microscope and in one size"
+    photos = "image of a grid, folder or quoted pattern; of one microscope and in one size"
     parser.add_argument("source", metavar="PHOTO", nargs="+", help=photos)
     add_scales(parser, "pitch", "cell", "focal_length")
     marks = ["auto", "chessboard", "charuco", "squares", "circles"]
@@ -60,9 +60,10 @@ def run(a: argparse.Namespace) -> Files:
 
 
 def _photos(name: str) -> list[str]:
-    """Return the files of a pattern in quotes, which no shell has expanded."""
+    """Return the files of a folder, or of a pattern in quotes, which no shell has expanded."""
     path = Path(name).expanduser()
-    return [name] if path.exists() else sorted(glob(str(path))) or [name]
+    pattern = str(path / "*" if path.is_dir() else path)
+    return [name] if path.is_file() else sorted(glob(pattern)) or [name]
 
 
 def _detect(image: NDArray, marks: str) -> tuple[str, Any]:

@@ -49,8 +49,9 @@ def run(a: argparse.Namespace) -> Files:
     z = frames.positions
     spacing = None if z is None else float(np.diff(z).mean())
     settled = settle(a, "spacing", "pixel_size", spacing=spacing, pixel_size=frames.pixel_size)
-    # With an axis it is no film that may end early, and the axis is looked at.
-    film = to_the_end(a, frames) if a.allow_truncated and not frames.axis else frames
+    # Times and channels are refused by the reader's axis.
+    early = a.allow_truncated and frames.axis not in ("T", "C")
+    film = to_the_end(a, frames) if early else frames
     passed = {name: getattr(a, name) for name in ("register", "region", "reduce", "workers")}
     passed |= {"positions": z} if a.spacing is None else {"spacing": a.spacing}
     with a.bar(unit=" frames") as bar:

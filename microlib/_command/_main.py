@@ -87,8 +87,8 @@ def _targets(a: argparse.Namespace) -> dict[str, Path]:
         files = {name: a.out / name for name in names}
         wrong, need = ending in _OF_FILES and not a.out.is_dir(), "a folder"
     if wrong:
-        raise ValueError(f"--out must be {need}, got {a.out}")
-    if not a.overwrite and (there := [file for file in files.values() if file.exists()]):
+        raise ValueError(f"out must be {need}, got {a.out}")
+    if there := [f for f in files.values() if f.is_dir() or (f.exists() and not a.overwrite)]:
         raise ValueError(f"{there[0]} is there already: give another --out, or --overwrite")
     nearest = next(p for p in files[names[0]].absolute().parents if p.exists())
     try:
@@ -102,12 +102,14 @@ def _in_options(a: argparse.Namespace, text: str) -> str:
     """Return a message of the library with the command's options for the library's arguments."""
     source = a.source if isinstance(a.source, str) else "photographs"
     words = {name: option(name) for name in vars(a)}
-    words |= dict.fromkeys(("frames", "frame", "image", "world", "x", "y", "curve"), source)
+    told = ("frames", "frame", "image", "world", "x", "y", "curve", "span")
+    words |= dict.fromkeys(told, source)
     words |= {"positions": "--spacing", "poisson_ratio": "--poisson"}
     words |= {"pixel_size": "--cell"} if "cell" in a else {}
-    side = "(?:x |y |width |height )?"  # of a box
-    argument = rf"\w+(?= {side}(?:must|cannot(?! be read)|could) )"
-    text = re.sub(argument, lambda m: words.get(m[0], m[0]), text)
+    text = re.sub(r"stds\['(\w+)'\]", r"\1_std", text)
+    # A box has sides, as in "box width must".
+    argument = r"(?<!\S)(\w+)( x| y| width| height)?(?= (?:must|cannot(?! be read)|could) )"
+    text = re.sub(argument, lambda m: words.get(m[1], m[1]) + (m[2] or ""), text)
     return " ".join(text.split())
 
 

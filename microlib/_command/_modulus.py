@@ -109,16 +109,15 @@ def _points(path: str) -> tuple[Array, Array]:
     """Read two columns of numbers: comma, semicolon, tab or spaces between; decimal point or comma;
     a line of names, among them x and y in any case, or none."""
     try:
-        text = Path(path).read_text(encoding="utf-8-sig").strip()
+        text = Path(path).read_text(encoding="utf-8-sig").replace('"', "").strip()
         if re.search("[;\t]", text.partition("\n")[0]):  # then a comma is a decimal one
             text = text.replace(",", ".")
-        rows = [re.split(r"[;,\s]\s*", line.strip(" ")) for line in text.splitlines()]
-        names = [name.strip('"').lower() for name in rows[0]]
-        named = {"x", "y"} <= set(names)
-        columns = (names.index("x"), names.index("y")) if named else (0, 1)
+        rows = [re.split(r"[;,\s]\s*", line.strip(" ").lower()) for line in text.splitlines()]
+        named = {"x", "y"} <= set(rows[0])
+        columns = (rows[0].index("x"), rows[0].index("y")) if named else (0, 1)
         points = np.array([[float(row[k]) for k in columns] for row in rows[named:]])
+        x, y = points[np.argsort(points[:, 0], kind="stable")].T
     except (LookupError, ValueError) as error:
         need = "a table of numbers in columns x and y, with comma, semicolon or tab between"
         raise ValueError(f"{path} must be {need}") from error
-    x, y = points[np.argsort(points[:, 0], kind="stable")].T
     return x, y
