@@ -265,7 +265,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "embryo._dimple.DimpleFit.__call__": lambda: {"self": dimple(), "x": np.linspace(200, 300, 9)},
     "focus.depth_from_focus": lambda: {
         "frames": stack(), "positions": np.arange(5.0), "measure": "sml", "window": 5,
-        "points": 3, "region": (0, 0, 20, 20),
+        "region": (0, 0, 20, 20),
     },
     "focus.FocusResult.to_layers": lambda: {"self": depths()},
     "io.read_frames": lambda: {"frames": stack(), "region": (0, 0, 20, 20)},
