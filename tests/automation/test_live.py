@@ -16,7 +16,7 @@ from compendium.experiments.live_depth import (
     frames_of,
     microscope,
 )
-from microlib.automation import LiveDepth, acquire_depth, autofocus
+from microlib.automation import LiveDepth, acquire_depth
 from microlib.focus import depth_from_focus, sum_modified_laplacian
 from microlib.servoing import MicroManager
 from tests.servoing.engine import rendered_core
@@ -50,18 +50,6 @@ def test_every_prefix_is_what_the_whole_would_be(cone, options):
             assert agree(live.result(), whole)
 
 
-def test_the_quick_look_is_the_depth_where_something_was_in_focus(cone):
-    live, height = LiveDepth(), SCENES["cone"]()
-    for frame, z in zip(cone, POSITIONS, strict=True):
-        live.push(frame, z)
-        assert "cannot be known" in live.reason
-    look = live.depth
-    known = np.isfinite(look)
-    assert known.mean() > 0.9
-    # One spacing of 12 µm: three points in a window of 7 px, with noise.
-    assert np.median(np.abs(look - height)[known]) < 12
-
-
 @pytest.mark.parametrize("name", ["cone", "step"])
 @pytest.mark.parametrize("falling", [False, True])
 def test_a_quarter_of_the_frames_is_saved_and_the_depth_the_agree(name, falling):
@@ -89,18 +77,6 @@ def test_a_part_of_twelve_pixels_is_not_missed():
     for options in ({"farthest": float(height.max())}, {"coarse": COARSE}):
         run = acquire_depth(microscope(stack), POSITIONS, **options)
         assert run.positions[-1] > height.max() + 24
-
-
-def test_autofocus_finds_the_plane_and_turns_round():
-    flat = frames_of("step", SEED)
-    part = (0, 0, SHAPE[1] // 2 - 8, SHAPE[0])
-    plane = float(SCENES["step"]()[0, 0])
-    run = autofocus(microscope(flat), POSITIONS, region=part)
-    assert run.complete
-    assert run.still
-    assert run.frames < len(POSITIONS)
-    # A sixth of the spacing.
-    assert run.focus == pytest.approx(plane, abs=2.0)
 
 
 @pytest.mark.parametrize(

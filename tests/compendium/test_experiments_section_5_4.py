@@ -41,7 +41,9 @@ def test_many_runs_at_once_measure_what_the_library_does(latency: float) -> None
         )
         np.testing.assert_allclose(measured[0], expected.measured, rtol=0, atol=1e-9)
         np.testing.assert_allclose(command[0], expected.command, rtol=0, atol=1e-6)
-        assert (np.abs(command) == 150.0).any()
+        full = (np.abs(command[0]) == 150.0).any(axis=1)
+        assert full.any()
+        np.testing.assert_array_equal(expected.saturated, full)
 
 
 def test_the_identified_workstation_gives_the_printed_numbers() -> None:
@@ -82,15 +84,6 @@ def test_the_spread_after_a_step_grows_with_the_band(station) -> None:
         assert spread[0] > 0.5 * station.jitter * thesis.effective_pixel(zoom)
 
 
-def test_more_jitter_spreads_the_error(station) -> None:
-    for path in section_5_4.PATHS:
-        still, shaken = (
-            np.median(replace(station, jitter=jitter).path_errors("1X", path, 4)[:, 1])
-            for jitter in (0.12, 0.3)
-        )
-        assert shaken > 1.2 * still
-
-
 def test_a_taller_sinusoid_runs_less_evenly(station) -> None:
     """At the same mean error: the speed along the curve varies more."""
     flat = station.path_errors("1X", "sinusoid", 8).mean(axis=0)
@@ -115,15 +108,6 @@ def test_images_give_the_run_over_coordinates(station) -> None:
     fast, _ = station.runs("4X", section_5_4.STEP_PATH[:30], 1, (0.0, 0.0))
     # Tracking errs by hundredths of a pixel, which a dead-beat loop turns into motion.
     assert np.abs(found.measured - fast[0]).max() < 0.3
-
-
-def test_the_accuracies_in_pixels_are_the_printed_ones_over_the_pixel() -> None:
-    table = section_5_4.printed_table()["accuracy"]
-    assert table.loc["circle"].tolist() == [7.72, 1.57]
-    assert table.loc["square"].tolist() == [5.93, 1.47]
-    ratio = table["1X"] / table["4X"] * 1.5893 / 6.3859
-    largest = claim("section-5.4/same-in-pixels").recomputed
-    assert max(ratio.max(), 1 / ratio.min()) == pytest.approx(largest, abs=5e-4)
 
 
 def test_the_velocity_is_at_its_limit_for_most_of_the_settling_time(station) -> None:

@@ -139,8 +139,18 @@ def check_focus_stack(folder: Path) -> None:
                 assert 'PhysicalSizeX="3.9"' in (tiff.ome_metadata or "")
 
 
+def check_embryo(folder: Path) -> None:
+    """One image of two is none of an embryo: it costs its row, and its reason is kept."""
+    table = pd.read_csv(folder / "moduli.csv").sort_values("file", ignore_index=True)
+    assert table["file"].tolist() == ["plate/a.png", "plate/c.tif"]
+    alone = pd.read_csv(folder / "modulus.csv", index_col=0)["value"]
+    assert table["modulus"][0] == pytest.approx(alone["modulus_MPa"], rel=1e-12)
+    assert table["error"][1].startswith("ValueError: ")
+
+
 CHECKS = {
-    "calibration": check_calibration, "focus_stack": check_focus_stack, "tracking": check_tracking
+    "calibration": check_calibration, "focus_stack": check_focus_stack,
+    "tracking": check_tracking, "embryo": check_embryo,
 }  # fmt: skip
 
 
@@ -210,7 +220,7 @@ def test_a_wrong_file_gives_one_clear_line(
     [
         ("tracking", {"track.csv", "look.png"}),
         ("calibration", {"camera.csv", "camera.json", "points.csv", "look.png"}),
-        ("embryo", {"modulus.csv", "outline.csv", "look.png"}),
+        ("embryo", {"modulus.csv", "moduli.csv", "outline.csv", "look.png"}),
         ("focus_stack", FOCUS_FILES),
         ("modulus", {"modulus.csv", "inputs.csv", "dimple.png"}),
     ],
@@ -235,34 +245,22 @@ def test_a_guide_runs_on_the_readers_own_file(
     with pytest.raises(ValueError, match="must be given for mine") as asked:
         run_here(guide, **{parameter: mine})
     assert set(str(asked.value).partition(" must be given")[0].split(", ")) == needed
+    if guide == "embryo":  # and a folder of two
+        (tmp_path / "plate").mkdir()
+        shutil.copy(FOLDER / name, tmp_path / "plate" / "a.png")
+        tifffile.imwrite(tmp_path / "plate" / "c.tif", np.full((90, 120), 70, np.uint8))
+        scales["more"] = "plate/*"
     run_here(guide, **{parameter: mine} | scales)
     assert {path.name for path in (tmp_path / "kept").iterdir()} == files
     text = capsys.readouterr().out
     assert f"{mine}, your own" in text
     if guide in CHECKS:
         CHECKS[guide](tmp_path / "kept")
-    else:
+    if guide == "embryo":
+        assert "2 images, 1 of them without a modulus" in text
+        assert "c.tif: ValueError: " in text
+    if guide not in RENDERED:
         assert f"No truth is known of {mine}" in text
-
-
-def test_a_folder_of_embryos_is_a_table_of_moduli(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """One image of two is none of an embryo: it costs its row, and its reason is said."""
-    plate = tmp_path / "plate"
-    plate.mkdir()
-    shutil.copy(FOLDER / "embryo.png", plate / "a.png")
-    tifffile.imwrite(plate / "c.tif", np.full((90, 120), 70, np.uint8))
-    monkeypatch.chdir(tmp_path)
-    run_here("embryo", more="plate/*")  # as the demo's image
-    table = pd.read_csv(tmp_path / "kept" / "moduli.csv").sort_values("file", ignore_index=True)
-    assert table["file"].tolist() == ["plate/a.png", "plate/c.tif"]
-    alone = pd.read_csv(tmp_path / "kept" / "modulus.csv", index_col=0)["value"]
-    assert table["modulus"][0] == pytest.approx(alone["modulus_MPa"], rel=1e-12)
-    assert table["error"][1].startswith("ValueError: ")
-    text = capsys.readouterr().out
-    assert "2 images, 1 of them without a modulus" in text
-    assert "c.tif: ValueError: " in text
 
 
 def test_numbers_give_a_modulus_and_a_steep_dimple_is_named(
