@@ -28,7 +28,10 @@ def test_the_maps_show_the_heights_with_their_unit_and_scale() -> None:
     dome = synthetic.paraboloid((48, 70), height=80.0)
     stack = synthetic.focal_stack(texture, dome, np.arange(5.0, 95.0, 10.0), blur_rate=0.1)
     found = depth_from_focus(stack, np.arange(5.0, 95.0, 10.0))
+    found.depth[:12] = np.nan
     figure = found.plot()
+    unknown = 100 * np.isnan(found.depth).mean()
+    assert figure.axes[1].get_title() == f"height, grey: {unknown:.2g} % unknown"
     titles = [ax.get_title().split(",")[0] for ax in figure.axes if ax.get_title()]
     assert titles == ["all in focus", "height", "uncertainty", "shaded"]
     height = figure.axes[1].images[0]
