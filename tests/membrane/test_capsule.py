@@ -142,15 +142,6 @@ def test_equals_a_minimum_of_the_energy(law: str, inflation: float, force: float
     assert got == pytest.approx(approach, rel=1e-4 if inflation > 1.01 else 4e-4)
 
 
-def test_reference_states() -> None:
-    state = indent_capsule(100.0, inflation=1.05, **CAPSULE)
-    got = [1e3 * state.pressure, state.rim_radius, state.depth, state.approach, state.r.max()]
-    np.testing.assert_allclose(got, [0.931100, 184.8958, 65.3486, 202.167, 609.959], rtol=1e-5)
-    state = indent_capsule(197.24, law="mooney-rivlin", inflation=1.10, **CAPSULE)
-    got = [1e3 * state.pressure, state.rim_radius, state.depth, state.approach]
-    np.testing.assert_allclose(got, [1.638158, 195.7693, 86.6204, 257.632], rtol=2e-6)
-
-
 @pytest.mark.parametrize("inflation", [1.0, 1.001, 1.05, 1.3, 2.0])
 def test_no_force_is_the_inflated_sphere(inflation: float) -> None:
     state = indent_capsule(0.0, inflation=inflation, **CAPSULE)
@@ -235,39 +226,18 @@ def test_inverse_with_a_slack_plate() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"force": -1.0}, "force must be zero or positive, got -1"),
         ({"force": 2000.0}, "force must keep the probe above the plate"),
         ({"force": 2000.0, "law": "hooke", "inflation": 1.1}, "clear of the probe's side"),
         ({"force": 1.0, "inflation": 1.05}, "force must lay the wall on the whole face .* 1 µN"),
-        ({"modulus": np.inf}, "modulus must be finite"),
-        ({"radius": 0.0}, "radius must be positive"),
-        ({"probe_half_width": R}, "probe_half_width must lie in"),
         # π less the arc to its edge has no digits left.
         ({"probe_half_width": 2e-8}, r"probe_half_width must lie in \(2.4e-08, 600\), got 2e-08"),
         ({"force": 1e-60, "inflation": 1.05}, "force must be zero or fla"),
-        ({"inflation": 0.9}, "inflation must be at least 1, got 0.9"),
-        ({"law": "rubber"}, "law must be one of"),
     ],
 )
 def test_what_cannot_work_is_refused(change: dict[str, Any], message: str) -> None:
     settings = {"force": 100.0, **CAPSULE, **change}
     with pytest.raises(ValueError, match=message):
         indent_capsule(**settings)
-
-
-@pytest.mark.parametrize(
-    ("a", "depth", "message"),
-    [
-        (20.0, 50.0, "rim_radius must lie between"),
-        (600.0, 50.0, "rim_radius must lie between"),
-        (247.0, 1300.0, "depth must be below"),
-        (247.0, 500.0, "depth must be one"),
-        (247.0, 0.01, "depth must be one"),
-    ],
-)
-def test_shapes_that_no_capsule_has_are_refused(a: float, depth: float, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        capsule_modulus(197.24, a, depth, radius=R, thickness=H, probe_half_width=C)
 
 
 def test_a_false_solution_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from microlib.membrane import _disc, elastic_modulus
+from microlib.membrane import elastic_modulus
 from microlib.membrane._disc import disc_modulus, indent_disc
 
 A, H, C, F = 246.95, 3.0, 25.0, 197.24
@@ -113,30 +113,6 @@ def test_a_wrinkled_disc_bears_no_compression() -> None:
     assert state.stretches[1, -1] == pytest.approx(0.95)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"force": -1.0}, "force must be zero or positive, got -1"),
-        ({"force": np.nan}, "force must be finite"),
-        ({"force": [1.0, 2.0]}, "force must be a single number"),
-        ({"force": 5e3}, "force must leave the membrane upright"),
-        ({"modulus": 0.0}, "modulus must be positive"),
-        ({"probe_half_width": A}, "probe_half_width must lie in"),
-        ({"probe_half_width": 0.992 * A}, "probe_half_width must leave a membrane to its rim"),
-        ({"pressure": "none"}, "pressure must be 'balance' or a number"),
-        ({"pressure": -1.0}, "pressure must be zero or positive"),
-        ({"pretension": -0.1}, "pretension must be zero or positive"),
-        ({"rim_inset": 0.5}, r"rim_inset must lie in \[0, 0\.5\)"),
-        ({"force": 0.0, "rim_inset": 0.1}, "force must be positive where rim_inset"),
-        ({"poisson_ratio": 0.4}, r"poisson_ratio must be 0\.5"),
-    ],
-)
-def test_what_cannot_work_is_refused(change: dict[str, Any], message: str) -> None:
-    settings = {"force": F, "modulus": 1.0, **DISC, **change}
-    with pytest.raises(ValueError, match=message):
-        indent_disc(**settings)
-
-
 def test_a_dimple_near_the_deepest_is_found() -> None:
     """An e-fold softer disc folds, so that no coarse search brackets this one."""
     settings: dict[str, Any] = {
@@ -150,21 +126,10 @@ def test_a_dimple_near_the_deepest_is_found() -> None:
     assert indent_disc(197.24, modulus=got, radius=254.8, **settings).depth == pytest.approx(121.2)
 
 
-def test_a_dimple_that_no_modulus_gives_is_refused() -> None:
+def test_a_slack_disc_needs_a_force_and_has_a_least_depth() -> None:
+    with pytest.raises(ValueError, match="force must be positive where rim_inset"):
+        indent_disc(0.0, modulus=1.0, rim_inset=0.1, **DISC)
+    with pytest.raises(ValueError, match="probe_half_width must leave a membrane to its rim"):
+        indent_disc(F, modulus=1.0, **DISC | {"probe_half_width": 0.992 * A})
     with pytest.raises(ValueError, match="depth must be"):
         disc_modulus(F, A, 20.0, thickness=H, probe_half_width=C, rim_inset=0.1)
-
-
-def test_a_false_solution_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    # A wrong sign in the pressure's part of the equilibrium is seen by the virtual work.
-    honest = _disc._Disc.slopes
-
-    def wrong(self: _disc._Disc, t: Any, y: Any, k: Any = None) -> Any:
-        slopes = honest(self, t, y)
-        _, tension, height = self.scales
-        slopes[1] -= 2 * self.pressure * self.strips(t, y, k)[0].r * slopes[2] * height / tension
-        return slopes
-
-    monkeypatch.setattr(_disc._Disc, "slopes", wrong)
-    with pytest.raises(ValueError, match="force must have an equilibrium"):
-        indent_disc(F, modulus=1.0, **DISC)

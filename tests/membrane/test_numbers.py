@@ -9,26 +9,18 @@ import pytest
 
 from microlib import membrane
 from microlib._common import Array
+from tests import fuzz
 
-DIMPLE = {"dimple_radius": 250.0, "dimple_depth": 20.0, "probe_half_width": 25.0}
-MATERIAL = {"thickness": 3.0, "poisson_ratio": 0.4}
-CALLS = {
-    "elastic_modulus": DIMPLE | MATERIAL | {"force": 1.3},
-    "indentation_force": DIMPLE | MATERIAL | {"modulus": 1.3},
-    "dimple_profile": DIMPLE | {"radius": 70.0},
-    "membrane_stress": DIMPLE | {"force": 1.3, "thickness": 3.0},
-    "mean_strain": DIMPLE,
-}
-CALLS["dimple_depth"] = CALLS["indentation_force"] | {"force": 1.3}
-del CALLS["dimple_depth"]["dimple_depth"]
+pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
+NAMES = ["elastic_modulus", "indentation_force", "dimple_depth", "membrane_stress", "mean_strain"]
 
 
-@pytest.mark.parametrize("name", CALLS)
+@pytest.mark.parametrize("name", NAMES)
 def test_of_numbers_a_number_of_arrays_an_array(name: str) -> None:
-    function, given = getattr(membrane, name), CALLS[name]
+    function, given = getattr(membrane, name), fuzz.valid_call(f"membrane.{name}")
     one = function(**given)
     assert isinstance(one, float)
-    several = function(**given | {"probe_half_width": np.array([25.0, 30.0])})
+    several = function(**given | {"probe_half_width": np.array([17.0, 30.0])})
     assert isinstance(several, np.ndarray)
     assert several.shape == (2,)
     assert several[0] == pytest.approx(one, rel=1e-12)

@@ -195,27 +195,6 @@ def test_steep_dimples_warn() -> None:
         dimple_depth(5000.0, 250.0, 1.0, **FILM)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"force": -1.0}, "force must be positive, got -1"),
-        ({"force": np.nan}, "force must be finite, got nan"),
-        ({"force": []}, "force must not be empty"),
-        ({"force": "ten"}, "force must hold real numbers"),
-        ({"dimple_radius": 20.0}, "probe_half_width must be below dimple_radius"),
-        ({"probe_half_width": 250.0}, "probe_half_width must be below dimple_radius"),
-        ({"dimple_depth": 0.0}, "dimple_depth must be positive"),
-        ({"thickness": -3.0}, "thickness must be positive, got -3"),
-        ({"poisson_ratio": [0.4, 0.6]}, r"poisson_ratio must lie in \(-1, 0.5\], got 0.6"),
-        ({"poisson_ratio": -1.0}, "poisson_ratio must lie in"),
-        ({"force": [1.0, 2.0], "thickness": [1.0, 2.0, 3.0]}, "shapes must broadcast"),
-    ],
-)
-def test_impossible_input_is_refused_by_name(change: dict, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        elastic_modulus(**VALUES | change)
-
-
 def test_the_printed_zeta_cannot_have_given_the_printed_modulus() -> None:
     """Backs the erratum of Table 5.6: (5.2) at ζ = 44.78, which no probe can have."""
     z, a, depth = 44.78, 246.95, 121.22
@@ -224,36 +203,13 @@ def test_the_printed_zeta_cannot_have_given_the_printed_modulus() -> None:
     assert 197.24 * a**2 * 0.5 / (2 * np.pi * 3.0 * depth**3) / shape > 1e5  # MPa
 
 
-def test_other_refusals() -> None:
-    with pytest.raises(ValueError, match="radius must lie between probe_half_width"):
-        dimple_profile([10.0], 250.0, 40.0, probe_half_width=25.0)
+def test_shapes_that_do_not_broadcast_are_refused() -> None:
     with pytest.raises(ValueError, match="shapes must broadcast"):
         dimple_profile([30.0, 40.0], [250.0] * 3, 40.0, probe_half_width=25.0)
-    with pytest.raises(ValueError, match="modulus must be positive"):
-        indentation_force(-1.0, 250.0, 40.0, **FILM)
-    with pytest.raises(ValueError, match="values must have the keys"):
-        modulus_std({"force": 1.0}, {})
-    with pytest.raises(ValueError, match="stds must have keys among"):
-        modulus_std(VALUES, {"mass": 1.0})
-    with pytest.raises(ValueError, match=r"stds\['force'\] must be zero or positive"):
-        modulus_std(VALUES, {"force": -1.0})
-    with pytest.raises(ValueError, match="stds must leave out what dimple_covariance holds"):
-        modulus_std(VALUES, {"dimple_depth": 1.0}, dimple_covariance=np.eye(2))
-    with pytest.raises(ValueError, match=r"dimple_covariance must have shape \(2, 2\)"):
-        modulus_std(VALUES, {}, dimple_covariance=np.eye(3))
-    for wrong in ([[1.0, 0.1], [0.2, 1.0]], [[1.0, 2.0], [2.0, 1.0]], [[-1.0, 0.0], [0.0, 1.0]]):
-        with pytest.raises(ValueError, match="dimple_covariance must be a covariance, symmetric"):
-            modulus_std(VALUES, {}, dimple_covariance=wrong)
-    # Singular, or not symmetric by rounding alone, is a covariance still.
-    rounded = [[1.0, 0.5], [0.5 + 1e-16, 0.25]]
-    assert modulus_std(VALUES, {}, dimple_covariance=rounded) > 0
-    with pytest.raises(ValueError, match="size must be a whole number"):
-        modulus_samples(VALUES, {}, size=0, rng=np.random.default_rng(0))
-    negative = [[62500.0, -15000.0], [-15000.0, 3600.0]]
-    with pytest.raises(ValueError, match="dimple_covariance must be above minus radius × depth"):
-        modulus_samples(VALUES, {}, size=5, rng=0, dimple_covariance=negative)
-    with pytest.raises(ValueError, match="stds must leave draws in which the probe is narrower"):
-        modulus_samples(VALUES, {"poisson_ratio": 1e5}, size=5, rng=0)
+
+
+def test_a_covariance_may_be_singular_and_rounded() -> None:
+    assert modulus_std(VALUES, {}, dimple_covariance=[[1.0, 0.5], [0.5 + 1e-16, 0.25]]) > 0
 
 
 @pytest.mark.parametrize("zeta", [1e-6, 0.1012, 0.5, 0.974, 0.975, 0.99, 0.9999, 1 - 1e-9])

@@ -48,25 +48,3 @@ def test_samples_between_change_nothing_and_rows_are_alike() -> None:
     many = viscoelastic_force(time, rows, **law)
     np.testing.assert_allclose(many[0, [0, 2, 5]], few, rtol=1e-12)
     np.testing.assert_allclose(many[1], viscoelastic_force(time, np.ones(6), **law))
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"time": [0.0, 0.0, 1.0]}, "time must ascend"),
-        ({"elastic_force": [0.0, 1.0]}, "elastic_force must have a value for each of 3 times"),
-        ({"shares": [0.7, 0.7]}, "shares must be at least 0 and sum to at most 1"),
-        ({"shares": [-0.1, 0.1]}, "shares must be at least 0"),
-        ({"relaxation_times": [1.0, 0.0]}, "relaxation_times must be positive"),
-        ({"relaxation_times": [1.0]}, "relaxation_times must have shape"),
-    ],
-)
-def test_refusals(change: dict, message: str) -> None:
-    call = {
-        "time": [0.0, 1.0, 2.0],
-        "elastic_force": [0.0, 1.0, 1.0],
-        "shares": SHARES,
-        "relaxation_times": TIMES,
-    }
-    with pytest.raises(ValueError, match=message):
-        viscoelastic_force(**call | change)
