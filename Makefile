@@ -66,7 +66,7 @@ pages: $(STAMP)
 	$(BIN)/python -m pytest --numprocesses 2 --quiet $(READ) || failed=1; exit $$failed
 
 library: $(STAMP)
-	@said=$$(nice $(BIN)/python -m pytest --numprocesses 2 --quiet tests compendium \
+	@said=$$($(BIN)/python -m pytest --numprocesses 2 --quiet tests compendium \
 	  $(addprefix --ignore ,$(READ)) 2>&1); code=$$?; echo "$$said"; exit $$code
 
 lint: $(STAMP) ## check format, style, types, and that notebooks carry no outputs
