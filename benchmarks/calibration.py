@@ -384,11 +384,9 @@ NOTE = """\
 Detection errors are given per coordinate. Marks differ from their ground by 140 grey levels in the
 first two tables and by 150 in the others.
 
-- The errors of the seven parameters are all but independent, so that n seeds tell the coverage of
-  right intervals to √(0.05 · 0.95/7n): to 1.5 % of one column with 30 seeds, to 0.75 % of the four
-  together, and to 0.61 % of a tilt with 180. The limits of 93 and 97 % are for what is known to a
-  third of 2 % or nearly: chance passes them in less than one run of a hundred. Of the single
-  columns one in five lies beyond 93 to 97 % by chance alone.
+- n seeds tell the coverage of right intervals of seven parameters, whose errors are all but
+  independent, to √(0.05 · 0.95/7n): 1.5 % of a column, 0.75 % of all, 0.61 % of a tilt. Chance puts
+  one column of five beyond 93 to 97 %, but a row with a limit in less than one run of a hundred.
 - All squares of an image share an error in size, which is a fifth of a corner's variance. The
   intervals allow for what the corners of one square share.
 """

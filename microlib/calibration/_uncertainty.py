@@ -215,7 +215,7 @@ def discrepancy(
         return np.nan, 1.0, np.zeros((len(followed), len(followed)))
     smooth = float(((axes.T @ (seen.T @ residuals))[shown] ** 2 / size[shown]).sum())
     noise = max((float((residuals**2).sum()) - smooth) / freedom, rounding)
-    ratio = smooth / free / noise
+    ratio = max(smooth / free, rounding) / noise  # one where there is nothing but rounding
     chance = float(fdtrc(free, freedom, ratio))
     # What noise makes often enough is taken for noise.
     excess = smooth - noise * free if chance < 1 / 10 else 0.0
