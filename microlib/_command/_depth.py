@@ -40,10 +40,9 @@ def run(a: argparse.Namespace) -> Files:
 
     Example: microlib depth scan.tif --spacing 25 --pixel-size 3.9 -o heights
     """
-    from microlib.focus import depth_from_focus
-    from microlib.io import read_frames, write_height_tiff, write_ply
+    from microlib import focus, io
 
-    frames = read_frames(a.source, color=True)
+    frames = io.read_frames(a.source, color=True)
     if frames.count is not None and frames.count < 3:
         raise ValueError(f"{a.source} must hold three frames or more, got {frames.count}")
     z = frames.positions
@@ -60,16 +59,16 @@ def run(a: argparse.Namespace) -> Files:
             bar.total = total
             bar.update(done - bar.n)
 
-        found = depth_from_focus(film, **passed, progress=progress)
+        found = focus.depth_from_focus(film, **passed, progress=progress)
     size = settled["pixel_size"] * a.reduce
     found = replace(found, pixel_size=size)
     maps = (found.depth, found.uncertainty, found.index, found.all_in_focus)
     for (name, what), values in zip(_MAPS.items(), maps, strict=True):
-        yield name, partial(write_height_tiff, height=values, pixel_size=size, what=what)
+        yield name, partial(io.write_height_tiff, height=values, pixel_size=size, what=what)
     sharp = found.all_in_focus
     grey = np.interp(sharp, (sharp.min(), sharp.max()), (0, 255)).astype(np.uint8)
     step = max(1, ceil(sqrt(found.depth.size / 250_000)))  # more corners are slow to show
-    mesh = partial(write_ply, height=found.depth, pixel_size=size, image=grey, step=step)
+    mesh = partial(io.write_ply, height=found.depth, pixel_size=size, image=grey, step=step)
     yield "surface.ply", mesh
     yield "summary.json", text(json.dumps(found.to_dict() | settled, indent=2))
     yield "look.png", picture(found.plot)

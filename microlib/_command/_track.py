@@ -35,15 +35,14 @@ def run(a: argparse.Namespace) -> Files:
     """
     import pandas as pd
 
-    from microlib.io import read_frames
-    from microlib.tracking import plot_track, track_each
+    from microlib import io, tracking
 
-    frames = read_frames(a.source, color=True)
+    frames = io.read_frames(a.source, color=True)
     film = to_the_end(a, frames) if a.allow_truncated else frames
     size = frames.pixel_size if a.pixel_size is None else a.pixel_size
     if size is not None:
         settle(a, "pixel_size", pixel_size=frames.pixel_size)
-    each = track_each(film, a.box, a.motion, rate=a.rate, pixel_size=size)
+    each = tracking.track_each(film, a.box, a.motion, rate=a.rate, pixel_size=size)
     rows, lost = [next(each)], 0
     stop: BaseException | None = None
     a.out.parent.mkdir(parents=True, exist_ok=True)
@@ -63,8 +62,8 @@ def run(a: argparse.Namespace) -> Files:
                 bar.set_postfix_str(f"lost in {lost / len(rows):.0%}", False)
         except (OSError, ValueError, KeyboardInterrupt) as error:
             stop = error
-    table, first = pd.DataFrame(rows), next(read_frames(a.source, color=True))
-    yield "look.png", picture(partial(plot_track, table, first))
+    table, first = pd.DataFrame(rows), next(io.read_frames(a.source, color=True))
+    yield "look.png", picture(partial(tracking.plot_track, table, first))
     yield "look.mp4", partial(_film, a.source, table, a.rate)
     summary = f"lost in {lost} of {len(rows)} frames"
     a.say(f"{summary}; one row a frame, lengths in px, of columns …_um in µm")

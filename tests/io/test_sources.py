@@ -157,18 +157,6 @@ def test_colors_are_red_green_and_blue(tmp_path: Path) -> None:
         assert (grey == round(0.299 * 200 + 0.587 * 50)).all()
 
 
-# --- Sizes and axes ------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", ["imagej", "ome"])
-def test_time_is_not_taken_for_focus(stack: NDArray, tmp_path: Path, kind: str) -> None:
-    path = tmp_path / ("a.ome.tif" if kind == "ome" else "a.tif")
-    tifffile.imwrite(path, stack, imagej=kind == "imagej", metadata={"axes": "TYX"})
-    with pytest.raises(ValueError, match="must differ in focus, got a file of 12 times"):
-        depth_from_focus(path, np.arange(float(COUNT)))
-    assert read_frames(path).count == COUNT  # a sequence for other uses
-
-
 # --- Refused before anything slow starts ----------------------------------------------------------
 
 
