@@ -166,6 +166,15 @@ def test_a_vanishing_force_meets_the_sphere(law: str) -> None:
     assert 0 < state.depth < 1e-3
 
 
+def test_the_wall_on_a_wide_probe_is_part_of_the_energy() -> None:
+    """A force that only flattens it adds less than its work to that of the inflated sphere."""
+    kw = {**CAPSULE, "inflation": 2.0, "probe_half_width": 60.0}
+    sphere = indent_capsule(0.0, **kw)
+    force = 1.1 * np.pi * 60.0**2 * sphere.pressure
+    state = indent_capsule(force, **kw)
+    assert 0 < state.energy - sphere.energy < force * state.approach
+
+
 @pytest.mark.parametrize(("law", "inflation", "force"), STATES)
 def test_volume_energy_and_crest(law: str, inflation: float, force: float) -> None:
     settings = {**CAPSULE, "law": law, "inflation": inflation}
