@@ -31,6 +31,7 @@ import json
 import math
 import operator
 import os
+import sys
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -41,7 +42,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from IPython import get_ipython
 from numpy.typing import ArrayLike
 
 from microlib._common import replace_file
@@ -417,7 +417,8 @@ class _Session:
 
     def add(self, record: Record) -> Record:
         """Keep a record with its cell; a cell that is run again replaces what it recorded."""
-        shell = get_ipython()
+        # The library's tests read claims where IPython is not installed.
+        shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
         cell = len(shell.user_ns["In"]) - 1 if shell else 0  # its count may be the next cell's
         notebook = self.path.stem if self.path else ""
         self.records[record.id] = replace(record, notebook=notebook, cell=cell)

@@ -44,7 +44,7 @@ def alive(pid: int) -> bool:
 
 def until(happened: Callable[[], object]) -> None:
     """Wait for what happens soon; the limit is for a busy machine."""
-    end = monotonic() + 30
+    end = monotonic() + 120
     while not happened():
         assert monotonic() < end
         sleep(0.02)
