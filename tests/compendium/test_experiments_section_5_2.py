@@ -87,3 +87,10 @@ def test_the_printed_means_are_those_of_table_5_2() -> None:
     means = section_5_2.printed_means()
     assert list(means.values()) == [0.2202, 0.0639, 0.4618, 0.0920]
     assert section_5_2.squares_over_circles(means) == pytest.approx(0.0920 / 0.0639)
+
+
+def test_distortion_moves_a_corner_by_its_formula() -> None:
+    for column in thesis.COLUMNS:
+        corner = np.hypot(*np.array(thesis.BASLER_IMAGE_SIZE)) * thesis.BASLER_CELL / 2  # µm
+        expected = abs(thesis.table_5_1(column, "kappa")) * corner**3 / thesis.BASLER_CELL
+        assert section_5_2.corner_shift(column) == pytest.approx(expected, rel=1e-6)

@@ -143,3 +143,21 @@ def test_each_reading_gives_each_predicted_number_a_verdict(station, monkeypatch
     decided = section_5_4.decided(table)
     turned = table[(table["verdict"] != table["claim"].map(decided["verdict"])) & ~table["input"]]
     assert set(turned["claim"]) == set(decided.index[decided["changed by"] != ""])
+
+
+def test_the_accuracies_in_pixels_are_the_printed_ones_over_the_pixel() -> None:
+    table = section_5_4.printed_table()["accuracy"]
+    assert table.loc["circle"].tolist() == [7.72, 1.57]
+    assert table.loc["square"].tolist() == [5.93, 1.47]
+    ratio = table["1X"] / table["4X"] * 1.5893 / 6.3859
+    largest = claim("section-5.4/same-in-pixels").recomputed
+    assert max(ratio.max(), 1 / ratio.min()) == pytest.approx(largest, abs=5e-4)
+
+
+def test_more_jitter_spreads_the_error(station) -> None:
+    for path in section_5_4.PATHS:
+        still, shaken = (
+            np.median(replace(station, jitter=jitter).path_errors("1X", path, 4)[:, 1])
+            for jitter in (0.12, 0.3)
+        )
+        assert shaken > 1.2 * still
