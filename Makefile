@@ -11,25 +11,19 @@ export OPENBLAS_NUM_THREADS := 1
 # Packages are compiled as they are first used; pip would compile all, which takes half a minute.
 export PYTHONDONTWRITEBYTECODE :=
 
-# Tests of what `make html` leaves.
-READ := tests/book tests/notebooks
-
 .DEFAULT_GOAL := help
-.PHONY: help setup extras book pdf test notebooks html lint format data benchmarks oldest newest portable fuzz lock clean pages library
+.PHONY: help setup extras book pdf test notebooks html lint format data benchmarks oldest newest portable fuzz lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: $(STAMP) ## make .venv with the locked packages and microlib
 
-# Half of the packages is unpacked while the other half is fetched. The lock names all that is needed.
 $(STAMP): environment.txt pyproject.toml
 	@echo "Setting up $(VENV) (about a minute, once)"
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed")'
 	@$(PYTHON) -m venv $(VENV)
-	@awk '/^[a-z]/ {part = 1 - part} {print > ("$(VENV)/part-" part ".txt")}' environment.txt
-	@printf '%s\n' $(VENV)/part-*.txt | xargs -n 1 -P 2 \
-	  $(BIN)/pip install --quiet --no-compile --no-deps --require-hashes -r
+	@$(BIN)/pip install --quiet --no-compile --require-hashes -r environment.txt
 	@$(BIN)/pip install --quiet --no-deps --no-build-isolation --config-settings editable_mode=compat -e .
 	@touch $@
 
@@ -54,20 +48,11 @@ pdf: html ## print the book to build/book.pdf (needs a Chromium)
 	@$(BIN)/python book/make_pdf.py
 	@echo "The book is in build/book.pdf, its summary in build/summary.pdf"
 
-# The library needs no book: its tests fill the time in which a core waits for notebooks, book or
-# browser, and are told when they have ended.
 test: $(STAMP) ## run every test: library, notebooks, book
 	@trap 'exit 130' INT; failed=0; \
-	$(MAKE) --no-print-directory --keep-going --jobs 3 pages library lint || failed=1; \
+	$(MAKE) --no-print-directory --keep-going --jobs 2 html lint || failed=1; \
+	$(BIN)/python -m pytest --numprocesses 2 --quiet || failed=1; \
 	$(BIN)/python -m compendium.run --failures && exit $$failed
-
-pages: $(STAMP)
-	@trap 'exit 130' INT; failed=0; $(MAKE) --no-print-directory html || failed=1; \
-	$(BIN)/python -m pytest --numprocesses 2 --quiet $(READ) || failed=1; exit $$failed
-
-library: $(STAMP)
-	@said=$$($(BIN)/python -m pytest --numprocesses 2 --quiet tests compendium \
-	  $(addprefix --ignore ,$(READ)) 2>&1); code=$$?; echo "$$said"; exit $$code
 
 lint: $(STAMP) ## check format, style, types, and that notebooks carry no outputs
 	@$(BIN)/ruff format --check --quiet .

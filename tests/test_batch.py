@@ -6,11 +6,11 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
+from threading import Event
 
 import pandas as pd
 import pytest
@@ -238,18 +238,19 @@ def test_what_cannot_work_is_refused(folder: Path, change: dict, match: str, run
 
 
 def test_what_has_not_begun_is_taken_back_from_an_interrupted_run(folder: Path, run) -> None:
-    calls = []
+    calls, ended = [], Event()
 
     def work(path: Path) -> None:
         calls.append(path.name)
         if path.name == "f0.txt":
             raise KeyboardInterrupt
-        time.sleep(0.2)
+        ended.wait(30)
 
-    with pytest.raises(KeyboardInterrupt):
-        run(f"{folder}/*", work)
-    run.keywords["executor"].shutdown()
-    assert calls in (["f0.txt"], ["f0.txt", "f1.txt"])
+    with ThreadPoolExecutor(2) as executor:  # is handed four files, of which three may have begun
+        with pytest.raises(KeyboardInterrupt):
+            run(f"{folder}/*", work, executor=executor)
+        ended.set()
+    assert "f3.txt" not in calls
 
 
 CUTS = [lambda text, n=n: text[:-n] for n in (1, 8, 36)]

@@ -7,6 +7,7 @@ import json
 import os
 import re
 import signal
+import statistics
 import subprocess
 import sys
 import time
@@ -22,8 +23,9 @@ from PIL import Image
 
 from microlib import tracking
 from microlib._command import main
-from microlib._command._modulus import _outline
+from microlib._command._modulus import _SPANS, _outline
 from microlib._command._shared import _quantity, settle
+from microlib.embryo import dimple_geometry, fit_gaussians, loess
 from microlib.focus import FocusResult
 from microlib.synthetic import mixed_texture, texture_sequence
 from tests.running import until
@@ -84,6 +86,9 @@ def test_depth_writes_the_heights_to_scale(tmp_path: Path, capsys: Told) -> None
     told = capsys.readouterr().out
     assert "spacing 7 µm (the file)" in told
     assert "pixel_size 2 µm/px (the file)" in told
+    assert json.loads((tmp_path / "own" / "summary.json").read_text())["pixel_size"] == 4
+    with tifffile.TiffFile(tmp_path / "own" / "height.ome.tif") as file:
+        assert 'PhysicalSizeX="4.0"' in file.ome_metadata
 
 
 def test_what_cannot_be_written_leaves_the_rest(
@@ -294,6 +299,13 @@ def test_modulus_holds_the_truth(tmp_path: Path, capsys: Told) -> None:
     found = pd.read_csv(tmp_path / "out.csv", index_col="quantity")["value"]
     assert found["modulus_low95_MPa"] < 1.3 < found["modulus_high95_MPa"]
     assert found["dimple_radius"] == pytest.approx(250, abs=3.875)  # a pixel
+    # What three smoothings decide, and the noise of the points.
+    x, y = pd.read_csv(INPUTS / "outline.csv").sort_values("x").to_numpy().T
+    smooth = [fit_gaussians(x, loess(x, y - y.min(), span=span)) for span in _SPANS]
+    radii = [dimple_geometry(one, pixel_size=3.875) for one in smooth]
+    noise = radii[1].covariance[0, 0]
+    spread = statistics.variance(one.dimple_radius for one in radii)
+    assert found["dimple_radius_std"] == pytest.approx(np.sqrt(spread + noise), rel=0.05)
     # The modulus is in proportion to the force, which is known to 30 %, and nothing else so badly.
     spread = np.log(found["modulus_high95_MPa"] / found["modulus_low95_MPa"]) / (2 * 1.96)
     assert 0.9 * np.sqrt(np.log(1 + 0.3**2)) < spread < 0.4
@@ -434,5 +446,5 @@ def test_without_opencv_the_command_says_so_in_one_line(tmp_path: Path) -> None:
     )
     assert done.returncode == 2
     assert done.stderr == (
-        "microlib depth: OpenCV 4.10 or newer is needed: pip install opencv-python-headless\n"
+        "microlib depth: OpenCV 4.12 or newer is needed: pip install opencv-python-headless\n"
     )

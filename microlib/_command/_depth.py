@@ -70,6 +70,9 @@ def run(a: argparse.Namespace) -> Files:
     step = max(1, ceil(sqrt(found.depth.size / 250_000)))  # more corners are slow to show
     mesh = partial(io.write_ply, height=found.depth, pixel_size=size, image=grey, step=step)
     yield "surface.ply", mesh
-    yield "summary.json", text(json.dumps(found.to_dict() | settled, indent=2))
+    yield (
+        "summary.json",
+        text(json.dumps(found.to_dict() | settled | {"pixel_size": size}, indent=2)),
+    )
     yield "look.png", picture(found.plot)
     a.say(found)

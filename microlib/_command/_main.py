@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if isinstance(error, OSError) and error.filename:
                 text = f"{error.filename}: {error.args[1]}"
             elif getattr(error, "name", None) == "cv2":
-                text = "OpenCV 4.10 or newer is needed: pip install opencv-python-headless"
+                text = "OpenCV 4.12 or newer is needed: pip install opencv-python-headless"
         except KeyboardInterrupt:
             status, text = 130, "stopped"
     if status:

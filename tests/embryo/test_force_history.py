@@ -72,7 +72,8 @@ def test_an_unread_image_costs_certainty(found: ForceHistory, sequence: list[np.
     assert other.std[3] > 3 * found.std[3]
     assert abs(other.force[3] - found.force[3]) < 2 * other.std[3]
     # What comes after the last outline nobody knows.
-    assert np.isfinite(other.force).tolist() == [True] * 5 + [False]
+    for known in (other.force, other.std, other.low, other.high):
+        assert np.isfinite(known).tolist() == [True] * 5 + [False]
 
 
 def test_a_sequence_without_a_dimple_is_refused(sequence: list[np.ndarray]) -> None:

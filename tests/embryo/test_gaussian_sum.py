@@ -8,7 +8,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import curve_fit
 
-from microlib.embryo import GaussianSum, fit_gaussians
+from microlib.embryo import GaussianSum, dimple_geometry, fit_gaussians
+
+
+def test_the_rim_is_the_nearest_maximum_in_the_upper_half() -> None:
+    # Behind a hill that is higher than half the dimple, or not, is the highest one.
+    for height, rim in ((60.0, 100.0), (20.0, 50.0)):
+        curve = GaussianSum(
+            [80.0, height, 70.0], [50.0, 100.0, 190.0], [12.0, 12.0, 20.0], domain=(20, 220)
+        )
+        mirrored = GaussianSum(
+            curve.amplitudes, -curve.centers, curve.widths, domain=(-220.0, -20.0)
+        )
+        found = dimple_geometry(curve, pixel_size=2.0)
+        assert found.rim[0] == pytest.approx(rim, abs=1)
+        other = dimple_geometry(mirrored, pixel_size=2.0, rim="right")
+        assert other.dimple_radius == pytest.approx(found.dimple_radius, rel=1e-9)
+        assert other.rim[0] == pytest.approx(-found.rim[0])
 
 
 def test_fit_equals_curve_fit_on_noisy_data() -> None:

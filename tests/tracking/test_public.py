@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from microlib.synthetic import camera_frame, mixed_texture
-from microlib.tracking import ESMTracker, KalmanFilter, Track, track_each
+from microlib.tracking import ESMTracker, KalmanFilter, Track, _sampling, track_each
 from microlib.tracking._covariance import sandwich
 from microlib.tracking._light import _tukey_slope
 from microlib.tracking._local import tukey
@@ -131,12 +131,16 @@ def test_frames_that_are_cropped_alike_give_the_same_elsewhere():
 def test_a_tracker_that_lost_its_template_follows_it_like_a_new_one():
     one, other = SCENE + NOISE[0], MOVED + NOISE[1]
     tracker = ESMTracker(one, BOX, "affine")
-    assert tracker.track(np.random.default_rng(0).normal(0, 28, one.shape)).lost
+    lost = tracker.track(np.random.default_rng(0).normal(0, 28, one.shape))
+    assert lost.lost
     new = ESMTracker(one, BOX, "affine").track(other)
+    assert lost.hidden.shape == new.hidden.shape == BOX[:1:-1]
     for _ in range(2):  # anywhere in the frame, and then from where it was
         again = tracker.track(other)
         np.testing.assert_allclose(again.corners, new.corners, atol=0.05)
-    np.testing.assert_allclose(again.covariance, new.covariance, rtol=0.2)
+    # OpenCV 4 rounds places to 1/32 px, which here changes what is left over by a third.
+    within = 0.4 if _sampling._ROUNDS else 0.2
+    np.testing.assert_allclose(again.covariance, new.covariance, rtol=within)
 
 
 def test_what_is_refused_changes_nothing():
