@@ -193,7 +193,7 @@ def test_heights_are_those_of_the_library(tools: Page) -> None:
     )
     measure, depth = (np.reshape(one, height.shape) for one in found)
     np.testing.assert_array_equal(measure, sum_modified_laplacian(frames[3], window=5))
-    wanted = depth_from_focus(frames, positions, measure="sml", window=5, points=3).depth
+    wanted = depth_from_focus(frames, positions, measure="sml", window=5).depth
     # The library's depths are of float32, seven digits of the stack's range.
     np.testing.assert_allclose(depth, wanted, rtol=0, atol=1e-4 * float(np.ptp(positions)))
     assert np.median(np.abs(depth - height)) < np.diff(positions)[0] / 2  # it is that dome
