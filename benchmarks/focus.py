@@ -178,6 +178,7 @@ def judged(truth: NDArray, stack: NDArray) -> list[float]:
     known = np.isfinite(error)
     kept = confidence > np.quantile(confidence[known], 0.1)
     others = [rms((depth(stack) - truth)[INNER][known]) for depth in METHODS.values()]
+    others = np.nan_to_num(others, nan=np.inf).tolist()  # of one that has no depth at all
     return [rms(error), rms(error[kept]), 1 - known.mean(), *others]
 
 
