@@ -105,6 +105,8 @@ def test_the_way_is_drawn_over_the_first_frame_and_against_time() -> None:
     figure = plot_track(table, frames[0])
     seen = np.column_stack(figure.axes[0].lines[0].get_data()).astype(float)
     np.testing.assert_allclose(seen - seen[0], np.array(path) - path[0], atol=0.1)
+    box = np.column_stack(figure.axes[0].lines[1].get_data())  # of the frame that is shown
+    np.testing.assert_allclose(box[:4].mean(axis=0), np.array(path[0]) + 24, atol=0.6)
     x, y = (np.column_stack(line.get_data()) for line in figure.axes[1].lines[:2])
     np.testing.assert_allclose(x, [(k / 20, 2.5 * k) for k in range(5)], atol=0.1)
     np.testing.assert_allclose(y, [(k / 20, -k) for k in range(5)], atol=0.1)
