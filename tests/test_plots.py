@@ -111,3 +111,7 @@ def test_the_way_is_drawn_over_the_first_frame_and_against_time() -> None:
     np.testing.assert_allclose(x, [(k / 20, 2.5 * k) for k in range(5)], atol=0.1)
     np.testing.assert_allclose(y, [(k / 20, -k) for k in range(5)], atol=0.1)
     assert figure.axes[1].get_ylabel() == "way from the start (px)"
+    table = track_all(frames, (60, 60, 49, 49), "translation", pixel_size=3.9)
+    (x, y), ax = table[["x_um", "y_um"]].to_numpy(float).T, plot_track(table, frames[0]).axes[1]
+    np.testing.assert_allclose([line.get_ydata() for line in ax.lines[:2]], [x, y])
+    assert ax.get_ylabel() == "way from the start (µm)"
