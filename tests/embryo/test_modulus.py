@@ -123,6 +123,9 @@ def test_models_of_one_dimple_span_its_modulus(pressed_capsule):
         law="hooke",
     )
     assert found.model_moduli["disc, hooke"] == pytest.approx(by_hand, rel=1e-9)
+    # The radius that is given is that of the capsule, whatever the outline shows.
+    larger = of_capsule(scene, radius=1.2 * scene.radius).model_moduli["capsule, neo-hooke"]
+    assert abs(larger / found.model_moduli["capsule, neo-hooke"] - 1) > 0.02
 
 
 def test_another_shape_widens_the_interval(pressed_capsule):
