@@ -1,20 +1,29 @@
-"""The pictures of results: what is drawn is where the result has it."""
+"""The pictures of results: what is drawn is what the result has, read back from the axes."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
+
 import matplotlib as mpl
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib import pyplot
+from matplotlib.colors import LogNorm, to_rgb
 
 from microlib import synthetic
-from microlib.calibration import calibrate, detect_circles
+from microlib._plots import marks, outline
+from microlib.calibration import Detection, calibrate, detect_circles
 from microlib.embryo import modulus_from_image
-from microlib.focus import depth_from_focus
+from microlib.focus import FocusResult
 from microlib.microscope import Microscope
-from microlib.tracking import plot_track, track_all
+from microlib.tracking import Track, plot_track
+from tests import fuzz
 
 mpl.use("Agg")
+pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
+ROUND = [step * 10.0**power for power in range(-4, 7) for step in (1, 2, 5)]
 
 
 @pytest.fixture(autouse=True)
@@ -23,95 +32,205 @@ def _closed():
     pyplot.close("all")
 
 
-def test_the_maps_show_the_heights_with_their_unit_and_scale() -> None:
-    texture = synthetic.mixed_texture((48, 70), np.random.default_rng(0))
-    dome = synthetic.paraboloid((48, 70), height=80.0)
-    stack = synthetic.focal_stack(texture, dome, np.arange(5.0, 95.0, 10.0), blur_rate=0.1)
-    found = depth_from_focus(stack, np.arange(5.0, 95.0, 10.0))
-    found.depth[:12] = np.nan
-    figure = found.plot()
-    unknown = 100 * np.isnan(found.depth).mean()
-    assert figure.axes[1].get_title() == f"height, grey: {unknown:.2g} % unknown"
-    titles = [ax.get_title().split(",")[0] for ax in figure.axes if ax.get_title()]
-    assert titles == ["all in focus", "height", "uncertainty", "shaded"]
-    height = figure.axes[1].images[0]
-    np.testing.assert_array_equal(height.get_array().filled(np.nan), found.depth)
-    assert {ax.get_ylabel() for ax in figure.axes[4:]} == {"height (µm)", "uncertainty (µm)"}
+def hold_photograph(ax, image):
+    """Black is its darkest and white its brightest level, the first row above, without axes."""
+    (shown,) = ax.images
+    levels = 255 * (np.asarray(image, float) - np.min(image)) / np.ptp(image)
+    np.testing.assert_allclose(shown.get_array().astype(float), levels, atol=1)
+    assert (shown.get_clim(), shown.get_cmap().name) == ((0, 255), "gray")
+    rows, columns = np.shape(image)[:2]
+    assert [*shown.get_extent()] == [-0.5, columns - 0.5, rows - 0.5, -0.5]
+    assert not ax.axison
+
+
+def hold_round(factor, largest):
+    """The largest of 1, 2, 5, 10, … that is not beyond what is wanted."""
+    assert factor == pytest.approx(max(step for step in ROUND if step <= largest))
+
+
+def mapped(pixel_size):
+    """A dome beside the middle, unknown in a corner."""
+    rng, (y, x) = np.random.default_rng(0), np.mgrid[:31, :52].astype(float)
+    depth = 40 - 0.02 * ((x - 20) ** 2 + 2 * (y - 13) ** 2) + rng.normal(0, 0.05, x.shape)
+    depth[:9, 30:] = np.nan
+    error = np.where(np.isnan(depth), np.nan, rng.lognormal(0, 1, x.shape))
+    sharp = rng.integers(20, 700, x.shape).astype(np.uint16)
+    return FocusResult(depth, error, error, np.int32(y), sharp, y < 0, pixel_size=pixel_size)
+
+
+@pytest.mark.parametrize(("pixel_size", "unit"), [(3.9, "µm"), (None, "frames"), (350.0, "µm")])
+def test_the_maps_show_the_heights_with_their_unit_and_scale(pixel_size, unit):
+    found = mapped(pixel_size)
+    axes = found.plot(unit=unit).axes
+    hold_photograph(axes[0], found.all_in_focus)
+    assert axes[0].get_title() == "all in focus"
+    share = f"{100 * 9 * 22 / (31 * 52):.3g}"
+    for ax, bar, values, name in zip(
+        axes[1:3], axes[5:3:-1], (found.depth, found.uncertainty), ("height", "uncertainty"),
+        strict=True,
+    ):  # fmt: skip
+        (shown,) = ax.images
+        np.testing.assert_array_equal(shown.get_array().filled(np.nan), values)
+        assert shown.get_clim() == pytest.approx(np.nanquantile(values, [0.005, 0.995]))
+        assert shown.origin == "upper"
+        assert to_rgb(shown.get_cmap().get_bad()) == to_rgb("0.8")
+        assert isinstance(shown.norm, LogNorm) == (name == "uncertainty")
+        assert shown.colorbar.ax is bar
+        assert (bar.get_ylabel(), shown.colorbar.extend) == (f"{name} ({unit})", "both")
+        assert ax.get_title() == f"{name}, grey: {share} % unknown"
+    # The light comes from the upper left; so steep that slopes show.
+    light = axes[3].images[0].get_array().astype(float)
+    assert light[3:12, 6:16].mean() > 1.2 * light[16:25, 26:36].mean()
+    assert (light[:9, 30:] == 255).all()
+    slope = np.hypot(*np.gradient(found.depth, pixel_size or 1.0))
+    words = axes[3].get_title().split()
+    assert words[:3] == ["shaded,", "heights", "×"]
+    hold_round(float(words[3]), 1 / np.nanquantile(slope, 0.95))
+    assert words[4:] == ([] if pixel_size else [f"px/{unit}"])
+    # A bar of a round length, at most a quarter of the width.
+    if pixel_size is None:
+        assert not axes[1].artists
+    for bar in axes[1].artists:
+        value, of = bar.txt_label.get_text().split()
+        (length,) = (part.get_width() * pixel_size for part in bar.size_bar.get_children())
+        assert length == pytest.approx(float(value) * {"µm": 1, "mm": 1000}[of])
+        assert (of == "mm") == (length >= 1000)
+        hold_round(length, pixel_size * 52 / 4)
     # In axes of one's own the height alone.
     own, ax = pyplot.subplots()
-    assert found.plot(ax) is own
-    assert len(own.axes) == 2  # with its color bar
-    units = {ax.get_ylabel() for ax in found.plot(unit="frames").axes[4:]}
-    assert units == {"height (frames)", "uncertainty (frames)"}
+    assert found.plot(ax, unit=unit) is own
+    assert [len(each.images) for each in own.axes] == [1, 0]  # with its color bar
 
 
-def test_a_scale_bar_is_as_long_as_it_says() -> None:
-    from microlib._plots._focus import _scale_bar
-
-    _, ax = pyplot.subplots()
-    ax.imshow(np.zeros((40, 90)))
-    _scale_bar(ax, 3.9, 90)
-    (bar,) = ax.artists
-    assert bar.txt_label.get_text() == "50 µm"
-    (length,) = [p.get_width() for p in bar.size_bar.get_children()]
-    assert length * 3.9 == pytest.approx(50)
+def test_maps_of_nothing_or_without_any_error_are_drawn():
+    found, nothing = mapped(2.0), np.full((31, 52), np.nan)
+    assert "100 % unknown" in replace(found, depth=nothing).plot().axes[1].get_title()
+    shown = replace(found, uncertainty=np.zeros((31, 52))).plot().axes[2]
+    assert not isinstance(shown.images[0].norm, LogNorm)
+    assert shown.get_title() == "uncertainty"
 
 
-def test_marks_and_residuals_are_drawn_on_the_photograph() -> None:
+def test_marks_and_residuals_are_drawn_on_the_photograph():
     scope = Microscope(2e5, 126000, 79380, alpha=0.1, beta=0.03, tx=-900, ty=-700)
     photograph = synthetic.render_circles(scope, pitch=280.0)
     found = detect_circles(photograph)
     result = calibrate(found, pitch=280, pixel_size=9.9, focal_length=126000)
     for figure in (result.plot(found=found, images=photograph), found.plot(image=photograph)):
         (ax,) = figure.axes
-        np.testing.assert_array_equal(np.column_stack(ax.lines[0].get_data()), found.points)
+        hold_photograph(ax, photograph)
+        assert 4 < len(ax.texts) < 40
+    title = result.plot(found=[found]).axes[0].get_title()
+    assert f"{len(found.points)} points\n{result.reprojection.rms:.2g} px rms (red, × " in title
+
+
+@pytest.mark.parametrize("photographs", [True, False])
+def test_each_view_has_its_own_marks_residuals_and_numbers(photographs):
+    rng, found = np.random.default_rng(1), []
+    for rows, columns in ((3, 4), (5, 4), (7, 6)):
+        grid = np.argwhere(np.ones((columns, rows))) - 2
+        points = 30.0 + 11 * grid @ [[1.0, 0.1], [-0.2, 0.7]]
+        one, size = np.ones(len(grid)), (150, 90)
+        found.append(Detection(points, grid, one, np.arange(len(grid)), grid, np.nan, 1.0, size))
+    images = [rng.integers(9, 90 + 40 * k, (90, 150)) for k in range(3)]
+    residuals = rng.normal(0, 0.1, (74, 2)) * np.repeat([1, 3, 9], [12, 20, 42])[:, None]
+    axes = marks(found, images if photographs else None, residuals).axes
+    assert not axes[3].axison
+    ends, factors = (0, 12, 32, 74), []
+    for ax, each, image, part in zip(axes, found, images, pairwise(ends), strict=False):
+        np.testing.assert_array_equal(np.column_stack(ax.lines[0].get_data()), each.points)
+        own = residuals[slice(*part)]
+        arrows = ax.collections[0]
+        assert (arrows.angles, arrows.scale_units, arrows.scale) == ("xy", "xy", 1)
+        np.testing.assert_array_equal(arrows.XY, each.points)
+        seen = np.column_stack([arrows.U, arrows.V])
+        factors.append(float(np.median(seen / own)))
+        np.testing.assert_allclose(seen, factors[-1] * own)
+        rms = np.sqrt(np.mean(np.hypot(*own.T) ** 2))
+        told = f"{len(each.points)} points\n{rms:.2g} px rms (red, × {factors[-1]:g})"
+        assert ax.get_title() == told
         for text in ax.texts:  # a place in the grid, at its point
             place = np.array(text.get_text().split(","), dtype=int)
-            at = found.points[(found.grid == place).all(axis=1)]
+            at = each.points[(each.grid == place).all(axis=1)]
             np.testing.assert_array_equal(at, [text.xy])
-        assert 4 < len(ax.texts) < 40
-    arrows = result.plot(found=found).axes[0].collections[0]
-    assert arrows.axes.yaxis_inverted()  # rows go down without the photograph, too
-    seen = np.column_stack([arrows.U, arrows.V])
-    factor = np.linalg.norm(seen) / np.linalg.norm(result.residuals)
-    np.testing.assert_allclose(seen, factor * result.residuals)
-    assert f"{result.reprojection.rms:.2g} px rms (red, × {factor:g})" in arrows.axes.get_title()
+        assert 1 <= len(ax.texts) <= 9
+        if photographs:
+            hold_photograph(ax, image)
+        else:
+            assert (ax.get_xlim(), ax.get_ylim(), ax.get_aspect()) == ((0, 150), (90, 0), 1)
+    apart = np.sqrt(np.prod(np.ptp(found[0].points, axis=0)) / 12)
+    hold_round(factors[0], apart / np.quantile(np.hypot(*residuals.T), 0.95))
+    assert len(set(np.round(factors, 9))) == 1
+    own, ax = pyplot.subplots()
+    assert marks(found, None, residuals, ax) is own
+    assert [len(line.get_xdata()) for line in ax.lines] == [12]
 
 
-def test_the_outline_is_drawn_with_its_modulus() -> None:
-    embryo = synthetic.Embryo(modulus=1.2, force=1.2, dimple_radius=240.0)
-    scene = synthetic.embryo_image(embryo, rng=np.random.default_rng(1))
-    found = modulus_from_image(
-        scene.image,
-        1.2,
-        pixel_size=scene.pixel_size,
-        thickness=3.0,
-        probe_half_width=25.0,
-        poisson_ratio=0.5,
-    )
+def test_the_outline_is_drawn_with_its_curve_its_points_and_its_modulus():
+    sizes = {"pixel_size": 7.75, "thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
+    found = modulus_from_image(fuzz.egg().image, 150.0, **sizes)
     (ax,) = found.plot().axes
-    assert f"modulus {found.modulus:.4g} MPa" in ax.get_title()
-    points, curve = (np.column_stack(line.get_data()) for line in ax.lines[:2])
-    np.testing.assert_array_equal(points[:, 0], found.boundary.x)
-    near = np.interp(points[:, 0], *curve.T)
-    close = np.abs(points[:, 0] - found.dimple.center[0]) < 50
-    assert np.median(np.abs(near - points[:, 1])[close]) < 1  # px
+    low, high = found.interval
+    title = f"modulus {found.modulus:.4g} MPa, 95 % within {low:.4g} … {high:.4g}"
+    assert ax.get_title() == title
+    assert [line.get_label() for line in ax.lines] == ["outline", "fitted model"]
+    as_force = replace(found, found="force", dimple=None).plot().axes[0]
+    assert as_force.get_title().startswith(f"force {found.force:.4g} µN, 95 % within")
+    assert [line.get_label() for line in as_force.lines] == ["outline"]
+    x, y = found.boundary.x, found.boundary.y
+    rims = {"left rim": (200.0, 250.0), "bottom": (230.0, 199.0), "right rim": (270.0, 251.0)}
+    own, ax = pyplot.subplots()
+    assert outline(x, y, found.dimple, rims, "said", ax) is own
+    seen = {line.get_label(): np.transpose(line.get_data()) for line in ax.lines}
+    curve = seen.pop("fitted model")
+    np.testing.assert_allclose(curve[[0, -1], 0], [x.min(), x.max()])
+    np.testing.assert_allclose(curve[:, 1], found.dimple(curve[:, 0]))
+    for name, points in {"outline": np.transpose([x, y]), **rims}.items():
+        np.testing.assert_array_equal(seen.pop(name), np.atleast_2d(points))
+    assert not seen
+    assert [text.get_text() for text in ax.get_legend().texts] == [
+        line.get_label() for line in ax.lines
+    ]
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("x (px)", "y, up (px)")
+    assert not ax.yaxis_inverted()
 
 
-def test_the_way_is_drawn_over_the_first_frame_and_against_time() -> None:
-    path = [(60.0 + 2.5 * k, 60.0 - k) for k in range(5)]
-    frames = synthetic.texture_sequence(path, np.random.default_rng(0))
-    table = track_all(frames, (60, 60, 49, 49), "translation", rate=20.0)
-    figure = plot_track(table, frames[0])
-    seen = np.column_stack(figure.axes[0].lines[0].get_data()).astype(float)
-    np.testing.assert_allclose(seen - seen[0], np.array(path) - path[0], atol=0.1)
-    box = np.column_stack(figure.axes[0].lines[1].get_data())  # of the frame that is shown
-    np.testing.assert_allclose(box[:4].mean(axis=0), np.array(path[0]) + 24, atol=0.6)
-    x, y = (np.column_stack(line.get_data()) for line in figure.axes[1].lines[:2])
-    np.testing.assert_allclose(x, [(k / 20, 2.5 * k) for k in range(5)], atol=0.1)
-    np.testing.assert_allclose(y, [(k / 20, -k) for k in range(5)], atol=0.1)
-    assert figure.axes[1].get_ylabel() == "way from the start (px)"
-    table = track_all(frames, (60, 60, 49, 49), "translation", pixel_size=3.9)
-    (x, y), ax = table[["x_um", "y_um"]].to_numpy(float).T, plot_track(table, frames[0]).axes[1]
-    np.testing.assert_allclose([line.get_ydata() for line in ax.lines[:2]], [x, y])
-    assert ax.get_ylabel() == "way from the start (µm)"
+@pytest.mark.parametrize("timed", [True, False])
+@pytest.mark.parametrize("micrometers", [True, False])
+def test_the_way_is_drawn_over_the_frame_and_against_time(timed, micrometers):
+    """Of a part that is lost in the first frame and in the fourth."""
+    image = np.random.default_rng(0).uniform(3.0, 90.0, (120, 170))
+    box = np.array([[0.0, 0.0], [19, 0], [19, 9], [0, 9]])
+    starts, rows = [(70.0 + 3 * k, 60.0 - 2 * k * k) for k in range(7)], []
+    for k, start in enumerate(starts):
+        lost = k in (0, 3)
+        track = Track(**fuzz.TRACK | {"corners": box + start, "lost": lost})
+        rows.append(track.to_dict())
+        way = (None, None) if lost else (1.7 * (start[0] - 70), 1.7 * (start[1] - 60))
+        rows[-1] |= {"time_s": k / 8} if timed else {}
+        rows[-1] |= dict(zip(("x_um", "y_um"), way, strict=True)) if micrometers else {}
+    table, before = pd.DataFrame(rows), pd.DataFrame(rows)
+    way, against = plot_track(table, image).axes
+    pd.testing.assert_frame_equal(table, before)
+    hold_photograph(way, image)
+    middle = np.add(starts, (9.5, 4.5))
+    gaps = np.where(np.isin(np.arange(7), (0, 3))[:, None], np.nan, middle)
+    drawn = [np.transpose(line.get_data()).astype(float) for line in way.lines]
+    for seen, wanted in zip(
+        drawn, (gaps, box[[0, 1, 2, 3, 0]] + starts[1], gaps[-1:]), strict=True
+    ):
+        np.testing.assert_array_equal(seen, wanted)
+    # Twice the box's sides are seen about the way, inside the frame.
+    assert way.get_xlim() == (middle[1, 0] - 38, middle[-1, 0] + 38)
+    assert way.get_ylim() == (middle[1, 1] + 18, -0.5)
+    assert way.get_title() == "the way, lost in 29% of the frames"
+    time = np.arange(7) / 8 if timed else np.arange(7)
+    moves = 1.7 * (gaps - middle[0]) if micrometers else gaps - middle[1]
+    for line, values in zip(against.lines, moves.T, strict=False):
+        np.testing.assert_allclose(line.get_data(), [time, values], atol=1e-12)
+    np.testing.assert_array_equal(against.lines[2].get_data(), [time[[0, 3]], [0, 0]])
+    assert [text.get_text() for text in against.get_legend().texts] == ["x", "y (down)", "lost"]
+    assert against.get_xlabel() == ("time (s)" if timed else "frame")
+    assert against.get_ylabel() == f"way from the start ({'µm' if micrometers else 'px'})"
+    own, ax = pyplot.subplots()
+    assert plot_track(table[1:3], image, ax) is own
+    assert ax.get_title() == "the way, lost in 0% of the frames"

@@ -49,7 +49,7 @@ def _map(ax: Any, values: NDArray, colors: str, label: str, logarithmic: bool = 
     bar = ax.figure.colorbar(picture, ax=ax, label=label, extend="both", shrink=0.8, **ticks)
     bar.minorticks_off()  # on a logarithmic scale they would have numbers of their own
     unknown = 1 - len(known) / values.size
-    ax.set_title(f"{label.split()[0]}{f', grey: {100 * unknown:.2g} % unknown' if unknown else ''}")
+    ax.set_title(f"{label.split()[0]}{f', grey: {100 * unknown:.3g} % unknown' if unknown else ''}")
     ax.set_axis_off()
 
 
