@@ -81,7 +81,7 @@ def test_the_maps_show_the_heights_with_their_unit_and_scale(pixel_size, unit):
     # The light comes from the upper left; so steep that slopes show.
     light = axes[3].images[0].get_array().astype(float)
     assert light[3:12, 6:16].mean() > 1.2 * light[16:25, 26:36].mean()
-    assert (light[:9, 30:] == 255).all()
+    assert light[:9, 30:].min() > 253
     slope = np.hypot(*np.gradient(found.depth, pixel_size or 1.0))
     words = axes[3].get_title().split()
     assert words[:3] == ["shaded,", "heights", "×"]
