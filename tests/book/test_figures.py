@@ -206,7 +206,7 @@ def test_a_surface_to_turn_has_the_heights_and_their_colors(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
-    height = 20 + 500 * np.random.default_rng(0).random((150, 230))
+    height = 20 + 500 * np.random.default_rng(0).random((40, 230))
     height[6, 9] = np.nan
     labels = np.random.default_rng(1).integers(1, 10, height.shape).astype(np.uint8)
     surfaces.show_surface("plain", height, 2.0)
