@@ -192,21 +192,16 @@ def _plane_shift(
 
     def fit(top: int) -> None:
         band = out[top : top + height]
-        here = value[top + reach : top + reach + len(band), reach : reach + cols]
-        gaps, weights = np.empty((2, len(offsets), *band.shape), np.float32)
-        for (dy, dx), gap, weight in zip(offsets + reach, gaps, weights, strict=True):
-            there = np.s_[top + dy : top + dy + len(band), dx : dx + cols]
-            np.subtract(value[there], here, out=gap)
-            # Tukey's biweight of the differences in jumps, times the mass.
-            np.multiply(gap, gap, out=weight)
-            np.subtract(1, weight, out=weight)
-            np.maximum(weight, 0, out=weight)
-            np.multiply(weight, weight, out=weight)
-            np.multiply(weight, mass[there], out=weight)
-        gaps, weights = gaps.reshape(len(offsets), -1), weights.reshape(len(offsets), -1)
-        moments = basis @ weights
-        raised = basis[:3] @ np.multiply(weights, gaps, out=weights)
-        band[:] = _plane_height(moments, raised, sigma).reshape(band.shape)
+        gaps, weights = (
+            sliding_window_view(image, band.shape)[top + reach + y, reach + x]
+            for image in (value, mass)
+        )
+        gaps -= value[top + reach : top + reach + len(band), reach : reach + cols]
+        # Tukey's biweight of the differences in jumps, times the mass.
+        weights *= np.maximum(1 - gaps * gaps, 0) ** 2
+        gaps, weights = (part.reshape(len(offsets), -1) for part in (gaps, weights))
+        raised = basis[:3] @ (weights * gaps)
+        band[:] = _plane_height(basis @ weights, raised, sigma).reshape(band.shape)
 
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(fit, range(0, rows, height)))

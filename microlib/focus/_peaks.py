@@ -6,8 +6,6 @@ pixel nearly a Gaussian of the distance from focus, (3.9).
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -171,30 +169,13 @@ def fit_peaks(
     return depth, strength
 
 
-class _Table(NamedTuple):
-    """What a fit needs to know of the frames around each: float32, a column for each frame.
+def _table(steps: Array, reach: int, beyond: float) -> NDArray[np.float32]:
+    """Return what a fit needs to know of the frames around each, a column for each frame.
 
-    Attributes
-    ----------
-    steps : ndarray, shape (n,)
-        Position of each frame.
-    offset : ndarray, shape (2 reach + 1, n)
-        Positions of the window's frames from there; those beyond the stack have no weight, as their
-        measure is 0.
-    least, most : ndarray, shape (n,)
-        Least and greatest vertex from there.
-    narrow : ndarray, shape (n,)
-        One over half the width of the window.
+    Its rows are the frame's position; from there the least and the greatest vertex; one over half
+    the width of the window; and the positions of the window's frames from there, where those beyond
+    the stack have no weight, as their measure is 0.
     """
-
-    steps: NDArray[np.float32]
-    offset: NDArray[np.float32]
-    least: NDArray[np.float32]
-    most: NDArray[np.float32]
-    narrow: NDArray[np.float32]
-
-
-def _table(steps: Array, reach: int, beyond: float) -> _Table:
     count = len(steps)
     number = np.arange(count)
     around = np.clip(number + np.arange(-reach, reach + 1)[:, None], 0, count - 1)
@@ -210,29 +191,30 @@ def _table(steps: Array, reach: int, beyond: float) -> _Table:
     # The window moves to the vertex, which is half a frame away at most, or a whole one at an end
     # of the stack: no frame of three may lose its weight by that.
     width = np.maximum(-before, after) + np.where(far > 1, 0.5, 1.0) * near
-    return _Table(*(part.astype(np.float32) for part in (steps, offset, least, most, 1 / width)))
+    return np.vstack([steps, least, most, 1 / width, offset]).astype(np.float32)
 
 
 def _fit(
     window: NDArray[np.float32],
     best: NDArray[np.unsignedinteger],
-    table: _Table,
+    table: NDArray[np.float32],
     near: NDArray[np.float32] | None,
     within: float,
 ) -> tuple[NDArray, NDArray]:
     """Do the work of `fit_peaks` on a band of pixels, window of shape (2 reach + 1, pixels)."""
-    last, top = len(table.steps) - 1, window[len(window) // 2]
-    offset, place = np.take(table.offset, best, axis=1), table.steps[best]
+    top, last = window[len(window) // 2], table.shape[1] - 1
+    found = np.take(table, best, axis=1)
+    (place, least, most, narrow), offset = found[:4], found[4:]
     share = window / np.maximum(top, TINY)
     log = cv2.log(np.maximum(share, 1e-6))
-    center, narrow = np.zeros_like(place), table.narrow[best]
-    least, most = table.least[best], table.most[best]
+    center = np.zeros_like(place)
     if near is None:
         share = np.asarray(cv2.sqrt(share * cv2.sqrt(share)))
     else:
         # From the place of the best frame; never outside of the stack.
         center = near - place
-        first, final = table.least[0] - place, table.steps[last] + table.most[last] - place
+        steps, before, after = table[:3]
+        first, final = before[0] - place, steps[last] + after[last] - place
         least = np.maximum(center - np.float32(within), first)
         most = np.maximum(np.minimum(center + np.float32(within), final), least)
     with np.errstate(all="ignore"):
