@@ -23,11 +23,11 @@ $(STAMP): environment.txt pyproject.toml
 	@echo "Setting up $(VENV) (about a minute, once)"
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed")'
 	@$(PYTHON) -m venv $(VENV)
-	@$(BIN)/pip install --quiet --no-compile --require-hashes -r environment.txt
+	@$(BIN)/pip install --quiet --no-compile --no-deps --require-hashes -r environment.txt
 	@$(BIN)/pip install --quiet --no-deps --no-build-isolation --config-settings editable_mode=compat -e .
 	@touch $@
 
-# Installed over environment.txt, whose versions extras.txt keeps to. It names all that is needed; pip
+# Installed over environment.txt, whose versions extras.txt keeps to. Both name all that is needed; pip
 # would not find the hash of a package that one of them wants with an extra.
 extras: $(STAMP) ## add the locked microscope engine, dask, xarray and zarr to .venv, whose tests skip without
 	@$(BIN)/pip install --quiet --no-compile --no-deps --require-hashes -r extras.txt
