@@ -161,7 +161,8 @@ def test_beyond_the_fold_is_nan():
 
 def test_behind_the_objective_is_nan():
     points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1e6]])  # seen from behind: +Z comes closer
-    assert np.isnan(SCOPE.project(points)).all(axis=1).tolist() == [False, True]
+    for scope in (SCOPE, replace(SCOPE, distortion=0.0)):
+        assert np.isnan(scope.project(points)).all(axis=1).tolist() == [False, True]
     edge_on = replace(SCOPE, beta=np.pi / 2, distortion=0.0)
     seen = edge_on.back_project([[0.0, 10.0], [327.5, 10.0]])
     assert np.isnan(seen).any(axis=1).any()

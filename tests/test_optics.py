@@ -80,6 +80,8 @@ def test_image_distance_solves_the_lens_equation(distance):
 
 def test_a_point_at_the_working_distance_is_sharp_and_the_sign_tells_the_side():
     focused = float(optics.image_distance(LENS["sensor_distance"], LENS["focal_length"]))
+    with pytest.raises(ValueError, match="object_distance must exceed the focal length"):
+        optics.image_distance(LENS["focal_length"], LENS["focal_length"])
     near, sharp, far = optics.blur_radius([focused - 100, focused, focused + 100], **LENS)
     assert abs(sharp) < 1e-9  # µm, rounding
     assert near > 1 > -1 > far

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from benchmarks.capsule_embryo import draw_scene
-from microlib.embryo import force_from_image, modulus_from_image
+from microlib.embryo import _modulus, force_from_image, modulus_from_image
 from microlib.embryo._modulus import _egg_radius
 from microlib.membrane import disc_modulus
 from microlib.synthetic import Embryo, embryo_image
@@ -107,6 +107,27 @@ def test_a_capsule_is_measured_as_one(pressed_capsule):
     assert found.dimple.radius == pytest.approx(pressed_capsule.radius, abs=2.0)
     # The fitted law's own modulus again, from radius and depth alone.
     assert found.model_moduli["capsule, neo-hooke"] == pytest.approx(found.modulus, rel=1e-3)
+
+
+def test_a_capsule_is_fitted_as_it_is_asked_for(pressed_capsule, monkeypatch):
+    """With each option, and points of the outline from the probe's end on."""
+    asked = []
+    capsule = SimpleNamespace(modulus=1.7, modulus_std=0.02)
+    monkeypatch.setattr(
+        _modulus, "fit_capsule", lambda *given, **how: asked.append((*given, how)) or capsule
+    )
+    scene = pressed_capsule
+    for law, radius in (("hooke", 555.0), ("mooney-rivlin", None)):
+        found = of_capsule(scene, method="capsule", law=law, radius=radius)
+        force, points, how = asked.pop()
+        given = {"thickness": scene.thickness, "probe_half_width": scene.probe_half_width}
+        given |= {"poisson_ratio": 0.5, "radius": radius}
+        assert how == given | {"law": law, "fit_tilt": True}
+        assert (force, found.given) == (scene.force, given)
+        assert np.ptp(points[:, 0]) / 2 == pytest.approx(scene.radius, rel=0.05)
+        assert points[:, 1].max() == pytest.approx(scene.depth, abs=2 * scene.pixel_size)
+        # Of the wall's middle, which is not quite that of its profile: half a percent.
+        assert found.relative_std == pytest.approx(np.hypot(0.02 / 1.7, 0.005))
 
 
 def test_models_of_one_dimple_span_its_modulus(pressed_capsule):

@@ -34,7 +34,7 @@ FIT = {
 }  # fmt: skip
 #: In an image nothing has a unit but what its pixel and the force give it.
 SIZES = {"thickness": 2.6, "probe_half_width": 25.0}
-EGG = fuzz.egg().image
+EGG = fuzz.egg().image.astype(np.float32)  # which needs no copy
 
 
 def film(u) -> dict:
@@ -281,6 +281,8 @@ def test_points_in_another_order_have_their_values_in_that_order(order):
     ids=["sum", "dimple", "outline", "estimate"],
 )  # fmt: skip
 def test_what_was_used_before_is_as_new(make, uses):
-    """In either order, and after what was refused."""
+    """In either order, and after what was refused; the image is the caller's."""
+    image = EGG.copy()
     for before in (uses, uses[::-1]):
         hold_same_as_new(make, before[0], *before[1:], *before[:1])
+    np.testing.assert_array_equal(EGG, image)

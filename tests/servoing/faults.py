@@ -171,6 +171,8 @@ def run_with(fault: str, frame: int, *, engine: bool = False) -> Outcome:
         )
     except KeyboardInterrupt as interrupt:
         run = interrupt.run  # type: ignore[attr-defined]
+    else:  # who called must not go on
+        assert not fault.startswith("Ctrl-C")
     ended = scope.truth.stage.position()
     faulty.given_up.set()
     while threading.active_count() > threads:  # until the call that was given up has returned

@@ -251,3 +251,10 @@ def test_a_controller_moves_the_stage_by_velocity_times_interval(interval):
     seen = log.loc[log["phase"] == "servo", ["measured_x_px", "measured_y_px"]].to_numpy()
     left = np.linalg.norm(targets - seen, axis=1)
     np.testing.assert_allclose(left[1:4] / left[:3], 0.5, atol=0.06)  # drift and noise
+    # Nor further than a step.
+    workstation = begun(Units())
+    log = servo(workstation, seeing(workstation), targets, **given, tolerance=0.5, step=3.0).log
+    first = log[log["phase"] == "servo"].iloc[0]
+    way = [first[f"command_{axis}_um"] - first[f"stage_{axis}_um"] for axis in "xy"]
+    assert np.hypot(*way) == pytest.approx(3.0)
+    assert first["event"] == "limit"
