@@ -161,7 +161,7 @@ def fit_gaussians(
     which goes on. The amplitudes of a start are solved for linearly.
 
     The covariance is that of least squares, scaled to the residuals; with as many parameters as
-    points it is not known and left out. Neighbouring terms trade off
+    points it is not known and left out. Neighboring terms trade off
     against each other, so single coefficients are hardly determined; combinations, such as the
     curve and its extrema, are. It covers random errors only and not that a sum of Gaussians rounds
     the corners at the bottom of a dimple.

@@ -57,12 +57,12 @@ class ImageEstimate(Tidy):
     boundary : Boundary
         The outline that was found.
     given : dict
-        thickness, probe_half_width, poisson_ratio and radius as given, in µm.
+        thickness, probe_half_width and radius as given, in µm, and poisson_ratio.
 
     Notes
     -----
     `interval` says how well the outline is known, as if the model were right; `misfit` whether the
-    outline looks like the model at all, which widens `interval` where it does not. `model_moduli`,
+    outline looks like the model at all, which widens `interval` where it does not. `model_moduli`
     and `model_interval` say what other models make of the same dimple. They are computed when they
     are asked for, which takes half a second.
     """

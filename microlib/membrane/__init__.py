@@ -11,15 +11,18 @@ slopes, w_d/a up to 0.1                        `indentation_force`
 the same stress, but slopes that are not       `finite_slope_modulus`      −1 % at w_d/a = 0.05,
 small; up to `steepest_depth`, w_d/a = 0.25                                −5 % at 0.1, −20 % at
                                                                            0.2
-a flat disc, clamped at its rim, with the      `disc_modulus`,             +145 % at 0.1, +124 to
-pressure F/(π a²) below it, at any depth       `indent_disc`               135 % at 0.2, +42 to 82 %
-                                                                           at 0.49, by law
-the same disc over an open hole                `disc_modulus(…,            +47 %, +38 to 44 %, −3 to
-                                               pressure=0)`                20 %
-a closed capsule full of fluid, such as an     `capsule_modulus`,          −27 to +470 % for R =
-egg: rim, depth and radius are known           `indent_capsule`            600 µm, h = 3 µm inflated
-                                                                           by 1 to 8 %; +18 to 51 %
-                                                                           for the thesis' dimple
+a flat disc, clamped at its rim, with the      `disc_modulus`,             +143 to 146 % at 0.1,
+pressure F/(π a²) below it, at any depth       `indent_disc`               +124 to 136 % at 0.2,
+                                                                           +41 to 83 % at 0.49, by
+                                                                           law
+the same disc over an open hole                `disc_modulus(…,            +48 %, +39 to 45 %, −2 to
+                                               pressure=0)`                21 %
+a closed capsule full of fluid, such as an     `capsule_modulus`,          +35 to 520 % at 0.25,
+egg: rim, depth and radius are known           `indent_capsule`            −27 to +102 % at 0.49,
+                                                                           for R = 600 µm, h =
+                                                                           3 µm, inflated by 1 to
+                                                                           8 %; +16 to 51 % for
+                                                                           the thesis' dimple
 the same, of which the outline is known        `fit_capsule`               as above
 =============================================  ==========================  =======================
 

@@ -50,7 +50,7 @@ class SmallSlopeWarning(UserWarning):
     limit : float
         Relative depth w_d/a above which the warning is given, 0.1. There the two small-slope steps,
         in the force balance (4.1) and in the strain (4.4), make the modulus 5 % too low at c/a =
-        0.1 (4 % at 0.2, 13 % at 0.04); at twice the depth 25 %. `finite_slope_modulus` undoes both
+        0.1 (4 % at 0.2, 11 % at 0.04); at twice the depth 20 %. `finite_slope_modulus` undoes both
         and keeps the uniform stress; `disc_modulus` lets it vary.
     """
 
@@ -69,7 +69,9 @@ def elastic_modulus(
 ) -> Array:
     r"""Elastic modulus of a membrane from one indentation, equation (5.2).
 
-    .. math:: E = \frac{F a^2 (1-\nu)}{2\pi h w_d^3} \frac{1}{S(c/a)}
+    .. math:: E = \frac{F a^2 (1-\nu)}{2\pi h w_d^3} \frac{1}{S(c/a)}, \qquad
+              S(\zeta) = \frac{3-4\zeta^2+\zeta^4+2\ln\zeta^2}
+              {(1-\zeta^2)(1-\zeta^2+\ln\zeta^2)^3}
 
     Parameters
     ----------

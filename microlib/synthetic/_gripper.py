@@ -74,7 +74,7 @@ def camera_frame(
     Returns
     -------
     ndarray of uint8, shape (H, W)
-        NDArray[np.uint8], clipped to 0…255.
+        Grey values, rounded and clipped to 0…255.
 
     Raises
     ------
