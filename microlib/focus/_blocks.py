@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import as_region
 from microlib.focus._axis import Axis, find_axis, sampled
-from microlib.focus._options import Options, check_count
+from microlib.focus._options import Options, check_count, check_options
 from microlib.focus._peaks import check_positions
 from microlib.focus._result import FocusResult
 from microlib.focus._settings import Settings
@@ -45,7 +45,7 @@ def depth_in_blocks(
     """
     import dask.array as da
 
-    usual = Options(region=options.region)
+    usual = check_options(region=options.region)
     for key, value in vars(options).items():
         if value != getattr(usual, key):
             raise ValueError(f"{key} must not be given for a dask or zarr array, got {value!r}")

@@ -150,15 +150,7 @@ def depth_from_focus(
     >>> round(float(np.median(result.depth)))
     42
     """
-    options = check_options(
-        measure=measure,
-        window=window,
-        workers=workers,
-        register=register,
-        region=region,
-        reduce=reduce,
-        progress=progress,
-    )
+    options = check_options(measure, window, workers, register, region, reduce, progress)
     if is_in_blocks(getattr(frames, "data", frames)):  # that of an xarray.DataArray
         return depth_in_blocks(frames, positions, spacing, options)
     stack = open_stack(frames, positions, spacing, options)
@@ -170,13 +162,8 @@ def depth_from_focus(
     found = find_registration(stack.grey) if options.register else None
     seen = stack if found is None else stack.registered(found)
     if options.measure == "multiscale":
-        result = default_depth(
-            seen.grey,
-            seen.color,
-            seen.positions,
-            workers=options.workers,
-            done=done,
-        )
+        threads = options.workers
+        result = default_depth(seen.grey, seen.color, seen.positions, workers=threads, done=done)
     else:
         result = _single_measure(seen, options, done)
     if found is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -24,13 +24,13 @@ def silent(done: int, count: int) -> None:
 class Options:
     """The options of `depth_from_focus`, as they are used."""
 
-    measure: str | FocusMeasure = "multiscale"
-    window: int = 5
-    workers: int = 1
-    register: bool = False
-    region: Region | None = None
-    reduce: int = 1
-    progress: Progress = silent
+    measure: str | FocusMeasure
+    window: int
+    workers: int
+    register: bool
+    region: Region | None
+    reduce: int
+    progress: Progress
 
     def focus_measure(self) -> FocusMeasure:
         """Return the measure of one frame; not for "multiscale", which has several."""
@@ -47,24 +47,29 @@ class Options:
                 self.focus_measure()(part)
 
 
-def check_options(**options: Any) -> Options:
+def check_options(
+    measure: Any = "multiscale",
+    window: Any = None,
+    workers: Any = 1,
+    register: Any = False,
+    region: Any = None,
+    reduce: Any = 1,
+    progress: Any = None,
+) -> Options:
     """Return the options of `depth_from_focus`, each refused if it is wrong or cannot be used."""
-    measure = options.get("measure", "multiscale")
     own = callable(measure)
     name = "a function" if own else repr(one_of("measure", measure, ("multiscale", *MEASURES)))
-    if options.get("window") is not None and (own or measure == "multiscale"):
-        raise ValueError(f"window must not be given with measure {name}, got {options['window']!r}")
-    check_callable("progress", options.get("progress"), optional=True)
-    usual = {"window": 5, "progress": silent}
-    absent = {key: value for key, value in usual.items() if options.get(key) is None}
-    given = Options(**options | absent)
-    return replace(
-        given,
-        window=whole("window", given.window, least=1, odd=True, most=MOST),
-        workers=whole("workers", given.workers, least=1, most=256),  # no machine has more
-        register=flag("register", given.register),
-        region=None if given.region is None else as_region("region", given.region),
-        reduce=whole("reduce", given.reduce, least=1),
+    if window is not None and (own or measure == "multiscale"):
+        raise ValueError(f"window must not be given with measure {name}, got {window!r}")
+    check_callable("progress", progress, optional=True)
+    return Options(
+        measure,
+        5 if window is None else whole("window", window, least=1, odd=True, most=MOST),
+        whole("workers", workers, least=1, most=256),  # no machine has more
+        flag("register", register),
+        None if region is None else as_region("region", region),
+        whole("reduce", reduce, least=1),
+        silent if progress is None else progress,
     )
 
 

@@ -296,9 +296,6 @@ class PeakFollower:
         """Return the measures around the best frames, shape (kinds, 2 reach + 1, rows, cols)."""
         best = self.best[rows]
         pixel = np.arange(self.best.size).reshape(self.best.shape)[rows]
-        index = pixel + best.astype(np.intp) * self.best.size
-        out = np.empty((len(self._measures), 2 * self._reach + 1, *best.shape), np.float32)
-        for measures, window in zip(self._measures, out, strict=True):
-            for j, row in enumerate(window):
-                np.take(measures.reshape(-1), index + j * self.best.size, out=row, mode="clip")
-        return out
+        frame = best.astype(np.intp) + np.arange(2 * self._reach + 1)[:, None, None]
+        measures = self._measures.reshape(len(self._measures), -1)
+        return np.take(measures, pixel + frame * self.best.size, axis=1)
