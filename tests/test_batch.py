@@ -210,8 +210,9 @@ def test_other_settings_and_other_tables_are_refused(folder: Path, run) -> None:
     table = folder.parent / "t.csv"
     run(f"{folder}/*", partial(measure, factor=1.0))
     before = table.read_bytes()
-    with pytest.raises(ValueError, match=r"table must be of the same work, .*factor=1\.0"):
-        run(f"{folder}/*", partial(measure, factor=2.0))
+    for other in (partial(measure, factor=2.0), partial(measure, 7, factor=1.0), measure):
+        with pytest.raises(ValueError, match=r"table must be of the same work, .*factor=1\.0"):
+            run(f"{folder}/*", other)
     assert table.read_bytes() == before
     for text in ("a,b\n1,2\n", "a note", "file,error\n", "\0"):
         table.write_text(text)

@@ -220,6 +220,16 @@ def test_a_broad_edge_is_found_at_half_the_size(scene, boundary):
     assert np.abs(off).max() < 0.4
 
 
+def test_points_of_a_soft_edge_are_as_uncertain_as_they_say(scene):
+    """Whose profiles are taken of half as many points."""
+    clean = render(noise=0.0).image.astype(np.float32)
+    noise = np.random.default_rng(1).normal(0, 2, clean.shape)
+    found = extract_boundary(cv2.GaussianBlur(clean, (0, 0), 2.0) + noise)
+    seen = ~found.under_probe
+    off = distances(scene, found.points[seen])
+    assert found.std[seen].mean() == pytest.approx(off.std(), rel=0.3)  # as above
+
+
 def test_pictures_of_other_things_are_refused():
     """No modulus, and no other error: 25 pictures, pieces and textures; the benchmark has 400."""
     for _, image in without_embryo(np.random.default_rng(2), 25):
