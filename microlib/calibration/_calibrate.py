@@ -42,17 +42,17 @@ def calibrate(
     world : Detection or array_like, shape (N, 2), or a list of either
         What a detector found, which needs `pitch` and holds the other points, the size of the image
         and the groups; or points of the pattern, µm. Of several views, a list.
-    image : array_like, shape (N, 2), or a list of them
+    image : array_like, shape (N, 2), or a list of them, optional
         Where points of the pattern are seen, (x, y) px.
     pixel_size : float or (float, float)
         Pitch of the sensor cells, µm.
-    pitch : float
+    pitch : float, optional
         Of a detection: distance of neighboring marks, µm.
     focal_length : float, optional
         Focal length f of the objective as its manufacturer gives it, µm. Without it f is estimated
         too, which needs a tilted pattern: see Notes.
-    image_size : (int, int)
-        Width and height of the image, px; the optical axis meets its center.
+    image_size : (int, int), optional
+        Width and height of the image, px, which points need; the optical axis meets its center.
     groups : array_like of int, shape (N,), or a list of them, optional
         Points of one number have correlated errors, as the corners of one square have. The
         covariance then allows for it. Without `groups` the errors of one view are taken as

@@ -138,6 +138,18 @@ class Calibration(Tidy):
         with a nearly normal error. What is positive has no end below zero: an interval from 0 to
         infinity tells nothing.
 
+        Parameters
+        ----------
+        parameter : str
+            One of `parameters`.
+        level : float
+            Probability that the interval holds it.
+
+        Returns
+        -------
+        low, high : float
+            In the unit of the parameter.
+
         Raises
         ------
         ValueError

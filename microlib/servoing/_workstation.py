@@ -134,8 +134,9 @@ def simulate(
     start : array_like, shape (2,), optional
         First feature, px; the first reference by default.
     observer : callable, optional
-        Measures the feature, for example by rendering a frame and tracking it; NaN where it is
-        lost. By default it is known up to the jitter: the fast mode.
+        Given the true feature with its jitter, (x, y) in px, returns the measured one, for example
+        by rendering a frame and tracking it; NaN where it is lost. By default the feature is
+        measured as it is given: the fast mode.
 
     Returns
     -------
