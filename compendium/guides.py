@@ -116,9 +116,10 @@ def settle(
         elif told.get(name) is not None:
             values[name], sources[name] = told[name], "the file"
     if missing := [name for name in given if name not in values]:
+        need = " ".join(f"-p {name} VALUE" for name in missing)
         raise ValueError(
             f"{', '.join(missing)} must be given for {path}, which does not tell "
-            f"{'it' if len(missing) == 1 else 'them'}: -p {missing[0]} VALUE"
+            f"{'it' if len(missing) == 1 else 'them'}: {need}"
         )
     table = pd.DataFrame({"value": values, "from": sources}).rename_axis("scale")
     return values, table

@@ -25,7 +25,7 @@ from PIL import Image
 
 from microlib import io, membrane, tracking
 from microlib._command import main
-from microlib._command._calibrate import _advise, _detect
+from microlib._command._calibrate import _advise, _detect, _photos
 from microlib._command._main import _in_options
 from microlib._command._modulus import _SPANS, _outline
 from microlib._command._shared import _quantity, settle
@@ -538,6 +538,17 @@ def test_an_outline_without_points_is_refused(text: str, tmp_path: Path) -> None
     (tmp_path / "points.csv").write_text(text)
     with pytest.raises(ValueError, match=r"points\.csv must be a table of numbers"):
         _outline(Namespace(source=tmp_path / "points.csv", y_down=False))
+
+
+def test_a_point_that_is_no_number_is_counted_once(tmp_path: Path) -> None:
+    (tmp_path / "points.csv").write_text("x,y\n1,2\n2,nan\n3,4\n4,2\n5,1\n")
+    with pytest.raises(ValueError, match="got 1 NaN or infinite of 5"):
+        _outline(Namespace(source=str(tmp_path / "points.csv"), y_down=False))
+
+
+def test_an_empty_folder_of_photographs_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="must hold images, got an empty folder"):
+        _photos(str(tmp_path))
 
 
 @pytest.mark.parametrize(

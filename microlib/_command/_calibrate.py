@@ -63,7 +63,10 @@ def _photos(name: str) -> list[str]:
     """Return the files of a folder, or of a pattern in quotes, which no shell has expanded."""
     path = Path(name).expanduser()
     pattern = str(path / "*" if path.is_dir() else path)
-    return [name] if path.is_file() else sorted(glob(pattern)) or [name]
+    files = [name] if path.is_file() else sorted(glob(pattern))
+    if path.is_dir() and not files:
+        raise ValueError(f"{name} must hold images, got an empty folder")
+    return files or [name]
 
 
 def _detect(image: NDArray, marks: str) -> tuple[str, Any]:

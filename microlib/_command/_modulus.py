@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from microlib._command._shared import Files, add_scales, picture, settle, text
-from microlib._common import Array
+from microlib._common import Array, as_array
 
 #: Spans of LOESS whose dimples are compared; the middle one is that of the thesis.
 _SPANS = (0.15, 0.25, 0.35)
@@ -27,7 +27,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(a: argparse.Namespace) -> Files:
-    """Young's modulus of a membrane from the outline of its dimple, as section 5.6 finds it.
+    """Young's modulus of a membrane from the outline of its dimple, as the thesis finds it (5.6).
 
     Example: microlib modulus outline.csv --force 150 --pixel-size 3.9 --thickness 3
     --probe-half-width 25 --poisson 0.5 -o modulus.csv
@@ -120,4 +120,4 @@ def _points(path: str) -> tuple[Array, Array]:
     except (LookupError, ValueError) as error:
         need = "a table of numbers in columns x and y, with comma, semicolon or tab between"
         raise ValueError(f"{path} must be {need}") from error
-    return x, y
+    return as_array(path, x), as_array(path, y)

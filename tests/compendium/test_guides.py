@@ -32,7 +32,9 @@ def test_the_scales_of_the_demo_are_of_no_other_file(tmp_path: Path) -> None:
     assert set(table["from"]) == {"the demo"}
     mine = tmp_path / "embryo.png"
     mine.write_bytes(Path(EMBRYO).read_bytes())
-    with pytest.raises(ValueError, match=r"force, pixel_size, .* must be given for .*embryo\.png"):
+    with pytest.raises(
+        ValueError, match=r"force, pixel_size, .* given for .*: -p force VALUE -p pixel_size"
+    ):
         settle(mine, unknown)
     given = SETTINGS | {"pixel_size": None, "force": 3.0}
     values, table = settle(mine, given, {"pixel_size": 2.0, "force": 9.0})
