@@ -56,8 +56,15 @@ def texture_frame(k: int) -> np.ndarray:
     return np.clip(moved * (1 + 0.02 * k) + 3 * k + noise, 0, 255).astype(np.uint8)
 
 
+def seen(image: np.ndarray, unit: float) -> np.ndarray:
+    """Return what no function converts, read-only: one that draws in its input fails."""
+    levels = (image * unit).astype(np.float32)
+    levels.flags.writeable = False
+    return levels
+
+
 def followed(unit: float) -> np.ndarray:
-    frames = [texture_frame(k) * unit for k in range(4)]
+    frames = [seen(texture_frame(k), unit) for k in range(4)]
     tracker = tracking.ESMTracker(frames[0], (18, 16, 30, 28))
     return np.array([tracker.track(frame).center for frame in frames[1:]])
 
@@ -65,22 +72,24 @@ def followed(unit: float) -> np.ndarray:
 def scanned(unit: float) -> np.ndarray:
     live = automation.LiveDepth()
     for frame, z in zip(relief(), POSITIONS, strict=True):
-        live.push(frame * unit, z)
+        live.push(seen(frame, unit), z)
     return live.depth
 
 
 def depth_by(measure: str) -> Callable[[float], np.ndarray]:
-    return lambda unit: focus.depth_from_focus(relief() * unit, POSITIONS, measure=measure).depth
+    return lambda unit: (
+        focus.depth_from_focus(seen(relief(), unit), POSITIONS, measure=measure).depth
+    )
 
 
 #: What is read of an image whose levels are so many times those of 8 bits; px or µm.
 READ: dict[str, Callable[[float], np.ndarray]] = {
-    "circles": lambda unit: calibration.detect_circles(board("circles") * unit).points,
-    "squares": lambda unit: calibration.detect_squares(board("squares") * unit).points,
+    "circles": lambda unit: calibration.detect_circles(seen(board("circles"), unit)).points,
+    "squares": lambda unit: calibration.detect_squares(seen(board("squares"), unit)).points,
     "ruler": lambda unit: np.array(
-        calibration.detect_micrometer(fuzz.lines() * unit).um_per_pixel(10.0)
+        calibration.detect_micrometer(seen(fuzz.lines(), unit)).um_per_pixel(10.0)
     ),
-    "outline": lambda unit: embryo.extract_boundary(fuzz.egg().image * unit).points,
+    "outline": lambda unit: embryo.extract_boundary(seen(fuzz.egg().image, unit)).points,
     "tracker": followed,
     "scan": scanned,
     "multiscale": depth_by("multiscale"),
