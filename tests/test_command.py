@@ -622,8 +622,8 @@ def test_times_are_no_focus_though_a_film_may_end_early(tmp_path: Path, capsys: 
 )
 def test_a_scale_in_another_unit_is_noted(name: str, value: float) -> None:
     notes: list[str] = []
-    a = Namespace(**{name: value}, say=lambda *_: None, note=notes.append)
-    assert settle(a, name) == {name: value}
+    a = Namespace(**{name: value}, spacing=-25.0, say=lambda *_: None, note=notes.append)
+    assert settle(a, "spacing", name) == {"spacing": -25.0, name: value}
     assert notes[0].startswith(f"--{name.replace('_', '-')} {value:g} is unusual")
 
 
@@ -713,3 +713,16 @@ def test_without_opencv_the_command_says_so_in_one_line(tmp_path: Path) -> None:
     assert done.stderr == (
         "microlib depth: OpenCV 4.12 or newer is needed: pip install opencv-python-headless\n"
     )
+
+
+def test_a_full_disk_is_named_and_no_look_of_another_run_stays(
+    tmp_path: Path, capsys: Told
+) -> None:
+    (tmp_path / "full.csv").symlink_to("/dev/full")
+    assert status(f"track frames.tif {BOX} --overwrite", tmp_path / "full.csv") == 2
+    assert "full.csv: No space left" in capsys.readouterr().err
+    (tmp_path / "full.csv").unlink()
+    for name in ("track_look.png", "track_look.mp4"):
+        (tmp_path / name).write_text("of another run")
+    assert status(f"track frames.tif {BOX} --overwrite", tmp_path / "track.csv") == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["track.csv"]

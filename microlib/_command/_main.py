@@ -48,8 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             status, text = a.end
         except (OSError, ValueError, ImportError) as error:
             status, text, notes = 2, str(error), {}
-            if isinstance(error, OSError) and error.filename:
-                text = f"{error.filename}: {error.args[1]}"
+            if isinstance(error, OSError) and error.errno:  # a full disk tells no file
+                text = f"{error.filename or a.out}: {error.strerror}"
             elif getattr(error, "name", None) == "cv2":
                 text = "OpenCV 4.12 or newer is needed: pip install opencv-python-headless"
         except KeyboardInterrupt:
@@ -64,33 +64,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _write_files(a: argparse.Namespace) -> None:
     """Write what a task gives, each file whole or not at all."""
     files = _targets(a)
+    left_out = {"look.png": a.no_look, "look.mp4": not getattr(a, "video", False)}
     for name, write in a.run(a):
-        if file := files.get(name):
-            file.parent.mkdir(parents=True, exist_ok=True)
-            try:
+        file = files[name]
+        file.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            if not left_out.get(name):
                 replace_file(file, write)
-            except ValueError as error:  # the others are written all the same
-                file.unlink(missing_ok=True)  # of another run
-                a.note(f"{file.name} is not written: {error}")
+                continue
+        except ValueError as error:  # the others are written all the same
+            a.note(f"{file.name} is not written: {error}")
+        file.unlink(missing_ok=True)  # of another run
     written = [file for file in files.values() if file.exists()]
     a.say(f"{written[0].parent}: {', '.join(file.name for file in written)}")
 
 
 def _targets(a: argparse.Namespace) -> dict[str, Path]:
     """Return where each file goes; refuse what is there already or cannot be written."""
-    names = [name for name in a.files if name != "look.png" or not a.no_look]
     ending = a.out.suffix.lower()
-    if "table" in names:
-        files = {name: a.out.with_name(f"{a.out.stem}_{name}") for name in names} | {"table": a.out}
+    if "table" in a.files:
+        files = {name: a.out.with_name(f"{a.out.stem}_{name}") for name in a.files}
+        files["table"] = a.out
         wrong, need = ending != ".csv", "a table that ends in .csv"
     else:
-        files = {name: a.out / name for name in names}
+        files = {name: a.out / name for name in a.files}
         wrong, need = ending in _OF_FILES and not a.out.is_dir(), "a folder"
     if wrong:
         raise ValueError(f"out must be {need}, got {a.out}")
     if there := [f for f in files.values() if f.is_dir() or (f.exists() and not a.overwrite)]:
         raise ValueError(f"{there[0]} is there already: give another --out, or --overwrite")
-    nearest = next(p for p in files[names[0]].absolute().parents if p.exists())
+    nearest = next(p for p in files[a.files[0]].absolute().parents if p.exists())
     try:
         tempfile.TemporaryFile(dir=nearest).close()
     except OSError as error:

@@ -14,7 +14,7 @@ from microlib._command._shared import Files, add_scales, picture, settle, to_the
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(files=["table", "look.png"])
+    parser.set_defaults(files=["table", "look.png", "look.mp4"])
     parser.add_argument("source", metavar="FILM", help="video, TIFF, folder or quoted pattern")
     corner, box = ("X", "Y", "W", "H"), "the part in the first frame, px"
     parser.add_argument("--box", nargs=4, type=int, required=True, metavar=corner, help=box)
@@ -23,7 +23,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=float, help="frames per second, for a column of times")
     add_scales(parser, "pixel_size")
     film = "also a film with the part marked"
-    parser.add_argument("--video", dest="files", action="append_const", const="look.mp4", help=film)
+    parser.add_argument("--video", action="store_true", help=film)
     early = "a film that ends before its header says is no fault"
     parser.add_argument("--allow-truncated", action="store_true", help=early)
 

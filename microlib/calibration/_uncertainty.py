@@ -86,7 +86,7 @@ def inverse_interval(value: float, reach: float) -> tuple[float, float]:
     return value / (1 + reach), np.inf if reach >= 1 else value / (1 - reach)
 
 
-def jackknife(jacobian: Array, residuals: Array, groups: NDArray) -> Array:
+def jackknife(jacobian: Array, inverse: Array, residuals: Array, groups: NDArray) -> Array:
     """Covariance of least-squares parameters by leaving out one group of points after the other.
 
     In its closed form for a linear problem; it assumes nothing of the errors inside a group.
@@ -95,6 +95,8 @@ def jackknife(jacobian: Array, residuals: Array, groups: NDArray) -> Array:
     ----------
     jacobian : ndarray, shape (2 N, p)
         Derivatives of the residuals.
+    inverse : ndarray, shape (p, p)
+        What `inverse_normal` makes of them.
     residuals : ndarray, shape (2 N,)
         px.
     groups : ndarray, shape (N,)
@@ -105,7 +107,6 @@ def jackknife(jacobian: Array, residuals: Array, groups: NDArray) -> Array:
     ndarray, shape (p, p)
         Infinite and NaN where the points leave a parameter open.
     """
-    inverse = inverse_normal(jacobian)
     finite = np.where(np.isfinite(inverse), inverse, 0.0)
     order = np.argsort(np.repeat(groups, 2), kind="stable")
     ends = np.cumsum(2 * np.unique(groups, return_counts=True)[1])[:-1]
@@ -160,23 +161,24 @@ def covariance(
     view = np.repeat(np.arange(len(views.seen)), [len(seen) for seen in views.seen])
     by_noise = inverse * views.variance(fit)
     if marks is not None:
-        by_noise = jackknife(jacobian, residuals, marks) + inverse * rounding
+        by_noise = jackknife(jacobian, inverse, residuals, marks) + inverse * rounding
         both = np.column_stack([view, marks])
         each, label, size = np.unique(both, axis=0, return_inverse=True, return_counts=True)
         label, view = label.ravel(), each[:, 0]
         mean = csr_array((1 / size[label], (label, np.arange(len(label)))))
         points, residuals = mean @ points, (mean @ residuals.reshape(-1, 2)).ravel()
         jacobian = (mean @ jacobian.reshape(len(label), -1)).reshape(-1, jacobian.shape[1])
+        inverse = inverse_normal(jacobian)
     fields = [smooth_fields(points[view == v]) for v in range(len(views.seen))]
     if len(fields) > 1:  # those in common: each view has the length that it has in one of its own
         common = np.sqrt(len(fields)) * smooth_fields(points)
         fields = [np.hstack([common, block_diag(*fields)])]
-    misfit, chance, by_lack = discrepancy(residuals, jacobian, fields[0], rounding)
+    misfit, chance, by_lack = discrepancy(residuals, jacobian, inverse, fields[0], rounding)
     return by_noise + by_lack, misfit, chance
 
 
 def discrepancy(
-    residuals: Array, jacobian: Array, fields: Array, rounding: float
+    residuals: Array, jacobian: Array, inverse: Array, fields: Array, rounding: float
 ) -> tuple[float, float, Array]:
     """Test residuals for a smooth part, and carry it to the parameters.
 
@@ -186,6 +188,8 @@ def discrepancy(
         At the best fit, px.
     jacobian : ndarray, shape (m, p)
         Their derivatives by the parameters.
+    inverse : ndarray, shape (p, p)
+        What `inverse_normal` makes of them.
     fields : ndarray, shape (m, k)
         Smooth displacements.
     rounding : float
@@ -201,7 +205,6 @@ def discrepancy(
     covariance : ndarray, shape (p, p)
         What it adds to that of the parameters.
     """
-    inverse = inverse_normal(jacobian)
     # Parameters that the points leave open follow nothing.
     followed: Array = np.where(np.isfinite(inverse), inverse, 0.0) @ (jacobian.T @ fields)
     seen = fields - jacobian @ followed

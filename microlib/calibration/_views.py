@@ -180,7 +180,11 @@ def _fit(views: Views, lens: Array, poses: Array, lens_free: list[int]) -> Fit:
         points, by = views.predict(*split(np.frombuffer(values)))
         return (points - seen).ravel(), by.reshape(-1, len(start))[:, free]
 
-    refusal = ValueError("world, image and focal_length must fit one microscope, none was found")
+    known = views.focal_length
+    need = "world and image must fit one microscope, none was found: leave out the odd views"
+    if known is not None:
+        need = f"focal_length must fit each view in focus, got {known:g} µm: better leave it out"
+    refusal = ValueError(need)
     if not np.isfinite(at(start[free].tobytes())[0]).all():  # beyond the reach of its distortion
         raise refusal
     found = least_squares(

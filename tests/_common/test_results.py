@@ -74,6 +74,11 @@ def test_a_table_has_a_row_a_sample() -> None:
     assert table.to_dict("records") == [{"center_x": 3.0, "center_y": 4.0, "inner_misfit": 5.0}]
 
 
+def test_a_number_is_loaded_as_one(tmp_path: Path) -> None:
+    outer().save(tmp_path / "result.npz")
+    assert type(load(tmp_path / "result.npz").given["force"]) is np.float32
+
+
 def results(value: object) -> list[object]:
     """Return the results of the library in what a call returned."""
     if isinstance(value, (tuple, list)):

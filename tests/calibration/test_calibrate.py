@@ -546,7 +546,7 @@ def test_an_interval_holds_what_a_bend_hides():
         ({"groups": [np.arange(3)]}, "groups"),
         ({"image": np.array(np.nan)}, "image must hold one array for each of the 2 views"),
         # Of 1.5 µm: seconds, and then magnifications of both signs.
-        ({"focal_length": 1.5}, "focal_length must fit one microscope, none was found"),
+        ({"focal_length": 1.5}, "focal_length must fit each view .* got 1.5 µm"),
     ],
 )
 def test_bad_views_are_named(change, word):

@@ -158,7 +158,8 @@ def test_the_jackknife_of_few_groups_has_their_factor(groups):
     rng = np.random.default_rng(groups)
     values = rng.normal(0, 1, (groups, 6))  # three points of two coordinates each
     residuals = (values - values.mean()).ravel()
-    found = jackknife(np.ones((6 * groups, 1)), residuals, np.repeat(np.arange(groups), 3))
+    ones, marks = np.ones((6 * groups, 1)), np.repeat(np.arange(groups), 3)
+    found = jackknife(ones, np.eye(1) / len(ones), residuals, marks)
     assert found[0, 0] == pytest.approx(values.mean(axis=1).var(ddof=1) / groups)
 
 
