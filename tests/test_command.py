@@ -682,10 +682,11 @@ def test_what_is_written_stays_when_a_later_file_fails(
     owner = {"plot": FocusResult, "plot_track": tracking, "polylines": cv2}.get(fails.__name__, io)
     monkeypatch.setattr(owner, fails.__name__, how)
     folder = tmp_path / "new"
-    found = status(line, folder if line == STACK else folder / "out.csv", "")
+    out = folder if line == STACK else folder / "out.csv"
+    found = status(line, out, "")
     assert found == (2 if how is full else 130)
     task, told = line.split()[0], capsys.readouterr().err
-    reason = "[Errno 28] No space left on device" if how is full else "stopped"
+    reason = f"{out}: No space left on device" if how is full else "stopped"
     assert told == f"microlib {task}: {reason}\n"
     assert sorted(path.name.split(".")[0] for path in folder.iterdir()) == kept
 
