@@ -26,12 +26,6 @@ pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWar
 ROUND = [step * 10.0**power for power in range(-4, 7) for step in (1, 2, 5)]
 
 
-@pytest.fixture(autouse=True)
-def _closed():
-    yield
-    pyplot.close("all")
-
-
 def hold_photograph(ax, image):
     """Black is its darkest and white its brightest level, the first row above, without axes."""
     (shown,) = ax.images

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 
@@ -19,12 +18,6 @@ from scipy.stats import norm
 from compendium.figures import films, servoing, style, surfaces
 from compendium.figures.data import keep_data
 from microlib.curvature import HK_NAMES
-
-
-@pytest.fixture(autouse=True)
-def closed() -> Iterator[None]:
-    yield
-    plt.close("all")
 
 
 def lines(figure: Figure, panel: int = 0) -> dict[str, np.ndarray]:
