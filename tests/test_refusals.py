@@ -159,7 +159,7 @@ REFUSED: dict[str, dict[str, tuple[object, ...]]] = {
     "microscope.distort": NO_SENSOR,
     "microscope.undistort": NO_SENSOR,
     "optics.BlurLadder": {"largest": (1e9,)},
-    "optics.BlurLadder.at": {"sigma": (5.0,)},
+    "optics.BlurLadder.at": {"sigma": (5.0, np.linspace(0, 5, 23 * 31).reshape(23, 31))},
     "optics.blur_radius": {"object_distance": (np.nan,), "sensor_distance": (90.0,)},
     "optics.defocus": {
         "image": (np.zeros((4, 4, 3)), np.full((4, 4), np.nan)),

@@ -72,6 +72,15 @@ def test_the_distance_of_the_lines_is_found(change):
     # Across the lines, to either side: a lean of 0.02 makes 2e-4 of the spacing.
     assert abs(np.sin(turn)) < 0.02
     assert np.diff(found.divisions).min() >= 1
+    angle = change.get("angle", 0.2)
+    across, along = (
+        np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        @ (found.points - np.array([WIDTH, HEIGHT]) / 2).T
+    )
+    # The scale's middle is drawn within 4.3 px of the image's; every point is on its line.
+    assert abs(across.mean()) < 5
+    np.testing.assert_allclose(np.abs(np.diff(across)), true * np.diff(found.divisions), atol=0.2)
+    assert -5 < along.min() <= along.max() < change.get("length", 30.0) + 5
 
 
 def test_a_region_is_looked_at_alone():

@@ -45,3 +45,11 @@ def test_cells_are_dark_where_their_outlines_are_and_do_not_overlap():
     # The body's edge fades inwards from the halo's grey: a px inside it is as bright.
     inside = together - cv2.erode(together.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     assert sample.image[inside].mean() > ground + 20
+    # In the middle is the nucleus, 18 levels below the body, whose own light rises outwards by 23.
+    y, x = np.indices(sample.image.shape)
+    depths = []
+    for outline, mask in zip(sample.outlines, masks, strict=True):
+        far = np.hypot(x - outline[:, 0].mean(), y - outline[:, 1].mean()) / np.sqrt(mask.sum())
+        beside = (far > 0.25) & (far < 0.35)
+        depths.append(sample.image[beside].mean() - sample.image[far < 0.1].mean())
+    assert np.mean(depths) > 23 + 18 / 2  # grain leaves 2 levels
