@@ -80,6 +80,11 @@ def test_the_maps_show_the_heights_with_their_unit_and_scale(pixel_size, unit):
     words = axes[3].get_title().split()
     assert words[:3] == ["shaded,", "heights", "×"]
     hold_round(float(words[3]), 1 / np.nanquantile(slope, 0.95))
+    # By Lambert's law, of light at 45° from the upper left; the hole is flat, so not its edge.
+    down, right = np.gradient(float(words[3]) * found.depth, pixel_size or 1.0)
+    lit = (1 + (down + right) / np.sqrt(2)) / np.sqrt(1 + down**2 + right**2)
+    part = np.isfinite(lit) & (light > 5) & (light < 250)  # not where few take the last greys
+    assert np.corrcoef(lit[part], light[part])[0, 1] > 0.999
     assert words[4:] == ([] if pixel_size else [f"px/{unit}"])
     # A bar of a round length, at most a quarter of the width.
     if pixel_size is None:

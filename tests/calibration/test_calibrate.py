@@ -301,6 +301,10 @@ def test_a_detection_brings_all_but_the_scales():
         ({"world": found[0]}, "pitch must be given"),
         ({"world": found[0], "pitch": 400, "image_size": (260, 220)}, "must not be given beside"),
         ({"world": [found[0], world], "pitch": 400}, "either detections or points"),
+        *(
+            ({"world": [found[0], replace(found[1], image_size=size)], "pitch": 400}, "one size")
+            for size in ((260, 221), (261, 220))
+        ),
         ({"world": world, "image": found[0].points}, "image_size must be given"),
         ({"world": world, "image": found[0].points, "pitch": 4.0, **size}, "pitch must be left"),
     ):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 
 import cv2
@@ -233,8 +234,11 @@ def test_points_of_a_soft_edge_are_as_uncertain_as_they_say(scene):
 def test_pictures_of_other_things_are_refused():
     """No modulus, and no other error: 25 pictures, pieces and textures; the benchmark has 400."""
     for _, image in without_embryo(np.random.default_rng(2), 25):
-        with pytest.raises(ValueError, match="image must"):
+        with pytest.raises(ValueError, match="image must") as refusal:
             extract_boundary(image)
+        # What is wrong from some edges names each of them once.
+        if edges := re.findall(r"\(from the ([\w, ]+)\)", str(refusal.value)):
+            assert sorted(", ".join(edges).split(", ")) == ["bottom", "left", "right", "top"]
 
 
 def test_a_bar_that_is_bright_inside_is_refused():

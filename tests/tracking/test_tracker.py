@@ -50,6 +50,11 @@ def test_reaches_as_far_as_promised(motion, warp, distance, least):
     assert (errors[errors >= 1.0] == np.inf).all()  # what is not found is called lost
 
 
+def test_steps_are_counted_in_both_resolutions():
+    pair = warped_pair(np.random.default_rng(0), 0.2, warp="shift")
+    assert ESMTracker(pair.first, pair.box, "affine").track(pair.second).iterations >= 2
+
+
 @pytest.mark.parametrize("distance", [0.5, 3.0])
 def test_translation_is_found_to_a_hundredth_of_a_pixel(distance):
     errors = corner_errors("translation", distance, "shift", 12)
