@@ -40,6 +40,8 @@ class Axis:
         How far changes of the light pull a depth near each group, averaged frames.
     pull : float
         How far the groups themselves pull the depths between them, at most.
+    typical : float, optional
+        Strength of a typical peak, where not all of the image is at hand.
     """
 
     ends: NDArray[np.intp]
@@ -50,6 +52,7 @@ class Axis:
     noise: float
     light: Array
     pull: float
+    typical: float | None = None
 
     def micrometers(self, steps: NDArray) -> NDArray:
         """Return positions from steps, within the stack."""

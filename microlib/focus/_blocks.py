@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,11 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import as_region
 from microlib.focus._axis import Axis, find_axis, sampled
+from microlib.focus._follow import follow
 from microlib.focus._options import Options, check_count, check_options
 from microlib.focus._peaks import check_positions
 from microlib.focus._result import FocusResult
 from microlib.focus._settings import Settings
-from microlib.focus._stages import GRID, default_depth
+from microlib.focus._stages import GRID, default_depth, typical
 from microlib.io import read_frames
 
 #: What is seen around a block and the side of a block, px, and what its place must be a multiple
@@ -67,7 +69,9 @@ def depth_in_blocks(
         stack = stack.astype(np.float32)
     rows, cols = (sampled(n) for n in stack.shape[1:])
     # What needs the whole image is found once, from the squares that are looked at first.
-    axis = find_axis(list(stack[:, rows][:, :, cols].compute()), z, Settings().width)
+    squares, settings = list(stack[:, rows][:, :, cols].compute()), Settings()
+    axis = find_axis(squares, z, settings.width)
+    axis = replace(axis, typical=typical(follow(squares, axis, settings).strength))
     inner = [n for chunks in stack.chunks[1:] for n in chunks[:-1]]
     if any(n % GRID or n > 2 * _SIDE or n < _AROUND for n in inner):
         stack = stack.rechunk((len(stack), _SIDE, _SIDE))

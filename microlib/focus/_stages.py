@@ -147,7 +147,7 @@ def follow_measures(known: Known) -> Known:
         seen=seen,
         levels=levels,
         depth=seen.depth.copy(),
-        weight=relative(seen.strength),
+        weight=relative(seen.strength, known.axis.typical),
         apart=np.nan_to_num(np.abs(seen.depth - seen.edge)),
         sharp=sharp_mask(seen, levels, *known.settings.sharp),
         relief=nothing,
@@ -342,11 +342,16 @@ def sharp_mask(seen: Followed, levels: Levels, share: float, noise: float) -> ND
     return np.asarray(above > share * blur(coarse - np.float32(levels.coarse), 1.0))
 
 
-def relative(strength: NDArray) -> NDArray:
-    """Return strengths over their median, 1 where a depth came without a fit."""
+def typical(strength: NDArray) -> float:
+    """Return the median of the strengths of all peaks."""
     fitted = strength > 0
-    typical = np.median(strength[fitted]) if fitted.any() else np.float32(1)
-    return np.where(fitted, strength / typical, np.float32(1))
+    return float(np.median(strength[fitted])) if fitted.any() else 1.0
+
+
+def relative(strength: NDArray, usual: float | None = None) -> NDArray:
+    """Return strengths over the usual or their median, 1 where a depth came without a fit."""
+    share = strength / np.float32(usual or typical(strength))
+    return np.where(strength > 0, share, np.float32(1))
 
 
 def wide_depth(known: Known) -> NDArray:

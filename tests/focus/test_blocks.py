@@ -47,6 +47,20 @@ def test_blocks_are_the_whole(stack, whole):
     assert "not computed" in repr(blocks)
 
 
+def test_blocks_of_unlike_contrast_are_the_whole():
+    """Bare ground is smoothed by what lies around it, by its strength in the whole image."""
+    y, x = np.indices(SHAPE)
+    texture = np.asarray(synthetic.mixed_texture(SHAPE, 2), float)
+    texture[:, 208:] = 128 + 0.3 * (texture[:, 208:] - 128)
+    texture[np.sin(x / 60) * np.sin(y / 50) > 0.55] = texture.mean()
+    height = 3.5 + synthetic.step(SHAPE, 4.0)
+    frames = synthetic.focal_stack(texture, height, POSITIONS, blur_rate=1.0, noise=2.0, rng=2)
+    part = depth_from_focus(da.from_array(frames, chunks=(11, 192, 192)), POSITIONS)
+    with dask.config.set(scheduler="synchronous"):
+        error = part.depth.compute() - depth_from_focus(frames, POSITIONS).depth
+    assert np.sqrt(np.nanmean(error**2)) <= 0.001
+
+
 def test_chunks_of_any_shape_and_a_region(stack, whole):
     frames = da.from_array(stack, chunks=(11, 101, 416))
     part = depth_from_focus(frames, spacing=1.0, region=(40, 8, 160, 128))
