@@ -30,16 +30,21 @@ def machine() -> dict[str, str]:
     if cpuinfo.exists():
         names = [line for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
         model = names[0].split(":", 1)[1].strip() if names else model
-    command = ["git", "describe", "--always", "--dirty= with changes", "--exclude=*", "--abbrev=10"]
-    commit = subprocess.run(
-        command, capture_output=True, text=True, cwd=RESULTS.parent, check=False
-    )
+
+    def git(*words: str) -> str:
+        command = ["git", *words]
+        run = subprocess.run(command, capture_output=True, text=True, cwd=RESULTS, check=False)
+        return run.stdout.strip()
+
+    commit = git("rev-parse", "--short=10", "HEAD")
+    if git("status", "--short", "--untracked-files=no", "--", ":/", ":!."):  # other than results
+        commit += " with changes"
     packages = ("numpy", "scipy", "scikit-image", "opencv-python-headless")
     return {
         "processor": model,
         "cores": str(os.cpu_count()),
         "date": date.today().isoformat(),
-        "commit": commit.stdout.strip() or "unknown",
+        "commit": commit or "unknown",
         "python": platform.python_version(),
         **{name: version(name) for name in packages},
     }

@@ -46,17 +46,24 @@ def guard_of(stage: Stage | None = None, timeout: float = 1.0) -> tuple[Guard, C
     return Guard(clock, stage, timeout), clock, stage
 
 
-def test_a_device_that_hangs_is_given_up_and_the_stage_stopped_when_it_answers() -> None:
-    guard, _, stage = guard_of(timeout=0.05)
+@pytest.mark.parametrize("why", ["time", "user"])
+def test_a_call_that_hangs_is_given_up_and_the_stage_stopped_when_it_answers(why: str) -> None:
+    guard, _, stage = guard_of(timeout=0.05 if why == "time" else 60.0)
     free = Event()
 
     def move_to() -> None:
+        if why == "user":
+            guard.interrupted.set()
         free.wait(10.0)
 
+    error, said = {
+        "time": (DeviceError, r"^move_to did not answer within 0\.05 s$"),
+        "user": (EndRun, "^interrupted by the user$"),
+    }[why]
     start = time.monotonic()
-    with pytest.raises(DeviceError, match=r"^move_to did not answer within 0\.05 s$"):
+    with pytest.raises(error, match=said):
         guard.call(move_to)
-    assert 0.05 < time.monotonic() - start < 5.0
+    assert (0.05 if why == "time" else 0.0) < time.monotonic() - start < 5.0
     assert stage.stops == 0  # the driver is still busy with the move
     free.set()
     end = time.monotonic() + 5.0
