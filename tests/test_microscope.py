@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from compendium import thesis
 from microlib.microscope import Microscope, distort, euler_rotation, undistort
-from tests.laws import Law, hold
+from tests.laws import Law, Units, hold
 
 SCOPE = thesis.microscope("circle-1X")
 # Rounding only: a few operations on numbers of about 1e5 µm, each good to 1e-16.
@@ -81,13 +81,9 @@ def test_outputs_follow_units_and_origins(name):
 
 def test_a_camera_turned_by_a_quarter_turns_its_picture():
     """With it go the sides of cells and image, the place of the pattern, and the angle."""
-
-    class Plain:
-        um = 1.0
-
-    view = pose(Plain)
+    view = pose(Units())
     other = pose(
-        Plain, alpha=0.6 + np.pi / 2, tx=-view.ty, ty=view.tx, pixel_size=(8.3, 9.9),
+        Units(), alpha=0.6 + np.pi / 2, tx=-view.ty, ty=view.tx, pixel_size=(8.3, 9.9),
         image_size=(470, 640),
     )  # fmt: skip
     x, y = (view.project(PLANE) - view.principal_point).T

@@ -11,7 +11,8 @@ from scipy.special import ndtr
 
 from microlib import synthetic
 from microlib.microscope import Microscope
-from tests.laws import VIEWS, Law, hold
+from tests.laws import VIEWS, Law, Units, hold
+from tests.test_microscope import pose
 
 SHAPE = (21, 34)
 TEXTURE = synthetic.mixed_texture((26, 33), 5)
@@ -19,45 +20,29 @@ RELIEF = np.linspace(-4.0, 9.0, 26)[:, None] + 2.0 * np.sin(np.arange(33) / 5.0)
 FOCI = np.array([7.0, 1.5, -2.0, 11.0])
 
 
-class Plain:
-    um = grey = uN = MPa = 1.0
-
-
-def embryo(u, **changes) -> synthetic.Embryo:
-    given = {
+def membrane(u) -> dict:
+    return {
         "modulus": 1.3 * u.MPa,
-        "force": 160.0 * u.uN,
-        "dimple_radius": 230.0 * u.um,
         "thickness": 4.0 * u.um,
         "probe_half_width": 30.0 * u.um,
         "poisson_ratio": 0.4,
         "radius": 560.0 * u.um,
     }
+
+
+def embryo(u, **changes) -> synthetic.Embryo:
+    given = {"force": 160.0 * u.uN, "dimple_radius": 230.0 * u.um, **membrane(u)}
     return synthetic.Embryo(**given | changes)
 
 
 def pressed(u) -> dict:
-    own = {
-        "thickness": 4.0 * u.um,
-        "probe_half_width": 30.0 * u.um,
-        "poisson_ratio": 0.4,
-        "radius": 560.0 * u.um,
-    }
-    return {"modulus": 1.3 * u.MPa, "rim_radius": 420.0 * u.um, **own}
+    return {"rim_radius": 420.0 * u.um, **membrane(u)}
 
 
 def scope(u, **changes) -> Microscope:
-    given = {
-        "tube_length": 200000.0 * u.um,
-        "focal_length": 126000.0 * u.um,
-        "distance": 79380.0 * u.um,
-        "distortion": -8e-10 / u.um**2,
-        "tx": -310.0 * u.um,
-        "ty": -190.0 * u.um,
-        "pixel_size": (9.9 * u.um, 8.3 * u.um),
-        "image_size": (110, 80),
-    }
-    return Microscope(**given | changes)
+    upright = dict.fromkeys(("alpha", "beta", "gamma"), 0.0)
+    place = {"tx": -310.0 * u.um, "ty": -190.0 * u.um, "image_size": (110, 80)}
+    return pose(u, **upright | place | changes)
 
 
 def imaging(u) -> synthetic.ImagingConditions:
@@ -163,9 +148,9 @@ def test_a_stack_seen_otherwise_is_blurred_alike(view):
 @pytest.mark.parametrize("draw", [synthetic.render_circles, synthetic.render_squares])
 def test_a_pattern_seen_otherwise_is_drawn_alike(draw):
     """Light, counts, cells and place swapped between the axes make the picture transposed."""
-    light = replace(imaging(Plain), noise=0.0)
-    one = draw(scope(Plain), counts=(3, 2), imaging=light)
-    turned = scope(Plain, tx=-190.0, ty=-310.0, pixel_size=(8.3, 9.9), image_size=(80, 110))
+    light = replace(imaging(Units()), noise=0.0)
+    one = draw(scope(Units()), counts=(3, 2), imaging=light)
+    turned = scope(Units(), tx=-190.0, ty=-310.0, pixel_size=(8.3, 9.9), image_size=(80, 110))
     other = draw(turned, counts=(2, 3), imaging=replace(light, gradient=light.gradient[::-1]))
     np.testing.assert_allclose(other, one.T, atol=2e-3)  # rows and columns in single precision
 
@@ -181,13 +166,13 @@ def test_light_and_counts_are_those_of_their_axes():
     """Beside the pattern the ground is the light; the pattern has its rows and columns."""
     light = {"bright": 150.0, "dark": 40.0, "blur": 0.0}
     uneven = synthetic.ImagingConditions(vignetting=0.2, gradient=(0.15, -0.1), **light)
-    far = synthetic.render_squares(scope(Plain, tx=9e4), counts=(1, 1), imaging=uneven)
+    far = synthetic.render_squares(scope(Units(), tx=9e4), counts=(1, 1), imaging=uneven)
     top_left, top_right, bottom_left = far[0, 0], far[0, -1], far[-1, 0]
     assert top_left == pytest.approx(150.0 * 0.8 * (1 - 0.075 + 0.05), rel=1e-5)
     assert top_right == pytest.approx(150.0 * 0.8 * (1 + 0.075 + 0.05), rel=1e-5)
     assert bottom_left == pytest.approx(150.0 * 0.8 * (1 - 0.075 - 0.05), rel=1e-5)
     even = synthetic.ImagingConditions(**light)
-    dark = synthetic.render_squares(scope(Plain), side=110.0, counts=(3, 2), imaging=even) < 95
+    dark = synthetic.render_squares(scope(Units()), side=110.0, counts=(3, 2), imaging=even) < 95
     size = np.ptp(np.argwhere(dark), axis=0)[::-1] + 1  # of 5 and 3 sides, to a pixel
     np.testing.assert_allclose(size, [5 * 110 * 1.588 / 9.9, 3 * 110 * 1.588 / 8.3], atol=1.1)
 
@@ -195,7 +180,7 @@ def test_light_and_counts_are_those_of_their_axes():
 @pytest.mark.parametrize("draw", [synthetic.render_circles, synthetic.render_squares])
 def test_blur_is_a_gaussian_of_its_width(draw):
     sharp, soft = (
-        draw(scope(Plain), imaging=synthetic.ImagingConditions(blur=b)) for b in (0.7, 2.0)
+        draw(scope(Units()), imaging=synthetic.ImagingConditions(blur=b)) for b in (0.7, 2.0)
     )
     again = gaussian_filter(sharp, np.sqrt(2.0**2 - 0.7**2))
     assert np.abs(again - soft)[12:-12, 12:-12].max() < 1.0
@@ -220,7 +205,7 @@ def test_what_moves_moves_by_parts_of_a_pixel_and_brightens_by_the_gain():
 
 def test_the_edge_of_the_probe_is_as_wide_as_the_blur():
     scene = synthetic.embryo_image(
-        embryo(Plain), rng=0, pixel_size=2.0, shape=(64, 200), center=(99.3, 400.0), blur=0.6,
+        embryo(Units()), rng=0, pixel_size=2.0, shape=(64, 200), center=(99.3, 400.0), blur=0.6,
         noise=0.0, unevenness=0.0,
     )  # fmt: skip
     left, right = (
