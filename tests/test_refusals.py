@@ -28,6 +28,8 @@ NO_SENSOR: dict[str, tuple[object, ...]] = {
     "distortion": (np.nan, [1.0], None),
     "points": ([[np.inf, 0.0]], 3.0, [1.0, 2.0, 3.0]),
 }
+NO_JACOBIAN = ([[1.0, 2.0], [2.0, 4.0]], np.zeros((2, 2)))
+NO_WEIGHT = ((0.9, 0.0), [[1.0, 2.0], [2.0, 1.0]])
 NO_NUMBERS = ([1.0], np.ones(1), [[1.0]], True, "1", None, 1j, {})
 
 #: By callable and argument, the values that are refused.
@@ -84,10 +86,37 @@ REFUSED: dict[str, dict[str, tuple[object, ...]]] = {
         "probe_half_width": (45.0,),
         "poisson_ratio": (0.6,),
     },
-    "focus.correct_spikes": {"depth": (masked,)},
+    "focus.correct_spikes": {
+        "depth": (masked, np.zeros(12), np.full((12, 12), np.inf)),
+        "window": (8,),
+        "delta": (-1,),
+    },
     "focus.depth_from_focus": {
         "frames": (masked, [masked(frame) for frame in fuzz.stack()]),
         "positions": (masked, [3.0] * 5, [0, 0, 1, 2, 3], [2, 1, 1, 0, -1]),
+    },
+    "focus.smooth_depth": {
+        "depth": (np.full((44, 60), -np.inf),),
+        "jump": (0,),
+        "radius": (-1,),
+        "weight": (np.zeros((43, 60)), np.full((44, 60), -1)),
+    },
+    "focus.sum_modified_laplacian": {
+        "image": (np.zeros((3, 8, 8)), np.full((8, 8), np.nan), np.zeros((0, 8))),
+        "window": (4, 65537),
+        "step": (0, 99),
+        "threshold": (-1,),
+    },
+    "focus.three_point_peak": {
+        "window": (
+            *(masked, np.ones((4, 44, 60)), np.ones((3, 44, 60), complex)),
+            *(np.full((3, 44, 60), wrong) for wrong in (-1.0, np.nan, 1e50)),
+        ),
+        "index": (np.ones((44, 60)), np.full((44, 60), 10), np.full((44, 60), -1)),
+        "positions": (
+            *(np.arange(2.0), np.zeros((10, 10)), np.arange(10) // 2),
+            *(np.append(np.arange(9.0), wrong) for wrong in (np.inf, 1e50)),
+        ),
     },
     "io.read_frames": {
         "region": ((-1, 0, 4, 4), (0, 0, 0, 4), (0, 0, 4, 0), "abcd"),
@@ -169,7 +198,16 @@ REFUSED: dict[str, dict[str, tuple[object, ...]]] = {
     "optics.gaussian_transfer": {"sigma": (-1.0,)},
     "optics.image_distance": {"object_distance": (50.0, -1.0), "focal_length": (-1.0,)},
     "servoing.Camera": {"interval": NO_NUMBERS},
+    "servoing.OptimalController": {"jacobian": NO_JACOBIAN},
+    "servoing.ibvs_control": {"jacobian": NO_JACOBIAN},
     "servoing.loop_poles": {"gain": NO_NUMBERS, "delay": (1e9,)},
+    "servoing.optimal_control": dict.fromkeys(("feature_weight", "control_weight"), NO_WEIGHT),
+    "servoing.path_metrics": {"position": (np.zeros((1, 2)),)},
+    "servoing.step_metrics": {
+        "time": (np.zeros(25), np.arange(24.0)),
+        "target": (fuzz.valid_call("servoing.step_metrics")["position"][0],),
+        "band": (0.0,),
+    },
     "synthetic.Embryo": {"modulus": (-1.0,), "dimple_radius": (20.0,), "poisson_ratio": (1.0,)},
     "synthetic.Embryo.dented": {"depth": (3000.0,)},
     "synthetic.Embryo.outline": {"spacing": (0.0,)},
@@ -204,6 +242,17 @@ REFUSED: dict[str, dict[str, tuple[object, ...]]] = {
     "synthetic.warped_pair": {"distance": (-1.0,), "warp": ("bend",)},
     "tracking.ESMTracker": {"image": (masked,)},
     "tracking.ESMTracker.track": {"frame": (masked,)},
+    "tracking.KalmanFilter": {
+        "interval": (0.0,),
+        "acceleration": (-1.0,),
+        "noise": (np.nan, 0.0),
+    },
+    "tracking.track_all": {
+        "frames": ([],),
+        "box": ((20, 15, 400, 40),),
+        "rate": (0.0,),
+        "pixel_size": (-3.0,),
+    },
     **{
         f"servoing.{kind}.__call__": {
             "k": (-1, 0.5, 10**400),

@@ -125,25 +125,6 @@ def test_unknown_depths_stay_unknown_and_do_not_matter():
     np.testing.assert_allclose(smooth[known], depth[known], atol=0.06)  # stiffness at the border
 
 
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda z: correct_spikes(z, window=8), "window must be an odd"),
-        (lambda z: correct_spikes(z, delta=-1), "delta must be zero or positive"),
-        (lambda z: correct_spikes(z[0]), "depth must have shape"),
-        (lambda z: correct_spikes(z + np.inf), "depth must be finite or NaN"),
-        (lambda z: smooth_depth(z, jump=0), "jump must be positive"),
-        (lambda z: smooth_depth(z, jump=1, radius=-1), "radius must be positive"),
-        (lambda z: smooth_depth(z, jump=1, weight=z[1:]), "weight must have the shape"),
-        (lambda z: smooth_depth(z, jump=1, weight=z - 1), "weight must be zero or positive"),
-        (lambda z: smooth_depth(z - np.inf, jump=1), "depth must be finite or NaN"),
-    ],
-)
-def test_bad_input_is_refused_by_name(call, words):
-    with pytest.raises(ValueError, match=words):
-        call(np.zeros((12, 12)))
-
-
 def test_a_map_of_unknown_depths_is_returned_as_another_one():
     unknown = np.full((9, 9), np.nan)
     for found in (correct_spikes(unknown), smooth_depth(unknown, jump=1.0)):

@@ -130,21 +130,3 @@ def test_noise_level_finds_the_noise_beside_texture():
         # The quietest twentieth lies two scatters of a 3 px window below the mean.
         assert 0.7 * sigma < found < 1.1 * sigma
     assert _axis.noise_level(_axis.mosaic(np.zeros((32, 32), np.float32))) > 0
-
-
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda image: sum_modified_laplacian(image, window=4), "window must be an odd"),
-        (lambda image: sum_modified_laplacian(image, window=65537), "window must be at most 65535"),
-        (lambda image: sum_modified_laplacian(image, step=0), "step must be a whole number"),
-        (lambda image: sum_modified_laplacian(image, step=9), "step must be below"),
-        (lambda image: sum_modified_laplacian(image, threshold=-1), "threshold must be zero"),
-        (lambda image: sum_modified_laplacian(np.stack([image] * 3)), "image must have shape"),
-        (lambda image: sum_modified_laplacian(image * np.nan), "image must be finite"),
-        (lambda image: sum_modified_laplacian(image[:0]), "image must not be empty"),
-    ],
-)
-def test_bad_options_are_refused_by_name(call, words):
-    with pytest.raises(ValueError, match=words):
-        call(np.zeros((8, 8), np.uint8))

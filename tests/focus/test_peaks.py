@@ -76,36 +76,6 @@ def test_the_fit_is_that_of_the_documented_weights():
         assert found == pytest.approx(documented_fit(profile, steps, best, 3), abs=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"window": np.ma.ones((3, 4, 5))}, "window must be without a mask"),
-        ({"window": np.ones((3, 4, 5), complex)}, "window must hold real numbers"),
-        ({"index": np.ones((4, 5))}, "index must hold whole numbers"),
-        ({"window": np.ones((4, 4, 5))}, "window must have shape"),
-        ({"window": np.full((3, 4, 5), -1.0)}, "window must hold measures of zero or more"),
-        ({"window": np.full((3, 4, 5), np.nan)}, "window must be finite"),
-        ({"window": np.full((3, 4, 5), 1e50)}, "window must lie within"),
-        ({"positions": np.arange(2.0)}, "positions must be at least three"),
-        ({"positions": np.array([0, 1, np.inf])}, "positions must be finite"),
-        ({"positions": np.zeros((3, 3))}, "positions must have shape"),
-        ({"positions": np.array([0.0, 1.0, 1.0])}, "positions must rise or fall strictly"),
-        ({"positions": np.array([0.0, 1.0, 1e50])}, "positions must lie within"),
-        ({"index": np.full((4, 5), 5)}, "index must hold numbers of the 5 positions"),
-        ({"index": np.full((4, 5), -1)}, "index must hold numbers of the 5 positions"),
-    ],
-)
-def test_what_is_no_window_around_the_best_frame_is_refused(change, words):
-    good = {
-        "window": np.ones((3, 4, 5), np.float32),
-        "index": np.full((4, 5), 2, np.uint16),
-        "positions": np.arange(5.0),
-    }
-    three_point_peak(**good)
-    with pytest.raises(ValueError, match=words):
-        three_point_peak(**good | change)
-
-
 @pytest.mark.parametrize("kind", [">f4", "<f2", ">f8", "longdouble", "int64", ">u2"])
 def test_a_window_may_be_of_any_numbers(kind):
     profile = np.rint(1000 * np.exp(-((np.arange(5.0) - 2.25) ** 2) / 8))

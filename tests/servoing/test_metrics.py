@@ -40,16 +40,3 @@ def test_path_metrics_are_those_of_the_distances():
     assert found.accuracy == pytest.approx(2 * np.sqrt(np.pi / 2), rel=0.03)
     assert found.precision == pytest.approx(2 * np.sqrt(2 - np.pi / 2), rel=0.05)
     assert found.largest == np.hypot(*error.T).max()
-
-
-def test_refuses_what_has_no_meaning():
-    for arguments, options, message in (
-        (([0, 0], [[0], [1]], [1]), {}, "time must increase"),
-        (([0, 1], [[1], [1]], [1]), {}, "target must differ"),
-        (([0, 1, 2], [[0], [1]], [1]), {}, "same length"),
-        (([0, 1], [[0], [1]], [1]), {"band": 0.0}, "band must lie in"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            step_metrics(*arguments, **options)
-    with pytest.raises(ValueError, match="position must have shape"):
-        path_metrics([[0, 0]], [[0, 0], [1, 1]])

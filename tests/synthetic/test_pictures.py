@@ -19,9 +19,6 @@ def test_a_pattern_may_be_black_on_white():
     light = synthetic.ImagingConditions(blur=0.0, dark=0, bright=255)
     image = synthetic.render_squares(SCOPE, imaging=light)
     assert (image.min(), image.max()) == (0, 255)
-    for name in ("dark", "bright"):
-        with pytest.raises(ValueError, match=f"{name} must lie in"):
-            synthetic.ImagingConditions(**{name: 255.5})
 
 
 def test_a_pixel_in_the_very_middle_of_a_square_is_dark():

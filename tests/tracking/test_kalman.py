@@ -67,16 +67,6 @@ def test_the_covariance_is_the_spread_of_the_errors():
     assert spread == pytest.approx(np.sqrt(kalman.covariance[0, 0]), rel=0.14)
 
 
-@pytest.mark.parametrize(
-    ("argument", "value"),
-    [("interval", 0.0), ("acceleration", -1.0), ("noise", np.nan), ("noise", 0.0)],
-)
-def test_refuses_what_cannot_be(argument, value):
-    arguments = {"interval": 0.03, "acceleration": 100.0, "noise": 0.1} | {argument: value}
-    with pytest.raises(ValueError, match=argument):
-        KalmanFilter((0, 0), **arguments)
-
-
 def test_a_tracker_seeks_a_hidden_part_where_the_filter_expects_it():
     way = np.array([20.3, 30.6]) + np.outer(np.arange(12), [7.0, 4.0])
     frames = texture_sequence(way, 0, size=40, sigma=2.0)

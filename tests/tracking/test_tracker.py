@@ -342,17 +342,3 @@ def test_a_film_is_predicted_by_the_filter_from_its_second_frame():
     tracker = ESMTracker(frames[0], box, kalman=other)
     assert not any(tracker.track(frame).lost for frame in frames[1:])
     np.testing.assert_allclose(kalman.covariance, other.covariance)  # the count of frames decides
-
-
-@pytest.mark.parametrize(
-    ("frames", "options", "message"),
-    [
-        ([], {}, "frames must hold at least one"),
-        ([IMAGE], {"rate": 0.0}, "rate must be positive"),
-        ([IMAGE], {"pixel_size": -3.0}, "pixel_size must be"),
-        ([IMAGE[:9]], {}, "box must lie in the image"),
-    ],
-)
-def test_refuses_a_film_that_cannot_be_tracked(frames, options, message):
-    with pytest.raises(ValueError, match=message):
-        track_all(frames, (20, 15, 40, 40), **options)
