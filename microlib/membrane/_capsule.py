@@ -226,7 +226,9 @@ class _Capsule(Problem):
         by_unknown = np.empty((y.shape[0], k.size, y.shape[1]))
         for index in range(k.size):
             moved = k.copy()
-            moved[index] += small * (1 + abs(k[index]))
+            # Backward. The edge of a slack core lies on a kink, where it wrinkles. A smaller core
+            # leaves it taut, as the larger radii above do: all derivatives are those of one side.
+            moved[index] -= small * (1 + abs(k[index]))
             by_unknown[:, index] = (self.slopes(x, y, moved) - here) / (moved[index] - k[index])
         return by_state, by_unknown
 
