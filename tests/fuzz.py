@@ -112,7 +112,7 @@ def squares() -> np.ndarray:
 @cache
 def egg() -> synthetic.EmbryoImage:  # type: ignore[name-defined]
     return synthetic.embryo_image(
-        synthetic.Embryo.pressed(150.0, modulus=1.0), rng=0, pixel_size=7.75, shape=(384, 512)
+        synthetic.Embryo.pressed(150.0, modulus=1.0), rng=0, pixel_size=7.75, shape=(256, 320)
     )
 
 
