@@ -203,13 +203,14 @@ def test_what_moves_moves_by_parts_of_a_pixel_and_brightens_by_the_gain():
         assert (second[dim] / first[dim]).mean() == pytest.approx(1.2, abs=0.01)
 
 
-def test_the_edge_of_the_probe_is_as_wide_as_the_blur():
+@pytest.mark.parametrize("blur", [0.6, 2.5])
+def test_the_edge_of_the_probe_is_as_wide_as_the_blur(blur):
     scene = synthetic.embryo_image(
-        embryo(Units()), rng=0, pixel_size=2.0, shape=(64, 200), center=(99.3, 400.0), blur=0.6,
+        embryo(Units()), rng=0, pixel_size=2.0, shape=(64, 200), center=(99.3, 400.0), blur=blur,
         noise=0.0, unevenness=0.0,
     )  # fmt: skip
     left, right = (
-        ndtr((np.arange(200) - 99.3 + s * 15.0) / np.hypot(0.6, 12**-0.5)) for s in (1, -1)
+        ndtr((np.arange(200) - 99.3 + s * 15.0) / np.hypot(blur, 12**-0.5)) for s in (1, -1)
     )
     wanted = 195.0 + (42.0 - 195.0) * (left - right)
     np.testing.assert_allclose(scene.image[20], wanted, atol=4)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
 from microlib.synthetic import Embryo, embryo_image
@@ -52,15 +51,6 @@ def test_volume_and_rim(force, rim):
     assert -1 / (2 * bend) == pytest.approx(rim, rel=0.03)
 
 
-def test_more_blur_is_a_wider_gaussian():
-    """Gaussians widen by the root of the squares; grey levels are rounded once, twice that here."""
-    embryo, alike = Embryo(1.2, 100.0, 240.0), {"rng": 0, "noise": 0.0, "unevenness": 0.0}
-    alike |= {"pixel_size": 9.0, "shape": (150, 170)}
-    sharp, soft = (embryo_image(embryo, blur=b, **alike).image.astype(float) for b in (1.0, 2.5))
-    again = gaussian_filter(sharp, np.sqrt(2.5**2 - 1.0), mode="nearest")
-    assert np.abs(again - soft)[15:-15, 15:-15].max() < 2
-
-
 def test_outline_has_no_corner_but_at_the_probe():
     embryo = Embryo.pressed(150.0, modulus=1.0)
     points = embryo.outline(1.0)
@@ -88,7 +78,7 @@ def test_dented_inverts_pressed():
 def test_image_shows_the_embryo_where_the_truth_says():
     embryo = Embryo.pressed(150.0, modulus=1.0)
     scene = embryo_image(
-        embryo, rng=np.random.default_rng(0), noise=0.0, unevenness=0.0, center=(500.3, 240.7)
+        embryo, rng=0, noise=0.0, unevenness=0.0, shape=(260, 600), center=(500.3, 240.7)
     )
     rim_x, rim_y = scene.to_pixels([[embryo.dimple_radius, 0.0]])[0]
     column = scene.image[:, round(rim_x)].astype(float)
@@ -165,7 +155,7 @@ def test_light_falls_from_any_side():
 
 
 def test_tilt_turns_the_scene_clockwise_about_its_center():
-    scene = embryo_image(Embryo(1.0, 0.0, 1.0), rng=np.random.default_rng(0), tilt=0.1)
+    scene = embryo_image(Embryo(1.0, 0.0, 1.0), rng=0, shape=(64, 80), tilt=0.1)
     turned = scene.to_pixels([[100.0, 0.0], [0.0, 100.0], [0.0, 0.0]]) - scene.center
     length = 100.0 / scene.pixel_size
     np.testing.assert_allclose(turned[0], [length * np.cos(0.1), length * np.sin(0.1)])
