@@ -271,13 +271,9 @@ def detect_micrometer(image: ArrayLike, *, region: Region | None = None) -> Micr
     (11, 17.2, 0.581)
     """
     grey, corner, _ = look_at(image, region)
-    scene, asked = Scene(grey), Wanted("scale")
-    try:
-        scale = find_scale(grey, scene.settings)
-    except ValueError as refusal:
-        _refuse_other(scene, asked, refusal)
-        raise
-    _refuse_other(scene, asked)
+    scene = Scene(grey)
+    _refuse_other(scene, Wanted("scale"))  # which may have equidistant lines, too
+    scale = find_scale(grey, scene.settings)
     return replace(scale, points=scale.points + corner)
 
 

@@ -109,9 +109,8 @@ def find_pattern(
         If there is none.
     """
     kind, refusal = wanted.kind, ""
-    for marks, grid, to_image, alone in islice(
-        _candidates(scene, wanted, most), 1 if most else None
-    ):
+    candidates = _candidates(scene, wanted, most)
+    for marks, grid, to_image, alone in islice(candidates, 1 if most else None):
         try:
             if not alone and len(grid) > 2 * FIRST:  # chance is refused by a part, and sooner
                 _fit(marks[:FIRST], grid[:FIRST], to_image, wanted)

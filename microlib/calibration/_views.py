@@ -65,35 +65,34 @@ class Views:
         """Of a coordinate, px²."""
         return fit.cost / max(fit.freedom, 1) + self.rounding(fit.poses)
 
-    def tie(self, view: int) -> int:
-        """The view of which φ = (1 + M)/(T_op + f) is: each one's own, in focus, if f is given;
-        else the first, and all have its T_op + f."""
-        return 0 if self.focal_length is None else view
-
     def predict(self, lens: Array, poses: Array) -> tuple[Array, Array]:
         """Image points of all views, (N, 2), and their derivatives, (N, 2, 5 + 6 V)."""
         points, rows = [], []
         for v, (pose, world) in enumerate(zip(poses, self.world, strict=True)):
+            # The view of which φ = (1 + M)/(T_op + f) is: each one's own, in focus, if f is given;
+            # else the first, and all have its T_op + f.
+            tie = 0 if self.focal_length is None else v
             # h = 1/(f + d) = M/(T_op + f) = M φ/(1 + M of the view that φ is of).
-            beyond = 1 + poses[self.tie(v), 0]
+            beyond = 1 + poses[tie, 0]
             by_lens, by_pose = pose[0] / beyond, lens[0] / beyond
             visible = np.concatenate([[pose[0], pose[0] * by_pose, lens[1]], pose[1:]])
             at, by = Microscope.project_plane(visible, world, self.frame.cell)
-            of_views = np.zeros((*at.shape, len(poses), len(VIEW)))
-            of_views[..., v, :] = by[..., _OF_VIEW]
-            of_views[..., v, 0] += by_pose * by[..., 1]
-            of_views[..., self.tie(v), 0] -= by_lens * by_pose * by[..., 1]
             row = np.zeros((*at.shape, len(LENS) + len(VIEW) * len(poses)))
             row[..., 0], row[..., 1] = by_lens * by[..., 1], by[..., 2]
-            row[..., len(LENS) :] = of_views.reshape(*at.shape, -1)
-            sensor = at * self.frame.cell
-            square = (sensor**2).sum(axis=1)[:, None]
-            # The second term, and what it makes of a point's displacement.
-            turn = 4 * square[..., None] * at[:, :, None] * (sensor * self.frame.cell)[:, None]
-            row = ((1 + lens[2] * square**2)[..., None] * np.eye(2) + lens[2] * turn) @ row
-            row[..., 2] = square**2 * at
-            row[:, 0, 3] = row[:, 1, 4] = 1
-            points.append(at * (1 + lens[2] * square**2) + lens[3:])
+            own, tied = (len(LENS) + len(VIEW) * k for k in (v, tie))
+            row[..., own : own + len(VIEW)] = by[..., _OF_VIEW]
+            row[..., own] += by_pose * by[..., 1]
+            row[..., tied] -= by_lens * by_pose * by[..., 1]
+            if len(poses) > 1:  # of one view these terms are zero and held
+                sensor = at * self.frame.cell
+                square = (sensor**2).sum(axis=1)[:, None]
+                # The second term, and what it makes of a point's displacement.
+                turn = 4 * square[..., None] * at[:, :, None] * (sensor * self.frame.cell)[:, None]
+                row = ((1 + lens[2] * square**2)[..., None] * np.eye(2) + lens[2] * turn) @ row
+                row[..., 2] = square**2 * at
+                row[:, 0, 3] = row[:, 1, 4] = 1
+                at = at * (1 + lens[2] * square**2) + lens[3:]
+            points.append(at)
             rows.append(row)
         return np.concatenate(points), np.concatenate(rows)
 
@@ -152,9 +151,11 @@ def fit_views(views: Views) -> tuple[Fit, list[list[Fit]]]:
     ]
     fits = [[_fit(one, *start, base) for start in _starts(one)] for one in every]
     alone = [sorted(pair, key=lambda fit: fit.cost) for pair in fits]
+    if len(every) == 1:
+        return alone[0][0], alone
     lens = np.median([pair[0].lens for pair in alone], axis=0)  # that most views agree on
     best = _fit(views, lens, np.concatenate([pair[0].poses for pair in alone]), base)
-    for term in _TERMS if len(every) > 1 else ():
+    for term in _TERMS:
         lens_free = [k for k in best.free if k < len(LENS)]
         with suppress(ValueError):  # what is not found is not justified
             trial = _fit(views, best.lens, best.poses, lens_free + term)
