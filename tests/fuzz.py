@@ -354,7 +354,7 @@ MAY_BE_UNKNOWN = {
     "focus.FocusResult", "focus.depth_from_focus", "automation.LiveDepth.result",
     "automation.acquire_depth",
     # stretches are NaN where the wall is slack
-    "membrane.capsule_modulus", "membrane.indent_capsule",
+    "membrane.capsule_modulus", "membrane.fit_capsule", "membrane.indent_capsule",
     # NaN where no slope is steep enough
     "membrane.finite_slope_modulus",
     # NaN where a ray misses the plane
@@ -489,7 +489,9 @@ def elsewhere() -> dict[str, list[str]]:
     """Return by the name of an argument the callables that have it."""
     having: dict[str, list[str]] = {}
     for name in names():
-        for argument in valid_call(name) if name not in SLOW else ():
+        for argument, value in valid_call(name).items() if name not in SLOW else ():
+            if callable(value):
+                continue  # what is called back takes what its own caller gives
             having.setdefault(argument, []).append(name)
     return having
 

@@ -41,7 +41,10 @@ REFUSED: dict[str, dict[str, tuple[object, ...]]] = {
         "image": (fuzz.scope().project(fuzz.grid()) * 1e100,),
         "world": (fuzz.grid() * 1e-300, masked),
     },
-    "calibration.cramer_rao": {"noise": (-1.0, -1e-9, np.nan)},
+    "calibration.cramer_rao": {
+        "noise": (-1.0, -1e-9, np.nan),
+        "world": (fuzz.grid() * 1e12,),  # beyond the fold of the distortion
+    },
     "calibration.detect_circles": {"direction": (np.nan, np.inf, "0", [0.0])},
     "calibration.detect_squares": {"direction": (np.nan, np.inf, "0", [0.0])},
     "curvature.clean_labels": {
@@ -71,7 +74,10 @@ REFUSED: dict[str, dict[str, tuple[object, ...]]] = {
         "x": (np.full(60, 2.0), np.full(60, np.nan), np.arange(5.0)),
         "terms": (0, 21),
     },
-    "embryo.force_over_time": {"images": (3, [fuzz.target()] * 3), "shares": ([1.5],)},
+    "embryo.force_over_time": {
+        "images": (3, np.array(3.0), [fuzz.target()] * 3),
+        "shares": ([1.5],),
+    },
     "embryo.loess": {
         "x": (np.full(40, np.nan), np.ones(40), np.repeat([0.0, 1.0], 20)),
         "y": (np.zeros(9),),

@@ -49,7 +49,8 @@ def cramer_rao(
     Raises
     ------
     ValueError
-        If `world` or `noise` is not what it should be, or a name is unknown.
+        If `world` or `noise` is not what it should be, a point is beyond the reach of the
+        distortion model, or a name is unknown.
 
     Examples
     --------
@@ -67,6 +68,8 @@ def cramer_rao(
     of_kind("microscope", microscope, Microscope)
     noise = scalar("noise", noise, least=0, most=FARTHEST)
     jacobian = microscope.jacobian(world, parameters).reshape(-1, len(parameters))
+    if not np.isfinite(jacobian).all():
+        raise ValueError("world must be points that the microscope sees, got some that it cannot")
     inverse = inverse_normal(jacobian)
     with np.errstate(invalid="ignore"):  # what is open stays so without noise, too
         return np.where(np.isinf(inverse), np.inf, noise**2 * inverse)

@@ -120,6 +120,8 @@ def force_over_time(
     """
     when = as_array("time", time, shape=(None,))
     of_kind("images", images, Iterable)
+    if getattr(images, "ndim", 3) == 0:  # an array all the same, and so of the kind
+        raise ValueError("images must be a sequence of images, got a single value")
     frames = list(images)
     if len(frames) != when.size:
         raise ValueError(f"images must be as many as the times, got {len(frames)} and {when.size}")

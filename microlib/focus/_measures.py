@@ -44,7 +44,8 @@ def sum_modified_laplacian(
     ------
     ValueError
         If the image is not grey or not finite, `window` is not odd, `step` not a positive whole
-        number or as large as the image, or `threshold` negative.
+        number or as large as the image, or `threshold` negative
+        or beyond what grey levels can give.
 
     Notes
     -----
@@ -70,7 +71,7 @@ def sum_modified_laplacian(
     grey = as_array("image", image, shape=(None, None), dtype=kind, largest=LARGEST_GREY)
     n = whole("window", window, least=1, odd=True, most=MOST)
     s = whole("step", step, least=1)
-    limit = scalar("threshold", threshold, least=0)
+    limit = scalar("threshold", threshold, least=0, most=4 * LARGEST_GREY)
     if s >= min(grey.shape):
         raise ValueError(f"step must be below the image's sides {grey.shape}, got {step}")
     padded = cv2.copyMakeBorder(grey, s, s, s, s, cv2.BORDER_REFLECT_101)
