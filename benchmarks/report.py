@@ -86,10 +86,8 @@ def must_hold(lines: Limits) -> pd.DataFrame:
 
 
 def publish(name: str, tables: Tables, limits: Limits, note: str, minutes: float) -> None:
-    """Print `tables` and write ``results/NAME.json``, which the book shows."""
+    """Write `tables` to ``results/NAME.json``, which the book shows, and print them."""
     judged = must_hold(limits)
-    for title, frame in {"Must hold": judged, **tables}.items():
-        print(f"\n{title}\n{frame.to_string(index=False)}")
     record = {
         "machine": machine(),
         "minutes": round(minutes, 1),
@@ -101,3 +99,5 @@ def publish(name: str, tables: Tables, limits: Limits, note: str, minutes: float
     }
     path = RESULTS / f"{name}.json"
     path.write_text(json.dumps(record, indent=1, ensure_ascii=False, default=float) + "\n")
+    for title, frame in {"Must hold": judged, **tables}.items():
+        print(f"\n{title}\n{frame.to_string(index=False)}")
