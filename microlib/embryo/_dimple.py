@@ -112,7 +112,7 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float, rim: str = "left")
     between_maxima = [x for x in minima if (maxima < x).any() and (maxima > x).any()]
     if not between_maxima:
         raise ValueError(
-            "curve must have a minimum between two maxima (a dimple), "
+            "curve must have a minimum between two maxima (a dimple, y up), "
             f"got {len(maxima)} maxima and {len(minima)} minima"
         )
     bottom = min(between_maxima, key=curve)
