@@ -441,6 +441,23 @@ def test_a_stopped_track_keeps_its_rows(tmp_path: Path, end: signal.Signals) -> 
         assert told == f"microlib track: stopped; {out} keeps the {len(rows)} rows so far\n"
 
 
+def test_a_row_that_was_written_as_ctrl_c_came_is_counted(
+    tmp_path: Path, monkeypatch, capsys
+) -> None:
+    class Stopped(csv.DictWriter):
+        def writerow(self, row: dict) -> None:
+            super().writerow(row)
+            if row["frame"] == 7:
+                raise KeyboardInterrupt
+
+    monkeypatch.setattr(csv, "DictWriter", Stopped)
+    out = tmp_path / "track.csv"
+    words = f"track {INPUTS / 'frames.tif'} {BOX} --quiet --no-look -o {out}".split()
+    assert main(words) == 130
+    assert len(pd.read_csv(out)) == 8
+    assert f"{out} keeps the 8 rows so far" in capsys.readouterr().err
+
+
 def test_each_row_is_written_before_the_next_frame(tmp_path: Path, monkeypatch) -> None:
     out, lines, each = tmp_path / "track.csv", [], tracking.track_each
 

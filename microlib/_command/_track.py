@@ -69,7 +69,8 @@ def run(a: argparse.Namespace) -> Files:
     a.say(f"{summary}; one row a frame, lengths in px, of columns …_um in µm")
     if stop is not None:
         status = 130 if isinstance(stop, KeyboardInterrupt) else 3
-        a.end = status, f"{str(stop) or 'stopped'}; {a.out} keeps the {len(rows)} rows so far"
+        kept = a.out.read_text(encoding="utf-8").count("\n") - 1  # Ctrl-C may precede the counting
+        a.end = status, f"{str(stop) or 'stopped'}; {a.out} keeps the {kept} rows so far"
     elif lost > len(rows) / 2:
         remedy = "another --motion, a larger --box, or more frames per second"
         a.end = 4, f"{summary}: try {remedy}"
