@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from compendium import thesis
 from compendium.experiments import paths
+from compendium.experiments.microscope import turned
 from compendium.experiments.section_5_3 import gripper
 from compendium.ledger import claim, judge
 from microlib import servoing
@@ -178,8 +179,7 @@ def drawn_jacobian(zoom: str, rng: np.random.Generator, assumed: Assumed) -> NDA
     """Draw the true px/µm, which the calibration knows with an error."""
     angle = rng.normal(0, assumed.calibration * CALIBRATION_ANGLE)
     size = rng.normal(1, assumed.calibration * CALIBRATION_SCALE)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return size / thesis.effective_pixel(zoom) * turn
+    return turned(angle, size / thesis.effective_pixel(zoom), mirrored=False)
 
 
 def path_errors(zoom: str, path: NDArray, measured: NDArray, ahead: int = 1) -> NDArray:

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
@@ -117,23 +114,3 @@ def draw_microscope(ax: Axes, microscope: Microscope, world: NDArray) -> None:
     ax.spines["left"].set_visible(False)
     ax.set_aspect("equal")
     ax.grid(False)
-
-
-def draw_focal_length_study(study: pd.DataFrame) -> Figure:
-    """Draw the relative standard deviations of f and M of a study against the tilt."""
-    percent = 100 * study[["bound", "stated", "scatter", "M"]]
-    tilt = study["tilt"]
-    gone = study.loc[study["lost"] > 0.5, "tilt"]
-    blue, orange = COLORS["blue"], COLORS["orange"]
-    figure, axes = plt.subplots(figsize=(6.4, 4.2))
-    axes.plot(tilt, percent["bound"], color=COLORS["grey"], label="f: Cramér–Rao bound")
-    axes.plot(tilt, percent["stated"], "o", color=blue, label="f: stated σ")
-    axes.plot(tilt, percent["scatter"], "x", color=orange, ms=9, mew=2, label="f: scatter")
-    axes.plot(tilt, percent["M"], "s-", color=COLORS["green"], ms=5, lw=1, label="M: scatter")
-    # Where there is no number to draw, at the upper edge.
-    height = np.full(len(gone), 60.0)
-    axes.plot(gone, height, "^", color=blue, mfc="none", ms=9, label="f: named unobservable")
-    axes.set(xlabel="tilt (°)", ylabel="relative standard deviation (%)")
-    axes.set(yscale="log", ylim=(1e-3, 100))
-    axes.legend(ncols=2, loc="upper right", bbox_to_anchor=(1, 0.5))
-    return figure

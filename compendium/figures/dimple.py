@@ -6,15 +6,13 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from compendium import thesis
-from compendium.experiments.chapter_6_force import true_force
-from compendium.experiments.section_5_6 import MODULUS, Outline, Scene
+from compendium.experiments.section_5_6 import Outline, Scene
 from compendium.figures.embryo import add_scale_bar, show_image, show_outline
-from compendium.figures.panels import intervals, legend_below, length
+from compendium.figures.panels import legend_below, length
 from compendium.figures.style import COLORS
 from microlib.embryo import GaussianSum, dimple_geometry
 from microlib.membrane import dimple_profile
@@ -146,30 +144,6 @@ def draw_rendered_outline(
     reach = 4 * thesis.MEMBRANE["probe_half_width"] / scene.pixel_size
     bottom.set(xlim=(middle - reach, middle + reach), ylim=(-2, reach / 2), title="the bottom")
     legend_below(figure)
-    return figure
-
-
-def draw_image_study(study: pd.DataFrame) -> Figure:
-    """Draw the moduli of an `image_study` against the depth, with the truth."""
-    figure, axes = plt.subplots(figsize=(6.4, 3.8))
-    axes.axhline(MODULUS, color=COLORS["ink"], lw=1.2, label="truth")
-    label = "LOESS and eight Gaussians"
-    axes.plot(study["depth"], study["thesis"], "s", color=COLORS["sky"], label=label)
-    intervals(axes, study, "depth", "fitted", "profile (4.2), 95 %")
-    axes.set(xlabel="dimple depth (µm)", ylabel="modulus E (MPa)")
-    axes.legend(loc="upper left")
-    return figure
-
-
-def draw_relaxing_force(felt: pd.DataFrame) -> Figure:
-    """Draw a `relaxing_sequence`: truth, what each outline alone says, and the force over time."""
-    fine = np.linspace(0.0, float(felt["time"].iloc[-1]), 300)
-    figure, axes = plt.subplots(figsize=(6.4, 3.6))
-    axes.plot(fine, true_force(fine), color=COLORS["ink"], lw=1.2, label="truth")
-    axes.plot(felt["time"], felt["elastic"], "s", color=COLORS["orange"], label="one outline alone")
-    intervals(axes, felt, "time", "force", "all outlines so far, 95 %")
-    axes.set(xlabel="time (s)", ylabel="force F (µN)", ylim=(0, None))
-    axes.legend()
     return figure
 
 

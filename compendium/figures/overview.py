@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from compendium.figures.panels import arrows, boxes, legend_below
+from compendium.figures.panels import arrows, boxes
 from compendium.figures.style import COLORS
-from compendium.ledger import Record, claims
 
 #: What each task gets, does and gives, with a color.
 TASKS = (
@@ -20,13 +17,6 @@ TASKS = (
     ("frames at many focus positions", "shape from focus, HK", "heights, surface types", "green"),
     ("outline of a dented embryo", "point-load model", "modulus of the shell", "pink"),
 )
-#: Color and marker of each verdict.
-LOOKS = {
-    "agrees": ("green", "o"),
-    "disagrees": ("orange", "X"),
-    "cannot tell": ("pink", "s"),
-    "input": ("grey", "|"),
-}
 #: Sizes of what the book meets, m.
 THINGS = {
     0.1: "hand",
@@ -90,37 +80,4 @@ def draw_scale() -> Figure:
     axes.set_xticks([1e-9, 1e-6, 1e-3, 1], ["1 nm", "1 µm", "1 mm", "1 m"])
     axes.spines["left"].set_visible(False)
     axes.grid(False)
-    return figure
-
-
-def draw_all_numbers(records: Mapping[str, Record]) -> Figure:
-    """Draw each recomputed number over the printed one, a row each table or section.
-
-    Parameters
-    ----------
-    records : mapping of str to Record
-        What the notebooks recorded, by claim. A claim without a printed number is left out.
-    """
-    ratios: dict[str, dict[str, list[float]]] = {}
-    for claim in claims().values():
-        if claim.id in records and claim.printed and not claim.limit:
-            row = claim.id.split("/")[0].replace("-", " ").capitalize()
-            ratio = records[claim.id].value / claim.value
-            ratios.setdefault(row, {name: [] for name in LOOKS})[claim.verdict].append(ratio)
-    figure, axes = plt.subplots(figsize=(6.4, 5.6))
-    axes.axvline(1, color=COLORS["ink"], lw=1)
-    # A verdict has its own height in its row, where many ratios are 1.
-    for place, (name, (color, marker)) in enumerate(LOOKS.items()):
-        points = [
-            (x, 0.24 * (1.5 - place) - k)
-            for k, row in enumerate(ratios.values())
-            for x in row[name]
-        ]
-        axes.plot(*np.transpose(points), marker, color=COLORS[color], ms=7, label=name)
-    ticks = [0.002, 0.01, 0.1, 0.5, 1, 2]
-    axes.set(xscale="log", xlabel="recomputed / printed")
-    axes.set_xticks(ticks, list(map(str, ticks)))
-    axes.minorticks_off()
-    axes.set_yticks(-np.arange(len(ratios)), list(ratios))
-    legend_below(figure, ncols=4)
     return figure

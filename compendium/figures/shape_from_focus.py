@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
-from compendium import thesis
 from compendium.experiments.section_5_5 import BALL_PIXEL, BALL_RADIUS, BALL_SHAPE, Scene
 from compendium.figures.panels import legend_below, photograph
 from compendium.figures.style import COLORS
@@ -109,22 +108,4 @@ def draw_types(
             axes.add_patch(Circle(middle, radius, fill=False, color="black", ls=line))
     part = [types[y : y + height, x : x + width] for types in labels.values()]
     legend_below(figure, label_patches(np.stack(part)))
-    return figure
-
-
-def draw_thresholds() -> Figure:
-    """Draw the thesis' thresholds in the plane of H and K, and where a ball lies in it."""
-    h, k = thesis.H_THRESHOLD, thesis.K_THRESHOLD
-    curvature = np.linspace(0, 0.2, 300)
-    figure, axes = plt.subplots(figsize=(6.4, 3.4))
-    axes.plot(curvature, curvature**2, color=COLORS["blue"], label="a ball: K = H²")
-    axes.fill_between(curvature, curvature**2, 0.04, color=COLORS["grey"], alpha=0.25, lw=0)
-    axes.text(0.045, 0.03, "no surface lies here", color=COLORS["grey"])
-    axes.axvline(h, color=COLORS["orange"], ls="--", label="threshold of H")
-    axes.axhline(k, color=COLORS["pink"], ls="--", label="threshold of K")
-    between = np.linspace(h, np.sqrt(k), 100)
-    axes.fill_between(between, between**2, color=COLORS["yellow"], alpha=0.4, lw=0)
-    axes.annotate("a ball is called\na cylinder", (0.115, 0.006), (0.13, 0.003))
-    axes.set(xlabel="|H| (1/unit)", ylabel="K (1/unit²)", xlim=(0, 0.2), ylim=(0, 0.04))
-    legend_below(figure)
     return figure
