@@ -16,7 +16,6 @@ except PackageNotFoundError:  # a checkout that was never installed
     __version__ = "0.4.0"
 
 _SUBJECTS = (
-    "automation",
     "batch",
     "calibration",
     "curvature",

@@ -39,7 +39,6 @@ import cv2
 import numpy as np
 
 from microlib import (
-    automation,
     calibration,
     curvature,
     embryo,
@@ -189,18 +188,6 @@ def core() -> types.SimpleNamespace:
     )
 
 
-def live() -> automation.LiveDepth:
-    found = automation.LiveDepth(measure="tenengrad")
-    for z, frame in enumerate(stack()):
-        found.push(frame, float(z))
-    return found
-
-
-def focusing() -> servoing.SimulatedWorkstation:
-    seen = {"render": lambda feature, z: stack()[int(np.clip(round(z), 0, 4))]}
-    return workstation(**seen, focus_drive=servoing.Stage(1e6))
-
-
 TRACK = {
     "corners": np.zeros((4, 2)), "lost": False, "reason": "", "correlation": 1.0,
     "homography": np.eye(3), "gain": 1.0, "bias": 0.0, "visible": 1.0, "iterations": 3,
@@ -277,19 +264,6 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "path": FOLDER / "fuzz.ply", "height": dome(), "pixel_size": 2.0,
         "image": np.zeros((24, 28), np.uint8),
     },
-    "automation.LiveDepth": lambda: {"farthest": 3.0},
-    "automation.LiveDepth.push": lambda: {
-        "self": automation.LiveDepth(), "frame": stack()[0], "z": 1.0
-    },
-    "automation.LiveDepth.result": lambda: {"self": live()},
-    "automation.acquire_depth": lambda: {
-        "workstation": focusing(), "positions": np.arange(5.0), "farthest": 3.0, "coarse": 2,
-        "timeout": 5.0, "progress": lambda live: None, "measure": "tenengrad",
-    },
-    "automation.autofocus": lambda: {
-        "workstation": focusing(), "positions": np.arange(5.0), "region": (0, 0, 20, 20),
-        "timeout": 5.0,
-    },
     "servoing.servo": lambda: {
         "jacobian": np.eye(2) * 0.3, "progress": lambda row: None,
         "controller": lambda k, measured, goals: (goals[0] - measured) * 30.0,
@@ -351,8 +325,7 @@ MAY_BE_UNKNOWN = {
     # terms that coincide have infinite variances
     "embryo.fit_gaussians",
     # unknown pixels are NaN
-    "focus.FocusResult", "focus.depth_from_focus", "automation.LiveDepth.result",
-    "automation.acquire_depth",
+    "focus.FocusResult", "focus.depth_from_focus",
     # stretches are NaN where the wall is slack
     "membrane.capsule_modulus", "membrane.fit_capsule", "membrane.indent_capsule",
     # NaN where no slope is steep enough
@@ -362,7 +335,7 @@ MAY_BE_UNKNOWN = {
     # an object in the focal plane has its image at infinity
     "optics.image_distance",
     # what a run did not come to
-    "automation.autofocus", "servoing.servo",
+    "servoing.servo",
     # a step that never settles
     "servoing.step_metrics",
     # a lost target has no position

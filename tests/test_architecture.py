@@ -28,7 +28,6 @@ ROOMS = sorted(
 ARROWS = {
     "__main__": {"_command"},
     "_command": {"_plots", "calibration", "embryo", "focus", "io", "membrane", "tracking"},
-    "automation": {"embryo", "focus", "membrane", "servoing"},
     "calibration": {"_plots", "microscope"},
     "embryo": {"_plots", "membrane"},
     "focus": {"_plots", "io"},

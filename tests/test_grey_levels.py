@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from microlib import automation, calibration, embryo, focus, synthetic, tracking
+from microlib import calibration, embryo, focus, synthetic, tracking
 from tests import fuzz
 
 POSITIONS = 2.5 * np.arange(11) - 3
@@ -69,13 +69,6 @@ def followed(unit: float) -> np.ndarray:
     return np.array([tracker.track(frame).center for frame in frames[1:]])
 
 
-def scanned(unit: float) -> np.ndarray:
-    live = automation.LiveDepth()
-    for frame, z in zip(relief(), POSITIONS, strict=True):
-        live.push(seen(frame, unit), z)
-    return live.depth
-
-
 def depth_by(measure: str) -> Callable[[float], np.ndarray]:
     return lambda unit: (
         focus.depth_from_focus(seen(relief(), unit), POSITIONS, measure=measure).depth
@@ -91,7 +84,6 @@ READ: dict[str, Callable[[float], np.ndarray]] = {
     ),
     "outline": lambda unit: embryo.extract_boundary(seen(fuzz.egg().image, unit)).points,
     "tracker": followed,
-    "scan": scanned,
     "multiscale": depth_by("multiscale"),
     "tenengrad": depth_by("tenengrad"),
     "variance": depth_by("variance"),

@@ -1,4 +1,4 @@
-"""Sequences of calls: readers, trackers, batches and a device loop that are used on after faults.
+"""Sequences of calls: readers, trackers, and batches that are used again after faults.
 
 What may come is what a model says, or a `ValueError`; ``make fuzz`` draws many more.
 """
@@ -16,12 +16,10 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
 
-from microlib.automation import acquire_depth
 from microlib.batch import process_files
 from microlib.focus import depth_from_focus
 from microlib.io import read_frames
 from microlib.tracking import ESMTracker
-from tests.automation.test_acquire import POSITIONS, Scope, same_pictures
 from tests.fuzz import target
 from tests.laws import unlike
 
@@ -143,40 +141,8 @@ def number(path: Path) -> dict[str, float]:
     return {"value": float(path.read_text())}
 
 
-class Devices(RuleBasedStateMachine):
-    """One microscope, scanned again and again; any call of it may fail at any time."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.scope = Scope(lambda z: max(0.02, 1 - abs(z - 92) / 40))
-        self.left = 10**9
-        for device, name in ((self.scope, "snap"), *((self.scope.focus, n) for n in MOVES)):
-            setattr(device, name, self.failing(getattr(device, name)))
-
-    def failing(self, call):
-        def tried(*arguments):
-            self.left -= 1
-            if self.left == 0:
-                raise OSError("no power")
-            return call(*arguments)
-
-        return tried
-
-    @rule(
-        calls=st.integers(1, 120), coarse=st.sampled_from([None, 3]), way=st.sampled_from([1, -1])
-    )
-    def scan(self, calls: int, coarse: int | None, way: int) -> None:
-        self.left, self.scope.pictures = calls, {}
-        run = acquire_depth(self.scope, POSITIONS[::way], coarse=coarse)
-        assert run.complete or (self.left <= 0 and "no power" in run.reason)
-        assert same_pictures(run, self.scope)
-        assert run.complete or set(run.positions) == set(self.scope.pictures)
-        assert run.complete or isinstance(run.error, OSError) or not run.still
-
-
-MOVES = ("position", "move_to", "moving")
 FEW = {"stateful_step_count": 12, "deadline": None}
-for machine in (Readers, Trackers, Batches, Devices):
+for machine in (Readers, Trackers, Batches):
     machine.TestCase.settings = settings(max_examples=settings.default.max_examples // 16, **FEW)
 TestReaders, TestTrackers = Readers.TestCase, Trackers.TestCase
-TestBatches, TestDevices = Batches.TestCase, Devices.TestCase
+TestBatches = Batches.TestCase
