@@ -5,6 +5,7 @@ from microlib._common._checks import (
     LARGEST_GREY,
     LEAST,
     MEASURED,
+    ArgumentError,
     as_array,
     as_image,
     as_map,

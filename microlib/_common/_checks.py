@@ -1,7 +1,7 @@
 """Argument checks shared by the whole library: one wording for every refusal.
 
-Each function returns the checked value, or raises ``ValueError`` that names the argument, says what
-came and what is needed.
+Each function returns the checked value, or raises `ArgumentError`, which names the argument, says
+what came and what is needed.
 """
 
 from __future__ import annotations
@@ -30,6 +30,25 @@ MEASURED = {
 }
 
 
+class ArgumentError(ValueError):
+    """A ``ValueError`` that keeps the name of the argument: the command prints its option instead.
+
+    Parameters
+    ----------
+    argument : str
+        Name of the argument, such as "pixel_size" or "box width"; the message begins with it.
+    problem : str
+        What is needed, and what came.
+    """
+
+    def __init__(self, argument: str, problem: str) -> None:
+        super().__init__(argument, problem)  # both, so that it can be pickled
+        self.argument, self.problem = argument, problem
+
+    def __str__(self) -> str:
+        return f"{self.argument} {self.problem}"
+
+
 def as_array(
     name: str,
     value: ArrayLike,
@@ -53,15 +72,15 @@ def as_array(
                 array = array.astype(dtype)
     except (TypeError, ValueError, OverflowError):
         got = getattr(value, "dtype", type(value).__name__)
-        raise ValueError(f"{name} must hold real numbers, got {got}") from None
+        raise ArgumentError(name, f"must hold real numbers, got {got}") from None
     if shape is not None and (
         array.ndim != len(shape)
         or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True))
     ):
         wanted = ", ".join("any" if n is None else str(n) for n in shape)
-        raise ValueError(f"{name} must have shape ({wanted}), got {array.shape}")
+        raise ArgumentError(name, f"must have shape ({wanted}), got {array.shape}")
     if array.size == 0:
-        raise ValueError(f"{name} must not be empty, got shape {array.shape}")
+        raise ArgumentError(name, f"must not be empty, got shape {array.shape}")
     if array.dtype.kind == "f":
         if largest is None:
             # Single precision ends at 3e38.
@@ -71,9 +90,9 @@ def as_array(
             known = array[np.isfinite(array)]
             if finite and (bad := array.size - known.size):
                 got = f"{bad} NaN or infinite of {array.size}" if array.ndim else f"{array[()]}"
-                raise ValueError(f"{name} must be finite, got {got}")
+                raise ArgumentError(name, f"must be finite, got {got}")
             if known.size and abs(worst := max(known.min(), known.max(), key=abs)) > largest:
-                raise ValueError(f"{name} must lie within ±{largest:g}, got {worst:g}")
+                raise ArgumentError(name, f"must lie within ±{largest:g}, got {worst:g}")
     return array
 
 
@@ -81,7 +100,7 @@ def as_map(name: str, value: ArrayLike, *, largest: float | None = None) -> Arra
     """Return a map, shape (rows, cols), whose values are finite, or NaN where they are unknown."""
     array = as_array(name, value, shape=(None, None), finite=False, largest=largest)
     if count := int(np.isinf(array).sum()):
-        raise ValueError(f"{name} must be finite or NaN, got {count} infinite")
+        raise ArgumentError(name, f"must be finite or NaN, got {count} infinite")
     return array
 
 
@@ -89,16 +108,16 @@ def refuse_masks(name: str, value: object) -> None:
     """Refuse a masked array, or a sequence of them."""
     parts = value if isinstance(value, (list, tuple)) else [value]
     if any(isinstance(part, np.ma.MaskedArray) for part in parts):
-        raise ValueError(f"{name} must be without a mask: cut the masked values out")
+        raise ArgumentError(name, "must be without a mask: cut the masked values out")
 
 
 def as_image(name: str, value: ArrayLike, *, smallest: int = 1) -> NDArray:
     """Return a grey image as a finite 2-D float32 array, each side at least `smallest` px."""
     image = as_array(name, value, dtype=np.float32, largest=LARGEST_GREY)
     if image.ndim != 2:
-        raise ValueError(f"{name} must be a grey image of two dimensions, got {image.ndim}")
+        raise ArgumentError(name, f"must be a grey image of two dimensions, got {image.ndim}")
     if min(image.shape) < smallest:
-        raise ValueError(f"{name} must be at least {smallest} px on each side, got {image.shape}")
+        raise ArgumentError(name, f"must be at least {smallest} px on each side, got {image.shape}")
     return image
 
 
@@ -138,7 +157,7 @@ def scalar(
     number = value
     if type(number) is not float or not abs(number) <= LARGEST:
         if isinstance(value, (bool, np.bool_, Sequence)) or getattr(value, "ndim", None):
-            raise ValueError(f"{name} must be a single number, got {_brief(value)}")
+            raise ArgumentError(name, f"must be a single number, got {_brief(value)}")
         number = float(as_array(name, value))  # type: ignore[arg-type]
     need = None
     if above is not None and not number > above:
@@ -150,7 +169,7 @@ def scalar(
     elif most is not None and not number <= most:
         need = f"at most {most:g}"
     if need:
-        raise ValueError(f"{name} must be {need}, got {number:g}")
+        raise ArgumentError(name, f"must be {need}, got {number:g}")
     if within is not None:
         between(name, number, *within, closed=closed)
     return number
@@ -164,9 +183,9 @@ def measured(name: str, value: object, unit: str) -> float:
     number = scalar(name, value, above=0)
     low, high = MEASURED[unit]
     if not low <= number <= high:
-        raise ValueError(
-            f"{name} must be in {unit}, between {low:g} and {high:g} in any experiment, "
-            f"got {number:g}"
+        raise ArgumentError(
+            name,
+            f"must be in {unit}, between {low:g} and {high:g} in any experiment, got {number:g}",
         )
     return number
 
@@ -175,7 +194,7 @@ def poisson(ratio: object) -> float:
     """Return the Poisson ratio of an isotropic material."""
     number = scalar("poisson_ratio", ratio)
     if not -1 < number <= 0.5:
-        raise ValueError(f"poisson_ratio must lie in (-1, 0.5], got {number:g}")
+        raise ArgumentError("poisson_ratio", f"must lie in (-1, 0.5], got {number:g}")
     return number
 
 
@@ -185,7 +204,7 @@ def between(name: str, value: ArrayLike, low: float, high: float, *, closed: boo
     inside = (array >= low) & (array <= high) if closed else (array > low) & (array < high)
     if not inside.all():
         interval = f"[{low:g}, {high:g}]" if closed else f"({low:g}, {high:g})"
-        raise ValueError(f"{name} must lie in {interval}, got {array[~inside].flat[0]:g}")
+        raise ArgumentError(name, f"must lie in {interval}, got {array[~inside].flat[0]:g}")
     return array
 
 
@@ -199,12 +218,12 @@ def positive(name: str, value: ArrayLike, *, zero: bool = False) -> Array:
 def whole(name: str, value: object, *, least: int, odd: bool = False, most: int = 1 << 31) -> int:
     """Return `value` as an int of at least `least` and at most `most`; odd if `odd`."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-        raise ValueError(f"{name} must be a whole number, got {_brief(value)}")
+        raise ArgumentError(name, f"must be a whole number, got {_brief(value)}")
     if value < least or (odd and value % 2 == 0):
         kind = "an odd whole number" if odd else "a whole number"
-        raise ValueError(f"{name} must be {kind} of at least {least}, got {value}")
+        raise ArgumentError(name, f"must be {kind} of at least {least}, got {value}")
     if value > most:
-        raise ValueError(f"{name} must be at most {most}, got a larger one")
+        raise ArgumentError(name, f"must be at most {most}, got a larger one")
     return int(value)
 
 
@@ -212,20 +231,20 @@ def of_kind(name: str, value: object, *kinds: Any) -> None:
     """Refuse what is not an instance of one of `kinds`."""
     if not isinstance(value, kinds):
         known = " or ".join(kind.__name__ for kind in kinds)
-        raise ValueError(f"{name} must be of the kind {known}, got {type(value).__name__}")
+        raise ArgumentError(name, f"must be of the kind {known}, got {type(value).__name__}")
 
 
 def flag(name: str, value: object) -> bool:
     """Return `value` if it is True or False."""
     if not isinstance(value, (bool, np.bool_)):
-        raise ValueError(f"{name} must be True or False, got {_brief(value)}")
+        raise ArgumentError(name, f"must be True or False, got {_brief(value)}")
     return bool(value)
 
 
 def check_callable(name: str, value: object, *, optional: bool = False) -> None:
     """Refuse what cannot be called; nothing at all is as good if `optional`."""
     if not callable(value) and not (optional and value is None):
-        raise ValueError(f"{name} must be callable, got {type(value).__name__}")
+        raise ArgumentError(name, f"must be callable, got {type(value).__name__}")
 
 
 def generator(name: str, value: object) -> np.random.Generator:
@@ -240,9 +259,9 @@ def items(name: str, value: object, count: int) -> tuple[object, ...]:
     """Return the `count` members of a sequence or array that is no text and has no mask."""
     text = isinstance(value, (str, bytes, np.ma.MaskedArray))
     if text or not isinstance(value, (Sequence, np.ndarray)) or getattr(value, "ndim", 1) != 1:
-        raise ValueError(f"{name} must be {count} numbers, got {_brief(value)}")
+        raise ArgumentError(name, f"must be {count} numbers, got {_brief(value)}")
     if len(value) != count:
-        raise ValueError(f"{name} must be {count} numbers, got {len(value)}")
+        raise ArgumentError(name, f"must be {count} numbers, got {len(value)}")
     return tuple(value)
 
 
@@ -255,7 +274,7 @@ def as_region(
     x, y, width, height = (whole(f"{name} {side}", n, least=low) for side, n, low in sides)
     if shape is not None and (y + height > shape[0] or x + width > shape[1]):
         size = f"{shape[1]}×{shape[0]} px"
-        raise ValueError(f"{name} must lie in the image of {size}, got {four}")
+        raise ArgumentError(name, f"must lie in the image of {size}, got {four}")
     return x, y, width, height
 
 
@@ -272,7 +291,7 @@ def image_shape(name: str, value: object, *, least: int = 1) -> tuple[int, int]:
 def one_of(name: str, value: object, known: tuple[str, ...]) -> str:
     """Return `value` if it is one of the `known` names."""
     if not isinstance(value, str) or value not in known:
-        raise ValueError(f"{name} must be one of {', '.join(known)}, got {_brief(value)}")
+        raise ArgumentError(name, f"must be one of {', '.join(known)}, got {_brief(value)}")
     return value
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -90,3 +92,10 @@ def test_a_refusal_says_what_is_wrong(name, given, options, message):
         getattr(check, name)("x", *given, **options)
     with pytest.raises(ValueError, match=r"x and y .* got 2 and 3"):
         check.same_length(("x", "y"), np.zeros(2), np.zeros(3))
+
+
+def test_an_error_keeps_the_name_of_its_argument_also_when_pickled():
+    with pytest.raises(check.ArgumentError, match=r"^box width must be a whole number") as caught:
+        check.as_region("box", (0, 0, 2.5, 3))
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert (again.argument, str(again)) == ("box width", str(caught.value))
