@@ -17,10 +17,12 @@ import argparse
 import fcntl
 import hashlib
 import json
+import multiprocessing
 import os
 import signal
 import sys
 import tempfile
+import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -39,7 +41,7 @@ from traitlets.config import Config
 from compendium.executed import clean, error_cell
 from compendium.figures.data import FOLDER_VARIABLE
 from compendium.parameters import prepare_folder, read_values
-from microlib._common import end_with_starter, replace_file
+from microlib._common import replace_file
 
 ROOT = Path(__file__).resolve().parent.parent
 BUILD = ROOT / "build"
@@ -194,7 +196,13 @@ def in_workers(calls: dict[str, tuple], jobs: int) -> Iterator[tuple[str, str, b
 
 def begin() -> None:
     """End with the parent, which alone heeds Ctrl-C, and drop what kernels say as they end."""
-    end_with_starter()
+
+    def end_with_parent(parent: Any) -> None:
+        parent.join()
+        os._exit(1)
+
+    parent = multiprocessing.parent_process()
+    threading.Thread(target=end_with_parent, args=(parent,), daemon=True).start()
     # A function and not SIG_IGN, which the kernels would inherit.
     signal.signal(signal.SIGINT, lambda *_: None)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)

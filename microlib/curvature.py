@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from microlib._common import Array, Kept, as_array, as_map, of_kind, scalar, whole
+from microlib._common import Array, Result, as_array, as_map, of_kind, scalar, whole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -45,7 +45,7 @@ HK_NAMES = {
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Windows(Kept):
+class Windows(Result):
     """The windows from which all derivative windows are built; see `curvature_windows`.
 
     Attributes
@@ -64,7 +64,7 @@ class Windows(Kept):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Curvature(Kept):
+class Curvature(Result):
     """Curvature of a height map.
 
     Attributes

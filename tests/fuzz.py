@@ -29,7 +29,6 @@ import time
 import types
 import warnings
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from itertools import zip_longest
@@ -196,14 +195,6 @@ TRACK = {
 }  # fmt: skip
 
 
-#: Where files are measured: a pool of processes for each call would take half a second.
-THREADS = ThreadPoolExecutor(1)
-
-
-def len_of(path: Path) -> dict[str, int]:
-    return {"letters": len(str(path))}
-
-
 def stored(value: object) -> dict[str, object]:
     """Return the fields of a dataclass, shallow."""
     return {f.name: getattr(value, f.name) for f in fields(value)}  # type: ignore[arg-type]
@@ -211,10 +202,6 @@ def stored(value: object) -> dict[str, object]:
 
 #: Valid arguments, made anew for each call, which the table of a room does not have.
 CALLS: dict[str, Callable[[], dict[str, object]]] = {
-    "batch.process_files": lambda: {
-        "files": [FOLDER / "a.txt"], "work": len_of, "table": FOLDER / "t.csv",
-        "executor": THREADS,
-    },
     "calibration.Calibration": lambda: stored(calibrated()),
     "calibration._calibration.ErrorSummary.of": lambda: {"differences": grid() / 100},
     "calibration.Calibration.interval": lambda: {
@@ -254,7 +241,6 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "frames": stack(), "positions": np.arange(5.0), "measure": "sml", "window": 5,
         "region": (0, 0, 20, 20),
     },
-    "focus.FocusResult.to_layers": lambda: {"self": depths()},
     "io.read_frames": lambda: {"frames": stack(), "region": (0, 0, 20, 20)},
     "io.read_grey": lambda: {"path": written()},
     "io.write_height_tiff": lambda: {
@@ -293,7 +279,6 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "rate": 25.0, "pixel_size": 2.0, "kalman": filter_(),
     },
     "tracking.Track": lambda: dict(TRACK),
-    "tracking.Track.to_layers": lambda: {"self": tracker().track(target()), "pixel_size": 2.0},
 }  # fmt: skip
 
 #: Where a result may be NaN or infinite from finite values, as its documentation says.

@@ -36,7 +36,7 @@ A tolerance other than rounding is ``within=`` and has a reason beside it.
 
 Further laws are tests beside the table, made of `VIEWS` (a picture mirrored or turned, with its
 points), `hold_sigma` and `hold_coverage` (an uncertainty as a number, at three sizes),
-`hold_same_as_new` (an object used before) and `in_world` (where napari shows a point).
+`hold_same_as_new` (an object used before).
 """
 
 from __future__ import annotations
@@ -413,10 +413,3 @@ def hold_same_as_new(
     for got in (use(make()), use(used)):
         found = [*unlike(wanted, got)]
         assert not found, "; ".join(found[:8])
-
-
-def in_world(layer: tuple[Any, dict[str, Any], str], points: ArrayLike) -> NDArray:
-    """Return where napari shows points (x, y) of a layer's data: its scale, then its shift."""
-    options = layer[1]
-    scale, shift = options.get("scale", (1.0, 1.0)), options.get("translate", (0.0, 0.0))
-    return np.asarray(points) * scale[::-1] + np.asarray(shift[::-1])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from microlib._common import Tidy
-from tests.laws import VIEWS, Law, hold, hold_coverage, hold_same_as_new, hold_sigma, in_world
+from tests.laws import VIEWS, Law, hold, hold_coverage, hold_same_as_new, hold_sigma
 
 
 @dataclass(frozen=True)
@@ -88,5 +88,3 @@ def test_a_view_takes_points_with_the_picture():
     for view in VIEWS:
         x, y = view.points([3, 1], picture.shape).astype(int)
         assert view.image(picture)[y, x] == picture[1, 3]
-    layer = (picture, {"scale": (2.0, 3.0), "translate": (5.0, -7.0)}, "image")
-    assert in_world(layer, [3, 1]).tolist() == [2.0, 7.0]

@@ -1,4 +1,4 @@
-"""What comes from xarray is used and given back, and what napari is given, it can show."""
+"""Coordinates of xarray arrays are used and returned."""
 
 from __future__ import annotations
 
@@ -6,17 +6,10 @@ import numpy as np
 import pytest
 
 from microlib import synthetic
-from microlib.focus import FocusResult, depth_from_focus
+from microlib.focus import depth_from_focus
 from microlib.io import read_frames
-from microlib.tracking import ESMTracker
 
 Z = np.array([0.0, 10.0, 20.0, 31.0, 40.0, 50.0, 60.0, 70.0, 80.0])
-#: What napari's layers take of what is used here.
-OPTIONS = {
-    "image": {"name", "scale", "translate", "rgb", "colormap", "opacity", "visible"},
-    "points": {"name", "scale", "features", "face_color", "border_color", "size"},
-    "shapes": {"name", "scale", "face_color", "edge_color", "shape_type"},
-}
 
 
 def stack() -> np.ndarray:
@@ -69,20 +62,3 @@ def test_numbers_of_pixels_are_no_scale() -> None:
     assert read_frames(frames.assign_coords(z=("z", Z, {"units": "V"}))).positions is None
     with pytest.raises(ValueError, match="must differ in focus"):
         depth_from_focus(frames.rename(z="time"))
-
-
-def check(layers: list, shape: tuple[int, ...] = ()) -> None:
-    for data, options, kind in layers:
-        assert options.keys() <= OPTIONS[kind]
-        assert len(options["scale"]) == 2
-        assert kind != "image" or data.shape[:2] == shape
-
-
-def test_layers_are_napari_s() -> None:
-    found: FocusResult = depth_from_focus(stack(), Z)
-    check(found.to_layers(), (64, 80))
-    frame = stack()[4]
-    track = ESMTracker(frame, (20, 10, 30, 24)).track(frame)
-    check(track.to_layers())
-    ((polygon,), *_) = track.to_layers()[0]
-    assert polygon[0] == pytest.approx((10, 20), abs=0.01)

@@ -1,4 +1,4 @@
-"""Sequences of calls: readers, trackers, and batches that are used again after faults.
+"""Sequences of calls: readers and trackers that are used again after faults.
 
 What may come is what a model says, or a `ValueError`; ``make fuzz`` draws many more.
 """
@@ -6,7 +6,6 @@ What may come is what a model says, or a `ValueError`; ``make fuzz`` draws many 
 from __future__ import annotations
 
 import tempfile
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import cv2
@@ -16,7 +15,6 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
 
-from microlib.batch import process_files
 from microlib.focus import depth_from_focus
 from microlib.io import read_frames
 from microlib.tracking import ESMTracker
@@ -105,44 +103,7 @@ class Trackers(RuleBasedStateMachine):
             self.pair[0].track(wrong)
 
 
-class Batches(RuleBasedStateMachine):
-    """Files that come, change and fail; a table that is cut off; a run that tries again."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.place = tempfile.TemporaryDirectory()
-        self.table, self.texts = Path(self.place.name) / "t.csv", dict[str, str]()
-        self.pool = ThreadPoolExecutor(2)
-
-    @rule(name=st.sampled_from("abcd"), text=st.sampled_from(["1.5", "-3", "none", "2\n"]))
-    def write(self, name: str, text: str) -> None:
-        self.texts[name] = text
-        (Path(self.place.name) / f"{name}.txt").write_text(text)
-
-    @precondition(lambda self: self.texts)
-    @rule(retry=st.booleans(), cut=st.integers(0, 60))
-    def run(self, retry: bool, cut: int) -> None:
-        if self.table.exists():
-            kept = self.table.read_bytes()
-            self.table.write_bytes(kept[: max(kept.find(b"\n") + 1, len(kept) - cut)])
-        files = [Path(self.place.name) / f"{name}.txt" for name in self.texts]
-        found = process_files(files, number, self.table, executor=self.pool, retry=retry)
-        for (name, text), (_, row) in zip(self.texts.items(), found.iterrows(), strict=True):
-            assert Path(row["file"]).stem == name
-            assert bool(row["error"]) == (text == "none")
-            assert text == "none" or row["value"] == float(text)
-
-    def teardown(self) -> None:
-        self.pool.shutdown()
-        self.place.cleanup()
-
-
-def number(path: Path) -> dict[str, float]:
-    return {"value": float(path.read_text())}
-
-
 FEW = {"stateful_step_count": 12, "deadline": None}
-for machine in (Readers, Trackers, Batches):
+for machine in (Readers, Trackers):
     machine.TestCase.settings = settings(max_examples=settings.default.max_examples // 16, **FEW)
 TestReaders, TestTrackers = Readers.TestCase, Trackers.TestCase
-TestBatches = Batches.TestCase

@@ -38,6 +38,5 @@ from microlib._common._devices import (
     check_devices,
 )
 from microlib._common._files import replace_file
-from microlib._common._processes import end_with_starter
-from microlib._common._results import Kept, Tidy, flat_row, load
+from microlib._common._results import Result, Tidy, flat_row
 from microlib._common._types import Array, Frames, Image, Region

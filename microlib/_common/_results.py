@@ -1,25 +1,17 @@
-"""Results that show themselves in a few lines, fill a row or a table, and are kept in one file."""
+"""Results with a short `repr`, a flat row and a table."""
 
 from __future__ import annotations
 
-import json
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from importlib import import_module
-from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from microlib._common._files import replace_file
-
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Names by which a file tells an array and the kind of a result from plain numbers and texts.
-_ARRAY, _RESULT = "__array__", "__result__"
 
 #: What the numbers of a short field are called along its last axis, where not by their place.
 _PARTS = {
@@ -35,90 +27,13 @@ _PARTS = {
 }
 
 
-class Kept:
-    """Give a frozen dataclass a short `repr` and `save`."""
-
-    #: Every class of results by its room and name, such as "focus.FocusResult".
-    _known: ClassVar[dict[str, type]] = {}
-
-    def __init_subclass__(cls) -> None:
-        Kept._known[_address(cls)] = cls
+class Result:
+    """Give a frozen dataclass a short `repr`."""
 
     def __repr__(self) -> str:
         shown = (f"{f.name}={_short(getattr(self, f.name))}" for f in fields(self))  # type: ignore[arg-type]
         text = f"{type(self).__name__}({', '.join(shown)})"
         return textwrap.fill(text, 100, subsequent_indent="    ", max_lines=10)
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Keep the result in one file, which `microlib.load` reads.
-
-        Parameters
-        ----------
-        path : path-like
-            File to write, a NumPy archive (``.npz``) of the arrays with all else as JSON; an old
-            one is replaced only once the new one is whole. Of an exception nothing is kept.
-
-        Raises
-        ------
-        ValueError
-            If the folder does not exist, or the result holds an object that is no data.
-        """
-        arrays: dict[str, Any] = {}
-
-        def told(value: Any) -> Any:
-            """Return what JSON can hold for what it does not know."""
-            if isinstance(value, BaseException):
-                return None
-            if isinstance(value, Kept):
-                own = {f.name: getattr(value, f.name) for f in fields(value)}  # type: ignore[arg-type]
-                return {_RESULT: _address(type(value))} | own
-            if type(value).__name__ == "DataFrame":
-                return {_RESULT: "table"} | {name: value[name].to_numpy() for name in value}
-            array = np.asarray(value)  # also of dask, which is computed here
-            if array.dtype == object and all(isinstance(part, str) for part in array.flat):
-                array = array.astype(str)
-            if array.dtype == object:
-                raise ValueError(f"a result with a {type(value).__name__} cannot be kept")
-            arrays[key := f"array_{len(arrays)}"] = array
-            return {_ARRAY: key}
-
-        text = json.dumps(self, default=told)
-
-        def write(file: Path) -> None:
-            with file.open("wb") as stream:
-                np.savez_compressed(stream, header=np.array(text), **arrays)
-
-        replace_file(path, write)
-
-
-def load(path: str | PathLike[str]) -> Any:
-    """Read a result of any kind that its `save` has kept, as `microlib.load` says."""
-
-    def made(told: dict[str, Any]) -> Any:
-        if _ARRAY in told:
-            return archive[told[_ARRAY]][()]  # a single number as such
-        if (kind := told.pop(_RESULT, None)) is None:
-            return told
-        if kind == "table":
-            import pandas as pd  # here, as it takes long to import
-
-            return pd.DataFrame(told)
-        import_module(f"microlib.{kind.split('.')[0]}")  # no other object is made from a file
-        return Kept._known[kind](**{name: _tuples(value) for name, value in told.items()})
-
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return json.loads(str(archive["header"]), object_hook=made)
-    except Exception as error:  # whatever a damaged archive, or one of something else, leads to
-        raise ValueError(f"path must name a saved result, got {path}: {error}") from None
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(map(_tuples, value)) if isinstance(value, list) else value
-
-
-def _address(kind: type) -> str:
-    return ".".join([*kind.__module__.split(".")[1:2], kind.__name__])
 
 
 def _short(value: Any) -> str:
@@ -134,8 +49,8 @@ def _short(value: Any) -> str:
     return type(value).__name__ if is_dataclass(value) else f"{value!r:.60}"
 
 
-class Tidy(Kept):
-    """Give a frozen dataclass a flat row and a table, a short `repr`, and a file."""
+class Tidy(Result):
+    """Give a frozen dataclass a flat row, a table and a short `repr`."""
 
     #: Fields with one entry a sample: the rows of `to_frame`, left out of `to_dict`.
     _samples: ClassVar[tuple[str, ...]] = ()

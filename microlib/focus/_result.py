@@ -126,24 +126,6 @@ class FocusResult(Tidy):
                 found[axis] = (axis, first + self.pixel_size * np.arange(count), {"units": "µm"})
         return found
 
-    def to_layers(self) -> list[tuple[Any, dict[str, Any], str]]:
-        """Return the maps as napari's layers, for ``viewer.add_layer(Layer.create(*layer))``.
-
-        Returns
-        -------
-        list of (data, options, type)
-            The all-in-focus image, the depth over it, and the uncertainty, hidden; to scale if the
-            pixel size is known.
-        """
-        size = self.pixel_size or 1.0
-        place = {"scale": (size, size), "translate": self.origin[::-1]}
-        layers = (
-            (self.all_in_focus, {"name": "all in focus", "rgb": self.all_in_focus.ndim == 3}),
-            (self.depth, {"name": "depth (µm)", "colormap": "viridis", "opacity": 0.7}),
-            (self.uncertainty, {"name": "uncertainty (µm)", "visible": False}),
-        )
-        return [(values, look | place, "image") for values, look in layers]
-
     def plot(self, ax: Any = None, *, unit: str = "µm") -> Any:
         """Draw the maps by Matplotlib: all in focus, height, uncertainty, and a shaded view.
 

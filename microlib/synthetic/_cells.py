@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, Kept, generator, image_shape, one_of, scalar, whole
+from microlib._common import Array, Result, generator, image_shape, one_of, scalar, whole
 from microlib.synthetic._textures import eight_bits
 
 #: Radius (µm), irregularity of the outline, and how many harmonics it has.
@@ -53,7 +53,7 @@ _LOOK = _Look()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CellImage(Kept):
+class CellImage(Result):
     """A rendered sample of cells.
 
     Attributes

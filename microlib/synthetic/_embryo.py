@@ -18,7 +18,7 @@ from scipy.special import beta, ndtr
 
 from microlib._common import (
     Array,
-    Kept,
+    Result,
     as_array,
     between,
     flag,
@@ -83,7 +83,7 @@ _REACH = 8.0
 
 
 @dataclass(frozen=True)
-class Embryo(Kept):
+class Embryo(Result):
     """An embryo pressed by a probe from above and held from below.
 
     Attributes
@@ -349,7 +349,7 @@ def _rim_radius(radius: float, depth: float, probe_half_width: float) -> float:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class EmbryoImage(Kept):
+class EmbryoImage(Result):
     """A rendered embryo and the truth behind it.
 
     Attributes

@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from microlib._common import (
     Array,
-    Kept,
+    Result,
     as_array,
     between,
     generator,
@@ -96,7 +96,7 @@ def camera_frame(
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WarpedPair(Kept):
+class WarpedPair(Result):
     """Two frames of a texture and where the template of the first is in the second.
 
     Attributes
@@ -274,7 +274,7 @@ def _coverage(samples: Array, size: int) -> Array:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class GripperScene(Kept):
+class GripperScene(Result):
     """A microgripper over a smooth ground, drawn at any sub-pixel position.
 
     Attributes

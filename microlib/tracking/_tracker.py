@@ -20,7 +20,6 @@ from microlib._common import (
     luminance,
     of_kind,
     one_of,
-    scalar,
 )
 from microlib.tracking._blocks import Agreement, compare
 from microlib.tracking._covariance import corner_covariance, largest_sigma
@@ -111,23 +110,6 @@ class Track(Tidy):
         share = {"center": self.center, "hidden": float(np.mean(self.hidden))}
         row = super().to_dict() | flat_row(share)
         return dict.fromkeys(row) | {"lost": True, "reason": self.reason} if self.lost else row
-
-    def to_layers(self, *, pixel_size: float = 1.0) -> list[tuple[Any, dict[str, Any], str]]:
-        """Return the box as a layer of napari: for ``Layer.create(*layer)``.
-
-        Parameters
-        ----------
-        pixel_size : float
-            Side of a pixel, µm, if the frame is shown to scale.
-
-        Returns
-        -------
-        list of (data, options, type)
-        """
-        pixel_size = scalar("pixel_size", pixel_size, above=0)
-        options = {"name": "lost" if self.lost else "track", "scale": (pixel_size, pixel_size)}
-        options |= {"face_color": "transparent", "edge_color": "red" if self.lost else "yellow"}
-        return [([self.corners[:, ::-1]], options | {"shape_type": "polygon"}, "shapes")]
 
     @property
     def center(self) -> Array:

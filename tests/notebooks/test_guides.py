@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import nbformat
@@ -261,6 +263,64 @@ def test_a_guide_runs_on_the_readers_own_file(
         assert "c.tif: ValueError: " in text
     if guide not in RENDERED:
         assert f"No truth is known of {mine}" in text
+
+
+#: The cell of each guide that measures a folder of files, and an input to put there.
+RECIPES = {"embryo": ("ge-13", "embryo.png"), "focus_stack": ("gf-16", "focal_stack.tif")}
+
+
+@contextmanager
+def executors(where: str) -> Iterator[dict[str, object]]:
+    """Yield what a recipe uses in place of `ProcessPoolExecutor`, if anything."""
+    if where == "processes":
+        yield {}
+        return
+    distributed = pytest.importorskip("distributed", reason="dask is not installed")
+    quiet = {"dashboard_address": ":0", "silence_logs": 50}
+    with (
+        distributed.LocalCluster(2, threads_per_worker=1, **quiet) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        yield {"ProcessPoolExecutor": lambda **_: client.get_executor()}
+
+
+@pytest.mark.parametrize("where", ["processes", "dask"])
+@pytest.mark.parametrize("guide", RECIPES)
+def test_a_folder_gets_one_row_per_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, guide: str, where: str
+) -> None:
+    """A damaged file has its error in its row; a second run evaluates only what has no row."""
+    cell, name = RECIPES[guide]
+    (recipe,) = [one.source for one in source(guide).cells if one.id == cell]
+    assert len(recipe.splitlines()) <= 20
+    settings = dict(manifest()[name]["settings"])
+    names: dict[str, object] = {"scales": settings, "options": {"reduce": 4}, "size": 3.9 * 4}
+    if guide == "focus_stack":
+        count = len(tifffile.imread(FOLDER / name))
+        names["positions"] = settings["start"] + settings["spacing"] * np.arange(count)
+    monkeypatch.chdir(tmp_path)
+    for text in code(guide)[:2]:
+        exec(text, names)
+    names |= {"folder": tmp_path, "more": f"plate/*{Path(name).suffix}"}
+    plate = tmp_path / "plate"
+    plate.mkdir()
+    files = [plate / f"{letter}{Path(name).suffix}" for letter in "abc"]
+    for file in files[:2]:
+        shutil.copy(FOLDER / name, file)
+    files[1].write_bytes(files[1].read_bytes()[:2000])
+    with executors(where) as replaced:
+        names |= replaced
+        exec(recipe, names)
+        shutil.copy(FOLDER / name, files[2])
+        files[0].unlink()  # its row must stay, and it must not be looked for
+        exec(recipe, names)
+    table = pd.read_csv(names["table"], index_col="file").sort_index()
+    assert table.index.tolist() == [f"plate/{file.name}" for file in files]
+    assert [str(error)[:12] for error in table["error"].fillna("")] == ["", "ValueError: ", ""]
+    measured = table.drop(columns="error").select_dtypes("number")
+    assert measured.iloc[1].isna().all()
+    pd.testing.assert_series_equal(measured.iloc[0], measured.iloc[2], check_names=False)
+    assert {path.name for path in tmp_path.glob("*.csv")} == {Path(names["table"]).name}
 
 
 def test_numbers_give_a_modulus_and_a_steep_dimple_is_named(

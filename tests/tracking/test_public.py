@@ -12,7 +12,7 @@ from microlib.tracking._covariance import sandwich
 from microlib.tracking._light import _tukey_slope
 from microlib.tracking._local import tukey
 from tests import fuzz
-from tests.laws import VIEWS, Law, Units, hold, hold_same_as_new, hold_sigma, in_world
+from tests.laws import VIEWS, Law, Units, hold, hold_same_as_new, hold_sigma
 
 BOX = (38, 26, 52, 41)
 CORNERS = np.array([[38.0, 26], [89, 26], [89, 66], [38, 66]])
@@ -82,7 +82,6 @@ LAWS = {
         "position": np.array([u.x0 + 8.7 * u.px, u.y0 - 6.2 * u.px])}, STATE, again=False,
         call=steps),
     "tracking.Track": "a record: its fields' units are those of ESMTracker.track",
-    "tracking.Track.to_layers": "napari's layers: tests/test_others.py",
     "tracking.track_all": Law(lambda u: {"frames": frames(u), "box": BOX, "motion": "affine",
         "rate": 25.0 / u.s, "pixel_size": 1.5 * u.um}, COLUMNS | WAY, within=SINGLE),
     "tracking.track_each": Law(lambda u: {"frames": frames(u), "box": BOX, "motion": "affine",
@@ -153,13 +152,6 @@ def test_what_is_refused_changes_nothing():
     wrong = (MOVED[:-1], MOVED * np.nan)
     before = [lambda tracker, frame=frame: tracker.track(frame) for frame in wrong]
     hold_same_as_new(new, lambda tracker: tracker.track(MOVED + NOISE[1]), *before)
-
-
-def test_a_layer_shows_the_box_in_um():
-    track = ESMTracker(SCENE, BOX).track(MOVED)
-    (layer,) = track.to_layers(pixel_size=2.5)
-    (polygon,) = layer[0]
-    np.testing.assert_allclose(in_world(layer, polygon[:, ::-1]), 2.5 * track.corners)
 
 
 @pytest.mark.parametrize("side", [14, 30])
