@@ -12,10 +12,10 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from book_surfaces import script_of
 from matplotlib import colormaps
 from PIL import Image
 from playwright.sync_api import Browser, Page
-from surface_data import script_of
 
 from compendium.figures import surfaces
 from compendium.figures.data import FOLDER_VARIABLE

@@ -8,8 +8,8 @@ import re
 from pathlib import Path
 
 import pytest
-from rooms import imported
-from thesis_map import Item, find_items, read_map
+from book_map import Item, find_items, read_map
+from book_packages import imported
 
 from compendium import ledger
 

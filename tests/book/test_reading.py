@@ -8,10 +8,10 @@ from html import unescape
 from pathlib import Path
 
 import pytest
+from book_test_sources import line_of, place_of_test
+from book_verdicts import split
 from docutils import nodes
 from playwright.sync_api import Browser, Page
-from test_sources import line_of, place_of_test
-from thesis import split
 
 from compendium import ledger
 from tests.book.browsing import open_page
@@ -240,41 +240,6 @@ def test_no_line_of_the_text_is_lost_as_a_comment() -> None:
         prose = ("".join(one["source"]) for one in cells if one["cell_type"] == "markdown")
         texts[path.name] = "\n".join(prose)
     assert [name for name, text in texts.items() if re.search(r"^\s*%", text, re.M)] == []
-
-
-def test_every_formula_figure_source_and_claim_has_a_preview(html: Path) -> None:
-    found = script(html, "preview_data.js")
-    counts = {"equation": 63, "fig": 20, "claim": len(CLAIMS), "term": 40}
-    for name, least in counts.items():
-        assert sum(f"#{name}-" in key for key in found) >= least, name
-    sources = (html / "bibliography.html").read_text(encoding="utf-8").count('class="citation"')
-    assert sum(key.startswith("bibliography") for key in found) == sources
-    for key, preview in found.items():
-        page, _, anchor = key.partition("#")
-        assert f'id="{anchor}"' in (html / page).read_text(encoding="utf-8"), key
-        for image in re.findall(r'src="([^"]+)"', preview):
-            assert (html / image).exists(), key
-
-
-def test_a_link_shows_what_it_leads_to(page: Page, html: Path) -> None:
-    for name, link, seen in (
-        (CHAPTER, "a.mention", "mjx-container"),
-        ("", "a[href*='bibliography.html#']", "p"),
-        ("errata.html", "a[href*='claims.html#']", ":text('in the thesis')"),
-        ("summary.html", "a[href*='#number-table-5-1-square-4x-t-z']", ":text('Erratum')"),
-    ):
-        if name:
-            open_page(page, html / name)
-        page.locator(f"article {link}").first.hover()
-        page.wait_for_selector(f"#link-preview:not([hidden]) {seen}")
-        page.keyboard.press("Escape")
-        assert page.locator("#link-preview").is_hidden()
-        page.locator(f"article {link}").first.focus()
-        page.keyboard.press("Shift+Tab")
-        page.keyboard.press("Tab")  # the keyboard has one, too
-        page.wait_for_selector("#link-preview:not([hidden])")
-        page.keyboard.press("Escape")
-    assert page.faults == []  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("task", TASKS)

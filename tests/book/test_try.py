@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from book_try_page import render_stack
 from playwright.sync_api import Browser, Page
-from try_page import render_stack
 
 from microlib.curvature import hk_labels, surface_curvature
 from microlib.focus import depth_from_focus, sum_modified_laplacian

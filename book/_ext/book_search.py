@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import nbformat
+from book_map import HEADING, find_items, read_map
+from book_verdicts import printed, records
 from docutils import nodes
 from sphinx.application import Sphinx
-from thesis import printed, records
-from thesis_map import HEADING, find_items, read_map
 
 from compendium import ledger
 

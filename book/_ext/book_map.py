@@ -25,13 +25,13 @@ from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import nbformat
+from book_surfaces import script_of
+from book_tables import link, table
 from docutils import nodes
 from numpydoc.docscrape import NumpyDocString
 from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
-from surface_data import script_of
-from tables import link, table
 
 from compendium import ledger
 

@@ -14,12 +14,12 @@ from functools import cache
 from itertools import product
 
 import numpy as np
+from book_tables import raw_html
+from book_verdicts import records
 from docutils import nodes
 from numpy.typing import NDArray
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
-from tables import raw_html
-from thesis import records
 
 from compendium import ledger, thesis
 from compendium.experiments.membranes import EGG

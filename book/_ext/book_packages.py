@@ -8,10 +8,10 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
+from book_tables import link, table
 from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
-from tables import link, table
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import nbformat
+from book_tables import line, link, raw_html
 from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
-from tables import line, link, raw_html
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = ROOT / "build" / "notebooks"

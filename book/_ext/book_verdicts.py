@@ -24,13 +24,13 @@ from itertools import product
 from pathlib import Path
 from urllib.parse import urlencode
 
+from book_map import find_items
+from book_tables import line, link, raw_html, section, table
+from book_test_sources import place_of_proof, place_of_test
 from docutils import nodes
 from docutils.statemachine import StringList
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective, SphinxRole
-from tables import line, link, raw_html, section, table
-from test_sources import place_of_proof, place_of_test
-from thesis_map import find_items, read_map
 
 from compendium import ledger
 
@@ -332,43 +332,6 @@ class Errata(Listing):
 def to(text: str, page: str, anchor: str) -> str:
     """Return a link from a page at the top of the book, for its markup."""
     return f'<a class="internal" href="{page}.html#{nodes.make_id(anchor)}">{escape(text)}</a>'
-
-
-def preview_claims() -> dict[str, str]:
-    """Return what a link to a claim's row shows of it, by the row's anchor."""
-    return {
-        nodes.make_id(f"claim-{claim.id}"): f"<p>{escape(claim.what)}: {escape(printed(claim))} "
-        f"in the thesis; {escape(claim.label)}. {escape(claim.note or claim.says)}</p>"
-        for claim in ledger.claims().values()
-    }
-
-
-def preview_numbers(notebook: str) -> dict[str, str]:
-    """Return what a link to a recomputed number shows of it, by the anchor in its notebook."""
-    found = {}
-    for record in records().values():
-        if record.notebook == notebook:
-            lines = [f"<b>{escape(str(record))}</b>, as the cell that this leads to computes it"]
-            if claim := ledger.claims().get(record.id):
-                lines += about_claim(claim, record)
-            text = "".join(f"<p>{line}.</p>" for line in lines)
-            found[nodes.make_id(f"number-{record.id}")] = text
-    return found
-
-
-def about_claim(claim: ledger.Claim, record: ledger.Record) -> Iterator[str]:
-    """Yield what judges a recomputed number: printed, interval, rule, functions, errata."""
-    yield f"{escape(claim.what)}: {escape(printed(claim))} in the thesis"
-    if record.low < record.high:
-        yield f"Interval: {record.low:.5g} to {record.high:.5g} {claim.unit}".rstrip()
-    yield f"{claim.label.capitalize()}: {escape(claim.rule or 'not compared')}"
-    yield from (escape(text.rstrip(".")) for text in (claim.star, claim.note) if text)
-    item = read_map().get(claim.id.split("/")[0])
-    if item and item.functions:
-        yield f"In code: {', '.join(item.functions)}"
-    for entry in ledger.errata().values():
-        if claim.id in entry.get("claims", "").split():
-            yield f"Erratum: {escape(entry['title'])}"
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
