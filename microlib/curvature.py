@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from microlib._common import Array, Result, as_array, as_map, of_kind, scalar, whole
 
@@ -91,13 +90,6 @@ class Curvature(Result):
         )
 
 
-#: Micrometers, and the inverse of the least: heights and pixels between have curvatures and squares
-#: of them within the range of floating point.
-_FARTHEST = 1e12
-#: Largest window, px: the binomial weights are divided by 2 to its power, at most 2¹⁰²³.
-_LARGEST_WINDOW = 1001
-
-
 def curvature_windows(size: int = 7) -> Windows:
     """Return Besl's separable smoothing and derivative windows for a square of `size` pixels.
 
@@ -137,7 +129,7 @@ def curvature_windows(size: int = 7) -> Windows:
     >>> (42 * windows.second_derivative).round().astype(int).tolist()
     [5, 0, -3, -4, -3, 0, 5]
     """
-    n = whole("size", size, least=3, odd=True, most=_LARGEST_WINDOW)
+    n = whole("size", size, least=3, odd=True)
     t = np.arange(n, dtype=np.float64) - n // 2
     quadratic = t**2 - np.mean(t**2)
     return Windows(
@@ -205,10 +197,10 @@ def surface_curvature(
     >>> round(float(ball.mean[20, 20]), 4), round(float(ball.gaussian[20, 20]), 6)
     (-0.01, 0.0001)
     """
-    n = whole("size", size, least=3, odd=True, most=_LARGEST_WINDOW)
-    pitch = scalar("pixel_size", pixel_size, above=0, least=1 / _FARTHEST, most=_FARTHEST)
+    n = whole("size", size, least=3, odd=True)
+    pitch = scalar("pixel_size", pixel_size, above=0)
     sigma = np.nan if noise is None else scalar("noise", noise, least=0)
-    z = as_map("height", height, largest=_FARTHEST)
+    z = as_map("height", height)
     if min(z.shape) < 2 * n - 1:
         raise ValueError(f"height must be at least {2 * n - 1} px on each side, got {z.shape}")
 
@@ -342,18 +334,15 @@ def hk_labels(
 
 
 def _regions(labels: ArrayLike) -> tuple[NDArray[np.uint8], NDArray[np.intp]]:
-    """Check a label image and number its regions from 1; 0 where nothing is labeled."""
+    """Return checked labels of `hk_labels`, and the number of each pixel's region, 0 for none."""
+    from skimage.measure import label  # here, as it takes long to import
+
     given = as_array("labels", labels, shape=(None, None))
     wrong = (given < 0) | (given > 9) | (given != np.rint(given))
     if wrong.any():
         raise ValueError(f"labels must be 0 to 9 and whole numbers, got {given[wrong][0]:g}")
     types = given.astype(np.uint8)
-    regions, count = np.zeros(types.shape, np.intp), 0
-    for kind in np.unique(types[types > 0]):
-        more, own = cv2.connectedComponents((types == kind).astype(np.uint8), connectivity=4)
-        regions[own > 0] = own[own > 0] + count
-        count += more - 1
-    return types, regions
+    return types, label(types, background=0, connectivity=1)
 
 
 def clean_labels(labels: ArrayLike, smallest: int) -> NDArray[np.uint8]:
@@ -382,14 +371,14 @@ def clean_labels(labels: ArrayLike, smallest: int) -> NDArray[np.uint8]:
     >>> clean_labels([[5, 5, 5], [5, 2, 5], [5, 5, 5]], smallest=2).tolist()
     [[5, 5, 5], [5, 5, 5], [5, 5, 5]]
     """
+    from skimage.segmentation import expand_labels  # here, as it takes long to import
+
     types, regions = _regions(labels)
-    area = np.bincount(regions.ravel())
-    small = (area < whole("smallest", smallest, least=1))[regions] & (types > 0)
-    anchor = ~small & (types > 0)
-    if not anchor.any():
+    least = whole("smallest", smallest, least=1)
+    kept = np.where(np.bincount(regions.ravel())[regions] >= least, types, 0)
+    if not kept.any():
         return types
-    nearest = ndimage.distance_transform_edt(~anchor, return_distances=False, return_indices=True)
-    return np.where(small, types[tuple(nearest)], types)
+    return np.where(types > 0, expand_labels(kept, distance=types.size), 0).astype(np.uint8)
 
 
 def region_table(labels: ArrayLike, curvature: Curvature) -> pd.DataFrame:
@@ -431,26 +420,21 @@ def region_table(labels: ArrayLike, curvature: Curvature) -> pd.DataFrame:
         raise ValueError(
             f"labels must have the curvature's shape {curvature.mean.shape}, got {types.shape}"
         )
-    import pandas as pd  # here, for it takes a third of the time that importing a subject takes
+    import pandas as pd  # here, as they take long to import
+    from skimage.measure import regionprops_table
 
-    rows, cols = np.nonzero(regions)
-    pixels = pd.DataFrame(
+    fields = np.stack([types, curvature.mean, curvature.gaussian], axis=-1)
+    found = regionprops_table(regions, fields, properties=("intensity_mean", "area", "centroid"))
+    label = found["intensity_mean-0"].astype(int)
+    table = pd.DataFrame(
         {
-            "region": regions[rows, cols],
-            "label": types[rows, cols],
-            "mean": curvature.mean[rows, cols],
-            "gaussian": curvature.gaussian[rows, cols],
-            "x": cols,
-            "y": rows,
+            "label": label,
+            "name": [HK_NAMES[kind] for kind in label],
+            "area": found["area"].astype(int),
+            "mean": found["intensity_mean-1"],
+            "gaussian": found["intensity_mean-2"],
+            "x": found["centroid-1"],
+            "y": found["centroid-0"],
         }
     )
-    table = pixels.groupby("region").agg(
-        label=("label", "first"),
-        area=("label", "size"),
-        mean=("mean", "mean"),
-        gaussian=("gaussian", "mean"),
-        x=("x", "mean"),
-        y=("y", "mean"),
-    )
-    table.insert(1, "name", table["label"].map(HK_NAMES))
-    return table.sort_values("area", ascending=False, kind="stable").reset_index(drop=True)
+    return table.sort_values("area", ascending=False, kind="stable", ignore_index=True)
