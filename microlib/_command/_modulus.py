@@ -65,7 +65,7 @@ def _estimate(values: dict[str, float], stds: dict[str, float]) -> tuple[str, di
     """Return the modulus of a dimple, in words and in numbers."""
     from microlib import membrane
 
-    modulus = membrane.elastic_modulus(**values)
+    modulus = float(membrane.elastic_modulus(**values))
     finite = float(membrane.finite_slope_modulus(**values))
     samples = membrane.modulus_samples(values, stds, size=100_000, rng=1)
     low, high = np.quantile(samples, [0.025, 0.975]).tolist()

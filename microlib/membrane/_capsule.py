@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,10 +18,8 @@ from microlib.membrane._laws import Law, law_of
 from microlib.membrane._point_load import warn_of_units
 from microlib.membrane._solver import Guess, MembraneState, Problem, Strip, in_units, strip_of
 
+#: Volume of a capsule of unit radius.
 _SPHERE = 4 * np.pi / 3
-#: Of a probe or a flattened spot, in radii: π less the arc of its edge is rounded to 4e-16, a
-#: hundred-thousandth of the least one, which is what the checks of a solution accept.
-_LEAST_WIDTH = 4e-11
 
 
 class _Unknowns(NamedTuple):
@@ -72,7 +71,6 @@ class _Capsule(Problem):
 
     law: Law
     probe: float
-    tension: float  # size of the tension
     inflation: float | None = None
     force: float | None = None
     rim: float = np.nan
@@ -86,11 +84,12 @@ class _Capsule(Problem):
     # The first: enough to see whether the middle of the plate is slack.
     rough = 1e-3
 
-    @property
-    def said(self) -> str:
-        if self.force is None:
-            return f" for a rim of {self.rim:.3g} R and a depth of {self.depth:.3g} R"
-        return f" at {self.force * self.unit:.4g} µN and inflation {self.inflation:.4g}"
+    @cached_property
+    def tension(self) -> float:
+        """Size of the tension."""
+        if self.force is None or self.inflation is None:
+            return 0.05
+        return max(self.law.even_stress(self.inflation) / self.inflation, 0.1 * self.force**0.8)
 
     @property
     def edge(self) -> float:
@@ -180,11 +179,6 @@ class _Capsule(Problem):
         tension = self.law.even_stress(inflation) / inflation
         pressure = 2 * tension
         rim = self.rim if self.force is None else np.sqrt(self.force / (np.pi * pressure))
-        if not rim > _LEAST_WIDTH:
-            raise ValueError(
-                "force must be zero or flatten a spot that rounding does not hide, got one that "
-                f"flattens {rim:.2g} R{self.said}"
-            )
         if self.force is not None:
             rim = min(rim, 3 / 4)
         rim = min(max(rim, 1.2 * self.probe), 0.95)
@@ -262,7 +256,7 @@ class _Capsule(Problem):
         if self.force is None or self.inflation is None:
             return
         for force in np.geomspace(0.03, self.force, 14):
-            yield replace(_problem(self.law, self.probe, force, self.inflation), unit=self.unit)
+            yield replace(self, force=force, slack=False)
 
     def after(self, solved: _Capsule, solution: Any) -> tuple[_Capsule, Guess]:
         """Return this problem and its guess from another's solution, whose tension differs."""
@@ -270,14 +264,6 @@ class _Capsule(Problem):
         parts = [part._replace(pull=scale * part.pull) for part in _parts(solution.y)]
         y = np.array([row for part in parts for row in part])
         return replace(self, slack=solved.slack), (solution.x, y, solution.p)
-
-    def even(self, solution: Any) -> list[tuple[float, float]]:
-        """Below the probe, and in the middle of the plate where that is not slack."""
-        u = self.unpack(solution.p)
-        found = [(np.pi - self.edge, u.inflation)]
-        if not self.slack:
-            found.append((u.core, float(solution.y[0, 0] * u.inflation / np.sin(u.core))))
-        return [(2 * np.pi * (1 - np.cos(arc)) / u.inflation**2, by) for arc, by in found]
 
 
 #: A problem and SciPy's solution of it.
@@ -344,7 +330,7 @@ def indent_capsule(
         that end above the plate (µm); `rim_radius` of the crest and of the contact on the plate,
         which are equal (µm); the meridian `r`, `z` from the probe to the middle of the plate (µm),
         with `stretches` and nominal `stresses` (MPa) along it and around the axis, (2, N) each;
-        `pressure` above that outside (MPa); elastic `energy` (pJ); `volume` (µm³).
+        `pressure` above that outside (MPa).
 
     Raises
     ------
@@ -401,12 +387,8 @@ def indent_capsule(
     return indent_near(None, force, modulus, inflation, wall)[0]
 
 
-#: radius, thickness, probe_half_width, poisson_ratio and law of a capsule.
-Wall = tuple[float, float, float, float, str]
-
-
 def indent_near(
-    near: Solved | None, force: float, modulus: float, inflation: float, wall: Wall
+    near: Solved | None, force: float, modulus: float, inflation: float, wall: tuple[Any, ...]
 ) -> tuple[MembraneState, Solved | None]:
     """Return the state of `indent_capsule`, and what the search for one nearby can start from."""
     load = scalar("force", force, least=0)
@@ -418,11 +400,9 @@ def indent_near(
         angle = np.linspace(0.0, np.pi, 161)
         stress, same = material.even_stress(stretch), np.ones((2, angle.size))
         sphere = np.vstack([np.sin(angle), 1 + np.cos(angle), stretch * same, stress * same])
-        sizes = {"pressure": 2 * stress / stretch, "volume": _SPHERE}
-        sizes["energy"] = 4 * np.pi * material.even_energy(stretch) / stretch**2
-        return in_units(sphere, stiffness, h, r0, sizes), None
+        return in_units(sphere, stiffness, h, r0, pressure=2 * stress / stretch), None
     unit = stiffness * h * r0
-    problem = replace(_problem(material, c / r0, load / unit, stretch), unit=unit)
+    problem = _Capsule(material, c / r0, inflation=stretch, force=load / unit, unit=unit)
     problem, solution = _solve(problem, near)
     return _state(problem, solution, stiffness, r0, h), (problem, solution)
 
@@ -489,9 +469,7 @@ def capsule_modulus(
         raise ValueError(
             f"rim_radius must lie between probe_half_width {c:g} and radius {r0:g}, got {a:g}"
         )
-    if deep >= 2 * r0:
-        raise ValueError(f"depth must be below the capsule's height {2 * r0:g}, got {deep:g}")
-    problem = _Capsule(material, c / r0, tension=0.05, rim=a / r0, depth=deep / r0)
+    problem = _Capsule(material, c / r0, rim=a / r0, depth=deep / r0)
     try:
         problem, solution = _solve(problem)
     except ValueError as reason:
@@ -510,21 +488,12 @@ def capsule_modulus(
     return CapsuleModulus(found, float(u.inflation), _state(problem, solution, found, r0, h))
 
 
-def _checked(wall: Wall) -> tuple[float, float, float, Law]:
+def _checked(wall: tuple[Any, ...]) -> tuple[float, float, float, Law]:
     """Return radius, thickness, probe_half_width and the law."""
     radius, thickness, probe_half_width, poisson_ratio, law = wall
-    # Beyond, products of sizes leave the range of numbers.
-    most = 1e12
-    r0 = scalar("radius", radius, above=0, most=most)
-    h = scalar("thickness", thickness, above=0, most=most)
-    c = scalar("probe_half_width", probe_half_width, within=(_LEAST_WIDTH * r0, r0))
+    r0, h = scalar("radius", radius, above=0), scalar("thickness", thickness, above=0)
+    c = scalar("probe_half_width", probe_half_width, within=(0.0, r0))
     return r0, h, c, law_of(law, poisson_ratio)
-
-
-def _problem(law: Law, probe: float, force: float, inflation: float) -> _Capsule:
-    start = law.even_stress(inflation) / inflation
-    tension = max(start, 0.1 * force**0.8)
-    return _Capsule(law, probe, tension, inflation=inflation, force=force)
 
 
 def _solve(problem: _Capsule, near: Solved | None = None) -> Solved:
@@ -556,7 +525,7 @@ def _solve(problem: _Capsule, near: Solved | None = None) -> Solved:
         "leave a wall between the plate's contact and the dimple, got one that swallows it": apart,
     }.items():
         if not fine:
-            raise ValueError(f"force must {wanted}{solved.said}")
+            raise ValueError(f"force must {wanted}")
     return solved, solution
 
 
@@ -567,7 +536,7 @@ def _state(
     # The middle of the plate lies in no zone.
     middle = np.array([0.0, 0.0, np.nan, np.nan, 0.0, 0.0])
     if not problem.slack:
-        middle[2:4] = stretch = problem.even(solution)[-1][1]
+        middle[2:4] = stretch = solution.y[0, 0] * u.inflation / np.sin(u.core)
         middle[4:] = problem.law.even_stress(stretch)
     # From the probe's edge to the plate's middle; zones share their ends.
     zones = [zone[:, ::-1] for zone in reversed(problem.meridian(solution))]
@@ -575,5 +544,5 @@ def _state(
     again = np.flatnonzero(np.hypot(*np.diff(meridian[:2])) < 1e-12) + 1  # but for rounding
     dimple = _parts(solution.y)[2]
     sizes = {"depth": dimple.z[0] - dimple.z[-1], "approach": 2 - dimple.z[-1]}
-    sizes |= {"rim_radius": u.rim, "pressure": u.pressure, **problem.stored(solution)}
-    return in_units(np.delete(meridian, again, axis=1), modulus, h, radius, sizes)
+    sizes |= {"rim_radius": u.rim, "pressure": u.pressure}
+    return in_units(np.delete(meridian, again, axis=1), modulus, h, radius, **sizes)

@@ -15,10 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from microlib._common import poisson, scalar
-
-#: Nodes and weights over the profile. 200 and 400 give the same modulus to 1e-13, to 2e-11 where
-#: the membrane stands nearly upright, and 100 to 5e-10 there.
-_GAUSS = np.polynomial.legendre.leggauss(200)
+from microlib.membrane._point_load import GAUSS
 
 
 def steepest_depth(dimple_radius: float, *, probe_half_width: float) -> float:
@@ -105,13 +102,8 @@ def finite_slope_modulus(
     nu = poisson(poisson_ratio)
     if depth > _depth(1.0, a, c):
         return float("nan")
-    least = 1e-9  # sine at the probe, of a dimple a billion times shallower than the steepest
-    if depth < _depth(least, a, c):
-        raise ValueError(
-            f"dimple_depth must be at least a billionth of the steepest, got {depth:g} µm"
-        )
     # The sine at the probe stands for k: it runs over (0, 1].
-    steepest = brentq(lambda sine: _depth(sine, a, c) - depth, least, 1.0, xtol=np.finfo(float).eps)
+    steepest = brentq(lambda sine: _depth(sine, a, c) - depth, 0.0, 1.0, xtol=np.finfo(float).eps)
     stress = load * (1 / c - c / a**2) / (2 * np.pi * steepest * h)
     r, dr, sine = _profile(steepest, a, c)
     cosine = np.sqrt((1 - sine) * (1 + sine))
@@ -129,7 +121,7 @@ def _geometry(dimple_radius: float, probe_half_width: float) -> tuple[float, flo
 def _profile(steepest: float, a: float, c: float) -> tuple[NDArray, NDArray, NDArray]:
     """Return radii, quadrature weights and sin θ; `steepest` is the sine at the probe."""
     # r = c + (a − c) t² takes the root singularity of an upright membrane out of the integrand.
-    nodes, weights = _GAUSS
+    nodes, weights = GAUSS
     t = (nodes + 1) / 2
     r = c + (a - c) * t**2
     sine = steepest * (1 / r - r / a**2) / (1 / c - c / a**2)

@@ -1,9 +1,9 @@
-r"""The laws of a stretched membrane: energy, tensions, and the stretch that bears a given tension.
+r"""The laws of a stretched membrane: tensions, and the stretch that bears a given tension.
 
 A law is a strain energy :math:`W(\lambda_1, \lambda_2)` per undeformed volume, of the stretches
 along the meridian and around the axis. Its derivatives :math:`N_i = \partial W/\partial\lambda_i`
-are nominal stresses: force per undeformed section. All are taken for a modulus of 1; stresses and
-energies grow in proportion to it.
+are nominal stresses: force per undeformed section. All are taken for a modulus of 1; stresses grow
+in proportion to it.
 
 A membrane too thin to bear compression wrinkles instead, which tension-field theory describes by
 the *relaxed* energy: where the hoop stress would be negative, it is zero, and the meridian bears
@@ -18,23 +18,18 @@ import numpy as np
 
 from microlib._common import Array, one_of, poisson
 
-#: The laws by name.
-LAWS = ("hooke", "neo-hooke", "mooney-rivlin")
-
 #: C₂/C₁ of the Mooney–Rivlin law: an assumption, one value between rubber-like and stiffening.
 MOONEY_RATIO = 0.2
 
 
 class Law:
-    """A membrane's energy for a modulus of 1, wrinkles included.
+    """A membrane's stresses for a modulus of 1.
 
-    `energy` is the relaxed energy per undeformed volume; `stress` the nominal stresses of two
-    stretches, before any wrinkling; `strip` that of one that contracts freely across; `meridian`
-    the meridian's stretch under a nominal stress and the hoop stress, relaxed.
+    `stress` gives the nominal stresses of two stretches, before any wrinkling; `strip` that of one
+    that contracts freely across; `meridian` the meridian's stretch under a nominal stress and the
+    hoop stress, wrinkles included.
     """
 
-    poisson_ratio: float
-    energy: Callable[[Array, Array], Array]
     stress: Callable[[Array, Array], tuple[Array, Array]]
     strip: Callable[[Array], Array]
     meridian: Callable[[Array, Array], tuple[Array, Array]]
@@ -42,10 +37,6 @@ class Law:
     def even_stress(self, stretch: float) -> float:
         """Return the nominal stress of a stretch that is the same in all directions."""
         return float(self.stress(np.array(stretch), np.array(stretch))[0])
-
-    def even_energy(self, stretch: float) -> float:
-        """Return the energy of a stretch that is the same in all directions."""
-        return float(self.energy(np.array(stretch), np.array(stretch)))
 
     def relaxed_stress(self, first: Array, second: Array) -> tuple[Array, Array]:
         """Return the nominal stresses of two stretches, with wrinkles in place of compression."""
@@ -68,12 +59,6 @@ class Hooke(Law):
     def __init__(self, poisson_ratio: float) -> None:
         self.poisson_ratio = poisson_ratio
         self._plane = 1 - poisson_ratio**2
-
-    def energy(self, first: Array, second: Array) -> Array:
-        along, across = self.stress(first, second)
-        both = (along * (first - 1) + across * (second - 1)) / 2
-        strip = np.maximum(np.maximum(first, second) - 1, 0.0) ** 2 / 2
-        return np.where((along >= 0) & (across >= 0), both, strip)
 
     def stress(self, first: Array, second: Array) -> tuple[Array, Array]:
         e1, e2 = first - 1, second - 1
@@ -100,25 +85,9 @@ class MooneyRivlin(Law):
     (\lambda_1\lambda_2)^2` and :math:`C_1 + C_2 = 1/6`, the modulus 1 at small strain.
     """
 
-    poisson_ratio = 0.5
-
     def __init__(self, ratio: float) -> None:
         self.first_constant = 1 / (6 * (1 + ratio))
         self.second_constant = ratio * self.first_constant
-
-    def energy(self, first: Array, second: Array) -> Array:
-        large, small = np.maximum(first, second), np.minimum(first, second)
-        strip = np.maximum(large, 1.0)
-        natural = strip**-0.5
-        # A slack membrane has no energy: both stretches come out as 1.
-        wrinkled = small < natural
-        l1 = np.where(wrinkled, strip, large)
-        l2 = np.where(wrinkled, natural, small)
-        e1, e2, e3 = l1 - 1, l2 - 1, 1 / (l1 * l2) - 1
-        # Σ(λ² − 1) in strains, which cancels less than λ² − 1 itself.
-        one = e1 * (2 + e1) + e2 * (2 + e2) + e3 * (2 + e3)
-        two = l1**-2.0 + l2**-2.0 + (l1 * l2) ** 2 - 3
-        return self.first_constant * one + self.second_constant * two
 
     def stress(self, first: Array, second: Array) -> tuple[Array, Array]:
         return (
@@ -176,7 +145,7 @@ def _solve_biaxial(ratio: Array, hoop: Array) -> Array:
 
 def law_of(name: str, poisson_ratio: float) -> Law:
     """Return the law called `name`, or refuse a Poisson ratio that it cannot have."""
-    law = one_of("law", name, LAWS)
+    law = one_of("law", name, ("hooke", "neo-hooke", "mooney-rivlin"))
     nu = poisson(poisson_ratio)
     if law == "hooke":
         return Hooke(nu)

@@ -11,35 +11,16 @@ Lengths are in µm and forces in µN, so moduli and stresses are in µN/µm² = 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
-from typing import Any, ParamSpec, Protocol, cast, overload
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, as_array, flag, poisson, positive
+from microlib._common import MEASURED, Array, as_array, flag, poisson, positive
 
-#: Of the exact strain. 32 or 128 nodes give the same to 1e-14 for w_d/a up to 1 and ζ from 0.01 on.
-_GAUSS = np.polynomial.legendre.leggauss(64)
-#: MPa: 10 Pa is the softest of gels, and steel has 2e5.
-_SOFTEST, _STIFFEST = 1e-5, 2e5
-
-
-Given = ParamSpec("Given")
-
-
-class Formula(Protocol[Given]):
-    """A function that returns a number for numbers, and else an array; see `elementwise`."""
-
-    @overload
-    def __call__(self, *args: float, **kwargs: float) -> float: ...  # type: ignore[overload-overlap]
-    @overload
-    def __call__(self, *args: Given.args, **kwargs: Given.kwargs) -> Array: ...
-
-
-def elementwise(formula: Callable[Given, Array]) -> Formula[Given]:
-    """Return a formula as it is; to a type checker it returns a float where all arguments are."""
-    return cast(Any, formula)
+#: Nodes and weights over a profile. 400 give the same strain and modulus to 1e-13, and to 2e-11
+#: where the membrane stands nearly upright, for w_d/a up to 1 and ζ from 0.01 on.
+GAUSS = np.polynomial.legendre.leggauss(200)
 
 
 class SmallSlopeWarning(UserWarning):
@@ -57,7 +38,6 @@ class SmallSlopeWarning(UserWarning):
     limit = 0.1  # there finite_slope_modulus is 1.05 times elastic_modulus at c/a = 0.1 (tests)
 
 
-@elementwise
 def elastic_modulus(
     force: ArrayLike,
     dimple_radius: ArrayLike,
@@ -140,7 +120,6 @@ def elastic_modulus(
     return modulus
 
 
-@elementwise
 def indentation_force(
     modulus: ArrayLike,
     dimple_radius: ArrayLike,
@@ -192,7 +171,6 @@ def indentation_force(
     return values["modulus"] * force_per_modulus(values)
 
 
-@elementwise
 def dimple_depth(
     force: ArrayLike,
     dimple_radius: ArrayLike,
@@ -251,7 +229,6 @@ def dimple_depth(
     return depth
 
 
-@elementwise
 def dimple_profile(
     radius: ArrayLike,
     dimple_radius: ArrayLike,
@@ -301,7 +278,6 @@ def dimple_profile(
     return values["dimple_depth"] * log_remainder(r / a, 2) / log_remainder(c / a, 2)
 
 
-@elementwise
 def membrane_stress(
     force: ArrayLike,
     dimple_radius: ArrayLike,
@@ -345,7 +321,6 @@ def membrane_stress(
     return -scale * log_remainder(zeta, 2)
 
 
-@elementwise
 def mean_strain(
     dimple_radius: ArrayLike,
     dimple_depth: ArrayLike,
@@ -403,7 +378,7 @@ def mean_strain(
         shape = log_remainder(zeta, 3) / (annulus(zeta) * log_remainder(zeta, 2) ** 2)
         return -(steepness**2) * shape
     # ρ = r/a runs over [ζ, 1] as ζ^t, t in [0, 1]; dρ = ln ζ · ρ dt.
-    nodes, weights = _GAUSS
+    nodes, weights = GAUSS
     rho = zeta[..., np.newaxis] ** ((nodes + 1) / 2)
     slope = 2 * steepness[..., np.newaxis] * (1 / rho - rho)
     slope = slope / log_remainder(zeta, 2)[..., np.newaxis]
@@ -459,11 +434,7 @@ def checked(
     values["poisson_ratio"] = ratio = as_array("poisson_ratio", poisson_ratio)
     poisson(ratio.min())
     poisson(ratio.max())
-    try:
-        np.broadcast_shapes(*(array.shape for array in values.values()))
-    except ValueError:
-        shapes = ", ".join(f"{name} {array.shape}" for name, array in values.items())
-        raise ValueError(f"the arguments' shapes must broadcast together, got {shapes}") from None
+    np.broadcast_shapes(*(array.shape for array in values.values()))  # raises a ValueError itself
     c, a = np.broadcast_arrays(values["probe_half_width"], values["dimple_radius"])
     if (c >= a).any():
         worst = np.argmax(c / a)
@@ -477,8 +448,9 @@ def checked(
 def warn_of_units(modulus: ArrayLike) -> None:
     """Warn of a modulus that no membrane has, as lengths in mm or m or forces in N give it."""
     low, high = np.min(modulus), np.max(modulus)
-    if low < _SOFTEST or high > _STIFFEST:
-        odd = high if high > _STIFFEST else low
+    softest, stiffest = MEASURED["MPa"]
+    if low < softest or high > stiffest:
+        odd = high if high > stiffest else low
         warnings.warn(
             f"a modulus of {odd:.3g} MPa is that of no membrane: are all lengths in µm and forces "
             "in µN?",

@@ -55,13 +55,11 @@ class Problem:
     law: Law
     tolerance: float
     most_nodes: int
-    said: Any  # the load, for messages
     strips: Callable[..., list[Strip]]  # the parts of the meridian that a state is
     rates: Callable[[Array, Array], list[tuple[Any, Any]]]  # of r and z over x, by the state's
     slopes: Callable[..., Array]  # right-hand side of the equilibrium
     edges: Callable[..., Array]  # residual at the ends
     jacobian: Any = None  # of the slopes, where differences are too slow
-    even: Callable[[Any], list[tuple[float, float]]]  # area, stretch of what lies in no strip
     guess: Callable[[], Guess]
     stages: Callable[[], Iterator[Any]]
 
@@ -86,7 +84,7 @@ class Problem:
         if solution is None:
             return None
         with np.errstate(all="ignore"):
-            return (self, solution) if self.integrals(solution)[2] < _ACCEPTED else None
+            return (self, solution) if self.imbalance(solution) < _ACCEPTED else None
 
     def find(self) -> tuple[Any, Any]:
         """Return a solved problem and its solution, by growing loads where the guess is too far."""
@@ -98,7 +96,7 @@ class Problem:
                 if found is None:
                     break
         if found is None:
-            raise ValueError(f"force must have an equilibrium, none was found{self.said}")
+            raise ValueError("force must have an equilibrium, none was found")
         return found
 
     def stressed(self, strip: Strip) -> tuple[Array, Array]:
@@ -112,8 +110,8 @@ class Problem:
         swept = strip.pressure * strip.r * rise
         return outward * strip.rate, rise * strip.rate, (hoop - swept) * strip.rate
 
-    def integrals(self, solution: Any) -> tuple[float, float, float]:
-        """Return energy, volume below the meridian, and the imbalance of virtual work, relative.
+    def imbalance(self, solution: Any) -> float:
+        """Return the relative imbalance of virtual work.
 
         When the whole shape swells, stresses do the work ∫(N₁λ₁ + N₂λ₂) ρ ds, the tensions at the
         ends H r + V z, and the pressure p ∫ r (r dz − z dr); all a radian.
@@ -123,29 +121,19 @@ class Problem:
         half = np.diff(solution.x)[:, np.newaxis] / 2
         x, weight = (solution.x[:-1, np.newaxis] + half + half * nodes).ravel(), half * weights
         weight = weight.ravel()
-        energy = volume = inside = outside = 0.0
+        inside = outside = 0.0
         strips = self.strips(x, solution.sol(x), solution.p)
         for strip, (r_rate, z_rate) in zip(strips, self.rates(x, solution.sol(x, 1)), strict=True):
             first = np.hypot(r_rate / strip.rate, z_rate / strip.rate)
             second = strip.r / strip.rho
             along, across = self.law.relaxed_stress(first, second)
-            area = strip.rho * strip.rate * weight
-            inside += float((along * first + across * second) @ area)
-            energy += float(self.law.energy(first, second) @ area)
-            volume += float(strip.r**2 * z_rate @ weight)
+            inside += float((along * first + across * second) @ (strip.rho * strip.rate * weight))
             pushed = strip.r * (strip.r * z_rate - strip.z * r_rate)
             outside += strip.pressure * float(pushed @ weight)
         for strip in self.strips(solution.x[[0, -1]], solution.y[:, [0, -1]], solution.p):
             lever = strip.cosine * strip.r + strip.sine * strip.z
             outside += float(np.diff(strip.tension * lever)[0])
-        imbalance = abs(inside - outside) / inside if inside else abs(outside)
-        return 2 * np.pi * energy, np.pi * volume, imbalance
-
-    def stored(self, solution: Any) -> dict[str, float]:
-        """Return energy and volume."""
-        energy, volume, _ = self.integrals(solution)
-        energy += sum(area * self.law.even_energy(by) for area, by in self.even(solution))
-        return {"energy": energy, "volume": volume}
+        return abs(inside - outside) / inside if inside else abs(outside)
 
     def meridian(self, solution: Any) -> list[Array]:
         """Return r, z, stretches and stresses at the nodes of each strip, (6, n) each."""
@@ -181,10 +169,6 @@ class MembraneState(Tidy):
         the axis where the membrane is wrinkled.
     pressure : float
         Pressure below the disc, or inside the capsule above that outside, in MPa.
-    energy : float
-        Elastic energy stored since the membrane was free of stress, in pJ (µN·µm).
-    volume : float
-        Volume between a disc and its rim's plane, or inside the capsule, in µm³.
 
     Notes
     -----
@@ -201,24 +185,27 @@ class MembraneState(Tidy):
     stretches: Array
     stresses: Array
     pressure: float
-    energy: float
-    volume: float
 
 
 def in_units(
-    meridian: Array, modulus: float, thickness: float, length: float, sizes: dict[str, float]
+    meridian: Array,
+    modulus: float,
+    thickness: float,
+    length: float,
+    *,
+    pressure: float,
+    depth: float = 0.0,
+    approach: float = 0.0,
+    rim_radius: float = 0.0,
 ) -> MembraneState:
-    """Return a state from r, z, stretches and stresses, and what is not zero, without units."""
-    by = {
-        **dict.fromkeys(("depth", "approach", "rim_radius"), length),
-        "pressure": modulus * thickness / length,
-        "energy": modulus * thickness * length**2,
-        "volume": length**3,
-    }
+    """Return a state from r, z, stretches, stresses and sizes without units."""
     return MembraneState(
+        depth=float(depth * length),
+        approach=float(approach * length),
+        rim_radius=float(rim_radius * length),
+        pressure=float(pressure * modulus * thickness / length),
         r=meridian[0] * length,
         z=meridian[1] * length,
         stretches=meridian[2:4],
         stresses=meridian[4:] * modulus,
-        **{name: float(sizes.get(name, 0.0) * unit) for name, unit in by.items()},
     )

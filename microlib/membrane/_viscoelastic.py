@@ -84,8 +84,6 @@ def viscoelastic_force(
     for k in range(1, t.size):
         x = (t[k] - t[k - 1]) / tau
         change = (elastic[..., k] - elastic[..., k - 1])[..., np.newaxis]
-        # (1 − e^(−x))/x is 1 for a relaxation slower than any number tells.
-        rise = np.divide(-np.expm1(-x), x, out=np.ones_like(x), where=x > 0)
-        held = np.exp(-x) * held + share * change * rise
+        held = np.exp(-x) * held - share * change * np.expm1(-x) / x
         force[..., k] = (1 - share.sum()) * elastic[..., k] + held.sum(axis=-1)
     return force

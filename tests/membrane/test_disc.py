@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 
 from microlib.membrane import elastic_modulus
 from microlib.membrane._disc import disc_modulus, indent_disc
+from microlib.membrane._solver import MembraneState
+from tests.membrane.energy import stored
 
 A, H, C, F = 246.95, 3.0, 25.0, 197.24
 DISC: dict[str, Any] = {"radius": A, "thickness": H, "probe_half_width": C}
@@ -59,10 +62,21 @@ def test_modulus_over_that_of_the_thesis(
     ],
 )
 def test_the_work_of_force_and_pressure_is_the_energy(kw: dict[str, Any]) -> None:
-    less, more = (indent_disc(f, modulus=1.0, **DISC, **kw) for f in (0.999 * F, 1.001 * F))
+    less, more = states = [indent_disc(k * F, modulus=1.0, **DISC, **kw) for k in (0.98, 1.02)]
+    energies, volumes = ([of(state) for state in states] for of in (energy_of(kw), volume_of))
     p = (less.pressure + more.pressure) / 2
-    work = F * (more.depth - less.depth) - p * (more.volume - less.volume)
-    assert more.energy - less.energy == pytest.approx(work, rel=1e-4)
+    work = F * (more.depth - less.depth) - p * (volumes[1] - volumes[0])
+    # The trapezoids' second differences over 4 % of the force.
+    assert energies[1] - energies[0] == pytest.approx(work, rel=3e-4)
+
+
+def energy_of(kw: dict[str, Any]) -> Callable[[MembraneState], float]:
+    return lambda state: stored(state, kw.get("law", "neo-hooke"), 1.0, H)
+
+
+def volume_of(state: MembraneState) -> float:
+    """Between the disc and its rim's plane, that below the probe included."""
+    return -np.trapezoid(2 * np.pi * state.r * state.z, state.r) + np.pi * C**2 * state.depth
 
 
 def test_state_is_consistent() -> None:
@@ -81,8 +95,6 @@ def test_state_is_consistent() -> None:
     steep = np.gradient(state.z, state.r, edge_order=2)[0]
     lift = 2 * np.pi * r / state.stretches[1, 0] * along * np.sin(np.arctan(steep))
     assert lift == pytest.approx(F - state.pressure * np.pi * C**2, rel=2e-3)
-    volume = -np.trapezoid(2 * np.pi * state.r * state.z, state.r) + np.pi * C**2 * state.depth
-    assert state.volume == pytest.approx(volume, rel=1e-4)
 
 
 def test_a_drawn_in_rim_and_pretension_are_different_things() -> None:
@@ -93,18 +105,6 @@ def test_a_drawn_in_rim_and_pretension_are_different_things() -> None:
     small = indent_disc(1e-4, modulus=1.0, pretension=0.1, pressure=0, **DISC).depth
     tension = H * (1 - 1.1**-6) / 3
     assert small == pytest.approx(1e-4 * np.log(A / C) / (2 * np.pi * tension), rel=1e-3)
-
-
-def test_no_force() -> None:
-    flat = indent_disc(0.0, modulus=1.0, **DISC)
-    assert flat.depth == flat.energy == flat.volume == flat.pressure == 0
-    assert not flat.z.any()
-    tight = indent_disc(0.0, modulus=1.0, pretension=0.1, **DISC)
-    assert tight.depth == pytest.approx(0, abs=1e-9)
-    np.testing.assert_allclose(tight.stretches, 1.1, rtol=1e-9)
-    # An equibiaxial stretch of the whole disc, that on the probe included.
-    stored = (1.1**2 * 2 + 1.1**-4 - 3) / 6 * H * np.pi * (A / 1.1) ** 2
-    assert tight.energy == pytest.approx(stored, rel=1e-9)
 
 
 def test_a_wrinkled_disc_bears_no_compression() -> None:
@@ -126,10 +126,6 @@ def test_a_dimple_near_the_deepest_is_found() -> None:
     assert indent_disc(197.24, modulus=got, radius=254.8, **settings).depth == pytest.approx(121.2)
 
 
-def test_a_slack_disc_needs_a_force_and_has_a_least_depth() -> None:
-    with pytest.raises(ValueError, match="force must be positive where rim_inset"):
-        indent_disc(0.0, modulus=1.0, rim_inset=0.1, **DISC)
-    with pytest.raises(ValueError, match="probe_half_width must leave a membrane to its rim"):
-        indent_disc(F, modulus=1.0, **DISC | {"probe_half_width": 0.992 * A})
+def test_a_slack_disc_has_a_least_depth() -> None:
     with pytest.raises(ValueError, match="depth must be"):
         disc_modulus(F, A, 20.0, thickness=H, probe_half_width=C, rim_inset=0.1)

@@ -4,26 +4,34 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from microlib.membrane._laws import LAWS, MOONEY_RATIO, law_of
+from microlib.membrane._laws import law_of
+from tests.membrane.energy import density
 
 RATIOS = {"hooke": 0.3, "neo-hooke": 0.5, "mooney-rivlin": 0.5}
 STRETCHES = np.random.default_rng(0).uniform([1.0, 0.8], [3.0, 2.0], (300, 2)).T
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", RATIOS)
 def test_stresses_are_the_slopes_of_the_relaxed_energy(name: str) -> None:
     law = law_of(name, RATIOS[name])
     first, second = STRETCHES
     step = 1e-6
-    along = (law.energy(first + step, second) - law.energy(first - step, second)) / (2 * step)
-    across = (law.energy(first, second + step) - law.energy(first, second - step)) / (2 * step)
+
+    def slope(way: list[list[float]]) -> NDArray:
+        up, down = (
+            density(name, STRETCHES + by * np.array(way), RATIOS[name]) for by in (step, -step)
+        )
+        return (up - down) / (2 * step)
+
+    along, across = slope([[1.0], [0.0]]), slope([[0.0], [1.0]])
     got = law.relaxed_stress(first, second)
     assert (got[1] == 0).any()  # some are wrinkled
     np.testing.assert_allclose(got, [along, across], atol=3e-9)
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", RATIOS)
 def test_the_meridian_returns_the_stretch_that_bears_its_stress(name: str) -> None:
     law = law_of(name, RATIOS[name])
     first, second = STRETCHES
@@ -33,7 +41,7 @@ def test_the_meridian_returns_the_stretch_that_bears_its_stress(name: str) -> No
     np.testing.assert_allclose(hoop, across, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", RATIOS)
 def test_the_modulus_is_one_at_small_strain(name: str) -> None:
     law = law_of(name, RATIOS[name])
     small, nu = 1e-6, RATIOS[name]
@@ -44,22 +52,11 @@ def test_the_modulus_is_one_at_small_strain(name: str) -> None:
     assert across / small == pytest.approx(0, abs=1e-5)
 
 
-@pytest.mark.parametrize("name", LAWS)
-def test_a_slack_membrane_bears_and_stores_nothing(name: str) -> None:
+@pytest.mark.parametrize("name", RATIOS)
+def test_a_slack_membrane_bears_nothing(name: str) -> None:
     law = law_of(name, RATIOS[name])
     stretch = np.array([0.7, 0.95]), np.array([0.9, 1.0])
     assert not np.any(law.relaxed_stress(*stretch))
-    assert np.abs(law.energy(*stretch)).max() < 1e-15
-
-
-def test_mooney_rivlin_is_its_printed_energy() -> None:
-    law = law_of("mooney-rivlin", 0.5)
-    l1, l2 = 1.7, 1.2
-    l3 = 1 / (l1 * l2)
-    c1 = 1 / (6 * (1 + MOONEY_RATIO))
-    wanted = c1 * (l1**2 + l2**2 + l3**2 - 3)
-    wanted += MOONEY_RATIO * c1 * (l1**-2 + l2**-2 + l3**-2 - 3)
-    assert law.energy(np.array(l1), np.array(l2)) == pytest.approx(wanted, rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -163,10 +163,9 @@ def test_large_errors_draw_only_what_can_be() -> None:
     # 100 000 draws know the mean to 0.13 µN and the deviation of a log-normal to 0.3 %.
     assert forces.mean() == pytest.approx(150.0, abs=0.5)
     assert forces.std() == pytest.approx(40.0, rel=0.015)
-    # All but ν half as uncertain as they are large, radius and depth together.
-    wide = {name: values[name] / 2 for name in ("force", "thickness", "probe_half_width")}
-    together = np.outer([125.0, 20.0], [125.0, 20.0]) * [[1.0, 0.9], [0.9, 1.0]]
-    samples = modulus_samples(values, wide, size=20_000, rng=0, dimple_covariance=together)
+    # All but ν half as uncertain as they are large.
+    wide = {name: values[name] / 2 for name in values if name != "poisson_ratio"}
+    samples = modulus_samples(values, wide, size=20_000, rng=0)
     assert samples.shape == (20_000,)
     assert (samples > 0).all()
     # A probe hardly narrower than the dimple, and ν at the end of its range: E goes with 1 − ν.
@@ -204,7 +203,7 @@ def test_the_printed_zeta_cannot_have_given_the_printed_modulus() -> None:
 
 
 def test_shapes_that_do_not_broadcast_are_refused() -> None:
-    with pytest.raises(ValueError, match="shapes must broadcast"):
+    with pytest.raises(ValueError, match="broadcast"):
         dimple_profile([30.0, 40.0], [250.0] * 3, 40.0, probe_half_width=25.0)
 
 

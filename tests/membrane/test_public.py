@@ -22,7 +22,7 @@ A, C, H, R = 213.0, 17.0, 2.6, 570.0
 STATE = {
     **dict.fromkeys(("depth", "approach", "rim_radius", "r", "z"), "um"),
     **dict.fromkeys(("stresses", "pressure"), "MPa"),
-    **{"stretches": "1", "energy": "uN*um", "volume": "um**3"},
+    "stretches": "1",
 }
 
 
@@ -67,7 +67,8 @@ LAWS = {
     "membrane.steepest_depth": Law(lambda u: {"dimple_radius": A * u.um,
         "probe_half_width": C * u.um}, "um"),
     "membrane.modulus_std": Law(errors, "MPa"),
-    "membrane.modulus_samples": Law(lambda u: {**errors(u), "size": 7, "rng": 3}, "MPa"),
+    "membrane.modulus_samples": Law(lambda u: {"values": errors(u)["values"],
+        "stds": errors(u)["stds"], "size": 7, "rng": 3}, "MPa"),
     "membrane.viscoelastic_force":
         Law(lambda u: {"time": u.t0 + np.array([0.0, 0.3, 1.1, 4.0]) * u.s,
         "elastic_force": np.array([[1.0, 5.0, 4.0, 4.0], [0.0, 2.0, 2.5, 1.0]]) * u.uN,
@@ -96,16 +97,6 @@ def test_outputs_follow_units_and_origins(name):
     hold(name, LAWS[name])
 
 
-@pytest.mark.parametrize("law", [STEEL, RUBBER, {"law": "neo-hooke"}], ids=lambda law: law["law"])
-@pytest.mark.parametrize("pretension", [0.02, 0.1])
-def test_the_least_force_leaves_the_energy_of_the_pretension(law, pretension):
-    """Two ways through the code: what is solved, and what nothing presses."""
-    settings = {"modulus": 0.7, "radius": A, "thickness": H, "probe_half_width": 60.0, **law}
-    free, pressed = (indent_disc(f, pretension=pretension, **settings) for f in (0.0, 1e-4))
-    assert pressed.energy == pytest.approx(free.energy, rel=1e-6)
-    np.testing.assert_allclose(pressed.stresses[:, [0, -1]], free.stresses[:, [0, -1]], rtol=1e-6)
-
-
 @pytest.mark.parametrize(("pretension", "inset"), [(0.1, 0.04), (0.08, 0.0), (0.2, 0.1)])
 def test_a_flat_disc_with_a_drawn_in_rim_is_lames_ring(pretension, inset):
     """Hooke's law in the plane: r = αX + β/X between a held hole and a rim that was drawn in."""
@@ -126,12 +117,6 @@ def test_a_flat_disc_with_a_drawn_in_rim_is_lames_ring(pretension, inset):
     e1, e2 = strains(x)
     stress = modulus * np.array([e1 + nu * e2, e2 + nu * e1]) / (1 - nu**2)
     np.testing.assert_allclose(state.stresses, stress, rtol=1e-5)
-    fine = np.linspace(inner, outer, 20001)
-    e1, e2 = strains(fine)
-    stored = (e1**2 + e2**2 + 2 * nu * e1 * e2) / 2 / (1 - nu**2)
-    ring = 2 * np.pi * np.trapezoid(stored * fine, fine)
-    hole = np.pi * inner**2 * pretension**2 / (1 - nu)
-    assert state.energy == pytest.approx(modulus * H * (ring + hole), rel=1e-5)
 
 
 @pytest.mark.parametrize("size", [0.01, 0.03])
@@ -151,7 +136,9 @@ def test_the_error_of_a_modulus_is_as_stated(size):
     hold_sigma(
         np.log(moduli / elastic_modulus(**values)), np.full(400, std) / elastic_modulus(**values)
     )
-    samples = modulus_samples(values, stds, size=4000, rng=6, dimple_covariance=covariance)
+    drawn |= {"dimple_radius": rng.normal(A, scales[0], 400), "dimple_depth": 19.0}
+    stds |= {"dimple_radius": scales[0]}
+    samples, moduli = modulus_samples(values, stds, size=4000, rng=6), elastic_modulus(**drawn)
     for level in (0.5, 0.95):
         low, high = np.quantile(samples, [(1 - level) / 2, (1 + level) / 2])
         hold_coverage((low < moduli) & (moduli < high), level)
