@@ -296,8 +296,6 @@ MAY_BE_UNKNOWN = {
     "embryo.dimple_geometry",
     # NaN where the three measures are equal or zero
     "focus.three_point_peak",
-    # a frame whose outline says nothing
-    "embryo.force_over_time",
     # NaN beyond the fold of the distortion model
     "microscope.distort", "microscope.undistort", "microscope.Microscope.jacobian",
     "microscope.Microscope.project", "microscope.Microscope.project_plane",

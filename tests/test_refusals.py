@@ -74,10 +74,6 @@ REFUSED: dict[str, dict[str, tuple[object, ...]]] = {
         "x": (np.full(60, 2.0), np.full(60, np.nan), np.arange(5.0)),
         "terms": (0, 21),
     },
-    "embryo.force_over_time": {
-        "images": (3, np.array(3.0), [fuzz.target()] * 3),
-        "shares": ([1.5],),
-    },
     "embryo.loess": {
         "x": (np.full(40, np.nan), np.ones(40), np.repeat([0.0, 1.0], 20)),
         "y": (np.zeros(9),),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,8 +11,8 @@ from scipy.integrate import solve_ivp
 
 from compendium import thesis
 from compendium.ledger import claim
-from microlib.embryo import force_over_time
-from microlib.membrane import SmallSlopeWarning
+from microlib.embryo import force_from_image
+from microlib.membrane import SmallSlopeWarning, viscoelastic_force
 from microlib.synthetic import Embryo, embryo_image
 
 #: Share of the force that a held chorion loses, and how fast (s): an example, nobody measured it.
@@ -23,8 +22,10 @@ MODULUS = claim("table-5.6/E").value
 #: Ends of the push: the probe goes in, waits, and goes half of the way out (s), and the force that
 #: the shape would have if nothing relaxed (µN).
 _TURNS, _ELASTIC = (0.0, 2.0, 8.0, 10.0), (0.0, 150.0, 150.0, 60.0)
-#: Below it the dimple is no deeper than what an image shows, and an untouched embryo is drawn.
+#: Below it the dimple is no deeper than what an image shows.
 _LEAST_FORCE = 2.0
+#: Standard deviations to either side that hold 95 % of a normal distribution.
+_NORMAL_95 = 1.96
 
 
 def elastic_push(time: ArrayLike) -> NDArray:
@@ -74,19 +75,22 @@ def relaxing_sequence(rng: np.random.Generator, time: NDArray) -> pd.DataFrame:
         A row each image: time (s), true force, force with the ends low and high of its 95 %
         interval, and the force of its outline alone (elastic), NaN where it shows no dimple; µN.
     """
-    images = []
-    for force in elastic_push(time):
+    elastic, std = np.zeros(time.size), np.zeros(time.size)
+    for k, force in enumerate(elastic_push(time)):
         if force < _LEAST_FORCE:
-            embryo = Embryo(MODULUS, 0.0, 1.0, **thesis.MEMBRANE)
-        else:
-            embryo = Embryo.pressed(force, modulus=MODULUS, **thesis.MEMBRANE)
-        images.append(embryo_image(embryo, rng=rng, shape=(400, 640), center=(320.0, 130.0)).image)
-    with warnings.catch_warnings():
-        # The images obey the model by construction.
-        warnings.simplefilter("ignore", SmallSlopeWarning)
-        law = {"shares": [SHARE], "relaxation_times": [RELAXATION_TIME], **thesis.MEMBRANE}
-        seen: dict[str, Any] = {"pixel_size": thesis.EMBRYO_PIXEL, "direction": "top"}
-        found = force_over_time(images, time, MODULUS, **law, **seen)
-    read = {"force": found.force, "low": found.low, "high": found.high}
-    truth = {"time": time, "true": true_force(time)}
-    return pd.DataFrame(truth | read | {"elastic": found.elastic_force})
+            continue  # no dimple is seen, and no force is there
+        embryo = Embryo.pressed(force, modulus=MODULUS, **thesis.MEMBRANE)
+        scene = embryo_image(embryo, rng=rng, shape=(400, 640), center=(320.0, 130.0))
+        seen = {"pixel_size": thesis.EMBRYO_PIXEL, **thesis.MEMBRANE}
+        with warnings.catch_warnings():
+            # The images obey the model by construction.
+            warnings.simplefilter("ignore", SmallSlopeWarning)
+            found = force_from_image(scene.image, MODULUS, direction="top", **seen)
+        elastic[k], std[k] = found.force, found.force * found.relative_std
+    # Column j is the force over time of a unit at time j: the law is linear in all of them.
+    response = viscoelastic_force(
+        time, np.eye(time.size), shares=[SHARE], relaxation_times=[RELAXATION_TIME]
+    ).T
+    read, reach = response @ elastic, _NORMAL_95 * np.sqrt(response**2 @ std**2)
+    forces = {"true": true_force(time), "force": read, "low": read - reach, "high": read + reach}
+    return pd.DataFrame({"time": time, **forces, "elastic": np.where(std > 0, elastic, np.nan)})

@@ -2,7 +2,6 @@
 
 from microlib.embryo._boundary import extract_boundary
 from microlib.embryo._dimple import dimple_geometry, fit_dimple
-from microlib.embryo._force_history import force_over_time
 from microlib.embryo._gaussian_sum import GaussianSum, fit_gaussians
 from microlib.embryo._loess import loess
 from microlib.embryo._modulus import force_from_image, modulus_from_image
@@ -14,7 +13,6 @@ __all__ = [
     "fit_dimple",
     "fit_gaussians",
     "force_from_image",
-    "force_over_time",
     "loess",
     "modulus_from_image",
 ]

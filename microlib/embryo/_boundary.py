@@ -15,36 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
-from microlib._common import Array, Tidy, as_image, flag, one_of
+from microlib._common import Array, Tidy, as_image, one_of
 from microlib.embryo._probe import CLEARANCE, MARGIN, SMALLEST, Probe, find_probe, remove_probe
 from microlib.embryo._view import DIRECTIONS, View
-from microlib.embryo._wall import WallSettings, locate_wall
+from microlib.embryo._wall import Settings, locate_wall
 
 #: Columns of outline wanted on each side of the probe; nothing changes from 10 to 40.
 SHORTEST_SIDE = 20
-
-
-@dataclass(frozen=True)
-class Settings(WallSettings):
-    """What the stages from an image to its outline are set to; lengths are in px.
-
-    The changes of the modulus E are the largest of nine embryos (benchmarks/embryo.py), in standard
-    deviations of E, for the other values that are given. Other numbers change nothing there when
-    they are halved or doubled, and stand in their place.
-    """
-
-    #: What the probe's blur reaches is left out: so many of its standard deviations, once they are
-    #: known. Less biases the flank, more takes its steepest part away: 0.6 for 2 or 4.5.
-    blur_reach: float = 3.0
-    #: Blur of Canny's edge, which only starts the fits of the wall: 0.5 for 1 or 2.
-    edge_blur: float = 1.4
-    #: How far the samples along the normal reach to either side: the blur of a wall, what Canny may
-    #: err, and ground and fluid beyond. 1.2 for 4 or 7.
-    profile_reach: float = 5.0
-    #: Points over which the direction of the outline is averaged: 0.5 for 7 or 17.
-    smoothing: int = 11
-    #: Points less certain than so many times the usual are left out: 0.3 for 4 or 10.
-    largest_std: float = 6.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -89,9 +66,9 @@ class Boundary(Tidy):
         return self.view.to_image(np.stack([self.x, self.image_height - 1 - self.y], axis=1))
 
     def without_probe(self, image: ArrayLike) -> NDArray[np.float32]:
-        """Return `image`, in which the outline was found, with the probe filled by the ground."""
+        """Return `image`, turned as `view` says, with the probe filled by the ground beside it."""
         grey = as_image("image", image, smallest=SMALLEST)
-        return self.view.put_back(remove_probe(self.view.of(grey), self.probe), grey)
+        return remove_probe(self.view.of(grey), self.probe)
 
 
 def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool = True) -> Boundary:
@@ -145,11 +122,6 @@ def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool 
     >>> bool(abs(np.interp(rim[0], x, y) - rim[1]) < 0.2)
     True
     """
-    return find_boundary(image, direction, flag("dimple", dimple), Settings())
-
-
-def find_boundary(image: ArrayLike, direction: str, dimple: bool, settings: Settings) -> Boundary:
-    """Return what `extract_boundary` does, by stages that are set otherwise."""
     whole = as_image("image", image, smallest=SMALLEST)
     one_of("direction", direction, ("auto", *DIRECTIONS))
     _refuse_saturated(np.asarray(image), whole)
@@ -157,7 +129,7 @@ def find_boundary(image: ArrayLike, direction: str, dimple: bool, settings: Sett
     refused: dict[str, list[str]] = {}
     for edge in DIRECTIONS if direction == "auto" else (direction,):
         try:
-            return _outline_from_above(whole, View((columns, rows), edge), dimple, settings)
+            return _outline_from_above(whole, View((columns, rows), edge), dimple)
         except ValueError as reason:
             refused.setdefault(str(reason), []).append(edge)
     raise ValueError(
@@ -165,10 +137,9 @@ def find_boundary(image: ArrayLike, direction: str, dimple: bool, settings: Sett
     )
 
 
-def _outline_from_above(
-    whole: NDArray[np.float32], view: View, dimple: bool, settings: Settings
-) -> Boundary:
+def _outline_from_above(whole: NDArray[np.float32], view: View, dimple: bool) -> Boundary:
     """Find the outline on both sides of a probe that comes from above, stage by stage."""
+    settings = Settings()
     grey, probe, view = find_probe(whole, view)
     sides = _trace(remove_probe(grey, probe), probe, settings)
     sides = [_resample(side, settings.smoothing) for side in sides]
@@ -301,18 +272,13 @@ def _refuse_without_dimple(sides: list[Array], probe: Probe) -> None:
         depth = probe.tip[1] - y[rim]
         apart = abs(x[rim] - probe.tip[0]) - probe.half_width - CLEARANCE
         ends = min(rim, y.size - 1 - rim)
-        # At 3 px the modulus is uncertain by 20 %, at 6 by 5 % (measured); the estimate says so.
-        if min(depth, apart, ends) < 3:
-            raise ValueError(
-                f"image must show a dimple at least 3 px deep around the probe's "
-                f"end, got {depth:.1f} px on the {name}"
-            )
         fall = (y[-1] if name == "left" else y[0]) - y[rim]
+        # At 3 px the modulus is uncertain by 20 %, at 6 by 5 % (measured); the estimate says so.
         # (4.2) and capsules have fallen by half of their depth 3 px beside the thinnest needle; an
         # outline on which something only stands has not fallen at all. It is followed in whole
         # rows, so that a fall is seen up to one row too small; but a fall of two rows is one.
-        if fall < depth / 3 - (fall >= 2):
+        if min(depth, apart, ends) < 3 or fall < depth / 3 - (fall >= 2):
             raise ValueError(
-                "image must show an outline that falls to the probe's end, got a fall of "
-                f"{fall:.1f} px of {depth:.1f} px beside it on the {name}"
+                "image must show a dimple at least 3 px deep around the probe's end, to which the "
+                f"outline falls, got {depth:.1f} px and a fall of {fall:.1f} px on the {name}"
             )

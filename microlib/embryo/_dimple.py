@@ -28,12 +28,6 @@ _BEYOND_RIM = 1.3
 #: has no dimple of that depth: E goes with its third power, so that one error of a sixth makes a
 #: factor of √e. Of nine embryos one is refused at 0.03, and up to 0.3 none changes.
 _LARGEST_MISFIT = 1 / 6
-#: Standard deviations beyond which a point is left out, which one in 16 000 is by chance; 3 to 6
-#: change E by up to 0.4 of its deviation.
-_OUTLIER = 4.0
-#: Largest tilt that a fit may find, rad: four times that of the probe. Nothing changes from 0.1 to
-#: 0.6.
-_STEEPEST_TILT = 0.3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -252,17 +246,14 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     refuse_another_width(boundary, c, size)
     outline = np.stack([boundary.x, boundary.y, boundary.std])[:, ~boundary.under_probe]
     start = _start(outline[0], outline[1], boundary)
-    if start[3] <= c:
-        raise ValueError(
-            f"probe_half_width must be below the dimple's radius, got {c * size:g} µm and a radius "
-            f"of about {start[3] * size:.0f} µm"
-        )
     outline = outline[:, np.abs(outline[0] - boundary.probe.tip[0]) > c]
-    first = _least_squares(_near(outline, start), start, c)
-    near = _near(outline, first.x)
+    near = outline[:, np.abs(outline[0] - start[0]) < _BEYOND_RIM * start[3]]
+    first = _least_squares(near, start, c)
+    near = outline[:, np.abs(outline[0] - first.x[0]) < _BEYOND_RIM * first.x[3]]
     off = np.abs(_normal_distance(first.x, near[0], near[1], c) / near[2])
-    # What lies within its own standard deviation is no outlier, however exact the others are.
-    usual = off < max(_OUTLIER * MAD_TO_STD * np.median(off), 1.0)
+    # One point in 16 000 lies beyond four standard deviations by chance; 3 to 6 change E by up to
+    # 0.4 of its deviation. Within its own deviation no point is an outlier.
+    usual = off < max(4 * MAD_TO_STD * np.median(off), 1.0)
     # Strays are few; more are the outline.
     kept = near[:, usual] if usual.mean() >= 3 / 4 else near
     fit = _least_squares(kept, first.x, c)
@@ -326,15 +317,11 @@ def _start(x: NDArray, y: NDArray, boundary: Boundary) -> Array:
     return np.array([x0, height, rise / wide, wide / 2, height - bottom, bend, bend])
 
 
-def _near(outline: Array, p: Array) -> Array:
-    """The part of the outline that enters the fit."""
-    return outline[:, np.abs(outline[0] - p[0]) < _BEYOND_RIM * p[3]]
-
-
 def _least_squares(outline: Array, start: Array, c: float) -> OptimizeResult:
     """Fit the seven numbers to the rows x, y, std of `outline`."""
     x, y, std = outline
-    far, turn, sharpest = np.inf, _STEEPEST_TILT, 1 / start[3]
+    # In rad, four times the largest tilt of the probe: nothing changes from 0.1 to 0.6.
+    far, turn, sharpest = np.inf, 1 / 4, 1 / start[3]
     lower = [-far, -far, -turn, c + 1, 0.0, 0.0, 0.0]
     bounds = lower, [far, far, turn, far, far, sharpest, sharpest]
     return least_squares(

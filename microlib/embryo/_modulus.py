@@ -57,7 +57,7 @@ class ImageEstimate(Tidy):
     boundary : Boundary
         The outline that was found.
     given : dict
-        thickness, probe_half_width and radius as given, in µm, and poisson_ratio.
+        thickness and probe_half_width as given, in µm, and poisson_ratio.
 
     Notes
     -----
@@ -115,19 +115,19 @@ class ImageEstimate(Tidy):
         """Modulus of this dimple by each model that can have it, in MPa, by the model's name.
 
         (4.7) with its uniform stress; a flat disc with and without the pressure F/(π a²), and a
-        capsule, each for neo-Hooke and Hooke. The capsule's radius is the one that was given or
-        fitted, or else the outline's where both of its ends fall steeply enough to tell; without
-        one no capsule is among them, and an egg that is one may have a quarter of the modulus by
+        capsule, each for neo-Hooke and Hooke. The capsule's radius is the one that was fitted, or
+        that of the outline where both of its ends fall steeply enough; without one no capsule is
+        among them, and an egg that is one may have a quarter of the modulus by
         (4.7), or less (benchmarks/capsule_embryo.py).
         """
         sizes = dict(self.given)
-        radius, nu = sizes.pop("radius"), sizes.pop("poisson_ratio")
+        nu = sizes.pop("poisson_ratio")
         state = getattr(self.dimple, "state", None)  # of a capsule
         if state is not None:
             radius, dimple = self.dimple.radius, (state.rim_radius, state.depth)
         else:
             dimple = (self.dimple.dimple_radius, self.dimple.dimple_depth)
-            radius = radius or _egg_radius(self.boundary, self.dimple.pixel_size)
+            radius = _egg_radius(self.boundary, self.dimple.pixel_size)
         with warnings.catch_warnings():
             # Whoever compares the models sees that this one takes its slopes for small.
             warnings.simplefilter("ignore", SmallSlopeWarning)
@@ -166,8 +166,6 @@ def modulus_from_image(
     probe_half_width: float,
     poisson_ratio: float,
     method: str = "membrane",
-    radius: float | None = None,
-    law: str = "neo-hooke",
     direction: str = "auto",
 ) -> ImageEstimate:
     """Measure the elastic modulus of a chorion in one image of its indentation.
@@ -184,14 +182,9 @@ def modulus_from_image(
         As for `microlib.membrane.elastic_modulus`.
     method : {"membrane", "capsule"}
         ``"membrane"`` fits the profile (4.2) to the dimple, see `microlib.embryo.fit_dimple`, and
-        takes the modulus of (4.7). ``"capsule"`` fits a closed capsule to the whole outline, and
-        its direction, see `microlib.membrane.fit_capsule`; it takes seconds.
-    radius : float, optional
-        Radius of the egg before the test, in µm. A capsule needs none where the outline reaches the
-        egg's widest part: it is then fitted, which also takes up an outline that is off by a
-        fraction of the wall's thickness (half a µm would be 2 % of the modulus).
-    law : {"neo-hooke", "hooke", "mooney-rivlin"}
-        Of a capsule's wall.
+        takes the modulus of (4.7). ``"capsule"`` fits a closed neo-Hookean capsule to the whole
+        outline, and its direction and radius, see `microlib.membrane.fit_capsule`; it takes seconds
+        and needs an outline that reaches the egg's widest part.
     direction
         Edge that the probe comes from; see `microlib.embryo.extract_boundary`.
 
@@ -230,15 +223,14 @@ def modulus_from_image(
     """
     load = measured("force", force, "µN")
     one_of("method", method, ("membrane", "capsule"))
-    one_of("law", law, ("hooke", "neo-hooke", "mooney-rivlin"))
     size = measured("pixel_size", pixel_size, "µm/px")
-    given = given_lengths(thickness, probe_half_width, poisson_ratio, radius)
+    given = _given_lengths(thickness, probe_half_width, poisson_ratio)
     boundary = extract_boundary(image, direction=direction)
     if method != "capsule":
         return _estimate("modulus", load, boundary, size, given)
     refuse_another_width(boundary, given["probe_half_width"] / size, size)
     points = size * _seen_from_the_probe(boundary)
-    capsule = fit_capsule(load, points, law=law, fit_tilt=True, **given)
+    capsule = fit_capsule(load, points, fit_tilt=True, **given)
     std, found = np.hypot(capsule.modulus_std / capsule.modulus, _OUTLINE_STD), capsule.modulus
     around = _around(found, found, float(std))
     return ImageEstimate(load, found, "modulus", float(std), around, capsule, boundary, given)
@@ -252,7 +244,6 @@ def force_from_image(
     thickness: float,
     probe_half_width: float,
     poisson_ratio: float,
-    radius: float | None = None,
     direction: str = "auto",
 ) -> ImageEstimate:
     """Measure the force on an embryo of known modulus in one image, without a force sensor.
@@ -265,9 +256,6 @@ def force_from_image(
         Elastic modulus E, in MPa.
     pixel_size, thickness, probe_half_width, poisson_ratio, direction
         As for `modulus_from_image`.
-    radius : float, optional
-        Radius of the egg before the test, in µm: for the capsule among the models. Without it the
-        outline's ends tell it where they fall steeply enough.
 
     Returns
     -------
@@ -300,19 +288,18 @@ def force_from_image(
     """
     stiffness = measured("modulus", modulus, "MPa")
     size = measured("pixel_size", pixel_size, "µm/px")
-    given = given_lengths(thickness, probe_half_width, poisson_ratio, radius)
+    given = _given_lengths(thickness, probe_half_width, poisson_ratio)
     boundary = extract_boundary(image, direction=direction)
     return _estimate("force", stiffness, boundary, size, given)
 
 
-def given_lengths(
-    thickness: float, probe_half_width: float, poisson_ratio: float, radius: float | None
+def _given_lengths(
+    thickness: float, probe_half_width: float, poisson_ratio: float
 ) -> dict[str, Any]:
     return {
         "thickness": measured("thickness", thickness, "µm"),
         "probe_half_width": measured("probe_half_width", probe_half_width, "µm"),
         "poisson_ratio": poisson(poisson_ratio),
-        "radius": None if radius is None else measured("radius", radius, "µm"),
     }
 
 
@@ -328,8 +315,8 @@ def _estimate(
             "image must show a dimple of the model for this pixel_size and probe_half_width: "
             f"{error}"
         ) from None
-    inputs = {name: value for name, value in given.items() if name != "radius"}
-    inputs |= {"dimple_radius": dimple.dimple_radius, "dimple_depth": dimple.dimple_depth}
+    sizes = {"dimple_radius": dimple.dimple_radius, "dimple_depth": dimple.dimple_depth}
+    inputs = given | sizes
     value = float((elastic_modulus if found == "modulus" else indentation_force)(known, **inputs))
     # E is F times a function of the dimple, whose error moves ln E and ln F by as much.
     force, modulus = (known, value) if found == "modulus" else (value, known)

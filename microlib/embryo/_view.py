@@ -63,18 +63,6 @@ class View(Tidy):
         size, flags, border = self.frame[2:], cv2.INTER_CUBIC, cv2.BORDER_REPLICATE
         return np.asarray(cv2.warpAffine(image, self._matrix, size, flags=flags, borderMode=border))
 
-    def put_back(self, turned: NDArray, image: NDArray) -> NDArray:
-        """Return a copy of `image` with what `turned` changes in it."""
-        if self.tilt == 0:
-            return np.rot90(turned, -DIRECTIONS[self.direction]).copy()
-        changed = (turned != self.of(image)).astype(np.float32)
-        flags = cv2.INTER_LINEAR + cv2.WARP_INVERSE_MAP
-        where, filled = (
-            np.asarray(cv2.warpAffine(each, self._matrix, self.size, flags=flags))
-            for each in (changed, turned)
-        )
-        return np.where(where > 0, filled, image)
-
     def to_image(self, points: Array) -> Array:
         """Return points (x, y) of the turned image, y down, as points of the image, in px."""
         # The inverse of a turn.

@@ -23,9 +23,25 @@ _LEAST_SAMPLES = 6
 
 
 @dataclass(frozen=True)
-class WallSettings:
-    """What the search for a wall is set to; lengths in px, changes as in `_boundary.Settings`."""
+class Settings:
+    """Settings of the stages from an image to its outline; lengths are in px.
 
+    The changes of the modulus E are the largest of nine embryos, in standard deviations of E, for
+    the other values that are given.
+    """
+
+    #: What the probe's blur reaches is left out: so many of its standard deviations, once they are
+    #: known. Less biases the flank, more takes its steepest part away: 0.6 for 2 or 4.5.
+    blur_reach: float = 3.0
+    #: Blur of Canny's edge, which only starts the fits of the wall: 0.5 for 1 or 2.
+    edge_blur: float = 1.4
+    #: How far the samples along the normal reach to either side: the blur of a wall, what Canny may
+    #: err, and ground and fluid beyond. 1.2 for 4 or 7.
+    profile_reach: float = 5.0
+    #: Points over which the direction of the outline is averaged: 0.5 for 7 or 17.
+    smoothing: int = 11
+    #: Points less certain than so many times the usual are left out: 0.3 for 4 or 10.
+    largest_std: float = 6.0
     #: The wall is sought within this distance of the middle of a profile: Canny's edge lies on the
     #: wall's outer flank and in whole px. 1.2 for 1.8, which loses steep walls, 0.2 for 3.5.
     reach: float = 2.5
@@ -48,7 +64,7 @@ class WallPosition(NamedTuple):
 
 
 def locate_wall(
-    profiles: Array, offsets: Array, *, weights: NDArray, settings: WallSettings = WallSettings()
+    profiles: Array, offsets: Array, *, weights: NDArray, settings: Settings = Settings()
 ) -> WallPosition:
     r"""Fit a blurred wall to each of a set of profiles.
 
@@ -63,7 +79,7 @@ def locate_wall(
         Place of each sample along the profile, ascending, in px.
     weights : ndarray, shape (n, m)
         1 for samples to use, 0 for samples to leave out.
-    settings : WallSettings
+    settings : Settings
         Of the search.
 
     Returns
@@ -113,8 +129,7 @@ def locate_wall(
         return _gauss_newton(*part, width, start[some], settings)[2]
 
     # In px; other ranges and tolerances change E by up to 0.16 of its deviation.
-    search = minimize_scalar(misfit, bounds=(0.5, 3), method="bounded")
-    width = float(search.x)
+    width = float(minimize_scalar(misfit, bounds=(0.5, 3), method="bounded").x)
     found, std, _ = _gauss_newton(profiles, offsets, keep, width, start, settings)
     first = np.where(keep, offsets, np.inf).min(axis=1)
     last = np.where(keep, offsets, -np.inf).max(axis=1)
@@ -142,7 +157,7 @@ def _linear_fit(
 
 
 def _gauss_newton(
-    data: Array, offsets: Array, keep: Array, width: float, position: Array, settings: WallSettings
+    data: Array, offsets: Array, keep: Array, width: float, position: Array, settings: Settings
 ) -> tuple[Array, Array, float]:
     """Gauss–Newton on position and linear coefficients: positions, their spread, the residual."""
     position = position.copy()
