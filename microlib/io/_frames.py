@@ -8,7 +8,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import LARGEST_GREY, Frames, Region, as_array, as_region, flag, whole
+from microlib._common import (
+    Frames,
+    Region,
+    as_array,
+    as_region,
+    flag,
+    whole,
+)
 from microlib.io._sources import Named, Source, open_source
 
 
@@ -202,7 +209,7 @@ def _numbers(name: str, frame: NDArray) -> NDArray:
     if frame.dtype.kind == "u" and frame.dtype.itemsize <= 2:
         return np.ascontiguousarray(frame, dtype=frame.dtype.newbyteorder("="))
     # The products of sharpness that depths are found by stay in single precision's range.
-    return np.ascontiguousarray(as_array(name, frame, dtype=np.float32, largest=LARGEST_GREY))
+    return np.ascontiguousarray(as_array(name, frame, dtype=np.float32))
 
 
 def reduced(name: str, image: NDArray, by: int) -> NDArray:
