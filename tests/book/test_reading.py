@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from book_test_sources import line_of, place_of_test
-from book_verdicts import split
+from book_verdicts import count_by_class
 from docutils import nodes
 from playwright.sync_api import Browser, Page
 
@@ -89,7 +89,7 @@ def cells(row: str) -> list[str]:
 
 def test_a_count_has_its_classes_and_a_verdict_its_star(html: Path) -> None:
     """Whatever a page counts is counted by the ledger; a table of claims has their labels."""
-    counts = {of: str(split(of).total()) for of in (*ledger.VERDICTS, "claims", "errata")}
+    counts = {of: str(count_by_class(of).total()) for of in (*ledger.VERDICTS, "claims", "errata")}
     assert counts["claims"] == str(len(CLAIMS))
     assert counts["errata"] == str(len(ledger.errata()))
     words = {claim.label for claim in CLAIMS}
