@@ -75,8 +75,8 @@ OUTLINE_DOMAIN = (50.0, 265.0)
 LOESS_SPAN = claim("section-5.6/span").value
 #: Force of Table 5.6, µN.
 FORCE = claim("table-5.6/F").value
-#: Width of the probe that section 5.1 names (Nanosensors TL-CONT), µm: nominal, and the ends of what
-#: is specified; from the manufacturer's catalogue, by memory, not from the thesis.
+#: Width of the probe that section 5.1 names (Nanosensors TL-CONT), µm: nominal, and the specified
+#: ends. From memory of the manufacturer's catalogue, not from the thesis.
 PROBE_WIDTH, PROBE_WIDTH_ENDS = 50.0, (42.5, 57.5)
 #: Thickness h of the chorion, half-width c of the probe (both µm) and Poisson's ratio.
 MEMBRANE: dict[str, Any] = {
