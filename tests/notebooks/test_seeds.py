@@ -10,7 +10,7 @@ from compendium import run
 
 ROOT = Path(__file__).resolve().parents[2]
 SEEDS = (11, 12, 13, 14, 15)
-CHAPTERS = [path for path in sorted((ROOT / "notebooks").glob("0[235]_*.ipynb"))]
+CHAPTERS = sorted((ROOT / "notebooks").glob("0[235]_*.ipynb"))
 
 
 @pytest.mark.seeds
