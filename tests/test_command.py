@@ -23,24 +23,22 @@ import tifffile
 from matplotlib.figure import Figure
 from PIL import Image
 
-from compendium.experiments.section_5_3 import texture_sequence
 from microlib import io, membrane, tracking
 from microlib._command import main
-from microlib._command._calibrate import _advise, _detect, _photos
-from microlib._command._main import _in_options
+from microlib._command._calibrate import _advise, _detect
 from microlib._command._modulus import _SPANS, _outline
 from microlib._command._shared import _quantity, settle
 from microlib.calibration import calibrate, detect_squares
 from microlib.embryo import dimple_geometry, fit_gaussians, loess
 from microlib.focus import FocusResult, depth_from_focus
-from microlib.synthetic import mixed_texture
+from microlib.synthetic import mixed_texture, texture_sequence
 from tests import fuzz
 from tests.laws import unlike
 from tests.running import until
 
 ROOT = Path(__file__).resolve().parent.parent
 INPUTS = ROOT / "data" / "synthetic"
-MODULUS = "--pixel-size 3.875 --thickness 3 --probe-half-width 25 --poisson 0.5"
+MODULUS = "--pixel-size 3.875 --thickness 3 --probe-half-width 25 --poisson-ratio 0.5"
 BOX = "--box 30 40 40 40"
 STACK = "depth focal_stack.tif --spacing 25 --pixel-size 3.9"
 GRID = "calibrate circles.png --pitch 0.28mm --cell 9.9um --focal-length 126150"
@@ -333,7 +331,7 @@ def test_track_follows_the_square(tmp_path: Path, capsys: Told) -> None:
     [
         ("--motion affine --rate 20 --video", {"motion": "affine", "rate": 20.0}),
         ("--pixel-size 2.5 --video", {"motion": "translation", "pixel_size": 2.5}),
-        ("--motion homography --rate 12.5 --pixel-size 2.5um --allow-truncated",
+        ("--motion homography --rate 12.5 --pixel-size 2.5um",
             {"motion": "homography", "rate": 12.5, "pixel_size": 2.5}),
     ],
 )  # fmt: skip
@@ -397,27 +395,23 @@ def write_film(path: Path, count: int, share: float = 1.0) -> None:
 
 
 @pytest.mark.parametrize("task", ["depth", "track"])
-@pytest.mark.parametrize("option", ["", " --allow-truncated"])
-def test_a_film_that_ends_early(tmp_path: Path, capsys: Told, task: str, option: str) -> None:
+def test_a_film_that_ends_early(tmp_path: Path, capsys: Told, task: str) -> None:
     write_film(tmp_path / "cut.avi", 30, share=0.8)
-    line = {"depth": "--spacing 5 --pixel-size 2", "track": "--box 60 60 49 49"}[task] + option
+    line = {"depth": "--spacing 5 --pixel-size 2", "track": "--box 60 60 49 49"}[task]
     out = tmp_path / ("out" if task == "depth" else "out.csv")
     found = status(f"{task} {tmp_path / 'cut.avi'} {line}", out)
-    assert found == (0 if option else {"depth": 2, "track": 3}[task])
+    assert found == {"depth": 2, "track": 3}[task]
     told = capsys.readouterr().err
     assert told.count("\n") == 1
-    if task == "depth" and not option:
+    if task == "depth":
+        assert "it tells of 30 frames" in told
         assert not out.exists()
         return
-    words = r"the (\d+) frames before are used" if option else r"keeps the (\d+) rows so far"
-    count = int(re.search(words, told)[1])
+    count = int(re.search(r"keeps the (\d+) rows so far", told)[1])
     assert 10 < count < 30
-    if task == "depth":
-        assert tifffile.imread(out / "frame.ome.tif").max() < count
-    else:
-        way = pd.read_csv(out)["center_x"]
-        assert len(way) == count
-        assert way.diff().dropna().to_numpy() == pytest.approx(2.5, abs=0.2)
+    way = pd.read_csv(out)["center_x"]
+    assert len(way) == count
+    assert way.diff().dropna().to_numpy() == pytest.approx(2.5, abs=0.2)
 
 
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
@@ -565,11 +559,6 @@ def test_a_point_that_is_no_number_is_counted_once(tmp_path: Path) -> None:
         _outline(Namespace(source=str(tmp_path / "points.csv"), y_down=False))
 
 
-def test_an_empty_folder_of_photographs_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="must hold images, got an empty folder"):
-        _photos(str(tmp_path))
-
-
 @pytest.mark.parametrize(
     ("line", "message"),
     [
@@ -578,7 +567,7 @@ def test_an_empty_folder_of_photographs_is_named(tmp_path: Path) -> None:
         ("depth missing.tif --spacing 25 --pixel-size 1", "missing.tif"),
         (
             "depth focal_stack.tif --spacing 0 --pixel-size 1",
-            "--spacing must rise or fall strictly",
+            "positions must rise or fall strictly",
         ),
         (
             "depth focal_stack.tif --spacing 5kg --pixel-size 1",
@@ -592,7 +581,7 @@ def test_an_empty_folder_of_photographs_is_named(tmp_path: Path) -> None:
         ("calibrate circles.png --cell -9 --pitch 280", "--cell must be positive"),
         (
             "calibrate circles.png",
-            "microlib calibrate: no scale is told by the file: give --pitch µm",
+            "microlib calibrate: no scale is in the file: give --pitch µm",
         ),
         (f"{GRID} -o c.json", "microlib calibrate: --out must be a folder, got c.json"),
         (f"{STACK} -o c.CSV", "microlib depth: --out must be a folder, got c.CSV"),
@@ -602,12 +591,12 @@ def test_an_empty_folder_of_photographs_is_named(tmp_path: Path) -> None:
         (f"track frames.tif {BOX} --rate 0", "--rate must"),
         (f"track frames.tif {BOX} -o t.xlsx", "must be a table that ends in .csv, got t.xlsx"),
         (f"track frames.tif {BOX} --color", "unrecognized arguments: --color"),
-        ("modulus outline.csv", "--thickness µm, --probe-half-width µm, --poisson ratio"),
-        (f"modulus frames_path.csv --force 10 {MODULUS}", "columns x and y"),
+        ("modulus outline.csv", "--thickness µm, --probe-half-width µm, --poisson-ratio ratio"),
+        (f"modulus frames_path.csv --force 10 {MODULUS}", "(a dimple, y up)"),
         (f"modulus missing.csv --force 10 {MODULUS}", "missing.csv: No such file"),
         (f"{OUTLINE} --thickness -3", "--thickness must be positive"),
-        (f"{OUTLINE} --poisson 0.7", "--poisson must"),
-        (f"{OUTLINE} --force-std -3", "--force-std must be zero or positive"),
+        (f"{OUTLINE} --poisson 0.7", "--poisson-ratio must"),
+        (f"{OUTLINE} --force-std -3", "['force'] must be zero or positive"),
         (f"{GRID} -o /dev/null/x", "/dev/null/x cannot be written"),
         (f"track frames.tif {BOX} -o /dev/null/t.csv", "/dev/null/t.csv cannot be written: Not a"),
         (f"{OUTLINE} --y-down", "leave out --y-down"),
@@ -626,15 +615,6 @@ def test_what_cannot_work_is_told_in_one_line(
     assert not list(tmp_path.iterdir())
 
 
-def test_times_are_no_focus_though_a_film_may_end_early(tmp_path: Path, capsys: Told) -> None:
-    tifffile.imwrite(
-        tmp_path / "t.ome.tif", np.eye(48)[:40] * np.ones((5, 1, 1)), metadata={"axes": "TYX"}
-    )
-    line = f"depth {tmp_path / 't.ome.tif'} --spacing 5 --pixel-size 2 --allow-truncated"
-    assert status(line, tmp_path / "out") == 2
-    assert "must differ in focus" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("name", "value"), [("force", 1e-5), ("pixel_size", 50800.0), ("pixel_size", 0.006)]
 )
@@ -649,29 +629,6 @@ def test_a_scale_in_another_unit_is_noted(name: str, value: float) -> None:
 def test_a_number_may_have_its_unit(text: str) -> None:
     assert _quantity("µN")(text) == pytest.approx(10)
     assert _quantity("µm/px")(text.replace("N", "m/px")) == pytest.approx(10)
-
-
-@pytest.mark.parametrize(
-    ("said", "told"),
-    [
-        ("box height must be", "--box height must be"),
-        ("stds['force'] must be", "--force-std must be"),
-        ("curve must  have\n a dimple", "a.tif must have a dimple"),
-        ("note: frames could not", "note: a.tif could not"),
-        ("positions must be", "--spacing must be"),
-        ("so poisson_ratio must be", "so --poisson must be"),
-        ("box cannot be read", "box cannot be read"),
-        ("box cannot be", "--box cannot be"),
-        ("a box y must be", "a --box y must be"),
-        ("this (box must be", "this (box must be"),
-        ("pixel_size must be", "--pixel-size must be"),
-    ],
-)
-def test_a_message_has_the_options_of_the_command(said: str, told: str) -> None:
-    a = {"source": "a.tif", "box": 1, "force_std": 2, "pixel_size": 3}
-    assert _in_options(Namespace(**a), said) == told
-    told = told.replace("a.tif", "photographs").replace("pixel-size", "cell")
-    assert _in_options(Namespace(**a | {"source": ["a.tif", "b.tif"], "cell": 4}), said) == told
 
 
 def full(*given: object, **options: object) -> None:
@@ -702,10 +659,21 @@ def test_what_is_written_stays_when_a_later_file_fails(
     folder = tmp_path / "new"
     out = folder if line == STACK else folder / "out.csv"
     found = status(line, out, "")
-    assert found == (2 if how is full else 130)
     task, told = line.split()[0], capsys.readouterr().err
-    reason = f"{out}: No space left on device" if how is full else "stopped"
-    assert told == f"microlib {task}: {reason}\n"
+    if how is full and owner is not io:  # a picture, without which the numbers are complete
+        assert found == 0
+        assert told.count("\n") == 1
+        assert told.startswith("note: ")
+        assert told.endswith(f" is not written: {out}: No space left on device\n")
+        kept = (
+            [*kept, "out_look"]
+            if "polylines" not in fails.__name__ and "plot_track" in fails.__name__
+            else kept
+        )
+    else:
+        assert found == (2 if how is full else 130)
+        reason = f"{out}: No space left on device" if how is full else "stopped"
+        assert told == f"microlib {task}: {reason}\n"
     assert sorted(path.name.split(".")[0] for path in folder.iterdir()) == kept
 
 

@@ -50,10 +50,31 @@ def test_coordinates_are_given_back_and_blocks_stay_blocks(blocks: bool) -> None
     np.testing.assert_allclose(part["y"], 100 + 2 * (20.5 + 2 * np.arange(15)))
 
 
+@pytest.mark.parametrize("dims", ["yxz", "zxy", "xzy"])
+def test_dimensions_may_be_in_any_order(dims: str) -> None:
+    frames = labeled()
+    reader = read_frames(frames.transpose(*dims))
+    assert (reader.pixel_size, reader.origin) == (2.0, (300.0, 100.0))
+    assert reader.positions == pytest.approx(Z)
+    np.testing.assert_array_equal(np.stack(list(reader)), frames.to_numpy())
+
+
+def test_a_channel_and_a_time_of_labeled_frames_are_chosen() -> None:
+    frames = labeled()
+    many = frames.expand_dims(channel=2, time=3) + np.arange(2)[:, None, None, None, None]
+    many = many.transpose("y", "z", "channel", "x", "time")
+    with pytest.raises(ValueError, match=r"has the axes Z=9, C=2, T=3 "):
+        read_frames(many)
+    reader = read_frames(many, channel=1, time=2)
+    assert reader.positions == pytest.approx(Z)
+    np.testing.assert_allclose(np.stack(list(reader)), frames.to_numpy() + 1.0, rtol=1e-6)
+
+
 def test_pixels_that_are_no_squares_have_no_size() -> None:
     frames = labeled()
     wide = frames.assign_coords(x=("x", 2.1 * np.arange(80), {"units": "µm"}))
-    assert read_frames(wide).pixel_size is None
+    with pytest.warns(UserWarning, match="pixels of 2.1×2 µm, which are not square"):
+        assert read_frames(wide).pixel_size is None
 
 
 def test_numbers_of_pixels_are_no_scale() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from functools import partial
-from glob import glob
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._command._shared import Files, add_scales, picture, settle, text
+from microlib._common import home_path
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -32,11 +32,13 @@ def run(a: argparse.Namespace) -> Files:
     import pandas as pd
 
     from microlib.calibration import calibrate
-    from microlib.io import read_grey
+    from microlib.io import image_files, read_grey
 
     settle(a, "pitch", "cell", *(["focal_length"] if a.focal_length is not None else []))
-    photos = [photo for name in a.source for photo in _photos(name)]
-    seen: dict[str, tuple[NDArray, Any]] = {}
+    paths = [home_path(name) for name in a.source]
+    photos = [file for path in paths for file in ([path] if path.is_file() else image_files(path))]
+    a.protect(photos)
+    seen: dict[Path, tuple[NDArray, Any]] = {}
     for photo in a.bar(photos, unit=" photos"):
         try:
             image = read_grey(photo)
@@ -57,16 +59,6 @@ def run(a: argparse.Namespace) -> Files:
     yield "camera.json", text(result.to_json())
     yield "look.png", picture(partial(result.plot, found=views, images=images))
     a.say(result)
-
-
-def _photos(name: str) -> list[str]:
-    """Return the files of a folder, or of a pattern in quotes, which no shell has expanded."""
-    path = Path(name).expanduser()
-    pattern = str(path / "*" if path.is_dir() else path)
-    files = [name] if path.is_file() else sorted(glob(pattern))
-    if path.is_dir() and not files:
-        raise ValueError(f"{name} must hold images, got an empty folder")
-    return files or [name]
 
 
 def _detect(image: NDArray, marks: str) -> tuple[str, Any]:

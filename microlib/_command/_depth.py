@@ -10,7 +10,8 @@ from math import ceil, sqrt
 
 import numpy as np
 
-from microlib._command._shared import Files, add_scales, picture, settle, text, to_the_end
+from microlib._command import _shared
+from microlib._command._shared import Files, open_frames, picture, settle, text
 
 #: The maps, and what they show.
 _MAPS = {
@@ -25,14 +26,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(files=[*_MAPS, "surface.ply", "summary.json", "look.png"])
     stack = "TIFF, OME-TIFF, zarr, video, folder or quoted pattern; one frame a focus position"
     parser.add_argument("source", metavar="STACK", help=stack)
-    add_scales(parser, "spacing", "pixel_size")
+    _shared.add_scales(parser, "spacing", "pixel_size")
+    _shared.add_axes(parser)
     parser.add_argument("--register", action="store_true", help="undo motion from frame to frame")
     corner = ("X", "Y", "W", "H")
     parser.add_argument("--region", nargs=4, type=int, metavar=corner, help="part, px")
     parser.add_argument("--reduce", type=int, default=1, metavar="N", help="N×N px become one")
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="threads")
-    early = "take the frames before the fault of a film that ends early"
-    parser.add_argument("--allow-truncated", action="store_true", help=early)
 
 
 def run(a: argparse.Namespace) -> Files:
@@ -42,15 +42,12 @@ def run(a: argparse.Namespace) -> Files:
     """
     from microlib import focus, io
 
-    frames = io.read_frames(a.source, color=True)
+    frames = open_frames(a)
     if frames.count is not None and frames.count < 3:
         raise ValueError(f"{a.source} must hold three frames or more, got {frames.count}")
     z = frames.positions
     spacing = None if z is None else float(np.diff(z).mean())
     settled = settle(a, "spacing", "pixel_size", spacing=spacing, pixel_size=frames.pixel_size)
-    # Times and channels are refused by the reader's axis.
-    early = a.allow_truncated and frames.axis not in ("T", "C")
-    film = to_the_end(a, frames) if early else frames
     passed = {name: getattr(a, name) for name in ("register", "region", "reduce", "workers")}
     passed |= {"positions": z} if a.spacing is None else {"spacing": a.spacing}
     with a.bar(unit=" frames") as bar:
@@ -59,7 +56,7 @@ def run(a: argparse.Namespace) -> Files:
             bar.total = total
             bar.update(done - bar.n)
 
-        found = focus.depth_from_focus(film, **passed, progress=progress)
+        found = focus.depth_from_focus(frames, **passed, progress=progress)
     size = settled["pixel_size"] * a.reduce
     found = replace(found, pixel_size=size)
     maps = (found.depth, found.uncertainty, found.index, found.all_in_focus)
@@ -68,11 +65,12 @@ def run(a: argparse.Namespace) -> Files:
     sharp = found.all_in_focus
     grey = np.interp(sharp, (sharp.min(), sharp.max()), (0, 255)).astype(np.uint8)
     step = max(1, ceil(sqrt(found.depth.size / 250_000)))  # more corners are slow to show
-    mesh = partial(io.write_ply, height=found.depth, pixel_size=size, image=grey, step=step)
-    yield "surface.ply", mesh
+    few = np.s_[::step, ::step]
     yield (
-        "summary.json",
-        text(json.dumps(found.to_dict() | settled | {"pixel_size": size}, indent=2)),
+        "surface.ply",
+        partial(io.write_ply, height=found.depth[few], pixel_size=size * step, image=grey[few]),
     )
+    numbers = found.to_dict() | settled | {"pixel_size": size}
+    yield "summary.json", text(json.dumps(numbers, indent=2))
     yield "look.png", picture(found.plot)
     a.say(found)

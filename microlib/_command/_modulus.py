@@ -5,12 +5,11 @@ from __future__ import annotations
 import argparse
 import re
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
 from microlib._command._shared import Files, add_scales, picture, settle, text
-from microlib._common import Array, as_array
+from microlib._common import Array, as_array, home_path
 
 #: Spans of LOESS whose dimples are compared; the middle one is that of the thesis.
 _SPANS = (0.15, 0.25, 0.35)
@@ -22,22 +21,23 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     outline = "CSV file with columns x, y in px, or with two columns"
     parser.add_argument("source", metavar="OUTLINE", help=outline)
     add_scales(parser, "force", "force_std", "pixel_size", "thickness", "thickness_std")
-    add_scales(parser, "probe_half_width", "poisson")
+    add_scales(parser, "probe_half_width", "poisson_ratio")
     parser.add_argument("--y-down", action="store_true", help="y runs down, as an image's rows do")
 
 
 def run(a: argparse.Namespace) -> Files:
-    """Young's modulus of a membrane from the outline of its dimple, as the thesis finds it (5.6).
+    """Young's modulus of a membrane from the outline of its dimple, as in section 5.6.
 
     Example: microlib modulus outline.csv --force 150 --pixel-size 3.9 --thickness 3
-    --probe-half-width 25 --poisson 0.5 -o modulus.csv
+    --probe-half-width 25 --poisson-ratio 0.5 -o modulus.csv
     """
     from microlib._plots import outline
     from microlib.embryo import dimple_geometry, fit_gaussians, loess
 
+    a.protect([home_path(a.source)])
     x, y = _outline(a)
-    values = settle(a, "force", "pixel_size", "thickness", "probe_half_width", "poisson")
-    size, values["poisson_ratio"] = values.pop("pixel_size"), values.pop("poisson")
+    values = settle(a, "force", "pixel_size", "thickness", "probe_half_width", "poisson_ratio")
+    size = values.pop("pixel_size")
     stds = {"force": a.force_std or 0.0, "thickness": a.thickness_std or 0.0}
     curves = [fit_gaussians(x, loess(x, y, span=span)) for span in _SPANS]
     result: dict[str, float] = {}
@@ -107,17 +107,31 @@ def _dip(y: Array) -> tuple[int, int, float, bool]:
 
 def _points(path: str) -> tuple[Array, Array]:
     """Read two columns of numbers: comma, semicolon, tab or spaces between; decimal point or comma;
-    a line of names, among them x and y in any case, or none."""
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig").replace('"', "").strip()
-        if re.search("[;\t]", text.partition("\n")[0]):  # then a comma is a decimal one
-            text = text.replace(",", ".")
-        rows = [re.split(r"[;,\s]\s*", line.strip(" ").lower()) for line in text.splitlines()]
-        named = {"x", "y"} <= set(rows[0])
-        columns = (rows[0].index("x"), rows[0].index("y")) if named else (0, 1)
-        points = np.array([[float(row[k]) for k in columns] for row in rows[named:]])
-        x, y = points[np.argsort(points[:, 0], kind="stable")].T
-    except (LookupError, ValueError) as error:
-        need = "a table of numbers in columns x and y, with comma, semicolon or tab between"
-        raise ValueError(f"{path} must be {need}") from error
+    a line of names, among them x and y or col and row, or none; comments behind #."""
+    data = home_path(path).read_bytes()
+    text = data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
+    if re.search(r"[;\t]|\d,\d+ +[-+.\d]", text):  # then a comma is a decimal one
+        text = text.replace(",", ".")
+    # A unit in brackets belongs to the name before it.
+    lines = [re.sub(r'["]|\s*[([].*?[])]|#.*', "", line).strip() for line in text.splitlines()]
+    rows = {k: re.split(r"[;,\s]\s*", line.lower()) for k, line in enumerate(lines, 1) if line}
+    columns = [0, 1]
+    if rows and re.match(r"[^\W\d]", (names := next(iter(rows.values())))[-1]):
+        del rows[next(iter(rows))]
+        if re.search("[uµm]m", " ".join(names)):
+            raise ValueError(f"{path} must hold x and y in px, got {', '.join(names)}")
+        for k, known in enumerate(("x|col", "y|row")):
+            columns[k] = next(
+                (i for i, name in enumerate(names) if re.match(known, name)), len(names)
+            )
+    points = []
+    need = f"{path} must be a table of numbers in columns x and y"
+    for k, row in rows.items():
+        try:
+            points.append([float(row[column]) for column in columns])
+        except (LookupError, ValueError):
+            raise ValueError(f"{need}, got line {k}: {lines[k - 1]!r}") from None
+    if not points:
+        raise ValueError(f"{need}, got none")
+    x, y = np.transpose(sorted(points, key=lambda point: point[0]))
     return as_array(path, x), as_array(path, y)

@@ -1,4 +1,4 @@
-"""What the commands share: numbers with units, films that may end early, texts and pictures."""
+"""What the commands share: options, numbers with units, frames, texts and pictures."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from numpy.typing import NDArray
-
-from microlib._common import MEASURED, scalar
+from microlib._common import MEASURED, SOFTWARE, scalar
 
 #: Writes a file; what a task gives, by the names of its files.
 Writer = Callable[[Path], object]
@@ -31,10 +29,10 @@ _SCALES = {
     "thickness": ("µm", "of the membrane"),
     "thickness_std": ("µm", "standard deviation of the thickness, 0"),
     "probe_half_width": ("µm", "of its end"),
-    "poisson": ("ratio", "of the membrane; 0.5 if it keeps its volume"),
+    "poisson_ratio": ("ratio", "of the membrane; 0.5 if it keeps its volume"),
 }
 #: Those that may be zero or negative.
-_SIGNED = ("spacing", "poisson")
+_SIGNED = ("spacing", "poisson_ratio")
 
 
 def option(name: str) -> str:
@@ -53,20 +51,29 @@ def _quantity(unit: str) -> Callable[[str], float]:
 
     def read(text: str) -> float:
         own = re.search(rf"\s*([nuµμmc]?){unit[1:].removesuffix('/px')}(/px)?$", text)
-        number = float(text[: own.start() if own else None].replace(",", "."))
+        number = plain_number(text[: own.start() if own else None])
         return number * _PREFIXES[own[1]] if own else number
 
     read.__name__ = f"number in {unit}"  # as argparse calls it
     return read
 
 
-def settle(a: argparse.Namespace, *names: str, **told: float | None) -> dict[str, float]:
-    """Return each scale, as given or told by the file, and say which; ask for the missing."""
+def plain_number(text: str) -> float:
+    """Return a number with a decimal point or comma; 126,000 may be one of thousands."""
+    plain, decimal = text.replace(",", ""), text.replace(",", ".")
+    thousands = re.fullmatch(r"\s*[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?", text)
+    if thousands and text.count(",") == 1 and not thousands[2]:
+        raise argparse.ArgumentTypeError(f"{text} can be {plain} or {decimal}: write one of them")
+    return float(plain if thousands else decimal)
+
+
+def settle(a: argparse.Namespace, *names: str, **read: float | None) -> dict[str, float]:
+    """Return each scale, as given or read from the file, and say which; ask for the missing."""
     values = {name: getattr(a, name) for name in names}
-    values = {name: told.get(name) if value is None else value for name, value in values.items()}
+    values = {name: read.get(name) if value is None else value for name, value in values.items()}
     missing = [f"{option(name)} {_SCALES[name][0]}" for name in names if values[name] is None]
     if missing:
-        raise ValueError(f"no scale is told by the file: give {', '.join(missing)}")
+        raise ValueError(f"no scale is in the file: give {', '.join(missing)}")
     for name, value in values.items():
         unit = _SCALES[name][0]
         scalar(name, value, above=None if name in _SIGNED else 0)
@@ -79,15 +86,27 @@ def settle(a: argparse.Namespace, *names: str, **told: float | None) -> dict[str
     return values
 
 
-def to_the_end(a: argparse.Namespace, frames: Iterator[NDArray]) -> Iterator[NDArray]:
-    """Yield the frames that can be read, and note how many these are where a film ends early."""
-    count = 0
-    try:
-        for frame in frames:
-            yield frame
-            count += 1
-    except (OSError, ValueError) as error:
-        a.note(f"{error}; the {count} frames before are used")
+def add_axes(parser: argparse.ArgumentParser) -> None:
+    """Add the choice among the axes of a file that has more than a stack."""
+    for name in ("channel", "time", "series"):
+        parser.add_argument(option(name), type=int, metavar="N", help=f"{name} to read, from 0")
+
+
+def read(a: argparse.Namespace) -> Any:
+    """Return a reader of the frames of a task."""
+    from microlib.io import read_frames
+
+    chosen = {name: getattr(a, name) for name in ("channel", "time", "series")}
+    return read_frames(a.source, color=True, **chosen)
+
+
+def open_frames(a: argparse.Namespace) -> Any:
+    """Return a reader, once the order of files is printed and none of them is to be replaced."""
+    frames = read(a)
+    a.protect(frames.files)
+    if len(frames.files) > 1:
+        a.say(f"{len(frames.files)} files, from {frames.files[0].name} to {frames.files[-1].name}")
+    return frames
 
 
 def text(content: str) -> Writer:
@@ -96,4 +115,4 @@ def text(content: str) -> Writer:
 
 def picture(draw: Callable[[], Any]) -> Writer:
     """Return what draws a figure once its file is to be written."""
-    return lambda file: draw().savefig(file, dpi=150)
+    return lambda file: draw().savefig(file, dpi=150, metadata={"Software": SOFTWARE})

@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 import csv
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from microlib._command._shared import Files, add_scales, picture, settle, to_the_end
+from microlib._command import _shared
+from microlib._command._shared import Files, open_frames, picture, settle
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -21,11 +23,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     motions = ["translation", "affine", "homography"]
     parser.add_argument("--motion", choices=motions, default=motions[0], help="how the part moves")
     parser.add_argument("--rate", type=float, help="frames per second, for a column of times")
-    add_scales(parser, "pixel_size")
+    _shared.add_scales(parser, "pixel_size")
+    _shared.add_axes(parser)
     film = "also a film with the part marked"
     parser.add_argument("--video", action="store_true", help=film)
-    early = "a film that ends before its header says is no fault"
-    parser.add_argument("--allow-truncated", action="store_true", help=early)
 
 
 def run(a: argparse.Namespace) -> Files:
@@ -35,14 +36,16 @@ def run(a: argparse.Namespace) -> Files:
     """
     import pandas as pd
 
-    from microlib import io, tracking
+    from microlib import tracking
 
-    frames = io.read_frames(a.source, color=True)
-    film = to_the_end(a, frames) if a.allow_truncated else frames
+    frames = open_frames(a)
     size = frames.pixel_size if a.pixel_size is None else a.pixel_size
     if size is not None:
         settle(a, "pixel_size", pixel_size=frames.pixel_size)
-    each = tracking.track_each(film, a.box, a.motion, rate=a.rate, pixel_size=size)
+    first = next(frames)
+    each = tracking.track_each(
+        chain([first], frames), a.box, a.motion, rate=a.rate, pixel_size=size
+    )
     rows, lost = [next(each)], 0
     stop: BaseException | None = None
     a.out.parent.mkdir(parents=True, exist_ok=True)
@@ -62,9 +65,9 @@ def run(a: argparse.Namespace) -> Files:
                 bar.set_postfix_str(f"lost in {lost / len(rows):.0%}", False)
         except (OSError, ValueError, KeyboardInterrupt) as error:
             stop = error
-    table, first = pd.DataFrame(rows), next(io.read_frames(a.source, color=True))
+    table = pd.DataFrame(rows)
     yield "look.png", picture(partial(tracking.plot_track, table, first))
-    yield "look.mp4", partial(_film, a.source, table, a.rate)
+    yield "look.mp4", partial(_film, a, table)
     summary = f"lost in {lost} of {len(rows)} frames"
     a.say(f"{summary}; one row a frame, lengths in px, of columns …_um in µm")
     if stop is not None:
@@ -76,15 +79,16 @@ def run(a: argparse.Namespace) -> Files:
         a.end = 4, f"{summary}: try {remedy}"
 
 
-def _film(source: str, table: Any, rate: float | None, path: Path) -> None:
+def _film(a: argparse.Namespace, table: Any, path: Path) -> None:
     """Write the frames with the part in yellow, or in red where it was last seen."""
     import cv2
 
-    from microlib.io import read_frames
-
-    frames = read_frames(source, color=True)
-    kind, size = cv2.VideoWriter.fourcc(*"mp4v"), frames.shape[::-1]
-    film = cv2.VideoWriter(str(path), kind, rate or 25, size)
+    frames = _shared.read(a)
+    width, height = frames.shape[::-1]
+    code = cv2.VideoWriter.fourcc(*"mp4v")
+    film = cv2.VideoWriter(str(path), code, a.rate or 25, (width, height))
+    if not film.isOpened():
+        raise ValueError(f"OpenCV cannot write a film of {width}×{height} px here")
     corners = table.filter(like="corners_").ffill().to_numpy(float).reshape(-1, 4, 2)
     levels = None
     for corner, lost, frame in zip(corners, table["lost"], frames, strict=False):

@@ -1,12 +1,17 @@
 """What several subjects share: argument checks, types, covariance, files, threads, devices."""
 
 from microlib._common._checks import (
+    LARGEST,
+    LARGEST_GREY,
+    LEAST,
     MEASURED,
     ArgumentError,
     as_array,
     as_image,
     as_map,
     as_region,
+    between,
+    check_callable,
     flag,
     generator,
     image_shape,
@@ -32,6 +37,6 @@ from microlib._common._devices import (
     RunInterrupt,
     check_devices,
 )
-from microlib._common._files import replace_file
+from microlib._common._files import SOFTWARE, home_path, replace_file
 from microlib._common._results import Result, Tidy, flat_row
 from microlib._common._types import Array, Frames, Image, Region

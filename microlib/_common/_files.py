@@ -8,6 +8,15 @@ from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 
+#: Software that pictures and maps name as their maker, by which results are told from frames.
+SOFTWARE = "microlib"
+
+
+def home_path(path: str | PathLike[str]) -> Path:
+    """Return a path with ``~`` as the home folder; other names may begin with a tilde."""
+    found = Path(path)
+    return found.expanduser() if found.parts[:1] == ("~",) else found
+
 
 def replace_file(path: str | PathLike[str], write: Callable[[Path], object]) -> None:
     """Write a file beside `path` and move it there, so that no half-written file is ever seen.

@@ -56,7 +56,8 @@ class GaussianSum(Tidy):
     [15.0]
     """
 
-    _large = ("amplitudes", "centers", "widths", "covariance")
+    _samples = ("amplitudes", "centers", "widths")
+    _large = ("covariance",)
 
     amplitudes: Array
     centers: Array

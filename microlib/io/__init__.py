@@ -1,6 +1,7 @@
-"""Frames in, results out: files are written whole or not at all."""
+"""Read the frames of a stack; write maps and meshes, each file whole or not at all."""
 
 from microlib.io._files import read_grey, write_height_tiff, write_ply
 from microlib.io._frames import read_frames
+from microlib.io._sources import image_files as image_files  # not public: for the commands
 
 __all__ = ["read_frames", "read_grey", "write_height_tiff", "write_ply"]

@@ -10,8 +10,8 @@ import numpy as np
 import tifffile
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import as_array, of_kind, replace_file, scalar, whole
-from microlib.io._frames import read_frames, reduced
+from microlib._common import SOFTWARE, as_array, of_kind, replace_file, scalar
+from microlib.io._frames import read_frames
 from microlib.io._metadata import MICROMETERS
 
 
@@ -90,21 +90,18 @@ def write_height_tiff(
     (4, 5)
     """
     of_kind("path", path, str, PathLike)
-    of_kind("what", what, str)
     dtype = getattr(height, "dtype", None)
     kept = dtype if dtype in (np.uint8, np.uint16, np.int32) else np.float32
-    values = as_array("height", height, dtype=kept, finite=False)
-    if values.shape[2:] != (3,):
-        as_array("height", values, shape=(None, None), dtype=kept, finite=False)
+    axes, shape = ("YXS", (None, None, 3)) if np.ndim(height) == 3 else ("YX", (None, None))
+    values = as_array("height", height, shape=shape, dtype=kept, finite=False)
     # The number of pixels in a centimeter fits into the 32 bits of a TIFF.
-    size = scalar("pixel_size", pixel_size, above=0, least=1e-5, most=1e9)
-    ome = Path(path).name.lower().endswith((".ome.tif", ".ome.tiff"))
-    about: dict[str, Any] = {"description": f"{what}; pixel size {size:g} um"}
-    if ome:
+    size = scalar("pixel_size", pixel_size, above=0, least=1e-5)
+    if Path(path).name.lower().endswith((".ome.tif", ".ome.tiff")):
         sizes = {f"PhysicalSize{axis}": size for axis in "XY"}
         units = {f"PhysicalSize{axis}Unit": "µm" for axis in "XY"}
-        axes = {"axes": "YX" if values.ndim == 2 else "YXS"}
-        about = {"metadata": {**axes, **sizes, **units, "Name": what}}
+        about: dict[str, Any] = {"metadata": {"axes": axes, **sizes, **units, "Name": what}}
+    else:  # in bytes, as tifffile encodes ASCII alone
+        about = {"description": f"{what}; pixel size {size:g} um".encode()}
 
     def write(file: Path) -> None:
         tifffile.imwrite(
@@ -112,9 +109,8 @@ def write_height_tiff(
             values,
             resolution=2 * (MICROMETERS["cm"] / size,),
             resolutionunit="CENTIMETER",
-            photometric="minisblack" if values.ndim == 2 else "rgb",
-            ome=ome,
-            software=False,
+            photometric="rgb" if axes == "YXS" else "minisblack",
+            software=SOFTWARE,
             **about,
         )
 
@@ -127,7 +123,6 @@ def write_ply(
     *,
     pixel_size: float,
     image: ArrayLike | None = None,
-    step: int = 1,
 ) -> None:
     """Write a height map as a triangle mesh in the PLY format, lengths in µm.
 
@@ -141,15 +136,12 @@ def write_ply(
         Size of a pixel, in µm/px.
     image : array_like of uint8, shape (rows, cols) or (rows, cols, 3), optional
         Grey levels or colors of the vertices.
-    step : int
-        Side of the square blocks of pixels that become one vertex, at the mean of what is known of
-        them if that is at least half.
 
     Raises
     ------
     ValueError
-        If `height` is not two-dimensional, has no whole cell, `pixel_size` is not positive, or
-        `image` is of another size or type.
+        If `height` is not two-dimensional, has no cell of known heights, `pixel_size` is not
+        positive, or `image` is of another size or type.
 
     Notes
     -----
@@ -169,59 +161,41 @@ def write_ply(
     """
     of_kind("path", path, str, PathLike)
     heights = as_array("height", height, shape=(None, None), finite=False)
-    size = scalar("pixel_size", pixel_size, above=0, most=1e9)
-    by = whole("step", step, least=1)
-    colors = None if image is None else _colors(image, heights.shape)
-    if by > 1:
-        known = np.isfinite(heights)
-        share = reduced("height", known.astype(np.float64), by)
-        total = reduced("height", np.where(known, heights, 0.0), by)
-        # A block of which half is known counts, whatever the rounding of its share.
-        enough = share > 0.5 - 0.5 / by**2
-        heights = np.where(enough, total / np.where(enough, share, 1.0), np.nan)
-        colors = None if colors is None else reduced("image", colors, by)
-    # The middle of the first block.
-    content = _mesh(heights, colors, size * by, size * (by - 1) / 2)
-    replace_file(path, lambda file: file.write_bytes(content))
-
-
-def _colors(image: ArrayLike, shape: tuple[int, ...]) -> NDArray:
-    colors = as_array("image", image, dtype=getattr(image, "dtype", np.float64), finite=False)
-    if colors.dtype != np.uint8 or colors.shape not in (shape, (*shape, 3)):
-        raise ValueError(
-            f"image must be uint8 of shape {shape} or {(*shape, 3)}, "
-            f"got {colors.dtype} of shape {colors.shape}"
-        )
-    return colors if colors.ndim == 3 else np.repeat(colors[..., None], 3, axis=2)
-
-
-def _mesh(heights: NDArray, colors: NDArray | None, spacing: float, first: float) -> bytes:
-    """Return a PLY file of the vertices with known heights and the triangles between them."""
+    size = scalar("pixel_size", pixel_size, above=0)
     known = np.isfinite(heights)
     cells = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
     if not cells.any():
         raise ValueError(
-            f"height must have at least one cell of four known heights, got {int(known.sum())} "
-            f"known of {heights.size}"
+            f"height must have at least one cell of four known heights, got {known.sum()} known"
         )
-    number = np.cumsum(known.ravel()).reshape(known.shape) - 1
     row, column = np.nonzero(known)
-    names, layout = ["float x", "float y", "float z"], [("xyz", "<f4", 3), ("rgb", "u1", 3)]
-    names += [] if colors is None else ["uchar red", "uchar green", "uchar blue"]
-    vertices = np.empty(len(row), dtype=layout[: len(names) // 3])
-    x, y = first + column * spacing, -(first + row * spacing)
-    vertices["xyz"] = np.column_stack([x, y, heights[known]])
-    if colors is not None:
-        vertices["rgb"] = colors[known]
-    around = (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
-    corners = np.column_stack([corner[cells] for corner in around])
-    faces = np.empty(2 * len(corners), dtype=[("count", "u1"), ("index", "<i4", 3)])
+    fields: list[tuple[str, str, NDArray]] = [
+        ("float x", "<f4", column * size),
+        ("float y", "<f4", -row * size),
+        ("float z", "<f4", heights[known]),
+    ]
+    if image is not None:
+        shape = (*known.shape, 3)
+        colors = np.asarray(image)
+        if colors.dtype != np.uint8 or colors.shape not in (known.shape, shape):
+            need = f"image must be uint8 of shape {known.shape} or {shape}"
+            raise ValueError(f"{need}, got {colors.dtype} of shape {colors.shape}")
+        levels = np.broadcast_to(np.atleast_3d(colors), shape)[known].T
+        names = ("uchar red", "uchar green", "uchar blue")
+        fields += [(name, "u1", level) for name, level in zip(names, levels, strict=True)]
+    layout = [(name, kind) for name, kind, _ in fields]
+    vertices = np.rec.fromarrays([values for *_, values in fields], dtype=layout)
+    number = np.cumsum(known).reshape(known.shape) - 1
+    corners = (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
+    a, b, c, d = (corner[cells] for corner in corners)
+    faces = np.empty(2 * len(a), [("count", "u1"), ("index", "<i4", 3)])
     faces["count"] = 3
-    faces["index"][::2], faces["index"][1::2] = corners[:, :3], corners[:, [0, 2, 3]]
-    header = (
-        "ply\nformat binary_little_endian 1.0\ncomment lengths in micrometers\n"
-        f"element vertex {len(vertices)}\n"
-        + "".join(f"property {kind}\n" for kind in names)
-        + f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    return header.encode("ascii") + vertices.tobytes() + faces.tobytes()
+    faces["index"] = np.stack([a, b, c, a, c, d], axis=1).reshape(-1, 3)
+    header = [
+        "ply\nformat binary_little_endian 1.0\ncomment lengths in micrometers",
+        f"element vertex {len(vertices)}",
+        *(f"property {name}" for name, _ in layout),
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n",
+    ]
+    content = "\n".join(header).encode("ascii") + vertices.tobytes() + faces.tobytes()
+    replace_file(path, lambda file: file.write_bytes(content))

@@ -8,19 +8,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import (
-    Frames,
-    Region,
-    as_array,
-    as_region,
-    flag,
-    whole,
-)
-from microlib.io._sources import Named, Source, open_source
+from microlib._common import LARGEST_GREY, Frames, Region, as_array, as_region, flag, whole
+from microlib.io._source import Named, Source
+from microlib.io._sources import open_source, refuse_choice
 
 
 def read_frames(
-    frames: Frames, *, color: bool = False, region: Region | None = None, reduce: int = 1
+    frames: Frames,
+    *,
+    color: bool = False,
+    region: Region | None = None,
+    reduce: int = 1,
+    channel: int | None = None,
+    time: int | None = None,
+    series: int | None = None,
 ) -> FrameReader:
     """Return the frames of a stack one after the other, checked, without holding more than one.
 
@@ -29,19 +30,23 @@ def read_frames(
     frames : array_like, path, or iterable
         An array of shape (n, rows, cols), or (n, rows, cols, 3) in color, or anything with a
         `shape` like that whose frames are loaded as it is indexed, such as a zarr array; an
-        xarray.DataArray, whose coordinates are positions and pixel size, in µm or in the unit that
-        ``attrs["units"]`` names (0, 1, 2, … without a unit only number the pixels); a folder
-        or a pattern (``"scan/*.jpg"``) of images, taken in the order of their names and of the
-        numbers in them; a multi-page TIFF or OME-TIFF; a video; or an iterable, such as a list or
-        a generator, of images or of paths to image files; or what this function returned. A TIFF
-        has one axis of frames: depth Z, time T, or one without a name. A photograph is turned as
-        its camera says. ``~`` is the home folder.
+        xarray.DataArray, whose dimensions may be in any order if two are named x and y, and whose
+        coordinates are positions and pixel size, in µm or in the unit that ``attrs["units"]``
+        names (0, 1, 2, … without a unit only number the pixels); a folder or a pattern
+        (``"scan/*.jpg"``) of images, in the order of the numbers in their names; a multi-page TIFF
+        or OME-TIFF; OME-Zarr 0.4 or 0.5; a NumPy file; a GIF or a video; or an iterable, such as a
+        list or a generator, of images or of paths to image files; or what this function returned.
+        A photograph is turned as its camera says, unless that changes within a stack. ``~`` is the
+        home folder.
     color : bool
         Whether color is wanted. If not, it becomes luminance, 0.299 R + 0.587 G + 0.114 B.
     region : tuple of four ints, optional
         Part of the frames, (x, y, width, height) in px; of what a reader gives, if it is one.
     reduce : int
         Side of the square blocks of pixels that become one, their mean.
+    channel, time, series : int, optional
+        Number, from zero, of the channel, the time and the series of images to read, of a TIFF,
+        OME-Zarr or xarray.DataArray with more axes than one besides rows and columns.
 
     Returns
     -------
@@ -50,26 +55,27 @@ def read_frames(
         green and blue, of 8 or 16 bits or float32; other number types become float32. Frames of
         an array are views of it, all others are the reader's own. Values are as stored: a TIFF in
         which zero is white is not inverted. The reader's attributes `count`, `shape`, `dtype`,
-        `color`, `axis`, `pixel_size` (µm/px) and `positions` (µm) say what the files tell of
-        them, None where they do not. A reader of a reader goes on where that one is, and both
+        `color`, `axis`, `pixel_size` (µm/px), `positions` (µm) and `files` are what is known of
+        the frames before they are read. A reader of a reader goes on where that one is, and both
         share the frames that are left.
 
     Raises
     ------
     ValueError
-        If the frames are none of these, a file is missing, is of another size than the first or no
-        image, or a TIFF is cut off, has channels, depth and time, or more pages or fewer than it
-        says: at once. While the frames are read, if one is neither grey nor color, not finite,
-        beyond ±10¹⁰, damaged, or differs from the first in size or type, or if a film ends before
-        the number of frames that it tells of. The message names the frame, and the page or axes of
-        a TIFF. The frames before are good; the reader gives none after it and fails again.
+        If the frames are none of these; if a file is missing, is no image, or is of another size
+        than the first; if the order of files is ambiguous, or one frame has two files; if a TIFF is
+        cut off, has more pages or fewer than it says, or has axes to choose from: at once. While
+        the frames are read, if one is neither grey nor color, not finite, beyond ±10¹⁰, damaged, or
+        differs from the first in size or type, or if a film ends before its number of frames. The
+        message names the frame, and the page or axes of a TIFF. The frames before are good; the
+        reader gives none after it and fails again.
 
     Warns
     -----
     UserWarning
-        If a video has another number of frames than it tells of. AVI, MP4 and MOV list theirs,
-        which is believed until the last one was read; in others they are counted, which takes as
-        long as to read them.
+        If a video has another number of frames than its header says; if numbers are missing in the
+        names of files; if pixels are not square, or two positions in the metadata disagree; if
+        results of this library are left out of a folder.
 
     Examples
     --------
@@ -81,9 +87,12 @@ def read_frames(
     """
     in_color, by = flag("color", color), whole("reduce", reduce, least=1)
     part = None if region is None else as_region("region", region)
+    wanted = {"channel": channel, "time": time, "series": series}
+    choice = {key: whole(key, n, least=0) for key, n in wanted.items() if n is not None}
     if isinstance(frames, FrameReader):
+        refuse_choice(choice)
         return frames.part(in_color, part, by)
-    source = open_source(frames)
+    source = open_source(frames, choice)
     return FrameReader(source, Ahead(source.read()), in_color, part, by)
 
 
@@ -108,6 +117,8 @@ class FrameReader(Iterator[NDArray]):
         Position of each frame along the optical axis, µm.
     origin : (float, float)
         x and y of the middle of the first pixel, µm, where the pixel size is known.
+    files : tuple of Path
+        The files that are read, in order.
     """
 
     def __init__(
@@ -119,10 +130,10 @@ class FrameReader(Iterator[NDArray]):
         if (first := raw.peek()) is not None:
             self._first = _kind(self._prepared(*first), first[1])
         kind, self.dtype, self.shape = self._first
-        self.color = kind == "color"
-        z, size = source.positions, source.pixel_size
+        self.color, self.axis, self.files = kind == "color", source.axis, source.files
         self.count = None if source.count is None else source.count - raw.taken
-        self.axis, self.positions = source.axis, None if z is None else z[raw.taken :]
+        self.positions = None if source.positions is None else source.positions[raw.taken :]
+        size = source.pixel_size
         self.pixel_size = None if size is None else size * reduce
         corner = (0, 0) if region is None else region[:2]
         x, y = ((size or 0.0) * (at + (reduce - 1) / 2) for at in corner)
@@ -131,13 +142,10 @@ class FrameReader(Iterator[NDArray]):
     def __next__(self) -> NDArray:
         if (named := self._raw.peek()) is None:
             raise StopIteration
-        name, raw = named
-        frame = self._prepared(name, raw)
-        if (came := _kind(frame, raw)) != self._first:
-            must, got = (
-                f"{kind} {dtype} of shape {size}" for kind, dtype, size in (self._first, came)
-            )
-            raise ValueError(f"{name} must be {must} like the first frame, got {got}")
+        frame = self._prepared(*named)
+        if (came := _kind(frame, named[1])) != self._first:
+            must, got = ("{} {} of shape {}".format(*kind) for kind in (self._first, came))
+            raise ValueError(f"{named[0]} must be {must} like the first frame, got {got}")
         self._raw.take()
         return frame
 
@@ -152,21 +160,34 @@ class FrameReader(Iterator[NDArray]):
 
     def _prepared(self, name: str, frame: NDArray) -> NDArray:
         """Return the part that is wanted, in a type and colors that are."""
-        if frame.ndim not in (2, 3) or (frame.ndim == 3 and not _has_color(frame)):
+        if frame.ndim != 2 and not _has_color(frame):
             raise ValueError(f"{name} must be a grey or color image, got shape {frame.shape}")
         if min(frame.shape) == 0:
             raise ValueError(f"{name} must have pixels, got shape {frame.shape}")
         if self._region is not None:
             x, y, width, height = as_region("region", self._region, frame.shape)
             frame = frame[y : y + height, x : x + width]
-        frame = _numbers(name, frame)
+        if frame.dtype.kind == "u" and frame.dtype.itemsize <= 2:
+            frame = np.ascontiguousarray(frame, dtype=frame.dtype.newbyteorder("="))
+        elif frame.dtype.kind in "uif":
+            # Products of sharpness, from which depths are found, stay in single precision's range.
+            frame = as_array(name, frame, dtype=np.float32, largest=LARGEST_GREY)
+        else:
+            raise ValueError(f"{name} must hold real numbers, got {frame.dtype}")
         if frame.ndim == 3:
             frame = np.ascontiguousarray(frame[..., :3])
-            if not self._in_color:
-                frame = cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)
-        if self._reduce > 1:
-            frame = reduced(name, frame, self._reduce)
-        return frame
+            frame = frame if self._in_color else cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)
+        by = self._reduce
+        if by == 1:
+            return np.ascontiguousarray(frame)
+        rows, cols = frame.shape[0] // by, frame.shape[1] // by
+        if min(rows, cols) == 0:
+            raise ValueError(
+                f"{name} must have sides of at least the {by} px of a block, got {frame.shape}"
+            )
+        # What is left beside the last block is cut off.
+        blocks = frame[: rows * by, : cols * by]
+        return np.asarray(cv2.resize(blocks, (cols, rows), interpolation=cv2.INTER_AREA))
 
 
 class Ahead:
@@ -201,23 +222,3 @@ def _kind(frame: NDArray, raw: NDArray) -> tuple[str, np.dtype, tuple[int, int]]
 
 def _has_color(frame: NDArray) -> bool:
     return frame.ndim == 3 and frame.shape[-1] in (3, 4)
-
-
-def _numbers(name: str, frame: NDArray) -> NDArray:
-    if frame.dtype.kind not in "uif":
-        raise ValueError(f"{name} must hold real numbers, got {frame.dtype}")
-    if frame.dtype.kind == "u" and frame.dtype.itemsize <= 2:
-        return np.ascontiguousarray(frame, dtype=frame.dtype.newbyteorder("="))
-    # The products of sharpness that depths are found by stay in single precision's range.
-    return np.ascontiguousarray(as_array(name, frame, dtype=np.float32))
-
-
-def reduced(name: str, image: NDArray, by: int) -> NDArray:
-    """Return the means of square blocks of pixels; what is left beside the last is cut off."""
-    rows, cols = image.shape[0] // by, image.shape[1] // by
-    if min(rows, cols) == 0:
-        raise ValueError(
-            f"{name} must have sides of at least the {by} px of a block, got {image.shape}"
-        )
-    blocks = image[: rows * by, : cols * by]
-    return np.asarray(cv2.resize(blocks, (cols, rows), interpolation=cv2.INTER_AREA))

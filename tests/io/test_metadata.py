@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -54,9 +55,9 @@ def test_units_and_spacings_of_imagej(
     [
         ((4000, 4000), "CENTIMETER", 2.5),
         ((4000, 4003), "CENTIMETER", 2.5),  # one in a thousand apart is square still
-        ((4000, 4010), "CENTIMETER", None),
-        ((4010, 4000), "CENTIMETER", None),
         ((0, 0), "CENTIMETER", None),
+        # 72, 300 and 1200 dots per inch.
+        *(((dots / 2.54, dots / 2.54), "CENTIMETER", None) for dots in (72, 300, 1200)),
         # A resolution in inches is a printer's, which software writes unasked.
         ((100, 100), "INCH", None),
         ((100, 100), "NONE", None),
@@ -74,6 +75,72 @@ def test_a_plain_tiff_has_a_resolution_in_centimeters(
     assert reader.pixel_size == (size and pytest.approx(size, rel=1e-6))
 
 
+@pytest.mark.parametrize("resolution", [(4000, 4010), (4010, 4000)])
+def test_pixels_that_are_not_square_have_no_size_and_are_named(
+    tmp_path: Path, resolution: tuple[int, int]
+) -> None:
+    tifffile.imwrite(
+        tmp_path / "a.tif", STACK, photometric="minisblack", metadata=None,
+        resolution=resolution, resolutionunit="CENTIMETER",
+    )  # fmt: skip
+    with pytest.warns(UserWarning, match=r"a\.tif has pixels of .* not square"):
+        assert read_frames(tmp_path / "a.tif").pixel_size is None
+
+
+@pytest.mark.parametrize(
+    ("zunit", "step"), [("um", 2500.0), ("mm", 2.5e6), ("sec", None), ("nm", 2.5)]
+)
+def test_an_axis_of_imagej_may_have_a_unit_of_its_own(tmp_path: Path, zunit: str, step) -> None:
+    about = {"axes": "ZYX", "spacing": 2500.0, "unit": "nm", "yunit": "um", "zunit": zunit}
+    tifffile.imwrite(
+        tmp_path / "a.tif", STACK, imagej=True, resolution=(1 / 250, 4), metadata=about
+    )
+    reader = read_frames(tmp_path / "a.tif")
+    assert reader.pixel_size == pytest.approx(0.25)
+    assert reader.positions == (step and pytest.approx(step * np.arange(3)))
+
+
+@pytest.mark.parametrize(
+    ("step", "unit", "spacing", "used", "which"),
+    [
+        (0.01, None, 10.0, 10.0, "latter"),  # of a microscope that counts in mm
+        (0.01, "mm", 10.0, 10.0, None),
+        (10.3, None, 10.0, 10.3, None),  # as measured
+        (7.0, "µm", 10.0, 7.0, "former"),
+        (-10.0, "µm", 10.0, -10.0, None),
+        (7.0, "µm", None, 7.0, None),
+        (7.0, None, None, None, None),  # in whatever unit
+    ],
+)
+def test_positions_without_a_unit_count_only_beside_the_same_spacing(
+    tmp_path: Path, step: float, unit: str | None, spacing: float | None, used, which
+) -> None:
+    plane: dict = {"PositionZ": [5 + step * k for k in range(3)]}
+    plane |= {"PositionZUnit": [unit] * 3} if unit else {}
+    size = {"PhysicalSizeZ": spacing} if spacing else {}
+    path = tmp_path / "a.ome.tif"
+    tifffile.imwrite(path, STACK, metadata={"axes": "ZYX", **size, "Plane": plane})
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        positions = read_frames(path).positions
+    assert [str(w.message).split(": ")[1] for w in told] == (
+        [f"the {which} is used"] if which else []
+    )
+    if used is None:
+        assert positions is None
+    else:
+        assert np.diff(positions) == pytest.approx([used] * 2)
+
+
+def test_positions_are_those_of_the_channel_and_the_time(tmp_path: Path) -> None:
+    many = np.zeros((2, 3, 2, 8, 10), np.uint8)  # T, Z, C
+    z = [[[[20.0 * t + 5 * c + k] for c in range(2)] for k in (0, 1, 3)] for t in range(2)]
+    plane = {"PositionZ": np.ravel(z).tolist(), "PositionZUnit": ["µm"] * 12}
+    tifffile.imwrite(tmp_path / "a.ome.tif", many, metadata={"axes": "TZCYX", "Plane": plane})
+    reader = read_frames(tmp_path / "a.ome.tif", channel=1, time=1)
+    assert reader.positions == pytest.approx([25, 26, 28])
+
+
 def ome_text(path: Path) -> str:
     with tifffile.TiffFile(path) as tiff:
         text = tiff.ome_metadata
@@ -81,10 +148,12 @@ def ome_text(path: Path) -> str:
     return text
 
 
-def written(path: Path, positions: list[float], order: list[int] | None = None) -> None:
+def written(
+    path: Path, positions: list[float], order: list[int] | None = None, size: float = 150.0
+) -> None:
     """Write an OME-TIFF with a position of each plane, and planes in another order."""
     plane = {"PositionZ": positions, "PositionZUnit": ["mm"] * 3}
-    metadata = {"axes": "ZYX", "PhysicalSizeZ": 9.0, "Plane": plane}
+    metadata = {"axes": "ZYX", "PhysicalSizeZ": size, "Plane": plane}
     tifffile.imwrite(path, STACK, metadata=metadata)
     if order:
         text = ome_text(path)
@@ -107,7 +176,7 @@ def test_positions_are_in_the_order_of_the_planes(tmp_path: Path) -> None:
 def test_positions_that_go_back_and_forth_give_way_to_the_spacing(
     tmp_path: Path, positions: list[float]
 ) -> None:
-    written(tmp_path / "a.ome.tif", positions)
+    written(tmp_path / "a.ome.tif", positions, size=9.0)
     np.testing.assert_allclose(read_frames(tmp_path / "a.ome.tif").positions, [0, 9, 18])
 
 

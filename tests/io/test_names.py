@@ -1,0 +1,105 @@
+"""Frames come in the order of the numbers in their names; what has two orders is rejected."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from microlib.io import read_frames
+
+SHAPE = (12, 15)
+
+
+def write(folder: Path, names: list[str]) -> Path:
+    """Write frames whose grey level is their number in the list, in another order."""
+    for k in np.random.default_rng(0).permutation(len(names)):
+        cv2.imwrite(str(folder / f"{names[k]}.png"), np.full(SHAPE, k, np.uint8))
+    return folder
+
+
+def read(source: Path | str) -> list[int]:
+    return [int(frame[0, 0]) for frame in read_frames(source)]
+
+
+ORDERS = {
+    "signs": [f"z{k:+d}" for k in range(-40, 50, 10)],
+    "minus and nothing": [f"z{k}" for k in range(-4, 5)],
+    "up to zero": [f"z_{k}" for k in range(-40, 10, 10)],
+    "signed decimals": [f"p{k:+.1f}um" for k in np.arange(-1.0, 1.25, 0.25).round(2)[::2]],
+    "decimals": [f"z_{k:g}" for k in np.arange(9) * 0.05],
+    "decimal commas": [f"z_{k:g}".replace(".", ",") for k in np.arange(9) * 0.05],
+    "quarters": [f"z{k:g}" for k in np.arange(9) * 0.25],
+    "numbers after a hyphen": [f"scan-{k}" for k in range(1, 13)],
+    "sections": [f"s1.{k}" for k in range(1, 13)],
+    "dates": [f"2024-{m:02}-{d:02}" for m in (1, 2) for d in (5, 9, 27)][:5],
+    "a counter from 9999 to 0001": [f"DSC_{(9993 + k) % 9999 + 1:04d}" for k in range(9)],
+    "a counter from 999 to 000": [f"i{k % 1000:03d}" for k in range(995, 1004)],
+    "the time beside the number": [f"f{k}_{12 + 7 * k}" for k in range(12)],
+    "long numbers": [f"{20240101120000000000 + k}" for k in range(9)],
+}
+
+
+@pytest.mark.parametrize("kind", ORDERS)
+def test_frames_are_in_the_order_of_their_numbers(tmp_path: Path, kind: str) -> None:
+    names = ORDERS[kind]
+    assert read(write(tmp_path, names)) == list(range(len(names)))
+    assert read(f"{tmp_path}/*.png") == list(range(len(names)))
+    assert [file.stem for file in read_frames(tmp_path).files] == names
+
+
+@pytest.mark.parametrize(
+    ("names", "both"),
+    [
+        (["z-40", "z-10", "z5", "z70"], r"z-10\.png, z-40\.png.* or z-40\.png, z-10"),
+        (["v1.2", "v1.10", "v1.13", "v1.4"], r"v1\.2\.png, v1\.4.* or v1\.10\.png, v1\.13"),
+        (
+            [f"c{c}_z{z}" for c in range(2) for z in range(4)],
+            r"c0_z0\.png, c0_z1.* or c0_z0\.png, c1_z0",
+        ),
+        ([f"{k:04}" for k in (1, 2, 7, 9990, 9994)], r"0001\.png, .* or 9990\.png, 9994"),
+    ],
+)
+def test_an_ambiguous_order_is_rejected_with_both(tmp_path: Path, names: list[str], both) -> None:
+    write(tmp_path, names)
+    with pytest.raises(ValueError, match=f"must have one order, .* {both}"):
+        read_frames(tmp_path)
+    files = [tmp_path / f"{name}.png" for name in names]
+    assert [int(frame[0, 0]) for frame in read_frames(files)] == list(range(len(names)))
+
+
+@pytest.mark.parametrize(
+    ("numbers", "gap"),
+    [((1, 2, 3, 5, 6, 7), "f3.png and f5"), ((0, 10, 20, 30, 90, 100), "f30.png and f90")],
+)
+def test_gaps_are_named(tmp_path: Path, numbers: tuple[int, ...], gap: str) -> None:
+    write(tmp_path, [f"f{k}" for k in numbers])
+    with pytest.warns(UserWarning, match=f"no frame between {gap}"):
+        assert read(tmp_path) == list(range(len(numbers)))
+
+
+def test_one_frame_in_two_files_is_rejected(tmp_path: Path) -> None:
+    write(tmp_path, ["i1", "i2", "i3"])
+    Image.new("L", SHAPE[::-1]).save(tmp_path / "i2.jpg")
+    with pytest.raises(ValueError, match=r"one file each, got i2\.jpg and i2\.png"):
+        read_frames(tmp_path)
+    assert read(tmp_path / "*.png") == [0, 1, 2]
+
+
+@pytest.mark.parametrize("turn", [3, 6])
+def test_photographs_of_several_orientations_are_not_turned(tmp_path: Path, turn: int) -> None:
+    """The sensor of orientation flips under a camera that looks down; the pixels do not."""
+    ramp = np.tile(np.arange(100, 200, 2, dtype=np.uint8), (40, 1))
+    for k in range(4):
+        exif = Image.Exif()
+        exif[274] = turn if k > 1 else 1
+        Image.fromarray(ramp).save(tmp_path / f"{k}.jpg", quality=95, exif=exif)
+    with pytest.warns(UserWarning, match="orientations are not turned"):
+        frames = np.stack(list(read_frames(tmp_path)))
+    assert np.abs(frames.astype(int) - ramp).max() <= 4  # JPEG
+    files = [tmp_path / "2.jpg", tmp_path / "3.jpg"]
+    turned = np.rot90(ramp, 2 if turn == 3 else -1)
+    assert np.abs(next(read_frames(files)).astype(int) - turned).max() <= 4
