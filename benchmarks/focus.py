@@ -25,6 +25,7 @@ from microlib.curvature import hk_labels, surface_curvature
 from microlib.focus import depth_from_focus
 from microlib.focus._settings import Settings
 from microlib.focus._stages import NEEDED, STAGES, default_depth
+from tests.scenes import tilted_plane
 
 #: Frames of every stack, one step apart; blur grows by 1 px a step.
 POSITIONS = np.arange(21.0)
@@ -147,7 +148,7 @@ def scenes(seed: int) -> Iterator[tuple[str, NDArray, NDArray]]:
     yield "paraboloid, noise 1", dome, stack(large, dome, 1.0)
     yield "paraboloid, noise 5", dome, stack(large, dome, 5.0)
     dome = middle - 7 + synthetic.paraboloid(small, 14.0)
-    plane = middle + synthetic.tilted_plane(small, 12 / 256, 0.0)
+    plane = middle + tilted_plane(small, 12 / 256, 0.0)
     edge = middle - 4.3 + synthetic.step(small, 7.7)
     y, x = np.indices(small)
     blocks = middle + 0.3 + 3 * np.sign(np.sin(x / 20) * np.sin(y / 27))
@@ -332,7 +333,7 @@ def stages() -> pd.DataFrame:
 
 def dense() -> tuple[NDArray, NDArray]:
     """Return a slope, in frames, and its stack of four times the frames."""
-    depth = 4 * (POSITIONS.mean() + synthetic.tilted_plane((256, 256), 12 / 256, 0.0))
+    depth = 4 * (POSITIONS.mean() + tilted_plane((256, 256), 12 / 256, 0.0))
     texture, z = synthetic.mixed_texture(depth.shape, 0), np.arange(81.0)
     return depth, synthetic.focal_stack(texture, depth, z, blur_rate=0.25, noise=3.0, rng=0)
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from benchmarks.report import Limits, Tables, rms
 from microlib import synthetic
 from microlib.focus import depth_from_focus
+from tests.scenes import tilted_plane
 
 #: Frames and their side, px.
 COUNT, SIDE = 21, 1024
@@ -37,7 +38,7 @@ def scenes() -> dict[str, NDArray]:
     """Return a slope, a step, and a step with bare ground that has no depth."""
     shape = (SIDE, SIDE)
     y, x = np.indices(shape)
-    slope = 10 + synthetic.tilted_plane(shape, 12 / SIDE, 0.0)
+    slope = 10 + tilted_plane(shape, 12 / SIDE, 0.0)
     step = 5.7 + synthetic.step(shape, 7.7)
     bare = np.sin(x / 60) * np.sin(y / 50) > 0.55
     found = {}

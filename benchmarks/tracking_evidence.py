@@ -22,13 +22,13 @@ from skimage import data
 
 from benchmarks.photographs import grey_levels
 from benchmarks.report import Limits, Tables
-from microlib.synthetic import camera_frame
 from microlib.tracking import ESMTracker, Track
 from microlib.tracking._geometry import apply_homography
 from microlib.tracking._search import Finding
 from microlib.tracking._settings import Settings
 from microlib.tracking._tracker import Sight
 from microlib.tracking._verdict import COEFFICIENTS, features
+from tests.scenes import camera_frame
 
 Array = NDArray[np.float64]
 

@@ -6,10 +6,14 @@ states, and writes a record. The book's pages, tables and prose are made from th
 
 Verdicts:
 
-- ``agrees``: the recomputed number agrees with the printed one.
-- ``disagrees``: it does not. A right value that can be proven stands as ``corrected``.
-- ``cannot tell``: what was published does not decide it. Data are missing, or the simulation gives
-  a bound only, or an interval too wide to say anything.
+- ``agrees``: the recomputed number agrees with the printed one, or the sentence holds.
+- ``disagrees``: it does not, whatever the thesis leaves open. Claims that disagree for one reason
+  have one ``cause``.
+- ``cannot tell``: what was published does not decide it. Data are missing, the simulation gives a
+  bound only, an interval contains the limit or is too wide, or a choice that the thesis leaves open
+  decides.
+- ``fitted``: one of our quantities was chosen so that this number, or one that follows from it,
+  comes out. Agreement is then no evidence.
 - ``input``: a setting, or a number that the computation was fed with; not a result.
 
 How a number is compared:
@@ -17,12 +21,10 @@ How a number is compared:
 - by ``arithmetic``: it follows from other printed numbers and must lie within the tolerance;
 - by ``simulation``: on rendered images or in a simulated loop. The printed number must lie in the
   95 % interval, whose half-width must be less than half of the number;
-- a ``sentence`` is turned into a predicate of printed numbers. (A sentence that needs a simulation
-  counts as one.)
+- a ``sentence`` is turned into a condition on printed numbers. (A sentence that needs a simulation
+  counts as one.) An interval that contains the limit of the condition cannot tell.
 
-A ``star`` says that the verdict hangs on something that the thesis does not print: an input was
-tuned to the printed number, or assumed. Such agreement is no evidence, and starred and unstarred
-verdicts are always counted apart.
+A ``star`` marks agreement that depends on something that the thesis does not print.
 """
 
 from __future__ import annotations
@@ -46,16 +48,14 @@ from numpy.typing import ArrayLike
 
 from microlib._common import replace_file
 
-VERDICTS = ("agrees", "disagrees", "cannot tell", "input")
+VERDICTS = ("agrees", "disagrees", "cannot tell", "fitted", "input")
 COMPARED = ("arithmetic", "simulation", "sentence")
 STAR = "★"
-#: What the record of a check says that compares no printed number.
-CHECKED = "checked"
 #: Set to make `check` record a verdict that the book does not state instead of failing.
-TALLY_VARIABLE = "COMPENDIUM_TALLY"
-#: Largest half-width of a simulated interval over the printed number: wider, and zero or the
-#: double would do as well.
-WIDEST = 0.5
+RECORD_MISMATCHES = "COMPENDIUM_RECORD_MISMATCHES"
+#: Largest half-width of a simulated interval over the printed number, above which the interval says
+#: nothing; and of one around a number that the simulation was fed with.
+MAX_RELATIVE_HALF_WIDTH, MAX_RELATIVE_HALF_WIDTH_OF_INPUT = 0.5, 1.0
 
 _RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 _THESIS = Path(__file__).resolve().parent.parent / "data" / "thesis"
@@ -100,10 +100,19 @@ class Claim:
     corrected : str
         The right value where the printed one is proven wrong.
     recomputed, within : float
-        For a claim that disagrees, the number found and how far a later run may depart from it.
+        For a claim that disagrees or is undecided, the number found and how far a later run may
+        deviate from it: for a simulation, four standard deviations over seeds.
     star : str
-        What the verdict hangs on that the thesis does not print, ``tuned: ...`` or
-        ``assumed: ...``; empty if nothing.
+        What agreement depends on that the thesis does not print; empty if nothing.
+    fitted : str
+        Which of our quantities was chosen so that this number, or one that follows from it, comes
+        out; empty if none.
+    undecided : str
+        A choice that the thesis leaves open, another value of which gives another verdict.
+    given : bool
+        Whether the simulation was fed with this number.
+    cause : str
+        Of a claim that disagrees: its cause, an entry of ``causes.toml``.
     note : str
         Why it disagrees, or which data are missing.
     test : str
@@ -126,6 +135,10 @@ class Claim:
     recomputed: float = math.nan
     within: float = math.nan
     star: str = ""
+    fitted: str = ""
+    undecided: str = ""
+    given: bool = False
+    cause: str = ""
     note: str = ""
     test: str = ""
 
@@ -310,8 +323,9 @@ def errata() -> Mapping[str, Mapping[str, str]]:
     Returns
     -------
     mapping of str to mapping
-        By id: ``title``, ``where``, ``printed``, ``corrected``, ``proof`` and ``origin``: whether
-        the thesis is wrong, its text was read wrong, or another meaning is possible.
+        By id: ``title``, ``where``, ``printed`` (a quotation), ``corrected``, ``proof``, ``origin``
+        (certain, printing or text recognition, or a matter of reading), and perhaps ``reading``, in
+        which nothing is wrong, and ``reaches``, which result it changes.
 
     Examples
     --------
@@ -320,6 +334,23 @@ def errata() -> Mapping[str, Mapping[str, str]]:
     'ζ = c/a = 44.78'
     """
     return _read("errata.toml")
+
+
+def causes() -> Mapping[str, Mapping[str, str]]:
+    """Read the causes of the claims that disagree.
+
+    Returns
+    -------
+    mapping of str to mapping
+        By id: ``title``, ``text``, and perhaps ``reaches``, which result the cause changes.
+
+    Examples
+    --------
+    >>> from compendium.ledger import causes
+    >>> causes()["probe-ratio"]["title"]
+    'The ratio ζ is a number of another table'
+    """
+    return _read("causes.toml")
 
 
 def judge(claim: Claim, value: float, low: float, high: float) -> str:
@@ -349,31 +380,35 @@ def judge(claim: Claim, value: float, low: float, high: float) -> str:
     >>> from compendium.ledger import claim, judge
     >>> judge(claim("table-5.6/E"), 1.32372, 1.32372, 1.32372)
     'agrees'
-    >>> judge(claim("table-5.6/E"), 1.30, 1.30, 1.30)
+    >>> judge(claim("table-5.6/w_d"), 120.0, 120.0, 120.0)
     'disagrees'
     """
     if not claim.compared:
         raise ValueError(f"{claim.id} is not compared; no number can judge it")
+    wide = False
     if claim.limit:
-        holds = _COMPARISONS[claim.limit.split()[0]](value, claim.value)
+        compare = _COMPARISONS[claim.limit.split()[0]]
+        holds, wide = (
+            compare(value, claim.value),
+            compare(low, claim.value) != compare(high, claim.value),
+        )
     elif claim.compared == "arithmetic":
         holds = abs(value - claim.value) <= claim.tolerance
     elif claim.bound:
         holds = claim.value >= low if claim.bound == "lower" else claim.value <= high
     else:
         holds = low <= claim.value <= high
+        most = MAX_RELATIVE_HALF_WIDTH_OF_INPUT if claim.given else MAX_RELATIVE_HALF_WIDTH
+        wide = holds and (high - low) / 2 > most * abs(claim.value)
+    if wide or claim.undecided or (holds and claim.bound) or (claim.star and not holds):
+        return "cannot tell"
     if not holds:
         return "disagrees"
-    if claim.compared != "simulation" or claim.limit:
-        return "agrees"
-    if claim.verdict == "input":
-        return "input"
-    wide = (high - low) / 2 > WIDEST * abs(claim.value)
-    return "cannot tell" if claim.bound or wide else "agrees"
+    return "input" if claim.given else "fitted" if claim.fitted else "agrees"
 
 
-def appraise(claim: Claim, value: float, low: float, high: float) -> tuple[str, str]:
-    """Judge a computed number, and hold the verdict against the one that the book states.
+def check_stated_verdict(claim: Claim, value: float, low: float, high: float) -> tuple[str, str]:
+    """Judge a computed number, and compare the verdict with the one that the book states.
 
     Parameters
     ----------
@@ -391,20 +426,17 @@ def appraise(claim: Claim, value: float, low: float, high: float) -> tuple[str, 
 
     Examples
     --------
-    >>> from compendium.ledger import appraise, claim
-    >>> appraise(claim("table-5.6/E"), 1.30, 1.30, 1.30)
+    >>> from compendium.ledger import check_stated_verdict, claim
+    >>> check_stated_verdict(claim("table-3.1/planar"), 6.0, 6.0, 6.0)
     ('disagrees', 'disagrees, but the book says agrees')
     """
     verdict = judge(claim, value, low, high)
-    if verdict == "agrees" and claim.verdict == "cannot tell" and not claim.bound:
-        verdict = "cannot tell"  # another seed gives an interval that is too wide
     if verdict != claim.verdict:
         return verdict, f"{verdict}, but the book says {claim.verdict}"
-    if verdict == "disagrees":
-        found = float(claim.corrected or claim.recomputed)
-        within = claim.tolerance if claim.corrected else claim.within
-        if not abs(value - found) <= within:
-            return verdict, f"not within {within:g} of {found:g}, which the book says"
+    found = float(claim.corrected or claim.recomputed)
+    within = claim.tolerance if claim.corrected else claim.within
+    if not math.isnan(found) and not abs(value - found) <= within:
+        return verdict, f"not within {within:g} of {found:g}, which the book says"
     return verdict, ""
 
 
@@ -504,8 +536,8 @@ def check(
         shown = min(3, max(0, 3 - math.floor(math.log10(abs(value))))) if value else 3
     else:  # one place more than printed
         shown = max(0, 1 - int(Decimal(stated.corrected or stated.printed).as_tuple().exponent))
-    verdict, objection = appraise(stated, value, low, high)
-    if objection and not os.environ.get(TALLY_VARIABLE):
+    verdict, objection = check_stated_verdict(stated, value, low, high)
+    if objection and not os.environ.get(RECORD_MISMATCHES):
         raise ClaimError(
             f"claim {id}, {stated.what} ({stated.where}): printed "
             f"{stated.corrected or stated.printed or stated.limit} {stated.unit}, recomputed "
@@ -576,9 +608,6 @@ def check_equation(
             f"{found[worst]:.10g}{place}; they differ by {difference[worst]:.3g}, and at most "
             f"{difference.max():.3g} over {printed.size} numbers"
         )
-    largest = float(difference.max())
-    name = f"equation-{number}/{sum(r.verdict == CHECKED for r in _session.records.values())}"
-    _session.add(Record(name, largest, largest, largest, "", CHECKED, 0))
 
 
 def report(id: str, value: float, unit: str = "", *, digits: int = 2) -> Record:
@@ -659,7 +688,7 @@ def read_records(folder: str | os.PathLike[str]) -> dict[str, Record]:
     Returns
     -------
     dict of str to Record
-        By id; without what `check_equation` recorded.
+        By id.
 
     Raises
     ------
@@ -669,8 +698,6 @@ def read_records(folder: str | os.PathLike[str]) -> dict[str, Record]:
     records: dict[str, Record] = {}
     for path in sorted(Path(folder).glob("*.json")):
         for entry in json.loads(path.read_text(encoding="utf-8")):
-            if entry["verdict"] == CHECKED:
-                continue
             if entry["id"] in records:
                 raise ValueError(f"{entry['id']} is recorded twice, the second time in {path.name}")
             records[entry["id"]] = Record(**entry)
@@ -689,8 +716,8 @@ def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
     -------
     pandas.DataFrame
         One row a claim in the thesis' order: claim, part (the table or section it belongs to),
-        where, quantity, printed, recomputed, low, high, unit, verdict, star, compared, rule,
-        reason, corrected, says, note, test.
+        where, quantity, printed, recomputed, low, high, unit, verdict, star, fitted, undecided,
+        cause, compared, rule, reason, corrected, says, note, test.
 
     Examples
     --------
@@ -700,7 +727,8 @@ def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
     '1.3237'
     """
     records, rows = read_records(folder), []
-    names = ["unit", "verdict", "star", "compared", "rule", "reason", "corrected", "says", "note"]
+    names = ["unit", "verdict", "star", "fitted", "undecided", "cause", "compared", "rule"]
+    names += ["reason", "corrected", "says", "note", "test"]
     for stated in claims().values():
         part = stated.id.split("/")[0].replace("-", " ").capitalize()
         row: dict[str, Any] = {"claim": stated.id, "part": part, "where": stated.where}
@@ -709,7 +737,7 @@ def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
         if found := records.get(stated.id):
             text = str(replace(found, unit=""))
             row |= {"recomputed": text, "low": found.low, "high": found.high}
-        rows.append(row | {name: getattr(stated, name) for name in [*names, "test"]})
+        rows.append(row | {name: getattr(stated, name) for name in names})
     return pd.DataFrame(rows)
 
 

@@ -12,7 +12,7 @@ from IPython.display import HTML
 from compendium import ledger
 
 #: What tells a verdict where its color is not seen.
-SIGNS = {"agrees": "✓", "disagrees": "✗", "cannot tell": "?", "input": "•"}
+SIGNS = {"agrees": "✓", "disagrees": "✗", "cannot tell": "?", "fitted": "≈", "input": "•"}
 _LAYOUTS = Path(__file__).resolve().parent.parent / "data" / "thesis" / "tables.toml"
 
 
@@ -55,9 +55,9 @@ def as_printed(name: str) -> HTML:
     head = "".join(f'<th scope="col">{text}</th>' for text in layout["columns"])
     verdicts = {one.verdict for one in claims}
     key = [f"{sign} {verdict}" for verdict, sign in SIGNS.items() if verdict in verdicts]
-    key += [f"{ledger.STAR} hangs on something not printed"] * any(one.star for one in claims)
+    key += [f"{ledger.STAR} depends on something not printed"] * any(one.star for one in claims)
     title = f"{name.replace('-', ' ').capitalize()}. {layout['title']}"
-    told = f"Above as printed, below what we find: {', '.join(key)}."
+    told = f"The printed number stands above ours: {', '.join(key)}."
     return HTML(
         f'<table class="as-printed"><caption><div><strong>{title}.</strong> {told}</div></caption>'
         f"<thead><tr><td></td>{head}</tr></thead><tbody>{rows}</tbody></table>"

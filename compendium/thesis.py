@@ -75,11 +75,13 @@ OUTLINE_DOMAIN = (50.0, 265.0)
 LOESS_SPAN = claim("section-5.6/span").value
 #: Force of Table 5.6, µN.
 FORCE = claim("table-5.6/F").value
-#: Thickness h of the chorion, half-width c of the probe (both µm) and Poisson's ratio. c is not
-#: printed: chapter 5 finds it from the printed modulus.
+#: Width of the probe that section 5.1 names (Nanosensors TL-CONT), µm: nominal, and the specified
+#: ends. From memory of the manufacturer's catalogue, not from the thesis.
+PROBE_WIDTH, PROBE_WIDTH_ENDS = 50.0, (42.5, 57.5)
+#: Thickness h of the chorion, half-width c of the probe (both µm) and Poisson's ratio.
 MEMBRANE: dict[str, Any] = {
     "thickness": claim("table-5.6/h").value,
-    "probe_half_width": 25.0,
+    "probe_half_width": PROBE_WIDTH / 2,
     "poisson_ratio": claim("table-5.6/nu").value,
 }
 
@@ -301,7 +303,7 @@ def modulus(
     force : float
         µN; that of Table 5.6 by default.
     probe_half_width : float
-        µm; that which chapter 5 finds by default.
+        µm; half of the catalogue width by default.
 
     Returns
     -------

@@ -18,10 +18,6 @@ from microlib._common import Array, Tidy, as_array, positive, scalar
 __all__ = ["Microscope", "distort", "euler_rotation", "undistort"]
 
 
-#: Of an angle: beyond, the rounding of the number exceeds 1e-7 rad.
-_ANGLES = (-1e9, 1e9)
-
-
 def euler_rotation(alpha: float, beta: float, gamma: float) -> Array:
     """Rotation by γ about x, then β about y, then α about z: R = Rz(α) Ry(β) Rx(γ) (2.6, 2.7).
 
@@ -50,7 +46,7 @@ def euler_rotation(alpha: float, beta: float, gamma: float) -> Array:
     """
     return _rotation(
         *(
-            scalar(name, angle, within=_ANGLES)
+            scalar(name, angle)
             for name, angle in (("alpha", alpha), ("beta", beta), ("gamma", gamma))
         )
     )
@@ -235,7 +231,7 @@ class Microscope(Tidy):
         for name in ("distortion", "tx", "ty"):
             object.__setattr__(self, name, scalar(name, getattr(self, name)))
         for name in ("alpha", "beta", "gamma"):
-            object.__setattr__(self, name, scalar(name, getattr(self, name), within=_ANGLES))
+            object.__setattr__(self, name, scalar(name, getattr(self, name)))
         cell = positive("pixel_size", self.pixel_size)
         if cell.ndim:
             cell = as_array("pixel_size", cell, shape=(2,))

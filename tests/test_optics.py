@@ -24,12 +24,6 @@ def lens(u) -> dict:
 DISTANCES = np.array([33000.0, 36000.0, 41000.0])
 FLOAT32 = {"within": 1e-6}  # images are filtered in single precision
 LAWS = {
-    "optics.BlurLadder": Law(lambda u: {"image": IMAGE, "largest": 3.0}, {"largest": "1"},
-        **FLOAT32),
-    "optics.BlurLadder.at":
-        Law(lambda u: {"self": optics.BlurLadder(u.grey0 + IMAGE * u.grey, largest=4.0),
-        "sigma": BLUR}, "grey @ grey0", within=1e-5,  # and read off between levels
-        ),
     "optics.blur_radius": Law(lambda u: {"object_distance": DISTANCES * u.um, **lens(u)}, "um",
         within=1e-8),
     "optics.defocus": Law(lambda u: {"image": u.grey0 + IMAGE * u.grey, "sigma": 1.7},

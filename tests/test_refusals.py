@@ -38,11 +38,10 @@ REFUSED: dict[str, dict[str, tuple[object, ...]]] = {
         "differences": (np.ones(3), np.ones((3, 3)), [], None, [[np.nan, 1.0]]),
     },
     "calibration.calibrate": {
-        "image": (fuzz.scope().project(fuzz.grid()) * 1e100,),
-        "world": (fuzz.grid() * 1e-300, masked),
+        "world": (masked,),
     },
     "calibration.cramer_rao": {
-        "noise": (-1.0, -1e-9, np.nan),
+        "noise": (-1.0, np.nan),
         "world": (fuzz.grid() * 1e12,),  # beyond the fold of the distortion
     },
     "calibration.detect_circles": {"direction": (np.nan, np.inf, "0", [0.0])},
@@ -105,19 +104,19 @@ REFUSED: dict[str, dict[str, tuple[object, ...]]] = {
     },
     "focus.sum_modified_laplacian": {
         "image": (np.zeros((3, 8, 8)), np.full((8, 8), np.nan), np.zeros((0, 8))),
-        "window": (4, 65537),
+        "window": (4,),
         "step": (0, 99),
         "threshold": (-1,),
     },
     "focus.three_point_peak": {
         "window": (
             *(masked, np.ones((4, 44, 60)), np.ones((3, 44, 60), complex)),
-            *(np.full((3, 44, 60), wrong) for wrong in (-1.0, np.nan, 1e50)),
+            *(np.full((3, 44, 60), wrong) for wrong in (-1.0, np.nan)),
         ),
         "index": (np.ones((44, 60)), np.full((44, 60), 10), np.full((44, 60), -1)),
         "positions": (
             *(np.arange(2.0), np.zeros((10, 10)), np.arange(10) // 2),
-            *(np.append(np.arange(9.0), wrong) for wrong in (np.inf, 1e50)),
+            np.append(np.arange(9.0), np.inf),
         ),
     },
     "io.read_frames": {
@@ -182,15 +181,13 @@ REFUSED: dict[str, dict[str, tuple[object, ...]]] = {
     "microscope.Microscope.jacobian": {"parameters": (("alpha", "lens"),)},
     "microscope.Microscope.project": {"points": NO_POINTS},
     "microscope.Microscope.back_project": {"pixels": NO_POINTS},
-    "microscope.euler_rotation": {"beta": (np.nan, [1.0], None, "1", 1e12)},
+    "microscope.euler_rotation": {"beta": (np.nan, [1.0], None, "1")},
     "microscope.distort": NO_SENSOR,
     "microscope.undistort": NO_SENSOR,
-    "optics.BlurLadder": {"largest": (1e9,)},
-    "optics.BlurLadder.at": {"sigma": (5.0, np.linspace(0, 5, 23 * 31).reshape(23, 31))},
     "optics.blur_radius": {"object_distance": (np.nan,), "sensor_distance": (90.0,)},
     "optics.defocus": {
         "image": (np.zeros((4, 4, 3)), np.full((4, 4), np.nan)),
-        "sigma": (1e30, 1e9, -1.0, np.zeros((4, 5))),
+        "sigma": (-1.0, np.zeros((4, 5))),
     },
     "optics.gaussian_kernel": {"sigma": (*NO_NUMBERS, 0.0), "size": (6,)},
     "optics.gaussian_transfer": {"sigma": (-1.0,)},
@@ -198,7 +195,7 @@ REFUSED: dict[str, dict[str, tuple[object, ...]]] = {
     "servoing.Camera": {"interval": NO_NUMBERS},
     "servoing.OptimalController": {"jacobian": NO_JACOBIAN},
     "servoing.ibvs_control": {"jacobian": NO_JACOBIAN},
-    "servoing.loop_poles": {"gain": NO_NUMBERS, "delay": (1e9,)},
+    "servoing.loop_poles": {"gain": NO_NUMBERS, "delay": (-1.0,)},
     "servoing.optimal_control": dict.fromkeys(("feature_weight", "control_weight"), NO_WEIGHT),
     "servoing.path_metrics": {"position": (np.zeros((1, 2)),)},
     "servoing.step_metrics": {
@@ -211,13 +208,6 @@ REFUSED: dict[str, dict[str, tuple[object, ...]]] = {
     "synthetic.Embryo.outline": {"spacing": (0.0,)},
     "synthetic.Embryo.pressed": {"force": (0.0, 1e-9)},
     "synthetic.ImagingConditions": {"dark": (255.5,), "bright": (255.5,)},
-    "synthetic.camera_frame": {"image": (np.zeros(4),)},
-    "synthetic.cell_image": {
-        "kind": ("HeLa",),
-        "count": (0,),
-        "pixel_size": (0.0, 20.0),
-        "shape": ((10, 10),),
-    },
     "synthetic.cone": {"height": (-1.0,)},
     "synthetic.embryo_image": {
         "blur": (0.2,),
@@ -227,17 +217,14 @@ REFUSED: dict[str, dict[str, tuple[object, ...]]] = {
         "pixel_size": (0.0,),
         "tilt": (4.0,),
     },
-    "synthetic.focal_stack": {"blur_rate": (1e30,), "height": (np.eye(5),), "rng": (None,)},
+    "synthetic.focal_stack": {"blur_rate": (1e3,), "height": (np.eye(5),), "rng": (None,)},
     "synthetic.gripper_scene": {"gap": (*NO_NUMBERS[:5], 130.0)},
     "synthetic._gripper.GripperScene.frame": {"shift": ((90, 0),)},
     "synthetic.mixed_texture": {"scales": (0,)},
     "synthetic.parabolic_cylinder": {"shape": ((1, 9),)},
     "synthetic.render_circles": {"pitch": (np.inf, np.nan, 0.0)},
-    "synthetic.render_squares": {"side": (1e30,)},
-    "synthetic.sphere_on_plane": {"grain": (1e30,), "rng": ("any", None)},
+    "synthetic.sphere_on_plane": {"rng": ("any", None)},
     "synthetic.step": {"at": (1.5,)},
-    "synthetic.texture_sequence": {"positions": ([[-1.0, 0.0]],)},
-    "synthetic.warped_pair": {"distance": (-1.0,), "warp": ("bend",)},
     "tracking.ESMTracker": {"image": (masked,)},
     "tracking.ESMTracker.track": {"frame": (masked,)},
     "tracking.KalmanFilter": {
@@ -253,8 +240,8 @@ REFUSED: dict[str, dict[str, tuple[object, ...]]] = {
     },
     **{
         f"servoing.{kind}.__call__": {
-            "k": (-1, 0.5, 10**400),
-            "measured": ([1.0], np.ones((2, 1)), np.array([1e300, 0.0]), np.ones(2) * 1j),
+            "k": (-1, 0.5),
+            "measured": ([1.0], np.ones((2, 1)), np.ones(2) * 1j),
             "reference": (np.ones(2), np.empty((0, 2)), np.full((2, 2), np.inf)),
         }
         for kind in ("OptimalController", "PredictiveController")

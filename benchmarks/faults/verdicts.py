@@ -78,7 +78,7 @@ def replaced(records: dict[str, ledger.Record]) -> dict[str, list[str]]:
         result[record.id] = [
             name
             for name, value in faults.items()
-            if ledger.appraise(claim, value, value - half, value + half)[1]
+            if ledger.check_stated_verdict(claim, value, value - half, value + half)[1]
         ]
     return result
 
@@ -106,7 +106,7 @@ def plant(copies: Queue[Path], fault: Fault) -> tuple[set[str], list[str]]:
             run = subprocess.run(
                 [sys.executable, "-m", "compendium.run", name, "--force", "--jobs", "1"],
                 cwd=folder,
-                env=os.environ | {ledger.TALLY_VARIABLE: "1", "PYTHONPATH": str(folder)},
+                env=os.environ | {ledger.RECORD_MISMATCHES: "1", "PYTHONPATH": str(folder)},
                 capture_output=True,
                 check=False,
             )

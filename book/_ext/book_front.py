@@ -23,11 +23,11 @@ from sphinx.util.docutils import SphinxDirective
 
 from compendium import ledger, thesis
 from compendium.experiments.membranes import EGG
-from compendium.experiments.section_5_6 import printed_dimple
+from compendium.experiments.section_5_6 import printed_dimple, right_dimple
 from microlib.embryo import dimple_geometry
 from microlib.membrane import capsule_modulus, dimple_profile
 
-HALF_WIDTHS = np.arange(10.0, 51.0, 2.5)  # µm, about the 25 µm that chapter 5 finds
+HALF_WIDTHS = np.arange(10.0, 51.0, 2.5)  # µm, about the 25 µm of the catalogue
 MODELS = {"small": "small slopes", "capsule": "closed capsule"}
 # The drawing, in its own units: as wide as 680 µm, the bottom of the dimple at (280, 130).
 WIDTH, HEIGHT, SCALE, BOTTOM = 480, 305, 480 / 680, (282.0, 130.0)
@@ -57,8 +57,7 @@ def outline() -> tuple[NDArray, NDArray]:
 
 def dimples() -> dict[str, tuple[float, float]]:
     """Return radius and depth, µm, by the rim that they are read from."""
-    right = dimple_geometry(thesis.outline_curve(), pixel_size=thesis.EMBRYO_PIXEL, rim="right")
-    return {"left": printed_dimple(), "right": (right.dimple_radius, right.dimple_depth)}
+    return {"left": printed_dimple(), "right": right_dimple()}
 
 
 def solve(model: str, radius: float, depth: float, c: float) -> tuple[float, NDArray, NDArray]:
@@ -98,7 +97,7 @@ def states() -> dict[str, dict[str, object]]:
         side = -1 if rim == "left" else 1
         measured = np.interp(side * r, across, height)
         off = np.abs(z - measured)[r <= size[0]].max()
-        text = f"E = {modulus:.4g} MPa; the model departs from the outline by up to {off:.0f} µm."
+        text = f"E = {modulus:.4g} MPa; the model deviates from the outline by up to {off:.0f} µm."
         line = path(np.r_[-r[::-1], r], np.r_[z[::-1], z])
         found[name] = {"path": line, "at": on_axis(modulus), "text": text, **probe}
     return found
@@ -106,7 +105,7 @@ def states() -> dict[str, dict[str, object]]:
 
 def draw(state: dict) -> str:
     """Return the drawing of one choice; the script changes what has a ``data-part``."""
-    low, high = (records()[f"5.6/E-capsule-{level}"].value for level in ("2.5", "97.5"))
+    low, high = (records()[f"5.6/E-{end}"].value for end in ("wide", "thin"))
     printed = ledger.claim("table-5.6/E")
     at, left, right = on_axis(printed.value), on_axis(low), on_axis(high)
     ticks = "".join(
@@ -117,7 +116,7 @@ def draw(state: dict) -> str:
     low_end = f'y="{AXIS + 58}"'
     return f"""<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-labelledby="front-title">
 <title id="front-title">The printed outline of the dimple over the model. Below, the modulus on a
-logarithmic axis with the printed number and the band of the closed capsule.</title>
+logarithmic axis with the printed number and the band of the specified width of the probe.</title>
 <rect class="probe" data-part="probe" x="{state["x"]}" y="8" width="{state["width"]}"
  height="{BOTTOM[1] - 8}"/><path class="outline" d="{path(*outline())}"/>
 <path class="model" data-part="model" d="{state["path"]}"/>
@@ -126,8 +125,8 @@ logarithmic axis with the printed number and the band of the closed capsule.</ti
 <rect class="probe" x="275" y="142" width="30" height="14"/>
 <text x="311" y="155">probe, 2c wide</text></g>
 <rect class="band" x="{left}" y="{AXIS - 22}" width="{right - left:.1f}" height="44"/>
-<text x="{(left + right) / 2:.1f}" y="{AXIS - 30}">closed capsule, {low:.1f} to {high:.1f}
- MPa</text>
+<text x="{(left + right) / 2:.1f}" y="{AXIS - 30}">specified probe width: {low:.2f} to
+ {high:.2f} MPa</text>
 <g class="axis"><path d="M{FIRST},{AXIS}H{FIRST + 3 * DECADE}"/>{ticks}</g>
 <path class="printed" d="M{at},{AXIS - 22}v65"/>
 <text x="{at}" {low_end}>printed {printed.printed} MPa</text>

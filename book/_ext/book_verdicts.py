@@ -3,11 +3,12 @@
 - ``{recomputed}`id` ``, ``{printed}`id` ``, ``{verdict}`id` ``: the recomputed
   number, the thesis' number and the verdict; a recomputed number leads to the cell that recorded
   it, a verdict to its row in the list of claims.
-- ``{count}`agrees` ``, or another verdict, ``claims`` or ``errata``: how many there are, split.
+- ``{count}`agrees` ``, or another verdict, ``claims`` or ``errata``: how many there are, by class;
+  ``{number}`agrees` `` without the classes, also of ``causes``, ``starred`` and a class of errata.
 - ``{verdict-map}``: a bar for each part of the thesis, each piece of which leads to its claims.
 - ``{claims}``: the list of all claims, which ``_static/filter.js`` narrows; ``{differences}``:
-  those that disagree, with the reason; ``{deviations}``: where another rule than 95 % judges.
-- ``{errata}``: every fault of the thesis with its proof.
+  those that disagree, by cause; ``{deviations}``: where another rule than 95 % judges.
+- ``{errata}``: every fault of the thesis with its proof; ``{reaches}``: which results they change.
 
 A number that was never recorded stops the build, so the text cannot outlive its notebook. No
 extension that exists knows of claims, which is what all of this file is about.
@@ -37,7 +38,7 @@ from compendium import ledger
 ROOT = Path(__file__).resolve().parents[2]
 CLAIMS = ROOT / "build" / "claims"
 #: Most telling first.
-ORDER = ("disagrees", "cannot tell", "agrees", "input")
+ORDER = ("disagrees", "cannot tell", "agrees", "fitted", "input")
 #: Parts of the thesis, and what the ids of their claims begin with.
 PARTS = {
     "1 and 2 Introduction, microsystems and vision": ("section-1", "section-2"),
@@ -51,15 +52,18 @@ PARTS = {
     "5.6 Stiffness of the embryo": ("section-5.6", "table-5.5", "table-5.6", "table-5.7"),
     "6 Abstract and conclusion": ("abstract", "section-6"),
 }
-#: How a count names each class: what an erratum's origin says, and how a claim was compared.
+#: How a count names each class: an erratum's origin, a verdict, and how a claim was compared.
 CLASSES = {
-    "A fault of the thesis": "proved faults",
-    "Print and machine reading cannot be told apart": "that may be faults of machine reading",
-    "The text can be understood so that nothing is wrong": "where another reading has no fault",
+    "Certain": "certain",
+    "Probably printing or text recognition": "probably of printing or text recognition",
+    "A matter of reading": "a matter of reading",
     "arithmetic": "by arithmetic",
     "sentence": "as sentences",
     "simulation": "by simulation",
-    "cannot tell": "cannot be told",
+    "agrees": "agree",
+    "disagrees": "disagree",
+    "cannot tell": "cannot be decided",
+    "fitted": "were fitted",
     "input": "are inputs",
 }
 
@@ -80,34 +84,51 @@ def facets(claim: ledger.Claim) -> dict[str, str]:
     return {"verdict": claim.verdict, "star": star, "by": by, "part": part_of(claim).split()[0]}
 
 
-def class_of(claim: ledger.Claim) -> str:
+def count_class(claim: ledger.Claim) -> str:
     """Return the class in which a claim is counted among those of its verdict."""
     if claim.verdict == "input":
-        return "of the drawn microscopes" if claim.compared else "settings"
+        return "of the drawn microscopes" if claim.given else "settings and data"
+    if claim.star:
+        return f"with a star {ledger.STAR}"
     if claim.verdict != "cannot tell":
-        return f"with a star {ledger.STAR}" if claim.star else CLASSES[claim.compared]
-    if claim.compared:
-        return "with a lower bound only" if claim.bound else "with too wide an interval"
-    of_outline = claim.id.startswith("table-5.5/")
-    return "for want of one outline" if of_outline else "for want of other data"
+        return CLASSES[claim.compared]
+    if claim.undecided:
+        return "depend on a choice that the thesis leaves open"
+    return "with a bound only" if claim.bound else "for want of data"
 
 
-def split(of: str) -> Counter[str]:
+def count_by_class(of: str) -> Counter[str]:
     """Return how many claims have a verdict, all ``claims`` or all ``errata``, by class."""
     if of == "errata":
         return Counter(CLASSES[entry["origin"]] for entry in ledger.errata().values())
     if of == "claims":
-        words = {"agrees": "agree", "disagrees": "disagree"} | CLASSES
-        return Counter(words[claim.verdict] for claim in ledger.claims().values())
-    return Counter(class_of(claim) for claim in ledger.claims().values() if claim.verdict == of)
+        return Counter(CLASSES[claim.verdict] for claim in ledger.claims().values())
+    return Counter(count_class(claim) for claim in ledger.claims().values() if claim.verdict == of)
+
+
+def number_of(what: str) -> int:
+    """Return one count: of a verdict, ``claims``, ``errata``, a class of errata, ``causes`` of what
+    disagrees, or ``starred`` agreements.
+    """
+    if what == "causes":
+        return len({claim.cause for claim in ledger.claims().values() if claim.cause})
+    if what == "starred":
+        return sum(bool(claim.star) for claim in ledger.claims().values())
+    origins = Counter(entry["origin"] for entry in ledger.errata().values())
+    return origins[what] or count_by_class(what).total()
 
 
 class Count(SphinxRole):
     def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
-        counts = split(self.text)
+        counts = count_by_class(self.text)
         parts = ", ".join(f"{count} {name}" for name, count in counts.most_common())
         text = f"{counts.total()} ({parts})"
         return [nodes.inline(self.rawtext, text, classes=["count"])], []
+
+
+class Number(SphinxRole):
+    def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
+        return [nodes.inline(self.rawtext, str(number_of(self.text)), classes=["count"])], []
 
 
 class Recomputed(SphinxRole):
@@ -189,7 +210,7 @@ class VerdictMap(SphinxDirective):
             f'<span class="verdict-{verdict.replace(" ", "-")}">{verdict}</span>'
             for verdict in ORDER
         )
-        key += f'<span class="starred">{ledger.STAR} hangs on something not printed</span>'
+        key += f'<span class="starred">{ledger.STAR} depends on something not printed</span>'
         html = f'<p class="verdict-key">{key}</p><dl>{"".join(rows)}</dl>'
         return [raw_html(f'<div class="verdict-map">{html}</div>')]
 
@@ -216,7 +237,9 @@ class Claims(SphinxDirective):
         verdict += badge(claim)
         if claim.compared:
             verdict += nodes.Text(f" by {claim.compared}")
-        said = [(f"{ledger.STAR} ", claim.star), ("", claim.note), ("Corrected: ", claim.corrected)]
+        said = [(f"{ledger.STAR} ", claim.star), ("Fitted: ", claim.fitted)]
+        said += [("Left open: ", claim.undecided), ("", claim.note)]
+        said.append(("Corrected: ", claim.corrected))
         rule = f"{claim.rule}: {claim.reason}" if claim.reason else claim.rule
         said.append(("Rule: ", rule))
         thesis = [line(printed(claim), "printed")]
@@ -266,7 +289,7 @@ class Listing(SphinxDirective):
 
 
 class Differences(Listing):
-    """Each claim that disagrees: both numbers and the reason, by part of the thesis."""
+    """Each claim that disagrees: both numbers and the reason, by cause."""
 
     def run(self) -> list[nodes.Node]:
         lines: dict[str, list[str]] = {}
@@ -276,15 +299,24 @@ class Differences(Listing):
                 if not claim.printed:
                     needed = f"{claim.limit} {claim.unit}".rstrip()
                     thesis = f"It says: {claim.says}, which needs a number {needed}."
-                found = f"Recomputed: {{recomputed}}`{claim.id}`."
-                star = f" {ledger.STAR} {claim.star}." if claim.star else ""
-                text = f"- **{claim.what}.** {{verdict}}`{claim.id}` {thesis} {found} "
-                text += f"{claim.note}{star}"
-                lines.setdefault(part_of(claim), []).append(text)
+                text = f"- **{claim.what}** ({claim.where}). {{verdict}}`{claim.id}` {thesis} "
+                text += f"Recomputed: {{recomputed}}`{claim.id}`. {claim.note}"
+                lines.setdefault(claim.cause, []).append(text)
         return [
-            self.written(f"differences-{part.split()[0]}", part, entries)
-            for part, entries in lines.items()
+            self.written(f"cause-{name}", cause["title"], [cause["text"], "", *lines[name]])
+            for name, cause in ledger.causes().items()
         ]
+
+
+class Reaches(Listing):
+    """What of the errata and of the causes changes a result, the same list on every page."""
+
+    def run(self) -> list[nodes.Node]:
+        entries = [*ledger.errata().values(), *ledger.causes().values()]
+        lines = [f"- {entry['reaches']}" for entry in entries if "reaches" in entry]
+        part = nodes.container()
+        self.state.nested_parse(StringList(lines, source="errata.toml"), 0, part)
+        return part.children
 
 
 class Deviations(Listing):
@@ -320,7 +352,12 @@ class Errata(Listing):
             lines = [
                 f"**{entry['where']}.** *{entry['origin']}.*",
                 f"**Printed:** {entry['printed']}",
-                f"**Right:** {entry['corrected']}",
+                *(
+                    [f"**A reading without a fault:** {entry['reading']}"]
+                    if "reading" in entry
+                    else []
+                ),
+                f"**{'Otherwise' if 'reading' in entry else 'Right'}:** {entry['corrected']}",
                 entry["proof"],
                 f'<span class="erratum-sources">{ways}</span>',
             ]
@@ -339,11 +376,13 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.add_role("printed", Printed())
     app.add_role("verdict", Verdict())
     app.add_role("count", Count())
+    app.add_role("number", Number())
     app.add_directive("verdict-map", VerdictMap)
     app.add_directive("claims", Claims)
     app.add_directive("differences", Differences)
     app.add_directive("deviations", Deviations)
     app.add_directive("errata", Errata)
+    app.add_directive("reaches", Reaches)
     app.connect("doctree-read", name_cells)
     app.add_css_file("thesis.css")
     app.add_js_file("filter.js", loading_method="defer")

@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
+from scipy.stats import rice as scipy_rice
 
 from compendium import thesis
 from compendium.experiments import paths
 from compendium.experiments.microscope import turned
 from compendium.experiments.section_5_3 import gripper
-from compendium.ledger import claim, judge
+from compendium.ledger import claim
 from microlib import servoing
 
 #: Standard deviations of the calibration's angle (rad) and scale: assumed. The circles and squares
@@ -423,7 +424,7 @@ def predicted_tables(station: Workstation, draws: int) -> pd.DataFrame:
     -------
     pandas.DataFrame
         A row each entry: claim, value (the median), the ends low and high, in s or µm, and whether
-        it is an input, one of `FITTED`.
+        it is one of `FITTED`.
     """
     rows = []
     for zoom in thesis.ZOOMS:
@@ -435,11 +436,11 @@ def predicted_tables(station: Workstation, draws: int) -> pd.DataFrame:
             for k, what in enumerate(PATH_RESULTS):
                 rows.append((f"table-5.4/{zoom}/{name}/{what}", *median_and_ends(errors[:, k])))
     table = pd.DataFrame(rows, columns=["claim", "value", "low", "high"])
-    return table.assign(input=table["claim"].isin(FITTED))
+    return table.assign(fitted=table["claim"].isin(FITTED))
 
 
 def by_reading(station: Workstation, draws: int) -> pd.DataFrame:
-    """Judge the predicted numbers anew under each of `OTHER_READINGS`.
+    """Predict the numbers anew under each of `OTHER_READINGS`.
 
     Parameters
     ----------
@@ -451,7 +452,8 @@ def by_reading(station: Workstation, draws: int) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        As `predicted_tables`, a row each reading and number, with the reading and the verdict.
+        As `predicted_tables`, a row each reading and number, with the reading and whether the
+        printed number lies inside the interval.
     """
     tables = []
     for name, reading in ({"as assumed": station.assumed} | OTHER_READINGS).items():
@@ -459,19 +461,22 @@ def by_reading(station: Workstation, draws: int) -> pd.DataFrame:
         same = replace(reading, faster=1.0, shakier=1.0) == station.assumed
         at = replace(station, assumed=reading) if same else identify(station.seed, reading)
         table = predicted_tables(at, draws)
-        judged = [judge(claim(id), *found) for id, *found, _ in table.itertuples(index=False)]
-        tables.append(table.assign(reading=name, verdict=judged))
+        printed = table["claim"].map(lambda id: claim(id).value)
+        tables.append(
+            table.assign(reading=name, inside=printed.between(table["low"], table["high"]))
+        )
     return pd.concat(tables, ignore_index=True)
 
 
 def decided(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a row each predicted number: its verdict, and the readings that change it."""
-    table = table[~table["input"]]
-    assumed = table[table["reading"] == "as assumed"].set_index("claim")["verdict"]
-    changed = table[table["verdict"] != table["claim"].map(assumed)]
+    """Return a row each predicted number: whether the printed one lies inside the interval, and the
+    readings that change this."""
+    table = table[~table["fitted"]]
+    assumed = table[table["reading"] == "as assumed"].set_index("claim")["inside"]
+    changed = table[table["inside"] != table["claim"].map(assumed)]
     names = changed.groupby("claim")["reading"].agg(", ".join)
     return pd.DataFrame(
-        {"verdict": assumed, "changed by": names.reindex(assumed.index, fill_value="")}
+        {"inside": assumed, "changed by": names.reindex(assumed.index, fill_value="")}
     )
 
 
@@ -550,3 +555,20 @@ def saturated_share(station: Workstation, draws: int) -> float:
         held = at_limit.argmin(axis=1) * thesis.FRAME_INTERVAL
         shares.append(held / station.steps(zoom, draws)[:, 0])
     return float(np.min(shares))
+
+
+def rare_errors(lag: float, error: float, rate: float) -> tuple[float, float]:
+    """Return mean and standard deviation of the distance |lag + e|, all in the unit of the lag.
+
+    e is zero but for a share `rate` of the frames, in which it is normal along both axes with the
+    standard deviation `error`.
+
+    Examples
+    --------
+    >>> rare_errors(1.0, 2.0, 0.0)
+    (1.0, 0.0)
+    """
+    rice = scipy_rice(lag / error, scale=error)
+    mean = (1 - rate) * lag + rate * rice.mean()
+    square = (1 - rate) * lag**2 + rate * (lag**2 + 2 * error**2)
+    return float(mean), float(np.sqrt(square - mean**2))

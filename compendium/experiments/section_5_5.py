@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.stats import t as student_t
 from skimage.measure import label as connected
 
 from compendium import thesis
@@ -254,14 +255,12 @@ def ridge_sentences(height: NDArray, labels: NDArray[np.uint8]) -> dict[str, flo
     near = [known[:, foot - REACH : foot + REACH + 1] for foot in feet]
     lines = [(labels[:, foot - REACH : foot + REACH + 1] == 8).any(axis=1) for foot in feet]
     rows = near[0].all(axis=1)
-    misread = crest & (labels != 2)
     patches = min(count_patches(labels, on, (kind,)) for kind in (1, 3))
     few = share_of(labels, crest, (1, 3)) <= SMALL
     return {
         "sides-planar": share_of(labels, sides, (5,)),
         "crest-convex-cylindric": share_of(labels, crest, (2,)),
         "crest-saddle-and-elliptic": float(patches if few else 0),
-        "crest-convex": share_of(labels, misread, (1, 3)) if misread.any() else 1.0,
         "edge-concave-cylindric": float(np.mean([line[rows] for line in lines])),
     }
 
@@ -309,6 +308,18 @@ def ball_shape(depth: NDArray) -> dict[str, float]:
         shape = cylinder if "cylindric" in name else sphere
         departures[name] = float(np.abs(radii - shape).sum() / (cylinder - sphere).sum())
     return departures
+
+
+def mean_interval(values: pd.Series) -> tuple[float, float, float]:
+    """Return the mean over scenes and the ends of its 95 % interval by Student's t.
+
+    Examples
+    --------
+    >>> tuple(round(end, 2) for end in mean_interval(pd.Series([1.0, 2.0, 3.0])))
+    (2.0, -0.48, 4.48)
+    """
+    half = student_t.ppf(0.975, len(values) - 1) * values.sem()
+    return float(values.mean()), float(values.mean() - half), float(values.mean() + half)
 
 
 def describe_scenes(seed: int, runs: int) -> dict[str, pd.DataFrame]:

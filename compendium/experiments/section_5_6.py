@@ -121,29 +121,37 @@ def printed_dimple() -> tuple[float, float]:
     return thesis.EMBRYO_PIXEL * abs(x2 - x1), thesis.EMBRYO_PIXEL * abs(y2 - y1)
 
 
-def probe_half_widths(dimple_radius: float, dimple_depth: float) -> tuple[float, float]:
-    """Return the half-widths of the probe between which (5.2) gives the printed modulus.
+def right_dimple() -> tuple[float, float]:
+    """Return radius and depth of the printed outline from the highest point of its right rim, µm.
 
-    Parameters
-    ----------
-    dimple_radius, dimple_depth : float
-        a and w_d, µm.
-
-    Returns
-    -------
-    low, high : float
-        Ends that the rounding of the printed modulus leaves, µm.
+    The right rim of (5.1) has two maxima, split by a dip of about one pixel. The higher one is the
+    counterpart of the left rim, which is the highest point on its side.
     """
-    printed = claim("table-5.6/E")
+    curve = thesis.outline_curve()
+    maxima, _ = curve.extrema()
+    x2, y2 = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL).bottom
+    right = maxima[maxima > x2]
+    x1 = float(right[curve(right).argmax()])
+    return thesis.EMBRYO_PIXEL * (x1 - x2), thesis.EMBRYO_PIXEL * (float(curve(x1)) - y2)
 
-    def excess(half_width: float, wanted: float) -> float:
-        found = thesis.modulus(dimple_radius, dimple_depth, probe_half_width=half_width)
-        return found - wanted
 
-    low, high = sorted(
-        float(brentq(excess, 1.0, 200.0, args=(printed.value + side * printed.tolerance,)))
-        for side in (-1, 1)
-    )
+def probe_half_widths() -> tuple[float, float]:
+    """Return the half-widths (µm) between which (5.2) gives Table 5.6 within its rounding.
+
+    They are the largest and the smallest that radius, depth, force and modulus allow, each off by
+    half a unit in its last printed place.
+    """
+    printed = {name: claim(f"table-5.6/{name}") for name in ("a", "w_d", "F", "E")}
+
+    def excess(half_width: float, side: int) -> float:
+        # (5.2) grows with a and F and falls with w_d and c.
+        signs = {"a": side, "w_d": -side, "F": side, "E": -side}
+        a, w_d, force, modulus = (
+            entry.value + signs[name] * half_ulp(entry.printed) for name, entry in printed.items()
+        )
+        return thesis.modulus(a, w_d, force=force, probe_half_width=half_width) - modulus
+
+    low, high = (float(brentq(excess, 1.0, 200.0, args=(side,))) for side in (-1, 1))
     return low, high
 
 

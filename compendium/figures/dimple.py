@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from compendium import thesis
 from compendium.experiments.section_5_6 import Outline, Scene
-from compendium.figures.embryo import add_scale_bar, show_image, show_outline
 from compendium.figures.panels import legend_below, length
 from compendium.figures.style import COLORS
 from microlib.embryo import GaussianSum, dimple_geometry
@@ -75,37 +74,6 @@ def draw_printed_outline(curve: GaussianSum) -> Figure:
     axes.set(xlabel="x (µm)", ylabel="y, up (µm)", aspect="equal")
     axes.set(xlim=pixel * (x[[0, -1]] + [-3, 3]), ylim=(None, y1 + 90))
     legend_below(figure, ncols=2)
-    return figure
-
-
-def draw_embryo(scene: Scene) -> Figure:
-    """Draw figures 5.15 and 5.16: the whole image, and the embryo with its dimple."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(6.4, 3.1), width_ratios=(1.34, 1))
-    show_image(left, scene.image)
-    add_scale_bar(left, 1000, scene.pixel_size)
-    pointer = {"arrowprops": {"arrowstyle": "-", "lw": 1.2}, "va": "center", "color": "black"}
-    x, y = scene.center
-    left.annotate("AFM probe", (x, 110), (650, 110), **pointer)
-    left.annotate("force sensor", (x, 680), (650, 680), **pointer)
-    show_image(right, scene.image, box=(round(x) - 190, round(y) - 50, 380, 366))
-    add_scale_bar(right, 300, scene.pixel_size)
-    return figure
-
-
-def draw_outline_steps(scene: Scene, filled: NDArray, boundary: Outline) -> Figure:
-    """Draw figure 5.17: the dimple's side, the image without the probe, and the outline."""
-    x, y = scene.center
-    box = (round(x) - 150, round(y) - 40, 300, 110)
-    figure, column = plt.subplots(3, 1, figsize=(5.6, 6.6))
-    titles = ("(a) dimple side", "(b) probe removed", "(c) outline")
-    for axes, title, picture in zip(
-        column, titles, (scene.image, filled, scene.image), strict=True
-    ):
-        show_image(axes, picture, box=box)
-        axes.set_title(title, loc="left")
-    add_scale_bar(column[0], 200, scene.pixel_size)
-    show_outline(column[2], boundary)
-    column[2].set(xlim=(box[0], box[0] + box[2]), ylim=(box[1] + box[3], box[1]))
     return figure
 
 

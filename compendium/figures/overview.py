@@ -17,15 +17,6 @@ TASKS = (
     ("frames at many focus positions", "shape from focus, HK", "heights, surface types", "green"),
     ("outline of a dented embryo", "point-load model", "modulus of the shell", "pink"),
 )
-#: Sizes of what the book meets, m.
-THINGS = {
-    0.1: "hand",
-    1.2e-3: "embryo",
-    1.4e-4: "pattern circle",
-    6.2e-6: "pixel at 1X",
-    5e-8: "step of the stage",
-    4e-10: "contact film",
-}
 
 
 def draw_system() -> Figure:
@@ -63,21 +54,3 @@ def _draw_microscope(axes: Axes) -> None:
     arrows(axes, [((3.2, 7.0), (4.6, 7.0))])
     axes.text(3.9, 7.25, "frames", ha="center")
     axes.set(xlim=(-0.1, 4.7), ylim=(0.1, 7.7))
-
-
-def draw_scale() -> Figure:
-    """Draw figure 2.1: the scale of micromanipulation, as one ruler."""
-    figure, axes = plt.subplots(figsize=(6.4, 2.2))
-    bands = (("nano", 1e-9, "sky"), ("micro", 1e-6, "yellow"), ("macro", 1e-3, "pink"))
-    for name, low, color in bands:
-        axes.barh(0, 999 * low, left=low, height=0.5, color=COLORS[color])
-        axes.text(low * 10**1.5, 0, name, ha="center", va="center", color="black")
-    for k, (size, name) in enumerate(THINGS.items()):
-        height = 0.5 + 0.4 * (k % 3)
-        axes.plot([size, size], [0.3, height], color=COLORS["ink"], lw=1)
-        axes.text(size, height + 0.05, name, ha="center", va="bottom")
-    axes.set(xscale="log", xlim=(3e-11, 1), ylim=(-0.3, 1.7), yticks=[])
-    axes.set_xticks([1e-9, 1e-6, 1e-3, 1], ["1 nm", "1 µm", "1 mm", "1 m"])
-    axes.spines["left"].set_visible(False)
-    axes.grid(False)
-    return figure

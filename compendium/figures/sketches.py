@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from compendium.figures.cells import PIXEL_SIZE, render_cells
 from compendium.figures.embryo import add_scale_bar, show_image
 from compendium.figures.panels import legend_below
 from compendium.figures.surfaces import draw_labels, draw_surface, label_patches
@@ -70,9 +71,9 @@ def draw_cells(rng: np.random.Generator) -> Figure:
     """Draw figure 4.1: rendered cells, spread on glass and floating."""
     figure, row = plt.subplots(1, 2, figsize=(6.4, 3.0))
     for axes, kind in zip(row, ("293T", "Jurkat"), strict=True):
-        sample = synthetic.cell_image(kind, rng=rng)
-        show_image(axes, sample.image)
-        add_scale_bar(axes, 20, sample.pixel_size)
+        image, _ = render_cells(kind, rng)
+        show_image(axes, image)
+        add_scale_bar(axes, 20, PIXEL_SIZE)
         axes.set_title(f"{kind}, rendered")
     return figure
 

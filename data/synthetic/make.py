@@ -17,6 +17,7 @@ import pandas as pd
 import tifffile
 
 from compendium import thesis
+from compendium.experiments.section_5_3 import texture_sequence
 from compendium.guides import FOLDER
 from microlib.io import write_height_tiff
 from microlib.microscope import Microscope
@@ -28,7 +29,6 @@ from microlib.synthetic import (
     mixed_texture,
     render_circles,
     sphere_on_plane,
-    texture_sequence,
 )
 
 SEED = 2008

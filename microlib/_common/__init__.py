@@ -1,17 +1,12 @@
 """What several subjects share: argument checks, types, covariance, files, threads, devices."""
 
 from microlib._common._checks import (
-    LARGEST,
-    LARGEST_GREY,
-    LEAST,
     MEASURED,
     ArgumentError,
     as_array,
     as_image,
     as_map,
     as_region,
-    between,
-    check_callable,
     flag,
     generator,
     image_shape,

@@ -1,28 +1,21 @@
-"""Results with a short `repr`, a flat row and a table."""
+"""Results with a short `repr` and a flat row."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-
 #: What the numbers of a short field are called along its last axis, where not by their place.
 _PARTS = {
-    **dict.fromkeys(("bottom", "center", "drift", "rim", "tip", "feature", "measured"), ("x", "y")),
-    **dict.fromkeys(("points", "position", "positions", "reference", "command"), ("x", "y")),
-    **dict.fromkeys(("residuals", "plane_residuals", "pixel_size"), ("x", "y")),
+    **dict.fromkeys(("bottom", "center", "drift", "rim", "tip", "pixel_size"), ("x", "y")),
     **dict.fromkeys(("interval", "domain"), ("low", "high")),
     **dict.fromkeys(("region", "frame"), ("x", "y", "width", "height")),
     **dict.fromkeys(("image_size", "size"), ("width", "height")),
     "rim_curvatures": ("left", "right"),
-    "grid": ("i", "j"),
     "um_per_pixel": ("estimate", "low", "high"),
 }
 
@@ -50,11 +43,9 @@ def _short(value: Any) -> str:
 
 
 class Tidy(Result):
-    """Give a frozen dataclass a flat row, a table and a short `repr`."""
+    """Give a frozen dataclass a flat row and a short `repr`."""
 
-    #: Fields with one entry a sample: the rows of `to_frame`, left out of `to_dict`.
-    _samples: ClassVar[tuple[str, ...]] = ()
-    #: Fields with a number a pixel, objects and whole tables: in neither.
+    #: Fields that `to_dict` leaves out: those with a number a sample or a pixel, and objects.
     _large: ClassVar[tuple[str, ...]] = ()
     #: Fields of several axes, each with what its numbers are called along each of them.
     _parts: ClassVar[tuple[tuple[Any, ...], ...]] = ()
@@ -69,33 +60,9 @@ class Tidy(Result):
             several numbers gets a name for each, such as ``center_x`` and ``covariance_x_y``; what
             is not finite is None. Fields with a number a sample or a pixel are left out.
         """
-        left_out = (*self._samples, *self._large)
-        names = [f.name for f in fields(self) if f.name not in left_out]  # type: ignore[arg-type]
+        names = [f.name for f in fields(self) if f.name not in self._large]  # type: ignore[arg-type]
         own = {name: getattr(self, name) for name in names}
         return flat_row(own, {name: tuple(axes) for name, *axes in self._parts})
-
-    def to_frame(self) -> pd.DataFrame:
-        """Return the result as a table.
-
-        Returns
-        -------
-        pandas.DataFrame
-            One row a sample, a point for example, and a column for each number that is known of it;
-            of a result without samples the one row of `to_dict`.
-        """
-        import pandas as pd  # here, for it takes a third of the time that importing a subject takes
-
-        if not self._samples:
-            return pd.DataFrame([self.to_dict()])
-        columns: dict[str, Any] = {}
-        for name in self._samples:
-            values = np.asarray(getattr(self, name))
-            if columns and len(values) != len(next(iter(columns.values()))):
-                values = np.moveaxis(values, -1, 0)
-            flat = values.reshape(len(values), -1)
-            names = _names(name, values.shape[1:], (_PARTS.get(name, ()),))
-            columns |= dict(zip(names, flat.T, strict=True))
-        return pd.DataFrame(columns)
 
 
 def flat_row(

@@ -16,7 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_array, between, scalar
+from microlib._common import (
+    Array,
+    as_array,
+    positive,
+    scalar,
+)
 from microlib.calibration._calibration import Calibration
 from microlib.calibration._detection import Detection
 from microlib.calibration._stage import plane_points
@@ -101,9 +106,9 @@ def calibrate(
     >>> round(found.microscope.magnification, 3), round(found.microscope.beta, 3)
     (1.587, 0.03)
     """
-    between("pixel_size", pixel_size, 1 / FARTHEST, FARTHEST)
+    positive("pixel_size", pixel_size)
     if focal_length is not None:
-        focal_length = scalar("focal_length", focal_length, least=1 / FARTHEST, most=FARTHEST)
+        focal_length = scalar("focal_length", focal_length, above=0)
     worlds, images, labels, size = _inputs(world, image, pitch, image_size, groups)
     frame = Microscope(1.0, 1.0, 1.0, pixel_size=pixel_size, image_size=size)
     pairs = [_points(w, i, frame) for w, i in zip(worlds, images, strict=True)]

@@ -78,8 +78,15 @@ class Calibration(Tidy):
         One for each view; `microscope` is the first.
     """
 
-    _samples = ("residuals", "plane_residuals")
-    _large = ("microscope", "parameters", "estimate", "covariance", "views")
+    _large = (
+        "residuals",
+        "plane_residuals",
+        "microscope",
+        "parameters",
+        "estimate",
+        "covariance",
+        "views",
+    )
 
     microscope: Microscope
     parameters: tuple[str, ...]
@@ -156,7 +163,7 @@ class Calibration(Tidy):
             If `parameter` was not estimated or `level` is not in (0, 1).
         """
         k = self.parameters.index(one_of("parameter", parameter, self.parameters))
-        level = scalar("level", level, within=(0, 1))
+        level = scalar("level", level, above=0, below=1)
         std = float(np.sqrt(self.covariance[k, k]))
         # Half of an infinite interval is infinite at any level.
         half = std if np.isinf(std) else student(self.freedom, level) * std

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array, Tidy
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: A homography from the grid to the image needs as many shapes.
 FEWEST = 4
@@ -43,7 +46,7 @@ class Detection(Tidy):
         Width and height of the photograph, px.
     """
 
-    _samples = ("grid", "positions", "points", "sigma", "group")
+    _large = ("grid", "positions", "points", "sigma", "group")
 
     points: Array
     grid: NDArray[np.intp]
@@ -61,6 +64,22 @@ class Detection(Tidy):
             f"{self.image_size[0]}×{self.image_size[1]} px{side}, "
             f"σ {np.median(self.sigma):.2g} px, misfit {self.misfit:.2g}"
         )
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the points as a table.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row a point: ``grid_i``, ``grid_j``, ``positions_x``, ``positions_y``, ``points_x``
+            and ``points_y`` (px), ``sigma`` (px), ``group``.
+        """
+        import pandas as pd  # here, as it takes long to import
+
+        pairs = {"grid": self.grid, "positions": self.positions, "points": self.points}
+        names = {"grid": "ij", "positions": "xy", "points": "xy"}
+        columns = {f"{k}_{n}": v[:, i] for k, v in pairs.items() for i, n in enumerate(names[k])}
+        return pd.DataFrame(columns | {"sigma": self.sigma, "group": self.group})
 
     def plot(self, ax: Any = None, *, image: NDArray | None = None) -> Any:
         """Draw the points, some with their place in the grid, by Matplotlib.

@@ -33,7 +33,7 @@ class Micrometer(Tidy):
         Direction across the lines, from the image's x axis, rad, from x to y.
     """
 
-    _samples = ("divisions", "points", "residuals")
+    _large = ("divisions", "points", "residuals")
 
     points: Array
     divisions: NDArray[np.intp]

@@ -7,7 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, Tidy, as_array, between, same_length
+from microlib._common import (
+    Array,
+    Tidy,
+    as_array,
+    same_length,
+)
 from microlib.calibration._uncertainty import FARTHEST, inverse_interval, student
 
 
@@ -34,8 +39,7 @@ class StageAffine(Tidy):
 
     _parts = (("matrix", ("x", "y"), ("x", "y", "shift")),)
 
-    _samples = ("residuals",)
-    _large = ("covariance",)
+    _large = ("residuals", "covariance")
 
     matrix: Array
     covariance: Array
@@ -56,7 +60,6 @@ def plane_points(least: int, **named: ArrayLike) -> list[Array]:
     pairs = [as_array(name, points, shape=(None, 2)) for name, points in named.items()]
     same_length(tuple(named), *pairs)
     for name, points in zip(named, pairs, strict=True):
-        between(name, points, -FARTHEST, FARTHEST)
         if len(points) < least:
             raise ValueError(f"{name} must hold at least {least} points, got {len(points)}")
         triangle = np.linalg.qr(points - points.mean(axis=0), mode="r")

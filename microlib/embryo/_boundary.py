@@ -49,7 +49,7 @@ class Boundary(Tidy):
         probe upright.
     """
 
-    _samples = ("x", "y", "std", "under_probe")
+    _large = ("x", "y", "std", "under_probe")
 
     x: Array
     y: Array

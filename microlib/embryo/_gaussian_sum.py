@@ -56,8 +56,7 @@ class GaussianSum(Tidy):
     [15.0]
     """
 
-    _samples = ("amplitudes", "centers", "widths")
-    _large = ("covariance",)
+    _large = ("amplitudes", "centers", "widths", "covariance")
 
     amplitudes: Array
     centers: Array

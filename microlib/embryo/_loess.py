@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, as_array, between, same_length, scalar, whole
+from microlib._common import (
+    Array,
+    as_array,
+    same_length,
+    scalar,
+    whole,
+)
 
 
 def loess(x: ArrayLike, y: ArrayLike, *, span: float = 0.25, degree: int = 2) -> Array:
@@ -57,7 +63,7 @@ def loess(x: ArrayLike, y: ArrayLike, *, span: float = 0.25, degree: int = 2) ->
     y = as_array("y", y, shape=(None,))
     same_length(("x", "y"), x, y)
     share = scalar("span", span, above=0, most=1)
-    between("degree", whole("degree", degree, least=1), 1, 2, closed=True)
+    whole("degree", degree, least=1, most=2)
     # So that a product such as 0.29 × 100 loses no neighbor to rounding.
     k = int(share * len(x) * (1 + 4 * np.finfo(float).eps))
     if k < degree + 1:

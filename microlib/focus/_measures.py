@@ -8,7 +8,12 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import LARGEST_GREY, Image, as_array, scalar, whole
+from microlib._common import (
+    Image,
+    as_array,
+    scalar,
+    whole,
+)
 
 #: A focus measure of the user: grey image to measure of the same shape.
 FocusMeasure = Callable[[Image], NDArray]
@@ -68,10 +73,10 @@ def sum_modified_laplacian(
     """
     kind = getattr(image, "dtype", None)
     kind = kind if kind in (np.uint8, np.uint16) else np.float32
-    grey = as_array("image", image, shape=(None, None), dtype=kind, largest=LARGEST_GREY)
+    grey = as_array("image", image, shape=(None, None), dtype=kind)
     n = whole("window", window, least=1, odd=True, most=MOST)
     s = whole("step", step, least=1)
-    limit = scalar("threshold", threshold, least=0, most=4 * LARGEST_GREY)
+    limit = scalar("threshold", threshold, least=0)
     if s >= min(grey.shape):
         raise ValueError(f"step must be below the image's sides {grey.shape}, got {step}")
     padded = cv2.copyMakeBorder(grey, s, s, s, s, cv2.BORDER_REFLECT_101)

@@ -7,7 +7,15 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from microlib._common import Image, Region, as_region, check_callable, flag, one_of, whole
+from microlib._common import (
+    Image,
+    Region,
+    as_region,
+    flag,
+    of_kind,
+    one_of,
+    whole,
+)
 from microlib.focus._measures import MEASURES, MOST, FocusMeasure, own_measure
 from microlib.focus._registration import check_size
 from microlib.io import read_frames
@@ -61,7 +69,7 @@ def check_options(
     name = "a function" if own else repr(one_of("measure", measure, ("multiscale", *MEASURES)))
     if window is not None and (own or measure == "multiscale"):
         raise ValueError(f"window must not be given with measure {name}, got {window!r}")
-    check_callable("progress", progress, optional=True)
+    of_kind("progress", progress, Callable, type(None))
     return Options(
         measure,
         5 if window is None else whole("window", window, least=1, odd=True, most=MOST),

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from microlib._common import Array, as_array, scalar
 from microlib.focus._measures import MOST, TINY
 
-#: Largest magnitude of a position and one over the least distance of two, µm; largest measure.
-FARTHEST, _LARGEST = 1e12, 1e36
+#: One over the least distance of two positions, µm.
+FARTHEST = 1e12
 #: Pixels that are fitted at a time: their windows stay in the processor's cache.
 _BAND = 16384
 
@@ -29,13 +29,13 @@ def check_positions(
     if spacing is not None:
         if positions is not None:
             raise ValueError("positions and spacing must not both be given")
-        positions = scalar("spacing", spacing, most=FARTHEST) * np.arange(count)
+        positions = scalar("spacing", spacing) * np.arange(count)
     positions = told if positions is None else positions
     if positions is None:
         raise ValueError(
             "positions or spacing must be given, got None and frames that do not tell theirs"
         )
-    z = as_array("positions", positions, shape=(None,), largest=FARTHEST)
+    z = as_array("positions", positions, shape=(None,))
     if not 3 <= len(z) <= MOST:
         raise ValueError(f"positions must be at least three, at most {MOST}, got {len(z)}")
     for at in np.flatnonzero(np.diff(z) * np.sign(z[-1] - z[0]) < 1 / FARTHEST):
@@ -91,7 +91,7 @@ def three_point_peak(window: NDArray, index: NDArray, positions: Array) -> NDArr
         raise ValueError(f"index must hold whole numbers, got {index.dtype} of {index.shape}")
     if index.max() >= len(z) or index.min() < 0:
         raise ValueError(f"index must hold numbers of the {len(z)} positions, got {index.max()}")
-    values = as_array("window", window, shape=(3, *index.shape), largest=_LARGEST)
+    values = as_array("window", window, shape=(3, *index.shape))
     if values.min() < 0:
         raise ValueError(f"window must hold measures of zero or more, got {values.min():g}")
     gaps = np.diff(z)

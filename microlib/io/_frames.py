@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import LARGEST_GREY, Frames, Region, as_array, as_region, flag, whole
+from microlib._common import Frames, Region, as_array, as_region, flag, whole
 from microlib.io._source import Named, Source
 from microlib.io._sources import open_source, refuse_choice
 
@@ -171,7 +171,7 @@ class FrameReader(Iterator[NDArray]):
             frame = np.ascontiguousarray(frame, dtype=frame.dtype.newbyteorder("="))
         elif frame.dtype.kind in "uif":
             # Products of sharpness, from which depths are found, stay in single precision's range.
-            frame = as_array(name, frame, dtype=np.float32, largest=LARGEST_GREY)
+            frame = as_array(name, frame, dtype=np.float32)
         else:
             raise ValueError(f"{name} must hold real numbers, got {frame.dtype}")
         if frame.ndim == 3:

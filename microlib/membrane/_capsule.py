@@ -492,7 +492,7 @@ def _checked(wall: tuple[Any, ...]) -> tuple[float, float, float, Law]:
     """Return radius, thickness, probe_half_width and the law."""
     radius, thickness, probe_half_width, poisson_ratio, law = wall
     r0, h = scalar("radius", radius, above=0), scalar("thickness", thickness, above=0)
-    c = scalar("probe_half_width", probe_half_width, within=(0.0, r0))
+    c = scalar("probe_half_width", probe_half_width, above=0, below=r0)
     return r0, h, c, law_of(law, poisson_ratio)
 
 

@@ -315,9 +315,9 @@ def _unit_disc(
     rim_inset: float,
 ) -> _Disc:
     """Return the problem of a disc whose modulus is 1 MPa."""
-    c = scalar("probe_half_width", probe_half_width, within=(0.0, a))
+    c = scalar("probe_half_width", probe_half_width, above=0, below=a)
     initial = 1 + scalar("pretension", pretension, least=0)
-    inset = scalar("rim_inset", rim_inset, within=(0.0, 0.5), closed=True)
+    inset = scalar("rim_inset", rim_inset, least=0, most=0.5)
     below = load / (np.pi * a**2)
     if not isinstance(pressure, str):
         below = scalar("pressure", pressure, least=0)

@@ -115,7 +115,7 @@ def finite_slope_modulus(
 
 def _geometry(dimple_radius: float, probe_half_width: float) -> tuple[float, float]:
     a = scalar("dimple_radius", dimple_radius, above=0)
-    return a, scalar("probe_half_width", probe_half_width, within=(0.0, a))
+    return a, scalar("probe_half_width", probe_half_width, above=0, below=a)
 
 
 def _profile(steepest: float, a: float, c: float) -> tuple[NDArray, NDArray, NDArray]:

@@ -175,7 +175,7 @@ class MembraneState(Tidy):
     The true stress is :math:`\lambda_i` times the nominal one in an incompressible membrane.
     """
 
-    _samples = ("r", "z", "stretches", "stresses")
+    _large = ("r", "z", "stretches", "stresses")
 
     depth: float
     approach: float

@@ -355,7 +355,7 @@ class PredictiveController(OptimalController):
         if self._delay > MOST_DELAY:
             raise ValueError(f"delay must be at most {MOST_DELAY} intervals, got {self._delay:g}")
         self._limit = scalar("saturation", saturation, above=0)
-        share = scalar("innovation_gain", innovation_gain, within=(0.0, 1.0), closed=True)
+        share = scalar("innovation_gain", innovation_gain, least=0, most=1)
         self._innovation_gain = share
         samples = int(self._delay)
         self._part = self._delay - samples

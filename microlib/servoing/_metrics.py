@@ -94,7 +94,7 @@ def step_metrics(
     if (np.diff(t) <= 0).any():
         raise ValueError("time must increase")
     goal = as_array("target", target, shape=(x.shape[1],))
-    share = scalar("band", band, within=(0.0, 1.0))
+    share = scalar("band", band, above=0, below=1)
     step = goal - x[0]
     length = float(np.linalg.norm(step))
     if length == 0:

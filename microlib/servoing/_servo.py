@@ -18,9 +18,9 @@ from microlib._common import (
     RunInterrupt,
     Tidy,
     as_array,
-    check_callable,
     check_devices,
     flag,
+    of_kind,
     positive,
     scalar,
     whole,
@@ -78,8 +78,7 @@ class ServoRun(Tidy, Ending):
     misfit: float
     latency: float
 
-    _samples = ("reached",)
-    _large = ("log", "jacobian_covariance")
+    _large = ("reached", "log", "jacobian_covariance")
 
     def to_frame(self) -> pd.DataFrame:
         """Return `log`.
@@ -212,8 +211,8 @@ def servo(
     check_devices(workstation, "stage")
     if not callable(getattr(tracker, "track", None)):
         raise ValueError(f"tracker must have a method track, got {type(tracker).__name__}")
-    check_callable("controller", controller, optional=True)
-    check_callable("progress", progress, optional=True)
+    of_kind("controller", controller, Callable, type(None))
+    of_kind("progress", progress, Callable, type(None))
     either = positive("travel", travel)
     reach = as_array("travel", either if either.ndim else np.full(2, either), shape=(2,))
     settings = Settings(

@@ -10,7 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_array, check_callable, generator, of_kind
+from microlib._common import (
+    Array,
+    as_array,
+    generator,
+    of_kind,
+)
 from microlib.servoing._control import full_rank
 from microlib.servoing._workstation import Camera, Stage
 
@@ -89,7 +94,7 @@ class SimulatedWorkstation:
         of_kind("stage", stage, Stage)
         of_kind("camera", camera, Camera)
         of_kind("focus_drive", focus_drive, Stage, type(None))
-        check_callable("render", render)
+        of_kind("render", render, Callable)
         self._jacobian = full_rank(jacobian, (2, 2))
         self._home = as_array("home", home, shape=(2,))
         self._drift = as_array("drift", drift, shape=(2,))

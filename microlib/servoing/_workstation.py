@@ -12,7 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, Tidy, as_array, check_callable, generator, of_kind, scalar
+from microlib._common import (
+    Array,
+    Tidy,
+    as_array,
+    generator,
+    of_kind,
+    scalar,
+)
 from microlib.servoing._control import MOST_DELAY, full_rank
 
 #: Given the number of the sample, the measured feature (px, NaN if lost) and all references, a
@@ -95,7 +102,7 @@ class Simulation(Tidy):
         Where more was asked for than the stage can do.
     """
 
-    _samples = ("time", "reference", "feature", "measured", "position", "command", "saturated")
+    _large = ("time", "reference", "feature", "measured", "position", "command", "saturated")
 
     time: Array
     reference: Array
@@ -166,8 +173,8 @@ def simulate(
     """
     of_kind("stage", stage, Stage)
     of_kind("camera", camera, Camera)
-    check_callable("controller", controller)
-    check_callable("observer", observer, optional=True)
+    of_kind("controller", controller, Callable)
+    of_kind("observer", observer, Callable, type(None))
     wanted = as_array("reference", reference, shape=(None, 2))
     matrix = full_rank(jacobian, (2, 2))
     origin = wanted[0] if start is None else as_array("start", start, shape=(2,))

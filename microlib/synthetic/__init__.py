@@ -1,12 +1,8 @@
 """Scenes with known truth: what the algorithms are tested on. Nothing here imports an algorithm."""
 
-from microlib.synthetic._cells import cell_image
 from microlib.synthetic._embryo import Embryo, embryo_image
 from microlib.synthetic._gripper import (
-    camera_frame,
     gripper_scene,
-    texture_sequence,
-    warped_pair,
 )
 from microlib.synthetic._patterns import ImagingConditions, render_circles, render_squares
 from microlib.synthetic._stacks import focal_stack
@@ -16,15 +12,12 @@ from microlib.synthetic._surfaces import (
     paraboloid,
     sphere_on_plane,
     step,
-    tilted_plane,
 )
 from microlib.synthetic._textures import mixed_texture
 
 __all__ = [
     "Embryo",
     "ImagingConditions",
-    "camera_frame",
-    "cell_image",
     "cone",
     "embryo_image",
     "focal_stack",
@@ -36,7 +29,4 @@ __all__ = [
     "render_squares",
     "sphere_on_plane",
     "step",
-    "texture_sequence",
-    "tilted_plane",
-    "warped_pair",
 ]

@@ -20,7 +20,6 @@ from microlib._common import (
     Array,
     Result,
     as_array,
-    between,
     flag,
     generator,
     image_shape,
@@ -29,7 +28,7 @@ from microlib._common import (
     scalar,
 )
 from microlib.membrane import SmallSlopeWarning, dimple_depth, dimple_profile
-from microlib.synthetic._textures import MOST_LEVEL, eight_bits
+from microlib.synthetic._textures import eight_bits
 
 
 @dataclass(frozen=True)
@@ -64,9 +63,6 @@ class _Look:
 
 
 _LOOK = _Look()
-
-#: Places beyond so many px leave the range of the integers that outlines are drawn in.
-_FARTHEST = 1e6
 
 #: Of the superellipse below the equator; 2 is an ellipse, more is flatter below.
 _POWER = 2.5
@@ -138,7 +134,9 @@ class Embryo(Result):
         object.__setattr__(self, "force", scalar("force", self.force, least=0))
         object.__setattr__(self, "poisson_ratio", poisson(self.poisson_ratio))
         if self.force > 0:
-            between("dimple_radius", self.dimple_radius, self.probe_half_width, self.radius)
+            scalar(
+                "dimple_radius", self.dimple_radius, above=self.probe_half_width, below=self.radius
+            )
             if self._half_axes()[2] <= self.dimple_depth:
                 raise ValueError(
                     f"dimple_radius must suit an embryo of {self.radius:g} µm radius, got "
@@ -282,9 +280,7 @@ class Embryo(Result):
         >>> print(f"from {outline[:, 1].min():.0f} µm to {abs(outline[:, 1].max()):.2f} µm")
         from -1059 µm to 0.00 µm
         """
-        spacing = scalar(
-            "spacing", spacing, above=0, least=self.radius / _FARTHEST, most=self.radius
-        )
+        spacing = scalar("spacing", spacing, above=0, most=self.radius)
         # 0.5 µm apart or less where it is round, which leaves a chord within 0.0001 µm of it.
         count = 4001
         quarter = np.linspace(0.0, np.pi / 2, count)
@@ -451,17 +447,17 @@ def embryo_image(
     probe = flag("probe", probe)
     pixel_size = scalar("pixel_size", pixel_size, above=0)
     rows, columns = image_shape("shape", shape, least=64)
-    tilt = scalar("tilt", tilt, within=(-np.pi, np.pi), closed=True)
-    blur = scalar("blur", blur, within=(0.5, 10.0), closed=True)  # just above the drawn
-    noise = scalar("noise", noise, least=0, most=MOST_LEVEL)
-    unevenness = scalar("unevenness", unevenness, within=(0.0, 0.5), closed=True)
+    tilt = scalar("tilt", tilt, least=-np.pi, most=np.pi)
+    blur = scalar("blur", blur, least=0.5)  # just above the drawn
+    noise = scalar("noise", noise, least=0)
+    unevenness = scalar("unevenness", unevenness, least=0, most=0.5)
     if center is None:
         center = ((columns - 1) / 2, (rows - 1 - embryo.height / pixel_size) / 2)
-    x, y = as_array("center", center, shape=(2,), largest=_FARTHEST).tolist()
-    if not _FARTHEST > embryo.radius / pixel_size > 4:  # a lesser one is a speck
+    x, y = as_array("center", center, shape=(2,)).tolist()
+    if not embryo.radius / pixel_size > 4:  # a lesser one is a speck
         raise ValueError(
-            f"pixel_size must show the embryo's radius of {embryo.radius:g} µm by 4 to "
-            f"{_FARTHEST:g} px, got {pixel_size:g} µm"
+            f"pixel_size must show the embryo's radius of {embryo.radius:g} µm by at least 4 px, "
+            f"got {pixel_size:g} µm"
         )
     blank = np.zeros((rows, columns), dtype=np.uint8)
     frame = EmbryoImage(blank, embryo, pixel_size, (x, y), tilt)

@@ -15,7 +15,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, as_array, between, image_shape, of_kind, scalar, whole
+from microlib._common import (
+    Array,
+    as_array,
+    image_shape,
+    of_kind,
+    scalar,
+    whole,
+)
 from microlib.microscope import Microscope
 from microlib.synthetic._textures import noise_source
 
@@ -58,15 +65,11 @@ class ImagingConditions:
         for name in ("blur", "noise"):
             object.__setattr__(self, name, scalar(name, getattr(self, name), least=0))
         for name in ("dark", "bright"):
-            level = scalar(name, getattr(self, name), within=(0, 255), closed=True)
+            level = scalar(name, getattr(self, name), least=0, most=255)
             object.__setattr__(self, name, level)
-        loss = scalar("vignetting", self.vignetting, within=(0, 1), closed=True)
+        loss = scalar("vignetting", self.vignetting, least=0, most=1)
         object.__setattr__(self, "vignetting", loss)
-        between("gradient", as_array("gradient", self.gradient, shape=(2,)), -1, 1, closed=True)
-
-
-#: A kilometer, µm.
-_LONGEST = 1e9
+        as_array("gradient", self.gradient, shape=(2,), least=-1, most=1)
 
 
 def render_circles(
@@ -113,8 +116,8 @@ def render_circles(
     >>> image.shape, float(image.min().round()), float(image.max().round())
     ((90, 120), 50.0, 200.0)
     """
-    radius = scalar("radius", radius, above=0, most=_LONGEST)
-    pitch = scalar("pitch", pitch, above=0, most=_LONGEST)
+    radius = scalar("radius", radius, above=0)
+    pitch = scalar("pitch", pitch, above=0)
     if not 2 * radius < pitch:
         raise ValueError(f"pitch must exceed the diameter {2 * radius:g} µm, got {pitch:g}")
 
@@ -179,7 +182,7 @@ def render_squares(
     >>> round(float(area) ** 0.5, 1)
     200.0
     """
-    side = scalar("side", side, above=0, most=_LONGEST)
+    side = scalar("side", side, above=0)
     half = side / 2
 
     def offset(plane: Array) -> Array:

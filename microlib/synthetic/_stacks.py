@@ -7,10 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import as_array, as_image, scalar
 from microlib.optics import BlurLadder
-from microlib.synthetic._textures import MOST_LEVEL, eight_bits, noise_source
-
-#: Largest blur, px, of a frame: as much as `BlurLadder` takes.
-_MOST_BLUR = 1e4
+from microlib.synthetic._textures import eight_bits, noise_source
 
 
 def focal_stack(
@@ -68,15 +65,15 @@ def focal_stack(
     focus = as_array("positions", positions, shape=(None,))
     rate = scalar("blur_rate", blur_rate, above=0)
     least = scalar("sharpest", sharpest, least=0)
-    sigma = scalar("noise", noise, least=0, most=MOST_LEVEL)
+    sigma = scalar("noise", noise, least=0)
     rng = noise_source(rng, sigma)
     furthest = max(focus.max() - z.min(), z.max() - focus.min())
     # The ladder must reach past the largest blur whatever its last digit.
     largest = float(np.hypot(least, rate * furthest)) * (1 + 1e-9)
-    if largest > _MOST_BLUR:
+    if largest > (width := max(image.shape)):
         raise ValueError(
-            f"blur_rate and sharpest must give at most {_MOST_BLUR:g} px of blur over the heights "
-            f"and positions given, got {largest:g} px"
+            f"blur_rate and sharpest must give less blur than the width of the texture, {width} px,"
+            f" over the heights and positions given, got {largest:g} px"
         )
     ladder = BlurLadder(image, largest)
     frames = np.empty((focus.size, *image.shape), dtype=np.uint8)

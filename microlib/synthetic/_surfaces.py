@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from microlib._common import Array, image_shape, scalar
-from microlib.synthetic._textures import MOST_SCALE, noise_source
+from microlib.synthetic._textures import noise_source
 
 
 def _centered(shape: tuple[int, int]) -> tuple[Array, Array]:
@@ -132,7 +132,7 @@ def sphere_on_plane(
     ball = square <= r**2
     height = np.where(ball, r + np.sqrt(np.maximum(r**2 - square, 0)), 0.0)
     rough = scalar("roughness", roughness, least=0)
-    smooth = scalar("grain", grain, above=0, most=MOST_SCALE)
+    smooth = scalar("grain", grain, above=0)
     source = noise_source(rng, rough)
     if rough > 0:
         relief = gaussian_filter(source.standard_normal(shape), smooth)
@@ -173,36 +173,6 @@ def cone(shape: tuple[int, int], height: float, radius: float) -> Array:
     return scalar("height", height, above=0) * np.maximum(1 - np.hypot(x, y) / foot, 0)
 
 
-def tilted_plane(shape: tuple[int, int], rise_x: float, rise_y: float) -> Array:
-    """Return a plane that rises along x and y, zero in the middle.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Rows and columns.
-    rise_x, rise_y : float
-        Rise from pixel to pixel, µm.
-
-    Returns
-    -------
-    ndarray of float64, shape `shape`
-        Heights, µm.
-
-    Raises
-    ------
-    ValueError
-        If a side is below 2 px.
-
-    Examples
-    --------
-    >>> from microlib.synthetic import tilted_plane
-    >>> tilted_plane((2, 3), 1.0, 0.0).tolist()
-    [[-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]]
-    """
-    x, y = _centered(shape)
-    return scalar("rise_x", rise_x) * x + scalar("rise_y", rise_y) * y
-
-
 def step(shape: tuple[int, int], height: float, *, at: float = 0.5) -> Array:
     """Return a plane with one straight step.
 
@@ -233,5 +203,5 @@ def step(shape: tuple[int, int], height: float, *, at: float = 0.5) -> Array:
     """
     rows, cols = image_shape("shape", shape, least=2)
     height = scalar("height", height)
-    edge = scalar("at", at, within=(0, 1)) * cols
+    edge = scalar("at", at, above=0, below=1) * cols
     return np.tile(np.where(np.arange(cols) < edge, 0.0, height), (rows, 1))

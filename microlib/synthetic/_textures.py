@@ -6,13 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
-from microlib._common import as_array, between, generator, image_shape, positive, scalar
-
-#: Grey levels lie far below, and sums in single precision stay exact to a level.
-MOST_LEVEL = 1e6
-#: Largest scale of a texture, px: as wide as an image may be to within a factor of ten; the filter
-#: that draws it would take minutes beyond.
-MOST_SCALE = 1e3
+from microlib._common import as_array, generator, image_shape, positive, scalar
 
 
 def eight_bits(image: NDArray) -> NDArray[np.uint8]:
@@ -67,11 +61,9 @@ def mixed_texture(
     ((64, 64), 128, 38)
     """
     rows, cols = image_shape("shape", shape, least=2)
-    contrast = scalar("std", std, least=0, most=MOST_LEVEL)
-    mean = scalar("mean", mean, within=(-MOST_LEVEL, MOST_LEVEL))
-    sizes = np.atleast_1d(positive("scales", scales))
-    as_array("scales", sizes, shape=(None,))
-    between("scales", sizes, 0.0, MOST_SCALE)
+    contrast = scalar("std", std, least=0)
+    mean = scalar("mean", mean)
+    sizes = as_array("scales", np.atleast_1d(positive("scales", scales)), shape=(None,))
     rng = generator("rng", rng)
     total = np.zeros((rows, cols))
     for scale in sizes:

@@ -15,16 +15,16 @@ def test_what_is_right_passes():
     assert check.as_array("x", array, shape=(None, 3)) is array
     assert np.isnan(check.as_array("x", [1.0, np.nan], finite=False)[1])
     assert check.as_image("x", np.zeros((3, 4), np.uint8), smallest=3).dtype == np.float32
-    assert check.between("x", [0.0, 1.0], 0, 1, closed=True).tolist() == [0.0, 1.0]
     assert check.positive("x", [0.0, 2.0], zero=True).tolist() == [0.0, 2.0]
     assert check.whole("x", np.int64(3), least=3, odd=True, most=3) == 3
     assert check.flag("x", np.False_) is False
     # NumPy's generator of the same seed draws the same; zero is a seed.
     assert check.generator("x", 0).random() == np.random.default_rng(0).random()
     assert check.items("x", range(2), 2) == (0, 1)
-    assert check.image_shape("x", [65536, np.int64(4096)]) == (65536, 4096)
     assert check.as_region("x", [1, 2, 3, 4], (6, 4)) == (1, 2, 3, 4)
-    assert check.scalar("x", 1.0, within=(0, 1), closed=True) == 1
+    assert check.image_shape("x", [6, np.int64(4)]) == (6, 4)
+    assert check.as_array("x", [0.0, 1.0], least=0, most=1).tolist() == [0.0, 1.0]
+    assert check.scalar("x", 1.0, least=0, most=1) == 1
     for value in (2, 2.0, np.float32(2), np.uint8(2), np.array(2.0)):
         assert type(check.scalar("x", value, above=0, least=2, most=2)) is float
 
@@ -35,35 +35,27 @@ ARRAYS = [
     ("as_array", [np.zeros((0, 2))], {}, r"x must not be empty, got shape \(0, 2\)"),
     ("as_array", [[1, np.nan, np.inf]], {}, "x must be finite, got 2 NaN or infinite of 3"),
     ("as_array", [(np.ma.array([1.0]),)], {}, "x must be without a mask"),
-    ("as_array", [[1.0, -1.01e60]], {}, r"x must lie within ±1e\+60, got -1.01e\+60"),
-    ("as_array", [[1.0, 1.01e18]], {"dtype": np.float32}, r"x must lie within ±1e\+18"),
     ("as_image", [np.zeros((2, 2, 3))], {}, "x must be a grey image .* got 3"),
     ("as_image", [np.zeros((9, 3))], {"smallest": 4}, r"x must be at least 4 px .*\(9, 3\)"),
-    ("as_image", [np.full((2, 2), 2e10)], {}, r"x must lie within ±1e\+10, got 2e\+10"),
-    ("between", [[0.5, 1.0], 0, 1], {}, r"x must lie in \(0, 1\), got 1"),
-    ("between", [1.5, 0, 1], {"closed": True}, r"x must lie in \[0, 1\], got 1.5"),
+    ("as_array", [[0.5, 1.0]], {"above": 0, "below": 1}, "x must be below 1, got 1"),
+    ("as_array", [[1.5, -0.5]], {"least": -1, "most": 1}, "x must be at most 1, got 1.5"),
     ("positive", [[1.0, 0.0]], {}, "x must be positive, got 0"),
     ("positive", [-1.0], {"zero": True}, "x must be zero or positive, got -1"),
-    ("positive", [[1.0, 1e-70]], {}, "x must be at least 1e-60, got 1e-70"),
 ]
 NUMBERS = [
     ("whole", [2.0], {"least": 1}, r"x must be a whole number, got 2\.0"),
     ("whole", [True], {"least": 1}, "x must be a whole number, got True"),
-    ("whole", [2], {"least": 3}, "x must be a whole number of at least 3, got 2"),
-    ("whole", [4], {"least": 3, "odd": True}, "an odd whole number of at least 3, got 4"),
-    ("whole", [10**400], {"least": 1, "most": 5}, "x must be at most 5"),
-    ("generator", [-1], {}, r"x \(a numpy.random.Generator or a seed\) must be .* got -1"),
-    ("image_shape", [(0, 4)], {}, "x must be a whole number of at least 1, got 0"),
-    ("image_shape", [(65537, 1)], {}, "x must be at most 65536 px a side .* got 65537×1"),
-    ("image_shape", [(16385, 16384)], {}, "and 268435456 px in all, got 16385×16384"),
-    ("as_region", [(0, 0, 4, 3)], {"least": 4}, "x height must be .* at least 4, got 3"),
+    ("whole", [2], {"least": 3}, "x must be at least 3, got 2"),
+    ("whole", [4], {"least": 3, "odd": True}, "x must be odd, got 4"),
+    ("generator", [-1], {}, "x must be zero or positive, got -1"),
+    ("image_shape", [(0, 4)], {}, "x must be at least 1, got 0"),
+    ("as_region", [(0, 0, 4, 3)], {"least": 4}, "x height must be at least 4, got 3"),
 ]
 KINDS = [
     ("one_of", ["c", ("a", "b")], {}, "x must be one of a, b, got 'c'"),
-    ("flag", ["a" * 1000], {}, "x must be True or False, got 'a{79}$"),
-    ("flag", [10**5000], {}, "got a huge number$"),
+    ("flag", ["a" * 1000], {}, "x must be of the kind bool or .*, got str"),
     ("items", ["ab", 2], {}, "x must be 2 numbers, got 'ab'"),
-    ("items", [np.ma.array([1, 2]), 2], {}, "x must be 2 numbers, got masked"),
+    ("items", [np.ma.array([1, 2]), 2], {}, "x must be without a mask"),
 ]
 BOUNDS = [
     (0.0, {"above": 0}, "x must be positive, got 0"),
@@ -71,15 +63,12 @@ BOUNDS = [
     (-1.0, {"least": 0}, "x must be zero or positive, got -1"),
     (1.5, {"least": 2}, "x must be at least 2, got 1.5"),
     (3.5, {"most": 3}, "x must be at most 3, got 3.5"),
-    (1e-70, {"above": 0}, "x must be at least 1e-60"),
     (1e-6, {"above": 0, "least": 1e-5}, "x must be at least 1e-05"),
     (np.nan, {}, "x must be finite, got nan"),
-    (1e61, {}, r"x must lie within ±1e\+60, got 1e\+61"),
-    (1.0, {"within": (0, 1)}, r"x must lie in \(0, 1\), got 1"),
-    (1.1, {"within": (0, 1), "closed": True}, r"x must lie in \[0, 1\], got 1.1"),
+    (1.0, {"above": 0, "below": 1}, "x must be below 1, got 1"),
+    (1.1, {"least": 0, "most": 1}, "x must be at most 1, got 1.1"),
     *((value, {}, "x must be a single number") for value in (True, np.True_, "2", [2.0])),
     *((value, {}, "x must hold real numbers") for value in (None, 2j, {})),
-    (10**400, {}, "x must"),
 ]
 
 

@@ -1,4 +1,4 @@
-"""Results as rows: flat, whole, and readable by JSON and by a table."""
+"""Results as flat rows that JSON can hold, and as pickles."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import re
 from dataclasses import dataclass, is_dataclass
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from microlib._common import Tidy
@@ -28,10 +27,9 @@ class Inner(Tidy):
 
 @dataclass(frozen=True)
 class Outer(Tidy):
-    _samples = ("x", "points")
+    _large = ("x",)
 
     x: np.ndarray
-    points: np.ndarray
     inner: Inner
     covariance: np.ndarray
     given: dict
@@ -42,7 +40,6 @@ class Outer(Tidy):
 def outer() -> Outer:
     return Outer(
         np.array([1.0, 2.0, np.nan]),
-        np.arange(6.0).reshape(3, 2),
         Inner((3.0, 4.0), np.inf),
         np.array([[1.0, np.nan], [0.5, 2.0]]),
         {"force": np.float32(0.5)},
@@ -67,13 +64,6 @@ def test_a_row_is_flat_and_json() -> None:
     }
 
 
-def test_a_table_has_a_row_a_sample() -> None:
-    expected = pd.DataFrame({"x": [1, 2, np.nan], "points_x": [0.0, 2, 4], "points_y": [1.0, 3, 5]})
-    pd.testing.assert_frame_equal(outer().to_frame(), expected)
-    table = Inner((3.0, 4.0), 5.0).to_frame()
-    assert table.to_dict("records") == [{"center_x": 3.0, "center_y": 4.0, "inner_misfit": 5.0}]
-
-
 def results(value: object) -> list[object]:
     """Return the results of the library in what a call returned."""
     if isinstance(value, (tuple, list)):
@@ -94,11 +84,7 @@ def test_every_result_has_a_repr_a_row_and_a_pickle(name: str) -> None:
         if name.startswith("synthetic.") or kind in NO_ROWS:
             continue
         assert isinstance(found, Tidy), kind
-        row, table = found.to_dict(), found.to_frame()
+        row = found.to_dict()
         assert not [n for n in row if re.search(r"_\d", n)]
         assert json.loads(json.dumps(row, allow_nan=False)) == row
         assert all(v is None or isinstance(v, (bool, int, float, str)) for v in row.values())
-        assert row or len(found._samples)
-        assert not any(isinstance(v, (list, dict, np.ndarray)) for v in table.iloc[0])
-        count = len(getattr(found, found._samples[0])) if found._samples else 1
-        assert len(table) == count or kind in ("ServoRun", "Calibration")

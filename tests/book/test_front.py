@@ -30,13 +30,22 @@ def test_its_numbers_are_those_of_the_chapters(html: Path, claims_folder: Path) 
     for rim, name in (("left", "table-5.6/E"), ("right", "5.6/E-right")):
         shown = modulus(states[f"{rim} small 25"]["text"])
         assert shown == pytest.approx(recorded[name].value, rel=1e-3)  # four digits are shown
-    # (5.2): a wider probe needs a softer membrane; and the capsule's are in the band about it.
+    # (5.2): a wider probe needs a softer membrane; the band is that of the specified widths.
     for model in ("small", "capsule"):
         widths = [name.split()[2] for name in states if name.startswith(f"left {model}")]
         moduli = [modulus(states[f"left {model} {c}"]["text"]) for c in widths]
         assert (np.diff(moduli) < 0).all()
-    low, high = (recorded[f"5.6/E-capsule-{end}"].value for end in ("2.5", "97.5"))
-    assert low < modulus(states["left capsule 25"]["text"]) < high
+    low, high = (recorded[f"5.6/E-{end}"].value for end in ("wide", "thin"))
+    assert modulus(states["left small 30"]["text"]) < low
+    assert low < modulus(states["left small 27.5"]["text"])
+    assert modulus(states["left small 22.5"]["text"]) < high
+    assert high < modulus(states["left small 20"]["text"])
+    drawn = re.search(r"specified probe width: ([\d.]+) to\s+([\d.]+) MPa", text)
+    assert drawn
+    assert drawn.groups() == (f"{low:.2f}", f"{high:.2f}")
+    # The rims' radii on the buttons are those of section 5.6.
+    assert f"right, a = {recorded['5.6/right-radius'].value:.0f} µm" in text
+    assert f"left, a = {recorded['table-5.6/a'].value:.0f} µm" in text
     # The model is drawn to the scale of its probe, from the rim at its radius and depth.
     state = states["left small 25"]
     points = np.array([pair.split(",") for pair in state["path"][1:].split()], float)

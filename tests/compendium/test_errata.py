@@ -11,11 +11,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import sympy as sp
-from scipy.signal import convolve2d, correlate2d
+from scipy.spatial.transform import Rotation
 
 from compendium import ledger, thesis
-from compendium.experiments import membranes
-from microlib.membrane import elastic_modulus, finite_slope_modulus, mean_strain
+from microlib.membrane import elastic_modulus, finite_slope_modulus
 
 pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
 DIMPLE = {"thickness": 3.0, "poisson_ratio": 0.5}
@@ -43,14 +42,6 @@ def probe_gives_the_modulus(zeta: float) -> bool:
 
 def count_of_maxima(count: int) -> bool:
     return len(thesis.outline_curve().extrema()[0]) == count
-
-
-def slopes_hold_up_to(relative_depth: float) -> bool:
-    """Both small-slope steps cost no more than 5 % of the modulus, rounded, at this w_d/a."""
-    geometry = (200.0, 250.0, relative_depth * 250.0)
-    small = elastic_modulus(*geometry, probe_half_width=25.0, **DIMPLE)
-    whole = finite_slope_modulus(*geometry, probe_half_width=25.0, **DIMPLE)
-    return bool(whole / small - 1 < 0.055)  # NaN, where nothing balances, is no agreement
 
 
 def profile_from_the_balance(sign: int) -> bool:
@@ -117,11 +108,6 @@ def error_share(share: float) -> bool:
     return printed("table-5.3/1X/accuracy") / printed("section-5.4/distance-1X") < share + 0.0005
 
 
-def size_of_a_step(cell: float) -> bool:
-    """With s of (2.22) this large, 50 px are the printed distance."""
-    return abs(50 * cell / 1.5893 - printed("section-5.4/distance-1X")) < 1
-
-
 def spectrum_of(exponent: Callable[[np.ndarray, float], np.ndarray]) -> bool:
     """The kernel's discrete transform is (3.9), exp(−σ²ω²/2)."""
     x, sigma = np.arange(-40, 41), 2.5
@@ -160,17 +146,6 @@ def lowest_at(x: float) -> bool:
     return bool(curve(places).min() >= curve(x) - 0.01)
 
 
-def slope_of(operation: Callable[..., np.ndarray]) -> bool:
-    """D_x of (3.16) to (3.18), applied in this way, gives 1 on R = x and 0 on R = y."""
-    d0, d1 = np.full(7, 1 / 7), np.arange(-3, 4) / 28
-    y, x = np.mgrid[:15, :15].astype(float)
-    window = np.outer(d0, d1)
-    return bool(
-        np.allclose(operation(x, window, mode="valid"), 1)
-        and np.allclose(operation(y, window, mode="valid"), 0)
-    )
-
-
 def displacement_at_the_corner(pixels: float) -> bool:
     """κ r³ at the sensor's corner, to the printed place."""
     radius = np.hypot(656, 491) / 2 * 9.9
@@ -184,14 +159,6 @@ def seen_from_one_side(gamma: float) -> bool:
     return len({np.sign(np.cos(np.deg2rad(g))) for g in [*gammas, gamma]}) == 1
 
 
-def step_at_4x(micrometers: float) -> bool:
-    """50 px by the magnification of the circles, which gives the printed step at 1X."""
-    sizes = [50 * 9.9 / printed(f"table-5.1/circle-{zoom}/M") for zoom in ("1X", "4X")]
-    return (
-        round(sizes[0]) == printed("section-5.4/distance-1X") and abs(sizes[1] - micrometers) < 0.06
-    )
-
-
 def one_magnification(tolerance: float) -> bool:
     """No two patterns of one zoom differ by more than this; the printed ones do."""
     gaps = [abs(column(f"circle-{z}")["M"] / column(f"square-{z}")["M"] - 1) for z in ("1X", "4X")]
@@ -202,19 +169,6 @@ def one_magnification(tolerance: float) -> bool:
     return min(gaps) > tolerance and 3000 * min(gaps) > 10 * max(errors)
 
 
-def bends_one_way(gaussian: float) -> bool:
-    """A surface with H < 0 and this K has two principal curvatures of one sign."""
-    mean = -1.0
-    root = np.sqrt(mean**2 - gaussian)
-    return bool(np.sign(mean + root) == np.sign(mean - root))
-
-
-def blur_grows(radius: Callable[[np.ndarray], np.ndarray]) -> bool:
-    """Twice as far from the focused plane the blur is twice as large, as (3.4) has it."""
-    steps = np.array([1.0, 2.0, 4.0])
-    return bool(np.allclose(radius(steps) / radius(steps[:1]), steps))
-
-
 ROW_PRINTED = ("u*X", "v*Y", "v", "-u*X", "v*Y")
 ROW_RIGHT = ("v*X", "v*Y", "v", "-u*X", "-u*Y")
 PAIRS = [(1.5893, 1.5941), (6.3858, 6.3795), (1.6236, 1.6262), (6.4438, 6.4446)]
@@ -223,9 +177,8 @@ PAIRS = [(1.5893, 1.5941), (6.3858, 6.3795), (1.6236, 1.6262), (6.4438, 6.4446)]
 #: the proof is given.
 PROOFS: dict[str, tuple[Callable, tuple[str, object], tuple[str, object]]] = {
     "table-5.6-zeta": (probe_gives_the_modulus, ("44.78", 44.78), ("ζ = 0.1012", 0.1012)),
-    "section-5.6-maxima": (count_of_maxima, ("two", 2), ("three", 3)),
-    "small-slopes": (slopes_hold_up_to, ("no limit", 0.49), ("up to w_d/a = 0.1 only", 0.1)),
-    "section-4.1-sign": (profile_from_the_balance, ("sin θ ≈ dw/dr", 1), ("sin θ ≈ −dw/dr", -1)),
+    "section-5.6-maxima": (count_of_maxima, ("two local maximum", 2), ("three", 3)),
+    "section-4.1-sign": (profile_from_the_balance, ("dw/dr ≈ sin θ", 1), ("sin θ ≈ −dw/dr", -1)),
     "equation-2.15": (
         row_of_alignment,
         ("[uX_w, vY_w, v, −uX_w, vY_w]", ROW_PRINTED),
@@ -238,7 +191,7 @@ PROOFS: dict[str, tuple[Callable, tuple[str, object], tuple[str, object]]] = {
     ),
     "table-5.1-magnification": (
         magnifications,
-        ("T_op/f = (T_op + f)/(f + d) = M", None),
+        ("M = T_op/f = (T_op + f)/(f + d)", None),
         (", ".join(f"{a:g} and {b:g}" for a, b in PAIRS), PAIRS),
     ),
     "table-5.1-square-4X-Tz": (distance_of_the_plane, ("203610", 203610.0), ("36007.5", 36007.5)),
@@ -247,12 +200,7 @@ PROOFS: dict[str, tuple[Callable, tuple[str, object], tuple[str, object]]] = {
         ("2.9101", (2.9101, 0.5316)),
         ("2.317 and 0.461", (2.317, 0.461)),
     ),
-    "section-5.4-error-share": (error_share, ("less than 3 %", 0.03), ("3.2 %", 0.032)),
-    "section-2.2.2-pixel-size": (
-        size_of_a_step,
-        ("effective pixel sizes", 6.23),
-        ("sizes of a cell of the sensor", 9.9),
-    ),
+    "section-5.4-error-share": (error_share, ("less than 3%", 0.03), ("3.2 %", 0.032)),
     "equation-3.7": (
         spectrum_of,
         ("(2σ_g))", lambda x, sigma: -(x**2) / (2 * sigma)),
@@ -262,36 +210,28 @@ PROOFS: dict[str, tuple[Callable, tuple[str, object], tuple[str, object]]] = {
     "equation-3.19": (second_derivative, ("(1/84)", 84.0), ("(1/42)", 42.0)),
     "section-5.5-thresholds": (
         threshold_of_k,
-        ("ε_K = 0.015", 0.015),
+        ("0.03 and 0.015", 0.015),
         ("ε_K ≤ ε_H² = 0.0009", 0.0009),
     ),
     "section-5.6-global-minimum": (
         lowest_at,
-        ("global minimum, at x = 194.71", 194.71),
+        ("(194.71, 62.8384)", 194.71),
         ("f_m(48.01)", 48.01),
     ),
-    "equation-3.20": (slope_of, ("a convolution", convolve2d), ("a correlation", correlate2d)),
     "section-5.2-distortion": (
         displacement_at_the_corner,
-        ("very small and neglected", 0.0),
+        ("very small", 0.0),
         ("5.6 px", 5.6),
     ),
     "table-5.1-mirrored": (
         seen_from_one_side,
-        ("γ = 0.9088°", 0.9088),
-        ("γ = 180° − 0.9088°", 180 - 0.9088),
+        ("0.9088", 0.9088),
+        ("γ near 180°", 180.0),
     ),
-    "section-5.4-distances": (step_at_4x, ("77 µm", 77.0), ("77.5 µm", 77.5)),
     "table-5.1-two-patterns": (
         one_magnification,
-        ("1.5893 and 1.6236", abs(1.5893 / 1.6236 - 1)),
-        ("within 0.1 %", 0.001),
-    ),
-    "section-5.5-also-convex": (bends_one_way, ("saddle ridge", -1.0), ("convex elliptic", 0.5)),
-    "section-5.5-one-blur": (
-        blur_grows,
-        ("one Gaussian", lambda steps: np.ones_like(steps)),
-        ("grows in proportion", lambda steps: 0.7 * steps),
+        ("1.5893 6.3859 1.6236", abs(1.5893 / 1.6236 - 1)),
+        ("one magnification", 0.001),
     ),
 }
 
@@ -310,15 +250,23 @@ def test_every_proof_belongs_to_an_erratum() -> None:
     assert set(PROOFS) == set(ledger.errata())
 
 
-def test_what_the_erratum_on_slopes_says_is_so() -> None:
-    """7 % of the strain alone at 0.2; with a stress that varies 0.41 at 0.1 and 0.70."""
-    proof = ledger.errata()["small-slopes"]["proof"]
-    assert "7 % of the modulus at w_d/a = 0.2" in proof
-    assert "0.41 of the modulus of (4.7) at 0.1, and 0.70" in proof
-    strains = [
-        mean_strain(250.0, 50.0, probe_half_width=25.0, small_slopes=s) for s in (True, False)
-    ]
-    assert strains[0] / strains[1] - 1 == pytest.approx(0.07, abs=0.005)
-    curve = membranes.modulus_ratios("neo-Hooke")
-    depths = [0.1, printed("table-5.6/w_d") / printed("table-5.6/a")]
-    assert np.interp(depths, curve.index, curve) == pytest.approx([0.41, 0.70], abs=0.007)
+def test_a_pattern_numbered_from_behind_has_the_pose_that_the_erratum_gives() -> None:
+    def pose(*angles: float) -> np.ndarray:
+        return Rotation.from_euler("ZYX", angles, degrees=True).as_matrix()[:, :2]
+
+    c = column("circle-4X")
+    alpha, beta, gamma = c["alpha"], c["beta"], c["gamma"]
+    seen = pose(alpha, beta, gamma)
+    np.testing.assert_allclose(pose(alpha, beta, gamma + 180), seen * [1, -1], atol=1e-12)
+    np.testing.assert_allclose(pose(alpha + 180, -beta, 180 - gamma), seen * [-1, 1], atol=1e-12)
+
+
+def test_small_slopes_cost_five_per_cent_at_a_tenth() -> None:
+    """The reason of the limit of section-4.1/small-slopes, by (4.1) and (4.4) without them."""
+    limit = ledger.claim("section-4.1/small-slopes").value
+    for relative_depth, holds in ((limit, True), (0.2, False), (0.49, False)):
+        geometry = (200.0, 250.0, relative_depth * 250.0)
+        small = elastic_modulus(*geometry, probe_half_width=25.0, **DIMPLE)
+        whole = finite_slope_modulus(*geometry, probe_half_width=25.0, **DIMPLE)
+        # NaN, where nothing balances, is no agreement.
+        assert bool(whole / small - 1 < 0.055) == holds

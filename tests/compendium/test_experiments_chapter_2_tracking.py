@@ -26,3 +26,15 @@ def test_the_estimate_lies_between_prediction_and_measurement_by_their_variances
     np.testing.assert_allclose(track["estimated_std"] ** -2, track["predicted_std"] ** -2 + 1)
     assert track["true"].iloc[-1] == pytest.approx(40 * 8 / 33 + 300 * (8 / 33) ** 2 / 2)
     assert (states.filter(like="formula").abs().max() < 1e-6).all()
+
+
+def test_the_order_of_convergence_is_that_of_a_known_sequence():
+    for order in (1.0, 1.5, 2.0, 3.0):
+        # From 3 px on each error is a power of the one before, over 8 times its scale.
+        errors = [3.0]
+        while errors[-1] >= 0.1:
+            errors.append(errors[-1] * (errors[-1] / 4) ** (order - 1) * 0.5)
+        if len(errors) < 3:
+            continue
+        found = tracking.order_of_convergence(np.array([*errors, 1e-3, 1e-3]))
+        assert found == pytest.approx(order)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from compendium.experiments import chapter_3
@@ -24,3 +25,15 @@ def test_the_windows_are_whole_numbers_over_one_divisor(monkeypatch) -> None:
     twice = type(right)(**(vars(right) | {"slope": 2 * right.slope}))
     monkeypatch.setattr(chapter_3, "curvature_windows", lambda size: twice)
     assert chapter_3.window_divisors()["d1"] == pytest.approx(14)
+
+
+def test_errors_are_in_steps_of_the_stage() -> None:
+    truth = np.full((40, 40), 30.0)
+    frames, positions = np.zeros((9, 40, 40)), 10.0 * np.arange(9)
+    rng = np.random.default_rng(0)
+    texture = rng.uniform(0, 255, (40, 40))
+    for k, position in enumerate(positions):  # sharpest at 30 µm
+        frames[k] = 128 + (texture - 128) * np.exp(-(((position - 30) / 20) ** 2))
+    _, table = chapter_3.depths(frames, positions, truth + 5.0, {"sml": {"measure": "sml"}})
+    assert table.loc["sml", "RMS error (steps)"] == pytest.approx(0.5, abs=0.01)
+    assert table.loc["sml", "beyond one step (%)"] == 0

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from compendium.experiments import section_5_3
+from microlib.tracking import ESMTracker
 
 
 def test_the_gripper_is_found_where_it_was_put() -> None:
@@ -26,3 +27,21 @@ def test_speed_ends_tracking() -> None:
     # 121 px from frame to frame, more than two windows.
     assert found.loc[4000.0].to_list() == [0.0, 0.0]
     assert found.index.name == "speed (px/s)"
+
+
+def test_a_square_moves_by_what_it_is_told():
+    """By whole pixels and without noise it is the same picture elsewhere."""
+    near = section_5_3.texture_sequence(
+        [[3, 8], [10, 5]], np.random.default_rng(0), size=15, noise=0.0
+    )
+    np.testing.assert_allclose(near[1][5:20, 10:25].astype(int), near[0][8:23, 3:18], atol=1)
+    np.testing.assert_array_equal(near[0][23:], near[1][23:])
+
+
+def test_a_square_moves_by_parts_of_a_pixel():
+    """By the tracker, which shares nothing with the renderer and errs by a hundredth of a pixel."""
+    path = [[9.2, 8.7], [9.5, 8.5]]
+    one, other = section_5_3.texture_sequence(path, np.random.default_rng(0), size=40, noise=0.0)
+    tracker = ESMTracker(one, (12, 12, 34, 34), "translation")
+    moved = tracker.track(other).center - tracker.track(one).center
+    np.testing.assert_allclose(moved, [0.3, -0.2], atol=0.03)

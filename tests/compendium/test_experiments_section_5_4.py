@@ -15,7 +15,7 @@ from microlib import servoing
 
 def medians(station: section_5_4.Workstation, draws: int) -> dict[str, float]:
     table = section_5_4.predicted_tables(station, draws)
-    assert (len(table), table["input"].sum()) == (18, 7)
+    assert (len(table), table["fitted"].sum()) == (18, 7)
     return dict(zip(table["claim"], table["value"], strict=True))
 
 
@@ -124,7 +124,7 @@ def test_a_number_beyond_those_tried_is_refused() -> None:
         section_5_4.within(np.array([1.0, 2.0]), np.array([1.0, 2.0]), id)
 
 
-def test_each_reading_gives_each_predicted_number_a_verdict(station, monkeypatch) -> None:
+def test_each_reading_says_whether_a_printed_number_lies_inside(station, monkeypatch) -> None:
     names = ("6 % slower at 4X", "5 times the jitter at 4X")
     readings = {name: section_5_4.OTHER_READINGS[name] for name in names}
     monkeypatch.setattr(section_5_4, "OTHER_READINGS", readings)
@@ -141,7 +141,7 @@ def test_each_reading_gives_each_predicted_number_a_verdict(station, monkeypatch
         id = f"table-5.4/4X/{path}/precision"
         assert shaken[id] > 2 * assumed[id]
     decided = section_5_4.decided(table)
-    turned = table[(table["verdict"] != table["claim"].map(decided["verdict"])) & ~table["input"]]
+    turned = table[(table["inside"] != table["claim"].map(decided["inside"])) & ~table["fitted"]]
     assert set(turned["claim"]) == set(decided.index[decided["changed by"] != ""])
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -35,8 +37,9 @@ def test_the_printed_windows_halve_the_curvature() -> None:
 
 
 def fits(name: str, value: float) -> bool:
-    """The number agrees with the sentence, whatever the book's verdict on it."""
-    return ledger.judge(ledger.claim(f"section-5.5/{name}"), value, value, value) == "agrees"
+    """The number agrees with the sentence, whatever else the book's verdict depends on."""
+    claim = replace(ledger.claim(f"section-5.5/{name}"), undecided="", fitted="")
+    return ledger.judge(claim, value, value, value) == "agrees"
 
 
 def described_ridge(height: np.ndarray) -> np.ndarray:
@@ -76,10 +79,7 @@ def test_a_map_that_the_sentences_describe_bears_them_out(ridge) -> None:
             | {"ball-top-cylindric", "ball-hyperbolic"},
         ),
         (lambda t: np.where(t == 8, 5, t), {"edge-concave-cylindric"}),
-        (
-            lambda t: np.where((t == 1) | (t == 3), 5, t),
-            {"crest-saddle-and-elliptic", "crest-convex"},
-        ),
+        (lambda t: np.where((t == 1) | (t == 3), 5, t), {"crest-saddle-and-elliptic"}),
         (lambda t: np.where(np.indices(t.shape)[0] % 7 == 0, 1, t), {"sides-planar"}),
         # So many patches that they are not few.
         (lambda t: np.where(np.indices(t.shape)[0] % 8 < 2, 3, t), {"crest-saddle-and-elliptic"}),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -75,15 +77,32 @@ def test_the_printed_modulus_needs_half_of_a_50_um_probe() -> None:
     radius, depth = section_5_6.printed_dimple()
     assert radius == pytest.approx(claim("table-5.6/a").value, abs=0.005)
     assert depth == pytest.approx(claim("table-5.6/w_d").value, abs=0.005)
-    low, high = section_5_6.probe_half_widths(radius, depth)
+    low, high = section_5_6.probe_half_widths()
     assert low < 25.0 < high
-    assert high - low < 0.01
-    printed = claim("table-5.6/E")
+    assert high - low < 0.02
+    # Each number of Table 5.6 off by half a unit, every combination: none gives a c outside.
     film = {"thickness": 3.0, "poisson_ratio": 0.5}
-    for end, side in ((low, 1), (high, -1)):  # a wider probe, a softer film
-        modulus = printed.value + side * printed.tolerance
-        back = indentation_force(modulus, radius, depth, probe_half_width=end, **film)
-        assert back == pytest.approx(thesis.FORCE, rel=1e-6)
+    printed = [claim(f"table-5.6/{name}") for name in ("a", "w_d", "F", "E")]
+    for signs in product((-1, 1), repeat=4):
+        a, w_d, force, modulus = (
+            one.value + side * half_ulp(one.printed)
+            for one, side in zip(printed, signs, strict=True)
+        )
+        needed = [
+            indentation_force(modulus, a, w_d, probe_half_width=c, **film) - force
+            for c in (low - 1e-6, high + 1e-6)
+        ]
+        assert needed[0] < 0 < needed[1]
+
+
+def test_the_right_rim_is_the_highest_point_on_its_side() -> None:
+    radius, depth = section_5_6.right_dimple()
+    curve, pixel = thesis.outline_curve(), thesis.EMBRYO_PIXEL
+    bottom = dimple_geometry(curve, pixel_size=pixel).bottom
+    x = np.linspace(bottom[0], 265.0, 400_001)
+    assert radius == pytest.approx(pixel * (x[curve(x).argmax()] - bottom[0]), abs=0.01)
+    assert depth == pytest.approx(pixel * (curve(x).max() - bottom[1]), abs=1e-4)
+    assert (round(radius), round(depth, 1)) == (181, 119.7)
 
 
 def test_a_curve_is_compared_with_its_own_profile() -> None:

@@ -20,15 +20,15 @@ PRINTED = {
     "table-5.5": (8, 3, 6, 1, "169.9"),
     "table-5.6": (7, 1, 5, 0, "197.24"),
     "table-5.7": (1, 2, 0, 1, "0.05"),
-    "section-5.5": (10, 1, 2, 0, ">= 1"),  # sentences, with the number that decides each
+    "section-5.5": (9, 1, 2, 0, ">= 1"),  # sentences, with the number that decides each
 }
 
 
 @pytest.mark.parametrize("name", PRINTED)
 def test_a_table_stands_as_it_is_printed(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(ledger.TALLY_VARIABLE, "1")
+    monkeypatch.setenv(ledger.RECORD_MISMATCHES, "1")
     entries = [one for id, one in ledger.claims().items() if id.startswith(f"{name}/")]
-    entries = [one for one in entries if one.printed == "" or "table" in name]
+    entries = [one for one in entries if "table" in name or (one.compared and not one.printed)]
     for k, one in enumerate(entries):
         if one.compared:
             ledger.check(one.id, one.value + k, 0.25)
@@ -38,7 +38,7 @@ def test_a_table_stands_as_it_is_printed(name: str, monkeypatch: pytest.MonkeyPa
     table = [re.findall("<td>(.*?)</td>", row) for row in re.findall("<tr><th .*?</tr>", html)]
     assert [len(row) for row in table] == [columns] * rows
     texts = [[unescape(re.sub("<.*?>", " ", cell)) for cell in row] for row in table]
-    assert re.split("[✓✗?•]", texts[at][across])[0].split() == printed.split()
+    assert re.split("[✓✗?≈•]", texts[at][across])[0].split() == printed.split()
     # Each number stands once, with what was found for it and its own verdict.
     found = ledger.summary(f"{name}/")["recomputed"]
     expected = []

@@ -6,6 +6,7 @@ import pytest
 from microlib import synthetic
 from microlib.focus import depth_from_focus
 from microlib.focus._axis import find_axis, mosaic, peak_width
+from tests.scenes import tilted_plane
 
 SHAPE = (96, 96)
 
@@ -17,7 +18,7 @@ def tilted(factor: int, *, noise: float = 3.0, seed: int = 0):
     """
     rng = np.random.default_rng(seed)
     positions = np.linspace(0, 14, 14 * factor + 1)
-    height = 7.2 + synthetic.tilted_plane(SHAPE, 5 / 96, 2 / 96)
+    height = 7.2 + tilted_plane(SHAPE, 5 / 96, 2 / 96)
     texture = synthetic.mixed_texture(SHAPE, rng)
     stack = synthetic.focal_stack(texture, height, positions, blur_rate=1.0, noise=noise, rng=rng)
     return height, positions, stack

@@ -8,6 +8,7 @@ import pytest
 
 from microlib import synthetic
 from microlib.focus import FocusResult, depth_from_focus, sum_modified_laplacian
+from tests.scenes import tilted_plane
 
 #: µm between frames in most stacks here, and blur per µm so that a step out of focus adds 1 px.
 STEP = 25.0
@@ -217,7 +218,7 @@ def test_uneven_positions_cost_little(dome):
 
 
 def test_peaks_at_the_ends_are_flagged():
-    height = synthetic.tilted_plane(SHAPE, 4.0, 0.0) + 125  # from -65 to 315 µm, stack 0 to 250
+    height = tilted_plane(SHAPE, 4.0, 0.0) + 125  # from -65 to 315 µm, stack 0 to 250
     beyond = (height < -STEP) | (height > POSITIONS[-1] + STEP)
     # Two frames out of focus there is little left to see: noise decides for the plain measure.
     for measure, noise, share in (("multiscale", 2.0, 0.99), ("sml", 0.5, 0.8)):
@@ -415,7 +416,7 @@ def test_ground_in_the_first_frame_is_known():
 def test_progress_goes_from_the_first_frame_to_the_end(color, register):
     count = 9
     texture = synthetic.mixed_texture((40, 44), 0)
-    height = 4.0 + synthetic.tilted_plane((40, 44), 0.05, 0.02)
+    height = 4.0 + tilted_plane((40, 44), 0.05, 0.02)
     frames = synthetic.focal_stack(texture, height, np.arange(float(count)), blur_rate=1.0)
     if color:
         frames = np.repeat(frames[..., None], 3, axis=3)

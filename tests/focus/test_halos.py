@@ -5,6 +5,7 @@ from skimage import data
 
 from microlib import synthetic
 from microlib.focus import depth_from_focus
+from tests.scenes import tilted_plane
 
 SHAPE = (160, 160)
 POSITIONS = np.arange(15.0)
@@ -26,7 +27,7 @@ def lettering():
 
 def test_the_ground_between_strokes_follows_a_tilted_board():
     """Bare ground has the wide depth wherever both measures disagree, and no other."""
-    height = 7 + synthetic.tilted_plane(SHAPE, 0.02, 0.015)
+    height = 7 + tilted_plane(SHAPE, 0.02, 0.015)
     stack = stack_of(lettering(), height, noise=2.0)
     plain = depth_from_focus(stack, POSITIONS, measure="sml", window=9).depth
     assert np.nanmean(np.abs(plain - height) > 1) > 0.2  # or the test shows nothing
@@ -59,7 +60,7 @@ def test_narrow_things_are_not_erased():
 
 def test_a_slope_is_right_up_to_the_border():
     """There the wide window sees the inner side only, and is late."""
-    height = 7 + synthetic.tilted_plane(SHAPE, 0.08, 0.02)
+    height = 7 + tilted_plane(SHAPE, 0.08, 0.02)
     texture = synthetic.mixed_texture(SHAPE, np.random.default_rng(4), std=5)
     error = depth_from_focus(stack_of(texture, height, noise=2.0), POSITIONS).depth - height
     assert np.isfinite(error).mean() > 0.998

@@ -12,11 +12,12 @@ import tifffile
 from microlib import synthetic
 from microlib.focus import FocusResult, correct_spikes, depth_from_focus, smooth_depth
 from tests.laws import VIEWS, Law, hold, hold_same_as_new
+from tests.scenes import tilted_plane
 
 SHAPE = (44, 60)
 #: Uneven positions that fall, and a slope beside a step, µm.
 Z = 100 - np.array([0.0, 9, 20, 31, 39, 50, 62, 70, 81, 90])
-TRUTH = 40 + synthetic.tilted_plane(SHAPE, 0.3, 0.2)
+TRUTH = 40 + tilted_plane(SHAPE, 0.3, 0.2)
 TRUTH[:, 35:] += 22
 TEXTURE = synthetic.mixed_texture(SHAPE, np.random.default_rng(4))
 STACK = synthetic.focal_stack(TEXTURE, TRUTH, Z, blur_rate=0.1, noise=1.0, rng=5).astype(float)
@@ -100,7 +101,7 @@ def test_xarray_coordinates_are_those_of_the_file(tmp_path):
 def test_errors_are_as_stated_with_few_some_and_many_frames(count):
     """Within the limits of benchmarks/focus_depth.py, a half more for few draws."""
     z = 100 - np.linspace(0, 40, count) ** 1.02
-    height = 80 + synthetic.tilted_plane((88, 108), 0.08, 0.05)
+    height = 80 + tilted_plane((88, 108), 0.08, 0.05)
     ratios = []
     for seed in range(3):
         texture = synthetic.mixed_texture(height.shape, np.random.default_rng(seed))

@@ -10,6 +10,7 @@ from microlib.focus import depth_from_focus
 from microlib.focus._axis import light_pull
 from microlib.focus._relief import find_relief
 from microlib.focus._settings import Settings
+from tests.scenes import tilted_plane
 
 SHAPE = (144, 144)
 POSITIONS = np.arange(15.0)
@@ -105,7 +106,7 @@ def test_fine_relief_is_kept_where_a_plain_measure_drowns_it_in_noise(period, am
 
 def surfaces():
     texture = np.asarray(data.gravel()[:144, :144], float)
-    yield "tilt", 4 + synthetic.tilted_plane(SHAPE, 5 / 144, 2 / 144), None
+    yield "tilt", 4 + tilted_plane(SHAPE, 5 / 144, 2 / 144), None
     yield "dome of gravel", 4 + synthetic.paraboloid(SHAPE, 5.0), texture
     yield "relief", 7.2 + waves(12, 1.0), None
     yield "step", 4.2 + synthetic.step(SHAPE, 6.0), None
@@ -151,7 +152,7 @@ def test_steady_light_and_light_that_is_not_known_pull_nothing():
 
 def test_frames_do_not_pull_the_depths_between_them():
     """On a gentle slope depths lean to the nearest frame: 0.035 at most where peaks are narrow."""
-    height = 5 + synthetic.tilted_plane(SHAPE, 3 / 144, 0.0)
+    height = 5 + tilted_plane(SHAPE, 3 / 144, 0.0)
     rng = np.random.default_rng(4)
     texture = synthetic.mixed_texture(SHAPE, rng)
     stack = synthetic.focal_stack(texture, height, POSITIONS, blur_rate=1.4, noise=2.0, rng=rng)
@@ -162,7 +163,7 @@ def test_frames_do_not_pull_the_depths_between_them():
 @pytest.mark.parametrize("drift", [False, True])
 def test_errors_from_flicker_are_stated(drift):
     """Of 15 % a frame, or of a factor of two over the stack; else ratios of 4 to 8."""
-    height = 4 + synthetic.tilted_plane(SHAPE, 5 / 144, 2 / 144)
+    height = 4 + tilted_plane(SHAPE, 5 / 144, 2 / 144)
     gains = 2 ** (POSITIONS / 14)
     if not drift:
         gains = 1 + np.random.default_rng(3).uniform(-0.15, 0.15, 15)

@@ -17,6 +17,7 @@ from PIL import Image
 from microlib import synthetic
 from microlib.focus import depth_from_focus
 from microlib.io import read_frames, write_height_tiff
+from tests.scenes import tilted_plane
 
 COUNT = 12
 
@@ -24,7 +25,7 @@ COUNT = 12
 @pytest.fixture(scope="module")
 def stack() -> NDArray[np.uint8]:
     texture = synthetic.mixed_texture((48, 56), np.random.default_rng(0))
-    height = 5.3 + synthetic.tilted_plane((48, 56), 0.05, 0.02)
+    height = 5.3 + tilted_plane((48, 56), 0.05, 0.02)
     return synthetic.focal_stack(texture, height, np.arange(float(COUNT)), blur_rate=1.0)
 
 

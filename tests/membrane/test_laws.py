@@ -64,7 +64,7 @@ def test_a_slack_membrane_bears_nothing(name: str) -> None:
     [
         ("rubber", 0.5, "law must be one of hooke, neo-hooke, mooney-rivlin"),
         ("neo-hooke", 0.3, r"poisson_ratio must be 0\.5"),
-        ("hooke", 0.6, r"poisson_ratio must lie in \(-1, 0.5\], got 0.6"),
+        ("hooke", 0.6, "poisson_ratio must be at most 0.5, got 0.6"),
     ],
 )
 def test_impossible_laws_are_refused(name: str, ratio: float, message: str) -> None:

@@ -88,7 +88,9 @@ def test_every_judged_claim_has_its_record(claims_folder: Path) -> None:
             assert claim.id not in records, f"{claim.id} is recorded but not compared"
         else:
             assert claim.id in records, f"{claim.id} is {claim.verdict} but no notebook records it"
-            assert records[claim.id].verdict == claim.verdict
+            found = records[claim.id]
+            assert found.verdict == claim.verdict
+            assert ledger.judge(claim, found.value, found.low, found.high) == claim.verdict
 
 
 def test_no_figure_warns_and_every_axis_has_a_unit(claims_folder: Path) -> None:

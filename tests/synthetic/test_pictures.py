@@ -52,7 +52,6 @@ def test_edges_are_those_of_dense_sampling():
 @pytest.mark.parametrize(
     "draw",
     [
-        lambda flat: synthetic.camera_frame(flat / 1.2, 6, noise=3.0, gain=1.2),
         lambda flat: synthetic.focal_stack(flat, 0 * flat, [0, 1], blur_rate=1, noise=3, rng=0)[1],
         lambda flat: synthetic.embryo_image(
             synthetic.Embryo(1.0, 0.0, 1.0), rng=3, shape=flat.shape, center=(0.0, 999.0),

@@ -5,10 +5,11 @@ import pytest
 from numpy.random import default_rng
 from scipy import ndimage
 
-from microlib.synthetic import camera_frame, mixed_texture
+from microlib.synthetic import mixed_texture
 from microlib.tracking import ESMTracker
 from microlib.tracking._covariance import sandwich
 from microlib.tracking._sampling import ceiling_of, noise_of
+from tests.scenes import camera_frame
 
 BOX = (70, 65, 50, 50)
 CORNERS = np.array([[70.0, 65], [119, 65], [119, 114], [70, 114]])

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from microlib.synthetic import texture_sequence
+from compendium.experiments.section_5_3 import texture_sequence
 from microlib.tracking import ESMTracker, KalmanFilter
 
 INTERVAL, ACCELERATION, NOISE = 0.03, 300.0, 0.2
@@ -69,7 +69,7 @@ def test_the_covariance_is_the_spread_of_the_errors():
 
 def test_a_tracker_seeks_a_hidden_part_where_the_filter_expects_it():
     way = np.array([20.3, 30.6]) + np.outer(np.arange(12), [7.0, 4.0])
-    frames = texture_sequence(way, 0, size=40, sigma=2.0)
+    frames = texture_sequence(way, np.random.default_rng(0), size=40)
     middle = way[0] + 19.5
     filtered = KalmanFilter(middle, interval=INTERVAL, acceleration=ACCELERATION, noise=NOISE)
     tracker = ESMTracker(frames[0], (20, 31, 40, 40), "translation", kalman=filtered)

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from microlib.synthetic import camera_frame, mixed_texture
+from microlib.synthetic import mixed_texture
 from microlib.tracking import ESMTracker, KalmanFilter, Track, _sampling, track_each
 from microlib.tracking._covariance import sandwich
 from microlib.tracking._light import _tukey_slope
 from microlib.tracking._local import tukey
 from tests import fuzz
 from tests.laws import VIEWS, Law, Units, hold, hold_same_as_new, hold_sigma
+from tests.scenes import camera_frame
 
 BOX = (38, 26, 52, 41)
 CORNERS = np.array([[38.0, 26], [89, 26], [89, 66], [38, 66]])

@@ -1,0 +1,60 @@
+"""Scenes for tests and benchmarks: planes, and frames of textures that move by known amounts."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from microlib.synthetic import mixed_texture
+
+
+def tilted_plane(shape: tuple[int, int], rise_x: float, rise_y: float) -> NDArray[np.float64]:
+    """Return a plane that rises from pixel to pixel along x and y, zero in the middle."""
+    y, x = np.indices(shape)
+    return rise_x * (x - (shape[1] - 1) / 2) + rise_y * (y - (shape[0] - 1) / 2)
+
+
+def camera_frame(
+    image: NDArray, rng: np.random.Generator, noise: float = 2.0, gain: float = 1.0
+) -> NDArray[np.uint8]:
+    """Return grey levels with the noise of a camera, rounded to eight bits."""
+    noisy = gain * image + noise * rng.standard_normal(image.shape, np.float32)
+    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+class WarpedPair(NamedTuple):
+    """Two frames, the box (x, y, width, height) of a template, and its corners in the second."""
+
+    first: NDArray[np.uint8]
+    second: NDArray[np.uint8]
+    box: tuple[int, int, int, int]
+    corners: NDArray[np.float64]
+
+
+def warped_pair(
+    seed: int, distance: float, *, warp: str = "shift", size: int = 50, gain: float = 1.05
+) -> WarpedPair:
+    """Warp a texture so that the corners of the template move by `distance` px (RMS).
+
+    `warp` is a shift in a random direction, or independent displacements of the corners through the
+    nearest affine map or the homography.
+    """
+    rng, side = np.random.default_rng(seed), 3 * size
+    texture = mixed_texture((side, side), rng, std=45.0, scales=1.0)
+    unit = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    source = unit * (size - 1) + size
+    moved = np.tile(rng.standard_normal(2), (4, 1)) if warp == "shift" else rng.normal(size=(4, 2))
+    if warp == "affine":
+        design = np.column_stack([unit, np.ones(4)])
+        moved = design @ np.linalg.lstsq(design, moved, rcond=None)[0]
+    corners = source + moved * distance / np.sqrt(np.mean(np.sum(moved**2, axis=1)))
+    back = cv2.getPerspectiveTransform(corners.astype(np.float32), source.astype(np.float32))
+    rows, columns = np.mgrid[:side, :side]
+    x, y, w = back @ np.stack([columns.ravel(), rows.ravel(), np.ones(rows.size)])
+    warped = ndimage.map_coordinates(texture, [y / w, x / w], order=5, mode="grid-wrap")
+    second = camera_frame(warped.reshape(side, side), rng, gain=gain)
+    return WarpedPair(camera_frame(texture, rng), second, (size, size, size, size), corners)
