@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -120,10 +119,6 @@ def make_scope(seed: int | None, **options: Any) -> Scope:
     rng = np.random.default_rng([seed, 18])
     scene = gripper_scene(rng, pixel_size=PIXEL_SIZE, shape=SHAPE)
 
-    def render(feature: NDArray, focus: float) -> NDArray:
-        frame = scene.frame(feature - scene.home, rng)
-        return cv2.GaussianBlur(frame, (0, 0), 0.3 * abs(focus)) if abs(focus) > 1.0 else frame
-
     scale = float(np.exp(rng.uniform(*np.log([0.08, 0.6]))))
     settings: dict[str, Any] = {
         "jacobian": turned(rng.uniform(0, 2 * np.pi), scale, bool(rng.random() < 0.5)),
@@ -132,7 +127,9 @@ def make_scope(seed: int | None, **options: Any) -> Scope:
         "home": scene.home,
         "rng": rng,
     }
-    truth = SimulatedWorkstation(render, **(settings | options))
+    truth = SimulatedWorkstation(
+        lambda feature, focus: scene.frame(feature - scene.home, rng), **(settings | options)
+    )
     box = scene.box(WINDOW)
     return Scope(truth, truth, np.array(box[:2]) + (WINDOW - 1) / 2, box)
 

@@ -24,13 +24,12 @@ from microlib._common._checks import (
 )
 from microlib._common._covariance import inverse_normal
 from microlib._common._devices import (
-    POLL,
-    DeviceError,
     Ending,
     EndRun,
     Guard,
     RunInterrupt,
     check_devices,
+    interrupts,
 )
 from microlib._common._files import SOFTWARE, home_path, replace_file
 from microlib._common._results import Result, Tidy, flat_row

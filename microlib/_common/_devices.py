@@ -5,7 +5,7 @@ microscope needs four small classes with these methods, and no base class:
 
 =================  ===============================================================================
 ``camera``         ``snap()`` returns a grey frame and the middle of its exposure, s of the clock
-``stage, focus``   ``position()`` returns where the encoder says that it is, µm, a number an axis;
+``stage``          ``position()`` returns where the encoder says that it is, µm, a number an axis;
                    ``move_to(position)`` starts towards a position and returns at once;
                    ``moving()`` says whether a move is under way; ``stop()`` ends it here and now
 ``clock``          ``now()`` returns the time, s from any origin; ``sleep(seconds)`` lets it pass
@@ -26,16 +26,24 @@ from typing import Any
 #: of the order of what a serial line needs for an answer, and short beside a person's reaction.
 POLL = 0.02
 
+#: Time after Ctrl-C in which another one counts as the same, s: keys are pressed twice within it.
+DEBOUNCE = 0.3
 
-def check_devices(workstation: object, mover: str) -> None:
-    """Refuse a workstation whose parts have not the methods that a run calls."""
-    moves = ("position", "move_to", "moving", "stop")
-    for part, methods in {"camera": ("snap",), mover: moves, "clock": ("now", "sleep")}.items():
-        for method in methods:
-            if not callable(getattr(getattr(workstation, part, None), method, None)):
-                raise ValueError(
-                    f"workstation must have {part}.{method}(), got {type(workstation).__name__}"
-                )
+
+#: What a run calls.
+CALLS = (
+    *("camera.snap", "stage.position", "stage.move_to", "stage.moving", "stage.stop"),
+    *("clock.now", "clock.sleep"),
+)
+
+
+def check_devices(workstation: object) -> None:
+    """Raise for a workstation whose parts have not the methods that a run calls."""
+    for call in CALLS:
+        part, method = call.split(".")
+        if not callable(getattr(getattr(workstation, part, None), method, None)):
+            got = type(workstation).__name__
+            raise ValueError(f"workstation must have {call}(), got {got}")
 
 
 class EndRun(Exception):
@@ -85,38 +93,35 @@ class Guard:
     Parameters
     ----------
     clock, stage : object
-        Of the workstation; the stage may be a focus drive.
+        Of the workstation.
     timeout : float
         Longest time that a call or a move may take, s.
-    name : str, optional
-        What reasons call the stage.
     """
 
-    def __init__(self, clock: Any, stage: Any, timeout: float, name: str = "stage") -> None:
+    def __init__(self, clock: Any, stage: Any, timeout: float) -> None:
         self.interrupted = Event()
-        self._clock, self._stage, self._timeout, self._name = clock, stage, timeout, name
+        self._clock, self._stage, self._timeout = clock, stage, timeout
         self._ending = False
 
     def run(self, work: Callable[[], str]) -> Ending:
         """Do the work, stop the device however it ended, and say what happened.
 
         A fault of the device or of anything that the work calls is a reason and not an exception.
-        Ctrl-C sets `interrupted`, which the next call sees; whoever called raises `RunInterrupt`.
+        Ctrl-C, under `interrupts`, sets `interrupted`, which the next call sees.
         """
         reason, complete, error = "", False, None
-        with interrupts(self.interrupted):
-            try:
-                reason, complete = work(), True
-            except EndRun as end:
-                reason, error = str(end), end.__cause__
-            except Exception as fault:  # of a tracker, a controller or `progress`
-                reason, error = f"{type(fault).__name__}: {fault}", fault
-            finally:
-                trouble = self._halt()
+        try:
+            reason, complete = work(), True
+        except EndRun as end:
+            reason, error = str(end), end.__cause__
+        except Exception as fault:  # of a tracker, a controller or `progress`
+            reason, error = f"{type(fault).__name__}: {fault}", fault
+        finally:
+            trouble = self._halt()
         if self.interrupted.is_set() and complete:
             reason, complete = "interrupted by the user", False
         if trouble:
-            trouble = f"the {self._name} may not stand still: {trouble}"
+            trouble = f"the stage may not stand still: {trouble}"
             reason, complete = "; ".join(filter(None, (reason, trouble))), False
         return Ending(reason, complete, not trouble, error)
 
@@ -169,7 +174,7 @@ class Guard:
         end, real_end = self._clock.now() + self._timeout, time.monotonic() + self._timeout
         while self.call(self._stage.moving):
             if self._clock.now() > end or time.monotonic() > real_end:
-                raise DeviceError(f"the {self._name} still moves after {self._timeout:g} s")
+                raise DeviceError(f"the stage still moves after {self._timeout:g} s")
             watch()
             # A tenth: moves of some milliseconds are common, and polling is all that this costs.
             self.pause(POLL / 10)
@@ -190,12 +195,25 @@ class Guard:
 
 @contextmanager
 def interrupts(flag: Event) -> Iterator[None]:
-    """Let Ctrl-C set the flag and nothing else; only the main thread can be interrupted."""
+    """Let Ctrl-C set the flag and nothing else; only the main thread can be interrupted.
+
+    The caller builds its result and raises `RunInterrupt` inside, so that a second Ctrl-C cannot
+    take its place.
+    """
     if current_thread() is not main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, lambda *_: flag.set())
+    first = 0.0
+
+    def note(*_: object) -> None:
+        nonlocal first
+        first = first or time.monotonic()
+        flag.set()
+
+    before = signal.signal(signal.SIGINT, note)
     try:
         yield
     finally:
+        if flag.is_set():
+            time.sleep(max(0.0, first + DEBOUNCE - time.monotonic()))
         signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)

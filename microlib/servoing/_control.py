@@ -357,15 +357,30 @@ class PredictiveController(OptimalController):
         self._limit = scalar("saturation", saturation, above=0)
         share = scalar("innovation_gain", innovation_gain, least=0, most=1)
         self._innovation_gain = share
-        samples = int(self._delay)
-        self._part = self._delay - samples
-        # Commands not yet executed in full, oldest first.
-        self._pending = np.zeros((samples + 1, self._step.shape[1]))
+        self._part = self._delay - int(self._delay)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Forget the run before."""
+        # Commands not yet executed in full, oldest first; before each sample, the last one, too.
+        self._pending = np.zeros((int(self._delay) + 1, self._step.shape[1]))
         self._estimate: Array | None = None
 
+    def executed(self, velocity: ArrayLike) -> None:
+        """Replace the last command by the velocity that a limit left of it, µm/s."""
+        self._pending[-1] = as_array("velocity", velocity, shape=self._pending[-1].shape)
+
     def __call__(self, k: int, measured: Array, reference: Array) -> Array:
-        """Return the velocity for sample `k`, µm/s."""
+        """Return the velocity for sample `k`, µm/s; a run begins with sample 0."""
         measured, reference = _checked_sample(k, measured, reference, len(self._step))
+        if k == 0:
+            self._begin()
+        elif len(self._pending) > int(self._delay) + 1:
+            first, second = self._pending[:2]
+            if self._estimate is not None:
+                moved = self._part * first + (1.0 - self._part) * second
+                self._estimate = self._estimate + self._step @ moved
+            self._pending = self._pending[1:]
         last = len(reference) - 1.0
         when = min(k + 1 + self._delay, last)
         before = int(when)
@@ -382,11 +397,7 @@ class PredictiveController(OptimalController):
         ahead = self._estimate + self._step @ coming
         wanted = self.gain @ (target - ahead)
         command = np.minimum(np.maximum(wanted, -self._limit), self._limit)
-        queue = np.vstack([self._pending, command])
-        self._estimate = self._estimate + self._step @ (
-            self._part * queue[0] + (1.0 - self._part) * queue[1]
-        )
-        self._pending = queue[1:]
+        self._pending = np.vstack([self._pending, command])
         return command
 
 

@@ -32,7 +32,6 @@ class Settings:
 
     targets: Array
     travel: Array
-    path: bool
     test_move: float
     controller: Controller | None
     tolerance: float
@@ -117,11 +116,8 @@ class Loop:
             self._report(first)
             self.motion = replace(UNKNOWN, jacobian=jacobian)
         self._check_targets(first.measured)
-        if self._settings.path:
-            self._follow()
-        else:
-            for number, reference in enumerate(self._settings.targets):
-                self._reach(number, reference)
+        for number, reference in enumerate(self._settings.targets):
+            self._reach(number, reference)
         return ""
 
     def _check_targets(self, feature: Array) -> None:
@@ -189,7 +185,7 @@ class Loop:
 
     def _reach(self, number: int, reference: Array) -> None:
         """Bring the feature within the tolerance of one target."""
-        goals = np.stack([reference, reference])
+        sample = 0
         for _ in range(self._settings.most_frames):
             look = self._look("servo", number, reference)
             if not self._is_seen(look):
@@ -199,21 +195,10 @@ class Loop:
                 add_event(look.row, "reached")
                 self._report(look)
                 return
-            self._move(look, 0, goals)
+            self._move(look, sample, reference)
+            sample += 1
             self._report(look)
         raise EndRun(f"target {number} was not reached in {self._settings.most_frames} frames")
-
-    def _follow(self) -> None:
-        """Lead the feature along a path, a point a frame."""
-        references = self._settings.targets
-        for k, reference in enumerate(references):
-            look = self._look("servo", k, reference)
-            if not self._is_seen(look):
-                continue
-            self.reached[k] = True
-            if k + 1 < len(references):
-                self._move(look, k, references)
-            self._report(look)
 
     def _is_seen(self, look: Look) -> bool:
         """Let the stage stand while the feature is lost, and end the run if it stays so."""
@@ -227,14 +212,14 @@ class Loop:
             raise EndRun(f"lost: {look.row['event']} in {self._lost} frames in a row")
         return False
 
-    def _move(self, look: Look, k: int, goals: Array) -> None:
+    def _move(self, look: Look, sample: int, goal: Array) -> None:
         """Ask the controller, or J, where to go, keep to the limits, and go there."""
         settings = self._settings
         if settings.controller is None:
-            goal = goals[min(k + 1, len(goals) - 1)]
             way = np.linalg.solve(self.motion.jacobian, goal - look.measured)
         else:
-            velocity = np.asarray(settings.controller(k, look.measured, goals), dtype=float)
+            answer = settings.controller(sample, look.measured, np.stack([goal, goal]))
+            velocity = np.asarray(answer, dtype=float)
             if velocity.shape != (2,) or not np.isfinite(velocity).all():
                 raise EndRun(f"the controller must give two finite velocities, got {velocity}")
             way = velocity * settings.interval
@@ -246,6 +231,8 @@ class Loop:
         target = np.clip(look.position + way, self._start - room, self._start + room)
         if (target != look.position + way).any():
             add_event(look.row, "travel")
+        if executed := getattr(settings.controller, "executed", None):
+            executed((target - look.position) / settings.interval)
         self._go(look.row, target)
         self._follower.plan(self.motion.jacobian @ (target - look.position))
 

@@ -1,4 +1,4 @@
-"""Micro-Manager's devices as the camera, stage, focus drive and clock that `servo` steers."""
+"""Micro-Manager's devices as the camera, stage and clock that `servo` steers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class MicroManager:
     ----------
     core : pymmcore_plus.CMMCorePlus or subclass, or path-like
         A core whose devices are loaded, or a configuration file (``.cfg``) to load into a new one.
-        Its camera, XY stage and focus drive are those that the core calls its own.
+        Its camera and XY stage are those that the core calls its own.
 
     Attributes
     ----------
@@ -32,8 +32,8 @@ class MicroManager:
     camera : object with ``snap()``
         Returns the frame and the middle of its exposure, taken as half the exposure time after the
         call: what the camera waits before it exposes is not known.
-    stage, focus : objects with ``position()``, ``move_to(position)``, ``moving()``, ``stop()``
-        The XY stage and the focus drive in µm. The focus drive has one axis.
+    stage : object with ``position()``, ``move_to(position)``, ``moving()``, ``stop()``
+        The XY stage, µm.
     clock : object with ``now()``, ``sleep(seconds)``
         The computer's monotonic clock.
 
@@ -69,7 +69,6 @@ class MicroManager:
         self.clock = _RealClock()
         self.camera = _EngineCamera(core, self.clock)
         self.stage = _EngineStage(core, label)
-        self.focus = _EngineFocus(core, core.getFocusDevice())
 
 
 def _load(path: Path) -> Any:
@@ -109,20 +108,10 @@ class _EngineCamera:
         return self._core.getImage(), start + half
 
 
-class _EngineDrive:
-    """What a stage and a focus drive have in common."""
-
+class _EngineStage:
     def __init__(self, core: Any, label: str) -> None:
         self._core, self._label = core, label
 
-    def moving(self) -> bool:
-        return bool(self._core.deviceBusy(self._label))
-
-    def stop(self) -> None:
-        self._core.stop(self._label)
-
-
-class _EngineStage(_EngineDrive):
     def position(self) -> Array:
         return np.array(self._core.getXYPosition(self._label), dtype=float)
 
@@ -130,11 +119,8 @@ class _EngineStage(_EngineDrive):
         x, y = as_array("position", position, shape=(2,))
         self._core.setXYPosition(self._label, float(x), float(y))
 
+    def moving(self) -> bool:
+        return bool(self._core.deviceBusy(self._label))
 
-class _EngineFocus(_EngineDrive):
-    def position(self) -> Array:
-        return np.array([self._core.getPosition(self._label)], dtype=float)
-
-    def move_to(self, position: Array) -> None:
-        (z,) = as_array("position", position, shape=(1,))
-        self._core.setPosition(self._label, float(z))
+    def stop(self) -> None:
+        self._core.stop(self._label)

@@ -19,7 +19,7 @@ from microlib._common import (
     Tidy,
     as_array,
     check_devices,
-    flag,
+    interrupts,
     of_kind,
     positive,
     scalar,
@@ -44,7 +44,7 @@ class ServoRun(Tidy, Ending):
         One row a frame, and a last one after the stage was stopped; the columns are in the notes of
         `servo`.
     reached : ndarray of bool, shape (N,)
-        Which targets were reached, or at which points of a path the feature was seen.
+        Which targets were reached.
     reason : str
         Why the run ended early; empty if it did not.
     complete : bool
@@ -80,16 +80,6 @@ class ServoRun(Tidy, Ending):
 
     _large = ("reached", "log", "jacobian_covariance")
 
-    def to_frame(self) -> pd.DataFrame:
-        """Return `log`.
-
-        Returns
-        -------
-        pandas.DataFrame
-            One row a frame.
-        """
-        return self.log
-
 
 def servo(
     workstation: Any,
@@ -97,7 +87,6 @@ def servo(
     targets: ArrayLike,
     *,
     travel: ArrayLike,
-    path: bool = False,
     jacobian: ArrayLike | None = None,
     test_move: float | None = None,
     controller: Controller | None = None,
@@ -110,7 +99,7 @@ def servo(
     timeout: float = 10.0,
     progress: Callable[[dict[str, Any]], object] | None = None,
 ) -> ServoRun:
-    """Bring a tracked feature to targets, or along a path, by moving the stage under the camera.
+    """Bring a tracked feature to targets by moving the stage under the camera.
 
     Without a Jacobian the stage first makes small test moves, out and back both ways along both
     axes, and J with a drift is fitted to what the camera sees. Then the loop looks, measures and
@@ -131,8 +120,6 @@ def servo(
         How far either axis may go from where it is at the start, ± µm. There is no default: it is
         what keeps glass from glass. A hundredth of it is left for what the drive overshoots;
         targets beyond end the run before it goes to any.
-    path : bool, optional
-        Whether the targets are points of a path, one a frame, and not each to be reached.
     jacobian : array_like, shape (2, 2), optional
         px/µm, for example of a run before; calibrated by default.
     test_move : float, optional
@@ -140,8 +127,10 @@ def servo(
         image are good: the error of J is that of the tracker over it.
     controller : callable, optional
         Velocity in µm/s for (sample, measured, references) such as an `OptimalController` with this
-        `interval`; the stage is moved by velocity times interval. By default it goes where J says
-        that the target is.
+        `interval`; the stage is moved by velocity times interval. Samples are counted from 0 for
+        each target. If the controller has a method ``executed(velocity)``, it is called with what
+        `step` and `travel` left of the velocity. By default the stage goes where J says that the
+        target is.
     tolerance : float, optional
         A target is reached within this distance, px.
     step : float, optional
@@ -208,7 +197,7 @@ def servo(
     >>> print(run.reached, run.still, (workstation.feature - scene.home).round())
     [ True] True [ 30. -20.]
     """
-    check_devices(workstation, "stage")
+    check_devices(workstation)
     if not callable(getattr(tracker, "track", None)):
         raise ValueError(f"tracker must have a method track, got {type(tracker).__name__}")
     of_kind("controller", controller, Callable, type(None))
@@ -218,7 +207,6 @@ def servo(
     settings = Settings(
         targets=as_array("targets", np.atleast_2d(as_array("targets", targets)), shape=(None, 2)),
         travel=reach,
-        path=flag("path", path),
         test_move=_test_move(test_move, reach, step),
         controller=controller,
         tolerance=scalar("tolerance", tolerance, above=0),
@@ -234,24 +222,25 @@ def servo(
     known = None if jacobian is None else full_rank(jacobian, (2, 2))
     guard = Guard(workstation.clock, workstation.stage, settings.timeout)
     loop = Loop(workstation, tracker, guard, settings)
-    end = guard.run(lambda: loop.run(known))
-    last = new_row(loop.now(), "end", -1)
-    with suppress(EndRun):  # the reason says already what failed
-        put(last, "stage", guard.call(workstation.stage.position), "um")
-    add_event(last, end.reason or "done")
-    motion, log = loop.motion, as_frame([*loop.rows, last])
-    run = ServoRun(
-        **vars(end),
-        log=log,
-        reached=loop.reached,
-        jacobian=motion.jacobian,
-        jacobian_covariance=motion.covariance,
-        drift=motion.drift,
-        misfit=motion.misfit,
-        latency=float(log["latency_s"].median()),
-    )
-    if guard.interrupted.is_set():
-        raise RunInterrupt(run)
+    with interrupts(guard.interrupted):
+        end = guard.run(lambda: loop.run(known))
+        last = new_row(loop.now(), "end", -1)
+        with suppress(EndRun):  # the reason says already what failed
+            put(last, "stage", guard.call(workstation.stage.position), "um")
+        add_event(last, end.reason or "done")
+        motion, log = loop.motion, as_frame([*loop.rows, last])
+        run = ServoRun(
+            **vars(end),
+            log=log,
+            reached=loop.reached,
+            jacobian=motion.jacobian,
+            jacobian_covariance=motion.covariance,
+            drift=motion.drift,
+            misfit=motion.misfit,
+            latency=float(log["latency_s"].median()),
+        )
+        if guard.interrupted.is_set():
+            raise RunInterrupt(run)
     return run
 
 

@@ -335,3 +335,16 @@ def test_numbers_give_a_modulus_and_a_steep_dimple_is_named(
     text = capsys.readouterr().out
     assert "The dimple is too steep for the model" in text
     assert "no uniform stress balances this dimple" in text
+
+
+def test_a_servo_run_that_ends_early_leaves_its_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match="the run ended early: target 0 is beyond the travel"):
+        run_here("servoing", targets=[[400, 0]])
+    log = pd.read_csv("kept/log.csv")
+    assert log["phase"].tolist() == ["start"] + ["calibration"] * 8 + ["end"]
+    jacobian = pd.read_csv("kept/jacobian.csv", index_col=0)["value"].to_numpy()[:4]
+    true = 0.2 * np.array([np.cos(2.2), np.sin(2.2), np.sin(2.2), -np.cos(2.2)])
+    np.testing.assert_allclose(jacobian, true, atol=0.002)

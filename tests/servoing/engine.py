@@ -16,13 +16,8 @@ from microlib.servoing import SimulatedWorkstation
 
 
 def rendered_core(workstation: SimulatedWorkstation, shape: tuple[int, int]) -> Any:
-    """Return a core whose camera, XY stage and focus drive are those of a simulated workstation."""
-    from pymmcore_plus.experimental.unicore import (
-        SimpleCameraDevice,
-        StageDevice,
-        UniMMCore,
-        XYStageDevice,
-    )
+    """Return a core whose camera and XY stage are those of a simulated workstation."""
+    from pymmcore_plus.experimental.unicore import SimpleCameraDevice, UniMMCore, XYStageDevice
 
     start = time.monotonic()
 
@@ -50,60 +45,36 @@ def rendered_core(workstation: SimulatedWorkstation, shape: tuple[int, int]) -> 
             buffer[:], _ = workstation.camera.snap()
             return {}
 
-    class Drive:
-        """What both drives share; `drive` is the one behind the device."""
-
-        drive = workstation.stage
-
+    class XY(XYStageDevice):
         def busy(self) -> bool:
             catch_up()
-            return self.drive.moving()
+            return workstation.stage.moving()
 
         def stop(self) -> None:
             catch_up()
-            self.drive.stop()
+            workstation.stage.stop()
 
         def home(self) -> None:
-            self.drive.move_to(np.zeros_like(self.drive.position()))
+            workstation.stage.move_to(np.zeros(2))
 
-        def read(self) -> NDArray:
-            catch_up()
-            return self.drive.position()
-
-        def go(self, *position: float) -> None:
-            catch_up()
-            self.drive.move_to(np.array(position))
-
-    class XY(Drive, XYStageDevice):
         def get_position_um(self) -> tuple[float, float]:
-            x, y = self.read()
+            catch_up()
+            x, y = workstation.stage.position()
             return float(x), float(y)
 
         def set_position_um(self, x: float, y: float) -> None:
-            self.go(x, y)
+            catch_up()
+            workstation.stage.move_to(np.array([x, y]))
 
         def set_origin_x(self) -> None:
             raise NotImplementedError
 
         set_origin_y = set_origin_x
 
-    class Z(Drive, StageDevice):
-        drive = workstation.focus
-
-        def get_position_um(self) -> float:
-            return float(self.read()[0])
-
-        def set_position_um(self, val: float) -> None:
-            self.go(val)
-
-        def set_origin(self) -> None:
-            raise NotImplementedError
-
     core = UniMMCore()
-    for label, device in (("Camera", Camera()), ("XY", XY()), ("Z", Z())):
+    for label, device in (("Camera", Camera()), ("XY", XY())):
         core.loadPyDevice(label, device)
         core.initializeDevice(label)
     core.setCameraDevice("Camera")
     core.setXYStageDevice("XY")
-    core.setFocusDevice("Z")
     return core

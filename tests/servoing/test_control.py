@@ -167,6 +167,13 @@ def test_a_lost_frame_stops_the_one_and_is_bridged_by_the_other():
     assert (bridging(2, lost, reference) > 0).all()
 
 
+def test_a_second_run_is_that_of_a_new_controller():
+    used, reference = knowing(delay=1.5 * INTERVAL), np.full((30, 2), 5.0)
+    loop(used, np.full((30, 2), 300.0), start=(0, 0))
+    runs = [loop(one, reference, start=(0, 0)) for one in (used, knowing(delay=1.5 * INTERVAL))]
+    np.testing.assert_allclose(runs[0].feature, runs[1].feature, atol=1e-9)
+
+
 def test_prediction_of_several_points_needs_as_many_rows_and_two_velocities():
     """Three points that move alike are one point three times: the same command, whatever the
     delay."""

@@ -14,7 +14,7 @@ from microlib.servoing import MicroManager
 
 
 class Core:
-    """Two axes, a focus drive and a camera under the names of pymmcore's methods."""
+    """Two axes and a camera under the names of pymmcore's methods."""
 
     def __init__(self, shutter: str = "") -> None:
         self.done: list[tuple[Any, ...]] = []
@@ -44,27 +44,22 @@ class Core:
         self.done.append(("load", path))
 
 
-def test_the_stage_and_the_focus_drive_are_those_of_the_core() -> None:
+def test_the_stage_is_that_of_the_core() -> None:
     core = Core()
     scope = MicroManager(core)
     assert scope.core is core
     np.testing.assert_array_equal(scope.stage.position(), [3.0, -4.5])
-    np.testing.assert_array_equal(scope.focus.position(), [7.25])
-    assert core.done[-2:] == [("getXYPosition", "XY"), ("getPosition", "Z")]
+    assert core.done[-1] == ("getXYPosition", "XY")
     assert scope.stage.moving() is True
-    assert scope.focus.moving() is False
     core.done.clear()
     scope.stage.move_to(np.array([1, -2], np.int16))
-    scope.focus.move_to(np.array([5.5], np.float32))
     scope.stage.stop()
-    scope.focus.stop()
-    calls = [("setXYPosition", "XY", 1.0, -2.0), ("setPosition", "Z", 5.5)]
-    assert core.done == [*calls, ("stop", "XY"), ("stop", "Z")]
+    assert core.done == [("setXYPosition", "XY", 1.0, -2.0), ("stop", "XY")]
     assert all(type(each) in (str, float) for call in core.done for each in call)
     core.done.clear()
-    for mover, wrong in ((scope.stage, [1.0]), (scope.stage, [np.nan, 0]), (scope.focus, [1, 2])):
+    for wrong in ([1.0], [np.nan, 0]):
         with pytest.raises(ValueError, match="position must"):
-            mover.move_to(np.array(wrong))
+            scope.stage.move_to(np.array(wrong))
     assert core.done == []
 
 

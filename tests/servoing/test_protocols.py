@@ -51,17 +51,6 @@ def test_stop_ends_a_move_where_it_is(kind) -> None:
     np.testing.assert_array_equal(scope.stage.position(), where)
 
 
-@BOTH
-def test_the_focus_drive_blurs_the_picture(kind) -> None:
-    scope, _ = workstation(kind)
-    sharp = scope.camera.snap()[0].std()
-    scope.focus.move_to(np.array([10.0]))
-    wait(scope, scope.focus)
-    np.testing.assert_allclose(scope.focus.position(), [10.0], atol=0.05)
-    # A Gaussian of 3 px takes the noise and the grain, and leaves the outline of the jaws.
-    assert scope.camera.snap()[0].std() < 0.95 * sharp
-
-
 def test_drift_and_travel_of_the_simulation() -> None:
     scope, _ = workstation(stage=Stage(saturation=50.0, step=0.0, travel=20.0), drift=(1.0, -2.0))
     scope.stage.move_to(np.array([2.0, -400.0]))

@@ -1,5 +1,7 @@
 """The loop over a microscope: what it reaches, what it keeps to, and how it ends."""
 
+import os
+import signal
 import threading
 from types import SimpleNamespace
 
@@ -7,7 +9,7 @@ import numpy as np
 import pytest
 
 from compendium.experiments.microscope import make_scope, turned
-from microlib.servoing import Camera, Stage, path_metrics, servo
+from microlib.servoing import Camera, PredictiveController, Stage, servo
 from microlib.servoing._log import COLUMNS
 
 JACOBIAN = turned(0.7, 0.25, mirrored=True)
@@ -74,23 +76,24 @@ def test_a_calibration_that_knows_too_little_is_refused():
     assert run.jacobian_covariance.max() > 0
 
 
-def test_a_path_is_followed():
-    angle = np.linspace(0, 2 * np.pi, 60)
-    circle = 20 * np.column_stack([np.cos(angle) - 1, np.sin(angle)])
-    run = steer(scope_of(camera=Camera(interval=0.02, latency=0.015)), circle, path=True)
-    assert run.reached.all()
-    assert run.still
-    log = run.log.query("phase == 'servo'")
-    pairs = [log[[f"{name}_{axis}_px" for axis in "xy"]] for name in ("measured", "reference")]
-    found = path_metrics(*(pair.to_numpy()[5:] for pair in pairs))
-    assert found.accuracy < 0.1  # the tracker's, and that of the Jacobian over a step of 2.1 px
-
-
 def test_a_controller_that_gives_no_velocity_ends_the_run():
     for answer in ([1.0], [1.0, 2.0, 3.0], [[0.0, 0.0]]):
         law = lambda *_, answer=answer: np.array(answer)  # noqa: E731
         run = steer(scope_of(), AWAY, jacobian=JACOBIAN, controller=law)
         assert run.reason.startswith("the controller must give two finite velocities, got [")
+
+
+def test_a_predicting_controller_knows_what_a_limit_left_of_its_command():
+    """Else its estimate runs ahead of the part, and it turns round on the way."""
+    weights = {"feature_weight": (1.0, 1.0), "control_weight": (1e-6, 1e-6)}
+    law = PredictiveController(JACOBIAN, interval=0.1, delay=0.0, saturation=1e4, **weights)
+    scope = scope_of()
+    run = steer(scope, [AWAY, -AWAY], jacobian=JACOBIAN, controller=law, step=15.0, test_move=15.0)
+    assert run.reached.all()
+    np.testing.assert_allclose(scope.moved(), -AWAY, atol=0.12)
+    way = run.log[run.log["target"] == 0]
+    left = np.hypot(*(way[f"reference_{c}_px"] - way[f"measured_{c}_px"] for c in "xy"))
+    assert (np.diff(left) < 0.1).all()  # noise of the tracker
 
 
 def test_steps_and_travel_are_kept_to():
@@ -150,6 +153,42 @@ def test_it_runs_in_a_thread_that_no_signal_reaches():
     thread.start()
     thread.join(timeout=20.0)
     assert runs[0].reached.all()
+
+
+@pytest.mark.parametrize("between", [0.02, 0.1, 0.2])
+def test_a_second_interrupt_keeps_the_run_and_the_stage_stands(between):
+    scope = scope_of(stage=Stage(saturation=100.0))
+    calls = {"stop": 0, "move_to": 0}
+    stage = scope.workstation.stage
+
+    def counted(name, call):
+        def counting(*arguments):
+            calls[name] += 1
+            return call(*arguments)
+
+        return counting
+
+    for name in calls:
+        setattr(stage, name, counted(name, getattr(stage, name)))
+    moves = []
+
+    def press(row):
+        if row["target"] == 0 and not moves:
+            moves.append(calls["move_to"])
+            os.kill(os.getpid(), signal.SIGINT)
+            again = threading.Timer(between, os.kill, (os.getpid(), signal.SIGINT))
+            again.start()
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        steer(scope, AWAY, step=20.0, test_move=20.0, progress=press)
+    assert caught.value.run.reason == "interrupted by the user"
+    assert caught.value.run.still
+    assert len(caught.value.run.log) > 8
+    assert calls["stop"] >= 1
+    assert calls["move_to"] == moves[0]
+    where = stage.position()
+    scope.workstation.clock.sleep(1.0)
+    np.testing.assert_array_equal(stage.position(), where)
 
 
 # --- How a run ends, and that it says why -------------------------------------------------------
