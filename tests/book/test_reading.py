@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from book_test_sources import line_of, place_of_test
-from book_verdicts import count_by_class
+from book_verdicts import count_by_class, number_of
 from docutils import nodes
 from playwright.sync_api import Browser, Page
 
@@ -81,6 +81,20 @@ def test_what_disagrees_has_its_reason_on_one_page(html: Path) -> None:
     assert sorted(found) == sorted(nodes.make_id(f"claim-{id}") for id in wanted)
 
 
+def test_what_reaches_the_results_is_one_list_on_both_pages(html: Path) -> None:
+    lists = []
+    for page in ("summary.html", "notebooks/06_conclusion.html"):
+        text = (html / page).read_text("utf-8").partition("<article")[2]
+        text = unescape(re.sub(r"<[^>]+>", "", text.replace("</p>", "\n")))
+        entries = [*ledger.errata().values(), *ledger.causes().values()]
+        begins = [
+            re.split(r"[$\[*]", e["reaches"].strip("*"))[0] for e in entries if "reaches" in e
+        ]
+        lists.append([begin for begin in begins if begin in text])
+        assert lists[-1] == begins, page
+    assert len(lists[0]) >= 4
+
+
 def cells(row: str) -> list[str]:
     """Return the texts of a table's row."""
     texts = re.findall(r"<t[dh][^>]*>(.*?)</t[dh]>", row, re.S)
@@ -92,6 +106,8 @@ def test_a_count_has_its_classes_and_a_verdict_its_star(html: Path) -> None:
     counts = {of: str(count_by_class(of).total()) for of in (*ledger.VERDICTS, "claims", "errata")}
     assert counts["claims"] == str(len(CLAIMS))
     assert counts["errata"] == str(len(ledger.errata()))
+    origins = {entry["origin"] for entry in ledger.errata().values()}
+    alone = {str(number_of(what)) for what in ("causes", "starred", *origins)}
     words = {claim.label for claim in CLAIMS}
     named = {name: claim for claim in CLAIMS for name in (claim.id, claim.says) if name}
     seen = 0
@@ -101,6 +117,8 @@ def test_a_count_has_its_classes_and_a_verdict_its_star(html: Path) -> None:
             parts = [int(part.split()[0]) for part in classes.split(", ")]
             assert sum(parts) == int(number), path.name
             assert number in counts.values(), path.name
+        for number in re.findall(r'class="count">(\d+)<', text):
+            assert number in {*counts.values(), *alone}, path.name
         for row in re.findall(r"<tr>(.*?)</tr>", text, re.S):
             found = cells(row)
             for name in named.keys() & set(found):
