@@ -385,13 +385,11 @@ def judge(claim: Claim, value: float, low: float, high: float) -> str:
     """
     if not claim.compared:
         raise ValueError(f"{claim.id} is not compared; no number can judge it")
-    wide = False
+    decides = True  # whether the interval is narrow enough to say anything
     if claim.limit:
         compare = _COMPARISONS[claim.limit.split()[0]]
-        holds, wide = (
-            compare(value, claim.value),
-            compare(low, claim.value) != compare(high, claim.value),
-        )
+        holds = compare(value, claim.value)
+        decides = compare(low, claim.value) == compare(high, claim.value)
     elif claim.compared == "arithmetic":
         holds = abs(value - claim.value) <= claim.tolerance
     elif claim.bound:
@@ -399,11 +397,13 @@ def judge(claim: Claim, value: float, low: float, high: float) -> str:
     else:
         holds = low <= claim.value <= high
         most = MAX_RELATIVE_HALF_WIDTH_OF_INPUT if claim.given else MAX_RELATIVE_HALF_WIDTH
-        wide = holds and (high - low) / 2 > most * abs(claim.value)
-    if wide or claim.undecided or (holds and claim.bound) or (claim.star and not holds):
+        decides = not holds or (high - low) / 2 <= most * abs(claim.value)
+    if claim.undecided or not decides:
         return "cannot tell"
-    if not holds:
-        return "disagrees"
+    if not holds:  # what depends on something not printed is no contradiction
+        return "cannot tell" if claim.star else "disagrees"
+    if claim.bound:
+        return "cannot tell"
     return "input" if claim.given else "fitted" if claim.fitted else "agrees"
 
 
