@@ -331,7 +331,7 @@ def errata() -> Mapping[str, Mapping[str, str]]:
     --------
     >>> from compendium.ledger import errata
     >>> errata()["table-5.6-zeta"]["printed"]
-    'ζ = c/a = 44.78'
+    '“ζ (c/a) 44.78”'
     """
     return _read("errata.toml")
 
