@@ -56,12 +56,11 @@ def track_each(
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from microlib.synthetic import texture_sequence
+    >>> from microlib.synthetic import gripper_scene
     >>> from microlib.tracking import track_each
-    >>> path = [(60.0, 60.0), (62.5, 60.5), (65.0, 61.0)]
-    >>> film = texture_sequence(path, np.random.default_rng(0))
-    >>> for row in track_each(film, (60, 60, 49, 49), rate=20.0, pixel_size=2.0):
+    >>> scene = gripper_scene(0, pixel_size=6.23)
+    >>> film = [scene.frame((2.5 * k, 0.5 * k), k) for k in range(3)]
+    >>> for row in track_each(film, scene.box(50), rate=20.0, pixel_size=2.0):
     ...     print(f"{row['time_s']} s: {row['x_um'] + 0:.1f} µm")
     0.0 s: 0.0 µm
     0.05 s: 5.0 µm
@@ -125,11 +124,11 @@ def track_all(
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from microlib.synthetic import texture_sequence
+    >>> from microlib.synthetic import gripper_scene
     >>> from microlib.tracking import track_all
-    >>> path = [(60.0, 60.0), (62.5, 60.5), (65.0, 61.0)]
-    >>> table = track_all(texture_sequence(path, np.random.default_rng(0)), (60, 60, 49, 49))
+    >>> scene = gripper_scene(0, pixel_size=6.23)
+    >>> film = [scene.frame((2.5 * k, 0.5 * k), k) for k in range(3)]
+    >>> table = track_all(film, scene.box(50))
     >>> table["center_x"].diff().round(1).tolist()[1:]
     [2.5, 2.5]
     """
@@ -173,11 +172,11 @@ def plot_track(table: pd.DataFrame, image: ArrayLike, ax: Any = None) -> Any:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from microlib.synthetic import texture_sequence
+    >>> from microlib.synthetic import gripper_scene
     >>> from microlib.tracking import plot_track, track_all
-    >>> film = texture_sequence([(60.0, 60.0), (62.5, 60.5)], np.random.default_rng(0))
-    >>> figure = plot_track(track_all(film, (60, 60, 49, 49)), film[0])
+    >>> scene = gripper_scene(0, pixel_size=6.23)
+    >>> film = [scene.frame((2.5 * k, 0.5 * k), k) for k in range(3)]
+    >>> figure = plot_track(track_all(film, scene.box(50)), film[0])
     >>> [ax.get_title() for ax in figure.axes][0]
     'the way, lost in 0% of the frames'
     """
