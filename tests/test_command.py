@@ -27,7 +27,7 @@ from compendium.experiments.section_5_3 import texture_sequence
 from microlib import io, membrane, tracking
 from microlib._command import main
 from microlib._command._calibrate import _advise, _detect
-from microlib._command._modulus import _SPANS, _outline
+from microlib._command._modulus import _SPANS, _outline, _points
 from microlib._command._shared import _quantity, settle
 from microlib.calibration import calibrate, detect_squares
 from microlib.embryo import dimple_geometry, fit_gaussians, loess
@@ -714,3 +714,247 @@ def test_a_full_disk_is_named_and_no_look_of_another_run_stays(
         (tmp_path / name).write_text("of another run")
     assert status(f"track frames.tif {BOX} --overwrite", tmp_path / "track.csv") == 0
     assert [path.name for path in tmp_path.iterdir()] == ["track.csv"]
+
+
+# --- The user's files, numbers and terminals ------------------------------------------------------
+
+
+def test_no_output_replaces_what_is_read(tmp_path: Path, capsys: Told) -> None:
+    """Also behind a link, and when told to write over files."""
+    folder = tmp_path / "scan"
+    folder.mkdir()
+    stack = tifffile.imread(INPUTS / "focal_stack.tif")
+    tifffile.imwrite(folder / "height.ome.tif", stack, metadata={"axes": "ZYX"})
+    cv2.imwrite(str(folder / "look.png"), cv2.imread(str(INPUTS / "circles.png")))
+    tifffile.imwrite(folder / "a_look.png.tif", tifffile.imread(INPUTS / "frames.tif"))
+    (folder / "a_look.png").symlink_to(folder / "a_look.png.tif")
+    (folder / "outline.csv").write_bytes((INPUTS / "outline.csv").read_bytes())
+    before = {file.name: file.read_bytes() for file in folder.iterdir()}
+    for line, out, name in (
+        (f"depth {folder}/height.ome.tif --spacing 25 --pixel-size 3.9", folder, "height.ome.tif"),
+        (f"{GRID.replace('circles', f'{folder}/look')}", folder, "look.png"),
+        (f"track {folder}/a_look.png.tif {BOX}", folder / "a.csv", "a_look.png"),
+        (
+            f"modulus {folder}/outline.csv --force 10 {MODULUS}",
+            folder / "outline.csv",
+            "outline.csv",
+        ),
+    ):
+        assert status(line, out, "--overwrite") == 2
+        assert f"{folder / name} is what is read: give another --out" in capsys.readouterr().err
+    assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
+
+
+@pytest.mark.parametrize("task", ["depth", "calibrate", "track"])
+def test_results_beside_the_frames_do_not_spoil_the_next_run(
+    task: str, tmp_path: Path, capsys: Told, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if task == "calibrate":
+        (tmp_path / "grid.png").write_bytes((INPUTS / "circles.png").read_bytes())
+    else:
+        source = {"depth": "focal_stack.tif", "track": "frames.tif"}[task]
+        for k, frame in enumerate(tifffile.imread(INPUTS / source)[:12]):
+            cv2.imwrite(str(tmp_path / f"f{k}.png"), frame)
+    line = {
+        "depth": "depth . --spacing 25 --pixel-size 3.9 -o .",
+        "calibrate": "calibrate . --pitch 280 --cell 9.9 --focal-length 126150 -o .",
+        "track": f"track . {BOX} -o track.csv",
+    }[task].split()
+    assert main(line) == 0
+    first = capsys.readouterr()
+    if task != "calibrate":
+        assert "12 files, from f0.png to f11.png" in first.out
+    results = {p.name: p.read_bytes() for p in tmp_path.iterdir() if p.suffix in (".csv", ".json")}
+    assert results
+    assert main([*line, "--overwrite"]) == 0
+    assert re.search(r"look\.png.*: results, left out", capsys.readouterr().err)
+    for name, content in results.items():
+        assert (tmp_path / name).read_bytes() == content
+
+
+def test_a_channel_is_chosen_of_a_file_with_more_axes(tmp_path: Path, capsys: Told) -> None:
+    stack = tifffile.imread(INPUTS / "focal_stack.tif")
+    many = np.stack([np.full_like(stack, 7), stack], axis=1)[None]
+    tifffile.imwrite(
+        tmp_path / "a.ome.tif", np.concatenate([many // 2, many]), metadata={"axes": "TZCYX"}
+    )
+    line = f"depth {tmp_path}/a.ome.tif --spacing 25 --pixel-size 3.9"
+    assert status(line, tmp_path / "out") == 2
+    assert "choose a channel or a time" in capsys.readouterr().err
+    assert status(f"{line} --channel 1 --time 1", tmp_path / "out") == 0
+    assert status(STACK, tmp_path / "plain") == 0
+    for name in ("height", "uncertainty"):
+        one, other = (tifffile.imread(tmp_path / d / f"{name}.ome.tif") for d in ("out", "plain"))
+        np.testing.assert_allclose(one, other, rtol=1e-5)
+    assert status(f"track frames.tif {BOX} --channel 2", tmp_path / "t.csv") == 2
+    assert "it has no C, not number 2" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [
+        ("0,25", 0.25), ("12,5", 12.5), ("1,5", 1.5), ("0,125", 0.125), ("1,500.0", 1500.0),
+        ("1,234,567", 1234567.0), ("-1,25", -1.25), ("1.500", 1.5), ("126,000", None),
+        ("1,500", None), ("-1,500", None), ("126.000,5", None), ("1,23,456", None),
+    ],
+)  # fmt: skip
+def test_a_comma_is_read_right_or_rejected(text: str, number: float | None, capsys: Told) -> None:
+    line = ["calibrate", "a.png", "--pitch", "1", "--cell", "1", "-o", "out", "--quiet"]
+    if number is not None:
+        assert _quantity("µm")(text) == number
+        assert _quantity("µm")(f"{text}mm") == pytest.approx(1000 * number)
+        return
+    with pytest.raises(SystemExit, match="2"):
+        main([*line, f"--focal-length={text}"])
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    if text in ("126,000", "1,500"):
+        assert f"{text} can be {text.replace(',', '')} or {text.replace(',', '.')}" in told
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "cp850", "cp932", "ascii"])
+def test_a_terminal_without_some_letters_gets_others(tmp_path: Path, encoding: str) -> None:
+    """A name with letters of another script, and the µ and ± of the results."""
+    (tmp_path / "сетка.png").write_bytes((INPUTS / "circles.png").read_bytes())
+    line = [
+        "calibrate",
+        tmp_path / "сетка.png",
+        *GRID.split()[2:],
+        "-o",
+        tmp_path / "µ",
+        "--no-look",
+    ]
+    done = run_command(line, PYTHONIOENCODING=encoding)
+    assert done.returncode == 0
+    assert b"left out" not in done.stderr
+    assert b"circles, square lattice" in done.stdout
+    assert len(list((tmp_path / "µ").iterdir())) == 3
+
+
+def run_command(line: list, *options: str, **env: str) -> subprocess.CompletedProcess:
+    command = [sys.executable, *options, "-m", "microlib", *map(str, line)]
+    here = {"PYTHONPATH": str(ROOT)}
+    return subprocess.run(
+        command, cwd=INPUTS, env=os.environ | here | env, capture_output=True, check=False
+    )
+
+
+def test_without_a_task_the_tasks_are_listed(capsys: Told) -> None:
+    assert main([]) == 0
+    told = capsys.readouterr().out
+    for task in ("depth", "calibrate", "track", "modulus"):
+        assert re.search(rf"^ +{task}\s+[A-Z]", told, flags=re.M)
+
+
+def test_commands_run_without_docstrings(tmp_path: Path) -> None:
+    done = run_command([*OUTLINE.split(), "--no-look", "-o", tmp_path / "a.csv"], "-OO")
+    assert (done.returncode, b"Traceback" in done.stderr) == (0, False)
+    assert pd.read_csv(tmp_path / "a.csv", index_col=0).loc["modulus_MPa", "value"] > 0
+
+
+MATPLOTLIBRC = {
+    "image.origin: lower": 0,
+    "text.usetex: true": 0,
+    "axes.grid: true\nfigure.dpi: 30\nsavefig.format: pdf\nimage.cmap: jet": 0,
+    "savefig.bbox: tight\nsavefig.transparent: true": 0,
+}
+
+
+def test_the_users_style_does_not_reach_the_picture(tmp_path: Path) -> None:
+    looks = []
+    for k, text in enumerate(["", *MATPLOTLIBRC]):
+        (tmp_path / f"rc{k}").write_text(text)
+        done = run_command(
+            [*STACK.split(), "-o", tmp_path / str(k)], MATPLOTLIBRC=str(tmp_path / f"rc{k}")
+        )
+        assert done.returncode == 0, done.stderr
+        with Image.open(tmp_path / str(k) / "look.png") as picture:
+            looks.append(np.asarray(picture.convert("RGB")).astype(int))
+    for look in looks[1:]:
+        assert look.shape == looks[0].shape
+        # Layout and text rest on the same numbers.
+        assert np.abs(look - looks[0]).mean() < 1
+
+
+def test_a_picture_that_fails_in_any_way_is_a_note(
+    tmp_path: Path, capsys: Told, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise RuntimeError("latex could not be found\n" * 80)
+
+    monkeypatch.setattr(FocusResult, "plot", fail)
+    assert status(STACK, tmp_path / "out", "") == 0
+    told = capsys.readouterr().err
+    assert told.startswith("note: look.png is not written: RuntimeError: latex")
+    assert told.count("\n") == 1
+
+
+def test_an_error_of_any_kind_has_one_line(
+    tmp_path: Path, capsys: Told, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise cv2.error("OpenCV(5.0.0)\nassertion\nfailed")
+
+    monkeypatch.setattr("microlib.focus.depth_from_focus", fail)
+    assert status(STACK, tmp_path / "out", "") == 2
+    assert capsys.readouterr().err == "microlib depth: error: OpenCV(5.0.0) assertion failed\n"
+
+
+def test_a_film_that_cannot_be_written_is_a_note(tmp_path: Path, capsys: Told) -> None:
+    wide = np.random.default_rng(0).integers(0, 255, (2, 64, 9000)).astype(np.uint8)
+    tifffile.imwrite(tmp_path / "wide.tif", wide)
+    assert status(f"track {tmp_path}/wide.tif --box 20 8 40 40 --video", tmp_path / "t.csv") in (
+        0,
+        4,
+    )
+    told = capsys.readouterr()
+    film = tmp_path / "t_look.mp4"
+    if film.exists():  # of a build of OpenCV that can
+        assert cv2.VideoCapture(str(film)).read()[0]
+    else:
+        assert "t_look.mp4 is not written: OpenCV cannot write a film of 9000×64 px" in told.err
+        assert "t_look.mp4" not in told.out
+
+
+def test_names_of_outputs_may_be_a_dot_or_begin_with_a_tilde(
+    tmp_path: Path, capsys: Told, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert status(STACK, ".") == 0
+    assert status(STACK, "~out") == 0
+    assert {"height.ome.tif", "~out"} <= {file.name for file in tmp_path.iterdir()}
+    for line in (f"track frames.tif {BOX}", OUTLINE):
+        assert status(line, ".") == 2
+        assert "--out must be a table that ends in .csv, got ." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "points"),
+    [
+        ("12,5 30,1\n13,5 30,4\n14,5 31,0\n", [[12.5, 30.1], [13.5, 30.4], [14.5, 31.0]]),
+        ("12,30\n13,31\n14,32\n", [[12, 30], [13, 31], [14, 32]]),
+        ("12, 30\n13, 31\n", [[12, 30], [13, 31]]),
+        ("# by hand\nx (px),y (px)\n\n1,2  # first\n3,4\n\n", [[1, 2], [3, 4]]),
+        ("n;y [px];x [px]\n1;2,5;3\n2;4,5;5\n", [[3, 2.5], [5, 4.5]]),
+        ("col,row\n1,2\n3,4\n", [[1, 2], [3, 4]]),
+        ("x_px y_px\n1e1 2\n3e1 -4\n", [[10, 2], [30, -4]]),
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_a_table_of_points_is_read_as_it_is_written(
+    text: str, points: list, encoding: str, tmp_path: Path
+) -> None:
+    (tmp_path / "a.csv").write_text(text, encoding=encoding)
+    np.testing.assert_allclose(np.transpose(_points(str(tmp_path / "a.csv"))), points)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("x,y\n1,2\n3,\n", r"line 3: '3,'"), ("x_um,y_um\n1,2\n", "in px, got x_um, y_um")],
+)
+def test_a_table_that_cannot_be_read_names_the_cause(text: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(ValueError, match=words):
+        _points(str(tmp_path / "a.csv"))

@@ -115,4 +115,11 @@ def text(content: str) -> Writer:
 
 def picture(draw: Callable[[], Any]) -> Writer:
     """Return what draws a figure once its file is to be written."""
-    return lambda file: draw().savefig(file, dpi=150, metadata={"Software": SOFTWARE})
+
+    def write(file: Path) -> None:
+        from microlib._plots import default_style
+
+        with default_style():
+            draw().savefig(file, dpi=150, metadata={"Software": SOFTWARE})
+
+    return write

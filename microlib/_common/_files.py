@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-import tempfile
+import shutil
 from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
+from secrets import token_hex
 
 #: Software that pictures and maps name as their maker, by which results are told from frames.
 SOFTWARE = "microlib"
@@ -21,40 +22,45 @@ def home_path(path: str | PathLike[str]) -> Path:
 def replace_file(path: str | PathLike[str], write: Callable[[Path], object]) -> None:
     """Write a file beside `path` and move it there, so that no half-written file is ever seen.
 
-    Parameters
-    ----------
-    path : path-like
-        File to write; an old one is replaced only once the new one is whole.
-    write : callable
-        Writes the content to the path that it is given, which ends like `path`.
+        Parameters
+        ----------
+        path : path-like
+            File to write; an old one is replaced only once the new one is whole, which has its
+            permissions and takes its place behind a symbolic link.
+        write : callable
+            Writes the content to the path that it is given, which ends like `path`.
 
-    Raises
-    ------
-    ValueError
-        If the folder does not exist.
-    OSError
-        If the file cannot be written, for one because the disk is full; the old one stays.
+        Raises
+        ------
+        ValueError
+            If the folder does not exist.
+        OSError
+            If the file cannot be written, for one because the disk is full; the old one stays.
 
-    Examples
-    --------
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> from microlib._common._files import replace_file
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     replace_file(Path(folder) / "a.txt", lambda file: file.write_text("whole"))
-    ...     print([path.name for path in Path(folder).iterdir()])
-    ['a.txt']
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+    from secrets import token_hex
+        >>> from microlib._common._files import replace_file
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     replace_file(Path(folder) / "a.txt", lambda file: file.write_text("whole"))
+        ...     print([path.name for path in Path(folder).iterdir()])
+        ['a.txt']
     """
     target = Path(path)
     if not target.parent.is_dir():
         raise ValueError(f"path must lie in an existing folder, got {target.parent}")
+    if old := target.is_file():
+        target = target.resolve()  # the file that a link names
     # Hidden: what a killed process leaves is not taken for a result.
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=".", suffix=f".{target.name}")
-    os.close(handle)
+    new = target.with_name(f".{token_hex(4)}.{target.name}")
     try:
-        write(Path(name))
-        os.chmod(name, 0o644)  # mkstemp lets the owner alone read
-        os.replace(name, target)
+        new.touch(0o600 if old else 0o666, exist_ok=False)  # as far as new files may here
+        write(new)
+        if old:
+            shutil.copymode(target, new)
+        os.replace(new, target)
     except BaseException:
-        os.unlink(name)
+        new.unlink(missing_ok=True)
         raise

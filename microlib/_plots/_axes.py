@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import wraps
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -9,6 +13,31 @@ from numpy.typing import NDArray
 
 #: What was found, what it is compared with, and what is off: told apart on grey and by all eyes.
 FOUND, BESIDE, OFF = "#ffb000", "#56b4e9", "#e0245e"
+
+
+@contextmanager
+def default_style() -> Iterator[None]:
+    """Draw as Matplotlib does without the settings of a user, such as another origin or LaTeX."""
+    from matplotlib import rc_context, rcdefaults
+
+    with rc_context():
+        rcdefaults()
+        yield
+
+
+def in_default_style(draw: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that draws a new figure in the default style, and in axes as they are."""
+
+    @wraps(draw)
+    def drawn(*args: Any, **options: Any) -> Any:
+        if signature(draw).bind(*args, **options).arguments.get("ax") is not None:
+            return draw(*args, **options)
+        with default_style():
+            figure = draw(*args, **options)
+            figure.draw_without_rendering()  # or ticks are made later, in another style
+        return figure
+
+    return drawn
 
 
 def new_axes(rows: int, columns: int, width: float, height: float) -> Any:
@@ -23,7 +52,8 @@ def show_image(ax: Any, image: NDArray) -> None:
     """Show a photograph in the range of its own grey levels, without axes of its own."""
     levels = np.asarray(image, dtype=np.float32)
     low, high = levels.min(), levels.max()
-    ax.imshow(np.uint8(255 * (levels - low) / (high - low or 1)), cmap="gray", vmin=0, vmax=255)
+    grey = np.uint8(255 * (levels - low) / (high - low or 1))
+    ax.imshow(grey, cmap="gray", vmin=0, vmax=255, origin="upper")
     ax.set_axis_off()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 from pathlib import Path
 
 import pytest
@@ -26,7 +27,6 @@ def test_a_file_is_replaced_once_the_new_one_is_whole(tmp_path: Path, fault) -> 
 
     if fault is None:
         replace_file(str(path), write)
-        assert path.stat().st_mode & 0o777 == 0o644
     else:
         with pytest.raises(type(fault)) as caught:
             replace_file(path, write)
@@ -35,3 +35,24 @@ def test_a_file_is_replaced_once_the_new_one_is_whole(tmp_path: Path, fault) -> 
     assert list(tmp_path.iterdir()) == [path]
     with pytest.raises(ValueError, match=r"^path must lie in an existing folder, got .*missing"):
         replace_file(tmp_path / "missing" / "a.csv", os.fspath)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="of POSIX")
+def test_a_replaced_file_keeps_its_permissions_and_its_link(tmp_path: Path) -> None:
+    (tmp_path / "disk").mkdir()
+    real, link = tmp_path / "disk" / "a.csv", tmp_path / "a.csv"
+    link.symlink_to(real)
+    before = os.umask(0o027)
+    try:
+        for mode in (0o600, 0o664, 0o444):
+            real.write_text("old")
+            real.chmod(mode)
+            replace_file(link, lambda file: file.write_text("new"))
+            assert stat.S_IMODE(real.stat().st_mode) == mode
+            assert real.read_text() == "new"
+            real.unlink()
+        replace_file(tmp_path / "new.csv", lambda file: file.write_text("new"))
+        assert stat.S_IMODE((tmp_path / "new.csv").stat().st_mode) == 0o640
+    finally:
+        os.umask(before)
+    assert link.is_symlink()
