@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, as_array, positive, same_length, scalar, whole
 
-#: Samples: a loop this late is not one, and its poles take minutes.
+#: Samples; a longer delay is one in ms, and the poles of its loop would take minutes.
 MOST_DELAY = 200
 
 
@@ -355,8 +355,7 @@ class PredictiveController(OptimalController):
         if self._delay > MOST_DELAY:
             raise ValueError(f"delay must be at most {MOST_DELAY} intervals, got {self._delay:g}")
         self._limit = scalar("saturation", saturation, above=0)
-        share = scalar("innovation_gain", innovation_gain, least=0, most=1)
-        self._innovation_gain = share
+        self._innovation_gain = scalar("innovation_gain", innovation_gain, least=0, most=1)
         self._part = self._delay - int(self._delay)
         self._begin()
 

@@ -246,11 +246,8 @@ def servo(
 
 def _test_move(size: float | None, travel: Array, step: float | None) -> float:
     """Return the length of the test moves, which no limit may cut."""
-    room = min(
-        USED * float(travel.min()), np.inf if step is None else scalar("step", step, above=0)
-    )
+    room = USED * float(travel.min())
+    room = room if step is None else min(room, scalar("step", step, above=0))
     if size is None:
         return min(float(travel.min()) / 10, room)
-    if (length := scalar("test_move", size, above=0)) > room:
-        raise ValueError(f"test_move must lie within travel and step, {room:g} µm, got {length:g}")
-    return length
+    return scalar("test_move", size, above=0, most=room)
