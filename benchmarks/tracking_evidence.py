@@ -16,19 +16,19 @@ from time import thread_time
 import cv2
 import numpy as np
 import pandas as pd
+from microlib.tracking._search import Finding
+from microlib.tracking._settings import Settings
+from microlib.tracking._verdict import COEFFICIENTS, features
 from numpy.typing import NDArray
 from scipy import ndimage, optimize
 from skimage import data
 
 from benchmarks.photographs import grey_levels
 from benchmarks.report import Limits, Tables
+from microlib.synthetic import camera_frame
 from microlib.tracking import ESMTracker, Track
 from microlib.tracking._geometry import apply_homography
-from microlib.tracking._search import Finding
-from microlib.tracking._settings import Settings
 from microlib.tracking._tracker import Sight
-from microlib.tracking._verdict import COEFFICIENTS, features
-from tests.scenes import camera_frame
 
 Array = NDArray[np.float64]
 

@@ -6,18 +6,30 @@ convergence at the price of a first-order one (Malis 2004, Benhimane and Malis 2
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
 
 from microlib._common import Array, Image
-from microlib.tracking._geometry import GENERATORS, ROUNDING, TINY, apply_homography, moved, torn
-from microlib.tracking._sampling import cut_out, kept_noise, padding
+from microlib.tracking._geometry import (
+    GENERATORS,
+    ROUNDING,
+    TINY,
+    apply_homography,
+    cut_around,
+    degenerate,
+    retract,
+    translate,
+)
+from microlib.tracking._sampling import cut_out, half_pixel, noise_gain, padding
 
 #: Least share of the template's pixels that must lie inside the image for it to be in view. Where
 #: the template stays inside, nothing depends on it.
 LEAST_VISIBLE = 0.25
+
+#: Normalized correlation below which an alignment is not the template.
+LEAST_CORRELATION = 0.7
 
 
 def _nothing() -> Image:
@@ -61,6 +73,12 @@ class Alignment:
     grey: Image = field(default_factory=_nothing)
     residual: Image = field(default_factory=_nothing)
     weight: Image = field(default_factory=_nothing)
+
+    @property
+    def reason(self) -> str:
+        """Why the alignment does not count as the template; empty if it does."""
+        low = self.correlation < LEAST_CORRELATION
+        return self.failure or ("low correlation" if low else "")
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,20 +124,12 @@ class Level:
         """The grey values about their mean."""
         return (self.grey - np.float32(self.mean)).ravel()
 
-    @cached_property
-    def fineness(self) -> Array:
-        """Mean square frequency of the template along x and y, (rad/px)²."""
-        across, down = self.slope.reshape(2, *self.grey.shape).astype(np.float64)
-        bends = np.gradient(across, axis=1), np.gradient(down, axis=0)
-        pairs = zip(bends, (across, down), strict=True)
-        return np.array([np.mean(bend**2) / np.mean(slope**2) for bend, slope in pairs])
-
     def corners_of(self, pose: Array) -> Array:
         """Return the template's corners at poses, …×3×3, px of the image's samples."""
         return apply_homography(self.to_image @ pose, self.corners)
 
     def patch(
-        self, image: Image, pose: Array, ceiling: float = np.inf
+        self, image: Image, pose: Array, saturation: float = np.inf
     ) -> tuple[Image, Image, Image]:
         """Return the image under poses, …×3×3, its gradient, and how far each pixel counts.
 
@@ -127,8 +137,8 @@ class Level:
         """
         warps = self.to_image @ pose @ self.to_template
         grey, slope, inside = cut_out(image, warps, self.grey.shape, self.smoothing)
-        if ceiling < np.inf:
-            inside = inside & ((grey < ceiling) | (self.grey >= ceiling))
+        if saturation < np.inf:
+            inside = inside & ((grey < saturation) | (self.grey >= saturation))
         return grey, slope, inside.astype(np.float32)
 
     def align(
@@ -153,9 +163,9 @@ class Level:
             solution = _solved(normal)
             if not solution.size:
                 return failed(failure="singular")
-            after = moved(pose, -solution[:n], self.basis)
+            after = retract(pose, -solution[:n], self.basis)
             before, corners = corners, apply_homography(after, self.corners)
-            if torn(corners, first):
+            if degenerate(corners, first):
                 return failed(failure="diverged")
             pose, gain = after, float(solution[n])
             if np.abs(corners - before).max() < tolerance:
@@ -189,6 +199,26 @@ class Level:
         rows[n + 2] -= self.mean
         rows[n:] *= share.ravel()
         return rows
+
+
+@dataclass(frozen=True, eq=False)
+class Template:
+    """A template at its two levels: smoothed, and not smoothed but sampled at half pixels."""
+
+    smooth: Level
+    sharp: Level
+
+    def align(self, image: Image, pose: Array) -> Alignment:
+        """Align from a pose with the smoothed level, and then between the pixels."""
+        first = self.smooth.align(image, pose, tolerance=0.5)
+        if first.reason:
+            return first
+        corners = apply_homography(first.pose, self.sharp.corners)
+        near, offset = cut_around(image, corners, 4.0)
+        start = translate(first.pose, -offset)
+        last = self.sharp.align(half_pixel(near), start, tolerance=0.05, gain=first.gain)
+        steps = first.iterations + last.iterations
+        return replace(last, pose=translate(last.pose, offset), iterations=steps)
 
 
 def _solved(normal: Array) -> Array:
@@ -269,5 +299,5 @@ def make_level(
         slope=slope,
         mean=float(grey.mean(dtype=np.float64)),
         contrast=float(grey.std(dtype=np.float64)),
-        noise=kept_noise(halvings, density, smoothing),
+        noise=noise_gain(halvings, density, smoothing),
     )

@@ -1,17 +1,17 @@
 """Groups of warps, and what a warp does to points, corners and patches.
 
-A warp is a matrix on homogeneous coordinates, moved as ``G ← G exp(Σ xᵢ Bᵢ)`` with the generators
-Bᵢ of its group: translation, affine, or the homographies through sl(3).
+A warp is a matrix on homogeneous coordinates. A step x takes it to ``G exp(Σ xᵢ Bᵢ)`` with the
+generators Bᵢ of its group: translation, affine, or the homographies through sl(3).
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import expm
 
 from microlib._common import Array
 
-_ONE = np.eye(3)
 _E = np.eye(9).reshape(3, 3, 3, 3)
 #: Group of warps to its generators, n×3×3; those of the homographies have no trace.
 GENERATORS: dict[str, Array] = {
@@ -38,27 +38,17 @@ def apply_homography(matrix: Array, points: Array) -> Array:
     return mapped[..., :2] / mapped[..., 2:]
 
 
-def moved(warp: Array, step: Array, basis: Array) -> Array:
-    """Return ``warp exp(Σ stepₖ basisₖ)``; a step that is not finite or huge gives NaN.
+def retract(warp: Array, step: Array, basis: Array) -> Array:
+    """Return the retraction ``warp exp(Σ stepₖ basisₖ)``; NaN if a step is huge or not finite.
 
-    Several warps, …×3×3, and steps, …×n, are moved at once.
+    Several warps, …×3×3, and steps, …×n, are retracted at once.
     """
     matrix = np.tensordot(step, basis, 1)
-    size = np.abs(matrix).max(axis=(-2, -1), keepdims=True)
-    good = size < 100  # not for NaN
-    matrix = np.where(good, matrix, 0.0)
-    largest = float(np.max(size, initial=0.0, where=good))
-    halvings = max(0, int(np.ceil(np.log2(max(4**2 * 3 * largest, 1.0)))))
-    matrix = matrix / 2.0**halvings
-    total = _ONE
-    for order in range(7, 0, -1):  # 16⁻⁸/8! is 10⁻¹⁴
-        total = _ONE + matrix @ total / order
-    for _ in range(halvings):
-        total = total @ total
-    return np.where(good, warp @ total, np.nan)
+    good = np.abs(matrix).max(axis=(-2, -1), keepdims=True) < 100  # not for NaN
+    return np.where(good, warp @ expm(np.where(good, matrix, 0.0)), np.nan)
 
 
-def shifted(pose: Array, by: Array) -> Array:
+def translate(pose: Array, by: Array) -> Array:
     """Return the pose followed by a translation of the image."""
     shift = np.eye(3)
     shift[:2, 2] = by
@@ -71,7 +61,7 @@ def area(corners: Array) -> Array:
     return (a * d - b * c) / 2
 
 
-def torn(corners: Array, first: Array) -> NDArray[np.bool_]:
+def degenerate(corners: Array, first: Array) -> NDArray[np.bool_]:
     """Return whether a warp turned the template over, or changed its area more than 4-fold."""
     ratio = area(corners) / area(first)
     return ~((ratio > 1 / 4) & (ratio < 4))  # also for NaN

@@ -7,12 +7,13 @@ from functools import cached_property, lru_cache
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from microlib._common import Array, Image
 from microlib.tracking._geometry import TINY
 
 #: Lagrange's interpolation half-way between six equidistant samples, exact for quintic polynomials.
-HALF_SAMPLE = np.array([[3, -25, 150, 150, -25, 3]], np.float32) / 256
+_HALF_SAMPLE = np.array([[3, -25, 150, 150, -25, 3]], np.float32) / 256
 
 #: Fourth-order central difference, and the pixels that it needs on either side.
 _DIFFERENCE, _MARGIN = np.array([[1, -8, 0, 8, -1]], np.float32) / 12, 2
@@ -33,7 +34,7 @@ _QUANTILE_OF_WHITE = 0.792
 class View:
     """The part of a frame in which a template is sought: what is asked of it is made once.
 
-    `noise` is the standard deviation of its noise, at least the one given; pixels from `ceiling` on
+    `noise` is the standard deviation of its noise, at least the one given; pixels from `saturation` on
     count as saturated.
     """
 
@@ -51,8 +52,8 @@ class View:
         return max(noise_of(self.image), self._least_noise)
 
     @cached_property
-    def ceiling(self) -> float:
-        return ceiling_of(self.image, self.noise)
+    def saturation(self) -> float:
+        return saturation_level(self.image, self.noise)
 
 
 def noise_of(image: Image) -> float:
@@ -74,7 +75,7 @@ def noise_of(image: Image) -> float:
     return float(np.sqrt(max(np.quantile(tiles, 1 / 10), 0.0))) / _QUANTILE_OF_WHITE
 
 
-def ceiling_of(image: Image, noise: float) -> float:
+def saturation_level(image: Image, noise: float) -> float:
     """Return the grey value from which on pixels count as saturated; infinite if none is.
 
     The sensor's limit is a largest value of 25 px or more; less noise may have been cut off there.
@@ -82,10 +83,10 @@ def ceiling_of(image: Image, noise: float) -> float:
     Examples
     --------
     >>> import numpy as np
-    >>> from microlib.tracking._sampling import ceiling_of
-    >>> ceiling_of(np.minimum(np.arange(400.0), 255).reshape(20, 20), 2.0)
+    >>> from microlib.tracking._sampling import saturation_level
+    >>> saturation_level(np.minimum(np.arange(400.0), 255).reshape(20, 20), 2.0)
     250.0
-    >>> ceiling_of(np.arange(400.0).reshape(20, 20), 2.0)
+    >>> saturation_level(np.arange(400.0).reshape(20, 20), 2.0)
     inf
     """
     largest = float(image.max())
@@ -103,9 +104,9 @@ def half_pixel(image: Image) -> Image:
     fine = np.empty((2 * image.shape[0], 2 * image.shape[1]), np.float32)
     rows = np.empty((image.shape[0], fine.shape[1]), np.float32)
     rows[:, ::2] = image
-    rows[:, 1::2] = cv2.filter2D(image, -1, HALF_SAMPLE, anchor=(2, 0))
+    rows[:, 1::2] = cv2.filter2D(image, -1, _HALF_SAMPLE, anchor=(2, 0))
     fine[::2] = rows
-    fine[1::2] = cv2.filter2D(rows, -1, HALF_SAMPLE.T, anchor=(0, 2))
+    fine[1::2] = cv2.filter2D(rows, -1, _HALF_SAMPLE.T, anchor=(0, 2))
     return fine
 
 
@@ -151,13 +152,7 @@ def sample(
     x, y = place[..., 0, :], place[..., 1, :]
     shape = (*warps.shape[:-2], size[1], size[0])
     if exact and _ROUNDS:
-        column = np.minimum(x.astype(np.intp), image.shape[1] - 2)
-        row = np.minimum(y.astype(np.intp), image.shape[0] - 2)
-        x, y = x - column, y - row
-        first, width, flat = row * image.shape[1] + column, image.shape[1], image.ravel()
-        above = (1 - x) * flat[first] + x * flat[first + 1]
-        below = (1 - x) * flat[first + width] + x * flat[first + width + 1]
-        patches = ((1 - y) * above + y * below).astype(np.float32)
+        patches = ndimage.map_coordinates(image, [y, x], order=1, mode="nearest")
     else:
         x, y = (np.ascontiguousarray(v).reshape(-1, size[0]) for v in (x, y))
         patches = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -190,7 +185,7 @@ def cut_out(
 
 
 @lru_cache(maxsize=64)
-def kept_noise(halvings: int, density: int, smoothing: float) -> float:
+def noise_gain(halvings: int, density: int, smoothing: float) -> float:
     """Return the standard deviation of unit white noise after halving, sampling and smoothing."""
     side = 64 << halvings
     layer: Image = np.random.default_rng(0).standard_normal((side, side)).astype(np.float32)

@@ -11,7 +11,7 @@ from scipy.ndimage import map_coordinates
 from microlib.synthetic import mixed_texture
 from microlib.tracking import _sampling
 from microlib.tracking._esm import make_level
-from microlib.tracking._geometry import GENERATORS, apply_homography, moved
+from microlib.tracking._geometry import GENERATORS, apply_homography, retract
 from microlib.tracking._sampling import half_pixel, sample
 
 BOX = (30, 24, 40, 36)
@@ -38,7 +38,7 @@ def test_exponential_agrees_with_scipy(entries, motion):
     # Relative to the largest entry: both are accurate to a few roundings of it.
     scale = np.abs(expm(matrix)).max()
     np.testing.assert_allclose(
-        moved(np.eye(3), step, basis), expm(matrix), rtol=0, atol=1e-12 * scale
+        retract(np.eye(3), step, basis), expm(matrix), rtol=0, atol=1e-12 * scale
     )
 
 
@@ -54,7 +54,7 @@ def test_a_fit_undoes_a_small_warp_of_its_own_group(motion):
     image = texture(1)
     one = level_of(motion, image, smoothing=0.0)
     rng = np.random.default_rng(2)
-    start = moved(POSE, rng.normal(0, 0.02, len(one.basis)), one.basis)
+    start = retract(POSE, rng.normal(0, 0.02, len(one.basis)), one.basis)
     result = one.align(image, start, tolerance=1e-4, iterations=20)
     assert not result.failure
     # No noise and no resampling at the solution: what is left is the single precision of the patch.

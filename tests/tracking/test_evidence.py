@@ -7,9 +7,14 @@ from scipy import ndimage
 
 from microlib.synthetic import mixed_texture
 from microlib.tracking import ESMTracker
+<<<<<<< HEAD
 from microlib.tracking._covariance import sandwich
 from microlib.tracking._sampling import ceiling_of, noise_of
 from tests.scenes import camera_frame
+=======
+from microlib.tracking._sampling import noise_of, saturation_level
+from microlib.tracking.robust._covariance import sandwich
+>>>>>>> 58095cd (Split the tracker into ESM core and robust search; drop idle stages)
 
 BOX = (70, 65, 50, 50)
 CORNERS = np.array([[70.0, 65], [119, 65], [119, 114], [70, 114]])
@@ -20,7 +25,7 @@ def scene(seed):
     return mixed_texture((180, 190), default_rng(seed), scales=(1.5, 3.0, 8.0), std=40.0)
 
 
-def moved(image, by):
+def translated(image, by):
     return ndimage.shift(image, (by[1], by[0]), order=5, mode="mirror")
 
 
@@ -45,8 +50,8 @@ def test_noise_is_found_behind_a_texture_and_saturation_by_its_plateau():
         assert noise_of(noisy.astype(np.float32)) == pytest.approx(sigma, rel=0.15)
     assert noise_of(np.zeros((4, 4), np.float32)) == 0.0
     bright = np.minimum(3 * smooth, 255)
-    assert 255 - 6 < ceiling_of(bright, 2.0) < 255
-    assert ceiling_of(smooth, 2.0) == np.inf
+    assert 255 - 6 < saturation_level(bright, 2.0) < 255
+    assert saturation_level(smooth, 2.0) == np.inf
 
 
 @pytest.mark.parametrize("motion", ["translation", "homography"])
@@ -54,7 +59,7 @@ def test_a_template_hidden_for_a_third_is_found_and_its_hidden_part_named(motion
     by = (8.3, -6.6)
     for seed in range(3):
         first = scene(seed)
-        second = hide(moved(first, by), (78, 58), (17, 52), seed + 100)
+        second = hide(translated(first, by), (78, 58), (17, 52), seed + 100)
         track = track_of(first, second, default_rng(seed), motion)
         assert not track.lost
         # 1700 visible pixels of noise 2 and gradients of 8: 0.01 px; deformed corners 0.1 px.
@@ -111,7 +116,7 @@ def test_another_light_moves_nothing(light):
     by = np.array([3.4, 2.7])
     for seed in range(2):
         first = scene(seed)
-        second = spoil(moved(first, by), light, (73, 68, 50, 50), default_rng(seed))
+        second = spoil(translated(first, by), light, (73, 68, 50, 50), default_rng(seed))
         track = track_of(first, second, default_rng(seed))
         assert not track.lost
         assert np.abs(track.corners - CORNERS - by).max() < 0.1
@@ -127,7 +132,7 @@ def test_a_template_of_any_size_is_found_or_lost_and_never_somewhere_else(size, 
     rng, by = default_rng(size), np.array([3.3, -2.6])
     first = mixed_texture((290, 290), rng, scales=(1.5, 3.0, 8.0), std=40.0)
     box = (70, 65, size, size)
-    second = spoil(moved(first, by), condition, (73, 62, size, size), rng)
+    second = spoil(translated(first, by), condition, (73, 62, size, size), rng)
     tracker = ESMTracker(camera_frame(first, rng, noise=2.0), box, motion)
     track = tracker.track(camera_frame(second, rng, noise=2.0))
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (size - 1.0) + box[:2]
@@ -142,7 +147,7 @@ def test_a_template_of_any_size_is_found_or_lost_and_never_somewhere_else(size, 
 def test_depth_of_the_grey_values_and_their_order_in_memory_change_nothing(condition):
     rng = default_rng(7)
     first = scene(7)
-    second = spoil(moved(first, (2.4, 1.7)), condition, (72, 66, 50, 50), rng)
+    second = spoil(translated(first, (2.4, 1.7)), condition, (72, 66, 50, 50), rng)
     eight = [camera_frame(image, rng, noise=2.0) for image in (first, second)]
     expected = ESMTracker(eight[0], BOX).track(eight[1])
     assert not expected.lost
@@ -188,7 +193,7 @@ def test_errors_are_of_the_size_that_is_stated(condition):
         rng = default_rng(seed)
         by = rng.uniform(-3, 3, 2)
         first = scene(seed % 8)
-        second = moved(first, by)
+        second = translated(first, by)
         second = spoil(second, condition, BOX, default_rng(seed + 70))
         track = track_of(first, second, rng)
         assert not track.lost
@@ -213,7 +218,7 @@ def test_the_sandwich_is_the_spread_of_fits_to_spread_noise():
         noise = ndimage.gaussian_filter(rng.standard_normal(shape), sigma, mode="wrap").ravel()
         fits.append(solver @ noise)
         residual = (noise - design.T @ fits[-1]).reshape(shape)
-        stated.append(sandwich(design, residual, ones, ones, (kept, kept), 2))
+        stated.append(sandwich(design, residual, ones, ones, kept, 2))
     # 300 fits know a variance to 8 %; the surroundings' average adds a little.
     truth = np.cov(np.transpose(fits)[:2])
     np.testing.assert_allclose(np.diag(np.mean(stated, axis=0)), np.diag(truth), rtol=0.25)

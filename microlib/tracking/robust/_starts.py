@@ -11,7 +11,7 @@ from scipy.linalg import hadamard
 
 from microlib._common import Array, Image
 from microlib.tracking._esm import Level
-from microlib.tracking._geometry import GENERATORS, TINY, apply_homography, shifted
+from microlib.tracking._geometry import GENERATORS, TINY, apply_homography, translate
 from microlib.tracking._sampling import padding, sample
 
 #: Px between the points, and their error (px).
@@ -37,7 +37,7 @@ class PointFlow:
         self._error = _ERROR / level.to_image[0, 0]
         self._template = self._contrasts(image, pose)
 
-    def support(self, image: Image, pose: Array) -> float:
+    def inlier_ratio(self, image: Image, pose: Array) -> float:
         """Return the share of the points that stay when they are followed from a pose."""
         here, there = self._followed(image, pose)
         return float((np.abs(there - here).max(axis=1) < 2 * self._error).sum() / max(len(here), 1))
@@ -95,7 +95,7 @@ def _agreed(
         moves = there - here
         near = np.square(moves[:, None] - moves).sum(axis=2) < error**2
         agree = near[near.sum(axis=1).argmax()]
-        return shifted(np.eye(3), moves[agree].mean(axis=0)), agree
+        return translate(np.eye(3), moves[agree].mean(axis=0)), agree
     estimate: Any = cv2.estimateAffine2D if n == len(GENERATORS["affine"]) else cv2.findHomography
     options = {"method": cv2.RANSAC, "ransacReprojThreshold": error, "maxIters": 200}
     found, inliers = estimate(here, there, **options)
@@ -103,20 +103,22 @@ def _agreed(
     return motion, np.asarray(inliers).ravel() > 0
 
 
-def best_matches(level: Level, image: Image, pose: Array, count: int) -> list[Array]:
-    """Return a pose shifted to where the template correlates best in an image of its level."""
+def ncc_peaks(level: Level, image: Image, pose: Array, count: int) -> list[Array]:
+    """Return a pose translate to where the template correlates best in an image of its level."""
+    from skimage.feature import peak_local_max  # here, for importing it takes long
+
     if min(np.subtract(image.shape, level.grey.shape)) < 0:
         return []
     smooth = cv2.GaussianBlur(image, (0, 0), level.smoothing) if level.smoothing else image
     scores = cv2.matchTemplate(smooth, level.grey, cv2.TM_CCOEFF_NORMED)
-    apart = np.ones([2 * (side // 4) + 1 for side in level.grey.shape], np.uint8)
-    peaks = (scores == cv2.dilate(scores, apart)) & np.isfinite(scores) & (scores > 0)
-    rows, columns = np.nonzero(peaks)
-    best = np.argsort(-scores[rows, columns], kind="stable")[:count]
+    apart = min(level.grey.shape) // 4
+    peaks = peak_local_max(
+        scores, min_distance=apart, threshold_abs=0, num_peaks=count, exclude_border=False
+    )
     middle = (np.array(level.grey.shape[::-1]) - 1) / 2
-    places = (np.column_stack([columns[best], rows[best]]) + middle) / level.to_image[0, 0]
+    places = (peaks[:, ::-1] + middle) / level.to_image[0, 0]
     center = apply_homography(pose, level.corners).mean(axis=0)
-    return [shifted(pose, place - center) for place in places]
+    return [translate(pose, place - center) for place in places]
 
 
 def distortions(corners: Array, motion: str, by: float) -> list[Array]:

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 
 from microlib._common import Array, Image
-from microlib.tracking._blocks import Blocks, compare
 from microlib.tracking._esm import Alignment
-from microlib.tracking._geometry import TINY, moved, ridged, torn
-from microlib.tracking._local import SURROUNDINGS, TUKEY, LocalLevel, trusted_scale, tukey
+from microlib.tracking._geometry import TINY, degenerate, retract, ridged
+from microlib.tracking.robust._blocks import Blocks, compare
+from microlib.tracking.robust._local import LOCAL_WINDOW, TUKEY, LocalLevel, robust_scale, tukey
 
 #: Columns whose derivative by the template's grey value is not zero come first; the first is the
 #: template itself.
@@ -23,7 +23,7 @@ _GAINS = 6
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class LitFit(Alignment):
+class PhotometricFit(Alignment):
     """Where an alignment in smooth light ended; gain and bias are those at the middle.
 
     Attributes
@@ -34,7 +34,7 @@ class LitFit(Alignment):
         Robust standard deviation of the residual over the noise.
     slope : ndarray, shape (H, W)
         Derivative of weight times residual by the residual.
-    bend : float
+    nonlinearity : float
         Largest of blur and tone over the gain.
     hidden : ndarray of bool, shape (H, W)
         Pixels whose residual is neither noise nor small beside the template.
@@ -43,12 +43,12 @@ class LitFit(Alignment):
     blocks: Blocks
     noise: float
     slope: Image
-    bend: float
+    nonlinearity: float
     hidden: Image
 
 
 @dataclass(frozen=True, eq=False)
-class _LitStep:
+class _Step:
     """Derivatives, residuals and weights of a step, and the scale of the residuals."""
 
     design: Image
@@ -58,7 +58,7 @@ class _LitStep:
 
 
 @dataclass(frozen=True, eq=False)
-class LitLevel(LocalLevel):
+class PhotometricLevel(LocalLevel):
     """A template, sampled at half pixels, with the columns of its light.
 
     Attributes
@@ -72,83 +72,69 @@ class LitLevel(LocalLevel):
     light: Image
     tone: Image
 
-    def align_lit(
+    def align_photometric(
         self,
         image: Image,
         pose: Array,
         noise: float,
-        ceiling: float,
+        saturation: float,
         *,
         iterations: int = 9,
         tolerance: float = 0.02,
-    ) -> LitFit | None:
+    ) -> PhotometricFit | None:
         """Align from a pose, or return None where too little of the template is seen."""
         n, unit = len(self.basis), noise * self.noise
         first = corners = self.corners_of(pose)
-        grey, slope, share = self.patch(image, pose, ceiling)
-        trust = self.trust(grey, share, noise).ravel()
-        amounts = self._first_light(grey.ravel(), trust, unit)
-        if amounts is None:
-            return None
+        grey, slope, share = self.patch(image, pose, saturation)
+        inliers = self.inlier_weight(grey, share, noise).ravel()
+        amounts = _solved(self.light, grey.ravel(), inliers)
         count, way, step = 0, np.inf, None
         while count < iterations and way >= tolerance:
-            step = self._lit_step(grey, slope, share.ravel() * trust, amounts, unit)
+            step = self._step(grey, slope, share.ravel() * inliers, amounts, unit)
             if step is None:
                 return None
             change = _solved(step.design, step.residual, step.weight, motions=n)
-            amounts, pose = amounts + change[n:], moved(pose, -change[:n], self.basis)
+            amounts, pose = amounts + change[n:], retract(pose, -change[:n], self.basis)
             before, corners = corners, self.corners_of(pose)
-            if torn(corners, first):
+            if degenerate(corners, first):
                 return None
             count, way = count + 1, float(np.abs(corners - before).max())
-            grey, slope, share = self.patch(image, pose, ceiling)
+            grey, slope, share = self.patch(image, pose, saturation)
         assert step is not None
-        return self._lit_fit(pose, count, step, amounts, grey, share, unit)
+        return self._fit(pose, count, step, amounts, grey, share, unit)
 
-    def _first_light(self, grey: Image, share: Image, least: float) -> Array | None:
-        """Fit the light alone, robustly, at the pose as it is; None if there is too little."""
-        weight = share
-        for _ in range(4):
-            amounts = _solved(self.light, grey, weight)
-            residual = grey - amounts.astype(np.float32) @ self.light
-            scale = trusted_scale(residual, share, 3 * len(self.light))
-            if not scale:
-                return None
-            weight = (share * tukey(residual, max(scale, least))).astype(np.float32)
-        return amounts
-
-    def _lit_step(
+    def _step(
         self, grey: Image, slope: Image, share: Image, amounts: Array, least: float
-    ) -> _LitStep | None:
+    ) -> _Step | None:
         """Return the least squares of one step, or None where too little is seen."""
         gain = amounts[:_GAINS].astype(np.float32) @ self.tone
         slope = np.float32(0.5) * (slope + gain * self.slope)
         design = np.concatenate([self.flow[0] * slope[0] + self.flow[1] * slope[1], self.light])
         residual = grey.ravel() - amounts.astype(np.float32) @ self.light
-        scale = trusted_scale(residual, share, 3 * len(design))
+        scale = robust_scale(residual, share, 3 * len(design))
         if not scale:
             return None
         scale = max(scale, least)
         weight = (share * tukey(residual, scale)).astype(np.float32)
-        return _LitStep(design, residual, weight, scale)
+        return _Step(design, residual, weight, scale)
 
-    def _lit_fit(
+    def _fit(
         self,
         pose: Array,
         count: int,
-        step: _LitStep,
+        step: _Step,
         amounts: Array,
         grey: Image,
         share: Image,
         noise: float,
-    ) -> LitFit:
+    ) -> PhotometricFit:
         """Return where an alignment ended, with what its last step left."""
         shape = self.grey.shape
         residual, weight = step.residual.reshape(shape), step.weight.reshape(shape)
         model = (amounts[:_GAINS] @ self.light[:_GAINS]).astype(np.float32).reshape(shape)
         gain = float(amounts[0]) / self.contrast
         middle = self.light[_GAINS:, self.grey.size // 2 + shape[1] // 2]
-        return LitFit(
+        return PhotometricFit(
             pose=pose,
             correlation=_explained(grey, residual, weight),
             gain=gain,
@@ -161,7 +147,7 @@ class LitLevel(LocalLevel):
             blocks=compare(grey, model, share, noise),
             noise=step.scale / noise,
             slope=_tukey_slope(weight, residual, step.scale),
-            bend=float(np.abs(amounts[3:_GAINS]).max() / max(abs(amounts[0]), TINY)),
+            nonlinearity=float(np.abs(amounts[3:_GAINS]).max() / max(abs(amounts[0]), TINY)),
             hidden=_hidden(residual, model, noise),
         )
 
@@ -180,7 +166,7 @@ def _solved(design: Image, value: Image, weight: Image, motions: int = 0) -> Arr
 def _tukey_slope(weight: Image, residual: Image, scale: float) -> Image:
     """Return the derivative of the weighted residuals by the residuals, for Tukey's biweight."""
     square = (residual / (TUKEY * scale)) ** 2
-    # The weight is trust·(1 − u²)², the slope trust·(1 − u²)(1 − 5u²).
+    # The weight is inliers·(1 − u²)², the slope inliers·(1 − u²)(1 − 5u²).
     return np.where(square < 1, weight * (1 - 5 * square) / np.maximum(1 - square, TINY), 0)
 
 
@@ -199,12 +185,12 @@ def _hidden(residual: Image, model: Image, noise: float) -> Image:
     of the template's variance about them.
     """
     square = cv2.GaussianBlur(residual**2, (0, 0), 1.5)
-    mean = cv2.GaussianBlur(model, (0, 0), SURROUNDINGS)
-    variance = cv2.GaussianBlur(model**2, (0, 0), SURROUNDINGS) - mean**2
+    mean = cv2.GaussianBlur(model, (0, 0), LOCAL_WINDOW)
+    variance = cv2.GaussianBlur(model**2, (0, 0), LOCAL_WINDOW) - mean**2
     return np.asarray(square > (3 * noise) ** 2 + variance / 4)
 
 
-def make_lit(level: LocalLevel, blurred: LocalLevel, most_knots: int) -> LitLevel:
+def make_photometric(level: LocalLevel, blurred: LocalLevel, most_knots: int) -> PhotometricLevel:
     """Return the columns of the light of a template, which is given a little `blurred`, too.
 
     The bias has knots every 10 px, at most `most_knots` along a side.
@@ -229,7 +215,9 @@ def make_lit(level: LocalLevel, blurred: LocalLevel, most_knots: int) -> LitLeve
     light = np.array([column for column, _ in gains] + biases, np.float32)
     tone = np.array([slope for _, slope in gains], np.float32) / np.float32(contrast)
     own = {**vars(level), "contrast": contrast}
-    return LitLevel(**own, light=light.reshape(len(light), -1), tone=tone.reshape(len(tone), -1))
+    return PhotometricLevel(
+        **own, light=light.reshape(len(light), -1), tone=tone.reshape(len(tone), -1)
+    )
 
 
 def _hats(place: Array, count: int) -> list[Array]:

@@ -30,14 +30,14 @@ class Agreement:
         Share of the blocks, weighted by their texture over the noise, whose residual is noise.
     texture : float
         Sum of those weights.
-    drift : float
+    residual : float
         Root mean square, weighted alike, of the blocks' mean residuals about the one gain and bias
         of all, grey levels.
     """
 
     agreeing: float
     texture: float
-    drift: float
+    residual: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,17 +10,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, Image
-from microlib.tracking._blocks import Blocks, compare
 from microlib.tracking._esm import LEAST_VISIBLE, Level, make_level
-from microlib.tracking._geometry import TINY, moved, torn
+from microlib.tracking._geometry import TINY, degenerate, retract
 from microlib.tracking._sampling import View
+from microlib.tracking.robust._blocks import Blocks, compare
 
 #: Standard deviation (px of the finest level of the search) of the surroundings in which gain and
 #: bias count as constant. With twice as much no more is found; the glare asks for little.
-SURROUNDINGS = 3.5
+LOCAL_WINDOW = 3.5
 
 #: Where Tukey's biweight ends, in standard deviations: 95 % efficient for normal noise.
 TUKEY = 4.685
+
+#: Standard deviation of a normal variable over the mean of its size.
+NORMAL_MEAN = 1.25
 
 #: Standard deviation of a normal variable over the median of its size.
 NORMAL = 1.4826
@@ -83,32 +86,32 @@ class LocalLevel(Level):
         """
         poses = np.array(poses, np.float64).reshape(-1, 3, 3)
         first = corners = self.corners_of(poses)
-        scale = np.full((len(poses), 1, 1), 2 * view.noise * self.noise)
         held, going = np.ones(len(poses), bool), np.arange(len(poses))
         for _ in range(iterations):
             if not going.size:
                 break
-            patches = self.patch(view.layer(self.halvings), poses[going], view.ceiling)
-            step, scale[going], seen = self._step(*patches, scale[going], view.noise * self.noise)
-            poses[going] = moved(poses[going], step, self.basis)
+            patches = self.patch(view.layer(self.halvings), poses[going], view.saturation)
+            step, seen = self._step(*patches, view.noise * self.noise)
+            poses[going] = retract(poses[going], step, self.basis)
             after = self.corners_of(poses)
-            held[going] = seen & ~torn(after[going], first[going])
+            held[going] = seen & ~degenerate(after[going], first[going])
             way, corners = np.abs(after - corners).max(axis=(1, 2)), after
             going = going[held[going] & (way[going] >= tolerance)]
         return list(poses[held])
 
     def _step(
-        self, grey: Image, slope: Image, share: Image, scale: Array, least: float
-    ) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return a second-order step of each of B patches, its scale, and whether it is seen.
+        self, grey: Image, slope: Image, share: Image, noise: float
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Return a second-order step of each of B patches, and whether it is seen.
 
-        Pixels count as far as their surroundings correlate, with Tukey's weights about a robust
-        `scale` of the residuals, which was the one given and is at least `least`.
+        Pixels count as far as their local windows correlate, with Tukey's weights.
         """
-        light = self.fit_light(grey, share, least**2)
-        scale = _scales(light, share, scale, least)
-        weight = share * np.maximum(light.correlation, 0) * tukey(light.residual, scale)
-        weight = (weight / scale**2).astype(np.float32).reshape(len(grey), 1, -1)
+        light = self.fit_light(grey, share, noise**2)
+        weight = share * np.maximum(light.correlation, 0)
+        total = np.maximum(weight.sum(axis=(1, 2), keepdims=True), np.float32(TINY))
+        mean_size = (weight * np.abs(light.residual)).sum(axis=(1, 2), keepdims=True) / total
+        weight = weight * tukey(light.residual, np.maximum(NORMAL_MEAN * mean_size, noise))
+        weight = weight.astype(np.float32).reshape(len(grey), 1, -1)
         gain = light.gain.astype(np.float32).reshape(weight.shape)
         slope = np.float32(0.5) * (slope + gain * self.slope)
         rows = self.flow[0] * slope[:, :1] + self.flow[1] * slope[:, 1:]
@@ -119,14 +122,14 @@ class LocalLevel(Level):
         seen = (share.mean(axis=(1, 2)) >= LEAST_VISIBLE) & (diagonal > 0).all(axis=1)
         ridge = TINY * diagonal.astype(np.float64) + ~seen[:, None]
         normal = normal + ridge[:, :, None] * np.eye(len(self.basis))
-        return -np.linalg.solve(normal, right.astype(np.float64))[..., 0], scale, seen
+        return -np.linalg.solve(normal, right.astype(np.float64))[..., 0], seen
 
     def blocks(self, view: View, pose: Array) -> Blocks:
         """Compare the template with the frame under poses, …×3×3, block by block."""
-        grey, _, share = self.patch(view.layer(self.halvings), pose, view.ceiling)
+        grey, _, share = self.patch(view.layer(self.halvings), pose, view.saturation)
         return compare(grey, self.grey, share, view.noise * self.noise)
 
-    def trust(self, grey: Image, share: Image, noise: float) -> Image:
+    def inlier_weight(self, grey: Image, share: Image, noise: float) -> Image:
         """Return how far each pixel of a patch looks like the template's, 0 to 1.
 
         That is its surroundings' correlation with the template, or, where there is little texture,
@@ -159,13 +162,13 @@ def make_local(
     `finest` are the halvings of the finest level of the search, in whose px lengths are given.
     """
     level = make_level(image, box, pose, halvings=halvings, **options)
-    sigma = SURROUNDINGS * 2.0 ** (finest - halvings)
-    down, across = (_surroundings(side, sigma) for side in level.grey.shape)
+    sigma = LOCAL_WINDOW * 2.0 ** (finest - halvings)
+    down, across = (_gaussian_sums(side, sigma) for side in level.grey.shape)
     return LocalLevel(**vars(level), halvings=halvings, wide=(down, across.T))
 
 
 @lru_cache(maxsize=64)
-def _surroundings(length: int, sigma: float) -> Image:
+def _gaussian_sums(length: int, sigma: float) -> Image:
     """Return the matrix that sums the surroundings of each pixel of a side, a Gaussian to 2 σ."""
     place = np.arange(length)
     off = np.abs(place[:, None] - place)
@@ -178,17 +181,7 @@ def tukey(residual: Array, scale: float | Array) -> Array:
     return np.square(np.maximum(1 - np.square(residual / (TUKEY * scale)), 0))
 
 
-def trusted_scale(residual: Array, trust: Array, fewest: float) -> float:
+def robust_scale(residual: Array, inliers: Array, fewest: float) -> float:
     """Return the standard deviation of the trusted residuals, 0 if they are too few."""
-    kept = np.abs(residual[trust > 0.3])
+    kept = np.abs(residual[inliers > 0.3])
     return NORMAL * float(np.median(kept)) if kept.size >= fewest else 0.0
-
-
-def _scales(light: LocalLight, share: Image, before: Array, least: float) -> Array:
-    """Return the robust standard deviation of each image's sure residuals, if they are enough."""
-    sure = (light.correlation > 0.5) & (share > 0)
-    size = np.where(sure, np.abs(light.residual), np.float32(np.inf)).reshape(len(share), -1)
-    count = sure.sum(axis=(1, 2))[:, None]
-    middle = np.take_along_axis(np.sort(size, axis=1), (count // 2) % size.shape[1], 1)
-    found = np.where(count > size.shape[1] // 20, NORMAL * middle, before[..., 0])
-    return np.maximum(found, least)[..., None]

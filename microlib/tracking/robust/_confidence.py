@@ -6,7 +6,7 @@ import numpy as np
 
 from microlib._common import Array
 from microlib.tracking._geometry import TINY
-from microlib.tracking._search import Finding
+from microlib.tracking.robust._search import Finding
 
 #: Coefficients of a logistic function of `features`. Fitted by maximum likelihood with a ridge of ½
 #: on standardized features to 399 poses, 234 of them right, that robust searches found in 666 pairs
@@ -25,15 +25,15 @@ def confidence(finding: Finding) -> float:
 def features(finding: Finding) -> Array:
     """Return what `confidence` weighs: one, and what is named in the benchmark's table."""
     fit = finding.fit
-    said, elsewhere = (np.log1p(max(s, 0.0)) for s in (finding.score, finding.rival))
+    said, elsewhere = (np.log1p(max(s, 0.0)) for s in (finding.score, finding.second_score))
     return np.array(
         [
             1.0,
             said - elsewhere,
-            min(fit.bend, 2.0),
+            min(fit.nonlinearity, 2.0),
             min(finding.area, 2.0),
             min(abs(np.log(max(fit.gain, TINY))), 2.0),
-            finding.support,
+            finding.inlier_ratio,
             finding.far,
         ]
     )
