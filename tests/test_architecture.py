@@ -74,7 +74,7 @@ def test_imports_follow_the_arrows(path: Path) -> None:
 
 
 #: What measures the parts of a method, which no user calls.
-OF_PARTS = {"focus", "focus_depth", "tracking", "tracking_evidence"}
+OF_PARTS = {"focus", "focus_depth", "tracking"}
 
 
 @pytest.mark.parametrize(

@@ -83,18 +83,3 @@ def test_numbers_of_pixels_are_no_scale() -> None:
     assert read_frames(frames.assign_coords(z=("z", Z, {"units": "V"}))).positions is None
     with pytest.raises(ValueError, match="must differ in focus"):
         depth_from_focus(frames.rename(z="time"))
-<<<<<<< HEAD
-=======
-
-
-def check(layers: list, shape: tuple[int, ...] = ()) -> None:
-    for data, options, kind in layers:
-        assert options.keys() <= OPTIONS[kind]
-        assert len(options["scale"]) == 2
-        assert kind != "image" or data.shape[:2] == shape
-
-
-def test_layers_are_napari_s() -> None:
-    found: FocusResult = depth_from_focus(stack(), Z)
-    check(found.to_layers(), (64, 80))
->>>>>>> 58095cd (Split the tracker into ESM core and robust search; drop idle stages)

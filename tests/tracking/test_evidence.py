@@ -7,14 +7,9 @@ from scipy import ndimage
 
 from microlib.synthetic import mixed_texture
 from microlib.tracking import ESMTracker
-<<<<<<< HEAD
-from microlib.tracking._covariance import sandwich
-from microlib.tracking._sampling import ceiling_of, noise_of
-from tests.scenes import camera_frame
-=======
 from microlib.tracking._sampling import noise_of, saturation_level
 from microlib.tracking.robust._covariance import sandwich
->>>>>>> 58095cd (Split the tracker into ESM core and robust search; drop idle stages)
+from tests.scenes import camera_frame
 
 BOX = (70, 65, 50, 50)
 CORNERS = np.array([[70.0, 65], [119, 65], [119, 114], [70, 114]])

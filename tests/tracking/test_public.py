@@ -9,14 +9,10 @@ from scipy import ndimage
 from microlib.synthetic import mixed_texture
 from microlib.tracking import ESMTracker, KalmanFilter, Track, _sampling, track_each
 from microlib.tracking.robust._covariance import sandwich
-from microlib.tracking.robust._local import tukey
-from microlib.tracking.robust._photometric import _tukey_slope
+from microlib.tracking.robust._photometric import _tukey_slope, tukey
 from tests import fuzz
 from tests.laws import VIEWS, Law, Units, hold, hold_same_as_new, hold_sigma
-<<<<<<< HEAD
 from tests.scenes import camera_frame
-=======
->>>>>>> 58095cd (Split the tracker into ESM core and robust search; drop idle stages)
 
 BOX = (38, 26, 52, 41)
 CORNERS = np.array([[38.0, 26], [89, 26], [89, 66], [38, 66]])

@@ -224,7 +224,7 @@ def test_follows_a_fast_square_over_another_texture():
         (IMAGE, (-1, 10, 40, 40), {}, "box x must be zero or positive"),
         (IMAGE, (10.5, 10, 40, 40), {}, "box x must be a whole number"),
         (IMAGE, (10, 10, 5, 40), {}, "box width must be at least 6"),
-        (IMAGE, (10, 10, 40), {}, "must be 4 numbers, got 3"),
+        (IMAGE, (10, 10, 40), {}, "must be 4 numbers, got"),
         (np.full((80, 90), 7.0), (10, 10, 40, 40), {}, "flat"),
         (np.tile(np.arange(90.0) ** 2, (80, 1)), (10, 10, 40, 40), {}, "two directions"),
         (IMAGE * np.nan, (10, 10, 40, 40), {}, "image must be finite"),

@@ -98,7 +98,8 @@ def align_from_flow(scene: Scene) -> Found | None:
 
 def search_nearby(scene: Scene) -> Found | None:
     """Search robustly from these poses; from anywhere in the frame if the template was lost."""
-    starts = [scene.pose, scene.best.pose, *scene.flow_poses]
+    coarse = scene.search.align_coarsely(scene.view, scene.pose)
+    starts = [scene.pose, coarse.pose, scene.best.pose, *scene.flow_poses]
     if not scene.seen:
         starts += scene.search.match_poses(scene.view, scene.pose)
     return _searched(scene, starts, far=not scene.seen)

@@ -63,7 +63,7 @@ class Blocks:
     def rest(self) -> Array:
         return self.gg * (1 - self.square)
 
-    def score(self) -> Array:
+    def score(self) -> float:
         """Return the information (nats) in which template and image agree, summed over the blocks.
 
         A block with the correlation ρ and the gain a says −½ ln(1 − ρ²) − ¼ − (Δ ln a)², if that is
@@ -74,7 +74,7 @@ class Blocks:
         weight = np.where(information > _CHANCE, information * self.seen, 0.0)
         off = gain - _weighted_median(gain, weight)
         says = np.maximum(information - _CHANCE - off**2, 0)
-        return (says * self.seen / (1 + self.rest / self.noise / 3**2)).sum(axis=-1)
+        return float((says * self.seen / (1 + self.rest / self.noise / 3**2)).sum())
 
     def agreement(self) -> Agreement:
         """Return how far the blocks of one patch agree."""

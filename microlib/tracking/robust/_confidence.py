@@ -14,7 +14,7 @@ from microlib.tracking.robust._search import Finding
 #: 6 px, shifts by 12 px): right within 1 px against wrong by more than 3 px or not there. The
 #: tracker's benchmark on photographs fits them anew beside these, says what each is worth, and
 #: reports other photographs.
-COEFFICIENTS = np.array([-1.47, 0.99, -5.99, -3.52, -2.53, 4.44, -2.84])
+COEFFICIENTS = np.array([-1.8, 0.99, -5.99, -2.53, 4.44, -2.84])
 
 
 def confidence(finding: Finding) -> float:
@@ -31,7 +31,6 @@ def features(finding: Finding) -> Array:
             1.0,
             said - elsewhere,
             min(fit.nonlinearity, 2.0),
-            min(finding.area, 2.0),
             min(abs(np.log(max(fit.gain, TINY))), 2.0),
             finding.inlier_ratio,
             finding.far,

@@ -1,4 +1,4 @@
-"""Alignment in a light that varies smoothly, through a blur and a tone curve, robustly.
+"""Alignment with a photometric model: smooth light, blur and a tone curve, fitted robustly.
 
 The image under the warp is a sum of columns: the template, its products with the coordinates, its
 change by a blur, its square and cube (a tone curve), and a bias interpolated between knots.
@@ -12,14 +12,26 @@ import cv2
 import numpy as np
 
 from microlib._common import Array, Image
-from microlib.tracking._esm import Alignment
+from microlib.tracking._esm import Alignment, Level
 from microlib.tracking._geometry import TINY, degenerate, retract, ridged
 from microlib.tracking.robust._blocks import Blocks, compare
-from microlib.tracking.robust._local import LOCAL_WINDOW, TUKEY, LocalLevel, robust_scale, tukey
 
 #: Columns whose derivative by the template's grey value is not zero come first; the first is the
 #: template itself.
 _GAINS = 6
+
+#: Standard deviation (px of the finest level of the search) of the Gaussian window in which gain
+#: and bias count as constant. With twice as much no more is found; the glare asks for little.
+_WINDOW = 3.5
+
+#: Most steps, and the motion of the corners (samples) that ends them.
+_ITERATIONS, _TOLERANCE = 9, 0.02
+
+#: Where Tukey's biweight ends, in standard deviations: 95 % efficient for normal noise.
+_TUKEY = 4.685
+
+#: Standard deviation of a normal variable over the median of its size.
+_NORMAL = 1.4826
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -58,7 +70,7 @@ class _Step:
 
 
 @dataclass(frozen=True, eq=False)
-class PhotometricLevel(LocalLevel):
+class PhotometricLevel(Level):
     """A template, sampled at half pixels, with the columns of its light.
 
     Attributes
@@ -73,83 +85,86 @@ class PhotometricLevel(LocalLevel):
     tone: Image
 
     def align_photometric(
-        self,
-        image: Image,
-        pose: Array,
-        noise: float,
-        saturation: float,
-        *,
-        iterations: int = 9,
-        tolerance: float = 0.02,
+        self, image: Image, pose: Array, noise: float, saturation: float
     ) -> PhotometricFit | None:
         """Align from a pose, or return None where too little of the template is seen."""
         n, unit = len(self.basis), noise * self.noise
         first = corners = self.corners_of(pose)
         grey, slope, share = self.patch(image, pose, saturation)
-        inliers = self.inlier_weight(grey, share, noise).ravel()
-        amounts = _solved(self.light, grey.ravel(), inliers)
-        count, way, step = 0, np.inf, None
-        while count < iterations and way >= tolerance:
-            step = self._step(grey, slope, share.ravel() * inliers, amounts, unit)
-            if step is None:
+        inliers = inlier_weight(self, grey, share, unit).ravel()
+        response = _solved(self.light, grey.ravel(), inliers)
+        count, moved = 0, np.inf
+        while count < _ITERATIONS and moved >= _TOLERANCE:
+            gain = response[:_GAINS].astype(np.float32) @ self.tone
+            slope = np.float32(0.5) * (slope + gain * self.slope)
+            motion = self.flow[0] * slope[0] + self.flow[1] * slope[1]
+            design = np.concatenate([motion, self.light])
+            residual = grey.ravel() - response.astype(np.float32) @ self.light
+            inside = share.ravel() * inliers
+            sure = np.abs(residual[inside > 1 / 3])
+            if sure.size < 3 * len(design):
                 return None
-            change = _solved(step.design, step.residual, step.weight, motions=n)
-            amounts, pose = amounts + change[n:], retract(pose, -change[:n], self.basis)
+            scale = max(_NORMAL * float(np.median(sure)), unit)
+            weight = (inside * tukey(residual, scale)).astype(np.float32)
+            change = _solved(design, residual, weight, motions=n)
+            response, pose = response + change[n:], retract(pose, -change[:n], self.basis)
             before, corners = corners, self.corners_of(pose)
             if degenerate(corners, first):
                 return None
-            count, way = count + 1, float(np.abs(corners - before).max())
+            count, moved = count + 1, float(np.abs(corners - before).max())
             grey, slope, share = self.patch(image, pose, saturation)
-        assert step is not None
-        return self._fit(pose, count, step, amounts, grey, share, unit)
-
-    def _step(
-        self, grey: Image, slope: Image, share: Image, amounts: Array, least: float
-    ) -> _Step | None:
-        """Return the least squares of one step, or None where too little is seen."""
-        gain = amounts[:_GAINS].astype(np.float32) @ self.tone
-        slope = np.float32(0.5) * (slope + gain * self.slope)
-        design = np.concatenate([self.flow[0] * slope[0] + self.flow[1] * slope[1], self.light])
-        residual = grey.ravel() - amounts.astype(np.float32) @ self.light
-        scale = robust_scale(residual, share, 3 * len(design))
-        if not scale:
-            return None
-        scale = max(scale, least)
-        weight = (share * tukey(residual, scale)).astype(np.float32)
-        return _Step(design, residual, weight, scale)
-
-    def _fit(
-        self,
-        pose: Array,
-        count: int,
-        step: _Step,
-        amounts: Array,
-        grey: Image,
-        share: Image,
-        noise: float,
-    ) -> PhotometricFit:
-        """Return where an alignment ended, with what its last step left."""
-        shape = self.grey.shape
-        residual, weight = step.residual.reshape(shape), step.weight.reshape(shape)
-        model = (amounts[:_GAINS] @ self.light[:_GAINS]).astype(np.float32).reshape(shape)
-        gain = float(amounts[0]) / self.contrast
+        shape, gain = self.grey.shape, float(response[0]) / self.contrast
+        residual, weight = residual.reshape(shape), weight.reshape(shape)
+        model = (response[:_GAINS] @ self.light[:_GAINS]).astype(np.float32).reshape(shape)
         middle = self.light[_GAINS:, self.grey.size // 2 + shape[1] // 2]
         return PhotometricFit(
             pose=pose,
             correlation=_explained(grey, residual, weight),
             gain=gain,
-            bias=float(amounts[_GAINS:] @ middle) - gain * self.mean,
+            bias=float(response[_GAINS:] @ middle) - gain * self.mean,
             visible=float(share.mean()),
             iterations=count,
-            design=step.design,
+            design=design,
             residual=residual,
             weight=weight,
-            blocks=compare(grey, model, share, noise),
-            noise=step.scale / noise,
-            slope=_tukey_slope(weight, residual, step.scale),
-            nonlinearity=float(np.abs(amounts[3:_GAINS]).max() / max(abs(amounts[0]), TINY)),
-            hidden=_hidden(residual, model, noise),
+            blocks=compare(grey, model, share, unit),
+            noise=scale / unit,
+            slope=_tukey_slope(weight, residual, scale),
+            nonlinearity=float(np.abs(response[3:_GAINS]).max() / max(abs(response[0]), TINY)),
+            hidden=_hidden(residual, model, unit),
         )
+
+
+def inlier_weight(level: Level, grey: Image, share: Image, noise: float) -> Image:
+    """Return how well each pixel of a patch agrees with the template, 0 to 1.
+
+    That is the correlation with the template in a window about the pixel, or, where there is little
+    texture, how far their difference is noise, which may have 3 times its variance; the gain must
+    be that of the rest, within a factor of 2. `share` says how far a pixel counts, and `noise` is
+    its standard deviation, whose variance keeps what is flat from correlating by chance.
+    """
+
+    def window(image: Image) -> Image:
+        return cv2.GaussianBlur(image, (0, 0), _WINDOW, borderType=cv2.BORDER_CONSTANT)
+
+    count = np.maximum(window(share), np.float32(TINY))
+    template = level.grey
+    t, g = window(share * template) / count, window(share * grey) / count
+    tt = np.maximum(window(share * template**2) / count - t * t, 0) + noise**2
+    gg = np.maximum(window(share * grey**2) / count - g * g, 0) + noise**2
+    tg = window(share * template * grey) / count - t * g
+    gain, correlation = tg / tt, tg / np.sqrt(tt * gg)
+    sure = correlation > 0.7
+    usual = float(np.median(gain[sure])) if sure.any() else 1.0
+    alike = np.where((gain > usual / 2) & (gain < 2 * usual), correlation, 0)
+    rest = gg - 2 * usual * tg + usual**2 * tt - (1 + usual**2) * noise**2
+    noisy = 6 * noise**2 / np.maximum(rest, 6 * noise**2)
+    return np.maximum(np.maximum(alike, noisy), 0).astype(np.float32) * share
+
+
+def tukey(residual: Array, scale: float) -> Array:
+    """Return Tukey's weights."""
+    return np.square(np.maximum(1 - np.square(residual / (_TUKEY * scale)), 0))
 
 
 def _solved(design: Image, value: Image, weight: Image, motions: int = 0) -> Array:
@@ -165,7 +180,7 @@ def _solved(design: Image, value: Image, weight: Image, motions: int = 0) -> Arr
 
 def _tukey_slope(weight: Image, residual: Image, scale: float) -> Image:
     """Return the derivative of the weighted residuals by the residuals, for Tukey's biweight."""
-    square = (residual / (TUKEY * scale)) ** 2
+    square = (residual / (_TUKEY * scale)) ** 2
     # The weight is inliers·(1 − u²)², the slope inliers·(1 − u²)(1 − 5u²).
     return np.where(square < 1, weight * (1 - 5 * square) / np.maximum(1 - square, TINY), 0)
 
@@ -185,12 +200,12 @@ def _hidden(residual: Image, model: Image, noise: float) -> Image:
     of the template's variance about them.
     """
     square = cv2.GaussianBlur(residual**2, (0, 0), 1.5)
-    mean = cv2.GaussianBlur(model, (0, 0), LOCAL_WINDOW)
-    variance = cv2.GaussianBlur(model**2, (0, 0), LOCAL_WINDOW) - mean**2
+    mean = cv2.GaussianBlur(model, (0, 0), _WINDOW)
+    variance = cv2.GaussianBlur(model**2, (0, 0), _WINDOW) - mean**2
     return np.asarray(square > (3 * noise) ** 2 + variance / 4)
 
 
-def make_photometric(level: LocalLevel, blurred: LocalLevel, most_knots: int) -> PhotometricLevel:
+def make_photometric(level: Level, blurred: Level, most_knots: int) -> PhotometricLevel:
     """Return the columns of the light of a template, which is given a little `blurred`, too.
 
     The bias has knots every 10 px, at most `most_knots` along a side.

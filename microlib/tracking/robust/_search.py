@@ -15,12 +15,11 @@ import cv2
 import numpy as np
 
 from microlib._common import Array
-from microlib.tracking._esm import Template
-from microlib.tracking._geometry import TINY, apply_homography, area, cut_around, translate
+from microlib.tracking._esm import Alignment, Level, Template, make_level
+from microlib.tracking._geometry import apply_homography, cut_around, translate
 from microlib.tracking._sampling import View, half_pixel
-from microlib.tracking.robust._blocks import Agreement
+from microlib.tracking.robust._blocks import Agreement, compare
 from microlib.tracking.robust._covariance import corner_covariance
-from microlib.tracking.robust._local import LocalLevel, make_local
 from microlib.tracking.robust._photometric import PhotometricFit, PhotometricLevel, make_photometric
 from microlib.tracking.robust._settings import Settings
 from microlib.tracking.robust._starts import PointFlow, distortions, ncc_peaks
@@ -55,8 +54,6 @@ class Finding:
         the end, too.
     inlier_ratio : float
         Share of the template's points that stay when they are followed from the pose.
-    area : float
-        Logarithm of the area's ratio, without sign.
     far : bool
         Whether the starts were far from the last pose.
     """
@@ -65,7 +62,6 @@ class Finding:
     score: float
     second_score: float
     inlier_ratio: float
-    area: float
     far: bool
 
 
@@ -85,15 +81,15 @@ class RobustSearch:
         settings = self.settings
         self._finest = max(0, int(np.ceil(np.log2(max(width, height) / settings.largest))))
         self._scale = 2.0**self._finest
-        cut = partial(make_local, box=box, pose=pose, motion=motion, finest=self._finest)
+        cut = partial(make_level, box=box, pose=pose, motion=motion)
         fine = view.layer(self._finest)
-        #: From the finest level on, halved while the template keeps 12 px and may deform.
-        halvings = [self._finest]
-        while len(halvings) < 3 and min(width, height) >= 12 << (halvings[-1] + 1):
-            halvings.append(halvings[-1] + 1)
-        coarse = [cut(view.layer(k), halvings=k, smoothing=1.0) for k in halvings]
-        self._coarse, self._coarsest = coarse[min(1, len(coarse) - 1)], coarse[-1]
-        self._blurred: list[LocalLevel] = []
+        #: Halved twice more while the template keeps 12 px and may deform.
+        self._halvings = self._finest
+        while self._halvings < self._finest + 2 and min(width, height) >= 24 << self._halvings:
+            self._halvings += 1
+        coarse = view.layer(self._halvings)
+        self._coarse = cut(coarse, halvings=self._halvings, smoothing=1.0)
+        self._blurred: list[Level] = []
         self._photometric: list[PhotometricLevel] = []
         for blur in settings.blurs:
             image = cv2.GaussianBlur(fine, (0, 0), blur) if blur else fine
@@ -103,10 +99,10 @@ class RobustSearch:
                 for one in (image, cv2.GaussianBlur(image, (0, 0), 0.8))
             )
             self._photometric.append(make_photometric(sharp, blurred, settings.knots))
-        self._corners = self._coarse.corners
+        self._corners = template.sharp.corners
         reach = max(width, height) >> self._finest
         self._points = PointFlow(self._blurred[0], fine, pose, reach)
-        self._distortions = distortions(self._corners, motion, settings.distortion)
+        self._distortions = distortions(motion, settings.distortion)
 
     def is_enough(self, agreement: Agreement) -> bool:
         """Return whether the blocks of the template agree, and have enough texture to say so."""
@@ -119,19 +115,24 @@ class RobustSearch:
 
     def match_poses(self, view: View, pose: Array) -> list[Array]:
         """Return the pose translated to where the template correlates best in the view."""
-        layer = view.layer(self._coarsest.halvings)
-        return ncc_peaks(self._coarsest, layer, pose, self.settings.places)
+        return ncc_peaks(self._coarse, view.layer(self._halvings), pose, self.settings.places)
+
+    def align_coarsely(self, view: View, pose: Array) -> Alignment:
+        """Align from a pose at the coarsest level."""
+        layer = view.layer(self._halvings)
+        return self._coarse.align(layer, pose, tolerance=0.3, iterations=5)
 
     def far_poses(self, view: View, pose: Array) -> list[Array]:
-        """Return the best of a pose that is distorted, or translate to the best matches.
+        """Return the best of a pose that is distorted, or translated to the best matches.
 
-        They are aligned for some steps at a quarter of the resolution, and the template's points
-        followed from the best one.
+        They are aligned at the coarsest level, and the template's points followed from the best.
         """
         starts = [pose @ warp for warp in self._distortions] + self.match_poses(view, pose)
-        begun = self._aligned(view, self._coarsest, starts, 10)
-        best = [one.pose for one in self._different(begun)[: self.settings.far]]
-        return best + [pose for start in best[:1] for pose in self.flow_poses(view, start)[:1]]
+        fits = [self.align_coarsely(view, start) for start in starts]
+        ranked = [Candidate(fit.pose, fit.correlation) for fit in fits if not fit.failure]
+        coarse = [one.pose for one in self._different(ranked)[: self.settings.beam]]
+        fine = [self.template.align(view.image, start).pose for start in coarse]
+        return fine + [pose for start in coarse[:1] for pose in self.flow_poses(view, start)[:1]]
 
     def search(
         self, view: View, pose: Array, starts: Sequence[Array], *, far: bool
@@ -150,9 +151,7 @@ class RobustSearch:
             Whether they are far from it.
         """
         settings = self.settings
-        begun = self._aligned(view, self._coarse, starts, 15)
-        begun += self._judged(view, self._blurred[0], starts)
-        beam = self._different(begun)[: settings.beam]
+        beam = self._different([self._judged(view, start) for start in starts])[: settings.beam]
         if not beam or beam[0].score < settings.least_score:
             return None
         least = settings.beam_share * beam[0].score
@@ -161,18 +160,16 @@ class RobustSearch:
         for one in beam:
             fit = self.polish(view, one.pose, one.blur)
             if fit is not None:
-                ended.append(Candidate(fit.pose, float(fit.blocks.score()), one.blur, fit))
+                ended.append(Candidate(fit.pose, fit.blocks.score(), one.blur, fit))
         if not ended:
             return None
         best, *others = self._different(ended)
         assert best.fit is not None
-        corners = [self.corners_of(one) for one in (best.pose, pose)]
         return Finding(
             fit=best.fit,
             score=best.score,
             second_score=others[0].score if others else 0.0,
             inlier_ratio=self._points.inlier_ratio(view.layer(self._finest), best.pose),
-            area=abs(float(np.log(max(float(area(corners[0]) / area(corners[1])), TINY)))),
             far=far,
         )
 
@@ -198,22 +195,12 @@ class RobustSearch:
         level = self._photometric[0]
         return corner_covariance(level, fit, fit.slope, level.noise**2, self.settings.unmodeled)
 
-    def _aligned(
-        self, view: View, level: LocalLevel, starts: Sequence[Array], steps: int
-    ) -> list[Candidate]:
-        """Return starts aligned in local illumination, judged at the finest level."""
-        poses = level.align_locally(view, starts, iterations=steps, tolerance=0.15)
-        return self._judged(view, self._blurred[0], poses)
-
-    def _judged(
-        self, view: View, level: LocalLevel, poses: Sequence[Array], blur: int = 0
-    ) -> list[Candidate]:
-        if not len(poses):
-            return []
-        scores = level.blocks(view, np.array(poses)).score()
-        return [
-            Candidate(pose, float(score), blur) for pose, score in zip(poses, scores, strict=True)
-        ]
+    def _judged(self, view: View, pose: Array, blur: int = 0) -> Candidate:
+        """Return a pose with the score of the blocks of the template in one of its blurs."""
+        level = self._blurred[blur]
+        grey, _, share = level.patch(view.layer(self._finest), pose, view.saturation)
+        blocks = compare(grey, level.grey, share, view.noise * level.noise)
+        return Candidate(pose, blocks.score(), blur)
 
     def _different(self, candidates: list[Candidate]) -> list[Candidate]:
         """Return the candidates, best first, that are more than 3 px from each better one."""
@@ -228,8 +215,8 @@ class RobustSearch:
 
     def _with_best_blur(self, view: View, starts: list[Candidate]) -> list[Candidate]:
         """Return each start with the blur of the template in which the blocks agree best."""
-        poses = [one.pose for one in starts]
-        by_blur = [
-            self._judged(view, level, poses, blur) for blur, level in enumerate(self._blurred)
+        blurs = range(len(self._blurred))
+        return [
+            max((self._judged(view, one.pose, blur) for blur in blurs), key=lambda one: one.score)
+            for one in starts
         ]
-        return [max(same, key=lambda one: one.score) for same in zip(*by_blur, strict=True)]

@@ -11,7 +11,7 @@ from scipy.linalg import hadamard
 
 from microlib._common import Array, Image
 from microlib.tracking._esm import Level
-from microlib.tracking._geometry import GENERATORS, TINY, apply_homography, translate
+from microlib.tracking._geometry import GENERATORS, TINY, apply_homography, retract, translate
 from microlib.tracking._sampling import padding, sample
 
 #: Px between the points, and their error (px).
@@ -121,21 +121,15 @@ def ncc_peaks(level: Level, image: Image, pose: Array, count: int) -> list[Array
     return [translate(pose, place - center) for place in places]
 
 
-def distortions(corners: Array, motion: str, by: float) -> list[Array]:
-    """Return warps of the template that move every coordinate of its corners, up or down.
+def distortions(motion: str, size: float) -> list[Array]:
+    """Return warps that step by ± `size` along every generator of a group of deformations.
 
-    They move `by` that share of its side. Their signs are the rows of a Hadamard matrix and these
-    rows with two signs changed, which is as far apart as 32 patterns of eight signs can be.
+    The signs are the rows of a Hadamard matrix and these rows with two signs changed, which is as
+    far apart as 32 patterns of eight signs can be.
     """
     if motion == "translation":
         return []
-    rows = hadamard(8)
+    rows, basis = hadamard(8), GENERATORS[motion]
     changed = rows * [-1, 1, 1, 1, 1, 1, 1, -1]
-    signs = np.concatenate([rows, -rows, changed, -changed]).reshape(-1, 4, 2)
-    moves = by * np.ptp(corners, axis=0) * signs
-    if motion == "affine":  # the nearest ones to these, but for those that are none at all
-        design = np.column_stack([corners, np.ones(4)])
-        moves = design @ np.linalg.pinv(design) @ moves
-        moves = moves[np.abs(moves).max(axis=(1, 2)) > TINY]
-    first, moved = corners.astype(np.float32), (corners + moves).astype(np.float32)
-    return [np.asarray(cv2.getPerspectiveTransform(first, target)) for target in moved]
+    signs = np.concatenate([rows, -rows, changed, -changed])[:, : len(basis)]
+    return list(retract(np.eye(3), size * signs, basis))
