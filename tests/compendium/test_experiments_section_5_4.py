@@ -125,7 +125,7 @@ def test_a_number_beyond_those_tried_is_refused() -> None:
 
 
 def test_each_reading_says_whether_a_printed_number_lies_inside(station, monkeypatch) -> None:
-    names = ("6 % slower at 4X", "5 times the jitter at 4X")
+    names = ("7 % slower at 4X", "5 times the jitter at 4X")
     readings = {name: section_5_4.OTHER_READINGS[name] for name in names}
     monkeypatch.setattr(section_5_4, "OTHER_READINGS", readings)
     table = section_5_4.by_reading(station, draws=8)
@@ -135,7 +135,7 @@ def test_each_reading_says_whether_a_printed_number_lies_inside(station, monkeyp
     assumed, slower, shaken = (value[name] for name in ("as assumed", *names))
     # The lag is one sample of motion; what is at 1X stays.
     accuracy, precision = "table-5.4/4X/square/accuracy", "table-5.4/1X/square/precision"
-    assert slower[accuracy] == pytest.approx(0.94 * assumed[accuracy], rel=0.01)
+    assert slower[accuracy] == pytest.approx(0.93 * assumed[accuracy], rel=0.01)
     assert slower[precision] == assumed[precision]
     for path in section_5_4.PATHS:
         id = f"table-5.4/4X/{path}/precision"
