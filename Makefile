@@ -8,11 +8,20 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # Two processes of tests whose linear algebra has two threads each wait for one another: a calibration
 # takes ten times as long then. No matrix here is large enough for a second thread.
 export OPENBLAS_NUM_THREADS := 1
+# Without assertions and docstrings neither tests nor pages are whole.
+unexport PYTHONOPTIMIZE
 # Packages are compiled as they are first used; pip would compile all, which takes half a minute.
 export PYTHONDONTWRITEBYTECODE :=
 
+# What pip wrote into .venv names its folder; the stamp says which that was.
+MADE_IN := $(shell cat $(STAMP) 2>/dev/null)
+ifneq ($(MADE_IN),$(if $(MADE_IN),$(CURDIR)))
+$(info This folder was moved from $(MADE_IN); make sets up .venv anew)
+$(shell rm -rf $(VENV))
+endif
+
 .DEFAULT_GOAL := help
-.PHONY: help setup extras book pdf test notebooks html lint format data benchmarks oldest newest portable fuzz lock clean
+.PHONY: help setup extras lab book pdf test notebooks html lint format data benchmarks oldest newest portable fuzz hostile lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -24,13 +33,17 @@ $(STAMP): environment.txt pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed")'
 	@$(PYTHON) -m venv $(VENV)
 	@$(BIN)/pip install --quiet --no-compile --no-deps --require-hashes -r environment.txt
-	@$(BIN)/pip install --quiet --no-deps --no-build-isolation --config-settings editable_mode=compat -e .
-	@touch $@
+	@$(BIN)/pip install --quiet --no-deps --no-build-isolation -e .
+	@echo "$(CURDIR)" > $@
 
 # Installed over environment.txt, whose versions extras.txt keeps to. Both name all that is needed; pip
 # would not find the hash of a package that one of them wants with an extra.
 extras: $(STAMP) ## add the locked microscope engine, dask, xarray and zarr to .venv, whose tests skip without
 	@$(BIN)/pip install --quiet --no-compile --no-deps --require-hashes -r extras.txt
+
+lab: $(STAMP) ## open the notebooks in JupyterLab, locked in lab.txt
+	@$(BIN)/pip install --quiet --no-compile --no-deps --require-hashes -r lab.txt
+	@$(BIN)/python -m jupyterlab notebooks
 
 notebooks: $(STAMP) ## run the notebooks that changed
 	@echo "Running the notebooks"
@@ -91,16 +104,21 @@ fuzz: $(STAMP) ## call everything public with hostile values (minutes)
 	@$(BIN)/python -m tests.fuzz
 	@$(BIN)/python -m pytest --quiet --hypothesis-profile=fuzz tests/test_sequences.py
 
+hostile: $(STAMP) ## run the notebooks in a clone under what other machines have and do (minutes)
+	@$(BIN)/python .ci/hostile.py $(HOSTILE)
+
 # Nothing is read from S3, whose client that agrees with the other versions is ten years old and
 # hinders imports.
 UNUSED := s3fs boto3 botocore bcdoc jmespath six
 
-lock: $(STAMP) ## compile environment.txt and extras.txt anew (needs uv)
+lock: $(STAMP) ## compile environment.txt, extras.txt and lab.txt anew (needs uv)
 	@uv pip compile pyproject.toml --extra book --extra test --generate-hashes --universal \
 	  --python-version 3.11 --no-header --no-annotate --quiet -o environment.txt
 	@uv pip compile pyproject.toml --extra dask --extra microscope --extra xarray --extra zarr --generate-hashes --universal \
 	  --python-version 3.11 --no-header --no-annotate --quiet --constraints environment.txt \
 	  $(addprefix --no-emit-package ,$(UNUSED)) -o extras.txt
+	@uv pip compile pyproject.toml --extra lab --generate-hashes --universal \
+	  --python-version 3.11 --no-header --no-annotate --quiet --constraints environment.txt -o lab.txt
 
 clean: ## remove what was built
 	@rm -rf build book/notebooks book/generated .venv-oldest .venv-newest

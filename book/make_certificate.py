@@ -103,7 +103,7 @@ def gather(scores: pd.DataFrame) -> dict:
             **{name: version(name) for name in PACKAGES},
         },
         "notebooks": [
-            {part: run[part] for part in ("notebook", "seconds", "checks", "failed")}
+            {part: run[part] for part in ("notebook", "interpreter", "seconds", "checks", "failed")}
             for run in runs
         ],
         "verdicts": dict(Counter(claim.label for claim in ledger.claims().values())),
@@ -167,8 +167,30 @@ def crate(certificate: dict) -> ROCrate:
     return result
 
 
+def tables(certificate: dict) -> str:
+    """Return the certificate as the tables of its page."""
+    names = ("commit", "committed", "version", "command", "built", "system", "processor")
+    facts = {name.capitalize(): certificate[name] for name in names}
+    facts["Commit"] += ", with changes" * certificate["changed"]
+    facts["Verdicts"] = ", ".join(f"{n} {word}" for word, n in certificate["verdicts"].items())
+    facts |= {f"Version of {name}": text for name, text in certificate["versions"].items()}
+    runs = [
+        [run["notebook"], run["interpreter"], run["seconds"], run["failed"] or run["checks"]]
+        for run in certificate["notebooks"]
+    ]
+    shown = {
+        ("This build", "Value"): facts.items(),
+        ("SHA-256 of", "Value"): certificate["sha256"].items(),
+        ("Notebook", "Interpreter", "Run time (s)", "Checks passed"): runs,
+    }
+    return "\n".join(
+        pd.DataFrame(rows, columns=[*head]).to_html(index=False, border=0)
+        for head, rows in shown.items()
+    )
+
+
 def main(folder: Path) -> None:
-    """Write all of it into a folder."""
+    """Write all of it into a folder, and the tables of its page beside it."""
     folder.mkdir(parents=True, exist_ok=True)
     scores = ledger.scorecard(BUILD / "claims")
     certificate = gather(scores)
@@ -181,6 +203,7 @@ def main(folder: Path) -> None:
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     crate(certificate).metadata.write(folder)
+    folder.with_suffix(".html").write_text(tables(certificate), encoding="utf-8")
 
 
 if __name__ == "__main__":

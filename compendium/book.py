@@ -1,14 +1,16 @@
 """Render the executed notebooks and the text as a book: ``build/html``, whole or the one before.
 
 ``python -m compendium.book`` works in a folder of its own in ``build/rendered`` and lets the link
-``build/html`` point to it once it is complete. With a notebook that failed the other pages are
-rendered all the same; the command then lists what failed and ends with exit status 1.
+``build/html`` point to it once it is complete. The page of a notebook that failed or was not run
+says so, and what it would have computed is marked wherever it is quoted; the command then lists
+these notebooks and ends with exit status 1.
 """
 
 from __future__ import annotations
 
 import io
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -16,29 +18,38 @@ import tempfile
 from contextlib import redirect_stdout
 from pathlib import Path
 
+import nbformat
 from click import ClickException
+from nbformat.v4 import new_output
 
-from compendium.run import BUILD, INTERRUPTED, ROOT, alone, failures, report_failures
+from compendium import MISSING, ROOT
+from compendium.run import (
+    BUILD,
+    INTERRUPTED,
+    build_lock,
+    every_notebook,
+    failures,
+    read_status,
+    report_failures,
+)
 
 RENDERED = BUILD / "rendered"
 STRICT = ("--warningiserror", "--nitpick", "--keep-going", "--quiet")
+PLACEHOLDER = (
+    '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 320 60" width="320">'
+    f'<text x="160" y="35" text-anchor="middle" fill="#B34700">{MISSING}</text></svg>'
+)
 
 
 def main() -> int:
     """Render the book; return the exit status."""
     try:
-        with alone():
+        with build_lock():
             prepare()
             folder = Path(tempfile.mkdtemp(dir=RENDERED))
             folder.chmod(0o755)  # mkdtemp lets the owner alone look into it
-            html = folder / "_build" / "html"
-            try:
-                render(folder)
-            except (RuntimeError, ClickException, SystemExit):
-                # Pages that quote what a failed notebook did not record say so as errors.
-                if not failures() or not (html / "index.html").exists():
-                    raise
-            publish(html, BUILD / "html")
+            render(folder)
+            publish(folder / "_build" / "html", BUILD / "html")
         return report_failures()
     except (OSError, RuntimeError, ClickException, subprocess.CalledProcessError) as error:
         print(f"The book was not built: {error}", file=sys.stderr)
@@ -53,12 +64,39 @@ def prepare() -> None:
     watch."""
     for old in (ROOT / "book" / "notebooks", ROOT / "book" / "generated"):
         shutil.rmtree(old, ignore_errors=True)
-    shutil.copytree(BUILD / "notebooks", ROOT / "book" / "notebooks")
+    pages = ROOT / "book" / "notebooks"
+    pages.mkdir()
+    failed = failures()
+    for name in every_notebook():
+        made = BUILD / "notebooks" / f"{name}.ipynb"
+        if name in failed:
+            mark_failure(made, pages / made.name, failed[name])
+        else:
+            shutil.copy(made, pages)
     RENDERED.mkdir(parents=True, exist_ok=True)
     shown = (BUILD / "html").resolve()
     for folder in RENDERED.iterdir():
         if not shown.is_relative_to(folder):  # of a build that was killed, or of one before
             shutil.rmtree(folder)
+
+
+def mark_failure(made: Path, page: Path, message: str) -> None:
+    """Write the page of a notebook that failed: as far as it came, and what failed and when."""
+    source = ROOT / "notebooks" / made.name
+    notebook = nbformat.read(made if made.exists() else source, as_version=4)
+    when = read_status(made.stem).get("when", "")
+    text = (
+        f"**Not computed.** In this build the notebook of this page failed{when and f' ({when})'}:"
+    )
+    note = f"\n\n:::{{error}}\n{text}\n\n```text\n{message}\n```\n:::\n"
+    first = notebook.cells[0]
+    first.source = re.sub(
+        r"^# .*$", lambda title: title[0] + note, first.source, count=1, flags=re.M
+    )
+    for cell in notebook.cells:
+        if "figure" in cell.metadata.get("mystnb", {}) and not cell.outputs:
+            cell.outputs = [new_output("display_data", {"image/svg+xml": PLACEHOLDER})]
+    nbformat.write(notebook, page)
 
 
 def render(folder: Path) -> None:

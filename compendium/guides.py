@@ -9,23 +9,20 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import tifffile
-from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Tidy, replace_file
+from compendium import ROOT
+from microlib._common import Tidy
 from microlib.embryo import modulus_from_image
 from microlib.io import read_grey
 from microlib.membrane import SmallSlopeWarning
 
 #: Where the inputs lie that the guides run on without the reader's own: photographs that others
 #: took, and rendered scenes whose truth is known.
-REAL, FOLDER = (
-    Path(__file__).resolve().parent.parent / "data" / name for name in ("real", "synthetic")
-)
+REAL, FOLDER = ROOT / "data" / "real", ROOT / "data" / "synthetic"
 #: Share of the values that must be as near to the truth as is allowed: the edges of a height map,
 #: where a pixel sees two heights, are left to the other twentieth.
 SHARE = 0.95
@@ -63,13 +60,34 @@ def manifest() -> dict[str, dict]:
     return tomllib.loads("\n".join(texts))
 
 
-def settle(
+def out_folder(given: str, name: str) -> Path:
+    """
+    Return the folder for a guide's results, and make it.
+
+    Parameters
+    ----------
+    given : str
+        The reader's own; empty for one in the project's ``build/guides``.
+    name : str
+        Name of the guide.
+
+    Returns
+    -------
+    pathlib.Path
+        The folder.
+    """
+    folder = Path(given or ROOT / "build" / "guides" / name)
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def resolve_scales(
     path: str | PathLike[str],
     given: Mapping[str, Any],
-    told: Mapping[str, Any] | None = None,
+    from_file: Mapping[str, Any] | None = None,
 ) -> tuple[dict[str, Any], pd.DataFrame]:
     """
-    Settle each scale of an input: as given, as its file tells, or asked for by name.
+    Return each scale of an input as given or as its file contains it, or ask for it by name.
 
     The scales of the demo are those of the demo's own file and of no other.
 
@@ -79,8 +97,8 @@ def settle(
         The input, from `find_input`.
     given : mapping
         The guide's parameters, None for what was not given.
-    told : mapping, optional
-        What the file tells of them, None for what it does not.
+    from_file : mapping, optional
+        What the file contains of them, None for what it does not.
 
     Returns
     -------
@@ -92,33 +110,33 @@ def settle(
     Raises
     ------
     ValueError
-        If a scale is neither given nor told.
+        If a scale is neither given nor in the file.
 
     Examples
     --------
-    >>> values, table = settle("mine.tif", {"spacing": 25.0, "pixel_size": None},
-    ...                        {"pixel_size": 3.9})
+    >>> values, table = resolve_scales("mine.tif", {"spacing": 25.0, "pixel_size": None},
+    ...                                {"pixel_size": 3.9})
     >>> values
     {'spacing': 25.0, 'pixel_size': 3.9}
     >>> table["from"].tolist()
     ['given', 'the file']
-    >>> settle("mine.tif", {"spacing": None})
+    >>> resolve_scales("mine.tif", {"spacing": None})
     Traceback (most recent call last):
-    ValueError: spacing must be given for mine.tif, which does not tell it: -p spacing VALUE
+    ValueError: spacing must be given for mine.tif, which does not contain it: -p spacing VALUE
     """
-    entry, told = _entry(Path(path)) or {}, told or {}
+    entry, from_file = _entry(Path(path)) or {}, from_file or {}
     values, sources = {}, {}
     for name, value in given.items():
         if value is not None:
             values[name], sources[name] = value, "given"
         elif name in entry.get("settings", {}):
             values[name], sources[name] = entry["settings"][name], "the demo"
-        elif told.get(name) is not None:
-            values[name], sources[name] = told[name], "the file"
+        elif from_file.get(name) is not None:
+            values[name], sources[name] = from_file[name], "the file"
     if missing := [name for name in given if name not in values]:
         need = " ".join(f"-p {name} VALUE" for name in missing)
         raise ValueError(
-            f"{', '.join(missing)} must be given for {path}, which does not tell "
+            f"{', '.join(missing)} must be given for {path}, which does not contain "
             f"{'it' if len(missing) == 1 else 'them'}: {need}"
         )
     table = pd.DataFrame({"value": values, "from": sources}).rename_axis("scale")
@@ -248,7 +266,7 @@ def read_outline(path: str | PathLike[str]) -> tuple[NDArray[np.float64], NDArra
     Raises
     ------
     ValueError
-        If there is no such file, it is no CSV file with these columns, or a value is no number.
+        If it is no CSV file with these columns, or a value is no number.
 
     Examples
     --------
@@ -256,66 +274,16 @@ def read_outline(path: str | PathLike[str]) -> tuple[NDArray[np.float64], NDArra
     >>> x.shape == y.shape
     True
     """
-    file = Path(path)
-    if not file.is_file():
-        raise ValueError(f"outline must name a CSV file, got {file}: no such file")
     try:
-        table = pd.read_csv(file, skipinitialspace=True)
-    except (ValueError, pd.errors.ParserError):  # not text, empty, or rows of unequal length
-        raise ValueError(f"outline must name a CSV file, got {file}: not readable as one") from None
-    if not {"x", "y"} <= set(table.columns):
-        names = list(table.columns[:6])  # as a list, which shows what cannot be printed
-        raise ValueError(f"outline must have the columns x and y, got {names} in {file}")
-    values = table[["x", "y"]].apply(pd.to_numeric, errors="coerce").to_numpy(np.float64)
-    bad = ~np.isfinite(values).all(axis=1)
+        table = pd.read_csv(path, skipinitialspace=True)[["x", "y"]].to_numpy(np.float64)
+    except (OSError, KeyError, ValueError) as error:
+        need = "a CSV file of numbers with the columns x and y"
+        raise ValueError(f"outline must name {need}, got {path}: {error}") from None
+    bad = ~np.isfinite(table).all(axis=1)
     if bad.any():
-        raise ValueError(
-            f"outline must hold numbers only, got something else in {int(bad.sum())} of "
-            f"{len(values)} rows of {file}, first in row {int(bad.argmax()) + 1}"
-        )
-    return values[:, 0], values[:, 1]
-
-
-def keep(
-    path: str | PathLike[str], what: pd.DataFrame | pd.Series | Figure | NDArray | str
-) -> None:
-    """
-    Keep a result in a file, whole or not at all.
-
-    Parameters
-    ----------
-    path : path-like
-        File to write; an old one is replaced only once the new one is whole.
-    what : pandas.DataFrame, pandas.Series, matplotlib.figure.Figure, ndarray or str
-        A table goes to a CSV file, with its index if that has a name; a figure and an array, which
-        is taken as a grey image, go to a picture; a text stays one.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     keep(Path(folder) / "a.csv", pd.DataFrame({"x_um": [1.5]}))
-    ...     print((Path(folder) / "a.csv").read_text())
-    x_um
-    1.5
-    """
-
-    def write(file: Path) -> None:
-        if isinstance(what, Figure):
-            what.savefig(file)
-        elif isinstance(what, np.ndarray):
-            plt.imsave(file, what, cmap="gray")
-        elif isinstance(what, str):
-            file.write_text(what, encoding="utf-8")
-        else:
-            what.to_csv(file, index=what.index.name is not None)
-
-    replace_file(path, write)
+        row = int(bad.argmax()) + 1
+        raise ValueError(f"outline must hold numbers only, got {path} with none in row {row}")
+    return table[:, 0], table[:, 1]
 
 
 def _entry(file: Path) -> dict | None:

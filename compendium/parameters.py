@@ -3,33 +3,33 @@
 from __future__ import annotations
 
 import ast
-import json
 import math
 import re
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Sequence
 from difflib import get_close_matches
 from glob import glob
 from pathlib import Path
+from typing import Any
 
 import papermill
 
-ROOT = Path(__file__).resolve().parent.parent
 #: How the comment behind a parameter states its bound: ``# µm, > 0, of the membrane``.
 _BOUND = re.compile(r"([>≥≠]) 0\b")
 
 
-def read_values(notebook: Path, texts: Mapping[str, str]) -> dict[str, object]:
+def read_values(notebook: Path, texts: Sequence[tuple[str, str]]) -> dict[str, object]:
     """Read a reader's values for the parameters of a notebook.
 
     Parameters
     ----------
     notebook : pathlib.Path
         Its cell with the tag ``parameters`` holds one assignment a line, whose default tells the
-        type: a number, a list of numbers, a text, or ``None`` for a number that may be missing. The
-        comment behind it may state a bound: ``> 0``, ``≥ 0`` or ``≠ 0``.
-    texts : mapping of str to str
-        By name, as typed in a shell.
+        type: a number, a list of numbers, a list of such lists, a text, or ``None`` for a number
+        that may be missing. The comment behind it may state a bound, ``> 0``, ``≥ 0`` or ``≠ 0``,
+        or begin with ``input:`` if the text names a file that must exist.
+    texts : sequence of tuple of str
+        Names and values, as typed in a shell.
 
     Returns
     -------
@@ -39,58 +39,60 @@ def read_values(notebook: Path, texts: Mapping[str, str]) -> dict[str, object]:
     Raises
     ------
     ValueError
-        If there is no such parameter, a text is of another type or out of bounds, a file does not
-        exist, or the folder for the results, ``out``, cannot be written to.
+        If there is no such parameter, one is given twice, a text is of another type or out of
+        bounds, a file does not exist, or the folder for the results, ``out``, cannot be written to.
     """
     known = papermill.inspect_notebook(notebook)
-    values = {}
-    for name, text in texts.items():
+    values: dict[str, object] = {}
+    for name, text in texts:
         if name not in known:
             near = get_close_matches(name, known, n=1)
             hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(known)}."
             raise ValueError(f"{notebook.stem} has no parameter {name}; {hint}")
-        bound = _BOUND.search(known[name]["help"])
-        default = ast.literal_eval(known[name]["default"])
-        values[name] = _value(name, text, default, bound[1] if bound else "")
+        if name in values:
+            raise ValueError(f"{name} must be given once, got {values[name]!r} and {text!r}")
+        default, comment = ast.literal_eval(known[name]["default"]), known[name]["help"]
+        if isinstance(default, str):
+            values[name] = text
+            word = f'"{text}"' in comment  # that the guide knows, such as "demo"
+            if comment.startswith("input:") and not (word or Path(text).exists() or glob(text)):
+                raise ValueError(f"{name} must name a file, got {text}: no such file")
+        else:
+            bound = _BOUND.search(comment)
+            sign = bound[1] if bound else ""
+            try:
+                values[name] = _like(ast.literal_eval(text.strip()), default, sign)
+            except (ValueError, SyntaxError, TypeError):
+                raise ValueError(f"{name} must be {_wanted(default, sign)}, got {text}") from None
         if name == "out":
             prepare_folder(name, Path(text))
     return values
 
 
-def _value(name: str, text: str, default: object, bound: str) -> object:
-    if isinstance(default, str):
-        # A default that is a file of this project is an input: another one must exist, too.
-        exists = Path(text).exists() or (ROOT / text).is_file() or glob(text)
-        if (ROOT / default).is_file() and not exists:
-            raise ValueError(f"{name} must name a file, got {text}: no such file")
-        return text
-    if default is None and text == "None":
-        return None
+def _like(value: Any, default: object, sign: str) -> object:
+    """Return a value with the type of a default; a list of lists may have any length."""
     if isinstance(default, list):
-        wanted = f"{len(default)} numbers in brackets, such as {default}"
-    else:
-        wanted = "a whole number" if isinstance(default, int) else "a finite number"
-        wanted += f" {bound} 0" if bound else ""
-        wanted += " or None" if default is None else ""
-    try:
-        if isinstance(default, list):
-            numbers = json.loads(text)
-            if not isinstance(numbers, list) or any(type(n) not in (int, float) for n in numbers):
-                raise ValueError
-            return [_number(str(n), like) for n, like in zip(numbers, default, strict=True)]
-        number = _number(text, default)
-        if {">": number <= 0, "≥": number < 0, "≠": number == 0}.get(bound):
+        each = default[:1] * len(value) if isinstance(default[0], list) else default
+        if not isinstance(value, list) or not value:
             raise ValueError
-        return number
-    except (ValueError, OverflowError):
-        raise ValueError(f"{name} must be {wanted}, got {text}") from None
-
-
-def _number(text: str, like: object) -> float:
-    number = int(text) if isinstance(like, int) else float(text)
-    if not math.isfinite(number):
+        return [_like(one, like, sign) for one, like in zip(value, each, strict=True)]
+    if default is None and value is None:
+        return None
+    kinds = (int,) if isinstance(default, int) else (int, float)
+    if type(value) not in kinds or not math.isfinite(value):
         raise ValueError
-    return number
+    if {">": value <= 0, "≥": value < 0, "≠": value == 0}.get(sign):
+        raise ValueError
+    return value if isinstance(default, int) else float(value)
+
+
+def _wanted(default: object, sign: str) -> str:
+    if isinstance(default, list):
+        nested = isinstance(default[0], list)
+        kind = f"lists of {len(default[0])}" if nested else str(len(default))
+        return f"{kind} numbers in brackets, such as {default}"
+    kind = "a whole number" if isinstance(default, int) else "a finite number"
+    return kind + (f" {sign} 0" if sign else "") + (" or None" if default is None else "")
 
 
 def prepare_folder(name: str, folder: Path) -> None:

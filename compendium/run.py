@@ -1,11 +1,12 @@
 """Run the notebooks with papermill, two at a time, and only those whose inputs changed.
 
 ``python -m compendium.run`` leaves the executed notebooks in ``build/notebooks``, their records in
-``build/claims``, the numbers behind their figures in ``build/figures`` and one status file each in
-``build/status``. A notebook is run again when it, the library, the compendium, the data or the
-locked environment changed, or when its last run failed. One that fails does not stop the others:
-its page shows how far it came, and the command ends with its name, its cell, the message and exit
-status 1. Chapter 6 reads the records of the others and is run last.
+``build/claims``, the numbers behind their figures in ``build/figures``, one status file each in
+``build/status``, and in ``build/logs`` what their kernels wrote elsewhere. A notebook is run again
+when it, the library, the compendium, the data or the installed packages changed, when its last run
+failed, or when a file of that run is missing. One that fails does not stop the others: its page
+shows how far it came, and the command ends with its name, its cell, the message and exit status 1.
+Chapter 6 reads the records of the others and is run last.
 
 With ``-p NAME VALUE`` one notebook runs once on your own data. The executed copy goes to the
 folder ``--output``, and nothing is recorded against the thesis.
@@ -17,36 +18,35 @@ import argparse
 import fcntl
 import hashlib
 import json
-import multiprocessing
+import logging
 import os
+import shutil
 import signal
 import sys
-import tempfile
-import threading
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from datetime import datetime
 from difflib import get_close_matches
+from functools import partial
+from importlib.metadata import distributions
 from pathlib import Path
 from time import perf_counter
 from typing import Any, NoReturn
 
-import nbformat
-import papermill
-from nbclient.exceptions import DeadKernelError
-from papermill.exceptions import PapermillExecutionError
-from traitlets.config import Config
-
-from compendium.executed import clean, error_cell
+from compendium import ROOT
+from compendium.execution import execute, interrupt_kernels, interrupted, one_line
 from compendium.figures.data import FOLDER_VARIABLE
 from compendium.parameters import prepare_folder, read_values
 from microlib._common import replace_file
 
-ROOT = Path(__file__).resolve().parent.parent
 BUILD = ROOT / "build"
 LAST = "06_"
+#: What a run leaves of each notebook.
+LEFT = ("notebooks/{}.ipynb", "claims/{}.json", "logs/{}.txt", "status/{}.json")
 INTERRUPTED = 130  # as a shell reports what Ctrl-C ended
+#: Seconds that a cell of the book may take; the longest takes half a minute.
+CELL_LIMIT = 1200
 # Two kernels share the cores, so each keeps to one thread.
 THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -61,6 +61,7 @@ class Parser(argparse.ArgumentParser):
 def main() -> int:
     """Run what the command line asks for; return the exit status."""
     os.environ |= THREADS
+    logging.disable()  # what papermill logs of a failure is in our message
     try:
         options = parse(sys.argv[1:])
         if options.failures:
@@ -68,46 +69,40 @@ def main() -> int:
         names = choose(options.names)
         if options.own or options.output:
             return run_own(names, options.own, Path(options.output or "mine"))
-        with alone():
+        with build_lock():
             build(names, options.jobs, force=options.force)
-        return report_failures()
+        failed = report_failures(names)
+        return INTERRUPTED if interrupted.is_set() else failed
     except (ValueError, OSError) as error:
         print(one_line(error), file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        # At once, without waiting for the workers: they and their kernels end with this process.
-        print("Interrupted; nothing unfinished was kept.", file=sys.stderr, flush=True)
-        os._exit(INTERRUPTED)
+    except KeyboardInterrupt:  # while no kernel ran
+        return INTERRUPTED
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
-    parser = Parser(description=__doc__.splitlines()[0])
+    parser = Parser(description="Run the notebooks, or with -p one of them on your own data.")
     add = parser.add_argument
     add("names", nargs="*", help="notebooks to run, by name or its beginning")
     add("--force", action="store_true", help="run them even if nothing changed")
     add("--jobs", type=int, default=2, help="how many at a time")
     add("--failures", action="store_true", help="list the failed ones; run nothing")
-    own: dict[str, Any] = {
-        "nargs": 2,
-        "action": "append",
-        "default": [],
-        "metavar": ("NAME", "VALUE"),
-    }
-    add("-p", dest="own", help="set a parameter of one notebook", **own)
+    text, names = "set a parameter of one notebook", ("NAME", "VALUE")
+    add("-p", dest="own", help=text, nargs=2, action="append", default=[], metavar=names)
     add("--output", help="folder for a run on your own data, mine if not given")
     # A value may begin with a minus, -5e1, which argparse takes for an option unless a space comes
     # first.
     safe = [
         f" {text}" if "-p" in arguments[k - 2 : k - 1] else text for k, text in enumerate(arguments)
     ]
-    options = parser.parse_args(safe)
+    options = parser.parse_intermixed_args(safe)
     options.own = [(name, value.removeprefix(" ")) for name, value in options.own]
     return options
 
 
 def choose(wanted: Sequence[str]) -> list[str]:
     """Return the notebooks whose names begin as wanted, all of them if nothing is."""
-    every = sorted(path.stem for path in (ROOT / "notebooks").glob("[0-9]*.ipynb"))
+    every = every_notebook()
     for name in wanted:
         if not any(stem.startswith(name) for stem in every):
             near = get_close_matches(name, every, n=1)
@@ -116,8 +111,12 @@ def choose(wanted: Sequence[str]) -> list[str]:
     return [stem for stem in every if not wanted or stem.startswith(tuple(wanted))]
 
 
+def every_notebook() -> list[str]:
+    return sorted(path.stem for path in (ROOT / "notebooks").glob("[0-9]*.ipynb"))
+
+
 @contextmanager
-def alone() -> Iterator[None]:
+def build_lock() -> Iterator[None]:
     """Hold the build folder; wait, and say so, while another process holds it."""
     BUILD.mkdir(exist_ok=True)
     with (BUILD / ".lock").open("w") as lock:  # the system frees it, however its holder ends
@@ -130,31 +129,66 @@ def alone() -> Iterator[None]:
         yield
 
 
-def build(names: list[str], jobs: int, *, force: bool) -> None:
+def build(names: Sequence[str], jobs: int, *, force: bool) -> None:
     """Run those of the notebooks that must be, the last chapter after the others."""
-    for folder in (".running", "notebooks", "claims", "status", "figures"):
-        (BUILD / folder).mkdir(exist_ok=True)
+    for name in {path.stem for path in BUILD.glob("*/[0-9]*.*")} - {*every_notebook()}:
+        remove(name)  # what is left of a notebook that was renamed or deleted
     for is_last in (False, True):
         keys = {name: key_of(name) for name in names if name.startswith(LAST) == is_last}
         todo = {n: key for n, key in keys.items() if force or not up_to_date(n, key)}
         print(*(f"  {name}: up to date\n" for name in keys if name not in todo), sep="", end="")
         # The longest first, so that no core idles at the end; the longer has the larger file.
         order = sorted(todo, key=lambda n: -(ROOT / "notebooks" / f"{n}.ipynb").stat().st_size)
-        calls = {name: (run, name, todo[name]) for name in order}
-        for done, (name, message, passed) in enumerate(in_workers(calls, jobs), 1):
+        calls = {name: partial(run, name, todo[name]) for name in order}
+        for done, (name, message, passed) in enumerate(run_all(calls, jobs), 1):
             text = f"  [{done}/{len(order)}] {name}: {message}"
             print(text, file=sys.stdout if passed else sys.stderr, flush=True)
 
 
+def run_all(
+    calls: Mapping[str, Callable[[], tuple[str, bool]]], jobs: int
+) -> Iterator[tuple[str, str, bool]]:
+    """Run functions side by side, and yield each one's name, message and success as it ends.
+
+    A signal to end goes to the kernels. Each is waited for: a notebook that moves a stage stops it.
+    """
+    ends = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    heeded = [one for one in ends if signal.getsignal(one) is not signal.SIG_IGN]  # unlike in nohup
+    before = {one: signal.signal(one, interrupt_kernels) for one in heeded}
+    with ThreadPoolExecutor(max(1, jobs)) as pool:
+        runs = {pool.submit(call): name for name, call in calls.items()}
+        while runs:
+            if interrupted.is_set():
+                for future in runs:
+                    future.cancel()  # if it has not begun
+            # In short waits, between which a signal is heeded that another thread received.
+            for future in wait(runs, timeout=0.5, return_when=FIRST_COMPLETED).done:
+                try:
+                    message, passed = future.result()
+                except Exception as error:  # such as a full disk, without room for a status
+                    message, passed = f"FAILED: {one_line(error) or 'interrupted'}", False
+                yield runs.pop(future), message, passed
+    for one, handler in before.items():
+        signal.signal(one, handler)
+
+
 def failures() -> dict[str, str]:
-    """Return the notebooks whose last run failed, each with its cell and message."""
-    told = {path.stem: read_status(path.stem) for path in sorted((BUILD / "status").glob("*.json"))}
-    return {name: status["failed"] for name, status in told.items() if status.get("failed")}
+    """Return the notebooks that failed or were not run, each with the reason."""
+    states = {name: read_status(name).get("failed", "it was not run") for name in every_notebook()}
+    return {name: message for name, message in states.items() if message}
 
 
-def report_failures() -> int:
-    """List what failed; return the exit status."""
-    lines = [f"  {name}: {message}" for name, message in failures().items()]
+def report_failures(ran: Sequence[str] = ()) -> int:
+    """List what failed, also earlier than what has just been run; return the exit status.
+
+    If nothing has just been run, what was never run counts as failed, too.
+    """
+    lines = []
+    for name, message in failures().items():
+        status = read_status(name)
+        if status or name in ran or not ran:
+            earlier = f" (earlier, {status['when']})" if ran and name not in ran else ""
+            lines.append(f"  {name}{earlier}: {message}")
     if lines:
         print("These notebooks failed:", *lines, sep="\n", file=sys.stderr)
     return 1 if lines else 0
@@ -165,103 +199,70 @@ def run_own(names: list[str], texts: Sequence[tuple[str, str]], folder: Path) ->
     if len(names) != 1:
         raise ValueError(f"-p needs one notebook, got {', '.join(names)}.")
     source = ROOT / "notebooks" / f"{names[0]}.ipynb"
-    values = read_values(source, dict(texts))
+    values = read_values(source, texts)
     prepare_folder("--output", folder)
-    output = folder / source.name
-    calls = {source.stem: (execute, source, output, values, Path.cwd())}
-    # To its end, where the pool is closed: closed as Python ends, it may say so in a traceback.
-    ((_, message, passed),) = in_workers(calls, 1)
+    output, log = folder / source.name, folder / f"{source.stem}.log.txt"
+    log.unlink(missing_ok=True)
+    call = partial(execute, source, output, values, Path.cwd(), log=log)
+    ((_, message, passed),) = run_all({source.stem: call}, 1)
     print(f"{output}: {message}", file=sys.stdout if passed else sys.stderr)
-    return 0 if passed else 1
-
-
-def in_workers(calls: dict[str, tuple], jobs: int) -> Iterator[tuple[str, str, bool]]:
-    """Run functions side by side, and yield each one's name, message and success as it ends.
-
-    Each of `calls` holds a function, which returns a message and whether it passed, and its
-    arguments.
-    """
-    # Not as a context, which would wait for the workers if this process is interrupted.
-    pool = ProcessPoolExecutor(max_workers=max(1, jobs), initializer=begin)
-    runs = {pool.submit(*call): name for name, call in calls.items()}
-    for future in as_completed(runs):
-        try:
-            yield runs[future], *future.result()
-        except BrokenProcessPool:
-            yield runs[future], "FAILED: its process was killed", False
-        except (OSError, ValueError) as error:
-            yield runs[future], f"FAILED: {one_line(error)}", False
-    pool.shutdown()
-
-
-def begin() -> None:
-    """End with the parent, which alone heeds Ctrl-C, and drop what kernels say as they end."""
-
-    def end_with_parent(parent: Any) -> None:
-        parent.join()
-        os._exit(1)
-
-    parent = multiprocessing.parent_process()
-    threading.Thread(target=end_with_parent, args=(parent,), daemon=True).start()
-    # A function and not SIG_IGN, which the kernels would inherit.
-    signal.signal(signal.SIGINT, lambda *_: None)
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-
-
-def execute(source: Path, output: Path, values: dict, cwd: Path) -> tuple[str, bool]:
-    """Execute a notebook with papermill; return how it went and whether it passed.
-
-    `output` appears when the notebook has ended, well or not.
-    """
-    start, message, passed = perf_counter(), "", True
-    with tempfile.TemporaryDirectory() as folder:
-        made = Path(folder) / output.name
-        # Each kernel talks over sockets in a folder of its own; the default names collide.
-        sockets = Config({"KernelManager": {"transport": "ipc", "ip": f"{folder}/k"}})
-        how: dict[str, Any] = {"kernel_name": "python3", "progress_bar": False, "config": sockets}
-        try:
-            papermill.execute_notebook(source, made, values, cwd=str(cwd), **how)
-            message = f"{perf_counter() - start:.1f} s"
-        except PapermillExecutionError as error:
-            message, passed = one_line(f"{error.ename}: {error.evalue}"), False
-        except DeadKernelError:
-            message, passed = "FAILED: its kernel was killed", False
-        if made.exists():
-            notebook = nbformat.read(made, as_version=4)
-            if cell := error_cell(notebook):
-                message = f"FAILED in cell {cell}: {message}"
-            clean(notebook)
-            replace_file(output, lambda file: nbformat.write(notebook, file))
-    return message, passed
-
-
-def one_line(text: object) -> str:
-    return " ".join(str(text).split())
+    return INTERRUPTED if interrupted.is_set() else int(not passed)
 
 
 def run(name: str, key: str) -> tuple[str, bool]:
-    """Execute a notebook of the book; what it leaves appears when it has ended, its status last."""
-    source, status = ROOT / "notebooks" / f"{name}.ipynb", BUILD / "status" / f"{name}.json"
-    made, record = (BUILD / ".running" / f"{name}.{kind}" for kind in ("ipynb", "json"))
-    for old in (made, record, status):
-        old.unlink(missing_ok=True)
-    os.environ[FOLDER_VARIABLE] = str(BUILD / "figures")
-    start = perf_counter()
-    message, passed = execute(source, made, {"record": str(record.relative_to(ROOT))}, ROOT)
+    """Execute a notebook of the book; what it leaves appears when it has ended, its status last.
+
+    What an earlier run left is removed first, and until then the status is that it did not end.
+    """
+    source, work = ROOT / "notebooks" / f"{name}.ipynb", BUILD / ".running" / name
+    remove(name)
+    shutil.rmtree(work, ignore_errors=True)
+    for folder in (work / "figures", *(BUILD / Path(file).parent for file in LEFT)):
+        folder.mkdir(parents=True, exist_ok=True)
+    made, claims, log, status = (BUILD / file.format(name) for file in LEFT)
+    log.touch()
+    about: dict[str, Any] = {
+        "notebook": name,
+        "when": f"{datetime.now():%Y-%m-%d %H:%M}",
+        "key": key,
+    }
+    about |= {"seconds": 0.0, "checks": 0, "figures": [], "interpreter": interpreter()}
+    write_json(status, about | {"failed": "FAILED: its run did not end"})
+    start, record = perf_counter(), work / "record.json"
+    values = {"record": str(record.relative_to(ROOT))}
+    options: dict[str, Any] = {
+        "variables": {FOLDER_VARIABLE: str(work / "figures")},
+        "cell_limit": CELL_LIMIT,
+    }
+    if needed := [one for one in failures() if name.startswith(LAST) and one < LAST]:
+        text = f"FAILED: it reads what other chapters record; run {' '.join(needed)} first"
+        write_json(status, about | {"failed": text})
+        return text, False
+    message, passed = execute(source, work / source.name, values, ROOT, log=log, **options)
+    if passed and str(ROOT) in (work / source.name).read_text(encoding="utf-8"):
+        message, passed = "FAILED: an output names a path of this machine", False
     # A guide checks nothing against the thesis.
     records = json.loads(record.read_text(encoding="utf-8")) if record.exists() else []
-    if made.exists():
-        notebook = nbformat.read(made, as_version=4)
-        if passed and str(ROOT) in nbformat.writes(notebook):
-            message, passed = "FAILED: an output names a path of this machine", False
-        os.replace(made, BUILD / "notebooks" / made.name)
-    write_json(BUILD / "claims" / record.name, records)
+    os.replace(work / source.name, made)
+    write_json(claims, records)
+    figures = sorted(path.name for path in (work / "figures").iterdir())
+    (BUILD / "figures").mkdir(exist_ok=True)
+    for file in figures:
+        os.replace(work / "figures" / file, BUILD / "figures" / file)
+    shutil.rmtree(work)
     checks = sum(entry["verdict"] != "result" for entry in records)
-    told = {"notebook": name, "seconds": round(perf_counter() - start, 1), "checks": checks}
-    write_json(status, told | {"failed": "" if passed else message, "key": key})
+    about |= {"seconds": round(perf_counter() - start, 1), "checks": checks, "figures": figures}
+    write_json(status, about | {"failed": "" if passed else message})
     if passed:
         message += f", {checks} {'check' if checks == 1 else 'checks'} passed"
     return message, passed
+
+
+def interpreter() -> str:
+    """Return the interpreter that runs the kernels, by its path in the project if it lies there."""
+    path = Path(sys.executable)
+    inside = path.is_relative_to(ROOT)
+    return f"{path.relative_to(ROOT) if inside else path}, Python {sys.version.split()[0]}"
 
 
 def write_json(path: Path, content: object) -> None:
@@ -277,21 +278,33 @@ def read_status(name: str) -> dict:
         return {}
 
 
+def left_by(name: str) -> list[Path]:
+    """Return the files that the last run of a notebook left, its status last."""
+    figures = [BUILD / "figures" / file for file in read_status(name).get("figures", [])]
+    return figures + [BUILD / file.format(name) for file in LEFT]
+
+
+def remove(name: str) -> None:
+    for path in left_by(name):
+        path.unlink(missing_ok=True)
+
+
 def up_to_date(name: str, key: str) -> bool:
     """Tell whether a notebook was run well on the inputs of which `key` is the hash."""
-    made = (BUILD / "notebooks" / f"{name}.ipynb", BUILD / "claims" / f"{name}.json")
     status = read_status(name)
-    return status.get("key") == key and not status["failed"] and all(p.exists() for p in made)
+    whole = all(path.exists() for path in left_by(name))
+    return status.get("key") == key and not status["failed"] and whole
 
 
 def key_of(name: str) -> str:
-    """Return a hash of all that a notebook depends on, the version of Python among it."""
-    files = [ROOT / "notebooks" / f"{name}.ipynb", ROOT / "environment.txt"]
+    """Return a hash of all that a notebook depends on, the installed packages among it."""
+    files = [ROOT / "notebooks" / f"{name}.ipynb"]
     files += [p for folder in ("microlib", "compendium") for p in (ROOT / folder).rglob("*.py")]
     files += [p for p in (ROOT / "data").rglob("*") if p.is_file() and p.suffix != ".pyc"]
     if name.startswith(LAST):
         files += [p for p in (BUILD / "claims").glob("*.json") if not p.name.startswith(LAST)]
-    digest = hashlib.sha256(sys.version.encode())
+    packages = sorted(f"{one.name} {one.version}" for one in distributions())
+    digest = hashlib.sha256("\n".join([sys.version, *packages]).encode())
     for path in sorted(files):
         digest.update(str(path.relative_to(ROOT)).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()

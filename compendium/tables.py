@@ -65,12 +65,32 @@ def as_printed(name: str) -> HTML:
 
 
 def _cell(claim: ledger.Claim, recomputed: str, named: bool) -> str:
-    name = f"{claim.id.rpartition('/')[2].replace('-', ' ')}<br>" if named else ""
+    name = f"{escape(claim.id.rpartition('/')[2].replace('-', ' '))}<br>" if named else ""
     number = recomputed.replace("± ", "±&nbsp;")
     mark = f"{SIGNS[claim.verdict]}&nbsp;{number}" + f"&nbsp;{ledger.STAR}" * bool(claim.star)
-    return (
-        f"<td>{name}{escape(claim.printed or claim.limit)}{'<br>' if number else '&nbsp;'}"
-        f'<a class="verdict verdict-{make_id(claim.verdict)}" '
-        f'href="../claims.html#{make_id(f"claim-{claim.id}")}" '
-        f'title="{escape(claim.what)}: {claim.label}">{mark}</a></td>'
-    )
+    between = "<br>" if number else "&nbsp;"
+    printed = escape(claim.printed or claim.limit)
+    return f"<td>{name}{printed}{between}{verdict_link(claim, mark, up='../')}</td>"
+
+
+def verdict_link(claim: ledger.Claim, shown: str, *, up: str) -> str:
+    """Return a claim's verdict as HTML that leads to its row in the list of claims.
+
+    Parameters
+    ----------
+    claim : Claim
+        The claim.
+    shown : str
+        What stands there, as HTML.
+    up : str
+        The way from the page to the book's top folder, such as ``../``.
+
+    Returns
+    -------
+    str
+        A link with the verdict's color.
+    """
+    address = f"{up}claims.html#{make_id(f'claim-{claim.id}')}"
+    title = escape(f"{claim.what}: {claim.label}")
+    kind = f"verdict verdict-{make_id(claim.verdict)}"
+    return f'<a class="{kind}" href="{address}" title="{title}">{shown}</a>'

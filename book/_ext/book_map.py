@@ -22,21 +22,21 @@ from dataclasses import dataclass, is_dataclass
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any, ClassVar, get_args, get_type_hints
 
 import nbformat
-from book_surfaces import script_of
+from book_surfaces import surface_script
 from book_tables import link, table
 from docutils import nodes
 from numpydoc.docscrape import NumpyDocString
 from sphinx import addnodes
 from sphinx.application import Sphinx
+from sphinx.transforms.post_transforms import SphinxPostTransform
 from sphinx.util.docutils import SphinxDirective
 
-from compendium import ledger
+from compendium import ROOT, ledger
 
-ROOT = Path(__file__).resolve().parents[2]
-FIGURES = ROOT / "build" / "figures"
+FIGURES, PAGES = ROOT / "build" / "figures", ROOT / "book" / "notebooks"
 CAPTION = re.compile(r"\*\*(Figures?|Tables?) ([^*]+)\*\*")
 INITIAL = re.compile(r"^(\s*(?:\.\. \[[\w-]+\] )?)([A-Z]\. [A-Z])")
 TAG = re.compile(r"\\tag\{(\d\.\d+)\}")
@@ -91,7 +91,7 @@ def read_map() -> dict[str, Item]:
 
 
 @cache
-def find_items(notebooks: Path) -> dict[str, tuple[str, str]]:
+def find_items(notebooks: Path = PAGES) -> dict[str, tuple[str, str]]:
     """Return where each item and each numbered section stands: the notebook's stem, the anchor."""
     found: dict[str, tuple[str, str]] = {}
     for path in sorted(notebooks.glob("0[1-6]_*.ipynb")):
@@ -139,7 +139,7 @@ class Map(SphinxDirective):
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        places = find_items(ROOT / "build" / "notebooks")
+        places = find_items()
         rows = []
         for item in read_map().values():
             if item.kind != self.arguments[0]:
@@ -195,9 +195,27 @@ def link_formulas(app: Sphinx, doctree: nodes.document) -> None:
             block.parent.insert(place, anchor)
 
 
+class TaggedFormulas(SphinxPostTransform):
+    """Delimit every formula with the thesis' own number, and leave nothing of it to Sphinx.
+
+    Sphinx wraps a formula that holds a line break in ``split``. LaTeX knows no ``\\tag`` inside
+    that environment, and MathJax prints such a formula as red source.
+    """
+
+    default_priority = 200
+    formats: ClassVar[tuple[str, ...]] = ("html",)
+
+    def run(self, **kwargs: object) -> None:
+        for node in self.document.findall(nodes.math_block):
+            text = node.astext()
+            if r"\tag{" in text and not node.get("nowrap"):
+                node.children = [nodes.Text(rf"\[{text}\]")]
+                node["nowrap"] = True
+
+
 def link_numbers(app: Sphinx, doctree: nodes.document) -> None:
     """Make each mention of an equation, a figure or a table of the thesis lead to it."""
-    places = find_items(ROOT / "build" / "notebooks")
+    places = find_items()
     for text in list(doctree.findall(nodes.Text)):
         if any(isinstance(node, UNLINKED) for node in ancestors(text)):
             continue
@@ -234,11 +252,11 @@ def link_data(app: Sphinx, doctree: nodes.document) -> None:
             continue
         text = ", ".join(f'<a href="{up}_static/figures/{n}" download>{n}</a>' for n in links)
         html = f' <span class="figure-data">Data: {text}</span>'
-        html += "".join(script_of(FIGURES / file) for file in links if file.endswith(".npz"))
+        html += "".join(surface_script(FIGURES / file) for file in links if file.endswith(".npz"))
         caption += nodes.raw("", html, format="html")
 
 
-def keep_initials(
+def escape_initials(
     app: Sphinx, what: str, name: str, obj: object, options: Any, lines: list[str]
 ) -> None:
     """Let a source that begins with an initial be no item of a list from A to Z."""
@@ -270,14 +288,14 @@ def copy_figures(app: Sphinx, error: Exception | None) -> None:
         shutil.copytree(FIGURES, Path(app.outdir) / "_static" / "figures", dirs_exist_ok=True)
 
 
-def setup(app: Sphinx) -> dict[str, bool]:
+def setup(app: Sphinx) -> None:
     app.add_directive("map", Map)
+    app.add_post_transform(TaggedFormulas)
     app.connect("doctree-read", name_sections)
     app.connect("doctree-read", link_formulas)
     app.connect("doctree-read", link_data)
     app.connect("doctree-read", link_numbers)
     # After numpydoc, which rewrites the lines it is given.
-    app.connect("autodoc-process-docstring", keep_initials, priority=900)
+    app.connect("autodoc-process-docstring", escape_initials, priority=900)
     app.connect("autodoc-process-docstring", show_result, priority=900)
     app.connect("build-finished", copy_figures)
-    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,4 +1,4 @@
-"""Mend what the theme leaves: pages that ask other servers, and parts that not everyone can use.
+"""Change what the theme leaves: pages that ask other servers, and parts that not everyone can use.
 
 MathJax comes from a package on disk as one file; the inert thebe loader goes. Font preloads go too:
 a browser refuses them for a page opened from a file, and loads the fonts from the style sheet
@@ -19,12 +19,12 @@ from typing import Any
 from sphinx.application import Sphinx
 from sphinx.util.fileutil import copy_asset_file
 
+from compendium import ROOT
 from microlib import __version__
 
-ROOT = Path(__file__).resolve().parents[2]
 MATHJAX = "mathjax/tex-svg-full.js"
-# What is replaced in every page, by what it is replaced with.
-MENDS = {
+# Regular expressions and their replacements in every page.
+HTML_FIXES = {
     r'<link rel="preload" as="font"[^>]*>': "",
     r'<summary>(?=<span class="toctree-toggle")': '<summary aria-label="subpages">',
     r' role="doc-biblioentry"| role="list"(?= class="citation-list")': "",
@@ -73,8 +73,8 @@ def copy_libraries(app: Sphinx, error: Exception | None) -> None:
     copy_asset_file(str(source), str(static / MATHJAX))
     for page in Path(app.outdir).rglob("*.html"):
         html = page.read_text(encoding="utf-8")
-        for fault, mend in MENDS.items():
-            html = re.sub(fault, mend, html)
+        for pattern, replacement in HTML_FIXES.items():
+            html = re.sub(pattern, replacement, html)
         page.write_text(html, encoding="utf-8")
     # What no page needs: maps for who changes the theme, fonts for old browsers, other languages.
     for unused in [*static.rglob("*.map"), *static.rglob("*.ttf")]:
@@ -86,9 +86,8 @@ def copy_libraries(app: Sphinx, error: Exception | None) -> None:
         shutil.copy(ROOT / "notebooks" / copy.name, copy)
 
 
-def setup(app: Sphinx) -> dict[str, bool]:
+def setup(app: Sphinx) -> None:
     app.connect("config-inited", configure, priority=900)
     app.connect("html-page-context", shape_page, priority=900)
     app.add_css_file("pdf.css")
     app.connect("build-finished", copy_libraries)
-    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import nbformat
-from book_map import HEADING, find_items, read_map
+from book_map import HEADING, PAGES, find_items, read_map
 from book_verdicts import printed, records
 from docutils import nodes
 from sphinx.application import Sphinx
 
 from compendium import ledger
 
-ROOT = Path(__file__).resolve().parents[2]
 NUMBER = re.compile(r"-?\d[\d.]*(?:e[+-]?\d+)?")
 
 
@@ -33,8 +32,8 @@ def list_numbers(app: Sphinx) -> dict[str, list[list[str]]]:
         if entry not in numbers.setdefault(number, []):
             numbers[number].append(entry)
 
-    places = find_items(ROOT / "build" / "notebooks")
-    for path in sorted((ROOT / "build" / "notebooks").glob("0[1-6]_*.ipynb")):
+    places = find_items()
+    for path in sorted(PAGES.glob("0[1-6]_*.ipynb")):
         for cell in nbformat.read(path, as_version=4).cells:
             for number, title in HEADING.findall(cell.source) if cell.cell_type != "code" else []:
                 where = (f"notebooks/{path.stem}", f"section-{number}")
@@ -65,7 +64,6 @@ def load_numbers(app: Sphinx, page: str, template: str, context: Any, doctree: A
         app.add_js_file("numbers.js", loading_method="defer")
 
 
-def setup(app: Sphinx) -> dict[str, bool]:
+def setup(app: Sphinx) -> None:
     app.connect("html-page-context", load_numbers)
     app.connect("build-finished", write_numbers)
-    return {"parallel_read_safe": True, "parallel_write_safe": True}

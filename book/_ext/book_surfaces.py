@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import base64
-import json
 from pathlib import Path
 
 import numpy as np
+from book_tables import script_json
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from microlib.curvature import HK_NAMES
 MOST_POINTS = 100
 
 
-def script_of(data: Path) -> str:
+def surface_script(data: Path) -> str:
     """Return the script element of a surface that `show_surface` kept; nothing for other data.
 
     Heights are written to 1/65534 of their span, and 0 is a hole.
@@ -52,7 +52,7 @@ def script_of(data: Path) -> str:
         "heights": _base64(np.nan_to_num(1 + 65534 * part).round().astype("<u2")),
         "kinds": _base64(kinds.astype(np.uint8)),
     }
-    return f'<script type="application/json" class="surface">{json.dumps(surface)}</script>'
+    return f'<script type="application/json" class="surface">{script_json(surface)}</script>'
 
 
 def _base64(values: NDArray) -> str:

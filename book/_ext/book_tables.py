@@ -1,17 +1,15 @@
-"""Pieces of pages that the other extensions are made of; and the benchmarks and the runs as tables.
+"""Pieces of pages that the other extensions are made of; and the benchmarks as tables.
 
 - ``{benchmarks}`` with the names of results: their tables, with the machine that they were
   measured on; without one, what must hold.
-- ``{certificate}``: what made this build, how each notebook's run went, and the hashes.
 
-Both read files of this project, which no extension that exists knows.
+They read files of this project, which no extension that exists knows.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from pathlib import Path
 from typing import Any
 
 from docutils import nodes
@@ -20,7 +18,8 @@ from sphinx.application import Sphinx
 from sphinx.config import Config
 from sphinx.util.docutils import SphinxDirective
 
-ROOT = Path(__file__).resolve().parents[2]
+from compendium import MISSING, ROOT
+
 RESULTS = ROOT / "benchmarks" / "results"
 #: A cell that holds a number, perhaps with a sign of comparison, is not broken on a phone.
 NUMBER = re.compile(r"[≤≥]?\s?[−+-]?\d[\d.,e+-]*")
@@ -74,6 +73,16 @@ def line(text: str, kind: str = "") -> nodes.paragraph:
     return nodes.paragraph(text, text, classes=[kind] if kind else [])
 
 
+def missing() -> nodes.inline:
+    """Return what stands for a value whose notebook failed or was not run."""
+    return nodes.inline(MISSING, MISSING, classes=["missing"])
+
+
+def script_json(data: object) -> str:
+    """Return data for an element ``<script type="application/json">``, which no text may end."""
+    return json.dumps(data, ensure_ascii=False).replace("<", "\\u003c")
+
+
 def raw_html(text: str) -> nodes.raw:
     return nodes.raw("", text, format="html")
 
@@ -125,39 +134,11 @@ class Benchmarks(SphinxDirective):
         return [result]
 
 
-class Certificate(SphinxDirective):
-    """What made this build, as ``book/make_certificate.py`` found it."""
-
-    def run(self) -> list[nodes.Node]:
-        made = json.loads((ROOT / "build/certificate/certificate.json").read_text("utf-8"))
-        names = ("commit", "committed", "version", "command", "built", "system", "processor")
-        facts = [[name.capitalize(), str(made[name])] for name in names]
-        facts[0][1] += ", with changes" if made["changed"] else ""
-        facts.append(["Verdicts", ", ".join(f"{n} {word}" for word, n in made["verdicts"].items())])
-        facts += [[f"Version of {name}", text] for name, text in made["versions"].items()]
-        hashes = [[name, nodes.literal("", code)] for name, code in made["sha256"].items()]
-        runs = [
-            [
-                run["notebook"],
-                str(run["seconds"]),
-                "failed" if run["failed"] else str(run["checks"]),
-            ]
-            for run in made["notebooks"]
-        ]
-        return [
-            table(["This build", "Value"], facts),
-            table(["SHA-256 of", "Value"], hashes),
-            table(["Notebook", "Run time (s)", "Checks passed"], runs),
-        ]
-
-
-def keep_own_numbers(app: Sphinx, config: Config) -> None:
+def disable_numfig(app: Sphinx, config: Config) -> None:
     # A LaTeX helper of jupyter-book turns Sphinx' own figure numbers on, whatever the settings say.
     config["numfig"] = False
 
 
-def setup(app: Sphinx) -> dict[str, bool]:
+def setup(app: Sphinx) -> None:
     app.add_directive("benchmarks", Benchmarks)
-    app.add_directive("certificate", Certificate)
-    app.connect("config-inited", keep_own_numbers, priority=900)
-    return {"parallel_read_safe": True, "parallel_write_safe": True}
+    app.connect("config-inited", disable_numfig, priority=900)

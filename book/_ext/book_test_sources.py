@@ -6,7 +6,6 @@ sphinx.ext.viewcode shows documented modules only, and tests are none.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from pygments import highlight
@@ -14,9 +13,7 @@ from pygments.formatters import HtmlFormatter
 from pygments.lexers import PythonLexer
 from sphinx.application import Sphinx
 
-from compendium import ledger
-
-ROOT = Path(__file__).resolve().parents[2]
+from compendium import ROOT, ledger
 
 
 def line_of(file: str, text: str) -> int:
@@ -32,17 +29,11 @@ def page_of(file: str) -> str:
     return "_" + file.removesuffix(".py")
 
 
-def place_of_test(test: str) -> tuple[str, str]:
-    """Return page and anchor of a test that is named as pytest does."""
+def place_of_test(test: str, entry: str = "") -> tuple[str, str]:
+    """Return page and anchor of a test that is named as pytest does, or of an entry in its file."""
     file, _, function = test.partition("::")
-    return page_of(file), f"line-{line_of(file, f'def {function}(') if function else 1}"
-
-
-def place_of_proof(erratum: str) -> tuple[str, str]:
-    """Return page and anchor of an erratum's entry in the table of proofs."""
-    file = ledger.errata()[erratum]["test"]
-    entry = f'"{erratum}": ('
-    return page_of(file), f"line-{line_of(file, entry)}"
+    text = entry or (f"def {function}(" if function else "")
+    return page_of(file), f"line-{line_of(file, text)}"
 
 
 def show_sources(app: Sphinx) -> Iterator[tuple[str, dict[str, Any], str]]:
@@ -54,6 +45,5 @@ def show_sources(app: Sphinx) -> Iterator[tuple[str, dict[str, Any], str]]:
         yield page_of(file), {"title": file, "body": f"<h1>{file}</h1>{body}"}, "page.html"
 
 
-def setup(app: Sphinx) -> dict[str, bool]:
+def setup(app: Sphinx) -> None:
     app.connect("html-collect-pages", show_sources)
-    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -52,6 +52,5 @@ def write_scripts(app: Sphinx, error: Exception | None) -> None:
     (folder / "stack.js").write_text(f"(globalThis.tryIt ??= {{}}).stack = {text};\n", "utf-8")
 
 
-def setup(app: Sphinx) -> dict[str, bool]:
+def setup(app: Sphinx) -> None:
     app.connect("build-finished", write_scripts)
-    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -10,32 +10,31 @@
   those that disagree, by cause; ``{deviations}``: where another rule than 95 % judges.
 - ``{errata}``: every fault of the thesis with its proof; ``{reaches}``: which results they change.
 
-A number that was never recorded stops the build, so the text cannot outlive its notebook. No
-extension that exists knows of claims, which is what all of this file is about.
+In place of a number that no notebook recorded stands that it was not computed. No extension that
+exists knows of claims, which is what all of this file is about.
 """
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from html import escape
 from itertools import product
-from pathlib import Path
+from typing import Any, ClassVar
 from urllib.parse import urlencode
 
 from book_map import find_items
-from book_tables import line, link, raw_html, section, table
-from book_test_sources import place_of_proof, place_of_test
+from book_tables import line, link, missing, raw_html, script_json, section, table
+from book_test_sources import place_of_test
 from docutils import nodes
 from docutils.statemachine import StringList
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective, SphinxRole
 
-from compendium import ledger
+from compendium import ROOT, ledger
+from compendium.tables import verdict_link
 
-ROOT = Path(__file__).resolve().parents[2]
 CLAIMS = ROOT / "build" / "claims"
 #: Most telling first.
 ORDER = ("disagrees", "cannot tell", "agrees", "fitted", "input")
@@ -118,37 +117,14 @@ def number_of(what: str) -> int:
     return origins[what] or count_by_class(what).total()
 
 
-class Count(SphinxRole):
-    def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
-        counts = count_by_class(self.text)
-        parts = ", ".join(f"{count} {name}" for name, count in counts.most_common())
-        text = f"{counts.total()} ({parts})"
-        return [nodes.inline(self.rawtext, text, classes=["count"])], []
+def count(env: Any, of: str) -> nodes.Node:
+    counts = count_by_class(of)
+    parts = ", ".join(f"{count} {name}" for name, count in counts.most_common())
+    return nodes.inline("", f"{counts.total()} ({parts})", classes=["count"])
 
 
-class Number(SphinxRole):
-    def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
-        return [nodes.inline(self.rawtext, str(number_of(self.text)), classes=["count"])], []
-
-
-class Recomputed(SphinxRole):
-    def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
-        record = records().get(self.text)
-        if record is None:
-            message = self.inliner.reporter.error(f"no notebook recorded {self.text!r}")
-            return [nodes.problematic(self.rawtext, self.rawtext)], [message]
-        return [lead_to_cell(self.env, record)], []
-
-
-class Printed(SphinxRole):
-    def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
-        text = printed(ledger.claim(self.text))
-        return [nodes.inline(self.rawtext, text, classes=["printed"])], []
-
-
-class Verdict(SphinxRole):
-    def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
-        return [lead_to(self.env, ledger.claim(self.text))], []
+def number(env: Any, of: str) -> nodes.Node:
+    return nodes.inline("", str(number_of(of)), classes=["count"])
 
 
 def printed(claim: ledger.Claim) -> str:
@@ -157,13 +133,10 @@ def printed(claim: ledger.Claim) -> str:
     return number if claim.printed else "no number"
 
 
-def badge(claim: ledger.Claim) -> nodes.inline:
-    kind = claim.verdict.replace(" ", "-")
-    return nodes.inline(claim.label, claim.label, classes=["verdict", f"verdict-{kind}"])
-
-
-def lead_to_cell(env: object, record: ledger.Record) -> nodes.reference:
-    """Return a recomputed number, which leads to the cell that recorded it."""
+def cell_link(env: Any, name: str) -> nodes.Node:
+    """Return a recomputed number, which leads to the cell that recorded it, if one did."""
+    if (record := records().get(name)) is None:
+        return missing()
     shown = nodes.inline("", str(record), classes=["recomputed"])
     return link(env, shown, f"notebooks/{record.notebook}", f"number-{record.id}")
 
@@ -178,9 +151,32 @@ def name_cells(app: Sphinx, doctree: nodes.document) -> None:
             cell["ids"] += [nodes.make_id(f"number-{name}") for name in found]
 
 
-def lead_to(env: object, claim: ledger.Claim) -> nodes.reference:
-    """Return a claim's badge, which leads to its row."""
-    return link(env, badge(claim), "claims", f"claim-{claim.id}")
+def claim_link(env: Any, claim: ledger.Claim) -> nodes.raw:
+    """Return a claim's verdict, which leads to its row."""
+    return raw_html(verdict_link(claim, claim.label, up="../" * env.docname.count("/")))
+
+
+def printed_number(env: Any, name: str) -> nodes.Node:
+    return nodes.inline("", printed(ledger.claim(name)), classes=["printed"])
+
+
+def verdict(env: Any, name: str) -> nodes.Node:
+    return claim_link(env, ledger.claim(name))
+
+
+class Role(SphinxRole):
+    """A role whose function makes a node of its text."""
+
+    functions: ClassVar = {
+        "count": count,
+        "number": number,
+        "printed": printed_number,
+        "recomputed": cell_link,
+        "verdict": verdict,
+    }
+
+    def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
+        return [self.functions[self.name](self.env, self.text)], []
 
 
 class VerdictMap(SphinxDirective):
@@ -225,16 +221,12 @@ class Claims(SphinxDirective):
         result = table(head, rows, ids=[f"claim-{claim.id}" for claim in chosen])
         result["classes"].append("claims")
         data = {nodes.make_id(f"claim-{claim.id}"): facets(claim) for claim in chosen}
-        script = f'<script type="application/json" id="claims-facets">{json.dumps(data)}</script>'
+        script = f'<script type="application/json" id="claims-facets">{script_json(data)}</script>'
         return [raw_html(script), result]
 
     def row(self, claim: ledger.Claim) -> list[list[nodes.Node]]:
-        record = records().get(claim.id)
-        recomputed = nodes.paragraph("", "–")
-        if record:
-            recomputed = nodes.paragraph("", "", lead_to_cell(self.env, record))
-        verdict = nodes.paragraph()
-        verdict += badge(claim)
+        found = cell_link(self.env, claim.id) if claim.compared else nodes.Text("–")
+        verdict = nodes.paragraph("", "", claim_link(self.env, claim))
         if claim.compared:
             verdict += nodes.Text(f" by {claim.compared}")
         said = [(f"{ledger.STAR} ", claim.star), ("Fitted: ", claim.fitted)]
@@ -246,7 +238,7 @@ class Claims(SphinxDirective):
         return [
             [line(claim.what), line(claim.id, "claim-id")],
             [*thesis, line(f"{claim.says}.")] if claim.says else thesis,
-            [recomputed],
+            [nodes.paragraph("", "", found)],
             [verdict, *(line(f"{label}{text.rstrip('.')}.") for label, text in said if text)],
             list(self.sources(claim)),
         ]
@@ -254,24 +246,22 @@ class Claims(SphinxDirective):
     def sources(self, claim: ledger.Claim) -> Iterator[nodes.Node]:
         """Yield where a claim stands in the chapters, what holds its computation, its erratum."""
         page, anchor = place_of(claim)
-        yield self.leads(claim.where, page, anchor)
+        yield self.lead(claim.where, page, anchor)
         if record := records().get(claim.id):
-            yield self.leads("code", f"notebooks/{record.notebook}", f"number-{record.id}")
+            yield self.lead("code", f"notebooks/{record.notebook}", f"number-{record.id}")
         if claim.test:
-            yield self.leads("test", *place_of_test(claim.test))
+            yield self.lead("test", *place_of_test(claim.test))
         for name, entry in ledger.errata().items():
             if claim.id in entry.get("claims", "").split():
-                yield self.leads("erratum", "errata", f"erratum-{name}")
+                yield self.lead("erratum", "errata", f"erratum-{name}")
 
-    def leads(self, text: str, page: str, anchor: str) -> nodes.paragraph:
-        paragraph = nodes.paragraph()
-        paragraph += link(self.env, nodes.Text(text), page, anchor)
-        return paragraph
+    def lead(self, text: str, page: str, anchor: str) -> nodes.paragraph:
+        return nodes.paragraph("", "", link(self.env, nodes.Text(text), page, anchor))
 
 
 def place_of(claim: ledger.Claim) -> tuple[str, str]:
     """Return page and anchor of the table or section that a claim's id begins with."""
-    places = find_items(ROOT / "build" / "notebooks")
+    places = find_items()
     name = claim.id.split("/")[0]
     while name not in places and "." in name:
         name = name.rpartition(".")[0]  # a subsection without a heading of its own
@@ -279,20 +269,18 @@ def place_of(claim: ledger.Claim) -> tuple[str, str]:
     return f"notebooks/{stem}", anchor
 
 
-class Listing(SphinxDirective):
-    """A directive that writes its page in the book's own markup."""
-
-    def written(self, name: str, title: str, lines: list[str]) -> nodes.section:
-        part = section(name, title)
-        self.state.nested_parse(StringList(lines, source=name), 0, part)
-        return part
+def parse_lines(directive: SphinxDirective, lines: list[str], part: nodes.Element) -> nodes.Element:
+    """Return a node with the content of lines in the book's own markup."""
+    directive.state.nested_parse(StringList(lines, source=directive.name), 0, part)
+    return part
 
 
-class Differences(Listing):
+class Differences(SphinxDirective):
     """Each claim that disagrees: both numbers and the reason, by cause."""
 
     def run(self) -> list[nodes.Node]:
-        lines: dict[str, list[str]] = {}
+        causes = ledger.causes()
+        lines = {name: [cause["text"], ""] for name, cause in causes.items()}
         for claim in ledger.claims().values():
             if claim.verdict == "disagrees":
                 thesis = f"Printed: {printed(claim)}."
@@ -301,25 +289,21 @@ class Differences(Listing):
                     thesis = f"It says: {claim.says}, which needs a number {needed}."
                 text = f"- **{claim.what}** ({claim.where}). {{verdict}}`{claim.id}` {thesis} "
                 text += f"Recomputed: {{recomputed}}`{claim.id}`. {claim.note}"
-                lines.setdefault(claim.cause, []).append(text)
-        return [
-            self.written(f"cause-{name}", cause["title"], [cause["text"], "", *lines[name]])
-            for name, cause in ledger.causes().items()
-        ]
+                lines[claim.cause].append(text)
+        parts = {name: section(f"cause-{name}", causes[name]["title"]) for name in lines}
+        return [parse_lines(self, lines[name], part) for name, part in parts.items()]
 
 
-class Reaches(Listing):
+class Reaches(SphinxDirective):
     """What of the errata and of the causes changes a result, the same list on every page."""
 
     def run(self) -> list[nodes.Node]:
         entries = [*ledger.errata().values(), *ledger.causes().values()]
         lines = [f"- {entry['reaches']}" for entry in entries if "reaches" in entry]
-        part = nodes.container()
-        self.state.nested_parse(StringList(lines, source="errata.toml"), 0, part)
-        return part.children
+        return parse_lines(self, lines, nodes.container()).children
 
 
-class Deviations(Listing):
+class Deviations(SphinxDirective):
     """Every tolerance and limit that is not the general rule, with its reason."""
 
     def run(self) -> list[nodes.Node]:
@@ -328,55 +312,48 @@ class Deviations(Listing):
             if claim.reason and not claim.reason.startswith("95 %"):
                 groups.setdefault(f"{claim.rule}: {claim.reason}.", []).append(claim)
         lines = [
-            f"- {rule} ({', '.join(to(c.id, 'claims', f'claim-{c.id}') for c in alike)})"
+            f"- {rule} ({', '.join(html_link(c.id, 'claims', f'claim-{c.id}') for c in alike)})"
             for rule, alike in groups.items()
         ]
-        part = nodes.container()
-        self.state.nested_parse(StringList(lines, source="claims.toml"), 0, part)
-        return part.children
+        return parse_lines(self, lines, nodes.container()).children
 
 
-class Errata(Listing):
+class Errata(SphinxDirective):
     """One section an erratum: where, what was printed, what is right, and the proof."""
 
     def run(self) -> list[nodes.Node]:
-        places = find_items(ROOT / "build" / "notebooks")
+        places = find_items()
         result: list[nodes.Node] = []
         for name, entry in ledger.errata().items():
-            ways = f"Proof: {to(entry['test'], *place_of_proof(name))}."
-            if claims := [to(c, "claims", f"claim-{c}") for c in entry.get("claims", "").split()]:
-                ways += f" Printed numbers: {', '.join(claims)}."
+            proof = place_of_test(entry["test"], f'"{name}": (')
+            ways = f"Proof: {html_link(entry['test'], *proof)}."
+            if claims := entry.get("claims", "").split():
+                links = (html_link(c, "claims", f"claim-{c}") for c in claims)
+                ways += f" Printed numbers: {', '.join(links)}."
             if name in places:
                 # The map makes a link of it.
                 ways += f" Formula: ({name.removeprefix('equation-')})."
-            lines = [
-                f"**{entry['where']}.** *{entry['origin']}.*",
-                f"**Printed:** {entry['printed']}",
-                *(
-                    [f"**A reading without a fault:** {entry['reading']}"]
-                    if "reading" in entry
-                    else []
-                ),
-                f"**{'Otherwise' if 'reading' in entry else 'Right'}:** {entry['corrected']}",
-                entry["proof"],
-                f'<span class="erratum-sources">{ways}</span>',
-            ]
+            lines = [f"**{entry['where']}.** *{entry['origin']}.*"]
+            lines.append(f"**Printed:** {entry['printed']}")
+            if "reading" in entry:
+                lines.append(f"**A reading without a fault:** {entry['reading']}")
+            lines.append(
+                f"**{'Otherwise' if 'reading' in entry else 'Right'}:** {entry['corrected']}"
+            )
+            lines += [entry["proof"], f'<span class="erratum-sources">{ways}</span>']
             spaced = [part for text in lines for part in (text, "")]
-            result.append(self.written(f"erratum-{name}", entry["title"], spaced))
+            result.append(parse_lines(self, spaced, section(f"erratum-{name}", entry["title"])))
         return result
 
 
-def to(text: str, page: str, anchor: str) -> str:
+def html_link(text: str, page: str, anchor: str) -> str:
     """Return a link from a page at the top of the book, for its markup."""
     return f'<a class="internal" href="{page}.html#{nodes.make_id(anchor)}">{escape(text)}</a>'
 
 
-def setup(app: Sphinx) -> dict[str, bool]:
-    app.add_role("recomputed", Recomputed())
-    app.add_role("printed", Printed())
-    app.add_role("verdict", Verdict())
-    app.add_role("count", Count())
-    app.add_role("number", Number())
+def setup(app: Sphinx) -> None:
+    for name in Role.functions:
+        app.add_role(name, Role())
     app.add_directive("verdict-map", VerdictMap)
     app.add_directive("claims", Claims)
     app.add_directive("differences", Differences)
@@ -386,4 +363,3 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("doctree-read", name_cells)
     app.add_css_file("thesis.css")
     app.add_js_file("filter.js", loading_method="defer")
-    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -12,7 +12,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from book_surfaces import script_of
+from book_surfaces import surface_script
 from matplotlib import colormaps
 from PIL import Image
 from playwright.sync_api import Browser, Page
@@ -213,7 +213,7 @@ def test_a_surface_to_turn_has_the_heights_and_their_colors(
     surfaces.show_surface("types", height, 2.0, labels=labels)
     part, types = height[::3, ::3], labels[::3, ::3]  # at most 100 points a side
     for name in ("plain", "types"):
-        script = script_of(tmp_path / f"{name}.npz")
+        script = surface_script(tmp_path / f"{name}.npz")
         kept = json.loads(re.sub("<[^>]*>", "", script))
         assert (kept["rows"], kept["cols"], kept["pitch"]) == (*part.shape, 6.0)
         codes = np.frombuffer(b64decode(kept["heights"]), "<u2").reshape(part.shape)

@@ -69,8 +69,6 @@ def test_an_item_leads_to_its_functions_its_claims_and_its_erratum(item: Item) -
 
 
 def test_imports_are_read_from_the_code(tmp_path: Path) -> None:
-    code = "import a.b\nfrom c import d as e\ndef f():\n    from g.h import i\n"
-    (tmp_path / "one.py").write_text(code)
-    assert (
-        imported(tmp_path) == imported(tmp_path / "one.py") == {("a", "b"), ("c", "d"), ("g", "h")}
-    )
+    code = "import microlib.a.b\nfrom microlib.c import d\ndef f():\n    from microlib import g\n"
+    (tmp_path / "one.py").write_text(code + "import microlibs.x\nfrom microlib_y import z\n")
+    assert imported(tmp_path) == imported(tmp_path / "one") == {"a", "c", "g"}

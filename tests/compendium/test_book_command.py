@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+import nbformat
 import pytest
+from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 
 from compendium import book, run
+from tests.compendium.test_run import write_notebook
 
 
 @pytest.fixture
@@ -14,9 +18,18 @@ def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(book, "ROOT", tmp_path)
     monkeypatch.setattr(book, "BUILD", tmp_path / "build")
     monkeypatch.setattr(book, "RENDERED", tmp_path / "build" / "rendered")
+    monkeypatch.setattr(run, "ROOT", tmp_path)
     monkeypatch.setattr(run, "BUILD", tmp_path / "build")
-    for folder in ("book/notebooks", "book/generated", "build/notebooks"):
+    for folder in (
+        "book/notebooks",
+        "book/generated",
+        "build/notebooks",
+        "build/status",
+        "notebooks",
+    ):
         (tmp_path / folder).mkdir(parents=True)
+    write_notebook(tmp_path, "01", "1")
+    (tmp_path / "build" / "status" / "01.json").write_text('{"failed": ""}')
     (tmp_path / "book" / "notebooks" / "removed.ipynb").touch()
     (tmp_path / "build" / "notebooks" / "01.ipynb").write_text("new")
     return tmp_path
@@ -41,7 +54,7 @@ def test_a_new_book_takes_the_place_of_the_old(tree: Path, monkeypatch: pytest.M
     # The one that is shown and, until the next run, the one before.
     assert len(list((tree / "build" / "rendered").iterdir())) == 2
     kept = {path.name for path in (tree / "build").iterdir()}
-    assert kept == {".lock", "html", "notebooks", "rendered"}
+    assert kept == {".lock", "html", "notebooks", "rendered", "status"}
 
 
 @pytest.mark.parametrize(
@@ -71,18 +84,30 @@ def test_a_book_that_fails_leaves_the_old_one(
     assert (tree / "build" / "html" / "index.html").read_text() == "new"
 
 
-def test_with_a_failed_notebook_the_other_pages_are_rendered_and_it_is_named(
-    tree: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("executed", [True, False])
+def test_the_page_of_a_failed_notebook_says_what_failed(
+    tree: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    executed: bool,
 ) -> None:
-    status = tree / "build" / "status"
-    status.mkdir()
-    (status / "04.json").write_text('{"notebook": "04", "failed": "FAILED in cell a: E: 1"}')
-
-    def warn(folder: Path) -> None:  # of what the failed notebook did not record
-        render(folder)
-        raise SystemExit(1)
-
-    monkeypatch.setattr(book, "render", warn)
+    """It shows as much as was executed, and nothing of an earlier run."""
+    figure = {"mystnb": {"figure": {"name": "fig-4", "caption": "One."}}}
+    cells = [new_markdown_cell("(four)=\n# 4 Four\n\nText.", id="a")]
+    cells.append(new_code_cell("show()", id="b", metadata=figure))
+    nbformat.write(new_notebook(cells=cells), tree / "notebooks" / "04.ipynb")
+    if executed:
+        cells[0].source += " As far as it came."
+        nbformat.write(new_notebook(cells=cells), tree / "build" / "notebooks" / "04.ipynb")
+        status = {"when": "2026-11-26 18:40", "failed": "FAILED in cell b: E: <1>"}
+        (tree / "build" / "status" / "04.json").write_text(json.dumps(status))
+    monkeypatch.setattr(book, "render", render)
     assert book.main() == 1
-    assert (tree / "build" / "html" / "index.html").read_text() == "new"
-    assert capsys.readouterr().err.endswith("notebooks failed:\n  04: FAILED in cell a: E: 1\n")
+    reason = "FAILED in cell b: E: <1>" if executed else "it was not run"
+    assert capsys.readouterr().err.endswith(f"notebooks failed:\n  04: {reason}\n")
+    page = nbformat.read(tree / "book" / "notebooks" / "04.ipynb", as_version=4)
+    head = page.cells[0].source
+    assert head.startswith("(four)=\n# 4 Four\n\n:::{error}\n")
+    assert reason in head
+    assert ("2026-11-26 18:40" in head) == ("As far as it came." in head) == executed
+    assert "not computed in this build" in page.cells[1].outputs[0].data["image/svg+xml"]

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
 
+from compendium import guides
 from compendium.guides import (
     FOLDER,
     compare,
     find_input,
-    keep,
     manifest,
-    settle,
+    resolve_scales,
 )
 
 EMBRYO = find_input("embryo.png")
@@ -27,7 +25,7 @@ ALLOWED = {"modulus_MPa": 0.05, "dimple_radius_um": 1.0, "dimple_depth_um": 1.0}
 
 def test_the_scales_of_the_demo_are_of_no_other_file(tmp_path: Path) -> None:
     unknown = dict.fromkeys(SETTINGS)
-    values, table = settle(EMBRYO, unknown)
+    values, table = resolve_scales(EMBRYO, unknown)
     assert values == SETTINGS
     assert set(table["from"]) == {"the demo"}
     mine = tmp_path / "embryo.png"
@@ -35,9 +33,9 @@ def test_the_scales_of_the_demo_are_of_no_other_file(tmp_path: Path) -> None:
     with pytest.raises(
         ValueError, match=r"force, pixel_size, .* given for .*: -p force VALUE -p pixel_size"
     ):
-        settle(mine, unknown)
+        resolve_scales(mine, unknown)
     given = SETTINGS | {"pixel_size": None, "force": 3.0}
-    values, table = settle(mine, given, {"pixel_size": 2.0, "force": 9.0})
+    values, table = resolve_scales(mine, given, {"pixel_size": 2.0, "force": 9.0})
     assert (values["force"], values["pixel_size"]) == (3.0, 2.0)
     assert table["from"][["force", "pixel_size"]].tolist() == ["given", "the file"]
 
@@ -84,17 +82,12 @@ def test_nothing_is_compared_without_a_truth(
     assert "The truth of embryo.png is for force = 113.75" in capsys.readouterr().out
 
 
-def test_results_are_kept_as_what_they_are(tmp_path: Path) -> None:
-    table = pd.DataFrame({"x_um": np.arange(20) / 8, "lost": True})
-    keep(tmp_path / "table.csv", table)
-    keep(tmp_path / "named.csv", table.rename_axis("frame"))
-    keep(tmp_path / "grey.png", np.tile(np.arange(0, 250, 10, np.uint8), (9, 1)))
-    keep(tmp_path / "figure.png", plt.figure(figsize=(1, 1)))
-    plt.close()
-    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "table.csv"), table)
-    named = pd.read_csv(tmp_path / "named.csv", index_col="frame")
-    pd.testing.assert_frame_equal(named, table.rename_axis("frame"))
-    grey = cv2.imread(str(tmp_path / "grey.png"), cv2.IMREAD_GRAYSCALE).astype(int)
-    # From black to white, as matplotlib scales it; levels of the map are 1 in 255 apart.
-    np.testing.assert_allclose(grey, np.tile(np.linspace(0, 255, 25), (9, 1)), atol=1.5)
-    assert cv2.imread(str(tmp_path / "figure.png")).shape[2] == 3
+def test_results_go_to_the_project_unless_the_reader_names_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where the working folder is that of the notebooks, as in Jupyter."""
+    monkeypatch.setattr(guides, "ROOT", tmp_path / "project")
+    monkeypatch.chdir(tmp_path)
+    assert guides.out_folder("", "focus") == tmp_path / "project" / "build" / "guides" / "focus"
+    assert guides.out_folder("mine", "focus").resolve() == tmp_path / "mine"
+    assert (tmp_path / "mine").is_dir()

@@ -6,17 +6,17 @@ from pathlib import Path
 
 import pytest
 
-from compendium import parameters
 from compendium.parameters import read_values
 from tests.compendium.test_run import write_notebook
 
 CELL = """record = ""  # not used here
-stack = "data/in.tif"  # the frames
+stack = ""  # input: the frames, or "demo"
 spacing = 25.0  # µm, ≠ 0, between frames
 size = 3.9  # µm/px, > 0
 spread = 0.0  # µm, ≥ 0, standard deviation
 start = -50.0  # µm
 box = [30, 40, 40, 40]  # px
+targets = [[40.0, -30.0], [0.0, 0.0]]  # px
 seed = 1  # of the noise
 radius = None  # µm, > 0; or an outline
 out = "build/guides/focus"  # folder"""
@@ -24,11 +24,8 @@ out = "build/guides/focus"  # folder"""
 
 @pytest.fixture
 def notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A notebook of a project with one input, seen from another folder."""
-    monkeypatch.setattr(parameters, "ROOT", tmp_path / "project")
-    (tmp_path / "project" / "data").mkdir(parents=True)
-    (tmp_path / "project" / "data" / "in.tif").touch()
-    (tmp_path / "project" / "notebooks").mkdir()
+    """A notebook, seen from another folder."""
+    (tmp_path / "project" / "notebooks").mkdir(parents=True)
     write_notebook(tmp_path / "project", "07_guide", "other = 1", CELL)
     (tmp_path / "reader").mkdir()
     (tmp_path / "reader" / "a.png").touch()
@@ -42,9 +39,10 @@ def notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("spacing", "1e1", 10.0),
         ("spread", "0", 0.0),
         ("box", "[1, 2,3,4]", [1, 2, 3, 4]),
+        ("targets", "[[40, -30], [-35, -25], [0, 0]]", [[40.0, -30.0], [-35.0, -25.0], [0.0, 0.0]]),
         ("radius", "None", None),
         ("record", "null", "null"),
-        ("stack", "data/in.tif", "data/in.tif"),
+        ("stack", "demo", "demo"),
         ("stack", "*.png", "*.png"),
         ("stack", "a.png", "a.png"),
     ],
@@ -52,7 +50,7 @@ def notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_text_takes_the_type_of_its_parameter(
     notebook: Path, name: str, text: str, value: object
 ) -> None:
-    found = read_values(notebook, {name: text})[name]
+    found = read_values(notebook, [(name, text)])[name]
     assert found == value
     assert type(found) is type(value)
 
@@ -71,6 +69,8 @@ def test_a_text_takes_the_type_of_its_parameter(
         ("box", "[1,2,3,4.5]", "box must be"),
         ("box", "[1,2,3,true]", "box must be"),
         ("box", "1,2,3,4", "box must be"),
+        ("targets", "[[40, -30], [1]]", "targets must be lists of 2 numbers in brackets, such as "),
+        ("targets", "[]", "targets must be"),
         ("box", '{"1": 0, "2": 0, "3": 0, "4": 0}', "box must be"),
         ("stack", "*x.tif", r"stack must name a file, got \*x.tif: no such file"),
         ("stack", "mine.tif", "stack must name a file, got mine.tif: no such file"),
@@ -83,5 +83,5 @@ def test_a_wrong_text_is_told_in_one_line(
     notebook: Path, name: str, text: str, message: str
 ) -> None:
     with pytest.raises(ValueError, match=f"^{message.replace('?', '[?]')}") as caught:
-        read_values(notebook, {name: text})
+        read_values(notebook, [(name, text)])
     assert "\n" not in str(caught.value)

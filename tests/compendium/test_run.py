@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -42,7 +43,6 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (tmp_path / folder).mkdir(parents=True)
     for file in ("microlib/focus/_a.py", "compendium/b.py", "data/thesis/c.toml"):
         (tmp_path / file).write_text("one")
-    (tmp_path / "environment.txt").write_text("one")
     write_notebook(tmp_path, "01_first", CHECKS)
     write_notebook(tmp_path, "06_last", CHECKS)
     monkeypatch.setattr(run, "ROOT", tmp_path)
@@ -55,7 +55,7 @@ def test_a_changed_file_changes_the_key(project: Path) -> None:
     keys = [run.key_of("01_first")]
     for file in (
         "notebooks/01_first.ipynb", "microlib/focus/_a.py", "compendium/b.py",
-        "data/thesis/c.toml", "environment.txt",
+        "data/thesis/c.toml",
     ):  # fmt: skip
         (project / file).write_text("two")
         keys.append(run.key_of("01_first"))
@@ -75,6 +75,8 @@ def statuses(project: Path) -> dict[str, dict]:
 def test_only_what_changed_or_is_missing_runs_again(
     project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    figure = "import os\n(pathlib.Path(os.environ['MICROLIB_FIGURES']) / 'fig.csv').touch()"
+    write_notebook(project, "01_first", CHECKS + figure)
     monkeypatch.setattr(sys, "argv", ["run"])
     assert run.main() == 0
     assert statuses(project)["01_first"].items() >= {"checks": 1, "failed": ""}.items()
@@ -88,6 +90,7 @@ def test_only_what_changed_or_is_missing_runs_again(
         ("build/status/01_first.json", "{"),
         ("build/status/01_first.json", None),
         ("build/notebooks/01_first.ipynb", None),
+        ("build/figures/fig.csv", None),
         ("notebooks/01_first.ipynb", (project / "notebooks/01_first.ipynb").read_text() + " "),
     ):
         before = (project / file).read_text()
@@ -101,19 +104,19 @@ def test_a_failure_stops_nothing_and_is_listed_at_the_end(
     project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """It is named with cell and message; what it computed before stays, and it runs again."""
-    write_notebook(project, "01_first", CHECKS + "1 / 0")
+    write_notebook(project, "08_first", CHECKS + "1 / 0")
     write_notebook(project, "02_second", CHECKS)
     monkeypatch.setattr(sys, "argv", ["run"])
     assert run.main() == 1
     said = capsys.readouterr()
-    failure = "01_first: FAILED in cell source: ZeroDivisionError: division by zero"
+    failure = "08_first: FAILED in cell source: ZeroDivisionError: division by zero"
     assert said.err.endswith(f"These notebooks failed:\n  {failure}\n")
     assert {name for name, one in statuses(project).items() if not one["failed"]} == {
-        "02_second", "06_last",
+        "01_first", "02_second", "06_last",
     }  # fmt: skip
-    assert json.loads((project / "build" / "claims" / "01_first.json").read_text())
-    page = nbformat.read(project / "build" / "notebooks" / "01_first.ipynb", as_version=4)
-    assert [cell.id for cell in page.cells] == [
+    assert json.loads((project / "build" / "claims" / "08_first.json").read_text())
+    page = nbformat.read(project / "build" / "notebooks" / "08_first.ipynb", as_version=4)
+    assert [cell.id for cell in page.cells if cell.cell_type == "code"] == [
         "other",
         "parameters",
         "injected-parameters",
@@ -122,48 +125,154 @@ def test_a_failure_stops_nothing_and_is_listed_at_the_end(
     monkeypatch.setattr(sys, "argv", ["run", "--failures"])
     assert run.main() == 1
     assert failure in capsys.readouterr().err
-    assert not run.up_to_date("01_first", run.key_of("01_first"))
+    assert not run.up_to_date("08_first", run.key_of("08_first"))
+    # A run of another notebook says that this failure is older.
+    monkeypatch.setattr(sys, "argv", ["run", "02"])
+    assert run.main() == 1
+    assert "08_first (earlier, 20" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("source", "message"),
     [
         ("import os; print(os.getcwd())", "FAILED: an output names a path of this machine"),
-        ("import os; os.kill(os.getpid(), 9)", "FAILED: its kernel was killed"),
+        (
+            "import os, sys; print('last words', file=sys.__stderr__); os.kill(os.getpid(), 9)",
+            "FAILED in cell source: DeadKernelError: Kernel died",
+        ),
+        ("import time; time.sleep(60)", "FAILED in cell source: CellTimeoutError: A cell timed"),
+        ("assert False", "FAILED in cell source: AssertionError:"),
     ],
 )
-def test_other_failures_are_told(project: Path, source: str, message: str) -> None:
+def test_other_failures_are_told(
+    project: Path, monkeypatch: pytest.MonkeyPatch, source: str, message: str
+) -> None:
+    """Assertions hold although the user's Python leaves them out."""
+    monkeypatch.setenv("PYTHONOPTIMIZE", "1")
+    monkeypatch.setattr(run, "CELL_LIMIT", 5)
     write_notebook(project, "01_first", source)
     run.build(["01_first"], 1, force=False)
-    assert run.failures() == {"01_first": message}
+    assert run.failures()["01_first"].startswith(message)
+    log = (project / "build" / "logs" / "01_first.txt").read_text()
+    assert ("last words" in log) == ("last words" in source)
+
+
+def test_what_cannot_be_started_or_written_is_a_failure(
+    project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A kernel without an interpreter; and a disk on which not even the status has room."""
+    monkeypatch.setattr(sys, "argv", ["run", "01"])
+    assert run.main() == 0
+    monkeypatch.setattr(sys, "argv", ["run", "01", "--force"])
+    with monkeypatch.context() as broken:
+        broken.setattr(sys, "executable", str(project / "missing"))
+        assert run.main() == 1
+    assert "FAILED: FileNotFoundError" in statuses(project)["01_first"]["failed"]
+    with monkeypatch.context() as full:
+        full.setattr(run, "replace_file", lambda *_: (_ for _ in ()).throw(OSError(28, "No space")))
+        assert run.main() == 1
+    assert "01_first: it was not run" in capsys.readouterr().err
+    assert not list((project / "build" / "notebooks").iterdir())  # nothing of an earlier run
+
+
+def test_the_last_chapter_asks_for_the_others(project: Path) -> None:
+    run.build(["06_last"], 1, force=False)
+    assert run.failures()["06_last"].endswith("run 01_first first")
+    run.build(["01_first", "06_last"], 1, force=False)
+    assert run.failures() == {}
+
+
+def test_the_kernel_is_this_interpreter_with_none_of_the_users_settings(
+    project: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A kernel called python3, an IPython profile and a start-up file of the user's."""
+    spec = project / "jupyter" / "kernels" / "python3" / "kernel.json"
+    spec.parent.mkdir(parents=True)
+    spec.write_text(json.dumps({"argv": ["false"], "display_name": "x", "language": "python"}))
+    startup = project / "ipython" / "profile_default" / "startup" / "00.py"
+    startup.parent.mkdir(parents=True)
+    startup.write_text("other_profile = 1")
+    (project / "start.py").write_text("other_start = 1")
+    monkeypatch.setenv("JUPYTER_PATH", str(project / "jupyter"))
+    monkeypatch.setenv("IPYTHONDIR", str(project / "ipython"))
+    monkeypatch.setenv("PYTHONSTARTUP", str(project / "start.py"))
+    monkeypatch.setenv("HOME", "/nonexistent")
+    write_notebook(
+        project, "01_first", "import sys; assert not [n for n in dir() if n.startswith('other_')]\n"
+        f"assert sys.executable == {sys.executable!r}",
+    )  # fmt: skip
+    run.build(["01_first"], 1, force=False)
+    assert run.failures().keys() == {"06_last"}
+    assert statuses(project)["01_first"]["interpreter"].startswith(sys.executable)
+
+
+def test_what_a_deleted_notebook_left_is_removed(project: Path) -> None:
+    write_notebook(project, "08_old", CHECKS)
+    run.build(["08_old"], 1, force=False)
+    (project / "notebooks" / "08_old.ipynb").unlink()
+    run.build([], 1, force=False)
+    assert not list((project / "build").glob("*/08_old*"))
+
+
+WAITS = """
+import os, time, pathlib
+pathlib.Path("pid").write_text(str(os.getpid()))
+try:
+    time.sleep(60)
+except KeyboardInterrupt:
+    time.sleep(0.5)  # what stops a stage takes its time
+    pathlib.Path("stopped").touch()
+    raise
+"""
+
+
+def start_waiting(project: Path, *arguments: str) -> tuple[subprocess.Popen, int]:
+    """Run a notebook that waits, in a process of its own; return it with its kernel's number."""
+    write_notebook(project, "01_first", WAITS, 'record = ""\nwidth = 1.0')
+    # A shell lets what it starts in the background ignore Ctrl-C.
+    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    code += "import sys, pathlib; from compendium import run; run.ROOT = pathlib.Path.cwd(); "
+    code += f"run.BUILD = run.ROOT / 'build'; sys.argv = ['run', '01', *{arguments!r}]; "
+    code += "sys.exit(run.main())"
+    path = os.environ | {"PYTHONPATH": str(ROOT)}
+    running = subprocess.Popen([sys.executable, "-c", code], cwd=project, env=path)
+    until(lambda: (project / "pid").exists() and (project / "pid").read_text())
+    return running, int((project / "pid").read_text())
 
 
 def test_a_killed_run_leaves_nothing_that_counts(project: Path) -> None:
-    """Its workers and kernels end with it, and the notebook runs again."""
-    write_notebook(
-        project, "01_first", "import os, time; print(os.getpid(), flush=True); "
-        "open('pid', 'w').write(str(os.getpid())); time.sleep(60)",
-    )  # fmt: skip
-    code = "import sys, pathlib; from compendium import run; run.ROOT = pathlib.Path.cwd(); "
-    code += "run.BUILD = run.ROOT / 'build'; sys.argv = ['run', '01']; run.main()"
-    path = os.environ | {"PYTHONPATH": str(ROOT)}
-    with subprocess.Popen([sys.executable, "-c", code], cwd=project, env=path) as running:
-        until(lambda: (project / "pid").exists() and (project / "pid").read_text())
-        running.kill()
-    kernel = int((project / "pid").read_text())
+    """Its kernels end with it, and the notebook runs again."""
+    running, kernel = start_waiting(project)
+    running.kill()
+    running.wait()
     until(lambda: not alive(kernel))
-    assert not statuses(project)
+    assert run.failures()["01_first"] == "FAILED: its run did not end"
     assert not list((project / "build" / "notebooks").iterdir())
     write_notebook(project, "01_first", CHECKS)
     run.build(["01_first"], 1, force=False)
-    assert run.failures() == {}
+    assert run.failures().keys() == {"06_last"}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("arguments", [(), ("-p", "width", "2")])
+def test_an_interrupt_reaches_the_kernel_and_is_waited_for(
+    project: Path, number: signal.Signals, arguments: tuple[str, ...]
+) -> None:
+    running, kernel = start_waiting(project, *arguments)
+    running.send_signal(number)
+    running.send_signal(signal.SIGINT)  # an impatient second one does not break the first off
+    assert running.wait() == 130
+    assert (project / "stopped").exists()
+    assert not alive(kernel)
+    if not arguments:
+        assert run.failures()["01_first"].startswith("FAILED in cell source: KeyboardInterrupt")
 
 
 def test_a_second_run_waits_and_says_so(project: Path) -> None:
     code = "import sys, pathlib; from compendium import run; "
     code += f"run.BUILD = pathlib.Path({str(project / 'build')!r})\n"
-    code += "with run.alone(): print('holds', flush=True)"
-    with run.alone():
+    code += "with run.build_lock(): print('holds', flush=True)"
+    with run.build_lock():
         second = subprocess.Popen(
             [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             env=os.environ | {"PYTHONPATH": str(ROOT)},
@@ -180,6 +289,13 @@ def test_a_second_run_waits_and_says_so(project: Path) -> None:
         (["-p", "seed", "1"], 1, "-p needs one notebook, got 01_first, 06_last."),
         (["01", "-p", "width", "x"], 1, "width must be a finite number, got x"),
         (["01", "-p", "width", "1", "--output", "/proc/a"], 1, "--output must be a folder that "),
+        (["01", "--output", "a", "-p", "zz", "1"], 1, "01_first has no parameter zz; it has "),
+        (["-p", "width", "x", "--output", "a", "01"], 1, "width must be a finite number, got x"),
+        (
+            ["01", "-p", "width", "1", "-p", "width", "2"],
+            1,
+            "width must be given once, got 1.0 and",
+        ),
         (["01", "-p", "width"], 2, "argument -p: expected 2 arguments; --help lists the options"),
     ],
 )
@@ -219,5 +335,6 @@ def test_a_run_on_own_data_is_kept_apart(
     injected = next(c for c in done.cells if "injected-parameters" in c.metadata.get("tags", []))
     assert 'record = "2.50"' in injected.source
     assert "width = -50.0" in injected.source
-    assert [path.name for path in (project / "mine").iterdir()] == ["01_first.ipynb"]
+    files = {path.name for path in (project / "mine").iterdir()}
+    assert files == {"01_first.ipynb", "01_first.log.txt"}
     assert not (project / "build" / "status").exists()

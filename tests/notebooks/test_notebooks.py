@@ -126,6 +126,8 @@ def test_an_edited_constant_fails_and_names_the_claim(
     source.write_text(source.read_text().replace(right, wrong))
     # The kernel starts in the copy, whose microlib comes before the installed one.
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    message, passed = run.execute(path, tmp_path / "done.ipynb", {}, tmp_path)
+    message, passed = run.execute(
+        path, tmp_path / "done.ipynb", {}, tmp_path, log=tmp_path / "log.txt"
+    )
     assert not passed
     assert "claim table-5.6/E, Elastic modulus (Table 5.6): printed 1.3237 MPa" in message
