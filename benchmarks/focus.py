@@ -25,7 +25,7 @@ from microlib.curvature import hk_labels, surface_curvature
 from microlib.focus import depth_from_focus
 from microlib.focus._settings import Settings
 from microlib.focus._stages import NEEDED, STAGES, default_depth
-from tests.scenes import tilted_plane
+from tests.scenes import straight_step, tilted_plane
 
 #: Frames of every stack, one step apart; blur grows by 1 px a step.
 POSITIONS = np.arange(21.0)
@@ -149,7 +149,7 @@ def scenes(seed: int) -> Iterator[tuple[str, NDArray, NDArray]]:
     yield "paraboloid, noise 5", dome, stack(large, dome, 5.0)
     dome = middle - 7 + synthetic.paraboloid(small, 14.0)
     plane = middle + tilted_plane(small, 12 / 256, 0.0)
-    edge = middle - 4.3 + synthetic.step(small, 7.7)
+    edge = middle - 4.3 + straight_step(small, 7.7)
     y, x = np.indices(small)
     blocks = middle + 0.3 + 3 * np.sign(np.sin(x / 20) * np.sin(y / 27))
     ball = 3 + synthetic.sphere_on_plane(small, 6.0, 6.0 / 90)
@@ -236,7 +236,7 @@ def photographed() -> Iterator[tuple[str, str, NDArray, NDArray]]:
     shape = (side, side)
     surfaces = {
         "dome": POSITIONS.mean() - 7 + synthetic.paraboloid(shape, 14.0),
-        "step": POSITIONS.mean() - 4.3 + synthetic.step(shape, 7.7),
+        "step": POSITIONS.mean() - 4.3 + straight_step(shape, 7.7),
         "ball": 3 + synthetic.sphere_on_plane(shape, 6.0, 6.0 / 90),
     }
     for name in PHOTOGRAPHS:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from benchmarks.report import Limits, Tables, rms
 from microlib import synthetic
 from microlib.focus import depth_from_focus
-from tests.scenes import tilted_plane
+from tests.scenes import straight_step, tilted_plane
 
 #: Frames and their side, px.
 COUNT, SIDE = 21, 1024
@@ -39,7 +39,7 @@ def scenes() -> dict[str, NDArray]:
     shape = (SIDE, SIDE)
     y, x = np.indices(shape)
     slope = 10 + tilted_plane(shape, 12 / SIDE, 0.0)
-    step = 5.7 + synthetic.step(shape, 7.7)
+    step = 5.7 + straight_step(shape, 7.7)
     bare = np.sin(x / 60) * np.sin(y / 50) > 0.55
     found = {}
     for name, depth, hole in (

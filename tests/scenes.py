@@ -18,6 +18,11 @@ def tilted_plane(shape: tuple[int, int], rise_x: float, rise_y: float) -> NDArra
     return rise_x * (x - (shape[1] - 1) / 2) + rise_y * (y - (shape[0] - 1) / 2)
 
 
+def straight_step(shape: tuple[int, int], height: float) -> NDArray[np.float64]:
+    """Return a plane with one straight step in the middle; the right part is higher."""
+    return np.tile(np.where(np.arange(shape[1]) < shape[1] / 2, 0.0, height), (shape[0], 1))
+
+
 def camera_frame(
     image: NDArray, rng: np.random.Generator, noise: float = 2.0, gain: float = 1.0
 ) -> NDArray[np.uint8]:

@@ -224,7 +224,6 @@ REFUSED: dict[str, dict[str, tuple[object, ...]]] = {
     "synthetic.parabolic_cylinder": {"shape": ((1, 9),)},
     "synthetic.render_circles": {"pitch": (np.inf, np.nan, 0.0)},
     "synthetic.sphere_on_plane": {"rng": ("any", None)},
-    "synthetic.step": {"at": (1.5,)},
     "tracking.ESMTracker": {"image": (masked,)},
     "tracking.ESMTracker.track": {"frame": (masked,)},
     "tracking.KalmanFilter": {

@@ -11,7 +11,6 @@ from microlib.synthetic._surfaces import (
     parabolic_cylinder,
     paraboloid,
     sphere_on_plane,
-    step,
 )
 from microlib.synthetic._textures import mixed_texture
 
@@ -28,5 +27,4 @@ __all__ = [
     "render_circles",
     "render_squares",
     "sphere_on_plane",
-    "step",
 ]

@@ -171,37 +171,3 @@ def cone(shape: tuple[int, int], height: float, radius: float) -> Array:
     x, y = _centered(shape)
     foot = scalar("radius", radius, above=0)
     return scalar("height", height, above=0) * np.maximum(1 - np.hypot(x, y) / foot, 0)
-
-
-def step(shape: tuple[int, int], height: float, *, at: float = 0.5) -> Array:
-    """Return a plane with one straight step.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Rows and columns.
-    height : float
-        Height of the right part, µm; the left is at zero.
-    at : float
-        Where the step is, as a share of the width.
-
-    Returns
-    -------
-    ndarray of float64, shape `shape`
-        Heights, µm.
-
-    Raises
-    ------
-    ValueError
-        If a side is below 2 px or `at` is outside 0 to 1.
-
-    Examples
-    --------
-    >>> from microlib.synthetic import step
-    >>> step((2, 4), 3.0).tolist()
-    [[0.0, 0.0, 3.0, 3.0], [0.0, 0.0, 3.0, 3.0]]
-    """
-    rows, cols = image_shape("shape", shape, least=2)
-    height = scalar("height", height)
-    edge = scalar("at", at, above=0, below=1) * cols
-    return np.tile(np.where(np.arange(cols) < edge, 0.0, height), (rows, 1))

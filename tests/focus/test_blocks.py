@@ -5,6 +5,7 @@ import pytest
 
 from microlib import synthetic
 from microlib.focus import depth_from_focus
+from tests.scenes import straight_step
 
 da = pytest.importorskip("dask.array")
 dask = pytest.importorskip("dask")
@@ -53,7 +54,7 @@ def test_blocks_of_unlike_contrast_are_the_whole():
     texture = np.asarray(synthetic.mixed_texture(SHAPE, 2), float)
     texture[:, 208:] = 128 + 0.3 * (texture[:, 208:] - 128)
     texture[np.sin(x / 60) * np.sin(y / 50) > 0.55] = texture.mean()
-    height = 3.5 + synthetic.step(SHAPE, 4.0)
+    height = 3.5 + straight_step(SHAPE, 4.0)
     frames = synthetic.focal_stack(texture, height, POSITIONS, blur_rate=1.0, noise=2.0, rng=2)
     part = depth_from_focus(da.from_array(frames, chunks=(11, 192, 192)), POSITIONS)
     with dask.config.set(scheduler="synchronous"):

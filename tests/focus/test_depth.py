@@ -8,7 +8,7 @@ import pytest
 
 from microlib import synthetic
 from microlib.focus import FocusResult, depth_from_focus, sum_modified_laplacian
-from tests.scenes import tilted_plane
+from tests.scenes import straight_step, tilted_plane
 
 #: µm between frames in most stacks here, and blur per µm so that a step out of focus adds 1 px.
 STEP = 25.0
@@ -82,7 +82,7 @@ def test_default_finds_a_dome(dome):
 
 
 def test_a_step_stays_within_a_pixel_of_its_place():
-    height = 60 + synthetic.step(SHAPE, 130.0)
+    height = 60 + straight_step(SHAPE, 130.0)
     result = depth_from_focus(render(height), POSITIONS)
     wrong = np.abs(result.depth - height) > STEP
     assert not wrong[8:-8, : SHAPE[1] // 2 - 2].any()

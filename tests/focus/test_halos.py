@@ -5,7 +5,7 @@ from skimage import data
 
 from microlib import synthetic
 from microlib.focus import depth_from_focus
-from tests.scenes import tilted_plane
+from tests.scenes import straight_step, tilted_plane
 
 SHAPE = (160, 160)
 POSITIONS = np.arange(15.0)
@@ -83,7 +83,7 @@ def test_a_photograph_with_bare_ground_has_depth_nearly_everywhere():
 
 def test_beside_a_step_the_wide_depth_takes_no_place():
     """The wide window takes the better lit side's depth up to 26 px beyond the edge."""
-    height = 3.2 + synthetic.step(SHAPE, 7.7)
+    height = 3.2 + straight_step(SHAPE, 7.7)
     texture = synthetic.mixed_texture(SHAPE, np.random.default_rng(1))
     texture[:, :80] = 128 + 0.2 * (texture[:, :80] - 128)
     stack = stack_of(texture, height)

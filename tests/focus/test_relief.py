@@ -10,7 +10,7 @@ from microlib.focus import depth_from_focus
 from microlib.focus._axis import light_pull
 from microlib.focus._relief import find_relief
 from microlib.focus._settings import Settings
-from tests.scenes import tilted_plane
+from tests.scenes import straight_step, tilted_plane
 
 SHAPE = (144, 144)
 POSITIONS = np.arange(15.0)
@@ -109,7 +109,7 @@ def surfaces():
     yield "tilt", 4 + tilted_plane(SHAPE, 5 / 144, 2 / 144), None
     yield "dome of gravel", 4 + synthetic.paraboloid(SHAPE, 5.0), texture
     yield "relief", 7.2 + waves(12, 1.0), None
-    yield "step", 4.2 + synthetic.step(SHAPE, 6.0), None
+    yield "step", 4.2 + straight_step(SHAPE, 6.0), None
     yield "cone", 3.3 + synthetic.cone(SHAPE, 6.0, 60.0), None
 
 

@@ -104,7 +104,6 @@ LAWS = {
     "synthetic.sphere_on_plane": Law(lambda u: {"shape": SHAPE, "radius": 30.0 * u.um,
         # a root near zero at the edge of the ball
         "pixel_size": 4.0 * u.um, "roughness": 1.5 * u.um, "rng": 0}, "um", within=1e-6),
-    "synthetic.step": Law(lambda u: {"shape": SHAPE, "height": -4.0 * u.um, "at": 0.3}, "um"),
 }  # fmt: skip
 
 

@@ -69,8 +69,3 @@ def test_frames_are_blurred_by_the_distance_to_focus():
         peer = cv2.GaussianBlur(texture, (31, 31), sigma, borderType=cv2.BORDER_REFLECT)
         # Half a grey level of rounding and what the ladder of blurs leaves.
         assert np.abs(frame - np.clip(peer, 0, 255)).max() < 0.8
-
-
-def test_a_step_has_its_share_of_the_columns():
-    for k in range(8):  # just beyond a column's place, which is its middle
-        assert (synthetic.step((3, 8), -2.5, at=(k + 0.1) / 8)[1] == 0).sum() == k + 1
