@@ -74,8 +74,19 @@ def _ring_difference(frame: NDArray) -> NDArray:
     return _box(np.abs(cv2.filter2D(frame, cv2.CV_32F, kernel)))
 
 
-def _named(measure: str) -> Callable[[NDArray], NDArray]:
-    return lambda stack: depth_from_focus(stack, POSITIONS, measure=measure, window=9).depth
+def _tenengrad(frame: NDArray) -> NDArray:
+    """The squared Sobel gradient (Krotkov, 1988)."""
+    along, down = (cv2.Sobel(frame, cv2.CV_32F, *order) for order in ((1, 0), (0, 1)))
+    return _box(along**2 + down**2)
+
+
+def _grey_variance(frame: NDArray) -> NDArray:
+    grey = frame.astype(float)
+    return np.maximum(_box(grey**2) - _box(grey) ** 2, 0)
+
+
+def _three_points(measure: Any, **options: int) -> Callable[[NDArray], NDArray]:
+    return lambda stack: depth_from_focus(stack, POSITIONS, measure=measure, **options).depth
 
 
 def _peer(measure: Callable[[NDArray], NDArray], *, median: bool) -> Callable[[NDArray], NDArray]:
@@ -98,10 +109,10 @@ def _peer(measure: Callable[[NDArray], NDArray], *, median: bool) -> Callable[[N
 
 PLAIN = "SML 9×9, three points"
 METHODS: dict[str, Callable[[NDArray], NDArray]] = {
-    "SML 5×5, three points": lambda s: depth_from_focus(s, POSITIONS, measure="sml").depth,
-    PLAIN: _named("sml"),
-    "Tenengrad 9×9, three points": _named("tenengrad"),
-    "grey variance 9×9, three points": _named("variance"),
+    "SML 5×5, three points": _three_points("sml"),
+    PLAIN: _three_points("sml", window=9),
+    "Tenengrad 9×9, three points": _three_points(_tenengrad),
+    "grey variance 9×9, three points": _three_points(_grey_variance),
     "Laplacian energy, median": _peer(_laplacian_energy, median=True),
     "Laplacian variance, median": _peer(_laplacian_variance, median=True),
     "LoG magnitude, median": _peer(_log_magnitude, median=True),

@@ -85,8 +85,7 @@ READ: dict[str, Callable[[float], np.ndarray]] = {
     "outline": lambda unit: embryo.extract_boundary(seen(fuzz.egg().image, unit)).points,
     "tracker": followed,
     "multiscale": depth_by("multiscale"),
-    "tenengrad": depth_by("tenengrad"),
-    "variance": depth_by("variance"),
+    "sml": depth_by("sml"),
 }
 
 

@@ -3,7 +3,6 @@
 from microlib.focus._correction import correct_spikes, smooth_depth
 from microlib.focus._depth import depth_from_focus
 from microlib.focus._measures import sum_modified_laplacian
-from microlib.focus._options import check_options as check_options  # for LiveDepth, not public
 from microlib.focus._peaks import three_point_peak
 from microlib.focus._result import FocusResult
 

@@ -100,7 +100,10 @@ def find_axis(mosaics: Sequence[Image], positions: Array, target: float) -> Axis
     levels = np.array([float(np.mean(mosaic)) for mosaic in mosaics])
     means, light = (np.add.reduceat(v, ends[:-1]) / np.diff(ends) for v in (positions, levels))
     spacing = float(np.median(np.abs(np.diff(means))))
-    steps, noise = np.abs(means - means[0]) / spacing, noise_level(averaged(mosaics[: ends[1]]))
+    steps = np.abs(means - means[0]) / spacing
+    # Of three, so that no single frame decides, such as a black one or one that is all in focus.
+    looked_at = (averaged(mosaics[ends[k] : ends[k + 1]]) for k in (0, groups // 2, groups - 1))
+    noise = float(np.median([noise_level(mosaic) for mosaic in looked_at]))
     width = max(width * groups / count, 1.7)
     # The default's peak has a standard deviation of 0.4 of its equivalent width. Frames pull half a
     # frame over the fourth power of the width: 0.4 to 0.7 on nine textures, drawn and photographed.
@@ -134,7 +137,7 @@ def noise_level(mosaic: Image) -> float:
     seconds = np.add(*absolute_seconds(mosaic.astype(np.float32), 0.5))
     quiet = float(np.percentile(_inner(blur(seconds, 3.0)), 5)) / noise_gain(0.5)
     rounding = np.sqrt(1 / 12) if mosaic.dtype.kind == "u" else 0.0
-    digits = 1e-6 * float(np.abs(mosaic).max())
+    digits = 1e-5 * float(np.abs(mosaic).max())
     return max(quiet, rounding, digits, float(TINY))
 
 

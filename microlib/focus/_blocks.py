@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from microlib._common import as_region
 from microlib.focus._axis import Axis, find_axis, sampled
 from microlib.focus._follow import follow
-from microlib.focus._options import Options, check_count, check_options
-from microlib.focus._peaks import check_positions
+from microlib.focus._peaks import check_count, check_positions
 from microlib.focus._result import FocusResult
 from microlib.focus._settings import Settings
 from microlib.focus._stages import GRID, default_depth, typical
@@ -32,7 +31,10 @@ def is_in_blocks(frames: object) -> bool:
 
 
 def depth_in_blocks(
-    frames: Any, positions: ArrayLike | None, spacing: float | None, options: Options
+    frames: Any,
+    positions: ArrayLike | None,
+    spacing: float | None,
+    region: tuple[int, int, int, int] | None,
 ) -> FocusResult:
     """Return the default depth of a dask or zarr array, as dask arrays.
 
@@ -40,17 +42,11 @@ def depth_in_blocks(
     ----------
     frames : dask.array.Array, zarr.Array, or xarray.DataArray of one, shape (n, rows, cols)
         Grey frames.
-    positions, spacing
+    positions, spacing, region
         As `depth_from_focus` has them.
-    options : Options
-        Those of `depth_from_focus`, of which blocks know the region only.
     """
     import dask.array as da
 
-    usual = check_options(region=options.region)
-    for key, value in vars(options).items():
-        if value != getattr(usual, key):
-            raise ValueError(f"{key} must not be given for a dask or zarr array, got {value!r}")
     source = getattr(frames, "data", frames)
     stack = source if isinstance(source, da.Array) else da.from_zarr(source)
     if stack.ndim != 3 or stack.dtype.kind not in "uif":
@@ -58,11 +54,10 @@ def depth_in_blocks(
             "frames must be a dask array of shape (n, rows, cols) and of real numbers, got "
             f"{stack.shape} of {stack.dtype}"
         )
-    x, y = 0, 0
-    if options.region is not None:
-        x, y, width, height = as_region("region", options.region, stack.shape[1:])
+    if region is not None:
+        x, y, width, height = as_region("region", region, stack.shape[1:])
         stack = stack[:, y : y + height, x : x + width]
-    labels: Any = read_frames(frames, region=options.region)
+    labels: Any = read_frames(frames, region=region)
     z = check_positions(positions, spacing, len(stack), labels.positions)
     check_count(len(stack), len(z))
     if stack.dtype not in (np.uint8, np.uint16):
@@ -78,11 +73,6 @@ def depth_in_blocks(
     # Where one chunk shows all of a side, nothing is around it.
     around = {k: _AROUND if k > 0 and stack.numblocks[k] > 1 else 0 for k in range(3)}
     seen = da.overlap.overlap(stack.rechunk({0: len(stack)}), around, boundary="none")
-    if not isinstance(source, da.Array):
-        # Chunks that neighbors share would stay in memory: each block reads what it sees.
-        edges = [np.cumsum([0, *sizes]).tolist() for sizes in stack.chunks[1:]]
-        whole = {"source": source, "edges": edges, "corner": (y, x)}
-        seen = da.map_blocks(_read, chunks=seen.chunks, meta=seen._meta, **whole)
     chunks, meta = ((len(_MAPS) + 1,), *seen.chunks[1:]), np.empty((0, 0, 0), np.float32)
     found = seen.map_blocks(_block, axis=axis, chunks=chunks, meta=meta)
     found = da.overlap.trim_internal(found, around, boundary="none")
@@ -90,21 +80,6 @@ def depth_in_blocks(
     picture = found[len(_MAPS)].astype(stack.dtype)
     place = {"pixel_size": labels.pixel_size, "origin": labels.origin}
     return FocusResult(**maps, all_in_focus=picture, **place)
-
-
-def _read(
-    *, source: Any, edges: list[list[int]], corner: tuple[int, int], block_id: tuple[int, ...]
-) -> NDArray:
-    """Return what one block of a zarr array sees."""
-    window = (
-        slice(first + max(edge[k] - _AROUND, 0), first + min(edge[k + 1] + _AROUND, edge[-1]))
-        for edge, k, first in zip(edges, block_id[1:], corner, strict=True)
-    )
-    import zarr
-
-    with zarr.config.set({"async.concurrency": 1}):  # or ten chunks are in memory at a time
-        frames = source[(slice(None), *window)]
-    return frames if frames.dtype in (np.uint8, np.uint16) else frames.astype(np.float32)
 
 
 def _block(frames: NDArray, *, axis: Axis) -> NDArray[np.float32]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 from typing import Any
 
@@ -11,18 +12,19 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, Frames, Image
-from microlib.focus._axis import mosaic, noise_level
+from microlib._common import Array, Frames, Image, flag, of_kind, one_of, whole
 from microlib.focus._blocks import depth_in_blocks, is_in_blocks
-from microlib.focus._measures import FocusMeasure, blur, doubled
-from microlib.focus._options import Options, Progress, check_count, check_options
-from microlib.focus._peaks import check_positions, three_point_peak
+from microlib.focus._measures import FocusMeasure, blur, sum_modified_laplacian, user_measure
+from microlib.focus._peaks import check_count, check_positions, three_point_peak
 from microlib.focus._registration import Registered
 from microlib.focus._registration import register as find_registration
-from microlib.focus._reliability import incoherent_mask, unchanged_mask
-from microlib.focus._result import FocusResult, as_type, finished, picked
+from microlib.focus._result import FocusResult, as_type, finished
+from microlib.focus._significance import block_means, judge_peaks
 from microlib.focus._stages import default_depth
 from microlib.io import read_frames
+
+#: What is told how many parts of the work are done, and of how many; an exception from it ends all.
+Progress = Callable[[int, int], object]
 
 #: Axes of metadata that are no focus.
 _NO_FOCUS = {"T": "times", "C": "channels"}
@@ -150,25 +152,47 @@ def depth_from_focus(
     >>> round(float(np.median(result.depth)))
     42
     """
-    options = check_options(measure, window, workers, register, region, reduce, progress)
+    single = _single_measure(measure, window)
+    threads, register = whole("workers", workers, least=1), flag("register", register)
+    of_kind("progress", progress, Callable, type(None))
     if is_in_blocks(getattr(frames, "data", frames)):  # that of an xarray.DataArray
-        return depth_in_blocks(frames, positions, spacing, options)
-    stack = open_stack(frames, positions, spacing, options)
+        given = {"measure": measure, "workers": workers, "register": register}
+        given |= {"reduce": reduce, "progress": progress}
+        for name, value in given.items():
+            if value != depth_from_focus.__kwdefaults__[name]:
+                raise ValueError(
+                    f"{name} must not be given for a dask or zarr array, got {value!r}"
+                )
+        return depth_in_blocks(frames, positions, spacing, region)
+    tell = progress or (lambda done, count: None)
+    reader = read_frames(frames, region=region, reduce=reduce, color=True)
+    stack = open_stack(reader, positions, spacing, tell)
     count = len(stack.positions)
 
     def done(share: float) -> None:
-        options.progress(round(count * (1 + share)), 2 * count)
+        tell(round(count * (1 + share)), 2 * count)
 
-    found = find_registration(stack.grey) if options.register else None
+    found = find_registration(stack.grey) if register else None
     seen = stack if found is None else stack.registered(found)
-    if options.measure == "multiscale":
-        threads = options.workers
+    if single is None:
         result = default_depth(seen.grey, seen.color, seen.positions, workers=threads, done=done)
     else:
-        result = _single_measure(seen, options, done)
+        result = three_point_depth(seen, single, done)
     if found is not None:
         result = _cut(result, found, stack.grey[0].dtype)
     return replace(result, pixel_size=stack.pixel_size, origin=stack.origin)
+
+
+def _single_measure(measure: str | FocusMeasure, window: int | None) -> FocusMeasure | None:
+    """Return the measure of one frame; None for "multiscale", which has several."""
+    own = callable(measure)
+    name = "a function" if own else repr(one_of("measure", measure, ("multiscale", "sml")))
+    if window is not None and measure != "sml":
+        raise ValueError(f"window must not be given with measure {name}, got {window!r}")
+    if measure == "sml":
+        side = 5 if window is None else whole("window", window, least=1, odd=True)
+        return partial(sum_modified_laplacian, window=side)
+    return partial(user_measure, measure) if own else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,10 +224,9 @@ class Stack:
 
 
 def open_stack(
-    frames: Frames, positions: ArrayLike | None, spacing: float | None, options: Options
+    reader: Any, positions: ArrayLike | None, spacing: float | None, tell: Progress
 ) -> Stack:
     """Read a stack, once all that can be refused before was looked at."""
-    reader: Any = read_frames(frames, region=options.region, reduce=options.reduce, color=True)
     if reader.axis in _NO_FOCUS:
         raise ValueError(
             f"frames must differ in focus, got a file of {reader.count} {_NO_FOCUS[reader.axis]} "
@@ -219,7 +242,7 @@ def open_stack(
     for frame in islice(reader, None if count is None else count + 1):
         raw.append(frame)
         if count is not None:
-            options.progress(min(len(raw), count), 2 * count)
+            tell(min(len(raw), count), 2 * count)
     if not raw:
         raise ValueError("frames must hold at least three frames, got none")
     z = check_positions(positions, spacing, len(raw)) if z is None else z
@@ -228,20 +251,18 @@ def open_stack(
     return Stack(grey, raw if reader.color else None, z, reader.pixel_size, reader.origin)
 
 
-def _single_measure(stack: Stack, options: Options, done: Callable[[float], object]) -> FocusResult:
-    """Return the peaks of one measure, and no more."""
-    measure, z = options.focus_measure(), stack.positions
-    window, mean, best = track_peaks(stack.grey, measure, done)
+def three_point_depth(
+    stack: Stack, measure: FocusMeasure, done: Callable[[float], object]
+) -> FocusResult:
+    """Return the peaks of one measure by (3.13)."""
+    z = stack.positions
+    window, profiles, best = track_peaks(stack.grey, measure, done)
     depth = three_point_peak(window, best, z)
-    every = np.s_[::2, ::2]
-    rise = np.ascontiguousarray((window[1] - mean)[every])
-    chance = np.ascontiguousarray(_chance(stack.grey, measure, best)[every])
-    lost = unchanged_mask(rise, chance, len(z), 3.0)
-    lost |= incoherent_mask(np.ascontiguousarray(best[every]))
-    depth[doubled(lost, depth.shape)] = np.nan
+    insignificant, random, _ = judge_peaks(profiles, window[1], 3)
+    depth[insignificant] = np.nan
     return finished(
         depth,
-        _roughness(depth, z, best),
+        np.hypot(_roughness(depth, z, best), np.ptp(z) * random),
         best,
         spacing=float(np.median(np.abs(np.diff(z)))),
         at_end=(best == 0) | (best == len(z) - 1),
@@ -252,48 +273,32 @@ def _single_measure(stack: Stack, options: Options, done: Callable[[float], obje
 def track_peaks(
     frames: Sequence[Image], measure: FocusMeasure, done: Callable[[float], object]
 ) -> tuple[NDArray, NDArray, NDArray[np.uint16]]:
-    """Return each pixel's measures around its best frame, and the number of that frame.
+    """Return each pixel's measures around its best frame, profiles, and number of that frame.
 
     Returns
     -------
     window : ndarray of float32, shape (3, rows, cols)
         0 beyond the stack.
-    mean : ndarray of float32, shape (rows, cols)
-        Of all frames.
+    profiles : ndarray of float32, shape (n, rows / 8, cols / 8)
+        Means of the measure over blocks of 8 px.
     best : ndarray of uint16, shape (rows, cols)
         The first of equals.
     """
     shape = frames[0].shape
     before, top, after = window = np.zeros((3, *shape), np.float32)
-    last, mean = np.zeros((2, *shape), np.float32)
+    zero, last, profiles = np.zeros(shape, np.float32), np.zeros(shape, np.float32), []
     best = np.zeros(shape, np.uint16)
     for k, frame in enumerate(frames):
         value = np.asarray(measure(frame), np.float32)
-        mean += value / np.float32(len(frames))
-        np.copyto(after, value, where=best == k - 1)
-        better = value > top
-        for place, new in ((before, last), (top, value), (after, 0), (best, k)):
-            np.copyto(place, new, where=better)
+        profiles.append(block_means(value, 3))
+        cv2.copyTo(value, cv2.inRange(best, k - 1, k - 1), after)
+        better = cv2.compare(value, top, cv2.CMP_GT)
+        number = np.full(shape, k, np.uint16)
+        for place, new in ((before, last), (top, value), (after, zero), (best, number)):
+            cv2.copyTo(new, better, place)
         last = value
         done((k + 1) / len(frames))
-    return window, mean, best
-
-
-def _chance(frames: Sequence[Image], measure: FocusMeasure, best: NDArray) -> NDArray:
-    """Return by how much noise alone changes a measure, in the image that is all in focus.
-
-    The noise is that of the frame that has least: what is in focus looks like noise.
-    """
-    noise = min(noise_level(mosaic(frame)) for frame in frames)
-    sharp = picked(frames, best)
-    # Drawn so that an image and its transpose have the same.
-    drawn = np.triu(np.random.default_rng(0).standard_normal((max(best.shape),) * 2))
-    error = noise * (drawn + np.triu(drawn, 1).T)[: best.shape[0], : best.shape[1]]
-    above, below = (
-        np.asarray(measure(as_type(image, sharp.dtype)), np.float32)
-        for image in (sharp + error, sharp - error)
-    )
-    return np.sqrt(blur((above - below) ** 2, 6.0) / 4)
+    return window, np.stack(profiles), best
 
 
 def _roughness(depth: NDArray, positions: Array, index: NDArray[np.uint16]) -> NDArray[np.float32]:

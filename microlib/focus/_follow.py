@@ -15,6 +15,7 @@ from microlib.focus._axis import Axis
 from microlib.focus._measures import absolute_seconds, blur, halved, noise_gain
 from microlib.focus._peaks import PeakFollower, fit_peaks
 from microlib.focus._settings import Settings
+from microlib.focus._significance import block_means
 
 #: Rows that are looked at on either side of a strip: what the measures' windows reach. Rows of a
 #: strip, of which fewer are taken of more frames, so that its measures stay below 64 MB.
@@ -28,23 +29,19 @@ class Levels:
 
     Attributes
     ----------
-    fine, coarse, edge, wide : float
-        Of the second differences at full size and at half, of the deviation from a mean, and of the
-        energy in the wide window.
+    fine, coarse, edge : float
+        Of the second differences at full size and at half, and of the deviation from a mean.
     """
 
     fine: float
     coarse: float
     edge: float
-    wide: float
 
     @classmethod
     def of(cls, noise: float, settings: Settings) -> Levels:
         """Return them for a noise, grey levels. Halving halves it."""
         coarse = 0.5 * noise * noise_gain(settings.coarse)
-        # The mean square of one of two directions is π/2 times the square of its mean modulus,
-        # (coarse / 2)²: over both directions about 0.8 coarse².
-        return cls(noise * noise_gain(settings.fine), coarse, 0.4 * noise, 0.8 * coarse**2)
+        return cls(noise * noise_gain(settings.fine), coarse, 0.4 * noise)
 
 
 @dataclass(frozen=True)
@@ -53,28 +50,28 @@ class Followed:
 
     Attributes
     ----------
-    depth, strength, top, mean, best : ndarray, shape (rows, cols)
+    depth, strength, top, best : ndarray, shape (rows, cols)
         By the product of the fine and the coarse measure: depth and its certainty, height of the
-        peak, mean over the frames, and number of the best frame.
+        peak, and number of the best frame.
+    profiles : ndarray, shape (n, rows / 4, cols / 4)
+        Product of each frame, as means of blocks.
     along, down : ndarray, shape (7, rows, cols)
         The fine measure of either direction in the frames around the best one.
     edge : ndarray, shape (rows, cols)
         Depth by the edge measure.
-    wide, wide_top, wide_mean : ndarray, shape (rows / 2, cols / 2)
-        By the wide window: depth, height of the peak, and mean over the frames.
+    wide : ndarray, shape (rows / 2, cols / 2)
+        Depth by the wide window.
     """
 
     depth: NDArray[np.float32]
     strength: NDArray[np.float32]
     top: NDArray[np.float32]
-    mean: NDArray[np.float32]
     best: NDArray[np.uint16]
+    profiles: NDArray[np.float32]
     along: NDArray[np.float32]
     down: NDArray[np.float32]
     edge: NDArray[np.float32]
     wide: NDArray[np.float32]
-    wide_top: NDArray[np.float32]
-    wide_mean: NDArray[np.float32]
 
 
 def follow(
@@ -102,8 +99,8 @@ def follow(
     """
     shape = frames[0].shape
     rows = 2**24 // max(shape[1] * len(axis.steps), 1) - 2 * _MARGIN
-    # A multiple of four, as every fourth row is looked at.
-    tops = range(0, shape[0], int(np.clip(rows // 4 * 4, 64, _MOST_ROWS)))
+    # A multiple of eight, as blocks of eight rows are averaged.
+    tops = range(0, shape[0], int(np.clip(rows // 8 * 8, 64, _MOST_ROWS)))
 
     def strip(top: int) -> Followed:
         bottom = min(top + tops.step, shape[0])
@@ -119,7 +116,7 @@ def follow(
             done(len(parts) / len(tops))
     whole = {}
     for field in fields(Followed):
-        block = 4 if field.name.startswith("wide") else 2
+        block = {"profiles": 8, "wide": 4}.get(field.name, 2)
         rows, cols = (-(-n // block) for n in shape)
         joined = np.concatenate([getattr(part, field.name) for part in parts], axis=-2)
         whole[field.name] = np.ascontiguousarray(joined[..., :rows, :cols])
@@ -142,14 +139,12 @@ def _follow_strip(
         depth=depth,
         strength=strength,
         top=main.top[here],
-        mean=main.mean(here),
         best=main.best[here],
+        profiles=np.stack([block_means(m, 2) for m in main.all(here)]),
         along=windows[1],
         down=windows[2],
         edge=edges,
         wide=far,
-        wide_top=wide.top[coarse],
-        wide_mean=wide.mean(coarse),
     )
 
 

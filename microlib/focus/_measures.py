@@ -8,12 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import (
-    Image,
-    as_array,
-    scalar,
-    whole,
-)
+from microlib._common import Image, as_array, scalar, whole
 
 #: A focus measure of the user: grey image to measure of the same shape.
 FocusMeasure = Callable[[Image], NDArray]
@@ -87,42 +82,17 @@ def sum_modified_laplacian(
     laplacian = along + down
     if limit > 0:
         laplacian[laplacian <= limit] = 0
-    total = _box_sum(laplacian, n)
+    total = np.asarray(cv2.boxFilter(laplacian, cv2.CV_32F, (n, n), normalize=False))
     # Each of the 7 * 7 modified Laplacians is at most 4 * 255: their sum is below 2¹⁶.
     return total.astype(np.uint16) if grey.dtype == np.uint8 and n <= 7 else total
 
 
-def tenengrad(image: Image, *, window: int) -> NDArray:
-    """Return the squared Sobel gradient, summed over a square (Krotkov, 1988)."""
-    along, down = cv2.Sobel(image, cv2.CV_32F, 1, 0), cv2.Sobel(image, cv2.CV_32F, 0, 1)
-    return _box_sum(along * along + down * down, window)
-
-
-def variance(image: Image, *, window: int) -> NDArray:
-    """Return the variance in a square; float64, as two large numbers are subtracted."""
-    mean = cv2.boxFilter(image, cv2.CV_64F, (window, window))
-    square = cv2.sqrBoxFilter(image, cv2.CV_64F, (window, window))
-    return np.maximum(square - mean * mean, 0).astype(np.float32)
-
-
-#: The measures of one frame by their names, each a function of the image and its window.
-MEASURES: dict[str, Callable[..., NDArray]] = {
-    "sml": sum_modified_laplacian,
-    "tenengrad": tenengrad,
-    "variance": variance,
-}
-
-
-def own_measure(measure: FocusMeasure, image: Image) -> NDArray:
-    """Return what the user's own measure says of an image, checked."""
+def user_measure(measure: FocusMeasure, image: Image) -> NDArray:
+    """Return the measure of an image by a function of the user, checked."""
     value = as_array("measure(frame)", measure(image), shape=image.shape, dtype=np.float32)
     if (value < 0).any():
         raise ValueError(f"measure(frame) must be zero or positive, got {value.min():g}")
     return value
-
-
-def _box_sum(image: NDArray, n: int) -> NDArray:
-    return np.asarray(cv2.boxFilter(image, cv2.CV_32F, (n, n), normalize=False))
 
 
 # --- What the default measure is made of -------------------------------------------------------

@@ -45,6 +45,12 @@ def check_positions(
     return z
 
 
+def check_count(got: int | str, count: int) -> None:
+    """Raise an error if there are not as many frames as positions."""
+    if got != count:
+        raise ValueError(f"frames and positions must be as many, got {got} and {count}")
+
+
 def three_point_peak(window: NDArray, index: NDArray, positions: Array) -> NDArray[np.float32]:
     """Return the depth at the vertex of the Gaussian through the best frame and its two neighbors.
 
@@ -285,12 +291,10 @@ class PeakFollower:
         cv2.max(value, self.top, self.top)
         cv2.max(self.best, number, self.best)
 
-    def mean(self, rows: slice) -> NDArray[np.float32]:
-        """Return the mean of the deciding measure over all frames."""
-        total = np.zeros_like(self.top[rows])
-        for measure in self._measures[0, :, rows]:  # those beyond the stack are 0
-            cv2.add(total, measure, total)
-        return total / np.float32(self._measures.shape[1] - 2 * self._reach)
+    def all(self, rows: slice) -> NDArray[np.float32]:
+        """Return the deciding measure of all frames, shape (n, rows, cols)."""
+        count = self._measures.shape[1] - 2 * self._reach
+        return self._measures[0, self._reach : self._reach + count, rows]
 
     def windows(self, rows: slice = slice(None)) -> NDArray[np.float32]:
         """Return the measures around the best frames, shape (kinds, 2 reach + 1, rows, cols)."""

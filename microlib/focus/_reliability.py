@@ -16,34 +16,6 @@ from microlib.focus._measures import TINY, blur
 from microlib.focus._settings import Settings
 
 
-def incoherent_mask(best: NDArray[np.uint16]) -> NDArray[np.bool_]:
-    """Tell where the best frame differs at random from pixel to pixel."""
-    # Wider than a measure's window, inside which even noise is alike.
-    off = cv2.absdiff(best, cv2.medianBlur(best, 5))
-    return np.asarray(cv2.medianBlur(off, 5)) > 2
-
-
-def unchanged_mask(rise: NDArray, chance: NDArray, count: int, radius: float) -> NDArray[np.bool_]:
-    """Tell where a peak is no higher than noise alone makes it around one and the same picture.
-
-    The highest of n normal deviates lies no more than √(2 ln n) deviations above their mean, on
-    average. One deviation more is not reached where both are averaged over a few pixels.
-
-    Parameters
-    ----------
-    rise : ndarray, shape (rows, cols)
-        Peak of the measure, less its mean over all frames.
-    chance : ndarray, shape (rows, cols)
-        Standard deviation that noise alone gives the measure.
-    count : int
-        Number of frames.
-    radius : float
-        Over which both are averaged, px.
-    """
-    limit = np.sqrt(2 * np.log(count))
-    return np.asarray(blur(rise, radius) <= limit * blur(chance, radius))
-
-
 def isolated_mask(depth: NDArray, radius: float) -> NDArray[np.bool_]:
     """Tell where most of the surroundings have no depth: what is left was right by chance."""
     return blur(np.isfinite(depth).astype(np.float32), radius) < 0.5

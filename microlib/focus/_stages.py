@@ -26,6 +26,7 @@ from microlib.focus._reliability import choose_side, fill_nearest, without_spike
 from microlib.focus._relief import depth_range, step_height
 from microlib.focus._result import FocusResult, finished
 from microlib.focus._settings import Settings
+from microlib.focus._significance import judge_peaks
 
 #: Rows of a block that is fitted at full size, and what is seen around it, px.
 GRID, _SEEN = 64, 10
@@ -74,6 +75,7 @@ class Known:
     seen: Followed = _NOTHING
     levels: Levels = _NOTHING
     depth: NDArray = _NOTHING
+    wide: NDArray = _NOTHING
     weight: NDArray = _NOTHING
     apart: NDArray = _NOTHING
     sharp: NDArray = _NOTHING
@@ -147,6 +149,7 @@ def follow_measures(known: Known) -> Known:
         seen=seen,
         levels=levels,
         depth=seen.depth.copy(),
+        wide=doubled(seen.wide, seen.depth.shape),
         weight=relative(seen.strength, known.axis.typical),
         apart=np.nan_to_num(np.abs(seen.depth - seen.edge)),
         sharp=sharp_mask(seen, levels, *known.settings.sharp),
@@ -157,18 +160,13 @@ def follow_measures(known: Known) -> Known:
     )
 
 
-def refuse_chance(known: Known) -> Known:
-    """Take the depth from peaks that are random, or no higher than noise makes them."""
-    seen, levels, depth = known.seen, known.levels, known.depth.copy()
-    depth[rules.incoherent_mask(seen.best)] = np.nan
-    fine, coarse = factors(seen, levels)
-    # Share of noise in both factors, 0 to 1. Noise changes a factor by a quarter of its level on
-    # texture, by a sixth on bare ground, where it is the modulus of noise.
-    share = levels.fine / fine + levels.coarse / np.maximum(coarse, TINY)
-    chance = seen.top * share * (3 - share) / 12
-    radius, count = known.settings.surroundings, len(known.axis.steps)
-    depth[rules.unchanged_mask(seen.top - seen.mean, chance, count, radius)] = np.nan
-    return replace(known, depth=depth)
+def mask_insignificant(known: Known) -> Known:
+    """Set to NaN where the peak is no more than noise, and note the error of random depths."""
+    seen, depth = known.seen, known.depth.copy()
+    insignificant, random, near = judge_peaks(seen.profiles, seen.top, 2)
+    depth[insignificant] = np.nan
+    wide = np.where(near, known.wide, np.float32(np.nan))
+    return replace(known, depth=depth, wide=wide, error=np.float32(known.axis.steps[-1]) * random)
 
 
 def choose_sides(known: Known) -> Known:
@@ -182,14 +180,13 @@ def choose_sides(known: Known) -> Known:
 
 def ask_wide_windows(known: Known) -> Known:
     """Take the depth by a wide window where the others are of blurred light."""
-    wide = wide_depth(known)
     depth, weight = known.depth.copy(), known.weight.copy()
     finer = sharp_mask(known.seen, known.levels, *known.settings.finer)
     instead, neither = rules.check_wide(
-        depth, wide, known.apart, known.sharp, finer, known.settings
+        depth, known.wide, known.apart, known.sharp, finer, known.settings
     )
     depth[neither] = np.nan
-    depth[instead], weight[instead] = wide[instead], known.settings.wide_weight
+    depth[instead], weight[instead] = known.wide[instead], known.settings.wide_weight
     return replace(known, depth=depth, weight=weight)
 
 
@@ -248,18 +245,15 @@ def state_errors(known: Known) -> Known:
     variance = _relief.error_variance(
         known.depth + known.relief, known.half_difference, pull, known.apart, known.settings
     )
-    return replace(known, error=np.sqrt(variance))
+    return replace(known, error=np.sqrt(variance + known.error**2))
 
 
 def enlarge(known: Known) -> Known:
-    """Interpolate the depth at full size, but take the nearest one at steps."""
+    """Interpolate the depth at full size."""
     shape, depth, relief = known.frames[0].shape, known.depth, known.relief
     full = doubled(fill_nearest(depth), shape)
     fine = np.where(np.isfinite(depth), relief, np.float32(0))
     full = full + doubled(fine, shape, cv2.INTER_CUBIC)
-    both = fill_nearest(depth + relief)
-    sudden = doubled(step_height(both) > 2, shape)
-    full[sudden] = doubled(both, shape, cv2.INTER_NEAREST)[sudden]
     return replace(known, full=full, there=doubled(np.isfinite(depth), shape))
 
 
@@ -284,7 +278,7 @@ def fit_at_full_size(known: Known) -> Known:
 STAGES: dict[str, Callable[[Known], Known]] = {
     "averaged frames": average_frames,
     "measures and peaks": follow_measures,
-    "chance": refuse_chance,
+    "significance": mask_insignificant,
     "sides of steps": choose_sides,
     "wide windows": ask_wide_windows,
     "halos": refuse_halos,
@@ -352,20 +346,6 @@ def relative(strength: NDArray, usual: float | None = None) -> NDArray:
     """Return strengths over the usual or their median, 1 where a depth came without a fit."""
     share = strength / np.float32(usual or typical(strength))
     return np.where(strength > 0, share, np.float32(1))
-
-
-def wide_depth(known: Known) -> NDArray:
-    """Return the depth by the wide window, NaN where its peak is of noise or of a blurred edge."""
-    seen, level, settings = known.seen, known.levels.wide, known.settings
-    wide, count = seen.wide.copy(), len(known.axis.steps)
-    wide[seen.wide_top < 2 * level] = np.nan
-    # Of a mean of N squares (s + e)² noise changes 2 √(s² e² / N).
-    chance = np.sqrt(np.float32(4 * level / settings.wide**2) * seen.wide_top)
-    rise = seen.wide_top - seen.wide_mean
-    wide[rules.unchanged_mask(rise, chance, count, settings.surroundings)] = np.nan
-    edges = rules.blurred_edge_mask(wide[::2, ::2], seen.wide_top[::2, ::2], settings)
-    wide[doubled(edges, wide.shape)] = np.nan
-    return doubled(wide, known.depth.shape)
 
 
 # --- At full size, where it is steep ------------------------------------------------------------

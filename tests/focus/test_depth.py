@@ -232,7 +232,7 @@ def test_peaks_at_the_ends_are_flagged():
         assert result.depth[known].max() <= POSITIONS[-1] + STEP / 2 + 1e-3
 
 
-MEASURES = ("multiscale", "sml", "tenengrad", "variance")
+MEASURES = ("multiscale", "sml")
 
 
 @pytest.mark.parametrize("measure", MEASURES)
@@ -268,10 +268,9 @@ def test_one_picture_many_times_has_no_depth(measure, count):
         frames = half + noise * rng.standard_normal((count, *half.shape))
         frames = np.clip(np.rint(frames), 0, 255).astype(np.uint8)
         found = depth_from_focus(frames, np.arange(float(count)), measure=measure)
-        # By chance a plain measure keeps up to 1 % of such pixels.
-        assert np.isfinite(found.depth).mean() <= (
-            0 if noise == 0 or measure == "multiscale" else 0.01
-        )
+        # By chance some pixels keep a depth, whose uncertainty says so.
+        certain = found.uncertainty < (count - 1) / 5
+        assert certain.mean() <= (0 if noise == 0 else 0.01)
 
 
 def test_half_a_scene_without_texture_gets_no_depth_from_noise():
@@ -291,10 +290,9 @@ def test_light_that_spreads_from_an_edge_is_no_depth():
     texture[:, 44:52] = 240
     height = np.full(SHAPE, 125.0)
     stack = render(height, texture=texture, noise=1.0)
-    plain = depth_from_focus(stack, POSITIONS, measure="sml", window=9)
+    best = np.argmax([sum_modified_laplacian(frame, window=9) for frame in stack], axis=0)
+    assert np.mean(np.abs(POSITIONS[best] - height) > STEP) > 0.1  # or the test shows nothing
     result = depth_from_focus(stack, POSITIONS)
-    wrong = np.abs(plain.depth - height) > STEP
-    assert wrong.mean() > 0.1  # or the test shows nothing
     known = np.isfinite(result.depth)
     assert known[:, [43, 44, 51, 52]].all()
     # The wide window sees the bar from 26 px away.
@@ -331,7 +329,7 @@ def test_more_than_256_frames_are_counted_right():
             {"frames": [np.zeros((9, 9)), np.zeros((9, 8))] * 2},
             r"frames\[1\] must be grey float32 of shape",
         ),
-        ({"measure": "sharpness"}, "measure must be one of multiscale, sml, tenengrad, variance"),
+        ({"measure": "sharpness"}, "measure must be one of multiscale, sml, got 'sharpness'"),
         ({"measure": lambda frame: frame[1:]}, r"measure\(frame\) must have shape"),
         ({"measure": lambda frame: frame - 1.0}, r"measure\(frame\) must be zero or positive"),
         ({"measure": lambda frame: frame * np.nan}, r"measure\(frame\) must be finite"),

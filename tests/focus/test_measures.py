@@ -1,6 +1,4 @@
-"""Focus measures against loops over (3.11) and (3.12), and against scipy."""
-
-from functools import partial
+"""Focus measures against loops over (3.11) and (3.12), and against SciPy."""
 
 import numpy as np
 import pytest
@@ -9,9 +7,6 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from microlib.focus import _axis, _measures, sum_modified_laplacian
-
-TENENGRAD = partial(_measures.tenengrad, window=5)
-VARIANCE = partial(_measures.variance, window=5)
 
 
 def printed_sml(image: np.ndarray, w: int, step: int, threshold: float) -> np.ndarray:
@@ -78,29 +73,13 @@ def test_sml_is_scipys_mean_even_where_the_window_exceeds_the_image(dtype, windo
     np.testing.assert_allclose(found, peer, rtol=1e-6)  # float32
 
 
-def test_tenengrad_is_scipys_sobel():
-    image = np.random.default_rng(1).integers(0, 256, (20, 21)).astype(np.uint8)
-    grey = image.astype(float)
-    energy = ndimage.sobel(grey, 0, mode="mirror") ** 2 + ndimage.sobel(grey, 1, mode="mirror") ** 2
-    peer = 25 * ndimage.uniform_filter(energy, 5, mode="mirror")
-    np.testing.assert_allclose(TENENGRAD(image), peer, rtol=1e-5)  # float32 sums
-
-
-@pytest.mark.parametrize("offset", [0, 60000])
-def test_variance_is_numpys_even_on_a_bright_background(offset):
-    image = (offset + np.random.default_rng(2).integers(0, 9, (12, 12))).astype(np.uint16)
-    peer = np.var(image[3:8, 4:9].astype(float))
-    assert VARIANCE(image)[5, 6] == pytest.approx(peer, rel=1e-4)  # 60000² · 2⁻⁵² = 1e-6
-
-
 @settings(deadline=None, max_examples=25)
 @given(seed=st.integers(0, 2**32 - 1), shift=st.integers(0, 100))
-def test_measures_ignore_brightness_and_grow_with_contrast(seed, shift):
+def test_sml_ignores_brightness_and_grows_with_contrast(seed, shift):
     image = np.random.default_rng(seed).integers(0, 50, (12, 12)).astype(np.uint8)
-    for measure, power in ((sum_modified_laplacian, 1), (TENENGRAD, 2), (VARIANCE, 2)):
-        once = measure(image).astype(float)
-        np.testing.assert_allclose(measure(image + np.uint8(shift)), once, rtol=1e-4, atol=1e-3)
-        np.testing.assert_allclose(measure(2 * image), 2**power * once, rtol=1e-4, atol=1e-3)
+    once = sum_modified_laplacian(image).astype(int)
+    np.testing.assert_array_equal(sum_modified_laplacian(image + np.uint8(shift)), once)
+    np.testing.assert_array_equal(sum_modified_laplacian(2 * image), 2 * once)
 
 
 def test_second_differences_of_noise_are_on_average_what_is_said():

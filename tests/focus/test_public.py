@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 
 import cv2
 import numpy as np
@@ -10,7 +10,13 @@ import pytest
 import tifffile
 
 from microlib import synthetic
-from microlib.focus import FocusResult, correct_spikes, depth_from_focus, smooth_depth
+from microlib.focus import (
+    FocusResult,
+    correct_spikes,
+    depth_from_focus,
+    smooth_depth,
+    sum_modified_laplacian,
+)
 from tests.laws import VIEWS, Law, hold, hold_same_as_new
 from tests.scenes import tilted_plane
 
@@ -51,7 +57,8 @@ LAWS = {
     "focus.correct_spikes": Law(lambda u: {"depth": u.z0 + HOLED * u.um, "window": 5,
         "delta": 1.5}, "um @ z0"),
     "focus.depth_from_focus": Law(lambda u: {"frames": STACK * u.grey,
-        "positions": u.z0 + Z * u.um, "measure": "tenengrad"}, MAPS, within=SINGLE),
+        "positions": u.z0 + Z * u.um, "measure": partial(sum_modified_laplacian, window=7)},
+        MAPS, within=SINGLE),
     "focus.smooth_depth": Law(lambda u: {"depth": u.z0 + HOLED * u.um, "jump": 12.0 * u.um,
         "radius": 4.0, "weight": 1.0 + INDEX}, "um @ z0", within=SINGLE),
     "focus.sum_modified_laplacian": Law(lambda u: {"image": u.grey0 + STACK[3] * u.grey,
@@ -90,6 +97,8 @@ def test_xarray_coordinates_are_those_of_the_file(tmp_path):
     found = depth_from_focus(tmp_path / "stack.ome.tif", Z, region=(8, 4, 40, 32))
     x, y = np.array([[0, 0], [39, 0], [7, 31]]).T
     wanted = 2.3 * np.column_stack([8 + x, 4 + y])
+    size = np.array([found.pixel_size, found.pixel_size])
+    np.testing.assert_allclose(found.origin + np.column_stack([x, y]) * size, wanted)
     assert found.all_in_focus[31, 7] in STACK[:, 35, 15]
     pytest.importorskip("xarray")
     maps = found.to_xarray()
