@@ -22,31 +22,30 @@ def home_path(path: str | PathLike[str]) -> Path:
 def replace_file(path: str | PathLike[str], write: Callable[[Path], object]) -> None:
     """Write a file beside `path` and move it there, so that no half-written file is ever seen.
 
-        Parameters
-        ----------
-        path : path-like
-            File to write; an old one is replaced only once the new one is whole, which has its
-            permissions and takes its place behind a symbolic link.
-        write : callable
-            Writes the content to the path that it is given, which ends like `path`.
+    Parameters
+    ----------
+    path : path-like
+        File to write; an old one is replaced only once the new one is whole, which has its
+        permissions and takes its place behind a symbolic link.
+    write : callable
+        Writes the content to the path that it is given, which ends like `path`.
 
-        Raises
-        ------
-        ValueError
-            If the folder does not exist.
-        OSError
-            If the file cannot be written, for one because the disk is full; the old one stays.
+    Raises
+    ------
+    ValueError
+        If the folder does not exist.
+    OSError
+        If the file cannot be written, for one because the disk is full; the old one stays.
 
-        Examples
-        --------
-        >>> import tempfile
-        >>> from pathlib import Path
-    from secrets import token_hex
-        >>> from microlib._common._files import replace_file
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     replace_file(Path(folder) / "a.txt", lambda file: file.write_text("whole"))
-        ...     print([path.name for path in Path(folder).iterdir()])
-        ['a.txt']
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from microlib._common._files import replace_file
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     replace_file(Path(folder) / "a.txt", lambda file: file.write_text("whole"))
+    ...     print([path.name for path in Path(folder).iterdir()])
+    ['a.txt']
     """
     target = Path(path)
     if not target.parent.is_dir():
