@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from math import comb
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, Result, as_array, as_map, of_kind, scalar, whole
+from microlib._common._opencv import cv2
 
 if TYPE_CHECKING:
     import pandas as pd

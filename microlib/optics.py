@@ -6,11 +6,11 @@ image knows nothing else; divide a length on the sensor by the pitch of its cell
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, as_array, as_image, positive, scalar, whole
+from microlib._common._opencv import cv2
 
 __all__ = [
     "blur_radius",

@@ -587,8 +587,11 @@ def test_a_point_that_is_no_number_is_counted_once(tmp_path: Path) -> None:
         (f"{GRID} -o c.json", "microlib calibrate: --out must be a folder, got c.json"),
         (f"{STACK} -o c.CSV", "microlib depth: --out must be a folder, got c.CSV"),
         ("track frames.tif --box 0 0 400 40", "microlib track: --box must"),
-        ("track frames.tif --box 0 0 5 40", "microlib track: --box width must be a whole number"),
-        ("track frames.tif --box -3 0 40 40", "track: --box x must be a whole number"),
+        (
+            "track frames.tif --box 0 0 5 40",
+            "microlib track: --box width must be at least 6, got 5",
+        ),
+        ("track frames.tif --box -3 0 40 40", "track: --box x must be zero or positive"),
         (f"track frames.tif {BOX} --rate 0", "--rate must"),
         (f"track frames.tif {BOX} -o t.xlsx", "must be a table that ends in .csv, got t.xlsx"),
         (f"track frames.tif {BOX} --color", "unrecognized arguments: --color"),
@@ -685,22 +688,30 @@ def test_help_shows_an_example(task: str, capsys: Told) -> None:
     assert f"Example: microlib {task} " in capsys.readouterr().out
 
 
-def test_without_opencv_the_command_says_so_in_one_line(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import sys; from microlib._command import main; sys.exit(main(sys.argv[1:]))",
+        *(f"import microlib.{r}" for r in ("focus", "calibration", "tracking", "io", "embryo")),
+        *(f"import microlib.{r}" for r in ("synthetic", "optics", "curvature")),
+        "import microlib; help(microlib)",
+    ],
+)
+def test_without_opencv_the_last_line_says_what_to_install(tmp_path: Path, code: str) -> None:
     (tmp_path / "cv2.py").write_text("raise ModuleNotFoundError('No module', name='cv2')")
-    line = f"-m microlib {STACK} -o {tmp_path / 'out'}".split()
-    path = {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
     done = subprocess.run(
-        [sys.executable, *line],
+        [sys.executable, "-c", code, *STACK.split(), "-o", str(tmp_path / "out")],
         cwd=INPUTS,
-        env=os.environ | path,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])},
         capture_output=True,
         encoding="utf-8",
         check=False,
     )
-    assert done.returncode == 2
-    assert done.stderr == (
-        "microlib depth: OpenCV 4.12 or newer is needed: pip install opencv-python-headless\n"
-    )
+    last = (done.stderr or done.stdout.strip()).splitlines()[-1]
+    assert last.endswith("OpenCV 4.12 or newer is needed: pip install opencv-python-headless")
+    if "_command" in code:
+        assert done.returncode == 2
+        assert done.stderr == f"{last}\n"
 
 
 def test_a_full_disk_is_named_and_no_look_of_another_run_stays(

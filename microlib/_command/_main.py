@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import os
 import sys
 import tempfile
 import warnings
@@ -35,7 +36,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # a console may lack letters: print others for them
             stream.reconfigure(errors="replace")
-    logging.getLogger("tifffile").addHandler(logging.NullHandler())  # or it prints lines of its own
+    # Libraries print lines of their own.
+    os.environ |= {"OPENCV_LOG_LEVEL": "OFF", "OPENCV_FFMPEG_LOGLEVEL": "-8"}
+    logging.getLogger("tifffile").addHandler(logging.NullHandler())
     parser = _parser()
     a = parser.parse_args(arguments)
     if a.task is None:
@@ -69,8 +72,6 @@ def _explained(a: argparse.Namespace, error: Exception) -> str:
     """Return what is wrong in the words of the command."""
     if isinstance(error, OSError) and error.errno:  # a full disk has no file's name
         return f"{error.filename or a.out}: {error.strerror}"
-    if isinstance(error, ImportError) and error.name == "cv2":
-        return "OpenCV 4.12 or newer is needed: pip install opencv-python-headless"
     if isinstance(error, ArgumentError):
         name, *part = error.argument.split(" ", 1)  # a box has sides, as in "box width"
         return " ".join([option(name) if name in a else name, *part, error.problem])

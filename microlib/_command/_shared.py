@@ -58,12 +58,16 @@ def _quantity(unit: str) -> Callable[[str], float]:
     return read
 
 
+class AmbiguousNumberError(argparse.ArgumentTypeError, ValueError):
+    """A number whose comma may be of decimals or of thousands; argparse shows its message."""
+
+
 def plain_number(text: str) -> float:
     """Return a number with a decimal point or comma; 126,000 may be one of thousands."""
     plain, decimal = text.replace(",", ""), text.replace(",", ".")
     thousands = re.fullmatch(r"\s*[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?", text)
     if thousands and text.count(",") == 1 and not thousands[2]:
-        raise argparse.ArgumentTypeError(f"{text} can be {plain} or {decimal}: write one of them")
+        raise AmbiguousNumberError(f"{text} can be {plain} or {decimal}: write one of them")
     return float(plain if thousands else decimal)
 
 

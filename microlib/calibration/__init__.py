@@ -1,5 +1,6 @@
 """Calibration of a microscope: find a pattern in an image, fit the model of chapter 2 to it."""
 
+import microlib._common._opencv  # noqa: F401 – says how to install it
 from microlib.calibration._calibrate import calibrate
 from microlib.calibration._calibration import Calibration
 from microlib.calibration._detect import (

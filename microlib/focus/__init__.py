@@ -1,5 +1,6 @@
 """Shape from focus: focus measures, and the depth of every pixel of a focal stack."""
 
+import microlib._common._opencv  # noqa: F401 – says how to install it
 from microlib.focus._correction import correct_spikes, smooth_depth
 from microlib.focus._depth import depth_from_focus
 from microlib.focus._measures import sum_modified_laplacian

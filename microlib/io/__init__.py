@@ -1,5 +1,6 @@
 """Read the frames of a stack; write maps and meshes, each file whole or not at all."""
 
+import microlib._common._opencv  # noqa: F401 – says how to install it
 from microlib.io._files import read_grey, write_height_tiff, write_ply
 from microlib.io._frames import read_frames
 from microlib.io._sources import image_files as image_files  # not public: for the commands

@@ -1,5 +1,6 @@
 """Scenes with known truth: what the algorithms are tested on. Nothing here imports an algorithm."""
 
+import microlib._common._opencv  # noqa: F401 – says how to install it
 from microlib.synthetic._embryo import Embryo, embryo_image
 from microlib.synthetic._gripper import (
     gripper_scene,

@@ -1,0 +1,7 @@
+"""OpenCV, which several distributions bring, so that none is installed along with the library."""
+
+try:
+    import cv2 as cv2
+except ModuleNotFoundError as error:
+    hint = "OpenCV 4.12 or newer is needed: pip install opencv-python-headless"
+    raise ModuleNotFoundError(hint, name="cv2") from error
