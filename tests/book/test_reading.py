@@ -145,12 +145,12 @@ def test_a_number_leads_to_the_cell_that_recorded_it_and_back(
         assert begins in source or "check(claim" in source or "{" in source, record.id
     page.set_viewport_size({"width": 360, "height": 780})
     open_page(page, html / "intro.html")
-    page.locator("article a[href$='#number-5-6-e-capsule-97-5']").first.click()
+    page.locator("article a[href$='#number-5-6-e-thin']").first.click()
     page.wait_for_function("window.formulasFit")
-    code = page.locator(".cell:has(#number-5-6-e-capsule-97-5) details[open] pre")
+    code = page.locator(".cell:has(#number-5-6-e-thin) details[open] pre")
     code.wait_for()
-    assert "modulus_posterior" in code.inner_text()
-    cell = page.locator(".cell:has(#number-5-6-e-capsule-97-5)").bounding_box()
+    assert "PROBE_WIDTH_ENDS" in code.inner_text()
+    cell = page.locator(".cell:has(#number-5-6-e-thin)").bounding_box()
     assert cell
     assert 0 <= cell["y"] < 300
     page.go_back()
