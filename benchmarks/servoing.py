@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from benchmarks.report import Limits, Tables, rms
 from compendium import thesis
-from compendium.experiments.paths import circle_path, sinusoid_path, square_path
+from compendium.experiments.microscope import turned
 from compendium.experiments.section_5_3 import WINDOWS
+from compendium.experiments.section_5_4 import LAW, PATHS, STEP_PATH
 from microlib.servoing import (
     Camera,
     OptimalController,
@@ -31,18 +32,13 @@ CAMERA = Camera(interval=INTERVAL, latency=0.8 * INTERVAL, jitter=0.15)
 STAGE = Stage(saturation=400.0)
 #: px/µm at both zooms, and window of the tracker in px.
 ZOOMS = {zoom: (1 / thesis.effective_pixel(zoom), WINDOWS[zoom]) for zoom in thesis.ZOOMS}
-OPTIMAL = {
-    "interval": INTERVAL,
-    "feature_weight": thesis.FEATURE_WEIGHT,
-    "control_weight": thesis.CONTROL_WEIGHT_MICROMETER,
-}
-PREDICTIVE = OPTIMAL | {"delay": CAMERA.latency, "saturation": STAGE.saturation}
+PREDICTIVE = LAW | {"delay": CAMERA.latency, "saturation": STAGE.saturation}
 SEEDS = 50
 TASKS = {
-    "step of 50 px": np.full((66, 2), 50.0),
-    "circle, 40 px/s": circle_path(40.0, 40.0, INTERVAL),
-    "square, 40 px/s": square_path(60.0, 40.0, INTERVAL),
-    "sinusoid, 15 px/s": sinusoid_path(100.0, 20.0, 15.0, INTERVAL),
+    "step of 50 px": STEP_PATH,
+    "circle, 40 px/s": PATHS["circle"](40.0, 1.0, 1.0),
+    "square, 40 px/s": PATHS["square"](40.0, 1.0, 1.0),
+    "sinusoid, 15 px/s": PATHS["sinusoid"](30.0, 1.0, 1.0),  # 15 px/s along x
 }
 
 
@@ -50,11 +46,10 @@ def run(controller: Any, scale: float, task: str, seed: int, **options: object) 
     """Simulate one task with a Jacobian that the controller knows to 1 % and 1°."""
     rng = np.random.default_rng(seed)
     angle, size = rng.normal(0, np.deg2rad(1.0)), rng.normal(1, 0.01)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     return simulate(
         controller,
         TASKS[task],
-        jacobian=size * scale * turn,
+        jacobian=turned(angle, size * scale, mirrored=False),
         stage=STAGE,
         camera=CAMERA,
         rng=rng,
@@ -100,7 +95,7 @@ def modes() -> pd.DataFrame:
                 track = tracker.track(scene.frame(feature + away, rng))
                 return np.full(2, np.nan) if track.lost else track.center - origin
 
-            controller = OptimalController(scale * np.eye(2), **OPTIMAL)
+            controller = OptimalController(scale * np.eye(2), **LAW)
             rendered = run(controller, scale, task, 1, observer=observer)
             fast = run(controller, scale, task, 1)
             apart = np.linalg.norm(rendered.feature - fast.feature, axis=1)
