@@ -223,7 +223,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "calibration.detect_squares": lambda: {"image": squares(), "region": (0, 0, 160, 120)},
     "calibration.detect_charuco": lambda: {"image": charuco()},
     "calibration.detect_micrometer": lambda: {"image": lines(), "region": (0, 0, 120, 40)},
-    "calibration._micrometer.Micrometer.um_per_pixel": lambda: {
+    "calibration.detection._micrometer.Micrometer.um_per_pixel": lambda: {
         "self": calibration.detect_micrometer(lines()), "division": 10.0,
     },
     "calibration.stage_affine": lambda: {

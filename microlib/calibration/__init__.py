@@ -3,16 +3,17 @@
 import microlib._common._opencv  # noqa: F401 – says how to install it
 from microlib.calibration._calibrate import calibrate
 from microlib.calibration._calibration import Calibration
-from microlib.calibration._detect import (
-    detect_charuco,
-    detect_circles,
-    detect_micrometer,
-    detect_squares,
-)
 from microlib.calibration._detection import Detection
 from microlib.calibration._stage import stage_affine
 from microlib.calibration._uncertainty import cramer_rao
 from microlib.calibration._views import linear_intrinsics, radial_alignment
+from microlib.calibration.detection import (
+    detect_charuco,
+    detect_circles,
+    detect_micrometer,
+    detect_pattern,
+    detect_squares,
+)
 
 __all__ = [
     "Calibration",
@@ -22,6 +23,7 @@ __all__ = [
     "detect_charuco",
     "detect_circles",
     "detect_micrometer",
+    "detect_pattern",
     "detect_squares",
     "linear_intrinsics",
     "radial_alignment",

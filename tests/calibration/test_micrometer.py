@@ -83,16 +83,6 @@ def test_the_distance_of_the_lines_is_found(change):
     assert -5 < along.min() <= along.max() < change.get("length", 30.0) + 5
 
 
-def test_a_region_is_looked_at_alone():
-    image = scale(angle=0.0, numerals=False)
-    two = np.vstack([image, scale(spacing=7.0, lines=30, angle=0.0, numerals=False)])
-    for y, true in ((0, 12.3), (HEIGHT, 7.0)):
-        found = detect_micrometer(two, region=(0, y, WIDTH, HEIGHT))
-        assert found.spacing == pytest.approx(true, rel=1e-3)
-        assert y <= found.points[:, 1].min()
-        assert found.points[:, 1].max() < y + HEIGHT
-
-
 def test_lines_missing_and_beside_their_places():
     """A line that is gone is skipped in the count; one in the wrong place is no scale's."""
     image = scale(angle=0.0, numerals=False)

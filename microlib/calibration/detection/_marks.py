@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from microlib._common import Array, Region, as_image, as_region, luminance
-from microlib.calibration._settings import Settings
+from microlib._common import Array
+from microlib.calibration.detection._settings import Settings
 
 #: Median of the absolute values to standard deviation, for normal errors.
 TO_SIGMA = 1.4826
@@ -58,18 +57,6 @@ class Marks:
         return replace(
             self, centers=self.centers[index], moments=self.moments[index], areas=self.areas[index]
         )
-
-
-def look_at(image: ArrayLike, region: Region | None) -> tuple[NDArray[np.float32], Array, Any]:
-    """Checked grey levels of the part of an image to look at, or the luminance of one in color; its
-    first pixel (x, y); and the width and height of the whole."""
-    least = 16
-    whole = as_image("image", luminance("image", image), smallest=least)
-    size = whole.shape[::-1]
-    box = (0, 0, *size) if region is None else region
-    x, y, width, height = as_region("region", box, whole.shape, least=least)
-    grey = np.ascontiguousarray(whole[y : y + height, x : x + width])
-    return grey, np.array([x, y], dtype=float), size
 
 
 def to_bytes(grey: NDArray[np.float32]) -> NDArray[np.uint8]:

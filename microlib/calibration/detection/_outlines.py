@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from microlib._common import Array
-from microlib.calibration._marks import Marks
-from microlib.calibration._settings import Settings
 from microlib.calibration._uncertainty import monomials
+from microlib.calibration.detection._marks import Marks
+from microlib.calibration.detection._settings import Settings
 
 #: From parameters (n, p) and pixels x, y (n, k) to the part F of the light that the shape takes and
 #: its derivatives by all parameters but contrast and ground, (n, k, p − 4).

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array, Tidy, scalar
-from microlib.calibration._settings import Settings
 from microlib.calibration._uncertainty import inverse_interval, student
+from microlib.calibration.detection._settings import Settings
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,15 +67,15 @@ def find_scale(grey: NDArray[np.float32], settings: Settings) -> Micrometer:
     rows, dark = _profile(upright)
     places, spacing = _lines(dark)
     places = _centers(dark, places, spacing)
-    steps = np.round(np.diff(places) / spacing).astype(np.intp)
-    divisions = np.concatenate([[0], np.cumsum(steps)])
-    if (steps == 0).any() or len(places) < 3 / 4 * divisions[-1]:
-        raise _refusal(f"{len(places)} lines on {divisions[-1] + 1} places")
+    divisions = np.concatenate([[0], np.cumsum(np.round(np.diff(places) / spacing))]).astype(
+        np.intp
+    )
     spacing, first = np.polyfit(divisions, places, 1)
     residuals = places - first - spacing * divisions
     rms = np.sqrt((residuals**2).sum() / (len(places) - 2))
     if spacing < 4 or rms > settings.line_residual * spacing:  # closer ones have no ground between
         raise _refusal(f"lines {spacing:.3g} px apart, {rms / spacing:.2g} of it beside equal ones")
+    _refuse_broken(upright, rows, places, spacing, settings)
     sigma = rms / np.sqrt(((divisions - divisions.mean()) ** 2).sum())
     upright_points = np.column_stack([places, np.full(len(places), np.flatnonzero(rows).mean())])
     points = (upright_points - matrix[:, 2]) @ matrix[:, :2]
@@ -83,39 +83,74 @@ def find_scale(grey: NDArray[np.float32], settings: Settings) -> Micrometer:
 
 
 def _profile(upright: NDArray[np.float32]) -> tuple[NDArray[np.bool_], Array]:
-    """The rows that cross the lines, along which much changes, and how dark their mean is."""
+    """The rows that cross the lines, along which much changes, and how dark their mean is, from 0
+    to 1 between its envelopes: light may be uneven."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
+
     change = _mean(np.abs(cv2.Sobel(upright, cv2.CV_32F, 1, 0)).T)
     rows = change >= (np.nanmin(change) + np.nanmax(change)) / 2
-    profile = _mean(upright[rows]) if rows.any() else np.full(1, np.nan)
-    known = profile[np.isfinite(profile)]
-    if known.size and 2 * known.mean() < known.min() + known.max():  # lines are the lesser part
-        profile = -profile
-    return rows, np.nan_to_num(np.nanmax(profile, initial=-np.inf) - profile)
+    profile = _mean(upright[rows])
+    if not np.isfinite(profile).any():
+        raise _refusal("no row across them")
+    profile = np.where(np.isfinite(profile), profile, np.nanmedian(profile))
+    size = len(profile) // 4
+    low, high = (
+        uniform_filter1d(envelope(profile, size), size)
+        for envelope in (minimum_filter1d, maximum_filter1d)
+    )
+    evened = (profile - low) / np.maximum(high - low, np.ptp(profile) / 10 + np.finfo(float).tiny)
+    return rows, evened if evened.mean() < 1 / 2 else 1 - evened  # lines are the lesser part
 
 
 def _lines(dark: Array) -> tuple[Array, float]:
     """Peaks of a profile that are equidistant, but for a few, and their distance, px."""
     from scipy.signal import find_peaks  # here, as it takes long to import
 
-    peaks, shape = find_peaks(dark, prominence=np.finfo(float).tiny)
-    depth = shape["prominences"]
     # Numerals and dirt lie lower once the profile is averaged along the lines.
-    places = peaks[depth > depth.max(initial=0) / 3].astype(np.float64)
+    places = find_peaks(dark, prominence=np.ptp(dark) / 3)[0].astype(np.float64)
     gaps = np.diff(places)
-    alike = np.abs(gaps - np.median(gaps)) < np.median(gaps) / 4 if len(gaps) else gaps > 0
-    if alike.sum() < 4 or alike.mean() < 3 / 4:  # five lines leave three residuals
-        raise _refusal(f"{int(alike.sum())} equal gaps of {len(gaps)}")
-    return places, float(gaps[alike].mean())
+    steps = gaps / np.median(gaps) if len(gaps) else gaps
+    alike = (np.abs(steps - np.round(steps)) < 1 / 4) & (steps > 1 / 2) & (steps < 3)
+    ends = np.concatenate([[0], np.flatnonzero(~alike) + 1, [len(places)]])
+    longest = int(np.argmax(np.diff(ends)))
+    run = slice(ends[longest], ends[longest + 1])
+    kept = places[run]
+    if len(kept) < max(5, 3 / 4 * len(places)):  # five lines leave three residuals
+        raise _refusal(f"{len(kept)} of {len(places)} lines")
+    return kept, float(np.diff(kept).sum() / np.round(steps[run][: len(kept) - 1]).sum())
 
 
 def _centers(dark: Array, places: Array, spacing: float) -> Array:
-    """Center of what is dark within two fifths of a division about each line, four times anew."""
-    reach = 2 / 5 * spacing * np.linspace(-1, 1, 2 * int(2 * spacing) + 1)
+    """Center of what is darker than its ground within two fifths of a division about each line,
+    four times anew. The ground is a straight line, for light may be uneven."""
+    part = np.linspace(-1, 1, 2 * int(2 * spacing) + 1)
+    reach = 2 / 5 * spacing * part
     for _ in range(4):
         line = np.interp(places[:, None] + reach, np.arange(len(dark)), dark)
-        line = np.maximum(line - np.maximum(line[:, :1], line[:, -1:]), 0)
+        first, last = line[:, :1], line[:, -1:]
+        line = np.maximum(line - (first + last + part * (last - first)) / 2, 0)
         places = places + line @ reach / np.maximum(line.sum(axis=1), np.finfo(float).tiny)
     return places
+
+
+def _refuse_broken(
+    upright: NDArray[np.float32],
+    rows: NDArray[np.bool_],
+    places: Array,
+    spacing: float,
+    settings: Settings,
+) -> None:
+    """Refuse what is no line: rows that do not correlate with their mean, as between the circles or
+    squares of a grid."""
+    first, last = np.flatnonzero(rows)[[0, -1]]
+    begin, end = np.clip(places[[0, -1]] + [-spacing, spacing], 0, None).astype(int)
+    strip = upright[first : last + 1, begin:end]
+    strip = np.nan_to_num(strip - np.nanmean(strip, axis=1, keepdims=True))
+    mean = strip.mean(axis=0)
+    length = np.linalg.norm(strip, axis=1) * np.linalg.norm(mean)
+    alike = np.quantile(strip @ mean / np.maximum(length, np.finfo(float).tiny), 1 / 4)
+    if alike < settings.least_alike:
+        raise _refusal(f"broken ones: rows correlate with their mean by {alike:.2f}")
 
 
 def _direction(grey: NDArray[np.float32], settings: Settings) -> float:

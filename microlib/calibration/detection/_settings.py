@@ -22,9 +22,10 @@ class Settings:
         Of an ellipse it is 1, of a square 0.955; contours of few pixels come out a little beside.
     nothing_else : float
         If a lattice holds this part of the dark regions, the image shows it and nothing else.
-    near : int
-        Neighbors that may be the next in the lattice: a hexagonal one has six, and clutter lies
-        between.
+    saddle_blurs : (float, float)
+        With which corners are looked for, px: small fields, then noisy and blurred ones.
+    least_alike : float
+        Correlation of the image around a mark with the drawn pattern.
     least_contrast : float
         Of a place that is taken for a mark, as a part of that of the nearest one: at the rim of a
         chessboard, where one of four fields is dark, it is a half.
@@ -57,10 +58,8 @@ class Settings:
     widest : float
         Band around an outline, px. Pixels far from it tell its ground: 4, 5, 7 and 10 leave errors
         of 1.06, 1.02, 1 and 0.99, more and more of it for dirt to lie in.
-    crossing, most_crossing : float
-        Half the width of a patch around a chessboard's corner, in sides of a field: the next edges
-        are a whole side away, and their blur and a slant of the board must stay out. And in px:
-        more adds little but distortion.
+    most_crossing : float
+        Half the width of a patch around a board's corner, px: more adds little but distortion.
     most_residual : float
         Of a lattice, in pitches. Printed boards, photographed, lie within 0.01; false lattices
         mostly beyond 0.03.
@@ -79,7 +78,8 @@ class Settings:
     shortest: int = 14
     fullness: tuple[float, float] = (0.90, 1.02)
     nothing_else: float = 0.7
-    near: int = 12
+    saddle_blurs: tuple[float, float] = (1.5, 3.0)
+    least_alike: float = 0.7
     least_contrast: float = 0.7
     most_scatter: float = 0.08
     most_skew: float = 0.1
@@ -90,7 +90,6 @@ class Settings:
     settled: float = 1e-6
     rough: float = 6.0
     widest: float = 7.0
-    crossing: float = 0.45
     most_crossing: float = 12.0
     most_residual: float = 0.012
     stray: float = 6.0

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from scipy.optimize import leastsq
 
 from microlib._common import Array
-from microlib.calibration._marks import TO_SIGMA
-from microlib.calibration._settings import Settings
 from microlib.calibration._uncertainty import monomials
+from microlib.calibration.detection._marks import TO_SIGMA
+from microlib.calibration.detection._settings import Settings
 from microlib.microscope import distort
 
 #: Step of the central differences, in cells: their error is its square, 1e-6 of what the scale

@@ -1,0 +1,127 @@
+"""Inner corners of chessboards and of ChArUco boards: saddle points of the grey levels.
+
+At a corner two dark and two bright fields meet. The smoothed image has a saddle point there, and
+the directions in which its second derivative is zero are those of the two edges. From corner to
+corner along an edge dark and bright change places, so that the second derivatives change their
+sign: a lattice grown by this rule skips no row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from microlib._common import Array
+from microlib.calibration._detection import FEWEST
+from microlib.calibration.detection._grid_map import GridMap, fit_grid_map
+from microlib.calibration.detection._lattice import (
+    MIDDLE,
+    Index,
+    fill,
+    grow_pieces,
+    likeness,
+    neighbors,
+)
+from microlib.calibration.detection._marks import Marks
+from microlib.calibration.detection._settings import Settings
+
+
+def find_corners(
+    grey: NDArray[np.float32], kind: str, settings: Settings
+) -> tuple[Marks, Index, GridMap]:
+    """Corners of a board, each with the moments of a circle within its fields, their grid, and the
+    map from that to the image.
+
+    Raises
+    ------
+    ValueError
+        If the image shows no board of at least four corners.
+    """
+    smooth: NDArray = cv2.GaussianBlur(grey, (0, 0), 1.0)
+    # Of a ChArUco board most of the saddle points are those of its markers.
+    most = 50 if kind == "charuco" else 12
+    blurs = settings.saddle_blurs
+    found = [_verified(smooth, *_grow_board(grey, blur, most), kind) for blur in blurs]
+    centers, grid = max(found, key=lambda piece: len(piece[1]))
+    if len(grid) < FEWEST or fill(grid) == 0:
+        raise ValueError(f"image must show a {kind}, got {len(grid)} of its corners")
+    to_image, _ = fit_grid_map(centers[:, None], grid.astype(np.float64), MIDDLE, grey.shape)
+    areas = to_image.scale(grid)
+    moments = areas[:, None, None] * np.eye(2) / 6**2
+    return Marks(grey, smooth, centers, moments, areas, settings), grid, to_image
+
+
+def _verified(smooth: NDArray, centers: Array, grid: Index, kind: str) -> tuple[Array, Index]:
+    """The corners around which the image is alike a drawn board."""
+    for least in (0.4, 0.6, Settings.least_alike):  # what is no corner bends the map
+        if len(grid) < FEWEST or fill(grid) == 0:
+            return centers[:0], grid[:0]
+        to_image, _ = fit_grid_map(centers[:, None], grid.astype(float), MIDDLE, smooth.shape)
+        kept = _likeness(smooth, centers, to_image.steps(grid), grid, kind) > least
+        centers, grid = centers[kept], grid[kept]
+    return centers, grid
+
+
+def _grow_board(grey: NDArray[np.float32], blur: float, most: int) -> tuple[Array, Index]:
+    """Corners of the largest board among the saddle points, and the column and row of each."""
+    centers, hessians = _saddles(grey, blur)
+    if len(centers) < FEWEST:
+        return centers[:0], np.empty((0, 2), dtype=np.intp)
+    near = neighbors(centers, most)
+    step = centers[near] - centers[:, None]
+    toward = step / np.linalg.norm(step, axis=2, keepdims=True)
+    opposite = np.einsum("nij,nkij->nk", hessians, hessians[near]) < -1 / 2
+    along = np.abs(np.einsum("nki,nij,nkj->nk", toward, hessians, toward)) < 1 / 4
+    first = opposite & along
+
+    def first_steps(seed: int) -> Iterator[Array]:
+        candidates = np.flatnonzero(first[seed])
+        for one in candidates[:3]:
+            (x, y), (u, v) = toward[seed, one], toward[seed, candidates].T
+            for other in candidates[np.abs(x * v - y * u) > 1 / 2][:3]:
+                yield step[seed, [one, other]]
+
+    def alike(here: int, there: int) -> bool:
+        return bool((hessians[here] * hessians[there]).sum() < -1 / 2)
+
+    # Under a strong distortion one step differs from the next by a quarter.
+    pieces = grow_pieces(centers, range(len(centers)), first_steps, alike, reach=1 / 3)
+    if not pieces:
+        return centers[:0], np.empty((0, 2), dtype=np.intp)
+    index, grid = pieces[0]
+    return centers[index], grid
+
+
+def _saddles(grey: NDArray[np.float32], blur: float) -> tuple[Array, Array]:
+    """Saddle points of the blurred image, the strongest first, and their second derivatives as
+    matrices (n, 2, 2) of length one."""
+    smooth = cv2.GaussianBlur(grey, (0, 0), blur)
+    x, y = (cv2.Sobel(smooth, cv2.CV_32F, *order) for order in ((1, 0), (0, 1)))
+    xx, xy, yy = (cv2.Sobel(*each) for each in ((x, -1, 1, 0), (x, -1, 0, 1), (y, -1, 0, 1)))
+    strength = xy * xy - xx * yy
+    size = 2 * int(np.ceil(blur)) + 1
+    peak = strength == cv2.dilate(strength, np.ones((size, size), np.uint8))
+    row, column = np.nonzero(peak & (strength > strength.max() / 100))
+    order = np.argsort(-strength[row, column], kind="stable")[:4000]
+    at = row[order], column[order]
+    hessians = np.stack([xx[at], xy[at], xy[at], yy[at]], axis=-1).reshape(-1, 2, 2).astype(float)
+    slope = np.stack([x[at], y[at]], axis=-1).astype(float)
+    # Sobel's weights make 8 of a slope, and 64 of a curvature.
+    move = -8 * np.linalg.solve(hessians, slope[..., None])[..., 0]
+    near = np.abs(move).max(axis=1) < 2
+    centers = np.column_stack(at[::-1]) + move
+    return centers[near], (hessians / np.linalg.norm(hessians, axis=(1, 2), keepdims=True))[near]
+
+
+def _likeness(smooth: NDArray, centers: Array, steps: Array, grid: Index, kind: str) -> Array:
+    """Correlation of the fields around each corner with those of a drawn board, (n,)."""
+    side = (np.arange(16) + 1 / 2) / 16 - 1 / 2
+    places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    if kind == "charuco":  # along the edges alone: markers lie in the bright fields
+        places = places[np.abs(places).min(axis=1) < 1 / 12]
+    drawn = np.sign(places.prod(axis=1)) * (-1.0) ** grid.sum(axis=1)[:, None]
+    both = [likeness(smooth, centers, steps, places, sign * drawn) for sign in (1, -1)]
+    return max(both, key=np.median)
