@@ -166,6 +166,76 @@ def others(textures: int = 30) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def chessboard(rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray, tuple[int, int]]:
+    """Return a photograph of a chessboard of any number of fields, the field coordinates of its
+    pixels, and the number of its columns and rows."""
+    width, height = ((640, 480), (1024, 768), (1280, 960))[rng.integers(3)]
+    while True:
+        columns, rows = int(rng.integers(3, 41)), int(rng.integers(3, 29))
+        side = rng.uniform(0.55, 1.05) * min(width / columns, height / rows)
+        if side > 10:
+            break
+    cos, sin = side * np.exp(1j * rng.uniform(-0.5, 0.5)).view((float, 2))
+    tilt = rng.uniform(-0.7, 0.7, 2) / [columns, rows]
+    view = np.array([[cos, -sin, 0], [sin, cos, 0], [*tilt, 1]])
+    y, x = (np.mgrid[: 2 * height, : 2 * width] + 0.5) / 2 - 0.5
+    seen = np.stack([x, y], axis=-1) - np.array([width, height]) / 2 * rng.uniform(0.95, 1.05, 2)
+    seen *= 1 + rng.uniform(-0.12, 0.25) * (seen**2).sum(axis=-1, keepdims=True) / (width / 2) ** 2
+    fields = cv2.perspectiveTransform(seen, np.linalg.inv(view)) + np.array([columns, rows]) / 2
+    on = ((fields > 0) & (fields < [columns, rows])).all(axis=-1)
+    dark, bright = ((30, 200), (15, 240), (70, 150))[rng.integers(3)]
+    odd = np.floor(fields).sum(axis=-1) % 2
+    scene = np.where(on, np.where(odd, bright, dark), rng.choice([bright, 115, dark + 5]))
+    blur = 2 * rng.choice([0.6, 1.0, 1.6, 2.4]) * min(1, side / 18)
+    scene = cv2.GaussianBlur(scene.astype(np.float32), (0, 0), blur)
+    image = cv2.resize(scene, (width, height), interpolation=cv2.INTER_AREA)
+    image = image + rng.normal(0, rng.choice([0, 2, 5, 9]), image.shape)
+    fields = cv2.resize(fields, (width, height), interpolation=cv2.INTER_AREA)
+    return np.clip(image, 0, 255).astype(np.uint8), fields.astype(np.float32), (columns, rows)
+
+
+def opencv_corners(image: NDArray[np.uint8]) -> tuple[NDArray, NDArray]:
+    """Return the corners of a board of unknown size and their grid, as OpenCV finds them."""
+    flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+    found, points, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags)
+    if not found:
+        raise ValueError("no board")
+    return points.reshape(-1, 2), np.argwhere(np.ones(meta.shape))
+
+
+def our_corners(image: NDArray[np.uint8]) -> tuple[NDArray, NDArray]:
+    """Return the corners of a board and their grid, as `detect_squares` finds them."""
+    found = detect_squares(image, pattern="chessboard")
+    return found.points, found.grid
+
+
+def lattices(count: int = 100) -> pd.DataFrame:
+    """Count the boards on which a detector returns another lattice than that of the corners."""
+    scenes = [chessboard(np.random.default_rng([seed, 14])) for seed in range(count)]
+    rows = []
+    for name, detect in (
+        ("detect_squares", our_corners),
+        ("findChessboardCornersSB", opencv_corners),
+    ):
+        wrong, rejected, shares = 0, 0, []
+        for image, fields, (columns, height) in scenes:
+            try:
+                points, grid = detect(image)
+            except ValueError:
+                rejected += 1
+                continue
+            at = points.astype(np.float32)[None]
+            corner = np.round(cv2.remap(fields, at[..., 0], at[..., 1], cv2.INTER_LINEAR)[0])
+            design = np.column_stack([grid, np.ones(len(grid))])
+            steps, rest, *_ = np.linalg.lstsq(design, corner)
+            unit = np.isclose(np.abs(np.linalg.det(steps[:2])), 1, atol=1e-6)
+            wrong += not unit or rest.max() > 1e-6
+            shares.append(100 * len(grid) / ((columns - 1) * (height - 1)))
+        rows.append((name, count, wrong, rejected, round(float(np.median(shares)), 1)))
+    columns = ["detector", "boards", "wrong lattices", "rejected", "corners found %, median"]
+    return pd.DataFrame(rows, columns=columns)
+
+
 def faulty_views(
     fault: str, views: int, rng: np.random.Generator
 ) -> tuple[list[NDArray], list[NDArray]]:
@@ -239,12 +309,15 @@ row of the last adds one to a calibration.
 - *Found* counts marks; those hidden under dirt are left out, and leaving them out is not a fault.
 - Of 40 intervals at 95 %, 36 to 40 should hold; of 20, 17 to 20.
 - Brown's lens alone already departs a little from the model of one view, and a fit may say so.
+- The chessboards are tilted, blurred by up to 2.4 px and partly cut off. A lattice is wrong if its
+  steps are not those of the corners, as when every second row is skipped. OpenCV needs 3 × 3
+  corners.
 - Where squares have a side of 0.9 pitches, the gap between them is 3 px wide.
 """
 
 
 def main() -> tuple[Tables, Limits]:
-    photographs, refused, fits = boards(), others(), faults()
+    photographs, refused, fits, grids = boards(), others(), faults(), lattices()
     plain = ~photographs["photograph"].isin(["glare"])
     sides = photographs["photograph"].str.startswith("side")
     limits: Limits = [
@@ -254,10 +327,13 @@ def main() -> tuple[Tables, Limits]:
         ("error of any side, px", photographs["error px"][sides].max(), "≤", 0.015),
         ("images without a pattern accepted", refused["accepted"].sum(), "≤", 0),
         ("neither holds nor says so, most faults, %", fits["neither %"].max(), "≤", 10),
+        ("wrong lattices of chessboards", grids["wrong lattices"][0], "≤", 0),
+        ("chessboards rejected, %", 100 * grids["rejected"][0] / grids["boards"][0], "≤", 2),
     ]
     tables = {
         "Photographed boards": photographs,
         "Images without a pattern": refused,
+        "Chessboards of 3 × 3 to 40 × 28 fields": grids,
         "Calibrations with a fault": fits,
     }
     return tables, limits

@@ -44,8 +44,6 @@ REFUSED: dict[str, dict[str, tuple[object, ...]]] = {
         "noise": (-1.0, np.nan),
         "world": (fuzz.grid() * 1e12,),  # beyond the fold of the distortion
     },
-    "calibration.detect_circles": {"direction": (np.nan, np.inf, "0", [0.0])},
-    "calibration.detect_squares": {"direction": (np.nan, np.inf, "0", [0.0])},
     "curvature.clean_labels": {
         "labels": ([[12]], *(np.where(np.eye(4), wrong, 1.0) for wrong in (257, 1.9, -255))),
         "smallest": (0,),

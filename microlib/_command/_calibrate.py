@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,7 @@ def run(a: argparse.Namespace) -> Files:
     """
     import pandas as pd
 
-    from microlib.calibration import calibrate
+    from microlib.calibration import calibrate, detect_pattern
     from microlib.io import image_files, read_grey
 
     settle(a, "pitch", "cell", *(["focal_length"] if a.focal_length is not None else []))
@@ -42,7 +42,7 @@ def run(a: argparse.Namespace) -> Files:
     for photo in a.bar(photos, unit=" photos"):
         try:
             image = read_grey(photo)
-            name, found = _detect(image, a.marks)
+            name, found = detect_pattern(image, a.marks)
             seen[photo] = image, found
             a.say(f"{photo}: {name}: {found}")
         except ValueError as error:
@@ -59,27 +59,6 @@ def run(a: argparse.Namespace) -> Files:
     yield "camera.json", text(result.to_json())
     yield "look.png", picture(partial(result.plot, found=views, images=images))
     a.say(result)
-
-
-def _detect(image: NDArray, marks: str) -> tuple[str, Any]:
-    """Return what the photograph shows, and its points."""
-    from microlib.calibration import detect_charuco, detect_circles, detect_squares
-
-    ways: dict[str, Callable[[NDArray], Any]] = {
-        "chessboard": partial(detect_squares, pattern="chessboard"),
-        "charuco": detect_charuco,
-        "squares": detect_squares,
-    }
-    for lattice in ("square", "hexagonal", "asymmetric"):
-        ways[f"circles, {lattice} lattice"] = partial(detect_circles, lattice=lattice)
-    faults: dict[str, None] = {}
-    for name, way in ways.items():
-        if name.startswith("" if marks == "auto" else marks):
-            try:
-                return name, way(image)
-            except ValueError as fault:
-                faults[str(fault)] = None
-    raise ValueError("; ".join(faults))
 
 
 def _advise(a: argparse.Namespace, result: Any, found: Sequence[Any]) -> None:

@@ -7,7 +7,7 @@ from microlib.calibration._detection import Detection
 from microlib.calibration._stage import stage_affine
 from microlib.calibration._uncertainty import cramer_rao
 from microlib.calibration._views import linear_intrinsics, radial_alignment
-from microlib.calibration.detection import (
+from microlib.calibration.detection._detect import (
     detect_charuco,
     detect_circles,
     detect_micrometer,

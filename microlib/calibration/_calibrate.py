@@ -8,7 +8,6 @@ determine is held or named, never made up.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -16,12 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import (
-    Array,
-    as_array,
-    positive,
-    scalar,
-)
+from microlib._common import Array, positive, scalar
 from microlib.calibration._calibration import Calibration
 from microlib.calibration._detection import Detection
 from microlib.calibration._stage import plane_points
@@ -38,15 +32,14 @@ def calibrate(
     pitch: float | None = None,
     focal_length: float | None = None,
     image_size: tuple[int, int] | None = None,
-    groups: ArrayLike | Sequence[ArrayLike] | None = None,
 ) -> Calibration:
     """Pose, magnification and distortion of a microscope from images of a plane pattern.
 
     Parameters
     ----------
     world : Detection or array_like, shape (N, 2), or a list of either
-        What a detector found, which needs `pitch` and holds the other points, the size of the image
-        and the groups; or points of the pattern, µm. Of several views, a list.
+        What a detector found, which needs `pitch` and holds the other points and the size of the
+        image; or points of the pattern, µm. Of several views, a list.
     image : array_like, shape (N, 2), or a list of them, optional
         Where points of the pattern are seen, (x, y) px.
     pixel_size : float or (float, float)
@@ -58,12 +51,6 @@ def calibrate(
         too, which needs a tilted pattern: see Notes.
     image_size : (int, int), optional
         Width and height of the image, px, which points need; the optical axis meets its center.
-    groups : array_like of int, shape (N,), or a list of them, optional
-        Points of one number have correlated errors, as the corners of one square have. The
-        covariance then allows for it. Without `groups` the errors of one view are taken as
-        independent and alike. Of several views a number means the same mark in all; without them
-        that is a world point: a mark that was made beside its place is so in every view.
-
     Returns
     -------
     Calibration
@@ -71,8 +58,8 @@ def calibrate(
     Raises
     ------
     ValueError
-        If shapes disagree, there are fewer than 5 points or no more groups than parameters, points
-        lie on one line or beyond the image, or they fit no microscope.
+        If shapes disagree, there are fewer than 5 points, points lie on one line or beyond the
+        image, or they fit no microscope.
 
     Notes
     -----
@@ -81,6 +68,9 @@ def calibrate(
     it: the plane is in focus. Without `focal_length` the same tie makes f the one number that the
     perspective determines. If 1/f is less than four standard errors from zero, f and the tilt's
     angles are named in `unobservable`.
+
+    The errors of the corners of one square are correlated, and a mark that was made beside its
+    place is so in every view: the covariance allows for both.
 
     Several views share the lens: T_op + f and the distortion. Each has a magnification and a pose
     of its own; their names end in the view's number from the second view on, and f is that of the
@@ -109,18 +99,17 @@ def calibrate(
     positive("pixel_size", pixel_size)
     if focal_length is not None:
         focal_length = scalar("focal_length", focal_length, above=0)
-    worlds, images, labels, size = _inputs(world, image, pitch, image_size, groups)
+    worlds, images, marks, size = _inputs(world, image, pitch, image_size)
     frame = Microscope(1.0, 1.0, 1.0, pixel_size=pixel_size, image_size=size)
     pairs = [_points(w, i, frame) for w, i in zip(worlds, images, strict=True)]
     views = Views([w for w, _ in pairs], [s for _, s in pairs], frame, focal_length)
-    marks = _numbered(views, labels)
     fit, alone = fit_views(views)
-    if marks is not None and marks.max() < len(fit.free):
-        if groups is not None:
-            raise ValueError(
-                f"groups must be more than the {len(fit.free)} parameters, got {marks.max() + 1}"
-            )
-        marks = None
+    if marks is None and len(worlds) > 1:
+        marks = np.round(np.concatenate(views.world), 6)
+    if marks is not None:
+        marks = np.unique(marks, axis=0, return_inverse=True)[1].ravel()
+        if marks.max() < len(fit.free):  # too few to estimate a covariance from
+            marks = None
     if not (fit.poses[:, 0] > 0).all():
         raise ValueError(
             f"world and image must fit a microscope, got magnifications {fit.poses[:, 0]}"
@@ -129,62 +118,41 @@ def calibrate(
 
 
 def _inputs(
-    world: Any, image: Any, pitch: float | None, image_size: Any, groups: Any
-) -> tuple[Any, Any, Any, tuple[int, int]]:
-    """World and image points of each view, the numbers of their marks, and the image's size."""
+    world: Any, image: Any, pitch: float | None, image_size: Any
+) -> tuple[list[Any], list[Any], Array | None, tuple[int, int]]:
+    """World and image points of each view, the place in the pattern of the mark of each point,
+    where a mark has several points, and the size of the images."""
     found = [world] if isinstance(world, Detection) else world
     if isinstance(found, (list, tuple)) and any(isinstance(each, Detection) for each in found):
-        if any(given is not None for given in (image, image_size, groups)):
-            raise ValueError("image, image_size and groups must not be given beside a detection")
-        return _of_detections([*found], pitch)
+        return _of_detections(found, image, pitch, image_size)
     if pitch is not None:
         raise ValueError("pitch must be left out with points in µm, got one")
     if image_size is None:
         raise ValueError("image_size must be given, (width, height) in px, got none")
-    return *_lists(world, image, groups), image_size
+    if not isinstance(world, (list, tuple)) or np.ndim(world[0]) < 2:
+        return [world], [image], None, image_size
+    if not isinstance(image, (list, tuple)) or len(image) != len(world):
+        raise ValueError(f"image must hold one array for each of the {len(world)} views")
+    return [*world], [*image], None, image_size
 
 
-def _of_detections(found: list[Any], pitch: float | None) -> tuple[Any, Any, Any, tuple[int, int]]:
-    """World and image points of each view, the numbers of their squares, and the image's size."""
+def _of_detections(
+    found: Sequence[Any], image: Any, pitch: float | None, image_size: Any
+) -> tuple[list[Any], list[Any], Array | None, tuple[int, int]]:
+    """What `_inputs` returns, from detections."""
+    if image is not None or image_size is not None:
+        raise ValueError("image and image_size must not be given beside a detection")
     if not all(isinstance(each, Detection) for each in found):
         raise ValueError("world must hold either detections or points, got both")
     if pitch is None:
         raise ValueError("pitch must be given with a detection, µm from mark to mark, got none")
     pitch = scalar("pitch", pitch, above=0)
-    if any(each.image_size != found[0].image_size for each in found):
+    size = found[0].image_size
+    if any(each.image_size != size for each in found):
         raise ValueError("world must hold detections in images of one size, got several")
-    numbers = None
-    if any(len(np.unique(each.group)) < len(each.group) for each in found):
-        # Of the corners of a square one; the same in all views, whatever mark is the first in each.
-        numbers = [(each.grid // 2) @ [1, 1e6] for each in found]
-    points = [each.points for each in found]
-    return [pitch * each.positions for each in found], points, numbers, found[0].image_size
-
-
-def _lists(world: Any, image: Any, groups: Any) -> tuple[Any, Any, Any]:
-    """World and image points of each view, and the groups where they are given."""
-    several = False
-    with suppress(TypeError, ValueError, IndexError, KeyError):  # told by the checks of one view
-        several = np.ndim(world[0]) == 2
-    if not several:
-        world, image, groups = [world], [image], None if groups is None else [groups]
-    for name, given in (("image", image), ("groups", world if groups is None else groups)):
-        listed = isinstance(given, (list, tuple)) or np.ndim(given) > 0
-        if not listed or len(given) != len(world):
-            raise ValueError(f"{name} must hold one array for each of the {len(world)} views")
-    return world, image, groups
-
-
-def _numbered(views: Views, labels: Any) -> NDArray[np.intp] | None:
-    """Number of the mark that each point of the views is of; by default, of several views, one for
-    each place in the world."""
-    if labels is None and len(views.world) == 1:
-        return None
-    every: Array = np.round(np.concatenate(views.world), 6)
-    if labels is not None:
-        zipped = zip(labels, views.seen, strict=True)
-        every = np.concatenate([as_array("groups", one, shape=(len(at),)) for one, at in zipped])
-    return np.unique(every, axis=0, return_inverse=True)[1].ravel()
+    squares = any(len(np.unique(each.group)) < len(each.group) for each in found)
+    marks = np.concatenate([each.grid // 2 for each in found]) if squares else None
+    return [pitch * e.positions for e in found], [e.points for e in found], marks, size
 
 
 def _points(world: Any, image: Any, frame: Microscope) -> tuple[Array, Array]:

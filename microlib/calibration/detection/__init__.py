@@ -1,17 +1,1 @@
-"""From an image to marks on a lattice; its public functions are those of the package above."""
-
-from microlib.calibration.detection._detect import (
-    detect_charuco,
-    detect_circles,
-    detect_micrometer,
-    detect_pattern,
-    detect_squares,
-)
-
-__all__ = [
-    "detect_charuco",
-    "detect_circles",
-    "detect_micrometer",
-    "detect_pattern",
-    "detect_squares",
-]
+"""From an image to marks on a lattice. The public functions of `_detect` are those of the room."""

@@ -9,6 +9,7 @@ sign: a lattice grown by this rule skips no row.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 
 import cv2
 import numpy as np
@@ -16,8 +17,9 @@ from numpy.typing import NDArray
 
 from microlib._common import Array
 from microlib.calibration._detection import FEWEST
-from microlib.calibration.detection._grid_map import GridMap, fit_grid_map
+from microlib.calibration.detection._grid_map import fit_grid_map
 from microlib.calibration.detection._lattice import (
+    CELL,
     MIDDLE,
     Index,
     fill,
@@ -29,11 +31,8 @@ from microlib.calibration.detection._marks import Marks
 from microlib.calibration.detection._settings import Settings
 
 
-def find_corners(
-    grey: NDArray[np.float32], kind: str, settings: Settings
-) -> tuple[Marks, Index, GridMap]:
-    """Corners of a board, each with the moments of a circle within its fields, their grid, and the
-    map from that to the image.
+def find_corners(grey: NDArray[np.float32], kind: str, settings: Settings) -> tuple[Marks, Index]:
+    """Corners of a chessboard or ChArUco board, as large as its fields there, and their grid.
 
     Raises
     ------
@@ -41,36 +40,36 @@ def find_corners(
         If the image shows no board of at least four corners.
     """
     smooth: NDArray = cv2.GaussianBlur(grey, (0, 0), 1.0)
-    # Of a ChArUco board most of the saddle points are those of its markers.
-    most = 50 if kind == "charuco" else 12
-    blurs = settings.saddle_blurs
-    found = [_verified(smooth, *_grow_board(grey, blur, most), kind) for blur in blurs]
+    found = []
+    for blur in settings.saddle_blurs:
+        with suppress(ValueError):
+            found.append(_verified(smooth, *_grow_board(grey, blur, kind), kind))
+    if not found:
+        raise ValueError(f"image must show a {kind}, got fewer than {FEWEST} of its corners")
     centers, grid = max(found, key=lambda piece: len(piece[1]))
-    if len(grid) < FEWEST or fill(grid) == 0:
-        raise ValueError(f"image must show a {kind}, got {len(grid)} of its corners")
-    to_image, _ = fit_grid_map(centers[:, None], grid.astype(np.float64), MIDDLE, grey.shape)
-    areas = to_image.scale(grid)
-    moments = areas[:, None, None] * np.eye(2) / 6**2
-    return Marks(grey, smooth, centers, moments, areas, settings), grid, to_image
+    to_image, _ = fit_grid_map(centers[:, None], grid.astype(float), MIDDLE, grey.shape)
+    unknown = np.full((len(grid), 2, 2), np.nan)
+    return Marks(grey, smooth, centers, unknown, to_image.scale(grid), settings), grid
 
 
 def _verified(smooth: NDArray, centers: Array, grid: Index, kind: str) -> tuple[Array, Index]:
     """The corners around which the image is alike a drawn board."""
     for least in (0.4, 0.6, Settings.least_alike):  # what is no corner bends the map
-        if len(grid) < FEWEST or fill(grid) == 0:
-            return centers[:0], grid[:0]
         to_image, _ = fit_grid_map(centers[:, None], grid.astype(float), MIDDLE, smooth.shape)
         kept = _likeness(smooth, centers, to_image.steps(grid), grid, kind) > least
         centers, grid = centers[kept], grid[kept]
+        if len(grid) < FEWEST or fill(grid) == 0:
+            raise ValueError("no board is left")
     return centers, grid
 
 
-def _grow_board(grey: NDArray[np.float32], blur: float, most: int) -> tuple[Array, Index]:
+def _grow_board(grey: NDArray[np.float32], blur: float, kind: str) -> tuple[Array, Index]:
     """Corners of the largest board among the saddle points, and the column and row of each."""
     centers, hessians = _saddles(grey, blur)
     if len(centers) < FEWEST:
-        return centers[:0], np.empty((0, 2), dtype=np.intp)
-    near = neighbors(centers, most)
+        raise ValueError("no board is found")
+    # Of a ChArUco board most of the saddle points are those of its markers.
+    near = neighbors(centers, 50 if kind == "charuco" else 12)
     step = centers[near] - centers[:, None]
     toward = step / np.linalg.norm(step, axis=2, keepdims=True)
     opposite = np.einsum("nij,nkij->nk", hessians, hessians[near]) < -1 / 2
@@ -90,9 +89,8 @@ def _grow_board(grey: NDArray[np.float32], blur: float, most: int) -> tuple[Arra
     # Under a strong distortion one step differs from the next by a quarter.
     pieces = grow_pieces(centers, range(len(centers)), first_steps, alike, reach=1 / 3)
     if not pieces:
-        return centers[:0], np.empty((0, 2), dtype=np.intp)
-    index, grid = pieces[0]
-    return centers[index], grid
+        raise ValueError("no board is found")
+    return centers[pieces[0][0]], pieces[0][1]
 
 
 def _saddles(grey: NDArray[np.float32], blur: float) -> tuple[Array, Array]:
@@ -118,8 +116,7 @@ def _saddles(grey: NDArray[np.float32], blur: float) -> tuple[Array, Array]:
 
 def _likeness(smooth: NDArray, centers: Array, steps: Array, grid: Index, kind: str) -> Array:
     """Correlation of the fields around each corner with those of a drawn board, (n,)."""
-    side = (np.arange(16) + 1 / 2) / 16 - 1 / 2
-    places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    places = CELL
     if kind == "charuco":  # along the edges alone: markers lie in the bright fields
         places = places[np.abs(places).min(axis=1) < 1 / 12]
     drawn = np.sign(places.prod(axis=1)) * (-1.0) ** grid.sum(axis=1)[:, None]

@@ -14,11 +14,11 @@ from collections.abc import Callable, Iterable, Iterator
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, cKDTree
+from scipy.spatial import cKDTree
 
 from microlib._common import Array
 from microlib.calibration._detection import FEWEST
-from microlib.calibration.detection._grid_map import GridMap, fit_grid_map
+from microlib.calibration.detection._grid_map import fit_grid_map
 from microlib.calibration.detection._marks import Marks
 from microlib.calibration.detection._settings import Settings
 
@@ -32,8 +32,8 @@ STEPS = {
 Index = NDArray[np.intp]
 #: Where the one point of a round mark lies in it.
 MIDDLE = np.zeros((1, 2))
-#: Places half a step from a mark, across.
-_ACROSS = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, 0.5], [-0.5, -0.5]])
+#: Places in the cell around a mark, in steps, 16 by 16.
+CELL = np.stack(np.meshgrid(*2 * [(np.arange(16) - 7.5) / 16]), axis=-1).reshape(-1, 2)
 
 
 def grow_lattices(marks: Marks, lattice: str) -> list[tuple[Marks, Index]]:
@@ -154,40 +154,34 @@ def _grow(
     return found
 
 
-def complete(marks: Marks, grid: Index) -> tuple[Marks, Index, GridMap]:
-    """The marks of a lattice, with those that the image shows where it would have them, and the map
-    from its coordinates to the image."""
+def complete(marks: Marks, grid: Index) -> tuple[Marks, Index]:
+    """The marks of a lattice, with those that the image shows where it would have them."""
     for _ in range(8):  # rings around the lattice
         beside = (grid[:, None] + [[1, 0], [-1, 0], [0, 1], [0, -1]]).reshape(-1, 2)
-        taken = set(map(tuple, grid.tolist()))
-        absent = np.array(sorted({*map(tuple, beside.tolist())} - taken), dtype=np.intp)
-        some = slice(None, None, 1 + len(grid) // 200)  # of many, evenly, that tell it well enough
-        cells = grid[some].astype(np.float64)
-        to_image, _ = fit_grid_map(marks.centers[some, None], cells, MIDDLE, marks.image.shape)
-        places = to_image(absent.astype(np.float64))
-        near = np.linalg.norm(absent[:, None] - grid, axis=2).argmin(axis=1)
+        absent = np.array(sorted({*map(tuple, beside.tolist())} - {*map(tuple, grid.tolist())}))
+        cells = grid.astype(float)
+        to_image, _ = fit_grid_map(marks.centers[:, None], cells, MIDDLE, marks.image.shape)
+        places = to_image(absent)
+        near = cKDTree(grid).query(absent)[1]
         # Half a mark's width: two standard deviations of a circle's area, √3 of a square's.
         reach = 2 * np.sqrt(np.einsum("nii->ni", marks.moments[near])) + 1
         limit = np.array(marks.image.shape[::-1]) - 1 - reach
-        new = np.flatnonzero(((places > reach) & (places < limit)).all(axis=1))
-        if len(new) == 0:
-            break
         steps = mean_steps(marks.centers, grid)
-        held = _darkness(marks.smooth, marks.centers, steps)[near[new]]
-        dark = _darkness(marks.smooth, places[new], steps)
-        new = new[dark > marks.settings.least_contrast * held]
+        held = _darkness(marks.smooth, marks.centers, steps)[near]
+        dark = _darkness(marks.smooth, places, steps) > marks.settings.least_contrast * held
+        new = np.flatnonzero(dark & ((places > reach) & (places < limit)).all(axis=1))
         if len(new) == 0:
             break
         marks = marks[np.concatenate([np.arange(len(grid)), near[new]])]
         marks.centers[len(grid) :] = places[new]
         grid = np.concatenate([grid, absent[new]])
-    return marks, grid, to_image
+    return marks, grid
 
 
 def _darkness(smooth: NDArray, centers: Array, steps: Array) -> Array:
     """Grey levels half a step away on all four sides across, less that in the middle."""
-    places = np.concatenate([MIDDLE, _ACROSS]) @ steps + centers[:, None]
-    middle, *around = _levels(smooth, places).T
+    across = np.array([[0, 0], [0.5, 0.5], [0.5, -0.5], [-0.5, 0.5], [-0.5, -0.5]])
+    middle, *around = _levels(smooth, centers[:, None] + across @ steps).T
     return np.asarray(np.min(around, axis=0) - middle)
 
 
@@ -266,11 +260,9 @@ def fill(grid: Index) -> float:
     in one row."""
     if np.linalg.matrix_rank(grid - grid[0]) < 2:
         return 0.0
-    hull = ConvexHull(grid)
-    corners = grid[hull.vertices]
-    border = np.gcd(*np.abs(corners - np.roll(corners, 1, axis=0)).T).sum()
-    # Pick's theorem; a hull's volume in the plane is its area.
-    return float(len(grid) / (hull.volume + border / 2 + 1))
+    places = (grid - grid.min(axis=0)).astype(np.int32)
+    inside = np.zeros(places.max(axis=0)[::-1] + 1, np.uint8)
+    return len(grid) / int(cv2.fillConvexPoly(inside, cv2.convexHull(places), 1).sum())
 
 
 def counting(points: Array, grid: Index, lattice: str) -> Array:

@@ -75,7 +75,10 @@ def find_scale(grey: NDArray[np.float32], settings: Settings) -> Micrometer:
     rms = np.sqrt((residuals**2).sum() / (len(places) - 2))
     if spacing < 4 or rms > settings.line_residual * spacing:  # closer ones have no ground between
         raise _refusal(f"lines {spacing:.3g} px apart, {rms / spacing:.2g} of it beside equal ones")
-    _refuse_broken(upright, rows, places, spacing, settings)
+    begin, end = np.clip(places[[0, -1]] + [-spacing, spacing], 0, None).astype(int)
+    alike = _row_likeness(upright[slice(*np.flatnonzero(rows)[[0, -1]]), begin:end])
+    if alike < settings.least_alike:
+        raise _refusal(f"broken ones, whose rows correlate with their mean by {alike:.2f}")
     sigma = rms / np.sqrt(((divisions - divisions.mean()) ** 2).sum())
     upright_points = np.column_stack([places, np.full(len(places), np.flatnonzero(rows).mean())])
     points = (upright_points - matrix[:, 2]) @ matrix[:, :2]
@@ -133,24 +136,15 @@ def _centers(dark: Array, places: Array, spacing: float) -> Array:
     return places
 
 
-def _refuse_broken(
-    upright: NDArray[np.float32],
-    rows: NDArray[np.bool_],
-    places: Array,
-    spacing: float,
-    settings: Settings,
-) -> None:
-    """Refuse what is no line: rows that do not correlate with their mean, as between the circles or
-    squares of a grid."""
-    first, last = np.flatnonzero(rows)[[0, -1]]
-    begin, end = np.clip(places[[0, -1]] + [-spacing, spacing], 0, None).astype(int)
-    strip = upright[first : last + 1, begin:end]
-    strip = np.nan_to_num(strip - np.nanmean(strip, axis=1, keepdims=True))
-    mean = strip.mean(axis=0)
-    length = np.linalg.norm(strip, axis=1) * np.linalg.norm(mean)
-    alike = np.quantile(strip @ mean / np.maximum(length, np.finfo(float).tiny), 1 / 4)
-    if alike < settings.least_alike:
-        raise _refusal(f"broken ones: rows correlate with their mean by {alike:.2f}")
+def _row_likeness(strip: NDArray[np.float32]) -> float:
+    """Correlation with their mean that three of four rows reach: next to none in the rows between
+    the circles or squares of a grid, which are no lines."""
+    strip = strip[:, np.isfinite(_mean(strip))]
+    strip = np.where(np.isfinite(strip), strip, _mean(strip))
+    about = strip - strip.mean(axis=1, keepdims=True)
+    mean = about.mean(axis=0)
+    length = np.linalg.norm(about, axis=1) * np.linalg.norm(mean) + np.finfo(float).tiny
+    return float(np.quantile(about @ mean / length, 1 / 4))
 
 
 def _direction(grey: NDArray[np.float32], settings: Settings) -> float:

@@ -18,6 +18,7 @@ from microlib.calibration._detection import FEWEST, Detection
 from microlib.calibration.detection._corners import find_corners
 from microlib.calibration.detection._grid_map import GridMap, agree, fit_grid_map
 from microlib.calibration.detection._lattice import (
+    CELL,
     MIDDLE,
     STEPS,
     Index,
@@ -29,12 +30,9 @@ from microlib.calibration.detection._lattice import (
     refuse_lattice,
 )
 from microlib.calibration.detection._marks import Marks, dark_regions, even_edges
-from microlib.calibration.detection._outlines import Rows
 from microlib.calibration.detection._settings import Settings
 from microlib.calibration.detection._shapes import CORNERS, are_round, fit_marks
 
-#: Marks of a lattice in clutter that are fitted first, since chance is refused by them, and sooner.
-_FIRST = 30
 _BOARDS = ("chessboard", "charuco")
 
 
@@ -64,26 +62,6 @@ class Scene:
         return even_edges(self.grey, self.settings)
 
 
-@dataclass(frozen=True)
-class Fitted(Rows):
-    """Marks of a lattice as they were fitted.
-
-    Parameters
-    ----------
-    points, sigma : ndarray, shapes (n, k, 2) and (n, k)
-        Of each mark, px, and the standard deviation of a coordinate.
-    grid : ndarray of int, shape (n, 2)
-        Places in the lattice.
-    areas : ndarray, shape (n,)
-        Of circles in the image, px²; zero of others.
-    """
-
-    points: Array
-    sigma: Array
-    grid: Index
-    areas: Array
-
-
 def find_pattern(scene: Scene, kind: str, lattice: str = "square") -> Detection:
     """The circles, squares, or corners of a chessboard or ChArUco board that an image shows.
 
@@ -93,12 +71,9 @@ def find_pattern(scene: Scene, kind: str, lattice: str = "square") -> Detection:
         If there are none on such a lattice.
     """
     refusal = ""
-    for marks, grid, to_image, alone in _candidates(scene, kind, lattice):
+    for marks, grid, alone in _candidates(scene, kind, lattice):
         try:
-            if not alone and len(grid) > 2 * _FIRST:
-                _fit(marks[:_FIRST], grid[:_FIRST], to_image, kind, lattice)
-            fitted = _fit(marks, grid, to_image, kind, lattice)
-            found = _place(fitted, marks, kind, lattice)
+            found = _fit(marks, grid, kind, lattice)
             # A homography leads to any four centers, and clutter has many.
             if alone or np.isfinite(found.misfit):
                 return found
@@ -108,12 +83,9 @@ def find_pattern(scene: Scene, kind: str, lattice: str = "square") -> Detection:
     raise ValueError(refusal or f"image must show a grid of {kind}, got none")
 
 
-def _candidates(
-    scene: Scene, kind: str, lattice: str
-) -> Iterator[tuple[Marks, Index, GridMap, bool]]:
-    """Lattices of marks with a map to them, the most likely first: that of the image as if it
-    showed nothing else, then the largest pieces in clutter; and whether the image shows nothing
-    else."""
+def _candidates(scene: Scene, kind: str, lattice: str) -> Iterator[tuple[Marks, Index, bool]]:
+    """Lattices of marks, the most likely first: that of the image as if it showed nothing else,
+    then the largest pieces in clutter; and whether the image shows nothing else."""
     if kind in _BOARDS:
         yield *find_corners(scene.grey, kind, scene.settings), True
         return
@@ -126,11 +98,12 @@ def _candidates(
         yield *complete(*piece), False
 
 
-def _fit(marks: Marks, grid: Index, to_image: GridMap, kind: str, lattice: str) -> Fitted:
+def _fit(marks: Marks, grid: Index, kind: str, lattice: str) -> Detection:
     """Fit the marks, and keep those that lie in the image and are fitted as well as the others."""
-    flat = grid.astype(np.float64)
-    steps = to_image.steps(flat)
-    if not to_image.scale(flat).min() > 1:
+    shape = marks.image.shape
+    to_image, _ = fit_grid_map(marks.centers[:, None], grid.astype(float), MIDDLE, shape)
+    steps = to_image.steps(grid)
+    if not to_image.scale(grid).min() > 1:
         raise ValueError(f"image must show a plane grid of {kind}, got marks that are on none")
     if kind not in _BOARDS and are_round(marks, steps) != (kind == "circles"):
         raise ValueError(f"image must show {kind}, got marks of another shape")
@@ -141,43 +114,52 @@ def _fit(marks: Marks, grid: Index, to_image: GridMap, kind: str, lattice: str) 
         raise ValueError(f"image must show a grid of {kind}, got {share:.0%} of its places")
     if kind == "circles":
         refuse_lattice(matrices @ matrices, steps[good], lattice, marks.settings)
-    return Fitted(points, sigma, grid, np.pi * np.abs(np.linalg.det(matrices)))
+    turn = counting(points.mean(axis=1), grid, lattice)
+    grid = np.round(grid @ turn).astype(np.intp)
+    offsets: Array = CORNERS @ turn if kind == "squares" else MIDDLE
+    areas = np.pi * np.abs(np.linalg.det(matrices))
+    return _place(marks, points, sigma, grid, areas, offsets, kind, lattice)
 
 
-def _place(fitted: Fitted, marks: Marks, kind: str, lattice: str) -> Detection:
+def _place(
+    marks: Marks,
+    points: Array,
+    sigma: Array,
+    grid: Index,
+    areas: Array,
+    offsets: Array,
+    kind: str,
+    lattice: str,
+) -> Detection:
     """Points freed of bias, on a lattice that is tested; marks that are none of it are left out."""
-    middles = fitted.points.mean(axis=1)
-    turn = counting(middles, fitted.grid, lattice)
-    squares = kind == "squares"
-    offsets: Array = CORNERS @ turn if squares else MIDDLE
-    shape, kept = marks.image.shape, np.ones(len(middles), dtype=bool)
+    shape, squares = marks.image.shape, kind == "squares"
+    kept = np.ones(len(points), dtype=bool)
     while True:
-        fitted = fitted[kept]
-        if len(fitted.grid) < FEWEST:
-            raise ValueError(f"image must show a plane grid, got {len(fitted.grid)} marks of one")
-        points, grid = fitted.points.copy(), np.round(fitted.grid @ turn).astype(np.intp)
-        cells = grid @ STEPS[lattice]
-        to_image, positions = fit_grid_map(points, cells, offsets, shape)
+        points, sigma, grid, areas = (each[kept] for each in (points, sigma, grid, areas))
+        if len(grid) < FEWEST:
+            raise ValueError(f"image must show a plane grid, got {len(grid)} marks of one")
+        cells, free = grid @ STEPS[lattice], points.copy()
+        to_image, positions = fit_grid_map(free, cells, offsets, shape)
         if squares:
             _refuse_rectangles(np.ptp(positions[0], axis=0), marks.settings)
-            points -= _corner_bias(to_image, positions)
+            free -= _corner_bias(to_image, positions)
         elif kind == "circles":
-            points -= _center_bias(to_image, cells, fitted.areas)[:, None]
-        to_image, positions = fit_grid_map(points, cells, offsets, shape)
-        kept, sigma, misfit = agree(points, positions, to_image, fitted.sigma, marks.settings)
+            free -= _center_bias(to_image, cells, areas)[:, None]
+        to_image, positions = fit_grid_map(free, cells, offsets, shape)
+        kept, stated, misfit = agree(free, positions, to_image, sigma, marks.settings)
         if kept.all():
             break  # else strays bent the map
-    ends = (offsets > 0).astype(np.intp)
     side = float(np.ptp(positions[0], axis=0).mean()) if squares else 1.0
-    size = side if squares else float(np.sqrt(np.median(fitted.areas / to_image.scale(cells))))
     if kind not in _BOARDS:
-        _refuse_other_image(marks, points.mean(axis=1), to_image.steps(cells), size, kind, lattice)
+        size = side if squares else float(np.sqrt(np.median(areas / to_image.scale(cells))))
+        _refuse_other_image(marks, free.mean(axis=1), to_image.steps(cells), size, kind, lattice)
+    ends = (offsets > 0).astype(np.intp)
     grid = (grid - grid.min(axis=0))[:, None]
     return Detection(
-        points.reshape(-1, 2),
+        free.reshape(-1, 2),
         ((1 + squares) * grid + ends).reshape(-1, 2),
-        sigma.ravel(),
-        np.repeat(np.arange(len(grid)), points.shape[1]),
+        stated.ravel(),
+        np.repeat(np.arange(len(grid)), free.shape[1]),
         (grid @ STEPS[lattice] + side * ends).reshape(-1, 2),
         np.nan if kind == "circles" else side,
         misfit,
@@ -190,16 +172,20 @@ def _refuse_other_image(
 ) -> None:
     """Refuse marks whose surroundings are not those of the pattern as it is drawn: with other marks
     between them, as in a lattice of every second one or on a chessboard."""
-    side = (np.arange(16) + 1 / 2) / 16 - 1 / 2
-    places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-    flat = np.abs(places @ STEPS[lattice])
-    beyond = np.hypot(*flat.T) * np.sqrt(np.pi) if kind == "circles" else 2 * flat.max(axis=1)
-    drawn = (beyond < size).astype(float)
-    alike = float(np.median(likeness(marks.smooth, centers, steps, places @ STEPS[lattice], drawn)))
-    if alike < marks.settings.least_alike:
+    places = CELL @ STEPS[lattice]
+    beyond = 2 * np.abs(places).max(axis=1)
+    if kind == "circles":
+        beyond = np.sqrt(np.pi) * np.hypot(*places.T)
+    drawn = np.where(beyond < size, 1.0, 0.0)
+    between = centers + steps @ STEPS[lattice].mean(axis=0)
+    alike, other = (
+        float(np.median(likeness(marks.smooth, at, steps, places, sign * drawn)))
+        for at, sign in ((centers, 1), (between, -1))
+    )
+    if alike < max(marks.settings.least_alike, other):  # bright places between blurred circles
         raise ValueError(
-            f"image must show {kind} apart from each other, got other marks between them: "
-            f"the image correlates with the pattern by {alike:.2f}"
+            f"image must show {kind} apart from each other, got a correlation of {alike:.2f} with "
+            f"such a pattern, and of {other:.2f} with what lies between"
         )
 
 
