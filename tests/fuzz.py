@@ -165,7 +165,7 @@ def tracker() -> tracking.ESMTracker:
 
 @cache
 def calibrated() -> calibration.Calibration:
-    return calibration.calibrate(**{**CALLS["calibration.calibrate"](), "groups": None})
+    return calibration.calibrate(**CALLS["calibration.calibrate"]())
 
 
 def workstation(**options: object) -> servoing.SimulatedWorkstation:
@@ -217,7 +217,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "calibration.calibrate": lambda: {
         "world": grid(), "image": scope().project(grid()), "focal_length": 126000.0,
-        "pixel_size": 9.9, "image_size": (300, 260), "groups": np.arange(42),
+        "pixel_size": 9.9, "image_size": (300, 260),
     },
     "calibration.detect_circles": lambda: {"image": circles()},
     "calibration.detect_squares": lambda: {"image": squares()},

@@ -26,14 +26,13 @@ from PIL import Image
 from compendium.experiments.section_5_3 import texture_sequence
 from microlib import io, membrane, tracking
 from microlib._command import main
-from microlib._command._calibrate import _advise, _detect
+from microlib._command._calibrate import _advise
 from microlib._command._modulus import _SPANS, _outline, _points
 from microlib._command._shared import _quantity, settle
 from microlib.calibration import calibrate, detect_squares
 from microlib.embryo import dimple_geometry, fit_gaussians, loess
 from microlib.focus import FocusResult, depth_from_focus
 from microlib.synthetic import mixed_texture
-from tests import fuzz
 from tests.laws import unlike
 from tests.running import until
 
@@ -271,14 +270,6 @@ def test_calibrate_takes_several_views_and_says_what_it_sees(
         np.testing.assert_allclose(np.transpose(ax.lines[0].get_data()), each.points)
         np.testing.assert_allclose(ax.images[0].get_array(), (image - 30.0) * 1.275, atol=2)
         assert "px rms" in ax.get_title()
-
-
-def test_each_kind_of_marks_is_found_by_its_name_alone() -> None:
-    for marks, image in (("chessboard", board(0.3)), ("charuco", fuzz.charuco())):
-        for name in (marks, "auto"):
-            assert _detect(image, name)[0] == marks
-    with pytest.raises(ValueError, match="must"):
-        _detect(board(0.3), "charuco")
 
 
 def test_advice_is_that_of_the_result() -> None:

@@ -11,7 +11,7 @@ import pytest
 import skimage.data
 from scipy.spatial import cKDTree
 
-from microlib.calibration import detect_circles, detect_micrometer, detect_squares
+from microlib.calibration import detect_circles, detect_micrometer, detect_pattern, detect_squares
 from microlib.calibration.detection._grid_map import fit_grid_map
 from microlib.calibration.detection._marks import Marks
 from microlib.calibration.detection._settings import Settings
@@ -401,3 +401,20 @@ def test_every_inner_corner_of_a_chessboard_is_found(change):
     seen = CORNERS[cKDTree(truth).query(found.points)[1]]
     np.testing.assert_array_equal(found.grid - found.grid[0], seen - seen[0])
     np.testing.assert_array_equal(found.positions, found.grid)
+
+
+@pytest.mark.parametrize(
+    ("name", "image"),
+    [
+        ("chessboard", board(FIELDS, "square", 1.0, pitch=30.0)[0]),
+        ("squares", board(SQUARE, "square", 0.5)[0]),
+        ("circles, square lattice", board(SQUARE)[0]),
+        ("circles, hexagonal lattice", board(HEXAGONAL, pitch=32.0)[0]),
+    ],
+)
+def test_a_pattern_is_named_that_nobody_asked_for(name, image):
+    named, found = detect_pattern(image)
+    assert named == name
+    assert detect_pattern(image, name.split(",")[0])[1].points.tolist() == found.points.tolist()
+    with pytest.raises(ValueError, match="image must show"):
+        detect_pattern(image, "squares" if name != "squares" else "circles")

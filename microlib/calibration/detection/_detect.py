@@ -80,7 +80,7 @@ def detect_circles(
     lattice : {"square", "hexagonal", "asymmetric"}
         What the circles lie on. The second step of a hexagonal lattice is at 60° to the first.
         An asymmetric grid has every second row shifted by half a step; its x and y count the half
-        steps and the rows, as OpenCV's does. Another lattice than the named one is refused.
+        steps and the rows, as OpenCV's does. Another lattice than the named one is rejected.
 
     Returns
     -------
@@ -159,8 +159,10 @@ def detect_squares(
 
     An image that shows nothing but the grid is thresholded. In any other, the
     squares are looked for among closed contours of many grey levels, of both polarities. The
-    corners of a chessboard are found by OpenCV (``findChessboardCornersSB``), and then two crossing
-    edges are fitted to the grey levels around each.
+    corners of a chessboard are saddle points of the smoothed image. From each corner to the next
+    along an edge, dark and bright change places; a lattice is grown by this rule, and corners around
+    which the image does not correlate with a drawn board are left out. Then two crossing edges are
+    fitted to the grey levels around each.
 
     Examples
     --------
@@ -183,25 +185,24 @@ def detect_charuco(image: ArrayLike) -> Detection:
     Parameters
     ----------
     image : array_like, shape (height, width) or (height, width, 3 or 4)
-        Grey levels of any range, or red, green and blue. A part of the board is enough; its size,
-        its markers' dictionary and their size are read from it.
+        Grey levels of any range, or red, green and blue. A part of the board is enough. It may have
+        any number of fields, and markers of any dictionary, also printed inverted.
 
     Returns
     -------
     Detection
-        A point for each corner that was found; a pitch is the side of a field. `sigma` is the
-        points' distance from a plane view through a lens with one term of distortion.
+        A point for each corner that was found; a pitch is the side of a field.
 
     Raises
     ------
     ValueError
-        If `image` is no image, or shows fewer than four markers of OpenCV's dictionaries or four
-        corners beside them.
+        If `image` is no image, or shows fewer than four corners of such a board.
 
     Notes
     -----
-    Markers, and the corners between them, are found by ``cv2.aruco``. The number of columns is the
-    one with which the markers' numbers are a plane grid.
+    The corners are found as those of a chessboard, and held against the image along the edges of
+    the dark fields alone, so that the markers play no part. They are not identified: as in other
+    patterns, `grid` begins at the first column and row that were found.
 
     Examples
     --------

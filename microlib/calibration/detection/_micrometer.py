@@ -76,7 +76,8 @@ def find_scale(grey: NDArray[np.float32], settings: Settings) -> Micrometer:
     if spacing < 4 or rms > settings.line_residual * spacing:  # closer ones have no ground between
         raise _refusal(f"lines {spacing:.3g} px apart, {rms / spacing:.2g} of it beside equal ones")
     begin, end = np.clip(places[[0, -1]] + [-spacing, spacing], 0, None).astype(int)
-    alike = _row_likeness(upright[slice(*np.flatnonzero(rows)[[0, -1]]), begin:end])
+    top, bottom = np.flatnonzero(rows)[[0, -1]]
+    alike = _row_likeness(upright[top : bottom + 1, begin:end])
     if alike < settings.least_alike:
         raise _refusal(f"broken ones, whose rows correlate with their mean by {alike:.2f}")
     sigma = rms / np.sqrt(((divisions - divisions.mean()) ** 2).sum())
