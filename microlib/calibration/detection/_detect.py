@@ -160,7 +160,7 @@ def detect_squares(
     An image that shows nothing but the grid is thresholded. In any other, the
     squares are looked for among closed contours of many grey levels, of both polarities. The
     corners of a chessboard are saddle points of the smoothed image. From each corner to the next
-    along an edge, dark and bright change places; a lattice is grown by this rule, and corners around
+    along an edge, dark and bright change places: by this rule a lattice is grown. Corners around
     which the image does not correlate with a drawn board are left out. Then two crossing edges are
     fitted to the grey levels around each.
 
