@@ -78,7 +78,7 @@ def depth_in_blocks(
     found = da.overlap.trim_internal(found, around, boundary="none")
     maps = {name: found[k].astype(kind) for k, (name, kind) in enumerate(_MAPS.items())}
     picture = found[len(_MAPS)].astype(stack.dtype)
-    place = {"pixel_size": labels.pixel_size, "origin": labels.origin}
+    place = {"pixel_size": labels.pixel_size, "corner": labels.corner}
     return FocusResult(**maps, all_in_focus=picture, **place)
 
 

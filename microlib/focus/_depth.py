@@ -180,7 +180,7 @@ def depth_from_focus(
         result = three_point_depth(seen, single, done)
     if found is not None:
         result = _cut(result, found, stack.grey[0].dtype)
-    return replace(result, pixel_size=stack.pixel_size, origin=stack.origin)
+    return replace(result, pixel_size=stack.pixel_size, corner=stack.corner)
 
 
 def _single_measure(measure: str | FocusMeasure, window: int | None) -> FocusMeasure | None:
@@ -207,7 +207,7 @@ class Stack:
         Their colors, if they have any.
     positions : ndarray of float64, shape (n,)
         Position of each, µm.
-    pixel_size, origin
+    pixel_size, corner
         As the frames' reader has them.
     """
 
@@ -215,7 +215,7 @@ class Stack:
     color: list[Image] | None
     positions: Array
     pixel_size: float | None = None
-    origin: tuple[float, float] = (0.0, 0.0)
+    corner: tuple[float, float] = (0.0, 0.0)
 
     def registered(self, found: Registered) -> Stack:
         """Return the frames that were not left out, where the middle one has them."""
@@ -248,7 +248,7 @@ def open_stack(
     z = check_positions(positions, spacing, len(raw)) if z is None else z
     check_count(len(raw) if len(raw) <= len(z) else f"more than {len(z)}", len(z))
     grey = [cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in raw] if reader.color else raw
-    return Stack(grey, raw if reader.color else None, z, reader.pixel_size, reader.origin)
+    return Stack(grey, raw if reader.color else None, z, reader.pixel_size, reader.corner)
 
 
 def three_point_depth(

@@ -47,8 +47,9 @@ class FocusResult(Tidy):
         frame, plus `offset`.
     pixel_size : float or None
         Side of a pixel of the maps, µm, if the frames told it.
-    origin : (float, float)
-        x and y of the middle of the first pixel, µm, where the pixel size is known.
+    corner : (float, float)
+        x and y of the middle of the first pixel, in pixels of the maps from where x and y of the
+        frames are 0: not 0 of a region.
     """
 
     depth: NDArray[np.float32]
@@ -61,7 +62,13 @@ class FocusResult(Tidy):
     gain: Array | None = None
     offset: Array | None = None
     pixel_size: float | None = None
-    origin: tuple[float, float] = (0.0, 0.0)
+    corner: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """x and y of the middle of the first pixel, µm; 0 where the pixel size is not known."""
+        size = self.pixel_size or 0.0
+        return size * self.corner[0], size * self.corner[1]
 
     def __repr__(self) -> str:
         rows, cols = self.depth.shape

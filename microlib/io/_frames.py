@@ -115,8 +115,8 @@ class FrameReader(Iterator[NDArray]):
         Side of a pixel, µm/px.
     positions : ndarray, shape (count,), or None
         Position of each frame along the optical axis, µm.
-    origin : (float, float)
-        x and y of the middle of the first pixel, µm, where the pixel size is known.
+    corner : (float, float)
+        x and y of the middle of the first pixel, in pixels, from where x and y of the frames are 0.
     files : tuple of Path
         The files that are read, in order.
     """
@@ -133,11 +133,19 @@ class FrameReader(Iterator[NDArray]):
         self.color, self.axis, self.files = kind == "color", source.axis, source.files
         self.count = None if source.count is None else source.count - raw.taken
         self.positions = None if source.positions is None else source.positions[raw.taken :]
-        size = source.pixel_size
+        size, (left, top) = source.pixel_size, (0, 0) if region is None else region[:2]
         self.pixel_size = None if size is None else size * reduce
-        corner = (0, 0) if region is None else region[:2]
-        x, y = ((size or 0.0) * (at + (reduce - 1) / 2) for at in corner)
-        self.origin = (source.origin[0] + x, source.origin[1] + y)
+        # From the middle of the first pixel of the source, in its pixels.
+        x, y = (at + (reduce - 1) / 2 for at in (left, top))
+        if size is not None:
+            x, y = x + source.origin[0] / size, y + source.origin[1] / size
+        self.corner = (x / reduce, y / reduce)
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """x and y of the middle of the first pixel, µm; 0 where the pixel size is not known."""
+        size = self.pixel_size or 0.0
+        return size * self.corner[0], size * self.corner[1]
 
     def __next__(self) -> NDArray:
         if (named := self._raw.peek()) is None:

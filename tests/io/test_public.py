@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -133,3 +134,11 @@ def test_a_palette_of_either_scale_is_its_colors(tmp_path: Path, scale: int) -> 
     np.testing.assert_array_equal(read, levels.T[numbers])
     with Image.open(tmp_path / "p.tif") as picture:
         np.testing.assert_array_equal(read, np.asarray(picture.convert("RGB")))
+
+
+def test_a_region_keeps_its_place_when_the_pixel_size_is_given_later() -> None:
+    stack = np.random.default_rng(0).integers(0, 255, (5, 64, 80)).astype(np.uint8)
+    found = depth_from_focus(stack, spacing=1.0, region=(20, 10, 48, 40), reduce=2)
+    assert found.origin == (0.0, 0.0)
+    # The middle of the first block is half a pixel of the frame beside its first one.
+    assert replace(found, pixel_size=2.6).origin == pytest.approx((20.5 * 1.3, 10.5 * 1.3))
