@@ -35,7 +35,7 @@ MAPS = {
     "depth": "um @ z0",
     "uncertainty": "um",
     "confidence": "1",
-    **dict.fromkeys(("index", "at_end", "pixel_size", "corner"), "="),
+    **dict.fromkeys(("index", "at_end", "pixel_size", "corner", "origin"), "="),
     "all_in_focus": "grey",
     **dict.fromkeys(("poses", "gain", "offset", "rows", "columns", "known"), "="),
 }
