@@ -84,16 +84,15 @@ def test_a_controller_that_gives_no_velocity_ends_the_run():
 
 
 def test_a_predicting_controller_knows_what_a_limit_left_of_its_command():
-    """Else its estimate runs ahead of the part, and it turns round on the way."""
+    """Otherwise its estimate runs ahead of the part, and it needs twice as many frames."""
     weights = {"feature_weight": (1.0, 1.0), "control_weight": (1e-6, 1e-6)}
     law = PredictiveController(JACOBIAN, interval=0.1, delay=0.0, saturation=1e4, **weights)
     scope = scope_of()
     run = steer(scope, [AWAY, -AWAY], jacobian=JACOBIAN, controller=law, step=15.0, test_move=15.0)
     assert run.reached.all()
     np.testing.assert_allclose(scope.moved(), -AWAY, atol=0.12)
-    way = run.log[run.log["target"] == 0]
-    left = np.hypot(*(way[f"reference_{c}_px"] - way[f"measured_{c}_px"] for c in "xy"))
-    assert (np.diff(left) < 0.1).all()  # noise of the tracker
+    # 156 and 312 µm in steps of 15 µm are 32 moves; without it there are 57 rows.
+    assert len(run.log) <= 32 + 5
 
 
 def test_steps_and_travel_are_kept_to():
