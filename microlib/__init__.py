@@ -2,7 +2,7 @@
 
 ``import microlib`` and use ``microlib.membrane.elastic_modulus``, or import the subject you need; a
 subject is loaded when it is first used. One unit system throughout: µm, µN, s, so that moduli are
-in MPa; pixel quantities say so.
+in MPa; quantities in pixels are marked as such.
 """
 
 from importlib import import_module

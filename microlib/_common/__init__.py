@@ -17,7 +17,7 @@ from microlib._common._checks import (
     one_of,
     poisson,
     positive,
-    refuse_masks,
+    reject_masks,
     same_length,
     scalar,
     whole,

@@ -56,7 +56,7 @@ def as_array(
 
     `bounds` are those of `check_bounds`, for every element.
     """
-    refuse_masks(name, value)
+    reject_masks(name, value)
     try:
         array = np.asarray(value)
         if array.dtype.kind not in "buif":
@@ -114,7 +114,7 @@ def as_map(name: str, value: ArrayLike) -> Array:
     return array
 
 
-def refuse_masks(name: str, value: object) -> None:
+def reject_masks(name: str, value: object) -> None:
     """Raise for a masked array, or a sequence of them."""
     parts = value if isinstance(value, (list, tuple)) else [value]
     if any(isinstance(part, np.ma.MaskedArray) for part in parts):
@@ -210,7 +210,7 @@ def generator(name: str, value: object) -> np.random.Generator:
 
 def items(name: str, value: object, count: int) -> tuple[object, ...]:
     """Return the `count` members of a sequence or one-dimensional array that is no text."""
-    refuse_masks(name, value)
+    reject_masks(name, value)
     sequence = isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, (str, bytes))
     if not sequence or getattr(value, "ndim", 1) != 1 or len(value) != count:  # type: ignore[arg-type]
         raise ArgumentError(name, f"must be {count} numbers, got {value!r:.80}")

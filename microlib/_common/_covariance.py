@@ -1,4 +1,4 @@
-"""The covariance of a least-squares fit, also where the data leave a direction open."""
+"""The covariance of a least-squares fit, also where a direction is undetermined."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import numpy as np
 
 from microlib._common._types import Array
 
-#: A direction of the scaled parameters is open if its singular value is below this part of the
-#: largest. Rounding leaves an open one at 1e-16 to 1e-15; the weakest determined ones met in the
+#: A direction of the scaled parameters is undetermined if its singular value is below this part of
+#: the largest. Rounding leaves it at 1e-16 to 1e-15. The weakest determined directions of the
 #: tests, two nearly equal terms of a Gaussian sum, reach down to 1e-7.
-_OPEN = 1e-9
+_UNDETERMINED = 1e-9
 
 
 def inverse_normal(jacobian: Array) -> Array:
@@ -23,9 +23,9 @@ def inverse_normal(jacobian: Array) -> Array:
     Returns
     -------
     ndarray, shape (p, p)
-        (JᵀJ)⁻¹. Where the data leave a direction open, each parameter that takes part in it has an
-        infinite variance and NaN covariances: it could have any value. The block of the other
-        parameters is their covariance whatever values the open ones take.
+        (JᵀJ)⁻¹. Each parameter that takes part in an undetermined direction has an infinite
+        variance and NaN covariances: it could have any value. The block of the other parameters is
+        their covariance whatever the values of the undetermined ones.
 
     Notes
     -----
@@ -47,12 +47,12 @@ def inverse_normal(jacobian: Array) -> Array:
     scale = np.linalg.norm(jacobian, axis=0)
     scale = np.where(scale == 0, 1.0, scale)
     # The triangle has the singular values and the directions of all rows. With fewer residuals than
-    # parameters the full decomposition has the open directions too.
+    # parameters the full decomposition has the undetermined directions, too.
     _, singular, directions = np.linalg.svd(np.linalg.qr(jacobian / scale, mode="r"))
-    determined = np.count_nonzero(singular > _OPEN * singular[0])
+    determined = np.count_nonzero(singular > _UNDETERMINED * singular[0])
     kept = directions[:determined].T / singular[:determined]
     inverse = kept @ kept.T / np.outer(scale, scale)
-    # Where a parameter takes no part, rounding leaves components of 1e-16/_OPEN at most.
+    # Where a parameter takes no part, rounding leaves components of 1e-16/_UNDETERMINED at most.
     hidden = (np.abs(directions[determined:]) > 1e-6).any(axis=0)
     inverse[hidden] = inverse[:, hidden] = np.nan
     inverse[hidden, hidden] = np.inf

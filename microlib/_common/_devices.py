@@ -5,10 +5,10 @@ microscope needs four small classes with these methods, and no base class:
 
 =================  ===============================================================================
 ``camera``         ``snap()`` returns a grey frame and the middle of its exposure, s of the clock
-``stage``          ``position()`` returns where the encoder says that it is, µm, a number an axis;
+``stage``          ``position()`` returns the position by the encoder, µm, one number per axis;
                    ``move_to(position)`` starts towards a position and returns at once;
-                   ``moving()`` says whether a move is under way; ``stop()`` ends it here and now
-``clock``          ``now()`` returns the time, s from any origin; ``sleep(seconds)`` lets it pass
+                   ``moving()`` returns whether a move is under way; ``stop()`` ends it at once
+``clock``          ``now()`` returns the time, s from any origin; ``sleep(seconds)`` waits
 =================  ===============================================================================
 """
 
@@ -73,7 +73,7 @@ class Ending:
     complete : bool
         Whether the work returned and the device stands still.
     still : bool
-        Whether the device said, after the stop, that it does not move.
+        Whether the device reported, after the stop, that it does not move.
     error : Exception or None
         The exception behind `reason`, if there is one.
     """
@@ -104,7 +104,7 @@ class Guard:
         self._ending = False
 
     def run(self, work: Callable[[], str]) -> Ending:
-        """Do the work, stop the device however it ended, and say what happened.
+        """Do the work, stop the device however the work ended, and return what happened.
 
         A fault of the device or of anything that the work calls is a reason and not an exception.
         Ctrl-C, under `interrupts`, sets `interrupted`, which the next call sees.
@@ -143,7 +143,7 @@ class Guard:
                 answer.append((None, error))
             done.set()
             if given_up.is_set():
-                with suppress(Exception):  # nobody is left to be told
+                with suppress(Exception):  # nobody waits for the error
                     self._stage.stop()
 
         self.check()

@@ -92,7 +92,7 @@ def flat_row(
 
 
 def _names(name: str, shape: tuple[int, ...], axes: Sequence[Sequence[str]]) -> list[str]:
-    """Return a name for each number of an array, by what is told of its last axes."""
+    """Return a name for each number of an array, from the names of its last axes."""
     axes = [*[()] * (len(shape) - len(axes)), *axes]
     return [
         "_".join([name, *(p[i] if i < len(p) else str(i) for p, i in zip(axes, at, strict=False))])

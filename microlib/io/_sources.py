@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ExifTags, Image, ImageSequence
 
-from microlib._common import SOFTWARE, ArgumentError, Frames, home_path, refuse_masks
+from microlib._common import SOFTWARE, ArgumentError, Frames, home_path, reject_masks
 from microlib.io._metadata import labels_scale, zarr_scale
 from microlib.io._names import in_order
 from microlib.io._source import Choice, Named, Source, frame_indices, reading
@@ -106,7 +106,7 @@ def image_files(path: Path) -> list[Path]:
 
 def _array(frames: Any) -> Source:
     """Read an array, or what is like one but loads its values when it is indexed."""
-    refuse_masks("frames", frames)
+    reject_masks("frames", frames)
     shape = tuple(frames.shape)
     if not (len(shape) == 3 or (len(shape) == 4 and shape[-1] in (3, 4))):
         need = "frames must have shape (any, any, any), or (any, any, any, 3) in color"
@@ -171,7 +171,7 @@ def _items(items: Iterable[Any]) -> Named:
         if isinstance(item, (str, PathLike)):
             yield f"frames[{k}], {item},", _picture(home_path(item))
         else:
-            refuse_masks(f"frames[{k}]", item)
+            reject_masks(f"frames[{k}]", item)
             # A camera may hand out the same buffer again and again.
             yield f"frames[{k}]", np.array(item)
 

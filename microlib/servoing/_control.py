@@ -291,7 +291,7 @@ class OptimalController:
 
 
 class PredictiveController(OptimalController):
-    """A controller that knows the loop's delay.
+    """A controller that predicts over the delay of the loop.
 
     It carries its own estimate of the feature from frame to frame with the commands that it gave,
     corrects it by a share of what is measured, and applies (2.28) to where the feature will be, and
@@ -305,7 +305,7 @@ class PredictiveController(OptimalController):
     delay : float
         From an exposure until its command takes effect, s.
     saturation : float
-        Largest speed of the stage, µm/s: the estimate must know what was really executed.
+        Largest speed of the stage, µm/s: the estimate follows the velocity that was executed.
     innovation_gain : float, optional
         Share of the innovation, the difference between measured and expected feature, that corrects
         the estimate, 0 to 1; 1 takes every measurement as it is. A small share averages

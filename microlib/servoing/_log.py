@@ -36,7 +36,7 @@ def put(row: dict[str, Any], name: str, value: Array, unit: str) -> None:
 
 
 def add_event(row: dict[str, Any], event: str) -> None:
-    """Enter something that happened beside what the row says already."""
+    """Add an event to those of the row."""
     row["event"] = "; ".join(filter(None, (row["event"], event)))
 
 

@@ -15,11 +15,11 @@ from microlib.servoing._workstation import Controller
 
 #: Moves in a row that the image may fail to follow: one can be a bad track, and a second its
 #: correction; a wrong Jacobian, a stuck axis or a frozen frame fails every one.
-_MOST_STRAYS = 3
+_MISMATCHES = 3
 
-#: Moves shorter than this many tolerances say nothing of how the image follows: half of one is
-#: then five times what the user wants to tell apart.
-_TELLING = 10.0
+#: Only moves longer than this many tolerances show whether the image follows: half of such a move
+#: is five tolerances.
+_LEAST_CHECKED = 10.0
 
 #: Share of the travel that is used: the rest is for what a drive overshoots, and whatever is beyond
 #: the travel all the same ends the run.
@@ -57,30 +57,30 @@ class Look:
 class Follower:
     """Compares where the image goes with where the commands should have brought it."""
 
-    def __init__(self, telling: float) -> None:
-        self._telling = telling
+    def __init__(self, least_checked: float) -> None:
+        self._least_checked = least_checked
         self._origin: Array | None = None
         self._planned: Array = np.zeros(2)
-        self._strays = 0
+        self._mismatches = 0
 
     def plan(self, motion: Array) -> None:
         """Note by how much the image should move, px."""
         self._planned = self._planned + motion
 
     def see(self, measured: Array) -> None:
-        """Compare with what is seen, and end the run when it strays too often."""
+        """Compare with the measured feature, and end the run after too many mismatches in a row."""
         if self._origin is None:
             self._origin = measured
         size = float(np.linalg.norm(self._planned))
-        if size < self._telling:
+        if size < self._least_checked:
             return
         apart = float(np.linalg.norm(measured - self._origin - self._planned))
-        self._strays = self._strays + 1 if apart > 0.5 * size else 0
-        if self._strays == _MOST_STRAYS:
+        self._mismatches = self._mismatches + 1 if apart > 0.5 * size else 0
+        if self._mismatches == _MISMATCHES:
             moved = np.round(measured - self._origin, 2) + 0.0
             wanted = np.round(self._planned, 2) + 0.0
             raise EndRun(
-                f"the image does not follow the stage: {_MOST_STRAYS} moves in a row were off by "
+                f"the image does not follow the stage: {_MISMATCHES} moves in a row were off by "
                 f"more than half, the last {moved} px instead of {wanted} px"
             )
         self._origin, self._planned = measured, np.zeros(2)
@@ -98,7 +98,7 @@ class Loop:
         self._origin: float | None = None
         self._start: Array = np.zeros(2)
         self._lost = 0
-        self._follower = Follower(_TELLING * settings.tolerance)
+        self._follower = Follower(_LEAST_CHECKED * settings.tolerance)
 
     def now(self) -> float:
         """Return the time from the first exposure, s."""
@@ -179,7 +179,7 @@ class Loop:
         )
         if not self.motion.share <= LARGEST_SHARE:  # NaN is no calibration
             raise EndRun(
-                "calibration refused: the test moves leave the Jacobian open by "
+                "calibration rejected: the test moves leave the Jacobian uncertain by "
                 f"{self.motion.share:.2g} of what it does, at most {LARGEST_SHARE:g} is allowed"
             )
 
@@ -201,7 +201,7 @@ class Loop:
         raise EndRun(f"target {number} was not reached in {self._settings.most_frames} frames")
 
     def _is_seen(self, look: Look) -> bool:
-        """Let the stage stand while the feature is lost, and end the run if it stays so."""
+        """Return whether the feature is seen; end the run after too many frames without it."""
         if np.isfinite(look.measured).all():
             self._lost = 0
             self._follower.see(look.measured)
@@ -259,7 +259,7 @@ class Loop:
         # A move that the image would not show may be less than an increment of the drive.
         # Before the calibration J is NaN, and every move counts.
         shown = np.linalg.norm(self.motion.jacobian @ (target - here))
-        if shown < _TELLING * settings.tolerance:
+        if shown < _LEAST_CHECKED * settings.tolerance:
             return
         if float(np.linalg.norm(target - arrived)) > 0.5 * way:
             raise EndRun(

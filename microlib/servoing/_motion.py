@@ -48,7 +48,7 @@ class StageMotion:
         return float(3.0 * np.sqrt(np.linalg.eigvalsh(self.covariance)[-1]) / least)
 
 
-#: Of a run that never came to know it.
+#: Of a run without a calibration.
 UNKNOWN = StageMotion(
     np.full((2, 2), np.nan), np.full((4, 4), np.nan), np.full(2, np.nan), float("nan")
 )

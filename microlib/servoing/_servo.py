@@ -50,8 +50,8 @@ class ServoRun(Tidy, Ending):
     complete : bool
         Whether it came to its end and the stage stands still.
     still : bool
-        Whether the stage said, after the stop, that it does not move. Where a call did not return,
-        the stage is stopped again once it does.
+        Whether the stage reported, after the stop, that it does not move. Where a call did not
+        return, the stage is stopped again once it does.
     jacobian : ndarray, shape (2, 2)
         px/µm that the run used: given, or calibrated; NaN if it never came to that.
     jacobian_covariance : ndarray, shape (4, 4)
@@ -60,8 +60,8 @@ class ServoRun(Tidy, Ending):
         px/s by which the feature moved while the stage stood during calibration; NaN if there was
         none.
     misfit : float
-        χ² per degree of freedom of the calibration: above 1 the tracks scatter more than their
-        covariances say, and `jacobian_covariance` is enlarged by it; NaN if there was none.
+        χ² per degree of freedom of the calibration. Above 1 the tracks scatter more than their
+        covariances state, and `jacobian_covariance` is enlarged by it; NaN if there was none.
     latency : float
         Median time from an exposure until its command, s.
     error : Exception or None
@@ -129,8 +129,8 @@ def servo(
         Velocity in µm/s for (sample, measured, references) such as an `OptimalController` with this
         `interval`; the stage is moved by velocity times interval. Samples are counted from 0 for
         each target. If the controller has a method ``executed(velocity)``, it is called with what
-        `step` and `travel` left of the velocity. By default the stage goes where J says that the
-        target is.
+        `step` and `travel` left of the velocity. By default the stage goes to where
+        the target is by J.
     tolerance : float, optional
         A target is reached within this distance, px.
     step : float, optional
@@ -167,7 +167,7 @@ def servo(
 
     Notes
     -----
-    A calibration is refused if three standard deviations of J in its worst direction are over half
+    A calibration is rejected if three standard deviations of J in its worst direction are over half
     of what J does: a step planned with it would take less than half of the error away. The run
     ends, too, when the image fails three times in a row to follow the commands within half of the
     move: a wrong Jacobian, a stuck or reversed axis, or a frozen frame. Fewer could be one bad
@@ -225,7 +225,7 @@ def servo(
     with interrupts(guard.interrupted):
         end = guard.run(lambda: loop.run(known))
         last = new_row(loop.now(), "end", -1)
-        with suppress(EndRun):  # the reason says already what failed
+        with suppress(EndRun):  # the reason states already what failed
             put(last, "stage", guard.call(workstation.stage.position), "um")
         add_event(last, end.reason or "done")
         motion, log = loop.motion, as_frame([*loop.rows, last])

@@ -1,6 +1,6 @@
 """A simulated microassembly workstation: stage, camera and the visual loop closed over them.
 
-The stage runs at the velocity that it is told, up to its saturation, so that the loop's time step
+The stage runs at the commanded velocity, up to its saturation, so that the loop's time step
 is the camera's and no integration error enters.
 """
 
@@ -133,7 +133,7 @@ def simulate(
     reference : array_like, shape (K, 2)
         Wanted feature at each exposure, px.
     jacobian : array_like, shape (2, 2)
-        The true px/µm of the two axes, which the controller need not know exactly.
+        The true px/µm of the two axes, which may differ from those of the controller.
     stage, camera : Stage, Camera
         The apparatus.
     rng : numpy.random.Generator or int
@@ -157,7 +157,7 @@ def simulate(
     ValueError
         If a shape does not fit, the Jacobian is singular, or the reference lies beyond the stage's
         travel. A reference that moves faster than the stage is followed as far as it goes and
-        ``saturated`` says so.
+        ``saturated`` is True there.
 
     Examples
     --------

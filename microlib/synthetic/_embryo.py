@@ -147,7 +147,7 @@ class Embryo(Result):
     def pressed(
         cls, force: float, *, modulus: float, rim_radius: float = 450.0, **properties: float
     ) -> Embryo:
-        """Return the embryo whose rim is as round as `rim_radius` says; its dimple radius follows.
+        """Return the embryo whose rim has the radius of curvature `rim_radius`.
 
         Parameters
         ----------
@@ -413,7 +413,7 @@ def embryo_image(
     noise : float
         Standard deviation of the noise, in grey levels of 255.
     unevenness : float
-        Largest relative departure of the light from its mean, below 0.5.
+        Largest relative deviation of the light from its mean, below 0.5.
     probe : bool
         Whether the two probes are in the scene.
 

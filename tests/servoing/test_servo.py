@@ -69,9 +69,9 @@ def test_the_jacobian_is_the_true_one_within_its_uncertainty_and_drift_is_told_a
         assert np.isnan(unknown).all()
 
 
-def test_a_calibration_that_knows_too_little_is_refused():
+def test_an_uncertain_calibration_is_rejected():
     run = steer(scope_of(camera=Camera(interval=0.005, jitter=1.5)), AWAY, test_move=8.0)  # 2 px
-    assert "calibration refused" in run.reason
+    assert "calibration rejected" in run.reason
     assert "servo" not in run.log["phase"].to_numpy()
     assert run.jacobian_covariance.max() > 0
 
