@@ -22,18 +22,8 @@ import nbformat
 from click import ClickException
 from nbformat.v4 import new_output
 
-from compendium import MISSING, ROOT
-from compendium.run import (
-    BUILD,
-    INTERRUPTED,
-    build_lock,
-    every_notebook,
-    failures,
-    read_status,
-    report_failures,
-)
+from compendium import MISSING, ROOT, run
 
-RENDERED = BUILD / "rendered"
 STRICT = ("--warningiserror", "--nitpick", "--keep-going", "--quiet")
 PLACEHOLDER = (
     '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 320 60" width="320">'
@@ -43,48 +33,52 @@ PLACEHOLDER = (
 
 def main() -> int:
     """Render the book; return the exit status."""
+    if sys.flags.optimize > 1:
+        print("The pages are made of docstrings, which python -OO leaves out.", file=sys.stderr)
+        return 1
     try:
-        with build_lock():
-            prepare()
-            folder = Path(tempfile.mkdtemp(dir=RENDERED))
-            folder.chmod(0o755)  # mkdtemp lets the owner alone look into it
+        with run.build_lock():
+            folder = prepare()
             render(folder)
-            publish(folder / "_build" / "html", BUILD / "html")
-        return report_failures()
+            publish(folder / "_build" / "html", run.BUILD / "html")
+        return run.report_failures()
     except (OSError, RuntimeError, ClickException, subprocess.CalledProcessError) as error:
         print(f"The book was not built: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("Interrupted; the book is the one before.", file=sys.stderr)
-        return INTERRUPTED
+        return run.INTERRUPTED
 
 
-def prepare() -> None:
+def prepare() -> Path:
     """Lay out what the book is made from, from scratch: pages quote records that Sphinx does not
-    watch."""
+    watch. Return a new folder to make it in."""
     for old in (ROOT / "book" / "notebooks", ROOT / "book" / "generated"):
         shutil.rmtree(old, ignore_errors=True)
     pages = ROOT / "book" / "notebooks"
     pages.mkdir()
-    failed = failures()
-    for name in every_notebook():
-        made = BUILD / "notebooks" / f"{name}.ipynb"
+    failed = run.failures()
+    for name in run.every_notebook():
+        made = run.BUILD / "notebooks" / f"{name}.ipynb"
         if name in failed:
             mark_failure(made, pages / made.name, failed[name])
         else:
             shutil.copy(made, pages)
-    RENDERED.mkdir(parents=True, exist_ok=True)
-    shown = (BUILD / "html").resolve()
-    for folder in RENDERED.iterdir():
-        if not shown.is_relative_to(folder):  # of a build that was killed, or of one before
-            shutil.rmtree(folder)
+    rendered, shown = run.BUILD / "rendered", (run.BUILD / "html").resolve()
+    rendered.mkdir(parents=True, exist_ok=True)
+    for old in rendered.iterdir():
+        if not shown.is_relative_to(old):  # of a build that was killed, or of one before
+            shutil.rmtree(old)
+    folder = Path(tempfile.mkdtemp(dir=rendered))
+    folder.chmod(0o755)  # mkdtemp lets the owner alone look into it
+    return folder
 
 
 def mark_failure(made: Path, page: Path, message: str) -> None:
     """Write the page of a notebook that failed: as far as it came, and what failed and when."""
     source = ROOT / "notebooks" / made.name
     notebook = nbformat.read(made if made.exists() else source, as_version=4)
-    when = read_status(made.stem).get("when", "")
+    when = run.read_status(made.stem).get("when", "")
     text = (
         f"**Not computed.** In this build the notebook of this page failed{when and f' ({when})'}:"
     )
@@ -103,7 +97,7 @@ def render(folder: Path) -> None:
     """Let jupyter-book make the pages in a folder; its warnings go to the terminal.
 
     What is known of this build is written first, since a page shows it."""
-    command = [sys.executable, "-m", "book.make_certificate", str(BUILD / "certificate")]
+    command = [sys.executable, "-m", "book.make_certificate", str(run.BUILD / "certificate")]
     subprocess.run(command, check=True, cwd=ROOT)
     # Here, since it warns of its own use of click when it is imported.
     from jupyter_book.cli.main import main as jupyter_book  # type: ignore[import-untyped]

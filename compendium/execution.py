@@ -142,7 +142,10 @@ def execute(
             message = one_line(f"{type(error).__name__}: {error}".partition("\n")[0])
         finally:
             ensure_event_loop().close()  # of this thread, which nbclient leaves open
-        notebook = nbformat.read(made if made.exists() else source, as_version=4)
+        try:
+            notebook = nbformat.read(made, as_version=4)
+        except (OSError, ValueError):  # never written, or cut off on a full disk
+            notebook = nbformat.read(source, as_version=4)
         if not passed:
             message = f"FAILED{place_of_failure(notebook)}: {message}"
         clean(notebook)

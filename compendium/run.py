@@ -226,7 +226,12 @@ def run(name: str, key: str) -> tuple[str, bool]:
         "when": f"{datetime.now():%Y-%m-%d %H:%M}",
         "key": key,
     }
-    about |= {"seconds": 0.0, "checks": 0, "figures": [], "interpreter": interpreter()}
+    about |= {
+        "seconds": 0.0,
+        "checks": 0,
+        "figures": [],
+        "interpreter": os.path.relpath(sys.executable, ROOT),
+    }
     write_json(status, about | {"failed": "FAILED: its run did not end"})
     start, record = perf_counter(), work / "record.json"
     values = {"record": str(record.relative_to(ROOT))}
@@ -256,13 +261,6 @@ def run(name: str, key: str) -> tuple[str, bool]:
     if passed:
         message += f", {checks} {'check' if checks == 1 else 'checks'} passed"
     return message, passed
-
-
-def interpreter() -> str:
-    """Return the interpreter that runs the kernels, by its path in the project if it lies there."""
-    path = Path(sys.executable)
-    inside = path.is_relative_to(ROOT)
-    return f"{path.relative_to(ROOT) if inside else path}, Python {sys.version.split()[0]}"
 
 
 def write_json(path: Path, content: object) -> None:

@@ -37,7 +37,7 @@ from sphinx.util.docutils import SphinxDirective
 from compendium import ROOT, ledger
 
 FIGURES, PAGES = ROOT / "build" / "figures", ROOT / "book" / "notebooks"
-CAPTION = re.compile(r"\*\*(Figures?|Tables?) ([^*]+)\*\*")
+CAPTION = re.compile(r"\*\*Figures? ([^*]+)\*\*")
 INITIAL = re.compile(r"^(\s*(?:\.\. \[[\w-]+\] )?)([A-Z]\. [A-Z])")
 TAG = re.compile(r"\\tag\{(\d\.\d+)\}")
 TABLE = re.compile(r"^\(table-(\d)-(\d)\)=", flags=re.M)
@@ -111,10 +111,8 @@ def find_items(notebooks: Path = PAGES) -> dict[str, tuple[str, str]]:
 def captioned(caption: str) -> list[str]:
     """Return the thesis' figures that a caption names: ``Figures 5.6 to 5.8`` gives three."""
     match = CAPTION.match(caption)
-    if not match or not match[1].startswith("Figure"):
-        return []
-    numbers = re.findall(r"\d\.\d+", match[2])
-    if re.search(r"to|–", match[2]) and len(numbers) == 2:
+    numbers = re.findall(r"\d\.\d+", match[1]) if match else []
+    if match and re.search(r"to|–", match[1]) and len(numbers) == 2:
         chapter, first = numbers[0].split(".")
         last = numbers[1].split(".")[1]
         return [f"{chapter}.{n}" for n in range(int(first), int(last) + 1)]

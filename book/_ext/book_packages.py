@@ -5,19 +5,16 @@ Sphinx draws inheritance, and none of its extensions imports.
 
 from __future__ import annotations
 
-import re
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 
-from book_tables import link, table
+from book_tables import IMPORT, link, table
 from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 import microlib
-
-IMPORT = re.compile(r"^\s*(?:from|import) microlib(?:\.| import )(\w+)", re.M)
 
 
 def imported(path: Path) -> set[str]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
 from typing import Any
 
 from docutils import nodes
@@ -18,11 +19,13 @@ from sphinx.application import Sphinx
 from sphinx.config import Config
 from sphinx.util.docutils import SphinxDirective
 
-from compendium import MISSING, ROOT
+from compendium import ROOT
 
 RESULTS = ROOT / "benchmarks" / "results"
 #: A cell that holds a number, perhaps with a sign of comparison, is not broken on a phone.
 NUMBER = re.compile(r"[≤≥]?\s?[−+-]?\d[\d.,e+-]*")
+#: A line that imports from `microlib`, and from which of its packages.
+IMPORT = re.compile(r"^\s*(?:from|import) microlib(?:\.| import )(\w+)", re.M)
 LONG = 20  # rows above which a table is folded
 
 
@@ -73,9 +76,8 @@ def line(text: str, kind: str = "") -> nodes.paragraph:
     return nodes.paragraph(text, text, classes=[kind] if kind else [])
 
 
-def missing() -> nodes.inline:
-    """Return what stands for a value whose notebook failed or was not run."""
-    return nodes.inline(MISSING, MISSING, classes=["missing"])
+def span(text: str, kind: str) -> nodes.inline:
+    return nodes.inline(text, text, classes=[kind])
 
 
 def script_json(data: object) -> str:
@@ -121,6 +123,7 @@ class Benchmarks(SphinxDirective):
         result += line(
             f"Measured on {machine['processor']}, {machine['cores']} cores; {', '.join(versions)}."
         )
+        result += line(changes_since(name, machine["commit"].split()[0]))
         if record["note"]:
             self.state.nested_parse(StringList(record["note"].split("\n")), 0, result)
         for title, content in record["tables"].items():
@@ -132,6 +135,19 @@ class Benchmarks(SphinxDirective):
             summary = f"<details><summary>{title} ({len(rows)} rows)</summary>"
             result += [raw_html(summary), whole, raw_html("</details>")]
         return [result]
+
+
+def changes_since(name: str, commit: str) -> str:
+    """Say how often what a benchmark measures was changed after the commit that it measured."""
+    file = f"benchmarks/{name}.py"
+    packages = {"_common", *IMPORT.findall((ROOT / file).read_text("utf-8"))}
+    paths = [file, *(f"microlib/{package}{end}" for package in packages for end in ("", ".py"))]
+    command = ["git", "-C", str(ROOT), "rev-list", "--count", f"{commit}..HEAD", "--", *paths]
+    count = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+    if count == "0":
+        return "The code that it measures is the same since."
+    known = f"was changed in {count} commits since" if count else "may have changed since"
+    return f"The code that it measures {known}, so another run may give other numbers."
 
 
 def disable_numfig(app: Sphinx, config: Config) -> None:

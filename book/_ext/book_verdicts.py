@@ -25,14 +25,14 @@ from typing import Any, ClassVar
 from urllib.parse import urlencode
 
 from book_map import find_items
-from book_tables import line, link, missing, raw_html, script_json, section, table
+from book_tables import line, link, raw_html, script_json, section, span, table
 from book_test_sources import place_of_test
 from docutils import nodes
 from docutils.statemachine import StringList
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective, SphinxRole
 
-from compendium import ROOT, ledger
+from compendium import MISSING, ROOT, ledger
 from compendium.tables import verdict_link
 
 CLAIMS = ROOT / "build" / "claims"
@@ -120,11 +120,7 @@ def number_of(what: str) -> int:
 def count(env: Any, of: str) -> nodes.Node:
     counts = count_by_class(of)
     parts = ", ".join(f"{count} {name}" for name, count in counts.most_common())
-    return nodes.inline("", f"{counts.total()} ({parts})", classes=["count"])
-
-
-def number(env: Any, of: str) -> nodes.Node:
-    return nodes.inline("", str(number_of(of)), classes=["count"])
+    return span(f"{counts.total()} ({parts})", "count")
 
 
 def printed(claim: ledger.Claim) -> str:
@@ -136,8 +132,8 @@ def printed(claim: ledger.Claim) -> str:
 def cell_link(env: Any, name: str) -> nodes.Node:
     """Return a recomputed number, which leads to the cell that recorded it, if one did."""
     if (record := records().get(name)) is None:
-        return missing()
-    shown = nodes.inline("", str(record), classes=["recomputed"])
+        return span(MISSING, "missing")
+    shown = span(str(record), "recomputed")
     return link(env, shown, f"notebooks/{record.notebook}", f"number-{record.id}")
 
 
@@ -156,23 +152,15 @@ def claim_link(env: Any, claim: ledger.Claim) -> nodes.raw:
     return raw_html(verdict_link(claim, claim.label, up="../" * env.docname.count("/")))
 
 
-def printed_number(env: Any, name: str) -> nodes.Node:
-    return nodes.inline("", printed(ledger.claim(name)), classes=["printed"])
-
-
-def verdict(env: Any, name: str) -> nodes.Node:
-    return claim_link(env, ledger.claim(name))
-
-
 class Role(SphinxRole):
     """A role whose function makes a node of its text."""
 
     functions: ClassVar = {
         "count": count,
-        "number": number,
-        "printed": printed_number,
+        "number": lambda env, of: span(str(number_of(of)), "count"),
+        "printed": lambda env, name: span(printed(ledger.claim(name)), "printed"),
         "recomputed": cell_link,
-        "verdict": verdict,
+        "verdict": lambda env, name: claim_link(env, ledger.claim(name)),
     }
 
     def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:

@@ -33,7 +33,11 @@ RASTER = 200
 
 
 def use_style() -> None:
-    """Set figures and tables up for the book: the body's font size, tight boxes, whole texts."""
+    """Set figures and tables up for the book: the body's font size, tight boxes, whole texts.
+
+    Nothing of a reader's own ``matplotlibrc`` is kept.
+    """
+    mpl.rcdefaults()
     pd.set_option("display.max_colwidth", None, "display.max_rows", 80)
     mpl.rcParams.update(
         {

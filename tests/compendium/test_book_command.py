@@ -16,8 +16,6 @@ from tests.compendium.test_run import write_notebook
 @pytest.fixture
 def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(book, "ROOT", tmp_path)
-    monkeypatch.setattr(book, "BUILD", tmp_path / "build")
-    monkeypatch.setattr(book, "RENDERED", tmp_path / "build" / "rendered")
     monkeypatch.setattr(run, "ROOT", tmp_path)
     monkeypatch.setattr(run, "BUILD", tmp_path / "build")
     for folder in (

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import ast
+import re
+import shlex
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import cv2
 import nbformat
 import numpy as np
 import pandas as pd
 import pytest
 import tifffile
 
+from compendium import run
 from compendium.guides import FOLDER, manifest
+from compendium.parameters import read_values
+from microlib.synthetic import mixed_texture
 
 ROOT = Path(__file__).resolve().parents[2]
 # Each guide with the name of its input's parameter and the default for it.
@@ -321,6 +327,56 @@ def test_a_folder_gets_one_row_per_file(
     assert measured.iloc[1].isna().all()
     pd.testing.assert_series_equal(measured.iloc[0], measured.iloc[2], check_names=False)
     assert {path.name for path in tmp_path.glob("*.csv")} == {Path(names["table"]).name}
+
+
+#: What stands for the files that the printed commands name.
+FILES = {
+    "calibration": ("circles.png", "mine.png"), "embryo": ("embryo.png", "mine.png"),
+    "focus_stack": ("focal_stack.tif", "mine.tif"), "modulus": ("outline.csv", "mine.csv"),
+}  # fmt: skip
+
+
+def printed_commands() -> list[tuple[str, list[str]]]:
+    """Return the arguments of each command that a guide prints."""
+    found = []
+    for guide in EVERY:
+        for block in re.findall(r"```sh\n(.*?)```", source(guide).cells[0].source, flags=re.S):
+            words = shlex.split(block.replace("\\\n", ""))
+            found.append((guide, words[words.index("compendium.run") + 1 :]))
+    return found
+
+
+def write_inputs(guide: str) -> None:
+    """Write the files that the command of a guide names."""
+    if guide in FILES:
+        name, mine = FILES[guide]
+        shutil.copy(FOLDER / name, mine)
+    elif guide == "tracking":  # a texture of 400 × 300 px that moves by half a pixel a frame
+        size = (400, 300)
+        film = cv2.VideoWriter("my_film.mp4", cv2.VideoWriter.fourcc(*"mp4v"), 33.0, size)
+        scene = mixed_texture((320, 420), 3).astype(np.uint8)
+        for k in range(20):
+            shift = np.array([[1.0, 0.0, -k / 2], [0.0, 1.0, 0.0]])
+            film.write(cv2.cvtColor(cv2.warpAffine(scene, shift, size), cv2.COLOR_GRAY2BGR))
+        film.release()
+    else:
+        find = pytest.importorskip("pymmcore_plus", reason="pymmcore-plus is not installed")
+        demo = Path(find.find_micromanager()) / "MMConfig_demo.cfg"
+        more = "\nProperty,Camera,Mode,Fluorescent Beads\n"
+        Path("my_microscope.cfg").write_text(demo.read_text() + more)
+
+
+@pytest.mark.parametrize(("guide", "words"), printed_commands())
+def test_a_printed_command_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, guide: str, words: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_inputs(guide)
+    options = run.parse(words)
+    (name,) = run.choose(options.names)
+    values = read_values(ROOT / "notebooks" / f"{name}.ipynb", options.own)
+    run_here(guide, **values)
+    assert list(Path(str(values["out"])).glob("*.csv"))
 
 
 def test_numbers_give_a_modulus_and_a_steep_dimple_is_named(

@@ -1,0 +1,57 @@
+"""The commands that the README and the page Start print give the truth of their inputs."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import tifffile
+
+from compendium import ROOT
+from compendium.guides import FOLDER, manifest
+from microlib._command import main
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+COMMANDS = re.findall(r"^microlib (depth|calibrate|track|modulus) (.*)$", README, flags=re.M)
+
+
+def test_the_page_start_has_the_same_commands() -> None:
+    page = (ROOT / "book" / "start.md").read_text(encoding="utf-8")
+    assert len(COMMANDS) == 4
+    assert (
+        re.findall(r"^microlib (depth|calibrate|track|modulus) (.*)$", page, flags=re.M) == COMMANDS
+    )
+
+
+@pytest.mark.parametrize(("task", "text"), COMMANDS, ids=lambda value: value.split()[0])
+def test_a_printed_command_gives_the_truth(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], task: str,
+    text: str,
+) -> None:  # fmt: skip
+    (tmp_path / "data").symlink_to(ROOT / "data")
+    monkeypatch.chdir(tmp_path)
+    assert main([task, *shlex.split(text)]) == 0
+    if task == "depth":
+        height = tifffile.imread("heights/height.ome.tif")
+        true = tifffile.imread(FOLDER / "height_um.tif")
+        off = height - true
+        assert (
+            np.nanmedian(np.abs(off - np.nanmedian(off))) < 1.0
+        )  # µm; where it starts is not given
+    elif task == "calibrate":
+        found = float(re.search(r"misfit (?:of )?([\d.]+)", capsys.readouterr().out)[1])
+        assert found < 2
+    elif task == "track":
+        track = pd.read_csv("track.csv")
+        true = pd.read_csv(FOLDER / "frames_path.csv")
+        assert (
+            np.hypot(track["center_x"] - true["x_px"], track["center_y"] - true["y_px"]).max() < 0.1
+        )
+    else:
+        values = pd.read_csv("modulus.csv", index_col="quantity")["value"]
+        true = manifest()["outline.csv"]["truth"]["modulus_MPa"]
+        assert values["modulus_low95_MPa"] < true < values["modulus_high95_MPa"]
