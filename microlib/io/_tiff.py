@@ -152,7 +152,7 @@ def _page(
     finally:
         if closed:
             file.close()
-    if kind == "PALETTE":
+    if kind == "PALETTE" and not page.parent.is_imagej:  # whose colors are only shown
         return (np.asarray(page.colormap).T[image] >> 8).astype(np.uint8)
     if page.axes == "SYX":
         image = np.moveaxis(image, 0, -1)

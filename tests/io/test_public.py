@@ -142,3 +142,17 @@ def test_a_region_keeps_its_place_when_the_pixel_size_is_given_later() -> None:
     assert found.origin == (0.0, 0.0)
     # The middle of the first block is half a pixel of the frame beside its first one.
     assert replace(found, pixel_size=2.6).origin == pytest.approx((20.5 * 1.3, 10.5 * 1.3))
+
+
+def test_the_levels_of_a_microscope_in_false_colors_stay_as_they_are(tmp_path: Path) -> None:
+    """ImageJ stores the table by which it shows grey levels, as Fire or Blue, as a palette."""
+    levels = np.random.default_rng(1).integers(0, 256, (3, 12, 20)).astype(np.uint8)
+    table = np.zeros((3, 256), np.uint16)
+    table[2] = 257 * np.arange(256)[::-1]
+    tifffile.imwrite(
+        tmp_path / "p.tif", levels, imagej=True, colormap=table, photometric="palette",
+        metadata={"axes": "ZYX"},
+    )  # fmt: skip
+    with tifffile.TiffFile(tmp_path / "p.tif") as file:
+        assert (file.is_imagej, file.pages[0].photometric.name) == (True, "PALETTE")
+    np.testing.assert_array_equal(np.stack(list(read_frames(tmp_path / "p.tif"))), levels)
