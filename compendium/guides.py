@@ -249,43 +249,6 @@ def modulus_of(path: Path, *, force: float, **settings: Any) -> Tidy:
     return found
 
 
-def read_outline(path: str | PathLike[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """
-    Read an outline from a CSV file with the columns x and y.
-
-    Parameters
-    ----------
-    path : path-like
-        File, in px with y up.
-
-    Returns
-    -------
-    x, y : ndarray of float64, shape (n,)
-        The outline in px, in the order of the file.
-
-    Raises
-    ------
-    ValueError
-        If it is no CSV file with these columns, or a value is no number.
-
-    Examples
-    --------
-    >>> x, y = read_outline(find_input("outline.csv"))
-    >>> x.shape == y.shape
-    True
-    """
-    try:
-        table = pd.read_csv(path, skipinitialspace=True)[["x", "y"]].to_numpy(np.float64)
-    except (OSError, KeyError, ValueError) as error:
-        need = "a CSV file of numbers with the columns x and y"
-        raise ValueError(f"outline must name {need}, got {path}: {error}") from None
-    bad = ~np.isfinite(table).all(axis=1)
-    if bad.any():
-        row = int(bad.argmax()) + 1
-        raise ValueError(f"outline must hold numbers only, got {path} with none in row {row}")
-    return table[:, 0], table[:, 1]
-
-
 def _entry(file: Path) -> dict | None:
     """Return what the manifest says of a file, if it is one of ``data``."""
     return manifest().get(file.name) if file.resolve().parent in (REAL, FOLDER) else None

@@ -243,6 +243,12 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "region": (0, 0, 20, 20),
     },
     "io.read_frames": lambda: {"frames": stack(), "region": (0, 0, 20, 20)},
+    "embryo.dimple_from_outline": lambda: {
+        "x": np.arange(60.0), "pixel_size": 3.9,
+        "y": 9.0 - 7.0 * np.exp(-(((np.arange(60.0) - 30.0) / 9.0) ** 2))
+        - (np.arange(60.0) - 30.0) ** 2 / 300.0,
+    },
+    "embryo.read_outline": lambda: {"path": table()},
     "io.read_grey": lambda: {"path": written()},
     "io.write_height_tiff": lambda: {
         "path": FOLDER / "fuzz.tif", "height": dome(), "pixel_size": 2.0
@@ -332,6 +338,13 @@ MAY_BE_UNKNOWN = {
     # a lost target has no position
     "tracking.ESMTracker.track",
 }  # fmt: skip
+
+
+@cache
+def table() -> Path:
+    file = FOLDER / "outline.csv"
+    file.write_text("x,y\n1,2\n2,3.5\n")
+    return file
 
 
 @cache

@@ -66,6 +66,11 @@ REFUSED: dict[str, dict[str, tuple[object, ...]]] = {
         "curve": (embryo.GaussianSum([9.0], [0.0], [5.0], domain=(-9, 9)),),
         "pixel_size": (0.0,),
     },
+    "embryo.dimple_from_outline": {
+        "x": (np.full(193, np.nan), np.arange(5.0)),
+        "y": (np.zeros(193),),
+        "pixel_size": (0.0,),
+    },
     "embryo.fit_dimple": {"pixel_size": (0.0,), "probe_half_width": (-1.0, 8.0, 45.0)},
     "embryo.fit_gaussians": {
         "x": (np.full(60, 2.0), np.full(60, np.nan), np.arange(5.0)),

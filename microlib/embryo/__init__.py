@@ -6,9 +6,11 @@ from microlib.embryo._dimple import dimple_geometry, fit_dimple
 from microlib.embryo._gaussian_sum import GaussianSum, fit_gaussians
 from microlib.embryo._loess import loess
 from microlib.embryo._modulus import force_from_image, modulus_from_image
+from microlib.embryo._outline import dimple_from_outline, read_outline
 
 __all__ = [
     "GaussianSum",
+    "dimple_from_outline",
     "dimple_geometry",
     "extract_boundary",
     "fit_dimple",
@@ -16,4 +18,5 @@ __all__ = [
     "force_from_image",
     "loess",
     "modulus_from_image",
+    "read_outline",
 ]

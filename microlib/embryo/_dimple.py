@@ -276,7 +276,7 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
             f"probe_half_width, got it {off_axis:.1f} px beside the axis and {tip_off:.1f} px off "
             "in height"
         )
-    covariance = inverse_normal(fit.jac) * _variance_inflation(fit.fun, len(fit.x))
+    covariance = inverse_normal(fit.jac) * residual_variance(fit.fun, len(fit.x))
     covariance[4, 4] += beyond**2
     return DimpleFit(
         dimple_radius=a * size,
@@ -359,8 +359,8 @@ def _normal_distance(p: NDArray, x: NDArray, y: NDArray, c: float) -> Array:
     return (v - height) / np.hypot(1.0, slope)
 
 
-def _variance_inflation(residuals: Array, parameters: int) -> float:
-    """Factor from a covariance of unit, independent errors to that of these residuals."""
+def residual_variance(residuals: Array, parameters: int) -> float:
+    """Return the variance of residuals, times how far they are correlated along the outline."""
     count = residuals.size
     products = np.correlate(residuals, residuals, "full")[count - 1 :]
     # The fit itself makes residuals look less correlated, by about its number of parameters over

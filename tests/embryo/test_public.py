@@ -85,6 +85,8 @@ LAWS = {
         GEOMETRY,
         within=1e-6,
     ),
+    "embryo.dimple_from_outline": "units, origin and order: tests/embryo/test_outline.py",
+    "embryo.read_outline": "it reads numbers as they stand: tests/embryo/test_outline.py",
     # A search ends at a relative change of 1e-8, its sum of squares at the noise.
     "embryo.fit_gaussians": Law(
         lambda u: {

@@ -1,0 +1,309 @@
+"""From a table of outline points to the dimple in it, as section 5.6 of the thesis measures it.
+
+A table of points comes from any program. Here it is read, the part that has the dimple is taken,
+and radius and depth are read off eight Gaussians (5.1), (5.3), with the part of their uncertainty
+that the choice of the smoothing leaves.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from microlib._common import Array, Tidy, as_array, of_kind, same_length, scalar
+from microlib.embryo._dimple import DimpleGeometry, dimple_geometry, residual_variance
+from microlib.embryo._gaussian_sum import GaussianSum, fit_gaussians
+from microlib.embryo._loess import loess
+from microlib.embryo._probe import MAD_TO_STD
+
+#: Spans of LOESS whose dimples are compared. The middle one is that of the thesis; a smaller one
+#: follows the corners at the bottom of a dimple more closely, and the noise as well.
+SPANS = (0.15, 0.25, 0.35)
+#: Points that eight Gaussians of three numbers each need.
+_FEWEST = 24
+#: µm in each unit that the name of a column may have.
+_UNITS = {"um": 1.0, "µm": 1.0, "μm": 1.0, "mm": 1e3, "nm": 1e-3}
+
+
+class OutlineTable(NamedTuple):
+    """Points of an outline, from `read_outline`."""
+
+    x: Array
+    y: Array
+    #: µm in the unit of x and y where the columns' names give it, else None.
+    pixel_size: float | None
+    #: Whether y runs down, as that of a column called row does.
+    y_down: bool
+
+
+def read_outline(path: str | PathLike[str]) -> OutlineTable:
+    """Read the points of an outline from a table of text.
+
+    Parameters
+    ----------
+    path : path-like
+        Text in UTF-8, or in UTF-16 as spreadsheets write it: two columns, or columns called x and
+        y, or col and row, among others. Between columns stands a comma, semicolon, tab or space;
+        decimal commas are read where something else stands between columns. Empty lines and
+        what follows a # are skipped. A name may have a unit, such as ``x (px)`` or ``y_um``.
+
+    Returns
+    -------
+    OutlineTable
+        `x` and `y`, shape (n,), in the order of the file; `pixel_size`, 1 for columns in µm and
+        None where the names have no unit of length; `y_down`, True for columns col and row.
+
+    Raises
+    ------
+    ValueError
+        If the file holds no such table; the line is named.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from microlib.embryo import read_outline
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "outline.csv"
+    ...     _ = file.write_text("# by hand\\nx (px);y (px)\\n1,5;2\\n2;3,5")
+    ...     read_outline(file).x
+    array([1.5, 2. ])
+    """
+    of_kind("path", path, str, PathLike)
+    content = Path(path).read_bytes()
+    try:
+        wide = content.startswith((b"\xff\xfe", b"\xfe\xff"))
+        text = content.decode("utf-16" if wide else "utf-8-sig").replace('"', "")
+    except UnicodeDecodeError:
+        raise ValueError(f"{path} must be a table of text with the columns x and y") from None
+    numbered = enumerate(text.splitlines(), start=1)
+    lines = [(k, found) for k, line in numbered if (found := line.partition("#")[0].strip())]
+    # Names may have spaces, so that a line of numbers decides.
+    separator = _separator(lines[-1][1]) if lines else ","
+    rows = [(k, [cell.strip() for cell in re.split(separator, line)]) for k, line in lines]
+    columns: tuple[tuple[int, int], float | None, bool] = (0, 1), None, False
+    if rows and _numbers(rows[0][1], (0, 1)) is None:
+        columns = _columns(path, rows.pop(0)[1])
+    points = []
+    for number, cells in rows:
+        points.append(point := _numbers(cells, columns[0]))
+        if point is None:
+            got = ", ".join(cells)
+            raise ValueError(f"{path} must have two numbers in line {number}, got {got!r}")
+    if not points:
+        raise ValueError(f"{path} must have numbers in the columns x and y, got none")
+    x, y = np.transpose(np.array(points, dtype=float))
+    return OutlineTable(x, y, *columns[1:])
+
+
+def _separator(line: str) -> str:
+    """Return what stands between the columns of a line of numbers, as a regular expression."""
+    for mark in ";\t":
+        if mark in line:
+            return mark
+    cells = line.split()
+    decimal = len(cells) > 1 and not any(cell.strip(",") != cell for cell in cells)
+    return r"\s+" if decimal else ","
+
+
+def _numbers(cells: list[str], columns: tuple[int, int]) -> tuple[float, float] | None:
+    """Return the finite numbers in two cells, if there are two."""
+    try:
+        x, y = (float(cells[k].replace(",", ".")) for k in columns)
+    except (IndexError, ValueError):
+        return None
+    return (x, y) if np.isfinite(x + y) else None
+
+
+def _columns(path: object, names: list[str]) -> tuple[tuple[int, int], float | None, bool]:
+    """Return where x and y stand, their unit in µm or None, and whether y runs down."""
+    form = re.compile(r"(\w+?)[\s_]*[\[(]?(px|pixels?|[uµμnm]m|)[\])]?")
+    known = {m[1]: (k, m[2]) for k, name in enumerate(names) if (m := form.fullmatch(name.lower()))}
+    for across, up in (("x", "y"), ("col", "row"), ("column", "row")):
+        if across in known and up in known:
+            (first, unit), (second, other) = known[across], known[up]
+            if _UNITS.get(unit) != _UNITS.get(other):
+                raise ValueError(f"{path} must have x and y in one unit, got {unit} and {other}")
+            return (first, second), _UNITS.get(unit), up == "row"
+    raise ValueError(f"{path} must have the columns x and y, or col and row, got {names}")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OutlineDimple(Tidy):
+    """A dimple measured in an outline, from `dimple_from_outline`.
+
+    Attributes
+    ----------
+    left, right : DimpleGeometry
+        Radius and depth from either rim, with their covariance.
+    curve : GaussianSum
+        Eight Gaussians (5.1) fitted to the smoothed outline, px.
+    x, y : ndarray, shape (n,)
+        The part of the outline that was used, px; x ascending, y up from its lowest point.
+    y_down : bool
+        Whether y was found to run down.
+    """
+
+    _samples = ("x", "y")
+    _large = ("curve",)
+
+    left: DimpleGeometry
+    right: DimpleGeometry
+    curve: GaussianSum
+    x: Array
+    y: Array
+    y_down: bool
+
+
+def dimple_from_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> OutlineDimple:
+    """Measure the dimple of an outline, equations (5.1) and (5.3), and its uncertainty.
+
+    Parameters
+    ----------
+    x, y : array_like, shape (n,)
+        Points of the outline, px, y up; in the order of the outline, or in any order where there
+        is one y for each x. Of an outline that turns back in x, such as a closed one, the upper
+        part is used. If only the outline upside down has a dimple, y is taken to run down.
+    pixel_size : float
+        Size of a pixel in the object plane, µm/px; 1 for points in µm.
+
+    Returns
+    -------
+    OutlineDimple
+        Radius and depth from the `left` and the `right` rim, and the `curve` they were read off.
+
+    Raises
+    ------
+    ValueError
+        If the outline has fewer than 24 points within two radii of the bottom, no dimple, one
+        whose radius or depth is below three of its standard deviations, or more than one y for each
+        x.
+
+    See Also
+    --------
+    fit_dimple : Fits the membrane's profile (4.2) to an outline found in an image.
+
+    Notes
+    -----
+    1. The part with the dimple is taken, to two radii from its bottom.
+    2. `loess` smooths it, with the span of the thesis, 0.25, and with 0.15 and 0.35.
+    3. `fit_gaussians` and `dimple_geometry` give radius and depth of each.
+
+    The variances are those between the three spans, which show how much the smoothing decides, and
+    those that the scatter of the points leaves in the smoothed curve. They do not contain that
+    every smooth curve rounds the corners at the bottom.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from microlib.embryo import dimple_from_outline
+    >>> x = np.arange(121.0)
+    >>> y = 40 * np.exp(-(((x - 30) / 20) ** 2)) + 40 * np.exp(-(((x - 90) / 20) ** 2))
+    >>> dimple = dimple_from_outline(x, y, pixel_size=2.0).left
+    >>> print(f"a = {dimple.dimple_radius:.0f} µm, w_d = {dimple.dimple_depth:.0f} µm")
+    a = 60 µm, w_d = 63 µm
+    """
+    size = scalar("pixel_size", pixel_size, above=0)
+    points = as_array("x", x, shape=(None,)), as_array("y", y, shape=(None,))
+    same_length(("x", "y"), *points)
+    across, up, y_down = _part_with_dimple(*points)
+    smooth = [loess(across, up, span=span) for span in SPANS]
+    curves = [fit_gaussians(across, each) for each in smooth]
+    # Without the corners at the bottom, which a smooth curve misses by more than noise.
+    residuals = up - smooth[0]
+    usual = 3 * MAD_TO_STD * float(np.median(np.abs(residuals)))
+    residuals = np.clip(residuals, -usual, usual)
+    # Of a parabola fitted to k points with tricube weights, up to the distance h: the value in its
+    # middle has 2.85/k of their variance, the slope 6.9/(k h²). A slope moves an extremum.
+    reach = SPANS[1] * float(np.ptp(across)) / 2
+    scatter = residual_variance(residuals, int(3 / SPANS[0])) / (SPANS[1] * across.size)
+    sides = {}
+    for rim in ("left", "right"):
+        each = [dimple_geometry(curve, pixel_size=size, rim=rim) for curve in curves]
+        sizes = np.array([(g.dimple_radius, g.dimple_depth) for g in each])
+        bends = curves[1].second_derivative([each[1].rim[0], each[1].bottom[0]])
+        noise = size**2 * scatter * np.array([7 / reach**2 * np.sum(bends**-2.0), 6])
+        variances = sizes.var(axis=0, ddof=1) + noise
+        # The modulus goes with the third power of either.
+        if (sizes[1] < 3 * np.sqrt(variances)).any():
+            (a, w), (a_std, w_std) = sizes[1] / size, np.sqrt(variances) / size
+            raise ValueError(
+                f"outline must show a dimple, got a radius of {a:.2g} ± {a_std:.2g} and a depth of "
+                f"{w:.2g} ± {w_std:.2g} px from the {rim} rim"
+            )
+        sides[rim] = replace(each[1], covariance=np.diag(variances))
+    return OutlineDimple(**sides, curve=curves[1], x=across, y=up, y_down=y_down)
+
+
+def _part_with_dimple(x: Array, y: Array) -> tuple[Array, Array, bool]:
+    """Return the outline around its dimple, x ascending, y up from 0, and whether y ran down."""
+    parts = _single_valued_parts(x, y)
+    # Seen from above, and from below.
+    sides = [max(parts, key=lambda part: float(np.mean(way * y[part]))) for way in (1, -1)]
+    above, below = _deepest(y[sides[0]]), _deepest(-y[sides[1]])
+    y_down = below.inside and not above.inside and below.depth > float(np.ptp(y)) / 10
+    chosen, dip, way = (sides[1], below, -1) if y_down else (sides[0], above, 1)
+    across, up = x[chosen], way * y[chosen]
+    # Eight Gaussians describe well what is within two radii of the bottom.
+    reach = 2 * (across[dip.bottom] - across[dip.rim]) or np.inf
+    near = np.abs(across - across[dip.bottom]) <= reach * (1 + 1e-9)  # whatever the unit rounds
+    if near.sum() < _FEWEST:
+        raise ValueError(
+            f"outline must have at least {_FEWEST} points around a dimple, got {near.sum()} within "
+            "two radii of where it is deepest"
+        )
+    # Noise that neighbors share makes several dips of about one depth; two standard deviations.
+    others = [_deepest(half).depth for half in (up[: dip.bottom + 1], up[dip.bottom :])]
+    rough = np.median(np.abs(up - loess(across, up, span=SPANS[1])))
+    other = max(*others, 2 * MAD_TO_STD * float(rough))
+    if dip.depth < 2 * other:
+        raise ValueError(
+            f"outline must show one dimple, got one of {dip.depth:.2g} px beside others of "
+            f"{other:.2g} px; one that returns in x must have its points in order along it"
+        )
+    # Gaussians die away to zero.
+    return across[near], up[near] - up[near].min(), y_down
+
+
+def _single_valued_parts(x: Array, y: Array) -> list[NDArray[np.intp]]:
+    """Return the places of the points by ascending x, in two parts if the outline returns in x."""
+
+    def length(x: Array, y: Array) -> float:
+        return float(np.hypot(np.diff(x), np.diff(y)).sum())
+
+    order = np.argsort(x, kind="stable")
+    # By ascending x, one jumps between the parts of an outline that returns.
+    if length(x[order], y[order]) < 3 / 2 * length(x, y):
+        return [order]
+    first, last = int(np.argmin(x)), int(np.argmax(x))
+    around = np.roll(np.arange(x.size), -first)
+    turn = (last - first) % x.size
+    # Without the ends, where a closed outline runs up and down.
+    within = (x > x[first]) & (x < x[last])
+    parts = (part[within[part]] for part in (around[:turn], around[turn:]))
+    return [part[np.argsort(x[part], kind="stable")] for part in parts if part.size]
+
+
+class _Dip(NamedTuple):
+    """Where a curve lies deepest between higher parts, and its higher part on the left."""
+
+    bottom: int
+    rim: int
+    depth: float
+    inside: bool  # whether both of the higher parts are more than where the curve begins and ends
+
+
+def _deepest(y: Array) -> _Dip:
+    left, right = np.maximum.accumulate(y), np.maximum.accumulate(y[::-1])[::-1]
+    depths = np.minimum(left, right) - y
+    bottom = int(np.argmax(depths))
+    rims = int(np.argmax(y[: bottom + 1])), bottom + int(np.argmax(y[bottom:]))
+    # A curve that falls to its ends by noise alone has a rim within its first twentieth.
+    inside = min(rims[0], len(y) - 1 - rims[1]) > len(y) // 20
+    return _Dip(bottom, rims[0], float(depths[bottom]), inside)
