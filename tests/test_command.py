@@ -681,8 +681,8 @@ def test_help_shows_an_example(task: str, capsys: Told) -> None:
     "code",
     [
         "import sys; from microlib._command import main; sys.exit(main(sys.argv[1:]))",
-        *(f"import microlib.{r}" for r in ("focus", "calibration", "tracking", "io", "embryo")),
-        *(f"import microlib.{r}" for r in ("synthetic", "optics", "curvature")),
+        "import microlib.focus",
+        "import microlib.optics",
         "import microlib; help(microlib)",
     ],
 )
@@ -813,7 +813,7 @@ def test_a_comma_is_read_right_or_rejected(text: str, number: float | None, caps
         assert f"{text} can be {text.replace(',', '')} or {text.replace(',', '.')}" in told
 
 
-@pytest.mark.parametrize("encoding", ["cp1252", "cp850", "cp932", "ascii"])
+@pytest.mark.parametrize("encoding", ["cp1252", "cp932"])
 def test_a_terminal_without_some_letters_gets_others(tmp_path: Path, encoding: str) -> None:
     """A name with letters of another script, and the µ and ± of the results."""
     (tmp_path / "сетка.png").write_bytes((INPUTS / "circles.png").read_bytes())
@@ -853,28 +853,29 @@ def test_commands_run_without_docstrings(tmp_path: Path) -> None:
     assert pd.read_csv(tmp_path / "a.csv", index_col=0).loc["modulus_MPa", "value"] > 0
 
 
-MATPLOTLIBRC = {
-    "image.origin: lower": 0,
-    "text.usetex: true": 0,
-    "axes.grid: true\nfigure.dpi: 30\nsavefig.format: pdf\nimage.cmap: jet": 0,
-    "savefig.bbox: tight\nsavefig.transparent: true": 0,
-}
+#: Settings that turn pictures upside down, need LaTeX, or change colors, sizes and formats.
+MATPLOTLIBRC = """image.origin: lower
+text.usetex: true
+axes.grid: true
+figure.dpi: 30
+savefig.format: pdf
+savefig.bbox: tight
+savefig.transparent: true
+image.cmap: jet
+"""
 
 
 def test_the_users_style_does_not_reach_the_picture(tmp_path: Path) -> None:
     looks = []
-    for k, text in enumerate(["", *MATPLOTLIBRC]):
-        (tmp_path / f"rc{k}").write_text(text)
-        done = run_command(
-            [*STACK.split(), "-o", tmp_path / str(k)], MATPLOTLIBRC=str(tmp_path / f"rc{k}")
-        )
-        assert done.returncode == 0, done.stderr
-        with Image.open(tmp_path / str(k) / "look.png") as picture:
+    for name, style in (("plain", ""), ("own", MATPLOTLIBRC)):
+        (tmp_path / f"{name}.rc").write_text(style)
+        line = [*STACK.split(), "-o", tmp_path / name]
+        done = run_command(line, MATPLOTLIBRC=str(tmp_path / f"{name}.rc"))
+        assert (done.returncode, done.stderr) == (0, b"")
+        with Image.open(tmp_path / name / "look.png") as picture:
             looks.append(np.asarray(picture.convert("RGB")).astype(int))
-    for look in looks[1:]:
-        assert look.shape == looks[0].shape
-        # Layout and text rest on the same numbers.
-        assert np.abs(look - looks[0]).mean() < 1
+    assert looks[0].shape == looks[1].shape
+    assert np.abs(looks[1] - looks[0]).mean() < 1  # of 255; another origin gives 20
 
 
 def test_a_picture_that_fails_in_any_way_is_a_note(
