@@ -6,14 +6,25 @@ share one unit, here µm; H is then in 1/µm and K in 1/µm².
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from math import comb
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, Result, as_array, as_map, of_kind, scalar, whole
+from microlib._common import (
+    MICROMETERS,
+    Array,
+    Result,
+    as_array,
+    as_map,
+    of_kind,
+    positive,
+    scalar,
+    whole,
+)
 from microlib._common._opencv import cv2
 
 if TYPE_CHECKING:
@@ -79,16 +90,6 @@ class Curvature(Result):
     mean_error: Array
     gaussian_error: Array
 
-    def __repr__(self) -> str:
-        known = np.isfinite(self.mean)
-        if not known.any():
-            return f"Curvature({self.mean.shape}, nothing known)"
-        h, k = (np.percentile(values[known], (5, 95)) for values in (self.mean, self.gaussian))
-        return (
-            f"Curvature({self.mean.shape}, {known.mean():.0%} known, 90 % of H within "
-            f"{h[0]:.3g} … {h[1]:.3g} 1/µm and of K within {k[0]:.3g} … {k[1]:.3g} 1/µm²)"
-        )
-
 
 def curvature_windows(size: int = 7) -> Windows:
     """Return Besl's separable smoothing and derivative windows for a square of `size` pixels.
@@ -141,23 +142,29 @@ def curvature_windows(size: int = 7) -> Windows:
 
 
 def surface_curvature(
-    height: ArrayLike, pixel_size: float, *, size: int = 7, noise: float | None = None
+    height: ArrayLike,
+    pixel_size: float | tuple[float, float] | None = None,
+    *,
+    size: int = 7,
+    noise: float | None = None,
 ) -> Curvature:
     """Return mean and Gaussian curvature of a height map, with their standard errors.
 
     Parameters
     ----------
     height : array_like, shape (rows, cols)
-        Heights, µm, towards the viewer. NaN marks what is unknown.
-    pixel_size : float
-        Distance between neighboring pixels on the object, µm.
+        Heights, µm, towards the viewer. NaN marks what is unknown. An xarray.DataArray may have
+        another unit of length in ``attrs["units"]``.
+    pixel_size : float or tuple of float, optional
+        Distance between neighboring pixels on the object, µm; (x, y) where they are not square. By
+        default that of the coordinates of an xarray.DataArray.
     size : int
         Side of the windows, px, odd, at least 3. The scale of what is seen: a window of `size`
         smooths and differentiates over 2 `size` - 1 pixels.
     noise : float, optional
         Standard deviation of the heights, µm, independent from pixel to pixel. Without it the
         standard errors are NaN; a map does not tell its noise from fine relief or from noise that
-        neighbors share.
+        neighbors share. The rounding of the heights is taken as noise where it is larger.
 
     Returns
     -------
@@ -170,7 +177,13 @@ def surface_curvature(
     ------
     ValueError
         If the map is smaller than 2 `size` - 1 on a side or holds an infinity, `pixel_size` is
-        not positive, `noise` is negative, or `size` is not an odd whole number of at least 3.
+        not positive or not that of the coordinates, `noise` is negative, or `size` is not an odd
+        whole number of at least 3.
+
+    Warns
+    -----
+    UserWarning
+        If half of the map is steeper than 76°, as it is where heights and pixels differ in unit.
 
     Notes
     -----
@@ -198,9 +211,8 @@ def surface_curvature(
     (-0.01, 0.0001)
     """
     n = whole("size", size, least=3, odd=True)
-    pitch = scalar("pixel_size", pixel_size, above=0)
+    z, pitch_x, pitch_y = _in_micrometers(height, pixel_size)
     sigma = np.nan if noise is None else scalar("noise", noise, least=0)
-    z = as_map("height", height)
     if min(z.shape) < 2 * n - 1:
         raise ValueError(f"height must be at least {2 * n - 1} px on each side, got {z.shape}")
 
@@ -212,18 +224,23 @@ def surface_curvature(
     unknown = np.isnan(z)
     filled, border = np.where(unknown, 0.0, z), cv2.BORDER_REPLICATE
     zx, zy, zxx, zyy, zxy = (
-        cv2.sepFilter2D(filled, cv2.CV_64F, along_x, along_y, borderType=border) / pitch**order
-        for order, along_x, along_y in (
-            (1, slope, value),
-            (1, value, slope),
-            (2, second, value),
-            (2, value, second),
-            (2, slope, slope),
+        cv2.sepFilter2D(filled, cv2.CV_64F, along_x, along_y, borderType=border) / pitch
+        for pitch, along_x, along_y in (
+            (pitch_x, slope, value),
+            (pitch_y, value, slope),
+            (pitch_x**2, second, value),
+            (pitch_y**2, value, second),
+            (pitch_x * pitch_y, slope, slope),
         )
     )
     blind = cv2.dilate(unknown.astype(np.uint8), np.ones((2 * n - 1,) * 2, np.uint8)) > 0
     margin = n - 1
     blind[:margin], blind[-margin:], blind[:, :margin], blind[:, -margin:] = True, True, True, True
+    if not blind.all() and (steepness := float(np.median(np.hypot(zx, zy)[~blind]))) > 4:
+        warnings.warn(
+            f"half of height is steeper than {steepness:.3g}: is it in the unit of pixel_size, µm?",
+            stacklevel=2,
+        )
 
     steep = 1 + zx**2 + zy**2
     ex, ey = 1 + zx**2, 1 + zy**2
@@ -232,19 +249,64 @@ def surface_curvature(
 
     # Covariance of (zxx, zyy, zxy); the mixed window is odd in x and y and so uncorrelated with
     # the others.
-    scale = (sigma / pitch**2) ** 2
-    straight = scale * np.sum(second**2) * np.sum(value**2)
-    cross = scale * np.sum(second * value) ** 2
-    mixed = scale * np.sum(slope**2) ** 2
+    # A sum over 2n − 1 pixels a side is rounded by no more than this part of the heights.
+    rounding = (2 * n - 1) * _rounding(height) * np.abs(filled).max()
+    along_x, along_y = (np.maximum(sigma, rounding) / np.array([pitch_x, pitch_y]) ** 2) ** 2
+    straight_x, straight_y = np.sum(second**2) * np.sum(value**2) * np.array([along_x, along_y])
+    cross = np.sqrt(along_x * along_y) * np.sum(second * value) ** 2
+    mixed = np.sqrt(along_x * along_y) * np.sum(slope**2) ** 2
     mean_variance = (
-        straight * (ex**2 + ey**2) + 2 * cross * ex * ey + mixed * (2 * zx * zy) ** 2
+        straight_y * ex**2 + straight_x * ey**2 + 2 * cross * ex * ey + mixed * (2 * zx * zy) ** 2
     ) / (4 * steep**3)
     # To first order, less what noise alone puts into the squares, and never below the second order.
-    second_order = straight**2 + cross**2 + 2 * mixed**2
-    first_order = straight * (zxx**2 + zyy**2) + 2 * cross * zxx * zyy + 4 * mixed * zxy**2
+    second_order = straight_x * straight_y + cross**2 + 2 * mixed**2
+    first_order = straight_x * zyy**2 + straight_y * zxx**2
+    first_order += 2 * cross * zxx * zyy + 4 * mixed * zxy**2
     gaussian_variance = np.maximum(first_order - second_order, second_order) / steep**4
     fields = [mean, gaussian, np.sqrt(mean_variance), np.sqrt(gaussian_variance)]
     return Curvature(*(np.where(blind, np.nan, np.asarray(field)) for field in fields))
+
+
+def _in_micrometers(
+    height: Any, pixel_size: float | tuple[float, float] | None
+) -> tuple[Array, float, float]:
+    """Return heights and both sides of a pixel, in µm."""
+    z, own = as_map("height", height), [np.nan, np.nan]
+    if hasattr(height, "coords"):  # xarray's
+        z = z * _micrometers(height.attrs.get("units", "µm"))
+        own = [_step(height.coords[dim]) for dim in height.dims[::-1] if dim in height.coords]
+    labeled = len(own) == 2 and np.isfinite(own).all()
+    if pixel_size is None and not labeled:
+        raise ValueError("pixel_size must be given for a map without coordinates, got None")
+    sides = positive("pixel_size", own if pixel_size is None else pixel_size)
+    if sides.shape not in ((), (2,)):
+        raise ValueError(f"pixel_size must be a number or (x, y), got the shape {sides.shape}")
+    if labeled and not np.allclose(sides, own, rtol=0.01):
+        raise ValueError(f"pixel_size must be that of the coordinates, {own} µm, got {pixel_size}")
+    x, y = np.broadcast_to(sides, 2).tolist()
+    return z, x, y
+
+
+def _step(coordinate: Any) -> float:
+    """Return the distance of neighbors in µm; NaN where a coordinate only numbers the pixels."""
+    steps, unit = np.diff(coordinate.values), coordinate.attrs.get("units")
+    if steps.size == 0 or (unit is None and (steps == 1).all()):
+        return np.nan
+    if not np.allclose(steps, steps[0], rtol=1e-3):
+        raise ValueError(f"height must have evenly spaced coordinates, got {coordinate.name}")
+    return float(abs(steps.mean())) * _micrometers("µm" if unit is None else unit)
+
+
+def _micrometers(unit: object) -> float:
+    if str(unit) not in MICROMETERS:
+        raise ValueError(f"height must be in a unit of length, got {unit}")
+    return MICROMETERS[str(unit)]
+
+
+def _rounding(height: Any) -> float:
+    """Return the relative rounding of the numbers of a map."""
+    kind = np.asarray(height).dtype
+    return float(np.finfo(kind if kind.kind == "f" else float).eps)
 
 
 def hk_labels(
@@ -305,7 +367,9 @@ def hk_labels(
             raise ValueError("gaussian must be left out beside a Curvature, got both")
         curved = mean
         mean, gaussian = curved.mean, curved.gaussian
-        if (h_zero is None or k_zero is None) and np.isnan(curved.mean_error).all():
+        known = np.isfinite(curved.mean)
+        unsure = known.any() and np.isnan(curved.mean_error[known]).all()
+        if (h_zero is None or k_zero is None) and unsure:
             raise ValueError(
                 "mean must have errors where h_zero or k_zero is left out, got a Curvature "
                 "without: give surface_curvature the noise of the heights"

@@ -2,6 +2,7 @@
 
 from microlib._common._checks import (
     MEASURED,
+    MICROMETERS,
     ArgumentError,
     as_array,
     as_image,

@@ -15,6 +15,15 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from microlib._common._types import Array, Region
 
+#: µm in the units that OME and ImageJ name; what is not here has no size, such as "pixel", or is a
+#: printer's, such as "inch".
+MICROMETERS = {
+    **dict.fromkeys(("nm", "nanometer"), 1e-3),
+    **dict.fromkeys(("µm", "μm", "um", "\\u00b5m", "micron", "microns", "micrometer"), 1.0),
+    **dict.fromkeys(("mm", "millimeter"), 1e3),
+    **dict.fromkeys(("cm", "centimeter"), 1e4),
+    **dict.fromkeys(("m", "meter"), 1e6),
+}
 #: What is measured under a light microscope lies between these; in another unit it does not.
 MEASURED = {
     "µN": (1e-3, 1e6),
@@ -108,6 +117,8 @@ def check_bounds(
 
 def as_map(name: str, value: ArrayLike) -> Array:
     """Return a map, shape (rows, cols), whose values are finite, or NaN where they are unknown."""
+    if isinstance(value, np.ma.MaskedArray):
+        raise ArgumentError(name, "must be without a mask: give its .filled(np.nan), as float")
     array = as_array(name, value, shape=(None, None), finite=False)
     if count := int(np.isinf(array).sum()):
         raise ArgumentError(name, f"must be finite or NaN, got {count} infinite")

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, Tidy, as_array, of_kind, same_length, scalar
+from microlib._common import MICROMETERS, Array, Tidy, as_array, of_kind, same_length, scalar
 from microlib.embryo._dimple import DimpleGeometry, dimple_geometry, residual_variance
 from microlib.embryo._gaussian_sum import GaussianSum, fit_gaussians
 from microlib.embryo._loess import loess
@@ -27,8 +27,6 @@ from microlib.embryo._probe import MAD_TO_STD
 SPANS = (0.15, 0.25, 0.35)
 #: Points that eight Gaussians of three numbers each need.
 _FEWEST = 24
-#: µm in each unit that the name of a column may have.
-_UNITS = {"um": 1.0, "µm": 1.0, "μm": 1.0, "mm": 1e3, "nm": 1e-3}
 
 
 class OutlineTable(NamedTuple):
@@ -128,9 +126,9 @@ def _columns(path: object, names: list[str]) -> tuple[tuple[int, int], float | N
     for across, up in (("x", "y"), ("col", "row"), ("column", "row")):
         if across in known and up in known:
             (first, unit), (second, other) = known[across], known[up]
-            if _UNITS.get(unit) != _UNITS.get(other):
+            if MICROMETERS.get(unit) != MICROMETERS.get(other):
                 raise ValueError(f"{path} must have x and y in one unit, got {unit} and {other}")
-            return (first, second), _UNITS.get(unit), up == "row"
+            return (first, second), MICROMETERS.get(unit), up == "row"
     raise ValueError(f"{path} must have the columns x and y, or col and row, got {names}")
 
 

@@ -10,9 +10,8 @@ import numpy as np
 import tifffile
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import SOFTWARE, as_array, of_kind, replace_file, scalar
+from microlib._common import MICROMETERS, SOFTWARE, as_array, of_kind, replace_file, scalar
 from microlib.io._frames import read_frames
-from microlib.io._metadata import MICROMETERS
 
 
 def read_grey(path: str | PathLike[str]) -> NDArray:

@@ -9,18 +9,8 @@ from xml.etree.ElementTree import ParseError
 import numpy as np
 import tifffile
 
-from microlib._common import Array
+from microlib._common import MICROMETERS, Array
 from microlib.io._source import Choice
-
-#: µm in the units that OME and ImageJ name; what is not here has no size, such as "pixel", or is a
-#: printer's, such as "inch".
-MICROMETERS = {
-    **dict.fromkeys(("nm", "nanometer"), 1e-3),
-    **dict.fromkeys(("µm", "μm", "um", "\\u00b5m", "micron", "microns", "micrometer"), 1.0),
-    **dict.fromkeys(("mm", "millimeter"), 1e3),
-    **dict.fromkeys(("cm", "centimeter"), 1e4),
-    **dict.fromkeys(("m", "meter"), 1e6),
-}
 
 
 def tiff_scale(
