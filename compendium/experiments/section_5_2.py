@@ -88,15 +88,14 @@ def photograph(column: str, seed: int | list[int], draws: int) -> Photograph:
         errors = np.concatenate([errors, off[order].reshape(-1, corners, 2)])
         images.append((image, found, world, order))
     image, found, world, order = images[0]
-    known: dict[str, Any] = SENSOR | ({"groups": found.group} if corners > 1 else {})
     f = thesis.table_5_1(column, "f")
     with_f, without_f = [], []
     for _ in range(draws):
         seen = scope.project(world)
         chosen = rng.integers(len(errors), size=len(world) // corners)
         seen[order] += errors[chosen].reshape(-1, 2)
-        with_f.append(calibrate(world, seen, focal_length=f, **known))
-        without_f.append(calibrate(world, seen, **known))
+        with_f.append(calibrate(world, seen, focal_length=f, **SENSOR))
+        without_f.append(calibrate(world, seen, **SENSOR))
     return Photograph(image, found, world, errors.reshape(-1, 2), len(images), with_f, without_f)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from compendium import run
+from compendium import execution
 
 ROOT = Path(__file__).resolve().parents[2]
 SEEDS = (11, 12, 13, 14, 15)
@@ -19,5 +19,6 @@ CHAPTERS = sorted((ROOT / "notebooks").glob("0[235]_*.ipynb"))
 def test_a_chapter_passes_with_another_seed(path: Path, seed: int, tmp_path: Path) -> None:
     """No check, assertion or sentence of the notebook is the luck of its own seed."""
     values = {"record": str(tmp_path / "record.json"), "seed": seed}
-    message, passed = run.execute(path, tmp_path / path.name, values, ROOT)
+    log = tmp_path / "log.txt"
+    message, passed = execution.execute(path, tmp_path / path.name, values, ROOT, log=log)
     assert passed, message
