@@ -215,6 +215,23 @@ def test_calibrate_finds_the_microscope(tmp_path: Path, capsys: Told) -> None:
     assert is_look(tmp_path / "look.png")
 
 
+def test_the_matrix_and_the_scale_need_no_size_of_a_cell(tmp_path: Path, capsys: Told) -> None:
+    line = "calibrate circles.png --pitch 280"
+    assert status(f"{line} --focal-length 126150", tmp_path / "no") == 2
+    assert "give --cell µm" in capsys.readouterr().err
+    assert status(line, tmp_path / "a") == 0
+    assert "lengths in the camera are in cells of its sensor" in capsys.readouterr().err
+    assert status(f"{line} --cell 9.9", tmp_path / "b") == 0
+    assert "in cells" not in capsys.readouterr().err
+    one, other = (json.loads((tmp_path / name / "camera.json").read_text()) for name in "ab")
+    # Two fits from different starts of f, which one plane hardly determines.
+    np.testing.assert_allclose(
+        one["micro_manager"]["PixelSizeUm"], other["micro_manager"]["PixelSizeUm"], rtol=1e-6
+    )
+    for key in ("camera_matrix", "rotation_vectors"):
+        np.testing.assert_allclose(one["opencv"][key], other["opencv"][key], rtol=1e-4, atol=1e-7)
+
+
 def board(tilt: float, fields: tuple[int, int] = (9, 7)) -> np.ndarray:
     """Draw a chessboard of fields of 40 px in 400×520 px, seen from aside."""
     dark = np.indices(fields[::-1]).sum(axis=0) % 2 * 200 + 30

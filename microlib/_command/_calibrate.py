@@ -34,7 +34,11 @@ def run(a: argparse.Namespace) -> Files:
     from microlib.calibration import calibrate, detect_pattern
     from microlib.io import image_files, read_grey
 
-    settle(a, "pitch", "cell", *(["focal_length"] if a.focal_length is not None else []))
+    given = [name for name in ("cell", "focal_length") if getattr(a, name) is not None]
+    # A focal length in µm needs the size of a cell.
+    settle(a, "pitch", *(sorted({"cell", *given}) if given else []))
+    if not given:
+        a.note("without --cell, lengths in the camera are in cells of its sensor, not in µm")
     paths = [home_path(name) for name in a.source]
     photos = [file for path in paths for file in ([path] if path.is_file() else image_files(path))]
     a.protect(photos)
@@ -51,7 +55,7 @@ def run(a: argparse.Namespace) -> Files:
     if not seen:
         raise ValueError(fault + f"; so {len(photos)} photographs" * (len(photos) > 1))
     images, views = zip(*seen.values(), strict=True)
-    result = calibrate(views, pitch=a.pitch, pixel_size=a.cell, focal_length=a.focal_length)
+    result = calibrate(views, pitch=a.pitch, pixel_size=a.cell or 1.0, focal_length=a.focal_length)
     _advise(a, result, views)
     tables = [found.to_frame().assign(photo=photo) for photo, (_, found) in seen.items()]
     yield "points.csv", text(pd.concat(tables).set_index("photo").to_csv(lineterminator="\n"))
