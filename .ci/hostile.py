@@ -247,7 +247,10 @@ def wrong_parameters(clone: Path) -> str:
     for arguments, words in (
         (["-p", "force", "1", "-p", "force", "2"], "force must be given once"),
         (["-p", "outline", "missing.csv"], "outline must name a file, got missing.csv"),
-        (["-p", "force", "-1", "--output", "mine"], "force must be a finite number > 0 or None, got -1"),
+        (
+            ["-p", "force", "-1", "--output", "mine"],
+            "force must be a finite number > 0 or None, got -1",
+        ),
     ):
         done = run(clone, "07_guide_modulus", *arguments)
         assert done.returncode == 1

@@ -183,10 +183,14 @@ def tables(certificate: dict) -> str:
         ("SHA-256 of", "Value"): certificate["sha256"].items(),
         ("Notebook", "Interpreter", "Run time (s)", "Checks passed"): runs,
     }
-    return "\n".join(
-        pd.DataFrame(rows, columns=[*head]).to_html(index=False, border=0)
+    texts = [
+        pd.DataFrame(rows, columns=[*head]).to_html(
+            index=False, border=0, classes="table", justify="left"
+        )
         for head, rows in shown.items()
-    )
+    ]
+    # As the theme writes tables, which can then be scrolled on a phone.
+    return "".join(f'<div class="pst-scrollable-table-container">{text}</div>\n' for text in texts)
 
 
 def main(folder: Path) -> None:

@@ -26,8 +26,9 @@ from compendium import MISSING, ROOT, run
 
 STRICT = ("--warningiserror", "--nitpick", "--keep-going", "--quiet")
 PLACEHOLDER = (
-    '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 320 60" width="320">'
-    f'<text x="160" y="35" text-anchor="middle" fill="#B34700">{MISSING}</text></svg>'
+    '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 400 60" width="400">'
+    '<text x="200" y="38" font-size="24" text-anchor="middle" fill="#B34700">'
+    f"{MISSING}</text></svg>"
 )
 
 

@@ -105,7 +105,7 @@ def states() -> dict[str, dict[str, object]]:
 def draw(state: dict) -> str:
     """Return the drawing of one choice; the script changes what has a ``data-part``."""
     printed = ledger.claim("table-5.6/E")
-    at, left, right, band = on_axis(printed.value), FIRST, FIRST + 3 * DECADE, MISSING
+    at, left, right, band = on_axis(printed.value), *[FIRST + 1.5 * DECADE] * 2, MISSING
     ends = [records().get(f"5.6/E-{end}") for end in ("wide", "thin")]
     if all(ends):
         left, right = (on_axis(end.value) for end in ends)
