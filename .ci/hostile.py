@@ -16,6 +16,7 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Callable, Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from time import monotonic, sleep
 
@@ -284,6 +285,31 @@ def jupyter_works_in_the_folder_of_notebooks(clone: Path) -> str:
     assert not (clone / "notebooks" / "build").exists()
     assert (clone / "build" / "guides" / "modulus" / "modulus.csv").exists()
     return "two notebooks ran, and left nothing among the notebooks"
+
+
+@slow
+def servoing_is_interrupted(clone: Path) -> str:
+    """The demo microscope, with a stage that needs a minute for the run."""
+    if find_spec("pymmcore_plus") is None:
+        return "not tried, since Micro-Manager's engine is not installed (make extras)"
+    import pymmcore_plus
+
+    demo = Path(pymmcore_plus.find_micromanager() or "") / "MMConfig_demo.cfg"
+    more = "\nProperty,Camera,Mode,Fluorescent Beads\nProperty,XY,Velocity,5\n"
+    (clone / "slow.cfg").write_text(demo.read_text(encoding="utf-8") + more, encoding="utf-8")
+    values = {"configuration": "slow.cfg", "box": "[220, 220, 64, 64]", "travel": "150"}
+    values |= {"targets": "[[30, 0], [0, 0]]", "out": "mine"}
+    words = [word for name, value in values.items() for word in ("-p", name, value)]
+    command = [sys.executable, "-m", "compendium.run", "07_guide_servoing", *words]
+    with subprocess.Popen(command, cwd=clone, stdout=subprocess.DEVNULL) as running:
+        wait_for(clone / "mine")  # which the guide makes before it starts
+        sleep(15)
+        running.send_signal(signal.SIGTERM)
+        start = monotonic()
+    assert running.returncode == 130, running.returncode
+    log = (clone / "mine" / "log.csv").read_text(encoding="utf-8").splitlines()
+    assert "interrupted by the user" in log[-1], log[-1]
+    return f"stopped and logged {len(log) - 1} frames within {monotonic() - start:.0f} s"
 
 
 @slow

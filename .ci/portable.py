@@ -3,8 +3,8 @@
 Two sets of switches take instructions away from the libraries: all beyond SSE4.2, and AVX-512. Each
 set first has to prove that it acts: a product of matrices, exponentials, a blur and the C library's
 functions, hashed to the last bit, come out otherwise. Then everything runs under it, in a copy
-without caches. ``--quick`` runs a part of the tests of every room under the first set, another part
-for each commit.
+without caches. ``--quick`` runs a part of the tests of every package under the first set, another
+part for each commit.
 """
 
 from __future__ import annotations
@@ -51,21 +51,21 @@ found = {
 for name, arrays in found.items():
     print(hashlib.sha256(b"".join(x.tobytes() for x in arrays)).hexdigest()[:8], name)
 """
-#: One test in so many is a part of a room, and at least so many are.
+#: One test in so many is a part of a package, and at least so many are.
 ONE_IN, LEAST = 16, 3
 
 
 def pytest_collection_modifyitems(config: Any, items: list[Any]) -> None:
-    """Keep a part of each room's tests; ``--quick`` names this file to pytest as a plugin."""
-    rooms: dict[str, list[Any]] = {}
+    """Keep a part of each package's tests; ``--quick`` names this file to pytest as a plugin."""
+    packages: dict[str, list[Any]] = {}
     for item in items:
         # What looks at the built book is not sensitive, and the copy has no book.
         if not {"html", "claims_folder"} & set(item.fixturenames):
-            rooms.setdefault(item.nodeid.removeprefix("tests/").split("/")[0], []).append(item)
+            packages.setdefault(item.nodeid.removeprefix("tests/").split("/")[0], []).append(item)
     kept = []
-    for room, tests in rooms.items():
+    for package, tests in packages.items():
         count = min(len(tests), max(LEAST, len(tests) // ONE_IN))
-        kept += random.Random(f"{os.environ['PART']} {room}").sample(tests, count)
+        kept += random.Random(f"{os.environ['PART']} {package}").sample(tests, count)
     config.hook.pytest_deselected(items=[item for item in items if item not in kept])
     items[:] = [item for item in items if item in kept]
 

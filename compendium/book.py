@@ -80,9 +80,8 @@ def mark_failure(made: Path, page: Path, message: str) -> None:
     source = ROOT / "notebooks" / made.name
     notebook = nbformat.read(made if made.exists() else source, as_version=4)
     when = run.read_status(made.stem).get("when", "")
-    text = (
-        f"**Not computed.** In this build the notebook of this page failed{when and f' ({when})'}:"
-    )
+    after = f" ({when})" if when else ""
+    text = f"**Not computed.** The notebook of this page did not run to its end{after}:"
     note = f"\n\n:::{{error}}\n{text}\n\n```text\n{message}\n```\n:::\n"
     first = notebook.cells[0]
     first.source = re.sub(

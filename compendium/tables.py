@@ -50,7 +50,7 @@ def as_printed(name: str) -> HTML:
         cells = "".join(
             _cell(one, found.get(one.id, ""), layout.get("named", False)) for one in entries
         )
-        label = row.get("label", entries[0].says)
+        label = row.get("label", escape(entries[0].says))
         rows += f'<tr><th scope="row">{label}</th>{cells}</tr>'
     head = "".join(f'<th scope="col">{text}</th>' for text in layout["columns"])
     verdicts = {one.verdict for one in claims}

@@ -181,7 +181,7 @@ class VerdictMap(SphinxDirective):
             for verdict, star in product(ORDER, ("unstarred", "starred")):
                 if count := counts[part, verdict, star]:
                     query = urlencode({"verdict": verdict, "star": star, "part": part.split()[0]})
-                    said = f"{part}: {count} {verdict}, {star}"
+                    said = escape(f"{part}: {count} {verdict}, {star}")
                     pieces += (
                         f'<a class="verdict-{verdict.replace(" ", "-")} {star}" '
                         f'style="flex-grow: {count}" href="{page}?{escape(query)}" '
@@ -275,8 +275,12 @@ class Differences(SphinxDirective):
                 if not claim.printed:
                     needed = f"{claim.limit} {claim.unit}".rstrip()
                     thesis = f"It says: {claim.says}, which needs a number {needed}."
-                text = f"- **{claim.what}** ({claim.where}). {{verdict}}`{claim.id}` {thesis} "
-                text += f"Recomputed: {{recomputed}}`{claim.id}`. {claim.note}"
+                what, where, thesis, note = (
+                    escape(text, quote=False)
+                    for text in (claim.what, claim.where, thesis, claim.note)
+                )
+                text = f"- **{what}** ({where}). {{verdict}}`{claim.id}` {thesis} "
+                text += f"Recomputed: {{recomputed}}`{claim.id}`. {note}"
                 lines[claim.cause].append(text)
         parts = {name: section(f"cause-{name}", causes[name]["title"]) for name in lines}
         return [parse_lines(self, lines[name], part) for name, part in parts.items()]

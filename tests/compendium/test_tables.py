@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import re
+from dataclasses import replace
 from html import unescape
+from xml.etree import ElementTree as ET
 
 import pytest
+from book_tables import script_json
 
 from compendium import ledger
-from compendium.tables import SIGNS, as_printed
+from compendium.tables import SIGNS, as_printed, verdict_link
 
 #: Rows and columns of each table; row, column and number of a cell, with what leads to it.
 PRINTED = {
@@ -59,3 +63,14 @@ def test_a_table_that_was_not_checked_is_refused() -> None:
         as_printed("table-5.7")
     with pytest.raises(ValueError, match=r"name must be one of table-3.1, .*got 'table-9.9'"):
         as_printed("table-9.9")
+
+
+def test_texts_of_a_claim_are_no_markup() -> None:
+    """Neither in HTML nor in a script, which a text may not end."""
+    wrong = "</script><b title='x'>\"&"
+    claim = replace(ledger.claim("table-5.6/E"), what=wrong)
+    html = verdict_link(claim, "agrees", up="../")
+    assert ET.fromstring(html).get("title") == f"{wrong}: {claim.label}"
+    text = script_json({"unit": wrong})
+    assert "<" not in text
+    assert json.loads(text) == {"unit": wrong}
