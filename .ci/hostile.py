@@ -298,16 +298,18 @@ def servoing_is_interrupted(clone: Path) -> str:
     more = "\nProperty,Camera,Mode,Fluorescent Beads\nProperty,XY,Velocity,5\n"
     (clone / "slow.cfg").write_text(demo.read_text(encoding="utf-8") + more, encoding="utf-8")
     values = {"configuration": "slow.cfg", "box": "[220, 220, 64, 64]", "travel": "150"}
-    values |= {"targets": "[[30, 0], [0, 0]]", "out": "mine"}
+    values |= {"targets": "[[30, 0], [0, 0]]", "out": "results"}
     words = [word for name, value in values.items() for word in ("-p", name, value)]
     command = [sys.executable, "-m", "compendium.run", "07_guide_servoing", *words]
     with subprocess.Popen(command, cwd=clone, stdout=subprocess.DEVNULL) as running:
-        wait_for(clone / "mine")  # which the guide makes before it starts
-        sleep(15)
+        wait_for(clone / "results")  # which is made before the kernel starts
+        (clone / "results").rmdir()
+        wait_for(clone / "results")  # and by the guide, before it steers
+        sleep(8)
         running.send_signal(signal.SIGTERM)
         start = monotonic()
     assert running.returncode == 130, running.returncode
-    log = (clone / "mine" / "log.csv").read_text(encoding="utf-8").splitlines()
+    log = (clone / "results" / "log.csv").read_text(encoding="utf-8").splitlines()
     assert "interrupted by the user" in log[-1], log[-1]
     return f"stopped and logged {len(log) - 1} frames within {monotonic() - start:.0f} s"
 
