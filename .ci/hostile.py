@@ -289,13 +289,13 @@ def jupyter_works_in_the_folder_of_notebooks(clone: Path) -> str:
 
 @slow
 def servoing_is_interrupted(clone: Path) -> str:
-    """The demo microscope, with a stage that needs a minute for the run."""
+    """The demo microscope, with frames that take a second each."""
     if find_spec("pymmcore_plus") is None:
         return "not tried, since Micro-Manager's engine is not installed (make extras)"
     import pymmcore_plus
 
     demo = Path(pymmcore_plus.find_micromanager() or "") / "MMConfig_demo.cfg"
-    more = "\nProperty,Camera,Mode,Fluorescent Beads\nProperty,XY,Velocity,5\n"
+    more = "\nProperty,Camera,Mode,Fluorescent Beads\nProperty,Camera,Exposure,1000\n"
     (clone / "slow.cfg").write_text(demo.read_text(encoding="utf-8") + more, encoding="utf-8")
     values = {"configuration": "slow.cfg", "box": "[220, 220, 64, 64]", "travel": "150"}
     values |= {"targets": "[[30, 0], [0, 0]]", "out": "results"}
