@@ -1,7 +1,6 @@
-"""microlib beside its peers on photographs and films that others took (``data/real``).
+"""microlib beside OpenCV and scikit-image on photographs and films by others (``data/real``).
 
-Run as ``python -m benchmarks real``; takes some minutes. No truth is known. trackpy is
-measured if it is installed, which it need not be.
+Run as ``python -m benchmarks real``; takes some minutes. No truth is known.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from microlib.io import read_frames, read_grey
 from microlib.tracking import track_all
 
 REAL = Path(__file__).resolve().parents[1] / "data" / "real"
-TOOLS = ["microlib", "OpenCV", "scikit-image", "other"]
+TOOLS = ["microlib", "OpenCV", "scikit-image", "SML"]
 #: Middles of the five beads in the first frame, px.
 MIDDLES = ((200, 24), (242, 128), (345, 114), (25, 290), (226, 364))
 
@@ -53,7 +52,7 @@ def depths(frames: NDArray, step: float) -> dict[str, NDArray]:
         "microlib": depth_from_focus(frames, **options).depth,
         "OpenCV": step * np.argmax(sharp, axis=0),
         "scikit-image": step * np.argmax(edges, axis=0),
-        "other": depth_from_focus(frames, **options, measure="sml", window=5).depth,
+        "SML": depth_from_focus(frames, **options, measure="sml", window=5).depth,
     }
 
 
@@ -138,17 +137,6 @@ def registered(first: NDArray, image: NDArray) -> NDArray:
     return np.asarray(move[:, 2])
 
 
-def ring(image: NDArray, place: NDArray) -> NDArray:
-    """Return the center that trackpy finds next to a place, (x, y) px; NaN if it is missing."""
-    try:
-        from trackpy.locate_functions import locate_brightfield_ring
-    except ImportError:
-        return np.full(2, np.nan)
-    part, corner = cut(image, place, 30)
-    found = corner + locate_brightfield_ring(part, 21, processes=1)[["x", "y"]].to_numpy()
-    return np.asarray(found[np.linalg.norm(found - place, axis=1).argmin()])
-
-
 def beads() -> dict[str, dict[str, float]]:
     film = list(read_frames(str(REAL / "beads")))
     paths: dict[str, list[list[NDArray]]] = {}
@@ -156,7 +144,7 @@ def beads() -> dict[str, dict[str, float]]:
         track = track_all(film, (x - 16, y - 16, 33, 33), "translation")
         ours = track[["center_x", "center_y"]].to_numpy()
         template = cut(film[0], np.array([x, y]), 16)[0]
-        ways: dict[str, list[NDArray]] = {name: [] for name in TOOLS}
+        ways: dict[str, list[NDArray]] = {name: [] for name in TOOLS[:3]}
         ways["microlib"] += list(ours)
         for frame, place in zip(film, ours, strict=True):
             part, corner = cut(frame, place, (len(template) - 1) // 2)
@@ -166,7 +154,6 @@ def beads() -> dict[str, dict[str, float]]:
             disc, corner = cut(frame, place, 14)
             weight = np.abs(disc - np.median(frame))
             ways["scikit-image"].append(corner + centroid(weight)[::-1])
-            ways["other"].append(ring(frame, place))
         for name, way in ways.items():
             paths.setdefault(name, []).append(way)
     every = {name: np.array(way) for name, way in paths.items()}
@@ -179,7 +166,7 @@ def beads() -> dict[str, dict[str, float]]:
         "beads: path beside microlib's, rms (px)": {
             name: apart.get(frozenset(("microlib", name)), np.nan) for name in centered
         },
-        "beads: path beside the nearest of the other three, rms (px)": {
+        "beads: path beside the nearer of the other two, rms (px)": {
             name: min(off for pair, off in apart.items() if name in pair) for name in centered
         },
     }
@@ -191,15 +178,14 @@ photographs of the board two by two pixels are one. microlib takes colors as wel
 
 - *Board*: OpenCV aligns by `findTransformECC` (affine), scikit-image by `phase_cross_correlation`
   (shifts alone, though the scale changes). Each pixel has the frame of the largest Laplacian or
-  Sobel edge, averaged with σ = 3 px. *Other* is the sum-modified-Laplacian of the thesis with
-  windows of 5 px, in microlib. Odd and even count as apart from 2 frames on, so that whole frames
+  Sobel edge, averaged with σ = 3 px. *SML* is the sum-modified-Laplacian of the thesis with windows
+  of 5 px, in microlib. Odd and even count as apart from 2 frames on, so that whole frames
   cost nothing.
 - *Chessboard*: microlib finds chessboards by OpenCV's `findChessboardCornersSB`. Beside it are
   `cornerSubPix` and scikit-image's `corner_subpix`, with windows of 11 px, from the same corners
   rounded to pixels.
 - *Beads*: OpenCV registers the first picture of a bead by `findTransformECC`, scikit-image takes
-  the `centroid` of what differs from the ground, *other* is `locate_brightfield_ring` of
-  trackpy 0.7. Each path is taken beside its mean.
+  the `centroid` of what differs from the ground. Each path is taken beside its mean.
 """
 
 

@@ -1,1 +1,1 @@
-"""Faults planted on purpose: do the tests, the checks and an interrupted run notice them?"""
+"""Faults planted on purpose: do the checks of the ledger notice them?"""

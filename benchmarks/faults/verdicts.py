@@ -26,10 +26,11 @@ from queue import Queue
 
 import nbformat
 
-from benchmarks.faults.planted import NOT_COPIED, ROOT
 from compendium import ledger
 
+ROOT = Path(__file__).resolve().parents[2]
 FAULTS = Path(__file__).with_name("verdicts.toml")
+NOT_COPIED = (".*", "__pycache__", "build", "*.egg-info")
 
 
 @dataclass(frozen=True)
