@@ -50,9 +50,8 @@ def _ome(text: str, name: str, count: int, choice: Choice) -> tuple[float | None
     wanted = choice.get("channel", 0), choice.get("time", 0)
     planes = [each for each in planes if (each.get("TheC", 0), each.get("TheT", 0)) == wanted]
     planes.sort(key=lambda plane: plane.get("TheZ", 0))
-    units = [plane.get("PositionZUnit") for plane in planes]
-    lengths = (plane.get("PositionZ") for plane in planes)
-    positions = np.array([_length(z, u or "µm") for z, u in zip(lengths, units, strict=True)])
+    stated = [(plane.get("PositionZ"), plane.get("PositionZUnit")) for plane in planes]
+    positions = np.array([_length(value, unit or "µm") for value, unit in stated])
     gaps = np.diff(positions)
     complete = [plane.get("TheZ", 0) for plane in planes] == list(range(count)) and count > 1
     if not complete or not ((gaps > 0).all() or (gaps < 0).all()):
@@ -60,7 +59,7 @@ def _ome(text: str, name: str, count: int, choice: Choice) -> tuple[float | None
     apart = float(abs(gaps.mean()))
     agree = abs(apart - z) <= 0.1 * z
     # Without a unit, OME's positions are in one of the microscope's own.
-    used = positions if agree or all(units) else steps
+    used = positions if agree or all(unit for _, unit in stated) else steps
     if steps is not None and not agree:
         which = "former" if used is positions else "latter"
         both = f"positions of planes {apart:g} µm apart and a spacing of {z:g} µm"

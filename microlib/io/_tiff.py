@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -23,8 +23,8 @@ _KNOWN = ("MINISWHITE", "MINISBLACK", "RGB", "YCBCR", "PALETTE")
 #: A damaged page of these decodes to garbage in tifffile and imagecodecs, libtiff rejects it.
 _UNCHECKED = ("LZW", "PACKBITS", "JPEG", "OJPEG")
 
-#: Returns a frame; its argument opens a file as Pillow does.
-_Read = Callable[[Callable[[str], Image.Image]], NDArray]
+#: Opens a file as Pillow does.
+_Opener = Callable[[str], Image.Image]
 
 
 def is_tiff(path: Path) -> bool:
@@ -50,7 +50,7 @@ def tiff_source(path: Path, choice: Choice) -> Source:
         If the file has channels or more axes than one, is cut off, or has fewer pages than it says.
     """
     with reading(f"frames cannot be read from {path}"), tifffile.TiffFile(path) as tiff:
-        reads, axis = _in_order(tiff, choice)
+        reads, axis = _in_order(tiff, choice, Image.open)
         for number, page in enumerate(tiff.pages):
             with reading(f"page {number} of {path} cannot be read"):
                 _check_end(page.aspage())
@@ -65,21 +65,23 @@ def tiff_frames(path: Path, choice: Choice, *, alone: bool = False) -> Named:
     With `alone` those of this file, though its OME metadata may describe others as well.
     """
     with ExitStack() as opened:
-        with reading(f"frames cannot be read from {path}"):
-            tiff = tifffile.TiffFile(path, is_ome=False if alone else None)
-            reads, _ = _in_order(opened.enter_context(tiff), choice)
 
         @functools.cache
-        def picture(file: str) -> Image.Image:
+        def opener(file: str) -> Image.Image:
             return opened.enter_context(Image.open(file))
 
+        with reading(f"frames cannot be read from {path}"):
+            tiff = tifffile.TiffFile(path, is_ome=False if alone else None)
+            reads, _ = _in_order(opened.enter_context(tiff), choice, opener)
         for number, read in enumerate(reads):
             with reading(f"page {number} of {path} cannot be read"):
-                image = read(picture)
+                image = read()
             yield f"page {number} of {path}", image
 
 
-def _in_order(tiff: tifffile.TiffFile, choice: Choice) -> tuple[list[_Read], str]:
+def _in_order(
+    tiff: tifffile.TiffFile, choice: Choice, opener: _Opener
+) -> tuple[list[Callable[[], NDArray]], str]:
     """Return one function a frame that reads it, and the letter of the axis of frames."""
     if len(tiff.pages) == 0:
         raise ValueError("it holds no page")
@@ -90,13 +92,14 @@ def _in_order(tiff: tifffile.TiffFile, choice: Choice) -> tuple[list[_Read], str
     if not found or (len(found) > 1 and any(each.axes not in ("YX", "YXS") for each in found)):
         shapes = ", ".join(f"{each.axes} {tuple(each.shape)}" for each in tiff.series[:5])
         raise ValueError(f"it holds {len(tiff.series)} series of images ({shapes}): choose one")
-    reads: list[_Read] = []
+    reads: list[Callable[[], NDArray]] = []
     total = 0
     for series in found:
         leading = len(series.axes) - len(series.keyframe.axes)
         indices, axis = frame_indices(series.axes[:leading], series.shape[:leading], choice)
         numbers = np.arange(math.prod(series.shape[:leading])).reshape(series.shape[:leading])
-        reads += _reads(tiff, series, [int(numbers[k]) for k in indices])
+        frames = _frames(tiff, series, opener)
+        reads += [frames[int(numbers[k])] for k in indices]
         total += numbers.size
     told = (tiff.imagej_metadata or {}).get("images", total)
     if told != total or (total < len(tiff.pages) and "series" not in choice):
@@ -107,37 +110,33 @@ def _in_order(tiff: tifffile.TiffFile, choice: Choice) -> tuple[list[_Read], str
 
 def _check_chain(tiff: tifffile.TiffFile) -> None:
     """Reject a file whose last page names the place of another one, which cannot be read."""
-    layout, file = tiff.tiff, tiff.filehandle
-    file.seek(tiff.pages[-1].offset)
+    layout, file, offset = tiff.tiff, tiff.filehandle, tiff.pages[-1].offset
+    if not offset:  # of frames without a directory of their own
+        return
+    file.seek(offset)
     (tags,) = struct.unpack(layout.tagnoformat, file.read(layout.tagnosize))
     file.seek(tags * layout.tagsize, 1)
     if any(file.read(layout.offsetsize)):
         raise ValueError(f"it is damaged behind page {len(tiff.pages) - 1}")
 
 
-def _reads(
-    tiff: tifffile.TiffFile, series: tifffile.TiffPageSeries, numbers: Sequence[int]
-) -> list[_Read]:
+def _frames(
+    tiff: tifffile.TiffFile, series: tifffile.TiffPageSeries, opener: _Opener
+) -> list[Callable[[], NDArray]]:
     frame = series.keyframe.shape
     count = math.prod(series.shape) // math.prod(frame)
     pages = [page for page in series.pages if page is not None]
     if len(pages) == count:
-        return [partial(_page, pages[k]) for k in numbers]
+        return [partial(_page, page, opener) for page in pages]
     if series.dataoffset is None:
         others = " (the rest in files that must lie beside it)" if tiff.is_ome else ""
         raise ValueError(f"its metadata tell of {count} pages, it holds {len(pages)}{others}")
     # Beyond 4 GB, ImageJ describes only the first page; the others follow it without a gap.
     stored = tifffile.memmap(tiff.filehandle.path, mode="r").reshape(count, *frame)
-    return [partial(_copied, stored[k], series.dtype) for k in numbers]
+    return [partial(np.array, values, series.dtype) for values in stored]
 
 
-def _copied(values: NDArray, dtype: np.dtype, _: object) -> NDArray:
-    return np.array(values, dtype)
-
-
-def _page(
-    entry: tifffile.TiffPage | tifffile.TiffFrame, picture: Callable[[str], Image.Image]
-) -> NDArray:
+def _page(entry: tifffile.TiffPage | tifffile.TiffFrame, opener: _Opener) -> NDArray:
     """Return a page's values; one that ends after the file does is refused, not padded."""
     page = entry.aspage()
     _check_end(page)
@@ -148,7 +147,7 @@ def _page(
     closed = file.closed  # as are the other files of a set
     file.open()
     try:
-        image = _decoded(page, picture)
+        image = _decoded(page, opener)
     finally:
         if closed:
             file.close()
@@ -168,18 +167,18 @@ def _check_end(page: tifffile.TiffPage) -> None:
         raise ValueError("the file is cut off")
 
 
-def _decoded(page: tifffile.TiffPage, picture: Callable[[str], Image.Image]) -> NDArray:
+def _decoded(page: tifffile.TiffPage, opener: _Opener) -> NDArray:
     """Return a page's values by tifffile, or by Pillow where tifffile cannot read or check them."""
     codec = getattr(page.compression, "name", str(page.compression))
     if codec == "JPEG":
         _check_marks(page)
-    image = _by_pillow(page, picture) if codec in _UNCHECKED else None
+    image = _by_pillow(page, opener) if codec in _UNCHECKED else None
     try:
         return page.asarray() if image is None else image
     except Exception as error:
         if "imagecodecs" not in str(error) and not isinstance(error, ImportError):
             raise
-    if (image := _by_pillow(page, picture)) is None:
+    if (image := _by_pillow(page, opener)) is None:
         raise ValueError(
             f"{page.bitspersample} bits with the compression {codec} need another package (pip "
             "install imagecodecs); or save the file without compression or as Deflate (zip)"
@@ -187,10 +186,10 @@ def _decoded(page: tifffile.TiffPage, picture: Callable[[str], Image.Image]) -> 
     return image
 
 
-def _by_pillow(page: tifffile.TiffPage, picture: Callable[[str], Image.Image]) -> NDArray | None:
+def _by_pillow(page: tifffile.TiffPage, opener: _Opener) -> NDArray | None:
     """Return a page as stored, None where Pillow does not know this kind of pixels."""
     try:
-        opened = picture(page.parent.filehandle.path)
+        opened = opener(page.parent.filehandle.path)
         opened.seek(page.index)
     except (OSError, EOFError, TypeError):  # of a kind that it does not know, or no page of its own
         return None
