@@ -59,6 +59,24 @@ def test_dimensions_may_be_in_any_order(dims: str) -> None:
     np.testing.assert_array_equal(np.stack(list(reader)), frames.to_numpy())
 
 
+def test_blocks_may_have_their_dimensions_in_any_order() -> None:
+    pytest.importorskip("dask")
+    frames = labeled().isel(x=slice(64))
+    frames = frames.chunk({"y": 64, "x": 64}).transpose("y", "x", "z")
+    found = depth_from_focus(frames)
+    # Single precision: a thousandth of a µm is far above its rounding.
+    wanted = depth_from_focus(stack()[:, :, :64], Z).depth
+    np.testing.assert_allclose(np.asarray(found.depth), wanted, atol=1e-3)
+
+
+def test_labeled_frames_have_three_dimensions_and_names_of_either_case() -> None:
+    frames = labeled()
+    with pytest.raises(ValueError, match="three dimensions or more, got y, x"):
+        read_frames(frames[0])
+    large = frames.rename(x="X", y="Y").transpose("Y", "X", "z")
+    np.testing.assert_array_equal(np.stack(list(read_frames(large))), frames.to_numpy())
+
+
 def test_a_channel_and_a_time_of_labeled_frames_are_chosen() -> None:
     frames = labeled()
     many = frames.expand_dims(channel=2, time=3) + np.arange(2)[:, None, None, None, None]

@@ -47,6 +47,8 @@ def depth_in_blocks(
     """
     import dask.array as da
 
+    if {"y", "x"} <= set(getattr(frames, "dims", ())):
+        frames = frames.transpose(..., "y", "x")
     source = getattr(frames, "data", frames)
     stack = source if isinstance(source, da.Array) else da.from_zarr(source)
     if stack.ndim != 3 or stack.dtype.kind not in "uif":

@@ -131,9 +131,11 @@ def _labeled(frames: Any, choice: Choice) -> Source:
     """Read an xarray.DataArray, whose dimensions may be in any order if two are named y and x."""
     refuse_choice([name for name in choice if name == "series"])
     names = [str(dim).lower() for dim in frames.dims]
+    if len(names) < 3:
+        raise ValueError(f"frames must have three dimensions or more, got {', '.join(names)}")
     color = len(names) > 3 and frames.shape[-1] in (3, 4) and names[-1] not in (*"xyzt", "time")
     if {"y", "x"} <= set(names) and not color and names[-2:] != ["y", "x"]:
-        frames = frames.transpose(..., "y", "x")
+        frames = frames.transpose(..., *(frames.dims[names.index(name)] for name in "yx"))
     *leading, y, x = frames.dims[: len(names) - color]
     # Only channels and times matter; other letters tell the axes apart.
     known = {"c": "C", "channel": "C", "t": "T", "time": "T", "z": "Z"}
