@@ -8,14 +8,14 @@ y *down*; the outline is given with y *up*, as `fit_gaussians` and the thesis' f
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
-from microlib._common import Array, Tidy, as_image, one_of
+from microlib._common import Array, Tidy, as_image, luminance, one_of
 from microlib.embryo._probe import CLEARANCE, MARGIN, SMALLEST, Probe, find_probe, remove_probe
 from microlib.embryo._view import DIRECTIONS, View
 from microlib.embryo._wall import Settings, locate_wall
@@ -67,7 +67,8 @@ class Boundary(Tidy):
 
     def without_probe(self, image: ArrayLike) -> NDArray[np.float32]:
         """Return `image`, turned as `view` says, with the probe filled by the ground beside it."""
-        grey = as_image("image", image, smallest=SMALLEST)
+        width, height = self.view.size
+        grey = as_image("image", luminance("image", image), smallest=SMALLEST)[:height, :width]
         return remove_probe(self.view.of(grey), self.probe)
 
 
@@ -77,7 +78,7 @@ def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool 
     Parameters
     ----------
     image : array_like, shape (rows, columns)
-        Grey image, integer or float; bright ground, dark probe.
+        Grey or color image, integer or float; bright ground, dark probe.
     direction : {"auto", "top", "bottom", "left", "right"}
         Edge of the image that the probe comes from; ``"auto"`` takes the first of the four, in this
         order, from which one comes that makes a dimple.
@@ -108,6 +109,7 @@ def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool 
     blurred wall is fitted twice (`locate_wall`), which gives the *middle* of the chorion; samples
     that the probe's blur reaches are left out. Below the probe the outline is the end of the probe.
     An image in which the probe leans by more than 4° is turned first, so that it comes from above.
+    A large image whose edges are too blurred for Canny is searched again, binned 2 × 2.
 
     Examples
     --------
@@ -122,18 +124,52 @@ def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool 
     >>> bool(abs(np.interp(rim[0], x, y) - rim[1]) < 0.2)
     True
     """
-    whole = as_image("image", image, smallest=SMALLEST)
+    whole = as_image("image", luminance("image", image), smallest=SMALLEST)
     one_of("direction", direction, ("auto", *DIRECTIONS))
     _refuse_saturated(np.asarray(image), whole)
-    rows, columns = whole.shape
     refused: dict[str, list[str]] = {}
     for edge in DIRECTIONS if direction == "auto" else (direction,):
         try:
-            return _outline_from_above(whole, View((columns, rows), edge), dimple)
+            return _outline_at_either_scale(whole, edge, dimple)
         except ValueError as reason:
             refused.setdefault(str(reason), []).append(edge)
     raise ValueError(
         "; ".join(f"{reason} (from the {', '.join(edges)})" for reason, edges in refused.items())
+    )
+
+
+class _NoOutline(ValueError):
+    """No outline was found beside a probe."""
+
+
+def _outline_at_either_scale(whole: NDArray[np.float32], edge: str, dimple: bool) -> Boundary:
+    """Find the outline in an image, or in the same binned 2 × 2, whose blur is half as broad."""
+    rows, columns = whole.shape
+    try:
+        return _outline_from_above(whole, View((columns, rows), edge), dimple)
+    except _NoOutline:
+        if min(rows, columns) < 4 * SMALLEST:
+            raise
+        even = whole[: rows // 2 * 2, : columns // 2 * 2]
+        half = columns // 2, rows // 2
+        binned: NDArray = np.asarray(cv2.resize(even, half, interpolation=cv2.INTER_AREA))
+        found = _outline_from_above(binned, View(binned.shape[::-1], edge), dimple)
+    # The middle of the first of two pixels is a quarter of their bin before that of the bin.
+    probe, view = found.probe, found.view
+    left, first, width, height = (2 * n for n in view.frame)
+    return replace(
+        found,
+        x=2 * found.x + 0.5,
+        y=2 * found.y + 0.5,
+        std=2 * found.std,
+        probe=replace(
+            probe,
+            tip=(2 * probe.tip[0] + 0.5, 2 * probe.tip[1] + 0.5),
+            half_width=2 * probe.half_width,
+        ),
+        blur=2 * found.blur,
+        image_height=2 * found.image_height,
+        view=replace(view, size=even.shape[::-1], frame=(left, first, width, height)),
     )
 
 
@@ -210,7 +246,7 @@ def _trace(filled: NDArray[np.float32], probe: Probe, settings: Settings) -> lis
         broken = (rows < 0) | (np.abs(np.diff(rows, prepend=rows[:1])) > 6)
         length = int(np.append(broken, True).argmax())
         if length < SHORTEST_SIDE:
-            raise ValueError(
+            raise _NoOutline(
                 f"image must show an embryo's outline on both sides of the probe, got {length} "
                 f"columns of it on the {name}"
             )
@@ -258,7 +294,7 @@ def _refine(
     found = [measured[:, good & on_left], measured[:, good & ~on_left]]
     for name, side in zip(("left", "right"), found, strict=True):
         if side.shape[1] < SHORTEST_SIDE:
-            raise ValueError(
+            raise _NoOutline(
                 f"image must show a wall along the outline, got {side.shape[1]} points of it on "
                 f"the {name} of the probe"
             )

@@ -173,7 +173,7 @@ def modulus_from_image(
     Parameters
     ----------
     image : array_like, shape (rows, columns)
-        Grey image; the probe comes upright to one of its edges onto the embryo.
+        Grey or color image; the probe comes from one of its edges onto the embryo.
     force : float
         Force F of the probe, in µN.
     pixel_size : float

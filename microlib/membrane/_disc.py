@@ -98,10 +98,13 @@ class _Disc(Problem):
         return t, np.array([rim * t, 0.5 * x, (z - z[-1]) / height]), known
 
     def stages(self) -> Iterator[_Disc]:
-        """Yield problems of a load that grows to this one's, where that is given."""
+        """Yield problems of a load that grows to this one's, or of a probe that narrows to it."""
         if self.depth is None:
             for share in 3.0 ** -np.arange(8, -1, -1):
                 yield self.of_modulus(1 / share)
+        else:
+            for inner in np.geomspace(max(self.inner, 0.02), self.inner, 12):
+                yield replace(self, inner=float(inner))
 
     def of_modulus(self, modulus: float) -> _Disc:
         """Return a stiffer disc's problem under the same load."""

@@ -96,7 +96,7 @@ class Problem:
                 if found is None:
                     break
         if found is None:
-            raise ValueError("force must have an equilibrium, none was found")
+            raise ValueError("force must have an equilibrium, the solver found none")
         return found
 
     def stressed(self, strip: Strip) -> tuple[Array, Array]:

@@ -230,8 +230,43 @@ def test_points_of_a_soft_edge_are_as_uncertain_as_they_say(scene):
     assert found.std[seen].mean() == pytest.approx(off.std(), rel=0.3)  # as above
 
 
+@pytest.mark.parametrize(("edge", "turns"), [("top", 0), ("left", 1), ("bottom", 2), ("right", 3)])
+def test_a_large_blurred_image_is_searched_binned(edge: str, turns: int) -> None:
+    """Of sides that are odd: the points are those of the whole image, and so is their error."""
+    place = {"shape": (641, 963), "center": (480.7, 203.6), "pixel_size": 1.94, "blur": 3.5}
+    soft = render(**place)
+    found = extract_boundary(np.rot90(soft.image, turns), direction=edge)
+    assert found.blur == pytest.approx(3.5, abs=0.2)
+    # Where each pixel was before the image was turned, read at the points found.
+    before = [np.rot90(axis, turns) for axis in np.indices(soft.image.shape)[::-1].astype(float)]
+    seen = found.points[~found.under_probe].T[::-1]
+    x, y = (map_coordinates(axis, seen, order=1) for axis in before)
+    off = distances(soft, np.stack([x, y], axis=1))
+    assert abs(off.mean()) < 0.15  # as unblurred, in the pixels of a bin
+    assert np.abs(off).max() < 1.5
+    assert found.std[~found.under_probe].mean() == pytest.approx(off.std(), rel=0.5)
+    tip = found.view.to_image(np.array([found.probe.tip]))[0]
+    under = found.points[found.under_probe]
+    np.testing.assert_allclose(under[len(under) // 2], tip, atol=1.0)
+    # The ground beside a blurred edge is not yet its own: half a pixel.
+    assert found.probe.half_width * soft.pixel_size == pytest.approx(25.0, abs=1.94)
+    filled = found.without_probe(np.rot90(soft.image, turns))
+    assert filled[: int(found.probe.tip[1]) - 9, int(found.probe.tip[0])].min() > 150
+
+
+def test_a_color_photograph_has_the_outline_of_its_luminance(scene) -> None:
+    tint = np.array([0.9, 1.0, 0.8])
+    color = np.rint(scene.image[..., np.newaxis] * tint).astype(np.uint8)
+    grey = cv2.cvtColor(color.astype(np.float32), cv2.COLOR_RGB2GRAY)
+    found, wanted = extract_boundary(color), extract_boundary(grey)
+    np.testing.assert_allclose(found.points, wanted.points, atol=1e-6)
+    np.testing.assert_allclose(found.without_probe(color), wanted.without_probe(grey), rtol=1e-5)
+    alpha = np.dstack([color, np.full(color.shape[:2], 255, np.uint8)])
+    np.testing.assert_allclose(extract_boundary(alpha).points, wanted.points, atol=1e-6)
+
+
 def test_pictures_of_other_things_are_refused():
-    """No modulus, and no other error: 25 pictures, pieces and textures; the benchmark has 400."""
+    """No modulus, and no other error: 25 pictures, pieces and textures."""
     for _, image in without_embryo(np.random.default_rng(2), 25):
         with pytest.raises(ValueError, match="image must") as refusal:
             extract_boundary(image)
@@ -294,7 +329,7 @@ SPOILED = {
     "saturated": (lambda: (image() * 1.4).clip(0, 255).astype(np.uint8), "not be saturated"),
     "saturated 0 to 1": (lambda: (image() / 255 * 1.4).clip(0, 1), "not be saturated"),
     "tiny": (lambda: image()[:40, :40], "image must be at least 64 px on each side"),
-    "color": (lambda: np.stack([image()] * 3, axis=2), "image must be a grey image"),
+    "stack": (lambda: np.stack([image()] * 5), "image must be a grey image"),
     "NaN": (lambda: np.where(image() < 50, np.nan, image() * 1.0), "image must be finite"),
 }
 

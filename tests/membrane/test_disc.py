@@ -126,6 +126,20 @@ def test_a_dimple_near_the_deepest_is_found() -> None:
     assert indent_disc(197.24, modulus=got, radius=254.8, **settings).depth == pytest.approx(121.2)
 
 
+@pytest.mark.parametrize("narrow", [0.005, 0.002, 0.001])
+def test_a_narrow_probe_has_a_modulus(narrow: float) -> None:
+    """Where the search from the closed form fails, it begins at a wider probe."""
+    settings: dict[str, Any] = {"thickness": H, "law": "hooke", "pressure": 0.0}
+    settings["probe_half_width"] = narrow * A
+    for steepness in (0.005, 0.01, 0.02, 0.05, 0.1):
+        for ratio in (0.3, 1 / 3, 0.5):
+            found = disc_modulus(1e-3 * F, A, steepness * A, poisson_ratio=ratio, **settings)
+            if ratio == 1 / 3 and steepness == 0.005:
+                shape = (1 - narrow ** (2 / 3)) ** 3 * A**2 / (H * (steepness * A) ** 3)
+                # Slopes at the probe are not small: 0.3 at a thousandth of the radius.
+                assert found == pytest.approx(1e-3 * F * shape * 3 / np.pi, rel=0.02)
+
+
 def test_a_slack_disc_has_a_least_depth() -> None:
     with pytest.raises(ValueError, match="depth must be"):
         disc_modulus(F, A, 20.0, thickness=H, probe_half_width=C, rim_inset=0.1)
