@@ -221,29 +221,19 @@ def run(name: str, key: str) -> tuple[str, bool]:
         folder.mkdir(parents=True, exist_ok=True)
     made, claims, log, status = (BUILD / file.format(name) for file in LEFT)
     log.touch()
-    about: dict[str, Any] = {
-        "notebook": name,
-        "when": f"{datetime.now():%Y-%m-%d %H:%M}",
-        "key": key,
-    }
-    about |= {
-        "seconds": 0.0,
-        "checks": 0,
-        "figures": [],
-        "interpreter": os.path.relpath(sys.executable, ROOT),
-    }
+    about: dict[str, Any] = {"notebook": name, "key": key, "seconds": 0.0, "checks": 0}
+    about["when"], about["figures"] = f"{datetime.now():%Y-%m-%d %H:%M}", []
+    about["interpreter"] = os.path.relpath(sys.executable, ROOT)
     write_json(status, about | {"failed": "FAILED: its run did not end"})
     start, record = perf_counter(), work / "record.json"
     values = {"record": str(record.relative_to(ROOT))}
-    options: dict[str, Any] = {
-        "variables": {FOLDER_VARIABLE: str(work / "figures")},
-        "cell_limit": CELL_LIMIT,
-    }
+    options: dict[str, Any] = {"log": log, "cell_limit": CELL_LIMIT}
+    options["variables"] = {FOLDER_VARIABLE: str(work / "figures")}
     if needed := [one for one in failures() if name.startswith(LAST) and one < LAST]:
         text = f"FAILED: it reads what other chapters record; run {' '.join(needed)} first"
         write_json(status, about | {"failed": text})
         return text, False
-    message, passed = execute(source, work / source.name, values, ROOT, log=log, **options)
+    message, passed = execute(source, work / source.name, values, ROOT, **options)
     if passed and str(ROOT) in (work / source.name).read_text(encoding="utf-8"):
         message, passed = "FAILED: an output names a path of this machine", False
     # A guide checks nothing against the thesis.
