@@ -72,6 +72,13 @@ def test_force_and_modulus_are_two_views_of_one_dimple():
     assert np.log(high / low) == pytest.approx(2 * 1.959964 * by_modulus.relative_std)
 
 
+def test_what_was_given_stays_after_the_models_were_asked_for():
+    found = modulus_from_image(fuzz.egg().image, 143.0, pixel_size=7.75, **MEMBRANE)
+    asked = [found.model_moduli, found.model_interval, found.to_dict(), repr(found)]
+    assert found.given == MEMBRANE
+    assert [found.model_moduli, found.model_interval, found.to_dict(), repr(found)] == asked
+
+
 def test_a_capsule_under_a_probe_of_another_width_is_refused():
     with pytest.raises(ValueError, match="probe_half_width must be that of the probe in the image"):
         modulus_from_image(
