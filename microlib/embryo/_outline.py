@@ -148,8 +148,7 @@ class OutlineDimple(Tidy):
         Whether y was found to run down.
     """
 
-    _samples = ("x", "y")
-    _large = ("curve",)
+    _large = ("x", "y", "curve")
 
     left: DimpleGeometry
     right: DimpleGeometry

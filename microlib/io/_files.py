@@ -10,7 +10,15 @@ import numpy as np
 import tifffile
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import MICROMETERS, SOFTWARE, as_array, of_kind, replace_file, scalar
+from microlib._common import (
+    MICROMETERS,
+    SOFTWARE,
+    as_array,
+    of_kind,
+    reject_masks,
+    replace_file,
+    scalar,
+)
 from microlib.io._frames import read_frames
 
 
@@ -91,8 +99,9 @@ def write_height_tiff(
     of_kind("path", path, str, PathLike)
     dtype = getattr(height, "dtype", None)
     kept = dtype if dtype in (np.uint8, np.uint16, np.int32) else np.float32
-    axes, shape = ("YXS", (None, None, 3)) if np.ndim(height) == 3 else ("YX", (None, None))
-    values = as_array("height", height, shape=shape, dtype=kept, finite=False)
+    values = as_array("height", height, dtype=kept, finite=False)
+    axes, shape = ("YXS", (None, None, 3)) if values.ndim == 3 else ("YX", (None, None))
+    as_array("height", values, shape=shape, dtype=kept, finite=False)
     # The number of pixels in a centimeter fits into the 32 bits of a TIFF.
     size = scalar("pixel_size", pixel_size, above=0, least=1e-5)
     if Path(path).name.lower().endswith((".ome.tif", ".ome.tiff")):
@@ -175,6 +184,7 @@ def write_ply(
     ]
     if image is not None:
         shape = (*known.shape, 3)
+        reject_masks("image", image)
         colors = np.asarray(image)
         if colors.dtype != np.uint8 or colors.shape not in (known.shape, shape):
             need = f"image must be uint8 of shape {known.shape} or {shape}"
