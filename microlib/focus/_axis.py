@@ -40,6 +40,8 @@ class Axis:
         How far changes of the light pull a depth near each group, averaged frames.
     pull : float
         How far the groups themselves pull the depths between them, at most.
+    bias : (float, float)
+        Slope and value at 0 µm of what asymmetric peaks add to a depth, µm.
     typical : float, optional
         Strength of a typical peak, where not all of the image is at hand.
     """
@@ -52,6 +54,7 @@ class Axis:
     noise: float
     light: Array
     pull: float
+    bias: tuple[float, float] = (0.0, 0.0)
     typical: float | None = None
 
     def micrometers(self, steps: NDArray) -> NDArray:
@@ -139,6 +142,13 @@ def noise_level(mosaic: Image) -> float:
     rounding = np.sqrt(1 / 12) if mosaic.dtype.kind == "u" else 0.0
     digits = 1e-5 * float(np.abs(mosaic).max())
     return max(quiet, rounding, digits, float(TINY))
+
+
+def every_other(mosaic: Image) -> Image:
+    """Return a mosaic of every other square along each side."""
+    rows, cols = (n // _SQUARES for n in mosaic.shape)
+    squares = mosaic.reshape(_SQUARES, rows, _SQUARES, cols)[::2, :, ::2]
+    return np.ascontiguousarray(squares).reshape(3 * rows, 3 * cols)
 
 
 def _inner(mosaic: NDArray) -> NDArray:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import as_region
 from microlib.focus._axis import Axis, find_axis, sampled
-from microlib.focus._follow import follow
+from microlib.focus._follow import follow, peak_asymmetry
 from microlib.focus._peaks import check_count, check_positions
 from microlib.focus._result import FocusResult
 from microlib.focus._settings import Settings
@@ -68,7 +68,8 @@ def depth_in_blocks(
     # What needs the whole image is found once, from the squares that are looked at first.
     squares, settings = list(stack[:, rows][:, :, cols].compute()), Settings()
     axis = find_axis(squares, z, settings.width)
-    axis = replace(axis, typical=typical(follow(squares, axis, settings).strength))
+    usual = typical(follow(squares, axis, settings).strength)
+    axis = replace(axis, typical=usual, bias=peak_asymmetry(squares, axis, settings))
     inner = [n for chunks in stack.chunks[1:] for n in chunks[:-1]]
     if any(n % GRID or n > 2 * _SIDE or n < _AROUND for n in inner):
         stack = stack.rechunk((len(stack), _SIDE, _SIDE))

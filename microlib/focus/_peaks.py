@@ -125,6 +125,7 @@ def fit_peaks(
     near: NDArray[np.float32] | None = None,
     within: float = 0.0,
     beyond: float = 0.0,
+    narrow: float = 1.0,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Fit a Gaussian to all frames of each pixel's window; return its depth, and how sure it is.
 
@@ -142,6 +143,8 @@ def fit_peaks(
         How far from there.
     beyond : float
         How far the stack goes on before the first position and behind the last.
+    narrow : float
+        Factor by which the frames' weights fall off sooner.
 
     Returns
     -------
@@ -163,6 +166,7 @@ def fit_peaks(
     window is narrower for the same reason, to no less than three frames.
     """
     table = _table(steps, len(window) // 2, beyond)
+    table[3] *= narrow
     rows, cols = best.shape
     depth, strength = np.empty((2, rows, cols), np.float32)
     band = max(1, _BAND // cols)

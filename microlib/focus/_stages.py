@@ -19,7 +19,7 @@ from microlib.focus import _reliability as rules
 from microlib.focus import _relief
 from microlib.focus._axis import Axis, find_axis, mosaic
 from microlib.focus._correction import smooth_planes
-from microlib.focus._follow import Followed, Levels, follow
+from microlib.focus._follow import Followed, Levels, follow, peak_asymmetry
 from microlib.focus._measures import TINY, absolute_seconds, blur, doubled, halved
 from microlib.focus._peaks import PeakFollower, fit_peaks
 from microlib.focus._reliability import choose_side, fill_nearest, without_spikes
@@ -136,7 +136,8 @@ def average_frames(known: Known) -> Known:
     if known.axis is not None:
         return known
     squares = [mosaic(frame) for frame in known.frames]
-    return replace(known, axis=find_axis(squares, known.positions, known.settings.width))
+    axis = find_axis(squares, known.positions, known.settings.width)
+    return replace(known, axis=replace(axis, bias=peak_asymmetry(squares, axis, known.settings)))
 
 
 def follow_measures(known: Known) -> Known:
@@ -249,11 +250,14 @@ def state_errors(known: Known) -> Known:
 
 
 def enlarge(known: Known) -> Known:
-    """Interpolate the depth at full size."""
+    """Interpolate the depth at full size, but take the nearest one at steps."""
     shape, depth, relief = known.frames[0].shape, known.depth, known.relief
     full = doubled(fill_nearest(depth), shape)
     fine = np.where(np.isfinite(depth), relief, np.float32(0))
     full = full + doubled(fine, shape, cv2.INTER_CUBIC)
+    both = fill_nearest(depth + relief)
+    sudden = doubled(step_height(both) > 2, shape)
+    full[sudden] = doubled(both, shape, cv2.INTER_NEAREST)[sudden]
     return replace(known, full=full, there=doubled(np.isfinite(depth), shape))
 
 
@@ -305,13 +309,17 @@ def result_of(known: Known, shown: Sequence[Image], shape: tuple[int, ...]) -> F
     # 0.8 on photographs.
     error = np.hypot(doubled(known.error, full.shape), np.float32(0.28) * height)
     depth = axis.micrometers(np.where(known.there, full, np.float32(np.nan)))[here]
+    bias = np.polyval(axis.bias, depth).astype(np.float32)
+    # A quarter of the bias remains at most where it changes along the axis.
+    error = np.hypot(error[here] * np.float32(axis.spacing), bias / 4)
+    depth = np.clip(depth - bias, axis.positions.min(), axis.positions.max()).astype(np.float32)
     best = doubled(known.seen.best, full.shape, cv2.INTER_NEAREST)[here]
     order = np.argsort(axis.positions)
     nearest = np.rint(np.interp(depth, axis.positions[order], order))
     middles = (axis.ends[:-1] + axis.ends[1:]) // 2
     return finished(
         depth,
-        error[here] * np.float32(axis.spacing),
+        error,
         np.where(np.isfinite(depth), nearest, middles[best]).astype(np.int32),
         spacing=axis.spacing,
         at_end=(best == 0) | (best == len(axis.steps) - 1),
