@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice
+from itertools import islice, product
 from typing import Any
 
 import cv2
@@ -14,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, Frames, Image, flag, of_kind, one_of, whole
 from microlib.focus._blocks import depth_in_blocks, is_in_blocks
-from microlib.focus._measures import FocusMeasure, blur, sum_modified_laplacian, user_measure
+from microlib.focus._measures import TINY, FocusMeasure, blur, sum_modified_laplacian, user_measure
 from microlib.focus._peaks import check_count, check_positions, three_point_peak
 from microlib.focus._registration import Registered
 from microlib.focus._registration import register as find_registration
@@ -26,6 +27,8 @@ from microlib.io import read_frames
 #: What is told how many parts of the work are done, and of how many; an exception from it ends all.
 Progress = Callable[[int, int], object]
 
+#: Reach of the measures' windows, px.
+_WINDOW = 6
 #: Axes of metadata that are no focus.
 _NO_FOCUS = {"T": "times", "C": "channels"}
 
@@ -167,7 +170,9 @@ def depth_from_focus(
     tell = progress or (lambda done, count: None)
     reader = read_frames(frames, region=region, reduce=reduce, color=True)
     stack = open_stack(reader, positions, spacing, tell)
-    count = len(stack.positions)
+    count, inside = len(stack.positions), margin_mask(stack.grey)
+    if not register:
+        warn_of_changes(stack.grey)
 
     def done(share: float) -> None:
         tell(round(count * (1 + share)), 2 * count)
@@ -180,6 +185,9 @@ def depth_from_focus(
         result = three_point_depth(seen, single, done)
     if found is not None:
         result = _cut(result, found, stack.grey[0].dtype)
+    if not inside.all():
+        warnings.warn("frames have black margins: no depth there", stacklevel=2)
+        result = _masked(result, ~inside)
     return replace(result, pixel_size=stack.pixel_size, corner=stack.corner)
 
 
@@ -317,17 +325,60 @@ def _roughness(depth: NDArray, positions: Array, index: NDArray[np.uint16]) -> N
     return np.asarray(cv2.resize(rough, depth.shape[::-1]))
 
 
-def _cut(result: FocusResult, found: Registered, dtype: np.dtype) -> FocusResult:
-    """Take the depth from pixels whose sharpest frames did not show them; number all frames."""
-    unseen = found.unseen(result.index)
+def _masked(result: FocusResult, mask: NDArray[np.bool_]) -> FocusResult:
+    """Take the depth from some pixels."""
     return replace(
         result,
-        depth=np.where(unseen, np.float32(np.nan), result.depth),
-        uncertainty=np.where(unseen, np.float32(np.nan), result.uncertainty),
-        confidence=np.where(unseen, np.float32(0), result.confidence),
-        index=np.where(unseen, -1, np.append(found.kept, -1)[result.index]).astype(np.int32),
+        depth=np.where(mask, np.float32(np.nan), result.depth),
+        uncertainty=np.where(mask, np.float32(np.nan), result.uncertainty),
+        confidence=np.where(mask, np.float32(0), result.confidence),
+        index=np.where(mask, np.int32(-1), result.index),
+    )
+
+
+def _cut(result: FocusResult, found: Registered, dtype: np.dtype) -> FocusResult:
+    """Take the depth from pixels whose sharpest frames did not show them; number all frames."""
+    result = _masked(result, found.unseen(result.index))
+    return replace(
+        result,
+        index=np.append(found.kept, -1)[result.index].astype(np.int32),
         all_in_focus=as_type(result.all_in_focus, dtype),
         poses=found.poses,
         gain=found.gain,
         offset=found.offset,
     )
+
+
+def margin_mask(frames: Sequence[Image]) -> NDArray[np.bool_]:
+    """Return what no frame hides by a black margin, as other programs leave where they align."""
+    inside = np.ones(frames[0].shape, bool)
+    for frame, turn in product(frames, range(4)):
+        turned = np.rot90(frame, turn)
+        if not turned[0].any() and turned.any():
+            first = int(np.argmax(turned.any(axis=1)))
+            if np.count_nonzero(turned[first]) > turned.shape[1] / 2:  # no thing on black ground
+                np.rot90(inside, turn)[: first + _WINDOW] = False
+    return inside
+
+
+def warn_of_changes(frames: Sequence[Image]) -> None:
+    """Warn if light or position change from frame to frame, which registration undoes."""
+    if min(frames[0].shape) < 64:  # too small to tell
+        return
+    factor = min(1.0, 256 / max(frames[0].shape))
+    small = [
+        cv2.resize(f, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA) for f in frames
+    ]
+    level = np.log(np.maximum([float(frame.mean()) for frame in small], TINY))
+    flicker, moves = float(np.median(np.abs(np.diff(level, 2)))), []
+    for k in (len(small) - 1) * np.arange(1, 4) // 4:
+        shift, peak = cv2.phaseCorrelate(*(np.float32(frame) for frame in small[k : k + 2]))
+        move = float(np.hypot(*shift))
+        moves.append(move if peak > 0.4 and move < 16 else 0.0)  # of noise it may be any
+    # At rest flicker stays below 0.003, and one of the moves below 0.2 px.
+    if flicker > 0.03 or min(moves) > 0.25:
+        what = "light" if flicker > 0.03 else "position"
+        warnings.warn(
+            f"frames change in {what} from one to the next: register=True (--register) undoes it",
+            stacklevel=3,
+        )

@@ -212,7 +212,7 @@ def peak_asymmetry(mosaics: Sequence[Image], axis: Axis, settings: Settings) -> 
     if known.sum() < 50:
         return 0.0, 0.0
     off = np.abs(bias - np.median(bias[known]))
-    known &= off < 3 * np.median(off[known])
+    known &= off <= 3 * np.median(off[known])
     bias, found = bias[known], found[known]
     # On a surface at one depth a slope would be that of noise.
     degree = 1 if np.std(found) > 3 * np.std(bias) else 0

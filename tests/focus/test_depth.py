@@ -394,7 +394,8 @@ def test_memory_does_not_grow_with_the_frames():
         depth_from_focus(stack[:count], np.arange(float(count)))
         peaks.append(tracemalloc.get_traced_memory()[1] / stack[0].size)
         tracemalloc.stop()
-    assert peaks[1] < min(1.1 * peaks[0], 180)  # bytes a pixel; 122 and 124
+    # Bytes a pixel; the squares that are looked at first are as many for larger images.
+    assert peaks[1] < min(1.25 * peaks[0], 180)
 
 
 def test_ground_in_the_first_frame_is_known():
