@@ -365,10 +365,9 @@ def warn_of_changes(frames: Sequence[Image]) -> None:
     """Warn if light or position change from frame to frame, which registration undoes."""
     if min(frames[0].shape) < 64:  # too small to tell
         return
-    factor = min(1.0, 256 / max(frames[0].shape))
-    small = [
-        cv2.resize(f, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA) for f in frames
-    ]
+    # Of other sides than powers of two cv2.phaseCorrelate finds half a pixel where nothing moved.
+    side = min(2 ** int(np.log2(min(frames[0].shape))), 256)
+    small = [cv2.resize(f, (side, side), interpolation=cv2.INTER_AREA) for f in frames]
     level = np.log(np.maximum([float(frame.mean()) for frame in small], TINY))
     flicker, moves = float(np.median(np.abs(np.diff(level, 2)))), []
     for k in (len(small) - 1) * np.arange(1, 4) // 4:
