@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
-from pathlib import Path
 from time import process_time
 from typing import Any
 
@@ -30,7 +29,6 @@ from tests.scenes import straight_step, tilted_plane
 #: Frames of every stack, one step apart; blur grows by 1 px a step.
 POSITIONS = np.arange(21.0)
 INNER = np.s_[16:-16, 16:-16]
-REAL = Path(__file__).resolve().parents[2] / "shared" / "real"
 
 #: Stages that may be left out.
 LEFT_OUT = [name for name in STAGES if name not in NEEDED]
@@ -323,8 +321,6 @@ def stages() -> pd.DataFrame:
             (truth, stack) for name, _, truth, stack in photographed() if name in STAGE_PHOTOGRAPHS
         ],
     }
-    if REAL.is_dir():
-        cases["real"] = [(reference(stack), stack) for stack in real_stacks()]
     full = {kind: _measured(stacks) for kind, stacks in cases.items()}
     # Frames are not averaged if no peak is wide enough for that.
     without: dict[str, dict[str, Any]] = {
@@ -347,25 +343,6 @@ def dense() -> tuple[NDArray, NDArray]:
     depth = 4 * (POSITIONS.mean() + tilted_plane((256, 256), 12 / 256, 0.0))
     texture, z = synthetic.mixed_texture(depth.shape, 0), np.arange(81.0)
     return depth, synthetic.focal_stack(texture, depth, z, blur_rate=0.25, noise=3.0, rng=0)
-
-
-def real_frames(folder: str) -> NDArray:
-    files = sorted((REAL / folder).glob("*.jpg"))
-    return np.stack([cv2.imread(str(file), cv2.IMREAD_GRAYSCALE) for file in files])
-
-
-def real_stacks() -> Iterator[NDArray]:
-    """Yield a part of two real stacks, grey."""
-    for folder, step, part in (
-        ("board", 3, np.s_[480:1080, 600:1400]),
-        ("pcb", 1, np.s_[500:1100, 700:1500]),
-    ):
-        yield real_frames(folder)[::step][:, *part]
-
-
-def reference(stack: NDArray) -> NDArray:
-    """Return the median over 5 px of the full default: no truth, but what a stage changes shows."""
-    return cv2.medianBlur(depth_from_focus(stack, np.arange(float(len(stack)))).depth, 5)
 
 
 def settings() -> pd.DataFrame:
@@ -489,8 +466,7 @@ outermost 16 px.
 - *Stages* and *settings.* Each row gives the RMS error over that of the full default (geometric
   mean, least to most), and how the shares of pixels without a depth, and of pixels wrong by more
   than a step, change, in percent of all pixels; the 13 scenes of one seed and a slope in four times
-  the frames, all surfaces of six photographs, and parts of two real stacks, whose reference is the
-  median of the full default over 5 px and no truth. With a stage left out, more pixels get a depth
+  the frames, and all surfaces of six photographs. With a stage left out, more pixels get a depth
   and count in the error, so an RMS below 1 together with more unknown pixels is no gain.
 """
 

@@ -159,10 +159,11 @@ def depth_from_focus(
     threads, register = whole("workers", workers, least=1), flag("register", register)
     of_kind("progress", progress, Callable, type(None))
     if is_in_blocks(getattr(frames, "data", frames)):  # that of an xarray.DataArray
-        given = {"measure": measure, "workers": workers, "register": register}
+        given: dict[str, Any] = {"measure": measure, "workers": workers, "register": register}
         given |= {"reduce": reduce, "progress": progress}
+        usual: Any = depth_from_focus.__kwdefaults__
         for name, value in given.items():
-            if value != depth_from_focus.__kwdefaults__[name]:
+            if value != usual[name]:
                 raise ValueError(
                     f"{name} must not be given for a dask or zarr array, got {value!r}"
                 )
@@ -193,14 +194,15 @@ def depth_from_focus(
 
 def _single_measure(measure: str | FocusMeasure, window: int | None) -> FocusMeasure | None:
     """Return the measure of one frame; None for "multiscale", which has several."""
-    own = callable(measure)
-    name = "a function" if own else repr(one_of("measure", measure, ("multiscale", "sml")))
+    name = "a function"
+    if not callable(measure):
+        name = repr(one_of("measure", measure, ("multiscale", "sml")))
     if window is not None and measure != "sml":
         raise ValueError(f"window must not be given with measure {name}, got {window!r}")
     if measure == "sml":
         side = 5 if window is None else whole("window", window, least=1, odd=True)
         return partial(sum_modified_laplacian, window=side)
-    return partial(user_measure, measure) if own else None
+    return partial(user_measure, measure) if callable(measure) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,11 +369,13 @@ def warn_of_changes(frames: Sequence[Image]) -> None:
         return
     # Of other sides than powers of two cv2.phaseCorrelate finds half a pixel where nothing moved.
     side = min(2 ** int(np.log2(min(frames[0].shape))), 256)
-    small = [cv2.resize(f, (side, side), interpolation=cv2.INTER_AREA) for f in frames]
+    small = [
+        cv2.resize(f, (side, side), interpolation=cv2.INTER_AREA).astype(np.float32) for f in frames
+    ]
     level = np.log(np.maximum([float(frame.mean()) for frame in small], TINY))
     flicker, moves = float(np.median(np.abs(np.diff(level, 2)))), []
     for k in (len(small) - 1) * np.arange(1, 4) // 4:
-        shift, peak = cv2.phaseCorrelate(*(np.float32(frame) for frame in small[k : k + 2]))
+        shift, peak = cv2.phaseCorrelate(small[k], small[k + 1])
         move = float(np.hypot(*shift))
         moves.append(move if peak > 0.4 and move < 16 else 0.0)  # of noise it may be any
     # At rest flicker stays below 0.003, and one of the moves below 0.2 px.
