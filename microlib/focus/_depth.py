@@ -61,7 +61,7 @@ def depth_from_focus(
         By default what a TIFF's OME or ImageJ metadata or an xarray.DataArray say.
     spacing : float, optional
         Distance of the frames instead, µm; the first one is at 0.
-    measure : {"multiscale", "sml", "tenengrad", "variance"} or callable
+    measure : {"multiscale", "sml"} or callable
         Focus measure. The default is the most accurate; "sml" is the thesis'
         sum-modified-Laplacian. A callable takes a frame and returns its measure, zero or positive
         and of the same shape, such as ``functools.partial(sum_modified_laplacian, threshold=7)``.
@@ -103,7 +103,8 @@ def depth_from_focus(
     Warns
     -----
     UserWarning
-        If frames that show something else are left out by `register`.
+        If frames that show something else are left out by `register`; if light or position change
+        from frame to frame and `register` is not given; if frames have black margins.
 
     Notes
     -----
@@ -125,13 +126,17 @@ def depth_from_focus(
     frames tell the peak, (3.13), and nothing is corrected; `correct_spikes` and `smooth_depth` may
     follow.
 
-    A depth is NaN where the measure is zero or flat, where its peak, averaged over some pixels, is
-    no higher than noise alone makes it around one and the same picture, and where the best frame is
-    random: half of its neighbors are more than two frames away from their median. "multiscale" also
-    gives NaN where peaks are five times fainter
-    than those around and more than two frames away from them, which is the blur of a strong edge
-    near by, in specks of a few pixels, where half of the surroundings are unknown, and where depths
-    by two measures differ but no wide window tells. A pixel
+    A lens that moves makes peaks asymmetric, which shifts the vertex of a parabola. With
+    "multiscale" the shift is found from fits with two widths of weights (Richardson's
+    extrapolation), subtracted, and a quarter of it is stated.
+
+    A depth is NaN where the measure is zero or flat, and where the peak is no more than noise:
+    profiles of blocks of 8 px have no peak in common with their neighbors that exceeds what they
+    differ by, whatever the noise is like. Where such a peak is doubtful, the stated uncertainty is
+    that of a random depth. "multiscale" also gives NaN where peaks are five times fainter than
+    those around and more than two frames away from them, which is the blur of a strong edge near
+    by, in specks of a few pixels, where half of the surroundings are unknown, and where depths by
+    two measures differ but no wide window tells. A pixel
     whose best frame is the first or the last is flagged and gets that frame's position, unless the
     fit of seven frames puts it further in. Equal maxima go to the first.
 
@@ -376,7 +381,7 @@ def warn_of_changes(frames: Sequence[Image]) -> None:
     flicker, moves = float(np.median(np.abs(np.diff(level, 2)))), []
     for k in (len(small) - 1) * np.arange(1, 4) // 4:
         shift, peak = cv2.phaseCorrelate(small[k], small[k + 1])
-        move = float(np.hypot(*shift))
+        move = float(np.hypot(shift[0], shift[1]))
         moves.append(move if peak > 0.4 and move < 16 else 0.0)  # of noise it may be any
     # At rest flicker stays below 0.003, and one of the moves below 0.2 px.
     if flicker > 0.03 or min(moves) > 0.25:

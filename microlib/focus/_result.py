@@ -25,7 +25,8 @@ class FocusResult(Tidy):
         Estimate of the error, µm; NaN where `depth` is. By "multiscale" from how far depths from
         horizontal and from vertical detail differ: noise, and relief that could not be told from
         it; from slopes and edges of the depth, where a pixel may belong to either side; and from
-        how the light changes from frame to frame. It does not see a depth that is wrong as a whole.
+        how the light changes from frame to frame, from asymmetric peaks, and from peaks of things
+        too thin to be resolved. It does not see a depth that is wrong as a whole.
         By other measures from how rough the depth is, which does not show errors that are smooth
         over some ten pixels.
     confidence : ndarray of float32, shape (rows, cols)

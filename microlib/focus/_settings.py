@@ -30,7 +30,7 @@ class Settings:
     wide: int = 13
     #: Difference in depth that is a step: nothing is smoothed beyond it.
     jump: float = 1.5
-    #: Radius over which a depth needs others around it, and over which peaks must exceed noise.
+    #: Radius over which a depth needs others around it.
     surroundings: float = 3.0
     #: Radius over which the blur of a strong edge outshines weak texture, and the share of the
     #: peaks around that its own stay below.
