@@ -411,7 +411,7 @@ def test_a_film_that_ends_early(tmp_path: Path, capsys: Told, task: str) -> None
     told = capsys.readouterr().err
     assert told.count("\n") == 1
     if task == "depth":
-        assert "it tells of 30 frames" in told
+        assert "its header has 30 frames" in told
         assert not out.exists()
         return
     count = int(re.search(r"keeps the (\d+) rows so far", told)[1])

@@ -110,7 +110,7 @@ class FrameReader(Iterator[NDArray]):
     color : bool
         Whether the source has colors.
     axis : str
-        Letter of the axis of frames in a file's metadata, such as Z or T; empty if not said.
+        Letter of the axis of frames in a file's metadata, such as Z or T; empty if there is none.
     pixel_size : float or None
         Side of a pixel, µm/px.
     positions : ndarray, shape (count,), or None

@@ -30,7 +30,7 @@ class Source:
     count : int or None
         Number of frames, if known.
     axis : str
-        Letter of the axis of frames in the metadata, such as Z or T; empty if not said.
+        Letter of the axis of frames in the metadata, such as Z or T; empty if there is none.
     pixel_size : float or None
         Side of a pixel, µm/px, from metadata.
     positions : ndarray, shape (count,), or None

@@ -242,13 +242,13 @@ def _gif(path: Path) -> Named:
 
 
 def _video(path: Path) -> Source:
-    """Read the frames of a video, whose list of them is believed until reading tells otherwise."""
+    """Read the frames of a video, whose number in the header is believed until they were read."""
     film = cv2.VideoCapture(str(path))
     if not film.isOpened():
         raise ValueError("not a video that OpenCV knows" if path.is_file() else "no such file")
-    told = int(film.get(cv2.CAP_PROP_FRAME_COUNT))
+    stated = int(film.get(cv2.CAP_PROP_FRAME_COUNT))
     film.release()
-    listed = told > 0 and path.suffix.lower() in _LISTED
+    listed = stated > 0 and path.suffix.lower() in _LISTED
 
     def read() -> Named:
         film, k = cv2.VideoCapture(str(path)), 0
@@ -258,10 +258,10 @@ def _video(path: Path) -> Source:
                 k += 1
         finally:
             film.release()
-        numbers = f"{path}: it tells of {told} frames, {k} can be read"
-        if k == 0 or (listed and k < told):
+        numbers = f"{path}: its header has {stated} frames, {k} can be read"
+        if k == 0 or (listed and k < stated):
             raise ValueError(f"frames cannot be read from {numbers}")
-        if k != told:
+        if k != stated:
             warnings.warn(numbers, stacklevel=2)
 
-    return Source(read, told if listed else None, files=(path,))
+    return Source(read, stated if listed else None, files=(path,))

@@ -39,7 +39,7 @@ def tiff_source(path: Path, choice: Choice) -> Source:
     ----------
     path : Path
         A file whose metadata (ImageJ, OME, Micro-Manager or tifffile's own) give one axis besides
-        rows and columns, or none: depth, time, or not said. Files without metadata are read page
+        rows and columns: depth, time, or one without a name. Files without metadata are read page
         by page.
     choice : dict
         Channel, time and series, if the file has several.
@@ -101,10 +101,10 @@ def _in_order(
         frames = _frames(tiff, series, opener)
         reads += [frames[int(numbers[k])] for k in indices]
         total += numbers.size
-    told = (tiff.imagej_metadata or {}).get("images", total)
-    if told != total or (total < len(tiff.pages) and "series" not in choice):
-        have = min(total, len(tiff.pages)) if told > total else len(tiff.pages)
-        raise ValueError(f"its metadata tell of {max(told, total)} pages, it holds {have}")
+    described = (tiff.imagej_metadata or {}).get("images", total)
+    if described != total or (total < len(tiff.pages) and "series" not in choice):
+        have = min(total, len(tiff.pages)) if described > total else len(tiff.pages)
+        raise ValueError(f"its metadata describe {max(described, total)} pages, it holds {have}")
     return reads, axis
 
 
@@ -130,7 +130,7 @@ def _frames(
         return [partial(_page, page, opener) for page in pages]
     if series.dataoffset is None:
         others = " (the rest in files that must lie beside it)" if tiff.is_ome else ""
-        raise ValueError(f"its metadata tell of {count} pages, it holds {len(pages)}{others}")
+        raise ValueError(f"its metadata describe {count} pages, it holds {len(pages)}{others}")
     # Beyond 4 GB, ImageJ describes only the first page; the others follow it without a gap.
     stored = tifffile.memmap(tiff.filehandle.path, mode="r").reshape(count, *frame)
     return [partial(np.array, values, series.dtype) for values in stored]

@@ -235,7 +235,7 @@ def test_more_pages_than_the_metadata_tell_of_are_not_left_out(stack, tmp_path, 
     content = path.read_bytes()
     assert content.count(b"images=5") == content.count(b"slices=5") == 1
     path.write_bytes(content.replace(b"images=5", b"images=3").replace(b"slices=5", b"slices=3"))
-    refused(path, r"more\.tif: its metadata tell of 3 pages, it holds 5")
+    refused(path, r"more\.tif: its metadata describe 3 pages, it holds 5")
 
 
 @pytest.mark.parametrize("compression", ["tiff_lzw", None])
@@ -425,7 +425,7 @@ def test_a_member_of_several_ome_files_stands_for_all_of_them(stack, tmp_path):
         np.testing.assert_array_equal(np.stack(list(read_frames(source))), stack)
     assert read_frames(tmp_path / names[2]).positions == pytest.approx(3.5 * np.arange(5))
     (tmp_path / names[4]).unlink()
-    refused(tmp_path / names[0], "metadata tell of 5 pages, it holds .* must lie beside it")
+    refused(tmp_path / names[0], "metadata describe 5 pages, it holds .* must lie beside it")
 
 
 def test_a_series_is_chosen(stack, tmp_path):

@@ -230,7 +230,7 @@ def test_a_video_with_fewer_frames_than_it_tells_of_is_refused(
     for _ in range(3):
         np.testing.assert_array_equal(next(reader), np.full((4, 6, 3), (3, 2, 1)))
     for _ in range(2):  # it does not end as if all had been read when it is asked again
-        with pytest.raises(ValueError, match=r"a\.MP4: it tells of 4 frames, 3 can be read"):
+        with pytest.raises(ValueError, match=r"a\.MP4: its header has 4 frames, 3 can be read"):
             next(reader)
 
 
@@ -242,7 +242,9 @@ def test_a_film_with_more_frames_than_it_tells_of(
 ) -> None:
     """Where a film has no list of them, their number is not known before they were read."""
     path, count = write_film(tmp_path / name, code, stack, times), times * COUNT
-    with pytest.warns(UserWarning, match=rf"{name}: it tells of \d+ frames, {count} can be read"):
+    with pytest.warns(
+        UserWarning, match=rf"{name}: its header has \d+ frames, {count} can be read"
+    ):
         told, found = whole_film(path)
     assert told == (COUNT if name == "a.avi" else None)
     assert np.abs(found - np.concatenate([stack] * times)).mean() < 10  # compressed
