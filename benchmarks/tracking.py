@@ -18,7 +18,7 @@ from benchmarks.moving_photographs import ABSENT, CONDITIONS, DEVELOPMENT, HELD_
 from benchmarks.report import Limits, Tables, paired_times, rms
 from microlib.synthetic import gripper_scene
 from microlib.tracking import ESMTracker
-from microlib.tracking.robust._attempts import ATTEMPTS
+from microlib.tracking.robust import ATTEMPTS
 from tests.scenes import WarpedPair, camera_frame, warped_pair
 
 Array = NDArray[np.float64]

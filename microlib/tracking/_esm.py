@@ -301,3 +301,22 @@ def make_level(
         contrast=float(grey.std(dtype=np.float64)),
         noise=noise_gain(halvings, density, smoothing),
     )
+
+
+def check_texture(template: Template) -> None:
+    """Refuse a template that a translation leaves unchanged in some direction."""
+    smooth, sharp = template.smooth, template.sharp
+    if smooth.contrast < 0.01 * sharp.contrast:
+        raise ValueError(
+            f"box must hold details of more than a px, got a contrast of {sharp.contrast:.3g} of "
+            f"which a blur of {smooth.smoothing:g} px leaves {smooth.contrast:.3g}"
+        )
+    gradient = sharp.slope.astype(np.float64)
+    weak, strong = np.linalg.eigvalsh(gradient @ gradient.T)
+    # A gradient that single precision may make of none; an edge with a noise of 0.5 % has 0.002.
+    if strong <= (ROUNDING * np.abs(sharp.grey).max()) ** 2 * sharp.grey.size:
+        raise ValueError("box must hold a textured template, got a flat one")
+    if weak < 1e-4 * strong:
+        raise ValueError(
+            "box must hold gradients in two directions, got a template that slides along its edges"
+        )

@@ -67,9 +67,13 @@ def noise_of(image: Image) -> float:
     >>> abs(noise_of(grey.astype(np.float32)) - 2) < 0.1
     True
     """
-    square = cv2.filter2D(image, -1, _SECOND_DIFFERENCE)[2:-2, 2:-2] ** 2
     side = 8
-    tiles = cv2.blur(square, (side, side))[4::side, 4::side] if square.size else square
+    if min(image.shape) < 2 * side:
+        return 0.0
+    square = cv2.filter2D(image, -1, _SECOND_DIFFERENCE) ** 2
+    saturated = (image >= saturation_level(image, 0.0)).astype(np.float32)
+    means = [cv2.blur(one, (side, side))[6:-4:side, 6:-4:side] for one in (square, saturated)]
+    tiles = means[0][means[1] == 0]
     if not tiles.size:
         return 0.0
     return float(np.sqrt(max(np.quantile(tiles, 1 / 10), 0.0))) / _QUANTILE_OF_WHITE

@@ -25,7 +25,8 @@ class Track(Tidy):
         Whether the template was not found.
     reason : str
         Empty, or why it was not: ``"singular"``, ``"diverged"``, ``"out of view"``, ``"low
-        correlation"`` or ``"no agreement"`` of the template's parts.
+        correlation"``, ``"no agreement"`` of the template's parts, or ``"ambiguous"``: something
+        looks alike.
     correlation : float
         Normalized correlation of the template and the frame under the warp, −1 to 1; where only
         parts of the template agree or the light changes, of these parts in that light.
@@ -44,12 +45,10 @@ class Track(Tidy):
         The same of the corners, x and y of the first one first.
     confidence : float
         Probability that the pose is right within a pixel: 1 where every part of the template agrees
-        within the noise, else an estimate from what the parts say, fitted to photographs. A pose
-        below 0.65 is not believed, and the template lost. That refuses 0.4 % of the right findings
-        on photographs that nothing was fitted to, partly hidden or in another light, and 2.6 % on
-        those that it was fitted to, which move further; 1 frame of 270 is then wrong by more than
-        3 px without being called lost (1 of 30 where it is blurred). A lost one keeps the
-        probability of what was found, 0 if nothing was.
+        within the noise, else an estimate that was fitted to photographs. It is lower if the
+        template may have been mistaken for something identical that stood nearby in the last frame,
+        or if its texture is periodic and it moved by a quarter of a period or more. Below 0.7 the
+        template counts as lost; `confidence` is then that of the best pose, or 0.
     hidden : ndarray of bool, shape (height, width)
         Pixels of the box where the frame shows something else, or nothing; all when `lost`.
     """
@@ -83,11 +82,12 @@ class Track(Tidy):
         -------
         dict
             The fields but `corner_covariance`, `center`, and the share of the box that is `hidden`;
-            when `lost` nothing but that and the `reason`.
+            when `lost` nothing but that, the `reason` and the `confidence`.
         """
         share = {"center": self.center, "hidden": float(np.mean(self.hidden))}
         row = super().to_dict() | flat_row(share)
-        return dict.fromkeys(row) | {"lost": True, "reason": self.reason} if self.lost else row
+        kept = ("lost", "reason", "confidence") if self.lost else row
+        return {name: row[name] if name in kept else None for name in row}
 
     @property
     def center(self) -> Array:

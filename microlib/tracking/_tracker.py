@@ -7,27 +7,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import (
-    Array,
-    Image,
-    as_image,
-    as_region,
-    luminance,
-    of_kind,
-    one_of,
-)
-from microlib.tracking._esm import Template, make_level
-from microlib.tracking._geometry import (
-    GENERATORS,
-    ROUNDING,
-    apply_homography,
-    cut_around,
-    translate,
-)
+from microlib._common import Array, Image, as_image, as_region, luminance, of_kind, one_of
+from microlib.tracking._esm import Template, check_texture, make_level
+from microlib.tracking._geometry import GENERATORS, apply_homography, cut_around, translate
 from microlib.tracking._kalman import KalmanFilter
 from microlib.tracking._sampling import View, half_pixel
 from microlib.tracking._track import Track
-from microlib.tracking.robust import Found, RobustSearch, Scene, find_template
+from microlib.tracking.robust import ATTEMPTS, Found, RobustSearch, Scene, find_template
 
 #: Standard deviation (px) of the Gaussian of the smoothed level. With twice as much, fine texture
 #: is lost; without it, the search does not reach as far.
@@ -37,23 +23,25 @@ _SMOOTHING = 1.25
 class ESMTracker:
     """Track a template through frames by efficient second-order minimization.
 
-    Each frame goes through a list of attempts, from the cheapest to the most patient, until one is
-    believed:
+    Each frame goes through a list of attempts, from the fastest to the most thorough, until one is
+    accepted:
 
-    1. From where the template was: align with one gain and bias, smoothed in the template's
+    1. Align from the expected pose by ESM with one gain and bias, smoothed in the template's
        coordinates and then at half pixels, which removes most of the error of bilinear
-       interpolation. Believed if the blocks of the template agree to within the noise, which is
-       estimated from the frames; else once more in a light that varies smoothly, through a blur and
-       a tone curve, with Tukey's weights [3]_.
-    2. The same from where its points flow to.
-    3. From all these poses robustly: in local illumination, then in smooth light. What the blocks
-       agree in, what they agree in elsewhere, and how many points stay there say how probable it is
-       that this is the template. One that was lost is sought in the whole frame.
-    4. If it was seen in the frame before: robustly from what its points flow to when it is
-       distorted, in 32 ways, or translated to where it correlates best.
-    5. What has texture agrees, though the ground between it has changed.
+       interpolation. Accepted if the blocks of the template agree to within the noise, which is
+       estimated from the frames. Else the pose is aligned once more with a photometric model: light
+       that varies smoothly, a blur, a tone curve, and Tukey's weights [3]_.
+    2. The same from where the points of the template flow to.
+    3. From all these poses, those in which the blocks agree best are fitted with the photometric
+       model. The score of the second-best pose, the points that stay there, the distance from the
+       expected pose and the uncertainty give the probability that the best one is right. A template
+       that was lost is searched in the whole frame, or where the Kalman filter expects it.
+    4. If it was found in the frame before: the same from distorted poses and from the peaks of the
+       normalized cross-correlation.
 
-    Else it is lost. Templates above 64 px are searched robustly on halved frames.
+    Else it is lost. The probability is lower, and the template may count as lost, where something
+    identical was seen in the last frame. A periodic texture that moves by nearly a whole period
+    cannot be told from one at rest. Templates above 64 px are searched robustly on halved frames.
 
     Parameters
     ----------
@@ -65,8 +53,8 @@ class ESMTracker:
     motion : {"homography", "affine", "translation"}
         Group of warps.
     kalman : KalmanFilter, optional
-        Predicts where each frame's search starts. By default a search starts where the last one
-        ended.
+        Predicts where each frame's search starts, and limits where a lost template is searched. By
+        default a search starts where the last one ended.
 
     Raises
     ------
@@ -113,6 +101,7 @@ class ESMTracker:
         self._grey_scale = _grey_scale_of(frame[y : y + height, x : x + width])
         frame = frame * self._grey_scale
         self._shape, self._kalman, self._seen = frame.shape, kalman, True
+        self._attempts = ATTEMPTS
         size = max(width, height) / 2
         self._start = np.array(
             [[size, 0, x + (width - 1) / 2], [0, size, y + (height - 1) / 2], [0, 0, 1.0]]
@@ -123,12 +112,13 @@ class ESMTracker:
             smooth=cut(frame, smoothing=_SMOOTHING),
             sharp=cut(half_pixel(frame), density=2, smoothing=0.0),
         )
-        _check_texture(self._template)
+        check_texture(self._template)
         # At least what rounding to whole numbers and interpolation leave.
         rounded = float(self._grey_scale) / np.sqrt(12) * (np.asarray(image).dtype.kind in "bui")
         self._least_noise = max(0.01 * self._template.sharp.contrast, rounded)
         view = View(frame, self._least_noise)
         self._search = RobustSearch(self._template, view, self._box, self._start, motion)
+        self._last = frame / self._grey_scale, self._pose
 
     def track(self, frame: ArrayLike) -> Track:
         """Find the template in the next frame.
@@ -155,22 +145,27 @@ class ESMTracker:
         if self._kalman is not None:
             center = self._corners().mean(axis=0)
             self._pose = translate(self._pose, self._kalman.predict() - center)
-        region: Image = frame
-        origin: Array = np.zeros(2)
-        if self._seen:  # else it is sought in the whole frame
-            corners = self._corners()
-            region, origin = cut_around(frame, corners, np.ptp(corners, axis=0).max())
+        corners = self._corners()
+        reach = np.ptp(corners, axis=0).max()
+        if not self._seen:  # anywhere, or within five standard deviations of the prediction
+            spread = np.inf if self._kalman is None else np.sqrt(self._kalman.covariance[0, 0])
+            reach = max(reach, 5 * spread)
+        region, origin = cut_around(frame, corners, reach)
         if min(region.shape) < 2:
             return self._lost("out of view")
         image = np.ascontiguousarray(as_image("frame", region) * self._grey_scale)
         view = View(image, self._least_noise)
-        scene = Scene(self._search, view, translate(self._pose, -origin), self._seen)
-        found = find_template(scene)
+        pose = translate(self._pose, -origin)
+        scene = Scene(self._search, view, pose, self._seen, self._last, self._grey_scale)
+        found = find_template(scene, self._attempts)
         if found is None:
             return self._lost(scene.best.reason or "no agreement")
         if found.confidence < self._search.settings.threshold:
-            return self._lost("no agreement", found.confidence)
-        return self._accept(found, origin)
+            reason = "ambiguous" if found.ambiguous else "no agreement"
+            return self._lost(reason, found.confidence)
+        track = self._accept(found, origin)
+        self._last = frame.copy(), self._pose
+        return track
 
     def _accept(self, found: Found, origin: Array) -> Track:
         """Keep what was found in a part of the frame that begins at `origin`."""
@@ -214,22 +209,3 @@ def _grey_scale_of(template: Image) -> np.float32:
     """Return the power of two that brings a template's contrast to 32 … 64 grey levels."""
     contrast = float(template.std(dtype=np.float64))
     return np.float32(2.0 ** (5 - np.floor(np.log2(contrast))) if contrast > 0 else 1)
-
-
-def _check_texture(template: Template) -> None:
-    """Refuse a template that a translation leaves unchanged in some direction."""
-    smooth, sharp = template.smooth, template.sharp
-    if smooth.contrast < 0.01 * sharp.contrast:
-        raise ValueError(
-            f"box must hold details of more than a px, got a contrast of {sharp.contrast:.3g} of "
-            f"which a blur of {smooth.smoothing:g} px leaves {smooth.contrast:.3g}"
-        )
-    gradient = sharp.slope.astype(np.float64)
-    weak, strong = np.linalg.eigvalsh(gradient @ gradient.T)
-    # A gradient that single precision may make of none; an edge with a noise of 0.5 % has 0.002.
-    if strong <= (ROUNDING * np.abs(sharp.grey).max()) ** 2 * sharp.grey.size:
-        raise ValueError("box must hold a textured template, got a flat one")
-    if weak < 1e-4 * strong:
-        raise ValueError(
-            "box must hold gradients in two directions, got a template that slides along its edges"
-        )

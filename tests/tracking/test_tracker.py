@@ -307,12 +307,13 @@ def test_a_film_becomes_a_table_and_a_lost_frame_an_empty_row():
     np.testing.assert_allclose(table["time_s"], np.arange(8) / 20.0)
     truth = path - path[0] + (84, 84)
     found = table[["center_x", "center_y"]].to_numpy(float)
-    numbers = table.drop(columns=["lost", "reason", "time_s"])
+    numbers = table.drop(columns=["lost", "reason", "time_s", "confidence"])
     way = 1.5 * (found - found[0])
     np.testing.assert_allclose(table[["x_um", "y_um"]].to_numpy(float), way, atol=1e-9)
     assert numbers.loc[4].isna().all()
     assert numbers.drop(index=4).notna().all(axis=None)
     assert table["reason"][4]
+    assert table["confidence"][4] < 0.7 < table["confidence"].drop(index=4).min()
     np.testing.assert_allclose(np.delete(found, 4, 0), np.delete(truth, 4, 0), atol=0.05)
 
 

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array
+from microlib._common import Array, Image
 from microlib.tracking._esm import Alignment
+from microlib.tracking._geometry import TINY
 from microlib.tracking._sampling import View
-from microlib.tracking.robust._blocks import compare
 from microlib.tracking.robust._confidence import confidence
 from microlib.tracking.robust._covariance import corner_covariance, largest_sigma
 from microlib.tracking.robust._photometric import PhotometricFit
@@ -34,12 +34,15 @@ class Found:
         Probability that the pose is right within a pixel.
     hidden : ndarray of bool, shape (height, width)
         Pixels of the template that the frame does not show.
+    ambiguous : bool
+        Whether it may be a lookalike, or the template moved by another period of its texture.
     """
 
     fit: Alignment
     corner_covariance: Array
     confidence: float
     hidden: NDArray[np.bool_]
+    ambiguous: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +59,24 @@ class Scene:
         Expected pose, in px of the view.
     seen : bool
         Whether the template was found in the frame before.
+    last : tuple of ndarray
+        The last frame in which it was found, and its pose there.
+    grey_scale : float
+        Factor of the grey values of that frame.
     """
 
     search: RobustSearch
     view: View
     pose: Array
     seen: bool
+    last: tuple[Image, Array]
+    grey_scale: np.float32
+
+    @cached_property
+    def lookalikes(self) -> Array:
+        """Where else in the last frame the template correlates, as offsets from its place (px)."""
+        frame, pose = self.last
+        return self.search.lookalikes(np.asarray(frame, np.float32) * self.grey_scale, pose)
 
     @cached_property
     def flow_poses(self) -> list[Array]:
@@ -101,15 +116,16 @@ def search_nearby(scene: Scene) -> Found | None:
     coarse = scene.search.align_coarsely(scene.view, scene.pose)
     starts = [scene.pose, coarse.pose, scene.best.pose, *scene.flow_poses]
     if not scene.seen:
-        starts += scene.search.match_poses(scene.view, scene.pose)
-    return _searched(scene, starts, far=not scene.seen)
+        matches = scene.search.match_poses(scene.view, scene.pose)
+        starts += [match for match in matches if uniqueness(scene, match) > 0.5]
+    return _searched(scene, starts)
 
 
 def search_far(scene: Scene) -> Found | None:
     """Search robustly from distorted and distant poses, if the template was not lost before."""
     if not scene.seen:
         return None
-    return _searched(scene, scene.search.far_poses(scene.view, scene.pose), far=True)
+    return _searched(scene, scene.search.far_poses(scene.view, scene.pose))
 
 
 ATTEMPTS: tuple[Callable[[Scene], Found | None], ...] = (
@@ -126,7 +142,7 @@ def _without_search(scene: Scene, plain: Alignment) -> Found | None:
         return None
     search, settings = scene.search, scene.search.settings
     sharp = search.template.sharp
-    if _blocks_agree(scene, plain, settings.steady_light):
+    if search.blocks_agree(plain, settings.steady_light):
         covariance = corner_covariance(sharp, plain, plain.weight)
         if largest_sigma(covariance) < settings.certain:
             return Found(plain, covariance, 1.0, plain.weight == 0)
@@ -136,29 +152,24 @@ def _without_search(scene: Scene, plain: Alignment) -> Found | None:
     covariance = search.covariance(fit)
     off = search.corners_of(fit.pose) - search.corners_of(plain.pose)
     confirmed = max(np.abs(off).max(), largest_sigma(covariance)) < settings.confirmed
-    if _is_clear(scene, fit, covariance) or (
-        confirmed and _blocks_agree(scene, plain, settings.changed_ground)
-    ):
+    if _is_clear(scene, fit, covariance) or (confirmed and search.blocks_agree(plain)):
         return _found(scene, fit, covariance, 1.0)
     return None
 
 
-def _blocks_agree(scene: Scene, fit: Alignment, limit: tuple[float, float]) -> bool:
-    """Return whether all blocks of the template agree with an alignment of one gain and bias."""
-    search, sharp = scene.search, scene.search.template.sharp
-    agreement = compare(fit.grey, sharp.grey, fit.weight, search.noise).agreement()
-    most = limit[0] * search.noise + limit[1] * abs(fit.gain) * sharp.contrast
-    return search.is_enough(agreement) and agreement.residual <= most
-
-
-def _searched(scene: Scene, starts: list[Array], *, far: bool) -> Found | None:
+def _searched(scene: Scene, starts: list[Array]) -> Found | None:
     """Return what the robust search finds, with its confidence."""
-    finding = scene.search.search(scene.view, scene.pose, starts, far=far)
+    finding = scene.search.search(scene.view, scene.pose, starts)
     if finding is None or finding.fit.reason:
         return None
     covariance = scene.search.covariance(finding.fit)
     clear = _is_clear(scene, finding.fit, covariance)
-    return _found(scene, finding.fit, covariance, 1.0 if clear else confidence(finding))
+    return _found(
+        scene,
+        finding.fit,
+        covariance,
+        1.0 if clear else confidence(finding, largest_sigma(covariance)),
+    )
 
 
 def _is_clear(scene: Scene, fit: PhotometricFit, covariance: Array) -> bool:
@@ -177,8 +188,26 @@ def _found(scene: Scene, fit: PhotometricFit, covariance: Array, probability: fl
     return Found(fit, covariance, probability, hidden > 0)
 
 
+def uniqueness(scene: Scene, pose: Array) -> float:
+    """Return how sure it is that a pose is not that of a lookalike, 0 to 1.
+
+    The template moves by a from the expected place, the nearest lookalike by b from its own, and
+    the result is b/(a + b). A move by less than a quarter of the template meets only lookalikes
+    that its first frame shows. These repeat on all sides in a periodic texture: 1 − a/b.
+    """
+    search = scene.search
+    moved = search.moved(scene.pose, pose)
+    near = scene.seen and np.hypot(*moved) < search.side / 4
+    offsets = search.own_lookalikes if near else scene.lookalikes
+    if not len(offsets):
+        return 1.0
+    other = np.linalg.norm(offsets - moved, axis=1).min()
+    ratio = float(np.hypot(*moved) / max(other, TINY))
+    return max(0.0, 1 - ratio) if near else 1 / (1 + ratio)
+
+
 def find_template(
-    scene: Scene, attempts: tuple[Callable[[Scene], Found | None], ...] = ATTEMPTS
+    scene: Scene, attempts: tuple[Callable[[Scene], Found | None], ...]
 ) -> Found | None:
     """Return the first pose that is confident enough, else the most probable, or None."""
     most_probable = None
@@ -186,6 +215,9 @@ def find_template(
         found = attempt(scene)
         if found is None:
             continue
+        unique = uniqueness(scene, found.fit.pose)
+        ambiguous = unique < scene.search.settings.threshold
+        found = replace(found, confidence=found.confidence * unique, ambiguous=ambiguous)
         if found.confidence >= scene.search.settings.threshold:
             return found
         if most_probable is None or found.confidence > most_probable.confidence:

@@ -5,34 +5,26 @@ from __future__ import annotations
 import numpy as np
 
 from microlib._common import Array
-from microlib.tracking._geometry import TINY
 from microlib.tracking.robust._search import Finding
 
 #: Coefficients of a logistic function of `features`. Fitted by maximum likelihood with a ridge of ½
-#: on standardized features to 399 poses, 234 of them right, that robust searches found in 666 pairs
-#: of warped photographs (eight of scikit-image's and eight of OpenCV's; corners moved by 2 and by
-#: 6 px, shifts by 12 px): right within 1 px against wrong by more than 3 px or not there. The
-#: tracker's benchmark on photographs fits them anew beside these, says what each is worth, and
-#: reports other photographs.
-COEFFICIENTS = np.array([-1.8, 0.99, -5.99, -2.53, 4.44, -2.84])
+#: on standardized features to 445 poses, 352 of them right, that robust searches found on
+#: photographs (eight of scikit-image's and eight of OpenCV's): in 432 pairs as those of the
+#: tracker's benchmark and in sequences with a sheen or growing saturation; right within 1 px
+#: against wrong by more than 3 px or not there.
+COEFFICIENTS = np.array([-3.64, 0.33, 4.16, -9.86, -1.45])
 
 
-def confidence(finding: Finding) -> float:
-    """Return the probability that a pose is right within a pixel, 0 to 1."""
-    return float(1.0 / (1.0 + np.exp(-COEFFICIENTS @ features(finding))))
+def confidence(finding: Finding, sigma: float) -> float:
+    """Return the probability that a pose is right within a pixel, 0 to 1.
+
+    `sigma` is the largest standard deviation of a corner, px.
+    """
+    return float(1.0 / (1.0 + np.exp(-COEFFICIENTS @ features(finding, sigma))))
 
 
-def features(finding: Finding) -> Array:
-    """Return what `confidence` weighs: one, and what is named in the benchmark's table."""
-    fit = finding.fit
-    said, elsewhere = (np.log1p(max(s, 0.0)) for s in (finding.score, finding.second_score))
-    return np.array(
-        [
-            1.0,
-            said - elsewhere,
-            min(fit.nonlinearity, 2.0),
-            min(abs(np.log(max(fit.gain, TINY))), 2.0),
-            finding.inlier_ratio,
-            finding.far,
-        ]
-    )
+def features(finding: Finding, sigma: float) -> Array:
+    """Return the features that `confidence` weighs; the first is one."""
+    best, second = (np.log1p(max(s, 0.0)) for s in (finding.score, finding.second_score))
+    moved, spread = min(finding.moved, 0.5), np.log(np.clip(sigma, 1e-3, 10.0))
+    return np.array([1.0, best - second, finding.inlier_ratio, moved, spread])

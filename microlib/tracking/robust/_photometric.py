@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.interpolate import BSpline
 
 from microlib._common import Array, Image
 from microlib.tracking._esm import Alignment, Level
@@ -46,8 +47,6 @@ class PhotometricFit(Alignment):
         Robust standard deviation of the residual over the noise.
     slope : ndarray, shape (H, W)
         Derivative of weight times residual by the residual.
-    nonlinearity : float
-        Largest of blur and tone over the gain.
     hidden : ndarray of bool, shape (H, W)
         Pixels whose residual is neither noise nor small beside the template.
     """
@@ -55,7 +54,6 @@ class PhotometricFit(Alignment):
     blocks: Blocks
     noise: float
     slope: Image
-    nonlinearity: float
     hidden: Image
 
 
@@ -130,7 +128,6 @@ class PhotometricLevel(Level):
             blocks=compare(grey, model, share, unit),
             noise=scale / unit,
             slope=_tukey_slope(weight, residual, scale),
-            nonlinearity=float(np.abs(response[3:_GAINS]).max() / max(abs(response[0]), TINY)),
             hidden=_hidden(residual, model, unit),
         )
 
@@ -205,10 +202,10 @@ def _hidden(residual: Image, model: Image, noise: float) -> Image:
     return np.asarray(square > (3 * noise) ** 2 + variance / 4)
 
 
-def make_photometric(level: Level, blurred: Level, most_knots: int) -> PhotometricLevel:
+def make_photometric(level: Level, blurred: Level, bias_splines: int) -> PhotometricLevel:
     """Return the columns of the light of a template, which is given a little `blurred`, too.
 
-    The bias has knots every 10 px, at most `most_knots` along a side.
+    The bias is a sum of so many splines along each side.
     """
     rows, columns = level.grey.shape
     contrast = max(level.contrast, TINY)
@@ -225,8 +222,8 @@ def make_photometric(level: Level, blurred: Level, most_knots: int) -> Photometr
         (t * t, 2 * t),
         (t**3, 3 * t * t),
     ]
-    knots = [min(max(side // 10, 2), most_knots) for side in (columns, rows)]
-    biases = [a * b for a in _hats(u, knots[0]) for b in _hats(v, knots[1])]
+    across, down = (_splines(side, bias_splines) for side in (columns, rows))
+    biases = [a * b[:, None] for a in across for b in down]
     light = np.array([column for column, _ in gains] + biases, np.float32)
     tone = np.array([slope for _, slope in gains], np.float32) / np.float32(contrast)
     own = {**vars(level), "contrast": contrast}
@@ -235,7 +232,7 @@ def make_photometric(level: Level, blurred: Level, most_knots: int) -> Photometr
     )
 
 
-def _hats(place: Array, count: int) -> list[Array]:
-    """Return hats between evenly spaced knots over −1 … 1."""
-    knots = np.linspace(-1, 1, count)
-    return [np.maximum(0.0, 1 - np.abs(place - knot) * (count - 1) / 2) for knot in knots]
+def _splines(length: int, count: int) -> Array:
+    """Return cubic B-splines with evenly spaced knots, count×length."""
+    knots = np.concatenate([[-1.0] * 3, np.linspace(-1, 1, count - 2), [1.0] * 3])
+    return BSpline.design_matrix(np.linspace(-1, 1, length), knots, 3).toarray().T

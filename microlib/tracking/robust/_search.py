@@ -14,7 +14,7 @@ from functools import partial
 import cv2
 import numpy as np
 
-from microlib._common import Array
+from microlib._common import Array, Image
 from microlib.tracking._esm import Alignment, Level, Template, make_level
 from microlib.tracking._geometry import apply_homography, cut_around, translate
 from microlib.tracking._sampling import View, half_pixel
@@ -54,15 +54,15 @@ class Finding:
         the end, too.
     inlier_ratio : float
         Share of the template's points that stay when they are followed from the pose.
-    far : bool
-        Whether the starts were far from the last pose.
+    moved : float
+        Distance of the center from the expected one, in sides of the template.
     """
 
     fit: PhotometricFit
     score: float
     second_score: float
     inlier_ratio: float
-    far: bool
+    moved: float
 
 
 class RobustSearch:
@@ -78,7 +78,7 @@ class RobustSearch:
     ) -> None:
         self.template, self.settings, self.noise = template, Settings(), view.noise
         width, height = box[2:]
-        settings = self.settings
+        settings, self.side = self.settings, max(width, height)
         self._finest = max(0, int(np.ceil(np.log2(max(width, height) / settings.largest))))
         self._scale = 2.0**self._finest
         cut = partial(make_level, box=box, pose=pose, motion=motion)
@@ -98,11 +98,12 @@ class RobustSearch:
                 cut(half_pixel(one), halvings=self._finest, smoothing=_SHARP, density=2)
                 for one in (image, cv2.GaussianBlur(image, (0, 0), 0.8))
             )
-            self._photometric.append(make_photometric(sharp, blurred, settings.knots))
+            self._photometric.append(make_photometric(sharp, blurred, settings.bias_splines))
         self._corners = template.sharp.corners
         reach = max(width, height) >> self._finest
         self._points = PointFlow(self._blurred[0], fine, pose, reach)
         self._distortions = distortions(motion, settings.distortion)
+        self.own_lookalikes = self.lookalikes(view.image, pose)
 
     def is_enough(self, agreement: Agreement) -> bool:
         """Return whether the blocks of the template agree, and have enough texture to say so."""
@@ -115,7 +116,8 @@ class RobustSearch:
 
     def match_poses(self, view: View, pose: Array) -> list[Array]:
         """Return the pose translated to where the template correlates best in the view."""
-        return ncc_peaks(self._coarse, view.layer(self._halvings), pose, self.settings.places)
+        layer, apart = view.layer(self._halvings), min(self._coarse.grey.shape) // 4
+        return ncc_peaks(self._coarse, layer, pose, apart=apart)[: self.settings.places]
 
     def align_coarsely(self, view: View, pose: Array) -> Alignment:
         """Align from a pose at the coarsest level."""
@@ -134,9 +136,7 @@ class RobustSearch:
         fine = [self.template.align(view.image, start).pose for start in coarse]
         return fine + [pose for start in coarse[:1] for pose in self.flow_poses(view, start)[:1]]
 
-    def search(
-        self, view: View, pose: Array, starts: Sequence[Array], *, far: bool
-    ) -> Finding | None:
+    def search(self, view: View, pose: Array, starts: Sequence[Array]) -> Finding | None:
         """Return the best pose that the starts lead to, or None if none is any good.
 
         Parameters
@@ -144,11 +144,9 @@ class RobustSearch:
         view : View
             The frame.
         pose : ndarray, shape (3, 3)
-            Where the template was.
+            Where the template is expected.
         starts : sequence of ndarray, shape (3, 3)
             Poses to begin with.
-        far : bool
-            Whether they are far from it.
         """
         settings = self.settings
         beam = self._different([self._judged(view, start) for start in starts])[: settings.beam]
@@ -170,12 +168,45 @@ class RobustSearch:
             score=best.score,
             second_score=others[0].score if others else 0.0,
             inlier_ratio=self._points.inlier_ratio(view.layer(self._finest), best.pose),
-            far=far,
+            moved=float(np.hypot(*self.moved(pose, best.pose)) / self.side),
         )
 
     def corners_of(self, pose: Array) -> Array:
         """Return the corners of the template at a pose, px of the view."""
         return apply_homography(pose, self._corners)
+
+    def moved(self, before: Array, after: Array) -> Array:
+        """Return how the center of the template moves from a pose to another, (x, y) in px."""
+        return (self.corners_of(after) - self.corners_of(before)).mean(axis=0)
+
+    def blocks_agree(self, fit: Alignment, limit: tuple[float, float] | None = None) -> bool:
+        """Return whether all blocks of the template agree with an alignment of one gain and bias.
+
+        The `limit` of the residual of their means is in the noise and in the contrast.
+        """
+        if fit.reason:
+            return False
+        sharp = self.template.sharp
+        agreement = compare(fit.grey, sharp.grey, fit.weight, self.noise).agreement()
+        noise, contrast = limit or self.settings.changed_ground
+        most = noise * self.noise + contrast * abs(fit.gain) * sharp.contrast
+        return self.is_enough(agreement) and agreement.residual <= most
+
+    def lookalikes(self, image: Image, pose: Array) -> Array:
+        """Return where else in a frame all blocks agree: offsets from the pose, k×2 (x, y) in px.
+
+        Only the nearest places are tested.
+        """
+        view, least = View(image, 0.0), self.settings.alike
+        peaks = ncc_peaks(self._blurred[0], view.layer(self._finest), pose, apart=2, least=least)
+        offsets = [self.moved(pose, peak) for peak in peaks]
+        elsewhere = sorted((np.hypot(*off), *off) for off in offsets if np.hypot(*off) > 3)
+        fits = [
+            self.template.align(view.image, translate(pose, np.array(off)))
+            for _, *off in elsewhere[: self.settings.places]
+        ]
+        equal = [self.moved(pose, fit.pose) for fit in fits if self.blocks_agree(fit)]
+        return np.array([off for off in equal if np.hypot(*off) > 3]).reshape(-1, 2)
 
     def polish(self, view: View, pose: Array, blur: int = 0) -> PhotometricFit | None:
         """Align in smooth light at half pixels of the finest level."""

@@ -27,8 +27,9 @@ class Settings:
     clear : float
         Residual in smooth light, in the noise, up to which nothing is hidden.
     threshold : float
-        Probability of being right from which on a pose is believed: 0.4 % of the right ones on
-        photographs held out and 2.6 % on those fitted to are below it (table "Findings").
+        Probability of being right from which on a pose is accepted.
+    alike : float
+        Normalized correlation from which on another place of a frame looks like the template.
     largest : int
         Side (px) that the template has at most at the finest level of the search: its cost.
     distortion : float
@@ -44,8 +45,8 @@ class Settings:
         Nats below which no start is finished: no template that was there had less.
     blurs : tuple of float
         Standard deviations (px) of the blurs of the template: "Variants".
-    knots : int
-        Most knots of the bias along a side: "Variants".
+    bias_splines : int
+        Cubic splines of the bias along a side.
     unmodeled : float
         Factor of the covariance of a photometric fit for what its model leaves out: a blur between
         those tried.
@@ -58,13 +59,14 @@ class Settings:
     changed_ground: tuple[float, float] = (1.0, 0.2)
     confirmed: float = 0.5
     clear: float = 1.5
-    threshold: float = 0.65
+    threshold: float = 0.7
+    alike: float = 0.9
     largest: int = 64
     distortion: float = 0.15
     places: int = 6
     beam: int = 3
     beam_share: float = 0.5
     least_score: float = 1.0
-    blurs: tuple[float, ...] = (0.0, 1.0, 2.0)
-    knots: int = 5
+    blurs: tuple[float, ...] = (0.0, 1.0, 1.6, 2.5)
+    bias_splines: int = 5
     unmodeled: float = 1.5

@@ -103,18 +103,20 @@ def _agreed(
     return motion, np.asarray(inliers).ravel() > 0
 
 
-def ncc_peaks(level: Level, image: Image, pose: Array, count: int) -> list[Array]:
-    """Return a pose translate to where the template correlates best in an image of its level."""
+def ncc_peaks(
+    level: Level, image: Image, pose: Array, *, apart: int, least: float = 0.0
+) -> list[Array]:
+    """Return a pose translated to the peaks of the normalized cross-correlation, best first.
+
+    The peaks in an image of the template's level are at least `least` and so many px `apart`.
+    """
     from skimage.feature import peak_local_max  # here, for importing it takes long
 
     if min(np.subtract(image.shape, level.grey.shape)) < 0:
         return []
     smooth = cv2.GaussianBlur(image, (0, 0), level.smoothing) if level.smoothing else image
     scores = cv2.matchTemplate(smooth, level.grey, cv2.TM_CCOEFF_NORMED)
-    apart = min(level.grey.shape) // 4
-    peaks = peak_local_max(
-        scores, min_distance=apart, threshold_abs=0, num_peaks=count, exclude_border=False
-    )
+    peaks = peak_local_max(scores, min_distance=apart, threshold_abs=least, exclude_border=False)
     middle = (np.array(level.grey.shape[::-1]) - 1) / 2
     places = (peaks[:, ::-1] + middle) / level.to_image[0, 0]
     center = apply_homography(pose, level.corners).mean(axis=0)
