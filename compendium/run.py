@@ -225,7 +225,7 @@ def run(name: str, key: str) -> tuple[str, bool]:
     about["when"], about["figures"] = f"{datetime.now():%Y-%m-%d %H:%M}", []
     about["interpreter"] = os.path.relpath(sys.executable, ROOT)
     write_json(status, about | {"failed": "FAILED: its run did not end"})
-    start, record = perf_counter(), work / "record.json"
+    start, record = perf_counter(), work / f"{name}.json"  # which names its notebook
     values = {"record": str(record.relative_to(ROOT))}
     options: dict[str, Any] = {"log": log, "cell_limit": CELL_LIMIT}
     options["variables"] = {FOLDER_VARIABLE: str(work / "figures")}

@@ -20,7 +20,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 CHECKS = """
 import json, pathlib
-pathlib.Path(record).write_text(json.dumps([{"verdict": "consistent"}, {"verdict": "result"}]))
+path = pathlib.Path(record)
+found = [{"verdict": "agrees", "notebook": path.stem}, {"verdict": "result"}]
+path.write_text(json.dumps(found)) if record else None
 """
 
 
@@ -83,6 +85,8 @@ def test_only_what_changed_or_is_missing_runs_again(
     done = nbformat.read(project / "build" / "notebooks" / "01_first.ipynb", as_version=4)
     injected = [c for c in done.cells if "injected-parameters" in c.metadata.get("tags", [])]
     assert [c.metadata.tags for c in injected] == [["injected-parameters", "remove-cell"]]
+    claims = json.loads((project / "build" / "claims" / "01_first.json").read_text())
+    assert claims[0]["notebook"] == "01_first"  # as `ledger.open_record` takes it from the path
     assert "papermill" not in {*done.metadata, *(k for c in done.cells for k in c.metadata)}
     assert run.main() == 0
     assert "01_first: up to date" in capsys.readouterr().out
