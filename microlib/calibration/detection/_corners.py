@@ -14,6 +14,7 @@ from contextlib import suppress
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from microlib._common import Array
 from microlib.calibration._detection import FEWEST
@@ -56,7 +57,9 @@ def _verified(smooth: NDArray, centers: Array, grid: Index, kind: str) -> tuple[
     """The corners around which the image is alike a drawn board."""
     for least in (0.4, 0.6, Settings.least_alike):  # what is no corner bends the map
         to_image, _ = fit_grid_map(centers[:, None], grid.astype(float), MIDDLE, smooth.shape)
-        kept = _likeness(smooth, centers, to_image.steps(grid), grid, kind) > least
+        beside = np.linalg.norm(centers - to_image(grid), axis=1) / np.sqrt(to_image.scale(grid))
+        alike = _likeness(smooth, centers, to_image.steps(grid), grid, kind)
+        kept = (alike > least) & (beside < 1 - least)
         centers, grid = centers[kept], grid[kept]
         if len(grid) < FEWEST or fill(grid) == 0:
             raise ValueError("no board is left")
@@ -76,15 +79,23 @@ def _grow_board(grey: NDArray[np.float32], blur: float, kind: str) -> tuple[Arra
     along = np.abs(np.einsum("nki,nij,nkj->nk", toward, hessians, toward)) < 1 / 4
     first = opposite & along
 
+    tree = cKDTree(centers)
+
+    def alike(here: int, there: int) -> bool:
+        x, y = centers[there] - centers[here]
+        (xx, xy), (_, yy) = hessians[here]
+        edge = abs(xx * x * x + 2 * xy * x * y + yy * y * y) < 0.5 * (x * x + y * y)
+        return bool(edge and (hessians[here] * hessians[there]).sum() < -1 / 2)
+
     def first_steps(seed: int) -> Iterator[Array]:
         candidates = np.flatnonzero(first[seed])
         for one in candidates[:3]:
             (x, y), (u, v) = toward[seed, one], toward[seed, candidates].T
             for other in candidates[np.abs(x * v - y * u) > 1 / 2][:3]:
-                yield step[seed, [one, other]]
-
-    def alike(here: int, there: int) -> bool:
-        return bool((hessians[here] * hessians[there]).sum() < -1 / 2)
+                steps = step[seed, [one, other]]
+                beyond, fourth = tree.query(centers[seed] + steps.sum(axis=0))
+                if 3 * beyond < np.hypot(*steps[0]) and alike(near[seed, one], fourth):
+                    yield steps
 
     # Under a strong distortion one step differs from the next by a quarter.
     pieces = grow_pieces(centers, range(len(centers)), first_steps, alike, reach=1 / 3)

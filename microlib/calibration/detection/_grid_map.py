@@ -21,7 +21,6 @@ from scipy.optimize import leastsq
 from microlib._common import Array
 from microlib.calibration._uncertainty import monomials
 from microlib.calibration.detection._marks import TO_SIGMA
-from microlib.calibration.detection._settings import Settings
 from microlib.microscope import distort
 
 #: Step of the central differences, in cells: their error is its square, 1e-6 of what the scale
@@ -139,7 +138,7 @@ def fit_grid_map(
 
 
 def agree(
-    points: Array, positions: Array, to_image: GridMap, sigma: Array, settings: Settings
+    points: Array, positions: Array, to_image: GridMap, sigma: Array, most: float, stray: float
 ) -> tuple[NDArray[np.bool_], Array, float]:
     """Hold the points of marks against the map of their grid.
 
@@ -152,8 +151,10 @@ def agree(
         Fitted to them.
     sigma : ndarray, shape (n, k)
         Standard deviation of a coordinate as the outlines' own fits tell it, px.
-    settings : Settings
-        Those of the detection.
+    most : float
+        Largest residual of a lattice, rms, in pitches.
+    stray : float
+        A mark so many standard deviations beside the others' map is none of theirs.
 
     Returns
     -------
@@ -182,8 +183,8 @@ def agree(
         left, apart = _beside(residuals, fields, kept)
         inflation = np.sqrt(residuals[kept].size / freedom)
         spread = TO_SIGMA * np.median(np.abs(left[kept])) * inflation
-        stray = apart.max(axis=-1) > settings.stray * np.maximum(spread, sigma)
-        before, kept = kept, ~stray.any(axis=1)
+        beside = apart.max(axis=-1) > stray * np.maximum(spread, sigma)
+        before, kept = kept, ~beside.any(axis=1)
         if (kept == before).all() or not kept.any():
             break
     kept = before & kept
@@ -192,7 +193,7 @@ def agree(
     own = float(np.sqrt((sigma[kept] ** 2).mean())) if kept.any() else 0.0
     pitch = float(np.sqrt(np.median(to_image.scale(positions.mean(axis=1)))))
     # What the marks' own noise explains is no reason to refuse, whatever the pitch.
-    if rms > max(settings.most_residual * pitch, 3 * own) or share < 3 / 4:
+    if rms > max(most * pitch, 3 * own) or share < 3 / 4:
         raise ValueError(
             f"image must show a regular lattice, got {share:.0%} of the marks on one, and them "
             f"{rms:.2g} px ({rms / pitch:.1%} of a pitch) beside it"

@@ -148,6 +148,9 @@ def _grow(
                 following = local.copy()
                 following[axis] += sign * (centers[index] - centers[here])
                 following[axis] /= 2
+                # In perspective a step in depth shrinks as the square of one across.
+                shrunk = np.hypot(*following[axis]) / np.hypot(*local[axis])
+                following[1 - axis] *= np.sqrt(shrunk)
                 found[target] = int(index)
                 taken.add(int(index))
                 queue.append((target, following))

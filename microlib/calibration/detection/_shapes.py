@@ -66,11 +66,12 @@ def fit_marks(
     worst = sigma.max(axis=1)
     inside = (points >= reach) & (points <= limit - reach)
     moved = np.linalg.norm(points.mean(axis=1) - marks.centers, axis=1)
-    good = inside.all(axis=(1, 2)) & np.isfinite(worst) & (moved < np.sqrt(marks.areas) / 4)
+    good = inside.all(axis=(1, 2)) & np.isfinite(worst) & (moved < np.sqrt(marks.areas) / 6)
+    good &= 3 * np.abs(fit.parameters[:, BLUR]) < np.sqrt(marks.areas)  # else others take part
     # Residuals of up to 5 medians let 2 wrong points of 1961 pass that 3 keeps out, and 2 costs 12.
     if good.any():
         good &= fit.rms <= 3 * np.median(fit.rms[good])
-        good &= worst <= np.minimum(4 * np.median(worst[good]), np.sqrt(marks.areas) / 2)
+        good &= worst <= np.minimum(4 * np.median(worst[good]), np.sqrt(marks.areas) / 20)
     if good.sum() < FEWEST:
         raise ValueError(f"image must show a grid of {kind}, got {int(good.sum())} whole ones")
     fit = fit[good]
