@@ -287,6 +287,42 @@ def test_calibrate_takes_several_views_and_says_what_it_sees(
         assert "px rms" in ax.get_title()
 
 
+def test_calibrate_leaves_out_what_is_not_like_most_photographs(
+    tmp_path: Path, capsys: Told
+) -> None:
+    """Another size ended with all photographs, and another lattice doubled the focal length."""
+    images = {f"view_{k}": board(tilt) for k, tilt in enumerate((-1.0, -0.5, 0.5, 0.8, 1.0))}
+    images["wide"] = np.pad(board(0.3), 4, mode="edge")
+    images["stretched"] = cv2.resize(board(0.7), None, fx=1.5, fy=1.0)[:, 120:600]
+    for name, image in images.items():
+        cv2.imwrite(str(tmp_path / f"{name}.png"), image)
+    assert status(f"calibrate {tmp_path} --pitch 100 --cell 5", tmp_path / "out") == 0
+    told = capsys.readouterr()
+    assert "wide.png: its size is 488×408 px, of most 480×400" in told.err
+    assert "stretched.png: it disagrees with the others by" in told.err
+    assert "5 view(s)" in told.out
+    found = [detect_squares(images[f"view_{k}"], pattern="chessboard") for k in range(5)]
+    assert str(calibrate(found, pitch=100.0, pixel_size=5.0)) in told.out
+
+
+def test_calibrate_needs_no_cell_for_the_matrix_of_opencv(tmp_path: Path, capsys: Told) -> None:
+    for k, tilt in enumerate((-1.0, 0.5, 1.0)):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), board(tilt))
+    cameras = []
+    for cell in ("", "--cell 5"):
+        out = tmp_path / f"out{cell[-1:]}"
+        assert status(f"calibrate {tmp_path}/*.png --pitch 100 {cell}", out) == 0
+        cameras.append(json.loads((out / "camera.json").read_text()))
+    assert "no --cell was given" in capsys.readouterr().err
+    matrices = [camera["opencv"]["camera_matrix"] for camera in cameras]
+    np.testing.assert_allclose(*matrices, rtol=1e-3)  # to where the two searches end
+    widths = [camera["imagej"]["pixel_width"] for camera in cameras]
+    assert widths[0] == pytest.approx(widths[1], rel=1e-3)
+    line = f"calibrate {tmp_path}/0.png --pitch 100 --focal-length 126000"
+    assert status(line, tmp_path / "none") == 2
+    assert "give --cell µm as well" in capsys.readouterr().err
+
+
 def test_advice_is_that_of_the_result() -> None:
     """What is small, does not fit, or is open, each alone."""
     notes: list[str] = []

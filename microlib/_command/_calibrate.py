@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -54,8 +55,25 @@ def run(a: argparse.Namespace) -> Files:
             a.note(f"left out {fault}")
     if not seen:
         raise ValueError(fault + f"; so {len(photos)} photographs" * (len(photos) > 1))
+    sizes = Counter(found.image_size for _, found in seen.values())
+    size = sizes.most_common(1)[0][0]
+    for photo, (_, found) in list(seen.items()):
+        if found.image_size != size:
+            width, height = found.image_size
+            a.note(
+                f"left out {photo}: its size is {width}×{height} px, of most {size[0]}×{size[1]}"
+            )
+            del seen[photo]
+    scales = {"pitch": a.pitch, "pixel_size": a.cell or 1.0, "focal_length": a.focal_length}
+    result = calibrate([found for _, found in seen.values()], **scales)
+    odd = result.held_out > 10 * np.median(result.held_out)
+    for photo, error in zip(np.array(list(seen))[odd], result.held_out[odd], strict=True):
+        most = f"the others {np.median(result.held_out):.2g} px"
+        a.note(f"left out {photo}: it disagrees with the others by {error:.2g} px, {most}")
+        del seen[photo]
     images, views = zip(*seen.values(), strict=True)
-    result = calibrate(views, pitch=a.pitch, pixel_size=a.cell or 1.0, focal_length=a.focal_length)
+    if odd.any():
+        result = calibrate(views, **scales)
     _advise(a, result, views)
     tables = [found.to_frame().assign(photo=photo) for photo, (_, found) in seen.items()]
     yield "points.csv", text(pd.concat(tables).set_index("photo").to_csv(lineterminator="\n"))

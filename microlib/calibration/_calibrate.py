@@ -20,7 +20,7 @@ from microlib.calibration._calibration import Calibration
 from microlib.calibration._detection import Detection
 from microlib.calibration._stage import plane_points
 from microlib.calibration._uncertainty import FARTHEST, covariance
-from microlib.calibration._views import VIEW, Fit, Views, fit_views, without_terms
+from microlib.calibration._views import VIEW, Fit, Views, fit_views, held_out, without_terms
 from microlib.microscope import Microscope
 
 
@@ -197,6 +197,7 @@ def _report(
         misfit,
         chance,
         tuple(scopes),
+        held_out(views, fit, alone),
     )
 
 

@@ -17,7 +17,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 #: What holds numbers that need not be finite, which JSON knows as texts alone.
-_NUMBERS = ("estimate", "covariance", "residuals", "plane_residuals", "misfit", "misfit_chance")
+_NUMBERS = (
+    *("estimate", "covariance", "residuals", "plane_residuals"),
+    *("misfit", "misfit_chance", "held_out"),
+)
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,10 @@ class Calibration(Tidy):
         directions that the parameters absorb as in those that show.
     views : tuple of Microscope
         One for each view; `microscope` is the first.
+    held_out : ndarray, shape (V,)
+        Reprojection error of each view, rms in px, through the lens that the views without it give,
+        with a pose of its own: what the model is worth on another photograph. A fifth of the views
+        is left out at a time. NaN for fewer than three views.
     """
 
     _large = (
@@ -99,6 +106,7 @@ class Calibration(Tidy):
     misfit: float
     misfit_chance: float
     views: tuple[Microscope, ...]
+    held_out: Array
 
     def __repr__(self) -> str:
         value, low, high = self.um_per_pixel()
@@ -113,6 +121,12 @@ class Calibration(Tidy):
         ]
         if self.unobservable:
             lines.append(f"  not determined: {', '.join(self.unobservable)}")
+        if len(self.views) > 2:
+            median = np.median(self.held_out)
+            lines.append(
+                f"  {median:.3g} px rms in views that are left out, at most "
+                f"{self.held_out.max():.3g}"
+            )
         if not self.fits:
             lines.append(f"  the model does not fit: misfit {self.misfit:.3g}")
         return "\n".join(lines)

@@ -54,6 +54,11 @@ class Views:
     frame: Microscope
     focal_length: float | None
 
+    def some(self, which: ArrayLike) -> Views:
+        """A part of the views."""
+        world, seen = ([each[v] for v in np.asarray(which)] for each in (self.world, self.seen))
+        return replace(self, world=world, seen=seen)
+
     def rounding(self, poses: Array) -> float:
         """Least variance of a coordinate, px²: no point is known better than it is written."""
         scaled = [
@@ -146,9 +151,7 @@ def fit_views(views: Views) -> tuple[Fit, list[list[Fit]]]:
     better one first.
     """
     base = [1] if views.focal_length is not None else [0, 1]
-    every = [
-        replace(views, world=[w], seen=[s]) for w, s in zip(views.world, views.seen, strict=True)
-    ]
+    every = [views.some([v]) for v in range(len(views.world))]
     fits = [[_fit(one, *start, base) for start in _starts(one)] for one in every]
     alone = [sorted(pair, key=lambda fit: fit.cost) for pair in fits]
     if len(every) == 1:
@@ -165,9 +168,45 @@ def fit_views(views: Views) -> tuple[Fit, list[list[Fit]]]:
     return best, alone
 
 
-def _fit(views: Views, lens: Array, poses: Array, lens_free: list[int]) -> Fit:
+def held_out(views: Views, fit: Fit, alone: list[list[Fit]]) -> Array:
+    """Reprojection error of each view, rms in px, through the lens that other views give.
+
+    A fifth of the views is left out at a time, and each of them gets a pose of its own. Views that
+    the lens of most views fits ten times worse than the others take no part. Infinite where no pose
+    fits, NaN for fewer than three views.
+    """
+    every = np.arange(len(views.world))
+    lenses, poses = (np.array([getattr(pair[0], n) for pair in alone]) for n in ("lens", "poses"))
+    lens = np.median(lenses, axis=0)
+    # Of views through one lens φ/(1 + M) is the same; a focal length that is given is so itself.
+    powers = np.median(lenses[:, 0] / (1 + poses[:, 0, 0])) * (1 + poses[:, 0, 0])
+    own = np.full(len(every), np.inf)
+    for v in every:
+        lens[0] = powers[v] if views.focal_length is None else lens[0]
+        with suppress(ValueError):
+            own[v] = _fit(views.some([v]), lens, poses[v], []).cost / len(views.world[v])
+    sound = own <= 100 * max(np.median(own), views.rounding(fit.poses))
+    if len(every) < 3 or sound.sum() < 3:
+        return np.full(len(every), np.nan)
+    errors = np.full(len(every), np.inf)
+    lens_free = [k for k in fit.free if k < len(LENS)]
+    starts = np.concatenate(poses)
+    for fold in range(min(len(every), 5)):
+        rest = every[(every % 5 != fold) & sound]
+        lens = np.median(lenses[rest], axis=0)
+        with suppress(ValueError):
+            others = _fit(views.some(rest), lens, starts[rest], lens_free)
+            for v in every[every % 5 == fold]:
+                both = np.stack([others.poses[0], starts[v]])
+                moved = _fit(views.some([rest[0], v]), others.lens, both, [], fixed=len(VIEW))
+                errors[v] = np.sqrt(2 * (moved.residuals[-2 * len(views.world[v]) :] ** 2).mean())
+    return errors
+
+
+def _fit(views: Views, lens: Array, poses: Array, lens_free: list[int], fixed: int = 0) -> Fit:
+    """Fit poses, all but the first `fixed` of their numbers, and what is free of the lens."""
     start = np.concatenate([lens, poses.ravel()])
-    first = len(LENS)
+    first = len(LENS) + fixed
     free = [first, *sorted(lens_free), *range(first + 1, len(start))]
     seen = np.concatenate(views.seen)
 

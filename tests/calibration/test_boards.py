@@ -12,6 +12,7 @@ import skimage.data
 from scipy.spatial import cKDTree
 
 from microlib.calibration import detect_circles, detect_micrometer, detect_pattern, detect_squares
+from microlib.calibration.detection import _patterns as patterns
 from microlib.calibration.detection._grid_map import fit_grid_map
 from microlib.calibration.detection._marks import Marks
 from microlib.calibration.detection._settings import Settings
@@ -418,3 +419,96 @@ def test_a_pattern_is_named_that_nobody_asked_for(name, image):
     assert detect_pattern(image, name.split(",")[0])[1].points.tolist() == found.points.tolist()
     with pytest.raises(ValueError, match="image must show"):
         detect_pattern(image, "squares" if name != "squares" else "circles")
+
+
+# Boards of many fields
+
+
+def many_fields(
+    columns, rows, side, *, turn=0.1, size=(900, 700), at=(450.0, 350.0), tilt=0.0, k=0.0
+):
+    """A board drawn by the color of the field behind each pixel, and the fields' coordinates."""
+    y, x = np.mgrid[: size[1], : size[0]].astype(float)
+    x, y = x - at[0], y - at[1]
+    factor = 1 + k * (x * x + y * y) / (size[0] / 2) ** 2
+    x, y = x * factor, y * factor
+    depth = 1 - tilt * x / side
+    u = (np.cos(turn) * x + np.sin(turn) * y) / side / depth + columns / 2
+    v = (np.cos(turn) * y - np.sin(turn) * x) / side / depth + rows / 2
+    inside = (u > 0) & (u < columns) & (v > 0) & (v < rows)
+    color = np.where((np.floor(u) + np.floor(v)) % 2, 200.0, 30.0)
+    image = cv2.GaussianBlur(np.where(inside, color, 115.0), (0, 0), 1.0)
+    image = image + np.random.default_rng(0).normal(0, 2, image.shape)
+    return np.clip(np.round(image), 0, 255).astype(np.uint8), np.stack([u, v], axis=-1)
+
+
+def field_steps(found, fields):
+    """The steps of a detection in fields, and how far its corners are from those, in fields."""
+    at = found.points.astype(np.float32)[None]
+    corner = cv2.remap(fields.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR)[0]
+    counted = np.column_stack([found.grid, np.ones(len(found.grid))])
+    steps = np.linalg.lstsq(counted, np.round(corner))[0]
+    return steps[:2], np.abs(counted @ steps - corner).max()
+
+
+@pytest.mark.parametrize(
+    ("columns", "rows", "side", "change"),
+    [
+        (16, 12, 26.0, {"turn": 0.0, "size": (1280, 960), "at": (640.0, 480.0)}),
+        (40, 28, 20.0, {}),
+        (30, 9, 26.0, {"tilt": 0.003}),
+        (3, 3, 90.0, {}),
+        (12, 4, 50.0, {"k": 0.2}),
+    ],
+)
+def test_steps_of_a_board_are_its_fields(columns, rows, side, change):
+    """On the first OpenCV's finder gave steps of (2, 1) and (0, 1) fields."""
+    image, fields = many_fields(columns, rows, side, **change)
+    found = detect_squares(image, pattern="chessboard")
+    steps, off = field_steps(found, fields)
+    np.testing.assert_allclose(np.sort(np.abs(steps)), [[0, 1], [0, 1]], atol=1e-6)
+    assert off * side < 0.6  # edges are drawn to a pixel
+    assert len(found.points) >= 0.95 * (columns - 1) * (rows - 1)
+
+
+def test_the_found_corners_of_a_board_that_is_cut_off_are_kept():
+    image, fields = many_fields(12, 9, 90.0, turn=0.3)
+    found = detect_squares(image, pattern="chessboard")
+    assert len(found.points) > 40
+    assert field_steps(found, fields)[1] < 0.02
+
+
+def test_an_image_has_one_result_whatever_was_detected_before():
+    image, _ = many_fields(20, 14, 30.0)
+    first = detect_squares(image, pattern="chessboard")
+    for seed in range(10):
+        other, _ = many_fields(10 + seed, 8, 30.0, turn=0.05 * seed, size=(640, 480), at=(320, 240))
+        detect_squares(other, pattern="chessboard")
+    again = detect_squares(image, pattern="chessboard")
+    np.testing.assert_array_equal(again.grid, first.grid)
+    np.testing.assert_allclose(again.points, first.points, atol=1e-9)
+
+
+def test_corners_between_sharpened_edges_are_kept():
+    """Cameras sharpen: an edge then is narrower than a pixel, where the model had no derivative."""
+    image, truth = chessboard(blur=0.5)
+    sharp = image + 0.7 * (image.astype(float) - cv2.GaussianBlur(image, (0, 0), 1.0))
+    found = detect_squares(np.clip(sharp, 0, 255), pattern="chessboard")
+    assert len(found.points) == len(truth)
+    assert np.abs(beside(found, truth)).max() < 0.1
+
+
+def test_marks_of_every_second_place_are_no_lattice(monkeypatch):
+    """Had the growth skipped marks, the image would not correlate with the drawn pattern."""
+    image, _ = board(SQUARE)
+    grown = patterns.grow_lattices
+
+    def skipping(marks, lattice):
+        pieces = [(m, g, g.sum(axis=1) % 2 == 0) for m, g in grown(marks, lattice)]
+        turn = np.array([[1, 1], [-1, 1]])
+        return [(m[even], g[even] @ turn // 2) for m, g, even in pieces]
+
+    monkeypatch.setattr(patterns, "grow_lattices", skipping)
+    monkeypatch.setattr(patterns, "complete", lambda *piece: piece)
+    with pytest.raises(ValueError, match="got a correlation of"):
+        detect_circles(image)

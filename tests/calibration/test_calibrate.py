@@ -492,6 +492,35 @@ def test_terms_that_nothing_speaks_for_are_left_out():
     assert found.parameters[3:10] == (*POSE[1:], "magnification_2", "alpha_2")
 
 
+def test_a_held_out_error_is_that_of_opencv_with_the_others_lens():
+    """Of views through one lens that of the noise; of a wide lens, what the model lacks."""
+    world, image = lens_views(5, aside=(14, -9))
+    found = calibrate(world, image, **CAMERA)
+    np.testing.assert_allclose(found.held_out, NOISE * np.sqrt(2), rtol=0.3)
+    flat = [np.column_stack([w, 0 * w[:, 0]]).astype(np.float32) for w in world]
+    seen = [i.astype(np.float32) for i in image]
+    flags = cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
+    _, *lens, _, _ = cv2.calibrateCamera(flat[1:], seen[1:], (640, 480), None, None, flags=flags)
+    pose = cv2.solvePnP(flat[0], seen[0], *lens)[1:]
+    off = cv2.projectPoints(flat[0], *pose, *lens)[0][:, 0] - image[0]
+    assert found.held_out[0] == pytest.approx(np.sqrt((off**2).sum(axis=1).mean()), rel=0.1)
+    middle = np.array([319.5, 239.5])
+    power = [np.linalg.norm(i - middle, axis=1, keepdims=True) ** 5 for i in image]
+    wide = [i - 2e-14 * p * (i - middle) for i, p in zip(image, power, strict=True)]  # up to 15 px
+    assert np.median(calibrate(world, wide, **CAMERA).held_out) > 3 * NOISE
+    assert np.isnan(calibrate(world[:2], image[:2], **CAMERA).held_out).all()
+
+
+def test_a_view_of_another_lattice_is_held_out_worse_than_the_others():
+    """As if every second row of a board had been skipped in one photograph."""
+    world, image = lens_views(6, aside=(14, -9))
+    world[2] = world[2] * [1, 2]
+    found = calibrate(world, image, **CAMERA)
+    assert found.held_out[2] > 10
+    assert np.delete(found.held_out, 2).max() < 1
+    assert not found.fits
+
+
 def test_intervals_of_several_views_cover_also_for_an_imprecise_pattern():
     """Marks made beside their places are so in every view: 0.13 px, for 0.02 px of noise."""
     inside = []

@@ -36,6 +36,9 @@ def drawn(
         (7, 5, "4X4_50", 0.7, False, 0),
         (6, 8, "6X6_250", 0.8, True, 0),
         (9, 6, "5X5_100", 0.6, False, 170),
+        (8, 6, "APRILTAG_36h11", 0.75, False, 0),
+        (8, 6, "ARUCO_MIP_36h12", 0.75, False, 0),
+        (30, 12, "4X4_1000", 0.7, False, 0),
     ],
 )
 def test_the_corners_are_where_they_were_drawn(columns, rows, name, ratio, old, left) -> None:
@@ -49,3 +52,11 @@ def test_the_corners_are_where_they_were_drawn(columns, rows, name, ratio, old, 
     off = found.points - truth[at]
     assert np.sqrt((off**2).mean()) < 0.1  # OpenCV's corners, of fields of 60 px with noise
     assert found.sigma[0] == pytest.approx(np.sqrt((off**2).mean()), abs=0.05)
+
+
+def test_an_inverted_board_has_the_same_corners() -> None:
+    image, _ = drawn(7, 5, "4X4_50", ratio=0.7, old=False)
+    plain, inverted = detect_charuco(image), detect_charuco(255 - image)
+    np.testing.assert_array_equal(inverted.grid, plain.grid)
+    # The noise of 2 levels moves a corner by 0.05 px, and weighs otherwise on a bright ground.
+    np.testing.assert_allclose(inverted.points, plain.points, atol=0.1)

@@ -98,3 +98,14 @@ def test_lines_missing_and_beside_their_places():
         uneven[:, place - 1 : place + 2] = 60
     with pytest.raises(ValueError, match="scale of equidistant lines"):
         detect_micrometer(cv2.GaussianBlur(uneven, (0, 0), 1.0) + rng.normal(0, 1, uneven.shape))
+
+
+@pytest.mark.parametrize("spacing", [7.7, 13.7])
+@pytest.mark.parametrize("angle", [0.0, 0.2])
+def test_uneven_light_does_no_harm_to_a_scale(spacing, angle):
+    """Light that falls to a quarter moved the centers of the lines by a twentieth of a division."""
+    y, x = np.mgrid[:HEIGHT, :WIDTH] / np.array([HEIGHT, WIDTH])[:, None, None]
+    light = (1 - 0.5 * x) * (1 - 0.8 * ((x - 0.5) ** 2 + (y - 0.5) ** 2))
+    image = scale(3, spacing=spacing, angle=angle, lines=int(190 / spacing), blur=1.5)
+    found = detect_micrometer(image * light)
+    assert found.spacing == pytest.approx(spacing, rel=1e-3)

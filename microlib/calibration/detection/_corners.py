@@ -58,12 +58,27 @@ def _verified(smooth: NDArray, centers: Array, grid: Index, kind: str) -> tuple[
     for least in (0.4, 0.6, Settings.least_alike):  # what is no corner bends the map
         to_image, _ = fit_grid_map(centers[:, None], grid.astype(float), MIDDLE, smooth.shape)
         beside = np.linalg.norm(centers - to_image(grid), axis=1) / np.sqrt(to_image.scale(grid))
-        alike = _likeness(smooth, centers, to_image.steps(grid), grid, kind)
+        steps = _local_steps(centers, grid, to_image.steps(grid))
+        alike = _likeness(smooth, centers, steps, grid, kind)
         kept = (alike > least) & (beside < 1 - least)
         centers, grid = centers[kept], grid[kept]
         if len(grid) < FEWEST or fill(grid) == 0:
             raise ValueError("no board is left")
     return centers, grid
+
+
+def _local_steps(centers: Array, grid: Index, steps: Array) -> Array:
+    """Mean step from each corner to its neighbors, where it has some, else as the map has it."""
+    steps, place = steps.copy(), tuple((grid - grid.min(axis=0) + 1).T)
+    board = np.full((*np.ptp(grid, axis=0) + 3, 2), np.nan)
+    board[place] = centers
+    for axis in (0, 1):
+        change = np.diff(board, axis=axis, append=np.nan)
+        both = np.stack([change, np.roll(change, 1, axis)])[:, *place]
+        known = np.isfinite(both)
+        total, count = np.where(known, both, 0).sum(axis=0), known.sum(axis=0)
+        steps[..., axis] = np.where(count, total / np.maximum(count, 1), steps[..., axis])
+    return steps
 
 
 def _grow_board(grey: NDArray[np.float32], blur: float, kind: str) -> tuple[Array, Index]:
@@ -82,10 +97,7 @@ def _grow_board(grey: NDArray[np.float32], blur: float, kind: str) -> tuple[Arra
     tree = cKDTree(centers)
 
     def alike(here: int, there: int) -> bool:
-        x, y = centers[there] - centers[here]
-        (xx, xy), (_, yy) = hessians[here]
-        edge = abs(xx * x * x + 2 * xy * x * y + yy * y * y) < 0.5 * (x * x + y * y)
-        return bool(edge and (hessians[here] * hessians[there]).sum() < -1 / 2)
+        return bool((hessians[here] * hessians[there]).sum() < -1 / 2)
 
     def first_steps(seed: int) -> Iterator[Array]:
         candidates = np.flatnonzero(first[seed])
