@@ -66,10 +66,12 @@ def run(a: argparse.Namespace) -> Files:
             del seen[photo]
     scales = {"pitch": a.pitch, "pixel_size": a.cell or 1.0, "focal_length": a.focal_length}
     result = calibrate([found for _, found in seen.values()], **scales)
-    odd = result.held_out > 10 * np.median(result.held_out)
+    usual = np.nanmedian(result.held_out) if np.isfinite(result.held_out).any() else np.inf
+    odd = result.held_out > 10 * usual
     for photo, error in zip(np.array(list(seen))[odd], result.held_out[odd], strict=True):
-        most = f"the others {np.median(result.held_out):.2g} px"
-        a.note(f"left out {photo}: it disagrees with the others by {error:.2g} px, {most}")
+        a.note(
+            f"left out {photo}: it disagrees with the others by {error:.2g} px, they by {usual:.2g}"
+        )
         del seen[photo]
     images, views = zip(*seen.values(), strict=True)
     if odd.any():

@@ -82,7 +82,7 @@ class Calibration(Tidy):
     held_out : ndarray, shape (V,)
         Reprojection error of each view, rms in px, through the lens that the views without it give,
         with a pose of its own: what the model is worth on another photograph. A fifth of the views
-        is left out at a time. NaN for fewer than three views.
+        is left out at a time. NaN for fewer than three views, or where no such lens is found.
     """
 
     _large = (
@@ -121,11 +121,11 @@ class Calibration(Tidy):
         ]
         if self.unobservable:
             lines.append(f"  not determined: {', '.join(self.unobservable)}")
-        if len(self.views) > 2:
-            median = np.median(self.held_out)
+        if np.isfinite(self.held_out).any():
+            median = np.nanmedian(self.held_out)
             lines.append(
                 f"  {median:.3g} px rms in views that are left out, at most "
-                f"{self.held_out.max():.3g}"
+                f"{np.nanmax(self.held_out):.3g}"
             )
         if not self.fits:
             lines.append(f"  the model does not fit: misfit {self.misfit:.3g}")

@@ -172,8 +172,8 @@ def held_out(views: Views, fit: Fit, alone: list[list[Fit]]) -> Array:
     """Reprojection error of each view, rms in px, through the lens that other views give.
 
     A fifth of the views is left out at a time, and each of them gets a pose of its own. Views that
-    the lens of most views fits ten times worse than the others take no part. Infinite where no pose
-    fits, NaN for fewer than three views.
+    the lens of most views fits ten times worse than the others take no part. NaN where no lens or
+    pose fits, and for fewer than three views.
     """
     every = np.arange(len(views.world))
     lenses, poses = (np.array([getattr(pair[0], n) for pair in alone]) for n in ("lens", "poses"))
@@ -186,9 +186,9 @@ def held_out(views: Views, fit: Fit, alone: list[list[Fit]]) -> Array:
         with suppress(ValueError):
             own[v] = _fit(views.some([v]), lens, poses[v], []).cost / len(views.world[v])
     sound = own <= 100 * max(np.median(own), views.rounding(fit.poses))
+    errors = np.full(len(every), np.nan)
     if len(every) < 3 or sound.sum() < 3:
-        return np.full(len(every), np.nan)
-    errors = np.full(len(every), np.inf)
+        return errors
     lens_free = [k for k in fit.free if k < len(LENS)]
     starts = np.concatenate(poses)
     for fold in range(min(len(every), 5)):
