@@ -311,24 +311,6 @@ def test_calibrate_leaves_out_what_is_not_like_most_photographs(
     assert str(calibrate(found, pitch=100.0, pixel_size=5.0)) in told.out
 
 
-def test_calibrate_needs_no_cell_for_the_matrix_of_opencv(tmp_path: Path, capsys: Told) -> None:
-    for k, tilt in enumerate((-1.0, 0.5, 1.0)):
-        cv2.imwrite(str(tmp_path / f"{k}.png"), board(tilt))
-    cameras = []
-    for cell in ("", "--cell 5"):
-        out = tmp_path / f"out{cell[-1:]}"
-        assert status(f"calibrate {tmp_path}/*.png --pitch 100 {cell}", out) == 0
-        cameras.append(json.loads((out / "camera.json").read_text()))
-    assert "no --cell was given" in capsys.readouterr().err
-    matrices = [camera["opencv"]["camera_matrix"] for camera in cameras]
-    np.testing.assert_allclose(*matrices, rtol=1e-3)  # to where the two searches end
-    widths = [camera["imagej"]["pixel_width"] for camera in cameras]
-    assert widths[0] == pytest.approx(widths[1], rel=1e-3)
-    line = f"calibrate {tmp_path}/0.png --pitch 100 --focal-length 126000"
-    assert status(line, tmp_path / "none") == 2
-    assert "give --cell µm as well" in capsys.readouterr().err
-
-
 def test_advice_is_that_of_the_result() -> None:
     """What is small, does not fit, or is open, each alone."""
     notes: list[str] = []
