@@ -26,8 +26,9 @@ from microlib.calibration._uncertainty import monomials
 from microlib.calibration.detection._marks import Marks
 from microlib.calibration.detection._settings import Settings
 
-#: From parameters (n, p) and pixels x, y (n, k) to the part F of the light that the shape takes.
-Outline = Callable[[Array, Array, Array], Array]
+#: From parameters (n, p) and pixels x, y (n, k) to the part F of the light that the shape takes and
+#: its derivatives by all parameters but contrast and ground, (n, k, p − 4).
+Outline = Callable[[Array, Array, Array], tuple[Array, Array]]
 
 #: Places of the parameters that every outline has at the end: blur, px; contrast as a part of the
 #: ground; ground b₀ + b₁x + b₂y.
@@ -35,8 +36,6 @@ BLUR, CONTRAST, GROUND = -5, -4, slice(-3, None)
 #: An eigenvalue of a matrix of unit diagonal below this is none; rounding makes 1e-15 of it. A
 #: parameter without any effect has as much on the diagonal, so that it stays where it is.
 _SINGULAR = 1e-12
-#: Difference for derivatives, px or rad; its error is as small a part of them.
-_STEP = 1e-6
 
 
 class Rows:
@@ -141,10 +140,14 @@ def fit_shapes(
     return fit
 
 
-def _light(parameters: Array, patches: Patches) -> tuple[Array, Array]:
-    """The light of the ground on each pixel, and its derivatives."""
+def _parts(
+    outline: Outline, parameters: Array, patches: Patches
+) -> tuple[Array, Array, Array, Array]:
+    """The light on each pixel, the part of it that the shape takes, the derivatives of that, and
+    those of the light by the three numbers of the ground."""
     basis = np.stack([np.ones_like(patches.x), patches.x, patches.y], axis=-1)
-    return np.einsum("nkj,nj->nk", basis, parameters[:, GROUND]), basis
+    light = np.einsum("nkj,nj->nk", basis, parameters[:, GROUND])
+    return light, *outline(parameters, patches.x, patches.y), basis
 
 
 def _taken(outline: Outline, fit: OutlineFit, patches: Patches) -> Array:
@@ -158,7 +161,7 @@ def _taken(outline: Outline, fit: OutlineFit, patches: Patches) -> Array:
         x, y = (centers - centers[other]).T[..., None]
         parameters = fit.parameters[other]
         there = replace(patches, x=patches.x + x, y=patches.y + y)
-        light, inside = _light(parameters, there)[0], outline(parameters, there.x, there.y)
+        light, inside, *_ = _parts(outline, parameters, there)
         known = beside & np.isfinite(fit.covariance[other, 0, 0])
         taken += np.where(known[:, None], light * inside * parameters[:, CONTRAST, None], 0.0)
     return taken * patches.weight
@@ -200,14 +203,11 @@ def _fit_alone(outline: Outline, start: Array, patches: Patches, settings: Setti
 
 def _equations(outline: Outline, parameters: Array, patches: Patches) -> tuple[Array, Array, Array]:
     """Normal matrices (n, p, p), right-hand sides (n, p) and sums of squares (n,)."""
-    light, basis = _light(parameters, patches)
-    inside = outline(parameters, patches.x, patches.y)
+    light, inside, by, basis = _parts(outline, parameters, patches)
     contrast = parameters[:, CONTRAST, None]
     residual = (patches.grey - light * (1 - contrast * inside)) * patches.weight
     jacobian = np.empty((*light.shape, parameters.shape[1]))
-    for k in range(parameters.shape[1] + CONTRAST):
-        beside = outline(parameters + _STEP * np.eye(parameters.shape[1])[k], patches.x, patches.y)
-        jacobian[..., k] = -light * contrast * (beside - inside) / _STEP
+    jacobian[..., :CONTRAST] = -(light * contrast)[..., None] * by
     jacobian[..., CONTRAST] = -light * inside
     jacobian[..., GROUND] = basis * (1 - contrast * inside)[..., None]
     jacobian *= patches.weight[..., None]

@@ -87,7 +87,7 @@ def fit_ellipses(marks: Marks, steps: Array) -> OutlineFit:
     radius = float(1 / np.sqrt(np.linalg.det(shape).min()))
     near, gap = band(marks, radius)
     half = 3 / 2 * radius - near[0]  # the longer axis is 1.5 mean radii at a tilt of 64°
-    patches = cut_patches(marks, half, lambda x, y: _to_ellipse(start, x, y), near)
+    patches = cut_patches(marks, half, lambda x, y: _to_ellipse(start, x, y)[0], near)
     return fit_shapes(_ellipse, start, patches, gap, marks.settings)
 
 
@@ -111,7 +111,7 @@ def fit_quads(marks: Marks, steps: Array) -> OutlineFit:
     width = float(np.median(line_offsets(start).sum(axis=1)) / 2)
     near, gap = band(marks, width / 2)
     half = width - near[0]  # half a diagonal and some for the tilt
-    patches = cut_patches(marks, half, lambda x, y: _to_lines(start, x, y).min(axis=0), near)
+    patches = cut_patches(marks, half, lambda x, y: _to_lines(start, x, y).min(axis=-1), near)
     return fit_shapes(_quad, start, patches, gap, marks.settings)
 
 
@@ -128,7 +128,7 @@ def fit_crossings(marks: Marks, steps: Array, reach: float = 0.45) -> OutlineFit
     patches = cut_patches(marks, radius.max(), lambda x, y: np.hypot(x, y) / radius, near)
     start = _start_lines(steps.transpose(0, 2, 1), (marks.centers - patches.centers)[:, None])
     start[:, BLUR] = settings.start_blur
-    dark = _crossing(start, patches.x, patches.y) - 0.5
+    dark = _crossing(start, patches.x, patches.y)[0] - 0.5
     bright = (dark * (patches.grey - patches.grey.mean()) * patches.weight).sum(axis=1) > 0
     start[bright, 0] += np.pi  # the dark fields are the other two
     start[bright, 2] *= -1
@@ -179,42 +179,73 @@ _KINDS: dict[str, tuple[Callable[..., OutlineFit], Callable[..., Any], list[int]
 }
 
 
-def _to_ellipse(parameters: Array, x: Array, y: Array) -> Array:
-    """Distance to the ellipse, positive inside, px: (1 − ρ)/|∇ρ| with ρ = |A (x − center)|."""
+def _to_ellipse(parameters: Array, x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
+    """Distance to the ellipse, positive inside, px: (1 − ρ)/|∇ρ| with ρ = |A (x − center)|.
+
+    Also the unit normal ∇ρ/|∇ρ| (two arrays) and ∂ρ/∂A divided by |∇ρ|, (n, k, 3).
+    """
     a, b, d = (p[:, None] for p in parameters[:, _SHAPE].T)
     dx, dy = x - parameters[:, :1], y - parameters[:, 1:2]
     qx, qy = a * dx + b * dy, b * dx + d * dy
     rho = np.maximum(np.hypot(qx, qy), _LEAST)
-    steep = np.maximum(np.hypot(a * qx + b * qy, b * qx + d * qy) / rho, _LEAST)
-    return np.asarray((1 - rho) / steep)
+    gx, gy = (a * qx + b * qy) / rho, (b * qx + d * qy) / rho
+    steep = np.maximum(np.hypot(gx, gy), _LEAST)
+    by_shape = np.stack([qx * dx, qx * dy + qy * dx, qy * dy], axis=-1) / (rho * steep)[..., None]
+    return (1 - rho) / steep, gx / steep, gy / steep, by_shape
 
 
-def _ellipse(parameters: Array, x: Array, y: Array) -> Array:
-    """The part of the light that a blurred ellipse takes."""
-    return np.asarray(ndtr(_to_ellipse(parameters, x, y) / _edge(parameters)))
+def _ellipse(parameters: Array, x: Array, y: Array) -> tuple[Array, Array]:
+    """The part of the light that a blurred ellipse takes, and its derivatives."""
+    distance, nx, ny, by_shape = _to_ellipse(parameters, x, y)
+    edge, by_blur = _edge(parameters)
+    z = distance / edge
+    slope = np.exp(-0.5 * z * z) / (np.sqrt(2 * np.pi) * edge)
+    by = np.stack([nx, ny, *np.moveaxis(-by_shape, -1, 0), -z * by_blur], axis=-1)
+    return ndtr(z), slope[..., None] * by
 
 
 def _to_lines(parameters: Array, x: Array, y: Array) -> Array:
-    """Distances to the lines, positive inside, (lines, n, k), px."""
-    lines = (parameters.shape[1] + BLUR) // 2
-    angle, offset = (each.T[..., None] for each in np.split(parameters[:, :BLUR], [lines], axis=1))
-    return offset - np.cos(angle) * x - np.sin(angle) * y
+    """Distances to the lines, positive inside, (n, k, lines), px."""
+    offset = line_offsets(parameters)[:, None]
+    angle = parameters[:, None, : offset.shape[-1]]
+    return offset - np.cos(angle) * x[..., None] - np.sin(angle) * y[..., None]
 
 
-def _quad(parameters: Array, x: Array, y: Array) -> Array:
+def _quad(parameters: Array, x: Array, y: Array) -> tuple[Array, Array]:
     """The part of the light that a blurred quadrilateral takes: a product of four half-planes,
-    which near a right angle is the exact image of a corner."""
-    return np.asarray(ndtr(_to_lines(parameters, x, y) / _edge(parameters)).prod(axis=0))
+    which near a right angle is the exact image of a corner; and its derivatives."""
+    z, of_lines = _lines(parameters, x, y)
+    a, b, c, d = np.moveaxis(ndtr(z), -1, 0)
+    return a * b * c * d, of_lines(np.stack([b * c * d, a * c * d, a * b * d, a * b * c], axis=-1))
 
 
-def _crossing(parameters: Array, x: Array, y: Array) -> Array:
+def _crossing(parameters: Array, x: Array, y: Array) -> tuple[Array, Array]:
     """The part of the light that two fields take which touch at a corner, on the same side of both
-    of its lines."""
-    one, two = ndtr(_to_lines(parameters, x, y) / _edge(parameters))
-    return one * two + (1 - one) * (1 - two)
+    of its lines; and its derivatives."""
+    z, of_lines = _lines(parameters, x, y)
+    a, b = np.moveaxis(ndtr(z), -1, 0)
+    return a * b + (1 - a) * (1 - b), of_lines(np.stack([2 * b - 1, 2 * a - 1], axis=-1))
 
 
-def _edge(parameters: Array) -> Array:
-    """Standard deviation of the edge of each outline, (n, 1), px: of its blur and of the width of a
-    pixel, without which a sharp edge had no derivative."""
-    return np.sqrt(parameters[:, BLUR, None] ** 2 + 1 / 12)
+def _lines(parameters: Array, x: Array, y: Array) -> tuple[Array, Callable[[Array], Array]]:
+    """Distances to the lines in blurs, and what makes the derivatives by the parameters of those by
+    each half-plane's part of the light."""
+    edge, edge_by_blur = (each[..., None] for each in _edge(parameters))
+    z = _to_lines(parameters, x, y) / edge
+    angle = parameters[:, None, : z.shape[-1]]
+
+    def of_lines(by_part: Array) -> Array:
+        by_distance = by_part * np.exp(-0.5 * z * z) / (np.sqrt(2 * np.pi) * edge)
+        turning = np.sin(angle) * x[..., None] - np.cos(angle) * y[..., None]
+        by_blur = -(by_distance * z * edge_by_blur).sum(axis=-1, keepdims=True)
+        return np.concatenate([by_distance * turning, by_distance, by_blur], axis=-1)
+
+    return z, of_lines
+
+
+def _edge(parameters: Array) -> tuple[Array, Array]:
+    """Standard deviation of the edge of each outline, of the blur and of the width of a pixel
+    together, and its derivative by the blur."""
+    blur = parameters[:, BLUR, None]
+    edge = np.sqrt(blur**2 + 1 / 12)
+    return edge, blur / edge
