@@ -7,7 +7,6 @@ beyond chance, ranks the poses.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -136,7 +135,7 @@ class RobustSearch:
         fine = [self.template.align(view.image, start).pose for start in coarse]
         return fine + [pose for start in coarse[:1] for pose in self.flow_poses(view, start)[:1]]
 
-    def search(self, view: View, pose: Array, starts: Sequence[Array]) -> Finding | None:
+    def search(self, view: View, pose: Array, starts: list[Array]) -> Finding | None:
         """Return the best pose that the starts lead to, or None if none is any good.
 
         Parameters
@@ -145,7 +144,7 @@ class RobustSearch:
             The frame.
         pose : ndarray, shape (3, 3)
             Where the template is expected.
-        starts : sequence of ndarray, shape (3, 3)
+        starts : list of ndarray, shape (3, 3)
             Poses to begin with.
         """
         settings = self.settings
