@@ -68,9 +68,9 @@ def run(a: argparse.Namespace) -> Files:
     result = calibrate([found for _, found in seen.values()], **scales)
     usual = np.nanmedian(result.held_out) if np.isfinite(result.held_out).any() else np.inf
     odd = result.held_out > 10 * usual
-    for photo, error in zip(np.array(list(seen))[odd], result.held_out[odd], strict=True):
+    for photo, off in zip(np.array(list(seen))[odd], result.held_out[odd], strict=True):
         a.note(
-            f"left out {photo}: it disagrees with the others by {error:.2g} px, they by {usual:.2g}"
+            f"left out {photo}: it disagrees with the others by {off:.2g} px, they by {usual:.2g}"
         )
         del seen[photo]
     images, views = zip(*seen.values(), strict=True)

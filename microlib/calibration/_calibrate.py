@@ -99,17 +99,18 @@ def calibrate(
     positive("pixel_size", pixel_size)
     if focal_length is not None:
         focal_length = scalar("focal_length", focal_length, above=0)
-    worlds, images, marks, size = _inputs(world, image, pitch, image_size)
+    worlds, images, places, size = _inputs(world, image, pitch, image_size)
     frame = Microscope(1.0, 1.0, 1.0, pixel_size=pixel_size, image_size=size)
     pairs = [_points(w, i, frame) for w, i in zip(worlds, images, strict=True)]
     views = Views([w for w, _ in pairs], [s for _, s in pairs], frame, focal_length)
     fit, alone = fit_views(views)
-    if marks is None and len(worlds) > 1:
-        marks = np.round(np.concatenate(views.world), 6)
-    if marks is not None:
-        marks = np.unique(marks, axis=0, return_inverse=True)[1].ravel()
-        if marks.max() < len(fit.free):  # too few to estimate a covariance from
-            marks = None
+    if places is None and len(worlds) > 1:
+        places = np.round(np.concatenate(views.world), 6)
+    marks = None
+    if places is not None:
+        numbers = np.unique(places, axis=0, return_inverse=True)[1].ravel()
+        # With fewer marks than parameters their scatter gives no covariance.
+        marks = numbers if numbers.max() >= len(fit.free) else None
     if not (fit.poses[:, 0] > 0).all():
         raise ValueError(
             f"world and image must fit a microscope, got magnifications {fit.poses[:, 0]}"

@@ -52,7 +52,7 @@ class GridMap:
     unit: float
     freedom: int
 
-    def __call__(self, grid: Array) -> Array:
+    def __call__(self, grid: NDArray) -> Array:
         """Image points (..., 2) of grid coordinates (..., 2), px; NaN beyond the horizon."""
         with np.errstate(over="ignore", invalid="ignore"):  # a search may pass such maps
             flat = grid @ self.homography[:, :2].T + self.homography[:, 2]
@@ -60,12 +60,12 @@ class GridMap:
             seen = distort(np.where(np.isfinite(ahead), ahead, np.nan), self.distortion)
         return self.middle + self.unit * seen
 
-    def steps(self, grid: Array) -> Array:
+    def steps(self, grid: NDArray) -> Array:
         """Derivatives of the image points by the coordinates, (..., 2, 2): one column each, px."""
         columns = [(self(grid + s) - self(grid - s)) / (2 * _STEP) for s in _STEP * np.eye(2)]
         return np.stack(columns, axis=-1)
 
-    def scale(self, grid: Array) -> Array:
+    def scale(self, grid: NDArray) -> Array:
         """Area in the image of one cell of the grid around each of the coordinates, px²."""
         (xi, xj), (yi, yj) = np.moveaxis(self.steps(grid), (-2, -1), (0, 1))
         return np.asarray(np.abs(xi * yj - xj * yi))

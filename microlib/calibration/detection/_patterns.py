@@ -135,7 +135,7 @@ def _place(
     shape, squares = marks.image.shape, kind == "squares"
     kept = np.ones(len(points), dtype=bool)
     while True:
-        points, sigma, grid, areas = (each[kept] for each in (points, sigma, grid, areas))
+        points, sigma, grid, areas = points[kept], sigma[kept], grid[kept], areas[kept]
         if len(grid) < FEWEST:
             raise ValueError(f"image must show a plane grid, got {len(grid)} marks of one")
         cells, free = grid @ STEPS[lattice], points.copy()
