@@ -181,9 +181,9 @@ photographs of the board two by two pixels are one. microlib takes colors as wel
   Sobel edge, averaged with σ = 3 px. *SML* is the sum-modified-Laplacian of the thesis with windows
   of 5 px, in microlib. Odd and even count as apart from 2 frames on, so that whole frames
   cost nothing.
-- *Chessboard*: microlib finds chessboards by OpenCV's `findChessboardCornersSB`. Beside it are
-  `cornerSubPix` and scikit-image's `corner_subpix`, with windows of 11 px, from the same corners
-  rounded to pixels.
+- *Chessboard*: microlib finds the corners as saddle points. OpenCV's `cornerSubPix` and
+  scikit-image's `corner_subpix`, with windows of 11 px, start from the same corners, rounded to
+  pixels.
 - *Beads*: OpenCV registers the first picture of a bead by `findTransformECC`, scikit-image takes
   the `centroid` of what differs from the ground. Each path is taken beside its mean.
 """

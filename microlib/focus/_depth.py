@@ -132,13 +132,15 @@ def depth_from_focus(
 
     A depth is NaN where the measure is zero or flat, and where the peak is no more than noise:
     profiles of blocks of 8 px have no peak in common with their neighbors that exceeds what they
-    differ by, whatever the noise is like. Where such a peak is doubtful, the stated uncertainty is
-    that of a random depth. "multiscale" also gives NaN where peaks are five times fainter than
-    those around and more than two frames away from them, which is the blur of a strong edge near
-    by, in specks of a few pixels, where half of the surroundings are unknown, and where depths by
-    two measures differ but no wide window tells. A pixel
-    whose best frame is the first or the last is flagged and gets that frame's position, unless the
-    fit of seven frames puts it further in. Equal maxima go to the first.
+    differ by. Where such a peak is doubtful, the stated uncertainty is that of a random depth. Bare
+    ground in JPEG, smoothed or quantized frames keeps a depth that is stated as certain in at most
+    2 % of its pixels on average, up to 14 % in resized JPEG frames. Bars of 4 px have a wrong depth
+    with a small uncertainty in 20 to 26 % of their pixels, bars of 8 px in up to 4 %. "multiscale"
+    also gives NaN where peaks are five times fainter than those around and more than two frames
+    away from them, which is the blur of a strong edge near by, in specks of a few pixels, where
+    half of the surroundings are unknown, and where depths by two measures differ but no wide window
+    decides. A pixel whose best frame is the first or the last is flagged and gets that frame's
+    position, unless the fit of seven frames puts it further in. Equal maxima go to the first.
 
     Blocks of a dask array are chunks of 1024 px, or as they are if their sides are multiples of
     64 px, with 128 px around them. They agree with the whole image to 0.004 of the frames' spacing.

@@ -202,7 +202,8 @@ def detect_charuco(image: ArrayLike) -> Detection:
     -----
     The corners are found as those of a chessboard, and held against the image along the edges of
     the dark fields alone, so that the markers play no part. They are not identified: as in other
-    patterns, `grid` begins at the first column and row that were found.
+    patterns, `grid` begins at the first column and row that were found. A plain chessboard is
+    accepted, too, with the corners that `detect_squares` finds.
 
     Examples
     --------
