@@ -93,6 +93,7 @@ class Calibration(Tidy):
         "estimate",
         "covariance",
         "views",
+        "held_out",
     )
 
     microscope: Microscope

@@ -372,7 +372,7 @@ def margin_mask(frames: Sequence[Image]) -> NDArray[np.bool_]:
 
 def warn_of_changes(frames: Sequence[Image]) -> None:
     """Warn if light or position change from frame to frame, which registration undoes."""
-    if min(frames[0].shape) < 64:  # too small to tell
+    if len(frames) < 4 or min(frames[0].shape) < 64:  # too few or too small to tell
         return
     # Of other sides than powers of two cv2.phaseCorrelate finds half a pixel where nothing moved.
     side = min(2 ** int(np.log2(min(frames[0].shape))), 256)
@@ -380,14 +380,15 @@ def warn_of_changes(frames: Sequence[Image]) -> None:
         cv2.resize(f, (side, side), interpolation=cv2.INTER_AREA).astype(np.float32) for f in frames
     ]
     level = np.log(np.maximum([float(frame.mean()) for frame in small], TINY))
-    flicker, moves = float(np.median(np.abs(np.diff(level, 2)))), []
+    # Defocus changes the light smoothly, which third differences suppress.
+    flicker, moves = float(np.median(np.abs(np.diff(level, 3)))), []
     for k in (len(small) - 1) * np.arange(1, 4) // 4:
         shift, peak = cv2.phaseCorrelate(small[k], small[k + 1])
         move = float(np.hypot(shift[0], shift[1]))
         moves.append(move if peak > 0.4 and move < 16 else 0.0)  # of noise it may be any
-    # At rest flicker stays below 0.003, and one of the moves below 0.2 px.
-    if flicker > 0.03 or min(moves) > 0.25:
-        what = "light" if flicker > 0.03 else "position"
+    # Light that scatters by 2 % gives 0.06; at rest one of the moves stays below 0.2 px.
+    if flicker > 0.06 or min(moves) > 0.25:
+        what = "light" if flicker > 0.06 else "position"
         warnings.warn(
             f"frames change in {what} from one to the next: register=True (--register) undoes it",
             stacklevel=3,

@@ -94,7 +94,7 @@ def test_errors_that_are_alike_count_as_fewer(width):
     """Of a running mean of unit errors, whose own mean is as uncertain as theirs."""
     drawn = np.random.default_rng(0).normal(size=(60, 250))
     errors = uniform_filter1d(drawn, width, axis=1, mode="wrap")
-    found = [_dimple._variance_inflation(each, 1) for each in errors]
+    found = [_dimple.residual_variance(each, 1) for each in errors]
     # 60 draws know it to 5 %; correlations are cut off where chance leaves as much.
     assert np.mean(found) == pytest.approx(1.0, abs=0.15)
 

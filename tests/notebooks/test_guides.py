@@ -208,7 +208,7 @@ def run_here(guide: str, **values: object) -> None:
         ("calibration", "mine.tif"),
         ("embryo", "path must name an image, got .*mine.tif"),
         ("tracking", "mine.tif"),
-        ("modulus", "outline must .*mine.tif"),
+        ("modulus", "mine.tif must have the columns x and y"),
         ("servoing", "core must have a camera and an XY stage"),
     ],
 )
