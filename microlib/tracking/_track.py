@@ -47,8 +47,9 @@ class Track(Tidy):
         Probability that the pose is right within a pixel: 1 where every part of the template agrees
         within the noise, else an estimate that was fitted to photographs. It is lower if the
         template may have been mistaken for something identical that stood nearby in the last frame,
-        or if its texture is periodic and it moved by a quarter of a period or more. Below 0.7 the
-        template counts as lost; `confidence` is then that of the best pose, or 0.
+        or if its texture is periodic, the more the further it moved. Below 0.7 the template counts
+        as lost; `confidence` is then that of the best pose, or 0. A periodic texture comes to 0.7
+        at 0.23 of a period, or at 0.3 of one if that is more than a quarter of the box.
     hidden : ndarray of bool, shape (height, width)
         Pixels of the box where the frame shows something else, or nothing; all when `lost`.
     """

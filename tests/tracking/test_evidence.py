@@ -181,6 +181,21 @@ def test_a_lost_template_is_found_anywhere_in_the_frame():
     np.testing.assert_allclose(found.corners[0], (310, 220), atol=0.1)
 
 
+@pytest.mark.parametrize("by", [(25, -14), (23, 9), (-18, 17)])
+def test_a_lost_fine_texture_is_found_in_half_the_light(by):
+    """Between the large pixels of the level at which its place is searched."""
+    rng = default_rng(1)
+    image = mixed_texture((180, 190), rng, scales=1.2, std=40.0)
+    tracker = ESMTracker(camera_frame(image, rng, noise=1.0), BOX, "translation")
+    assert tracker.track(rng.uniform(0, 255, image.shape)).lost
+    moved = np.roll(image, by[::-1], axis=(0, 1))
+    found = tracker.track(camera_frame(moved / 2, rng, noise=1.0))
+    assert not found.lost
+    # The noise alone leaves 0.002 px and 0.001.
+    np.testing.assert_allclose(found.corners, CORNERS + by, atol=0.02)
+    assert found.gain == pytest.approx(0.5, abs=0.01)
+
+
 @pytest.mark.parametrize("condition", ["ramp", "hidden"])
 def test_errors_are_of_the_size_that_is_stated(condition):
     scores = []

@@ -113,12 +113,12 @@ def align_from_flow(scene: Scene) -> Found | None:
 
 def search_nearby(scene: Scene) -> Found | None:
     """Search robustly from these poses; from anywhere in the frame if the template was lost."""
-    coarse = scene.search.align_coarsely(scene.view, scene.pose)
-    starts = [scene.pose, coarse.pose, scene.best.pose, *scene.flow_poses]
-    if not scene.seen:
-        matches = scene.search.match_poses(scene.view, scene.pose)
-        starts += [match for match in matches if uniqueness(scene, match) > 0.5]
-    return _searched(scene, starts)
+    matches = [] if scene.seen else scene.search.match_poses(scene.view, scene.pose)
+    starts = [scene.pose, *(match for match in matches if uniqueness(scene, match) > 0.5)]
+    # A match is a pixel of the coarsest level, which is too far off for fine texture to agree.
+    coarse = [scene.search.align_coarsely(scene.view, start).pose for start in starts]
+    fine = [scene.search.template.align(scene.view.image, start).pose for start in coarse]
+    return _searched(scene, [*starts, *coarse, *fine, scene.best.pose, *scene.flow_poses])
 
 
 def search_far(scene: Scene) -> Found | None:

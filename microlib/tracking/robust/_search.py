@@ -1,8 +1,8 @@
 """The robust attempts: at a template that is partly hidden, in another light, or far away.
 
-Every start is aligned in local illumination, all as one stack at half the resolution; the best ones
-go on, with the template as blurred as the frame, and end in smooth light. What the blocks agree in,
-beyond chance, ranks the poses.
+Distant starts are aligned at the coarsest level first. The starts in which the blocks of the
+template agree best, beyond chance, go on, with the template as blurred as the frame, and end in
+smooth light; the agreement of the blocks ranks the poses there, too.
 """
 
 from __future__ import annotations
