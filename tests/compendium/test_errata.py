@@ -270,3 +270,25 @@ def test_small_slopes_cost_five_per_cent_at_a_tenth() -> None:
         whole = finite_slope_modulus(*geometry, probe_half_width=25.0, **DIMPLE)
         # NaN, where nothing balances, is no agreement.
         assert bool(whole / small - 1 < 0.055) == holds
+
+
+def test_the_halved_derivative_halves_h_and_quarters_k_only_without_a_mixed_one() -> None:
+    """(3.22) and (3.23) of second derivatives, R_xx and R_yy halved as by the printed window."""
+
+    def h_and_k(xx: float, yy: float, xy: float) -> np.ndarray:
+        p, q = 0.5, -0.3  # slopes along the columns and along the rows
+        area = 1 + p**2 + q**2
+        h = ((1 + p**2) * yy - 2 * p * q * xy + (1 + q**2) * xx) / (2 * area**1.5)
+        return np.array([h, (xx * yy - xy**2) / area**2])
+
+    np.testing.assert_allclose(h_and_k(1.0, 0.5, 0.0) / h_and_k(2.0, 1.0, 0.0), [0.5, 0.25])
+    right, printed = h_and_k(2.0, 1.0, 1.0), h_and_k(1.0, 0.5, 1.0)
+    assert right[1] > 0 > printed[1]
+
+
+def test_the_rounded_lengths_of_table_5_6_miss_the_printed_modulus_in_its_last_digit() -> None:
+    """With the catalogue's probe, 25 µm to either side of its middle."""
+    force, radius, depth = (ledger.claim(f"table-5.6/{one}").value for one in ("F", "a", "w_d"))
+    found = elastic_modulus(force, radius, depth, probe_half_width=25.0, **DIMPLE)
+    assert round(found, 4) == 1.3236
+    assert ledger.claim("table-5.6/E").value == 1.3237
