@@ -32,7 +32,7 @@ TASKS = {
     "use my film": ("article a:has-text('Use it')", "article a:has-text('Follow a part')",
                     "-p frames my_film.mp4"),
     "what is not known and why": (".verdict-map a[title^='5.6'][title*='cannot']",
-                                  "the outline is not printed."),
+                                  "the outline is not in the text."),
     "how to cite": ("@software{microlib",),
     "a figure in large": ("a:has-text('Stiffness')", "figure a.enlarge", "Close"),
     "a proof": ("article a:has-text('errata')", ".erratum-sources a", "def test_"),
