@@ -327,6 +327,10 @@ SPOILED = {
     "flat": (lambda: np.full((320, 480), 120, np.uint8), NO_PROBE),
     "two probes": (lambda: barred(image(), 60, 80), "one dark probe .* got 2 bars"),
     "saturated": (lambda: (image() * 1.4).clip(0, 255).astype(np.uint8), "not be saturated"),
+    "saturated at 12 bits": (
+        lambda: (image() * 16 * 1.4).clip(0, 4095).astype(np.uint16),
+        "not be saturated",
+    ),
     "saturated 0 to 1": (lambda: (image() / 255 * 1.4).clip(0, 1), "not be saturated"),
     "tiny": (lambda: image()[:40, :40], "image must be at least 64 px on each side"),
     "stack": (lambda: np.stack([image()] * 5), "image must be a grey image"),
