@@ -335,7 +335,7 @@ def _roughness(depth: NDArray, positions: Array, index: NDArray[np.uint16]) -> N
 
 
 def _masked(result: FocusResult, mask: NDArray[np.bool_]) -> FocusResult:
-    """Take the depth from some pixels."""
+    """Set the depth of some pixels to NaN."""
     return replace(
         result,
         depth=np.where(mask, np.float32(np.nan), result.depth),
@@ -346,7 +346,7 @@ def _masked(result: FocusResult, mask: NDArray[np.bool_]) -> FocusResult:
 
 
 def _cut(result: FocusResult, found: Registered, dtype: np.dtype) -> FocusResult:
-    """Take the depth from pixels whose sharpest frames did not show them; number all frames."""
+    """Set pixels to NaN whose sharpest frames did not show them; number all frames."""
     result = _masked(result, found.unseen(result.index))
     return replace(
         result,

@@ -192,13 +192,13 @@ def ask_wide_windows(known: Known) -> Known:
 
 
 def refuse_halos(known: Known) -> Known:
-    """Take the depth from faint peaks beside bright ones."""
+    """Set faint peaks beside bright ones to NaN."""
     halo = rules.blurred_edge_mask(known.depth, known.weight, known.settings) & ~known.sharp
     return replace(known, depth=np.where(halo, np.float32(np.nan), known.depth))
 
 
 def refuse_specks(known: Known) -> Known:
-    """Take the depth from specks, and from what has few known pixels around it."""
+    """Set specks, and what has few known pixels around it, to NaN."""
     settings, depth = known.settings, known.depth.copy()
     depth[rules.small_piece_mask(depth, settings.speck, settings.jump)] = np.nan
     depth[rules.isolated_mask(depth, settings.surroundings)] = np.nan
