@@ -23,7 +23,6 @@ import cv2
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.interpolate import make_smoothing_spline
 
 from benchmarks.report import Limits, Tables
 from compendium import thesis
@@ -218,19 +217,6 @@ def by_thesis(scene: Any, _: str) -> tuple[float, float, None]:
     return found, modulus_std(values, {}, dimple_covariance=dimple.covariance) / found, None
 
 
-def by_spline(scene: Any, _: str) -> tuple[float, float, None]:
-    """Return the modulus from the left rim of a smoothing spline and the end of the probe."""
-    boundary = extract_boundary(scene.image)
-    middle, bottom = boundary.probe.tip[0], boundary.image_height - 1 - boundary.probe.tip[1]
-    x = np.arange(np.ceil(boundary.x[0]), middle)
-    fine = np.arange(x[0], middle, 0.02)
-    height = make_smoothing_spline(x, np.interp(x, boundary.x, boundary.y))(fine)
-    rim = height.argmax()
-    radius, depth = middle - fine[rim], height[rim] - bottom
-    sizes = scene.pixel_size * np.array([radius, depth])
-    return thesis.modulus(*sizes, force=scene.force), np.nan, None
-
-
 def measure(scene: Any, by: Callable[..., Any], method: str = "") -> dict[str, Any]:
     """Measure one embryo as neo-Hookean of unknown radius; an error is a failure and no number."""
     start = process_time()
@@ -273,7 +259,6 @@ def _silent(runs: pd.DataFrame) -> int:
 METHODS = {
     "profile (4.2) fitted (microlib)": (by_library, "membrane"),
     "LOESS and eight Gaussians (thesis)": (by_thesis, ""),
-    "rim of a smoothing spline (scipy), end of the probe": (by_spline, ""),
 }
 NOTE = """\
 The capsules are not drawn by the formula that the chain fits: each image shows a closed neo-Hookean

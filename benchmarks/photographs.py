@@ -75,30 +75,3 @@ def texture(rng: np.random.Generator) -> NDArray[np.uint8]:
             left, width = rng.integers(0, columns - 20), rng.integers(4, 30)
             grey[: rng.integers(20, rows), left : left + width] *= rng.uniform(0.1, 0.8)
     return np.clip(grey, 0, 250).astype(np.uint8)
-
-
-def without_embryo(rng: np.random.Generator, count: int) -> Iterator[tuple[str, NDArray]]:
-    """Yield images without an embryo: pictures as they are, then pieces of them and textures.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of crops, turns, contrasts and textures.
-    count : int
-        How many, more than there are pictures.
-    """
-    known = list(pictures())
-    yield from known
-    for k in range(count - len(known)):
-        if k % 5 == 0:
-            yield f"texture {k}", texture(rng)
-            continue
-        name, image = known[rng.integers(len(known))]
-        sides = [max(64, int(n * rng.uniform(0.3, 1.0))) for n in image.shape]
-        top, left = (
-            rng.integers(0, max(n - m, 0) + 1) for n, m in zip(image.shape, sides, strict=True)
-        )
-        piece = np.rot90(image[top : top + sides[0], left : left + sides[1]], rng.integers(4))
-        # Saturated ground would be refused before anything is looked for.
-        dim = piece.astype(float) * rng.uniform(0.4, 0.98)
-        yield f"piece of {name} {k}", dim.astype(np.uint8)

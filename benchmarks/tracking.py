@@ -28,7 +28,6 @@ from benchmarks.moving_photographs import (
     textured,
 )
 from benchmarks.report import Limits, Tables, paired_times, rms
-from microlib.synthetic import gripper_scene
 from microlib.tracking import ESMTracker
 from microlib.tracking.robust import ATTEMPTS
 from tests.scenes import WarpedPair, camera_frame, warped_pair
@@ -171,39 +170,6 @@ def times() -> pd.DataFrame:
                     "ECC (ms)": round(1e3 * other, 3),
                     "ESM / ECC": round(ratio, 2),
                     "ESM frames/s": round(1 / mine),
-                }
-            )
-    return pd.DataFrame(rows)
-
-
-def drift() -> pd.DataFrame:
-    """Frames of the gripper on a known path, and the rate on this machine."""
-    rows = []
-    for zoom, pixel_size, size in (("1X", 6.23, 50), ("4X", 1.55, 90)):
-        for motion in MODES:
-            rng = np.random.default_rng(0)
-            scene = gripper_scene(rng, pixel_size=pixel_size)
-            box = scene.box(size)
-            middle = np.array([box[0], box[1]]) + (size - 1) / 2
-            tracker = ESMTracker(scene.frame((0, 0), rng), box, motion)
-            errors, times = [], []
-            for k in range(500):
-                truth = 40 * np.array([np.sin(k / 40), np.cos(k / 30) - 1])
-                frame = scene.frame(truth, rng)
-                start = thread_time()
-                track = tracker.track(frame)
-                times.append(thread_time() - start)
-                errors.append(
-                    np.inf if track.lost else np.linalg.norm(track.center - middle - truth)
-                )
-            rows.append(
-                {
-                    "zoom": zoom,
-                    "window (px)": size,
-                    "motion": motion,
-                    "end error (px)": round(float(errors[-1]), 4),
-                    "largest error (px)": round(float(np.max(errors)), 4),
-                    "frames/s": round(1 / float(np.median(times))),
                 }
             )
     return pd.DataFrame(rows)
@@ -356,7 +322,6 @@ def limits(tables: Tables) -> Limits:
         ["motion", "warp", "corner displacement (px)", "method"]
     )
     frame = tables["Time of one frame"].set_index("motion")
-    drift = tables["Drift over 500 frames of the gripper"]
     held = tables["Photographs held out"]
     spread = held.loc[~held["condition"].isin(ABSENT), "z-rms of the middle"]
     success = held.set_index(["motion", "condition"])["success (%)"]
@@ -377,7 +342,6 @@ def limits(tables: Tables) -> Limits:
         ("more than 1 px off and not called lost, worst row, %", wrong, "≤", 0),
         ("translation: time over ECC's", frame.loc["translation", "ESM / ECC"].max(), "≤", 5),
         ("affine: time over ECC's", frame.loc["affine", "ESM / ECC"].max(), "≤", 3),
-        ("drift at the end of 500 frames, px", drift["end error (px)"].max(), "≤", 0.2),
         *(
             (f"photographs, {', '.join(cell)}: success, %", success[cell], "≥", least)
             for cell, least in LEAST_SUCCESS.items()
@@ -426,7 +390,6 @@ def main() -> tuple[Tables, Limits]:
     tables = {
         "Convergence": convergence(),
         "Time of one frame": times(),
-        "Drift over 500 frames of the gripper": drift(),
         "Photographs held out": photographs(),
         "Returns": returns(),
         "Losses": losses(),

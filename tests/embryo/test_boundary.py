@@ -12,7 +12,7 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 from benchmarks.capsule_embryo import draw_scene
-from benchmarks.photographs import without_embryo
+from benchmarks.photographs import pictures, texture
 from microlib.embryo import extract_boundary
 from microlib.embryo._boundary import Boundary
 from microlib.embryo._probe import find_probe
@@ -265,9 +265,10 @@ def test_a_color_photograph_has_the_outline_of_its_luminance(scene) -> None:
     np.testing.assert_allclose(extract_boundary(alpha).points, wanted.points, atol=1e-6)
 
 
-def test_pictures_of_other_things_are_refused():
-    """No modulus, and no other error: 25 pictures, pieces and textures."""
-    for _, image in without_embryo(np.random.default_rng(2), 25):
+def test_boundary_is_rejected_in_pictures_without_an_embryo():
+    """No outline and no other error: 24 pictures and a texture."""
+    images = [*(image for _, image in pictures()), texture(np.random.default_rng(2))]
+    for image in images:
         with pytest.raises(ValueError, match="image must") as refusal:
             extract_boundary(image)
         # What is wrong from some edges names each of them once.
