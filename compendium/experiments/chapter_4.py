@@ -39,8 +39,8 @@ def exponents(change: float = 1e-6) -> pd.Series:
     return pd.Series(found)
 
 
-def spread_of_modulus(errors: NDArray, rng: np.random.Generator) -> pd.DataFrame:
-    """Return spread and bias of E (%) for standard deviations of the depth (%), two ways."""
+def std_of_modulus(errors: NDArray, rng: np.random.Generator) -> pd.DataFrame:
+    """Return the relative standard deviation and the bias of E (%) over that of the depth (%)."""
     modulus = float(elastic_modulus(**INPUTS))
     rows = []
     for error in errors:
@@ -48,7 +48,7 @@ def spread_of_modulus(errors: NDArray, rng: np.random.Generator) -> pd.DataFrame
         drawn = modulus_samples(INPUTS, stds, size=20_000, rng=rng)
         first = modulus_std(INPUTS, stds)
         rows.append(100 * np.array([first, drawn.std(), drawn.mean() - modulus]) / modulus)
-    columns = ["spread, first order", "spread, drawn", "shift of the mean, drawn"]
+    columns = ["first order", "drawn", "shift of the mean"]
     return pd.DataFrame(rows, pd.Index(errors, name="standard deviation of the depth (%)"), columns)
 
 
@@ -57,7 +57,7 @@ def slope_corrections(depths: Sequence[float] | NDArray) -> pd.DataFrame:
     a, c = INPUTS["dimple_radius"], INPUTS["probe_half_width"]
     w_d = a * np.asarray(depths)
     strains = [mean_strain(a, w_d, probe_half_width=c, small_slopes=s) for s in (True, False)]
-    # How much it is worth beyond small slopes is the question here.
+    # The error of (5.2) beyond small slopes is what is computed here.
     with warnings.catch_warnings(action="ignore", category=SmallSlopeWarning):
         small = elastic_modulus(thesis.FORCE, a, w_d, **thesis.MEMBRANE)
     whole = [finite_slope_modulus(thesis.FORCE, a, depth, **thesis.MEMBRANE) for depth in w_d]
