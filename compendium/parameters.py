@@ -1,4 +1,4 @@
-"""A reader's values for the parameters of a notebook, read from what was typed in a shell."""
+"""The parameters of a notebook: a table of them, and a reader's values as typed in a shell."""
 
 from __future__ import annotations
 
@@ -12,10 +12,44 @@ from glob import glob
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import papermill
+
+from compendium import ROOT
 
 #: How the comment behind a parameter states its bound: ``# µm, > 0, of the membrane``.
 _BOUND = re.compile(r"([>≥≠]) 0\b")
+
+
+def describe(notebook: str) -> pd.DataFrame:
+    """Return a table of the parameters of a notebook, except where its records are written.
+
+    Parameters
+    ----------
+    notebook : str
+        Name without ``.ipynb``.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row for each parameter: default, values that are accepted, and meaning.
+
+    Examples
+    --------
+    >>> describe("04_mechanical_characterization").loc["seed", "accepted values"]
+    'a whole number ≥ 0'
+    """
+    rows = {}
+    for name, entry in papermill.inspect_notebook(ROOT / "notebooks" / f"{notebook}.ipynb").items():
+        if name != "record":
+            default, bound = ast.literal_eval(entry["default"]), _BOUND.search(entry["help"])
+            accepted = "a text"
+            if not isinstance(default, str):
+                accepted = _wanted(default, bound[1] if bound else "")
+            meaning = _BOUND.sub("", entry["help"]).strip(" ,")
+            rows[name] = (entry["default"], accepted, meaning.replace(", ,", ","))
+    columns = ["default", "accepted values", "meaning"]
+    return pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("parameter")
 
 
 def read_values(notebook: Path, texts: Sequence[tuple[str, str]]) -> dict[str, object]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from compendium.parameters import read_values
+from compendium.parameters import describe, read_values
 from tests.compendium.test_run import write_notebook
 
 CELL = """record = ""  # not used here
@@ -31,6 +31,14 @@ def notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "reader" / "a.png").touch()
     monkeypatch.chdir(tmp_path / "reader")
     return tmp_path / "project" / "notebooks" / "07_guide.ipynb"
+
+
+def test_table_of_parameters_has_default_bound_and_meaning() -> None:
+    table = describe("07_guide_embryo")
+    assert "record" not in table.index
+    default, accepted, meaning = table.loc["force"]
+    assert (default, accepted, meaning) == ("None", "a finite number > 0 or None", "µN")
+    assert table.loc["poisson_ratio", "default"] == "0.5"
 
 
 @pytest.mark.parametrize(
