@@ -557,7 +557,7 @@ def answer(name: str, changed: dict[str, object]) -> tuple[object, str | None]:
             warnings.simplefilter("always")
             warnings.simplefilter("ignore", membrane.SmallSlopeWarning)
             # Documented: a modulus that no membrane has, and what the rest is found without.
-            warnings.filterwarnings("ignore", "a modulus of .* is that of no membrane")
+            warnings.filterwarnings("ignore", "a modulus of .* is outside the range of membranes")
             warnings.filterwarnings("ignore", "half of height is steeper than")
             warnings.filterwarnings("ignore", "frames .* cannot be registered to each other")
             result = call(**given)

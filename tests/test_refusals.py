@@ -171,7 +171,7 @@ REFUSED: dict[str, dict[str, tuple[object, ...]]] = {
     "membrane.viscoelastic_force": {
         "time": ([0.0, 0.0, 1.0, 2.0],),
         "elastic_force": ([0.0, 1.0],),
-        "shares": ([0.7, 0.7], [-0.1, 0.1]),
+        "prony_coefficients": ([0.7, 0.7], [-0.1, 0.1]),
         "relaxation_times": ([1.0, 0.0], [1.0]),
     },
     "microscope.Microscope": {

@@ -89,7 +89,7 @@ def relaxing_sequence(rng: np.random.Generator, time: NDArray) -> pd.DataFrame:
         elastic[k], std[k] = found.force, found.force * found.relative_std
     # Column j is the force over time of a unit at time j: the law is linear in all of them.
     response = viscoelastic_force(
-        time, np.eye(time.size), shares=[SHARE], relaxation_times=[RELAXATION_TIME]
+        time, np.eye(time.size), prony_coefficients=[SHARE], relaxation_times=[RELAXATION_TIME]
     ).T
     read, reach = response @ elastic, _NORMAL_95 * np.sqrt(response**2 @ std**2)
     forces = {"true": true_force(time), "force": read, "low": read - reach, "high": read + reach}

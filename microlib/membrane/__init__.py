@@ -1,40 +1,39 @@
-"""Membranes under a probe: the thesis' point load (4.1–4.7, 5.2), discs and capsules.
+"""Elastic modulus of a membrane from the dimple that a probe makes.
 
-Which function is for which dimple, by its relative depth w_d/a, and how far the modulus of (5.2),
-`elastic_modulus`, is from that function's, at c/a = 0.1 and ν = 0.5 (measured):
+The top level of this package is the method of the thesis: the point-load model (4.1)–(4.7) and
+(5.2), its correction for finite slopes, and its uncertainty. The sub-package `large` goes beyond
+the thesis: it solves discs and capsules at any depth.
 
-=============================================  ==========================  =======================
-the membrane                                   its function                (5.2) beside it
-=============================================  ==========================  =======================
-the thesis' own: one stress everywhere, small  `elastic_modulus`,          –
-slopes, w_d/a up to 0.1                        `indentation_force`
-the same stress, but slopes that are not       `finite_slope_modulus`      −1 % at w_d/a = 0.05,
-small; up to `steepest_depth`, w_d/a = 0.25                                −5 % at 0.1, −20 % at
-                                                                           0.2
-a flat disc, clamped at its rim, with the      `disc_modulus`,             +143 to 146 % at 0.1,
-pressure F/(π a²) below it, at any depth       `indent_disc`               +124 to 136 % at 0.2,
-                                                                           +41 to 83 % at 0.49, by
-                                                                           law
-the same disc over an open hole                `disc_modulus(…,            +48 %, +39 to 45 %, −2 to
-                                               pressure=0)`                21 %
-a closed capsule full of fluid, such as an     `capsule_modulus`,          +35 to 520 % at 0.25,
-egg: rim, depth and radius are known           `indent_capsule`            −27 to +102 % at 0.49,
-                                                                           for R = 600 µm, h =
-                                                                           3 µm, inflated by 1 to
-                                                                           8 %; +16 to 51 % for
-                                                                           the thesis' dimple
-the same, of which the outline is known        `fit_capsule`               as above
-=============================================  ==========================  =======================
+The table says which function is for which membrane. Its last column gives the difference of the
+modulus of (5.2), `elastic_modulus`, from the modulus of that function, measured at c/a = 0.1 and
+ν = 0.5. w_d/a is the relative depth of the dimple.
 
-The first three lines are one model with its slopes small or whole; a stress that is the same at all
-radii is an assumption that no clamped disc meets. `modulus_std` and `modulus_samples` give the
-error of (5.2) that its inputs make, and `viscoelastic_force` the force of a wall that relaxes.
+====================================  ==========================  =================================
+membrane                              function                    difference of (5.2)
+====================================  ==========================  =================================
+uniform stress and small slopes,      `elastic_modulus`,          none
+w_d/a ≤ 0.1 (the thesis' model)       `indentation_force`
+uniform stress and finite slopes,     `finite_slope_modulus`      −1 % at w_d/a = 0.05, −5 % at
+w_d/a ≤ 0.25 (`steepest_depth`)                                   0.1, −20 % at 0.2
+flat disc with a clamped rim and the  `disc_modulus`,             +143 to 146 % at 0.1, +124 to
+pressure F/(π a²) below it            `indent_disc`               136 % at 0.2, +41 to 83 % at
+                                                                  0.49, depending on the law
+the same disc over an open hole       `disc_modulus` with         +48 % at 0.1, +39 to 45 % at
+                                      ``pressure=0``              0.2, −2 to +21 % at 0.49
+closed, fluid-filled capsule such as  `capsule_modulus`,          +35 to 520 % at 0.25, −27 to
+an egg, of known rim, depth and       `indent_capsule`            +102 % at 0.49 (R = 600 µm,
+radius                                                            h = 3 µm, inflation 1 to 8 %);
+                                                                  +16 to 51 % for the dimple of
+                                                                  the thesis
+the same capsule, of known outline    `fit_capsule`               as above
+====================================  ==========================  =================================
+
+No clamped disc has a uniform stress. `modulus_std` and `modulus_samples` compute the error of (5.2)
+that follows from the errors of its inputs. `viscoelastic_force` computes the force of a wall whose
+stress relaxes.
 """
 
-from microlib.membrane._capsule import capsule_modulus, indent_capsule
-from microlib.membrane._disc import disc_modulus, indent_disc
 from microlib.membrane._finite_slope import finite_slope_modulus, steepest_depth
-from microlib.membrane._outline import fit_capsule
 from microlib.membrane._point_load import (
     SmallSlopeWarning,
     dimple_depth,
@@ -45,7 +44,10 @@ from microlib.membrane._point_load import (
     membrane_stress,
 )
 from microlib.membrane._uncertainty import modulus_samples, modulus_std
-from microlib.membrane._viscoelastic import viscoelastic_force
+from microlib.membrane.large._capsule import capsule_modulus, indent_capsule
+from microlib.membrane.large._disc import disc_modulus, indent_disc
+from microlib.membrane.large._fit_capsule import fit_capsule
+from microlib.membrane.large._viscoelastic import viscoelastic_force
 
 __all__ = [
     "SmallSlopeWarning",

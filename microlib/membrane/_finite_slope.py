@@ -1,11 +1,10 @@
-r"""The point-load model with its slopes kept whole: how far (4.1)–(4.7) may be trusted.
+r"""The point-load model without the small-slope approximations of (4.1) and (4.4).
 
-The thesis replaces :math:`\sin\theta` by the slope in the force balance (4.1) and
-:math:`1/\cos\theta - 1` by
-:math:`\theta^2/2` in the strain (4.4). Here both stay as they are; all other assumptions, a uniform
-stress among them, are the model's own. It is this stress, the same at every radius and in both
-directions, that cannot balance a dimple beyond `steepest_depth`; one that varies along the radius,
-as in `microlib.membrane._disc`, can.
+The thesis replaces :math:`\sin\theta` by the slope in the force balance (4.1), and
+:math:`1/\cos\theta - 1` by :math:`\theta^2/2` in the strain (4.4). Here both stay exact. All other
+assumptions are those of the model, among them a stress that is the same at every radius and in both
+directions. Such a stress cannot balance a dimple deeper than `steepest_depth`. A stress that varies
+along the radius can (see `disc_modulus`).
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from microlib.membrane._point_load import GAUSS
 
 
 def steepest_depth(dimple_radius: float, *, probe_half_width: float) -> float:
-    r"""Depth at which the membrane would stand upright at the probe, under a uniform stress.
+    r"""Largest depth of a dimple under a uniform stress, with a vertical membrane at the probe.
 
     Parameters
     ----------
@@ -29,8 +28,7 @@ def steepest_depth(dimple_radius: float, *, probe_half_width: float) -> float:
     Returns
     -------
     float
-        The largest depth w_d that the force balance allows a uniform isotropic stress, in µm. A
-        deeper dimple needs a stress that varies along the radius.
+        Depth w_d, in µm. A deeper dimple needs a stress that varies along the radius.
 
     Raises
     ------
@@ -39,9 +37,9 @@ def steepest_depth(dimple_radius: float, *, probe_half_width: float) -> float:
 
     Notes
     -----
-    (4.1) without its small angle reads :math:`\sin\theta = k(1/r - r/a^2)` with :math:`k =
-    F/(2\pi\sigma_d h)`. The sine is largest at the probe and reaches 1 there for :math:`k = 1/(1/c
-    - c/a^2)`. A smaller uniform stress, a larger k, has no solution.
+    The force balance (4.1) with the exact sine is :math:`\sin\theta = k(1/r - r/a^2)` with
+    :math:`k = F/(2\pi\sigma_d h)`. The sine is largest at the probe, and it is 1 there for
+    :math:`k = 1/(1/c - c/a^2)`. No larger k, and so no smaller uniform stress, has a solution.
 
     Examples
     --------
@@ -62,7 +60,7 @@ def finite_slope_modulus(
     probe_half_width: float,
     poisson_ratio: float,
 ) -> float:
-    r"""Elastic modulus from one indentation without the small-slope steps of (4.1) and (4.4).
+    r"""Elastic modulus from one indentation for finite slopes under a uniform stress.
 
     Parameters
     ----------
@@ -72,8 +70,8 @@ def finite_slope_modulus(
     Returns
     -------
     float
-        Modulus, in MPa; NaN if `dimple_depth` is beyond `steepest_depth`, where no uniform
-        isotropic stress balances the force.
+        Modulus E, in MPa. NaN if `dimple_depth` is above `steepest_depth`, where no uniform stress
+        balances the force.
 
     Raises
     ------
@@ -82,10 +80,9 @@ def finite_slope_modulus(
 
     Notes
     -----
-    With :math:`\sin\theta = k(1/r - r/a^2)`, the depth :math:`\int_c^a \tan\theta\,dr` fixes k,
-    which gives the stress
-    :math:`F/(2\pi k h)`; the strain is half the mean of :math:`1/\cos\theta - 1` over the annulus,
-    as in (4.5).
+    The depth :math:`\int_c^a \tan\theta\,dr` with :math:`\sin\theta = k(1/r - r/a^2)` determines k.
+    The stress is :math:`F/(2\pi k h)`. The strain is half the mean of :math:`1/\cos\theta - 1` over
+    the annulus, as in (4.5).
 
     Examples
     --------
@@ -102,10 +99,12 @@ def finite_slope_modulus(
     nu = poisson(poisson_ratio)
     if depth > _depth(1.0, a, c):
         return float("nan")
-    # The sine at the probe stands for k: it runs over (0, 1].
-    steepest = brentq(lambda sine: _depth(sine, a, c) - depth, 0.0, 1.0, xtol=np.finfo(float).eps)
-    stress = load * (1 / c - c / a**2) / (2 * np.pi * steepest * h)
-    r, dr, sine = _profile(steepest, a, c)
+    # sin θ at the probe, in (0, 1], is proportional to k and takes its place as the unknown.
+    sine_at_probe = brentq(
+        lambda sine: _depth(sine, a, c) - depth, 0.0, 1.0, xtol=np.finfo(float).eps
+    )
+    stress = load * (1 / c - c / a**2) / (2 * np.pi * sine_at_probe * h)
+    r, dr, sine = _profile(sine_at_probe, a, c)
     cosine = np.sqrt((1 - sine) * (1 + sine))
     # 1/cos − 1 without cancellation.
     stretch = sine**2 / (cosine * (1 + cosine))
@@ -118,16 +117,17 @@ def _geometry(dimple_radius: float, probe_half_width: float) -> tuple[float, flo
     return a, scalar("probe_half_width", probe_half_width, above=0, below=a)
 
 
-def _profile(steepest: float, a: float, c: float) -> tuple[NDArray, NDArray, NDArray]:
-    """Return radii, quadrature weights and sin θ; `steepest` is the sine at the probe."""
-    # r = c + (a − c) t² takes the root singularity of an upright membrane out of the integrand.
+def _profile(sine_at_probe: float, a: float, c: float) -> tuple[NDArray, NDArray, NDArray]:
+    """Return radii, quadrature weights and sin θ."""
+    # r = c + (a − c) t² removes the square-root singularity of a vertical membrane.
     nodes, weights = GAUSS
     t = (nodes + 1) / 2
     r = c + (a - c) * t**2
-    sine = steepest * (1 / r - r / a**2) / (1 / c - c / a**2)
+    sine = sine_at_probe * (1 / r - r / a**2) / (1 / c - c / a**2)
     return r, weights * (a - c) * t, sine
 
 
-def _depth(steepest: float, a: float, c: float) -> float:
-    _, dr, sine = _profile(steepest, a, c)
+def _depth(sine_at_probe: float, a: float, c: float) -> float:
+    """Return ∫ tan θ dr."""
+    _, dr, sine = _profile(sine_at_probe, a, c)
     return float(np.sum(sine / np.sqrt((1 - sine) * (1 + sine)) * dr))

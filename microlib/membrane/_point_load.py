@@ -1,9 +1,9 @@
-r"""The biomembrane point-load model: from a dimple's shape and its force to an elastic modulus.
+r"""The point-load model of a biomembrane: force and shape of a dimple, and the elastic modulus.
 
 A probe of half-width :math:`c` presses with the force :math:`F` on a membrane of thickness
 :math:`h`. The dimple has the radius :math:`a`, measured at its rim, and the depth :math:`w_d`.
-Liquid below the membrane carries part of the force, the stretched membrane the rest. Equations
-(4.1)–(4.7) and (5.2) of the thesis; the model is that of Sun et al. (2003).
+The liquid below the membrane carries part of the force, and the stretched membrane carries the
+rest. The equations are (4.1)–(4.7) and (5.2) of the thesis. The model is that of Sun et al. (2003).
 
 Lengths are in µm and forces in µN, so moduli and stresses are in µN/µm² = MPa.
 """
@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 
 from microlib._common import MEASURED, Array, as_array, flag, poisson, positive
 
-#: Nodes and weights over a profile. 400 give the same strain and modulus to 1e-13, and to 2e-11
-#: where the membrane stands nearly upright, for w_d/a up to 1 and ζ from 0.01 on.
+#: Nodes and weights of the Gauss–Legendre quadrature over a profile. 400 nodes change strain and
+#: modulus by 1e-13, and by 2e-11 where the membrane is nearly vertical (w_d/a ≤ 1, ζ ≥ 0.01).
 GAUSS = np.polynomial.legendre.leggauss(200)
 
 
@@ -29,10 +29,14 @@ class SmallSlopeWarning(UserWarning):
     Attributes
     ----------
     limit : float
-        Relative depth w_d/a above which the warning is given, 0.1. There the two small-slope steps,
-        in the force balance (4.1) and in the strain (4.4), make the modulus 5 % too low at c/a =
-        0.1 (4 % at 0.2, 11 % at 0.04); at twice the depth 20 %. `finite_slope_modulus` undoes both
-        and keeps the uniform stress; `disc_modulus` lets it vary.
+        Relative depth w_d/a above which the warning is given, 0.1.
+
+    Notes
+    -----
+    At w_d/a = 0.1 the small-slope approximations in the force balance (4.1) and in the strain (4.4)
+    make the modulus 5 % too low for c/a = 0.1, 4 % for 0.2 and 11 % for 0.04. At w_d/a = 0.2 the
+    modulus is 20 % too low. `finite_slope_modulus` removes both approximations and keeps the
+    uniform stress. `disc_modulus` does not assume a uniform stress.
     """
 
     limit = 0.1  # there finite_slope_modulus is 1.05 times elastic_modulus at c/a = 0.1 (tests)
@@ -84,8 +88,8 @@ def elastic_modulus(
     SmallSlopeWarning
         If a dimple has w_d/a above `SmallSlopeWarning.limit`.
     UserWarning
-        If a modulus is above that of steel, 2·10⁵ MPa, or below 10 Pa, as it comes out for lengths
-        in mm or m or forces in N.
+        If a modulus is above that of steel, 2·10⁵ MPa, or below 10 Pa. Lengths in mm or m and
+        forces in N lead to such values.
 
     See Also
     --------
@@ -93,9 +97,10 @@ def elastic_modulus(
 
     Notes
     -----
-    The stress (4.3) over the strain (4.5) by linear elasticity (4.6), which gives (4.7) for the
-    force. Table 5.6 of the thesis prints ζ = 44.78 for c/a, which no probe can have; its modulus
-    follows from c = 25 µm, ζ = 0.1012.
+    The modulus is the stress (4.3) times 1 − ν over the strain (4.5), as linear elasticity (4.6)
+    has it. Solved for the force, the same relation is (4.7). The model assumes a uniform stress and
+    small slopes. Table 5.6 of the thesis prints c/a = 44.78, which no probe can have. The printed
+    modulus follows from c = 25 µm, for which c/a = 0.1012.
 
     References
     ----------
@@ -111,12 +116,12 @@ def elastic_modulus(
     >>> print(f"{modulus:.3f} MPa")
     1.551 MPa
     """
-    values = checked(
+    values = check_inputs(
         dimple_radius, dimple_depth, probe_half_width, thickness, poisson_ratio, force=force
     )
     _warn_if_steep(values["dimple_radius"], values["dimple_depth"])
     modulus = values["force"] / force_per_modulus(values)
-    warn_of_units(modulus)
+    warn_if_implausible(modulus)
     return modulus
 
 
@@ -129,7 +134,7 @@ def indentation_force(
     probe_half_width: ArrayLike,
     poisson_ratio: ArrayLike,
 ) -> Array:
-    r"""Force that makes a given dimple, equation (4.7).
+    r"""Force that makes a dimple of given radius and depth, equation (4.7).
 
     .. math:: F = \frac{2\pi E h w_d^3}{a^2(1-\nu)} S(c/a)
 
@@ -164,7 +169,7 @@ def indentation_force(
     >>> print(f"{force:.3f} µN")
     0.838 µN
     """
-    values = checked(
+    values = check_inputs(
         dimple_radius, dimple_depth, probe_half_width, thickness, poisson_ratio, modulus=modulus
     )
     _warn_if_steep(values["dimple_radius"], values["dimple_depth"])
@@ -219,7 +224,7 @@ def dimple_depth(
     >>> print(f"{depth:.2f} µm")
     20.00 µm
     """
-    values = checked(
+    values = check_inputs(
         dimple_radius, 1.0, probe_half_width, thickness, poisson_ratio, force=force, modulus=modulus
     )
     # The force grows with the cube of the depth, so the force at 1 µm gives the depth.
@@ -255,12 +260,13 @@ def dimple_profile(
     Raises
     ------
     ValueError
-        If the geometry is impossible or a `radius` is outside [c, a].
+        If a length is not positive, `probe_half_width` is not below `dimple_radius`, or a `radius`
+        is outside [c, a].
 
     Notes
     -----
-    (4.2) has the factor :math:`F/(4\pi\sigma_d h)`; (4.3) ties it to the depth, which is what an
-    image shows. The stress follows from `membrane_stress`.
+    The factor :math:`F/(4\pi\sigma_d h)` of (4.2) is expressed by the depth through (4.3), because
+    an image shows the depth. `membrane_stress` returns the stress.
 
     Examples
     --------
@@ -268,7 +274,7 @@ def dimple_profile(
     >>> dimple_profile([25.0, 100.0, 250.0], 250.0, 40.0, probe_half_width=25.0).round(3).tolist()
     [40.0, 10.982, 0.0]
     """
-    values = checked(dimple_radius, dimple_depth, probe_half_width, radius=radius)
+    values = check_inputs(dimple_radius, dimple_depth, probe_half_width, radius=radius)
     r, a, c = values["radius"], values["dimple_radius"], values["probe_half_width"]
     if (outside := (r < c) | (r > a)).any():
         worst = np.broadcast_to(r, outside.shape)[outside].flat[0]
@@ -286,8 +292,7 @@ def membrane_stress(
     thickness: ArrayLike,
     probe_half_width: ArrayLike,
 ) -> Array:
-    r"""Stress in the membrane that carries the load: (4.3), from the balance (4.1), solved for
-    :math:`\sigma_d`.
+    r"""Uniform stress of the dimple's membrane, equation (4.3) solved for :math:`\sigma_d`.
 
     .. math:: \sigma_d = -\frac{F}{4\pi h w_d}\left[1-\zeta^2+\ln\zeta^2\right]
 
@@ -315,7 +320,7 @@ def membrane_stress(
     >>> print(f"{stress:.4f} MPa")
     0.1199 MPa
     """
-    values = checked(dimple_radius, dimple_depth, probe_half_width, thickness, force=force)
+    values = check_inputs(dimple_radius, dimple_depth, probe_half_width, thickness, force=force)
     zeta = values["probe_half_width"] / values["dimple_radius"]
     scale = values["force"] / (4 * np.pi * values["thickness"] * values["dimple_depth"])
     return -scale * log_remainder(zeta, 2)
@@ -340,8 +345,8 @@ def mean_strain(
     dimple_radius, dimple_depth, probe_half_width : array_like
         Geometry a, w_d and c, in µm.
     small_slopes : bool
-        Whether to take the slopes for small, as (4.4) does; if not, its
-        :math:`\frac12(dw/dr)^2` is the exact :math:`\sqrt{1+(dw/dr)^2}-1`.
+        Whether to use the small-slope strain :math:`\frac12(dw/dr)^2` of (4.4). If False, the
+        exact :math:`\sqrt{1+(dw/dr)^2}-1` is used.
 
     Returns
     -------
@@ -351,15 +356,15 @@ def mean_strain(
     Raises
     ------
     ValueError
-        If the geometry is impossible.
+        If a length is not positive or `probe_half_width` is not below `dimple_radius`.
 
     Notes
     -----
-    A ring of width dr is stretched to dr/cos θ, and 1/cos θ − 1 = √(1 + tan²θ) − 1 exactly; (4.4)
-    keeps the first term, θ²/2. The profile is that of (4.2) either way, so the ratio of the two
-    strains measures the strain's error alone: it is the factor by which the modulus of (5.2) is too
-    small. The exact one is a Gauss–Legendre quadrature in ln r, where the integrand is smooth down
-    to the probe: exact to rounding for w_d/a up to 1.
+    A ring of width dr is stretched to dr/cos θ. Its strain is 1/cos θ − 1 = √(1 + tan²θ) − 1, of
+    which (4.4) keeps the first term, θ²/2. Both strains use the profile (4.2). The ratio of the
+    exact strain to that of (4.5) is therefore the factor by which the approximation (4.4) alone
+    changes the modulus of (5.2). The exact strain is integrated numerically. Its error is that of
+    rounding for w_d/a up to 1.
 
     Examples
     --------
@@ -371,7 +376,7 @@ def mean_strain(
     >>> ratio.round(4).tolist()
     [1.0002, 1.2695]
     """
-    values = checked(dimple_radius, dimple_depth, probe_half_width)
+    values = check_inputs(dimple_radius, dimple_depth, probe_half_width)
     zeta = values["probe_half_width"] / values["dimple_radius"]
     steepness = values["dimple_depth"] / values["dimple_radius"]
     if flag("small_slopes", small_slopes):
@@ -394,13 +399,13 @@ def annulus(zeta: Array) -> Array:
 
 
 def log_remainder(zeta: Array, first: int) -> Array:
-    """Return −Σ_{k ≥ first} x**k / k with x = 1 − ζ²: ln ζ² less its series' first terms."""
+    """Return −Σ_{k ≥ first} xᵏ/k, x = 1 − ζ²: the Taylor remainder of ln ζ² = ln(1 − x)."""
     x = annulus(zeta)
     # The closed form loses about x⁻³ roundings to cancellation. S is right to 2e-12 for any limit
-    # from 0.01 to 0.2 and any number of terms from 12 on, measured against 60 digits.
+    # from 0.01 to 0.2 and for 12 terms or more, measured against 60 digits.
     small = x < 0.05
     order = np.arange(first, first + 16)
-    # Elsewhere the series is not used, and a zero keeps its powers harmless.
+    # Where the series is not used, x = 0 keeps its powers from underflow.
     series = -np.sum(np.where(small, x, 0.0)[..., np.newaxis] ** order / order, axis=-1)
     closed = 2 * np.log(zeta) + sum(x**k / k for k in range(1, first))
     return np.where(small, series, closed)
@@ -410,13 +415,13 @@ def force_per_modulus(values: Mapping[str, Array]) -> Array:
     """Return F/E of (4.7), in µm²."""
     a, c = values["dimple_radius"], values["probe_half_width"]
     numerator = 2 * np.pi * values["thickness"] * values["dimple_depth"] ** 3
-    # The bracket of (4.7) is a quotient of remainders of the logarithm's series, which for small
-    # 1 − ζ² are summed as such: the closed form would lose all its digits there.
+    # S(ζ) of (4.7). With x = 1 − ζ² and R_n the Taylor remainder of ln(1 − x) from xⁿ on, its
+    # numerator is 2 R₃ and the base of its cube R₂.
     shape = 2 * log_remainder(c / a, 3) / (annulus(c / a) * log_remainder(c / a, 2) ** 3)
     return numerator / (a**2 * (1 - values["poisson_ratio"])) * shape
 
 
-def checked(
+def check_inputs(
     dimple_radius: ArrayLike,
     dimple_depth: ArrayLike,
     probe_half_width: ArrayLike,
@@ -424,9 +429,9 @@ def checked(
     poisson_ratio: ArrayLike = 0.0,
     **others: ArrayLike,
 ) -> dict[str, Array]:
-    """Return the sizes of a dimple, and other positive quantities, as arrays by name.
+    """Return the sizes of a dimple and `others` as arrays by name; all must be positive.
 
-    What the model cannot mean is refused.
+    Raises `ValueError` where the probe is not narrower than the dimple.
     """
     others |= {"dimple_radius": dimple_radius, "dimple_depth": dimple_depth}
     others |= {"probe_half_width": probe_half_width, "thickness": thickness}
@@ -445,15 +450,16 @@ def checked(
     return values
 
 
-def warn_of_units(modulus: ArrayLike) -> None:
-    """Warn of a modulus that no membrane has, as lengths in mm or m or forces in N give it."""
-    low, high = np.min(modulus), np.max(modulus)
-    softest, stiffest = MEASURED["MPa"]
-    if low < softest or high > stiffest:
-        odd = high if high > stiffest else low
+def warn_if_implausible(modulus: ArrayLike) -> None:
+    """Warn of a modulus outside the range of materials, as lengths in mm or forces in N give."""
+    lowest, highest = MEASURED["MPa"]
+    outside = [
+        value for value in (np.min(modulus), np.max(modulus)) if value < lowest or value > highest
+    ]
+    if outside:
         warnings.warn(
-            f"a modulus of {odd:.3g} MPa is that of no membrane: are all lengths in µm and forces "
-            "in µN?",
+            f"a modulus of {outside[-1]:.3g} MPa is outside the range of membranes: lengths must "
+            "be in µm and forces in µN",
             stacklevel=3,
         )
 
@@ -462,9 +468,9 @@ def _warn_if_steep(dimple_radius: Array, depth: Array) -> None:
     steepest = float(np.max(depth / dimple_radius))
     if steepest > SmallSlopeWarning.limit:
         warnings.warn(
-            f"w_d/a = {steepest:.2f} > {SmallSlopeWarning.limit}: small slopes make the modulus of "
-            "a uniform stress about 5 % too low or more (finite_slope_modulus); a stress that "
-            "varies along the radius gives another one at any depth (disc_modulus)",
+            f"w_d/a = {steepest:.2f} > {SmallSlopeWarning.limit}: the small-slope approximation "
+            "makes the modulus about 5 % too low or more (see finite_slope_modulus), and a stress "
+            "that varies along the radius gives another modulus at any depth (see disc_modulus)",
             SmallSlopeWarning,
             stacklevel=3,
         )

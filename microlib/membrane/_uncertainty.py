@@ -1,4 +1,4 @@
-"""How errors of the inputs of (5.2) reach the elastic modulus: first order and Monte Carlo."""
+"""Uncertainty of the modulus (5.2) from the errors of its inputs: first order and Monte Carlo."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from numpy.typing import ArrayLike
 from microlib._common import Array, as_array, generator, of_kind, scalar, whole
 from microlib.membrane._point_load import (
     annulus,
-    checked,
+    check_inputs,
     elastic_modulus,
     force_per_modulus,
     log_remainder,
 )
 
-#: The arguments of `elastic_modulus` in its order, so that the same seed draws the same samples for
-#: any mapping.
+#: The arguments of `elastic_modulus` in its order. A seed draws the same samples for mappings of
+#: any order.
 _INPUTS = tuple(signature(elastic_modulus).parameters)
 
 
@@ -29,18 +29,18 @@ def modulus_std(
     *,
     dimple_covariance: ArrayLike | None = None,
 ) -> float:
-    r"""Standard deviation of the modulus to first order.
+    r"""Standard deviation of the modulus (5.2) by first-order error propagation.
 
     Parameters
     ----------
     values : mapping of str to float
         The six arguments of `elastic_modulus` by name, in their units.
     stds : mapping of str to float
-        Standard deviations of independent errors by the same names and in the same units; an input
-        left out is exact.
+        Standard deviations of independent errors by the same names and in the same units. An input
+        that is left out is exact.
     dimple_covariance : array_like, shape (2, 2), optional
-        Covariance of radius and depth, in µm², in place of their standard deviations: an image
-        gives the two together, as `microlib.embryo.fit_dimple` does. NaN where it is not known.
+        Covariance of radius and depth, in µm², such as that of `microlib.embryo.fit_dimple`. It
+        takes the place of their standard deviations. NaN where it is unknown.
 
     Returns
     -------
@@ -51,19 +51,22 @@ def modulus_std(
     ------
     ValueError
         If a name is missing or unknown, a standard deviation is negative, a value is out of range,
-        or the dimple's errors are given twice.
+        or the errors of radius and depth are given twice.
 
     See Also
     --------
-    modulus_samples : The whole distribution, which the power −3 of w_d makes skewed.
+    modulus_samples : The whole distribution, which is skewed.
 
     Notes
     -----
+    The standard deviation covers the errors of the inputs. It does not cover the error of the
+    model, which the table of `microlib.membrane` gives.
+
     The logarithmic derivatives of (5.2) are 1 for the force, −1 for the thickness, −3 for the depth
-    and −ν/(1−ν) for the Poisson ratio. The probe's width enters through the bracket S of (4.7)
-    alone. With :math:`x = 1-\zeta^2`, :math:`N` the bracket's numerator and :math:`D` the base of
-    its cube the exponent of :math:`\zeta = c/a` in S is :math:`4x^2/N + 2(1-x)/x - 6x/D`; that of
-    the width is its negative, and the radius has this one and 2 more.
+    and −ν/(1−ν) for the Poisson ratio. Let N be the numerator of S in (4.7), D the base of its cube
+    and :math:`x = 1-\zeta^2`. The logarithmic derivative of S by :math:`\zeta = c/a` is
+    :math:`s = 4x^2/N + 2(1-x)/x - 6x/D`. The derivative of (5.2) is :math:`-s` for the half-width
+    of the probe and :math:`2 + s` for the radius of the dimple.
 
     Examples
     --------
@@ -76,7 +79,7 @@ def modulus_std(
     >>> print(f"{modulus_std(values, {}, dimple_covariance=together):.3f} MPa")
     0.031 MPa
     """
-    inputs, covariance = _checked(values, stds, dimple_covariance)
+    inputs, covariance = _check_errors(values, stds, dimple_covariance)
     zeta = inputs["probe_half_width"] / inputs["dimple_radius"]
     x = annulus(zeta)
     by_zeta = 2 * x**2 / log_remainder(zeta, 3) + 2 * zeta**2 / x - 6 * x / log_remainder(zeta, 2)
@@ -91,7 +94,7 @@ def modulus_std(
     # ν may be zero, where ∂ ln E / ∂ ln ν vanishes but ∂ ln E / ∂ν = −1/(1−ν) does not.
     gradient["poisson_ratio"] = -1 / (1 - values["poisson_ratio"])
     by_input = np.array([gradient[name] for name in _INPUTS])
-    # Rounding may leave less than nothing.
+    # Rounding may leave a negative variance.
     relative = np.sqrt(np.maximum(by_input @ covariance @ by_input, 0.0))
     return float(inputs["force"] / force_per_modulus(inputs) * relative)
 
@@ -103,14 +106,14 @@ def modulus_samples(
     size: int,
     rng: np.random.Generator | int,
 ) -> Array:
-    r"""Draw moduli for errors of the inputs, each drawn from what it can be.
+    r"""Samples of the modulus (5.2) for random errors of its inputs.
 
     Parameters
     ----------
     values, stds : mapping of str to float
         As for `modulus_std`.
     size : int
-        How many samples.
+        Number of samples.
     rng : numpy.random.Generator or int
         Source of randomness, or its seed.
 
@@ -122,17 +125,15 @@ def modulus_samples(
     Raises
     ------
     ValueError
-        As for `modulus_std`, or if the errors leave hardly a draw with the probe narrower than the
-        dimple.
+        As for `modulus_std`, or if nearly all draws have a probe wider than the dimple.
 
     Notes
     -----
-    Force and lengths are positive, so they are log-normal, with the given means and deviations: the
-    logarithms have the variances :math:`\ln(1 + \sigma_i^2/m_i^2)`. For small errors that is the
-    normal distribution, and the moduli's mean and standard deviation are the same to second order
-    in the relative errors. All powers of a log-normal quantity have a mean, :math:`w_d^{-3}` too.
-    ν is normal. What no dimple has, :math:`c \ge a` or ν outside (−1, 0.5], is drawn again, so that
-    ν = 0.5 ± 0.02 lies below 0.5 throughout.
+    Force and lengths are log-normal with the given means :math:`m_i` and standard deviations
+    :math:`\sigma_i`. Their logarithms have the variances :math:`\ln(1 + \sigma_i^2/m_i^2)`. For
+    small errors the distribution is nearly normal. The Poisson ratio is normal. Draws with
+    :math:`c \ge a` or ν outside (−1, 0.5] are rejected and drawn again, so that ν = 0.5 ± 0.02 is
+    half a normal distribution below 0.5.
 
     Examples
     --------
@@ -143,31 +144,33 @@ def modulus_samples(
     >>> print(f"{samples.std():.2f} MPa")
     0.05 MPa
     """
-    _, covariance = _checked(values, stds)
-    left = whole("size", size, least=1)
+    _, covariance = _check_errors(values, stds)
+    missing = whole("size", size, least=1)
     rng = generator("rng", rng)
-    means, deviations = np.array([values[name] for name in _INPUTS]), np.sqrt(np.diag(covariance))
-    # ν is last, and is not drawn by its logarithm.
-    logarithms = np.log1p((deviations / means)[:-1] ** 2)
+    means, sigmas = np.array([values[name] for name in _INPUTS]), np.sqrt(np.diag(covariance))
+    # The Poisson ratio is the last input and is not log-normal.
+    log_variances = np.log1p((sigmas / means)[:-1] ** 2)
     found = []
     for _ in range(200):
-        scatter = np.exp(rng.normal(-logarithms / 2, np.sqrt(logarithms), (left, means.size - 1)))
-        ratio = rng.normal(means[-1], deviations[-1], left)
+        scatter = np.exp(
+            rng.normal(-log_variances / 2, np.sqrt(log_variances), (missing, means.size - 1))
+        )
+        ratio = rng.normal(means[-1], sigmas[-1], missing)
         drawn = dict(zip(_INPUTS, [*(means[:-1] * scatter).T, ratio], strict=True))
         possible = (drawn["probe_half_width"] < drawn["dimple_radius"]) & (ratio > -1)
         possible &= ratio <= 0.5
         drawn = {name: each[possible] for name, each in drawn.items()}
         found.append(drawn["force"] / force_per_modulus(drawn))
-        left -= found[-1].size
-        if left == 0:
+        missing -= found[-1].size
+        if missing == 0:
             return np.concatenate(found)
     raise ValueError(
-        "stds must leave draws in which the probe is narrower than the dimple and poisson_ratio in "
+        "stds must allow draws with a probe narrower than the dimple and poisson_ratio in "
         f"(-1, 0.5], got {dict(stds)}"
     )
 
 
-def _checked(
+def _check_errors(
     values: Mapping[str, float],
     stds: Mapping[str, float],
     dimple_covariance: ArrayLike | None = None,
@@ -179,12 +182,12 @@ def _checked(
         raise ValueError(f"values must have the keys {sorted(_INPUTS)}, got {sorted(values)}")
     if not set(stds) <= set(_INPUTS):
         raise ValueError(f"stds must have keys among {sorted(_INPUTS)}, got {sorted(stds)}")
-    inputs = checked(**{name: scalar(f"values[{name!r}]", values[name]) for name in values})
+    inputs = check_inputs(**{name: scalar(f"values[{name!r}]", values[name]) for name in values})
     known_stds = {name: scalar(f"stds[{name!r}]", stds[name], least=0) for name in stds}
     covariance = np.diag([known_stds.get(name, 0.0) ** 2 for name in _INPUTS])
     if dimple_covariance is not None:
         if twice := [name for name in _INPUTS[1:3] if name in stds]:
-            raise ValueError(f"stds must leave out what dimple_covariance holds, got {twice}")
+            raise ValueError(f"stds must not repeat what dimple_covariance contains, got {twice}")
         both = as_array("dimple_covariance", dimple_covariance, shape=(2, 2), finite=False)
         covariance[1:3, 1:3] = both
     return inputs, covariance

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import simpson
 
-from microlib.membrane._solver import MembraneState
+from microlib.membrane.large._solver import MembraneState
 
 
 def density(law: str, stretches: NDArray, nu: float = 0.5) -> NDArray:

@@ -10,8 +10,8 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import spsolve
 
 from microlib._common import Array
-from microlib.membrane import _capsule
-from microlib.membrane._capsule import capsule_modulus, indent_capsule, indent_near
+from microlib.membrane.large import _capsule
+from microlib.membrane.large._capsule import capsule_modulus, indent_capsule, indent_near
 from tests.membrane.energy import stored
 
 R, H, C = 600.0, 3.0, 25.0

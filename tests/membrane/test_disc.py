@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from microlib.membrane import elastic_modulus
-from microlib.membrane._disc import disc_modulus, indent_disc
-from microlib.membrane._solver import MembraneState
+from microlib.membrane.large._disc import disc_modulus, indent_disc
+from microlib.membrane.large._solver import MembraneState
 from tests.membrane.energy import stored
 
 A, H, C, F = 246.95, 3.0, 25.0, 197.24

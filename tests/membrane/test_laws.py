@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from microlib.membrane._laws import law_of
+from microlib.membrane.large._laws import law_of
 from tests.membrane.energy import density
 
 RATIOS = {"hooke": 0.3, "neo-hooke": 0.5, "mooney-rivlin": 0.5}

@@ -184,7 +184,7 @@ def test_steep_dimples_warn() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         elastic_modulus(**VALUES | {"dimple_depth": 0.999 * SmallSlopeWarning.limit * 250.0})
-    with pytest.warns(SmallSlopeWarning, match=r"w_d/a = 0\.10 > 0.1: small slopes"):
+    with pytest.warns(SmallSlopeWarning, match=r"w_d/a = 0\.10 > 0.1: the small-slope"):
         elastic_modulus(**VALUES | {"dimple_depth": 1.001 * SmallSlopeWarning.limit * 250.0})
     with pytest.warns(SmallSlopeWarning, match=r"w_d/a = 0\.40"):
         elastic_modulus(**VALUES | {"dimple_depth": 100.0})
@@ -234,5 +234,7 @@ def test_lengths_in_other_units_warn() -> None:
         assert float(elastic_modulus(**right)) == pytest.approx(1.324, abs=1e-3)  # as printed
     for factor, force in ((1e-6, 197.24), (1e-3, 197.24), (1.0, 197.24e-6)):
         wrong = {k: v * factor if k in lengths else v for k, v in right.items()} | {"force": force}
-        with pytest.warns(UserWarning, match="is that of no membrane: are all lengths in µm"):
+        with pytest.warns(
+            UserWarning, match="is outside the range of membranes: lengths must be in µm"
+        ):
             elastic_modulus(**wrong)

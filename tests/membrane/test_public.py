@@ -72,7 +72,7 @@ LAWS = {
     "membrane.viscoelastic_force":
         Law(lambda u: {"time": u.t0 + np.array([0.0, 0.3, 1.1, 4.0]) * u.s,
         "elastic_force": np.array([[1.0, 5.0, 4.0, 4.0], [0.0, 2.0, 2.5, 1.0]]) * u.uN,
-        "shares": [0.3, 0.2], "relaxation_times": np.array([0.7, 5.0]) * u.s}, "uN"),
+        "prony_coefficients": [0.3, 0.2], "relaxation_times": np.array([0.7, 5.0]) * u.s}, "uN"),
     "membrane.indent_disc": Law(lambda u: {"force": 91.0 * u.uN, "modulus": 0.7 * u.MPa,
         "radius": A * u.um, **wall(u), **RUBBER, "pressure": 3e-4 * u.MPa, "pretension": 0.03,
         "rim_inset": 0.02}, STATE, within=1e-6),
@@ -172,7 +172,7 @@ def test_a_force_that_is_there_at_first_was_applied_within_no_time():
     """And what relaxes is counted from there, whatever the clock said before."""
     time = 3.7 + np.array([0.0, 0.3, 1.1, 4.0])
     force = np.array([[1.0, 5.0, 4.0, 4.0], [2.0, 2.0, 2.5, 1.0]])
-    law = {"shares": [0.3, 0.2], "relaxation_times": [0.7, 5.0]}
+    law = {"prony_coefficients": [0.3, 0.2], "relaxation_times": [0.7, 5.0]}
     found = viscoelastic_force(time, force, **law)
     sooner = viscoelastic_force(
         np.append([1.0, time[0] - 1e-9], time), np.pad(force, ((0, 0), (2, 0))), **law

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from microlib.membrane import viscoelastic_force
 
-SHARES, TIMES = np.array([0.3, 0.25]), np.array([0.4, 5.0])
+PRONY, TIMES = np.array([0.3, 0.25]), np.array([0.4, 5.0])
 
 
 def test_equals_springs_and_dashpots() -> None:
@@ -19,29 +19,35 @@ def test_equals_springs_and_dashpots() -> None:
         return 80 * (1 - np.cos(0.9 * t)) + 3 * t
 
     def slopes(t: float, q: np.ndarray) -> np.ndarray:
-        return SHARES * (72 * np.sin(0.9 * t) + 3) - q / TIMES
+        return PRONY * (72 * np.sin(0.9 * t) + 3) - q / TIMES
 
     held = solve_ivp(slopes, (0, 12), np.zeros(2), t_eval=time, rtol=1e-10, atol=1e-10).y
-    wanted = (1 - SHARES.sum()) * pressed(time) + held.sum(axis=0)
-    found = viscoelastic_force(time, pressed(time), shares=SHARES, relaxation_times=TIMES)
+    wanted = (1 - PRONY.sum()) * pressed(time) + held.sum(axis=0)
+    found = viscoelastic_force(
+        time, pressed(time), prony_coefficients=PRONY, relaxation_times=TIMES
+    )
     # Chords of 5 ms leave F''Δ²/8 = 2e-4.
     np.testing.assert_allclose(found, wanted, atol=5e-4)
 
 
 def test_a_step_relaxes_and_a_slow_push_has_the_last_stiffness() -> None:
     time = np.array([0.0, 0.1, 1.0, 3.0, 1000.0])
-    held = viscoelastic_force(time, np.full(5, 10.0), shares=SHARES, relaxation_times=TIMES)
-    wanted = 10 * (1 - SHARES @ (1 - np.exp(-time / TIMES[:, np.newaxis])))
+    held = viscoelastic_force(
+        time, np.full(5, 10.0), prony_coefficients=PRONY, relaxation_times=TIMES
+    )
+    wanted = 10 * (1 - PRONY @ (1 - np.exp(-time / TIMES[:, np.newaxis])))
     np.testing.assert_allclose(held, wanted, rtol=1e-12)
-    slow = viscoelastic_force([0.0, 1e6], [0.0, 10.0], shares=SHARES, relaxation_times=TIMES)
-    assert slow[1] == pytest.approx(10 * (1 - SHARES.sum()), rel=1e-4)
+    slow = viscoelastic_force(
+        [0.0, 1e6], [0.0, 10.0], prony_coefficients=PRONY, relaxation_times=TIMES
+    )
+    assert slow[1] == pytest.approx(10 * (1 - PRONY.sum()), rel=1e-4)
     # So slow a relaxation is none.
-    fast = viscoelastic_force(time, time, shares=[0.5], relaxation_times=[1e50])
+    fast = viscoelastic_force(time, time, prony_coefficients=[0.5], relaxation_times=[1e50])
     np.testing.assert_allclose(fast, time)
 
 
 def test_samples_between_change_nothing_and_rows_are_alike() -> None:
-    law = {"shares": SHARES, "relaxation_times": TIMES}
+    law = {"prony_coefficients": PRONY, "relaxation_times": TIMES}
     few = viscoelastic_force([0.0, 1.0, 4.0], [0.0, 10.0, 4.0], **law)
     time = np.array([0.0, 0.2, 1.0, 1.5, 2.9, 4.0])
     rows = np.stack([np.interp(time, [0, 1, 4], [0, 10, 4]), np.ones(6)])

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from scipy.optimize import OptimizeResult, least_squares
 
 from microlib._common import Array, Tidy, as_array, scalar
-from microlib.membrane._capsule import Solved, capsule_modulus, indent_capsule, indent_near
-from microlib.membrane._solver import MembraneState
+from microlib.membrane.large._capsule import Solved, capsule_modulus, indent_capsule, indent_near
+from microlib.membrane.large._solver import MembraneState
 
 # Way of the first step in widths of the outline: 1 µm of an egg. What is tried further off is
 # another capsule, which takes the solver ten times as long.

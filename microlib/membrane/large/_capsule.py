@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from microlib._common import Array, Tidy, scalar
-from microlib.membrane._laws import Law, law_of
-from microlib.membrane._point_load import warn_of_units
-from microlib.membrane._solver import Guess, MembraneState, Problem, Strip, in_units, strip_of
+from microlib.membrane._point_load import warn_if_implausible
+from microlib.membrane.large._laws import Law, law_of
+from microlib.membrane.large._solver import Guess, MembraneState, Problem, Strip, in_units, strip_of
 
 #: Volume of a capsule of unit radius.
 _SPHERE = 4 * np.pi / 3
@@ -445,7 +445,7 @@ def capsule_modulus(
     Warns
     -----
     UserWarning
-        As for `elastic_modulus`, if the modulus is that of no membrane.
+        As for `elastic_modulus`, if the modulus is outside the range of membranes.
 
     Notes
     -----
@@ -484,7 +484,7 @@ def capsule_modulus(
             f"radius {r0:g}, which needs an inflation of {u.inflation:.4f}"
         )
     found = load / (u.force * h * r0)
-    warn_of_units(found)
+    warn_if_implausible(found)
     return CapsuleModulus(found, float(u.inflation), _state(problem, solution, found, r0, h))
 
 

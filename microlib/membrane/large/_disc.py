@@ -15,9 +15,9 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from microlib._common import Array, scalar
-from microlib.membrane._laws import Law, law_of
-from microlib.membrane._point_load import warn_of_units
-from microlib.membrane._solver import Guess, MembraneState, Problem, Strip, in_units, strip_of
+from microlib.membrane._point_load import warn_if_implausible
+from microlib.membrane.large._laws import Law, law_of
+from microlib.membrane.large._solver import Guess, MembraneState, Problem, Strip, in_units, strip_of
 
 
 @dataclass(frozen=True)
@@ -272,7 +272,7 @@ def disc_modulus(
     Warns
     -----
     UserWarning
-        As for `elastic_modulus`, if the modulus is that of no membrane.
+        As for `elastic_modulus`, if the modulus is outside the range of membranes.
 
     Notes
     -----
@@ -302,7 +302,7 @@ def disc_modulus(
             f"depth must be one that some modulus gives, got {target:g} µm: {reason}"
         ) from None
     found = float(start / np.exp(solution.p[0]))
-    warn_of_units(found)
+    warn_if_implausible(found)
     return found
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.integrate import solve_bvp
 
 from microlib._common import Array, Tidy
-from microlib.membrane._laws import Law
+from microlib.membrane.large._laws import Law
 
 #: Where a search begins: mesh, state, and unknowns beside the state, None where there are none.
 Guess = tuple[Array, Array, Array | None]
