@@ -49,7 +49,7 @@ from microlib import (
     synthetic,
     tracking,
 )
-from tests.laws import Law, Units, resolve, tables, unlike
+from tests.laws import Row, Units, resolve, tables, unlike
 
 #: Processor time for one call, s: waiting for other processes does not count.
 LIMIT = 5.0
@@ -340,7 +340,6 @@ MAY_BE_UNKNOWN = {
 }  # fmt: skip
 
 
-@cache
 def table() -> Path:
     file = FOLDER / "outline.csv"
     file.write_text("x,y\n1,2\n2,3.5\n")
@@ -356,14 +355,14 @@ def written() -> Path:
 @cache
 def names() -> list[str]:
     """Return what is called: each row of a room's table that says how, and what is only here."""
-    rows = [name for name, row in tables().items() if isinstance(row, Law) and row.call is None]
+    rows = [name for name, row in tables().items() if isinstance(row, Row) and row.call is None]
     return [*rows, *(name for name in CALLS if name not in rows)]
 
 
 def valid_call(name: str) -> dict[str, object]:
     """Return arguments of the table of the room and of `CALLS`, and the default of each other."""
     row = tables().get(name)
-    given = row.arguments(Units()) if isinstance(row, Law) and row.call is None else {}
+    given = row.arguments(Units()) if isinstance(row, Row) and row.call is None else {}
     given |= CALLS.get(name, dict)()
     known = inspect.signature(resolve(name)).parameters.values()
     return {p.name: p.default for p in known if p.default is not p.empty} | given

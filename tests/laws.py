@@ -1,42 +1,37 @@
-"""The laws that every public name states: units, origins, turns, uncertainty and a second use.
+"""Laws that public functions keep, each a plain function, and the table that says which hold.
 
-Each room has one table, ``LAWS`` in ``tests/<room>/test_public.py`` (or ``tests/test_<room>.py``
-for a room of one file), with a row for every name of `public()`::
+Each package has one table, ``LAWS`` in ``tests/<package>/test_public.py`` (or
+``tests/test_<module>.py``), with a row for every name of `public()`::
 
     LAWS = {
-        "servoing.step_metrics": Law(
+        "servoing.step_metrics": Row(
             lambda u: {
                 "time": u.t0 + np.arange(9.0) ** 1.1 * u.s,
                 "position": (u.x0, u.y0) + WAY * u.px,
                 "target": (u.x0, u.y0) + (30.0, -20.0) * u.px,
                 "band": 0.05,
             },
-            {"settling_time": "s", "overshoot": "1", "accuracy": "px", "precision": "px"},
+            {"settling_time": s, "overshoot": NUMBER, "accuracy": px, "precision": px},
         ),
-        "servoing.MicroManager": "it only hands on calls: tests/servoing/test_micromanager.py",
+        "servoing.MicroManager": TestedBy(test_micromanager.test_a_frame_is_as_tall_as_the_camera),
     }
 
-    @pytest.mark.parametrize("name", LAWS)
-    def test_outputs_follow_units_and_origins(name):
-        hold(name, LAWS[name])
+    @pytest.mark.parametrize(("law", "name"), laws_of(LAWS))
+    def test_law_holds(law, name):
+        law(name, LAWS[name])
 
-An argument is a number times its unit (``u.um``, ``px``, ``s``, ``uN``, ``grey``, ``MPa``; an angle
-has none), counted from an origin where there is one (``t0``, ``x0``, ``y0``, ``x0_um``, ``y0_um``,
-``z0``, ``grey0``; they are not 0). Give every argument whose default has a unit. `hold` calls with
-the plain units, again with the same arguments, and with all units changed and all origins moved:
-no other small power of the units has the same factor. Outputs must follow what the row says: an
-expression of units such as ``"px**2/um**2"``, ``"[um, 1]"`` for a last axis,
-``"outer([um, 1], [um, 1])"`` for a covariance, ``"s @ t0"`` or ``"px @ [x0, y0]"`` for what moves
-with an origin, ``"1"`` for a plain number, ``"="`` for what is equal (text, truth, index). A
-dictionary names every field and property of a result and every key of a dictionary or column of a
-table; of other objects the attributes that are to be looked at. Columns of `to_dict` and `to_frame`
-have the units of the fields that their names begin with. A unit that the arguments do not use stays
-as it is: leave ``px`` away for what works on an image, or name it in ``fixed=``.
-A tolerance other than rounding is ``within=`` and has a reason beside it.
+The first part of a row builds the arguments of a call in a system of `Units`: a number times its
+unit (``u.um``, ``px``, ``s``, ``uN``, ``grey``, ``MPa``; an angle has none), counted from an origin
+where there is one (``t0``, ``x0``, ``y0``, ``x0_um``, ``y0_um``, ``z0``, ``grey0``; none is 0).
+Give every argument whose default has a unit. The second part is the unit of the result:
 
-Further laws are tests beside the table, made of `VIEWS` (a picture mirrored or turned, with its
-points), `hold_sigma` and `hold_coverage` (an uncertainty as a number, at three sizes),
-`hold_same_as_new` (an object used before).
+- a `Unit`, such as ``px**2 / um**2``, ``px.counted_from("x0", "y0")`` or `NUMBER`; a list of units
+  along the last axis; `covariance` of several units; `SAME` for text, truth values and indices;
+- a tuple with one for each part of a tuple; a dictionary with one for each field and property of a
+  result, each key of a dictionary or each column of a table.
+
+A unit that the arguments do not use stays as it is: leave ``px`` away for what works on an image,
+or name it in ``fixed=``. A tolerance other than rounding is ``within=`` and has a reason beside it.
 """
 
 from __future__ import annotations
@@ -55,6 +50,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pytest
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
@@ -103,10 +99,9 @@ def resolve(name: str) -> Callable:
     return value
 
 
-@cache
-def tables() -> dict[str, Law | str]:
-    """Return the rows of all rooms; a room without a table is missed by its names."""
-    found: dict[str, Law | str] = {}
+def tables() -> dict[str, Row | TestedBy]:
+    """Return the rows of all packages; a package without a table is missed by its names."""
+    found: dict[str, Row | TestedBy] = {}
     for room in sorted({name.split(".")[0] for name in public()}):
         package = (Path(__file__).parent / room).is_dir()
         module = f"tests.{room}.test_public" if package else f"tests.test_{room}"
@@ -114,11 +109,17 @@ def tables() -> dict[str, Law | str]:
     return found
 
 
-class Units:
-    """What a number is multiplied by to have a unit; it notes which units and origins are used."""
+# --- Units --------------------------------------------------------------------------------------
 
-    def __init__(self, changes: Collection[str] = ()) -> None:
-        self._changes, self.used = changes, set[str]()
+
+class Units:
+    """What a number is multiplied by to have a unit, and origins to count it from.
+
+    Both differ from the plain ones where `changed` and `moved` name them.
+    """
+
+    def __init__(self, changed: Collection[str] = (), moved: Collection[str] = ()) -> None:
+        self.changes, self.used = {*changed, *moved}, set[str]()
 
     def __getattr__(self, name: str) -> float:
         if name == "MPa":
@@ -126,110 +127,211 @@ class Units:
         self.used.add(name)
         if name in ORIGINS:
             unit, place, way = ORIGINS[name]
-            return (place + way * (name in self._changes)) * getattr(self, unit)
-        return FACTORS[name] if name in self._changes else 1.0
+            return (place + way * (name in self.changes)) * getattr(self, unit)
+        return FACTORS[name] if name in self.changes else 1.0
 
 
 @dataclass(frozen=True)
-class Law:
-    """The arguments of a call in units, and the units of what it gives."""
+class Unit:
+    """A product of powers of the units of `FACTORS`: what a result is measured in.
+
+    A number that moves with an origin names it, or one for each number of the last axis.
+    """
+
+    powers: tuple[tuple[str, int], ...] = ()
+    origins: tuple[str | None, ...] = ()
+
+    def __mul__(self, other: Unit) -> Unit:
+        return Unit(self.powers + other.powers)
+
+    def __pow__(self, power: int) -> Unit:
+        return Unit(tuple((name, power * own) for name, own in self.powers))
+
+    def __truediv__(self, other: Unit) -> Unit:
+        return self * other**-1
+
+    def __rtruediv__(self, one: int) -> Unit:
+        return self**-1
+
+    def counted_from(self, *origins: str | None) -> Unit:
+        return Unit(self.powers, origins)
+
+    def factor(self, units: Units) -> float:
+        return float(np.prod([getattr(units, name) ** power for name, power in self.powers]))
+
+    def shift(self, units: Units) -> Any:
+        plain = Units()
+        moved = [
+            getattr(units, name) - getattr(plain, name) * self.factor(units) if name else 0.0
+            for name in self.origins
+        ]
+        return moved if len(moved) > 1 else sum(moved)
+
+
+NUMBER, um, px, s, uN, grey = Unit(), *(Unit(((name, 1),)) for name in FACTORS)
+MPa = uN / um**2
+#: The unit of text, truth values, indices and None: nothing changes.
+SAME = "same"
+
+
+def covariance(*units: Unit) -> list[list[Unit]]:
+    """Return the units of a covariance of numbers with these units."""
+    return [[one * other for other in units] for one in units]
+
+
+def converted(value: Any, unit: Any, to: Units, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the name of each part of a result, and the part in other units from other origins."""
+    if isinstance(unit, dict) and value is not None:
+        names = held(value) or list(unit)
+        assert unit.keys() >= set(names), f"{path} has no unit for {set(names) - unit.keys()}"
+        for name in names:
+            yield from converted(part(value, name), unit[name], to, f"{path}.{name}")
+    elif unit is SAME or value is None:
+        yield path, value
+    elif isinstance(unit, tuple) or (isinstance(value, (list, tuple)) and any(map(np.ndim, value))):
+        units = unit if isinstance(unit, tuple) else [unit] * len(value)
+        for k, (one, own) in enumerate(zip(value, units, strict=True)):
+            yield from converted(one, own, to, f"{path}[{k}]")
+    else:
+        number = np.asarray(value, complex if np.iscomplexobj(value) else float)
+        units = np.array(unit, dtype=object)
+        factor = np.vectorize(lambda each: each.factor(to), otypes=[float])(units)
+        shift = unit.shift(to) if isinstance(unit, Unit) else 0.0
+        yield path, np.asarray(number * factor + shift)
+
+
+def base_units(unit: Any) -> set[str]:
+    """Return the units of `FACTORS` that the unit of a result is made of."""
+    if isinstance(unit, Unit):
+        return {name for name, _ in unit.powers}
+    parts = () if unit is SAME else unit.values() if isinstance(unit, dict) else unit
+    return {name for each in parts for name in base_units(each)}
+
+
+def held(value: Any) -> list[str]:
+    """Return the names of all that a result, a table or a dictionary holds.
+
+    Of a result these are its fields and properties, and `to_dict` where it has its own.
+    """
+    if isinstance(value, (dict, pd.DataFrame)):
+        return list(value)
+    if not dataclasses.is_dataclass(value):
+        return []
+    kind = type(value)
+    names = [f.name for f in dataclasses.fields(value)]
+    names += [n for n in dir(kind) if isinstance(getattr(kind, n), property)]
+    row = ["to_dict"] if isinstance(value, Tidy) and kind.to_dict is not Tidy.to_dict else []
+    return [n for n in names if not n.startswith("_")] + row
+
+
+def part(value: Any, name: str) -> Any:
+    found = value[name] if hasattr(value, "keys") else getattr(value, name)
+    return found() if name == "to_dict" else found
+
+
+# --- Laws of a call -----------------------------------------------------------------------------
+
+
+def scales_with_units(name: str, row: Row) -> None:
+    """The same quantities in other units give the same quantities."""
+    used, _, _ = plain_call(name, row)
+    missing = base_units(row.unit) & {"um", "s", "uN"} - used
+    assert not missing, f"the result has the unit {missing}, and no argument has it"
+    changed = used & FACTORS.keys() - set(row.fixed)
+    if changed:
+        compare(name, row, Units(changed=changed))
+
+
+def follows_origins(name: str, row: Row) -> None:
+    """Places and times that are counted from elsewhere give the same ones counted from there."""
+    used, _, _ = plain_call(name, row)
+    if used & ORIGINS.keys():
+        compare(name, row, Units(moved=used & ORIGINS.keys()))
+
+
+def second_call_gives_the_same(name: str, row: Row) -> None:
+    """The same arguments give the same result again."""
+    compare(name, row, Units())
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """A valid call of a public name, the units of its result, and the laws that it keeps."""
 
     arguments: Callable[[Any], dict[str, Any]]
-    gives: Any
+    unit: Any
     #: Relative error that the arithmetic may make; of an array, relative to its largest number.
     within: float = 1e-9
-    #: Whether a second call with the same arguments gives the same; not where an object goes on.
-    again: bool = True
+    laws: tuple[Callable[[str, Row], None], ...] = (
+        scales_with_units,
+        follows_origins,
+        second_call_gives_the_same,
+    )
     #: Units that stay as they are though they are used: those of a picture or of a clock's ticks.
     fixed: tuple[str, ...] = ()
     #: What is called in place of the name, for what shows only when an object is used.
     call: Callable[..., Any] | None = None
 
 
-def invoke(name: str, law: Law, given: dict[str, Any]) -> Any:
+#: The laws of what goes on with each call, as a filter does.
+GOES_ON = (scales_with_units, follows_origins)
+
+
+class TestedBy:
+    """The tests of what gives no numbers with a unit."""
+
+    __test__ = False
+
+    def __init__(self, *tests: Callable) -> None:
+        assert all(test.__name__.startswith("test_") for test in tests)
+
+
+def laws_of(table: dict[str, Row | TestedBy]) -> list[Any]:
+    """Return the laws and the names of a table for which they are to hold, for parametrize."""
+    rows = {name: row for name, row in table.items() if isinstance(row, Row)}
+    return [
+        pytest.param(law, name, id=f"{name}-{law.__name__}")
+        for name, row in rows.items()
+        for law in row.laws
+    ]
+
+
+def invoke(name: str, row: Row, given: dict[str, Any]) -> Any:
     """Call a public function, or a method of the argument `self`."""
     rest = {key: value for key, value in given.items() if key != "self"}
-    call = law.call or resolve(name)
-    if "self" in given and law.call is None:
+    call = row.call or resolve(name)
+    if "self" in given and row.call is None:
         call = getattr(given["self"], name.rsplit(".", 1)[1])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SmallSlopeWarning)
         return call(**rest)
 
 
-def hold(name: str, law: Law | str) -> None:
-    """Fail with what does not follow the units and the origins of a row, or a second call."""
-    if isinstance(law, str):
-        return
-    plain = Units()
-    given = law.arguments(plain)
-    first = invoke(name, law, given)
-    found = [*_differences("", first, first, law, law.gives, {})]
-    assert not found, f"{name}: {'; '.join(found[:8])}"
-    unused = {unit for unit in ("um", "s", "uN") if unit in _words(law.gives)} - plain.used
-    assert not unused, f"{name}: the arguments do not use {unused}, which the results have"
-    calls = {"called again": (given, {})} if law.again else {}
-    changes = {unit: FACTORS[unit] for unit in plain.used & FACTORS.keys() - set(law.fixed)}
-    changes |= {origin: ORIGINS[origin][2] for origin in plain.used & ORIGINS.keys()}
-    if changes:
-        calls["in other units from another origin"] = (law.arguments(Units(changes)), changes)
-    for how, (arguments, changed) in calls.items():
-        found = [*_differences("", first, invoke(name, law, arguments), law, law.gives, changed)]
-        assert not found, f"{name} {how}: {'; '.join(found[:8])}"
+@cache
+def plain_call(name: str, row: Row) -> tuple[frozenset[str], dict[str, Any], Any]:
+    """Return the names of units that a call uses, its arguments and what it gives."""
+    units = Units()
+    given = row.arguments(units)
+    return frozenset(units.used), given, invoke(name, row, given)
 
 
-def _words(gives: Any) -> set[str]:
-    if isinstance(gives, str):
-        words = "".join(c if c.isalnum() or c == "_" else " " for c in gives).split()
-        return {"uN", "um"} | set(words) if "MPa" in words else set(words)
-    parts = gives.values() if isinstance(gives, dict) else gives or ()
-    return {word for part in parts for word in _words(part)}
-
-
-def _value(expression: str, changes: dict[str, float]) -> tuple[Any, Any]:
-    """Return by what a result with these units is multiplied and moved."""
-    names: dict[str, Any] = dict.fromkeys(FACTORS, 1.0) | dict.fromkeys(ORIGINS, 0.0) | changes
-    names |= {name: names[name] * names[unit] for name, (unit, _, _) in ORIGINS.items()}
-    names |= {"MPa": names["uN"] / names["um"] ** 2, "rad": 1.0, "outer": np.outer}
-    unit, _, origin = expression.partition("@")
-    factor, shift = (np.asarray(eval(part or "0", {}, names)) for part in (unit, origin.strip()))
-    return factor, shift
-
-
-def held(value: Any) -> list[str]:
-    """Return the names of all that a result holds, a table or a dictionary."""
-    if isinstance(value, (dict, pd.DataFrame)):
-        return list(value)
-    if not dataclasses.is_dataclass(value):
-        return []
-    own = [f.name for f in dataclasses.fields(value)]
-    more = [n for n in dir(type(value)) if isinstance(getattr(type(value), n), property)]
-    return [n for n in own + more if not n.startswith("_")]
-
-
-def _differences(
-    path: str, value: Any, got: Any, law: Law, unit: Any, changes: dict[str, float]
-) -> Iterator[str]:
-    """Yield where `got` is not `value` in changed units and from moved origins."""
-    if isinstance(unit, dict) and value is not None:
-        names = held(value) or list(unit)
-        yield from (f"{path}.{n} has no unit in the table" for n in names if n not in unit)
-        for n in (n for n in names if n in unit):
-            one, other = (v[n] if hasattr(v, "keys") else getattr(v, n) for v in (value, got))
-            yield from _differences(f"{path}.{n}", one, other, law, unit[n], changes)
-        if isinstance(value, Tidy):
-            yield from _rows(path, value, got, law, unit, changes)
-    elif isinstance(value, (list, tuple)) and any(np.ndim(part) for part in value):
-        units = unit if isinstance(unit, (list, tuple)) else [unit] * len(value)
-        for k, (one, other, own) in enumerate(zip(value, got, units, strict=True)):
-            yield from _differences(f"{path}[{k}]", one, other, law, own, changes)
-    elif isinstance(unit, (list, tuple)):
-        for k, (one, other, own) in enumerate(zip(value, got, unit, strict=True)):
-            yield from _differences(f"{path}[{k}]", one, other, law, own, changes)
-    elif unit == "=" or unit is None or value is None:
-        yield from unlike(value, got, path)
-    else:
-        yield from _number(path, value, got, law, *_value(unit, changes))
+def compare(name: str, row: Row, units: Units) -> None:
+    """Fail unless a call in some units gives what the plain call gives, converted to them."""
+    _, given, first = plain_call(name, row)
+    if units.changes:
+        given = row.arguments(units)
+    wanted = dict(converted(first, row.unit, units))
+    got = dict(converted(invoke(name, row, given), row.unit, Units()))
+    assert got.keys() == wanted.keys()
+    for path, value in wanted.items():
+        if isinstance(value, np.ndarray) and value.dtype.kind in "fc":
+            error = row.within * np.abs(value[np.isfinite(value)]).max(initial=0.0)
+            assert got[path].shape == value.shape, f"{name} {path}"
+            np.testing.assert_allclose(
+                got[path], value, rtol=row.within, atol=error, err_msg=f"{name} {path}"
+            )
+        else:
+            assert not (found := [*unlike(value, got[path], path)]), found
 
 
 def unlike(
@@ -245,8 +347,8 @@ def unlike(
         if type(value) is not type(got) or one.keys() != other.keys():
             yield f"{path} is {got!r:.60} instead of {value!r:.60}"
             return
-        for name, part in one.items():
-            found = unlike(part, other[name], f"{path}.{name}", within=within, undecided=undecided)
+        for name, own in one.items():
+            found = unlike(own, other[name], f"{path}.{name}", within=within, undecided=undecided)
             yield from found
         return
     first, second = np.asarray(value), np.asarray(got)
@@ -266,58 +368,7 @@ def unlike(
 def _parts(value: Any) -> dict[Any, Any]:
     if isinstance(value, (list, tuple)):
         return dict(enumerate(value))
-    return {n: value[n] if hasattr(value, "keys") else getattr(value, n) for n in held(value)}
-
-
-def _number(path: str, value: Any, got: Any, law: Law, factor: Any, shift: Any) -> Iterator[str]:
-    before, after = (np.asarray(v, complex if np.iscomplexobj(v) else float) for v in (value, got))
-    if before.shape != after.shape:
-        yield f"{path} has the shape {after.shape} instead of {before.shape}"
-        return
-    wanted = before * factor + shift
-    size = np.abs(wanted[np.isfinite(wanted)]).max(initial=0.0)
-    wrong = ~np.isclose(after, wanted, rtol=law.within, atol=law.within * size, equal_nan=True)
-    if wrong.any():
-        was, now, want = (
-            np.atleast_1d(v)[np.atleast_1d(wrong)][0] for v in (before, after, wanted)
-        )
-        yield f"{path} is {now:.6g} instead of {want:.6g} (it was {was:.6g})"
-
-
-def _rows(
-    path: str, value: Tidy, got: Tidy, law: Law, unit: dict[str, Any], changes: dict[str, float]
-) -> Iterator[str]:
-    """Yield where the columns of a result's row or table have other units than its fields."""
-    for method in ("to_dict", "to_frame"):
-        if not hasattr(value, method):
-            continue
-        one, other = getattr(value, method)(), getattr(got, method)()
-        met: dict[str, int] = {}
-        for column in one:
-            own = _unit_of(column, unit)
-            where = f"{path}.{method}()[{column!r}]"
-            if own is None:
-                yield f"{where} has no unit in the table"
-            elif own[1] == "=" or one[column] is None:
-                yield from _differences(where, one[column], other[column], law, "=", changes)
-            else:
-                met[own[0]] = met.get(own[0], -1) + 1
-                parts = (np.ravel(part) for part in _value(own[1], changes))
-                factor, shift = (part[met[own[0]] % len(part)] for part in parts)
-                yield from _number(where, one[column], other[column], law, factor, shift)
-
-
-def _unit_of(column: str, unit: dict[str, Any]) -> tuple[str, str] | None:
-    """Return the field that a column is of, and its unit."""
-    fits = [n for n in unit if column == n or column.startswith(f"{n}_")]
-    for name in sorted(fits, key=len, reverse=True):
-        if isinstance(unit[name], str):
-            return name, unit[name]
-        if isinstance(unit[name], dict):
-            for rest in (column, column[len(name) + 1 :]):
-                if (found := _unit_of(rest, unit[name])) is not None:
-                    return f"{name}.{found[0]}", found[1]
-    return None
+    return {name: part(value, name) for name in held(value)}
 
 
 # --- Pictures mirrored and turned ---------------------------------------------------------------
@@ -355,6 +406,15 @@ VIEWS = [
     View("upside down", lambda a: a[::-1], np.array([[1, 0], [0, -1]])),
     View("turned", lambda a: np.rot90(a), np.array([[0, 1], [-1, 0]])),  # anticlockwise
 ]
+
+
+def follows_view(
+    view: View, call: Callable[..., NDArray], *images: NDArray, **tolerance: float
+) -> None:
+    """Fail unless the map of images that are seen otherwise is the map seen otherwise."""
+    wanted = view.image(call(*images))
+    got = call(*(np.ascontiguousarray(view.image(image)) for image in images))
+    np.testing.assert_allclose(got, wanted, **tolerance)
 
 
 # --- Uncertainty --------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The engine of the laws notices what it is for; each case is a function with one fault."""
+"""Each law fails for a function with the fault that it is for."""
 
 from __future__ import annotations
 
@@ -8,7 +8,22 @@ import numpy as np
 import pytest
 
 from microlib._common import Tidy
-from tests.laws import VIEWS, Law, hold, hold_coverage, hold_same_as_new, hold_sigma
+from tests.laws import (
+    SAME,
+    VIEWS,
+    Row,
+    covariance,
+    follows_origins,
+    hold_coverage,
+    hold_same_as_new,
+    hold_sigma,
+    laws_of,
+    s,
+    scales_with_units,
+    second_call_gives_the_same,
+    um,
+    uN,
+)
 
 
 @dataclass(frozen=True)
@@ -22,7 +37,12 @@ class Fall(Tidy):
         return self.speed / 2
 
 
-UNITS = {"speed": "um/s", "covariance": "outer([um, s], [um, s])", "name": "=", "slow": "um/s"}
+UNITS = {
+    "speed": um / s,
+    "covariance": covariance(um, s),
+    "name": SAME,
+    "slow": um / s,
+}
 
 
 def fall(way, time, *, power=1, shift=0.0, calls=None):
@@ -34,35 +54,36 @@ def fall(way, time, *, power=1, shift=0.0, calls=None):
     return Fall(length**power / lasts + more, np.outer([length, lasts], [length, lasts]))
 
 
-def law(gives=None, **options):
-    return Law(
+def row(unit=UNITS, **options):
+    return Row(
         lambda u: {
             "way": u.z0 + np.array([1.0, 6.0]) * u.um,
             "time": u.t0 + np.array([0.2, 0.7]) * u.s,
         },
-        UNITS if gives is None else gives,
+        unit,
         call=lambda way, time: fall(way, time, **options),
     )
 
 
-def test_what_is_right_passes():
-    hold("fall", law())
+@pytest.mark.parametrize(("law", "name"), laws_of({"fall": row()}))
+def test_law_passes_for_correct_function(law, name):
+    law(name, row())
 
 
 @pytest.mark.parametrize(
-    ("wrong", "message"),
+    ("law", "wrong", "message"),
     [
-        (law(power=2), "in other units from another origin: .speed is"),
-        (law(shift=0.1), "from another origin: .speed is"),
-        (law(calls=[]), "called again: .speed is"),
-        (law({"speed": "um/s"}), ".covariance has no unit"),
-        (law(UNITS | {"covariance": "um**2"}), r"to_dict\(\)\['covariance"),
-        (law(UNITS | {"slow": "uN"}), "do not use {'uN'}"),
+        (scales_with_units, row(power=2), "fall .speed"),
+        (follows_origins, row(shift=0.1), "fall .speed"),
+        (second_call_gives_the_same, row(calls=[]), "fall .speed"),
+        (scales_with_units, row(UNITS | {"speed": um}), "fall .speed"),
+        (scales_with_units, row(UNITS | {"slow": uN}), "the unit {'uN'}"),
+        (scales_with_units, row({"speed": um / s}), "has no unit for"),
     ],
 )
-def test_what_is_wrong_is_named(wrong, message):
+def test_law_names_what_breaks_it(law, wrong, message):
     with pytest.raises(AssertionError, match=message):
-        hold("fall", wrong)
+        law("fall", wrong)
 
 
 def test_a_missing_degree_of_freedom_is_noticed():

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from compendium import thesis
 from microlib.microscope import Microscope, distort, euler_rotation, undistort
-from tests.laws import Law, Units, hold
+from tests.laws import NUMBER, Row, Units, laws_of, um
 
 SCOPE = thesis.microscope("circle-1X")
 # Rounding only: a few operations on numbers of about 1e5 µm, each good to 1e-16.
@@ -41,11 +41,11 @@ def pose(u, **changes):
 
 PLANE = np.random.default_rng(6).uniform(-900, 900, (7, 2))
 SCOPE_UNITS = {
-    **dict.fromkeys(("tube_length", "focal_length", "distance", "tx", "ty"), "um"),
-    **dict.fromkeys(("pixel_size", "translation", "cell"), "um"),
-    **dict.fromkeys(("alpha", "beta", "gamma", "tilt", "rotation", "magnification"), "1"),
-    **dict.fromkeys(("image_size", "principal_point"), "1"),
-    "distortion": "1/um**2",
+    **dict.fromkeys(("tube_length", "focal_length", "distance", "tx", "ty"), um),
+    **dict.fromkeys(("pixel_size", "translation", "cell"), um),
+    **dict.fromkeys(("alpha", "beta", "gamma", "tilt", "rotation", "magnification"), NUMBER),
+    **dict.fromkeys(("image_size", "principal_point"), NUMBER),
+    "distortion": 1 / um**2,
 }
 SENSOR = {"points": np.array([[2900.0, -1800.0], [-700.0, 2100.0]]), "distortion": -8.4e-10}
 
@@ -55,28 +55,29 @@ def on_sensor(u):
 
 
 LAWS = {
-    "microscope.Microscope": Law(lambda u: vars(pose(u)), SCOPE_UNITS),
-    "microscope.Microscope.to_objective": Law(lambda u: {"self": pose(u), "points": PLANE * u.um},
-        "um"),
-    "microscope.Microscope.project": Law(lambda u: {"self": pose(u), "points": PLANE * u.um}, "1"),
-    "microscope.Microscope.back_project": Law(lambda u: {"self": pose(u),
-        "pixels": PLANE / 9 + 200}, "um"),
-    "microscope.Microscope.jacobian": Law(lambda u: {"self": pose(u), "world": PLANE * u.um,
+    "microscope.Microscope": Row(lambda u: vars(pose(u)), SCOPE_UNITS),
+    "microscope.Microscope.to_objective": Row(lambda u: {"self": pose(u), "points": PLANE * u.um},
+        um),
+    "microscope.Microscope.project": Row(lambda u: {"self": pose(u), "points": PLANE * u.um},
+        NUMBER),
+    "microscope.Microscope.back_project": Row(lambda u: {"self": pose(u),
+        "pixels": PLANE / 9 + 200}, um),
+    "microscope.Microscope.jacobian": Row(lambda u: {"self": pose(u), "world": PLANE * u.um,
         "parameters": (*Microscope.PARAMETERS, "magnification")},
-        "[1/um, 1/um, 1/um, um**2, 1, 1, 1, 1/um, 1/um, 1]"),
-    "microscope.Microscope.project_plane": Law(lambda u: {
+        [1 / um, 1 / um, 1 / um, um**2, NUMBER, NUMBER, NUMBER, 1 / um, 1 / um, NUMBER]),
+    "microscope.Microscope.project_plane": Row(lambda u: {
         "visible": [1.6, 5e-6 / u.um, -8e-10 / u.um**2, 0.6, 0.3, -0.2, 90 * u.um, -55 * u.um],
-        "world": PLANE * u.um, "cell": np.array([9.9, 8.3]) * u.um}, ("1",
-        "[1, um, um**2, 1, 1, 1, 1/um, 1/um]")),
-    "microscope.distort": Law(on_sensor, "um"),
-    "microscope.undistort": Law(on_sensor, "um"),
-    "microscope.euler_rotation": Law(lambda u: {"alpha": 0.6, "beta": 0.3, "gamma": -0.2}, "1"),
+        "world": PLANE * u.um, "cell": np.array([9.9, 8.3]) * u.um}, (NUMBER,
+        [NUMBER, um, um**2, NUMBER, NUMBER, NUMBER, 1 / um, 1 / um])),
+    "microscope.distort": Row(on_sensor, um),
+    "microscope.undistort": Row(on_sensor, um),
+    "microscope.euler_rotation": Row(lambda u: {"alpha": 0.6, "beta": 0.3, "gamma": -0.2}, NUMBER),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", LAWS)
-def test_outputs_follow_units_and_origins(name):
-    hold(name, LAWS[name])
+@pytest.mark.parametrize(("law", "name"), laws_of(LAWS))
+def test_law_holds(law, name):
+    law(name, LAWS[name])
 
 
 def test_a_camera_turned_by_a_quarter_turns_its_picture():

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from microlib import optics
-from tests.laws import VIEWS, Law, hold
+from tests.laws import NUMBER, VIEWS, Row, follows_view, grey, laws_of, um
 
 #: µm: an objective near the thesis' (f = 31.4 mm, M = 6.4).
 LENS = {"focal_length": 31415.0, "sensor_distance": 232000.0, "aperture_radius": 4000.0}
@@ -24,29 +24,27 @@ def lens(u) -> dict:
 DISTANCES = np.array([33000.0, 36000.0, 41000.0])
 FLOAT32 = {"within": 1e-6}  # images are filtered in single precision
 LAWS = {
-    "optics.blur_radius": Law(lambda u: {"object_distance": DISTANCES * u.um, **lens(u)}, "um",
+    "optics.blur_radius": Row(lambda u: {"object_distance": DISTANCES * u.um, **lens(u)}, um,
         within=1e-8),
-    "optics.defocus": Law(lambda u: {"image": u.grey0 + IMAGE * u.grey, "sigma": 1.7},
-        "grey @ grey0", **FLOAT32),
-    "optics.gaussian_kernel": Law(lambda u: {"sigma": 1.3, "size": 7}, "1"),
-    "optics.gaussian_transfer": Law(lambda u: {"u": 0.4 / u.px, "v": np.array([-0.3, 0.7]) / u.px,
-        "sigma": 1.3 * u.px}, "1"),
-    "optics.image_distance": Law(lambda u: {"object_distance": DISTANCES * u.um,
-        "focal_length": LENS["focal_length"] * u.um}, "um"),
+    "optics.defocus": Row(lambda u: {"image": u.grey0 + IMAGE * u.grey, "sigma": 1.7},
+        grey.counted_from("grey0"), **FLOAT32),
+    "optics.gaussian_kernel": Row(lambda u: {"sigma": 1.3, "size": 7}, NUMBER),
+    "optics.gaussian_transfer": Row(lambda u: {"u": 0.4 / u.px, "v": np.array([-0.3, 0.7]) / u.px,
+        "sigma": 1.3 * u.px}, NUMBER),
+    "optics.image_distance": Row(lambda u: {"object_distance": DISTANCES * u.um,
+        "focal_length": LENS["focal_length"] * u.um}, um),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", LAWS)
-def test_outputs_follow_units_and_origins(name):
-    hold(name, LAWS[name])
+@pytest.mark.parametrize(("law", "name"), laws_of(LAWS))
+def test_law_holds(law, name):
+    law(name, LAWS[name])
 
 
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
 def test_an_image_seen_otherwise_is_blurred_alike(view):
     for blur in (BLUR, np.full(IMAGE.shape, 1.7)):
-        wanted = view.image(optics.defocus(IMAGE, blur))
-        got = optics.defocus(view.image(IMAGE), view.image(blur))
-        np.testing.assert_allclose(got, wanted, rtol=1e-5)
+        follows_view(view, optics.defocus, IMAGE, blur, rtol=1e-5)
 
 
 def test_the_four_forms_of_the_blur_radius_are_one():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -22,7 +23,19 @@ from microlib.calibration.detection._micrometer import find_scale
 from microlib.calibration.detection._settings import Settings
 from microlib.microscope import Microscope
 from microlib.synthetic import render_circles, render_squares
-from tests.laws import VIEWS, Law, hold, hold_sigma
+from tests.calibration import test_boards, test_charuco, test_detection, test_micrometer, test_stage
+from tests.laws import (
+    NUMBER,
+    SAME,
+    VIEWS,
+    Row,
+    TestedBy,
+    covariance,
+    hold_sigma,
+    laws_of,
+    px,
+    um,
+)
 
 #: Cells that are not square, an image that is not, a tilt and a turn, axes aside.
 SENSOR = {"pixel_size": (9.9, 8.3), "image_size": (656, 491)}
@@ -35,53 +48,54 @@ IMAGE = IMAGE + np.random.default_rng(5).normal(0, 0.02, IMAGE.shape)
 SENSOR_POINTS = (IMAGE - SCOPE.principal_point) * SCOPE.cell
 FLAT = SCOPE.to_objective(WORLD)
 MOVES = np.array([[0.0, 0], [40, 0], [0, 55], [-40, 0], [0, -40], [35, 40], [-40, 30]])
-POSE = ["rad"] * 3 + ["um"] * 2
 
 
-def spans(world, pixel_size, focal_length):
+@cache
+def calibrated(um=1.0):
+    cells = {"pixel_size": (9.9 * um, 8.3 * um), "image_size": (656, 491)}
+    return calibrate(WORLD * um, IMAGE, focal_length=126e3 * um, **cells)
+
+
+def spans(um):
     """The numbers of a calibration; the fields of `Calibration` have the units of parameters."""
-    found = calibrate(
-        world, IMAGE, pixel_size=pixel_size, image_size=(656, 491), focal_length=focal_length
-    )
-    return {
-        "um_per_pixel": np.array(found.um_per_pixel()),
-        "magnification": np.array(found.interval("magnification")),
-        "alpha": np.array(found.interval("alpha")),
-        "tx": np.array(found.interval("tx")),
-        "distortion": np.array(found.interval("distortion")),
-        "residuals": found.residuals,
-        "plane_residuals": found.plane_residuals,
+    found = calibrated(um)
+    intervals = {
+        name: np.array(found.interval(name)) for name in ("magnification", "alpha", "distortion")
     }
+    return intervals | {n: getattr(found, n) for n in ("residuals", "plane_residuals")}
 
 
-VALUES = "their numbers are those of calibration.calibrate"
-PICTURES = "an image has no µm: tests/calibration/test_boards.py, test_detection.py"
+#: Where a search ends, of the largest residual.
+SEARCHED = 1e-5
+CALIBRATED = Row(
+    lambda u: {"um": u.um},
+    {
+        **dict.fromkeys(("magnification", "alpha", "residuals"), NUMBER),
+        "distortion": 1 / um**2,
+        "plane_residuals": um,
+    },
+    within=SEARCHED,
+    call=spans,
+)
 LAWS = {
-    "calibration.calibrate": Law(
-        lambda u: {
-            "world": WORLD * u.um,
-            "pixel_size": (9.9 * u.um, 8.3 * u.um),
-            "focal_length": 126e3 * u.um,
-        },
-        {
-            "um_per_pixel": "um",
-            "magnification": "1",
-            "alpha": "1",
-            "tx": "um",
-            "distortion": "1/um**2",
-            "residuals": "1",
-            "plane_residuals": "um",
-        },
-        within=1e-5,  # where a search ends, of the largest residual
-        call=spans,
+    "calibration.calibrate": CALIBRATED,
+    "calibration.Calibration": CALIBRATED,
+    "calibration.Calibration.interval": Row(
+        lambda u: {"self": calibrated(u.um), "parameter": "tx", "level": 0.9}, um, within=SEARCHED
     ),
-    "calibration.Calibration": VALUES,
-    "calibration.Calibration.interval": VALUES,
-    "calibration.Calibration.um_per_pixel": VALUES,
-    "calibration.Calibration.to_json": "read back by others: tests/calibration/test_stage.py",
-    "calibration.Calibration.from_json": "a round trip: tests/calibration/test_stage.py",
-    "calibration.Detection": PICTURES,
-    "calibration.cramer_rao": Law(
+    "calibration.Calibration.um_per_pixel": Row(
+        lambda u: {"self": calibrated(u.um), "level": 0.9}, um, within=SEARCHED
+    ),
+    "calibration.Calibration.to_json": TestedBy(
+        test_stage.test_opencv_projects_from_the_json_as_the_microscope_does
+    ),
+    "calibration.Calibration.from_json": TestedBy(
+        test_stage.test_a_calibration_returns_from_its_files
+    ),
+    "calibration.Detection": TestedBy(
+        test_detection.test_localization_beats_the_limits_and_states_its_error
+    ),
+    "calibration.cramer_rao": Row(
         lambda u: {
             "microscope": Microscope(
                 2e5 * u.um, 126e3 * u.um, 79380 * u.um, -8e-10 / u.um**2, 0.3, 0.2, -0.15,
@@ -91,37 +105,48 @@ LAWS = {
             "noise": 0.02,
             "parameters": ("distortion", "alpha", "tx"),
         },
-        "outer([um**-2, 1, um], [um**-2, 1, um])",
+        covariance(um**-2, NUMBER, um),
         within=1e-6,
     ),
-    "calibration.detect_charuco": "an image has no µm: tests/calibration/test_charuco.py",
-    "calibration.detect_circles": PICTURES,
-    "calibration.detect_micrometer": PICTURES,
-    "calibration.detect_pattern": PICTURES,
-    "calibration.detect_squares": PICTURES,
-    "calibration.linear_intrinsics": Law(
+    "calibration.detect_charuco": TestedBy(
+        test_charuco.test_the_corners_are_where_they_were_drawn
+    ),
+    "calibration.detect_circles": TestedBy(
+        test_detection.test_every_whole_circle_of_the_thesis_views_is_found
+    ),
+    "calibration.detect_micrometer": TestedBy(
+        test_micrometer.test_the_distance_of_the_lines_is_found
+    ),
+    "calibration.detect_pattern": TestedBy(
+        test_boards.test_a_pattern_is_named_that_nobody_asked_for
+    ),
+    "calibration.detect_squares": TestedBy(
+        test_detection.test_every_corner_of_whole_squares_of_the_thesis_views_is_found
+    ),
+    "calibration.linear_intrinsics": Row(
         lambda u: {
             "flat": FLAT[:, :2] * u.um,
             "depth": (FLAT[:, 2] - SCOPE.translation[2]) * u.um,
             "sensor": SENSOR_POINTS * u.um,
         },
-        "[1, um**-2, um**-1]",
+        [NUMBER, um**-2, um**-1],
     ),
-    "calibration.radial_alignment": Law(
-        lambda u: {"world": WORLD * u.um, "sensor": SENSOR_POINTS * u.um}, "[1, 1, 1, um, um]"
+    "calibration.radial_alignment": Row(
+        lambda u: {"world": WORLD * u.um, "sensor": SENSOR_POINTS * u.um},
+        [NUMBER, NUMBER, NUMBER, um, um],
     ),
-    "calibration.stage_affine": Law(
+    "calibration.stage_affine": Row(
         lambda u: {
             "stage": MOVES * u.um,
             "image": (MOVES @ [[1.3, 0.4], [-0.5, 1.6]] + np.sin(MOVES[::-1]) + [12, -5]) * u.px,
         },
         {
-            "matrix": "[px/um, px/um, px]",
-            "covariance": "outer([px/um, px/um, px] * 2, [px/um, px/um, px] * 2)",
-            "um_per_pixel": "um/px",
-            "angle": "1",
-            "mirrored": "=",
-            "residuals": "px",
+            "matrix": [px / um, px / um, px],
+            "covariance": covariance(px / um, px / um, px, px / um, px / um, px),
+            "um_per_pixel": um / px,
+            "angle": NUMBER,
+            "mirrored": SAME,
+            "residuals": px,
         },
         call=lambda stage, image: vars(stage_affine(stage, image)),
         within=1e-8,
@@ -129,9 +154,9 @@ LAWS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", LAWS)
-def test_outputs_follow_units_and_origins(name):
-    hold(name, LAWS[name])
+@pytest.mark.parametrize(("law", "name"), laws_of(LAWS))
+def test_law_holds(law, name):
+    law(name, LAWS[name])
 
 
 @pytest.mark.parametrize(("count", "draws"), [(5, 150), (20, 60)])

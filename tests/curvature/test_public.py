@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from microlib.curvature import Curvature, region_table, surface_curvature
-from tests.laws import VIEWS, Law, hold, hold_sigma
+from tests.laws import NUMBER, SAME, VIEWS, Row, hold_sigma, laws_of, um
 
 Y, X = np.mgrid[0:31, 0:38] / 10.0
 #: A map without a symmetry, µm on pixels of 2.3 µm.
 HEIGHT = 3.0 * np.sin(X) * np.cos(0.7 * Y) + 0.4 * X * Y + 0.2 * Y**2
 LABELS = np.random.default_rng(2).integers(0, 10, (5, 6)).repeat(5, axis=0).repeat(4, axis=1)
 FIELDS = {
-    **dict.fromkeys(("mean", "mean_error"), "1/um"),
-    **dict.fromkeys(("gaussian", "gaussian_error"), "1/um**2"),
+    **dict.fromkeys(("mean", "mean_error"), 1 / um),
+    **dict.fromkeys(("gaussian", "gaussian_error"), 1 / um**2),
 }
 
 
@@ -23,23 +23,23 @@ def bent(u) -> Curvature:
 
 
 LAWS = {
-    "curvature.clean_labels": Law(lambda u: {"labels": LABELS, "smallest": 25}, "1"),
-    "curvature.curvature_windows": Law(lambda u: {"size": 7},
-        dict.fromkeys(("smooth", "mean", "slope", "second_derivative"), "1")),
-    "curvature.hk_labels": Law(lambda u: {"mean": bent(u).mean, "gaussian": bent(u).gaussian,
-        "h_zero": 0.01 / u.um, "k_zero": 2e-4 / u.um**2}, "1"),
-    "curvature.region_table": Law(lambda u: {"labels": np.pad(LABELS, ((0, 6), (9, 5))),
-        "curvature": bent(u)}, {**dict.fromkeys(("label", "name"), "="),
+    "curvature.clean_labels": Row(lambda u: {"labels": LABELS, "smallest": 25}, NUMBER),
+    "curvature.curvature_windows": Row(lambda u: {"size": 7},
+        dict.fromkeys(("smooth", "mean", "slope", "second_derivative"), NUMBER)),
+    "curvature.hk_labels": Row(lambda u: {"mean": bent(u).mean, "gaussian": bent(u).gaussian,
+        "h_zero": 0.01 / u.um, "k_zero": 2e-4 / u.um**2}, NUMBER),
+    "curvature.region_table": Row(lambda u: {"labels": np.pad(LABELS, ((0, 6), (9, 5))),
+        "curvature": bent(u)}, {**dict.fromkeys(("label", "name"), SAME),
         # 42 µm of height lose four digits of a second derivative
-        **dict.fromkeys(("area", "x", "y"), "1"), **FIELDS}, within=1e-8),
-    "curvature.surface_curvature": Law(lambda u: {"height": u.z0 + HEIGHT * u.um,
+        **dict.fromkeys(("area", "x", "y"), NUMBER), **FIELDS}, within=1e-8),
+    "curvature.surface_curvature": Row(lambda u: {"height": u.z0 + HEIGHT * u.um,
         "pixel_size": 2.3 * u.um, "size": 5, "noise": 0.04 * u.um}, FIELDS, within=1e-8),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", LAWS)
-def test_outputs_follow_units_and_origins(name):
-    hold(name, LAWS[name])
+@pytest.mark.parametrize(("law", "name"), laws_of(LAWS))
+def test_law_holds(law, name):
+    law(name, LAWS[name])
 
 
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)

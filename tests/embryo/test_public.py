@@ -16,20 +16,40 @@ from microlib.embryo import (
     modulus_from_image,
 )
 from tests import fuzz
-from tests.laws import VIEWS, Law, Units, hold, hold_same_as_new, hold_sigma
+from tests.embryo import test_outline
+from tests.laws import (
+    NUMBER,
+    SAME,
+    VIEWS,
+    MPa,
+    Row,
+    TestedBy,
+    Units,
+    hold_same_as_new,
+    hold_sigma,
+    laws_of,
+    px,
+    um,
+    uN,
+)
 
 pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
 #: Amplitudes, centers and widths of an outline whose rims differ, px, and its range.
 HILLS = np.array([[61.0, 55.0, 5.0], [52.0, 147.0, 190.0], [38.0, 43.0, 12.0]])
 DOMAIN = np.array([5.0, 203.0])
-SUM = {"amplitudes": "px", "centers": "px @ x0", "widths": "px", "domain": "px @ x0"}
+SUM = {
+    "amplitudes": px,
+    "centers": px.counted_from("x0"),
+    "widths": px,
+    "domain": px.counted_from("x0"),
+}
 GEOMETRY = {
-    "dimple_radius": "um", "dimple_depth": "um", "covariance": "um**2",
-    "rim": "px @ [x0, 0]", "bottom": "px @ [x0, 0]",
+    "dimple_radius": um, "dimple_depth": um, "covariance": um**2,
+    "rim": px.counted_from("x0", None), "bottom": px.counted_from("x0", None),
 }  # fmt: skip
 FIT = {
-    "dimple_radius": "um", "dimple_depth": "um", "covariance": "um**2", "rim_curvatures": "1/um",
-    "pixel_size": "um", "probe_half_width": "um", "center": "1", "tilt": "1", "misfit": "1",
+    "dimple_radius": um, "dimple_depth": um, "covariance": um**2, "rim_curvatures": 1 / um,
+    "pixel_size": um, "probe_half_width": um, "center": NUMBER, "tilt": NUMBER, "misfit": NUMBER,
 }  # fmt: skip
 #: In an image nothing has a unit but what its pixel and the force give it.
 SIZES = {"thickness": 2.6, "probe_half_width": 25.0}
@@ -52,70 +72,74 @@ def estimate(found: str, other: str) -> dict:
               "disc, hooke, no pressure")  # fmt: skip
     return {
         **dict.fromkeys((found, "interval", "model_interval"), UNITS[found]), other: UNITS[other],
-        **dict.fromkeys(("relative_std", "misfit"), "1"), "found": "=", "boundary": "=",
-        "dimple": FIT, "model_moduli": dict.fromkeys(moduli, "MPa"),
-        "given": dict.fromkeys(("thickness", "probe_half_width"), "um")
-        | {"poisson_ratio": "1"},
+        **dict.fromkeys(("relative_std", "misfit"), NUMBER), "found": SAME, "boundary": SAME,
+        "dimple": FIT, "model_moduli": dict.fromkeys(moduli, MPa),
+        "given": dict.fromkeys(("thickness", "probe_half_width"), um)
+        | {"poisson_ratio": NUMBER},
     }  # fmt: skip
 
 
-UNITS = {"force": "uN", "modulus": "MPa"}
+UNITS = {"force": uN, "modulus": MPa}
 LAWS = {
-    "embryo.GaussianSum": Law(
+    "embryo.GaussianSum": Row(
         lambda u: {
             "amplitudes": HILLS[0] * u.px, "centers": u.x0 + HILLS[1] * u.px,
             "widths": HILLS[2] * u.px, "domain": tuple(DOMAIN * u.px + u.x0),
             "covariance": np.eye(9) * u.px**2,
         },
-        SUM | {"covariance": "px**2"},
+        SUM | {"covariance": px**2},
     ),
     **{
-        f"embryo.GaussianSum.{name}": Law(
+        f"embryo.GaussianSum.{name}": Row(
             lambda u: {"self": hills(u), "x": u.x0 + np.array([30.0, 77.0]) * u.px}, unit
         )
-        for name, unit in (("__call__", "px"), ("slope", "1"), ("second_derivative", "1/px"))
+        for name, unit in (("__call__", px), ("slope", NUMBER), ("second_derivative", 1 / px))
     },
-    "embryo.GaussianSum.gradient": Law(lambda u: {"self": hills(u), "x": u.x0 + 30.0 * u.px}, "1"),
-    # Roots are found to 1e-12 of a place that an origin moves.
-    "embryo.GaussianSum.extrema": Law(
-        lambda u: {"self": hills(u)}, ["px @ x0", "px @ x0"], within=1e-8
+    "embryo.GaussianSum.gradient": Row(
+        lambda u: {"self": hills(u), "x": u.x0 + 30.0 * u.px}, NUMBER
     ),
-    "embryo.dimple_geometry": Law(
+    # Roots are found to 1e-12 of a place that an origin moves.
+    "embryo.GaussianSum.extrema": Row(
+        lambda u: {"self": hills(u)}, px.counted_from("x0"), within=1e-8
+    ),
+    "embryo.dimple_geometry": Row(
         lambda u: {"curve": hills(u), "pixel_size": 3.9 * u.um / u.px, "rim": "right"},
         GEOMETRY,
         within=1e-6,
     ),
-    "embryo.dimple_from_outline": "units, origin and order: tests/embryo/test_outline.py",
-    "embryo.read_outline": "it reads numbers as they stand: tests/embryo/test_outline.py",
+    "embryo.dimple_from_outline": TestedBy(
+        test_outline.test_order_origin_and_unit_of_the_points_do_not_matter
+    ),
+    "embryo.read_outline": TestedBy(test_outline.test_a_table_is_read_in_any_form),
     # A search ends at a relative change of 1e-8, its sum of squares at the noise.
-    "embryo.fit_gaussians": Law(
+    "embryo.fit_gaussians": Row(
         lambda u: {
             "x": u.x0 + np.arange(60.0) * 3.3 * u.px,
             "y": hills(u)(u.x0 + np.arange(60.0) * 3.3 * u.px)
             + np.random.default_rng(0).normal(0, 0.1, 60) * u.px,
             "terms": 2,
         },
-        SUM | {"covariance": "px**2"},
+        SUM | {"covariance": px**2},
         within=1e-3,
     ),
-    "embryo.loess": Law(
+    "embryo.loess": Row(
         lambda u: {
             "x": u.t0 + np.arange(40.0) ** 1.1 * u.s,
             "y": u.x0 + np.random.default_rng(1).normal(0, 3, 40) * u.px,
             "span": 0.4, "degree": 1,
         },
-        "px @ x0",
+        px.counted_from("x0"),
     ),
-    "embryo.extract_boundary": Law(
+    "embryo.extract_boundary": Row(
         lambda u: {"image": EGG * (0.6 * u.grey), "direction": "top"},
         {
-            **dict.fromkeys(("x", "y", "std", "blur", "points"), "1"),
-            **dict.fromkeys(("under_probe", "image_height", "view"), "="),
-            "probe": dict.fromkeys(("tip", "slope", "half_width", "taper"), "1"),
+            **dict.fromkeys(("x", "y", "std", "blur", "points"), NUMBER),
+            **dict.fromkeys(("under_probe", "image_height", "view"), SAME),
+            "probe": dict.fromkeys(("tip", "slope", "half_width", "taper"), NUMBER),
         },
         within=1e-4,  # grey levels in single precision
     ),
-    "embryo.fit_dimple": Law(
+    "embryo.fit_dimple": Row(
         lambda u: {
             "boundary": fuzz.outline(), "pixel_size": 7.75 * u.um, "probe_half_width": 25.0 * u.um
         },
@@ -123,12 +147,12 @@ LAWS = {
         within=1e-6,
     ),
     # Models are solved to 1e-6.
-    "embryo.modulus_from_image": Law(
+    "embryo.modulus_from_image": Row(
         lambda u: {"image": EGG, "force": 143.0 * u.uN, **film(u)},
         estimate("modulus", "force"),
         within=1e-5,
     ),
-    "embryo.force_from_image": Law(
+    "embryo.force_from_image": Row(
         lambda u: {"image": EGG, "modulus": 0.8 * u.MPa, **film(u)},
         estimate("force", "modulus"),
         within=1e-5,
@@ -136,9 +160,9 @@ LAWS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", LAWS)
-def test_outputs_follow_units_and_origins(name):
-    hold(name, LAWS[name])
+@pytest.mark.parametrize(("law", "name"), laws_of(LAWS))
+def test_law_holds(law, name):
+    law(name, LAWS[name])
 
 
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)

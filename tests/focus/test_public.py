@@ -17,7 +17,17 @@ from microlib.focus import (
     smooth_depth,
     sum_modified_laplacian,
 )
-from tests.laws import VIEWS, Law, hold, hold_same_as_new
+from tests.laws import (
+    NUMBER,
+    SAME,
+    VIEWS,
+    Row,
+    follows_view,
+    grey,
+    hold_same_as_new,
+    laws_of,
+    um,
+)
 from tests.scenes import tilted_plane
 
 SHAPE = (44, 60)
@@ -32,12 +42,17 @@ WINDOW = np.random.default_rng(6).uniform(1, 2, (3, *SHAPE))
 WINDOW[1] += 2
 INDEX = np.random.default_rng(7).integers(0, len(Z), SHAPE)
 MAPS = {
-    "depth": "um @ z0",
-    "uncertainty": "um",
-    "confidence": "1",
-    **dict.fromkeys(("index", "at_end", "pixel_size", "corner", "origin"), "="),
-    "all_in_focus": "grey",
-    **dict.fromkeys(("poses", "gain", "offset", "rows", "columns", "known"), "="),
+    "depth": um.counted_from("z0"),
+    "uncertainty": um,
+    "confidence": NUMBER,
+    **dict.fromkeys(("index", "at_end", "pixel_size", "corner", "origin"), SAME),
+    "all_in_focus": grey,
+    **dict.fromkeys(("poses", "gain", "offset"), SAME),
+    "to_dict": {
+        **dict.fromkeys(("depth_least", "depth_median", "depth_largest"), um.counted_from("z0")),
+        **dict.fromkeys(("uncertainty_median", "uncertainty_largest"), um),
+        **dict.fromkeys(("rows", "columns", "known", "at_end"), NUMBER),
+    },
 }
 #: float32 grey levels and depths of up to 150 µm, at a curvature of the peak of 0.1.
 SINGLE = 1e-4
@@ -53,24 +68,24 @@ def result(u) -> FocusResult:
 
 
 LAWS = {
-    "focus.FocusResult": Law(lambda u: vars(result(u)), MAPS, within=SINGLE),
-    "focus.correct_spikes": Law(lambda u: {"depth": u.z0 + HOLED * u.um, "window": 5,
-        "delta": 1.5}, "um @ z0"),
-    "focus.depth_from_focus": Law(lambda u: {"frames": STACK * u.grey,
+    "focus.FocusResult": Row(lambda u: vars(result(u)), MAPS, within=SINGLE),
+    "focus.correct_spikes": Row(lambda u: {"depth": u.z0 + HOLED * u.um, "window": 5,
+        "delta": 1.5}, um.counted_from("z0")),
+    "focus.depth_from_focus": Row(lambda u: {"frames": STACK * u.grey,
         "positions": u.z0 + Z * u.um, "measure": partial(sum_modified_laplacian, window=7)},
         MAPS, within=SINGLE),
-    "focus.smooth_depth": Law(lambda u: {"depth": u.z0 + HOLED * u.um, "jump": 12.0 * u.um,
-        "radius": 4.0, "weight": 1.0 + INDEX}, "um @ z0", within=SINGLE),
-    "focus.sum_modified_laplacian": Law(lambda u: {"image": u.grey0 + STACK[3] * u.grey,
-        "window": 5, "step": 2, "threshold": 9.5 * u.grey}, "grey", within=SINGLE),
-    "focus.three_point_peak": Law(lambda u: {"window": WINDOW * u.grey, "index": INDEX,
-        "positions": u.z0 + Z * u.um}, "um @ z0", within=SINGLE),
+    "focus.smooth_depth": Row(lambda u: {"depth": u.z0 + HOLED * u.um, "jump": 12.0 * u.um,
+        "radius": 4.0, "weight": 1.0 + INDEX}, um.counted_from("z0"), within=SINGLE),
+    "focus.sum_modified_laplacian": Row(lambda u: {"image": u.grey0 + STACK[3] * u.grey,
+        "window": 5, "step": 2, "threshold": 9.5 * u.grey}, grey, within=SINGLE),
+    "focus.three_point_peak": Row(lambda u: {"window": WINDOW * u.grey, "index": INDEX,
+        "positions": u.z0 + Z * u.um}, um.counted_from("z0"), within=SINGLE),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", LAWS)
-def test_outputs_follow_units_and_origins(name):
-    hold(name, LAWS[name])
+@pytest.mark.parametrize(("law", "name"), laws_of(LAWS))
+def test_law_holds(law, name):
+    law(name, LAWS[name])
 
 
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
@@ -82,9 +97,8 @@ def test_a_stack_seen_otherwise_has_the_same_depth(view):
         off = np.abs(depth_from_focus(seen, Z, measure=measure).depth - view.image(plain))
         # Equal peaks of float32 and limits of rules decide otherwise on a few pixels.
         assert np.mean(off < 0.01) > 0.98
-    for call in (correct_spikes, lambda depth: smooth_depth(depth, jump=12.0)):
-        wanted = view.image(call(HOLED))
-        np.testing.assert_allclose(call(view.image(HOLED)), wanted, atol=1e-3)
+    follows_view(view, correct_spikes, HOLED, atol=1e-3)
+    follows_view(view, lambda depth: smooth_depth(depth, jump=12.0), HOLED, atol=1e-3)
 
 
 def test_xarray_coordinates_are_those_of_the_file(tmp_path):

@@ -16,7 +16,7 @@ from microlib.focus import depth_from_focus
 from microlib.io import read_frames, read_grey, write_height_tiff, write_ply
 from microlib.synthetic import focal_stack, mixed_texture
 from tests.io.test_files import read_ply
-from tests.laws import Law, hold
+from tests.laws import SAME, Row, grey, laws_of, um
 
 SHAPE = (29, 41)
 Z = np.array([0.0, 10.0, 21.0, 30.0, 42.0])
@@ -64,18 +64,18 @@ def written(height: np.ndarray, pixel_size: float) -> dict:
 
 
 HEIGHT = np.random.default_rng(0).normal(40.0, 9.0, (6, 8))
-FILES = Law(
+FILES = Row(
     lambda u: {"height": HEIGHT * u.um, "pixel_size": 2.6 * u.um},
-    {**dict.fromkeys(("size", "values", "grey", "vertices"), "um"), "faces": "="},
+    {**dict.fromkeys(("size", "values", "grey", "vertices"), um), "faces": SAME},
     within=1e-6,  # single precision, and six digits of older versions of tifffile
     call=written,
 )
 LAWS = {
-    "io.read_frames": Law(
+    "io.read_frames": Row(
         lambda u: {"frames": labeled(u), "region": (5, 3, 31, 24), "reduce": 4},
         {
-            "count": "=", "pixel_size": "um", "positions": "um @ z0", "frames": "grey @ grey0",
-            "origin": ["um @ x0_um", "um @ y0_um"],
+            "count": SAME, "pixel_size": um, "positions": um.counted_from("z0"),
+            "frames": grey.counted_from("grey0"), "origin": um.counted_from("x0_um", "y0_um"),
         },
         within=1e-6,  # single precision
         call=reading,
@@ -86,9 +86,9 @@ LAWS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", LAWS)
-def test_outputs_follow_units_and_origins(name: str) -> None:
-    hold(name, LAWS[name])
+@pytest.mark.parametrize(("law", "name"), laws_of(LAWS))
+def test_law_holds(law, name):
+    law(name, LAWS[name])
 
 
 UNITS = SimpleNamespace(um=1.0, grey=1.0, grey0=20.0, x0_um=12.0, y0_um=-5.0, z0=7.0)

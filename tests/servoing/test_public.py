@@ -18,7 +18,21 @@ from microlib.servoing import (
     simulate,
     step_metrics,
 )
-from tests.laws import VIEWS, Law, Units, hold, unlike
+from tests.laws import (
+    GOES_ON,
+    NUMBER,
+    SAME,
+    VIEWS,
+    Row,
+    TestedBy,
+    Units,
+    laws_of,
+    px,
+    s,
+    um,
+    unlike,
+)
+from tests.servoing import test_micromanager, test_servo
 
 #: px/µm of a camera that is turned, mirrored, and has cells that are not square.
 J = np.array([[0.08, -0.31], [-0.24, -0.11]])
@@ -128,64 +142,70 @@ def steered(u) -> dict:
     }
 
 
-XY = "px @ [x0, y0]"
+XY = px.counted_from("x0", "y0")
 LOG = {
-    **dict.fromkeys(("phase", "target", "lost", "event"), "="),
-    **{f"{n}_{a}_px": f"px @ {a}0" for n in ("reference", "measured") for a in "xy"},
-    **{f"{n}_{a}_um": f"um @ {a}0_um" for n in ("stage", "command") for a in "xy"},
-    **dict.fromkeys(("time_s", "latency_s"), "s"),
+    **dict.fromkeys(("phase", "target", "lost", "event"), SAME),
+    **{f"{n}_{a}_px": px.counted_from(f"{a}0") for n in ("reference", "measured") for a in "xy"},
+    **{f"{n}_{a}_um": um.counted_from(f"{a}0_um") for n in ("stage", "command") for a in "xy"},
+    **dict.fromkeys(("time_s", "latency_s"), s),
 }
-METRICS = {"accuracy": "px", "precision": "px"}
+METRICS = {"accuracy": px, "precision": px}
 
 LAWS = {
-    "servoing.Camera": Law(lambda u: {"interval": 0.03 * u.s, "latency": 0.05 * u.s,
-        "jitter": 0.1 * u.px}, {"interval": "s", "latency": "s", "jitter": "px"}),
-    "servoing.Stage": Law(lambda u: vars(stage(u)), {"saturation": "um/s", "step": "um",
-        "travel": "um"}),
-    "servoing.Stage.rounded": Law(lambda u: {"self": stage(u),
-        "position": np.array([1.23, -45.6]) * u.um}, "um"),
-    "servoing.MicroManager": "hands on calls to devices: test_micromanager.py, test_protocols.py",
-    "servoing.OptimalController": Law(weighted, {"gain": "um/s/px"}),
-    "servoing.OptimalController.__call__": Law(lambda u: {"self": OptimalController(**weighted(u)),
-        **sample(u)}, "um/s"),
-    "servoing.PredictiveController": Law(predicting, {"gain": "um/s/px"}),
-    "servoing.PredictiveController.__call__": Law(lambda u: {"self": used(u), **sample(u)}, "um/s",
-        again=False),
-    "servoing.PredictiveController.executed": "returns nothing; test_servo.py has its use",
-    "servoing.SimulatedWorkstation": Law(lambda u: {"u": u, "workstation": begun(u)},
-        ("um @ [x0_um, y0_um]", "um", "s @ t0", "s @ t0", XY), again=False, call=driven),
-    "servoing.ibvs_control": Law(lambda u: {"jacobian": J * u.px / u.um, "error": STEP * u.px,
-        "gain": 0.5 / u.s, "drift": np.array([0.7, -0.4]) * u.px / u.s}, "um/s"),
-    "servoing.loop_poles": Law(lambda u: {"gain": 0.4, "delay": 1.3 * u.s / u.s}, "1"),
-    "servoing.optimal_control": Law(lambda u: {**weighted(u), "feature": np.array([u.x0, u.y0]),
-        "target": np.array([u.x0, u.y0]) + STEP * u.px}, "um/s"),
+    "servoing.Camera": Row(lambda u: {"interval": 0.03 * u.s, "latency": 0.05 * u.s,
+        "jitter": 0.1 * u.px}, {"interval": s, "latency": s, "jitter": px}),
+    "servoing.Stage": Row(lambda u: vars(stage(u)), {"saturation": um / s, "step": um,
+        "travel": um}),
+    "servoing.Stage.rounded": Row(lambda u: {"self": stage(u),
+        "position": np.array([1.23, -45.6]) * u.um}, um),
+    "servoing.MicroManager": TestedBy(
+        test_micromanager.test_the_stage_is_that_of_the_core,
+        test_micromanager.test_a_frame_is_exposed_half_the_exposure_after_the_call,
+    ),
+    "servoing.OptimalController": Row(weighted, {"gain": um / s / px}),
+    "servoing.OptimalController.__call__": Row(lambda u: {"self": OptimalController(**weighted(u)),
+        **sample(u)}, um / s),
+    "servoing.PredictiveController": Row(predicting, {"gain": um / s / px}),
+    "servoing.PredictiveController.__call__": Row(lambda u: {"self": used(u), **sample(u)}, um / s,
+        laws=GOES_ON),
+    "servoing.PredictiveController.executed": TestedBy(
+        test_servo.test_a_predicting_controller_knows_what_a_limit_left_of_its_command
+    ),
+    "servoing.SimulatedWorkstation": Row(lambda u: {"u": u, "workstation": begun(u)},
+        (um.counted_from("x0_um", "y0_um"), um, s.counted_from("t0"), s.counted_from("t0"), XY),
+        laws=GOES_ON, call=driven),
+    "servoing.ibvs_control": Row(lambda u: {"jacobian": J * u.px / u.um, "error": STEP * u.px,
+        "gain": 0.5 / u.s, "drift": np.array([0.7, -0.4]) * u.px / u.s}, um / s),
+    "servoing.loop_poles": Row(lambda u: {"gain": 0.4, "delay": 1.3 * u.s / u.s}, NUMBER),
+    "servoing.optimal_control": Row(lambda u: {**weighted(u), "feature": np.array([u.x0, u.y0]),
+        "target": np.array([u.x0, u.y0]) + STEP * u.px}, um / s),
     "servoing.path_metrics":
-        Law(lambda u: {"position": np.array([u.x0, u.y0]) + (PATH + 0.1 * PATH[::-1]) * u.px,
-        "reference": np.array([u.x0, u.y0]) + PATH * u.px}, METRICS | {"largest": "px"}),
-    "servoing.point_jacobian": Law(lambda u: {"points": PATH[:3] * u.px,
+        Row(lambda u: {"position": np.array([u.x0, u.y0]) + (PATH + 0.1 * PATH[::-1]) * u.px,
+        "reference": np.array([u.x0, u.y0]) + PATH * u.px}, METRICS | {"largest": px}),
+    "servoing.point_jacobian": Row(lambda u: {"points": PATH[:3] * u.px,
         "depth": np.array([300.0, 350.0, 280.0]) * u.um, "magnification": 6.4,
-        "pixel_size": np.array([9.9, 8.3]) * u.um / u.px}, "[px/um, px/um, px/um, px, px, px]"),
-    "servoing.servo": Law(steered,
-        {**dict.fromkeys(("reached", "reason", "complete", "still", "error"), "="), "log": LOG,
-        **LOG, "jacobian": "px/um", "jacobian_covariance": "px**2/um**2", "drift": "px/s",
+        "pixel_size": np.array([9.9, 8.3]) * u.um / u.px}, [px / um, px / um, px / um, px, px, px]),
+    "servoing.servo": Row(steered,
+        {**dict.fromkeys(("reached", "reason", "complete", "still", "error"), SAME), "log": LOG,
+        **LOG, "jacobian": px / um, "jacobian_covariance": px**2 / um**2, "drift": px / s,
         # pictures, and the ticks at which a device is asked
-        "misfit": "1", "latency": "s"}, again=False, fixed=("px", "s")),
-    "servoing.simulate": Law(lambda u: {"controller": OptimalController(**weighted(u)),
+        "misfit": NUMBER, "latency": s}, laws=GOES_ON, fixed=("px", "s")),
+    "servoing.simulate": Row(lambda u: {"controller": OptimalController(**weighted(u)),
         "reference": np.array([u.x0, u.y0]) + PATH * u.px, "jacobian": 1.1 * J * u.px / u.um,
         "stage": stage(u), "camera": camera(u), "rng": 0,
         "start": np.array([u.x0, u.y0]) - STEP * u.px},
-        {**dict.fromkeys(("reference", "feature", "measured"), XY), "time": "s", "position": "um",
-        "command": "um/s", "saturated": "="}),
-    "servoing.step_metrics": Law(lambda u: {"time": u.t0 + np.arange(25.0) ** 1.1 * u.s,
+        {**dict.fromkeys(("reference", "feature", "measured"), XY), "time": s, "position": um,
+        "command": um / s, "saturated": SAME}),
+    "servoing.step_metrics": Row(lambda u: {"time": u.t0 + np.arange(25.0) ** 1.1 * u.s,
         "position": np.array([u.x0, u.y0]) + ANSWER[:, None] * STEP * u.px,
         "target": np.array([u.x0, u.y0]) + STEP * u.px, "band": 0.04},
-        METRICS | {"settling_time": "s", "overshoot": "1"}),
+        METRICS | {"settling_time": s, "overshoot": NUMBER}),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", LAWS)
-def test_outputs_follow_units_and_origins(name):
-    hold(name, LAWS[name])
+@pytest.mark.parametrize(("law", "name"), laws_of(LAWS))
+def test_law_holds(law, name):
+    law(name, LAWS[name])
 
 
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)

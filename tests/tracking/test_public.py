@@ -11,7 +11,22 @@ from microlib.tracking import ESMTracker, KalmanFilter, Track, _sampling, track_
 from microlib.tracking.robust._covariance import sandwich
 from microlib.tracking.robust._photometric import _tukey_slope, tukey
 from tests import fuzz
-from tests.laws import VIEWS, Law, Units, hold, hold_same_as_new, hold_sigma
+from tests.laws import (
+    GOES_ON,
+    NUMBER,
+    SAME,
+    VIEWS,
+    Row,
+    Units,
+    covariance,
+    grey,
+    hold_same_as_new,
+    hold_sigma,
+    laws_of,
+    px,
+    s,
+    um,
+)
 from tests.scenes import camera_frame
 
 BOX = (38, 26, 52, 41)
@@ -53,46 +68,48 @@ def steps(kalman, position=None) -> tuple:
     return expected, kalman.position, kalman.velocity, kalman.covariance
 
 
-LIGHT = dict.fromkeys(("confidence", "correlation", "gain", "visible", "center", "corners"), "1")
+LIGHT = dict.fromkeys(("confidence", "correlation", "gain", "visible", "center", "corners"), NUMBER)
 TRACK = LIGHT | {
-    **dict.fromkeys(("lost", "reason", "iterations"), "="),
-    **dict.fromkeys(("covariance", "corner_covariance", "homography", "hidden"), "1"),
-    "bias": "grey",
+    **dict.fromkeys(("lost", "reason", "iterations"), SAME),
+    **dict.fromkeys(("covariance", "corner_covariance", "homography", "hidden"), NUMBER),
+    "bias": grey,
 }
-COLUMNS = {
-    column: next(unit for field, unit in TRACK.items() if column.startswith(field))
-    for column in Track(**fuzz.TRACK).to_dict()
+COLUMNS = dict.fromkeys(Track(**fuzz.TRACK).to_dict(), NUMBER) | {
+    **dict.fromkeys(("lost", "reason", "iterations"), SAME),
+    "bias": grey,
 }
-WAY = {"time_s": "s", "x_um": "um", "y_um": "um"}
-STATE = (("px @ [x0, y0]",) * 2) + ("px/s", "outer([px, px/s], [px, px/s])")
+TRACK["to_dict"] = COLUMNS
+WAY = {"time_s": s, "x_um": um, "y_um": um}
+STATE = ((px.counted_from("x0", "y0"),) * 2) + (px / s, covariance(px, px / s))
 #: The power of two by which grey levels are multiplied is another one: single precision, and the
 #: last step of an iteration that ends at 0.05 px.
 SINGLE = 2e-3
 
 LAWS = {
-    "tracking.ESMTracker": Law(lambda u: {"image": frames(u)[0], "box": BOX, "motion": "affine"},
-        {}, call=lambda **given: ESMTracker(**given).track(given["image"]).corners),
-    "tracking.ESMTracker.track": Law(lambda u: {"self": ESMTracker(frames(u)[0], BOX, "affine"),
-        "frame": frames(u)[1]}, TRACK, within=SINGLE, again=False),
-    "tracking.KalmanFilter": Law(filters, {"position": "px @ [x0, y0]", "velocity": "px/s",
-        "covariance": STATE[3]}),
-    "tracking.KalmanFilter.predict": Law(lambda u: {"kalman": used(u)}, STATE, again=False,
+    "tracking.ESMTracker": Row(lambda u: {"image": frames(u)[0], "box": BOX, "motion": "affine"},
+        NUMBER, call=lambda **given: ESMTracker(**given).track(given["image"]).corners,
+        within=SINGLE),
+    "tracking.ESMTracker.track": Row(lambda u: {"self": ESMTracker(frames(u)[0], BOX, "affine"),
+        "frame": frames(u)[1]}, TRACK, within=SINGLE, laws=GOES_ON),
+    "tracking.KalmanFilter": Row(filters,
+        {"position": STATE[0], "velocity": STATE[2], "covariance": STATE[3]}),
+    "tracking.KalmanFilter.predict": Row(lambda u: {"kalman": used(u)}, STATE, laws=GOES_ON,
         call=steps),
-    "tracking.KalmanFilter.update": Law(lambda u: {"kalman": used(u),
-        "position": np.array([u.x0 + 8.7 * u.px, u.y0 - 6.2 * u.px])}, STATE, again=False,
+    "tracking.KalmanFilter.update": Row(lambda u: {"kalman": used(u),
+        "position": np.array([u.x0 + 8.7 * u.px, u.y0 - 6.2 * u.px])}, STATE, laws=GOES_ON,
         call=steps),
-    "tracking.Track": "a record: its fields' units are those of ESMTracker.track",
-    "tracking.track_all": Law(lambda u: {"frames": frames(u), "box": BOX, "motion": "affine",
+    "tracking.Track": Row(lambda u: {**fuzz.TRACK, "bias": 3.0 * u.grey}, TRACK),
+    "tracking.track_all": Row(lambda u: {"frames": frames(u), "box": BOX, "motion": "affine",
         "rate": 25.0 / u.s, "pixel_size": 1.5 * u.um}, COLUMNS | WAY, within=SINGLE),
-    "tracking.track_each": Law(lambda u: {"frames": frames(u), "box": BOX, "motion": "affine",
-        "rate": 25.0 / u.s, "pixel_size": 1.5 * u.um}, {"frame": "="} | COLUMNS | WAY,
+    "tracking.track_each": Row(lambda u: {"frames": frames(u), "box": BOX, "motion": "affine",
+        "rate": 25.0 / u.s, "pixel_size": 1.5 * u.um}, {"frame": SAME} | COLUMNS | WAY,
         within=SINGLE, call=lambda **given: list(track_each(**given))[1]),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", LAWS)
-def test_outputs_follow_units_and_origins(name):
-    hold(name, LAWS[name])
+@pytest.mark.parametrize(("law", "name"), laws_of(LAWS))
+def test_law_holds(law, name):
+    law(name, LAWS[name])
 
 
 @pytest.mark.parametrize("grey", [1e-3 / 255, 1.0, 257.0])
