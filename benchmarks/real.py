@@ -1,6 +1,6 @@
 """microlib beside OpenCV and scikit-image on photographs and films by others (``data/real``).
 
-Run as ``python -m benchmarks real``; takes some minutes. No truth is known.
+Run as ``python -m benchmarks real``; takes some minutes. No true values are known.
 """
 
 from __future__ import annotations

@@ -203,7 +203,7 @@ def compare(
     Examples
     --------
     >>> compare("mine.csv", {}, {"modulus_MPa": 1.25}, {"modulus_MPa": 0.1})
-    No truth is known of mine.csv, so nothing is compared.
+    The true values of mine.csv are not known, so nothing is compared.
                  values  found
     modulus_MPa       1   1.25
     """
@@ -215,11 +215,13 @@ def compare(
     table = pd.DataFrame(known, index=["values", "found"]).T.astype({"values": int})
     entry = _entry(file)
     if entry is None or "truth" not in entry:
-        print(f"No truth is known of {file.name}, so nothing is compared.")
+        print(f"The true values of {file.name} are not known, so nothing is compared.")
         return table
     for name, value in entry["settings"].items():
         if name in settings and not np.allclose(settings[name], value, rtol=1e-9):
-            print(f"The truth of {file.name} is for {name} = {value}, so nothing is compared.")
+            print(
+                f"The true values of {file.name} hold for {name} = {value}, so nothing is compared."
+            )
             return table
     truth = _truth(entry)
     if set(results) != set(truth):

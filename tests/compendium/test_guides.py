@@ -75,7 +75,7 @@ def test_nothing_is_compared_without_a_truth(
     mine = tmp_path / "embryo.png"
     mine.write_bytes(Path(EMBRYO).read_bytes())
     assert "truth" not in compare(mine, SETTINGS, wrong, ALLOWED)
-    assert "No truth is known of embryo.png" in capsys.readouterr().out
+    assert "The true values of embryo.png" in capsys.readouterr().out
     assert "truth" not in compare(FOLDER / "height_um.tif", SETTINGS, wrong, ALLOWED)
     other = SETTINGS | {"force": 100.0}
     assert "truth" not in compare(EMBRYO, other, wrong, ALLOWED)

@@ -268,7 +268,7 @@ def test_a_guide_runs_on_the_readers_own_file(
         assert "2 images, 1 of them without a modulus" in text
         assert "c.tif: ValueError: " in text
     if guide not in RENDERED:
-        assert f"No truth is known of {mine}" in text
+        assert f"The true values of {mine} are not known" in text
 
 
 #: The cell of each guide that measures a folder of files, and an input to put there.
