@@ -79,7 +79,7 @@ def test_nothing_is_compared_without_a_truth(
     assert "truth" not in compare(FOLDER / "height_um.tif", SETTINGS, wrong, ALLOWED)
     other = SETTINGS | {"force": 100.0}
     assert "truth" not in compare(EMBRYO, other, wrong, ALLOWED)
-    assert "The truth of embryo.png is for force = 113.75" in capsys.readouterr().out
+    assert "embryo.png hold for force = 113.75" in capsys.readouterr().out
 
 
 def test_results_go_to_the_project_unless_the_reader_names_a_folder(
