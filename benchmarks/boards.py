@@ -285,9 +285,9 @@ def faults(seeds: int = 40) -> pd.DataFrame:
                 )
                 low, high = found.interval("focal_length")
                 truth = 900 * 8 / (1 + found.microscope.magnification)
-                hidden = "focal_length" in found.unobservable
+                hidden = "focal_length" in found.undetermined
                 holds.append(hidden or low <= truth <= high)
-                says.append(not found.fits)
+                says.append(not found.adequate)
             silent = ~np.array(holds) & ~np.array(says)
             rows.append(
                 {

@@ -185,7 +185,7 @@ def uncertainty(seeds: int = 180, noise: float = 0.02) -> pd.DataFrame:
             seen = image + rng.normal(0, noise, image.shape)
             sensor = {"pixel_size": 9.9, "image_size": (656, 491)}
             fit = calibrate(world, seen, **sensor)
-            unknown += "focal_length" in fit.unobservable
+            unknown += "focal_length" in fit.undetermined
             stated.append(fit.sigma["focal_length"] / f)
             low, high = fit.interval("focal_length")
             f_inside.append(not low > f and not high < f)
@@ -199,7 +199,7 @@ def uncertainty(seeds: int = 180, noise: float = 0.02) -> pd.DataFrame:
                 "tilt °": degrees,
                 "f: bound %": round(100 * float(bound), 3),
                 "f: our σ %, median": round(100 * float(np.median(stated)), 3),
-                "f: named unobservable %": round(100 * unknown / seeds, 1),
+                "f: named undetermined %": round(100 * unknown / seeds, 1),
                 "f: our interval covers %": round(100 * float(np.mean(f_inside)), 1),
                 "f given: σ/bound, least to most": f"{ratio.min():.3f}–{ratio.max():.3f}",
                 "f given: intervals cover %": round(100 * float(np.mean(inside)), 1),
@@ -247,13 +247,13 @@ def limits(tables: Tables) -> Limits:
     tilts = tables["Uncertainty over tilt"]
     tilted = tilts[tilts["tilt °"] > 0]
     ratio = tilted["f: our σ %, median"] / tilted["f: bound %"]
-    hidden = tilts.loc[tilts["tilt °"] == 0, "f: named unobservable %"].min()
+    hidden = tilts.loc[tilts["tilt °"] == 0, "f: named undetermined %"].min()
     held = tilts["f given: intervals cover %"]
     return [
         *lines,
         ("σ of f over the Cramér–Rao bound, least", ratio.min(), "≥", 0.75),
         ("σ of f over the Cramér–Rao bound, greatest", ratio.max(), "≤", 1.25),
-        ("no tilt: f named unobservable, %", hidden, "≥", 100),
+        ("no tilt: f named undetermined, %", hidden, "≥", 100),
         ("95 % intervals that hold, f given, least of the tilts, %", held.min(), "≥", 93),
         ("95 % intervals that hold, f given, most of the tilts, %", held.max(), "≤", 97),
     ]

@@ -297,7 +297,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
 
 #: Where a result may be NaN or infinite from finite values, as its documentation says.
 MAY_BE_UNKNOWN = {
-    # unobservable parameters have infinite variances
+    # undetermined parameters have infinite variances
     "calibration.Calibration.interval", "calibration.calibrate", "calibration.cramer_rao",
     "calibration.Calibration",
     # circles have no side, nor have corners

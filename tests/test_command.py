@@ -322,7 +322,7 @@ def test_advice_is_that_of_the_result() -> None:
         view = Namespace(points=points, image_size=(400, 100))
         small = Namespace(points=points[:1], image_size=(400, 100))
         interval = {"magnification": (low, 3.0)}.__getitem__
-        result = Namespace(fits=fits, interval=interval, unobservable=open_)
+        result = Namespace(adequate=fits, interval=interval, undetermined=open_)
         _advise(a, result, [small] * (views - 1) + [view])
         return "\n".join(notes)
 
@@ -331,7 +331,7 @@ def test_advice_is_that_of_the_result() -> None:
     assert advice(32.0, False, 1.0, ()).endswith("Several photographs show more of the lens")
     assert advice(32.0, False, 1.0, (), views=2).endswith("the same everywhere?")
     assert "interval reaches zero" in advice(32.0, True, 0.0, ("alpha",))
-    assert advice(32.0, True, 1.0, ("alpha", "f")).startswith("alpha, f: not determined; give --f")
+    assert advice(32.0, True, 1.0, ("alpha", "f")).startswith("alpha, f: undetermined; give --f")
 
 
 def test_calibrate_says_what_to_do_next(tmp_path: Path, capsys: Told) -> None:

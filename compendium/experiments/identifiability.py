@@ -59,7 +59,7 @@ def focal_length_study(
     Returns
     -------
     DataFrame
-        For each ``tilt`` in degrees: the share of runs that call f unobservable (``lost``); the
+        For each ``tilt`` in degrees: the share of runs that name f as undetermined (``lost``); the
         Cramér–Rao ``bound`` of f, its ``stated`` standard deviation (median) and its ``scatter``
         over the runs (NaN if f was lost in any); and that of the magnification (``M``). All
         standard deviations are relative.
@@ -76,7 +76,7 @@ def focal_length_study(
         fits = [calibrate(world, image, **known) for image in images]
         focal = np.array([fit.microscope.focal_length for fit in fits]) / posed.focal_length
         scale = np.array([fit.microscope.magnification for fit in fits]) / posed.magnification
-        lost = np.mean(["focal_length" in fit.unobservable for fit in fits])
+        lost = np.mean(["focal_length" in fit.undetermined for fit in fits])
         stated = np.median([fit.sigma["focal_length"] for fit in fits]) / posed.focal_length
         covariance = cramer_rao(posed, world, noise, free)
         bound = np.sqrt(np.diag(covariance))[free.index("focus")] / posed.focal_length

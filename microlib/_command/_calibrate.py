@@ -90,12 +90,12 @@ def _advise(a: argparse.Namespace, result: Any, found: Sequence[Any]) -> None:
     shares = [np.ptp(each.points, axis=0).prod() / np.prod(each.image_size) for each in found]
     if max(shares) < 0.05:
         a.note("the grid covers less than 5 % of the image: let it fill the image")
-    if not result.fits:
+    if not result.adequate:
         more = " Several photographs show more of the lens" * (len(found) == 1)
         same = "is the pattern flat and sharp, and --pitch the same everywhere?"
         a.note(f"the model does not fit the points: {same}{more}")
     if result.interval("magnification")[0] <= 0:
         a.note("the magnification's interval reaches zero: photograph more marks, over more of it")
-    elif result.unobservable:
-        names = ", ".join(result.unobservable)
-        a.note(f"{names}: not determined; give --focal-length, or tilt the pattern by 20° or more")
+    elif result.undetermined:
+        names = ", ".join(result.undetermined)
+        a.note(f"{names}: undetermined; give --focal-length, or tilt the pattern by 20° or more")

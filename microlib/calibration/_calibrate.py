@@ -1,15 +1,14 @@
 """Calibrate a microscope from images of a plane pattern (2.13–2.20).
 
-Radial alignment gives the pose up to the sign of the tilt, a linear fit the magnification and
-distortion, and nonlinear least squares refines all of them together. What the points cannot
-determine is held or named, never made up.
+Radial alignment gives the pose up to the sign of the tilt, and a linear fit gives the magnification
+and the distortion. Nonlinear least squares refines all parameters together. Parameters that the
+points do not determine are named.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,14 @@ from microlib.calibration._calibration import Calibration
 from microlib.calibration._detection import Detection
 from microlib.calibration._stage import plane_points
 from microlib.calibration._uncertainty import FARTHEST, covariance
-from microlib.calibration._views import VIEW, Fit, Views, fit_views, held_out, without_terms
+from microlib.calibration._views import (
+    POSE,
+    Fit,
+    Views,
+    fit_views,
+    held_out_errors,
+    without_optional,
+)
 from microlib.microscope import Microscope
 
 
@@ -33,24 +39,25 @@ def calibrate(
     focal_length: float | None = None,
     image_size: tuple[int, int] | None = None,
 ) -> Calibration:
-    """Pose, magnification and distortion of a microscope from images of a plane pattern.
+    """Calibrate magnification, pose and distortion from images of a plane pattern.
 
     Parameters
     ----------
     world : Detection or array_like, shape (N, 2), or a list of either
-        What a detector found, which needs `pitch` and holds the other points and the size of the
-        image; or points of the pattern, µm. Of several views, a list.
+        Detection of a pattern, which needs `pitch`, or points of the pattern, µm. Several views
+        are a list.
     image : array_like, shape (N, 2), or a list of them, optional
-        Where points of the pattern are seen, (x, y) px.
+        Image points (x, y) of the points in `world`, px. A detection contains them.
     pixel_size : float or (float, float)
-        Pitch of the sensor cells, µm.
+        Pitch of the sensor pixels, µm.
     pitch : float, optional
-        Of a detection: distance of neighboring marks, µm.
+        Distance of neighboring marks of a detected pattern, µm.
     focal_length : float, optional
-        Focal length f of the objective as its manufacturer gives it, µm. Without it f is estimated
-        too, which needs a tilted pattern: see Notes.
+        Focal length f of the objective by its manufacturer, µm. By default f is estimated, which
+        needs a tilted pattern: see Notes.
     image_size : (int, int), optional
-        Width and height of the image, px, which points need; the optical axis meets its center.
+        Width and height of the image, px. Points need it; a detection contains it.
+
     Returns
     -------
     Calibration
@@ -58,31 +65,31 @@ def calibrate(
     Raises
     ------
     ValueError
-        If shapes disagree, there are fewer than 5 points, points lie on one line or beyond the
-        image, or they fit no microscope.
+        If shapes disagree, there are fewer than 5 points, points lie on one line or outside the
+        image, or no microscope fits them.
 
     Notes
     -----
-    From one plane, only T_op + f and f + d can be seen, and the perspective that tells them apart
-    fades with the tilt. The thesis therefore takes f from the manufacturer and lets (2.12) tie d to
-    it: the plane is in focus. Without `focal_length` the same tie makes f the one number that the
-    perspective determines. If 1/f is less than four standard errors from zero, f and the tilt's
-    angles are named in `unobservable`.
+    *Focal length.* Points of one plane depend on T_op + f and on f + d only. Perspective separates
+    the two, and its effect decreases with the tilt. The thesis therefore takes f from the
+    manufacturer and obtains d from (2.12), as the plane is in focus. Without `focal_length`, the
+    same condition leaves f as the one unknown length. If 1/f is less than four standard deviations
+    from zero, `undetermined` names f and the angles of the tilt.
 
-    The errors of the corners of one square are correlated, and a mark that was made beside its
-    place is so in every view: the covariance allows for both.
+    *Uncertainty.* The covariance includes the image noise, the correlation of the points of a mark,
+    errors of the printed pattern that are common to all views, and the model discrepancy that a
+    lack-of-fit test finds in the residuals.
 
-    Several views share the lens: T_op + f and the distortion. Each has a magnification and a pose
-    of its own; their names end in the view's number from the second view on, and f is that of the
-    first. Where the views hold them, that is where Schwarz' criterion is in favor, a second term of
-    the distortion and the point where the optical axis meets the sensor are estimated too
-    ("distortion_2" in 1/µm⁴; "principal_x" and "principal_y" in px from the image's middle): with
-    u from that point, the image has u (1 + κ₂ r⁴) where one term alone has u.
+    *Several views* share T_op + f and the distortion. Each view has its own magnification and pose,
+    whose names end in the number of the view from the second view on; f is that of the first view.
+    A second distortion coefficient κ₂ ("distortion_2", 1/µm⁴) and the principal point
+    ("principal_x" and "principal_y", px from the middle of the image) are estimated if they lower
+    the Bayesian information criterion. The image of a point is then at u (1 + κ₂ r⁴) from the
+    principal point, where the model with κ alone has u. The principal point of a single view is the
+    middle of the image, as in the thesis.
 
-    Tilts (β, γ) and (−β, −γ) give the same image but for perspective. Both are tried. If the better
-    one is not better by more than noise, "beta" and "gamma" are named in `unobservable`.
-
-    The axis of one view is trusted to meet the middle of the image, as in the thesis.
+    *Sign of the tilt.* Tilts (β, γ) and (−β, −γ) give the same image except for perspective. Both
+    are fitted. If the residuals do not separate them, `undetermined` names "beta" and "gamma".
 
     Examples
     --------
@@ -99,51 +106,39 @@ def calibrate(
     positive("pixel_size", pixel_size)
     if focal_length is not None:
         focal_length = scalar("focal_length", focal_length, above=0)
-    worlds, images, places, size = _inputs(world, image, pitch, image_size)
+    worlds, images, marks, size = _inputs(world, image, pitch, image_size)
     frame = Microscope(1.0, 1.0, 1.0, pixel_size=pixel_size, image_size=size)
-    pairs = [_points(w, i, frame) for w, i in zip(worlds, images, strict=True)]
-    views = Views([w for w, _ in pairs], [s for _, s in pairs], frame, focal_length)
+    pairs = [_checked_points(w, i, frame) for w, i in zip(worlds, images, strict=True)]
+    views = Views([w for w, _ in pairs], [i for _, i in pairs], frame, focal_length)
     fit, alone = fit_views(views)
-    if places is None and len(worlds) > 1:
-        places = np.round(np.concatenate(views.world), 6)
-    marks = None
-    if places is not None:
-        numbers = np.unique(places, axis=0, return_inverse=True)[1].ravel()
-        # With fewer marks than parameters their scatter gives no covariance.
-        marks = numbers if numbers.max() >= len(fit.free) else None
     if not (fit.poses[:, 0] > 0).all():
         raise ValueError(
             f"world and image must fit a microscope, got magnifications {fit.poses[:, 0]}"
         )
-    return _report(views, fit, alone, marks)
+    return _build_result(views, fit, alone, _mark_numbers(views, fit, marks))
 
 
 def _inputs(
     world: Any, image: Any, pitch: float | None, image_size: Any
 ) -> tuple[list[Any], list[Any], Array | None, tuple[int, int]]:
-    """World and image points of each view, the place in the pattern of the mark of each point,
-    where a mark has several points, and the size of the images."""
-    found = [world] if isinstance(world, Detection) else world
-    if isinstance(found, (list, tuple)) and any(isinstance(each, Detection) for each in found):
-        return _of_detections(found, image, pitch, image_size)
-    if pitch is not None:
-        raise ValueError("pitch must be left out with points in µm, got one")
-    if image_size is None:
-        raise ValueError("image_size must be given, (width, height) in px, got none")
-    if not isinstance(world, (list, tuple)) or np.ndim(world[0]) < 2:
-        return [world], [image], None, image_size
-    if not isinstance(image, (list, tuple)) or len(image) != len(world):
-        raise ValueError(f"image must hold one array for each of the {len(world)} views")
-    return [*world], [*image], None, image_size
-
-
-def _of_detections(
-    found: Sequence[Any], image: Any, pitch: float | None, image_size: Any
-) -> tuple[list[Any], list[Any], Array | None, tuple[int, int]]:
-    """What `_inputs` returns, from detections."""
+    """World and image points of each view, the grid coordinates of the mark of each point if marks
+    have several points, and the size of the images."""
+    several = isinstance(world, (list, tuple)) and (
+        isinstance(world[0], Detection) or np.ndim(world[0]) > 1
+    )
+    worlds = list(world) if several else [world]
+    found = [each for each in worlds if isinstance(each, Detection)]
+    if not found:
+        if pitch is not None:
+            raise ValueError("pitch must be left out with points in µm, got one")
+        if image_size is None:
+            raise ValueError("image_size must be given, (width, height) in px, got none")
+        if several and (not isinstance(image, (list, tuple)) or len(image) != len(worlds)):
+            raise ValueError(f"image must hold one array for each of the {len(worlds)} views")
+        return worlds, list(image) if several else [image], None, image_size
     if image is not None or image_size is not None:
         raise ValueError("image and image_size must not be given beside a detection")
-    if not all(isinstance(each, Detection) for each in found):
+    if len(found) < len(worlds):
         raise ValueError("world must hold either detections or points, got both")
     if pitch is None:
         raise ValueError("pitch must be given with a detection, µm from mark to mark, got none")
@@ -153,86 +148,102 @@ def _of_detections(
         raise ValueError("world must hold detections in images of one size, got several")
     squares = any(len(np.unique(each.group)) < len(each.group) for each in found)
     marks = np.concatenate([each.grid // 2 for each in found]) if squares else None
-    return [pitch * e.positions for e in found], [e.points for e in found], marks, size
+    return [pitch * each.positions for each in found], [e.points for e in found], marks, size
 
 
-def _points(world: Any, image: Any, frame: Microscope) -> tuple[Array, Array]:
-    """Checked points of one view, in the image from its middle."""
-    # Radial alignment has six unknowns up to scale, one equation a point.
+def _checked_points(world: Any, image: Any, frame: Microscope) -> tuple[Array, Array]:
+    """World points of one view and its image points from the middle of the image."""
+    # Radial alignment has six unknowns up to scale and one equation for each point.
     world, image = plane_points(5, world=world, image=image)
-    beyond = ((image < -1) | (image > frame.image_size)).any(axis=1)
-    if beyond.any():
+    outside = ((image < -1) | (image > frame.image_size)).any(axis=1)
+    if outside.any():
         raise ValueError(
             f"image must lie in the image_size of (width, height) = {frame.image_size} px, got "
-            f"{int(beyond.sum())} of {len(image)} points beyond it, one at {image[beyond][0]}"
+            f"{int(outside.sum())} of {len(image)} points beyond it, one at {image[outside][0]}"
         )
     return world, image - frame.principal_point
 
 
-def _report(
+def _mark_numbers(views: Views, fit: Fit, marks: Array | None) -> NDArray[np.intp] | None:
+    """Number of the mark of each point, None if all points are independent.
+
+    Points of several views belong to one mark if they have one place in the pattern. With fewer
+    marks than parameters, the scatter of the marks gives no covariance.
+    """
+    if marks is None and len(views.world) > 1:
+        marks = np.round(np.concatenate(views.world), 6)
+    if marks is None:
+        return None
+    numbers = np.unique(marks, axis=0, return_inverse=True)[1].ravel()
+    return numbers if numbers.max() >= len(fit.free) else None
+
+
+def _build_result(
     views: Views, fit: Fit, alone: list[list[Fit]], marks: NDArray[np.intp] | None
 ) -> Calibration:
-    """Parameters with their covariance, which are lost, and a microscope for each view."""
-    inner, misfit, chance = covariance(views, fit, marks)
-    lost = _undetermined(fit, alone, np.sqrt(np.diag(inner)), views.variance(fit))
-    lens, poses = fit.lens.copy(), fit.poses.copy()
-    poses[:, 1:4] = np.angle(np.exp(1j * poses[:, 1:4]))
-    names = np.array(fit.names)
-    if "focal_length" in names[lost]:  # it may come out as zero: then f is held at a kilometer
-        lens[0] = max(lens[0], 1 / FARTHEST)
-    values = np.concatenate([[1 / lens[0]], lens[1:], poses.ravel()])[fit.free]
-    by = np.where(names == "focal_length", -(values**2), 1.0)
-    outer = inner * np.outer(by, by)
-    outer[lost] = outer[:, lost] = np.nan
-    outer[lost, lost] = np.inf
-    scopes = [_microscope(views, lens, poses, v) for v in range(len(poses))]
+    """Estimates with their covariance, the undetermined ones, and a microscope for each view."""
+    inner, test = covariance(views, fit, marks)
+    undetermined = _undetermined(fit, alone, np.sqrt(np.diag(inner)), views.residual_variance(fit))
+    names, lens, estimate = np.array(fit.names), fit.lens.copy(), fit.estimate
+    if "focal_length" in names[undetermined]:  # an infinite one is reported as a kilometer
+        lens[0] = max(lens[0], 1 / (FARTHEST * (1 + fit.poses[0, 0])))
+    scopes = [_microscope(views, lens, pose) for pose in fit.poses]
+    by_fitted = np.eye(len(estimate))
+    if "focal_length" in names:  # f = 1/((1 + M) p) replaces the fitted p = 1/(T_op + f)
+        f = estimate[1] = scopes[0].focal_length
+        by_fitted[1, :2] = -f / (1 + estimate[0]), -f / lens[0]
+    outer = by_fitted @ np.where(np.isfinite(inner), inner, 0.0) @ by_fitted.T
+    outer[undetermined] = outer[:, undetermined] = np.nan
+    outer[undetermined, undetermined] = np.inf
+    plane_residuals = [
+        scope.back_project(without_optional(lens, image, scope.cell) + scope.principal_point)
+        - world
+        for scope, image, world in zip(scopes, views.image, views.world, strict=True)
+    ]
     return Calibration(
-        scopes[0],
-        tuple(fit.names),
-        values,
-        outer,
-        tuple(names[lost].tolist()),
-        fit.freedom if marks is None else int(marks.max()),
-        -fit.residuals.reshape(-1, 2),
-        np.concatenate([*map(partial(_on_plane, lens), scopes, views.seen, views.world)]),
-        misfit,
-        chance,
-        tuple(scopes),
-        held_out(views, fit, alone),
+        microscope=scopes[0],
+        parameters=tuple(fit.names),
+        estimate=estimate,
+        covariance=outer,
+        undetermined=tuple(names[undetermined].tolist()),
+        dof=fit.dof if marks is None else int(marks.max()),
+        residuals=-fit.residuals.reshape(-1, 2),
+        plane_residuals=np.concatenate(plane_residuals),
+        misfit=test.misfit,
+        p_value=test.p_value,
+        views=tuple(scopes),
+        held_out=held_out_errors(views, fit, alone),
     )
 
 
-def _microscope(views: Views, lens: Array, poses: Array, view: int) -> Microscope:
+def _microscope(views: Views, lens: Array, pose: Array) -> Microscope:
     """The microscope of a view, in focus."""
-    magnification, *rest = poses[view].tolist()
-    f = views.focal_length or (1 + poses[0, 0]) / (lens[0] * (1 + magnification))
+    magnification, *rest = pose.tolist()
+    f = views.focal_length or 1 / (lens[0] * (1 + magnification))
     lengths = {"tube_length": magnification * f, "focal_length": f, "distance": f / magnification}
-    pose = dict(zip(VIEW[1:], rest, strict=True))
-    return replace(views.frame, distortion=lens[1], **lengths, **pose)
-
-
-def _on_plane(lens: Array, scope: Microscope, seen: Array, world: Array) -> Array:
-    """Image points projected back to the pattern, less the world points, µm."""
-    return scope.back_project(without_terms(lens, seen, scope.cell) + scope.principal_point) - world
+    return replace(
+        views.frame, distortion=lens[1], **lengths, **dict(zip(POSE[1:], rest, strict=True))
+    )
 
 
 def _undetermined(
     fit: Fit, alone: list[list[Fit]], sigma: Array, variance: float
 ) -> NDArray[np.bool_]:
-    """Which of the parameters the points do not determine."""
+    """Which parameters the points do not determine, of `Fit.estimate` with its standard errors."""
     kinds = np.array([name.split("_")[0] for name in fit.names])
-    lost = np.isinf(sigma)
-    if "focal" in kinds:
-        # As the sign of the tilt is free, 1/f is never negative: 150 noisy views without tilt came
-        # to 2.2 standard errors at most; the rest is for errors that are less even than noise.
-        if not fit.lens[0] > 4 * sigma[kinds == "focal"][0]:
-            lost |= np.isin(kinds, ["focal", "beta", "gamma"])
-        return lost
+    undetermined = np.isinf(sigma)
+    focal = kinds == "focal"
+    if focal.any():
+        # As the sign of the tilt is free, 1/(T_op + f) is never negative. Of 150 noisy views
+        # without tilt the largest was 2.2 standard errors; four allow for errors with a larger scatter.
+        if not fit.estimate[focal] > 4 * sigma[focal]:
+            undetermined |= np.isin(kinds, ["focal", "beta", "gamma"])
+        return undetermined
     tilts = np.flatnonzero(np.isin(kinds, ["beta", "gamma"])).reshape(-1, 2)
     for tilt, (best, other) in zip(tilts, alone, strict=True):
-        apart = np.abs(np.angle(np.exp(1j * (best.poses - other.poses)[0, 2:4])))
-        # Two minima three standard errors apart, of which the sums of squares differ by less than
-        # two standard deviations of noise, squared, cannot be told from each other.
-        if (apart > 3 * sigma[tilt]).any() and other.cost - best.cost < 4 * variance:
-            lost[tilt] = True
-    return lost
+        difference = np.abs(np.angle(np.exp(1j * (best.poses - other.poses)[0, 2:4])))
+        # The two minima differ by three standard errors of the tilt, and their sums of squares by
+        # less than (2 σ)² of the noise: nothing prefers one of them.
+        if (difference > 3 * sigma[tilt]).any() and other.cost - best.cost < 4 * variance:
+            undetermined[tilt] = True
+    return undetermined

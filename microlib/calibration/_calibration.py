@@ -1,4 +1,4 @@
-"""What a calibration tells: the microscope, its parameters with their errors, and files of it."""
+"""Result of a calibration: the microscope, its parameters with their covariance, and its files."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import cv2
 import numpy as np
 
 from microlib._common import Array, Tidy, as_array, flat_row, one_of, scalar
-from microlib.calibration._uncertainty import inverse_interval, student
+from microlib.calibration._uncertainty import reciprocal_interval, student_quantile
 from microlib.microscope import Microscope, distort
 
 if TYPE_CHECKING:
     import pandas as pd
 
-#: What holds numbers that need not be finite, which JSON knows as texts alone.
+#: Fields with numbers that may be infinite or NaN, which JSON can hold as texts only.
 _NUMBERS = (
     *("estimate", "covariance", "residuals", "plane_residuals"),
-    *("misfit", "misfit_chance", "held_out"),
+    *("misfit", "p_value", "held_out"),
 )
 
 
@@ -48,7 +48,7 @@ class ErrorSummary(Tidy):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration(Tidy):
-    """A calibrated microscope and how well it is known.
+    """A calibrated microscope with the covariance of its parameters.
 
     Parameters
     ----------
@@ -60,29 +60,30 @@ class Calibration(Tidy):
     estimate : ndarray, shape (p,)
         The estimates.
     covariance : ndarray, shape (p, p)
-        Their covariance. Variances of parameters in `unobservable` are infinite, covariances beside
+        Their covariance. Variances of parameters in `undetermined` are infinite, covariances beside
         them NaN.
-    unobservable : tuple of str
+    undetermined : tuple of str
         Parameters that these points do not determine, whatever `estimate` says.
-    freedom : int
-        Degrees of freedom behind the residual's variance.
+    dof : int
+        Degrees of dof behind the residual's variance.
     residuals : ndarray, shape (N, 2)
         Image points minus their projection, px.
     plane_residuals : ndarray, shape (N, 2)
         Image points projected back to the pattern minus the world points, µm.
     misfit : float
-        Smooth part of the residuals over what noise makes of it: about one for a model that fits.
-        NaN for fewer than 24 points, which cannot tell.
-    misfit_chance : float
-        Probability of so much by noise alone. Below a tenth the covariance allows for it: what the
-        model lacks, a distortion or a bend of the pattern, is taken to be as large in the
-        directions that the parameters absorb as in those that show.
+        Size of the smooth part of the residuals over its size by noise alone, the root of the
+        ratio of the lack-of-fit F test. About one for an adequate model, NaN for fewer than 24
+        points.
+    p_value : float
+        Probability of a larger misfit by noise alone. Below 0.1 the covariance includes the model
+        discrepancy, for example another distortion or a bent pattern. It is assumed to be as large
+        in the directions that the parameters absorb as in those that the residuals show.
     views : tuple of Microscope
-        One for each view; `microscope` is the first.
+        Microscope of each view; the first one is `microscope`.
     held_out : ndarray, shape (V,)
-        Reprojection error of each view, rms in px, through the lens that the views without it give,
-        with a pose of its own: what the model is worth on another photograph. A fifth of the views
-        is left out at a time. NaN for fewer than three views, or where no such lens is found.
+        Reprojection error of each view, rms in px, with a lens fitted to other views and a pose
+        fitted to this one (cross-validation in five folds). NaN for fewer than three views, or
+        where the fit fails.
     """
 
     _large = (
@@ -100,12 +101,12 @@ class Calibration(Tidy):
     parameters: tuple[str, ...]
     estimate: Array
     covariance: Array
-    unobservable: tuple[str, ...]
-    freedom: int
+    undetermined: tuple[str, ...]
+    dof: int
     residuals: Array
     plane_residuals: Array
     misfit: float
-    misfit_chance: float
+    p_value: float
     views: tuple[Microscope, ...]
     held_out: Array
 
@@ -114,29 +115,27 @@ class Calibration(Tidy):
         span = f"in {low:.6g} … {high:.6g}" if high < np.inf else f"above {low:.6g}"
         lines = [
             f"Calibration of {len(self.residuals)} points in {len(self.views)} view(s), "
-            f"{self.reprojection.rms:.3g} px rms beside the model",
-            f"  {value:.6g} µm per pixel, {'95 % ' + span if low else 'not determined'}",
+            f"{self.reprojection.rms:.3g} px rms residual",
+            f"  {value:.6g} µm per pixel, {'95 % ' + span if low else 'undetermined'}",
             f"  magnification {self.microscope.magnification:.6g}, "
             f"focal length {self.microscope.focal_length:.6g} µm, "
             f"tilt {np.rad2deg(self.microscope.tilt):.3g}°",
         ]
-        if self.unobservable:
-            lines.append(f"  not determined: {', '.join(self.unobservable)}")
+        if self.undetermined:
+            lines.append(f"  undetermined: {', '.join(self.undetermined)}")
         if np.isfinite(self.held_out).any():
             median = np.nanmedian(self.held_out)
             lines.append(
-                f"  {median:.3g} px rms in views that are left out, at most "
-                f"{np.nanmax(self.held_out):.3g}"
+                f"  {median:.3g} px rms in held-out views, at most {np.nanmax(self.held_out):.3g}"
             )
-        if not self.fits:
-            lines.append(f"  the model does not fit: misfit {self.misfit:.3g}")
+        if not self.adequate:
+            lines.append(f"  the model is not adequate: misfit {self.misfit:.3g}")
         return "\n".join(lines)
 
     @property
-    def fits(self) -> bool:
-        """False if the residuals contradict the model: noise alone would make so much of them
-        smooth in less than a thousandth of all images."""
-        return self.misfit_chance >= 1e-3
+    def adequate(self) -> bool:
+        """False if the residuals contradict the model: `p_value` is below 0.001."""
+        return self.p_value >= 1e-3
 
     @property
     def reprojection(self) -> ErrorSummary:
@@ -156,21 +155,20 @@ class Calibration(Tidy):
     def interval(self, parameter: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of a parameter, from Student's distribution.
 
-        That of the focal length is the interval of 1/f, turned over: 1/f is what the points see,
-        with a nearly normal error. What is positive has no end below zero: an interval from 0 to
-        infinity tells nothing.
+        The interval of the focal length is the reciprocal of that of 1/f, whose error is nearly
+        normal. Lower limits of focal length and magnification are at least zero.
 
         Parameters
         ----------
         parameter : str
             One of `parameters`.
         level : float
-            Probability that the interval holds it.
+            Confidence level.
 
         Returns
         -------
         low, high : float
-            In the unit of the parameter.
+            Limits in the unit of the parameter.
 
         Raises
         ------
@@ -181,23 +179,22 @@ class Calibration(Tidy):
         level = scalar("level", level, above=0, below=1)
         std = float(np.sqrt(self.covariance[k, k]))
         # Half of an infinite interval is infinite at any level.
-        half = std if np.isinf(std) else student(self.freedom, level) * std
+        half = std if np.isinf(std) else student_quantile(self.dof, level) * std
         value = float(self.estimate[k])
         if parameter == "focal_length":
-            return inverse_interval(value, half / value)
+            return reciprocal_interval(value, half / value)
         least = 0.0 if parameter.startswith("magnification") else -np.inf
         return max(value - half, least), value + half
 
     def um_per_pixel(self, level: float = 0.95) -> tuple[float, float, float]:
-        """Width on the pattern of a pixel at the optical axis, µm, and its confidence interval.
+        """Width of a pixel on the pattern at the optical axis, µm, with its confidence interval.
 
-        The cell's width over the magnification, of the first view; the pattern stands for the
-        sample in focus.
+        It is the width of a sensor pixel over the magnification of the first view.
 
         Parameters
         ----------
         level : float
-            Probability that the interval holds it.
+            Confidence level.
 
         Returns
         -------
@@ -227,11 +224,11 @@ class Calibration(Tidy):
         Returns
         -------
         pandas.DataFrame
-            A row for each parameter, by its name: the estimate, its standard deviation, the ends of
-            its 95 % interval, and whether the points determine it. Lengths are in µm, angles in
-            rad, κ in 1/µm².
+            A row for each parameter with the estimate, its standard deviation, the limits of its
+            95 % interval, and whether the points determine it. Lengths are in µm, angles in rad, κ
+            in 1/µm².
         """
-        import pandas as pd  # here, for it takes a third of the time that importing a subject takes
+        import pandas as pd  # here, as it takes long to import
 
         spans = np.array([self.interval(name) for name in self.parameters])
         return pd.DataFrame(
@@ -240,7 +237,7 @@ class Calibration(Tidy):
                 "sigma": list(self.sigma.values()),
                 "low": spans[:, 0],
                 "high": spans[:, 1],
-                "determined": [name not in self.unobservable for name in self.parameters],
+                "determined": [name not in self.undetermined for name in self.parameters],
             },
             index=pd.Index(self.parameters, name="parameter"),
         )
@@ -268,21 +265,23 @@ class Calibration(Tidy):
         return marks(found if several else [found], pictures, self.residuals, ax)
 
     def to_json(self) -> str:
-        """Text in JSON that `from_json` reads, and from which other programs can be set up.
+        """Return the calibration as JSON for `from_json` and for other programs.
 
-        OpenCV's camera matrix and distortion coefficients (with the most that they are off the
-        model in the image), rotation and translation of each view, as ``cv2.undistort`` takes them;
-        ImageJ's width and height of a pixel; Micro-Manager's size of one, the root of their
-        product, with its 95 % interval, whose upper end is null where there is none; and all that
-        is known here, its numbers as texts where they need not be finite.
+        * ``opencv``: camera matrix and distortion coefficients as ``cv2.undistort`` takes them,
+          their largest deviation from this model in the image, and rotation and translation of
+          each view.
+        * ``imagej``: width and height of a pixel.
+        * ``micro_manager``: pixel size, the root of width times height. Its 95 % interval is in
+          ``pixel_size_interval_um``; an infinite upper limit is null.
+        * ``calibration``: all fields. Numbers that may be infinite or NaN are texts.
 
         Returns
         -------
         str
         """
         scope = self.microscope
-        aside = [self._value("principal_x"), self._value("principal_y")]
-        axis = scope.principal_point + np.array(aside)
+        shift = [self._value("principal_x"), self._value("principal_y")]
+        center = scope.principal_point + np.array(shift)
         distance = (scope.tube_length + scope.focal_length) / scope.cell
         terms, worst = self._brown()
         width, *ends = self.um_per_pixel()
@@ -294,7 +293,11 @@ class Calibration(Tidy):
             "opencv": {
                 "image_width": scope.image_size[0],
                 "image_height": scope.image_size[1],
-                "camera_matrix": [[distance[0], 0, axis[0]], [0, distance[1], axis[1]], [0, 0, 1]],
+                "camera_matrix": [
+                    [distance[0], 0, center[0]],
+                    [0, distance[1], center[1]],
+                    [0, 0, 1],
+                ],
                 "distortion_coefficients": terms,
                 "distortion_model_error_px": worst,
                 "rotation_vectors": [cv2.Rodrigues(v.rotation)[0].ravel() for v in self.views],
@@ -341,10 +344,10 @@ class Calibration(Tidy):
         return dict(zip(self.parameters, self.estimate.tolist(), strict=True)).get(parameter, 0.0)
 
     def _brown(self) -> tuple[list[float], float]:
-        """OpenCV's k₁, k₂, p₁, p₂, k₃ for the model's distortion, and how far they are off, px.
+        """OpenCV's k₁, k₂, p₁, p₂, k₃ for this model, and their largest deviation from it, px.
 
-        OpenCV's radius is in principal distances, from undistorted to distorted points, where the
-        model's polynomial leads back.
+        OpenCV's polynomial leads from undistorted to distorted points, with the radius in principal
+        distances. The polynomial of this model is its inverse.
         """
         scope = self.microscope
         distance = scope.tube_length + scope.focal_length

@@ -1,4 +1,4 @@
-"""Stage moves to image shifts: the affine map that a few moves tell, with its uncertainty."""
+"""Affine map from stage positions to the image, fitted to a few moves, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from microlib._common import (
     as_array,
     same_length,
 )
-from microlib.calibration._uncertainty import FARTHEST, inverse_interval, student
+from microlib.calibration._uncertainty import FARTHEST, reciprocal_interval, student_quantile
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -109,8 +109,8 @@ def stage_affine(stage: ArrayLike, image: ArrayLike) -> StageAffine:
     design = np.column_stack([stage, np.ones(len(stage))]) @ middle
     best = np.linalg.lstsq(design, image, rcond=None)[0]
     residuals = image - design @ best
-    freedom = 2 * (len(stage) - 3)
-    variance = float((residuals**2).sum()) / freedom if freedom else np.nan
+    dof = 2 * (len(stage) - 3)
+    variance = float((residuals**2).sum()) / dof if dof else np.nan
     matrix = (middle @ best).T
     one = middle @ np.linalg.inv(design.T @ design) @ middle.T
     covariance = variance * np.kron(np.eye(2), one)
@@ -118,11 +118,11 @@ def stage_affine(stage: ArrayLike, image: ArrayLike) -> StageAffine:
     pixel = 1 / np.sqrt(np.abs(np.linalg.det(linear)))
     by = 0.5 * np.linalg.inv(linear).T.ravel()  # d log √|det A| = ½ tr(A⁻¹ dA)
     relative = np.sqrt(by @ covariance[np.ix_([0, 1, 3, 4], [0, 1, 3, 4])] @ by)
-    reach = float(relative * student(freedom)) if freedom else np.nan
+    half_width = float(relative * student_quantile(dof)) if dof else np.nan
     return StageAffine(
         matrix,
         covariance,
-        (float(pixel), *inverse_interval(float(pixel), reach)),
+        (float(pixel), *reciprocal_interval(float(pixel), half_width)),
         float(np.arctan2(linear[1, 0], linear[0, 0])),
         bool(np.linalg.det(linear) < 0),
         residuals,

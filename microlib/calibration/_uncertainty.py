@@ -1,12 +1,14 @@
-"""How well parameters are known: their covariance, what a model's lack adds, and the bound.
+"""Covariance of calibrated parameters: image noise, lack of fit, and the Cramér–Rao bound.
 
-Noise differs from point to point. A distortion that the model lacks, a bent target or a shifted
-optical axis displaces neighbors alike. Such a displacement is seen where the model cannot follow
-it, and is as large, presumably, where the model can: there it is an error of the parameters that no
-residual shows.
+Image noise differs from point to point. An error of the model, such as a missing distortion term or
+a bent pattern, displaces neighboring points alike (a model discrepancy in the sense of Kennedy and
+O'Hagan, 2001). The part of it that the parameters can follow leaves no residual and is an error of
+the parameters. Its size is estimated from the part that they cannot follow.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,8 +20,8 @@ from microlib._common import Array, inverse_normal, of_kind, scalar
 from microlib.calibration._views import Fit, Views
 from microlib.microscope import Microscope
 
-#: A kilometer, µm: nothing is calibrated beyond, and the fits lose their way there. No noise in px
-#: is larger.
+#: A kilometer, µm: an infinite focal length is reported as this length, and no noise in px is
+#: larger.
 FARTHEST = 1e9
 
 
@@ -31,25 +33,24 @@ def cramer_rao(
     Parameters
     ----------
     microscope : Microscope
-        The truth.
+        The true microscope.
     world : array_like, shape (N, 2)
         Points of the pattern plane, µm.
     noise : float
         Standard deviation of each coordinate of the image points, px.
     parameters : tuple of str
-        What is estimated together, see :meth:`microlib.microscope.Microscope.jacobian`; the others
-        are known.
+        Names of the parameters that are estimated together, see
+        :meth:`microlib.microscope.Microscope.jacobian`. The other parameters are known.
 
     Returns
     -------
     ndarray, shape (p, p)
-        (JᵀJ)⁻¹ σ²; infinite variances, and NaN beside them, for the parameters that take part in a
-        direction the points do not determine.
+        (JᵀJ)⁻¹ σ². Undetermined parameters have infinite variances and NaN covariances.
 
     Raises
     ------
     ValueError
-        If `world` or `noise` is not what it should be, a point is beyond the reach of the
+        If `world` or `noise` has a wrong shape or value, a point lies beyond the reach of the
         distortion model, or a name is unknown.
 
     Examples
@@ -71,159 +72,199 @@ def cramer_rao(
     if not np.isfinite(jacobian).all():
         raise ValueError("world must be points that the microscope sees, got some that it cannot")
     inverse = inverse_normal(jacobian)
-    with np.errstate(invalid="ignore"):  # what is open stays so without noise, too
+    with np.errstate(invalid="ignore"):  # an undetermined parameter stays so without noise
         return np.where(np.isinf(inverse), np.inf, noise**2 * inverse)
 
 
-def student(freedom: float, level: float = 0.95) -> float:
-    """Half the width of an interval, in standard deviations that so many residuals tell."""
-    return float(stdtrit(freedom, (1 + level) / 2))
+def student_quantile(dof: float, level: float = 0.95) -> float:
+    """Half-width of a confidence interval in standard deviations, by Student's distribution."""
+    return float(stdtrit(dof, (1 + level) / 2))
 
 
-def inverse_interval(value: float, reach: float) -> tuple[float, float]:
-    """Ends of the interval of a positive quantity whose inverse has the normal error.
+def reciprocal_interval(value: float, half_width: float) -> tuple[float, float]:
+    """Interval of a positive quantity whose reciprocal has a normal error.
 
-    `reach` is how far the inverse may be off, as a part of it; where that may be zero, the quantity
-    has no upper end.
+    `half_width` is that of the reciprocal's interval, relative to the reciprocal. The quantity has
+    no upper limit if the reciprocal's interval contains zero.
     """
-    return value / (1 + reach), np.inf if reach >= 1 else value / (1 - reach)
+    return value / (1 + half_width), np.inf if half_width >= 1 else value / (1 - half_width)
 
 
-def jackknife(jacobian: Array, inverse: Array, residuals: Array, groups: NDArray) -> Array:
-    """Covariance of least-squares parameters by leaving out one group of points after the other.
+def polynomial_basis(
+    places: Array, points_per_term: int, max_degree: int = 4
+) -> tuple[Array, Array]:
+    """Monomials xⁱ yʲ of places (..., 2), (..., terms), and their degrees i + j, (terms,).
 
-    In its closed form for a linear problem; it assumes nothing of the errors inside a group.
+    Places are taken from their mean, in units of their extent. The highest degree d, at most
+    `max_degree`, is the highest with `points_per_term` places for each of the (d + 1)(d + 2)/2
+    terms.
+    """
+    scaled = (places - places.reshape(-1, 2).mean(axis=0)) / np.ptp(places)
+    x, y = np.moveaxis(scaled, -1, 0)
+    terms = [(d + 1) * (d + 2) // 2 for d in range(1, max_degree + 1)]
+    degree = sum(len(places) >= points_per_term * count for count in terms)
+    powers = np.array([(i, total - i) for total in range(degree + 1) for i in range(total + 1)])
+    return np.stack([x**i * y**j for i, j in powers], axis=-1), powers.sum(axis=1)
+
+
+def group_jackknife(jacobian: Array, inverse: Array, residuals: Array, groups: NDArray) -> Array:
+    """Covariance of least-squares parameters by the delete-a-group jackknife.
+
+    It assumes nothing about the correlation of errors within a group. The closed form holds for a
+    linear problem (cluster-robust covariance CV3 of Bell and McCaffrey, 2002):
+    with H_g = J_g (JᵀJ)⁻¹ J_gᵀ, the parameters change by (JᵀJ)⁻¹ J_gᵀ (1 − H_g)⁻¹ r_g without group
+    g, and their covariance is (G − 1)/G times the sum of the outer products of the changes.
 
     Parameters
     ----------
     jacobian : ndarray, shape (2 N, p)
-        Derivatives of the residuals.
+        Derivatives J of the residuals.
     inverse : ndarray, shape (p, p)
-        What `inverse_normal` makes of them.
+        (JᵀJ)⁻¹ as `inverse_normal` returns it.
     residuals : ndarray, shape (2 N,)
-        px.
+        Residuals r, px.
     groups : ndarray, shape (N,)
-        Group of each point.
+        Number of the group of each point.
 
     Returns
     -------
     ndarray, shape (p, p)
-        Infinite and NaN where the points leave a parameter open.
+        Undetermined parameters have infinite variances and NaN covariances.
     """
-    finite = np.where(np.isfinite(inverse), inverse, 0.0)
+    determined = np.isfinite(inverse)
+    finite = np.where(determined, inverse, 0.0)
     order = np.argsort(np.repeat(groups, 2), kind="stable")
     ends = np.cumsum(2 * np.unique(groups, return_counts=True)[1])[:-1]
-    totals = []
-    for m in np.split(order, ends):
-        leverage = jacobian[m] @ finite @ jacobian[m].T
-        totals.append(jacobian[m].T @ np.linalg.solve(np.eye(len(m)) - leverage, residuals[m]))
-    spread = finite @ np.transpose(totals)
-    shrink = len(ends) / (len(ends) + 1)
-    return np.where(np.isfinite(inverse), shrink * spread @ spread.T, inverse)
+    scores = []
+    for rows in np.split(order, ends):
+        leverage = jacobian[rows] @ finite @ jacobian[rows].T
+        left_out = np.linalg.solve(np.eye(len(rows)) - leverage, residuals[rows])
+        scores.append(jacobian[rows].T @ left_out)
+    changes = finite @ np.transpose(scores)
+    count = len(scores)
+    return np.where(determined, (count - 1) / count * changes @ changes.T, inverse)
 
 
-def monomials(places: Array, share: int, most: int = 4) -> tuple[Array, Array]:
-    """Products xⁱ yʲ, (..., terms), the lower ones first, of places (..., 2) about their middle in
-    units of their extent; and the degrees i + j.
+@dataclass(frozen=True, eq=False)
+class LackOfFit:
+    """Test of the residuals for a smooth part, and what this part adds to the covariance.
 
-    These go up to the highest, `most` at most, of which the places are `share` times as many as the
-    (d + 1)(d + 2)/2 terms.
+    Parameters
+    ----------
+    misfit : float
+        Root of the F ratio: size of the smooth part over its size by noise. About one for an
+        adequate model, NaN for too few points.
+    p_value : float
+        Probability of a larger ratio by noise alone; one for too few points.
+    covariance : ndarray, shape (p, p)
+        Covariance of the parameters by the model discrepancy.
     """
-    about = (places - places.reshape(-1, 2).mean(axis=0)) / np.ptp(places)
-    x, y = np.moveaxis(about, -1, 0)
-    last = sum(2 * len(places) >= share * (d + 1) * (d + 2) for d in range(1, most + 1))
-    powers = np.array([(i, total - i) for total in range(last + 1) for i in range(total + 1)])
-    return np.stack([x**i * y**j for i, j in powers], axis=-1), powers.sum(axis=1)
+
+    misfit: float
+    p_value: float
+    covariance: Array
 
 
-def smooth_fields(points: Array) -> Array:
-    """Displacements that vary smoothly over the points, (2N, k), each as long as it is likely.
+def covariance(views: Views, fit: Fit, marks: NDArray[np.intp] | None) -> tuple[Array, LackOfFit]:
+    """Covariance of `Fit.estimate` from image noise and from lack of fit, and the test of the fit.
 
-    Orthogonal polynomials of both coordinates, of length 1, 1/3, 1/9 … by their degree; none for
-    fewer than 24 points. The terms of a lens and of a bent plate fall so, as far as they are known;
-    with terms that do not fall, a bend hidden in the focal length is stated half as large.
-    """
-    terms, degrees = monomials(points, 4)  # as many residuals for each
-    if degrees.max() < 2:
-        return np.empty((2 * len(points), 0))
-    return np.kron(np.linalg.qr(terms)[0] * 3.0**-degrees, np.eye(2))
-
-
-def covariance(
-    views: Views, fit: Fit, marks: NDArray[np.intp] | None
-) -> tuple[Array, float, float]:
-    """How well the points tell what was fitted, of the focal length its inverse: by noise, and by
-    what the model lacks; the misfit, and the chance of so much by noise alone.
-
-    Of a mark the errors are correlated. The misfit is that of the means over its points in a view.
+    The errors of all points of a mark are correlated: those of its points in one view, as the
+    corners of a square share its sides, and those in several views, as a mark may be printed beside
+    its place. `marks` has the number of the mark of each point; without it points are independent.
     """
     residuals, jacobian = fit.residuals, fit.jacobian
-    rounding, inverse = views.rounding(fit.poses), inverse_normal(jacobian)
-    # Where the model has the points: fields of the noisy ones would hold their noise.
-    points = np.concatenate(views.seen) + residuals.reshape(-1, 2)
-    view = np.repeat(np.arange(len(views.seen)), [len(seen) for seen in views.seen])
-    by_noise = inverse * views.variance(fit)
-    if marks is not None:
-        by_noise = jackknife(jacobian, inverse, residuals, marks) + inverse * rounding
-        both = np.column_stack([view, marks])
-        each, label, size = np.unique(both, axis=0, return_inverse=True, return_counts=True)
-        label, view = label.ravel(), each[:, 0]
-        mean = csr_array((1 / size[label], (label, np.arange(len(label)))))
-        points, residuals = mean @ points, (mean @ residuals.reshape(-1, 2)).ravel()
-        jacobian = (mean @ jacobian.reshape(len(label), -1)).reshape(-1, jacobian.shape[1])
-        inverse = inverse_normal(jacobian)
-    fields = [smooth_fields(points[view == v]) for v in range(len(views.seen))]
-    if len(fields) > 1:  # those in common: each view has the length that it has in one of its own
-        common = np.sqrt(len(fields)) * smooth_fields(points)
-        fields = [np.hstack([common, block_diag(*fields)])]
-    misfit, chance, by_lack = discrepancy(residuals, jacobian, inverse, fields[0], rounding)
-    return by_noise + by_lack, misfit, chance
+    inverse = inverse_normal(jacobian)
+    floor = views.rounding_variance(fit.poses)
+    # Projections, not image points: a basis at noisy points would follow their noise.
+    points = np.concatenate(views.image) + residuals.reshape(-1, 2)
+    view = np.repeat(np.arange(len(views.image)), [len(image) for image in views.image])
+    if marks is None:
+        by_noise = inverse * views.residual_variance(fit)
+    else:
+        by_noise = group_jackknife(jacobian, inverse, residuals, marks) + inverse * floor
+        each, label, size = np.unique(
+            np.column_stack([view, marks]), axis=0, return_inverse=True, return_counts=True
+        )
+        if len(each) < len(points):  # the test takes the means over the points of each mark
+            label, view = label.ravel(), each[:, 0]
+            mean = csr_array((1 / size[label], (label, np.arange(len(label)))))
+            points, residuals = mean @ points, (mean @ residuals.reshape(-1, 2)).ravel()
+            jacobian = (mean @ jacobian.reshape(len(label), -1)).reshape(-1, jacobian.shape[1])
+            inverse = inverse_normal(jacobian)
+    basis = discrepancy_basis(points, view)
+    test = lack_of_fit(residuals, jacobian, inverse, basis, floor)
+    return by_noise + test.covariance, test
 
 
-def discrepancy(
-    residuals: Array, jacobian: Array, inverse: Array, fields: Array, rounding: float
-) -> tuple[float, float, Array]:
-    """Test residuals for a smooth part, and carry it to the parameters.
+def discrepancy_basis(points: Array, view: NDArray[np.intp]) -> Array:
+    """Basis (2 N, k) of the model discrepancy: displacements of N points that vary smoothly.
+
+    Of one view they are orthogonal polynomials of both coordinates. Their lengths, the prior
+    standard deviations of the discrepancy, are 1, 1/3, 1/9 … by their degree, as the terms of a
+    lens and of a bent plate decrease: with equal lengths, the error of the focal length by a bend
+    is stated half as large. Of several views they are those that all views have in common and those
+    of each view, with the same length in a view. Views of fewer than 24 points have none.
+    """
+
+    def smooth(points: Array) -> Array:
+        terms, degrees = polynomial_basis(points, points_per_term=4)
+        if degrees.max() < 2:
+            return np.empty((2 * len(points), 0))
+        return np.kron(np.linalg.qr(terms)[0] * 3.0**-degrees, np.eye(2))
+
+    each = [smooth(points[view == v]) for v in np.unique(view)]
+    if len(each) == 1:
+        return each[0]
+    return np.hstack([np.sqrt(len(each)) * smooth(points), block_diag(*each)])
+
+
+def lack_of_fit(
+    residuals: Array, jacobian: Array, inverse: Array, basis: Array, floor: float
+) -> LackOfFit:
+    """F test of residuals against a basis of the model discrepancy.
+
+    The parameters follow each displacement B of the basis by (JᵀJ)⁻¹ JᵀB and leave (1 − H) B of it
+    in the residuals, with H = J (JᵀJ)⁻¹ Jᵀ. The sum of squares of the residuals in the span of
+    (1 − H) B is compared with the rest of them, which is noise. If it is significant at the level
+    of 10 %, its excess over noise gives the amplitude a² = excess/‖(1 − H) B‖² of the discrepancy,
+    and a² (JᵀJ)⁻¹ JᵀB BᵀJ (JᵀJ)⁻¹ is added to the covariance of the parameters.
 
     Parameters
     ----------
     residuals : ndarray, shape (m,)
-        At the best fit, px.
+        Residuals at the best fit, px.
     jacobian : ndarray, shape (m, p)
-        Their derivatives by the parameters.
+        Derivatives J of the residuals.
     inverse : ndarray, shape (p, p)
-        What `inverse_normal` makes of them.
-    fields : ndarray, shape (m, k)
-        Smooth displacements.
-    rounding : float
-        Variance of residuals that is no more than rounding, px².
+        (JᵀJ)⁻¹ as `inverse_normal` returns it.
+    basis : ndarray, shape (m, k)
+        Displacements B.
+    floor : float
+        Variance of the residuals by rounding, px².
 
     Returns
     -------
-    misfit : float
-        Size of the smooth part over what noise makes of it: about one for a model that fits; NaN
-        where there are too few points to tell.
-    chance : float
-        Probability of so much by noise alone; one where there are too few points.
-    covariance : ndarray, shape (p, p)
-        What it adds to that of the parameters.
+    LackOfFit
     """
-    # Parameters that the points leave open follow nothing.
-    followed: Array = np.where(np.isfinite(inverse), inverse, 0.0) @ (jacobian.T @ fields)
-    seen = fields - jacobian @ followed
-    # Of squares, which are quicker than the fields themselves: what is followed lies far above the
-    # root of rounding. One that is followed but for 1e-4 shows nothing.
-    size, axes = np.linalg.eigh(seen.T @ seen)
-    shown = size > 1e-8
-    free = int(shown.sum())
-    freedom = len(residuals) - len(followed) - free
-    if free == 0 or freedom <= 0:
-        return np.nan, 1.0, np.zeros((len(followed), len(followed)))
-    smooth = float(((axes.T @ (seen.T @ residuals))[shown] ** 2 / size[shown]).sum())
-    noise = max((float((residuals**2).sum()) - smooth) / freedom, rounding)
-    ratio = max(smooth / free, rounding) / noise  # one where there is nothing but rounding
-    chance = float(fdtrc(free, freedom, ratio))
-    # What noise makes often enough is taken for noise.
-    excess = smooth - noise * free if chance < 1 / 10 else 0.0
-    amplitude = excess / float((seen**2).sum())
-    return float(np.sqrt(ratio)), chance, amplitude * followed @ followed.T
+    # Undetermined parameters follow nothing.
+    followed: Array = np.where(np.isfinite(inverse), inverse, 0.0) @ (jacobian.T @ basis)
+    left = basis - jacobian @ followed
+    # The squares are quicker to decompose. A displacement is followed completely if 1e-4 of it is
+    # left, far above the root of the rounding error.
+    squares, axes = np.linalg.eigh(left.T @ left)
+    kept = squares > 1e-8
+    smooth_dof = int(kept.sum())
+    noise_dof = len(residuals) - len(followed) - smooth_dof
+    if smooth_dof == 0 or noise_dof <= 0:
+        return LackOfFit(misfit=np.nan, p_value=1.0, covariance=np.zeros_like(inverse))
+    smooth = float(((axes.T @ (left.T @ residuals))[kept] ** 2 / squares[kept]).sum())
+    noise = max((float((residuals**2).sum()) - smooth) / noise_dof, floor)
+    ratio = max(smooth / smooth_dof, floor) / noise  # one for residuals by rounding alone
+    p_value = float(fdtrc(smooth_dof, noise_dof, ratio))
+    excess = smooth - noise * smooth_dof if p_value < 1 / 10 else 0.0
+    amplitude = excess / float((left**2).sum())
+    return LackOfFit(
+        misfit=float(np.sqrt(ratio)),
+        p_value=p_value,
+        covariance=amplitude * followed @ followed.T,
+    )

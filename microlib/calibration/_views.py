@@ -1,9 +1,9 @@
-"""The fit behind :func:`microlib.calibration.calibrate`: views of one pattern through one lens.
+"""Nonlinear fit of all views of one pattern through one lens (bundle adjustment).
 
-The views share the lens: the principal distance T_op + f, the distortion and, of several views
-where these can tell them, a second term of it and the point where the optical axis meets the
-sensor. Each view has its own magnification and pose. The start is in closed form: pose by radial
-alignment, then magnification and distortion (2.13–2.19).
+The views share the lens: the principal distance T_op + f, the distortion and, where several views
+determine them, a second distortion coefficient and the principal point. Each view has its own
+magnification and pose. The fit starts from the closed form of (2.13)–(2.19): the pose by radial
+alignment, then magnification and distortion by linear least squares.
 """
 
 from __future__ import annotations
@@ -15,109 +15,129 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from microlib._common import Array, as_array, same_length
 from microlib.microscope import Microscope, euler_rotation
 
-#: Numbers of the lens: of the focal length the inverse φ = 1/f, κ, the distortion's second term in
-#: 1/µm⁴, and the axis' place from the middle of the image, px. Of a view: M, α, β, γ, T_x, T_y.
+#: Parameters of the lens: 1/(T_op + f) in 1/µm, κ in 1/µm², the second distortion coefficient κ₂ in
+#: 1/µm⁴, and the principal point from the middle of the image, px. The first one is reported as the
+#: focal length of the first view.
 LENS = ("focal_length", "distortion", "distortion_2", "principal_x", "principal_y")
-VIEW = ("magnification", "alpha", "beta", "gamma", "tx", "ty")
-#: Terms that may be added to the lens of several views, by their places in `LENS`.
-_TERMS = ([3, 4], [2])
-#: Of `project_plane`'s numbers (M, h, κ, α, β, γ, T_x, T_y) those of a view.
-_OF_VIEW = [0, 3, 4, 5, 6, 7]
-#: Error of a point that is given exactly, as a part of the largest coordinate: rounding makes
-#: 1e-16 of it, another order of the same sums up to 1e-15. Nothing smaller decides anything.
+#: Parameters of a view: M, α, β, γ in rad, and T_x, T_y in µm.
+POSE = ("magnification", "alpha", "beta", "gamma", "tx", "ty")
+#: Indices in `LENS` of the parameters that are added together if several views determine them.
+_OPTIONAL = ([3, 4], [2])
+#: Relative rounding error of an image point: one operation makes 1e-16, another order of the same
+#: sums up to 1e-15. No decision depends on a smaller difference.
 _ROUNDING = 1e-13
-#: A singular value below this part of the largest is rounding: the points determine no pose, or
-#: no depths tell the convergence.
+#: Singular values below this part of the largest are rounding errors: the points then do not
+#: determine a pose, or their depths do not determine the convergence.
 _DEGENERATE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """Points of views, from the middle of the image.
+    """Corresponding points of the pattern and of its images.
 
     Parameters
     ----------
-    world, seen : list of ndarray, shape (N_v, 2)
-        µm, and px from the image's middle.
+    world : list of ndarray, shape (N_v, 2)
+        Points of the pattern in each view, µm.
+    image : list of ndarray, shape (N_v, 2)
+        Their images, px from the middle of the image.
     frame : Microscope
-        Of any lengths, with the sensor of all views.
+        A microscope with the sensor of all views. Its lengths are not used.
     focal_length : float or None
-        µm, where it is known.
+        Focal length, µm, if it is given.
     """
 
     world: list[Array]
-    seen: list[Array]
+    image: list[Array]
     frame: Microscope
     focal_length: float | None
 
-    def some(self, which: ArrayLike) -> Views:
-        """A part of the views."""
-        world, seen = ([each[v] for v in np.asarray(which)] for each in (self.world, self.seen))
-        return replace(self, world=world, seen=seen)
+    def subset(self, which: ArrayLike) -> Views:
+        """The views with the given indices."""
+        world, image = ([each[v] for v in np.asarray(which)] for each in (self.world, self.image))
+        return replace(self, world=world, image=image)
 
-    def rounding(self, poses: Array) -> float:
-        """Least variance of a coordinate, px²: no point is known better than it is written."""
+    def rounding_variance(self, poses: Array) -> float:
+        """Variance of a coordinate by rounding alone, px²: a floor for every stated variance."""
         scaled = [
             pose[0] * world / self.frame.cell for pose, world in zip(poses, self.world, strict=True)
         ]
-        return float((_ROUNDING * max(np.abs(at).max() for at in (*scaled, *self.seen))) ** 2)
+        return float((_ROUNDING * max(np.abs(at).max() for at in (*scaled, *self.image))) ** 2)
 
-    def variance(self, fit: Fit) -> float:
-        """Of a coordinate, px²."""
-        return fit.cost / max(fit.freedom, 1) + self.rounding(fit.poses)
+    def residual_variance(self, fit: Fit) -> float:
+        """Variance of a coordinate estimated from the residuals of a fit, px²."""
+        return fit.cost / max(fit.dof, 1) + self.rounding_variance(fit.poses)
 
     def predict(self, lens: Array, poses: Array) -> tuple[Array, Array]:
-        """Image points of all views, (N, 2), and their derivatives, (N, 2, 5 + 6 V)."""
-        points, rows = [], []
+        """Image points of all views, (N, 2), and their derivatives, (N, 2, 5 + 6 V).
+
+        The first five derivatives are those by `LENS`; then follow six by the pose of each view.
+        """
+        points, jacobians = [], []
         for v, (pose, world) in enumerate(zip(poses, self.world, strict=True)):
-            # The view of which φ = (1 + M)/(T_op + f) is: each one's own, in focus, if f is given;
-            # else the first, and all have its T_op + f.
-            tie = 0 if self.focal_length is None else v
-            # h = 1/(f + d) = M/(T_op + f) = M φ/(1 + M of the view that φ is of).
-            beyond = 1 + poses[tie, 0]
-            by_lens, by_pose = pose[0] / beyond, lens[0] / beyond
-            visible = np.concatenate([[pose[0], pose[0] * by_pose, lens[1]], pose[1:]])
-            at, by = Microscope.project_plane(visible, world, self.frame.cell)
-            row = np.zeros((*at.shape, len(LENS) + len(VIEW) * len(poses)))
-            row[..., 0], row[..., 1] = by_lens * by[..., 1], by[..., 2]
-            own, tied = (len(LENS) + len(VIEW) * k for k in (v, tie))
-            row[..., own : own + len(VIEW)] = by[..., _OF_VIEW]
-            row[..., own] += by_pose * by[..., 1]
-            row[..., tied] -= by_lens * by_pose * by[..., 1]
-            if len(poses) > 1:  # of one view these terms are zero and held
-                sensor = at * self.frame.cell
-                square = (sensor**2).sum(axis=1)[:, None]
-                # The second term, and what it makes of a point's displacement.
-                turn = 4 * square[..., None] * at[:, :, None] * (sensor * self.frame.cell)[:, None]
-                row = ((1 + lens[2] * square**2)[..., None] * np.eye(2) + lens[2] * turn) @ row
-                row[..., 2] = square**2 * at
-                row[:, 0, 3] = row[:, 1, 4] = 1
-                at = at * (1 + lens[2] * square**2) + lens[3:]
-            points.append(at)
-            rows.append(row)
-        return np.concatenate(points), np.concatenate(rows)
+            projected, by = self._project(lens, pose, world)
+            first = len(LENS) + v * len(POSE)
+            jacobian = np.zeros((len(world), 2, len(LENS) + poses.size))
+            jacobian[..., : len(LENS)] = by[..., : len(LENS)]
+            jacobian[..., first : first + len(POSE)] = by[..., len(LENS) :]
+            points.append(projected)
+            jacobians.append(jacobian)
+        return np.concatenate(points), np.concatenate(jacobians)
+
+    def _project(self, lens: Array, pose: Array, world: Array) -> tuple[Array, Array]:
+        """Image points of one view, and their derivatives by `LENS` and `POSE`, (N, 2, 5 + 6)."""
+        # The camera: h = 1/(f + d) = M/(T_op + f), and T_op + f = f (1 + M) in focus.
+        inverse_distance, distortion, distortion_2, *principal_point = lens
+        magnification, by_inverse_distance = pose[0], pose[0]
+        by_magnification = inverse_distance
+        if self.focal_length is not None:
+            inverse_distance = 1 / (self.focal_length * (1 + magnification))
+            by_inverse_distance, by_magnification = 0.0, inverse_distance / (1 + magnification)
+        convergence = magnification * inverse_distance
+        camera = np.array([magnification, convergence, distortion, *pose[1:]])
+        points, by_camera = Microscope.project_plane(camera, world, self.frame.cell)
+        camera_by = np.zeros((len(camera), len(LENS) + len(POSE)))  # (M, h, κ, pose) by all
+        camera_by[1, 0], camera_by[2, 1] = by_inverse_distance, 1.0
+        camera_by[:2, 5] = 1.0, by_magnification
+        camera_by[3:, 6:] = np.eye(len(pose) - 1)
+
+        # The other terms of the lens: p (1 + κ₂ r⁴) + c with r in µm, and its derivatives.
+        sensor = points * self.frame.cell
+        square = (sensor**2).sum(axis=1)[:, np.newaxis]
+        stretch = 1 + distortion_2 * square**2
+        by_square = 2 * distortion_2 * square * points
+        square_by_points = 2 * sensor * self.frame.cell
+        by_points = stretch[..., np.newaxis] * np.eye(2) + np.einsum(
+            "ni,nj->nij", by_square, square_by_points
+        )
+        jacobian = by_points @ (by_camera @ camera_by)
+        jacobian[..., 2] = square**2 * points
+        jacobian[..., 3:5] = np.eye(2)
+        return points * stretch + principal_point, jacobian
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A minimum.
+    """A least-squares fit of views.
 
     Parameters
     ----------
     lens : ndarray, shape (5,)
-        As in `LENS`.
+        Parameters of the lens as in `LENS`, the first as 1/(T_op + f).
     poses : ndarray, shape (V, 6)
-        As in `VIEW`.
+        Parameters of the views as in `POSE`.
     free : list of int
-        What was fitted of both, counted through, the first view's magnification first.
+        Indices of the fitted parameters in `lens` and `poses`, flat and joined. The first is that
+        of the first view's magnification.
     residuals : ndarray, shape (2 N,)
         Projection minus image points, px.
     jacobian : ndarray, shape (2 N, p)
-        Their derivatives.
+        Derivatives of the residuals by the fitted parameters.
     """
 
     lens: Array
@@ -132,105 +152,108 @@ class Fit:
         return float(self.residuals @ self.residuals)
 
     @property
-    def freedom(self) -> int:
-        """Coordinates less what was fitted to them."""
+    def dof(self) -> int:
+        """Degrees of freedom."""
         return len(self.residuals) - len(self.free)
 
     @property
+    def estimate(self) -> Array:
+        """Values of the fitted parameters, of the focal length 1/(T_op + f)."""
+        return np.concatenate([self.lens, self.poses.ravel()])[self.free]
+
+    @property
     def names(self) -> list[str]:
-        """What was fitted; from the second view on names end in the view's number."""
-        each = [n if v == 0 else f"{n}_{v + 1}" for v in range(len(self.poses)) for n in VIEW]
+        """Names of the fitted parameters; from the second view on they end in its number."""
+        each = [n if v == 0 else f"{n}_{v + 1}" for v in range(len(self.poses)) for n in POSE]
         return [[*LENS, *each][k] for k in self.free]
 
 
 def fit_views(views: Views) -> tuple[Fit, list[list[Fit]]]:
-    """Fit all views together, and add terms to the lens of several as far as they are justified.
+    """Fit all views together, and each view alone from both signs of its tilt.
 
-    A term is justified if the sum of squares falls by more than log(2 N) variances for each of its
-    numbers (Schwarz' criterion). Also the fits of each view alone from both signs of the tilt, the
-    better one first.
+    Parameters of `_OPTIONAL` are added to the lens of several views if they lower the Bayesian
+    information criterion: the sum of squares must fall by log(2 N) variances for each parameter.
+    Of the two fits of each view the better one comes first.
     """
     base = [1] if views.focal_length is not None else [0, 1]
-    every = [views.some([v]) for v in range(len(views.world))]
+    every = [views.subset([v]) for v in range(len(views.world))]
     fits = [[_fit(one, *start, base) for start in _starts(one)] for one in every]
     alone = [sorted(pair, key=lambda fit: fit.cost) for pair in fits]
     if len(every) == 1:
         return alone[0][0], alone
-    lens = np.median([pair[0].lens for pair in alone], axis=0)  # that most views agree on
+    lens = np.median([pair[0].lens for pair in alone], axis=0)
     best = _fit(views, lens, np.concatenate([pair[0].poses for pair in alone]), base)
-    for term in _TERMS:
+    for added in _OPTIONAL:
         lens_free = [k for k in best.free if k < len(LENS)]
-        with suppress(ValueError):  # what is not found is not justified
-            trial = _fit(views, best.lens, best.poses, lens_free + term)
-            price = len(term) * np.log(len(trial.residuals))
-            if best.cost - trial.cost > price * views.variance(trial):
+        with suppress(ValueError):  # a fit that does not converge is no improvement
+            trial = _fit(views, best.lens, best.poses, lens_free + added)
+            penalty = len(added) * np.log(len(trial.residuals))
+            if best.cost - trial.cost > penalty * views.residual_variance(trial):
                 best = trial
     return best, alone
 
 
-def held_out(views: Views, fit: Fit, alone: list[list[Fit]]) -> Array:
-    """Reprojection error of each view, rms in px, through the lens that other views give.
+def held_out_errors(views: Views, fit: Fit, alone: list[list[Fit]]) -> Array:
+    """Reprojection error of each view, rms in px, with the lens fitted to other views.
 
-    A fifth of the views is left out at a time, and each of them gets a pose of its own. Views that
-    the lens of most views fits ten times worse than the others take no part. NaN where no lens or
-    pose fits, and for fewer than three views.
+    In each of five folds a fifth of the views is left out, and the pose of each of them is fitted.
+    A view that the median lens of all views fits ten times worse than most views is left out of
+    every fit of the lens. The error is NaN where a fit fails, and for fewer than three views.
     """
     every = np.arange(len(views.world))
-    lenses, poses = (np.array([getattr(pair[0], n) for pair in alone]) for n in ("lens", "poses"))
-    lens = np.median(lenses, axis=0)
-    # Of views through one lens φ/(1 + M) is the same; a focal length that is given is so itself.
-    powers = np.median(lenses[:, 0] / (1 + poses[:, 0, 0])) * (1 + poses[:, 0, 0])
-    own = np.full(len(every), np.inf)
+    lenses = np.array([pair[0].lens for pair in alone])
+    poses = np.concatenate([pair[0].poses for pair in alone])
+
+    def squared_error(view: int, lens: Array) -> float:
+        one = _fit(views.subset([view]), lens, poses[[view]], [])
+        return one.cost / len(views.world[view])
+
+    squares = np.full(len(every), np.inf)
     for v in every:
-        lens[0] = powers[v] if views.focal_length is None else lens[0]
         with suppress(ValueError):
-            own[v] = _fit(views.some([v]), lens, poses[v], []).cost / len(views.world[v])
-    sound = own <= 100 * max(np.median(own), views.rounding(fit.poses))
+            squares[v] = squared_error(v, np.median(lenses, axis=0))
+    consistent = squares <= 10**2 * max(np.median(squares), views.rounding_variance(fit.poses))
     errors = np.full(len(every), np.nan)
-    if len(every) < 3 or sound.sum() < 3:
+    if consistent.sum() < 3:
         return errors
     lens_free = [k for k in fit.free if k < len(LENS)]
-    starts = np.concatenate(poses)
     for fold in range(min(len(every), 5)):
-        rest = every[(every % 5 != fold) & sound]
-        lens = np.median(lenses[rest], axis=0)
+        rest = every[(every % 5 != fold) & consistent]
         with suppress(ValueError):
-            others = _fit(views.some(rest), lens, starts[rest], lens_free)
+            start = np.median(lenses[rest], axis=0)
+            lens = _fit(views.subset(rest), start, poses[rest], lens_free).lens
             for v in every[every % 5 == fold]:
-                both = np.stack([others.poses[0], starts[v]])
-                moved = _fit(views.some([rest[0], v]), others.lens, both, [], fixed=len(VIEW))
-                errors[v] = np.sqrt(2 * (moved.residuals[-2 * len(views.world[v]) :] ** 2).mean())
+                errors[v] = np.sqrt(squared_error(v, lens))
     return errors
 
 
-def _fit(views: Views, lens: Array, poses: Array, lens_free: list[int], fixed: int = 0) -> Fit:
-    """Fit poses, all but the first `fixed` of their numbers, and what is free of the lens."""
+def _fit(views: Views, lens: Array, poses: Array, lens_free: list[int]) -> Fit:
+    """Fit all poses and the given parameters of the lens by Levenberg–Marquardt from a start."""
     start = np.concatenate([lens, poses.ravel()])
-    first = len(LENS) + fixed
+    first = len(LENS)
     free = [first, *sorted(lens_free), *range(first + 1, len(start))]
-    seen = np.concatenate(views.seen)
+    image = np.concatenate(views.image)
 
     def split(values: Array) -> tuple[Array, Array]:
         full = start.copy()
         full[free] = values
         return full[: len(LENS)], full[len(LENS) :].reshape(poses.shape)
 
-    @lru_cache(maxsize=1)  # the derivatives are asked for where the residuals were
-    def at(values: bytes) -> tuple[Array, Array]:
-        points, by = views.predict(*split(np.frombuffer(values)))
-        return (points - seen).ravel(), by.reshape(-1, len(start))[:, free]
+    @lru_cache(maxsize=1)  # SciPy asks for the derivatives where it has asked for the residuals
+    def evaluate(values: bytes) -> tuple[Array, Array]:
+        points, jacobian = views.predict(*split(np.frombuffer(values)))
+        return (points - image).ravel(), jacobian.reshape(-1, len(start))[:, free]
 
-    known = views.focal_length
+    given = views.focal_length
     need = "world and image must fit one microscope, none was found: leave out the odd views"
-    if known is not None:
-        need = f"focal_length must fit each view in focus, got {known:g} µm: better leave it out"
-    refusal = ValueError(need)
-    if not np.isfinite(at(start[free].tobytes())[0]).all():  # beyond the reach of its distortion
-        raise refusal
+    if given is not None:
+        need = f"focal_length must fit each view in focus, got {given:g} µm: better leave it out"
+    if not np.isfinite(evaluate(start[free].tobytes())[0]).all():  # beyond the distortion's reach
+        raise ValueError(need)
     found = least_squares(
-        lambda values: at(values.tobytes())[0],
+        lambda values: evaluate(values.tobytes())[0],
         start[free],
-        lambda values: at(values.tobytes())[1],
+        lambda values: evaluate(values.tobytes())[1],
         method="lm",
         x_scale="jac",
         ftol=_ROUNDING,
@@ -239,42 +262,44 @@ def _fit(views: Views, lens: Array, poses: Array, lens_free: list[int], fixed: i
         max_nfev=200,
     )
     if found.status == 0 and len(poses) > 1:
-        raise refusal
+        raise ValueError(need)
     lens, poses = split(found.x)
-    residuals, jacobian = at(found.x.tobytes())
-    if lens[0] < 0:  # the same images, seen with all tilts turned over
+    residuals, jacobian = evaluate(found.x.tobytes())
+    if lens[0] < 0:  # a positive distance and the opposite tilts give the same images
         flip = np.concatenate([[-1, 1, 1, 1, 1], np.tile([1, 1, -1, -1, 1, 1], len(poses))])
         lens, poses = lens * flip[: len(LENS)], poses * flip[len(LENS) :].reshape(poses.shape)
         jacobian = jacobian * flip[free]
-    return Fit(lens, poses, free, residuals, jacobian)
+    poses[:, 1:4] = np.angle(np.exp(1j * poses[:, 1:4]))
+    return Fit(lens=lens, poses=poses, free=free, residuals=residuals, jacobian=jacobian)
 
 
 def _starts(one: Views) -> list[tuple[Array, Array]]:
     """Lens and pose of one view in closed form, for each sign of the tilt."""
-    world, sensor = one.world[0], one.seen[0] * one.frame.cell
+    world, sensor = one.world[0], one.image[0] * one.frame.cell
     alpha, beta, gamma, tx, ty = radial_alignment(world, sensor)
     starts = []
     for sign in (1, -1):
         rotation = euler_rotation(alpha, sign * beta, sign * gamma)
         turned = world @ rotation[:, :2].T
         depth = turned[:, 2] if one.focal_length is None else np.zeros(len(world))
-        found = linear_intrinsics(turned[:, :2] + [tx, ty], depth, sensor)
-        magnification, distortion, convergence = found.tolist()
-        power = abs(convergence) * (1 + magnification) / magnification
-        if one.focal_length is not None:
-            power = 1 / one.focal_length
-        lens = np.array([power, distortion, 0.0, 0.0, 0.0])
+        flat = turned[:, :2] + [tx, ty]
+        magnification, distortion, convergence = linear_intrinsics(flat, depth, sensor).tolist()
+        lens = np.array([abs(convergence / magnification), distortion, 0.0, 0.0, 0.0])
         starts.append((lens, np.array([[magnification, alpha, sign * beta, sign * gamma, tx, ty]])))
     return starts
 
 
-def without_terms(lens: Array, seen: Array, cell: Array) -> Array:
-    """Image points as if the axis met the sensor's middle and the distortion had one term, px."""
-    at = seen - lens[3:]
-    free = at
-    for _ in range(8):  # each leaves four times the term's part of the first, some hundredths
-        free = at / (1 + lens[2] * ((free * cell) ** 2).sum(axis=1, keepdims=True) ** 2)
-    return free
+def without_optional(lens: Array, image: Array, cell: Array) -> Array:
+    """Image points, px, without the second distortion term and the shift of the principal point.
+
+    The inverse of p (1 + κ₂ r⁴) + c by fixed-point iteration.
+    """
+    shifted = image - lens[3:]
+    points = shifted
+    for _ in range(8):  # each iteration leaves four times the term, a few hundredths, of the error
+        radius2 = ((points * cell) ** 2).sum(axis=1, keepdims=True)
+        points = shifted / (1 + lens[2] * radius2**2)
+    return points
 
 
 def radial_alignment(world: ArrayLike, sensor: ArrayLike) -> Array:
@@ -340,18 +365,16 @@ def radial_alignment(world: ArrayLike, sensor: ArrayLike) -> Array:
     outward = ((block @ np.stack([x, y]) + [[tx], [ty]]) * np.stack([u, v])).sum()
     block, shift = block / np.copysign(size, outward), shift / np.copysign(size, outward)
 
-    return np.concatenate([_angles(block), shift - block @ center])
+    return np.concatenate([_euler_angles(block), shift - block @ center])
 
 
-def _angles(block: Array) -> Array:
+def _euler_angles(block: Array) -> Array:
     """(α, β, γ) of the rotation that is nearest to one with this upper left block, (2, 2)."""
     below = np.sqrt(np.maximum(1 - (block**2).sum(axis=0), 0))  # |r31|, |r32|
     below[1] = np.copysign(below[1], -(block[:, 0] @ block[:, 1]))
     columns = np.vstack([block, below])
-    left, _, right = np.linalg.svd(np.column_stack([columns, np.cross(*columns.T)]))
-    r = left @ right
-    beta = np.arctan2(-r[2, 0], np.hypot(r[2, 1], r[2, 2]))
-    return np.array([np.arctan2(r[1, 0], r[0, 0]), beta, np.arctan2(r[2, 1], r[2, 2])])
+    matrix = np.column_stack([columns, np.cross(*columns.T)])
+    return Rotation.from_matrix(matrix).as_euler("ZYX")
 
 
 def linear_intrinsics(flat: ArrayLike, depth: ArrayLike, sensor: ArrayLike) -> Array:

@@ -18,7 +18,7 @@ from microlib.calibration import (
     radial_alignment,
     stage_affine,
 )
-from microlib.calibration._uncertainty import jackknife
+from microlib.calibration._uncertainty import group_jackknife
 from microlib.calibration.detection._micrometer import find_scale
 from microlib.calibration.detection._settings import Settings
 from microlib.microscope import Microscope
@@ -185,7 +185,7 @@ def test_the_jackknife_of_few_groups_has_their_factor(groups):
     values = rng.normal(0, 1, (groups, 6))  # three points of two coordinates each
     residuals = (values - values.mean()).ravel()
     ones, marks = np.ones((6 * groups, 1)), np.repeat(np.arange(groups), 3)
-    found = jackknife(ones, np.eye(1) / len(ones), residuals, marks)
+    found = group_jackknife(ones, np.eye(1) / len(ones), residuals, marks)
     assert found[0, 0] == pytest.approx(values.mean(axis=1).var(ddof=1) / groups)
 
 

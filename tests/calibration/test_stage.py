@@ -103,7 +103,7 @@ def test_a_calibration_returns_from_its_files(tilt, tmp_path):
     found = calibrate(
         world, scope.project(world) + noise, pixel_size=(9.9, 9.8), image_size=(656, 491)
     )
-    assert ("focal_length" in found.unobservable) is (tilt == 0)
+    assert ("focal_length" in found.undetermined) is (tilt == 0)
     found = replace(found, views=(*found.views, replace(found.microscope, gamma=0.1)))
     json.loads(found.to_json(), parse_constant=pytest.fail)  # no NaN, which JSON does not know
     again = Calibration.from_json(found.to_json())

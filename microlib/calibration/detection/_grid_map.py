@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import leastsq
 
 from microlib._common import Array
-from microlib.calibration._uncertainty import monomials
+from microlib.calibration._uncertainty import polynomial_basis
 from microlib.calibration.detection._marks import TO_SIGMA
 from microlib.microscope import distort
 
@@ -205,7 +205,7 @@ def agree(
 
 def _smooth_fields(points: Array, positions: Array, to_image: GridMap) -> Array:
     """Smooth displacements that so many marks can tell, (fields, n, k, 2)."""
-    terms, _ = monomials(positions, 3)
+    terms, _ = polynomial_basis(positions, points_per_term=3)
     bent = np.einsum("nkt,ab->tankb", terms, np.eye(2)).reshape(-1, *points.shape)
     # Those of a lens beside the map's own, each with six marks.
     radial = (points - to_image.middle) / to_image.unit

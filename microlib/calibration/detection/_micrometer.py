@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array, Tidy, scalar
-from microlib.calibration._uncertainty import inverse_interval, student
+from microlib.calibration._uncertainty import reciprocal_interval, student_quantile
 from microlib.calibration.detection._settings import Settings
 
 
@@ -56,8 +56,8 @@ class Micrometer(Tidy):
             Estimate, low and high.
         """
         size = scalar("division", division, above=0) / self.spacing
-        reach = student(len(self.points) - 2) * self.spacing_sigma / self.spacing
-        return size, *inverse_interval(size, reach)
+        half_width = student_quantile(len(self.points) - 2) * self.spacing_sigma / self.spacing
+        return size, *reciprocal_interval(size, half_width)
 
 
 def find_scale(grey: NDArray[np.float32], settings: Settings) -> Micrometer:

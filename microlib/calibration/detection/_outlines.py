@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from microlib._common import Array
-from microlib.calibration._uncertainty import monomials
+from microlib.calibration._uncertainty import polynomial_basis
 from microlib.calibration.detection._marks import Marks
 from microlib.calibration.detection._settings import Settings
 
@@ -224,7 +224,7 @@ def smooth_parameters(fit: OutlineFit, columns: list[int], settings: Settings) -
     been known. A column whose values lie further from the polynomial than their errors explain is
     not shared.
     """
-    basis, degrees = monomials(fit.centers, 2, most=2)
+    basis, degrees = polynomial_basis(fit.centers, points_per_term=2, max_degree=2)
     if degrees.max() == 0:
         return fit
     inverse = np.linalg.pinv(basis)
