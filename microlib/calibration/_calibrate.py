@@ -235,7 +235,7 @@ def _undetermined(
     focal = kinds == "focal"
     if focal.any():
         # As the sign of the tilt is free, 1/(T_op + f) is never negative. Of 150 noisy views
-        # without tilt the largest was 2.2 standard errors; four allow for errors with a larger scatter.
+        # without tilt the largest was 2.2 standard errors; four allow for a larger scatter.
         if not fit.estimate[focal] > 4 * sigma[focal]:
             undetermined |= np.isin(kinds, ["focal", "beta", "gamma"])
         return undetermined

@@ -204,7 +204,7 @@ def held_out_errors(views: Views, fit: Fit, alone: list[list[Fit]]) -> Array:
     lenses = np.array([pair[0].lens for pair in alone])
     poses = np.concatenate([pair[0].poses for pair in alone])
 
-    def squared_error(view: int, lens: Array) -> float:
+    def squared_error(view: np.intp, lens: Array) -> float:
         one = _fit(views.subset([view]), lens, poses[[view]], [])
         return one.cost / len(views.world[view])
 
