@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from microlib.curvature import curvature_windows, hk_labels, surface_curvature
 from microlib.focus import FocusResult, depth_from_focus
 
-#: Table 3.1's types as surfaces z = (a x² + b y²)/100, bent as their names say: a dome is convex
+#: Table 3.1's types as surfaces z = (a x² + b y²)/100, as the names say: a dome is convex
 #: and has its top towards the viewer, so a < 0.
 BENT = {
     "convex elliptic": (-1, -1),
@@ -36,15 +36,15 @@ PRINTED_WINDOWS = {
 def depths(
     frames: NDArray, positions: ArrayLike, truth: NDArray, methods: Mapping[str, dict[str, Any]]
 ) -> tuple[dict[str, FocusResult], pd.DataFrame]:
-    """Return each method's result, and its error off the border in steps of the stage."""
-    step = float(np.diff(positions)[0])
+    """Return each method's result, and its error off the border in frame spacings."""
+    spacing = float(np.diff(positions)[0])
     results = {name: depth_from_focus(frames, positions, **how) for name, how in methods.items()}
     rows = {}
     for name, result in results.items():
-        error = (result.depth - truth)[10:-10, 10:-10] / step
+        error = (result.depth - truth)[10:-10, 10:-10] / spacing
         rows[name] = {
-            "RMS error (steps)": np.sqrt(np.nanmean(error**2)),
-            "beyond one step (%)": 100 * np.mean(np.abs(error) > 1),
+            "RMS error (frame spacings)": np.sqrt(np.nanmean(error**2)),
+            "beyond one spacing (%)": 100 * np.mean(np.abs(error) > 1),
         }
     return results, pd.DataFrame(rows).T
 

@@ -35,5 +35,5 @@ def test_errors_are_in_steps_of_the_stage() -> None:
     for k, position in enumerate(positions):  # sharpest at 30 µm
         frames[k] = 128 + (texture - 128) * np.exp(-(((position - 30) / 20) ** 2))
     _, table = chapter_3.depths(frames, positions, truth + 5.0, {"sml": {"measure": "sml"}})
-    assert table.loc["sml", "RMS error (steps)"] == pytest.approx(0.5, abs=0.01)
-    assert table.loc["sml", "beyond one step (%)"] == 0
+    assert table.loc["sml", "RMS error (frame spacings)"] == pytest.approx(0.5, abs=0.01)
+    assert table.loc["sml", "beyond one spacing (%)"] == 0
