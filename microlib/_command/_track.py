@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import csv
 from functools import partial
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -42,10 +41,7 @@ def run(a: argparse.Namespace) -> Files:
     size = frames.pixel_size if a.pixel_size is None else a.pixel_size
     if size is not None:
         settle(a, "pixel_size", pixel_size=frames.pixel_size)
-    first = next(frames)
-    each = tracking.track_each(
-        chain([first], frames), a.box, a.motion, rate=a.rate, pixel_size=size
-    )
+    each = tracking.track_each(frames, a.box, a.motion, rate=a.rate, pixel_size=size)
     rows, lost = [next(each)], 0
     stop: BaseException | None = None
     a.out.parent.mkdir(parents=True, exist_ok=True)
@@ -66,7 +62,7 @@ def run(a: argparse.Namespace) -> Files:
         except (OSError, ValueError, KeyboardInterrupt) as error:
             stop = error
     table = pd.DataFrame(rows)
-    yield "look.png", picture(partial(tracking.plot_track, table, first))
+    yield "look.png", picture(lambda: tracking.plot_track(table, next(iter(frames))))
     yield "look.mp4", partial(_film, a, table)
     summary = f"lost in {lost} of {len(rows)} frames"
     a.say(f"{summary}; one row a frame, lengths in px, of columns …_um in µm")

@@ -1,4 +1,4 @@
-"""Read a photograph; write results to files with units in them, whole or not at all."""
+"""Read a photograph; write height maps as TIFF and PLY, atomically and to scale."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def read_grey(path: str | PathLike[str]) -> NDArray:
     """
     of_kind("path", path, str, PathLike)
     try:
-        return next(read_frames([path]))
+        return next(iter(read_frames([path])))
     except ValueError as error:
         raise ValueError(f"path must name an image, got {path}: {error}") from error
 
@@ -68,8 +68,8 @@ def write_height_tiff(
     Parameters
     ----------
     path : path-like
-        File to write; an old one is replaced only once the new one is whole. A name that ends in
-        ``.ome.tif`` makes it an OME-TIFF, with the pixel size as PhysicalSizeX and PhysicalSizeY.
+        File to write; an existing file is replaced when the new one is complete. A name that ends
+        in ``.ome.tif`` makes it an OME-TIFF with the pixel size as PhysicalSizeX and PhysicalSizeY.
     height : array_like, shape (rows, cols) or (rows, cols, 3)
         Heights, µm, or their uncertainties, frame numbers, grey levels or colors; NaN where
         unknown. Integers of 8 and 16 bits without and of 32 with a sign are kept, other types
@@ -100,29 +100,20 @@ def write_height_tiff(
     dtype = getattr(height, "dtype", None)
     kept = dtype if dtype in (np.uint8, np.uint16, np.int32) else np.float32
     values = as_array("height", height, dtype=kept, finite=False)
-    axes, shape = ("YXS", (None, None, 3)) if values.ndim == 3 else ("YX", (None, None))
+    rgb = values.ndim == 3
+    shape = (None, None, 3) if rgb else (None, None)
     as_array("height", values, shape=shape, dtype=kept, finite=False)
     # The number of pixels in a centimeter fits into the 32 bits of a TIFF.
     size = scalar("pixel_size", pixel_size, above=0, least=1e-5)
+    about: dict[str, Any] = {"description": f"{what}; pixel size {size:g} um".encode()}
     if Path(path).name.lower().endswith((".ome.tif", ".ome.tiff")):
         sizes = {f"PhysicalSize{axis}": size for axis in "XY"}
         units = {f"PhysicalSize{axis}Unit": "µm" for axis in "XY"}
-        about: dict[str, Any] = {"metadata": {"axes": axes, **sizes, **units, "Name": what}}
-    else:  # in bytes, as tifffile encodes ASCII alone
-        about = {"description": f"{what}; pixel size {size:g} um".encode()}
-
-    def write(file: Path) -> None:
-        tifffile.imwrite(
-            file,
-            values,
-            resolution=2 * (MICROMETERS["cm"] / size,),
-            resolutionunit="CENTIMETER",
-            photometric="rgb" if axes == "YXS" else "minisblack",
-            software=SOFTWARE,
-            **about,
-        )
-
-    replace_file(path, write)
+        axes = "YXS" if rgb else "YX"
+        about = {"metadata": {"axes": axes, **sizes, **units, "Name": what}}
+    about |= {"resolution": 2 * (MICROMETERS["cm"] / size,), "resolutionunit": "CENTIMETER"}
+    about |= {"photometric": "rgb" if rgb else "minisblack", "software": SOFTWARE}
+    replace_file(path, lambda file: tifffile.imwrite(file, values, **about))
 
 
 def write_ply(
@@ -137,7 +128,7 @@ def write_ply(
     Parameters
     ----------
     path : path-like
-        File to write; an old one is replaced only once the new one is whole.
+        File to write; an existing file is replaced when the new one is complete.
     height : array_like, shape (rows, cols)
         Heights, in µm; cells with a NaN at a corner are left out.
     pixel_size : float
@@ -177,23 +168,17 @@ def write_ply(
             f"height must have at least one cell of four known heights, got {known.sum()} known"
         )
     row, column = np.nonzero(known)
-    fields: list[tuple[str, str, NDArray]] = [
-        ("float x", "<f4", column * size),
-        ("float y", "<f4", -row * size),
-        ("float z", "<f4", heights[known]),
-    ]
+    columns = {"float x": column * size, "float y": -row * size, "float z": heights[known]}
     if image is not None:
-        shape = (*known.shape, 3)
         reject_masks("image", image)
-        colors = np.asarray(image)
+        colors, shape = np.asarray(image), (*known.shape, 3)
         if colors.dtype != np.uint8 or colors.shape not in (known.shape, shape):
             need = f"image must be uint8 of shape {known.shape} or {shape}"
             raise ValueError(f"{need}, got {colors.dtype} of shape {colors.shape}")
         levels = np.broadcast_to(np.atleast_3d(colors), shape)[known].T
-        names = ("uchar red", "uchar green", "uchar blue")
-        fields += [(name, "u1", level) for name, level in zip(names, levels, strict=True)]
-    layout = [(name, kind) for name, kind, _ in fields]
-    vertices = np.rec.fromarrays([values for *_, values in fields], dtype=layout)
+        columns |= zip(("uchar red", "uchar green", "uchar blue"), levels, strict=True)
+    layout = [(name, "<f4" if name.startswith("float") else "u1") for name in columns]
+    vertices = np.rec.fromarrays([*columns.values()], dtype=layout)
     number = np.cumsum(known).reshape(known.shape) - 1
     corners = (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
     a, b, c, d = (corner[cells] for corner in corners)
@@ -203,7 +188,7 @@ def write_ply(
     header = [
         "ply\nformat binary_little_endian 1.0\ncomment lengths in micrometers",
         f"element vertex {len(vertices)}",
-        *(f"property {name}" for name, _ in layout),
+        *(f"property {name}" for name in columns),
         f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n",
     ]
     content = "\n".join(header).encode("ascii") + vertices.tobytes() + faces.tobytes()

@@ -86,35 +86,34 @@ def _read(files: Sequence[Path], pattern: str) -> Reading | None:
 
 
 def _rolled_over(reading: Reading | None) -> Reading | None:
-    """Return what a counter of fixed width that begins again, at 0 or at 1, would mean."""
-    if not reading or len(reading[0][0]) != 1 or len(reading) < 3:
+    """Return the order of a counter of fixed width that begins again at 0 or at 1."""
+    if not reading or not (gaps := _gaps(reading)):
         return None
-    low, high, gaps = reading[0][0][0], reading[-1][0][0], _gaps(reading)
+    low, high = reading[0][0][0], reading[-1][0][0]
     first, top = gaps.index(max(gaps)) + 1, 10 ** len(str(high))
     fixed = len({len(file.stem) for _, file in reading}) == 1
     if not fixed or max(gaps) < top / 2 or high < top - 2 * len(reading):
         return None
-    turn = Decimal(top if low == 0 else top - 1)
-    return reading[first:] + [((value + turn,), file) for (value,), file in reading[:first]]
+    period = Decimal(top if low == 0 else top - 1)
+    return reading[first:] + [((value + period,), file) for (value,), file in reading[:first]]
 
 
 def _gaps(reading: Reading) -> list[Decimal]:
+    """Return the differences of successive numbers; none where several numbers vary."""
+    if len(reading[0][0]) != 1 or len(reading) < 3:
+        return []
     return [after[0] - before[0] for (before, _), (after, _) in pairwise(reading)]
 
 
 def _is_even(reading: Reading) -> bool:
-    """Return whether one number varies, by one step or by multiples of it that leave few out."""
-    if len(reading[0][0]) != 1 or len(reading) < 3:
-        return False
-    steps = [gap / min(_gaps(reading)) for gap in _gaps(reading)]
-    return all(step % 1 == 0 for step in steps) and sum(steps) < 2 * len(reading)
+    """Return whether the numbers rise by one step, or by multiples of it that leave few out."""
+    steps = [gap / min(gaps) for gap in gaps] if (gaps := _gaps(reading)) else []
+    return bool(steps) and all(step % 1 == 0 for step in steps) and sum(steps) < 2 * len(reading)
 
 
 def _warn_of_gaps(reading: Reading) -> None:
-    if len(reading[0][0]) != 1 or len(reading) < 3:
-        return
     gaps = _gaps(reading)
-    usual = mode(gaps)
-    for gap, ((_, before), (_, after)) in zip(gaps, pairwise(reading), strict=True):
+    usual = mode(gaps) if gaps else Decimal(0)
+    for gap, ((_, before), (_, after)) in zip(gaps, pairwise(reading), strict=False):
         if gap > usual and 2 * gaps.count(usual) > len(gaps):
             warnings.warn(f"no frame between {before.name} and {after.name}", stacklevel=2)

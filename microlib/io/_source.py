@@ -1,8 +1,8 @@
-"""A stack that is ready to be read, and which of its axes counts the frames."""
+"""What every kind of input becomes before its frames are read."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import product
@@ -12,45 +12,45 @@ from numpy.typing import NDArray
 
 from microlib._common import Array
 
-#: Raw frames, each with the name that a message gives it.
-Named = Iterator[tuple[str, NDArray]]
+#: Raw frames, each with its name in error messages.
+NamedFrames = Iterator[tuple[str, NDArray]]
 
-#: Numbers of the channel, the time and the series that were asked for, by those names.
-Choice = Mapping[str, int]
+#: The channel, time and series that were asked for; a reader removes those that it applied.
+Choice = dict[str, int]
 
 
 @dataclass(frozen=True)
 class Source:
-    """A stack that is ready to be read.
+    """A stack that can be read, and its metadata.
 
     Attributes
     ----------
     read : callable
-        Begins to read: yields each raw frame, grey or RGB, with its name for messages.
+        Returns an iterator over the raw frames, grey or RGB, from the first one.
     count : int or None
         Number of frames, if known.
     axis : str
         Letter of the axis of frames in the metadata, such as Z or T; empty if there is none.
     pixel_size : float or None
-        Side of a pixel, µm/px, from metadata.
+        Side of a pixel, µm/px.
     positions : ndarray, shape (count,), or None
-        Positions of the frames along the optical axis, µm, from metadata.
-    origin : (float, float)
-        x and y of the middle of the first pixel, µm, where the pixel size is known.
+        Positions of the frames along the optical axis, µm.
+    corner : (float, float)
+        x and y of the center of the first pixel, px.
     files : tuple of Path
         The files that are read, in order.
     """
 
-    read: Callable[[], Named]
+    read: Callable[[], NamedFrames]
     count: int | None = None
     axis: str = ""
     pixel_size: float | None = None
     positions: Array | None = None
-    origin: tuple[float, float] = (0.0, 0.0)
+    corner: tuple[float, float] = (0.0, 0.0)
     files: tuple[Path, ...] = ()
 
 
-def frame_indices(
+def select_frames(
     axes: str, shape: Sequence[int], choice: Choice
 ) -> tuple[list[tuple[int, ...]], str]:
     """Return the index of each frame along the axes before rows and columns.
@@ -62,7 +62,7 @@ def frame_indices(
     shape : sequence of int
         Their lengths.
     choice : dict
-        One number of an axis; what is left is the axis of frames.
+        The channel and the time to read; the axis that is left counts the frames.
 
     Returns
     -------
@@ -71,27 +71,29 @@ def frame_indices(
     str
         Letter of the axis of frames, empty if every axis has the length 1.
     """
-    lengths = list(zip(axes, shape, strict=True))
-    chosen = {letter: choice[n] for n, letter in (("channel", "C"), ("time", "T")) if n in choice}
-    for letter, number in chosen.items():
-        if number >= dict(lengths).get(letter, 0):
-            raise ValueError(
-                f"it has {dict(lengths).get(letter, 'no')} {letter}, not number {number}"
-            )
-    left = [axis for axis, n in lengths if n > 1 and axis not in chosen]
-    if len(left) > 1 or "C" in left:
-        names = ", ".join(f"{axis}={n}" for axis, n in lengths)
+    ranges: list[Sequence[int]] = []
+    left = ""
+    for axis, length in zip(axes, shape, strict=True):
+        number = choice.pop({"C": "channel", "T": "time"}.get(axis, ""), None)
+        if number is None:
+            ranges.append(range(length))
+            left += axis if length > 1 else ""
+        elif number < length:
+            ranges.append([number])
+        else:
+            raise ValueError(f"it has {length} along axis {axis}, got number {number} (from 0)")
+    if len(left) > 1 or left == "C":
+        lengths = ", ".join(f"{axis}={n}" for axis, n in zip(axes, shape, strict=True))
         raise ValueError(
-            f"it has the axes {names} besides rows and columns, a stack has one and no channels C: "
-            "choose a channel or a time, or pass an array of shape (frames, rows, cols)"
+            f"it has the axes {lengths} besides rows and columns, a stack has one and no channels "
+            "C: choose a channel or a time, or pass an array of shape (frames, rows, cols)"
         )
-    ranges = [[chosen[axis]] if axis in chosen else range(n) for axis, n in lengths]
-    return list(product(*ranges)), "".join(left)
+    return list(product(*ranges)), left
 
 
 @contextmanager
 def reading(what: object) -> Iterator[None]:
-    """Raise a ValueError for whatever the bytes of damaged headers and codecs lead to."""
+    """Raise a ValueError for any exception of a decoder, which damaged bytes can cause."""
     try:
         yield
     except Exception as error:

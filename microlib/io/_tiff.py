@@ -1,4 +1,4 @@
-"""Read the pages of a TIFF in the order of its axes; what is ambiguous or cut off is rejected."""
+"""Read the pages of a TIFF in the order of its axes; reject ambiguous axes and damaged pages."""
 
 from __future__ import annotations
 
@@ -16,24 +16,22 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from microlib.io._metadata import tiff_scale
-from microlib.io._source import Choice, Named, Source, frame_indices, reading
+from microlib.io._source import Choice, NamedFrames, Source, reading, select_frames
 
+TIFF = frozenset({".tif", ".tiff"})
 #: Kinds of pixels: grey, red, green and blue (as JPEG stores them, too), colors of a palette.
-_KNOWN = ("MINISWHITE", "MINISBLACK", "RGB", "YCBCR", "PALETTE")
-#: A damaged page of these decodes to garbage in tifffile and imagecodecs, libtiff rejects it.
-_UNCHECKED = ("LZW", "PACKBITS", "JPEG", "OJPEG")
+_PHOTOMETRIC = ("MINISWHITE", "MINISBLACK", "RGB", "YCBCR", "PALETTE")
+#: tifffile decodes these itself, and fails if they are damaged. A damaged page of LZW, PackBits or
+#: JPEG decodes to garbage in tifffile and imagecodecs, while libtiff, by Pillow, rejects it.
+_BY_TIFFFILE = ("NONE", "ADOBE_DEFLATE", "DEFLATE")
 
-#: Opens a file as Pillow does.
 _Opener = Callable[[str], Image.Image]
+#: Reads one frame; Pillow's opener is shared so that it does not search each page from the first.
+_Reader = Callable[[_Opener], NDArray]
 
 
-def is_tiff(path: Path) -> bool:
-    """Return whether a file is called a TIFF."""
-    return path.suffix.lower() in (".tif", ".tiff")
-
-
-def tiff_source(path: Path, choice: Choice) -> Source:
-    """Check a TIFF without reading its values.
+def open_tiff(path: Path, choice: Choice, *, alone: bool = False) -> Source:
+    """Select the pages of a TIFF by its metadata, without decoding them.
 
     Parameters
     ----------
@@ -43,73 +41,66 @@ def tiff_source(path: Path, choice: Choice) -> Source:
         by page.
     choice : dict
         Channel, time and series, if the file has several.
+    alone : bool
+        Whether to read this file only, if its OME metadata describe other files as well.
 
     Raises
     ------
     ValueError
-        If the file has channels or more axes than one, is cut off, or has fewer pages than it says.
+        If the file has channels or several axes to choose from, a damaged chain of pages, or more
+        or fewer pages than its metadata describe.
     """
-    with reading(f"frames cannot be read from {path}"), tifffile.TiffFile(path) as tiff:
-        reads, axis = _in_order(tiff, choice, Image.open)
-        for number, page in enumerate(tiff.pages):
-            with reading(f"page {number} of {path} cannot be read"):
-                _check_end(page.aspage())
-        size, positions = tiff_scale(tiff, path.name, len(reads), choice)
-    read = partial(tiff_frames, path, choice)
-    return Source(read, len(reads), axis, size, positions, files=(path,))
+    wanted = dict(choice)
+    with tifffile.TiffFile(path, is_ome=False if alone else None) as tiff:
+        readers, axis = _select_pages(tiff, choice)
+        size, positions = tiff_scale(tiff, path.name, len(readers), wanted)
+
+    def read() -> NamedFrames:
+        with ExitStack() as opened:
+
+            @functools.cache
+            def opener(file: str) -> Image.Image:
+                return opened.enter_context(Image.open(file))
+
+            for k, reader in enumerate(readers):
+                with reading(f"page {k} of {path} cannot be read"):
+                    image = reader(opener)
+                yield f"page {k} of {path}", image
+
+    return Source(read, len(readers), axis, size, positions, files=(path,))
 
 
-def tiff_frames(path: Path, choice: Choice, *, alone: bool = False) -> Named:
-    """Yield the frames of a TIFF as stored: where zero is white, they are not inverted.
-
-    With `alone` those of this file, though its OME metadata may describe others as well.
-    """
-    with ExitStack() as opened:
-
-        @functools.cache
-        def opener(file: str) -> Image.Image:
-            return opened.enter_context(Image.open(file))
-
-        with reading(f"frames cannot be read from {path}"):
-            tiff = tifffile.TiffFile(path, is_ome=False if alone else None)
-            reads, _ = _in_order(opened.enter_context(tiff), choice, opener)
-        for number, read in enumerate(reads):
-            with reading(f"page {number} of {path} cannot be read"):
-                image = read()
-            yield f"page {number} of {path}", image
-
-
-def _in_order(
-    tiff: tifffile.TiffFile, choice: Choice, opener: _Opener
-) -> tuple[list[Callable[[], NDArray]], str]:
-    """Return one function a frame that reads it, and the letter of the axis of frames."""
-    if len(tiff.pages) == 0:
-        raise ValueError("it holds no page")
+def _select_pages(tiff: tifffile.TiffFile, choice: Choice) -> tuple[list[_Reader], str]:
+    """Return a reader of each frame, and the letter of the axis of frames."""
     _check_chain(tiff)
-    found = tiff.series
-    if "series" in choice:
-        found = found[choice["series"] : choice["series"] + 1]
-    if not found or (len(found) > 1 and any(each.axes not in ("YX", "YXS") for each in found)):
+    series, every = tiff.series, "series" not in choice
+    if not every:
+        number = choice.pop("series")
+        series = series[number : number + 1]
+    if not series or (len(series) > 1 and any(each.axes not in ("YX", "YXS") for each in series)):
         shapes = ", ".join(f"{each.axes} {tuple(each.shape)}" for each in tiff.series[:5])
         raise ValueError(f"it holds {len(tiff.series)} series of images ({shapes}): choose one")
-    reads: list[Callable[[], NDArray]] = []
-    total = 0
-    for series in found:
-        leading = len(series.axes) - len(series.keyframe.axes)
-        indices, axis = frame_indices(series.axes[:leading], series.shape[:leading], choice)
-        numbers = np.arange(math.prod(series.shape[:leading])).reshape(series.shape[:leading])
-        frames = _frames(tiff, series, opener)
-        reads += [frames[int(numbers[k])] for k in indices]
-        total += numbers.size
-    described = (tiff.imagej_metadata or {}).get("images", total)
-    if described != total or (total < len(tiff.pages) and "series" not in choice):
-        have = min(total, len(tiff.pages)) if described > total else len(tiff.pages)
-        raise ValueError(f"its metadata describe {max(described, total)} pages, it holds {have}")
-    return reads, axis
+    readers: list[_Reader] = []
+    total, axis = 0, ""
+    for each in series:
+        leading = len(each.axes) - len(each.keyframe.axes)
+        shape = each.shape[:leading]
+        indices, axis = select_frames(each.axes[:leading], shape, choice)
+        found = _page_readers(tiff, each)
+        numbers = np.arange(len(found)).reshape(shape)
+        readers += [found[numbers[index]] for index in indices]
+        total += len(found)
+    described = max(total, (tiff.imagej_metadata or {}).get("images", total))
+    held = total if described > total else max(total, len(tiff.pages))
+    if described != held and every:
+        raise ValueError(f"its metadata describe {described} pages, it holds {held}")
+    return readers, axis
 
 
 def _check_chain(tiff: tifffile.TiffFile) -> None:
-    """Reject a file whose last page names the place of another one, which cannot be read."""
+    """Reject a file without a page, or whose last page points to another that cannot be read."""
+    if len(tiff.pages) == 0:
+        raise ValueError("it holds no page")
     layout, file, offset = tiff.tiff, tiff.filehandle, tiff.pages[-1].offset
     if not offset:  # of frames without a directory of their own
         return
@@ -120,39 +111,36 @@ def _check_chain(tiff: tifffile.TiffFile) -> None:
         raise ValueError(f"it is damaged behind page {len(tiff.pages) - 1}")
 
 
-def _frames(
-    tiff: tifffile.TiffFile, series: tifffile.TiffPageSeries, opener: _Opener
-) -> list[Callable[[], NDArray]]:
+def _page_readers(tiff: tifffile.TiffFile, series: tifffile.TiffPageSeries) -> list[_Reader]:
     frame = series.keyframe.shape
     count = math.prod(series.shape) // math.prod(frame)
     pages = [page for page in series.pages if page is not None]
     if len(pages) == count:
-        return [partial(_page, page, opener) for page in pages]
+        return [partial(_read_page, page) for page in pages]
     if series.dataoffset is None:
         others = " (the rest in files that must lie beside it)" if tiff.is_ome else ""
         raise ValueError(f"its metadata describe {count} pages, it holds {len(pages)}{others}")
     # Beyond 4 GB, ImageJ describes only the first page; the others follow it without a gap.
     stored = tifffile.memmap(tiff.filehandle.path, mode="r").reshape(count, *frame)
-    return [partial(np.array, values, series.dtype) for values in stored]
+    return [partial(_copy, values) for values in stored]
 
 
-def _page(entry: tifffile.TiffPage | tifffile.TiffFrame, opener: _Opener) -> NDArray:
-    """Return a page's values; one that ends after the file does is refused, not padded."""
-    page = entry.aspage()
-    _check_end(page)
-    kind = getattr(page.photometric, "name", page.photometric)
-    if kind not in _KNOWN:
-        raise ValueError(f"it must have grey levels or red, green and blue, got {kind}")
-    file = page.parent.filehandle
-    closed = file.closed  # as are the other files of a set
+def _copy(values: NDArray, _: _Opener) -> NDArray:
+    return np.array(values)
+
+
+def _read_page(entry: tifffile.TiffPage | tifffile.TiffFrame, opener: _Opener) -> NDArray:
+    """Return a page's values as grey or RGB."""
+    file = entry.parent.filehandle
     file.open()
     try:
-        image = _decoded(page, opener)
+        page = entry.aspage()
+        image = _decode(page, opener)
+        # ImageJ stores the colors in which it shows grey levels as a palette.
+        if page.photometric == tifffile.PHOTOMETRIC.PALETTE and not page.parent.is_imagej:
+            image = (np.asarray(page.colormap).T[image] >> 8).astype(np.uint8)
     finally:
-        if closed:
-            file.close()
-    if kind == "PALETTE" and not page.parent.is_imagej:  # whose colors are only shown
-        return (np.asarray(page.colormap).T[image] >> 8).astype(np.uint8)
+        file.close()
     if page.axes == "SYX":
         image = np.moveaxis(image, 0, -1)
     # Grey levels with a mask or an opacity.
@@ -161,50 +149,41 @@ def _page(entry: tifffile.TiffPage | tifffile.TiffFrame, opener: _Opener) -> NDA
     return image * np.uint8(255) if image.dtype == bool else image
 
 
-def _check_end(page: tifffile.TiffPage) -> None:
+def _decode(page: tifffile.TiffPage, opener: _Opener) -> NDArray:
+    """Return a page's values as stored; reject one that is damaged or of another color model."""
     ends = np.add(page.dataoffsets, page.databytecounts)
     if len(ends) == 0 or ends.max() > page.parent.filehandle.size:
-        raise ValueError("the file is cut off")
-
-
-def _decoded(page: tifffile.TiffPage, opener: _Opener) -> NDArray:
-    """Return a page's values by tifffile, or by Pillow where tifffile cannot read or check them."""
-    codec = getattr(page.compression, "name", str(page.compression))
+        raise ValueError("the file is cut off")  # tifffile would fill it up
+    kind = getattr(page.photometric, "name", page.photometric)
+    if kind not in _PHOTOMETRIC:
+        raise ValueError(f"it must have grey levels or red, green and blue, got {kind}")
+    codec = getattr(page.compression, "name", page.compression)
+    image = None
     if codec == "JPEG":
-        _check_marks(page)
-    image = _by_pillow(page, opener) if codec in _UNCHECKED else None
-    try:
-        return page.asarray() if image is None else image
-    except Exception as error:
-        if "imagecodecs" not in str(error) and not isinstance(error, ImportError):
-            raise
-    if (image := _by_pillow(page, opener)) is None:
-        raise ValueError(
-            f"{page.bitspersample} bits with the compression {codec} need another package (pip "
-            "install imagecodecs); or save the file without compression or as Deflate (zip)"
-        )
-    return image
+        _check_jpeg_end(page)
+    if codec not in _BY_TIFFFILE or page.bitspersample == 12:
+        image = _by_pillow(page, opener)
+    return page.asarray() if image is None else image
 
 
 def _by_pillow(page: tifffile.TiffPage, opener: _Opener) -> NDArray | None:
-    """Return a page as stored, None where Pillow does not know this kind of pixels."""
+    """Return a page as stored; None where Pillow does not know this kind of pixels."""
     try:
         opened = opener(page.parent.filehandle.path)
         opened.seek(page.index)
-    except (OSError, EOFError, TypeError):  # of a kind that it does not know, or no page of its own
+    except (OSError, EOFError, TypeError):
         return None
-    image = np.asarray(opened)  # fails if the page is damaged
+    image = np.asarray(opened)  # raises if the page is damaged
     if image.shape != page.shape or image.dtype != page.dtype:
         return None
-    # Pillow inverts these.
-    white = page.photometric == tifffile.PHOTOMETRIC.MINISWHITE and image.dtype.itemsize == 1
-    return ~image if white else image
+    inverted = page.photometric == tifffile.PHOTOMETRIC.MINISWHITE and image.dtype.itemsize == 1
+    return ~image if inverted else image
 
 
-def _check_marks(page: tifffile.TiffPage) -> None:
-    """Reject JPEG data without the mark of their end, which libtiff fills up."""
-    file, mark = page.parent.filehandle, b"\xff\xd9"
+def _check_jpeg_end(page: tifffile.TiffPage) -> None:
+    """Reject JPEG data without the marker of their end, which libtiff fills up."""
+    file, marker = page.parent.filehandle, b"\xff\xd9"
     for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):
         file.seek(offset + count // 2)
-        if mark not in file.read(count - count // 2):
+        if marker not in file.read(count - count // 2):
             raise ValueError("its JPEG data are cut off or damaged")

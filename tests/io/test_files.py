@@ -1,4 +1,4 @@
-"""Files that users keep: read back by another library, whole or not there at all."""
+"""Files that the library writes, as other programs read them; images that it reads."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import tifffile
 from microlib import io
 
 
-def test_colors_become_grey(tmp_path: Path) -> None:
+def test_read_grey_converts_colors_to_luminance(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "c.png"), np.full((5, 6, 3), (0, 0, 255), np.uint8))
     red = np.full((5, 6, 3), (255, 0, 0), np.uint8)
     tifffile.imwrite(tmp_path / "c.tif", red, photometric="rgb")
@@ -32,7 +32,7 @@ def read_ply(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return vertices, faces["i"]
 
 
-def test_ply_is_the_surface_seen_from_above(tmp_path: Path) -> None:
+def test_ply_faces_point_to_the_viewer(tmp_path: Path) -> None:
     row, column = np.mgrid[:5, :7]
     height = 3.0 * column - 2.0 * row  # a plane
     height[0, 0] = np.nan
@@ -48,7 +48,7 @@ def test_ply_is_the_surface_seen_from_above(tmp_path: Path) -> None:
     assert 0.5 * normal[:, 2].sum() == pytest.approx(23 * 4.0)  # µm² seen from above
 
 
-def test_what_is_no_image_is_refused(tmp_path: Path) -> None:
+def test_file_that_is_no_image_is_rejected(tmp_path: Path) -> None:
     bad = tmp_path / "bad.png"
     for content in (b"", b"not an image"):
         bad.write_bytes(content)
@@ -61,7 +61,7 @@ def test_what_is_no_image_is_refused(tmp_path: Path) -> None:
             io.read_grey(missing)
 
 
-def test_maps_are_ome_with_the_size_of_a_pixel(tmp_path: Path) -> None:
+def test_maps_are_written_as_ome_tiff_with_the_pixel_size(tmp_path: Path) -> None:
     path = tmp_path / "m.ome.tif"
     rng = np.random.default_rng(0)
     maps = {
@@ -90,7 +90,7 @@ def test_maps_are_ome_with_the_size_of_a_pixel(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("color", [False, True])
-def test_a_mesh_has_the_colors_of_its_pixels(tmp_path: Path, color: bool) -> None:
+def test_ply_vertices_have_the_colors_of_their_pixels(tmp_path: Path, color: bool) -> None:
     row, column = np.mgrid[:3, :5]
     height = 3.0 * column - 2.0 * row
     height[0, 0] = np.nan
@@ -112,7 +112,7 @@ def test_a_mesh_has_the_colors_of_its_pixels(tmp_path: Path, color: bool) -> Non
         io.write_ply(tmp_path / "s.ply", height[:1], pixel_size=2.0)
 
 
-def test_types_that_files_keep(tmp_path: Path) -> None:
+def test_integer_types_of_maps_are_kept(tmp_path: Path) -> None:
     for dtype in (np.uint8, np.uint16, np.int32, np.int64, np.float64, bool):
         kept = dtype if dtype in (np.uint8, np.uint16, np.int32) else np.float32
         for shape in ((2, 3), (2, 5, 3)):

@@ -1,4 +1,4 @@
-"""Sizes in TIFF files: each unit, and silence where a file says nothing that can be used."""
+"""Pixel sizes and positions in TIFF files, in each unit; None where a value is unusable."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ STACK = np.arange(3 * 8 * 10, dtype=np.uint8).reshape(3, 8, 10)
     ("unit", "micrometers"),
     [("nm", 1e-3), ("µm", 1), ("mm", 1e3), ("cm", 1e4), ("m", 1e6)],
 )
-def test_units_of_ome(tmp_path: Path, unit: str, micrometers: float) -> None:
+def test_ome_sizes_are_converted_to_micrometers(
+    tmp_path: Path, unit: str, micrometers: float
+) -> None:
     sizes = {f"PhysicalSize{axis}": 2.0 for axis in "XYZ"}
     units = {f"PhysicalSize{axis}Unit": unit for axis in "XYZ"}
     metadata = {"axes": "ZYX", **sizes, **units}
@@ -40,7 +42,7 @@ def test_units_of_ome(tmp_path: Path, unit: str, micrometers: float) -> None:
         ("um", -2.5, 0.25, 2.5), ("um", 0, 0.25, None), ("um", "two", 0.25, None),
     ],
 )  # fmt: skip
-def test_units_and_spacings_of_imagej(
+def test_imagej_sizes_are_converted_to_micrometers(
     tmp_path: Path, unit: str, spacing: object, size: float | None, step: float | None
 ) -> None:
     about = {"axes": "ZYX", "spacing": spacing, "unit": unit}
@@ -63,7 +65,7 @@ def test_units_and_spacings_of_imagej(
         ((100, 100), "NONE", None),
     ],
 )
-def test_a_plain_tiff_has_a_resolution_in_centimeters(
+def test_only_a_resolution_in_centimeters_gives_a_pixel_size(
     tmp_path: Path, resolution: tuple[int, int], unit: str, size: float | None
 ) -> None:
     tifffile.imwrite(
@@ -76,7 +78,7 @@ def test_a_plain_tiff_has_a_resolution_in_centimeters(
 
 
 @pytest.mark.parametrize("resolution", [(4000, 4010), (4010, 4000)])
-def test_pixels_that_are_not_square_have_no_size_and_are_named(
+def test_pixels_that_are_not_square_give_a_warning(
     tmp_path: Path, resolution: tuple[int, int]
 ) -> None:
     tifffile.imwrite(
@@ -90,7 +92,7 @@ def test_pixels_that_are_not_square_have_no_size_and_are_named(
 @pytest.mark.parametrize(
     ("zunit", "step"), [("um", 2500.0), ("mm", 2.5e6), ("sec", None), ("nm", 2.5)]
 )
-def test_an_axis_of_imagej_may_have_a_unit_of_its_own(tmp_path: Path, zunit: str, step) -> None:
+def test_imagej_axes_can_have_their_own_units(tmp_path: Path, zunit: str, step) -> None:
     about = {"axes": "ZYX", "spacing": 2500.0, "unit": "nm", "yunit": "um", "zunit": zunit}
     tifffile.imwrite(
         tmp_path / "a.tif", STACK, imagej=True, resolution=(1 / 250, 4), metadata=about
@@ -103,16 +105,16 @@ def test_an_axis_of_imagej_may_have_a_unit_of_its_own(tmp_path: Path, zunit: str
 @pytest.mark.parametrize(
     ("step", "unit", "spacing", "used", "which"),
     [
-        (0.01, None, 10.0, 10.0, "latter"),  # of a microscope that counts in mm
+        (0.01, None, 10.0, 10.0, None),  # of a microscope that counts in mm
         (0.01, "mm", 10.0, 10.0, None),
-        (10.3, None, 10.0, 10.3, None),  # as measured
+        (10.3, "µm", 10.0, 10.3, None),  # as measured
         (7.0, "µm", 10.0, 7.0, "former"),
         (-10.0, "µm", 10.0, -10.0, None),
         (7.0, "µm", None, 7.0, None),
         (7.0, None, None, None, None),  # in whatever unit
     ],
 )
-def test_positions_without_a_unit_count_only_beside_the_same_spacing(
+def test_ome_positions_without_a_unit_are_ignored(
     tmp_path: Path, step: float, unit: str | None, spacing: float | None, used, which
 ) -> None:
     plane: dict = {"PositionZ": [5 + step * k for k in range(3)]}
@@ -120,10 +122,10 @@ def test_positions_without_a_unit_count_only_beside_the_same_spacing(
     size = {"PhysicalSizeZ": spacing} if spacing else {}
     path = tmp_path / "a.ome.tif"
     tifffile.imwrite(path, STACK, metadata={"axes": "ZYX", **size, "Plane": plane})
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         positions = read_frames(path).positions
-    assert [str(w.message).split(": ")[1] for w in told] == (
+    assert [str(w.message).split(": ")[1] for w in caught] == (
         [f"the {which} is used"] if which else []
     )
     if used is None:
@@ -132,7 +134,7 @@ def test_positions_without_a_unit_count_only_beside_the_same_spacing(
         assert np.diff(positions) == pytest.approx([used] * 2)
 
 
-def test_positions_are_those_of_the_channel_and_the_time(tmp_path: Path) -> None:
+def test_positions_belong_to_the_selected_channel_and_time(tmp_path: Path) -> None:
     many = np.zeros((2, 3, 2, 8, 10), np.uint8)  # T, Z, C
     z = [[[[20.0 * t + 5 * c + k] for c in range(2)] for k in (0, 1, 3)] for t in range(2)]
     plane = {"PositionZ": np.ravel(z).tolist(), "PositionZUnit": ["µm"] * 12}
@@ -162,7 +164,7 @@ def written(
         tifffile.tiffcomment(path, text.replace("#", "").encode())
 
 
-def test_positions_are_in_the_order_of_the_planes(tmp_path: Path) -> None:
+def test_positions_follow_the_order_of_planes(tmp_path: Path) -> None:
     path = tmp_path / "a.ome.tif"
     written(path, [0.1, 0.2, 0.4])
     np.testing.assert_allclose(read_frames(path).positions, [100, 200, 400])
@@ -173,7 +175,7 @@ def test_positions_are_in_the_order_of_the_planes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("positions", [[0.1, 0.4, 0.2], [0.1, 0.1, 0.2], [0.1, float("nan"), 0.2]])
-def test_positions_that_go_back_and_forth_give_way_to_the_spacing(
+def test_positions_that_are_not_monotonic_are_ignored(
     tmp_path: Path, positions: list[float]
 ) -> None:
     written(tmp_path / "a.ome.tif", positions, size=9.0)
@@ -181,7 +183,7 @@ def test_positions_that_go_back_and_forth_give_way_to_the_spacing(
 
 
 @pytest.mark.parametrize("wrong", ["two", "nan", "-1.0", "0.0"])
-def test_a_size_that_is_no_length_is_not_told(tmp_path: Path, wrong: str) -> None:
+def test_size_that_is_no_length_is_ignored(tmp_path: Path, wrong: str) -> None:
     path = tmp_path / "a.ome.tif"
     tifffile.imwrite(path, STACK, metadata={"axes": "ZYX", "PhysicalSizeX": 3.25})
     text = ome_text(path)

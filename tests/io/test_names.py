@@ -1,4 +1,4 @@
-"""Frames come in the order of the numbers in their names; what has two orders is rejected."""
+"""Frames are ordered by the numbers in their names; an ambiguous order is rejected."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ ORDERS = {
 
 
 @pytest.mark.parametrize("kind", ORDERS)
-def test_frames_are_in_the_order_of_their_numbers(tmp_path: Path, kind: str) -> None:
+def test_frames_are_ordered_by_the_numbers_in_their_names(tmp_path: Path, kind: str) -> None:
     names = ORDERS[kind]
     assert read(write(tmp_path, names)) == list(range(len(names)))
     assert read(f"{tmp_path}/*.png") == list(range(len(names)))
@@ -63,7 +63,9 @@ def test_frames_are_in_the_order_of_their_numbers(tmp_path: Path, kind: str) -> 
         ([f"{k:04}" for k in (1, 2, 7, 9990, 9994)], r"0001\.png, .* or 9990\.png, 9994"),
     ],
 )
-def test_an_ambiguous_order_is_rejected_with_both(tmp_path: Path, names: list[str], both) -> None:
+def test_ambiguous_order_is_rejected_with_both_readings(
+    tmp_path: Path, names: list[str], both
+) -> None:
     write(tmp_path, names)
     with pytest.raises(ValueError, match=f"must have one order, .* {both}"):
         read_frames(tmp_path)
@@ -75,13 +77,13 @@ def test_an_ambiguous_order_is_rejected_with_both(tmp_path: Path, names: list[st
     ("numbers", "gap"),
     [((1, 2, 3, 5, 6, 7), "f3.png and f5"), ((0, 10, 20, 30, 90, 100), "f30.png and f90")],
 )
-def test_gaps_are_named(tmp_path: Path, numbers: tuple[int, ...], gap: str) -> None:
+def test_missing_numbers_are_reported(tmp_path: Path, numbers: tuple[int, ...], gap: str) -> None:
     write(tmp_path, [f"f{k}" for k in numbers])
     with pytest.warns(UserWarning, match=f"no frame between {gap}"):
         assert read(tmp_path) == list(range(len(numbers)))
 
 
-def test_one_frame_in_two_files_is_rejected(tmp_path: Path) -> None:
+def test_frame_in_two_formats_is_rejected(tmp_path: Path) -> None:
     write(tmp_path, ["i1", "i2", "i3"])
     Image.new("L", SHAPE[::-1]).save(tmp_path / "i2.jpg")
     with pytest.raises(ValueError, match=r"one file each, got i2\.jpg and i2\.png"):
@@ -90,7 +92,7 @@ def test_one_frame_in_two_files_is_rejected(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("turn", [3, 6])
-def test_photographs_of_several_orientations_are_not_turned(tmp_path: Path, turn: int) -> None:
+def test_changing_exif_orientation_is_ignored(tmp_path: Path, turn: int) -> None:
     """The sensor of orientation flips under a camera that looks down; the pixels do not."""
     ramp = np.tile(np.arange(100, 200, 2, dtype=np.uint8), (40, 1))
     for k in range(4):
@@ -102,4 +104,4 @@ def test_photographs_of_several_orientations_are_not_turned(tmp_path: Path, turn
     assert np.abs(frames.astype(int) - ramp).max() <= 4  # JPEG
     files = [tmp_path / "2.jpg", tmp_path / "3.jpg"]
     turned = np.rot90(ramp, 2 if turn == 3 else -1)
-    assert np.abs(next(read_frames(files)).astype(int) - turned).max() <= 4
+    assert np.abs(next(iter(read_frames(files))).astype(int) - turned).max() <= 4

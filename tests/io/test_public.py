@@ -96,7 +96,9 @@ UNITS = SimpleNamespace(um=1.0, grey=1.0, grey0=20.0, x0_um=12.0, y0_um=-5.0, z0
 
 @pytest.mark.parametrize("region", [None, (5, 3, 31, 24), (0, 2, 40, 27)])
 @pytest.mark.parametrize("reduce", [1, 2, 3, 5])
-def test_a_pixel_stays_where_it_was(region: tuple[int, ...] | None, reduce: int) -> None:
+def test_reader_origin_follows_region_and_reduce(
+    region: tuple[int, ...] | None, reduce: int
+) -> None:
     """The grey level is the place, also of the means of blocks, of a reader and of a depth."""
     for source in (labeled(UNITS), read_frames(labeled(UNITS))):
         reader = read_frames(source, region=region, reduce=reduce)
@@ -104,11 +106,11 @@ def test_a_pixel_stays_where_it_was(region: tuple[int, ...] | None, reduce: int)
         x, y = (
             o + reader.pixel_size * n for o, n in zip(reader.origin, (column, row), strict=True)
         )
-        told = UNITS.grey0 + (3 * (x - UNITS.x0_um) + y - UNITS.y0_um) / 2.6
-        np.testing.assert_allclose(next(reader), told, rtol=1e-6)
+        level = UNITS.grey0 + (3 * (x - UNITS.x0_um) + y - UNITS.y0_um) / 2.6
+        np.testing.assert_allclose(next(iter(reader)), level, rtol=1e-6)
 
 
-def test_a_depth_stays_where_its_frames_were() -> None:
+def test_depth_origin_follows_region_and_reduce() -> None:
     """In a shift of the part by whole blocks, the depth is the same one, at another place."""
     texture = mixed_texture((80, 96), np.random.default_rng(0))
     stack = focal_stack(texture, np.full((80, 96), 21.0), Z, blur_rate=0.1)
@@ -122,7 +124,7 @@ def test_a_depth_stays_where_its_frames_were() -> None:
 
 
 @pytest.mark.parametrize("scale", [256, 257])
-def test_a_palette_of_either_scale_is_its_colors(tmp_path: Path, scale: int) -> None:
+def test_palette_of_either_scale_becomes_its_colors(tmp_path: Path, scale: int) -> None:
     """Programs write v · 256 or v · 257 for the 8-bit v; Pillow reads both as v."""
     levels = np.random.default_rng(1).integers(0, 256, (3, 256))
     numbers = np.arange(240, dtype=np.uint8).reshape(12, 20)
@@ -130,13 +132,13 @@ def test_a_palette_of_either_scale_is_its_colors(tmp_path: Path, scale: int) -> 
         tmp_path / "p.tif", numbers, photometric="palette",
         colormap=(levels * scale).astype(np.uint16),
     )  # fmt: skip
-    read = next(read_frames(tmp_path / "p.tif", color=True))
+    read = next(iter(read_frames(tmp_path / "p.tif", color=True)))
     np.testing.assert_array_equal(read, levels.T[numbers])
     with Image.open(tmp_path / "p.tif") as picture:
         np.testing.assert_array_equal(read, np.asarray(picture.convert("RGB")))
 
 
-def test_a_region_keeps_its_place_when_the_pixel_size_is_given_later() -> None:
+def test_origin_follows_a_pixel_size_that_is_set_later() -> None:
     stack = np.random.default_rng(0).integers(0, 255, (5, 64, 80)).astype(np.uint8)
     found = depth_from_focus(stack, spacing=1.0, region=(20, 10, 48, 40), reduce=2)
     assert found.origin == (0.0, 0.0)
@@ -144,7 +146,7 @@ def test_a_region_keeps_its_place_when_the_pixel_size_is_given_later() -> None:
     assert replace(found, pixel_size=2.6).origin == pytest.approx((20.5 * 1.3, 10.5 * 1.3))
 
 
-def test_the_levels_of_a_microscope_in_false_colors_stay_as_they_are(tmp_path: Path) -> None:
+def test_imagej_display_palette_is_ignored(tmp_path: Path) -> None:
     """ImageJ stores the table by which it shows grey levels, as Fire or Blue, as a palette."""
     levels = np.random.default_rng(1).integers(0, 256, (3, 12, 20)).astype(np.uint8)
     table = np.zeros((3, 256), np.uint16)
