@@ -1,8 +1,7 @@
-"""The figure of the front page: the printed outline over the model, and the modulus of both.
+"""The figure of the front page: the printed outline over a model, and the modulus by that model.
 
-``{front-figure}`` solves what each choice of rim, model and half-width of the probe gives, and
-writes it beside a drawing of the first choice; ``_static/front.js`` shows the others. No extension
-knows of a membrane.
+``{front-figure}`` computes the modulus for each choice of rim, model and half-width of the probe.
+It writes all results beside a drawing of the first choice; ``_static/front.js`` shows the others.
 """
 
 from __future__ import annotations
@@ -10,17 +9,15 @@ from __future__ import annotations
 import math
 import warnings
 from functools import cache
-from itertools import product
 
 import numpy as np
 from book_tables import raw_html, script_json
-from book_verdicts import records
 from docutils import nodes
 from numpy.typing import NDArray
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from compendium import MISSING, ledger, thesis
+from compendium import ledger, thesis
 from compendium.experiments.membranes import EGG
 from compendium.experiments.section_5_6 import printed_dimple, right_dimple
 from microlib.embryo import dimple_geometry
@@ -28,6 +25,7 @@ from microlib.membrane import capsule_modulus, dimple_profile
 
 HALF_WIDTHS = np.arange(10.0, 51.0, 2.5)  # µm, about the 25 µm of the catalogue
 MODELS = {"small": "small slopes", "capsule": "closed capsule"}
+PROFILES = {"small": "small-slope model", "capsule": "closed capsule"}
 # The drawing, in its own units: as wide as 680 µm, the bottom of the dimple at (280, 130).
 WIDTH, HEIGHT, SCALE, BOTTOM = 480, 305, 480 / 680, (282.0, 130.0)
 REACH = (-400.0, 280.0)  # µm, what is drawn on both sides of the bottom
@@ -79,55 +77,95 @@ def solve(model: str, radius: float, depth: float, c: float) -> tuple[float, NDA
     return egg.modulus, r[::5], z[::5]
 
 
+def deviation(rim: str, radius: float, r: NDArray, z: NDArray) -> float:
+    """Return the largest distance in height of a model from the printed outline, µm.
+
+    It is taken on the side of the chosen rim, from the probe to the rim.
+    """
+    across, height = outline()
+    side = -1 if rim == "left" else 1
+    return np.abs(z - np.interp(side * r, across, height))[r <= radius].max()
+
+
+def attempt(
+    model: str, radius: float, depth: float, c: float
+) -> tuple[float, NDArray, NDArray] | None:
+    """Return what `solve` does, or None where no capsule has such a dimple."""
+    try:
+        return solve(model, radius, depth, c)
+    except ValueError:
+        return None
+
+
+def band_of(model: str, radius: float, depth: float) -> dict[str, object] | None:
+    """Return the moduli at both ends of the specified width of the probe, or None without them."""
+    thin, wide = (attempt(model, radius, depth, width / 2) for width in thesis.PROBE_WIDTH_ENDS)
+    if thin is None or wide is None:
+        return None
+    left, right = on_axis(wide[0]), on_axis(thin[0])
+    text = f"specified probe width: {wide[0]:.2f} to {thin[0]:.2f} MPa"
+    return {"x": left, "width": round(right - left, 1), "text": text}
+
+
 @cache
 def states() -> dict[str, dict[str, object]]:
     """Return what the figure shows for each choice, by ``rim model half-width``."""
     found: dict[str, dict[str, object]] = {}
-    across, height = outline()
-    for (rim, size), model, c in product(dimples().items(), MODELS, HALF_WIDTHS):
-        probe = {"x": BOTTOM[0] - SCALE * c, "width": 2 * SCALE * c}
-        name = f"{rim} {model} {c:g}"
-        try:
-            modulus, r, z = solve(model, *size, c)
-        except ValueError:
-            text = "No closed capsule has a dimple so narrow and so deep."
-            found[name] = {"path": "", "at": None, "text": text, **probe}
-            continue
-        side = -1 if rim == "left" else 1
-        measured = np.interp(side * r, across, height)
-        off = np.abs(z - measured)[r <= size[0]].max()
-        text = f"E = {modulus:.4g} MPa; the model deviates from the outline by up to {off:.0f} µm."
-        line = path(np.r_[-r[::-1], r], np.r_[z[::-1], z])
-        found[name] = {"path": line, "at": on_axis(modulus), "text": text, **probe}
+    for rim, size in dimples().items():
+        bands = {model: band_of(model, *size) for model in MODELS}
+        for c in HALF_WIDTHS:
+            solved = {model: attempt(model, *size, c) for model in MODELS}
+            texts = [
+                f"The {PROFILES[model]} deviates from the outline by up to "
+                f"{deviation(rim, size[0], *one[1:]):.0f} µm."
+                if one
+                else f"No closed capsule has a dimple with the radius and depth of the {rim} rim."
+                for model, one in solved.items()
+            ]
+            probe = {"x": BOTTOM[0] - SCALE * c, "width": 2 * SCALE * c}
+            for model, one in solved.items():
+                state: dict[str, object] = {"path": "", "at": None, "band": None}
+                text = " ".join(texts)
+                if one:
+                    modulus, r, z = one
+                    line = path(np.r_[-r[::-1], r], np.r_[z[::-1], z])
+                    state = {"path": line, "at": on_axis(modulus), "band": bands[model]}
+                    text = f"E = {modulus:.4g} MPa by the {PROFILES[model]}. {text}"
+                found[f"{rim} {model} {c:g}"] = {**state, "rim": rim, "text": text, **probe}
     return found
 
 
 def draw(state: dict) -> str:
     """Return the drawing of one choice; the script changes what has a ``data-part``."""
     printed = ledger.claim("table-5.6/E")
-    at, left, right, band = on_axis(printed.value), *[FIRST + 1.5 * DECADE] * 2, MISSING
-    ends = [records().get(f"5.6/E-{end}") for end in ("wide", "thin")]
-    if all(ends):
-        left, right = (on_axis(end.value) for end in ends)
-        band = " to ".join(f"{end.value:.2f}" for end in ends) + " MPa"
+    at, band = on_axis(printed.value), state["band"]
     ticks = "".join(
         f'<path d="M{at},{AXIS - 5}v10"/><text x="{at}" y="{AXIS + 22}">{modulus:g}</text>'
         for modulus in (0.01, 0.1, 1.0, 10.0)
         for at in (on_axis(modulus),)
     )
+    rims = ""
+    for rim, (radius, depth) in dimples().items():
+        across = BOTTOM[0] + SCALE * (-radius if rim == "left" else radius)
+        up = BOTTOM[1] - SCALE * depth
+        taken = " taken" if rim == state["rim"] else ""
+        rims += f'<path class="rim{taken}" data-part="{rim}" d="M{across:.1f},{up - 6:.1f}v30"/>'
+        rims += f'<text x="{across:.1f}" y="{up - 12:.1f}">{rim} rim</text>'
     low_end = f'y="{AXIS + 58}"'
     return f"""<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-labelledby="front-title">
-<title id="front-title">The printed outline of the dimple over the model. Below, the modulus on a
-logarithmic axis with the printed number and the band of the specified width of the probe.</title>
+<title id="front-title">The printed outline of the dimple, its two rims, the probe and the profile
+of a model. Below, the modulus on a logarithmic axis, the printed number, and the range of the
+modulus over the specified width of the probe.</title>
 <rect class="probe" data-part="probe" x="{state["x"]}" y="8" width="{state["width"]}"
  height="{BOTTOM[1] - 8}"/><path class="outline" d="{path(*outline())}"/>
-<path class="model" data-part="model" d="{state["path"]}"/>
+<path class="model" data-part="model" d="{state["path"]}"/>{rims}
 <g class="key"><path class="outline" d="M5,150h30"/><text x="40" y="155">printed outline</text>
 <path class="model" d="M170,150h30"/><text x="206" y="155">model</text>
 <rect class="probe" x="275" y="142" width="30" height="14"/>
 <text x="311" y="155">probe, 2c wide</text></g>
-<rect class="band" x="{left}" y="{AXIS - 22}" width="{right - left:.1f}" height="44"/>
-<text x="{(left + right) / 2:.1f}" y="{AXIS - 30}">specified probe width: {band}</text>
+<g data-part="band">
+<rect class="band" x="{band["x"]}" y="{AXIS - 22}" width="{band["width"]}" height="44"/>
+<text x="{WIDTH / 2}" y="{AXIS - 30}">{band["text"]}</text></g>
 <g class="axis"><path d="M{FIRST},{AXIS}H{FIRST + 3 * DECADE}"/>{ticks}</g>
 <path class="printed" d="M{at},{AXIS - 22}v65"/>
 <text x="{at}" {low_end}>printed {printed.printed} MPa</text>

@@ -2,9 +2,10 @@
 
 MathJax comes from a package on disk as one file; the inert thebe loader goes. Font preloads go too:
 a browser refuses them for a page opened from a file, and loads the fonts from the style sheet
-anyway. The toggles of the contents get a name for screen readers, wide tables can be scrolled by
-keyboard, empty heads of tables are no heads, and each figure has two looks and opens larger. The
-theme has no setting for any of it.
+anyway. The sidebar shows the part of the open page; the other parts are closed. The toggles of the
+contents get a name for screen readers, wide tables can be scrolled by keyboard, empty heads of
+tables are no heads, and each figure has two looks and opens larger. The theme has no setting for
+any of it.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -24,12 +26,20 @@ from microlib import __version__
 
 MATHJAX = "mathjax/tex-svg-full.js"
 # Regular expressions and their replacements in every page.
-HTML_FIXES = {
+HTML_FIXES: dict[str, str | Callable[[re.Match[str]], str]] = {
     r'<link rel="preload" as="font"[^>]*>': "",
     r'<summary>(?=<span class="toctree-toggle")': '<summary aria-label="subpages">',
     r' role="doc-biblioentry"| role="list"(?= class="citation-list")': "",
     r'(?<=class="pst-scrollable-table-container")': ' tabindex="0" role="group" aria-label="table"',
     r'<div (?=class="bd-sidebar-primary )': '<div role="complementary" aria-label="book" ',
+    # The parts of the sidebar are closed, but for the one that holds the open page.
+    r'<p [^>]*class="caption" role="heading"><span class="caption-text">([^<]*)</span></p>'
+    r'\s*(<ul class="(current)?[^"]*bd-sidenav">(?s:.*?)</ul>)(?=\s*(?:<p aria|</div>|<details))': (
+        lambda part: (
+            f'<details class="part-of-book"{" open" if part[3] else ""}>'
+            f"<summary>{part[1]}</summary>{part[2]}</details>"
+        )
+    ),
     r"<th([^>]*)>(?:&nbsp;|<p></p>|\s)*</th>": r"<td\1></td>",
     # A phone has no room for the ids of claims beside their verdicts.
     r'class="dataframe"(?=>\s*<thead>\s*<tr[^>]*>\s*<th>claim</th>)': 'class="dataframe of-claims"',

@@ -3,15 +3,15 @@
 - ``{recomputed}`id` ``, ``{printed}`id` ``, ``{verdict}`id` ``: the recomputed
   number, the thesis' number and the verdict; a recomputed number leads to the cell that recorded
   it, a verdict to its row in the list of claims.
-- ``{count}`agrees` ``, or another verdict, ``claims`` or ``errata``: how many there are, by class;
-  ``{number}`agrees` `` without the classes, also of ``causes``, ``starred`` and a class of errata.
+- ``{number}`agrees` ``, or another verdict, ``claims``, ``errata``, ``causes``, ``starred`` or a
+  class of errata: how many there are.
+- ``{counts}``: a table of how many claims have which verdict, and for which reason.
 - ``{verdict-map}``: a bar for each part of the thesis, each piece of which leads to its claims.
 - ``{claims}``: the list of all claims, which ``_static/filter.js`` narrows; ``{differences}``:
   those that disagree, by cause; ``{deviations}``: where another rule than 95 % judges.
 - ``{errata}``: every fault of the thesis with its proof; ``{reaches}``: which results they change.
 
-In place of a number that no notebook recorded stands that it was not computed. No extension that
-exists knows of claims, which is what all of this file is about.
+A number that no notebook recorded is replaced by the note that it was not computed.
 """
 
 from __future__ import annotations
@@ -51,19 +51,11 @@ PARTS = {
     "5.6 Stiffness of the embryo": ("section-5.6", "table-5.5", "table-5.6", "table-5.7"),
     "6 Abstract and conclusion": ("abstract", "section-6"),
 }
-#: How a count names each class: an erratum's origin, a verdict, and how a claim was compared.
+#: How a count names the claims that were compared in one way.
 CLASSES = {
-    "Certain": "certain",
-    "Probably printing or text recognition": "probably of printing or text recognition",
-    "A matter of reading": "a matter of reading",
-    "arithmetic": "by arithmetic",
-    "sentence": "as sentences",
-    "simulation": "by simulation",
-    "agrees": "agree",
-    "disagrees": "disagree",
-    "cannot tell": "cannot be decided",
-    "fitted": "were fitted",
-    "input": "are inputs",
+    "arithmetic": "without a star, compared by arithmetic",
+    "sentence": "without a star, compared as sentences",
+    "simulation": "without a star, compared by simulation",
 }
 
 
@@ -86,41 +78,49 @@ def facets(claim: ledger.Claim) -> dict[str, str]:
 def count_class(claim: ledger.Claim) -> str:
     """Return the class in which a claim is counted among those of its verdict."""
     if claim.verdict == "input":
-        return "of the drawn microscopes" if claim.given else "settings and data"
+        return "settings of the rendered microscopes" if claim.given else "settings and data"
     if claim.star:
         return f"with a star {ledger.STAR}"
     if claim.verdict != "cannot tell":
         return CLASSES[claim.compared]
     if claim.undecided:
-        return "depend on a choice that the thesis leaves open"
-    return "with a bound only" if claim.bound else "for want of data"
+        return "because the thesis leaves a choice open"
+    return (
+        "because the simulation gives a bound only" if claim.bound else "because data are missing"
+    )
 
 
-def count_by_class(of: str) -> Counter[str]:
-    """Return how many claims have a verdict, all ``claims`` or all ``errata``, by class."""
-    if of == "errata":
-        return Counter(CLASSES[entry["origin"]] for entry in ledger.errata().values())
-    if of == "claims":
-        return Counter(CLASSES[claim.verdict] for claim in ledger.claims().values())
-    return Counter(count_class(claim) for claim in ledger.claims().values() if claim.verdict == of)
+def count_by_class(verdict: str) -> Counter[str]:
+    """Return how many claims have a verdict, by class."""
+    return Counter(count_class(c) for c in ledger.claims().values() if c.verdict == verdict)
 
 
 def number_of(what: str) -> int:
     """Return one count: of a verdict, ``claims``, ``errata``, a class of errata, ``causes`` of what
     disagrees, or ``starred`` agreements.
     """
-    if what == "causes":
-        return len({claim.cause for claim in ledger.claims().values() if claim.cause})
-    if what == "starred":
-        return sum(bool(claim.star) for claim in ledger.claims().values())
+    claims = ledger.claims().values()
     origins = Counter(entry["origin"] for entry in ledger.errata().values())
-    return origins[what] or count_by_class(what).total()
+    counts = Counter(claim.verdict for claim in claims) | origins
+    counts["claims"], counts["errata"] = len(claims), len(ledger.errata())
+    counts["causes"] = len({claim.cause for claim in claims if claim.cause})
+    counts["starred"] = sum(bool(claim.star) for claim in claims)
+    return counts[what]
 
 
-def count(env: Any, of: str) -> nodes.Node:
-    counts = count_by_class(of)
-    parts = ", ".join(f"{count} {name}" for name, count in counts.most_common())
-    return span(f"{counts.total()} ({parts})", "count")
+class Counts(SphinxDirective):
+    """A table of the verdicts, with the number of claims by class."""
+
+    def run(self) -> list[nodes.Node]:
+        rows: list[list[Any]] = []
+        for verdict in ORDER:
+            classes = [line(f"{n} {name}") for name, n in count_by_class(verdict).most_common()]
+            if verdict == "disagrees":
+                classes.append(line(f"{number_of('causes')} causes in all"))
+            kind = ["verdict", f"verdict-{nodes.make_id(verdict)}"]
+            shown = nodes.inline(verdict, verdict, classes=kind)
+            rows.append([shown, span(str(number_of(verdict)), "count"), classes])
+        return [table(["Verdict", "Claims", "Of these"], rows)]
 
 
 def printed(claim: ledger.Claim) -> str:
@@ -156,7 +156,6 @@ class Role(SphinxRole):
     """A role whose function makes a node of its text."""
 
     functions: ClassVar = {
-        "count": count,
         "number": lambda env, of: span(str(number_of(of)), "count"),
         "printed": lambda env, name: span(printed(ledger.claim(name)), "printed"),
         "recomputed": cell_link,
@@ -194,7 +193,7 @@ class VerdictMap(SphinxDirective):
             f'<span class="verdict-{verdict.replace(" ", "-")}">{verdict}</span>'
             for verdict in ORDER
         )
-        key += f'<span class="starred">{ledger.STAR} depends on something not printed</span>'
+        key += f'<span class="starred">{ledger.STAR} depends on a value not in the thesis</span>'
         html = f'<p class="verdict-key">{key}</p><dl>{"".join(rows)}</dl>'
         return [raw_html(f'<div class="verdict-map">{html}</div>')]
 
@@ -271,16 +270,17 @@ class Differences(SphinxDirective):
         lines = {name: [cause["text"], ""] for name, cause in causes.items()}
         for claim in ledger.claims().values():
             if claim.verdict == "disagrees":
-                thesis = f"Printed: {printed(claim)}."
+                thesis = f"The thesis prints {printed(claim)}."
                 if not claim.printed:
-                    needed = f"{claim.limit} {claim.unit}".rstrip()
-                    thesis = f"It says: {claim.says}, which needs a number {needed}."
+                    sign, limit = claim.limit.split()
+                    needed = f"at {'most' if sign == '<=' else 'least'} {limit} {claim.unit}"
+                    thesis = f"The thesis: {claim.says}. The limit is {needed.rstrip()}."
                 what, where, thesis, note = (
                     escape(text, quote=False)
                     for text in (claim.what, claim.where, thesis, claim.note)
                 )
                 text = f"- **{what}** ({where}). {{verdict}}`{claim.id}` {thesis} "
-                text += f"Recomputed: {{recomputed}}`{claim.id}`. {note}"
+                text += f"The recomputed number is {{recomputed}}`{claim.id}`. {note}"
                 lines[claim.cause].append(text)
         parts = {name: section(f"cause-{name}", causes[name]["title"]) for name in lines}
         return [parse_lines(self, lines[name], part) for name, part in parts.items()]
@@ -328,7 +328,7 @@ class Errata(SphinxDirective):
             lines = [f"**{entry['where']}.** *{entry['origin']}.*"]
             lines.append(f"**Printed:** {entry['printed']}")
             if "reading" in entry:
-                lines.append(f"**A reading without a fault:** {entry['reading']}")
+                lines.append(f"**A reading without an error:** {entry['reading']}")
             lines.append(
                 f"**{'Otherwise' if 'reading' in entry else 'Right'}:** {entry['corrected']}"
             )
@@ -346,6 +346,7 @@ def html_link(text: str, page: str, anchor: str) -> str:
 def setup(app: Sphinx) -> None:
     for name in Role.functions:
         app.add_role(name, Role())
+    app.add_directive("counts", Counts)
     app.add_directive("verdict-map", VerdictMap)
     app.add_directive("claims", Claims)
     app.add_directive("differences", Differences)

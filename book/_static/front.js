@@ -13,6 +13,13 @@ addEventListener("DOMContentLoaded", () => {
     part("probe").setAttribute("width", state.width);
     part("found").style.visibility = state.at === null ? "hidden" : "";
     part("found").setAttribute("cx", state.at ?? 0);
+    for (const side of ["left", "right"]) part(side).classList.toggle("taken", side === state.rim);
+    part("band").style.visibility = state.band === null ? "hidden" : "";
+    if (state.band) {
+      part("band").querySelector("rect").setAttribute("x", state.band.x);
+      part("band").querySelector("rect").setAttribute("width", state.band.width);
+      part("band").querySelector("text").textContent = state.band.text;
+    }
     figure.querySelector(".told").textContent = state.text;
     figure.querySelector("output").textContent = Number(width);
     form.elements.width.setAttribute("aria-valuetext", `${Number(width)} µm`);

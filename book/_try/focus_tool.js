@@ -28,8 +28,8 @@
     peak = gaussianPeak(profile, positions);
     answer.replaceChildren(
       make("strong", {}, `Height ${show(peak.depth)} µm`),
-      ` at column ${u}, row ${v}; the truth is ${show(truth[v * cols + u])} µm. Shown is the frame in focus at ` +
-        `${show(positions[k])} µm; sharpest here is the one at ${show(positions[peak.index])} µm.`);
+      ` at column ${u}, row ${v}. The true height is ${show(truth[v * cols + u])} µm. The frame that is shown is focused at ` +
+        `${show(positions[k])} µm. The sharpest frame at the mark is focused at ${show(positions[peak.index])} µm.`);
     const top = 1.1 * Math.max(...profile);
     chart.replaceChildren(plot(chart.clientWidth || 340, {
       x: [positions[0], positions.at(-1)], y: [0, top], xLabel: "position of the frame (µm)", yLabel: "focus measure",

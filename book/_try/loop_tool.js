@@ -13,23 +13,23 @@
 
   const verdict = (gain, delay, jitter, calm) => {
     const slowest = Math.hypot(...poles(gain, delay)[0]);
-    const first = `The largest pole has the modulus ${show(slowest)}: `;
+    const first = `The magnitude of the largest pole is ${show(slowest)}, so `;
     if (slowest >= 1) return [make("strong", {}, "Unstable. "), `${first}every error grows.`];
     const frames = settled(calm);
     const overshoot = Math.max(...calm) / STEP - 1;
     return [
       make("strong", {}, "Stable. "),
-      `${first}an error shrinks by ${show(100 * (1 - slowest))} % per frame in the end. ` +
-        (frames ? `Within 5 % after ${frames} frames (${show(frames / 33)} s at 33 Hz)` : `Not within 5 % in ${FRAMES} frames`) +
-        `, overshoot ${show(100 * Math.max(overshoot, 0))} %. ` +
-        `Jitter moves the feature by ${show(jitter * noiseGain(gain, delay))} px (standard deviation).`,
+      `${first}an error finally shrinks by ${show(100 * (1 - slowest))} % per frame. ` +
+        (frames ? `The error stays within 5 % after ${frames} frames (${show(frames / 33)} s at 33 Hz). ` : `The error does not stay within 5 % in ${FRAMES} frames. `) +
+        `The overshoot is ${show(100 * Math.max(overshoot, 0))} %. ` +
+        `The jitter moves the feature with a standard deviation of ${show(jitter * noiseGain(gain, delay))} px.`,
     ];
   };
 
   const update = ({ gain, delay, jitter }) => {
     const wrong = !(gain > 0) || !(delay >= 0 && delay <= 20) || !(jitter >= 0);
     if (wrong) {
-      answer.replaceChildren("The gain must be positive, the delay between 0 and 20 frames, the jitter not negative.");
+      answer.replaceChildren("The gain must be positive, the delay must be between 0 and 20 frames, and the jitter must not be negative.");
       pictures.replaceChildren();
       return;
     }
@@ -62,9 +62,9 @@
   const pictures = make("div", { class: "try-pictures" });
   const legend = make("p", { class: "try-legend" },
     make("span", { class: "first" }, "without jitter"), make("span", { class: "second" }, "with jitter"),
-    make("span", { class: "wanted" }, "wanted; unit circle"));
+    make("span", { class: "wanted" }, "target; unit circle"));
   const { place, refresh } = tool("loop", [
-    { name: "gain", label: "Gain g", unit: "share of the error per frame", min: 0.02, max: 2.2, step: 0.01, value: 0.5 },
+    { name: "gain", label: "Gain g", unit: "fraction of the error per frame", min: 0.02, max: 2.2, step: 0.01, value: 0.5 },
     { name: "delay", label: "Delay", unit: "frames", min: 0, max: 5, step: 0.05, value: 1 },
     { name: "jitter", label: "Jitter of the measurement", unit: "px", min: 0, max: 5, step: 0.05, value: 1 },
   ], update);

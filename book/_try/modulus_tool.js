@@ -2,7 +2,7 @@
 {
   const { make, draw, show, tool } = tryIt.ui;
   const { STEEP, refusal, elasticModulus, modulusStd, dimpleProfile } = tryIt.membrane;
-  // Table 5.6, with the probe that its modulus implies.
+  // Table 5.6, with half of the catalogue width of the probe.
   const INPUTS = [
     ["force", "Force F", "µN", 1, 500, 0.01, 197.24],
     ["dimpleRadius", "Dimple radius a", "µm", 20, 600, 0.01, 246.95],
@@ -64,8 +64,8 @@
     const steepness = p.dimpleDepth / p.dimpleRadius;
     warning.hidden = Boolean(wrong) || !(steepness > STEEP);
     warning.textContent =
-      `w_d/a = ${show(steepness)} is above ${STEEP}: the formula takes slopes for small, which makes the modulus about ` +
-      "5 % too low or more. microlib.membrane.finite_slope_modulus does without that.";
+      `w_d/a = ${show(steepness)} is above ${STEEP}. The formula assumes small slopes, so the modulus is about 5 % too low or ` +
+      "more. The functions disc_modulus and capsule_modulus of microlib.membrane do not assume small slopes.";
     picture.replaceChildren(...(wrong ? [] : [dimple(picture.clientWidth || 340, p)]));
   };
 
@@ -73,7 +73,7 @@
   const warning = make("p", { class: "try-warning", role: "status" });
   const picture = make("div", { class: "try-picture" });
   const { place, form, refresh, byName } = tool("modulus", [...INPUTS, ...ERRORS], update);
-  const fold = make("details", {}, make("summary", {}, "How well is each input known?"));
+  const fold = make("details", {}, make("summary", {}, "Standard deviations of the inputs"));
   fold.append(...ERRORS.map(({ name }) => byName[name].row));
   form.insertBefore(fold, form.querySelector("button"));
   place.append(answer, warning, picture);

@@ -42,7 +42,7 @@
   let errors = [0, 0];
   const update = ({ noise, size, hZero, kZero }) => {
     if (!(noise >= 0 && hZero >= 0 && kZero >= 0 && size >= 3 && size <= 31 && size % 2 === 1)) {
-      answer.replaceChildren("Noise and thresholds must not be negative; the window must be odd, 3 to 31 px.");
+      answer.replaceChildren("Noise and thresholds must not be negative, and the window must be odd, from 3 to 31 px.");
       return;
     }
     const map = heights(choice.value).map((z, i) => z + noise * NOISE[i]);
@@ -51,8 +51,8 @@
     const middle = (field) => field.filter((v) => !Number.isNaN(v)).sort()[Math.floor((SIDE - 2 * size) ** 2 / 2)];
     errors = [middle(curvature.meanError) * MILLI, middle(curvature.gaussianError) * MILLI ** 2];
     answer.replaceChildren(
-      `In the middle of the values, noise alone gives H a standard error of ${show(errors[0])} 1/mm and ` +
-        `K one of ${show(errors[1])} 1/mm². Thresholds below two or three of them label noise.`);
+      `The noise gives H a median standard error of ${show(errors[0])} 1/mm, and K a median standard error of ` +
+        `${show(errors[1])} 1/mm². With thresholds below two or three standard errors, noise is labeled as shape.`);
     paint(relief, shade(map));
     paint(types, (i) => rgb(TYPES[labels[i]][1]));
     const counts = TYPES.map((_, label) => labels.filter((one) => one === label).length);

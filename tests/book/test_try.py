@@ -213,11 +213,11 @@ def test_every_state_is_open_to_everyone(page: Page, html: Path, width: int, the
     assert min(heights) >= 44
     answer = page.locator("[data-try=loop] .try-answer")
     before = answer.inner_text()
-    page.get_by_label("Gain g (share of the error per frame)", exact=True).focus()
+    page.get_by_label("Gain g (fraction of the error per frame)", exact=True).focus()
     page.keyboard.press("ArrowRight")
     assert answer.inner_text() != before
     page.get_by_label("Dimple depth w_d (µm), exact").fill("2")  # no warning
-    page.get_by_label("Gain g (share of the error per frame), exact").fill("1.05")  # unstable
+    page.get_by_label("Gain g (fraction of the error per frame), exact").fill("1.05")  # unstable
     page.get_by_label("Surface", exact=True).select_option("Saddle")
     page.get_by_role("button", name="Set both thresholds").click()
     page.get_by_role("button", name="Go to the sharpest").click()
