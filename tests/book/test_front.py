@@ -43,6 +43,20 @@ def test_its_numbers_are_those_of_the_chapters(html: Path, claims_folder: Path) 
     drawn = re.search(r"specified probe width: ([\d.]+) to\s+([\d.]+) MPa", text)
     assert drawn
     assert drawn.groups() == (f"{low:.2f}", f"{high:.2f}")
+    # The range belongs to the rim and the model: it is another one for another choice.
+    texts = {name: state["band"]["text"] for name, state in states.items() if state["band"]}
+    assert texts["left small 10"] == texts["left small 50"]
+    assert (
+        len({texts[f"{choice} 10"] for choice in ("left small", "left capsule", "right small")})
+        == 3
+    )
+    for name, state in states.items():
+        if state["band"] is None:
+            assert name.startswith("right capsule"), name
+        else:
+            assert float(re.findall(r"[\d.]+", state["band"]["text"])[0]) > 0
+    # The text has the deviations of both models.
+    assert re.search(r"up to 32 µm.*up to 50 µm", states["left small 25"]["text"])
     # The rims' radii on the buttons are those of section 5.6.
     assert f"right, a = {recorded['5.6/right-radius'].value:.0f} µm" in text
     assert f"left, a = {recorded['table-5.6/a'].value:.0f} µm" in text
@@ -79,6 +93,7 @@ def test_it_is_used_by_keyboard_on_a_phone(page: Page, html: Path) -> None:
     page.keyboard.press("Tab")  # to the model
     page.keyboard.press("ArrowRight")
     assert agrees() < 1.2
+    assert "0.98 to 1.29 MPa" in figure.locator("[data-part=band]").text_content()
     page.keyboard.press("Tab")  # to the half-width
     first = figure.locator(".probe").first.get_attribute("width")
     page.keyboard.press("ArrowRight")
@@ -90,6 +105,9 @@ def test_it_is_used_by_keyboard_on_a_phone(page: Page, html: Path) -> None:
     page.get_by_label("right", exact=False).check()
     assert "No closed capsule" in figure.locator(".told").inner_text()
     assert not figure.locator(".found").is_visible()
+    assert not figure.locator("[data-part=band] text").is_visible()
+    assert "taken" in figure.locator("[data-part=right]").get_attribute("class").split()
+    assert "taken" not in figure.locator("[data-part=left]").get_attribute("class").split()
     assert hindrances(page) == []
     assert page.evaluate("document.documentElement.scrollWidth - innerWidth") <= 0
     sizes = figure.locator("svg text").evaluate_all(
@@ -118,4 +136,8 @@ def test_the_author_is_the_same_everywhere(html: Path) -> None:
     text = (html / "intro.html").read_text("utf-8")
     footer = text.partition('class="colophon"')[2]
     assert config["author"] in footer
-    assert text.count(config["author"].partition(" ")[2]) >= 3  # its head and how to cite it
+    assert text.count(config["author"].partition(" ")[2]) >= 3  # who made it and how to cite it
+    title = config["title"]
+    assert f"<h1>{title}" in text
+    assert cited["title"] == title
+    assert (ROOT / "README.md").read_text("utf-8").startswith(f"# {title}\n")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from book_test_sources import line_of, place_of_test
-from book_verdicts import count_by_class, number_of
+from book_verdicts import ORDER, count_by_class, number_of
 from docutils import nodes
 from playwright.sync_api import Browser, Page
 
@@ -31,7 +31,8 @@ TASKS = {
     "use my TIFF": ("microlib depth scan.tif",),
     "use my film": ("article a:has-text('Use it')", "article a:has-text('Follow a part')",
                     "-p frames my_film.mp4"),
-    "what is not known and why": (".verdict-map a[title^='5.6'][title*='cannot']",
+    "what is not known and why": ("article a:has-text('How a verdict')",
+                                  ".verdict-map a[title^='5.6'][title*='cannot']",
                                   "the outline is not in the text."),
     "how to cite": ("@software{microlib",),
     "a figure in large": ("a:has-text('Stiffness')", "figure a.enlarge", "Close"),
@@ -103,22 +104,20 @@ def cells(row: str) -> list[str]:
 
 def test_a_count_has_its_classes_and_a_verdict_its_star(html: Path) -> None:
     """Whatever a page counts is counted by the ledger; a table of claims has their labels."""
-    counts = {of: str(count_by_class(of).total()) for of in (*ledger.VERDICTS, "claims", "errata")}
-    assert counts["claims"] == str(len(CLAIMS))
-    assert counts["errata"] == str(len(ledger.errata()))
+    counts = {of: number_of(of) for of in (*ledger.VERDICTS, "claims", "errata")}
+    assert counts["claims"] == len(CLAIMS) == sum(counts[verdict] for verdict in ledger.VERDICTS)
+    assert counts["errata"] == len(ledger.errata())
+    for verdict in ledger.VERDICTS:
+        assert count_by_class(verdict).total() == counts[verdict], verdict
     origins = {entry["origin"] for entry in ledger.errata().values()}
-    alone = {str(number_of(what)) for what in ("causes", "starred", *origins)}
+    shown = {*counts.values(), *map(number_of, ("causes", "starred", *origins))}
     words = {claim.label for claim in CLAIMS}
     named = {name: claim for claim in CLAIMS for name in (claim.id, claim.says) if name}
     seen = 0
     for path in [*html.glob("*.html"), *html.glob("notebooks/*.html")]:
         text = path.read_text("utf-8").partition("<article")[2].partition("</article>")[0]
-        for number, classes in re.findall(r'class="count">(\d+) \(([^)]*)', text):
-            parts = [int(part.split()[0]) for part in classes.split(", ")]
-            assert sum(parts) == int(number), path.name
-            assert number in counts.values(), path.name
         for number in re.findall(r'class="count">(\d+)<', text):
-            assert number in {*counts.values(), *alone}, path.name
+            assert int(number) in shown, path.name
         for row in re.findall(r"<tr>(.*?)</tr>", text, re.S):
             found = cells(row)
             for name in named.keys() & set(found):
@@ -157,10 +156,20 @@ def test_a_number_leads_to_the_cell_that_recorded_it_and_back(
     assert page.url.endswith("intro.html")
 
 
-def test_the_bars_of_the_front_page_count_every_claim_and_lead_to_it(
-    page: Page, html: Path
-) -> None:
-    open_page(page, html / "intro.html")
+@pytest.mark.parametrize("name", ["summary", "verdicts"])
+def test_the_table_of_counts_has_all_claims_by_class(html: Path, name: str) -> None:
+    text = (html / f"{name}.html").read_text("utf-8")
+    rows = re.findall(r"<tr[^>]*>(.*?)</tr>", text, re.S)
+    found = {row[0]: row[1:] for row in map(cells, rows) if row and row[0] in ORDER}
+    assert found.keys() == set(ledger.VERDICTS)
+    for verdict, (number, classes) in found.items():
+        assert int(number) == number_of(verdict), verdict
+        parts = re.findall(r"(?:^|\n)(\d+) (?!causes)", classes)
+        assert sum(map(int, parts)) == int(number), f"{verdict}: {classes}"
+
+
+def test_the_bars_of_the_verdicts_count_every_claim_and_lead_to_it(page: Page, html: Path) -> None:
+    open_page(page, html / "verdicts.html")
     pieces = page.locator(".verdict-map dd a")
     assert sum(int(text) for text in pieces.all_inner_texts()) == len(CLAIMS)
     piece = page.locator(".verdict-map a[title^='5.6'][title*='disagrees, unstarred']")
