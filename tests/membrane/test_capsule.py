@@ -10,8 +10,13 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import spsolve
 
 from microlib._common import Array
-from microlib.membrane.large import _capsule
-from microlib.membrane.large._capsule import capsule_modulus, indent_capsule, indent_near
+from microlib.membrane.large._capsule import (
+    capsule_modulus,
+    check_shell,
+    indent_capsule,
+    solve_indentation,
+)
+from microlib.membrane.large._capsule_problem import CapsuleProblem
 from tests.membrane.energy import stored
 
 R, H, C = 600.0, 3.0, 25.0
@@ -133,7 +138,7 @@ def minimised_state(approach: float, inflation: float, c2: float, elements: int)
     ("law", "inflation", "force"),
     [("neo-hooke", 1.05, 100.0), ("mooney-rivlin", 1.1, 197.24), ("neo-hooke", 1.01, 60.0)],
 )
-def test_equals_a_minimum_of_the_energy(law: str, inflation: float, force: float) -> None:
+def test_force_and_approach_match_energy_minimum(law: str, inflation: float, force: float) -> None:
     settings = {**CAPSULE, "law": law, "inflation": inflation}
     guide = indent_capsule(force, **settings).approach / R
     c2 = 0.2 if law == "mooney-rivlin" else 0.0
@@ -147,7 +152,7 @@ def test_equals_a_minimum_of_the_energy(law: str, inflation: float, force: float
 
 
 @pytest.mark.parametrize("inflation", [1.0, 1.001, 1.05, 1.3, 2.0])
-def test_no_force_is_the_inflated_sphere(inflation: float) -> None:
+def test_state_without_force_is_inflated_sphere(inflation: float) -> None:
     state = indent_capsule(0.0, inflation=inflation, **CAPSULE)
     shear = 1 / 3
     wanted = 2 * shear * H / R * (1 - inflation**-6)
@@ -158,7 +163,7 @@ def test_no_force_is_the_inflated_sphere(inflation: float) -> None:
 
 
 @pytest.mark.parametrize("law", ["hooke", "neo-hooke", "mooney-rivlin"])
-def test_a_vanishing_force_meets_the_sphere(law: str) -> None:
+def test_state_approaches_sphere_for_vanishing_force(law: str) -> None:
     kw = {**CAPSULE, "law": law, "inflation": 1.08, "probe_half_width": 0.5}
     # The sphere is written down, the other solved: of what a probe of a thousandth does.
     sphere = indent_capsule(0.0, **kw)
@@ -169,7 +174,9 @@ def test_a_vanishing_force_meets_the_sphere(law: str) -> None:
 
 
 @pytest.mark.parametrize(("law", "inflation", "force"), STATES)
-def test_volume_energy_and_crest(law: str, inflation: float, force: float) -> None:
+def test_volume_is_kept_force_is_energy_slope_and_crest_is_rim(
+    law: str, inflation: float, force: float
+) -> None:
     settings = {**CAPSULE, "law": law, "inflation": inflation}
     less, state, more = (indent_capsule(k * force, **settings) for k in (0.98, 1.0, 1.02))
     # Straight parts between the nodes, of which there are 400 or more.
@@ -191,14 +198,14 @@ def test_volume_energy_and_crest(law: str, inflation: float, force: float) -> No
 
 
 def near_state(force: float, near: Any = None) -> Any:
-    return indent_near(near, force, 1.0, 1.05, (R, H, C, 0.5, "neo-hooke"))
+    return solve_indentation(force, 1.0, 1.05, check_shell(R, H, C, 0.5, "neo-hooke"), near)
 
 
-def test_half_the_mesh_gives_the_same() -> None:
+def test_depth_does_not_change_on_finer_mesh() -> None:
     problem, solution = near_state(100.0)[1]
     middles = (solution.x[1:] + solution.x[:-1]) / 2
     mesh = np.sort(np.concatenate([solution.x, middles]))
-    half = problem.collocated((mesh, solution.sol(mesh), solution.p))
+    half = problem.collocate((mesh, solution.sol(mesh), solution.p))
     depths = [s.y[7, 0] - s.y[7, -1] for s in (solution, half)]
     assert half.x.size > 1.9 * solution.x.size
     assert depths[0] == pytest.approx(depths[1], rel=1e-6)
@@ -208,7 +215,9 @@ def test_half_the_mesh_gives_the_same() -> None:
     ("law", "inflation", "modulus"),
     [("hooke", 1.048, 0.88), ("neo-hooke", 1.042, 1.12), ("mooney-rivlin", 1.040, 1.15)],
 )
-def test_inverse_of_the_printed_dimple(law: str, inflation: float, modulus: float) -> None:
+def test_capsule_modulus_inverts_indent_capsule_for_printed_dimple(
+    law: str, inflation: float, modulus: float
+) -> None:
     force, a, depth = 197.24, 246.95, 121.22
     shell: dict[str, Any] = {"radius": R, "thickness": H, "probe_half_width": C, "law": law}
     found = capsule_modulus(force, a, depth, **shell)
@@ -221,7 +230,7 @@ def test_inverse_of_the_printed_dimple(law: str, inflation: float, modulus: floa
     assert found.state.depth == pytest.approx(depth, rel=1e-9)
 
 
-def test_inverse_with_a_slack_plate() -> None:
+def test_capsule_modulus_allows_slack_middle() -> None:
     found = capsule_modulus(197.24, 246.95, 121.22, radius=500.0, thickness=H, probe_half_width=C)
     assert np.isnan(found.state.stretches[:, -1]).all()
     assert not found.state.stresses[:, -1].any()
@@ -233,31 +242,34 @@ def test_inverse_with_a_slack_plate() -> None:
     [
         ({"force": 2000.0}, "force must keep the probe above the plate"),
         ({"force": 2000.0, "law": "hooke", "inflation": 1.1}, "clear of the probe's side"),
-        ({"force": 1.0, "inflation": 1.05}, "force must lay the wall on the whole face .* 1 µN"),
+        (
+            {"force": 1.0, "inflation": 1.05},
+            "force must flatten the wall on the whole face .* 1 µN",
+        ),
     ],
 )
-def test_what_cannot_work_is_refused(change: dict[str, Any], message: str) -> None:
+def test_impossible_force_raises(change: dict[str, Any], message: str) -> None:
     settings = {"force": 100.0, **CAPSULE, **change}
     with pytest.raises(ValueError, match=message):
         indent_capsule(**settings)
 
 
-def test_a_false_solution_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_solution_with_wrong_force_balance_raises(monkeypatch: pytest.MonkeyPatch) -> None:
     # A horizontal balance that is off by a hundredth is seen by the virtual work.
-    honest = _capsule._Capsule.slopes
+    right = CapsuleProblem.right_hand_side
 
-    def wrong(self: _capsule._Capsule, x: Any, y: Any, k: Any = None) -> Any:
-        slopes = honest(self, x, y, k)
-        slopes[[4, 8]] *= 1.01
-        return slopes
+    def wrong(self: CapsuleProblem, x: Any, y: Any, k: Any = None) -> Any:
+        rates = right(self, x, y, k)
+        rates[[4, 8]] *= 1.01
+        return rates
 
-    monkeypatch.setattr(_capsule._Capsule, "slopes", wrong)
+    monkeypatch.setattr(CapsuleProblem, "right_hand_side", wrong)
     with pytest.raises(ValueError, match="force must have an equilibrium"):
         indent_capsule(100.0, inflation=1.05, **CAPSULE)
 
 
 @pytest.mark.parametrize("force", [60.0, 66.0, 150.0])
-def test_a_start_from_a_neighbor_finds_the_same_state(force: float) -> None:
+def test_start_from_similar_capsule_gives_same_state(force: float) -> None:
     """Near enough to go on from it, and too far, so that the search begins at the sphere."""
     shell = CAPSULE | {"inflation": 1.05}
     _, near = near_state(60.0)
@@ -266,4 +278,4 @@ def test_a_start_from_a_neighbor_finds_the_same_state(force: float) -> None:
     # Two meshes of one tolerance.
     assert found.depth == pytest.approx(wanted.depth, rel=1e-6)
     assert found.pressure == pytest.approx(wanted.pressure, rel=1e-6)
-    assert solved[0].force == pytest.approx(force / 1800)
+    assert solved[0].given.force == pytest.approx(force / 1800)

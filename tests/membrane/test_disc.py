@@ -18,7 +18,7 @@ DISC: dict[str, Any] = {"radius": A, "thickness": H, "probe_half_width": C}
 
 
 @pytest.mark.parametrize("force", [1e-6, 1e-3])
-def test_closed_form_of_small_slopes(force: float) -> None:
+def test_force_matches_closed_form_for_small_slopes(force: float) -> None:
     # ν = 1/3, no pressure: no point moves sideways, N₁ falls with X^(−2/3).
     depth = indent_disc(
         force, modulus=1.0, poisson_ratio=1 / 3, law="hooke", pressure=0, **DISC
@@ -39,7 +39,7 @@ def test_closed_form_of_small_slopes(force: float) -> None:
     ],
 )
 @pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
-def test_modulus_over_that_of_the_thesis(
+def test_ratio_to_point_load_modulus_matches_independent_solver(
     law: str, pressure: float | str, steepness: float, ratio: float
 ) -> None:
     settings: dict[str, Any] = {"thickness": H, "probe_half_width": C, "poisson_ratio": 0.5}
@@ -61,7 +61,7 @@ def test_modulus_over_that_of_the_thesis(
         {"law": "mooney-rivlin", "pretension": 0.05, "rim_inset": 0.03},
     ],
 )
-def test_the_work_of_force_and_pressure_is_the_energy(kw: dict[str, Any]) -> None:
+def test_work_of_force_and_pressure_equals_energy(kw: dict[str, Any]) -> None:
     less, more = states = [indent_disc(k * F, modulus=1.0, **DISC, **kw) for k in (0.98, 1.02)]
     energies, volumes = ([of(state) for state in states] for of in (energy_of(kw), volume_of))
     p = (less.pressure + more.pressure) / 2
@@ -79,7 +79,7 @@ def volume_of(state: MembraneState) -> float:
     return -np.trapezoid(2 * np.pi * state.r * state.z, state.r) + np.pi * C**2 * state.depth
 
 
-def test_state_is_consistent() -> None:
+def test_state_satisfies_boundary_conditions_and_force_balance() -> None:
     state = indent_disc(F, modulus=1.3, **DISC)
     assert state.r[0] == pytest.approx(C)
     assert state.r[-1] == pytest.approx(A)
@@ -97,7 +97,7 @@ def test_state_is_consistent() -> None:
     assert lift == pytest.approx(F - state.pressure * np.pi * C**2, rel=2e-3)
 
 
-def test_a_drawn_in_rim_and_pretension_are_different_things() -> None:
+def test_rim_inset_deepens_and_pretension_flattens_dimple() -> None:
     depth = indent_disc(5.0, modulus=1.0, **DISC).depth
     assert indent_disc(5.0, modulus=1.0, rim_inset=0.03, **DISC).depth > 1.2 * depth
     assert indent_disc(5.0, modulus=1.0, pretension=0.03, **DISC).depth < 0.5 * depth
@@ -107,13 +107,13 @@ def test_a_drawn_in_rim_and_pretension_are_different_things() -> None:
     assert small == pytest.approx(1e-4 * np.log(A / C) / (2 * np.pi * tension), rel=1e-3)
 
 
-def test_a_wrinkled_disc_bears_no_compression() -> None:
+def test_wrinkled_disc_has_no_compressive_stress() -> None:
     state = indent_disc(20.0, modulus=1.0, rim_inset=0.05, **DISC)
     assert state.stresses.min() == 0
     assert state.stretches[1, -1] == pytest.approx(0.95)
 
 
-def test_a_dimple_near_the_deepest_is_found() -> None:
+def test_disc_modulus_is_found_near_largest_depth() -> None:
     """An e-fold softer disc folds, so that no coarse search brackets this one."""
     settings: dict[str, Any] = {
         "thickness": 2.573,
@@ -127,7 +127,7 @@ def test_a_dimple_near_the_deepest_is_found() -> None:
 
 
 @pytest.mark.parametrize("narrow", [0.005, 0.002, 0.001])
-def test_a_narrow_probe_has_a_modulus(narrow: float) -> None:
+def test_disc_modulus_is_found_for_narrow_probe(narrow: float) -> None:
     """Where the search from the closed form fails, it begins at a wider probe."""
     settings: dict[str, Any] = {"thickness": H, "law": "hooke", "pressure": 0.0}
     settings["probe_half_width"] = narrow * A
@@ -140,6 +140,6 @@ def test_a_narrow_probe_has_a_modulus(narrow: float) -> None:
                 assert found == pytest.approx(1e-3 * F * shape * 3 / np.pi, rel=0.02)
 
 
-def test_a_slack_disc_has_a_least_depth() -> None:
+def test_depth_below_that_of_slack_disc_raises() -> None:
     with pytest.raises(ValueError, match="depth must be"):
         disc_modulus(F, A, 20.0, thickness=H, probe_half_width=C, rim_inset=0.1)

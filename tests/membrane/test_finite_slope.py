@@ -28,18 +28,18 @@ def modulus_by_quadrature(force: float, a: float, depth: float) -> float:
 
 
 @pytest.mark.parametrize("depth", [5.0, 20.0, 49.0, 60.0])
-def test_equals_adaptive_quadrature(depth: float) -> None:
+def test_finite_slope_modulus_matches_adaptive_quadrature(depth: float) -> None:
     got = finite_slope_modulus(197.24, 246.95, depth, **DATA)
     # brentq's default tolerance on k and quad's 1.5e-8 near the root singularity.
     assert got == pytest.approx(modulus_by_quadrature(197.24, 246.95, depth), rel=1e-6)
 
 
-def test_meets_the_small_slope_model_for_shallow_dimples() -> None:
+def test_finite_slope_modulus_approaches_5_2_for_shallow_dimples() -> None:
     whole = finite_slope_modulus(1e-4, 250.0, 0.25, **DATA)
     assert whole == pytest.approx(float(elastic_modulus(1e-4, 250.0, 0.25, **DATA)), rel=1e-5)
 
 
-def test_ends_where_the_membrane_stands_upright() -> None:
+def test_modulus_is_nan_beyond_steepest_depth() -> None:
     end = steepest_depth(246.95, probe_half_width=25.0)
     assert end == pytest.approx(61.74, abs=0.01)  # by quadrature, 61.738 µm
     assert np.isfinite(finite_slope_modulus(1.0, 246.95, end * 0.999, **DATA))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from microlib.membrane.large._laws import law_of
+from microlib.membrane.large._laws import constitutive_law
 from tests.membrane.energy import density
 
 RATIOS = {"hooke": 0.3, "neo-hooke": 0.5, "mooney-rivlin": 0.5}
@@ -14,8 +14,8 @@ STRETCHES = np.random.default_rng(0).uniform([1.0, 0.8], [3.0, 2.0], (300, 2)).T
 
 
 @pytest.mark.parametrize("name", RATIOS)
-def test_stresses_are_the_slopes_of_the_relaxed_energy(name: str) -> None:
-    law = law_of(name, RATIOS[name])
+def test_stresses_are_derivatives_of_relaxed_energy(name: str) -> None:
+    law = constitutive_law(name, RATIOS[name])
     first, second = STRETCHES
     step = 1e-6
 
@@ -26,37 +26,37 @@ def test_stresses_are_the_slopes_of_the_relaxed_energy(name: str) -> None:
         return (up - down) / (2 * step)
 
     along, across = slope([[1.0], [0.0]]), slope([[0.0], [1.0]])
-    got = law.relaxed_stress(first, second)
+    got = law.tension_field_stress(first, second)
     assert (got[1] == 0).any()  # some are wrinkled
     np.testing.assert_allclose(got, [along, across], atol=3e-9)
 
 
 @pytest.mark.parametrize("name", RATIOS)
-def test_the_meridian_returns_the_stretch_that_bears_its_stress(name: str) -> None:
-    law = law_of(name, RATIOS[name])
+def test_invert_meridian_stress_inverts_tension_field_stress(name: str) -> None:
+    law = constitutive_law(name, RATIOS[name])
     first, second = STRETCHES
-    along, across = law.relaxed_stress(first, second)
-    got, hoop = law.meridian(along, second)
+    along, across = law.tension_field_stress(first, second)
+    got, hoop = law.invert_meridian_stress(along, second)
     np.testing.assert_allclose(got, first, rtol=1e-12)
     np.testing.assert_allclose(hoop, across, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", RATIOS)
-def test_the_modulus_is_one_at_small_strain(name: str) -> None:
-    law = law_of(name, RATIOS[name])
+def test_modulus_is_one_at_small_strain(name: str) -> None:
+    law = constitutive_law(name, RATIOS[name])
     small, nu = 1e-6, RATIOS[name]
     # A strip that contracts freely across bears E e.
-    assert law.strip(np.array(1 + small)) / small == pytest.approx(1, rel=1e-5)
-    along, across = law.stress(np.array(1 + small), np.array(1 - nu * small))
+    assert law.uniaxial_stress(np.array(1 + small)) / small == pytest.approx(1, rel=1e-5)
+    along, across = law.biaxial_stress(np.array(1 + small), np.array(1 - nu * small))
     assert along / small == pytest.approx(1, rel=1e-5)
     assert across / small == pytest.approx(0, abs=1e-5)
 
 
 @pytest.mark.parametrize("name", RATIOS)
-def test_a_slack_membrane_bears_nothing(name: str) -> None:
-    law = law_of(name, RATIOS[name])
+def test_slack_membrane_has_no_stress(name: str) -> None:
+    law = constitutive_law(name, RATIOS[name])
     stretch = np.array([0.7, 0.95]), np.array([0.9, 1.0])
-    assert not np.any(law.relaxed_stress(*stretch))
+    assert not np.any(law.tension_field_stress(*stretch))
 
 
 @pytest.mark.parametrize(
@@ -67,6 +67,6 @@ def test_a_slack_membrane_bears_nothing(name: str) -> None:
         ("hooke", 0.6, "poisson_ratio must be at most 0.5, got 0.6"),
     ],
 )
-def test_impossible_laws_are_refused(name: str, ratio: float, message: str) -> None:
+def test_unknown_law_or_poisson_ratio_raises(name: str, ratio: float, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        law_of(name, ratio)
+        constitutive_law(name, ratio)

@@ -13,7 +13,7 @@ NAMES = ["elastic_modulus", "indentation_force", "dimple_depth", "membrane_stres
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_of_numbers_a_number_of_arrays_an_array(name: str) -> None:
+def test_scalars_give_a_scalar_and_arrays_an_array(name: str) -> None:
     function, given = getattr(membrane, name), fuzz.valid_call(f"membrane.{name}")
     one = function(**given)
     assert isinstance(one, float)

@@ -10,7 +10,7 @@ from scipy.ndimage import uniform_filter1d
 
 from microlib._common import Array
 from microlib.membrane.large._capsule import indent_capsule
-from microlib.membrane.large._fit_capsule import _variance, fit_capsule
+from microlib.membrane.large._fit_capsule import fit_capsule, newey_west_variance
 from tests.laws import hold_sigma
 
 SHELL: dict[str, Any] = {"thickness": 3.0, "probe_half_width": 25.0}
@@ -30,7 +30,7 @@ def outline(noise: float, *, seed: int = 0) -> Array:
     return both + place + np.random.default_rng(seed).normal(0, noise, both.shape)
 
 
-def test_finds_the_capsule_that_was_drawn() -> None:
+def test_fit_recovers_capsule_of_exact_outline() -> None:
     fit = fit_capsule(FORCE, outline(0.0), **SHELL)
     # The points lie on chords of the outline: up to 0.05 µm inside it.
     assert fit.modulus == pytest.approx(1, abs=2e-3)
@@ -40,7 +40,7 @@ def test_finds_the_capsule_that_was_drawn() -> None:
     assert fit.misfit < 0.1
 
 
-def test_where_a_search_begins_changes_nothing() -> None:
+def test_fit_does_not_depend_on_start() -> None:
     """At the truth, or half as stiff and twice as inflated: a search that stops early differs."""
     starts = (1.0, INFLATION), (0.5, 1.1)
     points = outline(0.7)
@@ -50,7 +50,7 @@ def test_where_a_search_begins_changes_nothing() -> None:
     assert far.modulus == pytest.approx(near.modulus, abs=0.1 * near.modulus_std)
 
 
-def test_standard_deviation_is_that_of_the_errors() -> None:
+def test_modulus_std_matches_errors() -> None:
     fits = [fit_capsule(FORCE, outline(0.7, seed=seed), **NEAR) for seed in range(3)]
     scores = np.array([(fit.modulus - 1) / fit.modulus_std for fit in fits])
     # χ² of three: between 0.07 and 12.8 in 99 of 100 samples.
@@ -58,7 +58,7 @@ def test_standard_deviation_is_that_of_the_errors() -> None:
     assert all(0.5 < fit.misfit < 0.9 for fit in fits)
 
 
-def test_a_tilt_is_fitted_and_costs_no_certainty() -> None:
+def test_fit_tilt_recovers_tilt_and_keeps_modulus_std() -> None:
     """Turned by what an image does not show of the probe's direction."""
     tilt = 0.006
     upright = outline(0.7, seed=1)
@@ -79,7 +79,7 @@ def test_a_tilt_is_fitted_and_costs_no_certainty() -> None:
     assert stiff.modulus_std > 2 * fit.modulus_std
 
 
-def test_the_dimple_alone_needs_the_radius() -> None:
+def test_fit_of_dimple_alone_uses_given_radius() -> None:
     points = outline(0.5)
     dimple = points[points[:, 1] > points[:, 1].max() - 150]
     fit = fit_capsule(FORCE, dimple, **NEAR)
@@ -88,7 +88,7 @@ def test_the_dimple_alone_needs_the_radius() -> None:
     assert fit.modulus_std < 0.05
 
 
-def test_one_side_counted_from_the_axis() -> None:
+def test_fit_accepts_one_side_of_outline() -> None:
     points = outline(0.3)
     side = points[points[:, 0] > 30] - [30.0, 0.0]
     fit = fit_capsule(FORCE, side, radius=RADIUS, **SHELL)
@@ -96,13 +96,13 @@ def test_one_side_counted_from_the_axis() -> None:
     assert abs(fit.modulus - 1) < 4 * fit.modulus_std
 
 
-def test_points_of_no_capsule_are_refused() -> None:
+def test_points_far_from_any_capsule_raise() -> None:
     with pytest.raises(ValueError, match="outline must be near"):
         fit_capsule(FORCE, np.random.default_rng(0).uniform(0, 60, (40, 2)), **SHELL)
 
 
 @pytest.mark.parametrize(("points", "width"), [(20, 1), (60, 1), (400, 1), (400, 6)])
-def test_a_variance_is_that_of_errors_as_they_are_along_an_outline(points, width):
+def test_newey_west_variance_matches_scatter_of_fits(points, width):
     """Independent, at three sizes, or alike over six points: of each of four numbers."""
     jacobian = np.vander(np.linspace(-1, 1, points), 4)
     drawn = np.random.default_rng(0).normal(size=(400, points))
@@ -111,7 +111,7 @@ def test_a_variance_is_that_of_errors_as_they_are_along_an_outline(points, width
         columns = np.roll(jacobian, turn, axis=1)
         fits = errors @ np.linalg.pinv(columns).T
         left = errors - fits @ columns.T
-        stated = np.array([_variance(columns, each) for each in left])
+        stated = np.array([newey_west_variance(columns, each) for each in left])
         if width == 1:
             # As many degrees as a χ² has that scatters like the stated variances.
             freedom = 2 * stated.mean() ** 2 / stated.var()

@@ -95,7 +95,7 @@ def test_exact_strain_equals_adaptive_quadrature(steepness: float, zeta: float) 
     assert got == pytest.approx(integral / (1 - zeta**2), rel=1e-9)
 
 
-def test_the_warning_begins_where_both_steps_cost_five_per_cent() -> None:
+def test_small_slope_warning_limit_is_where_modulus_is_5_percent_low() -> None:
     depth = SmallSlopeWarning.limit * 250.0
 
     def too_low(steepness: float, half_width: float) -> float:
@@ -145,7 +145,7 @@ def test_arguments_broadcast() -> None:
     assert got[1, 1] == pytest.approx(float(elastic_modulus(**VALUES)), rel=1e-14)
 
 
-def test_a_covariance_stands_for_two_deviations() -> None:
+def test_dimple_covariance_replaces_two_standard_deviations() -> None:
     independent = {"dimple_radius": 1.0, "dimple_depth": 0.4}
     apart = modulus_std(VALUES, {}, dimple_covariance=[[1.0, 0.0], [0.0, 0.16]])
     assert apart == pytest.approx(modulus_std(VALUES, independent), rel=1e-12)
@@ -154,7 +154,7 @@ def test_a_covariance_stands_for_two_deviations() -> None:
     assert modulus_std(VALUES | {"poisson_ratio": 0.0}, {"poisson_ratio": 0.01}) > 0
 
 
-def test_large_errors_draw_only_what_can_be() -> None:
+def test_samples_of_large_errors_are_possible_dimples() -> None:
     """A force of 150 ± 40 µN is never negative, and keeps its mean and standard deviation."""
     values = VALUES | {"force": 150.0}
     modulus = float(elastic_modulus(**values))
@@ -180,7 +180,7 @@ def test_large_errors_draw_only_what_can_be() -> None:
     assert ratio.mean() == pytest.approx(0.5 - 0.02 * np.sqrt(2 / np.pi), abs=5e-4)
 
 
-def test_steep_dimples_warn() -> None:
+def test_deep_dimple_warns_of_small_slopes() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         elastic_modulus(**VALUES | {"dimple_depth": 0.999 * SmallSlopeWarning.limit * 250.0})
@@ -194,7 +194,7 @@ def test_steep_dimples_warn() -> None:
         dimple_depth(5000.0, 250.0, 1.0, **FILM)
 
 
-def test_the_printed_zeta_cannot_have_given_the_printed_modulus() -> None:
+def test_printed_zeta_does_not_give_printed_modulus() -> None:
     """Backs the erratum of Table 5.6: (5.2) at ζ = 44.78, which no probe can have."""
     z, a, depth = 44.78, 246.95, 121.22
     bracket = 1 - z**2 + np.log(z**2)
@@ -202,17 +202,17 @@ def test_the_printed_zeta_cannot_have_given_the_printed_modulus() -> None:
     assert 197.24 * a**2 * 0.5 / (2 * np.pi * 3.0 * depth**3) / shape > 1e5  # MPa
 
 
-def test_shapes_that_do_not_broadcast_are_refused() -> None:
+def test_shapes_that_do_not_broadcast_raise() -> None:
     with pytest.raises(ValueError, match="broadcast"):
         dimple_profile([30.0, 40.0], [250.0] * 3, 40.0, probe_half_width=25.0)
 
 
-def test_a_covariance_may_be_singular_and_rounded() -> None:
+def test_singular_covariance_with_rounding_is_accepted() -> None:
     assert modulus_std(VALUES, {}, dimple_covariance=[[1.0, 0.5], [0.5 + 1e-16, 0.25]]) > 0
 
 
 @pytest.mark.parametrize("zeta", [1e-6, 0.1012, 0.5, 0.974, 0.975, 0.99, 0.9999, 1 - 1e-9])
-def test_the_force_keeps_its_digits(zeta: float) -> None:
+def test_force_matches_60_digit_arithmetic(zeta: float) -> None:
     """Both branches of the bracket, and the seam near ζ = 0.9747, against 60 digits."""
     with mpmath.workdps(60):
         z = mpmath.mpf(zeta)
@@ -223,7 +223,7 @@ def test_the_force_keeps_its_digits(zeta: float) -> None:
     assert float(got) == pytest.approx(float(2 * mpmath.pi * shape), rel=1e-11)
 
 
-def test_lengths_in_other_units_warn() -> None:
+def test_lengths_or_force_in_other_units_warn() -> None:
     """The thesis' dimple, 1.32 MPa, in metres and millimetres, and with its force in N."""
     right = {"force": 197.24, "dimple_radius": 246.95, "dimple_depth": 121.22, "thickness": 3.0}
     lengths = {"dimple_radius", "dimple_depth", "thickness", "probe_half_width"}

@@ -107,7 +107,7 @@ def test_law_holds(law, name):
 
 
 @pytest.mark.parametrize(("pretension", "inset"), [(0.1, 0.04), (0.08, 0.0), (0.2, 0.1)])
-def test_a_flat_disc_with_a_drawn_in_rim_is_lames_ring(pretension, inset):
+def test_flat_disc_with_rim_inset_matches_lame_solution(pretension, inset):
     """Hooke's law in the plane: r = αX + β/X between a held hole and a rim that was drawn in."""
     nu, modulus = STEEL["poisson_ratio"], 0.7
     settings = {"modulus": modulus, "radius": A, "thickness": H, "probe_half_width": C}
@@ -129,7 +129,7 @@ def test_a_flat_disc_with_a_drawn_in_rim_is_lames_ring(pretension, inset):
 
 
 @pytest.mark.parametrize("size", [0.01, 0.03])
-def test_the_error_of_a_modulus_is_as_stated(size):
+def test_modulus_std_and_samples_match_drawn_errors(size):
     """Of inputs that are drawn apart from the library, radius and depth together."""
     rng = np.random.default_rng(5)
     values = {"force": 43.0, "dimple_radius": A, "dimple_depth": 19.0, "thickness": H}
@@ -159,7 +159,7 @@ ERRORS = [{name: 0.2} for name in ("force", "thickness", "probe_half_width", "po
 @pytest.mark.parametrize("error", [*ERRORS, *[{"dimple_radius": a, "dimple_depth": w} for a, w in
     ((0.7, 0.0), (0.0, 0.2), (0.7, 0.2), (0.7, -0.2))]])  # fmt: skip
 @pytest.mark.parametrize("half_width", [C, 190.0])
-def test_the_error_of_a_modulus_is_its_slope_along_the_error(error, half_width):
+def test_modulus_std_matches_numerical_derivative(error, half_width):
     """Of inputs that err together in a known direction, on either side of a wide probe, too."""
     values = {"force": 43.0, "dimple_radius": A, "dimple_depth": 19.0, "thickness": H}
     values |= {"probe_half_width": half_width, "poisson_ratio": 0.31}
@@ -177,7 +177,7 @@ def test_the_error_of_a_modulus_is_its_slope_along_the_error(error, half_width):
     assert modulus_std(values, error, **together) == pytest.approx(slope, rel=1e-6)
 
 
-def test_a_force_that_is_there_at_first_was_applied_within_no_time():
+def test_first_elastic_force_is_applied_instantaneously():
     """And what relaxes is counted from there, whatever the clock said before."""
     time = 3.7 + np.array([0.0, 0.3, 1.1, 4.0])
     force = np.array([[1.0, 5.0, 4.0, 4.0], [2.0, 2.0, 2.5, 1.0]])

@@ -11,7 +11,7 @@ from microlib.membrane import viscoelastic_force
 PRONY, TIMES = np.array([0.3, 0.25]), np.array([0.4, 5.0])
 
 
-def test_equals_springs_and_dashpots() -> None:
+def test_force_matches_maxwell_elements_solved_by_runge_kutta() -> None:
     """Maxwell elements beside a spring: q' = g F' − q/τ, of a force that is no straight line."""
     time = np.linspace(0, 12, 2401)
 
@@ -30,7 +30,7 @@ def test_equals_springs_and_dashpots() -> None:
     np.testing.assert_allclose(found, wanted, atol=5e-4)
 
 
-def test_a_step_relaxes_and_a_slow_push_has_the_last_stiffness() -> None:
+def test_step_relaxes_and_slow_push_has_relaxed_stiffness() -> None:
     time = np.array([0.0, 0.1, 1.0, 3.0, 1000.0])
     held = viscoelastic_force(
         time, np.full(5, 10.0), prony_coefficients=PRONY, relaxation_times=TIMES
@@ -46,7 +46,7 @@ def test_a_step_relaxes_and_a_slow_push_has_the_last_stiffness() -> None:
     np.testing.assert_allclose(fast, time)
 
 
-def test_samples_between_change_nothing_and_rows_are_alike() -> None:
+def test_intermediate_times_change_nothing() -> None:
     law = {"prony_coefficients": PRONY, "relaxation_times": TIMES}
     few = viscoelastic_force([0.0, 1.0, 4.0], [0.0, 10.0, 4.0], **law)
     time = np.array([0.0, 0.2, 1.0, 1.5, 2.9, 4.0])

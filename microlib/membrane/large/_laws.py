@@ -1,18 +1,18 @@
-r"""The laws of a stretched membrane: tensions, and the stretch that bears a given tension.
+r"""Constitutive laws of a thin membrane: nominal stresses of its principal stretches, and inverses.
 
 A law is a strain energy :math:`W(\lambda_1, \lambda_2)` per undeformed volume, of the stretches
-along the meridian and around the axis. Its derivatives :math:`N_i = \partial W/\partial\lambda_i`
-are nominal stresses: force per undeformed section. All are taken for a modulus of 1; stresses grow
-in proportion to it.
+along the meridian (1) and around the axis (2, the hoop direction). Its derivatives :math:`N_i =
+\partial W/\partial\lambda_i` are nominal stresses, force per undeformed section. All laws have the
+modulus E = 1 at small strain, because stresses are proportional to E.
 
-A membrane too thin to bear compression wrinkles instead, which tension-field theory describes by
-the *relaxed* energy: where the hoop stress would be negative, it is zero, and the meridian bears
-its tension as in a strip that contracts freely.
+A thin membrane cannot bear compression: it wrinkles. Tension-field theory describes a wrinkled
+membrane by the *relaxed* energy. Where the hoop stress would be negative, it is zero, and the
+meridian is in uniaxial stress.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from abc import ABC, abstractmethod
 
 import numpy as np
 
@@ -22,129 +22,128 @@ from microlib._common import Array, one_of, poisson
 MOONEY_RATIO = 0.2
 
 
-class Law:
-    """A membrane's stresses for a modulus of 1.
+class Law(ABC):
+    """Nominal stresses of a membrane of modulus 1."""
 
-    `stress` gives the nominal stresses of two stretches, before any wrinkling; `strip` that of one
-    that contracts freely across; `meridian` the meridian's stretch under a nominal stress and the
-    hoop stress, wrinkles included.
-    """
+    @abstractmethod
+    def biaxial_stress(self, first: Array, second: Array) -> tuple[Array, Array]:
+        """Return the nominal stresses of two principal stretches, without wrinkling."""
 
-    stress: Callable[[Array, Array], tuple[Array, Array]]
-    strip: Callable[[Array], Array]
-    meridian: Callable[[Array, Array], tuple[Array, Array]]
+    @abstractmethod
+    def uniaxial_stress(self, stretch: Array) -> Array:
+        """Return the nominal stress of a stretch whose transverse direction is free of stress."""
 
-    def even_stress(self, stretch: float) -> float:
+    @abstractmethod
+    def invert_meridian_stress(self, stress: Array, hoop: Array) -> tuple[Array, Array]:
+        """Return meridian stretch and hoop stress of a meridian stress and hoop stretch.
+
+        The membrane may wrinkle.
+        """
+
+    def equibiaxial_stress(self, stretch: float) -> float:
         """Return the nominal stress of a stretch that is the same in all directions."""
-        return float(self.stress(np.array(stretch), np.array(stretch))[0])
+        return float(self.biaxial_stress(np.array(stretch), np.array(stretch))[0])
 
-    def relaxed_stress(self, first: Array, second: Array) -> tuple[Array, Array]:
-        """Return the nominal stresses of two stretches, with wrinkles in place of compression."""
-        along, across = self.stress(first, second)
-        strip = self.strip(first), self.strip(second)
-        wrinkled = (across < 0) & (strip[0] > 0), (along < 0) & (strip[1] > 0)
+    def tension_field_stress(self, first: Array, second: Array) -> tuple[Array, Array]:
+        """Return the nominal stresses of two principal stretches by the relaxed energy."""
+        along, across = self.biaxial_stress(first, second)
+        uniaxial = self.uniaxial_stress(first), self.uniaxial_stress(second)
+        wrinkled = (across < 0) & (uniaxial[0] > 0), (along < 0) & (uniaxial[1] > 0)
         slack = (first <= 1) & (second <= 1)
-        along = np.select([slack, *wrinkled], [0.0, strip[0], 0.0], along)
-        across = np.select([slack, *wrinkled], [0.0, 0.0, strip[1]], across)
+        along = np.select([slack, *wrinkled], [0.0, uniaxial[0], 0.0], along)
+        across = np.select([slack, *wrinkled], [0.0, 0.0, uniaxial[1]], across)
         return along, across
 
 
 class Hooke(Law):
-    r"""
-    Linear elasticity of the stretches, exact in rotations.
+    r"""Linear elasticity of the principal stretches, exact for any rotation.
 
     :math:`W = (e_1^2 + e_2^2 + 2\nu e_1 e_2)/(2(1-\nu^2))` with :math:`e_i = \lambda_i - 1`.
     """
 
     def __init__(self, poisson_ratio: float) -> None:
         self.poisson_ratio = poisson_ratio
-        self._plane = 1 - poisson_ratio**2
 
-    def stress(self, first: Array, second: Array) -> tuple[Array, Array]:
-        e1, e2 = first - 1, second - 1
-        nu = self.poisson_ratio
-        return (e1 + nu * e2) / self._plane, (e2 + nu * e1) / self._plane
+    def biaxial_stress(self, first: Array, second: Array) -> tuple[Array, Array]:
+        e1, e2, nu = first - 1, second - 1, self.poisson_ratio
+        return (e1 + nu * e2) / (1 - nu**2), (e2 + nu * e1) / (1 - nu**2)
 
-    def strip(self, stretch: Array) -> Array:
+    def uniaxial_stress(self, stretch: Array) -> Array:
         return stretch - 1
 
-    def meridian(self, stress: Array, hoop: Array) -> tuple[Array, Array]:
-        e2 = hoop - 1
-        e1 = self._plane * stress - self.poisson_ratio * e2
-        across = e2 + self.poisson_ratio * stress
+    def invert_meridian_stress(self, stress: Array, hoop: Array) -> tuple[Array, Array]:
+        e2, nu = hoop - 1, self.poisson_ratio
+        e1 = (1 - nu**2) * stress - nu * e2
+        across = e2 + nu * stress
         wrinkled = (across < 0) & (stress > 0)
         return 1 + np.where(wrinkled, stress, e1), np.where(wrinkled, 0.0, across)
 
 
 class MooneyRivlin(Law):
-    r"""
-    Incompressible rubber; neo-Hookean where the second constant is zero.
+    r"""Incompressible Mooney–Rivlin rubber, which is neo-Hookean for C₂ = 0.
 
     :math:`W = C_1(I_1 - 3) + C_2(I_2 - 3)` with :math:`I_1 = \lambda_1^2 + \lambda_2^2 +
     (\lambda_1\lambda_2)^{-2}`, :math:`I_2 = \lambda_1^{-2} + \lambda_2^{-2} +
-    (\lambda_1\lambda_2)^2` and :math:`C_1 + C_2 = 1/6`, the modulus 1 at small strain.
+    (\lambda_1\lambda_2)^2` and :math:`C_1 + C_2 = 1/6`, so that the modulus at small strain is 1.
     """
 
     def __init__(self, ratio: float) -> None:
-        self.first_constant = 1 / (6 * (1 + ratio))
-        self.second_constant = ratio * self.first_constant
+        self.c1 = 1 / (6 * (1 + ratio))
+        self.c2 = ratio * self.c1
 
-    def stress(self, first: Array, second: Array) -> tuple[Array, Array]:
-        return (
-            2 * self._stiffness(second) * (first - 1 / (first**3 * second**2)),
-            2 * self._stiffness(first) * (second - 1 / (second**3 * first**2)),
-        )
+    def biaxial_stress(self, first: Array, second: Array) -> tuple[Array, Array]:
+        along = 2 * (self.c1 + self.c2 * second**2) * (first - 1 / (first**3 * second**2))
+        across = 2 * (self.c1 + self.c2 * first**2) * (second - 1 / (second**3 * first**2))
+        return along, across
 
-    def meridian(self, stress: Array, hoop: Array) -> tuple[Array, Array]:
-        first = _solve_biaxial(stress / (2 * self._stiffness(hoop)), hoop)
-        across = self.stress(first, hoop)[1]
+    def uniaxial_stress(self, stretch: Array) -> Array:
+        return 2 * (self.c1 + self.c2 / stretch) * (stretch - stretch**-2)
+
+    def invert_meridian_stress(self, stress: Array, hoop: Array) -> tuple[Array, Array]:
+        # N₁/(2(C₁ + C₂λ₂²)) = λ₁ − λ₁⁻³λ₂⁻², solved for λ₁.
+        first = _invert_biaxial(stress / (2 * (self.c1 + self.c2 * hoop**2)), hoop)
+        across = self.biaxial_stress(first, hoop)[1]
         wrinkled = (across < 0) & (stress > 0)
         if wrinkled.any():
             first = first.copy()
-            first[wrinkled] = self._solve_strip(stress[wrinkled])
+            first[wrinkled] = self._invert_uniaxial(stress[wrinkled])
             across = np.where(wrinkled, 0.0, across)
         return first, across
 
-    def strip(self, stretch: Array) -> Array:
-        return 2 * (self.first_constant + self.second_constant / stretch) * (stretch - stretch**-2)
-
-    def _stiffness(self, other: Array) -> Array:
-        return self.first_constant + self.second_constant * other**2
-
-    def _solve_strip(self, stress: Array) -> Array:
-        """Return λ of 2(C₁ + C₂/λ)(λ − λ⁻²) = N, concave and rising, 0 at λ = 1."""
-        c1, c2 = self.first_constant, self.second_constant
+    def _invert_uniaxial(self, stress: Array) -> Array:
+        """Return λ of the uniaxial stress N = 2(C₁ + C₂/λ)(λ − λ⁻²), a concave function of λ."""
         stretch = 1 + stress
-        # Newton on a concave function squares the error with each step: the one after a step of the
-        # root of a rounding is a rounding.
+        # Newton's method converges quadratically for a concave function, so that the error after a
+        # step of √ε is ε.
         for _ in range(20):
             inverse = 1 / stretch
-            value = c1 * (stretch - inverse**2) + c2 * (1 - inverse**3)
-            step = (stress / 2 - value) / (c1 + inverse**3 * (2 * c1 + 3 * c2 * inverse))
+            value = self.c1 * (stretch - inverse**2) + self.c2 * (1 - inverse**3)
+            slope = self.c1 + inverse**3 * (2 * self.c1 + 3 * self.c2 * inverse)
+            step = (stress / 2 - value) / slope
             stretch = stretch + step
             if np.all(np.abs(step) < np.sqrt(np.finfo(float).eps) * stretch):
                 break
         return stretch
 
 
-def _solve_biaxial(ratio: Array, hoop: Array) -> Array:
-    """Return λ of λ − λ⁻³λ₂⁻² = `ratio`, rising and 0 at λ = λ₂^(−1/2)."""
-    natural = hoop**-0.5
-    # ξ − ξ⁻³ = s with ξ = λ/λ₂^(−1/2): one curve for all. The start is right at both of its ends;
-    # Halley's third steps are below rounding for s > −1.
-    s = ratio / natural
-    root = s / 4 + np.sqrt(1 + (3 / 4 * s) ** 2)
+def _invert_biaxial(value: Array, hoop: Array) -> Array:
+    """Return λ₁ of `value` = λ₁ − λ₁⁻³λ₂⁻², an increasing function with its zero at λ₂^(−1/2)."""
+    zero = hoop**-0.5
+    # With ξ = λ₁/λ₂^(−1/2) the equation is ξ − ξ⁻³ = s. The initial value has both asymptotes of ξ,
+    # and the error of the third iteration of Halley's method is below rounding for s > −1.
+    s = value / zero
+    xi = s / 4 + np.sqrt(1 + (3 / 4 * s) ** 2)
     for _ in range(3):
-        inverse = 1 / root
+        inverse = 1 / xi
         fourth = (inverse * inverse) ** 2
-        miss = root * (1 - fourth) - s
+        residual = xi * (1 - fourth) - s
         slope = 1 + 3 * fourth
-        root = root - miss * slope / (slope**2 + 6 * miss * fourth * inverse)
-    return natural * root
+        xi = xi - residual * slope / (slope**2 + 6 * residual * fourth * inverse)
+    return zero * xi
 
 
-def law_of(name: str, poisson_ratio: float) -> Law:
-    """Return the law called `name`, or refuse a Poisson ratio that it cannot have."""
+def constitutive_law(name: str, poisson_ratio: float) -> Law:
+    """Return the law called `name`, with a Poisson ratio that it can have."""
     law = one_of("law", name, ("hooke", "neo-hooke", "mooney-rivlin"))
     nu = poisson(poisson_ratio)
     if law == "hooke":

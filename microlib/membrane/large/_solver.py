@@ -1,8 +1,13 @@
-"""What every solved membrane has in common: the search for it, the proof, and the result."""
+"""Equilibrium of an axisymmetric membrane: collocation, its verification, and the result.
+
+The membrane is a curve, its meridian, in one or several segments. Quantities are dimensionless.
+Tensions are per radian around the axis.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -12,167 +17,198 @@ from scipy.integrate import solve_bvp
 from microlib._common import Array, Tidy
 from microlib.membrane.large._laws import Law
 
-#: Where a search begins: mesh, state, and unknowns beside the state, None where there are none.
+#: Mesh, state and unknown parameters (None without any) from which a collocation starts.
 Guess = tuple[Array, Array, Array | None]
 
-#: Relative imbalance of virtual work that a solution may leave.
-_ACCEPTED = 1e-5
+#: Largest relative imbalance of virtual work of an accepted solution.
+_MAX_IMBALANCE = 1e-5
 
 
-class Strip(NamedTuple):
-    """A part of the meridian over x in [0, 1], without units; tensions are those a radian."""
+class Segment(NamedTuple):
+    """State of a part of the meridian at values of x in [0, 1]."""
 
-    rho: Array  # undeformed radius
-    rate: Array  # of the undeformed arc over x
+    rho: Array  # undeformed radius ρ
+    arc_rate: Array  # dS/dx of the undeformed arc length S
     r: Array
     z: Array
-    tension: Array  # and its direction, outward and up
-    cosine: Array
-    sine: Array
+    tension: Array  # A = h ρ N₁ = √(H² + V²)
+    cosine: Array  # H/A, the direction of the tension: outwards
+    sine: Array  # V/A, upwards
     pressure: float
 
 
-def strip_of(
-    rho: Array, rate: Array, r: Array, z: Array, pull: Array, force: float, pressure: float
-) -> Strip:
-    """Return the strip whose tension pulls outward and carries the probe and what presses on it."""
-    lift = pressure * r**2 / 2 - force / (2 * np.pi)
-    if not lift.any():  # level throughout, where a tension below zero is a compression
-        return Strip(rho, rate, r, z, pull, np.ones_like(r), lift, pressure)
-    tension = np.hypot(pull, lift)
-    # The direction of a slack meridian is undetermined, and its tension is then zero.
+def segment(
+    rho: Array,
+    arc_rate: Array,
+    r: Array,
+    z: Array,
+    horizontal: Array,
+    force: float,
+    pressure: float,
+) -> Segment:
+    """Return the segment with the horizontal tension H and V = p r²/2 − F/2π."""
+    vertical = pressure * r**2 / 2 - force / (2 * np.pi)
+    if not vertical.any():  # a level segment, in which a negative tension is a compression
+        return Segment(rho, arc_rate, r, z, horizontal, np.ones_like(r), np.zeros_like(r), pressure)
+    tension = np.hypot(horizontal, vertical)
+    # The direction of a slack meridian is undetermined.
     size = np.maximum(tension, np.finfo(float).tiny)
-    return Strip(rho, rate, r, z, tension, pull / size, lift / size, pressure)
+    return Segment(rho, arc_rate, r, z, tension, horizontal / size, vertical / size, pressure)
 
 
-class Problem:
-    """A membrane's equilibrium over x in [0, 1], without units, as SciPy's `solve_bvp` has it.
-
-    A subclass gives the equations, a guess, and the stages of a load that grows, for where the
-    guess is too far.
-    """
+class BoundaryValueProblem(ABC):
+    """Equilibrium of a membrane over x in [0, 1], in the form of SciPy's `solve_bvp`."""
 
     law: Law
     tolerance: float
-    most_nodes: int
-    strips: Callable[..., list[Strip]]  # the parts of the meridian that a state is
-    rates: Callable[[Array, Array], list[tuple[Any, Any]]]  # of r and z over x, by the state's
-    slopes: Callable[..., Array]  # right-hand side of the equilibrium
-    edges: Callable[..., Array]  # residual at the ends
-    jacobian: Any = None  # of the slopes, where differences are too slow
-    guess: Callable[[], Guess]
-    stages: Callable[[], Iterator[Any]]
+    max_nodes: int
+    jacobian: Any = None  # of the right-hand side, where differences are too slow
 
-    def after(self, solved: Any, solution: Any) -> tuple[Any, Guess]:
-        """Return this problem and its guess from the solution of the stage before."""
+    @abstractmethod
+    def segments(self, x: Array, y: Array, k: Any) -> list[Segment]:
+        """Return the segments of the meridian of a state y and unknown parameters k."""
+
+    @abstractmethod
+    def shape_rates(self, x: Array, y_rate: Array) -> list[tuple[Any, Any]]:
+        """Return dr/dx and dz/dx of each segment from dy/dx."""
+
+    @abstractmethod
+    def right_hand_side(self, x: Array, y: Array, k: Any = None) -> Array:
+        """Return dy/dx in equilibrium."""
+
+    @abstractmethod
+    def boundary_residual(self, left: Array, right: Array, k: Any = None) -> Array:
+        """Return the residual of the boundary conditions from y(0) and y(1)."""
+
+    @abstractmethod
+    def initial_guess(self) -> Guess:
+        """Return mesh, state and parameters from which a moderate load converges."""
+
+    @abstractmethod
+    def continuation(self) -> Iterator[Any]:
+        """Yield problems that approach this one, each close enough to start the next."""
+
+    def continue_from(self, solved: Any, solution: Any) -> tuple[Any, Guess]:
+        """Return this problem and its guess from the solution of another problem."""
         return self, (solution.x, solution.y, solution.p)
 
-    def attempt(self, guess: Guess) -> tuple[Any, Any] | None:
-        """Return the problem and its checked solution, or None."""
-        return self.checked(self.collocated(guess))
+    def solve_from(self, guess: Guess) -> tuple[Any, Any] | None:
+        """Return the problem and its verified solution, or None."""
+        return self.verify(self.collocate(guess))
 
-    def collocated(self, guess: Guess, tolerance: float | None = None) -> Any:
+    def collocate(self, guess: Guess, tolerance: float | None = None) -> Any:
         """Return SciPy's solution from a guess, or None."""
         x, y, k = guess
-        limits = {"tol": tolerance or self.tolerance, "max_nodes": self.most_nodes}
+        limits = {"tol": tolerance or self.tolerance, "max_nodes": self.max_nodes}
         with np.errstate(all="ignore"):
-            solution = solve_bvp(self.slopes, self.edges, x, y, k, fun_jac=self.jacobian, **limits)
+            solution = solve_bvp(
+                self.right_hand_side, self.boundary_residual, x, y, k,
+                fun_jac=self.jacobian, **limits,
+            )  # fmt: skip
         return solution if solution.status == 0 and np.isfinite(solution.y).all() else None
 
-    def checked(self, solution: Any) -> tuple[Any, Any] | None:
-        """Return a solution whose virtual work, of which the collocation knows nothing, is even."""
+    def verify(self, solution: Any) -> tuple[Any, Any] | None:
+        """Return problem and solution if the virtual work balances, an independent check."""
         if solution is None:
             return None
         with np.errstate(all="ignore"):
-            return (self, solution) if self.imbalance(solution) < _ACCEPTED else None
+            accepted = self.virtual_work_imbalance(solution) < _MAX_IMBALANCE
+        return (self, solution) if accepted else None
 
-    def find(self) -> tuple[Any, Any]:
-        """Return a solved problem and its solution, by growing loads where the guess is too far."""
-        found = self.attempt(self.guess())
+    def solve(self) -> tuple[Any, Any]:
+        """Return a solved problem and its solution, by continuation if the guess is too far."""
+        found = self.solve_from(self.initial_guess())
         if found is None:
-            for stage in self.stages():
-                problem, guess = (stage, stage.guess()) if found is None else stage.after(*found)
-                found = problem.attempt(guess)
+            for step in self.continuation():
+                start = (
+                    (step, step.initial_guess()) if found is None else step.continue_from(*found)
+                )
+                found = start[0].solve_from(start[1])
                 if found is None:
                     break
         if found is None:
             raise ValueError("force must have an equilibrium, the solver found none")
         return found
 
-    def stressed(self, strip: Strip) -> tuple[Array, Array]:
-        """Return the meridian's stretch and the hoop stress."""
-        return self.law.meridian(strip.tension / strip.rho, strip.r / strip.rho)
+    def meridian_stretch(self, segment: Segment) -> tuple[Array, Array]:
+        """Return the stretch of the meridian and the nominal hoop stress."""
+        return self.law.invert_meridian_stress(
+            segment.tension / segment.rho, segment.r / segment.rho
+        )
 
-    def balance(self, strip: Strip) -> tuple[Array, Array, Array]:
-        """Return the slopes of r, z and the horizontal tension over x in equilibrium."""
-        first, hoop = self.stressed(strip)
-        outward, rise = first * strip.cosine, first * strip.sine
-        swept = strip.pressure * strip.r * rise
-        return outward * strip.rate, rise * strip.rate, (hoop - swept) * strip.rate
+    def equilibrium(self, segment: Segment) -> tuple[Array, Array, Array]:
+        """Return dr/dx, dz/dx and dH/dx: r' = λ₁H/A, z' = λ₁V/A, H' = N₂ − p r z'."""
+        first, hoop = self.meridian_stretch(segment)
+        r_rate, z_rate = first * segment.cosine, first * segment.sine
+        horizontal_rate = hoop - segment.pressure * segment.r * z_rate
+        rate = segment.arc_rate
+        return r_rate * rate, z_rate * rate, horizontal_rate * rate
 
-    def imbalance(self, solution: Any) -> float:
-        """Return the relative imbalance of virtual work.
+    def virtual_work_imbalance(self, solution: Any) -> float:
+        """Return the relative imbalance of virtual work for a uniform scaling of the shape.
 
-        When the whole shape swells, stresses do the work ∫(N₁λ₁ + N₂λ₂) ρ ds, the tensions at the
-        ends H r + V z, and the pressure p ∫ r (r dz − z dr); all a radian.
+        Per radian, the stresses do the work ∫(N₁λ₁ + N₂λ₂) ρ dS, the tensions at the ends do H r +
+        V z, and the pressure does p ∫ r (r dz − z dr).
         """
-        # Four abscissae of Gauss in every interval of the mesh.
+        # Four Gauss–Legendre nodes in each interval of the mesh.
         nodes, weights = np.polynomial.legendre.leggauss(4)
         half = np.diff(solution.x)[:, np.newaxis] / 2
-        x, weight = (solution.x[:-1, np.newaxis] + half + half * nodes).ravel(), half * weights
-        weight = weight.ravel()
-        inside = outside = 0.0
-        strips = self.strips(x, solution.sol(x), solution.p)
-        for strip, (r_rate, z_rate) in zip(strips, self.rates(x, solution.sol(x, 1)), strict=True):
-            first = np.hypot(r_rate / strip.rate, z_rate / strip.rate)
-            second = strip.r / strip.rho
-            along, across = self.law.relaxed_stress(first, second)
-            inside += float((along * first + across * second) @ (strip.rho * strip.rate * weight))
-            pushed = strip.r * (strip.r * z_rate - strip.z * r_rate)
-            outside += strip.pressure * float(pushed @ weight)
-        for strip in self.strips(solution.x[[0, -1]], solution.y[:, [0, -1]], solution.p):
-            lever = strip.cosine * strip.r + strip.sine * strip.z
-            outside += float(np.diff(strip.tension * lever)[0])
-        return abs(inside - outside) / inside if inside else abs(outside)
+        x = (solution.x[:-1, np.newaxis] + half + half * nodes).ravel()
+        weight = (half * weights).ravel()
+        internal = external = 0.0
+        segments = self.segments(x, solution.sol(x), solution.p)
+        rates = self.shape_rates(x, solution.sol(x, 1))
+        for part, (r_rate, z_rate) in zip(segments, rates, strict=True):
+            first = np.hypot(r_rate / part.arc_rate, z_rate / part.arc_rate)
+            second = part.r / part.rho
+            along, across = self.law.tension_field_stress(first, second)
+            density = along * first + across * second
+            internal += float(density @ (part.rho * part.arc_rate * weight))
+            swept = part.r * (part.r * z_rate - part.z * r_rate)
+            external += part.pressure * float(swept @ weight)
+        for part in self.segments(solution.x[[0, -1]], solution.y[:, [0, -1]], solution.p):
+            lever = part.cosine * part.r + part.sine * part.z
+            external += float(np.diff(part.tension * lever)[0])
+        return abs(internal - external) / internal if internal else abs(external)
 
     def meridian(self, solution: Any) -> list[Array]:
-        """Return r, z, stretches and stresses at the nodes of each strip, (6, n) each."""
+        """Return r, z, stretches and stresses at the nodes of each segment, (6, n) each."""
         found = []
-        for strip in self.strips(solution.x, solution.y, solution.p):
-            first, hoop = self.stressed(strip)
-            stretches, along = (first, strip.r / strip.rho), strip.tension / strip.rho
-            found.append(np.array([strip.r, strip.z, *stretches, along, hoop]))
+        for part in self.segments(solution.x, solution.y, solution.p):
+            first, hoop = self.meridian_stretch(part)
+            stretches, along = (first, part.r / part.rho), part.tension / part.rho
+            found.append(np.array([part.r, part.z, *stretches, along, hoop]))
         return found
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MembraneState(Tidy):
-    r"""
-    A membrane in equilibrium under a probe, from `indent_disc` or `indent_capsule`.
+    r"""A membrane in equilibrium under a probe, from `indent_disc` or `indent_capsule`.
 
     Attributes
     ----------
     depth : float
         Depth of the probe's edge below the rim, in µm.
     approach : float
-        How far the probe has moved since it touched, in µm.
+        Distance that the probe has moved since it touched, in µm.
     rim_radius : float
-        Radius a of the rim, in µm: the clamped edge of a disc; the crest of a capsule's dimple,
-        which is also the radius of its flat circle on the plate.
-    r, z : (N,) ndarray
-        The meridian from the probe's edge to the disc's rim or to the middle of the plate: distance
-        from the axis, and height above the rim's plane or the plate, in µm.
-    stretches : (2, N) ndarray
-        Along the meridian and around the axis, from the stress-free membrane; NaN where slack.
-    stresses : (2, N) ndarray
-        Nominal stresses in the same directions, force over undeformed section, in MPa; zero around
-        the axis where the membrane is wrinkled.
+        Radius a of the rim, in µm. The rim of a disc is its clamped edge. The rim of a capsule is
+        the crest of its dimple, whose radius is also that of the contact on the plate.
+    r, z : ndarray, shape (N,)
+        Meridian from the probe's edge to the rim of the disc or to the middle of the plate:
+        distance from the axis, and height above the plane of the rim or above the plate, in µm.
+    stretches : ndarray, shape (2, N)
+        Stretches along the meridian and around the axis, relative to the stress-free membrane. NaN
+        where the membrane is slack.
+    stresses : ndarray, shape (2, N)
+        Nominal stresses in the same directions, force per undeformed section, in MPa. The hoop
+        stress is zero where the membrane is wrinkled.
     pressure : float
-        Pressure below the disc, or inside the capsule above that outside, in MPa.
+        Pressure below the disc, or pressure inside the capsule above the outside pressure, in MPa.
 
     Notes
     -----
-    The true stress is :math:`\lambda_i` times the nominal one in an incompressible membrane.
+    The true stress of an incompressible membrane is :math:`\lambda_i` times the nominal stress.
     """
 
     _large = ("r", "z", "stretches", "stresses")
@@ -187,7 +223,7 @@ class MembraneState(Tidy):
     pressure: float
 
 
-def in_units(
+def dimensional_state(
     meridian: Array,
     modulus: float,
     thickness: float,
@@ -198,7 +234,7 @@ def in_units(
     approach: float = 0.0,
     rim_radius: float = 0.0,
 ) -> MembraneState:
-    """Return a state from r, z, stretches, stresses and sizes without units."""
+    """Return a state in units from dimensionless r, z, stretches, stresses and sizes."""
     return MembraneState(
         depth=float(depth * length),
         approach=float(approach * length),

@@ -1,0 +1,375 @@
+r"""The boundary-value problem of a closed, fluid-filled capsule between a probe and a plate.
+
+Lengths are in inflated radii R, forces in E h R, pressures in E h/R. A point of the wall has the
+polar angle S on the undeformed sphere, counted from the pole on the plate, and the undeformed
+radius ρ = sin(S)/λ, where λ is the inflation. The meridian has three zones, each over x in [0, 1]:
+
+1. *contact*, the wall on the plate, from its middle to the edge of contact. The plate carries the
+   load, so that V = 0.
+2. *side*, the free wall from the plate to the crest of the dimple.
+3. *dimple*, the free wall from the crest to the edge of the probe.
+
+V = p r²/2 − F/2π is zero at the edge of contact and at the crest. Both have therefore the same
+radius, the rim radius a = √(F/πp).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from microlib._common import Array
+from microlib.membrane.large._laws import Law
+from microlib.membrane.large._solver import BoundaryValueProblem, Guess, Segment, segment
+
+#: Volume of the inflated capsule.
+_VOLUME = 4 * np.pi / 3
+
+
+class ContactZone(NamedTuple):
+    """State of the wall on the plate."""
+
+    r: Array
+    horizontal: Array  # tension H, in tension scales
+
+
+class FreeZone(NamedTuple):
+    """State of the free wall."""
+
+    r: Array
+    z: Array
+    horizontal: Array
+    volume: Array  # between the plate and the height z
+
+
+class Zones(NamedTuple):
+    """The state of the whole meridian."""
+
+    contact: ContactZone
+    side: FreeZone
+    dimple: FreeZone
+
+    @classmethod
+    def unpack(cls, y: Any) -> Zones:
+        """Return the zones of the rows of `solve_bvp`."""
+        return cls(ContactZone(*y[:2]), FreeZone(*y[2:6]), FreeZone(*y[6:]))
+
+    def pack(self) -> Array:
+        """Return the rows of `solve_bvp`."""
+        return np.array([row for zone in self for row in zone])
+
+
+class Unknowns(NamedTuple):
+    """What the solver finds beside the state, and what follows from it. Arcs are angles S."""
+
+    pressure: float
+    inflation: float
+    force: float
+    rim: float
+    middle_arc: float  # where the contact zone begins
+    contact_arc: float  # where the wall leaves the plate
+    crest_arc: float  # where the wall is highest
+
+
+@dataclass(frozen=True)
+class PrescribedForce:
+    """Force and inflation are given; the rim radius follows from the pressure."""
+
+    force: float
+    inflation: float
+    unknowns = ()
+
+    def resolve(self, pressure: float, found: dict[str, Any]) -> tuple[float, float, float]:
+        """Return inflation, force and rim radius."""
+        return self.inflation, self.force, np.sqrt(self.force / (np.pi * pressure))
+
+    def tension_scale(self, law: Law) -> float:
+        return max(law.equibiaxial_stress(self.inflation) / self.inflation, 0.1 * self.force**0.8)
+
+    def guess(self, law: Law) -> tuple[float, float]:
+        """Return inflation and rim radius of a first guess."""
+        # The tension of an uninflated capsule comes from the force, about as F^⅔. The lower limit
+        # is above rounding, so that the logarithm of the pressure exists.
+        inflation = max(self.inflation, 1 + max(self.force ** (2 / 3) / 3, 1e-12))
+        pressure = 2 * (law.equibiaxial_stress(inflation) / inflation)
+        return inflation, min(np.sqrt(self.force / (np.pi * pressure)), 3 / 4)
+
+    def residual(self, depth: Any) -> list[Any]:
+        return []
+
+    def continuation(self) -> Iterator[PrescribedForce]:
+        """Yield forces from one for which every capsule converged to this one."""
+        for force in np.geomspace(0.03, self.force, 14):
+            yield replace(self, force=force)
+
+
+@dataclass(frozen=True)
+class PrescribedDimple:
+    """Rim radius and depth are given; force and inflation are unknown."""
+
+    rim: float
+    depth: float
+    unknowns = ("inflation",)
+
+    def resolve(self, pressure: float, found: dict[str, Any]) -> tuple[float, float, float]:
+        """Return inflation, force and rim radius."""
+        return found["inflation"], np.pi * pressure * self.rim**2, self.rim
+
+    def tension_scale(self, law: Law) -> float:
+        return 0.05
+
+    def guess(self, law: Law) -> tuple[float, float]:
+        """Return inflation and rim radius of a first guess."""
+        return 1.05, self.rim
+
+    def residual(self, depth: Any) -> list[Any]:
+        return [depth - self.depth]
+
+    def continuation(self) -> Iterator[PrescribedDimple]:
+        yield from ()
+
+
+class TautMiddle:
+    """The middle of the contact zone is stretched evenly.
+
+    The contact zone begins at a hundredth of its arc. The error of the even stretch inside falls
+    with the fourth power of this fraction.
+    """
+
+    unknowns = ()
+
+    def arc(self, found: dict[str, Any]) -> Any:
+        return 0.01 * found["contact_arc"]
+
+    def residual(self, start: Any, arc: float, rho: float, law: Law, scale: float) -> list[Any]:
+        """Return the residual of the even stretch where the contact zone starts."""
+        return [start.horizontal / rho - law.equibiaxial_stress(start.r / rho) / scale]
+
+    def pole(self, r: float, rho: float, law: Law) -> tuple[float, float]:
+        """Return stretch and stress in the middle."""
+        return r / rho, law.equibiaxial_stress(r / rho)
+
+
+class SlackMiddle:
+    """The wall has no stress within a circle of the contact zone, whose arc is unknown.
+
+    At the circle the wall is undeformed, r = ρ, and has no tension.
+    """
+
+    unknowns = ("middle_arc",)
+
+    def arc(self, found: dict[str, Any]) -> Any:
+        return found["middle_arc"]
+
+    def residual(self, start: Any, arc: float, rho: float, law: Law, scale: float) -> list[Any]:
+        """Return the residual of the undeformed circle where the contact zone starts."""
+        return [(start.r - rho) / arc, start.horizontal]
+
+    def pole(self, r: float, rho: float, law: Law) -> tuple[float, float]:
+        """Return stretch and stress in the middle; the stretch is undetermined."""
+        return np.nan, 0.0
+
+
+@dataclass(frozen=True)
+class CapsuleProblem(BoundaryValueProblem):
+    """The capsule under a probe of radius `probe`, for a given force or a given dimple."""
+
+    law: Law
+    probe: float
+    given: PrescribedForce | PrescribedDimple
+    middle: TautMiddle | SlackMiddle = field(default_factory=TautMiddle)
+
+    # Relative residual of the collocation. The error of the depth is then about 1e-8.
+    tolerance = 1e-6
+    max_nodes = 1500
+    # Residual of the first collocation, small enough to see whether the middle is slack.
+    first_tolerance = 1e-3
+
+    @cached_property
+    def tension_scale(self) -> float:
+        return self.given.tension_scale(self.law)
+
+    @property
+    def probe_arc(self) -> float:
+        """Arc of the wall at the probe's edge, where the wall keeps its radius."""
+        return np.pi - float(np.arcsin(self.probe))
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the parameters of `solve_bvp`, in order."""
+        own = ("log_pressure", "contact_arc", "crest_arc")
+        return own + self.given.unknowns + self.middle.unknowns
+
+    def unpack(self, k: Any) -> Unknowns:
+        """Return the unknowns of the parameters of `solve_bvp`."""
+        found = dict(zip(self.parameter_names, k, strict=True))
+        pressure = np.exp(found["log_pressure"])
+        inflation, force, rim = self.given.resolve(pressure, found)
+        return Unknowns(
+            pressure=pressure,
+            inflation=inflation,
+            force=force,
+            rim=rim,
+            middle_arc=self.middle.arc(found),
+            contact_arc=found["contact_arc"],
+            crest_arc=found["crest_arc"],
+        )
+
+    def arcs(self, x: Array, u: Unknowns) -> list[tuple[Array, Array]]:
+        """Return S(x) and dS/dx of the three zones."""
+        side = u.crest_arc - u.contact_arc
+        # The distance from the upper pole falls in equal ratios: the dimple is nearly logarithmic.
+        to_pole, rate = _geometric(np.pi - u.crest_arc, np.pi - self.probe_arc, x)
+        return [
+            _geometric(u.middle_arc, u.contact_arc, x),
+            (u.contact_arc + side * x, np.full_like(x, side)),
+            (np.pi - to_pole, -rate),
+        ]
+
+    def segments(self, x: Array, y: Array, k: Any) -> list[Segment]:
+        u = self.unpack(k)
+        found = []
+        zones: Any = Zones.unpack(y)
+        for (arc, arc_rate), zone in zip(self.arcs(x, u), zones, strict=True):
+            rho, rate = np.sin(arc) / u.inflation, arc_rate / u.inflation
+            # The plate carries the load on its zone.
+            z, load = np.zeros_like(x), (0.0, 0.0)
+            if isinstance(zone, FreeZone):
+                z, load = zone.z, (u.force, u.pressure)
+            horizontal = self.tension_scale * zone.horizontal
+            found.append(segment(rho, rate, zone.r, z, horizontal, *load))
+        return found
+
+    def shape_rates(self, x: Array, y_rate: Array) -> list[tuple[Any, Any]]:
+        contact, side, dimple = Zones.unpack(y_rate)
+        return [(contact.r, np.zeros_like(x)), (side.r, side.z), (dimple.r, dimple.z)]
+
+    def right_hand_side(self, x: Array, y: Array, k: Any = None) -> Array:
+        rates = []
+        for part in self.segments(x, y, k):
+            r, z, horizontal = self.equilibrium(part)
+            rates.append(FreeZone(r, z, horizontal / self.tension_scale, np.pi * part.r**2 * z))
+        contact, side, dimple = rates
+        return Zones(ContactZone(contact.r, contact.horizontal), side, dimple).pack()
+
+    def boundary_residual(self, left: Array, right: Array, k: Any = None) -> Array:
+        """Return the residual: zones join, the probe's edge is held, and the volume is kept."""
+        u = self.unpack(k)
+        start, end = Zones.unpack(left), Zones.unpack(right)
+        rho = np.sin(u.middle_arc) / u.inflation
+        middle = self.middle.residual(
+            start.contact, u.middle_arc, rho, self.law, self.tension_scale
+        )
+        contact = [end.contact.r - u.rim, end.contact.horizontal - start.side.horizontal]
+        side = [start.side.r - u.rim, start.side.z, start.side.volume, end.side.r - u.rim]
+        crest = [start.dimple.r - u.rim, *np.subtract(start.dimple, end.side)[1:]]  # z, H, volume
+        probe = [end.dimple.r - self.probe, end.dimple.volume - _VOLUME]
+        depth = self.given.residual(start.dimple.z - end.dimple.z)
+        return np.array([*middle, *contact, *side, *crest, *probe, *depth])
+
+    def initial_guess(self) -> Guess:
+        """Return a sphere with a flat bottom and a logarithmic dimple."""
+        inflation, rim = self.given.guess(self.law)
+        rim = min(max(rim, 1.2 * self.probe), 0.95)
+        tension = self.law.equibiaxial_stress(inflation) / inflation
+        contact_arc = float(np.arcsin(rim))
+        parameters = {
+            "log_pressure": np.log(2 * tension),
+            "contact_arc": contact_arc,
+            "crest_arc": np.pi - contact_arc,
+            "inflation": inflation,
+        }
+        k = np.array([parameters[name] for name in self.parameter_names])
+        x = np.linspace(0.0, 1.0, 40)
+        contact, side, dimple = (arc for arc, _ in self.arcs(x, self.unpack(k)))
+        relative = tension / self.tension_scale
+
+        def free(arc: Array, z: Array, volume: Array) -> FreeZone:
+            return FreeZone(np.sin(arc), z, relative * np.sin(arc) * np.cos(arc), volume)
+
+        r = rim * contact / contact_arc
+        hollow = rim / 3 * np.log(rim / np.sin(dimple)) / np.log(rim / self.probe)
+        zones = Zones(
+            ContactZone(r, relative * r),
+            free(side, np.cos(contact_arc) - np.cos(side), _VOLUME * x),
+            free(dimple, 2 * np.cos(contact_arc) - hollow, np.full_like(x, _VOLUME)),
+        )
+        return x, zones.pack(), k
+
+    def jacobian(self, x: Array, y: Array, k: Array) -> tuple[Array, Array]:
+        """Return the derivatives of the right-hand side by y and by k, from differences.
+
+        The right-hand side of a zone depends on r and H of this zone alone. Two evaluations, one
+        with other radii and one with other tensions in all zones, give all derivatives by y.
+        """
+        here = self.right_hand_side(x, y, k)
+        by_state = np.zeros((y.shape[0], *y.shape))
+        zones: Any = Zones.unpack(np.arange(len(y)))
+        relative_step = np.sqrt(np.finfo(float).eps)
+        for rows in ([zone.r for zone in zones], [zone.horizontal for zone in zones]):
+            step = relative_step * (1 + np.abs(y[rows]))
+            moved = y.copy()
+            moved[rows] += step
+            change = self.right_hand_side(x, moved, k) - here
+            for zone, row, size in zip(zones, rows, step, strict=True):
+                by_state[[*zone], row] = change[[*zone]] / size
+        by_parameter = np.empty((y.shape[0], k.size, y.shape[1]))
+        for index in range(k.size):
+            moved = k.copy()
+            # Backward: at the edge of a slack middle, where the wall begins to wrinkle, the stress
+            # has a kink. A smaller middle, like the larger radii above, is on its taut side.
+            moved[index] -= relative_step * (1 + abs(k[index]))
+            change = self.right_hand_side(x, y, moved) - here
+            by_parameter[:, index] = change / (moved[index] - k[index])
+        return by_state, by_parameter
+
+    def solve_from(self, guess: Guess, tolerance: float = first_tolerance) -> Solved | None:
+        """Return a verified solution, with a slack middle if a taut one would be compressed."""
+        solution = self.collocate(guess, tolerance)
+        if solution is None or (u := self.unpack(solution.p)).middle_arc <= 0:
+            return None
+        compressed = Zones.unpack(solution.y).contact.r[0] < np.sin(u.middle_arc) / u.inflation
+        if compressed and isinstance(self.middle, TautMiddle):
+            slack = replace(self, middle=SlackMiddle())
+            return slack.solve_from(self._slack_guess(solution))
+        if tolerance > self.tolerance:
+            solution = self.collocate((solution.x, solution.y, solution.p))
+        return self.verify(solution)
+
+    def _slack_guess(self, solution: Any) -> Guess:
+        """Return a guess with a slack middle from a solution with a compressed taut one."""
+        u, zones = self.unpack(solution.p), Zones.unpack(solution.y)
+        arc, _ = self.arcs(solution.x, u)[0]
+        taut = np.flatnonzero(zones.contact.r >= np.sin(arc) / u.inflation)
+        middle_arc = min(arc[taut[0]] if taut.size else np.inf, 0.9 * u.contact_arc)
+        wanted, _ = _geometric(middle_arc, u.contact_arc, solution.x)
+        r, horizontal = (np.interp(wanted, arc, row) for row in zones.contact)
+        contact = ContactZone(r, np.maximum(horizontal, 0.0))
+        # `middle_arc` is the last of the parameters of the slack problem.
+        return solution.x, zones._replace(contact=contact).pack(), np.append(solution.p, middle_arc)
+
+    def continuation(self) -> Iterator[CapsuleProblem]:
+        for given in self.given.continuation():
+            yield replace(self, given=given, middle=TautMiddle())
+
+    def continue_from(self, solved: CapsuleProblem, solution: Any) -> tuple[CapsuleProblem, Guess]:
+        """Return this problem and its guess from the solution of another problem."""
+        scale = solved.tension_scale / self.tension_scale
+        zones: Any = Zones.unpack(solution.y)
+        y = Zones(*(zone._replace(horizontal=scale * zone.horizontal) for zone in zones)).pack()
+        return replace(self, middle=solved.middle), (solution.x, y, solution.p)
+
+
+#: A problem and SciPy's solution of it.
+Solved = tuple[CapsuleProblem, Any]
+
+
+def _geometric(first: float, last: float, x: Array) -> tuple[Array, Array]:
+    """Return the values from `first` to `last` in equal ratios, and their derivative by x."""
+    ratio = np.log(last / first)
+    values = first * np.exp(ratio * x)
+    return values, ratio * values
