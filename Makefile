@@ -100,7 +100,7 @@ newest: ## run the library's tests with the newest dependencies, of this PYTHON,
 portable: $(STAMP) ## run everything as other processors would round (an hour)
 	@$(BIN)/python .ci/portable.py $(PORTABLE)
 
-fuzz: $(STAMP) ## call everything public with hostile values (minutes)
+fuzz: $(STAMP) ## call everything public with two unusual values at once (minutes)
 	@$(BIN)/python -m tests.fuzz
 	@$(BIN)/python -m pytest --quiet --hypothesis-profile=fuzz tests/test_sequences.py
 

@@ -1,0 +1,279 @@
+"""What every argument of every public function may be: one contract for each kind of argument.
+
+A wrong value is refused by a `ValueError` that names the argument, with no warning before. Each
+value is put in the place of one argument of the valid call of `tests/fuzz.py`. What a message says
+beyond the name is tested where it is made, in tests/_common/test_checks.py.
+"""
+
+from __future__ import annotations
+
+import inspect
+import random
+import re
+from collections.abc import Iterator
+from fnmatch import fnmatch
+
+import numpy as np
+import pytest
+
+from microlib import embryo
+from tests import fuzz
+from tests.laws import public, resolve, unlike
+
+NAMES = fuzz.names()
+QUICK = [name for name in NAMES if name not in fuzz.SLOW]
+CHECKED = [name for name in NAMES if not fuzz.stores_only(name)]
+
+#: Numbers that must be above zero; at least zero; and whole.
+POSITIVE = {
+    "acceleration", "aperture_radius", "band", "blur_rate", "degree", "depth", "dimple_depth",
+    "dimple_radius", "distance", "division", "focal_length", "gain", "gap", "grain", "height",
+    "inflation", "interval", "jump", "level", "magnification", "modulus", "most_frames",
+    "most_lost", "pitch", "pixel_size", "probe_half_width", "radius", "rate", "reach", "reduce",
+    "rim_radius", "saturation", "sensor_distance", "side", "size", "smallest", "spacing",
+    "span", "speed", "terms", "test_move", "thickness", "timeout", "tolerance", "travel",
+    "tube_length", "width", "window", "workers",
+}  # fmt: skip
+NOT_NEGATIVE = {
+    "blur", "bright", "dark", "delay", "delta", "force", "h_zero", "innovation_gain", "jitter",
+    "k", "k_zero", "latency", "noise", "poisson_ratio", "pressure", "pretension", "rim_inset",
+    "rng", "roughness", "sharpest", "sigma", "std", "step", "threshold", "unevenness",
+    "vignetting",
+}  # fmt: skip
+WHOLE = {
+    "degree", "k", "most_frames", "most_lost", "reach", "reduce", "rng", "size", "smallest",
+    "terms", "window", "workers",
+}  # fmt: skip
+#: Further numbers that are out of the range of an argument, in every function.
+OUT_OF_RANGE: dict[str, float] = {
+    "band": 1.0,
+    "bright": 255.5,
+    "dark": 255.5,
+    "degree": 3,
+    "inflation": 0.9,
+    "innovation_gain": 1.1,
+    "level": 1.0,
+    "poisson_ratio": 0.6,
+    "rim_inset": 0.6,
+    "span": 1.2,
+    "terms": 21,
+    "tilt": 4.0,
+    "unevenness": 0.6,
+    "vignetting": 1.1,
+    "window": 4,  # not odd
+}
+#: Arrays of which all numbers are above zero.
+POSITIVE_ARRAYS = {
+    "cell", "counts", "image_size", "pixel_size", "radius", "relaxation_times", "scales",
+    "shape", "travel", "widths",
+}  # fmt: skip
+
+#: Where a number may be one of an array, or an array have any shape.
+ANY_SHAPE = (
+    *(f"membrane.{name}.*" for name in (
+        "elastic_modulus", "indentation_force", "dimple_depth", "dimple_profile",
+        "membrane_stress", "mean_strain", "viscoelastic_force")),
+    "embryo.GaussianSum.*.x", "embryo._probe.*", "embryo._dimple.*",
+    "optics.*_distance", "optics.blur_radius.*", "optics.gaussian_transfer.*",
+    "microscope.distort.points", "microscope.undistort.points", "*.pixel_size",
+    "servoing.Stage.rounded.position", "servoing.point_jacobian.depth",
+    "synthetic.mixed_texture.scales", "curvature.hk_labels.?_zero", "optics.defocus.sigma",
+)  # fmt: skip
+#: Where NaN is an unknown pixel, a lost feature or an uncertainty that is not known.
+MAY_BE_NAN = (
+    "curvature.*.gaussian", "curvature.*.mean", "curvature.*.height", "*.frames",
+    "focus.correct_spikes.depth", "focus.smooth_depth.depth", "io.write_*.height",
+    "curvature.hk_labels.?_zero", "*covariance", "microscope.*distort.points", "*.measured",
+)  # fmt: skip
+#: Labels of `fuzz.wrong_kinds` for arrays of another shape, and those that are right somewhere.
+SHAPES = ("number", "one axis more", "one column less", "flat")
+ACCEPTED = {
+    **dict.fromkeys(("True", "[1.0]", "number", "one axis more"), ANY_SHAPE),
+    "one column less": (*ANY_SHAPE, "servoing.ibvs_control.jacobian"),
+    **dict.fromkeys(("nan", "0-d nan", "inf", "with nan", "with inf", "all nan"), MAY_BE_NAN),
+    "empty": ("io.read_frames.frames",),
+    "ragged": ("io.write_ply.image",),  # refused in NumPy's words
+}
+#: What is not checked: a text that is written as it is, what is only asked for its truth, a factor
+#: of a drawing, and the y of an outline, of which a message speaks together with its x.
+FREE = (
+    "io.write_height_tiff.what", "embryo.extract_boundary.dimple", "membrane.fit_capsule.fit_tilt",
+    "*.GripperScene.frame.gain", "embryo.dimple_from_outline.y",
+)  # fmt: skip
+
+
+def fits(key: str, patterns: tuple[str, ...]) -> bool:
+    return any(fnmatch(key, pattern) for pattern in patterns)
+
+
+def arguments(name: str) -> Iterator[tuple[str, object]]:
+    """Yield the arguments of a valid call that are looked at, with their values."""
+    for argument, value in fuzz.valid_call(name).items():
+        if argument != "self" and not fits(f"{name}.{argument}", FREE):
+            yield argument, value
+
+
+def accepted(name: str, wrong: dict[str, object], argument: str, *, named: bool) -> list[str]:
+    """Return by their labels the values of an argument that are not refused as they should be."""
+    found = []
+    for label, value in wrong.items():
+        result, fault = fuzz.answer(name, {argument: value})
+        if fault or not isinstance(result, fuzz.Refused):
+            found.append(f"{argument}={label}: {fault or 'accepted'}")
+        elif named and not re.search(rf"\b{argument}\b", result):
+            found.append(f"{argument}={label}: {result}")
+    return found
+
+
+@pytest.mark.parametrize("name", CHECKED)
+def test_wrong_kind_of_value_is_refused_by_name(name):
+    """Text, masks, complex numbers, NaN, infinity, nothing and another number of axes."""
+    defaults = {p.name: p.default for p in inspect.signature(resolve(name)).parameters.values()}
+    found = []
+    for argument, value in arguments(name):
+        wrong = {} if value is None else fuzz.wrong_kinds(value)
+        if defaults.get(argument, 0) is not None:
+            wrong["None"] = None
+        key = f"{name}.{argument}"
+        wrong = {k: v for k, v in wrong.items() if not fits(key, ACCEPTED.get(k, ()))}
+        shapes = {k: wrong.pop(k) for k in SHAPES if k in wrong}
+        found += accepted(name, wrong, argument, named=True)
+        found += accepted(name, shapes, argument, named=False)  # or the one that it goes with
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize("name", CHECKED)
+def test_number_out_of_range_is_refused_by_name(name):
+    found = []
+    for argument, value in arguments(name):
+        if isinstance(value, (int, float, np.number)) and not isinstance(value, bool):
+            wrong = [OUT_OF_RANGE[argument]] if argument in OUT_OF_RANGE else []
+            wrong += [0] * (argument in POSITIVE)
+            wrong += [-1] * (argument in POSITIVE or argument in NOT_NEGATIVE)
+            wrong += [1.5] * (argument in WHOLE)
+        elif fuzz.is_array(value) and argument in POSITIVE_ARRAYS:
+            wrong = [np.zeros(np.shape(value)), -np.asarray(value)]
+        else:
+            continue
+        found += accepted(name, {str(w): w for w in wrong}, argument, named=True)
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_unusual_value_gives_a_result_or_is_refused_by_name(name):
+    """Of each argument two values are drawn; `make fuzz` draws many more, of two arguments."""
+    found, rng = [], random.Random(name)
+    for argument, value in arguments(name):
+        for label, other in rng.sample([*fuzz.unusual(value)], 2):
+            if wrong := fuzz.fault(name, {argument: other}):
+                found.append(f"{argument}={label}: {wrong}")
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_same_numbers_in_another_form_give_the_same_result(name):
+    """Read-only, with gaps in memory, and in the byte order of another computer."""
+    given = fuzz.valid_call(name)
+    forms = {key: fuzz.in_another_form(value) for key, value in given.items()}
+    forms = {key: form for key, form in forms.items() if form is not None}
+    expected, _ = fuzz.answer(name, {key: given[key] for key in forms})
+    result, wrong = fuzz.answer(name, forms)
+    assert wrong is None
+    # Images are filtered in single precision, along rows or columns.
+    assert not [*unlike(expected, result, within=1e-4)]
+
+
+def test_every_public_callable_is_called_with_every_argument():
+    assert set(public()) <= set(fuzz.names())
+    assert set(fuzz.names()) >= fuzz.MAY_BE_UNKNOWN
+    for name in fuzz.names():
+        # An observer is called, not checked; further properties are those of the class.
+        left = set(fuzz.parameters(name, {})) - {"self", "cls", "observer", "properties"}
+        assert left <= fuzz.valid_call(name).keys(), name
+
+
+SINGULAR = ([[1.0, 2.0], [2.0, 4.0]], np.zeros((2, 2)))
+NOT_DEFINITE = ((0.9, 0.0), [[1.0, 2.0], [2.0, 1.0]])
+WITHOUT_DIMPLE = embryo.GaussianSum([9.0], [0.0], [5.0], domain=(-9, 9))
+#: What is wrong for one function: values that contradict each other or another argument.
+CONTRADICTIONS: dict[str, tuple[object, ...]] = {
+    "calibration.cramer_rao.world": (fuzz.grid() * 1e12,),  # beyond the fold of the distortion
+    "curvature.clean_labels.labels": ([[12]], np.full((4, 4), 1.9), -np.eye(4)),
+    "curvature.curvature_windows.size": (1, 4),
+    "curvature.hk_labels.k_zero": ([0.1, 0.2],),
+    "curvature.region_table.labels": ([[1]],),
+    "curvature.surface_curvature.height": (np.zeros((8, 40)), np.full((40, 40), np.inf)),
+    "curvature.surface_curvature.size": (4,),
+    "embryo.GaussianSum.domain": ((1, 1),),
+    "embryo.dimple_from_outline.x": (np.arange(5.0),),
+    "embryo.dimple_geometry.curve": (WITHOUT_DIMPLE,),
+    "embryo.fit_dimple.probe_half_width": (8.0, 45.0),
+    "embryo.fit_gaussians.x": (np.full(60, 2.0), np.arange(5.0)),
+    "embryo.loess.span": (0.02,),
+    "embryo.loess.x": (np.ones(40), np.repeat([0.0, 1.0], 20)),
+    "embryo.modulus_from_image.force": (150e-6,),  # in N
+    "embryo.modulus_from_image.pixel_size": (3.9e-6,),  # in m
+    "embryo.modulus_from_image.probe_half_width": (45.0,),
+    "embryo.modulus_from_image.thickness": (3e-6,),
+    "focus.correct_spikes.depth": (np.zeros(12), np.full((12, 12), np.inf)),
+    "focus.depth_from_focus.positions": ([3.0] * 5, [0, 0, 1, 2, 3], [2, 1, 1, 0, -1]),
+    "focus.smooth_depth.depth": (np.full((44, 60), -np.inf),),
+    "focus.smooth_depth.weight": (np.zeros((43, 60)), np.full((44, 60), -1)),
+    "focus.sum_modified_laplacian.step": (0, 99),
+    "focus.three_point_peak.index": (np.full((44, 60), 10), np.full((44, 60), -1)),
+    "focus.three_point_peak.positions": (np.arange(2.0), np.arange(10) // 2),
+    "focus.three_point_peak.window": (np.ones((4, 44, 60)), np.full((3, 44, 60), -1.0)),
+    "io.read_frames.region": ((-1, 0, 4, 4), (0, 0, 0, 4), (0, 0, 4, 0), "abcd"),
+    "membrane.capsule_modulus.depth": (1300.0, 500.0, 0.01),
+    "membrane.capsule_modulus.rim_radius": (10.0, 570.0),
+    "membrane.dimple_profile.radius": ([10.0],),
+    "membrane.elastic_modulus.dimple_radius": (10.0,),
+    "membrane.elastic_modulus.probe_half_width": (213.0,),
+    "membrane.finite_slope_modulus.probe_half_width": (300.0,),
+    "membrane.fit_capsule.outline": (np.zeros((5, 2)), np.zeros((30, 3)), np.eye(30, 2)),
+    "membrane.indent_capsule.probe_half_width": (570.0,),
+    "membrane.indent_disc.force": (5e3,),
+    "membrane.indent_disc.poisson_ratio": (0.4,),
+    "membrane.indent_disc.probe_half_width": (213.0,),
+    "membrane.modulus_samples.stds": ({"poisson_ratio": 1e5},),
+    "membrane.modulus_std.dimple_covariance": (np.eye(3),),
+    "membrane.modulus_std.stds": ({"mass": 1.0}, {"force": -1.0}, {"dimple_depth": 1.0}),
+    "membrane.modulus_std.values": ({"force": 1.0},),
+    "membrane.viscoelastic_force.elastic_force": ([0.0, 1.0],),
+    "membrane.viscoelastic_force.prony_coefficients": ([0.7, 0.7], [-0.1, 0.1]),
+    "membrane.viscoelastic_force.time": ([0.0, 0.0, 1.0, 2.0],),
+    "microscope.Microscope.image_size": ((656, 0), (656.5, 491), 656),
+    "microscope.Microscope.jacobian.parameters": (("alpha", "lens"),),
+    "microscope.Microscope.pixel_size": ((9.9, 0.0), (9.9, 9.9, 9.9)),
+    "optics.blur_radius.sensor_distance": (90.0,),
+    "optics.defocus.sigma": (np.zeros((4, 5)),),
+    "optics.gaussian_kernel.sigma": (0.0,),
+    "optics.gaussian_kernel.size": (6,),
+    "optics.image_distance.object_distance": (50.0,),
+    "servoing.OptimalController.jacobian": SINGULAR,
+    "servoing.ibvs_control.jacobian": SINGULAR,
+    "servoing.optimal_control.control_weight": NOT_DEFINITE,
+    "servoing.optimal_control.feature_weight": NOT_DEFINITE,
+    "servoing.path_metrics.position": (np.zeros((1, 2)),),
+    "servoing.step_metrics.target": (fuzz.valid_call("servoing.step_metrics")["position"][0],),
+    "servoing.step_metrics.time": (np.zeros(25), np.arange(24.0)),
+    "synthetic.Embryo.dented.depth": (3000.0,),
+    "synthetic.Embryo.dimple_radius": (20.0,),
+    "synthetic.Embryo.pressed.force": (0.0, 1e-9),
+    "synthetic._gripper.GripperScene.frame.shift": ((90, 0),),
+    "synthetic.embryo_image.blur": (0.2,),
+    "synthetic.embryo_image.shape": ((10, 10),),
+    "synthetic.focal_stack.blur_rate": (1e3,),
+    "synthetic.focal_stack.height": (np.eye(5),),
+    "synthetic.gripper_scene.gap": (130.0,),
+    "synthetic.parabolic_cylinder.shape": ((1, 9),),
+    "tracking.KalmanFilter.noise": (0.0,),
+    "tracking.track_all.box": ((20, 15, 400, 40),),
+}
+
+
+@pytest.mark.parametrize("key", CONTRADICTIONS)
+def test_value_that_contradicts_others_is_refused_by_name(key):
+    name, argument = key.rsplit(".", 1)
+    wrong = {str(value)[:40]: value for value in CONTRADICTIONS[key]}
+    assert not accepted(name, wrong, argument, named=True)
