@@ -1,7 +1,7 @@
-"""Mean and Gaussian curvature of a height map (3.15 to 3.23) and its surface types (3.24, 3.25).
+"""Mean and Gaussian curvature of a height map (3.15 to 3.23) and its HK labels (3.24, 3.25).
 
-Heights point to the viewer, so a dome has H < 0 and K > 0 (Table 3.1). Heights and `pixel_size`
-share one unit, here µm; H is then in 1/µm and K in 1/µm².
+Heights point to the viewer, so that a dome has H < 0 and K > 0 (Table 3.1). Heights and
+`pixel_size` are in µm, H is in 1/µm and K in 1/µm².
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from math import comb
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,8 +39,8 @@ __all__ = [
     "surface_curvature",
 ]
 
-#: Table 3.1: the surface type of each label. A smooth surface has H² ≥ K, so label 4 (H = 0 and K
-#: > 0) cannot occur but through noise or thresholds that do not match.
+#: Table 3.1: the surface type of each label. A smooth surface has H² ≥ K. Label 4 (H = 0 and K > 0)
+#: therefore comes only from noise or from thresholds that do not match.
 HK_NAMES = {
     1: "convex elliptic",
     2: "convex cylindric",
@@ -56,12 +56,12 @@ HK_NAMES = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Windows(Result):
-    """The windows from which all derivative windows are built; see `curvature_windows`.
+    """One-dimensional windows of smoothing and differentiation, from `curvature_windows`.
 
     Attributes
     ----------
     smooth : ndarray of float64, shape (size,)
-        Binomial smoother s (3.15).
+        Binomial smoothing window s (3.15).
     mean, slope, second_derivative : ndarray of float64, shape (size,)
         Least-squares value :math:`d_0` (3.17), first derivative :math:`d_1` (3.18, per px) and
         second derivative :math:`d_2` (3.19 corrected, per px²).
@@ -80,9 +80,10 @@ class Curvature(Result):
     Attributes
     ----------
     mean, gaussian : ndarray of float64, shape (rows, cols)
-        H in 1/µm and K in 1/µm² (3.22, 3.23). NaN where a window leaves the map or meets a NaN.
+        H in 1/µm and K in 1/µm² (3.22, 3.23). NaN where a window extends beyond the map or contains
+        a NaN.
     mean_error, gaussian_error : ndarray of float64, shape (rows, cols)
-        Standard errors of H and K, in the same units; NaN if the noise is not known.
+        Standard errors of H and K, in the same units. NaN if the noise is unknown.
     """
 
     mean: Array
@@ -92,20 +93,19 @@ class Curvature(Result):
 
 
 def curvature_windows(size: int = 7) -> Windows:
-    """Return Besl's separable smoothing and derivative windows for a square of `size` pixels.
+    """Return Besl's separable smoothing and derivative windows of `size` pixels.
 
     Parameters
     ----------
     size : int
-        Side of the square, px, odd, at least 3. The thesis uses 7.
+        Length of a window, px, odd, at least 3. The thesis uses 7.
 
     Returns
     -------
     Windows
-        Four columns of length `size`: the smoother ``smooth``, and ``mean``, ``slope`` (per px) and
-        ``second_derivative`` (per px²). They are written for correlation; (3.16) speaks of
-        convolution, which would flip the sign of the first derivatives and leave H and K as they
-        are.
+        Arrays of length `size`: ``smooth``, ``mean``, ``slope`` (per px) and ``second_derivative``
+        (per px²), for correlation. The convolution of (3.16) would reverse the sign of the first
+        derivatives, which does not change H and K.
 
     Raises
     ------
@@ -114,12 +114,11 @@ def curvature_windows(size: int = 7) -> Windows:
 
     Notes
     -----
-    The smoothing window is the binomial one (3.15). :math:`d_0` (3.17), :math:`d_1` (3.18) and
-    :math:`d_2` (3.19) are the value, slope and second derivative at the center of the parabola
-    that fits the window in the least-squares sense. (3.19) prints :math:`d_2` with 1/84, which
-    yields the coefficient of t², half the second derivative: applied to t² it gives 1 instead of
-    2. Here the factor is 1/42, without which H comes out at half
-    and K at a quarter of the truth, wherever R_xy = 0.
+    The smoothing window is binomial (3.15). :math:`d_0` (3.17), :math:`d_1` (3.18) and :math:`d_2`
+    (3.19) are the value, slope and second derivative at the center of the least-squares parabola of
+    the window. (3.19) prints :math:`d_2` with the factor 1/84, which is the coefficient of t², half
+    of the second derivative. Here the factor is 1/42. With 1/84, H is half and K a quarter of the
+    true value where R_xy = 0.
 
     Examples
     --------
@@ -143,7 +142,7 @@ def curvature_windows(size: int = 7) -> Windows:
 
 def surface_curvature(
     height: ArrayLike,
-    pixel_size: float | tuple[float, float] | None = None,
+    pixel_size: float | tuple[float, float],
     *,
     size: int = 7,
     noise: float | None = None,
@@ -153,51 +152,50 @@ def surface_curvature(
     Parameters
     ----------
     height : array_like, shape (rows, cols)
-        Heights, µm, towards the viewer. NaN marks what is unknown. An xarray.DataArray may have
-        another unit of length in ``attrs["units"]``.
-    pixel_size : float or tuple of float, optional
-        Distance between neighboring pixels on the object, µm; (x, y) where they are not square. By
-        default that of the coordinates of an xarray.DataArray.
+        Heights towards the viewer, µm. NaN where the height is unknown.
+    pixel_size : float or tuple of float
+        Distance of neighboring pixels on the object, µm; (x, y) if pixels are not square.
     size : int
-        Side of the windows, px, odd, at least 3. The scale of what is seen: a window of `size`
-        smooths and differentiates over 2 `size` - 1 pixels.
+        Side of the windows, px, odd, at least 3. Smoothing and differentiation together use
+        2 `size` − 1 pixels on a side.
     noise : float, optional
-        Standard deviation of the heights, µm, independent from pixel to pixel. Without it the
-        standard errors are NaN; a map does not tell its noise from fine relief or from noise that
-        neighbors share. The rounding of the heights is taken as noise where it is larger.
+        Standard deviation of the height errors, µm, independent from pixel to pixel. The standard
+        errors are NaN without it. Rounding of the heights replaces it where rounding is larger.
 
     Returns
     -------
     Curvature
         ``mean`` (1/µm) and ``gaussian`` (1/µm²) with their standard errors ``mean_error`` and
-        ``gaussian_error``, arrays of the map's shape. A band of `size` - 1 pixels along the border,
-        and around every NaN, is NaN.
+        ``gaussian_error``, arrays of the shape of the map. The values are NaN in a band of
+        `size` − 1 pixels along the border and around every NaN.
 
     Raises
     ------
     ValueError
-        If the map is smaller than 2 `size` - 1 on a side or holds an infinity, `pixel_size` is
-        not positive or not that of the coordinates, `noise` is negative, or `size` is not an odd
-        whole number of at least 3.
+        If the map is smaller than 2 `size` − 1 on a side, contains an infinity or has another unit
+        than µm in ``attrs["units"]``; if `pixel_size` is not positive, `noise` is negative, or
+        `size` is not an odd whole number of at least 3.
 
     Warns
     -----
     UserWarning
-        If half of the map is steeper than 76°, as it is where heights and pixels differ in unit.
+        If half of the map is steeper than 76°, which suggests that heights and `pixel_size` have
+        different units.
 
     Notes
     -----
-    Derivatives are the windows (3.15)–(3.19) applied as in (3.20)–(3.21), divided by the pixel
-    size and its square; H and K follow (3.22)–(3.23). The thesis leaves out the pixel size, which
-    fixes the units of H and K and so the meaning of any threshold.
+    The derivatives are the windows (3.15)–(3.19), applied as in (3.20)–(3.21) and divided by the
+    pixel size or its square. H and K follow from (3.22)–(3.23). The thesis omits the pixel size,
+    which determines the units of H and K and of their thresholds.
 
-    A pixel depends on what lies `size` - 1 pixels around it alone: tiles that overlap by as much,
-    such as those of `dask.array.map_overlap`, have the curvature of the whole.
+    The standard errors assume independent errors of the heights. The error of a second derivative
+    is `noise` times the root of the sum of the squares of its window. H is propagated to first
+    order. K is propagated to first and second order, because K of a plane is a product of errors.
+    Errors of the slopes are neglected: in pixels they are smaller by the ratio of the window to the
+    radius of curvature.
 
-    The error of a second derivative is `noise` times the root of the sum of the squares of its
-    window. It enters H to first order, K to first and second order, because on a plane K is a
-    product of errors. The errors of the slopes are left out: in pixels they are smaller by the
-    ratio of the window to the radius of curvature.
+    A value depends on the pixels within `size` − 1 pixels alone. Tiles with this overlap, such as
+    those of `dask.array.map_overlap`, have the curvature of the whole map.
 
     Examples
     --------
@@ -211,15 +209,22 @@ def surface_curvature(
     (-0.01, 0.0001)
     """
     n = whole("size", size, least=3, odd=True)
-    z, pitch_x, pitch_y = _in_micrometers(height, pixel_size)
+    z = as_map("height", height)
+    unit = str(getattr(height, "attrs", {}).get("units", "µm"))  # of an xarray.DataArray
+    if MICROMETERS.get(unit) != 1:
+        raise ValueError(f"height must be in µm, got {unit}")
+    pitches = positive("pixel_size", pixel_size)
+    if pitches.shape not in ((), (2,)):
+        raise ValueError(f"pixel_size must be a number or (x, y), got shape {pitches.shape}")
+    pitch_x, pitch_y = np.broadcast_to(pitches, 2)
     sigma = np.nan if noise is None else scalar("noise", noise, least=0)
     if min(z.shape) < 2 * n - 1:
         raise ValueError(f"height must be at least {2 * n - 1} px on each side, got {z.shape}")
 
     windows = curvature_windows(n)
     value, slope, second = (
-        np.convolve(windows.smooth, d)
-        for d in (windows.mean, windows.slope, windows.second_derivative)
+        np.convolve(windows.smooth, window)
+        for window in (windows.mean, windows.slope, windows.second_derivative)
     )
     unknown = np.isnan(z)
     filled, border = np.where(unknown, 0.0, z), cv2.BORDER_REPLICATE
@@ -238,75 +243,39 @@ def surface_curvature(
     blind[:margin], blind[-margin:], blind[:, :margin], blind[:, -margin:] = True, True, True, True
     if not blind.all() and (steepness := float(np.median(np.hypot(zx, zy)[~blind]))) > 4:
         warnings.warn(
-            f"half of height is steeper than {steepness:.3g}: is it in the unit of pixel_size, µm?",
+            f"height has a median slope of {steepness:.3g}: it must have the unit of pixel_size",
             stacklevel=2,
         )
 
-    steep = 1 + zx**2 + zy**2
+    squared = 1 + zx**2 + zy**2
     ex, ey = 1 + zx**2, 1 + zy**2
-    mean = (ex * zyy - 2 * zx * zy * zxy + ey * zxx) / (2 * steep**1.5)
-    gaussian = (zxx * zyy - zxy**2) / steep**2
+    mean = (ex * zyy - 2 * zx * zy * zxy + ey * zxx) / (2 * squared**1.5)  # (3.22)
+    gaussian = (zxx * zyy - zxy**2) / squared**2  # (3.23)
 
-    # Covariance of (zxx, zyy, zxy); the mixed window is odd in x and y and so uncorrelated with
-    # the others.
-    # A sum over 2n − 1 pixels a side is rounded by no more than this part of the heights.
-    rounding = (2 * n - 1) * _rounding(height) * np.abs(filled).max()
-    along_x, along_y = (np.maximum(sigma, rounding) / np.array([pitch_x, pitch_y]) ** 2) ** 2
-    straight_x, straight_y = np.sum(second**2) * np.sum(value**2) * np.array([along_x, along_y])
-    cross = np.sqrt(along_x * along_y) * np.sum(second * value) ** 2
-    mixed = np.sqrt(along_x * along_y) * np.sum(slope**2) ** 2
-    mean_variance = (
-        straight_y * ex**2 + straight_x * ey**2 + 2 * cross * ex * ey + mixed * (2 * zx * zy) ** 2
-    ) / (4 * steep**3)
-    # To first order, less what noise alone puts into the squares, and never below the second order.
-    second_order = straight_x * straight_y + cross**2 + 2 * mixed**2
-    first_order = straight_x * zyy**2 + straight_y * zxx**2
-    first_order += 2 * cross * zxx * zyy + 4 * mixed * zxy**2
-    gaussian_variance = np.maximum(first_order - second_order, second_order) / steep**4
-    fields = [mean, gaussian, np.sqrt(mean_variance), np.sqrt(gaussian_variance)]
-    return Curvature(*(np.where(blind, np.nan, np.asarray(field)) for field in fields))
-
-
-def _in_micrometers(
-    height: Any, pixel_size: float | tuple[float, float] | None
-) -> tuple[Array, float, float]:
-    """Return heights and both sides of a pixel, in µm."""
-    z, own = as_map("height", height), [np.nan, np.nan]
-    if hasattr(height, "coords"):  # xarray's
-        z = z * _micrometers(height.attrs.get("units", "µm"))
-        own = [_step(height.coords[dim]) for dim in height.dims[::-1] if dim in height.coords]
-    labeled = len(own) == 2 and np.isfinite(own).all()
-    if pixel_size is None and not labeled:
-        raise ValueError("pixel_size must be given for a map without coordinates, got None")
-    sides = positive("pixel_size", own if pixel_size is None else pixel_size)
-    if sides.shape not in ((), (2,)):
-        raise ValueError(f"pixel_size must be a number or (x, y), got the shape {sides.shape}")
-    if labeled and not np.allclose(sides, own, rtol=0.01):
-        raise ValueError(f"pixel_size must be that of the coordinates, {own} µm, got {pixel_size}")
-    x, y = np.broadcast_to(sides, 2).tolist()
-    return z, x, y
-
-
-def _step(coordinate: Any) -> float:
-    """Return the distance of neighbors in µm; NaN where a coordinate only numbers the pixels."""
-    steps, unit = np.diff(coordinate.values), coordinate.attrs.get("units")
-    if steps.size == 0 or (unit is None and (steps == 1).all()):
-        return np.nan
-    if not np.allclose(steps, steps[0], rtol=1e-3):
-        raise ValueError(f"height must have evenly spaced coordinates, got {coordinate.name}")
-    return float(abs(steps.mean())) * _micrometers("µm" if unit is None else unit)
-
-
-def _micrometers(unit: object) -> float:
-    if str(unit) not in MICROMETERS:
-        raise ValueError(f"height must be in a unit of length, got {unit}")
-    return MICROMETERS[str(unit)]
-
-
-def _rounding(height: Any) -> float:
-    """Return the relative rounding of the numbers of a map."""
+    # Rounding of a sum over 2n − 1 pixels a side is at most this fraction of the heights.
     kind = np.asarray(height).dtype
-    return float(np.finfo(kind if kind.kind == "f" else float).eps)
+    eps = np.finfo(kind if kind.kind == "f" else np.float64).eps
+    rounding = (2 * n - 1) * float(eps) * np.abs(filled).max()
+    # Covariance of (zxx, zyy, zxy). The mixed window is odd in x and y, so that zxy is uncorrelated
+    # with the others.
+    along_x, along_y = (np.maximum(sigma, rounding) / np.array([pitch_x, pitch_y]) ** 2) ** 2
+    var_xx, var_yy = np.sum(second**2) * np.sum(value**2) * np.array([along_x, along_y])
+    cov_xx_yy = np.sqrt(along_x * along_y) * np.sum(second * value) ** 2
+    var_xy = np.sqrt(along_x * along_y) * np.sum(slope**2) ** 2
+    mean_variance = (
+        var_yy * ex**2 + var_xx * ey**2 + 2 * cov_xx_yy * ex * ey + var_xy * (2 * zx * zy) ** 2
+    ) / (4 * squared**3)
+    # First order of the measured derivatives, whose squares contain the second order of the noise.
+    second_order = var_xx * var_yy + cov_xx_yy**2 + 2 * var_xy**2
+    first_order = var_xx * zyy**2 + var_yy * zxx**2
+    first_order += 2 * cov_xx_yy * zxx * zyy + 4 * var_xy * zxy**2
+    gaussian_variance = np.maximum(first_order - second_order, second_order) / squared**4
+    return Curvature(
+        mean=np.where(blind, np.nan, mean),
+        gaussian=np.where(blind, np.nan, gaussian),
+        mean_error=np.where(blind, np.nan, np.sqrt(mean_variance)),
+        gaussian_error=np.where(blind, np.nan, np.sqrt(gaussian_variance)),
+    )
 
 
 def hk_labels(
@@ -315,18 +284,18 @@ def hk_labels(
     h_zero: ArrayLike | None = None,
     k_zero: ArrayLike | None = None,
 ) -> NDArray[np.uint8]:
-    """Return the surface type of every pixel from the signs of H and K.
+    """Return the HK label of every pixel, which is its surface type by the signs of H and K.
 
     Parameters
     ----------
     mean : Curvature or array_like
-        What `surface_curvature` returned, for a known noise: H and K are then zero within 3.5 of
-        their standard errors, unless thresholds are given. Or H in 1/µm; NaN where unknown.
+        Result of `surface_curvature`, or H in 1/µm with NaN where it is unknown.
     gaussian : array_like, optional
-        K in 1/µm², of the shape of `mean`; only beside an array.
+        K in 1/µm², of the shape of `mean`. Required if `mean` is an array, and only then.
     h_zero, k_zero : float or array_like, optional
-        Largest magnitudes of H and K that count as zero, in the same units; a number, or one for
-        each pixel. They may be left out for a `Curvature` alone.
+        Thresholds: the largest magnitudes of H and K that count as zero, in the same units, for all
+        pixels or for each. By default 3.5 standard errors of a `Curvature` of known noise, which
+        noise exceeds at one of 2000 pixels.
 
     Returns
     -------
@@ -336,8 +305,8 @@ def hk_labels(
     Raises
     ------
     ValueError
-        If the shapes differ, a threshold is negative or missing, or a `Curvature` without
-        thresholds has no errors.
+        If the shapes differ, a threshold is negative or missing, or the default thresholds are
+        wanted for a `Curvature` without standard errors.
 
     Notes
     -----
@@ -351,7 +320,7 @@ def hk_labels(
     >>> [HK_NAMES[label] for label in labels.tolist()]
     ['convex elliptic', 'convex cylindric', 'planar']
 
-    A ball with 5 nm of noise, whose thresholds follow from it:
+    A ball with 5 nm of noise, and default thresholds:
 
     >>> import numpy as np
     >>> from microlib.curvature import surface_curvature
@@ -364,42 +333,36 @@ def hk_labels(
     """
     if isinstance(mean, Curvature):
         if gaussian is not None:
-            raise ValueError("gaussian must be left out beside a Curvature, got both")
+            raise ValueError("gaussian must not be given with a Curvature")
         curved = mean
         mean, gaussian = curved.mean, curved.gaussian
         known = np.isfinite(curved.mean)
-        unsure = known.any() and np.isnan(curved.mean_error[known]).all()
-        if (h_zero is None or k_zero is None) and unsure:
+        no_errors = known.any() and np.isnan(curved.mean_error[known]).all()
+        if (h_zero is None or k_zero is None) and no_errors:
             raise ValueError(
-                "mean must have errors where h_zero or k_zero is left out, got a Curvature "
-                "without: give surface_curvature the noise of the heights"
+                "h_zero and k_zero must be given for a Curvature without standard errors, or "
+                "surface_curvature must be given the noise of the heights"
             )
-        errors = 3.5  # beyond, noise leaves one of 2000 pixels that are zero
-        h_zero = errors * curved.mean_error if h_zero is None else h_zero
-        k_zero = errors * curved.gaussian_error if k_zero is None else k_zero
+        h_zero = 3.5 * curved.mean_error if h_zero is None else h_zero
+        k_zero = 3.5 * curved.gaussian_error if k_zero is None else k_zero
     if gaussian is None or h_zero is None or k_zero is None:
-        raise ValueError("gaussian, h_zero and k_zero must be given beside an array, got None")
-    h, k = as_array("mean", mean, finite=False), as_array("gaussian", gaussian, finite=False)
-    if k.shape != h.shape:
-        raise ValueError(f"gaussian must have the shape {h.shape} of mean, got {k.shape}")
-    limits = []
-    for name, value in (("h_zero", h_zero), ("k_zero", k_zero)):
-        limits.append(limit := as_array(name, value, finite=False))
-        if limit.ndim and limit.shape != h.shape:
-            raise ValueError(f"{name} must have the shape {h.shape} of mean, got {limit.shape}")
-        if (limit < 0).any():
-            raise ValueError(f"{name} must be zero or positive, got {np.nanmin(limit):g}")
-    known = ~np.isnan(h + k + limits[0] + limits[1])
-    of_h, of_k = (
-        (x > limit).astype(np.int8) - (x < -limit).astype(np.int8)
-        for x, limit in zip((h, k), limits, strict=True)
-    )
-    return np.where(known, 1 + 3 * (1 + of_h) + (1 - of_k), 0).astype(np.uint8)
+        raise ValueError("gaussian, h_zero and k_zero must be given with an array, got None")
+    values = {"mean": mean, "gaussian": gaussian, "h_zero": h_zero, "k_zero": k_zero}
+    h, k, h_limit, k_limit = (as_array(name, values[name], finite=False) for name in values)
+    for name, value in (("gaussian", k), ("h_zero", h_limit), ("k_zero", k_limit)):
+        if value.shape != h.shape and (value.ndim or name == "gaussian"):
+            raise ValueError(f"{name} must have the shape {h.shape} of mean, got {value.shape}")
+        if name != "gaussian" and (value < 0).any():
+            raise ValueError(f"{name} must be zero or positive, got {np.nanmin(value):g}")
+    known = ~np.isnan(h + k + h_limit + k_limit)
+    sign_h = (h > h_limit).astype(np.int8) - (h < -h_limit)  # (3.24)
+    sign_k = (k > k_limit).astype(np.int8) - (k < -k_limit)
+    return np.where(known, 1 + 3 * (1 + sign_h) + (1 - sign_k), 0).astype(np.uint8)
 
 
 def _regions(labels: ArrayLike) -> tuple[NDArray[np.uint8], NDArray[np.intp]]:
-    """Return checked labels of `hk_labels`, and the number of each pixel's region, 0 for none."""
-    from skimage.measure import label  # here, as it takes long to import
+    """Return checked labels of `hk_labels`, and the connected regions of one label, from 1 on."""
+    from skimage.measure import label  # here, because it takes long to import
 
     given = as_array("labels", labels, shape=(None, None))
     wrong = (given < 0) | (given > 9) | (given != np.rint(given))
@@ -410,19 +373,19 @@ def _regions(labels: ArrayLike) -> tuple[NDArray[np.uint8], NDArray[np.intp]]:
 
 
 def clean_labels(labels: ArrayLike, smallest: int) -> NDArray[np.uint8]:
-    """Give the pixels of small regions the label of the nearest region that is not small.
+    """Replace the label of small regions by that of the nearest larger region.
 
     Parameters
     ----------
     labels : array_like of int, shape (rows, cols)
         Labels of `hk_labels`; 0 stays 0.
     smallest : int
-        Area in pixels below which a region, connected along rows and columns, is removed.
+        Area below which a region is small, px. Regions are connected along rows and columns.
 
     Returns
     -------
     ndarray of uint8, shape (rows, cols)
-        Cleaned labels. If every region is small, the labels are returned unchanged.
+        Labels without small regions. The labels are unchanged if every region is small.
 
     Raises
     ------
@@ -435,7 +398,7 @@ def clean_labels(labels: ArrayLike, smallest: int) -> NDArray[np.uint8]:
     >>> clean_labels([[5, 5, 5], [5, 2, 5], [5, 5, 5]], smallest=2).tolist()
     [[5, 5, 5], [5, 5, 5], [5, 5, 5]]
     """
-    from skimage.segmentation import expand_labels  # here, as it takes long to import
+    from skimage.segmentation import expand_labels  # here, because it takes long to import
 
     types, regions = _regions(labels)
     least = whole("smallest", smallest, least=1)
@@ -446,26 +409,26 @@ def clean_labels(labels: ArrayLike, smallest: int) -> NDArray[np.uint8]:
 
 
 def region_table(labels: ArrayLike, curvature: Curvature) -> pd.DataFrame:
-    """Return one row for each connected region of one surface type, the largest first.
+    """Return a table of the connected regions of one surface type, the largest first.
 
     Parameters
     ----------
     labels : array_like of int, shape (rows, cols)
-        Labels of `hk_labels`; pixels of label 0 belong to no region.
+        Labels of `hk_labels`. Pixels of label 0 belong to no region.
     curvature : Curvature
         Curvature of the same map.
 
     Returns
     -------
     pandas.DataFrame
-        Columns ``label``, ``name``, ``area`` (px), ``mean`` (mean of H, 1/µm), ``gaussian`` (mean
-        of K, 1/µm²) and the centroid ``x``, ``y`` (px). Regions are connected along rows and
-        columns.
+        One row per region: ``label``, ``name``, ``area`` (px), ``mean`` (mean of H, 1/µm),
+        ``gaussian`` (mean of K, 1/µm²) and centroid ``x``, ``y`` (px). Regions are connected along
+        rows and columns.
 
     Raises
     ------
     ValueError
-        If the labels are not 0 to 9 or have not the shape of the curvature.
+        If the labels are not 0 to 9, or their shape is not that of the curvature.
 
     Examples
     --------
@@ -482,23 +445,16 @@ def region_table(labels: ArrayLike, curvature: Curvature) -> pd.DataFrame:
     of_kind("curvature", curvature, Curvature)
     if types.shape != curvature.mean.shape:
         raise ValueError(
-            f"labels must have the curvature's shape {curvature.mean.shape}, got {types.shape}"
+            f"labels must have the shape {curvature.mean.shape} of curvature, got {types.shape}"
         )
-    import pandas as pd  # here, as they take long to import
+    import pandas as pd  # here, because both take long to import
     from skimage.measure import regionprops_table
 
     fields = np.stack([types, curvature.mean, curvature.gaussian], axis=-1)
     found = regionprops_table(regions, fields, properties=("intensity_mean", "area", "centroid"))
-    label = found["intensity_mean-0"].astype(int)
-    table = pd.DataFrame(
-        {
-            "label": label,
-            "name": [HK_NAMES[kind] for kind in label],
-            "area": found["area"].astype(int),
-            "mean": found["intensity_mean-1"],
-            "gaussian": found["intensity_mean-2"],
-            "x": found["centroid-1"],
-            "y": found["centroid-0"],
-        }
-    )
+    names = {"intensity_mean-0": "label", "area": "area", "intensity_mean-1": "mean"}
+    names |= {"intensity_mean-2": "gaussian", "centroid-1": "x", "centroid-0": "y"}
+    table = pd.DataFrame(found)[list(names)].rename(columns=names)
+    table = table.astype({"label": int, "area": int})
+    table.insert(1, "name", table["label"].map(HK_NAMES))
     return table.sort_values("area", ascending=False, kind="stable", ignore_index=True)

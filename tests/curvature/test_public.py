@@ -43,7 +43,7 @@ def test_law_holds(law, name):
 
 
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
-def test_a_map_seen_otherwise_has_the_same_curvature_and_regions(view):
+def test_curvature_and_regions_follow_flips_and_rotations(view):
     holed = np.where((X > 3.2) & (Y < 0.4), np.nan, HEIGHT)
     plain, other = (surface_curvature(h, 2.3, noise=0.04) for h in (holed, view.image(holed)))
     for name in FIELDS:
@@ -59,7 +59,7 @@ def test_a_map_seen_otherwise_has_the_same_curvature_and_regions(view):
 
 
 @pytest.mark.parametrize("size", [3, 5, 9])
-def test_the_errors_scatter_as_they_say(size):
+def test_standard_errors_match_scatter(size):
     """Of maps on pixels of 2.3 µm; pixels further apart than both windows are independent."""
     noise, rng = 0.01, np.random.default_rng(size)
     y, x = np.mgrid[0 : 24 * size, 0 : 20 * size] * 2.3
