@@ -101,16 +101,18 @@ def draw_rendered_outline(
     for axes in (whole, bottom):
         axes.plot(columns, smooth(columns), color=COLORS["yellow"], label="eight Gaussians")
         axes.plot(columns, profile - base, color=COLORS["blue"], lw=3, label="profile (4.2)")
-        axes.plot(boundary.x, boundary.y - base, ".k", ms=4, label="outline")
+        axes.plot(boundary.x, boundary.y - base, ".", color=COLORS["ink"], ms=4, label="outline")
         axes.set(xlabel="x (px)", ylabel="y, up (px)", aspect="equal")
     length(whole, (x1, y1 + 4), (x2, y1 + 4), "a", (0, 6))
     length(whole, (x2, y1), (x2, y2), "$w_d$", (9, 0))
     near = 1.5 * scene.embryo.dimple_radius / scene.pixel_size
     middle = scene.center[0]
     whole.set(xlim=(middle - near, middle + near), ylim=(-6, y1 + 18))
-    # Where the two ways part: four widths of the probe.
+    # The two curves differ within four widths of the probe.
     reach = 4 * thesis.MEMBRANE["probe_half_width"] / scene.pixel_size
-    bottom.set(xlim=(middle - reach, middle + reach), ylim=(-2, reach / 2), title="the bottom")
+    bottom.set(
+        xlim=(middle - reach, middle + reach), ylim=(-2, reach / 2), title="bottom, enlarged"
+    )
     legend_below(figure)
     return figure
 

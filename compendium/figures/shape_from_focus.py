@@ -55,19 +55,19 @@ def draw_focus(
         near = np.diff(scene.positions).mean() / 2
         axes.contourf(away, [-1, near], colors=COLORS["orange"], alpha=0.25)
         axes.contour(away, [near], colors=COLORS["orange"])
-    photograph(row[-1], fused[part], "fused")
+    photograph(row[-1], fused[part], "all in focus")
     for axes in row:
         axes.set(xlabel="", ylabel="", xticks=[], yticks=[])
     above, profile = lower.subplots(1, 2, width_ratios=(1, 1.1))
     extent = (0, cols * size, rows * size, 0)
     look: dict[str, Any] = {"cmap": "viridis", "vmin": None, "vmax": None, "extent": extent}
-    seen = photograph(above, depth, "from above", **look)
+    seen = photograph(above, depth, "height (µm)", **look)
     above.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})")
-    lower.colorbar(seen, ax=above, label="height (µm)", shrink=0.8)
+    lower.colorbar(seen, ax=above, shrink=0.8)
     across, middle = size * np.arange(cols), rows // 2
-    profile.plot(across, scene.height[middle], color=COLORS["ink"], lw=1.2, label="truth")
-    profile.plot(across, depth[middle], color=COLORS["blue"], label="found")
-    profile.set(xlabel=f"x ({unit})", ylabel="height (µm)", title="across the middle")
+    profile.plot(across, scene.height[middle], color=COLORS["ink"], lw=1.2, label="true height")
+    profile.plot(across, depth[middle], color=COLORS["blue"], label="from focus")
+    profile.set(xlabel=f"x ({unit})", ylabel="height (µm)", title="section through the middle")
     profile.set_ylim(None, 1.6 * depth.max())
     profile.legend(loc="upper left")
     return figure
