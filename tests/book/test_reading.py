@@ -8,7 +8,6 @@ from html import unescape
 from pathlib import Path
 
 import pytest
-from book_test_sources import line_of, place_of_test
 from book_verdicts import ORDER, count_by_class, number_of
 from docutils import nodes
 from playwright.sync_api import Browser, Page
@@ -46,54 +45,11 @@ def script(html: Path, name: str) -> dict:
     return json.loads(text.partition("= ")[2].rstrip(";\n"))
 
 
-def test_every_claim_leads_to_its_place_its_test_and_its_erratum(html: Path) -> None:
-    text = (html / "claims.html").read_text(encoding="utf-8")
-    rows = dict(re.findall(r'<tr class="[^"]*" id="(claim-[^"]+)">(.*?)</tr>', text, re.S))
-    assert rows.keys() == {nodes.make_id(f"claim-{claim.id}") for claim in CLAIMS}
-    for claim in CLAIMS:
-        row = rows[nodes.make_id(f"claim-{claim.id}")]
-        where = nodes.make_id(claim.id.split("/")[0])
-        assert re.search(rf'href="notebooks/0\d_\w+\.html#({where}|section-[\d-]+)"', row), claim.id
-        if claim.test:
-            page, anchor = place_of_test(claim.test)
-            assert f'href="{page}.html#{anchor}"' in row, claim.id
-    for name, entry in ledger.errata().items():
-        for claim_id in entry.get("claims", "").split():
-            anchor = f"errata.html#erratum-{nodes.make_id(name)}"
-            assert anchor in rows[nodes.make_id(f"claim-{claim_id}")], name
-
-
-def test_every_erratum_leads_to_its_proof_and_its_claims(html: Path) -> None:
-    text = (html / "errata.html").read_text(encoding="utf-8")
-    ways = re.findall(r'<span class="erratum-sources">(.*?)</span>', text, re.S)
-    for way, (name, entry) in zip(ways, ledger.errata().items(), strict=True):
-        line = line_of(entry["test"], f'"{name}": (')
-        assert f'href="_tests/compendium/test_errata.html#line-{line}"' in way
-        for claim in entry.get("claims", "").split():
-            assert f'href="claims.html#{nodes.make_id(f"claim-{claim}")}"' in way
-        if name.startswith("equation"):
-            assert f"#{nodes.make_id(name)}" in way
-
-
 def test_what_disagrees_has_its_reason_on_one_page(html: Path) -> None:
     text = (html / "differences.html").read_text(encoding="utf-8")
     found = re.findall(r'href="claims\.html#(claim-[^"]+)"', text)
     wanted = [c.id for c in CLAIMS if c.verdict == "disagrees"]
     assert sorted(found) == sorted(nodes.make_id(f"claim-{id}") for id in wanted)
-
-
-def test_what_reaches_the_results_is_one_list_on_both_pages(html: Path) -> None:
-    lists = []
-    for page in ("summary.html", "notebooks/06_conclusion.html"):
-        text = (html / page).read_text("utf-8").partition("<article")[2]
-        text = unescape(re.sub(r"<[^>]+>", "", text.replace("</p>", "\n")))
-        entries = [*ledger.errata().values(), *ledger.causes().values()]
-        said = [entry["reaches"].replace("*", "") for entry in entries if "reaches" in entry]
-        # The longest piece without a formula or a link.
-        begins = [max(re.split(r"\$[^$]*\$|\(?\[.*", one), key=len) for one in said]
-        lists.append([begin for begin in begins if begin in text])
-        assert lists[-1] == begins, page
-    assert len(lists[0]) >= 4
 
 
 def cells(row: str) -> list[str]:
