@@ -14,13 +14,12 @@ from scipy.stats import t as student
 from microlib.calibration import (
     calibrate,
     detect_circles,
+    detect_micrometer,
     detect_squares,
     radial_alignment,
     stage_affine,
 )
 from microlib.calibration._uncertainty import group_jackknife
-from microlib.calibration.detection._micrometer import find_scale
-from microlib.calibration.detection._settings import Settings
 from microlib.microscope import Microscope
 from microlib.synthetic import render_circles, render_squares
 from tests.calibration import test_boards, test_charuco, test_detection, test_micrometer, test_stage
@@ -169,7 +168,7 @@ def test_a_scale_states_its_error_by_the_lines_that_are_left(count, draws):
     for _ in range(draws):
         places = 21.3 + 12.0 * np.arange(count) + rng.normal(0, 0.05, count)
         dark = np.exp(-((x - places[:, None]) ** 2) / 4).sum(axis=0)
-        found = find_scale(np.tile(200 - 120 * dark, (20, 1)).astype(np.float32), Settings())
+        found = detect_micrometer(np.tile(200 - 120 * dark, (20, 1)).astype(np.float32))
         errors.append(found.spacing - 12.0)
         sigmas.append(found.spacing_sigma)
     hold_sigma(errors, sigmas, freedom=count - 2)

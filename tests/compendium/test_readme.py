@@ -13,7 +13,7 @@ import tifffile
 
 from compendium import ROOT
 from compendium.guides import FOLDER, manifest
-from microlib._command import main
+from microlib.__main__ import main
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 COMMANDS = re.findall(r"^microlib (depth|calibrate|track|modulus) (.*)$", README, flags=re.M)
