@@ -1,4 +1,4 @@
-"""Shape from focus and curvature beside other measures: accuracy, and what stages are worth.
+"""Shape from focus and curvature beside other measures, and what each step contributes.
 
 Run as ``python -m benchmarks focus``; takes six minutes.
 """
@@ -22,22 +22,20 @@ from benchmarks.report import Limits, Tables, rms
 from microlib import synthetic
 from microlib.curvature import hk_labels, surface_curvature
 from microlib.focus import depth_from_focus
-from microlib.focus._settings import Settings
-from microlib.focus._stages import NEEDED, STAGES, default_depth
+from microlib.focus._measures import MEASURES
+from microlib.focus.multiscale._depth import RULES, multiscale_depth
+from microlib.focus.multiscale._settings import Settings
 from tests.scenes import straight_step, tilted_plane
 
 #: Frames of every stack, one step apart; blur grows by 1 px a step.
 POSITIONS = np.arange(21.0)
 INNER = np.s_[16:-16, 16:-16]
 
-#: Stages that may be left out.
-LEFT_OUT = [name for name in STAGES if name not in NEEDED]
-
 #: Titles of the tables.
 SCENE_TABLE = "RMS depth error, steps between frames"
 CONFIDENCE_TABLE = "RMS depth error once the least confident tenth is left out"
 PHOTOGRAPH_TABLE = "Photographs as texture, noise 2: RMS depth error in steps (× the best other's)"
-STAGE_TABLE = "Default depth with one stage left out, over the full default"
+STEP_TABLE = "Default depth with one step left out, over the full default"
 SETTING_TABLE = "Twice and half of a setting, over the usual one"
 CURVATURE_TABLE = "Curvature with 7×7 windows, R = 150 px"
 
@@ -107,8 +105,10 @@ def _peer(measure: Callable[[NDArray], NDArray], *, median: bool) -> Callable[[N
 
 PLAIN = "SML 9×9, three points"
 METHODS: dict[str, Callable[[NDArray], NDArray]] = {
-    "SML 5×5, three points": _three_points("sml"),
-    PLAIN: _three_points("sml", window=9),
+    f"{name.upper()} {side}×{side}, three points": _three_points(name, window=side)
+    for name in MEASURES
+    for side in (5, 9)
+} | {
     "Tenengrad 9×9, three points": _three_points(_tenengrad),
     "grey variance 9×9, three points": _three_points(_grey_variance),
     "Laplacian energy, median": _peer(_laplacian_energy, median=True),
@@ -235,8 +235,8 @@ PHOTOGRAPHS = (
 )
 
 
-#: Those of them on which the stages are left out, one at a time.
-STAGE_PHOTOGRAPHS = ("brick", "camera", "clock", "coins", "moon", "retina")
+#: Those of them on which the steps are left out, one at a time.
+STEP_PHOTOGRAPHS = ("brick", "camera", "clock", "coins", "moon", "retina")
 
 
 def photographed() -> Iterator[tuple[str, str, NDArray, NDArray]]:
@@ -287,7 +287,7 @@ def photographs() -> pd.DataFrame:
     return table
 
 
-# --- What the stages and settings of the default depth are worth ---------------------------------
+# --- What the steps and settings of the default depth contribute ---------------------------------
 
 
 def _measured(stacks: list, **options: Any) -> NDArray:
@@ -295,7 +295,7 @@ def _measured(stacks: list, **options: Any) -> NDArray:
     rows = []
     for truth, stack in stacks:
         start = process_time()
-        depth = default_depth(list(stack), None, np.arange(float(len(stack))), **options).depth
+        depth = multiscale_depth(list(stack), np.arange(float(len(stack))), **options).depth
         time = process_time() - start
         error = (depth - truth)[INNER]
         rows.append((rms(error), np.isnan(error).mean(), np.mean(np.abs(error) > 1), time))
@@ -313,20 +313,25 @@ def _compared(found: NDArray, full: NDArray) -> dict[str, str]:
     }
 
 
-def stages() -> pd.DataFrame:
-    """Return what happens to the default depth without each of its stages."""
+def steps() -> pd.DataFrame:
+    """Return what happens to the default depth without each of its rules and some other steps."""
     cases = {
         "scenes": [*((truth, stack) for _, truth, stack in scenes(0)), dense()],
         "photographs": [
-            (truth, stack) for name, _, truth, stack in photographed() if name in STAGE_PHOTOGRAPHS
+            (truth, stack) for name, _, truth, stack in photographed() if name in STEP_PHOTOGRAPHS
         ],
     }
     full = {kind: _measured(stacks) for kind, stacks in cases.items()}
-    # Frames are not averaged if no peak is wide enough for that.
+    # A setting that no peak reaches turns its step off.
     without: dict[str, dict[str, Any]] = {
         "averaged frames": {"settings": Settings(width=np.inf)},
-        **{name: {"stages": [s for s in STAGES if s != name]} for name in LEFT_OUT},
+        "wide windows": {"settings": Settings(wide_slope=0.0)},
+        "smoothing": {"settings": Settings(radius=0.1)},
+        "relief": {"settings": Settings(snr_low=1e9, snr_high=2e9)},
     }
+    for left_out in RULES:
+        rules = [rule for rule in RULES if rule is not left_out]
+        without[left_out.__name__.replace("_", " ")] = {"rules": rules}
     rows = []
     for name, options in without.items():
         row, spent = {"without": name}, []
@@ -463,10 +468,10 @@ outermost 16 px.
   ratio of at most 0.95. Three smooth scenes stay above it.
 - *Curvature.* Errors of H and K are those at the center without noise; the share of right labels
   is the least of 20 seeds.
-- *Stages* and *settings.* Each row gives the RMS error over that of the full default (geometric
+- *Steps* and *settings.* Each row gives the RMS error over that of the full default (geometric
   mean, least to most), and how the shares of pixels without a depth, and of pixels wrong by more
   than a step, change, in percent of all pixels; the 13 scenes of one seed and a slope in four times
-  the frames, and all surfaces of six photographs. With a stage left out, more pixels get a depth
+  the frames, and all surfaces of six photographs. With a step left out, more pixels get a depth
   and count in the error, so an RMS below 1 together with more unknown pixels is no gain.
 """
 
@@ -475,7 +480,7 @@ def main() -> tuple[Tables, Limits]:
     tables = accuracy(2)
     tables |= {
         PHOTOGRAPH_TABLE: photographs(),
-        STAGE_TABLE: stages(),
+        STEP_TABLE: steps(),
         SETTING_TABLE: settings(),
         CURVATURE_TABLE: curvature(20),
     }

@@ -19,8 +19,9 @@ from benchmarks.photographs import middle, photograph
 from benchmarks.report import Limits, Tables, rms
 from microlib import synthetic
 from microlib.focus import depth_from_focus
-from microlib.focus._settings import Settings
-from microlib.focus._stages import default_depth
+from microlib.focus._measures import MEASURES
+from microlib.focus.multiscale._depth import multiscale_depth
+from microlib.focus.multiscale._settings import Settings
 
 #: Side of a frame and border that is left out, px; frames at one a step; seeds, none of which was
 #: used while constants were chosen.
@@ -289,7 +290,7 @@ def averaged() -> pd.DataFrame:
         for factor in (4, 20):
             scene = render(drawn(100), tilted(), 100, noise=3.0, factor=factor)
             frames, settings = list(scene.stack), Settings(width=width)
-            found = default_depth(frames, None, scene.positions, settings=settings).depth
+            found = multiscale_depth(frames, scene.positions, settings=settings).depth
             row[f"{factor}×"] = round(rms(inner(found - scene.depth)), 4)
         rows.append(row)
     return pd.DataFrame(rows)
@@ -333,7 +334,7 @@ def thin_bar(seed: int, width: int) -> tuple[Scene, NDArray]:
 def others() -> pd.DataFrame:
     """Return shares of certain depths on bare ground, errors of asymmetric peaks, and thin bars."""
     rows = []
-    for measure in ("multiscale", "sml"):
+    for measure in ("multiscale", *MEASURES):
         for quality in (65, 85, 95):
             share = []
             for seed in SEEDS:

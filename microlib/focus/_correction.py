@@ -198,9 +198,12 @@ def _plane_shift(
         )
         gaps -= value[top + reach : top + reach + len(band), reach : reach + cols]
         # Tukey's biweight of the differences in jumps, times the mass.
-        weights *= np.maximum(1 - gaps * gaps, 0) ** 2
+        biweight = np.maximum(1 - gaps * gaps, 0)
+        biweight *= biweight
+        weights *= biweight
+        gaps *= weights
         gaps, weights = (part.reshape(len(offsets), -1) for part in (gaps, weights))
-        raised = basis[:3] @ (weights * gaps)
+        raised = basis[:3] @ gaps
         band[:] = _plane_height(basis @ weights, raised, sigma).reshape(band.shape)
 
     with ThreadPoolExecutor(workers) as pool:

@@ -1,21 +1,18 @@
-"""How sharp is an image around each pixel? Focus measures, larger where the image is sharper."""
+"""Focus measures of one image: larger where it is sharper."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Image, as_array, scalar, whole
+from microlib._common import Image, as_array, one_of, scalar, whole
 
-#: A focus measure of the user: grey image to measure of the same shape.
+#: A focus measure: grey image to measure of the same shape, zero or positive.
 FocusMeasure = Callable[[Image], NDArray]
-#: Side of a window, px, and number of frames: their numbers fit into 16 bits.
-MOST = 2**16 - 1
-#: What is divided by is no less: the measure of a black frame is 0.
-TINY = np.float32(1e-30)
 
 
 def sum_modified_laplacian(
@@ -69,7 +66,7 @@ def sum_modified_laplacian(
     kind = getattr(image, "dtype", None)
     kind = kind if kind in (np.uint8, np.uint16) else np.float32
     grey = as_array("image", image, shape=(None, None), dtype=kind)
-    n = whole("window", window, least=1, odd=True, most=MOST)
+    n = whole("window", window, least=1, odd=True)
     s = whole("step", step, least=1)
     limit = scalar("threshold", threshold, least=0)
     if s >= min(grey.shape):
@@ -87,67 +84,27 @@ def sum_modified_laplacian(
     return total.astype(np.uint16) if grey.dtype == np.uint8 and n <= 7 else total
 
 
-def user_measure(measure: FocusMeasure, image: Image) -> NDArray:
+#: The focus measures of one frame, by the name that `depth_from_focus` gives them. Each takes an
+#: image and ``window``, the side of the square over which it is summed, px. A new one is one entry:
+#: documentation, error messages, tests and benchmarks read this table.
+MEASURES: dict[str, Callable[..., NDArray]] = {"sml": sum_modified_laplacian}
+
+
+def single_measure(measure: str | FocusMeasure, window: int | None) -> FocusMeasure | None:
+    """Return the measure of one frame; None for "multiscale", which has several."""
+    known = ("multiscale", *MEASURES)
+    name = "a function" if callable(measure) else repr(one_of("measure", measure, known))
+    if measure in MEASURES:
+        side = 5 if window is None else whole("window", window, least=1, odd=True)
+        return partial(MEASURES[str(measure)], window=side)
+    if window is not None:
+        raise ValueError(f"window must not be given with measure {name}, got {window!r}")
+    return partial(_user_measure, measure) if callable(measure) else None
+
+
+def _user_measure(measure: FocusMeasure, image: Image) -> NDArray:
     """Return the measure of an image by a function of the user, checked."""
     value = as_array("measure(frame)", measure(image), shape=image.shape, dtype=np.float32)
     if (value < 0).any():
         raise ValueError(f"measure(frame) must be zero or positive, got {value.min():g}")
     return value
-
-
-# --- What the default measure is made of -------------------------------------------------------
-
-
-def absolute_seconds(image: NDArray, sigma: float) -> tuple[NDArray, NDArray]:
-    """Return |second derivative| along rows and down columns of an image smoothed by `sigma` px.
-
-    Smoothing and difference are one separable filter; the Gaussian is cut off at 3 sigma.
-    """
-    smooth = cv2.getGaussianKernel(2 * round(3 * sigma) + 1, sigma, cv2.CV_32F).ravel()
-    second = np.convolve(smooth, np.array([1, -2, 1], np.float32))
-    along = cv2.sepFilter2D(image, cv2.CV_32F, second, smooth)
-    down = cv2.sepFilter2D(image, cv2.CV_32F, smooth, second)
-    return np.abs(along, out=along), np.abs(down, out=down)
-
-
-def noise_gain(sigma: float) -> float:
-    """Return the mean of the sum of both `absolute_seconds` on white noise of unit deviation.
-
-    The noise left by the smoothing and the second difference, times the mean of the modulus of
-    two normal variates.
-    """
-    smooth = cv2.getGaussianKernel(31, sigma).ravel()
-    second = np.convolve(smooth, [-1.0, 2.0, -1.0])
-    return float(2 * np.sqrt(2 / np.pi) * np.sqrt(np.sum(second**2) * np.sum(smooth**2)))
-
-
-def blur(image: NDArray, sigma: float) -> NDArray:
-    """Smooth by a Gaussian; beyond 1 px by two boxes of nearly its variance, which is faster."""
-    if sigma <= 1:
-        side = 2 * round(4 * sigma) - 1  # 3 to 7 px
-        return np.asarray(cv2.GaussianBlur(image, (side, side), sigma))
-    # A box of n px has the variance (n² − 1) / 12.
-    side = 2 * round((np.sqrt(6 * sigma**2 + 1) - 1) / 2) + 1
-    return np.asarray(cv2.blur(cv2.blur(image, (side, side)), (side, side)))
-
-
-# --- Between the full grid and that of every second pixel --------------------------------------
-
-
-def halved(image: NDArray) -> NDArray:
-    """Return the means of blocks of two by two pixels; an odd side is continued by its edge."""
-    rows, cols = (n % 2 for n in image.shape)
-    if rows or cols:
-        image = cv2.copyMakeBorder(image, 0, rows, 0, cols, cv2.BORDER_REPLICATE)
-    size = image.shape[1] // 2, image.shape[0] // 2
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
-
-
-def doubled(half: NDArray, shape: tuple[int, ...], how: int = cv2.INTER_LINEAR) -> NDArray:
-    """Return an image of `shape` from one of half its sides."""
-    mask = half.dtype == bool
-    image = half.astype(np.uint8) if mask else half
-    how = cv2.INTER_NEAREST if mask else how
-    full = cv2.resize(image, (2 * half.shape[1], 2 * half.shape[0]), interpolation=how)
-    full = np.asarray(full)[: shape[0], : shape[1]]
-    return full > 0 if mask else full

@@ -28,41 +28,41 @@ _CORRELATION = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Registered:
+class Registration:
     """How the frames of a stack lie beside the middle one.
 
     Attributes
     ----------
     kept : ndarray of int
         Numbers of the frames that were not left out.
-    poses : ndarray, shape (n, 2, 3)
-        Pixels of the middle frame to those of each frame; NaN for those left out.
+    warps : ndarray, shape (n, 2, 3)
+        Warp matrix from the middle frame to each frame, px; NaN for those left out.
     gain, offset : ndarray, shape (n,)
         Of the grey levels.
     """
 
     kept: NDArray[np.intp]
-    poses: Array
+    warps: Array
     gain: Array
     offset: Array
 
     def images(self, frames: Sequence[Image]) -> list[NDArray[np.float32]]:
         """Return the kept frames as the middle one's camera would have taken them."""
         gain, offset = self.gain.astype(np.float32), self.offset.astype(np.float32)
-        return [(warped(frames[k], self.poses[k]) - offset[k]) / gain[k] for k in self.kept]
+        return [(warped(frames[k], self.warps[k]) - offset[k]) / gain[k] for k in self.kept]
 
-    def unseen(self, index: NDArray[np.integer]) -> NDArray[np.bool_]:
-        """Tell which pixels one of the frames around theirs does not show."""
+    def outside(self, index: NDArray[np.integer]) -> NDArray[np.bool_]:
+        """Return the pixels that some frame near to theirs, `index`, does not contain."""
         reach = max(3, round(0.1 * len(self.kept)))
         full, result = np.ones(index.shape, np.uint8), np.zeros(index.shape, bool)
         how = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP  # up to half a pixel beyond is inside
-        for k, pose in enumerate(self.poses[self.kept]):
-            outside = cv2.warpAffine(full, pose, index.shape[::-1], flags=how) == 0
+        for k, warp in enumerate(self.warps[self.kept]):
+            outside = cv2.warpAffine(full, warp, index.shape[::-1], flags=how) == 0
             result |= outside & (np.abs(index - k) <= reach)
         return result
 
 
-def register(frames: Sequence[Image]) -> Registered:
+def register(frames: Sequence[Image]) -> Registration:
     """Find how the frames of a stack lie beside each other, relative to the middle one.
 
     Raises
@@ -108,7 +108,7 @@ def register(frames: Sequence[Image]) -> Registered:
     scale = np.array([[factor, 0, (factor - 1) / 2], [0, factor, (factor - 1) / 2], [0, 0, 1]])
     for k in kept:
         poses[k] = (scale @ relative[int(k)] @ np.linalg.inv(scale))[:2]
-    return Registered(kept, poses, gain, offset)
+    return Registration(kept, poses, gain, offset)
 
 
 def check_size(shape: tuple[int, ...]) -> None:

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array, Image, Tidy, flat_row
+from microlib.focus._registration import Registration
+from microlib.focus._stack import Stack
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -40,9 +42,10 @@ class FocusResult(Tidy):
     at_end : ndarray of bool, shape (rows, cols)
         Whether the sharpest frame is the first or the last, so that the true focus may lie
         outside the stack. Averaged frames count as one.
-    poses : ndarray, shape (n, 2, 3), or None
-        If the stack was registered: for each frame the matrix that takes x, y and 1 of a pixel of
-        the result to x and y of the same place in the frame, px. NaN for frames that were left out.
+    warps : ndarray, shape (n, 2, 3), or None
+        If the stack was registered: warp matrix of each frame, as `cv2.findTransformECC` returns
+        it, which takes x, y and 1 of a pixel of the result to x and y in the frame, px. NaN for
+        frames that were left out.
     gain, offset : ndarray, shape (n,), or None
         If the stack was registered: grey levels of the frame are `gain` times those of the middle
         frame, plus `offset`.
@@ -59,7 +62,7 @@ class FocusResult(Tidy):
     index: NDArray[np.int32]
     all_in_focus: Image
     at_end: NDArray[np.bool_]
-    poses: Array | None = None
+    warps: Array | None = None
     gain: Array | None = None
     offset: Array | None = None
     pixel_size: float | None = None
@@ -80,7 +83,7 @@ class FocusResult(Tidy):
         if numbers["known"]:
             text += ", depth {depth_least:.4g} to {depth_largest:.4g} µm".format(**numbers)
             text += ", uncertainty {uncertainty_median:.2g} µm".format(**numbers)
-        return f"{text}{'' if self.poses is None else ', registered'})"
+        return f"{text}{'' if self.warps is None else ', registered'})"
 
     def to_dict(self) -> dict[str, Any]:
         """Return what the maps come to as a flat dictionary that JSON can hold.
@@ -153,42 +156,79 @@ class FocusResult(Tidy):
         return maps(self, ax, unit)
 
 
-def finished(
-    depth: NDArray[np.float32],
-    error: NDArray[np.float32],
-    number: NDArray[np.integer],
+@dataclass(frozen=True, eq=False)
+class DepthMap:
+    """Depth of every pixel of a stack, before it is brought into the form of a result.
+
+    Attributes
+    ----------
+    depth : ndarray of float32, shape (rows, cols)
+        Depth, µm; NaN where unknown.
+    uncertainty : ndarray of float32, shape (rows, cols)
+        Standard deviation of the depth, µm.
+    frame : ndarray of int, shape (rows, cols)
+        Number of the frame that shows the pixel sharpest, also where there is no depth.
+    at_end : ndarray of bool, shape (rows, cols)
+        Whether the sharpest frame is the first or the last.
+    spacing : float
+        Distance of the frames, µm.
+    """
+
+    depth: NDArray[np.float32]
+    uncertainty: NDArray[np.float32]
+    frame: NDArray[np.integer]
+    at_end: NDArray[np.bool_]
+    spacing: float
+
+
+def build_result(
+    found: DepthMap,
+    stack: Stack,
+    dtype: np.dtype,
     *,
-    spacing: float,
-    at_end: NDArray[np.bool_],
-    shown: Iterable[Image],
+    registration: Registration | None = None,
+    margin: NDArray[np.bool_] | None = None,
 ) -> FocusResult:
-    """Return a result; where there is no depth are no error, no confidence and no number.
+    """Return a result; without depth are the pixels in a margin or outside of registered frames.
 
     Parameters
     ----------
-    depth, error : ndarray, shape (rows, cols)
-        Depth, NaN where unknown, and its error, µm.
-    number : ndarray of int, shape (rows, cols)
-        Number of the frame that shows each pixel.
-    spacing : float
-        Distance of the frames, µm.
-    at_end
-        As the result has it.
-    shown : iterable of ndarray
-        The frames that the image is made of.
+    found : DepthMap
+        Depth of every pixel.
+    stack : Stack
+        Frames from which it was found, registered if they were.
+    dtype : dtype
+        Type of the frames as they were read.
+    registration : Registration, optional
+        Where the frames were before.
+    margin : ndarray of bool, shape (rows, cols), optional
+        Pixels that are in the black margin of some frame.
     """
-    known, share = np.isfinite(depth), error / np.float32(spacing)
+    known, index = np.isfinite(found.depth), found.frame.astype(np.int32)
+    warps = gain = offset = None
+    if registration is not None:
+        known &= ~registration.outside(np.where(known, index, -1))
+        index = registration.kept[index].astype(np.int32)
+        warps, gain, offset = registration.warps, registration.gain, registration.offset
+    if margin is not None:
+        known &= ~margin
+    relative = found.uncertainty / np.float32(found.spacing)
     return FocusResult(
-        depth=depth,
-        uncertainty=np.where(known, error, np.float32(np.nan)),
-        confidence=np.where(known, 1 / (1 + share * share), np.float32(0)),
-        index=np.where(known, number, np.int32(-1)).astype(np.int32),
-        all_in_focus=picked(shown, number),
-        at_end=at_end,
+        depth=np.where(known, found.depth, np.float32(np.nan)),
+        uncertainty=np.where(known, found.uncertainty, np.float32(np.nan)),
+        confidence=np.where(known, 1 / (1 + relative * relative), np.float32(0)),
+        index=np.where(known, index, -1).astype(np.int32),
+        all_in_focus=as_type(composite(stack.images, found.frame), dtype),
+        at_end=found.at_end,
+        pixel_size=stack.pixel_size,
+        corner=stack.corner,
+        warps=warps,
+        gain=gain,
+        offset=offset,
     )
 
 
-def picked(frames: Iterable[Image], index: NDArray[np.integer]) -> Image:
+def composite(frames: Iterable[Image], index: NDArray[np.integer]) -> Image:
     """Return every pixel from the frame of that number."""
     first, *others = frames
     result, number = first.copy(), index.astype(np.uint16)
@@ -199,7 +239,7 @@ def picked(frames: Iterable[Image], index: NDArray[np.integer]) -> Image:
 
 def as_type(image: Image, dtype: np.dtype) -> Image:
     """Return an image in a type: rounded, and no further than its ends if that is of integers."""
-    if dtype.kind not in "ui":
+    if image.dtype == dtype or dtype.kind not in "ui":
         return image.astype(dtype, copy=False)
     ends = np.iinfo(dtype)
     return np.clip(np.rint(image), ends.min, ends.max).astype(dtype)

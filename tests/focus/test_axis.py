@@ -5,7 +5,7 @@ import pytest
 
 from microlib import synthetic
 from microlib.focus import depth_from_focus
-from microlib.focus._axis import find_axis, mosaic, peak_width
+from microlib.focus.multiscale._axis import find_axis, peak_width, sample_tiles
 from tests.scenes import tilted_plane
 
 SHAPE = (96, 96)
@@ -42,7 +42,7 @@ def test_width_of_a_known_peak():
 @pytest.mark.parametrize("factor", [1, 5])
 def test_groups_are_even_means_of_frames_and_positions(factor):
     _, positions, stack = tilted(factor)
-    axis = find_axis([mosaic(frame) for frame in stack], positions, 3.7)
+    axis = find_axis([sample_tiles(frame) for frame in stack], positions, 3.7)
     sizes = np.diff(axis.ends)
     assert (axis.ends[0], axis.ends[-1]) == (0, len(stack))
     assert np.ptp(sizes) <= 1

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from microlib.focus import _axis, _measures, sum_modified_laplacian
+from microlib.focus import sum_modified_laplacian
+from microlib.focus.multiscale import _axis, _measure
 
 
 def printed_sml(image: np.ndarray, w: int, step: int, threshold: float) -> np.ndarray:
@@ -85,14 +86,14 @@ def test_sml_ignores_brightness_and_grows_with_contrast(seed, shift):
 def test_second_differences_of_noise_are_on_average_what_is_said():
     noise = np.random.default_rng(3).standard_normal((400, 400)).astype(np.float32)
     for sigma in (0.5, 0.8, 1.0):
-        found = np.add(*_measures.absolute_seconds(noise, sigma)).mean()
+        found = np.add(*_measure.abs_second_derivatives(noise, sigma)).mean()
         # 160000 pixels, some 10000 independent: 1 %; a Gaussian of few taps is a bit narrower.
-        assert found == pytest.approx(_measures.noise_gain(sigma), rel=0.03)
+        assert found == pytest.approx(_measure.noise_gain(sigma), rel=0.03)
 
 
 def test_directions_are_those_of_rows_and_columns():
     stripes = np.tile(100 * np.sin(np.arange(60.0)), (50, 1)).astype(np.float32)
-    along, down = _measures.absolute_seconds(stripes, 0.8)
+    along, down = _measure.abs_second_derivatives(stripes, 0.8)
     # Of sin x the second difference is −4 sin² ½ sin x, and the Gaussian of σ takes e^(−σ²/2).
     expected = 4 * np.sin(0.5) ** 2 * np.exp(-0.32) * np.abs(stripes)
     np.testing.assert_allclose(along[:, 5:-5], expected[:, 5:-5], rtol=0.03)
@@ -104,8 +105,8 @@ def test_noise_level_finds_the_noise_beside_texture():
     for sigma in (2.0, 5.0):
         frame = 128 + sigma * rng.standard_normal((200, 200))
         frame[:, :150] += 40 * rng.standard_normal((200, 150))
-        seen = _axis.mosaic(np.clip(np.rint(frame), 0, 255).astype(np.uint8))
+        seen = _axis.sample_tiles(np.clip(np.rint(frame), 0, 255).astype(np.uint8))
         found = _axis.noise_level(seen)
         # The quietest twentieth lies two scatters of a 3 px window below the mean.
         assert 0.7 * sigma < found < 1.1 * sigma
-    assert _axis.noise_level(_axis.mosaic(np.zeros((32, 32), np.float32))) > 0
+    assert _axis.noise_level(_axis.sample_tiles(np.zeros((32, 32), np.float32))) > 0

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from microlib.focus import three_point_peak
-from microlib.focus._peaks import fit_peaks
+from microlib.focus.multiscale._fit import fit_peaks
 
 
 @settings(deadline=None, max_examples=100)

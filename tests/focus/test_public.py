@@ -47,7 +47,7 @@ MAPS = {
     "confidence": NUMBER,
     **dict.fromkeys(("index", "at_end", "pixel_size", "corner", "origin"), SAME),
     "all_in_focus": grey,
-    **dict.fromkeys(("poses", "gain", "offset"), SAME),
+    **dict.fromkeys(("warps", "gain", "offset"), SAME),
     "to_dict": {
         **dict.fromkeys(("depth_least", "depth_median", "depth_largest"), um.counted_from("z0")),
         **dict.fromkeys(("uncertainty_median", "uncertainty_largest"), um),
@@ -174,7 +174,7 @@ def test_bare_ground_has_no_depth_in_any_unit(levels):
         assert np.isfinite(depth[:, 110:]).mean() < 0.01
 
 
-def test_poses_are_those_of_the_frames_at_any_size():
+def test_warps_are_those_of_the_frames_at_any_size():
     """Frames of 1024 px are compared at a fourth; their pixels' centers must not move by that."""
     rows, cols = 976, 1064
     rng = np.random.default_rng(8)
@@ -183,7 +183,7 @@ def test_poses_are_those_of_the_frames_at_any_size():
         np.array([[1 + 0.04 * k, 0, 1.7 * k], [0, 1 + 0.04 * k, -2.4 * k]]) for k in range(-2, 3)
     ]
     frames = [cv2.warpAffine(120 + texture, pose, (cols, rows), borderMode=4) for pose in true]
-    found = depth_from_focus(np.float32(frames), spacing=1.0, register=True, measure="sml").poses
+    found = depth_from_focus(np.float32(frames), spacing=1.0, register=True, measure="sml").warps
     corners = np.array([[0, 0, 1], [cols - 1, 0, 1], [0, rows - 1, 1], [cols - 1, rows - 1, 1]]).T
     # 1.5 px of a small pixel's center, times a change of scale of 0.08, would be 0.12 px.
     assert np.abs((found - true) @ corners).max() < 0.1

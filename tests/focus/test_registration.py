@@ -141,11 +141,11 @@ def test_what_moves_and_flickers_is_undone(kind: str, how: dict[str, float], lim
 
 def test_the_poses_and_gains_are_the_true_ones() -> None:
     result = registered("tilt", 1, shift=0.5, drift=2.0, level=0.65)
-    assert result.poses is not None
+    assert result.warps is not None
     assert result.gain is not None
     way = 0.5 * (np.arange(COUNT) - MIDDLE)
     center = np.array([(SIDE - 1) / 2, (SIDE - 1) / 2, 1.0])
-    moved = result.poses @ center - center[:2]
+    moved = result.warps @ center - center[:2]
     # A tilt's blur looks like a shift, a tenth of a px a frame: the depth does not suffer.
     np.testing.assert_allclose(moved, np.outer(way, [0.8, 0.6]), atol=0.5)
     near = slice(MIDDLE - 4, MIDDLE + 5)
@@ -156,7 +156,7 @@ def test_the_poses_and_gains_are_the_true_ones() -> None:
 
 
 def test_a_turn_is_the_true_one() -> None:
-    poses = registered("tilt", 1, turn=3.0, scale=0.02).poses
+    poses = registered("tilt", 1, turn=3.0, scale=0.02).warps
     assert poses is not None
     true = np.deg2rad(3.0) * (np.arange(COUNT) - MIDDLE) / (COUNT - 1)
     # A fifth of a px at the corners, 110 px from the middle; the scale, which a blur that
@@ -207,8 +207,8 @@ def test_a_foreign_frame_is_named_and_left_out() -> None:
     stack[5] = disturbed(scene("dome", 9)[0], 1)[5]
     with pytest.warns(UserWarning, match="frames 5 cannot be registered: left out"):
         result = depth_from_focus(stack, POSITIONS, register=True)
-    assert result.poses is not None
-    assert np.flatnonzero(np.isnan(result.poses[:, 0, 0])).tolist() == [5]
+    assert result.warps is not None
+    assert np.flatnonzero(np.isnan(result.warps[:, 0, 0])).tolist() == [5]
     assert 5 not in result.index
     assert result.index.max() > 9  # numbers are those of the whole stack
     rest = depth_from_focus(np.delete(disturbed(frames, 1), 5, axis=0), np.delete(POSITIONS, 5))

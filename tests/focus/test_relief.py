@@ -9,9 +9,9 @@ from skimage import data
 
 from microlib import synthetic
 from microlib.focus import depth_from_focus
-from microlib.focus._axis import light_pull
-from microlib.focus._relief import find_relief
-from microlib.focus._settings import Settings
+from microlib.focus.multiscale._axis import illumination_drift_bias
+from microlib.focus.multiscale._relief import find_relief
+from microlib.focus.multiscale._settings import Settings
 from tests.scenes import straight_step, tilted_plane
 
 SHAPE = (144, 144)
@@ -133,23 +133,23 @@ def test_errors_are_as_stated_in_every_decile(name, height, texture):
 def test_drift_pulls_a_gaussian_by_its_variance_times_the_slope():
     """Two factors exp(g k) of the measure: −(k − z)²/2 + 2 g k is highest at z + 2 g."""
     light = 100 * np.exp(0.02 * np.arange(21))
-    np.testing.assert_allclose(light_pull(light, 1.0)[4:-4], 0.04, rtol=1e-6)
+    np.testing.assert_allclose(illumination_drift_bias(light, 1.0)[4:-4], 0.04, rtol=1e-6)
     # A peak of twice the deviation moves four times as far.
-    np.testing.assert_allclose(light_pull(light, 2.0)[4:-4], 0.16, rtol=1e-6)
+    np.testing.assert_allclose(illumination_drift_bias(light, 2.0)[4:-4], 0.16, rtol=1e-6)
 
 
 def test_one_bright_frame_pulls_its_neighbors_and_no_others():
     light = np.full(21, 100.0)
     light[10] *= 1.1
-    pull = light_pull(light, 1.0)
+    pull = illumination_drift_bias(light, 1.0)
     assert (pull[[9, 11]] > 0.03).all()
     assert pull[[3, 17]].max() < 1e-9
 
 
 def test_steady_light_and_light_that_is_not_known_pull_nothing():
-    assert light_pull(np.full(21, 50.0), 1.0).max() < 1e-12
-    assert not light_pull(np.linspace(-1, 1, 21), 1.0).any()
-    assert np.isfinite(light_pull(np.geomspace(1e-3, 1e30, 21), 1.0)).all()
+    assert illumination_drift_bias(np.full(21, 50.0), 1.0).max() < 1e-12
+    assert not illumination_drift_bias(np.linspace(-1, 1, 21), 1.0).any()
+    assert np.isfinite(illumination_drift_bias(np.geomspace(1e-3, 1e30, 21), 1.0)).all()
 
 
 def test_frames_do_not_pull_the_depths_between_them():

@@ -1,26 +1,28 @@
-"""Depth of what is larger than memory, or than one machine: block by block, by dask."""
+"""Depth of stacks larger than memory, or than one machine, block by block with dask."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import as_region
-from microlib.focus._axis import Axis, find_axis, sampled
-from microlib.focus._follow import follow, peak_asymmetry
 from microlib.focus._peaks import check_count, check_positions
-from microlib.focus._result import FocusResult
-from microlib.focus._settings import Settings
-from microlib.focus._stages import GRID, default_depth, typical
+from microlib.focus._result import FocusResult, build_result
+from microlib.focus._stack import Stack
+from microlib.focus.multiscale._axis import Axis, tile_pixels
+from microlib.focus.multiscale._depth import describe_axis, multiscale_depth
+from microlib.focus.multiscale._fits import fit_stack
+from microlib.focus.multiscale._full_size import GRID
+from microlib.focus.multiscale._reject import typical
+from microlib.focus.multiscale._settings import Settings
 from microlib.io import read_frames
 
-#: What is seen around a block and the side of a block, px, and what its place must be a multiple
-#: of (`GRID`): every fourth pixel is looked at, and so many rows are fitted at a time.
-_AROUND, _SIDE = 128, 1024
-#: What a result has for each pixel, in the order in which blocks stack it, and its type.
+#: Overlap of the blocks (dask's ``depth``) and side of a block, px. Its place must be a multiple of
+#: `GRID`, as every fourth pixel is used, and so many rows are fitted at a time.
+_OVERLAP, _SIDE = 128, 1024
+#: The maps of a result, in the order in which a block stacks them, and their types.
 _MAPS = {"depth": "f4", "uncertainty": "f4", "confidence": "f4", "index": "i4", "at_end": "?"}
 
 
@@ -43,7 +45,7 @@ def depth_in_blocks(
     frames : dask.array.Array, zarr.Array, or xarray.DataArray of one, shape (n, rows, cols)
         Grey frames.
     positions, spacing, region
-        As `depth_from_focus` has them.
+        As for `depth_from_focus`.
     """
     import dask.array as da
 
@@ -64,29 +66,30 @@ def depth_in_blocks(
     check_count(len(stack), len(z))
     if stack.dtype not in (np.uint8, np.uint16):
         stack = stack.astype(np.float32)
-    rows, cols = (sampled(n) for n in stack.shape[1:])
-    # What needs the whole image is found once, from the squares that are looked at first.
-    squares, settings = list(stack[:, rows][:, :, cols].compute()), Settings()
-    axis = find_axis(squares, z, settings.width)
-    usual = typical(follow(squares, axis, settings).strength)
-    axis = replace(axis, typical=usual, bias=peak_asymmetry(squares, axis, settings))
+    rows, cols = (tile_pixels(n) for n in stack.shape[1:])
+    # Properties of the whole image are found once, from its tiles.
+    tiles, settings = list(stack[:, rows][:, :, cols].compute()), Settings()
+    axis = describe_axis(tiles, z, settings)
+    strength = typical(fit_stack(tiles, axis, settings).strength)
     inner = [n for chunks in stack.chunks[1:] for n in chunks[:-1]]
-    if any(n % GRID or n > 2 * _SIDE or n < _AROUND for n in inner):
+    if any(n % GRID or n > 2 * _SIDE or n < _OVERLAP for n in inner):
         stack = stack.rechunk((len(stack), _SIDE, _SIDE))
-    # Where one chunk shows all of a side, nothing is around it.
-    around = {k: _AROUND if k > 0 and stack.numblocks[k] > 1 else 0 for k in range(3)}
-    seen = da.overlap.overlap(stack.rechunk({0: len(stack)}), around, boundary="none")
-    chunks, meta = ((len(_MAPS) + 1,), *seen.chunks[1:]), np.empty((0, 0, 0), np.float32)
-    found = seen.map_blocks(_block, axis=axis, chunks=chunks, meta=meta)
-    found = da.overlap.trim_internal(found, around, boundary="none")
+    # Where one chunk contains all of a side, there is no overlap.
+    overlap = {k: _OVERLAP if k > 0 and stack.numblocks[k] > 1 else 0 for k in range(3)}
+    parts = da.overlap.overlap(stack.rechunk({0: len(stack)}), overlap, boundary="none")
+    chunks, meta = ((len(_MAPS) + 1,), *parts.chunks[1:]), np.empty((0, 0, 0), np.float32)
+    found = parts.map_blocks(_block, axis=axis, strength=strength, chunks=chunks, meta=meta)
+    found = da.overlap.trim_internal(found, overlap, boundary="none")
     maps = {name: found[k].astype(kind) for k, (name, kind) in enumerate(_MAPS.items())}
-    picture = found[len(_MAPS)].astype(stack.dtype)
+    image = found[len(_MAPS)].astype(stack.dtype)
     place = {"pixel_size": labels.pixel_size, "corner": labels.corner}
-    return FocusResult(**maps, all_in_focus=picture, **place)
+    return FocusResult(**maps, all_in_focus=image, **place)
 
 
-def _block(frames: NDArray, *, axis: Axis) -> NDArray[np.float32]:
+def _block(frames: NDArray, *, axis: Axis, strength: float) -> NDArray[np.float32]:
     """Return the maps of one block, one above the other."""
-    result = default_depth(list(frames), None, axis.positions, axis=axis)
+    grey, z = list(frames), axis.positions
+    found = multiscale_depth(grey, z, axis=axis, typical_strength=strength)
+    result = build_result(found, Stack(grey, grey, z), frames.dtype)
     maps = (getattr(result, name) for name in _MAPS)
     return np.stack([*maps, result.all_in_focus], dtype=np.float32)

@@ -1,0 +1,113 @@
+"""A focal stack in memory: read, checked against its positions, and looked at for disturbances."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import islice, product
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from microlib._common import Array, Image
+from microlib.focus._filters import TINY
+from microlib.focus._peaks import check_count, check_positions
+
+#: Called with the parts of the work that are done, and of how many; an exception ends the work.
+Progress = Callable[[int, int], object]
+
+#: Width of a margin that the windows of the measures add to a black one, px.
+_WINDOW = 6
+#: Axes of a file along which the focus does not change.
+_NO_FOCUS = {"T": "times", "C": "channels"}
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """Frames in memory.
+
+    Attributes
+    ----------
+    grey : list of ndarray, shape (rows, cols)
+        Grey levels, or luminance.
+    images : list of ndarray, shape (rows, cols) or (rows, cols, 3)
+        Grey levels or colors, of which the all-in-focus image is made.
+    positions : ndarray of float64, shape (n,)
+        Position of each frame, µm.
+    pixel_size, corner
+        From the frames' reader.
+    """
+
+    grey: list[Image]
+    images: list[Image]
+    positions: Array
+    pixel_size: float | None = None
+    corner: tuple[float, float] = (0.0, 0.0)
+
+
+def read_stack(
+    reader: Any, positions: ArrayLike | None, spacing: float | None, progress: Progress
+) -> Stack:
+    """Read all frames, after the checks that need none of them."""
+    if reader.axis in _NO_FOCUS:
+        raise ValueError(
+            f"frames must differ in focus, got a file of {reader.count} {_NO_FOCUS[reader.axis]} "
+            f"(axis {reader.axis}); if they do, pass the array, as tifffile.imread gives it"
+        )
+    z, count = None, reader.count
+    if spacing is None:
+        z = check_positions(positions, from_file=reader.positions)
+        # The length of an iterator is not known; there must be as many frames as positions.
+        count = len(z)
+        check_count(reader.count or count, count)
+    images: list[Image] = []
+    for image in islice(reader, None if count is None else count + 1):
+        images.append(image)
+        if count is not None:
+            progress(min(len(images), count), 2 * count)
+    if not images:
+        raise ValueError("frames must hold at least three frames, got none")
+    z = check_positions(positions, spacing, len(images)) if z is None else z
+    check_count(len(images) if len(images) <= len(z) else f"more than {len(z)}", len(z))
+    grey = [cv2.cvtColor(f, cv2.COLOR_RGB2GRAY) for f in images] if reader.color else images
+    return Stack(grey, images, z, reader.pixel_size, reader.corner)
+
+
+def margin_mask(frames: Sequence[Image]) -> NDArray[np.bool_]:
+    """Return the pixels in the black margin of some frame, as programs that align frames leave."""
+    margin = np.zeros(frames[0].shape, bool)
+    for frame, turn in product(frames, range(4)):
+        turned = np.rot90(frame, turn)
+        if not turned[0].any() and turned.any():
+            first = int(np.argmax(turned.any(axis=1)))
+            if np.count_nonzero(turned[first]) > turned.shape[1] / 2:  # no object on black ground
+                np.rot90(margin, turn)[: first + _WINDOW] = True
+    return margin
+
+
+def warn_of_changes(frames: Sequence[Image]) -> None:
+    """Warn if illumination or position change from frame to frame, which registration corrects."""
+    if len(frames) < 4 or min(frames[0].shape) < 64:  # too few or too small to tell
+        return
+    # Of other sides than powers of two cv2.phaseCorrelate finds half a pixel where nothing moved.
+    side = min(2 ** int(np.log2(min(frames[0].shape))), 256)
+    small = [
+        cv2.resize(f, (side, side), interpolation=cv2.INTER_AREA).astype(np.float32) for f in frames
+    ]
+    level = np.log(np.maximum([float(frame.mean()) for frame in small], TINY))
+    # Defocus changes the light smoothly, which third differences suppress.
+    flicker, moves = float(np.median(np.abs(np.diff(level, 3)))), []
+    for k in (len(small) - 1) * np.arange(1, 4) // 4:
+        shift, peak = cv2.phaseCorrelate(small[k], small[k + 1])
+        move = float(np.hypot(shift[0], shift[1]))
+        moves.append(move if peak > 0.4 and move < 16 else 0.0)  # of noise it may be any
+    # Light that scatters by 2 % gives 0.06; at rest one of the moves stays below 0.2 px.
+    if flicker > 0.06 or min(moves) > 0.25:
+        what = "light" if flicker > 0.06 else "position"
+        warnings.warn(
+            f"frames change in {what} from one to the next: register=True (--register) undoes it",
+            stacklevel=3,
+        )

@@ -1,0 +1,105 @@
+"""The default depth: measure, choose a peak, reject, refine, and fit again at steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from microlib._common import Array, Image
+from microlib.focus._result import DepthMap
+from microlib.focus.multiscale._axis import Axis, find_axis, sample_tiles
+from microlib.focus.multiscale._fits import Fits, fit_stack, peak_asymmetry
+from microlib.focus.multiscale._full_size import fit_steps
+from microlib.focus.multiscale._measure import doubled
+from microlib.focus.multiscale._refine import enlarge, refine
+from microlib.focus.multiscale._reject import RULES, Rule, find_peaks, typical
+from microlib.focus.multiscale._relief import step_height
+from microlib.focus.multiscale._settings import Settings
+
+DEFAULT = Settings()
+
+
+def multiscale_depth(
+    frames: Sequence[Image],
+    positions: Array,
+    *,
+    workers: int = 1,
+    done: Callable[[float], object] = lambda share: None,
+    axis: Axis | None = None,
+    typical_strength: float | None = None,
+    rules: Sequence[Rule] = RULES,
+    settings: Settings = DEFAULT,
+) -> DepthMap:
+    """Return the default depth of a stack.
+
+    Parameters
+    ----------
+    frames : sequence of ndarray, shape (rows, cols)
+        All frames, grey.
+    positions : ndarray, shape (n,)
+        Position of each frame, µm.
+    workers : int
+        Threads.
+    done : callable
+        Called with the share of the rows that has been measured in all frames.
+    axis, typical_strength : optional
+        The `describe_axis` and the median strength of the fits of a larger stack, of which this is
+        a part.
+    rules : sequence of callable
+        Rules that reject peaks.
+    settings : Settings
+        Settings of all steps.
+    """
+    shape = frames[0].shape
+    more = [max(8 - n, 0) for n in shape]
+    if any(more):  # smaller ones are mirrored at their border
+        mirrored = cv2.BORDER_REFLECT
+        frames = [cv2.copyMakeBorder(f, 0, more[0], 0, more[1], mirrored) for f in frames]
+    if axis is None:
+        axis = describe_axis([sample_tiles(frame) for frame in frames], positions, settings)
+    fits = fit_stack(frames, axis, settings, workers=workers, done=done)
+    strength = typical_strength or typical(fits.strength)
+    peaks = find_peaks(fits, axis, settings, strength)
+    for rule in rules:
+        peaks = peaks.without(rule(peaks, settings))
+    refined = refine(peaks, fits, axis, settings, strength, workers=workers)
+    full, known = enlarge(refined, frames[0].shape)
+    full, known = fit_steps(frames, axis, settings, refined.depth, full, known)
+    depth = np.where(known, full, np.float32(np.nan))
+    height = step_height(full)
+    height[height < 2 * settings.jump] = 0
+    # 0.2 to 0.3 of the height on drawn texture, 0.5 where the near side hides the far one, 0.5 to
+    # 0.8 on photographs.
+    error = np.hypot(doubled(refined.error, full.shape), np.float32(0.28) * height)
+    here = slice(shape[0]), slice(shape[1])
+    return _depth_map(depth[here], error[here], fits, axis)
+
+
+def describe_axis(tiles: Sequence[Image], positions: Array, settings: Settings) -> Axis:
+    """Return the groups of averaged frames of a stack and their biases, from its tiles."""
+    axis = find_axis(tiles, positions, settings.width)
+    return replace(axis, asymmetry=peak_asymmetry(tiles, axis, settings))
+
+
+def _depth_map(depth: NDArray, error: NDArray, fits: Fits, axis: Axis) -> DepthMap:
+    """Return depth and error in µm, without the bias of asymmetric peaks, and the frame numbers."""
+    low, high = axis.positions.min(), axis.positions.max()
+    depth = axis.micrometers(depth)
+    bias = np.polyval(axis.asymmetry, depth).astype(np.float32)
+    depth = np.clip(depth - bias, low, high).astype(np.float32)
+    best = doubled(fits.best, depth.shape, cv2.INTER_NEAREST)
+    order = np.argsort(axis.positions)
+    nearest = np.rint(np.interp(depth, axis.positions[order], order))
+    middle = (axis.ends[:-1] + axis.ends[1:]) // 2
+    return DepthMap(
+        depth=depth,
+        # A quarter of the bias remains at most where it changes along the axis.
+        uncertainty=np.hypot(error * np.float32(axis.spacing), bias / 4),
+        frame=np.where(np.isfinite(depth), nearest, middle[best]).astype(np.int32),
+        at_end=(best == 0) | (best == len(axis.steps) - 1),
+        spacing=axis.spacing,
+    )

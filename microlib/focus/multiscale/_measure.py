@@ -1,0 +1,122 @@
+"""The focus measures of the default depth: second derivatives at two scales, and at an edge."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from microlib._common import Image
+from microlib.focus._filters import blur, halved
+from microlib.focus.multiscale._settings import Settings
+
+
+@dataclass(frozen=True)
+class NoiseFloor:
+    """Mean of each measure on noise alone, at half size.
+
+    It is added to the measure: one that sees only noise becomes nearly constant over the frames,
+    and the other factor of a product decides.
+
+    Attributes
+    ----------
+    fine, coarse, edge : float
+        Of the second derivatives of the frame, of those of the frame at half its size, and of the
+        deviation from a local mean.
+    """
+
+    fine: float
+    coarse: float
+    edge: float
+
+    @classmethod
+    def of(cls, noise: float, settings: Settings) -> NoiseFloor:
+        """Return the floor for noise of a standard deviation in grey levels, white in the frame."""
+        coarse = 0.5 * noise * noise_gain(settings.coarse)  # half size: the mean of four pixels
+        return cls(noise * noise_gain(settings.fine), coarse, 0.4 * noise)
+
+
+@dataclass(frozen=True)
+class Measures:
+    """Focus measures of one frame, each of shape (rows, cols).
+
+    Attributes
+    ----------
+    product : ndarray
+        Fine times coarse modified Laplacian: narrow where the fine one has its peak, and free of
+        the noise that only one of both has.
+    along, down : ndarray
+        Fine second derivatives along rows and down columns; at half size with their window.
+    edge : ndarray
+        Deviation from a local mean, which places a step more sharply.
+    energy : ndarray, shape of the frame at half its size
+        Sum of the squares of the coarse second derivatives.
+    """
+
+    product: NDArray[np.float32]
+    along: NDArray[np.float32]
+    down: NDArray[np.float32]
+    edge: NDArray[np.float32]
+    energy: NDArray[np.float32]
+
+
+def measure(frame: Image, scale: int, settings: Settings, floor: NoiseFloor) -> Measures:
+    """Return the focus measures of a frame at full size (scale 1) or at half size (scale 2).
+
+    Where half size averages blocks of 2×2 px, full size smooths by 0.5 px.
+    """
+    half = halved(frame.astype(np.float32, copy=False))
+    along, down = abs_second_derivatives(frame, settings.fine)
+    coarse_along, coarse_down = abs_second_derivatives(half, settings.coarse)
+    coarse = blur(coarse_along + coarse_down, settings.coarse_window)
+    if scale == 2:
+        along, down = (blur(halved(second), settings.fine_window) for second in (along, down))
+        product = along + down
+        detail = cv2.absdiff(half, blur(half, settings.edge_mean))
+        narrow, wide, edge_floor = detail, blur(detail, 1.0), np.float32(floor.edge)
+    else:
+        product = blur(along + down, settings.full_window)
+        coarse = doubled(coarse, frame.shape)
+        detail = cv2.absdiff(frame, blur(frame, 2 * settings.edge_mean))
+        # The noise has not been halved by averaging.
+        narrow, wide, edge_floor = blur(detail, 0.5), blur(detail, 2.0), np.float32(2 * floor.edge)
+    product += np.float32(floor.fine)
+    product *= coarse + np.float32(floor.coarse)
+    edge = np.multiply(narrow + edge_floor, wide + edge_floor, dtype=np.float32)
+    energy = coarse_along * coarse_along + coarse_down * coarse_down
+    return Measures(product=product, along=along, down=down, edge=edge, energy=energy)
+
+
+def abs_second_derivatives(image: NDArray, sigma: float) -> tuple[NDArray, NDArray]:
+    """Return |second difference| along rows and down columns of an image smoothed by `sigma` px.
+
+    Smoothing and difference are one separable filter; the Gaussian is cut off at 3 sigma.
+    """
+    smooth = cv2.getGaussianKernel(2 * round(3 * sigma) + 1, sigma, cv2.CV_32F).ravel()
+    second = np.convolve(smooth, np.array([1, -2, 1], np.float32))
+    along = cv2.sepFilter2D(image, cv2.CV_32F, second, smooth)
+    down = cv2.sepFilter2D(image, cv2.CV_32F, smooth, second)
+    return np.abs(along, out=along), np.abs(down, out=down)
+
+
+def noise_gain(sigma: float) -> float:
+    """Return the mean of the sum of both `abs_second_derivatives` on white noise of unit variance.
+
+    The noise that the filters transmit, times √(2/π), the mean modulus of a normal variate.
+    """
+    smooth = cv2.getGaussianKernel(31, sigma).ravel()
+    second = np.convolve(smooth, [-1.0, 2.0, -1.0])
+    return float(2 * np.sqrt(2 / np.pi) * np.sqrt(np.sum(second**2) * np.sum(smooth**2)))
+
+
+def doubled(half: NDArray, shape: tuple[int, ...], how: int = cv2.INTER_LINEAR) -> NDArray:
+    """Return an image of `shape` from one of half its sides, by default interpolated linearly."""
+    full = cv2.resize(half, (2 * half.shape[1], 2 * half.shape[0]), interpolation=how)
+    return np.asarray(full)[: shape[0], : shape[1]]
+
+
+def doubled_mask(half: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return a mask of `shape` from one of half its sides."""
+    return doubled(half.astype(np.uint8), shape, cv2.INTER_NEAREST) > 0

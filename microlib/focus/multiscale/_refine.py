@@ -1,0 +1,84 @@
+"""From accepted peaks to a refined depth: smoothing, relief, peak locking, uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from microlib.focus._correction import smooth_planes
+from microlib.focus.multiscale._axis import Axis
+from microlib.focus.multiscale._fits import Fits
+from microlib.focus.multiscale._measure import doubled, doubled_mask
+from microlib.focus.multiscale._reject import Peaks, fill_nearest, relative
+from microlib.focus.multiscale._relief import (
+    direction_offsets,
+    error_variance,
+    find_relief,
+    peak_locking_bias,
+    step_height,
+)
+from microlib.focus.multiscale._settings import Settings
+
+
+@dataclass(frozen=True)
+class Refined:
+    """The depth of every second pixel, steps; maps of shape (rows, cols).
+
+    Attributes
+    ----------
+    depth : ndarray
+        Smooth depth without peak-locking bias; NaN where unknown.
+    relief : ndarray
+        Fine relief to be added.
+    error : ndarray
+        Standard deviation of the sum.
+    """
+
+    depth: NDArray[np.float32]
+    relief: NDArray[np.float32]
+    error: NDArray[np.float32]
+
+
+def refine(
+    peaks: Peaks,
+    fits: Fits,
+    axis: Axis,
+    settings: Settings,
+    typical_strength: float,
+    *,
+    workers: int = 1,
+) -> Refined:
+    """Smooth the depth by planes, restore relief, remove peak locking, and state the error."""
+    smooth = smooth_planes(
+        peaks.depth, peaks.weight, jump=settings.jump, sigma=settings.radius, workers=workers
+    )
+    along, down, weight = direction_offsets(smooth, fits, axis, settings)
+    relief, half_difference = find_relief(along, down, weight, settings)
+    locking = peak_locking_bias(smooth, axis)
+    depth = smooth - locking
+    variance = error_variance(depth + relief, half_difference, peaks.disagreement, settings)
+    drift = np.interp(np.nan_to_num(depth), axis.steps, axis.drift_bias).astype(np.float32)
+    # Peak locking depends on texture: up to half of it remains.
+    variance += drift**2 + (locking / 2) ** 2 + peaks.random_error**2
+    # What is too thin for the windows has a peak of its own, by two measures.
+    own = cv2.medianBlur(fill_nearest(fits.depth), 3)
+    strength = np.minimum(relative(fits.strength, typical_strength), 1)
+    gap = strength * np.abs(own - depth)
+    gap[~(gap > settings.jump)] = 0
+    variance += (0.5 * cv2.dilate(gap, np.ones((7, 7), np.uint8))) ** 2
+    return Refined(depth=depth, relief=relief, error=np.sqrt(variance))
+
+
+def enlarge(refined: Refined, shape: tuple[int, ...]) -> tuple[NDArray, NDArray[np.bool_]]:
+    """Return the depth at full size and where it is known; the nearest one at steps."""
+    known = np.isfinite(refined.depth)
+    full = doubled(fill_nearest(refined.depth), shape)
+    relief = np.where(known, refined.relief, np.float32(0))
+    full = full + doubled(relief, shape, cv2.INTER_CUBIC)
+    both = fill_nearest(refined.depth + refined.relief)
+    step = doubled_mask(step_height(both) > 2, shape)
+    full[step] = doubled(both, shape, cv2.INTER_NEAREST)[step]
+    return full, doubled_mask(known, shape)

@@ -1,0 +1,180 @@
+"""Fine relief that the smoothing removed, separated from noise; peak locking; the uncertainty.
+
+Depths by the second derivatives along rows and down columns have nearly independent errors, so that
+their covariance is that of the object, and their difference is noise. All on the grid of every
+second pixel, depths in steps.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from microlib.focus._filters import TINY, blur
+from microlib.focus.multiscale._axis import Axis
+from microlib.focus.multiscale._fit import fit_peaks
+from microlib.focus.multiscale._fits import Fits
+from microlib.focus.multiscale._reject import fill_nearest
+from microlib.focus.multiscale._settings import Settings
+
+#: For each octave of relief: radius of the next coarser mean, px; correlation of the directions,
+#: and its standard deviation in `_WINDOW`, that noise alone has.
+_OCTAVES = ((0.8, 0.07, 0.03), (2.0, 0.09, 0.046), (2.8, 0.1, 0.084))
+#: Radius over which the directions are compared, and half of that of their difference, px.
+_WINDOW = 10.0
+
+
+def direction_offsets(
+    depth: NDArray, fits: Fits, axis: Axis, settings: Settings
+) -> tuple[NDArray, NDArray, NDArray]:
+    """Return the depths by each direction less a smoothed depth, and their common weight."""
+    limit, level = settings.relief_limit, np.nan_to_num(depth)
+    near = np.isfinite(depth) & (np.abs(fits.depth - depth) < settings.inlier_distance)
+    offsets, strengths = [], []
+    for window in (fits.along, fits.down):
+        own, strength = fit_peaks(window, fits.best, axis.steps, near=level, within=limit)
+        good = near & (strength > 0) & np.isfinite(own)
+        offsets.append(np.where(good, np.clip(own - level, -limit, limit), np.float32(0)))
+        strengths.append(np.where(good, strength, np.float32(0)))
+    weight = np.sqrt(np.sqrt(strengths[0] * strengths[1]))
+    weight /= np.maximum(np.median(weight), TINY)
+    weight = np.where(weight > 0, np.clip(weight, 0.01, 100), np.float32(0))
+    return offsets[0], offsets[1], weight
+
+
+def find_relief(
+    along: NDArray, down: NDArray, weight: NDArray, settings: Settings
+) -> tuple[NDArray, NDArray]:
+    """Return the relief on which both directions agree, and half of their difference.
+
+    Parameters
+    ----------
+    along, down : ndarray, shape (rows, cols)
+        Depths by second derivatives of either direction, less the smoothed depth.
+    weight : ndarray, shape (rows, cols)
+        Weight of each pixel.
+
+    Returns
+    -------
+    relief, half_difference : ndarray, shape (rows, cols)
+        The latter of what is coarser than all octaves.
+
+    Notes
+    -----
+    In each octave both are h + n₁ and h + n₂ with independent noise. Then cov(h + n₁, h + n₂) is
+    the variance of the relief h, and cov / var of their mean is the gain of the Wiener filter.
+    """
+    finer, relief = (along, down), np.zeros((2, *along.shape), np.float32)
+    for sigma, noise_correlation, noise_scatter in _OCTAVES:
+        total = np.maximum(blur(weight, sigma), TINY)
+        coarser = (blur(along * weight, sigma) / total, blur(down * weight, sigma) / total)
+        a, b = finer[0] - coarser[0], finer[1] - coarser[1]
+        var_a, var_b = (np.maximum(blur(f * f, _WINDOW), 0) for f in (a, b))
+        cov, fourth = blur(a * b, _WINDOW), np.maximum(blur((a * b) ** 2, _WINDOW), 0)
+        # Noise alone has a small covariance, too; its scatter rises where few pixels make it.
+        deviations = np.sqrt(var_a * var_b)
+        scatter = noise_scatter * np.maximum(deviations, np.sqrt(fourth))
+        snr = (cov - noise_correlation * deviations) / np.maximum(scatter, TINY)
+        significant = (snr - settings.snr_low) / (settings.snr_high - settings.snr_low)
+        var_mean = (var_a + var_b + 2 * cov) / 4
+        gain = np.clip(cov / np.maximum(var_mean, TINY), 0, 1) * np.clip(significant, 0, 1)
+        relief += gain * np.stack([a, b])
+        finer = coarser
+    return relief.mean(axis=0) * _mtf_gain(relief, settings), (finer[0] - finer[1]) / 2
+
+
+def _mtf_gain(relief: NDArray, settings: Settings) -> NDArray[np.float32]:
+    """Return the factor, at most 3, that compensates for the attenuation by a measure's windows.
+
+    They attenuate relief as a Gaussian does, by exp(−c k²) for the mean square wavenumber k², which
+    is the mean square of the slope over that of the relief.
+    """
+    power = blur(relief[0] * relief[1], 4.0)
+    slope = blur(sum(part[0] * part[1] for part in np.gradient(relief, axis=(1, 2))), 4.0)
+    exponent = settings.mtf_correction * slope / np.maximum(power, 1e-6)
+    gain = np.exp(np.clip(exponent, 0, np.log(3)))
+    return np.where(power > 1e-6, gain, 1).astype(np.float32)
+
+
+def peak_locking_bias(depth: NDArray, axis: Axis) -> NDArray[np.float32]:
+    """Return the bias of a depth towards the nearest averaged frame, steps.
+
+    A real profile is more pointed than a Gaussian, so that its fit is biased towards the nearest
+    frame, and the more so the narrower the peaks. On a slope the biases at many frames cancel.
+
+    Parameters
+    ----------
+    depth : ndarray, shape (rows, cols)
+        The depth, steps; NaN where unknown.
+    axis : Axis
+        The averaged frames.
+    """
+    number = np.interp(np.nan_to_num(depth), axis.steps, np.arange(len(axis.steps)))
+    number = number.astype(np.float32)
+    # The measures and the smoothing average over some 5 px of a slope.
+    left = np.exp(-((2 * np.pi * 5) ** 2) / 2 * _squared_slope(depth))
+    return np.float32(-axis.locking) * np.sin(np.float32(2 * np.pi) * number) * left
+
+
+def _squared_slope(depth: NDArray) -> NDArray:
+    """Return the square of the slope, steps per px of the full grid."""
+    dy, dx = np.gradient(blur(fill_nearest(depth), 1.0))
+    return np.asarray((dx * dx + dy * dy) / 4)
+
+
+def error_variance(
+    depth: NDArray, half_difference: NDArray, disagreement: NDArray, settings: Settings
+) -> NDArray:
+    """Return the mean square error of a depth by noise, slopes, steps and sharp bends.
+
+    The numbers were found on drawn texture and photographs; the table of stated errors in
+    benchmarks/focus_depth.py tests them.
+
+    Parameters
+    ----------
+    depth : ndarray, shape (rows, cols)
+        The depth; NaN where unknown.
+    half_difference : ndarray, shape (rows, cols)
+        Half the difference of two independent depths, smoothed as widely.
+    disagreement : ndarray, shape (rows, cols)
+        Distance of the depths by the product and by the edge measure, steps.
+    settings : Settings
+        Settings of the smoothing.
+
+    Returns
+    -------
+    ndarray, shape (rows, cols)
+        Variance, steps².
+    """
+    high = 2 * settings.jump
+    variance = np.maximum(blur(half_difference**2, 2 * _WINDOW), 0)
+    # Texture moves a depth along a slope, by 0.12 px of the full grid.
+    variance += 0.12**2 * _squared_slope(depth)
+    full = fill_nearest(depth)
+    height = step_height(full)
+    beside = cv2.dilate(height, np.ones((5, 5), np.uint8))
+    # The smoothing may mix both sides of a low step. Beside a high one the error is the
+    # disagreement, or its square if that is less: on drawn texture 0.03 steps at a disagreement of
+    # 0.2, on photographs 1.0 at 1.2.
+    apart = blur(np.minimum(disagreement, 6), 2.0)
+    apart = np.minimum(apart, apart * apart)
+    variance += np.where(beside < high, 0.17 * beside, apart) ** 2
+    # At a sharp bend, such as the tip of a cone.
+    bent = (full - blur(full, settings.radius)) ** 2
+    bent[cv2.dilate(height, np.ones((15, 15), np.uint8)) >= high] = 0
+    return np.asarray(variance + 0.2**2 * np.maximum(blur(bent, 2.0), 0), np.float32)
+
+
+def step_height(depth: NDArray) -> NDArray:
+    """Return the height of a step at each pixel, about 0 on a slope.
+
+    A plane rises three times as far over 7 px as over 3, a step as far.
+    """
+    return np.asarray(1.5 * depth_range(depth, 3) - 0.5 * depth_range(depth, 7))
+
+
+def depth_range(depth: NDArray, side: int) -> NDArray:
+    """Return the range of depths in a square."""
+    square = np.ones((side, side), np.uint8)
+    return np.asarray(cv2.dilate(depth, square) - cv2.erode(depth, square))
