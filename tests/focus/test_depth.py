@@ -327,7 +327,7 @@ def test_more_than_256_frames_are_counted_right():
         ({"frames": np.full((4, 9, 9), np.nan)}, r"frames\[0\] must be finite"),
         (
             {"frames": [np.zeros((9, 9)), np.zeros((9, 8))] * 2},
-            r"frames\[1\] must be grey float32 of shape",
+            r"frames\[1\] must be float64 of shape",
         ),
         ({"measure": "sharpness"}, "measure must be one of multiscale, sml, got 'sharpness'"),
         ({"measure": lambda frame: frame[1:]}, r"measure\(frame\) must have shape"),
@@ -344,7 +344,7 @@ def test_more_than_256_frames_are_counted_right():
         ({"positions": None, "spacing": np.nan}, "spacing must be finite"),
         ({"region": (0, 0, 20, 4)}, "region must lie in the image of"),
         ({"region": (0, 0, 4)}, r"region \(x, y, width, height\) must be 4 numbers"),
-        ({"reduce": 10}, "must have sides of at least the 10 px of a block"),
+        ({"reduce": 10}, "reduce must be at most the sides of frames"),
         ({"frames": (f for f in np.zeros((3, 9, 9)))}, "must be as many, got 3 and 4"),
         ({"frames": (f for f in np.zeros((6, 9, 9)))}, "must be as many, got more than 4 and 4"),
         ({"frames": (f for f in np.zeros((0, 9, 9)))}, "frames must hold"),
