@@ -42,7 +42,7 @@ def retract(warp: Array, step: Array, basis: Array) -> Array:
 
     Several warps, …×3×3, and steps, …×n, are retracted at once.
     """
-    matrix = np.tensordot(step, basis, 1)
+    matrix = (step @ basis.reshape(len(basis), 9)).reshape(*step.shape[:-1], 3, 3)
     good = np.abs(matrix).max(axis=(-2, -1), keepdims=True) < 100  # not for NaN
     return np.where(good, warp @ _exponential(np.where(good, matrix, 0.0)), np.nan)
 
@@ -73,8 +73,8 @@ def translate(pose: Array, by: Array) -> Array:
 
 def area(corners: Array) -> Array:
     """Return the signed area of a quadrilateral, or of several, …×4×2."""
-    (a, b), (c, d) = np.moveaxis(corners[..., 2:, :] - corners[..., :2, :], (-2, -1), (0, 1))
-    return (a * d - b * c) / 2
+    across, back = corners[..., 2, :] - corners[..., 0, :], corners[..., 3, :] - corners[..., 1, :]
+    return (across[..., 0] * back[..., 1] - across[..., 1] * back[..., 0]) / 2
 
 
 def degenerate(corners: Array, first: Array) -> NDArray[np.bool_]:
@@ -99,13 +99,3 @@ def corner_jacobian(pose: Array, basis: Array, corners: Array) -> Array:
     depth = mapped[:, 2:]
     slope = (velocity[..., :2] - mapped[:, :2] / depth * velocity[..., 2:]) / depth
     return slope.reshape(len(basis), -1)
-
-
-def ridged(normal: Array, first: int = 0) -> Array:
-    """Return normal equations with a ridge, so that what no pixel shows stays as it is.
-
-    The unknowns before the `first` one have none but for rounding.
-    """
-    diagonal = (ROUNDING * normal.diagonal() + TINY).astype(np.float64)
-    diagonal[first:] += 1e-3
-    return normal + np.diag(diagonal)

@@ -13,7 +13,7 @@ from microlib.tracking._geometry import GENERATORS, apply_homography, cut_around
 from microlib.tracking._kalman import KalmanFilter
 from microlib.tracking._sampling import View, half_pixel
 from microlib.tracking._track import Track
-from microlib.tracking.robust import ATTEMPTS, Found, RobustSearch, Scene, find_template
+from microlib.tracking.robust import ATTEMPTS, Found, RobustSearch, Scene, Sighting, find_template
 
 #: Standard deviation (px) of the Gaussian of the smoothed level. With twice as much, fine texture
 #: is lost; without it, the search does not reach as far.
@@ -118,7 +118,7 @@ class ESMTracker:
         self._least_noise = max(0.01 * self._template.sharp.contrast, rounded)
         view = View(frame, self._least_noise)
         self._search = RobustSearch(self._template, view, self._box, self._start, motion)
-        self._last = frame / self._grey_scale, self._pose
+        self._last = Sighting(self._search, frame, self._pose)
 
     def track(self, frame: ArrayLike) -> Track:
         """Find the template in the next frame.
@@ -156,7 +156,7 @@ class ESMTracker:
         image = np.ascontiguousarray(as_image("frame", region) * self._grey_scale)
         view = View(image, self._least_noise)
         pose = translate(self._pose, -origin)
-        scene = Scene(self._search, view, pose, self._seen, self._last, self._grey_scale)
+        scene = Scene(self._search, view, pose, self._seen, self._last)
         found = find_template(scene, self._attempts)
         if found is None:
             return self._lost(scene.best.reason or "no agreement")
@@ -164,7 +164,8 @@ class ESMTracker:
             reason = "ambiguous" if found.ambiguous else "no agreement"
             return self._lost(reason, found.confidence)
         track = self._accept(found, origin)
-        self._last = frame.copy(), self._pose
+        whole = frame.astype(np.float32) * self._grey_scale
+        self._last = Sighting(self._search, whole, self._pose)
         return track
 
     def _accept(self, found: Found, origin: Array) -> Track:

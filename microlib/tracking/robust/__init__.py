@@ -1,6 +1,6 @@
 """Find a template that is partly hidden, in another light, far from where it was, or lost."""
 
-from microlib.tracking.robust._attempts import ATTEMPTS, Found, Scene, find_template
+from microlib.tracking.robust._attempts import ATTEMPTS, Found, Scene, Sighting, find_template
 from microlib.tracking.robust._search import RobustSearch
 
-__all__ = ["ATTEMPTS", "Found", "RobustSearch", "Scene", "find_template"]
+__all__ = ["ATTEMPTS", "Found", "RobustSearch", "Scene", "Sighting", "find_template"]

@@ -46,6 +46,30 @@ class Found:
 
 
 @dataclass(frozen=True, eq=False)
+class Sighting:
+    """The last frame in which the template was found.
+
+    Attributes
+    ----------
+    search : RobustSearch
+        The template.
+    image : ndarray, shape (H, W)
+        The whole frame, its grey levels scaled as those of the template.
+    pose : ndarray, shape (3, 3)
+        Where the template was.
+    """
+
+    search: RobustSearch
+    image: Image
+    pose: Array
+
+    @cached_property
+    def lookalikes(self) -> Array:
+        """Where else the template correlates, as offsets from its place (px)."""
+        return self.search.lookalikes(self.image, self.pose)
+
+
+@dataclass(frozen=True, eq=False)
 class Scene:
     """A frame in which a template is searched; each alignment is computed when it is first needed.
 
@@ -59,24 +83,15 @@ class Scene:
         Expected pose, in px of the view.
     seen : bool
         Whether the template was found in the frame before.
-    last : tuple of ndarray
-        The last frame in which it was found, and its pose there.
-    grey_scale : float
-        Factor of the grey values of that frame.
+    last : Sighting
+        The last frame in which it was found.
     """
 
     search: RobustSearch
     view: View
     pose: Array
     seen: bool
-    last: tuple[Image, Array]
-    grey_scale: np.float32
-
-    @cached_property
-    def lookalikes(self) -> Array:
-        """Where else in the last frame the template correlates, as offsets from its place (px)."""
-        frame, pose = self.last
-        return self.search.lookalikes(np.asarray(frame, np.float32) * self.grey_scale, pose)
+    last: Sighting
 
     @cached_property
     def flow_poses(self) -> list[Array]:
@@ -90,10 +105,30 @@ class Scene:
 
     @cached_property
     def from_flow(self) -> Alignment:
-        """ESM alignment that starts from where the points flow."""
-        if not self.flow_poses:
-            return self.from_pose
-        return self.search.template.align(self.view.image, self.flow_poses[0])
+        """ESM alignment that starts from where the points flow, if that is not where it is."""
+        plain = self.from_pose
+        for start in self.flow_poses[:1]:
+            if plain.reason or self._distance(start, plain.pose) > 1:
+                return self.search.template.align(self.view.image, start)
+        return plain
+
+    @cached_property
+    def photometric_from_pose(self) -> PhotometricFit | None:
+        """The first of these alignments continued with the photometric model."""
+        plain = self.from_pose
+        return None if plain.reason else self.search.polish(self.view, plain.pose)
+
+    @cached_property
+    def photometric_from_flow(self) -> PhotometricFit | None:
+        """The second of these alignments continued with the photometric model."""
+        plain = self.from_flow
+        if plain is self.from_pose or plain.reason:
+            return self.photometric_from_pose
+        return self.search.polish(self.view, plain.pose)
+
+    def _distance(self, pose: Array, other: Array) -> float:
+        """Return the largest coordinate by which the corners of two poses differ, px."""
+        return float(np.abs(self.search.corners_of(pose) - self.search.corners_of(other)).max())
 
     @cached_property
     def best(self) -> Alignment:
@@ -103,12 +138,14 @@ class Scene:
 
 def align_from_pose(scene: Scene) -> Found | None:
     """Align from the expected pose."""
-    return _without_search(scene, scene.from_pose)
+    return _without_search(scene, scene.from_pose, lambda: scene.photometric_from_pose)
 
 
 def align_from_flow(scene: Scene) -> Found | None:
     """Align from where the points of the template flow."""
-    return _without_search(scene, scene.from_flow) if scene.flow_poses else None
+    if scene.from_flow is scene.from_pose:
+        return None
+    return _without_search(scene, scene.from_flow, lambda: scene.photometric_from_flow)
 
 
 def search_nearby(scene: Scene) -> Found | None:
@@ -116,16 +153,16 @@ def search_nearby(scene: Scene) -> Found | None:
     matches = [] if scene.seen else scene.search.match_poses(scene.view, scene.pose)
     starts = [scene.pose, *(match for match in matches if uniqueness(scene, match) > 0.5)]
     # A match is a pixel of the coarsest level, which is too far off for fine texture to agree.
-    coarse = [scene.search.align_coarsely(scene.view, start).pose for start in starts]
-    fine = [scene.search.template.align(scene.view.image, start).pose for start in coarse]
-    return _searched(scene, [*starts, *coarse, *fine, scene.best.pose, *scene.flow_poses])
+    aligned = scene.search.align_starts(scene.view, starts)
+    fits = [scene.photometric_from_pose, scene.photometric_from_flow]
+    return _searched(scene, [scene.pose, *aligned, scene.best.pose, *scene.flow_poses], fits)
 
 
 def search_far(scene: Scene) -> Found | None:
     """Search robustly from distorted and distant poses, if the template was not lost before."""
     if not scene.seen:
         return None
-    return _searched(scene, scene.search.far_poses(scene.view, scene.pose))
+    return _searched(scene, scene.search.far_poses(scene.view, scene.pose), [])
 
 
 ATTEMPTS: tuple[Callable[[Scene], Found | None], ...] = (
@@ -136,7 +173,9 @@ ATTEMPTS: tuple[Callable[[Scene], Found | None], ...] = (
 )
 
 
-def _without_search(scene: Scene, plain: Alignment) -> Found | None:
+def _without_search(
+    scene: Scene, plain: Alignment, photometric: Callable[[], PhotometricFit | None]
+) -> Found | None:
     """Return an alignment if its blocks agree: as it is, or with the photometric model."""
     if plain.reason:
         return None
@@ -146,7 +185,7 @@ def _without_search(scene: Scene, plain: Alignment) -> Found | None:
         covariance = corner_covariance(sharp, plain, plain.weight)
         if largest_sigma(covariance) < settings.certain:
             return Found(plain, covariance, 1.0, plain.weight == 0)
-    fit = search.polish(scene.view, plain.pose)
+    fit = photometric()
     if fit is None:
         return None
     covariance = search.covariance(fit)
@@ -157,9 +196,10 @@ def _without_search(scene: Scene, plain: Alignment) -> Found | None:
     return None
 
 
-def _searched(scene: Scene, starts: list[Array]) -> Found | None:
+def _searched(scene: Scene, starts: list[Array], fits: list[PhotometricFit | None]) -> Found | None:
     """Return what the robust search finds, with its confidence."""
-    finding = scene.search.search(scene.view, scene.pose, starts)
+    ended = [fit for fit in fits if fit is not None]
+    finding = scene.search.search(scene.view, scene.pose, starts, ended)
     if finding is None or finding.fit.reason:
         return None
     covariance = scene.search.covariance(finding.fit)
@@ -198,7 +238,7 @@ def uniqueness(scene: Scene, pose: Array) -> float:
     search = scene.search
     moved = search.moved(scene.pose, pose)
     near = scene.seen and np.hypot(*moved) < search.side / 4
-    offsets = search.own_lookalikes if near else scene.lookalikes
+    offsets = search.own_lookalikes if near else scene.last.lookalikes
     if not len(offsets):
         return 1.0
     other = np.linalg.norm(offsets - moved, axis=1).min()

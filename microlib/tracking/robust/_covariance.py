@@ -7,7 +7,8 @@ import numpy as np
 
 from microlib._common import Array, Image
 from microlib.tracking._esm import Alignment, Level
-from microlib.tracking._geometry import corner_jacobian, ridged
+from microlib.tracking._geometry import corner_jacobian
+from microlib.tracking.robust._normal_equations import gram, ridged
 
 #: Standard deviation (px) of the Gaussian behind which the residuals should be noise.
 _BEHIND = 1.5
@@ -71,15 +72,15 @@ def sandwich(
     own, rest, share = design[:n], design[n:], weight.ravel()
     try:
         weighted = rest * share
-        own = own - np.linalg.solve(ridged(weighted @ rest.T), weighted @ own.T).T @ rest
-        inverse = np.linalg.inv((own * share) @ own.T)
+        own = own - np.linalg.solve(ridged(gram(weighted, rest)), gram(weighted, own)).T @ rest
+        inverse = np.linalg.inv(gram(own * share, own))
     except np.linalg.LinAlgError:
         return np.full((n, n), np.nan)
     efficiency = max(float(slope.sum()), 0.1 * float(weight.sum())) / float(weight.sum())
     variance = np.sum(np.square(weight * residual)) / np.sum(np.square(weight))
     scores = (own * share * np.sqrt(variance)).astype(np.float32).reshape(n, *residual.shape)
     parts = _spread(scores, kept)
-    middle = (parts @ parts.T).astype(np.float64) / kept
+    middle = gram(parts, parts) / kept
     alike = _correlated(residual * np.sqrt(weight), kept)
     return alike * inverse @ middle @ inverse / efficiency**2
 

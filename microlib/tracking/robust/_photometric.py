@@ -14,8 +14,9 @@ from scipy.interpolate import BSpline
 
 from microlib._common import Array, Image
 from microlib.tracking._esm import Alignment, Level
-from microlib.tracking._geometry import TINY, degenerate, retract, ridged
+from microlib.tracking._geometry import TINY, degenerate, retract
 from microlib.tracking.robust._blocks import Blocks, compare
+from microlib.tracking.robust._normal_equations import weighted_least_squares
 
 #: Columns whose derivative by the template's grey value is not zero come first; the first is the
 #: template itself.
@@ -90,7 +91,7 @@ class PhotometricLevel(Level):
         first = corners = self.corners_of(pose)
         grey, slope, share = self.patch(image, pose, saturation)
         inliers = inlier_weight(self, grey, share, unit).ravel()
-        response = _solved(self.light, grey.ravel(), inliers)
+        response = weighted_least_squares(self.light, grey.ravel(), inliers)
         count, moved = 0, np.inf
         while count < _ITERATIONS and moved >= _TOLERANCE:
             gain = response[:_GAINS].astype(np.float32) @ self.tone
@@ -104,7 +105,7 @@ class PhotometricLevel(Level):
                 return None
             scale = max(_NORMAL * float(np.median(sure)), unit)
             weight = (inside * tukey(residual, scale)).astype(np.float32)
-            change = _solved(design, residual, weight, motions=n)
+            change = weighted_least_squares(design, residual, weight, motions=n)
             response, pose = response + change[n:], retract(pose, -change[:n], self.basis)
             before, corners = corners, self.corners_of(pose)
             if degenerate(corners, first):
@@ -162,17 +163,6 @@ def inlier_weight(level: Level, grey: Image, share: Image, noise: float) -> Imag
 def tukey(residual: Array, scale: float) -> Array:
     """Return Tukey's weights."""
     return np.square(np.maximum(1 - np.square(residual / (_TUKEY * scale)), 0))
-
-
-def _solved(design: Image, value: Image, weight: Image, motions: int = 0) -> Array:
-    """Return the weighted least squares.
-
-    All but the first unknowns, the motion, have a ridge: knots that no pixel shows stay as they
-    are.
-    """
-    weighted = design * weight
-    normal = ridged((weighted @ design.T).astype(np.float64), motions)
-    return np.linalg.solve(normal, (weighted @ value).astype(np.float64))
 
 
 def _tukey_slope(weight: Image, residual: Image, scale: float) -> Image:

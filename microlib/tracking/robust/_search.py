@@ -129,13 +129,20 @@ class RobustSearch:
         They are aligned at the coarsest level, and the template's points followed from the best.
         """
         starts = [pose @ warp for warp in self._distortions] + self.match_poses(view, pose)
+        aligned = self.align_starts(view, starts)
+        return aligned + [far for start in aligned[:1] for far in self.flow_poses(view, start)[:1]]
+
+    def align_starts(self, view: View, starts: list[Array]) -> list[Array]:
+        """Return where the best starts lead, aligned at the coarsest level and the finest."""
         fits = [self.align_coarsely(view, start) for start in starts]
         ranked = [Candidate(fit.pose, fit.correlation) for fit in fits if not fit.failure]
-        coarse = [one.pose for one in self._different(ranked)[: self.settings.beam]]
-        fine = [self.template.align(view.image, start).pose for start in coarse]
-        return fine + [pose for start in coarse[:1] for pose in self.flow_poses(view, start)[:1]]
+        coarse = self._different(ranked)[: self.settings.beam]
+        fine, layer = self._blurred[0], view.layer(self._finest)
+        return [fine.align(layer, one.pose, tolerance=0.3).pose for one in coarse]
 
-    def search(self, view: View, pose: Array, starts: list[Array]) -> Finding | None:
+    def search(
+        self, view: View, pose: Array, starts: list[Array], fits: list[PhotometricFit]
+    ) -> Finding | None:
         """Return the best pose that the starts lead to, or None if none is any good.
 
         Parameters
@@ -146,15 +153,16 @@ class RobustSearch:
             Where the template is expected.
         starts : list of ndarray, shape (3, 3)
             Poses to begin with.
+        fits : list of PhotometricFit
+            Alignments that are complete.
         """
         settings = self.settings
+        ended = [Candidate(fit.pose, fit.blocks.score(), fit=fit) for fit in fits]
         beam = self._different([self._judged(view, start) for start in starts])[: settings.beam]
-        if not beam or beam[0].score < settings.least_score:
-            return None
-        least = settings.beam_share * beam[0].score
-        beam = self._with_best_blur(view, [one for one in beam if one.score >= least])
-        ended = []
-        for one in beam:
+        least = max(
+            settings.least_score, settings.beam_share * max((one.score for one in beam), default=0)
+        )
+        for one in self._with_best_blur(view, [one for one in beam if one.score >= least]):
             fit = self.polish(view, one.pose, one.blur)
             if fit is not None:
                 ended.append(Candidate(fit.pose, fit.blocks.score(), one.blur, fit))

@@ -38,9 +38,12 @@ class PointFlow:
         self._template = self._contrasts(image, pose)
 
     def inlier_ratio(self, image: Image, pose: Array) -> float:
-        """Return the share of the points that stay when they are followed from a pose."""
+        """Return the share of the points in view that stay when they are followed from a pose."""
         here, there = self._followed(image, pose)
-        return float((np.abs(there - here).max(axis=1) < 2 * self._error).sum() / max(len(here), 1))
+        last = np.subtract(image.shape[::-1], 1) / self._level.to_image[0, 0]
+        in_view = ((here >= 0) & (here <= last)).all(axis=1)
+        stay = in_view & (np.abs(there - here).max(axis=1) < 2 * self._error)
+        return float(stay.sum() / max(in_view.sum(), min(len(here), _FEWEST), 1))
 
     def poses(self, image: Image, pose: Array) -> list[Array]:
         """Return the two poses that most points agree in when they are followed from a pose."""
