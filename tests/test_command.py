@@ -1,4 +1,4 @@
-"""The command line: four tasks on the small inputs, whose truth is known, and what it refuses."""
+"""The four commands on small inputs with known truth, and their errors."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from compendium.experiments.section_5_3 import texture_sequence
 from microlib import io, membrane, tracking
 from microlib._command import main
 from microlib._command._calibrate import _advise
-from microlib._command._shared import _quantity, settle
+from microlib._command._shared import _quantity, resolve_scales
 from microlib.calibration import calibrate, detect_squares
 from microlib.embryo import dimple_from_outline, read_outline
 from microlib.focus import FocusResult, depth_from_focus
@@ -42,7 +42,7 @@ STACK = "depth focal_stack.tif --spacing 25 --pixel-size 3.9"
 GRID = "calibrate circles.png --pitch 0.28mm --cell 9.9um --focal-length 126150"
 OUTLINE = f"modulus outline.csv --force 10 --force-std 3 {MODULUS}"
 
-Told = pytest.CaptureFixture[str]
+Capture = pytest.CaptureFixture[str]
 
 
 def status(line: str, out: Path | str, look: str = "--no-look") -> int:
@@ -75,64 +75,65 @@ def hold_alike(found: object, wanted: object) -> None:
     assert not [*unlike(wanted, found, within=1e-7)]
 
 
-def overwritten(line: str, out: Path, file: Path, capsys: Told) -> str:
-    """Run a task where a file is in its way, which is kept until told; return what it prints."""
+def overwritten(line: str, out: Path, file: Path, capsys: Capture) -> str:
+    """Run a task where an output exists, which is kept without --overwrite; return the output."""
     file.parent.mkdir(exist_ok=True)
     file.write_text("mine")
     begin = time.process_time()
     assert status(line, out, "") == 2
     assert time.process_time() - begin < 1  # before the work
-    assert f"{file} is there already" in capsys.readouterr().err
+    assert f"{file} exists already" in capsys.readouterr().err
     assert file.read_text() == "mine"
     assert status(line, out, "--overwrite") == 0
     assert file.read_bytes() != b"mine"
     return capsys.readouterr().out
 
 
-def test_depth_writes_the_heights_to_scale(tmp_path: Path, capsys: Told) -> None:
-    told = overwritten(STACK, tmp_path / "out", tmp_path / "out" / "look.png", capsys)
-    assert "spacing 25 µm (given)" in told
+def test_depth_writes_heights_with_their_scale(tmp_path: Path, capsys: Capture) -> None:
+    printed = overwritten(STACK, tmp_path / "out", tmp_path / "out" / "look.png", capsys)
+    assert "spacing 25 µm (given)" in printed
     truth = tifffile.imread(INPUTS / "height_um.tif") + 50  # whose first frame is at -50 µm
     off = np.abs(tifffile.imread(tmp_path / "out" / "height.ome.tif") - truth)
     assert np.nanquantile(off, 0.95) < 5  # a fifth of the spacing, as in the guide
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["pixel_size"] == 3.9
     assert is_look(tmp_path / "out" / "look.png")
-    # A file that tells its scale is asked for no more.
+    # A scale in the metadata is not asked for.
     sharp = tifffile.imread(tmp_path / "out" / "all_in_focus.ome.tif")
     metadata = {"axes": "ZYX", "PhysicalSizeX": 2.0, "PhysicalSizeY": 2.0, "PhysicalSizeZ": 7.0}
     tifffile.imwrite(tmp_path / "own.ome.tif", np.stack([sharp] * 3), metadata=metadata)
     assert status(f"depth {tmp_path / 'own.ome.tif'} --reduce 2", tmp_path / "own") == 0
-    told = capsys.readouterr().out
-    assert "spacing 7 µm (the file)" in told
-    assert "pixel_size 2 µm/px (the file)" in told
+    printed = capsys.readouterr().out
+    assert "spacing 7 µm (the file)" in printed
+    assert "pixel_size 2 µm/px (the file)" in printed
     assert json.loads((tmp_path / "own" / "summary.json").read_text())["pixel_size"] == 4
     with tifffile.TiffFile(tmp_path / "own" / "height.ome.tif") as file:
         assert 'PhysicalSizeX="4.0"' in file.ome_metadata
 
 
-def test_what_cannot_be_written_leaves_the_rest(
-    tmp_path: Path, capsys: Told, monkeypatch: pytest.MonkeyPatch
+def test_mesh_or_picture_that_fails_is_reported_and_the_rest_is_written(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Neither a mesh without a height, nor one of another run; nor a picture that fails."""
+    """A mesh needs a height; the mesh of an earlier run is removed."""
 
     def fail(result: FocusResult) -> None:
-        raise ValueError("nothing to draw")
+        raise RuntimeError("latex could not be found\n" * 80)
 
     monkeypatch.setattr(FocusResult, "plot", fail)
     tifffile.imwrite(tmp_path / "flat.tif", np.full((7, 64, 80), 100, np.uint8))
     (tmp_path / "surface.ply").write_text("of another run")
     line = f"depth {tmp_path / 'flat.tif'} --spacing 10 --pixel-size 1"
     assert status(line, tmp_path, "--overwrite") == 0
-    told = capsys.readouterr()
-    assert "surface.ply" not in told.out
-    assert "note: surface.ply is not written: height must have" in told.err
-    assert "note: look.png is not written: nothing to draw" in told.err
+    printed = capsys.readouterr()
+    assert "surface.ply" not in printed.out
+    assert "note: surface.ply is not written: height must have" in printed.err
+    assert "note: look.png is not written: RuntimeError: latex could not" in printed.err
+    assert printed.err.count("\n") == 2
     assert not (tmp_path / "surface.ply").exists()
     assert (tmp_path / "summary.json").exists()
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-4])
-def test_the_mesh_has_the_contrast_of_the_frames(tmp_path: Path, scale: float) -> None:
+def test_mesh_uses_the_full_range_of_grey_levels(tmp_path: Path, scale: float) -> None:
     levels = mixed_texture((48, 64), np.random.default_rng(0)).astype(np.float32)
     frames = [cv2.GaussianBlur(levels, (0, 0), 0.5 + abs(k - 3)) for k in range(7)]
     tifffile.imwrite(tmp_path / "stack.tif", np.float32(scale) * np.stack(frames))
@@ -162,10 +163,10 @@ REGION = {"region": (9, 5, 60, 44)}
         ("--region 9 5 60 44 --workers 2", REGION, 1.5),
     ],
 )  # fmt: skip
-def test_the_maps_are_those_of_the_call(
+def test_depth_writes_what_the_library_returns(
     line: str, options: dict, size: float, tmp_path: Path, figures: list[Figure]
 ) -> None:
-    """Of a file that tells another spacing and another pixel than are given."""
+    """The options replace the spacing and the pixel size in the file."""
     levels = mixed_texture((70, 90), np.random.default_rng(0)).astype(np.float32)
     frames = [cv2.GaussianBlur(levels, (0, 0), 0.5 + abs(k - 2.6)) for k in range(7)]
     sizes = {"PhysicalSizeX": 1.5, "PhysicalSizeY": 1.5, "PhysicalSizeZ": 4.0}
@@ -176,7 +177,7 @@ def test_the_maps_are_those_of_the_call(
     found = depth_from_focus(np.stack(frames), **options)
     maps = {
         "height": (found.depth, "heights in µm"),
-        "uncertainty": (found.uncertainty, "error to be expected of each height, µm"),
+        "uncertainty": (found.uncertainty, "standard deviation of each height, µm"),
         "frame": (found.index, "number of the frame nearest to focus, from 0; -1 where unknown"),
         "all_in_focus": (found.all_in_focus, "every pixel from that frame"),
     }
@@ -185,9 +186,9 @@ def test_the_maps_are_those_of_the_call(
             hold_alike(file.asarray(), values)
             assert f'PhysicalSizeX="{size}"' in file.ome_metadata
             assert f'Name="{what}"' in file.ome_metadata
-    told = json.loads((tmp_path / "out" / "summary.json").read_text())
+    printed = json.loads((tmp_path / "out" / "summary.json").read_text())
     spacing = options.get("spacing", 4.0)
-    hold_alike(told, found.to_dict() | {"spacing": spacing, "pixel_size": size})
+    hold_alike(printed, found.to_dict() | {"spacing": spacing, "pixel_size": size})
     sharp = (found.all_in_focus - found.all_in_focus.min()) / np.ptp(found.all_in_focus)
     grey = (255 * sharp).astype(np.uint8)
     io.write_ply(tmp_path / "own.ply", found.depth, pixel_size=size, image=grey)
@@ -201,10 +202,10 @@ def test_the_maps_are_those_of_the_call(
     assert bar.txt_label.get_text() == f"{size * length:g} µm"
 
 
-def test_calibrate_finds_the_microscope(tmp_path: Path, capsys: Told) -> None:
-    told = overwritten(GRID, tmp_path, tmp_path / "camera.csv", capsys)
-    assert "pitch 280 µm (given)" in told
-    assert "circles.png: circles, square lattice" in told
+def test_calibrate_finds_the_true_parameters(tmp_path: Path, capsys: Capture) -> None:
+    printed = overwritten(GRID, tmp_path, tmp_path / "camera.csv", capsys)
+    assert "pitch 280 µm (given)" in printed
+    assert "circles.png: circles, square lattice" in printed
     camera = pd.read_csv(tmp_path / "camera.csv", index_col="parameter")
     truth = {"magnification": 1.5892988, "alpha": 0.03, "beta": -0.02, "gamma": 0.0}
     for name, value in truth.items():
@@ -215,7 +216,7 @@ def test_calibrate_finds_the_microscope(tmp_path: Path, capsys: Told) -> None:
     assert is_look(tmp_path / "look.png")
 
 
-def test_the_matrix_and_the_scale_need_no_size_of_a_cell(tmp_path: Path, capsys: Told) -> None:
+def test_camera_matrix_and_scale_need_no_cell_size(tmp_path: Path, capsys: Capture) -> None:
     line = "calibrate circles.png --pitch 280"
     assert status(f"{line} --focal-length 126150", tmp_path / "no") == 2
     assert "give --cell µm" in capsys.readouterr().err
@@ -252,10 +253,10 @@ def board(tilt: float, fields: tuple[int, int] = (9, 7)) -> np.ndarray:
             {"focal_length": 120000.0}),
     ],
 )  # fmt: skip
-def test_calibrate_takes_several_views_and_says_what_it_sees(
-    line: str, given: dict, tmp_path: Path, capsys: Told, figures: list[Figure]
+def test_calibrate_writes_what_the_library_returns(
+    line: str, given: dict, tmp_path: Path, capsys: Capture, figures: list[Figure]
 ) -> None:
-    """By a pattern that no shell has expanded, beside a name that looks like one."""
+    """The source is a quoted pattern beside a name with brackets."""
     photos = [tmp_path / f"view_{k}.png" for k in range(3)]
     images = [board(tilt) for tilt in (0.0, 0.5, 1.0)]
     for photo, image in zip(photos, images, strict=True):
@@ -264,14 +265,14 @@ def test_calibrate_takes_several_views_and_says_what_it_sees(
     cv2.imwrite(str(blank), np.full((400, 520), 200, np.uint8))
     line = f"calibrate {tmp_path}/view_*.png {blank} {line}"
     assert status(line, tmp_path / "out", "") == 0
-    told = capsys.readouterr()
-    assert told.out.count("png: chessboard: Detection of 48 points") == 3
-    assert "3 view(s)" in told.out
-    assert f"left out {blank}" in told.err
+    printed = capsys.readouterr()
+    assert printed.out.count("png: chessboard: Detection of 48 points") == 3
+    assert "3 view(s)" in printed.out
+    assert f"left out {blank}" in printed.err
     # The same as the calls of the library.
     found = [detect_squares(image, pattern="chessboard") for image in images]
     result = calibrate(found, pitch=100.0, pixel_size=5.0, **given)
-    assert str(result) in told.out
+    assert str(result) in printed.out
     hold_alike(
         json.loads((tmp_path / "out" / "camera.json").read_text()), json.loads(result.to_json())
     )
@@ -287,9 +288,7 @@ def test_calibrate_takes_several_views_and_says_what_it_sees(
         assert "px rms" in ax.get_title()
 
 
-def test_calibrate_leaves_out_what_is_not_like_most_photographs(
-    tmp_path: Path, capsys: Told
-) -> None:
+def test_calibrate_leaves_out_photographs_that_disagree(tmp_path: Path, capsys: Capture) -> None:
     """Another size ended with all photographs, and another lattice doubled the focal length."""
     flat = np.pad(np.kron(np.indices((7, 9)).sum(axis=0) % 2, np.ones((40, 40))), 60)
     camera, images = np.array([[900, 0, 239.5], [0, 900, 199.5], [0, 0, 1]]), {}
@@ -303,12 +302,12 @@ def test_calibrate_leaves_out_what_is_not_like_most_photographs(
     for name, image in images.items():
         cv2.imwrite(str(tmp_path / f"{name}.png"), image)
     assert status(f"calibrate {tmp_path} --pitch 100 --cell 5", tmp_path / "out") == 0
-    told = capsys.readouterr()
-    assert "wide.png: its size is 488×408 px, of most 480×400" in told.err
-    assert "stretched.png: it disagrees with the others by" in told.err
-    assert "5 view(s)" in told.out
+    printed = capsys.readouterr()
+    assert "wide.png: its size is 488×408 px, of most 480×400" in printed.err
+    assert "stretched.png: it disagrees with the others by" in printed.err
+    assert "5 view(s)" in printed.out
     found = [detect_squares(images[f"view_{k}"], pattern="chessboard") for k in range(5)]
-    assert str(calibrate(found, pitch=100.0, pixel_size=5.0)) in told.out
+    assert str(calibrate(found, pitch=100.0, pixel_size=5.0)) in printed.out
 
 
 def test_advice_is_that_of_the_result() -> None:
@@ -334,21 +333,21 @@ def test_advice_is_that_of_the_result() -> None:
     assert advice(32.0, True, 1.0, ("alpha", "f")).startswith("alpha, f: undetermined; give --f")
 
 
-def test_calibrate_says_what_to_do_next(tmp_path: Path, capsys: Told) -> None:
+def test_calibrate_prints_advice(tmp_path: Path, capsys: Capture) -> None:
     image = np.full((1500, 2000), 230, np.uint8)
     image[100:500, 200:680] = board(0.0)
     cv2.imwrite(str(tmp_path / "small.png"), image)
     line = f"calibrate {tmp_path / 'small.png'} --marks chessboard --pitch 100 --cell 5"
     assert status(line, tmp_path / "out") == 0
-    told = capsys.readouterr().err
-    assert "less than 5 % of the image" in told
-    assert "give --focal-length" in told or "reaches zero" in told
+    printed = capsys.readouterr().err
+    assert "less than 5 % of the image" in printed
+    assert "give --focal-length" in printed or "reaches zero" in printed
 
 
-def test_track_follows_the_square(tmp_path: Path, capsys: Told) -> None:
+def test_track_follows_the_true_path(tmp_path: Path, capsys: Capture) -> None:
     line = f"track frames.tif {BOX} --rate 33 --pixel-size 6.23"
-    told = overwritten(line, tmp_path / "track.csv", tmp_path / "track.csv", capsys)
-    assert "lost in 0 of 40 frames" in told
+    printed = overwritten(line, tmp_path / "track.csv", tmp_path / "track.csv", capsys)
+    assert "lost in 0 of 40 frames" in printed
     table, truth = pd.read_csv(tmp_path / "track.csv"), pd.read_csv(INPUTS / "frames_path.csv")
     way = table[["center_x", "center_y"]].to_numpy()
     assert np.abs(way - truth[["x_px", "y_px"]].to_numpy()).max() < 0.1
@@ -366,10 +365,10 @@ def test_track_follows_the_square(tmp_path: Path, capsys: Told) -> None:
             {"motion": "homography", "rate": 12.5, "pixel_size": 2.5}),
     ],
 )  # fmt: skip
-def test_the_rows_are_those_of_the_call(
-    line: str, options: dict, tmp_path: Path, capsys: Told, figures: list[Figure]
+def test_track_writes_what_the_library_returns(
+    line: str, options: dict, tmp_path: Path, capsys: Capture, figures: list[Figure]
 ) -> None:
-    """Of a part that is lost in one frame, in 16 bits; in a pipe without a bar, twice."""
+    """A part that is lost in one frame, in 16 bits; the same run again gives the same table."""
     way = [(60 + 2.5 * k, 60 - k) for k in range(6)]
     frames = np.stack(texture_sequence(way, np.random.default_rng(1))).astype(np.uint16) * 200
     frames[4] //= 2
@@ -378,9 +377,9 @@ def test_the_rows_are_those_of_the_call(
     out = tmp_path / "track.csv"
     line = f"track {tmp_path / 'film.tif'} --box 60 60 49 49 {line}"
     assert status(line, out, "") == 0
-    told = capsys.readouterr()
-    assert "lost in 1 of 6 frames;" in told.out
-    assert not told.err
+    printed = capsys.readouterr()
+    assert "lost in 1 of 6 frames;" in printed.out
+    assert not printed.err
     before = out.read_text()
     assert status(f"{line} --quiet --overwrite", out, "") == 0
     assert not capsys.readouterr().out
@@ -426,19 +425,21 @@ def write_film(path: Path, count: int, share: float = 1.0) -> None:
 
 
 @pytest.mark.parametrize("task", ["depth", "track"])
-def test_a_film_that_ends_early(tmp_path: Path, capsys: Told, task: str) -> None:
+def test_truncated_film_is_an_error_and_track_keeps_its_rows(
+    tmp_path: Path, capsys: Capture, task: str
+) -> None:
     write_film(tmp_path / "cut.avi", 30, share=0.8)
     line = {"depth": "--spacing 5 --pixel-size 2", "track": "--box 60 60 49 49"}[task]
     out = tmp_path / ("out" if task == "depth" else "out.csv")
     found = status(f"{task} {tmp_path / 'cut.avi'} {line}", out)
     assert found == {"depth": 2, "track": 3}[task]
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1
     if task == "depth":
-        assert "its header has 30 frames" in told
+        assert "its header has 30 frames" in printed
         assert not out.exists()
         return
-    count = int(re.search(r"keeps the (\d+) rows so far", told)[1])
+    count = int(re.search(r"keeps the (\d+) rows so far", printed)[1])
     assert 10 < count < 30
     way = pd.read_csv(out)["center_x"]
     assert len(way) == count
@@ -446,7 +447,7 @@ def test_a_film_that_ends_early(tmp_path: Path, capsys: Told, task: str) -> None
 
 
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
-def test_a_stopped_track_keeps_its_rows(tmp_path: Path, end: signal.Signals) -> None:
+def test_stopped_track_keeps_its_rows(tmp_path: Path, end: signal.Signals) -> None:
     out = tmp_path / "track.csv"
     tifffile.imwrite(
         tmp_path / "long.tif", np.tile(tifffile.imread(INPUTS / "frames.tif"), (40, 1, 1))
@@ -459,17 +460,15 @@ def test_a_stopped_track_keeps_its_rows(tmp_path: Path, end: signal.Signals) -> 
     with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, encoding="utf-8") as process:
         until(lambda: out.exists() and out.read_text().count("\n") >= 6)
         process.send_signal(end)
-        told = process.communicate()[1]
+        printed = process.communicate()[1]
     rows = pd.read_csv(out)
     assert 5 <= len(rows) < 1600
     if end == signal.SIGINT:
         assert process.returncode == 130
-        assert told == f"microlib track: stopped; {out} keeps the {len(rows)} rows so far\n"
+        assert printed == f"microlib track: stopped; {out} keeps the {len(rows)} rows so far\n"
 
 
-def test_a_row_that_was_written_as_ctrl_c_came_is_counted(
-    tmp_path: Path, monkeypatch, capsys
-) -> None:
+def test_row_written_during_ctrl_c_is_counted(tmp_path: Path, monkeypatch, capsys) -> None:
     class Stopped(csv.DictWriter):
         def writerow(self, row: dict) -> None:
             super().writerow(row)
@@ -497,21 +496,23 @@ def test_each_row_is_written_before_the_next_frame(tmp_path: Path, monkeypatch) 
     assert lines == [*range(2, len(lines) + 2)]
 
 
-def test_a_part_that_is_lost_is_told(tmp_path: Path, capsys: Told) -> None:
+def test_lost_part_gives_exit_status_4(tmp_path: Path, capsys: Capture) -> None:
     rng = np.random.default_rng(0)
     frames = rng.integers(0, 255, (9, 100, 120)).astype(np.uint8)
     frames[:2] = cv2.GaussianBlur(frames[0], (0, 0), 2)
     tifffile.imwrite(tmp_path / "noise.tif", frames)
     assert status(f"track {tmp_path / 'noise.tif'} {BOX}", tmp_path / "track.csv") == 4
-    told = capsys.readouterr().err
-    assert "lost in 7 of 9 frames: try another --motion" in told
+    printed = capsys.readouterr().err
+    assert "lost in 7 of 9 frames: try another --motion" in printed
     assert len(pd.read_csv(tmp_path / "track.csv")) == 9
 
 
 @pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
-def test_modulus_holds_the_truth(tmp_path: Path, capsys: Told, figures: list[Figure]) -> None:
+def test_modulus_interval_contains_the_true_value(
+    tmp_path: Path, capsys: Capture, figures: list[Figure]
+) -> None:
     line = f"{OUTLINE} --thickness-std 0.2um"
-    told = overwritten(line, tmp_path / "out.csv", tmp_path / "out_look.png", capsys)
+    printed = overwritten(line, tmp_path / "out.csv", tmp_path / "out_look.png", capsys)
     found = pd.read_csv(tmp_path / "out.csv", index_col="quantity")["value"]
     assert found["modulus_low95_MPa"] < 1.3 < found["modulus_high95_MPa"]
     assert found["dimple_radius"] == pytest.approx(250, abs=3.875)  # a pixel
@@ -539,7 +540,7 @@ def test_modulus_holds_the_truth(tmp_path: Path, capsys: Told, figures: list[Fig
         words = f"E = {modulus:.4g} MPa, 95 % between {ends.iloc[0]:.4g} and {ends.iloc[1]:.4g} MPa"
         a, w = (f"{values[name]:.1f} ± {stds[name]:.1f} µm" for name in [*values][-2:])
         words = f"{rim} rim{', as in the thesis' * (rim == 'left')}: {words}\na = {a}, w_d = {w}"
-        assert words in told
+        assert words in printed
         assert words in title
         points |= {f"{rim} rim": dimple.rim, "bottom": dimple.bottom}
     for line in figures[0].axes[0].lines:
@@ -564,8 +565,8 @@ POINTS = pd.read_csv(INPUTS / "outline.csv")
         (POINTS.rename(columns={"x": "x_um", "y": "y_um"}), "", 2, "leave out --pixel-size"),
     ],
 )
-def test_the_direction_and_unit_of_a_table_are_told(
-    table: pd.DataFrame, options: str, code: int, message: str, tmp_path: Path, capsys: Told
+def test_direction_and_unit_of_an_outline_table(
+    table: pd.DataFrame, options: str, code: int, message: str, tmp_path: Path, capsys: Capture
 ) -> None:
     file, out = tmp_path / "points.csv", tmp_path / "out.csv"
     table.to_csv(file, index=False)
@@ -578,7 +579,7 @@ def test_the_direction_and_unit_of_a_table_are_told(
 
 
 @pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
-def test_rims_that_disagree_are_noted(tmp_path: Path, capsys: Told) -> None:
+def test_disagreeing_rims_give_a_note(tmp_path: Path, capsys: Capture) -> None:
     """A left flank that is stretched by a half."""
     file = tmp_path / "points.csv"
     middle = POINTS["x"].mean()
@@ -636,31 +637,31 @@ def test_rims_that_disagree_are_noted(tmp_path: Path, capsys: Told) -> None:
         (f"{OUTLINE} --y-down", "leave out --y-down"),
     ],
 )
-def test_what_cannot_work_is_told_in_one_line(
-    line: str, message: str, tmp_path: Path, capsys: Told, monkeypatch: pytest.MonkeyPatch
+def test_error_has_one_line_and_leaves_no_file(
+    line: str, message: str, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     line, _, out = line.partition(" -o ")
     table = line.split()[0] in ("track", "modulus")
     assert status(line, out or ("out.csv" if table else "out")) == 2
-    told = capsys.readouterr().err
-    assert message in told
-    assert told.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert message in printed
+    assert printed.count("\n") == 1
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
     ("name", "value"), [("force", 1e-5), ("pixel_size", 50800.0), ("pixel_size", 0.006)]
 )
-def test_a_scale_in_another_unit_is_noted(name: str, value: float) -> None:
+def test_unusual_scale_gives_a_note(name: str, value: float) -> None:
     notes: list[str] = []
     a = Namespace(**{name: value}, spacing=-25.0, say=lambda *_: None, note=notes.append)
-    assert settle(a, "spacing", name) == {"spacing": -25.0, name: value}
+    assert resolve_scales(a, "spacing", name) == {"spacing": -25.0, name: value}
     assert notes[0].startswith(f"--{name.replace('_', '-')} {value:g} is unusual")
 
 
 @pytest.mark.parametrize("text", ["10", "10uN", "1e4 nN", "0,01mN", "10e-6N"])
-def test_a_number_may_have_its_unit(text: str) -> None:
+def test_number_can_have_a_unit(text: str) -> None:
     assert _quantity("µN")(text) == pytest.approx(10)
     assert _quantity("µm/px")(text.replace("N", "m/px")) == pytest.approx(10)
 
@@ -685,37 +686,42 @@ def stopped(*given: object, **options: object) -> None:
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("how", [full, stopped])
-def test_what_is_written_stays_when_a_later_file_fails(
-    line: str, fails: Callable, kept: list, how: Callable, tmp_path: Path, capsys: Told, monkeypatch
+def test_written_files_stay_when_a_later_file_fails(
+    line: str,
+    fails: Callable,
+    kept: list,
+    how: Callable,
+    tmp_path: Path,
+    capsys: Capture,
+    monkeypatch,
 ) -> None:
     owner = {"plot": FocusResult, "plot_track": tracking, "polylines": cv2}.get(fails.__name__, io)
     monkeypatch.setattr(owner, fails.__name__, how)
     folder = tmp_path / "new"
     out = folder if line == STACK else folder / "out.csv"
     found = status(line, out, "")
-    task, told = line.split()[0], capsys.readouterr().err
+    task, printed = line.split()[0], capsys.readouterr().err
     if how is full and owner is not io:  # a picture, without which the numbers are complete
         assert found == 0
-        assert told.count("\n") == 1
-        assert told.startswith("note: ")
-        assert told.endswith(f" is not written: {out}: No space left on device\n")
-        kept = (
-            [*kept, "out_look"]
-            if "polylines" not in fails.__name__ and "plot_track" in fails.__name__
-            else kept
-        )
+        assert printed.count("\n") == 1
+        assert printed.startswith("note: ")
+        assert printed.endswith(f" is not written: {out}: No space left on device\n")
+        kept = [*kept, "out_look"] if fails.__name__ == "plot_track" else kept
     else:
         assert found == (2 if how is full else 130)
         reason = f"{out}: No space left on device" if how is full else "stopped"
-        assert told == f"microlib {task}: {reason}\n"
+        assert printed == f"microlib {task}: {reason}\n"
     assert sorted(path.name.split(".")[0] for path in folder.iterdir()) == kept
 
 
-@pytest.mark.parametrize("task", ["depth", "calibrate", "track", "modulus"])
-def test_help_shows_an_example(task: str, capsys: Told) -> None:
-    with pytest.raises(SystemExit, match="0"):
-        main([task, "--help"])
-    assert f"Example: microlib {task} " in capsys.readouterr().out
+def test_help_lists_the_tasks_and_shows_an_example(capsys: Capture) -> None:
+    assert main([]) == 0
+    overview = capsys.readouterr().out
+    for task in ("depth", "calibrate", "track", "modulus"):
+        assert re.search(rf"^ +{task}\s+[A-Z]", overview, flags=re.M)
+        with pytest.raises(SystemExit, match="0"):
+            main([task, "--help"])
+        assert f"Example: microlib {task} " in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -727,7 +733,7 @@ def test_help_shows_an_example(task: str, capsys: Told) -> None:
         "import microlib; help(microlib)",
     ],
 )
-def test_without_opencv_the_last_line_says_what_to_install(tmp_path: Path, code: str) -> None:
+def test_missing_opencv_error_names_the_package(tmp_path: Path, code: str) -> None:
     (tmp_path / "cv2.py").write_text("raise ModuleNotFoundError('No module', name='cv2')")
     done = subprocess.run(
         [sys.executable, "-c", code, *STACK.split(), "-o", str(tmp_path / "out")],
@@ -744,8 +750,8 @@ def test_without_opencv_the_last_line_says_what_to_install(tmp_path: Path, code:
         assert done.stderr == f"{last}\n"
 
 
-def test_a_full_disk_is_named_and_no_look_of_another_run_stays(
-    tmp_path: Path, capsys: Told
+def test_full_disk_is_reported_and_old_pictures_are_removed(
+    tmp_path: Path, capsys: Capture
 ) -> None:
     (tmp_path / "full.csv").symlink_to("/dev/full")
     assert status(f"track frames.tif {BOX} --overwrite", tmp_path / "full.csv") == 2
@@ -760,8 +766,8 @@ def test_a_full_disk_is_named_and_no_look_of_another_run_stays(
 # --- The user's files, numbers and terminals ------------------------------------------------------
 
 
-def test_no_output_replaces_what_is_read(tmp_path: Path, capsys: Told) -> None:
-    """Also behind a link, and when told to write over files."""
+def test_output_never_replaces_an_input(tmp_path: Path, capsys: Capture) -> None:
+    """Also behind a link, and when printed to write over files."""
     folder = tmp_path / "scan"
     folder.mkdir()
     stack = tifffile.imread(INPUTS / "focal_stack.tif")
@@ -782,13 +788,13 @@ def test_no_output_replaces_what_is_read(tmp_path: Path, capsys: Told) -> None:
         ),
     ):
         assert status(line, out, "--overwrite") == 2
-        assert f"{folder / name} is what is read: give another --out" in capsys.readouterr().err
+        assert f"{folder / name} is an input: give another --out" in capsys.readouterr().err
     assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
 
 
 @pytest.mark.parametrize("task", ["depth", "calibrate", "track"])
-def test_results_beside_the_frames_do_not_spoil_the_next_run(
-    task: str, tmp_path: Path, capsys: Told, monkeypatch: pytest.MonkeyPatch
+def test_results_in_the_input_folder_are_ignored(
+    task: str, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     if task == "calibrate":
@@ -814,7 +820,7 @@ def test_results_beside_the_frames_do_not_spoil_the_next_run(
         assert (tmp_path / name).read_bytes() == content
 
 
-def test_a_channel_is_chosen_of_a_file_with_more_axes(tmp_path: Path, capsys: Told) -> None:
+def test_channel_and_time_select_a_stack(tmp_path: Path, capsys: Capture) -> None:
     stack = tifffile.imread(INPUTS / "focal_stack.tif")
     many = np.stack([np.full_like(stack, 7), stack], axis=1)[None]
     tifffile.imwrite(
@@ -842,7 +848,7 @@ def test_a_channel_is_chosen_of_a_file_with_more_axes(tmp_path: Path, capsys: To
         ("1,500", None), ("-1,500", None), ("126.000,5", None), ("1,23,456", None),
     ],
 )  # fmt: skip
-def test_a_comma_is_read_right_or_rejected(text: str, number: float | None, capsys: Told) -> None:
+def test_ambiguous_comma_is_rejected(text: str, number: float | None, capsys: Capture) -> None:
     line = ["calibrate", "a.png", "--pitch", "1", "--cell", "1", "-o", "out", "--quiet"]
     if number is not None:
         assert _quantity("µm")(text) == number
@@ -850,14 +856,14 @@ def test_a_comma_is_read_right_or_rejected(text: str, number: float | None, caps
         return
     with pytest.raises(SystemExit, match="2"):
         main([*line, f"--focal-length={text}"])
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1
     if text in ("126,000", "1,500"):
-        assert f"{text} can be {text.replace(',', '')} or {text.replace(',', '.')}" in told
+        assert f"{text} can be {text.replace(',', '')} or {text.replace(',', '.')}" in printed
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "cp932"])
-def test_a_terminal_without_some_letters_gets_others(tmp_path: Path, encoding: str) -> None:
+def test_letters_that_a_terminal_lacks_are_replaced(tmp_path: Path, encoding: str) -> None:
     """A name with letters of another script, and the µ and ± of the results."""
     (tmp_path / "сетка.png").write_bytes((INPUTS / "circles.png").read_bytes())
     line = [
@@ -883,13 +889,6 @@ def run_command(line: list, *options: str, **env: str) -> subprocess.CompletedPr
     )
 
 
-def test_without_a_task_the_tasks_are_listed(capsys: Told) -> None:
-    assert main([]) == 0
-    told = capsys.readouterr().out
-    for task in ("depth", "calibrate", "track", "modulus"):
-        assert re.search(rf"^ +{task}\s+[A-Z]", told, flags=re.M)
-
-
 def test_commands_run_without_docstrings(tmp_path: Path) -> None:
     done = run_command([*OUTLINE.split(), "--no-look", "-o", tmp_path / "a.csv"], "-OO")
     assert (done.returncode, b"Traceback" in done.stderr) == (0, False)
@@ -908,7 +907,7 @@ image.cmap: jet
 """
 
 
-def test_the_users_style_does_not_reach_the_picture(tmp_path: Path) -> None:
+def test_user_style_does_not_change_the_picture(tmp_path: Path) -> None:
     looks = []
     for name, style in (("plain", ""), ("own", MATPLOTLIBRC)):
         (tmp_path / f"{name}.rc").write_text(style)
@@ -921,21 +920,8 @@ def test_the_users_style_does_not_reach_the_picture(tmp_path: Path) -> None:
     assert np.abs(looks[1] - looks[0]).mean() < 1  # of 255; another origin gives 20
 
 
-def test_a_picture_that_fails_in_any_way_is_a_note(
-    tmp_path: Path, capsys: Told, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise RuntimeError("latex could not be found\n" * 80)
-
-    monkeypatch.setattr(FocusResult, "plot", fail)
-    assert status(STACK, tmp_path / "out", "") == 0
-    told = capsys.readouterr().err
-    assert told.startswith("note: look.png is not written: RuntimeError: latex")
-    assert told.count("\n") == 1
-
-
-def test_an_error_of_any_kind_has_one_line(
-    tmp_path: Path, capsys: Told, monkeypatch: pytest.MonkeyPatch
+def test_error_of_any_kind_has_one_line(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object, **__: object) -> None:
         raise cv2.error("OpenCV(5.0.0)\nassertion\nfailed")
@@ -945,24 +931,24 @@ def test_an_error_of_any_kind_has_one_line(
     assert capsys.readouterr().err == "microlib depth: error: OpenCV(5.0.0) assertion failed\n"
 
 
-def test_a_film_that_cannot_be_written_is_a_note(tmp_path: Path, capsys: Told) -> None:
+def test_film_that_cannot_be_written_gives_a_note(tmp_path: Path, capsys: Capture) -> None:
     wide = np.random.default_rng(0).integers(0, 255, (2, 64, 9000)).astype(np.uint8)
     tifffile.imwrite(tmp_path / "wide.tif", wide)
     assert status(f"track {tmp_path}/wide.tif --box 20 8 40 40 --video", tmp_path / "t.csv") in (
         0,
         4,
     )
-    told = capsys.readouterr()
+    printed = capsys.readouterr()
     film = tmp_path / "t_look.mp4"
     if film.exists():  # of a build of OpenCV that can
         assert cv2.VideoCapture(str(film)).read()[0]
     else:
-        assert "t_look.mp4 is not written: OpenCV cannot write a film of 9000×64 px" in told.err
-        assert "t_look.mp4" not in told.out
+        assert "t_look.mp4 is not written: OpenCV cannot write a film of 9000×64 px" in printed.err
+        assert "t_look.mp4" not in printed.out
 
 
-def test_names_of_outputs_may_be_a_dot_or_begin_with_a_tilde(
-    tmp_path: Path, capsys: Told, monkeypatch: pytest.MonkeyPatch
+def test_output_name_can_be_a_dot_or_begin_with_a_tilde(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
@@ -987,7 +973,7 @@ def test_names_of_outputs_may_be_a_dot_or_begin_with_a_tilde(
     ],
 )
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
-def test_a_table_of_points_is_read_as_it_is_written(
+def test_outline_table_formats_are_read(
     text: str, points: list, encoding: str, tmp_path: Path
 ) -> None:
     (tmp_path / "a.csv").write_text(text, encoding=encoding)
@@ -998,7 +984,7 @@ def test_a_table_of_points_is_read_as_it_is_written(
     ("text", "words"),
     [("x,y\n1,2\n3,\n", r"line 3, got '3, '"), ("x_um,y_px\n1,2\n", "in one unit, got um and px")],
 )
-def test_a_table_that_cannot_be_read_names_the_cause(text: str, words: str, tmp_path: Path) -> None:
+def test_error_of_an_outline_table_names_the_cause(text: str, words: str, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(ValueError, match=words):
         read_outline(tmp_path / "a.csv")

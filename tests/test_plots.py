@@ -1,4 +1,4 @@
-"""The pictures of results: what is drawn is what the result has, read back from the axes."""
+"""The pictures of results, read back from their axes."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def hold_round(factor, largest):
 
 
 def mapped(pixel_size):
-    """A dome beside the middle, unknown in a corner."""
+    """Return a dome beside the center, unknown in a corner."""
     rng, (y, x) = np.random.default_rng(0), np.mgrid[:31, :52].astype(float)
     depth = 40 - 0.02 * ((x - 20) ** 2 + 2 * (y - 13) ** 2) + rng.normal(0, 0.05, x.shape)
     depth[:9, 30:] = np.nan
@@ -53,7 +53,7 @@ def mapped(pixel_size):
 
 
 @pytest.mark.parametrize(("pixel_size", "unit"), [(3.9, "µm"), (None, "frames"), (350.0, "µm")])
-def test_the_maps_show_the_heights_with_their_unit_and_scale(pixel_size, unit):
+def test_maps_show_values_with_unit_and_scale(pixel_size, unit):
     found = mapped(pixel_size)
     axes = found.plot(unit=unit).axes
     hold_photograph(axes[0], found.all_in_focus)
@@ -101,7 +101,7 @@ def test_the_maps_show_the_heights_with_their_unit_and_scale(pixel_size, unit):
     assert [len(each.images) for each in own.axes] == [1, 0]  # with its color bar
 
 
-def test_maps_of_nothing_or_without_any_error_are_drawn():
+def test_maps_without_a_height_or_an_error_are_drawn():
     found, nothing = mapped(2.0), np.full((31, 52), np.nan)
     assert "100 % unknown" in replace(found, depth=nothing).plot().axes[1].get_title()
     shown = replace(found, uncertainty=np.zeros((31, 52))).plot().axes[2]
@@ -109,7 +109,7 @@ def test_maps_of_nothing_or_without_any_error_are_drawn():
     assert shown.get_title() == "uncertainty"
 
 
-def test_marks_and_residuals_are_drawn_on_the_photograph():
+def test_marks_are_drawn_on_the_photograph():
     scope = Microscope(2e5, 126000, 79380, alpha=0.1, beta=0.03, tx=-900, ty=-700)
     photograph = synthetic.render_circles(scope, pitch=280.0)
     found = detect_circles(photograph)
@@ -123,7 +123,7 @@ def test_marks_and_residuals_are_drawn_on_the_photograph():
 
 
 @pytest.mark.parametrize("photographs", [True, False])
-def test_each_view_has_its_own_marks_residuals_and_numbers(photographs):
+def test_each_view_shows_its_marks_and_residuals(photographs):
     rng, found = np.random.default_rng(1), []
     for rows, columns in ((3, 4), (5, 4), (7, 6)):
         grid = np.argwhere(np.ones((columns, rows))) - 2
@@ -145,8 +145,8 @@ def test_each_view_has_its_own_marks_residuals_and_numbers(photographs):
         factors.append(float(np.median(seen / own)))
         np.testing.assert_allclose(seen, factors[-1] * own)
         rms = np.sqrt(np.mean(np.hypot(*own.T) ** 2))
-        told = f"{len(each.points)} points\n{rms:.2g} px rms (red, × {factors[-1]:g})"
-        assert ax.get_title() == told
+        title = f"{len(each.points)} points\n{rms:.2g} px rms (red, × {factors[-1]:g})"
+        assert ax.get_title() == title
         for text in ax.texts:  # a place in the grid, at its point
             place = np.array(text.get_text().split(","), dtype=int)
             at = each.points[(each.grid == place).all(axis=1)]
@@ -164,7 +164,7 @@ def test_each_view_has_its_own_marks_residuals_and_numbers(photographs):
     assert [len(line.get_xdata()) for line in ax.lines] == [12]
 
 
-def test_the_outline_is_drawn_with_its_curve_its_points_and_its_modulus():
+def test_outline_is_drawn_with_curve_points_and_modulus():
     sizes = {"pixel_size": 7.75, "thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
     found = modulus_from_image(fuzz.egg().image, 150.0, **sizes)
     (ax,) = found.plot().axes
@@ -195,8 +195,8 @@ def test_the_outline_is_drawn_with_its_curve_its_points_and_its_modulus():
 
 @pytest.mark.parametrize("timed", [True, False])
 @pytest.mark.parametrize("micrometers", [True, False])
-def test_the_way_is_drawn_over_the_frame_and_against_time(timed, micrometers):
-    """Of a part that is lost in the first frame and in the fourth."""
+def test_path_is_drawn_over_the_frame_and_against_time(timed, micrometers):
+    """The part is lost in the first and in the fourth frame."""
     image = np.random.default_rng(0).uniform(3.0, 90.0, (120, 170))
     box = np.array([[0.0, 0.0], [19, 0], [19, 9], [0, 9]])
     starts, rows = [(70.0 + 3 * k, 60.0 - 2 * k * k) for k in range(7)], []
@@ -221,7 +221,7 @@ def test_the_way_is_drawn_over_the_frame_and_against_time(timed, micrometers):
     # Twice the box's sides are seen about the way, inside the frame.
     assert way.get_xlim() == (middle[1, 0] - 38, middle[-1, 0] + 38)
     assert way.get_ylim() == (middle[1, 1] + 18, -0.5)
-    assert way.get_title() == "the way, lost in 29% of the frames"
+    assert way.get_title() == "path, lost in 29% of the frames"
     time = np.arange(7) / 8 if timed else np.arange(7)
     moves = 1.7 * (gaps - middle[0]) if micrometers else gaps - middle[1]
     for line, values in zip(against.lines, moves.T, strict=False):
@@ -229,7 +229,7 @@ def test_the_way_is_drawn_over_the_frame_and_against_time(timed, micrometers):
     np.testing.assert_array_equal(against.lines[2].get_data(), [time[[0, 3]], [0, 0]])
     assert [text.get_text() for text in against.get_legend().texts] == ["x", "y (down)", "lost"]
     assert against.get_xlabel() == ("time (s)" if timed else "frame")
-    assert against.get_ylabel() == f"way from the start ({'µm' if micrometers else 'px'})"
+    assert against.get_ylabel() == f"displacement from the start ({'µm' if micrometers else 'px'})"
     own, ax = pyplot.subplots()
     assert plot_track(table[1:3], image, ax) is own
-    assert ax.get_title() == "the way, lost in 0% of the frames"
+    assert ax.get_title() == "path, lost in 0% of the frames"

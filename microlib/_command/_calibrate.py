@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import argparse
-from collections import Counter
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from statistics import mode
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._command._shared import Files, add_scales, picture, settle, text
+from microlib._command._shared import Files, add_scales, picture, resolve_scales, text
 from microlib._common import home_path
 
 
@@ -37,51 +37,52 @@ def run(a: argparse.Namespace) -> Files:
 
     given = [name for name in ("cell", "focal_length") if getattr(a, name) is not None]
     # A focal length in µm needs the size of a cell.
-    settle(a, "pitch", *(sorted({"cell", *given}) if given else []))
+    resolve_scales(a, "pitch", *(sorted({"cell", *given}) if given else []))
     if not given:
         a.note("without --cell, lengths in the camera are in cells of its sensor, not in µm")
     paths = [home_path(name) for name in a.source]
     photos = [file for path in paths for file in ([path] if path.is_file() else image_files(path))]
     a.protect(photos)
-    seen: dict[Path, tuple[NDArray, Any]] = {}
+    views: dict[Path, tuple[NDArray, Any]] = {}
+
+    def leave_out(photo: Path, reason: object) -> str:
+        views.pop(photo, None)
+        a.note(f"left out {photo}: {reason}")
+        return f"{photo}: {reason}"
+
+    fault = ""
     for photo in a.bar(photos, unit=" photos"):
         try:
             image = read_grey(photo)
             name, found = detect_pattern(image, a.marks)
-            seen[photo] = image, found
+            views[photo] = image, found
             a.say(f"{photo}: {name}: {found}")
         except ValueError as error:
-            fault = f"{photo}: {error}"
-            a.note(f"left out {fault}")
-    if not seen:
+            fault = leave_out(photo, error)
+    if not views:
         raise ValueError(fault + f"; so {len(photos)} photographs" * (len(photos) > 1))
-    sizes = Counter(found.image_size for _, found in seen.values())
-    size = sizes.most_common(1)[0][0]
-    for photo, (_, found) in list(seen.items()):
-        if found.image_size != size:
-            width, height = found.image_size
-            a.note(
-                f"left out {photo}: its size is {width}×{height} px, of most {size[0]}×{size[1]}"
-            )
-            del seen[photo]
+    sizes = {photo: "×".join(map(str, each.image_size)) for photo, (_, each) in views.items()}
+    usual_size = mode(sizes.values())
+    for photo, size in sizes.items():
+        if size != usual_size:
+            leave_out(photo, f"its size is {size} px, of most {usual_size}")
     scales = {"pitch": a.pitch, "pixel_size": a.cell or 1.0, "focal_length": a.focal_length}
-    result = calibrate([found for _, found in seen.values()], **scales)
+    result = calibrate([each for _, each in views.values()], **scales)
     usual = np.nanmedian(result.held_out) if np.isfinite(result.held_out).any() else np.inf
-    odd = result.held_out > 10 * usual
-    for photo, off in zip(np.array(list(seen))[odd], result.held_out[odd], strict=True):
-        a.note(
-            f"left out {photo}: it disagrees with the others by {off:.2g} px, they by {usual:.2g}"
-        )
-        del seen[photo]
-    images, views = zip(*seen.values(), strict=True)
-    if odd.any():
-        result = calibrate(views, **scales)
-    _advise(a, result, views)
-    tables = [found.to_frame().assign(photo=photo) for photo, (_, found) in seen.items()]
+    if (result.held_out > 10 * usual).any():
+        for photo, off in zip(list(views), result.held_out, strict=True):
+            if off > 10 * usual:
+                leave_out(
+                    photo, f"it disagrees with the others by {off:.2g} px, they by {usual:.2g}"
+                )
+        result = calibrate([each for _, each in views.values()], **scales)
+    images, detections = zip(*views.values(), strict=True)
+    _advise(a, result, detections)
+    tables = [each.to_frame().assign(photo=photo) for photo, (_, each) in views.items()]
     yield "points.csv", text(pd.concat(tables).set_index("photo").to_csv(lineterminator="\n"))
     yield "camera.csv", text(result.to_frame().to_csv(lineterminator="\n"))
     yield "camera.json", text(result.to_json())
-    yield "look.png", picture(partial(result.plot, found=views, images=images))
+    yield "look.png", picture(partial(result.plot, found=detections, images=images))
     a.say(result)
 
 

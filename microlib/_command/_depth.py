@@ -10,13 +10,12 @@ from math import ceil, sqrt
 
 import numpy as np
 
-from microlib._command import _shared
-from microlib._command._shared import Files, open_frames, picture, settle, text
+from microlib._command import _shared as shared
 
-#: The maps, and what they show.
+#: The maps, and what they contain.
 _MAPS = {
     "height.ome.tif": "heights in µm",
-    "uncertainty.ome.tif": "error to be expected of each height, µm",
+    "uncertainty.ome.tif": "standard deviation of each height, µm",
     "frame.ome.tif": "number of the frame nearest to focus, from 0; -1 where unknown",
     "all_in_focus.ome.tif": "every pixel from that frame",
 }
@@ -26,51 +25,49 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(files=[*_MAPS, "surface.ply", "summary.json", "look.png"])
     stack = "TIFF, OME-TIFF, zarr, video, folder or quoted pattern; one frame a focus position"
     parser.add_argument("source", metavar="STACK", help=stack)
-    _shared.add_scales(parser, "spacing", "pixel_size")
-    _shared.add_axes(parser)
+    shared.add_scales(parser, "spacing", "pixel_size")
+    shared.add_axes(parser)
     parser.add_argument("--register", action="store_true", help="undo motion from frame to frame")
-    corner = ("X", "Y", "W", "H")
-    parser.add_argument("--region", nargs=4, type=int, metavar=corner, help="part, px")
+    parser.add_argument("--region", help="part of the frames, px", **shared.BOX)
     parser.add_argument("--reduce", type=int, default=1, metavar="N", help="N×N px become one")
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="threads")
 
 
-def run(a: argparse.Namespace) -> Files:
+def run(a: argparse.Namespace) -> shared.Files:
     """Height of every pixel of a focal stack.
 
     Example: microlib depth scan.tif --spacing 25 --pixel-size 3.9 -o heights
     """
     from microlib import focus, io
 
-    frames = open_frames(a)
+    frames = shared.open_frames(a)
     if frames.count is not None and frames.count < 3:
         raise ValueError(f"{a.source} must hold three frames or more, got {frames.count}")
     z = frames.positions
     spacing = None if z is None else float(np.diff(z).mean())
-    settled = settle(a, "spacing", "pixel_size", spacing=spacing, pixel_size=frames.pixel_size)
-    passed = {name: getattr(a, name) for name in ("register", "region", "reduce", "workers")}
-    passed |= {"positions": z} if a.spacing is None else {"spacing": a.spacing}
+    scales = shared.resolve_scales(
+        a, "spacing", "pixel_size", spacing=spacing, pixel_size=frames.pixel_size
+    )
+    options = {name: getattr(a, name) for name in ("register", "region", "reduce", "workers")}
+    options |= {"positions": z} if a.spacing is None else {"spacing": a.spacing}
     with a.bar(unit=" frames") as bar:
 
         def progress(done: int, total: int | None) -> None:
             bar.total = total
             bar.update(done - bar.n)
 
-        found = focus.depth_from_focus(frames, **passed, progress=progress)
-    size = settled["pixel_size"] * a.reduce
+        found = focus.depth_from_focus(frames, **options, progress=progress)
+    size = scales["pixel_size"] * a.reduce
     found = replace(found, pixel_size=size)
     maps = (found.depth, found.uncertainty, found.index, found.all_in_focus)
     for (name, what), values in zip(_MAPS.items(), maps, strict=True):
         yield name, partial(io.write_height_tiff, height=values, pixel_size=size, what=what)
     sharp = found.all_in_focus
     grey = np.interp(sharp, (sharp.min(), sharp.max()), (0, 255)).astype(np.uint8)
-    step = max(1, ceil(sqrt(found.depth.size / 250_000)))  # more corners are slow to show
-    few = np.s_[::step, ::step]
-    yield (
-        "surface.ply",
-        partial(io.write_ply, height=found.depth[few], pixel_size=size * step, image=grey[few]),
-    )
-    numbers = found.to_dict() | settled | {"pixel_size": size}
-    yield "summary.json", text(json.dumps(numbers, indent=2))
-    yield "look.png", picture(found.plot)
+    step = max(1, ceil(sqrt(found.depth.size / 250_000)))  # more vertices are slow to show
+    mesh = {"height": found.depth[::step, ::step], "image": grey[::step, ::step]}
+    yield "surface.ply", partial(io.write_ply, **mesh, pixel_size=size * step)
+    summary = found.to_dict() | scales | {"pixel_size": size}
+    yield "summary.json", shared.text(json.dumps(summary, indent=2))
+    yield "look.png", shared.picture(found.plot)
     a.say(found)

@@ -1,4 +1,4 @@
-"""What the four commands share: the parser, the files, the notes, the exit status."""
+"""The parser, the files, the notes and the exit status of all commands."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from microlib._command import _calibrate, _depth, _modulus, _track
 from microlib._command._shared import option
 from microlib._common import ArgumentError, home_path, replace_file
 
-#: Endings of files that people ask for where a folder is meant.
-_OF_FILES = (".csv", ".json", ".png", ".tif", ".tiff", ".ply", ".txt", ".xlsx")
+#: Endings of names that are not meant as folders.
+_FILE_ENDINGS = (".csv", ".json", ".png", ".tif", ".tiff", ".ply", ".txt", ".xlsx")
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that says in one line what is wrong."""
+    """A parser whose errors have one line."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {message.removeprefix('argument ')}\n")
@@ -34,9 +34,9 @@ class _Parser(argparse.ArgumentParser):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit status, as its help lists them."""
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # a console may lack letters: print others for them
+        if hasattr(stream, "reconfigure"):  # replace letters that the console's encoding lacks
             stream.reconfigure(errors="replace")
-    # Libraries print lines of their own.
+    # Silence the messages that libraries print themselves.
     os.environ |= {"OPENCV_LOG_LEVEL": "OFF", "OPENCV_FFMPEG_LOGLEVEL": "-8"}
     logging.getLogger("tifffile").addHandler(logging.NullHandler())
     parser = _parser()
@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     a.say = (lambda *_: None) if a.quiet else print
     # Shown in a terminal only.
     a.bar = partial(tqdm, desc=a.task, leave=False, disable=a.quiet or None)
-    a.end = 0, ""  # a task may end with another status, and say why
+    a.end = 0, ""  # a task can set another exit status and its reason
     with warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)
         warnings.showwarning = lambda message, *_: a.note(message)
@@ -60,16 +60,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except KeyboardInterrupt:
             status, text = 130, "stopped"
         except Exception as error:
-            status, text, notes = 2, _explained(a, error), {}
+            status, text, notes = 2, _explain(a, error), {}
     if status:
         notes[f"microlib {a.task}: {text}"] = None
-    for note in notes:  # last, where they are read
+    for note in notes:  # last, where they are seen
         print(" ".join(note.split()), file=sys.stderr)
     return status
 
 
-def _explained(a: argparse.Namespace, error: Exception) -> str:
-    """Return what is wrong in the words of the command."""
+def _explain(a: argparse.Namespace, error: Exception) -> str:
+    """Return the message of an error, with options in place of names of arguments."""
     if isinstance(error, OSError) and error.errno:  # a full disk has no file's name
         return f"{error.filename or a.out}: {error.strerror}"
     if isinstance(error, ArgumentError):
@@ -80,45 +80,49 @@ def _explained(a: argparse.Namespace, error: Exception) -> str:
 
 
 def _write_files(a: argparse.Namespace) -> None:
-    """Write what a task gives, each file whole or not at all."""
-    files = _targets(a)
+    """Write the files that a task yields, each atomically."""
+    files, written = _targets(a), []
 
     def protect(inputs: Sequence[Path]) -> None:
         for target in files.values():
             if target.exists() and any(target.samefile(file) for file in inputs):
-                raise ValueError(f"{target} is what is read: give another --out")
+                raise ValueError(f"{target} is an input: give another --out")
 
     a.protect = protect
-    left_out = {"look.png": a.no_look, "look.mp4": not getattr(a, "video", False)}
     for name, write in a.run(a):
+        if name == "look.png" and a.no_look:
+            continue
         file = files[name]
         file.parent.mkdir(parents=True, exist_ok=True)
         try:
-            if not left_out.get(name):
-                replace_file(file, write)
-                continue
+            replace_file(file, write)
+            written.append(name)
         except Exception as error:
-            if name not in left_out and not isinstance(error, ValueError):
+            # Without a picture, and without a mesh if there is no height, the rest is useful.
+            if not name.startswith("look") and not isinstance(error, ValueError):
                 raise
-            # The numbers are written all the same.
-            a.note(f"{file.name} is not written: {_explained(a, error)}")
-        file.unlink(missing_ok=True)  # of another run
-    written = [file for file in files.values() if file.exists()]
-    a.say(f"{written[0].parent}: {', '.join(file.name for file in written)}")
+            a.note(f"{file.name} is not written: {_explain(a, error)}")
+    for name in files.keys() - {*written, "table"}:  # track writes its table row by row
+        files[name].unlink(missing_ok=True)  # of an earlier run
+    names = [file.name for file in files.values() if file.exists()]
+    a.say(f"{files[a.files[0]].parent}: {', '.join(names)}")
 
 
 def _targets(a: argparse.Namespace) -> dict[str, Path]:
-    """Return where each file goes; refuse what is there already or cannot be written."""
-    ending, table = a.out.suffix.lower(), "table" in a.files
-    if ending != ".csv" if table else ending in _OF_FILES and not a.out.is_dir():
-        need = "a table that ends in .csv" if table else "a folder"
-        raise ArgumentError("out", f"must be {need}, got {a.out}")
-    files = {name: a.out / name for name in a.files}
-    if table:
+    """Return the path of each file; raise if one exists already or cannot be written."""
+    ending = a.out.suffix.lower()
+    if "table" in a.files:
+        if ending != ".csv":
+            raise ArgumentError("out", f"must be a table that ends in .csv, got {a.out}")
         files = {name: a.out.with_name(f"{a.out.stem}_{name}") for name in a.files}
         files["table"] = a.out
-    if there := [f for f in files.values() if f.is_dir() or (f.exists() and not a.overwrite)]:
-        raise ValueError(f"{there[0]} is there already: give another --out, or --overwrite")
+    else:
+        if ending in _FILE_ENDINGS and not a.out.is_dir():
+            raise ArgumentError("out", f"must be a folder, got {a.out}")
+        files = {name: a.out / name for name in a.files}
+    for file in files.values():
+        if file.is_dir() or (file.exists() and not a.overwrite):
+            raise ValueError(f"{file} exists already: give another --out, or --overwrite")
     nearest = next(p for p in files[a.files[0]].absolute().parents if p.exists())
     try:
         tempfile.TemporaryFile(dir=nearest).close()
@@ -130,7 +134,7 @@ def _targets(a: argparse.Namespace) -> dict[str, Path]:
 def _parser() -> argparse.ArgumentParser:
     about = (microlib.__doc__ or "").partition("\n")[0]  # python -OO has none
     statuses = (
-        "Exit status: 0 done; 2 refused; 3 a film ended early, the rows so far are written; "
+        "Exit status: 0 done; 2 error; 3 the film ended early, the rows so far are written; "
         "4 the part was lost in most frames; 130 stopped by Ctrl-C."
     )
     parser = _Parser(prog="microlib", description=about, epilog=statuses)
@@ -142,9 +146,7 @@ def _parser() -> argparse.ArgumentParser:
         sub = tasks.add_parser(name, help=about, description=about, epilog=example)
         task.add_options(sub)
         sub.set_defaults(run=task.run)
-        out = (
-            "CSV file to write" if "table" in sub.get_default("files") else "folder for the results"
-        )
+        out = "CSV file" if "table" in sub.get_default("files") else "folder for the results"
         sub.add_argument("-o", "--out", required=True, type=Path, metavar="OUT", help=out)
         sub.add_argument("--overwrite", action="store_true", help="write over earlier results")
         sub.add_argument("--no-look", action="store_true", help="no picture of the result")

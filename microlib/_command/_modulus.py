@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import argparse
 from functools import partial
+from typing import Any
 
 import numpy as np
 
-from microlib._command._shared import Files, add_scales, picture, settle, text
+from microlib._command._shared import Files, add_scales, picture, resolve_scales, text
 from microlib._common import home_path
-
-_SIZES = ("dimple_radius", "dimple_depth")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -37,7 +36,7 @@ def run(a: argparse.Namespace) -> Files:
     if table.pixel_size is not None and a.pixel_size not in (None, table.pixel_size):
         raise ValueError(f"{a.source} has its points in a unit of length: leave out --pixel-size")
     scales = "force", "pixel_size", "thickness", "probe_half_width", "poisson_ratio"
-    values = settle(a, *scales, pixel_size=table.pixel_size)
+    values = resolve_scales(a, *scales, pixel_size=table.pixel_size)
     size = values.pop("pixel_size")
     stds = {"force": a.force_std or 0.0, "thickness": a.thickness_std or 0.0}
     down = a.y_down or table.y_down
@@ -46,42 +45,41 @@ def run(a: argparse.Namespace) -> Files:
         if a.y_down:
             raise ValueError(f"{a.source} has its dimple where y runs up: leave out --y-down")
         a.note(f"{a.source}: y is taken to run {'up' if down else 'down'}, where its dimple is")
-    result: dict[str, float] = {}
-    points: dict[str, tuple[float, float]] = {}
-    titles, intervals = [], []
-    for rim, prefix, dimple in (
-        ("left", "", measured.left),
-        ("right", "right_rim_", measured.right),
-    ):
-        values |= {name: getattr(dimple, name) for name in _SIZES}
-        stds |= zip(_SIZES, np.sqrt(np.diag(dimple.covariance)).tolist(), strict=True)
-        told, found = _estimate(values, stds)
-        result |= {prefix + name: value for name, value in found.items()}
-        points |= {f"{rim} rim": dimple.rim, "bottom": dimple.bottom}
-        titles.append(f"{rim} rim{', as in the thesis' * (rim == 'left')}: {told}")
-        intervals.append((found["modulus_low95_MPa"], found["modulus_high95_MPa"]))
-        a.say(titles[-1])
-    if max(low for low, _ in intervals) > min(high for _, high in intervals):
+    left, left_text = _estimate(measured.left, values, stds)
+    right, right_text = _estimate(measured.right, values, stds)
+    low, high = (f"modulus_{end}95_MPa" for end in ("low", "high"))
+    if max(left[low], right[low]) > min(left[high], right[high]):
         a.note(f"{a.source}: the moduli of the two rims differ by more than their intervals")
+    summary = f"left rim, as in the thesis: {left_text}\nright rim: {right_text}"
+    a.say(summary)
+    result = left | {f"right_rim_{name}": value for name, value in right.items()}
     lines = ["quantity,value", *(f"{name},{value:.10g}" for name, value in result.items()), ""]
     yield "table", text("\n".join(lines))
-    drawn = partial(outline, measured.x, measured.y, measured.curve, points, "\n".join(titles))
+    points = {"left rim": measured.left.rim, "bottom": measured.left.bottom}
+    points["right rim"] = measured.right.rim
+    drawn = partial(outline, measured.x, measured.y, measured.curve, points, summary)
     yield "look.png", picture(drawn)
-    a.say("the modulus, its interval, and what it was computed from:")
+    a.say("The table has the modulus, its interval, and the values that it was computed from.")
 
 
-def _estimate(values: dict[str, float], stds: dict[str, float]) -> tuple[str, dict[str, float]]:
-    """Return the modulus of a dimple, in words and in numbers."""
+def _estimate(
+    dimple: Any, values: dict[str, float], stds: dict[str, float]
+) -> tuple[dict[str, float], str]:
+    """Return the modulus of a dimple with its inputs, and a summary."""
     from microlib import membrane
 
+    values = values | {"dimple_radius": dimple.dimple_radius, "dimple_depth": dimple.dimple_depth}
+    radius_std, depth_std = np.sqrt(np.diag(dimple.covariance)).tolist()
+    stds = stds | {"dimple_radius": radius_std, "dimple_depth": depth_std}
     modulus = float(membrane.elastic_modulus(**values))
-    finite = float(membrane.finite_slope_modulus(**values))
     samples = membrane.modulus_samples(values, stds, size=100_000, rng=1)
     low, high = np.quantile(samples, [0.025, 0.975]).tolist()
-    a, depth = (f"{values[name]:.1f} ± {stds[name]:.1f} µm" for name in _SIZES)
-    told = (
-        f"E = {modulus:.4g} MPa, 95 % between {low:.4g} and {high:.4g} MPa\na = {a}, w_d = {depth}"
-    )
-    found = {"modulus_MPa": modulus, "finite_slope_modulus_MPa": finite}
+    found = {"modulus_MPa": modulus}
+    found["finite_slope_modulus_MPa"] = float(membrane.finite_slope_modulus(**values))
     found |= {"modulus_low95_MPa": low, "modulus_high95_MPa": high} | values
-    return told, found | {f"{name}_std": std for name, std in stds.items()}
+    found |= {f"{name}_std": std for name, std in stds.items()}
+    return found, (
+        f"E = {modulus:.4g} MPa, 95 % between {low:.4g} and {high:.4g} MPa\n"
+        f"a = {dimple.dimple_radius:.1f} ± {radius_std:.1f} µm, "
+        f"w_d = {dimple.dimple_depth:.1f} ± {depth_std:.1f} µm"
+    )

@@ -1,4 +1,4 @@
-"""What the commands share: options, numbers with units, frames, texts and pictures."""
+"""Options, numbers with units, frames, texts and pictures of all commands."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any
 
 from microlib._common import MEASURED, SOFTWARE, scalar
 
-#: Writes a file; what a task gives, by the names of its files.
+#: Writes a file; a task yields one for each name of its files.
 Writer = Callable[[Path], object]
 Files = Iterator[tuple[str, Writer]]
 
-#: What stands before the unit that the library computes in, and what it comes to there.
+#: Prefixes of a unit, relative to the micro-units of the library.
 _PREFIXES = {"n": 1e-3, "u": 1.0, "µ": 1.0, "μ": 1.0, "m": 1e3, "c": 1e4, "": 1e6}
 
 #: Unit of each scale, and what it is.
@@ -31,7 +31,9 @@ _SCALES = {
     "probe_half_width": ("µm", "of its end"),
     "poisson_ratio": ("ratio", "of the membrane; 0.5 if it keeps its volume"),
 }
-#: Those that may be zero or negative.
+#: Options of a part of an image.
+BOX: dict[str, Any] = {"nargs": 4, "type": int, "metavar": ("X", "Y", "W", "H")}
+#: Scales that can be zero or negative.
 _SIGNED = ("spacing", "poisson_ratio")
 
 
@@ -47,7 +49,7 @@ def add_scales(parser: argparse.ArgumentParser, *names: str) -> None:
 
 
 def _quantity(unit: str) -> Callable[[str], float]:
-    """Return what reads a number, with or without a unit of its own, in `unit`."""
+    """Return a parser of numbers with or without a unit of their own, which converts to `unit`."""
 
     def read(text: str) -> float:
         own = re.search(rf"\s*([nuµμmc]?){unit[1:].removesuffix('/px')}(/px)?$", text)
@@ -59,11 +61,11 @@ def _quantity(unit: str) -> Callable[[str], float]:
 
 
 class AmbiguousNumberError(argparse.ArgumentTypeError, ValueError):
-    """A number whose comma may be of decimals or of thousands; argparse shows its message."""
+    """A comma that can separate decimals or thousands; argparse prints the message."""
 
 
 def plain_number(text: str) -> float:
-    """Return a number with a decimal point or comma; 126,000 may be one of thousands."""
+    """Return a number with a decimal point or comma; reject one such as 126,000."""
     plain, decimal = text.replace(",", ""), text.replace(",", ".")
     thousands = re.fullmatch(r"\s*[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?", text)
     if thousands and text.count(",") == 1 and not thousands[2]:
@@ -71,22 +73,25 @@ def plain_number(text: str) -> float:
     return float(plain if thousands else decimal)
 
 
-def settle(a: argparse.Namespace, *names: str, **read: float | None) -> dict[str, float]:
-    """Return each scale, as given or read from the file, and say which; ask for the missing."""
-    values = {name: getattr(a, name) for name in names}
-    values = {name: read.get(name) if value is None else value for name, value in values.items()}
+def resolve_scales(
+    a: argparse.Namespace, *names: str, **from_file: float | None
+) -> dict[str, float]:
+    """Return and print each scale, as given or from the file; raise for those that are missing."""
+    given = {name: getattr(a, name) for name in names}
+    values: dict[str, Any] = given | {n: from_file.get(n) for n in names if given[n] is None}
     missing = [f"{option(name)} {_SCALES[name][0]}" for name in names if values[name] is None]
     if missing:
         raise ValueError(f"no scale is in the file: give {', '.join(missing)}")
     for name, value in values.items():
         unit = _SCALES[name][0]
         scalar(name, value, above=None if name in _SIGNED else 0)
-        a.say(f"{name} {value:g} {unit} ({'the file' if getattr(a, name) is None else 'given'})")
+        a.say(f"{name} {value:g} {unit} ({'the file' if given[name] is None else 'given'})")
         low, high = MEASURED.get(unit, (0, 1))
         if not low <= abs(value) <= high:
-            usual = f"{low:g} to {high:g} {unit}"
-            text = f"{option(name)} {value:g} is unusual under a microscope, which meets {usual}"
-            a.note(f"{text}; a number may have its unit, as 0.2mm")
+            a.note(
+                f"{option(name)} {value:g} is unusual under a microscope, expected {low:g} to "
+                f"{high:g} {unit}; a number can have a unit, as 0.2mm"
+            )
     return values
 
 
@@ -96,17 +101,12 @@ def add_axes(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(option(name), type=int, metavar="N", help=f"{name} to read, from 0")
 
 
-def read(a: argparse.Namespace) -> Any:
-    """Return a reader of the frames of a task."""
+def open_frames(a: argparse.Namespace) -> Any:
+    """Return a reader of the frames, whose files are printed and cannot be overwritten."""
     from microlib.io import read_frames
 
-    chosen = {name: getattr(a, name) for name in ("channel", "time", "series")}
-    return read_frames(a.source, color=True, **chosen)
-
-
-def open_frames(a: argparse.Namespace) -> Any:
-    """Return a reader, once the order of files is printed and none of them is to be replaced."""
-    frames = read(a)
+    choice = {name: getattr(a, name) for name in ("channel", "time", "series")}
+    frames = read_frames(a.source, color=True, **choice)
     a.protect(frames.files)
     if len(frames.files) > 1:
         a.say(f"{len(frames.files)} files, from {frames.files[0].name} to {frames.files[-1].name}")
@@ -118,7 +118,7 @@ def text(content: str) -> Writer:
 
 
 def picture(draw: Callable[[], Any]) -> Writer:
-    """Return what draws a figure once its file is to be written."""
+    """Return a writer that draws the figure."""
 
     def write(file: Path) -> None:
         from microlib._plots import default_style

@@ -1,4 +1,4 @@
-"""What several subjects share: argument checks, types, covariance, files, threads, devices."""
+"""Argument checks, types, covariance, files, results and device calls of several packages."""
 
 from microlib._common._checks import (
     MEASURED,

@@ -1,13 +1,14 @@
-"""Argument checks shared by the whole library, with one wording for every error.
+"""Argument checks of the whole library.
 
-Each function returns the checked value, or raises `ArgumentError`, which names the argument, says
-what is needed and what came.
+Each function returns the checked value or raises an `ArgumentError` that names the argument, the
+requirement and the value.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from math import isfinite
+from operator import ge, gt, le, lt
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,8 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from microlib._common._types import Array, Region
 
-#: µm in the units that OME and ImageJ name; what is not here has no size, such as "pixel", or is a
-#: printer's, such as "inch".
+#: Units of length in OME and ImageJ metadata, in µm: not "pixel", and not "inch", the unit of a
+#: printer's resolution.
 MICROMETERS = {
     **dict.fromkeys(("nm", "nanometer"), 1e-3),
     **dict.fromkeys(("µm", "μm", "um", "\\u00b5m", "micron", "microns", "micrometer"), 1.0),
@@ -24,7 +25,7 @@ MICROMETERS = {
     **dict.fromkeys(("cm", "centimeter"), 1e4),
     **dict.fromkeys(("m", "meter"), 1e6),
 }
-#: What is measured under a light microscope lies between these; in another unit it does not.
+#: Ranges of quantities under a light microscope, wide enough that only a wrong unit is outside.
 MEASURED = {
     "µN": (1e-3, 1e6),
     "µm": (5e-3, 1e6),
@@ -34,14 +35,14 @@ MEASURED = {
 
 
 class ArgumentError(ValueError):
-    """A ``ValueError`` that keeps the name of the argument: the command prints its option instead.
+    """A ``ValueError`` that keeps the name of the argument, for which commands print their option.
 
     Parameters
     ----------
     argument : str
         Name of the argument, such as "pixel_size" or "box width"; the message begins with it.
     problem : str
-        What is needed, and what came.
+        The requirement and the value.
     """
 
     def __init__(self, argument: str, problem: str) -> None:
@@ -101,21 +102,21 @@ def check_bounds(
     most: float | None = None,
 ) -> None:
     """Raise unless values from `smallest` to `largest` lie within the bounds."""
-    need, got = "", smallest
-    if above is not None and not smallest > above:
-        need = "positive" if above == 0 else f"above {above:g}"
-    elif least is not None and not smallest >= least:
-        need = "zero or positive" if least == 0 else f"at least {least:g}"
-    elif below is not None and not largest < below:
-        need, got = f"below {below:g}", largest
-    elif most is not None and not largest <= most:
-        need, got = f"at most {most:g}", largest
-    if need:
-        raise ArgumentError(name, f"must be {need}, got {got:g}")
+    checks = (
+        (above, "above", smallest, gt),
+        (least, "at least", smallest, ge),
+        (below, "below", largest, lt),
+        (most, "at most", largest, le),
+    )
+    for bound, words, value, holds in checks:
+        if bound is not None and not holds(value, bound):
+            special = {"above 0": "positive", "at least 0": "zero or positive"}
+            need = f"{words} {bound:g}"
+            raise ArgumentError(name, f"must be {special.get(need, need)}, got {value:g}")
 
 
 def as_map(name: str, value: ArrayLike) -> Array:
-    """Return a map, shape (rows, cols), whose values are finite, or NaN where they are unknown."""
+    """Return a map of shape (rows, cols) whose values are finite, or NaN where unknown."""
     if isinstance(value, np.ma.MaskedArray):
         raise ArgumentError(name, "must be without a mask: give its .filled(np.nan), as float")
     array = as_array(name, value, shape=(None, None), finite=False)
@@ -153,7 +154,7 @@ def luminance(name: str, value: ArrayLike) -> NDArray:
 
 
 def scalar(name: str, value: object, **bounds: float | None) -> float:
-    """Return one finite number within `bounds`; not a list of one, a truth value or text."""
+    """Return one finite number within `bounds`."""
     if isinstance(value, (bool, np.bool_, Sequence)) or getattr(value, "ndim", None):
         raise ArgumentError(name, f"must be a single number, got {value!r:.80}")
     if type(value) is not float or not isfinite(value):
@@ -163,9 +164,9 @@ def scalar(name: str, value: object, **bounds: float | None) -> float:
 
 
 def measured(name: str, value: object, unit: str) -> float:
-    """Return a force, a length or a modulus, in `unit`; raise for what no experiment can have.
+    """Return a force, a length or a modulus in `unit`; raise outside the range of experiments.
 
-    So 150e-6, a force in N, is no force in µN. For what a user types; formulas take any number.
+    A force of 150e-6, which is in N, is rejected as a force in µN.
     """
     number = scalar(name, value, above=0)
     low, high = MEASURED[unit]
@@ -199,10 +200,10 @@ def whole(
 
 
 def of_kind(name: str, value: object, *kinds: Any) -> None:
-    """Raise for what is not an instance of one of `kinds`."""
+    """Raise unless `value` is an instance of one of `kinds`."""
     if not isinstance(value, kinds):
         known = " or ".join(kind.__name__ for kind in kinds)
-        raise ArgumentError(name, f"must be of the kind {known}, got {type(value).__name__}")
+        raise ArgumentError(name, f"must be of type {known}, got {type(value).__name__}")
 
 
 def flag(name: str, value: object) -> bool:
@@ -212,14 +213,14 @@ def flag(name: str, value: object) -> bool:
 
 
 def generator(name: str, value: object) -> np.random.Generator:
-    """Return a generator as it is, or the one of a seed: a whole number of at least zero."""
+    """Return a random generator, given as such or by its seed."""
     if isinstance(value, np.random.Generator):
         return value
     return np.random.default_rng(whole(name, value, least=0))
 
 
 def items(name: str, value: object, count: int) -> tuple[object, ...]:
-    """Return the `count` members of a sequence or one-dimensional array that is no text."""
+    """Return the `count` items of a sequence or one-dimensional array."""
     reject_masks(name, value)
     sequence = isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, (str, bytes))
     if not sequence or getattr(value, "ndim", 1) != 1 or len(value) != count:  # type: ignore[arg-type]
@@ -241,7 +242,7 @@ def as_region(
 
 
 def image_shape(name: str, value: object, *, least: int = 1) -> tuple[int, int]:
-    """Return (rows, columns) of an image to make, each at least `least`."""
+    """Return (rows, columns), each at least `least`."""
     rows, columns = (whole(name, n, least=least) for n in items(name, value, 2))
     return rows, columns
 

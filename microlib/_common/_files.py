@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Atomic writing of files."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from os import PathLike
 from pathlib import Path
 from secrets import token_hex
 
-#: Software that pictures and maps name as their maker, by which results are told from frames.
+#: Value of the Software tag of written images, by which a folder's frames and results differ.
 SOFTWARE = "microlib"
 
 
@@ -20,22 +20,22 @@ def home_path(path: str | PathLike[str]) -> Path:
 
 
 def replace_file(path: str | PathLike[str], write: Callable[[Path], object]) -> None:
-    """Write a file beside `path` and move it there, so that no half-written file is ever seen.
+    """Write a file atomically: beside `path`, then moved there.
 
     Parameters
     ----------
     path : path-like
-        File to write; an old one is replaced only once the new one is whole, which has its
-        permissions and takes its place behind a symbolic link.
+        File to write. An existing file is replaced when the new one is complete; its permissions
+        and a symbolic link to it are kept.
     write : callable
-        Writes the content to the path that it is given, which ends like `path`.
+        Writes the content to its argument, a path with the ending of `path`.
 
     Raises
     ------
     ValueError
         If the folder does not exist.
     OSError
-        If the file cannot be written, for one because the disk is full; the old one stays.
+        If the file cannot be written, for example on a full disk; an existing file stays.
 
     Examples
     --------
@@ -52,7 +52,7 @@ def replace_file(path: str | PathLike[str], write: Callable[[Path], object]) -> 
         raise ValueError(f"path must lie in an existing folder, got {target.parent}")
     if old := target.is_file():
         target = target.resolve()  # the file that a link names
-    # Hidden: what a killed process leaves is not taken for a result.
+    # Hidden, so that the file of a killed process is not mistaken for a result.
     new = target.with_name(f".{token_hex(4)}.{target.name}")
     try:
         new.touch(0o600 if old else 0o666, exist_ok=False)  # as far as new files may here

@@ -1,4 +1,4 @@
-"""OpenCV, which several distributions bring, so that none is installed along with the library."""
+"""Import of OpenCV, which several distributions provide, so that none is a dependency."""
 
 try:
     import cv2 as cv2

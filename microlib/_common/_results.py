@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
-#: What the numbers of a short field are called along its last axis, where not by their place.
+#: Labels of the numbers of a field along its last axis; others are labeled by their index.
 _PARTS = {
     **dict.fromkeys(("bottom", "center", "drift", "rim", "tip", "pixel_size"), ("x", "y")),
     **dict.fromkeys(("interval", "domain"), ("low", "high")),
@@ -45,9 +45,9 @@ def _short(value: Any) -> str:
 class Tidy(Result):
     """Give a frozen dataclass a flat row and a short `repr`."""
 
-    #: Fields that `to_dict` leaves out: those with a number a sample or a pixel, and objects.
+    #: Fields that `to_dict` leaves out: arrays with one number per sample or pixel, and objects.
     _large: ClassVar[tuple[str, ...]] = ()
-    #: Fields of several axes, each with what its numbers are called along each of them.
+    #: Fields of several axes, each with the labels of its numbers along each axis.
     _parts: ClassVar[tuple[tuple[Any, ...], ...]] = ()
 
     def to_dict(self) -> dict[str, Any]:
@@ -56,9 +56,10 @@ class Tidy(Result):
         Returns
         -------
         dict
-            Numbers, texts, truth values and None by name, in the units of the fields. What has
-            several numbers gets a name for each, such as ``center_x`` and ``covariance_x_y``; what
-            is not finite is None. Fields with a number a sample or a pixel are left out.
+            Numbers, texts, Booleans and None by name, in the units of the fields. A field of
+            several numbers has one entry for each, such as ``center_x`` and ``covariance_x_y``. A
+            number that is not finite is None. Arrays with one number per sample or pixel are left
+            out.
         """
         names = [f.name for f in fields(self) if f.name not in self._large]  # type: ignore[arg-type]
         own = {name: getattr(self, name) for name in names}
@@ -73,7 +74,7 @@ def flat_row(
     """Return values as `Tidy.to_dict` does."""
     row: dict[str, Any] = {}
     for name, value in values.items():
-        # The radius of a dimple is not the dimple's dimple's.
+        # The field dimple_radius of a dimple is not named dimple_dimple_radius.
         known = name if prefix and name.startswith(prefix) else prefix + name
         if isinstance(value, Tidy):
             value = value.to_dict()
@@ -84,20 +85,13 @@ def flat_row(
         elif isinstance(value, (tuple, list, np.ndarray)):
             array = np.asarray(value)
             axes = (parts or {}).get(name) or (_PARTS.get(name, ()),)
-            names = _names(known, array.shape, axes)
-            row |= zip(names, map(_plain, array.flat), strict=True)
+            axes = (*[()] * (array.ndim - len(axes)), *axes)
+            for index, number in np.ndenumerate(array):
+                labels = [a[i] if i < len(a) else str(i) for a, i in zip(axes, index, strict=False)]
+                row["_".join([known, *labels])] = _plain(number)
         else:
             row[known] = _plain(value)
     return row
-
-
-def _names(name: str, shape: tuple[int, ...], axes: Sequence[Sequence[str]]) -> list[str]:
-    """Return a name for each number of an array, from the names of its last axes."""
-    axes = [*[()] * (len(shape) - len(axes)), *axes]
-    return [
-        "_".join([name, *(p[i] if i < len(p) else str(i) for p, i in zip(axes, at, strict=False))])
-        for at in np.ndindex(shape)
-    ]
 
 
 def _plain(value: Any) -> bool | int | float | str | None:

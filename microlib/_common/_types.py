@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-#: Numbers that are computed with.
+#: Floating-point numbers.
 Array = NDArray[np.floating]
 
 #: Grey levels of any type.
@@ -18,6 +18,6 @@ Image = NDArray
 #: Left column, top row, width and height of a part of an image, px.
 Region = tuple[int, int, int, int]
 
-#: What a stack may come as: an array, also one that loads as it is indexed, such as zarr's; a file,
-#: a folder or a pattern of files; or an iterable of images or image files.
+#: A stack: an array, which may load its values when it is indexed, such as zarr's; a file, a folder
+#: or a pattern of files; or an iterable of images or image files.
 Frames = NDArray | str | PathLike[str] | Iterable[Any]

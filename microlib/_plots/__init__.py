@@ -1,9 +1,9 @@
-"""The picture of each result, by Matplotlib, which is imported when one is asked for."""
+"""The picture of each result; Matplotlib is imported when one is drawn."""
 
-from microlib._plots import _calibration, _embryo, _focus, _tracking
-from microlib._plots._axes import default_style, in_default_style
-
-maps, marks = in_default_style(_focus.maps), in_default_style(_calibration.marks)
-outline, path = in_default_style(_embryo.outline), in_default_style(_tracking.path)
+from microlib._plots._axes import default_style
+from microlib._plots._calibration import marks
+from microlib._plots._embryo import outline
+from microlib._plots._focus import maps
+from microlib._plots._tracking import path
 
 __all__ = ["default_style", "maps", "marks", "outline", "path"]

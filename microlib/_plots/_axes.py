@@ -1,43 +1,26 @@
-"""What the pictures share: axes to draw in, photographs, round numbers."""
+"""Axes, photographs and round numbers for all pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import wraps
-from inspect import signature
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-#: What was found, what it is compared with, and what is off: told apart on grey and by all eyes.
+#: Colors of results, references and errors, distinct on grey and for color-blind readers.
 FOUND, BESIDE, OFF = "#ffb000", "#56b4e9", "#e0245e"
 
 
 @contextmanager
 def default_style() -> Iterator[None]:
-    """Draw as Matplotlib does without the settings of a user, such as another origin or LaTeX."""
+    """Draw with Matplotlib's defaults, without a user's settings such as LaTeX."""
     from matplotlib import rc_context, rcdefaults
 
     with rc_context():
         rcdefaults()
         yield
-
-
-def in_default_style(draw: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function that draws a new figure in the default style, and in axes as they are."""
-
-    @wraps(draw)
-    def drawn(*args: Any, **options: Any) -> Any:
-        if signature(draw).bind(*args, **options).arguments.get("ax") is not None:
-            return draw(*args, **options)
-        with default_style():
-            figure = draw(*args, **options)
-            figure.draw_without_rendering()  # or ticks are made later, in another style
-        return figure
-
-    return drawn
 
 
 def new_axes(rows: int, columns: int, width: float, height: float) -> Any:

@@ -1,4 +1,4 @@
-"""The picture of a calibration: marks on their photographs, and what they are off."""
+"""The picture of a calibration: marks on their photographs, and their residuals."""
 
 from __future__ import annotations
 
@@ -18,55 +18,45 @@ def marks(
     residuals: NDArray | None = None,
     ax: Any = None,
 ) -> Any:
-    """Draw the points of detections with their places in the grid, and residuals, magnified in red.
+    """Draw the points of detections with their grid coordinates, and magnified residuals in red.
 
-    A panel a view; with `ax` the first view alone is drawn there. Return the figure.
+    One panel per view; with `ax` only the first view is drawn there. Return the figure.
     """
     width, height = found[0].image_size
     columns = ceil(sqrt(len(found)))
     rows = ceil(len(found) / columns)
     panel = max(2.5, 8 / columns)
     axes = [ax] if ax is not None else new_axes(rows, columns, panel, 0.6 + panel * height / width)
+    axes = np.ravel(axes)
+    for unused in axes[len(found) :]:
+        unused.set_axis_off()
     ends = np.cumsum([len(each.points) for each in found])[:-1]
     parts = [None] * len(found) if residuals is None else np.split(residuals, ends)
-    factor = 1.0 if residuals is None else _factor(found[0].points, residuals)
-    for number, panel_ax in enumerate(np.ravel(axes)):
-        if number >= len(found):
-            panel_ax.set_axis_off()
-            continue
+    factor = 1.0
+    if residuals is not None:  # which makes large residuals as long as marks lie apart
+        large = np.quantile(np.hypot(*residuals.T), 0.95)
+        apart = np.sqrt(np.ptp(found[0].points, axis=0).prod() / len(found[0].points))
+        factor = rounded_down(apart / large) if large > 0 else 1.0
+    for number, (panel_ax, each, part) in enumerate(zip(axes, found, parts, strict=False)):
         if images is not None:
             show_image(panel_ax, images[number])
         else:
             panel_ax.set(xlim=(0, width), ylim=(height, 0), aspect="equal")
-        _view(panel_ax, found[number], parts[number], factor, 5 if np.size(axes) == 1 else 2)
-    return np.ravel(axes)[0].figure
+        _draw_view(panel_ax, each, part, factor, 5 if len(axes) == 1 else 2)
+    return axes[0].figure
 
 
-def _view(ax: Any, each: Any, residuals: NDArray | None, factor: float, labels: int) -> None:
+def _draw_view(ax: Any, each: Any, residuals: NDArray | None, factor: float, labels: int) -> None:
     ax.plot(*each.points.T, "o", ms=3, mfc="none", mew=0.7, color=FOUND)
     every = ceil((np.ptp(each.grid, axis=0).max() + 1) / labels)
-    few = (each.grid % every == 0).all(axis=1)
+    labeled = (each.grid % every == 0).all(axis=1)
     box = {"color": "white", "alpha": 0.6, "pad": 0.5}
-    for (x, y), (i, j) in zip(each.points[few], each.grid[few], strict=True):
+    for (x, y), (i, j) in zip(each.points[labeled], each.grid[labeled], strict=True):
         ax.annotate(f"{i},{j}", (x, y), (4, 4), textcoords="offset points", color="black", bbox=box)
     title = f"{len(each.points)} points"
     if residuals is not None:
-        ax.quiver(
-            *each.points.T,
-            *(factor * residuals).T,
-            angles="xy",
-            scale_units="xy",
-            scale=1,
-            width=0.004,
-            color=OFF,
-        )
+        scale = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.004}
+        ax.quiver(*each.points.T, *(factor * residuals).T, **scale, color=OFF)
         rms = np.sqrt((residuals**2).sum(axis=1).mean())
         title += f"\n{rms:.2g} px rms (red, × {factor:g})"
     ax.set_title(title)
-
-
-def _factor(points: NDArray, residuals: NDArray) -> float:
-    """Return a round factor that makes large residuals as long as marks lie apart."""
-    apart = np.sqrt(np.ptp(points, axis=0).prod() / len(points))
-    large = np.quantile(np.hypot(*residuals.T), 0.95)
-    return rounded_down(apart / large) if large > 0 else 1.0

@@ -11,9 +11,9 @@ from microlib._plots._axes import new_axes, rounded_down, show_image
 
 
 def maps(found: Any, ax: Any = None, unit: str = "µm") -> Any:
-    """Draw a FocusResult: all in focus, height, uncertainty and a shaded view.
+    """Draw a FocusResult: all-in-focus image, height, uncertainty and a shaded view.
 
-    With `ax` the height alone is drawn. Lengths along the image are in px where the pixel size is
+    With `ax` only the height is drawn. Lengths along the image are in px where the pixel size is
     not known. Return the figure.
     """
     depth = np.asarray(found.depth)
@@ -38,23 +38,24 @@ def _map(ax: Any, values: NDArray, colors: str, label: str, logarithmic: bool = 
     from matplotlib.ticker import LogLocator
 
     known = values[np.isfinite(values)]
-    # A few strays would take all colors.
+    # Outliers would use up the colors.
     low, high = np.quantile(known, [0.005, 0.995]) if len(known) else (0, 1)
     cmap = colormaps[colors].with_extremes(bad="0.8")
     scale: Any = {"vmin": low, "vmax": high}
+    ticks: Any = {}
     if logarithmic and low > 0:
         scale = {"norm": LogNorm(low, high)}
-    picture = ax.imshow(values, cmap=cmap, interpolation="nearest", **scale)
-    ticks = {"ticks": LogLocator(subs=(1, 2, 5)), "format": "%g"} if "norm" in scale else {}
+        ticks = {"ticks": LogLocator(subs=(1, 2, 5)), "format": "%g"}
+    picture = ax.imshow(values, cmap=cmap, interpolation="nearest", origin="upper", **scale)
     bar = ax.figure.colorbar(picture, ax=ax, label=label, extend="both", shrink=0.8, **ticks)
-    bar.minorticks_off()  # on a logarithmic scale they would have numbers of their own
+    bar.minorticks_off()  # which have numbers of their own on a logarithmic scale
     unknown = 1 - len(known) / values.size
     ax.set_title(f"{label.split()[0]}{f', grey: {100 * unknown:.3g} % unknown' if unknown else ''}")
     ax.set_axis_off()
 
 
 def _shaded(ax: Any, depth: NDArray, pixel_size: float | None, unit: str) -> None:
-    """Show the surface in light from the upper left, so steep that slopes show."""
+    """Show the surface in light from the upper left, magnified so that slopes are visible."""
     from matplotlib.colors import LightSource
 
     known, size = np.isfinite(depth), pixel_size or 1.0
@@ -63,7 +64,7 @@ def _shaded(ax: Any, depth: NDArray, pixel_size: float | None, unit: str) -> Non
     factor = rounded_down(1 / steep) if steep > 0 else 1.0
     filled = np.where(known, depth, np.median(depth[known]) if known.any() else 0.0)
     light = LightSource().hillshade(filled, vert_exag=factor, dx=size, dy=size)
-    # A few steps would take all greys.
+    # Steps would use up the grey levels.
     low, high = np.quantile(light, [0.02, 0.98])
     show_image(ax, np.where(known, np.clip(light, low, high), high))
     ax.set_title(f"shaded, heights × {factor:g}{'' if pixel_size else f' px/{unit}'}")

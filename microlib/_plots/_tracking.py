@@ -14,27 +14,30 @@ if TYPE_CHECKING:
 
 
 def path(table: pd.DataFrame, image: NDArray, ax: Any = None) -> Any:
-    """Draw the way over a frame, and the position against time.
+    """Draw the path over a frame, and the position against time.
 
-    With `ax` the way alone is drawn. Return the figure.
+    With `ax` only the path is drawn. Return the figure.
     """
     seen = table[~table["lost"].to_numpy(bool)]
-    way = seen[["center_x", "center_y"]].to_numpy(np.float64)
+    points = seen[["center_x", "center_y"]].to_numpy(np.float64)
     if ax is None:
         axes = new_axes(1, 2, 6, 0.8 + 5 * image.shape[0] / image.shape[1])[0]
-        _against_time(axes[1], table, way[0])
+        _against_time(axes[1], table, points[0])
         ax = axes[0]
     show_image(ax, image)
-    # Lost parts are gaps.
+    # Frames in which the part was lost are gaps.
     ax.plot(*table[["center_x", "center_y"]].to_numpy(np.float64).T, color=FOUND, lw=1)
     corners = seen.filter(like="corners_").iloc[0].to_numpy(np.float64).reshape(4, 2)
     ax.plot(*corners[[0, 1, 2, 3, 0]].T, color=BESIDE)
-    ax.plot(*way[-1], "o", color=FOUND)
-    # What moves little is looked at from near.
+    ax.plot(*points[-1], "o", color=FOUND)
+    # Show the surroundings of a short path enlarged.
     near, ends = 2 * np.ptp(corners, axis=0), np.array(image.shape[1::-1]) - 0.5
-    low, high = np.maximum(way.min(axis=0) - near, -0.5), np.minimum(way.max(axis=0) + near, ends)
+    low, high = (
+        np.maximum(points.min(axis=0) - near, -0.5),
+        np.minimum(points.max(axis=0) + near, ends),
+    )
     ax.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))
-    ax.set_title(f"the way, lost in {table['lost'].mean():.0%} of the frames")
+    ax.set_title(f"path, lost in {table['lost'].mean():.0%} of the frames")
     return ax.figure
 
 
@@ -49,6 +52,6 @@ def _against_time(ax: Any, table: pd.DataFrame, start: NDArray) -> None:
     if lost.any():
         ax.plot(time[lost], np.zeros(lost.sum()), "|", color=OFF, label="lost")
     unit = "µm" if micrometers else "px"
-    ax.set(xlabel="time (s)" if timed else "frame", ylabel=f"way from the start ({unit})")
+    ax.set(xlabel="time (s)" if timed else "frame", ylabel=f"displacement from the start ({unit})")
     ax.grid(alpha=0.3)
     ax.legend()

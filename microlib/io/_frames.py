@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import ArgumentError, Frames, Region, as_array, as_region, of_kind, whole
+from microlib._common import ArgumentError, Frames, Region, as_array, as_region, flag, whole
 from microlib.io._source import NamedFrames
 from microlib.io._sources import open_source
 
@@ -87,15 +87,14 @@ def read_frames(
     >>> reader.count, reader.shape, [frame.dtype.name for frame in reader]
     (2, (4, 5), ['uint8', 'uint8'])
     """
-    of_kind("color", color, bool)
-    by = whole("reduce", reduce, least=1)
+    in_color, by = flag("color", color), whole("reduce", reduce, least=1)
     part = None if region is None else as_region("region", region)
     wanted = {"channel": channel, "time": time, "series": series}
     choice = {key: whole(key, n, least=0) for key, n in wanted.items() if n is not None}
     source = frames if isinstance(frames, FrameReader) else open_source(frames, choice)
     for name, number in choice.items():  # those that no reader has applied
         raise ArgumentError(name, f"must be left out for frames without that axis, got {number}")
-    return FrameReader(source, color, part, by)
+    return FrameReader(source, in_color, part, by)
 
 
 class FrameReader(Iterable[NDArray]):

@@ -1,4 +1,4 @@
-"""Argument checks: what passes unchanged, and that a refusal names the argument and what came."""
+"""Argument checks: valid values are returned; an error names argument, requirement and value."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from microlib import _common as check
 
 
-def test_what_is_right_passes():
+def test_valid_values_are_returned():
     array = np.arange(6.0).reshape(2, 3)
     assert check.as_array("x", array, shape=(None, 3)) is array
     assert np.isnan(check.as_array("x", [1.0, np.nan], finite=False)[1])
@@ -53,7 +53,7 @@ NUMBERS = [
 ]
 KINDS = [
     ("one_of", ["c", ("a", "b")], {}, "x must be one of a, b, got 'c'"),
-    ("flag", ["a" * 1000], {}, "x must be of the kind bool or .*, got str"),
+    ("flag", ["a" * 1000], {}, "x must be of type bool or .*, got str"),
     ("items", ["ab", 2], {}, "x must be 2 numbers, got 'ab'"),
     ("items", [np.ma.array([1, 2]), 2], {}, "x must be without a mask"),
 ]
@@ -76,14 +76,14 @@ BOUNDS = [
     ("name", "given", "options", "message"),
     [*ARRAYS, *NUMBERS, *KINDS, *(("scalar", [value], *more) for value, *more in BOUNDS)],
 )
-def test_a_refusal_says_what_is_wrong(name, given, options, message):
+def test_error_states_requirement_and_value(name, given, options, message):
     with pytest.raises(ValueError, match=message):
         getattr(check, name)("x", *given, **options)
     with pytest.raises(ValueError, match=r"x and y .* got 2 and 3"):
         check.same_length(("x", "y"), np.zeros(2), np.zeros(3))
 
 
-def test_an_error_keeps_the_name_of_its_argument_also_when_pickled():
+def test_pickled_error_keeps_the_name_of_its_argument():
     with pytest.raises(check.ArgumentError, match=r"^box width must be a whole number") as caught:
         check.as_region("box", (0, 0, 2.5, 3))
     again = pickle.loads(pickle.dumps(caught.value))

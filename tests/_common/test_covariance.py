@@ -11,7 +11,7 @@ from microlib._common import inverse_normal
 rng = np.random.default_rng(0)
 
 
-def test_a_determined_problem_has_the_plain_inverse():
+def test_determined_problem_has_the_plain_inverse():
     jacobian = rng.normal(size=(30, 4)) * [1e6, 1.0, 1e-3, 1e-12]
     # Scaled to unit columns the condition is below 3, so a few roundings are left.
     scale = np.linalg.norm(jacobian, axis=0)
@@ -20,7 +20,7 @@ def test_a_determined_problem_has_the_plain_inverse():
     np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13)
 
 
-def test_an_open_direction_is_told_and_leaves_the_others_alone():
+def test_undetermined_direction_has_infinite_variance_and_leaves_the_others():
     """The second and fourth parameter change the residuals alike: only their sum is seen."""
     jacobian = rng.normal(size=(20, 4)) * [1.0, 1e3, 1e-3, 1.0]
     jacobian[:, 3] = 5 * jacobian[:, 1]
@@ -34,7 +34,7 @@ def test_an_open_direction_is_told_and_leaves_the_others_alone():
 
 
 @pytest.mark.parametrize(("gap", "known"), [(1e-7, True), (1e-11, False)])
-def test_a_weak_direction_is_not_an_open_one(gap, known):
+def test_weak_direction_is_determined(gap, known):
     """Columns that differ by 1e-7 are told apart, with the huge variance that this means; the
     inverse of JᵀJ itself, with 1e-14 beside 1, would be rounding."""
     first, second = np.linalg.qr(rng.normal(size=(40, 2)))[0].T

@@ -1,4 +1,4 @@
-"""A file is whole or as it was before."""
+"""Files are replaced atomically."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from microlib._common import replace_file
 
 
 @pytest.mark.parametrize("fault", [None, OSError("No space left"), KeyboardInterrupt()])
-def test_a_file_is_replaced_once_the_new_one_is_whole(tmp_path: Path, fault) -> None:
+def test_file_is_replaced_when_the_new_one_is_complete(tmp_path: Path, fault) -> None:
     path = tmp_path / "a.csv"
     path.write_text("old")
 
     def write(file: Path) -> None:
         assert file.parent == tmp_path  # on the same disk, or the move would be a copy
-        assert file.suffix == ".csv"  # which tells writers the format
+        assert file.suffix == ".csv"  # by which writers choose the format
         assert file.name.startswith(".")  # which a reader's *.csv does not find
         file.write_text("new")
         assert path.read_text() == "old"
@@ -38,7 +38,7 @@ def test_a_file_is_replaced_once_the_new_one_is_whole(tmp_path: Path, fault) -> 
 
 
 @pytest.mark.skipif(os.name == "nt", reason="of POSIX")
-def test_a_replaced_file_keeps_its_permissions_and_its_link(tmp_path: Path) -> None:
+def test_replacing_a_file_keeps_mode_and_symlink(tmp_path: Path) -> None:
     (tmp_path / "disk").mkdir()
     real, link = tmp_path / "disk" / "a.csv", tmp_path / "a.csv"
     link.symlink_to(real)

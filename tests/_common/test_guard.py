@@ -47,7 +47,7 @@ def guard_of(stage: Stage | None = None, timeout: float = 1.0) -> tuple[Guard, C
 
 
 @pytest.mark.parametrize("why", ["time", "user"])
-def test_a_call_that_hangs_is_given_up_and_the_stage_stopped_when_it_answers(why: str) -> None:
+def test_call_that_hangs_is_given_up_and_the_stage_is_stopped_later(why: str) -> None:
     guard, _, stage = guard_of(timeout=0.05 if why == "time" else 60.0)
     free = Event()
 
@@ -72,7 +72,7 @@ def test_a_call_that_hangs_is_given_up_and_the_stage_stopped_when_it_answers(why
     assert stage.stops == 1
 
 
-def test_a_pause_lasts_and_lets_an_interrupt_between() -> None:
+def test_pause_lasts_and_can_be_interrupted() -> None:
     guard, clock, _ = guard_of()
     guard.pause(5 * POLL + 0.007)
     assert clock.now() == pytest.approx(100 + 5 * POLL + 0.007)
@@ -87,7 +87,7 @@ def test_a_pause_lasts_and_lets_an_interrupt_between() -> None:
 @pytest.mark.parametrize(
     ("refusals", "said"), [(0, ""), (2, ""), (3, "stop failed: OSError: busy")]
 )
-def test_a_stop_is_tried_three_times(refusals: int, said: str) -> None:
+def test_stop_is_tried_three_times(refusals: int, said: str) -> None:
     guard, _, stage = guard_of(Stage(refusals=refusals))
     end = guard.run(lambda: "")
     assert (end.complete, end.still) == (not said, not said)
@@ -95,7 +95,7 @@ def test_a_stop_is_tried_three_times(refusals: int, said: str) -> None:
     assert stage.stops == min(refusals + 1, 3)
 
 
-def test_an_interrupt_at_the_very_end_is_told() -> None:
+def test_interrupt_after_the_work_is_reported() -> None:
     guard, _, stage = guard_of()
 
     def work() -> str:
@@ -107,7 +107,7 @@ def test_an_interrupt_at_the_very_end_is_told() -> None:
     assert stage.stops == 1
 
 
-def test_ctrl_c_means_what_it_did_when_a_run_has_ended() -> None:
+def test_ctrl_c_handler_is_restored_after_a_run() -> None:
     def mine(*_: object) -> None:
         """Stand for the handler of the program that calls."""
 
