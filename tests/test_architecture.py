@@ -59,7 +59,7 @@ def room_of(path: Path) -> str:
 
 
 @pytest.mark.parametrize("path", sources(PACKAGE), ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_imports_follow_the_arrows(path: Path) -> None:
+def test_packages_import_only_allowed_packages(path: Path) -> None:
     room = room_of(path)
     for name in imported(path):
         first, *rest = name.split(".")
@@ -82,7 +82,7 @@ OF_PARTS = {"focus", "focus_depth", "tracking"}
     [*sources(ROOT / "compendium"), *sources(ROOT / "benchmarks")],
     ids=lambda p: str(p.relative_to(ROOT)),
 )
-def test_the_library_is_used_as_a_user_would(path: Path) -> None:
+def test_compendium_and_benchmarks_import_public_names_only(path: Path) -> None:
     """But for `_common`, which writes files and shows results for the compendium as well."""
     inside = {
         name
@@ -92,11 +92,11 @@ def test_the_library_is_used_as_a_user_would(path: Path) -> None:
     assert not inside or (path.parent.name == "benchmarks" and path.stem in OF_PARTS), inside
 
 
-def test_imports_have_no_circle() -> None:
+def test_imports_have_no_cycle() -> None:
     TopologicalSorter(ARROWS).prepare()  # which names a circle
 
 
-def test_the_faces_are_small_and_listed_once() -> None:
+def test_public_names_are_few_and_listed_once() -> None:
     listed: dict[str, str] = {}
     for room in ROOMS:
         for name in importlib.import_module(f"microlib.{room}").__all__:
@@ -148,7 +148,7 @@ def test_public_names_are_documented(name: str, value: object) -> None:
     )
 
 
-def test_every_public_name_states_its_laws() -> None:
+def test_every_public_name_has_a_row_of_laws() -> None:
     """In the table of its room, as the docstring of tests/laws.py says."""
     assert tables().keys() == set(public())
 

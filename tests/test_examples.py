@@ -14,7 +14,7 @@ FILES = sorted((ROOT / "microlib").rglob("*.py"))
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_examples_import_what_they_use(path: Path) -> None:
+def test_examples_import_every_name_they_use(path: Path) -> None:
     name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
     runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE, verbose=False)
     told: list[str] = []

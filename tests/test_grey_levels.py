@@ -91,12 +91,12 @@ READ: dict[str, Callable[[float], np.ndarray]] = {
 
 @pytest.mark.parametrize("unit", [1 / 255, 257.0, 1e6])
 @pytest.mark.parametrize("name", READ)
-def test_the_unit_of_grey_levels_is_free(name: str, unit: float) -> None:
+def test_results_do_not_depend_on_unit_of_grey_levels(name: str, unit: float) -> None:
     expected, found = READ[name](1.0), READ[name](unit)
     # Single precision rounds the same levels otherwise; depths are fitted with weights of weights.
     np.testing.assert_allclose(found, expected, atol=3e-4 if found.ndim == 2 else 1e-5)
 
 
 @pytest.mark.parametrize("unit", [1e-9, 1e-6, 1e4, 2e7])
-def test_a_template_of_hardly_any_or_vast_contrast_is_followed(unit: float) -> None:
+def test_template_of_very_low_or_high_contrast_is_tracked(unit: float) -> None:
     np.testing.assert_allclose(followed(unit), followed(1.0), atol=1e-5)

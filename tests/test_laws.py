@@ -86,7 +86,7 @@ def test_law_names_what_breaks_it(law, wrong, message):
         law("fall", wrong)
 
 
-def test_a_missing_degree_of_freedom_is_noticed():
+def test_hold_sigma_fails_with_wrong_degrees_of_freedom():
     """Of means of three numbers; numpy's `std` divides by three, not by two."""
     drawn = np.random.default_rng(0).normal(0.0, 1.7, (1000, 3))
     means, sigma = drawn.mean(axis=1), drawn.std(axis=1, ddof=1) / 3**0.5
@@ -98,13 +98,13 @@ def test_a_missing_degree_of_freedom_is_noticed():
         hold_coverage(np.abs(drawn[:, 0]) < 1.7 * 0.6745, 0.6)
 
 
-def test_an_object_that_keeps_something_is_noticed():
+def test_hold_same_as_new_fails_for_object_with_memory():
     with pytest.raises(AssertionError, match="instead of"):
         hold_same_as_new(list, len, lambda kept: kept.append(1))
     hold_same_as_new(dict, len, lambda kept: kept.get(1))
 
 
-def test_a_view_takes_points_with_the_picture():
+def test_view_transforms_points_with_image():
     picture = np.arange(12).reshape(3, 4)
     for view in VIEWS:
         x, y = view.points([3, 1], picture.shape).astype(int)

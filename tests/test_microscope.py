@@ -80,7 +80,7 @@ def test_law_holds(law, name):
     law(name, LAWS[name])
 
 
-def test_a_camera_turned_by_a_quarter_turns_its_picture():
+def test_projection_follows_camera_rotated_by_90_degrees():
     """With it go the sides of cells and image, the place of the pattern, and the angle."""
     view = pose(Units())
     other = pose(
@@ -96,12 +96,12 @@ def test_a_camera_turned_by_a_quarter_turns_its_picture():
 
 @given(angles, angles, angles)
 @settings(deadline=None, max_examples=50)
-def test_rotation_is_scipys_extrinsic_xyz(alpha, beta, gamma):
+def test_euler_rotation_equals_scipy_extrinsic_xyz(alpha, beta, gamma):
     expected = Rotation.from_euler("xyz", [gamma, beta, alpha]).as_matrix()
     np.testing.assert_allclose(euler_rotation(alpha, beta, gamma), expected, atol=1e-14)
 
 
-def test_projection_is_the_printed_equation():
+def test_projection_equals_printed_equation():
     """(2.11) written out for one point, with the undistortion inverted by bisection."""
     world = np.array([123.0, -456.0, 7.0])
     x, y, z = SCOPE.rotation @ world + [SCOPE.tx, SCOPE.ty, 126150 + 78750]
@@ -148,7 +148,7 @@ def test_distortion_and_its_inverse(distortion, radius, angle):
         np.testing.assert_allclose(undistort(seen, distortion), flat, rtol=1e-13, atol=ROUNDING)
 
 
-def test_beyond_the_fold_is_nan():
+def test_projection_beyond_fold_of_distortion_is_nan():
     # The fold of u(1 + κu²) lies at u = 1/√(−3κ), where u' = 2u/3.
     fold = 1 / np.sqrt(3e-8)
     assert np.isnan(undistort([fold * 1.01, 0.0], -1e-8)).all()
@@ -156,7 +156,7 @@ def test_beyond_the_fold_is_nan():
     assert distort([fold * 2 / 3 * 0.9999999, 0.0], -1e-8)[0] == pytest.approx(fold, rel=1e-3)
 
 
-def test_behind_the_objective_is_nan():
+def test_projection_behind_objective_is_nan():
     points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1e6]])  # seen from behind: +Z comes closer
     for scope in (SCOPE, replace(SCOPE, distortion=0.0)):
         assert np.isnan(scope.project(points)).all(axis=1).tolist() == [False, True]
@@ -177,7 +177,7 @@ def test_magnification_and_tilt():
 @pytest.mark.parametrize(
     "scope", [SCOPE, replace(SCOPE, distortion=2e-9, beta=0.3, pixel_size=(9.9, 8.3))]
 )
-def test_the_jacobian_is_the_derivative_of_the_projection(scope):
+def test_jacobian_equals_numerical_derivative(scope):
     world = np.random.default_rng(4).uniform(-1500, 1500, (12, 2))
     analytic = scope.jacobian(world)
     assert analytic.shape == (12, 2, 9)
@@ -194,7 +194,7 @@ def test_the_jacobian_is_the_derivative_of_the_projection(scope):
     np.testing.assert_array_equal(chosen, analytic[..., [8, 1]])
 
 
-def test_a_plane_is_projected_from_what_it_shows():
+def test_project_plane_equals_projection_of_microscope():
     """The same image from (M, h, …) as from the three lengths; and the telecentric one, X alone."""
     world = np.random.default_rng(5).uniform(-1500, 1500, (12, 2))
     depth = SCOPE.focal_length + SCOPE.distance
@@ -209,7 +209,7 @@ def test_a_plane_is_projected_from_what_it_shows():
 
 
 @pytest.mark.parametrize("change", [distort, undistort])
-def test_sensor_points_come_in_pairs_and_may_be_unknown(change):
+def test_distort_accepts_pairs_and_nan(change):
     points = np.array([[[100.0, 200.0], [np.nan, 1.0]], [[0.0, 0.0], [-300.0, 5.0]]])
     found = change(points, 1e-9)
     assert found.shape == points.shape
@@ -218,7 +218,7 @@ def test_sensor_points_come_in_pairs_and_may_be_unknown(change):
 
 @pytest.mark.parametrize("name", ["magnification", "focus"])
 @pytest.mark.parametrize("scope", [SCOPE, replace(SCOPE, distortion=2e-9, beta=0.3, alpha=0.7)])
-def test_the_lengths_that_a_plane_shows_have_derivatives_too(scope, name):
+def test_jacobian_by_magnification_and_focus_equals_numerical_derivative(scope, name):
     """M by the tube alone, with f + d as it is; and f with the plane kept in focus at the same M,
     T_op = M f and d = f/M."""
     if name == "focus":  # of a microscope that is in focus
@@ -242,7 +242,7 @@ def test_the_lengths_that_a_plane_shows_have_derivatives_too(scope, name):
     assert np.abs(numeric).max() > 1e-6
 
 
-def test_a_search_may_pass_through_planes_that_no_microscope_sees():
+def test_project_plane_is_defined_beyond_the_horizon():
     """1 + h Z_r below zero, where the image comes back from infinity; zero itself is unknown."""
     pose = np.array([2.0, 1e-5, 0.0, 0.0, np.pi / 2, 0.0, 3.0, 4.0])  # edge on: Z_r = −X_w
     world = np.array([[5e4, 10.0], [3e5, 10.0], [1e5, 10.0]])
@@ -252,7 +252,7 @@ def test_a_search_may_pass_through_planes_that_no_microscope_sees():
     assert np.isfinite(by[:2]).all()
 
 
-def test_a_point_on_the_fold_has_no_derivative():
+def test_project_plane_refuses_point_on_fold_of_distortion():
     """Rounding decides which points meet the fold exactly: of many some do, and are refused."""
     said = []
     for k in range(1, 400):
@@ -269,7 +269,7 @@ def test_a_point_on_the_fold_has_no_derivative():
     assert set(said) == {"world must keep off the fold of the distortion model, got a point on it"}
 
 
-def test_defaults_are_an_untilted_microscope_with_the_sensor_of_the_thesis():
+def test_default_microscope_is_untilted_with_thesis_sensor():
     scope = Microscope(2e5, 1e5, 5e4)
     np.testing.assert_allclose(scope.rotation, np.eye(3), atol=1e-15)
     assert scope.tilt == 0

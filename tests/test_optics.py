@@ -42,12 +42,12 @@ def test_law_holds(law, name):
 
 
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
-def test_an_image_seen_otherwise_is_blurred_alike(view):
+def test_defocus_follows_flips_and_rotations(view):
     for blur in (BLUR, np.full(IMAGE.shape, 1.7)):
         follows_view(view, optics.defocus, IMAGE, blur, rtol=1e-5)
 
 
-def test_the_four_forms_of_the_blur_radius_are_one():
+def test_four_printed_forms_of_blur_radius_agree():
     """(3.2), (3.4) and (3.5) are the same expression once (3.1) and (3.3) are put in."""
     d_o, d_s, f, r = sympy.symbols("d_o d_s f R", positive=True)
     d_i = 1 / (1 / f - 1 / d_o)
@@ -70,7 +70,7 @@ def test_image_distance_solves_the_lens_equation(distance):
     assert 1 / distance + 1 / image == pytest.approx(1 / LENS["focal_length"], rel=1e-12)
 
 
-def test_a_point_at_the_working_distance_is_sharp_and_the_sign_tells_the_side():
+def test_blur_radius_is_zero_in_focus_and_signed_by_side():
     focused = float(optics.image_distance(LENS["sensor_distance"], LENS["focal_length"]))
     with pytest.raises(ValueError, match="object_distance must exceed the focal length"):
         optics.image_distance(LENS["focal_length"], LENS["focal_length"])
@@ -83,7 +83,7 @@ def test_a_point_at_the_working_distance_is_sharp_and_the_sign_tells_the_side():
 
 
 @pytest.mark.parametrize("sigma", [1.0, 2.5])
-def test_transfer_is_the_transform_of_the_kernel(sigma):
+def test_gaussian_transfer_equals_fourier_transform_of_kernel(sigma):
     kernel = optics.gaussian_kernel(sigma, 65)
     frequency = 2 * np.pi * np.fft.fftfreq(65)
     transform = np.fft.fft2(np.fft.ifftshift(kernel)).real
@@ -95,7 +95,7 @@ def test_transfer_is_the_transform_of_the_kernel(sigma):
     np.testing.assert_allclose(transform[np.ix_(low, low)], ours[np.ix_(low, low)], atol=3e-6)
 
 
-def test_uniform_defocus_is_opencvs_gaussian():
+def test_uniform_defocus_equals_opencv_gaussian_blur():
     image = np.random.default_rng(1).normal(128, 38, (60, 70)).astype(np.float32)
     for sigma in (0.6, 1.7, 4.0):
         peer = cv2.GaussianBlur(image, (61, 61), sigma, borderType=cv2.BORDER_REFLECT)
@@ -105,7 +105,7 @@ def test_uniform_defocus_is_opencvs_gaussian():
         assert np.sqrt(np.mean((ladder - peer) ** 2)) < 0.05  # the ladder's stated error
 
 
-def test_varying_defocus_is_the_sum_over_each_pixels_own_kernel():
+def test_varying_defocus_equals_sum_over_kernels_of_pixels():
     rng = np.random.default_rng(2)
     image = rng.normal(128, 38, (24, 26))
     sigma = np.linspace(0.0, 3.0, 26)[None, :].repeat(24, axis=0)
@@ -118,12 +118,12 @@ def test_varying_defocus_is_the_sum_over_each_pixels_own_kernel():
         assert ours[y, x] == pytest.approx(direct, abs=0.25)  # five times the ladder's rms error
 
 
-def test_what_is_in_focus_is_a_copy():
+def test_defocus_with_zero_sigma_returns_a_copy():
     image = IMAGE.astype(np.float32)
     assert not np.shares_memory(optics.defocus(image, 0.0), image)
 
 
-def test_a_ladder_reaches_its_largest_blur_from_any_start():
+def test_blur_ladder_reaches_its_largest_blur():
     """Between two levels of the ladder the blur is mixed; past the last one it would be wrong."""
     image = np.zeros((121, 121), np.float32)
     image[60, 60] = 1.0
@@ -133,7 +133,7 @@ def test_a_ladder_reaches_its_largest_blur_from_any_start():
         assert np.abs(seen - exact).max() < 0.03 * exact.max()
 
 
-def test_where_a_ladder_is_not_blurred_the_image_is_as_it_was():
+def test_blur_ladder_keeps_pixels_of_zero_sigma():
     image = np.random.default_rng(4).normal(128, 38, (24, 26)).astype(np.float32)
     ladder = optics.BlurLadder(image, 9.0)
     sigma = np.full(image.shape, 9.0)

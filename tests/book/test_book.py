@@ -46,7 +46,7 @@ def pages(html: Path) -> dict[Path, Links]:
     }
 
 
-def test_nothing_is_loaded_from_elsewhere(html: Path, pages: dict[Path, Links]) -> None:
+def test_pages_load_nothing_from_other_hosts(html: Path, pages: dict[Path, Links]) -> None:
     for path, page in pages.items():
         for url in page.loads:
             parts = urlsplit(url)
@@ -75,12 +75,12 @@ def test_every_internal_link_resolves(pages: dict[Path, Links]) -> None:
                 )
 
 
-def test_no_page_names_this_machine(html: Path) -> None:
+def test_pages_contain_no_path_of_this_machine(html: Path) -> None:
     for path in html.rglob("*.html"):
         assert str(ROOT) not in path.read_text(encoding="utf-8"), path.name
 
 
-def test_pages_are_light(pages: dict[Path, Links], html: Path) -> None:
+def test_pages_and_pictures_stay_below_size_limits(pages: dict[Path, Links], html: Path) -> None:
     """A page stays under 1 MB and its own pictures under 4 MB: chapter 5 has nine photographs
     with all their pixels. What pages share is not counted. The whole stays under 35 MB."""
     whole = sum(path.stat().st_size for path in html.resolve().rglob("*") if path.is_file())

@@ -10,7 +10,7 @@ import yaml
 from rocrate.rocrate import ROCrate
 
 
-def test_the_crate_is_read_and_describes_files_that_are_there(html: Path) -> None:
+def test_ro_crate_describes_existing_files(html: Path) -> None:
     crate = ROCrate(html)
     assert crate.name
     assert crate.description
@@ -22,7 +22,7 @@ def test_the_crate_is_read_and_describes_files_that_are_there(html: Path) -> Non
     assert all((html / file.id).is_file() for file in run["result"])
 
 
-def test_the_hash_of_the_verdicts_is_of_the_published_ones(html: Path) -> None:
+def test_certificate_has_hash_of_published_verdicts(html: Path) -> None:
     rows = json.loads((html / "verdicts.json").read_text(encoding="utf-8"))
     text = ""
     for row in rows:
@@ -33,7 +33,7 @@ def test_the_hash_of_the_verdicts_is_of_the_published_ones(html: Path) -> None:
     assert sum(made["verdicts"].values()) == len(rows)
 
 
-def test_a_codechecker_finds_what_to_compare_and_no_check_is_claimed(html: Path) -> None:
+def test_codecheck_file_lists_existing_files_and_claims_no_check(html: Path) -> None:
     text = (html / "codecheck.yml").read_text(encoding="utf-8")
     assert text.startswith("---\n")
     content = yaml.safe_load(text)

@@ -72,9 +72,7 @@ def contrast(one: str, other: str) -> float:
     return (max(light) + 0.05) / (min(light) + 0.05)
 
 
-def test_every_figure_is_drawn_in_vectors_and_its_pictures_have_all_colors(
-    html: Path, figures: dict[str, ET.Element]
-) -> None:
+def test_figures_are_svg_with_true_color_images(html: Path, figures: dict[str, ET.Element]) -> None:
     assert len(figures) > 50
     assert {path.suffix for path in (html / "_images").iterdir()} == {".svg"}
     for name, root in figures.items():
@@ -82,9 +80,7 @@ def test_every_figure_is_drawn_in_vectors_and_its_pictures_have_all_colors(
 
 
 @pytest.mark.parametrize("scheme", PAGES)
-def test_a_color_bar_has_its_colors_on_the_screen(
-    browser: Browser, html: Path, scheme: str
-) -> None:
+def test_color_bar_pixels_in_browser_are_viridis(browser: Browser, html: Path, scheme: str) -> None:
     """From Matplotlib through notebook, page and browser: the pixels are viridis."""
     file = file_of(html, CHAPTER, "fig-ch3-spikes")
     root = ET.parse(file).getroot()
@@ -111,7 +107,7 @@ def test_a_color_bar_has_its_colors_on_the_screen(
     np.testing.assert_allclose(pixels[rows, column], expected, atol=6)
 
 
-def test_text_is_legible_on_a_phone_and_on_both_pages(figures: dict[str, ET.Element]) -> None:
+def test_figure_text_is_legible_on_phone_in_both_themes(figures: dict[str, ET.Element]) -> None:
     """As wide as the phone, each glyph has at least 9 px; text has a contrast of 4.5 or more."""
     dark = {COLORS[name].lower(): shown for name, shown in ON_DARK.items()}
     over_pictures = {"#000000", "", "#ffffff"}  # plain black and white stand on what is drawn
@@ -129,7 +125,7 @@ def test_text_is_legible_on_a_phone_and_on_both_pages(figures: dict[str, ET.Elem
     assert faint == set()
 
 
-def test_a_figure_opens_with_its_caption_and_closes_by_every_way(page: Page, html: Path) -> None:
+def test_figure_opens_with_caption_and_closes_in_four_ways(page: Page, html: Path) -> None:
     page.set_viewport_size({"width": 1000, "height": 700})
     page.goto((html / CHAPTER).as_uri())
     link, dialog = page.locator("#fig-ch3-profile a.enlarge"), page.locator("#figure-dialog")
@@ -158,7 +154,7 @@ def test_a_figure_opens_with_its_caption_and_closes_by_every_way(page: Page, htm
     assert page.faults == []  # type: ignore[attr-defined]
 
 
-def test_two_fingers_enlarge_a_figure_and_a_tap_closes_it(browser: Browser, html: Path) -> None:
+def test_pinch_enlarges_figure_and_tap_closes_it(browser: Browser, html: Path) -> None:
     context = browser.new_context(viewport={"width": PHONE, "height": 740}, has_touch=True)
     page = context.new_page()
     page.goto((html / CHAPTER).as_uri())
@@ -175,7 +171,7 @@ def test_two_fingers_enlarge_a_figure_and_a_tap_closes_it(browser: Browser, html
     context.close()
 
 
-def test_a_surface_turns_and_is_a_picture_on_paper(page: Page, html: Path) -> None:
+def test_surface_rotates_on_screen_and_prints_as_image(page: Page, html: Path) -> None:
     page.goto((html / CHAPTER).as_uri())
     surface = page.locator("#fig-ch3-dome canvas")
     surface.scroll_into_view_if_needed()
@@ -202,7 +198,7 @@ def test_a_surface_turns_and_is_a_picture_on_paper(page: Page, html: Path) -> No
     assert page.faults == []  # type: ignore[attr-defined]
 
 
-def test_a_surface_to_turn_has_the_heights_and_their_colors(
+def test_interactive_surface_has_heights_and_colors_of_map(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
@@ -239,7 +235,7 @@ def shown(page: Page, name: str) -> list[str]:
     )
 
 
-def test_a_button_stops_a_film_and_starts_it(page: Page, html: Path) -> None:
+def test_button_stops_and_starts_film(page: Page, html: Path) -> None:
     name = "film-dimple"
     page.goto((html / "notebooks" / "04_mechanical_characterization.html").as_uri())
     button = page.locator(f"#{name} button")

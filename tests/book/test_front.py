@@ -22,7 +22,7 @@ def modulus(text: str) -> float:
     return float(text.removeprefix("E = ").split()[0])
 
 
-def test_its_numbers_are_those_of_the_chapters(html: Path, claims_folder: Path) -> None:
+def test_front_figure_has_numbers_of_chapters(html: Path, claims_folder: Path) -> None:
     text = (html / "intro.html").read_text("utf-8")
     found = re.search(r'front-figure.*?<script type="application/json">(.*?)</script>', text, re.S)
     assert found
@@ -70,7 +70,7 @@ def test_its_numbers_are_those_of_the_chapters(html: Path, claims_folder: Path) 
     assert (bottom - points[0, 1]) / scale == pytest.approx(depth, abs=0.3)
 
 
-def test_it_is_used_by_keyboard_on_a_phone(page: Page, html: Path) -> None:
+def test_front_figure_works_by_keyboard_on_phone(page: Page, html: Path) -> None:
     page.set_viewport_size({"width": 360, "height": 780})
     open_page(page, html / "intro.html")
     figure = page.locator(".front-figure")
@@ -117,7 +117,7 @@ def test_it_is_used_by_keyboard_on_a_phone(page: Page, html: Path) -> None:
     assert page.faults == []  # type: ignore[attr-defined]
 
 
-def test_it_is_a_picture_without_scripts(browser: Browser, html: Path) -> None:
+def test_front_figure_is_static_without_scripts(browser: Browser, html: Path) -> None:
     page = browser.new_page(java_script_enabled=False)
     page.goto((html / "intro.html").as_uri())
     figure = page.locator(".front-figure")
@@ -129,7 +129,7 @@ def test_it_is_a_picture_without_scripts(browser: Browser, html: Path) -> None:
     page.close()
 
 
-def test_the_author_is_the_same_everywhere(html: Path) -> None:
+def test_author_and_title_agree_in_all_files(html: Path) -> None:
     config = yaml.safe_load((ROOT / "book" / "_config.yml").read_text("utf-8"))
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
     assert cited["authors"] == [{"name": config["author"]}]

@@ -39,12 +39,12 @@ def named(text: str) -> set[str]:
 @pytest.mark.parametrize(
     ("kind", "counts"), [("equation", EQUATIONS), ("figure", FIGURES), ("table", TABLES)]
 )
-def test_the_map_is_whole(kind: str, counts: dict[int, int]) -> None:
+def test_thesis_map_has_every_numbered_item(kind: str, counts: dict[int, int]) -> None:
     want = {f"{kind}-{chapter}.{n}" for chapter, last in counts.items() for n in range(1, last + 1)}
     assert {item for item in THESIS if item.startswith(kind)} == want
 
 
-def test_every_item_stands_in_its_chapter() -> None:
+def test_numbered_items_are_in_their_chapter() -> None:
     found = find_items(ROOT / "notebooks")
     for name, item in THESIS.items():
         assert name in found, f"no notebook shows {name}"
@@ -53,7 +53,7 @@ def test_every_item_stands_in_its_chapter() -> None:
 
 
 @pytest.mark.parametrize("item", THESIS.values(), ids=lambda item: item.id)
-def test_an_item_leads_to_its_functions_its_claims_and_its_erratum(item: Item) -> None:
+def test_items_name_public_functions_claims_and_errata(item: Item) -> None:
     for name in item.functions:
         module_name, attribute = name.rsplit(".", 1)
         module = importlib.import_module(module_name)
@@ -68,7 +68,7 @@ def test_an_item_leads_to_its_functions_its_claims_and_its_erratum(item: Item) -
     assert not item.erratum or item.number in named(ledger.errata()[item.erratum]["where"])
 
 
-def test_imports_are_read_from_the_code(tmp_path: Path) -> None:
+def test_imported_packages_are_read_from_code(tmp_path: Path) -> None:
     code = "import microlib.a.b\nfrom microlib.c import d\ndef f():\n    from microlib import g\n"
     (tmp_path / "one.py").write_text(code + "import microlibs.x\nfrom microlib_y import z\n")
     assert imported(tmp_path) == imported(tmp_path / "one") == {"a", "c", "g"}

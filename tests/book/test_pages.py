@@ -75,9 +75,7 @@ def fits_and_is_drawn(page: Page, name: str) -> None:
 
 
 @pytest.mark.parametrize("part", range(PARTS))
-def test_a_page_is_whole_on_every_screen_for_every_reader(
-    page: Page, html: Path, part: int
-) -> None:
+def test_pages_fit_screens_and_are_accessible(page: Page, html: Path, part: int) -> None:
     for name in WRITTEN[part::PARTS]:
         page.set_viewport_size({"width": 1280, "height": 844})
         open_page(page, html / f"{name}.html")
@@ -87,7 +85,7 @@ def test_a_page_is_whole_on_every_screen_for_every_reader(
         fits_and_is_drawn(page, name)
 
 
-def test_the_pages_of_the_library_are_drawn_and_fit(page: Page, html: Path) -> None:
+def test_library_pages_fit_screens(page: Page, html: Path) -> None:
     """Its hundred pages are made alike: their articles, all on one of them."""
     texts = [path.read_text("utf-8") for path in sorted((html / "generated").glob("*.html"))]
     articles = [re.search(r"<article.*?</article>", text, re.S)[0] for text in texts]
@@ -105,7 +103,7 @@ def test_the_pages_of_the_library_are_drawn_and_fit(page: Page, html: Path) -> N
     fits_and_is_drawn(page, "generated")
 
 
-def test_every_page_with_formulas_is_opened(html: Path) -> None:
+def test_pages_with_formulas_are_all_tested(html: Path) -> None:
     found = [p.relative_to(html) for p in html.rglob("*.html") if 'class="math' in p.read_text()]
     names = {str(path.with_suffix("")) for path in found if path.parent.name != "generated"}
     assert names <= set(WRITTEN)

@@ -11,7 +11,7 @@ from playwright.sync_api import Browser, Page
 FEW = ["intro", "conventions", "errata", "claims"]
 
 
-def test_the_whole_book_is_in_it_and_no_link_is_dead(html: Path) -> None:
+def test_pdf_has_all_pages_and_no_dead_link(html: Path) -> None:
     pages = pages_in_order()
     assert pages[0] == "intro"
     assert {"try", "notebooks/05_experimental_results", "symbols"} < set(pages)
@@ -25,7 +25,9 @@ def test_the_whole_book_is_in_it_and_no_link_is_dead(html: Path) -> None:
     assert sum(one.startswith("claims--claim-") for one in identified) > 190
 
 
-def test_a_few_pages_are_printed(html: Path, tmp_path: Path, browser: Browser) -> None:
+def test_pdf_of_few_pages_has_outline_and_page_numbers(
+    html: Path, tmp_path: Path, browser: Browser
+) -> None:
     target = tmp_path / "few.pdf"
     make_pdf(browser, html, FEW, target)
     data = target.read_bytes()
@@ -41,12 +43,14 @@ def test_a_few_pages_are_printed(html: Path, tmp_path: Path, browser: Browser) -
     assert first[-1] <= data.count(b"/Type /Page\n")
 
 
-def test_the_summary_is_two_to_four_pages(html: Path, tmp_path: Path, browser: Browser) -> None:
+def test_printed_summary_has_two_to_four_pages(
+    html: Path, tmp_path: Path, browser: Browser
+) -> None:
     make_pdf(browser, html, ["summary"], tmp_path / "summary.pdf")
     assert 2 <= (tmp_path / "summary.pdf").read_bytes().count(b"/Type /Page\n") <= 4
 
 
-def test_the_contents_say_on_which_page_a_chapter_begins(page: Page) -> None:
+def test_printed_contents_have_page_numbers_of_chapters(page: Page) -> None:
     # More sheets than one node of the browser's tree of pages holds.
     sheets = {"one": 2, "two--x": 3, "three": 14}
     starts = {number: name for name, number in sheets.items()}

@@ -45,7 +45,7 @@ def script(html: Path, name: str) -> dict:
     return json.loads(text.partition("= ")[2].rstrip(";\n"))
 
 
-def test_what_disagrees_has_its_reason_on_one_page(html: Path) -> None:
+def test_differences_page_lists_all_disagreeing_claims(html: Path) -> None:
     text = (html / "differences.html").read_text(encoding="utf-8")
     found = re.findall(r'href="claims\.html#(claim-[^"]+)"', text)
     wanted = [c.id for c in CLAIMS if c.verdict == "disagrees"]
@@ -58,7 +58,7 @@ def cells(row: str) -> list[str]:
     return [unescape(re.sub("<[^>]+>", "", text)).strip() for text in texts]
 
 
-def test_a_count_has_its_classes_and_a_verdict_its_star(html: Path) -> None:
+def test_counts_and_labels_on_pages_equal_the_ledger(html: Path) -> None:
     """Whatever a page counts is counted by the ledger; a table of claims has their labels."""
     counts = {of: number_of(of) for of in (*ledger.VERDICTS, "claims", "errata")}
     assert counts["claims"] == len(CLAIMS) == sum(counts[verdict] for verdict in ledger.VERDICTS)
@@ -86,9 +86,7 @@ def test_a_count_has_its_classes_and_a_verdict_its_star(html: Path) -> None:
     assert seen > 30
 
 
-def test_a_number_leads_to_the_cell_that_recorded_it_and_back(
-    page: Page, html: Path, claims_folder: Path
-) -> None:
+def test_number_links_to_cell_that_recorded_it(page: Page, html: Path, claims_folder: Path) -> None:
     made: dict[tuple[str, int], str] = {}
     for path in (claims_folder.parent / "notebooks").glob("*.ipynb"):
         for cell in json.loads(path.read_text("utf-8"))["cells"]:
@@ -113,7 +111,7 @@ def test_a_number_leads_to_the_cell_that_recorded_it_and_back(
 
 
 @pytest.mark.parametrize("name", ["summary", "verdicts"])
-def test_the_table_of_counts_has_all_claims_by_class(html: Path, name: str) -> None:
+def test_table_of_counts_has_all_claims_by_class(html: Path, name: str) -> None:
     text = (html / f"{name}.html").read_text("utf-8")
     rows = re.findall(r"<tr[^>]*>(.*?)</tr>", text, re.S)
     found = {row[0]: row[1:] for row in map(cells, rows) if row and row[0] in ORDER}
@@ -124,7 +122,7 @@ def test_the_table_of_counts_has_all_claims_by_class(html: Path, name: str) -> N
         assert sum(map(int, parts)) == int(number), f"{verdict}: {classes}"
 
 
-def test_the_bars_of_the_verdicts_count_every_claim_and_lead_to_it(page: Page, html: Path) -> None:
+def test_verdict_bars_count_all_claims_and_filter_table(page: Page, html: Path) -> None:
     open_page(page, html / "verdicts.html")
     pieces = page.locator(".verdict-map dd a")
     assert sum(int(text) for text in pieces.all_inner_texts()) == len(CLAIMS)
@@ -143,7 +141,7 @@ def test_the_bars_of_the_verdicts_count_every_claim_and_lead_to_it(page: Page, h
     assert page.locator("table.claims tbody tr:visible").count() == 7
 
 
-def test_search_leads_to_a_number_first(page: Page, html: Path) -> None:
+def test_search_lists_matching_number_first(page: Page, html: Path) -> None:
     for query, first in (
         ("equation (4.7)", "Equation (4.7): "),
         ("0.1012", "Relative probe width"),
@@ -160,7 +158,7 @@ def test_search_leads_to_a_number_first(page: Page, html: Path) -> None:
         assert page.get_by_text("did not match any").locator("visible=true").count() == 0
 
 
-def test_every_number_of_the_thesis_is_found_and_leads_somewhere(page: Page, html: Path) -> None:
+def test_search_finds_every_numbered_item(page: Page, html: Path) -> None:
     numbers = script(html, "numbers.js")
     kinds = [kind for entries in numbers.values() for kind, *_ in entries]
     wanted = {"equation": 63, "figure": 30, "table": 8}
@@ -186,7 +184,7 @@ def test_every_number_of_the_thesis_is_found_and_leads_somewhere(page: Page, htm
     assert dict(zip(queries, found, strict=True)) == queries
 
 
-def test_an_anchor_is_seen_on_a_phone_that_is_dark(browser: Browser, html: Path) -> None:
+def test_anchor_is_scrolled_into_view_on_dark_phone(browser: Browser, html: Path) -> None:
     page = browser.new_page(viewport={"width": 390, "height": 844}, color_scheme="dark")
     page.goto(f"{(html / CHAPTER).as_uri()}#equation-4-7")
     page.wait_for_function("window.formulasFit")  # the way to the anchor is gone at once
@@ -199,7 +197,7 @@ def test_an_anchor_is_seen_on_a_phone_that_is_dark(browser: Browser, html: Path)
     page.close()
 
 
-def test_paper_has_whole_code_and_nothing_of_the_screen(page: Page, html: Path) -> None:
+def test_print_view_has_whole_code_and_no_navigation(page: Page, html: Path) -> None:
     open_page(page, html / CHAPTER)
     page.emulate_media(media="print")
     page.set_viewport_size({"width": 650, "height": 900})  # A4 within its margins
@@ -215,7 +213,7 @@ def test_paper_has_whole_code_and_nothing_of_the_screen(page: Page, html: Path) 
     assert wrong == []
 
 
-def test_no_line_of_the_text_is_lost_as_a_comment() -> None:
+def test_no_line_of_text_begins_with_percent_sign() -> None:
     """In the book's markup a line that begins with a percent sign is a comment."""
     texts = {path.name: path.read_text("utf-8") for path in (ROOT / "book").glob("*.md")}
     for path in (ROOT / "notebooks").glob("*.ipynb"):
@@ -226,7 +224,7 @@ def test_no_line_of_the_text_is_lost_as_a_comment() -> None:
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_a_new_reader_finds_it_in_three_steps(page: Page, html: Path, task: str) -> None:
+def test_reader_finds_answer_in_three_steps(page: Page, html: Path, task: str) -> None:
     *steps, seen = TASKS[task]
     assert len(steps) <= 3
     page.set_viewport_size({"width": 360, "height": 780})

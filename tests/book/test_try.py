@@ -61,7 +61,7 @@ def in_page(values: dict[str, float]) -> dict[str, float]:
 
 # The draws reach as far as the sliders: to steep dimples, and to moduli that no membrane has.
 @pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning", "ignore:a modulus of")
-def test_moduli_are_those_of_the_library(tools: Page) -> None:
+def test_browser_moduli_equal_library(tools: Page) -> None:
     drawn = draw_membranes()
     relative = np.random.default_rng(20).uniform(0, 0.1, (COUNT, len(drawn[0])))
     stds = [
@@ -81,7 +81,7 @@ def test_moduli_are_those_of_the_library(tools: Page) -> None:
     np.testing.assert_allclose(found, wanted, **SAME)
 
 
-def test_the_warning_and_the_refusal_are_those_of_the_library(try_page: Page) -> None:
+def test_browser_warning_and_refusal_equal_library(try_page: Page) -> None:
     assert try_page.evaluate("tryIt.membrane.STEEP") == SmallSlopeWarning.limit
     tool = try_page.locator("[data-try=modulus]")
     assert tool.locator(".try-answer").inner_text().startswith("E = 1.324 ± 0.061 MPa")
@@ -99,7 +99,7 @@ def draw_loops() -> list[tuple[float, float]]:
     return [(g, float(round(d)) if k % 10 == 0 else d) for k, (g, d) in enumerate(loops)]
 
 
-def test_poles_are_those_of_the_library(tools: Page) -> None:
+def test_browser_poles_equal_library(tools: Page) -> None:
     """Each pole has its own beside it; conjugate pairs are of one size, so order is not enough."""
     loops = draw_loops()
     found = tools.evaluate("loops => loops.map(([g, d]) => tryIt.loop.poles(g, d))", loops)
@@ -128,7 +128,7 @@ def simulated(gain: float, delay: float, noise: np.ndarray) -> np.ndarray:
     return run.feature[:, 0]
 
 
-def test_answers_are_those_of_the_simulated_workstation(tools: Page) -> None:
+def test_browser_step_response_equals_simulated_workstation(tools: Page) -> None:
     loops = draw_loops()
     noise = np.random.default_rng(22).normal(0, 1, (COUNT, 40))
     found = tools.evaluate(
@@ -141,7 +141,7 @@ def test_answers_are_those_of_the_simulated_workstation(tools: Page) -> None:
     np.testing.assert_allclose(found / largest, wanted / largest, rtol=0, atol=1e-9)
 
 
-def test_curvatures_and_labels_are_those_of_the_library(tools: Page) -> None:
+def test_browser_curvature_and_labels_equal_library(tools: Page) -> None:
     rng = np.random.default_rng(23)
     shape = (17, 19)
     y, x = np.mgrid[: shape[0], : shape[1]] - 8.0
@@ -175,7 +175,7 @@ def test_curvatures_and_labels_are_those_of_the_library(tools: Page) -> None:
         assert labels == hk_labels(wanted.mean, wanted.gaussian, 0.02, 0.001).ravel().tolist()
 
 
-def test_heights_are_those_of_the_library(tools: Page) -> None:
+def test_browser_depth_equals_library(tools: Page) -> None:
     frames, positions, height = render_stack()
     shown = tools.evaluate("tryIt.stack")
     assert shown["positions"] == positions.tolist()
@@ -200,7 +200,9 @@ def test_heights_are_those_of_the_library(tools: Page) -> None:
 
 
 @pytest.mark.parametrize(("width", "theme"), [(1280, "dark"), (390, "light")])
-def test_every_state_is_open_to_everyone(page: Page, html: Path, width: int, theme: str) -> None:
+def test_tools_are_accessible_in_every_state(
+    page: Page, html: Path, width: int, theme: str
+) -> None:
     page.add_init_script(f"localStorage.mode = '{theme}'; localStorage.theme = '{theme}'")
     page.set_viewport_size({"width": width, "height": 844})
     open_page(page, html / "try.html")

@@ -159,7 +159,7 @@ def test_law_holds(law, name):
 
 
 @pytest.mark.parametrize(("count", "draws"), [(5, 150), (20, 60)])
-def test_a_scale_states_its_error_by_the_lines_that_are_left(count, draws):
+def test_micrometer_sigma_uses_degrees_of_freedom_of_lines(count, draws):
     """The spacing's σ in drawn images of few and many lines: ν is their number less two."""
     rng = np.random.default_rng(count)
     errors, sigmas = [], []
@@ -178,7 +178,7 @@ def test_a_scale_states_its_error_by_the_lines_that_are_left(count, draws):
 
 
 @pytest.mark.parametrize("groups", [4, 9, 40])
-def test_the_jackknife_of_few_groups_has_their_factor(groups):
+def test_group_jackknife_of_mean_equals_closed_form(groups):
     """Of a mean it is in closed form the squared scatter of the groups' means over their number."""
     rng = np.random.default_rng(groups)
     values = rng.normal(0, 1, (groups, 6))  # three points of two coordinates each
@@ -188,7 +188,7 @@ def test_the_jackknife_of_few_groups_has_their_factor(groups):
     assert found[0, 0] == pytest.approx(values.mean(axis=1).var(ddof=1) / groups)
 
 
-def test_a_pose_follows_a_mirror_a_turn_and_the_order_of_points():
+def test_pose_follows_rotation_and_order_of_points():
     """Of both solutions the one with the pattern's own tilt."""
     alpha, beta, gamma, tx, ty = radial_alignment(WORLD, SENSOR_POINTS)
     sign = np.sign(beta) * np.sign(SCOPE.beta)
@@ -220,7 +220,7 @@ PATTERNS = {
 
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
 @pytest.mark.parametrize("shown", PATTERNS)
-def test_points_follow_a_picture_seen_otherwise(shown, view):
+def test_detected_points_follow_flips_and_rotations(shown, view):
     detect, image, more = PATTERNS[shown]
     one = detect(image, **more)
     other = detect(np.ascontiguousarray(view.image(image)), **more)
@@ -236,7 +236,7 @@ def test_points_follow_a_picture_seen_otherwise(shown, view):
     assert all(np.linalg.det(steps) > 0 for steps in turned)  # y is clockwise from x
 
 
-def test_a_calibration_follows_the_order_of_points_and_views_and_an_origin():
+def test_calibration_follows_order_of_points_and_views_and_origin():
     """Numbers of a view stay with it; where the world begins moves T_x and T_y alone."""
     scopes = [SCOPE, replace(SCOPE, alpha=-0.4, beta=-0.25, gamma=0.1)]
     rng = np.random.default_rng(3)

@@ -41,7 +41,7 @@ def render(folder: Path) -> None:
     (html / "index.html").write_text(notebook.read_text())
 
 
-def test_a_new_book_takes_the_place_of_the_old(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_new_book_replaces_old_book(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(book, "render", render)
     for text in ("first", "second"):
         (tree / "build" / "notebooks" / "01.ipynb").write_text(text)
@@ -58,7 +58,7 @@ def test_a_new_book_takes_the_place_of_the_old(tree: Path, monkeypatch: pytest.M
 @pytest.mark.parametrize(
     "fault", [OSError(28, "No space left"), KeyboardInterrupt(), SystemExit(1)]
 )
-def test_a_book_that_fails_leaves_the_old_one(
+def test_failed_book_leaves_old_book(
     tree: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -83,7 +83,7 @@ def test_a_book_that_fails_leaves_the_old_one(
 
 
 @pytest.mark.parametrize("executed", [True, False])
-def test_the_page_of_a_failed_notebook_says_what_failed(
+def test_page_of_failed_notebook_names_failure(
     tree: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],

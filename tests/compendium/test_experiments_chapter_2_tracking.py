@@ -6,7 +6,7 @@ import pytest
 from compendium.experiments import chapter_2_tracking as tracking
 
 
-def test_the_image_shows_the_template_under_the_true_warp():
+def test_rendered_target_shows_template_under_true_warp():
     target = tracking.render_target(3, noise=0.0)
     inside = np.s_[4:-4, 4:-4]  # off the rim, where the ground shines through
     shown = tracking.warped(target.image, target.warp)
@@ -18,7 +18,7 @@ def test_the_image_shows_the_template_under_the_true_warp():
     assert np.linalg.norm(start - tracking.corners(target.warp), axis=1).mean() > 5
 
 
-def test_the_estimate_lies_between_prediction_and_measurement_by_their_variances():
+def test_kalman_estimate_is_variance_weighted_mean():
     track, states = tracking.kalman_track(4, interval=1 / 33, acceleration=300.0, noise=1.0)
     weight = track["predicted_std"] ** 2 / (track["predicted_std"] ** 2 + 1)
     expected = track["predicted"] + weight * (track["measured"] - track["predicted"])
@@ -28,7 +28,7 @@ def test_the_estimate_lies_between_prediction_and_measurement_by_their_variances
     assert (states.filter(like="formula").abs().max() < 1e-6).all()
 
 
-def test_the_order_of_convergence_is_that_of_a_known_sequence():
+def test_order_of_convergence_of_known_sequence_is_found():
     for order in (1.0, 1.5, 2.0, 3.0):
         # From 3 px on each error is a power of the one before, over 8 times its scale.
         errors = [3.0]

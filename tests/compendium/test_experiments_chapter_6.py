@@ -8,7 +8,7 @@ from compendium.experiments import chapter_6
 from compendium.ledger import Record
 
 
-def test_sentences_are_held_against_the_printed_numbers() -> None:
+def test_values_of_sentences_follow_from_printed_numbers() -> None:
     assert chapter_6.of_printed_numbers() == pytest.approx(
         {
             "section-4.1/small-slopes": 121.22 / 246.95,
@@ -20,7 +20,7 @@ def test_sentences_are_held_against_the_printed_numbers() -> None:
     )
 
 
-def test_sentences_are_held_against_the_records() -> None:
+def test_values_of_sentences_follow_from_records() -> None:
     records = {"5.5/ridge-thesis": Record("5.5/ridge-thesis", 10.0, 10.0, 10.0, "µm", "result", 1)}
     found = chapter_6.of_records(records)
     assert found == pytest.approx({"section-6/reconstruction-synthetic": 10 / 25})

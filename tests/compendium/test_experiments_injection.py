@@ -13,7 +13,7 @@ def egg() -> Egg:
     return Egg(np.random.default_rng([5, 81]))
 
 
-def test_an_untouched_egg_bears_nothing_and_is_round(egg) -> None:
+def test_untouched_egg_has_no_force_and_is_round(egg) -> None:
     assert egg.way(egg.home) == 0.0
     assert float(egg.force(0.0)) == float(egg.depth(0.0)) == 0.0
     sight = see(egg.frame(egg.home))

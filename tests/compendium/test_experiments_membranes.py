@@ -41,7 +41,7 @@ def direct(row: pd.Series) -> float:
     return disc_modulus(thesis.FORCE, row.rim_radius, DEPTH, **sizes, **before)
 
 
-def test_each_draw_has_the_printed_dimple(posterior: pd.DataFrame) -> None:
+def test_posterior_draws_reproduce_printed_dimple(posterior: pd.DataFrame) -> None:
     """Interpolation errs by 1 % of the depth, which is up to 4 % of the modulus."""
     rows = [posterior.iloc[k] for k in range(12)]
     off = np.array([np.log(row.E / direct(row)) for row in rows])
@@ -53,7 +53,7 @@ def depth_of_a_toy(load: np.ndarray, slenderness: np.ndarray) -> np.ndarray:
     return 0.95 * load**0.35 * (1 - 2 * slenderness)
 
 
-def test_weights_are_those_of_rejection(
+def test_posterior_weights_agree_with_rejection_sampling(
     monkeypatch: pytest.MonkeyPatch, crest: tuple[float, float]
 ) -> None:
     """On a membrane with a known formula, beside draws of the priors that hit the depth."""
@@ -83,7 +83,7 @@ def test_weights_are_those_of_rejection(
         assert found["E"].quantile(level) == pytest.approx(wanted, rel=0.015)
 
 
-def test_a_profile_with_a_shoulder_is_found() -> None:
+def test_fit_shoulder_recovers_drawn_profile() -> None:
     """Of an outline drawn with a = 150 µm, 90 µm deep, level outside, 7 µm too high."""
     half_width = thesis.MEMBRANE["probe_half_width"]
     r = np.linspace(half_width, 250.0, 400)
@@ -97,7 +97,7 @@ def test_a_profile_with_a_shoulder_is_found() -> None:
 
 
 @pytest.mark.parametrize("disc", ["neo-Hooke", "Hooke, no pressure"])
-def test_a_curve_of_ratios_passes_through_the_inverse(disc: str) -> None:
+def test_modulus_ratios_agree_with_inverse_solver(disc: str) -> None:
     """One is solved for the depth, the other for the modulus."""
     curve, a = membranes.modulus_ratios(disc), thesis.MEMBRANE
     radius = membranes.INPUTS["dimple_radius"]

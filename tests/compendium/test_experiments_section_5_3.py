@@ -9,7 +9,7 @@ from compendium.experiments import section_5_3
 from microlib.tracking import ESMTracker
 
 
-def test_the_gripper_is_found_where_it_was_put() -> None:
+def test_gripper_is_tracked_to_its_true_position() -> None:
     for zoom in section_5_3.WINDOWS:
         rng = np.random.default_rng(0)
         frame, tracker = section_5_3.gripper(zoom, (-15.0, 10.0), rng)
@@ -21,7 +21,7 @@ def test_the_gripper_is_found_where_it_was_put() -> None:
         assert side == pytest.approx(section_5_3.WINDOWS[zoom], abs=1.5)
 
 
-def test_speed_ends_tracking() -> None:
+def test_tracking_fails_at_high_speed() -> None:
     found = section_5_3.speed_study(2, [250.0, 4000.0], runs=2)
     assert found.loc[250.0].to_list() == [1.0, 1.0]
     # 121 px from frame to frame, more than two windows.
@@ -29,7 +29,7 @@ def test_speed_ends_tracking() -> None:
     assert found.index.name == "speed (px/s)"
 
 
-def test_a_square_moves_by_what_it_is_told():
+def test_texture_sequence_moves_by_whole_pixels():
     """By whole pixels and without noise it is the same picture elsewhere."""
     near = section_5_3.texture_sequence(
         [[3, 8], [10, 5]], np.random.default_rng(0), size=15, noise=0.0
@@ -38,7 +38,7 @@ def test_a_square_moves_by_what_it_is_told():
     np.testing.assert_array_equal(near[0][23:], near[1][23:])
 
 
-def test_a_square_moves_by_parts_of_a_pixel():
+def test_texture_sequence_moves_by_fractions_of_a_pixel():
     """By the tracker, which shares nothing with the renderer and errs by a hundredth of a pixel."""
     path = [[9.2, 8.7], [9.5, 8.5]]
     one, other = section_5_3.texture_sequence(path, np.random.default_rng(0), size=40, noise=0.0)

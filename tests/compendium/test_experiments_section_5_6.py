@@ -18,7 +18,7 @@ from microlib.membrane import indentation_force
 pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
 
 
-def test_the_rounding_leaves_two_per_cent_of_the_modulus() -> None:
+def test_rounding_of_table_5_5_leaves_two_per_cent_of_modulus() -> None:
     draws = section_5_6.rounding_draws(seed=1, draws=400)
     # 400 draws know a standard deviation to 3.5 %, and their sum of 24 is near a Gaussian's.
     tolerance = claim("section-5.6/E-from-table-5.5").tolerance
@@ -36,7 +36,7 @@ def reach() -> section_5_6.RoundingReach:
     return section_5_6.rounding_reach()
 
 
-def test_the_rounding_bounds_what_is_read_off_table_5_5(reach) -> None:
+def test_worst_cases_of_rounding_are_reached(reach) -> None:
     """The worst cases are what the curve reaches with each coefficient at its end."""
     base = section_5_6.read_off()
     curve = thesis.outline_curve()
@@ -49,7 +49,7 @@ def test_the_rounding_bounds_what_is_read_off_table_5_5(reach) -> None:
         assert reached == pytest.approx(worst, rel=0.05), name
 
 
-def test_the_printed_coordinates_are_barely_possible_together(reach) -> None:
+def test_printed_coordinates_need_nearly_all_of_the_rounding(reach) -> None:
     names = ("x_1", "y_1", "x_2", "y_2")
     printed = np.array([claim(f"section-5.6/{name}").value for name in names])
     half = np.array([half_ulp(claim(f"section-5.6/{name}").printed) for name in names])
@@ -73,7 +73,7 @@ def test_the_printed_coordinates_are_barely_possible_together(reach) -> None:
     assert -best.fun == pytest.approx(reach.share, abs=0.02)
 
 
-def test_the_printed_modulus_needs_half_of_a_50_um_probe() -> None:
+def test_printed_modulus_implies_probe_half_width_of_25_um() -> None:
     radius, depth = section_5_6.printed_dimple()
     assert radius == pytest.approx(claim("table-5.6/a").value, abs=0.005)
     assert depth == pytest.approx(claim("table-5.6/w_d").value, abs=0.005)
@@ -95,7 +95,7 @@ def test_the_printed_modulus_needs_half_of_a_50_um_probe() -> None:
         assert needed[0] < 0 < needed[1]
 
 
-def test_the_right_rim_is_the_highest_point_on_its_side() -> None:
+def test_right_rim_is_highest_point_on_its_side() -> None:
     radius, depth = section_5_6.right_dimple()
     curve, pixel = thesis.outline_curve(), thesis.EMBRYO_PIXEL
     bottom = dimple_geometry(curve, pixel_size=pixel).bottom
@@ -105,7 +105,7 @@ def test_the_right_rim_is_the_highest_point_on_its_side() -> None:
     assert (round(radius), round(depth, 1)) == (181, 119.7)
 
 
-def test_a_curve_is_compared_with_its_own_profile() -> None:
+def test_shape_is_compared_with_its_own_profile() -> None:
     curve = thesis.outline_curve()
     shape = section_5_6.compare_shape(curve)
     dimple = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL)

@@ -15,7 +15,7 @@ def roundness(outline: np.ndarray) -> float:
     return float(4 * np.pi * cv2.contourArea(shape) / cv2.arcLength(shape, True) ** 2)
 
 
-def test_kinds_differ_in_size_and_roundness():
+def test_cell_kinds_differ_in_size_and_roundness():
     _, kidney = render_cells("293T", np.random.default_rng(0))
     _, cancer = render_cells("Jurkat", np.random.default_rng(0))
     assert np.mean([roundness(o) for o in kidney]) < 0.93

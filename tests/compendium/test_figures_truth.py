@@ -26,7 +26,7 @@ def lines(figure: Figure, panel: int = 0) -> dict[str, np.ndarray]:
     return {line.get_label().split(" (")[0]: line.get_xydata() for line in drawn}
 
 
-def test_points_and_images_are_kept_with_their_axes(tmp_path: Path) -> None:
+def test_figure_data_keep_points_images_and_labels(tmp_path: Path) -> None:
     figure, (left, right) = plt.subplots(1, 2)
     left.plot([1, 2, 3], [10, 20, 60], label="line")
     left.scatter([4, 5], [40, 50], label="dots")
@@ -46,7 +46,7 @@ def test_points_and_images_are_kept_with_their_axes(tmp_path: Path) -> None:
         assert arrays["panel_titles"].tolist() == ["", "height"]
 
 
-def test_rays_meet_where_the_lens_equation_says() -> None:
+def test_drawn_rays_meet_by_lens_equation() -> None:
     drawn = lines(surfaces.draw_lens())
     (object_x, _), at_lens, (image_x, image_y) = drawn["in focus"]
     # 1/f = 1/d_o + 1/d_i with f = 40 and the sensor at 100 mm; the lens' radius is 14 mm.
@@ -57,7 +57,7 @@ def test_rays_meet_where_the_lens_equation_says() -> None:
     assert image_y == pytest.approx(14 * 100 * (1 / -object_x + 1 / 100 - 1 / 40))  # (3.4)
 
 
-def test_what_is_known_of_a_place_is_drawn_as_its_density() -> None:
+def test_kalman_figure_draws_gaussian_densities() -> None:
     """The last frame's prediction, measurement and estimate: mean, spread, and all of it."""
     names = ["frame", "true", "measured", "predicted", "predicted_std", "estimated"]
     rows = [[1, 0.0, 0.5, 0.0, 30.0, 0.5, 1.0], [2, 2.0, 2.5, 1.0, 2.0, 2.2, 0.9]]
@@ -69,7 +69,7 @@ def test_what_is_known_of_a_place_is_drawn_as_its_density() -> None:
         np.testing.assert_allclose(density, norm.pdf(x, *known[name]), rtol=1e-9)
 
 
-def test_a_figure_has_two_looks_and_is_the_same_each_time() -> None:
+def test_svg_has_two_themes_and_is_reproducible() -> None:
     """What follows the page changes with it; a map in the same grey, and black, do not."""
     style.use_style()
     pictures = []
@@ -92,7 +92,7 @@ def test_a_figure_has_two_looks_and_is_the_same_each_time() -> None:
     np.testing.assert_allclose(grey, 255 * np.arange(12).reshape(3, 4) / 11, atol=1)
 
 
-def test_a_legend_names_the_types_that_occur_in_their_colors() -> None:
+def test_legend_lists_occurring_types_with_their_colors() -> None:
     assert len(set(surfaces.HK_COLORS)) == len(surfaces.HK_COLORS) == 1 + len(HK_NAMES)
     _, axes = plt.subplots()
     surfaces.draw_labels(axes, np.array([[0, 1], [5, 9]], np.uint8))
@@ -104,7 +104,7 @@ def test_a_legend_names_the_types_that_occur_in_their_colors() -> None:
     np.testing.assert_allclose(shown, [p.get_facecolor() for p in legend.get_patches()], atol=0.01)
 
 
-def test_a_film_loops_beside_its_still() -> None:
+def test_film_loops_and_has_still_image() -> None:
     figure = Figure(figsize=(2, 1), dpi=50)
     axes = figure.subplots()
     bar = axes.axvspan(0, 1, color="black")

@@ -58,14 +58,16 @@ SIMULATED = {"compared": "simulation"}
         (SIMULATED | {"bound": "upper"}, (2.4, 2.3, 2.45), "disagrees"),
     ],
 )
-def test_judgement(changes: dict, numbers: tuple, verdict: str) -> None:
+def test_judge_gives_verdict_from_interval_and_tolerance(
+    changes: dict, numbers: tuple, verdict: str
+) -> None:
     """The verdict that the entry states decides nothing."""
     for stated in ledger.VERDICTS:
         assert ledger.judge(make(**changes | {"verdict": stated}), *numbers) == verdict
 
 
 @pytest.mark.parametrize("value", [1e9, -1e9, 0.0, 2.0, -2.5])
-def test_a_difference_that_changes_is_noticed(value: float) -> None:
+def test_changed_difference_fails_pinned_verdict(value: float) -> None:
     claim = make(verdict="disagrees", recomputed=3.0, within=0.1)
     assert ledger.check_stated_verdict(claim, 3.05, 3.05, 3.05) == ("disagrees", "")
     assert "not within 0.1 of 3" in ledger.check_stated_verdict(claim, value, value, value)[1]
@@ -84,14 +86,14 @@ def test_a_difference_that_changes_is_noticed(value: float) -> None:
         (math.inf, math.inf, "the formula gives inf"),
     ],
 )
-def test_an_equation_that_does_not_hold_is_named(
+def test_check_equation_names_failing_equation(
     formula: object, library: object, message: str
 ) -> None:
     with pytest.raises(ledger.ClaimError, match=message):
         ledger.check_equation("3.13", formula, library)
 
 
-def test_an_equation_that_holds_is_no_record(tmp_path: Path) -> None:
+def test_check_equation_records_nothing_when_it_holds(tmp_path: Path) -> None:
     try:
         ledger.open_record(tmp_path / "03.json")
         ledger.check_equation("3.13", [0.1 + 0.2, 1.0], [0.3, 1.0])  # apart by rounding
@@ -107,7 +109,7 @@ def test_an_equation_that_holds_is_no_record(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim.id)
-def test_the_entry_is_sound(claim: ledger.Claim) -> None:
+def test_claim_entry_is_consistent(claim: ledger.Claim) -> None:
     """What must hold of every entry of claims.toml."""
     arithmetic, simulated = claim.compared == "arithmetic", claim.compared == "simulation"
     assert claim.verdict in ledger.VERDICTS
@@ -156,12 +158,12 @@ def test_the_entry_is_sound(claim: ledger.Claim) -> None:
         ("table-5.6/F", 197.0, {}, "not compared"),
     ],
 )
-def test_check_refuses(id: str, value: float, options: dict, message: str) -> None:
+def test_check_refuses_wrong_numbers(id: str, value: float, options: dict, message: str) -> None:
     with pytest.raises((ledger.ClaimError, ValueError), match=message):
         ledger.check(id, value, **options)
 
 
-def test_a_mismatch_is_recorded_where_that_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mismatch_is_recorded_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(ledger.RECORD_MISMATCHES, "1")
     record = ledger.check("table-5.6/w_d", 120.0)
     assert record.verdict == "disagrees: disagrees, but the book says agrees"
@@ -172,7 +174,7 @@ def test_a_mismatch_is_recorded_where_that_is_asked_for(monkeypatch: pytest.Monk
     [c for c in CLAIMS if c.compared == "arithmetic" and (c.verdict == "agrees" or c.corrected)],
     ids=lambda claim: claim.id,
 )
-def test_every_tolerance_can_fail(claim: ledger.Claim) -> None:
+def test_tolerance_rejects_wrong_values(claim: ledger.Claim) -> None:
     """Zero, the wrong sign and a value two per cent off are all rejected."""
     right = float(claim.corrected or claim.printed)
     for wrong in (0.0, -right, 1.02 * right):
@@ -186,7 +188,7 @@ def test_every_tolerance_can_fail(claim: ledger.Claim) -> None:
         assert bool(ledger.check_stated_verdict(claim, near, near, near)[1]) == (abs(share) > 1)
 
 
-def test_tolerances_of_table_5_1_are_those_of_the_95_percent_rule() -> None:
+def test_tolerances_of_table_5_1_are_95_percent_quantiles() -> None:
     """All its lengths have five digits; M is T_op/f, d is f²/T_op, T_z is f + d."""
     rng = np.random.default_rng(0)
     for column in ("circle-1X", "circle-4X", "square-1X", "square-4X"):
@@ -238,7 +240,7 @@ def test_records_are_written_and_read(tmp_path: Path) -> None:
         (-8.4e-10, -8.6e-10, -8.2e-10, 12, "(-8.40 ± 0.20)·10⁻¹⁰ px"),
     ],
 )
-def test_a_number_is_shown_as_far_as_it_is_known(
+def test_number_is_shown_to_its_uncertainty(
     value: float, low: float, high: float, digits: int, text: str
 ) -> None:
     record = ledger.Record("x", value, low, high, "px", "agrees", digits)
@@ -249,7 +251,7 @@ def test_a_number_is_shown_as_far_as_it_is_known(
 
 
 @pytest.mark.parametrize("claim", [c for c in CLAIMS if c.compared], ids=lambda claim: claim.id)
-def test_every_check_turns_with_the_number(claim: ledger.Claim) -> None:
+def test_every_claim_fails_for_some_planted_number(claim: ledger.Claim) -> None:
     """No claim is true by construction: some planted number changes its verdict or its pin."""
     size = abs(claim.value) or 1.0
     planted = (0.0, -size, 0.4 * size, 2.1 * size, 100 * size)
@@ -259,12 +261,12 @@ def test_every_check_turns_with_the_number(claim: ledger.Claim) -> None:
         assert turned & {"disagrees", "cannot tell"}, turned
 
 
-def test_every_cause_has_its_claims() -> None:
+def test_causes_and_claims_correspond() -> None:
     assert {claim.cause for claim in CLAIMS} - {""} == set(ledger.causes())
     assert all({"title", "text"} <= set(cause) for cause in ledger.causes().values())
 
 
-def test_errata_are_complete() -> None:
+def test_errata_have_all_fields() -> None:
     for name, entry in ledger.errata().items():
         keys = {"title", "where", "printed", "corrected", "origin", "proof", "test"}
         assert set(entry) - {"claims", "reading", "reaches"} == keys, name

@@ -55,7 +55,7 @@ def test_table_of_parameters_has_default_bound_and_meaning() -> None:
         ("stack", "a.png", "a.png"),
     ],
 )
-def test_a_text_takes_the_type_of_its_parameter(
+def test_text_is_converted_to_type_of_parameter(
     notebook: Path, name: str, text: str, value: object
 ) -> None:
     found = read_values(notebook, [(name, text)])[name]
@@ -87,9 +87,7 @@ def test_a_text_takes_the_type_of_its_parameter(
         ("zzz", "1", "07_guide has no parameter zzz; it has record, stack"),
     ],
 )
-def test_a_wrong_text_is_told_in_one_line(
-    notebook: Path, name: str, text: str, message: str
-) -> None:
+def test_wrong_text_raises_one_line(notebook: Path, name: str, text: str, message: str) -> None:
     with pytest.raises(ValueError, match=f"^{message.replace('?', '[?]')}") as caught:
         read_values(notebook, [(name, text)])
     assert "\n" not in str(caught.value)

@@ -19,7 +19,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 COMMANDS = re.findall(r"^microlib (depth|calibrate|track|modulus) (.*)$", README, flags=re.M)
 
 
-def test_the_page_start_has_the_same_commands() -> None:
+def test_start_page_has_commands_of_readme() -> None:
     page = (ROOT / "book" / "start.md").read_text(encoding="utf-8")
     assert len(COMMANDS) == 4
     assert (
@@ -28,7 +28,7 @@ def test_the_page_start_has_the_same_commands() -> None:
 
 
 @pytest.mark.parametrize(("task", "text"), COMMANDS, ids=lambda value: value.split()[0])
-def test_a_printed_command_gives_the_truth(
+def test_readme_command_reproduces_truth(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], task: str,
     text: str,
 ) -> None:  # fmt: skip

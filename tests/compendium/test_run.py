@@ -53,7 +53,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_changed_file_changes_the_key(project: Path) -> None:
+def test_changed_file_changes_cache_key(project: Path) -> None:
     keys = [run.key_of("01_first")]
     for file in (
         "notebooks/01_first.ipynb", "microlib/focus/_a.py", "compendium/b.py",
@@ -74,7 +74,7 @@ def statuses(project: Path) -> dict[str, dict]:
     return {path.stem: json.loads(path.read_text()) for path in files}
 
 
-def test_only_what_changed_or_is_missing_runs_again(
+def test_only_changed_or_missing_notebooks_run_again(
     project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     figure = "import os\n(pathlib.Path(os.environ['MICROLIB_FIGURES']) / 'fig.csv').touch()"
@@ -104,7 +104,7 @@ def test_only_what_changed_or_is_missing_runs_again(
         (project / file).write_text(before)
 
 
-def test_a_failure_stops_nothing_and_is_listed_at_the_end(
+def test_failed_notebook_is_listed_and_others_run(
     project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """It is named with cell and message; what it computed before stays, and it runs again."""
@@ -148,7 +148,7 @@ def test_a_failure_stops_nothing_and_is_listed_at_the_end(
         ("assert False", "FAILED in cell source: AssertionError:"),
     ],
 )
-def test_other_failures_are_told(
+def test_failures_are_reported_with_reason(
     project: Path, monkeypatch: pytest.MonkeyPatch, source: str, message: str
 ) -> None:
     """Assertions hold although the user's Python leaves them out."""
@@ -161,7 +161,7 @@ def test_other_failures_are_told(
     assert ("last words" in log) == ("last words" in source)
 
 
-def test_what_cannot_be_started_or_written_is_a_failure(
+def test_unstartable_kernel_and_full_disk_are_failures(
     project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A kernel without an interpreter; and a disk on which not even the status has room."""
@@ -179,16 +179,14 @@ def test_what_cannot_be_started_or_written_is_a_failure(
     assert not list((project / "build" / "notebooks").iterdir())  # nothing of an earlier run
 
 
-def test_the_last_chapter_asks_for_the_others(project: Path) -> None:
+def test_last_chapter_requires_records_of_others(project: Path) -> None:
     run.build(["06_last"], 1, force=False)
     assert run.failures()["06_last"].endswith("run 01_first first")
     run.build(["01_first", "06_last"], 1, force=False)
     assert run.failures() == {}
 
 
-def test_the_kernel_is_this_interpreter_with_none_of_the_users_settings(
-    project: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_kernel_ignores_settings_of_user(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A kernel called python3, an IPython profile and a start-up file of the user's."""
     spec = project / "jupyter" / "kernels" / "python3" / "kernel.json"
     spec.parent.mkdir(parents=True)
@@ -211,7 +209,7 @@ def test_the_kernel_is_this_interpreter_with_none_of_the_users_settings(
     assert (project / ran).resolve() == Path(sys.executable).resolve()
 
 
-def test_what_a_deleted_notebook_left_is_removed(project: Path) -> None:
+def test_results_of_deleted_notebook_are_removed(project: Path) -> None:
     write_notebook(project, "08_old", CHECKS)
     run.build(["08_old"], 1, force=False)
     (project / "notebooks" / "08_old.ipynb").unlink()
@@ -245,7 +243,7 @@ def start_waiting(project: Path, *arguments: str) -> tuple[subprocess.Popen, int
     return running, int((project / "pid").read_text())
 
 
-def test_a_killed_run_leaves_nothing_that_counts(project: Path) -> None:
+def test_killed_run_is_not_up_to_date(project: Path) -> None:
     """Its kernels end with it, and the notebook runs again."""
     running, kernel = start_waiting(project)
     running.kill()
@@ -260,7 +258,7 @@ def test_a_killed_run_leaves_nothing_that_counts(project: Path) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("arguments", [(), ("-p", "width", "2")])
-def test_an_interrupt_reaches_the_kernel_and_is_waited_for(
+def test_interrupt_stops_kernel_before_run_ends(
     project: Path, number: signal.Signals, arguments: tuple[str, ...]
 ) -> None:
     running, kernel = start_waiting(project, *arguments)
@@ -273,7 +271,7 @@ def test_an_interrupt_reaches_the_kernel_and_is_waited_for(
         assert run.failures()["01_first"].startswith("FAILED in cell source: KeyboardInterrupt")
 
 
-def test_a_second_run_waits_and_says_so(project: Path) -> None:
+def test_second_run_waits_for_lock(project: Path) -> None:
     code = "import sys, pathlib; from compendium import run; "
     code += f"run.BUILD = pathlib.Path({str(project / 'build')!r})\n"
     code += "with run.build_lock(): print('holds', flush=True)"
@@ -304,7 +302,7 @@ def test_a_second_run_waits_and_says_so(project: Path) -> None:
         (["01", "-p", "width"], 2, "argument -p: expected 2 arguments; --help lists the options"),
     ],
 )
-def test_a_wrong_call_is_told_in_one_line(
+def test_wrong_arguments_give_one_line(
     project: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -328,7 +326,7 @@ def test_a_wrong_call_is_told_in_one_line(
 
 
 @pytest.mark.parametrize(("source", "status"), [("print(record)", 0), ("1 / 0", 1)])
-def test_a_run_on_own_data_is_kept_apart(
+def test_run_on_own_data_writes_to_its_own_folder(
     project: Path, monkeypatch: pytest.MonkeyPatch, source: str, status: int
 ) -> None:
     write_notebook(project, "01_first", source, 'record = ""\nwidth = 1.0')

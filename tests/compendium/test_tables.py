@@ -29,7 +29,7 @@ PRINTED = {
 
 
 @pytest.mark.parametrize("name", PRINTED)
-def test_a_table_stands_as_it_is_printed(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_table_shows_printed_and_found_numbers(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(ledger.RECORD_MISMATCHES, "1")
     entries = [one for id, one in ledger.claims().items() if id.startswith(f"{name}/")]
     entries = [one for one in entries if "table" in name or (one.compared and not one.printed)]
@@ -57,7 +57,7 @@ def test_a_table_stands_as_it_is_printed(name: str, monkeypatch: pytest.MonkeyPa
     assert sorted(cells) == sorted(expected)
 
 
-def test_a_table_that_was_not_checked_is_refused() -> None:
+def test_unchecked_table_is_refused() -> None:
     ledger.open_record("")
     with pytest.raises(ValueError, match=r"missing: \['table-5.7/mean', 'table-5.7/std'\]"):
         as_printed("table-5.7")
@@ -65,7 +65,7 @@ def test_a_table_that_was_not_checked_is_refused() -> None:
         as_printed("table-9.9")
 
 
-def test_texts_of_a_claim_are_no_markup() -> None:
+def test_texts_of_claims_are_escaped() -> None:
     """Neither in HTML nor in a script, which a text may not end."""
     wrong = "</script><b title='x'>\"&"
     claim = replace(ledger.claim("table-5.6/E"), what=wrong)

@@ -166,7 +166,7 @@ def test_law_holds(law, name):
 
 
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
-def test_an_embryo_seen_otherwise_has_the_same_outline_and_dimple(view):
+def test_boundary_and_dimple_follow_flips_and_rotations(view):
     """Rows and columns differ, and the dimple lies beside the middle."""
     image = EGG[3:, :-31]
     plain, other = (extract_boundary(each) for each in (image, view.image(image)))
@@ -185,7 +185,7 @@ def test_an_embryo_seen_otherwise_has_the_same_outline_and_dimple(view):
 
 
 @pytest.mark.parametrize("found", ["force", "modulus"])
-def test_each_end_of_an_interval_is_that_of_a_model(found):
+def test_ends_of_model_interval_are_values_of_models(found):
     """What is found goes with what is given, so that an end, given back, meets what was given."""
     settings = {"pixel_size": 7.75, **SIZES, "poisson_ratio": 0.5}
     first, back = (force_from_image, modulus_from_image)[:: 1 if found == "force" else -1]
@@ -203,7 +203,7 @@ def test_each_end_of_an_interval_is_that_of_a_model(found):
 
 
 @pytest.mark.parametrize("points", [6, 15, 120])
-def test_the_error_of_a_gaussian_is_as_stated(points):
+def test_gaussian_covariance_matches_scatter_of_fits(points):
     """Few, some and many points for its three numbers."""
     rng, x = np.random.default_rng(points), np.linspace(3.0, 81.0, points)
     curve = GaussianSum([60.0], [37.0], [22.0], domain=(0, 90))
@@ -217,7 +217,7 @@ def test_the_error_of_a_gaussian_is_as_stated(points):
 
 
 @pytest.mark.parametrize("rim", ["left", "right"])
-def test_the_error_of_a_dimple_is_that_of_its_curve(rim):
+def test_dimple_covariance_matches_scatter_of_curves(rim):
     """Of coefficients that are drawn."""
     rng = np.random.default_rng(3)
     root = rng.normal(0.0, 0.01, (9, 9))
@@ -235,7 +235,7 @@ def test_the_error_of_a_dimple_is_that_of_its_curve(rim):
 
 
 @pytest.mark.parametrize("order", [[2, 0, 1], [1, 2, 0]])
-def test_points_in_another_order_have_their_values_in_that_order(order):
+def test_smoothed_values_follow_order_of_points(order):
     x = np.arange(41.0) ** 1.2 + 3.7
     y = np.random.default_rng(1).normal(50.0, 3.0, x.size)
     mixed = np.argsort(np.arange(x.size) % 3 * 100 + np.arange(x.size))
@@ -265,7 +265,7 @@ def test_points_in_another_order_have_their_values_in_that_order(order):
     ],
     ids=["sum", "dimple", "outline", "estimate"],
 )  # fmt: skip
-def test_what_was_used_before_is_as_new(make, uses):
+def test_results_do_not_depend_on_earlier_use(make, uses):
     """In either order, and after what was refused; the image is the caller's."""
     image = EGG.copy()
     for before in (uses, uses[::-1]):

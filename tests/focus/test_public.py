@@ -89,7 +89,7 @@ def test_law_holds(law, name):
 
 
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
-def test_a_stack_seen_otherwise_has_the_same_depth(view):
+def test_depth_follows_flips_and_rotations(view):
     """Of sides that are multiples of four, which the coarser grids leave whole."""
     for measure in ("multiscale", "sml"):
         plain = depth_from_focus(STACK, Z, measure=measure).depth
@@ -101,7 +101,7 @@ def test_a_stack_seen_otherwise_has_the_same_depth(view):
     follows_view(view, lambda depth: smooth_depth(depth, jump=12.0), HOLED, atol=1e-3)
 
 
-def test_xarray_coordinates_are_those_of_the_file(tmp_path):
+def test_xarray_coordinates_equal_positions_in_file(tmp_path):
     """xarray has a pixel where it was in the microscope's file, in µm."""
     tifffile.imwrite(
         tmp_path / "stack.ome.tif",
@@ -121,7 +121,7 @@ def test_xarray_coordinates_are_those_of_the_file(tmp_path):
 
 
 @pytest.mark.parametrize("count", [8, 11, 41])
-def test_errors_are_as_stated_with_few_some_and_many_frames(count):
+def test_depth_uncertainty_matches_error_for_any_number_of_frames(count):
     """Within the limits of benchmarks/focus_depth.py, a half more for few draws."""
     z = 100 - np.linspace(0, 40, count) ** 1.02
     height = 80 + tilted_plane((88, 108), 0.08, 0.05)
@@ -135,7 +135,7 @@ def test_errors_are_as_stated_with_few_some_and_many_frames(count):
     assert 0.7 < np.mean(ratios) < 1.5
 
 
-def test_a_stack_can_be_used_again_after_a_failure():
+def test_frames_can_be_used_again_after_interruption():
     def fail(done, count):
         raise InterruptedError
 
@@ -156,7 +156,7 @@ def test_a_stack_can_be_used_again_after_a_failure():
 
 
 @pytest.mark.parametrize("levels", [1, 200, 1 / 255])
-def test_bare_ground_has_no_depth_in_any_unit(levels):
+def test_untextured_ground_has_no_depth_in_any_unit(levels):
     """Not from noise, and not from the rounding to whole grey levels where that is all there is."""
     texture = synthetic.mixed_texture((96, 160), np.random.default_rng(2))
     gradient = np.linspace(90, 110, 100)  # which rounds to terraces
@@ -174,7 +174,7 @@ def test_bare_ground_has_no_depth_in_any_unit(levels):
         assert np.isfinite(depth[:, 110:]).mean() < 0.01
 
 
-def test_warps_are_those_of_the_frames_at_any_size():
+def test_registration_of_large_frames_finds_their_transforms():
     """Frames of 1024 px are compared at a fourth; their pixels' centers must not move by that."""
     rows, cols = 976, 1064
     rng = np.random.default_rng(8)

@@ -42,13 +42,11 @@ def series(figures: Path, name: str) -> dict[tuple[int, str], np.ndarray]:
         ("section-5.2/magnification-4X", 6.444),
     ],
 )
-def test_a_number_of_a_few_lines_is_that_of_its_formula(
-    claims_folder: Path, id: str, value: float
-) -> None:
+def test_recorded_number_equals_its_formula(claims_folder: Path, id: str, value: float) -> None:
     assert ledger.read_records(claims_folder)[id].value == pytest.approx(value, abs=1e-4)
 
 
-def test_forces_of_adhesion_fall_in_order(figures: Path) -> None:
+def test_adhesion_forces_scale_with_power_of_diameter(figures: Path) -> None:
     """Figure 2.2: weight goes with the cube of the diameter, surface tension with itself."""
     found = series(figures, "fig-2-2")
     powers = {"weight": 3, "surface tension": 1}
@@ -57,7 +55,7 @@ def test_forces_of_adhesion_fall_in_order(figures: Path) -> None:
         np.testing.assert_allclose(np.diff(np.log(y)) / np.diff(np.log(x)), power, atol=1e-3)
 
 
-def test_errors_of_a_turned_camera_decay_with_its_cosine(figures: Path) -> None:
+def test_error_decays_with_cosine_of_camera_rotation(figures: Path) -> None:
     """(2.4): e(t) = exp(−λ R t) e(0), of length exp(−λ cos θ t), turned by λ sin θ t."""
     found = series(figures, "fig-ch2-rotation")
     t, length = found[1, "0°"].T
@@ -78,7 +76,7 @@ def test_errors_of_a_turned_camera_decay_with_its_cosine(figures: Path) -> None:
         )
 
 
-def test_defocus_passes_low_frequencies(figures: Path) -> None:
+def test_defocus_transfer_is_gaussian(figures: Path) -> None:
     """(3.9): the transfer of a Gaussian is exp(−σ² u² / 2)."""
     for (_, name), points in series(figures, "fig-ch3-defocus").items():
         u, gain = points.T
@@ -88,7 +86,7 @@ def test_defocus_passes_low_frequencies(figures: Path) -> None:
         assert (u[0], u[-1]) == pytest.approx((0, np.pi))
 
 
-def test_profiles_are_as_deep_as_they_say(figures: Path) -> None:
+def test_dimple_profiles_reach_stated_depth(figures: Path) -> None:
     """(4.2): zero at the rim, the depth at the probe's edge, the same on both sides."""
     for (_, name), points in series(figures, "fig-ch4-profiles").items():
         r, height = points.T
@@ -101,7 +99,7 @@ def test_profiles_are_as_deep_as_they_say(figures: Path) -> None:
         assert (np.diff(height[r > 0]) > 0).all()
 
 
-def test_forces_go_with_the_modulus_and_the_cube_of_the_depth(figures: Path) -> None:
+def test_force_is_proportional_to_modulus_and_cubed_depth(figures: Path) -> None:
     """(5.2), and Table 5.6 as one of its points."""
     found = series(figures, "fig-ch4-force")
     assert found[1, "Table 5.6"].tolist() == [[DEPTH, FORCE]]
@@ -115,7 +113,7 @@ def test_forces_go_with_the_modulus_and_the_cube_of_the_depth(figures: Path) -> 
     assert np.interp(DEPTH, *found[1, "E = 1.32 MPa"].T) == pytest.approx(FORCE, rel=2e-4)
 
 
-def test_the_section_of_the_dimple_has_the_lengths_of_the_table(figures: Path) -> None:
+def test_drawn_dimple_has_lengths_of_table_5_6(figures: Path) -> None:
     points = np.concatenate([p for (_, name), p in series(figures, "fig-4-3").items()])
     assert points[:, 1].min() == pytest.approx(-DEPTH, abs=1e-3)
     bottom = points[np.isclose(points[:, 1], -DEPTH, atol=1e-3), 0]
@@ -124,7 +122,7 @@ def test_the_section_of_the_dimple_has_the_lengths_of_the_table(figures: Path) -
     assert {RADIUS, -RADIUS} <= set(np.round(rim, 3))
 
 
-def test_the_printed_outline_is_higher_at_the_rim(figures: Path) -> None:
+def test_drawn_outline_has_radius_and_depth_of_table_5_6(figures: Path) -> None:
     found = {name.split(" ")[0]: p for (_, name), p in series(figures, "fig-5-18").items()}
     (x1, y1), (x2, y2) = found["rim"][0], found["bottom"][0]
     assert x2 - x1 == pytest.approx(RADIUS, abs=0.5)

@@ -71,7 +71,7 @@ def test_every_guide_is_tested() -> None:
 
 
 @pytest.mark.parametrize("guide", EVERY)
-def test_a_guide_is_written_as_one(guide: str) -> None:
+def test_guide_has_common_structure(guide: str) -> None:
     intro = source(guide).cells[0].source
     for part in ("This guide ", "**What you need.**", f"07_guide_{guide} \\"):
         assert part in intro
@@ -86,7 +86,7 @@ def test_a_guide_is_written_as_one(guide: str) -> None:
 
 
 @pytest.mark.parametrize(("guide", "parameter", "name"), [(g, *v) for g, v in GUIDES.items()])
-def test_the_defaults_are_those_of_the_input(guide: str, parameter: str, name: str) -> None:
+def test_guide_defaults_give_no_scale(guide: str, parameter: str, name: str) -> None:
     values = defaults(guide)
     assert values[parameter] == ""
     for scale in manifest()[name]["settings"]:
@@ -95,7 +95,7 @@ def test_the_defaults_are_those_of_the_input(guide: str, parameter: str, name: s
 
 
 @pytest.mark.parametrize("guide", EVERY)
-def test_a_guide_compares_its_own_input_with_the_truth(guide: str, claims_folder: Path) -> None:
+def test_executed_guide_compared_its_results_with_truth(guide: str, claims_folder: Path) -> None:
     path = claims_folder.parent / "notebooks" / f"07_guide_{guide}.ipynb"
     cells = nbformat.read(path, as_version=4).cells
     text = str([one for cell in cells for one in cell.get("outputs", [])])
@@ -133,7 +133,7 @@ def run_here(guide: str, **values: object) -> None:
         ("servoing", "core must have a camera and an XY stage"),
     ],
 )
-def test_a_wrong_file_gives_one_clear_line(
+def test_wrong_file_raises_one_clear_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, guide: str, message: str
 ) -> None:
     if guide == "servoing":
@@ -154,7 +154,7 @@ def test_a_wrong_file_gives_one_clear_line(
         ("modulus", {"modulus.csv", "inputs.csv", "dimple.png"}),
     ],
 )
-def test_a_guide_runs_on_the_readers_own_file(
+def test_guide_runs_on_own_file(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -212,7 +212,7 @@ def executors(where: str) -> Iterator[dict[str, object]]:
 
 @pytest.mark.parametrize("where", ["processes", "dask"])
 @pytest.mark.parametrize("guide", RECIPES)
-def test_a_folder_gets_one_row_per_file(
+def test_folder_recipe_writes_one_row_per_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, guide: str, where: str
 ) -> None:
     """A damaged file has its error in its row; a second run evaluates only what has no row."""
@@ -287,7 +287,7 @@ def write_inputs(guide: str) -> None:
 
 
 @pytest.mark.parametrize(("guide", "words"), printed_commands())
-def test_a_printed_command_runs(
+def test_printed_command_of_guide_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, guide: str, words: list[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -299,7 +299,7 @@ def test_a_printed_command_runs(
     assert list(Path(str(values["out"])).glob("*.csv"))
 
 
-def test_numbers_give_a_modulus_and_a_steep_dimple_is_named(
+def test_modulus_guide_accepts_numbers_and_reports_steep_dimple(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Table 5.6, whose modulus is 1.3237 MPa from unrounded lengths."""
@@ -313,7 +313,7 @@ def test_numbers_give_a_modulus_and_a_steep_dimple_is_named(
     assert "no uniform stress balances this dimple" in text
 
 
-def test_a_servo_run_that_ends_early_leaves_its_log(
+def test_servo_run_that_ends_early_keeps_log(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -47,7 +47,7 @@ def bound(source: str) -> list[str]:
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS[:6], ids=lambda path: path.stem)
-def test_a_name_means_one_thing(path: Path) -> None:
+def test_notebook_binds_each_name_once(path: Path) -> None:
     """No name is bound twice, in one cell or in two, but those of a drawing."""
     allowed = set() if path.stem.startswith("05") else DRAWING
     every = [name for cell in code(path) for name in bound(cell.source)]
@@ -56,7 +56,7 @@ def test_a_name_means_one_thing(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_is_written_as_the_book_says(path: Path) -> None:
+def test_notebook_follows_layout_rules(path: Path) -> None:
     notebook = nbformat.read(path, as_version=4)
     number = int(path.stem[:2])
     title = next(line for line in notebook.cells[0].source.splitlines() if line.startswith("# "))
@@ -81,7 +81,7 @@ def test_notebook_is_written_as_the_book_says(path: Path) -> None:
         assert not re.search(r"(?<![\w.])\d+\.\d{3,}", prose), f"{cell.id}: {prose}"
 
 
-def test_every_judged_claim_has_its_record(claims_folder: Path) -> None:
+def test_compared_claims_are_recorded_with_their_verdict(claims_folder: Path) -> None:
     records = ledger.read_records(claims_folder)
     for claim in ledger.claims().values():
         if not claim.compared:
@@ -93,7 +93,7 @@ def test_every_judged_claim_has_its_record(claims_folder: Path) -> None:
             assert ledger.judge(claim, found.value, found.low, found.high) == claim.verdict
 
 
-def test_no_figure_warns_and_every_axis_has_a_unit(claims_folder: Path) -> None:
+def test_notebooks_have_no_warnings_and_axes_have_units(claims_folder: Path) -> None:
     """All functions of `compendium.figures` draw for a notebook; sketches name no axis."""
     for path in (claims_folder.parent / "notebooks").glob("*.ipynb"):
         outputs = [o for c in nbformat.read(path, as_version=4).cells for o in c.get("outputs", [])]
@@ -116,7 +116,7 @@ def excerpt(folder: Path) -> Path:
     return path
 
 
-def test_an_edited_constant_fails_and_names_the_claim(
+def test_wrong_constant_fails_notebook_and_names_claim(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = excerpt(tmp_path)

@@ -16,7 +16,7 @@ CHAPTERS = sorted((ROOT / "notebooks").glob("0[235]_*.ipynb"))
 @pytest.mark.seeds
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("path", CHAPTERS, ids=lambda path: path.stem)
-def test_a_chapter_passes_with_another_seed(path: Path, seed: int, tmp_path: Path) -> None:
+def test_chapter_passes_with_other_seeds(path: Path, seed: int, tmp_path: Path) -> None:
     """No check, assertion or sentence of the notebook is the luck of its own seed."""
     values = {"record": str(tmp_path / "record.json"), "seed": seed}
     log = tmp_path / "log.txt"

@@ -209,7 +209,7 @@ def test_law_holds(law, name):
 
 
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
-def test_a_camera_mounted_otherwise_moves_the_stage_alike(view):
+def test_stage_motion_follows_rotation_of_camera(view):
     turn = view.matrix
     plain = {"interval": 0.03, "control_weight": L}
     control = OptimalController(J, feature_weight=Q, **plain)
@@ -225,14 +225,14 @@ def test_a_camera_mounted_otherwise_moves_the_stage_alike(view):
 
 
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
-def test_a_step_is_answered_alike_along_other_axes(view):
+def test_step_metrics_follow_rotation_of_axes(view):
     given = LAWS["servoing.step_metrics"].arguments(Units())
     given["position"][1:] += 0.2 * PATH[1:25]  # off the line
     turned = {name: view.vectors(given[name]) for name in ("position", "target")}
     assert not [*unlike(step_metrics(**given), step_metrics(**given | turned))]
 
 
-def test_the_stage_axes_may_be_swapped():
+def test_optimal_control_follows_swapped_stage_axes():
     """And with them its weights: the same motion, told in another order."""
     given = {"feature": PATH[0], "target": STEP, "interval": 0.03, "feature_weight": Q}
     one = optimal_control(J, control_weight=L, **given)
@@ -241,7 +241,7 @@ def test_the_stage_axes_may_be_swapped():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_frames_without_the_feature_end_a_run_only_in_a_row(seed):
+def test_run_ends_after_most_lost_frames_in_a_row(seed):
     """Wherever they are: the run goes on after each, until too many come in a row."""
     most = 2 + seed % 2
     lost = np.random.default_rng(seed).random(200) < 0.45
@@ -264,7 +264,7 @@ def test_frames_without_the_feature_end_a_run_only_in_a_row(seed):
 
 
 @pytest.mark.parametrize("interval", [0.05, 0.2])
-def test_a_controller_moves_the_stage_by_velocity_times_interval(interval):
+def test_stage_moves_by_velocity_times_interval(interval):
     workstation = begun(Units())
     law = lambda k, seen, goals: np.linalg.solve(J, 0.5 * (goals[1] - seen)) / interval  # noqa: E731
     given = {"jacobian": J, "travel": 400.0, "controller": law, "interval": interval}

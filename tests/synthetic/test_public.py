@@ -113,7 +113,7 @@ def test_law_holds(law, name):
     law(name, LAWS[name])
 
 
-def test_surfaces_lie_in_the_map_as_their_names_say():
+def test_transposed_shape_gives_transposed_surface():
     """Transposed, the shape is; and what runs along x runs along y."""
     for draw in (synthetic.paraboloid, lambda shape, h: synthetic.cone(shape, h, 9.0)):
         np.testing.assert_allclose(draw(SHAPE[::-1], 9.0), draw(SHAPE, 9.0).T)
@@ -122,7 +122,7 @@ def test_surfaces_lie_in_the_map_as_their_names_say():
 
 
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
-def test_a_stack_seen_otherwise_is_blurred_alike(view):
+def test_focal_stack_follows_flips_and_rotations(view):
     given = {"positions": FOCI, "blur_rate": 0.2}
     one = synthetic.focal_stack(TEXTURE, RELIEF, **given)
     other = synthetic.focal_stack(view.image(TEXTURE), view.image(RELIEF), **given)
@@ -131,7 +131,7 @@ def test_a_stack_seen_otherwise_is_blurred_alike(view):
 
 
 @pytest.mark.parametrize("draw", [synthetic.render_circles, synthetic.render_squares])
-def test_a_pattern_seen_otherwise_is_drawn_alike(draw):
+def test_rendered_pattern_follows_transposed_camera(draw):
     """Light, counts, cells and place swapped between the axes make the picture transposed."""
     light = replace(imaging(Units()), noise=0.0)
     one = draw(scope(Units()), counts=(3, 2), imaging=light)
@@ -140,7 +140,7 @@ def test_a_pattern_seen_otherwise_is_drawn_alike(draw):
     np.testing.assert_allclose(other, one.T, atol=2e-3)  # rows and columns in single precision
 
 
-def test_light_and_counts_are_those_of_their_axes():
+def test_light_and_counts_follow_their_axes():
     """Beside the pattern the ground is the light; the pattern has its rows and columns."""
     light = {"bright": 150.0, "dark": 40.0, "blur": 0.0}
     uneven = synthetic.ImagingConditions(vignetting=0.2, gradient=(0.15, -0.1), **light)
@@ -156,7 +156,7 @@ def test_light_and_counts_are_those_of_their_axes():
 
 
 @pytest.mark.parametrize("draw", [synthetic.render_circles, synthetic.render_squares])
-def test_blur_is_a_gaussian_of_its_width(draw):
+def test_blur_of_rendered_pattern_is_gaussian(draw):
     sharp, soft = (
         draw(scope(Units()), imaging=synthetic.ImagingConditions(blur=b)) for b in (0.7, 2.0)
     )
@@ -165,7 +165,7 @@ def test_blur_is_a_gaussian_of_its_width(draw):
     assert np.ptp(sharp) > 100
 
 
-def test_the_gripper_is_brighter_by_the_gain():
+def test_gripper_frame_scales_with_gain():
     scene = synthetic.gripper_scene(1, pixel_size=6.23)
     first, second = (scene.frame((1.3, -2.1), 2, noise=0.0, gain=gain) for gain in (1.0, 1.2))
     dim = (first > 20) & (first < 200)  # not clipped

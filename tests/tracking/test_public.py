@@ -114,7 +114,7 @@ def test_law_holds(law, name):
 
 
 @pytest.mark.parametrize("grey", [1e-3 / 255, 1.0, 257.0])
-def test_gain_and_bias_take_the_template_to_the_frame(grey):
+def test_gain_and_bias_map_template_to_frame(grey):
     track = ESMTracker(SCENE * grey, BOX, "translation").track((GAIN * SCENE + 30) * grey)
     # Single precision, and what the end of the iteration at 0.05 px leaves.
     assert track.gain == pytest.approx(GAIN, abs=2e-3)
@@ -122,7 +122,7 @@ def test_gain_and_bias_take_the_template_to_the_frame(grey):
 
 
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
-def test_a_view_of_the_frames_is_tracked_alike(view):
+def test_track_follows_flips_and_rotations(view):
     one, other = SCENE + NOISE[0], MOVED + NOISE[1]
     first = ESMTracker(one, BOX, "affine").track(other)
     box = view.box(BOX, SCENE.shape)
@@ -138,14 +138,14 @@ def test_a_view_of_the_frames_is_tracked_alike(view):
     assert (seen.gain, seen.bias) == pytest.approx((first.gain, first.bias), rel=1e-3)
 
 
-def test_frames_that_are_cropped_alike_give_the_same_elsewhere():
+def test_track_follows_cropped_frames():
     one, other = SCENE + NOISE[0], MOVED + NOISE[1]
     whole = ESMTracker(one, BOX).track(other)
     part = ESMTracker(one[5:, 12:], (BOX[0] - 12, BOX[1] - 5, *BOX[2:])).track(other[5:, 12:])
     np.testing.assert_allclose(part.corners, whole.corners - [12, 5], atol=5e-3)
 
 
-def test_a_tracker_that_lost_its_template_follows_it_like_a_new_one():
+def test_tracker_recovers_after_lost_frame_like_a_new_one():
     one, other = SCENE + NOISE[0], MOVED + NOISE[1]
     tracker = ESMTracker(one, BOX, "affine")
     lost = tracker.track(np.random.default_rng(0).normal(0, 28, one.shape))
@@ -160,7 +160,7 @@ def test_a_tracker_that_lost_its_template_follows_it_like_a_new_one():
     np.testing.assert_allclose(again.covariance, new.covariance, rtol=within)
 
 
-def test_what_is_refused_changes_nothing():
+def test_refused_input_leaves_state_unchanged():
     for wrong in ((np.nan, 0.0), (1.0, 2.0, 3.0)):
         with pytest.raises(ValueError, match="position must"):
             used(Units()).update(wrong)
@@ -173,7 +173,7 @@ def test_what_is_refused_changes_nothing():
 
 
 @pytest.mark.parametrize("side", [14, 30])
-def test_the_covariance_of_a_robust_fit_is_that_of_its_errors(side):
+def test_sandwich_covariance_matches_scatter_of_robust_fits(side):
     """With a Tukey weight that ends at 2 σ, which leaves 40 % of the slope."""
     rng, scale = np.random.default_rng(side), 2 / 4.685
     v, u = np.mgrid[:side, :side] / 5.0
@@ -193,7 +193,7 @@ def test_the_covariance_of_a_robust_fit_is_that_of_its_errors(side):
 
 
 @pytest.mark.parametrize("fineness", [1.0, 2.0])
-def test_a_translation_is_as_uncertain_as_it_says(fineness):
+def test_translation_covariance_matches_scatter_of_tracks(fineness):
     off, covariance = [], []
     for seed in range(52):
         rng = np.random.default_rng(seed)
