@@ -60,6 +60,7 @@ MAX_RELATIVE_HALF_WIDTH, MAX_RELATIVE_HALF_WIDTH_OF_INPUT = 0.5, 1.0
 _RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 _THESIS = Path(__file__).resolve().parent.parent / "data" / "thesis"
 _COMPARISONS = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
+_IN_WORDS = {">=": "at least", "<=": "at most", ">": "above", "<": "below"}
 
 
 class ClaimError(AssertionError):
@@ -163,14 +164,16 @@ class Claim:
         if not self.compared:
             return ""
         if self.limit:
-            return f"recomputed {self.limit}{unit}"
+            sign, limit = self.limit.split()
+            return f"the recomputed number must be {_IN_WORDS[sign]} {limit}{unit}"
         if self.bound:
-            return f"{self.bound} bound by a simulation that leaves causes out"
+            return f"the simulation leaves causes out, so that it gives a {self.bound} bound"
         if self.compared == "simulation":
-            return "printed lies in the 95 % interval of the simulation"
-        if self.corrected:
-            return f"recomputed within {self.tolerance:.2g}{unit} of {self.corrected}"
-        return f"recomputed within {self.tolerance:.2g}{unit} of printed"
+            return "the printed number must lie in the 95 % interval of the simulation"
+        right = f"{self.corrected}{unit}" if self.corrected else "the printed number"
+        if self.tolerance < 1e-6:
+            return f"the recomputed number must equal {right}"
+        return f"the recomputed number must lie within {self.tolerance:.2g}{unit} of {right}"
 
 
 @dataclass(frozen=True)
@@ -348,7 +351,7 @@ def causes() -> Mapping[str, Mapping[str, str]]:
     --------
     >>> from compendium.ledger import causes
     >>> causes()["probe-ratio"]["title"]
-    'The ratio ζ is a number of another table'
+    'The printed ratio ζ is a number of another table'
     """
     return _read("causes.toml")
 

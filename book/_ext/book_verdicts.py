@@ -272,9 +272,7 @@ class Differences(SphinxDirective):
             if claim.verdict == "disagrees":
                 thesis = f"The thesis prints {printed(claim)}."
                 if not claim.printed:
-                    sign, limit = claim.limit.split()
-                    needed = f"at {'most' if sign == '<=' else 'least'} {limit} {claim.unit}"
-                    thesis = f"The thesis: {claim.says}. The limit is {needed.rstrip()}."
+                    thesis = f"The thesis: {claim.says}. For this sentence {claim.rule}."
                 what, where, thesis, note = (
                     escape(text, quote=False)
                     for text in (claim.what, claim.where, thesis, claim.note)
@@ -302,7 +300,8 @@ class Deviations(SphinxDirective):
         groups: dict[str, list[ledger.Claim]] = {}
         for claim in ledger.claims().values():
             if claim.reason and not claim.reason.startswith("95 %"):
-                groups.setdefault(f"{claim.rule}: {claim.reason}.", []).append(claim)
+                rule = f"{claim.rule[0].upper()}{claim.rule[1:]}: {claim.reason}."
+                groups.setdefault(rule, []).append(claim)
         lines = [
             f"- {rule} ({', '.join(html_link(c.id, 'claims', f'claim-{c.id}') for c in alike)})"
             for rule, alike in groups.items()
