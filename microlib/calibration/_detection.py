@@ -1,4 +1,4 @@
-"""What a detector returns."""
+"""Result of the detection of a pattern."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from microlib._common import Array, Tidy
 if TYPE_CHECKING:
     import pandas as pd
 
-#: A homography from the grid to the image needs as many shapes.
+#: Fewest marks of a detection: a homography needs four points.
 FEWEST = 4
 
 
@@ -24,24 +24,23 @@ class Detection(Tidy):
     Parameters
     ----------
     points : ndarray, shape (N, 2)
-        (x, y), px.
+        Image points (x, y), px.
     grid : ndarray of int, shape (N, 2)
-        Coordinates in the pattern, from zero on, or from its origin mark; times the pitch they are
-        world points up to a shift.
+        Integer coordinates in the pattern, from zero.
     sigma : ndarray, shape (N,)
-        Standard deviation of a coordinate of each point, px: as the fit of its outline tells it, or
-        as the points' residuals from a smooth image of a lattice do, where these are larger.
+        Standard deviation of a coordinate of each point, px, from the fit of its outline or from
+        the residuals of the points, whichever is larger.
     group : ndarray of int, shape (N,)
-        Number of the shape that each point belongs to: errors within one shape are correlated.
+        Number of the mark of each point. The errors of the points of a mark are correlated.
     positions : ndarray, shape (N, 2)
-        Where the points lie in the pattern, in pitches from mark to mark; times the pitch in µm
-        they are world points up to a shift. Of squares they hold the side that was measured, which
-        need not be half of the pitch; of an asymmetric grid the unit is the distance of its rows.
+        Coordinates in the pattern in pitches, the distance between neighboring marks. Times the
+        pitch in µm they are world points up to a shift. For squares they include the measured side;
+        for an asymmetric grid the unit is the distance of the rows.
     side : float
         Side of the squares in pitches; NaN for circles.
     misfit : float
-        What the points' residuals are, over what their outlines' fits state; about one for a
-        pattern without faults. NaN where there are too few marks to tell.
+        Residuals of the points over the standard deviations by the fits of their outlines, about
+        one for a pattern without faults. NaN for too few marks.
     image_size : tuple of int
         Width and height of the photograph, px.
     """
@@ -71,8 +70,8 @@ class Detection(Tidy):
         Returns
         -------
         pandas.DataFrame
-            One row a point: ``grid_i``, ``grid_j``, ``positions_x``, ``positions_y``, ``points_x``
-            and ``points_y`` (px), ``sigma`` (px), ``group``.
+            One row for each point: ``grid_i``, ``grid_j``, ``positions_x``, ``positions_y``,
+            ``points_x`` and ``points_y`` (px), ``sigma`` (px), ``group``.
         """
         import pandas as pd  # here, as it takes long to import
 
@@ -82,14 +81,14 @@ class Detection(Tidy):
         return pd.DataFrame(columns | {"sigma": self.sigma, "group": self.group})
 
     def plot(self, ax: Any = None, *, image: NDArray | None = None) -> Any:
-        """Draw the points, some with their place in the grid, by Matplotlib.
+        """Draw the points, some with their grid coordinates, by Matplotlib.
 
         Parameters
         ----------
         ax : matplotlib.axes.Axes, optional
-            Where to draw; by default in a new figure.
+            Axes of the drawing, by default in a new figure.
         image : ndarray, optional
-            The photograph, to draw on.
+            Photograph in the background.
 
         Returns
         -------

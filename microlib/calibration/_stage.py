@@ -25,14 +25,15 @@ class StageAffine(Tidy):
     matrix : ndarray, shape (2, 3)
         Image point in px = matrix[:, :2] @ position in µm + matrix[:, 2].
     covariance : ndarray, shape (6, 6)
-        Of the numbers of `matrix`, row by row; NaN for three moves, which leave no residual.
+        Covariance of the elements of `matrix`, row by row; NaN for three moves, which leave no
+        residual.
     um_per_pixel : tuple of float
-        Square root of the area of a pixel on the stage, µm, and the ends of its 95 % interval; the
-        upper one is infinite where the moves do not determine it.
+        Square root of the area of a pixel on the stage, µm, and the limits of its 95 % interval.
+        The upper limit is infinite if the moves do not determine it.
     angle : float
-        From the image's x axis to the stage's, rad, from x to y.
+        Angle from the x axis of the image to that of the stage, rad, positive from x to y.
     mirrored : bool
-        True if the image shows the stage's axes turning the other way.
+        True if the image shows the axes of the stage with the opposite orientation.
     residuals : ndarray, shape (N, 2)
         Image points minus the map, px.
     """
@@ -56,7 +57,7 @@ class StageAffine(Tidy):
 
 
 def plane_points(least: int, **named: ArrayLike) -> list[Array]:
-    """Check points (N, 2) and their images: `least` at least, on no line nor in one place."""
+    """Checked points (N, 2) and their images: at least `least`, and not on one line."""
     pairs = [as_array(name, points, shape=(None, 2)) for name, points in named.items()]
     same_length(tuple(named), *pairs)
     for name, points in zip(named, pairs, strict=True):
@@ -70,14 +71,14 @@ def plane_points(least: int, **named: ArrayLike) -> list[Array]:
 
 
 def stage_affine(stage: ArrayLike, image: ArrayLike) -> StageAffine:
-    """Affine map from stage moves to what they do to the image, by least squares.
+    """Fit the affine map from stage positions to the image by least squares.
 
     Parameters
     ----------
     stage : array_like, shape (N, 2)
-        Positions of the stage as it reports them, µm; at least three, not on one line.
+        Positions that the stage reports, µm; at least three, not on one line.
     image : array_like, shape (N, 2)
-        Where the same detail is seen at each of them, (x, y) px.
+        Image points (x, y) of one detail of the sample at these positions, px.
 
     Returns
     -------
@@ -91,8 +92,9 @@ def stage_affine(stage: ArrayLike, image: ArrayLike) -> StageAffine:
 
     Notes
     -----
-    Micro-Manager's pixel calibrator finds the same map and gives no error. Here the residuals do,
-    from four positions on; backlash of the stage shows in them if each is reached from both sides.
+    Micro-Manager's pixel calibrator fits the same map without uncertainty. Four positions or more
+    leave residuals, which give the uncertainty. They contain the backlash of the stage if positions
+    are reached from both sides.
 
     Examples
     --------
@@ -103,9 +105,9 @@ def stage_affine(stage: ArrayLike, image: ArrayLike) -> StageAffine:
     >>> round(found.um_per_pixel[0], 6), round(found.angle / np.pi, 6), found.mirrored
     (0.5, 0.5, False)
     """
-    stage, image = plane_points(3, stage=stage, image=image)  # the numbers a coordinate
+    stage, image = plane_points(3, stage=stage, image=image)  # parameters of each coordinate
     middle = np.eye(3)
-    middle[2, :2] = -stage.mean(axis=0)  # from positions to those about their middle
+    middle[2, :2] = -stage.mean(axis=0)  # subtracts the mean position
     design = np.column_stack([stage, np.ones(len(stage))]) @ middle
     best = np.linalg.lstsq(design, image, rcond=None)[0]
     residuals = image - design @ best

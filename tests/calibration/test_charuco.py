@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from microlib.calibration import detect_charuco
+from microlib.calibration import detect_charuco, detect_pattern, detect_squares
 
 FIELD = 60  # px of a field of the drawn board
 
@@ -43,7 +43,8 @@ def drawn(
 )
 def test_the_corners_are_where_they_were_drawn(columns, rows, name, ratio, old, left) -> None:
     image, truth = drawn(columns, rows, name, ratio=ratio, old=old, left=left)
-    found = detect_charuco(image)
+    named, found = detect_pattern(image)
+    assert named == "charuco"
     grid = np.argwhere(np.ones((columns - 1, rows - 1)))
     grid -= [grid[:, 0].max() - found.grid[:, 0].max(), 0]  # what is cut off lies to the left
     np.testing.assert_array_equal(found.positions, found.grid)
@@ -60,3 +61,23 @@ def test_an_inverted_board_has_the_same_corners() -> None:
     np.testing.assert_array_equal(inverted.grid, plain.grid)
     # The noise of 2 levels moves a corner by 0.05 px, and weighs otherwise on a bright ground.
     np.testing.assert_allclose(inverted.points, plain.points, atol=0.1)
+
+
+@pytest.mark.parametrize("noise", [2.0, 15.0])
+@pytest.mark.parametrize("blur", [0.0, 1.5])
+def test_a_board_without_markers_is_no_charuco_board(noise, blur) -> None:
+    """In one photograph the blur of a chessboard hid it from its own detector."""
+    board = np.kron(np.indices((6, 7)).sum(axis=0) % 2, np.ones((20, 20)))
+    image = 40 + 160 * np.pad(board, 20, constant_values=0.5)
+    image = cv2.GaussianBlur(image, (0, 0), blur) if blur else image
+    image = image + np.random.default_rng(0).normal(0, noise, image.shape)
+    assert detect_pattern(image)[0] == "chessboard"
+    with pytest.raises(ValueError, match="no markers in its fields"):
+        detect_charuco(image)
+
+
+def test_a_charuco_board_is_no_chessboard() -> None:
+    """The corners that are farthest from markers were 12 of 24."""
+    image, _ = drawn(7, 5, "4X4_50", ratio=0.7, old=False)
+    with pytest.raises(ValueError, match="with markers in its fields"):
+        detect_squares(image, pattern="chessboard")

@@ -1,4 +1,4 @@
-"""The detectors: each finds the pattern that it is asked for."""
+"""Public functions of the detection, one for each kind of pattern."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from microlib.calibration.detection._lattice import STEPS
 from microlib.calibration.detection._micrometer import Micrometer, find_scale
 from microlib.calibration.detection._patterns import Scene, find_pattern
 
-#: Patterns by name, in the order in which they are looked for, with their marks and lattice.
+#: Patterns by name, in the order of the search, with their marks and lattice.
 _PATTERNS = {
     "chessboard": ("chessboard", "square"),
     "charuco": ("charuco", "square"),
@@ -22,27 +22,27 @@ _PATTERNS = {
 
 
 def detect_pattern(image: ArrayLike, marks: str = "auto") -> tuple[str, Detection]:
-    """Name of the calibration pattern that an image shows, and its points.
+    """Detect a calibration pattern whose kind is not known; return its name and its points.
 
     Parameters
     ----------
     image : array_like, shape (height, width) or (height, width, 3 or 4)
-        Grey levels of any range, or red, green and blue, which become luminance.
+        Grey levels of any range, or red, green and blue, which are converted to luminance.
     marks : {"auto", "chessboard", "charuco", "squares", "circles"}
-        What the pattern is made of; by default the first of these that is found. Circles may lie on
-        a square or a hexagonal lattice.
+        Kind of the pattern, by default the first of these that is found. Circles may lie on a
+        square or a hexagonal lattice.
 
     Returns
     -------
     name : str
-        The marks; for circles with their lattice.
+        Kind of the pattern; for circles with their lattice.
     found : Detection
-        As the function for these marks returns it.
+        Result of the function for this kind.
 
     Raises
     ------
     ValueError
-        If `image` is no image or shows no such pattern; the message has the reason for each.
+        If `image` is no image or shows no such pattern. The message names the reason for each kind.
 
     Examples
     --------
@@ -70,40 +70,39 @@ def detect_circles(
     *,
     lattice: str = "square",
 ) -> Detection:
-    """Centers of the circles of a regular grid, with their places in the grid.
+    """Detect the circles of a regular grid; return their centers with their grid coordinates.
 
     Parameters
     ----------
     image : array_like, shape (height, width) or (height, width, 3 or 4)
-        Grey levels of any range, or red, green and blue, which become luminance. The circles are
-        darker than their ground or, if no such grid is found, brighter.
+        Grey levels of any range, or red, green and blue, which are converted to luminance. The
+        circles are darker than their background or, if no such grid is found, brighter.
     lattice : {"square", "hexagonal", "asymmetric"}
-        What the circles lie on. The second step of a hexagonal lattice is at 60° to the first.
-        An asymmetric grid has every second row shifted by half a step; its x and y count the half
-        steps and the rows, as OpenCV's does. Another lattice than the named one is rejected.
+        Lattice of the circles. The second step of a hexagonal lattice is at 60° to the first. In an
+        asymmetric grid, every second row is shifted by half a step, and x and y count half steps
+        and rows, as in OpenCV. Circles on another lattice raise an error.
 
     Returns
     -------
     Detection
-        `points` are the images of the circles' centers. Circles that leave the image are not among
-        them. `grid` begins at the first column and row that were found.
+        `points` are the images of the centers of circles that lie completely in the image. `grid`
+        starts at the first detected column and row.
 
     Raises
     ------
     ValueError
-        If `image` is no image, no grid of at least four whole circles is found in it, or what is
-        found is none: the circles are not of one size, lie on another lattice, or beside any smooth
-        image of it.
+        If `image` is no image or shows no grid of at least four complete circles, or if the circles
+        differ in size, lie on another lattice, or deviate from every smooth image of the lattice.
 
     Notes
     -----
-    The thesis takes the center "by least squares" (§5.2); here the least squares are those of the
-    grey levels around the whole outline. Under perspective and distortion the center of the ellipse
-    is not the image of the circle's center: the map from the grid to the image is fitted to the
-    points, the circle is sent through it, and the difference between the two centers is taken off.
+    The thesis computes the center "by least squares" (§5.2). Here an ellipse with a blurred edge is
+    fitted to the grey levels around the whole outline by least squares. Under perspective and
+    distortion, the center of the ellipse is not the image of the center of the circle. This bias is
+    computed with a map from the grid to the image that is fitted to the points, and subtracted.
 
-    An image that shows nothing but the grid is thresholded. In any other, the
-    circles are looked for among closed contours of many grey levels, of both polarities.
+    An image of nothing but the grid is thresholded. In other images, circles are searched among the
+    closed contours of many grey levels, dark and bright.
 
     Examples
     --------
@@ -125,44 +124,43 @@ def detect_squares(
     *,
     pattern: str = "squares",
 ) -> Detection:
-    """Corners of the squares of a regular grid, with their places in the grid.
+    """Detect the squares of a regular grid; return their corners with their grid coordinates.
 
     Parameters
     ----------
     image : array_like, shape (height, width) or (height, width, 3 or 4)
-        Grey levels of any range, or red, green and blue, which become luminance. The squares are
-        darker than their ground or, if no such grid is found, brighter.
+        Grey levels of any range, or red, green and blue, which are converted to luminance. The
+        squares are darker than their background or, if no such grid is found, brighter.
     pattern : {"squares", "chessboard"}
-        Squares with gaps between them, or the fields of a chessboard, which touch at their corners:
-        of it the inner corners are found, one `points` each, and a pitch is the side of a field.
+        Squares with gaps between them, or the fields of a chessboard. The result then has the inner
+        corners of the chessboard, and the pitch is the side of a field.
 
     Returns
     -------
     Detection
-        Four `points` for each square that lies whole in the image. `grid` counts sides and gaps:
-        square (m, n) has its corners from (2m, 2n) to (2m + 1, 2n + 1). Where they are of one
-        length, the side times `grid` gives world points. `side` says what was measured, and
-        `positions` allow for it.
+        Four `points` for each square that lies completely in the image. `grid` counts sides and
+        gaps: square (m, n) has its corners from (2m, 2n) to (2m + 1, 2n + 1). `side` is the
+        measured side, with which `positions` are computed.
 
     Raises
     ------
     ValueError
-        If `image` is no image, no grid of at least four whole squares is found in it, or what is
-        found is none: the marks are rectangles, or lie beside any smooth image of a grid.
+        If `image` is no image or shows no grid of at least four complete squares, or if the marks
+        are rectangles or deviate from every smooth image of a grid.
 
     Notes
     -----
     The thesis finds edges with a Sobel operator, links them, and intersects the lines fitted to
-    them (§5.2). Here all four lines of a square are fitted together to the grey levels: a product
-    of four blurred half-planes, which near a right angle is the exact image of a corner under a
-    Gaussian point-spread function. They start along the steps of the lattice.
+    them (§5.2). Here the four lines of a square are fitted together to the grey levels. The model
+    is a product of four blurred half-planes, which is exact for a right angle under a Gaussian
+    point-spread function.
 
-    An image that shows nothing but the grid is thresholded. In any other, the
-    squares are looked for among closed contours of many grey levels, of both polarities. The
-    corners of a chessboard are saddle points of the smoothed image. From each corner to the next
-    along an edge, dark and bright change places: by this rule a lattice is grown. Corners around
-    which the image does not correlate with a drawn board are left out. Then two crossing edges are
-    fitted to the grey levels around each.
+    An image of nothing but the grid is thresholded. In other images, squares are searched among the
+    closed contours of many grey levels, dark and bright. The corners of a chessboard are saddle
+    points of the smoothed image. Dark and bright are exchanged from each corner to the next along
+    an edge; a lattice is grown by this rule. Corners around which the image does not correlate with
+    a drawn board are left out, and two crossing edges are fitted to the grey levels around each of
+    the others.
 
     Examples
     --------
@@ -180,7 +178,7 @@ def detect_squares(
 
 
 def detect_charuco(image: ArrayLike) -> Detection:
-    """Inner corners of a ChArUco board, a chessboard with markers in its bright fields.
+    """Detect the inner corners of a ChArUco board, a chessboard with markers in its fields.
 
     Parameters
     ----------
@@ -191,19 +189,19 @@ def detect_charuco(image: ArrayLike) -> Detection:
     Returns
     -------
     Detection
-        A point for each corner that was found; a pitch is the side of a field.
+        A point for each detected corner. The pitch is the side of a field.
 
     Raises
     ------
     ValueError
-        If `image` is no image, or shows fewer than four corners of such a board.
+        If `image` is no image, or shows fewer than four corners of such a board, or a chessboard
+        without markers.
 
     Notes
     -----
-    The corners are found as those of a chessboard, and held against the image along the edges of
-    the dark fields alone, so that the markers play no part. They are not identified: as in other
-    patterns, `grid` begins at the first column and row that were found. A plain chessboard is
-    accepted, too, with the corners that `detect_squares` finds.
+    The corners are detected as those of a chessboard. The image is compared with a drawn board
+    along the edges of the fields only, so that the markers have no effect, and the markers are not
+    identified. As in other patterns, `grid` starts at the first detected column and row.
 
     Examples
     --------
@@ -219,13 +217,13 @@ def detect_charuco(image: ArrayLike) -> Detection:
 
 
 def detect_micrometer(image: ArrayLike) -> Micrometer:
-    """Lines of a stage micrometer or a ruler, and their distance in pixels.
+    """Detect the lines of a stage micrometer or ruler; return them with their distance in pixels.
 
     Parameters
     ----------
     image : array_like, shape (height, width) or (height, width, 3 or 4)
         Grey levels of any range, or red, green and blue. The lines may be darker or brighter than
-        their ground and run in any direction; they need not be equally long.
+        their background, have any direction, and differ in length.
 
     Returns
     -------
@@ -238,9 +236,9 @@ def detect_micrometer(image: ArrayLike) -> Micrometer:
 
     Notes
     -----
-    The direction is that in which the image's mean profile is sharpest. The lines are the peaks of
-    the profile over the rows that show most of them, each at the center of what is dark there, and
-    a straight line through their places over whole numbers gives the spacing.
+    The direction is that of the sharpest mean profile of the image. The lines are the peaks of the
+    profile of the rows with the most contrast, and each line is at the centroid of its peak. The
+    spacing is the slope of a straight line through these positions over whole numbers.
 
     Examples
     --------
@@ -258,5 +256,5 @@ def detect_micrometer(image: ArrayLike) -> Micrometer:
 
 
 def _grey(image: ArrayLike) -> NDArray[np.float32]:
-    """Checked grey levels of an image, or the luminance of one in color."""
+    """Checked grey levels of an image, or the luminance of a color image."""
     return np.ascontiguousarray(as_image("image", luminance("image", image), smallest=16))

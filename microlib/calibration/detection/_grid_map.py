@@ -1,11 +1,9 @@
-"""The map from a pattern's grid to its image: a homography and a radial distortion, fitted to
-detected points; and the final test of a detection by it.
+"""Map from the grid of a pattern to its image, fitted to detected points, and a test of them.
 
-It needs no calibration and serves to find out how far a detected feature (center of an ellipse,
-crossing of straight lines) lies from the image of the point that it stands for. A lens images a
-plane lattice by a homography and a smooth distortion. What marks lie beside that is their error,
-whatever their own fits say of it; and where it is no small part of a pitch, the marks are no
-lattice.
+A lens images a plane lattice by a homography and a smooth distortion. The map needs no calibration.
+It gives the bias of detected features, such as the centers of ellipses. The deviations of the
+points from the map are their errors, also where their own fits state smaller ones. If they are not
+small compared with the pitch, the marks do not form a lattice.
 """
 
 from __future__ import annotations
@@ -21,10 +19,11 @@ from scipy.optimize import leastsq
 from microlib._common import Array
 from microlib.calibration._uncertainty import polynomial_basis
 from microlib.calibration.detection._marks import TO_SIGMA
+from microlib.calibration.detection._settings import Settings
 from microlib.microscope import distort
 
-#: Step of the central differences, in cells: their error is its square, 1e-6 of what the scale
-#: changes by from cell to cell, and rounding makes 1e-12 of it.
+#: Step of the central differences, in cells. Their relative error is its square, and rounding makes
+#: 1e-12 of it.
 _STEP = 1e-3
 
 
@@ -42,23 +41,26 @@ class GridMap:
         Center of the image, px.
     unit : float
         Half of the image's longer side, px.
-    freedom : int
-        Numbers that were fitted.
+    parameters : int
+        Number of fitted parameters.
     """
 
     homography: Array
     distortion: float
     middle: Array
     unit: float
-    freedom: int
+    parameters: int
 
     def __call__(self, grid: NDArray) -> Array:
         """Image points (..., 2) of grid coordinates (..., 2), px; NaN beyond the horizon."""
-        with np.errstate(over="ignore", invalid="ignore"):  # a search may pass such maps
-            flat = grid @ self.homography[:, :2].T + self.homography[:, 2]
-            ahead = flat[..., :2] / np.where(flat[..., 2:] > 0, flat[..., 2:], np.nan)
-            seen = distort(np.where(np.isfinite(ahead), ahead, np.nan), self.distortion)
-        return self.middle + self.unit * seen
+        with np.errstate(over="ignore", invalid="ignore"):  # a fit may pass such maps
+            homogeneous = grid @ self.homography[:, :2].T + self.homography[:, 2]
+            depth = np.where(homogeneous[..., 2:] > 0, homogeneous[..., 2:], np.nan)
+            projected = homogeneous[..., :2] / depth
+            distorted = distort(
+                np.where(np.isfinite(projected), projected, np.nan), self.distortion
+            )
+        return self.middle + self.unit * distorted
 
     def steps(self, grid: NDArray) -> Array:
         """Derivatives of the image points by the coordinates, (..., 2, 2): one column each, px."""
@@ -83,7 +85,7 @@ def fit_grid_map(
     cells : ndarray, shape (n, 2)
         Coordinates of the marks, pitches.
     offsets : ndarray, shape (k, 2)
-        Where the points lie from there, in sides of the square, which are fitted, too.
+        Points of a mark relative to its coordinates, in sides of the square, which are fitted, too.
     image_shape : tuple of int
         Height and width of the image, px.
 
@@ -97,7 +99,7 @@ def fit_grid_map(
     Raises
     ------
     ValueError
-        If no map of finite numbers leads from the coordinates to the points.
+        If the fit is not finite.
     """
     middle = (np.array(image_shape[1::-1], dtype=np.float64) - 1) / 2
     unit = float(middle.max())
@@ -106,10 +108,10 @@ def fit_grid_map(
     refusal = ValueError(f"image must show a plane grid, got {len(points)} points that fit none")
     if best is None or not np.isfinite(best).all():
         raise refusal
-    # The homography's numbers but the last, which is one, the distortion, and a square's sides.
+    # Homography without its last element, which is one, distortion, and the sides of a square.
     start = np.concatenate([best.ravel()[:-1], np.zeros(3)])
     squares = points.shape[1] == 4
-    # The distortion has freedom left from six points on.
+    # The distortion is determined by six points or more.
     free = np.repeat([True, points.size > len(start), squares], [len(start) - 3, 1, 2])
 
     def build(p: Array) -> tuple[GridMap, Array]:
@@ -117,7 +119,9 @@ def fit_grid_map(
         every[free] = p
         *homography, distortion, width, height = every
         matrix = np.append(homography, 1.0).reshape(3, 3)
-        to_image = GridMap(matrix, distortion, middle, unit, len(p))
+        to_image = GridMap(
+            homography=matrix, distortion=distortion, middle=middle, unit=unit, parameters=len(p)
+        )
         return to_image, cells[:, None] + offsets * [width, height]
 
     def residuals(p: Array) -> Array:
@@ -130,41 +134,52 @@ def fit_grid_map(
         if not cell > 0:
             raise refusal
         start[-2:] = np.sqrt(np.median(area) / cell)
-    with suppress(ValueError):  # a search beyond the horizon ends in numbers that are none
+    with suppress(ValueError):  # a fit beyond the horizon is not finite
         to_image, positions = build(leastsq(residuals, start[free], full_output=True)[0])
         if np.isfinite(to_image.steps(positions)).all():
             return to_image, positions
     raise refusal
 
 
-def agree(
-    points: Array, positions: Array, to_image: GridMap, sigma: Array, most: float, stray: float
-) -> tuple[NDArray[np.bool_], Array, float]:
-    """Hold the points of marks against the map of their grid.
+@dataclass(frozen=True, eq=False)
+class ResidualTest:
+    """Result of `check_residuals` for n marks with k points.
+
+    Parameters
+    ----------
+    kept : ndarray of bool, shape (n,)
+        False for outliers.
+    sigma : ndarray, shape (n, k)
+        Standard deviation of a coordinate, px, from the fits of the outlines or from the residuals,
+        whichever is larger.
+    misfit : float
+        Root of the residuals' variance over that stated by the fits; NaN for too few marks.
+    """
+
+    kept: NDArray[np.bool_]
+    sigma: Array
+    misfit: float
+
+
+def check_residuals(
+    points: Array, positions: Array, to_image: GridMap, sigma: Array, settings: Settings
+) -> ResidualTest:
+    """Compare the points of marks with the smooth image of their lattice.
 
     Parameters
     ----------
     points, positions : ndarray, shape (n, k, 2)
-        Image points of each mark, px, and their coordinates in the lattice, in which what is left
-        of a distortion is smooth.
+        Image points of each mark, px, and their coordinates in the lattice.
     to_image : GridMap
-        Fitted to them.
+        Map fitted to them.
     sigma : ndarray, shape (n, k)
-        Standard deviation of a coordinate as the outlines' own fits tell it, px.
-    most : float
-        Largest residual of a lattice, rms, in pitches.
-    stray : float
-        A mark so many standard deviations beside the others' map is none of theirs.
+        Standard deviation of a coordinate by the fits of the outlines, px.
+    settings : Settings
+        Settings of the detection.
 
     Returns
     -------
-    kept : ndarray of bool, shape (n,)
-        False for marks that are none of the lattice's.
-    sigma : ndarray, shape (n, k)
-        Standard deviation of a coordinate, px: of the fits, or of the residuals where larger.
-    misfit : float
-        Residuals over what the fits alone state, root of the ratio of variances; NaN where too few
-        marks leave no residuals.
+    ResidualTest
 
     Raises
     ------
@@ -172,54 +187,59 @@ def agree(
         If the points lie off every smooth image of a lattice.
     """
     residuals = points - to_image(positions)
-    fields = _smooth_fields(points, positions, to_image)
-    # An affine map's numbers are the first of the polynomial's, too.
-    numbers = to_image.freedom + max(len(fields) - 2 * 3, 0)
+    basis = _distortion_basis(points, positions, to_image)
+    # The basis contains the affine map of the six lowest terms, as the map does.
+    parameters = to_image.parameters + max(len(basis) - 6, 0)
     kept = np.ones(len(points), dtype=bool)
-    for _ in range(3):  # strays bend the fields that they are found by
-        freedom = residuals[kept].size - numbers
-        if freedom <= 0:
-            return kept, sigma, np.nan
-        left, apart = _beside(residuals, fields, kept)
-        inflation = np.sqrt(residuals[kept].size / freedom)
-        spread = TO_SIGMA * np.median(np.abs(left[kept])) * inflation
-        beside = apart.max(axis=-1) > stray * np.maximum(spread, sigma)
-        before, kept = kept, ~beside.any(axis=1)
+    for _ in range(3):  # an outlier distorts the fit by which outliers are found
+        dof = residuals[kept].size - parameters
+        if dof <= 0:
+            return ResidualTest(kept=kept, sigma=sigma, misfit=np.nan)
+        remaining, deviation = _studentized(residuals, basis, kept)
+        inflation = np.sqrt(residuals[kept].size / dof)
+        scatter = TO_SIGMA * np.median(np.abs(remaining[kept])) * inflation
+        limit = settings.outlier_sigmas * np.maximum(scatter, sigma)
+        before, kept = kept, (deviation.max(axis=-1) <= limit).all(axis=1)
         if (kept == before).all() or not kept.any():
             break
     kept = before & kept
-    share = kept.mean()
-    rms = float(np.sqrt((left[kept] ** 2).mean()) * inflation) if kept.any() else np.inf
-    own = float(np.sqrt((sigma[kept] ** 2).mean())) if kept.any() else 0.0
+    fraction = kept.mean()
+    rms = float(np.sqrt((remaining[kept] ** 2).mean()) * inflation) if kept.any() else np.inf
+    stated = float(np.sqrt((sigma[kept] ** 2).mean())) if kept.any() else 0.0
     pitch = float(np.sqrt(np.median(to_image.scale(positions.mean(axis=1)))))
-    # What the marks' own noise explains is no reason to refuse, whatever the pitch.
-    if rms > max(most * pitch, 3 * own) or share < 3 / 4:
+    # Residuals that the noise of the marks explains are accepted for any pitch.
+    if rms > max(settings.max_residual * pitch, 3 * stated) or fraction < 3 / 4:
         raise ValueError(
-            f"image must show a regular lattice, got {share:.0%} of the marks on one, and them "
-            f"{rms:.2g} px ({rms / pitch:.1%} of a pitch) beside it"
+            f"image must show a regular lattice, got {fraction:.0%} of the marks on one with "
+            f"deviations of {rms:.2g} px, {rms / pitch:.1%} of a pitch"
         )
-    # The fits' own σ counts as much as eight residuals: of fewer little can be known.
-    added = max(rms**2 - own**2, 0.0) * freedom / (freedom + 8)
-    return kept, np.sqrt(sigma**2 + added), rms / own
+    # The stated σ has the weight of eight residuals, as few residuals determine little.
+    added = max(rms**2 - stated**2, 0.0) * dof / (dof + 8)
+    return ResidualTest(kept=kept, sigma=np.sqrt(sigma**2 + added), misfit=rms / stated)
 
 
-def _smooth_fields(points: Array, positions: Array, to_image: GridMap) -> Array:
-    """Smooth displacements that so many marks can tell, (fields, n, k, 2)."""
+def _distortion_basis(points: Array, positions: Array, to_image: GridMap) -> Array:
+    """Smooth displacements of the points, (fields, n, k, 2), as many as the marks determine.
+
+    They are polynomials of the coordinates and higher terms of a radial distortion.
+    """
     terms, _ = polynomial_basis(positions, points_per_term=3)
-    bent = np.einsum("nkt,ab->tankb", terms, np.eye(2)).reshape(-1, *points.shape)
-    # Those of a lens beside the map's own, each with six marks.
+    polynomials = np.einsum("nkt,ab->tankb", terms, np.eye(2)).reshape(-1, *points.shape)
     radial = (points - to_image.middle) / to_image.unit
     squared = (radial**2).sum(axis=-1, keepdims=True)
+    # Six marks for each.
     lens = [radial * squared**p for p in (2, 3) if len(points) >= 2 * 3 * p]
-    return np.array([*bent, *lens])
+    return np.array([*polynomials, *lens])
 
 
-def _beside(residuals: Array, fields: Array, kept: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """What fields fitted to the marks kept leave of the residuals, and its size over the part of a
-    mark's error that is left: little of one that they follow, alone in its row or column."""
-    design = fields[:, kept].reshape(len(fields), -1).T
+def _studentized(residuals: Array, basis: Array, kept: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Residuals of a fit of the basis to the kept marks, and their absolute studentized values.
+
+    These are divided by √(1 − h) with the leverage h, so that all have one standard deviation.
+    """
+    design = basis[:, kept].reshape(len(basis), -1).T
     inverse = np.linalg.pinv(design)
-    left = residuals - np.tensordot(inverse @ residuals[kept].ravel(), fields, axes=1)
-    shown = np.ones(left.shape)
-    shown[kept] -= np.einsum("ij,ji->i", design, inverse).reshape(shown[kept].shape)
-    return left, np.abs(left) / np.sqrt(np.maximum(shown, 1e-3))
+    remaining = residuals - np.tensordot(inverse @ residuals[kept].ravel(), basis, axes=1)
+    not_followed = np.ones(remaining.shape)
+    not_followed[kept] -= np.einsum("ij,ji->i", design, inverse).reshape(not_followed[kept].shape)
+    return remaining, np.abs(remaining) / np.sqrt(np.maximum(not_followed, 1e-3))

@@ -1,4 +1,4 @@
-"""Marks in a grey image: dark regions of an even ground, or closed even edges in clutter."""
+"""Marks in a grey image: dark regions by one threshold, or closed contours in clutter."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from scipy.spatial import cKDTree
 from microlib._common import Array
 from microlib.calibration.detection._settings import Settings
 
-#: Median of the absolute values to standard deviation, for normal errors.
+#: Standard deviation over median absolute value of normal errors.
 TO_SIGMA = 1.4826
 #: A contour that may be a mark: its centroid, second central moments and area, the mean gradient
-#: along it, and whether it surrounds what is dark.
+#: along it, and whether it encloses a dark region.
 _CONTOUR = [
     ("center", "2f8"),
     ("moments", "(2,2)f8"),
@@ -27,14 +27,14 @@ _CONTOUR = [
 
 @dataclass(frozen=True, eq=False)
 class Marks:
-    """Dark marks, or what may be some, in an image.
+    """Candidates for dark marks in an image.
 
     Parameters
     ----------
     image : ndarray of float32, shape (height, width)
-        The image they were found in.
+        Image of the marks.
     smooth : ndarray of float32, shape (height, width)
-        The image, blurred by one pixel.
+        Image after a Gaussian blur of 1 px.
     centers : ndarray, shape (N, 2)
         Centroids (x, y), px.
     moments : ndarray, shape (N, 2, 2)
@@ -42,7 +42,7 @@ class Marks:
     areas : ndarray, shape (N,)
         Number of pixels.
     settings : Settings
-        Those of the detection.
+        Settings of the detection.
     """
 
     image: NDArray[np.float32]
@@ -53,23 +53,23 @@ class Marks:
     settings: Settings
 
     def __getitem__(self, index: NDArray | slice) -> Marks:
-        """Some of the marks."""
+        """Selected marks."""
         return replace(
             self, centers=self.centers[index], moments=self.moments[index], areas=self.areas[index]
         )
 
 
 def to_bytes(grey: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Grey levels from 0 to 255, for what OpenCV does with bytes alone."""
+    """Grey levels scaled to 0 … 255."""
     most = np.iinfo(np.uint8).max
     return np.asarray(cv2.normalize(grey, np.empty(0), 0, most, cv2.NORM_MINMAX, cv2.CV_8U))
 
 
 def dark_regions(grey: NDArray[np.float32], settings: Settings) -> Marks:
-    """Dark regions of alike size, from one threshold of the whole image.
+    """Dark regions of similar area by Otsu's threshold of the image.
 
-    Regions of less than a quarter or more than four times the median area are left out. Uneven
-    light is left to `even_edges`.
+    Regions of less than a quarter or more than four times the median area are left out. Under
+    uneven light, `even_edges` finds more.
     """
     smooth: NDArray = cv2.GaussianBlur(grey, (0, 0), 1.0)
     levels = to_bytes(smooth)
@@ -82,17 +82,17 @@ def dark_regions(grey: NDArray[np.float32], settings: Settings) -> Marks:
 
 
 def _slope(smooth: NDArray) -> NDArray:
-    """Gradient of the image, grey levels a pixel."""
+    """Gradient of the image, grey levels per pixel."""
     dx, dy = (cv2.Scharr(smooth, cv2.CV_32F, *order) for order in ((1, 0), (0, 1)))
     return np.hypot(dx, dy) / 32  # the kernel's positive weights times two pixels
 
 
 def even_edges(grey: NDArray[np.float32], settings: Settings) -> list[Marks]:
-    """Marks that one even edge surrounds: the dark ones, and the bright ones of the negative."""
+    """Marks enclosed by an edge of even gradient: dark ones, and bright ones in the negative."""
     smooth: NDArray = cv2.GaussianBlur(grey, (0, 0), 1.0)
     slope = _slope(smooth)
-    # The noise, by a mask that no plane or ridge answers, the squares of whose weights sum to one,
-    # and what it makes of the smoothed image's derivative: σ/√(8 π).
+    # The noise σ by a filter whose response to planes and straight ridges is zero (Immerkær, 1996);
+    # the derivative of the smoothed image has a noise of σ/√(8 π).
     mask = np.outer([1.0, -2, 1], [1, -2, 1]) / np.sum([1, 4, 1])
     noise = TO_SIGMA * float(np.median(np.abs(cv2.filter2D(grey, cv2.CV_32F, mask))))
     least = noise * np.sqrt(2 / np.pi)  # four times it
@@ -110,16 +110,19 @@ def even_edges(grey: NDArray[np.float32], settings: Settings) -> list[Marks]:
 def _at_level(
     smooth: NDArray, slope: NDArray, level: float, settings: Settings, least: float | None = None
 ) -> NDArray:
-    """Contours of a level that may be marks; with `least`, full ones with an even gradient of more
-    than that."""
-    # Around the image there is ground: a mark beside its border is a hole in that, too.
+    """Contours of a grey level that may be marks.
+
+    With `least`, only those of the area of an ellipse or square whose gradient is even and has a
+    mean of more than `least`.
+    """
+    # With a bright border, a mark at the edge of the image is a hole, too.
     mask = np.pad((smooth > level).astype(np.uint8), 1, constant_values=1)
     way = (cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     contours, hierarchy = cv2.findContours(mask, *way, offset=(-1, -1))
     limit = np.array(smooth.shape[::-1]) - 1
     rows = []
     for k, contour in enumerate(contours):
-        if len(contour) < settings.shortest:
+        if len(contour) < settings.min_contour:
             continue
         m = cv2.moments(contour)
         area = m["m00"]
@@ -127,19 +130,19 @@ def _at_level(
             continue
         xx, xy, yy = m["mu20"] / area, m["mu11"] / area, m["mu02"] / area
         spread = xx * yy - xy * xy
-        if not spread > (xx + yy) / 4:  # no wider than two pixels, whose moment across is ¼ px²
+        if not spread > (xx + yy) / 4:  # at most two pixels wide, with a variance of ¼ px²
             continue
-        full = area / (4 * np.pi * np.sqrt(spread))
-        if least is not None and not settings.fullness[0] < full < settings.fullness[1]:
+        ratio = area / (4 * np.pi * np.sqrt(spread))
+        if least is not None and not settings.ellipse_ratio[0] < ratio < settings.ellipse_ratio[1]:
             continue
         column, row = np.clip(contour[:, 0], 0, limit).T
         steep = slope[row, column]
         mean = float(steep.mean())
-        # Noise, uneven light and the pixels' raster make the gradient uneven by up to 0.35.
+        # Noise, uneven light and pixels scatter the gradient of a mark by up to 0.35.
         if least is not None and not (mean > least and steep.std() < mean / 2):
             continue
-        # The contour of a hole runs through the bright pixels around a dark mark, half a pixel
-        # beside its edge; that of a bright mark through its own outermost ones.
+        # The contour of a hole runs through the bright pixels around a dark mark, half a pixel from
+        # its edge, and that of a bright mark through the outermost pixels of the mark.
         hole = hierarchy[0, k, 3] >= 0
         wider = (1 + (-0.5 if hole else 0.5) / np.sqrt(area / np.pi)) ** 2
         moments = wider * np.array([[xx, xy], [xy, yy]])
@@ -150,7 +153,7 @@ def _at_level(
 def _strongest(
     rows: NDArray, image: NDArray[np.float32], smooth: NDArray, settings: Settings
 ) -> Marks:
-    """Of the contours of one mark, within half a radius, the one with the steepest edge."""
+    """The contour with the steepest edge of those within half a radius of each other."""
     rows = rows[np.argsort(-rows["slope"], kind="stable")]
     centers, areas = rows["center"], rows["area"]
     chosen = np.ones(len(rows), dtype=bool)

@@ -73,12 +73,14 @@ def find_scale(grey: NDArray[np.float32], settings: Settings) -> Micrometer:
     spacing, first = np.polyfit(divisions, places, 1)
     residuals = places - first - spacing * divisions
     rms = np.sqrt((residuals**2).sum() / (len(places) - 2))
-    if spacing < 4 or rms > settings.line_residual * spacing:  # closer ones have no ground between
+    if (
+        spacing < 4 or rms > settings.max_line_residual * spacing
+    ):  # closer ones have no ground between
         raise _refusal(f"lines {spacing:.3g} px apart, {rms / spacing:.2g} of it beside equal ones")
     begin, end = np.clip(places[[0, -1]] + [-spacing, spacing], 0, None).astype(int)
     top, bottom = np.flatnonzero(rows)[[0, -1]]
     alike = _row_likeness(upright[top : bottom + 1, begin:end])
-    if alike < settings.least_alike:
+    if alike < settings.min_correlation:
         raise _refusal(f"broken ones, whose rows correlate with their mean by {alike:.2f}")
     sigma = rms / np.sqrt(((divisions - divisions.mean()) ** 2).sum())
     upright_points = np.column_stack([places, np.full(len(places), np.flatnonzero(rows).mean())])
@@ -152,7 +154,7 @@ def _direction(grey: NDArray[np.float32], settings: Settings) -> float:
     """Angle across the lines: the gradients' own, then where the mean profile is sharpest."""
     gx, gy = (cv2.Sobel(grey, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1)))
     first = float(np.angle(np.sum((gx + 1j * gy).astype(np.complex128) ** 2))) / 2
-    turns = first + np.linspace(-settings.turn, settings.turn, settings.turns)
+    turns = first + np.linspace(-settings.angle_range, settings.angle_range, settings.angle_count)
     changes = [np.diff(_mean(_turned(grey, turn)[0])) ** 2 for turn in turns]
     # A strip that is turned too far has no column left.
     sharp = [np.nansum(each) / max(np.isfinite(each).sum(), 1) for each in changes]

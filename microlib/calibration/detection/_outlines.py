@@ -1,19 +1,19 @@
-"""Least-squares fit of blurred outlines to grey levels, many small patches at once.
+"""Least-squares fit of blurred outlines to grey levels, in many small patches at once.
 
-A dark shape on a bright ground, seen through a Gaussian point-spread function, has the grey levels
-B·(1 − c·F): B is the local ground (a plane), c the contrast, and F the part of the light that the
-shape takes, a function of the distance to its outline. Fitting all of this to the grey levels
-themselves uses every edge pixel with the weight that it deserves, so the error of the outline comes
-close to the Cramér–Rao bound of the image noise.
+The image of a dark shape on a bright background under a Gaussian point-spread function has the grey
+levels B·(1 − c·F). B is the local background (a plane), c the contrast, and F the coverage of a
+pixel by the shape, a function of the distance to its outline. A fit of the grey levels uses every
+pixel of the edge with its weight, and the error of the outline comes close to the Cramér–Rao bound
+of the image noise.
 
-The grey levels of separate marks add: where two lie close, both take light from the pixels between
-them, and an outline that is fitted alone is drawn to its neighbor. So what the others take, as they
-were fitted, is given back, and all are fitted again.
+The blurred images of close neighbors overlap, which biases an outline that is fitted alone towards
+its neighbor. The light that the neighbors take, by their fits, is therefore added to the grey
+levels, and all outlines are fitted again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -26,29 +26,29 @@ from microlib.calibration._uncertainty import polynomial_basis
 from microlib.calibration.detection._marks import Marks
 from microlib.calibration.detection._settings import Settings
 
-#: From parameters (n, p) and pixels x, y (n, k) to the part F of the light that the shape takes and
-#: its derivatives by all parameters but contrast and ground, (n, k, p − 4).
+#: From parameters (n, p) and pixels x, y (n, k) to the coverage F of the pixels and its derivatives
+#: by all parameters except contrast and background, (n, k, p − 4).
 Outline = Callable[[Array, Array, Array], tuple[Array, Array]]
 
-#: Places of the parameters that every outline has at the end: blur, px; contrast as a part of the
-#: ground; ground b₀ + b₁x + b₂y.
-BLUR, CONTRAST, GROUND = -5, -4, slice(-3, None)
-#: An eigenvalue of a matrix of unit diagonal below this is none; rounding makes 1e-15 of it. A
-#: parameter without any effect has as much on the diagonal, so that it stays where it is.
+#: Indices of the parameters that every outline has at its end: blur, px; contrast, relative to the
+#: background; background b₀ + b₁x + b₂y, and its slopes b₁ and b₂.
+BLUR, CONTRAST, GROUND, SLOPES = -5, -4, slice(-3, None), (-2, -1)
+#: Smaller eigenvalues of a matrix of unit diagonal are rounding errors (1e-15). A parameter without
+#: effect has this value on the diagonal and does not change.
 _SINGULAR = 1e-12
 
 
 class Rows:
-    """Arrays of n rows each."""
+    """Record of arrays with n rows each."""
 
     def __getitem__(self, index: NDArray) -> Self:
-        """The rows that `index` picks."""
+        """Selected rows."""
         return type(self)(*(each[index] for each in vars(self).values()))
 
 
 @dataclass(frozen=True)
 class Patches(Rows):
-    """The pixels around each of n outlines, padded to the same number k.
+    """Pixels around each of n outlines, padded to the same number k.
 
     Parameters
     ----------
@@ -71,18 +71,18 @@ class Patches(Rows):
 
 @dataclass(frozen=True)
 class OutlineFit(Rows):
-    """Fitted parameters with what their accuracy is.
+    """Fitted parameters of n outlines with their covariance.
 
     Parameters
     ----------
     parameters : ndarray, shape (n, p)
-        As the model defines them.
+        Parameters of the model.
     covariance : ndarray, shape (n, p, p)
-        From the residual's variance; NaN where the fit failed.
+        Covariance from the variance of the residuals; NaN where the fit failed.
     rms : ndarray, shape (n,)
-        Standard deviation of the residual, grey levels.
+        Standard deviation of the residuals, grey levels.
     centers : ndarray, shape (n, 2)
-        Where the outlines' own coordinates begin in the image, px.
+        Origins of the coordinates of the outlines in the image, px.
     """
 
     parameters: Array
@@ -97,10 +97,10 @@ def cut_patches(
     distance: Callable[[Array, Array], Array],
     band: tuple[float, float],
 ) -> Patches:
-    """Cut a square of half a width `half` around each mark; keep the pixels in a band.
+    """Pixels of the image in a band along the outline of each mark.
 
-    `distance` gets the (n, m) coordinates relative to the *rounded* centers; of what it returns,
-    `band` has the least and the most, px. Pixels outside of the image are dropped.
+    Squares of half-width `half` around the rounded centers are searched, px. `distance` is a
+    function of coordinates from there, (n, m), and `band` has its limits.
     """
     origin = np.round(marks.centers)
     step = np.arange(-np.ceil(half), np.ceil(half) + 1)
@@ -126,16 +126,16 @@ def cut_patches(
 def fit_shapes(
     outline: Outline, start: Array, patches: Patches, gap: float, settings: Settings
 ) -> OutlineFit:
-    """Fit outlines that lie `gap` apart, px, which may be no further than their blur reaches."""
-    start[:, BLUR], start[:, CONTRAST] = settings.start_blur, 2 / 3
+    """Fit outlines with gaps of `gap`, px, between them, and allow for overlapping blur."""
+    start[:, BLUR], start[:, CONTRAST] = settings.initial_blur, 2 / 3
     start[:, GROUND.start] = patches.grey.max(axis=1)
     fit = _fit_alone(outline, start, patches, settings)
-    # Beyond two blurs a neighbor takes less than a fortieth of the light.
+    # At two blurs from its outline, a neighbor takes less than a fortieth of the light.
     if gap < 4 * np.median(np.abs(fit.parameters[:, BLUR])):
-        # With a gap of 2.8 times the blur one is 0.085 px off without any round, then 0.0092 after
-        # two, 0.0074 after three, and 0.0070 after six.
+        # For a gap of 2.8 blurs the error is 0.085 px without iteration, 0.0092 px after two
+        # iterations, 0.0074 px after three and 0.0070 px after six.
         for _ in range(3):
-            grey = patches.grey + _taken(outline, fit, patches)
+            grey = patches.grey + _neighbor_light(outline, fit, patches)
             fit = _fit_alone(outline, fit.parameters, replace(patches, grey=grey), settings)
     return fit
 
@@ -143,41 +143,40 @@ def fit_shapes(
 def _parts(
     outline: Outline, parameters: Array, patches: Patches
 ) -> tuple[Array, Array, Array, Array]:
-    """The light on each pixel, the part of it that the shape takes, the derivatives of that, and
-    those of the light by the three numbers of the ground."""
+    """Background and coverage of each pixel, the derivatives of the coverage, and those of the
+    background by its three parameters."""
     basis = np.stack([np.ones_like(patches.x), patches.x, patches.y], axis=-1)
     light = np.einsum("nkj,nj->nk", basis, parameters[:, GROUND])
     return light, *outline(parameters, patches.x, patches.y), basis
 
 
-def _taken(outline: Outline, fit: OutlineFit, patches: Patches) -> Array:
-    """What their neighbors take from the pixels of each mark, grey levels."""
+def _neighbor_light(outline: Outline, fit: OutlineFit, patches: Patches) -> Array:
+    """Light that the neighbors of each mark take from its pixels, grey levels."""
     centers = patches.centers
     distance, index = cKDTree(centers).query(centers, k=9)  # eight on a square lattice
-    # The diagonal of a square of the lattice has √2, two steps of it 2.
+    # Diagonal neighbors are √2 steps away, and the next ones 2.
     near = distance < np.sqrt(3) * np.median(distance[:, 1])  # infinite where there are no more
     taken = np.zeros_like(patches.x)
     for other, beside in zip(np.where(near, index, 0).T[1:], near.T[1:], strict=True):
         x, y = (centers - centers[other]).T[..., None]
         parameters = fit.parameters[other]
-        there = replace(patches, x=patches.x + x, y=patches.y + y)
-        light, inside, *_ = _parts(outline, parameters, there)
-        known = beside & np.isfinite(fit.covariance[other, 0, 0])
-        taken += np.where(known[:, None], light * inside * parameters[:, CONTRAST, None], 0.0)
+        shifted = replace(patches, x=patches.x + x, y=patches.y + y)
+        light, inside, *_ = _parts(outline, parameters, shifted)
+        fitted = beside & np.isfinite(fit.covariance[other, 0, 0])
+        taken += np.where(fitted[:, None], light * inside * parameters[:, CONTRAST, None], 0.0)
     return taken * patches.weight
 
 
 def _fit_alone(outline: Outline, start: Array, patches: Patches, settings: Settings) -> OutlineFit:
-    """Levenberg–Marquardt on every patch at once, each with its own damping.
+    """Fit all patches at once by Levenberg–Marquardt, each with its own damping.
 
-    A patch that cannot be fitted, or still moves after the last step, leaves the others alone; its
-    covariance is NaN.
+    The covariance of a patch that does not converge is NaN.
     """
     best = start.copy()
     damping = np.full(len(start), 1e-3)
     normal, gradient, cost = _equations(outline, best, patches)
-    moving = np.isfinite(cost)  # a patch at NaN is lost
-    for _ in range(settings.steps):
+    moving = np.isfinite(cost)  # a patch at NaN has failed
+    for _ in range(settings.max_iterations):
         if not moving.any():
             break
         some = np.flatnonzero(moving)
@@ -186,15 +185,15 @@ def _fit_alone(outline: Outline, start: Array, patches: Patches, settings: Setti
         np.einsum("npp->np", damped)[...] += damping[some, None] * diagonal
         trial = best[some] + (_invert(damped) @ gradient[some, :, None])[..., 0]
         found = _equations(outline, trial, patches[some])
-        better = found[2] < cost[some]  # False for NaN, from which more damping may lead away
-        moving[some] = ~(np.abs(found[2] - cost[some]) < settings.settled * cost[some])
+        better = found[2] < cost[some]  # False for NaN; more damping may help
+        moving[some] = ~(np.abs(found[2] - cost[some]) < settings.cost_tolerance * cost[some])
         damping[some] *= np.where(better, 1 / 10, 10)
         some = some[better]
         best[some] = trial[better]
         normal[some], gradient[some], cost[some] = (each[better] for each in found)
-    freedom = patches.weight.sum(axis=1) - start.shape[1]
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what is not finite failed
-        variance = np.where(freedom > 0, cost / freedom, np.nan)
+    dof = patches.weight.sum(axis=1) - start.shape[1]
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        variance = np.where(dof > 0, cost / dof, np.nan)
         covariance = _invert(normal) * variance[:, None, None]
     failed = moving | ~np.isfinite(covariance).all(axis=(1, 2))
     covariance[failed] = np.nan
@@ -215,39 +214,40 @@ def _equations(outline: Outline, parameters: Array, patches: Patches) -> tuple[A
     return turned @ jacobian, (turned @ residual[..., None])[..., 0], (residual**2).sum(axis=1)
 
 
-def smooth_parameters(fit: OutlineFit, columns: list[int], settings: Settings) -> OutlineFit:
-    """Let the outlines of one image share what varies smoothly across it.
+def smooth_parameters(fit: OutlineFit, columns: Sequence[int], settings: Settings) -> OutlineFit:
+    """Replace parameters of all outlines by smooth functions of the place in the image.
 
-    The parameters in `columns` are replaced by a polynomial of the place in the image, fitted to
-    all of them (quadratic from 12 outlines on, linear from 6 on, nothing below), and the others
-    follow as their covariance says: this is the fit that would have been found, had the shared ones
-    been known. A column whose values lie further from the polynomial than their errors explain is
-    not shared.
+    Each parameter in `columns` is replaced by a polynomial of the outlines' centers: quadratic for
+    12 outlines or more, linear for 6 or more, unchanged for fewer. The other parameters follow by
+    conditioning a normal distribution (a Kalman update without observation noise). With the
+    replaced parameters S, their polynomial s, and its leverage h at the outline,
+
+        θ ← θ + K (s − θ_S),   C ← C − (1 − h) K C_S,   K = C_Sᵀ C_SS⁻¹,
+
+    where C_S are the rows S of C. The factor 1 − h allows for the error of s, to which the outline
+    itself contributes h. A parameter is not replaced if its χ² against the polynomial is too large.
     """
     basis, degrees = polynomial_basis(fit.centers, points_per_term=2, max_degree=2)
     if degrees.max() == 0:
         return fit
-    inverse = np.linalg.pinv(basis)
-    freedom = len(basis) - basis.shape[1]
-    smooth = basis @ (inverse @ fit.parameters)
-    change = smooth - fit.parameters
-    misfit = (change**2 / np.einsum("npp->np", fit.covariance)).sum(axis=0) / freedom
-    columns = [k for k in columns if misfit[k] < 1 + settings.rough * np.sqrt(2 / freedom)]
-    across = fit.covariance[:, :, columns]
-    gain = across @ _invert(across[:, columns])
-    # What an outline adds to the shared values itself is its leverage; that much of its own error
-    # stays.
-    leverage = np.einsum("ij,ji->i", basis, inverse)[:, None, None]
+    pseudoinverse = np.linalg.pinv(basis)
+    dof = len(basis) - basis.shape[1]
+    change = basis @ (pseudoinverse @ fit.parameters) - fit.parameters
+    reduced_chi2 = (change**2 / np.einsum("npp->np", fit.covariance)).sum(axis=0) / dof
+    limit = 1 + settings.max_chi2_deviation * np.sqrt(2 / dof)
+    replaced = [k for k in columns if reduced_chi2[k] < limit]
+    covariance = fit.covariance[:, :, replaced]
+    gain = covariance @ _invert(covariance[:, replaced])
+    leverage = np.einsum("ij,ji->i", basis, pseudoinverse)[:, None, None]
     return replace(
         fit,
-        parameters=fit.parameters + (gain @ change[:, columns, None])[..., 0],
-        covariance=fit.covariance - (1 - leverage) * (gain @ across.transpose(0, 2, 1)),
+        parameters=fit.parameters + (gain @ change[:, replaced, None])[..., 0],
+        covariance=fit.covariance - (1 - leverage) * (gain @ covariance.transpose(0, 2, 1)),
     )
 
 
 def _invert(matrices: Array) -> Array:
-    """Inverse of each symmetric positive matrix after scaling to unit diagonal; NaN where
-    singular."""
+    """Inverses of symmetric positive matrices, scaled to unit diagonal; NaN where singular."""
     scale = np.sqrt(np.maximum(np.einsum("npp->np", matrices), np.finfo(float).tiny))
     unit = matrices / scale[:, :, None] / scale[:, None, :]
     values, vectors = np.linalg.eigh(np.where(np.isfinite(unit), unit, 0.0))
@@ -258,10 +258,10 @@ def _invert(matrices: Array) -> Array:
 
 
 def band(marks: Marks, radius: float) -> tuple[tuple[float, float], float]:
-    """The band around outlines of half a width `radius` that belongs to no neighbor, out to the
-    middle of the gap: least and most distance, positive inside, px; and the gap."""
+    """Limits of the distance to an outline of half-width `radius`, positive inside, of the pixels
+    up to the middle of the gap to the next mark, and the gap, px."""
     distance, _ = cKDTree(marks.centers).query(marks.centers, k=2)
     half = float(np.median(distance[:, 1])) / 2 - radius
-    # Across the middle of a narrow gap the corners would be 0.010 px off instead of 0.005.
-    outer, inner = (max(min(half, marks.settings.widest), least) for least in (1.0, 2.0))
+    # If the band crosses the middle of a narrow gap, corners err by 0.010 instead of 0.005 px.
+    outer, inner = (max(min(half, marks.settings.max_band), least) for least in (1.0, 2.0))
     return (-outer, inner), 2 * half

@@ -1,13 +1,15 @@
-"""Find a grid of circles, of squares or of the corners of a board.
+"""Detection of circles, squares, or the corners of a board, in the same steps for all patterns.
 
-One way for all: grey image → marks → lattice → one fit of each mark → points freed of their bias →
-the tests that they lie where a lens would put a lattice, and that the image shows the pattern.
+1. Find marks in the grey image, and connect them to a lattice.
+2. Fit the outline of each mark to the grey levels.
+3. Remove the bias of the points under perspective and distortion.
+4. Test that the points are the image of a lattice, and that the image shows the pattern.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,36 +18,36 @@ from numpy.typing import NDArray
 from microlib._common import Array
 from microlib.calibration._detection import FEWEST, Detection
 from microlib.calibration.detection._corners import find_corners
-from microlib.calibration.detection._grid_map import GridMap, agree, fit_grid_map
+from microlib.calibration.detection._grid_map import GridMap, check_residuals, fit_grid_map
 from microlib.calibration.detection._lattice import (
     CELL,
     MIDDLE,
     STEPS,
     Index,
+    check_lattice,
     complete,
-    counting,
+    correlation,
     fill,
     grow_lattices,
-    likeness,
-    refuse_lattice,
+    index_basis,
 )
 from microlib.calibration.detection._marks import Marks, dark_regions, even_edges
 from microlib.calibration.detection._settings import Settings
-from microlib.calibration.detection._shapes import CORNERS, are_round, fit_marks
+from microlib.calibration.detection._shapes import CORNERS, FittedMarks, are_round, fit_marks
 
 _BOARDS = ("chessboard", "charuco")
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """An image and its marks, which are looked for when they are first asked for.
+    """An image and its marks, which are computed at their first use.
 
     Parameters
     ----------
     grey : ndarray of float32, shape (height, width)
         Grey levels.
     settings : Settings
-        Those of the detection.
+        Settings of the detection.
     """
 
     grey: NDArray[np.float32]
@@ -53,44 +55,47 @@ class Scene:
 
     @cached_property
     def dark(self) -> Marks:
-        """The dark regions of an even ground."""
+        """Dark regions by one threshold."""
         return dark_regions(self.grey, self.settings)
 
     @cached_property
     def edges(self) -> list[Marks]:
-        """What even edges surround in clutter, dark and bright."""
+        """Regions in clutter with an even edge, dark and bright."""
         return even_edges(self.grey, self.settings)
 
 
 def find_pattern(scene: Scene, kind: str, lattice: str = "square") -> Detection:
-    """The circles, squares, or corners of a chessboard or ChArUco board that an image shows.
+    """Detect circles, squares, or the corners of a chessboard or ChArUco board in an image.
 
     Raises
     ------
     ValueError
-        If there are none on such a lattice.
+        If the image does not show them on such a lattice.
     """
-    refusal = ""
+    fault = ""
     for marks, grid, alone in _candidates(scene, kind, lattice):
         try:
             found = _fit(marks, grid, kind, lattice)
-            # A homography leads to any four centers, and clutter has many.
+            # A homography maps any four points to any others, and clutter has many.
             if alone or np.isfinite(found.misfit):
                 return found
             raise ValueError(f"image must show more {kind} or nothing else, got {len(grid)}")
-        except ValueError as fault:
-            refusal = refusal or str(fault)  # of the largest
-    raise ValueError(refusal or f"image must show a grid of {kind}, got none")
+        except ValueError as error:
+            fault = fault or str(error)  # of the largest lattice
+    raise ValueError(fault or f"image must show a grid of {kind}, got none")
 
 
 def _candidates(scene: Scene, kind: str, lattice: str) -> Iterator[tuple[Marks, Index, bool]]:
-    """Lattices of marks, the most likely first: that of the image as if it showed nothing else,
-    then the largest pieces in clutter; and whether the image shows nothing else."""
+    """Lattices of marks, the most likely first, and whether the image shows nothing else.
+
+    The first is a lattice of most dark regions of the image; then follow the largest lattices in
+    clutter.
+    """
     if kind in _BOARDS:
         yield *find_corners(scene.grey, kind, scene.settings), True
         return
     pieces = grow_lattices(scene.dark, lattice)[:1]
-    if pieces and len(pieces[0][1]) >= scene.settings.nothing_else * len(scene.dark.centers):
+    if pieces and len(pieces[0][1]) >= scene.settings.only_pattern * len(scene.dark.centers):
         yield *complete(*pieces.pop()), True
     for edges in scene.edges:
         pieces += grow_lattices(edges, lattice)
@@ -99,110 +104,104 @@ def _candidates(scene: Scene, kind: str, lattice: str) -> Iterator[tuple[Marks, 
 
 
 def _fit(marks: Marks, grid: Index, kind: str, lattice: str) -> Detection:
-    """Fit the marks, and keep those that lie in the image and are fitted as well as the others."""
-    shape = marks.image.shape
+    """Fit the marks of a lattice, and test that they form the pattern."""
+    settings, shape = marks.settings, marks.image.shape
     to_image, _ = fit_grid_map(marks.centers[:, None], grid.astype(float), MIDDLE, shape)
     steps = to_image.steps(grid)
     if not to_image.scale(grid).min() > 1:
         raise ValueError(f"image must show a plane grid of {kind}, got marks that are on none")
     if kind not in _BOARDS and are_round(marks, steps) != (kind == "circles"):
         raise ValueError(f"image must show {kind}, got marks of another shape")
-    good, points, sigma, matrices = fit_marks(marks, steps, kind)
-    grid = grid[good]
-    share = fill(grid)
-    if share < marks.settings.least_full:  # as chance puts it together
-        raise ValueError(f"image must show a grid of {kind}, got {share:.0%} of its places")
+    fitted = fit_marks(marks, grid, steps, kind)
+    share = fill(fitted.grid)
+    if share < settings.min_fill:
+        raise ValueError(f"image must show a grid of {kind}, got {share:.0%} of its marks")
     if kind == "circles":
-        refuse_lattice(matrices @ matrices, steps[good], lattice, marks.settings)
-    turn = counting(points.mean(axis=1), grid, lattice)
-    grid = np.round(grid @ turn).astype(np.intp)
-    offsets: Array = CORNERS @ turn if kind == "squares" else MIDDLE
-    areas = np.pi * np.abs(np.linalg.det(matrices))
-    return _place(marks, points, sigma, grid, areas, offsets, kind, lattice)
-
-
-def _place(
-    marks: Marks,
-    points: Array,
-    sigma: Array,
-    grid: Index,
-    areas: Array,
-    offsets: Array,
-    kind: str,
-    lattice: str,
-) -> Detection:
-    """Points freed of bias, on a lattice that is tested; marks that are none of it are left out."""
-    shape, squares = marks.image.shape, kind == "squares"
-    kept = np.ones(len(points), dtype=bool)
+        check_lattice(fitted.ellipses @ fitted.ellipses, fitted.steps, lattice, settings)
+    basis = index_basis(fitted.points.mean(axis=1), fitted.grid, lattice)
+    fitted = replace(fitted, grid=np.round(fitted.grid @ basis).astype(np.intp))
+    offsets: Array = CORNERS @ basis if kind == "squares" else MIDDLE
     while True:
-        points, sigma, grid, areas = points[kept], sigma[kept], grid[kept], areas[kept]
-        if len(grid) < FEWEST:
-            raise ValueError(f"image must show a plane grid, got {len(grid)} marks of one")
-        cells, free = grid @ STEPS[lattice], points.copy()
-        to_image, positions = fit_grid_map(free, cells, offsets, shape)
-        if squares:
-            _refuse_rectangles(np.ptp(positions[0], axis=0), marks.settings)
-            free -= _corner_bias(to_image, positions)
-        elif kind == "circles":
-            free -= _center_bias(to_image, cells, areas)[:, None]
-        to_image, positions = fit_grid_map(free, cells, offsets, shape)
-        # The corners of boards were held against the image; a lens may bend them more than the map.
-        most = marks.settings.most_residual * (10 if kind in _BOARDS else 1)
-        kept, stated, misfit = agree(free, positions, to_image, sigma, most, marks.settings.stray)
-        if kept.all():
-            break  # else strays bent the map
-    side = float(np.ptp(positions[0], axis=0).mean()) if squares else 1.0
+        cells = fitted.grid @ STEPS[lattice]
+        unbiased = _remove_bias(fitted, cells, offsets, kind, marks)
+        to_image, positions = fit_grid_map(unbiased, cells, offsets, shape)
+        test = check_residuals(unbiased, positions, to_image, fitted.sigma, settings)
+        if test.kept.all():
+            break
+        fitted = fitted[test.kept]  # without the outliers, which bend the map
+    side = float(np.ptp(positions[0], axis=0).mean()) if kind == "squares" else 1.0
     if kind not in _BOARDS:
-        size = side if squares else float(np.sqrt(np.median(areas / to_image.scale(cells))))
-        _refuse_other_image(marks, free.mean(axis=1), to_image.steps(cells), size, kind, lattice)
+        areas = np.pi * np.abs(np.linalg.det(fitted.ellipses)) / to_image.scale(cells)
+        size = side if kind == "squares" else float(np.sqrt(np.median(areas)))
+        centers, steps = unbiased.mean(axis=1), to_image.steps(cells)
+        _check_surroundings(marks, centers, steps, size, kind, lattice)
+    first = fitted.grid[:, None] - fitted.grid.min(axis=0)
     ends = (offsets > 0).astype(np.intp)
-    grid = (grid - grid.min(axis=0))[:, None]
     return Detection(
-        free.reshape(-1, 2),
-        ((1 + squares) * grid + ends).reshape(-1, 2),
-        stated.ravel(),
-        np.repeat(np.arange(len(grid)), free.shape[1]),
-        (grid @ STEPS[lattice] + side * ends).reshape(-1, 2),
-        np.nan if kind == "circles" else side,
-        misfit,
-        (shape[1], shape[0]),
+        points=unbiased.reshape(-1, 2),
+        grid=(first * (2 if kind == "squares" else 1) + ends).reshape(-1, 2),
+        sigma=test.sigma.ravel(),
+        group=np.repeat(np.arange(len(first)), unbiased.shape[1]),
+        positions=(first @ STEPS[lattice] + side * ends).reshape(-1, 2),
+        side=np.nan if kind == "circles" else side,
+        misfit=test.misfit,
+        image_size=(shape[1], shape[0]),
     )
 
 
-def _refuse_other_image(
+def _remove_bias(
+    fitted: FittedMarks, cells: Array, offsets: Array, kind: str, marks: Marks
+) -> Array:
+    """Points (n, k, 2) without their bias under perspective and distortion, by a map fitted to the
+    points with the bias."""
+    if len(cells) < FEWEST:
+        raise ValueError(f"image must show a plane grid, got {len(cells)} marks of one")
+    to_image, positions = fit_grid_map(fitted.points, cells, offsets, marks.image.shape)
+    if kind == "squares":
+        _check_squares(np.ptp(positions[0], axis=0), marks.settings)
+        return fitted.points - _corner_bias(to_image, positions)
+    if kind == "circles":
+        areas = np.pi * np.abs(np.linalg.det(fitted.ellipses))
+        return fitted.points - _center_bias(to_image, cells, areas)[:, None]
+    return fitted.points
+
+
+def _check_surroundings(
     marks: Marks, centers: Array, steps: Array, size: float, kind: str, lattice: str
 ) -> None:
-    """Refuse marks whose surroundings are not those of the pattern as it is drawn: with other marks
-    between them, as in a lattice of every second one or on a chessboard."""
+    """Raise an error if the image around the marks does not correlate with the drawn pattern.
+
+    Other marks lie between the marks of a sublattice and on a chessboard.
+    """
     places = CELL @ STEPS[lattice]
-    beyond = 2 * np.abs(places).max(axis=1)
+    radius = 2 * np.abs(places).max(axis=1)
     if kind == "circles":
-        beyond = np.sqrt(np.pi) * np.hypot(*places.T)
-    drawn = np.where(beyond < size, 1.0, 0.0)
+        radius = np.sqrt(np.pi) * np.hypot(*places.T)
+    drawn = np.where(radius < size, 1.0, 0.0)
     between = centers + steps @ STEPS[lattice].mean(axis=0)
-    alike, other = (
-        float(np.median(likeness(marks.smooth, at, steps, places, sign * drawn)))
+    on_marks, between_marks = (
+        float(np.median(correlation(marks.smooth, at, steps, places, sign * drawn)))
         for at, sign in ((centers, 1), (between, -1))
     )
-    if alike < max(marks.settings.least_alike, other):  # bright places between blurred circles
+    if on_marks < max(marks.settings.min_correlation, between_marks):  # between blurred circles
         raise ValueError(
-            f"image must show {kind} apart from each other, got a correlation of {alike:.2f} with "
-            f"such a pattern, and of {other:.2f} with what lies between"
+            f"image must show {kind} apart from each other, got a correlation of {on_marks:.2f} "
+            f"with such a pattern, and of {between_marks:.2f} between its marks"
         )
 
 
-def _refuse_rectangles(sides: Array, settings: Settings) -> None:
-    """Refuse marks whose sides, in steps, are not those of squares, or leave no gap."""
-    if np.ptp(sides) > settings.most_skew * sides.min() or sides.max() >= 1:
+def _check_squares(sides: Array, settings: Settings) -> None:
+    """Raise an error if the sides of the marks, in steps, differ or leave no gap."""
+    if np.ptp(sides) > settings.max_skew * sides.min() or sides.max() >= 1:
         width, height = sides
         raise ValueError(f"image must show squares, got rectangles of {width:.3g} × {height:.3g}")
 
 
 def _center_bias(to_image: GridMap, cells: Array, areas: Array) -> Array:
-    """How far the center of each circle's image lies from the image of its center, px."""
+    """Center of the image of each circle minus the image of its center, px."""
     radius = np.sqrt(np.median(areas / (np.pi * to_image.scale(cells))))  # in pitches
     turn = np.linspace(0, 2 * np.pi, 4, endpoint=False)
-    # The mean over a disc, of polynomials up to the third degree, is that over this ring.
+    # The mean of a cubic polynomial over a disc is its mean over these four points.
     ring = radius / np.sqrt(2) * np.column_stack([np.cos(turn), np.sin(turn)])
     within = cells[:, None] + ring
     weight = to_image.scale(within)[..., None]
@@ -210,13 +209,13 @@ def _center_bias(to_image: GridMap, cells: Array, areas: Array) -> Array:
 
 
 def _corner_bias(to_image: GridMap, corners: Array) -> Array:
-    """How far straight lines through distorted sides cross from the images of the corners, (n, 4,
-    2), px."""
+    """Crossings of straight lines through the distorted sides minus the images of the corners,
+    (n, 4, 2), px."""
     last = np.roll(corners, -1, axis=1)
     here, there = to_image(corners), to_image(last)
     along = (there - here) / np.linalg.norm(there - here, axis=-1, keepdims=True)
     bend = to_image((corners + last) / 2) - (here + there) / 2
     bend -= (bend * along).sum(axis=-1, keepdims=True) * along
-    # The mean of a parabola is two thirds of its height; near right angles one side's line moves
-    # the corner along the other.
+    # The mean of a parabola is two thirds of its height. Near a right angle, the line of one side
+    # moves the corner along the other side.
     return np.asarray(2 / 3 * (bend + np.roll(bend, 1, axis=1)))

@@ -1,4 +1,4 @@
-"""The numbers of the detectors that were measured, each with its reason."""
+"""Measured settings of the detection, each with its reason."""
 
 from __future__ import annotations
 
@@ -9,90 +9,88 @@ from dataclasses import dataclass
 class Settings:
     """Settings of the steps from an image to points on a lattice, in their order.
 
-    A number that can be doubled and halved without a change stands where it is used.
-
     Parameters
     ----------
     levels : int
-        Levels at which contours are drawn, as many evenly spaced as by rank. A mark is found if one
-        of them separates it from its ground all round.
-    shortest : int
-        Contour of a mark of 5 px across, px.
-    fullness : (float, float)
-        Of an ellipse it is 1, of a square 0.955; contours of few pixels come out a little beside.
-    nothing_else : float
-        If a lattice holds this part of the dark regions, the image shows it and nothing else.
+        Number of evenly spaced grey levels of contours, and of levels by rank. A mark is found if
+        one of them separates it from its background all around.
+    min_contour : int
+        Length of the contour of a mark of 5 px, px.
+    ellipse_ratio : (float, float)
+        Limits of the area of a mark over that of the ellipse with its moments: 1 for an ellipse and
+        0.955 for a square, with the error of contours of few pixels.
+    only_pattern : float
+        Fraction of the dark regions on a lattice above which the image shows nothing else.
     saddle_blurs : (float, float)
-        With which corners are looked for, px: small fields, then noisy and blurred ones.
-    least_alike : float
+        Blurs with which corners are searched, px: for small fields, and for noisy and blurred ones.
+        With the smaller one alone, 12 of 50 photographed chessboards are rejected instead of 1.
+    min_correlation : float
         Correlation of the image around a mark with the drawn pattern.
-    least_contrast : float
-        Of a place that is taken for a mark, as a part of that of the nearest one: at the rim of a
-        chessboard, where one of four fields is dark, it is a half.
-    most_scatter : float
-        Of the marks' shapes: photographed boards have up to 0.033 (development images), marks of
-        chance mostly more than 0.2.
-    most_skew : float
-        How far the ratio of the lattice's steps may lie from 1, and the cosine between them from 0
-        or ½. Every second place of every second row of a square lattice is nearest to a hexagonal
-        one, with a ratio of 1.118 and a cosine of 0.447.
-    least_full : float
-        Part of the lattice's places inside the marks' convex hull that hold one. False lattices of
-        the development images hold a fifth to a half.
-    start_blur : float
-        With which a fit starts, px. Less does no harm, 2.5 px may end in a wrong minimum.
-    steps : int
-        Most steps of a fit. In renders of Table 5.1's views nine outlines of ten are at their
-        minimum after 5; of photographed circles one in ten needs more than 15, and of corners of
-        photographed chessboards one in five more than 25.
-    few_steps : int
-        Steps after which shapes are told apart: the right one is at its minimum, and the other far
-        above it, though it may creep on for long.
-    settled : float
-        A fit ends when a step changes its sum of squares by less than this part. The step then
-        moved the outline by √(1e-6 k) of its standard deviation for k pixels, a sixtieth for 250.
-    rough : float
-        A parameter is not shared if its misfit, 1 ± √(2/freedom) by chance, is so many of these
-        deviations above 1. Without sharing the error of rendered patterns is 1.6 times as large;
-        the limit is for lenses whose blur is not smooth.
-    widest : float
-        Band around an outline, px. Pixels far from it tell its ground: 4, 5, 7 and 10 leave errors
-        of 1.06, 1.02, 1 and 0.99, more and more of it for dirt to lie in.
-    most_crossing : float
-        Half the width of a patch around a board's corner, px: more adds little but distortion.
-    most_residual : float
-        Of a lattice, in pitches. Printed boards, photographed, lie within 0.01; false lattices
-        mostly beyond 0.03.
-    stray : float
-        A mark so many standard deviations beside the others' map is none of theirs: by chance one
-        of 10⁸.
-    turn, turns : float, int
-        Half of the turn about the gradients' own direction in which the lines of a scale are
-        sharpest, rad, and the directions that are tried.
-    line_residual : float
-        Of a line, in divisions: scales are ruled to a hundredth of one, and stripes that only look
-        like one rarely lie within a twentieth.
+    min_contrast : float
+        Contrast of an added mark over that of the nearest one. At the edge of a chessboard, where
+        one of four fields is dark, it is a half.
+    max_shape_scatter : float
+        Relative scatter of the shapes of marks. It is 0.033 at most on photographed boards, and
+        mostly more than 0.2 for accidental lattices.
+    max_skew : float
+        Deviation of the ratio of the steps of a lattice from 1, and of the cosine of their angle
+        from 0 or ½. Every second mark of every second row of a square lattice is closest to a
+        hexagonal one, with a ratio of 1.118 and a cosine of 0.447.
+    min_fill : float
+        Fraction of the lattice points in the convex hull of the marks that have a mark. It is a
+        fifth to a half for accidental lattices in photographs.
+    initial_blur : float
+        Blur at the start of a fit, px. A start of 2.5 px may end in a wrong minimum.
+    max_iterations : int
+        Iterations of a fit. Nine of ten rendered outlines are at their minimum after 5; one in ten
+        photographed circles needs more than 15, and one in five corners of photographed chessboards
+        more than 25.
+    shape_iterations : int
+        Iterations after which circles and squares are compared. The right shape is then at its
+        minimum, and the other far above.
+    cost_tolerance : float
+        Relative change of the sum of squares at which a fit ends. The last step is then a sixtieth
+        of the standard deviation for 250 pixels.
+    max_chi2_deviation : float
+        Deviation of the reduced χ² of a parameter from 1, in its standard deviations √(2/dof),
+        above which the parameter does not vary smoothly. Without smoothing, the error of rendered
+        patterns is 1.2 to 1.6 times as large.
+    max_band : float
+        Half-width of the band around an outline, px. Bands of 4, 5, 7 and 10 px give errors of
+        1.06, 1.02, 1 and 0.99, and contain more and more dirt.
+    max_patch : float
+        Half-width of the patch around a corner of a board, px. Larger ones contain more distortion.
+    max_residual : float
+        Rms deviation of points from a smooth image of a lattice, in pitches. It is 0.0083 at most
+        on 60 photographs of printed boards and more than 0.03 for most accidental lattices.
+    outlier_sigmas : float
+        Deviation of an outlier in standard deviations, with a probability of 1e-8 by chance.
+    angle_range, angle_count : float, int
+        Range of directions of a scale on both sides of the mean gradient, rad, and their number.
+    max_line_residual : float
+        Rms deviation of the lines of a scale, in divisions. Scales are ruled to 0.01, and other
+        stripes are rarely regular to 0.05.
     """
 
     levels: int = 20
-    shortest: int = 14
-    fullness: tuple[float, float] = (0.90, 1.02)
-    nothing_else: float = 0.7
+    min_contour: int = 14
+    ellipse_ratio: tuple[float, float] = (0.90, 1.02)
+    only_pattern: float = 0.7
     saddle_blurs: tuple[float, float] = (1.5, 3.0)
-    least_alike: float = 0.7
-    least_contrast: float = 0.7
-    most_scatter: float = 0.08
-    most_skew: float = 0.1
-    least_full: float = 0.6
-    start_blur: float = 1.2
-    steps: int = 50
-    few_steps: int = 12
-    settled: float = 1e-6
-    rough: float = 6.0
-    widest: float = 7.0
-    most_crossing: float = 12.0
-    most_residual: float = 0.012
-    stray: float = 6.0
-    turn: float = 0.1
-    turns: int = 81
-    line_residual: float = 0.02
+    min_correlation: float = 0.7
+    min_contrast: float = 0.7
+    max_shape_scatter: float = 0.08
+    max_skew: float = 0.1
+    min_fill: float = 0.6
+    initial_blur: float = 1.2
+    max_iterations: int = 50
+    shape_iterations: int = 12
+    cost_tolerance: float = 1e-6
+    max_chi2_deviation: float = 6.0
+    max_band: float = 7.0
+    max_patch: float = 12.0
+    max_residual: float = 0.012
+    outlier_sigmas: float = 6.0
+    angle_range: float = 0.1
+    angle_count: int = 81
+    max_line_residual: float = 0.02

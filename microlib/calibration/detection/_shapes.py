@@ -1,11 +1,11 @@
-"""Blurred dark ellipses and quadrilaterals, and the fit of many of them."""
+"""Models of blurred ellipses, quadrilaterals and crossings of edges, and their fit to marks."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,70 +16,101 @@ from microlib.calibration._detection import FEWEST
 from microlib.calibration.detection._marks import Marks
 from microlib.calibration.detection._outlines import (
     BLUR,
+    CONTRAST,
+    SLOPES,
     OutlineFit,
+    Rows,
     band,
     cut_patches,
     fit_shapes,
     smooth_parameters,
 )
 
-# Ellipses: center, shape matrix A (|A·(x − center)| = 1 on the ellipse), then what all have.
+# Parameters of an ellipse: its center, the shape matrix A with |A·(x − center)| = 1 on the ellipse,
+# then those that all outlines have.
 CENTER, _SHAPE = slice(0, 2), slice(2, 5)
 #: Least divisor, at the center of an ellipse, where no fitted pixel is.
 _LEAST = 1e-9
 
-# Lines, four of a quadrilateral or the two that cross at a chessboard's corner: directions of the
-# (outward) normals, distances from the patch's origin along them, then what all have.
+# Parameters of lines, the four of a quadrilateral or the two at a corner of a board: angles of the
+# (outward) normals, distances from the origin of the patch, then those that all outlines have.
 #: Corners of a square about its middle, in sides, along the lattice's two steps; line k leads from
 #: the corner before to corner k.
 CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
 
 def are_round(marks: Marks, steps: Array) -> bool:
-    """Say whether ellipses fit the marks' grey levels better than quadrilaterals do."""
-    # Each has hundreds of pixels to tell by. The first of the lattice lie beside one another, so
-    # that the band around each ends where its neighbor's begins.
+    """Whether ellipses fit the grey levels of the marks better than quadrilaterals."""
+    # A few marks suffice, as each has hundreds of pixels. The first marks of a lattice are
+    # neighbors, so that their bands do not overlap.
     first = slice(2 * FEWEST)
-    some = replace(marks[first], settings=replace(marks.settings, steps=marks.settings.few_steps))
+    some = replace(
+        marks[first],
+        settings=replace(marks.settings, max_iterations=marks.settings.shape_iterations),
+    )
     fits = fit_quads(some, steps[first]), fit_ellipses(some, steps[first])
     rms = [float(np.nanmedian(fit.rms)) for fit in fits]
-    # Noise of three fifths of the contrast would leave as much. The fit of all of such large marks,
-    # as the fields with markers of a ChArUco board, would creep on for long.
+    # Noise of three fifths of the contrast leaves such a residual. A fit of all marks of this size,
+    # as the fields of a ChArUco board with markers, takes many iterations.
     if min(rms) > np.ptp(marks.smooth) / 4:
         raise ValueError("image must show marks on a ground, got ones that no outline fits")
     return rms[1] < rms[0]
 
 
-def fit_marks(
-    marks: Marks, steps: Array, kind: str
-) -> tuple[NDArray[np.bool_], Array, Array, Array]:
-    """Fit marks, and keep those that lie in the image and are fitted as well as the others.
+@dataclass(frozen=True)
+class FittedMarks(Rows):
+    """Fitted points of n marks: the centers of circles, or the corners of squares and boards.
 
-    Which; their points (n, k, 2) with σ (n, k); and of circles the matrices (n, 2, 2) that make the
-    ellipses of a unit circle, else zeros.
+    Parameters
+    ----------
+    points : ndarray, shape (n, k, 2)
+        The k points of each mark, px.
+    sigma : ndarray, shape (n, k)
+        Standard deviation of a coordinate of each point, px.
+    ellipses : ndarray, shape (n, 2, 2)
+        Matrices from the unit circle to the image of each circle, px; zeros for other marks.
+    grid : ndarray of int, shape (n, 2)
+        Coordinates in the lattice.
+    steps : ndarray, shape (n, 2, 2)
+        Derivatives of the image points by these coordinates, px.
     """
-    fit_outlines, locate, shared = _KINDS[kind]
-    fit = fit_outlines(marks, steps)
-    points, sigma, matrices = locate(fit)
-    reach = np.linalg.norm(matrices, axis=2)[:, None]  # half the width and height of an ellipse
+
+    points: Array
+    sigma: Array
+    ellipses: Array
+    grid: NDArray[np.intp]
+    steps: Array
+
+
+def fit_marks(marks: Marks, grid: NDArray[np.intp], steps: Array, kind: str) -> FittedMarks:
+    """Fit marks; return those that lie in the image and are fitted as well as the others."""
+    model = _MODELS[kind]
+    fit = model.fit(marks, steps)
+    points, sigma, ellipses = model.locate(fit)
+    extent = np.linalg.norm(ellipses, axis=2)[:, None]  # half the width and height of an ellipse
     limit = np.array(marks.image.shape[::-1]) - 1
     worst = sigma.max(axis=1)
-    inside = (points >= reach) & (points <= limit - reach)
+    inside = (points >= extent) & (points <= limit - extent)
     moved = np.linalg.norm(points.mean(axis=1) - marks.centers, axis=1)
     good = inside.all(axis=(1, 2)) & np.isfinite(worst) & (moved < np.sqrt(marks.areas) / 6)
-    good &= 3 * np.abs(fit.parameters[:, BLUR]) < np.sqrt(marks.areas)  # else others take part
-    # Residuals of up to 5 medians let 2 wrong points of 1961 pass that 3 keeps out, and 2 costs 12.
+    # A larger blur is that of several marks.
+    good &= 3 * np.abs(fit.parameters[:, BLUR]) < np.sqrt(marks.areas)
+    # A limit of 5 medians accepts 2 wrong points of 1961 that 3 rejects, and a limit of 2 rejects
+    # 12 right ones.
     if good.any():
         good &= fit.rms <= 3 * np.median(fit.rms[good])
         good &= worst <= np.minimum(4 * np.median(worst[good]), np.sqrt(marks.areas) / 20)
     if good.sum() < FEWEST:
         raise ValueError(f"image must show a grid of {kind}, got {int(good.sum())} whole ones")
-    fit = fit[good]
-    return good, *locate(smooth_parameters(fit, shared, marks.settings))
+    fit = smooth_parameters(fit[good], model.smooth, marks.settings)
+    points, sigma, ellipses = model.locate(fit)
+    return FittedMarks(
+        points=points, sigma=sigma, ellipses=ellipses, grid=grid[good], steps=steps[good]
+    )
 
 
 def fit_ellipses(marks: Marks, steps: Array) -> OutlineFit:
-    """Fit an ellipse to each mark, from its own moments whatever the lattice's steps."""
+    """Fit an ellipse to each mark, from its moments. The steps of the lattice are not used."""
     values, vectors = np.linalg.eigh(marks.moments)  # a filled ellipse has A = ½ Σ^(−½)
     shape = (vectors / (2 * np.sqrt(values))[:, None, :]) @ vectors.transpose(0, 2, 1)
     own = np.hstack([marks.centers - np.round(marks.centers), shape[:, [0, 0, 1], [0, 1, 1]]])
@@ -92,9 +123,11 @@ def fit_ellipses(marks: Marks, steps: Array) -> OutlineFit:
 
 
 def ellipse_center(fit: OutlineFit) -> tuple[Array, Array, Array]:
-    """Center of each ellipse, (n, 1, 2), and the standard deviation of a coordinate, (n, 1), px;
-    and the symmetric matrix A⁻¹, (n, 2, 2), that makes it of a unit circle: the lengths of its rows
-    are half of the ellipse's width and height."""
+    """Center of each ellipse, (n, 1, 2), standard deviation of a coordinate, (n, 1), px, and the
+    symmetric matrix A⁻¹ from the unit circle to the ellipse, (n, 2, 2).
+
+    The lengths of the rows of A⁻¹ are half the width and height of the ellipse.
+    """
     sigma = np.sqrt(np.einsum("nii->ni", fit.covariance[:, CENTER, CENTER]).mean(axis=1))
     shape = fit.parameters[:, _SHAPE][:, [[0, 1], [1, 2]]]
     return (fit.parameters[:, CENTER] + fit.centers)[:, None], sigma[:, None], np.linalg.inv(shape)
@@ -118,16 +151,16 @@ def fit_quads(marks: Marks, steps: Array) -> OutlineFit:
 def fit_crossings(marks: Marks, steps: Array, reach: float = 0.45) -> OutlineFit:
     """Fit two lines to each corner of a board, along the lattice's steps.
 
-    `reach` is half the width of a patch, in sides of a field: the next edges are a whole side away,
-    and their blur and a slant of the board must stay out, as must markers in the fields.
+    `reach` is half the width of a patch, in sides of a field. The patch must not contain the next
+    edges, a side away, with their blur and foreshortening, nor the markers in the fields.
     """
     settings = marks.settings
     side = np.abs(np.linalg.det(steps)) / np.linalg.norm(steps, axis=1).max(axis=1)
-    radius = np.clip(reach * side, 3, settings.most_crossing)[:, None]
+    radius = np.clip(reach * side, 3, settings.max_patch)[:, None]
     near = (0.0, 1.0)
     patches = cut_patches(marks, radius.max(), lambda x, y: np.hypot(x, y) / radius, near)
     start = _start_lines(steps.transpose(0, 2, 1), (marks.centers - patches.centers)[:, None])
-    start[:, BLUR] = settings.start_blur
+    start[:, BLUR] = settings.initial_blur
     dark = _crossing(start, patches.x, patches.y)[0] - 0.5
     bright = (dark * (patches.grey - patches.grey.mean()) * patches.weight).sum(axis=1) > 0
     start[bright, 0] += np.pi  # the dark fields are the other two
@@ -149,8 +182,7 @@ def _start_lines(along: Array, on: Array) -> Array:
 
 def quad_corners(fit: OutlineFit) -> tuple[Array, Array, Array]:
     """Intersections of consecutive lines, (n, 4, 2) or (n, 1, 2) of two lines, the standard
-    deviation of a coordinate, (n, 4) or (n, 1), px; and zeros, for no part of a mark lies beyond
-    its corners."""
+    deviation of a coordinate, (n, 4) or (n, 1), px, and zeros in place of ellipses."""
     offset = line_offsets(fit.parameters)
     lines = offset.shape[1]
     first = np.arange(4 if lines == 4 else 1)
@@ -168,14 +200,22 @@ def quad_corners(fit: OutlineFit) -> tuple[Array, Array, Array]:
     return corners + fit.centers[:, None], sigma, np.zeros((len(sigma), 2, 2))
 
 
-#: Of each kind of mark the fit, the points, and the parameters that vary smoothly across the image:
-#: blur, contrast and slope of the ground, and of squares the directions of the sides. A
-#: chessboard's corner lies amid what surrounds it, and gains nothing.
-_KINDS: dict[str, tuple[Callable[..., OutlineFit], Callable[..., Any], list[int]]] = {
-    "circles": (fit_ellipses, ellipse_center, [5, 6, 8, 9]),
-    "squares": (fit_quads, quad_corners, [0, 1, 2, 3, 8, 9, 11, 12]),
-    "chessboard": (fit_crossings, quad_corners, []),
-    "charuco": (partial(fit_crossings, reach=1 / 8), quad_corners, []),
+class _Model(NamedTuple):
+    """Outline of a kind of mark: its fit, its points, and its parameters that vary smoothly across
+    the image."""
+
+    fit: Callable[..., OutlineFit]
+    locate: Callable[..., tuple[Array, Array, Array]]
+    smooth: tuple[int, ...]
+
+
+#: Models by kind. The blur, the contrast and the slopes of the background vary smoothly, and so do
+#: the directions of the sides of squares. Smoothing does not improve the corners of boards.
+_MODELS = {
+    "circles": _Model(fit_ellipses, ellipse_center, (BLUR, CONTRAST, *SLOPES)),
+    "squares": _Model(fit_quads, quad_corners, (0, 1, 2, 3, BLUR, CONTRAST, *SLOPES)),
+    "chessboard": _Model(fit_crossings, quad_corners, ()),
+    "charuco": _Model(partial(fit_crossings, reach=1 / 8), quad_corners, ()),
 }
 
 
@@ -195,7 +235,7 @@ def _to_ellipse(parameters: Array, x: Array, y: Array) -> tuple[Array, Array, Ar
 
 
 def _ellipse(parameters: Array, x: Array, y: Array) -> tuple[Array, Array]:
-    """The part of the light that a blurred ellipse takes, and its derivatives."""
+    """The coverage of pixels by a blurred ellipse, and its derivatives."""
     distance, nx, ny, by_shape = _to_ellipse(parameters, x, y)
     edge, by_blur = _edge(parameters)
     z = distance / edge
@@ -212,24 +252,26 @@ def _to_lines(parameters: Array, x: Array, y: Array) -> Array:
 
 
 def _quad(parameters: Array, x: Array, y: Array) -> tuple[Array, Array]:
-    """The part of the light that a blurred quadrilateral takes: a product of four half-planes,
-    which near a right angle is the exact image of a corner; and its derivatives."""
+    """The coverage of pixels by a blurred quadrilateral, and its derivatives.
+
+    It is the product of four half-planes, exact for a right angle and a Gaussian blur.
+    """
     z, of_lines = _lines(parameters, x, y)
     a, b, c, d = np.moveaxis(ndtr(z), -1, 0)
     return a * b * c * d, of_lines(np.stack([b * c * d, a * c * d, a * b * d, a * b * c], axis=-1))
 
 
 def _crossing(parameters: Array, x: Array, y: Array) -> tuple[Array, Array]:
-    """The part of the light that two fields take which touch at a corner, on the same side of both
-    of its lines; and its derivatives."""
+    """The coverage of pixels by two fields that touch at the crossing of two lines, and its
+    derivatives."""
     z, of_lines = _lines(parameters, x, y)
     a, b = np.moveaxis(ndtr(z), -1, 0)
     return a * b + (1 - a) * (1 - b), of_lines(np.stack([2 * b - 1, 2 * a - 1], axis=-1))
 
 
 def _lines(parameters: Array, x: Array, y: Array) -> tuple[Array, Callable[[Array], Array]]:
-    """Distances to the lines in blurs, and what makes the derivatives by the parameters of those by
-    each half-plane's part of the light."""
+    """Distances to the lines over the width of their edge, and the function from derivatives by the
+    coverage of each half-plane to derivatives by the parameters."""
     edge, edge_by_blur = (each[..., None] for each in _edge(parameters))
     z = _to_lines(parameters, x, y) / edge
     angle = parameters[:, None, : z.shape[-1]]
@@ -244,8 +286,8 @@ def _lines(parameters: Array, x: Array, y: Array) -> tuple[Array, Callable[[Arra
 
 
 def _edge(parameters: Array) -> tuple[Array, Array]:
-    """Standard deviation of the edge of each outline, of the blur and of the width of a pixel
-    together, and its derivative by the blur."""
+    """Standard deviation of the edge of each outline, from blur and pixel width, and its derivative
+    by the blur."""
     blur = parameters[:, BLUR, None]
     edge = np.sqrt(blur**2 + 1 / 12)
     return edge, blur / edge
